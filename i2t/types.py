@@ -1,0 +1,114 @@
+"""The words every part of i2t speaks: surfaces, boards, pads, touches and the numbers of a depth patch.
+
+Frames: W world, B robot base, T tool, C camera, O object; `T_a_b` is the (4, 4) transform that maps points in b to a. The tool frame has its origin at
+the skin's centre on its surface, z out of the skin into the object, x and y along the skin's edges. Units: metres, radians, newtons and tesla in the
+physics, microtesla at the sensor's face.
+
+Every type is a NamedTuple of arrays and so a JAX pytree: one example has the shapes given here, a batch has a leading axis. NumPy and JAX arrays are
+both welcome, and nothing here imports JAX, so that the hardware layer can speak the same words.
+"""
+
+from enum import IntEnum
+from typing import Any, NamedTuple, TypeAlias
+
+Array: TypeAlias = Any  # a NumPy or a JAX array; shapes are stated beside each field
+
+READINGS = 15  # 5 chips x (x, y, z)
+CHIPS = 5
+
+PATCH_PIXELS = 48
+PATCH_WINDOW = 17e-3  # m, edge of the square the paper cuts around the tool axis
+WIDE_PIXELS = 72
+WIDE_WINDOW = PATCH_WINDOW * WIDE_PIXELS / PATCH_PIXELS  # 25.5 mm: same pixels, and the patch is its central 48 x 48
+REACH = 4e-3  # m, depth of a patch behind the nearest surface point
+STANDOFF = 40e-3  # m, rays start this far behind the tool origin
+PAD_WINDOW = 20e-3  # m, edge of the skin
+NO_OBJECT = -1  # index of an unknown object, pad or run
+
+
+class Surface(NamedTuple):
+    """A triangle mesh ready for rendering, in the object's frame; build it with `i2t.render.prepare`.
+
+    Faces are padded with degenerate ones to a static size class, so that surfaces of one class share a compiled renderer and can be stacked.
+    """
+
+    triangles: Array  # (faces, 3 corners, 3) m
+
+
+class Patch(NamedTuple):
+    """What lies in front of the skin, seen along tool z: row i along tool y, column j along tool x, pixel centres at ((k + 0.5)/n - 0.5) window."""
+
+    depth: Array  # (n, n) m behind the nearest surface point, clipped to the reach; no surface = reach
+    nearest: Array  # () m, signed distance of that nearest point from the tool origin along tool z; +inf where nothing is met
+
+
+class Board(NamedTuple):
+    """A sensor board: where its chips sit below the skin and how their axes lie in the tool frame.
+
+    `chips[i]` is the i-th chip in the order in which the board sends its values, `rotations[i]` maps that chip's axes to tool axes (a reflection where a
+    driver flips a sign).
+    """
+
+    chips: Array  # (5, 3) m, in the tool frame; z is negative, below the skin's surface
+    rotations: Array  # (5, 3, 3)
+
+    def to_tool(self, reading: Array) -> Array:
+        """Turn readings (..., 15) in the chips' own axes into tool axes (..., 5, 3)."""
+        return (self.rotations @ reading.reshape(*reading.shape[:-1], CHIPS, 3, 1))[..., 0]
+
+    def to_board(self, field: Array) -> Array:
+        """Turn fields (..., 5, 3) in tool axes into readings (..., 15) as the board sends them; the inverse of `to_tool`."""
+        return (self.rotations.swapaxes(-1, -2) @ field[..., None])[..., 0].reshape(*field.shape[:-2], READINGS)
+
+
+class Pad(NamedTuple):
+    """One magnetic skin on its board: an elastic layer bonded to the board, magnetised unevenly."""
+
+    thickness: Array  # () m
+    young: Array  # () Pa
+    poisson: Array  # ()
+    magnetisation: Array  # (g, g, 3) A/m in tool axes on g x g equal cells of the pad (row along y), uniform through the thickness
+    gains: Array  # (15,) of the chips' axes, in the board's order; 1 is nominal
+    board: Board
+
+
+class Truth(NamedTuple):
+    """What only a simulation knows of a touch: the ceiling that an ideal observer would reach."""
+
+    wide: Array  # (72, 72) m, the surface as the skin met it, without camera or pose error
+    nearest: Array  # () m, at the stop, without error
+    force: Array  # () N
+    indentation: Array  # () m, of the skin
+    reading: Array  # (15,) uT, without noise or ambient
+
+
+class Touches(NamedTuple):
+    """Touches, one on each row of every array: what was seen, what was felt, and what the arm measured.
+
+    NaN marks what was not measured. `nearest` is measured at the end of the press, so it is negative by the depth of the press where camera and arm agree.
+    """
+
+    patch: Array  # (n, 48, 48) m, what the camera saw in the tool frame at the end of the press
+    wide: Array  # (n, 72, 72) m, the same view with its surroundings; NaN where the recording was cropped
+    nearest: Array  # (n,) m
+    reading: Array  # (n, 15) uT, mean in contact minus ambient, in the board's order and axes
+    force: Array  # (n,) N, along tool z
+    depth: Array  # (n,) m, travel past first contact
+    T_w_t: Array  # (n, 4, 4) tool pose at the end of the press, as the arm reports it
+    T_w_o: Array  # (n, 4, 4) object pose as the lab believes it
+    object: Array  # (n,) int32, index into the data set's object names
+    pad: Array  # (n,) int32, index into its pad names
+    run: Array  # (n,) int32, index into its run names
+    code: Array  # (n,) int32, a `ReturnCode`
+    truth: Truth | None = None
+
+
+class ReturnCode(IntEnum):
+    """How a press ended (the paper's codes)."""
+
+    FAILED = -1
+    FREE = 0
+    UNDEFINED = 1
+    SKIN = 2
+    WRENCH = 3
+    AIR = 4

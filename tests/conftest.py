@@ -1,0 +1,19 @@
+"""One place for what every test assumes: 64-bit off, ranks never promoted silently, keys never reused, shapes checked at run time."""
+
+import os
+from pathlib import Path
+
+import jax
+import pytest
+
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_debug_key_reuse", True)
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Real recordings, meshes and depth images, which are not part of the project."""
+    folder = Path(os.environ.get("I2T_DATA", Path(__file__).parents[2] / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip(f"real data not found at {folder}; set I2T_DATA to its folder")
+    return folder
