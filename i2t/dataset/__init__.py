@@ -1,0 +1,43 @@
+"""Touches on disk: recorded ones, one immutable file each, and packed sets, behind one reader. NumPy and h5py only;
+importing it imports no JAX.
+
+`sets` says what a data set is, `files` how a file survives a power cut and proves its contents, `store` writes and
+reads, `splits` holds touches out. The schema is described in docs/data.md.
+"""
+
+from i2t.dataset.files import DataError
+from i2t.dataset.sets import Dataset, concatenate, no_wide, validate
+from i2t.dataset.splits import by_group, holdout_blocks, holdout_last, holdout_names, spatial_blocks
+from i2t.dataset.store import (
+    BadFileWarning,
+    Image,
+    Record,
+    Series,
+    index,
+    load,
+    read_touch,
+    save,
+    write_touch,
+)
+
+__all__ = [
+    "BadFileWarning",
+    "DataError",
+    "Dataset",
+    "Image",
+    "Record",
+    "Series",
+    "by_group",
+    "concatenate",
+    "holdout_blocks",
+    "holdout_last",
+    "holdout_names",
+    "index",
+    "load",
+    "no_wide",
+    "read_touch",
+    "save",
+    "spatial_blocks",
+    "validate",
+    "write_touch",
+]

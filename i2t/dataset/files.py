@@ -1,0 +1,116 @@
+"""One HDF5 file that either exists whole or not at all, and that proves its contents.
+
+The first 512 bytes (an HDF5 user block, which every HDF5 reader skips) hold one line of text,
+
+    i2t-touches <schema version> sha256 <64 hexadecimal digits>
+
+filled up with zeros; the digest covers every byte after them, and the line must be exactly this, so that any changed,
+missing or added byte is found before the HDF5 library sees it. A file is written under a hidden temporary name in the
+same folder, synchronised to the disk, renamed, and the folder synchronised: a process killed at any moment leaves a
+hidden leftover at worst, never a half-written touch.
+"""
+
+import hashlib
+import os
+import re
+import secrets
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import h5py
+
+SCHEMA = "i2t-touches"
+VERSION = 1
+ENDING = ".h5"
+HEADER_BYTES = 512
+
+_HEADER = re.compile(rb"i2t-touches ([1-9][0-9]*) sha256 ([0-9a-f]{64})\n\0+")
+
+
+class DataError(ValueError):
+    """A file or a data set that cannot be used; the message is one sentence that names it, what is wrong and the
+    remedy.
+    """
+
+
+def write(path: Path, fill: Callable[[h5py.File], None]) -> Path:
+    """Write a new HDF5 file of this schema at `path`, filled by `fill`, atomically and durably; an existing file is
+    replaced.
+
+    Raises DataError where the folder cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with h5py.File(temporary, "w", userblock_size=HEADER_BYTES) as file:
+                file.attrs["schema"] = SCHEMA
+                file.attrs["version"] = VERSION
+                fill(file)
+            with temporary.open("r+b") as raw:
+                raw.seek(HEADER_BYTES)
+                digest = hashlib.file_digest(raw, "sha256").hexdigest()
+                raw.seek(0)
+                raw.write(f"{SCHEMA} {VERSION} sha256 {digest}\n".encode().ljust(HEADER_BYTES, b"\0"))
+                raw.flush()
+                os.fsync(raw.fileno())
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+        sync_folder(path.parent)
+    except OSError as error:
+        raise DataError(
+            f"{path}: cannot be written ({error.strerror or error}); choose a folder you may write to"
+        ) from error
+    return path
+
+
+def sync_folder(folder: Path) -> None:
+    """Make a rename inside `folder` durable (where the system can synchronise folders; Windows cannot and need not)."""
+    if os.name == "posix":
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def digest_of(path: Path) -> str:
+    """The SHA-256 that the header of `path` states; nothing but the header is read. Raises DataError for a file of
+    another kind.
+    """
+    with path.open("rb") as raw:
+        return _header(path, raw.read(HEADER_BYTES))
+
+
+@contextmanager
+def verified(path: Path) -> Iterator[h5py.File]:
+    """Open a file of this schema for reading, after proving that no byte of it changed. Raises DataError."""
+    try:
+        with path.open("rb") as raw:
+            expected = _header(path, raw.read(HEADER_BYTES))
+            if hashlib.file_digest(raw, "sha256").hexdigest() != expected:
+                raise DataError(
+                    f"{path}: the contents do not match their SHA-256, so the file is damaged; restore it from a copy"
+                )
+        file = h5py.File(path, "r")
+    except OSError as error:
+        raise DataError(
+            f"{path}: cannot be read ({error.strerror or error}); check the path and its permissions"
+        ) from error
+    with file:
+        yield file
+
+
+def _header(path: Path, block: bytes) -> str:
+    match = _HEADER.fullmatch(block)
+    if match is None or len(block) != HEADER_BYTES:
+        raise DataError(
+            f"{path}: not an {SCHEMA} file; move it out of the data set, or convert it with python -m i2t.convert"
+        )
+    if int(match[1]) != VERSION:
+        raise DataError(
+            f"{path}: written in schema version {int(match[1])}, and this program reads {VERSION}; install a newer i2t"
+        )
+    return match[2].decode()

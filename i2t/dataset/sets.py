@@ -1,0 +1,275 @@
+"""What a data set is: touches as NumPy arrays, the names their indices point to, and what holds for all of them.
+
+Everything here is NumPy; arrays of another library (JAX) are taken over on construction. Floats are float32 and indices
+int32.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from i2t.dataset.files import DataError
+from i2t.types import CHIPS, PATCH_WINDOW, REACH, READINGS, WIDE_PIXELS, Board, ReturnCode, Touches, Truth
+
+SOURCES = ("simulated", "real", "mixed")
+INDICES = ("object", "pad", "run", "code")
+AXES = ("x", "y", "z")
+ROTATION_TOLERANCE = (
+    1e-4  # float32 leaves 1e-6 and quaternions printed with four decimals 1e-4: beyond it is no rotation
+)
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Touches with their names: `touches.object[i]` indexes `objects`, and so do `pad` and `run`; rows are in the order
+    of time.
+    """
+
+    touches: Touches
+    objects: tuple[str, ...]
+    pads: tuple[str, ...]
+    runs: tuple[str, ...]
+    board: Board
+    source: str  # "simulated", "real" or "mixed"
+    window: float = PATCH_WINDOW  # m, edge of the square that a patch covers
+    reach: float = REACH  # m, a patch is clipped to it
+    meta: Mapping[str, str] = field(default_factory=dict)  # provenance, in words
+
+    def __post_init__(self) -> None:
+        def numpy(name: str, values: Any) -> np.ndarray:
+            return np.asarray(values, np.int32 if name in INDICES else np.float32)
+
+        object.__setattr__(self, "touches", _map(numpy, self.touches))
+        object.__setattr__(self, "board", Board(*(np.asarray(value, np.float32) for value in self.board)))
+
+    def __len__(self) -> int:
+        return len(self.touches.reading)
+
+    def select(self, rows: Any) -> "Dataset":
+        """The touches that a boolean mask or an array of row numbers picks, with all names kept."""
+        rows = np.arange(len(self))[rows]
+        touches = _map(lambda _, values: _rows(values, rows), self.touches)
+        return replace(self, touches=touches)
+
+    def summary(self) -> dict[str, Any]:
+        """Counts, statistics of the readings (uT, by chip axis) and missing values, as plain numbers that JSON can hold
+        (unknown is None).
+        """
+        touches = self.touches
+        by_axis = touches.reading.reshape(-1, CHIPS, 3).astype(np.float64)
+        finite = {name: np.isfinite(getattr(touches, name)) for name in ("nearest", "force", "depth")}
+        return {
+            "touches": len(self),
+            "source": self.source,
+            "objects": _counts(touches.object, self.objects),
+            "pads": _counts(touches.pad, self.pads),
+            "runs": _counts(touches.run, self.runs),
+            "codes": {code.name.lower(): int(np.sum(touches.code == code)) for code in ReturnCode},
+            "reading_uT": {axis: _statistics(by_axis[..., i].ravel()) for i, axis in enumerate(AXES)},
+            "reading_norm_uT": _statistics(np.linalg.norm(by_axis.reshape(-1, READINGS), axis=1)),
+            "force_N": _statistics(touches.force[finite["force"]].astype(np.float64)),
+            "depth_m": _statistics(touches.depth[finite["depth"]].astype(np.float64)),
+            "nearest_m": _statistics(touches.nearest[finite["nearest"]].astype(np.float64)),
+            "missing": {
+                **{name: int(np.sum(~known)) for name, known in finite.items()},
+                "wide": int(sum(np.isnan(view).any() for view in touches.wide)),
+                "T_w_t": int(np.isnan(touches.T_w_t).any((1, 2)).sum()),
+                "T_w_o": int(np.isnan(touches.T_w_o).any((1, 2)).sum()),
+            },
+            "truth": touches.truth is not None,
+            "window_m": float(self.window),
+            "reach_m": float(self.reach),
+            "patch_pixels": touches.patch.shape[-1],
+            "meta": dict(self.meta),
+        }
+
+
+def no_wide(touches: int, pixels: int = WIDE_PIXELS) -> np.ndarray:
+    """The `wide` of touches whose surroundings were not recorded: NaN of shape (touches, pixels, pixels) that takes no
+    memory (read-only).
+    """
+    return np.broadcast_to(np.float32(np.nan), (touches, pixels, pixels))
+
+
+def concatenate(datasets: Sequence[Dataset]) -> Dataset:
+    """One data set of all touches in the given order, with the names merged.
+
+    Window, reach and board must agree (DataError). The truth is kept where every part has it. Meta entries that differ
+    are joined with "; ".
+    """
+    if not datasets:
+        raise DataError("no data set given; name at least one")
+    first = datasets[0]
+    for other in datasets[1:]:
+        if (
+            not np.isclose((other.window, other.reach), (first.window, first.reach), rtol=1e-6, atol=0).all()
+            or other.touches.patch.shape[1:] != first.touches.patch.shape[1:]
+            or other.touches.wide.shape[1:] != first.touches.wide.shape[1:]
+        ):
+            both = f"{_geometry(first)} and of {_geometry(other)}"
+            raise DataError(f"patches of {both} cannot be joined; convert them with one window and one reach")
+        if not all(np.allclose(a, b, rtol=0, atol=1e-6) for a, b in zip(first.board, other.board, strict=True)):
+            raise DataError("readings of different boards cannot be joined; keep them in separate data sets")
+    names: dict[str, Any] = {
+        kind: tuple(dict.fromkeys(name for d in datasets for name in getattr(d, kind)))
+        for kind in ("objects", "pads", "runs")
+    }
+    columns: dict[str, Any] = {}
+    for column in Touches._fields[:-1]:
+        parts = [getattr(d.touches, column) for d in datasets]
+        if column + "s" in names:
+            place = {name: i for i, name in enumerate(names[column + "s"])}
+            parts = [
+                np.array([place[name] for name in getattr(d, column + "s")], np.int32)[part]
+                for d, part in zip(datasets, parts, strict=True)
+            ]
+        columns[column] = _joined(parts)
+    truths = [d.touches.truth for d in datasets]
+    if all(truth is not None for truth in truths):
+        columns["truth"] = Truth(*(_joined(list(parts)) for parts in zip(*truths, strict=True)))
+    sources = {d.source for d in datasets}
+    return replace(
+        first,
+        touches=Touches(**columns),
+        **names,
+        source=sources.pop() if len(sources) == 1 else "mixed",
+        meta={key: _merged([d.meta[key] for d in datasets if key in d.meta]) for d in datasets for key in d.meta},
+    )
+
+
+def validate(dataset: Dataset) -> None:
+    """Raise DataError, one sentence, at the first thing that no touch can be: a wrong shape, an index without a name, a
+    patch that is not finite ...
+    """
+    touches, n = dataset.touches, len(dataset.touches.reading)
+    pixels, wide = touches.patch.shape[-1], touches.wide.shape[-1]
+    shapes: dict[str, tuple[int, ...]] = {
+        "patch": (n, pixels, pixels),
+        "wide": (n, wide, wide),
+        "reading": (n, READINGS),
+        "T_w_t": (n, 4, 4),
+        "T_w_o": (n, 4, 4),
+    }
+    for name in Touches._fields[:-1]:
+        _require_shape(name, getattr(touches, name), shapes.get(name, (n,)))
+    if touches.truth is not None:
+        for name, value in touches.truth._asdict().items():
+            shape = (n, *value.shape[1:2] * 2) if name == "wide" else shapes.get(name, (n,))
+            _require_shape(f"truth/{name}", value, shape)
+    _require_shape("board/chips", dataset.board.chips, (CHIPS, 3))
+    _require_shape("board/rotations", dataset.board.rotations, (CHIPS, 3, 3))
+    _require(dataset.source in SOURCES, f"source is {dataset.source!r}, not one of {', '.join(SOURCES)}")
+    _require(
+        0 < dataset.window < np.inf and 0 < dataset.reach < np.inf,
+        "window and reach must be positive lengths in metres",
+    )
+    _require_rows("patch", np.isfinite(touches.patch).all((1, 2)), "is not finite")
+    slack = 1e-6 * dataset.reach  # rounding of the reach to float32
+    _require_rows(
+        "patch",
+        (touches.patch >= -slack).all((1, 2)) & (touches.patch <= dataset.reach + slack).all((1, 2)),
+        "leaves 0 to the reach",
+    )
+    _require_rows("reading", np.isfinite(touches.reading).all(1), "is not finite")
+    for name in ("force", "depth"):
+        _require_rows(name, ~np.isinf(getattr(touches, name)), "is infinite; unknown is NaN")
+    _require_rows("nearest", touches.nearest != -np.inf, "is minus infinite; unknown is NaN")
+    for name in ("T_w_t", "T_w_o"):
+        _require_rows(name, _rigid_or_unknown(getattr(touches, name)), "is no rigid transform")
+    _require_rows(
+        "board/rotations",
+        _orthonormal(dataset.board.rotations).astype(bool),
+        "is neither a rotation nor a reflection",
+        "chip",
+    )
+    for name in ("object", "pad", "run"):
+        names = getattr(dataset, name + "s")
+        _require(len(set(names)) == len(names), f"{name} names repeat")
+        value = getattr(touches, name)
+        _require_rows(name, (value >= 0) & (value < len(names)), f"is not an index into the {len(names)} {name} names")
+    _require_rows("code", np.isin(touches.code, [int(code) for code in ReturnCode]), "is not a return code")
+
+
+def _map(change: Callable[[str, Any], np.ndarray], touches: Touches) -> Touches:
+    columns: dict[str, Any] = {
+        name: change(name, values) for name, values in touches._asdict().items() if name != "truth"
+    }
+    if touches.truth is not None:
+        columns["truth"] = Truth(*(change(name, values) for name, values in touches.truth._asdict().items()))
+    return Touches(**columns)
+
+
+def _require(holds: bool, problem: str) -> None:
+    if not holds:
+        raise DataError(f"{problem}; correct the recording or convert it again")
+
+
+def _require_shape(name: str, value: np.ndarray, shape: tuple[int, ...]) -> None:
+    _require(value.shape == shape, f"field {name} has shape {value.shape}, not {shape}")
+
+
+def _require_rows(name: str, good: np.ndarray, problem: str, row: str = "row") -> None:
+    bad = np.flatnonzero(~good)
+    if bad.size:
+        _require(False, f"field {name} {problem} in {bad.size} of {good.size} {row}s, first in {row} {bad[0]}")
+
+
+def _orthonormal(rotations: np.ndarray) -> np.ndarray:
+    product = rotations.astype(np.float64) @ rotations.astype(np.float64).swapaxes(-1, -2)
+    return np.abs(product - np.eye(3)).max((-1, -2)) < ROTATION_TOLERANCE
+
+
+def _rigid_or_unknown(transforms: np.ndarray) -> np.ndarray:
+    unknown = np.isnan(transforms).all((1, 2))
+    known = np.where(unknown[:, None, None], np.eye(4, dtype=np.float32), transforms)
+    known = np.where(np.isfinite(known), known, 0)  # a partly known transform fails below
+    proper = np.linalg.det(known[:, :3, :3].astype(np.float64)) > 0
+    complete = np.isfinite(transforms).all((1, 2)) | unknown
+    return unknown | (complete & _orthonormal(known[:, :3, :3]) & proper & (known[:, 3] == (0, 0, 0, 1)).all(1))
+
+
+def _rows(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    if _takes_no_memory(values):
+        return np.broadcast_to(values[:1, :1, :1].reshape(()), (len(rows), *values.shape[1:]))
+    return values[rows]
+
+
+def _joined(parts: list[np.ndarray]) -> np.ndarray:
+    if all(_takes_no_memory(part) for part in parts):
+        return no_wide(sum(map(len, parts)), parts[0].shape[-1])
+    return np.concatenate(parts)
+
+
+def _takes_no_memory(values: np.ndarray) -> bool:
+    """Whether these are views made by `no_wide`."""
+    return values.ndim == 3 and values.size > 0 and not any(values.strides)
+
+
+def _geometry(dataset: Dataset) -> str:
+    pixels = dataset.touches.patch.shape[-1]
+    return f"{pixels} pixels over {1e3 * dataset.window:g} mm with reach {1e3 * dataset.reach:g} mm"
+
+
+def _merged(values: list[str]) -> str:
+    different = list(dict.fromkeys(values))
+    more = [f"and {len(different) - 8} more"] if len(different) > 8 else []
+    return "; ".join(different[:8] + more)
+
+
+def _counts(indices: np.ndarray, names: tuple[str, ...]) -> dict[str, int]:
+    counts = np.bincount(indices, minlength=len(names))
+    return {name: int(count) for name, count in zip(names, counts, strict=True)}
+
+
+def _statistics(values: np.ndarray) -> dict[str, float | None]:
+    if not values.size:
+        return dict.fromkeys(("mean", "std", "min", "median", "max"))
+    return {
+        "mean": float(values.mean()),
+        "std": float(values.std()),
+        "min": float(values.min()),
+        "median": float(np.median(values)),
+        "max": float(values.max()),
+    }

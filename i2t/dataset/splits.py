@@ -1,0 +1,66 @@
+"""Which touches to hold out. Every function returns a boolean mask of the touches held out, or labels to split by.
+
+Neighbouring touches of one object share what they feel, and those of one run share their errors: rows are therefore
+never shuffled singly, but held out by object, by pad, by run, by block of space, or from some time on.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from i2t.dataset.files import DataError
+from i2t.dataset.sets import Dataset
+
+# Of a block: a regular grid of presses may fall on block edges, and rounding must not scatter it to both sides.
+EDGE_SLACK = 1e-3
+
+
+def by_group(labels: np.ndarray) -> dict[int, np.ndarray]:
+    """The row numbers of each label (an index array of the touches, or block numbers), in row order."""
+    return {int(label): np.flatnonzero(labels == label) for label in np.unique(labels)}
+
+
+def holdout_names(dataset: Dataset, kind: str, names: Sequence[str]) -> np.ndarray:
+    """Mask (n,) of the touches of the named objects, pads or runs (`kind` is "object", "pad" or "run"). Raises
+    DataError for an unknown name.
+    """
+    known = getattr(dataset, kind + "s")
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise DataError(f"no {kind} is called {', '.join(unknown)}; the data set has {', '.join(known)}")
+    return np.isin(getattr(dataset.touches, kind), [known.index(name) for name in names])
+
+
+def spatial_blocks(dataset: Dataset, size: float) -> np.ndarray:
+    """Block number (n,) of each touch: squares of edge `size` (m) over x and y of the tool's position in its object's
+    frame, object by object.
+
+    An edge belongs to the block above it. Where the object's pose is unknown, the world's frame of its run stands in.
+    """
+    touches = dataset.touches
+    unknown = np.isnan(touches.T_w_o).any((1, 2))
+    T_w_o = np.where(unknown[:, None, None], np.eye(4), touches.T_w_o.astype(np.float64))
+    from_object = touches.T_w_t[:, :3, 3].astype(np.float64) - T_w_o[:, :3, 3]
+    position = np.einsum("nji,nj->ni", T_w_o[:, :3, :3], from_object)
+    cell = np.floor(position[:, :2] / size + EDGE_SLACK).astype(np.int64)
+    frame = np.where(unknown, touches.run, -1)
+    return np.unique(np.column_stack([touches.object, frame, cell]), axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def holdout_blocks(dataset: Dataset, size: float, fraction: float, seed: int) -> np.ndarray:
+    """Mask (n,) of whole random blocks of edge `size` (m) that together hold at least `fraction` of the touches, and
+    not a block more.
+    """
+    blocks = spatial_blocks(dataset, size)
+    order = np.random.default_rng(seed).permutation(blocks.max(initial=-1) + 1)
+    filled = np.cumsum(np.bincount(blocks, minlength=len(order))[order])
+    needed = int(np.searchsorted(filled, fraction * len(dataset) - 1e-9)) + 1 if fraction > 0 else 0
+    return np.isin(blocks, order[:needed])
+
+
+def holdout_last(dataset: Dataset, fraction: float) -> np.ndarray:
+    """Mask (n,) of the last `fraction` of each pad's touches in time (the order of rows), rounded to whole touches."""
+    held = np.zeros(len(dataset), bool)
+    for rows in by_group(dataset.touches.pad).values():
+        held[rows[len(rows) - round(fraction * len(rows)) :]] = True
+    return held

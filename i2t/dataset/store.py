@@ -1,0 +1,322 @@
+"""Data sets and recorded touches in files: `save` packs many touches into one, `write_touch` records one, and `load`
+reads files and folders of both.
+
+Every file holds the same groups (docs/data.md); a recorded touch adds what only one touch has: images, time series,
+events and counters.
+"""
+
+import json
+import math
+import secrets
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, TypeVar
+
+import h5py
+import numpy as np
+
+import i2t
+from i2t.dataset.files import ENDING, DataError, digest_of, sync_folder, verified, write
+from i2t.dataset.sets import Dataset, concatenate, no_wide, validate
+from i2t.types import Board, Touches, Truth
+
+INDEX = "index.json"
+INDEX_VERSION = 1
+ROWS_PER_CHUNK = 64
+
+UNITS = {
+    **dict.fromkeys(("patch", "wide", "nearest", "depth", "indentation"), "m"),
+    "reading": "uT",
+    "force": "N",
+    **dict.fromkeys(("T_w_t", "T_w_o"), "1 (rotation), m (translation)"),
+    **dict.fromkeys(("object", "pad", "run", "code"), "1"),
+}
+
+T = TypeVar("T")
+
+
+class BadFileWarning(UserWarning):
+    """Names the files that `load(..., skip_bad=True)` left out."""
+
+
+@dataclass(frozen=True)
+class Image:
+    """An image of one touch as its camera gave it; a value times `scale` is in `unit` (depth: uint16, m)."""
+
+    values: np.ndarray  # (rows, columns) or (rows, columns, channels), integers
+    scale: float = 1.0
+    unit: str = "1"
+
+
+@dataclass(frozen=True)
+class Series:
+    """Samples with a clock of their own."""
+
+    time: np.ndarray  # (n,) s, Unix time
+    values: np.ndarray  # (n, k)
+    columns: tuple[str, ...]  # k names
+    unit: str
+
+
+@dataclass(frozen=True)
+class Record:
+    """Everything recorded of one touch."""
+
+    touch: Dataset  # of length 1
+    images: Mapping[str, Image] = field(default_factory=dict)
+    series: Mapping[str, Series] = field(default_factory=dict)
+    events: tuple[tuple[float, str], ...] = ()  # (Unix time in s, what happened)
+    counters: Mapping[str, int] = field(default_factory=dict)  # such as dropped frames
+
+
+def save(path: str | Path, dataset: Dataset) -> Path:
+    """Pack a data set into one file, atomically; returns its path. Raises DataError for a data set that `validate`
+    refuses.
+    """
+    path = Path(path)
+    if path.suffix != ENDING:
+        raise DataError(f"{path}: a packed data set ends in {ENDING}; name the file so")
+    _check(path, dataset)
+    return write(path, lambda file: _put_dataset(file, dataset))
+
+
+def write_touch(folder: str | Path, record: Record) -> Path:
+    """Record one touch in a new file of `folder`, named by the time in UTC; once this returns, the touch survives a
+    kill or a power cut.
+
+    Raises DataError for a record that cannot be read back.
+    """
+    name = f"touch-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}Z-{secrets.token_hex(3)}{ENDING}"
+    path = Path(folder) / name
+    if len(record.touch) != 1:
+        raise DataError(f"{path}: a record holds {len(record.touch)} touches, not 1; record each touch by itself")
+    _check(path, record.touch)
+    for label, series in record.series.items():
+        if series.values.ndim != 2 or series.values.shape != (len(series.time), len(series.columns)):
+            raise DataError(
+                f"{path}: series {label} has values of shape {series.values.shape} for {len(series.time)} times and"
+                f" {len(series.columns)} columns; give one row per time and one name per column"
+            )
+
+    def fill(file: h5py.File) -> None:
+        _put_dataset(file, record.touch)
+        for label, image in record.images.items():
+            item = _put(file, f"images/{label}", image.values, image.unit)
+            item.attrs["scale"] = image.scale
+        for label, series in record.series.items():
+            _put(file, f"series/{label}/time", np.asarray(series.time, np.float64), "s (Unix time)")
+            item = _put(file, f"series/{label}/values", series.values, series.unit)
+            item.attrs["columns"] = list(series.columns)
+        _put(file, "events/time", np.array([time for time, _ in record.events], np.float64), "s (Unix time)")
+        _put(file, "events/text", _text([text for _, text in record.events]), "1")
+        for label, count in record.counters.items():
+            _put(file, f"counters/{label}", np.int64(count), "1")
+
+    return write(path, fill)
+
+
+def read_touch(path: str | Path) -> Record:
+    """Read back everything `write_touch` recorded (a packed file of one touch reads as a record without images and
+    series). Raises DataError.
+    """
+    path = Path(path)
+
+    def get(file: h5py.File) -> Record:
+        groups: dict[str, Any] = {name: file.get(name, {}) for name in ("images", "series", "counters")}
+        times, texts = (file["events/time"][()], file["events/text"].asstr()[()]) if "events" in file else ((), ())
+        return Record(
+            touch=_get_dataset(file),
+            images={
+                k: Image(v[()], float(v.attrs["scale"]), str(v.attrs["unit"])) for k, v in groups["images"].items()
+            },
+            series={
+                k: Series(
+                    v["time"][()], v["values"][()], tuple(v["values"].attrs["columns"]), str(v["values"].attrs["unit"])
+                )
+                for k, v in groups["series"].items()
+            },
+            events=tuple((float(time), str(text)) for time, text in zip(times, texts, strict=True)),
+            counters={k: int(v[()]) for k, v in groups["counters"].items()},
+        )
+
+    record = _read(path, get)
+    if len(record.touch) != 1:
+        raise DataError(f"{path}: holds {len(record.touch)} touches, not 1; read it with load")
+    _check(path, record.touch)
+    return record
+
+
+def load(path: str | Path, skip_bad: bool = False) -> Dataset:
+    """Read a packed file, a recorded touch, or a folder of any of these with its subfolders, in the order of their
+    names (recorded touches: of time).
+
+    Hidden files (leftovers of an interrupted writer among them) and index.json are no part of a data set. Every other
+    file must be readable: one DataError names all that are not; with `skip_bad` they are left out, and named in a
+    BadFileWarning.
+    """
+    path = Path(path)
+    files = _files(path)
+    good: list[Dataset] = []
+    bad: list[str] = []
+    for file in files:
+        try:
+            dataset = _read(file, _get_dataset)
+            _check(file, dataset)
+            good.append(dataset)
+        except DataError as error:
+            bad.append(str(error))
+    if bad and not (skip_bad and good):
+        remedy = (
+            "no file is left to read"
+            if skip_bad
+            else "mend them, or leave them out on request with skip_bad (--skip-bad)"
+        )
+        raise DataError(
+            f"{len(bad)} of {len(files)} files of {path} cannot be used: {' | '.join(bad)} | {remedy}"
+            if path.is_dir()
+            else bad[0]
+        )
+    if bad:
+        message = f"{len(bad)} of {len(files)} files of {path} were left out: {' | '.join(bad)}"
+        warnings.warn(message, BadFileWarning, stacklevel=2)
+    try:
+        return concatenate(good)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from error
+
+
+def index(folder: str | Path) -> dict[str, dict[str, Any]]:
+    """What the files of a folder hold, by file name: size, time of change, SHA-256, touches, counts of objects, pads
+    and runs, and the source.
+
+    Kept in index.json, so that only new or changed files are read; a missing, stale or unreadable index is rebuilt, and
+    a folder that cannot be written does without. It is a convenience for listing: `load` never uses it, so a file that
+    changed behind its back is still found there. Raises DataError that names every file that cannot be read.
+    """
+    folder = Path(folder)
+    try:
+        cache = json.loads((folder / INDEX).read_text())
+        known = cache["files"] if cache["version"] == INDEX_VERSION else {}
+        known = {
+            name: entry for name, entry in known.items() if {"bytes", "changed_ns", "sha256", "touches"} <= entry.keys()
+        }
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        known = {}
+    entries: dict[str, dict[str, Any]] = {}
+    bad: list[str] = []
+    for file in _files(folder):
+        name = file.relative_to(folder).as_posix()
+        try:
+            state = file.stat()
+            stamp = {"bytes": state.st_size, "changed_ns": state.st_mtime_ns, "sha256": digest_of(file)}
+            if known.get(name, {}).items() >= stamp.items():
+                entries[name] = known[name]
+            else:
+                summary = _read(file, _get_dataset).summary()
+                entries[name] = stamp | {key: summary[key] for key in ("touches", "objects", "pads", "runs", "source")}
+        except (DataError, OSError) as error:
+            bad.append(str(error))
+    if bad:
+        raise DataError(f"{len(bad)} files of {folder} cannot be used: {' | '.join(bad)} | mend them or move them away")
+    if entries != known:
+        temporary = folder / f".{INDEX}.{secrets.token_hex(4)}.tmp"
+        try:
+            temporary.write_text(json.dumps({"version": INDEX_VERSION, "files": entries}, indent=1))
+            temporary.replace(folder / INDEX)
+            sync_folder(folder)
+        except OSError:
+            temporary.unlink(missing_ok=True)
+    return entries
+
+
+def _files(path: Path) -> list[Path]:
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise DataError(f"{path}: no such file or folder; check the path")
+    files = [
+        file
+        for file in sorted(path.rglob("*"))
+        if file.is_file()
+        and file.name != INDEX
+        and not any(part.startswith(".") for part in file.relative_to(path).parts)
+    ]
+    if not files:
+        raise DataError(f"{path}: holds no touches; record some, or convert a data set with python -m i2t.convert")
+    return files
+
+
+def _check(path: Path, dataset: Dataset) -> None:
+    try:
+        validate(dataset)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from error
+
+
+def _read(path: Path, get: Callable[[h5py.File], T]) -> T:
+    """Apply `get` to a verified file. What the digest proves was written by this schema's writer, or by a program that
+    only imitates it.
+    """
+    with verified(path) as file:
+        try:
+            return get(file)
+        except (KeyError, AttributeError, ValueError, TypeError, OSError) as error:
+            reason = error.args[0] if error.args else type(error).__name__
+            raise DataError(f"{path}: does not follow the schema ({reason}); write it with i2t.dataset.save") from error
+
+
+def _put_dataset(file: h5py.File, dataset: Dataset) -> None:
+    touches = dataset.touches
+    file.attrs["source"] = dataset.source
+    file.attrs["software"] = f"i2t {i2t.__version__}"
+    file.attrs["created"] = datetime.now(UTC).isoformat(timespec="microseconds")
+    _put(file, "window", np.float64(dataset.window), "m")
+    _put(file, "reach", np.float64(dataset.reach), "m")
+    for key, text in dataset.meta.items():
+        _put(file, f"meta/{key}", text, "1")
+    for kind in ("objects", "pads", "runs"):
+        _put(file, f"names/{kind}", _text(getattr(dataset, kind)), "1")
+    _put(file, "board/chips", dataset.board.chips, "m")
+    _put(file, "board/rotations", dataset.board.rotations, "1")
+    for name, values in touches._asdict().items():
+        if name != "truth" and not (name == "wide" and np.isnan(values).all()):
+            _put(file, f"touches/{name}", values, UNITS[name])
+    for name, values in touches.truth._asdict().items() if touches.truth is not None else ():
+        _put(file, f"truth/{name}", values, UNITS[name])
+    file["touches"].attrs["wide_pixels"] = touches.wide.shape[-1]
+
+
+def _get_dataset(file: h5py.File) -> Dataset:
+    group = file["touches"]
+    columns = {name: group[name][()] for name in Touches._fields if name in group}
+    if "wide" not in columns:
+        columns["wide"] = no_wide(len(columns["reading"]), int(group.attrs["wide_pixels"]))
+    if "truth" in file:
+        columns["truth"] = Truth(**{name: file["truth"][name][()] for name in Truth._fields})
+    return Dataset(
+        touches=Touches(**columns),
+        **{kind: tuple(file["names"][kind].asstr()[()]) for kind in ("objects", "pads", "runs")},
+        board=Board(file["board/chips"][()], file["board/rotations"][()]),
+        source=str(file.attrs["source"]),
+        window=float(file["window"][()]),
+        reach=float(file["reach"][()]),
+        meta={key: str(item.asstr()[()]) for key, item in file.get("meta", {}).items()},
+    )
+
+
+def _put(file: h5py.File, name: str, values: Any, unit: str) -> h5py.Dataset:
+    """Store an array, compressed (gzip 1) in chunks of rows where it is large, with its unit."""
+    options: dict[str, Any] = {}
+    if isinstance(values, np.ndarray) and values.nbytes > 4096 and values.dtype != object:
+        rows = ROWS_PER_CHUNK if values.ndim == 3 else math.ceil(2**18 / max(values[:1].nbytes, 1))
+        options = {"compression": "gzip", "compression_opts": 1, "chunks": (min(len(values), rows), *values.shape[1:])}
+    item = file.create_dataset(name, data=values, **options)
+    item.attrs["unit"] = unit
+    return item
+
+
+def _text(texts: Any) -> np.ndarray:
+    return np.array(list(texts), h5py.string_dtype())
