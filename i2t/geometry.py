@@ -53,8 +53,10 @@ def contact_frame(
     cross = jnp.stack(
         [jnp.stack([0 * c, 0 * c, v[1]]), jnp.stack([0 * c, 0 * c, -v[0]]), jnp.stack([-v[1], v[0], 0 * c])]
     )
-    upright = c < -1 + 1e-6
-    turn = jnp.eye(3) + cross + cross @ cross / jnp.where(upright, 1.0, 1 + c)
+    square = v @ v  # (1 - c)(1 + c), which still knows 1 + c where the sum has lost it to rounding
+    upright = (square < 1e-12) & (c < 0)
+    scale = jnp.where(c > 0, 1 / jnp.where(c > 0, 1 + c, 1.0), (1 - c) / jnp.where(square < 1e-12, 1.0, square))
+    turn = jnp.eye(3) + cross + scale * cross @ cross
     turn = jnp.where(upright, jnp.diag(jnp.array([1.0, -1.0, -1.0])), turn)
     down = jnp.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]])  # R_w_t of the tool pointing straight down
     about_z = rotation(jnp.stack([0.0 * c, 0.0 * c, jnp.asarray(spin, c.dtype)]))

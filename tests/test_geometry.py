@@ -1,0 +1,64 @@
+"""Rotations against SciPy, transforms against their group axioms (tolerances: a few float32 roundings of numbers of order one)."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from i2t import geometry
+
+ROUNDING = 20 * np.finfo(np.float32).eps
+vectors = st.lists(st.floats(-3, 3, width=32), min_size=3, max_size=3).map(np.array)
+
+
+@settings(max_examples=50, deadline=None)
+@given(vectors)
+def test_rotation_equals_scipy(rotvec):
+    expected = Rotation.from_rotvec(rotvec).as_matrix()
+    np.testing.assert_allclose(geometry.rotation(jnp.float32(rotvec)), expected, atol=ROUNDING)
+
+
+def test_rotation_gradient_is_finite_and_right_at_zero():
+    jacobian = jax.jacfwd(geometry.rotation)(jnp.zeros(3))
+    generators = np.zeros((3, 3, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # d R_kj / d r_i = +1 and its mirror
+        generators[k, j, i], generators[j, k, i] = 1, -1
+    np.testing.assert_allclose(jacobian, generators, atol=ROUNDING)
+
+
+@settings(max_examples=25, deadline=None)
+@given(vectors, vectors, vectors)
+def test_inverse_undoes(rotvec, translation, point):
+    T = geometry.transform(geometry.rotation(jnp.float32(rotvec)), jnp.float32(translation))
+    back = geometry.apply(geometry.invert(T), geometry.apply(T, jnp.float32(point)))
+    np.testing.assert_allclose(back, point, atol=10 * ROUNDING)
+
+
+@pytest.mark.parametrize("normal", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0.6, 0, 0.8), (-0.48, 0.6, -0.64), (0, 1e-4, -1)])
+def test_contact_frame_faces_the_surface(normal):
+    normal = np.array(normal) / np.linalg.norm(normal)
+    T = np.asarray(geometry.contact_frame(jnp.array([1.0, 2.0, 3.0]), jnp.float32(normal), 0.7))
+    np.testing.assert_allclose(T[:3, 2], -normal, atol=1e-5)
+    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-5)
+    assert np.linalg.det(T[:3, :3]) == pytest.approx(1, abs=1e-5)
+    np.testing.assert_allclose(T[:3, 3], [1, 2, 3])
+
+
+def test_contact_frame_turns_by_the_smallest_rotation():
+    """Pressing straight down keeps x with the world's; leaning turns the frame by just the angle between the axes."""
+    down = geometry.contact_frame(jnp.zeros(3), jnp.array([0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(down[:3, 0], [1, 0, 0], atol=ROUNDING)
+    leaning = geometry.contact_frame(jnp.zeros(3), jnp.float32([0.6, 0.0, 0.8]))
+    turn = Rotation.from_matrix(np.asarray(leaning[:3, :3] @ down[:3, :3].T))
+    assert turn.magnitude() == pytest.approx(np.arccos(0.8), abs=1e-5)
+
+
+def test_random_motion_has_the_stated_spread():
+    keys = jax.random.split(jax.random.key(0), 4000)
+    T = np.asarray(jax.vmap(lambda key: geometry.random_motion(key, 2e-3, 0.01))(keys))
+    # Standard error of a standard deviation over n = 12 000 draws is 1 / sqrt(2 n) = 0.65 %; four of them are allowed.
+    assert T[:, :3, 3].std() == pytest.approx(2e-3, rel=0.026)
+    assert Rotation.from_matrix(T[:, :3, :3]).as_rotvec().std() == pytest.approx(0.01, rel=0.026)
