@@ -1,0 +1,121 @@
+"""Watertight solids from outlines: the small vocabulary in which primitives, stamps and hand tools are drawn.
+
+Solids are drawn in millimetres as manifold3d values (`a + b` union, `a - b` difference), whose booleans keep a mesh
+closed; `mesh` turns one into metres. A curve of radius r is cut into so many segments that its chords stay within
+`SAGITTA` of it, a tenth of a usual indentation of the skin: n = pi / acos(1 - SAGITTA / r). The object frame rests on
+z = 0, z up, centred in x and y.
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from manifold3d import CrossSection, Manifold, OpType
+from numpy.typing import NDArray
+
+SAGITTA = 0.03  # mm between a chord and its arc
+
+
+class Mesh(NamedTuple):
+    """A triangle mesh; seen from outside, the corners of a face run counter-clockwise."""
+
+    vertices: NDArray[np.float64]  # (vertices, 3) m
+    faces: NDArray[np.int32]  # (faces, 3)
+
+
+class Object(NamedTuple):
+    """Something to touch, in its own frame."""
+
+    name: str
+    mesh: Mesh
+    family: str  # "primitive", "stamp", "tool" or "file"
+
+
+def transform_mesh(mesh: Mesh, T: NDArray) -> Mesh:
+    """Move a mesh by the (4, 4) transform T_a_b from b into a; a reflection turns the winding, to keep faces outward."""
+    T = np.asarray(T, np.float64)
+    faces = mesh.faces[:, ::-1] if np.linalg.det(T[:3, :3]) < 0 else mesh.faces
+    return Mesh(mesh.vertices @ T[:3, :3].T + T[:3, 3], faces)
+
+
+def settle(mesh: Mesh) -> Mesh:
+    """Shift a mesh, without turning it, so that its box is centred in x and y and stands on z = 0."""
+    low, high = mesh.vertices.min(0), mesh.vertices.max(0)
+    return Mesh(mesh.vertices - [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]], mesh.faces)
+
+
+def mesh(solid: Manifold) -> Mesh:
+    """The settled mesh, in metres, of a solid drawn in millimetres."""
+    drawn = solid.to_mesh64()
+    vertices = np.asarray(drawn.vert_properties, np.float64)[:, :3] * 1e-3
+    return settle(Mesh(vertices, np.asarray(drawn.tri_verts).astype(np.int32)))
+
+
+def segments(radius: float) -> int:
+    """How many chords, a multiple of four and at least eight, replace a circle of `radius` mm within `SAGITTA`."""
+    return max(8, 4 * math.ceil(math.pi / math.acos(1 - SAGITTA / max(radius, 2 * SAGITTA)) / 4))
+
+
+def outline(points: Sequence[Sequence[float]] | NDArray) -> CrossSection:
+    """The region inside a closed polygon (n, 2) mm that does not cross itself, in either direction."""
+    corners = np.asarray(points, np.float64)
+    x, y = corners.T
+    area = float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+    return CrossSection([corners if area > 0 else corners[::-1]])
+
+
+def polar(radii: NDArray) -> CrossSection:
+    """The region inside a closed curve given by its radii (n,) mm at equally spaced angles from the x axis."""
+    angles = 2 * np.pi * np.arange(len(radii)) / len(radii)
+    return outline(np.stack([radii * np.cos(angles), radii * np.sin(angles)], -1))
+
+
+def disk(radius: float, centre: tuple[float, float] = (0.0, 0.0)) -> CrossSection:
+    """A circle."""
+    return CrossSection.circle(radius, segments(radius)).translate(centre)
+
+
+def rectangle(width: float, depth: float, centre: tuple[float, float] = (0.0, 0.0)) -> CrossSection:
+    """A rectangle of `width` along x and `depth` along y."""
+    return CrossSection.square((width, depth), center=True).translate(centre)
+
+
+def rounded(region: CrossSection, radius: float) -> CrossSection:
+    """Round the corners of a region with `radius`: first the outward ones, then the inward ones."""
+    n = segments(radius)
+    opened = region.offset(-radius, circular_segments=n).offset(radius, circular_segments=n)
+    closed = opened.offset(radius, circular_segments=n).offset(-radius, circular_segments=n)
+    return closed.simplify(SAGITTA / 3)
+
+
+def prism(region: CrossSection, height: float, base: float = 0.0) -> Manifold:
+    """A region extruded from z = `base` upwards by `height`."""
+    return Manifold.extrude(region, height).translate((0, 0, base))
+
+
+def turned(profile: Sequence[tuple[float, float]], n: int | None = None) -> Manifold:
+    """A solid of revolution about x, as from a lathe: `profile` lists (x, radius) from one end to the other."""
+    ends = [(0.0, profile[0][0]), *((r, x) for x, r in profile), (0.0, profile[-1][0])]
+    closed = [p for i, p in enumerate(ends) if i == 0 or p != ends[i - 1]]
+    solid = Manifold.revolve(outline(closed), n or segments(max(r for _, r in profile)))
+    return solid.rotate((0, 90, 0))
+
+
+def ball(
+    radius: float, centre: Sequence[float] = (0.0, 0.0, 0.0), scale: Sequence[float] = (1.0, 1.0, 1.0)
+) -> Manifold:
+    """A sphere, stretched by `scale` along the axes."""
+    return Manifold.sphere(radius, segments(radius)).scale(tuple(scale)).translate(tuple(centre))
+
+
+def box(size: Sequence[float], centre: Sequence[float] = (0.0, 0.0, 0.0)) -> Manifold:
+    """A box."""
+    return Manifold.cube(tuple(size), True).translate(tuple(centre))
+
+
+def chain(points: Sequence[Sequence[float]], radii: Sequence[float]) -> Manifold:
+    """Balls at `points`, each joined to the next by the hull of the two: a bent, tapering round bar."""
+    balls = [ball(r, p) for p, r in zip(points, radii, strict=True)]
+    return Manifold.batch_boolean([Manifold.batch_hull(pair) for pair in pairwise(balls)], OpType.Add)
