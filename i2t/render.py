@@ -1,0 +1,94 @@
+"""Surfaces and tool poses become depth patches, exactly: an orthographic first-hit ray caster on triangle meshes.
+
+Rays run along tool z through the pixel centres of a square window and start `STANDOFF` behind the tool origin, so a
+height is the tool z of the first face that a ray meets, whichever side of it. Frames: W is the frame of the surface, T
+the tool; metres. A patch is relative to its nearest point, `depth = min(z - nearest, reach)`, so it shows shape, and
+`nearest` says where that shape begins.
+
+A mesh is prepared once on the host (`prepare`), where it is checked and padded with faces of no area to a size class;
+from there on everything is pure and works on one pose and one surface: lift it with `vmap` over poses, or over surfaces
+brought together by `stack`.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from i2t.raster import first_hit
+from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Patch, Surface
+
+SMALLEST_CLASS = 32  # faces
+
+
+def prepare(mesh: Any) -> Surface:
+    """Make a mesh ready for rendering: check it and pad its faces to a size class (the next power of two).
+
+    `mesh` has `vertices` (v, 3) in metres and `faces` (f, 3) of indices: an `i2t.objects.Mesh` or a `trimesh.Trimesh`.
+    Open meshes and any winding are welcome. Raises ValueError where it is empty, not finite or its faces point at
+    missing vertices.
+    """
+    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+        raise ValueError(
+            f"mesh: vertices {vertices.shape} and faces {faces.shape} must be (v, 3) and (f, 3); triangulate it first"
+        )
+    if not len(vertices) or not len(faces):
+        raise ValueError("mesh: it has no faces; give one with at least one triangle")
+    if not np.isfinite(vertices).all():
+        raise ValueError("mesh: vertices hold NaN or infinity; remove or repair them")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise ValueError(
+            f"mesh: faces refer to vertices {faces.min()} to {faces.max()} of 0 to {len(vertices) - 1}; repair the file"
+        )
+    triangles = vertices[faces].astype(np.float32)
+    size = max(SMALLEST_CLASS, 1 << (len(triangles) - 1).bit_length())
+    return _pad(Surface(triangles), size)
+
+
+def stack(surfaces: Sequence[Surface]) -> Surface:
+    """Bring surfaces to their largest size class and stack them along a new first axis, for `vmap`."""
+    size = max(len(surface.triangles) for surface in surfaces)
+    return Surface(*(np.stack(field) for field in zip(*(_pad(surface, size) for surface in surfaces), strict=True)))
+
+
+def render_patch(
+    surface: Surface,
+    T_w_t: Float[Array, "4 4"],
+    window: float = PATCH_WINDOW,
+    pixels: int = PATCH_PIXELS,
+    reach: float = REACH,
+) -> Patch:
+    """What the tool at the rigid pose `T_w_t` has in front of it.
+
+    `window` (m), `pixels` and `reach` (m) are static. Pixels without a surface, or with one deeper than the reach, read
+    the reach; `nearest` is +inf where no ray of the window meets anything.
+    """
+    R_t_w = T_w_t[:3, :3].T
+    heights = first_hit(surface, R_t_w, T_w_t[:3, 3], jnp.zeros(3), window, pixels)
+    nearest = jnp.min(heights)
+    behind = jnp.where(jnp.isfinite(heights), heights, 0) - jnp.where(jnp.isfinite(nearest), nearest, 0)
+    return Patch(jnp.where(jnp.isfinite(heights), jnp.minimum(behind, reach), reach), nearest)
+
+
+def render_heights(
+    surface: Surface, A_t_w: Float[Array, "4 4"], window: float = PATCH_WINDOW, pixels: int = PATCH_PIXELS
+) -> Float[Array, "n n"]:
+    """Tool z (m) of the first hit on each ray, +inf where there is none, on the surface mapped by an affine `A_t_w`
+    (scaling and shear are welcome).
+    """
+    return first_hit(surface, A_t_w[:3, :3], jnp.zeros(3), A_t_w[:3, 3], window, pixels)
+
+
+def contact_mask(depth: Float[Array, "n n"], tolerance: float = 1e-3) -> Float[Array, "n n"]:
+    """The paper's binary image: 1 within `tolerance` (m) of the nearest point, else 0."""
+    return (depth <= jnp.min(depth) + tolerance).astype(depth.dtype)
+
+
+def _pad(surface: Surface, size: int) -> Surface:
+    """Add faces without area, all on one vertex of the surface, up to `size`."""
+    triangles = np.asarray(surface.triangles)
+    filler = np.broadcast_to(triangles[0, 0], (size - len(triangles), 3, 3))
+    return surface._replace(triangles=np.concatenate([triangles, filler]))
