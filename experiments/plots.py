@@ -1,0 +1,144 @@
+"""Figures for people: readings as field vectors over the skin, patches, errors per axis, training curves.
+
+Colours are from the colour-blind safe set of Okabe and Ito (2008); every figure made from simulated touches says so in its title. Functions take NumPy
+arrays and return a matplotlib figure; `save` writes and closes it.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from i2t.types import PAD_WINDOW, Board
+
+BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#666666"
+MILLI = 1e3
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a figure as PNG."""
+    FigureCanvasAgg(figure)
+    figure.savefig(path, dpi=150, bbox_inches="tight")
+    return path
+
+
+def _titled(title: str, simulated: bool) -> str:
+    return f"{title} (simulated)" if simulated else title
+
+
+def draw_reading(axes: Axes, board: Board, reading: np.ndarray, scale: float, colour: str, label: str | None = None) -> None:
+    """Draw a reading (15,) uT as five vectors over the skin: arrows for the tangential part, discs for z (filled up, open down).
+
+    `scale` is the field in uT drawn as 5 mm; give every panel of a figure the same.
+    """
+    chips = np.asarray(board.chips)[:, :2] * MILLI
+    field = np.asarray(board.to_tool(np.asarray(reading))) * 5 / scale
+    axes.quiver(
+        *chips.T, field[:, 0], field[:, 1], angles="xy", scale_units="xy", scale=1, color=colour, width=0.012, label=label
+    )
+    for (x, y), z in zip(chips, field[:, 2], strict=True):
+        axes.add_artist(_circle((x, y), abs(z) / 2, colour, filled=z > 0))
+    half = PAD_WINDOW * MILLI / 2
+    axes.set(xlim=(-half - 3, half + 3), ylim=(-half - 3, half + 3), aspect="equal")
+
+
+def _circle(centre: tuple[float, float], radius: float, colour: str, filled: bool):
+    from matplotlib.patches import Circle
+
+    return Circle(centre, radius, facecolor=colour if filled else "none", edgecolor=colour, alpha=0.45 if filled else 0.9, lw=1.2)
+
+
+def _skin_square(axes: Axes) -> None:
+    from matplotlib.patches import Rectangle
+
+    half = PAD_WINDOW * MILLI / 2
+    axes.add_artist(Rectangle((-half, -half), 2 * half, 2 * half, fill=False, color=GREY, lw=0.8))
+
+
+def draw_patch(axes: Axes, patch: np.ndarray, window: float, reach: float):
+    """Draw a depth patch (n, n) m with the near side bright; returns the image for a colour bar."""
+    half = window * MILLI / 2
+    return axes.imshow(
+        np.asarray(patch) * MILLI, origin="lower", extent=(-half, half, -half, half), cmap="cividis_r", vmin=0, vmax=reach * MILLI
+    )
+
+
+def touches(
+    patches: np.ndarray,
+    truth: np.ndarray,
+    predicted: np.ndarray,
+    labels: Sequence[str],
+    board: Board,
+    window: float,
+    reach: float,
+    title: str,
+    simulated: bool,
+) -> Figure:
+    """A column per touch: its depth patch above, below it the true reading and the predicted one as five field vectors."""
+    n = len(patches)
+    figure = Figure(figsize=(2.5 * n + 0.9, 5.6), layout="constrained")
+    axes = figure.subplots(2, n, squeeze=False)
+    scale = float(np.percentile(np.linalg.norm(np.asarray(truth).reshape(n, 5, 3), axis=-1), 95)) or 1.0
+    for i in range(n):
+        image = draw_patch(axes[0, i], patches[i], window, reach)
+        axes[0, i].set_title(labels[i], fontsize=9)
+        _skin_square(axes[1, i])
+        draw_reading(axes[1, i], board, truth[i], scale, BLUE, "felt")
+        draw_reading(axes[1, i], board, predicted[i], scale, ORANGE, "imagined")
+        axes[1, i].set_xlabel("tool x (mm)")
+    axes[0, 0].set_ylabel("tool y (mm)")
+    axes[1, 0].set_ylabel("tool y (mm)")
+    figure.colorbar(image, ax=axes[0, -1], label="depth behind nearest (mm)")
+    axes[1, -1].legend(fontsize=8, loc="upper right")
+    figure.suptitle(
+        _titled(title, simulated) + f"\narrows: field in the skin's plane, 5 mm = {scale:.0f} µT; discs: normal field, filled outwards",
+        fontsize=10,
+    )
+    return figure
+
+
+def curves(series: dict[str, np.ndarray], title: str, ylabel: str, simulated: bool) -> Figure:
+    """Curves over epochs, one per name; values (epochs,) or (seeds, epochs), drawn as mean and range."""
+    figure = Figure(figsize=(5, 3.4), layout="constrained")
+    axes = figure.subplots()
+    for (name, values), colour in zip(series.items(), (BLUE, ORANGE, GREEN, RED), strict=False):
+        values = np.atleast_2d(values)
+        x = np.arange(1, values.shape[1] + 1)
+        axes.plot(x, values.mean(0), color=colour, label=name)
+        if len(values) > 1:
+            axes.fill_between(x, values.min(0), values.max(0), color=colour, alpha=0.2, lw=0)
+    axes.set(xlabel="epoch", ylabel=ylabel, yscale="log", title=_titled(title, simulated))
+    axes.legend(fontsize=8)
+    return figure
+
+
+def errors_per_axis(errors: dict[str, np.ndarray], noise: np.ndarray | None, title: str, simulated: bool) -> Figure:
+    """Bars of RMSE (15,) uT per chip and axis, one group of bars per method; `noise` (15,) is drawn as the floor where known."""
+    figure = Figure(figsize=(9, 3.4), layout="constrained")
+    axes = figure.subplots()
+    x, width = np.arange(15), 0.8 / len(errors)
+    for i, ((name, values), colour) in enumerate(zip(errors.items(), (GREY, GREEN, BLUE, ORANGE, RED), strict=False)):
+        axes.bar(x + (i - (len(errors) - 1) / 2) * width, values, width, label=name, color=colour)
+    if noise is not None:
+        axes.step(np.r_[x - 0.5, 14.5], np.r_[noise, noise[-1]], where="post", color="black", lw=1, label="sensor noise (1 sigma)")
+    axes.set_xticks(x, [f"{chip}{axis}" for chip in range(5) for axis in "xyz"])
+    axes.set(xlabel="chip and axis", ylabel="RMSE (µT)", title=_titled(title, simulated))
+    axes.legend(fontsize=8, ncols=2)
+    return figure
+
+
+def scores(values: dict[str, tuple[float, float, float]], title: str, xlabel: str, simulated: bool) -> Figure:
+    """Horizontal dots with 95 % intervals, (mean, low, high) per method, best on top."""
+    figure = Figure(figsize=(6, 0.34 * len(values) + 1.2), layout="constrained")
+    axes = figure.subplots()
+    for y, (_, (mean, low, high)) in enumerate(values.items()):
+        axes.plot([low, high], [y, y], color=BLUE, lw=2)
+        axes.plot(mean, y, "o", color=BLUE)
+    axes.axvline(0, color=GREY, lw=0.8)
+    axes.set_yticks(range(len(values)), list(values))
+    axes.invert_yaxis()
+    axes.set(xlabel=xlabel, title=_titled(title, simulated))
+    return figure
