@@ -130,11 +130,11 @@ def read_touch(path: str | Path) -> Record:
         return Record(
             touch=_get_dataset(file),
             images={
-                k: Image(v[()], float(v.attrs["scale"]), str(v.attrs["unit"])) for k, v in groups["images"].items()
+                k: Image(v[()], float(v.attrs["scale"]), str(v.attrs["units"])) for k, v in groups["images"].items()
             },
             series={
                 k: Series(
-                    v["time"][()], v["values"][()], tuple(v["values"].attrs["columns"]), str(v["values"].attrs["unit"])
+                    v["time"][()], v["values"][()], tuple(v["values"].attrs["columns"]), str(v["values"].attrs["units"])
                 )
                 for k, v in groups["series"].items()
             },
@@ -314,7 +314,7 @@ def _put(file: h5py.File, name: str, values: Any, unit: str) -> h5py.Dataset:
         rows = ROWS_PER_CHUNK if values.ndim == 3 else math.ceil(2**18 / max(values[:1].nbytes, 1))
         options = {"compression": "gzip", "compression_opts": 1, "chunks": (min(len(values), rows), *values.shape[1:])}
     item = file.create_dataset(name, data=values, **options)
-    item.attrs["unit"] = unit
+    item.attrs["units"] = unit
     return item
 
 
