@@ -34,7 +34,7 @@ class Object(NamedTuple):
 
 
 def transform_mesh(mesh: Mesh, T: NDArray) -> Mesh:
-    """Move a mesh by the (4, 4) transform T_a_b from b into a; a reflection turns the winding, to keep faces outward."""
+    """Move a mesh by the (4, 4) transform T_a_b from b into a; a reflection turns the winding too."""
     T = np.asarray(T, np.float64)
     faces = mesh.faces[:, ::-1] if np.linalg.det(T[:3, :3]) < 0 else mesh.faces
     return Mesh(mesh.vertices @ T[:3, :3].T + T[:3, 3], faces)

@@ -1,0 +1,234 @@
+"""Where an object can be touched, and where a touch happens.
+
+Sites are drawn uniformly over a surface's area and given contact frames; three checks of the paper's collection
+procedure say which are safe: the normal is not too far from up, nothing rises above the contact plane inside the
+sensor's square, and the flange stays above the table. `press_along` moves the flat face of the skin along a straight
+line until it meets the surface.
+
+Both questions are about the lowest point of the surface inside a square, and are answered exactly instead of on a
+pixel grid: a triangle clipped to a square prism is a convex polygon whose corners are either on the triangle's edges
+(each edge clipped as in Liang and Barsky, "A new concept and method for line clipping", 1984) or where a corner line
+of the prism pierces the triangle, and height is linear on it, so its extremes lie at those corners.
+
+Frames as in `i2t.types`: the surface is given in W (an object frame serves as W while the object stands where it was
+made); lengths in metres. Degenerate faces, which pad a surface to its size class, are never drawn and never met.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Key
+
+from i2t.geometry import contact_frame, invert
+from i2t.types import PAD_WINDOW, STANDOFF, Surface
+
+MIN_FORWARD = 1e-3  # cosine; closer to sideways, the skin's face would meet a surface edge-on
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What makes a site safe; by default as in the paper's collection, with a fair guess of a UR flange and mount."""
+
+    min_cos: float = 0.25  # of the angle between normal and up; the paper's recognition uses 0.5
+    max_rise: float = 3e-3  # m, of any surface above the contact plane inside the square
+    half: float = PAD_WINDOW / 2  # m, half edge of the sensor's square
+    mount: float = PAD_WINDOW  # m, edge of the square bar that carries the skin, from the skin back to the flange
+    flange: float = 75e-3  # m, edge of the square box around flange and wrist
+    flange_near: float = 30e-3  # m, where that box begins behind the skin
+    flange_far: float = 100e-3  # m, and where it ends
+    table: float = 0.0  # m, height of the table in W
+    clearance: float = 1e-3  # m, that mount and flange keep above the table
+
+
+RECOGNITION = Limits(min_cos=0.5)
+
+
+class Sites(NamedTuple):
+    """Places to touch, and which of them passed the checks."""
+
+    T_w_t: Array  # (n, 4, 4) contact frames
+    safe: Array  # (n,) bool
+
+
+def sample_points(
+    key: Key[Array, ""], surface: Surface, n: int, wanted: Bool[Array, " faces"] | None = None
+) -> tuple[Float[Array, "{n} 3"], Float[Array, "{n} 3"]]:
+    """Draw n points uniformly over the area of a surface, with their outward unit normals.
+
+    `wanted` restricts them to some faces; where it leaves none, points of an arbitrary face come back.
+    """
+    key_face, key_place = jax.random.split(key)
+    triangles = jnp.asarray(surface.triangles)
+    area = _double_areas(triangles)
+    weight = area if wanted is None else jnp.where(wanted, area, 0)
+    total = jnp.cumsum(weight)
+    drawn = jnp.searchsorted(total, jax.random.uniform(key_face, (n,)) * total[-1], side="right")
+    # Sums in float32 may still grow in their last digit across empty faces: step back to the last face that has weight.
+    full = jax.lax.cummax(jnp.where(weight > 0, jnp.arange(len(weight)), -1))
+    face = full[jnp.minimum(drawn, len(weight) - 1)]
+    face = jnp.where(face < 0, jnp.argmax(weight > 0), face)
+    u, v = jax.random.uniform(key_place, (2, n, 1))
+    root = jnp.sqrt(u)  # uniform in a triangle: Osada et al., "Shape distributions", 2002
+    a, b, c = jnp.moveaxis(triangles[face], 1, 0)
+    return (1 - root) * a + root * (1 - v) * b + root * v * c, face_normals(surface)[face]
+
+
+def face_normals(surface: Surface) -> Float[Array, "faces 3"]:
+    """Outward unit normals of the faces; zero for degenerate ones."""
+    cross = _cross(jnp.asarray(surface.triangles))
+    norm = jnp.linalg.norm(cross, axis=-1, keepdims=True)
+    return cross / jnp.where(norm > 0, norm, 1)
+
+
+def nearest_in_square(
+    surface: Surface, A_t_w: Float[Array, "4 4"], half: float | Float[Array, ""], behind: float = STANDOFF
+) -> Float[Array, ""]:
+    """The smallest z, after the affine map `A_t_w`, of the surface inside the square |x|, |y| <= half; +inf for none.
+
+    Exact; what lies further than `behind` (m, may be inf) behind the origin does not count.
+    """
+    triangles = jnp.asarray(surface.triangles)
+    solid = _double_areas(triangles) > 0
+    q = jnp.einsum("fcj,ij->fci", triangles, A_t_w[:3, :3], precision="highest") + A_t_w[None, None, :3, 3]
+    low, high = _height_range(q, half)
+    met = solid & (low <= high) & (high >= -behind)
+    return jnp.min(jnp.where(met, jnp.maximum(low, -behind), jnp.inf))
+
+
+def press_along(
+    surface: Surface,
+    start: Float[Array, "4 4"],
+    direction: Float[Array, "3"],
+    half: float | Float[Array, ""] = PAD_WINDOW / 2,
+    travel: float | Float[Array, ""] = 2 * STANDOFF,
+) -> tuple[Float[Array, "4 4"], Bool[Array, ""]]:
+    """Move the skin's flat square face from `start` (T_w_t) along a world unit vector to first contact: (T_w_t, hit).
+
+    Where nothing is met within `travel` metres, or the face does not move forwards (along its own z), hit is false and
+    the pose is that at the travel's end. The start should be clear of the surface; what is behind it is not met.
+    """
+    # The face meets a point q of the surface after s metres if q - s d lies in the square at z = 0 (tool frame), so
+    # s = z / d_z: the shear (x - s d_x, y - s d_y, s) turns any forward direction into the z axis.
+    d = start[:3, :3].T @ direction
+    forward = d[2] > MIN_FORWARD
+    ahead = jnp.where(forward, d[2], 1.0)
+    shear = jnp.eye(4).at[:3, 2].set(jnp.stack([-d[0] / ahead, -d[1] / ahead, 1 / ahead]))
+    distance = nearest_in_square(surface, shear @ invert(start), half, behind=0.0)
+    hit = forward & (distance <= travel)
+    return start.at[:3, 3].add(jnp.where(hit, distance, travel) * direction), hit
+
+
+def is_upward(T_w_t: Float[Array, "4 4"], limits: Limits) -> Bool[Array, ""]:
+    """First check: the surface's normal (minus tool z) is not too far from up."""
+    return -T_w_t[2, 2] > limits.min_cos
+
+
+def is_open(surface: Surface, T_w_t: Float[Array, "4 4"], limits: Limits) -> Bool[Array, ""]:
+    """Second check: no surface is more than `max_rise` above the contact plane inside the sensor's square."""
+    return nearest_in_square(surface, invert(T_w_t), limits.half, behind=jnp.inf) >= -limits.max_rise
+
+
+def is_above_table(T_w_t: Float[Array, "4 4"], limits: Limits) -> Bool[Array, ""]:
+    """Third check: the boxes of mount and flange keep their clearance above the table."""
+    boxes = ((limits.mount, 0.0, limits.flange_near), (limits.flange, limits.flange_near, limits.flange_far))
+    lowest = [
+        T_w_t[2, 3]
+        - T_w_t[2, 2] * 0.5 * (near + far)
+        - 0.5 * (jnp.abs(T_w_t[2, :2]).sum() * edge + jnp.abs(T_w_t[2, 2]) * (far - near))
+        for edge, near, far in boxes
+    ]
+    return jnp.minimum(*lowest) >= limits.table + limits.clearance
+
+
+def is_safe(surface: Surface, T_w_t: Float[Array, "4 4"], limits: Limits) -> Bool[Array, ""]:
+    """All three checks."""
+    return is_upward(T_w_t, limits) & is_open(surface, T_w_t, limits) & is_above_table(T_w_t, limits)
+
+
+def sample_sites(
+    key: Key[Array, ""], surface: Surface, n: int, limits: Limits = Limits(), oversample: int = 8
+) -> Sites:
+    """Draw n sites uniformly over the safe part of a surface, each turned about its normal by a uniformly random angle.
+
+    The first n safe ones of `oversample` n candidates are returned; where there are fewer, unsafe ones fill up, as the
+    mask tells. The two counts are static.
+    """
+    key_points, key_spin = jax.random.split(key)
+    # Faces that look away fail the first check, so leaving them out changes nothing but the yield.
+    wanted = face_normals(surface)[:, 2] > limits.min_cos
+    points, normals = sample_points(key_points, surface, oversample * n, wanted)
+    spins = jax.random.uniform(key_spin, (oversample * n,), maxval=2 * jnp.pi)
+    frames = jax.vmap(contact_frame)(points, normals, spins)
+    safe = jax.lax.map(lambda T_w_t: is_safe(surface, T_w_t, limits), frames, batch_size=64)  # bounds memory
+    first = jnp.argsort(~safe, stable=True)[:n]
+    return Sites(frames[first], safe[first])
+
+
+def collect_sites(
+    key: Key[Array, ""], surface: Surface, n: int, limits: Limits = Limits(), name: str = "the object", rounds: int = 8
+) -> Float[Array, "{n} 4 4"]:
+    """The poses (n, 4, 4) of n safe sites, drawn in up to `rounds` rounds; for use outside jit.
+
+    Raises ValueError, naming the object, when they do not suffice.
+    """
+    found: list[Array] = []
+    count = 0
+    for step in range(rounds):
+        sites = sample_sites(jax.random.fold_in(key, step), surface, n, limits)
+        found.append(sites.T_w_t[sites.safe])
+        count += len(found[-1])
+        if count >= n:
+            return jnp.concatenate(found)[:n]
+    raise ValueError(
+        f"{name} has too few safe sites: {count} of {n} found; lower min_cos or the flange's size, or raise max_rise"
+    )
+
+
+def _double_areas(triangles: Float[Array, "faces 3 3"]) -> Float[Array, " faces"]:
+    return jnp.linalg.norm(_cross(triangles), axis=-1)
+
+
+def _cross(triangles: Float[Array, "faces 3 3"]) -> Float[Array, "faces 3"]:
+    return jnp.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+
+
+def _height_range(
+    triangles: Float[Array, "faces 3 3"], half: float | Array
+) -> tuple[Float[Array, " faces"], Float[Array, " faces"]]:
+    """Smallest and largest z of each triangle inside the square |x|, |y| <= half; (+inf, -inf) where it misses it."""
+    low = jnp.full(len(triangles), jnp.inf)
+    high = -low
+    for i in range(3):  # edges, clipped to the part from t0 to t1 that lies in the square
+        p, q = triangles[:, i], triangles[:, (i + 1) % 3]
+        t0, t1 = jnp.zeros(len(p)), jnp.ones(len(p))
+        for axis in (0, 1):
+            run = q[:, axis] - p[:, axis]
+            run = jnp.where(jnp.abs(run) < 1e-12, 1e-12, run)  # parallel: the ends fly off to the side they are on
+            to_low, to_high = (-half - p[:, axis]) / run, (half - p[:, axis]) / run
+            t0 = jnp.maximum(t0, jnp.minimum(to_low, to_high))
+            t1 = jnp.minimum(t1, jnp.maximum(to_low, to_high))
+        z0 = (1 - t0) * p[:, 2] + t0 * q[:, 2]
+        z1 = (1 - t1) * p[:, 2] + t1 * q[:, 2]
+        inside = t0 <= t1
+        low = jnp.where(inside, jnp.minimum(low, jnp.minimum(z0, z1)), low)
+        high = jnp.where(inside, jnp.maximum(high, jnp.maximum(z0, z1)), high)
+    for x, y in (
+        (-half, -half),
+        (-half, half),
+        (half, -half),
+        (half, half),
+    ):  # corners of the square inside the triangle
+        weights = []
+        for i in range(3):
+            p, q = triangles[:, (i + 1) % 3], triangles[:, (i + 2) % 3]
+            weights.append((p[:, 0] - x) * (q[:, 1] - y) - (p[:, 1] - y) * (q[:, 0] - x))
+        a, b, c = weights
+        total = a + b + c
+        same = ((a >= 0) & (b >= 0) & (c >= 0)) | ((a <= 0) & (b <= 0) & (c <= 0))
+        inside = same & (total != 0)
+        z = (a * triangles[:, 0, 2] + b * triangles[:, 1, 2] + c * triangles[:, 2, 2]) / jnp.where(inside, total, 1.0)
+        low = jnp.where(inside, jnp.minimum(low, z), low)
+        high = jnp.where(inside, jnp.maximum(high, z), high)
+    return low, high
