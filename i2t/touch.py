@@ -91,8 +91,9 @@ def nearest_in_square(
     """
     triangles = jnp.asarray(surface.triangles)
     solid = _double_areas(triangles) > 0
-    q = jnp.einsum("fcj,ij->fci", triangles, A_t_w[:3, :3], precision="highest") + A_t_w[None, None, :3, 3]
-    low, high = _height_range(q, half)
+    x, y, z = jnp.moveaxis(triangles, (1, 2), (1, 0))  # (3 corners, faces) each: long last axes are fast ones
+    q = [a[0] * x + a[1] * y + a[2] * z + a[3] for a in A_t_w[:3]]  # no matmul, which may round on an accelerator
+    low, high = _height_range(*q, half)
     met = solid & (low <= high) & (high >= -behind)
     return jnp.min(jnp.where(met, jnp.maximum(low, -behind), jnp.inf))
 
@@ -195,40 +196,27 @@ def _cross(triangles: Float[Array, "faces 3 3"]) -> Float[Array, "faces 3"]:
 
 
 def _height_range(
-    triangles: Float[Array, "faces 3 3"], half: float | Array
+    x: Float[Array, "3 faces"], y: Float[Array, "3 faces"], z: Float[Array, "3 faces"], half: float | Array
 ) -> tuple[Float[Array, " faces"], Float[Array, " faces"]]:
     """Smallest and largest z of each triangle inside the square |x|, |y| <= half; (+inf, -inf) where it misses it."""
-    low = jnp.full(len(triangles), jnp.inf)
+    low = jnp.full(x.shape[1], jnp.inf)
     high = -low
-    for i in range(3):  # edges, clipped to the part from t0 to t1 that lies in the square
-        p, q = triangles[:, i], triangles[:, (i + 1) % 3]
-        t0, t1 = jnp.zeros(len(p)), jnp.ones(len(p))
-        for axis in (0, 1):
-            run = q[:, axis] - p[:, axis]
-            run = jnp.where(jnp.abs(run) < 1e-12, 1e-12, run)  # parallel: the ends fly off to the side they are on
-            to_low, to_high = (-half - p[:, axis]) / run, (half - p[:, axis]) / run
+    for i, j in ((0, 1), (1, 2), (2, 0)):  # edges, clipped to the part from t0 to t1 that lies in the square
+        t0, t1 = jnp.zeros_like(low), jnp.ones_like(low)
+        for p in (x, y):
+            run = p[j] - p[i]
+            inverse = 1 / jnp.where(jnp.abs(run) < 1e-12, 1e-12, run)  # parallel: the ends fly off to their side
+            to_low, to_high = (-half - p[i]) * inverse, (half - p[i]) * inverse
             t0 = jnp.maximum(t0, jnp.minimum(to_low, to_high))
             t1 = jnp.minimum(t1, jnp.maximum(to_low, to_high))
-        z0 = (1 - t0) * p[:, 2] + t0 * q[:, 2]
-        z1 = (1 - t1) * p[:, 2] + t1 * q[:, 2]
-        inside = t0 <= t1
-        low = jnp.where(inside, jnp.minimum(low, jnp.minimum(z0, z1)), low)
-        high = jnp.where(inside, jnp.maximum(high, jnp.maximum(z0, z1)), high)
-    for x, y in (
-        (-half, -half),
-        (-half, half),
-        (half, -half),
-        (half, half),
-    ):  # corners of the square inside the triangle
-        weights = []
-        for i in range(3):
-            p, q = triangles[:, (i + 1) % 3], triangles[:, (i + 2) % 3]
-            weights.append((p[:, 0] - x) * (q[:, 1] - y) - (p[:, 1] - y) * (q[:, 0] - x))
-        a, b, c = weights
+        z0, z1 = z[i] + t0 * (z[j] - z[i]), z[i] + t1 * (z[j] - z[i])
+        low = jnp.where(t0 <= t1, jnp.minimum(low, jnp.minimum(z0, z1)), low)
+        high = jnp.where(t0 <= t1, jnp.maximum(high, jnp.maximum(z0, z1)), high)
+    for u, v in ((-half, -half), (-half, half), (half, -half), (half, half)):  # corners of the square in the triangle
+        a, b, c = ((x[i] - u) * (y[j] - v) - (y[i] - v) * (x[j] - u) for i, j in ((1, 2), (2, 0), (0, 1)))
         total = a + b + c
-        same = ((a >= 0) & (b >= 0) & (c >= 0)) | ((a <= 0) & (b <= 0) & (c <= 0))
-        inside = same & (total != 0)
-        z = (a * triangles[:, 0, 2] + b * triangles[:, 1, 2] + c * triangles[:, 2, 2]) / jnp.where(inside, total, 1.0)
-        low = jnp.where(inside, jnp.minimum(low, z), low)
-        high = jnp.where(inside, jnp.maximum(high, z), high)
+        inside = ((jnp.minimum(jnp.minimum(a, b), c) >= 0) | (jnp.maximum(jnp.maximum(a, b), c) <= 0)) & (total != 0)
+        height = (a * z[0] + b * z[1] + c * z[2]) / jnp.where(inside, total, 1)
+        low = jnp.where(inside, jnp.minimum(low, height), low)
+        high = jnp.where(inside, jnp.maximum(high, height), high)
     return low, high
