@@ -1,6 +1,7 @@
 """Things to touch: primitives, stamps, hand tools, random shapes and files, as watertight triangle meshes in metres.
 
-`make(name)` builds the catalogue, `random_object(seed)` draws from families of shapes, `load` reads a mesh file.
+`make(name)` builds the catalogue, `random_object(seed)` draws from families of shapes, `load` reads a mesh file and
+`load_points` with `surface_from_points` a point cloud.
 Primitives, each a function of sensible lengths in metres, are 50-70 mm across, so that the 20 mm skin meets faces,
 edges and corners apart; prisms differ by their outline alone, which is the paper's recognition problem. A stamp is a
 relief 3.5 mm high on a 20 mm square base of 5 mm, pointing up along +z, inside a square of 10 mm. The object frame
@@ -14,21 +15,26 @@ import numpy as np
 from manifold3d import CrossSection, Manifold
 
 from i2t import tools
-from i2t.solids import (
-    Mesh,
-    Object,
-    ball,
-    disk,
-    mesh,
-    outline,
-    polar,
-    prism,
-    rectangle,
-    segments,
-    transform_mesh,
-)
+from i2t.clouds import load_points, surface_from_points
+from i2t.scans import Report, clean, load
+from i2t.solids import Mesh, Object, ball, disk, mesh, outline, polar, prism, rectangle, segments, transform_mesh
 
-__all__ = ["NAMES", "PRIMITIVES", "STAMPS", "TOOLS", "Mesh", "Object", "make", "random_object", "transform_mesh"]
+__all__ = [
+    "NAMES",
+    "PRIMITIVES",
+    "STAMPS",
+    "TOOLS",
+    "Mesh",
+    "Object",
+    "Report",
+    "clean",
+    "load",
+    "load_points",
+    "make",
+    "random_object",
+    "surface_from_points",
+    "transform_mesh",
+]
 
 MM = 1e3  # mm per m: primitives take metres, solids are drawn in millimetres
 
