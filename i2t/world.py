@@ -24,9 +24,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from i2t import geometry, skin, touch
-from i2t.render import render_patch
-from i2t.skin.noise import Noise
+from i2t import geometry, touch
+from i2t.render import render_patch, stack
+from i2t.skin.contact import GRID
+from i2t.skin.noise import Noise, observe
+from i2t.skin.pad import press as press_pad
 from i2t.types import (
     PAD_WINDOW,
     PATCH_PIXELS,
@@ -82,6 +84,8 @@ class PressLimits:
     indentation: float = 0.6  # of the layer's thickness: beyond it small-strain elasticity means nothing
     overshoot: float = 0.1  # relative standard deviation by which a press runs past its limit (latency; one-sided)
     stiffness: float = 10e3  # N/m, arm and mount in series
+    scan: int = 6  # strides from 1.5 % of the deepest indentation to all of it
+    refine: int = 4  # presses that close in on the crossing: the limit is met within 0.5 %
     prepare: float = STANDOFF  # m before the site where the approach starts
     past_goal: float = 6e-3  # m beyond the site before a press counts as air (three extra steps of 2 mm)
 
@@ -149,42 +153,41 @@ def press_until(
     `overshoot` raises both limits by that fraction. Code SKIN or WRENCH says which came first; UNDEFINED means that the deepest allowed indentation
     crossed neither.
     """
-    deepest = limits.indentation * pad.thickness
-    scan = deepest * jnp.geomspace(0.015, 1.0, 6)
+    deepest = jnp.log(limits.indentation * pad.thickness)
+    stride = -jnp.log(0.015) / (limits.scan - 1)
 
-    def excess(indentation: Float[Array, ""]) -> Float[Array, ""]:
-        press = skin.press(pad, height, indentation)
-        change = jnp.linalg.norm(press.reading) / limits.skin_change
-        ratio = jnp.maximum(change, press.force / limits.force) / (1 + overshoot)
-        return jnp.log(jnp.maximum(ratio, 1e-6))
-
-    values = jax.lax.map(excess, scan)
-    crossed = values >= 0
-    first = jnp.clip(jnp.argmax(crossed), 1, scan.size - 1)
-    x = jnp.log(scan)
-
-    def refine(_: int, bracket: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-        low, f_low, high, f_high = bracket
-        middle = low - f_low * (high - low) / jnp.where(f_high == f_low, 1.0, f_high - f_low)
-        f = excess(jnp.exp(middle))
+    def try_next(_: int, state: _Bracket) -> _Bracket:
+        """Stride towards the deepest until the excess turns positive, then close in on the root; one press for each."""
+        secant = state.low - state.f_low * (state.high - state.low) / (state.f_high - state.f_low)
+        x = jnp.where(state.found, secant, jnp.minimum(state.low + stride, deepest))
+        press = press_pad(pad, height, jnp.exp(x))
+        skin = jnp.linalg.norm(press.reading) / limits.skin_change
+        wrench = press.force / limits.force
+        f = jnp.log(jnp.maximum(jnp.maximum(skin, wrench) / (1 + overshoot), 1e-6))
         above = f >= 0
         # Illinois: halve the value at the end that stays, so that it cannot stay for ever.
-        return (
-            jnp.where(above, low, middle),
-            jnp.where(above, f_low / 2, f),
-            jnp.where(above, middle, high),
-            jnp.where(above, f, f_high / 2),
+        return _Bracket(
+            low=jnp.where(above, state.low, x),
+            f_low=jnp.where(above, jnp.where(state.found, state.f_low / 2, state.f_low), f),
+            high=jnp.where(above, x, state.high),
+            f_high=jnp.where(above, f, jnp.where(state.found, state.f_high / 2, state.f_high)),
+            found=state.found | above,
+            stop=Stop(jnp.exp(x), press.force, press.reading, jnp.where(skin >= wrench, ReturnCode.SKIN, ReturnCode.WRENCH)),
         )
 
-    low, f_low, high, f_high = jax.lax.fori_loop(
-        0, 3, refine, (x[first - 1], jnp.minimum(values[first - 1], -1e-6), x[first], values[first])
-    )
-    root = low - f_low * (high - low) / jnp.where(f_high == f_low, 1.0, f_high - f_low)
-    indentation = jnp.where(crossed[0], scan[0], jnp.where(jnp.any(crossed), jnp.exp(root), deepest))
-    press = skin.press(pad, height, indentation)
-    by_skin = jnp.linalg.norm(press.reading) / limits.skin_change >= press.force / limits.force
-    code = jnp.where(by_skin, ReturnCode.SKIN, ReturnCode.WRENCH)
-    return Stop(indentation, press.force, press.reading, jnp.where(jnp.any(crossed), code, ReturnCode.UNDEFINED))
+    nothing = Stop(jnp.zeros(()), jnp.zeros(()), jnp.zeros(15), jnp.asarray(ReturnCode.UNDEFINED))
+    start = _Bracket(deepest - limits.scan * stride, jnp.log(1e-6), deepest, jnp.ones(()), jnp.asarray(False), nothing)
+    end = jax.lax.fori_loop(0, limits.scan + limits.refine, try_next, start)
+    return end.stop._replace(code=jnp.where(end.found, end.stop.code, ReturnCode.UNDEFINED))
+
+
+class _Bracket(NamedTuple):
+    low: Array  # log indentation below the crossing
+    f_low: Array
+    high: Array  # and above it, once found
+    f_high: Array
+    found: Array
+    stop: Stop  # at the last trial
 
 
 def touch_once(
@@ -207,7 +210,7 @@ def touch_once(
     start = T_o_w @ T_w_press @ back
     T_o_t, hit = touch.press_along(surface, start, start[:3, 2], travel=limits.prepare + limits.past_goal)
 
-    met = render_patch(surface, T_o_t, window=PAD_WINDOW, pixels=skin.CELLS)
+    met = render_patch(surface, T_o_t, window=PAD_WINDOW, pixels=GRID.cells)
     hit = hit & jnp.isfinite(met.nearest)
     overshoot = limits.overshoot * jnp.abs(jax.random.normal(key_overshoot))
     stop = press_until(pad, met.depth, limits, overshoot)
@@ -229,7 +232,7 @@ def touch_once(
         patch=patch.depth,
         wide=wide,
         nearest=patch.nearest,
-        reading=skin.noise.observe(key_skin, reading, pad.board, errors.noise),
+        reading=observe(key_skin, reading, pad.board, errors.noise),
         force=force + errors.force * jax.random.normal(key_force),
         depth=jnp.where(hit, past_contact + errors.repeatability * jax.random.normal(key_travel), jnp.nan),
         T_w_t=T_w_t,
@@ -276,18 +279,22 @@ def simulate(
 ) -> Touches:
     """n touches on each object (or n[i] on the i-th), in runs of `touches_per_run`, each object standing at the world's origin.
 
-    Compiled once per surface size class. `object` and `run` are indices in the order made; `pad` is 0. `progress` is told the number of touches just made.
+    `object` and `run` are indices in the order made; `pad` is 0. `progress` is told the number of touches just made.
     Raises ValueError where an object has too few safe sites.
     """
     limits, sites = limits or PressLimits(), sites or touch.Limits()
     counts = [n] * len(objects) if isinstance(n, int) else list(n)
-    run_once = jax.jit(
-        lambda key, surface: simulate_run(key, surface, jnp.eye(4), pad, errors, limits, sites, touches_per_run)
-    )
+    run_once = jax.jit(simulate_run, static_argnames=("errors", "limits", "sites", "n"))
+    surfaces = stack(objects)  # one size class for all, and so one compilation
     parts, run = [], 0
-    for i, (surface, count) in enumerate(zip(objects, counts, strict=True)):
+    for i, count in enumerate(counts):
+        surface = jax.tree.map(lambda field, i=i: field[i], surfaces)
         for start in range(0, count, touches_per_run):
-            part = jax.device_get(run_once(jax.random.fold_in(key, run), surface))
+            part = jax.device_get(
+                run_once(
+                    jax.random.fold_in(key, run), surface, jnp.eye(4), pad, errors=errors, limits=limits, sites=sites, n=touches_per_run
+                )
+            )
             if (part.code == ReturnCode.FAILED).any():
                 raise ValueError(f"object {i} has too few safe touch sites; relax the limits of i2t.touch.Limits")
             part = part._replace(object=part.object + i, run=part.run + run)
