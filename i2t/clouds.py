@@ -58,7 +58,10 @@ def load_points(path: str | Path, unit: str) -> tuple[NDArray[np.float64], NDArr
 
 
 def surface_from_points(
-    points: NDArray, radius: float, normals: NDArray | None = None, up: NDArray | tuple[float, float, float] = (0, 0, 1)
+    points: NDArray,
+    radius: float,
+    normals: NDArray | None = None,
+    up: NDArray | tuple[float, float, float] = (0.0, 0.0, 1.0),
 ) -> Mesh:
     """Cover points (n, 3) m with disks of `radius` m: an open mesh for rendering and touching.
 

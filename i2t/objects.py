@@ -114,7 +114,7 @@ def dome(diameter: float = 60e-3) -> Mesh:
 def ellipsoid(width: float = 70e-3, depth: float = 50e-3, height: float = 40e-3) -> Mesh:
     """An ellipsoid, lying."""
     axes = 0.5 * MM * np.array([width, depth, height])
-    return mesh(ball(axes.max(), scale=axes / axes.max()))
+    return mesh(ball(axes.max(), scale=list(axes / axes.max())))
 
 
 def torus(across: float = 68e-3, tube: float = 20e-3) -> Mesh:

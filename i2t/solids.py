@@ -9,11 +9,13 @@ z = 0, z up, centred in x and y.
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
 from numpy.typing import NDArray
+
+Real: TypeAlias = float | int  # of a drawing
 
 SAGITTA = 0.03  # mm between a chord and its arc
 
@@ -53,12 +55,12 @@ def mesh(solid: Manifold) -> Mesh:
     return settle(Mesh(vertices, np.asarray(drawn.tri_verts).astype(np.int32)))
 
 
-def segments(radius: float) -> int:
+def segments(radius: Real) -> int:
     """How many chords, a multiple of four and at least eight, replace a circle of `radius` mm within `SAGITTA`."""
     return max(8, 4 * math.ceil(math.pi / math.acos(1 - SAGITTA / max(radius, 2 * SAGITTA)) / 4))
 
 
-def outline(points: Sequence[Sequence[float]] | NDArray) -> CrossSection:
+def outline(points: Sequence[Sequence[Real]] | NDArray) -> CrossSection:
     """The region inside a closed polygon (n, 2) mm that does not cross itself, in either direction."""
     corners = np.asarray(points, np.float64)
     x, y = corners.T
@@ -72,17 +74,17 @@ def polar(radii: NDArray) -> CrossSection:
     return outline(np.stack([radii * np.cos(angles), radii * np.sin(angles)], -1))
 
 
-def disk(radius: float, centre: tuple[float, float] = (0.0, 0.0)) -> CrossSection:
+def disk(radius: Real, centre: tuple[Real, Real] = (0.0, 0.0)) -> CrossSection:
     """A circle."""
     return CrossSection.circle(radius, segments(radius)).translate(centre)
 
 
-def rectangle(width: float, depth: float, centre: tuple[float, float] = (0.0, 0.0)) -> CrossSection:
+def rectangle(width: Real, depth: Real, centre: tuple[Real, Real] = (0.0, 0.0)) -> CrossSection:
     """A rectangle of `width` along x and `depth` along y."""
     return CrossSection.square((width, depth), center=True).translate(centre)
 
 
-def rounded(region: CrossSection, radius: float) -> CrossSection:
+def rounded(region: CrossSection, radius: Real) -> CrossSection:
     """Round the corners of a region with `radius`: first the outward ones, then the inward ones."""
     n = segments(radius)
     opened = region.offset(-radius, circular_segments=n).offset(radius, circular_segments=n)
@@ -90,12 +92,12 @@ def rounded(region: CrossSection, radius: float) -> CrossSection:
     return closed.simplify(SAGITTA / 3)
 
 
-def prism(region: CrossSection, height: float, base: float = 0.0) -> Manifold:
+def prism(region: CrossSection, height: Real, base: Real = 0.0) -> Manifold:
     """A region extruded from z = `base` upwards by `height`."""
     return Manifold.extrude(region, height).translate((0, 0, base))
 
 
-def turned(profile: Sequence[tuple[float, float]], n: int | None = None) -> Manifold:
+def turned(profile: Sequence[tuple[Real, Real]], n: int | None = None) -> Manifold:
     """A solid of revolution about x, as from a lathe: `profile` lists (x, radius) from one end to the other."""
     ends = [(0.0, profile[0][0]), *((r, x) for x, r in profile), (0.0, profile[-1][0])]
     closed = [p for i, p in enumerate(ends) if i == 0 or p != ends[i - 1]]
@@ -103,19 +105,17 @@ def turned(profile: Sequence[tuple[float, float]], n: int | None = None) -> Mani
     return solid.rotate((0, 90, 0))
 
 
-def ball(
-    radius: float, centre: Sequence[float] = (0.0, 0.0, 0.0), scale: Sequence[float] = (1.0, 1.0, 1.0)
-) -> Manifold:
+def ball(radius: Real, centre: Sequence[Real] = (0.0, 0.0, 0.0), scale: Sequence[Real] = (1.0, 1.0, 1.0)) -> Manifold:
     """A sphere, stretched by `scale` along the axes."""
     return Manifold.sphere(radius, segments(radius)).scale(tuple(scale)).translate(tuple(centre))
 
 
-def box(size: Sequence[float], centre: Sequence[float] = (0.0, 0.0, 0.0)) -> Manifold:
+def box(size: Sequence[Real], centre: Sequence[Real] = (0.0, 0.0, 0.0)) -> Manifold:
     """A box."""
     return Manifold.cube(tuple(size), True).translate(tuple(centre))
 
 
-def chain(points: Sequence[Sequence[float]], radii: Sequence[float]) -> Manifold:
+def chain(points: Sequence[Sequence[Real]], radii: Sequence[Real]) -> Manifold:
     """Balls at `points`, each joined to the next by the hull of the two: a bent, tapering round bar."""
     balls = [ball(r, p) for p, r in zip(points, radii, strict=True)]
     return Manifold.batch_boolean([Manifold.batch_hull(pair) for pair in pairwise(balls)], OpType.Add)

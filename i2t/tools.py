@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from manifold3d import CrossSection, Manifold
 
-from i2t.solids import box, chain, disk, outline, polar, prism, rectangle, rounded, turned
+from i2t.solids import Real, box, chain, disk, outline, polar, prism, rectangle, rounded, turned
 
 
 def cutter() -> Manifold:
@@ -37,12 +37,12 @@ def screwdriver() -> Manifold:
 def spanner() -> Manifold:
     """A double open spanner: two jaws turned by 15 degrees, a thinner shank."""
 
-    def head(size: float, x: float, side: float) -> CrossSection:
+    def head(size: Real, x: Real, angle: Real) -> CrossSection:
         jaw = rectangle(2.2 * size, size, (1.1 * size, 0)) + disk(size / 2, (0, 0))
         whole = disk(1.05 * size) - jaw.translate((-0.1 * size, 0))
-        return whole.rotate(15 if side > 0 else 195).translate((x, 0))
+        return whole.rotate(angle).translate((x, 0))
 
-    heads = rounded(head(19, 85, 1) + head(17, -85, -1), 1.0)
+    heads = rounded(head(19, 85, 15) + head(17, -85, 195), 1.0)
     shank = rounded(outline([(-75, -6.5), (75, -7.5), (75, 7.5), (-75, 6.5)]), 1.0)
     shank -= disk(1.05 * 19 - 1, (85, 0)) + disk(1.05 * 17 - 1, (-85, 0))
     return prism(heads, 9.0) + prism(shank, 5.0, 2.0)
@@ -88,7 +88,7 @@ def scissors() -> Manifold:
     blade = outline([(-25, -4), (-12, -8), (15, -8.5), (95, -2), (97, 0), (90, 3.0), (10, 6), (-20, 5)])
     angles = np.linspace(0, 2 * np.pi, 13)
 
-    def bow(length: float, width: float) -> Manifold:
+    def bow(length: Real, width: Real) -> Manifold:
         ring = [(-68 + length * np.cos(a), 22 + width * np.sin(a), 0) for a in angles]
         return chain(ring, [4.5] * len(ring)) + chain([(-20, 1, 0), (-32, 6, 0), (-44, 12, 0)], (4.0, 4.2, 4.5))
 

@@ -92,8 +92,9 @@ def nearest_in_square(
     triangles = jnp.asarray(surface.triangles)
     solid = _double_areas(triangles) > 0
     x, y, z = jnp.moveaxis(triangles, (1, 2), (1, 0))  # (3 corners, faces) each: long last axes are fast ones
-    q = [a[0] * x + a[1] * y + a[2] * z + a[3] for a in A_t_w[:3]]  # no matmul, which may round on an accelerator
-    low, high = _height_range(*q, half)
+    # Written out, as a matrix product may round to fewer digits on an accelerator.
+    u, v, w = (row[0] * x + row[1] * y + row[2] * z + row[3] for row in A_t_w[:3])
+    low, high = _height_range(u, v, w, half)
     met = solid & (low <= high) & (high >= -behind)
     return jnp.min(jnp.where(met, jnp.maximum(low, -behind), jnp.inf))
 
