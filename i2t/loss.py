@@ -2,11 +2,13 @@
 
 With standardised readings y, predictions m and log variances s, each averaged over the 15 values:
 
-  squared error      (y - m)^2
-  Gaussian           (s + (y - m)^2 exp(-s) + log 2 pi) / 2, weighted by exp(beta s) held constant: beta = 0 is the likelihood itself, beta = 0.5 keeps
-                     poorly fitted readings from being explained away as noise (Seitzer et al., "On the pitfalls of heteroscedastic uncertainty
-                     estimation with probabilistic neural networks", 2022)
-  auxiliary          the decoded image against the prepared one, averaged over pixels: squared error for depth, cross entropy of logits for a mask
+  squared error   (y - m)^2
+  Gaussian        (s + (y - m)^2 exp(-s) + log 2 pi) / 2, weighted by exp(beta s) held constant: beta = 0 is the
+                  likelihood itself, beta = 0.5 keeps poorly fitted readings from being explained away as noise
+                  (Seitzer et al., "On the pitfalls of heteroscedastic uncertainty estimation with probabilistic
+                  neural networks", 2022)
+  auxiliary       the decoded image against the prepared one, averaged over pixels: squared error for depth, cross
+                  entropy of logits for a mask
 """
 
 import math

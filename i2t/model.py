@@ -1,18 +1,20 @@
 """The network that imagines a touch: a depth patch, and what is measured at contact, become 15 readings.
 
-The paper's network encodes the flattened patch (48 x 48 = 2304 values) in one hidden layer of 200, squeezes it through a bottleneck of 5 and decodes 15
-readings through a hidden layer of 500; an auxiliary head decodes the bottleneck through 2000 units into the patch again, so that the bottleneck keeps what
-was seen. Hidden layers are rectified, the bottleneck and the outputs are linear (as in the paper's published code). By configuration the patch is a depth
-image scaled by its reach to [0, 1], the paper's binary contact mask, or any square image taken as it is; a small convolutional encoder (in the manner of
-the published one, with strides in place of pooling and batch normalisation) comes before the hidden layer; conditions measured at contact (force, nearest,
-depth) join the image's features at the encoder's input and again, for the readings, beside the bottleneck, because what the camera saw does not tell how hard the
-skin is pressed; and a second output predicts the log variance of each reading.
+The paper's network encodes the flattened patch (48 x 48 = 2304 values) in one hidden layer of 200, squeezes it through
+a bottleneck of 5 and decodes 15 readings through a hidden layer of 500; an auxiliary head decodes the bottleneck
+through 2000 units into the patch again, so that the bottleneck keeps what was seen. Hidden layers are rectified, the
+bottleneck and the outputs are linear (as in the paper's published code). By configuration the patch is a depth image
+scaled by its reach to [0, 1], the paper's binary contact mask, or any square image taken as it is; a small
+convolutional encoder (in the manner of the published one, with strides in place of pooling and batch normalisation)
+comes before the hidden layer; conditions measured at contact (force, nearest, depth) join the image's features at the
+encoder's input and again, for the readings, beside the bottleneck, because what the camera saw does not tell how hard
+the skin is pressed; and a second output predicts the log variance of each reading.
 
-Inside the network everything is standardised; `predict` speaks physical units. Parameters are one plain pytree; the members of an ensemble are its axis 0.
-`init` and `apply` work on one member and one example and are lifted by `vmap`.
+Inside the network everything is standardised; `predict` speaks physical units. Parameters are one plain pytree; the
+members of an ensemble are its axis 0. `init` and `apply` work on one member and one example and are lifted by `vmap`.
 
-Source: Ayad et al., "Imagine2touch" (network); Lakshminarayanan et al., "Simple and scalable predictive uncertainty estimation using deep ensembles", 2017
-(heteroscedastic members and the moments of their mixture).
+Source: Ayad et al., "Imagine2touch" (network); Lakshminarayanan et al., "Simple and scalable predictive uncertainty
+estimation using deep ensembles", 2017 (heteroscedastic members and the moments of their mixture).
 """
 
 import math
@@ -146,7 +148,9 @@ class Network(nn.Module):
 
 
 def prepare(cfg: ModelConfig, normalisation: Normalisation, inputs: Inputs) -> Inputs:
-    """Physical inputs of one touch (m, N) as the network wants them: the image in [0, 1], the conditions standardised."""
+    """Physical inputs of one touch (m, N) as the network wants them: the image in [0, 1], the conditions
+    standardised.
+    """
     image = inputs.image
     if cfg.input == "depth":
         image = jnp.clip(image / cfg.reach, 0, 1)
@@ -168,7 +172,8 @@ def init(key: Key[Array, ""], cfg: ModelConfig) -> Params:
 
 def apply(params: Params, cfg: ModelConfig, inputs: Inputs) -> Prediction:
     """One member's prediction for one example, both in the network's units (see `prepare`)."""
-    return cfg.create().apply({"params": params}, inputs)
+    prediction: Any = cfg.create().apply({"params": params}, inputs)
+    return prediction
 
 
 def predict(
@@ -176,8 +181,9 @@ def predict(
 ) -> tuple[Float[Array, "15"], Float[Array, "15"]]:
     """Reading of one touch and its standard deviation, both in uT, from all members (axis 0 of `params`).
 
-    The members' mixture has the mean of their means and, for its variance, the mean of their variances plus the variance of their means (Lakshminarayanan
-    et al. 2017). Members without a variance of their own share the residual one.
+    The members' mixture has the mean of their means and, for its variance, the mean of their variances plus the
+    variance of their means (Lakshminarayanan et al. 2017). Members without a variance of their own share the residual
+    one.
     """
     prepared = prepare(cfg, normalisation, inputs)
     members = jax.vmap(lambda member: apply(member, cfg, prepared))(params)

@@ -1,18 +1,20 @@
 """Training as pure functions of explicit state: minibatch Adam over data that stays on the device.
 
-An epoch draws a permutation from `fold_in(key, epoch)`, cuts it into minibatches and takes one AdamW step on the mean loss of each; where the batch size
-does not divide the number of touches the last minibatch is filled up with touches of weight zero, so every touch counts once an epoch. After each epoch
-the validation touches are scored and the best parameters so far are kept, inside the compiled loop (early stopping, without stopping).
+An epoch draws a permutation from `fold_in(key, epoch)`, cuts it into minibatches and takes one AdamW step on the mean
+loss of each; where the batch size does not divide the number of touches the last minibatch is filled up with touches of
+weight zero, so every touch counts once an epoch. After each epoch the validation touches are scored and the best
+parameters so far are kept, inside the compiled loop (early stopping, without stopping).
 
-`make_train` makes a whole training one function of a key, so that seeds are trained together by `vmap`. `fit` runs the same epochs in compiled chunks from
-any state it is given and reports on the way; every chunk is the same program, whatever its length, so an interrupted and resumed training repeats the
-uninterrupted one bit for bit. Members of an ensemble are axis 0 of every array of the state: each has its own key, minibatches and best epoch.
+`make_train` makes a whole training one function of a key, so that seeds are trained together by `vmap`. `fit` runs the
+same epochs in compiled chunks from any state it is given and reports on the way; every chunk is the same program,
+whatever its length, so an interrupted and resumed training repeats the uninterrupted one bit for bit. Members of an
+ensemble are axis 0 of every array of the state: each has its own key, minibatches and best epoch.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
 from typing import Literal, NamedTuple, get_args
 
 import jax
@@ -34,7 +36,8 @@ class Batch(NamedTuple):
 
 
 class TrainState(NamedTuple):
-    """All that a training carries from epoch to epoch; every array of every leaf has the members as axis 0."""
+    """All that a training carries from epoch to epoch; every array has the members as axis 0, behind the seeds where
+    several are trained together."""
 
     params: Params
     opt_state: PyTree
@@ -87,17 +90,21 @@ class TrainConfig:
 
 
 def check(batch: Batch, model: ModelConfig, name: str) -> None:
-    """Refuse touches that cannot be learned from: no touches, shapes that do not fit the network, values that are not finite (ValueError)."""
+    """Refuse touches that cannot be learned from: no touches, shapes that do not fit the network, values that are
+    not finite (ValueError).
+    """
     touches = len(batch.target)
     if touches == 0:
         raise ValueError(f"The {name} set holds no touches; choose other objects or another split.")
     if batch.inputs.image.shape != (touches, model.pixels, model.pixels):
         raise ValueError(
-            f"The {name} set's images have shape {batch.inputs.image.shape}, but {touches} touches of model.pixels = {model.pixels} are expected."
+            f"The {name} set's images have shape {batch.inputs.image.shape}; {touches} touches of model.pixels = "
+            f"{model.pixels} are expected."
         )
     if batch.inputs.conditions.shape != (touches, len(model.conditions)):
         raise ValueError(
-            f"The {name} set's conditions have shape {batch.inputs.conditions.shape}, but {touches} touches of model.conditions = {model.conditions} are expected."
+            f"The {name} set's conditions have shape {batch.inputs.conditions.shape}; {touches} touches of "
+            f"model.conditions = {model.conditions} are expected."
         )
     bad = [("image", batch.inputs.image, (1, 2)), ("reading", batch.target, (1,))]
     bad += [(f"condition {c!r}", batch.inputs.conditions[:, i], ()) for i, c in enumerate(model.conditions)]
@@ -105,8 +112,8 @@ def check(batch: Batch, model: ModelConfig, name: str) -> None:
         wrong = ~np.isfinite(np.asarray(values)).all(axis=axes)
         if wrong.any():
             raise ValueError(
-                f"{wrong.sum()} of {touches} touches of the {name} set have a {label} that is not finite (first at index {np.argmax(wrong)}); "
-                "leave these touches out, or train without that input."
+                f"{wrong.sum()} of {touches} touches of the {name} set have a {label} that is not finite (first at "
+                f"index {np.argmax(wrong)}); leave these touches out, or train without that input."
             )
 
 
@@ -142,10 +149,22 @@ def init(key: Key[Array, ""], model: ModelConfig, cfg: TrainConfig, touches: int
     return jax.vmap(member)(jnp.arange(model.members))
 
 
+def start(model: ModelConfig, cfg: TrainConfig, touches: int) -> TrainState:
+    """The state before the first epoch of all of the configuration's seeds, `cfg.seed` and its successors.
+
+    Several seeds are a leading axis, before the members; each is what it would be alone.
+    """
+    if cfg.seeds == 1:
+        return init(jax.random.key(cfg.seed), model, cfg, touches)
+    return jax.vmap(lambda seed: init(jax.random.key(seed), model, cfg, touches))(cfg.seed + jnp.arange(cfg.seeds))
+
+
 def run_epoch(
     model: ModelConfig, cfg: TrainConfig, state: TrainState, train: Batch, validation: Batch | None
 ) -> tuple[TrainState, EpochInfo]:
-    """One epoch of every member on prepared touches; without validation touches the last parameters count as the best."""
+    """One epoch of every member on prepared touches; without validation touches the last parameters count as the
+    best.
+    """
 
     def member(state: TrainState) -> tuple[TrainState, EpochInfo]:
         return _run_epoch(model, cfg, state, train, validation)
@@ -159,7 +178,8 @@ def run_epoch(
 def make_train(
     model: ModelConfig, cfg: TrainConfig
 ) -> Callable[[Key[Array, ""], Batch, Batch | None], tuple[TrainState, EpochInfo]]:
-    """`train(key, train, validation) -> (state, info)`: a whole training as one closure, to be jitted and vmapped over keys (and data).
+    """`train(key, train, validation) -> (state, info)`: a whole training as one closure, to be jitted and vmapped over
+    keys (and data).
 
     Touches are prepared; `info` has the epochs as its leading axis.
     """
@@ -176,7 +196,8 @@ def make_train(
 def make_chunk(
     model: ModelConfig, cfg: TrainConfig, capacity: int
 ) -> Callable[[TrainState, Batch, Batch | None, Int[Array, ""]], tuple[TrainState, EpochInfo]]:
-    """`chunk(state, train, validation, count) -> (state, info)`: up to `capacity` epochs as one program whose length is an argument.
+    """`chunk(state, train, validation, count) -> (state, info)`: up to `capacity` epochs as one program whose length is
+    an argument.
 
     Rows of `info` beyond `count` are zero.
     """
@@ -209,37 +230,49 @@ def fit(
     log: Callable[[int, EpochInfo], None] = lambda epoch, info: None,
     save: Callable[[TrainState], None] = lambda state: None,
 ) -> TrainState:
-    """Train from `state` to the last epoch, `chunk` epochs at a time, on prepared touches.
+    """Train from `state` (see `start`) to the last epoch, `chunk` epochs at a time, on prepared touches.
 
-    After every chunk `log(epoch, info)` hears of each of its epochs (from 1, NumPy arrays with the members as axis 0) and `save(state)` receives the state.
-    An interruption (KeyboardInterrupt) leaves the last saved state to resume from.
+    After every chunk `log(epoch, info)` hears of each of its epochs (from 1; NumPy arrays, members as the last axis)
+    and `save(state)` receives the state. An interruption leaves the last saved state to resume from.
     """
-    run = jax.jit(make_chunk(model, cfg, chunk))
-    done = int(state.epoch[0])
+    run = _compiled_chunk(model, replace(cfg, seed=0), chunk)
+    done = int(state.epoch.max())
     while done < cfg.epochs:
         count = min(chunk, cfg.epochs - done)
         state, info = run(state, train, validation, jnp.int32(count))
         info = jax.device_get(info)
         for i in range(count):
-            log(done + i + 1, jax.tree.map(lambda rows, i=i: rows[i], info))
+            row = (i,) if cfg.seeds == 1 else (slice(None), i)
+            log(done + i + 1, jax.tree.map(lambda rows, row=row: rows[row], info))
         done += count
         save(state)
     return state
 
 
 def evaluate(params: Params, model: ModelConfig, cfg: LossConfig, batch: Batch) -> Losses:
-    """Mean losses of one member over prepared touches."""
-    return jax.tree.map(jnp.mean, _batch_losses(params, model, cfg, batch))
+    """Mean losses of one member over prepared touches; a Gaussian reading is scored by its likelihood itself (beta 0),
+    because beta's weights, good for gradients, would reward any small variance.
+    """
+    return jax.tree.map(jnp.mean, _batch_losses(params, model, replace(cfg, beta=0.0), batch))
 
 
 def with_residual(params: Params, model: ModelConfig, norm: Normalisation, batch: Batch) -> Normalisation:
-    """Note in the normalisation what all members (axis 0) together leave unexplained of prepared touches that they were not trained on.
+    """Note in the normalisation what all members (axis 0) together leave unexplained of prepared touches that they were
+    not trained on.
 
-    It is the mean squared error of their mean less the variance they already show, so that `model.predict` has the right spread on these touches.
+    It is the mean squared error of their mean less the variance they already show, so that `model.predict` has the
+    right spread on these touches.
     """
     readings = jax.vmap(lambda member: jax.vmap(lambda x: net.apply(member, model, x).reading)(batch.inputs))(params)
     unexplained = jnp.mean((readings.mean(0) - batch.target) ** 2 - readings.var(0), axis=0)
     return norm._replace(residual=jnp.maximum(unexplained, 0))
+
+
+@lru_cache(maxsize=8)
+def _compiled_chunk(model: ModelConfig, cfg: TrainConfig, capacity: int) -> Callable:
+    """One compiled program for all trainings that differ in seed and data only."""
+    chunk = make_chunk(model, cfg, capacity)
+    return jax.jit(chunk if cfg.seeds == 1 else jax.vmap(chunk, in_axes=(0, None, None, None)))
 
 
 def _run_epoch(
@@ -280,7 +313,8 @@ def _step(model, cfg, optimizer, train, carry, rows_weights):
         return parts.total, parts
 
     gradient, parts = jax.grad(mean_loss, has_aux=True)(params)
-    # Without the barrier XLA may update a matrix while its old value is still needed for other gradients, at the price of a copy of it in each step.
+    # Without the barrier XLA may update a matrix while its old value is still needed for other gradients, at the price
+    # of a copy of it in each step.
     gradient, params = jax.lax.optimization_barrier((gradient, params))
     updates, opt_state = optimizer.update(gradient, opt_state, params)
     return (optax.apply_updates(params, updates), opt_state), (parts, total)
