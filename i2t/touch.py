@@ -83,7 +83,10 @@ def face_normals(surface: Surface) -> Float[Array, "faces 3"]:
 
 
 def nearest_in_square(
-    surface: Surface, A_t_w: Float[Array, "4 4"], half: float | Float[Array, ""], behind: float = STANDOFF
+    surface: Surface,
+    A_t_w: Float[Array, "4 4"],
+    half: float | Float[Array, ""],
+    behind: float | Float[Array, ""] = STANDOFF,
 ) -> Float[Array, ""]:
     """The smallest z, after the affine map `A_t_w`, of the surface inside the square |x|, |y| <= half; +inf for none.
 
@@ -171,14 +174,15 @@ def sample_sites(
 def collect_sites(
     key: Key[Array, ""], surface: Surface, n: int, limits: Limits = Limits(), name: str = "the object", rounds: int = 8
 ) -> Float[Array, "{n} 4 4"]:
-    """The poses (n, 4, 4) of n safe sites, drawn in up to `rounds` rounds; for use outside jit.
+    """The poses (n, 4, 4) of n safe sites, drawn in up to `rounds` rounds; for the host, so it compiles what it draws.
 
     Raises ValueError, naming the object, when they do not suffice.
     """
+    draw = jax.jit(sample_sites, static_argnums=(2, 3))
     found: list[Array] = []
     count = 0
     for step in range(rounds):
-        sites = sample_sites(jax.random.fold_in(key, step), surface, n, limits)
+        sites = draw(jax.random.fold_in(key, step), surface, n, limits)
         found.append(sites.T_w_t[sites.safe])
         count += len(found[-1])
         if count >= n:
