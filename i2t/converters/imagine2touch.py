@@ -36,7 +36,8 @@ UNIT = 1e-3  # how far the norm of a quaternion may be from 1
 LARGEST = 1e6  # of any recorded number, in its unit
 NOTE_LENGTH = 2000  # characters kept of a run's own notes
 
-_RUN = re.compile(r"experiment_(.+)_reskin(\.npy)?")
+_TACTILE = re.compile(r"experiment_(.+)_reskin(\.npy)?")
+_IMAGE = re.compile(r"experiment_(.+)_depth_\d+\.tif")
 
 
 def convert(
@@ -108,11 +109,13 @@ def _objects(source: Path) -> list[Path]:
 
 
 def _runs(folder: Path) -> list[str]:
-    """The names of an object's runs, numbers in the order of counting."""
-    tactile = folder / f"{folder.name}_tactile"
-    runs = {match[1] for match in (_RUN.fullmatch(file.name) for file in tactile.iterdir()) if match}
+    """The names of an object's runs, from its tactile files and its images, numbers in the order of counting."""
+    runs: set[str] = set()
+    for place, name in ((f"{folder.name}_tactile", _TACTILE), (f"{folder.name}_images/depth", _IMAGE)):
+        files = (folder / place).iterdir() if (folder / place).is_dir() else ()
+        runs |= {match[1] for match in (name.fullmatch(file.name) for file in files) if match}
     if not runs:
-        raise damaged(tactile, "holds no experiment_E_reskin")
+        raise damaged(folder, "holds no run")
     return sorted(runs, key=lambda run: [(len(part), part) for part in re.split(r"(\d+)", run)])
 
 
@@ -158,7 +161,7 @@ def _forces(stem: Path, axis: np.ndarray | None, n: int, notes: Notes) -> tuple[
     """
     wrenches = _optional(stem, "forces_torques", (n, 6), notes)
     force = -(wrenches[:, 2] if axis is None else np.sum(wrenches[:, :3] * axis, axis=1))
-    codes = _optional(stem, "contact_returns", (n,), notes, unknown=ReturnCode.UNDEFINED)
+    codes = _optional(stem, "contact_returns", (n,), notes, unknown=float(ReturnCode.UNDEFINED))
     if not np.isin(codes, [int(code) for code in ReturnCode]).all():
         raise damaged(stem, "contact_returns hold a value that is no return code (-1 to 4)")
     return force, codes

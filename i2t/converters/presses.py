@@ -55,7 +55,7 @@ def convert(
         raise DataError(f"{source}: no press lies inside the window of {1e3 * window:g} mm; widen --window-mm")
     kept = [row for row, keep in zip(rows, inside, strict=True) if keep]
     x, y, depth = x[inside], y[inside], depth[inside]
-    patch, lowest = _patches(indenter, mesh_unit, x, y, window, reach)
+    patch, lowest = _patches(indenter, mesh_unit, x, y, window, reach, notes)
     n = len(x)
     T_w_o = np.tile(np.eye(4), (n, 1, 1))
     T_w_o[:, :3, 3] = np.column_stack([x, y, -depth - lowest])
@@ -146,12 +146,12 @@ def _number(source: Path, line: int, column: str, text: str) -> float:
 
 
 def _patches(
-    indenter: str, mesh_unit: str, x: np.ndarray, y: np.ndarray, window: float, reach: float
+    indenter: str, mesh_unit: str, x: np.ndarray, y: np.ndarray, window: float, reach: float, notes: Notes
 ) -> tuple[np.ndarray, float]:
     """Patches (n, 48, 48) m and the z of the indenter's lowest point in its own frame (m)."""
     kind, _, value = indenter.partition(":")
     if kind == "mesh" and value:
-        return _mesh_patches(Path(value), mesh_unit, x, y, window, reach)
+        return _mesh_patches(Path(value), mesh_unit, x, y, window, reach, notes)
     try:
         radius = 1e-3 * float(value)
     except ValueError:
@@ -162,14 +162,18 @@ def _patches(
 
 
 def _mesh_patches(
-    file: Path, unit: str, x: np.ndarray, y: np.ndarray, window: float, reach: float
+    file: Path, unit: str, x: np.ndarray, y: np.ndarray, window: float, reach: float, notes: Notes
 ) -> tuple[np.ndarray, float]:
     import jax.numpy as jnp
     from jax import jit
 
     from i2t import objects, render
 
-    mesh = objects.load(file, unit=unit)[0].mesh
+    try:
+        (_, mesh, _), report = objects.load(file, unit, table=False)
+    except (ValueError, OSError) as error:
+        raise DataError(str(error)) from error
+    notes.say(str(report))
     lowest = float(np.asarray(mesh.vertices)[:, 2].min())
     surface = render.prepare(mesh)
     look = jit(lambda T_o_t: render.render_patch(surface, T_o_t, window, PATCH_PIXELS, reach).depth)

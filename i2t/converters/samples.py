@@ -75,7 +75,7 @@ def _samples(path: Path, item: Any) -> list[list[float]]:
     """
     if isinstance(item, list):
         if len(item) in (READINGS, 4 * CHIPS) and all(isinstance(value, int | float) for value in item):
-            return [item]
+            return [[float(value) for value in item]]
         if len(item) == 4 and isinstance(item[2], list) and not isinstance(item[0], list):
             return _samples(path, item[2])
         if item and all(isinstance(part, list) for part in item):
@@ -104,6 +104,6 @@ def _detected(path: Path, samples: np.ndarray) -> str:
         plausible = values.size and TEMPERATURES[0] <= values.min() and values.max() <= TEMPERATURES[1]
         spread[order] = float(values.std()) if plausible and values.std() < SPREAD else math.inf
     best, other = sorted(spread, key=lambda order: spread[order])
-    if not spread[best] * CLEARLY <= spread[other] or spread[best] == math.inf:
+    if not spread[best] * CLEARLY < spread[other]:
         raise DataError(f"{path}: does not show whether temperature stands first or last; say --order binary or ascii")
     return best

@@ -29,9 +29,10 @@ _HEADER = re.compile(rb"i2t-touches ([1-9][0-9]*) sha256 ([0-9a-f]{64})\n\0+")
 
 
 class DataError(ValueError):
-    """A file or a data set that cannot be used; the message is one sentence that names it, what is wrong and the
-    remedy.
-    """
+    """A file or a data set that cannot be used; the message is one line that names it, what is wrong and the remedy."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(" ".join(message.splitlines()))  # what a library reported may have several lines
 
 
 def write(path: Path, fill: Callable[[h5py.File], None]) -> Path:
