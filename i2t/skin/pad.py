@@ -1,8 +1,7 @@
-"""Pads and boards: a nominal one, ones as different as real skins are, and the press of a pad on a surface.
+"""What a pad is, pads as different as real ones are, and the press of a pad on a surface.
 
-The board is ReSkin's: five MLX90393 chips, one below the centre and four 7 mm from it, the skin 2-3 mm thick and 20 x 20 mm (Bhirangi et al., ReSkin,
-CoRL 2021). Order and rotation of the chips were read off a real board's recordings: with chip 0 as reference a uniform field (x0, y0) shows as
-(y0, -x0) at chip 1, (x0, y0) at 2, (-y0, x0) at 3 and (-x0, -y0) at 4. Frames and units as in `i2t.types`.
+Sizes are those of ReSkin (Bhirangi et al., CoRL 2021): 20 x 20 mm of magnetic silicone, 2-3 mm thick, on a board of
+five magnetometers (`i2t.boards`). Frames and units as in `i2t.types`.
 """
 
 from typing import NamedTuple
@@ -12,16 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
+from i2t.boards import reskin
 from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
 from i2t.skin.field import response
 from i2t.types import PAD_WINDOW, READINGS, Board, Pad
 
 THICKNESS = 2e-3  # m
-GAP = 1.5e-3  # m from the layer's base to the sensing elements: half of the chip's 1 mm package and the glue and film above it
+GAP = 1.5e-3  # m from the layer's base to the sensing elements: half of the chip's 1 mm package, glue and film
 YOUNG = 200e3  # Pa: soft silicone (Shore 10A, about 150 kPa) stiffened by the magnetic powder
 POISSON = 0.48
-ARM = 7e-3  # m, from the centre of the board to its outer chips
-STRENGTH = 2.4e4  # A/m, root mean square of a component of the magnetisation
+STRENGTH = 2.7e4  # A/m, root mean square of one component of a random magnetisation; see `sample_pad`
+MAP = 20  # cells of a magnetisation map along each edge: 1 mm, and whole cells to each of 4 poles
 
 
 class Press(NamedTuple):
@@ -41,7 +41,9 @@ def press(
     grid: Grid = GRID,
     start: Float[Array, "n n"] | None = None,
 ) -> Press:
-    """Press the pad `indentation` (m) past first touch onto a surface `height` (m) behind its nearest point; see `contact.solve`."""
+    """Press the pad `indentation` (m) past first touch onto a surface `height` (m) behind its nearest point at each
+    cell centre, row along tool y; `start` is a pressure to begin from. See `contact.solve`.
+    """
     return _press(pad, solve(pad, height, indentation, grid, start), grid)
 
 
@@ -52,90 +54,71 @@ def press_force(
     grid: Grid = GRID,
     start: Float[Array, "n n"] | None = None,
 ) -> Press:
-    """As `press`, to a normal force (N, > 0); see `contact.solve_force`."""
+    """As `press`, to a normal force (N, > 0). See `contact.solve_force`."""
     return _press(pad, solve_force(pad, height, force, grid, start), grid)
 
 
-def reskin(thickness: float | Array = THICKNESS, gap: float | Array = GAP) -> Board:
-    """ReSkin's board under a skin of `thickness` with its chips `gap` (m) below the skin's base."""
-    return _board([(0, 0), (1, 0), (0, 1), (0, -1), (-1, 0)], [0, 1, 0, 3, 2], thickness, gap)
-
-
-def anyskin(thickness: float | Array = THICKNESS, gap: float | Array = GAP) -> Board:
-    """A board in the order in which public viewers draw AnySkin (centre, left, right, up, down), its chips taken as aligned: check it on yours."""
-    return _board([(0, 0), (-1, 0), (1, 0), (0, 1), (0, -1)], [0] * 5, thickness, gap)
-
-
 def nominal_pad(pattern: str = "poles", strength: float | Array = STRENGTH) -> Pad:
-    """A middling pad with a known magnetisation `pattern` (`poles` or `uniform`, see `magnetise`)."""
+    """A middling ReSkin with a known magnetisation: `pattern` (see `magnetise`) times `strength` (A/m)."""
     return Pad(
         jnp.asarray(THICKNESS),
         jnp.asarray(YOUNG),
         jnp.asarray(POISSON),
-        magnetise(pattern) * strength,
+        strength * magnetise(pattern),
         jnp.ones(READINGS),
-        reskin(),
+        _board(jnp.asarray(THICKNESS + GAP)),
     )
-
-
-def magnetise(pattern: str, size: int = 20) -> Float[Array, "size size 3"]:
-    """A magnetisation map of size x size cells, in units of its strength: `poles` (4 x 4, up and down in turn, as in ReSkin) or `uniform` (up)."""
-    quarter = np.arange(size) * 4 // size
-    signs = {"poles": 1 - 2 * ((quarter[:, None] + quarter[None, :]) % 2), "uniform": np.ones((size, size))}
-    if pattern not in signs:
-        raise ValueError(f"magnetisation pattern {pattern!r} is unknown; use one of {', '.join(signs)}")
-    return jnp.asarray(np.stack([np.zeros((size, size)), np.zeros((size, size)), signs[pattern]], -1), float)
-
-
-def smooth_random(key: Key[Array, ""], length: float | Array, size: int = 20) -> Float[Array, "size size 3"]:
-    """A smooth random vector map: normal, variance 1 on each component, correlated as exp(-d^2 / (2 length^2)) over d metres."""
-    place = (np.arange(size) + 0.5) / size * PAD_WINDOW
-    distance = place[:, None] - place[None, :]
-    covariance = jnp.exp(-0.5 * (distance / length) ** 2) + 1e-4 * jnp.eye(size)  # jitter keeps the factor real
-    factor = jnp.linalg.cholesky(covariance / (1 + 1e-4))
-    return jnp.einsum("ia,jb,abc->ijc", factor, factor, jax.random.normal(key, (size, size, 3)))
 
 
 def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0) -> Pad:
-    """A pad as different from the next as real skins are; `spread` 0 gives the middle of every size, and still a random magnetisation.
+    """A pad as different from the next as real skins are; with `spread` 0 only its magnetisation is random.
 
-    Thickness 2-3 mm (ReSkin's range), stiffness within 15 %, gap within 0.25 mm and gains within 5 % (one sigma), and a smooth random magnetisation
-    about 4 mm across with its strength varying within 25 % from skin to skin. The strength was set so that presses of a small tip to 0.6-1.0 N change
-    the 15 values by the norm real boards show, 46-85 uT (median), see `tests/skin/test_pad.py`.
+    Thickness 2-3 mm (ReSkin's range); stiffness within 15 %, gap within 0.25 mm and gains within 5 % (one sigma); a
+    smooth random magnetisation with patches of about 4 mm, whose strength varies by 25 % from skin to skin. STRENGTH is
+    such that presses of a small tip to 0.6-1.0 N change the 15 values by the norm that real boards show, a median of
+    46-85 uT at 78-122 uT/N (`tests/skin/test_pad.py`).
     """
     key_thickness, key_young, key_gap, key_map, key_length, key_strength, key_gains = jax.random.split(key, 7)
     thickness = THICKNESS + spread * jax.random.uniform(key_thickness, maxval=1e-3)
-    young = YOUNG * jnp.exp(spread * 0.15 * jax.random.normal(key_young))
-    gap = GAP + spread * 0.25e-3 * jax.random.truncated_normal(key_gap, -2, 2)
+    gap = GAP + spread * 0.25e-3 * jax.random.truncated_normal(key_gap, -2.0, 2.0)
     length = 4e-3 * jnp.exp(spread * 0.2 * jax.random.normal(key_length))
     strength = STRENGTH * jnp.exp(spread * 0.25 * jax.random.normal(key_strength))
-    gains = 1 + spread * 0.05 * jax.random.truncated_normal(key_gains, -3, 3, (READINGS,))
     return Pad(
         thickness,
-        young,
+        YOUNG * jnp.exp(spread * 0.15 * jax.random.normal(key_young)),
         jnp.asarray(POISSON),
         strength * smooth_random(key_map, length),
-        gains,
-        reskin(thickness, gap),
+        1 + spread * 0.05 * jax.random.truncated_normal(key_gains, -3.0, 3.0, (READINGS,)),
+        _board(thickness + gap),
     )
+
+
+def magnetise(pattern: str, cells: int = MAP) -> Float[Array, "m m 3"]:
+    """A magnetisation map in units of its strength: `poles` (4 x 4, up and down in turn, as in ReSkin's first paper) or
+    `uniform` (up). Raises ValueError for any other name.
+    """
+    quarter = np.arange(cells) * 4 // cells
+    maps = {"poles": 1 - 2 * ((quarter[:, None] + quarter[None, :]) % 2), "uniform": np.ones((cells, cells))}
+    if pattern not in maps:
+        raise ValueError(f"Magnetisation pattern {pattern!r} is not known; choose one of {', '.join(maps)}.")
+    return jnp.asarray(maps[pattern][..., None] * np.array([0, 0, 1.0]))
+
+
+def smooth_random(key: Key[Array, ""], length: float | Array, cells: int = MAP) -> Float[Array, "m m 3"]:
+    """A random vector map: normal, each component of variance 1, correlated as exp(-d^2 / (2 length^2)) over d (m)."""
+    places = (np.arange(cells) + 0.5) / cells * PAD_WINDOW
+    distance = places[:, None] - places[None, :]
+    # One part in a thousand of white noise keeps the covariance safely positive in float32.
+    factor = jnp.linalg.cholesky(0.999 * jnp.exp(-0.5 * (distance / length) ** 2) + 0.001 * np.eye(cells))
+    return jnp.einsum("ia,jb,abc->ijc", factor, factor, jax.random.normal(key, (cells, cells, 3)))
+
+
+def _board(depth: Array) -> Board:
+    board = reskin()
+    return Board(jnp.asarray(board.chips).at[:, 2].set(-depth), jnp.asarray(board.rotations))
 
 
 def _press(pad: Pad, contact: Contact, grid: Grid) -> Press:
     return Press(
         response(pad, contact.pressure, grid), contact.force, contact.indentation, contact.pressure, contact.converged
     )
-
-
-def _board(places: list[tuple[int, int]], quarters: list[int], thickness: float | Array, gap: float | Array) -> Board:
-    """Chips at `places` (in arms from the centre), each turned anticlockwise about z by a number of `quarters` of a turn."""
-    cosine, sine = np.array([1, 0, -1, 0])[quarters], np.array([0, 1, 0, -1])[quarters]
-    rotations = np.zeros((len(places), 3, 3))
-    rotations[:, 0, 0] = rotations[:, 1, 1] = cosine
-    rotations[:, 1, 0], rotations[:, 0, 1] = sine, -sine
-    rotations[:, 2, 2] = 1
-    down = jnp.broadcast_to(-(jnp.asarray(thickness) + gap), (len(places), 1))
-    return Board(jnp.concatenate([ARM * jnp.asarray(places, float), down], axis=1), jnp.asarray(rotations, float))
-
-
-RESKIN = reskin()
-ANYSKIN = anyskin()
