@@ -38,7 +38,7 @@ def load_points(path: str | Path, unit: str) -> tuple[NDArray[np.float64], NDArr
     try:
         table = parse(data)
     except (ValueError, IndexError, KeyError, UnicodeDecodeError) as error:
-        reason = f"misses {error}" if isinstance(error, KeyError) else str(error)
+        reason = f"misses {error}" if isinstance(error, KeyError) else " ".join(str(error).split())
         raise ValueError(f"{path}: cannot be read as {path.suffix[1:].upper()} ({reason}); export it again") from error
     if not {"x", "y", "z"} <= set(table):
         raise ValueError(f"{path}: has no fields x, y, z; export it with positions")

@@ -88,9 +88,9 @@ def load(
         raw = trimesh.load_scene(io.BytesIO(data), file_type=path.suffix[1:].lower(), process=False).to_mesh()
         vertices, faces = np.asarray(raw.vertices, np.float64) * scale, np.asarray(raw.faces, np.int64)
     except Exception as error:  # whatever a parser trips over, the file is at fault
-        kind = path.suffix[1:].upper()
+        kind, reason = path.suffix[1:].upper(), " ".join(f"{type(error).__name__} {error}".split())
         raise ValueError(
-            f"{path}: cannot be read as {kind} ({type(error).__name__}: {error}); export it again, or check its ending"
+            f"{path}: cannot be read as {kind} ({reason}); export it again, or check its ending"
         ) from error
     if not len(faces):
         raise ValueError(f"{path}: holds no faces; export it again (a point cloud is read by i2t.clouds.load_points)")
@@ -99,9 +99,8 @@ def load(
     if not np.isfinite(vertices).all():
         raise ValueError(f"{path}: {np.sum(~np.isfinite(vertices).all(1))} vertices are not finite; repair the mesh")
     check_size(path, vertices[faces].reshape(-1, 3), unit)
-    mesh, report = clean(Mesh(vertices, faces.astype(np.int32)), str(path), largest)
-    if up == "y":
-        mesh = transform_mesh(mesh, Y_UP)
+    raw_mesh = Mesh(vertices, faces.astype(np.int32))
+    mesh, report = clean(transform_mesh(raw_mesh, Y_UP) if up == "y" else raw_mesh, str(path), largest)
     return Object(path.stem, settle(mesh) if table else mesh, "file"), report
 
 
@@ -120,7 +119,7 @@ def clean(mesh: Mesh, path: str = "mesh", largest: bool = True) -> tuple[Mesh, R
         raise ValueError(f"{path}: no face has an area; export the mesh again")
     work.update_faces(solid)
 
-    once = _once(work.faces, work.area_faces)
+    once = _once(work.faces)
     work.update_faces(once)
     pieces, label = _pieces(work.faces)
     areas = np.bincount(label, work.area_faces, pieces)
@@ -135,7 +134,7 @@ def clean(mesh: Mesh, path: str = "mesh", largest: bool = True) -> tuple[Mesh, R
         trimesh.repair.fix_winding(work)
     trimesh.repair.fix_inversion(work, multibody=not largest)
     turned = int((wound != work.faces).any(1).sum())
-    uses = np.unique(np.sort(work.edges, 1), axis=0, return_counts=True)[1]
+    uses = np.unique(_edges(work.faces), axis=0, return_counts=True)[1]
     size = np.ptp(work.vertices, axis=0)
     report = Report(
         path,
@@ -206,30 +205,33 @@ def _check_whole(path: Path, data: bytes) -> None:
         raise ValueError(f"{path}: is cut off or no {suffix[1:].upper()} file; export or copy it again")
 
 
-def _once(faces: NDArray, areas: NDArray) -> NDArray:
+def _once(faces: NDArray) -> NDArray:
     """Which faces to keep so that no two have the same corners.
 
-    Two faces back to back enclose nothing: where such fins are few (scans have them) both go, as a closed surface
-    stays closed without them; where they hold more than 1 % of the area they are a sheet drawn from both sides, and
-    one side stays.
+    Of repeated faces one stays, except of a fin: faces back to back that stand on a closed surface (scans have them),
+    whose edges belong to two other faces or to none. The winding says nothing here, as it may be wrong.
     """
-    _, first, group = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_inverse=True)
-    group = group.reshape(-1)
-    ascents = (faces < np.roll(faces, -1, axis=1)).sum(1)  # 2 for the even orders of the corners, 1 for the odd
-    net = np.bincount(group, np.where(ascents == 2, 1, -1))
+    unique, first, times = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
+    _, edge, uses = np.unique(_edges(unique), axis=0, return_inverse=True, return_counts=True)
+    others = uses[edge.reshape(-1)].reshape(3, -1) - 1  # faces on the other side of each face's edges
+    fin = (times > 1) & (others != 1).all(0) & (others == 2).any(0)
     keep = np.zeros(len(faces), bool)
-    fins = net == 0
-    sheet = areas[first[fins]].sum() > 0.01 * areas[first].sum()
-    keep[first[~fins | sheet]] = True
+    keep[first[~fin]] = True
     return keep
+
+
+def _edges(faces: NDArray) -> NDArray:
+    """The edges of all faces as sorted pairs: first all first edges, then all second, then all third ones."""
+    return np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1)
 
 
 def _pieces(faces: NDArray) -> tuple[int, NDArray]:
     """Number of edge-connected pieces, and the piece of each face."""
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1)
-    _, edge = np.unique(edges, axis=0, return_inverse=True)
+    _, edge = np.unique(_edges(faces), axis=0, return_inverse=True)
     face = np.tile(np.arange(len(faces)), 3)
-    nodes = len(faces) + len(edges)
-    _, label = connected_components(coo_array((np.ones(len(edge)), (face, len(faces) + edge)), (nodes, nodes)), False)
+    nodes = len(faces) + len(edge)
+    _, label = connected_components(
+        coo_array((np.ones(len(edge)), (face, len(faces) + edge.reshape(-1))), (nodes, nodes)), False
+    )
     _, label = np.unique(label[: len(faces)], return_inverse=True)
     return int(label.max()) + 1, label

@@ -14,6 +14,7 @@ Frames as in `i2t.types`: the surface is given in W (an object frame serves as W
 made); lengths in metres. Degenerate faces, which pad a surface to its size class, are never drawn and never met.
 """
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -166,7 +167,8 @@ def sample_sites(
     points, normals = sample_points(key_points, surface, oversample * n, wanted)
     spins = jax.random.uniform(key_spin, (oversample * n,), maxval=2 * jnp.pi)
     frames = jax.vmap(contact_frame)(points, normals, spins)
-    safe = jax.lax.map(lambda T_w_t: is_safe(surface, T_w_t, limits), frames, batch_size=64)  # bounds memory
+    batch = math.gcd(len(frames), 64)  # bounds memory, and leaves no rest to compile apart
+    safe = jax.lax.map(lambda T_w_t: is_safe(surface, T_w_t, limits), frames, batch_size=batch)
     first = jnp.argsort(~safe, stable=True)[:n]
     return Sites(frames[first], safe[first])
 

@@ -33,6 +33,8 @@ sites_of = jax.jit(sample_sites, static_argnums=(2, 3, 4))
 press = jax.jit(press_along)
 nearest = jax.jit(nearest_in_square)
 points_of = jax.jit(sample_points, static_argnums=2)
+frame = jax.jit(contact_frame)
+is_open = jax.jit(touch.is_open, static_argnums=2)
 
 
 def pose(rotation, position) -> jnp.ndarray:
@@ -298,8 +300,8 @@ def test_contact_agrees_with_clipping_and_does_not_depend_on_the_world_frame(see
     assume(bool(hit))
     distance = float((np.asarray(T[:3, 3], np.float64) - start) @ direction)
 
-    # Shear the world in float64 so that the tool's z axis becomes the direction, and cut exactly. Places move by DELTA in
-    # the pose and in the travel, and travel exceeds height by at most 1 / cos < 1.15 (tilt up to 0.57).
+    # Shear the world in float64 so that the tool's z axis becomes the direction, and cut exactly. Places move by DELTA
+    # in the pose and in the travel, and travel exceeds height by at most 1 / cos < 1.15 (tilt up to 0.57).
     A = np.eye(4)
     A[:3, :3] = np.linalg.inv(np.stack([R[:, 0], R[:, 1], direction], -1))
     A[:3, 3] = -A[:3, :3] @ start
@@ -327,7 +329,7 @@ def test_contact_agrees_with_clipping_and_does_not_depend_on_the_world_frame(see
 def test_upward():
     for angle in (0.0, 1.0, 1.3, 1.32, 2.0, np.pi):
         normal = jnp.array([np.sin(angle), 0.0, np.cos(angle)], jnp.float32)
-        T = contact_frame(jnp.zeros(3), normal, 0.7)
+        T = frame(jnp.zeros(3), normal, 0.7)
         assert bool(touch.is_upward(T, Limits())) is bool(np.cos(angle) > 0.25)  # cos 1.3 = 0.267, cos 1.32 = 0.248
         assert bool(touch.is_upward(T, touch.RECOGNITION)) is bool(np.cos(angle) > 0.5)
 
@@ -337,8 +339,8 @@ def test_nothing_rises_above_the_contact_plane(height, aside, safe):
     plate = box((80, 80, 20), (0, 0, -10))
     post = box((2, 2, height + 1), (aside, 0, height / 2 - 0.5))
     surface = prepare(mesh(plate + post))
-    T = contact_frame(jnp.array([0.0, 0.0, 20e-3]), jnp.array([0.0, 0.0, 1.0]), 0.0)
-    assert bool(touch.is_open(surface, T, Limits())) is safe
+    T = frame(jnp.array([0.0, 0.0, 20e-3]), jnp.array([0.0, 0.0, 1.0]), 0.0)
+    assert bool(is_open(surface, T, Limits())) is safe
 
 
 @settings(deadline=None, max_examples=60)
@@ -401,10 +403,25 @@ def test_sites_of_many_objects_at_once_are_those_of_each_alone():
 
 
 def test_too_few_sites():
-    surface = prepare(make("pyramid").mesh)
-    frames = collect_sites(jax.random.key(0), surface, 20, Limits(min_cos=0.99), "pyramid")
+    pyramid, upright = make("pyramid").mesh, Limits(min_cos=0.99)
+    frames = collect_sites(jax.random.key(0), prepare(pyramid), 20, upright, "pyramid")
     np.testing.assert_allclose(frames[:, 2, 3], 35e-3, atol=DELTA)  # its flat top is the only upright face
-    none = sites_of(jax.random.key(0), surface, 20, Limits(min_cos=1.0), 8)
-    assert not none.safe.any()
-    with pytest.raises(ValueError, match=r"^pyramid has too few safe sites: 0 of 20"):
-        collect_sites(jax.random.key(0), surface, 20, Limits(min_cos=1.0), "pyramid", rounds=2)
+    fallen = prepare(placed(pyramid, Rotation.from_euler("x", 45, degrees=True).as_matrix(), [0, 0, 50e-3]))
+    with pytest.raises(ValueError, match=r"^the pyramid has too few safe sites: 0 of 20"):
+        collect_sites(jax.random.key(0), fallen, 20, upright, "the pyramid", rounds=2)
+
+
+def test_the_mask_tells_safe_sites_from_fillers():
+    # Beside the stamp's relief, 3.5 mm above its base, most of the base is unsafe; nothing else is.
+    stamp, hammer = make("stamp-triangle").mesh, make("hammer").mesh
+    surface = Surface(
+        stack([prepare(stamp), prepare(hammer)]).triangles[0]
+    )  # the size of another test: one compilation
+    sites = sites_of(jax.random.key(0), surface, 40, Limits(), 8)
+    found = int(sites.safe.sum())
+    assert 0 < found < 40
+    np.testing.assert_array_equal(sites.safe, np.arange(40) < found)
+    for T, safe in zip(np.asarray(sites.T_w_t, np.float64), sites.safe, strict=True):
+        rises = [clipped_nearest(stamp, T, HALF + change, 10.0) < -3e-3 for change in (-DELTA, DELTA)]
+        if rises[0] == rises[1]:
+            assert bool(safe) is not rises[0]
