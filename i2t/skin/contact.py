@@ -226,7 +226,7 @@ def interior(
 
 
 class _Layer(NamedTuple):
-    """Parts of the layer's response to each wave; sinh and cosh of q carry a factor exp(-q), the determinant exp(-2q)."""
+    """Parts of the layer's response to each wave; sinh and cosh of q carry exp(-q), the determinant exp(-2q)."""
 
     kappa: Array
     shear: Array

@@ -44,7 +44,7 @@ def dipole_field(
 
 
 def response(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID, nodes: int = NODES) -> Float[Array, "15"]:
-    """The noise-free reading (uT) of a pad under `pressure` (Pa): gains times the change of field in the chips' axes."""
+    """The noise-free reading (uT) under `pressure` (Pa): gains times the change of field, in the chips' axes."""
     return pad.gains * pad.board.to_board(pressed_field(pad, pressure, grid, nodes) - rest_field(pad, grid, nodes))
 
 
@@ -96,7 +96,7 @@ def turn(rotation: Float[Array, "3 *n"], moments: Float[Array, "3 *n"]) -> Float
 
 
 def _cell_means(cells: int) -> np.ndarray:
-    """(cells, cells): a smooth function's means over the cells, from its values at the centres; one-sided at the ends."""
+    """(cells, cells): means of a smooth function over cells, from its values at their centres; one-sided at the ends."""
     middle = np.clip(np.arange(cells), 1, cells - 2)[:, None] - np.arange(cells)[None, :]
     return np.eye(cells) + ((np.abs(middle) == 1) * 1 - (middle == 0) * 2) / 24
 
