@@ -249,9 +249,10 @@ def _require_free(target: Path, force: bool) -> None:
 
 
 def _write(target: Path, converted: Converted) -> None:
+    path = save(target / PACKED, converted.dataset)
     for note in converted.notes:
         print(note)
-    print(f"wrote {len(converted.dataset)} touches to {save(target / PACKED, converted.dataset)}")
+    print(f"wrote {len(converted.dataset)} touches to {path}")
 
 
 def _counts(folder: Path) -> dict[str, Any]:

@@ -750,6 +750,24 @@ def test_an_unknown_indenter_is_one_sentence(tmp_path, capsys, indenter):
     assert f"--indenter {indenter}: is unknown; give sphere:RADIUS" in sentence
 
 
+@pytest.mark.parametrize("contents", [None, b"", b"solid\n"])
+def test_an_unreadable_mesh_is_one_sentence(tmp_path, capsys, contents):
+    presses_table(tmp_path / "table.csv")
+    if contents is not None:
+        (tmp_path / "tip.stl").write_bytes(contents)
+    indenter = f"mesh:{tmp_path / 'tip.stl'}"
+    assert "tip.stl" in refused(capsys, "presses", tmp_path / "table.csv", tmp_path / "dst", "--indenter", indenter)
+
+
+@pytest.mark.parametrize(
+    "options", [("--tip-radius-mm", -1), ("--window-mm", 0), ("--window-mm", "nan"), ("--reach-mm", -4)]
+)
+def test_lengths_that_are_none_are_one_sentence(tmp_path, capsys, options):
+    session(tmp_path / "src" / "a")
+    refused(capsys, "eflesh", tmp_path / "src", tmp_path / "dst", *options)
+    assert not (tmp_path / "dst").exists()
+
+
 def test_a_window_without_presses_is_one_sentence(tmp_path, capsys):
     presses_table(tmp_path / "table.csv", more={"x_mm": [9.0] * 6})
     sentence = refused(capsys, "presses", tmp_path / "table.csv", tmp_path / "dst", "--indenter", "sphere:4")

@@ -47,6 +47,8 @@ def convert(
     `centre` the robot's x and y of the skin's centre (by default the middle of the session's range). Each board of each
     session is a pad of its own, unless all are called `pad`; `board` picks one of two. Raises DataError.
     """
+    if not 0 < radius < np.inf:
+        raise DataError(f"--tip-radius-mm {1e3 * radius:g}: is no radius; give a positive length in mm")
     notes = Notes(skip_bad)
     sessions = sorted({file.parent for file in source.rglob("states.csv*")}) if source.is_dir() else []
     if not sessions:
