@@ -96,7 +96,7 @@ def turn(rotation: Float[Array, "3 *n"], moments: Float[Array, "3 *n"]) -> Float
 
 
 def _cell_means(cells: int) -> np.ndarray:
-    """(cells, cells): means of a smooth function over cells, from its values at their centres; one-sided at the ends."""
+    """(n, n): means over cells of a smooth function, from its values at their centres; one-sided at the ends."""
     middle = np.clip(np.arange(cells), 1, cells - 2)[:, None] - np.arange(cells)[None, :]
     return np.eye(cells) + ((np.abs(middle) == 1) * 1 - (middle == 0) * 2) / 24
 

@@ -1,10 +1,10 @@
 """What the sensor adds to the field: white noise, a slow ambient field, steps of the converter, drift.
 
-A chip's sample is `quantise(field + ambient + white)`; a reading is the mean of the samples in contact minus the mean of
-the samples before it. Sizes come from recordings of real ReSkin boards at rest with the paper's settings (MLX90393, gain
-7, resolution 0, oversampling 0, filter 2): 3.1 uT (x, y) and 4.6 uT (z) in one sample, 20-33 % of that variance one slow
-field that all chips share once turned to common axes, steps of 0.150 and 0.242 uT, drifts of 1-15 uT over a run of
-thousands of presses.
+A chip's sample is `quantise(field + ambient + white)`; a reading is the mean of the samples in contact minus the mean
+of the samples before it. Sizes come from recordings of real ReSkin boards at rest with the paper's settings (MLX90393,
+gain 7, resolution 0, oversampling 0, filter 2): 3.1 uT (x, y) and 4.6 uT (z) in one sample, 20-33 % of that variance
+one slow field that all chips share once turned to common axes, steps of 0.150 and 0.242 uT, drifts of 1-15 uT over a
+run of thousands of presses.
 
 Readings are microtesla in the board's order and the chips' own axes. Each function takes one reading and is lifted by
 `vmap`.
