@@ -164,11 +164,8 @@ def standardise(standard: Standard, values: Float[Array, "k"]) -> Float[Array, "
 
 def init(key: Key[Array, ""], cfg: ModelConfig) -> Params:
     """Random parameters of one member (He et al. 2015 before rectifiers, LeCun et al. 1998 before linear outputs)."""
-    example = Inputs(
-        jax.ShapeDtypeStruct((cfg.pixels, cfg.pixels), jnp.float32),
-        jax.ShapeDtypeStruct((len(cfg.conditions),), jnp.float32),
-    )
-    return cfg.create().lazy_init(key, example)["params"]
+    example = Inputs(jnp.zeros((cfg.pixels, cfg.pixels)), jnp.zeros(len(cfg.conditions)))
+    return cfg.create().init(key, example)["params"]
 
 
 def apply(params: Params, cfg: ModelConfig, inputs: Inputs) -> Prediction:
