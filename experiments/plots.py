@@ -29,7 +29,9 @@ def _titled(title: str, simulated: bool) -> str:
     return f"{title} (simulated)" if simulated else title
 
 
-def draw_reading(axes: Axes, board: Board, reading: np.ndarray, scale: float, colour: str, label: str | None = None) -> None:
+def draw_reading(
+    axes: Axes, board: Board, reading: np.ndarray, scale: float, colour: str, label: str | None = None
+) -> None:
     """Draw a reading (15,) uT as five vectors over the skin: arrows for the tangential part, discs for z (filled up, open down).
 
     `scale` is the field in uT drawn as 5 mm; give every panel of a figure the same.
@@ -37,7 +39,15 @@ def draw_reading(axes: Axes, board: Board, reading: np.ndarray, scale: float, co
     chips = np.asarray(board.chips)[:, :2] * MILLI
     field = np.asarray(board.to_tool(np.asarray(reading))) * 5 / scale
     axes.quiver(
-        *chips.T, field[:, 0], field[:, 1], angles="xy", scale_units="xy", scale=1, color=colour, width=0.012, label=label
+        *chips.T,
+        field[:, 0],
+        field[:, 1],
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        color=colour,
+        width=0.012,
+        label=label,
     )
     for (x, y), z in zip(chips, field[:, 2], strict=True):
         axes.add_artist(_circle((x, y), abs(z) / 2, colour, filled=z > 0))
@@ -48,7 +58,9 @@ def draw_reading(axes: Axes, board: Board, reading: np.ndarray, scale: float, co
 def _circle(centre: tuple[float, float], radius: float, colour: str, filled: bool):
     from matplotlib.patches import Circle
 
-    return Circle(centre, radius, facecolor=colour if filled else "none", edgecolor=colour, alpha=0.45 if filled else 0.9, lw=1.2)
+    return Circle(
+        centre, radius, facecolor=colour if filled else "none", edgecolor=colour, alpha=0.45 if filled else 0.9, lw=1.2
+    )
 
 
 def _skin_square(axes: Axes) -> None:
@@ -62,7 +74,12 @@ def draw_patch(axes: Axes, patch: np.ndarray, window: float, reach: float):
     """Draw a depth patch (n, n) m with the near side bright; returns the image for a colour bar."""
     half = window * MILLI / 2
     return axes.imshow(
-        np.asarray(patch) * MILLI, origin="lower", extent=(-half, half, -half, half), cmap="cividis_r", vmin=0, vmax=reach * MILLI
+        np.asarray(patch) * MILLI,
+        origin="lower",
+        extent=(-half, half, -half, half),
+        cmap="cividis_r",
+        vmin=0,
+        vmax=reach * MILLI,
     )
 
 
@@ -94,7 +111,8 @@ def touches(
     figure.colorbar(image, ax=axes[0, -1], label="depth behind nearest (mm)")
     axes[1, -1].legend(fontsize=8, loc="upper right")
     figure.suptitle(
-        _titled(title, simulated) + f"\narrows: field in the skin's plane, 5 mm = {scale:.0f} µT; discs: normal field, filled outwards",
+        _titled(title, simulated)
+        + f"\narrows: field in the skin's plane, 5 mm = {scale:.0f} µT; discs: normal field, filled outwards",
         fontsize=10,
     )
     return figure
@@ -123,7 +141,14 @@ def errors_per_axis(errors: dict[str, np.ndarray], noise: np.ndarray | None, tit
     for i, ((name, values), colour) in enumerate(zip(errors.items(), (GREY, GREEN, BLUE, ORANGE, RED), strict=False)):
         axes.bar(x + (i - (len(errors) - 1) / 2) * width, values, width, label=name, color=colour)
     if noise is not None:
-        axes.step(np.r_[x - 0.5, 14.5], np.r_[noise, noise[-1]], where="post", color="black", lw=1, label="sensor noise (1 sigma)")
+        axes.step(
+            np.r_[x - 0.5, 14.5],
+            np.r_[noise, noise[-1]],
+            where="post",
+            color="black",
+            lw=1,
+            label="sensor noise (1 sigma)",
+        )
     axes.set_xticks(x, [f"{chip}{axis}" for chip in range(5) for axis in "xyz"])
     axes.set(xlabel="chip and axis", ylabel="RMSE (µT)", title=_titled(title, simulated))
     axes.legend(fontsize=8, ncols=2)

@@ -10,6 +10,7 @@ Wide views are used where there are any; of a cropped one the outermost pixels a
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -18,12 +19,14 @@ from jaxtyping import Array, Float
 
 from i2t import smooth
 from i2t.gp import CELL, Imagined
-from i2t.skin.contact import Grid, solve_force
+from i2t.skin.contact import Grid, solve, solve_force
 from i2t.types import PAD_WINDOW, Pad
 
 # Gauss-Hermite, three points: exact to the fifth moment of the tilt.
 _NODES = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]) * np.sqrt(3)
-_WEIGHTS = np.array([{0: 2 / 3, 1: 1 / 6}[abs(x)] * {0: 2 / 3, 1: 1 / 6}[abs(y)] for x in (-1, 0, 1) for y in (-1, 0, 1)])
+_WEIGHTS = np.array(
+    [{0: 2 / 3, 1: 1 / 6}[abs(x)] * {0: 2 / 3, 1: 1 / 6}[abs(y)] for x in (-1, 0, 1) for y in (-1, 0, 1)]
+)
 
 
 @dataclass(frozen=True)
@@ -34,14 +37,16 @@ class Imagination:
     window: float = PAD_WINDOW  # m, edge of the square that can carry load
     smooth: bool = True  # off for views without noise
     tilt: float = 0.6 * np.pi / 180  # standard deviation of the tilt that the view does not show, about each axis
+    control: Literal["force", "depth"] = "force"  # what the press is known by
+    cell: float = 0.5e-3  # m, edge of a cell of the contact grid; divides 1 mm
     iterations: int = 25  # of the contact solver: a per mille of the force is far below the uncertainty of the view
     floor: float = 0.02  # N, least load, where a noisy wrench sensor says less
 
     @property
     def grid(self) -> Grid:
-        """The contact grid: 0.5 mm cells, and a period of 1.6 windows."""
-        cells = round(self.window / 0.5e-3)
-        return Grid(cells=cells, points=int(np.ceil(1.6 * cells / 2) * 2), window=self.window)
+        """The contact grid and its period of 1.6 windows."""
+        cells = round(self.window / self.cell)
+        return Grid(cells=cells, modes=int(np.ceil(1.6 * cells / 2) * 2), window=self.window)
 
 
 def heights(cfg: Imagination, view: Float[Array, "n n"]) -> Float[Array, "g g"]:
@@ -55,21 +60,28 @@ def heights(cfg: Imagination, view: Float[Array, "n n"]) -> Float[Array, "g g"]:
 
 
 def imagine(
-    cfg: Imagination, pad: Pad, view: Float[Array, "n n"], force: Float[Array, ""]
+    cfg: Imagination, pad: Pad, view: Float[Array, "n n"], force: Float[Array, ""], depth: Float[Array, ""]
 ) -> Imagined:
-    """The expected pressure on the skin, in newtons on each 1 mm cell, of a press with `force` (N) on what the view (m) shows."""
+    """The expected pressure on the skin, in newtons on each 1 mm cell, of a press with `force` (N) or by `depth` (m) on what the view (m) shows.
+
+    Only the one named by `cfg.control` is used. A press known by its depth alone gets the load that the nominal layer gives.
+    """
     grid = cfg.grid
-    load = jnp.maximum(force, cfg.floor)
     height = heights(cfg, view)
     x, y = jnp.meshgrid(grid.centres, grid.centres)
 
     def press(tilt: Float[Array, "2"]) -> Float[Array, "g g"]:
         tilted = height + cfg.tilt * (tilt[0] * x + tilt[1] * y)
-        return solve_force(pad, tilted - jnp.min(tilted), load, grid, tolerance=1e-3, max_steps=cfg.iterations).pressure
+        tilted = tilted - jnp.min(tilted)
+        if cfg.control == "force":
+            load = jnp.maximum(force, cfg.floor)
+            contact = solve_force(pad, tilted, load, grid, tolerance=1e-3, max_steps=cfg.iterations)
+            return contact.pressure * load / jnp.maximum(contact.force, 1e-6)
+        return solve(pad, tilted, jnp.maximum(depth, 0.0), grid, tolerance=1e-3, max_steps=cfg.iterations).pressure
 
     nodes, weights = (_NODES, _WEIGHTS) if cfg.tilt > 0 else (np.zeros((1, 2)), np.ones(1))
     pressure = jnp.einsum("t,tij->ij", jnp.float32(weights), jax.lax.map(press, jnp.float32(nodes)))
     coarse = round(CELL * 1e-3 / grid.spacing)
     cells = pressure.shape[0] // coarse
     newtons = pressure.reshape(cells, coarse, cells, coarse).sum((1, 3)) * grid.spacing**2
-    return Imagined(newtons * load / jnp.maximum(jnp.sum(newtons), 1e-9), load)
+    return Imagined(newtons, jnp.maximum(jnp.sum(newtons), cfg.floor))

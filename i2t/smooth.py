@@ -28,13 +28,21 @@ def fill(depth: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
 
 def local_planes(
-    depth: Float[Array, "n n"], *, sigma: float = 2.2, edges: tuple[float, ...] = (1.5e-3, 0.8e-3, 0.5e-3), radius: int = 5
+    depth: Float[Array, "n n"],
+    *,
+    sigma: float = 2.2,
+    edges: tuple[float, ...] = (1.5e-3, 0.8e-3, 0.5e-3),
+    radius: int = 5,
 ) -> Float[Array, "n n"]:
     """Value at each pixel of the robust plane through its surroundings; `edges` are the widths (m) of the agreement weights, one pass each."""
     n, width = depth.shape[0], 2 * radius + 1
     padded = jnp.pad(depth, radius, mode="edge")
     offsets = jnp.stack(jnp.meshgrid(jnp.arange(width), jnp.arange(width), indexing="ij"), -1).reshape(-1, 2)
-    plane = (depth, jnp.zeros_like(depth), jnp.zeros_like(depth))  # value and slopes per pixel, towards rows and columns
+    plane = (
+        depth,
+        jnp.zeros_like(depth),
+        jnp.zeros_like(depth),
+    )  # value and slopes per pixel, towards rows and columns
 
     for edge in edges:
 

@@ -67,7 +67,9 @@ class Pad(NamedTuple):
     thickness: Array  # () m
     young: Array  # () Pa
     poisson: Array  # ()
-    magnetisation: Array  # (g, g, 3) A/m in tool axes on g x g equal cells of the pad (row along y), uniform through the thickness
+    magnetisation: (
+        Array  # (g, g, 3) A/m in tool axes on g x g equal cells of the pad (row along y), uniform through the thickness
+    )
     gains: Array  # (15,) of the chips' axes, in the board's order; 1 is nominal
     board: Board
 

@@ -172,7 +172,9 @@ def press_until(
             high=jnp.where(above, x, state.high),
             f_high=jnp.where(above, f, jnp.where(state.found, state.f_high / 2, state.f_high)),
             found=state.found | above,
-            stop=Stop(jnp.exp(x), press.force, press.reading, jnp.where(skin >= wrench, ReturnCode.SKIN, ReturnCode.WRENCH)),
+            stop=Stop(
+                jnp.exp(x), press.force, press.reading, jnp.where(skin >= wrench, ReturnCode.SKIN, ReturnCode.WRENCH)
+            ),
         )
 
     nothing = Stop(jnp.zeros(()), jnp.zeros(()), jnp.zeros(15), jnp.asarray(ReturnCode.UNDEFINED))
@@ -292,7 +294,14 @@ def simulate(
         for start in range(0, count, touches_per_run):
             part = jax.device_get(
                 run_once(
-                    jax.random.fold_in(key, run), surface, jnp.eye(4), pad, errors=errors, limits=limits, sites=sites, n=touches_per_run
+                    jax.random.fold_in(key, run),
+                    surface,
+                    jnp.eye(4),
+                    pad,
+                    errors=errors,
+                    limits=limits,
+                    sites=sites,
+                    n=touches_per_run,
                 )
             )
             if (part.code == ReturnCode.FAILED).any():

@@ -1,0 +1,159 @@
+"""Scores of predicted readings, their intervals, and the baselines every model has to beat. NumPy, because nothing here is differentiated.
+
+R2 is pooled over channels against the mean of the touches it is computed on: 1 - sum (y - f)^2 / sum (y - mean y)^2. Intervals come from resampling whole
+groups (runs or spatial blocks) where one data set is judged, and from Student's t over seeds where several are.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+RESAMPLES = 1000
+
+
+class Score(NamedTuple):
+    """How well readings are predicted."""
+
+    r2: float  # pooled over the 15 channels
+    r2_median: float  # median over channels
+    rmse: float  # uT
+    rmse_sigma: float  # in standard deviations of the sensor's noise; NaN where that is unknown
+    cosine: float  # median over touches
+    r2_axis: tuple[float, float, float]  # pooled over the five chips
+    rmse_axis: tuple[float, float, float]  # uT
+
+
+def score(truth: np.ndarray, predicted: np.ndarray, noise: np.ndarray | None = None) -> Score:
+    """Compare readings (n, 15) uT with their predictions; `noise` (15,) uT is the sensor's own."""
+    truth, predicted = np.asarray(truth, np.float64), np.asarray(predicted, np.float64)
+    error, spread = (predicted - truth) ** 2, (truth - truth.mean(0)) ** 2
+    by_axis = [slice(axis, None, 3) for axis in range(3)]
+    norms = np.linalg.norm(truth, axis=1) * np.linalg.norm(predicted, axis=1)
+    cosines = np.sum(truth * predicted, axis=1) / np.where(norms > 0, norms, 1)
+    return Score(
+        r2=1 - error.sum() / spread.sum(),
+        r2_median=float(np.median(1 - error.sum(0) / spread.sum(0))),
+        rmse=float(np.sqrt(error.mean())),
+        rmse_sigma=float("nan") if noise is None else float(np.sqrt((error / np.asarray(noise) ** 2).mean())),
+        cosine=float(np.median(cosines)),
+        r2_axis=_three(1 - error[:, axis].sum() / spread[:, axis].sum() for axis in by_axis),
+        rmse_axis=_three(np.sqrt(error[:, axis].mean()) for axis in by_axis),
+    )
+
+
+def _three(values) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def grouped_interval(
+    statistic: Callable[[np.ndarray], float], groups: np.ndarray, seed: int = 0, level: float = 0.95
+) -> tuple[float, float]:
+    """Percentile bootstrap over whole groups; `statistic` gets the resampled row numbers (Davison and Hinkley 1997, section 3.8)."""
+    rng = np.random.default_rng(seed)
+    members = [np.flatnonzero(groups == group) for group in np.unique(groups)]
+    draws = [
+        statistic(np.concatenate([members[i] for i in rng.integers(len(members), size=len(members))]))
+        for _ in range(RESAMPLES)
+    ]
+    low, high = np.quantile(draws, [(1 - level) / 2, (1 + level) / 2])
+    return float(low), float(high)
+
+
+def seed_interval(values: Sequence[float], level: float = 0.95) -> tuple[float, float, float]:
+    """Mean and Student's t interval over independent seeds; a single seed has no interval (NaN)."""
+    values = np.asarray(values, np.float64)
+    mean = float(values.mean())
+    if len(values) < 2:
+        return mean, float("nan"), float("nan")
+    half = stats.t.ppf((1 + level) / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
+    return mean, float(mean - half), float(mean + half)
+
+
+def reduce_patches(train: np.ndarray, other: np.ndarray, components: int = 30) -> tuple[np.ndarray, np.ndarray]:
+    """Principal components of training patches, and other patches in the same coordinates; (n, components) each."""
+    train, other = (patches.reshape(len(patches), -1).astype(np.float64) for patches in (train, other))
+    mean = train.mean(0)
+    # Eigenvectors of the smaller of the two covariance matrices.
+    basis = np.linalg.svd(train - mean, full_matrices=False)[2][:components]
+    return (train - mean) @ basis.T, (other - mean) @ basis.T
+
+
+def _standardised(train: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    mean, std = train.mean(0), train.std(0)
+    std = np.where(std > 0, std, 1)
+    return (train - mean) / std, (other - mean) / std
+
+
+def nearest_neighbours(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: int) -> np.ndarray:
+    """Mean reading of the k nearest training touches."""
+    square = (at**2).sum(1)[:, None] + (x**2).sum(1) - 2 * at @ x.T
+    k = min(k, len(x))
+    return y[np.argpartition(square, k - 1, axis=1)[:, :k]].mean(1)
+
+
+def ridge(x: np.ndarray, y: np.ndarray, at: np.ndarray, penalty: float) -> np.ndarray:
+    """Linear regression with an intercept and a squared penalty per training touch."""
+    mean_x, mean_y = x.mean(0), y.mean(0)
+    system = (x - mean_x).T @ (x - mean_x) + penalty * len(x) * np.eye(x.shape[1])
+    return (at - mean_x) @ np.linalg.solve(system, (x - mean_x).T @ (y - mean_y)) + mean_y
+
+
+def tuned(
+    method: Callable[[np.ndarray, np.ndarray, np.ndarray, float], np.ndarray],
+    options: Sequence[float],
+    x: np.ndarray,
+    y: np.ndarray,
+    groups: np.ndarray,
+    at: np.ndarray,
+    folds: int = 5,
+) -> np.ndarray:
+    """Predict with the option that has the least squared error on held-out groups of the training touches."""
+    names, group = np.unique(groups, return_inverse=True)
+    fold = np.random.default_rng(0).permutation(len(names))[group] % min(folds, len(names))
+    errors = [
+        sum(
+            ((method(x[fold != i], y[fold != i], x[fold == i], option) - y[fold == i]) ** 2).sum()
+            for i in range(fold.max() + 1)
+        )
+        if fold.max() > 0
+        else 0.0
+        for option in options
+    ]
+    return method(x, y, at, options[int(np.argmin(errors))])
+
+
+def baselines(
+    patches: np.ndarray,
+    conditions: np.ndarray,
+    y: np.ndarray,
+    groups: np.ndarray,
+    at_patches: np.ndarray,
+    at_conditions: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """Predictions of every baseline: from patches alone, and from patches with what was measured at contact.
+
+    Patches (n, h, w), conditions (n, c) without NaN, readings y (n, 15), groups (n,) for choosing k and the penalty, then the touches to predict. The
+    conditions weigh as much as the patch: both are scaled to unit mean square length before they are joined.
+    """
+    train, other = reduce_patches(patches, at_patches)
+    length = np.sqrt((train**2).sum(1).mean())
+    train, other = train / length, other / length
+    measured, at_measured = _standardised(conditions, at_conditions)
+    weight = np.sqrt(max(measured.shape[1], 1))
+    joined, at_joined = np.c_[train, measured / weight], np.c_[other, at_measured / weight]
+    neighbours = (1, 2, 4, 8, 16, 32, 64)
+    penalties = tuple(10.0 ** np.arange(-6, 3))
+
+    def knn(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: float) -> np.ndarray:
+        return nearest_neighbours(x, y, at, int(k))
+
+    return {
+        "mean reading": np.broadcast_to(y.mean(0), (len(at_patches), y.shape[1])),
+        "k nearest patches": tuned(knn, neighbours, train, y, groups, other),
+        "k nearest patches + measured": tuned(knn, neighbours, joined, y, groups, at_joined),
+        "ridge on PCA": tuned(ridge, penalties, train, y, groups, other),
+        "ridge on PCA + measured": tuned(ridge, penalties, joined, y, groups, at_joined),
+    }
