@@ -18,14 +18,14 @@ import jax
 import jax.numpy as jnp
 from orbax.checkpoint import v1 as ocp
 
-from i2t import training
+from i2t import __version__, training
 from i2t.model import ModelConfig, Normalisation, Params, Standard
 from i2t.training import TrainConfig, TrainState
 from i2t.types import READINGS
 
 FORMAT = "i2t checkpoint"
 FORMAT_VERSION = 1
-PACKAGES = ("i2t", "jax", "flax", "optax", "orbax-checkpoint", "numpy")
+PACKAGES = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")
 
 Config = TypeVar("Config")
 
@@ -66,12 +66,14 @@ def save(
         "model": asdict(model),
         "train": asdict(train),
         "touches": touches,
-        "packages": {name: version(name) for name in PACKAGES},
+        "packages": {"i2t": __version__} | {name: version(name) for name in PACKAGES},
         "extra": extra or {},
     }
     arrays = {"params": state.best_params, "normalisation": norm, "state": state._replace(best_params=None)}
     latest = ocp.training.preservation_policies.LatestN(1)
-    with ocp.training.Checkpointer(Path(directory).absolute(), preservation_policy=latest) as checkpointer:
+    with ocp.training.Checkpointer(
+        Path(directory).absolute(), preservation_policy=latest, cleanup_tmp_directories=True
+    ) as checkpointer:
         checkpointer.save_checkpointables(epoch, arrays, custom_metadata=about, force=True, overwrite=True)
 
 
