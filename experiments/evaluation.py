@@ -1,7 +1,9 @@
-"""Scores of predicted readings, their intervals, and the baselines every model has to beat. NumPy, because nothing here is differentiated.
+"""Scores of predicted readings, their intervals, and the baselines every model has to beat.
 
-R2 is pooled over channels against the mean of the touches it is computed on: 1 - sum (y - f)^2 / sum (y - mean y)^2. Intervals come from resampling whole
-groups (runs or spatial blocks) where one data set is judged, and from Student's t over seeds where several are.
+NumPy, because nothing here is differentiated.
+R2 is pooled over channels against the mean of the touches it is computed on: 1 - sum (y - f)^2 / sum (y - mean y)^2.
+Intervals come from resampling whole groups (runs or spatial blocks) where one data set is judged, and from Student's t
+over seeds where several are.
 """
 
 from collections.abc import Callable, Sequence
@@ -51,7 +53,10 @@ def _three(values) -> tuple[float, float, float]:
 def grouped_interval(
     statistic: Callable[[np.ndarray], float], groups: np.ndarray, seed: int = 0, level: float = 0.95
 ) -> tuple[float, float]:
-    """Percentile bootstrap over whole groups; `statistic` gets the resampled row numbers (Davison and Hinkley 1997, section 3.8)."""
+    """Percentile bootstrap over whole groups (Davison and Hinkley 1997, section 3.8).
+
+    `statistic` gets the resampled row numbers.
+    """
     rng = np.random.default_rng(seed)
     members = [np.flatnonzero(groups == group) for group in np.unique(groups)]
     draws = [
@@ -64,11 +69,11 @@ def grouped_interval(
 
 def seed_interval(values: Sequence[float], level: float = 0.95) -> tuple[float, float, float]:
     """Mean and Student's t interval over independent seeds; a single seed has no interval (NaN)."""
-    values = np.asarray(values, np.float64)
-    mean = float(values.mean())
-    if len(values) < 2:
+    sample = np.asarray(values, np.float64)
+    mean = float(sample.mean())
+    if len(sample) < 2:
         return mean, float("nan"), float("nan")
-    half = stats.t.ppf((1 + level) / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
+    half = stats.t.ppf((1 + level) / 2, len(sample) - 1) * sample.std(ddof=1) / np.sqrt(len(sample))
     return mean, float(mean - half), float(mean + half)
 
 
@@ -135,8 +140,9 @@ def baselines(
 ) -> dict[str, np.ndarray]:
     """Predictions of every baseline: from patches alone, and from patches with what was measured at contact.
 
-    Patches (n, h, w), conditions (n, c) without NaN, readings y (n, 15), groups (n,) for choosing k and the penalty, then the touches to predict. The
-    conditions weigh as much as the patch: both are scaled to unit mean square length before they are joined.
+    Patches (n, h, w), conditions (n, c) without NaN, readings y (n, 15), groups (n,) for choosing k and the penalty,
+    then the touches to predict. The conditions weigh as much as the patch: both are scaled to unit mean square length
+    before they are joined.
     """
     train, other = reduce_patches(patches, at_patches)
     length = np.sqrt((train**2).sum(1).mean())

@@ -1,17 +1,19 @@
 """A Gaussian process from imagined pressure to readings.
 
-For small strain the reading of a magnetic skin is linear in the pressure p on its surface, reading_c = sum_x g_c(x) p(x): the displacement is linear in p
-and the field is linear in the displacement. What a pad hides is the map g_c, one smooth picture per channel. A Gaussian-process prior on g_c with
-covariances C_l(x, x') = exp(-|x - x'|^2 / 2 l^2) gives a covariance between two touches that needs no hidden map at all,
+For small strain the reading of a magnetic skin is linear in the pressure p on its surface, reading_c = sum_x g_c(x)
+p(x): the displacement is linear in p and the field is linear in the displacement. What a pad hides is the map g_c, one
+smooth picture per channel. A Gaussian-process prior on g_c with covariances C_l(x, x') = exp(-|x - x'|^2 / 2 l^2) gives
+a covariance between two touches that needs no hidden map at all,
 
   k(t, t') = sum_l a_l p_t . C_l p_t' [1 - b + b exp(-(log(F_t / F_t'))^2 / 2 w^2)],
 
-where the bracket lets the response bend with the load F (a layer stiffens as it is pressed; lattices buckle). For one round tip this is the structured
-kernel f(F) x g(x, y) of a calibrated skin; for any other contact it is its superposition. Zero pressure means zero reading, so the mean is zero.
-Channels share the covariance and differ in scale.
+where the bracket lets the response bend with the load F (a layer stiffens as it is pressed; lattices buckle). For one
+round tip this is the structured kernel f(F) x g(x, y) of a calibrated skin; for any other contact it is its
+superposition. Zero pressure means zero reading, so the mean is zero. Channels share the covariance and differ in scale.
 
-Rasmussen and Williams, "Gaussian Processes for Machine Learning", algorithm 2.1; the hyperparameters minimise the error on held-out groups of touches
-(section 5.3, cross-validation), never the evidence, because the prior is known to be wrong in detail.
+Rasmussen and Williams, "Gaussian Processes for Machine Learning", algorithm 2.1; the hyperparameters minimise the error
+on held-out groups of touches (section 5.3, cross-validation), never the evidence, because the prior is known to be
+wrong in detail.
 """
 
 from typing import NamedTuple
@@ -116,10 +118,11 @@ def choose(
     limit: int = 600,
     seed: int = 0,
 ) -> tuple[Hyper, Float[Array, "steps"]]:
-    """Hyperparameters with the least squared error on held-out groups (runs or spatial blocks), and the R2 on them after each step.
+    """Hyperparameters with the least squared error on held-out groups (runs or spatial blocks), and R2 at each step.
 
-    Adam descends the error of `folds`-fold cross-validation, groups kept whole, in unconstrained coordinates from a broad start. Of more than `limit`
-    touches a random share of each group is used, because the cost grows with the cube. Raises ValueError for fewer than two groups.
+    Adam descends the error of `folds`-fold cross-validation, groups kept whole, in unconstrained coordinates from a
+    broad start. Of more than `limit` touches a random share of each group is used, because the cost grows with the
+    cube. Raises ValueError for fewer than two groups.
     """
     if len(groups) > limit:
         rows = np.sort(np.random.default_rng(seed).choice(len(groups), limit, replace=False))

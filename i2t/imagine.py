@@ -1,10 +1,11 @@
-"""From what is seen and measured at a contact to the pressure it puts on the skin: the geometry half of imagining a touch.
+"""From what is seen and measured at a contact to the pressure on the skin: the geometry half of imagining a touch.
 
-The camera's view is smoothed to robust local planes (`i2t.smooth`), resampled to cells over the skin, and pressed with the measured force into a layer of
-nominal stiffness (`i2t.skin.contact`). What the camera cannot tell, the tilt between looking and pressing, is integrated out: the pressure is the mean
-over a 3 x 3 Gauss-Hermite rule in the two tilts, because one degree over 20 mm is as large as a press is deep and a single guess would put all of the
-load on the wrong edge. The result, a pressure map and its load, says where and how hard the skin is met; which reading that gives is a property of one
-pad's magnetisation and is learned from its touches (`i2t.gp`).
+The camera's view is smoothed to robust local planes (`i2t.smooth`), resampled to cells over the skin, and pressed with
+the measured force into a layer of nominal stiffness (`i2t.skin.contact`). What the camera cannot tell, the tilt between
+looking and pressing, is integrated out: the pressure is the mean over a 3 x 3 Gauss-Hermite rule in the two tilts,
+because one degree over 20 mm is as large as a press is deep and a single guess would put all of the load on the wrong
+edge. The result, a pressure map and its load, says where and how hard the skin is met; which reading that gives is a
+property of one pad's magnetisation and is learned from its touches (`i2t.gp`).
 
 Wide views are used where there are any; of a cropped one the outermost pixels are continued.
 """
@@ -50,7 +51,7 @@ class Imagination:
 
 
 def heights(cfg: Imagination, view: Float[Array, "n n"]) -> Float[Array, "g g"]:
-    """Heights (m, behind the nearest) over the cells of the skin from a depth view whose unknown surroundings are NaN."""
+    """Heights (m, of the view) over the cells of the skin, from a depth view whose unknown surroundings are NaN."""
     view = smooth.fill(view)
     if cfg.smooth:
         view = smooth.local_planes(view)
@@ -62,9 +63,10 @@ def heights(cfg: Imagination, view: Float[Array, "n n"]) -> Float[Array, "g g"]:
 def imagine(
     cfg: Imagination, pad: Pad, view: Float[Array, "n n"], force: Float[Array, ""], depth: Float[Array, ""]
 ) -> Imagined:
-    """The expected pressure on the skin, in newtons on each 1 mm cell, of a press with `force` (N) or by `depth` (m) on what the view (m) shows.
+    """The expected pressure (N on each 1 mm cell) of a press with `force` (N) or by `depth` (m) on what the view shows.
 
-    Only the one named by `cfg.control` is used. A press known by its depth alone gets the load that the nominal layer gives.
+    Only the one named by `cfg.control` is used. A press known by its depth alone gets the load that the nominal layer
+    gives.
     """
     grid = cfg.grid
     height = heights(cfg, view)

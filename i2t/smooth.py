@@ -1,9 +1,10 @@
 """Depth patches without their noise: robust local planes.
 
-A skin 2 mm thick feels tenths of a millimetre and a depth camera knows three of them, pixel by pixel. Surfaces are smooth between edges, so each pixel
-is replaced by the value of a plane fitted to its surroundings, weighted by distance (Gaussian, `sigma` pixels) and by agreement with the plane of the
-pass before (iteratively reweighted, Welsch weights of width `edge`), which leaves steps where they are: moving least squares (Levin 1998) with the
-robust weights of Fleishman, Cohen-Or and Silva (SIGGRAPH 2005).
+A skin 2 mm thick feels tenths of a millimetre and a depth camera knows three of them, pixel by pixel. Surfaces are
+smooth between edges, so each pixel is replaced by the value of a plane fitted to its surroundings, weighted by distance
+(Gaussian, `sigma` pixels) and by agreement with the plane of the pass before (iteratively reweighted, Welsch weights of
+width `edge`), which leaves steps where they are: moving least squares (Levin 1998) with the robust weights of
+Fleishman, Cohen-Or and Silva (SIGGRAPH 2005).
 """
 
 import jax
@@ -34,15 +35,15 @@ def local_planes(
     edges: tuple[float, ...] = (1.5e-3, 0.8e-3, 0.5e-3),
     radius: int = 5,
 ) -> Float[Array, "n n"]:
-    """Value at each pixel of the robust plane through its surroundings; `edges` are the widths (m) of the agreement weights, one pass each."""
+    """Value at each pixel of the robust plane through its surroundings.
+
+    `edges` are the widths (m) of the agreement weights, one pass each.
+    """
     n, width = depth.shape[0], 2 * radius + 1
     padded = jnp.pad(depth, radius, mode="edge")
     offsets = jnp.stack(jnp.meshgrid(jnp.arange(width), jnp.arange(width), indexing="ij"), -1).reshape(-1, 2)
-    plane = (
-        depth,
-        jnp.zeros_like(depth),
-        jnp.zeros_like(depth),
-    )  # value and slopes per pixel, towards rows and columns
+    # Value and slopes per pixel, towards rows and columns.
+    plane = (depth, jnp.zeros_like(depth), jnp.zeros_like(depth))
 
     for edge in edges:
 
@@ -55,7 +56,8 @@ def local_planes(
             return tuple(m + t for m, t in zip(moments, terms, strict=True)), None
 
         (s, sy, sx, syy, sxy, sxx, sz, syz, sxz), _ = jax.lax.scan(add, (jnp.zeros_like(depth),) * 9, offsets)
-        # Normal equations of z = a + b y + c x about the weighted mean; a small ridge keeps slopes bounded where few pixels agree.
+        # Normal equations of z = a + b y + c x about the weighted mean; a small ridge keeps slopes bounded where few
+        # pixels agree.
         my, mx, mz = sy / s, sx / s, sz / s
         ridge = 0.05
         cyy, cxx, cxy = syy / s - my * my + ridge, sxx / s - mx * mx + ridge, sxy / s - mx * my

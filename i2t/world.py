@@ -1,21 +1,26 @@
 """Simulated touches in bulk: (key, objects, pad, errors, n) -> Touches.
 
-A run is what a lab does in one sitting: the object is placed and registered once (a constant placement error), the camera is calibrated once (a constant
-hand-eye error), and the arm makes a number of touches, each with its own repeatability and tilt of approach. Nothing the model may later use is error free:
+A run is what a lab does in one sitting: the object is placed and registered once (a constant placement error), the
+camera is calibrated once (a constant hand-eye error), and the arm makes a number of touches, each with its own
+repeatability and tilt of approach. Nothing the model may later use is error free:
 
-  patch    what the *camera* saw: rendered from where the object really is, through the wrong hand-eye transform, with lateral bleeding, depth noise and
-           quantisation;
-  reading  what the skin *really* met: rendered over the whole pad from the pose the arm really reached, pressed until the skin change or the force first
-           crosses its limit, then read through the board with ambient, noise and drift.
+  patch    what the *camera* saw: rendered from where the object really is, through the wrong hand-eye transform, with
+           lateral bleeding, depth noise and quantisation;
+  reading  what the skin *really* met: rendered over the whole pad from the pose the arm really reached, pressed until
+           the skin change or the force first crosses its limit, then read through the board with ambient, noise and
+           drift.
 
-The stop is found by root-finding on the indentation delta: f(delta) = log max(|dB|/limit, F/limit) is scanned on a geometric grid for its first crossing and
-refined by regula falsi (Illinois) in log-log coordinates, where a contact is nearly a straight line (Hertz: F ~ delta^1.5). The arm travels
-delta + F / stiffness past first contact (series compliance of arm and mount).
+The stop is found by root-finding on the indentation delta: f(delta) = log max(|dB|/limit, F/limit) is scanned on a
+geometric grid for its first crossing and refined by regula falsi (Illinois) in log-log coordinates, where a contact is
+nearly a straight line (Hertz: F ~ delta^1.5). The arm travels delta + F / stiffness past first contact (series
+compliance of arm and mount).
 
-Depth camera after Handa et al. (ICRA 2014): pixels are displaced sideways near edges, then noise, then quantisation. Default sizes: a short-range stereo
-camera at 0.1 m and a calibrated UR arm; each is a field of `Errors`, and zero switches it off. Everything here is simulated, and says so where it is stored.
+Depth camera after Handa et al. (ICRA 2014): pixels are displaced sideways near edges, then noise, then quantisation.
+Default sizes: a short-range stereo camera at 0.1 m and a calibrated UR arm; each is a field of `Errors`, and zero
+switches it off. Everything here is simulated, and says so where it is stored.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -50,14 +55,14 @@ MARGIN = (WIDE_PIXELS - PATCH_PIXELS) // 2
 
 @dataclass(frozen=True)
 class Errors:
-    """Standard deviations of everything that separates what the lab believes from what is (metres, radians, newtons)."""
+    """Standard deviations of all that separates what the lab believes from what is (metres, radians, newtons)."""
 
     placement: float = 1e-3  # of the object, per axis and run
-    placement_angle: float = 1.0 * jnp.pi / 180
+    placement_angle: float = math.radians(1.0)
     hand_eye: float = 1e-3  # of the camera in the tool frame, per axis and run
-    hand_eye_angle: float = 0.5 * jnp.pi / 180
+    hand_eye_angle: float = math.radians(0.5)
     repeatability: float = 0.05e-3  # of the arm, per axis and touch
-    approach_angle: float = 0.3 * jnp.pi / 180  # between looking and pressing, per touch
+    approach_angle: float = math.radians(0.3)  # between looking and pressing, per touch
     depth_noise: float = 0.3e-3  # of a depth pixel
     depth_bleed: float = 1.0  # pixels by which depth is displaced sideways
     depth_quantum: float = 0.1e-3
@@ -111,8 +116,8 @@ def look(
 ) -> tuple[Float[Array, "wide wide"], Patch]:
     """The depth camera's view of the surface from pose T_o_t: the wide view, and the patch cut from its centre.
 
-    The nearest point is taken after a 5 x 5 mean, else it would be the noisiest pixel rather than the nearest. Returns metres as in `Patch`; pixels of
-    the wide view are measured from the same nearest point.
+    The nearest point is taken after a 5 x 5 mean, else it would be the noisiest pixel rather than the nearest. Returns
+    metres as in `Patch`; pixels of the wide view are measured from the same nearest point.
     """
     key_bleed, key_noise = jax.random.split(key)
     view = render_patch(surface, T_o_t, window=WIDE_WINDOW, pixels=WIDE_PIXELS, reach=2 * REACH)
@@ -148,10 +153,10 @@ class Stop(NamedTuple):
 def press_until(
     pad: Pad, height: Float[Array, "g g"], limits: PressLimits, overshoot: Float[Array, ""] | float = 0.0
 ) -> Stop:
-    """Press a surface (its height over the pad's cells, m behind the nearest) until the skin change or the force first crosses its limit.
+    """Press until the skin change or the force first crosses its limit.
 
-    `overshoot` raises both limits by that fraction. Code SKIN or WRENCH says which came first; UNDEFINED means that the deepest allowed indentation
-    crossed neither.
+    `height` is the surface over the pad's cells, m behind its nearest point. `overshoot` raises both limits by that fraction. Code SKIN or WRENCH says which came first; UNDEFINED means that the
+    deepest allowed indentation crossed neither.
     """
     deepest = jnp.log(limits.indentation * pad.thickness)
     stride = -jnp.log(0.015) / (limits.scan - 1)
@@ -202,7 +207,10 @@ def touch_once(
     errors: Errors,
     limits: PressLimits,
 ) -> Touches:
-    """One touch at a site chosen on the believed object: approach along the site's z, press, look, read. Indices are left 0 for the caller."""
+    """One touch at a site chosen on the believed object: approach along the site's z, press, look, read.
+
+    Indices are left 0 for the caller.
+    """
     key_arm, key_tilt, key_overshoot, key_camera, key_skin, key_force, key_travel = jax.random.split(key, 7)
     T_o_w = geometry.invert(T_w_o @ run.T_o_placed)  # from here on the object is where it really is
 
@@ -221,7 +229,8 @@ def touch_once(
     indentation = jnp.where(hit, stop.indentation, 0.0)
     code = jnp.where(hit, stop.code, ReturnCode.AIR)
 
-    # The grid of the pad meets a point between its cells a little late; that travel is counted, so that nearest and depth agree.
+    # The grid of the pad meets a point between its cells a little late; that travel is counted, so that nearest and
+    # depth agree.
     past_contact = jnp.where(hit, met.nearest + stop.indentation + stop.force / limits.stiffness, 0.0)
     advanced = jnp.linalg.norm(T_o_t[:3, 3] - start[:3, 3]) - limits.prepare
     end = geometry.transform(jnp.eye(3), jnp.stack([jnp.zeros(()), jnp.zeros(()), advanced + past_contact]))
@@ -257,7 +266,10 @@ def simulate_run(
     sites: touch.Limits,
     n: int,
 ) -> Touches:
-    """One run of n touches on random safe sites of one object; rows whose site is unsafe (too few were found) carry the code FAILED."""
+    """One run of n touches on random safe sites of one object.
+
+    Rows whose site is unsafe, because too few safe ones were found, carry the code FAILED.
+    """
     key_run, key_sites, key_touches = jax.random.split(key, 3)
     chosen = touch.sample_sites(key_sites, surface, n, sites)
     run = sample_run(key_run, errors)
@@ -279,7 +291,7 @@ def simulate(
     touches_per_run: int = 36,
     progress: Callable[[int], None] = lambda touches: None,
 ) -> Touches:
-    """n touches on each object (or n[i] on the i-th), in runs of `touches_per_run`, each object standing at the world's origin.
+    """n touches on each object (or n[i] on the i-th), in runs of `touches_per_run`, each object at the world's origin.
 
     `object` and `run` are indices in the order made; `pad` is 0. `progress` is told the number of touches just made.
     Raises ValueError where an object has too few safe sites.
