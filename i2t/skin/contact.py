@@ -73,6 +73,7 @@ class Grid:
 
 
 GRID = Grid()
+FINE = Grid(80, 128)  # where sharp edges matter more than speed: see `docs/physics.md`
 
 
 class Contact(NamedTuple):
@@ -156,13 +157,14 @@ def compliance(pad: Pad, grid: Grid = GRID) -> Float[Array, "k k"]:
     return jnp.where(layer.uniform, flat, wavy)
 
 
-def spectrum(pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "k k"]:
+def spectrum(pressure: Float[Array, "n n"], grid: Grid = GRID, series: Grid | None = None) -> Float[Array, "k k"]:
     """Coefficients, (modes, modes) with rows along y, of the series that equals `pressure` on the pad's cells and zero
-    on the rest of the period.
+    on the rest of the period; or only those of its waves that the `series` of a coarser grid of the same period has.
     """
-    half = grid.modes // 2
-    waves, _ = basis(grid, grid.centres)
-    waves = waves * (np.r_[1, np.full(grid.modes - 2, 2), 1] / (2 * half))[:, None]
+    series = grid if series is None else series
+    k = series.wavenumbers
+    lone = (k == 0) | (k == np.max(grid.wavenumbers))  # constant and shortest waves have no partner of their wavenumber
+    waves = basis(series, grid.centres)[0] * np.where(lone, 1, 2)[:, None] / grid.modes
     return _product(waves, pressure, waves)
 
 

@@ -43,48 +43,56 @@ def dipole_field(
     return jax.vmap(_field, (0, None, None))(points, positions.T, moments.T)
 
 
-def response(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID, nodes: int = NODES) -> Float[Array, "15"]:
-    """The noise-free reading (uT) under `pressure` (Pa): gains times the change of field, in the chips' axes."""
-    return pad.gains * pad.board.to_board(pressed_field(pad, pressure, grid, nodes) - rest_field(pad, grid, nodes))
+def response(
+    pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID, dipoles: Grid | None = None, nodes: int = NODES
+) -> Float[Array, "15"]:
+    """The noise-free reading (uT) under `pressure` (Pa) on `grid`: gains times the change of field, in the chips' axes.
+
+    `dipoles`, a coarser grid of the same period, has fewer dipoles than one under each cell.
+    """
+    dipoles = grid if dipoles is None else dipoles
+    change = pressed_field(pad, pressure, grid, dipoles, nodes) - rest_field(pad, dipoles, nodes)
+    return pad.gains * pad.board.to_board(change)
 
 
 def pressed_field(
-    pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID, nodes: int = NODES
+    pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID, dipoles: Grid | None = None, nodes: int = NODES
 ) -> Float[Array, "5 3"]:
-    """Field (uT, tool axes) of the pad's magnets at the chips under `pressure` (Pa)."""
-    waves = spectrum(pressure, grid)
+    """Field (uT, tool axes) of the pad's magnets at the chips under `pressure` (Pa); arguments as for `response`."""
+    dipoles = grid if dipoles is None else dipoles
+    waves = spectrum(pressure, grid, dipoles)
 
     def sheet(magnets: tuple[Array, Array]) -> Array:
         depth, moments = magnets
-        displacement, rotation = interior(pad, waves, depth, grid)
-        return _at_chips(pad, _places(depth, grid) + displacement, turn(rotation, moments))
+        displacement, rotation = interior(pad, waves, depth, dipoles)
+        return _at_chips(pad, _places(depth, dipoles) + displacement, turn(rotation, moments))
 
     # One sheet after the other: a batch of all of them at once would outgrow the caches.
-    return jnp.sum(jax.lax.map(sheet, sheets(pad, grid, nodes)), axis=0)
+    return jnp.sum(jax.lax.map(sheet, sheets(pad, dipoles, nodes)), axis=0)
 
 
-def rest_field(pad: Pad, grid: Grid = GRID, nodes: int = NODES) -> Float[Array, "5 3"]:
+def rest_field(pad: Pad, dipoles: Grid = GRID, nodes: int = NODES) -> Float[Array, "5 3"]:
     """Field (uT, tool axes) of the pad's magnets at the chips when nothing touches it."""
 
     def sheet(magnets: tuple[Array, Array]) -> Array:
         depth, moments = magnets
-        return _at_chips(pad, _places(depth, grid), moments)
+        return _at_chips(pad, _places(depth, dipoles), moments)
 
-    return jnp.sum(jax.lax.map(sheet, sheets(pad, grid, nodes)), axis=0)
+    return jnp.sum(jax.lax.map(sheet, sheets(pad, dipoles, nodes)), axis=0)
 
 
-def sheets(pad: Pad, grid: Grid = GRID, nodes: int = NODES) -> tuple[Float[Array, "d"], Float[Array, "d 3 n n"]]:
+def sheets(pad: Pad, dipoles: Grid = GRID, nodes: int = NODES) -> tuple[Float[Array, "d"], Float[Array, "d 3 n n"]]:
     """The dipoles at rest: depths (m) of their sheets, and moments (A m2, x, y and z) under the cell centres.
 
-    A cell of the grid takes the magnetisation of the map's cell in which its centre lies.
+    A cell of `dipoles` takes the magnetisation of the map's cell in which its centre lies.
     """
     roots, weights = np.polynomial.legendre.leggauss(nodes)
     depths = pad.thickness * (0.5 + 0.5 * roots)
     size = pad.magnetisation.shape[0]
-    cell = (2 * np.arange(grid.cells) + 1) * size // (2 * grid.cells)
+    cell = (2 * np.arange(dipoles.cells) + 1) * size // (2 * dipoles.cells)
     magnetisation = jnp.moveaxis(pad.magnetisation[cell[:, None], cell[None, :]], -1, 0)
-    mean = _cell_means(grid.cells)
-    area = jnp.einsum("ai,bj,cab->cij", mean, mean, magnetisation) * grid.spacing**2
+    mean = _cell_means(dipoles.cells)
+    area = jnp.einsum("ai,bj,cab->cij", mean, mean, magnetisation) * dipoles.spacing**2
     return depths, (weights / 2)[:, None, None, None] * (pad.thickness * area)[None]
 
 

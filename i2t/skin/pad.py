@@ -40,11 +40,12 @@ def press(
     indentation: Float[Array, ""] | float,
     grid: Grid = GRID,
     start: Float[Array, "n n"] | None = None,
+    dipoles: Grid | None = None,
 ) -> Press:
     """Press the pad `indentation` (m) past first touch onto a surface `height` (m) behind its nearest point at each
     cell centre, row along tool y; `start` is a pressure to begin from. See `contact.solve`.
     """
-    return _press(pad, solve(pad, height, indentation, grid, start), grid)
+    return _press(pad, solve(pad, height, indentation, grid, start), grid, dipoles)
 
 
 def press_force(
@@ -53,9 +54,10 @@ def press_force(
     force: Float[Array, ""] | float,
     grid: Grid = GRID,
     start: Float[Array, "n n"] | None = None,
+    dipoles: Grid | None = None,
 ) -> Press:
     """As `press`, to a normal force (N, > 0). See `contact.solve_force`."""
-    return _press(pad, solve_force(pad, height, force, grid, start), grid)
+    return _press(pad, solve_force(pad, height, force, grid, start), grid, dipoles)
 
 
 def nominal_pad(pattern: str = "poles", strength: float | Array = STRENGTH) -> Pad:
@@ -118,7 +120,11 @@ def _board(depth: Array) -> Board:
     return Board(jnp.asarray(board.chips).at[:, 2].set(-depth), jnp.asarray(board.rotations))
 
 
-def _press(pad: Pad, contact: Contact, grid: Grid) -> Press:
+def _press(pad: Pad, contact: Contact, grid: Grid, dipoles: Grid | None) -> Press:
     return Press(
-        response(pad, contact.pressure, grid), contact.force, contact.indentation, contact.pressure, contact.converged
+        response(pad, contact.pressure, grid, dipoles),
+        contact.force,
+        contact.indentation,
+        contact.pressure,
+        contact.converged,
     )
