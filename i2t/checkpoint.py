@@ -133,7 +133,7 @@ def _describe(directory: Path | str) -> tuple[Description, Path]:
             f"i2t that wrote it ({about['packages']['i2t']}) or train again."
         )
     try:
-        model, train = _config(ModelConfig, about["model"]), _config(TrainConfig, about["train"])
+        model, train = config_from(ModelConfig, about["model"]), config_from(TrainConfig, about["train"])
     except (TypeError, ValueError) as error:
         raise CheckpointError(
             f"{step} has a configuration that this i2t does not know ({error}); use the i2t that wrote it "
@@ -167,7 +167,7 @@ def _abstract(about: Description) -> tuple[Params, Normalisation, TrainState]:
     return state.best_params, jax.eval_shape(normalisation), state._replace(best_params=None)
 
 
-def _config(kind: type[Config], values: dict[str, Any]) -> Config:
+def config_from(kind: type[Config], values: dict[str, Any]) -> Config:
     """A configuration from its JSON form, in which tuples became lists."""
     hints = get_type_hints(kind)
     unknown = sorted(set(values) - set(hints))
@@ -176,7 +176,7 @@ def _config(kind: type[Config], values: dict[str, Any]) -> Config:
 
     def convert(name: str) -> Any:
         if is_dataclass(hints[name]):
-            return _config(hints[name], values[name])
+            return config_from(hints[name], values[name])
         return tuple(values[name]) if isinstance(values[name], list) else values[name]
 
     return kind(**{name: convert(name) for name in values})
