@@ -310,7 +310,7 @@ def _descend(
 def _onto_simplex(p: Array) -> Array:
     """The nearest array >= 0 that sums to 1: max(p - t, 0), with t by Newton's method, exact in finitely many steps."""
 
-    def newton(_: int, t: Array) -> Array:
+    def newton(_: Array, t: Array) -> Array:
         over = p > t
         return t + (jnp.sum(jnp.where(over, p - t, 0)) - 1) / jnp.maximum(jnp.sum(over), 1)
 
