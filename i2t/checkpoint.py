@@ -70,6 +70,7 @@ def save(
         "extra": extra or {},
     }
     arrays = {"params": state.best_params, "normalisation": norm, "state": state._replace(best_params=None)}
+    arrays = jax.tree.map(lambda leaf: leaf if jnp.size(leaf) else None, arrays)  # orbax refuses arrays without values
     latest = ocp.training.preservation_policies.LatestN(1)
     with ocp.training.Checkpointer(
         Path(directory).absolute(), preservation_policy=latest, cleanup_tmp_directories=True
@@ -144,14 +145,27 @@ def _describe(directory: Path | str) -> tuple[Description, Path]:
 
 def _arrays(step: Path, abstract: dict[str, Any]) -> dict[str, Any]:
     """Load what `abstract` describes, to the default device."""
+
+    def shapes(tree: Any) -> Any:
+        return jax.tree.map(lambda leaf: tuple(leaf.shape), tree)
+
     here = jax.sharding.SingleDeviceSharding(jax.devices()[0])
     abstract = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=here), abstract)
     try:
-        return ocp.load_checkpointables(step, abstract)
+        stored: Any = ocp.checkpointables_metadata(step).metadata
+        # Compared here because orbax, in refusing, leaves half of its reading behind and says so at length.
+        if shapes(stored["params"]) == shapes(abstract["params"]):
+            arrays = ocp.load_checkpointables(step, jax.tree.map(lambda leaf: leaf if leaf.size else None, abstract))
+            # What has no values was not stored.
+            return jax.tree.map(
+                lambda leaf, value: value if leaf.size else jnp.zeros(leaf.shape, leaf.dtype), abstract, arrays
+            )
+        problem: Exception = ValueError("shapes differ")
     except Exception as error:  # orbax raises many kinds, down to bare ones of its storage library
-        raise CheckpointError(
-            f"The arrays in {step} are damaged or do not fit their configuration; train again, or restore a copy."
-        ) from error
+        problem = error
+    raise CheckpointError(
+        f"The arrays in {step} are damaged or do not fit their configuration; train again, or restore a copy."
+    ) from problem
 
 
 def _abstract(about: Description) -> tuple[Params, Normalisation, TrainState]:
