@@ -109,7 +109,7 @@ def touches(
     axes[0, 0].set_ylabel("tool y (mm)")
     axes[1, 0].set_ylabel("tool y (mm)")
     figure.colorbar(image, ax=axes[0, -1], label="depth behind nearest (mm)")
-    axes[1, -1].legend(fontsize=8, loc="upper right")
+    figure.legend(*axes[1, -1].get_legend_handles_labels(), fontsize=8, loc="lower right", ncols=2)
     figure.suptitle(
         _titled(title, simulated)
         + f"\narrows: field in the skin's plane, 5 mm = {scale:.0f} µT; discs: normal field, filled outwards",
@@ -165,5 +165,6 @@ def scores(values: dict[str, tuple[float, float, float]], title: str, xlabel: st
     axes.axvline(0, color=GREY, lw=0.8)
     axes.set_yticks(range(len(values)), list(values))
     axes.invert_yaxis()
-    axes.set(xlabel=xlabel, title=_titled(title, simulated))
+    axes.set(xlabel=xlabel)
+    figure.suptitle(_titled(title, simulated), fontsize=11)
     return figure
