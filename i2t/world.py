@@ -7,13 +7,11 @@ repeatability and tilt of approach. Nothing the model may later use is error fre
   patch    what the *camera* saw: rendered from where the object really is, through the wrong hand-eye transform, with
            lateral bleeding, depth noise and quantisation;
   reading  what the skin *really* met: rendered over the whole pad from the pose the arm really reached, pressed until
-           the skin change or the force first crosses its limit, then read through the board with ambient, noise and
-           drift.
+           the skin change or the force first crosses its limit, then read through the board with ambient and noise
+           (every touch subtracts its own ambient, so drift over a run cancels).
 
-The stop is found by root-finding on the indentation delta: f(delta) = log max(|dB|/limit, F/limit) is scanned on a
-geometric grid for its first crossing and refined by regula falsi (Illinois) in log-log coordinates, where a contact is
-nearly a straight line (Hertz: F ~ delta^1.5). The arm travels delta + F / stiffness past first contact (series
-compliance of arm and mount).
+`i2t.press` says where a press ends. Until there the arm travels the indentation and F / stiffness past first contact
+(series compliance of arm and mount).
 
 Depth camera after Handa et al. (ICRA 2014): pixels are displaced sideways near edges, then noise, then quantisation.
 Default sizes: a short-range stereo camera at 0.1 m and a calibrated UR arm; each is a field of `Errors`, and zero
@@ -27,18 +25,18 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Key
 
 from i2t import geometry, touch
-from i2t.render import render_patch, stack
+from i2t.press import PressLimits, press_until
+from i2t.render import render_heights, render_patch, stack
 from i2t.skin.contact import GRID
 from i2t.skin.noise import Noise, observe
-from i2t.skin.pad import press as press_pad
 from i2t.types import (
     PAD_WINDOW,
     PATCH_PIXELS,
+    PATCH_WINDOW,
     REACH,
-    STANDOFF,
     WIDE_PIXELS,
     WIDE_WINDOW,
     Pad,
@@ -50,7 +48,7 @@ from i2t.types import (
 )
 
 CAMERA_DISTANCE = 104e-3  # m from the camera to the surface while looking (the paper's 40 mm + 64 mm)
-MARGIN = (WIDE_PIXELS - PATCH_PIXELS) // 2
+SAME = 1.5e-3  # m, five times the default depth noise: pixels closer in depth than this are taken for one surface
 
 
 @dataclass(frozen=True)
@@ -80,21 +78,6 @@ class Errors:
         return replace(self, **{name: factor * getattr(self, name) for name in names})
 
 
-@dataclass(frozen=True)
-class PressLimits:
-    """When a press ends (the paper's values)."""
-
-    skin_change: float = 25.0  # uT, norm of the 15-vector
-    force: float = 8.0  # N
-    indentation: float = 0.6  # of the layer's thickness: beyond it small-strain elasticity means nothing
-    overshoot: float = 0.1  # relative standard deviation by which a press runs past its limit (latency; one-sided)
-    stiffness: float = 10e3  # N/m, arm and mount in series
-    scan: int = 6  # strides from 1.5 % of the deepest indentation to all of it
-    refine: int = 4  # presses that close in on the crossing: the limit is met within 0.5 %
-    prepare: float = STANDOFF  # m before the site where the approach starts
-    past_goal: float = 6e-3  # m beyond the site before a press counts as air (three extra steps of 2 mm)
-
-
 class RunErrors(NamedTuple):
     """What stays wrong during one run."""
 
@@ -116,13 +99,10 @@ def look(
 ) -> tuple[Float[Array, "wide wide"], Patch]:
     """The depth camera's view of the surface from pose T_o_t: the wide view, and the patch cut from its centre.
 
-    The nearest point is taken after a 5 x 5 mean, else it would be the noisiest pixel rather than the nearest. Returns
-    metres as in `Patch`; pixels of the wide view are measured from the same nearest point.
+    Returns what `cut` makes of it.
     """
     key_bleed, key_noise = jax.random.split(key)
-    view = render_patch(surface, T_o_t, window=WIDE_WINDOW, pixels=WIDE_PIXELS, reach=2 * REACH)
-    nearest = jnp.where(jnp.isfinite(view.nearest), view.nearest, REACH)
-    z = view.depth + nearest
+    z = render_heights(surface, geometry.invert(T_o_t), WIDE_WINDOW, WIDE_PIXELS)
     row, column = jnp.meshgrid(jnp.arange(WIDE_PIXELS), jnp.arange(WIDE_PIXELS), indexing="ij")
     shift = jnp.round(errors.depth_bleed * jax.random.normal(key_bleed, (2, *z.shape))).astype(jnp.int32)
     z = z[jnp.clip(row + shift[0], 0, WIDE_PIXELS - 1), jnp.clip(column + shift[1], 0, WIDE_PIXELS - 1)]
@@ -133,68 +113,30 @@ def look(
 
 
 def cut(z: Float[Array, "wide wide"]) -> tuple[Float[Array, "wide wide"], Patch]:
-    """A wide depth view (m along tool z from the tool origin) as the wide view and the patch that the model sees."""
-    central = z[MARGIN : MARGIN + PATCH_PIXELS, MARGIN : MARGIN + PATCH_PIXELS]
-    mean = jax.lax.reduce_window(central, 0.0, jax.lax.add, (5, 5), (1, 1), "valid") / 25
-    nearest = jnp.min(mean)
-    depth = jnp.clip(z - nearest, 0.0, REACH)
-    return depth, Patch(depth[MARGIN : MARGIN + PATCH_PIXELS, MARGIN : MARGIN + PATCH_PIXELS], nearest)
+    """A wide view (m along tool z from the tool origin, +inf where nothing is seen) as the model sees it.
 
-
-class Stop(NamedTuple):
-    """The end of a press."""
-
-    indentation: Float[Array, ""]  # m
-    force: Float[Array, ""]  # N
-    reading: Float[Array, "15"]  # uT, noise free
-    code: Int[Array, ""]
-
-
-def press_until(
-    pad: Pad, height: Float[Array, "g g"], limits: PressLimits, overshoot: Float[Array, ""] | float = 0.0
-) -> Stop:
-    """Press until the skin change or the force first crosses its limit.
-
-    `height` is the surface over the pad's cells, m behind its nearest point. `overshoot` raises both limits by that fraction. Code SKIN or WRENCH says which came first; UNDEFINED means that the
-    deepest allowed indentation crossed neither.
+    Depths (m) are measured from the patch's nearest point and clipped to the reach; in the wide view, what lies outside
+    the patch may be nearer. Nearest is the least mean of 5 x 5 pixels, of which those on the window's nearest surface
+    count (a sigma filter; Lee, CVGIP 24, 1983): one pixel would be the noisiest rather than the nearest.
     """
-    deepest = jnp.log(limits.indentation * pad.thickness)
-    stride = -jnp.log(0.015) / (limits.scan - 1)
-
-    def try_next(_: int, state: _Bracket) -> _Bracket:
-        """Stride towards the deepest until the excess turns positive, then close in on the root; one press for each."""
-        secant = state.low - state.f_low * (state.high - state.low) / (state.f_high - state.f_low)
-        x = jnp.where(state.found, secant, jnp.minimum(state.low + stride, deepest))
-        press = press_pad(pad, height, jnp.exp(x))
-        skin = jnp.linalg.norm(press.reading) / limits.skin_change
-        wrench = press.force / limits.force
-        f = jnp.log(jnp.maximum(jnp.maximum(skin, wrench) / (1 + overshoot), 1e-6))
-        above = f >= 0
-        # Illinois: halve the value at the end that stays, so that it cannot stay for ever.
-        return _Bracket(
-            low=jnp.where(above, state.low, x),
-            f_low=jnp.where(above, jnp.where(state.found, state.f_low / 2, state.f_low), f),
-            high=jnp.where(above, x, state.high),
-            f_high=jnp.where(above, f, jnp.where(state.found, state.f_high / 2, state.f_high)),
-            found=state.found | above,
-            stop=Stop(
-                jnp.exp(x), press.force, press.reading, jnp.where(skin >= wrench, ReturnCode.SKIN, ReturnCode.WRENCH)
-            ),
-        )
-
-    nothing = Stop(jnp.zeros(()), jnp.zeros(()), jnp.zeros(15), jnp.asarray(ReturnCode.UNDEFINED))
-    start = _Bracket(deepest - limits.scan * stride, jnp.log(1e-6), deepest, jnp.ones(()), jnp.asarray(False), nothing)
-    end = jax.lax.fori_loop(0, limits.scan + limits.refine, try_next, start)
-    return end.stop._replace(code=jnp.where(end.found, end.stop.code, ReturnCode.UNDEFINED))
+    central = _centre(z, PATCH_WINDOW)
+    inner = PATCH_PIXELS - 4
+    windows = jnp.stack([central[i : i + inner, j : j + inner] for i in range(5) for j in range(5)])
+    same = windows <= jnp.min(windows, axis=0, keepdims=True) + SAME
+    nearest = jnp.min(jnp.sum(jnp.where(same, windows, 0), axis=0) / jnp.sum(same, axis=0))
+    depth = _behind(z, nearest)
+    return depth, Patch(jnp.maximum(_centre(depth, PATCH_WINDOW), 0), nearest)
 
 
-class _Bracket(NamedTuple):
-    low: Array  # log indentation below the crossing
-    f_low: Array
-    high: Array  # and above it, once found
-    f_high: Array
-    found: Array
-    stop: Stop  # at the last trial
+def _centre(wide: Array, window: float) -> Array:
+    """The pixels of a wide view whose centres lie in a window (m) about its middle."""
+    margin = math.ceil((1 - window / WIDE_WINDOW) * WIDE_PIXELS / 2 - 0.5)
+    return wide[margin : WIDE_PIXELS - margin, margin : WIDE_PIXELS - margin]
+
+
+def _behind(z: Array, nearest: Array) -> Array:
+    """Depth behind the nearest point, clipped to the reach on both sides; the reach where nothing is seen."""
+    return jnp.clip(z - jnp.where(jnp.isfinite(nearest), nearest, 0), -REACH, REACH)
 
 
 def touch_once(
@@ -214,10 +156,9 @@ def touch_once(
     key_arm, key_tilt, key_overshoot, key_camera, key_skin, key_force, key_travel = jax.random.split(key, 7)
     T_o_w = geometry.invert(T_w_o @ run.T_o_placed)  # from here on the object is where it really is
 
-    back = geometry.transform(jnp.eye(3), jnp.array([0.0, 0.0, -limits.prepare]))
     T_w_arm = T_w_site @ geometry.random_motion(key_arm, errors.repeatability, 0.0)
     T_w_press = T_w_arm @ geometry.random_motion(key_tilt, 0.0, errors.approach_angle)
-    start = T_o_w @ T_w_press @ back
+    start = T_o_w @ T_w_press @ _along_z(jnp.asarray(-limits.prepare))
     T_o_t, hit = touch.press_along(surface, start, start[:3, 2], travel=limits.prepare + limits.past_goal)
 
     met = render_patch(surface, T_o_t, window=PAD_WINDOW, pixels=GRID.cells)
@@ -231,14 +172,15 @@ def touch_once(
 
     # The grid of the pad meets a point between its cells a little late; that travel is counted, so that nearest and
     # depth agree.
-    past_contact = jnp.where(hit, met.nearest + stop.indentation + stop.force / limits.stiffness, 0.0)
+    sunk = jnp.where(hit, met.nearest + stop.indentation, 0.0)
+    past_contact = jnp.where(hit, sunk + stop.force / limits.stiffness, 0.0)
     advanced = jnp.linalg.norm(T_o_t[:3, 3] - start[:3, 3]) - limits.prepare
-    end = geometry.transform(jnp.eye(3), jnp.stack([jnp.zeros(()), jnp.zeros(()), advanced + past_contact]))
+    end = _along_z(advanced + past_contact)
     T_w_t = T_w_site @ end
     wide, patch = look(key_camera, surface, T_o_w @ T_w_arm @ end @ run.T_t_camera, errors)
 
-    sunk = geometry.transform(jnp.eye(3), jnp.stack([jnp.zeros(()), jnp.zeros(()), met.nearest * hit + indentation]))
-    seen = render_patch(surface, T_o_t @ sunk, window=WIDE_WINDOW, pixels=WIDE_PIXELS)
+    z = render_heights(surface, geometry.invert(T_o_t @ _along_z(sunk)), WIDE_WINDOW, WIDE_PIXELS)
+    nearest = jnp.min(_centre(z, PAD_WINDOW))
     return Touches(
         patch=patch.depth,
         wide=wide,
@@ -252,8 +194,12 @@ def touch_once(
         pad=jnp.int32(0),
         run=jnp.int32(0),
         code=code.astype(jnp.int32),
-        truth=Truth(seen.depth, seen.nearest, force, indentation, reading),
+        truth=Truth(_behind(z, nearest), nearest, force, indentation, reading),
     )
+
+
+def _along_z(distance: Float[Array, ""]) -> Float[Array, "4 4"]:
+    return jnp.eye(4).at[2, 3].set(distance)
 
 
 def simulate_run(

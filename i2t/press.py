@@ -1,0 +1,99 @@
+"""Where a press ends: at the indentation where the skin change or the force first crosses its limit.
+
+The stop is found by root-finding on the indentation delta: f(delta) = log max(|dB|/limit, F/limit) is scanned on a
+geometric grid for its first crossing and refined by regula falsi (Illinois; Dowell and Jarratt, BIT 11, 1971) in
+log-log coordinates, where a contact is nearly a straight line (Hertz: F ~ delta^1.5). Every press gets the same number
+of trials, so that many of them can run side by side.
+
+Metres, newtons, microtesla.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from i2t.skin.pad import press as press_pad
+from i2t.types import STANDOFF, Pad, ReturnCode
+
+SCAN_FROM = 0.005  # of the deepest indentation, where the search begins
+
+
+@dataclass(frozen=True)
+class PressLimits:
+    """When a press ends (the paper's values)."""
+
+    skin_change: float = 25.0  # uT, norm of the 15-vector
+    force: float = 8.0  # N
+    indentation: float = 0.6  # of the layer's thickness: beyond it small-strain elasticity means nothing
+    overshoot: float = 0.1  # relative standard deviation by which a press runs past its limit (latency; one-sided)
+    scan: int = 6  # presses at growing strides, up to the deepest indentation, that bracket the crossing
+    refine: int = 3  # at least so many more close in on it: the limit is met within 0.5 %, mostly within 0.01 %
+    stiffness: float = 10e3  # N/m, arm and mount in series
+    prepare: float = STANDOFF  # m before the site where the approach starts
+    past_goal: float = 6e-3  # m beyond the site before a press counts as air (three extra steps of 2 mm)
+
+
+class Stop(NamedTuple):
+    """The end of a press."""
+
+    indentation: Float[Array, ""]  # m
+    force: Float[Array, ""]  # N
+    reading: Float[Array, "15"]  # uT, noise free
+    code: Int[Array, ""]
+
+
+def press_until(
+    pad: Pad, height: Float[Array, "g g"], limits: PressLimits, overshoot: Float[Array, ""] | float = 0.0
+) -> Stop:
+    """Press until the skin change or the force first crosses its limit.
+
+    `height` is the surface over the pad's cells, m behind its nearest point. `overshoot` raises both limits by that
+    fraction. Code SKIN or WRENCH says which came first; UNDEFINED means that the deepest allowed indentation crossed
+    neither. A crossing within the first 0.2 % of the deepest indentation is not resolved; the press ends there.
+    """
+    deepest = jnp.log(limits.indentation * pad.thickness)
+    stride = -math.log(SCAN_FROM) / (limits.scan - 1)
+
+    def try_next(_: int, state: _Bracket) -> _Bracket:
+        """Stride towards the deepest until the excess turns positive, then close in on the root; one press for each."""
+        secant = state.low - state.f_low * (state.high - state.low) / (state.f_high - state.f_low)
+        x = jnp.where(state.found, secant, jnp.minimum(state.low + stride, deepest))
+        press = press_pad(pad, height, jnp.exp(x))
+        skin = jnp.linalg.norm(press.reading) / limits.skin_change
+        wrench = press.force / limits.force
+        f = jnp.log(jnp.maximum(jnp.maximum(skin, wrench) / (1 + overshoot), 1e-6))
+        above = f >= 0
+        # Illinois: halve the value at an end that stays twice in a row, so that it cannot stay for ever.
+        kept = jnp.where(state.found & (above == state.above), 0.5, 1.0)
+        return _Bracket(
+            low=jnp.where(above, state.low, x),
+            f_low=jnp.where(above, kept * state.f_low, f),
+            high=jnp.where(above, x, state.high),
+            f_high=jnp.where(above, f, kept * state.f_high),
+            above=above,
+            found=state.found | above,
+            stop=Stop(
+                jnp.exp(x), press.force, press.reading, jnp.where(skin >= wrench, ReturnCode.SKIN, ReturnCode.WRENCH)
+            ),
+        )
+
+    nothing = Stop(jnp.zeros(()), jnp.zeros(()), jnp.zeros(15), jnp.asarray(ReturnCode.UNDEFINED))
+    no = jnp.asarray(False)
+    # A crossing in the first stride is sought as if the excess grew in proportion to the indentation below it.
+    start = _Bracket(deepest - limits.scan * stride, jnp.asarray(-stride), deepest, jnp.ones(()), no, no, nothing)
+    end = jax.lax.fori_loop(0, limits.scan + limits.refine, try_next, start)
+    return end.stop._replace(code=jnp.where(end.found, end.stop.code, ReturnCode.UNDEFINED))
+
+
+class _Bracket(NamedTuple):
+    low: Array  # log indentation below the crossing
+    f_low: Array
+    high: Array  # and above it, once found
+    f_high: Array
+    above: Array  # whether the last trial was
+    found: Array
+    stop: Stop  # at the last trial
