@@ -40,6 +40,7 @@ from jaxtyping import Array, Bool, Float, Int
 from i2t.types import PAD_WINDOW, Pad
 
 FAR = 1.0  # m: heights are cut here, so that "nothing there" may be infinite
+SMALLEST = 1e-9  # strain below which a problem is no longer scaled to 1, so that no contact divides by no number
 TOLERANCE = 1e-5  # of the deepest deflection: about ten roundings of float32, a hundredth of the 0.1 % asked of a force
 MAX_STEPS = 200
 
@@ -104,7 +105,7 @@ def solve(
     a pressure (Pa) to begin from, say that of a neighbouring indentation.
     """
     gap = (jnp.minimum(height, FAR) - indentation) / pad.thickness
-    scale = _positive(jnp.max(-gap))
+    scale = jnp.maximum(jnp.max(-gap), SMALLEST)
     offset = gap / scale
     kernel = compliance(pad, grid) * pad.young / pad.thickness
     state = _descend(
@@ -132,7 +133,7 @@ def solve_force(
     """The contact at a given normal force (N, > 0), sought among the pressures that carry it; gives the indentation."""
     height = jnp.minimum(height, FAR)
     nearest = jnp.min(height)
-    scale = _positive(jnp.asarray(force) / (grid.spacing**2 * pad.young))
+    scale = jnp.maximum(force / (grid.spacing**2 * pad.young), SMALLEST)
     offset = (height - nearest) / (pad.thickness * scale)
     kernel = compliance(pad, grid) * pad.young / pad.thickness
     state = _descend(

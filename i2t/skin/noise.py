@@ -74,7 +74,7 @@ def burst(
     """Raw samples, quick enough after one another that only the white noise differs between them."""
     key_ambient, key_white = jax.random.split(key)
     field = reading + ambient(key_ambient, board, noise)
-    own = noise.sigma * np.sqrt(1 - noise.common) * jax.random.normal(key_white, (samples, READINGS))
+    own = noise.sigma[None] * np.sqrt(1 - noise.common) * jax.random.normal(key_white, (samples, READINGS))
     return quantise(field[None] + own, noise)
 
 

@@ -76,7 +76,7 @@ def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0) -> Pad:
     """A pad as different from the next as real skins are; with `spread` 0 only its magnetisation is random.
 
     Thickness 2-3 mm (ReSkin's range); stiffness within 15 %, gap within 0.25 mm and gains within 5 % (one sigma); a
-    smooth random magnetisation with patches of about 4 mm, whose strength varies by 25 % from skin to skin. STRENGTH is
+    smooth random magnetisation with patches of about 4 mm, whose strength varies by 35 % from skin to skin. STRENGTH is
     such that presses of a small tip to 0.6-1.0 N change the 15 values by the norm that real boards show, a median of
     46-85 uT at 78-122 uT/N (`tests/skin/test_pad.py`).
     """
@@ -84,7 +84,7 @@ def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0) -> Pad:
     thickness = THICKNESS + spread * jax.random.uniform(key_thickness, maxval=1e-3)
     gap = GAP + spread * 0.25e-3 * jax.random.truncated_normal(key_gap, -2.0, 2.0)
     length = 4e-3 * jnp.exp(spread * 0.2 * jax.random.normal(key_length))
-    strength = STRENGTH * jnp.exp(spread * 0.25 * jax.random.normal(key_strength))
+    strength = STRENGTH * jnp.exp(spread * 0.35 * jax.random.normal(key_strength))
     return Pad(
         thickness,
         YOUNG * jnp.exp(spread * 0.15 * jax.random.normal(key_young)),

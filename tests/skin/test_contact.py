@@ -1,0 +1,306 @@
+"""The elastic layer against independent solvers, closed forms and the equations it claims to solve."""
+
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from i2t.skin import contact
+from i2t.skin.contact import GRID, Grid
+from i2t.skin.pad import nominal_pad
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")  # it says at import that it runs without MPI
+    from ContactMechanics import PeriodicFFTElasticHalfSpace
+    from ContactMechanics.Systems import NonSmoothContactSystem
+    from SurfaceTopography import Topography
+
+Y, X = np.meshgrid(GRID.centres, GRID.centres, indexing="ij")
+PAD = nominal_pad()
+solve = jax.jit(contact.solve, static_argnums=(3, 5, 6))
+solve_force = jax.jit(contact.solve_force, static_argnums=(3, 5, 6))
+
+
+def _sphere(x: float, y: float, radius: float) -> np.ndarray:
+    square = radius**2 - (X - x) ** 2 - (Y - y) ** 2
+    return np.where(square > 0, radius - np.sqrt(np.maximum(square, 0)), np.inf)
+
+
+def _bar(x: float, y: float, half_width: float, half_height: float) -> np.ndarray:
+    return (abs(X - x) < half_width) & (abs(Y - y) < half_height)
+
+
+T = np.where(_bar(0, 0, 1e-3, 5e-3) | _bar(0, 4e-3, 5e-3, 1e-3), 0, 3.5e-3)
+CROSS = np.where(_bar(0, 0, 1e-3, 5e-3) | _bar(0, 0, 5e-3, 1e-3), 0, 3.5e-3)
+SHAPES = {
+    "sphere": (_sphere(0.3e-3, -1.1e-3, 8e-3), 0.6e-3),
+    "small sphere": (_sphere(5.2e-3, 2.1e-3, 2.3e-3), 0.5e-3),
+    "flat punch": (np.where(X**2 + Y**2 < 4e-3**2, 0, np.inf), 0.2e-3),
+    "stamp T": (T, 0.2e-3),
+    "stamp cross": (CROSS, 0.15e-3),
+    "tilted stamp": (T + 0.03 * (X + 5e-3), 0.3e-3),
+    "edge": (np.maximum(0.5 * (X + 0.3 * Y), -(X + 0.3 * Y)), 0.2e-3),
+}
+
+
+def _rough(seeds: int) -> np.ndarray:
+    """Surfaces of random waves, tilted, with holes: whatever an object may show the skin."""
+    heights = []
+    for seed in range(seeds):
+        random = np.random.default_rng(seed)
+        waves = random.normal(size=(6, 2)) * random.choice([200, 800])
+        phases = random.uniform(0, 2 * np.pi, 6)
+        height = sum(np.cos(k[0] * X + k[1] * Y + phase) for k, phase in zip(waves, phases, strict=True)) * 1e-4
+        height += random.normal() * 0.05 * X + random.normal() * 0.05 * Y
+        if seed % 3 == 0:
+            height = np.where((X - random.uniform(-5e-3, 5e-3)) ** 2 + Y**2 < 6e-3**2, height, np.inf)
+        heights.append(height - height.min())
+    return np.stack(heights)
+
+
+def _reference(height: np.ndarray, indentation: float) -> np.ndarray:
+    """Pressure (Pa) by the package ContactMechanics, on the same cells and period."""
+    period = GRID.modes * GRID.spacing
+    grid = (GRID.modes, GRID.modes)
+    layer = PeriodicFFTElasticHalfSpace(
+        grid, float(PAD.young), (period, period), thickness=float(PAD.thickness), poisson=float(PAD.poisson)
+    )
+    surface = np.full(grid, -1.0)  # nothing within reach outside the pad
+    surface[: GRID.cells, : GRID.cells] = -np.minimum(height, 1.0)
+    system = NonSmoothContactSystem(layer, Topography(surface, (period, period)))
+    assert system.minimize_proxy(offset=indentation, pentol=1e-10).success
+    return np.asarray(system.force)[: GRID.cells, : GRID.cells] / GRID.spacing**2
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_agrees_with_contact_mechanics(name):
+    height, indentation = SHAPES[name]
+    found = solve(PAD, jnp.asarray(height, jnp.float32), indentation)
+    pressure = _reference(height, indentation)
+    assert found.converged
+    # The figures asked: force within 0.1 %; the pressure (root mean square) within 2 % of its peak, here 0.1 % as well.
+    np.testing.assert_allclose(found.force, pressure.sum() * GRID.spacing**2, rtol=1e-3)
+    assert np.sqrt(np.mean((found.pressure - pressure) ** 2)) < 1e-3 * pressure.max()
+
+
+def test_reproduces_hertz_where_it_holds():
+    """A sphere pressing a contact small beside the layer: F = 4/3 E* sqrt(R) d^1.5 and an elliptic pressure."""
+    radius, indentation = 2e-3, 0.03e-3  # contact radius 0.24 mm, 8 cells
+    grid = Grid(cells=64, modes=1024, window=2e-3)
+    pad = PAD._replace(thickness=jnp.asarray(30e-3))
+    y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
+    found = solve(pad, jnp.asarray((x**2 + y**2) / (2 * radius), jnp.float32), indentation, grid)
+    modulus = float(PAD.young) / (1 - float(PAD.poisson) ** 2)
+    # The bonded base stiffens by 1.13 a / h = 0.9 % (Dimitriadis et al., Biophys. J. 82, 2002) and the copies, 32 mm
+    # away, by about as much; 3 % is the figure asked.
+    np.testing.assert_allclose(found.force, 4 / 3 * modulus * np.sqrt(radius) * indentation**1.5, rtol=0.03)
+    peak = 2 * modulus / np.pi * np.sqrt(indentation / radius)
+    hertz = peak * np.sqrt(np.maximum(1 - (x**2 + y**2) / (radius * indentation), 0))
+    # The cells that the rim cuts, an eighth of the contact's, miss by up to a few hundredths of the peak each.
+    assert np.sqrt(np.mean((found.pressure - hertz)[hertz > 0] ** 2)) < 0.03 * peak
+
+
+def test_flat_face_on_a_layer_without_end_is_a_spring():
+    """With a period as long as the pad nothing bulges sideways: p = indentation / G(0), whatever the other waves."""
+    grid = Grid(cells=16, modes=16)
+    found = solve(PAD, jnp.zeros((16, 16)), 1e-5, grid)
+    nu, young, thickness = float(PAD.poisson), float(PAD.young), float(PAD.thickness)
+    pressure = 1e-5 * young * (1 - nu) / (thickness * (1 + nu) * (1 - 2 * nu))
+    np.testing.assert_allclose(found.pressure, np.full((16, 16), pressure), rtol=1e-5)  # the solver's tolerance
+
+
+@pytest.fixture(scope="module")
+def sweeps():
+    """60 rough surfaces, each pressed to 8 depths of which the first does not touch."""
+    heights = jnp.asarray(_rough(60), jnp.float32)
+    depths = jnp.asarray([0.0, 1e-6, 1e-5, 5e-5, 1e-4, 2e-4, 4e-4, 8e-4])
+
+    def one(height, depth):
+        return contact.solve(PAD, height, depth)
+
+    return heights, depths, jax.jit(jax.vmap(jax.vmap(one, (None, 0)), (0, None)))(heights, depths)
+
+
+def test_meets_the_contact_conditions(sweeps):
+    heights, depths, found = sweeps
+    assert np.all(found.converged)
+    assert np.all(found.pressure >= 0)
+    deflection = np.max(found.gap - heights[:, None] + depths[None, :, None, None], axis=(2, 3))
+    # The residual is the tolerance's meaning; float32 adds a few roundings of heights of about a millimetre.
+    violation = contact.TOLERANCE * deflection[..., None, None] + 4 * np.finfo(np.float32).eps * 1e-3
+    assert np.all(found.gap > -violation)
+    touching = found.pressure > 1e-3 * np.max(found.pressure, axis=(2, 3), keepdims=True)
+    assert np.all(np.where(touching, np.abs(found.gap) < violation, True))
+    # The gap is the one that the pressure leaves, computed here with NumPy's FFT.
+    kernel = _kernel_for_fft()
+    down = np.fft.irfft2(kernel * np.fft.rfft2(found.pressure, (64, 64)), (64, 64))[..., :40, :40]
+    gap = heights[:, None] + down - depths[None, :, None, None]
+    assert np.all(np.where(np.isinf(heights[:, None]), True, np.abs(found.gap - gap) < 2 * violation))
+
+
+def _kernel_for_fft() -> np.ndarray:
+    """G(k), as the facts about a bonded layer have it, at NumPy's order of wavenumbers."""
+    h, e, nu = (float(value) for value in (PAD.thickness, PAD.young, PAD.poisson))
+    k = np.hypot(*np.meshgrid(np.fft.fftfreq(64, GRID.spacing), np.fft.rfftfreq(64, GRID.spacing), indexing="ij"))
+    q = 2 * np.pi * k * h
+    q[0, 0] = 1
+    over = (3 - 4 * nu) * np.cosh(2 * q) + 2 * q**2 + 5 - 12 * nu + 8 * nu**2
+    kernel = 2 * h * (1 - nu**2) / (e * q) * ((3 - 4 * nu) * np.sinh(2 * q) - 2 * q) / over
+    kernel[0, 0] = h * (1 + nu) * (1 - 2 * nu) / (e * (1 - nu))
+    return kernel
+
+
+def test_force_grows_with_depth(sweeps):
+    _, depths, found = sweeps
+    force = np.asarray(found.force)
+    assert np.all(force[:, 0] == 0)
+    assert np.all(np.diff(force, axis=1) > 0)
+    # A stiffening contact: the mean slope of the force never falls (its energy is convex), but for the tolerance.
+    slope = np.diff(force, axis=1) / np.diff(depths)
+    assert np.all(np.diff(slope, axis=1) > -1e-3 * slope[:, 1:])
+
+
+def test_force_control_inverts_depth_control(sweeps):
+    heights, depths, found = sweeps
+    rows = slice(0, 60, 6)
+    back = jax.jit(jax.vmap(lambda height, force: contact.solve_force(PAD, height, force)))(
+        heights[rows], found.force[rows, -2]
+    )
+    assert np.all(back.converged)
+    np.testing.assert_allclose(back.force, found.force[rows, -2], rtol=1e-5)
+    # Both stop within the tolerance of the deepest deflection, which is at most a few times the depth here.
+    np.testing.assert_allclose(back.indentation, np.full(10, depths[-2]), rtol=10 * contact.TOLERANCE)
+
+
+def test_a_start_changes_the_effort_only():
+    height, depth = jnp.asarray(SHAPES["sphere"][0], jnp.float32), 0.5e-3
+    cold = solve(PAD, height, depth)
+    near = solve(PAD, height, 0.48e-3).pressure
+    for start, control in ((near, depth), (jnp.zeros((40, 40)), depth)):
+        warm = solve(PAD, height, control, GRID, start)
+        np.testing.assert_allclose(warm.force, cold.force, rtol=10 * contact.TOLERANCE)
+    forced = solve_force(PAD, height, cold.force, GRID, near)
+    np.testing.assert_allclose(forced.indentation, depth, rtol=10 * contact.TOLERANCE)
+
+
+def test_an_unfinished_solution_says_so():
+    found = solve(PAD, jnp.asarray(T, jnp.float32), 0.2e-3, GRID, None, contact.TOLERANCE, 3)
+    assert not found.converged
+    assert found.residual > contact.TOLERANCE
+    assert found.steps == 3
+
+
+def test_a_batch_holds_independent_problems():
+    heights = jnp.asarray(np.stack([height for height, _ in SHAPES.values()]), jnp.float32)
+    depths = jnp.asarray([depth for _, depth in SHAPES.values()])
+    together = jax.jit(jax.vmap(lambda height, depth: contact.solve(PAD, height, depth)))(heights, depths)
+    for i in range(len(depths)):
+        alone = solve(PAD, heights[i], depths[i])
+        assert alone.steps == together.steps[i]
+        np.testing.assert_allclose(alone.pressure, together.pressure[i], atol=1e-5 * float(alone.pressure.max()))
+
+
+def test_series_passes_through_the_pressure():
+    pressure = jnp.asarray(np.random.default_rng(0).random((40, 40)), jnp.float32)
+    np.testing.assert_allclose(contact.convolve(jnp.ones((64, 64)), pressure), pressure, atol=1e-5)
+    waves, _ = contact.basis(GRID, (np.arange(64) + 0.5 - 20) * GRID.spacing)  # the whole period
+    everywhere = waves.T @ np.asarray(contact.spectrum(pressure)) @ waves
+    np.testing.assert_allclose(everywhere[40:], np.zeros((24, 64)), atol=1e-5)
+    # The waves of a coarser series are among those of the finer one.
+    fine = contact.spectrum(pressure, GRID)
+    coarse = contact.spectrum(pressure, GRID, Grid(20, 32))
+    np.testing.assert_allclose(coarse[:16, 16:], np.asarray(fine)[:16, 32:48], atol=1e-6)
+
+
+# The motion inside is checked by the equations that determine it: equilibrium, a bonded base, the loads on top. Slopes
+# are central differences; of waves up to about k = 2 / (2 mm) they err by (k STEP)^2 / 12 < 1e-3 of a term, and float32
+# adds 1e-7 u / STEP^2, again about 1e-3 of it. 1 % leaves both room.
+STEP = 0.05e-3  # m
+PLACES = np.arange(-2, 3) * STEP + 1.2e-3  # a 5 x 5 stencil off the load's axis
+DIFFERENCES = 0.01
+
+
+@pytest.fixture(scope="module")
+def smooth_load():
+    """A smooth load about 2 mm wide, and displacement and rotation on the stencil as functions of depth."""
+    pressure = jnp.asarray(2e4 * np.exp(-((X - 0.4e-3) ** 2 + 2 * Y**2) / (2 * 2e-3**2)), jnp.float32)
+    inside = jax.jit(lambda depth: contact.interior(PAD, contact.spectrum(pressure), depth, GRID, PLACES))
+    return pressure, lambda depth: tuple(np.asarray(field, float) for field in inside(depth))
+
+
+def _slopes(inside, depth):
+    """du_i/dx_j at the stencil's middle (j = x, y, z)."""
+    u, _ = inside(depth)
+    above, _ = inside(depth - STEP)
+    below, _ = inside(depth + STEP)
+    differences = [u[:, 2, 3] - u[:, 2, 1], u[:, 3, 2] - u[:, 1, 2], (above - below)[:, 2, 2]]
+    return np.stack(differences, axis=1) / (2 * STEP)
+
+
+@pytest.mark.parametrize("depth", [0.2e-3, 1.0e-3, 1.7e-3])
+def test_interior_is_in_equilibrium(smooth_load, depth):
+    _, inside = smooth_load
+    stack = np.stack([inside(depth - i * STEP)[0] for i in (-1, 0, 1)], axis=1)[:, :, 1:4, 1:4]  # (3, z, y, x)
+    second = np.array([[_second_difference(stack, 3 - a, 3 - b) for b in range(3)] for a in range(3)]) / STEP**2
+    laplacian, of_divergence = np.einsum("aac->c", second), np.einsum("acc->a", second)
+    residual = (1 - 2 * float(PAD.poisson)) * laplacian + of_divergence
+    assert np.all(np.abs(residual) < DIFFERENCES * np.abs(second).max())
+
+
+def test_rotation_is_half_the_curl(smooth_load):
+    _, inside = smooth_load
+    for depth in (0.1e-3, 1.0e-3, 1.9e-3):
+        slope = _slopes(inside, depth)
+        curl = np.array([slope[2, 1] - slope[1, 2], slope[0, 2] - slope[2, 0], slope[1, 0] - slope[0, 1]])
+        assert np.all(np.abs(inside(depth)[1][:, 2, 2] - curl / 2) < DIFFERENCES * np.abs(slope).max())
+
+
+def test_interior_carries_the_load(smooth_load):
+    pressure, inside = smooth_load
+    young, nu = float(PAD.young), float(PAD.poisson)
+    shear, lame = young / (2 * (1 + nu)), young * nu / ((1 + nu) * (1 - 2 * nu))
+    waves, _ = contact.basis(GRID, PLACES[2:3])
+    load = (waves.T @ np.asarray(contact.spectrum(pressure)) @ waves).item()
+    # Stresses at three depths, extrapolated to the surface by a parabola.
+    slopes = np.stack([_slopes(inside, i * STEP) for i in (1, 2, 3)])
+    normal = lame * np.einsum("dcc->d", slopes) + 2 * shear * slopes[:, 2, 2]
+    sheared = shear * (slopes[:, 0, 2] + slopes[:, 2, 0])
+    outwards = np.array([3, -3, 1])
+    # lame is 24 times the shear modulus at nu = 0.48 and multiplies the errors of the divergence.
+    np.testing.assert_allclose(outwards @ normal, -load, rtol=10 * DIFFERENCES)
+    assert abs(outwards @ sheared) < DIFFERENCES * load
+
+
+def test_interior_ends_at_the_base_and_the_surface(smooth_load):
+    pressure, _ = smooth_load
+    waves = contact.spectrum(pressure)
+    bottom, _ = contact.interior(PAD, waves, PAD.thickness)
+    np.testing.assert_allclose(bottom, np.zeros((3, 40, 40)), atol=1e-10)
+    top, _ = contact.interior(PAD, waves, 0.0)
+    sunk = contact.convolve(contact.compliance(PAD), pressure)
+    np.testing.assert_allclose(-top[2], sunk, atol=1e-6 * float(sunk.max()))
+
+
+def test_interior_follows_the_indenter():
+    """Under a solved contact the surface has moved by minus the indentation at the deepest point (to 1e-7 m)."""
+    height = jnp.asarray(_sphere(0.25e-3, 0.25e-3, 8e-3), jnp.float32)
+    found = solve(PAD, height, 0.6e-3)
+    displacement, _ = contact.interior(PAD, contact.spectrum(found.pressure), 0.0)
+    np.testing.assert_allclose(displacement[2, 20, 20], -0.6e-3, atol=1e-7)
+
+
+def _second_difference(f: np.ndarray, a: int, b: int) -> np.ndarray:
+    """Central d2 f / (d axis a, d axis b) at the middle of (c, 3, 3, 3), times the step squared."""
+    middle = [slice(None), 1, 1, 1]
+
+    def value(shift_a: int, shift_b: int) -> np.ndarray:
+        place = list(middle)
+        place[a] += shift_a
+        place[b] += shift_b
+        return f[tuple(place)]
+
+    if a == b:
+        return value(1, 0) - 2 * value(0, 0) + value(-1, 0)
+    return (value(1, 1) - value(1, -1) - value(-1, 1) + value(-1, -1)) / 4

@@ -1,0 +1,107 @@
+"""The sensor's noise: its sizes within the sampling error of a variance, its structure exactly."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from i2t.boards import reskin
+from i2t.skin import noise
+from i2t.skin.noise import Noise
+
+BOARD = reskin()
+N = 4000
+
+
+def _within(variance: np.ndarray, expected: np.ndarray, count: int) -> None:
+    """Sample variances of normal numbers lie within the chi-square bounds that 15 of them leave with p = 1e-6."""
+    low, high = stats.chi2.ppf([1e-6 / 30, 1 - 1e-6 / 30], count - 1) / (count - 1)
+    assert np.all(variance > low * expected)
+    assert np.all(variance < high * expected)
+
+
+def _bursts(samples: int, kind: Noise) -> np.ndarray:
+    keys = jax.random.split(jax.random.key(0), N)
+    return np.asarray(jax.jit(jax.vmap(lambda key: noise.burst(key, jnp.zeros(15), BOARD, kind, samples)))(keys))
+
+
+def test_one_sample_at_rest_has_the_measured_size():
+    samples = _bursts(1, Noise())[:, 0]
+    # Rounding to steps q adds q^2 / 12, a uniform error (Sheppard), at a noise of many steps.
+    _within(samples.var(axis=0, ddof=1), Noise().sigma ** 2 + Noise().steps ** 2 / 12, N)
+
+
+def test_part_of_it_is_one_field_for_all_chips():
+    samples = _bursts(1, Noise())[:, 0]
+    chips = np.asarray(BOARD.to_tool(samples))  # (N, 5, 3) in common axes
+    for axis, sigma in enumerate((3.1, 3.1, 4.6)):
+        correlation = np.corrcoef(chips[:, :, axis].T)[np.triu_indices(5, 1)]
+        # Correlations of N samples err by (1 - r^2) / sqrt(N); ten of them stay within 5 such.
+        share = Noise().common * sigma**2 / (sigma**2 + Noise().steps[axis] ** 2 / 12)
+        np.testing.assert_allclose(correlation, share, atol=5 / np.sqrt(N))
+        assert 0.20 < correlation.mean() < 0.33  # of real boards
+
+
+def test_ambient_is_the_same_vector_for_every_chip():
+    field = noise.ambient(jax.random.key(3), BOARD, Noise())
+    tool = np.asarray(BOARD.to_tool(field))
+    np.testing.assert_allclose(tool, np.broadcast_to(tool[0], (5, 3)), rtol=1e-6)
+    assert np.all(np.abs(tool[0]) > 0)
+
+
+def test_averaging_removes_white_noise_only():
+    kind = Noise(contact_samples=40)
+    keys = jax.random.split(jax.random.key(1), N)
+    seen = np.asarray(jax.jit(jax.vmap(lambda key: noise.observe(key, jnp.zeros(15), BOARD, kind)))(keys))
+    white = (1 - kind.common) * kind.sigma**2 + kind.steps**2 / 12
+    _within(seen.var(axis=0, ddof=1), 2 * kind.common * kind.sigma**2 + white * (1 / 40 + 1 / 10), N)
+    np.testing.assert_allclose(seen.mean(axis=0), 0, atol=5 * seen.std() / np.sqrt(N))
+
+
+def test_an_ideal_sensor_reports_the_field():
+    reading = jnp.linspace(-80.0, 60.0, 15)
+    np.testing.assert_allclose(noise.observe(jax.random.key(0), reading, BOARD, Noise.none()), reading, rtol=1e-6)
+
+
+def test_scaling_scales_what_is_random():
+    loud = Noise().scaled(3.0)
+    np.testing.assert_allclose(loud.sigma, 3 * Noise().sigma)
+    np.testing.assert_array_equal(loud.steps, Noise().steps)
+    assert loud.drift == 3 * Noise().drift
+
+
+@pytest.mark.parametrize("shape", [(15,), (4, 15)])
+def test_samples_are_whole_steps(shape):
+    values = np.random.default_rng(0).normal(size=shape) * 50
+    rounded = noise.quantise(jnp.asarray(values, jnp.float32), Noise())
+    steps = np.asarray(rounded) / Noise().steps
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-3)  # float32 of a few hundred steps
+    assert np.all(np.abs(rounded - values) <= Noise().steps / 2 * (1 + 1e-3))
+
+
+def test_drift_is_a_random_walk():
+    touches = 100
+    keys = jax.random.split(jax.random.key(2), 600)
+    walks = np.asarray(jax.jit(jax.vmap(lambda key: noise.drift(key, touches, Noise())))(keys))
+    end = walks[:, -1].ravel()
+    # A normal number times a lognormal size: log |end| has mean log(drift) + mean log |normal|, the latter
+    # -(Euler's constant + log 2) / 2, and variance 1 + pi^2 / 8.
+    spread = np.sqrt(1 + np.pi**2 / 8)
+    expected = np.log(Noise().drift) - (np.euler_gamma + np.log(2)) / 2
+    assert abs(np.mean(np.log(np.abs(end))) - expected) < 5 * spread / np.sqrt(end.size)
+    # Independent increments: the halves of a walk are as large as one another and uncorrelated.
+    first, second = walks[:, touches // 2 - 1], walks[:, -1] - walks[:, touches // 2 - 1]
+    sign = np.mean(np.sign(first) == np.sign(second))
+    assert abs(sign - 0.5) < 5 * 0.5 / np.sqrt(first.size)
+    ratio = np.log(np.abs(second)) - np.log(np.abs(first))  # the size of the channel cancels: variance 2 pi^2 / 8
+    assert abs(np.mean(ratio)) < 5 * np.pi / 2 / np.sqrt(first.size)
+
+
+def test_keys_of_a_batch_are_independent():
+    keys = jax.random.split(jax.random.key(9), 3)
+    reading = jnp.arange(15.0)
+    together = jax.vmap(lambda key: noise.observe(key, reading, BOARD))(keys)
+    for key, row in zip(keys, together, strict=True):
+        np.testing.assert_allclose(noise.observe(key, reading, BOARD), row, atol=1e-4)  # sums in another order
+    assert np.abs(together[0] - together[1]).max() > 0.1
