@@ -64,7 +64,7 @@ PRESETS: dict[str, TrainExperiment] = {
             train=("hexagon", "parallelogram"), validation=("marker",), test=("star", "hammer"), touches=60, train_share=0.6
         ),
         networks={"paper's network, depth": ModelConfig()},
-        training=TrainConfig(epochs=4, batch_size=16),
+        training=TrainConfig(epochs=12, batch_size=16),
     ),
     "study": replace(TrainExperiment(), pads=(0, 1, 2), seeds=5),
 }

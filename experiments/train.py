@@ -301,19 +301,21 @@ def train_network(
     training.check(validation, network, "validation")
     norm = training.normalisation(train)
     ready, ready_validation = (training.prepare(network, norm, part) for part in (train, validation))
-    state = checkpoint.restore(folder)[0] if folder.exists() else training.start(network, cfg, len(train.target))
-    history: list[tuple[float, float]] = []
+    state, history = training.start(network, cfg, len(train.target)), []
+    if folder.exists():  # an interrupted run got this far
+        state, _, about = checkpoint.restore(folder)
+        history = about.extra["history"]
     done = int(np.max(state.epoch))
     with tqdm(total=cfg.epochs, initial=done, desc=f"training {name}", unit="epoch") as bar:
 
         def log(epoch: int, info: training.EpochInfo) -> None:
-            history.append((float(np.mean(info.train.squared)), float(np.mean(info.validation.squared))))
+            history.append([float(np.mean(info.train.squared)), float(np.mean(info.validation.squared))])
             bar.update()
             bar.set_postfix(validation=f"{history[-1][1]:.3f}")
 
         state = training.fit(
             state, network, cfg, ready, ready_validation, log=log,
-            save=lambda state: checkpoint.save(folder, state, network, cfg, norm, len(train.target)),
+            save=lambda state: checkpoint.save(folder, state, network, cfg, norm, len(train.target), {"history": history}),
         )  # fmt: skip
     norm = training.with_residual(state.best_params, network, norm, ready_validation)
     values = np.array(history).reshape(-1, 2)
@@ -437,15 +439,19 @@ def report(result: dict[str, Any]) -> None:
             print(f"{'':48}{'R²':>22}{'RMSE µT':>10}{'/ sigma':>9}{'cosine':>8}")
             for name, values in methods.items():
                 mean, low, high = values["r2"]
-                print(f"{name:48}{mean:7.3f} [{low:.3f}, {high:.3f}]{values['rmse'][0]:10.2f}{values['rmse_sigma'][0]:9.2f}{values['cosine'][0]:8.2f}")
+                print(f"{name:48}{mean:7.3f} [{low:.3f}, {high:.3f}]{values['rmse'][0]:10.2f}{_number(values['rmse_sigma'][0]):>9}{values['cosine'][0]:8.2f}")
         return
     print(f"\ntest touches{kind}, 95 % interval over {result['groups']} groups; kept as predictor: {result['best']}")
     print(f"{'':48}{'R²':>22}{'RMSE µT':>10}{'/ sigma':>9}{'cosine':>8}{'R² x / y / z':>22}")
     for name, values in result["methods"].items():
         low, high = values["r2_interval"]
         axes = " / ".join(f"{value:.2f}" for value in values["r2_axis"])
-        print(f"{name:48}{values['r2']:7.3f} [{low:.3f}, {high:.3f}]{values['rmse']:10.2f}{values['rmse_sigma']:9.2f}{values['cosine']:8.2f}  {axes:>20}")
+        print(f"{name:48}{values['r2']:7.3f} [{low:.3f}, {high:.3f}]{values['rmse']:10.2f}{_number(values['rmse_sigma']):>9}{values['cosine']:8.2f}  {axes:>20}")
     print(f"{result['seconds']:.0f} s")
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None or not np.isfinite(value) else f"{value:.2f}"
 
 
 def _open(args: Args, cfg: TrainExperiment) -> None:
