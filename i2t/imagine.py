@@ -52,9 +52,9 @@ class Imagination:
 
 def heights(cfg: Imagination, view: Float[Array, "n n"]) -> Float[Array, "g g"]:
     """Heights (m, of the view) over the cells of the skin, from a depth view whose unknown surroundings are NaN."""
-    view = smooth.fill(view)
     if cfg.smooth:
         view = smooth.local_planes(view)
+    view = smooth.fill(view)
     at = cfg.grid.centres / cfg.pitch + (view.shape[0] - 1) / 2
     row, column = jnp.meshgrid(at, at, indexing="ij")
     return jax.scipy.ndimage.map_coordinates(view, [row, column], order=1, mode="nearest")

@@ -35,12 +35,12 @@ def local_planes(
     edges: tuple[float, ...] = (1.5e-3, 0.8e-3, 0.5e-3),
     radius: int = 5,
 ) -> Float[Array, "n n"]:
-    """Value at each pixel of the robust plane through its surroundings.
+    """Value at each pixel of the robust plane through its surroundings; NaN, and what lies outside, is unknown.
 
     `edges` are the widths (m) of the agreement weights, one pass each.
     """
     n, width = depth.shape[0], 2 * radius + 1
-    padded = jnp.pad(depth, radius, mode="edge")
+    padded = jnp.pad(depth, radius, constant_values=jnp.nan)
     offsets = jnp.stack(jnp.meshgrid(jnp.arange(width), jnp.arange(width), indexing="ij"), -1).reshape(-1, 2)
     # Value and slopes per pixel, towards rows and columns.
     plane = (depth, jnp.zeros_like(depth), jnp.zeros_like(depth))
@@ -51,7 +51,9 @@ def local_planes(
             y, x = (offset - radius).astype(depth.dtype)
             z = jax.lax.dynamic_slice(padded, offset, (n, n))
             residual = z - (plane[0] + plane[1] * y + plane[2] * x)
-            w = jnp.exp(-(x * x + y * y) / (2 * sigma**2) - residual**2 / (2 * edge**2))
+            known = jnp.isfinite(z)
+            w = jnp.where(known, jnp.exp(-(x * x + y * y) / (2 * sigma**2) - residual**2 / (2 * edge**2)), 0)
+            z = jnp.where(known, z, 0)
             terms = (w, w * y, w * x, w * y * y, w * x * y, w * x * x, w * z, w * y * z, w * x * z)
             return tuple(m + t for m, t in zip(moments, terms, strict=True)), None
 
