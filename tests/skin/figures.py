@@ -1,0 +1,143 @@
+"""The figures of `docs/physics.md`: `python tests/skin/figures.py` (about three minutes on two cores).
+
+Speeds are those of one run on one machine: read their ratios.
+"""
+
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from test_contact import PAD, SHAPES, _reference
+from test_field import _tip
+
+from i2t.skin import contact
+from i2t.skin.contact import FINE, GRID, Grid
+from i2t.skin.field import NODES, response
+from i2t.skin.pad import nominal_pad, press, press_force, sample_pad
+
+RANDOM = np.random.default_rng(1)
+FINEST = Grid(160, 256)
+
+
+def against_contact_mechanics() -> None:
+    print("shape           force (N)  difference  pressure rms / peak  steps  ContactMechanics")
+    solve = jax.jit(contact.solve)
+    for name, (height, indentation) in SHAPES.items():
+        start = time.perf_counter()
+        pressure = _reference(height, indentation)
+        seconds = time.perf_counter() - start
+        found = solve(PAD, jnp.asarray(height, jnp.float32), indentation)
+        force = pressure.sum() * GRID.spacing**2
+        rms = np.sqrt(np.mean((found.pressure - pressure) ** 2)) / pressure.max()
+        print(
+            f"{name:15} {force:9.5f}  {found.force / force - 1:+.1e}  {rms:.1e}  {found.steps:5}  {1 / seconds:.0f}/s"
+        )
+
+
+def _edge(x, y, angle, offset, slope):
+    s = x * np.cos(angle) + y * np.sin(angle) - offset
+    return np.minimum(np.maximum(s * slope, -s / slope), 4e-3)
+
+
+def _corner(x, y, x0, y0, angles, slope):
+    faces = [np.cos(a) * (x - x0) + np.sin(a) * (y - y0) for a in angles]
+    return np.minimum(slope * np.max(faces, axis=0), 4e-3)
+
+
+def _stamp(x, y, bars, tilt=0.0):
+    inside = np.any([(abs(x - u) < w) & (abs(y - v) < h) for u, v, w, h in bars], axis=0)
+    return np.where(inside, 0, 3.5e-3) + tilt * (x + 10e-3)
+
+
+def _families() -> dict:
+    tee = [(0, 0, 1e-3, 5e-3), (0, 4e-3, 5e-3, 1e-3)]
+    cross = [(0, 0, 1e-3, 5e-3), (0, 0, 5e-3, 1e-3)]
+    edges = [(RANDOM.uniform(0, 2 * np.pi), RANDOM.uniform(-5e-3, 5e-3), RANDOM.uniform(0.2, 1.2)) for _ in range(8)]
+    corners = [
+        (*RANDOM.uniform(-4e-3, 4e-3, 2), RANDOM.uniform(0, 2) + np.array([0, 2.1, 4.2]), RANDOM.uniform(0.4, 1))
+        for _ in range(8)
+    ]
+    return {
+        "tips at 0.8 N": ([_tip(*RANDOM.uniform(-7e-3, 7e-3, 2)) for _ in range(8)], 0.8),
+        "stamps at 1 N": (
+            [
+                lambda x, y, bars=bars, tilt=tilt: _stamp(x, y, bars, tilt)
+                for bars in (tee, cross)
+                for tilt in (0, 0.02)
+            ],
+            1.0,
+        ),
+        "edges at 0.6 N": ([lambda x, y, e=e: _edge(x, y, *e) for e in edges], 0.6),
+        "corners at 0.5 N": ([lambda x, y, c=c: _corner(x, y, *c) for c in corners], 0.5),
+    }
+
+
+def refinement() -> None:
+    pads = [nominal_pad(), *(sample_pad(jax.random.key(i)) for i in range(4))]
+    print("\nchange of the reading against 160 x 160 cells and 80 x 80 x 10 dipoles: pooled, median and worst press")
+    levels = {"40, dipoles 40": (GRID, GRID), "80, dipoles 40": (FINE, GRID), "80, dipoles 80": (FINE, FINE)}
+    for family, (shapes, force) in _families().items():
+        readings = {}
+        for name, (grid, dipoles, nodes) in {
+            **{name: (*level, NODES) for name, level in levels.items()},
+            "reference": (FINEST, FINE, 2 * NODES),
+        }.items():
+            y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
+            heights = jnp.asarray(np.stack([shape(x, y) for shape in shapes]), jnp.float32)
+
+            def one(pad, height, grid=grid, dipoles=dipoles, nodes=nodes, force=force):
+                found = contact.solve_force(pad, height - jnp.min(height), force, grid)
+                return response(pad, found.pressure, grid, dipoles, nodes)
+
+            each = jax.jit(lambda pad, heights, one=one: jax.lax.map(lambda height: one(pad, height), heights))
+            readings[name] = np.stack([each(pad, heights) for pad in pads])
+        exact = readings.pop("reference")
+        for name, found in readings.items():
+            change, size = np.linalg.norm(found - exact, axis=-1), np.linalg.norm(exact, axis=-1)
+            pooled = np.sqrt(np.sum(change**2) / np.sum(size**2))
+            each = change / size
+            print(f"{family:17} {name}: {pooled:.2%}  {np.median(each):.2%}  {each.max():.2%}")
+
+
+def speed() -> None:
+    print("\nin batches of 64, at 0.3 mm")
+    for name, grid in (("40 cells", GRID), ("80 cells", FINE)):
+        y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
+        places = RANDOM.uniform(-5e-3, 5e-3, (64, 2))
+        heights = jnp.asarray(np.stack([_tip(*place)(x, y) for place in places]), jnp.float32)
+        for task, function in (("contact", contact.solve), ("contact and reading", press)):
+            run = jax.jit(jax.vmap(lambda height, f=function, g=grid: f(PAD, height, 0.3e-3, g)))
+            jax.block_until_ready(run(heights))
+            times = []
+            for _ in range(5):
+                start = time.perf_counter()
+                jax.block_until_ready(run(heights))
+                times.append(time.perf_counter() - start)
+            print(f"{name}, {task}: {64 / min(times):.0f}/s")
+
+
+def magnitudes() -> None:
+    y, x = np.meshgrid(GRID.centres, GRID.centres, indexing="ij")
+    heights = jnp.asarray(np.stack([_tip(*p)(x, y) for p in RANDOM.uniform(-7e-3, 7e-3, (32, 2))]), jnp.float32)
+    forces = jnp.asarray(RANDOM.uniform(0.6, 1.0, 32), jnp.float32)
+    pads = jax.jit(jax.vmap(sample_pad))(jax.random.split(jax.random.key(11), 100))
+    each = jax.vmap(press_force, (None, 0, 0))
+    found = jax.jit(lambda pads: jax.lax.map(lambda pad: each(pad, heights, forces), pads))(pads)
+    norm = np.linalg.norm(found.reading, axis=-1)
+    print("\n100 simulated pads, a tip of 4.6 mm at 0.6-1.0 N: 10, 50 and 90 % of the pads")
+    print("median norm (uT)", np.quantile(np.median(norm, axis=1), [0.1, 0.5, 0.9]).round())
+    print("95th percentile (uT)", np.quantile(np.quantile(norm, 0.95, axis=1), [0.1, 0.5, 0.9]).round())
+    print("sensitivity (uT/N)", np.quantile(np.median(norm / np.asarray(forces), axis=1), [0.1, 0.5, 0.9]).round())
+    chips = np.asarray(found.reading).reshape(100, 32, 5, 3)
+    strongest = np.linalg.norm(chips, axis=-1).argmax(axis=-1)
+    values = np.abs(np.take_along_axis(chips, strongest[..., None, None], axis=2)[:, :, 0])
+    for axis, name in enumerate("xyz"):
+        print(f"strongest chip's {name} (uT)", np.quantile(np.median(values[..., axis], 1), [0.1, 0.5, 0.9]).round())
+
+
+if __name__ == "__main__":
+    against_contact_mechanics()
+    refinement()
+    speed()
+    magnitudes()
