@@ -35,6 +35,17 @@ def against_contact_mechanics() -> None:
         )
 
 
+def against_hertz() -> None:
+    radius, indentation, grid = 2e-3, 0.03e-3, Grid(cells=64, modes=1024, window=2e-3)
+    pad = PAD._replace(thickness=jnp.asarray(30e-3))
+    y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
+    found = jax.jit(lambda height: contact.solve(pad, height, indentation, grid))(
+        jnp.asarray((x**2 + y**2) / (2 * radius), jnp.float32)
+    )
+    modulus = float(pad.young) / (1 - float(pad.poisson) ** 2)
+    print(f"\nforce over Hertz's: {found.force / (4 / 3 * modulus * np.sqrt(radius) * indentation**1.5):.4f}")
+
+
 def _edge(x, y, angle, offset, slope):
     s = x * np.cos(angle) + y * np.sin(angle) - offset
     return np.minimum(np.maximum(s * slope, -s / slope), 4e-3)
@@ -138,6 +149,7 @@ def magnitudes() -> None:
 
 if __name__ == "__main__":
     against_contact_mechanics()
+    against_hertz()
     refinement()
     speed()
     magnitudes()
