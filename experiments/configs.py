@@ -46,7 +46,13 @@ class TrainExperiment:
             "paper's network, mask": ModelConfig(input="mask"),
             "paper's network, depth": ModelConfig(),
             "network on imagined pressure": ModelConfig(
-                input="image", pixels=20, bottleneck=30, auxiliary=False, heteroscedastic=True, members=5, conditions=("force",)
+                input="image",
+                pixels=20,
+                bottleneck=30,
+                auxiliary=False,
+                heteroscedastic=True,
+                members=5,
+                conditions=("force",),
             ),
         }
     )
@@ -61,7 +67,11 @@ PRESETS: dict[str, TrainExperiment] = {
     "paper": TrainExperiment(),
     "debug": TrainExperiment(
         simulation=Simulation(
-            train=("hexagon", "parallelogram"), validation=("marker",), test=("star", "hammer"), touches=60, train_share=0.6
+            train=("hexagon", "parallelogram"),
+            validation=("marker",),
+            test=("star", "hammer"),
+            touches=60,
+            train_share=0.6,
         ),
         networks={"paper's network, depth": ModelConfig()},
         training=TrainConfig(epochs=12, batch_size=16),

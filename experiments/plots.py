@@ -1,7 +1,7 @@
 """Figures for people: readings as field vectors over the skin, patches, errors per axis, training curves.
 
-Colours are from the colour-blind safe set of Okabe and Ito (2008); every figure made from simulated touches says so in its title. Functions take NumPy
-arrays and return a matplotlib figure; `save` writes and closes it.
+Colours are from the colour-blind safe set of Okabe and Ito (2008); every figure made from simulated touches says so in
+its title. Functions take NumPy arrays and return a matplotlib figure; `save` writes and closes it.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,8 @@ def _titled(title: str, simulated: bool) -> str:
 def draw_reading(
     axes: Axes, board: Board, reading: np.ndarray, scale: float, colour: str, label: str | None = None
 ) -> None:
-    """Draw a reading (15,) uT as five vectors over the skin: arrows for the tangential part, discs for z (filled up, open down).
+    """Draw a reading (15,) uT as five vectors over the skin: arrows for the tangential part, discs for z (filled up,
+    open down).
 
     `scale` is the field in uT drawn as 5 mm; give every panel of a figure the same.
     """
@@ -94,7 +95,7 @@ def touches(
     title: str,
     simulated: bool,
 ) -> Figure:
-    """A column per touch: its depth patch above, below it the true reading and the predicted one as five field vectors."""
+    """A column per touch: its depth patch above, below it the reading felt and the one imagined, as five field vectors."""
     n = len(patches)
     figure = Figure(figsize=(2.5 * n + 0.9, 5.6), layout="constrained")
     axes = figure.subplots(2, n, squeeze=False)
@@ -134,7 +135,9 @@ def curves(series: dict[str, np.ndarray], title: str, ylabel: str, simulated: bo
 
 
 def errors_per_axis(errors: dict[str, np.ndarray], noise: np.ndarray | None, title: str, simulated: bool) -> Figure:
-    """Bars of RMSE (15,) uT per chip and axis, one group of bars per method; `noise` (15,) is drawn as the floor where known."""
+    """Bars of RMSE (15,) uT per chip and axis, one group of bars per method; `noise` (15,) is drawn as the floor where
+    known.
+    """
     figure = Figure(figsize=(9, 3.4), layout="constrained")
     axes = figure.subplots()
     x, width = np.arange(15), 0.8 / len(errors)

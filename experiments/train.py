@@ -6,10 +6,11 @@
     python -m experiments.train --preset study       3 pads x 5 seeds
     python -m experiments.train --dataset DIR        any recorded or converted set (see python -m i2t.convert)
 
-Hexagon and parallelogram train, one tool validates, all other primitives and tools test. Every method sees the same touches: baselines that look up or
-regress patches, the paper's network (contact mask or depth), and two models on imagined pressure, of which the better on the validation object is kept
-as the predictor. A ceiling shows what the same model would reach if the camera and the arm made no error. Results go to --out: metrics.json, config.json,
-figures, the data (data.h5) and checkpoint/, which `i2t.load_predictor` reads.
+Hexagon and parallelogram train, one tool validates, all other primitives and tools test. Every method sees the same
+touches: baselines that look up or regress patches, the paper's network (contact mask or depth), and two models on
+imagined pressure, of which the better on the validation object is kept as the predictor. A ceiling shows what the same
+model would reach if the camera and the arm made no error. Results go to --out: metrics.json, config.json, figures, the
+data (data.h5) and checkpoint/, which `i2t.load_predictor` reads.
 """
 
 import json
@@ -142,10 +143,16 @@ def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: int | None, out: P
             name, network, replace(cfg.training, seed=seed), images, touches, split, out / "checkpoint" / slug(name)
         )
         on_pressure = network.input == "image"
-        candidates[name] = describe(Predictor(None, trained, imagination if on_pressure else None, dataset.window, dataset.reach, 0, 0), dataset, split)
+        candidates[name] = describe(
+            Predictor(None, trained, imagination if on_pressure else None, dataset.window, dataset.reach, 0, 0),
+            dataset,
+            split,
+        )
         curves |= curve
     process = fit_process(imagined, readings, split, seed)
-    candidates[PROCESS] = describe(Predictor(process, None, imagination, dataset.window, dataset.reach, 0, 0), dataset, split)
+    candidates[PROCESS] = describe(
+        Predictor(process, None, imagination, dataset.window, dataset.reach, 0, 0), dataset, split
+    )
 
     validation: dict[str, float] = {}
     for name, candidate in candidates.items():
@@ -154,7 +161,9 @@ def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: int | None, out: P
         validation[name] = score(readings[split.validation], seen.mean).r2
         reading = predict(candidate, dataset, split.test, views)
         predicted[name], spreads[name], candidates[name] = reading.mean, reading.std, candidate
-    best = max((name for name in candidates if candidates[name].imagination is not None), key=lambda name: validation[name])
+    best = max(
+        (name for name in candidates if candidates[name].imagination is not None), key=lambda name: validation[name]
+    )
     if touches.truth is not None:
         predicted[CEILING] = ceiling(dataset, imagination, split, seed)
 
@@ -166,7 +175,7 @@ def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: int | None, out: P
         "pad": pad,
         "split": split.how,
         "counts": {part: int(getattr(split, part).sum()) for part in ("train", "validation", "test")},
-        "groups": int(len(np.unique(groups))),
+        "groups": len(np.unique(groups)),
         "noise_uT": None if noise is None else noise.tolist(),
         "best": best,
         "validation_r2": validation,
@@ -174,14 +183,17 @@ def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: int | None, out: P
         "by_object": by_object(dataset, split, truth, predicted),
         "seconds": 0.0,
     }
-    predicting.save(out / "checkpoint" / "predictor", replace(candidates[best], about={"method": best, "source": dataset.source, "seed": seed}))
+    predicting.save(
+        out / "checkpoint" / "predictor",
+        replace(candidates[best], about={"method": best, "source": dataset.source, "seed": seed}),
+    )
     figures(out, dataset, split, predicted, best, curves, noise, metrics, simulated)
     metrics["seconds"] = round(time.perf_counter() - started, 1)
     write_json(out / "metrics.json", metrics)
 
 
 def simulate(cfg: TrainExperiment, seed: int, pad_seed: int, path: Path) -> Dataset:
-    """The embedded default: simulated touches of the preset's objects with one pad, kept in `path` for a resumed run."""
+    """The embedded default: simulated touches of the preset with one pad, kept in `path` for a resumed run."""
     if path.exists():
         return data.load(path)
     plan = cfg.simulation
@@ -194,7 +206,13 @@ def simulate(cfg: TrainExperiment, seed: int, pad_seed: int, path: Path) -> Data
     runs = tuple(f"run {i:03d}" for i in range(int(touches.run.max()) + 1))
     board = Board(*(np.asarray(field) for field in pad.board))
     made = Dataset(
-        touches, plan.objects, (f"simulated pad {pad_seed}",), runs, board, "simulated", meta={"made by": f"experiments.train, seed {seed}"}
+        touches,
+        plan.objects,
+        (f"simulated pad {pad_seed}",),
+        runs,
+        board,
+        "simulated",
+        meta={"made by": f"experiments.train, seed {seed}"},
     )
     data.save(path, made)
     return made
@@ -206,7 +224,9 @@ def load(path: Path) -> Dataset:
 
 
 def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -> Split:
-    """Hold out objects, runs, blocks of places or the last touches in time; presses that failed or met air are left out."""
+    """Hold out objects, runs, blocks of places or the last touches in time; presses that failed or met air are left
+    out.
+    """
     touches = dataset.touches
     usable = ~np.isin(touches.code, [ReturnCode.FAILED, ReturnCode.AIR])
     plan = cfg.simulation
@@ -244,7 +264,9 @@ def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -
     split = Split(usable & ~held & ~tuning, usable & tuning & ~held, usable & held, groups, how)
     for part in ("train", "validation", "test"):
         if getattr(split, part).sum() < 2:
-            raise DataError(f"splitting by {how} leaves {getattr(split, part).sum()} touches to {part}; choose another --split or record more")
+            raise DataError(
+                f"splitting by {how} leaves {getattr(split, part).sum()} touches to {part}; choose another --split"
+            )
     return split
 
 
@@ -255,7 +277,9 @@ def conditions_of(touches: Touches, split: Split) -> tuple[str, ...]:
 
 
 def imagination_of(dataset: Dataset, measured: tuple[str, ...], cfg: TrainExperiment) -> Imagination:
-    """How touches of this set are imagined: by force where it was measured, else by depth; smoothed where views are noisy."""
+    """How touches of this set are imagined: by force where it was measured, else by depth; smoothed where views are
+    noisy.
+    """
     patches = dataset.touches.patch
     curvature = patches[:, 2:] - 2 * patches[:, 1:-1] + patches[:, :-2]
     noisy = float(np.median(np.abs(curvature))) > 20e-6  # a surface alone curves less than this over a pixel
@@ -287,7 +311,13 @@ def fit_network_to(
 
 
 def train_network(
-    name: str, network: ModelConfig, cfg: training.TrainConfig, images: np.ndarray, touches: Touches, split: Split, folder: Path
+    name: str,
+    network: ModelConfig,
+    cfg: training.TrainConfig,
+    images: np.ndarray,
+    touches: Touches,
+    split: Split,
+    folder: Path,
 ) -> tuple[Network, dict[str, np.ndarray]]:
     """Train with a bar, saving every chunk; goes on from what an interrupted run saved."""
 
@@ -315,11 +345,16 @@ def train_network(
 
         state = training.fit(
             state, network, cfg, ready, ready_validation, log=log,
-            save=lambda state: checkpoint.save(folder, state, network, cfg, norm, len(train.target), {"history": history}),
+            save=lambda state: checkpoint.save(
+                folder, state, network, cfg, norm, len(train.target), {"history": history}
+            ),
         )  # fmt: skip
     norm = training.with_residual(state.best_params, network, norm, ready_validation)
     values = np.array(history).reshape(-1, 2)
-    return Network(state.best_params, network, norm), {f"{name}, training": values[:, 0], f"{name}, validation": values[:, 1]}
+    return Network(state.best_params, network, norm), {
+        f"{name}, training": values[:, 0],
+        f"{name}, validation": values[:, 1],
+    }
 
 
 def fit_process(imagined: gp.Imagined, readings: np.ndarray, split: Split, seed: int) -> gp.GP:
@@ -375,15 +410,17 @@ def by_object(dataset: Dataset, split: Split, truth: np.ndarray, predicted: dict
     """R2 of every method on each test object."""
     kinds = dataset.touches.object[split.test]
     return {
-        dataset.objects[kind]: {name: score(truth[kinds == kind], mean[kinds == kind]).r2 for name, mean in predicted.items()}
+        dataset.objects[kind]: {
+            name: score(truth[kinds == kind], mean[kinds == kind]).r2 for name, mean in predicted.items()
+        }
         for kind in np.unique(kinds)
         if (kinds == kind).sum() > 2
     }
 
 
 def figures(
-    out: Path, dataset: Dataset, split: Split, predicted: dict[str, np.ndarray], best: str, curves: dict[str, np.ndarray],
-    noise: np.ndarray | None, metrics: dict[str, Any], simulated: bool,
+    out: Path, dataset: Dataset, split: Split, predicted: dict[str, np.ndarray], best: str,
+    curves: dict[str, np.ndarray], noise: np.ndarray | None, metrics: dict[str, Any], simulated: bool,
 ) -> None:  # fmt: skip
     """All pictures of one run."""
     truth, patches = dataset.touches.reading[split.test], dataset.touches.patch[split.test]
@@ -404,11 +441,26 @@ def figures(
         )  # fmt: skip
         plots.save(figure, out / f"touches_{title.split()[0]}.png")
     if any(len(values) for values in curves.values()):
-        plots.save(plots.curves({k: v for k, v in curves.items() if len(v)}, "Training", "squared error (standardised)", simulated), out / "training.png")
-    drawn = {name: np.sqrt(((predicted[name] - truth) ** 2).mean(0)) for name in ("mean reading", "k nearest patches", "paper's network, depth", best) if name in predicted}
-    plots.save(plots.errors_per_axis(drawn, noise, "Error per chip and axis on the test touches", simulated), out / "error_per_axis.png")
+        plots.save(
+            plots.curves(
+                {k: v for k, v in curves.items() if len(v)}, "Training", "squared error (standardised)", simulated
+            ),
+            out / "training.png",
+        )
+    drawn = {
+        name: np.sqrt(((predicted[name] - truth) ** 2).mean(0))
+        for name in ("mean reading", "k nearest patches", "paper's network, depth", best)
+        if name in predicted
+    }
+    plots.save(
+        plots.errors_per_axis(drawn, noise, "Error per chip and axis on the test touches", simulated),
+        out / "error_per_axis.png",
+    )
     intervals = {name: (values["r2"], *values["r2_interval"]) for name, values in metrics["methods"].items()}
-    plots.save(plots.scores(intervals, "Explained variance on the test touches", "R² (95 % interval over groups)", simulated), out / "scores.png")
+    plots.save(
+        plots.scores(intervals, "Explained variance on the test touches", "R² (95 % interval over groups)", simulated),
+        out / "scores.png",
+    )
 
 
 def summarise(parts: list[dict[str, Any]], out: Path) -> dict[str, Any]:
@@ -416,16 +468,26 @@ def summarise(parts: list[dict[str, Any]], out: Path) -> dict[str, Any]:
     pads = sorted({part["pad"] or 0 for part in parts})
     names = list(parts[0]["methods"])
     numbers = [field for field in Score._fields if not field.endswith("_axis")]
-    summary: dict[str, Any] = {"source": parts[0]["source"], "seeds": sorted({part["seed"] for part in parts}), "pads": {}}
+    summary: dict[str, Any] = {
+        "source": parts[0]["source"],
+        "seeds": sorted({part["seed"] for part in parts}),
+        "pads": {},
+    }
     for pad in pads:
         of_pad = [part for part in parts if (part["pad"] or 0) == pad]
         summary["pads"][str(pad)] = {
-            name: {field: seed_interval([part["methods"][name][field] for part in of_pad]) for field in numbers} for name in names
+            name: {field: seed_interval([part["methods"][name][field] for part in of_pad]) for field in numbers}
+            for name in names
         }
     summary["best"] = {str(pad): [part["best"] for part in parts if (part["pad"] or 0) == pad] for pad in pads}
     write_json(out / "metrics.json", summary)
     first = summary["pads"][str(pads[0])]
-    figure = plots.scores({name: tuple(first[name]["r2"]) for name in names}, f"Explained variance, pad {pads[0]}", "R² (95 % interval over seeds)", parts[0]["source"] != "real")
+    figure = plots.scores(
+        {name: tuple(first[name]["r2"]) for name in names},
+        f"Explained variance, pad {pads[0]}",
+        "R² (95 % interval over seeds)",
+        parts[0]["source"] != "real",
+    )
     plots.save(figure, out / "scores.png")
     return summary
 
@@ -439,15 +501,22 @@ def report(result: dict[str, Any]) -> None:
             print(f"{'':48}{'R²':>22}{'RMSE µT':>10}{'/ sigma':>9}{'cosine':>8}")
             for name, values in methods.items():
                 mean, low, high = values["r2"]
-                print(f"{name:48}{mean:7.3f} [{low:.3f}, {high:.3f}]{values['rmse'][0]:10.2f}{_number(values['rmse_sigma'][0]):>9}{values['cosine'][0]:8.2f}")
+                rmse, sigmas, cosine = (values[field][0] for field in ("rmse", "rmse_sigma", "cosine"))
+                print(f"{name:48}{_interval(mean, low, high):>22}{rmse:10.2f}{_number(sigmas):>9}{cosine:8.2f}")
         return
     print(f"\ntest touches{kind}, 95 % interval over {result['groups']} groups; kept as predictor: {result['best']}")
     print(f"{'':48}{'R²':>22}{'RMSE µT':>10}{'/ sigma':>9}{'cosine':>8}{'R² x / y / z':>22}")
     for name, values in result["methods"].items():
         low, high = values["r2_interval"]
         axes = " / ".join(f"{value:.2f}" for value in values["r2_axis"])
-        print(f"{name:48}{values['r2']:7.3f} [{low:.3f}, {high:.3f}]{values['rmse']:10.2f}{_number(values['rmse_sigma']):>9}{values['cosine']:8.2f}  {axes:>20}")
+        r2 = _interval(values["r2"], low, high)
+        sigmas = _number(values["rmse_sigma"])
+        print(f"{name:48}{r2:>22}{values['rmse']:10.2f}{sigmas:>9}{values['cosine']:8.2f}{axes:>22}")
     print(f"{result['seconds']:.0f} s")
+
+
+def _interval(mean: float, low: float | None, high: float | None) -> str:
+    return f"{mean:.3f}" if low is None or not np.isfinite(low) else f"{mean:.3f} [{low:.3f}, {high:.3f}]"
 
 
 def _number(value: float | None) -> str:
@@ -457,7 +526,11 @@ def _number(value: float | None) -> str:
 def _open(args: Args, cfg: TrainExperiment) -> None:
     """Make the folder, or refuse one that is in use; note what is run and with which versions."""
     config = {
-        "args": {name: str(value) if isinstance(value, Path) else value for name, value in asdict(args).items() if name not in ("resume", "overwrite")},
+        "args": {
+            name: str(value) if isinstance(value, Path) else value
+            for name, value in asdict(args).items()
+            if name not in ("resume", "overwrite")
+        },
         "experiment": asdict(cfg),
         "versions": {"python": sys.version.split()[0], **{name: version(name) for name in checkpoint.PACKAGES}},
     }

@@ -1,7 +1,7 @@
 """i2t: imagine a touch before making it.
 
-A surface and a pose become a depth patch; the patch and a skin become a touch; touches become a belief about the object. Importing this package
-imports no JAX, so that the hardware layer stays free of it.
+A surface and a pose become a depth patch; the patch and a skin become a touch; touches become a belief about the
+object. Importing this package imports no JAX, so that the hardware layer stays free of it.
 """
 
 from typing import TYPE_CHECKING, Any

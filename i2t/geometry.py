@@ -1,7 +1,7 @@
 """Rigid transforms and rotations on single examples; frames as in `i2t.types` (`T_a_b` maps points in b to a).
 
-Rotation vectors follow Rodrigues' formula; it is written with sinc-like series near zero, so that values and gradients stay finite there
-(Grassia, "Practical parameterization of rotations using the exponential map", 1998).
+Rotation vectors follow Rodrigues' formula; it is written with sinc-like series near zero, so that values and gradients
+stay finite there (Grassia, "Practical parameterization of rotations using the exponential map", 1998).
 """
 
 import jax
@@ -41,10 +41,11 @@ def rotation(rotvec: Float[Array, "3"]) -> Float[Array, "3 3"]:
 def contact_frame(
     point: Float[Array, "3"], normal: Float[Array, "3"], spin: Float[Array, ""] | float = 0.0
 ) -> Float[Array, "4 4"]:
-    """T_w_t of a skin that lies on `point`, z into the surface (minus its outward unit normal), turned about z by `spin` radians.
+    """T_w_t of a skin that lies on `point`, z into the surface (minus its outward unit normal), turned about z by
+    `spin` radians.
 
-    Spin 0 turns the frame whose tool points straight down and whose x is the world's by the smallest rotation (the paper's alignment); straight up,
-    where that rotation is not unique, it turns about the world's x.
+    Spin 0 turns the frame whose tool points straight down and whose x is the world's by the smallest rotation (the
+    paper's alignment); straight up, where that rotation is not unique, it turns about the world's x.
     """
     z = -normal
     # Smallest rotation from down = (0, 0, -1) to z: I + [v] + [v]^2 / (1 + c) with v = down x z, c = down . z.

@@ -1,8 +1,8 @@
 """A trained model in the hands of a user: depth patches, or a mesh and a pose, become readings in uT with their spread.
 
-A predictor is one of two things that `python -m experiments.train` makes: the network of `i2t.model` on a depth patch or on imagined pressure, or the
-Gaussian process of `i2t.gp` on imagined pressure. Both are saved by `save` and read by `load_predictor`; what is done to a patch on the way is part of
-what is saved.
+A predictor is one of two things that `python -m experiments.train` makes: the network of `i2t.model` on a depth patch
+or on imagined pressure, or the Gaussian process of `i2t.gp` on imagined pressure. Both are saved by `save` and read by
+`load_predictor`; what is done to a patch on the way is part of what is saved.
 
     predictor = i2t.load_predictor("runs/train")
     reading, spread = predictor.predict(patch, force=1.0)                       # (15,) uT each
@@ -28,7 +28,7 @@ from i2t.imagine import Imagination, imagine
 from i2t.model import ModelConfig, Normalisation, Params
 from i2t.render import prepare, render_patch
 from i2t.skin.pad import nominal_pad
-from i2t.types import PATCH_PIXELS, REACH, WIDE_PIXELS, Pad, Surface
+from i2t.types import PATCH_PIXELS, WIDE_PIXELS, Pad, Surface
 
 FORMAT = "i2t predictor"
 FORMAT_VERSION = 1
@@ -54,8 +54,9 @@ class Network(NamedTuple):
 class Predictor:
     """Predicts readings; make one with `load_predictor`.
 
-    `process` or `network` does the work. `imagination` is None for a network that sees patches themselves. `window` and `reach` (m) say what a patch is,
-    `load` (N) and `depth` (m) are the middle of the training touches, and `spread` scales the standard deviations to what was seen on validation touches.
+    `process` or `network` does the work. `imagination` is None for a network that sees patches themselves. `window` and
+    `reach` (m) say what a patch is, `load` (N) and `depth` (m) are the middle of the training touches, and `spread`
+    scales the standard deviations to what was seen on validation touches.
     """
 
     process: GP | None
@@ -78,9 +79,10 @@ class Predictor:
     ) -> Reading:
         """The reading of one touch, or of many on axis 0.
 
-        `patch` is in metres behind the nearest point (as in `i2t.types.Patch`), `force` in newtons along tool z; left out, the middle of the training
-        touches is taken. `nearest` and `depth` (m) are needed only by a model that was trained with them. `wide` is the same view with its surroundings
-        and makes the prediction better at the rim of the skin. Raises ValueError for shapes and values that do not fit.
+        `patch` is in metres behind the nearest point (as in `i2t.types.Patch`), `force` in newtons along tool z; left
+        out, the middle of the training touches is taken. `nearest` and `depth` (m) are needed only by a model that was
+        trained with them. `wide` is the same view with its surroundings and makes the prediction better at the rim of
+        the skin. Raises ValueError for shapes and values that do not fit.
         """
         patch = np.asarray(patch, np.float32)
         single = patch.ndim == 2
@@ -108,8 +110,8 @@ class Predictor:
     ) -> Reading:
         """The reading of the skin pressed on a mesh with its tool frame at T_w_t (the mesh is in W).
 
-        `mesh` is a file (then `unit` is required), an `i2t.objects.Object` or anything with `vertices` and `faces`, or a prepared `Surface`. Raises
-        ValueError where nothing lies in front of the skin.
+        `mesh` is a file (then `unit` is required), an `i2t.objects.Object` or anything with `vertices` and `faces`, or
+        a prepared `Surface`. Raises ValueError where nothing lies in front of the skin.
         """
         if isinstance(mesh, str | Path):
             from i2t import objects
@@ -144,18 +146,16 @@ class Predictor:
             mean, std = _process(self.process, imagined)
         else:
             assert self.network is not None
-            params, cfg, norm = self.network
-            if images.shape[1] != cfg.pixels:
-                raise ValueError(f"patch has {images.shape[1]} pixels an edge; this model sees {cfg.pixels}")
-            missing = [name for name in cfg.conditions if not np.isfinite(measured[name]).all()]
+            params, network, norm = self.network
+            if images.shape[1] != network.pixels:
+                raise ValueError(f"patch has {images.shape[1]} pixels an edge; this model sees {network.pixels}")
+            missing = [name for name in network.conditions if not np.isfinite(measured[name]).all()]
             if missing:
                 raise ValueError(f"this model needs {', '.join(missing)} of every touch; pass it to predict")
-            conditions = (
-                np.stack([measured[name] for name in cfg.conditions], -1)
-                if cfg.conditions
-                else np.zeros((len(images), 0))
-            )
-            mean, std = _network(cfg, params, norm, model.Inputs(jnp.float32(images), jnp.float32(conditions)))
+            values = [measured[name] for name in network.conditions]
+            conditions = np.stack(values, -1) if values else np.zeros((len(images), 0))
+            inputs = model.Inputs(jnp.float32(images), jnp.float32(conditions))
+            mean, std = _network(network, params, norm, inputs)
         return np.asarray(mean), np.asarray(std) * self.spread
 
 
@@ -232,7 +232,7 @@ def load_predictor(directory: Path | str) -> Predictor:
             raise KeyError(about["format"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CheckpointError(
-            f"{directory} holds no predictor of this i2t; name the folder that `python -m experiments.train --out` wrote"
+            f"{directory} holds no predictor of this i2t; name the folder that `python -m experiments.train` wrote"
         ) from error
     here = jax.sharding.SingleDeviceSharding(jax.devices()[0])
     abstract = jax.tree.map(

@@ -1,11 +1,12 @@
 """The words every part of i2t speaks: surfaces, boards, pads, touches and the numbers of a depth patch.
 
-Frames: W world, B robot base, T tool, C camera, O object; `T_a_b` is the (4, 4) transform that maps points in b to a. The tool frame has its origin at
-the skin's centre on its surface, z out of the skin into the object, x and y along the skin's edges. Units: metres, radians, newtons and tesla in the
-physics, microtesla at the sensor's face.
+Frames: W world, B robot base, T tool, C camera, O object; `T_a_b` is the (4, 4) transform that maps points in b to a.
+The tool frame has its origin at the skin's centre on its surface, z out of the skin into the object, x and y along the
+skin's edges. Units: metres, radians, newtons and tesla in the physics, microtesla at the sensor's face.
 
-Every type is a NamedTuple of arrays and so a JAX pytree: one example has the shapes given here, a batch has a leading axis. NumPy and JAX arrays are
-both welcome, and nothing here imports JAX, so that the hardware layer can speak the same words.
+Every type is a NamedTuple of arrays and so a JAX pytree: one example has the shapes given here, a batch has a leading
+axis. NumPy and JAX arrays are both welcome, and nothing here imports JAX, so that the hardware layer can speak the same
+words.
 """
 
 from enum import IntEnum
@@ -29,24 +30,30 @@ NO_OBJECT = -1  # index of an unknown object, pad or run
 class Surface(NamedTuple):
     """A triangle mesh ready for rendering, in the object's frame; build it with `i2t.render.prepare`.
 
-    Faces are padded with degenerate ones to a static size class, so that surfaces of one class share a compiled renderer and can be stacked.
+    Faces lie in the order of a k-d tree, a few to a cluster and 32 clusters to a group, padded with faces that shrink
+    to a point up to a static size class, so that surfaces of one class share a compiled renderer and can be stacked. A
+    box is its centre and its half extents. Triangles alone are enough for everything but rendering.
     """
 
     triangles: Array  # (faces, 3 corners, 3) m
+    boxes: Array | None = None  # (groups, 6, 32 clusters) m
+    groups: Array | None = None  # (6, groups rounded up to whole words of 32) m
 
 
 class Patch(NamedTuple):
-    """What lies in front of the skin, seen along tool z: row i along tool y, column j along tool x, pixel centres at ((k + 0.5)/n - 0.5) window."""
+    """What lies in front of the skin, seen along tool z: row i along tool y, column j along tool x, pixel centres at
+    ((k + 0.5)/n - 0.5) window.
+    """
 
     depth: Array  # (n, n) m behind the nearest surface point, clipped to the reach; no surface = reach
-    nearest: Array  # () m, signed distance of that nearest point from the tool origin along tool z; +inf where nothing is met
+    nearest: Array  # () m, signed distance of that point from the tool origin along tool z; +inf where nothing is met
 
 
 class Board(NamedTuple):
     """A sensor board: where its chips sit below the skin and how their axes lie in the tool frame.
 
-    `chips[i]` is the i-th chip in the order in which the board sends its values, `rotations[i]` maps that chip's axes to tool axes (a reflection where a
-    driver flips a sign).
+    `chips[i]` is the i-th chip in the order in which the board sends its values, `rotations[i]` maps that chip's axes
+    to tool axes (a reflection where a driver flips a sign).
     """
 
     chips: Array  # (5, 3) m, in the tool frame; z is negative, below the skin's surface
@@ -57,7 +64,9 @@ class Board(NamedTuple):
         return (self.rotations @ reading.reshape(*reading.shape[:-1], CHIPS, 3, 1))[..., 0]
 
     def to_board(self, field: Array) -> Array:
-        """Turn fields (..., 5, 3) in tool axes into readings (..., 15) as the board sends them; the inverse of `to_tool`."""
+        """Turn fields (..., 5, 3) in tool axes into readings (..., 15) as the board sends them; the inverse of
+        `to_tool`.
+        """
         return (self.rotations.swapaxes(-1, -2) @ field[..., None])[..., 0].reshape(*field.shape[:-2], READINGS)
 
 
@@ -87,7 +96,8 @@ class Truth(NamedTuple):
 class Touches(NamedTuple):
     """Touches, one on each row of every array: what was seen, what was felt, and what the arm measured.
 
-    NaN marks what was not measured. `nearest` is measured at the end of the press, so it is negative by the depth of the press where camera and arm agree.
+    NaN marks what was not measured. `nearest` is measured at the end of the press, so it is negative by the depth of
+    the press where camera and arm agree.
     """
 
     patch: Array  # (n, 48, 48) m, what the camera saw in the tool frame at the end of the press

@@ -1,4 +1,6 @@
-"""One place for what every test assumes: 64-bit off, ranks never promoted silently, keys never reused, shapes checked at run time."""
+"""One place for what every test assumes: 64-bit off, ranks never promoted silently, keys never reused, shapes checked
+at run time.
+"""
 
 import os
 from pathlib import Path

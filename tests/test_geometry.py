@@ -1,4 +1,6 @@
-"""Rotations against SciPy, transforms against their group axioms (tolerances: a few float32 roundings of numbers of order one)."""
+"""Rotations against SciPy, transforms against their group axioms (tolerances: a few float32 roundings of numbers of
+order one).
+"""
 
 import jax
 import jax.numpy as jnp
@@ -37,7 +39,9 @@ def test_inverse_undoes(rotvec, translation, point):
     np.testing.assert_allclose(back, point, atol=10 * ROUNDING)
 
 
-@pytest.mark.parametrize("normal", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0.6, 0, 0.8), (-0.48, 0.6, -0.64), (0, 1e-4, -1)])
+@pytest.mark.parametrize(
+    "normal", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0.6, 0, 0.8), (-0.48, 0.6, -0.64), (0, 1e-4, -1)]
+)
 def test_contact_frame_faces_the_surface(normal):
     normal = np.array(normal) / np.linalg.norm(normal)
     T = np.asarray(geometry.contact_frame(jnp.array([1.0, 2.0, 3.0]), jnp.float32(normal), 0.7))

@@ -1,4 +1,6 @@
-"""The whole of `python -m experiments.train` on the debug preset: its results, its predictor, its manners, killed and resumed."""
+"""The whole of `python -m experiments.train` on the debug preset: its results, its predictor, its manners, killed and
+resumed.
+"""
 
 import json
 import os
@@ -73,7 +75,9 @@ def test_a_finished_run_is_not_overwritten(finished, capsys):
 def test_killed_and_resumed_equals_uninterrupted(finished, tmp_path, capsys):
     out = tmp_path / "killed"
     command = [sys.executable, "-m", "experiments.train", "--preset", "debug", "--out", str(out)]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ, "MPLBACKEND": "agg"})
+    process = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ, "MPLBACKEND": "agg"}
+    )
     while process.poll() is None and not (out / "checkpoint").exists():
         time.sleep(0.02)
     process.send_signal(signal.SIGKILL)
@@ -98,7 +102,9 @@ def test_a_data_set_trains_as_well(finished, tmp_path):
     assert metrics["source"] == "simulated"
 
 
-@pytest.mark.parametrize(("arguments", "words"), [(["--dataset", "/nowhere"], "nowhere"), (["--epochs", "0"], "epochs")])
+@pytest.mark.parametrize(
+    ("arguments", "words"), [(["--dataset", "/nowhere"], "nowhere"), (["--epochs", "0"], "epochs")]
+)
 def test_wrong_arguments_get_one_sentence(arguments, words, tmp_path, capsys):
     assert train.main(["--preset", "debug", "--out", str(tmp_path / "x"), *arguments]) == 2
     message = capsys.readouterr().err
