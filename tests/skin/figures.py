@@ -39,9 +39,8 @@ def against_hertz() -> None:
     radius, indentation, grid = 2e-3, 0.03e-3, Grid(cells=64, modes=1024, window=2e-3)
     pad = PAD._replace(thickness=jnp.asarray(30e-3))
     y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
-    found = jax.jit(lambda height: contact.solve(pad, height, indentation, grid))(
-        jnp.asarray((x**2 + y**2) / (2 * radius), jnp.float32)
-    )
+    height = jnp.asarray((x**2 + y**2) / (2 * radius), jnp.float32)
+    found = jax.jit(lambda pad, height: contact.solve(pad, height, indentation, grid))(pad, height)
     modulus = float(pad.young) / (1 - float(pad.poisson) ** 2)
     print(f"\nforce over Hertz's: {found.force / (4 / 3 * modulus * np.sqrt(radius) * indentation**1.5):.4f}")
 
@@ -118,12 +117,12 @@ def speed() -> None:
         places = RANDOM.uniform(-5e-3, 5e-3, (64, 2))
         heights = jnp.asarray(np.stack([_tip(*place)(x, y) for place in places]), jnp.float32)
         for task, function in (("contact", contact.solve), ("contact and reading", press)):
-            run = jax.jit(jax.vmap(lambda height, f=function, g=grid: f(PAD, height, 0.3e-3, g)))
-            jax.block_until_ready(run(heights))
+            run = jax.jit(jax.vmap(lambda pad, height, f=function, g=grid: f(pad, height, 0.3e-3, g), (None, 0)))
+            jax.block_until_ready(run(PAD, heights))
             times = []
             for _ in range(5):
                 start = time.perf_counter()
-                jax.block_until_ready(run(heights))
+                jax.block_until_ready(run(PAD, heights))
                 times.append(time.perf_counter() - start)
             print(f"{name}, {task}: {64 / min(times):.0f}/s")
 
