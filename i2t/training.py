@@ -159,6 +159,18 @@ def start(model: ModelConfig, cfg: TrainConfig, touches: int) -> TrainState:
     return jax.vmap(lambda seed: init(jax.random.key(seed), model, cfg, touches))(cfg.seed + jnp.arange(cfg.seeds))
 
 
+def minibatches(
+    key: Key[Array, ""], epoch: Int[Array, ""], touches: int, size: int
+) -> tuple[Int[Array, "steps size"], Float[Array, "steps size"]]:
+    """Which touches one member meets in an epoch, and with which weights: 1, and 0 where the last minibatch is
+    filled.
+    """
+    steps = -(-touches // size)
+    permutation = jax.random.permutation(jax.random.fold_in(key, epoch), touches)
+    rows = jnp.pad(permutation, (0, steps * size - touches)).reshape(steps, size)
+    return rows, (jnp.arange(steps * size) < touches).astype(jnp.float32).reshape(steps, size)
+
+
 def run_epoch(
     model: ModelConfig, cfg: TrainConfig, state: TrainState, train: Batch, validation: Batch | None
 ) -> tuple[TrainState, EpochInfo]:
@@ -280,10 +292,7 @@ def _run_epoch(
 ) -> tuple[TrainState, EpochInfo]:
     """One epoch of one member."""
     touches = len(train.target)
-    steps = -(-touches // cfg.batch_size)
-    permutation = jax.random.permutation(jax.random.fold_in(state.key, state.epoch), touches)
-    rows = jnp.pad(permutation, (0, steps * cfg.batch_size - touches)).reshape(steps, cfg.batch_size)
-    weights = (jnp.arange(steps * cfg.batch_size) < touches).astype(jnp.float32).reshape(steps, cfg.batch_size)
+    rows, weights = minibatches(state.key, state.epoch, touches, cfg.batch_size)
     step = partial(_step, model, cfg, cfg.optimizer(touches), train)
     (params, opt_state), (parts, sums) = jax.lax.scan(step, (state.params, state.opt_state), (rows, weights))
     met = jax.tree.map(lambda part: part @ sums / touches, parts)
