@@ -108,16 +108,16 @@ def test_training_resumed_from_disk_is_the_uninterrupted_one(
     assert_same(training.fit(state, about.model, about.train, batch, None, chunk=1), states[-1])
 
 
-def test_each_of_several_seeds_can_be_loaded(norm: Normalisation, tmp_path: Path) -> None:
-    cfg = replace(TRAIN, seeds=3)
-    state = jax.jit(partial(training.start, MODEL, cfg, N))()
+def test_each_of_several_seeds_can_be_loaded_and_conditions_may_be_none(norm: Normalisation, tmp_path: Path) -> None:
+    cfg, model = replace(TRAIN, seeds=3), replace(MODEL, conditions=())
+    state = jax.jit(partial(training.start, model, cfg, N))()
     state = state._replace(best_params=state.params)
-    each = norm._replace(residual=jnp.arange(45.0).reshape(3, 15))
-    checkpoint.save(tmp_path / "c", state, MODEL, cfg, each, N)
+    each = norm._replace(conditions=Standard(jnp.zeros(0), jnp.zeros(0)), residual=jnp.arange(45.0).reshape(3, 15))
+    checkpoint.save(tmp_path / "c", state, model, cfg, each, N)
     assert_same(checkpoint.restore(tmp_path / "c")[0], state)
     params, back, _ = checkpoint.load(tmp_path / "c", seed=2)
     assert_same(params, jax.tree.map(lambda leaf: leaf[2], state.params))
-    assert_same(back, norm._replace(residual=each.residual[2]))
+    assert_same(back, each._replace(residual=each.residual[2]))
     with pytest.raises(CheckpointError, match="holds 3 seeds; choose one from 0 to 2"):
         checkpoint.load(tmp_path / "c", seed=3)
 
