@@ -10,6 +10,7 @@ from there on everything is pure and works on one pose and one surface: lift it 
 brought together by `stack`.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,14 +18,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from i2t.raster import first_hit
+from i2t.clusters import alike, arrange
+from i2t.raster import View, first_hit
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Patch, Surface
-
-SMALLEST_CLASS = 32  # faces
 
 
 def prepare(mesh: Any) -> Surface:
-    """Make a mesh ready for rendering: check it and pad its faces to a size class (the next power of two).
+    """Make a mesh ready for rendering: check it, order its faces and pad them to a size class (a power of two).
 
     `mesh` has `vertices` (v, 3) in metres and `faces` (f, 3) of indices: an `i2t.objects.Mesh` or a `trimesh.Trimesh`.
     Open meshes and any winding are welcome. Raises ValueError where it is empty, not finite or its faces point at
@@ -43,15 +43,14 @@ def prepare(mesh: Any) -> Surface:
         raise ValueError(
             f"mesh: faces refer to vertices {faces.min()} to {faces.max()} of 0 to {len(vertices) - 1}; repair the file"
         )
-    triangles = vertices[faces].astype(np.float32)
-    size = max(SMALLEST_CLASS, 1 << (len(triangles) - 1).bit_length())
-    return _pad(Surface(triangles), size)
+    return arrange(vertices[faces])
 
 
 def stack(surfaces: Sequence[Surface]) -> Surface:
-    """Bring surfaces to their largest size class and stack them along a new first axis, for `vmap`."""
-    size = max(len(surface.triangles) for surface in surfaces)
-    return Surface(*(np.stack(field) for field in zip(*(_pad(surface, size) for surface in surfaces), strict=True)))
+    """Bring surfaces to one size class, the largest among them, and stack them along a new first axis, for `vmap`."""
+    return Surface(
+        *(np.stack(field) for field in zip(*alike([_prepared(surface) for surface in surfaces]), strict=True))
+    )
 
 
 def render_patch(
@@ -64,13 +63,14 @@ def render_patch(
     """What the tool at the rigid pose `T_w_t` has in front of it.
 
     `window` (m), `pixels` and `reach` (m) are static. Pixels without a surface, or with one deeper than the reach, read
-    the reach; `nearest` is +inf where no ray of the window meets anything.
+    the reach; `nearest` is +inf where no ray of the window meets anything. A pose that is not finite gives NaN.
     """
-    R_t_w = T_w_t[:3, :3].T
-    heights = first_hit(surface, R_t_w, T_w_t[:3, 3], jnp.zeros(3), window, pixels)
+    view = View(T_w_t[:3, :3].T, T_w_t[:3, 3], jnp.zeros_like(T_w_t[:3, 3]))
+    heights = first_hit(_prepared(surface), view, window, pixels, reach)
     nearest = jnp.min(heights)
-    behind = jnp.where(jnp.isfinite(heights), heights, 0) - jnp.where(jnp.isfinite(nearest), nearest, 0)
-    return Patch(jnp.where(jnp.isfinite(heights), jnp.minimum(behind, reach), reach), nearest)
+    missed = heights == jnp.inf
+    behind = jnp.where(missed, 0, heights) - jnp.where(nearest == jnp.inf, 0, nearest)
+    return Patch(jnp.where(missed, reach, jnp.minimum(behind, reach)), nearest)
 
 
 def render_heights(
@@ -79,7 +79,8 @@ def render_heights(
     """Tool z (m) of the first hit on each ray, +inf where there is none, on the surface mapped by an affine `A_t_w`
     (scaling and shear are welcome).
     """
-    return first_hit(surface, A_t_w[:3, :3], jnp.zeros(3), A_t_w[:3, 3], window, pixels)
+    view = View(A_t_w[:3, :3], jnp.zeros_like(A_t_w[:3, 3]), A_t_w[:3, 3])
+    return first_hit(_prepared(surface), view, window, pixels, math.inf)
 
 
 def contact_mask(depth: Float[Array, "n n"], tolerance: float = 1e-3) -> Float[Array, "n n"]:
@@ -87,8 +88,7 @@ def contact_mask(depth: Float[Array, "n n"], tolerance: float = 1e-3) -> Float[A
     return (depth <= jnp.min(depth) + tolerance).astype(depth.dtype)
 
 
-def _pad(surface: Surface, size: int) -> Surface:
-    """Add faces without area, all on one vertex of the surface, up to `size`."""
-    triangles = np.asarray(surface.triangles)
-    filler = np.broadcast_to(triangles[0, 0], (size - len(triangles), 3, 3))
-    return surface._replace(triangles=np.concatenate([triangles, filler]))
+def _prepared(surface: Surface) -> Surface:
+    if surface.boxes is None or surface.groups is None:
+        raise ValueError("surface: it holds bare triangles; make it with i2t.render.prepare")
+    return surface

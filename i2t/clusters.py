@@ -1,0 +1,76 @@
+"""How a triangle soup is laid out for rendering: a k-d tree orders the faces into small clusters, 32 clusters make a
+group, and both have boxes.
+
+The clusters have few faces each and the boxes let a renderer skip what a window cannot see: first whole groups, then
+clusters. Everything is padded with faces that shrink to a point (their boxes can never be met), so that meshes of one
+size class have arrays of one shape. NumPy on the host; metres.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from i2t.types import Surface
+
+GROUP = 32  # clusters of a group: one machine word holds a bit for each
+FINE, COARSE = 2, 4  # faces of a cluster, up to and beyond FINE_FACES faces in all
+FINE_FACES = 4096
+NEVER = -1e3  # m, half extent of a box that nothing meets
+SLACK = 1e-6  # m and relative: boxes are widened by more than float32 can lose
+
+
+def arrange(triangles: np.ndarray) -> Surface:
+    """Order triangles (f, 3, 3) into clusters and pad them to their size class."""
+    size = FINE if len(triangles) <= FINE_FACES else COARSE
+    order = _tree_order(triangles.mean(1), size)
+    clusters = -(-len(triangles) // size)
+    return lay_out(triangles[order].astype(np.float32), size, _power_of_two(-(-clusters // GROUP)))
+
+
+def alike(surfaces: Sequence[Surface]) -> list[Surface]:
+    """Bring surfaces to one size class, the largest among them."""
+    sizes = [len(surface.triangles) // (len(np.asarray(surface.boxes)) * GROUP) for surface in surfaces]
+    groups = [-(-len(surface.triangles) // (max(sizes) * GROUP)) for surface in surfaces]
+    return [lay_out(np.asarray(surface.triangles), max(sizes), max(groups)) for surface in surfaces]
+
+
+def lay_out(triangles: np.ndarray, size: int, groups: int) -> Surface:
+    """Cut ordered triangles (f, 3, 3) into clusters of `size` faces, padded to `groups` groups, and box them."""
+    missing = groups * GROUP * size - len(triangles)
+    triangles = np.concatenate([triangles, np.broadcast_to(triangles[-1, 0], (missing, 3, 3))])
+    corners = triangles.reshape(groups * GROUP, size * 3, 3)
+    low, high = corners.min(1), corners.max(1)
+    void = (corners == corners[:, :1]).all((1, 2))  # a cluster that shrinks to a point: padding, or nothing to see
+    boxes = _boxes(low, high, void).reshape(groups, GROUP, 6).swapaxes(1, 2)
+    low = np.where(void[:, None], np.inf, low).reshape(groups, GROUP, 3).min(1)
+    high = np.where(void[:, None], -np.inf, high).reshape(groups, GROUP, 3).max(1)
+    empty = void.reshape(groups, GROUP).all(1)
+    low, high = np.where(empty[:, None], 0, low), np.where(empty[:, None], 0, high)
+    whole = np.full((6, -(-groups // 32) * 32), NEVER, np.float32)
+    whole[:, :groups] = _boxes(low, high, empty).T
+    return Surface(np.ascontiguousarray(triangles), np.ascontiguousarray(boxes), whole)
+
+
+def _boxes(low: np.ndarray, high: np.ndarray, void: np.ndarray) -> np.ndarray:
+    """Centres and half extents (n, 6) of boxes between two corners."""
+    half = (high - low) / 2 * (1 + SLACK) + SLACK
+    return np.concatenate([(low + high) / 2, np.where(void[:, None], NEVER, half)], axis=1).astype(np.float32)
+
+
+def _tree_order(points: np.ndarray, size: int) -> np.ndarray:
+    """Order of points (n, 3) by the leaves of a k-d tree; all leaves but the last hold `size` points."""
+    leaves, stack = [], [(np.arange(len(points)), -(-len(points) // size))]
+    while stack:
+        indices, count = stack.pop()
+        if count == 1:
+            leaves.append(indices)
+            continue
+        axis = np.argmax(np.ptp(points[indices], axis=0))
+        split = count // 2 * size
+        halves = np.argpartition(points[indices, axis], split - 1)
+        stack += [(indices[halves[split:]], count - count // 2), (indices[halves[:split]], count // 2)]
+    return np.concatenate(leaves)
+
+
+def _power_of_two(n: int) -> int:
+    return 1 << (n - 1).bit_length()
