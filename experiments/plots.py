@@ -95,7 +95,7 @@ def touches(
     title: str,
     simulated: bool,
 ) -> Figure:
-    """A column per touch: its depth patch above, below it the reading felt and the one imagined, as five field vectors."""
+    """A column per touch: its depth patch above; below it what was felt and what was imagined as five field vectors."""
     n = len(patches)
     figure = Figure(figsize=(2.5 * n + 0.9, 5.6), layout="constrained")
     axes = figure.subplots(2, n, squeeze=False)

@@ -42,7 +42,7 @@ class Hyper(NamedTuple):
     weights: Float[Array, "lengths"]  # a_l, for unit mean variance
     bend: Float[Array, ""]  # b
     width: Float[Array, ""]  # w, in log load
-    noise: Float[Array, ""]  # variance of a standardised channel, relative to the mean signal variance
+    noise: Float[Array, ""]  # variance of a channel's noise, relative to that of its signal
 
 
 class GP(NamedTuple):
@@ -53,7 +53,7 @@ class GP(NamedTuple):
     unit: Float[Array, "lengths"]  # per length, the mean variance of the training touches
     cholesky: Float[Array, "n n"]
     weights: Float[Array, "n channels"]
-    scale: Float[Array, "channels"]  # uT, root mean square of each channel
+    scale: Float[Array, "channels"]  # uT, root mean square of each channel's signal
 
 
 def roots(m: int) -> Float[np.ndarray, "lengths m m"]:
@@ -92,10 +92,10 @@ def fit(hyper: Hyper, touches: Imagined, readings: Float[Array, "n channels"]) -
     """Condition on n touches and their readings (uT)."""
     linear = inner(f := features(touches), f)
     unit = jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
-    scale = jnp.sqrt(jnp.mean(readings**2, axis=0)) + 1e-6
+    scale = jnp.sqrt(jnp.mean(readings**2, axis=0) / (1 + hyper.noise)) + 1e-6
     K = gram(hyper, unit, linear, touches.load, touches.load)
     cholesky = jnp.linalg.cholesky(K + (hyper.noise + JITTER) * jnp.eye(len(K)))
-    weights = jax.scipy.linalg.cho_solve((cholesky, True), readings / scale)
+    weights = jax.scipy.linalg.cho_solve((cholesky, True), readings / scale[None])
     return GP(hyper, touches, unit, cholesky, weights, scale)
 
 
@@ -106,7 +106,7 @@ def predict(gp: GP, touches: Imagined) -> tuple[Float[Array, "n channels"], Floa
     own = jnp.einsum("l,lnx,lnx->n", gp.hyper.weights / gp.unit, f, f)
     explained = jax.scipy.linalg.solve_triangular(gp.cholesky, cross.T, lower=True)
     variance = jnp.maximum(own - jnp.sum(explained**2, axis=0), 0.0) + gp.hyper.noise
-    return cross @ gp.weights * gp.scale, jnp.sqrt(variance)[:, None] * gp.scale
+    return cross @ gp.weights * gp.scale[None], jnp.sqrt(variance)[:, None] * gp.scale[None]
 
 
 def choose(

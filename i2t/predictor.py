@@ -194,7 +194,8 @@ def _render(surface: Surface, T_w_t: Array, window: float, pixels: int, reach: f
 def _column(name: str, values: Any, n: int, default: float | None) -> np.ndarray:
     if values is None:
         return np.full(n, np.nan if default is None else default, np.float32)
-    column = np.broadcast_to(np.asarray(values, np.float32), (n,)) if np.ndim(values) < 2 else np.empty(0)
+    given = np.asarray(values, np.float32)
+    column = np.full(n, given) if given.ndim == 0 else given
     if column.shape != (n,) or not np.isfinite(column).all():
         raise ValueError(f"{name} must be finite, one for all touches or one for each of {n}")
     return column
