@@ -103,10 +103,11 @@ def predict(gp: GP, touches: Imagined) -> tuple[Float[Array, "n channels"], Floa
     """Mean and standard deviation (uT) of the readings of n touches, sensor noise included."""
     f, f_train = features(touches), features(gp.touches)
     cross = gram(gp.hyper, gp.unit, inner(f, f_train), touches.load, gp.touches.load)
-    own = jnp.einsum("l,lnx,lnx->n", gp.hyper.weights / gp.unit, f, f)
+    own = jnp.einsum("l,lnx,lnx->n", gp.hyper.weights / gp.unit, f, f, precision="highest")
     explained = jax.scipy.linalg.solve_triangular(gp.cholesky, cross.T, lower=True)
     variance = jnp.maximum(own - jnp.sum(explained**2, axis=0), 0.0) + gp.hyper.noise
-    return cross @ gp.weights * gp.scale[None], jnp.sqrt(variance)[:, None] * gp.scale[None]
+    mean = jnp.matmul(cross, gp.weights, precision="highest")
+    return mean * gp.scale[None], jnp.sqrt(variance)[:, None] * gp.scale[None]
 
 
 def choose(
@@ -136,7 +137,7 @@ def choose(
     touches, readings = jax.tree.map(lambda x: x[order], touches), readings[order]
     linear = inner(f := features(touches), f)
     unit = jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
-    standard = readings / (jnp.sqrt(jnp.mean(readings**2, axis=0)) + 1e-6)
+    standard = readings / (jnp.sqrt(jnp.mean(readings**2, axis=0, keepdims=True)) + 1e-6)
 
     def hyper(free: dict[str, Array]) -> Hyper:
         return Hyper(

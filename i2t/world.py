@@ -117,13 +117,16 @@ def cut(z: Float[Array, "wide wide"]) -> tuple[Float[Array, "wide wide"], Patch]
 
     Depths (m) are measured from the patch's nearest point and clipped to the reach; in the wide view, what lies outside
     the patch may be nearer. Nearest is the least mean of 5 x 5 pixels, of which those on the window's nearest surface
-    count (a sigma filter; Lee, CVGIP 24, 1983): one pixel would be the noisiest rather than the nearest.
+    count (a sigma filter; Lee, CVGIP 24, 1983) and must be at least ten, or as many as there are anywhere: few pixels
+    would be the noisiest rather than the nearest.
     """
     central = _centre(z, PATCH_WINDOW)
     inner = PATCH_PIXELS - 4
     windows = jnp.stack([central[i : i + inner, j : j + inner] for i in range(5) for j in range(5)])
-    same = windows <= jnp.min(windows, axis=0, keepdims=True) + SAME
-    nearest = jnp.min(jnp.sum(jnp.where(same, windows, 0), axis=0) / jnp.sum(same, axis=0))
+    same = jnp.isfinite(windows) & (windows <= jnp.min(windows, axis=0, keepdims=True) + SAME)
+    count = jnp.sum(same, axis=0)
+    mean = jnp.sum(jnp.where(same, windows, 0), axis=0) / jnp.maximum(count, 1)
+    nearest = jnp.min(jnp.where(count >= jnp.clip(jnp.max(count), 1, 10), mean, jnp.inf))
     depth = _behind(z, nearest)
     return depth, Patch(jnp.maximum(_centre(depth, PATCH_WINDOW), 0), nearest)
 
