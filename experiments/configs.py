@@ -52,7 +52,7 @@ class TrainExperiment:
                 auxiliary=False,
                 heteroscedastic=True,
                 members=5,
-                conditions=("force",),
+                conditions=("force", "depth"),
             ),
         }
     )

@@ -262,19 +262,18 @@ def load_predictor(directory: Path | str) -> Predictor:
 
 
 def _plain(node: Any) -> Any:
-    """Named tuples as dicts, all the way down, so that what is on disk names its fields."""
+    """Named tuples as dicts, all the way down, so that what is on disk names its fields; orbax refuses empty arrays."""
     if isinstance(node, tuple) and hasattr(node, "_asdict"):
         node = node._asdict()
-    return (
-        {name: _plain(value) for name, value in node.items()}
-        if isinstance(node, dict)
-        else jnp.asarray(node, jnp.float32)
-    )
+    if isinstance(node, dict):
+        return {name: _plain(value) for name, value in node.items()}
+    return jnp.asarray(node, jnp.float32) if np.size(node) else None
 
 
 def _as(kind: Any, values: dict[str, Any], **nested: Any) -> Any:
-    """A named tuple from its dict."""
-    return kind(**{name: _as(nested[name], value) if name in nested else value for name, value in values.items()})
+    """A named tuple from its dict, in which empty arrays are missing."""
+    fields = {name: jnp.zeros(0) if value is None else value for name, value in values.items()}
+    return kind(**{name: _as(nested[name], value) if name in nested else value for name, value in fields.items()})
 
 
 def middle(values: np.ndarray, default: float) -> float:

@@ -1,6 +1,7 @@
 """What a user holds: saving, loading, one touch and many, meshes and poses, and refusals."""
 
 import shutil
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -81,6 +82,17 @@ def test_what_is_saved_is_what_is_loaded(process, network, patches, tmp_path):
         before, after = made.predict(patches, **given), loaded.predict(patches, **given)
         np.testing.assert_array_equal(before.mean, after.mean)
         np.testing.assert_array_equal(before.std, after.std)
+
+
+def test_a_network_without_conditions_is_saved_too(network, patches, tmp_path):
+    params, cfg, norm = network.network
+    alone = replace(cfg, conditions=())
+    params = jax.vmap(lambda key: model.init(key, alone))(jax.random.split(jax.random.key(3), 2))
+    nothing = model.Standard(jnp.zeros(0), jnp.zeros(0))
+    made = replace(network, network=Network(params, alone, norm._replace(conditions=nothing)))
+    predictor.save(tmp_path / "alone", made)
+    loaded = predictor.load_predictor(tmp_path / "alone")
+    np.testing.assert_array_equal(loaded.predict(patches).mean, made.predict(patches).mean)
 
 
 def test_a_network_predicts_what_the_model_says(network, patches):
