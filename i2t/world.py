@@ -30,7 +30,7 @@ from jaxtyping import Array, Float, Key
 from i2t import geometry, touch
 from i2t.press import PressLimits, press_until
 from i2t.render import render_heights, render_patch, stack
-from i2t.skin.contact import GRID
+from i2t.skin.contact import GRID, Grid
 from i2t.skin.noise import Noise, observe
 from i2t.types import (
     PAD_WINDOW,
@@ -115,8 +115,8 @@ def look(
 def cut(z: Float[Array, "wide wide"]) -> tuple[Float[Array, "wide wide"], Patch]:
     """A wide view (m along tool z from the tool origin, +inf where nothing is seen) as the model sees it.
 
-    Depths (m) are measured from the patch's nearest point and clipped to the reach; in the wide view, what lies outside
-    the patch may be nearer. Nearest is the least mean of 5 x 5 pixels, of which those on the window's nearest surface
+    Depths (m) are measured from the patch's nearest point and clipped to 0 and the reach; what lies outside the patch
+    and is nearer reads 0. Nearest is the least mean of 5 x 5 pixels, of which those on the window's nearest surface
     count (a sigma filter; Lee, CVGIP 24, 1983) and must be at least ten, or as many as there are anywhere: few pixels
     would be the noisiest rather than the nearest.
     """
@@ -128,7 +128,7 @@ def cut(z: Float[Array, "wide wide"]) -> tuple[Float[Array, "wide wide"], Patch]
     mean = jnp.sum(jnp.where(same, windows, 0), axis=0) / jnp.maximum(count, 1)
     nearest = jnp.min(jnp.where(count >= jnp.clip(jnp.max(count), 1, 10), mean, jnp.inf))
     depth = _behind(z, nearest)
-    return depth, Patch(jnp.maximum(_centre(depth, PATCH_WINDOW), 0), nearest)
+    return depth, Patch(_centre(depth, PATCH_WINDOW), nearest)
 
 
 def _centre(wide: Array, window: float) -> Array:
@@ -138,8 +138,8 @@ def _centre(wide: Array, window: float) -> Array:
 
 
 def _behind(z: Array, nearest: Array) -> Array:
-    """Depth behind the nearest point, clipped to the reach on both sides; the reach where nothing is seen."""
-    return jnp.clip(z - jnp.where(jnp.isfinite(nearest), nearest, 0), -REACH, REACH)
+    """Depth behind the nearest point, clipped to 0 and the reach; the reach where nothing is seen."""
+    return jnp.clip(z - jnp.where(jnp.isfinite(nearest), nearest, 0), 0, REACH)
 
 
 def touch_once(
@@ -168,6 +168,12 @@ def touch_once(
     hit = hit & jnp.isfinite(met.nearest)
     overshoot = limits.overshoot * jnp.abs(jax.random.normal(key_overshoot))
     stop = press_until(pad, met.depth, limits, overshoot)
+    if limits.final != GRID:
+        heights = render_heights(surface, geometry.invert(T_o_t), PAD_WINDOW, limits.final.cells)
+        nearest = jnp.min(heights)
+        deeper = stop.indentation + met.nearest - nearest  # the finer grid may see a nearer point
+        press = press_pad(pad, heights - nearest, deeper, limits.final)
+        stop = stop._replace(force=press.force, reading=press.reading)
     force = jnp.where(hit, stop.force, 0.0)
     reading = jnp.where(hit, stop.reading, 0.0)
     indentation = jnp.where(hit, stop.indentation, 0.0)
