@@ -358,13 +358,9 @@ def _either(words):
 
 
 def _running_sum(words):
-    """How many bits are set up to and including each word; a chain of additions, which XLA does faster than a scan
-    when it is short.
-    """
-    sums = [_ones(words[0])]
-    for i in range(1, words.shape[0]):
-        sums.append(sums[-1] + _ones(words[i]))
-    return jnp.stack(sums)
+    """How many bits are set up to and including each word, as a product with a triangle of ones (exact below 2^24)."""
+    ones = _ones(words).astype(jnp.float32)
+    return (ones @ jnp.triu(jnp.ones((len(words), len(words)), jnp.float32))).astype(jnp.int32)
 
 
 def _ones(words):
