@@ -115,7 +115,10 @@ def tuned(
     at: np.ndarray,
     folds: int = 5,
 ) -> np.ndarray:
-    """Predict with the option that has the least squared error on held-out groups of the training touches."""
+    """Predict with the option that has the least squared error on held-out groups of the training touches.
+
+    With a single group nothing can be held out, and the first option is taken.
+    """
     names, group = np.unique(groups, return_inverse=True)
     fold = np.random.default_rng(0).permutation(len(names))[group] % min(folds, len(names))
     errors = [
@@ -145,7 +148,7 @@ def baselines(
     before they are joined.
     """
     train, other = reduce_patches(patches, at_patches)
-    length = np.sqrt((train**2).sum(1).mean())
+    length = np.sqrt((train**2).sum(1).mean()) or 1.0  # all patches alike
     train, other = train / length, other / length
     measured, at_measured = _standardised(conditions, at_conditions)
     weight = np.sqrt(max(measured.shape[1], 1))
