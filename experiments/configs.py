@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 from i2t.model import ModelConfig
+from i2t.skin.contact import FINE
 from i2t.training import TrainConfig
 from i2t.world import Errors, PressLimits
 
@@ -18,7 +19,7 @@ class Simulation:
     touches: int = 1630  # the paper's, over all objects
     train_share: float = 0.575  # of the touches, on the training objects: 13 runs of 36 each
     errors: Errors = field(default_factory=Errors)
-    limits: PressLimits = field(default_factory=PressLimits)
+    limits: PressLimits = field(default_factory=lambda: PressLimits(final=FINE))
 
     @property
     def objects(self) -> tuple[str, ...]:
@@ -72,6 +73,7 @@ PRESETS: dict[str, TrainExperiment] = {
             test=("star", "hammer"),
             touches=60,
             train_share=0.6,
+            limits=PressLimits(),
         ),
         networks={"paper's network, depth": ModelConfig()},
         training=TrainConfig(epochs=12, batch_size=16),

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from i2t.skin.contact import GRID, Grid
 from i2t.skin.pad import press as press_pad
 from i2t.types import STANDOFF, Pad, ReturnCode
 
@@ -33,6 +34,7 @@ class PressLimits:
     scan: int = 6  # presses at growing strides, up to the deepest indentation, that bracket the crossing
     refine: int = 3  # at least so many more close in on it: the limit is met within 0.5 %, mostly within 0.01 %
     stiffness: float = 10e3  # N/m, arm and mount in series
+    final: Grid = GRID  # of the last press, whose reading counts; sharp edges want `i2t.skin.contact.FINE`
     prepare: float = STANDOFF  # m before the site where the approach starts
     past_goal: float = 6e-3  # m beyond the site before a press counts as air (three extra steps of 2 mm)
 
@@ -58,7 +60,7 @@ def press_until(
     deepest = jnp.log(limits.indentation * pad.thickness)
     stride = -math.log(SCAN_FROM) / (limits.scan - 1)
 
-    def try_next(_: int, state: _Bracket) -> _Bracket:
+    def try_next(_: Int[Array, ""], state: _Bracket) -> _Bracket:
         """Stride towards the deepest until the excess turns positive, then close in on the root; one press for each."""
         secant = state.low - state.f_low * (state.high - state.low) / (state.f_high - state.f_low)
         x = jnp.where(state.found, secant, jnp.minimum(state.low + stride, deepest))

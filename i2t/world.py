@@ -30,8 +30,9 @@ from jaxtyping import Array, Float, Key
 from i2t import geometry, touch
 from i2t.press import PressLimits, press_until
 from i2t.render import render_heights, render_patch, stack
-from i2t.skin.contact import GRID, Grid
+from i2t.skin.contact import GRID
 from i2t.skin.noise import Noise, observe
+from i2t.skin.pad import press as press_pad
 from i2t.types import (
     PAD_WINDOW,
     PATCH_PIXELS,
