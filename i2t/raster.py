@@ -131,15 +131,15 @@ def _rasterise(surface: Surface, view: View, grid: _Grid, reach: float, with_fac
     def group_pass(number, best):
         """Look into the groups of one pass: first at clusters near the front, then at what may still be in reach."""
         left = jnp.clip(group_sums[-1] - number * listed, 0, listed)
-        word, bit = _pick(group_words, group_sums, number * listed + jnp.arange(listed))
+        word, bit = _pick(group_words, group_sums, number * listed + _count(listed))
         ids = jnp.minimum(bit * row + word, count - 1)
 
         def look(i, fronts):
-            some = jax.lax.dynamic_slice(ids, (i * chunk,), (chunk,))
+            some = _cut(ids, (i * chunk,), (chunk,))
             box = boxes.at[some].get(mode="promise_in_bounds")
             hit, front = _in_view([box[:, k] for k in range(6)], view, grid.half)
-            hit &= (i * chunk + jnp.arange(chunk) < left)[:, None]
-            return jax.lax.dynamic_update_slice(fronts, jnp.where(hit, front, jnp.inf), (i * chunk, 0))
+            hit &= (i * chunk + _count(chunk) < left)[:, None]
+            return _put(fronts, jnp.where(hit, front, jnp.inf), (i * chunk, 0))
 
         chunks = -(-left // chunk)
         fronts = jax.lax.fori_loop(0, _most(chunks), look, jnp.full((listed, GROUP), jnp.inf, dtype))
@@ -164,19 +164,19 @@ def _rasterise(surface: Surface, view: View, grid: _Grid, reach: float, with_fac
 
         def set_up(i, carry):
             faces, spans, names = carry
-            word, bit = _pick(cluster_words, cluster_sums, number * slots + i * BITS + jnp.arange(BITS))
+            word, bit = _pick(cluster_words, cluster_sums, number * slots + i * BITS + _count(BITS))
             name = ids.at[word].get(mode="promise_in_bounds") * GROUP + bit
             corners = clusters.at[name].get(mode="promise_in_bounds").reshape(BITS, size, 9)
             corners = corners.transpose(2, 0, 1).reshape(3, 3, BITS * size)
             placed = [_to_tool(corner, view) for corner in corners]
             terms, drawn = _face_terms(placed, grid.half)
             terms = jnp.stack(terms).reshape(TERMS, BITS, size).transpose(1, 0, 2).reshape(BITS, TERMS * size)
-            drawn &= i * BITS + jnp.arange(BITS * size) // size < now
+            drawn &= i * BITS + _count(BITS * size) // size < now
             span = jnp.where(drawn[None], _spans(placed, grid), _word(0))
             return (
-                jax.lax.dynamic_update_slice(faces, terms, (i * BITS, 0)),
-                jax.lax.dynamic_update_slice(spans, span, (0, i * BITS * size)),
-                jax.lax.dynamic_update_slice(names, name, (i * BITS,)),
+                _put(faces, terms, (i * BITS, 0)),
+                _put(spans, span, (0, i * BITS * size)),
+                _put(names, name, (i * BITS,)),
             )
 
         blank = (
@@ -187,18 +187,18 @@ def _rasterise(surface: Surface, view: View, grid: _Grid, reach: float, with_fac
         faces, spans, names = jax.lax.fori_loop(0, rounds, set_up, blank)
 
         def merge(i, rows):
-            block = jax.lax.dynamic_slice(spans, (0, i * BITS * size), (grid.side, BITS * size))
+            block = _cut(spans, (0, i * BITS * size), (grid.side, BITS * size))
             block = block.reshape(grid.side, BITS, size)
             row = _either([block[..., f] for f in range(size)])
-            return jax.lax.dynamic_update_slice(rows, row, (0, i * BITS))
+            return _put(rows, row, (0, i * BITS))
 
         rows = jax.lax.fori_loop(0, rounds, merge, jnp.zeros((grid.side, slots), jnp.uint32))
 
         def turn(i, tile_words):
-            block = jax.lax.dynamic_slice(rows, (0, i * BITS), (grid.side, BITS))
+            block = _cut(rows, (0, i * BITS), (grid.side, BITS))
             column = jnp.arange(grid.side, dtype=jnp.uint32)[None, :]
             word = _pack([(block[:, b][:, None] >> column) & 1 for b in range(BITS)])
-            return jax.lax.dynamic_update_slice(tile_words, word.reshape(1, grid.tiles), (i, 0))
+            return _put(tile_words, word.reshape(1, grid.tiles), (i, 0))
 
         tile_words = jax.lax.fori_loop(0, rounds, turn, jnp.zeros((words_in_slots, grid.tiles), jnp.uint32))
         todo = sum(_ones(tile_words[w]) for w in range(words_in_slots))
@@ -244,7 +244,7 @@ def _draw(trips, faces, names, size, words, queue, best, x, y):
     """Pop `trips` clusters from each tile's queue and keep the nearest hits; a tile that is done draws some cluster
     again, which changes nothing.
     """
-    lane = jnp.arange(x.shape[0])
+    lane = _count(x.shape[0])
 
     def trip(_, carry):
         (full, current, word), best = carry
@@ -331,6 +331,7 @@ def _to_tool(point, view):
 
 def _pick(words, sums, order):
     """Word and bit of the set bits of number `order` in a bit list, whose running sums of set bits are `sums`."""
+    order = order.astype(jnp.int32)
     word, before = jnp.zeros_like(order), jnp.zeros_like(order)
     for i in range(words.shape[0] - 1):
         past = order >= sums[i]
@@ -361,6 +362,18 @@ def _running_sum(words):
     """How many bits are set up to and including each word, as a product with a triangle of ones (exact below 2^24)."""
     ones = _ones(words).astype(jnp.float32)
     return (ones @ jnp.triu(jnp.ones((len(words), len(words)), jnp.float32))).astype(jnp.int32)
+
+
+def _cut(array, start, shape):
+    return jax.lax.dynamic_slice(array, [jnp.asarray(i, jnp.int32) for i in start], shape)
+
+
+def _put(array, block, start):
+    return jax.lax.dynamic_update_slice(array, block, [jnp.asarray(i, jnp.int32) for i in start])
+
+
+def _count(n):
+    return jnp.arange(n, dtype=jnp.int32)
 
 
 def _ones(words):
