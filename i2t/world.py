@@ -102,12 +102,16 @@ def look(
 
     Returns what `cut` makes of it.
     """
-    key_bleed, key_noise = jax.random.split(key)
-    z = render_heights(surface, geometry.invert(T_o_t), WIDE_WINDOW, WIDE_PIXELS)
+    return sense(key, render_heights(surface, geometry.invert(T_o_t), WIDE_WINDOW, WIDE_PIXELS), errors)
+
+
+def sense(key: Key[Array, ""], z: Float[Array, "wide wide"], errors: Errors) -> tuple[Float[Array, "wide wide"], Patch]:
+    """What the depth camera makes of a surface whose heights (m along tool z) are `z`; see `look`."""
     row, column = jnp.meshgrid(jnp.arange(WIDE_PIXELS), jnp.arange(WIDE_PIXELS), indexing="ij")
-    shift = jnp.round(errors.depth_bleed * jax.random.normal(key_bleed, (2, *z.shape))).astype(jnp.int32)
+    drawn = jax.random.normal(key, (3, *z.shape))  # one draw: each takes XLA a second to compile
+    shift = jnp.round(errors.depth_bleed * drawn[:2]).astype(jnp.int32)
     z = z[jnp.clip(row + shift[0], 0, WIDE_PIXELS - 1), jnp.clip(column + shift[1], 0, WIDE_PIXELS - 1)]
-    z = z + errors.depth_noise * jax.random.normal(key_noise, z.shape)
+    z = z + errors.depth_noise * drawn[2]
     if errors.depth_quantum > 0:
         z = jnp.round((z + CAMERA_DISTANCE) / errors.depth_quantum) * errors.depth_quantum - CAMERA_DISTANCE
     return cut(z)
@@ -157,7 +161,8 @@ def touch_once(
 
     Indices are left 0 for the caller.
     """
-    key_arm, key_tilt, key_overshoot, key_camera, key_skin, key_force, key_travel = jax.random.split(key, 7)
+    key_arm, key_tilt, key_camera, key_skin, key_scalars = jax.random.split(key, 5)
+    slip, force_error, travel_error = jax.random.normal(key_scalars, (3,))
     T_o_w = geometry.invert(T_w_o @ run.T_o_placed)  # from here on the object is where it really is
 
     T_w_arm = T_w_site @ geometry.random_motion(key_arm, errors.repeatability, 0.0)
@@ -167,7 +172,7 @@ def touch_once(
 
     met = render_patch(surface, T_o_t, window=PAD_WINDOW, pixels=GRID.cells)
     hit = hit & jnp.isfinite(met.nearest)
-    overshoot = limits.overshoot * jnp.abs(jax.random.normal(key_overshoot))
+    overshoot = limits.overshoot * jnp.abs(slip)
     stop = press_until(pad, met.depth, limits, overshoot)
     if limits.final != GRID:
         heights = render_heights(surface, geometry.invert(T_o_t), PAD_WINDOW, limits.final.cells)
@@ -187,17 +192,18 @@ def touch_once(
     advanced = jnp.linalg.norm(T_o_t[:3, 3] - start[:3, 3]) - limits.prepare
     end = _along_z(advanced + past_contact)
     T_w_t = T_w_site @ end
-    wide, patch = look(key_camera, surface, T_o_w @ T_w_arm @ end @ run.T_t_camera, errors)
-
-    z = render_heights(surface, geometry.invert(T_o_t @ _along_z(sunk)), WIDE_WINDOW, WIDE_PIXELS)
+    # What the camera sees and what the skin meets, side by side: one compiled renderer for both.
+    poses = jnp.stack([T_o_w @ T_w_arm @ end @ run.T_t_camera, T_o_t @ _along_z(sunk)])
+    seen, z = jax.vmap(lambda T: render_heights(surface, geometry.invert(T), WIDE_WINDOW, WIDE_PIXELS))(poses)
+    wide, patch = sense(key_camera, seen, errors)
     nearest = jnp.min(_centre(z, PAD_WINDOW))
     return Touches(
         patch=patch.depth,
         wide=wide,
         nearest=patch.nearest,
         reading=observe(key_skin, reading, pad.board, errors.noise),
-        force=force + errors.force * jax.random.normal(key_force),
-        depth=jnp.where(hit, past_contact + errors.repeatability * jax.random.normal(key_travel), jnp.nan),
+        force=force + errors.force * force_error,
+        depth=jnp.where(hit, past_contact + errors.repeatability * travel_error, jnp.nan),
         T_w_t=T_w_t,
         T_w_o=T_w_o,
         object=jnp.int32(0),
