@@ -5,10 +5,11 @@ loss of each; where the batch size does not divide the number of touches the las
 weight zero, so every touch counts once an epoch. After each epoch the validation touches are scored and the best
 parameters so far are kept, inside the compiled loop (early stopping, without stopping).
 
-`make_train` makes a whole training one function of a key, so that seeds are trained together by `vmap`. `fit` runs the
-same epochs in compiled chunks from any state it is given and reports on the way; every chunk is the same program,
-whatever its length, so an interrupted and resumed training repeats the uninterrupted one bit for bit. Members of an
-ensemble are axis 0 of every array of the state: each has its own key, minibatches and best epoch.
+`make_train` makes a whole training one function of a key, so that seeds are trained together by `vmap`; on a CPU they,
+like the members of an ensemble, are then run in turn within the one program. `fit` runs the same epochs in compiled
+chunks from any state it is given and reports on the way; every chunk is the same program, whatever its length, so an
+interrupted and resumed training repeats the uninterrupted one bit for bit. Members of an ensemble are axis 0 of every
+array of the state: each has its own key, minibatches and best epoch.
 """
 
 import math
@@ -171,36 +172,18 @@ def minibatches(
     return rows, (jnp.arange(steps * size) < touches).astype(jnp.float32).reshape(steps, size)
 
 
-def run_epoch(
-    model: ModelConfig, cfg: TrainConfig, state: TrainState, train: Batch, validation: Batch | None
-) -> tuple[TrainState, EpochInfo]:
-    """One epoch of every member on prepared touches; without validation touches the last parameters count as the
-    best.
-    """
-
-    def member(state: TrainState) -> tuple[TrainState, EpochInfo]:
-        return _run_epoch(model, cfg, state, train, validation)
-
-    if model.members > 1:
-        return jax.vmap(member)(state)
-    # A batch of one keeps XLA on the CPU from its fastest matrix products (an epoch takes nearly twice as long).
-    return jax.tree.map(lambda leaf: leaf[None], member(jax.tree.map(lambda leaf: leaf[0], state)))
-
-
 def make_train(
     model: ModelConfig, cfg: TrainConfig
 ) -> Callable[[Key[Array, ""], Batch, Batch | None], tuple[TrainState, EpochInfo]]:
     """`train(key, train, validation) -> (state, info)`: a whole training as one closure, to be jitted and vmapped over
     keys (and data).
 
-    Touches are prepared; `info` has the epochs as its leading axis.
+    Touches are prepared; `info` has the epochs as its leading axis, before the members.
     """
+    chunk = make_chunk(model, cfg, cfg.epochs)
 
     def train(key: Key[Array, ""], train: Batch, validation: Batch | None) -> tuple[TrainState, EpochInfo]:
-        def epoch(state: TrainState, _: None) -> tuple[TrainState, EpochInfo]:
-            return run_epoch(model, cfg, state, train, validation)
-
-        return jax.lax.scan(epoch, init(key, model, cfg, len(train.target)), length=cfg.epochs)
+        return chunk(init(key, model, cfg, len(train.target)), train, validation, jnp.int32(cfg.epochs))
 
     return train
 
@@ -208,25 +191,38 @@ def make_train(
 def make_chunk(
     model: ModelConfig, cfg: TrainConfig, capacity: int
 ) -> Callable[[TrainState, Batch, Batch | None, Int[Array, ""]], tuple[TrainState, EpochInfo]]:
-    """`chunk(state, train, validation, count) -> (state, info)`: up to `capacity` epochs as one program whose length is
-    an argument.
+    """`chunk(state, train, validation, count) -> (state, info)`: up to `capacity` epochs of every member as one program
+    whose length is an argument.
 
-    Rows of `info` beyond `count` are zero.
+    Touches are prepared; without validation touches the last parameters count as the best. `info` has the epochs as its
+    leading axis, before the members; its rows beyond `count` are zero.
     """
 
-    def chunk(
+    def member(
         state: TrainState, train: Batch, validation: Batch | None, count: Int[Array, ""]
     ) -> tuple[TrainState, EpochInfo]:
-        epoch = partial(run_epoch, model, cfg, train=train, validation=validation)
-        empty = jax.tree.map(
-            lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), jax.eval_shape(epoch, state)[1]
-        )
+        epoch = partial(_run_epoch, model, cfg, train=train, validation=validation)
+        row = jax.eval_shape(epoch, state)[1]
+        empty = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), row)
 
         def body(i: Int[Array, ""], carry: tuple[TrainState, EpochInfo]) -> tuple[TrainState, EpochInfo]:
             state, info = epoch(carry[0])
             return state, jax.tree.map(lambda rows, row: rows.at[i].set(row), carry[1], info)
 
         return jax.lax.fori_loop(0, count, body, (state, empty))
+
+    if jax.default_backend() == "cpu":
+        # A few cores have no use for several products at once: in turn, members and seeds cost least.
+        member = jax.custom_batching.sequential_vmap(member)
+
+    def chunk(
+        state: TrainState, train: Batch, validation: Batch | None, count: Int[Array, ""]
+    ) -> tuple[TrainState, EpochInfo]:
+        # Keys pass as bits, because JAX's check of their reuse does not see through custom batching.
+        bits = state._replace(key=jax.random.key_data(state.key))
+        each = jax.vmap(member, in_axes=(0, None, None, None), out_axes=(0, 1))
+        after, info = each(bits, train, validation, count)
+        return after._replace(key=state.key), info
 
     return chunk
 
@@ -290,9 +286,10 @@ def _compiled_chunk(model: ModelConfig, cfg: TrainConfig, capacity: int) -> Call
 def _run_epoch(
     model: ModelConfig, cfg: TrainConfig, state: TrainState, train: Batch, validation: Batch | None
 ) -> tuple[TrainState, EpochInfo]:
-    """One epoch of one member."""
+    """One epoch of one member, whose key comes as bits."""
+    key = jax.random.wrap_key_data(state.key)
     touches = len(train.target)
-    rows, weights = minibatches(state.key, state.epoch, touches, cfg.batch_size)
+    rows, weights = minibatches(key, state.epoch, touches, cfg.batch_size)
     step = partial(_step, model, cfg, cfg.optimizer(touches), train)
     (params, opt_state), (parts, sums) = jax.lax.scan(step, (state.params, state.opt_state), (rows, weights))
     met = jax.tree.map(lambda part: part @ sums / touches, parts)

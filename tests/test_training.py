@@ -98,14 +98,14 @@ def test_an_epoch_meets_every_touch_once_and_weighs_the_last_minibatch_by_its_si
     # A learning rate too small to move float32 parameters, so the epoch's mean is the mean over all touches.
     cfg = replace(TRAIN, learning_rate=1e-30)
     state = begin(MODEL, cfg, 40)
-    epoch = jax.jit(lambda s: training.run_epoch(MODEL, cfg, s, case.train, None))
-    after, info = epoch(state)
+    epoch = jax.jit(training.make_chunk(MODEL, cfg, 1))
+    after, info = epoch(state, case.train, None, jnp.int32(1))
     for left, right in zip(jax.tree.leaves(after.params), jax.tree.leaves(state.params), strict=True):
         np.testing.assert_allclose(left, right, atol=3 * 1e-29)  # three steps, none longer than ten times the rate
     params = jax.tree.map(lambda leaf: leaf[0], state.params)
     expected = jax.jit(lambda p: training.evaluate(p, MODEL, cfg.loss, case.train))(params)
     # Two orders of summing 40 positive terms, each from products of up to 64 terms.
-    np.testing.assert_allclose(info.train.total[0], expected.total, rtol=104 * EPS)
+    np.testing.assert_allclose(info.train.total[0, 0], expected.total, rtol=104 * EPS)
 
 
 def test_seeds_trained_together_are_the_seeds_trained_alone(case: Case) -> None:
