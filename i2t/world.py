@@ -95,18 +95,8 @@ def sample_run(key: Key[Array, ""], errors: Errors) -> RunErrors:
     )
 
 
-def look(
-    key: Key[Array, ""], surface: Surface, T_o_t: Float[Array, "4 4"], errors: Errors
-) -> tuple[Float[Array, "wide wide"], Patch]:
-    """The depth camera's view of the surface from pose T_o_t: the wide view, and the patch cut from its centre.
-
-    Returns what `cut` makes of it.
-    """
-    return sense(key, render_heights(surface, geometry.invert(T_o_t), WIDE_WINDOW, WIDE_PIXELS), errors)
-
-
 def sense(key: Key[Array, ""], z: Float[Array, "wide wide"], errors: Errors) -> tuple[Float[Array, "wide wide"], Patch]:
-    """What the depth camera makes of a surface whose heights (m along tool z) are `z`; see `look`."""
+    """What the depth camera makes of heights `z` (m along tool z): the wide view, and the patch from its centre (`cut`)."""
     row, column = jnp.meshgrid(jnp.arange(WIDE_PIXELS), jnp.arange(WIDE_PIXELS), indexing="ij")
     drawn = jax.random.normal(key, (3, *z.shape))  # one draw: each takes XLA a second to compile
     shift = jnp.round(errors.depth_bleed * drawn[:2]).astype(jnp.int32)
