@@ -96,7 +96,7 @@ def sample_run(key: Key[Array, ""], errors: Errors) -> RunErrors:
 
 
 def sense(key: Key[Array, ""], z: Float[Array, "wide wide"], errors: Errors) -> tuple[Float[Array, "wide wide"], Patch]:
-    """What the depth camera makes of heights `z` (m along tool z): the wide view, and the patch from its centre (`cut`)."""
+    """What the depth camera makes of heights `z` (m along tool z): the wide view and its patch (see `cut`)."""
     row, column = jnp.meshgrid(jnp.arange(WIDE_PIXELS), jnp.arange(WIDE_PIXELS), indexing="ij")
     drawn = jax.random.normal(key, (3, *z.shape))  # one draw: each takes XLA a second to compile
     shift = jnp.round(errors.depth_bleed * drawn[:2]).astype(jnp.int32)
