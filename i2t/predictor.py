@@ -272,7 +272,7 @@ def _plain(node: Any) -> Any:
 
 def _as(kind: Any, values: dict[str, Any], **nested: Any) -> Any:
     """A named tuple from its dict, in which empty arrays are missing."""
-    fields = {name: jnp.zeros(0) if value is None else value for name, value in values.items()}
+    fields: dict[str, Any] = {name: jnp.zeros(0) if value is None else value for name, value in values.items()}
     return kind(**{name: _as(nested[name], value) if name in nested else value for name, value in fields.items()})
 
 

@@ -26,7 +26,7 @@ def test_training_section_against_pytorch(tmp_path: Path, capsys: pytest.Capture
     """The section itself checks that both trainings have the same losses, and fails where they have not."""
     pytest.importorskip("torch", reason="the extra bench is not installed")
     rows = benchmark.main(Benchmark(turns=2, out=tmp_path / "out", training=TINY))
-    assert [row.peer_name.split(",")[0] for row in rows] == ["eager PyTorch", "one seed alone"]
+    assert [row.peer_name.split(",")[0] for row in rows] == ["eager PyTorch", "the seeds one by one"]
     report = json.loads((tmp_path / "out" / "benchmark.json").read_text())
     assert [Row(**row) for row in report["rows"]] == rows
     assert report["config"]["training"]["touches"] == 20
