@@ -1,8 +1,8 @@
 """Where a press ends: at the indentation where the skin change or the force first crosses its limit.
 
 The stop is found by root-finding on the indentation delta: f(delta) = log max(|dB|/limit, F/limit) is scanned on a
-geometric grid for its first crossing and refined by regula falsi (Illinois; Dowell and Jarratt, BIT 11, 1971) in
-log-log coordinates, where a contact is nearly a straight line (Hertz: F ~ delta^1.5). Every press gets the same number
+geometric grid for its first crossing and refined by regula falsi (Anderson and Bjorck, BIT 13, 1973) in log-log
+coordinates, where a contact is nearly a straight line (Hertz: F ~ delta^1.5). Every press gets the same number
 of trials, so that many of them can run side by side.
 
 Metres, newtons, microtesla.
@@ -32,7 +32,7 @@ class PressLimits:
     indentation: float = 0.6  # of the layer's thickness: beyond it small-strain elasticity means nothing
     overshoot: float = 0.1  # relative standard deviation by which a press runs past its limit (latency; one-sided)
     scan: int = 6  # presses at growing strides, up to the deepest indentation, that bracket the crossing
-    refine: int = 3  # at least so many more close in on it: the limit is met within 0.5 %, mostly within 0.01 %
+    refine: int = 4  # at least so many more close in on it: the limit is met within 0.1 %, mostly within 0.001 %
     stiffness: float = 10e3  # N/m, arm and mount in series
     final: Grid = GRID  # of the last press, whose reading counts; sharp edges want `i2t.skin.contact.FINE`
     prepare: float = STANDOFF  # m before the site where the approach starts
@@ -69,8 +69,9 @@ def press_until(
         wrench = press.force / limits.force
         f = jnp.log(jnp.maximum(jnp.maximum(skin, wrench) / (1 + overshoot), 1e-6))
         above = f >= 0
-        # Illinois: halve the value at an end that stays twice in a row, so that it cannot stay for ever.
-        kept = jnp.where(state.found & (above == state.above), 0.5, 1.0)
+        # Anderson and Bjorck: shrink the value at an end that stays twice in a row, so that it cannot stay for ever.
+        shrunk = 1 - f / jnp.where(above, state.f_high, state.f_low)
+        kept = jnp.where(state.found & (above == state.above), jnp.where(shrunk > 0, shrunk, 0.5), 1.0)
         return _Bracket(
             low=jnp.where(above, state.low, x),
             f_low=jnp.where(above, kept * state.f_low, f),

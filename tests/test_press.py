@@ -11,7 +11,7 @@ from i2t.skin.pad import press, sample_pad
 from i2t.types import Pad, ReturnCode
 
 LIMITS = PressLimits()
-WITHIN = 5e-3  # what PressLimits.refine promises
+WITHIN = 1e-3  # what PressLimits.refine promises
 X, Y = np.meshgrid(GRID.centres, GRID.centres)
 
 
@@ -68,15 +68,15 @@ def test_it_ends_at_the_first_crossing(name, pad, stop, sweep):
     reached = max(np.linalg.norm(end.reading) / LIMITS.skin_change, end.force / LIMITS.force)
     assert abs(reached - 1) < WITHIN
     assert depths[first - 1] * (1 - WITHIN) < end.indentation < depths[first] * (1 + WITHIN)
-    assert end.code == (ReturnCode.SKIN if skin[first] / LIMITS.skin_change > force[first] / LIMITS.force else 3)
+    assert end.code == ReturnCode.SKIN
 
 
-def test_a_dull_skin_ends_by_force(pad, stop):
+@pytest.mark.parametrize("name", [name for name in shapes() if name != "two tips"])  # which never reach 8 N
+def test_a_dull_skin_ends_by_force(name, pad, stop):
     dull = pad._replace(magnetisation=1e-3 * pad.magnetisation, young=4 * pad.young)  # 8 N long before the deepest
-    for height in shapes().values():
-        end = stop(dull, jnp.float32(height), 0.0)
-        assert end.code == ReturnCode.WRENCH
-        assert abs(end.force / LIMITS.force - 1) < WITHIN
+    end = stop(dull, jnp.float32(shapes()[name]), 0.0)
+    assert end.code == ReturnCode.WRENCH
+    assert abs(end.force / LIMITS.force - 1) < WITHIN
 
 
 def test_a_skin_that_feels_nothing_ends_at_the_deepest(pad, stop):

@@ -21,7 +21,7 @@ from i2t.types import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW, Pad, ReturnCo
 from i2t.world import CAMERA_DISTANCE, Errors, cut, sample_run, sense, simulate
 
 LIMITS = PressLimits(overshoot=0.0)
-WITHIN = 5e-3  # of the limit, as PressLimits.refine promises
+WITHIN = 1e-3  # of the limit, as PressLimits.refine promises
 PLACED = replace(Errors.none(), placement=4e-3, placement_angle=np.radians(1.0).item())
 RUNS, N = 4, 6  # touches of a run, touches of an object
 SEED = 5  # one of the four objects drawn lies too low to be met
