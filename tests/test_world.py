@@ -16,12 +16,15 @@ from scipy.spatial.transform import Rotation
 from i2t import geometry, touch
 from i2t.press import PressLimits
 from i2t.render import prepare, render_heights
+from i2t.skin.contact import Grid
 from i2t.skin.pad import sample_pad
 from i2t.types import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW, Pad, ReturnCode, Surface, Touches
 from i2t.world import CAMERA_DISTANCE, Errors, cut, sample_run, sense, simulate
 
-LIMITS = PressLimits(overshoot=0.0)
-WITHIN = 1e-3  # of the limit, as PressLimits.refine promises
+# The last press is worked out once more, on as many cells in a longer period, which the skin's own convergence says
+# changes it by less than 2 % (tests/skin); the stop before it is within 0.1 % of its limit (test_press).
+LIMITS = PressLimits(overshoot=0.0, final=Grid(40, 68))
+WITHIN = 0.02
 PLACED = replace(Errors.none(), placement=4e-3, placement_angle=np.radians(1.0).item())
 RUNS, N = 4, 6  # touches of a run, touches of an object
 SEED = 5  # one of the four objects drawn lies too low to be met
@@ -192,7 +195,7 @@ def test_an_object_without_safe_sites_is_named(solids, pad):
 
 def test_pose_errors_have_their_stated_spread():
     errors, n = Errors(), 4000
-    run = jax.vmap(partial(sample_run, errors=errors))(jax.random.split(jax.random.key(0), n))
+    run = jax.jit(jax.vmap(partial(sample_run, errors=errors)))(jax.random.split(jax.random.key(0), n))
     for T, distance, angle in (
         (run.T_o_placed, errors.placement, errors.placement_angle),
         (run.T_t_camera, errors.hand_eye, errors.hand_eye_angle),
