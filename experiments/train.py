@@ -14,12 +14,16 @@ data (data.h5) and checkpoint/, which `i2t.load_predictor` reads.
 """
 
 import json
+import os
 import sys
 import time
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
+
+# Factors of a few hundred rows are too small to share: waiting threads of LAPACK cost more than they give.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jax
 import jax.numpy as jnp
@@ -144,14 +148,14 @@ def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: int | None, out: P
         )
         on_pressure = network.input == "image"
         candidates[name] = describe(
-            Predictor(None, trained, imagination if on_pressure else None, dataset.window, dataset.reach, 0, 0),
+            Predictor(None, trained, imagination if on_pressure else None, dataset.window, dataset.reach, 1.0, 0.3e-3),
             dataset,
             split,
         )
         curves |= curve
     process = fit_process(imagined, readings, split, seed)
     candidates[PROCESS] = describe(
-        Predictor(process, None, imagination, dataset.window, dataset.reach, 0, 0), dataset, split
+        Predictor(process, None, imagination, dataset.window, dataset.reach, 1.0, 0.3e-3), dataset, split
     )
 
     validation: dict[str, float] = {}

@@ -5,6 +5,8 @@ at run time.
 import os
 from pathlib import Path
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in experiments.train
+
 import jax
 import pytest
 

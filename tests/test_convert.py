@@ -231,7 +231,7 @@ def recursive():
         pickle.dumps(b"text"),
         pickle.dumps(np.zeros(3, "M8[s]")),
         pickle.dumps(np.zeros(3, [("a", "f4")])),
-        pickle.dumps(np.matrix([[1.0]])),
+        pickle.dumps(np.ma.masked_array([1.0])),
         pickle.dumps(np.zeros(3, "U5")),
         b"\x80\x02cnumpy\ndtype\n(X\x02\x00\x00\x00f8K\x00K\x01tR.",
         b"",
