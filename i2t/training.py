@@ -212,8 +212,7 @@ def make_chunk(
         return jax.lax.fori_loop(0, count, body, (state, empty))
 
     if jax.default_backend() == "cpu":
-        # A few cores have no use for several products at once: in turn, members and seeds cost least.
-        member = jax.custom_batching.sequential_vmap(member)
+        member = _in_turn(member)
 
     def chunk(
         state: TrainState, train: Batch, validation: Batch | None, count: Int[Array, ""]
@@ -281,6 +280,35 @@ def _compiled_chunk(model: ModelConfig, cfg: TrainConfig, capacity: int) -> Call
     """One compiled program for all trainings that differ in seed and data only."""
     chunk = make_chunk(model, cfg, capacity)
     return jax.jit(chunk if cfg.seeds == 1 else jax.vmap(chunk, in_axes=(0, None, None, None)))
+
+
+def _in_turn(train: Callable) -> Callable:
+    """`train(state, *data) -> (state, info)` whose `vmap` trains one after the other, in place.
+
+    A few cores have no use for several products at once. (`jax.lax.map` would do, but for its copies of all states.)
+    """
+    one = jax.custom_batching.custom_vmap(train)
+
+    @one.def_vmap
+    def _(size: int, batched: PyTree, *args: PyTree) -> tuple[PyTree, PyTree]:
+        states = jax.tree.map(
+            lambda leaf, own: leaf if own else jnp.broadcast_to(leaf, (size, *leaf.shape)), args[0], batched[0]
+        )
+
+        def pick(i: Int[Array, ""]) -> PyTree:
+            return jax.tree.map(lambda leaf, own: leaf[i] if own else leaf, args[1:], tuple(batched[1:]))
+
+        def body(i: Int[Array, ""], carry: PyTree) -> PyTree:
+            states, infos = carry
+            new = one(jax.tree.map(lambda leaf: leaf[i], states), *pick(i))
+            return jax.tree.map(lambda rows, row: rows.at[i].set(row), (states, infos), new)
+
+        row = jax.eval_shape(lambda: one(jax.tree.map(lambda leaf: leaf[0], states), *pick(jnp.int32(0))))[1]
+        infos = jax.tree.map(lambda leaf: jnp.zeros((size, *leaf.shape), leaf.dtype), row)
+        result = jax.lax.fori_loop(0, size, body, (states, infos))
+        return result, jax.tree.map(lambda _: True, result)
+
+    return one
 
 
 def _run_epoch(
