@@ -336,7 +336,7 @@ def train_network(
     norm = training.normalisation(train)
     ready, ready_validation = (training.prepare(network, norm, part) for part in (train, validation))
     state, history = training.start(network, cfg, len(train.target)), []
-    if folder.exists():  # an interrupted run got this far
+    if checkpoint.exists(folder):  # an interrupted run got this far
         state, _, about = checkpoint.restore(folder)
         history = about.extra["history"]
     done = int(np.max(state.epoch))

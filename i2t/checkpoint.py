@@ -78,6 +78,12 @@ def save(
         checkpointer.save_checkpointables(epoch, arrays, custom_metadata=about, force=True, overwrite=True)
 
 
+def exists(directory: Path | str) -> bool:
+    """Whether a save was finished in `directory`; a first one that was interrupted leaves only its beginnings."""
+    directory = Path(directory)
+    return directory.is_dir() and any(entry.name.isdecimal() for entry in directory.iterdir())
+
+
 def describe(directory: Path | str) -> Description:
     """What the checkpoint in `directory` was made with (CheckpointError if there is none, or it is not one of ours)."""
     return _describe(directory)[0]

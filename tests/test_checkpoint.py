@@ -187,3 +187,11 @@ def test_a_save_that_dies_leaves_the_one_before(
     checkpoint.save(folder, later, MODEL, TRAIN, norm, N)
     assert_same(checkpoint.restore(folder)[0], later)
     assert [entry.name for entry in folder.iterdir()] == ["5"]
+
+
+def test_only_a_finished_save_exists(tmp_path):
+    assert not checkpoint.exists(tmp_path / "nowhere")
+    (tmp_path / "12.orbax-checkpoint-tmp").mkdir()
+    assert not checkpoint.exists(tmp_path)
+    (tmp_path / "12").mkdir()
+    assert checkpoint.exists(tmp_path)
