@@ -1,7 +1,7 @@
 """Question: how well does a model trained on two objects predict the touch of objects it has never met?
 
     python -m experiments.train                      the paper's set, simulated: 1630 touches, one pad, one seed
-    python -m experiments.train --preset debug       the same in half a minute, too small to mean anything
+    python -m experiments.train --preset debug       the same in about a minute, too small to mean anything
     python -m experiments.train --seeds 5            means and 95 % intervals over seeds
     python -m experiments.train --preset study       3 pads x 5 seeds
     python -m experiments.train --dataset DIR        any recorded or converted set (see python -m i2t.convert)
