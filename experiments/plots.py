@@ -110,7 +110,7 @@ def touches(
     axes[0, 0].set_ylabel("tool y (mm)")
     axes[1, 0].set_ylabel("tool y (mm)")
     figure.colorbar(image, ax=axes[0, -1], label="depth behind nearest (mm)")
-    figure.legend(*axes[1, -1].get_legend_handles_labels(), fontsize=8, loc="lower right", ncols=2)
+    figure.legend(*axes[1, -1].get_legend_handles_labels(), fontsize=8, loc="upper right", ncols=2)
     figure.suptitle(
         _titled(title, simulated)
         + f"\narrows: field in the skin's plane, 5 mm = {scale:.0f} µT; discs: normal field, filled outwards",
