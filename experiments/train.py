@@ -117,7 +117,7 @@ def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: int | None, out: P
     """One pad and seed: data, split, methods, scores, figures, predictor."""
     started = time.perf_counter()
     out.mkdir(parents=True, exist_ok=True)
-    dataset = load(args.dataset) if args.dataset else simulate(cfg, seed, pad or 0, out / "data.h5")
+    dataset = data.load(args.dataset) if args.dataset else simulate(cfg, seed, pad or 0, out / "data.h5")
     split = split_dataset(dataset, cfg, args.split, seed)
     touches, readings = dataset.touches, dataset.touches.reading
     simulated = dataset.source != "real"
@@ -220,11 +220,6 @@ def simulate(cfg: TrainExperiment, seed: int, pad_seed: int, path: Path) -> Data
     )
     data.save(path, made)
     return made
-
-
-def load(path: Path) -> Dataset:
-    """A recorded or converted set."""
-    return data.load(path)
 
 
 def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -> Split:
