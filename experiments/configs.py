@@ -18,6 +18,7 @@ class Simulation:
     test: tuple[str, ...] = ("star", "square", "flower", "cylinder", "screwdriver", "hammer")
     touches: int = 1630  # the paper's, over all objects
     train_share: float = 0.575  # of the touches, on the training objects: 13 runs of 36 each
+    touches_per_run: int = 36  # the paper's
     errors: Errors = field(default_factory=Errors)
     limits: PressLimits = field(default_factory=lambda: PressLimits(final=FINE))
 
@@ -73,6 +74,7 @@ PRESETS: dict[str, TrainExperiment] = {
             test=("star", "hammer"),
             touches=60,
             train_share=0.6,
+            touches_per_run=12,
             limits=PressLimits(),
         ),
         networks={"paper's network, depth": ModelConfig()},

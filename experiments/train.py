@@ -18,6 +18,7 @@ import os
 import sys
 import time
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
@@ -44,7 +45,7 @@ from i2t.predictor import Network, Predictor, Reading
 from i2t.render import prepare
 from i2t.skin.pad import sample_pad
 from i2t.training import Batch
-from i2t.types import WIDE_PIXELS, Board, ReturnCode, Touches
+from i2t.types import Board, ReturnCode, Touches
 
 PROCESS = "Gaussian process on imagined pressure"
 CEILING = "ceiling: process without camera and arm errors"
@@ -159,12 +160,15 @@ def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: int | None, out: P
     )
 
     validation: dict[str, float] = {}
+    held = split.validation | split.test
+    tuning = split.validation[held]
     for name, candidate in candidates.items():
-        seen = predict(candidate, dataset, split.validation, views)
-        candidate = replace(candidate, spread=predicting.spread_of(readings[split.validation], seen))
+        reading = predict(candidate, dataset, held, imagined)
+        seen = Reading(reading.mean[tuning], reading.std[tuning])
+        spread = predicting.spread_of(readings[split.validation], seen)
         validation[name] = score(readings[split.validation], seen.mean).r2
-        reading = predict(candidate, dataset, split.test, views)
-        predicted[name], spreads[name], candidates[name] = reading.mean, reading.std, candidate
+        predicted[name], spreads[name] = reading.mean[~tuning], spread * reading.std[~tuning]
+        candidates[name] = replace(candidate, spread=spread)
     best = max(
         (name for name in candidates if candidates[name].imagination is not None), key=lambda name: validation[name]
     )
@@ -205,8 +209,9 @@ def simulate(cfg: TrainExperiment, seed: int, pad_seed: int, path: Path) -> Data
     pad = sample_pad(jax.random.key(1000 + pad_seed))
     with tqdm(total=plan.touches, desc="simulating touches", unit="touch") as bar:
         touches = world.simulate(
-            jax.random.key(seed), surfaces, pad, plan.errors, plan.counts(), limits=plan.limits, progress=bar.update
-        )
+            jax.random.key(seed), surfaces, pad, plan.errors, plan.counts(),
+            limits=plan.limits, touches_per_run=plan.touches_per_run, progress=bar.update,
+        )  # fmt: skip
     runs = tuple(f"run {i:03d}" for i in range(int(touches.run.max()) + 1))
     board = Board(*(np.asarray(field) for field in pad.board))
     made = Dataset(
@@ -329,8 +334,9 @@ def train_network(
     training.check(train, network, "training")
     training.check(validation, network, "validation")
     norm = training.normalisation(train)
-    ready, ready_validation = (training.prepare(network, norm, part) for part in (train, validation))
-    state, history = training.start(network, cfg, len(train.target)), []
+    prepared = jax.jit(training.prepare, static_argnums=0)
+    ready, ready_validation = (prepared(network, norm, part) for part in (train, validation))
+    state, history = jax.jit(partial(training.start, network, cfg, len(train.target)))(), []
     if checkpoint.exists(folder):  # an interrupted run got this far
         state, _, about = checkpoint.restore(folder)
         history = about.extra["history"]
@@ -348,7 +354,7 @@ def train_network(
                 folder, state, network, cfg, norm, len(train.target), {"history": history}
             ),
         )  # fmt: skip
-    norm = training.with_residual(state.best_params, network, norm, ready_validation)
+    norm = jax.jit(training.with_residual, static_argnums=1)(state.best_params, network, norm, ready_validation)
     values = np.array(history).reshape(-1, 2)
     return Network(state.best_params, network, norm), {
         f"{name}, training": values[:, 0],
@@ -385,13 +391,14 @@ def describe(predictor: Predictor, dataset: Dataset, split: Split) -> Predictor:
     )
 
 
-def predict(predictor: Predictor, dataset: Dataset, rows: np.ndarray, views: np.ndarray) -> Reading:
-    """Predict rows of a data set through the same door as a user's touches."""
+def predict(predictor: Predictor, dataset: Dataset, rows: np.ndarray, imagined: gp.Imagined) -> Reading:
+    """Predict rows of a data set whose touches were all imagined before."""
     touches = dataset.touches
-    given = {name: getattr(touches, name)[rows] for name in ("force", "nearest", "depth")}
-    known = {name: values for name, values in given.items() if np.isfinite(values).all()}
-    wide = views[rows] if views.shape[-1] == WIDE_PIXELS else None
-    return predictor.predict(touches.patch[rows], wide=wide, **known)
+    measured = {name: getattr(touches, name)[rows] for name in ("force", "nearest", "depth")}
+    if predictor.imagination is None:
+        return predictor.from_image(touches.patch[rows], measured)
+    which = np.flatnonzero(rows)
+    return predictor.from_imagined(gp.Imagined(imagined.pressure[which], imagined.load[which]), measured)
 
 
 def scored(

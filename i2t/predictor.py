@@ -97,9 +97,13 @@ class Predictor:
             "nearest": _column("nearest", nearest, n, None),
             "depth": _column("depth", depth, n, self.depth),
         }
-        views = patches if wide is None else np.asarray(wide, np.float32).reshape(n, *np.shape(wide)[-2:])
-        mean, std = self._predict(patches, views, measured)
-        return Reading(mean[0], std[0]) if single else Reading(mean, std)
+        if self.imagination is None:
+            reading = self.from_image(patches, measured)
+        else:
+            views = patches if wide is None else np.asarray(wide, np.float32).reshape(n, *np.shape(wide)[-2:])
+            cfg = replace(self.imagination, pitch=self.window / patches.shape[1])
+            reading = self.from_imagined(imagine_all(cfg, views, measured["force"], measured["depth"]), measured)
+        return Reading(reading.mean[0], reading.std[0]) if single else reading
 
     def predict_touch(
         self,
@@ -132,31 +136,31 @@ class Predictor:
         around = np.clip(np.asarray(wide.depth) + float(wide.nearest - patch.nearest), 0, self.reach)
         return self.predict(np.asarray(patch.depth), force=force, nearest=float(patch.nearest), wide=around)
 
-    def _predict(
-        self, patches: np.ndarray, views: np.ndarray, measured: dict[str, np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        images = patches
-        imagined = None
-        if self.imagination is not None:
-            cfg = replace(self.imagination, pitch=self.window / patches.shape[1])
-            imagined = imagine_all(cfg, views, measured["force"], measured["depth"])
-            images = np.asarray(imagined.pressure)
-        if self.process is not None:
-            assert imagined is not None
-            mean, std = _process(self.process, imagined)
-        else:
-            assert self.network is not None
-            params, network, norm = self.network
-            if images.shape[1] != network.pixels:
-                raise ValueError(f"patch has {images.shape[1]} pixels an edge; this model sees {network.pixels}")
-            missing = [name for name in network.conditions if not np.isfinite(measured[name]).all()]
-            if missing:
-                raise ValueError(f"this model needs {', '.join(missing)} of every touch; pass it to predict")
-            values = [measured[name] for name in network.conditions]
-            conditions = np.stack(values, -1) if values else np.zeros((len(images), 0))
-            inputs = model.Inputs(jnp.float32(images), jnp.float32(conditions))
-            mean, std = _network(network, params, norm, inputs)
-        return np.asarray(mean), np.asarray(std) * self.spread
+    def from_imagined(self, imagined: Imagined, measured: dict[str, np.ndarray]) -> Reading:
+        """The readings of touches (axis 0) that `imagine_all` made from their views with this predictor's imagination.
+
+        `measured` holds the force, `nearest` and depth of each touch, NaN where unknown.
+        """
+        if self.process is None:
+            return self.from_image(np.asarray(imagined.pressure), measured)
+        mean, std = _process(self.process, imagined)
+        return Reading(np.asarray(mean), np.asarray(std) * self.spread)
+
+    def from_image(self, images: np.ndarray, measured: dict[str, np.ndarray]) -> Reading:
+        """The readings that a network sees in images (n, p, p): patches, or imagined pressures. Raises ValueError where
+        they do not fit it.
+        """
+        assert self.network is not None
+        params, network, norm = self.network
+        if images.shape[1] != network.pixels:
+            raise ValueError(f"patch has {images.shape[1]} pixels an edge; this model sees {network.pixels}")
+        missing = [name for name in network.conditions if not np.isfinite(measured[name]).all()]
+        if missing:
+            raise ValueError(f"this model needs {', '.join(missing)} of every touch; pass it to predict")
+        values = [measured[name] for name in network.conditions]
+        conditions = np.stack(values, -1) if values else np.zeros((len(images), 0))
+        mean, std = _network(network, params, norm, model.Inputs(jnp.float32(images), jnp.float32(conditions)))
+        return Reading(np.asarray(mean), np.asarray(std) * self.spread)
 
 
 def imagine_all(
