@@ -43,6 +43,12 @@ class Imagination:
     iterations: int = 25  # of the contact solver: a per mille of the force is far below the uncertainty of the view
     floor: float = 0.02  # N, least load, where a noisy wrench sensor says less
 
+    def __post_init__(self) -> None:
+        for name, length in (("1 mm", CELL * 1e-3), ("the window", self.window)):
+            count = length / self.cell
+            if count < 0.5 or abs(count - round(count)) > 1e-6 * count:
+                raise ValueError(f"cell is {self.cell:g} m, which does not divide {name}; take 0.5e-3 or 1e-3")
+
     @property
     def grid(self) -> Grid:
         """The contact grid and its period of 1.6 windows."""

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
-from i2t.geometry import contact_frame, invert
+from i2t.geometry import contact_frame, full_precision, invert
 from i2t.types import PAD_WINDOW, STANDOFF, Surface
 
 MIN_FORWARD = 1e-3  # cosine; closer to sideways, the skin's face would meet a surface edge-on
@@ -103,6 +103,7 @@ def nearest_in_square(
     return jnp.min(jnp.where(met, jnp.maximum(low, -behind), jnp.inf))
 
 
+@full_precision
 def press_along(
     surface: Surface,
     start: Float[Array, "4 4"],

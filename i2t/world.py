@@ -137,6 +137,7 @@ def _behind(z: Array, nearest: Array) -> Array:
     return jnp.clip(z - jnp.where(jnp.isfinite(nearest), nearest, 0), 0, REACH)
 
 
+@geometry.full_precision
 def touch_once(
     key: Key[Array, ""],
     surface: Surface,
@@ -208,6 +209,7 @@ def _along_z(distance: Float[Array, ""]) -> Float[Array, "4 4"]:
     return jnp.eye(4).at[2, 3].set(distance)
 
 
+@geometry.full_precision
 def simulate_run(
     key: Key[Array, ""],
     surface: Surface,

@@ -66,3 +66,16 @@ def test_random_motion_has_the_stated_spread():
     # Standard error of a standard deviation over n = 12 000 draws is 1 / sqrt(2 n) = 0.65 %; four of them are allowed.
     assert T[:, :3, 3].std() == pytest.approx(2e-3, rel=0.026)
     assert Rotation.from_matrix(T[:, :3, :3]).as_rotvec().std() == pytest.approx(0.01, rel=0.026)
+
+
+def test_products_of_poses_keep_all_digits_on_every_device():
+    """An accelerator rounds the factors of a product that does not ask for more."""
+    pose = geometry.transform(jnp.eye(3), jnp.arange(3.0))
+    for work in (
+        geometry.invert,
+        lambda T: geometry.apply(T, T[:3, :3]),
+        lambda T: geometry.contact_frame(T[0, :3], T[1, :3]),
+    ):
+        products = str(jax.make_jaxpr(work)(pose)).split("dot_general[")[1:]
+        assert products
+        assert all("precision=(Precision.HIGHEST, Precision.HIGHEST)" in product[:300] for product in products)

@@ -119,3 +119,9 @@ def test_a_batch_is_its_examples():
     together = jax.jit(jax.vmap(partial(imagine, CFG, PAD)))(views, force, depth).pressure
     for i in range(3):
         close(np.asarray(together[i]), press(CFG, views[i], float(force[i])))
+
+
+@pytest.mark.parametrize(("cell", "window"), [(0.4e-3, 20e-3), (1e-3, 20.5e-3), (3e-3, 21e-3)])
+def test_cells_that_do_not_tile_the_skin_are_refused(cell, window):
+    with pytest.raises(ValueError, match="does not divide"):
+        Imagination(pitch=PITCH, cell=cell, window=window)
