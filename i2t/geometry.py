@@ -29,7 +29,7 @@ def invert(T_a_b: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
 @full_precision
 def apply(T_a_b: Float[Array, "4 4"], points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
     """Points in b, expressed in a."""
-    return points @ T_a_b[:3, :3].T + T_a_b[:3, 3]
+    return points @ T_a_b[:3, :3].T + jnp.broadcast_to(T_a_b[:3, 3], points.shape)
 
 
 @full_precision
