@@ -39,7 +39,7 @@ class Imagined(NamedTuple):
 class Hyper(NamedTuple):
     """Hyperparameters of the covariance."""
 
-    weights: Float[Array, "lengths"]  # a_l, for unit mean variance
+    weights: Float[Array, " lengths"]  # a_l, for unit mean variance
     bend: Float[Array, ""]  # b
     width: Float[Array, ""]  # w, in log load
     noise: Float[Array, ""]  # variance of a channel's noise, relative to that of its signal
@@ -50,10 +50,10 @@ class GP(NamedTuple):
 
     hyper: Hyper
     touches: Imagined
-    unit: Float[Array, "lengths"]  # per length, the mean variance of the training touches
+    unit: Float[Array, " lengths"]  # per length, the mean variance of the training touches
     cholesky: Float[Array, "n n"]
     weights: Float[Array, "n channels"]
-    scale: Float[Array, "channels"]  # uT, root mean square of each channel's signal
+    scale: Float[Array, " channels"]  # uT, root mean square of each channel's signal
 
 
 def roots(m: int) -> Float[np.ndarray, "lengths m m"]:
@@ -72,10 +72,10 @@ def features(touches: Imagined) -> Float[Array, "lengths n mm"]:
 
 def gram(
     hyper: Hyper,
-    unit: Float[Array, "lengths"],
+    unit: Float[Array, " lengths"],
     linear: Float[Array, "lengths a b"],
-    load_a: Float[Array, "a"],
-    load_b: Float[Array, "b"],
+    load_a: Float[Array, " a"],
+    load_b: Float[Array, " b"],
 ) -> Float[Array, "a b"]:
     """Covariance between touches from the inner products of their blurred pressures."""
     ratio = jnp.log(jnp.maximum(load_a, 1e-3))[:, None] - jnp.log(jnp.maximum(load_b, 1e-3))[None, :]
@@ -113,12 +113,12 @@ def predict(gp: GP, touches: Imagined) -> tuple[Float[Array, "n channels"], Floa
 def choose(
     touches: Imagined,
     readings: Float[Array, "n channels"],
-    groups: Int[np.ndarray, "n"],
+    groups: Int[np.ndarray, " n"],
     steps: int = 40,
     folds: int = 4,
     limit: int = 600,
     seed: int = 0,
-) -> tuple[Hyper, Float[Array, "steps"]]:
+) -> tuple[Hyper, Float[Array, " steps"]]:
     """Hyperparameters with the least squared error on held-out groups (runs or spatial blocks), and R2 at each step.
 
     Adam descends the error of `folds`-fold cross-validation, groups kept whole, in unconstrained coordinates from a

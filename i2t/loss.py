@@ -61,13 +61,13 @@ def losses(
     return Losses(reading + cfg.auxiliary * image, reading, squared, image)
 
 
-def squared_error(reading: Float[Array, "k"], target: Float[Array, "k"]) -> Float[Array, ""]:
+def squared_error(reading: Float[Array, " k"], target: Float[Array, " k"]) -> Float[Array, ""]:
     """Mean squared error over the values of one reading."""
     return jnp.mean((reading - target) ** 2)
 
 
 def gaussian(
-    reading: Float[Array, "k"], log_variance: Float[Array, "k"], target: Float[Array, "k"], beta: float
+    reading: Float[Array, " k"], log_variance: Float[Array, " k"], target: Float[Array, " k"], beta: float
 ) -> Float[Array, ""]:
     """Beta-weighted negative log likelihood per value; its value (not its gradient) depends on the weights too."""
     nll = 0.5 * (log_variance + (target - reading) ** 2 * jnp.exp(-log_variance) + jnp.log(2 * jnp.pi))

@@ -40,7 +40,7 @@ class Inputs(NamedTuple):
     """What the network sees of one touch."""
 
     image: Float[Array, "n n"]  # a patch in m, or whatever `ModelConfig.input` says
-    conditions: Float[Array, "c"]  # in the order of `ModelConfig.conditions`: N, m, m
+    conditions: Float[Array, " c"]  # in the order of `ModelConfig.conditions`: N, m, m
 
 
 class Prediction(NamedTuple):
@@ -51,14 +51,14 @@ class Prediction(NamedTuple):
     image: (
         Float[Array, "n n"] | None
     )  # the prepared image decoded again (logits for a mask); None without the auxiliary head
-    latent: Float[Array, "b"]
+    latent: Float[Array, " b"]
 
 
 class Standard(NamedTuple):
     """Mean and standard deviation of each value over a training set."""
 
-    mean: Float[Array, "k"]
-    std: Float[Array, "k"]
+    mean: Float[Array, " k"]
+    std: Float[Array, " k"]
 
 
 class Normalisation(NamedTuple):
@@ -157,7 +157,7 @@ def prepare(cfg: ModelConfig, normalisation: Normalisation, inputs: Inputs) -> I
     return Inputs(image, standardise(normalisation.conditions, inputs.conditions))
 
 
-def standardise(standard: Standard, values: Float[Array, "k"]) -> Float[Array, "k"]:
+def standardise(standard: Standard, values: Float[Array, " k"]) -> Float[Array, " k"]:
     """Physical values in units of their spread about their mean."""
     return (values - standard.mean) / standard.std
 

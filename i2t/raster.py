@@ -235,9 +235,9 @@ class _Queue(NamedTuple):
     index.
     """
 
-    full: UInt[Array, "tiles"]
-    current: UInt[Array, "tiles"]
-    word: Int[Array, "tiles"]
+    full: UInt[Array, " tiles"]
+    current: UInt[Array, " tiles"]
+    word: Int[Array, " tiles"]
 
 
 def _draw(trips, faces, names, size, words, queue, best, x, y):

@@ -42,11 +42,11 @@ class TrainState(NamedTuple):
 
     params: Params
     opt_state: PyTree
-    key: Key[Array, "m"]
-    epoch: Int[Array, "m"]  # epochs done
+    key: Key[Array, " m"]
+    epoch: Int[Array, " m"]  # epochs done
     best_params: Params
-    best_loss: Float[Array, "m"]  # on validation touches, +inf before the first epoch
-    best_epoch: Int[Array, "m"]
+    best_loss: Float[Array, " m"]  # on validation touches, +inf before the first epoch
+    best_epoch: Int[Array, " m"]
 
 
 class EpochInfo(NamedTuple):

@@ -81,7 +81,7 @@ def rest_field(pad: Pad, dipoles: Grid = GRID, nodes: int = NODES) -> Float[Arra
     return jnp.sum(jax.lax.map(sheet, sheets(pad, dipoles, nodes)), axis=0)
 
 
-def sheets(pad: Pad, dipoles: Grid = GRID, nodes: int = NODES) -> tuple[Float[Array, "d"], Float[Array, "d 3 n n"]]:
+def sheets(pad: Pad, dipoles: Grid = GRID, nodes: int = NODES) -> tuple[Float[Array, " d"], Float[Array, "d 3 n n"]]:
     """The dipoles at rest: depths (m) of their sheets, and moments (A m2, x, y and z) under the cell centres.
 
     A cell of `dipoles` takes the magnetisation of the map's cell in which its centre lies.
@@ -96,7 +96,7 @@ def sheets(pad: Pad, dipoles: Grid = GRID, nodes: int = NODES) -> tuple[Float[Ar
     return depths, (weights / 2)[:, None, None, None] * (pad.thickness * area)[None]
 
 
-def turn(rotation: Float[Array, "3 *n"], moments: Float[Array, "3 *n"]) -> Float[Array, "3 *n"]:
+def turn(rotation: Float[Array, "3 ..."], moments: Float[Array, "3 ..."]) -> Float[Array, "3 ..."]:
     """Cayley's rotation of m by w: m + 4 / (4 + w.w) (w x m + w x (w x m) / 2), components first."""
     first = jnp.cross(rotation, moments, axis=0)
     second = jnp.cross(rotation, first, axis=0)
