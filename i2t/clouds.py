@@ -22,6 +22,8 @@ PLY_TYPES = {
     **{"float32": "f4", "float64": "f8"},
 }
 NEIGHBOURS = 32  # at most, in a plane fit; disks lie half a radius apart, so some 28 lie within 1.5 radii
+RING = 8  # neighbours whose distance tells how dense a cloud is
+COVER = 2.0  # radius of a disk in spacings
 FEWEST = 5  # points of a plane fit; a point with fewer around it is an outlier
 
 
@@ -55,6 +57,24 @@ def load_points(path: str | Path, unit: str) -> tuple[NDArray[np.float64], NDArr
             # A normal that is missing or zero stays zero: `surface_from_points` then keeps its own.
             return points, np.where(np.isfinite(length) & (length > 0), normals / np.where(length > 0, length, 1), 0.0)
     return points, None
+
+
+def suggest_radius(points: NDArray) -> float:
+    """A radius (m) of disks that covers a cloud (n, 3): twice its typical spacing s, where a point has s^2 to itself.
+
+    On a surface k neighbours lie within d_k, pi d_k^2 = k s^2; the median over points of the eighth's distance gives s.
+    Of points strewn at random a disk of 2 s misses a place with probability exp(-4 pi) = 3e-6; averaging them in cubes
+    of edge s leaves at least 63 % of their number, so 4e-4 of the surface at most is left bare. Noise makes the cloud
+    look wider and the radius larger, as it should. Raises ValueError for fewer than nine points.
+    """
+    points = np.asarray(points, np.float64)
+    if len(points) <= RING:
+        raise ValueError(f"points: {len(points)} are too few to tell a spacing; give at least {RING + 1}")
+    distance, _ = cKDTree(points).query(points, k=[RING + 1])  # the first neighbour is the point itself
+    radius = COVER * float(np.median(distance)) * np.sqrt(np.pi / RING)
+    if not radius > 0:
+        raise ValueError("points: most of them lie in the same place; remove the repeated ones")
+    return float(radius)
 
 
 def surface_from_points(
