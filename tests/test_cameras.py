@@ -126,7 +126,9 @@ def test_impossible_cameras(change, words):
 
 
 def test_one_camera_is_one_hash():
-    assert hash(Camera(4, 3, 2, 2, 1, 1)) == hash(Camera(4, 3, np.float64(2), 2.0, 1.0, 1.0, "none", (0, 0)))
+    assert hash(Camera(4, 3, 2.0, 2.0, 1.0, 1.0)) == hash(
+        Camera(4, 3, np.float64(2), 2.0, 1.0, 1.0, "none", (0.0, 0.0))
+    )
 
 
 def png(path, values):
@@ -180,7 +182,7 @@ def test_hostile_files(tmp_path):
     with pytest.raises(FileNotFoundError, match="no such file"):
         read_depth(tmp_path / "nothing.png", "mm")
     fine = png(tmp_path / "m.png", good)
-    for scale in ("cm", 0, -1e-3, float("nan")):
+    for scale in ("cm", 0.0, -1e-3, float("nan")):
         with pytest.raises(ValueError, match="scale"):
             read_depth(fine, scale)
     with pytest.raises(ValueError, match="encoding"):
