@@ -377,14 +377,14 @@ def _face_terms(corners, half):
     """The numbers of faces in the tool frame, and which of them can be hit at all."""
     (xa, ya, za), (xb, yb, zb), (xc, yc, zc) = corners
     area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
-    flat = jnp.abs(area) < FLAT
-    side = jnp.where(flat, 0, jnp.sign(area))
+    flat = ~((jnp.abs(area) >= FLAT) & (jnp.abs(area) < jnp.inf))  # or not a number: never met
+    side = jnp.sign(area)
     tolerance = ROUNDINGS * float(jnp.finfo(area.dtype).eps)
 
     def edge(xp, yp, xq, yq):
-        A, B = side * (yp - yq), side * (xq - xp)
+        A, B = (jnp.where(flat, 0, side * run) for run in (yp - yq, xq - xp))
         slack = tolerance * (jnp.abs(A) * (jnp.abs(xp) + half) + jnp.abs(B) * (jnp.abs(yp) + half))
-        return A, B, slack - (A * xp + B * yp)
+        return A, B, jnp.where(flat, -1, slack - (A * xp + B * yp))
 
     A0, B0, C0 = edge(xa, ya, xb, yb)
     area = jnp.where(flat, 1, area)
@@ -393,7 +393,7 @@ def _face_terms(corners, half):
     base = za - slope_x * xa - slope_y * ya
     # A steep plane means nothing beside its edge, where the tolerance still counts it: never nearer than a corner.
     lowest, highest = _smaller(_smaller(za, zb), zc), _larger(_larger(za, zb), zc)
-    edges = (A0, B0, jnp.where(flat, -1, C0), *edge(xb, yb, xc, yc), *edge(xc, yc, xa, ya))
+    edges = (A0, B0, C0, *edge(xb, yb, xc, yc), *edge(xc, yc, xa, ya))
     return (*edges, slope_x, slope_y, base, lowest), ~flat & (highest >= -STANDOFF)
 
 

@@ -6,9 +6,13 @@ from pathlib import Path
 
 import jax
 import pytest
+import trimesh
 
-from experiments import benchmark
-from experiments.benchmark import Benchmark, MissingPeerError, Row, Training
+from experiments import benchmark, benchmark_rendering, benchmark_training, timing
+from experiments.benchmark import Benchmark
+from experiments.benchmark_rendering import Rendering
+from experiments.benchmark_training import Training
+from experiments.timing import MissingPeerError, Row
 from i2t import training
 from i2t.model import ModelConfig
 from i2t.training import TrainConfig
@@ -25,7 +29,7 @@ TINY = Training(
 def test_training_section_against_pytorch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The section itself checks that both trainings have the same losses, and fails where they have not."""
     pytest.importorskip("torch", reason="the extra bench is not installed")
-    rows = benchmark.main(Benchmark(turns=2, out=tmp_path / "out", training=TINY))
+    rows = benchmark.main(Benchmark(sections=("training",), turns=2, out=tmp_path / "out", training=TINY))
     assert [row.peer_name.split(",")[0] for row in rows] == ["eager PyTorch", "the seeds one by one"]
     report = json.loads((tmp_path / "out" / "benchmark.json").read_text())
     assert [Row(**row) for row in report["rows"]] == rows
@@ -35,11 +39,11 @@ def test_training_section_against_pytorch(tmp_path: Path, capsys: pytest.Capture
 
 def test_unequal_work_is_not_compared() -> None:
     torch = pytest.importorskip("torch", reason="the extra bench is not installed")
-    batch = benchmark._random_touches(TINY)
+    batch = benchmark_training._random_touches(TINY)
     state = jax.jit(lambda: training.start(TINY.model, TINY.train, TINY.touches))()
-    peer = benchmark.TorchTraining(TINY, state, batch, "foreach")
+    peer = benchmark_training.TorchTraining(TINY, state, batch, "foreach")
     before = peer.epochs()
-    again = benchmark.TorchTraining(TINY, state, batch, "foreach")
+    again = benchmark_training.TorchTraining(TINY, state, batch, "foreach")
     with torch.no_grad():
         again.decoder[0].bias += 1.0
     assert abs(again.epochs()[0] / before[0] - 1) > 1e-2  # ten times what the section lets pass
@@ -48,21 +52,47 @@ def test_unequal_work_is_not_compared() -> None:
 def test_a_missing_peer_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(MissingPeerError, match=r"PyTorch, which is not installed; run pip install 'i2t\[bench\]'"):
-        benchmark.main(Benchmark(training=TINY))
+        benchmark.main(Benchmark(sections=("training",), training=TINY))
 
 
 def test_unknown_sections_are_refused() -> None:
-    with pytest.raises(ValueError, match="--sections is 'speed'; choose from training"):
+    with pytest.raises(ValueError, match="--sections is 'speed'; choose from training, rendering"):
         benchmark.main(Benchmark(sections=("speed",)))
 
 
 def test_rows_are_medians_over_turns() -> None:
-    row = benchmark.compare("s", "w", [1.0, 2.0, 4.0], "p", [3.0, 2.0, 8.0])
+    row = timing.compare("s", "w", [1.0, 2.0, 4.0], "p", [3.0, 2.0, 8.0])
     assert row == Row("s", "w", "s", 2.0, "p", 3.0, 2.0)
 
 
 def test_every_contender_gets_every_turn_in_order() -> None:
     calls: list[str] = []
-    seconds = benchmark.in_turns({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 2)
+    seconds = timing.in_turns({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 2)
     assert calls == ["a", "b"] * 3
     assert {name: len(each) for name, each in seconds.items()} == {"a": 2, "b": 2}
+
+
+def test_rendering_section_against_ray_casters(capsys: pytest.CaptureFixture[str]) -> None:
+    """The section itself checks that all see the same, and fails where they do not."""
+    pytest.importorskip("open3d", reason="the extra bench is not installed", exc_type=ImportError)
+    tiny = Rendering(spheres=(1,), shapes=("star",), batch=4, batches=(1,), largest=8)
+    rows = benchmark.main(Benchmark(sections=("rendering",), turns=1, rendering=tiny))
+    assert [row.peer_name for row in rows] == [*["Open3D", "embreex", "Open3D, rays given"] * 3, "rays and distances"]
+    assert all(row.ours > 0 and row.peer > 0 for row in rows)
+    assert len(capsys.readouterr().out.splitlines()) == 1 + len(rows)
+
+
+def test_patches_of_another_mesh_are_not_compared() -> None:
+    """A ray caster that needs no system package, and a sphere a centimetre smaller."""
+    ball = trimesh.creation.icosphere(3, 0.03)
+    surface = benchmark_rendering.prepare(ball)
+    poses = benchmark_rendering.random_poses(surface, 4)
+    patch = jax.jit(jax.vmap(benchmark_rendering.render_patch, (None, 0)))(surface, poses)
+    rays = benchmark_rendering.rays_of(poses)
+    seen = [
+        benchmark_rendering.embreex_caster(mesh)(rays).reshape(4, 48, 48)
+        for mesh in (ball, trimesh.creation.icosphere(3, 0.02))
+    ]
+    benchmark_rendering.check("ball", "embreex", patch.depth, patch.nearest, seen[0])
+    with pytest.raises(ValueError, match="of the pixels differ from embreex's"):
+        benchmark_rendering.check("ball", "embreex", patch.depth, patch.nearest, seen[1])
