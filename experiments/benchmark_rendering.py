@@ -102,9 +102,10 @@ def open3d_caster(mesh: Any) -> Callable[[np.ndarray], np.ndarray]:
             "the system packages libusb-1.0-0 and libgl1."
         ) from error
     scene = open3d.t.geometry.RaycastingScene()
+    tensor: Any = open3d.core.Tensor
     vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32)
-    scene.add_triangles(open3d.core.Tensor(vertices), open3d.core.Tensor(faces))
-    return lambda rays: scene.cast_rays(open3d.core.Tensor.from_numpy(rays))["t_hit"].numpy()
+    scene.add_triangles(tensor(vertices), tensor(faces))
+    return lambda rays: scene.cast_rays(tensor.from_numpy(rays))["t_hit"].numpy()
 
 
 def embreex_caster(mesh: Any) -> Callable[[np.ndarray], np.ndarray]:

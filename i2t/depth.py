@@ -6,12 +6,11 @@ along a ray inverse depth is linear in the image too, so where both are equal th
 at a grazing angle span a depth edge and are no surface, which also leaves out flying pixels: one between two surfaces
 has such an edge on both sides.
 
-A camera knows more than what is surface: it saw that the space before it is free. A ray that comes to lie behind the
-image without meeting a triangle, or that crosses more than a narrow hole of it, is lost from there on, and what it
-meets is not known. (One that comes into sight too late, behind the nearest
-point, has not been seen.) So a pixel is
+A camera knows more than what is surface: it saw that the space before it is free. A ray that is found behind the image
+without having met a triangle, because it started there or came in through a hole, is lost, and what it meets later is
+not known. So a pixel is
 
-    seen    its ray meets the surface, or is in sight and free to deeper than the reach behind the nearest point
+    seen    its ray meets the surface, or is free to deeper than the reach behind the nearest point
     filled  it is in a hole between two seen pixels of its row, column or diagonal, at most `fill` apart
     neither it is in a larger hole; its depth reads the reach, as where there is no surface
 
@@ -34,7 +33,6 @@ GRAZING = math.radians(10)  # rad, between a triangle and the line of sight to i
 STEP = 1.5e-3  # m: neighbours no further apart in depth are surface however steep; a unit of a file in millimetres is
 FILL = 2e-3  # m
 STRIDE = 0.5  # pixels of the image from sample to sample of a ray
-GAP = 4  # pixels of the image, along a hole, after which a ray that was in sight is lost
 REFINE = 6  # steps; without a fold of the surface in between the first is exact
 CLOSE = 1e-4  # relative error of depth at which a crossing counts as found: 10 um at the paper's distance
 
@@ -70,16 +68,15 @@ def patch_from_depth(
     derivative.
     """
     check_image(depth, camera)
-    margin = max(
-        math.ceil(fill / window * pixels) - 1, 0
-    )  # so that holes at the border are filled as if there were none
+    # Wide enough that holes at the border are filled as if there were none.
+    margin = max(math.ceil(fill / window * pixels) - 1, 0)
     T_c_t = _relative(T_w_c, T_w_t)
     rigid = _is_rigid(T_w_c) & _is_rigid(T_w_t)
     rays = _rays(depth, camera, jnp.where(rigid, T_c_t, jnp.eye(3, 4)), window, pixels, margin, standoff)
     inner = (slice(margin, margin + pixels),) * 2
-    met, since, clear = _follow(rays, _cells(depth, camera, grazing, step), camera, reach, inner)
+    met, clear = _follow(rays, _cells(depth, camera, grazing, step), camera, reach, inner)
     nearest = jnp.min(met[inner])
-    seen = (since <= nearest) & ((met < jnp.inf) | (clear >= nearest + reach)) & (nearest < jnp.inf)
+    seen = ((met < jnp.inf) | (clear >= nearest + reach)) & (nearest < jnp.inf)
     bridged = _bridge(met, seen, window / pixels, fill)
     heights, seen = jnp.where(seen, met, bridged)[inner], seen[inner]
     behind = jnp.where(heights < jnp.inf, heights - jnp.where(nearest < jnp.inf, nearest, 0), reach)
@@ -200,20 +197,16 @@ def _cells(depth, camera, grazing, step):
 
 
 class _March(NamedTuple):
-    """How far rays have been followed, (n, n) each; free is what is in sight before the surface."""
+    """How far rays have been followed, (n, n) each; free is what lies before the surface."""
 
     going: Array  # bool
-    free: Array  # bool, at the last sample on surface
-    blind: Array  # samples since the last one on surface
-    since: Array  # m, tool z at which the ray came into sight
-    clear: Array  # m, and to which it is known to be free
+    free: Array  # bool, at the last sample
+    clear: Array  # m, tool z to which the ray is known to be free
     hit: Array  # sample that lies behind the surface, next to a free one; 0 where there is none
 
 
-def _follow(rays: _Rays, cells, camera: Camera, reach: float, inner) -> tuple[Array, Array, Array]:
-    """Tool z (m) where rays meet the surface, +inf where they do not, and from which and to which they are known to be
-    free.
-    """
+def _follow(rays: _Rays, cells, camera: Camera, reach: float, inner) -> tuple[Array, Array]:
+    """Tool z (m) where rays meet the surface, +inf where they do not, and to which they are known to be free."""
     steps = jnp.maximum(rays.steps, 1)
 
     def behind(part):
@@ -239,22 +232,17 @@ def _follow(rays: _Rays, cells, camera: Camera, reach: float, inner) -> tuple[Ar
         k, last, march = state
         part = jnp.minimum(k / steps, 1)
         gap, on = behind(part)
-        behind_now = march.going & march.free & on & (gap >= 0)
-        met = behind_now & (march.blind == 0)
-        hit = jnp.where(met, k, march.hit)
-        blind = jnp.where(on, 0, march.blind + 1)
-        free = jnp.where(on, gap < 0, march.free)
-        clear = jnp.where(march.going & on & free, height(part), march.clear)
-        since = jnp.where(march.going & on & free, jnp.minimum(march.since, height(part)), march.since)
+        behind_now = march.going & on & (gap >= 0)
+        met = behind_now & march.free
+        free = on & (gap < 0)
+        clear = jnp.where(march.going & free, height(part), march.clear)
         # Behind the deepest that the patch can show nothing more is asked.
         last = jnp.minimum(last, jnp.min(jnp.where(met, height(part), jnp.inf)[inner]))
-        lost = behind_now | (free & (blind * STRIDE > GAP))
-        going = march.going & ~lost & (k < rays.steps) & (clear <= last + reach)
-        return k + 1, last, _March(going, free, blind, since, clear, hit)
+        going = march.going & ~behind_now & (k < rays.steps) & (clear <= last + reach)
+        return k + 1, last, _March(going, free, clear, jnp.where(met, k, march.hit))
 
-    none = jnp.zeros(steps.shape, bool)
-    zero = jnp.zeros_like(steps)
-    start = _March(rays.steps > 0, none, zero, jnp.full_like(steps, jnp.inf), jnp.full_like(steps, -jnp.inf), zero)
+    none, zero = jnp.zeros(steps.shape, bool), jnp.zeros_like(steps)
+    start = _March(rays.steps > 0, none, jnp.full_like(steps, -jnp.inf), zero)
     _, _, end = jax.lax.while_loop(
         lambda state: jnp.any(state[2].going),
         step,
@@ -262,7 +250,7 @@ def _follow(rays: _Rays, cells, camera: Camera, reach: float, inner) -> tuple[Ar
     )
     part, exact = _crossing(behind, (end.hit - 1) / steps, end.hit / steps)
     found = (end.hit > 0) & exact(_between(rays.inverse, part))
-    return jnp.where(found, height(part), jnp.inf), end.since, end.clear
+    return jnp.where(found, height(part), jnp.inf), end.clear
 
 
 def _crossing(behind, low, high):

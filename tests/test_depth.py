@@ -135,7 +135,11 @@ def test_flying_pixels_are_no_surface():
 
 @pytest.mark.parametrize(
     ("model", "coefficients"),
-    [("brown_conrady", (-0.1, 0.03, 1e-3, -1e-3, 0.01)), ("inverse_brown_conrady", (0.1, 0.0, 1e-3)), ("ftheta", (0.8,))],
+    [
+        ("brown_conrady", (-0.1, 0.03, 1e-3, -1e-3, 0.01)),
+        ("inverse_brown_conrady", (0.1, 0.0, 1e-3)),
+        ("ftheta", (0.8,)),
+    ],
 )
 def test_distorted_images(model, coefficients):
     camera = Camera(640, 360, 322.4, 322.1, 310.0, 170.0, model, coefficients)
