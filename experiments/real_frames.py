@@ -237,13 +237,25 @@ def figure(name: str, by_window: dict[float, Compared], count: int = 4) -> Figur
             right.set_facecolor("#DDDDDD")
             left.set_title(f"real, {1e3 * window:g} mm", fontsize=9)
             middle.set_title("imagined", fontsize=9)
-            right.set_title(f"real - imagined, bias {1e3 * part.bias[0, site]:+.1f} mm off", fontsize=9)
+            right.set_title(f"difference, bias {1e3 * part.bias[0, site]:+.1f} mm", fontsize=9)
             if site == sites[-1]:
-                left.set_xlabel("tool x (mm)")
-                result.colorbar(image, ax=axes[:, 3 * half + 1], label="depth behind nearest (mm)", shrink=0.6)
-                result.colorbar(change, ax=axes[:, 3 * half + 2], label="difference (mm)", shrink=0.6)
+                first = 3 * half
+                for axis in row[first : first + 3]:
+                    axis.set_xlabel("tool x (mm)")
+                result.colorbar(
+                    image,
+                    ax=axes[:, first : first + 2],
+                    label="depth behind nearest (mm)",
+                    location="bottom",
+                    shrink=0.6,
+                )
+                result.colorbar(
+                    change, ax=axes[:, first + 2], label="difference, bias taken off (mm)", location="bottom"
+                )
         row[0].set_ylabel(f"place {site}\ntool y (mm)")
-    result.suptitle(f"{name}: real depth (Xtion, first frame) and the posed scan; grey was not seen or not compared")
+    result.suptitle(
+        f"{name}: real depth (Xtion, first frame) against the posed scan; grey was not seen or not compared"
+    )
     return result
 
 
