@@ -13,8 +13,8 @@ A flat patch says nothing about sliding on it, so errors count in the directions
 of the Gauss-Newton matrix at the true pose whose eigenvalue is at least the bound at which noise of 0.3 mm in each
 pixel leaves 0.3 degrees, at half a window from the axis, at two standard deviations (0.079; the same rule for 0.1 mm
 gives 0.016, which is less strict on what counts). The error is the twist from the true pose to the found one, projected
-on them; a case succeeds with at most 0.1 mm and 0.3 degrees of it. About two minutes on two cores, seven with ten
-meshes of 16 384 faces. Expect at least 98 % without noise.
+on them; a case succeeds with at most 0.1 mm and 0.3 degrees of it. Two to three minutes on two cores. Expect at least
+98 % without noise.
 """
 
 import json
