@@ -22,6 +22,7 @@ from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, Surface
 
 SPHERE = "sphere"
 CLOSE = 1e-5  # m
+STEADY = 0.3  # s that each caster works in each turn
 BESIDE_AN_EDGE = 1e-4  # of all pixels may differ: rays within rounding of an edge, which either side may win
 
 
@@ -64,7 +65,7 @@ def contest(name: str, mesh: Any, batch: int, turns: int) -> list[Row]:
     contenders: dict[str, Callable[[], object]] = {"ours": lambda: jax.block_until_ready(render(surface, poses))}
     contenders |= {peer: lambda cast=cast: cast(rays_of(poses)) for peer, cast in casters.items()}  # type: ignore[misc]
     contenders["Open3D, rays given"] = lambda: casters["Open3D"](rays)
-    seconds = in_turns(contenders, turns)
+    seconds = in_turns(contenders, turns, STEADY)
     work = f"{name}, batch of {batch}"
     return [
         compare("rendering", work, seconds["ours"], peer, seconds[peer])._replace(unit="s a batch")

@@ -21,7 +21,7 @@ class Training:
     """An epoch of the paper's network on a set of the paper's size."""
 
     touches: int = 1630
-    epochs: int = 4  # timed together, in one turn
+    epochs: int = 10  # timed together, in one turn: a chunk of `training.fit`
     seeds: int = 5  # trained together
     model: ModelConfig = field(default_factory=ModelConfig)
     train: TrainConfig = field(default_factory=lambda: TrainConfig(schedule="constant"))

@@ -36,6 +36,7 @@ SLAB = 2  # reaches behind the first box: what is drawn first, to learn how near
 ROUNDINGS = 4  # tolerance of an edge, in roundings of its corners' coordinates
 FLAT = 1e-16  # m^2, below this projected area a face is seen edge on
 TERMS = 13  # numbers of a face: three edges, its plane, its lowest corner
+MANY = 0.25  # of the tiles: so many at work are quicker together than in shares
 SHARES = 8  # into which the busiest lanes are cut, each as long as its own longest
 
 
@@ -291,8 +292,8 @@ def _cluster_pass(wanted: _List, clusters: _Clusters, view: View, grid: _Grid, s
     begin = jnp.broadcast_to(begins[:, None], (poses, grid.tiles)).reshape(-1)
     x, y = (jnp.asarray(part, dtype) for part in (grid.x, grid.y))
 
-    # All tiles together for the mean of their work, then the busiest few, in shares that are each run to their end.
-    together = -(-jnp.sum(todo) // lanes)
+    # All tiles together while many are at work, then the busiest few, in shares that are each run to their end.
+    together = jax.lax.while_loop(lambda t: jnp.sum(todo > t) > MANY * lanes, lambda t: t + 1, jnp.int32(0))
     queue, best = _draw(together, table, begin, tile_words, queue, best, x[None], y[None])
     todo = jnp.maximum(todo - together, 0)
     shares = SHARES if poses >= SHARES else 1
