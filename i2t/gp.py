@@ -16,6 +16,7 @@ on held-out groups of touches (section 5.3, cross-validation), never the evidenc
 wrong in detail.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -139,21 +140,24 @@ def choose(
     unit = jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
     standard = readings / (jnp.sqrt(jnp.mean(readings**2, axis=0, keepdims=True)) + 1e-6)
 
-    def hyper(free: dict[str, Array]) -> Hyper:
-        return Hyper(
-            jax.nn.softmax(free["weights"]),
-            jax.nn.sigmoid(free["bend"]),
-            jnp.exp(free["width"]),
-            jnp.exp(free["noise"]),
-        )
+    path, errors = _descend(tuple(ends.tolist()), steps, linear, unit, touches.load, standard)
+    best = jnp.nanargmin(errors)
+    return _hyper(jax.tree.map(lambda values: values[best], path)), 1 - errors
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _descend(
+    ends: tuple[int, ...], steps: int, linear: Array, unit: Array, load: Array, standard: Array
+) -> tuple[dict[str, Array], Array]:
+    """The path of Adam, and the share of variance that folds, which end at rows `ends`, leave unexplained along it."""
+    blocks = [slice(start, end) for start, end in zip((0, *ends), ends, strict=False)]
 
     def unexplained(free: dict[str, Array]) -> Float[Array, ""]:
-        now = hyper(free)
-        K = gram(now, unit, linear, touches.load, touches.load)
+        now = _hyper(free)
+        K = gram(now, unit, linear, load, load)
         precision = _inverse(K + (now.noise + JITTER) * jnp.eye(len(K)))
         weights = jnp.matmul(precision, standard, precision="highest")
         # A fold B predicted from all others errs by [K^-1]_BB^-1 [K^-1 y]_B: equation 5.12 for more than one touch.
-        blocks = [slice(start, end) for start, end in zip((0, *ends), ends, strict=False)]
         errors = [_solve(precision[block, block], weights[block]) for block in blocks]
         return sum(jnp.sum(error**2) for error in errors) / jnp.sum(standard**2)
 
@@ -165,19 +169,23 @@ def choose(
         updates, opt_state = optimizer.update(gradient, opt_state)
         return (optax.apply_updates(free, updates), opt_state), (free, error)
 
-    @jax.jit
-    def descend(free: dict[str, Array]) -> tuple[dict[str, Array], Array]:
-        return jax.lax.scan(step, (free, optimizer.init(free)), None, steps)[1]
-
     start = {
         "weights": jnp.zeros(len(LENGTHS)),
         "bend": jnp.zeros(()),
         "width": jnp.zeros(()),
         "noise": jnp.full((), -2.0),
     }
-    path, errors = descend(start)
-    best = jnp.nanargmin(errors)
-    return hyper(jax.tree.map(lambda values: values[best], path)), 1 - errors
+    return jax.lax.scan(step, (start, optimizer.init(start)), None, steps)[1]
+
+
+def _hyper(free: dict[str, Array]) -> Hyper:
+    """Hyperparameters from unconstrained coordinates."""
+    return Hyper(
+        jax.nn.softmax(free["weights"]),
+        jax.nn.sigmoid(free["bend"]),
+        jnp.exp(free["width"]),
+        jnp.exp(free["noise"]),
+    )
 
 
 def _solve(system: Float[Array, "n n"], values: Float[Array, "n m"]) -> Float[Array, "n m"]:
