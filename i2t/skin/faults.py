@@ -1,0 +1,273 @@
+"""What goes wrong with a real skin besides noise: each fault a small function whose size, at zero, switches it off.
+
+`apply` takes the readings of one run in the order in which they were made, and composes the faults as physics does:
+
+  the layer     softens with use, creeps while it is held, and remembers the press before;
+  its field     is joined by that of a ferrous object, and by the earth's and the room's, which turn as the arm does;
+  the chip      warms, has gains of its own, saturates, and may have a dead axis;
+  the recorder  may repeat a row.
+
+Additive fields that change slowly reach a reading only by their change since the ambient was last measured (the paper's
+data hold one ambient for each touch or one for every ten), see `since_ambient`. White noise and the converter's steps
+are `i2t.skin.noise`'s; `apply` may follow it, and then treats noise as signal, wrong by a few per cent of the noise.
+
+Default sizes are of real boards where a recording exists, and else of the literature; each docstring says which, and
+says so where a size is an assumption. Readings are microtesla in the board's order and the chips' own axes; W is the
+world, z up. Functions of one reading are lifted by `vmap`.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from i2t import geometry
+from i2t.skin.field import MICROTESLA, MU0_OVER_4PI, dipole_field
+from i2t.types import CHIPS, READINGS, Board
+
+DIP = np.deg2rad(64.0)  # of the earth's field below the horizon in central Europe (IGRF-13, 2020)
+PRONY_TIMES = (0.3, 3.0, 30.0)  # s: an equal share for each decade, relaxation linear in log time as elastomers show
+WEAR = 40.0  # presses: a contact of 10 mm2 covers the pad once, and all softening comes with a place's first presses
+UNEVEN = 0.12  # of the warming: chips warmed by 10 K lie up to 2.4 K apart, as recorded
+
+
+@dataclass(frozen=True)
+class Faults:
+    """Sizes of the faults of one board and run; zero switches one off, and all are off by default."""
+
+    softening: float = 0.0  # final part by which readings grow with use; see `soften`
+    relaxation: float = 0.0  # final part of the layer's stress that relaxes; see `creep`
+    memory: float = 0.0  # part of the press before that one chip keeps; see `remember`
+    ferrous: float = 0.0  # field of a steel tip over the touch's own; see `ferrous`
+    earth: float = 0.0  # uT; see `field_of_place`
+    room: float = 0.0  # uT, standard deviation of each component
+    warming: float = 0.0  # K over the run; see `warm` and `thermal`
+    gain: float = 0.0  # standard deviation of gains; see `gains`
+    range_xy: float = 0.0  # uT, full scale of x and y; see `saturate`
+    range_z: float = 0.0  # and of z
+    dead: int = 0  # axes that do not answer; see `dead_axes`
+    stale: float = 0.0  # probability that a row repeats the one before; see `stale_rows`
+    # How the run was made, without effect while the sizes above are zero:
+    ambient_every: int = 1  # touches from one measurement of the ambient to the next
+    worn: int = 0  # presses before the run
+    hold: float = 1.0  # s, mean time from contact to the reading
+    yielding: float = 0.2  # see `creep`
+
+    @classmethod
+    def typical(cls) -> "Faults":
+        """Sizes as on real boards in order, one ambient for every ten touches. Off are gains, of which simulated pads
+        have their own (`Pad.gains`), and what only a broken set-up shows: steel tip, dead axes, stale rows.
+        """
+        return cls(
+            softening=0.1,
+            relaxation=0.05,
+            memory=0.3,
+            earth=48.0,
+            room=10.0,
+            warming=10.0,
+            range_xy=4915.0,
+            range_z=7930.0,
+            ambient_every=10,
+        )
+
+
+def apply(
+    key: Key[Array, ""],
+    readings: Float[Array, "n 15"],
+    T_w_t: Float[Array, "n 4 4"],
+    board: Board,
+    faults: Faults,
+    rest: Float[Array, "15"] | None = None,
+) -> Float[Array, "n 15"]:
+    """The readings of one run, in the order made, as a faulty sensor would have recorded them (see the module's head).
+
+    `rest` is what the chips measure of the pad itself when nothing touches it (`field.rest_field` through
+    `board.to_board`; zero if not given): saturation starts from there, and warming weakens it.
+    """
+    n = readings.shape[0]
+    rest = jnp.zeros(READINGS) if rest is None else rest
+    key_hold, key_memory, key_tip, key_place, key_warm, key_gain, key_dead, key_stale = jax.random.split(key, 8)
+    key_common, key_offset = jax.random.split(key_warm)
+
+    touch = jnp.arange(n)
+    seconds = 2 * faults.hold * jax.random.uniform(key_hold, (n,))
+    x = jax.vmap(lambda reading, i: soften(reading, faults.worn + i, faults.softening))(readings, touch)
+    x = jax.vmap(lambda reading, held: creep(reading, held, faults.relaxation, faults.yielding))(x, seconds)
+    x = remember(key_memory, x, faults.memory)
+
+    direction = jax.random.normal(key_tip, (3,))
+    x = jax.vmap(lambda reading: ferrous(reading, direction, board, faults.ferrous))(x)
+    place = field_of_place(key_place, faults.earth, faults.room)
+    seen = jax.vmap(lambda T: ambient(T, place, board))(T_w_t)
+    kelvin = warm(key_common, n, faults.warming)
+    offset = jax.random.normal(key_offset, (READINGS,))
+    warmed, drifted = jax.vmap(lambda reading, warmer: thermal(reading, rest, warmer, offset))(x, kelvin)
+    x = warmed + since_ambient(seen + drifted, faults.ambient_every)
+
+    x = gains(key_gain, faults.gain)[None] * x
+    x = jax.vmap(lambda reading: saturate(reading, rest, faults.range_xy, faults.range_z))(x)
+    x = jnp.where(dead_axes(key_dead, faults.dead)[None], 0.0, x)
+    return stale_rows(key_stale, x, faults.stale)
+
+
+def soften(reading: Float[Array, "15"], presses: Int[Array, ""] | int, size: float = 0.1) -> Float[Array, "15"]:
+    """At a given force a used layer yields more: readings grow towards 1 + `size` times as presses wear the pad.
+
+    The Mullins effect: silicones soften in their first load cycles only (Case, White and Kramer, Soft Robotics 2, 2015;
+    Liao et al., Int. J. Mech. Sci. 206, 2021), which here come place by place. A tenth is an assumption: for strains
+    of some 10 % no figure was found.
+    """
+    return reading * (1 + size * (1 - jnp.exp(-presses / WEAR)))
+
+
+def relaxed(seconds: Float[Array, ""] | float, size: float = 0.05) -> Float[Array, ""]:
+    """Part of the layer's stress that is left after a hold: a Prony series of shares size / 3 at PRONY_TIMES."""
+    return 1 - size * jnp.mean(1 - jnp.exp(-seconds / jnp.asarray(PRONY_TIMES)))
+
+
+def creep(
+    reading: Float[Array, "15"],
+    seconds: Float[Array, ""] | float,
+    size: float = 0.05,
+    yielding: float = 0.2,
+) -> Float[Array, "15"]:
+    """What a reading grows to while the touch is held and the stress in the layer relaxes by up to `size`.
+
+    A held depth keeps the layer's shape, and so its field. But the arm yields: with s = layer / (layer + arm), the part
+    of the press that the arm takes up, the indentation grows by 1 / (1 - s (1 - g)) where g of the stress is left, and
+    the reading is taken to follow it. s = 0.2 is a tip of 2.5 N/mm on an arm of 10 N/mm; 0 is a held depth, 1 a held
+    force. 5 % of relaxation is an assumption: silicone relaxes considerably when new and hardly when it was strained
+    before (Liao et al., Polymer Testing 86, 2020), and skins are in use.
+    """
+    return reading / (1 - yielding * (1 - relaxed(seconds, size)))
+
+
+def remember(key: Key[Array, ""], readings: Float[Array, "n 15"], size: float = 0.3) -> Float[Array, "n 15"]:
+    """One chip, drawn for the run, adds `size` times the press before to each reading.
+
+    On a real ReSkin board one chip was up to 35 uT off after a press, where a strong press is 107 uT (p95);
+    hysteresis and slip look alike there. Negative if the ambient was measured on the memory and the press wipes
+    it out.
+    """
+    chip = jnp.repeat(jnp.arange(CHIPS) == jax.random.randint(key, (), 0, CHIPS), 3)
+    before = jnp.concatenate([jnp.zeros((1, READINGS)), readings[:-1]])
+    return readings + size * jnp.where(chip[None], before, 0.0)
+
+
+def induced(
+    place: Float[Array, "3"], magnetising: Float[Array, "3"], radius: float, board: Board
+) -> Float[Array, "15"]:
+    """Reading (uT) of a steel ball of `radius` (m) at `place` (m, tool frame) in a field of `magnetising` (uT).
+
+    A highly permeable ball in a uniform field B has the moment 4 pi radius^3 B / mu0 (Jackson, Classical
+    Electrodynamics, section 5.11).
+    """
+    moment = radius**3 * magnetising / (MU0_OVER_4PI * MICROTESLA)
+    return MICROTESLA * board.to_board(dipole_field(jnp.asarray(board.chips), place[None], moment[None]))
+
+
+def ferrous(
+    reading: Float[Array, "15"], direction: Float[Array, "3"], board: Board, size: float = 7.0
+) -> Float[Array, "15"]:
+    """A steel tip adds `size` times the touch's norm, shared out as the field of a ball of 2 mm on the skin's centre
+    that the pad magnetises along `direction`.
+
+    Presses with a steel tip gave 6-10 times more per newton than with a plastic one: 8 times is 7 on top.
+    """
+    pattern = induced(jnp.asarray([0.0, 0.0, 1e-3]), direction, 1e-3, board)
+    norm = jnp.sqrt(jnp.sum(reading**2) + 1e-12)  # with a derivative at zero
+    return reading + size * norm * pattern / jnp.linalg.norm(pattern)
+
+
+def field_of_place(key: Key[Array, ""], earth: float = 48.0, room: float = 10.0) -> Float[Array, "3"]:
+    """The uniform field (uT, W) of a place: the earth's, at its dip and an unknown compass bearing, and the room's.
+
+    48 uT is central Europe's (IGRF-13, 2020). Iron in walls, table and robot adds tens of microtesla; 10 uT for each
+    component is an assumption, as is that the robot's own iron is far.
+    """
+    key_bearing, key_room = jax.random.split(key)
+    bearing = jax.random.uniform(key_bearing, maxval=2 * np.pi)
+    level = jnp.stack([jnp.cos(bearing), jnp.sin(bearing)]) * np.cos(DIP)
+    return earth * jnp.append(level, -np.sin(DIP)) + room * jax.random.normal(key_room, (3,))
+
+
+@geometry.full_precision
+def ambient(T_w_t: Float[Array, "4 4"], field: Float[Array, "3"], board: Board) -> Float[Array, "15"]:
+    """Reading of a uniform field (uT, W) by a board in the pose T_w_t: one vector for all chips, each in its axes."""
+    return board.to_board(jnp.broadcast_to(T_w_t[:3, :3].T @ field, (CHIPS, 3)))
+
+
+def since_ambient(values: Float[Array, "n 15"], every: int) -> Float[Array, "n 15"]:
+    """Slow additive terms less what they were when the ambient was last measured, at every `every`-th touch.
+
+    Measured at each touch, in the pose of the touch, it takes them all away.
+    """
+    touch = np.arange(values.shape[0])
+    return values - values[touch // every * every]
+
+
+def warm(key: Key[Array, ""], touches: int, size: float = 10.0) -> Float[Array, "n 5"]:
+    """Warming (K) of each chip at each touch of a run that begins cold: all but a twentieth of `size` by its end.
+
+    Real boards were recorded at 22-32 C, their chips 1-2.5 K apart. Exponential in the number of the touch.
+    """
+    uneven = UNEVEN * jax.random.uniform(key, (CHIPS,), minval=-1.0)
+    course = 1 - np.exp(-3 * np.arange(touches) / max(touches - 1, 1))
+    return size * course[:, None] * (1 + uneven)[None]
+
+
+def thermal(
+    reading: Float[Array, "15"],
+    rest: Float[Array, "15"],
+    kelvin: Float[Array, "5"],
+    offset: Float[Array, "15"],
+    gain: float = -1.2e-3,
+    drift: float = 0.2,
+) -> tuple[Float[Array, "15"], Float[Array, "15"]]:
+    """A reading (uT) in a skin warmer by `kelvin` at each chip, and what its zero has drifted by.
+
+    The magnets weaken by 0.12 % per kelvin (remanence of neodymium magnets, makers' tables): the reading by that
+    factor, and the zero by that part of the pad's own field at `rest` (6 uT/K at 5 mT, enough for the drifts of up to
+    64 uT that real boards show). The chips' own drift, `drift` times `offset` (standard normal) in uT/K, is what drifts
+    of 1-15 uT over 10 K leave for boards with a weak pad.
+    """
+    warmer = jnp.repeat(kelvin, 3)
+    return reading * (1 + gain * warmer), warmer * (gain * rest + drift * offset)
+
+
+def gains(key: Key[Array, ""], size: float = 0.05) -> Float[Array, "15"]:
+    """Gains of the chips' axes about 1, at most three `size` away. 5 % is an assumption, as in `pad.sample_pad`."""
+    return 1 + size * jax.random.truncated_normal(key, -3.0, 3.0, (READINGS,))
+
+
+def saturate(
+    reading: Float[Array, "15"], rest: Float[Array, "15"], range_xy: float = 4915.0, range_z: float = 7930.0
+) -> Float[Array, "15"]:
+    """A change of field from `rest` (uT), where each axis ends at its full scale.
+
+    16 bits: 2^15 steps of 0.150 uT (x, y) and 0.242 uT (z) at gain 7 and resolution 0 (MLX90393 data sheet, sensitivity
+    table; its features name 5 mT as the smallest range). A range of 0 has no end.
+    """
+    limit = np.tile([range_xy or np.inf, range_xy or np.inf, range_z or np.inf], CHIPS)
+    # Written as a correction, so that a reading in range is left as it is and not rounded to the field at rest.
+    total = rest + reading
+    over = total - jnp.clip(total, -limit, limit)
+    return reading - over + (rest - jnp.clip(rest, -limit, limit))
+
+
+def dead_axes(key: Key[Array, ""], count: int = 1) -> Bool[Array, "15"]:
+    """`count` axes, drawn anew for each board, whose readings no longer change."""
+    return jax.random.permutation(key, READINGS) < count
+
+
+def stale_rows(key: Key[Array, ""], readings: Float[Array, "n 15"], size: float = 0.01) -> Float[Array, "n 15"]:
+    """Each row but the first repeats the one recorded before it with probability `size`.
+
+    The public driver hands out buffers of up to 48 old frames, 0.12 s at 400 Hz and longer than the burst that makes a
+    reading. How often was not recorded; one in a hundred is an assumption.
+    """
+    touch = jnp.arange(readings.shape[0])
+    fresh = jax.random.uniform(key, touch.shape) >= size
+    return readings[jax.lax.cummax(jnp.where(fresh, touch, 0))]
