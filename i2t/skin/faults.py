@@ -214,7 +214,7 @@ def warm(key: Key[Array, ""], touches: int, size: float = 10.0) -> Float[Array, 
     Real boards were recorded at 22-32 C, their chips 1-2.5 K apart. Exponential in the number of the touch.
     """
     uneven = UNEVEN * jax.random.uniform(key, (CHIPS,), minval=-1.0)
-    course = 1 - np.exp(-3 * np.arange(touches) / max(touches - 1, 1))
+    course = 1 - jnp.exp(-3 * jnp.arange(touches) / max(touches - 1, 1))
     return size * course[:, None] * (1 + uneven)[None]
 
 
