@@ -12,7 +12,7 @@ from i2t.types import Patch
 
 
 def test_summary_of_known_differences():
-    """Noise of 1 mm on biases of 2 mm: the median of its absolute values is 0.674 mm, its quartiles are twice that apart."""
+    """Noise of 1 mm: its absolute values have the median 0.674 mm, and its quartiles are twice that apart."""
     rng = np.random.default_rng(0)
     noise = rng.normal(0, 1e-3, (5, 20, 48, 48))
     noise[0, 0] = np.nan  # a patch of which nothing could be compared
