@@ -41,6 +41,10 @@ NEIGHBOURS, PLAIN = "k nearest presses", "plain Gaussian process"
 STRUCTURED, HEIGHT = "structured process", "structured process + height"
 CHOSEN = "structured process + height, scales by cross-validation"
 EARLIER, ALONE = "earlier half as the mean", "earlier half alone"
+STYLES = {
+    NEIGHBOURS: (plots.GREY, "-"), PLAIN: (plots.ORANGE, "-"), STRUCTURED: (plots.BLUE, "-"),
+    HEIGHT: (plots.GREEN, "-"), CHOSEN: (plots.RED, ":"), EARLIER: (plots.BLUE, "-"), ALONE: (plots.RED, "--"),
+}  # fmt: skip
 LIMIT = 300  # presses that hyperparameters are chosen on: the cost grows with the cube
 SCALES = {"length": (0.7, 1.0, 1.4), "bend": (0.3, 1.0, 3.0), "noise": (0.3, 1.0, 3.0)}
 
@@ -310,13 +314,12 @@ def saved(methods: dict[str, dict[int, list[float]]]) -> dict[str, Any]:
 
 def figure(metrics: dict[str, Any], source: str) -> Figure:
     """R2 against the number of presses, a panel for each thing held out."""
-    colours = (plots.GREY, plots.ORANGE, plots.BLUE, plots.GREEN, plots.RED)
     result = Figure(figsize=(13, 4.4), layout="constrained")
     for axes, (name, methods) in zip(result.subplots(1, len(metrics["r2"])), metrics["r2"].items(), strict=True):
-        for (method, by_count), colour in zip(methods.items(), colours, strict=False):
-            counts = list(by_count)
+        for method, by_count in methods.items():
+            counts, (colour, line) = list(by_count), STYLES[method]
             mean, low, high = ([by_count[n][key] for n in counts] for key in ("mean", "low", "high"))
-            axes.plot(counts, mean, "o-", ms=3, color=colour, label=method)
+            axes.plot(counts, mean, "o" + line, ms=3, color=colour, label=method)
             axes.fill_between(counts, low, high, color=colour, alpha=0.2, lw=0)
         axes.set(xscale="log", xlabel="presses to calibrate with", ylim=(0, 1), title=f"held out: {name}")
         axes.set_xticks(counts, [str(n) for n in counts])
