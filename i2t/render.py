@@ -19,7 +19,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from i2t.clusters import alike, arrange
-from i2t.raster import View, first_hit
+from i2t.raster import first_hit
+from i2t.tiles import View
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Patch, Surface
 
 LARGEST = 100.0  # m, where one step of float32 is 8 um
