@@ -7,7 +7,6 @@ checking that both compute the same thing; the table gives the median of each an
 1: we are faster). Each section takes three to five minutes on a quiet machine of two cores; all need the extra `bench`.
 """
 
-import json
 import os
 import platform
 import sys
@@ -21,6 +20,7 @@ import tyro
 from experiments import benchmark_rendering, benchmark_training
 from experiments.benchmark_rendering import Rendering
 from experiments.benchmark_training import Training
+from experiments.runs import write_json
 from experiments.timing import MissingPeerError, Row
 
 
@@ -53,7 +53,7 @@ def main(cfg: Benchmark) -> list[Row]:
             "config": asdict(cfg),
             "rows": [row._asdict() for row in rows],
         }
-        (cfg.out / "benchmark.json").write_text(json.dumps(report, indent=2, default=str) + "\n")
+        write_json(cfg.out / "benchmark.json", report)
     return rows
 
 

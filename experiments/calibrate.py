@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
@@ -30,11 +31,11 @@ from tqdm import tqdm
 
 from experiments import plots
 from experiments.evaluation import nearest_neighbours, score, seed_interval, tuned
-from experiments.runs import begin, write_json
+from experiments.runs import begin, reported, write_json
 from i2t import calibrate
 from i2t import dataset as data
 from i2t.calibrate import Hyper, Presses
-from i2t.dataset import DataError, Dataset
+from i2t.dataset import Dataset
 from i2t.types import ReturnCode
 
 NEIGHBOURS, PLAIN = "k nearest presses", "plain Gaussian process"
@@ -97,12 +98,7 @@ class Recording:
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     args = tyro.cli(Args, args=argv, description=__doc__, prog="python -m experiments.calibrate")
-    try:
-        run(args)
-    except (DataError, ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    return 0
+    return reported(partial(run, args))
 
 
 def run(args: Args) -> dict[str, Any]:
@@ -116,7 +112,7 @@ def run(args: Args) -> dict[str, Any]:
     least = min(len(pool), 2 * int(later[pool].sum()))
     if least < 2 * min(cfg.counts) or held.sum() < 2 or blocks.sum() < 2 or (held & later).sum() < 2:
         raise ValueError(f"{args.dataset} has {len(held)} usable presses, too few to calibrate on and to hold out")
-    begin(args.out, args, cfg, False, args.overwrite)
+    begin(args.out, args, cfg, None, args.overwrite)
     faults = calibrate.check(recording.place, recording.load, recording.readings)
     for sentence in faults.sentences():
         print(f"warning: {sentence}")

@@ -10,9 +10,8 @@ the absolute difference of heights, and `beyond` is the share of pixels that are
 which reach over edges by up to their radius. Simulated; about half a minute on two cores.
 """
 
-import json
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +20,9 @@ import numpy as np
 import trimesh
 import tyro
 
+from experiments.runs import settings, write_json
 from i2t import objects
+from i2t.arrays import element
 from i2t.clouds import suggest_radius, surface_from_points
 from i2t.render import prepare, render_patch, stack
 from i2t.touch import collect_sites
@@ -69,17 +70,17 @@ def main(args: Args) -> list[Row]:
     rows = []
     for i, (name, mesh) in enumerate(zip(args.shapes, meshes, strict=True)):
         poses = collect_sites(jax.random.key(args.seed + i), prepare(mesh), args.sites, name=name)
-        true = jax.device_get(look(_pick(surfaces, i), poses))
+        true = jax.device_get(look(element(surfaces, i), poses))
         for j, (spacing, noise) in enumerate(variants):
             k = i * len(variants) + j
-            patches = jax.device_get(look(_pick(surfaces, len(meshes) + k), poses))
+            patches = jax.device_get(look(element(surfaces, len(meshes) + k), poses))
             cloud = len(clouds[k][0]), MILLI * spacing, MILLI * noise, MILLI * radii[k]
             rows.append(Row(name, *cloud, *compare(true, patches)))
     print(table(rows))
     if args.out is not None:
         args.out.mkdir(parents=True, exist_ok=True)
-        report = {"source": "simulated", "config": asdict(args), "rows": [row._asdict() for row in rows]}
-        (args.out / "clouds.json").write_text(json.dumps(report, indent=2, default=str) + "\n")
+        report = {"source": "simulated", "config": settings(args), "rows": [row._asdict() for row in rows]}
+        write_json(args.out / "clouds.json", report)
     return rows
 
 
@@ -114,10 +115,6 @@ def table(rows: list[Row]) -> str:
         for row in rows
     ]
     return "\n".join(lines)
-
-
-def _pick(tree, i: int):
-    return jax.tree.map(lambda leaf: leaf[i], tree)
 
 
 if __name__ == "__main__":

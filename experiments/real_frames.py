@@ -8,7 +8,7 @@ them; there a real patch is cut from the depth image, and the same patch is imag
 window. The frames follow each other within a second and show the same scene, so intervals are over places. The F200's
 frames have no poses of objects: patches are cut along normals of the depth itself and shown. It takes about a minute on
 two cores; the camera's own step is 1 mm and its noise about as much, so a median difference below 1 mm is what can be
-expected. Results go to --out: metrics.json and figures.
+expected. Results go to --out: metrics.json, config.json and figures.
 """
 
 import sys
@@ -28,7 +28,7 @@ from PIL import Image
 
 from experiments import plots
 from experiments.evaluation import grouped_interval
-from experiments.train import write_json
+from experiments.runs import settings, write_json
 from i2t.cameras import Camera, Encoding, read_depth
 from i2t.depth import DepthPatch, patch_from_depth
 from i2t.geometry import contact_frame
@@ -111,6 +111,7 @@ def main(cfg: RealFrames) -> dict[str, Any]:
         "objects": objects,
         "f200": {name: show_f200(cfg, name) for name in ("frame-000000", "frame-000007")},
     }
+    write_json(cfg.out / "config.json", settings(cfg))
     write_json(cfg.out / "metrics.json", metrics)
     report(metrics)
     return metrics

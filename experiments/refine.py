@@ -17,10 +17,9 @@ on them; a case succeeds with at most 0.1 mm and 0.3 degrees of it. Two to three
 98 % without noise.
 """
 
-import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -35,7 +34,9 @@ from scipy.stats import binomtest
 from tqdm import tqdm
 
 from experiments import plots
+from experiments.runs import settings, write_json
 from i2t import objects
+from i2t.arrays import element
 from i2t.refine import LEVER, Refinement, information, observable, refine, resolvable, search
 from i2t.render import prepare, render_patch, stack
 from i2t.touch import collect_sites
@@ -89,7 +90,7 @@ def main(args: Args) -> dict:
     bound = resolvable(args.noise, min(args.close, np.radians(args.close_angle) * LEVER), PATCH_PIXELS)
 
     looks = jax.jit(jax.vmap(render_patch, (None, 0)))
-    clean = [jax.device_get(looks(_pick(surfaces, i), poses)) for i, poses in enumerate(cases.true)]
+    clean = [jax.device_get(looks(element(surfaces, i), poses)) for i, poses in enumerate(cases.true)]
     noisy = [
         jax.device_get(jax.vmap(add_noise, (0, 0, None))(jax.random.split(key, each), patch, args.noise))
         for key, patch in zip(jax.random.split(key_noise, len(things)), clean, strict=True)
@@ -119,7 +120,7 @@ def main(args: Args) -> dict:
     for key_method, (name, (method, how, patches)) in zip(key_methods, methods.items(), strict=True):
         batch = jax.jit(jax.vmap(partial(method, how=how), (0, None, 0, 0)))
         poses = [
-            jax.device_get(batch(jax.random.split(key, each), _pick(surfaces, i), patches[i], cases.start[i]).T_w_t)
+            jax.device_get(batch(jax.random.split(key, each), element(surfaces, i), patches[i], cases.start[i]).T_w_t)
             for i, key in enumerate(tqdm(jax.random.split(key_method, len(things)), desc=name, file=sys.stderr))
         ]
         found[name] = np.stack(poses)
@@ -138,8 +139,8 @@ def main(args: Args) -> dict:
         "seed": args.seed,
     }
     args.out.mkdir(parents=True, exist_ok=True)
-    (args.out / "config.json").write_text(json.dumps(asdict(args), indent=2, default=str) + "\n")
-    (args.out / "metrics.json").write_text(json.dumps(report, indent=2) + "\n")
+    write_json(args.out / "config.json", settings(args))
+    write_json(args.out / "metrics.json", report)
     ends = found[f"one start, {camera}"]
     plots.save(draw_patches(things, surfaces, clean, noisy, cases, ends, told), args.out / "patches.png")
     plots.save(
@@ -165,7 +166,7 @@ def draw_cases(key: jax.Array, things: Sequence[objects.Object], surfaces: Surfa
     """Safe sites of every object and poses exactly as far off as the arguments say."""
     rng = np.random.default_rng(args.seed)
     poses = [
-        np.asarray(collect_sites(k, _pick(surfaces, i), each, name=thing.name))
+        np.asarray(collect_sites(k, element(surfaces, i), each, name=thing.name))
         for i, (k, thing) in enumerate(zip(jax.random.split(key, len(things)), things, strict=True))
     ]
     true = np.stack(poses)
@@ -175,7 +176,7 @@ def draw_cases(key: jax.Array, things: Sequence[objects.Object], surfaces: Surfa
     turn = np.radians(args.angle) * axis / np.linalg.norm(axis, axis=-1, keepdims=True)
     motion[..., :3, :3] = Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix().reshape(*true.shape[:2], 3, 3)
     look = jax.jit(jax.vmap(partial(information, pixels=PATCH_PIXELS), (None, 0)))
-    values, directions = zip(*(look(_pick(surfaces, i), poses[i]) for i in range(len(things))), strict=True)
+    values, directions = zip(*(look(element(surfaces, i), poses[i]) for i in range(len(things))), strict=True)
     start = (true @ motion).astype(np.float32)
     return Cases(true, start, np.stack(values), np.stack(directions))
 
@@ -282,7 +283,7 @@ def draw_patches(
     chosen = np.argsort(-told.sum(-1).max(1), kind="stable")[:rows]
     for row, i in zip(axes, chosen, strict=True):
         j = best[i]
-        before, after = (_pick(look(_pick(surfaces, i), T[i]), j) for T in (cases.start, found))
+        before, after = (element(look(element(surfaces, i), T[i]), j) for T in (cases.start, found))
         floor = clean[i].nearest[j] + REACH
         off = np.minimum(after.nearest + after.depth, floor) - clean[i].nearest[j] - clean[i].depth[j]
         for axis, depth in zip(row[:3], (noisy[i].depth[j], before.depth, after.depth), strict=True):
@@ -310,13 +311,14 @@ def draw_bounds(curves: dict[str, np.ndarray], bound: float) -> Figure:
         axes.semilogx(BOUNDS, rate, color=colour, label=name)
     axes.axvline(bound, color=plots.GREY, lw=1, ls="--", label="the bound that is used")
     axes.axhline(0.9, color=plots.GREY, lw=1, ls=":")
-    axes.set(ylim=(0, 1.02), xlabel="smallest eigenvalue that counts", ylabel="success", title="Simulated")
+    axes.set(
+        ylim=(0, 1.02),
+        xlabel="smallest eigenvalue that counts",
+        ylabel="success",
+        title="Poses found, by what counts (simulated)",
+    )
     axes.legend(fontsize=8, loc="lower right")
     return figure
-
-
-def _pick(tree, i: int):
-    return jax.tree.map(lambda leaf: leaf[i], tree)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ all.
 import json
 import shutil
 import sys
+from collections.abc import Callable
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -13,23 +14,35 @@ from typing import Any
 import numpy as np
 
 from i2t.checkpoint import PACKAGES
+from i2t.dataset import DataError
 
 
-def begin(out: Path, args: Any, experiment: Any, resume: bool, overwrite: bool) -> None:
-    """Make the folder of a run, or refuse one that is in use (ValueError); note what is run and with which versions.
+def reported(work: Callable[[], Any]) -> int:
+    """The exit code of a command: what its user can mend is said in one sentence."""
+    try:
+        work()
+    except (DataError, ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
 
-    `args` and `experiment` are dataclasses. An unfinished run of the same settings goes on with `resume`; what is
-    there is removed with `overwrite`.
-    """
-    config = {
-        "args": {
-            name: str(value) if isinstance(value, Path) else value
-            for name, value in asdict(args).items()
-            if name not in ("resume", "overwrite")
-        },
-        "experiment": asdict(experiment),
+
+def settings(args: Any) -> dict[str, Any]:
+    """What is run, from a dataclass, and with which versions."""
+    kept = {name: value for name, value in asdict(args).items() if name not in ("resume", "overwrite")}
+    return {
+        "args": {name: str(value) if isinstance(value, Path) else value for name, value in kept.items()},
         "versions": {"python": sys.version.split()[0], **{name: version(name) for name in PACKAGES}},
     }
+
+
+def begin(out: Path, args: Any, experiment: Any, resume: bool | None, overwrite: bool) -> None:
+    """Make the folder of a run, or refuse one that is in use (ValueError); note what is run and with which versions.
+
+    `args` and `experiment` are dataclasses. An unfinished run of the same settings goes on with `resume` (None: this
+    experiment cannot); what is there is removed with `overwrite`.
+    """
+    config = settings(args) | {"experiment": asdict(experiment)}
     path = out / "config.json"
     if path.exists() and overwrite:
         shutil.rmtree(out)
@@ -37,7 +50,8 @@ def begin(out: Path, args: Any, experiment: Any, resume: bool, overwrite: bool) 
         raise ValueError(f"{out} holds a finished run; choose another --out, or pass --overwrite")
     if path.exists():
         if not resume:
-            raise ValueError(f"{out} holds an unfinished run; pass --resume to go on with it, or --overwrite")
+            remedy = "pass --overwrite" if resume is None else "pass --resume to go on with it, or --overwrite"
+            raise ValueError(f"{out} holds an unfinished run; {remedy}")
         before = json.loads(path.read_text())
         same = json.loads(json.dumps(config))
         if {**before, "versions": None} != {**same, "versions": None}:

@@ -18,6 +18,7 @@ import os
 import sys
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -42,12 +43,12 @@ from experiments.methods import (
     views_of,
 )
 from experiments.reports import by_object, figures, report, scored, summarise
-from experiments.runs import begin, slug, write_json
+from experiments.runs import begin, reported, slug, write_json
 from experiments.splitting import conditions_of, split_dataset
 from i2t import dataset as data
 from i2t import objects, world
 from i2t import predictor as predicting
-from i2t.dataset import DataError, Dataset
+from i2t.dataset import Dataset
 from i2t.predictor import Predictor, Reading
 from i2t.render import prepare
 from i2t.skin.pad import sample_pad
@@ -76,14 +77,10 @@ def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     args = tyro.cli(Args, args=argv, description=__doc__, prog="python -m experiments.train")
     try:
-        run(args)
-    except (DataError, ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+        return reported(partial(run, args))
     except KeyboardInterrupt:
         print(f"\ninterrupted; finished parts are in {args.out}, go on with --resume", file=sys.stderr)
         return 130
-    return 0
 
 
 def run(args: Args) -> dict[str, Any]:

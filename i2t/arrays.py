@@ -1,7 +1,7 @@
 """Small operations on arrays in the form that XLA runs quickest."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, SupportsIndex
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,11 @@ def cut(array: Array, start: Sequence[Any], shape: Sequence[int]) -> Array:
 def put(array: Array, block: Array, start: Sequence[Any]) -> Array:
     """The array with a block in place of what begins at `start`."""
     return jax.lax.dynamic_update_slice(array, block, [jnp.asarray(i, jnp.int32) for i in start])
+
+
+def element(tree: Any, i: SupportsIndex) -> Any:
+    """Element i of every array of a tree."""
+    return jax.tree.map(lambda leaf: leaf[i], tree)
 
 
 def indices(n: int) -> Array:

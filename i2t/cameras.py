@@ -15,14 +15,15 @@ import numpy as np
 import tifffile
 from PIL import Image
 
+from i2t.types import RIGID
+
 SCALES = {"m": 1.0, "mm": 1e-3}  # m
 SUFFIXES = (".png", ".tif", ".tiff")
-RIGID = 1e-3  # how far R^T R of a pose may be from 1
 LARGEST = 16384  # pixels, edge of an image
 
 
 class Distortion(StrEnum):
-    """The lens models of RealSense cameras, by librealsense's names; `i2t.depth` has their formulas."""
+    """The lens models of RealSense cameras, by librealsense's names; `i2t.lenses` has their formulas."""
 
     NONE = "none"
     MODIFIED_BROWN_CONRADY = "modified_brown_conrady"

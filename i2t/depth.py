@@ -24,7 +24,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Num
 
-from i2t.cameras import RIGID, Camera, check_image
+from i2t.cameras import Camera, check_image
+from i2t.geometry import is_rigid
 from i2t.lenses import lines_of_sight, to_pixel
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, Patch
 
@@ -71,7 +72,7 @@ def patch_from_depth(
     # Wide enough that holes at the border are filled as if there were none.
     margin = max(math.ceil(fill / window * pixels) - 1, 0)
     T_c_t = _relative(T_w_c, T_w_t)
-    rigid = _is_rigid(T_w_c) & _is_rigid(T_w_t)
+    rigid = is_rigid(T_w_c) & is_rigid(T_w_t)
     rays = _rays(depth, camera, jnp.where(rigid, T_c_t, jnp.eye(3, 4)), window, pixels, margin, standoff)
     inner = (slice(margin, margin + pixels),) * 2
     met, clear = _follow(rays, _cells(depth, camera, grazing, step), camera, reach, inner)
@@ -323,9 +324,3 @@ def _relative(T_w_a, T_w_b):
     R_a_w = T_w_a[:3, :3].T
     moved = jnp.concatenate([T_w_b[:3, :3], (T_w_b[:3, 3] - T_w_a[:3, 3])[:, None]], 1)
     return jnp.matmul(R_a_w, moved, precision=jax.lax.Precision.HIGHEST)
-
-
-def _is_rigid(T) -> Array:
-    R = T[:3, :3]
-    square = jnp.matmul(R.T, R, precision=jax.lax.Precision.HIGHEST)
-    return jnp.isfinite(T).all() & (jnp.abs(square - jnp.eye(3)).max() <= RIGID) & (jnp.linalg.det(R) > 0)

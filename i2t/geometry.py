@@ -9,7 +9,9 @@ at arm's length.
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Bool, Float, Key
+
+from i2t.types import RIGID
 
 full_precision = jax.default_matmul_precision("highest")  # decorates functions that multiply poses
 
@@ -30,6 +32,14 @@ def invert(T_a_b: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
 def apply(T_a_b: Float[Array, "4 4"], points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
     """Points in b, expressed in a."""
     return points @ T_a_b[:3, :3].T + jnp.broadcast_to(T_a_b[:3, 3], points.shape)
+
+
+def is_rigid(T_a_b: Float[Array, "4 4"]) -> Bool[Array, ""]:
+    """Whether it is a rotation (within `i2t.types.RIGID`) and a translation, all finite."""
+    x, y, z = T_a_b[:3, :3].T
+    products = jnp.stack([jnp.sum(x * x) - 1, jnp.sum(y * y) - 1, jnp.sum(x * y), *(jnp.cross(x, y) - z)])
+    last = jnp.array_equal(T_a_b[3], jnp.array([0, 0, 0, 1], T_a_b.dtype))
+    return jnp.all(jnp.abs(products) <= RIGID) & jnp.all(jnp.isfinite(T_a_b[:3, 3])) & last
 
 
 @full_precision

@@ -26,15 +26,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from i2t.geometry import random_motion, rotation, transform
+from i2t.geometry import full_precision, random_motion, rotation, transform
 from i2t.render import render_patch
 from i2t.types import PATCH_WINDOW, REACH, Patch, Surface
 
 LEVER = PATCH_WINDOW / 2  # m, at which a rotation is measured
-LEAST_DAMPING, MOST_DAMPING = (
-    1e-3,
-    1e6,
-)  # of the Gauss-Newton matrix, whose eigenvalues are about 1 where a pose is known
+# Of the Gauss-Newton matrix, whose eigenvalues are about 1 where a pose is known.
+LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e6
 NOTHING = -1e3  # m, floor of a patch without a surface
 UNSEEN = 1.0  # m, residual of a pose that was not looked at yet: worse than any
 EASE, STIFFEN = 1 / 3, 4.0  # of the damping, after a step that helped and one that did not
@@ -104,6 +102,7 @@ def refine(surface: Surface, observed: Patch, T_w_t: Float[Array, "4 4"], how: R
     return Refined(state.T_w_t, robust_cost(state.here.residual, how.fine), state.tried, eigenvalues, directions)
 
 
+@full_precision
 def search(
     key: Key[Array, ""],
     surface: Surface,
@@ -142,6 +141,7 @@ def init(observed: Patch, T_w_t: Float[Array, "4 4"], how: Refinement) -> State:
     return State(T_w_t, blind, 0.1 * one, how.coarse * one, math.inf * one, jnp.zeros((), jnp.int32))
 
 
+@full_precision
 def step(surface: Surface, observed: Patch, state: State, how: Refinement) -> tuple[State, Info]:
     """Try one damped Gauss-Newton step, and keep it if the robust cost falls."""
     weight = (1 + (state.here.residual / state.scale) ** 2) ** -2  # of rho, as a square's
@@ -228,6 +228,7 @@ def cut_heights(
     return jnp.where(patch.depth < far, jnp.minimum(patch.depth + patch.nearest, floor), floor)
 
 
+@full_precision
 def slopes_of(
     surface: Surface, T_w_t: Float[Array, "4 4"], floor: Float[Array, ""], pixels: int, window: float, reach: float
 ) -> tuple[Float[Array, "n n"], Float[Array, "n n 6"]]:

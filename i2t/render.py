@@ -19,12 +19,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from i2t.clusters import alike, arrange
+from i2t.geometry import is_rigid
 from i2t.raster import first_hit
 from i2t.tiles import View
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Patch, Surface
 
 LARGEST = 100.0  # m, where one step of float32 is 8 um
-RIGID = 1e-3  # by which the products of a rotation's columns may miss 1 and 0: 4 um at the rim of a patch
 
 
 def prepare(mesh: Any) -> Surface:
@@ -89,7 +89,7 @@ def render_patch(
         raise ValueError(f"reach is {reach} m; give a length above 0, or infinity for no end")
     view = View(T_w_t[:3, :3].T, T_w_t[:3, 3], jnp.zeros_like(T_w_t[:3, 3]))
     heights = first_hit(_prepared(surface), view, window, pixels, reach)
-    nearest, rigid = jnp.min(heights), _is_rigid(T_w_t)
+    nearest, rigid = jnp.min(heights), is_rigid(T_w_t)
     missed = heights == jnp.inf
     behind = jnp.where(missed, 0, heights) - jnp.where(nearest == jnp.inf, 0, nearest)
     depth = jnp.where(missed, reach, jnp.minimum(behind, reach))
@@ -129,11 +129,3 @@ def _check(pose: Any, window: Any, pixels: Any) -> None:
         raise ValueError(f"window is {window} m; give a length above 0")
     if not isinstance(pixels, int | np.integer) or pixels < 1:
         raise ValueError(f"pixels is {pixels}; give a whole number of at least 1")
-
-
-def _is_rigid(T_w_t: Float[Array, "4 4"]) -> Array:
-    """Whether it is a rotation and a translation, all finite."""
-    x, y, z = T_w_t[:3, :3].T
-    products = jnp.stack([jnp.sum(x * x) - 1, jnp.sum(y * y) - 1, jnp.sum(x * y), *(jnp.cross(x, y) - z)])
-    last = jnp.array_equal(T_w_t[3], jnp.array([0, 0, 0, 1], T_w_t.dtype))
-    return jnp.all(jnp.abs(products) <= RIGID) & jnp.all(jnp.isfinite(T_w_t[:3, 3])) & last

@@ -24,6 +24,7 @@ WIDE_WINDOW = PATCH_WINDOW * WIDE_PIXELS / PATCH_PIXELS  # 25.5 mm: same pixels,
 REACH = 4e-3  # m, depth of a patch behind the nearest surface point
 STANDOFF = 40e-3  # m, rays start this far behind the tool origin
 PAD_WINDOW = 20e-3  # m, edge of the skin
+RIGID = 1e-3  # by which products of a rotation's columns may miss 1 and 0: 4 um at the rim of a patch
 NO_OBJECT = -1  # index of an unknown object, pad or run
 
 

@@ -79,3 +79,14 @@ def test_products_of_poses_keep_all_digits_on_every_device():
         products = str(jax.make_jaxpr(work)(pose)).split("dot_general[")[1:]
         assert products
         assert all("precision=(Precision.HIGHEST, Precision.HIGHEST)" in product[:300] for product in products)
+
+
+def test_rigid_motions_are_told_from_others():
+    for pose in Rotation.random(5, rng=0).as_matrix():
+        T = np.eye(4, dtype=np.float32)
+        T[:3] = np.column_stack([pose, (0.1, -2, 3)])
+        assert geometry.is_rigid(jnp.asarray(T))
+        far = 3 * geometry.RIGID
+        sheared = T @ (np.eye(4) + far * np.eye(4, k=1) * [0, 1, 0, 0])
+        for other in (T * [1 + far, 1, 1, 1], T * [1, 1, -1, 1], sheared, T.T, T * [1, 1, 1, np.nan]):
+            assert not geometry.is_rigid(jnp.asarray(other, jnp.float32))
