@@ -69,6 +69,8 @@ def nominal_pad(pattern: str = "poles", strength: float | Array = STRENGTH) -> P
         strength * magnetise(pattern),
         jnp.ones(READINGS),
         _board(jnp.asarray(THICKNESS + GAP)),
+        friction=jnp.zeros(()),
+        give=jnp.zeros(()),
     )
 
 
@@ -92,6 +94,8 @@ def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0) -> Pad:
         strength * smooth_random(key_map, length),
         1 + spread * 0.05 * jax.random.truncated_normal(key_gains, -3.0, 3.0, (READINGS,)),
         _board(thickness + gap),
+        friction=jnp.zeros(()),
+        give=jnp.zeros(()),
     )
 
 
