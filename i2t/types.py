@@ -72,7 +72,7 @@ class Board(NamedTuple):
 
 
 class Pad(NamedTuple):
-    """One magnetic skin on its board: an elastic layer bonded to the board (or held at its edge), magnetised unevenly."""
+    """One magnetic skin on its board: an elastic layer on the board, bonded or held at its edge, magnetised unevenly."""
 
     thickness: Array  # () m
     young: Array  # () Pa
@@ -83,7 +83,7 @@ class Pad(NamedTuple):
     gains: Array  # (15,) of the chips' axes, in the board's order; 1 is nominal
     board: Board
     friction: Array  # () coefficient of Coulomb friction of the skin; 0 is frictionless
-    give: Array  # () m/N by which the middle sinks where the skin is held at its edge, not bonded to its board; 0 is bonded
+    give: Array  # () m/N by which the middle sinks as a skin that is only held at its edge; 0 is bonded
 
 
 class Truth(NamedTuple):
