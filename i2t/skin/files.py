@@ -1,0 +1,46 @@
+"""Pads on disk: a fitted (or any other) pad as one small file, to be used in place of a random one.
+
+from i2t.skin.files import load_pad, save_pad
+
+save_pad("pad.npz", pad)
+pad = load_pad("pad.npz")
+
+"""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from i2t import trees
+from i2t.trees import TreeError
+from i2t.types import CHIPS, READINGS, Pad
+
+KIND = "i2t pad"
+
+
+def save_pad(path: Path | str, pad: Pad, about: dict[str, Any] | None = None) -> None:
+    """Write one pad; `about` is anything that JSON can hold (whose pad it is, how it was fitted).
+
+    Raises TreeError where the file cannot be written.
+    """
+    trees.save(path, KIND, pad, about)
+
+
+def load_pad(path: Path | str) -> Pad:
+    """The pad in a file. Raises TreeError where it is missing, damaged, no pad, or no pad that can be."""
+    pad, _ = trees.load(path, KIND, Pad)
+    side = pad.magnetisation.shape[0] if pad.magnetisation.ndim else 0
+    shapes = {
+        "thickness": (), "young": (), "poisson": (), "magnetisation": (side, side, 3), "gains": (READINGS,),
+        "board.chips": (CHIPS, 3), "board.rotations": (CHIPS, 3, 3), "friction": (), "give": (),
+    }  # fmt: skip
+    arrays = trees.flatten(pad)
+    for name, shape in shapes.items():
+        if arrays[name].shape != shape or not np.isfinite(arrays[name]).all():
+            raise TreeError(f"{path}: {name} is not {shape or 'one'} finite numbers; make the pad again")
+    if not (pad.thickness > 0 and pad.young > 0 and 0 <= pad.poisson < 0.5):
+        raise TreeError(f"{path}: thickness, stiffness or Poisson's ratio cannot be; make the pad again")
+    return jax.tree.map(lambda array: jnp.asarray(array, jnp.float32), pad)
