@@ -72,7 +72,7 @@ class Board(NamedTuple):
 
 
 class Pad(NamedTuple):
-    """One magnetic skin on its board: an elastic layer on the board, bonded or held at its edge, magnetised unevenly."""
+    """One magnetic skin: an elastic layer, bonded to its board or held at its edge, magnetised unevenly."""
 
     thickness: Array  # () m
     young: Array  # () Pa

@@ -7,8 +7,8 @@ repeatability and tilt of approach. Nothing the model may later use is error fre
   patch    what the *camera* saw: rendered from where the object really is, through the wrong hand-eye transform, with
            lateral bleeding, depth noise and quantisation;
   reading  what the skin *really* met: rendered over the whole pad from the pose the arm really reached, pressed until
-           the skin change or the force first crosses its limit, then read through the board with ambient and noise
-           (every touch subtracts its own ambient, so drift over a run cancels).
+           the skin change or the force first crosses its limit, then felt by a skin that remembers, creeps and warms
+           and read through the board with ambient and noise.
 
 `i2t.press` says where a press ends. Until there the arm travels the indentation and F / stiffness past first contact
 (series compliance of arm and mount).
@@ -30,7 +30,10 @@ from jaxtyping import Array, Float, Key
 from i2t import geometry, touch
 from i2t.press import PressLimits, press_until
 from i2t.render import render_heights, render_patch, stack
+from i2t.skin import faults
 from i2t.skin.contact import GRID
+from i2t.skin.faults import Faults
+from i2t.skin.field import rest_field
 from i2t.skin.noise import Noise, observe
 from i2t.skin.pad import press as press_pad
 from i2t.types import (
@@ -67,11 +70,12 @@ class Errors:
     depth_quantum: float = 0.1e-3
     force: float = 0.1  # N, of the wrench sensor after zeroing
     noise: Noise = field(default_factory=Noise)
+    faults: Faults = field(default_factory=Faults.typical)
 
     @classmethod
     def none(cls) -> "Errors":
-        """A world in which the lab knows everything; the sensor's own noise is off too."""
-        return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, Noise.none())
+        """A world in which the lab knows everything; the sensor's own noise and faults are off too."""
+        return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, Noise.none(), Faults())
 
     def scaled(self, factor: float) -> "Errors":
         """All pose errors times a factor; camera and sensor stay."""
@@ -148,11 +152,11 @@ def touch_once(
     errors: Errors,
     limits: PressLimits,
 ) -> Touches:
-    """One touch at a site chosen on the believed object: approach along the site's z, press, look, read.
+    """One touch at a site chosen on the believed object: approach along the site's z, press, look.
 
-    Indices are left 0 for the caller.
+    The reading is still that of an ideal sensor (see `feel`), and indices are left 0 for the caller.
     """
-    key_arm, key_tilt, key_camera, key_skin, key_scalars = jax.random.split(key, 5)
+    key_arm, key_tilt, key_camera, key_scalars = jax.random.split(key, 4)
     slip, force_error, travel_error = jax.random.normal(key_scalars, (3,))
     T_o_w = geometry.invert(T_w_o @ run.T_o_placed)  # from here on the object is where it really is
 
@@ -192,7 +196,7 @@ def touch_once(
         patch=patch.depth,
         wide=wide,
         nearest=patch.nearest,
-        reading=observe(key_skin, reading, pad.board, errors.noise),
+        reading=reading,
         force=force + errors.force * force_error,
         depth=jnp.where(hit, past_contact + errors.repeatability * travel_error, jnp.nan),
         T_w_t=T_w_t,
@@ -203,6 +207,17 @@ def touch_once(
         code=code.astype(jnp.int32),
         truth=Truth(_behind(z, nearest), nearest, force, indentation, reading),
     )
+
+
+@geometry.full_precision
+def feel(key: Key[Array, ""], touches: Touches, pad: Pad, errors: Errors) -> Touches:
+    """The touches of one run, in the order made, with readings of a real sensor instead of those of an ideal one."""
+    key_faults, key_noise, key_record = jax.random.split(key, 3)
+    rest = pad.board.to_board(rest_field(pad))
+    felt = faults.apply(key_faults, touches.reading, touches.T_w_t, pad.board, errors.faults, rest)
+    keys = jax.random.split(key_noise, len(felt))
+    read = jax.vmap(lambda key, reading: observe(key, reading, pad.board, errors.noise))(keys, felt)
+    return touches._replace(reading=faults.record(key_record, read, errors.faults))
 
 
 def _along_z(distance: Float[Array, ""]) -> Float[Array, "4 4"]:
@@ -224,13 +239,14 @@ def simulate_run(
 
     Rows whose site is unsafe, because too few safe ones were found, carry the code FAILED.
     """
-    key_run, key_sites, key_touches = jax.random.split(key, 3)
+    key_run, key_sites, key_touches, key_skin = jax.random.split(key, 4)
     chosen = touch.sample_sites(key_sites, surface, n, sites)
     run = sample_run(key_run, errors)
     touches = jax.vmap(
         lambda key, T_o_site: touch_once(key, surface, T_w_o, T_w_o @ T_o_site, run, pad, errors, limits)
     )(jax.random.split(key_touches, n), chosen.T_w_t)
-    return touches._replace(code=jnp.where(chosen.safe, touches.code, ReturnCode.FAILED))
+    touches = touches._replace(code=jnp.where(chosen.safe, touches.code, ReturnCode.FAILED))
+    return feel(key_skin, touches, pad, errors)
 
 
 def simulate(

@@ -213,7 +213,8 @@ def test_scaling_changes_pose_errors_only():
     twice, nothing = Errors().scaled(2.0), Errors.none()
     assert twice.hand_eye_angle == 2 * Errors().hand_eye_angle
     assert twice.repeatability == 2 * Errors().repeatability
-    kept = {name: getattr(nothing, name) for name in ("depth_noise", "depth_bleed", "depth_quantum", "force", "noise")}
+    others = ("depth_noise", "depth_bleed", "depth_quantum", "force", "noise", "faults")
+    kept = {name: getattr(nothing, name) for name in others}
     assert replace(Errors().scaled(0.0), **kept) == nothing
     assert Errors().scaled(0.0).noise == Errors().noise
 

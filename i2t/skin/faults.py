@@ -1,15 +1,15 @@
 """What goes wrong with a real skin besides noise: each fault a small function whose size, at zero, switches it off.
 
-`apply` takes the readings of one run in the order in which they were made, and composes the faults as physics does:
+`apply` takes the readings of one run in the order in which they were made, and `record` what the board then sends;
+together they compose the faults as physics does:
 
   the layer     softens with use, creeps while it is held, and remembers the press before;
   its field     is joined by that of a ferrous object, and by the earth's and the room's, which turn as the arm does;
-  the chip      warms, has gains of its own, saturates, and may have a dead axis;
-  the recorder  may repeat a row.
+  the chip      warms, has gains of its own, and saturates; `i2t.skin.noise` comes next;
+  the recorder  gets nothing from a dead axis, and may repeat a row.
 
 Additive fields that change slowly reach a reading only by their change since the ambient was last measured (the paper's
-data hold one ambient for each touch or one for every ten), see `since_ambient`. White noise and the converter's steps
-are `i2t.skin.noise`'s; `apply` may follow it, and then treats noise as signal, wrong by a few per cent of the noise.
+data hold one ambient for each touch or one for every ten), see `since_ambient`.
 
 Default sizes are of real boards where a recording exists, and else of the literature; each docstring says which, and
 says so where a size is an assumption. Readings are microtesla in the board's order and the chips' own axes; W is the
@@ -30,6 +30,7 @@ from i2t.types import CHIPS, READINGS, Board
 DIP = np.deg2rad(64.0)  # of the earth's field below the horizon in central Europe (IGRF-13, 2020)
 PRONY_TIMES = (0.3, 3.0, 30.0)  # s: an equal share for each decade, relaxation linear in log time as elastomers show
 WEAR = 40.0  # presses: a contact of 10 mm2 covers the pad once, and all softening comes with a place's first presses
+RANGE_XY, RANGE_Z = 4915.0, 7930.0  # uT, full scale: 2^15 steps at gain 7 and resolution 0 (MLX90393 data sheet)
 UNEVEN = 0.12  # of the warming: chips warmed by 10 K lie up to 2.4 K apart, as recorded
 
 
@@ -57,8 +58,8 @@ class Faults:
 
     @classmethod
     def typical(cls) -> "Faults":
-        """Sizes as on real boards in order, one ambient for every ten touches. Off are gains, of which simulated pads
-        have their own (`Pad.gains`), and what only a broken set-up shows: steel tip, dead axes, stale rows.
+        """Sizes as on real boards in order, the ambient measured before every touch. Off are gains, of which simulated
+        pads have their own (`Pad.gains`), and what only a broken set-up shows: steel tip, dead axes, stale rows.
         """
         return cls(
             softening=0.1,
@@ -67,9 +68,8 @@ class Faults:
             earth=48.0,
             room=10.0,
             warming=10.0,
-            range_xy=4915.0,
-            range_z=7930.0,
-            ambient_every=10,
+            range_xy=RANGE_XY,
+            range_z=RANGE_Z,
         )
 
 
@@ -81,14 +81,14 @@ def apply(
     faults: Faults,
     rest: Float[Array, "15"] | None = None,
 ) -> Float[Array, "n 15"]:
-    """The readings of one run, in the order made, as a faulty sensor would have recorded them (see the module's head).
+    """The readings of one run, in the order made, as a faulty sensor would feel them (see the module's head).
 
     `rest` is what the chips measure of the pad itself when nothing touches it (`field.rest_field` through
     `board.to_board`; zero if not given): saturation starts from there, and warming weakens it.
     """
     n = readings.shape[0]
     rest = jnp.zeros(READINGS) if rest is None else rest
-    key_hold, key_memory, key_tip, key_place, key_warm, key_gain, key_dead, key_stale = jax.random.split(key, 8)
+    key_hold, key_memory, key_tip, key_place, key_warm, key_gain = jax.random.split(key, 6)
     key_common, key_offset = jax.random.split(key_warm)
 
     touch = jnp.arange(n)
@@ -107,9 +107,14 @@ def apply(
     x = warmed + since_ambient(seen + drifted, faults.ambient_every)
 
     x = gains(key_gain, faults.gain)[None] * x
-    x = jax.vmap(lambda reading: saturate(reading, rest, faults.range_xy, faults.range_z))(x)
-    x = jnp.where(dead_axes(key_dead, faults.dead)[None], 0.0, x)
-    return stale_rows(key_stale, x, faults.stale)
+    return jax.vmap(lambda reading: saturate(reading, rest, faults.range_xy, faults.range_z))(x)
+
+
+def record(key: Key[Array, ""], readings: Float[Array, "n 15"], faults: Faults) -> Float[Array, "n 15"]:
+    """What is written down of a run's readings: nothing new from dead axes, and some rows twice."""
+    key_dead, key_stale = jax.random.split(key)
+    answered = jnp.where(dead_axes(key_dead, faults.dead)[None], 0.0, readings)
+    return stale_rows(key_stale, answered, faults.stale)
 
 
 def soften(reading: Float[Array, "15"], presses: Int[Array, ""] | int, size: float = 0.1) -> Float[Array, "15"]:
@@ -243,7 +248,7 @@ def gains(key: Key[Array, ""], size: float = 0.05) -> Float[Array, "15"]:
 
 
 def saturate(
-    reading: Float[Array, "15"], rest: Float[Array, "15"], range_xy: float = 4915.0, range_z: float = 7930.0
+    reading: Float[Array, "15"], rest: Float[Array, "15"], range_xy: float = RANGE_XY, range_z: float = RANGE_Z
 ) -> Float[Array, "15"]:
     """A change of field from `rest` (uT), where each axis ends at its full scale.
 

@@ -13,14 +13,18 @@ from jaxtyping import Array, Bool, Float, Key
 
 from i2t.boards import reskin
 from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
-from i2t.skin.field import response
-from i2t.types import PAD_WINDOW, READINGS, Board, Pad
+from i2t.skin.faults import RANGE_XY, RANGE_Z
+from i2t.skin.field import response, rest_field
+from i2t.types import CHIPS, PAD_WINDOW, READINGS, Board, Pad
 
 THICKNESS = 2e-3  # m
 GAP = 1.5e-3  # m from the layer's base to the sensing elements: half of the chip's 1 mm package, glue and film
-YOUNG = 200e3  # Pa: soft silicone (Shore 10A, about 150 kPa) stiffened by the magnetic powder
+YOUNG = 150e3  # Pa: soft silicone (Shore 00-50, about 80 kPa) stiffened by the magnetic powder
 POISSON = 0.48
-STRENGTH = 2.7e4  # A/m, root mean square of one component of a random magnetisation; see `sample_pad`
+FRICTION = 0.6  # of dry silicone on plastic, between 0.4 and 1 as a rule
+GIVE = 0.08e-3  # m/N, middling; see `sample_pad`
+STRENGTH = 1.5e4  # A/m, root mean square of one component of a random magnetisation; see `sample_pad`
+HEADROOM = 0.85  # of the converter's range, which no axis exceeds at rest
 MAP = 20  # cells of a magnetisation map along each edge: 1 mm, and whole cells to each of 4 poles
 
 
@@ -77,34 +81,60 @@ def nominal_pad(pattern: str = "poles", strength: float | Array = STRENGTH) -> P
 def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0) -> Pad:
     """A pad as different from the next as real skins are; with `spread` 0 only its magnetisation is random.
 
-    Thickness 2-3 mm (ReSkin's range); stiffness within 15 %, gap within 0.25 mm and gains within 5 % (one sigma); a
-    smooth random magnetisation with patches of about 4 mm, whose strength varies by 35 % from skin to skin. STRENGTH is
-    such that presses of a small tip to 0.6-1.0 N change the 15 values by the norm that real boards show, a median of
-    46-85 uT at 78-122 uT/N (`tests/skin/test_pad.py`).
+    Thickness 2-3 mm (ReSkin's range); stiffness within 15 %, gap within 0.25 mm, gains within 5 % and friction within
+    20 % (one sigma); give lognormal about GIVE with a factor of e either way, since real skins are clamped at their
+    edge: on one board a press anywhere moved two chips by 60-100 uT. The magnetisation is `uneven`, and its strength
+    varies by 25 % from skin to skin; a skin that would bring an axis at rest near the end of its range is weaker, as a
+    maker would make it. STRENGTH and GIVE are such that presses of a small tip to 0.6-1.0 N change the 15 values as on
+    real boards (`tests/skin/test_pad.py`).
     """
-    key_thickness, key_young, key_gap, key_map, key_length, key_strength, key_gains = jax.random.split(key, 7)
-    thickness = THICKNESS + spread * jax.random.uniform(key_thickness, maxval=1e-3)
-    gap = GAP + spread * 0.25e-3 * jax.random.truncated_normal(key_gap, -2.0, 2.0)
-    length = 4e-3 * jnp.exp(spread * 0.2 * jax.random.normal(key_length))
-    strength = STRENGTH * jnp.exp(spread * 0.35 * jax.random.normal(key_strength))
-    return Pad(
+    names = ("thickness", "young", "gap", "map", "strength", "gains", "friction", "give")
+    keys = dict(zip(names, jax.random.split(key, len(names)), strict=True))
+    thickness = THICKNESS + spread * jax.random.uniform(keys["thickness"], maxval=1e-3)
+    gap = GAP + spread * 0.25e-3 * jax.random.truncated_normal(keys["gap"], -2.0, 2.0)
+    pad = Pad(
         thickness,
-        YOUNG * jnp.exp(spread * 0.15 * jax.random.normal(key_young)),
+        YOUNG * jnp.exp(spread * 0.15 * jax.random.normal(keys["young"])),
         jnp.asarray(POISSON),
-        strength * smooth_random(key_map, length),
-        1 + spread * 0.05 * jax.random.truncated_normal(key_gains, -3.0, 3.0, (READINGS,)),
+        STRENGTH * jnp.exp(spread * 0.25 * jax.random.normal(keys["strength"])) * uneven(keys["map"], spread),
+        1 + spread * 0.05 * jax.random.truncated_normal(keys["gains"], -3.0, 3.0, (READINGS,)),
         _board(thickness + gap),
-        friction=jnp.zeros(()),
-        give=jnp.zeros(()),
+        friction=FRICTION * jnp.exp(spread * 0.2 * jax.random.normal(keys["friction"])),
+        give=spread * GIVE * jnp.exp(jax.random.normal(keys["give"])),
     )
+    ends = np.tile([RANGE_XY, RANGE_XY, RANGE_Z], CHIPS)
+    use = jnp.max(jnp.abs(pad.board.to_board(rest_field(pad))) / ends)
+    return pad._replace(magnetisation=pad.magnetisation * jnp.minimum(1.0, HEADROOM / use))
+
+
+def uneven(key: Key[Array, ""], spread: float | Array = 1.0) -> Float[Array, "m m 3"]:
+    """A magnetisation of root mean square 1 that is as uneven as real skins': patches of some 3 mm about a common
+    direction, stronger along some axes than others and in some places than others (some chips 100 uT, others 10 uT for
+    the same press). The sizes are assumptions that meet what real boards show; see `sample_pad`.
+    """
+    key_length, key_patches, key_common, key_axes, key_places = jax.random.split(key, 5)
+    length = 3e-3 * jnp.exp(spread * 0.2 * jax.random.normal(key_length))
+    patches = smooth_random(key_patches, length) * jnp.exp(0.5 * jax.random.normal(key_axes, (1, 1, 3)))
+    strong = jnp.exp(0.5 * smooth_random(key_places, 7e-3)[..., :1])
+    magnetisation = strong * patches + jax.random.normal(key_common, (1, 1, 3))
+    return magnetisation / jnp.sqrt(jnp.mean(magnetisation**2))
 
 
 def magnetise(pattern: str, cells: int = MAP) -> Float[Array, "m m 3"]:
-    """A magnetisation map in units of its strength: `poles` (4 x 4, up and down in turn, as in ReSkin's first paper) or
-    `uniform` (up). Raises ValueError for any other name.
+    """A magnetisation map in units of its strength: `poles` (4 x 4, up and down in turn, as in ReSkin's first paper),
+    `uniform` (up) or `magnets` (four upright magnets of 6 mm, up and down in turn, in a skin that is else not magnetic;
+    `i2t.skin.magnets` has their exact field). Raises ValueError for any other name.
     """
     quarter = np.arange(cells) * 4 // cells
-    maps = {"poles": 1 - 2 * ((quarter[:, None] + quarter[None, :]) % 2), "uniform": np.ones((cells, cells))}
+    half = np.arange(cells) * 2 // cells
+    place = (np.arange(cells) + 0.5) / cells * PAD_WINDOW
+    aside = np.square(place % (PAD_WINDOW / 2) - PAD_WINDOW / 4)  # of the nearest magnet's middle
+    inside = aside[:, None] + aside[None, :] <= 3e-3**2
+    maps = {
+        "poles": 1 - 2 * ((quarter[:, None] + quarter[None, :]) % 2),
+        "uniform": np.ones((cells, cells)),
+        "magnets": inside * (1 - 2 * ((half[:, None] + half[None, :]) % 2)),
+    }
     if pattern not in maps:
         raise ValueError(f"Magnetisation pattern {pattern!r} is not known; choose one of {', '.join(maps)}.")
     return jnp.asarray(maps[pattern][..., None] * np.array([0, 0, 1.0]))
