@@ -2,7 +2,7 @@
 
 The layer is a sum of magnetic dipoles: one under the centre of every cell of the contact grid at each node of a
 Gauss-Legendre rule across the thickness. A touch moves the dipole at P to P + u and turns its moment m by the local
-rotation w = curl(u) / 2, both from `i2t.skin.contact.interior`; the reading is the change of the field at the chips
+rotation w = curl(u) / 2, both from `i2t.skin.layer.interior`; the reading is the change of the field at the chips
 
     B(r) = mu0 / (4 pi) sum_i [3 (m_i . d_i) d_i / |d_i|^5 - m_i / |d_i|^3],   d_i = r - P_i - u_i
 
@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from i2t.skin.contact import GRID, Grid, interior, spectrum
+from i2t.skin.layer import GRID, Grid, interior, load
 from i2t.types import Pad
 
 NODES = 5  # across the thickness; `tests/skin/test_field.py` refines them and the cells
@@ -44,27 +44,38 @@ def dipole_field(
 
 
 def response(
-    pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID, dipoles: Grid | None = None, nodes: int = NODES
+    pad: Pad,
+    pressure: Float[Array, "n n"],
+    grid: Grid = GRID,
+    dipoles: Grid | None = None,
+    nodes: int = NODES,
+    traction: Float[Array, "2 n n"] | None = None,
 ) -> Float[Array, "15"]:
-    """The noise-free reading (uT) under `pressure` (Pa) on `grid`: gains times the change of field, in the chips' axes.
+    """The noise-free reading (uT) under `pressure` (Pa) and, where given, `traction` (Pa, along x and y) on `grid`:
+    gains times the change of field, in the chips' axes.
 
     `dipoles`, a coarser grid of the same period, has fewer dipoles than one under each cell.
     """
     dipoles = grid if dipoles is None else dipoles
-    change = pressed_field(pad, pressure, grid, dipoles, nodes) - rest_field(pad, dipoles, nodes)
+    change = pressed_field(pad, pressure, grid, dipoles, nodes, traction) - rest_field(pad, dipoles, nodes)
     return pad.gains * pad.board.to_board(change)
 
 
 def pressed_field(
-    pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID, dipoles: Grid | None = None, nodes: int = NODES
+    pad: Pad,
+    pressure: Float[Array, "n n"],
+    grid: Grid = GRID,
+    dipoles: Grid | None = None,
+    nodes: int = NODES,
+    traction: Float[Array, "2 n n"] | None = None,
 ) -> Float[Array, "5 3"]:
-    """Field (uT, tool axes) of the pad's magnets at the chips under `pressure` (Pa); arguments as for `response`."""
+    """Field (uT, tool axes) of the pad's magnets at the chips under a load; arguments as for `response`."""
     dipoles = grid if dipoles is None else dipoles
-    waves = spectrum(pressure, grid, dipoles)
+    loaded = load(pad, pressure, traction, grid, dipoles)
 
     def sheet(magnets: tuple[Array, Array]) -> Array:
         depth, moments = magnets
-        displacement, rotation = interior(pad, waves, depth, dipoles)
+        displacement, rotation = interior(pad, loaded, depth, dipoles)
         return _at_chips(pad, _places(depth, dipoles) + displacement, turn(rotation, moments))
 
     # One sheet after the other: a batch of all of them at once would outgrow the caches.

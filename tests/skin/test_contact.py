@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from i2t.skin import contact
-from i2t.skin.contact import GRID, Grid
+from i2t.skin import contact, layer
+from i2t.skin.layer import GRID, Grid
 from i2t.skin.pad import nominal_pad
 
 with warnings.catch_warnings():
@@ -64,12 +64,12 @@ def _reference(height: np.ndarray, indentation: float) -> np.ndarray:
     """Pressure (Pa) by the package ContactMechanics, on the same cells and period."""
     period = GRID.modes * GRID.spacing
     grid = (GRID.modes, GRID.modes)
-    layer = PeriodicFFTElasticHalfSpace(
+    elastic = PeriodicFFTElasticHalfSpace(
         grid, float(PAD.young), (period, period), thickness=float(PAD.thickness), poisson=float(PAD.poisson)
     )
     surface = np.full(grid, -1.0)  # nothing within reach outside the pad
     surface[: GRID.cells, : GRID.cells] = -np.minimum(height, 1.0)
-    system = NonSmoothContactSystem(layer, Topography(surface, (period, period)))
+    system = NonSmoothContactSystem(elastic, Topography(surface, (period, period)))
     assert system.minimize_proxy(offset=indentation, pentol=1e-10).success
     return np.asarray(system.force)[: GRID.cells, : GRID.cells] / GRID.spacing**2
 
@@ -204,13 +204,13 @@ def test_a_batch_holds_independent_problems():
 
 def test_series_passes_through_the_pressure():
     pressure = jnp.asarray(np.random.default_rng(0).random((40, 40)), jnp.float32)
-    np.testing.assert_allclose(contact.convolve(jnp.ones((64, 64)), pressure), pressure, atol=1e-5)
-    waves, _ = contact.basis(GRID, (np.arange(64) + 0.5 - 20) * GRID.spacing)  # the whole period
-    everywhere = waves.T @ np.asarray(contact.spectrum(pressure)) @ waves
+    np.testing.assert_allclose(layer.convolve(jnp.ones((64, 64)), pressure), pressure, atol=1e-5)
+    waves, _ = layer.basis(GRID, (np.arange(64) + 0.5 - 20) * GRID.spacing)  # the whole period
+    everywhere = waves.T @ np.asarray(layer.spectrum(pressure)) @ waves
     np.testing.assert_allclose(everywhere[40:], np.zeros((24, 64)), atol=1e-5)
     # The waves of a coarser series are among those of the finer one.
-    fine = contact.spectrum(pressure, GRID)
-    coarse = contact.spectrum(pressure, GRID, Grid(20, 32))
+    fine = layer.spectrum(pressure, GRID)
+    coarse = layer.spectrum(pressure, GRID, Grid(20, 32))
     np.testing.assert_allclose(coarse[:16, 16:], np.asarray(fine)[:16, 32:48], atol=1e-6)
 
 
@@ -226,7 +226,7 @@ DIFFERENCES = 0.01
 def smooth_load():
     """A smooth load about 2 mm wide, and displacement and rotation on the stencil as functions of depth."""
     pressure = jnp.asarray(2e4 * np.exp(-((X - 0.4e-3) ** 2 + 2 * Y**2) / (2 * 2e-3**2)), jnp.float32)
-    inside = jax.jit(lambda depth: contact.interior(PAD, contact.spectrum(pressure), depth, GRID, PLACES))
+    inside = jax.jit(lambda depth: layer.interior(PAD, layer.load(PAD, pressure), depth, GRID, PLACES))
     return pressure, lambda depth: tuple(np.asarray(field, float) for field in inside(depth))
 
 
@@ -261,8 +261,8 @@ def test_interior_carries_the_load(smooth_load):
     pressure, inside = smooth_load
     young, nu = float(PAD.young), float(PAD.poisson)
     shear, lame = young / (2 * (1 + nu)), young * nu / ((1 + nu) * (1 - 2 * nu))
-    waves, _ = contact.basis(GRID, PLACES[2:3])
-    load = (waves.T @ np.asarray(contact.spectrum(pressure)) @ waves).item()
+    waves, _ = layer.basis(GRID, PLACES[2:3])
+    load = (waves.T @ np.asarray(layer.spectrum(pressure)) @ waves).item()
     # Stresses at three depths, extrapolated to the surface by a parabola.
     slopes = np.stack([_slopes(inside, i * STEP) for i in (1, 2, 3)])
     normal = lame * np.einsum("dcc->d", slopes) + 2 * shear * slopes[:, 2, 2]
@@ -275,11 +275,11 @@ def test_interior_carries_the_load(smooth_load):
 
 def test_interior_ends_at_the_base_and_the_surface(smooth_load):
     pressure, _ = smooth_load
-    waves = contact.spectrum(pressure)
-    bottom, _ = contact.interior(PAD, waves, PAD.thickness)
+    waves = layer.load(PAD, pressure)
+    bottom, _ = layer.interior(PAD, waves, PAD.thickness)
     np.testing.assert_allclose(bottom, np.zeros((3, 40, 40)), atol=1e-10)
-    top, _ = contact.interior(PAD, waves, 0.0)
-    sunk = contact.convolve(contact.compliance(PAD), pressure)
+    top, _ = layer.interior(PAD, waves, 0.0)
+    sunk = layer.convolve(layer.compliance(PAD), pressure)
     np.testing.assert_allclose(-top[2], sunk, atol=1e-6 * float(sunk.max()))
 
 
@@ -287,7 +287,7 @@ def test_interior_follows_the_indenter():
     """Under a solved contact the surface has moved by minus the indentation at the deepest point (to 1e-7 m)."""
     height = jnp.asarray(_sphere(0.25e-3, 0.25e-3, 8e-3), jnp.float32)
     found = solve(PAD, height, 0.6e-3)
-    displacement, _ = contact.interior(PAD, contact.spectrum(found.pressure), 0.0)
+    displacement, _ = layer.interior(PAD, layer.load(PAD, found.pressure), 0.0)
     np.testing.assert_allclose(displacement[2, 20, 20], -0.6e-3, atol=1e-7)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from i2t.skin import contact, field
-from i2t.skin.contact import FINE, GRID, Grid
+from i2t.skin import contact, field, layer
+from i2t.skin.layer import FINE, GRID, Grid
 from i2t.skin.pad import nominal_pad, press_force, sample_pad
 
 with warnings.catch_warnings():
@@ -75,8 +75,8 @@ def test_a_pressed_layer_agrees_with_magpylib():
     """Every dipole moved and turned by hand, its field by magpylib."""
     pad, pressure = sample(jax.random.key(5)), _load(1)
     depths, moments = field.sheets(pad)
-    waves = contact.spectrum(pressure)
-    inside, exact = jax.jit(contact.interior), np.zeros((5, 3))
+    waves = layer.load(pad, pressure)
+    inside, exact = jax.jit(layer.interior), np.zeros((5, 3))
     for depth, sheet in zip(depths, moments, strict=True):
         u, w = (np.moveaxis(np.asarray(a, float), 0, -1).reshape(-1, 3) for a in inside(pad, waves, depth))
         places = np.stack([X, Y, np.full_like(X, -float(depth))], -1).reshape(-1, 3) + u

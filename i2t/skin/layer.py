@@ -1,0 +1,331 @@
+"""How an elastic layer bonded to a rigid base moves under loads on its surface.
+
+The layer (thickness h, Young's modulus E, Poisson's ratio nu, small strain) fills -h <= z <= 0 of the tool frame. Loads
+act on its surface z = 0 and on the cells of the pad only: a pressure p pushes it down, a traction t drags it along x
+and y. Loads are Fourier series, and every wave of wavenumber k moves by itself. Of the general solution of Navier's
+equation that vanishes at the base (Papkovich-Neuber potentials), with q = k (h - depth),
+
+    u_z = W f,   (u_x, u_y) = (d/dx, d/dy) U f / k,   W - dU/dq = (kappa + 1) (a sinh q + b cosh q),
+    W = a (kappa sinh q - q cosh q) - b q sinh q,   U = -a q sinh q - b (kappa sinh q + q cosh q),
+
+where kappa = 3 - 4 nu, the two loads fix a and b at the surface, q = Q = k h. With mu = E / (2 (1 + nu)) and
+D = kappa cosh 2Q + 2 Q^2 + 5 - 12 nu + 8 nu^2:
+
+    pressure,               f = p:           -2 mu k D (a, b) = ((kappa + 1) cosh Q + 2 Q sinh Q,
+                                                                 (kappa - 1) sinh Q - 2 Q cosh Q)
+    traction along the wave, f = div t / k:   2 mu k D (a, b) = ((kappa - 1) sinh Q + 2 Q cosh Q,
+                                                                 (kappa + 1) cosh Q - 2 Q sinh Q)
+
+and traction across the wave shears the layer as a string of plates, u = t sinh q / (mu k cosh Q). At the surface the
+pressure's W gives
+
+    G(k) = (1 - nu) / (mu k) [kappa sinh 2Q - 2Q] / D,   G(0) = h (1 + nu)(1 - 2 nu) / (E (1 - nu)).
+
+All is written with decaying exponentials so that nothing overflows.
+
+A skin that is held at its edge rather than bonded also moves as a whole. One shape, w = cos^2(pi x / L) cos^2(pi y / L)
+over the pad's edge L (1 in the middle, level and still at the clamped rim: the usual Ritz shape of a clamped plate),
+sinks by `Pad.give` times its load, the sum of w p over the pad; the material turns with its slope.
+
+The Fourier series has a longer period than the pad, so that its copies do not feel each other. Beyond the pad the layer
+goes on: the free side faces of a real pad are not modelled (`docs/physics.md`). The series is written in real sines and
+cosines about the pad's centre, and its transforms are small matrix products: as fast as an FFT at this size, free to be
+evaluated anywhere, and at home on every device.
+
+Arrays over the pad have row i along tool y and column j along tool x, at cell centres. Metres, pascals, newtons.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from i2t.types import PAD_WINDOW, Pad
+
+# Full float32 products where a device would round the factors (to 10 bits on some).
+_dot = partial(jnp.matmul, precision=jax.lax.Precision.HIGHEST)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Square cells on the pad, and the Fourier series of a longer period around it."""
+
+    cells: int = 40  # along each edge of the pad
+    modes: int = 64  # along each edge of the period, which is as many cells long; even, as is `cells`
+    window: float = PAD_WINDOW  # m, edge of the pad
+
+    @property
+    def spacing(self) -> float:
+        """Edge of a cell, m."""
+        return self.window / self.cells
+
+    @property
+    def centres(self) -> np.ndarray:
+        """(cells,) m: coordinates of the cell centres along either edge."""
+        return ((np.arange(self.cells) + 0.5) / self.cells - 0.5) * self.window
+
+    @property
+    def wavenumbers(self) -> np.ndarray:
+        """(modes,) 1/m: of the cosines 0 ... modes/2 - 1, then of the sines 1 ... modes/2, about the pad's centre."""
+        half = self.modes // 2
+        return 2 * np.pi / (self.modes * self.spacing) * np.r_[0:half, 1 : half + 1]
+
+
+GRID = Grid()
+FINE = Grid(80, 128)  # where sharp edges matter more than speed: see `docs/physics.md`
+
+
+class Load(NamedTuple):
+    """What acts on the surface, as coefficients of the series (rows y, columns x), ready for `interior`."""
+
+    slopes: Float[Array, "2 k k"]  # Pa/m: of the pressure along x and y
+    pressure: Float[Array, "k k"]  # Pa
+    sunk: Float[Array, ""]  # m: by which the middle of a skin held at its edge sinks
+    drag: "Drag | None" = None  # no traction
+
+
+class Drag(NamedTuple):
+    """A traction's series, and what its waves are made of."""
+
+    traction: Float[Array, "2 k k"]  # Pa
+    lengthwise: Float[Array, "2 k k"]  # Pa: the part of each wave along its wave vector
+    divergence: Float[Array, "k k"]  # Pa/m
+    curl: Float[Array, "k k"]  # Pa/m, about z
+
+
+def load(
+    pad: Pad,
+    pressure: Float[Array, "n n"],
+    traction: Float[Array, "2 n n"] | None = None,
+    grid: Grid = GRID,
+    series: Grid | None = None,
+) -> Load:
+    """The load of `pressure` (Pa) and `traction` (Pa, along x and y on the skin) on the cells of `grid`, in the waves
+    that the `series` of a coarser grid of the same period has.
+    """
+    series = grid if series is None else series
+    waves = spectrum(pressure, grid, series)
+    slopes = jnp.stack([_slope(waves, 1, series), _slope(waves, 0, series)])
+    sunk = pad.give * weight(pressure, grid)
+    return Load(slopes, waves, sunk, None if traction is None else drag(spectrum(traction, grid, series), series))
+
+
+def drag(traction: Float[Array, "2 k k"], grid: Grid = GRID) -> Drag:
+    """The parts of a traction's series."""
+    k = grid.wavenumbers
+    square = k[:, None] ** 2 + k[None, :] ** 2
+    inverse = 1 / np.where(square == 0, np.inf, square)
+    along_x, along_y = (_slope(traction[i], axis, grid) for i, axis in enumerate((1, 0)))
+    across_x, across_y = (_slope(traction[i], axis, grid) for i, axis in enumerate((0, 1)))
+    # k (k . t) / k^2; second derivatives mix sines and cosines of both axes only where they are of different axes.
+    mixed = [_slope(slope, axis, grid) for slope, axis in ((across_y, 0), (across_x, 1))]
+    lengthwise = jnp.stack([
+        inverse * (k[None, :] ** 2 * traction[0] - mixed[0]),
+        inverse * (k[:, None] ** 2 * traction[1] - mixed[1]),
+    ])  # fmt: skip
+    return Drag(traction, lengthwise, along_x + along_y, across_y - across_x)
+
+
+def interior(
+    pad: Pad,
+    load: Load,
+    depth: Float[Array, ""] | float,
+    grid: Grid = GRID,
+    places: np.ndarray | None = None,
+) -> tuple[Float[Array, "3 m m"], Float[Array, "3 m m"]]:
+    """Displacement (m) and local rotation (rad) at `depth` (m, 0 at the surface to h at the base) under a load on the
+    series of `grid`, at the points (rows y, columns x) whose coordinates are `places`: the cell centres by default.
+
+    Each comes as its components along tool x, y and z, first axis; the rotation is the vector curl(u) / 2, about z only
+    under a traction.
+    """
+    places = grid.centres if places is None else places
+    along, down, turn = _under_pressure(pad, grid, depth)
+    move = [along * load.slopes[0], along * load.slopes[1], down * load.pressure]
+    rotate = [turn * load.slopes[1], -turn * load.slopes[0]]
+    if load.drag is not None:
+        lengthwise, across, down, turn, bend = _under_traction(pad, grid, depth)
+        traction, part = load.drag.traction, load.drag.lengthwise
+        for i in range(2):
+            move[i] = move[i] + across * (traction[i] - part[i]) + lengthwise * part[i]
+        move[2] = move[2] + down * load.drag.divergence
+        leaning = [turn * part[i] + bend * (traction[i] - part[i]) for i in range(2)]
+        rotate = [rotate[0] - leaning[1], rotate[1] + leaning[0], across * load.drag.curl / 2]
+    moved = evaluate(jnp.stack([*move, *rotate]), grid, places)
+    displacement, rotation = moved[:3], moved[3:]
+    if load.drag is None:
+        rotation = jnp.concatenate([rotation, jnp.zeros_like(rotation[:1])])
+
+    # As a thin plate: normals stay normals about the middle of its thickness.
+    shape, slope = (jnp.asarray(part, displacement.dtype) for part in _clamped(grid, places))
+    tilt_x, tilt_y = (-load.sunk * jnp.outer(*pair) for pair in ((shape, slope), (slope, shape)))
+    above = pad.thickness / 2 - depth
+    sinking = jnp.stack([-above * tilt_x, -above * tilt_y, -load.sunk * jnp.outer(shape, shape)])
+    return displacement + sinking, rotation + jnp.stack([tilt_y, -tilt_x, jnp.zeros_like(tilt_x)])
+
+
+def compliance(pad: Pad, grid: Grid = GRID) -> Float[Array, "k k"]:
+    """G at the grid's wavenumbers, (modes, modes), m/Pa: downward displacement of the bonded layer per pressure."""
+    layer = _layer(pad, grid)
+    flat = pad.thickness * (1 + pad.poisson) * (1 - 2 * pad.poisson) / (pad.young * (1 - pad.poisson))
+    wavy = 2 * layer.kappa * layer.sinh * layer.cosh - 2 * layer.q * layer.fall
+    wavy = (1 - pad.poisson) / (layer.shear * layer.k) * wavy / layer.determinant
+    return jnp.where(layer.uniform, flat, wavy)
+
+
+def tangential_compliance(pad: Pad, grid: Grid = GRID) -> tuple[Float[Array, "k k"], Float[Array, "k k"]]:
+    """As `compliance`, of the surface along the traction: for its parts along and across each wave."""
+    lengthwise, across, *_ = _under_traction(pad, grid, 0.0)
+    return lengthwise, across
+
+
+def spread(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "2 n n"]:
+    """Displacement (m) of the surface along x and y under a pressure (Pa) alone."""
+    waves = spectrum(pressure, grid) * _under_pressure(pad, grid, 0.0)[0]
+    return evaluate(jnp.stack([_slope(waves, 1, grid), _slope(waves, 0, grid)]), grid)
+
+
+def weight(pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, ""]:
+    """The load (N) of `pressure` (Pa) on a skin held at its edge: the sum of w p over the pad."""
+    return jnp.sum(clamped(grid, pressure.dtype) * pressure) * grid.spacing**2
+
+
+def clamped(grid: Grid, dtype: jnp.dtype) -> Float[Array, "n n"]:
+    """The shape w in which a skin held at its edge sinks, at the cell centres."""
+    shape, _ = _clamped(grid, grid.centres)
+    return jnp.asarray(np.outer(shape, shape), dtype)
+
+
+def spectrum(
+    pressure: Float[Array, "... n n"], grid: Grid = GRID, series: Grid | None = None
+) -> Float[Array, "... k k"]:
+    """Coefficients, (modes, modes) with rows along y, of the series that equals `pressure` on the pad's cells and zero
+    on the rest of the period; or only those of its waves that the `series` of a coarser grid of the same period has.
+    """
+    series = grid if series is None else series
+    k = series.wavenumbers
+    lone = (k == 0) | (k == np.max(grid.wavenumbers))  # constant and shortest waves have no partner of their wavenumber
+    waves = basis(series, grid.centres)[0] * np.where(lone, 1, 2)[:, None] / grid.modes
+    return _product(waves, pressure, waves)
+
+
+def evaluate(
+    waves: Float[Array, "... k k"], grid: Grid = GRID, places: np.ndarray | None = None
+) -> Float[Array, "... m m"]:
+    """The series of coefficients `waves` at the points whose coordinates are `places`: the cell centres by default."""
+    values, _ = basis(grid, grid.centres if places is None else places)
+    return _product(values.T, waves, values.T)
+
+
+def convolve(kernel: Float[Array, "k k"], pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "n n"]:
+    """Multiply each wave of `pressure` by `kernel`, and evaluate the series on the pad's cells."""
+    return evaluate(kernel * spectrum(pressure, grid), grid)
+
+
+def basis(grid: Grid, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The series' waves at `places` (m, from the pad's centre), (modes, len(places)), and their slopes (1/m)."""
+    k = grid.wavenumbers[:, None]
+    cosine, sine = np.cos(k * places[None]), np.sin(k * places[None])
+    even = np.arange(grid.modes)[:, None] < grid.modes // 2
+    return np.where(even, cosine, sine), k * np.where(even, -sine, cosine)
+
+
+def _slope(waves: Array, axis: int, grid: Grid) -> Array:
+    """Coefficients of the derivative along rows' (0: y) or columns' (1: x) axis. The shortest wave, whose slope has no
+    partner in the series, is left out: that slope vanishes at the cell centres.
+    """
+    half = grid.modes // 2
+    none, cosines, sines, last = jnp.split(waves, [1, half, grid.modes - 1], axis=axis)
+    k = np.expand_dims(grid.wavenumbers[1:half], 1 - axis)
+    return jnp.concatenate([jnp.zeros_like(none), k * sines, -k * cosines, jnp.zeros_like(last)], axis=axis)
+
+
+def _clamped(grid: Grid, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """cos^2(pi x / L) at `places`, still outside the pad, and its slope (1/m)."""
+    turn = np.pi * np.clip(places / grid.window, -0.5, 0.5)
+    return np.cos(turn) ** 2, -np.pi / grid.window * np.sin(2 * turn)
+
+
+class _Layer(NamedTuple):
+    """Parts of the layer's response to each wave; sinh and cosh of q carry exp(-q), the determinant exp(-2q)."""
+
+    kappa: Array
+    shear: Array
+    k: Array  # 1/m, with 1 / h in place of zero
+    uniform: Array  # where k = 0
+    q: Array  # k h
+    fall: Array  # exp(-2q)
+    sinh: Array
+    cosh: Array
+    determinant: Array
+
+
+def _layer(pad: Pad, grid: Grid) -> _Layer:
+    k = np.hypot(grid.wavenumbers[:, None], grid.wavenumbers[None, :])
+    uniform = jnp.asarray(k == 0)
+    safe = jnp.where(uniform, 1 / pad.thickness, k)
+    q = safe * pad.thickness
+    fall = jnp.exp(-2 * q)
+    kappa = 3 - 4 * pad.poisson
+    determinant = kappa * (1 + fall**2) / 2 + fall * (2 * q**2 + (kappa**2 + 1) / 2)
+    sinh, cosh = (1 - fall) / 2, (1 + fall) / 2
+    return _Layer(kappa, pad.young / (2 * (1 + pad.poisson)), safe, uniform, q, fall, sinh, cosh, determinant)
+
+
+class _Height(NamedTuple):
+    """q, sinh q and cosh q at some height above the base. Both carry exp(-Q); a and b carry it too and D its square, so
+    that all these factors cancel.
+    """
+
+    above: Array  # m
+    q: Array
+    sinh: Array
+    cosh: Array
+
+
+def _height(pad: Pad, layer: _Layer, depth: Array | float) -> _Height:
+    above = pad.thickness - depth
+    rise, fall = jnp.exp(-layer.k * (pad.thickness - above)), jnp.exp(-layer.k * (pad.thickness + above))
+    return _Height(above, layer.k * above, (rise - fall) / 2, (rise + fall) / 2)
+
+
+def _under_pressure(pad: Pad, grid: Grid, depth: Array | float) -> tuple[Array, Array, Array]:
+    """For each wave: displacement along x (y) per slope of the pressure, along z per pressure; rotation per slope."""
+    layer = _layer(pad, grid)
+    at = _height(pad, layer, depth)
+    over = 1 / (2 * layer.shear * layer.k * layer.determinant)
+    a = -over * ((layer.kappa + 1) * layer.cosh + 2 * layer.q * layer.sinh)
+    b = -over * ((layer.kappa - 1) * layer.sinh - 2 * layer.q * layer.cosh)
+    flat = -at.above * (1 + pad.poisson) * (1 - 2 * pad.poisson) / (pad.young * (1 - pad.poisson))
+    along = (-a * at.q * at.sinh - b * (layer.kappa * at.sinh + at.q * at.cosh)) / layer.k  # flat has no slope
+    down = jnp.where(layer.uniform, flat, a * (layer.kappa * at.sinh - at.q * at.cosh) - b * at.q * at.sinh)
+    turn = (layer.kappa + 1) * (a * at.sinh + b * at.cosh) / 2
+    return along, down, turn
+
+
+def _under_traction(pad: Pad, grid: Grid, depth: Array | float) -> tuple[Array, Array, Array, Array, Array]:
+    """For each wave: displacement along its traction, for the parts along and across it; along z per divergence;
+    rotation about the axis square to the traction, for the parts along and across it.
+    """
+    layer = _layer(pad, grid)
+    at = _height(pad, layer, depth)
+    over = 1 / (2 * layer.shear * layer.k * layer.determinant)
+    a = over * ((layer.kappa - 1) * layer.sinh + 2 * layer.q * layer.cosh)
+    b = over * ((layer.kappa + 1) * layer.cosh - 2 * layer.q * layer.sinh)
+    lengthwise = a * at.q * at.sinh + b * (layer.kappa * at.sinh + at.q * at.cosh)
+    across = jnp.where(layer.uniform, at.above / layer.shear, at.sinh / (layer.shear * layer.k * layer.cosh))
+    down = (a * (layer.kappa * at.sinh - at.q * at.cosh) - b * at.q * at.sinh) / layer.k
+    turn = (layer.kappa + 1) * (a * at.sinh + b * at.cosh) * layer.k / 2
+    bend = jnp.where(layer.uniform, 0.5 / layer.shear, at.cosh / (2 * layer.shear * layer.cosh))
+    return lengthwise, across, down, turn, bend
+
+
+def _product(left: Array | np.ndarray, middle: Array, right: Array | np.ndarray) -> Array:
+    """left @ middle @ right.T, each product over the last axis, which is quickest in a batch."""
+    dtype = middle.dtype
+    rows = _dot(middle, jnp.asarray(right.T, dtype)).swapaxes(-1, -2)
+    return _dot(rows, jnp.asarray(left.T, dtype)).swapaxes(-1, -2)
