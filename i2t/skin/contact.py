@@ -165,14 +165,14 @@ def _track(grid: Grid, forced: bool, at: tuple, change: tuple) -> tuple[tuple, t
     d_pressure = jax.lax.custom_linear_solve(
         lambda values: allowed(deflect(allowed(values))),
         -opened,
-        lambda operator, values: _conjugate_gradients(operator, allowed(values)),
+        lambda operator, values: conjugate_gradients(operator, allowed(values)),
         symmetric=True,
     )
     d_gap = deflect(d_pressure) + opened
     return (pressure, gap, level), (d_pressure, d_gap, mean(d_gap) if forced else jnp.zeros_like(level))
 
 
-def _conjugate_gradients(operator: Callable[[Array], Array], b: Array) -> Array:
+def conjugate_gradients(operator: Callable[[Array], Array], b: Array) -> Array:
     """x with operator(x) = b, of a symmetric operator that is positive on a subspace with b in it; x is in it too."""
     tolerance = (20 * float(jnp.finfo(b.dtype).eps)) ** 2 * jnp.sum(b * b)
 

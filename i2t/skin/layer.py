@@ -19,7 +19,11 @@ D = kappa cosh 2Q + 2 Q^2 + 5 - 12 nu + 8 nu^2:
 and traction across the wave shears the layer as a string of plates, u = t sinh q / (mu k cosh Q). At the surface the
 pressure's W gives
 
-    G(k) = (1 - nu) / (mu k) [kappa sinh 2Q - 2Q] / D,   G(0) = h (1 + nu)(1 - 2 nu) / (E (1 - nu)).
+    G(k) = (1 - nu) / (mu k) [kappa sinh 2Q - 2Q] / D,   G(0) = h (1 + nu)(1 - 2 nu) / (E (1 - nu)),
+
+and the other surface compliances simplify likewise, free of differences of large numbers:
+(kappa + 1) (kappa sinh Q cosh Q + Q) / (2 mu k D) of a traction along the wave, tanh Q / (mu k) across it, and
+(kappa (kappa - 1) sinh^2 Q - 2 Q^2) / (2 mu k^2 D) from the pressure's slope to the motion along it.
 
 All is written with decaying exponentials so that nothing overflows.
 
@@ -179,13 +183,18 @@ def compliance(pad: Pad, grid: Grid = GRID) -> Float[Array, "k k"]:
 
 def tangential_compliance(pad: Pad, grid: Grid = GRID) -> tuple[Float[Array, "k k"], Float[Array, "k k"]]:
     """As `compliance`, of the surface along the traction: for its parts along and across each wave."""
-    lengthwise, across, *_ = _under_traction(pad, grid, 0.0)
-    return lengthwise, across
+    layer = _layer(pad, grid)
+    modulus = layer.shear * layer.k
+    lengthwise = (layer.kappa + 1) * (layer.kappa * layer.sinh * layer.cosh + layer.q * layer.fall)
+    across = jnp.where(layer.uniform, pad.thickness / layer.shear, layer.sinh / (modulus * layer.cosh))
+    return lengthwise / (2 * modulus * layer.determinant), across
 
 
 def spread(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "2 n n"]:
     """Displacement (m) of the surface along x and y under a pressure (Pa) alone."""
-    waves = spectrum(pressure, grid) * _under_pressure(pad, grid, 0.0)[0]
+    layer = _layer(pad, grid)
+    along = layer.kappa * (layer.kappa - 1) * layer.sinh**2 - 2 * layer.q**2 * layer.fall
+    waves = spectrum(pressure, grid) * along / (2 * layer.shear * layer.k**2 * layer.determinant)
     return evaluate(jnp.stack([_slope(waves, 1, grid), _slope(waves, 0, grid)]), grid)
 
 

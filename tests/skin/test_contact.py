@@ -19,6 +19,7 @@ with warnings.catch_warnings():
 
 Y, X = np.meshgrid(GRID.centres, GRID.centres, indexing="ij")
 PAD = nominal_pad()
+SHAPE = np.cos(np.pi * X / 20e-3) ** 2 * np.cos(np.pi * Y / 20e-3) ** 2  # in which a skin held at its edge sinks
 solve = jax.jit(contact.solve, static_argnums=(3, 5, 6))
 solve_force = jax.jit(contact.solve_force, static_argnums=(3, 5, 6))
 
@@ -222,12 +223,14 @@ PLACES = np.arange(-2, 3) * STEP + 1.2e-3  # a 5 x 5 stencil off the load's axis
 DIFFERENCES = 0.01
 
 
-@pytest.fixture(scope="module")
-def smooth_load():
-    """A smooth load about 2 mm wide, and displacement and rotation on the stencil as functions of depth."""
+@pytest.fixture(scope="module", params=["pressed", "pressed and dragged"])
+def smooth_load(request):
+    """Smooth loads about 2 mm wide, and displacement and rotation on the stencil as functions of depth."""
     pressure = jnp.asarray(2e4 * np.exp(-((X - 0.4e-3) ** 2 + 2 * Y**2) / (2 * 2e-3**2)), jnp.float32)
-    inside = jax.jit(lambda depth: layer.interior(PAD, layer.load(PAD, pressure), depth, GRID, PLACES))
-    return pressure, lambda depth: tuple(np.asarray(field, float) for field in inside(depth))
+    drags = [1e4 * np.exp(-(X**2 + (Y - b) ** 2) / (2 * 2e-3**2)) for b in (0.5e-3, -1e-3)]
+    traction = jnp.asarray(np.stack([drags[0], -0.6 * drags[1]]), jnp.float32) if "drag" in request.param else None
+    inside = jax.jit(lambda depth: layer.interior(PAD, layer.load(PAD, pressure, traction), depth, GRID, PLACES))
+    return pressure, traction, lambda depth: tuple(np.asarray(field, float) for field in inside(depth))
 
 
 def _slopes(inside, depth):
@@ -241,7 +244,7 @@ def _slopes(inside, depth):
 
 @pytest.mark.parametrize("depth", [0.2e-3, 1.0e-3, 1.7e-3])
 def test_interior_is_in_equilibrium(smooth_load, depth):
-    _, inside = smooth_load
+    *_, inside = smooth_load
     stack = np.stack([inside(depth - i * STEP)[0] for i in (-1, 0, 1)], axis=1)[:, :, 1:4, 1:4]  # (3, z, y, x)
     second = np.array([[_second_difference(stack, 3 - a, 3 - b) for b in range(3)] for a in range(3)]) / STEP**2
     laplacian, of_divergence = np.einsum("aac->c", second), np.einsum("acc->a", second)
@@ -250,7 +253,7 @@ def test_interior_is_in_equilibrium(smooth_load, depth):
 
 
 def test_rotation_is_half_the_curl(smooth_load):
-    _, inside = smooth_load
+    *_, inside = smooth_load
     for depth in (0.1e-3, 1.0e-3, 1.9e-3):
         slope = _slopes(inside, depth)
         curl = np.array([slope[2, 1] - slope[1, 2], slope[0, 2] - slope[2, 0], slope[1, 0] - slope[0, 1]])
@@ -258,29 +261,87 @@ def test_rotation_is_half_the_curl(smooth_load):
 
 
 def test_interior_carries_the_load(smooth_load):
-    pressure, inside = smooth_load
+    pressure, traction, inside = smooth_load
     young, nu = float(PAD.young), float(PAD.poisson)
     shear, lame = young / (2 * (1 + nu)), young * nu / ((1 + nu) * (1 - 2 * nu))
-    waves, _ = layer.basis(GRID, PLACES[2:3])
-    load = (waves.T @ np.asarray(layer.spectrum(pressure)) @ waves).item()
+
+    def there(load):
+        return layer.evaluate(layer.spectrum(load), GRID, PLACES[2:3])[..., 0, 0]
+
+    load, drag = there(pressure), np.zeros(2) if traction is None else there(traction)
     # Stresses at three depths, extrapolated to the surface by a parabola.
     slopes = np.stack([_slopes(inside, i * STEP) for i in (1, 2, 3)])
     normal = lame * np.einsum("dcc->d", slopes) + 2 * shear * slopes[:, 2, 2]
-    sheared = shear * (slopes[:, 0, 2] + slopes[:, 2, 0])
+    sheared = shear * (slopes[:, :2, 2] + slopes[:, 2, :2])
     outwards = np.array([3, -3, 1])
     # lame is 24 times the shear modulus at nu = 0.48 and multiplies the errors of the divergence.
     np.testing.assert_allclose(outwards @ normal, -load, rtol=10 * DIFFERENCES)
-    assert abs(outwards @ sheared) < DIFFERENCES * load
+    np.testing.assert_allclose(outwards @ sheared, drag, atol=DIFFERENCES * float(load))
 
 
 def test_interior_ends_at_the_base_and_the_surface(smooth_load):
-    pressure, _ = smooth_load
-    waves = layer.load(PAD, pressure)
-    bottom, _ = layer.interior(PAD, waves, PAD.thickness)
+    pressure, traction, _ = smooth_load
+    load = layer.load(PAD, pressure, traction)
+    bottom, _ = layer.interior(PAD, load, PAD.thickness)
     np.testing.assert_allclose(bottom, np.zeros((3, 40, 40)), atol=1e-10)
-    top, _ = layer.interior(PAD, waves, 0.0)
-    sunk = layer.convolve(layer.compliance(PAD), pressure)
-    np.testing.assert_allclose(-top[2], sunk, atol=1e-6 * float(sunk.max()))
+    top, _ = layer.interior(PAD, load, 0.0)
+    if traction is None:
+        sunk = layer.convolve(layer.compliance(PAD), pressure)
+        np.testing.assert_allclose(-top[2], sunk, atol=1e-6 * float(sunk.max()))
+        dragged = jnp.zeros((2, 40, 40))
+    else:
+        lengthwise, across = layer.tangential_compliance(PAD)
+        parts = layer.drag(layer.spectrum(traction))
+        dragged = layer.evaluate(
+            lengthwise[None] * parts.lengthwise + across[None] * (parts.traction - parts.lengthwise)
+        )
+    # 2 Q^2 is at most 640, so that many roundings may be left where `interior` does not cancel it.
+    np.testing.assert_allclose(top[:2], dragged + layer.spread(PAD, pressure), atol=1e-4 * float(abs(top[:2]).max()))
+
+
+def test_pressure_and_traction_answer_each_other():
+    """Betti: the work of one load on the other's motion is the same both ways."""
+    rng = np.random.default_rng(3)
+    pressure, (one, two) = rng.random((40, 40)), rng.normal(size=(2, 2, 40, 40))
+    pressure, one, two = (jnp.asarray(load, jnp.float32) for load in (pressure, one, two))
+    none = jnp.zeros((40, 40))
+    top = [layer.interior(PAD, layer.load(PAD, none, drag), 0.0)[0] for drag in (one, two)]
+    # Traction does work on motion along it, pressure on motion down.
+    np.testing.assert_allclose(jnp.sum(one * top[1][:2]), jnp.sum(two * top[0][:2]), rtol=1e-4)
+    np.testing.assert_allclose(-jnp.sum(pressure * top[0][2]), jnp.sum(one * layer.spread(PAD, pressure)), rtol=1e-3)
+
+
+@pytest.mark.parametrize("give", [2e-5, 2e-4])
+def test_a_skin_held_at_its_edge_sinks_away_from_the_object(give):
+    """Its pressure is that of a bonded skin whose surface has sunk by as much as this pressure sinks it."""
+    pad = PAD._replace(give=jnp.asarray(give))
+    height, depth = (jnp.asarray(value, jnp.float32) for value in SHAPES["tilted stamp"])
+    found, bonded = solve(pad, height, depth), solve(PAD, height, depth)
+    assert found.converged
+    load = layer.weight(found.pressure)
+    np.testing.assert_allclose(load, np.sum(np.asarray(found.pressure) * SHAPE) * GRID.spacing**2, rtol=1e-5)
+    sunk = give * load * jnp.asarray(SHAPE, jnp.float32)
+    again = solve(PAD, height + sunk, depth)
+    np.testing.assert_allclose(again.pressure, found.pressure, atol=1e-3 * float(found.pressure.max()))
+    assert found.force < bonded.force
+    # The whole skin moves as a plate: through its thickness, at its middle, and with no motion of its rim.
+    moved, turned = layer.interior(pad, layer.load(pad, found.pressure), 1e-3)
+    alone, turned_alone = layer.interior(PAD, layer.load(PAD, found.pressure), 1e-3)
+    np.testing.assert_allclose((moved - alone)[2], -sunk, atol=1e-4 * float(sunk.max()))
+    slope = [np.gradient(np.asarray(moved - alone)[2], GRID.spacing, axis=axis) for axis in (0, 1)]
+    inner = np.s_[1:-1, 1:-1]  # where differences are central: they miss (pi / 40)^2 of the slope
+    for found_slope, expected in zip((turned - turned_alone)[:2], (slope[0], -slope[1]), strict=True):
+        np.testing.assert_allclose(found_slope[inner], expected[inner], atol=0.02 * np.abs(expected).max())
+    forced = solve_force(pad, height, found.force)
+    np.testing.assert_allclose(forced.indentation, depth, rtol=20 * contact.TOLERANCE)
+
+
+def test_a_bonded_skin_has_no_global_motion():
+    pressure = solve(PAD, jnp.asarray(SHAPES["sphere"][0], jnp.float32), 0.5e-3).pressure
+    assert layer.load(PAD, pressure).sunk == 0
+    # Its compliance is that of the layer alone, bit for bit.
+    soft = contact._softness(PAD, GRID)
+    np.testing.assert_array_equal(contact._deflect(soft, pressure, GRID), layer.convolve(soft.kernel, pressure))
 
 
 def test_interior_follows_the_indenter():

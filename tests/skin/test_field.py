@@ -17,7 +17,7 @@ with warnings.catch_warnings():
     import magpylib
 
 PAD = nominal_pad()
-response = jax.jit(field.response)
+response, pressed = jax.jit(field.response), jax.jit(field.pressed_field)
 sample = jax.jit(sample_pad)
 Y, X = np.meshgrid(GRID.centres, GRID.centres, indexing="ij")
 
@@ -71,11 +71,14 @@ def test_the_layer_at_rest_agrees_with_solid_magnets(pattern):
     np.testing.assert_allclose(field.rest_field(pad), exact, atol=1e-3 * np.abs(exact).max())
 
 
-def test_a_pressed_layer_agrees_with_magpylib():
-    """Every dipole moved and turned by hand, its field by magpylib."""
+@pytest.mark.parametrize("held", [False, True])
+def test_a_pressed_layer_agrees_with_magpylib(held):
+    """Every dipole moved and turned by hand, its field by magpylib; with friction and held at its edge or without."""
     pad, pressure = sample(jax.random.key(5)), _load(1)
+    pad = pad._replace(give=jnp.asarray(1e-4)) if held else pad
+    traction = 0.5 * jnp.stack([pressure, -0.5 * pressure]) if held else None
     depths, moments = field.sheets(pad)
-    waves = layer.load(pad, pressure)
+    waves = layer.load(pad, pressure, traction)
     inside, exact = jax.jit(layer.interior), np.zeros((5, 3))
     for depth, sheet in zip(depths, moments, strict=True):
         u, w = (np.moveaxis(np.asarray(a, float), 0, -1).reshape(-1, 3) for a in inside(pad, waves, depth))
@@ -87,7 +90,21 @@ def test_a_pressed_layer_agrees_with_magpylib():
             *(magpylib.misc.Dipole(moment=m, position=p) for m, p in zip(turned, places, strict=True))
         )
         exact += 1e6 * dipoles.getB(np.asarray(pad.board.chips))
-    np.testing.assert_allclose(jax.jit(field.pressed_field)(pad, pressure), exact, atol=1e-5 * np.abs(exact).max())
+    np.testing.assert_allclose(pressed(pad, pressure, traction=traction), exact, atol=1e-5 * np.abs(exact).max())
+
+
+def test_a_skin_held_at_its_edge_moves_at_all_its_chips():
+    """Also at those 9 mm and more from the load, and in proportion to the load and to how far it gives."""
+    x, y = -4e-3, 4e-3
+    pressure = jnp.asarray(4e4 * (((X - x) ** 2 + (Y - y) ** 2) < 2.5e-3**2), jnp.float32)
+    pad = sample(jax.random.key(5))
+    bonded, once, twice = (
+        np.asarray(response(pad._replace(give=jnp.asarray(give)), pressure)).reshape(5, 3) for give in (0, 1e-4, 2e-4)
+    )
+    far = np.linalg.norm(np.asarray(pad.board.chips)[:, :2] - [x, y], axis=1) > 9e-3
+    assert far.sum() == 2
+    assert np.all(np.linalg.norm(once - bonded, axis=1) > 1)  # uT
+    np.testing.assert_allclose((twice - bonded)[far], 2 * (once - bonded)[far], atol=0.5)
 
 
 def test_turning_is_a_rotation():

@@ -87,8 +87,6 @@ def test_reading_follows_its_inputs(double):
     run = jax.jit(exact)
     difference = (run(*_moved(at, way, STEP)) - run(*_moved(at, way, -STEP))) / (2 * STEP)
     # `press` stops at 1e-5 of the deflection, which is also about what its derivative may miss.
-    slope = jax.jit(lambda at, way: jax.jvp(read, at, way)[1])(at, way)
-    np.testing.assert_allclose(slope, difference, atol=ASKED * np.abs(difference).max())
     weights = jnp.asarray(np.random.default_rng(5).normal(size=15))
     pulled = jax.jit(lambda at: jax.vjp(read, *at)[1](weights))(at)
     total = sum(jnp.sum(g * w) for g, w in zip(*map(jax.tree.leaves, (pulled, way)), strict=True))
