@@ -9,11 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from test_contact import PAD, SHAPES, _reference
+from test_elements import THICKNESS, cap, displacement, interpolate
 from test_field import _tip
 
-from i2t.skin import contact
-from i2t.skin.contact import FINE, GRID, Grid
+from i2t.skin import contact, field, layer
 from i2t.skin.field import NODES, response
+from i2t.skin.layer import FINE, GRID, Grid
 from i2t.skin.pad import nominal_pad, press, press_force, sample_pad
 
 RANDOM = np.random.default_rng(1)
@@ -43,6 +44,66 @@ def against_hertz() -> None:
     found = jax.jit(lambda pad, height: contact.solve(pad, height, indentation, grid))(pad, height)
     modulus = float(pad.young) / (1 - float(pad.poisson) ** 2)
     print(f"\nforce over Hertz's: {found.force / (4 / 3 * modulus * np.sqrt(radius) * indentation**1.5):.4f}")
+
+
+def free_sides() -> None:
+    """The bonded pad in space, of 1 mm Taylor-Hood bricks, three through its thickness, half of it by symmetry."""
+    pads = [PAD, *(sample_pad(jax.random.key(i)) for i in range(4))]
+    pads = [pad._replace(thickness=PAD.thickness, young=PAD.young) for pad in pads]
+    axes = np.linspace(-10e-3, 10e-3, 21), np.linspace(0, 10e-3, 11), np.linspace(-THICKNESS, 0, 4)
+    half = GRID.centres[GRID.cells // 2 :]
+    along, ahead = interpolate(axes[0], GRID.centres), interpolate(axes[1], half)
+    mirror = np.array([1, -1, 1])[:, None, None], np.array([-1, 1, -1])[:, None, None]  # of a vector, of a rotation
+
+    def inside(moved: np.ndarray, depth: float) -> tuple[np.ndarray, np.ndarray]:
+        up = interpolate(axes[2], np.array([-depth]))
+        pick = lambda x, y, z: np.einsum("czyx,ix,jy,z->cji", moved, along[x], ahead[y], up[z][0])  # noqa: E731
+        u, by_x, by_y, by_z = pick(0, 0, 0), pick(1, 0, 0), pick(0, 1, 0), pick(0, 0, 1)
+        turned = np.stack([by_y[2] - by_z[1], by_z[0] - by_x[2], by_x[1] - by_y[0]]) / 2
+        both = zip(mirror, (u, turned), strict=True)
+        return tuple(np.concatenate([sign * part[:, ::-1], part], 1) for sign, part in both)
+
+    @jax.jit
+    def read(pad, motions):
+        depths, moments = field.sheets(pad)
+        parts = [
+            field._at_chips(pad, field._places(depth, GRID) + moved, field.turn(turned, sheet))
+            for depth, sheet, (moved, turned) in zip(depths, moments, motions, strict=True)
+        ]
+        return pad.gains * pad.board.to_board(sum(parts) - field.rest_field(pad))
+
+    y, x = np.meshgrid(FINE.centres, FINE.centres, indexing="ij")
+    depths = np.asarray(field.sheets(PAD)[0], float)
+    print("\na pad with free sides: sink under the load, largest error of the surface, change of the reading")
+    push = 0.02e-3
+    for name, centre in {
+        "middle": 0,
+        "1 h from the rim": 6e-3,
+        "at the rim": 8e-3,
+        "over it": 10e-3,
+        "face": None,
+    }.items():
+        if centre is None:
+            moved, force = displacement(axes, None, [(1, 0, 1)], pushed=push)
+            found = contact.solve(PAD, jnp.zeros((80, 80)), push, FINE)
+            pressure = np.asarray(found.pressure) * 2 * force / float(found.force)  # the same force
+            print(f"{name}: {2 * force:.3f} N, {found.force:.3f} N without free sides")
+        else:
+            moved, _ = displacement(axes, lambda p, c=centre: (0, 0, -cap(np.hypot(p[0] - c, p[1]))), [(1, 0, 1)])
+            pressure = cap(np.hypot(x - centre, y))
+        pressure = jnp.asarray(pressure, jnp.float32)
+        load = layer.load(PAD, pressure, None, FINE, GRID)
+        top, ours = inside(moved, 0.0)[0], np.asarray(layer.interior(PAD, load, 0.0)[0])
+        weight = np.asarray(pressure).reshape(40, 2, 40, 2).mean(axis=(1, 3))
+        sink = np.sum(weight * ours[2]) / np.sum(weight * top[2]) - 1
+        worst = np.abs(ours - top).max() / np.abs(top).max()
+        motions = [tuple(jnp.asarray(part, jnp.float32) for part in inside(moved, depth)) for depth in depths]
+        free = np.stack([read(pad, motions) for pad in pads])
+        endless = np.stack([response(pad, pressure, FINE, GRID) for pad in pads])
+        change = np.sqrt(np.sum((endless - free) ** 2) / np.sum(free**2))
+        print(
+            f"{name}: {sink:+.1%}, {worst:.1%}, {change:.1%} ({np.linalg.norm(free, axis=1).round(1)} uT)", flush=True
+        )
 
 
 def _edge(x, y, angle, offset, slope):
@@ -149,6 +210,7 @@ def magnitudes() -> None:
 if __name__ == "__main__":
     against_contact_mechanics()
     against_hertz()
+    free_sides()
     refinement()
     speed()
     magnitudes()

@@ -1,0 +1,170 @@
+"""The motion inside the layer against finite elements, which know nothing of waves.
+
+Taylor and Hood's elements (quadratic displacement, linear pressure, continuous), which do not lock at nu near 0.5, on
+grids of rectangles or bricks. Boundary conditions: the base is bonded (u = 0); the top carries the load; the walls are
+far away and let nothing through (u across them is 0), or, of a pad in space, are free.
+"""
+
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.sparse import bmat
+from scipy.sparse.linalg import splu
+
+from i2t.skin import layer
+from i2t.skin.layer import FINE, Grid
+from i2t.skin.pad import nominal_pad
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")
+    import skfem
+    from skfem.helpers import ddot, div, sym_grad
+
+PAD = nominal_pad()
+THICKNESS, YOUNG, NU = (float(value) for value in (PAD.thickness, PAD.young, PAD.poisson))
+SHEAR = YOUNG / (2 * (1 + NU))
+LAME = 2 * SHEAR * NU / (1 - 2 * NU)
+WIDE = 16e-3  # m from the load to the walls: eight thicknesses
+RADIUS = 2e-3  # m of the loads
+DEPTHS = np.array([0, 0.5, 1.0, 1.5]) * 1e-3
+ASKED = 0.02  # of the largest displacement
+
+
+def cap(distance):
+    """A pressure (Pa) like a tip's."""
+    return 4e4 * np.maximum(1 - (distance / RADIUS) ** 2, 0)
+
+
+def displacement(axes, load, fixed, around_axis=False, pushed=None):
+    """Displacement (components, nodes of each axis, the last first) at the corners, edges and middles of the elements
+    whose edges are `axes` (m, the last is z from -THICKNESS to 0), under `load(places) -> components` (Pa) on the top,
+    or where the top is pushed evenly and without friction by `pushed` (m); and the force (N) on it.
+
+    `fixed` names what is held besides the base: axis, which of its end walls (0, -1), and component. `around_axis`
+    takes the first axis as the distance from an axis of symmetry.
+    """
+    dim = len(axes)
+    mesh = (skfem.MeshQuad if dim == 2 else skfem.MeshHex).init_tensor(*axes)
+    square, line = (
+        (skfem.ElementQuad2(), skfem.ElementQuad1()) if dim == 2 else (skfem.ElementHex2(), skfem.ElementHex1())
+    )
+    basis = skfem.Basis(mesh, skfem.ElementVector(square), intorder=4)
+    scalar = basis.with_element(line)
+    top = skfem.FacetBasis(mesh, skfem.ElementVector(square), facets=mesh.facets_satisfying(lambda x: x[-1] > -1e-9))
+
+    def measure(w):
+        return w.x[0] if around_axis else 1.0
+
+    @skfem.BilinearForm
+    def shearing(u, v, w):
+        hoop = u[0] * v[0] / w.x[0] ** 2 if around_axis else 0.0
+        return 2 * SHEAR * (ddot(sym_grad(u), sym_grad(v)) + hoop) * measure(w)
+
+    @skfem.BilinearForm
+    def swelling(u, q, w):
+        return (div(u) + (u[0] / w.x[0] if around_axis else 0.0)) * q * measure(w)
+
+    @skfem.BilinearForm
+    def squeezing(p, q, w):
+        return p * q / LAME * measure(w)
+
+    @skfem.LinearForm
+    def loading(v, w):
+        return sum(part * v[i] for i, part in enumerate(load(w.x))) * measure(w)
+
+    coupling = swelling.assemble(basis, scalar)
+    matrix = bmat([[shearing.assemble(basis), -coupling.T], [-coupling, -squeezing.assemble(scalar)]]).tocsc()
+    size = matrix.shape[0]
+    entities = [basis.nodal_dofs, *([basis.edge_dofs] if dim == 3 else []), basis.facet_dofs, basis.interior_dofs]
+    parts = [np.concatenate([np.asarray(dofs)[i] for dofs in entities]) for i in range(dim)]  # in one order of nodes
+    places = basis.doflocs[:, parts[0]]
+    held = [dofs[np.isclose(places[-1], -THICKNESS)] for dofs in parts]
+    held += [parts[component][np.isclose(places[axis], axes[axis][end])] for axis, end, component in fixed]
+    right, solution = np.zeros((2, size))
+    pressed = parts[-1][np.isclose(places[-1], 0, atol=1e-9)]
+    if pushed is None:
+        right[: basis.N] = loading.assemble(top)
+    else:
+        held.append(pressed)
+        solution[pressed] = -pushed
+    free = np.setdiff1d(np.arange(size), np.concatenate(held))
+    solution[free] = splu(matrix[free][:, free]).solve((right - matrix @ solution)[free])
+    order = np.lexsort(np.round(places, 9))
+    shape = tuple(2 * len(axis) - 1 for axis in reversed(axes))
+    return np.stack([solution[dofs[order]].reshape(shape) for dofs in parts]), -np.sum((matrix @ solution)[pressed])
+
+
+def interpolate(axis, places):
+    """(places, nodes): quadratic interpolation within elements, and (places, nodes) of its slope."""
+    element = np.clip(np.searchsorted(axis, places) - 1, 0, len(axis) - 2)
+    width = axis[element + 1] - axis[element]
+    t = (places - axis[element]) / width
+    values, slopes = np.zeros((2, len(places), 2 * len(axis) - 1))
+    rows = np.arange(len(places))
+    shapes = [(1 - t) * (1 - 2 * t), 4 * t * (1 - t), t * (2 * t - 1)]
+    rises = [4 * t - 3, 4 - 8 * t, 4 * t - 1]
+    for i in range(3):
+        values[rows, 2 * element + i] = shapes[i]
+        slopes[rows, 2 * element + i] = rises[i] / width
+    return values, slopes
+
+
+def graded(edge, far, fine, coarse):
+    """Element edges from 0 to `far` (m): `fine` up to `edge`, then `coarse`."""
+    return np.concatenate([np.arange(0, edge, fine), np.linspace(edge, far, round((far - edge) / coarse) + 1)])
+
+
+DEEP = np.linspace(-THICKNESS, 0, 9)
+
+
+def test_a_round_press_agrees_with_finite_elements():
+    radial = graded(4e-3, WIDE, 0.25e-3, 1e-3)
+    ends = [(0, 0, 0), (0, -1, 0)]
+    found, _ = displacement((radial, DEEP), lambda x: (0, -cap(x[0])), ends, around_axis=True)
+    places = np.arange(0.125e-3, 6e-3, 0.25e-3)  # cell centres of FINE
+    exact = np.einsum("cij,di,rj->dcr", found, interpolate(DEEP, -DEPTHS)[0], interpolate(radial, places)[0])
+    # The grid's centres lie beside the axis: take the load's middle to one of them.
+    middle = FINE.centres[40]
+    y, x = np.meshgrid(FINE.centres, FINE.centres, indexing="ij")
+    pressure = jnp.asarray(cap(np.hypot(x - middle, y - middle)), jnp.float32)
+    load = layer.load(PAD, pressure, None, FINE)
+    inside = jax.jit(lambda depth: layer.interior(PAD, load, depth, FINE, np.append(middle, middle + places))[0])
+    for depth, expected in zip(DEPTHS, exact, strict=True):
+        ours = np.asarray(inside(depth))[:, 0, 1:]  # along x from the axis
+        assert np.abs(ours[[0, 2]] - expected).max() < ASKED * np.abs(exact).max()
+
+
+@pytest.fixture(scope="module")
+def strip():
+    """Plane strain under a pressure and a traction across the strip that is off its middle."""
+    half = graded(5e-3, WIDE, 0.25e-3, 1e-3)
+    across = np.concatenate([-half[:0:-1], half])
+
+    def load(x):
+        return 0.7 * cap(x[0] - 0.9e-3), -cap(x[0])
+
+    return across, displacement((across, DEEP), load, [(0, 0, 0), (0, -1, 0)])[0]
+
+
+def test_a_dragged_strip_agrees_with_finite_elements(strip):
+    """Displacement and rotation, in a series whose period is loaded along its whole length."""
+    across, found = strip
+    grid = Grid(128, 128, 2 * WIDE)
+    x = np.broadcast_to(grid.centres, (128, 128))
+    pressure, along = (jnp.asarray(cap(x - shift), jnp.float32) for shift in (0, 0.9e-3))
+    traction = 0.7 * jnp.stack([along, jnp.zeros_like(along)])
+    load = layer.load(PAD._replace(give=jnp.zeros(())), pressure, traction, grid)
+    places = np.linspace(-6e-3, 6e-3, 50)
+    inside = jax.jit(lambda depth: layer.interior(PAD, load, depth, grid, places))
+    values, slopes = interpolate(across, places)
+    for depth in (0.125e-3, 0.625e-3, 1.125e-3, 1.625e-3):
+        high, steep = interpolate(DEEP, np.array([-depth]))
+        moved = np.einsum("cij,di,rj->cr", found, high, values)
+        turned = (found[0].T @ steep[0] @ values.T - slopes @ (high[0] @ found[1])) / 2
+        displaced, rotated = (np.asarray(part)[:, len(places) // 2] for part in inside(depth))
+        assert np.abs(displaced[[0, 2]] - moved).max() < ASKED * np.abs(found).max()
+        assert np.abs(rotated[1] - turned).max() < ASKED * np.abs(turned).max()
+        assert np.abs(displaced[1]).max() < 1e-3 * np.abs(found).max()
