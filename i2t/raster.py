@@ -25,8 +25,9 @@ from jaxtyping import Array, Float, Int
 
 from i2t.arrays import apart, cut, indices, put
 from i2t.bits import BITS, pack, pick, running_sums
-from i2t.clusters import GROUP
-from i2t.tiles import FLAT, TERMS, Clusters, Grid, View, Wanted, draw_clusters, to_tool
+from i2t.clusters import FINE, GROUP
+from i2t.dense import cast_dense
+from i2t.tiles import FLAT, TERMS, Clusters, Grid, View, Wanted, blank, draw_clusters, place_boxes, spread, to_tool
 from i2t.types import STANDOFF, Surface
 
 GROUPS = 64  # groups listed in one pass
@@ -109,13 +110,17 @@ def _cast(meshes, mesh: Int[Array, " p"], view: View, grid: Grid, reach: float, 
     size = triangles.shape[1] // (count * GROUP)
     mesh_clusters = Clusters(triangles.reshape(-1, size * 9), mesh, count * GROUP, size)
     boxes = boxes.reshape(-1, *boxes.shape[2:])
+    groups = groups[mesh if len(groups) > 1 else slice(None)]
+    if size > FINE:
+        best = cast_dense(boxes, groups, mesh_clusters, view, grid, reach, GROUPS, with_faces)
+        return _images(best, grid)
     listed = min(count, GROUPS)
     chunk = min(listed, 8)
     slots = min(SLOTS, listed * GROUP)
     every = indices(poses)[:, None]
     dtype = jnp.result_type(triangles.dtype, view.linear.dtype)
 
-    seen, _ = _in_view(groups[mesh if len(groups) > 1 else slice(None)].swapaxes(0, 1), _spread(view, 1), grid.half)
+    seen, _ = _in_view(groups.swapaxes(0, 1), spread(view, 1), grid.half)
     row = groups.shape[2] // BITS
     group_words = pack([seen[:, i * row : (i + 1) * row] for i in range(BITS)])
     group_sums = running_sums(group_words)
@@ -129,7 +134,7 @@ def _cast(meshes, mesh: Int[Array, " p"], view: View, grid: Grid, reach: float, 
         def look(i):
             some = cut(ids, (0, i * chunk), (poses, chunk))
             box = boxes.at[some + mesh[:, None] * count].get(mode="promise_in_bounds")
-            hit, front = _in_view(jnp.moveaxis(box, 2, 0), _spread(view, 2), grid.half)
+            hit, front = _in_view(jnp.moveaxis(box, 2, 0), spread(view, 2), grid.half)
             hit &= (i * chunk + indices(chunk)[None] < left[:, None])[..., None]
             return jnp.where(hit, front, jnp.inf)
 
@@ -153,32 +158,29 @@ def _cast(meshes, mesh: Int[Array, " p"], view: View, grid: Grid, reach: float, 
 
         return jax.lax.fori_loop(0, 2, layer, carry)
 
-    blank = jnp.full((poses, *grid.x.shape), jnp.inf, dtype)
-    best = (blank, jnp.zeros(blank.shape, jnp.int32)) if with_faces else (blank,)
+    best = blank(poses, grid, dtype, with_faces)
     # The last row of the scratch table, for tiles that have nothing to draw, has no inside.
-    nothing = jnp.zeros((1, TERMS * size), dtype).at[:, 2 * size : 3 * size].set(-1)
+    nothing = jnp.zeros((1, TERMS * size), dtype).at[:, 6 * size : 9 * size].set(-1)
     scratch = (
         jnp.concatenate([jnp.zeros((slots * poses, TERMS * size), dtype), nothing]),
         jnp.zeros((grid.side, slots * poses * size), jnp.uint32),
         jnp.zeros(slots * poses + 1, jnp.int32),
     )
     best, _ = jax.lax.fori_loop(0, jnp.max(-(-group_sums[:, -1] // listed)), group_pass, (best, scratch))
+    return _images(best, grid)
+
+
+def _images(best, grid: Grid):
     heights = grid.images(best[0])
-    return heights, grid.images(best[1]) if with_faces else jnp.zeros(heights.shape, jnp.int32)
+    return heights, grid.images(best[1]) if len(best) == 2 else jnp.zeros(heights.shape, jnp.int32)
 
 
 def _in_view(box, view, half):
     """Which boxes (centre and half extents, six arrays) the rays can meet, and the z where each begins."""
-    centre = to_tool(box[:3], view)
-    reach = [sum(jnp.abs(view.linear[i, j]) * box[3 + j] for j in range(3)) for i in range(3)]
+    centre, reach = place_boxes(box, view)
     front, back = centre[2] - reach[2], centre[2] + reach[2]
     inside = (jnp.abs(centre[0]) - reach[0] <= half) & (jnp.abs(centre[1]) - reach[1] <= half)
     return inside & (back >= -STANDOFF), jnp.maximum(front, -STANDOFF)
-
-
-def _spread(view: View, axes: int) -> View:
-    """The view of poses on the first of `axes` + 1 axes."""
-    return jax.tree.map(lambda part: part.reshape(*part.shape, *(1,) * axes), view)
 
 
 def _flat(array):

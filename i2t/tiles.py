@@ -100,13 +100,17 @@ def draw_clusters(wanted: Wanted, clusters: Clusters, view: View, grid: Grid, sl
         at, bit = pick(wanted.words, wanted.sums, pose, order)
         name = wanted.ids.at[pose, at].get(mode="promise_in_bounds") * GROUP + bit
         corners = clusters.rows.at[clusters.mesh[pose] * clusters.per_mesh + name].get(mode="promise_in_bounds")
-        corners = corners.reshape(stride * size, 3, 3).transpose(1, 2, 0)
+        corners = corners.reshape(stride * size, 3, 3).transpose(2, 1, 0)  # axis, corner, face
         here = jax.tree.map(lambda part: jnp.repeat(part[..., pose], size, -1), view)
-        placed = [to_tool(corner, here) for corner in corners]
-        terms, drawn = _face_terms(placed, grid.half)
-        drawn &= i * stride + indices(stride * size) // size < ends[-1]
-        span = jnp.where(drawn[None], _spans(placed, grid), word(0))
-        terms = jnp.stack(terms).reshape(TERMS, stride, size).swapaxes(0, 1).reshape(stride, TERMS * size)
+        here = jax.tree.map(lambda part: part[..., None, :], here)
+        placed = apart(lambda _: to_tool(corners, here), i, i < rounds)
+        listed = i * stride + indices(stride * size) // size < ends[-1]
+        terms = face_terms(placed, listed, grid.half, 0, i < rounds)
+        solid = (terms[0][0] != 0) | (terms[1][0] != 0)  # what has no area has no edges
+        drawn = listed & solid & (larger(larger(*placed[2][:2]), placed[2][2]) >= -STANDOFF)
+        span = jnp.where(drawn[None], _spans(list(zip(*placed, strict=True)), grid), word(0))
+        terms = apart(lambda _: jnp.concatenate([*terms[:3], *(part[None] for part in terms[3:])]), i, i < rounds)
+        terms = terms.reshape(TERMS, stride, size).swapaxes(0, 1).reshape(stride, TERMS * size)
         return terms, span, name
 
     def store(i, carry):
@@ -176,6 +180,23 @@ def draw_clusters(wanted: Wanted, clusters: Clusters, view: View, grid: Grid, sl
     return jax.tree.map(lambda part, like: part.reshape(like.shape), flat, best), (faces, spans, names)
 
 
+def place_boxes(box, view):
+    """Centres and half extents (three arrays each) in the tool frame of boxes, given as six arrays of such."""
+    stretch = [sum(jnp.abs(view.linear[i, j]) * box[3 + j] for j in range(3)) for i in range(3)]
+    return to_tool(box[:3], view), stretch
+
+
+def spread(view: View, axes: int) -> View:
+    """The view of poses on the first of `axes` + 1 axes."""
+    return jax.tree.map(lambda part: part.reshape(*part.shape, *(1,) * axes), view)
+
+
+def blank(poses: int, grid: Grid, dtype, with_faces: bool):
+    """Hits before anything is drawn: heights (p, tiles, pixels) and, if asked for, faces."""
+    heights = jnp.full((poses, *grid.x.shape), jnp.inf, dtype)
+    return (heights, jnp.zeros(heights.shape, jnp.int32)) if with_faces else (heights,)
+
+
 def to_tool(point, view):
     """Coordinates (three arrays) in the tool frame; the origin is subtracted first, where it costs no digits."""
     local = [point[j] - view.origin[j] for j in range(3)]
@@ -218,44 +239,53 @@ def _draw(trips, table: _Table, begin, words, queue: _Queue, best, x, y):
         slot = jnp.where(current == 0, nothing, begin + at * BITS + lowest(current))
         row = table.faces.at[slot].get(mode="promise_in_bounds").reshape(*shape[:-1], TERMS * size)
         for f in range(size):
-            A0, B0, C0, A1, B1, C1, A2, B2, C2, slope_x, slope_y, base, low = (
-                row[..., k * size + f][..., None] for k in range(TERMS)
-            )
-            height = larger(slope_x * x + (slope_y * y + base), low)
-            inside = smaller(smaller(A0 * x + (B0 * y + C0), A1 * x + (B1 * y + C1)), A2 * x + (B2 * y + C2))
-            height = jnp.where(smaller(inside, height + STANDOFF) >= 0, height, jnp.inf)
-            if len(best) == 2:
-                name = table.names.at[slot].get(mode="promise_in_bounds").reshape(shape[:-1]) * size + f
-                best = (smaller(best[0], height), jnp.where(height < best[0], name[..., None], best[1]))
-            else:
-                best = (smaller(best[0], height),)
+            name = table.names.at[slot].get(mode="promise_in_bounds").reshape(shape[:-1]) * size + f
+            best = nearer(best, x, y, [row[..., k * size + f][..., None] for k in range(TERMS)], name[..., None])
         return _Queue(full, current & (current - word(1)), at), best
 
     return jax.lax.fori_loop(0, trips, trip, (queue, best))
 
 
-def _face_terms(corners, half):
-    """The numbers of faces in the tool frame, and which of them can be hit at all."""
-    (xa, ya, za), (xb, yb, zb), (xc, yc, zc) = corners
-    area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
-    flat = ~((jnp.abs(area) >= FLAT) & (jnp.abs(area) < jnp.inf))  # or not a number: never met
-    side = jnp.sign(area)
-    tolerance = ROUNDINGS * float(jnp.finfo(area.dtype).eps)
+def face_terms(corners, shown, half, axis, holds):
+    """The numbers of faces in the tool frame: A, B and C of their edges, the slopes of their planes along x and y, and
+    the heights of the plane at the origin and of the lowest corner.
 
-    def edge(xp, yp, xq, yq):
-        A, B = (jnp.where(flat, 0, side * run) for run in (yp - yq, xq - xp))
-        slack = tolerance * (jnp.abs(A) * (jnp.abs(xp) + half) + jnp.abs(B) * (jnp.abs(yp) + half))
-        return A, B, jnp.where(flat, -1, slack - (A * xp + B * yp))
+    `corners` are x, y and z with the three corners of a face along `axis`, where A, B and C have its edges. What is not
+    `shown` has no inside. `holds` is always true (see `apart`).
+    """
+    x, y, _ = corners
+    (xa, xb, xc), (ya, yb, yc), (za, zb, zc) = (
+        [jax.lax.index_in_dim(part, k, axis, keepdims=False) for k in range(3)] for part in corners
+    )
 
-    A0, B0, C0 = edge(xa, ya, xb, yb)
-    area = jnp.where(flat, 1, area)
-    slope_x = ((zb - za) * (yc - ya) - (zc - za) * (yb - ya)) / area
-    slope_y = ((zc - za) * (xb - xa) - (zb - za) * (xc - xa)) / area
+    def measure(_):
+        area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
+        solid = (jnp.abs(area) >= FLAT) & (jnp.abs(area) < jnp.inf) & shown  # and a number
+        return jnp.where(solid, jnp.sign(area), 0), 1 / jnp.where(solid, area, 1)
+
+    side, share = apart(measure, jnp.int32(0), holds)
+    side = jnp.expand_dims(side, axis)
+    xq, yq = (jnp.take(part, np.array([1, 2, 0]), axis) for part in (x, y))
+    A, B = (jnp.where(side == 0, 0, side * run) for run in (y - yq, xq - x))
+    tolerance = ROUNDINGS * float(jnp.finfo(x.dtype).eps)
+    slack = tolerance * (jnp.abs(A) * (jnp.abs(x) + half) + jnp.abs(B) * (jnp.abs(y) + half))
+    C = jnp.where(side == 0, -1, slack - (A * x + B * y))
+    slope_x = ((zb - za) * (yc - ya) - (zc - za) * (yb - ya)) * share
+    slope_y = ((zc - za) * (xb - xa) - (zb - za) * (xc - xa)) * share
     base = za - slope_x * xa - slope_y * ya
     # A steep plane means nothing beside its edge, where the tolerance still counts it: never nearer than a corner.
-    lowest, highest = smaller(smaller(za, zb), zc), larger(larger(za, zb), zc)
-    edges = (A0, B0, C0, *edge(xb, yb, xc, yc), *edge(xc, yc, xa, ya))
-    return (*edges, slope_x, slope_y, base, lowest), ~flat & (highest >= -STANDOFF)
+    return A, B, C, slope_x, slope_y, base, smaller(smaller(za, zb), zc)
+
+
+def nearer(best, x, y, face, name):
+    """The nearest hits so far and those of one face, of `TERMS` numbers, on the pixels at x and y."""
+    A0, A1, A2, B0, B1, B2, C0, C1, C2, slope_x, slope_y, base, low = face
+    height = larger(slope_x * x + (slope_y * y + base), low)
+    inside = smaller(smaller(A0 * x + (B0 * y + C0), A1 * x + (B1 * y + C1)), A2 * x + (B2 * y + C2))
+    height = jnp.where(smaller(inside, height + STANDOFF) >= 0, height, jnp.inf)
+    if len(best) == 2:
+        return smaller(best[0], height), jnp.where(height < best[0], name, best[1])
+    return (smaller(best[0], height),)
 
 
 def _spans(corners, grid):
