@@ -1,8 +1,10 @@
 """Calibration of one skin from a few of its presses.
 
-`structured` predicts all other presses of the same tip, `checks` finds what contradicts it.
+`structured` predicts all other presses of the same tip, `calibration` is what a user holds and keeps on disk, `physics`
+fits a pad, `network` learns from many other skins, and `checks` finds what contradicts them.
 """
 
+from i2t.calibrate.calibration import Calibration, calibrate, load, numbers
 from i2t.calibrate.checks import Faults, check
 from i2t.calibrate.structured import (
     DEPTH,
@@ -20,9 +22,10 @@ from i2t.calibrate.structured import (
     left_out,
     options,
     predict,
+    widening,
 )
 
 __all__ = [
-    "DEPTH", "FEW", "FORCE", "JITTER", "Faults", "Hyper", "LeftOut", "Presses", "Process", "check", "choose", "errors",
-    "fit", "growth", "left_out", "options", "predict",
+    "DEPTH", "FEW", "FORCE", "JITTER", "Calibration", "Faults", "Hyper", "LeftOut", "Presses", "Process", "calibrate",
+    "check", "choose", "errors", "fit", "growth", "left_out", "load", "numbers", "options", "predict", "widening",
 ]  # fmt: skip
