@@ -10,8 +10,8 @@ repeatability and tilt of approach. Nothing the model may later use is error fre
            the skin change or the force first crosses its limit, then felt by a skin that remembers, creeps and warms
            and read through the board with ambient and noise.
 
-`i2t.press` says where a press ends. Until there the arm travels the indentation and F / stiffness past first contact
-(series compliance of arm and mount).
+`i2t.press` says where a press ends; its rule sees the reading without friction. Until there the arm travels the
+indentation and F / stiffness past first contact (series compliance of arm and mount).
 
 Depth camera after Handa et al. (ICRA 2014): pixels are displaced sideways near edges, then noise, then quantisation.
 Default sizes: a short-range stereo camera at 0.1 m and a calibrated UR arm; each is a field of `Errors`, and zero
@@ -35,6 +35,7 @@ from i2t.skin.contact import GRID
 from i2t.skin.faults import Faults
 from i2t.skin.field import rest_field
 from i2t.skin.noise import Noise, observe
+from i2t.skin.pad import dragged
 from i2t.skin.pad import press as press_pad
 from i2t.types import (
     PAD_WINDOW,
@@ -65,6 +66,7 @@ class Errors:
     hand_eye_angle: float = math.radians(0.5)
     repeatability: float = 0.05e-3  # of the arm, per axis and touch
     approach_angle: float = math.radians(0.3)  # between looking and pressing, per touch
+    slant: float = math.radians(1.0)  # of the press's motion against the tool's axis, per touch and along x and y
     depth_noise: float = 0.3e-3  # of a depth pixel
     depth_bleed: float = 1.0  # pixels by which depth is displaced sideways
     depth_quantum: float = 0.1e-3
@@ -75,11 +77,19 @@ class Errors:
     @classmethod
     def none(cls) -> "Errors":
         """A world in which the lab knows everything; the sensor's own noise and faults are off too."""
-        return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, Noise.none(), Faults())
+        return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, Noise.none(), Faults())
 
     def scaled(self, factor: float) -> "Errors":
         """All pose errors times a factor; camera and sensor stay."""
-        names = ("placement", "placement_angle", "hand_eye", "hand_eye_angle", "repeatability", "approach_angle")
+        names = (
+            "placement",
+            "placement_angle",
+            "hand_eye",
+            "hand_eye_angle",
+            "repeatability",
+            "approach_angle",
+            "slant",
+        )
         return replace(self, **{name: factor * getattr(self, name) for name in names})
 
 
@@ -157,7 +167,7 @@ def touch_once(
     The reading is still that of an ideal sensor (see `feel`), and indices are left 0 for the caller.
     """
     key_arm, key_tilt, key_camera, key_scalars = jax.random.split(key, 4)
-    slip, force_error, travel_error = jax.random.normal(key_scalars, (3,))
+    slip, force_error, travel_error, *slant = jax.random.normal(key_scalars, (5,))
     T_o_w = geometry.invert(T_w_o @ run.T_o_placed)  # from here on the object is where it really is
 
     T_w_arm = T_w_site @ geometry.random_motion(key_arm, errors.repeatability, 0.0)
@@ -175,8 +185,9 @@ def touch_once(
         deeper = stop.indentation + met.nearest - nearest  # the finer grid may see a nearer point
         press = press_pad(pad, heights - nearest, deeper, limits.final)
         stop = stop._replace(force=press.force, reading=press.reading)
+    slide = errors.slant * stop.indentation * jnp.stack(slant)
     force = jnp.where(hit, stop.force, 0.0)
-    reading = jnp.where(hit, stop.reading, 0.0)
+    reading = jnp.where(hit, stop.reading + dragged(pad, met.depth, stop.indentation, slide), 0.0)
     indentation = jnp.where(hit, stop.indentation, 0.0)
     code = jnp.where(hit, stop.code, ReturnCode.AIR)
 

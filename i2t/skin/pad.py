@@ -15,6 +15,7 @@ from i2t.boards import reskin
 from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
 from i2t.skin.faults import RANGE_XY, RANGE_Z
 from i2t.skin.field import response, rest_field
+from i2t.skin.shear import shear
 from i2t.types import CHIPS, PAD_WINDOW, READINGS, Board, Pad
 
 THICKNESS = 2e-3  # m
@@ -62,6 +63,26 @@ def press_force(
 ) -> Press:
     """As `press`, to a normal force (N, > 0). See `contact.solve_force`."""
     return _press(pad, solve_force(pad, height, force, grid, start), grid, dipoles)
+
+
+def dragged(
+    pad: Pad,
+    height: Float[Array, "n n"],
+    indentation: Float[Array, ""] | float,
+    slide: Float[Array, "2"],
+    grid: Grid = GRID,
+    increments: int = 3,
+) -> Float[Array, "15"]:
+    """What friction adds to the reading (uT) of a press whose surface moves by `slide` (m, along x and y of the skin)
+    from first touch to `indentation`, evenly; see `i2t.skin.shear`. Not zero without a slide: friction also holds what
+    pressure would spread.
+    """
+    state, pressure = None, jnp.zeros_like(height)
+    for part in np.arange(1, increments + 1) / increments:
+        pressure = solve(pad, height, part * indentation, grid, pressure).pressure
+        state = shear(pad, pressure, slide / increments, grid, state)
+    assert state is not None
+    return response(pad, pressure, grid, traction=state.traction) - response(pad, pressure, grid)
 
 
 def nominal_pad(pattern: str = "poles", strength: float | Array = STRENGTH) -> Pad:

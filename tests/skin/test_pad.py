@@ -215,3 +215,16 @@ def test_air_gives_nothing():
     assert found.force == 0
     assert found.converged
     np.testing.assert_allclose(found.reading, np.zeros(15), atol=1e-3)  # rounding of fields of some mT
+
+
+def test_friction_leaves_its_mark():
+    """No friction, no mark; with it a slide changes the reading, more and more until all of the skin slips."""
+    pad, height = pads.sample_pad(jax.random.key(2)), jnp.asarray(_tip(1e-3, 2e-3))
+    mark = jax.jit(lambda pad, slide: pads.dragged(pad, height, 0.4e-3, jnp.stack([slide, 0.0])))
+    np.testing.assert_allclose(mark(pad._replace(friction=jnp.asarray(0.0)), 1e-4), np.zeros(15), atol=1e-3)
+    slides = np.array([0, 1e-5, 1e-4, 1e-3, 2e-3, -1e-4])
+    marks = np.stack([mark(pad, jnp.asarray(slide)) for slide in slides])
+    size = np.linalg.norm(marks - marks[0], axis=1)
+    assert np.all(np.diff(size[:5]) > -1e-3 * size[4])
+    assert size[4] == pytest.approx(size[3], rel=0.05)  # full slip: the force of friction is all there is
+    assert np.dot(marks[5] - marks[0], marks[2] - marks[0]) < 0
