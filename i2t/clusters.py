@@ -13,15 +13,16 @@ import numpy as np
 from i2t.types import Surface
 
 GROUP = 32  # clusters of a group: one machine word holds a bit for each
-FINE, COARSE = 2, 4  # faces of a cluster, up to and beyond FINE_FACES faces in all
+FINE, COARSE, DENSE = 2, 4, 5  # faces of a cluster, up to and beyond FINE_FACES faces in all, and if they are small
 FINE_FACES = 4096
+SMALL = 0.6e-6  # m^2, about five pixels of a patch: the area of the face at a random point is less on dense meshes
 NEVER = -1e3  # m, half extent of a box that nothing meets
 SLACK = 1e-6  # m and relative: boxes are widened by more than float32 can lose
 
 
 def arrange(triangles: np.ndarray) -> Surface:
     """Order triangles (f, 3, 3) into clusters and pad them to their size class."""
-    size = FINE if len(triangles) <= FINE_FACES else COARSE
+    size = FINE if len(triangles) <= FINE_FACES else DENSE if _are_small(triangles) else COARSE
     order = _tree_order(triangles.mean(1), size)
     clusters = -(-len(triangles) // size)
     return lay_out(triangles[order].astype(np.float32), size, _power_of_two(-(-clusters // GROUP)))
@@ -49,6 +50,12 @@ def lay_out(triangles: np.ndarray, size: int, groups: int) -> Surface:
     whole = np.full((6, -(-groups // 32) * 32), NEVER, np.float32)
     whole[:, :groups] = _boxes(low, high, empty).T
     return Surface(np.ascontiguousarray(triangles), np.ascontiguousarray(boxes), whole)
+
+
+def _are_small(triangles: np.ndarray) -> bool:
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    return bool((areas**2).sum() < SMALL * areas.sum())
 
 
 def _boxes(low: np.ndarray, high: np.ndarray, void: np.ndarray) -> np.ndarray:

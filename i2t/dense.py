@@ -81,7 +81,8 @@ def cast_dense(boxes, groups, clusters: Clusters, view: View, grid: Grid, reach:
 
         return jax.lax.fori_loop(0, jnp.max(-(-sums[:, -1] // listed)), group_pass, best)
 
-    return jax.lax.fori_loop(0, 2, layer, blank(poses, grid, fronts.dtype, with_faces))
+    dtype = jnp.result_type(clusters.rows.dtype, view.linear.dtype)
+    return jax.lax.fori_loop(0, 2, layer, blank(poses, grid, dtype, with_faces))
 
 
 def _look(ids, left, low, high, boxes, clusters: Clusters, view: View, grid: Grid) -> _Listed:

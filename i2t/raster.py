@@ -25,7 +25,7 @@ from jaxtyping import Array, Float, Int
 
 from i2t.arrays import apart, cut, indices, put
 from i2t.bits import BITS, pack, pick, running_sums
-from i2t.clusters import FINE, GROUP
+from i2t.clusters import DENSE, GROUP
 from i2t.dense import cast_dense
 from i2t.tiles import FLAT, TERMS, Clusters, Grid, View, Wanted, blank, draw_clusters, place_boxes, spread, to_tool
 from i2t.types import STANDOFF, Surface
@@ -111,7 +111,7 @@ def _cast(meshes, mesh: Int[Array, " p"], view: View, grid: Grid, reach: float, 
     mesh_clusters = Clusters(triangles.reshape(-1, size * 9), mesh, count * GROUP, size)
     boxes = boxes.reshape(-1, *boxes.shape[2:])
     groups = groups[mesh if len(groups) > 1 else slice(None)]
-    if size > FINE:
+    if size >= DENSE:
         best = cast_dense(boxes, groups, mesh_clusters, view, grid, reach, GROUPS, with_faces)
         return _images(best, grid)
     listed = min(count, GROUPS)

@@ -19,6 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from i2t.clusters import DENSE, GROUP, lay_out
 from i2t.geometry import rotation, transform
 from i2t.objects import make
 from i2t.raster import GROUPS
@@ -150,6 +151,42 @@ def test_catalogue_and_hostile_shapes_against_embree():
     assert_like_embree([*(make(name).mesh for name in names.split()), fan, wall, blades, needles, hook], seed=0)
 
 
+def test_dense_meshes_against_embree():
+    """Faces as small as pixels, which have a way of their own: two skins 50 um apart, an overhang, slivers, holes."""
+    skins = [sheet(lambda x, y, gap=gap: 2e-3 * np.sin(x / 2e-3) + gap, 60, 0.02) for gap in (0, 5e-5)]
+    slivers = soup([[[x, -0.02, -2e-3], [x, 0.02, -4e-3], [x + 1e-5, 0, -3e-3]] for x in np.linspace(-0.02, 0.02, 21)])
+    skins = trimesh.util.concatenate([trimesh.Trimesh(thing.vertices, thing.faces) for thing in (*skins, slivers)])
+    hooks = trimesh.creation.torus(6e-3, 2e-3, major_sections=120, minor_sections=60)
+    hooks.update_faces(np.random.default_rng(6).random(len(hooks.faces)) > 0.1)
+    for thing in (skins, hooks):
+        assert cluster_size(prepare(thing)) == DENSE
+    assert_like_embree([skins, hooks], seed=200)
+
+
+def test_dense_way_sees_what_the_other_sees():
+    """Depths and their derivatives by the pose, in clusters of both ways, in a batch of two meshes."""
+
+    def look(surface, T, turn):
+        return render_patch(surface, T @ transform(rotation(turn), turn / 100))
+
+    shift = jax.jit(jax.vmap(lambda surface, T: jax.jvp(partial(look, surface, T), (jnp.zeros(3),), (jnp.ones(3),))))
+    things = [make("spanner").mesh, make("torus").mesh]
+    poses = np.concatenate([on_surface(thing, 1, 7 + i) for i, thing in enumerate(things)])
+    surfaces = [prepare(thing) for thing in things]
+    dense = [lay_out(surface.triangles, DENSE, 32) for surface in surfaces]
+    (one, turned), (other, also) = (shift(stack(way), poses) for way in (surfaces, dense))
+    assert np.isfinite(one.nearest).all()
+    np.testing.assert_allclose(one.depth, other.depth, rtol=0, atol=4 * NEAR)
+    np.testing.assert_allclose(one.nearest, other.nearest, rtol=0, atol=4 * NEAR)
+    same = np.isclose(turned.depth, also.depth, rtol=1e-3, atol=1e-5)
+    assert same.mean() > 1 - 2e-3  # rays on a shared edge may take either face
+    np.testing.assert_allclose(turned.nearest, also.nearest, rtol=1e-3, atol=1e-5)
+
+
+def cluster_size(surface: Surface) -> int:
+    return len(surface.triangles) // (len(surface.boxes) * GROUP)
+
+
 def test_scans_against_embree(shared_data):
     files = sorted((shared_data / "ycb_meshes").glob("*.stl"))
     assert files
@@ -189,6 +226,7 @@ def test_dense_sphere_lies_between_its_spheres():
     ball = trimesh.creation.icosphere(6, radius)
     surface = prepare(ball)
     assert len(surface.boxes) > GROUPS
+    assert cluster_size(surface) == DENSE
     inner = np.linalg.norm(ball.triangles_center, axis=1).min()  # faces are nearest to the centre near their middles
     inner = min(inner, np.abs((ball.face_normals * ball.triangles[:, 0]).sum(1)).min())
     x, y = centres()
