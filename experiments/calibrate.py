@@ -6,16 +6,17 @@
 DIR is any recording of one tip on one skin (see python -m i2t.convert). Held out, for all draws alike: 1000 random
 presses, and whole blocks of 6 mm; nothing is chosen by them. A third part asks what an earlier session is worth: the
 first half in time predicts the second. Every method sees the same presses, so that differences are paired. Results go
-to --out: metrics.json, config.json, curves.png.
+to --out: metrics.json, config.json, curves.png, and calibration.npz, what `i2t.calibrate.load` reads: the skin as
+calibrated on all presses (of more than 1500, that many at random). The pretrained network has pressed made-up skins of
+four magnets only.
 """
 
 import os
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -34,17 +35,23 @@ from experiments.evaluation import nearest_neighbours, score, seed_interval, tun
 from experiments.runs import begin, reported, write_json
 from i2t import calibrate
 from i2t import dataset as data
-from i2t.calibrate import Hyper, Presses
+from i2t.calibrate import Hyper, Presses, lattice, network
+from i2t.calibrate.network import Network
 from i2t.dataset import Dataset
 from i2t.types import ReturnCode
 
 NEIGHBOURS, PLAIN = "k nearest presses", "plain Gaussian process"
 STRUCTURED, HEIGHT = "structured process", "structured process + height"
 CHOSEN = "structured process + height, scales by cross-validation"
+PERIOD = "structured process + height, period given"
+SCRATCH, PRETRAINED = "network from scratch", "network pretrained on made-up skins"
+RESIDUAL, BEST = "pretrained network + structured process", "best way by cross-validation"
 EARLIER, ALONE = "earlier half as the mean", "earlier half alone"
 STYLES = {
     NEIGHBOURS: (plots.GREY, "-"), PLAIN: (plots.ORANGE, "-"), STRUCTURED: (plots.BLUE, "-"),
     HEIGHT: (plots.GREEN, "-"), CHOSEN: (plots.RED, ":"), EARLIER: (plots.BLUE, "-"), ALONE: (plots.RED, "--"),
+    PERIOD: (plots.GREEN, ":"), SCRATCH: (plots.GREY, "--"), PRETRAINED: (plots.ORANGE, "--"),
+    RESIDUAL: (plots.BLUE, "--"), BEST: (plots.RED, "-"),
 }  # fmt: skip
 LIMIT = 300  # presses that hyperparameters are chosen on: the cost grows with the cube
 SCALES = {"length": (0.7, 1.0, 1.4), "bend": (0.3, 1.0, 3.0), "noise": (0.3, 1.0, 3.0)}
@@ -59,9 +66,13 @@ class Preset:
     held: int = 1000  # random presses held out
     block: float = 6.0  # mm
     blocks: float = 0.2  # share of blocks held out
+    skins: int = 300  # made-up ones, of 125 presses each
+    steps: int = 4000  # of pretraining
+    scratch: int = 800  # steps of training from scratch
+    kept: int = 1500  # presses in what is saved
 
 
-PRESETS = {"full": Preset(), "debug": Preset(draws=2, counts=(5, 20, 50))}
+PRESETS = {"full": Preset(), "debug": Preset(2, (5, 20, 50), skins=16, steps=50, scratch=50)}
 
 
 @dataclass(frozen=True)
@@ -72,6 +83,7 @@ class Args:
     out: Path = Path("runs/calibrate")  # folder for everything that is made
     preset: Literal["full", "debug"] = "full"
     load: Literal["auto", "depth", "force"] = "auto"  # what says how hard was pressed; auto: depth where measured
+    period_mm: float = 0.0  # of a lattice along x and y, where it is known: another row of the table; 0: none
     seed: int = 0  # of what is held out and of the draws
     overwrite: bool = False  # replace a run in --out
 
@@ -84,6 +96,7 @@ class Recording:
     load: np.ndarray
     readings: np.ndarray
     by_force: bool
+    chips: np.ndarray | None = None  # (5, 2) m; given where each channel's amplitude falls with the distance
 
     def presses(self, rows: np.ndarray) -> Presses:
         """Some of them, for the process."""
@@ -127,15 +140,32 @@ def run(args: Args) -> dict[str, Any]:
     first, pool = list(tests)[:2], pool[usable[pool]]
     after, before = pool[later[pool]], pool[~later[pool]]
     values: dict[str, Any] = {name: {} for name in tests}
+    inside: dict[str, Any] = {name: {} for name in tests}
+    way = Way(recording, cfg, args.period_mm * 1e-3)
+    if not recording.by_force:
+        told = pretrained(recording, cfg)
+        seen = network.features(told, recording.presses(np.arange(len(held))))
+        way = replace(way, seen=np.asarray(seen, np.float64), noise=float(told.noise))
     for draw in tqdm(range(cfg.draws), desc="draws", unit="draw"):
         rng = np.random.default_rng((args.seed, draw))
         order, order_after, past = (rng.permutation(rows) for rows in (pool, after, before))
         for names, rows, known in ((first, order, None), ([second], order_after, past[: max(cfg.counts)])):
             for count in (n for n in cfg.counts if n <= len(rows)):
                 at = {name: tests[name] for name in names}
-                for name, scores in compare(recording, rows[:count], at, known).items():
+                scored, covered = compare(way, rows[:count], at, known)
+                for name, scores in scored.items():
                     for method, r2 in scores.items():
                         values[name].setdefault(method, {}).setdefault(count, []).append(r2)
+                for name, shares in covered.items():
+                    for method, share in shares.items():
+                        inside[name].setdefault(method, {}).setdefault(count, []).append(share)
+    everything = np.random.default_rng(args.seed).permutation(np.flatnonzero(usable))[: cfg.kept]
+    kept = calibrate.calibrate(
+        recording.place[everything], recording.load[everything], recording.readings[everything],
+        "force" if recording.by_force else "depth", about={"dataset": str(args.dataset), "source": dataset.source},
+        board=dataset.board if recording.by_force else None,
+    )  # fmt: skip
+    kept.save(args.out / "calibration.npz")
     metrics = {
         "source": dataset.source,
         "seed": args.seed,
@@ -143,11 +173,13 @@ def run(args: Args) -> dict[str, Any]:
         "presses": len(held),
         "load": "force" if recording.by_force else "depth",
         "warnings": faults.sentences(),
+        "hyper": calibrate.numbers(calibrate.FORCE if recording.by_force else calibrate.DEPTH),
         "stale_rows": int(faults.stale.sum()),
         "lag_r2": faults.lag_r2,
         "change": faults.change,
         "held_out": {name: len(test) for name, test in tests.items()},
         "r2": {name: summarise(methods) for name, methods in values.items()},
+        "inside_90": {name: summarise(methods) for name, methods in inside.items()},
         "differences": {name: differences(methods) for name, methods in values.items()},
         "presses_for_the_same_r2": {name: saved(methods) for name, methods in values.items()},
         "seconds": round(time.perf_counter() - started, 1),
@@ -173,7 +205,8 @@ def read(dataset: Dataset, load: str) -> Recording:
         raise ValueError("the data set holds several skins; calibrate them one at a time")
     if len(np.unique(touches.object[good])) > 1:
         raise ValueError("the data set holds several objects; calibration needs presses of one tip")
-    return Recording(T_t_o[good, :2, 3], amount[good], touches.reading[good].astype(np.float64), by_force)
+    chips = dataset.board.chips[:, :2] if by_force else None
+    return Recording(T_t_o[good, :2, 3], amount[good], touches.reading[good].astype(np.float64), by_force, chips)
 
 
 def hold_out(recording: Recording, cfg: Preset, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -188,57 +221,167 @@ def hold_out(recording: Recording, cfg: Preset, seed: int) -> tuple[np.ndarray, 
     return held, np.isin(block.ravel(), chosen)
 
 
-def compare(
-    recording: Recording, rows: np.ndarray, tests: dict[str, np.ndarray], past: np.ndarray | None
-) -> dict[str, dict[str, float]]:
-    """R2 on each set of held-out presses of every method that learns from the same rows; `past` are rows of an earlier
-    session.
-    """
-    test = np.concatenate(list(tests.values()))
-    readings, base = recording.readings, calibrate.FORCE if recording.by_force else calibrate.DEPTH
-    predicted = {NEIGHBOURS: neighbours(recording, rows, test)}
-    process = processes(recording, rows, test)
-    if past is None:
-        mean = readings[rows].mean(0)
-        plain = choose(plain_options(recording), recording, rows, readings[rows] - mean)
-        predicted[PLAIN] = mean + process(plain, readings[rows] - mean)
-        predicted[STRUCTURED] = process(base._replace(height=0.0), readings[rows])
-        predicted[HEIGHT] = process(base, readings[rows])
-        predicted[CHOSEN] = process(
-            choose(calibrate.options(base, SCALES), recording, rows, readings[rows]), readings[rows]
+@dataclass(frozen=True)
+class Way:
+    """Ways to predict readings at rows of a recording from other rows, all alike from outside."""
+
+    recording: Recording
+    cfg: Preset
+    period: float  # m
+    seen: np.ndarray | None = None  # (n, k) features of all rows by a pretrained network
+    noise: float = 0.0  # its logarithm, see `Network`
+
+    @property
+    def base(self) -> Hyper:
+        """Hyperparameters of the structured process."""
+        return calibrate.FORCE if self.recording.by_force else calibrate.DEPTH
+
+    def process(self, hyper: Hyper, rows: np.ndarray, target: np.ndarray, test: np.ndarray) -> np.ndarray:
+        """A structured process of the target at rows."""
+        presses, at = self.recording.presses(rows), self.recording.presses(test)
+        chips = None if self.recording.chips is None else jnp.float32(self.recording.chips)
+        return np.asarray(predict(fit(hyper, presses, jnp.float32(target), chips), at)[0], np.float64)
+
+    def structured(self, rows: np.ndarray, test: np.ndarray, **changed: float) -> np.ndarray:
+        """The structured process with heights."""
+        return self.process(self.base._replace(**changed), rows, self.recording.readings[rows], test)
+
+    def plain(self, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
+        """A Gaussian process over place and load, its scales by cross-validation."""
+        readings = self.recording.readings[rows]
+        bare = Way(replace(self.recording, chips=None), self.cfg, self.period)
+        hyper = choose(plain_options(self.recording), bare.recording, rows, readings - readings.mean(0))
+        return readings.mean(0) + bare.process(hyper, rows, readings - readings.mean(0), test)
+
+    def chosen(self, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
+        """The structured process, its scales by cross-validation."""
+        readings = self.recording.readings[rows]
+        hyper = choose(calibrate.options(self.base, SCALES), self.recording, rows, readings)
+        return self.process(hyper, rows, readings, test)
+
+    def pretrained(self, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
+        """The last layer of the pretrained network, as `network.adapt`; NumPy, so that no number of rows compiles."""
+        assert self.seen is not None
+        phi, readings = self.seen[rows], self.recording.readings[rows]
+        scale, noise = np.sqrt(np.mean(readings**2)) + 1e-6, np.exp(self.noise) + 1e-4
+        weights = np.linalg.solve(phi.T @ phi / noise + np.eye(phi.shape[1]), phi.T @ readings / (noise * scale))
+        return self.seen[test] @ weights * scale
+
+    def residual(self, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
+        """The pretrained network, and a structured process of what it leaves of rows that it was not told."""
+        fold = np.arange(len(rows)) % min(5, len(rows))
+        left = np.empty((len(rows), self.recording.readings.shape[1]))
+        for i in range(fold.max() + 1):
+            left[fold == i] = self.pretrained(rows[fold != i], rows[fold == i])
+        left = self.recording.readings[rows] - left
+        hyper = self.base._replace(height=0.0)
+        return self.pretrained(rows, test) + self.process(hyper, rows, left, test)
+
+    def scratch(self, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
+        """The same network, trained on the rows alone."""
+        half, unit = np.abs(self.recording.place).max(), self.recording.load.max()
+        readings = jnp.float32(self.recording.readings[rows])
+        presses = self.recording.presses(rows)
+        told, head = network.scratch(
+            jax.random.key(0), presses, readings, jnp.float32(half), jnp.float32(unit), self.cfg.scratch
         )
+        return np.asarray(predict_network(told, head, self.recording.presses(test))[0], np.float64)
+
+    def ways(self) -> dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]]:
+        """All of them by name."""
+        ways: dict[str, Any] = {
+            NEIGHBOURS: partial(neighbours, self.recording),
+            PLAIN: self.plain,
+            SCRATCH: self.scratch,
+            STRUCTURED: partial(self.structured, height=0.0),
+            HEIGHT: self.structured,
+            CHOSEN: self.chosen,
+        }
+        if self.period:
+            ways[PERIOD] = partial(self.structured, period=self.period)
+        if self.seen is not None:
+            ways |= {PRETRAINED: self.pretrained, RESIDUAL: self.residual}
+        return ways
+
+
+def best(ways: dict[str, Any], recording: Recording, rows: np.ndarray) -> str:
+    """The way with the least error on fifths of at most LIMIT of the rows; the structured process with heights unless
+    another is better by one standard error over presses.
+    """
+    rows = rows[:LIMIT]
+    fold = np.arange(len(rows)) % min(5, len(rows))
+    errors = {}
+    for name in (HEIGHT, PRETRAINED, RESIDUAL, PERIOD):
+        if name in ways:
+            left = np.empty((len(rows), recording.readings.shape[1]))
+            for i in range(fold.max() + 1):
+                left[fold == i] = ways[name](rows[fold != i], rows[fold == i])
+            errors[name] = ((recording.readings[rows] - left) ** 2).sum(1)
+    gain = {name: errors[HEIGHT] - error for name, error in errors.items()}
+    sure = {name: g.mean() for name, g in gain.items() if g.mean() > g.std() / np.sqrt(max(len(g) - 1, 1))}
+    return max(sure, key=lambda name: sure[name]) if sure else HEIGHT
+
+
+def compare(
+    way: Way, rows: np.ndarray, tests: dict[str, np.ndarray], past: np.ndarray | None
+) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, float]]]:
+    """R2 on each set of held-out presses of every method that learns from the same rows, and the share of readings in
+    the stated 90 % range; `past` are rows of an earlier session.
+    """
+    recording, test = way.recording, np.concatenate(list(tests.values()))
+    readings, base = recording.readings, way.base
+    shares: dict[str, np.ndarray] = {}
+    if past is None:
+        ways = way.ways()
+        predicted = {name: ways[name](rows, test) for name in ways}
+        predicted[BEST] = predicted[best(ways, recording, rows)]
+        presses, chips = recording.presses(rows), None if recording.chips is None else jnp.float32(recording.chips)
+        mean, std = predict(fit(base, presses, jnp.float32(readings[rows]), chips), recording.presses(test))
+        wide = np.asarray(std * widening(base, presses, jnp.float32(readings[rows]), chips))
+        shares = {
+            HEIGHT + ", as the process says": np.abs(readings[test] - mean) < calibrate.WITHIN * std,
+            HEIGHT + ", widened": np.abs(readings[test] - mean) < calibrate.WITHIN * wide,
+        }
     else:
-        predicted[HEIGHT] = process(base, readings[rows])
-        before = fit(base, recording.presses(past), jnp.float32(readings[past]))
+        predicted = {NEIGHBOURS: neighbours(recording, rows, test), HEIGHT: way.structured(rows, test)}
+        chips = None if recording.chips is None else jnp.float32(recording.chips)
+        before = fit(base, recording.presses(past), jnp.float32(readings[past]), chips)
         prior, own = (np.asarray(predict(before, recording.presses(r))[0]) for r in (test, rows))
         predicted[ALONE] = prior
         # What the earlier session leaves is mostly noise: how much is told by the presses.
         rest = calibrate.options(base._replace(height=0.0), {"noise": (1.0, 10.0, 100.0, 1e4)})
-        predicted[EARLIER] = prior + process(choose(rest, recording, rows, readings[rows] - own), readings[rows] - own)
+        hyper = choose(rest, recording, rows, readings[rows] - own)
+        predicted[EARLIER] = prior + way.process(hyper, rows, readings[rows] - own, test)
     ends = np.cumsum([len(part) for part in tests.values()])
     parts = {name: slice(end - len(tests[name]), end) for name, end in zip(tests, ends, strict=True)}
-    return {
+    scored = {
         name: {method: score(readings[test[part]], values[part]).r2 for method, values in predicted.items()}
         for name, part in parts.items()
     }
+    covered = {
+        name: {method: float(np.mean(np.asarray(share)[part])) for method, share in shares.items()}
+        for name, part in parts.items()
+    }
+    return scored, {name: share for name, share in covered.items() if share}
 
 
 fit, predict, select = jax.jit(calibrate.fit), jax.jit(calibrate.predict), jax.jit(calibrate.choose)
+widening = jax.jit(calibrate.widening)
+predict_network = jax.jit(network.predict_network)
 
 
-def processes(recording: Recording, rows: np.ndarray, test: np.ndarray) -> Callable[[Hyper, np.ndarray], np.ndarray]:
-    """Fits to these rows, predictions at the test."""
-
-    def process(hyper: Hyper, target: np.ndarray) -> np.ndarray:
-        fitted = fit(hyper, recording.presses(rows), jnp.float32(target))
-        return np.asarray(predict(fitted, recording.presses(test))[0], np.float64)
-
-    return process
+def pretrained(recording: Recording, cfg: Preset) -> Network:
+    """A network that has pressed made-up skins of four magnets, over the places and depths of this recording."""
+    half, deepest = float(np.abs(recording.place).max()), float(recording.load.max())
+    make = jax.jit(lattice.skins, static_argnums=(1, 2, 3, 4))
+    presses, readings = make(jax.random.key(0), cfg.skins, 125, half, deepest)
+    return network.pretrain(jax.random.key(1), presses, readings, cfg.steps)[0]
 
 
 def choose(stacked: Hyper, recording: Recording, rows: np.ndarray, target: np.ndarray) -> Hyper:
     """Hyperparameters by cross-validation on at most LIMIT of the rows, which come in random order."""
-    return select(stacked, recording.presses(rows[:LIMIT]), jnp.float32(target[:LIMIT]))
+    chips = None if recording.chips is None else jnp.float32(recording.chips)
+    return select(stacked, recording.presses(rows[:LIMIT]), jnp.float32(target[:LIMIT]), chips)
 
 
 def plain_options(recording: Recording) -> Hyper:
@@ -274,13 +417,13 @@ def summarise(methods: dict[str, dict[int, list[float]]]) -> dict[str, Any]:
 
 
 def differences(methods: dict[str, dict[int, list[float]]]) -> dict[str, Any]:
-    """R2 of each method minus that of the method listed before it, draw by draw."""
-    names = list(methods)
+    """R2 of the structured process with heights minus that of each other method, draw by draw."""
     return {
-        f"{after} - {before}": summarise(
-            {"": {n: list(np.subtract(methods[after][n], methods[before][n])) for n in methods[after]}}
+        f"{HEIGHT} - {other}": summarise(
+            {"": {n: list(np.subtract(methods[HEIGHT][n], methods[other][n])) for n in methods[other]}}
         )[""]
-        for before, after in pairwise(names)
+        for other in methods
+        if other != HEIGHT
     }
 
 

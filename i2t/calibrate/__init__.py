@@ -11,6 +11,7 @@ from i2t.calibrate.structured import (
     FEW,
     FORCE,
     JITTER,
+    WITHIN,
     Hyper,
     LeftOut,
     Presses,
@@ -26,6 +27,7 @@ from i2t.calibrate.structured import (
 )
 
 __all__ = [
-    "DEPTH", "FEW", "FORCE", "JITTER", "Calibration", "Faults", "Hyper", "LeftOut", "Presses", "Process", "calibrate",
-    "check", "choose", "errors", "fit", "growth", "left_out", "load", "numbers", "options", "predict", "widening",
+    "DEPTH", "FEW", "FORCE", "JITTER", "WITHIN", "Calibration", "Faults", "Hyper", "LeftOut", "Presses", "Process",
+    "calibrate", "check", "choose", "errors", "fit", "growth", "left_out", "load", "numbers", "options", "predict",
+    "widening",
 ]  # fmt: skip

@@ -68,11 +68,12 @@ class Hyper(NamedTuple):
     repeating: float | Float[Array, "..."] = 0.5  # share of the heights' variance that repeats, where there is a period
 
 
-# Found on the development presses of one eFlesh session (docs/calibration.md): lengths in the order of the height of
-# the magnets over the chips and of their spacing.
+# Found on the development presses of one eFlesh session (docs/calibration.md): the long length is in the order of the
+# height of the magnets over the chips and of their spacing, the short one that of a lattice's struts.
 DEPTH = Hyper(
-    unit=2e-3, offset=3e-3, power=1.75, length=14e-3, steady=1.0, bend=0.03, bend_length=5e-3, bend_width=2e-3,
-    standing=0.0, constant=0.0, noise=5e-3, height=0.25e-3, height_length=2e-3, reach=10e-3, floor=0.2,
+    unit=2e-3, offset=2.7e-3, power=1.8, length=16.5e-3, steady=1.0, bend=0.0145, bend_length=2e-3, bend_width=7e-3,
+    standing=0.03, constant=2e-3, noise=4.5e-3, height=0.17e-3, height_length=1.8e-3, reach=10e-3, floor=0.2,
+    height_width=8e-3,
 )  # fmt: skip
 # For a layer of a few mm under a few N: geometry (a chip feels what happens within twice the layer's thickness), with
 # the force-independent part as large as the rest. Not fitted to any recording.
