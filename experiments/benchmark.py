@@ -1,6 +1,6 @@
 """How fast is i2t, against the peer a user would otherwise take?
 
-    python -m experiments.benchmark --sections training rendering [--out DIR]
+    python -m experiments.benchmark --sections training rendering skin [--out DIR]
 
 Every section times our work and its peer's in turns in one run, on the same machine with the same inputs, after
 checking that both compute the same thing; the table gives the median of each and the median of the turns' ratios (above
@@ -17,8 +17,9 @@ from pathlib import Path
 import jax
 import tyro
 
-from experiments import benchmark_rendering, benchmark_training
+from experiments import benchmark_rendering, benchmark_skin, benchmark_training
 from experiments.benchmark_rendering import Rendering
+from experiments.benchmark_skin import Skin
 from experiments.benchmark_training import Training
 from experiments.runs import write_json
 from experiments.timing import MissingPeerError, Row
@@ -28,11 +29,12 @@ from experiments.timing import MissingPeerError, Row
 class Benchmark:
     """Which sections to run, how often, and where to write `benchmark.json`."""
 
-    sections: tuple[str, ...] = ("training", "rendering")
+    sections: tuple[str, ...] = ("training", "rendering", "skin")
     out: Path | None = None
     turns: int = 5
     training: Training = field(default_factory=Training)
     rendering: Rendering = field(default_factory=Rendering)
+    skin: Skin = field(default_factory=Skin)
 
 
 def main(cfg: Benchmark) -> list[Row]:
@@ -70,6 +72,7 @@ def table(rows: list[Row]) -> str:
 SECTIONS: dict[str, Callable[[Benchmark], list[Row]]] = {
     "training": lambda cfg: benchmark_training.section(cfg.training, cfg.turns),
     "rendering": lambda cfg: benchmark_rendering.section(cfg.rendering, cfg.turns),
+    "skin": lambda cfg: benchmark_skin.section(cfg.skin, cfg.turns),
 }
 
 

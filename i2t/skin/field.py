@@ -19,7 +19,7 @@ needs no trigonometry.
 Tool frame; metres, A/m, A m2, tesla; readings in microtesla in the board's order and the chips' own axes.
 """
 
-from functools import partial
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -32,8 +32,6 @@ from i2t.types import Pad
 NODES = 5  # across the thickness; `tests/skin/test_field.py` refines them and the cells
 MU0_OVER_4PI = 1e-7  # T m/A
 MICROTESLA = 1e6
-
-_dot = partial(jnp.matmul, precision=jax.lax.Precision.HIGHEST)
 
 
 def dipole_field(
@@ -109,9 +107,15 @@ def sheets(pad: Pad, dipoles: Grid = GRID, nodes: int = NODES) -> tuple[Float[Ar
 
 def turn(rotation: Float[Array, "3 ..."], moments: Float[Array, "3 ..."]) -> Float[Array, "3 ..."]:
     """Cayley's rotation of m by w: m + 4 / (4 + w.w) (w x m + w x (w x m) / 2), components first."""
-    first = jnp.cross(rotation, moments, axis=0)
-    second = jnp.cross(rotation, first, axis=0)
-    return moments + 4 / (4 + jnp.sum(rotation**2, axis=0, keepdims=True)) * (first + second / 2)
+    first = _cross(rotation, moments)
+    second = _cross(rotation, first)
+    share = 4 / (4 + sum(w * w for w in rotation))
+    return jnp.stack([m + share * (a + b / 2) for m, a, b in zip(moments, first, second, strict=True)])
+
+
+def _cross(a: Sequence[Array] | Array, b: Sequence[Array] | Array) -> tuple[Array, Array, Array]:
+    """a x b of components: what `jnp.cross` puts together again and again, this leaves to be fused."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def _cell_means(cells: int) -> np.ndarray:
@@ -126,16 +130,16 @@ def _places(depth: Array, grid: Grid) -> Array:
 
 
 def _at_chips(pad: Pad, positions: Array, moments: Array) -> Array:
+    # Both are written to memory once here, not worked out again within the sums for each chip and component.
+    positions, moments = jax.lax.optimization_barrier((positions, moments))
     return MICROTESLA * jnp.stack([_field(chip, positions, moments) for chip in jnp.asarray(pad.board.chips)])
 
 
 def _field(point: Array, positions: Array, moments: Array) -> Array:
     """Field at one point of dipoles whose components are on the first axis."""
-    x, y, z = (point[i] - positions[i] for i in range(3))
-    inverse = jax.lax.rsqrt(x * x + y * y + z * z)
+    away = point.reshape(3, *[1] * (positions.ndim - 1)) - positions
+    inverse = jax.lax.rsqrt(jnp.sum(away * away, axis=0, keepdims=True))
     square = inverse * inverse
     cube = square * inverse
-    along = 3 * square * (moments[0] * x + moments[1] * y + moments[2] * z)
-    terms = jnp.stack([cube * (along * d - m) for d, m in zip((x, y, z), moments, strict=True)]).reshape(3, -1)
-    # A product with ones is a sum that compilers for CPUs know how to vectorise.
-    return MU0_OVER_4PI * _dot(terms, jnp.ones(terms.shape[1], terms.dtype))
+    along = 3 * square * jnp.sum(moments * away, axis=0, keepdims=True)
+    return MU0_OVER_4PI * jnp.sum(cube * (along * away - moments), axis=tuple(range(1, positions.ndim)))
