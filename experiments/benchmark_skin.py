@@ -21,7 +21,6 @@ from i2t.skin.layer import GRID, Grid
 from i2t.skin.pad import nominal_pad, press
 from i2t.types import Pad
 
-STEADY = 0.5  # s that each contender works in each turn
 AGREE = 1e-3  # of the peak, by which pressures may differ (root mean square)
 PEER = "ContactMechanics"
 BEYOND = 1.0  # m behind the nearest point: nothing there
@@ -34,24 +33,27 @@ class Skin:
     batch: int = 64
     cells: tuple[int, ...] = (20, 40, 80)  # along each edge of the pad
     dipoles: tuple[int, ...] = (20, 40, 80)  # along each edge, under the finest of the grids
+    shapes: tuple[str, ...] = (
+        "ball of 16 mm", "ball of 4.6 mm", "punch", "tilted punch", "stamp T", "tilted stamp", "edge",
+    )  # fmt: skip
+    steady: float = 0.5  # s that each contender works in each turn
 
 
 def section(setup: Skin, turns: int) -> list[Row]:
     """Each shape on the default grid, then all of them on every grid, then readings by the number of dipoles."""
     pad = nominal_pad()
-    rows = [contest(pad, GRID, {name: shape}, setup.batch, turns)[0] for name, shape in SHAPES.items()]
+    rows = [contest(pad, GRID, [name], setup, turns)[0] for name in setup.shapes]
     for cells in setup.cells:
-        rows += contest(pad, _grid(cells), SHAPES, setup.batch, turns)
+        rows += contest(pad, _grid(cells), list(setup.shapes), setup, turns)
     return rows + dipoles(pad, setup, turns)
 
 
-def contest(pad: Pad, grid: Grid, shapes: dict, batch: int, turns: int) -> list[Row]:
+def contest(pad: Pad, grid: Grid, shapes: list[str], setup: Skin, turns: int) -> list[Row]:
     """Contacts, and whole readings, against the peer's contacts."""
-    heights, depths = _touches(grid, shapes, batch)
+    heights, depths = _touches(grid, shapes, setup.batch)
     contact = jax.jit(jax.vmap(lambda pad, height, depth: solve(pad, height, depth, grid), (None, 0, 0)))
     reading = jax.jit(jax.vmap(lambda pad, height, depth: press(pad, height, depth, grid).reading, (None, 0, 0)))
-    name = next(iter(shapes)) if len(shapes) == 1 else "all shapes"
-    work = f"{name}, {grid.cells} x {grid.cells} cells"
+    work = f"{shapes[0] if len(shapes) == 1 else 'all shapes'}, {grid.cells} x {grid.cells} cells"
     systems = [
         peer_contact(pad, grid, np.asarray(heights[i], float), float(depths[i])) for i in range(len(shapes))
     ]  # one of each shape
@@ -61,10 +63,10 @@ def contest(pad: Pad, grid: Grid, shapes: dict, batch: int, turns: int) -> list[
         "readings": lambda: jax.block_until_ready(reading(pad, heights, depths)),
         PEER: lambda: [system() for system in systems],
     }
-    seconds = in_turns(contenders, turns, STEADY)
+    seconds = in_turns(contenders, turns, setup.steady)
     theirs = [value / len(systems) for value in seconds[PEER]]
     return [
-        compare("skin", f"{kind}: {work}", [value / batch for value in seconds[kind]], PEER, theirs)._replace(
+        compare("skin", f"{kind}: {work}", [value / setup.batch for value in seconds[kind]], PEER, theirs)._replace(
             unit="s a touch"
         )
         for kind in ("contacts", "readings")
@@ -74,7 +76,7 @@ def contest(pad: Pad, grid: Grid, shapes: dict, batch: int, turns: int) -> list[
 def dipoles(pad: Pad, setup: Skin, turns: int) -> list[Row]:
     """Readings of contacts on the finest grid with ever more dipoles, against the contact alone."""
     grid = _grid(max(setup.cells))
-    heights, depths = _touches(grid, SHAPES, setup.batch)
+    heights, depths = _touches(grid, list(setup.shapes), setup.batch)
     run = jax.jit(
         jax.vmap(
             lambda pad, height, depth, coarser: press(pad, height, depth, grid, dipoles=coarser).reading,
@@ -87,7 +89,7 @@ def dipoles(pad: Pad, setup: Skin, turns: int) -> list[Row]:
         str(count): partial(_finish, run, pad, heights, depths, _grid(count)) for count in setup.dipoles
     }
     contenders["contact"] = partial(_finish, contact, pad, heights, depths)
-    seconds = in_turns(contenders, turns, STEADY)
+    seconds = in_turns(contenders, turns, setup.steady)
     per_touch = {name: [value / setup.batch for value in values] for name, values in seconds.items()}
     return [
         compare(
@@ -149,13 +151,13 @@ def _grid(cells: int) -> Grid:
     return Grid(cells, cells * GRID.modes // GRID.cells)
 
 
-def _touches(grid: Grid, shapes: dict, batch: int) -> tuple[jax.Array, jax.Array]:
-    """Heights (batch, n, n) and indentations (batch,): the shapes in turn at random places, the first where named."""
+def _touches(grid: Grid, shapes: list[str], batch: int) -> tuple[jax.Array, jax.Array]:
+    """Heights (batch, n, n) and indentations (batch,): the shapes in turn, at random places."""
     y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
     rng = np.random.default_rng(0)
     heights, depths = [], []
     for i in range(batch):
-        shape, depth = list(shapes.values())[i % len(shapes)]
+        shape, depth = SHAPES[shapes[i % len(shapes)]]
         dx, dy = rng.uniform(-3e-3, 3e-3, 2)
         height = shape(x - dx, y - dy)
         heights.append(height - height.min())

@@ -8,9 +8,10 @@ import jax
 import pytest
 import trimesh
 
-from experiments import benchmark, benchmark_rendering, benchmark_training, timing
+from experiments import benchmark, benchmark_rendering, benchmark_skin, benchmark_training, timing
 from experiments.benchmark import Benchmark
 from experiments.benchmark_rendering import Rendering
+from experiments.benchmark_skin import Skin
 from experiments.benchmark_training import Training
 from experiments.timing import MissingPeerError, Row
 from i2t import training
@@ -56,7 +57,7 @@ def test_a_missing_peer_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch
 
 
 def test_unknown_sections_are_refused() -> None:
-    with pytest.raises(ValueError, match="--sections is 'speed'; choose from training, rendering"):
+    with pytest.raises(ValueError, match="--sections is 'speed'; choose from training, rendering, skin"):
         benchmark.main(Benchmark(sections=("speed",)))
 
 
@@ -80,6 +81,22 @@ def test_rendering_section_against_ray_casters(capsys: pytest.CaptureFixture[str
     assert [row.peer_name for row in rows] == [*["Open3D", "embreex", "Open3D, rays given"] * 3, "rays and distances"]
     assert all(row.ours > 0 and row.peer > 0 for row in rows)
     assert len(capsys.readouterr().out.splitlines()) == 1 + len(rows)
+
+
+def test_skin_section_against_contact_mechanics() -> None:
+    """The section itself checks that both find the same pressures, and fails where they do not."""
+    tiny = Skin(batch=3, cells=(20,), dipoles=(10, 20), shapes=("tilted punch", "edge"), steady=0)
+    rows = benchmark.main(Benchmark(sections=("skin",), turns=1, skin=tiny))
+    assert [row.peer_name for row in rows] == [*["ContactMechanics"] * 4, *["the contact alone"] * 2]
+    assert all(row.ours > 0 and row.peer > 0 for row in rows)
+
+
+def test_pressures_that_are_not_the_peer_s_are_refused() -> None:
+    heights, depths = benchmark_skin._touches(benchmark_skin.GRID, ["punch"], 1)
+    pad = benchmark_skin.nominal_pad()
+    found = jax.jit(jax.vmap(benchmark_skin.solve, (None, 0, 0)))(pad, heights, depths)
+    with pytest.raises(ValueError, match="pressures differ by "):
+        benchmark_skin.check("punch", found, [1.5 * found.pressure[0]], benchmark_skin.GRID)
 
 
 def test_patches_of_another_mesh_are_not_compared() -> None:

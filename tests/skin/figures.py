@@ -1,4 +1,5 @@
-"""The figures of `docs/physics.md`: `python tests/skin/figures.py` (about three minutes on two cores).
+"""The figures of `docs/physics.md`: `python tests/skin/figures.py` (about ten minutes on two cores, most of them for
+finite elements).
 
 Speeds are those of one run on one machine: read their ratios.
 """
@@ -16,6 +17,7 @@ from i2t.skin import contact, field, layer
 from i2t.skin.field import NODES, response
 from i2t.skin.layer import FINE, GRID, Grid
 from i2t.skin.pad import nominal_pad, press, press_force, sample_pad
+from i2t.skin.shear import rest, shear
 
 RANDOM = np.random.default_rng(1)
 FINEST = Grid(160, 256)
@@ -46,10 +48,29 @@ def against_hertz() -> None:
     print(f"\nforce over Hertz's: {found.force / (4 / 3 * modulus * np.sqrt(radius) * indentation**1.5):.4f}")
 
 
+def against_mindlin() -> None:
+    """The sphere of `test_shear`, dragged: the force over Cattaneo's and Mindlin's at the same slide."""
+    grid, radius, depth = Grid(32, 512, 1e-3), 2e-3, 0.03e-3
+    pad = PAD._replace(thickness=jnp.asarray(8e-3), friction=jnp.asarray(0.6))
+    y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
+    found = contact.solve(pad, jnp.asarray((x**2 + y**2) / (2 * radius), jnp.float32), depth, grid)
+    a, load, nu = np.sqrt(radius * depth), float(found.force), float(pad.poisson)
+    full = 3 * 0.6 * load * (2 - nu) * 2 * (1 + nu) / (16 * float(pad.young) * a)
+    pressed = rest(pad, found.pressure, grid)
+    print("\nshare of the slide to full slip: force over theirs, sticking radius over the contact's, and theirs, steps")
+    for part in (0.2, 0.4, 0.6, 0.8, 0.95, 1.2):
+        state = shear(pad, found.pressure, jnp.asarray([part * full, 0]), grid, pressed)
+        force = float(jnp.sum(state.traction[0])) * grid.spacing**2
+        theirs = 0.6 * load * (1 - max(1 - part, 0) ** 1.5)
+        stuck = np.sum((np.asarray(found.pressure) > 0) & ~np.asarray(state.slipping)) * grid.spacing**2
+        radii = np.sqrt(stuck / np.pi) / a, np.sqrt(max(1 - part, 0))
+        print(f"{part:.2f}: {force / theirs:.4f}  {radii[0]:.2f} {radii[1]:.2f}  {state.steps}")
+
+
 def free_sides() -> None:
     """The bonded pad in space, of 1 mm Taylor-Hood bricks, three through its thickness, half of it by symmetry."""
     pads = [PAD, *(sample_pad(jax.random.key(i)) for i in range(4))]
-    pads = [pad._replace(thickness=PAD.thickness, young=PAD.young) for pad in pads]
+    pads = [pad._replace(thickness=PAD.thickness, young=PAD.young, give=PAD.give) for pad in pads]  # bonded
     axes = np.linspace(-10e-3, 10e-3, 21), np.linspace(0, 10e-3, 11), np.linspace(-THICKNESS, 0, 4)
     half = GRID.centres[GRID.cells // 2 :]
     along, ahead = interpolate(axes[0], GRID.centres), interpolate(axes[1], half)
@@ -210,6 +231,7 @@ def magnitudes() -> None:
 if __name__ == "__main__":
     against_contact_mechanics()
     against_hertz()
+    against_mindlin()
     free_sides()
     refinement()
     speed()

@@ -9,7 +9,7 @@ import pytest
 
 from i2t.skin import contact, layer
 from i2t.skin.layer import GRID, Grid
-from i2t.skin.pad import nominal_pad
+from i2t.skin.pad import nominal_pad, sample_pad
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # it says at import that it runs without MPI
@@ -33,6 +33,12 @@ def _bar(x: float, y: float, half_width: float, half_height: float) -> np.ndarra
     return (abs(X - x) < half_width) & (abs(Y - y) < half_height)
 
 
+def _corner(x: float, y: float, slope: float) -> np.ndarray:
+    """Three faces of one slope that meet in a point."""
+    faces = [np.cos(angle) * (X - x) + np.sin(angle) * (Y - y) for angle in (0.4, 2.5, 4.6)]
+    return np.minimum(slope * np.max(faces, axis=0), 4e-3)
+
+
 T = np.where(_bar(0, 0, 1e-3, 5e-3) | _bar(0, 4e-3, 5e-3, 1e-3), 0, 3.5e-3)
 CROSS = np.where(_bar(0, 0, 1e-3, 5e-3) | _bar(0, 0, 5e-3, 1e-3), 0, 3.5e-3)
 SHAPES = {
@@ -43,6 +49,7 @@ SHAPES = {
     "stamp cross": (CROSS, 0.15e-3),
     "tilted stamp": (T + 0.03 * (X + 5e-3), 0.3e-3),
     "edge": (np.maximum(0.5 * (X + 0.3 * Y), -(X + 0.3 * Y)), 0.2e-3),
+    "corner": (_corner(1.2e-3, -2.1e-3, 0.6), 0.3e-3),
 }
 
 
@@ -161,6 +168,24 @@ def test_force_grows_with_depth(sweeps):
     # A stiffening contact: the mean slope of the force never falls (its energy is convex), but for the tolerance.
     slope = np.diff(force, axis=1) / np.diff(depths)
     assert np.all(np.diff(slope, axis=1) > -1e-3 * slope[:, 1:])
+
+
+def test_force_grows_with_depth_on_every_pad():
+    """500 sweeps of 8 depths: rough, tilted and cut surfaces, each on a pad of its own, some held at their edges."""
+    pads = jax.jit(jax.vmap(sample_pad))(jax.random.split(jax.random.key(2), 500))
+    pads = pads._replace(give=jnp.where(jnp.arange(500) % 2 == 0, 0.0, pads.give))
+    heights, shares = jnp.asarray(_rough(500), jnp.float32), jnp.geomspace(1e-3, 0.4, 8)
+
+    def end(pad, height, share):
+        found = contact.solve(pad, height, share * pad.thickness)
+        return found.force, found.converged
+
+    sweep = jax.jit(jax.vmap(jax.vmap(end, (None, None, 0)), (0, 0, None)))
+    for rows in np.arange(500).reshape(5, 100):
+        force, converged = sweep(jax.tree.map(lambda leaf, rows=rows: leaf[rows], pads), heights[rows], shares)
+        assert np.all(converged)
+        assert np.all(force[:, 0] > 0)
+        assert np.all(np.diff(force, axis=1) > 0)
 
 
 def test_force_control_inverts_depth_control(sweeps):
