@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Int, UInt
 
 from i2t.arrays import apart, cut, indices, put
@@ -168,11 +169,14 @@ def _trip(found: _Listed, clusters: Clusters, view: View, grid: Grid, pose, tile
     holds, size, (x, y) = t >= 0, clusters.size, pixels
     queue, name = apart(lambda _: _pop(queue, found, pose, tile % grid.side, tile // grid.side), t, holds)
 
-    def fetch(_):
-        row = (jnp.maximum(name, 0) + clusters.mesh[pose] * clusters.per_mesh)[:, None]
-        return _at(clusters.rows, (row, indices(size * 9)[None, :, None]))
+    corner, face, axis = np.mgrid[:3, :size, :3]
+    number = (face * 9 + corner * 3 + axis).ravel()  # of a coordinate in its cluster's row
 
-    corners = apart(fetch, t, holds).reshape(-1, size, 3, 3, LANES).swapaxes(1, 2)  # block, corner, face, axis, lane
+    def fetch(_):
+        row = jnp.maximum(name, 0) + clusters.mesh[pose] * clusters.per_mesh
+        return _at(clusters.rows, (row[:, None], jnp.asarray(number, jnp.int32)[None, :, None]))
+
+    corners = apart(fetch, t, holds).reshape(-1, 3, size, 3, LANES)  # block, corner, face, axis, lane
 
     def place(_):
         local = [corners[:, :, :, j] - view.origin[j][:, None, None] for j in range(3)]

@@ -13,6 +13,8 @@ clusters of all poses make one dense list, and all tiles of all poses one set of
 alone when most are done. `vmap` arrives here as a longer axis of poses (`custom_vmap`). Lists are worked off in passes
 of a fixed length, so that scratch memory is small and constant and no list can overflow.
 
+Meshes of many faces hardly larger than a pixel go another way, which keeps nothing of a face (`i2t.dense`).
+
 Work is split where XLA should store an intermediate: inside one loop body it would rather compute a cheap value again
 for each of its uses.
 """
