@@ -85,9 +85,9 @@ def test_rendering_section_against_ray_casters(capsys: pytest.CaptureFixture[str
 
 def test_skin_section_against_contact_mechanics() -> None:
     """The section itself checks that both find the same pressures, and fails where they do not."""
-    tiny = Skin(batch=3, cells=(20,), dipoles=(10, 20), shapes=("tilted punch", "edge"), steady=0)
+    tiny = Skin(batch=2, cells=(20,), dipoles=(10,), shapes=("tilted punch",), steady=0)
     rows = benchmark.main(Benchmark(sections=("skin",), turns=1, skin=tiny))
-    assert [row.peer_name for row in rows] == [*["ContactMechanics"] * 4, *["the contact alone"] * 2]
+    assert [row.peer_name for row in rows] == ["ContactMechanics"] * 3 + ["the contact alone"]
     assert all(row.ours > 0 and row.peer > 0 for row in rows)
 
 
