@@ -1,7 +1,8 @@
 """Question: how many presses of one skin does it take to predict all others, and which way takes the fewest?
 
     python -m experiments.calibrate --dataset DIR                  20 draws of 5 to 1000 presses
-    python -m experiments.calibrate --dataset DIR --preset debug   2 draws of up to 50 presses, too few to mean much
+    python -m experiments.calibrate --dataset DIR --preset short   the same up to 300 presses, in a quarter of the time
+    python -m experiments.calibrate --dataset DIR --preset debug   2 draws of up to 20 presses, too few to mean much
 
 DIR is any recording of one tip on one skin (see python -m i2t.convert). Held out, for all draws alike: 1000 random
 presses, and whole blocks of 6 mm; nothing is chosen by them. A third part asks what an earlier session is worth: the
@@ -68,11 +69,15 @@ class Preset:
     blocks: float = 0.2  # share of blocks held out
     skins: int = 300  # made-up ones, of 125 presses each
     steps: int = 4000  # of pretraining
-    scratch: int = 800  # steps of training from scratch
+    scratch: int = 500  # steps of training from scratch
     kept: int = 1500  # presses in what is saved
 
 
-PRESETS = {"full": Preset(), "debug": Preset(2, (5, 20, 50), skins=16, steps=50, scratch=50)}
+PRESETS = {
+    "full": Preset(),
+    "short": Preset(counts=(5, 10, 20, 50, 100, 300)),
+    "debug": Preset(2, (5, 20), skins=16, steps=50, scratch=50),
+}
 
 
 @dataclass(frozen=True)
@@ -81,7 +86,7 @@ class Args:
 
     dataset: Path  # a data set of one tip on one skin
     out: Path = Path("runs/calibrate")  # folder for everything that is made
-    preset: Literal["full", "debug"] = "full"
+    preset: Literal["full", "short", "debug"] = "full"
     load: Literal["auto", "depth", "force"] = "auto"  # what says how hard was pressed; auto: depth where measured
     period_mm: float = 0.0  # of a lattice along x and y, where it is known: another row of the table; 0: none
     seed: int = 0  # of what is held out and of the draws
@@ -126,7 +131,7 @@ def run(args: Args) -> dict[str, Any]:
     if least < 2 * min(cfg.counts) or held.sum() < 2 or blocks.sum() < 2 or (held & later).sum() < 2:
         raise ValueError(f"{args.dataset} has {len(held)} usable presses, too few to calibrate on and to hold out")
     begin(args.out, args, cfg, None, args.overwrite)
-    faults = calibrate.check(recording.place, recording.load, recording.readings)
+    faults = calibrate.check(recording.place, recording.load, recording.readings, by_force=recording.by_force)
     for sentence in faults.sentences():
         print(f"warning: {sentence}")
     usable = ~faults.stale
@@ -146,10 +151,15 @@ def run(args: Args) -> dict[str, Any]:
         told = pretrained(recording, cfg)
         seen = network.features(told, recording.presses(np.arange(len(held))))
         way = replace(way, seen=np.asarray(seen, np.float64), noise=float(told.noise))
+    base = way.base
     for draw in tqdm(range(cfg.draws), desc="draws", unit="draw"):
         rng = np.random.default_rng((args.seed, draw))
         order, order_after, past = (rng.permutation(rows) for rows in (pool, after, before))
-        for names, rows, known in ((first, order, None), ([second], order_after, past[: max(cfg.counts)])):
+        past = past[: max(cfg.counts)]
+        chips = None if recording.chips is None else jnp.float32(recording.chips)
+        earlier = fit(base, recording.presses(past), jnp.float32(recording.readings[past]), chips)
+        prior = np.asarray(predict(earlier, recording.presses(np.arange(len(held))))[0], np.float64)
+        for names, rows, known in ((first, order, None), ([second], order_after, prior)):
             for count in (n for n in cfg.counts if n <= len(rows)):
                 at = {name: tests[name] for name in names}
                 scored, covered = compare(way, rows[:count], at, known)
@@ -323,15 +333,15 @@ def best(ways: dict[str, Any], recording: Recording, rows: np.ndarray) -> str:
 
 
 def compare(
-    way: Way, rows: np.ndarray, tests: dict[str, np.ndarray], past: np.ndarray | None
+    way: Way, rows: np.ndarray, tests: dict[str, np.ndarray], prior: np.ndarray | None
 ) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, float]]]:
     """R2 on each set of held-out presses of every method that learns from the same rows, and the share of readings in
-    the stated 90 % range; `past` are rows of an earlier session.
+    the stated 90 % range; `prior` is what an earlier session says of all rows.
     """
     recording, test = way.recording, np.concatenate(list(tests.values()))
     readings, base = recording.readings, way.base
     shares: dict[str, np.ndarray] = {}
-    if past is None:
+    if prior is None:
         ways = way.ways()
         predicted = {name: ways[name](rows, test) for name in ways}
         predicted[BEST] = predicted[best(ways, recording, rows)]
@@ -344,14 +354,10 @@ def compare(
         }
     else:
         predicted = {NEIGHBOURS: neighbours(recording, rows, test), HEIGHT: way.structured(rows, test)}
-        chips = None if recording.chips is None else jnp.float32(recording.chips)
-        before = fit(base, recording.presses(past), jnp.float32(readings[past]), chips)
-        prior, own = (np.asarray(predict(before, recording.presses(r))[0]) for r in (test, rows))
-        predicted[ALONE] = prior
+        predicted[ALONE], left = prior[test], readings[rows] - prior[rows]
         # What the earlier session leaves is mostly noise: how much is told by the presses.
         rest = calibrate.options(base._replace(height=0.0), {"noise": (1.0, 10.0, 100.0, 1e4)})
-        hyper = choose(rest, recording, rows, readings[rows] - own)
-        predicted[EARLIER] = prior + way.process(hyper, rows, readings[rows] - own, test)
+        predicted[EARLIER] = prior[test] + way.process(choose(rest, recording, rows, left), rows, left, test)
     ends = np.cumsum([len(part) for part in tests.values()])
     parts = {name: slice(end - len(tests[name]), end) for name, end in zip(tests, ends, strict=True)}
     scored = {

@@ -270,6 +270,27 @@ def test_a_skin_that_slips_is_found():
     assert "slipped" in faults.sentences()[0]
 
 
+def test_a_chip_that_changes_alone_is_found():
+    place, load, readings = session(np.random.default_rng(14))
+    readings[300:, 6:9] += 35  # as much as one chip of a real board remembered of the press before
+    faults = calibrate.check(place, load, readings)
+    assert not faults.changed
+    assert faults.chips == (2,)
+    assert "chip 2" in faults.sentences()[0]
+
+
+def test_a_tip_of_steel_is_found_by_its_strength():
+    rng = np.random.default_rng(15)
+    for seed, n in ((16, 50), (17, 300)):
+        place, depth, readings = session(np.random.default_rng(seed), n)
+        force = 300 * depth  # up to 1.2 N
+        readings *= 100 / np.median(np.linalg.norm(readings, axis=1) / force)  # uT/N, as real boards
+        assert calibrate.check(place, force, readings, by_force=True).sentences() == []
+        steel = readings + rng.uniform(6, 10) * readings
+        (sentence,) = calibrate.check(place, force, steel, by_force=True).sentences()
+        assert "steel" in sentence
+
+
 def test_halves_at_different_places_tell_nothing():
     place, load, readings = session(np.random.default_rng(13))
     place = place + np.where(np.arange(600)[:, None] < 300, 0, 0.1)

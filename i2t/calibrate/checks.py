@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+STEEL = 500.0  # uT/N: real boards show 78-122 with a plastic tip, 6-10 times more with one of steel
+
 
 class Faults(NamedTuple):
     """Where recorded presses contradict the model."""
@@ -13,6 +15,8 @@ class Faults(NamedTuple):
     lag_r2: dict[int, float]  # R2 of neighbours for each lag
     change: float  # squared difference of neighbours in other halves of time over that in the same half
     changed: bool  # beyond chance; False where the halves do not overlap (change is then NaN)
+    chips: tuple[int, ...] = ()  # chips that changed by themselves, where the whole skin did not
+    sensitivity: float = float("nan")  # uT/N, median norm of a reading per force; only where the load is a force
 
     def sentences(self) -> list[str]:
         """What to tell a person; empty where nothing is wrong."""
@@ -31,19 +35,39 @@ class Faults(NamedTuple):
                 f"neighbours from the other half of the session differ {self.change:.1f} times as much as from the "
                 "same half: the skin slipped or changed; calibrate the halves apart"
             )
+        if self.chips:
+            told.append(
+                f"chip {', '.join(map(str, self.chips))} changed between the halves of the session and the others did "
+                "not: the skin slipped over it, or it remembers presses; calibrate the halves apart"
+            )
+        if self.sensitivity > STEEL:
+            told.append(
+                f"readings are {self.sensitivity:.0f} uT per newton, beyond {STEEL:g} of any such skin: a tip of steel "
+                "or another magnet disturbs the field; press with plastic or aluminium"
+            )
         return told
 
 
-def check(place: np.ndarray, load: np.ndarray, readings: np.ndarray, lags: int = 4, gain: float = 0.05) -> Faults:
+def check(
+    place: np.ndarray,
+    load: np.ndarray,
+    readings: np.ndarray,
+    lags: int = 4,
+    gain: float = 0.05,
+    by_force: bool = False,
+) -> Faults:
     """Look for repeated rows, a shifted label column and a changed skin in presses in the order of time (NumPy).
 
     A lag is reported if the R2 of neighbours grows by more than `gain`. With lag k the reading of row i belongs to the
-    labels of row i + k. Needs about 100 presses; with fewer nothing but repeated rows is looked for.
+    labels of row i + k. Needs about 100 presses; with fewer nothing but repeated rows and, where the load is a force
+    (`by_force`, N), a tip of steel is looked for.
     """
     stale = np.concatenate([[False], (np.diff(readings, axis=0) == 0).all(1)])
     at = np.column_stack([place / np.maximum(place.std(0), 1e-9), load / max(load.std(), 1e-9)])
+    firm = (load > 0.1 * load.max()) & ~stale
+    sensitivity = float(np.median(np.linalg.norm(readings[firm], axis=1) / load[firm])) if by_force else float("nan")
     if np.sum(~stale) < 100:
-        return Faults(stale, 0, {}, float("nan"), False)
+        return Faults(stale, 0, {}, float("nan"), False, (), sensitivity)
     r2 = {}
     for lag in range(-lags, lags + 1):
         rows = np.arange(max(0, -lag), len(at) - max(0, lag))
@@ -51,8 +75,12 @@ def check(place: np.ndarray, load: np.ndarray, readings: np.ndarray, lags: int =
     best = max(r2, key=lambda lag: r2[lag])
     lag = best if r2[best] > r2[0] + gain else 0
     rows = np.arange(max(0, -lag), len(at) - max(0, lag))
-    change, changed = _change(at[rows + lag][~stale[rows]], readings[rows][~stale[rows]])
-    return Faults(stale, lag, r2, change, changed)
+    labels, values = at[rows + lag][~stale[rows]], readings[rows][~stale[rows]]
+    change, changed = _change(labels, values)
+    alone = (
+        [] if changed else [i // 3 for i in range(0, values.shape[1], 3) if _change(labels, values[:, i : i + 3])[1]]
+    )
+    return Faults(stale, lag, r2, change, changed, tuple(alone), sensitivity)
 
 
 def _neighbours_r2(at: np.ndarray, readings: np.ndarray, k: int = 4) -> float:

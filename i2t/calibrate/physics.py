@@ -183,7 +183,7 @@ def _edge(grid: Grid) -> Float[np.ndarray, "n m"]:
     middle = np.clip(np.arange(grid.cells), 1, grid.cells - 2)[:, None] - np.arange(grid.cells)[None, :]
     means = np.eye(grid.cells) + ((np.abs(middle) == 1) * 1 - (middle == 0) * 2) / 24
     cell = (2 * np.arange(grid.cells) + 1) * MAP // (2 * grid.cells)
-    return (means @ cosines()[cell] * grid.spacing).astype(np.float32)
+    return (means.T @ cosines()[cell] * grid.spacing).astype(np.float32)
 
 
 def _tensor(point: Array, at: Float[Array, "3 n n"]) -> Float[Array, "3 3 n n"]:
@@ -230,9 +230,9 @@ def regress(phi: Float[Array, "n 15 k"], readings: Float[Array, "n 15"], noise: 
         (cholesky, True), jnp.matmul(rows.T, readings.reshape(-1) / noise, precision="highest")
     )
     half = jax.scipy.linalg.solve_triangular(cholesky, rows.T, lower=True).T.reshape(phi.shape)
-    rest = jnp.eye(READINGS) - jnp.einsum("nok,npk->nop", half, half, precision="highest")
+    rest = jnp.eye(READINGS)[None] - jnp.einsum("nok,npk->nop", half, half, precision="highest")
     error = (readings - jnp.einsum("nok,k->no", phi, weights, precision="highest")) / noise
-    factor = jnp.linalg.cholesky(rest + 1e-5 * jnp.eye(READINGS))
+    factor = jnp.linalg.cholesky(rest + 1e-5 * jnp.eye(READINGS)[None])
     lone = jax.vmap(lambda L, e: jax.scipy.linalg.cho_solve((L, True), e))(factor, error)
     # The error without the press is (I - H)^-1 e, its covariance (I - H)^-1.
     log_rest = 2 * jnp.sum(jnp.log(jnp.diagonal(factor, axis1=1, axis2=2)), axis=1)

@@ -30,7 +30,8 @@ JITTER = 1e-5  # of the signal's variance: float32 factors of 1000 presses stay 
 ROUNDS = 3  # fits, each with the heights that the one before found; more change nothing
 HEIGHT_ERROR = 5e-3  # of the unit load: what a press tells of its height is never better than this
 WITHIN = 1.645  # standard deviations of a normal error that hold nine in ten
-FOLDS = 10
+FOLDS = 10  # up to MANY presses, and three beyond
+MANY = 300
 USUAL = 1.2  # widening on the development presses of the recording that DEPTH was found on
 FEW = 2.0  # presses' worth of belief that all channels have one scale
 
@@ -241,7 +242,7 @@ def widening(
     A few presses say little: each channel is drawn to all by 20 presses' worth, and all to USUAL by 5.
     """
     n = len(readings)
-    folds = min(FOLDS, n)
+    folds = min(FOLDS if n <= MANY else 3, n)
     if folds < 2:
         return jnp.ones(readings.shape[1])
 

@@ -1,0 +1,211 @@
+"""Question: how well do a few presses at a known force tell a ReSkin, when its layer is what physics says it is?
+
+    python -m experiments.calibrate_pads                  8 random simulated pads, 10 to 300 presses
+    python -m experiments.calibrate_pads --preset debug   1 pad, 10 and 20 presses, too few to mean anything
+
+Everything is simulated: pads of `sample_pad`, a spherical tip of 4 mm pressed to 0.2 to 1 N at random places, 0.02 N of
+error in the force, 0.05 mm in each place, and 1.5 uT of noise. Ways: k nearest presses, a plain Gaussian process, the
+structured process for forces, a network pretrained on other random pads, a pad fitted by physics, and that with a
+structured process for what it leaves. All see the same presses. Results go to --out: metrics.json, config.json,
+curves.png, and pad.npz, the first pad as fitted to the most presses, which `i2t.skin.files.load_pad` reads.
+"""
+
+import os
+import sys
+import time
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from matplotlib.figure import Figure
+from tqdm import tqdm
+
+from experiments import plots
+from experiments.calibrate import (
+    NEIGHBOURS,
+    PLAIN,
+    Preset,
+    Recording,
+    Way,
+    choose,
+    fit,
+    neighbours,
+    predict,
+    summarise,
+)
+from experiments.evaluation import score
+from experiments.runs import begin, reported, write_json
+from i2t import boards, calibrate
+from i2t.calibrate import Presses, network, physics
+from i2t.calibrate.physics import Tip
+from i2t.skin.files import save_pad
+from i2t.skin.pad import press_force, sample_pad
+from i2t.types import Pad
+
+STRUCTURED, PRETRAINED = "structured process", "network pretrained on random pads"
+NOMINAL, FITTED, RESIDUAL = "physics, middling layer", "physics, fitted layer", "physics + structured process"
+COLOURS = {
+    NEIGHBOURS: plots.GREY, PLAIN: plots.ORANGE, STRUCTURED: plots.GREEN, PRETRAINED: "#8b5fbf", NOMINAL: "#7fb3d5",
+    FITTED: plots.BLUE, RESIDUAL: plots.RED,
+}  # fmt: skip
+TIP = Tip("sphere", 4e-3)
+HALF, FORCES = 8e-3, (0.2, 1.0)  # m, N
+FORCE_ERROR, PLACE_ERROR, NOISE = 0.02, 0.05e-3, 1.5  # N, m, uT
+
+
+@dataclass(frozen=True)
+class Pads:
+    """How much is tried."""
+
+    pads: int = 8
+    counts: tuple[int, ...] = (10, 20, 50, 100, 300)
+    held: int = 200
+    others: int = 200  # random pads of 60 presses each, to pretrain on
+    steps: int = 3000
+
+
+PRESETS = {"full": Pads(), "debug": Pads(1, (10, 20), 40, 4, 20)}
+
+
+@dataclass(frozen=True)
+class Args:
+    """Calibration of simulated pads by force."""
+
+    out: Path = Path("runs/calibrate_pads")  # folder for everything that is made
+    preset: Literal["full", "debug"] = "full"
+    seed: int = 0
+    overwrite: bool = False  # replace a run in --out
+
+
+@partial(jax.jit, static_argnums=(1, 2))
+def pressed(key: jax.Array, count: int, n: int) -> tuple[Pad, Presses, jax.Array]:
+    """Random pads, (count,), n presses of each as a lab believes them, and their readings (count, n, 15) with noise."""
+    keys = dict(zip(("pads", "place", "force", "misplace", "misforce", "noise"), jax.random.split(key, 6), strict=True))
+    place = jax.random.uniform(keys["place"], (count, n, 2), minval=-HALF, maxval=HALF)
+    force = jax.random.uniform(keys["force"], (count, n), minval=FORCES[0], maxval=FORCES[1])
+    real = place + PLACE_ERROR * jax.random.normal(keys["misplace"], place.shape)
+    true = force + FORCE_ERROR * jax.random.normal(keys["misforce"], force.shape)
+
+    def skin(at: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[Pad, jax.Array]:
+        pad = sample_pad(at[0])
+        return pad, jax.lax.map(lambda p: press_force(pad, TIP.height(p[0]), p[1]).reading, at[1:], batch_size=8)
+
+    pads, readings = jax.lax.map(skin, (jax.random.split(keys["pads"], count), real, true))
+    return pads, Presses(place, force), readings + NOISE * jax.random.normal(keys["noise"], readings.shape)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    args = tyro.cli(Args, args=argv, description=__doc__, prog="python -m experiments.calibrate_pads")
+    return reported(partial(run, args))
+
+
+def run(args: Args) -> dict[str, Any]:
+    """The experiment: pads, fits, table and figure."""
+    started, cfg = time.perf_counter(), PRESETS[args.preset]
+    begin(args.out, args, cfg, None, args.overwrite)
+    key_pads, key_others, key_train = jax.random.split(jax.random.key(args.seed), 3)
+    pads, presses, readings = pressed(key_pads, cfg.pads, max(cfg.counts) + cfg.held)
+    told = network.pretrain(key_train, *pressed(key_others, cfg.others, 60)[1:], cfg.steps, (5, 10, 20, 50))[0]
+    r2: dict[str, dict[int, list[float]]] = {}
+    maps: dict[int, list[float]] = {}
+    inside: dict[int, list[float]] = {}
+    misses: list[list[float]] = []
+    for i in tqdm(range(cfg.pads), desc="pads", unit="pad"):
+        pad, at = (jax.tree.map(lambda part, i=i: part[i], tree) for tree in (pads, presses))
+        place, force, y = (np.asarray(part, np.float64) for part in (at.place, at.load, readings[i]))
+        recording = Recording(place, force, y, True, boards.reskin().chips[:, :2])
+        seen = np.asarray(network.features(told, at), np.float64)
+        way = replace(Way(recording, Preset(), 0.0), seen=seen, noise=float(told.noise))
+        test = np.arange(len(y) - cfg.held, len(y))
+        for count in cfg.counts:
+            rows = np.arange(count)
+            fitted, predicted = ways(way, rows, test)
+            for name, mean in predicted.items():
+                r2.setdefault(name, {}).setdefault(count, []).append(score(recording.readings[test], mean).r2)
+            true_map = np.asarray(pad.magnetisation)
+            wrong = np.sum((true_map - np.asarray(fitted.pad.magnetisation)) ** 2)
+            maps.setdefault(count, []).append(float(1 - wrong / np.sum(true_map**2)))
+            middle, std = physics.predict_pad(fitted, recording.presses(test), TIP, True)
+            share = np.mean(np.abs(recording.readings[test] - middle) < calibrate.WITHIN * np.asarray(std))
+            inside.setdefault(count, []).append(float(share))
+        gap = -pad.board.chips[0, 2] - pad.thickness
+        true = {"thickness": pad.thickness, "gap": gap, "young": pad.young, "give": pad.give}
+        misses.append([float((getattr(fitted.layer, n) - v) / getattr(fitted.spread, n)) for n, v in true.items()])
+        if i == 0:
+            save_pad(args.out / "pad.npz", fitted.pad, {"presses": max(cfg.counts), "source": "simulated"})
+    base = r2[STRUCTURED]
+    metrics = {
+        "source": "simulated",
+        "seed": args.seed,
+        "pads": cfg.pads,
+        "r2": summarise(r2),
+        "differences_to_structured": {
+            name: summarise({"": {n: list(np.subtract(v, base[n])) for n, v in by.items()}})[""]
+            for name, by in r2.items()
+            if name != STRUCTURED
+        },
+        "map_r2": summarise({"": maps})[""],
+        "inside_90_of_fitted": summarise({"": inside})[""],
+        "layer_misses_in_spreads": {"of": list(true), "values": misses},
+        "seconds": round(time.perf_counter() - started, 1),
+    }
+    plots.save(figure(metrics), args.out / "curves.png")
+    write_json(args.out / "metrics.json", metrics)
+    for name, by_count in metrics["r2"].items():
+        cells = (f"{n}: {v['mean']:.3f} [{v['low']:.3f}, {v['high']:.3f}]" for n, v in by_count.items())
+        print(f"{name:40}" + "  ".join(cells))
+    print(f"\nsimulated; results, the figure and the fitted pad are in {args.out}")
+    return metrics
+
+
+def ways(way: Way, rows: np.ndarray, test: np.ndarray) -> tuple[physics.PadFit, dict[str, np.ndarray]]:
+    """Readings at the test from those at rows in every way, and the pad fitted."""
+    recording = way.recording
+    at, y = recording.presses(rows), jnp.float32(recording.readings[rows])
+    board, given = boards.reskin(), physics.prior()
+    predicted = {
+        NEIGHBOURS: neighbours(recording, rows, test),
+        PLAIN: way.plain(rows, test),
+        STRUCTURED: way.structured(rows, test),
+        PRETRAINED: way.pretrained(rows, test),
+    }
+    middling = physics.solve_map(given.middle, given.spread, at, y, TIP, board, True)
+    fitted = physics.fit_pad(at, y, TIP, board, True, given)
+    for name, one in ((NOMINAL, middling), (FITTED, fitted)):
+        predicted[name] = np.asarray(physics.predict_pad(one, recording.presses(test), TIP, True)[0], np.float64)
+    left = y - fitted.left_out
+    # What physics leaves is noise for the most part; how much is told by the presses.
+    stacked = calibrate.options(calibrate.FORCE._replace(noise=100.0), {"noise": (1e-3, 1e-2, 0.1)})
+    rest = fit(choose(stacked, recording, rows, np.asarray(left)), at, left, jnp.float32(recording.chips))
+    predicted[RESIDUAL] = predicted[FITTED] + np.asarray(predict(rest, recording.presses(test))[0], np.float64)
+    return fitted, predicted
+
+
+def figure(metrics: dict[str, Any]) -> Figure:
+    """R2 against the number of presses."""
+    result = Figure(figsize=(7, 4.6), layout="constrained")
+    axes = result.subplots()
+    for method, by_count in metrics["r2"].items():
+        counts = list(by_count)
+        mean, low, high = ([by_count[n][key] for n in counts] for key in ("mean", "low", "high"))
+        axes.plot(counts, mean, "o-", ms=3, color=COLOURS[method], label=method)
+        axes.fill_between(counts, low, high, color=COLOURS[method], alpha=0.15, lw=0)
+    axes.set(xscale="log", xlabel="presses to calibrate with", ylim=(0, 1), ylabel="R² of 15 channels")
+    axes.set_xticks(counts, [str(n) for n in counts])
+    axes.minorticks_off()
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=7, loc="lower right")
+    axes.set_title(f"Presses at a known force on {metrics['pads']} simulated pads (95 % over pads)")
+    return result
+
+
+if __name__ == "__main__":
+    sys.exit(main())
