@@ -1,6 +1,7 @@
 """Question: how well do a few presses at a known force tell a ReSkin, when its layer is what physics says it is?
 
     python -m experiments.calibrate_pads                  8 random simulated pads, 10 to 300 presses
+    python -m experiments.calibrate_pads --preset short   4 pads, 20 and 100 presses
     python -m experiments.calibrate_pads --preset debug   1 pad, 10 and 20 presses, too few to mean anything
 
 Everything is simulated: pads of `sample_pad`, a spherical tip of 4 mm pressed to 0.2 to 1 N at random places, 0.02 N of
@@ -71,7 +72,7 @@ class Pads:
     steps: int = 3000
 
 
-PRESETS = {"full": Pads(), "debug": Pads(1, (10, 20), 40, 4, 20)}
+PRESETS = {"full": Pads(), "short": Pads(4, (20, 100), 200, 150, 2000), "debug": Pads(1, (10, 20), 40, 4, 20)}
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ class Args:
     """Calibration of simulated pads by force."""
 
     out: Path = Path("runs/calibrate_pads")  # folder for everything that is made
-    preset: Literal["full", "debug"] = "full"
+    preset: Literal["full", "short", "debug"] = "full"
     seed: int = 0
     overwrite: bool = False  # replace a run in --out
 
