@@ -27,7 +27,8 @@ CAMERA = Camera(640, 360, 322.4, 322.1, 319.5, 179.5)
 ERROR = 1e-4  # m, RMS that is allowed away from edges
 FLAT = 3e-6  # m: float32 holds 0.2 m to 1.5e-8 m; a grazing ray (10 degrees) multiplies ten such roundings by six
 DOWN = np.diag([1.0, -1.0, -1.0])
-# Its outline bends: halfway to the side of all of it the window holds but the handle's flank, 5 % to compare.
+# Its outline bends: halfway to the side of all of it the window holds but the handle's flank, where a twentieth of the
+# pixels is away from edges and within the reach, however the camera looks. So places on its parts are looked at too.
 HAMMER = {
     "hammer's handle": (0.070, 0.018, 0.020),
     "hammer's head": (0.121, 0.005, 0.025),
@@ -111,7 +112,7 @@ def rms(values) -> float:
 
 
 @pytest.mark.parametrize("tilt", [0.0, 30.0, 50.0])
-@pytest.mark.parametrize("name", ["hexagon", "star", "stairs", "wedge", "dome", "torus", "stamp-T", *HAMMER])
+@pytest.mark.parametrize("name", ["hexagon", "star", "stairs", "wedge", "dome", "torus", "stamp-T", "hammer", *HAMMER])
 def test_against_direct_rendering(name, tilt):
     mesh, (T_w_c, T_w_t) = scene(name), views(tilt, beside(name))
     real, imagined = cut(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare(mesh), T_w_t)
@@ -121,7 +122,7 @@ def test_against_direct_rendering(name, tilt):
     theirs = np.asarray(imagined.depth)
     ours = np.minimum(heights(real.patch) - float(imagined.nearest), REACH)
     inner = seen & away(theirs) & (np.asarray(real.patch.depth) < REACH)
-    assert inner.mean() > 0.25
+    assert inner.mean() > (0.04 if name == "hammer" else 0.25)
     assert rms((ours - theirs)[inner]) <= (FLAT if name in ("hexagon", "star", "stairs") else ERROR)
     # What a camera says it saw is there, at edges too: no closer than the surface within a pixel and a half of 0.5 mm.
     assert (ours >= around(theirs).min((2, 3)) - ERROR)[seen].all()
@@ -130,7 +131,7 @@ def test_against_direct_rendering(name, tilt):
     free, angle = in_sight(mesh, T_w_c, T_w_t, heights(imagined))
     plain = away(theirs) & (around(theirs).max((2, 3)) < REACH)
     known = plain & around(free).all((2, 3)) & (angle > np.radians(12))
-    assert known.mean() > 0.25
+    assert known.mean() > (0.04 if name == "hammer" else 0.25)
     assert seen[known].mean() > 0.95
     assert not (seen & plain & ~free).any()
 
