@@ -347,7 +347,7 @@ def compare(
         predicted[BEST] = predicted[best(ways, recording, rows)]
         presses, chips = recording.presses(rows), None if recording.chips is None else jnp.float32(recording.chips)
         mean, std = predict(fit(base, presses, jnp.float32(readings[rows]), chips), recording.presses(test))
-        wide = np.asarray(std * widening(base, presses, jnp.float32(readings[rows]), chips))
+        wide = np.asarray(std * widening(base, presses, jnp.float32(readings[rows]), chips)[None])
         shares = {
             HEIGHT + ", as the process says": np.abs(readings[test] - mean) < calibrate.WITHIN * std,
             HEIGHT + ", widened": np.abs(readings[test] - mean) < calibrate.WITHIN * wide,
