@@ -9,7 +9,8 @@ other pad, 84 % on many, 87 % after 390 presses of the new pad whose places nobo
 presses are simulated (`sample_pad` with the faults and the noise of a board in order): a tip of 4.6 mm at random places
 within 7 mm of the middle along x and y, 0.6-1.0 N, the force not told. Each skin is tested on presses of its own that
 no method sees; networks that learn from other skins learn from those of the other boards only. The share within 1 mm is
-the mean over skins with its 95 % interval (Student's t). Results go to --out: metrics.json, config.json and accuracy.png.
+the mean over skins with its 95 % interval (Student's t). Results go to --out: metrics.json, config.json and
+accuracy.png.
 """
 
 import os
@@ -62,9 +63,10 @@ class Study:
     own: int = 1500  # presses of the pad itself that the ceiling learns from
     test: int = 400
     epochs: int = 200  # of the networks
+    spacing: float = locate.SPACING  # m, of the atlas
 
 
-PRESETS = {"study": Study(), "debug": Study(2, (5,), 30, 40, 30, 3)}
+PRESETS = {"study": Study(), "debug": Study(2, (), 10, 10, 20, 3, 3.5e-3)}
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def run(args: Args) -> dict[str, Any]:
     """Locate on every skin, and report."""
     study = PRESETS[args.preset]
-    skins = args.skins or (18 if args.preset == "study" else 2)
+    skins = args.skins if args.skins is not None else 18 if args.preset == "study" else 2
     if skins < 2:
         raise ValueError(f"--skins {skins} leaves no other skin to learn from; 2 are needed")
     begin(args.out, args, study, None, args.overwrite)
@@ -190,10 +192,10 @@ def locate_all(
         ),
     }
     middle, board = jax.tree.map(jnp.asarray, prior().middle), reskin()
-    unpressed = _atlas(middle)
+    unpressed = locate.make_atlas(middle, board, TIP, REACH, LOADS, spacing=study.spacing)
     nothing = locate.unknown(unpressed, NOISE)
     found["physics, no press"] = right(locate.locate(unpressed, nothing, test.reading)[0])
-    coarse = locate.make_atlas(middle, board, TIP, REACH, LOADS, finer=1)
+    coarse = locate.make_atlas(middle, board, TIP, REACH, LOADS, finer=1, spacing=study.spacing)
     learnt = locate.learn(coarse, own.reading[: study.unlabelled], NOISE)
     name = f"physics, {study.unlabelled} presses without labels"
     found[name] = right(locate.locate(unpressed, learnt, test.reading)[0])
@@ -204,7 +206,7 @@ def locate_all(
         presses = Presses(some.place, some.force)
         if fitted is None or n <= LAYER:
             fitted = fit_pad(presses, some.reading, TIP, board, True, limit=LAYER)
-            atlas = _atlas(fitted.layer)
+            atlas = locate.make_atlas(fitted.layer, board, TIP, REACH, LOADS, spacing=study.spacing)
         else:
             fitted = solve_map(fitted.layer, fitted.spread, presses, some.reading, TIP, board, True)
         weights = locate.Weights(fitted.weights, fitted.cholesky, fitted.layer.noise)
@@ -217,10 +219,6 @@ def locate_all(
 
 def _halves(study: Study) -> tuple[slice, slice]:
     return slice(0, study.own), slice(study.own, study.own + study.test)
-
-
-def _atlas(layer) -> locate.Atlas:
-    return locate.make_atlas(layer, reskin(), TIP, REACH, LOADS)
 
 
 def neighbours(known: Session, readings: Float[Array, "n 15"]) -> np.ndarray:

@@ -86,7 +86,7 @@ def log_likelihood(atlas: Atlas, weights: Weights, readings: Float[Array, "n 15"
     def of_some(phi: Float[Array, "b 15 k"]) -> Float[Array, "b n"]:
         half = jnp.matmul(phi, inverse, precision="highest")
         covariance = jnp.einsum("bok,bpk->bop", half, half, precision="highest")
-        factor = jnp.linalg.cholesky(covariance + weights.noise**2 * jnp.eye(READINGS))
+        factor = jnp.linalg.cholesky(covariance + weights.noise**2 * jnp.eye(READINGS)[None])
         whiten = jax.scipy.linalg.solve_triangular(
             factor, jnp.broadcast_to(jnp.eye(READINGS), factor.shape), lower=True
         )
