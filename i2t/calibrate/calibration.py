@@ -48,7 +48,7 @@ class Calibration:
     load: Load  # what says how hard was pressed
     about: dict[str, Any] = field(default_factory=dict)
 
-    def predict(self, place: ArrayLike, load: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    def predict(self, place: ArrayLike, load: ArrayLike | float) -> tuple[np.ndarray, np.ndarray]:
         """Mean and standard deviation (uT), noise included, (n, 15) or (15,) each.
 
         `place` (n, 2) or (2,) is the tip's place in the tool frame (m), `load` (n,) or () its depth (m) or force (N).
