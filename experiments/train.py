@@ -4,6 +4,7 @@
     python -m experiments.train --preset debug       the same in 40 seconds, too small to mean anything
     python -m experiments.train --seeds 5            means and 95 % intervals over seeds
     python -m experiments.train --preset study       3 pads x 5 seeds
+    python -m experiments.train --pad FILE           a pad fitted to a real skin in place of a random one
     python -m experiments.train --dataset DIR        any recorded or converted set (see python -m i2t.convert)
 
 Hexagon and parallelogram train, one tool validates, all other primitives and tools test. Every method sees the same
@@ -17,6 +18,7 @@ import json
 import os
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -51,8 +53,9 @@ from i2t import predictor as predicting
 from i2t.dataset import Dataset
 from i2t.predictor import Predictor, Reading
 from i2t.render import prepare
+from i2t.skin.files import load_pad
 from i2t.skin.pad import sample_pad
-from i2t.types import Board
+from i2t.types import Board, Pad
 
 PROCESS = "Gaussian process on imagined pressure"
 CEILING = "ceiling: process without camera and arm errors"
@@ -66,6 +69,7 @@ class Args:
     preset: Literal["paper", "debug", "study"] = "paper"
     dataset: Path | None = None  # a data set to train on instead of simulating one
     split: Literal["auto", "object", "run", "block", "time"] = "auto"  # what is held out of --dataset
+    pad: Path | None = None  # a pad on disk (`i2t.skin.files`), say one fitted to a real skin, to simulate with
     seed: int = 0  # of everything random
     seeds: int | None = None  # how many seeds, from --seed on
     epochs: int | None = None  # of the networks
@@ -89,13 +93,16 @@ def run(args: Args) -> dict[str, Any]:
     if args.epochs is not None:
         cfg = replace(cfg, training=replace(cfg.training, epochs=args.epochs))
     seeds = range(args.seed, args.seed + (args.seeds or cfg.seeds))
-    pads = (None,) if args.dataset else cfg.pads
+    if args.pad and args.dataset:
+        raise ValueError("--pad is for simulated touches, and --dataset brings its own; pass one of them")
+    pads: Sequence[Pad | int | None] = (None,) if args.dataset else (load_pad(args.pad),) if args.pad else cfg.pads
     begin(args.out, args, cfg, args.resume, args.overwrite)
     several = len(seeds) * len(pads) > 1
     parts = []
     for pad in pads:
         for seed in seeds:
-            place = args.out / f"pad-{pad or 0}-seed-{seed}" if several else args.out
+            number = pad if isinstance(pad, int) else 0
+            place = args.out / f"pad-{number}-seed-{seed}" if several else args.out
             finished = place / "metrics.json"
             if not finished.exists():
                 run_one(args, cfg, seed, pad, place)
@@ -106,11 +113,13 @@ def run(args: Args) -> dict[str, Any]:
     return result
 
 
-def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: int | None, out: Path) -> None:
+def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: Pad | int | None, out: Path) -> None:
     """One pad and seed: data, split, methods, scores, figures, predictor."""
     started = time.perf_counter()
     out.mkdir(parents=True, exist_ok=True)
-    dataset = data.load(args.dataset) if args.dataset else simulate(cfg, seed, pad or 0, out / "data.h5")
+    dataset = (
+        data.load(args.dataset) if args.dataset else simulate(cfg, seed, 0 if pad is None else pad, out / "data.h5")
+    )
     split = split_dataset(dataset, cfg, args.split, seed)
     touches, readings = dataset.touches, dataset.touches.reading
     simulated = dataset.source != "real"
@@ -172,7 +181,7 @@ def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: int | None, out: P
     metrics: dict[str, Any] = {
         "source": dataset.source,
         "seed": seed,
-        "pad": pad,
+        "pad": str(args.pad) if args.pad else pad,
         "split": split.how,
         "counts": {part: int(getattr(split, part).sum()) for part in ("train", "validation", "test")},
         "groups": len(np.unique(groups)),
@@ -192,13 +201,15 @@ def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: int | None, out: P
     write_json(out / "metrics.json", metrics)
 
 
-def simulate(cfg: TrainExperiment, seed: int, pad_seed: int, path: Path) -> Dataset:
-    """The embedded default: simulated touches of the preset with one pad, kept in `path` for a resumed run."""
+def simulate(cfg: TrainExperiment, seed: int, which: Pad | int, path: Path) -> Dataset:
+    """The embedded default: simulated touches of the preset with one pad, random by its number or given, kept in `path`
+    for a resumed run.
+    """
     if path.exists():
         return data.load(path)
     plan = cfg.simulation
     surfaces = [prepare(objects.make(name).mesh) for name in plan.objects]
-    pad = sample_pad(jax.random.key(1000 + pad_seed))
+    pad = sample_pad(jax.random.key(1000 + which)) if isinstance(which, int) else which
     with tqdm(total=plan.touches, desc="simulating touches", unit="touch") as bar:
         touches = world.simulate(
             jax.random.key(seed), surfaces, pad, plan.errors, plan.counts(),
@@ -209,7 +220,7 @@ def simulate(cfg: TrainExperiment, seed: int, pad_seed: int, path: Path) -> Data
     made = Dataset(
         touches,
         plan.objects,
-        (f"simulated pad {pad_seed}",),
+        (f"simulated pad {which}" if isinstance(which, int) else "pad on disk",),
         runs,
         board,
         "simulated",

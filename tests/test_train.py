@@ -9,6 +9,8 @@ import subprocess
 import sys
 import time
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -16,6 +18,8 @@ import i2t
 from experiments import train
 from i2t import dataset
 from i2t.checkpoint import CheckpointError
+from i2t.skin.files import save_pad
+from i2t.skin.pad import nominal_pad
 
 
 @pytest.fixture(scope="module")
@@ -115,3 +119,23 @@ def test_wrong_arguments_get_one_sentence(arguments, words, tmp_path, capsys):
 def test_there_is_no_predictor_in_an_empty_folder(tmp_path):
     with pytest.raises(CheckpointError, match="holds no predictor"):
         i2t.load_predictor(tmp_path)
+
+
+def test_a_pad_on_disk_takes_the_place_of_a_random_one(tmp_path, capsys, monkeypatch):
+    kept = nominal_pad()._replace(young=jnp.asarray(123e3))
+    save_pad(tmp_path / "pad.npz", kept)
+    pressed = []
+
+    def simulate(key, surfaces, pad, *others, **named):
+        pressed.append(pad)
+        raise ValueError("seen enough")
+
+    monkeypatch.setattr(train.world, "simulate", simulate)
+    arguments = ["--preset", "debug", "--out", str(tmp_path / "run"), "--pad"]
+    assert train.main([*arguments, str(tmp_path / "pad.npz")]) == 2
+    jax.tree.map(np.testing.assert_allclose, pressed[0], kept)
+    assert "seen enough" in capsys.readouterr().err
+    assert train.main([*arguments, str(tmp_path / "none.npz"), "--overwrite"]) == 2
+    assert "none.npz" in capsys.readouterr().err
+    assert train.main([*arguments, str(tmp_path / "pad.npz"), "--dataset", str(tmp_path), "--overwrite"]) == 2
+    assert "--pad is for simulated touches" in capsys.readouterr().err
