@@ -3,13 +3,15 @@
     python -m experiments.calibrate --dataset DIR                  20 draws of 5 to 1000 presses
     python -m experiments.calibrate --dataset DIR --preset short   the same up to 300 presses, in a quarter of the time
     python -m experiments.calibrate --dataset DIR --preset debug   2 draws of up to 20 presses, too few to mean much
+    python -m experiments.calibrate --dataset DIR --earlier DIR    only what an earlier session of the skin is worth
 
 DIR is any recording of one tip on one skin (see python -m i2t.convert). Held out, for all draws alike: 1000 random
 presses, and whole blocks of 6 mm; nothing is chosen by them. A third part asks what an earlier session is worth: the
-first half in time predicts the second. Every method sees the same presses, so that differences are paired. Results go
-to --out: metrics.json, config.json, curves.png, and calibration.npz, what `i2t.calibrate.load` reads: the skin as
-calibrated on all presses (of more than 1500, that many at random). The pretrained network has pressed made-up skins of
-four magnets only.
+first half in time predicts the second; with --earlier a session recorded before predicts the second half of this one,
+and presses are drawn from the first half, so that one place or few are enough. Every method sees the same presses, so
+that differences are paired. Results go to --out: metrics.json, config.json, curves.png, and calibration.npz, what
+`i2t.calibrate.load` reads: the skin as calibrated on all presses (of more than 1500, that many at random). The
+pretrained network has pressed made-up skins of four magnets only.
 """
 
 import os
@@ -48,11 +50,13 @@ PERIOD = "structured process + height, period given"
 SCRATCH, PRETRAINED = "network from scratch", "network pretrained on made-up skins"
 RESIDUAL, BEST = "pretrained network + structured process", "best way by cross-validation"
 EARLIER, ALONE = "earlier half as the mean", "earlier half alone"
+SESSION = {EARLIER: "earlier session as the mean", ALONE: "earlier session alone"}
 STYLES = {
     NEIGHBOURS: (plots.GREY, "-"), PLAIN: (plots.ORANGE, "-"), STRUCTURED: (plots.BLUE, "-"),
     HEIGHT: (plots.GREEN, "-"), CHOSEN: (plots.RED, ":"), EARLIER: (plots.BLUE, "-"), ALONE: (plots.RED, "--"),
     PERIOD: (plots.GREEN, ":"), SCRATCH: (plots.GREY, "--"), PRETRAINED: (plots.ORANGE, "--"),
     RESIDUAL: (plots.BLUE, "--"), BEST: (plots.RED, "-"),
+    SESSION[EARLIER]: (plots.BLUE, "-"), SESSION[ALONE]: (plots.RED, "--"),
 }  # fmt: skip
 LIMIT = 300  # presses that hyperparameters are chosen on: the cost grows with the cube
 SCALES = {"length": (0.7, 1.0, 1.4), "bend": (0.3, 1.0, 3.0), "noise": (0.3, 1.0, 3.0)}
@@ -88,6 +92,7 @@ class Args:
     out: Path = Path("runs/calibrate")  # folder for everything that is made
     preset: Literal["full", "short", "debug"] = "full"
     load: Literal["auto", "depth", "force"] = "auto"  # what says how hard was pressed; auto: depth where measured
+    earlier: Path | None = None  # a data set of an earlier session of the same skin with the same tip
     period_mm: float = 0.0  # of a lattice along x and y, where it is known: another row of the table; 0: none
     seed: int = 0  # of what is held out and of the draws
     overwrite: bool = False  # replace a run in --out
@@ -110,7 +115,7 @@ class Recording:
     def features(self, rows: np.ndarray) -> np.ndarray:
         """Place and load in their standard deviations, for neighbours."""
         both = np.column_stack([self.place, self.load])
-        return (both / both.std(0))[rows]
+        return (both / np.maximum(both.std(0), 1e-9))[rows]
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -121,6 +126,8 @@ def main(argv: list[str] | None = None) -> int:
 
 def run(args: Args) -> dict[str, Any]:
     """The experiment: data and its faults, what is held out, draws, table and figure."""
+    if args.earlier is not None:
+        return sessions(args, args.earlier)
     started, cfg = time.perf_counter(), PRESETS[args.preset]
     dataset = data.load(args.dataset)
     recording = read(dataset, args.load)
@@ -192,6 +199,56 @@ def run(args: Args) -> dict[str, Any]:
         "inside_90": {name: summarise(methods) for name, methods in inside.items()},
         "differences": {name: differences(methods) for name, methods in values.items()},
         "presses_for_the_same_r2": {name: saved(methods) for name, methods in values.items()},
+        "seconds": round(time.perf_counter() - started, 1),
+    }
+    plots.save(figure(metrics, dataset.source), args.out / "curves.png")
+    write_json(args.out / "metrics.json", metrics)
+    report(metrics)
+    print(f"\nresults and the figure are in {args.out}")
+    return metrics
+
+
+def sessions(args: Args, source: Path) -> dict[str, Any]:
+    """What an earlier session is worth: R2 on the second half in time of this one, from presses of its first half."""
+    started, cfg = time.perf_counter(), PRESETS[args.preset]
+    dataset = data.load(args.dataset)
+    recording, before = read(dataset, args.load), read(data.load(source), args.load)
+    if recording.by_force != before.by_force:
+        raise ValueError("one session has depths and the other forces; choose a --load that both have")
+    if min(len(recording.load) // 2, len(before.load)) < max(2, *cfg.counts[:1]):
+        raise ValueError(f"{args.dataset} or {source} has too few usable presses to calibrate on")
+    begin(args.out, args, cfg, None, args.overwrite)
+    faults, told = {}, {"earlier": before, "later": recording}
+    for name, one in told.items():
+        faults[name] = calibrate.check(one.place, one.load, one.readings, by_force=one.by_force)
+        for sentence in faults[name].sentences():
+            print(f"warning, {name} session: {sentence}")
+    rows = {name: np.flatnonzero(~found.stale) for name, found in faults.items()}
+    n = len(recording.load)
+    pool, test = rows["later"][rows["later"] < n // 2], rows["later"][rows["later"] >= n // 2]
+    way, name = Way(recording, cfg, 0.0), "second half of the later session"
+    chips = None if recording.chips is None else jnp.float32(recording.chips)
+    values: dict[str, dict[int, list[float]]] = {}
+    for draw in tqdm(range(cfg.draws), desc="draws", unit="draw"):
+        rng = np.random.default_rng((args.seed, draw))
+        order, past = rng.permutation(pool), rng.permutation(rows["earlier"])[: max(cfg.counts)]
+        known = fit(way.base, before.presses(past), jnp.float32(before.readings[past]), chips)
+        prior = np.asarray(predict(known, recording.presses(np.arange(n)))[0], np.float64)
+        for count in (count for count in cfg.counts if count <= len(order)):
+            for method, r2 in compare(way, order[:count], {name: test}, prior)[0][name].items():
+                values.setdefault(SESSION.get(method, method), {}).setdefault(count, []).append(r2)
+    metrics = {
+        "source": dataset.source,
+        "seed": args.seed,
+        "draws": cfg.draws,
+        "presses": {name: len(one.load) for name, one in told.items()},
+        "load": "force" if recording.by_force else "depth",
+        "warnings": {name: found.sentences() for name, found in faults.items()},
+        "stale_rows": {name: int(found.stale.sum()) for name, found in faults.items()},
+        "lag_r2": {name: found.lag_r2 for name, found in faults.items()},
+        "change": {name: found.change for name, found in faults.items()},
+        "held_out": {name: len(test)},
+        "r2": {name: summarise(values)},
         "seconds": round(time.perf_counter() - started, 1),
     }
     plots.save(figure(metrics, dataset.source), args.out / "curves.png")
@@ -460,7 +517,8 @@ def saved(methods: dict[str, dict[int, list[float]]]) -> dict[str, Any]:
 def figure(metrics: dict[str, Any], source: str) -> Figure:
     """R2 against the number of presses, a panel for each thing held out."""
     result = Figure(figsize=(13, 4.4), layout="constrained")
-    for axes, (name, methods) in zip(result.subplots(1, len(metrics["r2"])), metrics["r2"].items(), strict=True):
+    panels = result.subplots(1, len(metrics["r2"]), squeeze=False)[0]
+    for axes, (name, methods) in zip(panels, metrics["r2"].items(), strict=True):
         for method, by_count in methods.items():
             counts, (colour, line) = list(by_count), STYLES[method]
             mean, low, high = ([by_count[n][key] for n in counts] for key in ("mean", "low", "high"))

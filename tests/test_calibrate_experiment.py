@@ -1,6 +1,7 @@
 """The calibration experiment on a small synthetic skin, and what it refuses."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -91,3 +92,26 @@ def test_what_cannot_be_calibrated_is_refused(tmp_path, capsys, n, pads, message
     args = ["--dataset", str(tmp_path / "set.h5"), "--out", str(tmp_path / "out"), "--preset", "debug"]
     assert calibrate.main(args) == 2
     assert message in capsys.readouterr().err
+
+
+def test_an_earlier_session_of_one_place_helps(tmp_path):
+    for name in ("earlier", "later"):
+        one = recording(120)
+        one.touches.T_w_o[:, :2, 3] = 0
+        depth = np.linspace(0.5e-3, 4e-3, 120)
+        channels = np.linspace(-60, 60, 15)
+        noise = np.random.default_rng(len(name)).normal(size=(120, 15))
+        reading = channels * ((depth + 3e-3) / 5e-3)[:, None] ** 1.75 + noise
+        mixed = np.random.default_rng(0).permutation(120)
+        data.save(
+            tmp_path / f"{name}.h5",
+            replace(one, touches=one.touches._replace(depth=depth[mixed], reading=reading[mixed])),
+        )
+    args = ["--dataset", str(tmp_path / "later.h5"), "--earlier", str(tmp_path / "earlier.h5")]
+    args += ["--out", str(tmp_path / "out"), "--preset", "debug"]
+    assert calibrate.main(args) == 0
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["warnings"] == {"earlier": [], "later": []}
+    (r2,) = metrics["r2"].values()
+    assert r2[calibrate.SESSION[calibrate.EARLIER]]["5"]["mean"] > 0.95
+    assert r2[calibrate.SESSION[calibrate.ALONE]]["5"] == r2[calibrate.SESSION[calibrate.ALONE]]["20"]
