@@ -1,7 +1,7 @@
 """Question: how well do a few presses at a known force tell a ReSkin, when its layer is what physics says it is?
 
     python -m experiments.calibrate_pads                  8 random simulated pads, 10 to 300 presses
-    python -m experiments.calibrate_pads --preset short   4 pads, 20 and 100 presses
+    python -m experiments.calibrate_pads --preset short   4 pads, 5, 20 and 100 presses, no network
     python -m experiments.calibrate_pads --preset debug   1 pad, 10 and 20 presses, too few to mean anything
 
 Everything is simulated: pads of `sample_pad`, a spherical tip of 4 mm pressed to 0.2 to 1 N at random places, 0.02 N of
@@ -68,11 +68,11 @@ class Pads:
     pads: int = 8
     counts: tuple[int, ...] = (10, 20, 50, 100, 300)
     held: int = 200
-    others: int = 200  # random pads of 60 presses each, to pretrain on
+    others: int = 200  # random pads of 60 presses each, to pretrain on; 0: no network
     steps: int = 3000
 
 
-PRESETS = {"full": Pads(), "short": Pads(4, (20, 100), 200, 150, 2000), "debug": Pads(1, (10, 20), 40, 4, 20)}
+PRESETS = {"full": Pads(), "short": Pads(4, (5, 20, 100), 200, 0), "debug": Pads(1, (10, 20), 40, 4, 20)}
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,9 @@ def run(args: Args) -> dict[str, Any]:
     begin(args.out, args, cfg, None, args.overwrite)
     key_pads, key_others, key_train = jax.random.split(jax.random.key(args.seed), 3)
     pads, presses, readings = pressed(key_pads, cfg.pads, max(cfg.counts) + cfg.held)
-    told = network.pretrain(key_train, *pressed(key_others, cfg.others, 60)[1:], cfg.steps, (5, 10, 20, 50))[0]
+    told = None
+    if cfg.others:
+        told = network.pretrain(key_train, *pressed(key_others, cfg.others, 60)[1:], cfg.steps, (5, 10, 20, 50))[0]
     r2: dict[str, dict[int, list[float]]] = {}
     maps: dict[int, list[float]] = {}
     inside: dict[int, list[float]] = {}
@@ -123,8 +125,9 @@ def run(args: Args) -> dict[str, Any]:
         pad, at = (jax.tree.map(lambda part, i=i: part[i], tree) for tree in (pads, presses))
         place, force, y = (np.asarray(part, np.float64) for part in (at.place, at.load, readings[i]))
         recording = Recording(place, force, y, True, boards.reskin().chips[:, :2])
-        seen = np.asarray(network.features(told, at), np.float64)
-        way = replace(Way(recording, Preset(), 0.0), seen=seen, noise=float(told.noise))
+        way = Way(recording, Preset(), 0.0)
+        if told is not None:
+            way = replace(way, seen=np.asarray(network.features(told, at), np.float64), noise=float(told.noise))
         test = np.arange(len(y) - cfg.held, len(y))
         for count in cfg.counts:
             rows = np.arange(count)
@@ -137,6 +140,10 @@ def run(args: Args) -> dict[str, Any]:
             middle, std = physics.predict_pad(fitted, recording.presses(test), TIP, True)
             share = np.mean(np.abs(recording.readings[test] - middle) < calibrate.WITHIN * np.asarray(std))
             inside.setdefault(count, []).append(float(share))
+        tqdm.write(
+            f"pad {i}: "
+            + ", ".join(f"{name} {[round(float(v[-1]), 3) for v in by.values()]}" for name, by in r2.items())
+        )
         gap = -pad.board.chips[0, 2] - pad.thickness
         true = {"thickness": pad.thickness, "gap": gap, "young": pad.young, "give": pad.give}
         misses.append([float((getattr(fitted.layer, n) - v) / getattr(fitted.spread, n)) for n, v in true.items()])
@@ -176,8 +183,9 @@ def ways(way: Way, rows: np.ndarray, test: np.ndarray) -> tuple[physics.PadFit, 
         NEIGHBOURS: neighbours(recording, rows, test),
         PLAIN: way.plain(rows, test),
         STRUCTURED: way.structured(rows, test),
-        PRETRAINED: way.pretrained(rows, test),
     }
+    if way.seen is not None:
+        predicted[PRETRAINED] = way.pretrained(rows, test)
     middling = physics.solve_map(given.middle, given.spread, at, y, TIP, board, True)
     fitted = physics.fit_pad(at, y, TIP, board, True, given)
     for name, one in ((NOMINAL, middling), (FITTED, fitted)):
