@@ -23,8 +23,9 @@ GAP = 1.5e-3  # m from the layer's base to the sensing elements: half of the chi
 YOUNG = 150e3  # Pa: soft silicone (Shore 00-50, about 80 kPa) stiffened by the magnetic powder
 POISSON = 0.48
 FRICTION = 0.6  # of dry silicone on plastic, between 0.4 and 1 as a rule
-GIVE = 0.15e-3  # m/N, middling; see `sample_pad`
-STRENGTH = 1.2e4  # A/m, root mean square of one component of a random magnetisation; see `sample_pad`
+GIVE = 0.25e-3  # m/N, middling, of those that are held at their edge; see `sample_pad`
+HELD = 1 / 3  # of skins are
+STRENGTH = 2e4  # A/m, root mean square of one component of a random magnetisation; see `sample_pad`
 HEADROOM = 0.85  # of the converter's range, which no axis exceeds at rest
 MAP = 20  # cells of a magnetisation map along each edge: 1 mm, and whole cells to each of 4 poles
 
@@ -103,14 +104,15 @@ def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0) -> Pad:
     """A pad as different from the next as real skins are; with `spread` 0 only its magnetisation is random.
 
     Thickness 2-3 mm (ReSkin's range); stiffness within 15 %, gap within 0.25 mm, gains within 5 % and friction within
-    20 % (one sigma); give lognormal about GIVE with a factor of 2.5 either way, since real skins are clamped at their
-    edge: on one board a press anywhere moved two chips by 60-100 uT. The magnetisation is `uneven`, and its strength
-    varies by 25 % from skin to skin; a skin that would bring an axis at rest near the end of its range is weaker, as a
-    maker would make it. STRENGTH and GIVE are such that presses of a small tip to 0.6-1.0 N change the 15 values as on
-    real boards (`tests/skin/test_pad.py`).
+    20 % (one sigma). One skin in three is held at its edge instead of bonded, and gives by GIVE within a factor of 1.8:
+    on one of a few real boards a press anywhere moved two chips by 60-100 uT. The magnetisation is `uneven`, and its
+    strength varies by 25 % from skin to skin; a skin that would bring an axis at rest near the end of its range (most
+    would) is weaker: makers magnetise as strongly as the chips bear. STRENGTH and GIVE are such that presses of a small tip to 0.6-1.0 N change the 15
+    values as on real boards (`tests/skin/test_pad.py`).
     """
-    names = ("thickness", "young", "gap", "map", "strength", "gains", "friction", "give")
+    names = ("thickness", "young", "gap", "map", "strength", "gains", "friction", "held", "give")
     keys = dict(zip(names, jax.random.split(key, len(names)), strict=True))
+    held = jax.random.uniform(keys["held"]) < HELD
     thickness = THICKNESS + spread * jax.random.uniform(keys["thickness"], maxval=1e-3)
     gap = GAP + spread * 0.25e-3 * jax.random.truncated_normal(keys["gap"], -2.0, 2.0)
     pad = Pad(
@@ -121,7 +123,7 @@ def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0) -> Pad:
         1 + spread * 0.05 * jax.random.truncated_normal(keys["gains"], -3.0, 3.0, (READINGS,)),
         _board(thickness + gap),
         friction=FRICTION * jnp.exp(spread * 0.2 * jax.random.normal(keys["friction"])),
-        give=spread * GIVE * jnp.exp(0.9 * jax.random.normal(keys["give"])),
+        give=jnp.where(held, spread * GIVE * jnp.exp(0.6 * jax.random.normal(keys["give"])), 0.0),
     )
     ends = np.tile([RANGE_XY, RANGE_XY, RANGE_Z], CHIPS)
     use = jnp.max(jnp.abs(pad.board.to_board(rest_field(pad))) / ends)
@@ -129,14 +131,14 @@ def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0) -> Pad:
 
 
 def uneven(key: Key[Array, ""], spread: float | Array = 1.0) -> Float[Array, "m m 3"]:
-    """A magnetisation of root mean square 1 that is as uneven as real skins': patches of some 3 mm about a common
+    """A magnetisation of root mean square 1 that is as uneven as real skins': patches of some 2.5 mm about a common
     direction, stronger along some axes than others and in some places than others (some chips 100 uT, others 10 uT for
     the same press). The sizes are assumptions that meet what real boards show; see `sample_pad`.
     """
     key_length, key_patches, key_common, key_axes, key_places = jax.random.split(key, 5)
-    length = 3e-3 * jnp.exp(spread * 0.2 * jax.random.normal(key_length))
+    length = 2.5e-3 * jnp.exp(spread * 0.2 * jax.random.normal(key_length))
     patches = smooth_random(key_patches, length) * jnp.exp(0.8 * jax.random.normal(key_axes, (1, 1, 3)))
-    strong = jnp.exp(0.8 * smooth_random(key_places, 7e-3)[..., :1])
+    strong = jnp.exp(0.6 * smooth_random(key_places, 7e-3)[..., :1])
     magnetisation = strong * patches + jax.random.normal(key_common, (1, 1, 3))
     return magnetisation / jnp.sqrt(jnp.mean(magnetisation**2))
 

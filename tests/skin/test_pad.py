@@ -120,7 +120,8 @@ def test_pads_stay_in_their_ranges(presses):
     assert np.std(samples.young) > 0
     assert np.all(np.abs(samples.gains - 1) <= 0.15 + 1e-6)
     assert np.all((samples.friction > 0.2) & (samples.friction < 1.5))
-    assert np.all(samples.give > 0)
+    assert np.all(samples.give >= 0)
+    assert 0.2 < np.mean(samples.give > 0) < 0.47  # a third of 200, four standard deviations
 
 
 def test_no_axis_rests_at_the_end_of_its_range(presses):
@@ -128,7 +129,7 @@ def test_no_axis_rests_at_the_end_of_its_range(presses):
     rest = jax.jit(jax.vmap(lambda pad: pad.board.to_board(rest_field(pad))))(samples)
     share = np.abs(rest) / np.tile([4915, 4915, 7930], 5)
     assert share.max() <= pads.HEADROOM * (1 + 1e-4)
-    assert np.mean(share.max(axis=1) < pads.HEADROOM * (1 - 1e-4)) > 0.5  # most are not held back by it
+    assert share.max(axis=1).min() < 0.7 * pads.HEADROOM  # which does not decide for all
 
 
 def test_without_spread_only_the_magnetisation_differs():
