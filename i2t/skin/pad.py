@@ -107,8 +107,8 @@ def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0) -> Pad:
     20 % (one sigma). One skin in three is held at its edge instead of bonded, and gives by GIVE within a factor of 1.8:
     on one of a few real boards a press anywhere moved two chips by 60-100 uT. The magnetisation is `uneven`, and its
     strength varies by 25 % from skin to skin; a skin that would bring an axis at rest near the end of its range (most
-    would) is weaker: makers magnetise as strongly as the chips bear. STRENGTH and GIVE are such that presses of a small tip to 0.6-1.0 N change the 15
-    values as on real boards (`tests/skin/test_pad.py`).
+    would) is weaker: makers magnetise as strongly as the chips bear. STRENGTH and GIVE are such that presses of a small
+    tip to 0.6-1.0 N change the 15 values as on real boards (`tests/skin/test_pad.py`).
     """
     names = ("thickness", "young", "gap", "map", "strength", "gains", "friction", "held", "give")
     keys = dict(zip(names, jax.random.split(key, len(names)), strict=True))
