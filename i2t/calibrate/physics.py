@@ -84,7 +84,7 @@ class Prior(NamedTuple):
 
 
 def prior(thickness: float = THICKNESS + 0.5e-3, gap: float = GAP, length: float = 3e-3) -> Prior:
-    """Much as `sample_pad` draws pads, with 0.1 mm of first touch, 0.3 mm of offset and 2 uT of noise within a factor e.
+    """Much as `sample_pad` draws pads, with 0.1 mm of first touch, 0.3 mm of offset, 2 uT of noise within a factor e.
     One wide lognormal stands for a give that is nothing in most skins.
     """
     part = 0.7 * STRENGTH  # patches and the uniform part share the variance
