@@ -1,7 +1,7 @@
 """Question: how well does a model trained on two objects predict the touch of objects it has never met?
 
     python -m experiments.train                      the paper's set, simulated: 1630 touches, one pad, one seed
-    python -m experiments.train --preset debug       the same in 40 seconds, too small to mean anything
+    python -m experiments.train --preset debug       the same in less than a minute, too small to mean anything
     python -m experiments.train --seeds 5            means and 95 % intervals over seeds
     python -m experiments.train --preset study       3 pads x 5 seeds
     python -m experiments.train --pad FILE           a pad fitted to a real skin in place of a random one
