@@ -199,13 +199,8 @@ def run(args: Args) -> dict[str, Any]:
         "inside_90": {name: summarise(methods) for name, methods in inside.items()},
         "differences": {name: differences(methods) for name, methods in values.items()},
         "presses_for_the_same_r2": {name: saved(methods) for name, methods in values.items()},
-        "seconds": round(time.perf_counter() - started, 1),
     }
-    plots.save(figure(metrics, dataset.source), args.out / "curves.png")
-    write_json(args.out / "metrics.json", metrics)
-    report(metrics)
-    print(f"\nresults and the figure are in {args.out}")
-    return metrics
+    return finished(args, metrics, started)
 
 
 def sessions(args: Args, source: Path) -> dict[str, Any]:
@@ -249,9 +244,14 @@ def sessions(args: Args, source: Path) -> dict[str, Any]:
         "change": {name: found.change for name, found in faults.items()},
         "held_out": {name: len(test)},
         "r2": {name: summarise(values)},
-        "seconds": round(time.perf_counter() - started, 1),
     }
-    plots.save(figure(metrics, dataset.source), args.out / "curves.png")
+    return finished(args, metrics, started)
+
+
+def finished(args: Args, metrics: dict[str, Any], started: float) -> dict[str, Any]:
+    """Write and print what was measured since `started` (s)."""
+    metrics["seconds"] = round(time.perf_counter() - started, 1)
+    plots.save(figure(metrics, metrics["source"]), args.out / "curves.png")
     write_json(args.out / "metrics.json", metrics)
     report(metrics)
     print(f"\nresults and the figure are in {args.out}")

@@ -100,7 +100,7 @@ def sheets(pad: Pad, dipoles: Grid = GRID, nodes: int = NODES) -> tuple[Float[Ar
     size = pad.magnetisation.shape[0]
     cell = (2 * np.arange(dipoles.cells) + 1) * size // (2 * dipoles.cells)
     magnetisation = jnp.moveaxis(pad.magnetisation[cell[:, None], cell[None, :]], -1, 0)
-    mean = _cell_means(dipoles.cells)
+    mean = cell_means(dipoles.cells)
     area = jnp.einsum("ai,bj,cab->cij", mean, mean, magnetisation) * dipoles.spacing**2
     return depths, (weights / 2)[:, None, None, None] * (pad.thickness * area)[None]
 
@@ -118,7 +118,7 @@ def _cross(a: Sequence[Array] | Array, b: Sequence[Array] | Array) -> tuple[Arra
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def _cell_means(cells: int) -> np.ndarray:
+def cell_means(cells: int) -> np.ndarray:
     """(n, n): means over cells of a smooth function, from its values at their centres; one-sided at the ends."""
     middle = np.clip(np.arange(cells), 1, cells - 2)[:, None] - np.arange(cells)[None, :]
     return np.eye(cells) + ((np.abs(middle) == 1) * 1 - (middle == 0) * 2) / 24

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Key
 from i2t.boards import reskin
 from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
 from i2t.skin.faults import RANGE_XY, RANGE_Z
-from i2t.skin.field import response, rest_field
+from i2t.skin.field import pressed_field, response, rest_field
 from i2t.skin.shear import shear
 from i2t.types import CHIPS, PAD_WINDOW, READINGS, Board, Pad
 
@@ -83,7 +83,8 @@ def dragged(
         pressure = solve(pad, height, part * indentation, grid, pressure).pressure
         state = shear(pad, pressure, slide / increments, grid, state)
     assert state is not None
-    return response(pad, pressure, grid, traction=state.traction) - response(pad, pressure, grid)
+    change = pressed_field(pad, pressure, grid, traction=state.traction) - pressed_field(pad, pressure, grid)
+    return pad.gains * pad.board.to_board(change)
 
 
 def nominal_pad(pattern: str = "poles", strength: float | Array = STRENGTH) -> Pad:
