@@ -116,7 +116,7 @@ def locate(
 
 def learn(atlas: Atlas, readings: Float[Array, "n 15"], noise: float) -> Weights:
     """Weights of a pad from readings (uT) whose places and loads nobody noted, as many as all of them tell."""
-    weights = unknown(atlas, noise * COOLING[0])
+    weights = unknown(atlas, noise)
     for factor in COOLING:
         warm = weights._replace(noise=jnp.asarray(factor * noise, jnp.float32))
         weights = _round(atlas, warm, readings)

@@ -9,7 +9,6 @@ calibration = calibrate.load("skin.npz")
 
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
@@ -125,6 +124,3 @@ def checked(place: np.ndarray, load: np.ndarray, kind: Load) -> Presses:
 def numbers(hyper: Hyper) -> dict[str, float]:
     """Hyperparameters as plain numbers, to be written down."""
     return {name: float(value) for name, value in hyper._asdict().items()}
-
-
-__all__: Sequence[str] = ["Calibration", "calibrate", "load", "numbers"]

@@ -27,7 +27,7 @@ from scipy import optimize
 from i2t.calibrate.structured import Presses
 from i2t.skin import layer as elastic
 from i2t.skin.contact import FAR, solve, solve_force
-from i2t.skin.field import MICROTESLA, MU0_OVER_4PI, NODES, sheets, turn
+from i2t.skin.field import MICROTESLA, MU0_OVER_4PI, NODES, cell_means, sheets, turn
 from i2t.skin.layer import GRID, Grid
 from i2t.skin.pad import FRICTION, GAP, GIVE, MAP, POISSON, STRENGTH, THICKNESS, YOUNG
 from i2t.types import READINGS, Board, Pad
@@ -182,10 +182,8 @@ def design(
 
 def _edge(grid: Grid) -> Float[np.ndarray, "n m"]:
     """What a cosine of the map gives to each cell of the grid along an edge, times the cell's width (`sheets`)."""
-    middle = np.clip(np.arange(grid.cells), 1, grid.cells - 2)[:, None] - np.arange(grid.cells)[None, :]
-    means = np.eye(grid.cells) + ((np.abs(middle) == 1) * 1 - (middle == 0) * 2) / 24
     cell = (2 * np.arange(grid.cells) + 1) * MAP // (2 * grid.cells)
-    return (means.T @ cosines()[cell] * grid.spacing).astype(np.float32)
+    return (cell_means(grid.cells).T @ cosines()[cell] * grid.spacing).astype(np.float32)
 
 
 def _tensor(point: Array, at: Float[Array, "3 n n"]) -> Float[Array, "3 3 n n"]:
