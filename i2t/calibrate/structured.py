@@ -127,11 +127,11 @@ def covariance(hyper: Hyper, a: Presses, b: Presses) -> Float[Array, "a b"]:
 def amplitude(
     hyper: Hyper, place: Float[Array, "n 2"], chips: Float[Array, "chips 2"] | None
 ) -> Float[Array, "groups n"]:
-    """Amplitude e of each channel (three to a chip) at each place; one group of all channels without chips."""
+    """Amplitude e of each chip's channels at each place; one group of all channels without chips."""
     if chips is None:
         return jnp.ones((1, len(place)))
     near = jnp.exp(-_square(chips, place) / (2 * hyper.reach**2))
-    return jnp.repeat(hyper.floor + (1 - hyper.floor) * near, 3, axis=0)
+    return hyper.floor + (1 - hyper.floor) * near
 
 
 def fit(
@@ -185,7 +185,7 @@ def predict(process: Process, presses: Presses) -> tuple[Float[Array, "n channel
     own = e**2 * _own(hyper, raised)[None]
     explained = jax.vmap(lambda L, part: jax.scipy.linalg.solve_triangular(L, part.T, lower=True))(process.cholesky, k)
     variance = jnp.maximum(own - jnp.sum(explained**2, axis=1), 0) + hyper.noise
-    variance = jnp.broadcast_to(variance, (len(process.scale), len(height))).T * process.scale[None] ** 2
+    variance = jnp.repeat(variance, len(process.scale) // len(e), axis=0).T * process.scale[None] ** 2
     if process.earlier is not None:
         mean = mean + predict(process.earlier, presses)[0]
     return mean, jnp.sqrt(variance + slope**2 * unsure[:, None])
@@ -334,10 +334,10 @@ def _solve(cholesky: Float[Array, "n n"], values: Float[Array, "n m"]) -> Float[
 
 
 def _grouped(values: Float[Array, "n channels"], groups: int) -> Float[Array, "groups n each"]:
-    """Channels that share a system side by side."""
-    return values[None] if groups == 1 else values.T[:, :, None]
+    """Channels that share a system, those of one chip or all, side by side."""
+    return jnp.swapaxes(values.reshape(len(values), groups, -1), 0, 1)
 
 
 def _flat(values: Float[Array, "groups n each"]) -> Float[Array, "n channels"]:
     """The inverse of `_grouped`."""
-    return values[0] if len(values) == 1 else values[..., 0].T
+    return jnp.swapaxes(values, 0, 1).reshape(values.shape[1], -1)
