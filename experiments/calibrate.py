@@ -4,14 +4,16 @@
     python -m experiments.calibrate --dataset DIR --preset short   the same up to 300 presses, in a quarter of the time
     python -m experiments.calibrate --dataset DIR --preset debug   2 draws of up to 20 presses, too few to mean much
     python -m experiments.calibrate --dataset DIR --earlier DIR    only what an earlier session of the skin is worth
+    python -m experiments.calibrate --dataset DIR --presses 1000 --draws 5    one column of the table
 
 DIR is any recording of one tip on one skin (see python -m i2t.convert). Held out, for all draws alike: 1000 random
 presses, and whole blocks of 6 mm; nothing is chosen by them. A third part asks what an earlier session is worth: the
 first half in time predicts the second; with --earlier a session recorded before predicts the second half of this one,
 and presses are drawn from the first half, so that one place or few are enough. Every method sees the same presses, so
-that differences are paired. Results go to --out: metrics.json, config.json, curves.png, and calibration.npz, what
-`i2t.calibrate.load` reads: the skin as calibrated on all presses (of more than 1500, that many at random). The
-pretrained network has pressed made-up skins of four magnets only.
+that differences are paired. Intervals are over draws; as neighbouring presses are no independent tests, the best way
+also has intervals over 6 mm blocks of what is held out. Results go to --out: metrics.json, config.json, curves.png, and
+calibration.npz, what `i2t.calibrate.load` reads: the skin as calibrated on all presses (of more than 1500, that many at
+random). The pretrained network has pressed made-up skins of four magnets only.
 """
 
 import os
@@ -34,7 +36,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from experiments import plots
-from experiments.evaluation import nearest_neighbours, score, seed_interval, tuned
+from experiments.evaluation import grouped_interval, nearest_neighbours, seed_interval, tuned
 from experiments.runs import begin, reported, write_json
 from i2t import calibrate
 from i2t import dataset as data
@@ -93,6 +95,8 @@ class Args:
     preset: Literal["full", "short", "debug"] = "full"
     load: Literal["auto", "depth", "force"] = "auto"  # what says how hard was pressed; auto: depth where measured
     earlier: Path | None = None  # a data set of an earlier session of the same skin with the same tip
+    presses: tuple[int, ...] = ()  # how many to calibrate with; by default what the preset says
+    draws: int = 0  # of the presses to calibrate with; 0: what the preset says
     period_mm: float = 0.0  # of a lattice along x and y, where it is known: another row of the table; 0: none
     seed: int = 0  # of what is held out and of the draws
     overwrite: bool = False  # replace a run in --out
@@ -128,7 +132,7 @@ def run(args: Args) -> dict[str, Any]:
     """The experiment: data and its faults, what is held out, draws, table and figure."""
     if args.earlier is not None:
         return sessions(args, args.earlier)
-    started, cfg = time.perf_counter(), PRESETS[args.preset]
+    started, cfg = time.perf_counter(), tried(args)
     dataset = data.load(args.dataset)
     recording = read(dataset, args.load)
     held, blocks = hold_out(recording, cfg, args.seed)
@@ -152,6 +156,7 @@ def run(args: Args) -> dict[str, Any]:
     first, pool = list(tests)[:2], pool[usable[pool]]
     after, before = pool[later[pool]], pool[~later[pool]]
     values: dict[str, Any] = {name: {} for name in tests}
+    missed: dict[str, Any] = {name: {} for name in tests}
     inside: dict[str, Any] = {name: {} for name in tests}
     way = Way(recording, cfg, args.period_mm * 1e-3)
     if not recording.by_force:
@@ -169,13 +174,16 @@ def run(args: Args) -> dict[str, Any]:
         for names, rows, known in ((first, order, None), ([second], order_after, prior)):
             for count in (n for n in cfg.counts if n <= len(rows)):
                 at = {name: tests[name] for name in names}
-                scored, covered = compare(way, rows[:count], at, known)
-                for name, scores in scored.items():
-                    for method, r2 in scores.items():
+                errors, covered = compare(way, rows[:count], at, known)
+                for name, by_method in errors.items():
+                    for method, error in by_method.items():
+                        missed[name].setdefault(method, {}).setdefault(count, []).append(error)
+                        r2 = explained(recording.readings[at[name]], error)
                         values[name].setdefault(method, {}).setdefault(count, []).append(r2)
                 for name, shares in covered.items():
                     for method, share in shares.items():
                         inside[name].setdefault(method, {}).setdefault(count, []).append(share)
+    block = block_of(recording, cfg.block)
     everything = np.random.default_rng(args.seed).permutation(np.flatnonzero(usable))[: cfg.kept]
     kept = calibrate.calibrate(
         recording.place[everything], recording.load[everything], recording.readings[everything],
@@ -198,6 +206,9 @@ def run(args: Args) -> dict[str, Any]:
         "r2": {name: summarise(methods) for name, methods in values.items()},
         "inside_90": {name: summarise(methods) for name, methods in inside.items()},
         "differences": {name: differences(methods) for name, methods in values.items()},
+        "best_over_blocks": {
+            name: over_blocks(recording.readings[tests[name]], missed[name], block[tests[name]]) for name in first
+        },
         "presses_for_the_same_r2": {name: saved(methods) for name, methods in values.items()},
     }
     return finished(args, metrics, started)
@@ -205,7 +216,7 @@ def run(args: Args) -> dict[str, Any]:
 
 def sessions(args: Args, source: Path) -> dict[str, Any]:
     """What an earlier session is worth: R2 on the second half in time of this one, from presses of its first half."""
-    started, cfg = time.perf_counter(), PRESETS[args.preset]
+    started, cfg = time.perf_counter(), tried(args)
     dataset = data.load(args.dataset)
     recording, before = read(dataset, args.load), read(data.load(source), args.load)
     if recording.by_force != before.by_force:
@@ -230,7 +241,8 @@ def sessions(args: Args, source: Path) -> dict[str, Any]:
         known = fit(way.base, before.presses(past), jnp.float32(before.readings[past]), chips)
         prior = np.asarray(predict(known, recording.presses(np.arange(n)))[0], np.float64)
         for count in (count for count in cfg.counts if count <= len(order)):
-            for method, r2 in compare(way, order[:count], {name: test}, prior)[0][name].items():
+            for method, error in compare(way, order[:count], {name: test}, prior)[0][name].items():
+                r2 = explained(recording.readings[test], error)
                 values.setdefault(SESSION.get(method, method), {}).setdefault(count, []).append(r2)
     metrics = {
         "source": dataset.source,
@@ -246,6 +258,15 @@ def sessions(args: Args, source: Path) -> dict[str, Any]:
         "r2": {name: summarise(values)},
     }
     return finished(args, metrics, started)
+
+
+def tried(args: Args) -> Preset:
+    """The preset, with what is given instead."""
+    cfg = PRESETS[args.preset]
+    cfg = replace(cfg, draws=args.draws or cfg.draws, counts=tuple(sorted(set(args.presses))) or cfg.counts)
+    if cfg.draws < 1 or min(cfg.counts) < 2:
+        raise ValueError("--draws must be at least 1 and --presses at least 2")
+    return cfg
 
 
 def finished(args: Args, metrics: dict[str, Any], started: float) -> dict[str, Any]:
@@ -279,13 +300,18 @@ def read(dataset: Dataset, load: str) -> Recording:
 def hold_out(recording: Recording, cfg: Preset, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Random presses and whole blocks that no method sees; at most a quarter of the presses is taken at random."""
     rng = np.random.default_rng(seed)
-    n, place = len(recording.load), 1e3 * recording.place
+    n, block = len(recording.load), block_of(recording, cfg.block)
     held = np.zeros(n, bool)
     held[rng.permutation(n)[: min(cfg.held, n // 4)]] = True
-    cell = np.floor((place - place.min(0)) / cfg.block).astype(int)
-    names, block = np.unique(cell, axis=0, return_inverse=True)
-    chosen = rng.permutation(len(names))[: max(round(cfg.blocks * len(names)), 1)]
-    return held, np.isin(block.ravel(), chosen)
+    chosen = rng.permutation(block.max() + 1)[: max(round(cfg.blocks * (block.max() + 1)), 1)]
+    return held, np.isin(block, chosen)
+
+
+def block_of(recording: Recording, edge: float) -> np.ndarray:
+    """The square block of this edge (mm) in which each press lies, counted from 0."""
+    place = 1e3 * recording.place
+    cell = np.floor((place - place.min(0)) / edge).astype(int)
+    return np.unique(cell, axis=0, return_inverse=True)[1].ravel()
 
 
 @dataclass(frozen=True)
@@ -391,9 +417,9 @@ def best(ways: dict[str, Any], recording: Recording, rows: np.ndarray) -> str:
 
 def compare(
     way: Way, rows: np.ndarray, tests: dict[str, np.ndarray], prior: np.ndarray | None
-) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, float]]]:
-    """R2 on each set of held-out presses of every method that learns from the same rows, and the share of readings in
-    the stated 90 % range; `prior` is what an earlier session says of all rows.
+) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, dict[str, float]]]:
+    """Squared error (uT^2) at each held-out press of every method that learns from the same rows, and the share of
+    readings in the stated 90 % range; `prior` is what an earlier session says of all rows.
     """
     recording, test = way.recording, np.concatenate(list(tests.values()))
     readings, base = recording.readings, way.base
@@ -417,15 +443,13 @@ def compare(
         predicted[EARLIER] = prior[test] + way.process(choose(rest, recording, rows, left), rows, left, test)
     ends = np.cumsum([len(part) for part in tests.values()])
     parts = {name: slice(end - len(tests[name]), end) for name, end in zip(tests, ends, strict=True)}
-    scored = {
-        name: {method: score(readings[test[part]], values[part]).r2 for method, values in predicted.items()}
-        for name, part in parts.items()
-    }
+    wrong = {method: ((readings[test] - values) ** 2).sum(1) for method, values in predicted.items()}
+    errors = {name: {method: error[part] for method, error in wrong.items()} for name, part in parts.items()}
     covered = {
         name: {method: float(np.mean(np.asarray(share)[part])) for method, share in shares.items()}
         for name, part in parts.items()
     }
-    return scored, {name: share for name, share in covered.items() if share}
+    return errors, {name: share for name, share in covered.items() if share}
 
 
 fit, predict, select = jax.jit(calibrate.fit), jax.jit(calibrate.predict), jax.jit(calibrate.choose)
@@ -490,6 +514,40 @@ def differences(methods: dict[str, dict[int, list[float]]]) -> dict[str, Any]:
     }
 
 
+def explained(readings: np.ndarray, error: np.ndarray) -> float:
+    """R2 over all channels from readings (n, 15) and squared errors (n,)."""
+    return float(1 - error.sum() / ((readings - readings.mean(0)) ** 2).sum())
+
+
+def over_blocks(
+    readings: np.ndarray, errors: dict[str, dict[int, list[np.ndarray]]], block: np.ndarray
+) -> dict[str, Any]:
+    """R2 of the best way, and by how much it is above each other, with 95 % intervals over whole blocks of the held-out
+    presses (cluster bootstrap of the mean over draws): what other places of the skin would have given.
+    """
+    mean = {method: {n: np.mean(draws, axis=0) for n, draws in by.items()} for method, by in errors.items()}
+
+    def interval(statistic: Callable[[np.ndarray], float]) -> dict[str, float]:
+        low, high = grouped_interval(statistic, block)
+        return {"mean": statistic(np.arange(len(block))), "low": low, "high": high}
+
+    def r2(error: np.ndarray, rows: np.ndarray) -> float:
+        return explained(readings[rows], error[rows])
+
+    def above(error: np.ndarray, other: np.ndarray, rows: np.ndarray) -> float:
+        return r2(error, rows) - r2(other, rows)
+
+    return {
+        "blocks": len(np.unique(block)),
+        "r2": {n: interval(partial(r2, error)) for n, error in mean[BEST].items()},
+        "differences": {
+            f"{BEST} - {other}": {n: interval(partial(above, mean[BEST][n], error)) for n, error in by.items()}
+            for other, by in mean.items()
+            if other != BEST
+        },
+    }
+
+
 def saved(methods: dict[str, dict[int, list[float]]]) -> dict[str, Any]:
     """For each method and count, how many presses of every other method reach the same mean R2.
 
@@ -541,6 +599,11 @@ def report(metrics: dict[str, Any]) -> None:
         for method, by_count in methods.items():
             cells = (f"{n}: {v['mean']:.3f} [{v['low']:.3f}, {v['high']:.3f}]" for n, v in by_count.items())
             print(f"{method:56}" + "  ".join(cells))
+    for name, found in metrics.get("best_over_blocks", {}).items():
+        print(f"\nheld out: {name}; {BEST} and its gain, 95 % over {found['blocks']} blocks of places")
+        for what, by_count in {BEST: found["r2"], **found["differences"]}.items():
+            cells = (f"{n}: {v['mean']:.3f} [{v['low']:.3f}, {v['high']:.3f}]" for n, v in by_count.items())
+            print(f"{what.removeprefix(BEST + ' '):56}" + "  ".join(cells))
 
 
 if __name__ == "__main__":

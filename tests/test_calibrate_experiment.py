@@ -115,3 +115,29 @@ def test_an_earlier_session_of_one_place_helps(tmp_path):
     (r2,) = metrics["r2"].values()
     assert r2[calibrate.SESSION[calibrate.EARLIER]]["5"]["mean"] > 0.95
     assert r2[calibrate.SESSION[calibrate.ALONE]]["5"] == r2[calibrate.SESSION[calibrate.ALONE]]["20"]
+
+
+def test_presses_and_draws_given_replace_those_of_the_preset(tmp_path, capsys):
+    args = calibrate.Args(tmp_path, preset="short", presses=(1000, 20), draws=5)
+    assert calibrate.tried(args) == replace(calibrate.PRESETS["short"], counts=(20, 1000), draws=5)
+    assert calibrate.tried(calibrate.Args(tmp_path)) == calibrate.PRESETS["full"]
+    assert calibrate.main(["--dataset", str(tmp_path), "--presses", "1"]) == 2
+    assert "at least 2" in capsys.readouterr().err
+
+
+def test_intervals_over_blocks_are_those_of_whole_blocks():
+    rng = np.random.default_rng(0)
+    readings, block = rng.normal(size=(60, 15)), np.repeat([0, 1], 30)
+    error = 15 * rng.uniform(0, 1, 60) * np.where(block == 0, 0.01, 0.5)
+    draws = [error * (1 + share) for share in (-0.5, 0.5)]  # whose mean is the error
+    errors = {calibrate.BEST: {20: draws}, calibrate.PLAIN: {20: [2 * error]}}
+    found = calibrate.over_blocks(readings, errors, block)
+    assert found["blocks"] == 2
+    # Two blocks are drawn as a pair of one of them in half of the resamples: the ends are those of each alone.
+    alone = [calibrate.explained(readings[block == i], error[block == i]) for i in (1, 0)]
+    both = found["r2"][20]
+    np.testing.assert_allclose([both["low"], both["high"]], alone, rtol=1e-12)
+    assert both["mean"] == pytest.approx(calibrate.explained(readings, error))
+    # Twice the error costs what the error itself explains less than all.
+    gain = found["differences"][f"{calibrate.BEST} - {calibrate.PLAIN}"][20]
+    np.testing.assert_allclose([gain["low"], gain["high"]], [1 - alone[1], 1 - alone[0]], rtol=1e-12)
