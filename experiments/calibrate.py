@@ -525,24 +525,29 @@ def over_blocks(
     """R2 of the best way, and by how much it is above each other, with 95 % intervals over whole blocks of the held-out
     presses (cluster bootstrap of the mean over draws): what other places of the skin would have given.
     """
-    mean = {method: {n: np.mean(draws, axis=0) for n, draws in by.items()} for method, by in errors.items()}
+    names, of = np.unique(block, return_inverse=True)
+    inside = (of == np.arange(len(names))[:, None]).astype(float)  # sums over each block
+    left = readings - readings.mean(0)
+    presses, first, second = inside.sum(1), inside @ left, inside @ (left**2).sum(1)
+    missed = {way: {n: inside @ np.mean(draws, axis=0) for n, draws in by.items()} for way, by in errors.items()}
 
-    def interval(statistic: Callable[[np.ndarray], float]) -> dict[str, float]:
-        low, high = grouped_interval(statistic, block)
-        return {"mean": statistic(np.arange(len(block))), "low": low, "high": high}
+    def share(error: np.ndarray, rows: np.ndarray) -> float:
+        spread = second[rows].sum() - (first[rows].sum(0) ** 2).sum() / presses[rows].sum()
+        return float(error[rows].sum() / spread)
 
     def r2(error: np.ndarray, rows: np.ndarray) -> float:
-        return explained(readings[rows], error[rows])
+        return 1 - share(error, rows)
 
-    def above(error: np.ndarray, other: np.ndarray, rows: np.ndarray) -> float:
-        return r2(error, rows) - r2(other, rows)
+    def interval(statistic: Callable[[np.ndarray], float]) -> dict[str, float]:
+        every = np.arange(len(names))
+        return dict(zip(("mean", "low", "high"), (statistic(every), *grouped_interval(statistic, every)), strict=True))
 
     return {
-        "blocks": len(np.unique(block)),
-        "r2": {n: interval(partial(r2, error)) for n, error in mean[BEST].items()},
+        "blocks": len(names),
+        "r2": {n: interval(partial(r2, error)) for n, error in missed[BEST].items()},
         "differences": {
-            f"{BEST} - {other}": {n: interval(partial(above, mean[BEST][n], error)) for n, error in by.items()}
-            for other, by in mean.items()
+            f"{BEST} - {other}": {n: interval(partial(share, error - missed[BEST][n])) for n, error in by.items()}
+            for other, by in missed.items()
             if other != BEST
         },
     }
