@@ -3,11 +3,13 @@
 The object is believed at `T_w_o` and stands at `T_w_o exp(x)`, where x (6,) is a twist in its own frame as in
 `i2t.refine`: three translations (m), then three rotations times `LEVER`, all in metres.
 
-Touches. At first contact the skin's flat square face just meets the surface: the lowest surface point inside the square,
-`d(x)` of `i2t.touch.nearest_in_square`, is zero up to noise. With x normal before and d distributed as Student's t about
-zero (Lange, Little and Taylor, "Robust statistical modeling using the t distribution", 1989), the most probable x is
-sought by Levenberg-Marquardt steps on the reweighted squares, while the noise shrinks from the size of the prior's own
-errors to what it is (deterministic annealing; Rose, "Deterministic annealing for clustering, compression,
+Touches. At first contact the skin's flat square face just meets the surface: the gap to the lowest surface point inside
+the square (`i2t.touch.nearest_in_square`) is zero up to noise. On a steep facet a sideways error changes the gap more
+than itself, so a residual is the gap over the length of its derivative by translations, the distance along the normal
+(Sampson, "Fitting conic sections to very scattered data", 1982). With x normal before and residuals distributed as
+Student's t (Lange, Little and Taylor, "Robust statistical modeling using the t distribution", 1989), the most probable
+x is sought by Levenberg-Marquardt steps on the reweighted squares, while the noise shrinks from the size of the prior's
+own errors to what it is (deterministic annealing; Rose, "Deterministic annealing for clustering, compression,
 classification, regression, and related optimization problems", 1998). The contact of edges and corners is not smooth,
 so the search starts from several draws of the prior and keeps the most probable end. The inverse of the last
 Gauss-Newton matrix is the covariance (Laplace's method); what no touch tells keeps the prior's.

@@ -1,4 +1,4 @@
-"""Poses from touches: a closed form on a plane, calibration over simulated runs, what is symmetric, air and outliers."""
+"""Poses from touches: a closed form on a plane, calibration over runs, what is symmetric, air and outliers."""
 
 import math
 
