@@ -111,6 +111,15 @@ def predict(gp: GP, touches: Imagined) -> tuple[Float[Array, "n channels"], Floa
     return mean * gp.scale[None], jnp.sqrt(variance)[:, None] * gp.scale[None]
 
 
+def left_out(gp: GP) -> Float[np.ndarray, "n channels"]:
+    """Errors (uT) on the touches it learnt from, each predicted from all others, in closed form (Rasmussen and
+    Williams, equation 5.12); for the host, in double precision.
+    """
+    inverse = np.linalg.inv(np.asarray(gp.cholesky, np.float64))
+    alone = 1 / np.sum(inverse**2, axis=0)
+    return np.asarray(gp.weights, np.float64) * alone[:, None] * np.asarray(gp.scale, np.float64)[None]
+
+
 def choose(
     touches: Imagined,
     readings: Float[Array, "n channels"],

@@ -93,14 +93,39 @@ def nearest_in_square(
 
     Exact; what lies further than `behind` (m, may be inf) behind the origin does not count.
     """
-    triangles = jnp.asarray(surface.triangles)
+    behind = jnp.asarray(behind, A_t_w.dtype)
+    return _nearest(jnp.asarray(surface.triangles), A_t_w, jnp.asarray(half, A_t_w.dtype), behind)
+
+
+@jax.custom_jvp
+def _nearest(triangles: Array, A_t_w: Array, half: Array, behind: Array) -> Float[Array, ""]:
+    return jnp.min(_lowest(triangles, A_t_w, half, behind))
+
+
+@_nearest.defjvp
+def _nearest_jvp(at: tuple[Array, ...], along: tuple[Array, ...]) -> tuple[Array, Array]:
+    """Only the face that is nearest moves the minimum, and a derivative through all others costs fifty times more."""
+    triangles, *rest = at
+    low = _lowest(triangles, *rest)
+    face = jnp.argmin(low)
+
+    def only(*inputs: Array) -> Array:
+        return _lowest(*inputs)[0]
+
+    one = jax.lax.dynamic_slice_in_dim(triangles, face, 1)
+    moved = jax.lax.dynamic_slice_in_dim(along[0], face, 1)
+    return low[face], jax.jvp(only, (one, *rest), (moved, *along[1:]))[1]
+
+
+def _lowest(triangles: Array, A_t_w: Array, half: Array, behind: Array) -> Float[Array, " faces"]:
+    """Smallest z of each face inside the square, +inf for those that do not count."""
     solid = _double_areas(triangles) > 0
     x, y, z = jnp.moveaxis(triangles, (1, 2), (1, 0))  # (3 corners, faces) each: long last axes are fast ones
     # Written out, as a matrix product may round to fewer digits on an accelerator.
     u, v, w = (row[0] * x + row[1] * y + row[2] * z + row[3] for row in A_t_w[:3])
     low, high = _height_range(u, v, w, half)
     met = solid & (low <= high) & (high >= -behind)
-    return jnp.min(jnp.where(met, jnp.maximum(low, -behind), jnp.inf))
+    return jnp.where(met, jnp.maximum(low, -behind), jnp.inf)
 
 
 @full_precision
