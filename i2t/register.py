@@ -13,6 +13,13 @@ own errors to what it is (deterministic annealing; Rose, "Deterministic annealin
 classification, regression, and related optimization problems", 1998). The contact of edges and corners is not smooth,
 so the search starts from several draws of the prior and keeps the most probable end. The inverse of the last
 Gauss-Newton matrix is the covariance (Laplace's method); what no touch tells keeps the prior's.
+
+Depth. Points of the image that lie near the believed object, and not on the table, are drawn to the planes of the
+surface's nearest samples, over and over (iterative closest points; Besl and McKay, "A method for registration of 3-D
+shapes", 1992; to planes: Chen and Medioni, "Object modelling by registration of multiple range images", 1992). Samples
+that face away from the camera are no candidates, the distance at which a pair counts shrinks, and Tukey's biweight
+with a scale of 1.48 median absolute residuals leaves out what is still something else (Holland and Welsch, "Robust
+regression using iteratively reweighted least-squares", 1977). This part is NumPy, for the host.
 """
 
 from dataclasses import dataclass
@@ -20,16 +27,25 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+import trimesh
 from jaxtyping import Array, Bool, Float, Key
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
-from i2t.geometry import full_precision, invert
+from i2t.cameras import Camera, check_image
+from i2t.geometry import full_precision, invert, is_rigid
+from i2t.lenses import lines_of_sight
 from i2t.refine import EASE, LEVER, STIFFEN, motion
+from i2t.solids import Mesh
 from i2t.touch import nearest_in_square
 from i2t.types import PAD_WINDOW, STANDOFF, ReturnCode, Surface, Touches
 
 FREEDOM = 4.0  # degrees of freedom of Student's t: the usual compromise of Lange et al.
 LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e6  # of the Gauss-Newton matrix's diagonal
 UNSEEN = 1e3  # m, residual of a motion that was not looked at yet: worse than any
+SAMPLES = 40_000  # of a surface: half a millimetre apart on an object of a decimetre
+BIWEIGHT = 4.685  # scales beyond which Tukey's weight is zero (95 % efficient where all is normal)
 
 
 @dataclass(frozen=True)
@@ -41,6 +57,23 @@ class Probing:
     steps: int = 10  # and at its true size
     half: float = PAD_WINDOW / 2  # m, half edge of the face
     faces: int = 128  # of the surface at each touch: those that could come nearest
+
+
+@dataclass(frozen=True)
+class Matching:
+    """How a pose is sought from a depth image."""
+
+    reach: float = 15e-3  # m from the believed object within which a point counts, at first
+    close: float = 3e-3  # m, and at the end
+    shrink: float = 0.8  # from step to step
+    steps: int = 40  # at most
+    settled: float = 1e-6  # m, ends when a step is shorter
+    points: int = 5000  # at most, drawn from the image
+    clearance: float = 2e-3  # m above the table below which a point may be the table's
+    enough: int = 50  # points
+    overlap: float = 0.3  # least share of the points that must end close to the surface
+    least: float = 1e-5  # m, scale of residuals: below it they are rounding
+    seed: int = 0
 
 
 class Registered(NamedTuple):
@@ -180,3 +213,112 @@ def _candidates(
     gaps = _gaps(triangles, T_t_o, how.half + distance + angle * arm)
     _, nearest = jax.lax.top_k(-gaps, min(how.faces, len(triangles)))
     return triangles[nearest]
+
+
+def by_depth(
+    mesh: Mesh,
+    T_w_o: Float[np.ndarray | Array, "4 4"],
+    depth: Float[np.ndarray | Array, "height width"],
+    camera: Camera,
+    T_w_c: Float[np.ndarray | Array, "4 4"],
+    distance: float = 10e-3,
+    angle: float = 0.1,
+    *,
+    table: float | None = 0.0,
+    alike: float = 1.0,
+    how: Matching = Matching(),
+) -> Registered:
+    """The pose of an object believed at `T_w_o`, from a depth image (m, holes not positive or not finite) of a camera
+    at `T_w_c`; host code.
+
+    Before, each axis is normal with standard deviation `distance` (m) and `angle` (rad). `table` is the height (m) in W
+    of the plane the object stands on, or None where the image shows none. Noise is measured, from the residuals; where
+    about `alike` neighbouring points share theirs, as in stereo cameras, they count as one in the covariance, which
+    knows nothing of a bias of the camera. Raises ValueError where the image is not the camera's, a pose is not rigid,
+    too few points lie near the object, or too few of those fit its surface.
+    """
+    depth, T_w_c, start = np.asarray(depth), np.asarray(T_w_c, float), np.asarray(T_w_o, float)
+    check_image(depth, camera)
+    for name, pose in (("T_w_o", start), ("T_w_c", T_w_c)):
+        if not bool(is_rigid(jnp.asarray(pose, jnp.float32))):
+            raise ValueError(f"{name}: is not a rigid motion; correct it")
+    whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    samples, faces = trimesh.sample.sample_surface(whole, SAMPLES, seed=how.seed)
+    normals = whole.face_normals[faces]
+    eye = (np.linalg.inv(start) @ T_w_c)[:3, 3]
+    facing = np.sum((eye - samples) * normals, axis=1) > 0
+    samples, normals = samples[facing], normals[facing]
+    tree = cKDTree(samples)
+
+    points = _points(depth, camera, T_w_c)
+    if table is not None:
+        points = points[points[:, 2] > table + how.clearance]
+    apart, _ = tree.query(_moved(np.linalg.inv(start), points), distance_upper_bound=how.reach)
+    points = points[apart < how.reach]
+    if len(points) < how.enough:
+        raise ValueError(
+            f"depth: {len(points)} points lie within {1e3 * how.reach:g} mm of the believed object, of {how.enough} "
+            "needed; correct T_w_o or T_w_c, or look from nearer"
+        )
+    alike = max(1.0, alike * min(1.0, how.points / len(points)))  # those that are drawn lie further apart
+    if len(points) > how.points:
+        points = np.random.default_rng(how.seed).choice(points, how.points, replace=False)
+
+    prior = np.diag([distance] * 3 + [angle * LEVER] * 3) ** 2
+    inverse = np.linalg.inv(prior)
+    T, limit = start, how.reach
+    for _ in range(how.steps):
+        residual, slopes, weight, near = _pairs(_moved(np.linalg.inv(T), points), tree, samples, normals, limit, how)
+        scale = _scale(residual[near], how)
+        information = slopes.T @ (weight[:, None] * slopes) / (alike * scale**2) + inverse
+        gradient = slopes.T @ (weight * residual) / (alike * scale**2) + inverse @ _twist(np.linalg.inv(start) @ T)
+        step = -np.linalg.solve(information, gradient)
+        turn = Rotation.from_rotvec(step[3:] / LEVER).as_matrix()
+        T = T @ np.block([[turn, step[:3, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
+        if limit == how.close and np.linalg.norm(step) < how.settled:
+            break
+        limit = max(limit * how.shrink, how.close)
+    if near.mean() < how.overlap:
+        raise ValueError(
+            f"depth: {100 * near.mean():.0f} % of {len(points)} points near the object fit its surface within "
+            f"{1e3 * how.close:g} mm, of {100 * how.overlap:.0f} % needed; check the mesh and its believed pose"
+        )
+    off = _twist(np.linalg.inv(start) @ T)
+    cost = 0.5 * off @ inverse @ off + 0.5 * np.sum(weight * residual**2) / (alike * scale**2)
+    fields = (T, np.linalg.inv(information), residual, weight, cost)
+    return Registered(*(jnp.asarray(field, jnp.float32) for field in fields))
+
+
+def _points(depth: np.ndarray, camera: Camera, T_w_c: np.ndarray) -> np.ndarray:
+    """What the camera measured, in W (n, 3)."""
+    x, y = np.asarray(lines_of_sight(camera), float)
+    points = np.stack([x, y, np.ones_like(x)], axis=-1) * np.where(depth > 0, depth, np.nan)[..., None]
+    return _moved(T_w_c, points[np.isfinite(points).all(axis=-1)])
+
+
+def _moved(T: np.ndarray, points: np.ndarray) -> np.ndarray:
+    return points @ T[:3, :3].T + T[:3, 3]
+
+
+def _twist(T: np.ndarray) -> np.ndarray:
+    return np.concatenate([T[:3, 3], LEVER * Rotation.from_matrix(T[:3, :3]).as_rotvec()])
+
+
+def _scale(residual: np.ndarray, how: Matching) -> float:
+    """Their standard deviation, were they normal."""
+    return max(1.4826 * float(np.median(np.abs(residual))), how.least) if len(residual) else how.close
+
+
+def _pairs(
+    points: np.ndarray, tree: cKDTree, samples: np.ndarray, normals: np.ndarray, limit: float, how: Matching
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Distances of points in O to the planes of their nearest samples, their derivatives by a twist of the object, the
+    biweights, and which points are near enough to count.
+    """
+    apart, index = tree.query(points)
+    near = apart < limit
+    n = normals[index]
+    residual = np.sum(n * (points - samples[index]), axis=1)
+    slopes = -np.concatenate([n, np.cross(points, n) / LEVER], axis=1)
+    ratio = residual / (BIWEIGHT * _scale(residual[near], how))
+    return residual, slopes, np.where(near & (np.abs(ratio) < 1), (1 - ratio**2) ** 2, 0.0), near
