@@ -1,0 +1,116 @@
+"""What is drawn, read back from the figures: curves, bands, bars, counts, titles."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from experiments import plots, recognition_figures, recognition_scores
+from experiments.recognition_scores import Estimate
+
+
+def estimate(mean: np.ndarray, half: float = 0.05) -> Estimate:
+    return Estimate(mean, mean - half, mean + half)
+
+
+METHODS = {"votes": estimate(np.array([0.3, 0.5, 0.6])), "belief": estimate(np.array([0.4, 0.8, 0.9]), 0.02)}
+
+
+def every_figure(simulated: bool) -> list[Figure]:
+    p = np.random.default_rng(0).dirichlet(np.ones(3), (40, 1))
+    truth = np.arange(40) % 3
+    told = recognition_scores.reliability(recognition_scores.confidence(p), recognition_scores.hits(p, truth), 5)
+    return [
+        recognition_figures.accuracy(METHODS, "five objects", simulated, {"paper": 0.58}, 0.2),
+        recognition_figures.reliability({"belief": told}, "five objects", simulated),
+        recognition_figures.confusion(np.eye(3), ["a", "b", "c"], "five objects", simulated),
+        recognition_figures.until_sure(METHODS, "five objects", simulated),
+        recognition_figures.sensitivity({"default": {"belief": (0.9, 0.8, 1.0)}}, "five objects", "R", simulated),
+    ]
+
+
+def texts(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.findobj(lambda artist: hasattr(artist, "get_text"))]
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_a_title_says_where_the_touches_come_from(simulated):
+    for figure in every_figure(simulated):
+        assert ("five objects (simulated)" in texts(figure)) == simulated
+        assert ("five objects" in texts(figure)) != simulated
+
+
+def test_figures_can_be_written(tmp_path):
+    for i, figure in enumerate(every_figure(True)):
+        with Image.open(plots.save(figure, tmp_path / f"{i}.png")) as picture:
+            assert len(np.unique(np.asarray(picture.convert("L")))) > 20  # lines, text and their edges
+
+
+def test_accuracy_is_drawn_from_the_first_touch_with_its_interval():
+    figure = recognition_figures.accuracy(METHODS, "", True, {"paper, tools": 0.7})
+    axes = figure.axes[0]
+    for (name, (mean, low, high)), line, band in zip(METHODS.items(), axes.lines, axes.collections, strict=True):
+        assert line.get_label() == name
+        np.testing.assert_array_equal(line.get_xdata(), [1, 2, 3])
+        np.testing.assert_array_equal(line.get_ydata(), mean)
+        x, y = band.get_paths()[0].vertices.T
+        for touch in (1, 2, 3):
+            assert (y[x == touch].min(), y[x == touch].max()) == (low[touch - 1], high[touch - 1])
+    assert "paper, tools 70%" in texts(figure)
+
+
+def test_unsure_starts_before_the_first_touch():
+    figure = recognition_figures.until_sure({"random": estimate(np.array([1.0, 0.9, 0.5, 0.4]))}, "", True)
+    axes = figure.axes[0]
+    np.testing.assert_array_equal(axes.lines[0].get_xdata(), [0, 1, 2, 3])
+    np.testing.assert_array_equal(axes.lines[0].get_ydata(), [1.0, 0.9, 0.5, 0.4])
+    assert axes.lines[0].get_drawstyle() == "steps-post"  # sure from that touch on
+    assert axes.get_xlim() == (0, 3)
+
+
+def test_reliability_leaves_out_empty_bins():
+    sure, hit = np.array([0.3, 0.5, 0.5, 0.95, 0.95]), np.array([0.0, 1, 0, 1, 1])
+    told = recognition_scores.reliability(sure, hit, 10)
+    above, below = recognition_figures.reliability({"belief": told}, "", True).axes
+    dots, *_ = above.containers[0]
+    np.testing.assert_allclose(dots.get_xdata(), [0.3, 0.5, 0.95])
+    np.testing.assert_allclose(dots.get_ydata(), [0, 0.5, 1])
+    bars = np.array([part.vertices for part in above.containers[0][2][0].get_paths()])
+    np.testing.assert_allclose(bars[1, :, 1], [told.frequency.low[5], told.frequency.high[5]])
+    np.testing.assert_array_equal(below.lines[0].get_ydata(), [1, 2, 2])
+
+
+def test_confusion_shows_shares_of_what_was_there():
+    counts = np.array([[3, 1], [0, 2], [0, 0]])[[0, 1]]
+    figure = recognition_figures.confusion(counts, ["star", "cross"], "", True)
+    np.testing.assert_array_equal(figure.axes[0].images[0].get_array(), [[0.75, 0.25], [0, 1]])
+    assert {"75%", "25%", "0%", "100%", "star (4)", "cross (2)"} <= set(texts(figure))
+    many = recognition_figures.confusion(np.eye(25), [str(i) for i in range(25)], "", True)
+    assert not many.axes[0].texts  # too small to read
+    nothing = recognition_figures.confusion(np.zeros((2, 2)), ["a", "b"], "", True)
+    np.testing.assert_array_equal(nothing.axes[0].images[0].get_array(), 0)
+
+
+def test_bars_do_not_overlap_and_carry_their_intervals():
+    settings = {
+        "default": {"touch": (0.9, 0.85, 0.93), "position": (0.7, 0.6, 0.8)},
+        "tilt": {"position": (0.5, 0.4, 0.6)},
+    }
+    axes = recognition_figures.sensitivity(settings, "", "accuracy", True).axes[0]
+    edges = sorted((bar.get_y(), bar.get_y() + bar.get_height(), bar.get_width()) for bar in axes.patches)
+    assert [width for *_, width in edges] == [0.9, 0.7, 0.5]
+    assert all(end <= start for (_, end, _), (start, *_) in pairwise(edges))
+    assert edges[0][0] > -0.5
+    assert edges[1][1] < 0.5 < edges[2][0]  # each setting keeps to its own row
+    spans = [path.vertices[:, 0] for part in axes.collections for path in part.get_paths()]
+    np.testing.assert_allclose(sorted(map(tuple, spans)), [(0.4, 0.6), (0.6, 0.8), (0.85, 0.93)])
+    assert axes.yaxis_inverted()
+
+
+def test_methods_differ_without_colour():
+    names = [str(i) for i in range(7)]
+    figure = recognition_figures.accuracy(dict.fromkeys(names, METHODS["belief"]), "", True)
+    lines = figure.axes[0].lines
+    assert len({line.get_color() for line in lines}) == len({line.get_marker() for line in lines}) == len(names)
