@@ -11,8 +11,10 @@ Student's t (Lange, Little and Taylor, "Robust statistical modeling using the t 
 x is sought by Levenberg-Marquardt steps on the reweighted squares, while the noise shrinks from the size of the prior's
 own errors to what it is (deterministic annealing; Rose, "Deterministic annealing for clustering, compression,
 classification, regression, and related optimization problems", 1998). The contact of edges and corners is not smooth,
-so the search starts from several draws of the prior and keeps the most probable end. The inverse of the last
-Gauss-Newton matrix is the covariance (Laplace's method); what no touch tells keeps the prior's.
+so the search starts from several draws of the prior and keeps the most probable end. Nor are posteriors normal there:
+from the mode and the inverse of the Gauss-Newton matrix (Laplace's method) on, mean and covariance are corrected by
+rounds of importance sampling, each from what the one before found (population Monte Carlo; Cappé, Guillin, Marin and
+Robert, J. Comput. Graph. Stat. 13, 2004). What no touch tells keeps the prior's.
 
 Depth. Points of the image that lie near the believed object, and not on the table, are drawn to the planes of the
 surface's nearest samples, over and over (iterative closest points; Besl and McKay, "A method for registration of 3-D
@@ -44,6 +46,8 @@ from i2t.types import PAD_WINDOW, STANDOFF, ReturnCode, Surface, Touches
 FREEDOM = 4.0  # degrees of freedom of Student's t: the usual compromise of Lange et al.
 LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e6  # of the Gauss-Newton matrix's diagonal
 UNSEEN = 1e3  # m, residual of a motion that was not looked at yet: worse than any
+TAIL = 5  # degrees of freedom of what is drawn: heavier tails than any posterior's
+LEAST_SPREAD = 1e-3  # of draws, in standard deviations of the prior, for float32's sake
 SAMPLES = 40_000  # of a surface: half a millimetre apart on an object of a decimetre
 BIWEIGHT = 4.685  # scales beyond which Tukey's weight is zero (95 % efficient where all is normal)
 
@@ -55,6 +59,8 @@ class Probing:
     starts: int = 12  # draws of the prior; the first is its mean
     cooling: int = 10  # steps while the noise shrinks
     steps: int = 10  # and at its true size
+    draws: int = 256  # for the moments of the posterior
+    rounds: int = 4  # of drawing; 0 leaves mode and curvature
     half: float = PAD_WINDOW / 2  # m, half edge of the face
     faces: int = 128  # of the surface at each touch: those that could come nearest
 
@@ -125,11 +131,12 @@ def by_touch(
     noise: float | Float[Array, ""] = 0.1e-3,
     how: Probing = Probing(),
 ) -> Registered:
-    """The most probable pose of an object believed at `T_w_o` that was met at the tool poses `T_w_contact`.
+    """The mean pose of an object believed at `T_w_o` that was met at the tool poses `T_w_contact`.
 
     Before, each axis is normal with standard deviation `distance` (m) and `angle` (rad); contact is known to `noise`
     (m), which counts the arm, the skin's tilt times its half edge, and the object's shape. `weight` 0 (or false) leaves
-    a touch out, whatever its pose holds: one in air. Iterations and starts are static.
+    a touch out, whatever its pose holds: one in air. Residuals, weights and cost are those of the most probable pose.
+    Iterations and starts are static.
     """
     spread = jnp.stack([jnp.asarray(distance, jnp.float32)] * 3 + [jnp.asarray(angle * LEVER, jnp.float32)] * 3)
     weight = jnp.asarray(weight, jnp.float32)
@@ -185,13 +192,35 @@ def by_touch(
         end, _ = jax.lax.scan(step, _Probe(z, blind, z, jnp.float32(LEAST_DAMPING)), scales)
         return end, cost(end.z, end.seen, noise)
 
-    drawn = jax.random.normal(key, (how.starts, 6)).at[0].set(0.0)
-    ends, costs = jax.lax.map(search, drawn)
+    def adapt(belief, drawn):
+        """Correct mean and covariance by draws of Student's t about them, weighted as the posterior's and, to take off
+        the noise of drawing, as those of the normal distribution that was believed; a few draws change little.
+        """
+        mean, covariance = belief
+        factor = jnp.linalg.cholesky(covariance + LEAST_SPREAD**2 * jnp.eye(6))
+        u = drawn[:, :6] / jnp.sqrt(jnp.mean(drawn[:, 6:] ** 2, axis=1, keepdims=True))
+        z = mean[None] + u @ factor.T
+        square = jnp.sum(u**2, axis=1)
+        heavy = (TAIL + 6) / 2 * jnp.log1p(square / TAIL)  # minus the logarithm of the density that was drawn from
+        posterior = jax.nn.softmax(jax.lax.map(lambda z: -cost(z, look(z), noise), z) + heavy)
+        change = posterior - jax.nn.softmax(heavy - square / 2)
+        count = 1 / jnp.sum(posterior**2)  # effective number of draws
+        trust = count / (count + 6)
+        shift = trust * (change @ u)
+        values, axes = jnp.linalg.eigh(jnp.eye(6) + trust * (u.T @ (change[:, None] * u)) - jnp.outer(shift, shift))
+        root = factor @ axes * jnp.sqrt(jnp.maximum(values, 0.1))[None]
+        return (mean + factor @ shift, root @ root.T), None
+
+    key_starts, key_draws = jax.random.split(key)
+    begins = jax.random.normal(key_starts, (how.starts, 6)).at[0].set(0.0)
+    ends, costs = jax.lax.map(search, begins)
     best = jnp.argmin(costs)
     end = jax.tree.map(lambda leaf: leaf[best], ends)
     share, matrix = normal(end.seen, noise)
-    covariance = spread[:, None] * jnp.linalg.inv(matrix) * spread[None]
-    return Registered(T_w_o @ motion(spread * end.z), covariance, end.seen.residual, share, costs[best])
+    belief = end.z, jnp.linalg.inv(matrix)
+    (z, covariance), _ = jax.lax.scan(adapt, belief, jax.random.normal(key_draws, (how.rounds, how.draws, 6 + TAIL)))
+    covariance = spread[:, None] * covariance * spread[None]
+    return Registered(T_w_o @ motion(spread * z), covariance, end.seen.residual, share, costs[best])
 
 
 def _gap(triangle: Float[Array, "3 3"], T_t_o: Float[Array, "4 4"], half: float | Array) -> Float[Array, ""]:

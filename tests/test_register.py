@@ -29,7 +29,7 @@ STACK = stack([prepare(make(name).mesh) for name in NAMES])  # one size class, a
 SURFACES = [jax.tree.map(lambda field, i=i: jnp.asarray(field[i]), STACK) for i in range(len(NAMES))]
 DISTANCE, ANGLE, NOISE = 1e-3, math.radians(1.0), 0.1e-3
 SPREAD = np.array([DISTANCE] * 3 + [ANGLE * LEVER] * 3)
-TOUCHES, RUNS, AT_ONCE = 10, 40, 4
+TOUCHES, RUNS, AT_ONCE = 10, 24, 4
 register = jax.jit(jax.vmap(by_touch, (0, None, None, 0, 0, None, None, None)))
 
 
@@ -105,18 +105,23 @@ def test_corners_on_a_plane():
         rows.append([*normal, *(np.cross(point, normal) / LEVER)])
     a = np.array(rows)
     precision = np.diag(SPREAD**-2.0) + (FREEDOM + 1) / FREEDOM * a.T @ a / NOISE**2
-    contacts = jnp.asarray(np.array(poses), jnp.float32)
-    found = once(SURFACES[0], contacts, jnp.ones(TOUCHES, bool))
-    scale = np.outer(SPREAD, SPREAD)
-    np.testing.assert_allclose(found.covariance / scale, np.linalg.inv(precision) / scale, atol=1e-3)
-    np.testing.assert_allclose(found.T_w_o, np.eye(4), atol=1e-6)
+    found = once(SURFACES[0], jnp.asarray(np.array(poses), jnp.float32), jnp.ones(TOUCHES, bool))
+    root = np.linalg.cholesky(precision)
+    values = np.linalg.eigvalsh(root.T @ found.covariance.astype(float) @ root)
+    # Ten factors (1 + r^2 / 4)^-2.5 have a variance 50 / 47 of what their curvature says, if all are of one kind; 3 of
+    # them share each direction here, which gives up to 15 / 12. From 256 draws it is known to 9 %.
+    noise = math.sqrt(2 / 256)
+    assert values.min() > 1 - 2 * noise
+    assert values.max() < 15 / 12 * (1 + 2 * noise)
+    error = errors(found.T_w_o[None], np.eye(4)[None])[0]
+    assert np.abs(root.T @ error).max() < 3 / math.sqrt(256)
     np.testing.assert_allclose(found.residual, 0, atol=1e-6)
 
 
-@pytest.mark.parametrize("which", [0])
+@pytest.mark.parametrize("which", [0, 2])
 def test_covariance_is_calibrated(which):
-    """Squared errors in units of the covariance are chi square of six degrees: over 40 runs their mean is 6 within
-    sqrt(12 / 40) = 0.55, taken four times; noise along the surface and facets leave a little less certain than said.
+    """Squared errors in units of the covariance are chi square of six degrees: over 24 runs their mean is 6 within
+    sqrt(12 / 24) = 0.71, taken four times. A spanner's edges make posteriors that are not normal.
     """
     true, found = runs(SURFACES[which], 3)
     error = errors(found.T_w_o, true)
@@ -125,11 +130,12 @@ def test_covariance_is_calibrated(which):
     assert abs(squared.mean() - 6) < 4 * math.sqrt(12 / RUNS)
     told = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(0)) / SPREAD
     left = np.sqrt((error**2).mean(0)) / SPREAD
-    # Ten touches know the height to 0.1 mm / sqrt(10), the tilts to that over their spread of about 10 mm; the corner
-    # that meets first is off the middle, which mixes the two: twice as much at most.
-    assert told[2] < 2 * NOISE / math.sqrt(TOUCHES) / DISTANCE
-    assert (told[3:5] < 2 * NOISE / math.sqrt(TOUCHES) / 10e-3 / ANGLE).all()
-    assert (left[2:5] < 1.5 * told[2:5]).all()  # over 40 runs an rms is known to 11 %
+    # Ten touches know the height to 0.1 mm / sqrt(10), and tilts to that over their spread, 10 mm on the hexagon and
+    # lengthwise on the spanner; what meets first is off the middle, which mixes the two: two and a half times as much.
+    told, left = (part[2:5] if which == 0 else part[[2, 4]] for part in (told, left))
+    assert told[0] < 2.5 * NOISE / math.sqrt(TOUCHES) / DISTANCE
+    assert (told[1:] < 2.5 * NOISE / math.sqrt(TOUCHES) / 10e-3 / ANGLE).all()
+    assert (left < 1.6 * told).all()  # over 24 runs an rms is known to 14 %
 
 
 def test_what_is_symmetric_stays_at_the_prior():
@@ -144,8 +150,8 @@ def test_air_tells_nothing():
     """With no touch left the answer is the prior, whatever the poses hold."""
     nowhere = jnp.full((TOUCHES, 4, 4), jnp.nan, jnp.float32)
     found = once(SURFACES[0], nowhere, jnp.zeros(TOUCHES, bool))
-    np.testing.assert_array_equal(found.T_w_o, np.eye(4))
-    np.testing.assert_allclose(found.covariance, np.diag(SPREAD**2), rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(found.T_w_o, np.eye(4), atol=1e-7)
+    np.testing.assert_allclose(found.covariance, np.diag(SPREAD**2), rtol=1e-4, atol=1e-11)
     contacts = runs_of(0)[0]
     some = jnp.arange(TOUCHES) < 6
     kept = once(SURFACES[0], contacts, some)
