@@ -1,0 +1,187 @@
+"""What `experiments.recognize` leaves behind: sittings on disk, scores over seeds with intervals, tables, figures."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments import plots
+from experiments import recognition_figures as drawing
+from experiments import recognition_scores as scores
+from experiments.recognition import Episodes
+from experiments.recognition_scores import plain
+from experiments.runs import write_json
+from i2t.belief import Measured
+
+PAPER = {"primitives": {"I2T, votes": 0.50, "proprioception, votes": 0.23},
+         "tools": {"I2T, votes": 0.70, "proprioception, votes": 0.80}}  # fmt: skip
+ASKED = (0.01, 0.05, 0.10)  # errors of the stopping rule
+EVENLY = 10  # bins of a reliability diagram
+
+
+class Played(NamedTuple):
+    """Sittings with one set of objects and what each method believed after each touch."""
+
+    names: tuple[str, ...]
+    truth: np.ndarray  # (e,)
+    believed: dict[str, np.ndarray]  # (e, t, objects)
+    episodes: Episodes
+
+
+def save(path: Path, played: dict[str, Played]) -> None:
+    """Write all sets of a seed, at once or not at all."""
+    arrays: dict[str, np.ndarray] = {}
+    for name, part in played.items():
+        measured = part.episodes.measured
+        arrays[f"{name}/site"], arrays[f"{name}/T_w_t"] = part.episodes.site, part.episodes.T_w_t
+        arrays |= {f"{name}/measured/{key}": np.asarray(value) for key, value in measured._asdict().items()}
+        arrays |= {f"{name}/believed/{method}": p.astype(np.float32) for method, p in part.believed.items()}
+        arrays[f"{name}/truth"] = part.truth
+    about = json.dumps({name: part.names for name, part in played.items()})
+    partial = path.with_suffix(".part.npz")
+    np.savez_compressed(partial, **arrays, about=np.array(about))  # type: ignore[arg-type]
+    partial.replace(path)
+
+
+def load(path: Path) -> dict[str, Played]:
+    """What `save` wrote."""
+    with np.load(path) as file:
+        arrays = dict(file)
+    played = {}
+    for name, names in json.loads(str(arrays["about"])).items():
+        head = f"{name}/believed/"
+        believed = {key.removeprefix(head): value for key, value in arrays.items() if key.startswith(head)}
+        measured = Measured(*(arrays[f"{name}/measured/{key}"] for key in Measured._fields))
+        truth = arrays[f"{name}/truth"]
+        episodes = Episodes(truth, arrays[f"{name}/site"], measured, arrays[f"{name}/T_w_t"])
+        played[name] = Played(tuple(names), truth, believed, episodes)
+    return played
+
+
+def pooled(parts: Sequence[dict[str, Played]], name: str, method: str) -> tuple[np.ndarray, np.ndarray]:
+    """Beliefs and truths of a set over all seeds."""
+    p = np.concatenate([part[name].believed[method] for part in parts])
+    return p.astype(np.float64), np.concatenate([part[name].truth for part in parts])
+
+
+def summarise(parts: Sequence[dict[str, Played]], out: Path, source: str) -> dict[str, Any]:
+    """Scores of every set over all seeds, written to metrics.json with figures beside it."""
+    result: dict[str, Any] = {"source": source, "seeds": len(parts), "sets": {}}
+    for name, first in parts[0].items():
+        entry: dict[str, Any] = {"objects": list(first.names), "methods": {}}
+        for method in first.believed:
+            p, truth = pooled(parts, name, method)
+            entry["methods"][method] = scored(p, truth, parts, name, method)
+        entry["sittings"] = len(truth)
+        entry["air"] = float(1 - np.mean([np.mean(part[name].episodes.measured.contact) for part in parts]))
+        entry["paired"] = comparisons(parts, name, first.believed)
+        result["sets"][name] = entry
+    if {"validation", "all"} <= set(parts[0]) and "fused" in parts[0]["all"].believed:
+        p_validation, truth_validation = pooled(parts, "validation", "fused")
+        found = scores.conformal(p_validation, truth_validation, *pooled(parts, "all", "fused"))
+        result["conformal 90 %"] = {"coverage": plain(found.coverage), "size": plain(found.size)}
+    write_json(out / "metrics.json", result)
+    figures(parts, out, source == "simulated")
+    return result
+
+
+def scored(
+    p: np.ndarray, truth: np.ndarray, parts: Sequence[dict[str, Played]], name: str, method: str
+) -> dict[str, Any]:
+    """All scores of a method on a set."""
+    sure, hit = scores.confidence(p), scores.hits(p, truth)
+    seeds = np.array([scores.hits(part[name].believed[method], part[name].truth).mean() for part in parts])
+    each = [scores.calibration_error(sure[:, t], hit[:, t], EVENLY) for t in range(p.shape[1])]
+    return {
+        "accuracy": plain(scores.accuracy(p, truth)),
+        "mean": plain(scores.mean_accuracy(p, truth)),
+        "mean_over_seeds": plain(scores.student(seeds)),
+        "calibration_error": [e.error for e in each],
+        "calibration_error_by_chance": [e.chance for e in each],
+        "log_loss": scores.log_loss(p, truth).mean(0).tolist(),
+        "brier": scores.brier(p, truth).mean(0).tolist(),
+        "stopping": [plain(scores.stopping(p, truth, asked)) for asked in ASKED],
+        "until_95": plain(scores.until(scores.sure_at(p), p.shape[1])),
+        "confusion": scores.confusion(p[:, -1], truth).tolist(),
+    }
+
+
+PAIRS = (
+    ("I2T, votes", "proprioception, votes"),
+    ("I2T, product", "proprioception, product"),
+    ("fused", "tactile only"),
+    ("fused", "position only"),
+    ("fused", "I2T, product"),
+    ("fused, oracle", "fused"),
+    ("tactile only, oracle", "tactile only"),
+)
+
+
+def comparisons(parts: Sequence[dict[str, Played]], name: str, believed: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Differences between methods on the same sittings."""
+    found = {}
+    for one, other in PAIRS:
+        if one in believed and other in believed:
+            hits = [scores.hits(*pooled(parts, name, method)) for method in (one, other)]
+            found[f"{one} - {other}"] = plain(scores.paired(*hits))
+    return found
+
+
+def report(result: dict[str, Any]) -> None:
+    """Print the tables."""
+    for name, entry in result["sets"].items():
+        touches = len(next(iter(entry["methods"].values()))["log_loss"])
+        columns = sorted({1, min(3, touches), min(5, touches), touches})
+        print(
+            f"\n{name} ({result['source']}): {', '.join(entry['objects'])}; {entry['sittings']} sittings over "
+            f"{result['seeds']} pads and seeds, {100 * entry['air']:.0f} % of touches in air"
+        )
+        head = "".join(f"{f'after {t}':>18}" for t in columns)
+        print(f"{'':26}{head}{'mean of all':>22}{'ECE':>7}{'NLL':>7}")
+        for method, values in entry["methods"].items():
+            shown = "".join(
+                f"{values['accuracy']['mean'][t - 1]:6.3f} [{values['accuracy']['low'][t - 1]:.2f}, "
+                f"{values['accuracy']['high'][t - 1]:.2f}]"
+                for t in columns
+            )
+            mean = values["mean"]
+            note = PAPER.get(name, {}).get(method)
+            print(
+                f"{method:26}{shown}  {mean['mean']:6.3f} [{mean['low']:.3f}, {mean['high']:.3f}]"
+                f"{np.mean(values['calibration_error']):7.3f}{np.mean(values['log_loss']):7.3f}"
+                + (f"   paper: {note:.2f}" if note else "")
+            )
+        for pair, values in entry["paired"].items():
+            print(
+                f"  {pair}: after {touches} {_signed(values['last'])} (p = {values['last_p']:.2g}), "
+                f"mean {_signed(values['mean'])} (p = {values['mean_p']:.2g})"
+            )
+
+
+def _signed(estimate: dict[str, float]) -> str:
+    return f"{estimate['mean']:+.3f} [{estimate['low']:+.3f}, {estimate['high']:+.3f}]"
+
+
+def figures(parts: Sequence[dict[str, Played]], out: Path, simulated: bool) -> None:
+    """Pictures of every set."""
+    for name, first in parts[0].items():
+        curves, reliable = {}, {}
+        for method in first.believed:
+            p, truth = pooled(parts, name, method)
+            curves[method] = scores.accuracy(p, truth)
+            if method in ("fused", "tactile only", "position only"):
+                t = p.shape[1] // 2
+                reliable[method] = scores.reliability(scores.confidence(p)[:, t], scores.hits(p, truth)[:, t])
+        chosen = {k: v for k, v in curves.items() if "average" not in k and "oracle" not in k}
+        plots.save(drawing.accuracy(chosen, f"Accuracy, {name}", simulated), out / f"accuracy_{name}.png")
+        if "fused" in first.believed:
+            plots.save(
+                drawing.reliability(reliable, f"Reliability, {name}", simulated), out / f"reliability_{name}.png"
+            )
+            p, truth = pooled(parts, name, "fused")
+            plots.save(
+                drawing.confusion(scores.confusion(p[:, -1], truth), first.names, f"Taken for, {name}", simulated),
+                out / f"confusion_{name}.png",
+            )

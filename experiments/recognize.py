@@ -1,0 +1,282 @@
+"""Question: which object is it, told by touch, and how sure can one be?
+
+    python -m experiments.recognize                       on runs/train of python -m experiments.train
+    python -m experiments.recognize --preset debug        a handful of episodes, too few to mean anything
+    python -m experiments.recognize --run runs/study      every pad and seed of a study, with intervals over all
+    python -m experiments.recognize --objects a.stl b.stl --unit mm      meshes of your own, their sittings simulated
+    python -m experiments.recognize --dataset DIR         recorded touches, each run a sitting, in place of simulated
+
+The objects were never touched in training. Each sitting puts one of them down with the errors of the world, touches it
+ten times at random safe sites of random candidates, and asks after each touch which one it is:
+
+  the paper       exp(-|tau - tau~|) of the checkpoint's predictor at the believed pose; votes, their average, product;
+                  and the same with the distance from the contact to the nearest point of each model (proprioception);
+  the belief      `i2t.belief` on a pad learnt from the training touches, whose objects were registered by their
+                  contacts: from readings alone, from positions alone, and from both; beside it an oracle that learnt
+                  the same touches without any error of pose or noise.
+
+The paper's two sets (three primitives, two tools) are played apart, with the paper's heuristic for the next touch, and
+all five as one set. What was fixed before testing is in docs/recognition.md. Everything is simulated unless --dataset
+says otherwise. Results go to --out: metrics.json, config.json, episodes of each seed (npz) and figures.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+# Factors of a few hundred rows are too small to share, as in experiments.train.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from experiments import recognition_report as reporting
+from experiments.recognition import (
+    Learnt,
+    Setting,
+    Sitting,
+    beliefs,
+    learn,
+    learn_oracle,
+    paper_rules,
+    pool,
+    random_sites,
+    replayed,
+    surfaces_of,
+    tabulate,
+    telling_sites,
+)
+from experiments.runs import begin, reported
+from i2t import belief, objects, outcomes, touch
+from i2t import dataset as data
+from i2t.dataset import Dataset
+from i2t.objects import Mesh
+from i2t.predictor import Predictor, load_predictor
+from i2t.press import PressLimits
+from i2t.skin.contact import FINE
+from i2t.skin.files import load_pad
+from i2t.skin.pad import sample_pad
+from i2t.types import Pad, Surface
+from i2t.world import Errors
+
+
+@dataclass(frozen=True)
+class Recognition:
+    """How much of everything; what is fixed before testing."""
+
+    primitives: tuple[str, ...] = ("square", "star", "cylinder")
+    tools: tuple[str, ...] = ("screwdriver", "hammer")
+    validation: tuple[str, ...] = ("flower", "cross", "pyramid", "cutter", "spanner")
+    touches: int = 10
+    sittings: int = 80  # of each object, in the set of all
+    paper_sittings: int = 200  # of each object, in each of the paper's sets
+    validation_sittings: int = 40  # of each validation object, for the conformal sets
+    sites: int = 24  # of each object
+    places: int = 512  # of each object
+    errors: Errors = field(default_factory=Errors)
+    limits: PressLimits = field(default_factory=lambda: PressLimits(final=FINE))
+    reach: touch.Limits = touch.RECOGNITION
+
+
+PRESETS = {
+    "paper": Recognition(),
+    "debug": Recognition(
+        primitives=("square", "cylinder"), tools=("screwdriver", "hammer"), validation=("flower", "spanner"),
+        touches=3, sittings=3, paper_sittings=3, validation_sittings=3, sites=3, places=16, limits=PressLimits(),
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Args:
+    """Recognise objects by touch and report how often and how sure."""
+
+    out: Path = Path("runs/recognize")  # folder for everything that is made
+    run: Path = Path("runs/train")  # a finished run of experiments.train, or a study's folder of several
+    preset: Literal["paper", "debug"] = "paper"
+    objects: tuple[Path, ...] = ()  # mesh files to tell apart, in place of the catalogue's
+    unit: str | None = None  # of those files, for instance mm
+    dataset: Path | None = None  # recorded touches to replay; its objects are the catalogue's or those of --objects
+    seed: int = 0
+    resume: bool = False  # go on with an unfinished run in --out
+    overwrite: bool = False  # replace a finished or unfinished run in --out
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    args = tyro.cli(Args, args=argv, description=__doc__, prog="python -m experiments.recognize")
+    try:
+        return reported(partial(run, args))
+    except KeyboardInterrupt:
+        print(f"\ninterrupted; finished parts are in {args.out}, go on with --resume", file=sys.stderr)
+        return 130
+
+
+def run(args: Args) -> dict[str, Any]:
+    """Every pad and seed of the run, then the tables over them."""
+    cfg = PRESETS[args.preset]
+    folders = sorted(path.parent for path in args.run.glob("pad-*-seed-*/metrics.json")) or [args.run]
+    for folder in folders:
+        if not (folder / "metrics.json").exists():
+            raise ValueError(
+                f"{folder} holds no finished run; make one with python -m experiments.train --out {folder}"
+            )
+    begin(args.out, args, cfg, args.resume, args.overwrite)
+    parts = []
+    for i, folder in enumerate(folders):
+        path = args.out / f"episodes-{i}.npz"
+        if not path.exists():
+            played = replay(args, cfg, folder) if args.dataset else play(args, cfg, folder, args.seed + i)
+            reporting.save(path, played)
+        parts.append(reporting.load(path))
+    result = reporting.summarise(parts, args.out, "real" if args.dataset else "simulated")
+    reporting.report(result)
+    print(f"\nresults and figures are in {args.out}")
+    return result
+
+
+def finished_runs(folder: Path) -> list[Path]:
+    """The folder of a run, or those of a study's pads and seeds. Raises ValueError where there is none."""
+    folders = sorted(path.parent for path in folder.glob("pad-*-seed-*/metrics.json")) or [folder]
+    if not (folders[0] / "metrics.json").exists():
+        raise ValueError(f"{folder} holds no finished run; make one: python -m experiments.train --out {folder}")
+    return folders
+
+
+def play(args: Args, cfg: Recognition, folder: Path, seed: int) -> dict[str, reporting.Played]:
+    """All sets of one pad and seed."""
+    dataset, predictor, pad = trained(folder)
+    keys = dict(zip(("learn", "sites", "validation"), jax.random.split(jax.random.key(seed), 3), strict=True))
+    learnt = learn(keys["learn"], dataset, training_rows(dataset, folder), taught(dataset), cfg.errors, cfg.limits)
+    oracle = learn_oracle(dataset, training_rows(dataset, folder), learnt, cfg.limits)
+    print(f"pad learnt from {folder}: R2 {learnt.r2:.3f} on touches left out, {oracle.r2:.3f} without errors of pose")
+    sets = candidates(args, cfg)
+    meshes = {name: mesh for part, _, _ in sets.values() for name, mesh in part.items()}
+    surfaces = dict(zip(meshes, surfaces_of(list(meshes.values())), strict=True))  # one compilation serves all sets
+    done: dict[str, reporting.Played] = {}
+    for name, (part, sittings, heuristic) in sets.items():
+        key = jax.random.fold_in(keys["sites"], len(done))
+        some = {one: surfaces[one] for one in part}
+        done[name] = play_set(key, name, some, sittings, heuristic, cfg, pad, predictor, learnt, oracle, seed)
+    return done
+
+
+def candidates(args: Args, cfg: Recognition) -> dict[str, tuple[dict[str, Mesh], int, bool]]:
+    """The sets to tell apart: meshes by name, sittings of each object, and whether the paper's heuristic chooses."""
+    if args.objects:
+        return {"your objects": (own_meshes(args), cfg.sittings, False)}
+
+    def made(names: Sequence[str]) -> dict[str, Mesh]:
+        return {name: objects.make(name).mesh for name in names}
+
+    return {
+        "validation": (made(cfg.validation), cfg.validation_sittings, False),
+        "all": (made(cfg.primitives + cfg.tools), cfg.sittings, False),
+        "primitives": (made(cfg.primitives), cfg.paper_sittings, True),
+        "tools": (made(cfg.tools), cfg.paper_sittings, True),
+    }
+
+
+def play_set(
+    key: jax.Array, name: str, known: dict[str, Surface], sittings: int, heuristic: bool, cfg: Recognition, pad: Pad,
+    predictor: Predictor, learnt: Learnt, oracle: Learnt, seed: int,
+) -> reporting.Played:  # fmt: skip
+    """Simulated sittings with one set of objects, and what every method believes after each touch."""
+    key_pool, key_play, key_site = jax.random.split(key, 3)
+    surfaces = list(known.values())
+    sites = pool(key_pool, surfaces, list(known), cfg.sites, cfg.reach)
+    placements = belief.particles(
+        outcomes.prior_spread(cfg.errors.placement, cfg.errors.placement_angle), cfg.places, seed
+    )
+    total = len(surfaces) * len(sites.owner) * cfg.places
+    with tqdm(total=total, desc=f"{name}: imagining", unit="touch", unit_scale=True) as bar:
+        tables = tabulate(
+            surfaces, placements.twist, sites.T_w_t, [learnt.skin, oracle.skin], cfg.limits.past_goal, bar.update
+        )
+    truth = np.repeat(np.arange(len(surfaces)), sittings)
+    choose = telling_sites if heuristic else random_sites
+    chosen = choose(key_site, sites, len(truth), cfg.touches)
+    sitting = Sitting(key_play, surfaces, truth, sites, pad, Setting(cfg.errors, cfg.limits, cfg.touches))
+    with tqdm(total=chosen.size, desc=f"{name}: touching", unit="touch") as bar:
+        sitting.touch(chosen, bar.update)
+    episodes = sitting.episodes()
+    believed = {}
+    for label, known_pad, table in (("", learnt, tables[0]), (", oracle", oracle, tables[1])):
+        for evidence, weights in EVIDENCE.items():
+            like = known_pad.like._replace(tactile=jnp.float32(weights[0]), spatial=jnp.float32(weights[1]))
+            p, _ = beliefs(table, jnp.asarray(episodes.site), episodes.measured, like, placements)
+            believed[f"{evidence}{label}"] = np.asarray(p)
+    believed |= paper_rules(predictor, learnt.std, surfaces, episodes)
+    return reporting.Played(tuple(known), truth, believed, episodes)
+
+
+EVIDENCE = {"tactile only": (1.0, 0.0), "position only": (0.0, 1.0), "fused": (1.0, 1.0)}
+
+
+def replay(args: Args, cfg: Recognition, folder: Path) -> dict[str, reporting.Played]:
+    """Recorded sittings in place of simulated ones."""
+    assert args.dataset is not None
+    dataset, predictor, _ = trained(folder)
+    learnt = learn(
+        jax.random.key(args.seed), dataset, training_rows(dataset, folder), taught(dataset), cfg.errors, cfg.limits
+    )
+    recorded = data.load(args.dataset)
+    meshes = own_meshes(args) if args.objects else {name: objects.make(name).mesh for name in recorded.objects}
+    surfaces = surfaces_of(list(meshes.values()))
+    sites, episodes = replayed(recorded, list(meshes), cfg.touches)
+    placements = belief.particles(
+        outcomes.prior_spread(cfg.errors.placement, cfg.errors.placement_angle), cfg.places, args.seed
+    )
+    with tqdm(total=len(surfaces) * len(sites.owner) * cfg.places, desc="imagining", unit="touch") as bar:
+        (table,) = tabulate(surfaces, placements.twist, sites.T_w_t, [learnt.skin], cfg.limits.past_goal, bar.update)
+    believed = {}
+    for evidence, weights in EVIDENCE.items():
+        like = learnt.like._replace(tactile=jnp.float32(weights[0]), spatial=jnp.float32(weights[1]))
+        p, _ = beliefs(table, jnp.asarray(episodes.site), episodes.measured, like, placements)
+        believed[evidence] = np.asarray(p)
+    believed |= paper_rules(predictor, learnt.std, surfaces, episodes)
+    return {"recorded": reporting.Played(tuple(meshes), episodes.truth, believed, episodes)}
+
+
+def trained(folder: Path) -> tuple[Dataset, Predictor, Pad]:
+    """Touches, predictor and pad of a finished run of experiments.train."""
+    about = json.loads((folder / "metrics.json").read_text())
+    if about.get("source") != "simulated" or not (folder / "data.h5").exists():
+        raise ValueError(f"{folder} was not trained on simulated touches; pass one that was, as --run")
+    number = about["pad"]
+    pad = sample_pad(jax.random.key(1000 + number)) if isinstance(number, int) else load_pad(Path(number))
+    return data.load(folder / "data.h5"), load_predictor(folder), pad
+
+
+def training_rows(dataset: Dataset, folder: Path) -> np.ndarray:
+    """The touches that the run trained on."""
+    about = next(path for path in (folder / "config.json", folder.parent / "config.json") if path.exists())
+    names = json.loads(about.read_text())["experiment"]["simulation"]["train"]
+    return np.isin(dataset.touches.object, [dataset.objects.index(name) for name in names])
+
+
+def taught(dataset: Dataset) -> dict[str, Surface]:
+    """Surfaces of the catalogue's objects in a data set, by name."""
+    names = [name for name in dataset.objects if name in objects.NAMES]
+    return dict(zip(names, surfaces_of([objects.make(name).mesh for name in names]), strict=True))
+
+
+def own_meshes(args: Args) -> dict[str, Mesh]:
+    """Meshes of files, by the files' names."""
+    if args.unit is None:
+        raise ValueError("say in which unit the files of --objects are, for instance --unit mm")
+    if len(args.objects) < 2:
+        raise ValueError("--objects needs at least two meshes to tell apart")
+    return {path.stem: objects.load(path, args.unit)[0].mesh for path in args.objects}
+
+
+if __name__ == "__main__":
+    sys.exit(main())
