@@ -7,8 +7,9 @@
     python -m experiments.calibrate --dataset DIR --presses 1000 --draws 5    one column of the table
 
 DIR is any recording of one tip on one skin (see python -m i2t.convert). Held out, for all draws alike: 1000 random
-presses, and whole blocks of 6 mm; nothing is chosen by them. A third part asks what an earlier session is worth: the
-first half in time predicts the second; with --earlier a session recorded before predicts the second half of this one,
+presses, and whole blocks of 6 mm; nothing is chosen by them. Random presses inside the blocks have no press near them
+that may be told, so those outside are also scored alone. A last part asks what an earlier session is worth: the first
+half in time predicts the second; with --earlier a session recorded before predicts the second half of this one,
 and presses are drawn from the first half, so that one place or few are enough. Every method sees the same presses, so
 that differences are paired. Intervals are over draws; as neighbouring presses are no independent tests, the best way
 also has intervals over 6 mm blocks of what is held out. Results go to --out: metrics.json, config.json, curves.png, and
@@ -139,7 +140,7 @@ def run(args: Args) -> dict[str, Any]:
     pool = np.flatnonzero(~held & ~blocks)
     later = np.arange(len(held)) >= len(held) // 2
     least = min(len(pool), 2 * int(later[pool].sum()))
-    if least < 2 * min(cfg.counts) or held.sum() < 2 or blocks.sum() < 2 or (held & later).sum() < 2:
+    if least < 2 * min(cfg.counts) or min((held & ~blocks).sum(), blocks.sum(), (held & later).sum()) < 2:
         raise ValueError(f"{args.dataset} has {len(held)} usable presses, too few to calibrate on and to hold out")
     begin(args.out, args, cfg, None, args.overwrite)
     faults = calibrate.check(recording.place, recording.load, recording.readings, by_force=recording.by_force)
@@ -149,11 +150,12 @@ def run(args: Args) -> dict[str, Any]:
     in_blocks, second = f"blocks of {cfg.block:g} mm", "second half in time"
     tests = {
         "random presses": np.flatnonzero(held & usable),
+        "those of them outside the blocks": np.flatnonzero(held & ~blocks & usable),
         in_blocks: np.flatnonzero(blocks & usable),
         second: np.flatnonzero(held & later & usable),
     }
-    # Random presses and blocks are predicted from the same presses, and so with the same fits.
-    first, pool = list(tests)[:2], pool[usable[pool]]
+    # All but the last are predicted from the same presses, and so with the same fits.
+    first, pool = list(tests)[:-1], pool[usable[pool]]
     after, before = pool[later[pool]], pool[~later[pool]]
     values: dict[str, Any] = {name: {} for name in tests}
     missed: dict[str, Any] = {name: {} for name in tests}
@@ -579,7 +581,7 @@ def saved(methods: dict[str, dict[int, list[float]]]) -> dict[str, Any]:
 
 def figure(metrics: dict[str, Any], source: str) -> Figure:
     """R2 against the number of presses, a panel for each thing held out."""
-    result = Figure(figsize=(13, 4.4), layout="constrained")
+    result = Figure(figsize=(max(6.5, 4.4 * len(metrics["r2"])), 4.4), layout="constrained")
     panels = result.subplots(1, len(metrics["r2"]), squeeze=False)[0]
     for axes, (name, methods) in zip(panels, metrics["r2"].items(), strict=True):
         for method, by_count in methods.items():
