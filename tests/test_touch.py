@@ -425,3 +425,77 @@ def test_the_mask_tells_safe_sites_from_fillers():
         rises = [clipped_nearest(stamp, T, HALF + change, 10.0) < -3e-3 for change in (-DELTA, DELTA)]
         if rises[0] == rises[1]:
             assert bool(safe) is not rises[0]
+
+
+# --- derivatives ------------------------------------------------------------------------------------------------------
+
+STEP = 1e-3  # of a direction: micrometres, a hundred times what the clipping in float64 takes as equal
+
+
+@jax.jit
+def slopes(surfaces: Surface, A_t_w: jnp.ndarray, half: jnp.ndarray, along: tuple):
+    """Of many scenes: the value, its gradient, and its derivative along a direction in forward mode."""
+
+    def one(triangles, A, half, along):
+        def value(triangles, A, half):
+            return nearest_in_square(Surface(triangles), A, half, jnp.inf)
+
+        at = (triangles, A, half)
+        return *jax.value_and_grad(value, argnums=(0, 1, 2))(*at), jax.jvp(value, at, along)[1]
+
+    return jax.vmap(one)(surfaces.triangles, A_t_w, half, along)
+
+
+def test_derivatives_agree_with_differences_of_exact_clipping():
+    rng = np.random.default_rng(8)
+    scenes, faces, empty = 60, 10, 6
+    place = rng.uniform(-0.02, 0.02, (scenes, faces, 1, 3)) + np.array([0, 0, 0.03])
+    triangles = (place + rng.uniform(-0.015, 0.015, (scenes, faces, 3, 3))).astype(np.float32)
+    points = np.repeat(triangles[:, :1, :1], empty, 1).repeat(3, 2)  # empty faces, as near as the others
+    triangles = np.concatenate([points[:, : empty // 2], triangles, points[:, empty // 2 :]], 1)
+    triangles[-1, :, :, 0] += 1  # nothing in the square
+    triangles[-2] = 0  # and no surface at all
+    A = np.tile(np.eye(4), (scenes, 1, 1))
+    A[:, :3, :3] = Rotation.from_rotvec(rng.normal(scale=0.3, size=(scenes, 3))).as_matrix()
+    A[:, :2, 2] += rng.normal(scale=0.3, size=(scenes, 2))  # sheared, as for an approach from the side
+    A[:, :3, 3] = rng.normal(scale=2e-3, size=(scenes, 3))
+    half = rng.uniform(4e-3, 12e-3, scenes)
+    # A direction moves corners by millimetres per unit, the map's rotation by what moves corners at 30 mm as far.
+    change = np.zeros_like(A)
+    change[:, :3] = rng.normal(size=(scenes, 3, 4)) * [0.03, 0.03, 0.03, 1e-3]
+    along = (rng.normal(scale=1e-3, size=triangles.shape), change, rng.normal(scale=1e-3, size=scenes))
+    at = tuple(np.float32(x) for x in (triangles, A, half))
+    along = tuple(np.float32(x) for x in along)
+    value, gradient, forward = slopes(Surface(at[0]), *at[1:], along)
+
+    for part in gradient:
+        assert np.isfinite(part).all()
+    backward = sum((np.asarray(g) * d).reshape(scenes, -1).sum(1) for g, d in zip(gradient, along, strict=True))
+    size = sum((np.abs(g) * np.abs(d)).reshape(scenes, -1).sum(1) for g, d in zip(gradient, along, strict=True))
+    # Some fifty roundings in each order of the chain rule.
+    np.testing.assert_array_less(np.abs(backward - forward), 50 * np.finfo(np.float32).eps * (size + 1e-3))
+    assert np.isinf(value[-2:]).all()
+    np.testing.assert_array_equal(forward[-2:], 0)
+
+    def exact(i: int, step: float) -> float:
+        t, A, half = (np.float64(x[i]) + step * d[i] for x, d in zip(at, along, strict=True))
+        soup = Mesh(t[empty // 2 : -(empty // 2)].reshape(-1, 3), np.arange(3 * faces).reshape(-1, 3))
+        return clipped_nearest(soup, np.linalg.inv(A), half, 10.0)
+
+    compared = 0
+    for i in range(scenes - 2):
+        low, middle, high = (exact(i, step) for step in (-STEP, 0.0, STEP))
+        if np.isinf(middle):
+            assert np.isinf(value[i])
+            assert forward[i] == 0
+            continue
+        # A step moves corners by a micrometre, a thousandth of an edge: what bends by more than that part is a kink.
+        if abs(high - 2 * middle + low) > 1e-3 * STEP * size[i]:
+            continue
+        compared += 1
+        # In float32 places move by DELTA, less than a thousandth of a millimetre's edge.
+        assert forward[i] == pytest.approx((high - low) / (2 * STEP), abs=1e-3 * float(size[i]))
+        moved = np.flatnonzero(np.abs(gradient[0][i]).sum((1, 2)))
+        assert len(moved) == 1  # the nearest face alone
+        assert empty // 2 <= moved[0] < faces + empty // 2
+    assert compared > scenes / 2
