@@ -321,16 +321,14 @@ def paper_rules(
         quick = replace(predictor.imagination, smooth=False, cell=CELLS.spacing)
         predictor = replace(predictor, imagination=quick)
     margin = (WIDE_PIXELS - PATCH_PIXELS) // 2
-    near = jax.jit(jax.vmap(ensemble.nearest_distance, (0, None)))
-    look = jax.jit(lambda surface, T: jax.lax.map(partial(_look, surface), T, batch_size=64))
     imagined, apart = [], []
     for surface in surfaces:
-        wide, seen = jax.device_get(look(surface, jnp.asarray(T)))
+        wide, seen = jax.device_get(_views(surface, jnp.asarray(T)))
         patch = wide[:, margin:-margin, margin:-margin]
         blank = np.zeros(len(T), np.float32)
         reading = predictor.predict(patch, force=force, nearest=blank, wide=wide).mean
         imagined.append(np.where(seen[:, None], reading, 0.0))
-        apart.append(np.asarray(near(jnp.asarray(T[:, :3, 3]), surface)))
+        apart.append(np.asarray(_near(jnp.asarray(T[:, :3, 3]), surface)))
     shape = episodes.site.shape
     felt = np.asarray(episodes.measured.reading).reshape(-1, 15)
     zero, scale = jnp.zeros(15), jnp.asarray(std, jnp.float32)
@@ -342,6 +340,14 @@ def paper_rules(
         for source, values in distance.items()
         for name, rule in rules.items()
     }
+
+
+_near = jax.jit(jax.vmap(ensemble.nearest_distance, (0, None)))
+
+
+@jax.jit
+def _views(surface: Surface, T_w_t: Array) -> tuple[Array, Array]:
+    return jax.lax.map(partial(_look, surface), T_w_t, batch_size=64)
 
 
 def _look(surface: Surface, T_w_t: Array) -> tuple[Array, Array]:

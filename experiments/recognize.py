@@ -27,7 +27,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 # Factors of a few hundred rows are too small to share, as in experiments.train.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -41,6 +41,7 @@ from tqdm import tqdm
 from experiments import recognition_report as reporting
 from experiments.recognition import (
     Learnt,
+    Pool,
     Setting,
     Sitting,
     beliefs,
@@ -57,8 +58,10 @@ from experiments.recognition import (
 from experiments.runs import begin, reported
 from i2t import belief, objects, outcomes, touch
 from i2t import dataset as data
+from i2t.belief import Particles
 from i2t.dataset import Dataset
 from i2t.objects import Mesh
+from i2t.outcomes import Outcome
 from i2t.predictor import Predictor, load_predictor
 from i2t.press import PressLimits
 from i2t.skin.contact import FINE
@@ -105,6 +108,7 @@ class Args:
     objects: tuple[Path, ...] = ()  # mesh files to tell apart, in place of the catalogue's
     unit: str | None = None  # of those files, for instance mm
     dataset: Path | None = None  # recorded touches to replay; its objects are the catalogue's or those of --objects
+    sittings: int | None = None  # of each object, for each pad and seed; twice as many in the paper's sets
     seed: int = 0
     resume: bool = False  # go on with an unfinished run in --out
     overwrite: bool = False  # replace a finished or unfinished run in --out
@@ -158,64 +162,91 @@ def play(args: Args, cfg: Recognition, folder: Path, seed: int) -> dict[str, rep
     learnt = learn(keys["learn"], dataset, training_rows(dataset, folder), taught(dataset), cfg.errors, cfg.limits)
     oracle = learn_oracle(dataset, training_rows(dataset, folder), learnt, cfg.limits)
     print(f"pad learnt from {folder}: R2 {learnt.r2:.3f} on touches left out, {oracle.r2:.3f} without errors of pose")
-    sets = candidates(args, cfg)
-    meshes = {name: mesh for part, _, _ in sets.values() for name, mesh in part.items()}
-    surfaces = dict(zip(meshes, surfaces_of(list(meshes.values())), strict=True))  # one compilation serves all sets
     done: dict[str, reporting.Played] = {}
-    for name, (part, sittings, heuristic) in sets.items():
-        key = jax.random.fold_in(keys["sites"], len(done))
-        some = {one: surfaces[one] for one in part}
-        done[name] = play_set(key, name, some, sittings, heuristic, cfg, pad, predictor, learnt, oracle, seed)
+    for i, (meshes, sets) in enumerate(candidates(args, cfg)):
+        key_pool, key_sets = jax.random.split(jax.random.fold_in(keys["sites"], i))
+        surfaces = surfaces_of(list(meshes.values()))
+        sites = pool(key_pool, surfaces, list(meshes), cfg.sites, cfg.reach)
+        placements = belief.particles(
+            outcomes.prior_spread(cfg.errors.placement, cfg.errors.placement_angle), cfg.places, seed
+        )
+        total = len(surfaces) * len(sites.owner) * cfg.places
+        with tqdm(total=total, desc="imagining touches", unit="touch", unit_scale=True) as bar:
+            skins = [learnt.skin, oracle.skin]
+            tables = tabulate(surfaces, placements.twist, sites.T_w_t, skins, cfg.limits.past_goal, bar.update)
+        table = Imagined(list(meshes), surfaces, sites, placements, tables)
+        for j, (name, part) in enumerate(sets.items()):
+            key = jax.random.fold_in(key_sets, j)
+            done[name] = play_set(key, name, part, table, cfg, pad, predictor, (learnt, oracle))
     return done
 
 
-def candidates(args: Args, cfg: Recognition) -> dict[str, tuple[dict[str, Mesh], int, bool]]:
-    """The sets to tell apart: meshes by name, sittings of each object, and whether the paper's heuristic chooses."""
+class Part(NamedTuple):
+    """A set of objects to tell apart."""
+
+    names: Sequence[str]
+    sittings: int  # of each
+    heuristic: bool  # whether the paper's chooses the sites
+
+
+class Imagined(NamedTuple):
+    """Objects, sites, and what each object would feel like at each site to the pad learnt and to the oracle."""
+
+    names: list[str]
+    surfaces: list[Surface]
+    sites: Pool
+    placements: Particles
+    tables: list[Outcome]
+
+
+def candidates(args: Args, cfg: Recognition) -> list[tuple[dict[str, Mesh], dict[str, Part]]]:
+    """Groups of meshes by name that share their sites, each with the sets that are played among them."""
     if args.objects:
-        return {"your objects": (own_meshes(args), cfg.sittings, False)}
+        own = own_meshes(args)
+        return [(own, {"your objects": Part(list(own), cfg.sittings, False)})]
 
     def made(names: Sequence[str]) -> dict[str, Mesh]:
         return {name: objects.make(name).mesh for name in names}
 
-    return {
-        "validation": (made(cfg.validation), cfg.validation_sittings, False),
-        "all": (made(cfg.primitives + cfg.tools), cfg.sittings, False),
-        "primitives": (made(cfg.primitives), cfg.paper_sittings, True),
-        "tools": (made(cfg.tools), cfg.paper_sittings, True),
-    }
+    everything = cfg.primitives + cfg.tools
+    return [
+        (made(cfg.validation), {"validation": Part(cfg.validation, cfg.validation_sittings, False)}),
+        (
+            made(everything),
+            {
+                "all": Part(everything, cfg.sittings, False),
+                "primitives": Part(cfg.primitives, cfg.paper_sittings, True),
+                "tools": Part(cfg.tools, cfg.paper_sittings, True),
+            },
+        ),
+    ]
 
 
 def play_set(
-    key: jax.Array, name: str, known: dict[str, Surface], sittings: int, heuristic: bool, cfg: Recognition, pad: Pad,
-    predictor: Predictor, learnt: Learnt, oracle: Learnt, seed: int,
+    key: jax.Array, name: str, part: Part, imagined: Imagined, cfg: Recognition, pad: Pad, predictor: Predictor,
+    pads: tuple[Learnt, Learnt],
 ) -> reporting.Played:  # fmt: skip
     """Simulated sittings with one set of objects, and what every method believes after each touch."""
-    key_pool, key_play, key_site = jax.random.split(key, 3)
-    surfaces = list(known.values())
-    sites = pool(key_pool, surfaces, list(known), cfg.sites, cfg.reach)
-    placements = belief.particles(
-        outcomes.prior_spread(cfg.errors.placement, cfg.errors.placement_angle), cfg.places, seed
-    )
-    total = len(surfaces) * len(sites.owner) * cfg.places
-    with tqdm(total=total, desc=f"{name}: imagining", unit="touch", unit_scale=True) as bar:
-        tables = tabulate(
-            surfaces, placements.twist, sites.T_w_t, [learnt.skin, oracle.skin], cfg.limits.past_goal, bar.update
-        )
-    truth = np.repeat(np.arange(len(surfaces)), sittings)
-    choose = telling_sites if heuristic else random_sites
-    chosen = choose(key_site, sites, len(truth), cfg.touches)
+    key_play, key_site = jax.random.split(key)
+    which = [imagined.names.index(one) for one in part.names]
+    surfaces = [imagined.surfaces[i] for i in which]
+    rows = np.flatnonzero(np.isin(imagined.sites.owner, which))
+    sites = Pool(imagined.sites.T_w_t[rows], np.searchsorted(which, imagined.sites.owner[rows]))
+    truth = np.repeat(np.arange(len(which)), part.sittings)
+    chosen = (telling_sites if part.heuristic else random_sites)(key_site, sites, len(truth), cfg.touches)
     sitting = Sitting(key_play, surfaces, truth, sites, pad, Setting(cfg.errors, cfg.limits, cfg.touches))
-    with tqdm(total=chosen.size, desc=f"{name}: touching", unit="touch") as bar:
+    with tqdm(total=chosen.size, desc=f"touching, {name}", unit="touch") as bar:
         sitting.touch(chosen, bar.update)
     episodes = sitting.episodes()
     believed = {}
-    for label, known_pad, table in (("", learnt, tables[0]), (", oracle", oracle, tables[1])):
+    for label, learnt, table in zip(("", ", oracle"), pads, imagined.tables, strict=True):
+        some = jax.tree.map(lambda x: jnp.asarray(x[rows][:, which]), table)
         for evidence, weights in EVIDENCE.items():
-            like = known_pad.like._replace(tactile=jnp.float32(weights[0]), spatial=jnp.float32(weights[1]))
-            p, _ = beliefs(table, jnp.asarray(episodes.site), episodes.measured, like, placements)
+            like = learnt.like._replace(tactile=jnp.float32(weights[0]), spatial=jnp.float32(weights[1]))
+            p, _ = beliefs(some, jnp.asarray(chosen), episodes.measured, like, imagined.placements)
             believed[f"{evidence}{label}"] = np.asarray(p)
-    believed |= paper_rules(predictor, learnt.std, surfaces, episodes)
-    return reporting.Played(tuple(known), truth, believed, episodes)
+    believed |= paper_rules(predictor, pads[0].std, surfaces, episodes)
+    return reporting.Played(tuple(part.names), truth, believed, episodes)
 
 
 EVIDENCE = {"tactile only": (1.0, 0.0), "position only": (0.0, 1.0), "fused": (1.0, 1.0)}
