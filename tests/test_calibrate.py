@@ -172,8 +172,13 @@ def test_force_with_chips_beats_a_process_without_standing_field():
         return near * (bumps @ size * np.float64(at.load)[:, None] ** 0.7 + bumps @ still)
 
     readings = jnp.float32(read(known))
-    whole = r2(read(other), predict(fit(FORCE, known, readings, jnp.float32(CHIPS)), other)[0])
-    bare = r2(read(other), predict(fit(FORCE._replace(standing=0.0, constant=0.0), known, readings), other)[0])
+    # A skin of this kind, which is not that of the pads that FORCE was found on.
+    hyper = FORCE._replace(
+        offset=0.1, power=0.7, length=5e-3, bend=0.03, bend_width=1.0, standing=0.3, constant=0.1, noise=5e-2,
+        reach=7e-3, floor=0.2,
+    )  # fmt: skip
+    whole = r2(read(other), predict(fit(hyper, known, readings, jnp.float32(CHIPS)), other)[0])
+    bare = r2(read(other), predict(fit(hyper._replace(standing=0.0, constant=0.0), known, readings), other)[0])
     assert whole > bare
     assert whole > 0.8
 
