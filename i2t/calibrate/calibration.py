@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from i2t import trees
 from i2t.calibrate.structured import DEPTH, FORCE, Hyper, Presses, Process, fit, predict, widening
-from i2t.types import Array, Board
+from i2t.types import CHIPS, Array, Board
 
 KIND = "i2t calibration"
 FURTHEST = 1.0  # m
@@ -106,7 +106,8 @@ def load(path: Path | str) -> Calibration:
     kept, told = trees.load(path, KIND, Kept)
     kept = jax.tree.map(lambda array: jnp.asarray(array, jnp.float32), kept)
     process, n = kept.process, len(kept.process.presses.load)
-    if process.weights.shape[0] != n or process.cholesky.shape[-2:] != (n, n) or told.get("load") not in HARDEST:
+    whole = process.weights.shape[0] == n and process.cholesky.shape[-2:] == (n, n)
+    if not whole or len(process.cholesky) not in (1, CHIPS) or told.get("load") not in HARDEST:
         raise trees.TreeError(f"{path}: its parts do not fit each other; calibrate again")
     return Calibration(process, kept.widening, told["load"], told["about"])
 
