@@ -83,7 +83,7 @@ def summarise(parts: Sequence[dict[str, Played]], out: Path, source: str) -> dic
         found = scores.conformal(p_validation, truth_validation, *pooled(parts, "all", "fused"))
         result["conformal 90 %"] = {"coverage": plain(found.coverage), "size": plain(found.size)}
     write_json(out / "metrics.json", result)
-    figures(parts, out, source == "simulated")
+    figures(parts, out, source != "real")
     return result
 
 

@@ -141,7 +141,8 @@ def run(args: Args) -> dict[str, Any]:
             played = replay(args, cfg, folder) if args.dataset else play(args, cfg, folder, args.seed + i)
             reporting.save(path, played)
         parts.append(reporting.load(path))
-    result = reporting.summarise(parts, args.out, "real" if args.dataset else "simulated")
+    source = data.load(args.dataset).source if args.dataset else "simulated"
+    result = reporting.summarise(parts, args.out, source)
     reporting.report(result)
     print(f"\nresults and figures are in {args.out}")
     return result

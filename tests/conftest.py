@@ -15,6 +15,16 @@ jax.config.update("jax_debug_key_reuse", True)
 
 
 @pytest.fixture(scope="session")
+def trained_run(tmp_path_factory) -> Path:
+    """A finished run of `experiments.train` on its debug preset."""
+    from experiments import train
+
+    out = tmp_path_factory.mktemp("runs") / "debug"
+    assert train.main(["--preset", "debug", "--out", str(out)]) == 0
+    return out
+
+
+@pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Real recordings, meshes and depth images, which are not part of the project."""
     folder = Path(os.environ.get("I2T_DATA", Path(__file__).parents[2] / "shared" / "data"))

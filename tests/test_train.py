@@ -23,10 +23,8 @@ from i2t.skin.pad import nominal_pad
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    out = tmp_path_factory.mktemp("runs") / "debug"
-    assert train.main(["--preset", "debug", "--out", str(out)]) == 0
-    return out
+def finished(trained_run):
+    return trained_run
 
 
 def numbers(out):
