@@ -127,12 +127,10 @@ def main(argv: list[str] | None = None) -> int:
 def run(args: Args) -> dict[str, Any]:
     """Every pad and seed of the run, then the tables over them."""
     cfg = PRESETS[args.preset]
-    folders = sorted(path.parent for path in args.run.glob("pad-*-seed-*/metrics.json")) or [args.run]
-    for folder in folders:
-        if not (folder / "metrics.json").exists():
-            raise ValueError(
-                f"{folder} holds no finished run; make one with python -m experiments.train --out {folder}"
-            )
+    if args.sittings is not None:
+        each = {"sittings": args.sittings, "paper_sittings": 2 * args.sittings, "validation_sittings": args.sittings}
+        cfg = replace(cfg, **each)
+    folders = finished_runs(args.run)
     begin(args.out, args, cfg, args.resume, args.overwrite)
     parts = []
     for i, folder in enumerate(folders):
