@@ -76,7 +76,14 @@ def test_gains_are_mutual_information(prior):
     distances = np.array([0.0, 0.5, 1.0, 2.0, 4.0, 20.0])
     apart = (distances[:, None] * np.array([-0.5, 0.5]))[..., None]
     bound = stats.bernoulli(prior).entropy()
-    for told, table in ((TACTILE, touches(NOISE * apart)), (SPATIAL, touches(0.0, POSITION * apart))):
+    # What is not known about a place makes the travel unsure along its slope.
+    unsure = np.hypot(belief.WITHIN * SPREAD[2], POSITION)
+    steep = touches(0.0, unsure * apart)._replace(slope=jnp.broadcast_to(jnp.eye(6)[2], (SITES, OBJECTS, COUNT, 6)))
+    for told, table in (
+        (TACTILE, touches(NOISE * apart)),
+        (SPATIAL, touches(0.0, POSITION * apart)),
+        (SPATIAL, steep),
+    ):
         found = gains(jax.random.key(0), start(prior), table, told)
         for i, distance in enumerate(distances):
             exact, sd = information(distance, prior)
