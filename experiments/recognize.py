@@ -128,8 +128,8 @@ def run(args: Args) -> dict[str, Any]:
     """Every pad and seed of the run, then the tables over them."""
     cfg = PRESETS[args.preset]
     if args.sittings is not None:
-        each = {"sittings": args.sittings, "paper_sittings": 2 * args.sittings, "validation_sittings": args.sittings}
-        cfg = replace(cfg, **each)
+        n = args.sittings
+        cfg = replace(cfg, sittings=n, paper_sittings=2 * n, validation_sittings=n)
     folders = finished_runs(args.run)
     begin(args.out, args, cfg, args.resume, args.overwrite)
     parts = []

@@ -432,7 +432,7 @@ def test_the_mask_tells_safe_sites_from_fillers():
 STEP = 1e-3  # of a direction: micrometres, a hundred times what the clipping in float64 takes as equal
 
 
-@jax.jit
+@partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # compiles in half the time
 def slopes(surfaces: Surface, A_t_w: jnp.ndarray, half: jnp.ndarray, along: tuple):
     """Of many scenes: the value, its gradient, and its derivative along a direction in forward mode."""
 
@@ -441,7 +441,8 @@ def slopes(surfaces: Surface, A_t_w: jnp.ndarray, half: jnp.ndarray, along: tupl
             return nearest_in_square(Surface(triangles), A, half, jnp.inf)
 
         at = (triangles, A, half)
-        return *jax.value_and_grad(value, argnums=(0, 1, 2))(*at), jax.jvp(value, at, along)[1]
+        found, push = jax.linearize(value, *at)
+        return found, jax.linear_transpose(push, *at)(jnp.ones(())), push(*along)
 
     return jax.vmap(one)(surfaces.triangles, A_t_w, half, along)
 
