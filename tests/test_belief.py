@@ -52,10 +52,12 @@ def expected(outcome: Outcome, force: np.ndarray) -> np.ndarray:
 
 
 def part(tree, i):
+    """An element or a slice of every array."""
     return jax.tree.map(lambda x: x[i], tree)
 
 
 def host(tree, *i):
+    """Elements of every array, as NumPy's."""
     return jax.tree.map(lambda x: np.asarray(x)[i], tree)
 
 
@@ -345,7 +347,8 @@ def test_the_zero_of_the_sensor_is_followed():
         P = (drift**2 + np.sqrt(drift**4 + 4 * drift**2 * R)) / 2
         gain = P / (P + R)
         assert float(now.zero_variance) == pytest.approx((1 - gain) * P, rel=0.02)
-        # What is left of a constant offset is an average of noise: gain / (2 - gain) of its variance.
+        # What is left is a mean of noise, gain / (2 - gain) of its variance, and of the offset what the touches left,
+        # of which the last half had the settled gain.
         sd = np.sqrt(gain / (2 - gain) * np.diag(np.cov(ERRORS.T)))
         assert (np.abs(now.zero - offset) < SIGMAS * sd + np.abs(offset) * (1 - gain) ** 20).all()
 
@@ -376,12 +379,10 @@ def test_probabilities_are_those_of_being_right():
     sites = 6
     table = outcomes(rng, sites, KINDS, FEW)
     # Objects are hard to tell apart: readings differ by a good part of their errors, travels by those of positions.
-    like_errors = np.linalg.cholesky(np.cov(ERRORS.T)).T * 0.35
+    as_errors = np.linalg.cholesky(np.cov(ERRORS.T)).T * 0.35
     table, background = (
-        part._replace(
-            reading=jnp.float32((rng.normal(size=(*part.travel.shape, 1, 15)) @ like_errors) * LOADS[:, None])
-        )
-        for part in (table, outcomes(rng, BACKGROUND))
+        told._replace(reading=jnp.float32((rng.normal(size=(*told.hit.shape, 1, 15)) @ as_errors) * LOADS[:, None]))
+        for told in (table, outcomes(rng, BACKGROUND))
     )
 
     # All that happens is drawn from the model, which is known to be right then.
@@ -395,9 +396,8 @@ def test_probabilities_are_those_of_being_right():
     )
     spread = np.sqrt(1 + np.asarray(TOY.growth) * now.variance[..., 1:2])
     t = rng.normal(size=(*shape, 15)) / np.sqrt(rng.chisquare(8, shape) / 8)[..., None]
-    reading = (
-        now.reading[..., 1, :] + np.linalg.solve(np.asarray(TOY.whiten, np.float64), (spread * t)[..., None])[..., 0]
-    )
+    unwhiten = np.linalg.inv(np.asarray(TOY.whiten, np.float64))
+    reading = now.reading[..., 1, :] + (spread * t) @ unwhiten.T
     off = rng.normal(size=(EPISODES, 1, 6)) * SPREAD * belief.WITHIN * known[..., None]
     advance = now.travel + now.sunk[..., 1] + LOADS[1] / belief.STIFFNESS + (now.slope * off).sum(-1)
     advance += rng.normal(scale=float(TOY.position), size=shape)

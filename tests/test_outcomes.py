@@ -106,7 +106,7 @@ def test_a_miss_is_all_zeros_and_no_nan():
     aside = pose(DOWN, [60e-3, 0, TOP])
     far = pose(DOWN, [0, 0, TOP + PAST + 4 * DELTA])
     near = pose(DOWN, [0, 0, TOP + PAST - 4 * DELTA])
-    # An approach that begins below the bottom, which is an end of the block as its top is, leads away from it.
+    # An approach that begins a millimetre below the bottom leads away from it.
     below = pose(DOWN, [0, 0, -STANDOFF - 1e-3])
     found = met(BLOCK, np.eye(4), np.zeros(6), np.stack([aside, far, near, below]))
     np.testing.assert_array_equal(found.hit, [False, False, True, False])
