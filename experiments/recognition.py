@@ -221,7 +221,8 @@ class Sitting:
         pad: Pad,
         setting: Setting,
     ) -> None:
-        key_runs, self.key_touch, self.key_feel = jax.random.split(key, 3)
+        key_runs, self.key_touch, key_feel = jax.random.split(key, 3)
+        self.drawn = np.asarray(jax.random.key_data(jax.random.split(key_feel, len(truth))))  # the same at every touch
         self.surfaces, self.truth, self.sites, self.pad, self.setting = surfaces, truth, sites, pad, setting
         self.runs = jax.vmap(lambda k: world.sample_run(k, setting.errors))(jax.random.split(key_runs, len(truth)))
         self.touches: list[Touches] = []
@@ -233,6 +234,7 @@ class Sitting:
         keys = jax.vmap(lambda i: jax.random.split(jax.random.fold_in(self.key_touch, i), len(self.truth)), out_axes=1)(
             made_before + jnp.arange(n)
         ).reshape(-1)
+        drawn = np.asarray(jax.random.key_data(keys))  # rows of it fill up batches more than once
         episode, where = np.repeat(np.arange(len(self.truth)), n), site.reshape(-1)
         done: list[tuple[np.ndarray, Touches]] = []
         for which, surface in enumerate(self.surfaces):
@@ -241,7 +243,7 @@ class Sitting:
                 some = rows[start : start + TOUCHES]
                 full = np.resize(some, TOUCHES)
                 made = _touch_many(
-                    keys[full], surface, self.sites.T_w_t[where[full]], element(self.runs, episode[full]), self.pad,
+                    drawn[full], surface, self.sites.T_w_t[where[full]], element(self.runs, episode[full]), self.pad,
                     errors=self.setting.errors, limits=self.setting.limits,
                 )  # fmt: skip
                 kept = slice(len(some))
@@ -260,8 +262,7 @@ class Sitting:
         made = jax.tree.map(lambda *x: np.stack(x, axis=1), *self.touches)
         missing = self.setting.touches - len(self.touches)
         full = jax.tree.map(lambda x: np.concatenate([x, np.repeat(np.zeros_like(x[:, :1]), missing, 1)], 1), made)
-        keys = jax.random.split(self.key_feel, len(self.truth))
-        reading = np.asarray(_feel(keys, full, self.pad, self.setting.errors))[:, : len(self.touches)]
+        reading = np.asarray(_feel(self.drawn, full, self.pad, self.setting.errors))[:, : len(self.touches)]
         T_w_site = np.asarray(self.sites.T_w_t)[np.stack(self.chosen, 1)]
         apart = made.T_w_t[..., :3, 3] - T_w_site[..., :3, 3]
         advance = np.sum(apart * T_w_site[..., :3, 2], axis=-1)
@@ -277,17 +278,19 @@ class Sitting:
 
 @partial(jax.jit, static_argnames=("errors", "limits"))
 def _touch_many(
-    keys: Array, surface: Surface, T: Array, runs: RunErrors, pad: Pad, errors: Errors, limits: PressLimits
+    drawn: Array, surface: Surface, T: Array, runs: RunErrors, pad: Pad, errors: Errors, limits: PressLimits
 ) -> Touches:
+    keys = jax.random.wrap_key_data(drawn)
     made = jax.vmap(lambda key, T, run: world.touch_once(key, surface, jnp.eye(4), T, run, pad, errors, limits))(
         keys, T, runs
     )
-    blank = jnp.zeros((len(keys), 0))
+    blank = jnp.zeros((len(drawn), 0))
     return made._replace(patch=blank, wide=blank, truth=None)
 
 
 @partial(jax.jit, static_argnames=("errors",))
-def _feel(keys: Array, touches: Touches, pad: Pad, errors: Errors) -> Array:
+def _feel(drawn: Array, touches: Touches, pad: Pad, errors: Errors) -> Array:
+    keys = jax.random.wrap_key_data(drawn)
     return jax.vmap(lambda key, run: world.feel(key, run, pad, errors).reading)(keys, touches)
 
 

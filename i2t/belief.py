@@ -32,6 +32,7 @@ from i2t.outcomes import Outcome, at_load
 from i2t.types import READINGS
 
 WITHIN = 0.5  # standard deviation of the placement about a particle, relative to that of the prior
+NEVER = 1e-12  # least share of touches that may be anything
 STIFFNESS = 10e3  # N/m, arm and mount in series, as in `i2t.press.PressLimits`
 
 
@@ -143,25 +144,29 @@ def update(
 ) -> Belief:
     """The belief after one more touch, whose `outcomes` were imagined for each object and particle, (objects, k).
 
-    `background` holds outcomes (b,) on all kinds of objects for "none of these".
+    `background` holds outcomes (b,) on all kinds of objects for "none of these"; without it that cannot be.
     """
     told = measured._replace(reading=measured.reading - belief.zero)
     found = jax.vmap(jax.vmap(partial(evidence, told, like=like)))(outcomes, belief.mean, belief.covariance)
     log_weight = belief.log_weight + weighed(found, like)
-    unknown = belief.unknown
+    unknown = jnp.full_like(belief.unknown, -jnp.inf)
     if background is not None:
         wide = jnp.zeros((6, 6))
         other = jax.vmap(lambda outcome: evidence(told, outcome, jnp.zeros(6), wide, like))(background)
         each = weighed(other, like)
-        unknown = unknown + logsumexp(each) - jnp.log(len(each))
+        unknown = belief.unknown + logsumexp(each) - jnp.log(len(each))
     zero, variance = _follow(belief, told, found.reading, log_weight, like)
     return Belief(log_weight, found.mean, found.covariance, unknown, zero, variance)
 
 
 def weighed(found: Evidence, like: Likelihood) -> Float[Array, "..."]:
     """Log density of a touch from the kinds of evidence that are used; each of them knows whether anything was met."""
-    used = jnp.maximum(like.tactile, like.spatial)
-    return like.tactile * found.tactile + like.spatial * found.spatial + used * found.presence
+
+    def part(weight: Array, density: Array) -> Array:
+        return jnp.where(weight > 0, weight * density, 0.0)  # what is left out may be NaN
+
+    met = part(jnp.maximum(like.tactile, like.spatial), found.presence)
+    return part(like.tactile, found.tactile) + part(like.spatial, found.spatial) + met
 
 
 def evidence(
@@ -181,22 +186,26 @@ def evidence(
     unsure = jnp.dot(outcome.slope, carried) + like.position**2
     error = measured.advance - expected
     normal = -0.5 * (error**2 / unsure + jnp.log(2 * jnp.pi * unsure))
-    stray = jnp.log(like.outliers / _range(like))
-    usual = jnp.where(outcome.hit, jnp.log1p(-like.outliers) + normal, -jnp.inf)
+    outliers = jnp.maximum(like.outliers, NEVER)
+    stray = jnp.log(outliers / _range(like))
+    usual = jnp.where(outcome.hit, jnp.log1p(-outliers) + normal, -jnp.inf)
     density = jnp.logaddexp(usual, stray)
     short = (like.past - outcome.travel - jnp.dot(outcome.slope, mean)) / jnp.sqrt(unsure)
     met = jnp.where(outcome.hit, log_ndtr(short), -jnp.inf)
     missed = jnp.where(outcome.hit, log_ndtr(-short), 0.0)
-    presence = jnp.logaddexp(jnp.where(measured.contact, met, missed), jnp.log(like.outliers))
+    presence = jnp.logaddexp(jnp.where(measured.contact, met, missed), jnp.log(outliers))
 
-    gain = carried / unsure * jnp.where(measured.contact, jnp.exp(usual - density), 0.0)
+    # With probability w the press ended where it should; the mixture of having learnt from it or not keeps its spread.
+    w = jnp.where(measured.contact & (like.spatial > 0), jnp.exp(usual - density), 0.0)
+    gain = carried / unsure
+    left = w * (1 - w) * error**2 * jnp.outer(gain, gain)
     return Evidence(
         tactile,
         jnp.where(measured.contact, density, 0.0),
         presence,
         reading,
-        mean + gain * error,
-        covariance - gain[:, None] * carried[None, :],
+        mean + w * gain * error,
+        covariance - w * jnp.outer(gain, carried) + left,
     )
 
 
@@ -243,7 +252,8 @@ def _follow(
     """The sensor's zero after a touch, from what the posterior expects the reading to be."""
     share = jax.nn.softmax(log_weight.reshape(-1)).reshape(log_weight.shape)
     left = told.reading - jnp.einsum("ok,okc->c", share, readings)
+    left = jnp.where(jnp.isfinite(left) & told.contact, left, 0.0)
     error = jnp.mean(jnp.sum(jnp.linalg.inv(like.whiten) ** 2, axis=1)) * like.inflation**2
     prior = belief.zero_variance + like.drift**2
-    gain = prior / (prior + error)
+    gain = jnp.where(told.contact, prior / (prior + error), 0.0)
     return belief.zero + gain * left, (1 - gain) * prior
