@@ -326,6 +326,37 @@ def test_weights_leave_evidence_out():
     np.testing.assert_array_equal(none.log_weight, now.log_weight)
 
 
+def test_what_is_left_out_may_be_nan_and_moves_nothing():
+    """A broken reading where only positions count, and a position where only readings do."""
+    rng = np.random.default_rng(8)
+    table = outcomes(rng, 2, 4)
+    begun = belief.begin(belief.particles(SPREAD, 4), 2)
+    lost = measured(np.full(15, np.nan), 0.9, -1e-3, True)
+    after = update(begun, lost, table, like(tactile=0.0))
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(after._replace(unknown=0.0)))
+    far = measured(np.asarray(table.reading)[0, 0, 1], 0.9, 5e-3, True)
+    after = update(begun, far, table, like(spatial=0.0))
+    np.testing.assert_array_equal(after.mean, begun.mean)
+    np.testing.assert_array_equal(after.covariance, begun.covariance)
+
+
+def test_a_doubtful_position_keeps_the_spread_of_the_mixture():
+    """Half learnt from and half not: the variance of a mixture of two normals, in double precision."""
+    rng = np.random.default_rng(9)
+    outcome = host(outcomes(rng, 1), 0)
+    slope, P = np.asarray(outcome.slope, np.float64), np.diag(SPREAD**2)
+    unsure = slope @ P @ slope + POSITION**2
+    for error in (2.0, 3.5, 5.0):
+        advance = expected(outcome, np.float64(0.9)) + error * np.sqrt(unsure)
+        found = belief.evidence(measured(np.zeros(15), 0.9, advance, True), outcome, jnp.zeros(6), jnp.float32(P), LIKE)
+        share = (1 - 0.01) * stats.norm.pdf(error) / np.sqrt(unsure)
+        w = share / (share + 0.01 / STRAY)
+        shift = P @ slope / unsure * error * np.sqrt(unsure)
+        mixed = P - w * np.outer(P @ slope, P @ slope) / unsure + w * (1 - w) * np.outer(shift, shift)
+        np.testing.assert_allclose(found.mean, w * shift, rtol=2e-2, atol=1e-7)
+        np.testing.assert_allclose(found.covariance, mixed, rtol=2e-2, atol=2e-2 * P.max())
+
+
 def test_the_zero_of_the_sensor_is_followed():
     rng = np.random.default_rng(11)
     offset = rng.normal(scale=20, size=15)
