@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments import recognition, recognition_report, recognition_studies, recognize
+from experiments import recognition, recognition_report, recognize
+from experiments.studies import __main__ as studies
 from i2t import dataset, objects, touch
 from i2t.dataset import DataError
 from i2t.types import ReturnCode
@@ -117,7 +118,7 @@ def test_telling_sites_follow_the_heuristic():
 @pytest.mark.parametrize("study", ["policy", "open"])
 def test_studies_run(study, trained_run, tmp_path):
     out = tmp_path / study
-    assert recognition_studies.main([study, "--preset", "debug", "--run", str(trained_run), "--out", str(out)]) == 0
+    assert studies.main([study, "--preset", "debug", "--run", str(trained_run), "--out", str(out)]) == 0
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["source"] == "simulated"
     if study == "policy":

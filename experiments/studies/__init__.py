@@ -1,0 +1,1 @@
+"""Studies of recognition by touch; see `python -m experiments.studies --help`."""

@@ -1,0 +1,61 @@
+"""Questions about recognition by touch beyond `experiments.recognize`, each a study of its own:
+
+    python -m experiments.studies policy        which next touch makes one sure soonest?
+    python -m experiments.studies open          is it none of the objects that are known?
+    python -m experiments.studies pad           how many presses does a pad need that was never felt?
+    python -m experiments.studies sensitivity   what do errors of pose, noise and harder presses do?
+    python -m experiments.studies many          10, 25 and 50 objects, the meshes of a folder among them
+    python -m experiments.studies policy --preset debug      a handful of sittings, to see it run
+
+Each takes a finished run of `experiments.train` (--run, or a study's folder of several pads and seeds) and uses the
+catalogue's test objects and the worlds of `experiments.recognize`; what was fixed before testing is in
+docs/recognition.md. Everything is simulated. Results go to --out: metrics.json, config.json, figures.
+"""
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+# Factors of a few hundred rows are too small to share, as in experiments.train.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import tyro
+
+from experiments.recognize import PRESETS, finished_runs
+from experiments.runs import begin, reported, write_json
+from experiments.studies import many, new_pad, policy, sensitivity, strangers
+from experiments.studies.lab import Args, Lab, prepare_lab, report_methods
+
+STUDIES: dict[str, tuple[Callable[[Lab], Any], Callable[[Sequence[Any], Path], dict[str, Any]]]] = {
+    "policy": (policy.play, policy.report),
+    "open": (strangers.play, strangers.report),
+    "pad": (new_pad.play, report_methods),
+    "sensitivity": (sensitivity.play, report_methods),
+    "many": (many.play, many.report),
+}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    args = tyro.cli(Args, args=argv, description=__doc__, prog="python -m experiments.studies")
+    return reported(partial(run, args))
+
+
+def run(args: Args) -> dict[str, Any]:
+    """A study on every pad and seed, pooled."""
+    out = args.out or Path("runs") / args.study
+    begin(out, args, PRESETS[args.preset], None, args.overwrite)
+    parts = []
+    for i, folder in enumerate(finished_runs(args.run)):
+        parts.append(STUDIES[args.study][0](prepare_lab(args, folder, args.seed + i)))
+    result = {"source": "simulated", "seeds": len(parts), **STUDIES[args.study][1](parts, out)}
+    write_json(out / "metrics.json", result)
+    print(f"\nresults and figures are in {out}")
+    return result
+
+
+if __name__ == "__main__":
+    sys.exit(main())

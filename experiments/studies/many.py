@@ -1,0 +1,67 @@
+"""10, 25 and 50 objects: the catalogue's, the meshes of a folder, and random ones."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from experiments import plots
+from experiments import recognition_figures as drawing
+from experiments import recognition_scores as scores
+from experiments.recognition import beliefs, pool, random_sites, surfaces_of
+from experiments.recognition_scores import plain
+from experiments.studies.lab import Lab, imagine, placements_of, sit
+from i2t import objects
+
+COUNTS = (10, 25, 50)
+MANY_TOUCHES, MANY_SITES, MANY_PLACES, MANY_SITTINGS = 20, 8, 64, 100
+
+
+def play(lab: Lab) -> dict[str, Any]:
+    """Sittings with the first 10, 25 and 50 of a list of objects: the catalogue's, the folder's, and random ones."""
+    small = lab.args.preset == "debug"
+    counts = (3,) if small else COUNTS
+    touches, places_count = (3, 8) if small else (MANY_TOUCHES, MANY_PLACES)
+    trained_on = ("hexagon", "parallelogram")
+    meshes = {name: objects.make(name).mesh for name in lab.names}
+    for path in sorted(lab.args.meshes.glob("*.stl")) if lab.args.meshes else ():
+        meshes[path.stem] = objects.load(path, "m")[0].mesh
+    for name in objects.PRIMITIVES + objects.TOOLS:
+        if name not in trained_on:
+            meshes.setdefault(name, objects.make(name).mesh)
+    for i in range(max(counts)):
+        meshes[f"random {i}"] = objects.random_object(7000 + i).mesh
+    found: dict[str, Any] = {}
+    key_pool, key_play, key_site = jax.random.split(lab.key, 3)
+    order = np.random.default_rng(0).permutation(list(meshes)[: max(counts)] if not small else list(meshes)[:3])
+    cfg = replace(lab.cfg, touches=touches, sites=2 if small else MANY_SITES, places=places_count)
+    for count in counts:
+        names = tuple(str(name) for name in order[:count])
+        some = lab._replace(names=names, surfaces=surfaces_of([meshes[name] for name in names]), cfg=cfg)
+        sites = pool(key_pool, some.surfaces, names, cfg.sites, cfg.reach)
+        places = placements_of(some)
+        (table,) = imagine(some, sites, places, [lab.learnt.skin], f"{count} objects")
+        truth = np.resize(np.arange(count), 4 if small else max(MANY_SITTINGS, count))
+        chosen = random_sites(key_site, sites, len(truth), touches)
+        episodes = sit(some, key_play, sites, truth, chosen, f"{count} objects").episodes()
+        p, _ = beliefs(jax.device_put(table), jnp.asarray(chosen), episodes.measured, lab.learnt.like, places)
+        found[f"{count} objects"] = (np.asarray(p), truth)
+    return found
+
+
+def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
+    """Accuracy against touches for each number of objects."""
+    result: dict[str, Any] = {}
+    curves = {}
+    for name in parts[0]:
+        p = np.concatenate([part[name][0] for part in parts]).astype(np.float64)
+        truth = np.concatenate([part[name][1] for part in parts])
+        curves[name] = scores.accuracy(p, truth)
+        result[name] = {"sittings": len(truth), "accuracy": plain(curves[name])}
+        print(f"{name:12} " + " ".join(f"{t + 1}: {curves[name].mean[t]:.2f}" for t in range(0, p.shape[1], 3)))
+    plots.save(drawing.accuracy(curves, "Accuracy with more objects", True), out / "accuracy.png")
+    return result

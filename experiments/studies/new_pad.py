@@ -1,0 +1,62 @@
+"""How many presses does a pad need that was never felt? It is pressed with a known ball, a pad is fitted to what it
+reads (`i2t.calibrate.physics`), and what the fitted pad would feel on the training objects is simulated and learnt.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from experiments.recognition import beliefs, pool, random_sites
+from experiments.studies.lab import Lab, imagine, placements_of, sit
+from i2t.boards import reskin
+from i2t.calibrate.physics import Tip, fit_pad
+from i2t.calibrate.structured import Presses
+from i2t.skin.contact import GRID
+from i2t.skin.noise import Noise, observe
+from i2t.skin.pad import press_force, sample_pad
+from i2t.types import Pad
+
+PRESSES = (5, 20, 100)
+BALL = Tip("sphere", 4e-3)
+
+
+def play(lab: Lab) -> dict[str, Any]:
+    """The same sittings with a pad that was never felt, which is known better and better."""
+    key_pool, key_play, key_site, key_fit = jax.random.split(lab.key, 4)
+    other = sample_pad(jax.random.key(5000 + lab.seed))
+    learnt = {"another pad's": lab.learnt}
+    for n in PRESSES if lab.args.preset == "paper" else PRESSES[:1]:
+        fitted = press_and_fit(key_fit, other, n)
+        learnt[f"{n} presses"] = lab.training(fitted, key_fit)
+    learnt["the pad itself"] = lab.training(other, key_fit)
+    sites = pool(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
+    places = placements_of(lab)
+    tables = imagine(lab, sites, places, [each.skin for each in learnt.values()], "new pad")
+    truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
+    chosen = random_sites(key_site, sites, len(truth), lab.cfg.touches)
+    episodes = sit(lab, key_play, sites, truth, chosen, "new pad", pad=other).episodes()
+    found: dict[str, Any] = {"truth": truth}
+    for (name, each), table in zip(learnt.items(), tables, strict=True):
+        for evidence, spatial in (("fused", 1.0), ("tactile only", 0.0)):
+            like = each.like._replace(spatial=jnp.float32(spatial))
+            p, _ = beliefs(jax.device_put(table), jnp.asarray(chosen), episodes.measured, like, places)
+            found[f"{evidence}, {name}"] = np.asarray(p)
+    position = lab.learnt.like._replace(tactile=jnp.float32(0.0))
+    found["position only"] = np.asarray(
+        beliefs(jax.device_put(tables[0]), jnp.asarray(chosen), episodes.measured, position, places)[0]
+    )
+    return found
+
+
+def press_and_fit(key: Array, pad: Pad, n: int) -> Pad:
+    """Press a pad n times with a known ball, and fit one to what it reads (`i2t.calibrate.physics`)."""
+    key_place, key_force, key_noise = jax.random.split(key, 3)
+    place = jax.random.uniform(key_place, (n, 2), minval=-8e-3, maxval=8e-3)
+    force = jax.random.uniform(key_force, (n,), minval=0.2, maxval=1.0)
+    clean = jax.lax.map(lambda at: press_force(pad, BALL.height(at[0], GRID), at[1]).reading, (place, force))
+    readings = jax.vmap(lambda k, r: observe(k, r, pad.board, Noise()))(jax.random.split(key_noise, n), clean)
+    presses = Presses(place, force + 0.02 * jax.random.normal(key_noise, (n,)))
+    return fit_pad(presses, readings, BALL, reskin(), by_force=True).pad

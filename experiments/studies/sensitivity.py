@@ -1,0 +1,56 @@
+"""What errors of pose, noise and harder presses do: the same sittings in other worlds, each known to the belief."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from experiments.recognition import beliefs, pool, random_sites
+from experiments.studies.lab import Lab, imagine, sit
+from i2t import belief, outcomes
+from i2t.belief import Particles
+from i2t.outcomes import Outcome
+from i2t.world import Errors
+
+
+def play(lab: Lab) -> dict[str, Any]:
+    """The same sittings in other worlds, each known to the belief."""
+    base = lab.cfg.errors
+    worlds: dict[str, tuple[Errors, float]] = {
+        "as it is": (base, 25.0),
+        "placement 0.3 mm, 0.3 deg": (replace(base, placement=0.3e-3, placement_angle=np.radians(0.3)), 25.0),
+        "placement 2 mm, 2 deg": (replace(base, placement=2e-3, placement_angle=np.radians(2.0)), 25.0),
+        "tilt 1 deg": (replace(base, approach_angle=np.radians(1.0)), 25.0),
+        "noise x 3": (replace(base, noise=base.noise.scaled(3.0)), 25.0),
+        "stop at 50 uT": (base, 50.0),
+        "stop at 100 uT": (base, 100.0),
+        "no errors of pose": (base.scaled(0.0), 25.0),
+        "no noise, no faults": (replace(Errors.none(), placement=base.placement, placement_angle=base.placement_angle,
+                                        repeatability=base.repeatability, approach_angle=base.approach_angle,
+                                        slant=base.slant), 25.0),
+    }  # fmt: skip
+    if lab.args.preset == "debug":
+        worlds = dict(list(worlds.items())[:2])
+    key_pool, key_play, key_site = jax.random.split(lab.key, 3)
+    sites = pool(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
+    truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
+    chosen = random_sites(key_site, sites, len(truth), lab.cfg.touches)
+    tables: dict[tuple[float, float], tuple[Particles, Outcome]] = {}
+    found: dict[str, Any] = {"truth": truth}
+    for name, (errors, stop) in worlds.items():
+        spread = (max(errors.placement, 0.02e-3), max(errors.placement_angle, np.radians(0.02)))
+        if spread not in tables:
+            places = belief.particles(outcomes.prior_spread(*spread), lab.cfg.places, lab.seed)
+            tables[spread] = (places, imagine(lab, sites, places, [lab.learnt.skin], name)[0])
+        places, table = tables[spread]
+        limits = replace(lab.cfg.limits, skin_change=stop)
+        episodes = sit(lab, key_play, sites, truth, chosen, name, errors=errors, limits=limits).episodes()
+        like = lab.learnt.like
+        wider = errors.noise.xy / base.noise.xy if errors.noise.xy > base.noise.xy else 1.0
+        for evidence, spatial in (("fused", 1.0), ("tactile only", 0.0)):
+            used = like._replace(spatial=jnp.float32(spatial), inflation=like.inflation * jnp.float32(wider))
+            p, _ = beliefs(jax.device_put(table), jnp.asarray(chosen), episodes.measured, used, places)
+            found[f"{evidence}, {name}"] = np.asarray(p)
+    return found
