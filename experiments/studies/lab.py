@@ -1,4 +1,4 @@
-"""What the studies of recognition share: a pad learnt from a finished run, objects to tell apart, simulated sittings."""
+"""What all studies share: a pad learnt from a finished run, objects to tell apart, simulated sittings."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
