@@ -13,7 +13,10 @@ from experiments import recognition_scores as scores
 from experiments.recognition import Episodes
 from experiments.recognition_scores import plain
 from experiments.runs import write_json
+from experiments.story import story
 from i2t.belief import Measured
+from i2t.boards import reskin
+from i2t.objects import Mesh
 
 PAPER = {"primitives": {"I2T, votes": 0.50, "proprioception, votes": 0.23},
          "tools": {"I2T, votes": 0.70, "proprioception, votes": 0.80}}  # fmt: skip
@@ -158,6 +161,20 @@ def report(result: dict[str, Any]) -> None:
                 f"  {pair}: after {touches} {_signed(values['last'])} (p = {values['last_p']:.2g}), "
                 f"mean {_signed(values['mean'])} (p = {values['mean_p']:.2g})"
             )
+
+
+def tell(played: Played, meshes: Sequence[Mesh], out: Path, source: str) -> None:
+    """The story of the sitting whose right object was least believed in after the first touch, among those that ended
+    right.
+    """
+    p = played.believed["fused"].astype(np.float64)
+    rows = np.arange(len(p))
+    right = p[:, -1].argmax(-1) == played.truth
+    doubt = np.where(right, p[rows, 0, played.truth], 1 + p[rows, 0, played.truth])
+    one = int(np.argmin(doubt))
+    readings = np.asarray(played.episodes.measured.reading)[one]
+    T = played.episodes.T_w_t[one]
+    story(meshes, played.names, T, readings, reskin(), p[one], int(played.truth[one]), out, source != "real")
 
 
 def _signed(estimate: dict[str, float]) -> str:

@@ -141,6 +141,9 @@ def run(args: Args) -> dict[str, Any]:
         parts.append(reporting.load(path))
     source = data.load(args.dataset).source if args.dataset else "simulated"
     result = reporting.summarise(parts, args.out, source)
+    name = next(name for name in ("all", "recorded", "your objects") if name in parts[0])
+    meshes = own_meshes(args) if args.objects else {one: objects.make(one).mesh for one in parts[0][name].names}
+    reporting.tell(parts[0][name], list(meshes.values()), args.out / "story", source)
     reporting.report(result)
     print(f"\nresults and figures are in {args.out}")
     return result
