@@ -1,0 +1,129 @@
+"""A tool that moves in time: straight lines, constant speeds, stops, and the force of a springy plane.
+
+Lines have a trapezoidal speed profile; speeds change by at most an acceleration. Where a motion also turns, a radian
+counts as 0.25 m of travel. Poses are six numbers as a UR robot has them, metres and a rotation vector in its base axes.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LEVER = 0.25  # m of travel that a radian counts as
+
+
+def rotation(vector: Array) -> Array:
+    """(3, 3) matrix of a rotation vector (Rodrigues)."""
+    angle = float(np.linalg.norm(vector))
+    x, y, z = vector / angle if angle > 1e-12 else vector
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def rotation_vector(matrix: Array) -> Array:
+    """Rotation vector (3,) of a matrix, with an angle in [0, pi], through the quaternion's largest component."""
+    m = matrix
+    outer = np.array(  # 4 q q^T, q = (w, x, y, z)
+        [
+            [1 + m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
+            [m[2, 1] - m[1, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
+            [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[1, 2] + m[2, 1]],
+            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 - m[0, 0] - m[1, 1] + m[2, 2]],
+        ]
+    )
+    row = outer[np.argmax(np.diag(outer))]
+    w, *v = row / np.linalg.norm(row) * (1.0 if row[0] >= 0 else -1.0)
+    sine = float(np.linalg.norm(v))
+    return np.array(v) * (2 * np.arctan2(sine, w) / sine if sine > 1e-12 else 2.0)
+
+
+def toward(current: Array, target: Array, most: float) -> Array:
+    """Change a vector towards a target by at most a given length."""
+    step = target - current
+    length = float(np.linalg.norm(step))
+    return target if length <= most else current + step * (most / length)
+
+
+class Line(NamedTuple):
+    """Straight motion from a pose to a pose, rotation about a fixed axis in proportion."""
+
+    start: Array  # (3,) m
+    turned: Array  # (3, 3)
+    along: Array  # (6,) whole displacement and rotation vector, base axes
+    length: float  # m
+    speed: float  # m/s
+    acceleration: float  # m/s^2
+
+
+class Constant(NamedTuple):
+    """Speed that is reached and kept; zero is a stop."""
+
+    twist: Array  # (6,) m/s and rad/s, base axes
+    acceleration: float  # m/s^2
+
+
+class Robot:
+    """A tool that moves in time and meets a plane."""
+
+    def __init__(self, pose: Array, height: float, stiffness: float, bias: Array, noise: float, limit: float) -> None:
+        self.position, self.turned, self.twist = pose[:3], rotation(pose[3:]), np.zeros(6)
+        self.motion: Line | Constant | None = None
+        self.travelled, self.rate, self.scaling, self.fastest = 0.0, 0.0, 1.0, 0.0
+        self.height, self.stiffness, self.limit, self.noise = height, stiffness, limit, noise
+        self.extra, self.zero, self.bias = np.zeros(3), np.zeros(3), bias
+        self.random = np.random.default_rng(0)
+
+    @property
+    def pose(self) -> Array:
+        """(6,) metres and rotation vector."""
+        return np.concatenate([self.position, rotation_vector(self.turned)])
+
+    def raw_force(self) -> Array:
+        """Force (3,) on the tool in newtons, base axes: a spring without friction below the plane."""
+        contact = np.array([0.0, 0.0, self.stiffness * max(0.0, self.height - self.position[2])])
+        return contact + self.extra + self.bias
+
+    def force(self) -> Array:
+        """(6,) what the sensor tells: zeroed, noisy, and no torque as contact is at the tool's centre."""
+        return np.append(self.raw_force() - self.zero + self.noise * self.random.standard_normal(3), np.zeros(3))
+
+    def line_to(self, pose: Array, speed: float, acceleration: float) -> None:
+        """Start a straight motion from the present pose."""
+        turn = rotation_vector(rotation(pose[3:]) @ self.turned.T)
+        along = np.concatenate([pose[:3] - self.position, turn])
+        length = max(float(np.linalg.norm(along[:3])), LEVER * float(np.linalg.norm(turn)))
+        self.travelled = self.rate = 0.0
+        self.motion = Line(self.position, self.turned, along, length, speed, acceleration)
+
+    def stop(self, deceleration: float = 5.0) -> None:
+        """Slow down to a stand."""
+        if self.motion is not None:
+            self.motion = Constant(np.zeros(6), deceleration)
+
+    def step(self, dt: float) -> None:
+        """Advance by a tick."""
+        if isinstance(self.motion, Line):
+            self._follow(self.motion, dt)
+        elif self.motion is not None:
+            target, a = self.motion
+            scale = np.array([1.0, 1.0, 1.0, LEVER, LEVER, LEVER])
+            self.twist = toward(self.twist * scale, self.scaling * target * scale, a * dt) / scale
+            self.position = self.position + self.twist[:3] * dt
+            self.turned = rotation(self.twist[3:] * dt) @ self.turned
+            if not target.any() and not self.twist.any():
+                self.motion = None
+        self.fastest = max(self.fastest, float(np.linalg.norm(self.twist[:3])))
+
+    def _follow(self, line: Line, dt: float) -> None:
+        left = line.length - self.travelled
+        brake = float(np.sqrt(2 * line.acceleration * left))
+        self.rate = min(self.rate + line.acceleration * dt, line.speed * self.scaling, brake)
+        self.travelled += self.rate * dt
+        if self.travelled >= line.length - 1e-9:
+            self.travelled, self.rate, self.motion = line.length, 0.0, None
+        part = self.travelled / line.length if line.length else 1.0
+        self.twist = line.along * (self.rate / line.length if line.length else 0.0)
+        self.position = line.start + part * line.along[:3]
+        self.turned = rotation(part * line.along[3:]) @ line.turned
