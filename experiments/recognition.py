@@ -400,12 +400,15 @@ def beliefs(
     background: Outcome | None = None,
     unknown: float = 0.0,
 ) -> tuple[Float[Array, "e t objects"], Float[Array, "e t"]]:
-    """Posteriors over the objects, and of none of them, after each touch of each episode."""
+    """Posteriors over the objects, and of none of them, after each touch of each episode. `table` is (sites, objects, k),
+    `background` (sites, b).
+    """
     objects = table.hit.shape[1]
 
     def episode(at: tuple[Array, Measured]) -> tuple[Array, Array]:
         def step(now: belief.Belief, touched: tuple[Array, Measured]) -> tuple[belief.Belief, tuple[Array, Array]]:
-            now = belief.update(now, touched[1], element(table, touched[0]), like, background)
+            others = None if background is None else element(background, touched[0])
+            now = belief.update(now, touched[1], element(table, touched[0]), like, others)
             return now, belief.posterior(now)
 
         return jax.lax.scan(step, belief.begin(placements, objects, unknown), at)[1]

@@ -34,7 +34,8 @@ def play(lab: Lab) -> dict[str, Any]:
     truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
     found = {"truth": truth}
     for name in POLICIES:
-        found[name] = play_policy(lab, name, key_play, key_choice, sites, places, jax.device_put(table), truth)
+        keys = jax.random.clone(key_play), jax.random.clone(key_choice)  # the same luck for all
+        found[name] = play_policy(lab, name, *keys, sites, places, jax.device_put(table), truth)
     return found
 
 
