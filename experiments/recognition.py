@@ -400,8 +400,9 @@ def beliefs(
     background: Outcome | None = None,
     unknown: float = 0.0,
 ) -> tuple[Float[Array, "e t objects"], Float[Array, "e t"]]:
-    """Posteriors over the objects, and of none of them, after each touch of each episode. `table` is (sites, objects, k),
-    `background` (sites, b).
+    """Posteriors over the objects, and of none of them, after each touch of each episode.
+
+    `table` is (sites, objects, k), `background` (sites, b).
     """
     objects = table.hit.shape[1]
 

@@ -29,9 +29,10 @@ def play(lab: Lab) -> dict[str, Any]:
     other = sample_pad(jax.random.key(5000 + lab.seed))
     learnt = {"another pad's": lab.learnt}
     for n in PRESSES if lab.args.preset == "paper" else PRESSES[:1]:
-        fitted = press_and_fit(key_fit, other, n)
-        learnt[f"{n} presses"] = lab.training(fitted, key_fit)
-    learnt["the pad itself"] = lab.training(other, key_fit)
+        key_press, key_teach = jax.random.split(jax.random.fold_in(key_fit, n))
+        fitted = press_and_fit(key_press, other, n)
+        learnt[f"{n} presses"] = lab.training(fitted, key_teach)
+    learnt["the pad itself"] = lab.training(other, jax.random.fold_in(key_fit, 0))
     sites = pool(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
     places = placements_of(lab)
     tables = imagine(lab, sites, places, [each.skin for each in learnt.values()], "new pad")
@@ -53,10 +54,10 @@ def play(lab: Lab) -> dict[str, Any]:
 
 def press_and_fit(key: Array, pad: Pad, n: int) -> Pad:
     """Press a pad n times with a known ball, and fit one to what it reads (`i2t.calibrate.physics`)."""
-    key_place, key_force, key_noise = jax.random.split(key, 3)
+    key_place, key_force, key_noise, key_wrench = jax.random.split(key, 4)
     place = jax.random.uniform(key_place, (n, 2), minval=-8e-3, maxval=8e-3)
     force = jax.random.uniform(key_force, (n,), minval=0.2, maxval=1.0)
     clean = jax.lax.map(lambda at: press_force(pad, BALL.height(at[0], GRID), at[1]).reading, (place, force))
     readings = jax.vmap(lambda k, r: observe(k, r, pad.board, Noise()))(jax.random.split(key_noise, n), clean)
-    presses = Presses(place, force + 0.02 * jax.random.normal(key_noise, (n,)))
+    presses = Presses(place, force + 0.02 * jax.random.normal(key_wrench, (n,)))
     return fit_pad(presses, readings, BALL, reskin(), by_force=True).pad
