@@ -16,6 +16,9 @@ from i2t.dataset import DataError
 from i2t.types import ReturnCode
 
 
+pytestmark = pytest.mark.xdist_group("trained")  # one finished run of experiments.train serves all
+
+
 @pytest.fixture(scope="module")
 def finished(trained_run, tmp_path_factory):
     out = tmp_path_factory.mktemp("recognize") / "debug"
