@@ -81,6 +81,8 @@ def summarise(parts: Sequence[dict[str, Played]], out: Path, source: str) -> dic
         entry["air"] = float(1 - np.mean([np.mean(part[name].episodes.measured.contact) for part in parts]))
         entry["paired"] = comparisons(parts, name, first.believed)
         result["sets"][name] = entry
+    if {"primitives", "all"} <= set(parts[0]):
+        result["prisms of all"] = prisms_alone(parts)
     if {"validation", "all"} <= set(parts[0]) and "fused" in parts[0]["all"].believed:
         p_validation, truth_validation = pooled(parts, "validation", "fused")
         found = scores.conformal(p_validation, truth_validation, *pooled(parts, "all", "fused"))
@@ -109,6 +111,17 @@ def scored(
         "until_95": plain(scores.until(scores.sure_at(p), p.shape[1])),
         "confusion": scores.confusion(p[:, -1], truth).tolist(),
     }
+
+
+def prisms_alone(parts: Sequence[dict[str, Played]]) -> dict[str, Any]:
+    """Sittings of the set of all in which a primitive was there, told apart from the other primitives only."""
+    names = parts[0]["all"].names
+    prisms = [names.index(name) for name in parts[0]["primitives"].names]
+    found = {}
+    for method in parts[0]["all"].believed:
+        p, truth, _ = scores.among(*pooled(parts, "all", method), prisms)
+        found[method] = plain(scores.accuracy(p, truth))
+    return found
 
 
 PAIRS = (
@@ -144,11 +157,7 @@ def report(result: dict[str, Any]) -> None:
         head = "".join(f"{f'after {t}':>18}" for t in columns)
         print(f"{'':26}{head}{'mean of all':>22}{'ECE':>7}{'NLL':>7}")
         for method, values in entry["methods"].items():
-            shown = "".join(
-                f"{values['accuracy']['mean'][t - 1]:6.3f} [{values['accuracy']['low'][t - 1]:.2f}, "
-                f"{values['accuracy']['high'][t - 1]:.2f}]"
-                for t in columns
-            )
+            shown = _rates(values["accuracy"], columns)
             mean = values["mean"]
             note = PAPER.get(name, {}).get(method)
             print(
@@ -156,11 +165,30 @@ def report(result: dict[str, Any]) -> None:
                 f"{np.mean(values['calibration_error']):7.3f}{np.mean(values['log_loss']):7.3f}"
                 + (f"   paper: {note:.2f}" if note else "")
             )
+        if name == "all" and "prisms of all" in result:
+            print("  the primitives of these sittings, told apart from each other only:")
+            for method, accuracy in result["prisms of all"].items():
+                print(f"  {method:24}{_rates(accuracy, columns)}")
         for pair, values in entry["paired"].items():
             print(
                 f"  {pair}: after {touches} {_signed(values['last'])} (p = {values['last_p']:.2g}), "
                 f"mean {_signed(values['mean'])} (p = {values['mean_p']:.2g})"
             )
+
+
+def extras(result: dict[str, Any]) -> None:
+    """Print how sure the belief may be: stopping and conformal sets."""
+    entry = result["sets"].get("all", next(iter(result["sets"].values())))
+    for stop in entry["methods"]["fused"]["stopping"]:
+        print(
+            f"stop at an error of {stop['asked']:.0%}: {stop['error']['mean']:.3f} [{stop['error']['low']:.3f}, "
+            f"{stop['error']['high']:.3f}] wrong where the belief says {stop['promised']:.3f}, after "
+            f"{stop['touches']['mean']:.1f} touches"
+        )
+    if "conformal 90 %" in result:
+        coverage, size = result["conformal 90 %"]["coverage"]["mean"], result["conformal 90 %"]["size"]["mean"]
+        rates = [f"{c:.3f} ({n:.1f})" for c, n in zip(coverage, size, strict=True)]
+        print("conformal 90 % sets hold the object in (objects in them): " + " ".join(rates))
 
 
 def tell(played: Played, meshes: Sequence[Mesh], out: Path, source: str) -> None:
@@ -175,6 +203,12 @@ def tell(played: Played, meshes: Sequence[Mesh], out: Path, source: str) -> None
     readings = np.asarray(played.episodes.measured.reading)[one]
     T = played.episodes.T_w_t[one]
     story(meshes, played.names, T, readings, reskin(), p[one], int(played.truth[one]), out, source != "real")
+
+
+def _rates(accuracy: dict[str, Any], columns: Sequence[int]) -> str:
+    return "".join(
+        f"{accuracy['mean'][t - 1]:6.3f} [{accuracy['low'][t - 1]:.2f}, {accuracy['high'][t - 1]:.2f}]" for t in columns
+    )
 
 
 def _signed(estimate: dict[str, float]) -> str:

@@ -145,6 +145,7 @@ def run(args: Args) -> dict[str, Any]:
     meshes = own_meshes(args) if args.objects else {one: objects.make(one).mesh for one in parts[0][name].names}
     reporting.tell(parts[0][name], list(meshes.values()), args.out / "story", source)
     reporting.report(result)
+    reporting.extras(result)
     print(f"\nresults and figures are in {args.out}")
     return result
 
