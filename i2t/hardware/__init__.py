@@ -1,0 +1,1 @@
+"""The imperative layer: devices that produce readings, poses and images. It imports no JAX."""

@@ -1,0 +1,194 @@
+"""What a skin, an arm and a depth camera are, whoever made them; and what comes out of them.
+
+A device is built without touching anything, tells its features, and works between `connect` and `close`, which `with`
+calls. Times are `time.monotonic()` of this machine in seconds, taken as near to the measurement as the device allows.
+Every call that waits says how long (`timeout`, s), and whatever goes wrong comes out as a `DeviceError` of one sentence
+that names the device and the remedy: from the call that was made, or from the next one if it happened in between. Units
+are those of `i2t.types`: metres, radians, newtons, and microtesla for the skin.
+
+Real drivers, emulated devices (real drivers talking to `i2t.stand_ins`), simulated and replayed ones meet the same
+protocols and pass the same tests (tests/contract).
+"""
+
+from typing import Any, NamedTuple, Protocol, SupportsIndex, TypeVar, runtime_checkable
+
+from i2t.cameras import Camera
+from i2t.types import Array
+
+T = TypeVar("T")
+
+
+class DeviceError(RuntimeError):
+    """A device failed, in one sentence."""
+
+
+class NotConnected(DeviceError):
+    """The device was used before `connect` or after `close`."""
+
+
+class Silent(DeviceError):
+    """Nothing new came in time. The device may speak again by itself."""
+
+
+class Device(Protocol):
+    """What all devices share."""
+
+    def connect(self) -> None:
+        """Start the device; calling it again after a failure or `close` starts it anew. Raises DeviceError."""
+
+    def close(self) -> None:
+        """Stop it and give its port back, from any thread, as often as one likes; raises nothing."""
+
+    def __enter__(self: T) -> T:
+        """Connect."""
+
+    def __exit__(self, *error: Any) -> None:
+        """Close."""
+
+
+class SkinFeatures(NamedTuple):
+    """What is known of a skin before it is connected."""
+
+    name: str
+    source: str  # real, emulated, simulated or replay: what a file must say of its readings
+    channels: tuple[str, ...]  # 15 names, in the board's order
+    unit: str  # uT
+    rate: float  # Hz, nominal
+
+
+class Samples(NamedTuple):
+    """Samples of a skin, one on each row, in the board's order and axes; nothing has been subtracted."""
+
+    number: Array  # (n,) int64, counts the samples of this device; a jump is what its queue had to let go
+    time: Array  # (n,) s, monotonic and never decreasing
+    reading: Array  # (n, 15) uT
+    temperature: Array  # (n, 5) degrees Celsius, of each chip; NaN if the skin does not tell
+
+
+class SkinCounters(NamedTuple):
+    """What came and what did not, since the skin was first connected. Only `rate` ever falls."""
+
+    samples: int = 0  # delivered
+    lost: int = 0  # frames that were damaged, by the bytes of them that were left
+    gaps: int = 0  # places where frames are missing
+    bytes: int = 0  # that came
+    skipped: int = 0  # of those, in no frame
+    overflowed: int = 0  # samples that left the queue before `since` had asked for them
+    stalls: int = 0  # times this computer read so late that the port's buffer may have overflowed
+    connects: int = 0
+    rate: float = 0.0  # Hz, over the last second
+
+    @property
+    def loss(self) -> float:
+        """Part of the frames that was lost."""
+        return self.lost / max(1, self.samples + self.lost)
+
+
+@runtime_checkable
+class Skin(Device, Protocol):
+    """A magnetic skin that sends samples by itself."""
+
+    @property
+    def features(self) -> SkinFeatures:
+        """Known before `connect`."""
+
+    @property
+    def counters(self) -> SkinCounters:
+        """So far; can be asked for at any time and never raises."""
+
+    def latest(self, timeout: float = 0.5) -> Samples:
+        """The newest sample, one row, at once; raises Silent if it is older than `timeout`."""
+
+    def read(self, count: int, timeout: float | None = None) -> Samples:
+        """The next `count` samples, all measured after the call. By default the timeout is twice what the nominal rate
+        needs, and half a second; raises Silent after it.
+        """
+
+    def since(self, number: SupportsIndex) -> Samples:
+        """Samples that came after sample `number` (-1 for all) and are still in the queue, without waiting; maybe
+        none.
+        """
+
+
+class ArmFeatures(NamedTuple):
+    """What is known of an arm before it is connected."""
+
+    name: str
+    source: str  # real, emulated or simulated
+    rate: float  # Hz, of its states
+    box: Array  # (2, 3) m, lowest and highest tool position in the base frame that any motion may reach
+    speed: float  # m/s, the greatest that is accepted
+    acceleration: float  # m/s^2
+
+
+class ArmState(NamedTuple):
+    """The arm at one moment."""
+
+    time: float  # s, monotonic
+    T_b_t: Array  # (4, 4) tool in base, as measured
+    joints: Array  # (6,) rad
+    velocity: Array  # (6,) of the tool: m/s, rad/s, along the base's axes
+    wrench: Array  # (6,) on the tool, along the tool's axes: N, Nm, zeroed by `zero_wrench`
+    moving: bool
+    safe: bool  # False in a protective stop, an emergency stop or a violation
+
+
+@runtime_checkable
+class Arm(Device, Protocol):
+    """An arm that carries the skin. Motions start and return at once; `state` tells how they go.
+
+    A target outside the box and a speed above the limit are refused before anything moves.
+    """
+
+    @property
+    def features(self) -> ArmFeatures:
+        """Known before `connect`."""
+
+    def state(self, timeout: float = 0.1) -> ArmState:
+        """The newest state, at most `timeout` old; raises Silent, with the arm stopped as far as it can be told to."""
+
+    def move(self, T_b_t: Array, speed: float, acceleration: float) -> Array:
+        """Start a straight motion of the tool, at `speed` (m/s) and `acceleration` (m/s^2); returns the target that was
+        really sent (4, 4). A motion under way is replaced.
+        """
+
+    def stop(self, timeout: float = 1.0) -> None:
+        """Stop all motion and return when the arm stands still, from any thread; raises DeviceError if that could not
+        be seen in time.
+        """
+
+    def zero_wrench(self, timeout: float = 1.0) -> None:
+        """Take the wrench felt now as zero; only with the arm standing still and touching nothing."""
+
+
+class CameraFeatures(NamedTuple):
+    """What is known of a depth camera before it is connected."""
+
+    name: str
+    source: str  # real, simulated or folder
+    nearest: float  # m, below which it measures nothing
+    rate: float  # Hz, nominal
+
+
+class View(NamedTuple):
+    """One depth image and the colours of the same pixels."""
+
+    time: float  # s, monotonic, of the exposure as near as is known
+    depth: Array  # (h, w) m along the optical axis; NaN where nothing was measured
+    colour: Array | None  # (h, w, 3) uint8 RGB
+
+
+@runtime_checkable
+class DepthCamera(Device, Protocol):
+    """A depth camera with colour aligned to depth."""
+
+    @property
+    def features(self) -> CameraFeatures:
+        """Known before `connect`."""
+
+    @property
+    def camera(self) -> Camera:
+        """Size and lens of its depth images; raises NotConnected where only the device knows them."""
+
+    def capture(self, timeout: float = 2.0) -> View:
+        """A view exposed after the call; raises Silent after `timeout`."""

@@ -1,0 +1,95 @@
+"""Recorded byte streams: what a serial board sent and when, and a recording played as if it were a port.
+
+A file begins with a line of JSON (`{"stream": "i2t raw bytes", "version": 1}`); then every chunk that was read is its
+time (float64, s, monotonic), its length (uint32) and its bytes, little-endian. A file that was cut off ends with its
+last whole chunk. Any other file is taken as the bare bytes of the stream, as `cat /dev/ttyACM0 > file` writes them.
+"""
+
+import json
+import struct
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+HEADER = json.dumps({"stream": "i2t raw bytes", "version": 1}).encode() + b"\n"
+CHUNK = struct.Struct("<dI")
+PIECE = 5e-3  # s between the chunks that bare bytes are played in
+
+
+def create(path: str | Path) -> BinaryIO:
+    """A new recording; raises OSError, FileExistsError if there is one already."""
+    file = open(path, "xb", buffering=0)  # noqa: SIM115, closed by its user; every chunk goes to the system at once
+    try:
+        file.write(HEADER)
+    except OSError:
+        file.close()
+        raise
+    return file
+
+
+def append(file: BinaryIO, at: float, chunk: bytes) -> None:
+    """Add a chunk that came at `at` (s)."""
+    whole = CHUNK.pack(at, len(chunk)) + chunk
+    if file.write(whole) != len(whole):
+        raise OSError(28, "No space left on device")
+
+
+def chunks(path: str | Path, byte_rate: float) -> Iterator[tuple[float, bytes]]:
+    """Times (s, from zero) and bytes of a recording; bare bytes come at `byte_rate` (1/s). Raises OSError."""
+    data = Path(path).read_bytes()
+    if not data.startswith(HEADER):
+        piece = max(1, round(byte_rate * PIECE))
+        for i in range(0, len(data), piece):
+            yield i / byte_rate, data[i : i + piece]
+        return
+    at, first = len(HEADER), None
+    while at + CHUNK.size <= len(data):
+        when, size = CHUNK.unpack_from(data, at)
+        at += CHUNK.size
+        if at + size > len(data):
+            return
+        first = when if first is None else first
+        yield when - first, data[at : at + size]
+        at += size
+
+
+class PlayedPort:
+    """A recording with the face of a serial port, in its own time or `speed` times as fast.
+
+    `read` raises EOFError once everything has been read.
+    """
+
+    def __init__(self, path: str | Path, speed: float, byte_rate: float, timeout: float) -> None:
+        self._chunks = list(chunks(path, byte_rate))
+        self._speed = speed
+        self._timeout = timeout
+        self._start: float | None = None
+        self._next = 0
+        self._ready = b""
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that have come by now."""
+        now = time.monotonic()
+        self._start = now if self._start is None else self._start
+        while self._next < len(self._chunks) and self._due() <= now:
+            self._ready += self._chunks[self._next][1]
+            self._next += 1
+        return len(self._ready)
+
+    def read(self, size: int) -> bytes:
+        """Up to `size` bytes; waits for the first of them as long as the timeout."""
+        if not self.in_waiting:
+            if self._next == len(self._chunks):
+                raise EOFError
+            time.sleep(min(self._timeout, max(0.0, self._due() - time.monotonic())))
+        size = min(size, self.in_waiting)
+        chunk, self._ready = self._ready[:size], self._ready[size:]
+        return chunk
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+    def _due(self) -> float:
+        return (self._start or 0.0) + self._chunks[self._next][0] / self._speed
