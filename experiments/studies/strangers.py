@@ -25,15 +25,16 @@ def play(lab: Lab) -> dict[str, Any]:
     """Sittings with the known objects and as many with others of the same families."""
     key_pool, key_play, key_site = jax.random.split(lab.key, 3)
     known = len(lab.surfaces)
-    decoys = 2 if lab.args.preset == "debug" else DECOYS
-    meshes = [objects.make(name).mesh for name in lab.names + STRANGERS]
+    debug = lab.args.preset == "debug"
+    decoys, strangers = (2, STRANGERS[:2]) if debug else (DECOYS, STRANGERS)
+    meshes = [objects.make(name).mesh for name in lab.names + strangers]
     meshes += [objects.random_object(1000 * lab.seed + i).mesh for i in range(decoys)]
     surfaces = surfaces_of(meshes)
     lab = lab._replace(surfaces=surfaces[:known])
     sites = pool(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
     places = placements_of(lab)
     (table,) = imagine(lab, sites, places, [lab.learnt.skin], "open")
-    others = lab._replace(surfaces=surfaces[known + len(STRANGERS) :])
+    others = lab._replace(surfaces=surfaces[known + len(strangers) :])
     few = belief.particles(
         outcomes.prior_spread(lab.cfg.errors.placement, lab.cfg.errors.placement_angle), DECOY_PLACES, lab.seed
     )
@@ -41,11 +42,11 @@ def play(lab: Lab) -> dict[str, Any]:
     background = jax.tree.map(lambda x: x.reshape(len(x), -1, *x.shape[3:]), background)
     rng = np.random.default_rng(lab.seed)
     truth = np.repeat(np.arange(known), lab.sittings)
-    strange = rng.integers(known, known + len(STRANGERS), len(truth))
+    strange = rng.integers(known, known + len(strangers), len(truth))
     everything = np.concatenate([truth, strange])
     chosen = random_sites(key_site, sites, len(everything), lab.cfg.touches)
     sitting = sit(
-        lab, key_play, sites, everything, chosen, "open", surfaces=surfaces[: known + len(STRANGERS)]
+        lab, key_play, sites, everything, chosen, "open", surfaces=surfaces[: known + len(strangers)]
     ).episodes()
     p, none = beliefs(
         jax.device_put(table), jnp.asarray(chosen), sitting.measured, lab.learnt.like, places,
