@@ -11,7 +11,7 @@ import struct
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-Value = float | Sequence[float]
+Value = int | float | Sequence[int | float]
 
 HEADER = struct.Struct(">HB")
 PROTOCOL, VERSION, MESSAGE, DATA, OUTPUTS, INPUTS, START, PAUSE = b"VvMUOISP"
@@ -103,7 +103,7 @@ def split(buffer: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
 
 def encode(number: int, layout: struct.Struct, values: Iterable[Value]) -> bytes:
     """Data packet of the values of one recipe."""
-    flat: list[float] = []
+    flat: list[int | float] = []
     for value in values:
         if isinstance(value, int | float):
             flat.append(value)

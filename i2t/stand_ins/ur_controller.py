@@ -18,7 +18,8 @@ Faults on demand. A fourth port, 30100, takes a line and answers one, for instan
     force X Y Z           a constant force on the tool in newtons, base axes, besides the plane's
     plane Z STIFFNESS     move the plane: height in metres, newtons per metre; stiffness 0 removes it
     speed FRACTION        the speed slider on the pendant
-    status                a JSON object: pose, twist, force, program, commands taken, greatest speed so far
+    status                a JSON object: pose, twist, force, program, commands taken, greatest speed so far, since when
+                          the tool stands and when the client was heard last (s on the controller's clock)
 
 Sources: Universal Robots' RTDE guide, dashboard server and URScript manuals (watchdog: `rtde_set_watchdog` with the
 action "stop"); the register handshake was observed from ur_rtde 1.6.5. The stopping distance, the lever by which
@@ -32,6 +33,7 @@ import selectors
 import signal
 import socket
 import struct
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -55,7 +57,7 @@ class Controller:
 
     def __init__(self, robot: Robot, unlock_delay: float) -> None:
         self.robot, self.unlock_delay = robot, unlock_delay
-        self.clock = self.heard = self.started = self.stopped_at = 0.0
+        self.clock = self.heard = self.started = self.stopped_at = self.stood = 0.0
         self.runtime, self.protective, self.local = STOPPED, False, False
         self.ints, self.doubles = [0] * 48, [0.0] * 48
         self.out_ints, self.out_doubles = [0] * 48, [0.0] * 48
@@ -111,6 +113,8 @@ class Controller:
         """Advance robot, safety and program by a tick."""
         self.clock += TICK
         self.robot.step(TICK)
+        if self.robot.motion is not None:
+            self.stood = self.clock
         if not self.protective and np.linalg.norm(self.robot.raw_force() - self.robot.bias) > self.robot.limit:
             self.protect()
         if self.running and self.robot.motion is None:
@@ -220,6 +224,8 @@ class Controller:
             "pose": robot.pose.tolist(),
             "twist": robot.twist.tolist(),
             "moving": robot.motion is not None,
+            "stood": self.stood,
+            "heard": self.heard,
             "force": (robot.raw_force() - robot.zero).tolist(),
             "fastest": robot.fastest,
             "runtime": self.runtime,
@@ -300,7 +306,7 @@ class Server:
                 self._send(client, rtde.encode(1, client.layout, values))
 
     def _send(self, client: Client, data: bytes) -> None:
-        if self.muted:
+        if self.muted and client.port != FAULTS:
             return
         client.waiting += data
         try:
@@ -438,6 +444,28 @@ class Server:
         except ValueError:
             return f"unknown: {line}"
         return "ok"
+
+
+@contextlib.contextmanager
+def process(host: str, *options: str) -> Iterator[subprocess.Popen[str]]:
+    """Run the stand-in beside this process, from when it is ready until the block is left."""
+    command = [sys.executable, "-m", "i2t.stand_ins.ur_controller", "--host", host, *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
+        try:
+            assert running.stdout is not None
+            if not running.stdout.readline():
+                raise RuntimeError(f"The UR stand-in did not start on {host}.")
+            yield running
+        finally:
+            running.kill()
+
+
+def ask(host: str, line: str) -> str:
+    """Send a line to the fault port of a running stand-in; returns its answer."""
+    with socket.create_connection((host, FAULTS), 5.0) as connection, connection.makefile("rw") as lines:
+        lines.write(line + "\n")
+        lines.flush()
+        return lines.readline().strip()
 
 
 def main(arguments: list[str] | None = None) -> None:
