@@ -15,9 +15,10 @@ is a *frame* if
     overlaps.
 
 Candidates are tried from the first byte after the last frame onwards, so a changed byte costs its own frame, a lost
-byte the frame it was in, and a sudden but lasting change of the field nothing. What may pass unseen is a changed value
-that stays within `jump` of the last one. What is decided depends on the stream alone, not on how it was cut into
-chunks.
+byte the frame it was in, and a sudden but lasting change of the field nothing. In the binary format values must also be
+whole numbers of the converter's steps once these are known (`i2t.hardware.grid`), which is as good as a checksum. What
+may pass unseen is a changed value within `jump` of the last one, and after the first frames one that is on the grid
+too. What is decided depends on the stream alone, not on how it was cut into chunks.
 """
 
 import re
@@ -28,6 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from i2t.hardware.grid import NO_GRID, Grid, learn
 from i2t.types import CHIPS
 
 
@@ -69,6 +71,9 @@ class Decoder(NamedTuple):
     limits: Limits = Limits()
     rest: bytes = b""  # not decided yet
     last: np.ndarray | None = None  # (5, 4) t, x, y, z of the last frame
+    early: tuple[np.ndarray, ...] = ()  # the first frames, until the grid is learned
+    grid: Grid | None = None
+    off: int = 0  # candidates in a row that only the grid excluded
     frames: int = 0
     taken: int = 0  # bytes in frames
     skipped: int = 0  # bytes in none
@@ -83,6 +88,8 @@ class Decoder(NamedTuple):
 
 
 BINARY = struct.Struct("<20f2s")
+LEARNED = 128  # frames from which the grid is learned
+DOUBTED = 64  # candidates in a row off the grid, after which it is not believed any more
 LONGEST = 400  # bytes of a line of text; 20 numbers of at most 9 characters, separators and an end are 220
 END = b"\r\n"
 TINY = 1e-3  # degrees; the sensor's step is 1/45 and its zero is not at 0, so nothing but zero lies below
@@ -111,7 +118,7 @@ def decode_any(candidates: tuple[Decoder, ...], chunk: bytes) -> tuple[tuple[Dec
 
 def decode(decoder: Decoder, chunk: bytes) -> tuple[Decoder, list[Frame]]:
     """Take the next bytes of the stream; returns the new state and the frames that are certain by now."""
-    form, limits, _, last, count, taken, _, gap, gaps, lost = decoder
+    form, limits, _, last, early, grid, off, count, taken, _, gap, gaps, lost = decoder
     data, start = decoder.rest + chunk, decoder.taken + decoder.skipped
     frames: list[Frame] = []
     at = done = 0  # candidates are tried from `at`; bytes before `done` are in frames or in none
@@ -121,6 +128,9 @@ def decode(decoder: Decoder, chunk: bytes) -> tuple[Decoder, list[Frame]]:
         if end is None:
             break
         values = _values(form, data[begin:end], limits)
+        if values is not None and grid is not None and not grid.holds(values):
+            off += _near(last, values, limits)
+            grid, values = (NO_GRID, values) if off > DOUBTED else (grid, None)
         sure = values is not None and (_near(last, values, limits) or _begins_run(form, data, begin, end, limits))
         if sure is None:
             break
@@ -130,9 +140,16 @@ def decode(decoder: Decoder, chunk: bytes) -> tuple[Decoder, list[Frame]]:
         if gap and count:
             gaps, lost = gaps + 1, lost + max(1, round(gap / (end - begin)))
         frames.append(Frame(start + end, values[:, 1:].ravel(), values[:, 0]))
-        last, gap, at, done, taken, count = values, 0, end, end, taken + end - begin, count + 1
+        last, gap, off, at, done, taken, count = values, 0, 0, end, end, taken + end - begin, count + 1
+        if form == Format.BINARY and grid is None:
+            early = (*early, values)
+            if len(early) == LEARNED:
+                grid, early = learn(np.stack(early)), ()
     skipped = start + done - taken
-    return Decoder(form, limits, data[done:], last, count, taken, skipped, gap, gaps, lost), frames
+    return (
+        Decoder(form, limits, data[done:], last, early, grid, off, count, taken, skipped, gap, gaps, lost),
+        frames,
+    )
 
 
 def encode(reading: np.ndarray, temperature: np.ndarray, form: Format = Format.BINARY) -> bytes:

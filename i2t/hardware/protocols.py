@@ -96,7 +96,7 @@ class Skin(Device, Protocol):
     def counters(self) -> SkinCounters:
         """So far; can be asked for at any time and never raises."""
 
-    def latest(self, timeout: float = 0.5) -> Samples:
+    def latest(self, timeout: float = 0.4) -> Samples:
         """The newest sample, one row, at once; raises Silent if it is older than `timeout`."""
 
     def read(self, count: int, timeout: float | None = None) -> Samples:

@@ -111,7 +111,7 @@ class Stream(ABC):
     def __exit__(self, *error: Any) -> None:
         self.close()
 
-    def latest(self, timeout: float = 0.5) -> Samples:
+    def latest(self, timeout: float = 0.4) -> Samples:
         """The newest sample, one row; raises Silent if it is older than `timeout`."""
         with self._news:
             self._check()
