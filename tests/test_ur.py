@@ -111,7 +111,7 @@ def test_rotations_agree_with_scipy():
 
 @pytest.mark.parametrize(("length", "speed", "a"), [(0.1, 0.1, 0.5), (0.05, 0.02, 0.2)])
 def test_a_line_takes_the_time_of_a_trapezoid_and_a_stop_its_distance(length, speed, a):
-    robot = motion.Robot(np.zeros(6), -1.0, 0.0, np.zeros(3), 0.0, 1e9)
+    robot = motion.Robot(np.zeros(6), motion.plane(0.0, 0.0), np.zeros(6), 0.0)
     robot.line_to(np.array([length, 0, 0, 0, 0, 0.1]), speed, a)
     ticks = 0
     while robot.motion is not None:
@@ -231,6 +231,16 @@ def test_an_approach_ends_on_force_verdict_travel_or_when_nobody_watches(start):
         assert 0.002 <= done.travel < 0.005
         arm.go(top, 0.1)
 
+        def push(state):
+            if state.T_b_t[2, 3] < 0.2995:
+                ask(host, "wrench 0 0 0 0 6 0")
+
+        done = arm.approach(0.02, 0.002, push, torque=5.0)
+        assert done.reason == "torque"
+        np.testing.assert_allclose(done.state.wrench[3:], [0, -6, 0], atol=1e-9)  # tool axes
+        ask(host, "wrench 0 0 0 0 0 0")
+        arm.go(top, 0.1)
+
         done = arm.approach(0.003, speed)
         assert (done.reason, done.verdict) == ("travel", None)
         assert done.travel == pytest.approx(0.003, abs=1e-6)
@@ -262,6 +272,21 @@ def test_stop_from_another_thread(start):
         assert 0 < stopped[0][1]["pose"][1] < 0.2
         arm.stop()  # at rest it changes nothing
         arm.go(pose(0.4, 0.0, 0.3), 0.2)  # and the arm can be used again
+
+
+def test_the_client_alone_touches_and_pushes(start):
+    from rtde_control import RTDEControlInterface
+
+    host = start("--plane", "0.298", "--stiffness", "5000")
+    control = RTDEControlInterface(host)
+    assert control.moveUntilContact([0, 0, -0.02, 0, 0, 0], [0] * 6, 0.5)
+    # Back to the last tick before the contact.
+    assert 0.298 <= status(host)["pose"][2] < 0.298 + 0.02 * TICK + 1e-9
+    assert control.forceMode([0.0] * 6, [0, 0, 1, 0, 0, 0], [0, 0, -4.0, 0, 0, 0], 2, [0.05] * 6)
+    eventually(lambda: status(host)["force"][2] == pytest.approx(4.0, abs=1e-3))
+    assert control.forceModeStop()
+    control.stopScript()
+    control.disconnect()
 
 
 # Faults

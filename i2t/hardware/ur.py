@@ -232,6 +232,9 @@ class UR:
                 raise DeviceError(f"The controller at {self.host} cannot be controlled: {error}.") from error
             self._thread = threading.Thread(target=self._serve, name=f"UR {self.host}", daemon=True)
             self._thread.start()
+            deadline = time.monotonic() + 1.0
+            while not self._fresh(2.0).program and time.monotonic() < deadline:
+                time.sleep(POLL)  # the first news may be older than the program
             self._newest(2.0)
         except BaseException:
             self.close()

@@ -1,9 +1,10 @@
-"""A tool that moves in time: straight lines, constant speeds, stops, and the force of a springy plane.
+"""A tool that moves in time: straight lines, constant speeds, stops, giving way to forces, and what it touches.
 
 Lines have a trapezoidal speed profile; speeds change by at most an acceleration. Where a motion also turns, a radian
 counts as 0.25 m of travel. Poses are six numbers as a UR robot has them, metres and a rotation vector in its base axes.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -64,15 +65,38 @@ class Constant(NamedTuple):
     acceleration: float  # m/s^2
 
 
-class Robot:
-    """A tool that moves in time and meets a plane."""
+class Compliant(NamedTuple):
+    """Along chosen axes of a frame the tool moves until it pushes with the given wrench; the others stand still."""
 
-    def __init__(self, pose: Array, height: float, stiffness: float, bias: Array, noise: float, limit: float) -> None:
+    frame: Array  # (3, 3) axes of the task in the base
+    chosen: Array  # (6,) 0 or 1
+    wrench: Array  # (6,) N and Nm on the environment
+    fastest: Array  # (6,) m/s and rad/s
+
+
+Contact = Callable[
+    [Array, Array], Array
+]  # position (3,) and rotation (3, 3) of the tool -> wrench (6,) on it, base axes
+
+
+def plane(height: float, stiffness: float) -> Contact:
+    """A horizontal plane (m) that pushes back like a spring (N/m), without friction, on the tool's origin."""
+
+    def wrench(position: Array, turned: Array) -> Array:
+        return np.array([0.0, 0.0, stiffness * max(0.0, height - position[2]), 0.0, 0.0, 0.0])
+
+    return wrench
+
+
+class Robot:
+    """A tool that moves in time and touches; `extra` is a wrench from elsewhere, `bias` what the sensor makes up."""
+
+    def __init__(self, pose: Array, contact: Contact, bias: Array, noise: float) -> None:
         self.position, self.turned, self.twist = pose[:3], rotation(pose[3:]), np.zeros(6)
-        self.motion: Line | Constant | None = None
+        self.motion: Line | Constant | Compliant | None = None
         self.travelled, self.rate, self.scaling, self.fastest = 0.0, 0.0, 1.0, 0.0
-        self.height, self.stiffness, self.limit, self.noise = height, stiffness, limit, noise
-        self.extra, self.zero, self.bias = np.zeros(3), np.zeros(3), bias
+        self.contact, self.noise = contact, noise
+        self.extra, self.zero, self.bias = np.zeros(6), np.zeros(6), bias
         self.random = np.random.default_rng(0)
 
     @property
@@ -80,14 +104,17 @@ class Robot:
         """(6,) metres and rotation vector."""
         return np.concatenate([self.position, rotation_vector(self.turned)])
 
-    def raw_force(self) -> Array:
-        """Force (3,) on the tool in newtons, base axes: a spring without friction below the plane."""
-        contact = np.array([0.0, 0.0, self.stiffness * max(0.0, self.height - self.position[2])])
-        return contact + self.extra + self.bias
+    def felt(self) -> Array:
+        """Wrench (6,) that is really on the tool, N and Nm, base axes."""
+        return self.contact(self.position, self.turned) + self.extra
 
-    def force(self) -> Array:
-        """(6,) what the sensor tells: zeroed, noisy, and no torque as contact is at the tool's centre."""
-        return np.append(self.raw_force() - self.zero + self.noise * self.random.standard_normal(3), np.zeros(3))
+    def told(self) -> Array:
+        """Wrench (6,) that the sensor tells, zeroed and without its noise."""
+        return self.felt() + self.bias - self.zero
+
+    def measured(self) -> Array:
+        """Wrench (6,) that the sensor tells."""
+        return self.told() + self.noise * np.append(self.random.standard_normal(3), np.zeros(3))
 
     def line_to(self, pose: Array, speed: float, acceleration: float) -> None:
         """Start a straight motion from the present pose."""
@@ -106,15 +133,25 @@ class Robot:
         """Advance by a tick."""
         if isinstance(self.motion, Line):
             self._follow(self.motion, dt)
+        elif isinstance(self.motion, Compliant):
+            frame, chosen, wanted, most = self.motion
+            both = np.kron(np.eye(2), frame)
+            # Slow enough that a contact of 100 N/mm converges: the lag in one tick is a fifth of the way.
+            pushed = (wanted + both.T @ self.told()) * 1e-3
+            self.twist = both @ (chosen * np.clip(pushed, -most, most))
+            self._drift(dt)
         elif self.motion is not None:
             target, a = self.motion
             scale = np.array([1.0, 1.0, 1.0, LEVER, LEVER, LEVER])
             self.twist = toward(self.twist * scale, self.scaling * target * scale, a * dt) / scale
-            self.position = self.position + self.twist[:3] * dt
-            self.turned = rotation(self.twist[3:] * dt) @ self.turned
+            self._drift(dt)
             if not target.any() and not self.twist.any():
                 self.motion = None
         self.fastest = max(self.fastest, float(np.linalg.norm(self.twist[:3])))
+
+    def _drift(self, dt: float) -> None:
+        self.position = self.position + self.twist[:3] * dt
+        self.turned = rotation(self.twist[3:] * dt) @ self.turned
 
     def _follow(self, line: Line, dt: float) -> None:
         left = line.length - self.travelled

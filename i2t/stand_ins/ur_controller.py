@@ -15,7 +15,7 @@ Faults on demand. A fourth port, 30100, takes a line and answers one, for instan
     mute                  every port still connects, and answers nothing more
     kill-program          the running program ends at once, as when someone presses stop on the pendant
     local | remote        control is refused: local mode, scripts are ignored | and allowed again
-    force X Y Z           a constant force on the tool in newtons, base axes, besides the plane's
+    wrench X Y Z A B C    a constant force (N) and torque (Nm) on the tool, base axes, besides the plane's
     plane Z STIFFNESS     move the plane: height in metres, newtons per metre; stiffness 0 removes it
     speed FRACTION        the speed slider on the pendant
     status                a JSON object: pose, twist, force, program, commands taken, greatest speed so far, since when
@@ -23,7 +23,9 @@ Faults on demand. A fourth port, 30100, takes a line and answers one, for instan
 
 Sources: Universal Robots' RTDE guide, dashboard server and URScript manuals (watchdog: `rtde_set_watchdog` with the
 action "stop"); the register handshake was observed from ur_rtde 1.6.5. The stopping distance, the lever by which
-rotation counts as travel, and the delays of a real controller are not modelled on measurements.
+rotation counts as travel, how force mode gives way, the 5 N that end moveUntilContact, and the delays of a real
+controller are not modelled on measurements. Of the client's commands those on straight lines and speeds of the tool,
+force mode, payload, tool, zeroing, watchdog and stopping are played; any other ends the program, and says so.
 """
 
 import argparse
@@ -42,21 +44,23 @@ from typing import Any
 import numpy as np
 
 from i2t.stand_ins import rtde
-from i2t.stand_ins.motion import Constant, Robot
+from i2t.stand_ins.motion import Array, Compliant, Constant, Robot, plane, rotation
 
 TICK = 0.002  # s
 SCRIPT, DASHBOARD, RTDE, FAULTS = 30003, 29999, 30004, 30100
 STOPPED, PLAYING, PAUSED = 1, 2, 4
-MOVE_L, FORCE_MODE_STOP, ZERO_FT, SPEED_L, SPEED_STOP, PAYLOAD = 3, 7, 8, 10, 15, 17
-TCP, PROTECTIVE, STOP_L, WATCHDOG, TCP_OFFSET, STEADY, STOP_SCRIPT = 29, 31, 33, 35, 40, 47, 255
+MOVE_L, FORCE_MODE, FORCE_MODE_STOP, ZERO_FT, SPEED_L, SPEED_STOP, PAYLOAD, TCP = 3, 6, 7, 8, 10, 15, 17, 29
+PROTECTIVE, STOP_L, WATCHDOG, TCP_OFFSET, STEADY, UNTIL_CONTACT, STOP_SCRIPT = 31, 33, 35, 40, 47, 51, 255
+UNANSWERED = (FORCE_MODE, SPEED_L)  # repeated as long as the register holds them
+TOUCHED = 5.0  # N
 READY, DONE = 1, 2
 
 
 class Controller:
     """The program that the client uploads, played on the robot, and what the safety system does to it."""
 
-    def __init__(self, robot: Robot, unlock_delay: float) -> None:
-        self.robot, self.unlock_delay = robot, unlock_delay
+    def __init__(self, robot: Robot, unlock_delay: float, limit: float) -> None:
+        self.robot, self.unlock_delay, self.limit = robot, unlock_delay, limit
         self.clock = self.heard = self.started = self.stopped_at = self.stood = 0.0
         self.runtime, self.protective, self.local = STOPPED, False, False
         self.ints, self.doubles = [0] * 48, [0.0] * 48
@@ -115,7 +119,7 @@ class Controller:
         self.robot.step(TICK)
         if self.robot.motion is not None:
             self.stood = self.clock
-        if not self.protective and np.linalg.norm(self.robot.raw_force() - self.robot.bias) > self.robot.limit:
+        if not self.protective and np.linalg.norm(self.robot.felt()[:3]) > self.limit:
             self.protect()
         if self.running and self.robot.motion is None:
             self._set_running(False)
@@ -133,7 +137,7 @@ class Controller:
         elif state == DONE and command == 0:
             self.out_ints[0] = READY
         elif state == READY and command != 0:
-            if command != SPEED_L or not self.taken or self.taken[-1] != SPEED_L:
+            if command not in UNANSWERED or self.taken[-1:] != [command]:
                 self.taken.append(command)
             self._execute(command)
 
@@ -144,8 +148,12 @@ class Controller:
             return robot.motion is None
 
         finished: Callable[[], bool] = lambda: True  # noqa: E731
-        if command == SPEED_L:  # repeated as long as the register holds it, and never answered
+        if command == SPEED_L:
             robot.motion = Constant(np.array(d[:6]), d[6])
+            return
+        if command == FORCE_MODE:
+            chosen = np.array(self.ints[2:8], float)
+            robot.motion = Compliant(rotation(np.array(d[3:6])), chosen, np.array(d[6:12]), np.array(d[12:18]))
             return
         if command == MOVE_L:
             robot.line_to(np.array(d[:6]), d[6], d[7])
@@ -154,10 +162,14 @@ class Controller:
         elif command in (STOP_L, SPEED_STOP):
             robot.stop(d[0])
             finished = finished if command == STOP_L and self.ints[1] else at_rest
+        elif command == FORCE_MODE_STOP:
+            robot.stop()
+        elif command == UNTIL_CONTACT:
+            finished = self._until_contact(np.array(d[:6]), d[12])
         elif command == WATCHDOG:
             self.watchdog, self.heard = 1 / d[0], self.clock
         elif command == ZERO_FT:
-            robot.zero = robot.raw_force()
+            robot.zero = robot.felt() + robot.bias
         elif command == PAYLOAD:
             self.payload, self.cog = d[0], d[1:4]
         elif command == TCP:
@@ -172,11 +184,28 @@ class Controller:
         elif command == STOP_SCRIPT:
             self.kill()
             return
-        elif command != FORCE_MODE_STOP:
+        else:
             print(f"command {command} is not played here: the program ends", file=sys.stderr, flush=True)
             self.kill()
             return
         self.busy = finished
+
+    def _until_contact(self, twist: Array, acceleration: float) -> Callable[[], bool]:
+        robot, met = self.robot, [False]
+        before, free = robot.felt()[:3], [robot.pose]
+        robot.motion = Constant(twist, acceleration)
+
+        def finished() -> bool:
+            change = float(np.linalg.norm(robot.felt()[:3] - before))
+            if not met[0] and change < 1e-9:
+                free[0] = robot.pose
+            elif not met[0] and change > TOUCHED:
+                met[0] = True
+                robot.line_to(free[0], 0.01, acceleration)  # back to where contact began
+            self.out_ints[1] = int(met[0])
+            return met[0] and robot.motion is None
+
+        return finished
 
     def _set_running(self, running: bool) -> None:
         if running:
@@ -196,7 +225,7 @@ class Controller:
     def observe(self) -> None:
         """Gather what every client is told at this tick."""
         robot, pose = self.robot, tuple(self.robot.pose)
-        force, twist = tuple(robot.force()), tuple(robot.twist)
+        force, twist = tuple(robot.measured()), tuple(robot.twist)
         self.state: dict[str, rtde.Value] = {
             "timestamp": self.clock,
             "actual_TCP_pose": pose,
@@ -226,7 +255,7 @@ class Controller:
             "moving": robot.motion is not None,
             "stood": self.stood,
             "heard": self.heard,
-            "force": (robot.raw_force() - robot.zero).tolist(),
+            "force": robot.told().tolist(),
             "fastest": robot.fastest,
             "runtime": self.runtime,
             "protective": self.protective,
@@ -431,10 +460,10 @@ class Server:
                     controller.kill()
                 case ["local" | "remote" as word]:
                     controller.local = word == "local"
-                case ["force", x, y, z]:
-                    robot.extra = np.array([float(x), float(y), float(z)])
+                case ["wrench", *numbers]:
+                    robot.extra = np.array([float(number) for number in numbers]).reshape(6)
                 case ["plane", height, stiffness]:
-                    robot.height, robot.stiffness = float(height), float(stiffness)
+                    robot.contact = plane(float(height), float(stiffness))
                 case ["speed", fraction]:
                     robot.scaling = min(1.0, max(0.0, float(fraction)))
                 case ["status"]:
@@ -494,12 +523,11 @@ def main(arguments: list[str] | None = None) -> None:
         "--after", nargs=2, action="append", default=[], metavar=("SECONDS", "COMMAND"), help="fault after the start"
     )
     args = parser.parse_args(arguments)
-    robot = Robot(
-        np.array(args.pose), args.plane, args.stiffness, np.array(args.bias, float), args.noise, args.force_limit
-    )
+    contact, bias = plane(args.plane, args.stiffness), np.array([*args.bias, 0.0, 0.0, 0.0], float)
+    robot = Robot(np.array(args.pose), contact, bias, args.noise)
     try:
         timed = [(float(seconds), command) for seconds, command in args.after]
-        server = Server(Controller(robot, args.unlock_delay), args.host, timed)
+        server = Server(Controller(robot, args.unlock_delay, args.force_limit), args.host, timed)
     except (OSError, ValueError) as error:
         sys.exit(f"The stand-in cannot start on {args.host}: {error}.")
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
