@@ -2,11 +2,13 @@
 
 import os
 import re
+import socket
 import struct
 import subprocess
 import sys
 import threading
 import time
+import tty
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -560,8 +562,6 @@ def test_a_board_that_comes_back_under_another_name_is_known(monkeypatch):
 
 
 def test_fields_that_are_sent_to_the_board_are_felt():
-    import socket
-
     with started("--field", "--noise", "0") as (port, process), ReSkin(port) as skin:
         host, number = process.stdout.readline().split()[1].split(":")
         still = skin.read(1, PATIENCE).reading[0]
@@ -571,6 +571,46 @@ def test_fields_that_are_sent_to_the_board_are_felt():
             out.sendto(sent.astype("<f4").tobytes(), (host, int(number)))
         felt = until(lambda: changed(skin, still))
     np.testing.assert_allclose(felt, sent, atol=0.25)
+
+
+def test_what_was_sent_to_nobody_is_not_read():
+    """A board that talked for a second to a port that nobody read has filled its buffer with the past."""
+    with started("--field", "--noise", "0") as (port, process):
+        host, number = process.stdout.readline().split()[1].split(":")
+        holder = os.open(port, os.O_RDWR | os.O_NOCTTY)
+        tty.setraw(holder)
+        time.sleep(0.5)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+            out.sendto(np.full(15, 45.0, "<f4").tobytes(), (host, int(number)))
+        time.sleep(0.2)
+        with ReSkin(port) as skin:
+            skin.read(20, PATIENCE)
+            felt = skin.since(-1).reading
+        os.close(holder)
+    np.testing.assert_allclose(felt - rest(1, noise=0.0)[0], 45.0, atol=0.25)
+
+
+class LatePort(Port):
+    """A port whose last chunk is read late."""
+
+    def read(self, size: int) -> bytes:
+        if len(self.chunks) == 1:
+            time.sleep(0.3)
+        return super().read(size)
+
+
+def test_a_late_read_is_counted_and_dated_back():
+    skin = ReSkin("/dev/skin")
+    whole = stream(120)
+    skin._serial = lambda *_, **__: LatePort([b"".join(whole[:20]), b"".join(whole[20:])], OSError(5, "gone"), "read")
+    skin.connect()
+    failure(skin)
+    assert skin.counters.stalls == 1
+    times = skin.since(-1).time
+    steps = np.diff(times[20:])  # the late chunk's frames, at the rate of the last second: 100 since the first chunk
+    np.testing.assert_allclose(steps, steps.mean(), rtol=1e-6)
+    assert 0.99 * 0.3 <= 99 * steps.mean() <= PATIENCE
+    assert (np.diff(times) >= 0).all()
 
 
 def changed(skin, still: np.ndarray) -> np.ndarray | None:
@@ -622,12 +662,16 @@ def test_the_picture_says_what_was_read():
     assert float(lines[19].split()[-2]) == pytest.approx(np.linalg.norm(FIELD), abs=0.05)
 
 
-def test_the_monitor_runs(capsys, tmp_path):
+def test_the_monitor_runs(capsys, monkeypatch, tmp_path):
     path = tmp_path / "skin"
     with started("--press", "1") as (port, _):
         assert monitor.main(["--port", port, "--seconds", "1", "--record", str(path)]) == 0
     assert "Hz" in capsys.readouterr().out
-    assert monitor.main(["--replay", str(path), "--seconds", "0.2"]) == 0
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    assert monitor.main(["--replay", str(path), "--seconds", "0.3"]) == 0
+    shown = capsys.readouterr().out
+    assert "replay" in shown
+    assert "\x1b[21F\x1b[J" in shown  # drawn over the last picture
     assert monitor.main(["--port", str(tmp_path / "nowhere")]) == 2
     assert capsys.readouterr().err.startswith("there is no port")
     assert monitor.main(["--list"]) == 0

@@ -24,7 +24,7 @@ def make(request, tmp_path) -> Iterator[Callable[[], Skin]]:
         return
     board = Readings(1.0, 0.0, None, 0)
     with recording.create(tmp_path / "skin") as file:
-        for i in range(12_000):
+        for i in range(4000):
             recording.append(file, i / 400, encode(*board.at(0.0)))
     yield lambda: Replay(tmp_path / "skin")
 
