@@ -200,9 +200,8 @@ def test_moves_reach_their_goal_no_faster_than_asked_and_never_leave_the_box(sta
 
 
 def test_the_slider_is_respected(start):
-    host = start()
+    host = start("--after", "0", "speed 0.5")
     with connected(host) as arm:
-        ask(host, "speed 0.5")
         arm.go(pose(0.4, 0.03, 0.3), 0.2)
         assert 0.09 < status(host)["fastest"] <= 0.1 * (1 + 1e-9)
 

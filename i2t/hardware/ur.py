@@ -198,6 +198,8 @@ class UR:
         return self
 
     def __exit__(self, *error: Any) -> None:
+        for number in self._handlers:  # a second Ctrl-C must not keep the arm from being stopped
+            signal.signal(number, lambda *_: None)
         try:
             self.close()
         finally:
@@ -290,7 +292,10 @@ class UR:
 
     def _take_lock(self) -> None:
         path = Path(tempfile.gettempdir()) / f"i2t-ur-{self.host}.lock"
-        lock = path.open("a+")
+        try:
+            lock = path.open("a+")
+        except OSError as error:
+            raise DeviceError(f"The lock of the arm, {path}, cannot be opened: {error.strerror}.") from error
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
