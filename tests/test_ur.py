@@ -422,6 +422,18 @@ def test_the_arm_stands_when_its_process_is_ended(start, number):
         assert stood["stood"] - stood["heard"] <= 1 / WATCHDOG + 0.05 / 5.0 + 3 * TICK
 
 
+def test_the_stand_in_survives_strangers(start):
+    host = start()
+    random = np.random.default_rng(0)
+    for port in (ur_controller.RTDE, ur_controller.DASHBOARD, ur_controller.SCRIPT, ur_controller.FAULTS):
+        for body in (b"", b"\0", random.bytes(60), b"\n".join(random.bytes(9) for _ in range(5)), b"\xff\n"):
+            for kind in b"VvOISPUM?":
+                with socket.create_connection((host, port), 5.0) as stranger:
+                    stranger.sendall(rtde.packet(kind, body) if port == ur_controller.RTDE else body)
+    with connected(host) as arm:
+        arm.go(pose(0.4, 0.01, 0.3), 0.2)
+
+
 def test_a_stand_in_that_cannot_start_says_so(start):
     host = start()
     with socket.socket() as taken:

@@ -139,7 +139,11 @@ class Controller:
         elif state == READY and command != 0:
             if command not in UNANSWERED or self.taken[-1:] != [command]:
                 self.taken.append(command)
-            self._execute(command)
+            try:
+                self._execute(command)
+            except (ArithmeticError, ValueError) as error:  # as the controller ends a program at a runtime error
+                print(f"command {command}: {error}: the program ends", file=sys.stderr, flush=True)
+                self.kill()
 
     def _execute(self, command: int) -> None:
         d, robot = self.doubles, self.robot
@@ -375,7 +379,7 @@ class Server:
                 for line in self._lines(client):
                     answer = self.dashboard(line) if client.port == DASHBOARD else self.fault(line)
                     self._send(client, answer.encode() + b"\n")
-        except (ValueError, UnicodeDecodeError) as error:
+        except (ValueError, ArithmeticError, struct.error) as error:
             print(f"{error}: connection to port {client.port} closed", file=sys.stderr, flush=True)
             self._drop(client)
 
