@@ -41,8 +41,8 @@ def gains(
     belief: Belief,
     table: Outcome,
     like: Likelihood,
-    skin_change: float = 25.0,
-    force: float = 8.0,
+    skin_change: float | Float[Array, ""] = 25.0,
+    force: float | Float[Array, ""] = 8.0,
     draws: int = DRAWS,
     places: int = PLACES,
 ) -> Gain:
@@ -94,8 +94,8 @@ def imagine(
     off: Float[Array, "6"],
     noise: Float[Array, "16"],
     like: Likelihood,
-    skin_change: float,
-    force: float,
+    skin_change: float | Float[Array, ""],
+    force: float | Float[Array, ""],
 ) -> Measured:
     """What would be measured at a touch, of a place off by `off` (m); `noise` is standard normal."""
     load = stop_load(outcome, like.loads, skin_change, force)
@@ -108,7 +108,12 @@ def imagine(
     return Measured(reading + error, load, advance, contact)
 
 
-def stop_load(outcome: Outcome, loads: Float[Array, " l"], skin_change: float, force: float) -> Float[Array, ""]:
+def stop_load(
+    outcome: Outcome,
+    loads: Float[Array, " l"],
+    skin_change: float | Float[Array, ""],
+    force: float | Float[Array, ""],
+) -> Float[Array, ""]:
     """The load (N) at which an imagined press would end: a reading grows about as a power of its load."""
     size = jnp.log(jnp.maximum(jnp.linalg.norm(outcome.reading, axis=1), 1e-3))
     knots, goal = jnp.log(loads), jnp.log(skin_change)
