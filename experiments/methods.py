@@ -107,8 +107,14 @@ def fit_process(imagined: gp.Imagined, readings: np.ndarray, split: Split, seed:
     """The Gaussian process on the training touches, hyperparameters from held-out groups of them."""
     rows = np.flatnonzero(split.train)
     train = gp.Imagined(imagined.pressure[rows], imagined.load[rows])
-    hyper, _ = gp.choose(train, jnp.asarray(readings[rows]), split.groups[rows], seed=seed)
-    return jax.jit(gp.fit)(hyper, train, jnp.asarray(readings[rows]))
+    return condition(train, readings[rows], split.groups[rows], seed)
+
+
+def condition(imagined: gp.Imagined, readings: np.ndarray | jax.Array, groups: np.ndarray, seed: int) -> gp.GP:
+    """A process told all of these touches, hyperparameters from held-out groups of them."""
+    values = jnp.asarray(readings)
+    hyper, _ = gp.choose(imagined, values, groups, seed=seed)
+    return jax.jit(gp.fit)(hyper, imagined, values)
 
 
 def ceiling(dataset: Dataset, imagination: Imagination, split: Split, seed: int) -> np.ndarray:

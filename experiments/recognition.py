@@ -5,7 +5,7 @@ of what it might be. Sites come from a pool, so that what every possible object 
 possible places, is imagined once (`tabulate`) and serves all episodes.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -14,7 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
+from tqdm import tqdm
 
+from experiments.methods import condition
 from i2t import belief, ensemble, gp, outcomes, register, touch, world
 from i2t.arrays import element
 from i2t.belief import Likelihood, Measured, Particles
@@ -26,13 +28,15 @@ from i2t.outcomes import CELLS, Outcome, SkinMap
 from i2t.predictor import Predictor, imagine_all
 from i2t.press import PressLimits
 from i2t.render import prepare, render_heights, stack
-from i2t.types import PATCH_PIXELS, REACH, WIDE_PIXELS, WIDE_WINDOW, Pad, ReturnCode, Surface, Touches
+from i2t.types import PATCH_PIXELS, REACH, WIDE_PIXELS, WIDE_WINDOW, Pad, ReturnCode, Surface, Touches, Truth
 from i2t.world import Errors, RunErrors
 
 MILLI = 1e-3
 BATCH = 512  # imagined touches at a time
 TOUCHES = 40  # simulated touches at a time
 ROW = 36  # touches of a run that are registered together
+# Weights of readings and of positions.
+EVIDENCE = {"tactile only": (1.0, 0.0), "position only": (0.0, 1.0), "fused": (1.0, 1.0)}
 
 
 class Learnt(NamedTuple):
@@ -97,12 +101,9 @@ def learn_oracle(dataset: Dataset, rows: np.ndarray, learnt: Learnt, limits: Pre
     """What could be learnt from the same simulated touches if pose and reading had no error: a bound, not a method."""
     used = np.flatnonzero(rows)
     touches = jax.tree.map(lambda x: x[used], dataset.touches)
-    truth = touches.truth
-    exact = Imagination(pitch=dataset.window / touches.patch.shape[1], smooth=False, tilt=0.0, cell=CELLS.spacing)
-    told = imagine_all(exact, truth.wide, truth.force, truth.indentation)
     softness, position = float(learnt.skin.softness), float(learnt.like.position)
-    readings, ideal = jnp.asarray(touches.reading), jnp.asarray(truth.reading)
-    return _learnt(told, ideal, readings, touches.run, softness, position, limits)
+    readings, ideal = jnp.asarray(touches.reading), jnp.asarray(touches.truth.reading)
+    return _learnt(_really_met(touches.truth), ideal, readings, touches.run, softness, position, limits)
 
 
 def learn_on_pad(
@@ -113,15 +114,15 @@ def learn_on_pad(
     """
     ideal = replace(Errors.none(), slant=Errors.slant)
     made = world.simulate(key, surfaces, pad, ideal, touches // len(surfaces), limits=limits)
+    assert made.truth is not None
+    process = condition(_really_met(made.truth), made.reading, np.asarray(made.run), seed=0)
+    return felt._replace(skin=outcomes.skin_map(process, float(felt.skin.softness)), r2=float("nan"))
+
+
+def _really_met(truth: Truth) -> Imagined:
+    """Pressures of simulated touches whose contacts are known exactly."""
     exact = Imagination(pitch=WIDE_WINDOW / WIDE_PIXELS, smooth=False, tilt=0.0, cell=CELLS.spacing)
-    truth = made.truth
-    assert truth is not None
-    told = imagine_all(exact, truth.wide, truth.force, truth.indentation)
-    readings = jnp.asarray(made.reading)
-    hyper, _ = gp.choose(told, readings, np.asarray(made.run), seed=0)
-    process = jax.jit(gp.fit)(hyper, told, readings)
-    skin = outcomes.skin_map(process, float(felt.skin.softness))
-    return felt._replace(skin=skin, like=felt.like, r2=float("nan"))
+    return imagine_all(exact, truth.wide, truth.force, truth.indentation)
 
 
 def _learnt(
@@ -129,11 +130,10 @@ def _learnt(
     limits: PressLimits,
 ) -> Learnt:  # fmt: skip
     """Learn `readings`; how far off a prediction of those `recorded` is comes from touches left out."""
-    hyper, _ = gp.choose(told, readings, runs, seed=0)
-    process = jax.jit(gp.fit)(hyper, told, readings)
+    process = condition(told, readings, runs, seed=0)
     left = gp.left_out(process) + np.asarray(recorded - readings)
     skin = outcomes.skin_map(process, softness)
-    like = belief.likelihood(left, process.scale, skin.loads, limits.past_goal, position)
+    like = belief.likelihood(left, process.scale, skin.loads, limits.past_goal, position, limits.stiffness)
     around = np.asarray(recorded) - np.mean(np.asarray(recorded), axis=0)
     return Learnt(skin, like, around.std(axis=0), float(1 - np.sum(left**2) / np.sum(around**2)))
 
@@ -162,23 +162,24 @@ def tabulate(
     T_w_site: Float[Array, "sites 4 4"],
     skins: Sequence[SkinMap],
     past: float,
-    progress: Callable[[int], None] = lambda done: None,
+    what: str,
 ) -> list[Outcome]:
     """What every object in every place would feel like at every site, for each of some pads that share their loads:
-    an `Outcome` of (sites, objects, k) each.
+    an `Outcome` of (sites, objects, k) each. A bar says what for.
     """
     count = len(twist)
     each = max(BATCH // count, 1)
-
     padded = jnp.asarray(np.resize(np.asarray(T_w_site), (-(-len(T_w_site) // each) * each, 4, 4)))
     columns = []
-    for surface in surfaces:
-        parts = []
-        for start in range(0, len(padded), each):
-            some = padded[start : start + each]
-            parts.append(jax.device_get(_imagine(surface, twist, some, list(skins), past)))
-            progress(each * count)
-        columns.append(jax.tree.map(lambda *x: np.concatenate(x)[: len(T_w_site)], *parts))
+    total = len(surfaces) * len(padded) * count
+    with tqdm(total=total, desc=f"{what}: imagining", unit="touch", unit_scale=True) as bar:
+        for surface in surfaces:
+            parts = []
+            for start in range(0, len(padded), each):
+                some = padded[start : start + each]
+                parts.append(jax.device_get(_imagine(surface, twist, some, list(skins), past)))
+                bar.update(each * count)
+            columns.append(jax.tree.map(lambda *x: np.concatenate(x)[: len(T_w_site)], *parts))
     return jax.tree.map(lambda *x: np.stack(x, axis=1), *columns)
 
 
@@ -228,8 +229,8 @@ class Sitting:
         self.touches: list[Touches] = []
         self.chosen: list[np.ndarray] = []
 
-    def touch(self, site: Int[np.ndarray, "e n"], progress: Callable[[int], None] = lambda done: None) -> Measured:
-        """The next n touches of every episode at these sites of the pool; what was measured at all so far, (e, t)."""
+    def touch(self, site: Int[np.ndarray, "e n"], bar: tqdm | None = None) -> None:
+        """The next n touches of every episode at these sites of the pool."""
         made_before, n = len(self.touches), site.shape[1]
         keys = jax.vmap(lambda i: jax.random.split(jax.random.fold_in(self.key_touch, i), len(self.truth)), out_axes=1)(
             made_before + jnp.arange(n)
@@ -248,13 +249,13 @@ class Sitting:
                 )  # fmt: skip
                 kept = slice(len(some))
                 done.append((some, jax.tree.map(lambda x, kept=kept: np.asarray(x[kept]), jax.device_get(made))))
-                progress(len(some))
+                if bar is not None:
+                    bar.update(len(some))
         order = np.argsort(np.concatenate([rows for rows, _ in done]))
         made = jax.tree.map(lambda *x: np.concatenate(x)[order], *[part for _, part in done])
         made = jax.tree.map(lambda x: x.reshape(len(self.truth), n, *x.shape[1:]), made)
         self.touches += [jax.tree.map(lambda x, i=i: x[:, i], made) for i in range(n)]
         self.chosen += list(np.asarray(site).T)
-        return self.measured()
 
     def measured(self) -> Measured:
         """All touches so far, (e, t); a sensor's faults depend on the touches before."""
@@ -301,13 +302,18 @@ def random_sites(key: Key[Array, ""], sites: Pool, episodes: int, touches: int) 
 
 def telling_sites(key: Key[Array, ""], sites: Pool, episodes: int, touches: int) -> Int[np.ndarray, "e t"]:
     """As `random_sites`, but the site of an object is drawn by the paper's heuristic (`i2t.ensemble.telling`)."""
+    weight = telling(sites)
+    key_object, key_site = jax.random.split(key)
+    which = jax.random.randint(key_object, (episodes, touches), 0, len(weight))
+    return np.asarray(which * weight.shape[1] + jax.random.categorical(key_site, jnp.log(weight[which])))
+
+
+def telling(sites: Pool) -> Float[Array, "objects each"]:
+    """The heuristic's probabilities of each object's own sites."""
     objects = int(sites.owner.max()) + 1
     T = sites.T_w_t.reshape(objects, -1, 4, 4)
     safe = jnp.ones(T.shape[:2], bool)
-    weight = jax.vmap(lambda o: ensemble.telling(T[..., :3, 3], -T[..., :3, 2], safe, o))(jnp.arange(objects))
-    key_object, key_site = jax.random.split(key)
-    which = jax.random.randint(key_object, (episodes, touches), 0, objects)
-    return np.asarray(which * T.shape[1] + jax.random.categorical(key_site, jnp.log(weight[which])))
+    return jax.vmap(lambda o: ensemble.telling(T[..., :3, 3], -T[..., :3, 2], safe, o))(jnp.arange(objects))
 
 
 def paper_rules(
@@ -415,6 +421,28 @@ def beliefs(
         return jax.lax.scan(step, belief.begin(placements, objects, unknown), at)[1]
 
     return jax.lax.map(episode, (site, measured), batch_size=8)
+
+
+def by_evidence(
+    table: Outcome,
+    episodes: Episodes,
+    like: Likelihood,
+    placements: Particles,
+    kinds: Sequence[str] = tuple(EVIDENCE),
+) -> dict[str, np.ndarray]:
+    """Posteriors (e, t, objects) over the objects from each kind of evidence."""
+    table, site = jax.device_put(table), jnp.asarray(episodes.site)
+    found = {}
+    for kind in kinds:
+        tactile, spatial = (jnp.float32(weight) for weight in EVIDENCE[kind])
+        used = like._replace(tactile=tactile, spatial=spatial)
+        found[kind] = np.asarray(beliefs(table, site, episodes.measured, used, placements)[0])
+    return found
+
+
+def places_about(errors: Errors, count: int, seed: int) -> Particles:
+    """Places in which an object may stand under the errors of placement."""
+    return belief.particles(outcomes.prior_spread(errors.placement, errors.placement_angle), count, seed)
 
 
 def surfaces_of(meshes: Sequence[Any]) -> list[Surface]:

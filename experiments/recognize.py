@@ -33,7 +33,6 @@ from typing import Any, Literal, NamedTuple
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import tyro
 from tqdm import tqdm
@@ -44,10 +43,11 @@ from experiments.recognition import (
     Pool,
     Setting,
     Sitting,
-    beliefs,
+    by_evidence,
     learn,
     learn_oracle,
     paper_rules,
+    places_about,
     pool,
     random_sites,
     replayed,
@@ -56,8 +56,9 @@ from experiments.recognition import (
     telling_sites,
 )
 from experiments.runs import begin, reported
-from i2t import belief, objects, outcomes, touch
+from experiments.train import numbered_pad
 from i2t import dataset as data
+from i2t import objects, touch
 from i2t.belief import Particles
 from i2t.dataset import Dataset
 from i2t.objects import Mesh
@@ -66,7 +67,6 @@ from i2t.predictor import Predictor, load_predictor
 from i2t.press import PressLimits
 from i2t.skin.contact import FINE
 from i2t.skin.files import load_pad
-from i2t.skin.pad import sample_pad
 from i2t.types import Pad, Surface
 from i2t.world import Errors
 
@@ -117,11 +117,7 @@ class Args:
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     args = tyro.cli(Args, args=argv, description=__doc__, prog="python -m experiments.recognize")
-    try:
-        return reported(partial(run, args))
-    except KeyboardInterrupt:
-        print(f"\ninterrupted; finished parts are in {args.out}, go on with --resume", file=sys.stderr)
-        return 130
+    return reported(partial(run, args), args.out)
 
 
 def run(args: Args) -> dict[str, Any]:
@@ -161,22 +157,19 @@ def finished_runs(folder: Path) -> list[Path]:
 def play(args: Args, cfg: Recognition, folder: Path, seed: int) -> dict[str, reporting.Played]:
     """All sets of one pad and seed."""
     dataset, predictor, pad = trained(folder)
-    keys = dict(zip(("learn", "sites", "validation"), jax.random.split(jax.random.key(seed), 3), strict=True))
-    learnt = learn(keys["learn"], dataset, training_rows(dataset, folder), taught(dataset), cfg.errors, cfg.limits)
-    oracle = learn_oracle(dataset, training_rows(dataset, folder), learnt, cfg.limits)
+    key_learn, key_groups = jax.random.split(jax.random.key(seed))
+    rows = training_rows(dataset, folder)
+    learnt = learn(key_learn, dataset, rows, taught(dataset), cfg.errors, cfg.limits)
+    oracle = learn_oracle(dataset, rows, learnt, cfg.limits)
     print(f"pad learnt from {folder}: R2 {learnt.r2:.3f} on touches left out, {oracle.r2:.3f} without errors of pose")
     done: dict[str, reporting.Played] = {}
     for i, (meshes, sets) in enumerate(candidates(args, cfg)):
-        key_pool, key_sets = jax.random.split(jax.random.fold_in(keys["sites"], i))
+        key_pool, key_sets = jax.random.split(jax.random.fold_in(key_groups, i))
         surfaces = surfaces_of(list(meshes.values()))
         sites = pool(key_pool, surfaces, list(meshes), cfg.sites, cfg.reach)
-        placements = belief.particles(
-            outcomes.prior_spread(cfg.errors.placement, cfg.errors.placement_angle), cfg.places, seed
-        )
-        total = len(surfaces) * len(sites.owner) * cfg.places
-        with tqdm(total=total, desc="imagining touches", unit="touch", unit_scale=True) as bar:
-            skins = [learnt.skin, oracle.skin]
-            tables = tabulate(surfaces, placements.twist, sites.T_w_t, skins, cfg.limits.past_goal, bar.update)
+        placements = places_about(cfg.errors, cfg.places, seed)
+        skins, what = [learnt.skin, oracle.skin], ", ".join(sets)
+        tables = tabulate(surfaces, placements.twist, sites.T_w_t, skins, cfg.limits.past_goal, what)
         table = Imagined(list(meshes), surfaces, sites, placements, tables)
         for j, (name, part) in enumerate(sets.items()):
             key = jax.random.fold_in(key_sets, j)
@@ -238,21 +231,16 @@ def play_set(
     truth = np.repeat(np.arange(len(which)), part.sittings)
     chosen = (telling_sites if part.heuristic else random_sites)(key_site, sites, len(truth), cfg.touches)
     sitting = Sitting(key_play, surfaces, truth, sites, pad, Setting(cfg.errors, cfg.limits, cfg.touches))
-    with tqdm(total=chosen.size, desc=f"touching, {name}", unit="touch") as bar:
-        sitting.touch(chosen, bar.update)
+    with tqdm(total=chosen.size, desc=f"{name}: touching", unit="touch") as bar:
+        sitting.touch(chosen, bar)
     episodes = sitting.episodes()
-    believed = {}
+    believed: dict[str, np.ndarray] = {}
     for label, learnt, table in zip(("", ", oracle"), pads, imagined.tables, strict=True):
-        some = jax.tree.map(lambda x: jnp.asarray(x[rows][:, which]), table)
-        for evidence, weights in EVIDENCE.items():
-            like = learnt.like._replace(tactile=jnp.float32(weights[0]), spatial=jnp.float32(weights[1]))
-            p, _ = beliefs(some, jnp.asarray(chosen), episodes.measured, like, imagined.placements)
-            believed[f"{evidence}{label}"] = np.asarray(p)
+        some = jax.tree.map(lambda x: x[rows][:, which], table)
+        found = by_evidence(some, episodes, learnt.like, imagined.placements)
+        believed |= {f"{kind}{label}": p for kind, p in found.items()}
     believed |= paper_rules(predictor, pads[0].std, surfaces, episodes)
     return reporting.Played(tuple(part.names), truth, believed, episodes)
-
-
-EVIDENCE = {"tactile only": (1.0, 0.0), "position only": (0.0, 1.0), "fused": (1.0, 1.0)}
 
 
 def replay(args: Args, cfg: Recognition, folder: Path) -> dict[str, reporting.Played]:
@@ -266,16 +254,9 @@ def replay(args: Args, cfg: Recognition, folder: Path) -> dict[str, reporting.Pl
     meshes = own_meshes(args) if args.objects else {name: objects.make(name).mesh for name in recorded.objects}
     surfaces = surfaces_of(list(meshes.values()))
     sites, episodes = replayed(recorded, list(meshes), cfg.touches)
-    placements = belief.particles(
-        outcomes.prior_spread(cfg.errors.placement, cfg.errors.placement_angle), cfg.places, args.seed
-    )
-    with tqdm(total=len(surfaces) * len(sites.owner) * cfg.places, desc="imagining", unit="touch") as bar:
-        (table,) = tabulate(surfaces, placements.twist, sites.T_w_t, [learnt.skin], cfg.limits.past_goal, bar.update)
-    believed = {}
-    for evidence, weights in EVIDENCE.items():
-        like = learnt.like._replace(tactile=jnp.float32(weights[0]), spatial=jnp.float32(weights[1]))
-        p, _ = beliefs(table, jnp.asarray(episodes.site), episodes.measured, like, placements)
-        believed[evidence] = np.asarray(p)
+    placements = places_about(cfg.errors, cfg.places, args.seed)
+    (table,) = tabulate(surfaces, placements.twist, sites.T_w_t, [learnt.skin], cfg.limits.past_goal, "recorded")
+    believed = by_evidence(table, episodes, learnt.like, placements)
     believed |= paper_rules(predictor, learnt.std, surfaces, episodes)
     return {"recorded": reporting.Played(tuple(meshes), episodes.truth, believed, episodes)}
 
@@ -286,7 +267,7 @@ def trained(folder: Path) -> tuple[Dataset, Predictor, Pad]:
     if about.get("source") != "simulated" or not (folder / "data.h5").exists():
         raise ValueError(f"{folder} was not trained on simulated touches; pass one that was, as --run")
     number = about["pad"]
-    pad = sample_pad(jax.random.key(1000 + number)) if isinstance(number, int) else load_pad(Path(number))
+    pad = numbered_pad(number) if isinstance(number, int) else load_pad(Path(number))
     return data.load(folder / "data.h5"), load_predictor(folder), pad
 
 

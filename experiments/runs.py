@@ -17,13 +17,20 @@ from i2t.checkpoint import PACKAGES
 from i2t.dataset import DataError
 
 
-def reported(work: Callable[[], Any]) -> int:
-    """The exit code of a command: what its user can mend is said in one sentence."""
+def reported(work: Callable[[], Any], resumable: Path | None = None) -> int:
+    """The exit code of a command: what its user can mend is said in one sentence, and after Ctrl-C where a `resumable`
+    run left its finished parts.
+    """
     try:
         work()
     except (DataError, ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        if resumable is None:
+            raise
+        print(f"\ninterrupted; finished parts are in {resumable}, go on with --resume", file=sys.stderr)
+        return 130
     return 0
 
 

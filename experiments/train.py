@@ -80,11 +80,7 @@ class Args:
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     args = tyro.cli(Args, args=argv, description=__doc__, prog="python -m experiments.train")
-    try:
-        return reported(partial(run, args))
-    except KeyboardInterrupt:
-        print(f"\ninterrupted; finished parts are in {args.out}, go on with --resume", file=sys.stderr)
-        return 130
+    return reported(partial(run, args), args.out)
 
 
 def run(args: Args) -> dict[str, Any]:
@@ -201,6 +197,11 @@ def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: Pad | int | None, 
     write_json(out / "metrics.json", metrics)
 
 
+def numbered_pad(number: int) -> Pad:
+    """The random pad of a number, which a run's metrics name."""
+    return sample_pad(jax.random.key(1000 + number))
+
+
 def simulate(cfg: TrainExperiment, seed: int, which: Pad | int, path: Path) -> Dataset:
     """The embedded default: simulated touches of the preset with one pad, random by its number or given, kept in `path`
     for a resumed run.
@@ -209,7 +210,7 @@ def simulate(cfg: TrainExperiment, seed: int, which: Pad | int, path: Path) -> D
         return data.load(path)
     plan = cfg.simulation
     surfaces = [prepare(objects.make(name).mesh) for name in plan.objects]
-    pad = sample_pad(jax.random.key(1000 + which)) if isinstance(which, int) else which
+    pad = numbered_pad(which) if isinstance(which, int) else which
     with tqdm(total=plan.touches, desc="simulating touches", unit="touch") as bar:
         touches = world.simulate(
             jax.random.key(seed), surfaces, pad, plan.errors, plan.counts(),

@@ -29,11 +29,12 @@ from jaxtyping import Array, Bool, Float
 from scipy.stats import norm, qmc
 
 from i2t.outcomes import Outcome, at_load
+from i2t.press import PressLimits
 from i2t.types import READINGS
 
 WITHIN = 0.5  # standard deviation of the placement about a particle, relative to that of the prior
 NEVER = 1e-12  # least share of touches that may be anything
-STIFFNESS = 10e3  # N/m, arm and mount in series, as in `i2t.press.PressLimits`
+STIFFNESS = PressLimits.stiffness  # N/m, arm and mount in series
 
 
 class Measured(NamedTuple):
@@ -109,6 +110,7 @@ def likelihood(
     loads: Float[Array, " l"],
     past: float,
     position: float,
+    stiffness: float = STIFFNESS,
 ) -> Likelihood:
     """A likelihood from what a process left of touches that it had not learnt from (uT), in double precision.
 
@@ -120,7 +122,7 @@ def likelihood(
     number = partial(jnp.asarray, dtype=jnp.float32)
     return Likelihood(
         number(turn.T @ factor), number(np.maximum(growth, 0)), loads, number(past), number(8.0), number(1.0),
-        number(position), number(0.01), number(1.0), number(1.0), number(STIFFNESS), number(0.0),
+        number(position), number(0.01), number(1.0), number(1.0), number(stiffness), number(0.0),
     )  # fmt: skip
 
 

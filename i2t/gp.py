@@ -79,9 +79,13 @@ def gram(
     load_b: Float[Array, " b"],
 ) -> Float[Array, "a b"]:
     """Covariance between touches from the inner products of their blurred pressures."""
+    return jnp.einsum("l,lab->ab", hyper.weights / unit, linear) * bending(hyper, load_a, load_b)
+
+
+def bending(hyper: Hyper, load_a: Float[Array, " a"], load_b: Float[Array, " b"]) -> Float[Array, "a b"]:
+    """Factor by which the response bends between loads: the bracket of the covariance."""
     ratio = jnp.log(jnp.maximum(load_a, 1e-3))[:, None] - jnp.log(jnp.maximum(load_b, 1e-3))[None, :]
-    bend = 1 - hyper.bend + hyper.bend * jnp.exp(-(ratio**2) / (2 * hyper.width**2))
-    return jnp.einsum("l,lab->ab", hyper.weights / unit, linear) * bend
+    return 1 - hyper.bend + hyper.bend * jnp.exp(-(ratio**2) / (2 * hyper.width**2))
 
 
 def inner(a: Float[Array, "lengths a mm"], b: Float[Array, "lengths b mm"]) -> Float[Array, "lengths a b"]:

@@ -23,6 +23,8 @@ from i2t.gp import CELL, Imagined
 from i2t.skin.contact import Grid, solve, solve_force
 from i2t.types import PAD_WINDOW, Pad
 
+TOLERANCE = 1e-3  # of the contact: far below the uncertainty of what is pressed
+
 # Gauss-Hermite, three points: exact to the fifth moment of the tilt.
 _NODES = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]) * np.sqrt(3)
 _WEIGHTS = np.array(
@@ -83,9 +85,9 @@ def imagine(
         tilted = tilted - jnp.min(tilted)
         if cfg.control == "force":
             load = jnp.maximum(force, cfg.floor)
-            contact = solve_force(pad, tilted, load, grid, tolerance=1e-3, max_steps=cfg.iterations)
+            contact = solve_force(pad, tilted, load, grid, tolerance=TOLERANCE, max_steps=cfg.iterations)
             return contact.pressure * load / jnp.maximum(contact.force, 1e-6)
-        return solve(pad, tilted, jnp.maximum(depth, 0.0), grid, tolerance=1e-3, max_steps=cfg.iterations).pressure
+        return solve(pad, tilted, jnp.maximum(depth, 0.0), grid, tolerance=TOLERANCE, max_steps=cfg.iterations).pressure
 
     nodes, weights = (_NODES, _WEIGHTS) if cfg.tilt > 0 else (np.zeros((1, 2)), np.ones(1))
     pressure = jnp.einsum("t,tij->ij", jnp.float32(weights), jax.lax.map(press, jnp.float32(nodes)))

@@ -28,6 +28,7 @@ from jaxtyping import Array, Bool, Float
 from i2t import gp, touch
 from i2t.geometry import full_precision, invert
 from i2t.gp import GP
+from i2t.imagine import TOLERANCE, Imagination
 from i2t.refine import LEVER, motion
 from i2t.render import render_heights
 from i2t.skin.contact import Grid, solve_force
@@ -36,8 +37,7 @@ from i2t.types import PAD_WINDOW, STANDOFF, Pad, Surface
 
 CELLS = Grid(cells=20, modes=32, window=PAD_WINDOW)  # 1 mm, as the process sees pressures
 LOADS = (0.3, 0.9, 2.7)  # N; most presses to 25 uT end between the outer ones
-TOLERANCE, STEPS = 1e-3, 25  # of the contact: far below what a place is unsure by
-SMALLEST = 0.02  # N, least load, where a noisy wrench sensor says less
+SMALLEST = Imagination.floor  # N, least load, where a noisy wrench sensor says less
 ROUNDING = 1e-5  # of the largest eigenvalue of a variance: below it, nothing is left but rounding
 
 
@@ -74,7 +74,6 @@ class Outcome(NamedTuple):
 
 def skin_map(process: GP, softness: float = 1.0, loads: tuple[float, ...] = LOADS) -> SkinMap:
     """The maps of a fitted process; for the host, in double precision, as a variance is a small difference."""
-    load = np.asarray(loads, np.float64)
     weights = np.asarray(process.hyper.weights / process.unit, np.float64)
     root = gp.roots(process.touches.pressure.shape[-1]).astype(np.float64)
     axis = np.einsum("lij,ljk->lik", root, root)  # C_l of one axis
@@ -83,11 +82,8 @@ def skin_map(process: GP, softness: float = 1.0, loads: tuple[float, ...] = LOAD
     cells = seen.shape[-1]
     prior = sum(w * np.kron(a, a) for w, a in zip(weights, axis, strict=True))
     cholesky, solved = np.asarray(process.cholesky, np.float64), np.asarray(process.weights, np.float64)
-    ratio = np.log(np.maximum(np.asarray(process.touches.load, np.float64), 1e-3)) - np.log(load)[:, None]
-    bent, width = float(process.hyper.bend), float(process.hyper.width)
-    bend = 1 - bent + bent * np.exp(-(ratio**2) / (2 * width**2))
     means, roots = [], []
-    for at in bend:
+    for at in np.asarray(gp.bending(process.hyper, jnp.float32(loads), process.touches.load), np.float64):
         cross = np.einsum("l,lnx->nx", weights, seen) * at[:, None]
         means.append(cross.T @ solved * np.asarray(process.scale))
         half = np.linalg.solve(cholesky, cross)
@@ -96,7 +92,7 @@ def skin_map(process: GP, softness: float = 1.0, loads: tuple[float, ...] = LOAD
         roots.append(vectors * np.sqrt(kept))
     rank = max(int((np.abs(r).max(0) > 0).sum()) for r in roots)
     return SkinMap(
-        jnp.float32(load), jnp.float32(np.stack(means)), jnp.float32(np.stack([r[:, cells - rank :] for r in roots])),
+        jnp.float32(loads), jnp.float32(np.stack(means)), jnp.float32(np.stack([r[:, cells - rank :] for r in roots])),
         process.scale, jnp.float32(softness),
     )  # fmt: skip
 
@@ -153,7 +149,7 @@ def pressures(
 
     def press(load: Float[Array, ""]) -> tuple[Array, Array]:
         load = jnp.maximum(load, SMALLEST)
-        contact = solve_force(pad, behind, load, CELLS, tolerance=TOLERANCE, max_steps=STEPS)
+        contact = solve_force(pad, behind, load, CELLS, tolerance=TOLERANCE, max_steps=Imagination.iterations)
         newtons = contact.pressure.reshape(-1) * CELLS.spacing**2
         return contact.indentation, newtons * load / jnp.maximum(jnp.sum(newtons), 1e-9)
 

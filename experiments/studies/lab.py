@@ -14,14 +14,24 @@ from tqdm import tqdm
 from experiments import plots
 from experiments import recognition_figures as drawing
 from experiments import recognition_scores as scores
-from experiments.recognition import Learnt, Pool, Setting, Sitting, learn, learn_on_pad, surfaces_of, tabulate
+from experiments.recognition import (
+    Episodes,
+    Learnt,
+    Pool,
+    Setting,
+    Sitting,
+    learn,
+    learn_on_pad,
+    places_about,
+    surfaces_of,
+    tabulate,
+)
 from experiments.recognition_scores import plain
 from experiments.recognize import PRESETS, Recognition, taught, trained, training_rows
-from i2t import belief, objects, outcomes
+from i2t import objects
 from i2t.belief import Particles
-from i2t.outcomes import Outcome
+from i2t.outcomes import Outcome, SkinMap
 from i2t.types import Pad, Surface
-from i2t.world import Errors
 
 PLACES = 128  # of each object: with 64 to 512 accuracies are the same within 0.01
 Study = Literal["policy", "open", "pad", "sensitivity", "many"]
@@ -63,14 +73,10 @@ def prepare_lab(args: Args, folder: Path, seed: int) -> Lab:
     dataset, _, pad = trained(folder)
     key_learn, key = jax.random.split(jax.random.key(100 + seed))
     known = taught(dataset)
-    learnt = learn(key_learn, dataset, training_rows(dataset, folder), known, cfg.errors, cfg.limits)
+    rows = training_rows(dataset, folder)
+    learnt = learn(key_learn, dataset, rows, known, cfg.errors, cfg.limits)
     names = cfg.primitives + cfg.tools
-    train = [
-        name
-        for i, name in enumerate(dataset.objects)
-        if training_rows(dataset, folder)[dataset.touches.object == i].any()
-    ]
-    taught_on = [known[name] for name in train]
+    taught_on = [known[dataset.objects[i]] for i in np.unique(dataset.touches.object[rows])]
 
     def training(other: Pad, key: Array) -> Learnt:
         return learn_on_pad(key, other, taught_on, 100 if args.preset == "debug" else 900, cfg.limits, learnt)
@@ -80,28 +86,25 @@ def prepare_lab(args: Args, folder: Path, seed: int) -> Lab:
     return Lab(cfg, pad, learnt, names, surfaces, sittings, seed, key, args, training)
 
 
-def placements_of(lab: Lab, errors: Errors | None = None) -> Particles:
-    """Places of an object under the errors of placement."""
-    errors = errors or lab.cfg.errors
-    return belief.particles(outcomes.prior_spread(errors.placement, errors.placement_angle), lab.cfg.places, lab.seed)
+def placements_of(lab: Lab) -> Particles:
+    """Places of an object in the lab's world."""
+    return places_about(lab.cfg.errors, lab.cfg.places, lab.seed)
 
 
-def imagine(lab: Lab, sites: Pool, places: Particles, skins: Sequence[outcomes.SkinMap], what: str) -> list[Outcome]:
-    """Outcomes on the lab's objects, with a bar."""
-    total = len(lab.surfaces) * len(sites.owner) * len(places.twist)
-    with tqdm(total=total, desc=f"{what}: imagining", unit="touch", unit_scale=True) as bar:
-        return tabulate(lab.surfaces, places.twist, sites.T_w_t, skins, lab.cfg.limits.past_goal, bar.update)
+def imagine(lab: Lab, sites: Pool, places: Particles, skins: Sequence[SkinMap], what: str) -> list[Outcome]:
+    """Outcomes on the lab's objects."""
+    return tabulate(lab.surfaces, places.twist, sites.T_w_t, skins, lab.cfg.limits.past_goal, what)
 
 
-def sit(lab: Lab, key: Array, sites: Pool, truth: np.ndarray, chosen: np.ndarray, what: str, **world: Any) -> Sitting:
+def sit(lab: Lab, key: Array, sites: Pool, truth: np.ndarray, chosen: np.ndarray, what: str, **world: Any) -> Episodes:
     """Simulated sittings at sites chosen beforehand, with a bar; `world` replaces parts of the lab's."""
     setting = Setting(lab.cfg.errors, lab.cfg.limits, chosen.shape[1])
     surfaces = world.pop("surfaces", lab.surfaces)
     pad = world.pop("pad", lab.pad)
     sitting = Sitting(key, surfaces, truth, sites, pad, replace(setting, **world))
     with tqdm(total=chosen.size, desc=f"{what}: touching", unit="touch") as bar:
-        sitting.touch(chosen, bar.update)
-    return sitting
+        sitting.touch(chosen, bar)
+    return sitting.episodes()
 
 
 def shown(estimate: scores.Estimate) -> str:

@@ -5,11 +5,10 @@ reads (`i2t.calibrate.physics`), and what the fitted pad would feel on the train
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from experiments.recognition import beliefs, pool, random_sites
+from experiments.recognition import by_evidence, pool, random_sites
 from experiments.studies.lab import Lab, imagine, placements_of, sit
 from i2t.boards import reskin
 from i2t.calibrate.physics import Tip, fit_pad
@@ -38,18 +37,12 @@ def play(lab: Lab) -> dict[str, Any]:
     tables = imagine(lab, sites, places, [each.skin for each in learnt.values()], "new pad")
     truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
     chosen = random_sites(key_site, sites, len(truth), lab.cfg.touches)
-    episodes = sit(lab, key_play, sites, truth, chosen, "new pad", pad=other).episodes()
+    episodes = sit(lab, key_play, sites, truth, chosen, "new pad", pad=other)
     found: dict[str, Any] = {"truth": truth}
     for (name, each), table in zip(learnt.items(), tables, strict=True):
-        for evidence, spatial in (("fused", 1.0), ("tactile only", 0.0)):
-            like = each.like._replace(spatial=jnp.float32(spatial))
-            p, _ = beliefs(jax.device_put(table), jnp.asarray(chosen), episodes.measured, like, places)
-            found[f"{evidence}, {name}"] = np.asarray(p)
-    position = lab.learnt.like._replace(tactile=jnp.float32(0.0))
-    found["position only"] = np.asarray(
-        beliefs(jax.device_put(tables[0]), jnp.asarray(chosen), episodes.measured, position, places)[0]
-    )
-    return found
+        told = by_evidence(table, episodes, each.like, places, ("fused", "tactile only"))
+        found |= {f"{kind}, {name}": p for kind, p in told.items()}
+    return found | by_evidence(tables[0], episodes, lab.learnt.like, places, ("position only",))
 
 
 def press_and_fit(key: Array, pad: Pad, n: int) -> Pad:

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from experiments import plots
 from experiments import recognition_figures as drawing
 from experiments import recognition_scores as scores
-from experiments.recognition import Pool, Setting, Sitting, pool
+from experiments.recognition import Pool, Setting, Sitting, pool, telling
 from experiments.recognition_scores import plain
 from experiments.studies.lab import Lab, imagine, placements_of, shown
 from i2t import belief, ensemble, policy
@@ -59,13 +59,11 @@ def play_policy(
         elif name == "heuristic":
             site = heuristic_touches(keys, now, telling, jnp.asarray(spent), step)
         else:
-            site = jax.vmap(lambda k, s: jax.random.categorical(k, jnp.where(s, -jnp.inf, 0.0)))(
-                keys, jnp.asarray(spent)
-            )
+            site = jax.vmap(jax.random.categorical)(keys, jnp.where(jnp.asarray(spent), -jnp.inf, 0.0))
         site = np.asarray(site)
         spent[np.arange(len(truth)), site] = True
-        measured = sitting.touch(site[:, None])
-        last = jax.tree.map(lambda x: x[:, -1], measured)
+        sitting.touch(site[:, None])
+        last = jax.tree.map(lambda x: x[:, -1], sitting.measured())
         now, p = advance(now, jnp.asarray(site), last, table, lab.learnt.like)
         after.append(np.asarray(p))
     return np.stack(after, axis=1)
@@ -97,15 +95,10 @@ def next_touches(keys: Array, now: Belief, table: Outcome, like: Likelihood, spe
 
 
 def telling_weights(sites: Pool) -> Array:
-    """The heuristic's probability of each object's own sites, (objects, sites)."""
-    objects_count = int(sites.owner.max()) + 1
-    T = sites.T_w_t.reshape(objects_count, -1, 4, 4)
-    own = jax.vmap(lambda o: ensemble.telling(T[..., :3, 3], -T[..., :3, 2], jnp.ones(T.shape[:2], bool), o))(
-        jnp.arange(objects_count)
-    )
-    return jnp.stack(
-        [jnp.zeros(len(sites.owner)).at[jnp.asarray(sites.owner == o)].set(own[o]) for o in range(len(own))]
-    )
+    """The heuristic's probability of every site, (objects, sites): 0 for those of other objects."""
+    own = telling(sites)
+    mine = sites.owner[None] == np.arange(len(own))[:, None]
+    return jnp.where(mine, own.reshape(1, -1), 0.0)
 
 
 @jax.jit
@@ -129,21 +122,17 @@ def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
     touches = next(iter(p.values())).shape[1]
     first = {name: scores.sure_at(each) for name, each in p.items()}
     result: dict[str, Any] = {"sittings": len(truth), "policies": {}, "saved": {}}
+    curves = {name: scores.accuracy(each, truth) for name, each in p.items()}
     for name, each in p.items():
-        result["policies"][name] = {
-            "accuracy": plain(scores.accuracy(each, truth)),
-            "mean": plain(scores.mean_accuracy(each, truth)),
-            "until_95": plain(scores.until(first[name], touches)),
-        }
-        until = scores.until(first[name], touches)
-        print(f"{name:12} {shown(scores.mean_accuracy(each, truth))} mean accuracy, {shown(until.mean)} touches until "
-              f"95 % sure (restricted to {touches}), never {float(until.never.mean):.2f}")  # fmt: skip
+        mean, until = scores.mean_accuracy(each, truth), scores.until(first[name], touches)
+        result["policies"][name] = {"accuracy": plain(curves[name]), "mean": plain(mean), "until_95": plain(until)}
+        print(f"{name:12} {shown(mean)} mean accuracy, {shown(until.mean)} touches until 95 % sure "
+              f"(restricted to {touches}), never {float(until.never.mean):.2f}")  # fmt: skip
     for other in ("random", "heuristic"):
         saved = scores.saved(first["information"], first[other], touches)
         result["saved"][other] = plain(saved)
         print(f"information needs {shown(saved)} fewer touches than {other}")
     unsure = {name: scores.unsure(values, touches) for name, values in first.items()}
     plots.save(drawing.until_sure(unsure, "Touches until 95 % sure", True), out / "until_sure.png")
-    curves = {name: scores.accuracy(each, truth) for name, each in p.items()}
     plots.save(drawing.accuracy(curves, "Accuracy of each policy", True), out / "accuracy.png")
     return result

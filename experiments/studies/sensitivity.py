@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.recognition import beliefs, pool, random_sites
+from experiments.recognition import by_evidence, pool, random_sites
 from experiments.studies.lab import Lab, imagine, sit
 from i2t import belief, outcomes
 from i2t.belief import Particles
@@ -46,11 +46,9 @@ def play(lab: Lab) -> dict[str, Any]:
             tables[spread] = (places, imagine(lab, sites, places, [lab.learnt.skin], name)[0])
         places, table = tables[spread]
         limits = replace(lab.cfg.limits, skin_change=stop)
-        episodes = sit(lab, key_play, sites, truth, chosen, name, errors=errors, limits=limits).episodes()
-        like = lab.learnt.like
+        episodes = sit(lab, key_play, sites, truth, chosen, name, errors=errors, limits=limits)
         wider = errors.noise.xy / base.noise.xy if errors.noise.xy > base.noise.xy else 1.0
-        for evidence, spatial in (("fused", 1.0), ("tactile only", 0.0)):
-            used = like._replace(spatial=jnp.float32(spatial), inflation=like.inflation * jnp.float32(wider))
-            p, _ = beliefs(jax.device_put(table), jnp.asarray(chosen), episodes.measured, used, places)
-            found[f"{evidence}, {name}"] = np.asarray(p)
+        like = lab.learnt.like._replace(inflation=lab.learnt.like.inflation * jnp.float32(wider))
+        told = by_evidence(table, episodes, like, places, ("fused", "tactile only"))
+        found |= {f"{kind}, {name}": p for kind, p in told.items()}
     return found

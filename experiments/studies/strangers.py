@@ -11,10 +11,10 @@ import numpy as np
 from experiments import plots
 from experiments import recognition_figures as drawing
 from experiments import recognition_scores as scores
-from experiments.recognition import beliefs, pool, random_sites, surfaces_of
+from experiments.recognition import beliefs, places_about, pool, random_sites, surfaces_of
 from experiments.recognition_scores import plain
 from experiments.studies.lab import Lab, imagine, placements_of, sit
-from i2t import belief, objects, outcomes
+from i2t import objects
 
 STRANGERS = ("hexagon", "parallelogram", "flower", "cross", "spanner", "pliers", "marker", "scissors")
 DECOYS = 24  # random objects whose touches stand for all that is not known
@@ -35,9 +35,7 @@ def play(lab: Lab) -> dict[str, Any]:
     places = placements_of(lab)
     (table,) = imagine(lab, sites, places, [lab.learnt.skin], "open")
     others = lab._replace(surfaces=surfaces[known + len(strangers) :])
-    few = belief.particles(
-        outcomes.prior_spread(lab.cfg.errors.placement, lab.cfg.errors.placement_angle), DECOY_PLACES, lab.seed
-    )
+    few = places_about(lab.cfg.errors, DECOY_PLACES, lab.seed)
     (background,) = imagine(others, sites, few, [lab.learnt.skin], "none of these")
     background = jax.tree.map(lambda x: x.reshape(len(x), -1, *x.shape[3:]), background)
     rng = np.random.default_rng(lab.seed)
@@ -45,11 +43,10 @@ def play(lab: Lab) -> dict[str, Any]:
     strange = rng.integers(known, known + len(strangers), len(truth))
     everything = np.concatenate([truth, strange])
     chosen = random_sites(key_site, sites, len(everything), lab.cfg.touches)
-    sitting = sit(
-        lab, key_play, sites, everything, chosen, "open", surfaces=surfaces[: known + len(strangers)]
-    ).episodes()
+    played = surfaces[: known + len(strangers)]
+    episodes = sit(lab, key_play, sites, everything, chosen, "open", surfaces=played)
     p, none = beliefs(
-        jax.device_put(table), jnp.asarray(chosen), sitting.measured, lab.learnt.like, places,
+        jax.device_put(table), jnp.asarray(chosen), episodes.measured, lab.learnt.like, places,
         jax.device_put(background), unknown=0.5,
     )  # fmt: skip
     return {"truth": np.where(everything < known, everything, -1), "p": np.asarray(p), "none": np.asarray(none)}

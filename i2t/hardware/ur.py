@@ -31,7 +31,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
-from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any, Literal, NamedTuple
@@ -39,6 +38,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from i2t.hardware.limits import Limits, place
 from i2t.hardware.protocols import ArmFeatures, ArmState, DeviceError, NotConnected, Silent
 from i2t.types import Array
 
@@ -65,25 +65,6 @@ VARIABLES = [
 
 class Stopped(DeviceError):
     """A motion ended because somebody called `stop`."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What no motion may exceed; anything else is refused before a packet is sent."""
-
-    lower: tuple[float, float, float]  # m, corner of the box for the tool's origin, base axes
-    upper: tuple[float, float, float]  # m
-    speed: float = 0.25  # m/s
-    acceleration: float = 0.5  # m/s^2
-    force: float = 30.0  # N, on any motion; an approach has its own, lower one
-    torque: float = 10.0  # Nm
-
-    def __post_init__(self) -> None:
-        if not all(low < high for low, high in zip(self.lower, self.upper, strict=True)):
-            raise ValueError(f"The box's lower corner {self.lower} must lie below its upper corner {self.upper}.")
-        for name in ("speed", "acceleration", "force", "torque"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ValueError(f"The limit {name} must be positive, not {getattr(self, name)}.")
 
 
 class Approach(NamedTuple):
@@ -347,7 +328,7 @@ class UR:
         """
         speed = self.limits.speed if speed is None else speed
         acceleration = self.limits.acceleration if acceleration is None else acceleration
-        self._check(T_b_t, speed, acceleration)
+        self.limits.check(T_b_t, speed, acceleration)
         self._begin(T_b_t, speed, acceleration, self.limits.force, self.limits.torque, False)
         return from_ur(to_ur(T_b_t))
 
@@ -376,7 +357,7 @@ class UR:
         """Move straight to a (4, 4) pose and return the state at rest; raises DeviceError if it ends elsewhere."""
         speed = self.limits.speed if speed is None else speed
         acceleration = self.limits.acceleration if acceleration is None else acceleration
-        self._check(T_b_t, speed, acceleration)
+        self.limits.check(T_b_t, speed, acceleration)
         with self._standing_at_the_end():
             begun = self._begin(T_b_t, speed, acceleration, self.limits.force, self.limits.torque, False)
             for state in self._follow(*begun):
@@ -408,12 +389,14 @@ class UR:
         """
         if not 0 < travel < np.inf:
             raise ValueError(f"An approach must travel some way forward, not {travel} m.")
+        if travel > self.limits.travel:
+            raise ValueError(f"An approach of {travel} m exceeds the arm's limit, {self.limits.travel} m.")
         if not 0 < force <= self.limits.force or not 0 < torque <= self.limits.torque:
             raise ValueError(f"An approach up to {force} N and {torque} Nm exceeds the arm's limits.")
         start = self.state().T_b_t
         goal = start.copy()
         goal[:3, 3] += travel * goal[:3, 2]
-        self._check(goal, speed, acceleration)
+        self.limits.check(goal, speed, acceleration)
         reason: Any = "travel"
         said: Any = None
         with self._standing_at_the_end():
@@ -469,9 +452,8 @@ class UR:
             self.stop()
             stops = self._stops
         at = start.T_b_t[:3, 3]
-        box = self.features.box
-        if (at < box[0] - REACHED[0]).any() or (at > box[1] + REACHED[0]).any():
-            raise DeviceError(f"The tool at {_place(at)} m is outside its box: bring it back with the pendant.")
+        if not self.limits.hold(at, REACHED[0]):
+            raise DeviceError(f"The tool at {place(at)} m is outside its box: bring it back with the pendant.")
 
         if not watched:  # a way out of a contact must not be barred
             felt = np.linalg.norm(start.wrench.reshape(2, 3), axis=1)
@@ -501,19 +483,6 @@ class UR:
         turn = Rotation.from_matrix(goal[:3, :3] @ start.T_b_t[:3, :3].T).magnitude()
         length = max(float(np.linalg.norm(goal[:3, 3] - at)), LEVER * turn)
         return 2 * (length / speed + speed / acceleration) + 2.0, stops
-
-    def _check(self, goal: Array, speed: float, acceleration: float) -> None:
-        pose = np.asarray(goal, float)
-        if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.allclose(pose[3], [0, 0, 0, 1]):
-            raise ValueError("A goal must be a finite (4, 4) transform of the tool in the robot's base.")
-        turned, at, box = pose[:3, :3], pose[:3, 3], self.features.box
-        if not np.allclose(turned @ turned.T, np.eye(3), atol=1e-5) or np.linalg.det(turned) < 0:
-            raise ValueError("A goal's rotation must be a rotation: orthonormal and right-handed.")
-        if (at < box[0]).any() or (at > box[1]).any():
-            raise ValueError(f"The goal {_place(at)} m is outside the box from {_place(box[0])} to {_place(box[1])} m.")
-        for name, asked in (("speed", speed), ("acceleration", acceleration)):
-            if not 0 < asked <= getattr(self.limits, name):
-                raise ValueError(f"The {name} {asked} is outside (0, {getattr(self.limits, name)}], the arm's limit.")
 
     def _usable(self, stops: int) -> _News:
         """The news, if a motion may start or go on; `stops` is how often `stop` had been called before."""
@@ -670,10 +639,6 @@ def _arrived(state: ArmState, goal: Array) -> None:
     turn = Rotation.from_matrix(goal[:3, :3] @ state.T_b_t[:3, :3].T).magnitude()
     if off > REACHED[0] or turn > REACHED[1]:
         raise DeviceError(f"The motion ended {1e3 * off:.1f} mm and {np.degrees(turn):.1f} degrees off its goal.")
-
-
-def _place(at: Array) -> str:
-    return "(" + ", ".join(f"{x:.3f}" for x in at) + ")"
 
 
 def _disconnect(connection: Any) -> None:

@@ -1,0 +1,296 @@
+"""A lab's calibration: where everything is and what may never be exceeded, in one TOML file that people can read.
+
+    python -m i2t.hardware.rig lab.toml --example    # write one to start from
+    python -m i2t.hardware.rig lab.toml              # check it and say what it means
+
+Frames: W world (z up, its origin on the table), B robot base, F flange, T tool (the skin: origin at its centre, z out
+of it), C camera (z forward), O object; `T_a_b` maps points in b to a. Metres, kilograms, newtons. A file holds every
+pose as the four rows of its matrix; what is missing, unknown, not rigid or out of range is refused in one sentence.
+"""
+
+import difflib
+import math
+import os
+import sys
+import tomllib
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from i2t.cameras import Camera
+from i2t.hardware.limits import Limits, place
+from i2t.types import RIGID, Array
+
+FOUND = ("given", "registration")  # how an object's pose is known
+HEAVIEST = 20.0  # kg, that a UR arm carries
+TOOL, ROOM = 0.5, 10.0  # m, the largest sensible tool and lab
+NEAREST, FARTHEST = 0.02, 2.0  # m, from which a camera may look
+ASKEW = math.radians(60)  # between the camera's axis and the tool's, beyond which it cannot see what is touched
+
+COMMENTS = {
+    "tool": "the skin (T: origin at its centre, z out of it) on the flange, and what the flange carries (kg, m)",
+    "camera": "the camera in the tool, how far from a surface it looks (m), and its depth image's lens (pixels)",
+    "world": "the robot's base and the object in the world (m); object_from: given or registration",
+    "limits": "box for the tool's origin in the base (m), m/s, m/s^2, N, Nm, and the longest approach (m)",
+}
+
+
+def _pose(x: float, y: float, z: float) -> Array:
+    pose = np.eye(4)
+    pose[:3, 3] = x, y, z
+    return pose
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """What is where and how far it may go. The defaults describe the stand-ins and the simulation, no lab.
+
+    Raises ValueError, with one sentence that names the field, for values that cannot be.
+    """
+
+    T_flange_tool: Array = field(default_factory=lambda: _pose(0.0, 0.0, 0.05))  # (4, 4), the robot's TCP
+    mass: float = 0.5  # kg, of all that the flange carries
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.03)  # m, its centre of mass in the flange
+    T_tool_camera: Array = field(default_factory=lambda: _pose(0.0, 0.0, -0.064))  # the paper's: 64 mm behind the skin
+    looking_distance: float = 0.104  # m from the camera to the surface it looks at
+    camera: Camera = Camera(640, 360, 322.4, 322.1, 319.5, 179.5)
+    T_world_base: Array = field(default_factory=lambda: _pose(-0.4, 0.0, 0.0))
+    T_world_object: Array = field(default_factory=lambda: np.eye(4))
+    object_from: str = "given"  # or registration: the pose is where registering its depth starts from
+    limits: Limits = Limits((0.25, -0.15, 0.005), (0.55, 0.15, 0.45))
+
+    def __post_init__(self) -> None:
+        for name, far in (
+            ("T_flange_tool", TOOL),
+            ("T_tool_camera", TOOL),
+            ("T_world_base", ROOM),
+            ("T_world_object", ROOM),
+        ):
+            object.__setattr__(self, name, _rigid(_key(name), getattr(self, name), far))
+        centre = _numbers("tool.centre", self.centre, (3,))
+        if np.abs(centre).max() > TOOL:
+            raise ValueError(f"tool.centre is {self.centre}; give x, y, z in m from the flange, each within {TOOL} m")
+        object.__setattr__(self, "centre", tuple(float(x) for x in centre))
+        for name, least, most, unit in (
+            ("mass", 0.0, HEAVIEST, "kg"),
+            ("looking_distance", NEAREST, FARTHEST, "m"),
+        ):
+            value = float(_numbers(_key(name), getattr(self, name), ()))
+            if not least <= value <= most:
+                raise ValueError(f"{_key(name)} is {value:g}; give {unit}, from {least:g} to {most:g}")
+            object.__setattr__(self, name, value)
+        if self.object_from not in FOUND:
+            raise ValueError(f"world.object_from is {self.object_from!r}; give one of {', '.join(FOUND)}")
+        if self.T_tool_camera[2, 2] < math.cos(ASKEW):
+            raise ValueError(
+                "camera.T_tool_camera turns the camera's axis more than 60 degrees away from the tool's, so it cannot "
+                "see what is touched; its columns are the camera's axes in the tool, and it may be the inverse"
+            )
+
+    @property
+    def T_tool_flange(self) -> Array:
+        """(4, 4) flange in tool."""
+        return inverse(self.T_flange_tool)
+
+    @property
+    def T_base_world(self) -> Array:
+        """(4, 4) world in base."""
+        return inverse(self.T_world_base)
+
+    @classmethod
+    def read(cls, path: str | Path) -> "Rig":
+        """The rig in a file; raises ValueError or FileNotFoundError, each one sentence."""
+        path = Path(path)
+        try:
+            tables = tomllib.loads(path.read_text("utf-8"))
+        except FileNotFoundError:
+            raise FileNotFoundError(
+                f"{path}: there is no such file; write one to start from with python -m i2t.hardware.rig {path} "
+                "--example"
+            ) from None
+        except OSError as error:
+            raise ValueError(f"{path}: cannot be read ({error.strerror}); check the path and its permissions") from error
+        except UnicodeDecodeError as error:
+            raise ValueError(f"{path}: is not text in UTF-8; give the rig's TOML file") from error
+        except tomllib.TOMLDecodeError as error:
+            raise ValueError(f"{path}: is not TOML ({error}); correct it there") from error
+        try:
+            return _parsed(tables)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+
+    def write(self, path: str | Path) -> None:
+        """Write it to a file, whole or not at all; raises OSError."""
+        path = Path(path)
+        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+        try:
+            with temporary.open("w", encoding="utf-8") as file:
+                file.write(self.text())
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+    def text(self) -> str:
+        """It as TOML."""
+        lines = ["# A rig of i2t: T_a_b maps points in b to a, as the four rows of its matrix."]
+        for table, keys in _tables().items():
+            lines += ["", f"# {COMMENTS[table]}", f"[{table}]"]
+            values = self._values(table)
+            lines += [f"{key} = {_toml(values[key])}" for key in keys]
+        return "\n".join(lines) + "\n"
+
+    def _values(self, table: str) -> dict[str, Any]:
+        if table == "limits":
+            return asdict(self.limits)
+        own = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {**asdict(self.camera), **own} if table == "camera" else own
+
+
+def inverse(T_a_b: Array) -> Array:
+    """T_b_a of a rigid (4, 4) T_a_b."""
+    T_b_a = np.eye(4)
+    T_b_a[:3, :3] = T_a_b[:3, :3].T
+    T_b_a[:3, 3] = -T_a_b[:3, :3].T @ T_a_b[:3, 3]
+    return T_b_a
+
+
+def _tables() -> dict[str, list[str]]:
+    """The keys of each table of a file, in order."""
+    return {
+        "tool": ["T_flange_tool", "mass", "centre"],
+        "camera": ["T_tool_camera", "looking_distance", *(each.name for each in fields(Camera))],
+        "world": ["T_world_base", "T_world_object", "object_from"],
+        "limits": [each.name for each in fields(Limits)],
+    }
+
+
+def _key(name: str) -> str:
+    return next(f"{table}.{name}" for table, keys in _tables().items() if name in keys)
+
+
+def _parsed(tables: dict[str, Any]) -> Rig:
+    known = _tables()
+    _known("table", tables, list(known))
+    for table, keys in known.items():
+        if not isinstance(tables.get(table), dict):
+            raise ValueError(f"[{table}] is missing; add that table, with {COMMENTS[table]}")
+        _known(f"key of [{table}]", tables[table], keys)
+        optional = {each.name for each in fields(Limits)[2:]} | {"model", "coefficients", "object_from"}
+        missing = [key for key in keys if key not in tables[table] and key not in optional]
+        if missing:
+            raise ValueError(f"{table}.{missing[0]} is missing; add it to [{table}]: {COMMENTS[table]}")
+    lens = {each.name for each in fields(Camera)}
+    camera = {key: value for key, value in tables["camera"].items() if key in lens}
+    own = {key: value for key, value in tables["camera"].items() if key not in lens}
+    for key, value in camera.items():
+        if key == "coefficients":
+            camera[key] = tuple(_numbers(f"camera.{key}", value, (len(value),) if isinstance(value, list) else (0,)))
+        elif key != "model":
+            _numbers(f"camera.{key}", value, ())
+    for key, value in tables["limits"].items():
+        _numbers(f"limits.{key}", value, (3,) if key in ("lower", "upper") else ())
+    try:
+        limits = Limits(**tables["limits"])
+    except ValueError as error:
+        raise ValueError(f"limits.{error}") from error
+    return Rig(**tables["tool"], **own, **tables["world"], camera=Camera(**camera), limits=limits)
+
+
+def _known(what: str, given: dict[str, Any], known: list[str]) -> None:
+    for key in given:
+        if key not in known:
+            close = difflib.get_close_matches(key, known, 1, 0.5)
+            remedy = f"is it {close[0]}?" if close else f"known are {', '.join(known)}"
+            raise ValueError(f"{key!r} is no {what}; {remedy}")
+
+
+def _numbers(key: str, value: Any, shape: tuple[int, ...]) -> Array:
+    """An array of numbers of a shape, or a sentence that says what is wrong with it."""
+    wanted = " x ".join(str(n) for n in shape) + " numbers" if shape else "one number"
+    try:
+        array = np.array(value)
+    except ValueError:
+        array = np.array(None)
+    if array.dtype.kind not in "iuf" or array.shape != shape:
+        shown = " x ".join(str(n) for n in array.shape) if array.dtype.kind in "iuf" and array.shape else repr(value)
+        raise ValueError(f"{key} is {shown}; give {wanted}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{key} holds NaN or infinity; measure it again, or take an older file's value")
+    return array.astype(float)
+
+
+def _rigid(key: str, value: Any, far: float) -> Array:
+    T = _numbers(key, value, (4, 4))
+    if not np.array_equal(T[3], [0, 0, 0, 1]):
+        hint = "it is transposed" if np.array_equal(T[:, 3], [0, 0, 0, 1]) else "write [0, 0, 0, 1]"
+        raise ValueError(f"{key} has the last row {T[3].tolist()}; {hint}")
+    if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > RIGID:
+        raise ValueError(f"{key} holds no rotation: its columns are not orthonormal; copy it with six digits or more")
+    if np.linalg.det(T[:3, :3]) < 0:
+        raise ValueError(f"{key} holds a reflection: an axis has the wrong sign; make z the cross product of x and y")
+    if np.abs(T[:3, 3]).max() > far:
+        raise ValueError(f"{key} lies {np.abs(T[:3, 3]).max():g} m away; give metres, each within {far:g} m")
+    u, _, vt = np.linalg.svd(T[:3, :3])
+    T[:3, :3] = u @ vt  # rounded digits are no part of a rotation
+    T.flags.writeable = False
+    return T
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, int | np.integer):
+        return str(int(value))
+    if np.ndim(value) == 2:
+        return "[\n" + "".join(f"  {_toml(row)},\n" for row in value) + "]"
+    if np.ndim(value) == 1:
+        return "[" + ", ".join(_toml(each) for each in value) + "]"
+    return repr(float(value))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit code."""
+    import argparse
+
+    parser = argparse.ArgumentParser("python -m i2t.hardware.rig", description=__doc__.split("\n\n")[0])
+    parser.add_argument("file", type=Path, help="the lab's calibration")
+    parser.add_argument("--example", action="store_true", help="write that of the stand-ins, to start from")
+    asked = parser.parse_args(arguments)
+    try:
+        if asked.example and asked.file.exists():
+            raise FileExistsError(f"{asked.file}: exists already; give another name")
+        if asked.example:
+            Rig().write(asked.file)
+        print(summary(Rig.read(asked.file)))
+    except (OSError, ValueError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+def summary(rig: Rig) -> str:
+    """What a rig means, for a person to compare with what stands on the table."""
+    at, limits = (1e3 * rig.T_tool_camera[:3, 3]), rig.limits
+    apart = math.degrees(math.acos(min(1.0, rig.T_tool_camera[2, 2])))
+    in_box = limits.hold((rig.T_base_world @ rig.T_world_object)[:3, 3], 0.05)
+    return "\n".join(
+        [
+            f"skin      {1e3 * np.linalg.norm(rig.T_flange_tool[:3, 3]):.1f} mm from the flange; payload {rig.mass:g} "
+            f"kg at {np.round(1e3 * np.array(rig.centre), 1).tolist()} mm",
+            f"camera    {at.round(1).tolist()} mm from the skin in its axes, {apart:.1f} degrees askew; looks from "
+            f"{1e3 * rig.looking_distance:.0f} mm; {rig.camera.width} x {rig.camera.height} pixels",
+            f"object    at {place(rig.T_world_object[:3, 3])} m in the world ({rig.object_from})"
+            + ("" if in_box else "; OUTSIDE the box: nothing on it may be reachable"),
+            f"box       {place(limits.lower)} to {place(limits.upper)} m in the base",
+            f"limits    {limits.speed:g} m/s, {limits.acceleration:g} m/s^2, {limits.force:g} N, {limits.torque:g} Nm, "
+            f"approaches of {1e3 * limits.travel:g} mm",
+        ]
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
