@@ -7,11 +7,26 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in experiments.train
 
+# What one worker, or a command that a test starts, has compiled need not be compiled by the next. The size is bounded
+# because only then does JAX lock the folder, and workers share it.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "compiled"))
+os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(4 * 2**30))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+
 import jax
 import pytest
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_debug_key_reuse", True)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _let_compiled_code_go():
+    """Forgets what a module compiled: kept for the whole suite, it exhausts the memory maps that one process may have,
+    and the compiler then crashes.
+    """
+    yield
+    jax.clear_caches()
 
 
 @pytest.fixture(scope="session")
