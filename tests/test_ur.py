@@ -26,7 +26,7 @@ from i2t.hardware.ur import BRAKE, UR, Limits, Stopped, from_ur, to_ur
 from i2t.stand_ins import motion, rtde, ur_controller
 from i2t.stand_ins.ur_controller import TICK, ask
 
-LIMITS = Limits((0.2, -0.3, 0.1), (0.6, 0.3, 0.5))
+LIMITS = Limits((0.2, -0.3, 0.1), (0.6, 0.3, 0.5), travel=0.3)
 STALE, WATCHDOG = 0.5, 4.0  # s, Hz: a machine that is busy with other tests is not a fault
 numbers = itertools.count(1)
 
@@ -137,7 +137,7 @@ def test_limits_and_an_arm_say_what_they_are_before_connecting():
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
     with pytest.raises(ValueError, match="must lie below"):
         Limits((0.0, 0.0, 0.0), (1.0, 0.0, 1.0))
-    with pytest.raises(ValueError, match="speed must be positive"):
+    with pytest.raises(ValueError, match="speed is 0; give m/s"):
         Limits((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), speed=0.0)
     arm = connected("127.0.0.1")
     assert isinstance(arm, Arm)
@@ -193,6 +193,8 @@ def test_moves_reach_their_goal_no_faster_than_asked_and_never_leave_the_box(sta
                     ask_for(goal, **options)
         with pytest.raises(ValueError, match="outside the box"):
             arm.approach(0.25)
+        with pytest.raises(ValueError, match="exceeds"):
+            arm.approach(0.31)
         with pytest.raises(ValueError, match="exceeds"):
             arm.approach(0.01, force=50.0)
         assert status(host)["commands"] == commands  # nothing was sent

@@ -39,7 +39,9 @@ class Limits:
                 raise ValueError(f"{name} is {getattr(self, name)}; give x, y, z in m, each within {REACH:g} m")
             object.__setattr__(self, name, tuple(float(x) for x in corner))
         if not all(low < high for low, high in zip(self.lower, self.upper, strict=True)):
-            raise ValueError(f"lower, {self.lower}, must lie below upper, {self.upper}, in x, y and z; move the corners")
+            raise ValueError(
+                f"lower, {self.lower}, must lie below upper, {self.upper}, in x, y and z; move the corners"
+            )
         for name, (most, unit) in RANGES.items():
             given = getattr(self, name)
             if not 0 < given <= most:

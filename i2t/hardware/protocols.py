@@ -165,7 +165,7 @@ class CameraFeatures(NamedTuple):
     """What is known of a depth camera before it is connected."""
 
     name: str
-    source: str  # real, simulated or folder
+    source: str  # real, emulated, simulated or folder
     nearest: float  # m, below which it measures nothing
     rate: float  # Hz, nominal
 

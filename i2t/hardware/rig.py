@@ -55,11 +55,11 @@ class Rig:
     centre: tuple[float, float, float] = (0.0, 0.0, 0.03)  # m, its centre of mass in the flange
     T_tool_camera: Array = field(default_factory=lambda: _pose(0.0, 0.0, -0.064))  # the paper's: 64 mm behind the skin
     looking_distance: float = 0.104  # m from the camera to the surface it looks at
-    camera: Camera = Camera(640, 360, 322.4, 322.1, 319.5, 179.5)
+    camera: Camera = field(default_factory=lambda: Camera(640, 360, 322.4, 322.1, 319.5, 179.5))
     T_world_base: Array = field(default_factory=lambda: _pose(-0.4, 0.0, 0.0))
     T_world_object: Array = field(default_factory=lambda: np.eye(4))
     object_from: str = "given"  # or registration: the pose is where registering its depth starts from
-    limits: Limits = Limits((0.25, -0.15, 0.005), (0.55, 0.15, 0.45))
+    limits: Limits = field(default_factory=lambda: Limits((0.25, -0.15, 0.005), (0.55, 0.15, 0.45)))
 
     def __post_init__(self) -> None:
         for name, far in (
@@ -111,7 +111,9 @@ class Rig:
                 "--example"
             ) from None
         except OSError as error:
-            raise ValueError(f"{path}: cannot be read ({error.strerror}); check the path and its permissions") from error
+            raise ValueError(
+                f"{path}: cannot be read ({error.strerror}); check the path and its permissions"
+            ) from error
         except UnicodeDecodeError as error:
             raise ValueError(f"{path}: is not text in UTF-8; give the rig's TOML file") from error
         except tomllib.TOMLDecodeError as error:
@@ -183,21 +185,32 @@ def _parsed(tables: dict[str, Any]) -> Rig:
         missing = [key for key in keys if key not in tables[table] and key not in optional]
         if missing:
             raise ValueError(f"{table}.{missing[0]} is missing; add it to [{table}]: {COMMENTS[table]}")
-    lens = {each.name for each in fields(Camera)}
-    camera = {key: value for key, value in tables["camera"].items() if key in lens}
-    own = {key: value for key, value in tables["camera"].items() if key not in lens}
-    for key, value in camera.items():
-        if key == "coefficients":
-            camera[key] = tuple(_numbers(f"camera.{key}", value, (len(value),) if isinstance(value, list) else (0,)))
-        elif key != "model":
-            _numbers(f"camera.{key}", value, ())
-    for key, value in tables["limits"].items():
-        _numbers(f"limits.{key}", value, (3,) if key in ("lower", "upper") else ())
+    values = {table: {key: _value(f"{table}.{key}", tables[table][key]) for key in tables[table]} for table in known}
+    camera = {key: values["camera"].pop(key) for key in known["camera"][2:] if key in values["camera"]}
     try:
-        limits = Limits(**tables["limits"])
+        limits = Limits(**values["limits"])
     except ValueError as error:
         raise ValueError(f"limits.{error}") from error
-    return Rig(**tables["tool"], **own, **tables["world"], camera=Camera(**camera), limits=limits)
+    return Rig(**values["tool"], **values["camera"], **values["world"], camera=Camera(**camera), limits=limits)
+
+
+def _value(key: str, value: Any) -> Any:
+    """What a key of a file holds, as the type that it must be."""
+    name = key.split(".")[1]
+    if name in ("model", "object_from"):
+        if not isinstance(value, str):
+            raise ValueError(f"{key} is {value!r}; give a word in quotes")
+        return value
+    if name == "coefficients":
+        return tuple(_numbers(key, value, (len(value) if isinstance(value, list) else 1,)).tolist())
+    if name in ("width", "height"):
+        whole = float(_numbers(key, value, ()))
+        if not whole.is_integer():
+            raise ValueError(f"{key} is {value}; give whole pixels")
+        return int(whole)
+    shape = (4, 4) if name.startswith("T_") else (3,) if name in ("centre", "lower", "upper") else ()
+    array = _numbers(key, value, shape)
+    return array if shape == (4, 4) else tuple(array.tolist()) if shape else float(array)
 
 
 def _known(what: str, given: dict[str, Any], known: list[str]) -> None:
