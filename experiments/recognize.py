@@ -108,7 +108,7 @@ class Args:
     objects: tuple[Path, ...] = ()  # mesh files to tell apart, in place of the catalogue's
     unit: str | None = None  # of those files, for instance mm
     dataset: Path | None = None  # recorded touches to replay; its objects are the catalogue's or those of --objects
-    sittings: int | None = None  # of each object, for each pad and seed; twice as many in the paper's sets
+    sittings: int | None = None  # of each object, for each pad and seed; six times as many in the paper's sets
     seed: int = 0
     resume: bool = False  # go on with an unfinished run in --out
     overwrite: bool = False  # replace a finished or unfinished run in --out
@@ -125,7 +125,7 @@ def run(args: Args) -> dict[str, Any]:
     cfg = PRESETS[args.preset]
     if args.sittings is not None:
         n = args.sittings
-        cfg = replace(cfg, sittings=n, paper_sittings=2 * n, validation_sittings=n)
+        cfg = replace(cfg, sittings=n, paper_sittings=6 * n, validation_sittings=n)
     folders = finished_runs(args.run)
     begin(args.out, args, cfg, args.resume, args.overwrite)
     parts = []
