@@ -10,11 +10,11 @@ import numpy as np
 from experiments import plots
 from experiments import recognition_figures as drawing
 from experiments import recognition_scores as scores
-from experiments.recognition import Episodes
+from experiments.recognition import EVIDENCE, Episodes
 from experiments.recognition_scores import plain
 from experiments.runs import write_json
 from experiments.story import story
-from i2t.belief import Measured
+from i2t.belief import TEMPER, Measured, Temper, tempered
 from i2t.boards import reskin
 from i2t.objects import Mesh
 
@@ -69,9 +69,31 @@ def pooled(parts: Sequence[dict[str, Played]], name: str, method: str) -> tuple[
     return p.astype(np.float64), np.concatenate([part[name].truth for part in parts])
 
 
-def summarise(parts: Sequence[dict[str, Played]], out: Path, source: str) -> dict[str, Any]:
+def sobered(parts: Sequence[dict[str, Played]]) -> tuple[list[dict[str, Played]], dict[str, Temper]]:
+    """Beliefs no surer than they should be, and the temper of each: fitted to the validation objects of all seeds, or
+    that of earlier ones where there are none. The paper's rules stay as they are.
+    """
+    methods = [method for method in next(iter(parts[0].values())).believed if method.split(", ")[0] in EVIDENCE]
+    tempers = dict.fromkeys(methods, TEMPER)
+    if "validation" in parts[0]:
+        tempers = {method: scores.fit_temper(*pooled(parts, "validation", method)) for method in methods}
+    return [{name: _sober(played, tempers) for name, played in part.items()} for part in parts], tempers
+
+
+def _sober(played: Played, tempers: dict[str, Temper]) -> Played:
+    touches = np.arange(1, played.episodes.site.shape[1] + 1, dtype=np.float32)
+    found = {
+        method: np.asarray(tempered(p, np.broadcast_to(touches, p.shape[:-1]), tempers[method]))
+        if method in tempers
+        else p
+        for method, p in played.believed.items()
+    }
+    return played._replace(believed=found)
+
+
+def summarise(parts: Sequence[dict[str, Played]], tempers: dict[str, Temper], out: Path, source: str) -> dict[str, Any]:
     """Scores of every set over all seeds, written to metrics.json with figures beside it."""
-    result: dict[str, Any] = {"source": source, "seeds": len(parts), "sets": {}}
+    result: dict[str, Any] = {"source": source, "seeds": len(parts), "tempers": plain(tempers), "sets": {}}
     for name, first in parts[0].items():
         entry: dict[str, Any] = {"objects": list(first.names), "methods": {}}
         for method in first.believed:
@@ -179,12 +201,16 @@ def report(result: dict[str, Any]) -> None:
 def extras(result: dict[str, Any]) -> None:
     """Print how sure the belief may be: stopping and conformal sets."""
     entry = result["sets"].get("all", next(iter(result["sets"].values())))
-    for stop in entry["methods"]["fused"]["stopping"]:
+    fused = entry["methods"]["fused"]
+    for stop in fused["stopping"]:
         print(
-            f"stop at an error of {stop['asked']:.0%}: {stop['error']['mean']:.3f} [{stop['error']['low']:.3f}, "
-            f"{stop['error']['high']:.3f}] wrong where the belief says {stop['promised']:.3f}, after "
-            f"{stop['touches']['mean']:.1f} touches"
+            f"stop at an error of {stop['asked']:.0%}: {_range(stop['error'])} wrong where the belief says "
+            f"{stop['promised']:.3f}, after {stop['touches']['mean']:.1f} touches; of the "
+            f"{stop['stopped']['mean']:.0%} that stopped {_range(stop['stopped_error'])} where it says "
+            f"{stop['stopped_promised']:.3f}"
         )
+    for name in ("calibration_error", "log_loss", "brier"):
+        print(f"{name.replace('_', ' ')} after each touch: " + " ".join(f"{x:.3f}" for x in fused[name]))
     if "conformal 90 %" in result:
         coverage, size = result["conformal 90 %"]["coverage"]["mean"], result["conformal 90 %"]["size"]["mean"]
         rates = [f"{c:.3f} ({n:.1f})" for c, n in zip(coverage, size, strict=True)]
@@ -209,6 +235,10 @@ def _rates(accuracy: dict[str, Any], columns: Sequence[int]) -> str:
     return "".join(
         f"{accuracy['mean'][t - 1]:6.3f} [{accuracy['low'][t - 1]:.2f}, {accuracy['high'][t - 1]:.2f}]" for t in columns
     )
+
+
+def _range(estimate: dict[str, float]) -> str:
+    return f"{estimate['mean']:.3f} [{estimate['low']:.3f}, {estimate['high']:.3f}]"
 
 
 def _signed(estimate: dict[str, float]) -> str:

@@ -10,7 +10,11 @@ here is differentiated.
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import optimize, stats
+from scipy.special import logsumexp
+
+from i2t import belief
+from i2t.belief import Temper
 
 LEVEL = 0.95
 RESAMPLES = 1000
@@ -175,6 +179,21 @@ class Reliability(NamedTuple):
     number: np.ndarray  # (b,) of decisions
     confidence: np.ndarray  # (b,) mean
     frequency: Estimate  # (b,) of right ones
+
+
+def fit_temper(p: np.ndarray, truth: np.ndarray) -> Temper:
+    """The temperature with which these beliefs would have had the least log loss over all touches."""
+    touches = np.arange(1, p.shape[1] + 1, dtype=np.float64)
+    logs = np.log(np.maximum(np.asarray(p, np.float64), belief.LEAST))
+
+    def loss(x: np.ndarray) -> float:
+        temperature = np.exp(x[0]) * (1 + np.exp(x[1]) * (touches - 1))
+        scaled = logs / temperature[None, :, None]
+        right = np.take_along_axis(scaled, np.asarray(truth)[:, None, None], -1)[..., 0]
+        return float(np.mean(logsumexp(scaled, axis=-1) - right))
+
+    found = optimize.minimize(loss, (0.0, np.log(0.05)), method="Nelder-Mead", bounds=((-2.0, 2.0), (-12.0, 1.0)))
+    return Temper(float(np.exp(found.x[0])), float(np.exp(found.x[1])))
 
 
 def reliability(sure: np.ndarray, hit: np.ndarray, bins: int = BINS, equal_mass: bool = False) -> Reliability:

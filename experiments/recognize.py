@@ -136,7 +136,8 @@ def run(args: Args) -> dict[str, Any]:
             reporting.save(path, played)
         parts.append(reporting.load(path))
     source = data.load(args.dataset).source if args.dataset else "simulated"
-    result = reporting.summarise(parts, args.out, source)
+    parts, tempers = reporting.sobered(parts)
+    result = reporting.summarise(parts, tempers, args.out, source)
     name = next(name for name in ("all", "recorded", "your objects") if name in parts[0])
     meshes = own_meshes(args) if args.objects else {one: objects.make(one).mesh for one in parts[0][name].names}
     reporting.tell(parts[0][name], list(meshes.values()), args.out / "story", source)

@@ -1,10 +1,13 @@
 """Scores of beliefs against tables worked by hand, SciPy, scikit-learn, and forecasters known to be calibrated."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.special import logsumexp
 
 from experiments import recognition_scores as scores
+from i2t.belief import Temper, tempered
 
 
 def calibrated(seed: int, episodes: int, classes: int = 5, touches: int = 4) -> tuple[np.ndarray, np.ndarray]:
@@ -186,6 +189,27 @@ def test_losses_are_proper():
 
 
 # --- conformal sets ---
+
+
+def test_the_temper_of_beliefs_that_count_touches_twice_is_found():
+    """Right beliefs about normal readings, made too sure by a known temperature."""
+    rng = np.random.default_rng(0)
+    episodes, touches, classes = 4000, 6, 3
+    truth = rng.integers(classes, size=episodes)
+    logs = rng.normal(size=(episodes, touches, classes))
+    logs[np.arange(episodes), :, truth] += 1  # log likelihoods of unit normal readings, one of each class
+    right = np.cumsum(logs, axis=1)
+    for wanted in (Temper(1.0, 0.0), Temper(1.5, 0.2)):
+        t = np.arange(1, touches + 1)
+        sure = right * (wanted.first * (1 + wanted.growth * (t - 1)))[None, :, None]
+        p = np.exp(sure - logsumexp(sure, axis=-1, keepdims=True))
+        found = scores.fit_temper(p, truth)
+        assert found.first == pytest.approx(wanted.first, abs=0.06)
+        assert found.growth == pytest.approx(wanted.growth, abs=0.03)
+        at = np.broadcast_to(t, p.shape[:2]).astype(np.float32)
+        sober = np.asarray(tempered(jnp.float32(p), jnp.asarray(at), found))
+        assert (sober.argmax(-1) == p.argmax(-1)).mean() > 0.9999
+        assert scores.log_loss(sober.astype(np.float64), truth).mean() <= scores.log_loss(p, truth).mean() + 1e-4
 
 
 def test_sets_by_hand():
