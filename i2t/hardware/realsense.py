@@ -1,0 +1,315 @@
+"""A RealSense depth camera over pyrealsense2, or a file that it recorded: depth in metres, colour of the same pixels.
+
+    python -m i2t.hardware.realsense                        # the one camera that is plugged in: model, lens, range
+    python -m i2t.hardware.realsense --save DIR --count 5   # keep views as `i2t.hardware.folder` reads them
+
+The camera's lens, with its distortion, is that of the depth image as the device tells it; nothing is undistorted.
+A view is exposed after the call where the camera's clock is the computer's (global or system time; the rule on Linux
+and Windows). Where it is not, or a file is played, frames that may have been under way at the call are let go.
+
+Stereo cameras measure nothing nearer than focal length x baseline / greatest disparity; NEAREST is what their maker
+states. At the paper's 104 mm only a D405 measures (at any resolution); a D435 needs 105 mm even at its smallest image
+(424 x 240) and 150 mm at the paper's 640 x 360, which its lens is like; D415 and D455 need 160 mm and more, SR300 and
+L515 200 and 250 mm. A disparity shift, set with the maker's viewer, brings a D435 nearer; its model is then no reason
+to refuse it: leave `distance` out.
+
+Sources: RealSense D400 series data sheet (337029), "Minimum-Z depth"; data sheets of SR300 and L515.
+"""
+
+import argparse
+import contextlib
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from i2t.cameras import Camera
+from i2t.hardware import folder
+from i2t.hardware.protocols import CameraFeatures, DeviceError, NotConnected, Silent, View
+from i2t.types import Array
+
+SIZES = ((424, 240), (480, 270), (640, 360), (640, 480), (848, 480), (1280, 720))  # pixels
+NEAREST = {  # mm, of each model at these sizes
+    "D405": (40, 45, 55, 70, 70, 100),
+    "D415": (160, 180, 240, 310, 310, 450),
+    "D435": (105, 120, 150, 175, 195, 280),
+    "D455": (180, 200, 260, 320, 350, 520),
+    "SR300": (200,) * 6,
+    "L515": (250,) * 6,
+}
+SETTLE = 0.5  # s of frames that are let go at the start, for the exposure to settle
+UNDERWAY = 2  # frames that may have been exposed before they were asked for, where times do not tell
+
+C = TypeVar("C", bound="RealSense")
+
+
+class Colour(NamedTuple):
+    """A colour image as it was taken, for what must see fine print: colours of a `View` have depth's holes."""
+
+    time: float  # s, monotonic
+    image: Array  # (h, w, 3) uint8 RGB
+    camera: Camera  # of this image
+    T_c_colour: Array  # (4, 4), its frame in the depth camera's
+
+
+def nearest(model: str, width: int, height: int) -> float:
+    """Nearest depth (m) that a model measures at an image size, by its maker, who states it for six sizes: the next
+    larger counts. NaN where it is not known.
+    """
+    for name, listed in NEAREST.items():
+        for size, least in zip(SIZES, listed, strict=True):
+            if name in model.upper() and width <= size[0] and height <= size[1]:
+                return least / 1000
+    return float("nan")
+
+
+def check_distance(model: str, width: int, height: int, distance: float) -> None:
+    """Refuse (DeviceError) a camera that measures nothing as near as it is to look (m)."""
+    least = nearest(model, width, height)
+    if distance < least:
+        fits = [f"{w} x {h}" for w, h in SIZES if nearest(model, w, h) <= distance]
+        others = [name for name in NEAREST if nearest(name, width, height) <= distance]
+        ways = [f"look from {1e3 * least:.0f} mm"]
+        ways += [f"take {fits[-1]} pixels"] if fits else []
+        ways += [f"mount a {others[0]}"] if others else []
+        raise DeviceError(
+            f"the {model} measures nothing nearer than {1e3 * least:.0f} mm at {width} x {height} pixels, and is to "
+            f"look from {1e3 * distance:.0f} mm: {', or '.join(ways)}"
+        )
+
+
+class RealSense:
+    """A RealSense camera (`i2t.hardware.protocols.DepthCamera`).
+
+    Args:
+        serial: its serial number; by default the one camera that is plugged in
+        size: (width, height) of the depth image, and of colour
+        rate: Hz
+        distance: m from which it is to look; a model that measures nothing so near is refused by `connect`
+        file: a recording of the SDK (.db3, or .bag of older ones) to play instead, over and over
+        model: what is expected, such as "D405", so that `features` tell its range before it is connected
+    """
+
+    def __init__(
+        self,
+        serial: str | None = None,
+        size: tuple[int, int] = (640, 360),
+        rate: int = 30,
+        distance: float | None = None,
+        file: str | Path | None = None,
+        model: str = "",
+    ) -> None:
+        try:
+            import pyrealsense2
+        except ImportError as error:
+            raise DeviceError("a RealSense needs pyrealsense2: pip install 'i2t[hardware]'") from error
+        self._rs: Any = pyrealsense2
+        self._serial, self._size, self._rate, self._distance = serial, size, rate, distance
+        self._file = Path(file) if file is not None else None
+        name = f"the recording {file}" if file is not None else f"the RealSense {serial or ''}".strip()
+        source = "replay" if file is not None else "real"
+        self._features = CameraFeatures(name, source, nearest(model, *size), float(rate))
+        self._model = model
+        self._lock = threading.Lock()
+        self._pipe: Any = None
+        self._camera: Camera | None = None
+        self._colour: tuple[Camera, Array] | None = None
+
+    @property
+    def features(self) -> CameraFeatures:
+        """Known before `connect`; the nearest depth only with a `model`."""
+        return self._features
+
+    @property
+    def camera(self) -> Camera:
+        """Size and lens of the depth image; raises NotConnected before the device has told them."""
+        if self._camera is None:
+            raise NotConnected(f"{self._name} is not connected, and only it knows its lens; connect it")
+        return self._camera
+
+    def connect(self) -> None:
+        """Start streaming; raises DeviceError."""
+        self.close()
+        rs, (width, height) = self._rs, self._size
+        if self._distance is not None and self._model:
+            check_distance(self._model, width, height, self._distance)
+        config = rs.config()
+        if self._file is not None:
+            if not self._file.is_file():
+                raise DeviceError(f"{self._file} cannot be read (there is no such file); name a recording")
+            config.enable_device_from_file(str(self._file), True)
+        elif not self._plugged():
+            raise self._refused("")  # the SDK would wait 15 s for one
+        elif self._serial is not None:
+            config.enable_device(self._serial)
+        config.enable_stream(rs.stream.depth, width, height, rs.format.z16, self._rate)
+        config.enable_stream(rs.stream.color, width, height, rs.format.rgb8, self._rate)
+        pipe = rs.pipeline()
+        try:
+            profile = pipe.start(config)
+        except RuntimeError as error:
+            raise self._refused(str(error)) from error
+        try:
+            device = profile.get_device()
+            model = device.get_info(rs.camera_info.name)
+            if self._distance is not None:
+                check_distance(model, width, height, self._distance)
+            depth = profile.get_stream(rs.stream.depth).as_video_stream_profile()
+            colour = profile.get_stream(rs.stream.color).as_video_stream_profile()
+            self._camera = _camera(depth.get_intrinsics())
+            apart = colour.get_extrinsics_to(depth)
+            T = np.eye(4)
+            T[:3, :3], T[:3, 3] = np.reshape(apart.rotation, (3, 3), order="F"), apart.translation
+            self._colour = _camera(colour.get_intrinsics()), T
+            self._features = self._features._replace(name=f"{self._name.split(' (')[0]} ({model})")
+            self._features = self._features._replace(nearest=nearest(model, width, height))
+            self._align = rs.align(rs.stream.depth)
+            self._pipe = pipe
+            if self._file is None:
+                end = time.monotonic() + SETTLE
+                while time.monotonic() < end:
+                    self._wait(5.0)
+        except BaseException:
+            self._pipe = None
+            with contextlib.suppress(RuntimeError):
+                pipe.stop()
+            raise
+
+    def close(self) -> None:
+        """Stop streaming."""
+        with self._lock:
+            pipe, self._pipe = self._pipe, None
+        if pipe is not None:
+            with contextlib.suppress(RuntimeError):
+                pipe.stop()
+
+    def __enter__(self: C) -> C:
+        self.connect()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.close()
+
+    def capture(self, timeout: float = 2.0) -> View:
+        """A view exposed after the call; raises Silent after `timeout`."""
+        when, frames = self._fresh(timeout)
+        frames = self._align.process(frames)
+        depth, colour = frames.get_depth_frame(), frames.get_color_frame()
+        values = np.asanyarray(depth.get_data())
+        metres = np.where(values > 0, values * np.float64(depth.get_units()), np.nan).astype(np.float32)
+        return View(when, metres, np.array(colour.get_data()) if colour else None)
+
+    def colour(self, timeout: float = 2.0) -> Colour:
+        """The colour image as it was taken, after the call; raises Silent after `timeout`."""
+        when, frames = self._fresh(timeout)
+        assert self._colour is not None
+        return Colour(when, np.array(frames.get_color_frame().get_data()), *self._colour)
+
+    @property
+    def _name(self) -> str:
+        return self._features.name
+
+    def _fresh(self, timeout: float) -> tuple[float, Any]:
+        """When frames were exposed after now, and the frames."""
+        called = time.monotonic()
+        for number in range(sys.maxsize):
+            left = called + timeout - time.monotonic()
+            frames = self._wait(left) if left > 0 else None
+            if frames is None:
+                raise Silent(f"{self._name} gave no view in {timeout:.2g} s; check its cable, and that it is on USB 3")
+            exposed = self._exposed(frames)
+            new = number >= UNDERWAY if exposed is None else exposed >= called
+            if new and frames.get_depth_frame() and frames.get_color_frame():
+                return time.monotonic() - 1 / self._rate if exposed is None else exposed, frames
+        raise AssertionError
+
+    def _wait(self, timeout: float) -> Any:
+        """The next frames, or None; raises NotConnected, or DeviceError if the camera is gone."""
+        pipe = self._pipe
+        if pipe is None:
+            raise NotConnected(f"{self._name} is not connected; call connect() or use with")
+        ended = time.monotonic() + timeout
+        while True:
+            # In pieces, so that a camera that is gone or closed is noticed before a long wait is over.
+            piece = min(0.25, ended - time.monotonic())
+            arrived, frames = pipe.try_wait_for_frames(max(1, round(1e3 * piece)))
+            if arrived:
+                return frames
+            if self._pipe is not pipe:
+                raise NotConnected(f"{self._name} was closed; connect it again")
+            if self._file is None and not self._plugged():
+                self.close()
+                raise DeviceError(f"{self._name} is gone; plug it in and connect again")
+            if time.monotonic() >= ended:
+                return None
+
+    def _exposed(self, frames: Any) -> float | None:
+        """When frames were exposed, on the monotonic clock; None where their clock is another than this computer's."""
+        domains = self._rs.timestamp_domain
+        if frames.get_frame_timestamp_domain() not in (domains.global_time, domains.system_time):
+            return None
+        age = time.time() - 1e-3 * frames.get_timestamp()
+        return time.monotonic() - age if 0 <= age < 1.0 else None  # else a clock was set, or a file is played
+
+    def _plugged(self) -> bool:
+        found = [each.get_info(self._rs.camera_info.serial_number) for each in self._rs.context().query_devices()]
+        return self._serial in found if self._serial is not None else bool(found)
+
+    def _refused(self, reason: str) -> DeviceError:
+        width, height = self._size
+        if self._file is not None:
+            return DeviceError(f"{self._file} cannot be played at {width} x {height}, {self._rate} Hz ({reason})")
+        found = devices(self._rs)
+        if not found or (self._serial is not None and self._serial not in [serial for _, serial in found]):
+            there = ", ".join(f"{name} {serial}" for name, serial in found) or "none"
+            return DeviceError(f"{self._name} was not found (RealSense cameras here: {there}); plug it in, on USB 3")
+        if "resolve" in reason:
+            return DeviceError(
+                f"{self._name} does not stream depth and colour at {width} x {height}, {self._rate} Hz; choose another "
+                "size or rate, and on USB 2 a lower one"
+            )
+        return DeviceError(f"{self._name} cannot be started ({reason}); close other programs that use it")
+
+
+def devices(rs: Any) -> list[tuple[str, str]]:
+    """Names and serial numbers of the cameras that are plugged in."""
+    info = rs.camera_info
+    return [(each.get_info(info.name), each.get_info(info.serial_number)) for each in rs.context().query_devices()]
+
+
+def _camera(lens: Any) -> Camera:
+    return Camera(lens.width, lens.height, lens.fx, lens.fy, lens.ppx, lens.ppy, lens.model.name, tuple(lens.coeffs))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit code."""
+    parser = argparse.ArgumentParser("python -m i2t.hardware.realsense", description=__doc__.split("\n\n")[0])
+    parser.add_argument("--serial", help="which camera, if there are several")
+    parser.add_argument("--file", type=Path, help="play this recording instead")
+    parser.add_argument("--size", type=int, nargs=2, default=(640, 360), metavar=("WIDTH", "HEIGHT"))
+    parser.add_argument("--rate", type=int, default=30, help="Hz")
+    parser.add_argument("--distance", type=float, help="m from which it is to look")
+    parser.add_argument("--save", type=Path, help="a new folder for the views")
+    parser.add_argument("--count", type=int, default=1, help="how many views")
+    asked = parser.parse_args(arguments)
+    try:
+        camera = RealSense(asked.serial, tuple(asked.size), asked.rate, asked.distance, asked.file)
+        with camera:
+            print(f"{camera.features.name}: nothing nearer than {1e3 * camera.features.nearest:.0f} mm")
+            print(camera.camera)
+            views = (camera.capture() for _ in range(asked.count))
+            for number, view in enumerate(folder.keep(asked.save, camera.camera, views) if asked.save else views):
+                middle = view.depth[asked.size[1] // 2 - 10 :, asked.size[0] // 2 - 10 :][:20, :20]
+                at = np.nanmedian(middle) if np.isfinite(middle).any() else np.nan
+                print(f"view {number}: {np.isfinite(view.depth).mean():.0%} measured, {1e3 * at:.1f} mm in the middle")
+    except (DeviceError, OSError, ValueError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
