@@ -261,6 +261,16 @@ def test_an_approach_ends_on_force_verdict_travel_or_when_nobody_watches(start):
         assert not status(host)["moving"]
 
 
+def test_commands_reach_the_stand_in_late(start):
+    late = 0.15
+    host = start("--latency", str(late))
+    with connected(host) as arm:
+        begun = status(host)["clock"]
+        arm.move(pose(0.4, 0.01, 0.3), 0.05)  # returns once the program has taken it
+        eventually(lambda: arm.state(STALE).moving)
+        assert status(host)["clock"] - begun >= late
+
+
 def test_stop_from_another_thread(start):
     host = start()
     with connected(host) as arm:

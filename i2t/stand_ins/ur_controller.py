@@ -4,8 +4,18 @@
 
 It opens the ports the client uses (30004 RTDE, 29999 dashboard, 30003 script) and plays the part of the script that the
 client uploads: commands and results pass through registers. A tool without arm or joints moves in time, in straight
-lines with a trapezoidal speed profile, and meets a springy horizontal plane. Joint values are therefore zero.
-Any 127.0.0.x is a robot of its own.
+lines with a trapezoidal speed profile. Joint values are therefore zero, and the tool is where the controller says,
+whatever TCP it is given. Any 127.0.0.x is a robot of its own.
+
+The tool meets a springy horizontal plane (`--plane`, `--stiffness`), or an object:
+
+    python -m i2t.stand_ins.ur_controller --mesh star --rig lab.toml --pad-seed 3
+
+`--mesh` is a name of `i2t.objects` or a mesh file, which stands where the rig's file says; force, its centre and what
+the skin would read come from i2t's own contact mechanics, worked out along the tool's z axis once it has stood for
+some ticks (hundredths of a second of computing, beside the 500 Hz; until it is done nothing is met). With
+`--skin HOST:PORT` that reading goes to an emulated board at every tick: `i2t.stand_ins.pair` starts both.
+`--latency` delays whatever the client sends. Without latency a command takes effect at the next tick of 2 ms.
 
 Faults on demand. A fourth port, 30100, takes a line and answers one, for instance
 `echo protective | nc -q1 127.0.0.9 30100`; `--after SECONDS COMMAND` does the same once a program has started:
@@ -35,6 +45,8 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -53,7 +65,7 @@ from i2t.stand_ins.ur_server import SCRIPT as SCRIPT
 def process(host: str, *options: str) -> Iterator[subprocess.Popen[str]]:
     """Run the stand-in beside this process, from when it is ready until the block is left."""
     command = [sys.executable, "-m", "i2t.stand_ins.ur_controller", "--host", host, *options]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as running:
         try:
             assert running.stdout is not None
             if not running.stdout.readline():
@@ -96,12 +108,34 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument(
         "--after", nargs=2, action="append", default=[], metavar=("SECONDS", "COMMAND"), help="fault after the start"
     )
+    parser.add_argument("--latency", type=float, default=0.0, help="s that commands take to reach the program")
+    parser.add_argument("--mesh", help="what the tool touches: a name of the catalogue, or a mesh file")
+    parser.add_argument("--unit", default="mm", help="of a mesh file: m or mm (default mm)")
+    parser.add_argument("--rig", type=Path, help="a lab's calibration, which says where the object is")
+    parser.add_argument("--errors", choices=["none", "typical"], default="typical", help="of placement and arm")
+    parser.add_argument("--pad-seed", type=int, default=0, help="which skin the tool wears")
+    parser.add_argument("--seed", type=int, default=0, help="of the errors")
+    parser.add_argument("--arm-stiffness", type=float, default=10e3, help="of arm and mount, N/m (default 10000)")
+    parser.add_argument("--skin", metavar="HOST:PORT", help="an emulated board that shows what the skin feels")
+    parser.add_argument("--tethered", action="store_true", help="end when standard input closes")
     args = parser.parse_args(arguments)
-    contact, bias = plane(args.plane, args.stiffness), np.array([*args.bias, 0.0, 0.0, 0.0], float)
-    robot = Robot(np.array(args.pose), contact, bias, args.noise)
+    contact: Any = plane(args.plane, args.stiffness)
+    felt = skin = None
     try:
+        if args.mesh is not None:
+            from i2t.stand_ins.ur_contact import feeler
+
+            contact = met = feeler(
+                args.mesh, args.unit, args.rig, args.errors, args.pad_seed, args.seed, args.arm_stiffness
+            )
+            felt = lambda: met.scene.rest + met.reading  # noqa: E731
+        if args.skin is not None:
+            host, _, port = args.skin.rpartition(":")
+            skin = host, int(port)
+        robot = Robot(np.array(args.pose), contact, np.array([*args.bias, 0.0, 0.0, 0.0], float), args.noise)
         timed = [(float(seconds), command) for seconds, command in args.after]
-        server = Server(Controller(robot, args.unlock_delay, args.force_limit), args.host, timed)
+        controller = Controller(robot, args.unlock_delay, args.force_limit)
+        server = Server(controller, args.host, timed, args.latency, felt, skin, args.tethered)
     except (OSError, ValueError) as error:
         sys.exit(f"The stand-in cannot start on {args.host}: {error}.")
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))

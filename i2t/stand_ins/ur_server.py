@@ -1,17 +1,19 @@
 """The ports of a UR controller, in one loop that also keeps its time."""
 
+import contextlib
 import json
 import selectors
 import socket
 import struct
 import sys
 import time
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from i2t.stand_ins import rtde
-from i2t.stand_ins.motion import plane
+from i2t.stand_ins.motion import Array, plane
 from i2t.stand_ins.ur_program import PLAYING, TICK, Controller
 
 SCRIPT, DASHBOARD, RTDE, FAULTS = 30003, 29999, 30004, 30100
@@ -31,8 +33,20 @@ class Client:
 class Server:
     """All ports in one loop that also keeps time."""
 
-    def __init__(self, controller: Controller, host: str, timed: list[tuple[float, str]]) -> None:
-        self.controller, self.timed = controller, sorted(timed)
+    def __init__(
+        self,
+        controller: Controller,
+        host: str,
+        timed: list[tuple[float, str]],
+        latency: float = 0.0,
+        felt: Callable[[], Array] | None = None,
+        skin: tuple[str, int] | None = None,
+        tethered: bool = False,
+    ) -> None:
+        self.controller, self.timed, self.latency = controller, sorted(timed), latency
+        self.coming: deque[tuple[float, dict[str, rtde.Value]]] = deque()
+        self.felt, self.skin = felt, skin
+        self.outbox = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.stalled = self.muted = False
         self.ticks = 0
         self.selector = selectors.DefaultSelector()
@@ -41,14 +55,18 @@ class Server:
             listener = socket.create_server((host, port))
             listener.setblocking(False)
             self.selector.register(listener, selectors.EVENT_READ, port)
+        if tethered:
+            self.selector.register(sys.stdin, selectors.EVENT_READ, None)
 
     def run(self) -> None:
-        """Serve until interrupted."""
+        """Serve until interrupted, or until a tethered one's standard input ends."""
         due = time.monotonic()
         while True:
             for key, _ in self.selector.select(max(0.0, due - time.monotonic())):
                 if isinstance(key.data, Client):
                     self._receive(key.data)
+                elif key.data is None:
+                    return
                 else:
                     self._accept(key.fileobj, key.data)  # type: ignore[arg-type]
             now = time.monotonic()
@@ -70,8 +88,13 @@ class Server:
 
     def _tick(self) -> None:
         controller = self.controller
+        while self.coming and self.coming[0][0] <= controller.clock:
+            controller.write(self.coming.popleft()[1])
         controller.step()
         self.ticks += 1
+        if self.felt is not None and self.skin is not None:
+            with contextlib.suppress(OSError):  # nobody there
+                self.outbox.sendto(self.felt().astype("<f4").tobytes(), self.skin)
         while self.timed and controller.started and controller.clock >= controller.started + self.timed[0][0]:
             self.fault(self.timed.pop(0)[1])
         wanting = [c for c in self.clients if c.streaming and self.ticks % c.every == 0]
@@ -154,7 +177,7 @@ class Server:
             client.streaming = kind == rtde.START and bool(client.names)
             self._send(client, rtde.packet(kind, bytes([kind == rtde.PAUSE or client.streaming])))
         elif kind == rtde.DATA and not self.muted:
-            self.controller.write(rtde.decode(body, client.inputs))
+            self.coming.append((self.controller.clock + self.latency, rtde.decode(body, client.inputs)))
 
     def _script(self, client: Client) -> None:
         # Only the client's own program is known here; it ends with the first line that is "end" without indentation.
