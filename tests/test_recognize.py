@@ -15,8 +15,6 @@ from i2t import dataset, objects, touch
 from i2t.dataset import DataError
 from i2t.types import ReturnCode
 
-pytestmark = pytest.mark.xdist_group("trained")  # one finished run of experiments.train serves all
-
 
 @pytest.fixture(scope="module")
 def finished(trained_run, tmp_path_factory):

@@ -21,8 +21,6 @@ from i2t.checkpoint import CheckpointError
 from i2t.skin.files import save_pad
 from i2t.skin.pad import nominal_pad
 
-pytestmark = pytest.mark.xdist_group("trained")  # one finished run of experiments.train serves all
-
 
 @pytest.fixture(scope="module")
 def finished(trained_run):
