@@ -2,6 +2,7 @@
 
     python -m experiments.studies policy        which next touch makes one sure soonest?
     python -m experiments.studies open          is it none of the objects that are known?
+    python -m experiments.studies planar        what does it cost not to know where the object stands?
     python -m experiments.studies pad           how many presses does a pad need that was never felt?
     python -m experiments.studies sensitivity   what do errors of pose, noise and harder presses do?
     python -m experiments.studies many          10, 25 and 50 objects, the meshes of a folder among them
@@ -26,12 +27,13 @@ import tyro
 
 from experiments.recognize import PRESETS, finished_runs
 from experiments.runs import begin, reported, write_json
-from experiments.studies import many, new_pad, policy, sensitivity, strangers
+from experiments.studies import many, new_pad, planar, policy, sensitivity, strangers
 from experiments.studies.lab import Args, Lab, prepare_lab, report_methods
 
 STUDIES: dict[str, tuple[Callable[[Lab], Any], Callable[[Sequence[Any], Path], dict[str, Any]]]] = {
     "policy": (policy.play, policy.report),
     "open": (strangers.play, strangers.report),
+    "planar": (planar.play, planar.report),
     "pad": (new_pad.play, report_methods),
     "sensitivity": (sensitivity.play, report_methods),
     "many": (many.play, many.report),

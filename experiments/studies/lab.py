@@ -34,7 +34,7 @@ from i2t.outcomes import Outcome, SkinMap
 from i2t.types import Pad, Surface
 
 PLACES = 128  # of each object: with 64 to 512 accuracies are the same within 0.01
-Study = Literal["policy", "open", "pad", "sensitivity", "many"]
+Study = Literal["policy", "open", "planar", "pad", "sensitivity", "many"]
 
 
 @dataclass(frozen=True)

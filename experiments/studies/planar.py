@@ -1,0 +1,133 @@
+"""What does it cost not to know where the object stands? It lies anywhere on a patch of table, turned in any way, and
+is pressed straight down at random points of the table (`i2t.planar`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from tqdm import tqdm
+
+from experiments import plots
+from experiments import recognition_figures as drawing
+from experiments import recognition_scores as scores
+from experiments.recognition import Pool, tabulate
+from experiments.recognition_scores import plain
+from experiments.studies.lab import Lab, shown, sit
+from i2t import belief, planar
+from i2t.belief import Belief, Likelihood, Measured
+from i2t.outcomes import Outcome
+from i2t.planar import Standing, Table
+
+TOUCHES = 20
+PAST = 20e-3  # m, how far presses go below the table's sites: to 10 mm over the table
+KNOWN = (1e-3, 1e-3, np.radians(2.4))  # of the pose, where it is: 1 mm, 1 degree and half a step of the turns
+TURNS = {"square": 4, "star": 5, "cylinder": 0}  # turns that look alike; 0: all of them; else one
+
+
+def play(lab: Lab) -> dict[str, Any]:
+    """Sittings with objects anywhere on the table, judged with their pose unknown and known."""
+    debug = lab.args.preset == "debug"
+    table = Table(half=5e-3, reach=5e-3, step=5e-3, turns=4) if debug else Table()
+    touches = 3 if debug else TOUCHES
+    limits = replace(lab.cfg.limits, past_goal=PAST)
+    errors = replace(lab.cfg.errors, placement=0.0, placement_angle=0.0)
+    nothing = jnp.zeros((1, 6))
+    (found,) = tabulate(lab.surfaces, nothing, jnp.asarray(planar.nodes(table)), [lab.learnt.skin], PAST, "planar")
+    imagined = jax.device_put(jax.tree.map(lambda x: x[:, :, 0], found))
+
+    truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
+    rng = np.random.default_rng(lab.seed)
+    pose = rng.uniform([-1, -1, -np.pi], [1, 1, np.pi], (len(truth), 3)) * [table.half, table.half, 1]
+    radius, angle = table.reach * np.sqrt(rng.random((2, len(truth), touches)))[0], rng.random((len(truth), touches))
+    site = radius[..., None] * np.stack([np.cos(2 * np.pi * angle), np.sin(2 * np.pi * angle)], -1)
+    sites = Pool(jnp.float32(_seen_from(pose, site, table)), np.repeat(truth, touches))
+    chosen = np.arange(len(truth) * touches).reshape(len(truth), touches)
+    episodes = sit(lab, lab.key, sites, truth, chosen, "planar", errors=errors, limits=limits)
+
+    cells, places = planar.places(table)
+    like = lab.learnt.like._replace(past=jnp.float32(PAST))
+    start = belief.begin(places, len(lab.surfaces))
+    judge = jax.jit(partial(_judge, imagined=imagined, pose=jnp.asarray(cells), like=like, table=table))
+    unknown, known, stands = [], [], []
+    for i in tqdm(range(len(truth)), desc="planar: believing", unit="sitting"):
+        at = jax.tree.map(lambda x, i=i: x[i], episodes.measured)
+        p, stood = judge(start, jnp.float32(site[i]), at)
+        told = planar.about(start, jnp.asarray(cells), jnp.float32(pose[i]), jnp.float32(KNOWN))
+        q, _ = judge(told, jnp.float32(site[i]), at)
+        unknown.append(np.asarray(p))
+        known.append(np.asarray(q))
+        stands.append(np.asarray(stood.pose)[truth[i]])
+    found_pose = np.stack(stands)
+    turns = np.array([TURNS.get(lab.names[i], 1) for i in truth])
+    return {
+        "truth": truth, "unknown pose": np.stack(unknown), "known pose": np.stack(known),
+        "off": np.linalg.norm(found_pose[:, :2] - pose[:, :2], axis=1),
+        "turned": turned(found_pose[:, 2] - pose[:, 2], turns),
+    }  # fmt: skip
+
+
+def _seen_from(pose: np.ndarray, site: np.ndarray, table: Table) -> np.ndarray:
+    """Sites (e * t, 4, 4) of presses at points of the table (e, t, 2), in the frames of objects in poses (e, 3)."""
+    c, s = np.cos(pose[:, 2])[:, None], np.sin(pose[:, 2])[:, None]
+    x, y = np.moveaxis(site - pose[:, None, :2], -1, 0)
+    at = np.stack([c * x + s * y, c * y - s * x], -1).reshape(-1, 2)
+    turn = np.repeat(-pose[:, 2], site.shape[1])
+    return np.stack([planar.straight_down(*xy, phi, table.height) for xy, phi in zip(at, turn, strict=True)])
+
+
+def _judge(
+    start: Belief, site: Array, measured: Measured, imagined: Outcome, pose: Array, like: Likelihood, table: Table
+) -> tuple[Array, Standing]:
+    """Probabilities of the objects after each touch, and where each would stand in the end."""
+
+    def step(now: Belief, touched: tuple[Array, Measured]) -> tuple[Belief, Array]:
+        now = planar.update(now, touched[1], touched[0], pose, imagined, like, table)
+        return now, belief.posterior(now)[0]
+
+    now, p = jax.lax.scan(step, start, (site, measured))
+    return p, planar.standing(now, pose, table)
+
+
+def turned(angle: np.ndarray, alike: np.ndarray) -> np.ndarray:
+    """Error of a turn (rad), as far as it can be seen."""
+    period = 2 * np.pi / np.maximum(alike, 1)
+    error = np.abs((angle + period / 2) % period - period / 2)
+    return np.where(alike == 0, 0.0, error)
+
+
+def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
+    """What not knowing the pose costs, and how well it is found."""
+    columns = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+    truth = columns["truth"]
+    result: dict[str, Any] = {"sittings": len(truth), "methods": {}}
+    curves = {}
+    for name in ("known pose", "unknown pose"):
+        p = columns[name].astype(np.float64)
+        curves[name] = scores.accuracy(p, truth)
+        result["methods"][name] = {
+            "accuracy": plain(curves[name]),
+            "log_loss": scores.log_loss(p, truth).mean(0).tolist(),
+        }
+        shown_at = sorted({min(t, p.shape[1]) for t in (1, 5, 10, 15, 20)})
+        print(f"{name:14} " + "   ".join(
+            f"{t}: {shown(scores.Estimate(*(x[t - 1] for x in curves[name])))}" for t in shown_at))  # fmt: skip
+    lost = scores.paired(*(scores.hits(columns[name], truth) for name in ("known pose", "unknown pose")))
+    result["lost"] = plain(lost)
+    print(f"lost after the last touch: {shown(lost.last)}")
+    right = scores.hits(columns["unknown pose"], truth)[:, -1] > 0.5
+    for name, unit, values in (
+        ("off", "mm", columns["off"] * 1e3),
+        ("turned", "degrees", np.degrees(columns["turned"])),
+    ):
+        quartiles = np.percentile(values[right], [25, 50, 75, 90])
+        result[name] = {"unit": unit, "of": int(right.sum()), "percentiles_25_50_75_90": quartiles.tolist()}
+        print(f"{name} by {quartiles[1]:.2f} {unit} (median; 90 %: {quartiles[3]:.2f}) where the object is right")
+    plots.save(drawing.accuracy(curves, "Anywhere on the table", True), out / "accuracy.png")
+    return result
