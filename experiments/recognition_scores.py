@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import optimize, stats
-from scipy.special import logsumexp
+from scipy.special import expit, logit, logsumexp
 
 from i2t import belief
 from i2t.belief import Temper
@@ -368,6 +368,41 @@ def saved(first: np.ndarray, other: np.ndarray, touches: int, seed: int = 0) -> 
 
 
 # --- unknown objects ---
+
+
+class Odds(NamedTuple):
+    """How odds of "none of these" are to be read: logarithms times `slope` plus `offset`."""
+
+    offset: float
+    slope: float
+
+
+def fit_odds(none: np.ndarray, unknown: np.ndarray) -> Odds:
+    """The reading of "none of these" (e, t) that has the least log loss over all touches of episodes with and without
+    an unknown object (e, bool): logistic regression (Platt, 1999).
+    """
+    at = _log_odds(none)
+    sign = np.where(np.asarray(unknown, bool), 1.0, -1.0)[:, None]
+
+    def loss(x: np.ndarray) -> float:
+        return float(np.mean(np.logaddexp(0, -sign * (x[0] + x[1] * at))))
+
+    found = optimize.minimize(loss, (0.0, 1.0), method="Nelder-Mead", bounds=((-20.0, 20.0), (0.01, 10.0)))
+    return Odds(float(found.x[0]), float(found.x[1]))
+
+
+def with_odds(p: np.ndarray, none: np.ndarray, odds: Odds) -> tuple[np.ndarray, np.ndarray]:
+    """Beliefs whose "none of these" is read so; the objects keep their shares of the rest."""
+    read = expit(odds.offset + odds.slope * _log_odds(none))
+    p = np.asarray(p, np.float64)
+    total = p.sum(-1, keepdims=True)
+    share = np.where(total > 0, p / np.where(total > 0, total, 1), 1 / p.shape[-1])
+    return share * (1 - read)[..., None], read
+
+
+def _log_odds(p: np.ndarray) -> np.ndarray:
+    """Logarithm of the odds, at most as sure as single precision says."""
+    return logit(np.clip(np.asarray(p, np.float64), LEAST, 1 - LEAST))
 
 
 def auroc(none: np.ndarray, unknown: np.ndarray, seed: int = 0) -> Estimate:

@@ -8,7 +8,7 @@ relief 3.5 mm high on a 20 mm square base of 5 mm, pointing up along +z, inside 
 rests on z = 0, z up, centred in x and y; round faces are cut finely enough for the skin (`i2t.solids.SAGITTA`).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -28,6 +28,7 @@ __all__ = [
     "Object",
     "Report",
     "clean",
+    "decoy",
     "load",
     "load_points",
     "make",
@@ -230,3 +231,21 @@ def random_object(seed: int) -> Object:
     }
     family = list(families)[rng.integers(len(families))]
     return Object(f"{family}-{seed}", families[family](), "primitive")
+
+
+def decoy(known: Sequence[Mesh], seed: int) -> Object:
+    """Something that is none of the `known` objects but might be taken for one: as high as one of them with another
+    outline, or one of them stretched by a seventh to a half in each direction; every other one is not as high.
+
+    Many of them stand for what "none of these" might be (`experiments.studies.strangers`).
+    """
+    rng = np.random.default_rng([seed, len(known)])
+    like = known[rng.integers(len(known))]
+    height = float(np.ptp(like.vertices[:, 2])) * (1.0 if rng.random() < 0.5 else np.exp(rng.uniform(-1.2, 0.3)))
+    if rng.random() < 0.5:
+        like = random_object(int(rng.integers(2**31))).mesh
+        across = np.ones(2)
+    else:
+        across = np.exp(rng.choice([-1, 1], 2) * rng.uniform(0.15, 0.4, 2))
+    scale = np.array([*across, height / float(np.ptp(like.vertices[:, 2]))])
+    return Object(f"decoy-{seed}", Mesh(like.vertices * scale, like.faces), "primitive")

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from i2t import objects
-from i2t.objects import NAMES, PRIMITIVES, STAMPS, TOOLS, Mesh, make, random_object, transform_mesh
+from i2t.objects import NAMES, PRIMITIVES, STAMPS, TOOLS, Mesh, decoy, make, random_object, transform_mesh
 from i2t.solids import SAGITTA, segments
 
 # Outlines pass through a polygon clipper that rounds to 1e-8 mm, so lengths of 10 mm and more are exact to 1e-9, areas
@@ -183,6 +183,19 @@ def test_random_objects():
     assert len(shapes) == len(drawn)
     again = random_object(7)
     np.testing.assert_array_equal(again.mesh.vertices, drawn[7].mesh.vertices)
+
+
+def test_decoys_are_like_what_is_known_but_none_of_it():
+    known = [make("square").mesh, make("hammer").mesh]
+    drawn = [decoy(known, seed).mesh for seed in range(60)]
+    heights = np.array([size(mesh)[2] for mesh in drawn])
+    for mesh in drawn:
+        check_shape(mesh)
+    apart = [min(np.abs(size(mesh) - size(other)).max() for other in known) for mesh in drawn]
+    assert np.mean(np.array(apart) > 4e-3) > 0.9  # by a seventh of a square; a random outline may come near one
+    same = np.isclose(heights[:, None], [30e-3, 26e-3], rtol=1e-6).any(1)
+    assert 15 < same.sum() < 45  # half of them, within 4 standard deviations
+    np.testing.assert_array_equal(decoy(known, 3).mesh.vertices, drawn[3].vertices)
 
 
 @settings(deadline=None, max_examples=25)

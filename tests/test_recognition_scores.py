@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
-from scipy.special import logsumexp
+from scipy.special import expit, logsumexp
 
 from experiments import recognition_scores as scores
 from i2t.belief import Temper, tempered
@@ -330,6 +330,22 @@ def test_another_prior_is_bayes_rule():
     np.testing.assert_allclose(np.append(*back), [0.3, 0.2, 0.5])
     closed, nothing = scores.with_prior(np.array([[0.0, 0.0]]), np.array([1.0]), 0.5, 0)
     np.testing.assert_array_equal(np.append(closed, nothing), [0.5, 0.5, 0])
+
+
+def test_odds_that_are_read_wrongly_are_put_right():
+    """Odds of normal signals about -1 and 1 (log odds 2x), told with a wrong slope and offset."""
+    rng = np.random.default_rng(1)
+    unknown = rng.random(4000) < 0.5
+    x = rng.normal(size=(4000, 3)) + np.where(unknown, 1, -1)[:, None]
+    odds = scores.fit_odds(expit(0.5 * 2 * x + 1.5), unknown)
+    assert odds.slope == pytest.approx(2, rel=0.08)  # 12 000 signals: 2 % each way is one standard error
+    assert odds.offset == pytest.approx(-3, rel=0.08)
+    p = rng.dirichlet(np.ones(4), (4000, 3))
+    named, none = scores.with_odds(0.3 * p, np.full((4000, 3), 0.7), scores.Odds(0.0, 1.0))
+    np.testing.assert_allclose(none, 0.7, rtol=1e-12)
+    np.testing.assert_allclose(named, 0.3 * p, rtol=1e-9)
+    nothing, _ = scores.with_odds(np.zeros((1, 1, 4)), np.ones((1, 1)), scores.Odds(-3.0, 1.0))
+    np.testing.assert_allclose(nothing, nothing[0, 0, 0])  # knows none from another
 
 
 def test_open_set_by_hand():

@@ -1,8 +1,13 @@
-"""Is it none of the objects that are known? Half of the sittings have a stranger of the same families."""
+"""Is it none of the objects that are known? Half of the sittings have a stranger of the same families.
+
+What is not known is stood for by decoys (`i2t.objects.decoy`): objects like those known, but none of them. They
+have places as the known ones have and take part in the posterior through the whole sitting; "none of these" is what
+they have together. How much that is to be trusted is fitted on validation objects and other strangers.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,59 +18,83 @@ from experiments import recognition_figures as drawing
 from experiments import recognition_scores as scores
 from experiments.recognition import beliefs, places_about, pool, random_sites, surfaces_of
 from experiments.recognition_scores import plain
-from experiments.studies.lab import Lab, imagine, placements_of, sit
+from experiments.studies.lab import Lab, imagine, shown, sit
 from i2t import objects
 
 STRANGERS = ("hexagon", "parallelogram", "flower", "cross", "spanner", "pliers", "marker", "scissors")
-DECOYS = 24  # random objects whose touches stand for all that is not known
-DECOY_PLACES = 4
+# Of the validation: neither known in the test nor strangers there.
+OTHERS = ("pentagon", "pyramid", "dome", "cone", "ellipsoid", "torus", "wedge")
+KNOWN = ("triangle", "octagon", "stairs", "ridge", "cutter")
+DECOYS, PLACES = 48, 64  # places of each object, of decoys too
+PRIOR = 0.5  # of a stranger
 
 
-def play(lab: Lab) -> dict[str, Any]:
-    """Sittings with the known objects and as many with others of the same families."""
-    key_pool, key_play, key_site = jax.random.split(lab.key, 3)
-    known = len(lab.surfaces)
+class Game(NamedTuple):
+    """Sittings with known objects and as many with strangers."""
+
+    truth: np.ndarray  # (e,), -1 for a stranger
+    p: np.ndarray  # (e, t, known)
+    none: np.ndarray  # (e, t)
+
+
+def play(lab: Lab) -> dict[str, Game]:
+    """The game on validation objects and that on test objects."""
     debug = lab.args.preset == "debug"
-    decoys, strangers = (2, STRANGERS[:2]) if debug else (DECOYS, STRANGERS)
-    meshes = [objects.make(name).mesh for name in lab.names + strangers]
-    meshes += [objects.random_object(1000 * lab.seed + i).mesh for i in range(decoys)]
+    test, validation = jax.random.split(lab.key)
+    strangers, others, known = (STRANGERS[:2], OTHERS[:2], KNOWN[:2]) if debug else (STRANGERS, OTHERS, KNOWN)
+    return {
+        "validation": _game(lab, validation, known, others, "validation"),
+        "test": _game(lab, test, lab.names, strangers, "strangers"),
+    }
+
+
+def _game(lab: Lab, key: jax.Array, names: Sequence[str], strangers: Sequence[str], what: str) -> Game:
+    key_pool, key_play, key_site = jax.random.split(key, 3)
+    debug = lab.args.preset == "debug"
+    known = [objects.make(name).mesh for name in names]
+    meshes = known + [objects.make(name).mesh for name in strangers]
+    meshes += [objects.decoy(known, i).mesh for i in range(2 if debug else DECOYS)]
     surfaces = surfaces_of(meshes)
-    lab = lab._replace(surfaces=surfaces[:known])
-    sites = pool(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
-    places = placements_of(lab)
-    (table,) = imagine(lab, sites, places, [lab.learnt.skin], "open")
-    others = lab._replace(surfaces=surfaces[known + len(strangers) :])
-    few = places_about(lab.cfg.errors, DECOY_PLACES, lab.seed)
-    (background,) = imagine(others, sites, few, [lab.learnt.skin], "none of these")
-    background = jax.tree.map(lambda x: x.reshape(len(x), -1, *x.shape[3:]), background)
+    imagined = surfaces[: len(names)] + surfaces[len(names) + len(strangers) :]
+    sites = pool(key_pool, surfaces[: len(names)], list(names), lab.cfg.sites, lab.cfg.reach)
+    places = places_about(lab.cfg.errors, min(lab.cfg.places, PLACES), lab.seed)
+    (table,) = imagine(lab._replace(surfaces=imagined), sites, places, [lab.learnt.skin], what)
+    truth = np.repeat(np.arange(len(names)), lab.sittings)
     rng = np.random.default_rng(lab.seed)
-    truth = np.repeat(np.arange(known), lab.sittings)
-    strange = rng.integers(known, known + len(strangers), len(truth))
+    strange = rng.integers(len(names), len(names) + len(strangers), len(truth))
     everything = np.concatenate([truth, strange])
     chosen = random_sites(key_site, sites, len(everything), lab.cfg.touches)
-    played = surfaces[: known + len(strangers)]
-    episodes = sit(lab, key_play, sites, everything, chosen, "open", surfaces=played)
-    p, none = beliefs(
-        jax.device_put(table), jnp.asarray(chosen), episodes.measured, lab.learnt.like, places,
-        jax.device_put(background), unknown=0.5,
-    )  # fmt: skip
-    return {"truth": np.where(everything < known, everything, -1), "p": np.asarray(p), "none": np.asarray(none)}
+    played = surfaces[: len(names) + len(strangers)]
+    episodes = sit(lab, key_play, sites, everything, chosen, what, surfaces=played)
+    p, _ = beliefs(jax.device_put(table), jnp.asarray(chosen), episodes.measured, lab.learnt.like, places)
+    p = np.asarray(p, np.float64)
+    share = (len(imagined) - len(names)) / len(imagined)
+    named, none = scores.with_prior(p[..., : len(names)], p[..., len(names) :].sum(-1), share, PRIOR)
+    return Game(np.where(everything < len(names), everything, -1), named, none)
 
 
-def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
-    """How well strangers are told from known objects."""
-    truth, p, none = (np.concatenate([part[key] for part in parts]) for key in ("truth", "p", "none"))
-    p, none = p.astype(np.float64), none.astype(np.float64)
-    area = scores.auroc(none, truth < 0)
-    result: dict[str, Any] = {"sittings": len(truth), "auroc": plain(area), "shares": {}}
+def report(parts: Sequence[dict[str, Game]], out: Path) -> dict[str, Any]:
+    """How well strangers are told from known objects, and how sure one may be."""
+    validation, test = (_pooled([part[name] for part in parts]) for name in ("validation", "test"))
+    odds = scores.fit_odds(validation.none, validation.truth < 0)
+    area, raw = scores.auroc(test.none, test.truth < 0), test.none
+    p, none = scores.with_odds(test.p, test.none, odds)
+    result: dict[str, Any] = {"sittings": len(test.truth), "auroc": plain(area), "odds": plain(odds), "shares": {}}
     print("AUROC after each touch: " + " ".join(f"{x:.2f}" for x in area.mean))
-    for share in (0.01, 0.25, 0.5):
-        found = scores.open_set(p, none, truth, share, prior=0.5)
-        result["shares"][str(share)] = plain(found)
-        print(
-            f"{share:.0%} unknown: right of known {found.known.mean[-1]:.3f}, of unknown {found.unknown.mean[-1]:.3f}"
-        )
-    sure, right = none[:, -1], truth < 0
-    result["calibration_of_none"] = plain(scores.calibration_error(np.maximum(sure, 1 - sure), (sure > 0.5) == right))
+    print("after the last: " + shown(scores.Estimate(*(x[-1] for x in area))))
+    for name, each in (("as imagined", (test.p, raw)), ("trusted as on validation objects", (p, none))):
+        for share in (0.01, 0.25, 0.5):
+            found = scores.open_set(*each, test.truth, share, prior=PRIOR)
+            result["shares"][f"{name}, {share}"] = plain(found)
+            last = [shown(scores.Estimate(*(x[-1] for x in one))) for one in (found.known, found.unknown)]
+            print(f"{name}, {share:.0%} unknown: right of known {last[0]}, of unknown {last[1]}")
+        sure, right = each[1][:, -1], test.truth < 0
+        wrong = scores.calibration_error(np.maximum(sure, 1 - sure), (sure > 0.5) == right, 10)
+        result[f"calibration_of_none, {name}"] = plain(wrong)
+        print(f"{name}, calibration error of none of these after the last touch: {wrong.error:.3f}")
     plots.save(drawing.accuracy({"AUROC of none of these": area}, "Telling strangers", True), out / "auroc.png")
     return result
+
+
+def _pooled(games: Sequence[Game]) -> Game:
+    return Game(*(np.concatenate(column) for column in zip(*games, strict=True)))
