@@ -54,13 +54,21 @@ def take_lock(host: str) -> Any:
     return lock
 
 
-def probe(host: str) -> None:
-    """Ask a controller whether it could be controlled now; raises DeviceError where not."""
+def greet(host: str) -> None:
+    """Ask a controller whether it speaks RTDE; raises DeviceError where it does not answer."""
     try:
         with socket.create_connection((host, RTDE), 1.0) as connection:
             connection.sendall(b"\x00\x05V\x00\x02")
             if not connection.recv(4):
                 raise OSError(f"port {RTDE} was closed")
+    except OSError as error:
+        raise DeviceError(f"The UR controller at {host} does not answer: {error}.") from error
+
+
+def probe(host: str) -> None:
+    """Ask a controller whether it could be controlled now; raises DeviceError where not."""
+    greet(host)
+    try:
         if ask_dashboard(host, "is in remote control") == "false":
             raise DeviceError(f"The robot at {host} is in local mode: choose remote control on its pendant.")
         if "PROTECTIVE" in ask_dashboard(host, "safetystatus"):

@@ -1,0 +1,283 @@
+"""Camera in tool from views of a printed board: print it, lay it down, look at it from 15 tilted poses, estimate.
+
+    python -m i2t.hardware.hand_eye board board.png                    # print it at 100 %, measure a square
+    python -m i2t.hardware.hand_eye capture DIR --host 192.168.0.2     # move the arm by hand, press Enter, again
+    python -m i2t.hardware.hand_eye estimate DIR --square 0.0152 --rig lab.toml --write
+
+The board is a ChArUco board of OpenCV (`--dictionary APRILTAG_36h11` makes one of AprilTags). `capture` reads a
+RealSense's colour image and the arm's pose, without controlling the arm; the TCP set on the pendant must be the rig's
+T_flange_tool. DIR may come from elsewhere:
+
+    DIR/camera.toml      the images' lens in pixels (keys of `i2t.cameras.Camera`), and T_camera_image (rows of 4 x 4),
+                         the frame of the images in the depth camera's, where they were taken by another imager
+    DIR/images/NAME.png  the board seen from one pose each
+    DIR/poses.csv        NAME.png, x, y, z (m), rx, ry, rz (rotation vector, rad): T_base_tool as the pendant shows it
+
+The estimate needs at least six views, tilted by 15 degrees or more about two axes; how it is found and what the error
+that it states means is in `i2t.hardware.hand_eye_fit`.
+"""
+
+import argparse
+import csv
+import math
+import sys
+import tomllib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from i2t.cameras import Camera
+from i2t.hardware.hand_eye_fit import CORNERS, Found, Sight, fit, lines_of_sight
+from i2t.hardware.protocols import DeviceError
+from i2t.hardware.rig import Rig
+from i2t.types import Array
+
+PRINTED = 300 / 25.4  # pixels per mm of a printed board: 300 dpi
+
+
+@dataclass(frozen=True)
+class Board:
+    """A ChArUco board: columns and rows of squares, the edges of squares and markers (m)."""
+
+    columns: int = 8
+    rows: int = 6
+    square: float = 0.015
+    marker: float = 0.011
+    dictionary: str = "4X4_50"
+
+    def __post_init__(self) -> None:
+        if self.columns < 3 or self.rows < 3 or not 0 < self.marker < self.square < 1:
+            raise ValueError(
+                f"a board of {self.columns} x {self.rows} squares of {self.square:g} m with markers of {self.marker:g} "
+                "m is none; give at least 3 x 3 squares, in metres, larger than their markers"
+            )
+
+    def drawn(self, pixels_per_mm: float = PRINTED) -> Array:
+        """(h, w) uint8, with a margin of a square."""
+        edge = round(1e3 * self.square * pixels_per_mm)
+        size = ((self.columns + 2) * edge, (self.rows + 2) * edge)
+        return np.asarray(self._made()[1].generateImage(size, marginSize=edge))
+
+    def find(self, image: Array) -> tuple[Array, Array]:
+        """Corners that are seen in an image (h, w, 3) uint8: (k, 3) m on the board and (k, 2) pixels; k may be 0."""
+        cv2, board = self._made()
+        grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
+        places, numbers, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
+        if numbers is None or not len(numbers):
+            return np.zeros((0, 3)), np.zeros((0, 2))
+        return np.array(board.getChessboardCorners(), float)[np.ravel(numbers)], np.reshape(places, (-1, 2)).astype(
+            float
+        )
+
+    def _made(self) -> tuple[Any, Any]:
+        try:
+            import cv2
+        except ImportError as error:
+            raise DeviceError("boards are found by OpenCV: pip install 'i2t[hardware]'") from error
+        if not hasattr(cv2, "aruco") or not hasattr(cv2.aruco, "CharucoDetector"):
+            raise DeviceError(
+                f"OpenCV {cv2.__version__} finds no ChArUco boards: pip install -U 'opencv-python-headless>=4.8'"
+            )
+        code = getattr(cv2.aruco, f"DICT_{self.dictionary}", None)
+        if code is None:
+            raise ValueError(f"OpenCV has no dictionary {self.dictionary!r}; give one as 4X4_50 or APRILTAG_36h11")
+        markers = cv2.aruco.getPredefinedDictionary(code)
+        return cv2, cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, markers)
+
+
+def estimate(path: Path, board: Board) -> tuple[Found, Array, list[str]]:
+    """What a folder of views tells, T_camera_image of its images (4, 4), and the names of the images that were used.
+    Raises ValueError with one sentence.
+    """
+    camera, T_c_image = _lens(path / "camera.toml")
+    sights, names = [], []
+    for name, T_b_t in _poses(path / "poses.csv"):
+        file = path / "images" / name
+        try:
+            with Image.open(file) as opened:
+                image = np.asarray(opened.convert("RGB"))
+        except OSError as error:
+            raise ValueError(
+                f"{file}: cannot be read ({error.strerror or error}); restore it, or leave out its pose"
+            ) from error
+        if image.shape[:2] != (camera.height, camera.width):
+            raise ValueError(
+                f"{file}: has {image.shape[1]} x {image.shape[0]} pixels where camera.toml says {camera.width} x "
+                f"{camera.height}; give the lens of these images"
+            )
+        corners, pixels = board.find(image)
+        if len(corners) >= CORNERS:
+            sights.append(Sight(T_b_t, corners, lines_of_sight(camera, pixels)))
+            names.append(name)
+    try:
+        return fit(sights, (camera.fx + camera.fy) / 2), T_c_image, names
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def capture(path: Path, camera: Any, pose: Callable[[], Array], more: Callable[[int], bool], board: Board) -> int:
+    """Keep colour images of a connected `RealSense` and the tool's poses in a new folder, as long as `more(number)`
+    says so; returns how many.
+    """
+    (path / "images").mkdir(parents=True)
+    number = 0
+    with (path / "poses.csv").open("w", newline="") as file:
+        rows = csv.writer(file)
+        while more(number):
+            T_b_t, seen = pose(), camera.colour()
+            if number == 0:
+                (path / "camera.toml").write_text(_lens_text(seen.camera, seen.T_c_colour), "utf-8")
+            found = len(board.find(seen.image)[0])
+            print(f"view {number}: {found} corners" + ("" if found >= CORNERS else "; too few, it will not be used"))
+            name = f"{number:03d}.png"
+            Image.fromarray(seen.image).save(path / "images" / name)
+            turn = Rotation.from_matrix(T_b_t[:3, :3]).as_rotvec()
+            rows.writerow([name, *(f"{x:.9f}" for x in (*T_b_t[:3, 3], *turn))])
+            file.flush()
+            number += 1
+    return number
+
+
+def tool_pose(host: str) -> Array:
+    """T_b_t (4, 4) of a UR arm now, without controlling it; raises DeviceError."""
+    from i2t.hardware.ur_access import greet
+    from i2t.hardware.ur_link import from_ur
+
+    greet(host)
+    try:
+        import rtde_receive
+
+        listening = rtde_receive.RTDEReceiveInterface(host, 125.0, ["timestamp", "actual_TCP_pose"])
+    except ImportError as error:
+        raise DeviceError("A UR arm needs ur_rtde: pip install 'i2t[hardware]' on Python 3.10 to 3.12.") from error
+    except RuntimeError as error:
+        raise DeviceError(f"The controller at {host} gives no states: {error}.") from error
+    try:
+        return from_ur(listening.getActualTCPPose())
+    finally:
+        listening.disconnect()
+
+
+def _poses(path: Path) -> Iterator[tuple[str, Array]]:
+    try:
+        rows = [row for row in csv.reader(path.read_text("utf-8").splitlines()) if row]
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read ({error.strerror}); it holds one line for each image") from error
+    for row in rows:
+        try:
+            numbers = [float(x) for x in row[1:]]
+        except ValueError:
+            numbers = []
+        if len(numbers) != 6 or not np.isfinite(numbers).all() or np.abs(numbers).max() > 10:
+            raise ValueError(
+                f"{path}: the line {','.join(row)!r} is no pose; write NAME.png, x, y, z (m), rx, ry, rz (rad)"
+            )
+        T = np.eye(4)
+        T[:3, 3], T[:3, :3] = numbers[:3], Rotation.from_rotvec(numbers[3:]).as_matrix()
+        yield row[0].strip(), T
+
+
+def _lens(path: Path) -> tuple[Camera, Array]:
+    try:
+        table = tomllib.loads(path.read_text("utf-8"))
+        T = np.array(table.pop("T_camera_image", np.eye(4)), float)
+        lens: Any = {key: float(table.pop(key)) for key in ("fx", "fy", "cx", "cy")}
+        bent = tuple(float(each) for each in table.pop("coefficients", ()))
+        known = {each.name for each in fields(Camera)}
+        if T.shape != (4, 4) or not set(table) <= known:
+            raise ValueError("it holds something else than a lens and T_camera_image")
+        return Camera(**table, **lens, coefficients=bent), T
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read ({error.strerror}); it holds the images' lens") from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path}: is no lens ({' '.join(str(error).split())}); see i2t.hardware.hand_eye") from error
+
+
+def _lens_text(camera: Camera, T: Array) -> str:
+    lens = {**asdict(camera), "model": f'"{camera.model}"', "coefficients": list(camera.coefficients)}
+    rows = ", ".join(str([float(x) for x in row]) for row in T)
+    return "".join(f"{key} = {value}\n" for key, value in lens.items()) + f"T_camera_image = [{rows}]\n"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        "python -m i2t.hardware.hand_eye", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    shape = argparse.ArgumentParser(add_help=False)
+    for each in fields(Board):
+        shape.add_argument(f"--{each.name}", type=type(each.default), default=each.default)
+    steps = parser.add_subparsers(dest="step", required=True)
+    draw = steps.add_parser("board", parents=[shape], help="draw the board")
+    draw.add_argument("file", type=Path)
+    take = steps.add_parser("capture", parents=[shape], help="take views with a RealSense and a UR arm")
+    take.add_argument("folder", type=Path)
+    take.add_argument("--host", required=True, help="address of the arm's controller")
+    take.add_argument("--serial", help="which camera, if there are several")
+    take.add_argument("--size", type=int, nargs=2, default=(640, 360), metavar=("WIDTH", "HEIGHT"))
+    tell = steps.add_parser("estimate", parents=[shape], help="find the camera in the tool")
+    tell.add_argument("folder", type=Path)
+    tell.add_argument("--rig", type=Path, help="a lab's calibration, to compare with")
+    tell.add_argument("--write", action="store_true", help="put the estimate into it")
+    asked = parser.parse_args(arguments)
+    try:
+        board = Board(**{each.name: getattr(asked, each.name) for each in fields(Board)})
+        if asked.step == "board":
+            Image.fromarray(board.drawn()).save(asked.file, dpi=(300, 300))
+            print(f"{asked.file}: print it at 100 %; a square must measure {1e3 * board.square:g} mm")
+        elif asked.step == "capture":
+            _capture(asked, board)
+        else:
+            _estimate(asked, board)
+    except (DeviceError, OSError, ValueError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+def _capture(asked: argparse.Namespace, board: Board) -> None:
+    from i2t.hardware.realsense import RealSense
+
+    def more(number: int) -> bool:
+        try:
+            return input(f"pose {number}: Enter takes a view, q ends: ").strip() != "q"
+        except EOFError:
+            return False
+
+    tool_pose(asked.host)
+    with RealSense(asked.serial, tuple(asked.size)) as camera:
+        count = capture(asked.folder, camera, lambda: tool_pose(asked.host), more, board)
+    print(f"{asked.folder}: {count} views")
+
+
+def _estimate(asked: argparse.Namespace, board: Board) -> None:
+    if asked.write and asked.rig is None:
+        raise ValueError("--write needs the file to write into; give --rig")
+    rig = Rig.read(asked.rig) if asked.rig is not None else None
+    found, T_c_image, names = estimate(asked.folder, board)
+    T_t_c = found.T_t_c @ np.linalg.inv(T_c_image)
+    print(
+        f"{len(names)} views, {found.rms:.2f} pixels RMS; the worst is {names[int(found.views.argmax())]} with ", end=""
+    )
+    print(f"{found.views.max():.2f}")
+    print(
+        f"standard error {1e3 * found.distance:.2f} mm, {math.degrees(found.angle):.2f} degrees (jackknife over views)"
+    )
+    with np.printoptions(precision=6, suppress=True):
+        print(f"T_tool_camera =\n{T_t_c}")
+    if rig is not None:
+        change = np.linalg.inv(rig.T_tool_camera) @ T_t_c
+        turn = math.degrees(Rotation.from_matrix(change[:3, :3]).magnitude())
+        print(f"{1e3 * np.linalg.norm(change[:3, 3]):.1f} mm and {turn:.1f} degrees from what {asked.rig} says")
+        if asked.write:
+            replace(rig, T_tool_camera=T_t_c).write(asked.rig)
+            print(f"{asked.rig}: written")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,173 @@
+"""Where a camera sits in the tool, from a board seen from many poses of the tool; pure NumPy and SciPy.
+
+With X = T_t_c and Y = T_b_o of the board, a corner p of the board appears in view i along the line of sight of
+X^-1 T_b_t,i^-1 Y p. First X's rotation from the rotations between views, then its translation, both linear (Park and
+Martin, IEEE T-RO 10, 1994), from poses of the board that are read off each view's homography (Zhang, PAMI 22, 2000);
+then X and Y together by least squares of what was seen, with a loss that forgives single corners. The error stated is
+the jackknife's over views, since corners of a view share the error of the arm's pose: sqrt((n - 1) / n sum d_i^2) of
+the change d_i without view i.
+
+Frames: B robot base, T tool, C camera, O board (z = 0 on it); metres, radians, lines of sight as x / z, y / z.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from i2t.cameras import Camera, Distortion
+from i2t.types import Array
+
+FEWEST, CORNERS = 6, 6  # views, and corners of each
+TILT = math.radians(5)  # root mean square turn about a second axis, under which the problem is nearly singular
+PIXEL = 1.0  # from where on a corner counts less than its square
+
+
+class Sight(NamedTuple):
+    """A board seen from one pose of the tool."""
+
+    T_b_t: Array  # (4, 4)
+    corners: Array  # (k, 3) m, on the board
+    rays: Array  # (k, 2) lines of sight
+
+
+class Found(NamedTuple):
+    """A camera in a tool."""
+
+    T_t_c: Array  # (4, 4)
+    T_b_o: Array  # (4, 4) the board
+    rms: float  # pixels, of all corners
+    views: Array  # (n,) pixels, of each view
+    distance: float  # m, one standard error of the camera's place
+    angle: float  # rad, one standard error of its turn
+
+
+def lines_of_sight(camera: Camera, pixels: Array) -> Array:
+    """Lines of sight (k, 2) of pixels (k, 2); raises ValueError for a lens other than the Brown-Conrady family's (see
+    `i2t.lenses`, of which this is the part without JAX).
+    """
+    seen = (np.asarray(pixels, float) - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    if not any(camera.coefficients):
+        return seen
+    if camera.model == Distortion.INVERSE_BROWN_CONRADY:
+        return seen + _bend(camera, seen)
+    if camera.model in (Distortion.BROWN_CONRADY, Distortion.MODIFIED_BROWN_CONRADY):
+        straight = seen
+        for _ in range(50):  # each step is closer by the distortion's slope, some hundredths
+            straight = seen - _bend(camera, straight)
+        return straight
+    raise ValueError(f"camera: a hand-eye calibration knows no {camera.model} lens; give images without distortion")
+
+
+def _bend(camera: Camera, at: Array) -> Array:
+    """How far a lens moves lines of sight in its direct sense."""
+    k1, k2, p1, p2, k3 = camera.coefficients
+    square = (at**2).sum(1)
+    radial = at * (square * (k1 + square * (k2 + square * k3)))[:, None]
+    x, y = (at + radial if camera.model == Distortion.MODIFIED_BROWN_CONRADY else at).T
+    return radial + np.stack([2 * p1 * x * y + p2 * (square + 2 * x**2), 2 * p2 * x * y + p1 * (square + 2 * y**2)], 1)
+
+
+def fit(sights: Sequence[Sight], focal: float) -> Found:
+    """The camera in the tool; `focal` (pixels) turns lines of sight into pixels. Raises ValueError where the views do
+    not tell it.
+    """
+    if len(sights) < FEWEST:
+        raise ValueError(f"the board was found in {len(sights)} views; take at least {FEWEST}, better 15")
+    T_c_o = np.stack([board_pose(sight) for sight in sights])
+    tools = np.stack([sight.T_b_t for sight in sights])
+    X = closed_form(tools, T_c_o)
+    Y = _mean([T @ X @ seen for T, seen in zip(tools, T_c_o, strict=True)])
+    whole = _refine(sights, focal, X, Y)
+    parts = [_refine([*sights[:i], *sights[i + 1 :]], focal, *whole[:2]) for i in range(len(sights))]
+    moved = np.array([np.linalg.norm(X[:3, 3] - whole[0][:3, 3]) for X, _ in parts])
+    turned = np.array([_turn(X[:3, :3], whole[0][:3, :3]) for X, _ in parts])
+    each = [_miss(*whole, sight) * focal for sight in sights]
+    spread = (len(sights) - 1) / len(sights)
+    return Found(
+        *whole,
+        math.sqrt((np.concatenate(each) ** 2).sum(1).mean()),
+        np.array([math.sqrt((miss**2).sum(1).mean()) for miss in each]),
+        math.sqrt(spread * (moved**2).sum()),
+        math.sqrt(spread * (turned**2).sum()),
+    )
+
+
+def board_pose(sight: Sight) -> Array:
+    """T_c_o (4, 4) from one view's homography between the board and lines of sight."""
+    if len(sight.corners) < CORNERS:
+        raise ValueError(f"a view shows {len(sight.corners)} corners; at least {CORNERS} are needed")
+    scale = np.abs(sight.corners).max()
+    flat = np.column_stack([sight.corners[:, :2] / scale, np.ones(len(sight.corners))])
+    zero = np.zeros_like(flat)
+    x, y = sight.rays[:, :1], sight.rays[:, 1:]
+    equations = np.concatenate([np.hstack([flat, zero, -x * flat]), np.hstack([zero, flat, -y * flat])])
+    H = np.linalg.svd(equations)[2][-1].reshape(3, 3) @ np.diag([1 / scale, 1 / scale, 1])
+    H *= np.sign(H[2, 2]) / math.sqrt(np.linalg.norm(H[:, 0]) * np.linalg.norm(H[:, 1]))  # before the camera
+    u, _, vt = np.linalg.svd(np.column_stack([H[:, 0], H[:, 1], np.cross(H[:, 0], H[:, 1])]))
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = u @ vt, H[:, 2]
+    return T
+
+
+def closed_form(tools: Array, T_c_o: Array) -> Array:
+    """T_t_c (4, 4) from poses of the tool (n, 4, 4) T_b_t and what the camera saw; raises ValueError for views between
+    which the tool turns about one axis at most.
+    """
+    A = np.linalg.inv(tools[1:]) @ tools[0]  # t_i <- t_0
+    B = T_c_o[1:] @ np.linalg.inv(T_c_o[0])  # c_i <- c_0, and A X = X B
+    turns = Rotation.from_matrix(A[:, :3, :3]).as_rotvec()
+    if np.linalg.svd(turns)[1][1] / math.sqrt(len(tools)) < TILT:
+        raise ValueError(
+            "the tool turned about one axis at most between the views; tilt it by 15 degrees or more about two"
+        )
+    X = np.eye(4)
+    X[:3, :3] = Rotation.align_vectors(turns, Rotation.from_matrix(B[:, :3, :3]).as_rotvec())[0].as_matrix()
+    left = (A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
+    right = (B[:, :3, 3] @ X[:3, :3].T - A[:, :3, 3]).ravel()
+    X[:3, 3] = np.linalg.lstsq(left, right, rcond=None)[0]
+    return X
+
+
+def _refine(sights: Sequence[Sight], focal: float, X: Array, Y: Array) -> tuple[Array, Array]:
+    """X and Y with the least squares of what was seen, from a guess."""
+    index = np.repeat(np.arange(len(sights)), [len(sight.corners) for sight in sights])
+    T_t_b = np.linalg.inv(np.stack([sight.T_b_t for sight in sights]))[index]
+    corners, rays = np.concatenate([s.corners for s in sights]), np.concatenate([s.rays for s in sights])
+
+    def miss(change: Array) -> Array:
+        T_c_t, T_b_o = np.linalg.inv(X @ _motion(change[:6])), Y @ _motion(change[6:])
+        base = corners @ T_b_o[:3, :3].T + T_b_o[:3, 3]
+        tool = np.einsum("nij,nj->ni", T_t_b[:, :3, :3], base) + T_t_b[:, :3, 3]
+        seen = tool @ T_c_t[:3, :3].T + T_c_t[:3, 3]
+        return (focal * (seen[:, :2] / seen[:, 2:] - rays)).ravel()
+
+    found = least_squares(miss, np.zeros(12), loss="soft_l1", f_scale=PIXEL, x_scale="jac", max_nfev=100).x
+    return X @ _motion(found[:6]), Y @ _motion(found[6:])
+
+
+def _miss(X: Array, Y: Array, sight: Sight) -> Array:
+    """(k, 2) by which lines of sight are missed."""
+    T = np.linalg.inv(sight.T_b_t @ X) @ Y
+    seen = sight.corners @ T[:3, :3].T + T[:3, 3]
+    return seen[:, :2] / seen[:, 2:] - sight.rays
+
+
+def _motion(twist: Array) -> Array:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(twist[3:]).as_matrix(), twist[:3]
+    return T
+
+
+def _mean(poses: Sequence[Array]) -> Array:
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_matrix(np.stack([each[:3, :3] for each in poses])).mean().as_matrix()
+    T[:3, 3] = np.mean([each[:3, 3] for each in poses], 0)
+    return T
+
+
+def _turn(one: Array, other: Array) -> float:
+    return float(Rotation.from_matrix(one @ other.T).magnitude())
