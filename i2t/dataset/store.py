@@ -83,13 +83,14 @@ def save(path: str | Path, dataset: Dataset) -> Path:
     return write(path, lambda file: _put_dataset(file, dataset))
 
 
-def write_touch(folder: str | Path, record: Record) -> Path:
-    """Record one touch in a new file of `folder`, named by the time in UTC; once this returns, the touch survives a
-    kill or a power cut.
+def write_touch(folder: str | Path, record: Record, at: float | None = None) -> Path:
+    """Record one touch in a new file of `folder`, named by the time in UTC (now, or `at`, Unix time in s); once this
+    returns, the touch survives a kill or a power cut.
 
     Raises DataError for a record that cannot be read back.
     """
-    name = f"touch-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}Z-{secrets.token_hex(3)}{ENDING}"
+    made = datetime.now(UTC) if at is None else datetime.fromtimestamp(at, UTC)
+    name = f"touch-{made:%Y%m%dT%H%M%S.%f}Z-{secrets.token_hex(3)}{ENDING}"
     path = Path(folder) / name
     if len(record.touch) != 1:
         raise DataError(f"{path}: a record holds {len(record.touch)} touches, not 1; record each touch by itself")
