@@ -3,6 +3,7 @@
 import dataclasses
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -147,6 +148,9 @@ def test_the_summary_warns_of_an_object_outside_the_box(capsys, tmp_path):
     assert "OUTSIDE" in rigs.summary(Rig(T_world_object=pose([0, 0, 0], [1, 0, 0])))
 
 
-def test_it_needs_no_jax():
-    code = "import sys, i2t.hardware.rig; assert 'jax' not in sys.modules and 'scipy' not in sys.modules"
+def test_the_hardware_layer_needs_no_jax_and_no_sdk():
+    names = sorted(path.stem for path in Path(rigs.__file__).parent.glob("*.py") if path.stem != "__init__")
+    code = "import sys, " + ", ".join(f"i2t.hardware.{name}" for name in names) + "\n"
+    code += "there = {'jax', 'cv2', 'serial', 'pyrealsense2', 'rtde_control', 'rtde_receive'} & set(sys.modules)\n"
+    code += "assert not there, there"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -6,21 +6,29 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
+from i2t import boards, world
 from i2t.hardware import recording
+from i2t.hardware.clock import Monotonic
 from i2t.hardware.frames import encode
 from i2t.hardware.protocols import DeviceError, NotConnected, Silent, Skin
 from i2t.hardware.reskin import Replay, ReSkin
 from i2t.stand_ins.reskin_board import Readings, started
+from i2t.stand_ins.scene import Flat
+from i2t.stand_ins.simulated import Lab, SimulatedSkin
 
 PATIENCE = 20.0  # s that a loaded machine may need
 
 
-@pytest.fixture(params=["emulated", "replay"])
+@pytest.fixture(params=["emulated", "replay", "simulated"])
 def make(request, tmp_path) -> Iterator[Callable[[], Skin]]:
     """Skins of one kind that have not been connected."""
     if request.param == "emulated":
         with started() as (port, _):
             yield lambda: ReSkin(port)
+        return
+    if request.param == "simulated":
+        lab = Lab(Flat(0.0, 1e4, np.zeros(15), world.Errors(), boards.reskin()), Monotonic())
+        yield lambda: SimulatedSkin(lab)
         return
     board = Readings(1.0, 0.0, None, 0)
     with recording.create(tmp_path / "skin") as file:
