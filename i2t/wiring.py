@@ -184,7 +184,7 @@ def _rehearse(wanted: Wanted, rig: Rig, name: str, unit: str, stack: ExitStack) 
     pid = os.getpid()
     host, link = f"127.{pid // 250 % 250 + 1}.{pid % 250 + 1}.200", folder / "skin"
     options = ["--host", host, "--link", str(link), "--object", name, "--unit", unit, "--seed", str(wanted.seed)]
-    options += ["--rig", str(folder / "rig.toml"), "--stiffness", str(wanted.stiffness)]
+    options += ["--rig", str(folder / "rig.toml"), "--mount", str(wanted.stiffness)]
     options += ["--pad", str(wanted.pad)] if wanted.pad else []
     stack.enter_context(rehearsal.started(*options, *(["--exact"] if wanted.exact else [])))
     return host, str(link)

@@ -1,10 +1,12 @@
-"""What the tool of the emulated UR arm touches: a mesh through the skin's physics (`i2t.stand_ins.scene`).
+"""What the tool of the emulated UR arm touches: an object, through the skin's physics (`i2t.stand_ins.scene`).
 
-The only part of that process that needs JAX, imported only if there is a mesh. The object stands where the rig's file
-says it is, displaced by the placement error of `--errors typical`; the pad is the one of `--pad-seed`, so that the
-emulated board shows what the arm's wrench comes from.
+The only part of that process that needs JAX, imported only if there is an object. The object stands where the rig's
+file says it is, but for the errors of a run of that seed.
 """
 
+import contextlib
+import socket
+import struct
 from pathlib import Path
 
 import jax
@@ -12,30 +14,56 @@ import numpy as np
 
 from i2t import objects
 from i2t.hardware.rig import Rig
+from i2t.skin.files import load_pad
 from i2t.skin.pad import sample_pad
-from i2t.solids import Mesh
-from i2t.stand_ins.scene import Feeler, Scene
-from i2t.types import Array
+from i2t.stand_ins.scene import Feeler, Met, Scene
+from i2t.types import READINGS, Array
 from i2t.world import Errors
 
-ERRORS = {"none": Errors.none, "typical": Errors}
+PAD = 1000  # key of the random pad, the same as pad 0 of experiments.train
 
 
-def feeler(mesh: str, unit: str, rig: Path | None, errors: str, pad_seed: int, seed: int, stiffness: float) -> Feeler:
-    """The contact of a catalogue's object, or of a mesh file in `unit`; raises ValueError or OSError, one sentence.
+class Wired(Feeler):
+    """A feeler that tells a board what it feels, by datagrams: the skin's own field at rest and what a press changes.
+    The board keeps the newest.
+    """
 
-    `stiffness` is that of arm and mount in N/m. It takes some seconds, in which everything is compiled.
+    def __init__(self, scene: Met, to: tuple[str, int], wait: bool = False) -> None:
+        super().__init__(scene, wait)
+        self._to, self._told = to, np.full(READINGS, np.nan)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+
+    def __call__(self, position: Array, turned: Array) -> Array:
+        """Wrench (6,) on the tool at a pose, base axes."""
+        wrench = super().__call__(position, turned)
+        if not np.array_equal(self.reading, self._told):
+            with contextlib.suppress(OSError):
+                self._socket.sendto(struct.pack(f"<{READINGS}f", *(self.scene.rest + self.reading)), self._to)
+                self._told = self.reading
+        return wrench
+
+
+def feeler(
+    name: str,
+    unit: str,
+    rig: Path | None,
+    pad: Path | None,
+    seed: int,
+    exact: bool,
+    stiffness: float,
+    board: tuple[str, int] | None,
+) -> Feeler:
+    """The contact with an object of the catalogue, or a mesh file in `unit`; raises ValueError or OSError, with one
+    sentence.
+
+    With `exact` there are no errors of placement; `stiffness` is that of arm and mount in N/m; `board` is where an
+    emulated board wants to be told. It takes some seconds, in which everything is compiled.
     """
     setup = Rig() if rig is None else Rig.read(rig)
-    shape: Mesh = objects.make(mesh).mesh if mesh in objects.NAMES else objects.load(Path(mesh), unit)[0].mesh
-    T_b_o = setup.T_base_world @ setup.T_world_object
-    scene = Scene(shape, T_b_o, jax.jit(sample_pad)(jax.random.key(pad_seed)), ERRORS[errors](), stiffness, seed)
-    scene.ahead(_above(T_b_o, shape))  # compiles, so that nothing waits for it later
-    return Feeler(scene, wait=False)
-
-
-def _above(T_b_o: Array, mesh: Mesh) -> Array:
-    T = np.eye(4)
-    T[:3, :3] = T_b_o[:3, :3] @ np.diag([1.0, -1.0, -1.0])
-    T[:3, 3] = T_b_o[:3, 3] + T_b_o[:3, 2] * (mesh.vertices[:, 2].max() + 0.04)
-    return T
+    mesh = (objects.make(name) if name in objects.NAMES else objects.load(name, unit)[0]).mesh
+    skin = jax.jit(sample_pad)(jax.random.key(PAD)) if pad is None else load_pad(pad)
+    errors = Errors().scaled(0.0) if exact else Errors()
+    scene = Scene(mesh, setup.T_base_world @ setup.T_world_object, skin, errors, stiffness, seed)
+    scene.ahead(setup.T_base_world @ setup.T_world_object)  # compiled before anybody waits for it
+    return Feeler(scene, wait=False) if board is None else Wired(scene, board)

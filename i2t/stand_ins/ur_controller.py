@@ -9,13 +9,13 @@ whatever TCP it is given. Any 127.0.0.x is a robot of its own.
 
 The tool meets a springy horizontal plane (`--plane`, `--stiffness`), or an object:
 
-    python -m i2t.stand_ins.ur_controller --mesh star --rig lab.toml --pad-seed 3
+    python -m i2t.stand_ins.ur_controller --object star --rig lab.toml
 
-`--mesh` is a name of `i2t.objects` or a mesh file, which stands where the rig's file says; force, its centre and what
+`--object` is a name of `i2t.objects` or a mesh file, which stands where the rig's file says; force, its centre and what
 the skin would read come from i2t's own contact mechanics, worked out along the tool's z axis once it has stood for
 some ticks (hundredths of a second of computing, beside the 500 Hz; until it is done nothing is met). With
-`--skin HOST:PORT` that reading goes to an emulated board at every tick: `i2t.stand_ins.pair` starts both.
-`--latency` delays whatever the client sends. Without latency a command takes effect at the next tick of 2 ms.
+`--skin HOST:PORT` that reading goes to an emulated board: `i2t.stand_ins.rehearsal` starts both. `--latency` delays
+whatever the client sends; without it a command takes effect at the next tick of 2 ms.
 
 Faults on demand. A fourth port, 30100, takes a line and answers one, for instance
 `echo protective | nc -q1 127.0.0.9 30100`; `--after SECONDS COMMAND` does the same once a program has started:
@@ -109,33 +109,28 @@ def main(arguments: list[str] | None = None) -> None:
         "--after", nargs=2, action="append", default=[], metavar=("SECONDS", "COMMAND"), help="fault after the start"
     )
     parser.add_argument("--latency", type=float, default=0.0, help="s that commands take to reach the program")
-    parser.add_argument("--mesh", help="what the tool touches: a name of the catalogue, or a mesh file")
+    parser.add_argument("--object", help="what the tool touches: a name of the catalogue, or a mesh file")
     parser.add_argument("--unit", default="mm", help="of a mesh file: m or mm (default mm)")
     parser.add_argument("--rig", type=Path, help="a lab's calibration, which says where the object is")
-    parser.add_argument("--errors", choices=["none", "typical"], default="typical", help="of placement and arm")
-    parser.add_argument("--pad-seed", type=int, default=0, help="which skin the tool wears")
+    parser.add_argument("--pad", type=Path, help="the skin that the tool wears, on disk; by default a random one")
     parser.add_argument("--seed", type=int, default=0, help="of the errors")
-    parser.add_argument("--arm-stiffness", type=float, default=10e3, help="of arm and mount, N/m (default 10000)")
+    parser.add_argument("--exact", action="store_true", help="the object is where it is believed to be")
+    parser.add_argument("--mount", type=float, default=10e3, help="stiffness of arm and mount, N/m (default 10000)")
     parser.add_argument("--skin", metavar="HOST:PORT", help="an emulated board that shows what the skin feels")
     parser.add_argument("--tethered", action="store_true", help="end when standard input closes")
     args = parser.parse_args(arguments)
     contact: Any = plane(args.plane, args.stiffness)
-    felt = skin = None
     try:
-        if args.mesh is not None:
+        if args.object is not None:
             from i2t.stand_ins.ur_contact import feeler
 
-            contact = met = feeler(
-                args.mesh, args.unit, args.rig, args.errors, args.pad_seed, args.seed, args.arm_stiffness
-            )
-            felt = lambda: met.scene.rest + met.reading  # noqa: E731
-        if args.skin is not None:
-            host, _, port = args.skin.rpartition(":")
-            skin = host, int(port)
+            address = args.skin.rsplit(":", 1) if args.skin else None
+            board = (address[0], int(address[1])) if address else None
+            contact = feeler(args.object, args.unit, args.rig, args.pad, args.seed, args.exact, args.mount, board)
         robot = Robot(np.array(args.pose), contact, np.array([*args.bias, 0.0, 0.0, 0.0], float), args.noise)
         timed = [(float(seconds), command) for seconds, command in args.after]
         controller = Controller(robot, args.unlock_delay, args.force_limit)
-        server = Server(controller, args.host, timed, args.latency, felt, skin, args.tethered)
+        server = Server(controller, args.host, timed, args.latency, args.tethered)
     except (OSError, ValueError) as error:
         sys.exit(f"The stand-in cannot start on {args.host}: {error}.")
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))

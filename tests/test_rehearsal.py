@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 import jax
 import jax.numpy as jnp
@@ -18,10 +17,11 @@ from i2t.skin.contact import GRID
 from i2t.skin.field import rest_field
 from i2t.skin.noise import Noise
 from i2t.skin.pad import press, sample_pad
-from i2t.stand_ins import pair, reskin_board
+from i2t.stand_ins import rehearsal, reskin_board
+from i2t.stand_ins.ur_contact import PAD
 
 PATIENCE = 20.0  # s that a loaded machine may need
-ABOVE, TOP, STIFFNESS, SEED = 0.05, 0.03, 20e3, 3  # m, m, N/m: the star's top is flat, and wider than the skin
+ABOVE, TOP, STIFFNESS = 0.05, 0.03, 20e3  # m, m, N/m: the star's top is flat, and wider than the skin
 SAMPLES = 200
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs the addresses 127.x.y.z")
@@ -36,20 +36,24 @@ def down(z):
 
 
 @pytest.fixture(scope="module")
-def touching():
+def touching(tmp_path_factory):
     """A pair over a star, without errors of placement."""
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
     pose = ["0.4", "0", str(ABOVE), str(np.pi), "0", "0"]
-    options = ["--mesh", "star", "--errors", "none", "--pad-seed", str(SEED), "--arm-stiffness", str(STIFFNESS)]
-    with pair.started(own_host(201), ["--pose", *pose, *options]) as both:
-        yield both
+    host, link = own_host(201), str(tmp_path_factory.mktemp("pair") / "skin")
+    options = ["--object", "star", "--exact", "--mount", str(STIFFNESS), "--noise", "0", "--pose", *pose]
+    with rehearsal.started("--host", host, "--link", link, *options) as running:
+        yield host, link
+        running.send_signal(signal.SIGTERM)
+        assert running.wait(PATIENCE) == 0
+    assert not os.path.islink(link)  # the board has ended too
 
 
 def test_a_press_is_felt_as_the_physics_says(touching):
-    pad = jax.jit(sample_pad)(jax.random.key(SEED))
+    pad = jax.jit(sample_pad)(jax.random.key(PAD))
     nominal = np.asarray(pad.board.to_board(rest_field(pad)), float)
     pressed = jax.jit(lambda depth: press(pad, jnp.zeros((GRID.cells, GRID.cells)), depth))
-    with ReSkin(touching.port) as skin, UR(touching.host, Rig().limits, stale=1.0, watchdog=2.0) as arm:
+    with ReSkin(touching[1]) as skin, UR(touching[0], Rig().limits, stale=1.0, watchdog=2.0) as arm:
         assert arm.features.source == skin.features.source == "emulated"
         ambient = skin.read(SAMPLES, PATIENCE).reading.mean(0)
         # The pad's own field at rest; the room's and a mean of noise are on top.
@@ -79,28 +83,13 @@ def test_a_press_is_felt_as_the_physics_says(touching):
 
 
 def test_the_noise_is_the_worlds(touching):
-    with ReSkin(touching.port) as skin:
+    with ReSkin(touching[1]) as skin:
         sigma = skin.read(400, PATIENCE).reading.std(0)
     np.testing.assert_allclose(sigma, Noise().sigma, rtol=0.2)  # 400 samples: 3.5 % of one sigma
 
 
-def test_the_command_starts_both_and_ends_them(tmp_path):
-    host, link = own_host(202), tmp_path / "skin"
-    command = [sys.executable, "-m", "i2t.stand_ins.pair", "--host", host, "--link", str(link), "--", "--noise", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
-        assert running.stdout.readline() == f"simulated UR controller on {host}, its skin on {link}, ready\n"
-        with ReSkin(str(link)) as skin:
-            assert np.ptp(skin.read(20, PATIENCE).reading, axis=0).max() == 0
-        running.send_signal(signal.SIGTERM)
-        assert running.wait(PATIENCE) == 0
-    end = time.monotonic() + PATIENCE
-    while link.is_symlink():
-        assert time.monotonic() < end
-        time.sleep(0.02)
-
-
 def test_what_cannot_be_touched_is_said(tmp_path):
-    options = ["--host", own_host(203), "--mesh", "nothing.stl"]
+    options = ["--host", own_host(203), "--object", "nothing.stl"]
     command = [sys.executable, "-m", "i2t.stand_ins.ur_controller", *options]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode == 1
