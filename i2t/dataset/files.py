@@ -11,6 +11,7 @@ hidden leftover at worst, never a half-written touch.
 """
 
 import hashlib
+import io
 import os
 import re
 import secrets
@@ -35,9 +36,10 @@ class DataError(ValueError):
         super().__init__(" ".join(message.splitlines()))  # what a library reported may have several lines
 
 
-def write(path: Path, fill: Callable[[h5py.File], None]) -> Path:
+def write(path: Path, fill: Callable[[h5py.File], None], small: bool = False) -> Path:
     """Write a new HDF5 file of this schema at `path`, filled by `fill`, atomically and durably; an existing file is
-    replaced.
+    replaced. What is `small` is made in memory first: a full disk then meets a plain write, where the HDF5 library
+    would stumble over what it cannot write any more.
 
     Raises DataError where the folder cannot be written.
     """
@@ -45,10 +47,12 @@ def write(path: Path, fill: Callable[[h5py.File], None]) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            with h5py.File(temporary, "w", userblock_size=HEADER_BYTES) as file:
-                file.attrs["schema"] = SCHEMA
-                file.attrs["version"] = VERSION
-                fill(file)
+            if small:
+                image = io.BytesIO()
+                _make(image, fill)
+                temporary.write_bytes(image.getbuffer())
+            else:
+                _make(temporary, fill)
             with temporary.open("r+b") as raw:
                 raw.seek(HEADER_BYTES)
                 digest = hashlib.file_digest(raw, "sha256").hexdigest()
@@ -65,6 +69,13 @@ def write(path: Path, fill: Callable[[h5py.File], None]) -> Path:
             f"{path}: cannot be written ({error.strerror or error}); choose a folder you may write to"
         ) from error
     return path
+
+
+def _make(where: Path | io.BytesIO, fill: Callable[[h5py.File], None]) -> None:
+    with h5py.File(where, "w", userblock_size=HEADER_BYTES) as file:
+        file.attrs["schema"] = SCHEMA
+        file.attrs["version"] = VERSION
+        fill(file)
 
 
 def sync_folder(folder: Path) -> None:

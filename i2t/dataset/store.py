@@ -116,7 +116,7 @@ def write_touch(folder: str | Path, record: Record, at: float | None = None) -> 
         for label, count in record.counters.items():
             _put(file, f"counters/{label}", np.int64(count), "1")
 
-    return write(path, fill)
+    return write(path, fill, small=True)
 
 
 def read_touch(path: str | Path) -> Record:

@@ -1,0 +1,1 @@
+"""The sections of `experiments.faults`: each does one kind of harm, many times, and counts what came of it."""

@@ -1,0 +1,134 @@
+"""The arm: what a controller can do in the middle of a motion, and how hard it presses."""
+
+import json
+import os
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from experiments.faulty.rows import Row, Sizes, worst
+from i2t.hardware.procedure import Settings
+from i2t.hardware.protocols import DeviceError
+from i2t.hardware.rig import Rig
+from i2t.hardware.ur import UR
+from i2t.stand_ins import ur_controller
+
+FAULTS = {  # what is told to the stand-in, None for its end
+    "controller killed": None,
+    "stream stalled": "stall",
+    "all ports mute": "mute",
+    "protective stop": "protective",
+    "program ended (pendant, lost script)": "kill-program",
+}
+STALE = 0.1  # s
+PATIENCE = 10.0  # s
+GAP = 0.5e-3  # m before the surface where a press begins
+
+
+def arm(sizes: Sizes) -> list[Row]:
+    """Every fault in a motion: when it was noticed, and whether the arm stands."""
+    rows = []
+    for name, fault in FAULTS.items():
+        noticed, stood, sentences = [], 0, set()
+        for trial in range(sizes.arm):
+            seconds, sentence, stands = _fault(trial, fault)
+            noticed.append(seconds)
+            sentences.add(sentence.split(":")[0].split(" at 127")[0])
+            stood += stands
+        known = "not to be known" if fault is None else f"stood in {stood} of {sizes.arm}"
+        rows.append(
+            Row(
+                "arm", f"{name}: noticed", f"{sizes.arm} motions", f"{worst(noticed)}; {known}; \"{min(sentences)}\"",
+                "< 500 ms, and the arm stands", max(noticed) < 0.5 and (fault is None or stood == sizes.arm),
+            )
+        )  # fmt: skip
+    return [*rows, _second(sizes.arm)]
+
+
+def address(number: int) -> str:
+    """An address for a stand-in of this process."""
+    pid = os.getpid()
+    return f"127.{pid // 250 % 250 + 1}.{pid % 250 + 1}.{number % 100 + 1}"
+
+
+def status(host: str) -> dict:
+    """What the stand-in says of itself."""
+    return dict(json.loads(ur_controller.ask(host, "status")))
+
+
+def _fault(trial: int, fault: str | None) -> tuple[float, str, bool]:
+    """Seconds from a fault in the middle of a motion to its sentence, and whether the tool stands soon after."""
+    host, rig = address(trial), Rig()
+    with ur_controller.process(host) as process, UR(host, rig.limits, stale=STALE) as device:
+        goal = device.state(1.0).T_b_t.copy()
+        goal[2, 3] = 0.1
+        with ThreadPoolExecutor(1) as beside:
+            motion = beside.submit(device.go, goal, 0.1, 0.5)
+            time.sleep(0.4)
+            if motion.done():
+                return _fault(trial + 20, fault)  # the computer was too busy to watch: no trial
+            begun = time.monotonic()
+            if fault is None:
+                process.kill()
+            else:
+                ur_controller.ask(host, fault)
+            error = motion.exception(PATIENCE)
+            seconds = time.monotonic() - begun
+        sentence = str(error) if isinstance(error, DeviceError) else f"no sentence, but {error!r}"
+        if fault is None:
+            return seconds, sentence, False
+        time.sleep(0.3)
+        return seconds, sentence, not status(host)["moving"]
+
+
+def _second(trials: int) -> Row:
+    refused, unharmed = 0, 0
+    for trial in range(trials):
+        host, limits = address(trial + 50), Rig().limits
+        with ur_controller.process(host), UR(host, limits, stale=0.5) as device:
+            goal = device.state(1.0).T_b_t.copy()
+            goal[2, 3] -= 0.03
+            device.move(goal, 0.05, 0.5)
+            try:
+                UR(host, limits).connect()
+            except DeviceError:
+                refused += 1
+            while device.state().moving:
+                time.sleep(0.01)
+            unharmed += bool(np.abs(device.state().T_b_t - goal).max() < 1e-3)
+    said = f"refused {refused}, the first one's motion ended where it should {unharmed}"
+    return Row("arm", "second client", f"{trials} motions", said, "all", refused == unharmed == trials)
+
+
+def force(sizes: Sizes) -> list[Row]:
+    """How far emulated presses on soft and stiff objects run past the limit of force."""
+    settings, rig = Settings(), Rig()
+    rng = np.random.default_rng(0)
+    peaks, reasons = [], []
+    host, height = address(99), 0.05
+    pose = ("0.4", "0.0", str(height + GAP), str(np.pi), "0", "0")
+    with (
+        ur_controller.process(host, "--pose", *pose, "--noise", "0.1") as _,
+        UR(host, rig.limits, stale=0.5, watchdog=4.0) as device,
+    ):
+        start = device.state(1.0).T_b_t
+        for _ in range(sizes.presses):
+            stiffness = float(np.exp(rng.uniform(np.log(1e3), np.log(10e3))))
+            ur_controller.ask(host, f"plane {height} {stiffness}")
+            device.zero_wrench()
+            pressed = device.approach(
+                GAP + 0.02, settings.press, None, settings.force, settings.torque, settings.acceleration
+            )
+            reasons.append(pressed.reason)
+            peaks.append(stiffness * max(0.0, height - pressed.state.T_b_t[2, 3]))
+            device.go(start, settings.retreat, settings.acceleration)
+    over = np.array(peaks) - settings.force
+    derived = 10e3 * (settings.press * 0.06 + settings.press**2 / 4)
+    said = f"median {np.median(over):+.2f} N, greatest {over.max():+.2f} N; {reasons.count('force')} by force"
+    return [
+        Row(
+            "force", "past the 8 N limit, 1 to 10 N/mm, noise 0.1 N", f"{sizes.presses} emulated presses", said,
+            f"<= +2 N (derived at 10 N/mm, 60 ms: {derived:.1f})", bool(over.max() <= 2.0),
+        )
+    ]  # fmt: skip

@@ -1,0 +1,43 @@
+"""What a section of the report says, and how much of it is tried."""
+
+from dataclasses import astuple, dataclass
+from typing import NamedTuple
+
+
+class Row(NamedTuple):
+    """One figure."""
+
+    section: str
+    what: str
+    tried: str  # how often, of what
+    measured: str
+    goal: str
+    met: bool | None  # None where there is no goal
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How often each thing is tried; the defaults are those of the report."""
+
+    stream: float = 600.0  # s
+    frames: int = 20_000
+    silences: int = 20
+    arm: int = 10
+    presses: int = 500
+    air: int = 1000
+    kills: int = 200
+    disk: int = 5
+    touches: int = 1000
+
+    def times(self, share: float) -> "Sizes":
+        """As much of everything, and of each at least one."""
+        return Sizes(*(type(count)(max(1, share * count)) for count in astuple(self)))
+
+
+DEBUG = Sizes(1.0, 600, 1, 1, 2, 3, 1, 1, 3)
+
+
+def worst(seconds: list[float]) -> str:
+    """Median and worst of some times."""
+    ordered = sorted(seconds)
+    return f"median {1e3 * ordered[len(ordered) // 2]:.0f} ms, worst {1e3 * ordered[-1]:.0f} ms"
