@@ -110,7 +110,7 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("--latency", type=float, default=0.0, help="s that commands take to reach the program")
     parser.add_argument("--object", help="what the tool touches: a name of the catalogue, or a mesh file")
-    parser.add_argument("--unit", default="mm", help="of a mesh file: m or mm (default mm)")
+    parser.add_argument("--unit", default="mm", help="of a mesh file: m, cm, mm or inch (default mm)")
     parser.add_argument("--rig", type=Path, help="a lab's calibration, which says where the object is")
     parser.add_argument("--pad", type=Path, help="the skin that the tool wears, on disk; by default a random one")
     parser.add_argument("--seed", type=int, default=0, help="of the errors")
