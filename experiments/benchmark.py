@@ -1,10 +1,11 @@
 """How fast is i2t, against the peer a user would otherwise take?
 
-    python -m experiments.benchmark --sections training rendering skin [--out DIR]
+    python -m experiments.benchmark --sections training rendering skin policy [--out DIR]
 
 Every section times our work and its peer's in turns in one run, on the same machine with the same inputs, after
 checking that both compute the same thing; the table gives the median of each and the median of the turns' ratios (above
-1: we are faster). Each section takes three to five minutes on a quiet machine of two cores; all need the extra `bench`.
+1: we are faster). Each section takes three to five minutes on a quiet machine of two cores; all but `policy`
+need the extra `bench`.
 """
 
 import os
@@ -17,7 +18,8 @@ from pathlib import Path
 import jax
 import tyro
 
-from experiments import benchmark_rendering, benchmark_skin, benchmark_training
+from experiments import benchmark_policy, benchmark_rendering, benchmark_skin, benchmark_training
+from experiments.benchmark_policy import Policy
 from experiments.benchmark_rendering import Rendering
 from experiments.benchmark_skin import Skin
 from experiments.benchmark_training import Training
@@ -29,12 +31,13 @@ from experiments.timing import MissingPeerError, Row
 class Benchmark:
     """Which sections to run, how often, and where to write `benchmark.json`."""
 
-    sections: tuple[str, ...] = ("training", "rendering", "skin")
+    sections: tuple[str, ...] = ("training", "rendering", "skin", "policy")
     out: Path | None = None
     turns: int = 5
     training: Training = field(default_factory=Training)
     rendering: Rendering = field(default_factory=Rendering)
     skin: Skin = field(default_factory=Skin)
+    policy: Policy = field(default_factory=Policy)
 
 
 def main(cfg: Benchmark) -> list[Row]:
@@ -73,6 +76,7 @@ SECTIONS: dict[str, Callable[[Benchmark], list[Row]]] = {
     "training": lambda cfg: benchmark_training.section(cfg.training, cfg.turns),
     "rendering": lambda cfg: benchmark_rendering.section(cfg.rendering, cfg.turns),
     "skin": lambda cfg: benchmark_skin.section(cfg.skin, cfg.turns),
+    "policy": lambda cfg: benchmark_policy.section(cfg.policy, cfg.turns),
 }
 
 

@@ -46,6 +46,7 @@ class Learnt(NamedTuple):
     like: Likelihood
     std: np.ndarray  # (15,) uT, of its readings
     r2: float  # of touches left out
+    errors: np.ndarray  # (n, 15) uT, of the touches left out
 
 
 def learn(
@@ -110,13 +111,16 @@ def learn_on_pad(
     key: Key[Array, ""], pad: Pad, surfaces: Sequence[Surface], touches: int, limits: PressLimits, felt: Learnt
 ) -> Learnt:
     """What a known pad, say one fitted to a few presses, would teach: simulated touches of it, without any error, on
-    some objects. How far predictions are off is taken from a pad that was `felt`.
+    some objects. How far predictions are off, but for what the process itself is unsure of, is taken from a pad that
+    was `felt`.
     """
     ideal = replace(Errors.none(), slant=Errors.slant)
     made = world.simulate(key, surfaces, pad, ideal, touches // len(surfaces), limits=limits)
     assert made.truth is not None
     process = condition(_really_met(made.truth), made.reading, np.asarray(made.run), seed=0)
-    return felt._replace(skin=outcomes.skin_map(process, float(felt.skin.softness)), r2=float("nan"))
+    skin, position = outcomes.skin_map(process, float(felt.skin.softness)), float(felt.like.position)
+    like = belief.likelihood(felt.errors, process.scale, skin.loads, limits.past_goal, position, limits.stiffness)
+    return felt._replace(skin=skin, like=like, r2=float("nan"))
 
 
 def _really_met(truth: Truth) -> Imagined:
@@ -135,7 +139,7 @@ def _learnt(
     skin = outcomes.skin_map(process, softness)
     like = belief.likelihood(left, process.scale, skin.loads, limits.past_goal, position, limits.stiffness)
     around = np.asarray(recorded) - np.mean(np.asarray(recorded), axis=0)
-    return Learnt(skin, like, around.std(axis=0), float(1 - np.sum(left**2) / np.sum(around**2)))
+    return Learnt(skin, like, around.std(axis=0), float(1 - np.sum(left**2) / np.sum(around**2)), left)
 
 
 class Pool(NamedTuple):
@@ -317,23 +321,29 @@ def telling(sites: Pool) -> Float[Array, "objects each"]:
 
 
 def paper_rules(
-    predictor: Predictor, std: np.ndarray, surfaces: Sequence[Surface], episodes: Episodes
+    predictor: Predictor, std: np.ndarray, surfaces: Sequence[Surface], episodes: Episodes, rough: float = 0.0
 ) -> dict[str, np.ndarray]:
     """Beliefs (e, t, objects) by the paper's rules, from readings and from contact positions.
 
     Objects are taken to stand at the world's origin; each is rendered where the press ended and pressed with the force
-    that was measured. `std` (15,) uT is that of the training readings.
+    that was measured. `std` (15,) uT is that of the training readings, `rough` (m) the noise of the views of objects
+    that are known from a depth camera only.
     """
     T = episodes.T_w_t.reshape(-1, 4, 4)
     force = np.maximum(episodes.measured.force.reshape(-1), outcomes.SMALLEST)
     if predictor.imagination is not None:  # rendered views have no noise to be smoothed away
-        quick = replace(predictor.imagination, smooth=False, cell=CELLS.spacing)
+        quick = replace(predictor.imagination, smooth=rough > 0, cell=CELLS.spacing)
         predictor = replace(predictor, imagination=quick)
     margin = (WIDE_PIXELS - PATCH_PIXELS) // 2
+    rng = np.random.default_rng(0)
     imagined, apart = [], []
     for surface in surfaces:
         wide, seen = jax.device_get(_views(surface, jnp.asarray(T)))
-        patch = wide[:, margin:-margin, margin:-margin]
+        inner = np.s_[:, margin:-margin, margin:-margin]
+        if rough > 0:
+            wide = wide + rough * rng.standard_normal(wide.shape, dtype=np.float32)
+            wide = np.clip(wide - wide[inner].min((1, 2), keepdims=True), 0, REACH)
+        patch = wide[inner]
         blank = np.zeros(len(T), np.float32)
         reading = predictor.predict(patch, force=force, nearest=blank, wide=wide).mean
         imagined.append(np.where(seen[:, None], reading, 0.0))

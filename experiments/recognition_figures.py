@@ -143,6 +143,17 @@ def sensitivity(
     return figure
 
 
+def leads(sizes: Sequence[float], lines: Mapping[str, Sequence[float]], simulated: bool) -> Figure:
+    """By how much imagined readings beat contact positions, for each size (mm, degrees) of the error of placement."""
+    figure, axes = _wide("Paper's rules: readings less contact positions", simulated)
+    for (name, values), style in zip(lines.items(), _styles(), strict=False):
+        axes.plot(sizes, values, label=name, markersize=4, **style)
+    axes.axhline(0, color=GREY, lw=0.8)
+    axes.set(xlabel="error of placement (mm and degrees)", ylabel="difference in accuracy")
+    _finish(axes)
+    return figure
+
+
 def _wide(title: str, simulated: bool) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(6.4, 4), layout="constrained")
     axes = figure.subplots()

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from experiments import plots
@@ -83,7 +84,7 @@ def sobered(parts: Sequence[dict[str, Played]]) -> tuple[list[dict[str, Played]]
 def _sober(played: Played, tempers: dict[str, Temper]) -> Played:
     touches = np.arange(1, played.episodes.site.shape[1] + 1, dtype=np.float32)
     found = {
-        method: np.asarray(tempered(p, np.broadcast_to(touches, p.shape[:-1]), tempers[method]))
+        method: np.asarray(tempered(jnp.asarray(p), jnp.broadcast_to(touches, p.shape[:-1]), tempers[method]))
         if method in tempers
         else p
         for method, p in played.believed.items()

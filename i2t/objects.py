@@ -240,7 +240,7 @@ def decoy(known: Sequence[Mesh], seed: int) -> Object:
     Many of them stand for what "none of these" might be (`experiments.studies.strangers`).
     """
     rng = np.random.default_rng([seed, len(known)])
-    like = known[rng.integers(len(known))]
+    like = known[int(rng.integers(len(known)))]
     height = float(np.ptp(like.vertices[:, 2])) * (1.0 if rng.random() < 0.5 else np.exp(rng.uniform(-1.2, 0.3)))
     if rng.random() < 0.5:
         like = random_object(int(rng.integers(2**31))).mesh

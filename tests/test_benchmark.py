@@ -10,6 +10,7 @@ import trimesh
 
 from experiments import benchmark, benchmark_rendering, benchmark_skin, benchmark_training, timing
 from experiments.benchmark import Benchmark
+from experiments.benchmark_policy import Policy
 from experiments.benchmark_rendering import Rendering
 from experiments.benchmark_skin import Skin
 from experiments.benchmark_training import Training
@@ -36,6 +37,14 @@ def test_training_section_against_pytorch(tmp_path: Path, capsys: pytest.Capture
     assert [Row(**row) for row in report["rows"]] == rows
     assert report["config"]["training"]["touches"] == 20
     assert len(capsys.readouterr().out.splitlines()) == 1 + len(rows)
+
+
+def test_policy_section_times_decisions() -> None:
+    tiny = Policy(objects=2, sites=3, places=4, imagined=2)
+    rows = benchmark.main(Benchmark(sections=("policy",), turns=1, policy=tiny))
+    assert [row.work for row in rows] == ["a decision, 2 objects, 3 sites", "a decision, 2 objects, 3 sites, cold"]
+    assert all(row.ours > 0 for row in rows)
+    assert rows[0].peer > rows[0].ours  # imagining comes on top of deciding
 
 
 def test_unequal_work_is_not_compared() -> None:

@@ -4,6 +4,8 @@
     python -m experiments.studies open          is it none of the objects that are known?
     python -m experiments.studies planar        what does it cost not to know where the object stands?
     python -m experiments.studies pad           how many presses does a pad need that was never felt?
+    python -m experiments.studies crossing      how well must poses be known for the paper's rules, and its baseline?
+    python -m experiments.studies sites         what does a touch tell on a flat, an edge and a corner?
     python -m experiments.studies sensitivity   what do errors of pose, noise and harder presses do?
     python -m experiments.studies many          10, 25 and 50 objects, the meshes of a folder among them
     python -m experiments.studies policy --preset debug      a handful of sittings, to see it run
@@ -27,13 +29,15 @@ import tyro
 
 from experiments.recognize import PRESETS, finished_runs
 from experiments.runs import begin, reported, write_json
-from experiments.studies import many, new_pad, planar, policy, sensitivity, strangers
+from experiments.studies import crossing, many, new_pad, planar, policy, sensitivity, sites, strangers
 from experiments.studies.lab import Args, Lab, prepare_lab, report_methods
 
 STUDIES: dict[str, tuple[Callable[[Lab], Any], Callable[[Sequence[Any], Path], dict[str, Any]]]] = {
     "policy": (policy.play, policy.report),
     "open": (strangers.play, strangers.report),
     "planar": (planar.play, planar.report),
+    "crossing": (crossing.play, crossing.report),
+    "sites": (sites.play, sites.report),
     "pad": (new_pad.play, report_methods),
     "sensitivity": (sensitivity.play, report_methods),
     "many": (many.play, many.report),

@@ -31,10 +31,11 @@ from experiments.recognize import PRESETS, Recognition, taught, trained, trainin
 from i2t import objects
 from i2t.belief import Particles
 from i2t.outcomes import Outcome, SkinMap
+from i2t.predictor import Predictor
 from i2t.types import Pad, Surface
 
 PLACES = 128  # of each object: with 64 to 512 accuracies are the same within 0.01
-Study = Literal["policy", "open", "planar", "pad", "sensitivity", "many"]
+Study = Literal["policy", "open", "planar", "crossing", "sites", "pad", "sensitivity", "many"]
 
 
 @dataclass(frozen=True)
@@ -64,13 +65,14 @@ class Lab(NamedTuple):
     key: Array
     args: Args
     training: Callable[[Pad, Array], Learnt]  # learns another pad from the same objects
+    predictor: Predictor  # of the run
 
 
 def prepare_lab(args: Args, folder: Path, seed: int) -> Lab:
     """What all studies of a pad and seed share."""
     cfg = PRESETS[args.preset]
     cfg = replace(cfg, places=min(cfg.places, PLACES))
-    dataset, _, pad = trained(folder)
+    dataset, predictor, pad = trained(folder)
     key_learn, key = jax.random.split(jax.random.key(100 + seed))
     known = taught(dataset)
     rows = training_rows(dataset, folder)
@@ -83,7 +85,7 @@ def prepare_lab(args: Args, folder: Path, seed: int) -> Lab:
 
     surfaces = surfaces_of([objects.make(name).mesh for name in names])
     sittings = 2 if args.preset == "debug" else args.sittings
-    return Lab(cfg, pad, learnt, names, surfaces, sittings, seed, key, args, training)
+    return Lab(cfg, pad, learnt, names, surfaces, sittings, seed, key, args, training, predictor)
 
 
 def placements_of(lab: Lab) -> Particles:

@@ -79,7 +79,7 @@ def _seen_from(pose: np.ndarray, site: np.ndarray, table: Table) -> np.ndarray:
     x, y = np.moveaxis(site - pose[:, None, :2], -1, 0)
     at = np.stack([c * x + s * y, c * y - s * x], -1).reshape(-1, 2)
     turn = np.repeat(-pose[:, 2], site.shape[1])
-    return np.stack([planar.straight_down(*xy, phi, table.height) for xy, phi in zip(at, turn, strict=True)])
+    return np.stack([planar.straight_down(x, y, phi, table.height) for (x, y), phi in zip(at, turn, strict=True)])
 
 
 def _judge(

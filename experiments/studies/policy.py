@@ -13,15 +13,14 @@ from tqdm import tqdm
 from experiments import plots
 from experiments import recognition_figures as drawing
 from experiments import recognition_scores as scores
-from experiments.recognition import Pool, Setting, Sitting, pool, telling
+from experiments.choosing import advance, heuristic_touches, next_touches, safe_on, sobered, telling_weights
+from experiments.recognition import Pool, Setting, Sitting, pool
 from experiments.recognition_scores import plain
 from experiments.studies.lab import Lab, imagine, placements_of, shown
-from i2t import belief, ensemble, policy
-from i2t.arrays import element
-from i2t.belief import Belief, Likelihood, Measured, Particles
+from i2t import belief
+from i2t.belief import Particles
 from i2t.outcomes import Outcome
 
-CANDIDATES = 48  # sites that the next touch is chosen among, drawn anew for each
 POLICIES = ("random", "heuristic", "information")
 
 
@@ -51,11 +50,12 @@ def play_policy(
     now = jax.tree.map(lambda x: jnp.broadcast_to(x, (len(truth), *x.shape)), begun)
     spent = np.zeros((len(truth), len(sites.owner)), bool)
     after = []
-    telling = telling_weights(sites)
+    telling, safe = telling_weights(sites), jnp.asarray(safe_on(lab.surfaces, sites, lab.cfg.reach))
     for step in tqdm(range(lab.cfg.touches), desc=f"policy {name}", unit="touch"):
         keys = jax.random.split(jax.random.fold_in(key_choice, step), len(truth))
         if name == "information":
-            site = next_touches(keys, now, table, lab.learnt.like, jnp.asarray(spent), lab.cfg.limits.skin_change)
+            limit = lab.cfg.limits.skin_change
+            site = next_touches(keys, now, table, lab.learnt.like, jnp.asarray(spent), safe, limit)
         elif name == "heuristic":
             site = heuristic_touches(keys, now, telling, jnp.asarray(spent), step)
         else:
@@ -69,56 +69,10 @@ def play_policy(
     return np.stack(after, axis=1)
 
 
-@jax.jit
-def advance(now: Belief, site: Array, measured: Measured, table: Outcome, like: Likelihood) -> tuple[Belief, Array]:
-    """All sittings one touch further."""
-
-    def one(at: tuple[Belief, Array, Measured]) -> tuple[Belief, Array]:
-        updated = belief.update(at[0], at[2], element(table, at[1]), like)
-        return updated, belief.posterior(updated)[0]
-
-    return jax.lax.map(one, (now, site, measured), batch_size=8)
-
-
-@jax.jit
-def next_touches(keys: Array, now: Belief, table: Outcome, like: Likelihood, spent: Array, skin_change: float) -> Array:
-    """The site that is expected to tell most, of some drawn anew for each sitting."""
-    sites = spent.shape[1]
-
-    def one(at: tuple[Array, Belief, Array]) -> Array:
-        key_some, key_gain = jax.random.split(at[0])
-        some = jax.random.permutation(key_some, sites)[: min(CANDIDATES, sites)]
-        gain = policy.gains(key_gain, at[1], element(table, some), like, skin_change)
-        return some[policy.choose(gain, ~at[2][some])]
-
-    return jax.lax.map(one, (keys, now, spent))
-
-
-def telling_weights(sites: Pool) -> Array:
-    """The heuristic's probability of every site, (objects, sites): 0 for those of other objects."""
-    own = telling(sites)
-    mine = sites.owner[None] == np.arange(len(own))[:, None]
-    return jnp.where(mine, own.reshape(1, -1), 0.0)
-
-
-@jax.jit
-def heuristic_touches(keys: Array, now: Belief, telling: Array, spent: Array, step: int) -> Array:
-    """The paper's: a telling site of the object believed in."""
-
-    def one(key: Array, now: Belief, spent: Array) -> Array:
-        key_object, key_site = jax.random.split(key)
-        which = ensemble.hypothesis(key_object, belief.posterior(now)[0], step)
-        weight = jnp.where(spent, 0.0, telling[which])
-        left = jnp.where(jnp.sum(weight) > 0, weight, jnp.where(spent, 0.0, 1.0))
-        return jax.random.categorical(key_site, jnp.log(left))
-
-    return jax.vmap(one)(keys, now, spent)
-
-
 def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
     """Accuracy and touches until sure under each policy, and what choosing by information saves."""
     truth = np.concatenate([part["truth"] for part in parts])
-    p = {name: np.concatenate([part[name] for part in parts]).astype(np.float64) for name in POLICIES}
+    p = {name: sobered(np.concatenate([part[name] for part in parts])) for name in POLICIES}
     touches = next(iter(p.values())).shape[1]
     first = {name: scores.sure_at(each) for name, each in p.items()}
     result: dict[str, Any] = {"sittings": len(truth), "policies": {}, "saved": {}}

@@ -1,0 +1,86 @@
+"""How well must a pose be known for the paper's rules, and for its baseline that only knows where contacts were?
+
+The same sittings with more and more error of placement, and with views of objects that are noisy themselves.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from experiments import plots
+from experiments import recognition_figures as drawing
+from experiments import recognition_scores as scores
+from experiments.recognition import paper_rules, pool, telling_sites
+from experiments.recognition_scores import plain
+from experiments.studies.lab import Lab, shown, sit
+
+PLACEMENTS = (0.0, 0.1, 0.3, 1.0, 2.0, 4.0)  # mm and degrees, one sigma
+ROUGH = (0.3, 1.0)  # mm of noise on every pixel of an object's views, at the usual error of placement
+RULES = ("votes", "product")
+
+
+def play(lab: Lab) -> dict[str, Any]:
+    """Both of the paper's sets in every world."""
+    debug = lab.args.preset == "debug"
+    placements, roughs = ((0.0, 1.0), (0.3,)) if debug else (PLACEMENTS, ROUGH)
+    found: dict[str, Any] = {}
+    for which, (name, names) in enumerate({"primitives": lab.cfg.primitives, "tools": lab.cfg.tools}.items()):
+        key_pool, key_play, key_site = jax.random.split(jax.random.fold_in(lab.key, which), 3)
+        surfaces = [lab.surfaces[lab.names.index(one)] for one in names]
+        sites = pool(key_pool, surfaces, names, lab.cfg.sites, lab.cfg.reach)
+        truth = np.repeat(np.arange(len(names)), lab.sittings)
+        chosen = telling_sites(key_site, sites, len(truth), lab.cfg.touches)
+        for size in placements:
+            errors = replace(lab.cfg.errors, placement=size * 1e-3, placement_angle=np.radians(size))
+            key = jax.random.clone(key_play)  # the same luck in all worlds
+            episodes = sit(lab, key, sites, truth, chosen, f"{name}, {size} mm", surfaces=surfaces, errors=errors)
+            for rough in (0.0, *roughs) if size == 1.0 else (0.0,):
+                told = paper_rules(lab.predictor, lab.learnt.std, surfaces, episodes, rough * 1e-3)
+                kept = {rule: p for rule, p in told.items() if rule.endswith(RULES)}
+                found[f"{name}, {size} mm" + (f", views {rough} mm" if rough else "")] = {"truth": truth, **kept}
+    return found
+
+
+def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
+    """Accuracy after the last touch in every world, and where the baseline overtakes."""
+    result: dict[str, Any] = {"worlds": {}}
+    lines: dict[str, list[float]] = {}
+    for world in parts[0]:
+        columns = {key: np.concatenate([part[world][key] for part in parts]) for key in parts[0][world]}
+        truth = columns["truth"]
+        entry: dict[str, Any] = {"sittings": len(truth)}
+        said = []
+        for rule in RULES:
+            ours, theirs = (scores.hits(columns[f"{source}, {rule}"], truth) for source in ("I2T", "proprioception"))
+            lead = scores.paired(ours, theirs)
+            entry[rule] = {
+                "I2T": plain(scores.rate(ours[:, -1])), "proprioception": plain(scores.rate(theirs[:, -1])),
+                "lead": plain(lead.last),
+            }  # fmt: skip
+            said.append(f"{rule}: {ours[:, -1].mean():.3f} against {theirs[:, -1].mean():.3f}, by {shown(lead.last)}")
+            if "views" not in world:
+                lines.setdefault(f"{world.split(',')[0]}, {rule}", []).append(float(lead.last.mean))
+        result["worlds"][world] = entry
+        print(f"{world:32} " + "   ".join(said))
+    sizes = [float(world.split(", ")[1].removesuffix(" mm")) for world in parts[0] if "views" not in world]
+    sizes = sizes[: len(sizes) // 2]
+    result["crossing_mm"] = {name: crossings(sizes, lead) for name, lead in lines.items()}
+    for name, at in result["crossing_mm"].items():
+        where = " and ".join(f"{x:.2f} mm" for x in at) or "nowhere"
+        print(f"{name}: the two are even at {where}")
+    plots.save(drawing.leads(sizes, lines, True), out / "crossing.png")
+    return result
+
+
+def crossings(sizes: Sequence[float], lead: Sequence[float]) -> list[float]:
+    """Sizes at which a lead changes sign, on the straight lines between those measured."""
+    found = []
+    for (a, b), (x, y) in zip(pairwise(sizes), pairwise(lead), strict=True):
+        if x * y < 0:
+            found.append(a + (b - a) * x / (x - y))
+    return found
