@@ -5,6 +5,7 @@
     python -m experiments.recognize --run runs/study      every pad and seed of a study, with intervals over all
     python -m experiments.recognize --objects a.stl b.stl --unit mm      meshes of your own, their sittings simulated
     python -m experiments.recognize --dataset DIR         recorded touches, each run a sitting, in place of simulated
+    python -m experiments.recognize --live --help         an arm, real or not, that touches where the belief wants it to
 
 The objects were never touched in training. Each sitting puts one of them down with the errors of the world, touches it
 ten times at random safe sites of random candidates, and asks after each touch which one it is:
@@ -116,6 +117,11 @@ class Args:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
+    argv = sys.argv[1:] if argv is None else argv
+    if "--live" in argv:
+        from experiments import live
+
+        return live.main([word for word in argv if word != "--live"])
     args = tyro.cli(Args, args=argv, description=__doc__, prog="python -m experiments.recognize")
     return reported(partial(run, args), args.out)
 

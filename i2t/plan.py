@@ -43,7 +43,7 @@ class Plan:
         while number >= len(self._sites):
             key = jax.random.fold_in(jax.random.key(self._seed), len(self._sites) // BATCH)
             poses = np.asarray(collect_sites(key, self._surface, BATCH, self._limits, self._name), float)
-            self._sites += [Site(len(self._sites) + i, _orthonormal(pose)) for i, pose in enumerate(poses)]
+            self._sites += [Site(len(self._sites) + i, orthonormal(pose)) for i, pose in enumerate(poses)]
         return self._sites[number]
 
     def next(self, done: Collection[int]) -> Site:
@@ -119,7 +119,7 @@ def picture(plan: Plan, sites: Sequence[Site], box: Array, path: Path, title: st
     figure.savefig(path, dpi=120)
 
 
-def _orthonormal(pose: Array) -> Array:
+def orthonormal(pose: Array) -> Array:
     """A pose in float32 whose rotation is one to the last digit of float64."""
     u, _, vt = np.linalg.svd(pose[:3, :3])
     return np.block([[u @ vt, pose[:3, 3:]], [np.zeros((1, 3)), np.ones((1, 1))]])

@@ -115,13 +115,46 @@ def test_telling_sites_follow_the_heuristic():
     assert 0.3 < owners.mean() < 0.7  # both objects are hypotheses
 
 
-@pytest.mark.parametrize("study", ["policy", "open"])
+def test_an_arm_touches_where_the_belief_wants_it_to(trained_run, tmp_path, capsys):
+    out = tmp_path / "live"
+    args = ["--live", "--run", str(trained_run), "--out", str(out), "--there", "hammer"]
+    args += ["--sites", "3", "--places", "8", "--touches", "3"]
+    assert recognize.main(args) == 0
+    result = json.loads((out / "result.json").read_text())
+    assert result["source"] == "simulated"
+    assert result["there"] == "hammer"
+    belief = np.array(result["belief"])
+    assert belief.shape == (len(result["sites"]), 5)
+    np.testing.assert_allclose(belief.sum(1), 1, atol=1e-5)
+    assert len(belief) == 3 or belief[-1].max() >= 0.95  # it ends when it is sure
+    assert len(set(result["sites"])) == len(result["sites"])
+    kept = dataset.load(out)
+    assert len(kept) == len(belief)
+    assert kept.objects == ("unknown",)
+    # What the belief heard of is what was kept.
+    assert (kept.touches.code != ReturnCode.FAILED).all()
+    assert recognize.main(args) == 2
+    assert "another sitting" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("study", ["policy", "open", "planar", "crossing", "sites"])
 def test_studies_run(study, trained_run, tmp_path):
     out = tmp_path / study
     assert studies.main([study, "--preset", "debug", "--run", str(trained_run), "--out", str(out)]) == 0
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["source"] == "simulated"
-    if study == "policy":
+    if study == "planar":
+        assert metrics["sittings"] == 8
+        assert set(metrics["methods"]) == {"known pose", "unknown pose"}
+        assert 0 <= metrics["turned"]["percentiles_25_50_75_90"][0] <= 180
+    elif study == "crossing":
+        assert len(metrics["worlds"]) == 6  # two errors of placement and one of views, in two sets
+        assert set(metrics["crossing_mm"]) == {
+            f"{s}, {r}" for s in ("primitives", "tools") for r in ("votes", "product")
+        }
+    elif study == "sites":
+        assert sum(kind["touches"] for kind in metrics["bits"].values()) == metrics["touches"] == 8
+    elif study == "policy":
         assert set(metrics["policies"]) == {"random", "heuristic", "information"}
         assert metrics["sittings"] == 8
     else:

@@ -1,0 +1,187 @@
+"""Recognise what stands there, by touches that the belief itself chooses, with an arm and a skin.
+
+    python -m experiments.recognize --live                                   all simulated: see how it goes
+    python -m experiments.recognize --live --there hammer --arm emulated --skin emulated      the real drivers
+    python -m experiments.recognize --live --objects a.stl b.stl --unit mm --arm ur --host 192.168.1.10 \\
+        --skin reskin --camera realsense --rig lab.toml
+
+The skin must be the one whose touches the run learnt from (--run). The next touch is the one that is expected to tell
+most (`i2t.policy`); it ends when an error of --error is promised, or after --touches. All touches are kept in --out as
+a data set, under the name "unknown": a stranger's can be replayed once there is a mesh of it (--dataset).
+"""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+from experiments.choosing import advance, next_touches, safe_on
+from experiments.recognition import learn, places_about, pool, surfaces_of, tabulate
+from experiments.recognize import Recognition, finished_runs, taught, trained, training_rows
+from experiments.runs import reported, write_json
+from experiments.story import story
+from i2t import belief, collect, objects, wiring
+from i2t.belief import Measured
+from i2t.boards import reskin
+from i2t.hardware.procedure import Outcome, Settings, Site
+from i2t.hardware.recorder import touches_in
+from i2t.plan import orthonormal
+from i2t.solids import Mesh
+from i2t.types import ReturnCode
+
+
+@dataclass(frozen=True)
+class Live:
+    """Recognise an object with an arm."""
+
+    out: Path = Path("runs/live")  # folder of the touches, of result.json and of the story
+    run: Path = Path("runs/train")  # a finished run of experiments.train on touches of this skin
+    objects: tuple[Path, ...] = ()  # mesh files to tell apart, in place of the catalogue's
+    unit: Literal["m", "cm", "mm", "inch"] = "mm"  # of those files
+    there: str | None = None  # what stands there, where the arm is simulated or emulated; otherwise drawn by the seed
+    touches: int = 10  # at most
+    error: float = 0.05  # ends when the most probable object is wrong with at most this probability
+    sites: int = 24  # of each object, to choose among
+    places: int = 64  # in which each may stand
+    arm: Literal["ur", "simulated", "emulated"] = "simulated"
+    skin: Literal["reskin", "simulated", "emulated"] = "simulated"
+    camera: Literal["realsense", "simulated"] = "simulated"
+    host: str | None = None  # of the UR controller
+    port: str | None = None  # of the skin
+    rig: Path | None = None  # calibration of the lab, with the pose where the object is believed to stand
+    seed: int = 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    args = tyro.cli(Live, args=argv, description=__doc__, prog="python -m experiments.recognize --live")
+    return reported(partial(run, args), args.out)
+
+
+def run(args: Live) -> dict[str, Any]:
+    """Learn the skin, imagine, touch."""
+    if args.out.is_dir() and touches_in(args.out):
+        raise ValueError(f"{args.out} holds the touches of another sitting; choose another --out")
+    rig = wiring.read_rig(args.rig)
+    meshes = _candidates(args)
+    sitting = Sitting(args, meshes, np.asarray(rig.T_world_object))
+    sources = {path.stem: str(path) for path in args.objects} or {name: name for name in meshes}
+    real = args.arm == "ur"
+    there = args.there or str(np.random.default_rng(args.seed).choice(list(meshes)))
+    if there not in meshes:
+        raise ValueError(f"--there {there}: choose one of {', '.join(meshes)}")
+    # A real arm only needs to know how high things may be.
+    tallest = max(meshes, key=lambda name: float(meshes[name].vertices[:, 2].max()))
+    wanted = collect.Args(
+        out=args.out, touches=args.touches, arm=args.arm, skin=args.skin, camera=args.camera, host=args.host,
+        port=args.port, rig=args.rig, object=sources[tallest if real else there], unit=args.unit, name="unknown",
+        seed=args.seed, settings=replace(Settings(), skin_change=sitting.limit, past_goal=sitting.past),
+    )  # fmt: skip
+    code = collect.collect(wanted, sitting.choose, sitting.told)
+    if code or not sitting.after:
+        raise ValueError("no touch was made, so nothing is known")
+    return sitting.conclude(None if real else there)
+
+
+def _candidates(args: Live) -> dict[str, Mesh]:
+    if not args.objects:
+        cfg = Recognition()
+        return {name: objects.make(name).mesh for name in cfg.primitives + cfg.tools}
+    if len(args.objects) < 2:
+        raise ValueError("--objects needs at least two meshes to tell apart")
+    return {path.stem: objects.load(path, args.unit)[0].mesh for path in args.objects}
+
+
+class Sitting:
+    """The belief of one sitting: says which site is next, and hears what became of it."""
+
+    def __init__(self, args: Live, meshes: dict[str, Mesh], T_w_o: np.ndarray) -> None:
+        cfg = replace(Recognition(), sites=args.sites, places=args.places)
+        dataset, _, _ = trained(finished_runs(args.run)[0])
+        key_learn, key_pool, self.key = jax.random.split(jax.random.key(args.seed), 3)
+        rows = training_rows(dataset, finished_runs(args.run)[0])
+        learnt = learn(key_learn, dataset, rows, taught(dataset), cfg.errors, cfg.limits)
+        surfaces = surfaces_of(list(meshes.values()))
+        self.args, self.meshes, self.T_w_o = args, meshes, T_w_o
+        self.limit, self.past = cfg.limits.skin_change, cfg.limits.past_goal
+        self.like = learnt.like
+        self.pool = pool(key_pool, surfaces, list(meshes), cfg.sites, cfg.reach)
+        places = places_about(cfg.errors, cfg.places, args.seed)
+        (table,) = tabulate(surfaces, places.twist, self.pool.T_w_t, [learnt.skin], self.past, "live")
+        self.table = jax.device_put(table)
+        self.safe = jnp.asarray(safe_on(surfaces, self.pool, cfg.reach))
+        # One sitting of the many that experiments play at once.
+        self.now = jax.tree.map(lambda x: x[None], belief.begin(places, len(meshes)))
+        self.spent = np.zeros((1, len(self.pool.owner)), bool)
+        self.after: list[np.ndarray] = []
+        self.felt: list[Outcome] = []
+        self._next(0)  # an arm does not wait for a compiler
+        nothing = Measured(jnp.zeros((1, 15)), jnp.ones(1), jnp.zeros(1), jnp.zeros(1, bool))
+        advance(self.now, jnp.zeros(1, int), nothing, self.table, self.like)
+
+    def choose(self, history: Sequence[Outcome]) -> Site | None:
+        """The site that is expected to tell most, until it is sure or enough was touched."""
+        sure = bool(self.after) and float(self.after[-1].max()) >= 1 - self.args.error
+        if sure or len(history) >= self.args.touches or self.spent.all():
+            return None
+        number = self._next(len(history))
+        self.spent[0, number] = True
+        return Site(number, self._site(number))
+
+    def told(self, outcome: Outcome) -> None:
+        """Learn from a touch, and say what is believed now."""
+        touched = outcome.touched
+        if touched is None:
+            return
+        T_w_site = self._site(outcome.site.number)
+        travelled = float((touched.T_w_t[:3, 3] - T_w_site[:3, 3]) @ T_w_site[:3, 2])
+        measured = Measured(
+            jnp.float32(touched.reading)[None], jnp.float32([max(touched.force, 0.0)]), jnp.float32([travelled]),
+            jnp.asarray([touched.code != ReturnCode.AIR]),
+        )  # fmt: skip
+        self.now, p = advance(self.now, jnp.asarray([outcome.site.number]), measured, self.table, self.like)
+        self.felt.append(outcome)
+        self.after.append(np.asarray(belief.tempered(p[0], float(len(self.felt))), np.float64))
+        order = np.argsort(-self.after[-1])[:3]
+        names = list(self.meshes)
+        print("  believed: " + ", ".join(f"{names[i]} {self.after[-1][i]:.1%}" for i in order), flush=True)
+
+    def conclude(self, there: str | None) -> dict[str, Any]:
+        """Write down and say what was recognised."""
+        names, p = list(self.meshes), np.stack(self.after)
+        best = int(p[-1].argmax())
+        result = {
+            "source": "real" if there is None else "simulated", "objects": names, "recognised": names[best],
+            "probability": float(p[-1, best]), "there": there, "sites": [o.site.number for o in self.felt],
+            "belief": p.tolist(),
+        }  # fmt: skip
+        write_json(self.args.out / "result.json", result)
+        ended = [outcome.touched for outcome in self.felt if outcome.touched is not None]
+        T_o_t = np.linalg.inv(self.T_w_o) @ np.stack([touched.T_w_t for touched in ended])
+        readings = np.stack([touched.reading for touched in ended])
+        truth = best if there is None else names.index(there)
+        story(list(self.meshes.values()), names, T_o_t, readings, reskin(), p, truth, self.args.out / "story",
+              there is not None)  # fmt: skip
+        stood = "" if there is None else f"; it was the {there} (simulated)"
+        print(f"\nit is the {names[best]}, {p[-1, best]:.1%} sure after {len(p)} touches{stood}")
+        print(f"touches, result.json and story are in {self.args.out}")
+        return result
+
+    def _next(self, step: int) -> int:
+        keys = jax.random.split(jax.random.fold_in(self.key, step), 1)
+        spent = jnp.asarray(self.spent)
+        return int(next_touches(keys, self.now, self.table, self.like, spent, self.safe, self.limit)[0])
+
+    def _site(self, number: int) -> np.ndarray:
+        return orthonormal(self.T_w_o @ np.asarray(self.pool.T_w_t[number], float))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
