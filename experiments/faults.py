@@ -27,6 +27,7 @@ from experiments.faulty.simulated import disk, presses
 from experiments.faulty.skin import skin
 from experiments.faulty.volume import volume
 from experiments.runs import reported, write_json
+from i2t.hardware.protocols import DeviceError
 
 Section = Literal["disk", "presses", "arm", "skin", "force", "volume", "kill"]
 SECTIONS: dict[Section, Callable[[Sizes], list[Row]]] = {
@@ -65,7 +66,10 @@ def _run(args: Args, missed: list[Row]) -> None:
     for name in args.sections:
         print(f"{name} ...", flush=True)
         begun = time.monotonic()
-        found = SECTIONS[name](sizes)
+        try:
+            found = SECTIONS[name](sizes)
+        except DeviceError as error:
+            found = [Row(name, "the section", "-", f"ended early: {error}", "", False)]
         rows += found
         print(table(found), f"({time.monotonic() - begun:.0f} s)\n", sep="\n", flush=True)
         (args.out / "report.md").write_text(table(rows) + "\n")

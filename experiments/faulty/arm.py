@@ -30,17 +30,24 @@ def arm(sizes: Sizes) -> list[Row]:
     """Every fault in a motion: when it was noticed, and whether the arm stands."""
     rows = []
     for name, fault in FAULTS.items():
-        noticed, stood, sentences = [], 0, set()
-        for trial in range(sizes.arm):
-            seconds, sentence, stands = _fault(trial, fault)
+        noticed, stood, sentences, busy = [], 0, set(), 0
+        while len(noticed) < sizes.arm and busy <= sizes.arm + 3:
+            found = _fault(len(noticed) + busy, fault)
+            if found is None:
+                busy += 1
+                continue
+            seconds, sentence, stands = found
             noticed.append(seconds)
             sentences.add(sentence.split(":")[0].split(" at 127")[0])
             stood += stands
-        known = "not to be known" if fault is None else f"stood in {stood} of {sizes.arm}"
+        known = "not to be known" if fault is None else f"stood in {stood} of {len(noticed)}"
+        alarms = f"; {busy} false alarms of a busy computer before the fault" if busy else ""
         rows.append(
             Row(
-                "arm", f"{name}: noticed", f"{sizes.arm} motions", f"{worst(noticed)}; {known}; \"{min(sentences)}\"",
-                "< 500 ms, and the arm stands", max(noticed) < 0.5 and (fault is None or stood == sizes.arm),
+                "arm", f"{name}: noticed", f"{len(noticed)} motions",
+                f'{worst(noticed or [np.inf])}; {known}{alarms}; "{min(sentences, default="")}"',
+                "< 500 ms, and the arm stands",
+                len(noticed) == sizes.arm and max(noticed) < 0.5 and (fault is None or stood == sizes.arm),
             )
         )  # fmt: skip
     return [*rows, _second(sizes.arm)]
@@ -57,17 +64,17 @@ def status(host: str) -> dict:
     return dict(json.loads(ur_controller.ask(host, "status")))
 
 
-def _fault(trial: int, fault: str | None) -> tuple[float, str, bool]:
-    """Seconds from a fault in the middle of a motion to its sentence, and whether the tool stands soon after."""
+def _fault(trial: int, fault: str | None) -> tuple[float, str, bool] | None:
+    """Seconds from a fault in the middle of a motion to its sentence, and whether the tool stands soon after; None if
+    the motion had ended before, as it does where a busy computer cannot watch.
+    """
     host, rig = address(trial), Rig()
-    with ur_controller.process(host) as process, UR(host, rig.limits, stale=STALE) as device:
-        goal = device.state(1.0).T_b_t.copy()
-        goal[2, 3] = 0.1
+    with ur_controller.process(host) as process, UR(host, rig.limits, stale=STALE, watchdog=4.0) as device:
         with ThreadPoolExecutor(1) as beside:
-            motion = beside.submit(device.go, goal, 0.1, 0.5)
+            motion = beside.submit(_go_down, device)
             time.sleep(0.4)
             if motion.done():
-                return _fault(trial + 20, fault)  # the computer was too busy to watch: no trial
+                return None
             begun = time.monotonic()
             if fault is None:
                 process.kill()
@@ -82,21 +89,27 @@ def _fault(trial: int, fault: str | None) -> tuple[float, str, bool]:
         return seconds, sentence, not status(host)["moving"]
 
 
+def _go_down(device: UR) -> None:
+    goal = device.state(1.0).T_b_t.copy()
+    goal[2, 3] = 0.1
+    device.go(goal, 0.1, 0.5)
+
+
 def _second(trials: int) -> Row:
     refused, unharmed = 0, 0
     for trial in range(trials):
         host, limits = address(trial + 50), Rig().limits
-        with ur_controller.process(host), UR(host, limits, stale=0.5) as device:
+        with ur_controller.process(host), UR(host, limits, stale=0.5, watchdog=4.0) as device:
             goal = device.state(1.0).T_b_t.copy()
             goal[2, 3] -= 0.03
-            device.move(goal, 0.05, 0.5)
-            try:
-                UR(host, limits).connect()
-            except DeviceError:
-                refused += 1
-            while device.state().moving:
-                time.sleep(0.01)
-            unharmed += bool(np.abs(device.state().T_b_t - goal).max() < 1e-3)
+            with ThreadPoolExecutor(1) as beside:
+                motion = beside.submit(device.go, goal, 0.05, 0.5)
+                time.sleep(0.1)
+                try:
+                    UR(host, limits).connect()
+                except DeviceError:
+                    refused += 1
+                unharmed += motion.exception(PATIENCE) is None
     said = f"refused {refused}, the first one's motion ended where it should {unharmed}"
     return Row("arm", "second client", f"{trials} motions", said, "all", refused == unharmed == trials)
 

@@ -1,7 +1,5 @@
 """`kill -9` at random moments of an emulated collection: what was acknowledged is there, and the arm stands."""
 
-import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -90,7 +88,7 @@ def _killed(host: str, port: str, out: Path, after: float) -> tuple[list[str], f
         time.sleep(after)
         before = status(host)
         ended = process.poll() is not None
-        os.kill(process.pid, signal.SIGKILL)
+        process.kill()
         names = process.stdout.read().splitlines()
     end = time.monotonic() + 3.0
     while status(host)["moving"] and time.monotonic() < end:

@@ -34,7 +34,7 @@ class Sizes:
         return Sizes(*(type(count)(max(1, share * count)) for count in astuple(self)))
 
 
-DEBUG = Sizes(1.0, 600, 1, 1, 2, 3, 1, 1, 3)
+DEBUG = Sizes(1.0, 600, 1, 1, 1, 1, 1, 1, 3)
 
 
 def worst(seconds: list[float]) -> str:

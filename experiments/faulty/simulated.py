@@ -196,7 +196,7 @@ def _session(
 
 
 def _full(trial: int) -> tuple[int, int, int, str]:
-    with _small_disk(f"{600 + 130 * trial}k") as folder:
+    with _small_disk(f"{1500 + 130 * trial}k") as folder:
         told, sentence = _session(folder / "data", lab(seed=trial)[0], 50)
         return len(told), *_count(folder / "data", told), sentence
 
@@ -205,13 +205,13 @@ def _read_only(trial: int) -> tuple[int, int, int, str]:
     with _small_disk("20m") as folder:
 
         def spoil(outcome: Outcome) -> None:
-            if outcome.site.number == 2:
+            if outcome.site.number == 1:
                 # A lazy remount would be refused while files are open for writing.
                 subprocess.run(["mount", "--bind", folder, folder], check=True)
                 subprocess.run(["mount", "-o", "remount,bind,ro", folder], check=True)
 
         try:
-            told, sentence = _session(folder / "data", lab(seed=trial)[0], 6, each=spoil)
+            told, sentence = _session(folder / "data", lab(seed=trial)[0], 4, each=spoil)
             return len(told), *_count(folder / "data", told), sentence
         finally:
             subprocess.run(["umount", folder], check=False)
@@ -221,10 +221,10 @@ def _clock(trial: int) -> tuple[int, int, int, str]:
     procedure, clock = lab(seed=trial)
 
     def spoil(outcome: Outcome) -> None:
-        clock.jump = -3600.0 if outcome.site.number == 2 else 0.0
+        clock.jump = -3600.0 if outcome.site.number == 1 else 0.0
 
     with tempfile.TemporaryDirectory() as folder:
-        told, sentence = _session(Path(folder), procedure, 6, each=spoil)
+        told, sentence = _session(Path(folder), procedure, 4, each=spoil)
         return len(told), *_count(Path(folder), told), sentence
 
 
@@ -233,9 +233,9 @@ def _camera(trial: int) -> tuple[int, int, int, str]:
     eye: Any = procedure.camera
 
     def spoil(outcome: Outcome) -> None:
-        if outcome.site.number == 2:
+        if outcome.site.number == 1:
             eye.trouble = DeviceError("the camera over a plane is gone; plug it in")
 
     with tempfile.TemporaryDirectory() as folder:
-        told, sentence = _session(Path(folder), procedure, 6, each=spoil)
+        told, sentence = _session(Path(folder), procedure, 4, each=spoil)
         return len(told), *_count(Path(folder), told), sentence

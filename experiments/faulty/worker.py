@@ -1,7 +1,7 @@
 """A collection that starts quickly, to be killed: the drivers, the procedure and the recorder of `i2t.collect`, with a
 patch in closed form instead of a compiled one.
 
-    python -m experiments.faulty.worker HOST PORT FOLDER TOUCHES
+    python -m experiments.faulty.worker HOST PORT FOLDER TOUCHES [WATCHDOG]
 
 prints the name of each touch once it is kept.
 """
@@ -22,14 +22,21 @@ from i2t.hardware.ur import UR
 from i2t.stand_ins.plane import PlaneCamera, cut
 
 QUICK = Settings(prepare=20e-3, near=2e-3, approach=0.05, press=0.004, settle=0.02, clearance=0.02, speed=0.25)
-STALE, WATCHDOG = 0.5, 10.0  # s, Hz
+STALE = 0.5  # s
 
 
-def main(host: str, port: str, folder: str, touches: str) -> int:
+def main(host: str, port: str, folder: str, touches: str, watchdog: str = "10") -> int:
     """Collect; returns the exit code."""
     rig, out = Rig(), Path(folder)
     done = {site_of(path) for path in touches_in(out)}
-    arm = UR(host, rig.limits, rig.T_flange_tool, (rig.mass, rig.centre), stale=STALE, watchdog=WATCHDOG)
+    arm = UR(
+        host,
+        rig.limits,
+        rig.T_flange_tool,
+        (rig.mass, rig.centre),
+        stale=max(STALE, 2 / float(watchdog)),
+        watchdog=float(watchdog),
+    )
     lens = Camera(320, 180, 161.2, 161.05, 159.5, 89.5)
     eye = PlaneCamera(lens, HEIGHT, lambda: arm.state().T_b_t @ rig.T_tool_camera, Monotonic())
     names = Names(
