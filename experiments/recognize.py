@@ -109,7 +109,8 @@ class Args:
     objects: tuple[Path, ...] = ()  # mesh files to tell apart, in place of the catalogue's
     unit: str | None = None  # of those files, for instance mm
     dataset: Path | None = None  # recorded touches to replay; its objects are the catalogue's or those of --objects
-    sittings: int | None = None  # of each object, for each pad and seed; six times as many in the paper's sets
+    sittings: int | None = None  # of each object, for each pad and seed
+    paper_sittings: int | None = None  # the same in the paper's sets, twice as many unless given
     seed: int = 0
     resume: bool = False  # go on with an unfinished run in --out
     overwrite: bool = False  # replace a finished or unfinished run in --out
@@ -131,7 +132,9 @@ def run(args: Args) -> dict[str, Any]:
     cfg = PRESETS[args.preset]
     if args.sittings is not None:
         n = args.sittings
-        cfg = replace(cfg, sittings=n, paper_sittings=6 * n, validation_sittings=n)
+        cfg = replace(cfg, sittings=n, paper_sittings=2 * n, validation_sittings=n)
+    if args.paper_sittings is not None:
+        cfg = replace(cfg, paper_sittings=args.paper_sittings)
     folders = finished_runs(args.run)
     begin(args.out, args, cfg, args.resume, args.overwrite)
     parts = []
