@@ -99,7 +99,7 @@ def test_an_arm_finds_its_skin():
 
 
 def test_what_is_no_flat_is_said():
-    with arm_with(skin(0, 0, 0), HEIGHT - 0.02) as arm, pytest.raises(DeviceError, match="met no flat within 15 mm"):
+    with arm_with(skin(0, 0, 0), HEIGHT - 0.02) as arm, pytest.raises(DeviceError, match="met no flat within 11 mm"):
         touch_off(arm, AT, HEIGHT, str)
     with arm_with(skin(0, 0, 0)) as arm:
         with pytest.raises(ValueError, match="outside the box"):

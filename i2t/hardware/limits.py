@@ -63,6 +63,18 @@ class Limits:
             if not 0 < asked <= getattr(self, name):
                 raise ValueError(f"The {name} {asked} is outside (0, {getattr(self, name)}], the arm's limit.")
 
+    def check_approach(self, travel: float, force: float, torque: float) -> None:
+        """Refuse (ValueError) an approach that goes too far or pushes too hard."""
+        if not 0 < travel <= self.travel:
+            raise ValueError(
+                f"An approach of {travel} m is outside (0, {self.travel}], the arm's limit for its travel."
+            )
+        for name, asked in (("force", force), ("torque", torque)):
+            if not 0 < asked <= getattr(self, name):
+                raise ValueError(
+                    f"An approach's {name} {asked} is outside (0, {getattr(self, name)}], the arm's limit."
+                )
+
     def hold(self, at: Array, margin: float = 0.0) -> bool:
         """Whether a place (3,) in the base is in the box, or at most `margin` (m) beside it."""
         return bool(

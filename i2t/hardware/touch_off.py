@@ -33,7 +33,7 @@ from i2t.types import PAD_WINDOW, Array
 
 SIDES = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the corners, in their order around
 TILT = math.radians(8)  # of the tool while it touches
-CLEAR = 0.01  # m above the flat, from where the lowest corner is lowered
+CLEAR = 6e-3  # m above the flat, from where the lowest corner is lowered
 BEYOND = 5e-3  # m past where it should touch, after which there is no flat
 SPEED, FORCE = 2e-3, 2.0  # m/s, N: a corner gives some newtons per millimetre
 EARLY = 0.2  # of the last force, below which a corner is too soft to count

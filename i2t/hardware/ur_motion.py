@@ -97,12 +97,7 @@ class Motions(Link):
 
         Raises ValueError before anything is sent, DeviceError if the arm is lost or stopped by somebody else.
         """
-        if not 0 < travel < np.inf:
-            raise ValueError(f"An approach must travel some way forward, not {travel} m.")
-        if travel > self.limits.travel:
-            raise ValueError(f"An approach of {travel} m exceeds the arm's limit, {self.limits.travel} m.")
-        if not 0 < force <= self.limits.force or not 0 < torque <= self.limits.torque:
-            raise ValueError(f"An approach up to {force} N and {torque} Nm exceeds the arm's limits.")
+        self.limits.check_approach(travel, force, torque)
         start = self.state().T_b_t
         goal = start.copy()
         goal[:3, 3] += travel * goal[:3, 2]

@@ -265,9 +265,11 @@ class SimulatedArm(_Simulated):
         with self.lab.lock:
             robot = self.lab.robot
             wrench = robot.measured().reshape(2, 3) @ robot.turned
+            T_b_t = np.eye(4)
+            T_b_t[:3, :3], T_b_t[:3, 3] = robot.turned, robot.position
             return ArmState(
                 self.lab.time,
-                from_ur(robot.pose.tolist()),
+                T_b_t,
                 np.zeros(6),
                 robot.twist,
                 wrench.ravel(),
@@ -329,6 +331,7 @@ class SimulatedArm(_Simulated):
         acceleration: float = 0.2,
     ) -> Approach:
         """Move along the tool's z axis until something says stop."""
+        self.limits.check_approach(travel, force, torque)
         start = self.state().T_b_t
         goal = start.copy()
         goal[:3, 3] += travel * goal[:3, 2]

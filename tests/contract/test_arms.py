@@ -175,6 +175,40 @@ def test_what_it_touches_it_feels_and_zero_is_where_it_was_zeroed(make):
         at_rest(arm)
 
 
+def test_an_approach_ends_where_something_says_stop(make):
+    with make() as arm:
+        start = at(0.4, 0.0, FLOOR + 0.01)
+        arm.go(start, 0.1, 0.5)
+        arm.zero_wrench(3.0)
+        commands = [((0.2, 0.02, None, 4.0, 4.0), "travel"), ((0.02, 0.02, None, 40.0, 4.0), "force")]
+        for (*options, force, torque), why in commands:
+            with pytest.raises(ValueError, match=why):
+                arm.approach(*options, force=force, torque=torque)
+        np.testing.assert_allclose(arm.state(3.0).T_b_t, start, atol=1e-6)
+
+        done = arm.approach(0.03, 0.02, force=4.0)
+        assert (done.reason, done.verdict) == ("force", None)
+        assert 4.0 < np.linalg.norm(done.trigger.wrench[:3]) <= np.linalg.norm(done.state.wrench[:3]) + 1e-9
+        assert not done.state.moving
+        # To 4 N it is 0.8 mm past the floor; what follows depends on the machine.
+        assert 0.0108 < done.travel < 0.03
+        arm.go(start, 0.1, 0.5)
+
+        done = arm.approach(0.03, 0.02, lambda state: state.T_b_t[2, 3] < FLOOR + 0.006 and "skin", 4.0)
+        assert (done.reason, done.verdict) == ("verdict", "skin")
+        assert done.travel >= 0.004
+        arm.go(start, 0.1, 0.5)
+
+        done = arm.approach(0.005, 0.02, lambda state: None)
+        assert (done.reason, done.verdict) == ("travel", None)
+        assert done.travel == pytest.approx(0.005, abs=1e-6)
+
+        with pytest.raises(ZeroDivisionError):
+            arm.approach(0.03, 0.002, lambda state: 1 / 0)
+        assert not arm.state(3.0).moving
+        arm.go(HOME, 0.1, 0.5)
+
+
 def test_it_can_be_closed_twice_and_connected_again(make):
     arm = make()
     with arm:
