@@ -99,6 +99,9 @@ def _candidates(args: Live) -> dict[str, Mesh]:
     return {path.stem: objects.load(path, args.unit)[0].mesh for path in args.objects}
 
 
+_tempered = jax.jit(belief.tempered)
+
+
 class Sitting:
     """The belief of one sitting: says which site is next, and hears what became of it."""
 
@@ -122,9 +125,9 @@ class Sitting:
         self.spent = np.zeros((1, len(self.pool.owner)), bool)
         self.after: list[np.ndarray] = []
         self.felt: list[Outcome] = []
-        self._next(0)  # an arm does not wait for a compiler
-        nothing = Measured(jnp.zeros((1, 15)), jnp.ones(1), jnp.zeros(1), jnp.zeros(1, bool))
-        advance(self.now, jnp.zeros(1, int), nothing, self.table, self.like)
+        # An arm's watchdog does not wait for a compiler.
+        self._next(0)
+        self._learn(0, np.zeros(15), 1.0, 0.0, False)
 
     def choose(self, history: Sequence[Outcome]) -> Site | None:
         """The site that is expected to tell most, until it is sure or enough was touched."""
@@ -142,13 +145,10 @@ class Sitting:
             return
         T_w_site = self._site(outcome.site.number)
         travelled = float((touched.T_w_t[:3, 3] - T_w_site[:3, 3]) @ T_w_site[:3, 2])
-        measured = Measured(
-            jnp.float32(touched.reading)[None], jnp.float32([max(touched.force, 0.0)]), jnp.float32([travelled]),
-            jnp.asarray([touched.code != ReturnCode.AIR]),
-        )  # fmt: skip
-        self.now, p = advance(self.now, jnp.asarray([outcome.site.number]), measured, self.table, self.like)
+        met = touched.code != ReturnCode.AIR
+        self.now, p = self._learn(outcome.site.number, touched.reading, max(touched.force, 0.0), travelled, met)
         self.felt.append(outcome)
-        self.after.append(np.asarray(belief.tempered(p[0], float(len(self.felt))), np.float64))
+        self.after.append(p)
         order = np.argsort(-self.after[-1])[:3]
         names = list(self.meshes)
         print("  believed: " + ", ".join(f"{names[i]} {self.after[-1][i]:.1%}" for i in order), flush=True)
@@ -173,6 +173,16 @@ class Sitting:
         print(f"\nit is the {names[best]}, {p[-1, best]:.1%} sure after {len(p)} touches{stood}")
         print(f"touches, result.json and story are in {self.args.out}")
         return result
+
+    def _learn(
+        self, number: int, reading: np.ndarray, force: float, advanced: float, met: bool
+    ) -> tuple[belief.Belief, np.ndarray]:
+        """The belief after a touch, and its probabilities as sure as they should be."""
+        measured = Measured(
+            jnp.float32(reading)[None], jnp.float32([force]), jnp.float32([advanced]), jnp.asarray([met])
+        )
+        now, p = advance(self.now, jnp.asarray([number]), measured, self.table, self.like)
+        return now, np.asarray(_tempered(p[0], jnp.float32(len(self.felt) + 1)), np.float64)
 
     def _next(self, step: int) -> int:
         keys = jax.random.split(jax.random.fold_in(self.key, step), 1)

@@ -15,6 +15,7 @@ import numpy as np
 
 from i2t.checkpoint import PACKAGES
 from i2t.dataset import DataError
+from i2t.hardware.protocols import DeviceError
 
 
 def reported(work: Callable[[], Any], resumable: Path | None = None) -> int:
@@ -23,7 +24,7 @@ def reported(work: Callable[[], Any], resumable: Path | None = None) -> int:
     """
     try:
         work()
-    except (DataError, ValueError, OSError) as error:
+    except (DataError, DeviceError, ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
