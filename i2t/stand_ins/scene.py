@@ -48,11 +48,13 @@ class Line(NamedTuple):
 
     def on(self, position: Array, turned: Array) -> float | None:
         """How far (m) a pose is along the line, None beside it."""
-        if np.abs(turned - self.T_b_t[:3, :3]).max() > TURNED:
-            return None
+        axis = self.T_b_t[:3, 2]
         away = position - self.T_b_t[:3, 3]
-        along = float(away @ self.T_b_t[:3, 2])
-        return along if np.linalg.norm(away - along * self.T_b_t[:3, 2]) < ASIDE else None
+        along = float(away @ axis)
+        beside = away - along * axis
+        if beside @ beside > ASIDE**2 or np.abs(turned - self.T_b_t[:3, :3]).max() > TURNED:
+            return None
+        return along
 
     def felt(self, along: float) -> tuple[float, Array, Array]:
         """Force (N), its centre (2,) m and the reading (15,) uT, `along` metres from the line's beginning."""
@@ -207,7 +209,7 @@ class Feeler:
     def _look(self, position: Array, turned: Array) -> None:
         if self._coming is not None and self._coming.done():
             self._line, self._coming = self._coming.result(), None
-        same = np.array_equal(position, self._seen[0]) and np.array_equal(turned, self._seen[1])
+        same = bool((position == self._seen[0]).all()) and bool((turned == self._seen[1]).all())
         self._times = self._times + 1 if same else 0
         self._seen = position, turned
         if self._times != STANDING or not self.scene.near(position):
