@@ -125,9 +125,17 @@ class Sitting:
         self.spent = np.zeros((1, len(self.pool.owner)), bool)
         self.after: list[np.ndarray] = []
         self.felt: list[Outcome] = []
-        # An arm's watchdog does not wait for a compiler.
-        self._next(0)
-        self._learn(0, np.zeros(15), 1.0, 0.0, False)
+        self._rehearse()
+
+    def _rehearse(self) -> None:
+        """Decide and learn before there is an arm, whose watchdog does not wait for a compiler; from a second touch on
+        the belief has other types than at first.
+        """
+        begun = self.now
+        for step in range(2):
+            self._next(step)
+            self.now, _ = self._learn(0, np.zeros(15), 1.0, 0.0, False)
+        self.now = begun
 
     def choose(self, history: Sequence[Outcome]) -> Site | None:
         """The site that is expected to tell most, until it is sure or enough was touched."""
