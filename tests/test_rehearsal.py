@@ -2,7 +2,6 @@
 
 import os
 import signal
-import subprocess
 import sys
 
 import jax
@@ -17,7 +16,7 @@ from i2t.skin.contact import GRID
 from i2t.skin.field import rest_field
 from i2t.skin.noise import Noise
 from i2t.skin.pad import press, sample_pad
-from i2t.stand_ins import rehearsal, reskin_board
+from i2t.stand_ins import rehearsal, reskin_board, ur_controller
 from i2t.stand_ins.ur_contact import PAD
 
 PATIENCE = 20.0  # s that a loaded machine may need
@@ -91,9 +90,11 @@ def test_the_noise_is_the_worlds(touching):
 
 
 def test_what_cannot_be_touched_is_said(tmp_path):
-    options = ["--host", own_host(203), "--object", "nothing.stl"]
-    command = [sys.executable, "-m", "i2t.stand_ins.ur_controller", *options]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert ended.returncode == 1
-    assert "nothing.stl" in ended.stderr
-    assert "Traceback" not in ended.stderr
+    for options, why in (
+        (["--object", "nothing.stl"], r"nothing\.stl"),
+        (["--object", "star", "--rig", str(tmp_path / "nowhere.toml")], "no such file"),
+        (["--object", "star", "--pad", str(tmp_path / "nowhere.npz")], r"nowhere\.npz"),
+    ):
+        with pytest.raises(SystemExit, match=why) as ended:
+            ur_controller.main(["--host", own_host(203), *options])
+        assert "\n" not in str(ended.value)

@@ -169,6 +169,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (DeviceError, OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        return 130
     return 0
 
 
