@@ -1,0 +1,217 @@
+"""Question: do views and readings of the same touches sort themselves alike, so that one can be learnt from the other?
+
+    python -m experiments.tsne                       the paper's 1630 touches, simulated
+    python -m experiments.tsne --dataset DIR         recorded or converted touches
+    python -m experiments.tsne --preset debug        the same in seconds, too small to mean anything
+
+The paper's figure: t-SNE of the processed depth patches (contact masks) and their five-means, with the mean patch and
+the mean tactile picture of each cluster and an example from it. Beside it the numbers that a picture cannot give: how
+stable clusters and map are from seed to seed, and how far the neighbourhoods and the geometry of views and of readings
+agree, against touches paired anew (within objects, too: knowing the object is no agreement of views and readings). The
+same for the five-dimensional bottleneck of the paper's network, trained on the readings of two objects and asked about
+touches that it was not trained on. Results go to --out: tsne.png, metrics.json, the touches (data.h5).
+"""
+
+import os
+import sys
+import time
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+from experiments import train as training
+from experiments.configs import PRESETS as TRAININGS
+from experiments.configs import TrainExperiment
+from experiments.methods import train_network
+from experiments.runs import begin, reported, write_json
+from experiments.splitting import split_dataset
+from i2t import analysis, model, plots
+from i2t import dataset as data
+from i2t.analysis import Clusters, Tested
+from i2t.dataset import DataError, Dataset
+from i2t.model import Inputs, ModelConfig
+from i2t.types import ReturnCode
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What `python -m experiments.tsne` does."""
+
+    training: TrainExperiment = field(
+        default_factory=lambda: replace(TRAININGS["paper"], training=replace(TRAININGS["paper"].training, epochs=40))
+    )
+    seeds: int = 10  # of clusterings
+    maps: int = 3  # seeds of the map
+    permutations: int = 999
+
+
+PRESETS = {
+    "paper": Plan(),
+    "debug": Plan(replace(TRAININGS["debug"], training=replace(TRAININGS["debug"].training, epochs=2)), 3, 2, 99),
+}
+
+
+@dataclass(frozen=True)
+class Args:
+    """A map of touches, their clusters, and how far views and readings agree."""
+
+    out: Path = Path("runs/tsne")  # folder for everything that is made
+    preset: Literal["paper", "debug"] = "paper"
+    dataset: Path | None = None  # touches in place of simulated ones
+    kind: Literal["mask", "depth"] = "mask"  # what a view is
+    seed: int = 0
+    network: bool = True  # train the paper's network, for its bottleneck
+    overwrite: bool = False
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    args = tyro.cli(Args, args=argv, description=__doc__, prog="python -m experiments.tsne")
+    return reported(partial(run, args))
+
+
+def run(args: Args) -> dict[str, Any]:
+    """The experiment: touches, map, clusters, stability, agreement, figure."""
+    plan = PRESETS[args.preset]
+    begin(args.out, args, plan, None, args.overwrite)
+    dataset = (
+        data.load(args.dataset)
+        if args.dataset
+        else training.simulate(plan.training, args.seed, 0, args.out / "data.h5")
+    )
+    dataset = dataset.select(~np.isin(dataset.touches.code, [ReturnCode.FAILED, ReturnCode.AIR]))
+    touches = dataset.touches
+    if len(dataset) < 4 * analysis.NEIGHBOURS:
+        raise DataError(f"the data set holds {len(dataset)} touches; {4 * analysis.NEIGHBOURS} at least are needed")
+
+    started = time.perf_counter()
+    views = analysis.components(analysis.views(touches.patch, args.kind))
+    clusters = analysis.cluster(views, seed=args.seed)
+    at, means = analysis.embed(views, clusters.centre, args.seed)
+    seconds = time.perf_counter() - started
+
+    whole, parts = analysis.stability(views, seeds=plan.seeds)
+    maps = [at] + [analysis.embed(views, seed=args.seed + i)[0] for i in range(1, plan.maps)]
+    kept = [analysis.agreement(maps[0], other).overlap for other in maps[1:]]
+    felt = analysis.standardised(touches.reading)
+    result: dict[str, Any] = {
+        "source": dataset.source,
+        "seed": args.seed,
+        "touches": len(dataset),
+        "view": args.kind,
+        "seconds": round(seconds, 1),
+        "cluster_sizes": np.bincount(clusters.label).tolist(),
+        "rand_index": {"seeds": _spread(whole), "parts": _spread(parts)},
+        "map_neighbours_kept": _spread(np.array(kept)),
+        "variance_kept": float(views.var(0).sum() / analysis.views(touches.patch, args.kind).var(0).sum()),
+        "agreement": tests(views, felt, touches.object, plan, args.seed),
+    }
+    if args.network:
+        result["bottleneck"] = bottleneck(dataset, plan, args, felt)
+    plots.save(figure(dataset, at, means, clusters, args.kind), args.out / "tsne.png")
+    write_json(args.out / "metrics.json", result)
+    report(result)
+    print(f"\nthe figure and the numbers are in {args.out}")
+    return result
+
+
+def tests(x: np.ndarray, y: np.ndarray, groups: np.ndarray, plan: Plan, seed: int) -> dict[str, Any]:
+    """Agreement of two modalities, against any pairing and against pairing within objects."""
+    made = {"all": analysis.permutation_test(x, y, permutations=plan.permutations, seed=seed)}
+    if len(np.unique(groups)) > 1:
+        made["within objects"] = analysis.permutation_test(
+            x, y, permutations=plan.permutations, seed=seed, groups=groups
+        )
+    return {name: _plain(test) for name, test in made.items()}
+
+
+def bottleneck(dataset: Dataset, plan: Plan, args: Args, felt: np.ndarray) -> dict[str, Any]:
+    """The agreement of the paper's network's five values with the readings of touches that it was not trained on."""
+    split = split_dataset(dataset, plan.training, "auto", args.seed)
+    network = ModelConfig(input=args.kind, pixels=dataset.touches.patch.shape[1], reach=dataset.reach)
+    trained, _ = train_network(
+        "paper's network", network, plan.training.training, dataset.touches.patch, dataset.touches, split,
+        args.out / "checkpoint",
+    )  # fmt: skip
+    params = jax.tree.map(lambda leaf: leaf[0], trained.params)
+
+    @jax.jit
+    def encode(patches: jax.Array) -> jax.Array:
+        def one(patch: jax.Array) -> jax.Array:
+            inputs = model.prepare(network, trained.normalisation, Inputs(patch, jnp.zeros(0)))
+            return model.apply(params, network, inputs).latent
+
+        return jax.vmap(one)(patches)
+
+    rows = split.test
+    latent = analysis.standardised(np.asarray(encode(jnp.asarray(dataset.touches.patch[rows]))))
+    whole, parts = analysis.stability(latent, seeds=plan.seeds)
+    return {
+        "touches": int(rows.sum()),
+        "rand_index": {"seeds": _spread(whole), "parts": _spread(parts)},
+        "agreement": tests(latent, felt[rows], dataset.touches.object[rows], plan, args.seed),
+    }
+
+
+def figure(dataset: Dataset, at: np.ndarray, means: np.ndarray, clusters: Clusters, kind: str) -> Any:
+    """The map with its clusters: of each the mean view and reading, and the touch nearest to its mean on the map."""
+    touches = dataset.touches
+    shown = analysis.views(touches.patch, "mask" if kind == "mask" else "depth").reshape(touches.patch.shape)
+    examples = []
+    for i, mean in enumerate(means):
+        own = np.flatnonzero(clusters.label == i)
+        order = own[np.argsort(np.linalg.norm(at[own] - mean[None], axis=1))]
+        examples.append([order[0], order[len(order) // 2]])
+    return plots.clusters(
+        at, means, clusters.label, shown, np.asarray(touches.reading), np.array(examples),
+        [dataset.objects[i] for i in touches.object], dataset.board, dataset.window,
+        "contact mask" if kind == "mask" else "depth, parts of the reach",
+        f"{len(at)} touches sorted by what was seen", dataset.source != "real",
+    )  # fmt: skip
+
+
+def report(result: dict[str, Any]) -> None:
+    """The numbers a person reads."""
+    kind = "" if result["source"] == "real" else f" ({result['source']})"
+    index, kept = result["rand_index"], result["map_neighbours_kept"]
+    print(f"\n{result['touches']} touches{kind}: map and clusters in {result['seconds']:.1f} s")
+    print(f"clusters of {', '.join(map(str, result['cluster_sizes']))} touches")
+    print(f"adjusted Rand index between seeds: mean {index['seeds'][0]:.2f}, least {index['seeds'][1]:.2f}")
+    print(f"  between random 80 % of the touches: mean {index['parts'][0]:.2f}, least {index['parts'][1]:.2f}")
+    print(f"nearest neighbours on the map that another seed keeps: {kept[0]:.2f}")
+    sets = {"views and readings": result["agreement"]}
+    if "bottleneck" in result:
+        sets[f"bottleneck and readings ({result['bottleneck']['touches']} test touches)"] = result["bottleneck"][
+            "agreement"
+        ]
+    for name, tested in sets.items():
+        print(f"\n{name:52}" + "".join(f"{n:>12}{'chance':>8}{'p':>7}" for n in ("overlap", "mutual", "CKA")))
+        for pairing, test in tested.items():
+            cells = "".join(
+                f"{test['observed'][n]:12.3f}{test['chance'][n]:8.3f}{test['p'][n]:7.3f}"
+                for n in ("overlap", "mutual", "cka")
+            )
+            print(f"  paired anew: {pairing:37}{cells}")
+
+
+def _plain(test: Tested) -> dict[str, Any]:
+    return {
+        name: part._asdict() if hasattr(part, "_asdict") else part for name, part in test._asdict().items()
+    }  # fmt: skip
+
+
+def _spread(values: np.ndarray) -> list[float]:
+    """Mean and least."""
+    return [float(values.mean()), float(values.min())] if len(values) else [float("nan")] * 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())
