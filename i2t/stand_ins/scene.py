@@ -117,12 +117,12 @@ class Scene:
     def __init__(
         self, mesh: Mesh, T_b_o: Array, pad: Pad, errors: Errors, stiffness: float = 10e3, seed: int = 0
     ) -> None:
-        run = sample_run(jax.random.key(seed), errors)
+        run = jax.jit(lambda key: sample_run(key, errors))(jax.random.key(seed))
         self.pad, self.errors, self.stiffness = pad, errors, stiffness
         self.board = Board(*(np.asarray(part, float) for part in pad.board))
         self.T_b_o = np.asarray(T_b_o) @ np.asarray(run.T_o_placed, float)
         self.T_t_camera = np.asarray(run.T_t_camera, float)  # where it looks from, seen from where the lab believes
-        self.rest = np.asarray(pad.board.to_board(rest_field(pad)), float)  # (15,) uT
+        self.rest = np.asarray(pad.board.to_board(jax.jit(rest_field)(pad)), float)  # (15,) uT
         self._surface = jax.device_put(prepare(mesh))
         self._random = np.random.default_rng(seed)
         placed = transform_mesh(mesh, self.T_b_o)
