@@ -19,15 +19,13 @@ from experiments.recognition import paper_rules, pool, telling_sites
 from experiments.recognition_scores import plain
 from experiments.studies.lab import Lab, shown, sit
 
-PLACEMENTS = (0.0, 0.1, 0.3, 1.0, 2.0, 4.0)  # mm and degrees, one sigma
-ROUGH = (0.3, 1.0)  # mm of noise on every pixel of an object's views, at the usual error of placement
 RULES = ("votes", "product")
 
 
 def play(lab: Lab) -> dict[str, Any]:
     """Both of the paper's sets in every world."""
     debug = lab.args.preset == "debug"
-    placements, roughs = ((0.0, 1.0), (0.3,)) if debug else (PLACEMENTS, ROUGH)
+    placements, roughs = ((0.0, 1.0), (0.3,)) if debug else (lab.args.placements, lab.args.rough)
     found: dict[str, Any] = {}
     for which, (name, names) in enumerate({"primitives": lab.cfg.primitives, "tools": lab.cfg.tools}.items()):
         key_pool, key_play, key_site = jax.random.split(jax.random.fold_in(lab.key, which), 3)
@@ -73,7 +71,8 @@ def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
     for name, at in result["crossing_mm"].items():
         where = " and ".join(f"{x:.2f} mm" for x in at) or "nowhere"
         print(f"{name}: the two are even at {where}")
-    plots.save(drawing.leads(sizes, lines, True), out / "crossing.png")
+    if len(sizes) > 1:
+        plots.save(drawing.leads(sizes, lines, True), out / "crossing.png")
     return result
 
 

@@ -48,6 +48,8 @@ class Args:
     preset: Literal["paper", "debug"] = "paper"
     sittings: int = 20  # of each object and setting, for each pad and seed
     meshes: Path | None = None  # a folder of STL files in metres that join the objects of `many`
+    placements: tuple[float, ...] = (0.0, 0.1, 0.3, 1.0, 2.0, 4.0)  # of `crossing`: mm and degrees, one sigma
+    rough: tuple[float, ...] = (0.3, 1.0)  # of `crossing`: mm of noise on every pixel of views, at 1 mm of placement
     seed: int = 0
     overwrite: bool = False
 
