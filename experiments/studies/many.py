@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import trimesh
 
 from experiments import plots
 from experiments import recognition_figures as drawing
@@ -65,8 +66,7 @@ def coarse(mesh: Mesh, faces: int = FACES) -> Mesh:
         import pyvista as pv
     except ImportError as error:
         raise ValueError("scanned meshes are simplified with pyvista; run pip install 'i2t[notebooks]'") from error
-    whole = pv.PolyData.from_regular_faces(mesh.vertices, mesh.faces)
-    fewer = whole.decimate(1 - faces / len(mesh.faces))
+    fewer = pv.wrap(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)).decimate(1 - faces / len(mesh.faces))
     return Mesh(np.asarray(fewer.points, np.float64), np.asarray(fewer.regular_faces, np.int32))
 
 
