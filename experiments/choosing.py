@@ -24,7 +24,7 @@ def advance(now: Belief, site: Array, measured: Measured, table: Outcome, like: 
 
     def one(at: tuple[Belief, Array, Measured]) -> tuple[Belief, Array]:
         updated = belief.update(at[0], at[2], element(table, at[1]), like)
-        return updated, belief.posterior(updated)[0]
+        return updated, belief.posterior(updated)
 
     return jax.lax.map(one, (now, site, measured), batch_size=8)
 
@@ -65,7 +65,7 @@ def heuristic_touches(keys: Array, now: Belief, telling: Array, spent: Array, st
 
     def one(key: Array, now: Belief, spent: Array) -> Array:
         key_object, key_site = jax.random.split(key)
-        which = ensemble.hypothesis(key_object, belief.posterior(now)[0], step)
+        which = ensemble.hypothesis(key_object, belief.posterior(now), step)
         weight = jnp.where(spent, 0.0, telling[which])
         left = jnp.where(jnp.sum(weight) > 0, weight, jnp.where(spent, 0.0, 1.0))
         return jax.random.categorical(key_site, jnp.log(left))

@@ -406,29 +406,19 @@ def replayed(recorded: Dataset, names: Sequence[str], touches: int) -> tuple[Poo
     return sites, Episodes(truth, np.arange(rows.size).reshape(rows.shape), measured, T_o_t.astype(np.float32))
 
 
-@partial(jax.jit, static_argnames=("unknown",))
+@jax.jit
 def beliefs(
-    table: Outcome,
-    site: Int[Array, "e t"],
-    measured: Measured,
-    like: Likelihood,
-    placements: Particles,
-    background: Outcome | None = None,
-    unknown: float = 0.0,
-) -> tuple[Float[Array, "e t objects"], Float[Array, "e t"]]:
-    """Posteriors over the objects, and of none of them, after each touch of each episode.
-
-    `table` is (sites, objects, k), `background` (sites, b).
-    """
+    table: Outcome, site: Int[Array, "e t"], measured: Measured, like: Likelihood, placements: Particles
+) -> Float[Array, "e t objects"]:
+    """Posteriors over the objects after each touch of each episode; `table` is (sites, objects, k)."""
     objects = table.hit.shape[1]
 
-    def episode(at: tuple[Array, Measured]) -> tuple[Array, Array]:
-        def step(now: belief.Belief, touched: tuple[Array, Measured]) -> tuple[belief.Belief, tuple[Array, Array]]:
-            others = None if background is None else element(background, touched[0])
-            now = belief.update(now, touched[1], element(table, touched[0]), like, others)
+    def episode(at: tuple[Array, Measured]) -> Array:
+        def step(now: belief.Belief, touched: tuple[Array, Measured]) -> tuple[belief.Belief, Array]:
+            now = belief.update(now, touched[1], element(table, touched[0]), like)
             return now, belief.posterior(now)
 
-        return jax.lax.scan(step, belief.begin(placements, objects, unknown), at)[1]
+        return jax.lax.scan(step, belief.begin(placements, objects), at)[1]
 
     return jax.lax.map(episode, (site, measured), batch_size=8)
 
@@ -446,7 +436,7 @@ def by_evidence(
     for kind in kinds:
         tactile, spatial = (jnp.float32(weight) for weight in EVIDENCE[kind])
         used = like._replace(tactile=tactile, spatial=spatial)
-        found[kind] = np.asarray(beliefs(table, site, episodes.measured, used, placements)[0])
+        found[kind] = np.asarray(beliefs(table, site, episodes.measured, used, placements))
     return found
 
 

@@ -11,9 +11,9 @@ Each possible object stands in a number of places drawn from what is known of it
                 Automatic Control 17, 1972). That makes a few hundred particles enough for contacts known to 0.1 mm in
                 a prior of 1 mm in six dimensions; bare ones would leave none.
 
-A touch that meets nothing is evidence as well. A share of touches may be anything (outliers). "None of these" is one
-more object: its touches are drawn afresh, each from a collection of touches on all kinds of objects. What the sensor's
-zero has drifted by is followed by a Kalman filter on what the posterior leaves of the readings.
+A touch that meets nothing is evidence as well. A share of touches may be anything (outliers). "None of these" is what
+decoys have together (`i2t.objects.decoy`), which are objects like any other here. What the sensor's zero has drifted by
+is followed by a Kalman filter on what the posterior leaves of the readings.
 
 Pure functions on one episode; metres, newtons, microtesla.
 """
@@ -77,7 +77,6 @@ class Belief(NamedTuple):
     log_weight: Float[Array, "objects k"]  # joint with all touches so far
     mean: Float[Array, "objects k 6"]  # m, of the twist about the particle
     covariance: Float[Array, "objects k 6 6"]  # m^2
-    unknown: Float[Array, ""]  # log weight of none of these; -inf where that is not possible
     zero: Float[Array, "15"]  # uT, the sensor's
     zero_variance: Float[Array, ""]  # uT^2
 
@@ -141,39 +140,25 @@ def likelihood(
     )  # fmt: skip
 
 
-def begin(placements: Particles, objects: int, unknown: float = 0.0) -> Belief:
-    """Before the first touch: all objects alike, with the prior probability `unknown` of none of them."""
-    count = len(placements.twist)
-    shape = (objects, count)
-    known = jnp.log((1 - unknown) / (objects * count))
+def begin(placements: Particles, objects: int) -> Belief:
+    """Before the first touch: all objects alike."""
+    shape = (objects, len(placements.twist))
     return Belief(
-        jnp.full(shape, known),
+        jnp.full(shape, -jnp.log(jnp.float32(objects * len(placements.twist)))),
         jnp.zeros((*shape, 6)),
         jnp.broadcast_to(placements.covariance, (*shape, 6, 6)),
-        jnp.log(jnp.asarray(unknown, jnp.float32)),
         jnp.zeros(READINGS),
         jnp.zeros(()),
     )
 
 
-def update(
-    belief: Belief, measured: Measured, outcomes: Outcome, like: Likelihood, background: Outcome | None = None
-) -> Belief:
-    """The belief after one more touch, whose `outcomes` were imagined for each object and particle, (objects, k).
-
-    `background` holds outcomes (b,) on all kinds of objects for "none of these"; without it that cannot be.
-    """
+def update(belief: Belief, measured: Measured, outcomes: Outcome, like: Likelihood) -> Belief:
+    """The belief after one more touch, whose `outcomes` were imagined for each object and particle, (objects, k)."""
     told = measured._replace(reading=measured.reading - belief.zero)
     found = jax.vmap(jax.vmap(partial(evidence, told, like=like)))(outcomes, belief.mean, belief.covariance)
     log_weight = belief.log_weight + weighed(found, like)
-    unknown = jnp.full_like(belief.unknown, -jnp.inf)
-    if background is not None:
-        wide = jnp.zeros((6, 6))
-        other = jax.vmap(lambda outcome: evidence(told, outcome, jnp.zeros(6), wide, like))(background)
-        each = weighed(other, like)
-        unknown = belief.unknown + logsumexp(each) - jnp.log(len(each))
     zero, variance = _follow(belief, told, found.reading, log_weight, like)
-    return Belief(log_weight, found.mean, found.covariance, unknown, zero, variance)
+    return Belief(log_weight, found.mean, found.covariance, zero, variance)
 
 
 def weighed(found: Evidence, like: Likelihood) -> Float[Array, "..."]:
@@ -236,11 +221,9 @@ def reading_density(error: Float[Array, "15"], variance: Float[Array, ""], like:
     return level - 0.5 * jnp.sum(jnp.log(spread)) - (v + READINGS) / 2 * jnp.log1p(square / v)
 
 
-def posterior(belief: Belief) -> tuple[Float[Array, " objects"], Float[Array, ""]]:
-    """Probabilities of the objects, and of none of them."""
-    each = logsumexp(belief.log_weight, axis=1)
-    total = jnp.logaddexp(logsumexp(each), belief.unknown)
-    return jnp.exp(each - total), jnp.exp(belief.unknown - total)
+def posterior(belief: Belief) -> Float[Array, " objects"]:
+    """Probabilities of the objects."""
+    return jax.nn.softmax(logsumexp(belief.log_weight, axis=1))
 
 
 def tempered(

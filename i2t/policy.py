@@ -48,7 +48,7 @@ def gains(
 ) -> Gain:
     """What a touch at each site of a table (sites, objects, k) is expected to tell: arrays over sites.
 
-    The press ends at `skin_change` (uT) or `force` (N); `draws` and `places` are static. "None of these" is left out.
+    The press ends at `skin_change` (uT) or `force` (N); `draws` and `places` are static.
     """
     key_place, key_draw, key_which, key_noise, key_off = jax.random.split(key, 5)
     weight = logsumexp(belief.log_weight, axis=1)
@@ -124,7 +124,7 @@ def stop_load(
 
 def permitted(belief: Belief, safe: Bool[Array, "sites objects"], risk: float = RISK) -> Bool[Array, " sites"]:
     """Sites that are safe but for objects of at most a probability of `risk` together."""
-    probability, _ = posterior(belief)
+    probability = posterior(belief)
     return jnp.sum(jnp.where(safe, 0.0, probability[None]), axis=1) <= risk
 
 
@@ -140,4 +140,4 @@ def stops(belief: Belief, error: float) -> Bool[Array, ""]:
     """Whether the most probable object is wrong with a probability of at most `error`, as far as the belief is
     calibrated.
     """
-    return jnp.max(posterior(belief)[0]) >= 1 - error
+    return jnp.max(posterior(belief)) >= 1 - error

@@ -255,64 +255,60 @@ def test_touches_are_a_linear_regression():
         np.testing.assert_array_less(np.abs(np.sqrt(np.diag(covariance[o])) / left - 1), loose)
     np.testing.assert_array_less(OBJECTS, belief.effective(now))
     exact = np.exp(evidences - np.logaddexp.reduce(evidences))
-    found, unknown = posterior(now)
-    assert unknown == 0
+    found = posterior(now)
     loose = SIGMAS * np.sqrt(np.sum(1 / np.asarray(belief.effective(now)) - 1 / COUNT)) * exact.prod()
     np.testing.assert_allclose(found, exact, atol=max(loose, 1e-3))
     assert 0.01 < exact[0] < 0.99
 
 
-def some_belief(rng: np.random.Generator, unknown: float = 0.2) -> tuple[Belief, Measured, Outcome, Outcome]:
+def some_belief(rng: np.random.Generator) -> tuple[Belief, Measured, Outcome]:
     """The middle of an episode."""
-    now = belief.begin(PLACES, OBJECTS, unknown)
+    now = belief.begin(PLACES, OBJECTS)
     now = now._replace(
         log_weight=now.log_weight + jnp.float32(rng.normal(size=now.log_weight.shape)),
         mean=jnp.float32(rng.normal(size=now.mean.shape) * SPREAD * 0.3),
     )
-    outcome, background = outcomes(rng, OBJECTS, COUNT), outcomes(rng, 40)
+    outcome = outcomes(rng, OBJECTS, COUNT)
     reading = np.asarray(outcome.reading[0, 0, 1]) + rng.normal(size=15)
-    return now, measured(reading, 0.9, -1e-3, True), outcome, background
+    return now, measured(reading, 0.9, -1e-3, True), outcome
 
 
 def test_probabilities_add_up_and_follow_a_permutation():
     rng = np.random.default_rng(8)
-    now, at, outcome, background = some_belief(rng)
+    now, at, outcome = some_belief(rng)
     told = like(drift=1.0)
-    after = update(now, at, outcome, told, background)
-    found, unknown = posterior(after)
-    assert float(found.sum() + unknown) == pytest.approx(1, abs=1e-5)
-    assert 0 < unknown < 1
+    after = update(now, at, outcome, told)
+    found = posterior(after)
+    assert float(found.sum()) == pytest.approx(1, abs=1e-5)
     order, shuffle = np.array([1, 0]), rng.permutation(COUNT)
 
     def turned(tree):
         return jax.tree.map(lambda x: x[order][:, shuffle], tree)
 
     mixed = Belief(*turned(tuple(now[:3])), *now[3:])
-    again = update(mixed, at, turned(outcome), told, part(background, np.s_[::-1]))
-    other, none = posterior(again)
+    again = update(mixed, at, turned(outcome), told)
+    other = posterior(again)
     # Sums over 512 places, in another order.
     np.testing.assert_allclose(other, found[order], rtol=1e-4)
-    assert float(none) == pytest.approx(float(unknown), rel=1e-4)
     np.testing.assert_allclose(again.zero, after.zero, atol=1e-4)
     np.testing.assert_allclose(again.mean, after.mean[order][:, shuffle], atol=1e-9)
 
 
 def test_places_that_are_ruled_out_change_nothing():
     rng = np.random.default_rng(9)
-    now, at, outcome, background = some_belief(rng)
+    now, at, outcome = some_belief(rng)
     half = now._replace(log_weight=now.log_weight.at[:, COUNT // 2 :].set(-jnp.inf))
     strange = jax.tree.map(lambda x: x.at[:, COUNT // 2 :].set(jnp.zeros_like(x[0, 0])), outcome)
-    first = update(half, at, outcome, LIKE, background)
-    other = update(half, at, strange, LIKE, background)
-    for values, others in zip(posterior(first), posterior(other), strict=True):
-        assert np.isfinite(values).all()
-        np.testing.assert_allclose(values, others, rtol=1e-5)
+    first = update(half, at, outcome, LIKE)
+    other = update(half, at, strange, LIKE)
+    assert np.isfinite(posterior(first)).all()
+    np.testing.assert_allclose(posterior(first), posterior(other), rtol=1e-5)
     np.testing.assert_allclose(belief.placement(first, PLACES)[0], belief.placement(other, PLACES)[0], atol=1e-9)
 
 
 def test_weights_leave_evidence_out():
     rng = np.random.default_rng(10)
-    now, at, outcome, _ = some_belief(rng, 0.0)
+    now, at, outcome = some_belief(rng)
     pairs = (
         (like(tactile=0), at._replace(reading=at.reading + 30)),
         (like(spatial=0), at._replace(advance=at.advance + 1e-3)),
@@ -333,7 +329,7 @@ def test_what_is_left_out_may_be_nan_and_moves_nothing():
     begun = belief.begin(belief.particles(SPREAD, 4), 2)
     lost = measured(np.full(15, np.nan), 0.9, -1e-3, True)
     after = update(begun, lost, table, like(tactile=0.0))
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(after._replace(unknown=0.0)))
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(after))
     far = measured(np.asarray(table.reading)[0, 0, 1], 0.9, 5e-3, True)
     after = update(begun, far, table, like(spatial=0.0))
     np.testing.assert_array_equal(after.mean, begun.mean)
@@ -372,7 +368,7 @@ def test_the_zero_of_the_sensor_is_followed():
             np.testing.assert_array_equal(now.zero, 0)
             assert now.zero_variance == 0
             continue
-        assert posterior(now)[0][0] > 0.999
+        assert posterior(now)[0] > 0.999
         # The filter in closed form: its variance before a touch settles at P with drift^2 (P + R) = P^2.
         R = float(np.mean(np.diag(np.cov(ERRORS.T))) + 1e-3)
         P = (drift**2 + np.sqrt(drift**4 + 4 * drift**2 * R)) / 2
@@ -386,20 +382,20 @@ def test_the_zero_of_the_sensor_is_followed():
 
 # --- a world drawn from the model -------------------------------------------------------------------------------------
 
-KINDS, FEW, TOUCHES, EPISODES, BACKGROUND, NONE = 3, 16, 3, 1500, 16, 0.25
+KINDS, FEW, TOUCHES, EPISODES = 3, 16, 3, 1500
 TOY = like(outliers=1e-9, position=0.5e-3)
 TOY_PLACES = belief.particles(SPREAD, FEW)
 
 
 @jax.jit
-def judge(table: Outcome, background: Outcome, site: jnp.ndarray, at: Measured):
+def judge(table: Outcome, site: jnp.ndarray, at: Measured):
     """Posteriors at the ends of many episodes."""
 
     def episode(site, at):
         def step(now, touched):
-            return belief.update(now, touched[1], part(table, touched[0]), TOY, background), None
+            return belief.update(now, touched[1], part(table, touched[0]), TOY), None
 
-        now, _ = jax.lax.scan(step, belief.begin(TOY_PLACES, KINDS, NONE), (site, at))
+        now, _ = jax.lax.scan(step, belief.begin(TOY_PLACES, KINDS), (site, at))
         return belief.posterior(now)
 
     return jax.lax.map(lambda x: episode(*x), (site, at), batch_size=50)
@@ -411,41 +407,33 @@ def test_probabilities_are_those_of_being_right():
     table = outcomes(rng, sites, KINDS, FEW)
     # Objects are hard to tell apart: readings differ by a good part of their errors, travels by those of positions.
     as_errors = np.linalg.cholesky(np.cov(ERRORS.T)).T * 0.35
-    table, background = (
-        told._replace(reading=jnp.float32((rng.normal(size=(*told.hit.shape, 1, 15)) @ as_errors) * LOADS[:, None]))
-        for told in (table, outcomes(rng, BACKGROUND))
-    )
+    readings = (rng.normal(size=(*table.hit.shape, 1, 15)) @ as_errors) * LOADS[:, None]
+    table = table._replace(reading=jnp.float32(readings))
 
     # All that happens is drawn from the model, which is known to be right then.
-    truth = rng.choice(KINDS + 1, EPISODES, p=[(1 - NONE) / KINDS] * KINDS + [NONE])
-    known = truth[:, None] < KINDS
+    truth = rng.choice(KINDS, EPISODES)
     shape = (EPISODES, TOUCHES)
-    site, other = rng.integers(sites, size=shape), rng.integers(BACKGROUND, size=shape)
-    own = host(table, site, np.minimum(truth, KINDS - 1)[:, None], rng.integers(FEW, size=EPISODES)[:, None])
-    now = jax.tree.map(
-        lambda x, y: np.where(known.reshape(EPISODES, 1, *[1] * (x.ndim - 2)), x, y), own, host(background, other)
-    )
+    site = rng.integers(sites, size=shape)
+    now = host(table, site, truth[:, None], rng.integers(FEW, size=EPISODES)[:, None])
     spread = np.sqrt(1 + np.asarray(TOY.growth) * now.variance[..., 1:2])
     t = rng.normal(size=(*shape, 15)) / np.sqrt(rng.chisquare(8, shape) / 8)[..., None]
     unwhiten = np.linalg.inv(np.asarray(TOY.whiten, np.float64))
     reading = now.reading[..., 1, :] + (spread * t) @ unwhiten.T
-    off = rng.normal(size=(EPISODES, 1, 6)) * SPREAD * belief.WITHIN * known[..., None]
+    off = rng.normal(size=(EPISODES, 1, 6)) * SPREAD * belief.WITHIN
     advance = now.travel + now.sunk[..., 1] + LOADS[1] / belief.STIFFNESS + (now.slope * off).sum(-1)
     advance += rng.normal(scale=float(TOY.position), size=shape)
 
     at = measured(reading, np.full(shape, LOADS[1]), advance, np.ones(shape, bool))
-    found, unknown = judge(table, background, jnp.asarray(site), at)
-    p = np.concatenate([found, unknown[:, None]], 1).astype(np.float64)
+    p = np.asarray(judge(table, jnp.asarray(site), at), np.float64)
     np.testing.assert_allclose(p.sum(1), 1, atol=1e-4)  # logarithms of some hundred, in float32
-    right = truth[:, None] == np.arange(KINDS + 1)
+    right = truth[:, None] == np.arange(KINDS)
     decided = p.argmax(1)
     share = p[np.arange(EPISODES), decided]
-    assert 0.4 < share.mean() < 0.8
+    assert 0.4 < share.mean() < 0.9
     # Each event comes true as often as its probability says, within the spread of a sum of such events.
-    for weight in (p, np.eye(KINDS + 1)[decided], *np.eye(KINDS + 1)[:, None]):
+    for weight in (p, np.eye(KINDS)[decided], *np.eye(KINDS)[:, None]):
         surplus = (weight * (right - p)).sum()
         # An episode's events exclude one another: the variance of one draw of several values.
         mean = (weight * p).sum(1)
         variance = ((weight**2 * p).sum(1) - mean**2).sum()
         assert abs(surplus) <= SIGMAS * np.sqrt(variance) + 1e-4 * EPISODES
-    assert unknown[truth == KINDS].mean() > 2 * unknown[truth < KINDS].mean()

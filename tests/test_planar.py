@@ -86,7 +86,7 @@ def test_landscapes_are_found_wherever_they_stand(both):
             return planar.update(now, touched[1], touched[0], cells, both, LIKE, TABLE), None
 
         now, _ = jax.lax.scan(step, start, (site, measured))
-        return belief.posterior(now)[0], planar.standing(now, cells, TABLE)
+        return belief.posterior(now), planar.standing(now, cells, TABLE)
 
     start = belief.begin(places, 2)
     off = []

@@ -187,11 +187,10 @@ def test_what_is_imagined_is_what_is_expected_plus_its_noise():
 
 
 def probable(*probability: float) -> Belief:
-    """A belief of three objects, and what is left for none of them."""
+    """A belief of three objects."""
     now = belief.begin(PLACED, 3)
     share = jnp.log(jnp.array(probability) / COUNT)[:, None]
-    unknown = jnp.log(jnp.float32(1 - sum(probability)))
-    return now._replace(log_weight=jnp.broadcast_to(share, (3, COUNT)), unknown=unknown)
+    return now._replace(log_weight=jnp.broadcast_to(share, (3, COUNT)))
 
 
 def test_permitted_sites_are_safe_on_what_is_possible():
@@ -216,4 +215,3 @@ def test_the_most_telling_of_the_allowed_sites_is_chosen():
 def test_stopping():
     for error, stop in ((0.05, False), (0.11, True), (0.2, True)):
         assert bool(policy.stops(probable(0.9, 0.06, 0.03), error)) is stop
-    assert not policy.stops(probable(0.3, 0.01, 0.01), 0.5)  # none of them is no object to name

@@ -51,7 +51,7 @@ def play(lab: Lab) -> dict[str, Any]:
         truth = np.resize(np.arange(count), 4 if small else max(MANY_SITTINGS, count))
         chosen = random_sites(key_site, sites, len(truth), touches)
         episodes = sit(some, key_play, sites, truth, chosen, f"{count} objects")
-        p, _ = beliefs(jax.device_put(table), jnp.asarray(chosen), episodes.measured, lab.learnt.like, places)
+        p = beliefs(jax.device_put(table), jnp.asarray(chosen), episodes.measured, lab.learnt.like, places)
         found[f"{count} objects"] = (np.asarray(p), truth)
     return found
 

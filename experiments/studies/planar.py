@@ -89,7 +89,7 @@ def _judge(
 
     def step(now: Belief, touched: tuple[Array, Measured]) -> tuple[Belief, Array]:
         now = planar.update(now, touched[1], touched[0], pose, imagined, like, table)
-        return now, belief.posterior(now)[0]
+        return now, belief.posterior(now)
 
     now, p = jax.lax.scan(step, start, (site, measured))
     return p, planar.standing(now, pose, table)

@@ -66,7 +66,7 @@ def _game(lab: Lab, key: jax.Array, names: Sequence[str], strangers: Sequence[st
     chosen = random_sites(key_site, sites, len(everything), lab.cfg.touches)
     played = surfaces[: len(names) + len(strangers)]
     episodes = sit(lab, key_play, sites, everything, chosen, what, surfaces=played)
-    p, _ = beliefs(jax.device_put(table), jnp.asarray(chosen), episodes.measured, lab.learnt.like, places)
+    p = beliefs(jax.device_put(table), jnp.asarray(chosen), episodes.measured, lab.learnt.like, places)
     p = np.asarray(p, np.float64)
     share = (len(imagined) - len(names)) / len(imagined)
     named, none = scores.with_prior(p[..., : len(names)], p[..., len(names) :].sum(-1), share, PRIOR)
