@@ -30,7 +30,8 @@ def arm(sizes: Sizes) -> list[Row]:
     """Every fault in a motion: when it was noticed, and whether the arm stands."""
     rows = []
     for name, fault in FAULTS.items():
-        noticed, stood, sentences, busy = [], 0, set(), 0
+        noticed: list[float] = []
+        stood, sentences, busy = 0, set(), 0
         while len(noticed) < sizes.arm and busy <= sizes.arm + 3:
             found = _fault(len(noticed) + busy, fault)
             if found is None:

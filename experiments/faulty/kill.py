@@ -14,7 +14,8 @@ from i2t import dataset
 from i2t.hardware.recorder import touches_in
 from i2t.stand_ins import rehearsal
 
-LATEST = 9.0  # s after it took the arm, that a collection is killed
+MOST = 2  # touches, after which a collection is killed
+LATEST = 6.0  # s after those, at the latest: a touch takes five
 PATIENCE = 5  # collections, to make them
 MORE = 5  # touches that are made after the last kill
 
@@ -30,13 +31,14 @@ def kill(sizes: Sizes) -> list[Row]:
         with rehearsal.started("--host", host, "--link", str(link), "--exact"):
             while len(stood) < sizes.kills and starts < 2 * sizes.kills + 3:
                 starts += 1
-                found = _killed(host, str(link), out, float(rng.uniform(0, LATEST)))
+                found = _killed(host, str(link), out, int(rng.integers(0, MOST + 1)), float(rng.uniform(0, LATEST)))
                 if found is None:
                     continue
                 names, seconds, moved = found
                 told += names
-                stood.append(seconds)
-                moving += moved
+                if seconds is not None:
+                    stood.append(seconds)
+                    moving += moved
             wanted = len(touches_in(out)) + MORE
             for _ in range(PATIENCE):  # a busy computer may end one by itself
                 end = subprocess.run(
@@ -73,9 +75,10 @@ def _command(host: str, port: str, out: Path, touches: int) -> list[str]:
     return [sys.executable, "-m", "experiments.faulty.worker", host, port, str(out), str(touches)]
 
 
-def _killed(host: str, port: str, out: Path, after: float) -> tuple[list[str], float, bool] | None:
-    """The touches that one collection acknowledged before it was killed, the seconds on the controller's clock until
-    the arm stood, and whether it moved; None if it ended by itself.
+def _killed(host: str, port: str, out: Path, touches: int, after: float) -> tuple[list[str], float | None, bool] | None:
+    """The touches that one collection acknowledged before it was killed, some seconds after the last of some touches;
+    the seconds on the controller's clock until the arm stood (None if it had ended by itself), and whether it moved.
+    None if it did not even begin.
     """
     with subprocess.Popen(
         _command(host, port, out, 100_000), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -85,17 +88,18 @@ def _killed(host: str, port: str, out: Path, after: float) -> tuple[list[str], f
             process.wait()
             time.sleep(0.5)
             return None
+        names = [name for _ in range(touches) if (name := process.stdout.readline().strip())]
         time.sleep(after)
         before = status(host)
         ended = process.poll() is not None
         process.kill()
-        names = process.stdout.read().splitlines()
+        names += process.stdout.read().splitlines()
     end = time.monotonic() + 3.0
     while status(host)["moving"] and time.monotonic() < end:
         time.sleep(0.02)
     now = status(host)
     time.sleep(0.3)  # the watchdog ends the program
     if ended:
-        return None
+        return names, None, False
     seconds = max(0.0, now["stood"] - before["clock"]) if not now["moving"] else float("inf")
     return names, seconds, bool(before["moving"])
