@@ -173,9 +173,11 @@ def play(args: Args, cfg: Recognition, folder: Path, seed: int) -> dict[str, rep
     oracle = learn_oracle(dataset, rows, learnt, cfg.limits)
     print(f"pad learnt from {folder}: R2 {learnt.r2:.3f} on touches left out, {oracle.r2:.3f} without errors of pose")
     done: dict[str, reporting.Played] = {}
-    for i, (meshes, sets) in enumerate(candidates(args, cfg)):
+    groups = candidates(args, cfg)
+    prepared = iter(surfaces_of([mesh for meshes, _ in groups for mesh in meshes.values()]))  # compiled for once
+    for i, (meshes, sets) in enumerate(groups):
         key_pool, key_sets = jax.random.split(jax.random.fold_in(key_groups, i))
-        surfaces = surfaces_of(list(meshes.values()))
+        surfaces = [next(prepared) for _ in meshes]
         sites = pool(key_pool, surfaces, list(meshes), cfg.sites, cfg.reach)
         placements = places_about(cfg.errors, cfg.places, seed)
         skins, what = [learnt.skin, oracle.skin], ", ".join(sets)
