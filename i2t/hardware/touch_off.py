@@ -12,8 +12,11 @@ and four corners make a plane, z = z0 + sx x + sy y by least squares: the skin's
 its z axis and tilted onto it; sideways and about z a flat tells nothing. The fourth corner is one more than a plane
 needs: by how much the four miss it, |z1 - z2 + z3 - z4| / 4 in their order around, is told.
 
-A press begins before it is felt: from the forces on the way, the part from a fifth of the last one on is continued as a
-straight line to zero. A corner is soft at first, so the face is found some hundredths of a millimetre too deep.
+A press begins before it is felt. A corner that sinks into an elastic layer by d meets it over an area of d^2 at a mean
+strain in proportion to d, so its force grows as d^3; with a spring 1 / k in series the travel since first contact is
+a F^(1/3) + F / k. First contact, a and k are those that fit the forces on the way best, by least squares. On the skin
+of the simulated world that is 0.03 mm early at this tilt, where a straight line through the forces would be
+0.5 mm late.
 """
 
 import argparse
@@ -25,6 +28,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from i2t.hardware.protocols import ArmState, DeviceError
@@ -32,12 +36,13 @@ from i2t.hardware.rig import Rig
 from i2t.types import PAD_WINDOW, Array
 
 SIDES = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the corners, in their order around
-TILT = math.radians(8)  # of the tool while it touches
+TILT = math.radians(6)  # of the tool while it touches
 CLEAR = 6e-3  # m above the flat, from where the lowest corner is lowered
 BEYOND = 5e-3  # m past where it should touch, after which there is no flat
 SPEED, FORCE = 2e-3, 2.0  # m/s, N: a corner gives some newtons per millimetre
-EARLY = 0.2  # of the last force, below which a corner is too soft to count
-LARGEST = 5e-3, math.radians(5)  # m, rad: what is further from the rig was no touch of a flat
+SOFT, STIFF = 0.8e-3, 1e4  # m/N^(1/3), N/m: a guess of a corner, and of arm and mount
+EARLY, FEWEST = 0.2, 5  # of the last force, above which it counts as felt; looks that must feel it
+LARGEST = 5e-3, math.radians(4)  # m, rad: what is further from the rig was no touch of a flat
 
 
 class Face(NamedTuple):
@@ -56,13 +61,31 @@ def lowered(side: tuple[int, int], tilt: float = TILT) -> Array:
 def onset(travel: Array, force: Array) -> float:
     """Where (m) a press began, from travel (n,) m and force (n,) N on the way; raises ValueError where none rose."""
     travel, force = np.asarray(travel, float), np.asarray(force, float)
-    risen = force > EARLY * force.max()
-    if risen.sum() < 3 or np.ptp(travel[risen]) <= 0:
-        raise ValueError("the force did not rise in at least three looks; lower the skin more slowly")
-    slope, level = np.polyfit(travel[risen], force[risen], 1)
-    if slope <= 0:
+    most, felt = force.max(), force > EARLY * force.max()
+    if felt.sum() < FEWEST or most <= 0 or np.ptp(travel[felt]) <= 0:
+        raise ValueError(f"the force did not rise in at least {FEWEST} looks; lower the skin more slowly")
+    if np.polyfit(travel[felt], force[felt], 1)[0] <= 0:
         raise ValueError("the force did not rise with the travel; zero it in the air and touch again")
-    return float(-level / slope)
+    low, high = travel[0], travel[felt][0]
+    deep = max(travel[-1] - low, 1e-6)
+
+    def miss(x: Array) -> Array:
+        return pressed(travel - x[0], *np.exp(x[1:])) - force
+
+    found = least_squares(
+        miss,
+        [high - 0.3 * np.ptp(travel[felt]), math.log(SOFT), math.log(STIFF)],
+        bounds=([low - deep, math.log(1e-6), math.log(1e2)], [high, math.log(1e-2), math.log(1e6)]),
+        x_scale=[1e-4, 1.0, 1.0],
+    )
+    return float(found.x[0])
+
+
+def pressed(travel: Array, soft: float, stiff: float) -> Array:
+    """Force (N) at `travel` (m) since first contact, where travel = soft F^(1/3) + F / stiff (Cardano)."""
+    half = stiff * np.maximum(travel, 0) / 2
+    root = np.sqrt(half**2 + (soft * stiff / 3) ** 3)
+    return (np.cbrt(half + root) + np.cbrt(half - root)) ** 3
 
 
 def face(touches: Sequence[Array], height: float, half: float = PAD_WINDOW / 2) -> Face:
@@ -147,13 +170,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rig", type=Path, required=True, help="the lab's calibration")
     parser.add_argument("--height", type=float, required=True, help="of the flat in the base, m")
     parser.add_argument("--at", type=float, nargs=2, required=True, metavar=("X", "Y"), help="its place in the base, m")
+    parser.add_argument("--stale", type=float, default=0.1, help="s without news after which the arm is taken for lost")
+    parser.add_argument("--watchdog", type=float, default=10.0, help="Hz, how often the controller must hear from us")
     parser.add_argument("--write", action="store_true", help="put what is found into the rig")
     asked = parser.parse_args(arguments)
     try:
         from i2t.hardware.ur import UR
 
         rig = Rig.read(asked.rig)
-        with UR(asked.host, rig.limits, rig.T_flange_tool, (rig.mass, rig.centre)) as arm:
+        payload = rig.mass, rig.centre
+        with UR(asked.host, rig.limits, rig.T_flange_tool, payload, asked.stale, asked.watchdog) as arm:
             found = touch_off(arm, tuple(asked.at), asked.height)
         T = rig.T_flange_tool @ found.T_tool_skin
         tilt = math.degrees(math.acos(min(1.0, found.T_tool_skin[2, 2])))
