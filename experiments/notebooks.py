@@ -1,0 +1,79 @@
+"""Notebooks as HTML: every notebook, or those named, run from top to bottom and written with its figures.
+
+    python -m experiments.notebooks                          all four, to runs/notebooks
+    python -m experiments.notebooks skin_physics --debug     one, at the size of the tests
+
+Needs `pip install "i2t[notebooks]"`. The notebooks themselves are stored without outputs, and are not changed.
+"""
+
+import json
+import os
+import sys
+import time
+from dataclasses import dataclass
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+
+import tyro
+
+from experiments.runs import reported
+
+FOLDER = Path(__file__).parents[1] / "notebooks"
+LIMIT = 900  # s for one cell
+
+
+@dataclass(frozen=True)
+class Args:
+    """Run notebooks and write them as HTML."""
+
+    names: tyro.conf.Positional[tuple[str, ...]] = ()  # all, unless named
+    out: Path = Path("runs/notebooks")
+    debug: bool = False  # small, in seconds
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    return reported(
+        partial(run, tyro.cli(Args, args=argv, description=__doc__, prog="python -m experiments.notebooks"))
+    )
+
+
+def run(args: Args) -> list[Path]:
+    """The files written. Raises ValueError for a name that is none, or where Jupyter is missing."""
+    known = sorted(path.stem for path in FOLDER.glob("*.ipynb"))
+    unknown = [name for name in args.names if name not in known]
+    if unknown or not known:
+        raise ValueError(f"no notebook is called {', '.join(unknown)}; {FOLDER} has {', '.join(known) or 'none'}")
+    if find_spec("nbconvert") is None or find_spec("ipykernel") is None:
+        raise ValueError('Jupyter is missing; pip install "i2t[notebooks]"')
+    args.out.mkdir(parents=True, exist_ok=True)
+    return [render(name, args.out, args.debug) for name in args.names or known]
+
+
+def render(name: str, out: Path, debug: bool) -> Path:
+    """Run one notebook in a kernel of its own, in the present folder, and write it as HTML."""
+    import nbformat
+    from nbclient import NotebookClient
+    from nbconvert import HTMLExporter
+
+    started = time.perf_counter()
+    book = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
+    if debug:
+        os.environ["I2T_NOTEBOOK"] = "debug"
+    NotebookClient(book, timeout=LIMIT, kernel_name="python3").execute()
+    page, _ = HTMLExporter().from_notebook_node(book)
+    path = out / f"{name}.html"
+    path.write_text(page)
+    print(f"{path}: run in {time.perf_counter() - started:.0f} s")
+    return path
+
+
+def sources(path: Path) -> list[str]:
+    """The code cells of a notebook."""
+    cells = json.loads(path.read_text())["cells"]
+    return ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
