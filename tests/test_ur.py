@@ -133,6 +133,25 @@ def test_a_line_takes_the_time_of_a_trapezoid_and_a_stop_its_distance(length, sp
     assert before - robot.position[0] == pytest.approx(speed**2 / (2 * a), abs=speed * TICK)
 
 
+def test_a_motion_waits_until_it_is_known_what_lies_ahead():
+    class Contact:
+        busy = True
+
+        def __call__(self, position, turned):
+            return np.zeros(6)
+
+    robot = motion.Robot(np.zeros(6), Contact(), np.zeros(6), 0.0)
+    controller = ur_controller.Controller(robot, 5.0, 150.0)
+    robot.line_to(np.array([0.1, 0, 0, 0, 0, 0]), 0.1, 0.5)
+    for _ in range(5):
+        controller.step()
+    assert robot.position[0] == 0
+    assert controller.clock == pytest.approx(5 * TICK)
+    Contact.busy = False
+    controller.step()
+    assert robot.position[0] > 0
+
+
 def test_limits_and_an_arm_say_what_they_are_before_connecting():
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
     with pytest.raises(ValueError, match="must lie below"):

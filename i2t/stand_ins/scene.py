@@ -179,7 +179,7 @@ class Feeler:
     """What a moving tool feels: the contact of an `i2t.stand_ins.motion.Robot`, and the reading of its skin.
 
     A line is worked out once the tool stands somewhere near the object; with `wait` False that happens beside (it takes
-    hundredths of a second), and until it is done nothing is met.
+    hundredths of a second), and until it is done, while it is `busy`, nothing is met.
     """
 
     def __init__(self, scene: Met, wait: bool = True) -> None:
@@ -190,6 +190,11 @@ class Feeler:
         self._beside = None if wait else ThreadPoolExecutor(1, "scene")
         self._seen: tuple[Array, Array] = (np.full(3, np.inf), np.zeros((3, 3)))
         self._times = 0
+
+    @property
+    def busy(self) -> bool:
+        """Whether a line is being worked out beside."""
+        return self._coming is not None
 
     def __call__(self, position: Array, turned: Array) -> Array:
         """Wrench (6,) on the tool at a pose, base axes."""

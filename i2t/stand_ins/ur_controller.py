@@ -13,9 +13,9 @@ The tool meets a springy horizontal plane (`--plane`, `--stiffness`), or an obje
 
 `--object` is a name of `i2t.objects` or a mesh file, which stands where the rig's file says; force, its centre and what
 the skin would read come from i2t's own contact mechanics, worked out along the tool's z axis once it has stood for
-some ticks (hundredths of a second of computing, beside the 500 Hz; until it is done nothing is met). With
-`--skin HOST:PORT` that reading goes to an emulated board: `i2t.stand_ins.rehearsal` starts both. `--latency` delays
-whatever the client sends; without it a command takes effect at the next tick of 2 ms.
+some ticks (hundredths of a second of computing, beside the 500 Hz; a motion waits for it). With `--skin HOST:PORT` that
+reading goes to an emulated board: `i2t.stand_ins.rehearsal` starts both. `--latency` delays whatever the client sends;
+without it a command takes effect at the next tick of 2 ms.
 
 Faults on demand. A fourth port, 30100, takes a line and answers one, for instance
 `echo protective | nc -q1 127.0.0.9 30100`; `--after SECONDS COMMAND` does the same once a program has started:

@@ -82,7 +82,8 @@ class Controller:
     def step(self) -> None:
         """Advance robot, safety and program by a tick."""
         self.clock += TICK
-        self.robot.step(TICK)
+        if not getattr(self.robot.contact, "busy", False):  # what lies ahead is being worked out: a motion waits for it
+            self.robot.step(TICK)
         if self.robot.motion is not None:
             self.stood = self.clock
         if not self.protective and np.linalg.norm(self.robot.felt()[:3]) > self.limit:
