@@ -65,8 +65,8 @@ class Skin(NamedTuple):
 
 def layer(thickness: float, give: float) -> Layer:
     """A middling layer of a given thickness (m) and give (m/N)."""
-    middle = physics.prior().middle
-    return jax.tree.map(jnp.float32, middle._replace(thickness=thickness, give=give))
+    middle = physics.prior().middle._replace(thickness=jnp.float32(thickness), give=jnp.float32(give))
+    return jax.tree.map(jnp.float32, middle)
 
 
 @partial(jax.jit, static_argnames=("grid",))

@@ -129,14 +129,14 @@ def run(args: Args) -> dict[str, Any]:
         path = args.out / f"pad-{pad}.json"
         if not path.exists():
             bench = Bench(presses, dataset.board, names, cfg.methods, args.seed)
-            part = {
+            found = {
                 "splits": splits(bench, held[pad]),
                 "new": new_skin(bench, pads[:pad] + pads[pad + 1 :], cfg, args.seed),
                 "sensors": {
                     name: sensor(bench, presses_on(dataset, pad, values), args.seed) for name, values in again.items()
                 },
             }
-            write_json(path, part)
+            write_json(path, found)
         parts.append(json.loads(path.read_text()))
     result = {
         "source": dataset.source,
@@ -217,7 +217,9 @@ def limits(cfg: ShapeExperiment, seed: int) -> dict[str, list[float]]:
         with tqdm(total=n, desc=name, unit="press") as bar:
             pad = numbered_pad(cfg.pads[0])
             presses = presses_on(press_stamps(jax.random.key(seed + 1), [pad], n, plan, bar.update), 0)
-        part, paper = folds(presses, "random", seed), cfg.methods.paper
+        paper = cfg.methods.paper
+        part = folds(presses, "random", seed)
+        assert part is not None
         paper = replace(paper, steps=times * paper.steps)  # as many epochs
         right = np.zeros(n, bool)
         for fold in np.unique(part):

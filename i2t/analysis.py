@@ -183,15 +183,15 @@ class _Pair:
         self.mutual_y = self.near_y & self.near_y.T
         a, b = (values - np.mean(values, axis=0, keepdims=True) for values in (x, y))
         self.a, self.b = np.asarray(a, np.float64), np.asarray(b, np.float64)
-        self.scale = np.linalg.norm(self.a.T @ self.a) * np.linalg.norm(self.b.T @ self.b)
+        self.scale = max(float(np.linalg.norm(self.a.T @ self.a) * np.linalg.norm(self.b.T @ self.b)), 1e-300)
 
     def agree(self, order: np.ndarray) -> Agreement:
         """With touch i of the first paired with touch order[i] of the second."""
         both = self.near_y[order[:, None], order[self.near]].mean()
         shared = int(self.mutual_y[order[self.mutual_x[0]], order[self.mutual_x[1]]].sum())
         either = len(self.mutual_x[0]) + int(self.mutual_y.sum()) // 2 - shared
-        cross = np.linalg.norm(self.a.T @ self.b[order]) ** 2
-        return Agreement(float(both), shared / max(either, 1), float(cross / max(self.scale, 1e-300)))
+        cross = float(np.linalg.norm(self.a.T @ self.b[order])) ** 2
+        return Agreement(float(both), shared / max(either, 1), cross / self.scale)
 
 
 def _adjacent(near: np.ndarray) -> Bool[np.ndarray, "n n"]:

@@ -269,7 +269,7 @@ def against(truth: Array, mean: Array, std: Array, title: str, simulated: bool) 
     """Predicted against measured values (n,) uT, with bars that should hold nine in ten."""
     figure = Picture(figsize=(4.8, 4.4), layout="constrained")
     axes = figure.subplots()
-    bars = {"elinewidth": 0.6, "alpha": 0.5, "color": BLUE, "ms": 3, "label": "presses, 90 % bars"}
+    bars: dict[str, Any] = {"elinewidth": 0.6, "alpha": 0.5, "color": BLUE, "ms": 3, "label": "presses, 90 % bars"}
     axes.errorbar(truth, mean, 1.645 * np.asarray(std), fmt="o", **bars)
     ends = [min(np.min(truth), np.min(mean)), max(np.max(truth), np.max(mean))]
     axes.plot(ends, ends, color=GREY, lw=1, label="as measured")
@@ -300,9 +300,9 @@ def clusters(
     for i in range(k):
         own = label == i
         colour = COLOURS[i % len(COLOURS)]
-        axes.scatter(*at[own].T, s=9, color=colour, marker=MARKERS[i % len(MARKERS)], lw=0, alpha=0.7)
+        axes.scatter(at[own, 0], at[own, 1], s=9, color=colour, marker=MARKERS[i % len(MARKERS)], lw=0, alpha=0.7)
         axes.plot(*means[i], "X", color=colour, mec="black", ms=14)
-        place = {"fontsize": 10, "fontweight": "bold", "textcoords": "offset points"}
+        place: dict[str, Any] = {"fontsize": 10, "fontweight": "bold", "textcoords": "offset points"}
         box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": colour, "alpha": 0.85}
         axes.annotate(f"{i + 1}", means[i], xytext=(9, 7), bbox=box, **place)
         for letter, row in zip("abcd", examples[i], strict=False):
@@ -341,7 +341,7 @@ def clusters(
 def confusions(counts: Mapping[str, Array], names: Sequence[str], title: str, simulated: bool) -> Picture:
     """A matrix per method: of what was there (rows), the share that was taken for each (columns)."""
     n = len(counts)
-    figure = Picture(figsize=(3.1 * n + 0.9, 3.9), layout="constrained")
+    figure = Picture(figsize=(3.1 * n + 0.9, 4.2), layout="constrained")
     panels = figure.subplots(1, n, squeeze=False)[0]
     for axes, (method, matrix) in zip(panels, counts.items(), strict=True):
         matrix = np.asarray(matrix, np.float64)
