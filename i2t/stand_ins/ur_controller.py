@@ -102,7 +102,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--plane", type=float, default=0.0, help="height of the plane in m (default %(default)s)")
     parser.add_argument("--stiffness", type=float, default=0.0, help="of the plane in N/m; 0: no plane")
     parser.add_argument("--bias", type=float, nargs=3, default=(0, 0, 0), help="N, what the sensor tells in the air")
-    parser.add_argument("--noise", type=float, default=0.0, help="of the force sensor, N, one sigma per axis")
+    parser.add_argument(
+        "--noise", type=float, help="of the force sensor, N, one sigma per axis (default 0; 0.1 with --object)"
+    )
     parser.add_argument("--force-limit", type=float, default=150.0, help="N, protective stop above (default 150)")
     parser.add_argument("--unlock-delay", type=float, default=5.0, help="s, before a protective stop can be released")
     parser.add_argument(
@@ -120,6 +122,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--tethered", action="store_true", help="end when standard input closes")
     args = parser.parse_args(arguments)
     contact: Any = plane(args.plane, args.stiffness)
+    noise = args.noise or 0.0
     try:
         if args.object is not None:
             from i2t.stand_ins.ur_contact import feeler
@@ -127,7 +130,8 @@ def main(arguments: list[str] | None = None) -> None:
             address = args.skin.rsplit(":", 1) if args.skin else None
             board = (address[0], int(address[1])) if address else None
             contact = feeler(args.object, args.unit, args.rig, args.pad, args.seed, args.exact, args.mount, board)
-        robot = Robot(np.array(args.pose), contact, np.array([*args.bias, 0.0, 0.0, 0.0], float), args.noise)
+            noise = contact.scene.errors.force if args.noise is None else args.noise
+        robot = Robot(np.array(args.pose), contact, np.array([*args.bias, 0.0, 0.0, 0.0], float), noise)
         timed = [(float(seconds), command) for seconds, command in args.after]
         controller = Controller(robot, args.unlock_delay, args.force_limit)
         server = Server(controller, args.host, timed, args.latency, args.tethered)
