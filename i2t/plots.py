@@ -57,13 +57,13 @@ class Picture(Figure):
 class View3D:
     """A scene that can be turned with the mouse, in a notebook and in its exported HTML."""
 
-    def __init__(self, page: str, width: int = 780, height: int = 520) -> None:
-        self.page, self.size = page, (width, height)
+    def __init__(self, page: str, title: str, width: int = 780, height: int = 520) -> None:
+        self.page, self.title, self.size = page, title, (width, height)
 
     def _repr_html_(self) -> str:
         width, height = self.size
         frame = f'width="{width}" height="{height}" style="border: 0"'
-        return f'<iframe srcdoc="{html.escape(self.page)}" {frame}></iframe>'
+        return f'<p>{html.escape(self.title)}</p><iframe srcdoc="{html.escape(self.page)}" {frame}></iframe>'
 
 
 def save(figure: Figure, path: Path | str) -> Path:
@@ -535,12 +535,13 @@ def _still(drawn: Any, title: str) -> Picture:
 
 
 def turnable(drawn: Callable[[], Any], still: Callable[[], Picture]) -> View3D | Picture:
-    """The scene that `drawn()` plots, to be turned with the mouse where that can be had (trame, of the extra
-    `notebooks`), else the picture of `still()`.
+    """The scene that `drawn()` plots, under the title of `still()`, to be turned with the mouse where that can be had
+    (trame, of the extra `notebooks`), else the picture of `still()`.
     """
+    picture = still()
     if no_scene() or find_spec("trame_vtk") is None:
-        return still()
+        return picture
     made = drawn()
     page = (made.trame if hasattr(made, "trame") else made).export_html(None)  # the former from pyvista 0.49 on
     made.close()
-    return View3D(page.read() if hasattr(page, "read") else str(page))
+    return View3D(page.read() if hasattr(page, "read") else str(page), picture.get_suptitle())

@@ -117,5 +117,6 @@ def test_a_scene_shows_the_object_and_the_skin():
 
 
 def test_an_interactive_page_is_quoted():
-    shown = plots.View3D('<p class="x">&</p>')._repr_html_()
+    shown = plots.View3D('<p class="x">&</p>', "A scene (simulated)")._repr_html_()
+    assert "A scene (simulated)" in shown
     assert 'srcdoc="&lt;p class=&quot;x&quot;&gt;&amp;&lt;/p&gt;"' in shown
