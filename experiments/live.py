@@ -6,7 +6,7 @@
         --skin reskin --camera realsense --rig lab.toml
 
 The skin must be the one whose touches the run learnt from (--run). The next touch is the one that is expected to tell
-most (`i2t.policy`); it ends when an error of --error is promised, or after --touches. All touches are kept in --out as
+most (`i2t.policy`); it ends when an error of --error is promised, or after --touches. All are kept in OUT/touches as
 a data set, under the name "unknown": a stranger's can be replayed once there is a mesh of it (--dataset).
 """
 
@@ -41,7 +41,7 @@ from i2t.types import ReturnCode
 class Live:
     """Recognise an object with an arm."""
 
-    out: Path = Path("runs/live")  # folder of the touches, of result.json and of the story
+    out: Path = Path("runs/live")  # folder of touches/, result.json and story/
     run: Path = Path("runs/train")  # a finished run of experiments.train on touches of this skin
     objects: tuple[Path, ...] = ()  # mesh files to tell apart, in place of the catalogue's
     unit: Literal["m", "cm", "mm", "inch"] = "mm"  # of those files
@@ -67,7 +67,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def run(args: Live) -> dict[str, Any]:
     """Learn the skin, imagine, touch."""
-    if args.out.is_dir() and touches_in(args.out):
+    folder = args.out / "touches"
+    if folder.is_dir() and touches_in(folder):
         raise ValueError(f"{args.out} holds the touches of another sitting; choose another --out")
     rig = wiring.read_rig(args.rig)
     meshes = _candidates(args)
@@ -80,7 +81,7 @@ def run(args: Live) -> dict[str, Any]:
     # A real arm only needs to know how high things may be.
     tallest = max(meshes, key=lambda name: float(meshes[name].vertices[:, 2].max()))
     wanted = collect.Args(
-        out=args.out, touches=args.touches, arm=args.arm, skin=args.skin, camera=args.camera, host=args.host,
+        out=folder, touches=args.touches, arm=args.arm, skin=args.skin, camera=args.camera, host=args.host,
         port=args.port, rig=args.rig, object=sources[tallest if real else there], unit=args.unit, name="unknown",
         seed=args.seed, settings=replace(Settings(), skin_change=sitting.limit, past_goal=sitting.past),
     )  # fmt: skip
@@ -179,7 +180,7 @@ class Sitting:
               there is not None)  # fmt: skip
         stood = "" if there is None else f"; it was the {there} (simulated)"
         print(f"\nit is the {names[best]}, {p[-1, best]:.1%} sure after {len(p)} touches{stood}")
-        print(f"touches, result.json and story are in {self.args.out}")
+        print(f"touches/, result.json and story/ are in {self.args.out}")
         return result
 
     def _learn(

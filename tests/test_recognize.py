@@ -128,7 +128,7 @@ def test_an_arm_touches_where_the_belief_wants_it_to(trained_run, tmp_path, caps
     np.testing.assert_allclose(belief.sum(1), 1, atol=1e-5)
     assert len(belief) == 3 or belief[-1].max() >= 0.95  # it ends when it is sure
     assert len(set(result["sites"])) == len(result["sites"])
-    kept = dataset.load(out)
+    kept = dataset.load(out / "touches")
     assert len(kept) == len(belief)
     assert kept.objects == ("unknown",)
     # What the belief heard of is what was kept.
