@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments import shape_methods, shape_networks, shape_pad, shape_world, shapes
+from experiments import shape_methods, shape_networks, shape_pad, shape_world, shapes, tsne
 from experiments.shape_methods import FOLDS, Bench, folds, presses_on
 from experiments.train import numbered_pad
+from i2t import dataset as data
 from i2t import objects
 from i2t.dataset import DataError
 from i2t.geometry import random_motion
@@ -147,6 +148,37 @@ def test_the_command_writes_what_it_found_and_refuses_to_lose_it(tmp_path, capsy
     assert "(simulated)" in capsys.readouterr().out
     assert shapes.main(["--preset", "debug", "--out", str(out)]) == 2
     assert "finished run" in capsys.readouterr().err
+
+
+def test_recorded_presses_of_which_the_arm_said_little_are_told_apart_by_readings_alone(tmp_path, capsys):
+    touches = pressed().touches
+    nowhere = np.full_like(touches.T_w_o, np.nan)
+    touches = touches._replace(T_w_o=nowhere, force=np.full_like(touches.force, np.nan), truth=None)
+    path, out = tmp_path / "presses.h5", tmp_path / "run"
+    data.save(path, replace(pressed(), touches=touches, source="real"))
+    assert shapes.main(["--preset", "debug", "--dataset", str(path), "--out", str(out)]) == 0
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["source"] == "real"
+    assert set(metrics["splits"]) == {"random", "depth"}
+    assert set(metrics["splits"]["random"]) == {shape_methods.PAPER}
+    assert "simulated" not in capsys.readouterr().out
+
+
+def test_the_map_of_touches_is_made_by_one_command(tmp_path, capsys):
+    path, out = tmp_path / "presses.h5", tmp_path / "map"
+    data.save(path, pressed())
+    arguments = ["--preset", "debug", "--dataset", str(path), "--no-network", "--out", str(out)]
+    assert tsne.main(arguments) == 0
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert sum(metrics["cluster_sizes"]) == metrics["touches"] == 50
+    assert metrics["rand_index"]["seeds"][0] <= 1
+    assert metrics["agreement"]["all"]["permutations"] == 99
+    assert (out / "tsne.png").stat().st_size > 10_000
+    assert "(simulated)" in capsys.readouterr().out
+    assert tsne.main(arguments) == 2
+    data.save(path, pressed().select(np.arange(12)))
+    assert tsne.main([*arguments, "--overwrite"]) == 2
+    assert "at least are needed" in capsys.readouterr().err
 
 
 def test_presses_read_again_by_an_ideal_sensor_are_the_truth():
