@@ -10,7 +10,6 @@ a data set: `python -m experiments.train --dataset DATA`.
 """
 
 import json
-import math
 import signal
 import sys
 import time
@@ -29,13 +28,14 @@ from scipy.spatial.transform import Rotation
 from i2t import touch, wiring
 from i2t.cameras import Camera
 from i2t.dataset import DataError
+from i2t.dry_run import check_camera, dry_run
 from i2t.hardware import recorder
 from i2t.hardware.monitor import bar
 from i2t.hardware.procedure import Choose, Cut, Outcome, Procedure, Settings, Site, Unreachable
 from i2t.hardware.protocols import DeviceError, View
 from i2t.hardware.recorder import Names, Recorder
-from i2t.hardware.rig import Rig, summary
-from i2t.plan import Plan, cutter, picture
+from i2t.hardware.rig import Rig
+from i2t.plan import Plan, cutter
 from i2t.types import CHIPS, ReturnCode
 
 ENDS = {
@@ -45,7 +45,6 @@ ENDS = {
     ReturnCode.FAILED: "failed",
 }
 SCALE = 50.0  # uT at the end of a bar
-NOISE = 15.0  # uT, standard deviation of a channel at rest, above which a skin is not healthy
 
 
 @dataclass(frozen=True)
@@ -146,9 +145,9 @@ def collect(args: Args, choose: Choose | None = None, tell: Callable[[Outcome], 
             arm, skin, camera, rig, devices.board, cut, plan.top, args.settings, devices.clock,
             {int(number): why for number, why in notes["unreachable"].items()},
         )  # fmt: skip
-        _check_camera(procedure)
+        check_camera(procedure)
         if args.dry_run:
-            return _rehearse(args, procedure, plan, name)
+            return dry_run(procedure, plan, name, args.touches, args.out)
         names = Names(
             name, args.pad_name or _pad_name(args), notes["run"], devices.source, devices.board, rig.T_world_base,
             rig.T_world_object, camera.camera,
@@ -268,60 +267,8 @@ def _resumed(args: Args, name: str) -> tuple[dict[int, float], dict[str, Any]]:
     return {recorder.site_of(file): recorder.written_at(file) for file in files}, notes
 
 
-def _rehearse(args: Args, procedure: Procedure, plan: Plan, name: str) -> int:
-    """The dry run: what would be done with what, and whether it could."""
-    sites = [plan.site(number) for number in range(args.touches)]
-    unreachable = []
-    for site in sites:
-        try:
-            procedure.check(site)
-        except Unreachable as error:
-            unreachable.append((site.number, str(error)))
-    settings, rig = procedure.settings, procedure.rig
-    state = procedure.arm.state()
-    samples = procedure.skin.read(200)
-    noise = samples.reading.std(axis=0)
-    span = max(samples.time[-1] - samples.time[0], 1e-9)
-    view = procedure.camera.capture()
-    seen = np.isfinite(view.depth)
-    box = np.array([rig.limits.lower, rig.limits.upper]) + rig.T_world_base[:3, 3]
-    path = args.out.with_name(f"{args.out.name}-plan.png")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    picture(plan, sites, box, path, f"{name}: {len(sites)} sites ({procedure.arm.features.source} arm)")
-    seconds = (
-        4 * settings.settle
-        + (settings.prepare - settings.near) / settings.approach
-        + settings.near / settings.press
-        + settings.prepare / settings.retreat
-        + 3 * 0.1 / settings.speed
-    )
-    checks = [
-        (procedure.arm.features.name, state.safe, f"tool at {np.round(state.T_b_t[:3, 3], 3).tolist()} m"),
-        (
-            procedure.skin.features.name,
-            bool(noise.max() < NOISE),
-            f"{len(samples.time) / span:.0f} Hz, noise up to {noise.max():.1f} uT",
-        ),
-        (
-            procedure.camera.features.name,
-            bool(seen.mean() > 0.1),
-            f"{100 * seen.mean():.0f} % of the pixels measured"
-            + (f", median {1e3 * np.nanmedian(view.depth):.0f} mm" if seen.any() else ""),
-        ),
-        ("sites", len(unreachable) < len(sites) / 2, f"{len(unreachable)} of {len(sites)} cannot be reached"),
-    ]
-    print(summary(rig))
-    print(f"plan      {len(sites)} touches of {name}, about {seconds:.0f} s each; drawn in {path}")
-    for number, why in unreachable[:5]:
-        print(f"          site {number}: {why}")
-    for what, good, said in checks:
-        print(f"{'ok' if good else 'BAD':<9} {what}: {said}")
-    print("nothing was moved" + ("" if args.arm == "simulated" else "; the arm was taken and let go"))
-    return 0 if all(good for _, good, _ in checks) else 1
-
-
 def _rig(args: Args) -> Rig:
-    if args.rig is None and "ur" in (args.arm,):
+    if args.rig is None and args.arm == "ur":
         raise ValueError("a real arm needs to know its lab; write a rig (python -m i2t.hardware.rig) and pass --rig")
     rig = wiring.read_rig(args.rig)
     if args.pose is None:
@@ -361,15 +308,6 @@ def _warm(camera: Camera, plan: Plan) -> Cut:
     pose = plan.site(0).T_w_t
     cut(View(0.0, np.full((camera.height, camera.width), 0.1, np.float32), None), camera, pose, pose)
     return cut
-
-
-def _check_camera(procedure: Procedure) -> None:
-    camera, distance = procedure.camera.features, procedure.rig.looking_distance
-    if math.isfinite(camera.nearest) and camera.nearest > distance:
-        raise ValueError(
-            f"{camera.name} measures nothing nearer than {1e3 * camera.nearest:.0f} mm, and the rig looks from "
-            f"{1e3 * distance:.0f} mm; raise looking_distance or take another camera"
-        )
 
 
 def _terminated(*_: Any) -> None:

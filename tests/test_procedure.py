@@ -10,8 +10,9 @@ from closed_form import DOWN, GAIN, HEIGHT, NOISY, make, site
 from scipy.spatial.transform import Rotation
 
 from i2t import boards
-from i2t.hardware.procedure import Failed, Outcome, Settings, Unreachable, onset, unevenness
+from i2t.hardware.procedure import Failed, Outcome, Settings, Unreachable
 from i2t.hardware.protocols import DeviceError, Silent
+from i2t.hardware.stopping import onset, unevenness
 from i2t.types import READINGS, ReturnCode
 
 

@@ -12,10 +12,11 @@ from closed_form import GAIN, HEIGHT, WALL, make, names, site
 
 from i2t import dataset
 from i2t.dataset import DataError
-from i2t.hardware import recorder
+from i2t.hardware import recorder, tape
 from i2t.hardware.procedure import Procedure
 from i2t.hardware.protocols import DeviceError
-from i2t.hardware.recorder import Lost, Recorder, read_raw, touches_in, written_at
+from i2t.hardware.recorder import Recorder, touches_in, written_at
+from i2t.hardware.tape import RAW, Lost, read_raw
 from i2t.types import ReturnCode
 
 
@@ -109,9 +110,9 @@ def test_what_was_under_way_is_kept_aside_and_can_be_read(tmp_path):
     assert sum(len(rows) for kind, rows in entries if kind == "skin") > 400
     assert any(kind == "arm" for kind, _ in entries)
     whole = raw.read_bytes()
-    for cut in (len(whole) - 1, len(whole) // 2, len(recorder.RAW)):
+    for cut in (len(whole) - 1, len(whole) // 2, len(RAW)):
         raw.write_bytes(whole[:cut])
-        assert entries[: len(list(read_raw(raw)))] != [] or cut == len(recorder.RAW)
+        assert entries[: len(list(read_raw(raw)))] != [] or cut == len(RAW)
     raw.write_bytes(b"something else")
     with pytest.raises(DataError, match="no raw file"):
         list(read_raw(raw))
@@ -171,15 +172,15 @@ def test_trouble_with_the_disk_is_one_sentence_and_the_arm_stands(tmp_path, monk
     with Recorder(tmp_path, names(procedure), procedure.clock) as kept:
         list(procedure.run(sites(0), kept))
         if where == "raw":
-            write, count = recorder.Tape._write, []
+            write, count = tape.Tape._write, []
 
-            def failing(tape, kind, payload):
+            def failing(made, kind, payload):
                 count.append(kind)
                 if count.count(b"a") > 20:  # in the middle of an approach
-                    raise recorder._lost(tmp_path, OSError(code, os.strerror(code)))
-                write(tape, kind, payload)
+                    raise tape.lost(tmp_path, OSError(code, os.strerror(code)))
+                write(made, kind, payload)
 
-            monkeypatch.setattr(recorder.Tape, "_write", failing)
+            monkeypatch.setattr(tape.Tape, "_write", failing)
         else:
 
             def full(*_):

@@ -24,13 +24,13 @@ import numpy as np
 from i2t.cameras import Camera
 from i2t.hardware.clock import Clock, Monotonic
 from i2t.hardware.limits import place
-from i2t.hardware.protocols import Arm, ArmState, DepthCamera, DeviceError, Samples, Silent, Skin, SkinCounters, View
+from i2t.hardware.protocols import Arm, ArmState, DepthCamera, DeviceError, Samples, Skin, SkinCounters, View
 from i2t.hardware.rig import Rig
+from i2t.hardware.stopping import Rule, Watch, onset
 from i2t.hardware.ur import Approach, Stopped
-from i2t.types import CHIPS, READINGS, Array, Board, ReturnCode
+from i2t.types import Array, Board, ReturnCode
 
 CODES = {"verdict": ReturnCode.SKIN, "force": ReturnCode.WRENCH, "torque": ReturnCode.WRENCH, "travel": ReturnCode.AIR}
-RISING = (0.15, 0.7)  # parts of the final change between which a press is followed back to where it began
 AGAIN = 0.2  # s between attempts to connect
 AT = (1e-3, 0.01)  # m and of a rotation's elements: so near a pose a tool is there
 
@@ -307,11 +307,12 @@ class Procedure:
         return samples.reading.mean(axis=0)
 
     def _approach(self, travel: float, speed: float, ambient: Array, tape: Tape) -> Approach:
-        self._watched = _Watch(self, ambient, tape)
+        settings = self.settings
+        rule = Rule(settings.skin_change, settings.uneven, settings.mean_of, settings.silence)
+        self._watched = Watch(self.skin, self.board, rule, ambient, tape)
         if travel <= 0:
             state = self.arm.state()
             return Approach("travel", None, state, state, 0.0)
-        settings = self.settings
         return self.arm.approach(travel, speed, self._watched, settings.force, settings.torque, settings.acceleration)
 
     def _expect(self, seen: Seen) -> None:
@@ -398,72 +399,6 @@ class Procedure:
                     device.connect()
 
 
-class _Watch:
-    """The stop rule of the skin, asked with every state of an approach; it keeps what it saw."""
-
-    def __init__(self, procedure: Procedure, ambient: Array, tape: Tape) -> None:
-        self._procedure, self._ambient, self._tape = procedure, ambient, tape
-        self._number = int(procedure.skin.latest().number[-1])
-        self._last: list[Array] = []
-        self._times: list[Array] = []
-        self._readings: list[Array] = []
-        self._states: list[tuple[float, Array]] = []
-
-    def __call__(self, state: ArmState) -> float | None:
-        """The change (uT) if it is enough; raises Silent if the skin says nothing."""
-        procedure, settings = self._procedure, self._procedure.settings
-        fresh = procedure.skin.since(self._number)
-        self._tape.state(state)
-        self._states.append((state.time, state.T_b_t[:3, 3]))
-        if len(fresh.number):
-            self._tape.samples(fresh)
-            self._number = int(fresh.number[-1])
-            self._times.append(fresh.time)
-            self._readings.append(fresh.reading)
-            self._last = [*self._last, *fresh.reading][-settings.mean_of :]
-        else:
-            procedure.skin.latest(settings.silence)
-        if len(self._last) < settings.mean_of:
-            return None
-        change = np.mean(self._last, axis=0) - self._ambient
-        size = float(np.linalg.norm(change))
-        apart = float(np.linalg.norm(unevenness(change, procedure.board)))
-        return size if size > settings.skin_change and apart > settings.uneven * settings.skin_change else None
-
-    def press(self, started: float, T_b_t: Array) -> tuple[Array, Array]:
-        """Samples (n, 15) since a time, and how far (n,) m the tool was then before the pose where it ended."""
-        if not self._readings or not self._states:
-            return np.zeros((0, READINGS)), np.zeros(0)
-        times, readings = np.concatenate(self._times), np.concatenate(self._readings)
-        at = np.array([time for time, _ in self._states])
-        before = np.array([(T_b_t[:3, 3] - place) @ T_b_t[:3, 2] for _, place in self._states])
-        order = times >= started
-        return readings[order], np.interp(times[order], at, before)
-
-
-def unevenness(change: Array, board: Board) -> Array:
-    """(5, 3) uT, tool axes: what of a change (15,) differs between chips."""
-    field = np.asarray(board.to_tool(change)).reshape(CHIPS, 3)
-    return field - field.mean(axis=0)
-
-
-def onset(readings: Array, before: Array, ambient: Array, reading: Array) -> float:
-    """How far (m) a press went past first contact: of its samples (n, 15), taken `before` (n,) m ahead of where it
-    ended, those whose change along the final one (15,) has grown to between 15 and 70 % of it are followed back to
-    none by a straight line. NaN where there are fewer than three.
-
-    The line is that of a flat face; where force grows as travel to the power 1.5 it is a fifth of the way short.
-    """
-    size = float(np.linalg.norm(reading))
-    grown = (readings - ambient) @ reading / max(size, 1e-9) ** 2
-    end = len(grown) - int(np.argmax((grown < RISING[0])[::-1])) if (grown < RISING[0]).any() else 0
-    rising = (np.arange(len(grown)) >= end) & (grown <= RISING[1])
-    if rising.sum() < 3 or np.ptp(grown[rising]) < 0.1:
-        return float("nan")
-    slope, start = np.polyfit(grown[rising], before[rising], 1)
-    return float(max(0.0, start)) if slope < 0 else float("nan")
-
-
 def _since(now: SkinCounters, before: SkinCounters) -> SkinCounters:
     counted = {name: getattr(now, name) - getattr(before, name) for name in now._fields if name != "rate"}
     return SkinCounters(**counted, rate=now.rate)
@@ -479,9 +414,3 @@ def _shifted(T: Array, z: float) -> Array:
 def _there(state: ArmState, goal: Array) -> bool:
     away = np.linalg.norm(state.T_b_t[:3, 3] - goal[:3, 3])
     return bool(away < AT[0] and np.abs(state.T_b_t[:3, :3] - goal[:3, :3]).max() < AT[1])
-
-
-__all__ = [
-    "Choose", "Cut", "Failed", "GuardedArm", "Keeper", "Outcome", "Procedure", "Seen", "Settings", "Silent", "Site",
-    "Tape", "Touched", "Unreachable", "onset", "unevenness",
-]  # fmt: skip

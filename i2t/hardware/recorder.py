@@ -13,13 +13,11 @@ begins, with the arm standing away from the object. All trouble is a DeviceError
 """
 
 import contextlib
-import errno
 import fcntl
 import json
 import os
 import shutil
-import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -33,21 +31,15 @@ from i2t.dataset import DataError, Dataset, Image, Record, Series
 from i2t.dataset.files import sync_folder
 from i2t.hardware.clock import Clock, Monotonic
 from i2t.hardware.procedure import Site, Touched
-from i2t.hardware.protocols import ArmState, DeviceError, Samples
 from i2t.hardware.stream import CHANNELS
+from i2t.hardware.tape import RAW, Lost, Tape, lost
 from i2t.types import CHIPS, PATCH_WINDOW, REACH, Array, Board, Touches
 
 UNDER_WAY, INTERRUPTED, NOTES = ".under-way", ".interrupted", ".collection.json"
 RESERVE = 50 * 2**20  # bytes that must be free before a touch begins: a hundred touches
 JUMP = 0.5  # s, by which the clocks may drift apart during a touch
 DEPTH_SCALE = 1e-4  # m, of a unit in depth images
-RAW = json.dumps({"touch": "i2t raw", "version": 1}).encode() + b"\n"
-ENTRY = struct.Struct("<cI")  # what it is (e, s or a) and how many bytes follow
 POSE = tuple(f"T_w_t[{i},{j}]" for i in range(4) for j in range(4))
-
-
-class Lost(DeviceError):
-    """What was recorded cannot be kept: the disk is full or not ours, or the clock was set."""
 
 
 @dataclass(frozen=True)
@@ -63,63 +55,6 @@ class Names:
     T_w_o: Array  # (4, 4)
     camera: Camera
     meta: Mapping[str, str] = field(default_factory=dict)
-
-
-class Tape:
-    """What is told of a touch while it is made, in memory and in a file."""
-
-    def __init__(self, file: BinaryIO, clock: Clock) -> None:
-        self._file, self._clock = file, clock
-        self.readings: dict[int, Array] = {}  # by the sample's number: time, 15 values, 5 temperatures
-        self.states: list[ArmState] = []
-        self.events: list[tuple[float, str]] = []
-
-    def samples(self, samples: Samples) -> None:
-        """Of the skin; the same sample may come twice."""
-        rows = np.column_stack([samples.number, samples.time, samples.reading, samples.temperature])
-        self.readings |= {int(row[0]): row[1:] for row in rows}
-        self._write(b"s", rows.astype("<f8").tobytes())
-
-    def state(self, state: ArmState) -> None:
-        """Of the arm."""
-        self.states.append(state)
-        row = np.concatenate([[state.time], state.T_b_t.ravel(), state.joints, state.velocity, state.wrench])
-        self._write(b"a", row.astype("<f8").tobytes())
-
-    def event(self, text: str) -> None:
-        """What happened now."""
-        now = self._clock.now()
-        self.events.append((now, text))
-        self._write(b"e", json.dumps([now, text]).encode())
-
-    def _write(self, kind: bytes, payload: bytes) -> None:
-        try:
-            self._file.write(ENTRY.pack(kind, len(payload)) + payload)
-        except (OSError, ValueError) as error:
-            raise _lost(Path(self._file.name), error) from error
-
-
-def read_raw(path: str | Path) -> Iterator[tuple[str, Any]]:
-    """Entries of a raw file: ("event", [s, text]), ("skin", (n, 22): number, s, 15 uT, 5 C) and ("arm", (35,): s, 16 of
-    T_b_t, 6 joints, 6 velocities, 6 of the wrench). It ends with the last whole one. Raises DataError.
-    """
-    data = Path(path).read_bytes()
-    if not data.startswith(RAW):
-        raise DataError(f"{path}: is no raw file of a touch; give one from {INTERRUPTED}")
-    at = len(RAW)
-    while at + ENTRY.size <= len(data):
-        kind, size = ENTRY.unpack_from(data, at)
-        at += ENTRY.size
-        if at + size > len(data):
-            return
-        payload = data[at : at + size]
-        at += size
-        if kind == b"e":
-            yield "event", json.loads(payload)
-        elif kind == b"s":
-            yield "skin", np.frombuffer(payload, "<f8").reshape(-1, 2 + 15 + CHIPS)
-        elif kind == b"a":
-            yield "arm", np.frombuffer(payload, "<f8")
 
 
 class Recorder:
@@ -147,7 +82,7 @@ class Recorder:
                 f"{self.folder} is being written by another collection; end that one, or choose another folder"
             ) from None
         except OSError as error:
-            raise _lost(self.folder, error) from error
+            raise lost(self.folder, error) from error
         done = touches_in(self.folder)
         self._newest = written_at(done[-1]) if done else 0.0
 
@@ -170,7 +105,7 @@ class Recorder:
             probe.write_bytes(b"x")
             probe.unlink()
         except OSError as error:
-            raise _lost(self.folder, error) from error
+            raise lost(self.folder, error) from error
         if free < self._reserve:
             raise Lost(
                 f"{self.folder}: only {free / 2**20:.0f} MiB are free where {self._reserve / 2**20:.0f} are wanted; "
@@ -192,7 +127,7 @@ class Recorder:
             self._raw = open(path, "wb", buffering=0)  # noqa: SIM115, closed when the touch ends
             self._raw.write(RAW)
         except OSError as error:
-            raise _lost(path, error) from error
+            raise lost(path, error) from error
         self._tape = Tape(self._raw, self._clock)
         self._tape.event(f"site {site.number}, attempt {attempt + 1}")
         return self._tape
@@ -210,7 +145,7 @@ class Recorder:
             path = dataset.write_touch(self.folder, self._record(touched, self._tape), at)
         except DataError as error:
             if isinstance(error.__cause__, OSError):
-                raise _lost(self.folder, error.__cause__) from error
+                raise lost(self.folder, error.__cause__) from error
             raise Lost(str(error)) from error
         self._newest = at
         self.kept.append(path)
@@ -347,7 +282,7 @@ def write_notes(folder: Path, notes: Mapping[str, Any]) -> None:
         temporary.replace(folder / NOTES)
         sync_folder(folder)
     except OSError as error:
-        raise _lost(folder / NOTES, error) from error
+        raise lost(folder / NOTES, error) from error
 
 
 def read_notes(folder: Path) -> dict[str, Any] | None:
@@ -358,16 +293,3 @@ def read_notes(folder: Path) -> dict[str, Any] | None:
         return None
     except (OSError, ValueError) as error:
         raise DataError(f"{folder / NOTES}: cannot be read ({error}); choose another folder") from error
-
-
-def _lost(path: Path, error: Exception) -> Lost:
-    code = getattr(error, "errno", None)
-    remedy = {
-        errno.ENOSPC: "the disk is full: free some space",
-        errno.EDQUOT: "your quota is used up: free some space",
-        errno.EFBIG: "files may not grow so large here",
-        errno.EROFS: "it may only be read: choose another folder",
-        errno.EACCES: "it may not be written: choose another folder",
-        errno.EPERM: "it may not be written: choose another folder",
-    }.get(code or 0, f"{getattr(error, 'strerror', None) or error}: choose another folder")
-    return Lost(f"{path}: {remedy}, and go on where it stopped")
