@@ -93,14 +93,16 @@ def scale_of(readings: Array) -> float:
     return float(np.ceil(top / digit) * digit)
 
 
-def draw_field(axes: Any, board: Board, reading: Array, scale: float, colour: str, label: str | None = None) -> None:
+def draw_field(
+    axes: Any, board: Board, reading: Array, scale: float, colour: str, label: str | None = None, width: float = 2.0
+) -> None:
     """Draw a reading (15,) uT into 3-D axes as five field vectors at the chips, seen through the skin; `scale` uT are
     `ARROW` mm long.
     """
     chips = np.asarray(board.chips, np.float64)[:, :2] * MILLI
     field = np.asarray(board.to_tool(np.asarray(reading, np.float64))) * ARROW / scale
     flat = np.zeros(len(chips))
-    axes.quiver(*chips.T, flat, *field.T, color=colour, lw=2, arrow_length_ratio=0.25, label=label)
+    axes.quiver(*chips.T, flat, *field.T, color=colour, lw=width, arrow_length_ratio=0.25, label=label)
     axes.scatter(*chips.T, flat, color="black", s=8, depthshade=False)
 
 
@@ -132,14 +134,16 @@ def readings(
     for i in range(n):
         axes: Any = figure.add_subplot(rows, columns, i + 1, projection="3d")
         _skin(axes)
-        for (name, part), colour in zip(sets.items(), COLOURS, strict=False):
-            draw_field(axes, board, np.asarray(part)[i], scale, colour, name)
+        for j, (name, part) in enumerate(sets.items()):  # thinner ones over wider ones, so that both are seen
+            width = 1.6 if j else 3.2 if len(sets) > 1 else 2.0
+            draw_field(axes, board, np.asarray(part)[i], scale, COLOURS[j % len(COLOURS)], name, width)
         axes.set_title(labels[i], fontsize=9, pad=0)
     if len(sets) > 1:
         figure.legend(*axes.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=len(sets))
+    below = "\n" * max(label.count("\n") for label in labels)  # room that the layout does not give to 3-D axes
     figure.suptitle(
         f"{titled(title, simulated)}\nchange of field at the five chips (dots) under the skin (square); "
-        f"an arrow of {ARROW:g} mm is {scale:g} µT, up is out of the skin",
+        f"an arrow of {ARROW:g} mm is {scale:g} µT, up is out of the skin{below}",
         fontsize=10,
     )
     return figure
@@ -542,6 +546,15 @@ def turnable(drawn: Callable[[], Any], still: Callable[[], Picture]) -> View3D |
     if no_scene() or find_spec("trame_vtk") is None:
         return picture
     made = drawn()
-    page = (made.trame if hasattr(made, "trame") else made).export_html(None)  # the former from pyvista 0.49 on
+    # trame's renderer in web assembly, which this page does not use, would be fetched from the internet.
+    modules: dict[str, Any] = sys.modules  # type: ignore[assignment]
+    hidden = "trame.widgets.vtklocal"
+    absent = hidden not in modules
+    modules.setdefault(hidden, None)
+    try:
+        page = (made.trame if hasattr(made, "trame") else made).export_html(None)  # the former from pyvista 0.49 on
+    finally:
+        if absent:
+            del modules[hidden]
     made.close()
     return View3D(page.read() if hasattr(page, "read") else str(page), picture.get_suptitle())
