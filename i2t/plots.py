@@ -547,7 +547,7 @@ def turnable(drawn: Callable[[], Any], still: Callable[[], Picture]) -> View3D |
         return picture
     made = drawn()
     # trame's renderer in web assembly, which this page does not use, would be fetched from the internet.
-    modules: dict[str, Any] = sys.modules  # type: ignore[assignment]
+    modules: dict[str, Any] = sys.modules
     hidden = "trame.widgets.vtklocal"
     absent = hidden not in modules
     modules.setdefault(hidden, None)
