@@ -1,6 +1,6 @@
 """Question: which of five stamps pressed the skin, and does the answer survive new places, depths, turns and skins?
 
-    python -m experiments.shapes                     two skins, simulated, 1280 presses each: 20 minutes
+    python -m experiments.shapes                     two skins, simulated, 1280 presses each: some 20 minutes
     python -m experiments.shapes --preset debug      the same in seconds, too small to mean anything
     python -m experiments.shapes --dataset DIR       recorded presses (python -m i2t.convert; docs/data.md)
 
