@@ -92,9 +92,9 @@ class Recognition:
 
 PRESETS = {
     "paper": Recognition(),
-    "debug": Recognition(
+    "debug": Recognition(  # as many sittings in each set, so that they compile once
         primitives=("square", "cylinder"), tools=("screwdriver", "hammer"), validation=("flower", "spanner"),
-        touches=3, sittings=3, paper_sittings=3, validation_sittings=3, sites=3, places=16, limits=PressLimits(),
+        touches=3, sittings=3, paper_sittings=6, validation_sittings=6, sites=3, places=16, limits=PressLimits(),
     ),
 }  # fmt: skip
 

@@ -20,6 +20,8 @@ from experiments.recognition import beliefs, places_about, pool, random_sites, s
 from experiments.recognition_scores import plain
 from experiments.studies.lab import Lab, imagine, shown, sit
 from i2t import objects
+from i2t.objects import Mesh
+from i2t.types import Surface
 
 STRANGERS = ("hexagon", "parallelogram", "flower", "cross", "spanner", "pliers", "marker", "scissors")
 # Of the validation: neither known in the test nor strangers there.
@@ -42,19 +44,26 @@ def play(lab: Lab) -> dict[str, Game]:
     debug = lab.args.preset == "debug"
     test, validation = jax.random.split(lab.key)
     strangers, others, known = (STRANGERS[:2], OTHERS[:2], KNOWN[:2]) if debug else (STRANGERS, OTHERS, KNOWN)
+    decoys = 2 if debug else DECOYS
+    first, second = _things(known, others, decoys), _things(lab.names, strangers, decoys)
+    prepared = surfaces_of(first + second)  # compiled for once
     return {
-        "validation": _game(lab, validation, known, others, "validation"),
-        "test": _game(lab, test, lab.names, strangers, "strangers"),
+        "validation": _game(lab, validation, known, others, prepared[: len(first)], "validation"),
+        "test": _game(lab, test, lab.names, strangers, prepared[len(first) :], "strangers"),
     }
 
 
-def _game(lab: Lab, key: jax.Array, names: Sequence[str], strangers: Sequence[str], what: str) -> Game:
-    key_pool, key_play, key_site = jax.random.split(key, 3)
-    debug = lab.args.preset == "debug"
+def _things(names: Sequence[str], strangers: Sequence[str], decoys: int) -> list[Mesh]:
+    """What is known, what is strange, and decoys."""
     known = [objects.make(name).mesh for name in names]
-    meshes = known + [objects.make(name).mesh for name in strangers]
-    meshes += [objects.decoy(known, i).mesh for i in range(2 if debug else DECOYS)]
-    surfaces = surfaces_of(meshes)
+    others = [objects.make(name).mesh for name in strangers]
+    return known + others + [objects.decoy(known, i).mesh for i in range(decoys)]
+
+
+def _game(
+    lab: Lab, key: jax.Array, names: Sequence[str], strangers: Sequence[str], surfaces: list[Surface], what: str
+) -> Game:
+    key_pool, key_play, key_site = jax.random.split(key, 3)
     imagined = surfaces[: len(names)] + surfaces[len(names) + len(strangers) :]
     sites = pool(key_pool, surfaces[: len(names)], list(names), lab.cfg.sites, lab.cfg.reach)
     places = places_about(lab.cfg.errors, min(lab.cfg.places, PLACES), lab.seed)
