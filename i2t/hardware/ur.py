@@ -137,18 +137,21 @@ class UR(Motions):
     def close(self) -> None:
         """Brake, end the program and let go, from any thread, as often as one likes; raises nothing."""
         with self._closer:
-            if self._thread is not None:
-                with contextlib.suppress(DeviceError):
-                    self.stop()
-                with contextlib.suppress(DeviceError):
-                    if self._fresh(self.stale).program:
-                        self._ask(self._control.stopScript)
-            if self._abandoning is not None:
-                self._abandoning.join(5.0)
-            self._let_go()
-            if self._lock is not None:
-                self._lock.close()
-                self._lock = None
+            try:
+                if self._thread is not None:
+                    # The library may find the connection broken only now, and say so by a RuntimeError.
+                    with contextlib.suppress(DeviceError, RuntimeError):
+                        self.stop()
+                    with contextlib.suppress(DeviceError, RuntimeError):
+                        if self._fresh(self.stale).program:
+                            self._ask(self._control.stopScript)
+                if self._abandoning is not None:
+                    self._abandoning.join(5.0)
+                self._let_go()
+            finally:
+                if self._lock is not None:
+                    self._lock.close()
+                    self._lock = None
 
     def recover(self) -> None:
         """Release a protective stop and connect again, once a person has looked at what caused it."""

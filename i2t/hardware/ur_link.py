@@ -28,6 +28,7 @@ FEED = 0.02  # s between two kicks of the watchdog
 RATE = 125.0  # Hz, of states
 BRAKE = 2.0  # m/s^2
 STILL = 1e-3  # m/s and rad/s: slower is standing
+SETTLED = 0.05  # s of the controller's clock after a command to brake: news of before may still be on their way
 PLAYING, NORMAL, REDUCED = 2, 0x1, 0x2
 VARIABLES = [
     "timestamp",
@@ -85,6 +86,7 @@ class Link:
         self._trouble: DeviceError | None = None
         self._halt = False
         self._stops = 0
+        self._braked = -np.inf  # the controller's clock when it was last told to brake
         self._before: tuple[int, float] | None = None  # the operation before one that has been asked for, and when
         self._guard: Callable[[ArmState], str] | None = None
         self._watched = False
@@ -191,7 +193,7 @@ class Link:
         program = receive.getRuntimeState() == PLAYING
         # A program that has ended leaves its registers behind: then only the speed tells.
         busy = program and safe and (status.isAsyncOperationRunning() or self._before is not None)
-        moving = bool(busy or np.linalg.norm(twist) > STILL)
+        moving = bool(busy or np.linalg.norm(twist) > STILL or clock < self._braked + SETTLED)
         arm = ArmState(now, pose, np.array(receive.getActualQ()), twist, wrench.ravel(), moving, safe)
         self._news = News(arm, clock, receive.getTargetSpeedFraction(), program, status.operationId())
 
@@ -236,6 +238,7 @@ class Link:
             self._lose(f"The controller at {self.host} fell silent: it was told to stop.")  # it would not answer
         elif news is not None and news.program and news.arm.safe:
             self._news = news._replace(arm=news.arm._replace(moving=True))  # until later news says otherwise
+            self._braked = news.clock
             self._control.stopL(BRAKE, True)
 
     def _lose(self, sentence: str) -> Silent:
@@ -249,8 +252,9 @@ class Link:
                 ask_dashboard(self.host, "stop")
             self._let_go()
 
-        self._abandoning = threading.Thread(target=abandon, daemon=True)
-        self._abandoning.start()
+        thread = threading.Thread(target=abandon, daemon=True)
+        thread.start()  # before others may join it
+        self._abandoning = thread
         return lost
 
     # The client library
