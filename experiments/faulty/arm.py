@@ -124,7 +124,7 @@ def force(sizes: Sizes) -> list[Row]:
     pose = ("0.4", "0.0", str(height + GAP), str(np.pi), "0", "0")
     with (
         ur_controller.process(host, "--pose", *pose, "--noise", "0.1") as _,
-        UR(host, rig.limits, stale=0.5, watchdog=4.0) as device,
+        UR(host, rig.limits, stale=2.0, watchdog=1.0) as device,
     ):
         start = device.state(1.0).T_b_t
         for _ in range(sizes.presses):

@@ -41,9 +41,8 @@ def kill(sizes: Sizes) -> list[Row]:
                     moving += moved
             wanted = len(touches_in(out)) + MORE
             for _ in range(PATIENCE):  # a busy computer may end one by itself
-                end = subprocess.run(
-                    _command(host, str(link), out, wanted), capture_output=True, text=True, check=False
-                )
+                command = [*_command(host, str(link), out, wanted), "1"]
+                end = subprocess.run(command, capture_output=True, text=True, check=False)
                 if end.returncode == 0:
                     break
                 time.sleep(0.5)
