@@ -8,11 +8,8 @@ writes `story.png`, a page with a row per touch, and, where the machine can draw
 The scene needs pyvista (`pip install "i2t[notebooks]"`).
 """
 
-import subprocess
 import sys
 from collections.abc import Sequence
-from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +21,7 @@ from matplotlib.figure import Figure
 
 from experiments.plots import BLUE, GREY, ORANGE, draw_patch, draw_reading, save
 from i2t.arrays import element
+from i2t.plots import no_scene
 from i2t.render import prepare, render_patch, stack
 from i2t.solids import Mesh
 from i2t.types import PAD_WINDOW, PATCH_WINDOW, REACH, Board
@@ -33,27 +31,6 @@ COLUMNS = 5  # candidates on a page
 LIFT = 1.5e-3  # m that a square is drawn above the end of its press, clear of the surface
 PIN = 12e-3  # m from there to its number
 _render = jax.jit(render_patch)
-PROBE = "import pyvista as pv; p = pv.Plotter(off_screen=True, window_size=(64, 64)); p.add_mesh(pv.Cube()); p.show()"
-NO_PYVISTA = 'There is no scene, because pyvista is missing: pip install "i2t[notebooks]".'
-NO_GL = (
-    "There is no scene, because this machine cannot draw off screen: install the system package libegl1 "
-    "(apt-get install libegl1) or libosmesa6."
-)
-
-
-@cache
-def no_scene() -> str:
-    """Why no scene can be drawn here, in one sentence; empty where it can.
-
-    Without EGL or OSMesa VTK ends the process with a segmentation fault, so another process tries first, once.
-    """
-    if find_spec("pyvista") is None:
-        return NO_PYVISTA
-    try:
-        tried = subprocess.run([sys.executable, "-c", PROBE], capture_output=True, timeout=120)
-    except subprocess.TimeoutExpired:
-        return NO_GL
-    return "" if tried.returncode == 0 else NO_GL
 
 
 def can_render() -> bool:

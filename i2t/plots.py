@@ -415,7 +415,10 @@ def rates_by(lines: Mapping[str, Array], title: str, xlabel: str, ylabel: str, s
 
 @cache
 def no_scene() -> str:
-    """Why no scene can be drawn here, in one sentence; empty where it can."""
+    """Why no scene can be drawn here, in one sentence; empty where it can.
+
+    Without EGL or OSMesa VTK ends the process with a segmentation fault, so another process tries first, once.
+    """
     if find_spec("pyvista") is None:
         return NO_PYVISTA
     try:

@@ -11,6 +11,7 @@ from PIL import Image
 from experiments import plots, recognition_figures, recognition_scores, story
 from experiments.recognition_scores import Estimate
 from i2t import objects
+from i2t import plots as scenes
 from i2t.boards import reskin
 from i2t.types import PAD_WINDOW, REACH
 
@@ -194,22 +195,22 @@ def test_an_unknown_object_is_said_to_be_none_of_them(meshes):
 
 
 def test_a_machine_that_cannot_draw_is_asked_in_another_process(monkeypatch):
-    story.no_scene.cache_clear()
+    scenes.no_scene.cache_clear()
     with monkeypatch.context() as broken:
-        broken.setattr(story, "PROBE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+        broken.setattr(scenes, "PROBE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
         assert not story.can_render()
-        assert "libegl1" in story.no_scene()
-        story.no_scene.cache_clear()
-        broken.setattr(story, "find_spec", lambda name: None)
-        assert "pip install" in story.no_scene()
-    story.no_scene.cache_clear()
+        assert "libegl1" in scenes.no_scene()
+        scenes.no_scene.cache_clear()
+        broken.setattr(scenes, "find_spec", lambda name: None)
+        assert "pip install" in scenes.no_scene()
+    scenes.no_scene.cache_clear()
 
 
 def test_without_a_scene_the_page_is_told_all_the_same(meshes, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(story, "no_scene", lambda: story.NO_GL)
+    monkeypatch.setattr(story, "no_scene", lambda: scenes.NO_GL)
     told = story.story(meshes, NAMES, poses(), np.ones((3, 15)), reskin(), POSTERIOR, 0, tmp_path / "a", True)
     assert told == [tmp_path / "a" / "story.png"] == list((tmp_path / "a").iterdir())
-    assert capsys.readouterr().err == story.NO_GL + "\n"
+    assert capsys.readouterr().err == scenes.NO_GL + "\n"
 
 
 def test_a_story_of_unequal_lengths_is_refused(meshes, tmp_path):
