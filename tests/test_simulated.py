@@ -178,6 +178,15 @@ def test_goals_outside_the_box_and_forces_in_the_way_are_refused():
         arm.go(pose(0.4, 0.0, 0.05))
 
 
+def test_an_arm_feels_what_it_meets_however_short_it_stood_before():
+    inside = lab()
+    with SimulatedArm(inside, BOX) as arm:
+        arm.go(pose(0.4, 0.0, 0.05))
+        assert inside.feeler._line is None
+        arm.go(pose(0.4, 0.0, HEIGHT - 0.5e-3), 0.05)
+        np.testing.assert_allclose(arm.state().wrench, [0, 0, -5, 0, 0, 0], atol=1e-6)
+
+
 def test_on_the_clock_of_this_machine_it_takes_its_time():
     inside = lab(clock=Monotonic())
     with SimulatedSkin(inside) as skin, SimulatedArm(inside, BOX) as arm:

@@ -217,7 +217,12 @@ class Feeler:
         same = bool((position == self._seen[0]).all()) and bool((turned == self._seen[1]).all())
         self._times = self._times + 1 if same else 0
         self._seen = position, turned
-        if self._times != STANDING or not self.scene.near(position):
+        if self._times == STANDING:
+            self.stands(position, turned)
+
+    def stands(self, position: Array, turned: Array) -> None:
+        """Work out what is ahead of a tool that stands somewhere, unless that is known or nothing is near."""
+        if not self.scene.near(position):
             return
         if self._line is not None and self._line.on(position, turned) is not None:
             return

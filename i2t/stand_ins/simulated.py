@@ -286,7 +286,9 @@ class SimulatedArm(_Simulated):
         if self.lab.robot.motion is not None:
             self.stop()
         with self.lab.lock:
-            self.lab.robot.line_to(np.array(to_ur(T_b_t)), speed, acceleration)
+            robot = self.lab.robot
+            self.lab.feeler.stands(robot.position, robot.turned)  # however short it stood
+            robot.line_to(np.array(to_ur(T_b_t)), speed, acceleration)
         return from_ur(to_ur(T_b_t))
 
     def stop(self, timeout: float = 1.0) -> None:
