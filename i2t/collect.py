@@ -30,6 +30,7 @@ from i2t.cameras import Camera
 from i2t.dataset import DataError
 from i2t.dry_run import check_camera, dry_run
 from i2t.hardware import recorder
+from i2t.hardware.command import ended
 from i2t.hardware.monitor import bar
 from i2t.hardware.procedure import Choose, Cut, Outcome, Procedure, Settings, Site, Unreachable
 from i2t.hardware.protocols import DeviceError, View
@@ -110,13 +111,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     before = signal.signal(signal.SIGTERM, _terminated)
     try:
-        return collect(args)
-    except (DeviceError, DataError, ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"\nstopped; everything is in {args.out}: the same command goes on", file=sys.stderr)
-        return 130
+        return ended(lambda: collect(args), f"stopped; everything is in {args.out}: the same command goes on")
     finally:
         signal.signal(signal.SIGTERM, before)
 
@@ -133,7 +128,6 @@ def collect(args: Args, choose: Choose | None = None, tell: Callable[[Outcome], 
     with ExitStack() as stack:
         wanted = _wanted(args, done)
         devices = wiring.build(wanted, rig, args.object, args.unit, stack)
-        print(_headline(args, devices.source, name))
         if not args.dry_run and len(done) >= args.touches:
             print(f"{len(done)} touches are there already; raise --touches for more")
             return 0
@@ -141,6 +135,8 @@ def collect(args: Args, choose: Choose | None = None, tell: Callable[[Outcome], 
         camera = stack.enter_context(devices.camera)
         cut = _warm(camera.camera, plan)
         arm = stack.enter_context(devices.arm)  # last, as it must not wait for a compiler
+        source = wiring.source_of(devices)
+        print(_headline(args, source, name))
         procedure = Procedure(
             arm, skin, camera, rig, devices.board, cut, plan.top, args.settings, devices.clock,
             {int(number): why for number, why in notes["unreachable"].items()},
@@ -149,7 +145,7 @@ def collect(args: Args, choose: Choose | None = None, tell: Callable[[Outcome], 
         if args.dry_run:
             return dry_run(procedure, plan, name, args.touches, args.out)
         names = Names(
-            name, args.pad_name or _pad_name(args), notes["run"], devices.source, devices.board, rig.T_world_base,
+            name, args.pad_name or _pad_name(args), notes["run"], source, devices.board, rig.T_world_base,
             rig.T_world_object, camera.camera,
             {"arm": arm.features.name, "skin": f"{skin.features.name} ({skin.features.source})"},
         )  # fmt: skip

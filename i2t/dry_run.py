@@ -31,7 +31,8 @@ def dry_run(procedure: Procedure, plan: Plan, name: str, touches: int, out: Path
     box = np.array([rig.limits.lower, rig.limits.upper]) + rig.T_world_base[:3, 3]
     path = out.with_name(f"{out.name}-plan.png")
     path.parent.mkdir(parents=True, exist_ok=True)
-    picture(plan, sites, box, path, f"{name}: {len(sites)} sites ({procedure.arm.features.source} arm)")
+    refused = {number for number, _ in unreachable}
+    picture(plan, sites, refused, box, path, f"{name}: {len(sites)} sites ({procedure.arm.features.source} arm)")
     seconds = (
         4 * settings.settle
         + (settings.prepare - settings.near) / settings.approach

@@ -11,8 +11,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
-from i2t import world
+from i2t import plots, world
 from i2t.cameras import Camera
 from i2t.depth import patch_from_depth
 from i2t.geometry import full_precision
@@ -24,6 +27,7 @@ from i2t.touch import Limits, collect_sites
 from i2t.types import PATCH_PIXELS, WIDE_PIXELS, WIDE_WINDOW, Array
 
 BATCH = 32  # sites that are drawn at once
+TAIL = 15.0  # mm, of the arrows that a picture draws along the motion of presses
 DEEP = 80e-3  # m behind the nearest point, down to which a view is followed
 
 
@@ -89,34 +93,40 @@ def _cut(
 _cut = jax.jit(_cut, static_argnums=1)
 
 
-def picture(plan: Plan, sites: Sequence[Site], box: Array, path: Path, title: str) -> None:
-    """Draw an object and its sites from above and from the side, with the box (2, 3) m in W that the tool keeps to."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib.collections import PolyCollection
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10, 5), layout="constrained")
-    corners = 1e3 * plan.outline.vertices[plan.outline.faces]
-    places = 1e3 * np.array([site.T_w_t[:3, 3] for site in sites])
-    back = -1e3 * 15e-3 * np.array([site.T_w_t[:3, 2] for site in sites])
-    for axes, (i, j), names in zip(figure.subplots(1, 2), ((0, 1), (0, 2)), ("xy", "xz"), strict=True):
+def picture(plan: Plan, sites: Sequence[Site], refused: Collection[int], box: Array, path: Path, title: str) -> None:
+    """Draw an object and its sites from above and from the side, the numbers that the arm `refused` marked, with the
+    box (2, 3) m in W that the tool keeps to, where it comes near.
+    """
+    figure = Figure(figsize=(12, 6.5), layout="constrained")
+    corners = plots.MILLI * plan.outline.vertices[plan.outline.faces]
+    places = plots.MILLI * np.array([site.T_w_t[:3, 3] for site in sites])
+    back = -TAIL * np.array([site.T_w_t[:3, 2] for site in sites])
+    good = np.array([site.number not in refused for site in sites])
+    low, high = plots.MILLI * box
+    drawn = np.concatenate([corners.reshape(-1, 3), places + back])
+    for axes, plane, names in zip(figure.subplots(1, 2), ([0, 1], [0, 2]), ("xy", "xz"), strict=True):
         axes.add_collection(
-            PolyCollection(list(corners[..., [i, j]]), facecolor="0.85", edgecolor="0.7", linewidth=0.3)
+            PolyCollection(list(corners[..., plane]), facecolor="0.88", edgecolor="0.75", linewidth=0.3)
         )
-        axes.quiver(
-            *places[:, [i, j]].T, *back[:, [i, j]].T, angles="xy", scale_units="xy", scale=1, width=3e-3, color="C0"
+        axes.add_artist(
+            Rectangle(low[plane], *(high - low)[plane], fill=False, color=plots.RED, linestyle="--", label="the box")
         )
-        for site, place in zip(sites, places, strict=True):
-            axes.annotate(str(site.number), place[[i, j]], fontsize=6)
-        low, high = 1e3 * box[0], 1e3 * box[1]
-        axes.plot(*np.array([(low[a], b) for a, b in ((i, low[j]), (i, high[j]))]).T, "r:", linewidth=1)
-        axes.plot(*np.array([(high[a], b) for a, b in ((i, low[j]), (i, high[j]))]).T, "r:", linewidth=1)
-        axes.set(xlabel=f"{names[0]} (mm)", ylabel=f"{names[1]} (mm)", aspect="equal")
-        axes.autoscale_view()
+        for which, colour, label in ((good, plots.BLUE, "reached"), (~good, plots.PINK, "cannot be reached")):
+            if which.any():
+                axes.quiver(
+                    *(places + back)[which][:, plane].T, *-back[which][:, plane].T, angles="xy", scale_units="xy",
+                    scale=1, width=3e-3, color=colour, label=label,
+                )  # fmt: skip
+                axes.plot(*places[which][:, plane].T, ".", color=colour, markersize=4)
+        if names == "xy":
+            for site, tail in zip(sites, places + back, strict=True):
+                axes.annotate(str(site.number), tail[plane], (3, 3), textcoords="offset points", fontsize=7)
+        least, most = drawn[:, plane].min(0) - 5, drawn[:, plane].max(0) + 5
+        axes.set(xlim=(least[0], most[0]), ylim=(least[1], most[1]), aspect="equal")
+        axes.set(xlabel=f"{names[0]} in the world (mm)", ylabel=f"{names[1]} (mm)")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(title)
-    figure.savefig(path, dpi=120)
+    plots.save(figure, path)
 
 
 def orthonormal(pose: Array) -> Array:

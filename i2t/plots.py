@@ -26,7 +26,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Circle, Rectangle
 
 from i2t.types import PAD_WINDOW, PATCH_WINDOW, REACH, Array, Board
 
@@ -149,23 +149,27 @@ def readings(
     return figure
 
 
-def draw_reading(axes: Axes, board: Board, reading: Array, scale: float, colour: str) -> None:
-    """The flat version for small panels: arrows for the field in the skin's plane, discs for the normal field, filled
-    where it points out of the skin; `scale` uT are `ARROW` mm.
+def draw_reading(
+    axes: Axes, board: Board, reading: Array, scale: float, colour: str, label: str | None = None, width: float = 0.012
+) -> None:
+    """The flat version: arrows for the field in the skin's plane, discs for the normal field, filled where it points
+    out of the skin; `scale` uT are `ARROW` mm. Give every panel of a figure the same.
     """
-    from matplotlib.patches import Circle
-
     chips = np.asarray(board.chips)[:, :2] * MILLI
     field = np.asarray(board.to_tool(np.asarray(reading))) * ARROW / scale
-    axes.quiver(
-        *chips.T, field[:, 0], field[:, 1], angles="xy", scale_units="xy", scale=1, color=colour, width=0.02
-    )  # fmt: skip
-    for centre, z in zip(chips, field[:, 2], strict=True):
-        face = colour if z > 0 else "none"
-        axes.add_artist(Circle(centre, abs(z) / 2, facecolor=face, edgecolor=colour, alpha=0.5 if z > 0 else 0.9))
+    x, y, normal = field.T
+    arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1, "color": colour, "width": width}
+    axes.quiver(*chips.T, x, y, label=label, **arrows)
+    for centre, z in zip(chips, normal, strict=True):
+        face, alpha = (colour, 0.45) if z > 0 else ("none", 0.9)
+        axes.add_artist(Circle(centre, abs(z) / 2, facecolor=face, edgecolor=colour, alpha=alpha, lw=1.2))
+
+
+def draw_skin(axes: Axes, margin: float = 3.0) -> None:
+    """The skin's outline, with `margin` mm around it."""
     half = PAD_WINDOW * MILLI / 2
     axes.add_artist(Rectangle((-half, -half), 2 * half, 2 * half, fill=False, color=GREY, lw=0.8))
-    axes.set(xlim=(-half - 1, half + 1), ylim=(-half - 1, half + 1), aspect="equal")
+    axes.set(xlim=(-half - margin, half + margin), ylim=(-half - margin, half + margin), aspect="equal")
 
 
 # --- maps over the skin ---
@@ -323,7 +327,8 @@ def clusters(
         for j, (seen, reading, name) in enumerate(rows):
             left, right = (figure.add_subplot(grid[i, 4 + 2 * j + side]) for side in (0, 1))
             draw_map(left, seen, window, "cividis", 0, 1)
-            draw_reading(right, board, reading, scale, COLOURS[i % len(COLOURS)])
+            draw_skin(right, 1.0)
+            draw_reading(right, board, reading, scale, COLOURS[i % len(COLOURS)], width=0.02)
             left.set_title(name, fontsize=8.5, loc="left", fontweight="normal" if j else "bold")
             for panel in (left, right):
                 panel.set(xticks=[], yticks=[])

@@ -5,7 +5,6 @@ neither address nor port is given, one is started. Simulated ones share a lab (`
 else takes part, its time need not be waited for.
 """
 
-import os
 import tempfile
 import time
 from contextlib import ExitStack
@@ -42,7 +41,6 @@ class Devices(NamedTuple):
     camera: DepthCamera
     clock: Clock
     board: Board
-    source: str  # of what they measure: simulated, real or mixed
 
 
 @dataclass(frozen=True)
@@ -130,17 +128,15 @@ def build(wanted: Wanted, rig: Rig, name: str, unit: str, stack: ExitStack) -> D
     if skin is None:
         skin = Replay(wanted.replay) if wanted.skin == "replay" and wanted.replay else ReSkin(port)
     camera = _camera(wanted, rig, scene, arm, clock)
-    on_arm = {"ur": "real", "reskin": "real", "realsense": "real", "folder": "real"}
-    sources = {on_arm.get(kind, "simulated") for kind in (wanted.arm, wanted.skin, wanted.camera)}
     board = scene.board if scene is not None and wanted.skin == "simulated" else boards.reskin()
-    return Devices(
-        arm,
-        skin,
-        camera,
-        clock,
-        Board(*(np.asarray(part) for part in board)),
-        sources.pop() if len(sources) == 1 else "mixed",
-    )
+    return Devices(arm, skin, camera, clock, Board(*(np.asarray(part) for part in board)))
+
+
+def source_of(devices: Devices) -> str:
+    """What a data set must say of touches that connected devices make: real, simulated or mixed."""
+    each = (device.features.source for device in (devices.arm, devices.skin, devices.camera))
+    sources = {"real" if source in ("real", "folder") else "simulated" for source in each}
+    return sources.pop() if len(sources) == 1 else "mixed"
 
 
 def _camera(wanted: Wanted, rig: Rig, scene: Scene | None, arm: Any, clock: Clock) -> Any:
@@ -177,12 +173,11 @@ def _check(wanted: Wanted) -> None:
 
 def _rehearse(wanted: Wanted, rig: Rig, name: str, unit: str, stack: ExitStack) -> tuple[str, str]:
     """Start the stand-ins; returns the controller's address and the skin's port."""
-    from i2t.stand_ins import rehearsal
+    from i2t.stand_ins import rehearsal, ur_controller
 
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
     rig.write(folder / "rig.toml")
-    pid = os.getpid()
-    host, link = f"127.{pid // 250 % 250 + 1}.{pid % 250 + 1}.200", folder / "skin"
+    host, link = ur_controller.loopback(200), folder / "skin"
     options = ["--host", host, "--link", str(link), "--object", name, "--unit", unit, "--seed", str(wanted.seed)]
     options += ["--rig", str(folder / "rig.toml"), "--mount", str(wanted.stiffness)]
     options += ["--pad", str(wanted.pad)] if wanted.pad else []

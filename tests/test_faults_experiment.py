@@ -47,7 +47,7 @@ def test_real_drivers_collect_before_stand_ins_are_killed_and_go_on(tmp_path):
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
     if sys.platform != "linux":
         pytest.skip("needs the addresses 127.x.y.z, which only Linux gives without asking")
-    host, out = arm.address(97), tmp_path / "set"
+    host, out = ur_controller.loopback(97), tmp_path / "set"
     with (
         ur_controller.process(host, "--plane", "0.03", "--stiffness", "5000"),
         reskin_board.started() as (port, _),

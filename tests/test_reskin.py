@@ -604,7 +604,7 @@ def test_a_late_read_is_counted_and_dated_back():
     whole = stream(120)
     skin._serial = lambda *_, **__: LatePort([b"".join(whole[:20]), b"".join(whole[20:])], OSError(5, "gone"), "read")
     skin.connect()
-    failure(skin)
+    until(lambda: skin.counters.samples == len(whole) or None)  # a busy machine may call it silent meanwhile
     assert skin.counters.stalls == 1
     times = skin.since(-1).time
     steps = np.diff(times[20:])  # the late chunk's frames, at the rate of the last second: 100 since the first chunk
@@ -665,15 +665,15 @@ def test_the_picture_says_what_was_read():
 def test_the_monitor_runs(capsys, monkeypatch, tmp_path):
     path = tmp_path / "skin"
     with started("--press", "1") as (port, _):
-        assert monitor.main(["--port", port, "--seconds", "1", "--record", str(path)]) == 0
+        assert monitor.main(["--port", port, "--seconds", "2", "--record", str(path)]) == 0
     assert "Hz" in capsys.readouterr().out
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
-    assert monitor.main(["--replay", str(path), "--seconds", "0.3"]) == 0
+    assert monitor.main(["--replay", str(path), "--seconds", "1"]) == 0
     shown = capsys.readouterr().out
     assert "replay" in shown
     assert "\x1b[21F\x1b[J" in shown  # drawn over the last picture
     assert monitor.main(["--port", str(tmp_path / "nowhere")]) == 2
-    assert capsys.readouterr().err.startswith("there is no port")
+    assert capsys.readouterr().err.startswith("error: there is no port")
     assert monitor.main(["--list"]) == 0
 
 

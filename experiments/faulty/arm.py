@@ -1,7 +1,6 @@
 """The arm: what a controller can do in the middle of a motion, and how hard it presses."""
 
 import json
-import os
 import time
 from concurrent.futures import ThreadPoolExecutor
 
@@ -54,12 +53,6 @@ def arm(sizes: Sizes) -> list[Row]:
     return [*rows, _second(sizes.arm)]
 
 
-def address(number: int) -> str:
-    """An address for a stand-in of this process."""
-    pid = os.getpid()
-    return f"127.{pid // 250 % 250 + 1}.{pid % 250 + 1}.{number % 100 + 1}"
-
-
 def status(host: str) -> dict:
     """What the stand-in says of itself."""
     return dict(json.loads(ur_controller.ask(host, "status")))
@@ -69,7 +62,7 @@ def _fault(trial: int, fault: str | None) -> tuple[float, str, bool] | None:
     """Seconds from a fault in the middle of a motion to its sentence, and whether the tool stands soon after; None if
     the motion had ended before, as it does where a busy computer cannot watch.
     """
-    host, rig = address(trial), Rig()
+    host, rig = ur_controller.loopback(trial), Rig()
     with ur_controller.process(host) as process, UR(host, rig.limits, stale=STALE, watchdog=4.0) as device:
         with ThreadPoolExecutor(1) as beside:
             motion = beside.submit(_go_down, device)
@@ -99,7 +92,7 @@ def _go_down(device: UR) -> None:
 def _second(trials: int) -> Row:
     refused, unharmed = 0, 0
     for trial in range(trials):
-        host, limits = address(trial + 50), Rig().limits
+        host, limits = ur_controller.loopback(trial + 50), Rig().limits
         with ur_controller.process(host), UR(host, limits, stale=0.5, watchdog=4.0) as device:
             goal = device.state(1.0).T_b_t.copy()
             goal[2, 3] -= 0.03
@@ -120,7 +113,7 @@ def force(sizes: Sizes) -> list[Row]:
     settings, rig = Settings(), Rig()
     rng = np.random.default_rng(0)
     peaks, reasons = [], []
-    host, height = address(99), 0.05
+    host, height = ur_controller.loopback(99), 0.05
     pose = ("0.4", "0.0", str(height + GAP), str(np.pi), "0", "0")
     with (
         ur_controller.process(host, "--pose", *pose, "--noise", "0.1") as _,

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.faulty.arm import address, status
+from experiments.faulty.arm import status
 from experiments.faulty.rows import Row, Sizes, worst
-from i2t import dataset
+from experiments.faulty.simulated import count
 from i2t.hardware.recorder import touches_in
-from i2t.stand_ins import rehearsal
+from i2t.stand_ins import rehearsal, ur_controller
 
 MOST = 2  # touches, after which a collection is killed
 LATEST = 6.0  # s after those, at the latest: a touch takes five
@@ -22,10 +22,10 @@ MORE = 5  # touches that are made after the last kill
 
 def kill(sizes: Sizes) -> list[Row]:
     """All of it, on stand-ins that run on as a lab would."""
-    rng, moving, starts, unreadable = np.random.default_rng(0), 0, 0, 0
+    rng, moving, starts = np.random.default_rng(0), 0, 0
     told: list[str] = []
     stood: list[float] = []
-    host = address(98)
+    host = ur_controller.loopback(98)
     with tempfile.TemporaryDirectory() as folder:
         out, link = Path(folder) / "data", Path(folder) / "skin"
         with rehearsal.started("--host", host, "--link", str(link), "--exact"):
@@ -47,12 +47,7 @@ def kill(sizes: Sizes) -> list[Row]:
                     break
                 time.sleep(0.5)
         present = touches_in(out)
-        for path in present:
-            try:
-                dataset.read_touch(path)
-            except dataset.DataError:
-                unreadable += 1
-        lost = len(set(told) - {path.name for path in present})
+        lost, unreadable = count(out, told)
         aside = len(list((out / ".interrupted").glob("*"))) if out.exists() else 0
     tried = f"{len(stood)} kills of {starts} collections"
     said = f"{lost} of {len(told)} lost, {unreadable} of {len(present)} files unreadable; {aside} raw files kept aside"

@@ -158,7 +158,7 @@ def _small_disk(size: str) -> Iterator[Path]:
             subprocess.run(["umount", folder], check=False)
 
 
-def _count(folder: Path, told: list[str]) -> tuple[int, int]:
+def count(folder: Path, told: list[str]) -> tuple[int, int]:
     """How many acknowledged touches are lost, and files that cannot be read."""
     present = {path.name: path for path in touches_in(folder)}
     bad = 0
@@ -198,7 +198,7 @@ def _session(
 def _full(trial: int) -> tuple[int, int, int, str]:
     with _small_disk(f"{1500 + 130 * trial}k") as folder:
         told, sentence = _session(folder / "data", lab(seed=trial)[0], 50)
-        return len(told), *_count(folder / "data", told), sentence
+        return len(told), *count(folder / "data", told), sentence
 
 
 def _read_only(trial: int) -> tuple[int, int, int, str]:
@@ -212,7 +212,7 @@ def _read_only(trial: int) -> tuple[int, int, int, str]:
 
         try:
             told, sentence = _session(folder / "data", lab(seed=trial)[0], 4, each=spoil)
-            return len(told), *_count(folder / "data", told), sentence
+            return len(told), *count(folder / "data", told), sentence
         finally:
             subprocess.run(["umount", folder], check=False)
 
@@ -225,7 +225,7 @@ def _clock(trial: int) -> tuple[int, int, int, str]:
 
     with tempfile.TemporaryDirectory() as folder:
         told, sentence = _session(Path(folder), procedure, 4, each=spoil)
-        return len(told), *_count(Path(folder), told), sentence
+        return len(told), *count(Path(folder), told), sentence
 
 
 def _camera(trial: int) -> tuple[int, int, int, str]:
@@ -238,4 +238,4 @@ def _camera(trial: int) -> tuple[int, int, int, str]:
 
     with tempfile.TemporaryDirectory() as folder:
         told, sentence = _session(Path(folder), procedure, 4, each=spoil)
-        return len(told), *_count(Path(folder), told), sentence
+        return len(told), *count(Path(folder), told), sentence

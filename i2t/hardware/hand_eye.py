@@ -32,6 +32,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from i2t.cameras import Camera
+from i2t.hardware.command import ended
 from i2t.hardware.hand_eye_fit import CORNERS, Found, Sight, fit, lines_of_sight
 from i2t.hardware.protocols import DeviceError
 from i2t.hardware.rig import Rig
@@ -225,21 +226,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     tell.add_argument("--rig", type=Path, help="a lab's calibration, to compare with")
     tell.add_argument("--write", action="store_true", help="put the estimate into it")
     asked = parser.parse_args(arguments)
-    try:
-        board = Board(**{each.name: getattr(asked, each.name) for each in fields(Board)})
-        if asked.step == "board":
-            Image.fromarray(board.drawn()).save(asked.file, dpi=(300, 300))
-            print(f"{asked.file}: print it at 100 %; a square must measure {1e3 * board.square:g} mm")
-        elif asked.step == "capture":
-            _capture(asked, board)
-        else:
-            _estimate(asked, board)
-    except (DeviceError, OSError, ValueError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    return 0
+    do = {"board": _draw, "capture": _capture, "estimate": _estimate}[asked.step]
+    return ended(lambda: do(asked, Board(**{each.name: getattr(asked, each.name) for each in fields(Board)})))
+
+
+def _draw(asked: argparse.Namespace, board: Board) -> None:
+    Image.fromarray(board.drawn()).save(asked.file, dpi=(300, 300))
+    print(f"{asked.file}: print it at 100 %; a square must measure {1e3 * board.square:g} mm")
 
 
 def _capture(asked: argparse.Namespace, board: Board) -> None:

@@ -1,5 +1,6 @@
 """The live picture of `python -m i2t.hardware.reskin`: every chip's field, noise and temperature, rate and losses."""
 
+import contextlib
 import sys
 import time
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from i2t.hardware.command import ended
 from i2t.hardware.protocols import DeviceError, Samples, SkinCounters
 from i2t.hardware.reskin import Replay, ReSkin
 from i2t.hardware.stream import BoardInfo, Stream
@@ -45,18 +47,16 @@ class Options:
 def main(args: Sequence[str] | None = None) -> int:
     """Run the monitor; returns the exit code."""
     asked = tyro.cli(Options, args=args, prog="python -m i2t.hardware.reskin", config=(tyro.conf.FlagCreatePairsOff,))
-    try:
+
+    def show() -> None:
         if asked.list_ports:
             boards = ReSkin().ports()
             print("\n".join(f"{board.port}  {board.usb}  {board.description}" for board in boards) or "none")
-            return 0
-        skin = Replay(asked.replay) if asked.replay else ReSkin(asked.port, asked.baud)
-        return _watch(skin, asked)
-    except DeviceError as error:
-        print(error, file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 0
+            return
+        with contextlib.suppress(KeyboardInterrupt):  # which is how it ends
+            _watch(Replay(asked.replay) if asked.replay else ReSkin(asked.port, asked.baud), asked)
+
+    return ended(show)
 
 
 def picture(
@@ -92,7 +92,7 @@ def bar(part: float) -> str:
     return f"{left:>{WIDTH}}|{right:<{WIDTH}}"
 
 
-def _watch(skin: Stream, asked: Options) -> int:
+def _watch(skin: Stream, asked: Options) -> None:
     live, end = sys.stdout.isatty(), time.monotonic() + asked.seconds
     try:
         skin.connect()
@@ -121,7 +121,6 @@ def _watch(skin: Stream, asked: Options) -> int:
             else:
                 print(lines[1], lines[-2], trouble, sep="  ", flush=True)
                 time.sleep(1.0)
-        return 0
     finally:
         skin.close()
 

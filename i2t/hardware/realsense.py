@@ -28,6 +28,7 @@ import numpy as np
 
 from i2t.cameras import Camera
 from i2t.hardware import folder
+from i2t.hardware.command import ended
 from i2t.hardware.protocols import CameraFeatures, DeviceError, NotConnected, Silent, View
 from i2t.types import Array
 
@@ -295,20 +296,18 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--save", type=Path, help="a new folder for the views")
     parser.add_argument("--count", type=int, default=1, help="how many views")
     asked = parser.parse_args(arguments)
-    try:
-        camera = RealSense(asked.serial, tuple(asked.size), asked.rate, asked.distance, asked.file)
-        with camera:
-            print(f"{camera.features.name}: nothing nearer than {1e3 * camera.features.nearest:.0f} mm")
-            print(camera.camera)
-            views = (camera.capture() for _ in range(asked.count))
-            for number, view in enumerate(folder.keep(asked.save, camera.camera, views) if asked.save else views):
-                middle = view.depth[asked.size[1] // 2 - 10 :, asked.size[0] // 2 - 10 :][:20, :20]
-                at = np.nanmedian(middle) if np.isfinite(middle).any() else np.nan
-                print(f"view {number}: {np.isfinite(view.depth).mean():.0%} measured, {1e3 * at:.1f} mm in the middle")
-    except (DeviceError, OSError, ValueError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
+    return ended(lambda: _show(asked))
+
+
+def _show(asked: argparse.Namespace) -> None:
+    with RealSense(asked.serial, tuple(asked.size), asked.rate, asked.distance, asked.file) as camera:
+        print(f"{camera.features.name}: nothing nearer than {1e3 * camera.features.nearest:.0f} mm")
+        print(camera.camera)
+        views = (camera.capture() for _ in range(asked.count))
+        for number, view in enumerate(folder.keep(asked.save, camera.camera, views) if asked.save else views):
+            middle = view.depth[asked.size[1] // 2 - 10 :, asked.size[0] // 2 - 10 :][:20, :20]
+            at = np.nanmedian(middle) if np.isfinite(middle).any() else np.nan
+            print(f"view {number}: {np.isfinite(view.depth).mean():.0%} measured, {1e3 * at:.1f} mm in the middle")
 
 
 if __name__ == "__main__":

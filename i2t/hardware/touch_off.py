@@ -31,6 +31,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from i2t.hardware.command import ended
 from i2t.hardware.protocols import ArmState, DeviceError
 from i2t.hardware.rig import Rig
 from i2t.types import PAD_WINDOW, Array
@@ -174,30 +175,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--watchdog", type=float, default=10.0, help="Hz, how often the controller must hear from us")
     parser.add_argument("--write", action="store_true", help="put what is found into the rig")
     asked = parser.parse_args(arguments)
-    try:
-        from i2t.hardware.ur import UR
+    return ended(lambda: _touch_off(asked), "stopped; the rig is as it was")
 
-        rig = Rig.read(asked.rig)
-        payload = rig.mass, rig.centre
-        with UR(asked.host, rig.limits, rig.T_flange_tool, payload, asked.stale, asked.watchdog) as arm:
-            found = touch_off(arm, tuple(asked.at), asked.height)
-        T = rig.T_flange_tool @ found.T_tool_skin
-        tilt = math.degrees(math.acos(min(1.0, found.T_tool_skin[2, 2])))
-        print(
-            f"the skin is {1e3 * found.T_tool_skin[2, 3]:+.2f} mm along z and {tilt:.2f} degrees from where the rig "
-            f"has it; the corners miss a plane by {1e3 * found.miss:.2f} mm"
-        )
-        if asked.write:
-            # The camera stays where it is on the flange.
-            camera = np.linalg.inv(found.T_tool_skin) @ rig.T_tool_camera
-            replace(rig, T_flange_tool=T, T_tool_camera=camera).write(asked.rig)
-            print(f"{asked.rig}: written")
-    except (DeviceError, OSError, ValueError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    return 0
+
+def _touch_off(asked: argparse.Namespace) -> None:
+    from i2t.hardware.ur import UR
+
+    rig = Rig.read(asked.rig)
+    payload = rig.mass, rig.centre
+    with UR(asked.host, rig.limits, rig.T_flange_tool, payload, asked.stale, asked.watchdog) as arm:
+        found = touch_off(arm, tuple(asked.at), asked.height)
+    T = rig.T_flange_tool @ found.T_tool_skin
+    tilt = math.degrees(math.acos(min(1.0, found.T_tool_skin[2, 2])))
+    print(
+        f"the skin is {1e3 * found.T_tool_skin[2, 3]:+.2f} mm along z and {tilt:.2f} degrees from where the rig has "
+        f"it; the corners miss a plane by {1e3 * found.miss:.2f} mm"
+    )
+    if asked.write:
+        # The camera stays where it is on the flange.
+        camera = np.linalg.inv(found.T_tool_skin) @ rig.T_tool_camera
+        replace(rig, T_flange_tool=T, T_tool_camera=camera).write(asked.rig)
+        print(f"{asked.rig}: written")
 
 
 if __name__ == "__main__":

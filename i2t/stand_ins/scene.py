@@ -126,7 +126,7 @@ class Scene:
         self._surface = jax.device_put(prepare(mesh))
         self._random = np.random.default_rng(seed)
         placed = transform_mesh(mesh, self.T_b_o)
-        self.triangles = np.concatenate([placed.vertices[placed.faces], _table(np.asarray(T_b_o))])
+        self.triangles = np.concatenate([placed.vertices[placed.faces], table_at(np.asarray(T_b_o))])
         corners = placed.vertices
         self._middle = (corners.min(0) + corners.max(0)) / 2
         self._radius = float(np.linalg.norm(corners - self._middle, axis=1).max())
@@ -291,7 +291,7 @@ def noisy(depth: Array, errors: Errors, random: np.random.Generator) -> Array:
     return np.where(np.isfinite(depth), depth, np.nan).astype(np.float32)
 
 
-def _table(T_b_o: Array) -> Array:
+def table_at(T_b_o: Array) -> Array:
     """The table (n, 3, 3) on which an object stands, in small squares, so that none is half behind a camera."""
     edges = np.arange(-TABLE, TABLE - CELL / 2, CELL)
     corners: Sequence[tuple[float, float]] = [(0, 0), (CELL, 0), (CELL, CELL), (0, CELL)]

@@ -40,6 +40,7 @@ force mode, payload, tool, zeroing, watchdog and stopping are played; any other 
 
 import argparse
 import contextlib
+import os
 import signal
 import socket
 import subprocess
@@ -59,6 +60,12 @@ from i2t.stand_ins.ur_server import DASHBOARD as DASHBOARD
 from i2t.stand_ins.ur_server import FAULTS, Server
 from i2t.stand_ins.ur_server import RTDE as RTDE
 from i2t.stand_ins.ur_server import SCRIPT as SCRIPT
+
+
+def loopback(number: int) -> str:
+    """The address of a controller of this process's own, one of 250."""
+    pid = os.getpid()
+    return f"127.{pid // 250 % 250 + 1}.{pid % 250 + 1}.{number % 250 + 1}"
 
 
 @contextlib.contextmanager
