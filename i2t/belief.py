@@ -89,6 +89,10 @@ class Temper(NamedTuple):
     first: float = 1.0
     growth: float = 0.0
 
+    def temperature(self, touches):
+        """After a number of touches; of arrays, too."""
+        return self.first * (1 + self.growth * (touches - 1))
+
 
 # Fitted on validation objects of five pads and seeds (docs/recognition.md): what a pad taught wrongly is wrong at every
 # touch, which touches that are taken one by one do not know.
@@ -106,16 +110,23 @@ class Evidence(NamedTuple):
     covariance: Float[Array, "... 6 6"]
 
 
-def particles(spread: Float[np.ndarray, "6"], count: int, seed: int = 0, within: float = WITHIN) -> Particles:
-    """`count` placements, the first of which is where the object is believed; `spread` (m) is that of the twist.
+def particles(
+    prior: Float[np.ndarray, "6"] | Float[np.ndarray, "6 6"], count: int, seed: int = 0, within: float = WITHIN
+) -> Particles:
+    """`count` placements, the first of which is where the object is believed. `prior` is the covariance (m^2) of the
+    twist, or the standard deviations (m) of a twist whose six parts are independent.
 
     Quasi-random normal (scrambled Sobol sequence; Owen, J. Complexity 14, 1998), on the host. Together with what lies
     about them they have the prior's variance.
     """
     uniform = qmc.Sobol(6, seed=seed).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
-    twist = norm.ppf(np.clip(uniform, 1e-6, 1 - 1e-6)) * np.sqrt(1 - within**2) * spread[None]
+    prior = np.asarray(prior, np.float64)
+    covariance = np.diag(prior**2) if prior.ndim == 1 else prior
+    values, axes = np.linalg.eigh(covariance)  # of a covariance that may be singular
+    root = np.diag(prior) if prior.ndim == 1 else axes * np.sqrt(np.maximum(values, 0.0))
+    twist = norm.ppf(np.clip(uniform, 1e-6, 1 - 1e-6)) * np.sqrt(1 - within**2) @ root.T
     twist[0] = 0.0
-    return Particles(jnp.float32(twist), jnp.diag(jnp.float32((within * spread) ** 2)))
+    return Particles(jnp.float32(twist), jnp.float32(within**2 * covariance))
 
 
 def likelihood(
@@ -232,7 +243,7 @@ def tempered(
     """Probabilities after a number of touches, as sure as they should be (temperature scaling; Guo and others, ICML
     2017): the order of the objects stays.
     """
-    temperature = temper.first * (1 + temper.growth * (jnp.asarray(touches) - 1))
+    temperature = jnp.asarray(temper.temperature(touches))
     return jax.nn.softmax(jnp.log(jnp.maximum(probability, LEAST)) / temperature[..., None], axis=-1)
 
 

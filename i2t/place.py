@@ -19,15 +19,17 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from i2t import objects
+from i2t.hardware.command import ended
 from i2t.hardware.folder import Folder
 from i2t.hardware.hand_eye import tool_pose
-from i2t.hardware.protocols import DepthCamera, DeviceError
+from i2t.hardware.protocols import DepthCamera
 from i2t.hardware.realsense import RealSense
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur_link import from_ur
-from i2t.register import LEVER, by_depth
+from i2t.plan import orthonormal
+from i2t.register import LEVER, by_depth, seen_through
 from i2t.types import Array
+from i2t.wiring import read_object
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -45,15 +47,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--views", type=Path, help="a folder of views, of which the first is taken; else a RealSense")
     parser.add_argument("--distance", type=float, default=10e-3, help="m, how far off the rig may be (one sigma)")
     parser.add_argument("--angle", type=float, default=6.0, help="degrees, the same")
+    parser.add_argument(
+        "--hand-eye", type=float, nargs=2, default=(1.0, 0.5), metavar=("MM", "DEGREES"),
+        help="how far off the camera may be on its tool (one sigma), which no view tells",
+    )  # fmt: skip
     parser.add_argument("--no-table", action="store_true", help="the view shows no table at the world's z = 0")
     parser.add_argument("--write", action="store_true", help="put the pose into the rig")
     asked = parser.parse_args(arguments)
-    try:
-        print(place(asked))
-    except (DeviceError, OSError, ValueError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
+    return ended(lambda: print(place(asked)))
 
 
 def place(asked: argparse.Namespace) -> str:
@@ -61,9 +62,7 @@ def place(asked: argparse.Namespace) -> str:
     if (asked.host is None) == (asked.tool is None):
         raise ValueError("the pose of the tool is needed: give --host, or --tool with the pendant's six numbers")
     rig = Rig.read(asked.rig)
-    mesh = (
-        objects.make(asked.object) if asked.object in objects.NAMES else objects.load(asked.object, asked.unit)[0]
-    ).mesh
+    mesh = read_object(asked.object, asked.unit).mesh
     T_b_t = tool_pose(asked.host) if asked.host is not None else from_ur(asked.tool)
     lens = rig.camera
     camera: DepthCamera = (
@@ -85,27 +84,28 @@ def place(asked: argparse.Namespace) -> str:
             math.radians(asked.angle),
             table=table,
         )
-    T_w_o, sigma = _rigid(np.asarray(found.T_w_o, float)), np.sqrt(np.diag(np.asarray(found.covariance, float)))
+    T_w_o = orthonormal(np.asarray(found.T_w_o, float))
+    off, askew = asked.hand_eye
+    covariance = seen_through(found.covariance, np.linalg.inv(T_w_c) @ T_w_o, 1e-3 * off, math.radians(askew))
+    noise, sigma = (np.sqrt(np.diag(np.asarray(each, float))) for each in (found.covariance, covariance))
     change = np.linalg.inv(rig.T_world_object) @ T_w_o
     turn = math.degrees(Rotation.from_matrix(change[:3, :3]).magnitude())
     fit = np.asarray(found.residual)[np.asarray(found.weight) > 0]
     lines = [
         f"{asked.object} is {1e3 * np.linalg.norm(change[:3, 3]):.1f} mm and {turn:.1f} degrees from what {asked.rig} "
         "says",
-        f"noise leaves {1e3 * np.linalg.norm(sigma[:3]):.2f} mm and "
-        f"{math.degrees(np.linalg.norm(sigma[3:]) / LEVER):.2f} degrees; {len(fit)} points fit within "
+        f"noise leaves {_apart(noise)}, the camera's own place {_apart(sigma)}; {len(fit)} points fit within "
         f"{1e3 * float(np.sqrt(np.mean(fit**2))):.2f} mm RMS",
     ]
     if asked.write:
-        replace(rig, T_world_object=T_w_o, object_from="registration").write(asked.rig)
+        placed = replace(rig, T_world_object=T_w_o, object_from="registration", object_covariance=covariance)
+        placed.write(asked.rig)
         lines.append(f"{asked.rig}: written")
     return "\n".join(lines)
 
 
-def _rigid(T: Array) -> Array:
-    """The nearest rigid motion: float32 leaves the last digits."""
-    u, _, vt = np.linalg.svd(T[:3, :3])
-    return np.block([[u @ vt, T[:3, 3:]], [np.zeros((1, 3)), np.ones((1, 1))]])
+def _apart(sigma: Array) -> str:
+    return f"{1e3 * np.linalg.norm(sigma[:3]):.2f} mm and {math.degrees(np.linalg.norm(sigma[3:]) / LEVER):.2f} degrees"
 
 
 if __name__ == "__main__":

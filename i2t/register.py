@@ -318,6 +318,22 @@ def by_depth(
     return Registered(*(jnp.asarray(field, jnp.float32) for field in fields))
 
 
+def seen_through(
+    covariance: Float[np.ndarray | Array, "6 6"],
+    T_c_o: Float[np.ndarray | Array, "4 4"],
+    distance: float,
+    angle: float,
+) -> Float[np.ndarray, "6 6"]:
+    """The covariance (m^2) of an object's twist with that of the camera that found it at `T_c_o` added: the camera
+    stands on each axis `distance` (m) and `angle` (rad) off (one sigma), and the object moves with it.
+    """
+    T = np.asarray(T_c_o, float)
+    R, (x, y, z) = T[:3, :3], T[:3, 3]
+    about = np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])  # times a small turn: how the object's origin moves
+    moved = np.block([[R.T, R.T @ about], [np.zeros((3, 3)), LEVER * R.T]])
+    return np.asarray(covariance, float) + moved @ np.diag([distance**2] * 3 + [angle**2] * 3) @ moved.T
+
+
 def _points(depth: np.ndarray, camera: Camera, T_w_c: np.ndarray) -> np.ndarray:
     """What the camera measured, in W (n, 3)."""
     x, y = np.asarray(lines_of_sight(camera), float)

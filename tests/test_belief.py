@@ -224,6 +224,13 @@ def test_particles_have_the_variance_of_the_prior():
     narrow = belief.particles(SPREAD, 8, within=1.0)  # all of it about the origin
     np.testing.assert_allclose(narrow.twist, 0, atol=1e-9)
     np.testing.assert_allclose(narrow.covariance, np.diag(SPREAD**2), rtol=1e-6)
+    # A registered pose: correlated, and known exactly in one direction.
+    half = np.random.default_rng(0).normal(size=(6, 5)) * 1e-3
+    prior = half @ half.T
+    told = belief.particles(prior, 4096, seed=3)
+    total = np.cov(np.asarray(told.twist, np.float64).T) + np.asarray(told.covariance)
+    scale = np.sqrt(np.diagonal(prior))
+    np.testing.assert_allclose((total - prior) / np.outer(scale, scale), 0, atol=np.log(4096) / 4096 * 10)
 
 
 def test_touches_are_a_linear_regression():

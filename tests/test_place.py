@@ -9,6 +9,7 @@ from i2t.hardware import folder
 from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur_link import to_ur
+from i2t.register import LEVER
 from i2t.solids import transform_mesh
 from i2t.stand_ins.scene import see
 
@@ -54,6 +55,10 @@ def test_a_view_tells_where_it_stands(lab, capsys):
     assert np.linalg.norm(off[:3, 3]) < 0.5e-3
     assert Rotation.from_matrix(off[:3, :3]).magnitude() < 0.01
     assert rig.mass == Rig().mass
+    # The camera's own place, 1 mm and 0.5 degrees on each axis, is what remains: 0.2 m away, another 1.7 mm across.
+    sigma = np.sqrt(np.diagonal(rig.object_covariance))
+    assert 1e-3 < sigma[:3].min() < sigma[:3].max() < 2.2e-3
+    np.testing.assert_allclose(np.degrees(sigma[3:] / LEVER), 0.5, atol=0.05)
 
 
 def test_what_is_missing_is_said(lab, capsys):

@@ -20,7 +20,7 @@ from i2t.geometry import invert, random_motion
 from i2t.lenses import lines_of_sight
 from i2t.objects import load, make
 from i2t.refine import LEVER
-from i2t.register import FREEDOM, by_depth, by_touch, first_contacts
+from i2t.register import FREEDOM, by_depth, by_touch, first_contacts, seen_through
 from i2t.render import prepare, stack
 from i2t.types import PAD_WINDOW, ReturnCode, Surface, Touches
 
@@ -241,6 +241,23 @@ def test_depth_finds_the_pose(name, at):
         # Chi square of six degrees: the mean of four is 6 within sqrt(12 / 4); edges, where a point may belong to the
         # other face, add as much again.
         assert np.mean(squared) < 2 * (6 + 2 * math.sqrt(3))
+
+
+def test_an_object_is_as_far_off_as_its_camera():
+    rng = np.random.default_rng(0)
+    distance, angle, count = 1e-3, math.radians(0.5), 20_000
+    T_c_o = np.eye(4)
+    T_c_o[:3, :3], T_c_o[:3, 3] = Rotation.from_rotvec([0.4, 2.0, -1.0]).as_matrix(), [0.02, -0.05, 0.2]
+    moved = np.tile(np.eye(4), (count, 1, 1))  # the camera, seen from where it is believed
+    moved[:, :3, 3] = distance * rng.normal(size=(count, 3))
+    moved[:, :3, :3] = Rotation.from_rotvec(angle * rng.normal(size=(count, 3))).as_matrix()
+    off = np.linalg.inv(T_c_o) @ moved @ T_c_o
+    twists = np.concatenate([off[:, :3, 3], LEVER * Rotation.from_matrix(off[:, :3, :3]).as_rotvec()], axis=1)
+    before = np.diag(np.arange(1.0, 7.0)) * 1e-7
+    found = seen_through(before, T_c_o, distance, angle)
+    scale = np.sqrt(np.diagonal(found))
+    np.testing.assert_allclose((before + np.cov(twists.T) - found) / np.outer(scale, scale), 0, atol=0.05)
+    np.testing.assert_array_equal(seen_through(before, T_c_o, 0.0, 0.0), before)
 
 
 def test_depth_refuses():

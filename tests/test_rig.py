@@ -107,6 +107,10 @@ TOOL, CAMERA = IDENTITY + "0.05]", IDENTITY + "-0.064]"
         ('model = "none"', 'model = "fisheye"', r"camera: model 'fisheye' is not known"),
         ("coefficients = [", "coefficients = ['k1', ", r"camera.coefficients is .*; give .* numbers"),
         ('object_from = "given"', 'object_from = "guess"', r"object_from is 'guess'; give one of given, registration"),
+        ("object_covariance = [\n", "object_covariance = [[0], ", r"object_covariance is .*; give 6 x 6 numbers"),
+        ("object_covariance = [\n  [1e-06", "object_covariance = [\n  [-1e-06", r"has a negative variance"),
+        ("object_covariance = [\n  [1e-06, 0.0", "object_covariance = [\n  [1e-06, 1e-7", r"is not symmetric"),
+        ("object_covariance = [\n  [1e-06", "object_covariance = [\n  [1.0", r"says 1 m; give variances in m"),
         ("[world]", "[globe]", r"'globe' is no table; known are tool, camera, world, limits"),
         ("speed = 0.25", "speed = 250", r"limits.speed is 250; give m/s, above 0 and at most 1"),
         ("speed = 0.25", "speed = nan", r"limits.speed holds NaN"),
@@ -144,6 +148,7 @@ def test_the_summary_warns_of_an_object_outside_the_box(capsys, tmp_path):
     assert rigs.main([str(tmp_path / "lab.toml")]) == 0
     shown = capsys.readouterr().out
     assert "looks from 104 mm" in shown
+    assert "(given), within 1.0 mm and 1.0 degrees" in shown
     assert "OUTSIDE" not in shown
     assert "OUTSIDE" in rigs.summary(Rig(T_world_object=pose([0, 0, 0], [1, 0, 0])))
 

@@ -20,19 +20,22 @@ from typing import Any
 import numpy as np
 
 from i2t.cameras import Camera
+from i2t.hardware.command import ended
 from i2t.hardware.limits import Limits, place
-from i2t.types import RIGID, Array
+from i2t.types import PATCH_WINDOW, RIGID, Array
 
 FOUND = ("given", "registration")  # how an object's pose is known
 HEAVIEST = 20.0  # kg, that a UR arm carries
 TOOL, ROOM = 0.5, 10.0  # m, the largest sensible tool and lab
 NEAREST, FARTHEST = 0.02, 2.0  # m, from which a camera may look
 ASKEW = math.radians(60)  # between the camera's axis and the tool's, beyond which it cannot see what is touched
+PLACED = np.repeat([1e-3, math.radians(1) * PATCH_WINDOW / 2], 3)  # m, standard deviations unless a rig says others
 
 COMMENTS = {
     "tool": "the skin (T: origin at its centre, z out of it) on the flange, and what the flange carries (kg, m)",
     "camera": "the camera in the tool, how far from a surface it looks (m), and its depth image's lens (pixels)",
-    "world": "the robot's base and the object in the world (m); object_from: given or registration",
+    "world": "the robot's base and the object in the world (m); object_from: given or registration; how far the object "
+    "may be off along and about its own axes: object_covariance (m^2, turns in radians times 8.5 mm)",
     "limits": "box for the tool's origin in the base (m), m/s, m/s^2, N, Nm, and the longest approach (m)",
 }
 
@@ -60,6 +63,7 @@ class Rig:
     T_world_object: Array = field(default_factory=lambda: np.eye(4))
     object_from: str = "given"  # or registration: the pose is where registering its depth starts from
     limits: Limits = field(default_factory=lambda: Limits((0.25, -0.15, 0.005), (0.55, 0.15, 0.45)))
+    object_covariance: Array = field(default_factory=lambda: np.diag(PLACED) ** 2)  # (6, 6) m^2 (`i2t.register`)
 
     def __post_init__(self) -> None:
         for name, far in (
@@ -81,6 +85,7 @@ class Rig:
             if not least <= value <= most:
                 raise ValueError(f"{_key(name)} is {value:g}; give {unit}, from {least:g} to {most:g}")
             object.__setattr__(self, name, value)
+        object.__setattr__(self, "object_covariance", _covariance("world.object_covariance", self.object_covariance))
         if self.object_from not in FOUND:
             raise ValueError(f"world.object_from is {self.object_from!r}; give one of {', '.join(FOUND)}")
         if self.T_tool_camera[2, 2] < math.cos(ASKEW):
@@ -165,7 +170,7 @@ def _tables() -> dict[str, list[str]]:
     return {
         "tool": ["T_flange_tool", "mass", "centre"],
         "camera": ["T_tool_camera", "looking_distance", *(each.name for each in fields(Camera))],
-        "world": ["T_world_base", "T_world_object", "object_from"],
+        "world": ["T_world_base", "T_world_object", "object_from", "object_covariance"],
         "limits": [each.name for each in fields(Limits)],
     }
 
@@ -181,7 +186,8 @@ def _parsed(tables: dict[str, Any]) -> Rig:
         if not isinstance(tables.get(table), dict):
             raise ValueError(f"[{table}] is missing; add that table, with {COMMENTS[table]}")
         _known(f"key of [{table}]", tables[table], keys)
-        optional = {each.name for each in fields(Limits)[2:]} | {"model", "coefficients", "object_from"}
+        own = {"model", "coefficients", "object_from", "object_covariance"}
+        optional = {each.name for each in fields(Limits)[2:]} | own
         missing = [key for key in keys if key not in tables[table] and key not in optional]
         if missing:
             raise ValueError(f"{table}.{missing[0]} is missing; add it to [{table}]: {COMMENTS[table]}")
@@ -208,9 +214,10 @@ def _value(key: str, value: Any) -> Any:
         if not whole.is_integer():
             raise ValueError(f"{key} is {value}; give whole pixels")
         return int(whole)
-    shape = (4, 4) if name.startswith("T_") else (3,) if name in ("centre", "lower", "upper") else ()
+    square = {"object_covariance": (6, 6)}.get(name, (4, 4) if name.startswith("T_") else None)
+    shape = square or ((3,) if name in ("centre", "lower", "upper") else ())
     array = _numbers(key, value, shape)
-    return array if shape == (4, 4) else tuple(array.tolist()) if shape else float(array)
+    return array if square else tuple(array.tolist()) if shape else float(array)
 
 
 def _known(what: str, given: dict[str, Any], known: list[str]) -> None:
@@ -253,6 +260,18 @@ def _rigid(key: str, value: Any, far: float) -> Array:
     return T
 
 
+def _covariance(key: str, value: Any) -> Array:
+    matrix = _numbers(key, value, (6, 6))
+    if np.abs(matrix - matrix.T).max() > RIGID * np.abs(matrix).max():
+        raise ValueError(f"{key} is not symmetric; copy it whole")
+    if np.linalg.eigvalsh(matrix).min() < -RIGID * np.abs(matrix).max():
+        raise ValueError(f"{key} has a negative variance; copy it whole")
+    if np.sqrt(np.diagonal(matrix).max()) > TOOL:
+        raise ValueError(f"{key} says {np.sqrt(np.diagonal(matrix).max()):g} m; give variances in m^2")
+    matrix.flags.writeable = False
+    return matrix
+
+
 def _toml(value: Any) -> str:
     if isinstance(value, str):
         return f'"{value}"'
@@ -273,22 +292,22 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("file", type=Path, help="the lab's calibration")
     parser.add_argument("--example", action="store_true", help="write that of the stand-ins, to start from")
     asked = parser.parse_args(arguments)
-    try:
+
+    def show() -> None:
         if asked.example and asked.file.exists():
             raise FileExistsError(f"{asked.file}: exists already; give another name")
         if asked.example:
             Rig().write(asked.file)
         print(summary(Rig.read(asked.file)))
-    except (OSError, ValueError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
+
+    return ended(show)
 
 
 def summary(rig: Rig) -> str:
     """What a rig means, for a person to compare with what stands on the table."""
     at, limits = (1e3 * rig.T_tool_camera[:3, 3]), rig.limits
     apart = math.degrees(math.acos(min(1.0, rig.T_tool_camera[2, 2])))
+    sigma = np.sqrt(np.diagonal(rig.object_covariance))
     in_box = limits.hold((rig.T_base_world @ rig.T_world_object)[:3, 3], 0.05)
     return "\n".join(
         [
@@ -296,7 +315,8 @@ def summary(rig: Rig) -> str:
             f"kg at {np.round(1e3 * np.array(rig.centre), 1).tolist()} mm",
             f"camera    {at.round(1).tolist()} mm from the skin in its axes, {apart:.1f} degrees askew; looks from "
             f"{1e3 * rig.looking_distance:.0f} mm; {rig.camera.width} x {rig.camera.height} pixels",
-            f"object    at {place(rig.T_world_object[:3, 3])} m in the world ({rig.object_from})"
+            f"object    at {place(rig.T_world_object[:3, 3])} m in the world ({rig.object_from}), within "
+            f"{1e3 * sigma[:3].max():.1f} mm and {math.degrees(sigma[3:].max() / (PATCH_WINDOW / 2)):.1f} degrees"
             + ("" if in_box else "; OUTSIDE the box: nothing on it may be reachable"),
             f"box       {place(limits.lower)} to {place(limits.upper)} m in the base",
             f"limits    {limits.speed:g} m/s, {limits.acceleration:g} m/s^2, {limits.force:g} N, {limits.torque:g} Nm, "
