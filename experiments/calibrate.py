@@ -36,10 +36,9 @@ import tyro
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from experiments import plots
 from experiments.evaluation import grouped_interval, nearest_neighbours, seed_interval, tuned
 from experiments.runs import begin, reported, write_json
-from i2t import calibrate
+from i2t import calibrate, plots
 from i2t import dataset as data
 from i2t.calibrate import Hyper, Presses, lattice, network
 from i2t.calibrate.network import Network

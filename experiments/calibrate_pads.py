@@ -33,7 +33,6 @@ import tyro
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from experiments import plots
 from experiments.calibrate import (
     NEIGHBOURS,
     PLAIN,
@@ -48,7 +47,7 @@ from experiments.calibrate import (
 )
 from experiments.evaluation import score
 from experiments.runs import begin, reported, write_json
-from i2t import boards, calibrate
+from i2t import boards, calibrate, plots
 from i2t.calibrate import Hyper, Presses, network, physics
 from i2t.calibrate.physics import Tip
 from i2t.skin import faults

@@ -71,9 +71,3 @@ def heuristic_touches(keys: Array, now: Belief, telling: Array, spent: Array, st
         return jax.random.categorical(key_site, jnp.log(left))
 
     return jax.vmap(one)(keys, now, spent)
-
-
-def sobered(p: np.ndarray) -> np.ndarray:
-    """Beliefs (e, t, objects) as sure as validation objects say."""
-    after = np.broadcast_to(np.arange(1, p.shape[1] + 1, dtype=np.float32), p.shape[:2])
-    return np.asarray(belief.tempered(jnp.asarray(p), jnp.asarray(after)), np.float64)

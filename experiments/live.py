@@ -6,8 +6,10 @@
         --skin reskin --camera realsense --rig lab.toml
 
 The skin must be the one whose touches the run learnt from (--run). The next touch is the one that is expected to tell
-most (`i2t.policy`); it ends when an error of --error is promised, or after --touches. All are kept in OUT/touches as
-a data set, under the name "unknown": a stranger's can be replayed once there is a mesh of it (--dataset).
+most (`i2t.policy`); it ends when an error of --error is promised, or after --touches. With --strange 0.1, say, it may
+be none of the objects, which is believed as far as decoys, things like them, explain the touches better. All touches
+are kept in OUT/touches as a data set, under the name "unknown": a stranger's can be replayed once there is a mesh of it
+(--dataset).
 """
 
 import sys
@@ -22,16 +24,18 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
+from experiments import recognition_scores as scores
 from experiments.choosing import advance, next_touches, safe_on
-from experiments.recognition import learn, places_about, pool, surfaces_of, tabulate
-from experiments.recognize import Recognition, finished_runs, taught, trained, training_rows
+from experiments.recognition import pool, surfaces_of, tabulate
+from experiments.recognize import Recognition, finished_runs, made, own_meshes, taught_by
 from experiments.runs import reported, write_json
 from experiments.story import story
-from i2t import belief, collect, objects, wiring
+from i2t import belief, collect, objects, policy, wiring
 from i2t.belief import Measured
 from i2t.boards import reskin
 from i2t.hardware.procedure import Outcome, Settings, Site
 from i2t.hardware.recorder import touches_in
+from i2t.hardware.rig import Rig
 from i2t.plan import orthonormal
 from i2t.solids import Mesh
 from i2t.types import ReturnCode
@@ -45,7 +49,9 @@ class Live:
     run: Path = Path("runs/train")  # a finished run of experiments.train on touches of this skin
     objects: tuple[Path, ...] = ()  # mesh files to tell apart, in place of the catalogue's
     unit: Literal["m", "cm", "mm", "inch"] = "mm"  # of those files
-    there: str | None = None  # what stands there, where the arm is simulated or emulated; otherwise drawn by the seed
+    there: str | None = None  # what stands there if the arm is not real, strangers of the catalogue too; else drawn
+    strange: float = 0.0  # probability beforehand that it is none of the objects
+    decoys: int = 16  # things like the objects, that stand for what else it might be then
     touches: int = 10  # at most
     error: float = 0.05  # ends when the most probable object is wrong with at most this probability
     sites: int = 24  # of each object, to choose among
@@ -55,7 +61,7 @@ class Live:
     camera: Literal["realsense", "simulated"] = "simulated"
     host: str | None = None  # of the UR controller
     port: str | None = None  # of the skin
-    rig: Path | None = None  # calibration of the lab, with the pose where the object is believed to stand
+    rig: Path | None = None  # calibration of the lab; says where the object is believed to stand, and how surely
     seed: int = 0
 
 
@@ -71,13 +77,15 @@ def run(args: Live) -> dict[str, Any]:
     if folder.is_dir() and touches_in(folder):
         raise ValueError(f"{args.out} holds the touches of another sitting; choose another --out")
     rig = wiring.read_rig(args.rig)
-    meshes = _candidates(args)
-    sitting = Sitting(args, meshes, np.asarray(rig.T_world_object))
+    cfg = Recognition()
+    meshes = own_meshes(args.objects, args.unit) if args.objects else made(cfg.primitives + cfg.tools)
+    sitting = Sitting(args, meshes, rig)
     sources = {path.stem: str(path) for path in args.objects} or {name: name for name in meshes}
     real = args.arm == "ur"
     there = args.there or str(np.random.default_rng(args.seed).choice(list(meshes)))
-    if there not in meshes:
-        raise ValueError(f"--there {there}: choose one of {', '.join(meshes)}")
+    if there not in meshes and there not in objects.NAMES:
+        raise ValueError(f"--there {there}: choose one of {', '.join(meshes)}, or a stranger of the catalogue")
+    sources.setdefault(there, there)
     # A real arm only needs to know how high things may be.
     tallest = max(meshes, key=lambda name: float(meshes[name].vertices[:, 2].max()))
     wanted = collect.Args(
@@ -91,14 +99,8 @@ def run(args: Live) -> dict[str, Any]:
     return sitting.conclude(None if real else there)
 
 
-def _candidates(args: Live) -> dict[str, Mesh]:
-    if not args.objects:
-        cfg = Recognition()
-        return {name: objects.make(name).mesh for name in cfg.primitives + cfg.tools}
-    if len(args.objects) < 2:
-        raise ValueError("--objects needs at least two meshes to tell apart")
-    return {path.stem: objects.load(path, args.unit)[0].mesh for path in args.objects}
-
+# How decoys' odds are to be read, fitted on validation objects and strangers where half of all were strange.
+EVEN, STRANGE = 0.5, scores.Odds(-0.04, 0.62, 0.19)
 
 _tempered = jax.jit(belief.tempered)
 
@@ -106,25 +108,33 @@ _tempered = jax.jit(belief.tempered)
 class Sitting:
     """The belief of one sitting: says which site is next, and hears what became of it."""
 
-    def __init__(self, args: Live, meshes: dict[str, Mesh], T_w_o: np.ndarray) -> None:
+    def __init__(self, args: Live, meshes: dict[str, Mesh], rig: Rig) -> None:
         cfg = replace(Recognition(), sites=args.sites, places=args.places)
-        dataset, _, _ = trained(finished_runs(args.run)[0])
         key_learn, key_pool, self.key = jax.random.split(jax.random.key(args.seed), 3)
-        rows = training_rows(dataset, finished_runs(args.run)[0])
-        learnt = learn(key_learn, dataset, rows, taught(dataset), cfg.errors, cfg.limits)
-        surfaces = surfaces_of(list(meshes.values()))
-        self.args, self.meshes, self.T_w_o = args, meshes, T_w_o
+        learnt = taught_by(key_learn, finished_runs(args.run)[0], cfg).learnt
+        known = list(meshes.values())
+        strange = [objects.decoy(known, i).mesh for i in range(args.decoys if args.strange > 0 else 0)]
+        surfaces = surfaces_of(known + strange)
+        self.known, self.strange = len(known), len(strange)
+        self.args, self.meshes, self.T_w_o = args, meshes, np.asarray(rig.T_world_object)
         self.limit, self.past = cfg.limits.skin_change, cfg.limits.past_goal
         self.like = learnt.like
-        self.pool = pool(key_pool, surfaces, list(meshes), cfg.sites, cfg.reach)
-        places = places_about(cfg.errors, cfg.places, args.seed)
+        self.pool = pool(key_pool, surfaces[: self.known], list(meshes), cfg.sites, cfg.reach)
+        places = belief.particles(rig.object_covariance, cfg.places, args.seed)
         (table,) = tabulate(surfaces, places.twist, self.pool.T_w_t, [learnt.skin], self.past, "live")
         self.table = jax.device_put(table)
         self.safe = jnp.asarray(safe_on(surfaces, self.pool, cfg.reach))
         # One sitting of the many that experiments play at once.
-        self.now = jax.tree.map(lambda x: x[None], belief.begin(places, len(meshes)))
+        begun = belief.begin(places, len(surfaces))
+        self.share = args.strange if strange else 0.0
+        prior = np.repeat(
+            [(1 - self.share) / len(known), self.share / max(1, len(strange))], [len(known), len(strange)]
+        )
+        weight = begun.log_weight + jnp.float32(np.log(prior * len(surfaces)))[:, None]
+        begun = begun._replace(log_weight=weight)
+        self.now = jax.tree.map(lambda x: x[None], begun)
         self.spent = np.zeros((1, len(self.pool.owner)), bool)
-        self.after: list[np.ndarray] = []
+        self.after: list[np.ndarray] = []  # probabilities of the objects; what they lack to 1 is "none of these"
         self.felt: list[Outcome] = []
         self._rehearse()
 
@@ -140,7 +150,7 @@ class Sitting:
 
     def choose(self, history: Sequence[Outcome]) -> Site | None:
         """The site that is expected to tell most, until it is sure or enough was touched."""
-        sure = bool(self.after) and float(self.after[-1].max()) >= 1 - self.args.error
+        sure = self.after and policy.stops(jnp.asarray(self.after[-1]), self.args.error)
         if sure or len(history) >= self.args.touches or self.spent.all():
             return None
         number = self._next(len(history))
@@ -158,28 +168,32 @@ class Sitting:
         self.now, p = self._learn(outcome.site.number, touched.reading, max(touched.force, 0.0), travelled, met)
         self.felt.append(outcome)
         self.after.append(p)
-        order = np.argsort(-self.after[-1])[:3]
+        order = np.argsort(-p)[:3]
         names = list(self.meshes)
-        print("  believed: " + ", ".join(f"{names[i]} {self.after[-1][i]:.1%}" for i in order), flush=True)
+        none = f"; none of these {1 - p.sum():.1%}" if self.strange else ""
+        print("  believed: " + ", ".join(f"{names[i]} {p[i]:.1%}" for i in order) + none, flush=True)
 
     def conclude(self, there: str | None) -> dict[str, Any]:
         """Write down and say what was recognised."""
         names, p = list(self.meshes), np.stack(self.after)
-        best = int(p[-1].argmax())
+        best, none = int(p[-1].argmax()), float(max(0.0, 1 - p[-1].sum()))
+        stranger = none > p[-1, best]
+        sure = none if stranger else float(p[-1, best])
         result = {
-            "source": "real" if there is None else "simulated", "objects": names, "recognised": names[best],
-            "probability": float(p[-1, best]), "there": there, "sites": [o.site.number for o in self.felt],
-            "belief": p.tolist(),
+            "source": "real" if there is None else "simulated", "objects": names,
+            "recognised": None if stranger else names[best], "probability": sure, "none": none, "there": there,
+            "sites": [o.site.number for o in self.felt], "belief": p.tolist(),
         }  # fmt: skip
         write_json(self.args.out / "result.json", result)
         ended = [outcome.touched for outcome in self.felt if outcome.touched is not None]
         T_o_t = np.linalg.inv(self.T_w_o) @ np.stack([touched.T_w_t for touched in ended])
         readings = np.stack([touched.reading for touched in ended])
-        truth = best if there is None else names.index(there)
+        truth = (-1 if stranger else best) if there is None else names.index(there) if there in names else -1
         story(list(self.meshes.values()), names, T_o_t, readings, reskin(), p, truth, self.args.out / "story",
               there is not None)  # fmt: skip
         stood = "" if there is None else f"; it was the {there} (simulated)"
-        print(f"\nit is the {names[best]}, {p[-1, best]:.1%} sure after {len(p)} touches{stood}")
+        said = "it is none of these" if stranger else f"it is the {names[best]}"
+        print(f"\n{said}, {sure:.1%} sure after {len(p)} touches{stood}")
         print(f"touches/, result.json and story/ are in {self.args.out}")
         return result
 
@@ -191,7 +205,15 @@ class Sitting:
             jnp.float32(reading)[None], jnp.float32([force]), jnp.float32([advanced]), jnp.asarray([met])
         )
         now, p = advance(self.now, jnp.asarray([number]), measured, self.table, self.like)
-        return now, np.asarray(_tempered(p[0], jnp.float32(len(self.felt) + 1)), np.float64)
+        all_of_them = np.asarray(p[0], np.float64)
+        named = np.asarray(_tempered(p[0, : self.known], jnp.float32(len(self.felt) + 1)), np.float64)
+        if not self.strange:
+            return now, named
+        raw = all_of_them[: self.known], all_of_them[self.known :].sum()
+        _, none = scores.with_prior(*raw, self.share, EVEN)
+        read = STRANGE.read(none, len(self.felt) + 1)
+        _, none = scores.with_prior(named * (1 - read), read, EVEN, self.share)
+        return now, named * (1 - float(none))
 
     def _next(self, step: int) -> int:
         keys = jax.random.split(jax.random.fold_in(self.key, step), 1)

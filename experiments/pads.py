@@ -39,6 +39,7 @@ from i2t import locate
 from i2t.boards import reskin
 from i2t.calibrate.physics import Tip, fit_pad, prior, solve_map
 from i2t.calibrate.structured import Presses
+from i2t.plots import save
 from i2t.skin import faults
 from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise, observe
@@ -127,7 +128,7 @@ def run(args: Args) -> dict[str, Any]:
     }
     write_json(args.out / "metrics.json", metrics)
     (args.out / "partial.json").unlink()
-    plots.save(figure({name: interval(v) for name, v in found.items()}, skins), args.out / "accuracy.png")
+    save(figure({name: interval(v) for name, v in found.items()}, skins), args.out / "accuracy.png")
     print(f"\nlocated within 1 mm: mean of {skins} simulated skins [95 %]")
     for name, shares in found.items():
         mean, low, high = interval(shares)

@@ -1,87 +1,16 @@
-"""Figures for people: readings as field vectors over the skin, patches, errors per axis, training curves.
+"""Figures of training: touches felt and imagined, errors per axis, training curves, scores of methods.
 
-Colours are from the colour-blind safe set of Okabe and Ito (2008); every figure made from simulated touches says so in
-its title. Functions take NumPy arrays and return a matplotlib figure; `save` writes and closes it.
+Colours, titles and how readings and patches are drawn are those of `i2t.plots`. Functions take NumPy arrays and return
+a matplotlib figure, which `i2t.plots.save` writes.
 """
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from i2t.types import PAD_WINDOW, Board
-
-BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#666666"
-MILLI = 1e3
-
-
-def save(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG."""
-    FigureCanvasAgg(figure)
-    figure.savefig(path, dpi=150, bbox_inches="tight")
-    return path
-
-
-def _titled(title: str, simulated: bool) -> str:
-    return f"{title} (simulated)" if simulated else title
-
-
-def draw_reading(
-    axes: Axes, board: Board, reading: np.ndarray, scale: float, colour: str, label: str | None = None
-) -> None:
-    """Draw a reading (15,) uT as five vectors over the skin: arrows for the tangential part, discs for z (filled up,
-    open down).
-
-    `scale` is the field in uT drawn as 5 mm; give every panel of a figure the same.
-    """
-    chips = np.asarray(board.chips)[:, :2] * MILLI
-    field = np.asarray(board.to_tool(np.asarray(reading))) * 5 / scale
-    axes.quiver(
-        *chips.T,
-        field[:, 0],
-        field[:, 1],
-        angles="xy",
-        scale_units="xy",
-        scale=1,
-        color=colour,
-        width=0.012,
-        label=label,
-    )
-    for (x, y), z in zip(chips, field[:, 2], strict=True):
-        axes.add_artist(_circle((x, y), abs(z) / 2, colour, filled=z > 0))
-    half = PAD_WINDOW * MILLI / 2
-    axes.set(xlim=(-half - 3, half + 3), ylim=(-half - 3, half + 3), aspect="equal")
-
-
-def _circle(centre: tuple[float, float], radius: float, colour: str, filled: bool):
-    from matplotlib.patches import Circle
-
-    return Circle(
-        centre, radius, facecolor=colour if filled else "none", edgecolor=colour, alpha=0.45 if filled else 0.9, lw=1.2
-    )
-
-
-def _skin_square(axes: Axes) -> None:
-    from matplotlib.patches import Rectangle
-
-    half = PAD_WINDOW * MILLI / 2
-    axes.add_artist(Rectangle((-half, -half), 2 * half, 2 * half, fill=False, color=GREY, lw=0.8))
-
-
-def draw_patch(axes: Axes, patch: np.ndarray, window: float, reach: float):
-    """Draw a depth patch (n, n) m with the near side bright; returns the image for a colour bar."""
-    half = window * MILLI / 2
-    return axes.imshow(
-        np.asarray(patch) * MILLI,
-        origin="lower",
-        extent=(-half, half, -half, half),
-        cmap="cividis_r",
-        vmin=0,
-        vmax=reach * MILLI,
-    )
+from i2t.plots import BLUE, GREEN, GREY, ORANGE, RED, draw_patch, draw_reading, draw_skin, titled
+from i2t.types import Board
 
 
 def touches(
@@ -103,7 +32,7 @@ def touches(
     for i in range(n):
         image = draw_patch(axes[0, i], patches[i], window, reach)
         axes[0, i].set_title(labels[i], fontsize=9)
-        _skin_square(axes[1, i])
+        draw_skin(axes[1, i])
         draw_reading(axes[1, i], board, truth[i], scale, BLUE, "felt")
         draw_reading(axes[1, i], board, predicted[i], scale, ORANGE, "imagined")
         axes[1, i].set_xlabel("tool x (mm)")
@@ -112,7 +41,7 @@ def touches(
     figure.colorbar(image, ax=axes[0, -1], label="depth behind nearest (mm)")
     figure.legend(*axes[1, -1].get_legend_handles_labels(), fontsize=8, loc="upper right", ncols=2)
     figure.suptitle(
-        _titled(title, simulated)
+        titled(title, simulated)
         + f"\narrows: field in the skin's plane, 5 mm = {scale:.0f} µT; discs: normal field, filled outwards",
         fontsize=10,
     )
@@ -129,7 +58,7 @@ def curves(series: dict[str, np.ndarray], title: str, ylabel: str, simulated: bo
         axes.plot(x, values.mean(0), color=colour, label=name)
         if len(values) > 1:
             axes.fill_between(x, values.min(0), values.max(0), color=colour, alpha=0.2, lw=0)
-    axes.set(xlabel="epoch", ylabel=ylabel, yscale="log", title=_titled(title, simulated))
+    axes.set(xlabel="epoch", ylabel=ylabel, yscale="log", title=titled(title, simulated))
     axes.legend(fontsize=8)
     return figure
 
@@ -153,7 +82,7 @@ def errors_per_axis(errors: dict[str, np.ndarray], noise: np.ndarray | None, tit
             label="sensor noise (1 sigma)",
         )
     axes.set_xticks(x, [f"{chip}{axis}" for chip in range(5) for axis in "xyz"])
-    axes.set(xlabel="chip and axis", ylabel="RMSE (µT)", title=_titled(title, simulated))
+    axes.set(xlabel="chip and axis", ylabel="RMSE (µT)", title=titled(title, simulated))
     axes.legend(fontsize=8, ncols=2)
     return figure
 
@@ -169,5 +98,5 @@ def scores(values: dict[str, tuple[float, float, float]], title: str, xlabel: st
     axes.set_yticks(range(len(values)), list(values))
     axes.invert_yaxis()
     axes.set(xlabel=xlabel)
-    figure.suptitle(_titled(title, simulated), fontsize=11)
+    figure.suptitle(titled(title, simulated), fontsize=11)
     return figure

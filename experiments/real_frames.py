@@ -26,9 +26,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-from experiments import plots
 from experiments.evaluation import grouped_interval
 from experiments.runs import settings, write_json
+from i2t import plots
 from i2t.cameras import Camera, Encoding, read_depth
 from i2t.depth import DepthPatch, patch_from_depth
 from i2t.geometry import contact_frame

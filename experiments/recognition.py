@@ -229,7 +229,7 @@ class Sitting:
         key_runs, self.key_touch, key_feel = jax.random.split(key, 3)
         self.drawn = np.asarray(jax.random.key_data(jax.random.split(key_feel, len(truth))))  # the same at every touch
         self.surfaces, self.truth, self.sites, self.pad, self.setting = surfaces, truth, sites, pad, setting
-        self.runs = jax.vmap(lambda k: world.sample_run(k, setting.errors))(jax.random.split(key_runs, len(truth)))
+        self.runs = _runs(key_runs, len(truth), setting.errors)
         self.touches: list[Touches] = []
         self.chosen: list[np.ndarray] = []
 
@@ -279,6 +279,15 @@ class Sitting:
         """What happened."""
         T = np.stack([touches.T_w_t for touches in self.touches], axis=1)
         return Episodes(self.truth, np.stack(self.chosen, 1), self.measured(), T)
+
+
+def runs_of(key: Key[Array, ""], count: int, errors: Errors) -> RunErrors:
+    """What is wrong in each of the episodes that a `Sitting` of this key has."""
+    return _runs(jax.random.split(key, 3)[0], count, errors)
+
+
+def _runs(key: Key[Array, ""], count: int, errors: Errors) -> RunErrors:
+    return jax.vmap(lambda k: world.sample_run(k, errors))(jax.random.split(key, count))
 
 
 @partial(jax.jit, static_argnames=("errors", "limits"))

@@ -1,6 +1,6 @@
 """Figures of recognition: accuracy against touches, reliability, confusion, touches until sure, sensitivity.
 
-Functions take scores (`experiments.recognition_scores`) and return a matplotlib figure, which `experiments.plots.save`
+Functions take scores (`experiments.recognition_scores`) and return a matplotlib figure, which `i2t.plots.save`
 writes. Methods keep their colour, from the colour-blind safe set of Okabe and Ito (2008), their marker and their line
 through all figures that name them in the same order; every figure made from simulated touches says so in its title.
 """
@@ -13,11 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, MultipleLocator, PercentFormatter
 
-from experiments.plots import BLUE, GREEN, GREY, ORANGE, RED
 from experiments.recognition_scores import Estimate, Reliability
+from i2t.plots import COLOURS, GREY, titled
 
-PURPLE, SKY = "#CC79A7", "#56B4E9"
-COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GREY)
 MARKERS = "osD^vPX"
 LINES = ("-", "--", "-.", ":")
 
@@ -28,8 +26,9 @@ def accuracy(
     simulated: bool,
     published: Mapping[str, float] | None = None,
     chance: float | None = None,
+    ylabel: str = "accuracy",
 ) -> Figure:
-    """Accuracy (t,) after touches 1 to t of each method, shaded over its interval.
+    """Accuracy (t,) after touches 1 to t of each method, or another rate, shaded over its interval.
 
     `published` rates are ticks at the right edge; a grey line is the accuracy of guessing.
     """
@@ -45,7 +44,7 @@ def accuracy(
         ticks = axes.secondary_yaxis("right")
         ticks.set_yticks(list(published.values()), [f"{name} {value:.0%}" for name, value in published.items()])
         ticks.tick_params(labelsize=8)
-    axes.set(xlabel="touches", ylabel="accuracy", ylim=(0, 1.02))
+    axes.set(xlabel="touches", ylabel=ylabel, ylim=(0, 1.02))
     _finish(axes)
     return figure
 
@@ -63,7 +62,7 @@ def reliability(methods: Mapping[str, Reliability], title: str, simulated: bool)
         above.errorbar(sure[used], mean[used], limits, label=name, ls="", markersize=4, elinewidth=1, capsize=2, **dots)
         above.plot(sure[used], mean[used], color=style["color"], ls=style["linestyle"], lw=0.8, alpha=0.5)
         below.plot(sure[used], number[used], markersize=4, **style)
-    above.set(ylabel="share of them right", xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), title=_titled(title, simulated))
+    above.set(ylabel="share of them right", xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), title=titled(title, simulated))
     below.set(xlabel="probability of the class decided for", ylabel="decisions")
     below.set_yscale("log")
     below.set_ylim(0.7)
@@ -91,7 +90,7 @@ def confusion(counts: np.ndarray, names: Sequence[str], title: str, simulated: b
     rows = [f"{name} ({n:.0f})" for name, n in zip(names, total[:, 0], strict=True)]
     axes.set_yticks(range(len(names)), rows, fontsize=8)
     axes.set(xlabel="decided", ylabel="there (episodes)")
-    axes.set_title(_titled(title, simulated), fontsize=10)
+    axes.set_title(titled(title, simulated), fontsize=10)
     figure.colorbar(image, ax=axes, label="share of row", format=PercentFormatter(1), fraction=0.046, pad=0.03)
     return figure
 
@@ -139,15 +138,16 @@ def sensitivity(
     axes.set_axisbelow(True)
     if len(methods) > 1:
         figure.legend(*axes.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=len(methods))
-    figure.suptitle(_titled(title, simulated), fontsize=11)
+    figure.suptitle(titled(title, simulated), fontsize=11)
     return figure
 
 
-def leads(sizes: Sequence[float], lines: Mapping[str, Sequence[float]], simulated: bool) -> Figure:
+def leads(sizes: Sequence[float], lines: Mapping[str, Estimate], simulated: bool) -> Figure:
     """By how much imagined readings beat contact positions, for each size (mm, degrees) of the error of placement."""
-    figure, axes = _wide("Paper's rules: readings less contact positions", simulated)
-    for (name, values), style in zip(lines.items(), _styles(), strict=False):
-        axes.plot(sizes, values, label=name, markersize=4, **style)
+    figure, axes = _wide("Paper's rules: readings less contact positions, bars: 95 %", simulated)
+    for i, ((name, (mean, low, high)), style) in enumerate(zip(lines.items(), _styles(), strict=False)):
+        x = np.array(sizes) + 0.03 * (i - (len(lines) - 1) / 2)  # bars beside each other
+        axes.errorbar(x, mean, [mean - low, high - mean], label=name, markersize=4, elinewidth=1, **style)
     axes.axhline(0, color=GREY, lw=0.8)
     axes.set(xlabel="error of placement (mm and degrees)", ylabel="difference in accuracy")
     _finish(axes)
@@ -157,7 +157,7 @@ def leads(sizes: Sequence[float], lines: Mapping[str, Sequence[float]], simulate
 def _wide(title: str, simulated: bool) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(6.4, 4), layout="constrained")
     axes = figure.subplots()
-    axes.set_title(_titled(title, simulated), fontsize=11)
+    axes.set_title(titled(title, simulated), fontsize=11)
     return figure, axes
 
 
@@ -172,7 +172,3 @@ def _styles():
     """Colour, marker and line of the first, second, ... method."""
     for i, (colour, marker) in enumerate(zip(cycle(COLOURS), cycle(MARKERS), strict=False)):
         yield {"color": colour, "marker": marker, "linestyle": LINES[i % len(LINES)]}
-
-
-def _titled(title: str, simulated: bool) -> str:
-    return f"{title} (simulated)" if simulated else title

@@ -5,17 +5,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
-from experiments import plots
 from experiments import recognition_figures as drawing
 from experiments import recognition_scores as scores
 from experiments.recognition import EVIDENCE, Episodes
 from experiments.recognition_scores import plain
 from experiments.runs import write_json
 from experiments.story import story
-from i2t.belief import TEMPER, Measured, Temper, tempered
+from i2t import plots
+from i2t.belief import TEMPER, Measured, Temper
 from i2t.boards import reskin
 from i2t.objects import Mesh
 
@@ -82,14 +81,8 @@ def sobered(parts: Sequence[dict[str, Played]]) -> tuple[list[dict[str, Played]]
 
 
 def _sober(played: Played, tempers: dict[str, Temper]) -> Played:
-    touches = np.arange(1, played.episodes.site.shape[1] + 1, dtype=np.float32)
-    found = {
-        method: np.asarray(tempered(jnp.asarray(p), jnp.broadcast_to(touches, p.shape[:-1]), tempers[method]))
-        if method in tempers
-        else p
-        for method, p in played.believed.items()
-    }
-    return played._replace(believed=found)
+    found = {method: scores.sobered(played.believed[method], temper) for method, temper in tempers.items()}
+    return played._replace(believed=played.believed | found)
 
 
 def summarise(parts: Sequence[dict[str, Played]], tempers: dict[str, Temper], out: Path, source: str) -> dict[str, Any]:

@@ -9,6 +9,7 @@ here is differentiated.
 
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from scipy import optimize, stats
 from scipy.special import expit, logit, logsumexp
@@ -187,13 +188,18 @@ def fit_temper(p: np.ndarray, truth: np.ndarray) -> Temper:
     logs = np.log(np.maximum(np.asarray(p, np.float64), belief.LEAST))
 
     def loss(x: np.ndarray) -> float:
-        temperature = np.exp(x[0]) * (1 + np.exp(x[1]) * (touches - 1))
-        scaled = logs / temperature[None, :, None]
+        scaled = logs / Temper(np.exp(x[0]), np.exp(x[1])).temperature(touches)[None, :, None]
         right = np.take_along_axis(scaled, np.asarray(truth)[:, None, None], -1)[..., 0]
         return float(np.mean(logsumexp(scaled, axis=-1) - right))
 
     found = optimize.minimize(loss, (0.0, np.log(0.05)), method="Nelder-Mead", bounds=((-2.0, 2.0), (-12.0, 1.0)))
     return Temper(float(np.exp(found.x[0])), float(np.exp(found.x[1])))
+
+
+def sobered(p: np.ndarray, temper: Temper = belief.TEMPER) -> np.ndarray:
+    """Beliefs (e, t, c) of whole episodes, no surer than they should be (`i2t.belief.tempered`)."""
+    touches = np.broadcast_to(np.arange(1, p.shape[1] + 1, dtype=np.float32), p.shape[:2])
+    return np.asarray(belief.tempered(jnp.asarray(p), jnp.asarray(touches), temper), np.float64)
 
 
 def reliability(sure: np.ndarray, hit: np.ndarray, bins: int = BINS, equal_mass: bool = False) -> Reliability:
@@ -371,29 +377,37 @@ def saved(first: np.ndarray, other: np.ndarray, touches: int, seed: int = 0) -> 
 
 
 class Odds(NamedTuple):
-    """How odds of "none of these" are to be read: logarithms times `slope` plus `offset`."""
+    """How odds of "none of these" are to be read: their logarithm after t touches times slope / (1 + growth (t - 1)),
+    plus `offset`. What is wrong of the pad or the place at every touch, touches taken one by one do not know.
+    """
 
     offset: float
     slope: float
+    growth: float = 0.0
+
+    def read(self, none: np.ndarray, touches: np.ndarray | float) -> np.ndarray:
+        """Probabilities."""
+        return expit(self.offset + self.slope / (1 + self.growth * (touches - 1)) * _log_odds(none))
 
 
 def fit_odds(none: np.ndarray, unknown: np.ndarray) -> Odds:
     """The reading of "none of these" (e, t) that has the least log loss over all touches of episodes with and without
     an unknown object (e, bool): logistic regression (Platt, 1999).
     """
-    at = _log_odds(none)
+    at, touches = _log_odds(none), np.arange(1, np.shape(none)[1] + 1)
     sign = np.where(np.asarray(unknown, bool), 1.0, -1.0)[:, None]
 
     def loss(x: np.ndarray) -> float:
-        return float(np.mean(np.logaddexp(0, -sign * (x[0] + x[1] * at))))
+        return float(np.mean(np.logaddexp(0, -sign * (x[0] + x[1] / (1 + x[2] * (touches - 1)) * at))))
 
-    found = optimize.minimize(loss, (0.0, 1.0), method="Nelder-Mead", bounds=((-20.0, 20.0), (0.01, 10.0)))
-    return Odds(float(found.x[0]), float(found.x[1]))
+    bounds = (-20.0, 20.0), (0.01, 10.0), (0.0, 10.0)
+    found = optimize.minimize(loss, (0.0, 1.0, 0.0), method="Nelder-Mead", bounds=bounds)
+    return Odds(*(float(x) for x in found.x))
 
 
 def with_odds(p: np.ndarray, none: np.ndarray, odds: Odds) -> tuple[np.ndarray, np.ndarray]:
-    """Beliefs whose "none of these" is read so; the objects keep their shares of the rest."""
-    read = expit(odds.offset + odds.slope * _log_odds(none))
+    """Beliefs (e, t, objects) whose "none of these" (e, t) is read so; the objects keep their shares of the rest."""
+    read = odds.read(none, np.arange(1, np.shape(none)[1] + 1))
     p = np.asarray(p, np.float64)
     total = p.sum(-1, keepdims=True)
     share = np.where(total > 0, p / np.where(total > 0, total, 1), 1 / p.shape[-1])

@@ -58,8 +58,8 @@ from experiments.recognition import (
 )
 from experiments.runs import begin, reported
 from experiments.train import numbered_pad
+from i2t import belief, objects, touch, wiring
 from i2t import dataset as data
-from i2t import objects, touch
 from i2t.belief import Particles
 from i2t.dataset import Dataset
 from i2t.objects import Mesh
@@ -109,6 +109,7 @@ class Args:
     objects: tuple[Path, ...] = ()  # mesh files to tell apart, in place of the catalogue's
     unit: str | None = None  # of those files, for instance mm
     dataset: Path | None = None  # recorded touches to replay; its objects are the catalogue's or those of --objects
+    rig: Path | None = None  # of the lab that recorded them: its object_covariance says how far poses may be off
     sittings: int | None = None  # of each object, for each pad and seed
     paper_sittings: int | None = None  # the same in the paper's sets, twice as many unless given
     seed: int = 0
@@ -148,7 +149,7 @@ def run(args: Args) -> dict[str, Any]:
     parts, tempers = reporting.sobered(parts)
     result = reporting.summarise(parts, tempers, args.out, source)
     name = next(name for name in ("all", "recorded", "your objects") if name in parts[0])
-    meshes = own_meshes(args) if args.objects else {one: objects.make(one).mesh for one in parts[0][name].names}
+    meshes = own_meshes(args.objects, args.unit) if args.objects else made(parts[0][name].names)
     reporting.tell(parts[0][name], list(meshes.values()), args.out / "story", source)
     reporting.report(result)
     reporting.extras(result)
@@ -166,11 +167,9 @@ def finished_runs(folder: Path) -> list[Path]:
 
 def play(args: Args, cfg: Recognition, folder: Path, seed: int) -> dict[str, reporting.Played]:
     """All sets of one pad and seed."""
-    dataset, predictor, pad = trained(folder)
     key_learn, key_groups = jax.random.split(jax.random.key(seed))
-    rows = training_rows(dataset, folder)
-    learnt = learn(key_learn, dataset, rows, taught(dataset), cfg.errors, cfg.limits)
-    oracle = learn_oracle(dataset, rows, learnt, cfg.limits)
+    told = taught_by(key_learn, folder, cfg)
+    learnt, oracle = told.learnt, learn_oracle(told.dataset, told.rows, told.learnt, cfg.limits)
     print(f"pad learnt from {folder}: R2 {learnt.r2:.3f} on touches left out, {oracle.r2:.3f} without errors of pose")
     done: dict[str, reporting.Played] = {}
     groups = candidates(args, cfg)
@@ -185,7 +184,7 @@ def play(args: Args, cfg: Recognition, folder: Path, seed: int) -> dict[str, rep
         table = Imagined(list(meshes), surfaces, sites, placements, tables)
         for j, (name, part) in enumerate(sets.items()):
             key = jax.random.fold_in(key_sets, j)
-            done[name] = play_set(key, name, part, table, cfg, pad, predictor, (learnt, oracle))
+            done[name] = play_set(key, name, part, table, cfg, told.pad, told.predictor, (learnt, oracle))
     return done
 
 
@@ -210,11 +209,8 @@ class Imagined(NamedTuple):
 def candidates(args: Args, cfg: Recognition) -> list[tuple[dict[str, Mesh], dict[str, Part]]]:
     """Groups of meshes by name that share their sites, each with the sets that are played among them."""
     if args.objects:
-        own = own_meshes(args)
+        own = own_meshes(args.objects, args.unit)
         return [(own, {"your objects": Part(list(own), cfg.sittings, False)})]
-
-    def made(names: Sequence[str]) -> dict[str, Mesh]:
-        return {name: objects.make(name).mesh for name in names}
 
     everything = cfg.primitives + cfg.tools
     return [
@@ -258,19 +254,36 @@ def play_set(
 def replay(args: Args, cfg: Recognition, folder: Path) -> dict[str, reporting.Played]:
     """Recorded sittings in place of simulated ones."""
     assert args.dataset is not None
-    dataset, predictor, _ = trained(folder)
-    learnt = learn(
-        jax.random.key(args.seed), dataset, training_rows(dataset, folder), taught(dataset), cfg.errors, cfg.limits
-    )
+    told = taught_by(jax.random.key(args.seed), folder, cfg)
+    learnt = told.learnt
     recorded = data.load(args.dataset)
-    meshes = own_meshes(args) if args.objects else {name: objects.make(name).mesh for name in recorded.objects}
+    meshes = own_meshes(args.objects, args.unit) if args.objects else made(recorded.objects)
     surfaces = surfaces_of(list(meshes.values()))
     sites, episodes = replayed(recorded, list(meshes), cfg.touches)
-    placements = places_about(cfg.errors, cfg.places, args.seed)
+    placements = belief.particles(wiring.read_rig(args.rig).object_covariance, cfg.places, args.seed)
     (table,) = tabulate(surfaces, placements.twist, sites.T_w_t, [learnt.skin], cfg.limits.past_goal, "recorded")
     believed = by_evidence(table, episodes, learnt.like, placements)
-    believed |= paper_rules(predictor, learnt.std, surfaces, episodes)
+    believed |= paper_rules(told.predictor, learnt.std, surfaces, episodes)
     return {"recorded": reporting.Played(tuple(meshes), episodes.truth, believed, episodes)}
+
+
+class Taught(NamedTuple):
+    """A finished run of experiments.train, and the pad as its touches taught it."""
+
+    dataset: Dataset
+    rows: np.ndarray  # of the touches that it trained on
+    known: dict[str, Surface]  # the objects that were touched, by name
+    predictor: Predictor
+    pad: Pad
+    learnt: Learnt
+
+
+def taught_by(key: jax.Array, folder: Path, cfg: Recognition) -> Taught:
+    """Read a run and learn its pad."""
+    dataset, predictor, pad = trained(folder)
+    rows, known = training_rows(dataset, folder), taught(dataset)
+    learnt = learn(key, dataset, rows, known, cfg.errors, cfg.limits)
+    return Taught(dataset, rows, known, predictor, pad, learnt)
 
 
 def trained(folder: Path) -> tuple[Dataset, Predictor, Pad]:
@@ -296,13 +309,18 @@ def taught(dataset: Dataset) -> dict[str, Surface]:
     return dict(zip(names, surfaces_of([objects.make(name).mesh for name in names]), strict=True))
 
 
-def own_meshes(args: Args) -> dict[str, Mesh]:
+def own_meshes(paths: Sequence[Path], unit: str | None) -> dict[str, Mesh]:
     """Meshes of files, by the files' names."""
-    if args.unit is None:
+    if unit is None:
         raise ValueError("say in which unit the files of --objects are, for instance --unit mm")
-    if len(args.objects) < 2:
+    if len(paths) < 2:
         raise ValueError("--objects needs at least two meshes to tell apart")
-    return {path.stem: objects.load(path, args.unit)[0].mesh for path in args.objects}
+    return {path.stem: objects.load(path, unit)[0].mesh for path in paths}
+
+
+def made(names: Sequence[str]) -> dict[str, Mesh]:
+    """Meshes of the catalogue, by name."""
+    return {name: objects.make(name).mesh for name in names}
 
 
 if __name__ == "__main__":

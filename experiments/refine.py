@@ -33,9 +33,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest
 from tqdm import tqdm
 
-from experiments import plots
 from experiments.runs import settings, write_json
-from i2t import objects
+from i2t import objects, plots
 from i2t.arrays import element
 from i2t.refine import LEVER, Refinement, information, observable, refine, resolvable, search
 from i2t.render import prepare, render_patch, stack

@@ -10,6 +10,7 @@ from experiments.evaluation import Score, grouped_interval, score, seed_interval
 from experiments.runs import write_json
 from experiments.splitting import Split
 from i2t.dataset import Dataset
+from i2t.plots import save
 
 
 def scored(
@@ -56,9 +57,9 @@ def figures(
             patches[rows], truth[rows], predicted[best][rows], labels, dataset.board, dataset.window, dataset.reach,
             f"Unseen {'objects' if split.how == 'object' else 'touches'}, {title}", simulated,
         )  # fmt: skip
-        plots.save(figure, out / f"touches_{title.split()[0]}.png")
+        save(figure, out / f"touches_{title.split()[0]}.png")
     if any(len(values) for values in curves.values()):
-        plots.save(
+        save(
             plots.curves(
                 {k: v for k, v in curves.items() if len(v)}, "Training", "squared error (standardised)", simulated
             ),
@@ -69,12 +70,12 @@ def figures(
         for name in ("mean reading", "k nearest patches", "paper's network, depth", best)
         if name in predicted
     }
-    plots.save(
+    save(
         plots.errors_per_axis(drawn, noise, "Error per chip and axis on the test touches", simulated),
         out / "error_per_axis.png",
     )
     intervals = {name: (values["r2"], *values["r2_interval"]) for name, values in metrics["methods"].items()}
-    plots.save(
+    save(
         plots.scores(intervals, "Explained variance on the test touches", "R² (95 % interval over groups)", simulated),
         out / "scores.png",
     )
@@ -105,7 +106,7 @@ def summarise(parts: list[dict[str, Any]], out: Path) -> dict[str, Any]:
         "R² (95 % interval over seeds)",
         parts[0]["source"] != "real",
     )
-    plots.save(figure, out / "scores.png")
+    save(figure, out / "scores.png")
     return summary
 
 

@@ -14,25 +14,15 @@ from typing import Any
 import numpy as np
 
 from i2t.checkpoint import PACKAGES
-from i2t.dataset import DataError
-from i2t.hardware.protocols import DeviceError
+from i2t.hardware.command import ended
 
 
 def reported(work: Callable[[], Any], resumable: Path | None = None) -> int:
     """The exit code of a command: what its user can mend is said in one sentence, and after Ctrl-C where a `resumable`
     run left its finished parts.
     """
-    try:
-        work()
-    except (DataError, DeviceError, ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        if resumable is None:
-            raise
-        print(f"\ninterrupted; finished parts are in {resumable}, go on with --resume", file=sys.stderr)
-        return 130
-    return 0
+    kept = "" if resumable is None else f"; finished parts are in {resumable}, go on with --resume"
+    return ended(work, f"interrupted{kept}")
 
 
 def settings(args: Any) -> dict[str, Any]:

@@ -19,9 +19,8 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.plots import BLUE, GREY, ORANGE, draw_patch, draw_reading, save
 from i2t.arrays import element
-from i2t.plots import no_scene
+from i2t.plots import BLUE, GREY, ORANGE, draw_patch, draw_reading, draw_skin, no_scene, save
 from i2t.render import prepare, render_patch, stack
 from i2t.solids import Mesh
 from i2t.types import PAD_WINDOW, PATCH_WINDOW, REACH, Board
@@ -109,6 +108,7 @@ def page(
     for row, touch in enumerate(rows):
         band = slice(row * step, (row + 1) * step)
         felt = figure.add_subplot(grid[band, first])
+        draw_skin(felt)
         draw_reading(felt, board, readings[touch], scale, BLUE)
         felt.set_ylabel(
             f"touch {touch + 1}", fontsize=10, fontweight="bold", labelpad=8,

@@ -31,11 +31,12 @@ from experiments import train as training
 from experiments.configs import PRESETS as TRAININGS
 from experiments.configs import TrainExperiment
 from experiments.methods import train_network
+from experiments.recognition_scores import plain
 from experiments.runs import begin, reported, write_json
 from experiments.splitting import split_dataset
 from i2t import analysis, model, plots
 from i2t import dataset as data
-from i2t.analysis import Clusters, Tested
+from i2t.analysis import Clusters
 from i2t.dataset import DataError, Dataset
 from i2t.model import Inputs, ModelConfig
 from i2t.types import ReturnCode
@@ -130,7 +131,7 @@ def tests(x: np.ndarray, y: np.ndarray, groups: np.ndarray, plan: Plan, seed: in
         made["within objects"] = analysis.permutation_test(
             x, y, permutations=plan.permutations, seed=seed, groups=groups
         )
-    return {name: _plain(test) for name, test in made.items()}
+    return {name: plain(test) for name, test in made.items()}
 
 
 def bottleneck(dataset: Dataset, plan: Plan, args: Args, felt: np.ndarray) -> dict[str, Any]:
@@ -200,12 +201,6 @@ def report(result: dict[str, Any]) -> None:
                 for n in ("overlap", "mutual", "cka")
             )
             print(f"  paired anew: {pairing:37}{cells}")
-
-
-def _plain(test: Tested) -> dict[str, Any]:
-    return {
-        name: part._asdict() if hasattr(part, "_asdict") else part for name, part in test._asdict().items()
-    }  # fmt: skip
 
 
 def _spread(values: np.ndarray) -> list[float]:

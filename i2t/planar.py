@@ -34,6 +34,7 @@ class Table:
     step: float = 2.5e-3  # m
     turns: int = 48  # directions in a full turn
     height: float = 30e-3  # m over the table, of the sites of presses
+    inflation: float = 1.7  # of readings' errors, as readings are those of the nearest node; of validation objects
 
     @property
     def extent(self) -> float:
@@ -44,6 +45,13 @@ class Table:
     def across(self) -> int:
         """Nodes along an axis of an object."""
         return 2 * int(np.ceil(self.extent / self.step)) + 1
+
+
+def seen_from(pose: Float[Array, "3"], site: Float[Array, "2"]) -> Float[Array, "2"]:
+    """A point of the table in the frame of an object in a pose."""
+    c, s = jnp.cos(pose[2]), jnp.sin(pose[2])
+    apart = site - pose[:2]
+    return jnp.stack([c * apart[0] + s * apart[1], c * apart[1] - s * apart[0]])
 
 
 def straight_down(x: float, y: float, turn: float, height: float) -> Float[np.ndarray, "4 4"]:
@@ -76,9 +84,7 @@ def between(table: Table, pose: Float[Array, "3"], site: Float[Array, "2"]) -> t
     """The node nearest to a press at a point of the table on an object in a pose that has one of the table's turns,
     and the displacement of the object (m, a twist) that would bring the node to the press.
     """
-    c, s = jnp.cos(pose[2]), jnp.sin(pose[2])
-    apart = site - pose[:2]
-    at = jnp.stack([c * apart[0] + s * apart[1], c * apart[1] - s * apart[0]])
+    at = seen_from(pose, site)
     cell = jnp.round(at / table.step)
     i, j = cell.astype(int) + table.across // 2
     turn = jnp.round(-pose[2] * table.turns / (2 * jnp.pi)).astype(int) % table.turns
@@ -96,6 +102,7 @@ def update(
     table: Table,
 ) -> Belief:
     """The belief (objects, k) after a press at a point of the table; `imagined` is (nodes, objects)."""
+    like = like._replace(inflation=table.inflation * like.inflation)
     node, beside = jax.vmap(lambda at: between(table, at, site))(pose)
     rows = jax.tree.map(lambda x: jnp.swapaxes(x[node], 0, 1), imagined)
     after = belief.update(now._replace(mean=now.mean + beside[None]), measured, rows, like)

@@ -136,8 +136,8 @@ def choose(gain: Gain, allowed: Bool[Array, " sites"], pose: float = 0.1) -> Int
     return jnp.argmax(jnp.where(allowed | ~jnp.any(allowed), value, -jnp.inf))
 
 
-def stops(belief: Belief, error: float) -> Bool[Array, ""]:
-    """Whether the most probable object is wrong with a probability of at most `error`, as far as the belief is
-    calibrated.
+def stops(probability: Float[Array, " objects"], error: float) -> Bool[Array, ""]:
+    """Whether the most probable object is wrong with at most the probability `error`, as far as the probabilities are
+    calibrated (`i2t.belief.tempered`).
     """
-    return jnp.max(posterior(belief)) >= 1 - error
+    return jnp.max(probability) >= 1 - error

@@ -214,4 +214,4 @@ def test_the_most_telling_of_the_allowed_sites_is_chosen():
 
 def test_stopping():
     for error, stop in ((0.05, False), (0.11, True), (0.2, True)):
-        assert bool(policy.stops(probable(0.9, 0.06, 0.03), error)) is stop
+        assert bool(policy.stops(belief.posterior(probable(0.9, 0.06, 0.03)), error)) is stop

@@ -1,4 +1,4 @@
-"""What is drawn, read back from the figures: curves, bands, bars, counts, titles, patches; and scenes, from files."""
+"""What is drawn, read back from the figures: curves, bands, bars, counts, titles, patches; and plots, from files."""
 
 from itertools import pairwise
 
@@ -8,10 +8,9 @@ import trimesh
 from matplotlib.figure import Figure
 from PIL import Image
 
-from experiments import plots, recognition_figures, recognition_scores, story
+from experiments import recognition_figures, recognition_scores, story
 from experiments.recognition_scores import Estimate
-from i2t import objects
-from i2t import plots as scenes
+from i2t import objects, plots
 from i2t.boards import reskin
 from i2t.types import PAD_WINDOW, REACH
 
@@ -195,22 +194,22 @@ def test_an_unknown_object_is_said_to_be_none_of_them(meshes):
 
 
 def test_a_machine_that_cannot_draw_is_asked_in_another_process(monkeypatch):
-    scenes.no_scene.cache_clear()
+    plots.no_scene.cache_clear()
     with monkeypatch.context() as broken:
-        broken.setattr(scenes, "PROBE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+        broken.setattr(plots, "PROBE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
         assert not story.can_render()
-        assert "libegl1" in scenes.no_scene()
-        scenes.no_scene.cache_clear()
-        broken.setattr(scenes, "find_spec", lambda name: None)
-        assert "pip install" in scenes.no_scene()
-    scenes.no_scene.cache_clear()
+        assert "libegl1" in plots.no_scene()
+        plots.no_scene.cache_clear()
+        broken.setattr(plots, "find_spec", lambda name: None)
+        assert "pip install" in plots.no_scene()
+    plots.no_scene.cache_clear()
 
 
 def test_without_a_scene_the_page_is_told_all_the_same(meshes, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(story, "no_scene", lambda: scenes.NO_GL)
+    monkeypatch.setattr(story, "no_scene", lambda: plots.NO_GL)
     told = story.story(meshes, NAMES, poses(), np.ones((3, 15)), reskin(), POSTERIOR, 0, tmp_path / "a", True)
     assert told == [tmp_path / "a" / "story.png"] == list((tmp_path / "a").iterdir())
-    assert capsys.readouterr().err == scenes.NO_GL + "\n"
+    assert capsys.readouterr().err == plots.NO_GL + "\n"
 
 
 def test_a_story_of_unequal_lengths_is_refused(meshes, tmp_path):

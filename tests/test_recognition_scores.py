@@ -340,6 +340,9 @@ def test_odds_that_are_read_wrongly_are_put_right():
     odds = scores.fit_odds(expit(0.5 * 2 * x + 1.5), unknown)
     assert odds.slope == pytest.approx(2, rel=0.08)  # 12 000 signals: 2 % each way is one standard error
     assert odds.offset == pytest.approx(-3, rel=0.08)
+    assert odds.growth < 0.1
+    surer = scores.fit_odds(expit(2 * x * (1 + 0.5 * np.arange(3))), unknown)  # with every touch
+    np.testing.assert_allclose(surer, [0, 1, 0.5], atol=0.1)
     p = rng.dirichlet(np.ones(4), (4000, 3))
     named, none = scores.with_odds(0.3 * p, np.full((4000, 3), 0.7), scores.Odds(0.0, 1.0))
     np.testing.assert_allclose(none, 0.7, rtol=1e-12)

@@ -11,6 +11,7 @@ import pytest
 
 from experiments import recognition, recognition_report, recognize
 from experiments.studies import __main__ as studies
+from experiments.studies import parts
 from i2t import dataset, objects, touch
 from i2t.dataset import DataError
 from i2t.types import ReturnCode
@@ -118,14 +119,15 @@ def test_telling_sites_follow_the_heuristic():
 def test_an_arm_touches_where_the_belief_wants_it_to(trained_run, tmp_path, capsys):
     out = tmp_path / "live"
     args = ["--live", "--run", str(trained_run), "--out", str(out), "--there", "hammer"]
-    args += ["--sites", "3", "--places", "8", "--touches", "3"]
+    args += ["--sites", "3", "--places", "8", "--touches", "3", "--strange", "0.1", "--decoys", "2"]
     assert recognize.main(args) == 0
     result = json.loads((out / "result.json").read_text())
     assert result["source"] == "simulated"
     assert result["there"] == "hammer"
     belief = np.array(result["belief"])
     assert belief.shape == (len(result["sites"]), 5)
-    np.testing.assert_allclose(belief.sum(1), 1, atol=1e-5)
+    np.testing.assert_allclose(belief.sum(1)[-1], 1 - result["none"], atol=1e-9)
+    assert (belief.sum(1) < 1).all()
     assert len(belief) == 3 or belief[-1].max() >= 0.95  # it ends when it is sure
     assert len(set(result["sites"])) == len(result["sites"])
     kept = dataset.load(out / "touches")
@@ -137,16 +139,33 @@ def test_an_arm_touches_where_the_belief_wants_it_to(trained_run, tmp_path, caps
     assert "another sitting" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("study", ["policy", "open", "planar", "crossing", "sites"])
+def test_what_a_study_made_of_a_pad_is_kept(tmp_path):
+    part = {"truth": np.arange(3), "0": {"rough": 0.3, "objects": "tools", "I2T, votes": np.ones((3, 2), np.float32)}}
+    parts.save(tmp_path / "part-0.npz", part)
+    back = parts.load(tmp_path / "part-0.npz")
+    assert [path.name for path in tmp_path.iterdir()] == ["part-0.npz"]
+    assert list(back) == list(part)
+    assert str(back["0"]["objects"]) == "tools"
+    assert float(back["0"]["rough"]) == 0.3
+    np.testing.assert_array_equal(back["0"]["I2T, votes"], part["0"]["I2T, votes"])
+
+
+@pytest.mark.parametrize("study", ["policy", "open", "planar", "registered", "crossing", "sites"])
 def test_studies_run(study, trained_run, tmp_path):
     out = tmp_path / study
     assert studies.main([study, "--preset", "debug", "--run", str(trained_run), "--out", str(out)]) == 0
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["source"] == "simulated"
+    assert (out / "part-0.npz").exists()
     if study == "planar":
         assert metrics["sittings"] == 8
         assert set(metrics["methods"]) == {"known pose", "unknown pose"}
         assert 0 <= metrics["turned"]["percentiles_25_50_75_90"][0] <= 180
+    elif study == "registered":
+        places = "known to 1 mm", "known to 5 mm", "found by a view"
+        assert set(metrics["methods"]) == {f"{kind}, {place}" for kind in ("fused", "tactile only") for place in places}
+        assert metrics["refused"]["itself"] == 0
+        assert 0 < metrics["off"]["percentiles_25_50_75_90"][1] < 8.0  # mm; 5 mm on each axis are believed at first
     elif study == "crossing":
         assert len(metrics["worlds"]) == 6  # two errors of placement and one of views, in two sets
         assert set(metrics["crossing_mm"]) == {

@@ -3,6 +3,7 @@
     python -m experiments.studies policy        which next touch makes one sure soonest?
     python -m experiments.studies open          is it none of the objects that are known?
     python -m experiments.studies planar        what does it cost not to know where the object stands?
+    python -m experiments.studies registered    what does a view tell that finds it where it may be 5 mm off?
     python -m experiments.studies pad           how many presses does a pad need that was never felt?
     python -m experiments.studies crossing      how well must poses be known for the paper's rules, and its baseline?
     python -m experiments.studies sites         what does a touch tell on a flat, an edge and a corner?
@@ -12,7 +13,8 @@
 
 Each takes a finished run of `experiments.train` (--run, or a study's folder of several pads and seeds) and uses the
 catalogue's test objects and the worlds of `experiments.recognize`; what was fixed before testing is in
-docs/recognition.md. Everything is simulated. Results go to --out: metrics.json, config.json, figures.
+docs/recognition.md. Everything is simulated. Results go to --out: metrics.json, config.json, figures, and what was
+made of each pad and seed (npz), where --resume goes on.
 """
 
 import os
@@ -29,13 +31,25 @@ import tyro
 
 from experiments.recognize import PRESETS, finished_runs
 from experiments.runs import begin, reported, write_json
-from experiments.studies import crossing, many, new_pad, planar, policy, sensitivity, sites, strangers
+from experiments.studies import (
+    crossing,
+    many,
+    new_pad,
+    parts,
+    planar,
+    policy,
+    registered,
+    sensitivity,
+    sites,
+    strangers,
+)
 from experiments.studies.lab import Args, Lab, prepare_lab, report_methods
 
 STUDIES: dict[str, tuple[Callable[[Lab], Any], Callable[[Sequence[Any], Path], dict[str, Any]]]] = {
     "policy": (policy.play, policy.report),
     "open": (strangers.play, strangers.report),
     "planar": (planar.play, planar.report),
+    "registered": (registered.play, registered.report),
     "crossing": (crossing.play, crossing.report),
     "sites": (sites.play, sites.report),
     "pad": (new_pad.play, report_methods),
@@ -47,17 +61,21 @@ STUDIES: dict[str, tuple[Callable[[Lab], Any], Callable[[Sequence[Any], Path], d
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     args = tyro.cli(Args, args=argv, description=__doc__, prog="python -m experiments.studies")
-    return reported(partial(run, args))
+    return reported(partial(run, args), args.out or Path("runs") / args.study)
 
 
 def run(args: Args) -> dict[str, Any]:
     """A study on every pad and seed, pooled."""
     out = args.out or Path("runs") / args.study
-    begin(out, args, PRESETS[args.preset], None, args.overwrite)
-    parts = []
+    play, report = STUDIES[args.study]
+    begin(out, args, PRESETS[args.preset], args.resume, args.overwrite)
+    made = []
     for i, folder in enumerate(finished_runs(args.run)):
-        parts.append(STUDIES[args.study][0](prepare_lab(args, folder, args.seed + i)))
-    result = {"source": "simulated", "seeds": len(parts), **STUDIES[args.study][1](parts, out)}
+        path = out / f"part-{i}.npz"
+        if not path.exists():
+            parts.save(path, play(prepare_lab(args, folder, args.seed + i)))
+        made.append(parts.load(path))
+    result = {"source": "simulated", "seeds": len(made), **report(made, out)}
     write_json(out / "metrics.json", result)
     print(f"\nresults and figures are in {out}")
     return result

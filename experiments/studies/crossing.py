@@ -7,26 +7,38 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from experiments import plots
 from experiments import recognition_figures as drawing
 from experiments import recognition_scores as scores
 from experiments.recognition import paper_rules, pool, telling_sites
-from experiments.recognition_scores import plain
+from experiments.recognition_scores import Estimate, plain
 from experiments.studies.lab import Lab, shown, sit
+from experiments.studies.parts import Part
+from i2t import plots
 
 RULES = ("votes", "product")
 
 
-def play(lab: Lab) -> dict[str, Any]:
+class World(NamedTuple):
+    """A set of objects, how far they are from where they are believed (mm and degrees), and how noisily known (mm)."""
+
+    objects: str
+    placement: float
+    rough: float
+
+    def __str__(self) -> str:
+        return f"{self.objects}, {self.placement} mm" + (f", views {self.rough} mm" if self.rough else "")
+
+
+def play(lab: Lab) -> Part:
     """Both of the paper's sets in every world."""
     debug = lab.args.preset == "debug"
     placements, roughs = ((0.0, 1.0), (0.3,)) if debug else (lab.args.placements, lab.args.rough)
-    found: dict[str, Any] = {}
+    found: Part = {}
     for which, (name, names) in enumerate({"primitives": lab.cfg.primitives, "tools": lab.cfg.tools}.items()):
         key_pool, key_play, key_site = jax.random.split(jax.random.fold_in(lab.key, which), 3)
         surfaces = [lab.surfaces[lab.names.index(one)] for one in names]
@@ -40,46 +52,46 @@ def play(lab: Lab) -> dict[str, Any]:
             for rough in (0.0, *roughs) if size == 1.0 else (0.0,):
                 told = paper_rules(lab.predictor, lab.learnt.std, surfaces, episodes, rough * 1e-3)
                 kept = {rule: p for rule, p in told.items() if rule.endswith(RULES)}
-                found[f"{name}, {size} mm" + (f", views {rough} mm" if rough else "")] = {"truth": truth, **kept}
+                found[str(len(found))] = {"truth": truth, **World(name, size, rough)._asdict(), **kept}
     return found
 
 
-def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
     """Accuracy after the last touch in every world, and where the baseline overtakes."""
     result: dict[str, Any] = {"worlds": {}}
-    lines: dict[str, list[float]] = {}
-    for world in parts[0]:
-        columns = {key: np.concatenate([part[world][key] for part in parts]) for key in parts[0][world]}
+    leads: dict[str, list[Estimate]] = {}
+    sizes: set[float] = set()
+    for number, first in parts[0].items():
+        world = World(str(first["objects"]), float(first["placement"]), float(first["rough"]))
+        sizes.add(world.placement)
+        kept = [key for key in first if key not in World._fields]
+        columns = {key: np.concatenate([part[number][key] for part in parts]) for key in kept}
         truth = columns["truth"]
         entry: dict[str, Any] = {"sittings": len(truth)}
         said = []
         for rule in RULES:
             ours, theirs = (scores.hits(columns[f"{source}, {rule}"], truth) for source in ("I2T", "proprioception"))
-            lead = scores.paired(ours, theirs)
+            lead = scores.paired(ours, theirs).last
             entry[rule] = {
                 "I2T": plain(scores.rate(ours[:, -1])), "proprioception": plain(scores.rate(theirs[:, -1])),
-                "lead": plain(lead.last),
+                "lead": plain(lead),
             }  # fmt: skip
-            said.append(f"{rule}: {ours[:, -1].mean():.3f} against {theirs[:, -1].mean():.3f}, by {shown(lead.last)}")
-            if "views" not in world:
-                lines.setdefault(f"{world.split(',')[0]}, {rule}", []).append(float(lead.last.mean))
-        result["worlds"][world] = entry
-        print(f"{world:32} " + "   ".join(said))
-    sizes = [float(world.split(", ")[1].removesuffix(" mm")) for world in parts[0] if "views" not in world]
-    sizes = sizes[: len(sizes) // 2]
-    result["crossing_mm"] = {name: crossings(sizes, lead) for name, lead in lines.items()}
+            said.append(f"{rule}: {ours[:, -1].mean():.3f} against {theirs[:, -1].mean():.3f}, by {shown(lead)}")
+            if not world.rough:
+                leads.setdefault(f"{world.objects}, {rule}", []).append(lead)
+        result["worlds"][str(world)] = entry
+        print(f"{world!s:32} " + "   ".join(said))
+    lines = {name: Estimate(*(np.array(x, float) for x in zip(*each, strict=True))) for name, each in leads.items()}
+    result["crossing_mm"] = {name: crossings(sorted(sizes), line.mean) for name, line in lines.items()}
     for name, at in result["crossing_mm"].items():
         where = " and ".join(f"{x:.2f} mm" for x in at) or "nowhere"
         print(f"{name}: the two are even at {where}")
     if len(sizes) > 1:
-        plots.save(drawing.leads(sizes, lines, True), out / "crossing.png")
+        plots.save(drawing.leads(sorted(sizes), lines, True), out / "crossing.png")
     return result
 
 
-def crossings(sizes: Sequence[float], lead: Sequence[float]) -> list[float]:
+def crossings(sizes: Sequence[float], lead: Sequence[float] | np.ndarray) -> list[float]:
     """Sizes at which a lead changes sign, on the straight lines between those measured."""
-    found = []
-    for (a, b), (x, y) in zip(pairwise(sizes), pairwise(lead), strict=True):
-        if x * y < 0:
-            found.append(a + (b - a) * x / (x - y))
-    return found
+    steps = zip(pairwise(sizes), pairwise(lead), strict=True)
+    return [float(a + (b - a) * x / (x - y)) for (a, b), (x, y) in steps if x * y < 0]

@@ -11,7 +11,6 @@ import tyro
 from jaxtyping import Array
 from tqdm import tqdm
 
-from experiments import plots
 from experiments import recognition_figures as drawing
 from experiments import recognition_scores as scores
 from experiments.recognition import (
@@ -27,15 +26,17 @@ from experiments.recognition import (
     tabulate,
 )
 from experiments.recognition_scores import plain
-from experiments.recognize import PRESETS, Recognition, taught, trained, training_rows
-from i2t import objects
+from experiments.recognize import PRESETS, Recognition, made, taught_by
+from i2t import plots, world
 from i2t.belief import Particles
+from i2t.dataset import Dataset
 from i2t.outcomes import Outcome, SkinMap
 from i2t.predictor import Predictor
+from i2t.press import PressLimits
 from i2t.types import Pad, Surface
 
 PLACES = 128  # of each object: with 64 to 512 accuracies are the same within 0.01
-Study = Literal["policy", "open", "planar", "crossing", "sites", "pad", "sensitivity", "many"]
+Study = Literal["policy", "open", "planar", "registered", "crossing", "sites", "pad", "sensitivity", "many"]
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,8 @@ class Args:
     placements: tuple[float, ...] = (0.0, 0.1, 0.3, 1.0, 2.0, 4.0)  # of `crossing`: mm and degrees, one sigma
     rough: tuple[float, ...] = (0.3, 1.0)  # of `crossing`: mm of noise on every pixel of views, at 1 mm of placement
     seed: int = 0
-    overwrite: bool = False
+    resume: bool = False  # go on with an unfinished study in --out
+    overwrite: bool = False  # replace a finished or unfinished one
 
 
 class Lab(NamedTuple):
@@ -67,6 +69,7 @@ class Lab(NamedTuple):
     key: Array
     args: Args
     training: Callable[[Pad, Array], Learnt]  # learns another pad from the same objects
+    pressed: Callable[[PressLimits, Array], Learnt]  # learns the pad as the run did, from presses with other limits
     predictor: Predictor  # of the run
 
 
@@ -74,20 +77,29 @@ def prepare_lab(args: Args, folder: Path, seed: int) -> Lab:
     """What all studies of a pad and seed share."""
     cfg = PRESETS[args.preset]
     cfg = replace(cfg, places=min(cfg.places, PLACES))
-    dataset, predictor, pad = trained(folder)
     key_learn, key = jax.random.split(jax.random.key(100 + seed))
-    known = taught(dataset)
-    rows = training_rows(dataset, folder)
-    learnt = learn(key_learn, dataset, rows, known, cfg.errors, cfg.limits)
+    told = taught_by(key_learn, folder, cfg)
     names = cfg.primitives + cfg.tools
-    taught_on = [known[dataset.objects[i]] for i in np.unique(dataset.touches.object[rows])]
+    which, counts = np.unique(told.dataset.touches.object[told.rows], return_counts=True)
+    kinds = tuple(told.dataset.objects[i] for i in which)
+    taught_on = [told.known[kind] for kind in kinds]
 
     def training(other: Pad, key: Array) -> Learnt:
-        return learn_on_pad(key, other, taught_on, 100 if args.preset == "debug" else 900, cfg.limits, learnt)
+        return learn_on_pad(key, other, taught_on, 100 if args.preset == "debug" else 900, cfg.limits, told.learnt)
 
-    surfaces = surfaces_of([objects.make(name).mesh for name in names])
+    def pressed(limits: PressLimits, key: Array) -> Learnt:
+        key_press, key_learn = jax.random.split(key)
+        made = world.simulate(key_press, taught_on, told.pad, cfg.errors, counts.tolist(), limits=limits)
+        touches = jax.device_get(made)
+        runs = tuple(f"run {i}" for i in range(int(touches.run.max()) + 1))
+        told_by = Dataset(touches, kinds, ("the pad",), runs, told.dataset.board, "simulated")
+        return learn(key_learn, told_by, np.ones(len(told_by), bool), told.known, cfg.errors, limits)
+
+    surfaces = surfaces_of(list(made(names).values()))
     sittings = 2 if args.preset == "debug" else args.sittings
-    return Lab(cfg, pad, learnt, names, surfaces, sittings, seed, key, args, training, predictor)
+    return Lab(
+        cfg, told.pad, told.learnt, names, surfaces, sittings, seed, key, args, training, pressed, told.predictor
+    )
 
 
 def placements_of(lab: Lab) -> Particles:
@@ -120,17 +132,20 @@ def report_methods(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]
     """Accuracy of every method on the same sittings."""
     truth = np.concatenate([part["truth"] for part in parts])
     result: dict[str, Any] = {"sittings": len(truth), "methods": {}}
-    curves = {}
+    settings: dict[str, dict[str, scores.Estimate]] = {}
     for name in parts[0]:
         if name == "truth":
             continue
         p = np.concatenate([part[name] for part in parts]).astype(np.float64)
-        curves[name] = scores.accuracy(p, truth)
+        accuracy = scores.accuracy(p, truth)
         result["methods"][name] = {
-            "accuracy": plain(curves[name]), "mean": plain(scores.mean_accuracy(p, truth)),
+            "accuracy": plain(accuracy), "mean": plain(scores.mean_accuracy(p, truth)),
             "log_loss": scores.log_loss(p, truth).mean(0).tolist(),
         }  # fmt: skip
-        last = scores.Estimate(*(x[-1] for x in curves[name]))
+        last = scores.Estimate(*(x[-1] for x in accuracy))
+        evidence, _, setting = name.partition(", ")
+        settings.setdefault(setting or "everywhere", {})[evidence] = last
         print(f"{name:34} after {p.shape[1]}: {shown(last)}   mean: {shown(scores.mean_accuracy(p, truth))}")
-    plots.save(drawing.accuracy(curves, "Accuracy", True), out / "accuracy.png")
+    figure = drawing.sensitivity(settings, f"After {p.shape[1]} touches", "accuracy", True)
+    plots.save(figure, out / "accuracy.png")
     return result

@@ -10,13 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 import trimesh
 
-from experiments import plots
 from experiments import recognition_figures as drawing
 from experiments import recognition_scores as scores
 from experiments.recognition import beliefs, pool, random_sites, surfaces_of
 from experiments.recognition_scores import plain
 from experiments.studies.lab import Lab, imagine, placements_of, sit
-from i2t import objects
+from i2t import objects, plots
 from i2t.objects import Mesh
 
 COUNTS = (10, 25, 50)
@@ -52,7 +51,7 @@ def play(lab: Lab) -> dict[str, Any]:
         chosen = random_sites(key_site, sites, len(truth), touches)
         episodes = sit(some, key_play, sites, truth, chosen, f"{count} objects")
         p = beliefs(jax.device_put(table), jnp.asarray(chosen), episodes.measured, lab.learnt.like, places)
-        found[f"{count} objects"] = (np.asarray(p), truth)
+        found[f"{count} objects"] = {"truth": truth, "p": np.asarray(p)}
     return found
 
 
@@ -75,8 +74,8 @@ def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
     result: dict[str, Any] = {}
     curves = {}
     for name in parts[0]:
-        p = np.concatenate([part[name][0] for part in parts]).astype(np.float64)
-        truth = np.concatenate([part[name][1] for part in parts])
+        p = np.concatenate([part[name]["p"] for part in parts]).astype(np.float64)
+        truth = np.concatenate([part[name]["truth"] for part in parts])
         curves[name] = scores.accuracy(p, truth)
         result[name] = {"sittings": len(truth), "accuracy": plain(curves[name])}
         print(f"{name:12} " + " ".join(f"{t + 1}: {curves[name].mean[t]:.2f}" for t in range(0, p.shape[1], 3)))

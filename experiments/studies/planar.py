@@ -14,13 +14,12 @@ import numpy as np
 from jaxtyping import Array
 from tqdm import tqdm
 
-from experiments import plots
 from experiments import recognition_figures as drawing
 from experiments import recognition_scores as scores
 from experiments.recognition import Pool, tabulate
 from experiments.recognition_scores import plain
 from experiments.studies.lab import Lab, shown, sit
-from i2t import belief, planar
+from i2t import belief, planar, plots
 from i2t.belief import Belief, Likelihood, Measured
 from i2t.outcomes import Outcome
 from i2t.planar import Standing, Table
@@ -75,9 +74,8 @@ def play(lab: Lab) -> dict[str, Any]:
 
 def _seen_from(pose: np.ndarray, site: np.ndarray, table: Table) -> np.ndarray:
     """Sites (e * t, 4, 4) of presses at points of the table (e, t, 2), in the frames of objects in poses (e, 3)."""
-    c, s = np.cos(pose[:, 2])[:, None], np.sin(pose[:, 2])[:, None]
-    x, y = np.moveaxis(site - pose[:, None, :2], -1, 0)
-    at = np.stack([c * x + s * y, c * y - s * x], -1).reshape(-1, 2)
+    seen = jax.vmap(jax.vmap(planar.seen_from, (None, 0)))(jnp.float32(pose), jnp.float32(site))
+    at = np.asarray(seen, float).reshape(-1, 2)
     turn = np.repeat(-pose[:, 2], site.shape[1])
     return np.stack([planar.straight_down(x, y, phi, table.height) for (x, y), phi in zip(at, turn, strict=True)])
 

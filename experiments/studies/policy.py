@@ -10,14 +10,13 @@ import numpy as np
 from jaxtyping import Array
 from tqdm import tqdm
 
-from experiments import plots
 from experiments import recognition_figures as drawing
 from experiments import recognition_scores as scores
-from experiments.choosing import advance, heuristic_touches, next_touches, safe_on, sobered, telling_weights
+from experiments.choosing import advance, heuristic_touches, next_touches, safe_on, telling_weights
 from experiments.recognition import Pool, Setting, Sitting, pool
 from experiments.recognition_scores import plain
 from experiments.studies.lab import Lab, imagine, placements_of, shown
-from i2t import belief
+from i2t import belief, plots
 from i2t.belief import Particles
 from i2t.outcomes import Outcome
 
@@ -72,7 +71,7 @@ def play_policy(
 def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
     """Accuracy and touches until sure under each policy, and what choosing by information saves."""
     truth = np.concatenate([part["truth"] for part in parts])
-    p = {name: sobered(np.concatenate([part[name] for part in parts])) for name in POLICIES}
+    p = {name: scores.sobered(np.concatenate([part[name] for part in parts])) for name in POLICIES}
     touches = next(iter(p.values())).shape[1]
     first = {name: scores.sure_at(each) for name, each in p.items()}
     result: dict[str, Any] = {"sittings": len(truth), "policies": {}, "saved": {}}

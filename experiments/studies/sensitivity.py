@@ -7,17 +7,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.recognition import by_evidence, pool, random_sites
-from experiments.studies.lab import Lab, imagine, sit
+from experiments.recognition import Episodes, by_evidence, pool, random_sites
+from experiments.studies.lab import Lab, imagine, placements_of, sit
 from i2t import belief, outcomes
 from i2t.belief import Particles
 from i2t.outcomes import Outcome
 from i2t.world import Errors
 
+HARDER = (50.0, 100.0)  # uT at which presses stop that the pad is taught by, too
+
 
 def play(lab: Lab) -> dict[str, Any]:
     """The same sittings in other worlds, each known to the belief."""
-    base = lab.cfg.errors
+    base, debug = lab.cfg.errors, lab.args.preset == "debug"
     worlds: dict[str, tuple[Errors, float]] = {
         "as it is": (base, 25.0),
         "placement 0.3 mm, 0.3 deg": (replace(base, placement=0.3e-3, placement_angle=np.radians(0.3)), 25.0),
@@ -31,13 +33,14 @@ def play(lab: Lab) -> dict[str, Any]:
                                         repeatability=base.repeatability, approach_angle=base.approach_angle,
                                         slant=base.slant), 25.0),
     }  # fmt: skip
-    if lab.args.preset == "debug":
-        worlds = dict(list(worlds.items())[:2])
-    key_pool, key_play, key_site = jax.random.split(lab.key, 3)
+    if debug:
+        worlds = {name: worlds[name] for name in ("as it is", "stop at 50 uT")}
+    key_pool, key_play, key_site, key_press = jax.random.split(lab.key, 4)
     sites = pool(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
     truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
     chosen = random_sites(key_site, sites, len(truth), lab.cfg.touches)
     tables: dict[tuple[float, float], tuple[Particles, Outcome]] = {}
+    played: dict[float, Episodes] = {}
     found: dict[str, Any] = {"truth": truth}
     for name, (errors, stop) in worlds.items():
         spread = (max(errors.placement, 0.02e-3), max(errors.placement_angle, np.radians(0.02)))
@@ -45,10 +48,18 @@ def play(lab: Lab) -> dict[str, Any]:
             places = belief.particles(outcomes.prior_spread(*spread), lab.cfg.places, lab.seed)
             tables[spread] = (places, imagine(lab, sites, places, [lab.learnt.skin], name)[0])
         places, table = tables[spread]
-        limits = replace(lab.cfg.limits, skin_change=stop)
-        episodes = sit(lab, key_play, sites, truth, chosen, name, errors=errors, limits=limits)
+        limits, key = replace(lab.cfg.limits, skin_change=stop), jax.random.clone(key_play)  # the same luck in all
+        episodes = played[stop] = sit(lab, key, sites, truth, chosen, name, errors=errors, limits=limits)
         wider = errors.noise.xy / base.noise.xy if errors.noise.xy > base.noise.xy else 1.0
         like = lab.learnt.like._replace(inflation=lab.learnt.like.inflation * jnp.float32(wider))
         told = by_evidence(table, episodes, like, places, ("fused", "tactile only"))
+        found |= {f"{kind}, {name}": p for kind, p in told.items()}
+
+    places = placements_of(lab)
+    for stop in (stop for stop in HARDER if stop in played):
+        limits, name = replace(lab.cfg.limits, skin_change=stop), f"stop at {stop:.0f} uT, taught there"
+        learnt = lab.pressed(limits, jax.random.fold_in(key_press, int(stop)))
+        (table,) = imagine(lab, sites, places, [learnt.skin], name)
+        told = by_evidence(table, played[stop], learnt.like, places, ("fused", "tactile only"))
         found |= {f"{kind}, {name}": p for kind, p in told.items()}
     return found

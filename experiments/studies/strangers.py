@@ -13,13 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments import plots
 from experiments import recognition_figures as drawing
 from experiments import recognition_scores as scores
 from experiments.recognition import beliefs, places_about, pool, random_sites, surfaces_of
 from experiments.recognition_scores import plain
 from experiments.studies.lab import Lab, imagine, shown, sit
-from i2t import objects
+from experiments.studies.parts import Part
+from i2t import objects, plots
 from i2t.objects import Mesh
 from i2t.types import Surface
 
@@ -39,7 +39,7 @@ class Game(NamedTuple):
     none: np.ndarray  # (e, t)
 
 
-def play(lab: Lab) -> dict[str, Game]:
+def play(lab: Lab) -> Part:
     """The game on validation objects and that on test objects."""
     debug = lab.args.preset == "debug"
     test, validation = jax.random.split(lab.key)
@@ -47,10 +47,9 @@ def play(lab: Lab) -> dict[str, Game]:
     decoys = 2 if debug else DECOYS
     first, second = _things(known, others, decoys), _things(lab.names, strangers, decoys)
     prepared = surfaces_of(first + second)  # compiled for once
-    return {
-        "validation": _game(lab, validation, known, others, prepared[: len(first)], "validation"),
-        "test": _game(lab, test, lab.names, strangers, prepared[len(first) :], "strangers"),
-    }
+    tuned = _game(lab, validation, known, others, prepared[: len(first)], "validation")
+    tested = _game(lab, test, lab.names, strangers, prepared[len(first) :], "strangers")
+    return {"validation": tuned._asdict(), "test": tested._asdict()}
 
 
 def _things(names: Sequence[str], strangers: Sequence[str], decoys: int) -> list[Mesh]:
@@ -82,9 +81,9 @@ def _game(
     return Game(np.where(everything < len(names), everything, -1), named, none)
 
 
-def report(parts: Sequence[dict[str, Game]], out: Path) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
     """How well strangers are told from known objects, and how sure one may be."""
-    validation, test = (_pooled([part[name] for part in parts]) for name in ("validation", "test"))
+    validation, test = (_pooled([Game(**part[name]) for part in parts]) for name in ("validation", "test"))
     odds = scores.fit_odds(validation.none, validation.truth < 0)
     area, raw = scores.auroc(test.none, test.truth < 0), test.none
     p, none = scores.with_odds(test.p, test.none, odds)
@@ -101,7 +100,7 @@ def report(parts: Sequence[dict[str, Game]], out: Path) -> dict[str, Any]:
         wrong = scores.calibration_error(np.maximum(sure, 1 - sure), (sure > 0.5) == right, 10)
         result[f"calibration_of_none, {name}"] = plain(wrong)
         print(f"{name}, calibration error of none of these after the last touch: {wrong.error:.3f}")
-    plots.save(drawing.accuracy({"AUROC of none of these": area}, "Telling strangers", True), out / "auroc.png")
+    plots.save(drawing.accuracy({"none of these": area}, "Telling strangers", True, ylabel="AUROC"), out / "auroc.png")
     return result
 
 

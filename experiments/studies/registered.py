@@ -1,0 +1,137 @@
+"""What does it take to know where the object stands? It may be 5 mm and 5 degrees off; one depth image, taken from
+aside, registers what it might be (`i2t.register.by_depth`), and the belief takes the pose found and its covariance.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial.transform import Rotation
+from tqdm import tqdm
+
+from experiments.recognition import Pool, by_evidence, pool, random_sites, runs_of, tabulate
+from experiments.recognize import made
+from experiments.studies.lab import Lab, imagine, placements_of, report_methods, sit
+from i2t import belief, outcomes
+from i2t.cameras import Camera
+from i2t.hardware.rig import Rig
+from i2t.objects import Mesh
+from i2t.register import by_depth, seen_through
+from i2t.stand_ins.scene import noisy, see, table_at
+from i2t.types import Array
+from i2t.world import Errors, RunErrors
+
+DISTANCE, ANGLE = 5e-3, math.radians(5.0)  # one sigma, each axis
+ASIDE = 0.12  # m, from which the camera looks, down by 45 degrees
+KINDS = ("fused", "tactile only")
+
+
+class Found(NamedTuple):
+    """Where a view of each sitting has each candidate."""
+
+    T_w_o: Array  # (e, objects, 4, 4); where it was believed, if its registration was refused
+    covariance: Array  # (6, 6) m^2, of those that were found
+    refused: Array  # (e, objects)
+
+
+def play(lab: Lab) -> dict[str, Any]:
+    """The same luck with the object known to 1 mm, known to 5 mm, and found by a view."""
+    key_pool, key_play, key_site = jax.random.split(lab.key, 3)
+    sites = pool(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
+    truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
+    chosen = random_sites(key_site, sites, len(truth), lab.cfg.touches)
+    errors = replace(lab.cfg.errors, placement=DISTANCE, placement_angle=ANGLE)
+    far = belief.particles(outcomes.prior_spread(DISTANCE, ANGLE), lab.cfg.places, lab.seed)
+    result: dict[str, Any] = {"truth": truth}
+    for what, world, places in (("known to 1 mm", lab.cfg.errors, placements_of(lab)), ("known to 5 mm", errors, far)):
+        (table,) = imagine(lab, sites, places, [lab.learnt.skin], what)
+        episodes = sit(lab, jax.random.clone(key_play), sites, truth, chosen, what, errors=world)
+        told = by_evidence(table, episodes, lab.learnt.like, places, KINDS)
+        result |= {f"{kind}, {what}": p for kind, p in told.items()}
+
+    runs = jax.device_get(runs_of(jax.random.clone(key_play), len(truth), errors))
+    found = look(made(lab.names), truth, runs, errors, lab.seed)
+    places = belief.particles(found.covariance, lab.cfg.places, lab.seed)
+    owner = sites.owner[chosen]
+    T_w_site = found.T_w_o[np.arange(len(truth))[:, None], owner] @ np.asarray(sites.T_w_t, float)[chosen]
+    there = Pool(jnp.float32(T_w_site.reshape(-1, 4, 4)), owner.reshape(-1))
+    every = np.arange(chosen.size).reshape(chosen.shape)
+    episodes = sit(lab, jax.random.clone(key_play), there, truth, every, "found by a view", errors=errors)
+    columns = []
+    for i, surface in enumerate(lab.surfaces):
+        seen = np.linalg.inv(found.T_w_o[:, i])[:, None] @ T_w_site  # as if that object stood at the origin
+        sites_i = jnp.float32(seen.reshape(-1, 4, 4))
+        past = lab.cfg.limits.past_goal
+        columns += tabulate([surface], places.twist, sites_i, [lab.learnt.skin], past, f"found: {lab.names[i]}")
+    table = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1), *columns)
+    told = by_evidence(table, episodes, lab.learnt.like, places, KINDS)
+    result |= {f"{kind}, found by a view": p for kind, p in told.items()}
+
+    at = np.arange(len(truth)), truth
+    apart = np.linalg.inv(runs.T_o_placed) @ found.T_w_o[at]
+    turn = np.linalg.norm(Rotation.from_matrix(apart[:, :3, :3]).as_rotvec(), axis=1)
+    return result | {
+        "off": np.linalg.norm(apart[:, :3, 3], axis=1), "turned": turn, "refused": found.refused[at],
+        "strangers refused": found.refused.sum(1) - found.refused[at],
+    }  # fmt: skip
+
+
+def look(meshes: dict[str, Mesh], truth: np.ndarray, runs: RunErrors, errors: Errors, seed: int) -> Found:
+    """Register every candidate to one view of each sitting."""
+    lens, T_w_c = Rig().camera, _aside()
+    poses = np.tile(np.eye(4), (len(truth), len(meshes), 1, 1))
+    refused = np.zeros(poses.shape[:2], bool)
+    spreads = []
+    things = list(meshes.values())
+    for e, which in enumerate(tqdm(truth, desc="registering", unit="view")):
+        depth = _view(things[which], runs.T_o_placed[e], T_w_c @ runs.T_t_camera[e], lens, errors, (seed, e))
+        for o, mesh in enumerate(things):
+            try:
+                found = by_depth(mesh, np.eye(4), depth, lens, T_w_c, DISTANCE, ANGLE)
+            except ValueError:  # it does not look like this one
+                refused[e, o] = True
+                continue
+            poses[e, o] = found.T_w_o
+            T_c_o = np.linalg.inv(T_w_c) @ poses[e, o]
+            spreads.append(seen_through(found.covariance, T_c_o, errors.hand_eye, errors.hand_eye_angle))
+    return Found(poses, np.mean(spreads, axis=0), refused)
+
+
+def _aside() -> Array:
+    """A camera that looks at the object from aside and above."""
+    z = -np.array([math.sqrt(0.5), 0.0, math.sqrt(0.5)])
+    y = np.cross(z, [0.0, 1.0, 0.0])
+    T = np.eye(4)
+    T[:3, :3] = np.stack([np.cross(y, z), y, z], axis=1)
+    T[:3, 3] = -ASIDE * z + [0.0, 0.0, 15e-3]
+    return T
+
+
+def _view(mesh: Mesh, T_w_o: Array, T_w_c: Array, lens: Camera, errors: Errors, seed: tuple[int, int]) -> Array:
+    triangles = mesh.vertices[mesh.faces] @ T_w_o[:3, :3].T + T_w_o[:3, 3]
+    depth, _ = see(np.concatenate([triangles, table_at(np.eye(4))]), T_w_c, lens)
+    return noisy(depth, errors, np.random.default_rng(seed))
+
+
+def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
+    """What knowing the place is worth, and how well a view finds it."""
+    beside = ("off", "turned", "refused", "strangers refused")
+    columns = {key: np.concatenate([part[key] for part in parts]) for key in beside}
+    result = report_methods([{key: p for key, p in part.items() if key not in beside} for part in parts], out)
+    kept = ~columns["refused"]
+    for name, unit, values in (
+        ("off", "mm", 1e3 * columns["off"][kept]), ("turned", "degrees", np.degrees(columns["turned"][kept])),
+    ):  # fmt: skip
+        quartiles = np.percentile(values, [25, 50, 75, 90])
+        result[name] = {"unit": unit, "of": int(kept.sum()), "percentiles_25_50_75_90": quartiles.tolist()}
+        print(f"the view has the object {name} by {quartiles[1]:.2f} {unit} (median; 90 %: {quartiles[3]:.2f})")
+    result["refused"] = {"itself": int(columns["refused"].sum()), "others": int(columns["strangers refused"].sum())}
+    print(
+        f"registrations refused: {result['refused']['itself']} of the object, {result['refused']['others']} of others"
+    )
+    return result
