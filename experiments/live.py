@@ -76,6 +76,10 @@ def run(args: Live) -> dict[str, Any]:
     folder = args.out / "touches"
     if folder.is_dir() and touches_in(folder):
         raise ValueError(f"{args.out} holds the touches of another sitting; choose another --out")
+    if not 0 <= args.strange < 1:
+        raise ValueError(f"--strange {args.strange:g}: give a probability, from 0 to below 1")
+    if args.strange > 0 and args.decoys < 1:
+        raise ValueError(f"--decoys {args.decoys}: --strange needs decoys, 16 say")
     rig = wiring.read_rig(args.rig)
     cfg = Recognition()
     meshes = own_meshes(args.objects, args.unit) if args.objects else made(cfg.primitives + cfg.tools)
@@ -125,13 +129,8 @@ class Sitting:
         self.table = jax.device_put(table)
         self.safe = jnp.asarray(safe_on(surfaces, self.pool, cfg.reach))
         # One sitting of the many that experiments play at once.
-        begun = belief.begin(places, len(surfaces))
-        self.share = args.strange if strange else 0.0
-        prior = np.repeat(
-            [(1 - self.share) / len(known), self.share / max(1, len(strange))], [len(known), len(strange)]
-        )
-        weight = begun.log_weight + jnp.float32(np.log(prior * len(surfaces)))[:, None]
-        begun = begun._replace(log_weight=weight)
+        each = (1 - args.strange) / len(known), args.strange / max(1, len(strange))
+        begun = belief.begin(places, len(surfaces), np.repeat(each, [len(known), len(strange)]))
         self.now = jax.tree.map(lambda x: x[None], begun)
         self.spent = np.zeros((1, len(self.pool.owner)), bool)
         self.after: list[np.ndarray] = []  # probabilities of the objects; what they lack to 1 is "none of these"
@@ -210,9 +209,9 @@ class Sitting:
         if not self.strange:
             return now, named
         raw = all_of_them[: self.known], all_of_them[self.known :].sum()
-        _, none = scores.with_prior(*raw, self.share, EVEN)
+        _, none = scores.with_prior(*raw, self.args.strange, EVEN)
         read = STRANGE.read(none, len(self.felt) + 1)
-        _, none = scores.with_prior(named * (1 - read), read, EVEN, self.share)
+        _, none = scores.with_prior(named * (1 - read), read, EVEN, self.args.strange)
         return now, named * (1 - float(none))
 
     def _next(self, step: int) -> int:

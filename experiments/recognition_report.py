@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from experiments import nested
 from experiments import recognition_figures as drawing
 from experiments import recognition_scores as scores
 from experiments.recognition import EVIDENCE, Episodes
@@ -35,31 +36,25 @@ class Played(NamedTuple):
 
 def save(path: Path, played: dict[str, Played]) -> None:
     """Write all sets of a seed, at once or not at all."""
-    arrays: dict[str, np.ndarray] = {}
-    for name, part in played.items():
-        measured = part.episodes.measured
-        arrays[f"{name}/site"], arrays[f"{name}/T_w_t"] = part.episodes.site, part.episodes.T_w_t
-        arrays |= {f"{name}/measured/{key}": np.asarray(value) for key, value in measured._asdict().items()}
-        arrays |= {f"{name}/believed/{method}": p.astype(np.float32) for method, p in part.believed.items()}
-        arrays[f"{name}/truth"] = part.truth
-    about = json.dumps({name: part.names for name, part in played.items()})
-    partial = path.with_suffix(".part.npz")
-    np.savez_compressed(partial, **arrays, about=np.array(about))  # type: ignore[arg-type]
-    partial.replace(path)
+    about = json.dumps({name: each.names for name, each in played.items()})
+    sets = {
+        name: {
+            "site": each.episodes.site, "T_w_t": each.episodes.T_w_t, "measured": each.episodes.measured._asdict(),
+            "believed": {method: p.astype(np.float32) for method, p in each.believed.items()}, "truth": each.truth,
+        }
+        for name, each in played.items()
+    }  # fmt: skip
+    nested.save(path, {**sets, "about": about})
 
 
 def load(path: Path) -> dict[str, Played]:
     """What `save` wrote."""
-    with np.load(path) as file:
-        arrays = dict(file)
+    sets = nested.load(path)
     played = {}
-    for name, names in json.loads(str(arrays["about"])).items():
-        head = f"{name}/believed/"
-        believed = {key.removeprefix(head): value for key, value in arrays.items() if key.startswith(head)}
-        measured = Measured(*(arrays[f"{name}/measured/{key}"] for key in Measured._fields))
-        truth = arrays[f"{name}/truth"]
-        episodes = Episodes(truth, arrays[f"{name}/site"], measured, arrays[f"{name}/T_w_t"])
-        played[name] = Played(tuple(names), truth, believed, episodes)
+    for name, names in json.loads(str(sets["about"])).items():
+        found = sets[name]
+        episodes = Episodes(found["truth"], found["site"], Measured(**found["measured"]), found["T_w_t"])
+        played[name] = Played(tuple(names), found["truth"], found["believed"], episodes)
     return played
 
 

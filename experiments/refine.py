@@ -36,10 +36,10 @@ from tqdm import tqdm
 from experiments.runs import settings, write_json
 from i2t import objects, plots
 from i2t.arrays import element
-from i2t.refine import LEVER, Refinement, information, observable, refine, resolvable, search
+from i2t.refine import Refinement, information, observable, refine, resolvable, search
 from i2t.render import prepare, render_patch, stack
 from i2t.touch import collect_sites
-from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Patch, Surface
+from i2t.types import LEVER, PATCH_PIXELS, PATCH_WINDOW, REACH, Patch, Surface
 
 MILLI = 1e3
 BOUNDS = np.logspace(-5, 0, 26)

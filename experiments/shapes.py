@@ -1,6 +1,6 @@
 """Question: which of five stamps pressed the skin, and does the answer survive new places, depths, turns and skins?
 
-    python -m experiments.shapes                     two skins, simulated, 1280 presses each: some 20 minutes
+    python -m experiments.shapes                     three skins, simulated, 1280 presses each: some 30 minutes
     python -m experiments.shapes --preset debug      the same in seconds, too small to mean anything
     python -m experiments.shapes --dataset DIR       recorded presses (python -m i2t.convert; docs/data.md)
 
@@ -58,7 +58,7 @@ from i2t.world import Errors
 class ShapeExperiment:
     """What `python -m experiments.shapes` does."""
 
-    pads: tuple[int, ...] = (0, 1)  # numbers of the simulated skins
+    pads: tuple[int, ...] = (0, 1, 2)  # numbers of the simulated skins
     presses: int = 1280  # on each, the paper's
     pressing: Pressing = field(default_factory=Pressing)
     methods: Methods = field(default_factory=Methods)

@@ -19,7 +19,7 @@ Pure functions on one episode; metres, newtons, microtesla.
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +31,8 @@ from scipy.stats import norm, qmc
 from i2t.outcomes import Outcome, at_load
 from i2t.press import PressLimits
 from i2t.types import READINGS
+
+Touches = TypeVar("Touches", float, np.ndarray, Array)  # a number of them, or many numbers
 
 WITHIN = 0.5  # standard deviation of the placement about a particle, relative to that of the prior
 LEAST = 1e-30  # probability below which none is told from another
@@ -89,8 +91,8 @@ class Temper(NamedTuple):
     first: float = 1.0
     growth: float = 0.0
 
-    def temperature(self, touches):
-        """After a number of touches; of arrays, too."""
+    def temperature(self, touches: Touches) -> Touches:
+        """After a number of touches."""
         return self.first * (1 + self.growth * (touches - 1))
 
 
@@ -121,12 +123,14 @@ def particles(
     """
     uniform = qmc.Sobol(6, seed=seed).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
     prior = np.asarray(prior, np.float64)
-    covariance = np.diag(prior**2) if prior.ndim == 1 else prior
-    values, axes = np.linalg.eigh(covariance)  # of a covariance that may be singular
-    root = np.diag(prior) if prior.ndim == 1 else axes * np.sqrt(np.maximum(values, 0.0))
+    if prior.ndim == 1:
+        root = np.diag(prior)
+    else:  # a covariance, which may be singular
+        values, axes = np.linalg.eigh(prior)
+        root = axes * np.sqrt(np.maximum(values, 0.0))
     twist = norm.ppf(np.clip(uniform, 1e-6, 1 - 1e-6)) * np.sqrt(1 - within**2) @ root.T
     twist[0] = 0.0
-    return Particles(jnp.float32(twist), jnp.float32(within**2 * covariance))
+    return Particles(jnp.float32(twist), jnp.float32(within**2 * root @ root.T))
 
 
 def likelihood(
@@ -151,11 +155,12 @@ def likelihood(
     )  # fmt: skip
 
 
-def begin(placements: Particles, objects: int) -> Belief:
-    """Before the first touch: all objects alike."""
+def begin(placements: Particles, objects: int, prior: Float[np.ndarray, " objects"] | None = None) -> Belief:
+    """Before the first touch: objects with the probabilities `prior`, or all alike."""
     shape = (objects, len(placements.twist))
+    prior = np.full(objects, 1 / objects) if prior is None else prior
     return Belief(
-        jnp.full(shape, -jnp.log(jnp.float32(objects * len(placements.twist)))),
+        jnp.broadcast_to(jnp.log(jnp.float32(prior / shape[1]))[:, None], shape),
         jnp.zeros((*shape, 6)),
         jnp.broadcast_to(placements.covariance, (*shape, 6, 6)),
         jnp.zeros(READINGS),
@@ -243,7 +248,7 @@ def tempered(
     """Probabilities after a number of touches, as sure as they should be (temperature scaling; Guo and others, ICML
     2017): the order of the objects stays.
     """
-    temperature = jnp.asarray(temper.temperature(touches))
+    temperature = temper.temperature(jnp.asarray(touches))
     return jax.nn.softmax(jnp.log(jnp.maximum(probability, LEAST)) / temperature[..., None], axis=-1)
 
 

@@ -29,11 +29,11 @@ from i2t import gp, touch
 from i2t.geometry import full_precision, invert
 from i2t.gp import GP
 from i2t.imagine import TOLERANCE, Imagination
-from i2t.refine import LEVER, motion
+from i2t.refine import motion
 from i2t.render import render_heights
 from i2t.skin.contact import Grid, solve_force
 from i2t.skin.pad import nominal_pad
-from i2t.types import PAD_WINDOW, STANDOFF, Pad, Surface
+from i2t.types import LEVER, PAD_WINDOW, STANDOFF, Pad, Surface
 
 CELLS = Grid(cells=20, modes=32, window=PAD_WINDOW)  # 1 mm, as the process sees pressures
 LOADS = (0.3, 0.9, 2.7)  # N; most presses to 25 uT end between the outer ones

@@ -27,8 +27,8 @@ from i2t.hardware.realsense import RealSense
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur_link import from_ur
 from i2t.plan import orthonormal
-from i2t.register import LEVER, by_depth, seen_through
-from i2t.types import Array
+from i2t.register import by_depth, seen_through
+from i2t.types import LEVER, Array
 from i2t.wiring import read_object
 
 
@@ -94,7 +94,7 @@ def place(asked: argparse.Namespace) -> str:
     lines = [
         f"{asked.object} is {1e3 * np.linalg.norm(change[:3, 3]):.1f} mm and {turn:.1f} degrees from what {asked.rig} "
         "says",
-        f"noise leaves {_apart(noise)}, the camera's own place {_apart(sigma)}; {len(fit)} points fit within "
+        f"noise leaves {_apart(noise)}, with the camera's own place {_apart(sigma)}; {len(fit)} points fit within "
         f"{1e3 * float(np.sqrt(np.mean(fit**2))):.2f} mm RMS",
     ]
     if asked.write:

@@ -11,11 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from matplotlib.collections import PolyCollection
-from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
-from i2t import plots, world
+from i2t import world
 from i2t.cameras import Camera
 from i2t.depth import patch_from_depth
 from i2t.geometry import full_precision
@@ -97,6 +94,13 @@ def picture(plan: Plan, sites: Sequence[Site], refused: Collection[int], box: Ar
     """Draw an object and its sites from above and from the side, the numbers that the arm `refused` marked, with the
     box (2, 3) m in W that the tool keeps to, where it comes near.
     """
+    # Not above: matplotlib takes a third of a second, and most collections draw no picture.
+    from matplotlib.collections import PolyCollection
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
+
+    from i2t import plots
+
     figure = Figure(figsize=(12, 6.5), layout="constrained")
     corners = plots.MILLI * plan.outline.vertices[plan.outline.faces]
     places = plots.MILLI * np.array([site.T_w_t[:3, 3] for site in sites])

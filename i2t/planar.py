@@ -22,7 +22,7 @@ from jaxtyping import Array, Float, Int
 from i2t import belief
 from i2t.belief import Belief, Likelihood, Measured, Particles
 from i2t.outcomes import Outcome
-from i2t.refine import LEVER
+from i2t.types import LEVER
 
 
 @dataclass(frozen=True)

@@ -28,9 +28,8 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t.geometry import full_precision, random_motion, rotation, transform
 from i2t.render import render_patch
-from i2t.types import PATCH_WINDOW, REACH, Patch, Surface
+from i2t.types import LEVER, PATCH_WINDOW, REACH, Patch, Surface
 
-LEVER = PATCH_WINDOW / 2  # m, at which a rotation is measured
 # Of the Gauss-Newton matrix, whose eigenvalues are about 1 where a pose is known.
 LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e6
 NOTHING = -1e3  # m, floor of a patch without a surface

@@ -38,10 +38,10 @@ from scipy.spatial.transform import Rotation
 from i2t.cameras import Camera, check_image
 from i2t.geometry import full_precision, invert, is_rigid
 from i2t.lenses import lines_of_sight
-from i2t.refine import EASE, LEVER, STIFFEN, motion
+from i2t.refine import EASE, STIFFEN, motion
 from i2t.solids import Mesh
 from i2t.touch import nearest_in_square
-from i2t.types import PAD_WINDOW, STANDOFF, ReturnCode, Surface, Touches
+from i2t.types import LEVER, PAD_WINDOW, STANDOFF, ReturnCode, Surface, Touches
 
 FREEDOM = 4.0  # degrees of freedom of Student's t: the usual compromise of Lange et al.
 LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e6  # of the Gauss-Newton matrix's diagonal

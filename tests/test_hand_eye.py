@@ -1,7 +1,6 @@
 """Camera in tool from views of a board, against cameras whose place is known. Views are drawn without OpenCV."""
 
 import math
-import os
 import re
 import sys
 from dataclasses import replace
@@ -252,7 +251,7 @@ def test_the_arm_is_asked_for_its_pose_without_being_controlled():
 
     if sys.platform != "linux":
         pytest.skip("needs the addresses 127.x.y.z, which only Linux gives without asking")
-    host = f"127.{os.getpid() // 250 % 250 + 1}.{os.getpid() % 250 + 1}.210"
+    host = ur_controller.loopback(209)
     with pytest.raises(DeviceError, match="does not answer"):
         hand_eye.tool_pose(host)
     with ur_controller.process(host, "--pose", "0.4", "0.1", "0.2", "3", "0.1", "0"):

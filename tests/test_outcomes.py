@@ -16,10 +16,9 @@ from i2t.arrays import element
 from i2t.gp import Hyper, Imagined
 from i2t.objects import make
 from i2t.outcomes import CELLS, LOADS, Met, Outcome, SkinMap
-from i2t.refine import LEVER
 from i2t.render import prepare, stack
 from i2t.solids import ball, mesh
-from i2t.types import PAD_WINDOW, STANDOFF
+from i2t.types import LEVER, PAD_WINDOW, STANDOFF
 
 DELTA = 3e-7  # m
 HALF = PAD_WINDOW / 2

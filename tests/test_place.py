@@ -9,9 +9,9 @@ from i2t.hardware import folder
 from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur_link import to_ur
-from i2t.register import LEVER
 from i2t.solids import transform_mesh
 from i2t.stand_ins.scene import see
+from i2t.types import LEVER
 
 
 def pose(turn, at):

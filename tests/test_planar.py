@@ -10,7 +10,8 @@ from i2t import belief, planar
 from i2t.belief import Measured
 from i2t.outcomes import Outcome
 from i2t.planar import Table
-from i2t.refine import LEVER, motion
+from i2t.refine import motion
+from i2t.types import LEVER
 
 TABLE = Table(half=10e-3, reach=15e-3, step=2.5e-3, turns=24)
 LOADS, PAST, POSITION = (0.3, 0.9, 2.7), 20e-3, 0.1e-3

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from experiments import refine as experiment
 from i2t.objects import make
-from i2t.refine import LEVER, Refinement, information, init, motion, observable, refine, resolvable, search, step
+from i2t.refine import Refinement, information, init, motion, observable, refine, resolvable, search, step
 from i2t.render import prepare, render_patch
-from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Patch
+from i2t.types import LEVER, PATCH_PIXELS, PATCH_WINDOW, REACH, Patch
 
 HOW = Refinement()
 look = jax.jit(render_patch)

@@ -19,10 +19,9 @@ from i2t.cameras import Camera
 from i2t.geometry import invert, random_motion
 from i2t.lenses import lines_of_sight
 from i2t.objects import load, make
-from i2t.refine import LEVER
 from i2t.register import FREEDOM, by_depth, by_touch, first_contacts, seen_through
 from i2t.render import prepare, stack
-from i2t.types import PAD_WINDOW, ReturnCode, Surface, Touches
+from i2t.types import LEVER, PAD_WINDOW, ReturnCode, Surface, Touches
 
 NAMES = ("hexagon", "cylinder", "spanner")
 STACK = stack([prepare(make(name).mesh) for name in NAMES])  # one size class, and so one compilation

@@ -26,10 +26,6 @@ SAMPLES = 200
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs the addresses 127.x.y.z")
 
 
-def own_host(number):
-    return f"127.{os.getpid() // 250 % 250 + 1}.{os.getpid() % 250 + 1}.{number}"
-
-
 def down(z):
     return from_ur([0.4, 0.0, z, np.pi, 0.0, 0.0])
 
@@ -39,7 +35,7 @@ def touching(tmp_path_factory):
     """A pair over a star, without errors of placement."""
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
     pose = ["0.4", "0", str(ABOVE), str(np.pi), "0", "0"]
-    host, link = own_host(201), str(tmp_path_factory.mktemp("pair") / "skin")
+    host, link = ur_controller.loopback(200), str(tmp_path_factory.mktemp("pair") / "skin")
     options = ["--object", "star", "--exact", "--mount", str(STIFFNESS), "--noise", "0", "--pose", *pose]
     with rehearsal.started("--host", host, "--link", link, *options) as running:
         yield host, link
@@ -96,5 +92,5 @@ def test_what_cannot_be_touched_is_said(tmp_path):
         (["--object", "star", "--pad", str(tmp_path / "nowhere.npz")], r"nowhere\.npz"),
     ):
         with pytest.raises(SystemExit, match=why) as ended:
-            ur_controller.main(["--host", own_host(203), *options])
+            ur_controller.main(["--host", ur_controller.loopback(202), *options])
         assert "\n" not in str(ended.value)

@@ -28,7 +28,7 @@ from i2t.stand_ins.ur_controller import TICK, ask
 
 LIMITS = Limits((0.2, -0.3, 0.1), (0.6, 0.3, 0.5), travel=0.3)
 STALE, WATCHDOG = 0.5, 4.0  # s, Hz: a machine that is busy with other tests is not a fault
-numbers = itertools.count(1)
+numbers = itertools.count()
 
 
 def pose(x, y, z, rx=np.pi, ry=0.0, rz=0.0):
@@ -55,8 +55,7 @@ def start():
     running = []
 
     def begin(*options):
-        pid = os.getpid()
-        host = f"127.{pid // 250 % 250 + 1}.{pid % 250 + 1}.{next(numbers)}"
+        host = ur_controller.loopback(next(numbers))
         process = ur_controller.process(host, *options)
         running.append((host, process, process.__enter__()))
         return host

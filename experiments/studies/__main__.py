@@ -29,13 +29,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import tyro
 
+from experiments import nested
 from experiments.recognize import PRESETS, finished_runs
 from experiments.runs import begin, reported, write_json
 from experiments.studies import (
     crossing,
     many,
     new_pad,
-    parts,
     planar,
     policy,
     registered,
@@ -73,8 +73,8 @@ def run(args: Args) -> dict[str, Any]:
     for i, folder in enumerate(finished_runs(args.run)):
         path = out / f"part-{i}.npz"
         if not path.exists():
-            parts.save(path, play(prepare_lab(args, folder, args.seed + i)))
-        made.append(parts.load(path))
+            nested.save(path, play(prepare_lab(args, folder, args.seed + i)))
+        made.append(nested.load(path))
     result = {"source": "simulated", "seeds": len(made), **report(made, out)}
     write_json(out / "metrics.json", result)
     print(f"\nresults and figures are in {out}")

@@ -14,10 +14,10 @@ import numpy as np
 
 from experiments import recognition_figures as drawing
 from experiments import recognition_scores as scores
+from experiments.nested import Part
 from experiments.recognition import paper_rules, pool, telling_sites
 from experiments.recognition_scores import Estimate, plain
 from experiments.studies.lab import Lab, shown, sit
-from experiments.studies.parts import Part
 from i2t import plots
 
 RULES = ("votes", "product")

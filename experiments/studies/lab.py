@@ -128,6 +128,13 @@ def shown(estimate: scores.Estimate) -> str:
     return f"{float(estimate.mean):.3f} [{float(estimate.low):.3f}, {float(estimate.high):.3f}]"
 
 
+def spread(name: str, unit: str, values: np.ndarray, where: str) -> dict[str, Any]:
+    """Quantiles of how far something was off."""
+    percentiles = np.percentile(values, [25, 50, 75, 90])
+    print(f"{name} by {percentiles[1]:.2f} {unit} (median; 90 %: {percentiles[3]:.2f}) {where}")
+    return {"unit": unit, "of": len(values), "percentiles_25_50_75_90": percentiles.tolist()}
+
+
 def report_methods(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
     """Accuracy of every method on the same sittings."""
     truth = np.concatenate([part["truth"] for part in parts])
@@ -144,7 +151,7 @@ def report_methods(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]
         }  # fmt: skip
         last = scores.Estimate(*(x[-1] for x in accuracy))
         evidence, _, setting = name.partition(", ")
-        settings.setdefault(setting or "everywhere", {})[evidence] = last
+        settings.setdefault(setting or "in any case", {})[evidence] = last
         print(f"{name:34} after {p.shape[1]}: {shown(last)}   mean: {shown(scores.mean_accuracy(p, truth))}")
     figure = drawing.sensitivity(settings, f"After {p.shape[1]} touches", "accuracy", True)
     plots.save(figure, out / "accuracy.png")

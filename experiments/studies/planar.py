@@ -18,7 +18,7 @@ from experiments import recognition_figures as drawing
 from experiments import recognition_scores as scores
 from experiments.recognition import Pool, tabulate
 from experiments.recognition_scores import plain
-from experiments.studies.lab import Lab, shown, sit
+from experiments.studies.lab import Lab, shown, sit, spread
 from i2t import belief, planar, plots
 from i2t.belief import Belief, Likelihood, Measured
 from i2t.outcomes import Outcome
@@ -120,12 +120,8 @@ def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
     result["lost"] = plain(lost)
     print(f"lost after the last touch: {shown(lost.last)}")
     right = scores.hits(columns["unknown pose"], truth)[:, -1] > 0.5
-    for name, unit, values in (
-        ("off", "mm", columns["off"] * 1e3),
-        ("turned", "degrees", np.degrees(columns["turned"])),
-    ):
-        quartiles = np.percentile(values[right], [25, 50, 75, 90])
-        result[name] = {"unit": unit, "of": int(right.sum()), "percentiles_25_50_75_90": quartiles.tolist()}
-        print(f"{name} by {quartiles[1]:.2f} {unit} (median; 90 %: {quartiles[3]:.2f}) where the object is right")
+    where = "where the object is right"
+    result["off"] = spread("off", "mm", 1e3 * columns["off"][right], where)
+    result["turned"] = spread("turned", "degrees", np.degrees(columns["turned"][right]), where)
     plots.save(drawing.accuracy(curves, "Anywhere on the table", True), out / "accuracy.png")
     return result

@@ -14,10 +14,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
-from experiments.recognition import Pool, by_evidence, pool, random_sites, runs_of, tabulate
+from experiments.recognition import Pool, by_evidence, places_about, pool, random_sites, runs_of, tabulate
 from experiments.recognize import made
-from experiments.studies.lab import Lab, imagine, placements_of, report_methods, sit
-from i2t import belief, outcomes
+from experiments.studies.lab import Lab, imagine, report_methods, sit, spread
+from i2t import belief
 from i2t.cameras import Camera
 from i2t.hardware.rig import Rig
 from i2t.objects import Mesh
@@ -46,9 +46,9 @@ def play(lab: Lab) -> dict[str, Any]:
     truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
     chosen = random_sites(key_site, sites, len(truth), lab.cfg.touches)
     errors = replace(lab.cfg.errors, placement=DISTANCE, placement_angle=ANGLE)
-    far = belief.particles(outcomes.prior_spread(DISTANCE, ANGLE), lab.cfg.places, lab.seed)
     result: dict[str, Any] = {"truth": truth}
-    for what, world, places in (("known to 1 mm", lab.cfg.errors, placements_of(lab)), ("known to 5 mm", errors, far)):
+    for what, world in (("known to 1 mm", lab.cfg.errors), ("known to 5 mm", errors)):
+        places = places_about(world, lab.cfg.places, lab.seed)
         (table,) = imagine(lab, sites, places, [lab.learnt.skin], what)
         episodes = sit(lab, jax.random.clone(key_play), sites, truth, chosen, what, errors=world)
         told = by_evidence(table, episodes, lab.learnt.like, places, KINDS)
@@ -124,14 +124,10 @@ def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
     columns = {key: np.concatenate([part[key] for part in parts]) for key in beside}
     result = report_methods([{key: p for key, p in part.items() if key not in beside} for part in parts], out)
     kept = ~columns["refused"]
-    for name, unit, values in (
-        ("off", "mm", 1e3 * columns["off"][kept]), ("turned", "degrees", np.degrees(columns["turned"][kept])),
-    ):  # fmt: skip
-        quartiles = np.percentile(values, [25, 50, 75, 90])
-        result[name] = {"unit": unit, "of": int(kept.sum()), "percentiles_25_50_75_90": quartiles.tolist()}
-        print(f"the view has the object {name} by {quartiles[1]:.2f} {unit} (median; 90 %: {quartiles[3]:.2f})")
-    result["refused"] = {"itself": int(columns["refused"].sum()), "others": int(columns["strangers refused"].sum())}
-    print(
-        f"registrations refused: {result['refused']['itself']} of the object, {result['refused']['others']} of others"
-    )
+    where = "as the view has the object"
+    result["off"] = spread("off", "mm", 1e3 * columns["off"][kept], where)
+    result["turned"] = spread("turned", "degrees", np.degrees(columns["turned"][kept]), where)
+    itself, others = int(columns["refused"].sum()), int(columns["strangers refused"].sum())
+    result["refused"] = {"itself": itself, "others": others}
+    print(f"registrations refused: {itself} of the object, {others} of others")
     return result

@@ -15,10 +15,10 @@ import numpy as np
 
 from experiments import recognition_figures as drawing
 from experiments import recognition_scores as scores
+from experiments.nested import Part
 from experiments.recognition import beliefs, places_about, pool, random_sites, surfaces_of
 from experiments.recognition_scores import plain
 from experiments.studies.lab import Lab, imagine, shown, sit
-from experiments.studies.parts import Part
 from i2t import objects, plots
 from i2t.objects import Mesh
 from i2t.types import Surface

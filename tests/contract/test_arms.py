@@ -1,6 +1,5 @@
 """What every arm must do, whoever made it: the real driver before an emulated controller, and the simulated one."""
 
-import os
 import sys
 import threading
 import time
@@ -37,7 +36,7 @@ def arms(kind: str) -> Iterator[Callable[[], Arm]]:
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
     if sys.platform != "linux":
         pytest.skip("needs the addresses 127.x.y.z, which only Linux gives without asking")
-    host = f"127.{os.getpid() // 250 % 250 + 1}.{os.getpid() % 250 + 1}.220"
+    host = ur_controller.loopback(219)
     with ur_controller.process(host, "--plane", str(FLOOR), "--stiffness", str(STIFFNESS)):
         yield lambda: UR(host, LIMITS, stale=3.0, watchdog=0.3)
 

@@ -1,4 +1,4 @@
-"""What a study made of one pad and seed, on disk: nested dicts of arrays, so that an interrupted study goes on."""
+"""What an experiment made of one pad and seed, on disk: nested dicts of arrays, so that it goes on if interrupted."""
 
 from pathlib import Path
 from typing import Any
