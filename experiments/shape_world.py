@@ -66,6 +66,7 @@ class Pressing:
     stiffness: float = 10e3  # N/m, of arm and mount in series
     grid: Grid = FINE  # sharp edges
     friction: bool = True
+    readings: int = 1  # of each press, at as many forces; a data set then holds several rows of one press
     touches_per_run: int = 64  # a sitting, over which the sensor warms, wears and drifts
 
 
@@ -184,32 +185,41 @@ def _depths(stamp: Stamp, T_t_o: Array, window: float, pixels: int) -> tuple[Arr
 
 @partial(jax.jit, static_argnames=("how",))
 def press_run(key: Key[Array, ""], drawn: Stamp, which: Int[Array, " n"], pad: Pad, how: Pressing) -> Touches:
-    """A sitting: one press each of the stamps `which`, at random places, turns and forces, by a real sensor."""
+    """A sitting: one press each of the stamps `which`, at random places, turns and forces, by a real sensor; of each
+    press `how.readings` rows, which differ in their forces.
+    """
     n = len(which)
     key_place, key_turn, key_force, key_touch, key_skin = jax.random.split(key, 5)
     places = jax.random.uniform(key_place, (n, 2), minval=-how.place, maxval=how.place)
     turns = jax.random.uniform(key_turn, (n,), maxval=how.turn)
-    forces = jax.random.uniform(key_force, (n,), minval=how.force[0], maxval=how.force[1])
+    keys = jax.random.split(key_touch, n)
+    which, keys, places, turns = (jnp.repeat(each, how.readings, axis=0) for each in (which, keys, places, turns))
+    forces = jax.random.uniform(key_force, (len(which),), minval=how.force[0], maxval=how.force[1])
 
     def one(args: tuple) -> Touches:
         key, stamp, place, turn, force = args
         return press_stamp(key, jax.tree.map(lambda leaf: leaf[stamp], drawn), pad, place, turn, force, how)
 
-    touches = jax.lax.map(one, (jax.random.split(key_touch, n), which, places, turns, forces), batch_size=16)
+    touches = jax.lax.map(one, (keys, which, places, turns, forces), batch_size=16)
     return world.feel(key_skin, touches._replace(object=which), pad, how.errors)
 
 
 def press_stamps(
     key: Key[Array, ""], pads: Sequence[Pad], n: int, how: Pressing, progress: Callable[[int], None] = lambda n: None
 ) -> Dataset:
-    """n presses of all stamps in turn on each pad, in runs, as a data set that says it is simulated."""
+    """n rows, presses of all stamps in turn on each pad, in runs, as a data set that says it is simulated. Raises
+    ValueError for a sitting that is no whole number of presses.
+    """
+    if how.touches_per_run % how.readings:
+        raise ValueError(f"sittings of {how.touches_per_run} rows hold no whole number of presses of {how.readings}")
     drawn, rows = stamps(), how.touches_per_run
     parts, run = [], 0
     for number, pad in enumerate(pads):
         for start in range(0, n, rows):
             key_order, key_press = jax.random.split(jax.random.fold_in(jax.random.fold_in(key, number), start))
-            turns = jnp.arange(start, start + rows, dtype=jnp.int32) % len(SHAPES)
-            part = jax.device_get(press_run(key_press, drawn, jax.random.permutation(key_order, turns), pad, how))
+            first, count = start // how.readings, rows // how.readings
+            shapes = jnp.arange(first, first + count, dtype=jnp.int32) % len(SHAPES)
+            part = jax.device_get(press_run(key_press, drawn, jax.random.permutation(key_order, shapes), pad, how))
             kept = min(rows, n - start)
             part = jax.tree.map(lambda leaf, kept=kept: leaf[:kept], part)
             parts.append(part._replace(pad=part.pad + number, run=part.run + run))

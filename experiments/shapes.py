@@ -65,6 +65,7 @@ class ShapeExperiment:
     few: tuple[int, ...] = (5, 20)  # presses of each shape that are known of a new skin
     draws: int = 5  # of those presses
     noise: tuple[float, ...] = (0.5, 2.0, 4.0)  # times the real sensor's, which the splits have; none: no other sensors
+    rows: int = 8  # of each press, for what a split may hide
     more: int = 4  # times as many presses, for what limits the classifier; 0: not asked
 
 
@@ -202,17 +203,20 @@ def other_sensors(cfg: ShapeExperiment) -> dict[str, Errors]:
 
 
 def limits(cfg: ShapeExperiment, seed: int) -> dict[str, list[float]]:
-    """What the paper's classifier would reach on the first skin on a random fifth of easier presses, and of more:
-    share of right answers and number of presses.
+    """What the paper's classifier would reach on the first skin on a random fifth of easier presses, of more, and of
+    rows of which several are of one press: share of right answers and number of rows.
     """
     how = replace(cfg.pressing, friction=False)  # whose part is small
+    few = replace(how, readings=cfg.rows)
     sets = {
-        "turns within 30 degrees": (replace(how, turn=np.pi / 6), 1),
-        "places within 0.5 mm": (replace(how, place=0.5e-3), 1),
-        f"{cfg.more} times the presses": (how, cfg.more),
+        "turns within 30 degrees": (replace(how, turn=np.pi / 6), 1, False),
+        "places within 0.5 mm": (replace(how, place=0.5e-3), 1, False),
+        f"{cfg.more} times the presses": (how, cfg.more, False),
+        f"{cfg.rows} rows of each press": (few, 1, False),
+        f"{cfg.rows} rows of each press, whole presses held out": (few, 1, True),
     }
     made = {}
-    for name, (plan, times) in sets.items():
+    for name, (plan, times, whole) in sets.items():
         n = times * cfg.presses
         with tqdm(total=n, desc=name, unit="press") as bar:
             pad = numbered_pad(cfg.pads[0])
@@ -220,6 +224,8 @@ def limits(cfg: ShapeExperiment, seed: int) -> dict[str, list[float]]:
         paper = cfg.methods.paper
         part = folds(presses, "random", seed)
         assert part is not None
+        if whole:
+            part = np.repeat(part[: n // plan.readings], plan.readings)
         paper = replace(paper, steps=times * paper.steps)  # as many epochs
         right = np.zeros(n, bool)
         for fold in np.unique(part):
