@@ -61,6 +61,7 @@ def render(name: str, out: Path, debug: bool) -> Path:
     book = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
     if debug:
         os.environ["I2T_NOTEBOOK"] = "debug"
+    os.environ["TQDM_DISABLE"] = "1"  # a page would show every step of a bar
     NotebookClient(book, timeout=LIMIT, kernel_name="python3").execute()
     page, _ = HTMLExporter().from_notebook_node(book)
     path = out / f"{name}.html"
