@@ -9,11 +9,29 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments import nested, recognition, recognition_report, recognize
+from experiments import live, nested, recognition, recognition_report, recognize
 from experiments.studies import __main__ as studies
+from experiments.studies import lab
 from i2t import dataset, objects, touch
 from i2t.dataset import DataError
 from i2t.types import ReturnCode
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _taught_once():
+    """All commands here learn the same pad from the same touches: once for each world is enough."""
+    known, teach = {}, recognize.taught_by
+
+    def taught_by(key, folder, cfg):
+        world = str(folder), cfg.errors, cfg.limits
+        if world not in known:
+            known[world] = teach(key, folder, cfg)
+        return known[world]
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (recognize, lab, live):
+            patch.setattr(module, "taught_by", taught_by)
+        yield
 
 
 @pytest.fixture(scope="module")
