@@ -204,6 +204,17 @@ class Setting:
     limits: PressLimits
     touches: int
 
+    @property
+    def of_presses(self) -> Errors:
+        """What goes wrong in a press: worlds that differ in other errors share what is compiled for it."""
+        own = ("repeatability", "approach_angle", "slant", "force")
+        return replace(Errors.none(), **{name: getattr(self.errors, name) for name in own})
+
+    @property
+    def of_readings(self) -> Errors:
+        """What goes wrong between the field and its reading, likewise."""
+        return replace(Errors.none(), noise=self.errors.noise, faults=self.errors.faults)
+
 
 class Episodes(NamedTuple):
     """Episodes as they went: e of them, t touches each."""
@@ -249,7 +260,7 @@ class Sitting:
                 full = np.resize(some, TOUCHES)
                 made = _touch_many(
                     drawn[full], surface, self.sites.T_w_t[where[full]], element(self.runs, episode[full]), self.pad,
-                    errors=self.setting.errors, limits=self.setting.limits,
+                    errors=self.setting.of_presses, limits=self.setting.limits,
                 )  # fmt: skip
                 kept = slice(len(some))
                 done.append((some, jax.tree.map(lambda x, kept=kept: np.asarray(x[kept]), jax.device_get(made))))
@@ -267,7 +278,7 @@ class Sitting:
         made = jax.tree.map(lambda *x: np.stack(x, axis=1), *self.touches)
         missing = self.setting.touches - len(self.touches)
         full = jax.tree.map(lambda x: np.concatenate([x, np.repeat(np.zeros_like(x[:, :1]), missing, 1)], 1), made)
-        reading = np.asarray(_feel(self.drawn, full, self.pad, self.setting.errors))[:, : len(self.touches)]
+        reading = np.asarray(_feel(self.drawn, full, self.pad, self.setting.of_readings))[:, : len(self.touches)]
         T_w_site = np.asarray(self.sites.T_w_t)[np.stack(self.chosen, 1)]
         apart = made.T_w_t[..., :3, 3] - T_w_site[..., :3, 3]
         advance = np.sum(apart * T_w_site[..., :3, 2], axis=-1)
