@@ -205,15 +205,9 @@ class Setting:
     touches: int
 
     @property
-    def of_presses(self) -> Errors:
-        """What goes wrong in a press: worlds that differ in other errors share what is compiled for it."""
-        own = ("repeatability", "approach_angle", "slant", "force")
-        return replace(Errors.none(), **{name: getattr(self.errors, name) for name in own})
-
-    @property
-    def of_readings(self) -> Errors:
-        """What goes wrong between the field and its reading, likewise."""
-        return replace(Errors.none(), noise=self.errors.noise, faults=self.errors.faults)
+    def of_touches(self) -> Errors:
+        """Without those that a run has drawn already: worlds that differ in these alone share what is compiled."""
+        return replace(self.errors, placement=0.0, placement_angle=0.0, hand_eye=0.0, hand_eye_angle=0.0)
 
 
 class Episodes(NamedTuple):
@@ -260,7 +254,7 @@ class Sitting:
                 full = np.resize(some, TOUCHES)
                 made = _touch_many(
                     drawn[full], surface, self.sites.T_w_t[where[full]], element(self.runs, episode[full]), self.pad,
-                    errors=self.setting.of_presses, limits=self.setting.limits,
+                    errors=self.setting.of_touches, limits=self.setting.limits,
                 )  # fmt: skip
                 kept = slice(len(some))
                 done.append((some, jax.tree.map(lambda x, kept=kept: np.asarray(x[kept]), jax.device_get(made))))
@@ -278,7 +272,7 @@ class Sitting:
         made = jax.tree.map(lambda *x: np.stack(x, axis=1), *self.touches)
         missing = self.setting.touches - len(self.touches)
         full = jax.tree.map(lambda x: np.concatenate([x, np.repeat(np.zeros_like(x[:, :1]), missing, 1)], 1), made)
-        reading = np.asarray(_feel(self.drawn, full, self.pad, self.setting.of_readings))[:, : len(self.touches)]
+        reading = np.asarray(_feel(self.drawn, full, self.pad, self.setting.of_touches))[:, : len(self.touches)]
         T_w_site = np.asarray(self.sites.T_w_t)[np.stack(self.chosen, 1)]
         apart = made.T_w_t[..., :3, 3] - T_w_site[..., :3, 3]
         advance = np.sum(apart * T_w_site[..., :3, 2], axis=-1)
