@@ -207,13 +207,13 @@ def limits(cfg: ShapeExperiment, seed: int) -> dict[str, list[float]]:
     rows of which several are of one press: share of right answers and number of rows.
     """
     how = replace(cfg.pressing, friction=False)  # whose part is small
-    few = replace(how, readings=cfg.rows)
+    repeated = replace(how, readings=cfg.rows)
     sets = {
         "turns within 30 degrees": (replace(how, turn=np.pi / 6), 1, False),
         "places within 0.5 mm": (replace(how, place=0.5e-3), 1, False),
         f"{cfg.more} times the presses": (how, cfg.more, False),
-        f"{cfg.rows} rows of each press": (few, 1, False),
-        f"{cfg.rows} rows of each press, whole presses held out": (few, 1, True),
+        f"{cfg.rows} rows of each press": (repeated, 1, False),
+        f"{cfg.rows} rows of each press, whole presses held out": (repeated, 1, True),
     }
     made = {}
     for name, (plan, times, whole) in sets.items():

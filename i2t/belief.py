@@ -32,7 +32,7 @@ from i2t.outcomes import Outcome, at_load
 from i2t.press import PressLimits
 from i2t.types import READINGS
 
-Touches = TypeVar("Touches", float, np.ndarray, Array)  # a number of them, or many numbers
+Count = TypeVar("Count", float, np.ndarray, Array)  # of touches; one or many
 
 WITHIN = 0.5  # standard deviation of the placement about a particle, relative to that of the prior
 LEAST = 1e-30  # probability below which none is told from another
@@ -91,7 +91,7 @@ class Temper(NamedTuple):
     first: float = 1.0
     growth: float = 0.0
 
-    def temperature(self, touches: Touches) -> Touches:
+    def temperature(self, touches: Count) -> Count:
         """After a number of touches."""
         return self.first * (1 + self.growth * (touches - 1))
 

@@ -1,4 +1,4 @@
-"""What is drawn, read back from the figures: curves, bands, bars, counts, titles, patches; and plots, from files."""
+"""What is drawn, read back from the figures: curves, bands, bars, counts, titles, patches; and scenes, from files."""
 
 from itertools import pairwise
 

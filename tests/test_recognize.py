@@ -1,4 +1,4 @@
-"""The whole of `python -m experiments.recognize` and of two of its studies on debug presets, and the parts that decide
+"""The whole of `python -m experiments.recognize` and of its studies on debug presets, and the parts that decide
 what is simulated and replayed.
 """
 
