@@ -33,7 +33,7 @@ import tyro
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from experiments.calibrate import (
+from experiments.calibrate.run import (
     NEIGHBOURS,
     PLAIN,
     Preset,
@@ -45,28 +45,29 @@ from experiments.calibrate import (
     predict,
     summarise,
 )
-from experiments.evaluation import score
-from experiments.runs import begin, reported, write_json
-from i2t import boards, calibrate, plots
-from i2t.calibrate import Hyper, Presses, network, physics
-from i2t.calibrate.physics import Tip
-from i2t.skin import faults
+from experiments.common.runs import begin, reported, write_json
+from i2t import calibration
+from i2t.calibration import Hyper, Presses, baseline_network, physics
+from i2t.calibration.physics import Tip
+from i2t.prediction.metrics import score
+from i2t.skin import boards, faults
 from i2t.skin.files import save_pad
 from i2t.skin.pad import press_force, sample_pad
 from i2t.types import Pad
+from i2t.viz import touches
 
 STRUCTURED, PRETRAINED = "structured process", "network pretrained on random pads"
 NOMINAL, FITTED, RESIDUAL = "physics, middling layer", "physics, fitted layer", "physics + structured process"
 COLOURS = {
-    NEIGHBOURS: plots.GREY, PLAIN: plots.ORANGE, STRUCTURED: plots.GREEN, PRETRAINED: "#8b5fbf", NOMINAL: "#7fb3d5",
-    FITTED: plots.BLUE, RESIDUAL: plots.RED,
+    NEIGHBOURS: touches.GREY, PLAIN: touches.ORANGE, STRUCTURED: touches.GREEN, PRETRAINED: "#8b5fbf", NOMINAL:
+    "#7fb3d5", FITTED: touches.BLUE, RESIDUAL: touches.RED,
 }  # fmt: skip
 TIP = Tip("sphere", 4e-3)
 HALF, FORCES = 8e-3, (0.2, 1.0)  # m, N
 FORCE_ERROR, PLACE_ERROR, NOISE = 0.02, 0.05e-3, 1.5  # N, m, uT
 # What geometry suggests for a layer of a few mm: a chip feels what happens within twice the layer's thickness, and the
 # part that does not depend on the force is as large as the rest. The search for `FORCE` begins here.
-GUESSED = calibrate.FORCE._replace(
+GUESSED = calibration.FORCE._replace(
     offset=0.1, power=0.7, length=5e-3, bend=0.03, bend_length=5e-3, bend_width=1.0, standing=0.3, constant=0.1,
     noise=5e-2, reach=7e-3, floor=0.2,
 )  # fmt: skip
@@ -157,7 +158,9 @@ def run(args: Args) -> dict[str, Any]:
     pads, presses, readings = pressed(key_pads, cfg.pads, max(cfg.counts) + cfg.held)
     told = None
     if cfg.others:
-        told = network.pretrain(key_train, *pressed(key_others, cfg.others, 60)[1:], cfg.steps, (5, 10, 20, 50))[0]
+        told = baseline_network.pretrain(
+            key_train, *pressed(key_others, cfg.others, 60)[1:], cfg.steps, (5, 10, 20, 50)
+        )[0]
     r2: dict[str, dict[int, list[float]]] = {}
     maps: dict[int, list[float]] = {}
     inside: dict[int, list[float]] = {}
@@ -168,7 +171,9 @@ def run(args: Args) -> dict[str, Any]:
         recording = Recording(place, force, y, True, boards.reskin().chips[:, :2])
         way = Way(recording, Preset(), 0.0)
         if told is not None:
-            way = replace(way, seen=np.asarray(network.features(told, at), np.float64), noise=float(told.noise))
+            way = replace(
+                way, seen=np.asarray(baseline_network.features(told, at), np.float64), noise=float(told.noise)
+            )
         test = np.arange(len(y) - cfg.held, len(y))
         for count in cfg.counts:
             rows = np.arange(count)
@@ -179,7 +184,7 @@ def run(args: Args) -> dict[str, Any]:
             wrong = np.sum((true_map - np.asarray(fitted.pad.magnetisation)) ** 2)
             maps.setdefault(count, []).append(float(1 - wrong / np.sum(true_map**2)))
             middle, std = physics.predict_pad(fitted, recording.presses(test), TIP, True)
-            share = np.mean(np.abs(recording.readings[test] - middle) < calibrate.WITHIN * np.asarray(std))
+            share = np.mean(np.abs(recording.readings[test] - middle) < calibration.WITHIN * np.asarray(std))
             inside.setdefault(count, []).append(float(share))
         tqdm.write(
             f"pad {i}: "
@@ -206,7 +211,7 @@ def run(args: Args) -> dict[str, Any]:
         "layer_misses_in_spreads": {"of": list(true), "values": misses},
         "seconds": round(time.perf_counter() - started, 1),
     }
-    plots.save(figure(metrics), args.out / "curves.png")
+    touches.save(figure(metrics), args.out / "curves.png")
     write_json(args.out / "metrics.json", metrics)
     for name, by_count in metrics["r2"].items():
         cells = (f"{n}: {v['mean']:.3f} [{v['low']:.3f}, {v['high']:.3f}]" for n, v in by_count.items())
@@ -233,7 +238,7 @@ def ways(way: Way, rows: np.ndarray, test: np.ndarray) -> tuple[physics.PadFit, 
         predicted[name] = np.asarray(physics.predict_pad(one, recording.presses(test), TIP, True)[0], np.float64)
     left = y - fitted.left_out
     # What physics leaves is noise for the most part; how much is told by the presses.
-    stacked = calibrate.options(calibrate.FORCE._replace(noise=100.0), {"noise": (1e-3, 1e-2, 0.1)})
+    stacked = calibration.options(calibration.FORCE._replace(noise=100.0), {"noise": (1e-3, 1e-2, 0.1)})
     rest = fit(choose(stacked, recording, rows, np.asarray(left)), at, left, jnp.float32(recording.chips))
     predicted[RESIDUAL] = predicted[FITTED] + np.asarray(predict(rest, recording.presses(test))[0], np.float64)
     return fitted, predicted
@@ -265,14 +270,14 @@ def population(args: Args) -> dict[str, Any]:
     ):
         r2[what] = {
             name: skins_r2(hyper, others[0], readings, cfg.counts, cfg.held)
-            for name, hyper in (("guessed", GUESSED), ("found", found), ("in use", calibrate.FORCE))
+            for name, hyper in (("guessed", GUESSED), ("found", found), ("in use", calibration.FORCE))
         }
         r2[what][PLAIN] = plain_r2(others[0], readings, cfg.counts, cfg.held)
     metrics: dict[str, Any] = {
         "source": "simulated",
         "seed": args.seed,
         "pads": {"chosen on": cfg.pads, "tried on": cfg.others},
-        "hyper": calibrate.numbers(found),
+        "hyper": calibration.numbers(found),
         "r2_chosen_on": chosen,
         "r2": {what: by_pad(cfg.counts, by_name) for what, by_name in r2.items()},
         "differences": {
@@ -328,7 +333,7 @@ def told_r2(hyper: Hyper, presses: Presses, readings: jax.Array, n: int, held: i
     def skin(one: tuple[Presses, jax.Array]) -> jax.Array:
         at, y = one
         known, test = Presses(at.place[:n], at.load[:n]), Presses(at.place[-held:], at.load[-held:])
-        mean, truth = calibrate.predict(calibrate.fit(hyper, known, y[:n], chips), test)[0], y[-held:]
+        mean, truth = calibration.predict(calibration.fit(hyper, known, y[:n], chips), test)[0], y[-held:]
         return 1 - jnp.sum((truth - mean) ** 2) / jnp.sum((truth - jnp.mean(truth, axis=0, keepdims=True)) ** 2)
 
     return jax.lax.map(skin, (presses, readings))

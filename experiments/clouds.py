@@ -3,11 +3,11 @@
     python -m experiments.clouds [--out DIR]
 
 Points are sampled uniformly over three shapes, with and without noise along the normal, and covered with disks
-(`i2t.clouds.surface_from_points`) of the radius that `suggest_radius` gives for the cloud. Both surfaces are rendered
-at the same random safe sites. `holes` is the share of pixels where the mesh shows a surface within 3 mm of the nearest
-point and the disks show none within the reach; the other pixels of that kind give the median and the 95th percentile of
-the absolute difference of heights, and `beyond` is the share of pixels that are empty on the mesh but not on the disks,
-which reach over edges by up to their radius. Simulated; about half a minute on two cores.
+(`i2t.objects.point_clouds.surface_from_points`) of the radius that `suggest_radius` gives for the cloud. Both surfaces
+are rendered at the same random safe sites. `holes` is the share of pixels where the mesh shows a surface within 3 mm of
+the nearest point and the disks show none within the reach; the other pixels of that kind give the median and the 95th
+percentile of the absolute difference of heights, and `beyond` is the share of pixels that are empty on the mesh but not
+on the disks, which reach over edges by up to their radius. Simulated; about half a minute on two cores.
 """
 
 import sys
@@ -20,12 +20,12 @@ import numpy as np
 import trimesh
 import tyro
 
-from experiments.runs import settings, write_json
-from i2t import objects
-from i2t.arrays import element
-from i2t.clouds import suggest_radius, surface_from_points
-from i2t.render import prepare, render_patch, stack
-from i2t.touch import collect_sites
+from experiments.common.runs import settings, write_json
+from i2t.objects import catalogue
+from i2t.objects.point_clouds import suggest_radius, surface_from_points
+from i2t.rendering.ops import element
+from i2t.rendering.render import prepare, render_patch, stack
+from i2t.simulation.sites import collect_sites
 from i2t.types import REACH
 
 MILLI = 1e3
@@ -60,7 +60,7 @@ class Row(NamedTuple):
 
 def main(args: Args) -> list[Row]:
     """Measure every combination, print the table and write it down."""
-    meshes = [objects.make(name).mesh for name in args.shapes]
+    meshes = [catalogue.make(name).mesh for name in args.shapes]
     variants = [(spacing, noise) for spacing in args.spacings for noise in args.noises]
     clouds = [sample(mesh, *variant, args.seed) for mesh in meshes for variant in variants]
     radii = [suggest_radius(points) for points, _ in clouds]
@@ -84,7 +84,7 @@ def main(args: Args) -> list[Row]:
     return rows
 
 
-def sample(mesh: objects.Mesh, spacing: float, noise: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def sample(mesh: catalogue.Mesh, spacing: float, noise: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Points and normals of a mesh, one to a square of this edge on average, moved along their normals."""
     whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     points, face = trimesh.sample.sample_surface(whole, int(whole.area / spacing**2), seed=seed)

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import tyro
 
-from experiments.runs import reported
+from experiments.common.runs import reported
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
 LIMIT = 900  # s for one cell

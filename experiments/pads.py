@@ -32,19 +32,19 @@ import tyro
 from jaxtyping import Array, Float, Key
 from matplotlib.figure import Figure
 
-from experiments import plots
-from experiments.evaluation import nearest_neighbours, seed_interval
-from experiments.runs import begin, reported, write_json
-from i2t import locate
-from i2t.boards import reskin
-from i2t.calibrate.physics import Tip, fit_pad, prior, solve_map
-from i2t.calibrate.structured import Presses
-from i2t.plots import save
+from experiments.common import plots
+from experiments.common.runs import begin, reported, write_json
+from i2t.calibration import localize
+from i2t.calibration.physics import Tip, fit_pad, prior, solve_map
+from i2t.calibration.structured_gp import Presses
+from i2t.prediction.metrics import nearest_neighbours, seed_interval
 from i2t.skin import faults
+from i2t.skin.boards import reskin
 from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise, observe
 from i2t.skin.pad import press_force, sample_pad
 from i2t.types import Pad
+from i2t.viz.touches import save
 
 TIP = Tip("sphere", 2.3e-3)
 REACH = 7e-3  # m, of the places
@@ -64,7 +64,7 @@ class Study:
     own: int = 1500  # presses of the pad itself that the ceiling learns from
     test: int = 400
     epochs: int = 200  # of the networks
-    spacing: float = locate.SPACING  # m, of the atlas
+    spacing: float = localize.SPACING  # m, of the atlas
 
 
 PRESETS = {"study": Study(), "debug": Study(2, (), 10, 10, 20, 3, 3.5e-3)}
@@ -193,13 +193,13 @@ def locate_all(
         ),
     }
     middle, board = jax.tree.map(jnp.asarray, prior().middle), reskin()
-    unpressed = locate.make_atlas(middle, board, TIP, REACH, LOADS, spacing=study.spacing)
-    nothing = locate.unknown(unpressed, NOISE)
-    found["physics, no press"] = right(locate.locate(unpressed, nothing, test.reading)[0])
-    coarse = locate.make_atlas(middle, board, TIP, REACH, LOADS, finer=1, spacing=study.spacing)
-    learnt = locate.learn(coarse, own.reading[: study.unlabelled], NOISE)
+    unpressed = localize.make_atlas(middle, board, TIP, REACH, LOADS, spacing=study.spacing)
+    nothing = localize.unknown(unpressed, NOISE)
+    found["physics, no press"] = right(localize.locate(unpressed, nothing, test.reading)[0])
+    coarse = localize.make_atlas(middle, board, TIP, REACH, LOADS, finer=1, spacing=study.spacing)
+    learnt = localize.learn(coarse, own.reading[: study.unlabelled], NOISE)
     name = f"physics, {study.unlabelled} presses without labels"
-    found[name] = right(locate.locate(unpressed, learnt, test.reading)[0])
+    found[name] = right(localize.locate(unpressed, learnt, test.reading)[0])
 
     fitted = None
     for n in (*study.labelled, study.own):
@@ -207,12 +207,12 @@ def locate_all(
         presses = Presses(some.place, some.force)
         if fitted is None or n <= LAYER:
             fitted = fit_pad(presses, some.reading, TIP, board, True, limit=LAYER)
-            atlas = locate.make_atlas(fitted.layer, board, TIP, REACH, LOADS, spacing=study.spacing)
+            atlas = localize.make_atlas(fitted.layer, board, TIP, REACH, LOADS, spacing=study.spacing)
         else:
             fitted = solve_map(fitted.layer, fitted.spread, presses, some.reading, TIP, board, True)
-        weights = locate.Weights(fitted.weights, fitted.cholesky, fitted.layer.noise)
+        weights = localize.Weights(fitted.weights, fitted.cholesky, fitted.layer.noise)
         seen = atlas._replace(phi=atlas.phi * fitted.pad.gains[None, :, None])
-        found[f"physics, {n} presses"] = right(locate.locate(seen, weights, test.reading)[0])
+        found[f"physics, {n} presses"] = right(localize.locate(seen, weights, test.reading)[0])
         found[f"nearest presses, {n} presses"] = right(neighbours(some, test.reading))
     found[f"network, {study.own} presses"] = right(network(keys[2], own, test.reading, study.epochs))
     return found

@@ -6,8 +6,8 @@
 
 A patch is rendered at a random safe site of every object; the pose is moved by exactly 2 mm and 4 degrees in random
 directions and sought again from `(patch, nearest)` alone, by Levenberg-Marquardt through the renderer's derivatives
-(`i2t.refine`), from a single start and from the best of several, without noise and with that of a camera. Everything is
-simulated.
+(`i2t.registration.patch`), from a single start and from the best of several, without noise and with that of a camera.
+Everything is simulated.
 
 A flat patch says nothing about sliding on it, so errors count in the directions that the patch can tell: eigenvectors
 of the Gauss-Newton matrix at the true pose whose eigenvalue is at least the bound at which noise of 0.3 mm in each
@@ -33,13 +33,14 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest
 from tqdm import tqdm
 
-from experiments.runs import settings, write_json
-from i2t import objects, plots
-from i2t.arrays import element
-from i2t.refine import Refinement, information, observable, refine, resolvable, search
-from i2t.render import prepare, render_patch, stack
-from i2t.touch import collect_sites
+from experiments.common.runs import settings, write_json
+from i2t.objects import catalogue as objects
+from i2t.registration.patch import Refinement, information, observable, refine, resolvable, search
+from i2t.rendering.ops import element
+from i2t.rendering.render import prepare, render_patch, stack
+from i2t.simulation.sites import collect_sites
 from i2t.types import LEVER, PATCH_PIXELS, PATCH_WINDOW, REACH, Patch, Surface
+from i2t.viz import touches
 
 MILLI = 1e3
 BOUNDS = np.logspace(-5, 0, 26)
@@ -141,8 +142,8 @@ def main(args: Args) -> dict:
     write_json(args.out / "config.json", settings(args))
     write_json(args.out / "metrics.json", report)
     ends = found[f"one start, {camera}"]
-    plots.save(draw_patches(things, surfaces, clean, noisy, cases, ends, told), args.out / "patches.png")
-    plots.save(
+    touches.save(draw_patches(things, surfaces, clean, noisy, cases, ends, told), args.out / "patches.png")
+    touches.save(
         draw_bounds({k: success(T, cases, BOUNDS, args) for k, T in found.items()}, bound), args.out / "bounds.png"
     )
     print(table(report))
@@ -286,7 +287,7 @@ def draw_patches(
         floor = clean[i].nearest[j] + REACH
         off = np.minimum(after.nearest + after.depth, floor) - clean[i].nearest[j] - clean[i].depth[j]
         for axis, depth in zip(row[:3], (noisy[i].depth[j], before.depth, after.depth), strict=True):
-            image = plots.draw_patch(axis, depth, PATCH_WINDOW, REACH)
+            image = touches.draw_patch(axis, depth, PATCH_WINDOW, REACH)
         left = row[3].imshow(
             MILLI * off, origin="lower", extent=image.get_extent(), cmap="RdBu", vmin=-FAR_OFF, vmax=FAR_OFF
         )
@@ -305,11 +306,11 @@ def draw_bounds(curves: dict[str, np.ndarray], bound: float) -> Figure:
     """How success depends on which directions count."""
     figure = Figure(figsize=(6, 3.8), layout="constrained")
     axes = figure.subplots()
-    colours = (plots.BLUE, plots.ORANGE, plots.GREEN, plots.RED)
+    colours = (touches.BLUE, touches.ORANGE, touches.GREEN, touches.RED)
     for (name, rate), colour in zip(curves.items(), colours, strict=False):
         axes.semilogx(BOUNDS, rate, color=colour, label=name)
-    axes.axvline(bound, color=plots.GREY, lw=1, ls="--", label="the bound that is used")
-    axes.axhline(0.9, color=plots.GREY, lw=1, ls=":")
+    axes.axvline(bound, color=touches.GREY, lw=1, ls="--", label="the bound that is used")
+    axes.axhline(0.9, color=touches.GREY, lw=1, ls=":")
     axes.set(
         ylim=(0, 1.02),
         xlabel="smallest eigenvalue that counts",

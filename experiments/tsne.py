@@ -27,19 +27,22 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from experiments import train as training
-from experiments.configs import PRESETS as TRAININGS
-from experiments.configs import TrainExperiment
-from experiments.methods import train_network
-from experiments.recognition_scores import plain
-from experiments.runs import begin, reported, write_json
-from experiments.splitting import split_dataset
-from i2t import analysis, model, plots
+from experiments.common.runs import begin, reported, write_json
+from experiments.train import run as training
+from experiments.train.configs import PRESETS as TRAININGS
+from experiments.train.configs import TrainExperiment
+from experiments.train.methods import train_network
+from experiments.train.splitting import split_dataset
 from i2t import dataset as data
-from i2t.analysis import Clusters
-from i2t.dataset import DataError, Dataset
-from i2t.model import Inputs, ModelConfig
+from i2t.dataset import Dataset
+from i2t.errors import DataError
+from i2t.prediction import model
+from i2t.prediction.model import Inputs, ModelConfig
+from i2t.recognition.metrics import plain
 from i2t.types import ReturnCode
+from i2t.viz import clusters as analysis
+from i2t.viz import touches as plots
+from i2t.viz.clusters import Clusters
 
 
 @dataclass(frozen=True)

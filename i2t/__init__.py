@@ -6,15 +6,15 @@ object. Importing this package imports no JAX, so that the hardware layer stays 
 
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from i2t.predictor import load_predictor as load_predictor
+from i2t._version import __version__ as __version__
 
-__version__ = "0.1.0"
+if TYPE_CHECKING:
+    from i2t.prediction.predictor import load_predictor as load_predictor
 
 
 def __getattr__(name: str) -> Any:
     if name == "load_predictor":
-        from i2t.predictor import load_predictor
+        from i2t.prediction.predictor import load_predictor
 
         return load_predictor
     raise AttributeError(f"module 'i2t' has no attribute {name!r}")

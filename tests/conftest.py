@@ -57,7 +57,7 @@ def _let_compiled_code_go():
 @pytest.fixture(scope="session")
 def trained_run(tmp_path_factory) -> Path:
     """A finished run of `experiments.train` on its debug preset."""
-    from experiments import train
+    from experiments.train import run as train
 
     out = tmp_path_factory.mktemp("runs") / "debug"
     assert train.main(["--preset", "debug", "--out", str(out)]) == 0

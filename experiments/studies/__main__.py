@@ -29,32 +29,32 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import tyro
 
-from experiments import nested
-from experiments.recognize import PRESETS, finished_runs
-from experiments.runs import begin, reported, write_json
+from experiments.common import nested
+from experiments.common.runs import begin, reported, write_json
+from experiments.recognize.run import PRESETS, finished_runs
 from experiments.studies import (
-    crossing,
-    many,
     new_pad,
+    object_count,
+    open_set,
     planar,
     policy,
+    pose_error,
     registered,
     sensitivity,
     sites,
-    strangers,
 )
 from experiments.studies.lab import Args, Lab, prepare_lab, report_methods
 
 STUDIES: dict[str, tuple[Callable[[Lab], Any], Callable[[Sequence[Any], Path], dict[str, Any]]]] = {
     "policy": (policy.play, policy.report),
-    "open": (strangers.play, strangers.report),
+    "open": (open_set.play, open_set.report),
     "planar": (planar.play, planar.report),
     "registered": (registered.play, registered.report),
-    "crossing": (crossing.play, crossing.report),
+    "crossing": (pose_error.play, pose_error.report),
     "sites": (sites.play, sites.report),
     "pad": (new_pad.play, report_methods),
     "sensitivity": (sensitivity.play, report_methods),
-    "many": (many.play, many.report),
+    "many": (object_count.play, object_count.report),
 }
 
 

@@ -11,9 +11,13 @@ import tyro
 from jaxtyping import Array
 from tqdm import tqdm
 
-from experiments import recognition_figures as drawing
-from experiments import recognition_scores as scores
-from experiments.recognition import (
+from experiments.recognize import figures as drawing
+from experiments.recognize.run import PRESETS, Recognition, made, taught_by
+from i2t.dataset import Dataset
+from i2t.prediction.predictor import Predictor
+from i2t.recognition import metrics as scores
+from i2t.recognition.belief import Particles
+from i2t.recognition.episodes import (
     Episodes,
     Learnt,
     Pool,
@@ -25,15 +29,12 @@ from experiments.recognition import (
     surfaces_of,
     tabulate,
 )
-from experiments.recognition_scores import plain
-from experiments.recognize import PRESETS, Recognition, made, taught_by
-from i2t import plots, world
-from i2t.belief import Particles
-from i2t.dataset import Dataset
-from i2t.outcomes import Outcome, SkinMap
-from i2t.predictor import Predictor
-from i2t.press import PressLimits
+from i2t.recognition.metrics import plain
+from i2t.recognition.outcomes import Outcome, SkinMap
+from i2t.simulation import touches as simulation
+from i2t.simulation.press import PressLimits
 from i2t.types import Pad, Surface
+from i2t.viz import touches as plots
 
 PLACES = 128  # of each object: with 64 to 512 accuracies are the same within 0.01
 Study = Literal["policy", "open", "planar", "registered", "crossing", "sites", "pad", "sensitivity", "many"]
@@ -89,7 +90,7 @@ def prepare_lab(args: Args, folder: Path, seed: int) -> Lab:
 
     def pressed(limits: PressLimits, key: Array) -> Learnt:
         key_press, key_learn = jax.random.split(key)
-        made = world.simulate(key_press, taught_on, told.pad, cfg.errors, counts.tolist(), limits=limits)
+        made = simulation.simulate(key_press, taught_on, told.pad, cfg.errors, counts.tolist(), limits=limits)
         touches = jax.device_get(made)
         runs = tuple(f"run {i}" for i in range(int(touches.run.max()) + 1))
         told_by = Dataset(touches, kinds, ("the pad",), runs, told.dataset.board, "simulated")

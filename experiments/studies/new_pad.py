@@ -1,5 +1,5 @@
 """How many presses does a pad need that was never felt? It is pressed with a known ball, a pad is fitted to what it
-reads (`i2t.calibrate.physics`), and what the fitted pad would feel on the training objects is simulated and learnt.
+reads (`i2t.calibration.physics`), and what the fitted pad would feel on the training objects is simulated and learnt.
 """
 
 from typing import Any
@@ -8,11 +8,11 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from experiments.recognition import by_evidence, pool, random_sites
 from experiments.studies.lab import Lab, imagine, placements_of, sit
-from i2t.boards import reskin
-from i2t.calibrate.physics import Tip, fit_pad
-from i2t.calibrate.structured import Presses
+from i2t.calibration.physics import Tip, fit_pad
+from i2t.calibration.structured_gp import Presses
+from i2t.recognition.episodes import by_evidence, pool, random_sites
+from i2t.skin.boards import reskin
 from i2t.skin.contact import GRID
 from i2t.skin.noise import Noise, observe
 from i2t.skin.pad import press_force, sample_pad
@@ -46,7 +46,7 @@ def play(lab: Lab) -> dict[str, Any]:
 
 
 def press_and_fit(key: Array, pad: Pad, n: int) -> Pad:
-    """Press a pad n times with a known ball, and fit one to what it reads (`i2t.calibrate.physics`)."""
+    """Press a pad n times with a known ball, and fit one to what it reads (`i2t.calibration.physics`)."""
     key_place, key_force, key_noise, key_wrench = jax.random.split(key, 4)
     place = jax.random.uniform(key_place, (n, 2), minval=-8e-3, maxval=8e-3)
     force = jax.random.uniform(key_force, (n,), minval=0.2, maxval=1.0)

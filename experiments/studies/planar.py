@@ -1,5 +1,5 @@
 """What does it cost not to know where the object stands? It lies anywhere on a patch of table, turned in any way, and
-is pressed straight down at random points of the table (`i2t.planar`).
+is pressed straight down at random points of the table (`i2t.recognition.planar`).
 """
 
 from collections.abc import Sequence
@@ -14,15 +14,16 @@ import numpy as np
 from jaxtyping import Array
 from tqdm import tqdm
 
-from experiments import recognition_figures as drawing
-from experiments import recognition_scores as scores
-from experiments.recognition import Pool, tabulate
-from experiments.recognition_scores import plain
+from experiments.recognize import figures as drawing
 from experiments.studies.lab import Lab, shown, sit, spread
-from i2t import belief, planar, plots
-from i2t.belief import Belief, Likelihood, Measured
-from i2t.outcomes import Outcome
-from i2t.planar import Standing, Table
+from i2t.recognition import belief, planar
+from i2t.recognition import metrics as scores
+from i2t.recognition.belief import Belief, Likelihood, Measured
+from i2t.recognition.episodes import Pool, tabulate
+from i2t.recognition.metrics import plain
+from i2t.recognition.outcomes import Outcome
+from i2t.recognition.planar import Standing, Table
+from i2t.viz import touches as plots
 
 TOUCHES = 20
 PAST = 20e-3  # m, how far presses go below the table's sites: to 10 mm over the table

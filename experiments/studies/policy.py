@@ -10,15 +10,16 @@ import numpy as np
 from jaxtyping import Array
 from tqdm import tqdm
 
-from experiments import recognition_figures as drawing
-from experiments import recognition_scores as scores
-from experiments.choosing import advance, heuristic_touches, next_touches, safe_on, telling_weights
-from experiments.recognition import Pool, Setting, Sitting, pool
-from experiments.recognition_scores import plain
+from experiments.recognize import figures as drawing
 from experiments.studies.lab import Lab, imagine, placements_of, shown
-from i2t import belief, plots
-from i2t.belief import Particles
-from i2t.outcomes import Outcome
+from i2t.recognition import belief
+from i2t.recognition import metrics as scores
+from i2t.recognition.belief import Particles
+from i2t.recognition.episodes import Pool, Setting, Sitting, pool
+from i2t.recognition.metrics import plain
+from i2t.recognition.outcomes import Outcome
+from i2t.recognition.planning import advance, heuristic_touches, next_touches, safe_on, telling_weights
+from i2t.viz import touches as plots
 
 POLICIES = ("random", "heuristic", "information")
 

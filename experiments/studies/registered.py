@@ -1,5 +1,6 @@
 """What does it take to know where the object stands? It may be 5 mm and 5 degrees off; one depth image, taken from
-aside, registers what it might be (`i2t.register.by_depth`), and the belief takes the pose found and its covariance.
+aside, registers what it might be (`i2t.registration.touch.by_depth`), and the belief takes the pose found and its
+covariance.
 """
 
 import math
@@ -14,17 +15,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
-from experiments.recognition import Pool, by_evidence, places_about, pool, random_sites, runs_of, tabulate
-from experiments.recognize import made
+from experiments.recognize.run import made
 from experiments.studies.lab import Lab, imagine, report_methods, sit, spread
-from i2t import belief
-from i2t.cameras import Camera
+from i2t.depth.camera import Camera
+from i2t.emulators.scene import noisy, see, table_at
 from i2t.hardware.rig import Rig
-from i2t.objects import Mesh
-from i2t.register import by_depth, seen_through
-from i2t.stand_ins.scene import noisy, see, table_at
+from i2t.objects.catalogue import Mesh
+from i2t.recognition import belief
+from i2t.recognition.episodes import Pool, by_evidence, places_about, pool, random_sites, runs_of, tabulate
+from i2t.registration.touch import by_depth, seen_through
+from i2t.simulation.touches import Errors, RunErrors
 from i2t.types import Array
-from i2t.world import Errors, RunErrors
 
 DISTANCE, ANGLE = 5e-3, math.radians(5.0)  # one sigma, each axis
 ASIDE = 0.12  # m, from which the camera looks, down by 45 degrees

@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.recognition import Episodes, by_evidence, pool, random_sites
 from experiments.studies.lab import Lab, imagine, placements_of, sit
-from i2t import belief, outcomes
-from i2t.belief import Particles
-from i2t.outcomes import Outcome
-from i2t.world import Errors
+from i2t.recognition import belief, outcomes
+from i2t.recognition.belief import Particles
+from i2t.recognition.episodes import Episodes, by_evidence, pool, random_sites
+from i2t.recognition.outcomes import Outcome
+from i2t.simulation.touches import Errors
 
 HARDER = (50.0, 100.0)  # uT at which presses stop that the pad is taught by, too
 

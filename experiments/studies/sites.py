@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments import recognition_scores as scores
-from experiments.recognition import by_evidence, pool, random_sites
-from experiments.recognition_scores import plain
 from experiments.studies.lab import Lab, imagine, placements_of, shown, sit
 from i2t.geometry import invert
-from i2t.render import render_heights
+from i2t.recognition import metrics as scores
+from i2t.recognition.episodes import by_evidence, pool, random_sites
+from i2t.recognition.metrics import plain
+from i2t.rendering.render import render_heights
 from i2t.types import PAD_WINDOW
 
 PIXELS = 20  # over the skin

@@ -5,20 +5,10 @@ importing it imports no JAX.
 reads, `splits` holds touches out. The schema is described in docs/data.md.
 """
 
-from i2t.dataset.files import DataError
 from i2t.dataset.sets import Dataset, concatenate, no_wide, validate
 from i2t.dataset.splits import by_group, holdout_blocks, holdout_last, holdout_names, spatial_blocks
-from i2t.dataset.store import (
-    BadFileWarning,
-    Image,
-    Record,
-    Series,
-    index,
-    load,
-    read_touch,
-    save,
-    write_touch,
-)
+from i2t.dataset.store import BadFileWarning, Image, Record, Series, index, load, read_touch, save, write_touch
+from i2t.errors import DataError
 
 __all__ = [
     "BadFileWarning",

@@ -21,19 +21,14 @@ from pathlib import Path
 
 import h5py
 
+from i2t.errors import DataError
+
 SCHEMA = "i2t-touches"
 VERSION = 1
 ENDING = ".h5"
 HEADER_BYTES = 512
 
 _HEADER = re.compile(rb"i2t-touches ([1-9][0-9]*) sha256 ([0-9a-f]{64})\n\0+")
-
-
-class DataError(ValueError):
-    """A file or a data set that cannot be used; the message is one line that names it, what is wrong and the remedy."""
-
-    def __init__(self, message: str) -> None:
-        super().__init__(" ".join(message.splitlines()))  # what a library reported may have several lines
 
 
 def write(path: Path, fill: Callable[[h5py.File], None], small: bool = False) -> Path:

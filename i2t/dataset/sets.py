@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from i2t.dataset.files import DataError
+from i2t.errors import DataError
 from i2t.types import CHIPS, PATCH_WINDOW, REACH, READINGS, WIDE_PIXELS, Board, ReturnCode, Touches, Truth
 
 SOURCES = ("simulated", "real", "mixed")

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from i2t.dataset.files import DataError
 from i2t.dataset.sets import Dataset
+from i2t.errors import DataError
 
 # Of a block: a regular grid of presses may fall on block edges, and rounding must not scatter it to both sides.
 EDGE_SLACK = 1e-3

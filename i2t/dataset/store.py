@@ -18,9 +18,10 @@ from typing import Any, TypeVar
 import h5py
 import numpy as np
 
-import i2t
-from i2t.dataset.files import ENDING, DataError, digest_of, sync_folder, verified, write
+from i2t._version import __version__
+from i2t.dataset.files import ENDING, digest_of, sync_folder, verified, write
 from i2t.dataset.sets import Dataset, concatenate, no_wide, validate
+from i2t.errors import DataError
 from i2t.types import Board, Touches, Truth
 
 INDEX = "index.json"
@@ -272,7 +273,7 @@ def _read(path: Path, get: Callable[[h5py.File], T]) -> T:
 def _put_dataset(file: h5py.File, dataset: Dataset) -> None:
     touches = dataset.touches
     file.attrs["source"] = dataset.source
-    file.attrs["software"] = f"i2t {i2t.__version__}"
+    file.attrs["software"] = f"i2t {__version__}"
     file.attrs["created"] = datetime.now(UTC).isoformat(timespec="microseconds")
     _put(file, "window", np.float64(dataset.window), "m")
     _put(file, "reach", np.float64(dataset.reach), "m")

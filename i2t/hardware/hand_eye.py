@@ -8,7 +8,8 @@ The board is a ChArUco board of OpenCV (`--dictionary APRILTAG_36h11` makes one 
 RealSense's colour image and the arm's pose, without controlling the arm; the TCP set on the pendant must be the rig's
 T_flange_tool. DIR may come from elsewhere:
 
-    DIR/camera.toml      the images' lens in pixels (keys of `i2t.cameras.Camera`), and T_camera_image (rows of 4 x 4),
+    DIR/camera.toml      the images' lens in pixels (keys of `i2t.depth.camera.Camera`), and T_camera_image (rows of 4 x
+    4),
                          the frame of the images in the depth camera's, where they were taken by another imager
     DIR/images/NAME.png  the board seen from one pose each
     DIR/poses.csv        NAME.png, x, y, z (m), rx, ry, rz (rotation vector, rad): T_base_tool as the pendant shows it
@@ -31,10 +32,10 @@ import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from i2t.cameras import Camera
-from i2t.hardware.command import ended
+from i2t.cli import ended
+from i2t.depth.camera import Camera
+from i2t.errors import DeviceError
 from i2t.hardware.hand_eye_fit import CORNERS, Found, Sight, fit, lines_of_sight
-from i2t.hardware.protocols import DeviceError
 from i2t.hardware.rig import Rig
 from i2t.types import Array
 
@@ -146,8 +147,8 @@ def capture(path: Path, camera: Any, pose: Callable[[], Array], more: Callable[[
 
 def tool_pose(host: str) -> Array:
     """T_b_t (4, 4) of a UR arm now, without controlling it; raises DeviceError."""
-    from i2t.hardware.ur_access import greet
-    from i2t.hardware.ur_link import from_ur
+    from i2t.hardware.ur.access import greet
+    from i2t.hardware.ur.rtde_link import from_ur
 
     greet(host)
     try:

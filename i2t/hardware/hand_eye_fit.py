@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from i2t.cameras import Camera, Distortion
+from i2t.depth.camera import Camera, Distortion
 from i2t.types import Array
 
 FEWEST, CORNERS = 6, 6  # views, and corners of each
@@ -47,7 +47,7 @@ class Found(NamedTuple):
 
 def lines_of_sight(camera: Camera, pixels: Array) -> Array:
     """Lines of sight (k, 2) of pixels (k, 2); raises ValueError for a lens other than the Brown-Conrady family's (see
-    `i2t.lenses`, of which this is the part without JAX).
+    `i2t.depth.distortion`, of which this is the part without JAX).
     """
     seen = (np.asarray(pixels, float) - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
     if not any(camera.coefficients):

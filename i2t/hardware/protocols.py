@@ -6,28 +6,16 @@ Every call that waits says how long (`timeout`, s), and whatever goes wrong come
 that names the device and the remedy: from the call that was made, or from the next one if it happened in between. Units
 are those of `i2t.types`: metres, radians, newtons, and microtesla for the skin.
 
-Real drivers, emulated devices (real drivers talking to `i2t.stand_ins`), simulated and replayed ones meet the same
+Real drivers, emulated devices (real drivers talking to `i2t.emulators`), simulated and replayed ones meet the same
 protocols and pass the same tests (tests/contract).
 """
 
-from typing import Any, NamedTuple, Protocol, SupportsIndex, TypeVar, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, SupportsIndex, TypeVar, runtime_checkable
 
-from i2t.cameras import Camera
+from i2t.depth.camera import Camera
 from i2t.types import Array
 
 T = TypeVar("T")
-
-
-class DeviceError(RuntimeError):
-    """A device failed, in one sentence."""
-
-
-class NotConnected(DeviceError):
-    """The device was used before `connect` or after `close`."""
-
-
-class Silent(DeviceError):
-    """Nothing new came in time. The device may speak again by itself."""
 
 
 class Device(Protocol):
@@ -97,11 +85,11 @@ class Skin(Device, Protocol):
         """So far; can be asked for at any time and never raises."""
 
     def latest(self, timeout: float = 0.4) -> Samples:
-        """The newest sample, one row, at once; raises Silent if it is older than `timeout`."""
+        """The newest sample, one row, at once; raises DeviceTimeoutError if it is older than `timeout`."""
 
     def read(self, count: int, timeout: float | None = None) -> Samples:
         """The next `count` samples, all measured after the call. By default the timeout is twice what the nominal rate
-        needs, and half a second; raises Silent after it.
+        needs, and half a second; raises DeviceTimeoutError after it.
         """
 
     def since(self, number: SupportsIndex) -> Samples:
@@ -145,7 +133,8 @@ class Arm(Device, Protocol):
         """Known before `connect`."""
 
     def state(self, timeout: float = 0.1) -> ArmState:
-        """The newest state, at most `timeout` old; raises Silent, with the arm stopped as far as it can be told to."""
+        """The newest state, at most `timeout` old; raises DeviceTimeoutError, with the arm stopped as far as it can be
+        told to."""
 
     def move(self, T_b_t: Array, speed: float, acceleration: float) -> Array:
         """Start a straight motion of the tool, at `speed` (m/s) and `acceleration` (m/s^2); returns the target that was
@@ -188,7 +177,17 @@ class DepthCamera(Device, Protocol):
 
     @property
     def camera(self) -> Camera:
-        """Size and lens of its depth images; raises NotConnected where only the device knows them."""
+        """Size and lens of its depth images; raises NotConnectedError where only the device knows them."""
 
     def capture(self, timeout: float = 2.0) -> View:
-        """A view exposed after the call; raises Silent after `timeout`."""
+        """A view exposed after the call; raises DeviceTimeoutError after `timeout`."""
+
+
+class ApproachResult(NamedTuple):
+    """How a guarded approach ended."""
+
+    reason: Literal["verdict", "force", "torque", "travel"]
+    verdict: Any  # what the caller's function said, None unless it stopped the arm
+    trigger: ArmState  # what was known when the arm was told to brake
+    state: ArmState  # at rest
+    travel: float  # m from the start to rest

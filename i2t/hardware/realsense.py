@@ -1,7 +1,7 @@
 """A RealSense depth camera over pyrealsense2, or a file that it recorded: depth in metres, colour of the same pixels.
 
     python -m i2t.hardware.realsense                        # the one camera that is plugged in: model, lens, range
-    python -m i2t.hardware.realsense --save DIR --count 5   # keep views as `i2t.hardware.folder` reads them
+    python -m i2t.hardware.realsense --save DIR --count 5   # keep views as `i2t.hardware.camera_folder` reads them
 
 The camera's lens, with its distortion, is that of the depth image as the device tells it; nothing is undistorted.
 A view is exposed after the call where the camera's clock is the computer's (global or system time; the rule on Linux
@@ -26,10 +26,11 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from i2t.cameras import Camera
-from i2t.hardware import folder
-from i2t.hardware.command import ended
-from i2t.hardware.protocols import CameraFeatures, DeviceError, NotConnected, Silent, View
+from i2t.cli import ended
+from i2t.depth.camera import Camera
+from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
+from i2t.hardware import camera_folder
+from i2t.hardware.protocols import CameraFeatures, View
 from i2t.types import Array
 
 SIZES = ((424, 240), (480, 270), (640, 360), (640, 480), (848, 480), (1280, 720))  # pixels
@@ -126,9 +127,9 @@ class RealSense:
 
     @property
     def camera(self) -> Camera:
-        """Size and lens of the depth image; raises NotConnected before the device has told them."""
+        """Size and lens of the depth image; raises NotConnectedError before the device has told them."""
         if self._camera is None:
-            raise NotConnected(f"{self._name} is not connected, and only it knows its lens; connect it")
+            raise NotConnectedError(f"{self._name} is not connected, and only it knows its lens; connect it")
         return self._camera
 
     def connect(self) -> None:
@@ -195,7 +196,7 @@ class RealSense:
         self.close()
 
     def capture(self, timeout: float = 2.0) -> View:
-        """A view exposed after the call; raises Silent after `timeout`."""
+        """A view exposed after the call; raises DeviceTimeoutError after `timeout`."""
         when, frames = self._fresh(timeout)
         frames = self._align.process(frames)
         depth, colour = frames.get_depth_frame(), frames.get_color_frame()
@@ -204,7 +205,7 @@ class RealSense:
         return View(when, metres, np.array(colour.get_data()) if colour else None)
 
     def colour(self, timeout: float = 2.0) -> Colour:
-        """The colour image as it was taken, after the call; raises Silent after `timeout`."""
+        """The colour image as it was taken, after the call; raises DeviceTimeoutError after `timeout`."""
         when, frames = self._fresh(timeout)
         assert self._colour is not None
         return Colour(when, np.array(frames.get_color_frame().get_data()), *self._colour)
@@ -220,7 +221,9 @@ class RealSense:
             left = called + timeout - time.monotonic()
             frames = self._wait(left) if left > 0 else None
             if frames is None:
-                raise Silent(f"{self._name} gave no view in {timeout:.2g} s; check its cable, and that it is on USB 3")
+                raise DeviceTimeoutError(
+                    f"{self._name} gave no view in {timeout:.2g} s; check its cable, and that it is on USB 3"
+                )
             exposed = self._exposed(frames)
             new = number >= UNDERWAY if exposed is None else exposed >= called
             if new and frames.get_depth_frame() and frames.get_color_frame():
@@ -228,10 +231,10 @@ class RealSense:
         raise AssertionError
 
     def _wait(self, timeout: float) -> Any:
-        """The next frames, or None; raises NotConnected, or DeviceError if the camera is gone."""
+        """The next frames, or None; raises NotConnectedError, or DeviceError if the camera is gone."""
         pipe = self._pipe
         if pipe is None:
-            raise NotConnected(f"{self._name} is not connected; call connect() or use with")
+            raise NotConnectedError(f"{self._name} is not connected; call connect() or use with")
         ended = time.monotonic() + timeout
         while True:
             # In pieces, so that a camera that is gone or closed is noticed before a long wait is over.
@@ -240,7 +243,7 @@ class RealSense:
             if arrived:
                 return frames
             if self._pipe is not pipe:
-                raise NotConnected(f"{self._name} was closed; connect it again")
+                raise NotConnectedError(f"{self._name} was closed; connect it again")
             if self._file is None and not self._plugged():
                 self.close()
                 raise DeviceError(f"{self._name} is gone; plug it in and connect again")
@@ -304,7 +307,7 @@ def _show(asked: argparse.Namespace) -> None:
         print(f"{camera.features.name}: nothing nearer than {1e3 * camera.features.nearest:.0f} mm")
         print(camera.camera)
         views = (camera.capture() for _ in range(asked.count))
-        for number, view in enumerate(folder.keep(asked.save, camera.camera, views) if asked.save else views):
+        for number, view in enumerate(camera_folder.keep(asked.save, camera.camera, views) if asked.save else views):
             middle = view.depth[asked.size[1] // 2 - 10 :, asked.size[0] // 2 - 10 :][:20, :20]
             at = np.nanmedian(middle) if np.isfinite(middle).any() else np.nan
             print(f"view {number}: {np.isfinite(view.depth).mean():.0%} measured, {1e3 * at:.1f} mm in the middle")

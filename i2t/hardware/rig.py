@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from i2t.cameras import Camera
-from i2t.hardware.command import ended
+from i2t.cli import ended
+from i2t.depth.camera import Camera
 from i2t.hardware.limits import Limits, place
 from i2t.types import LEVER, RIGID, Array
 
@@ -63,7 +63,9 @@ class Rig:
     T_world_object: Array = field(default_factory=lambda: np.eye(4))
     object_from: str = "given"  # or registration: the pose is where registering its depth starts from
     limits: Limits = field(default_factory=lambda: Limits((0.25, -0.15, 0.005), (0.55, 0.15, 0.45)))
-    object_covariance: Array = field(default_factory=lambda: np.diag(PLACED) ** 2)  # (6, 6) m^2 (`i2t.register`)
+    object_covariance: Array = field(
+        default_factory=lambda: np.diag(PLACED) ** 2
+    )  # (6, 6) m^2 (`i2t.registration.touch`)
 
     def __post_init__(self) -> None:
         for name, far in (

@@ -31,8 +31,9 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from i2t.hardware.command import ended
-from i2t.hardware.protocols import ArmState, DeviceError
+from i2t.cli import ended
+from i2t.errors import DeviceError
+from i2t.hardware.protocols import ArmState
 from i2t.hardware.rig import Rig
 from i2t.types import PAD_WINDOW, Array
 
@@ -114,7 +115,7 @@ def face(touches: Sequence[Array], height: float, half: float = PAD_WINDOW / 2) 
 
 
 def touch_off(arm: Any, at: tuple[float, float], height: float, tell: Callable[[str], None] = print) -> Face:
-    """Touch a flat with all corners, with a connected arm that guards its approaches (`i2t.hardware.ur.UR`).
+    """Touch a flat with all corners, with a connected arm that guards its approaches (`i2t.hardware.ur.driver.UR`).
 
     `at` and `height` (m) are in the base. Raises ValueError, before anything moves, where it would leave the box;
     DeviceError where the arm fails, meets nothing, or something on its way.
@@ -179,7 +180,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _touch_off(asked: argparse.Namespace) -> None:
-    from i2t.hardware.ur import UR
+    from i2t.hardware.ur.driver import UR
 
     rig = Rig.read(asked.rig)
     payload = rig.mass, rig.centre

@@ -1,4 +1,4 @@
-"""Frictionless contact of a rigid surface with the elastic layer of `i2t.skin.layer`.
+"""Frictionless contact of a rigid surface with the elastic layer of `i2t.skin.elasticity`.
 
 The object comes from z > 0 of the tool frame. A surface whose point above a cell lies `height` behind its nearest
 point, moved `indentation` past first touch, leaves the gap g = K p + height - indentation, where K p is how far the
@@ -28,8 +28,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from i2t.skin.layer import FINE as FINE
-from i2t.skin.layer import GRID, Grid, clamped, compliance, convolve
+from i2t.skin.elasticity import FINE as FINE
+from i2t.skin.elasticity import GRID, Grid, clamped, compliance, convolve
 from i2t.types import Pad
 
 FAR = 1.0  # m: heights are cut here, so that "nothing there" may be infinite

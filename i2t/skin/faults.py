@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t import geometry
-from i2t.skin.field import MICROTESLA, MU0_OVER_4PI, dipole_field
+from i2t.skin.dipoles import MICROTESLA, MU0_OVER_4PI, dipole_field
 from i2t.types import CHIPS, READINGS, Board
 
 DIP = np.deg2rad(64.0)  # of the earth's field below the horizon in central Europe (IGRF-13, 2020)

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from i2t import trees
-from i2t.trees import TreeError
+from i2t import serialization
+from i2t.errors import SerializationError
 from i2t.types import CHIPS, READINGS, Pad
 
 KIND = "i2t pad"
@@ -24,23 +24,23 @@ KIND = "i2t pad"
 def save_pad(path: Path | str, pad: Pad, about: dict[str, Any] | None = None) -> None:
     """Write one pad; `about` is anything that JSON can hold (whose pad it is, how it was fitted).
 
-    Raises TreeError where the file cannot be written.
+    Raises SerializationError where the file cannot be written.
     """
-    trees.save(path, KIND, pad, about)
+    serialization.save(path, KIND, pad, about)
 
 
 def load_pad(path: Path | str) -> Pad:
-    """The pad in a file. Raises TreeError where it is missing, damaged, no pad, or no pad that can be."""
-    pad, _ = trees.load(path, KIND, Pad)
+    """The pad in a file. Raises SerializationError where it is missing, damaged, no pad, or no pad that can be."""
+    pad, _ = serialization.load(path, KIND, Pad)
     side = pad.magnetisation.shape[0] if pad.magnetisation.ndim else 0
     shapes = {
         "thickness": (), "young": (), "poisson": (), "magnetisation": (side, side, 3), "gains": (READINGS,),
         "board.chips": (CHIPS, 3), "board.rotations": (CHIPS, 3, 3), "friction": (), "give": (),
     }  # fmt: skip
-    arrays = trees.flatten(pad)
+    arrays = serialization.flatten(pad)
     for name, shape in shapes.items():
         if arrays[name].shape != shape or not np.isfinite(arrays[name]).all():
-            raise TreeError(f"{path}: {name} is not {shape or 'one'} finite numbers; make the pad again")
+            raise SerializationError(f"{path}: {name} is not {shape or 'one'} finite numbers; make the pad again")
     if not (pad.thickness > 0 and pad.young > 0 and 0 <= pad.poisson < 0.5):
-        raise TreeError(f"{path}: thickness, stiffness or Poisson's ratio cannot be; make the pad again")
+        raise SerializationError(f"{path}: thickness, stiffness or Poisson's ratio cannot be; make the pad again")
     return jax.tree.map(lambda array: jnp.asarray(array, jnp.float32), pad)

@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from i2t import geometry
-from i2t.skin.field import MICROTESLA, MU0_OVER_4PI
+from i2t.skin.dipoles import MICROTESLA, MU0_OVER_4PI
 from i2t.types import Board
 
 NODES = 64  # of the integral round a magnet

@@ -1,7 +1,7 @@
 """What a pad is, pads as different as real ones are, and the press of a pad on a surface.
 
 Sizes are those of ReSkin (Bhirangi et al., CoRL 2021): 20 x 20 mm of magnetic silicone, 2-3 mm thick, on a board of
-five magnetometers (`i2t.boards`). Frames and units as in `i2t.types`.
+five magnetometers (`i2t.skin.boards`). Frames and units as in `i2t.types`.
 """
 
 from typing import NamedTuple
@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
-from i2t.boards import reskin
+from i2t.skin.boards import reskin
 from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
+from i2t.skin.dipoles import pressed_field, response, rest_field
 from i2t.skin.faults import RANGE_XY, RANGE_Z
-from i2t.skin.field import pressed_field, response, rest_field
-from i2t.skin.shear import shear
+from i2t.skin.friction import shear
 from i2t.types import CHIPS, PAD_WINDOW, READINGS, Board, Pad
 
 THICKNESS = 2e-3  # m
@@ -75,8 +75,8 @@ def dragged(
     increments: int = 3,
 ) -> Float[Array, "15"]:
     """What friction adds to the reading (uT) of a press whose surface moves by `slide` (m, along x and y of the skin)
-    from first touch to `indentation`, evenly; see `i2t.skin.shear`. Not zero without a slide: friction also holds what
-    pressure would spread.
+    from first touch to `indentation`, evenly; see `i2t.skin.friction`. Not zero without a slide: friction also holds
+    what pressure would spread.
     """
     state, pressure = None, jnp.zeros_like(height)
     for part in np.arange(1, increments + 1) / increments:

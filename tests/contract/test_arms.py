@@ -9,15 +9,16 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from i2t import boards
+from i2t.emulators import ur_controller
+from i2t.emulators.in_process import Lab, SimulatedArm
+from i2t.emulators.scene import Flat
+from i2t.errors import DeviceError, NotConnectedError
 from i2t.hardware.clock import Monotonic
 from i2t.hardware.limits import Limits
-from i2t.hardware.protocols import Arm, DeviceError, NotConnected
-from i2t.hardware.ur import UR, from_ur
-from i2t.stand_ins import ur_controller
-from i2t.stand_ins.scene import Flat
-from i2t.stand_ins.simulated import Lab, SimulatedArm
-from i2t.world import Errors
+from i2t.hardware.protocols import Arm
+from i2t.hardware.ur.driver import UR, from_ur
+from i2t.simulation.touches import Errors
+from i2t.skin import boards
 
 LIMITS = Limits((0.2, -0.3, 0.1), (0.6, 0.3, 0.5))
 FLOOR, STIFFNESS = 0.25, 5000.0  # m, N/m: a plane below the tool
@@ -85,9 +86,9 @@ def test_features_are_known_before_connecting(make, request):
 def test_it_is_an_arm_and_says_when_it_is_not_connected(make):
     arm = make()
     assert isinstance(arm, Arm)
-    with pytest.raises(NotConnected):
+    with pytest.raises(NotConnectedError):
         arm.state(3.0)
-    with pytest.raises(NotConnected):
+    with pytest.raises(NotConnectedError):
         arm.move(HOME, 0.1, 0.5)
     arm.close()
 

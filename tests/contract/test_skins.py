@@ -6,15 +6,17 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from i2t import boards, world
-from i2t.hardware import recording
+from i2t.emulators.in_process import Lab, SimulatedSkin
+from i2t.emulators.reskin_board import Readings, started
+from i2t.emulators.scene import Flat
+from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.hardware.clock import Monotonic
-from i2t.hardware.frames import encode
-from i2t.hardware.protocols import DeviceError, NotConnected, Silent, Skin
-from i2t.hardware.reskin import Replay, ReSkin
-from i2t.stand_ins.reskin_board import Readings, started
-from i2t.stand_ins.scene import Flat
-from i2t.stand_ins.simulated import Lab, SimulatedSkin
+from i2t.hardware.protocols import Skin
+from i2t.hardware.reskin import recording
+from i2t.hardware.reskin.driver import Replay, ReSkin
+from i2t.hardware.reskin.frames import encode
+from i2t.simulation import touches
+from i2t.skin import boards
 
 PATIENCE = 20.0  # s that a loaded machine may need
 
@@ -27,7 +29,7 @@ def make(request, tmp_path) -> Iterator[Callable[[], Skin]]:
             yield lambda: ReSkin(port)
         return
     if request.param == "simulated":
-        lab = Lab(Flat(0.0, 1e4, np.zeros(15), world.Errors(), boards.reskin()), Monotonic())
+        lab = Lab(Flat(0.0, 1e4, np.zeros(15), touches.Errors(), boards.reskin()), Monotonic())
         yield lambda: SimulatedSkin(lab)
         return
     board = Readings(1.0, 0.0, None, 0)
@@ -50,7 +52,7 @@ def test_it_is_a_skin_and_says_when_it_is_not_connected(make):
     assert isinstance(skin, Skin)
     assert skin.counters.samples == 0
     for call in (skin.latest, lambda: skin.read(1), lambda: skin.since(-1)):
-        with pytest.raises(NotConnected):
+        with pytest.raises(NotConnectedError):
             call()
     skin.close()
 
@@ -88,7 +90,7 @@ def test_since_gives_every_sample_once(make):
 def test_waiting_has_an_end(make):
     with make() as skin:
         begun = time.monotonic()
-        with pytest.raises(Silent):
+        with pytest.raises(DeviceTimeoutError):
             skin.read(2000, timeout=0.05)
         assert time.monotonic() - begun < PATIENCE
         with pytest.raises(ValueError, match="samples"):

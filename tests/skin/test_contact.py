@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from i2t.skin import contact, layer
-from i2t.skin.layer import GRID, Grid
+from i2t.skin import contact, elasticity
+from i2t.skin.elasticity import GRID, Grid
 from i2t.skin.pad import nominal_pad, sample_pad
 
 with warnings.catch_warnings():
@@ -230,13 +230,13 @@ def test_a_batch_holds_independent_problems():
 
 def test_series_passes_through_the_pressure():
     pressure = jnp.asarray(np.random.default_rng(0).random((40, 40)), jnp.float32)
-    np.testing.assert_allclose(layer.convolve(jnp.ones((64, 64)), pressure), pressure, atol=1e-5)
-    waves, _ = layer.basis(GRID, (np.arange(64) + 0.5 - 20) * GRID.spacing)  # the whole period
-    everywhere = waves.T @ np.asarray(layer.spectrum(pressure)) @ waves
+    np.testing.assert_allclose(elasticity.convolve(jnp.ones((64, 64)), pressure), pressure, atol=1e-5)
+    waves, _ = elasticity.basis(GRID, (np.arange(64) + 0.5 - 20) * GRID.spacing)  # the whole period
+    everywhere = waves.T @ np.asarray(elasticity.spectrum(pressure)) @ waves
     np.testing.assert_allclose(everywhere[40:], np.zeros((24, 64)), atol=1e-5)
     # The waves of a coarser series are among those of the finer one.
-    fine = layer.spectrum(pressure, GRID)
-    coarse = layer.spectrum(pressure, GRID, Grid(20, 32))
+    fine = elasticity.spectrum(pressure, GRID)
+    coarse = elasticity.spectrum(pressure, GRID, Grid(20, 32))
     np.testing.assert_allclose(coarse[:16, 16:], np.asarray(fine)[:16, 32:48], atol=1e-6)
 
 
@@ -254,7 +254,9 @@ def smooth_load(request):
     pressure = jnp.asarray(2e4 * np.exp(-((X - 0.4e-3) ** 2 + 2 * Y**2) / (2 * 2e-3**2)), jnp.float32)
     drags = [1e4 * np.exp(-(X**2 + (Y - b) ** 2) / (2 * 2e-3**2)) for b in (0.5e-3, -1e-3)]
     traction = jnp.asarray(np.stack([drags[0], -0.6 * drags[1]]), jnp.float32) if "drag" in request.param else None
-    inside = jax.jit(lambda depth: layer.interior(PAD, layer.load(PAD, pressure, traction), depth, GRID, PLACES))
+    inside = jax.jit(
+        lambda depth: elasticity.interior(PAD, elasticity.load(PAD, pressure, traction), depth, GRID, PLACES)
+    )
     return pressure, traction, lambda depth: tuple(np.asarray(field, float) for field in inside(depth))
 
 
@@ -291,7 +293,7 @@ def test_interior_carries_the_load(smooth_load):
     shear, lame = young / (2 * (1 + nu)), young * nu / ((1 + nu) * (1 - 2 * nu))
 
     def there(load):
-        return layer.evaluate(layer.spectrum(load), GRID, PLACES[2:3])[..., 0, 0]
+        return elasticity.evaluate(elasticity.spectrum(load), GRID, PLACES[2:3])[..., 0, 0]
 
     load, drag = there(pressure), np.zeros(2) if traction is None else there(traction)
     # Stresses at three depths, extrapolated to the surface by a parabola.
@@ -306,22 +308,24 @@ def test_interior_carries_the_load(smooth_load):
 
 def test_interior_ends_at_the_base_and_the_surface(smooth_load):
     pressure, traction, _ = smooth_load
-    load = layer.load(PAD, pressure, traction)
-    bottom, _ = layer.interior(PAD, load, PAD.thickness)
+    load = elasticity.load(PAD, pressure, traction)
+    bottom, _ = elasticity.interior(PAD, load, PAD.thickness)
     np.testing.assert_allclose(bottom, np.zeros((3, 40, 40)), atol=1e-10)
-    top, _ = layer.interior(PAD, load, 0.0)
+    top, _ = elasticity.interior(PAD, load, 0.0)
     if traction is None:
-        sunk = layer.convolve(layer.compliance(PAD), pressure)
+        sunk = elasticity.convolve(elasticity.compliance(PAD), pressure)
         np.testing.assert_allclose(-top[2], sunk, atol=1e-6 * float(sunk.max()))
         dragged = jnp.zeros((2, 40, 40))
     else:
-        lengthwise, across = layer.tangential_compliance(PAD)
-        parts = layer.drag(layer.spectrum(traction))
-        dragged = layer.evaluate(
+        lengthwise, across = elasticity.tangential_compliance(PAD)
+        parts = elasticity.drag(elasticity.spectrum(traction))
+        dragged = elasticity.evaluate(
             lengthwise[None] * parts.lengthwise + across[None] * (parts.traction - parts.lengthwise)
         )
     # 2 Q^2 is at most 640, so that many roundings may be left where `interior` does not cancel it.
-    np.testing.assert_allclose(top[:2], dragged + layer.spread(PAD, pressure), atol=1e-4 * float(abs(top[:2]).max()))
+    np.testing.assert_allclose(
+        top[:2], dragged + elasticity.spread(PAD, pressure), atol=1e-4 * float(abs(top[:2]).max())
+    )
 
 
 def test_pressure_and_traction_answer_each_other():
@@ -330,10 +334,12 @@ def test_pressure_and_traction_answer_each_other():
     pressure, (one, two) = rng.random((40, 40)), rng.normal(size=(2, 2, 40, 40))
     pressure, one, two = (jnp.asarray(load, jnp.float32) for load in (pressure, one, two))
     none = jnp.zeros((40, 40))
-    top = [layer.interior(PAD, layer.load(PAD, none, drag), 0.0)[0] for drag in (one, two)]
+    top = [elasticity.interior(PAD, elasticity.load(PAD, none, drag), 0.0)[0] for drag in (one, two)]
     # Traction does work on motion along it, pressure on motion down.
     np.testing.assert_allclose(jnp.sum(one * top[1][:2]), jnp.sum(two * top[0][:2]), rtol=1e-4)
-    np.testing.assert_allclose(-jnp.sum(pressure * top[0][2]), jnp.sum(one * layer.spread(PAD, pressure)), rtol=1e-3)
+    np.testing.assert_allclose(
+        -jnp.sum(pressure * top[0][2]), jnp.sum(one * elasticity.spread(PAD, pressure)), rtol=1e-3
+    )
 
 
 @pytest.mark.parametrize("give", [2e-5, 2e-4])
@@ -343,15 +349,15 @@ def test_a_skin_held_at_its_edge_sinks_away_from_the_object(give):
     height, depth = (jnp.asarray(value, jnp.float32) for value in SHAPES["tilted stamp"])
     found, bonded = solve(pad, height, depth), solve(PAD, height, depth)
     assert found.converged
-    load = layer.weight(found.pressure)
+    load = elasticity.weight(found.pressure)
     np.testing.assert_allclose(load, np.sum(np.asarray(found.pressure) * SHAPE) * GRID.spacing**2, rtol=1e-5)
     sunk = give * load * jnp.asarray(SHAPE, jnp.float32)
     again = solve(PAD, height + sunk, depth)
     np.testing.assert_allclose(again.pressure, found.pressure, atol=1e-3 * float(found.pressure.max()))
     assert found.force < bonded.force
     # The whole skin moves as a plate: through its thickness, at its middle, and with no motion of its rim.
-    moved, turned = layer.interior(pad, layer.load(pad, found.pressure), 1e-3)
-    alone, turned_alone = layer.interior(PAD, layer.load(PAD, found.pressure), 1e-3)
+    moved, turned = elasticity.interior(pad, elasticity.load(pad, found.pressure), 1e-3)
+    alone, turned_alone = elasticity.interior(PAD, elasticity.load(PAD, found.pressure), 1e-3)
     np.testing.assert_allclose((moved - alone)[2], -sunk, atol=1e-4 * float(sunk.max()))
     slope = [np.gradient(np.asarray(moved - alone)[2], GRID.spacing, axis=axis) for axis in (0, 1)]
     inner = np.s_[1:-1, 1:-1]  # where differences are central: they miss (pi / 40)^2 of the slope
@@ -363,17 +369,17 @@ def test_a_skin_held_at_its_edge_sinks_away_from_the_object(give):
 
 def test_a_bonded_skin_has_no_global_motion():
     pressure = solve(PAD, jnp.asarray(SHAPES["sphere"][0], jnp.float32), 0.5e-3).pressure
-    assert layer.load(PAD, pressure).sunk == 0
+    assert elasticity.load(PAD, pressure).sunk == 0
     # Its compliance is that of the layer alone, bit for bit.
     soft = contact._softness(PAD, GRID)
-    np.testing.assert_array_equal(contact._deflect(soft, pressure, GRID), layer.convolve(soft.kernel, pressure))
+    np.testing.assert_array_equal(contact._deflect(soft, pressure, GRID), elasticity.convolve(soft.kernel, pressure))
 
 
 def test_interior_follows_the_indenter():
     """Under a solved contact the surface has moved by minus the indentation at the deepest point (to 1e-7 m)."""
     height = jnp.asarray(_sphere(0.25e-3, 0.25e-3, 8e-3), jnp.float32)
     found = solve(PAD, height, 0.6e-3)
-    displacement, _ = layer.interior(PAD, layer.load(PAD, found.pressure), 0.0)
+    displacement, _ = elasticity.interior(PAD, elasticity.load(PAD, found.pressure), 0.0)
     np.testing.assert_allclose(displacement[2, 20, 20], -0.6e-3, atol=1e-7)
 
 

@@ -14,8 +14,8 @@ import pytest
 from scipy.sparse import bmat
 from scipy.sparse.linalg import splu
 
-from i2t.skin import layer
-from i2t.skin.layer import FINE, Grid
+from i2t.skin import elasticity
+from i2t.skin.elasticity import FINE, Grid
 from i2t.skin.pad import nominal_pad
 
 with warnings.catch_warnings():
@@ -130,8 +130,8 @@ def test_a_round_press_agrees_with_finite_elements():
     middle = FINE.centres[40]
     y, x = np.meshgrid(FINE.centres, FINE.centres, indexing="ij")
     pressure = jnp.asarray(cap(np.hypot(x - middle, y - middle)), jnp.float32)
-    load = layer.load(PAD, pressure, None, FINE)
-    inside = jax.jit(lambda depth: layer.interior(PAD, load, depth, FINE, np.append(middle, middle + places))[0])
+    load = elasticity.load(PAD, pressure, None, FINE)
+    inside = jax.jit(lambda depth: elasticity.interior(PAD, load, depth, FINE, np.append(middle, middle + places))[0])
     for depth, expected in zip(DEPTHS, exact, strict=True):
         ours = np.asarray(inside(depth))[:, 0, 1:]  # along x from the axis
         assert np.abs(ours[[0, 2]] - expected).max() < ASKED * np.abs(exact).max()
@@ -156,9 +156,9 @@ def test_a_dragged_strip_agrees_with_finite_elements(strip):
     x = np.broadcast_to(grid.centres, (128, 128))
     pressure, along = (jnp.asarray(cap(x - shift), jnp.float32) for shift in (0, 0.9e-3))
     traction = 0.7 * jnp.stack([along, jnp.zeros_like(along)])
-    load = layer.load(PAD._replace(give=jnp.zeros(())), pressure, traction, grid)
+    load = elasticity.load(PAD._replace(give=jnp.zeros(())), pressure, traction, grid)
     places = np.linspace(-6e-3, 6e-3, 50)
-    inside = jax.jit(lambda depth: layer.interior(PAD, load, depth, grid, places))
+    inside = jax.jit(lambda depth: elasticity.interior(PAD, load, depth, grid, places))
     values, slopes = interpolate(across, places)
     for depth in (0.125e-3, 0.625e-3, 1.125e-3, 1.625e-3):
         high, steep = interpolate(DEEP, np.array([-depth]))

@@ -11,8 +11,8 @@ from scipy import stats
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from i2t.boards import reskin
 from i2t.skin import faults
+from i2t.skin.boards import reskin
 from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise
 from i2t.types import Board

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from i2t.boards import anyskin
 from i2t.skin import magnets
-from i2t.skin.field import dipole_field
+from i2t.skin.boards import anyskin
+from i2t.skin.dipoles import dipole_field
 from i2t.skin.magnets import Magnets
 
 with warnings.catch_warnings():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from i2t.boards import reskin
 from i2t.skin import noise
+from i2t.skin.boards import reskin
 from i2t.skin.noise import Noise
 
 BOARD = reskin()

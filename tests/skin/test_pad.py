@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from i2t.simulation.touches import Errors
 from i2t.skin import faults
 from i2t.skin import pad as pads
 from i2t.skin.contact import GRID
-from i2t.skin.field import rest_field
+from i2t.skin.dipoles import rest_field
 from i2t.skin.noise import observe
 from i2t.types import PAD_WINDOW, Pad
-from i2t.world import Errors
 
 Y, X = np.meshgrid(GRID.centres, GRID.centres, indexing="ij")
 press = jax.jit(pads.press)

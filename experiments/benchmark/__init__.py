@@ -1,0 +1,1 @@
+"""Speeds, each as a ratio to a named peer in the same run."""

@@ -1,0 +1,156 @@
+"""Section `rendering` of the benchmark: depth patches of i2t against the ray casters Open3D and embreex, both of which
+are Embree.
+
+Poses go in and depth comes out, for all of them, with the scene built before; Open3D is also given rays that were made
+before. Poses are contact frames all over a mesh, turned about their normals at random.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import trimesh
+
+from experiments.benchmark.timing import MissingPeerError, Row, compare, in_turns
+from i2t.geometry import contact_frame
+from i2t.objects import catalogue
+from i2t.rendering.render import prepare, render_patch
+from i2t.simulation import sites
+from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, Surface
+
+SPHERE = "sphere"
+CLOSE = 1e-5  # m
+STEADY = 0.3  # s that each caster works in each turn
+BESIDE_AN_EDGE = 1e-4  # of all pixels may differ: rays within rounding of an edge, which either side may win
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """Which meshes and batches."""
+
+    spheres: tuple[int, ...] = (1, 3, 5, 6)  # times that an icosahedron's faces were cut in four
+    shapes: tuple[str, ...] = ("hexagon", "star", "flower", "cylinder", "hammer", "screwdriver", "spanner", "scissors")
+    batch: int = 256
+    batches: tuple[int, ...] = (1, 16, 1024, 4096)  # others, of the last sphere but one
+    largest: int = 4096  # batch whose memory is measured, on the last sphere
+
+
+def section(setup: Rendering, turns: int) -> list[Row]:
+    """Batches over meshes, then over batch sizes, then memory."""
+    rows = []
+    meshes = {f"{SPHERE} of {20 * 4**k} faces": trimesh.creation.icosphere(k, 0.03) for k in setup.spheres}
+    meshes |= {f"{name}, {len(mesh.faces)} faces": mesh for name in setup.shapes if (mesh := catalogue.make(name).mesh)}
+    for name, mesh in meshes.items():
+        rows += contest(name, mesh, setup.batch, turns)
+    names = list(meshes)
+    middle = names[max(len(setup.spheres) - 2, 0)]
+    for batch in setup.batches:
+        rows += contest(middle, meshes[middle], batch, turns)
+    last = names[len(setup.spheres) - 1]
+    return [*rows, memory(last, meshes[last], setup.largest)]
+
+
+def contest(name: str, mesh: Any, batch: int, turns: int) -> list[Row]:
+    """One mesh and batch size against every peer."""
+    surface = jax.tree.map(jnp.asarray, prepare(mesh))
+    poses = random_poses(surface, batch)
+    render = jax.jit(jax.vmap(render_patch, (None, 0)))
+    casters = {"Open3D": open3d_caster(mesh), "embreex": embreex_caster(mesh)}
+    rays = rays_of(poses)
+    seen = jax.device_get(render(surface, poses))
+    for peer, cast in casters.items():
+        check(name, peer, seen.depth, seen.nearest, cast(rays).reshape(batch, PATCH_PIXELS, PATCH_PIXELS))
+    contenders: dict[str, Callable[[], object]] = {"ours": lambda: jax.block_until_ready(render(surface, poses))}
+    contenders |= {peer: lambda cast=cast: cast(rays_of(poses)) for peer, cast in casters.items()}  # type: ignore[misc]
+    contenders["Open3D, rays given"] = lambda: casters["Open3D"](rays)
+    seconds = in_turns(contenders, turns, STEADY)
+    work = f"{name}, batch of {batch}"
+    return [
+        compare("rendering", work, seconds["ours"], peer, seconds[peer])._replace(unit="s a batch")
+        for peer in contenders
+        if peer != "ours"
+    ]
+
+
+def random_poses(surface: Surface, count: int) -> np.ndarray:
+    """Contact frames (count, 4, 4), area-uniform."""
+    key_points, key_spin = jax.random.split(jax.random.key(0))
+    points, normals = sites.sample_points(key_points, surface, count)
+    spins = jax.random.uniform(key_spin, (count,), maxval=2 * jnp.pi)
+    return np.asarray(jax.jit(jax.vmap(contact_frame))(points, normals, spins))
+
+
+def rays_of(poses: np.ndarray) -> np.ndarray:
+    """Origins and directions (poses x pixels, 6) of the rays of patches."""
+    at = ((np.arange(PATCH_PIXELS, dtype=np.float32) + 0.5) / PATCH_PIXELS - 0.5) * np.float32(PATCH_WINDOW)
+    x, y = np.meshgrid(at, at)
+    start = np.stack([x.ravel(), y.ravel(), np.full(x.size, -STANDOFF, np.float32), np.ones(x.size, np.float32)])
+    rays = np.empty((len(poses), x.size, 6), np.float32)
+    rays[..., :3] = (poses[:, :3].astype(np.float32) @ start).swapaxes(1, 2)
+    rays[..., 3:] = poses[:, None, :3, 2]
+    return rays.reshape(-1, 6)
+
+
+def open3d_caster(mesh: Any) -> Callable[[np.ndarray], np.ndarray]:
+    """Rays (n, 6) to distances (n,) with Open3D."""
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        raise MissingPeerError(
+            "Section rendering compares with Open3D, which cannot be loaded; run pip install 'i2t[bench]', and install "
+            "the system packages libusb-1.0-0 and libgl1."
+        ) from error
+    scene = open3d.t.geometry.RaycastingScene()
+    tensor: Any = open3d.core.Tensor
+    vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32)
+    scene.add_triangles(tensor(vertices), tensor(faces))
+    return lambda rays: scene.cast_rays(tensor.from_numpy(rays))["t_hit"].numpy()
+
+
+def embreex_caster(mesh: Any) -> Callable[[np.ndarray], np.ndarray]:
+    """Rays (n, 6) to distances (n,) with embreex, which trimesh uses."""
+    try:
+        from embreex import rtcore_scene
+        from embreex.mesh_construction import TriangleMesh
+    except ImportError as error:
+        raise MissingPeerError(
+            "Section rendering compares with embreex, which is not installed; run pip install 'i2t[bench]'."
+        ) from error
+    scene = rtcore_scene.EmbreeScene()
+    TriangleMesh(scene, np.asarray(mesh.vertices, np.float32)[np.asarray(mesh.faces)])
+
+    def cast(rays: np.ndarray) -> np.ndarray:
+        distance = scene.run(np.ascontiguousarray(rays[:, :3]), np.ascontiguousarray(rays[:, 3:]), query="DISTANCE")
+        return np.where(distance < 1e30, distance, np.inf)
+
+    return cast
+
+
+def check(name: str, peer: str, depth: np.ndarray, nearest: np.ndarray, distance: np.ndarray) -> None:
+    """Raise ValueError where patches are not what the peer's distances (n, 48, 48) make of them."""
+    heights = distance - STANDOFF
+    least = heights.min((1, 2), keepdims=True)
+    theirs = np.where(np.isfinite(least), np.minimum(heights - np.where(np.isfinite(least), least, 0), REACH), REACH)
+    ours = np.where(np.isfinite(nearest)[:, None, None], depth, REACH)
+    different = np.mean(np.abs(theirs - ours) > CLOSE)
+    if different > BESIDE_AN_EDGE:
+        raise ValueError(f"{name}: {different:.2%} of the pixels differ from {peer}'s by more than {CLOSE} m")
+
+
+def memory(name: str, mesh: Any, batch: int) -> Row:
+    """Scratch memory and result of one batch, against the rays and distances that a ray caster is given and returns."""
+    surface = prepare(mesh)
+    shapes = jax.tree.map(lambda field: jax.ShapeDtypeStruct(field.shape, field.dtype), surface)
+    poses = jax.ShapeDtypeStruct((batch, 4, 4), jnp.float32)
+    plan = jax.jit(jax.vmap(render_patch, (None, 0))).lower(shapes, poses).compile().memory_analysis()
+    assert plan is not None  # XLA on CPU and GPU says what it needs
+    ours = plan.temp_size_in_bytes + plan.output_size_in_bytes
+    theirs = batch * PATCH_PIXELS**2 * 7 * 4
+    gigabyte = 1e9
+    return Row(
+        "rendering", f"{name}, batch of {batch}", "GB", ours / gigabyte, "rays and distances", theirs / gigabyte,
+        theirs / ours,
+    )  # fmt: skip

@@ -1,0 +1,81 @@
+"""How fast is i2t, against the peer a user would otherwise take?
+
+    python -m experiments.benchmark --sections training rendering skin policy [--out DIR]
+
+Every section times our work and its peer's in turns in one run, on the same machine with the same inputs, after
+checking that both compute the same thing; the table gives the median of each and the median of the turns' ratios (above
+1: we are faster). Each section takes three to five minutes on a quiet machine of two cores; all but `policy`
+need the extra `bench`.
+"""
+
+import os
+import platform
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import jax
+
+from experiments.benchmark import policy as benchmark_policy
+from experiments.benchmark import rendering as benchmark_rendering
+from experiments.benchmark import skin as benchmark_skin
+from experiments.benchmark import training as benchmark_training
+from experiments.benchmark.policy import Policy
+from experiments.benchmark.rendering import Rendering
+from experiments.benchmark.skin import Skin
+from experiments.benchmark.timing import Row
+from experiments.benchmark.training import Training
+from experiments.common.runs import write_json
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """Which sections to run, how often, and where to write `benchmark.json`."""
+
+    sections: tuple[str, ...] = ("training", "rendering", "skin", "policy")
+    out: Path | None = None
+    turns: int = 5
+    training: Training = field(default_factory=Training)
+    rendering: Rendering = field(default_factory=Rendering)
+    skin: Skin = field(default_factory=Skin)
+    policy: Policy = field(default_factory=Policy)
+
+
+def main(cfg: Benchmark) -> list[Row]:
+    """Run the sections, print their tables, and write them down."""
+    unknown = [name for name in cfg.sections if name not in SECTIONS]
+    if unknown or not cfg.sections:
+        raise ValueError(f"--sections is {' '.join(cfg.sections)!r}; choose from {', '.join(SECTIONS)}.")
+    rows = [row for name in cfg.sections for row in SECTIONS[name](cfg)]
+    print(table(rows))
+    if cfg.out is not None:
+        cfg.out.mkdir(parents=True, exist_ok=True)
+        report = {
+            "machine": {
+                "cores": os.cpu_count(),
+                "platform": platform.platform(),
+                "device": jax.devices()[0].device_kind,
+            },
+            "config": asdict(cfg),
+            "rows": [row._asdict() for row in rows],
+        }
+        write_json(cfg.out / "benchmark.json", report)
+    return rows
+
+
+def table(rows: list[Row]) -> str:
+    """The rows as text, one comparison a line."""
+    lines = [("section", "work", "ours", "peer", "", "ratio")]
+    for row in rows:
+        ours, peer = (f"{value:.3g} {row.unit}" for value in (row.ours, row.peer))
+        lines.append((row.section, row.work, ours, peer, row.peer_name, f"{row.ratio:.2f}"))
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
+
+
+SECTIONS: dict[str, Callable[[Benchmark], list[Row]]] = {
+    "training": lambda cfg: benchmark_training.section(cfg.training, cfg.turns),
+    "rendering": lambda cfg: benchmark_rendering.section(cfg.rendering, cfg.turns),
+    "skin": lambda cfg: benchmark_skin.section(cfg.skin, cfg.turns),
+    "policy": lambda cfg: benchmark_policy.section(cfg.policy, cfg.turns),
+}

@@ -1,0 +1,194 @@
+"""Section `skin` of the benchmark: contacts and readings of i2t against the contacts of the package ContactMechanics.
+
+Both solve the same contacts of the same bonded layer on the same cells, to about the same residual: ours to a largest
+violation of 1e-5 of the deepest deflection, theirs to a root mean square of the penetration as small. Their systems
+are built before the clock starts. A reading adds the field of the layer's dipoles at the chips, for which
+ContactMechanics has no counterpart: the ratio of a reading to its contact is there to say how dear the field is.
+"""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from experiments.benchmark.timing import MissingPeerError, Row, compare, in_turns
+from i2t.skin.contact import TOLERANCE, solve
+from i2t.skin.elasticity import GRID, Grid
+from i2t.skin.pad import nominal_pad, press
+from i2t.types import Pad
+
+AGREE = 1e-3  # of the peak, by which pressures may differ (root mean square)
+PEER = "ContactMechanics"
+BEYOND = 1.0  # m behind the nearest point: nothing there
+
+
+@dataclass(frozen=True)
+class Skin:
+    """Which batches, grids and numbers of dipoles."""
+
+    batch: int = 64
+    cells: tuple[int, ...] = (20, 40, 80)  # along each edge of the pad
+    dipoles: tuple[int, ...] = (20, 40, 80)  # along each edge, under the finest of the grids
+    shapes: tuple[str, ...] = (
+        "ball of 16 mm", "ball of 4.6 mm", "punch", "tilted punch", "stamp T", "tilted stamp", "edge",
+    )  # fmt: skip
+    steady: float = 0.5  # s that each contender works in each turn
+
+
+def section(setup: Skin, turns: int) -> list[Row]:
+    """Each shape on the default grid, then all of them on every grid, then readings by the number of dipoles."""
+    pad = nominal_pad()
+    rows = [contest(pad, GRID, [name], setup, turns)[0] for name in setup.shapes]
+    for cells in setup.cells:
+        rows += contest(pad, _grid(cells), list(setup.shapes), setup, turns)
+    return rows + dipoles(pad, setup, turns)
+
+
+def contest(pad: Pad, grid: Grid, shapes: list[str], setup: Skin, turns: int) -> list[Row]:
+    """Contacts, and whole readings, against the peer's contacts."""
+    heights, depths = _touches(grid, shapes, setup.batch)
+    contact = jax.jit(jax.vmap(lambda pad, height, depth: solve(pad, height, depth, grid), (None, 0, 0)))
+    reading = jax.jit(jax.vmap(lambda pad, height, depth: press(pad, height, depth, grid).reading, (None, 0, 0)))
+    work = f"{shapes[0] if len(shapes) == 1 else 'all shapes'}, {grid.cells} x {grid.cells} cells"
+    systems = [
+        peer_contact(pad, grid, np.asarray(heights[i], float), float(depths[i])) for i in range(len(shapes))
+    ]  # one of each shape
+    check(work, contact(pad, heights, depths), [system() for system in systems], grid)
+    contenders: dict[str, Callable[[], object]] = {
+        "contacts": lambda: jax.block_until_ready(contact(pad, heights, depths)),
+        "readings": lambda: jax.block_until_ready(reading(pad, heights, depths)),
+        PEER: lambda: [system() for system in systems],
+    }
+    seconds = in_turns(contenders, turns, setup.steady)
+    theirs = [value / len(systems) for value in seconds[PEER]]
+    return [
+        compare("skin", f"{kind}: {work}", [value / setup.batch for value in seconds[kind]], PEER, theirs)._replace(
+            unit="s a touch"
+        )
+        for kind in ("contacts", "readings")
+    ]
+
+
+def dipoles(pad: Pad, setup: Skin, turns: int) -> list[Row]:
+    """Readings of contacts on the finest grid with ever more dipoles, against the contact alone."""
+    grid = _grid(max(setup.cells))
+    heights, depths = _touches(grid, list(setup.shapes), setup.batch)
+    run = jax.jit(
+        jax.vmap(
+            lambda pad, height, depth, coarser: press(pad, height, depth, grid, dipoles=coarser).reading,
+            (None, 0, 0, None),
+        ),
+        static_argnums=3,
+    )
+    contact = jax.jit(jax.vmap(lambda pad, height, depth: solve(pad, height, depth, grid), (None, 0, 0)))
+    contenders: dict[str, Callable[[], object]] = {
+        str(count): partial(_finish, run, pad, heights, depths, _grid(count)) for count in setup.dipoles
+    }
+    contenders["contact"] = partial(_finish, contact, pad, heights, depths)
+    seconds = in_turns(contenders, turns, setup.steady)
+    per_touch = {name: [value / setup.batch for value in values] for name, values in seconds.items()}
+    return [
+        compare(
+            "skin",
+            f"readings: {grid.cells} x {grid.cells} cells, {count} x {count} x 5 dipoles",
+            per_touch[str(count)],
+            "the contact alone",
+            per_touch["contact"],
+        )._replace(unit="s a touch")
+        for count in setup.dipoles
+    ]
+
+
+def peer_contact(pad: Pad, grid: Grid, height: np.ndarray, depth: float) -> Callable[[], np.ndarray]:
+    """A contact that ContactMechanics solves when called, giving the pressure (Pa) on the pad's cells."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # it says at import that it runs without MPI
+            from ContactMechanics import PeriodicFFTElasticHalfSpace
+            from ContactMechanics.Systems import NonSmoothContactSystem
+            from SurfaceTopography import Topography
+    except ImportError as error:
+        raise MissingPeerError(
+            "Section skin compares with ContactMechanics, which is not installed; run pip install 'i2t[bench]'."
+        ) from error
+    period, modes = grid.modes * grid.spacing, (grid.modes, grid.modes)
+    elastic = PeriodicFFTElasticHalfSpace(
+        modes, float(pad.young), (period, period), thickness=float(pad.thickness), poisson=float(pad.poisson)
+    )
+    surface = np.full(modes, -BEYOND)
+    surface[: grid.cells, : grid.cells] = -np.minimum(height, BEYOND)
+    system = NonSmoothContactSystem(elastic, Topography(surface, (period, period)))
+
+    def run() -> np.ndarray:
+        if not system.minimize_proxy(offset=depth, pentol=TOLERANCE * depth).success:
+            raise ValueError(f"{PEER} did not converge")
+        return np.asarray(system.force)[: grid.cells, : grid.cells] / grid.spacing**2
+
+    return run
+
+
+def check(work: str, ours: object, theirs: list[np.ndarray], grid: Grid) -> None:
+    """Raise ValueError where a contact has not converged or is not the peer's."""
+    pressures, converged = np.asarray(ours.pressure), np.asarray(ours.converged)  # type: ignore[attr-defined]
+    if not converged.all():
+        raise ValueError(f"{work}: {np.sum(~converged)} contacts have not converged.")
+    for mine, pressure in zip(pressures, theirs, strict=False):
+        difference = np.sqrt(np.mean((mine - pressure) ** 2)) / pressure.max()
+        if difference > AGREE:
+            raise ValueError(f"{work}: pressures differ by {difference:.1e} of the peak from those of {PEER}.")
+
+
+def _finish(run: Callable, *arguments: object) -> object:
+    return jax.block_until_ready(run(*arguments))
+
+
+def _grid(cells: int) -> Grid:
+    """As fine as asked, with the default's period."""
+    return Grid(cells, cells * GRID.modes // GRID.cells)
+
+
+def _touches(grid: Grid, shapes: list[str], batch: int) -> tuple[jax.Array, jax.Array]:
+    """Heights (batch, n, n) and indentations (batch,): the shapes in turn, at random places."""
+    y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
+    rng = np.random.default_rng(0)
+    heights, depths = [], []
+    for i in range(batch):
+        shape, depth = SHAPES[shapes[i % len(shapes)]]
+        dx, dy = rng.uniform(-3e-3, 3e-3, 2)
+        height = shape(x - dx, y - dy)
+        heights.append(height - height.min())
+        depths.append(depth)
+    return jnp.asarray(np.stack(heights), jnp.float32), jnp.asarray(depths, jnp.float32)
+
+
+def _ball(radius: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    square = radius**2 - x**2 - y**2
+    return np.where(square > 0, radius - np.sqrt(np.maximum(square, 0)), BEYOND)
+
+
+def _stamp(tilt: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    bars = ((abs(x) < 1e-3) & (abs(y) < 5e-3)) | ((abs(x) < 5e-3) & (abs(y - 4e-3) < 1e-3))
+    return np.where(bars, 0, 3.5e-3) + tilt * (x + 15e-3)
+
+
+def _punch(tilt: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return np.where(x**2 + y**2 < 4e-3**2, tilt * (x + 15e-3), BEYOND)
+
+
+def _edge(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return np.maximum(0.5 * (x + 0.3 * y), -(x + 0.3 * y))
+
+
+SHAPES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], np.ndarray], float]] = {
+    "ball of 16 mm": (partial(_ball, 8e-3), 0.6e-3),
+    "ball of 4.6 mm": (partial(_ball, 2.3e-3), 0.5e-3),
+    "punch": (partial(_punch, 0.0), 0.2e-3),
+    "tilted punch": (partial(_punch, 0.02), 0.2e-3),
+    "stamp T": (partial(_stamp, 0.0), 0.2e-3),
+    "tilted stamp": (partial(_stamp, 0.03), 0.3e-3),
+    "edge": (_edge, 0.2e-3),
+}

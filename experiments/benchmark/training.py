@@ -1,0 +1,126 @@
+"""Section `training` of the benchmark: our compiled epoch against eager PyTorch, and a seed among several trained
+together against one alone.
+"""
+
+import statistics
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from experiments.benchmark.timing import MissingPeerError, Row, compare, in_turns
+from i2t.prediction import training
+from i2t.prediction.model import Inputs, ModelConfig
+from i2t.prediction.training import Batch, TrainConfig, TrainState
+
+
+@dataclass(frozen=True)
+class Training:
+    """An epoch of the paper's network on a set of the paper's size."""
+
+    touches: int = 1630
+    epochs: int = 10  # timed together, in one turn: a chunk of `training.fit`
+    seeds: int = 5  # trained together
+    model: ModelConfig = field(default_factory=ModelConfig)
+    train: TrainConfig = field(default_factory=lambda: TrainConfig(schedule="constant"))
+
+
+def section(setup: Training, turns: int) -> list[Row]:
+    """Our compiled epoch against eager PyTorch, and a seed among several trained together against one alone."""
+    batch = _random_touches(setup)
+    state = jax.jit(lambda: training.start(setup.model, setup.train, setup.touches))()
+    run = jax.jit(training.make_chunk(setup.model, setup.train, setup.epochs))
+    vmapped = jax.jit(jax.vmap(training.make_chunk(setup.model, setup.train, setup.epochs), (0, None, None, None)))
+    states = jax.tree.map(lambda leaf: jnp.stack([leaf] * setup.seeds), state)
+    count = jnp.int32(setup.epochs)
+
+    peers = {name: TorchTraining(setup, state, batch, name) for name in ("fused", "foreach")}
+    expected = np.asarray(run(state, batch, None, count)[1].train.total[:, 0])
+    for peer in peers.values():
+        # Float32 sums of some thousand terms in another order, carried through some epochs of Adam.
+        np.testing.assert_allclose(peer.epochs(), expected, rtol=1e-3)
+
+    contenders: dict[str, Callable[[], object]] = {
+        "ours": lambda: jax.block_until_ready(run(state, batch, None, count)),
+        "alone": lambda: [jax.block_until_ready(run(state, batch, None, count)) for _ in range(setup.seeds)],
+        "together": lambda: jax.block_until_ready(vmapped(states, batch, None, count)),
+    }
+    contenders |= {name: peer.epochs for name, peer in peers.items()}
+    seconds = {name: [s / setup.epochs for s in each] for name, each in in_turns(contenders, turns).items()}
+    best = min(peers, key=lambda name: statistics.median(seconds[name]))
+    together_each, alone_each = ([s / setup.seeds for s in seconds[name]] for name in ("together", "alone"))
+    what = f"epoch of {setup.touches} touches, minibatches of {setup.train.batch_size}"
+    return [
+        compare("training", what, seconds["ours"], f"eager PyTorch, {best} Adam", seconds[best]),
+        compare(
+            "training", f"the same, a seed of {setup.seeds} together", together_each, "the seeds one by one", alone_each
+        ),
+    ]
+
+
+class TorchTraining:
+    """The same network, initial weights and minibatches in eager PyTorch, on tensors that are indexed for each
+    minibatch.
+    """
+
+    def __init__(self, setup: Training, state: TrainState, batch: Batch, adam: str) -> None:
+        try:
+            import torch
+        except ImportError as error:
+            raise MissingPeerError(
+                "Section training compares with PyTorch, which is not installed; run pip install 'i2t[bench]'."
+            ) from error
+        if setup.model != ModelConfig(pixels=setup.model.pixels):
+            raise ValueError("Section training compares the paper's network only; leave --training.model as it is.")
+        self.torch, self.setup, self.key, self.epoch = torch, setup, state.key[0], 0
+        self.images = torch.tensor(np.asarray(batch.inputs.image)).flatten(1)
+        self.targets = torch.tensor(np.asarray(batch.target))
+
+        def linear(name: str) -> "torch.nn.Linear":
+            kernel, bias = (torch.tensor(np.asarray(state.params[name][part][0])) for part in ("kernel", "bias"))
+            layer = torch.nn.Linear(*kernel.shape)
+            with torch.no_grad():
+                layer.weight.copy_(kernel.T)
+                layer.bias.copy_(bias)
+            return layer
+
+        def two(first: str, second: str) -> "torch.nn.Sequential":
+            return torch.nn.Sequential(linear(first), torch.nn.ReLU(), linear(second))
+
+        self.encoder, self.decoder, self.head = (
+            two(*names) for names in (("encoder", "bottleneck"), ("decoder", "reading"), ("auxiliary", "image"))
+        )
+        parts = torch.nn.ModuleList([self.encoder, self.decoder, self.head])
+        self.adam = torch.optim.Adam(
+            parts.parameters(), setup.train.learning_rate, fused=adam == "fused", foreach=adam == "foreach"
+        )
+
+    def epochs(self) -> list[float]:
+        """Go on for the turn's epochs; the mean loss of each."""
+        return [self._epoch() for _ in range(self.setup.epochs)]
+
+    def _epoch(self) -> float:
+        size, touches = self.setup.train.batch_size, self.setup.touches
+        rows, _ = training.minibatches(self.key, jnp.int32(self.epoch), touches, size)
+        order = self.torch.tensor(np.asarray(rows).ravel()[:touches])
+        self.epoch += 1
+        total = self.torch.zeros(())
+        for index in order.split(size):
+            image, target = self.images[index], self.targets[index]
+            latent = self.encoder(image)
+            loss = ((self.decoder(latent) - target) ** 2).mean() + ((self.head(latent) - image) ** 2).mean()
+            self.adam.zero_grad(set_to_none=True)
+            loss.backward()
+            self.adam.step()
+            total += loss.detach() * len(index)
+        return float(total) / touches
+
+
+def _random_touches(setup: Training) -> Batch:
+    """Numbers of the right shapes: what a training costs does not depend on what it learns."""
+    rng = np.random.default_rng(0)
+    image = rng.random((setup.touches, setup.model.pixels, setup.model.pixels), np.float32)
+    target = rng.standard_normal((setup.touches, 15), np.float32)
+    return Batch(Inputs(jnp.asarray(image), jnp.zeros((setup.touches, 0))), jnp.asarray(target))

@@ -1,0 +1,1 @@
+"""How many presses of a skin predict all others."""

@@ -1,0 +1,90 @@
+"""Question: what is lost, and what moves, when something breaks while touches are collected?
+
+    python -m experiments.faults                         everything at full size: about two hours
+    python -m experiments.faults --sections skin disk    some of it
+    python -m experiments.faults --preset debug          everything once or twice, in a minute
+
+Real drivers talk to stand-ins for a skin and a UR controller (whose watchdog and protective stop follow Universal
+Robots' documents and were compared with no real controller), and simulated devices fill disks and press a thousand
+times. Every figure says how often it was tried. Results go to --out: report.md and metrics.json. Exit code 1 if a goal
+was missed.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from experiments.common.runs import reported, write_json
+from experiments.faults.arm import arm, force
+from experiments.faults.kill import kill
+from experiments.faults.rows import DEBUG, Row, Sizes
+from experiments.faults.simulated import disk, presses
+from experiments.faults.skin import skin
+from experiments.faults.volume import volume
+from i2t.errors import DeviceError
+
+Section = Literal["disk", "presses", "arm", "skin", "force", "volume", "kill"]
+SECTIONS: dict[Section, Callable[[Sizes], list[Row]]] = {
+    "disk": disk,
+    "presses": presses,
+    "arm": arm,
+    "skin": skin,
+    "force": force,
+    "volume": volume,
+    "kill": kill,
+}
+PRESETS = {"full": Sizes(), "debug": DEBUG}
+
+
+@dataclass(frozen=True)
+class Args:
+    """Break things while touches are collected, and count what is lost."""
+
+    out: Path = Path("runs/faults")  # folder for the report
+    sections: tuple[Section, ...] = tuple(SECTIONS)  # which
+    preset: Literal["full", "debug"] = "full"  # how often
+    share: float = 1.0  # of that
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    args = tyro.cli(Args, args=argv, description=__doc__, prog="python -m experiments.faults")
+    missed: list[Row] = []
+    return reported(partial(_run, args, missed)) or int(bool(missed))
+
+
+def _run(args: Args, missed: list[Row]) -> None:
+    rows: list[Row] = []
+    sizes = PRESETS[args.preset].times(args.share)
+    args.out.mkdir(parents=True, exist_ok=True)
+    for name in args.sections:
+        print(f"{name} ...", flush=True)
+        begun = time.monotonic()
+        try:
+            found = SECTIONS[name](sizes)
+        except DeviceError as error:
+            found = [Row(name, "the section", "-", f"ended early: {error}", "", False)]
+        rows += found
+        print(table(found), f"({time.monotonic() - begun:.0f} s)\n", sep="\n", flush=True)
+        (args.out / "report.md").write_text(table(rows) + "\n")
+        write_json(args.out / "metrics.json", {"sizes": asdict(sizes), "rows": [row._asdict() for row in rows]})
+    missed += [row for row in rows if row.met is False]
+    print(f"{len(rows)} figures, {len(missed)} goals missed; the report is {args.out / 'report.md'}")
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Figures as a table in Markdown."""
+    lines = ["| section | what | tried | measured | goal | |", "| --- | --- | --- | --- | --- | --- |"]
+    verdicts = {True: "met", False: "MISSED", None: ""}
+    return "\n".join(
+        lines
+        + [
+            f"| {row.section} | {row.what} | {row.tried} | {row.measured} | {row.goal} | {verdicts[row.met]} |"
+            for row in rows
+        ]
+    )

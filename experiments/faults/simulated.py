@@ -1,0 +1,242 @@
+"""Presses in closed form, a thousand for little: late arms, noise that must not stop one, disks, clocks and cables."""
+
+import contextlib
+import os
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.faults.places import HEIGHT, site
+from experiments.faults.plane_camera import PlaneCamera, cut
+from experiments.faults.rows import Row, Sizes
+from i2t import dataset
+from i2t.collect.procedure import Outcome, Procedure, Settings, Site
+from i2t.collect.recorder import Names, Recorder, touches_in
+from i2t.depth.camera import Camera
+from i2t.emulators.in_process import Lab, SimulatedArm, SimulatedSkin, Virtual
+from i2t.emulators.scene import Flat
+from i2t.errors import DeviceError
+from i2t.hardware.clock import Clock
+from i2t.hardware.rig import Rig
+from i2t.simulation.touches import Errors
+from i2t.skin import boards
+from i2t.types import READINGS, Array, ReturnCode
+
+WALL = 1.8e9  # Unix time at which simulated time begins
+GAIN = np.linspace(-9, 12, READINGS)  # uT/N
+
+
+class Watch:
+    """A clock whose Unix time somebody sets."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock, self.jump = clock, 0.0
+
+    def now(self) -> float:
+        """Seconds."""
+        return self._clock.now()
+
+    def wall(self) -> float:
+        """Unix time (s), set wrong by `jump`."""
+        return self._clock.wall() + self.jump
+
+    def sleep(self, seconds: float) -> None:
+        """Wait."""
+        self._clock.sleep(seconds)
+
+
+class Nobody:
+    """Keeps nothing but how far the tool went."""
+
+    def __init__(self) -> None:
+        self.places: list[Array] = []
+
+    def begin(self, site: Site, attempt: int) -> "Nobody":
+        """A touch begins."""
+        return self
+
+    def keep(self, touched: Any) -> None:
+        """It was made."""
+
+    def abandon(self, reason: str) -> None:
+        """It was not."""
+
+    def samples(self, samples: Any) -> None:
+        """Of the skin."""
+
+    def state(self, state: Any) -> None:
+        """Of the arm."""
+        self.places.append(state.T_b_t[:3, 3])
+
+    def event(self, text: str) -> None:
+        """What happened."""
+
+
+def lab(
+    height: float = HEIGHT, stiffness: float = 10e3, gain: Array = GAIN, latency: float = 0.03, seed: int = 0
+) -> tuple[Procedure, Watch]:
+    """A procedure over a plane, its devices connected, and its clock."""
+    clock, rig = Watch(Virtual(WALL)), Rig()
+    scene = Flat(height, stiffness, gain, Errors(), boards.reskin())
+    inside = Lab(scene, clock, seed)
+    arm, skin = SimulatedArm(inside, rig.limits, latency), SimulatedSkin(inside)
+    lens = Camera(64, 36, 32.2, 32.2, 31.5, 17.5)
+    eye = PlaneCamera(lens, HEIGHT, lambda: arm.state().T_b_t @ rig.T_tool_camera, clock)
+    for device in (arm, skin, eye):
+        device.connect()
+    return Procedure(arm, skin, eye, rig, boards.reskin(), cut, HEIGHT, Settings(patience=1.0), clock), clock
+
+
+def presses(sizes: Sizes) -> list[Row]:
+    """Force on late arms, and noise alone."""
+    rng, over, outside = np.random.default_rng(0), [], 0
+    for number in range(sizes.presses):
+        stiffness = float(np.exp(rng.uniform(np.log(1e3), np.log(10e3))))
+        procedure, _ = lab(stiffness=stiffness, gain=np.zeros(READINGS), latency=rng.uniform(0, 0.06), seed=number)
+        keeper = Nobody()
+        touched = procedure.touch(site(number), keeper)
+        outside += sum(not procedure.rig.limits.hold(place, 1e-6) for place in keeper.places)
+        over.append(stiffness * (HEIGHT - touched.T_w_t[2, 3]) - procedure.settings.force)
+    procedure, _ = lab(height=-1.0)
+    codes = [procedure.touch(site(number), Nobody()).code for number in range(sizes.air)]
+    stopped = sum(code == ReturnCode.SKIN for code in codes)
+    said = f"median {np.median(over):+.2f} N, greatest {max(over):+.2f} N; outside the box {outside} times"
+    return [
+        Row(
+            "force", "past the 8 N limit, 1 to 10 N/mm, up to 60 ms late", f"{sizes.presses} simulated presses", said,
+            "<= +2 N, never outside", max(over) <= 2.0 and outside == 0,
+        ),
+        Row(
+            "force", "false stops of the skin, in the air with real noise", f"{sizes.air} simulated presses",
+            str(stopped), "< 1 in 1000", stopped * 1000 <= sizes.air and (sizes.air < 1000 or stopped == 0),
+        ),
+    ]  # fmt: skip
+
+
+def disk(sizes: Sizes) -> list[Row]:
+    """Full and read-only disks, a clock that is set, a camera that is unplugged."""
+    rows = []
+    for name, harm in (
+        ("full disk", _full), ("folder becomes read-only", _read_only),
+        ("clock set back an hour", _clock), ("camera unplugged", _camera),
+    ):  # fmt: skip
+        lost = unreadable = acknowledged = ended = 0
+        sentences = set()
+        try:
+            for trial in range(sizes.disk):
+                told, folder_lost, bad, sentence = harm(trial)
+                acknowledged, lost, unreadable = acknowledged + told, lost + folder_lost, unreadable + bad
+                ended += bool(sentence)
+                sentences.add(sentence)
+        except PermissionError:
+            rows.append(Row("disk", name, "not run", "a disk can be made only by root", "0 lost", None))
+            continue
+        shown = min(sentences)[:110]
+        said = (
+            f"{lost} of {acknowledged} acknowledged touches lost, {unreadable} unreadable; ended {ended} times: "
+            f'"{shown}"'
+        )
+        rows.append(
+            Row("disk", name, f"{sizes.disk} times", said, "0 lost", lost + unreadable == 0 and ended == sizes.disk)
+        )
+    return rows
+
+
+@contextlib.contextmanager
+def _small_disk(size: str) -> Iterator[Path]:
+    if os.name != "posix" or os.geteuid() != 0:
+        raise PermissionError
+    with tempfile.TemporaryDirectory() as folder:
+        if subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", folder], check=False).returncode:
+            raise PermissionError
+        try:
+            yield Path(folder)
+        finally:
+            subprocess.run(["umount", folder], check=False)
+
+
+def count(folder: Path, told: list[str]) -> tuple[int, int]:
+    """How many acknowledged touches are lost, and files that cannot be read."""
+    present = {path.name: path for path in touches_in(folder)}
+    bad = 0
+    for path in present.values():
+        try:
+            dataset.read_touch(path)
+        except dataset.DataError:
+            bad += 1
+    return sum(name not in present for name in told), bad
+
+
+def _session(
+    folder: Path, procedure: Procedure, most: int, reserve: int = 0, each: Any = None
+) -> tuple[list[str], str]:
+    """The touches that were acknowledged, and what ended it early."""
+    rig, told = procedure.rig, []
+    names = Names(
+        "plane", "pad", "run", "simulated", boards.reskin(), rig.T_world_base, rig.T_world_object,
+        procedure.camera.camera,
+    )  # fmt: skip
+
+    def choose(history: Any) -> Site | None:
+        return site(len(history)) if len(history) < most else None
+
+    try:
+        with Recorder(folder, names, procedure.clock, reserve) as kept:
+            for outcome in procedure.run(choose, kept):
+                told.append(kept.kept[-1].name)
+                if each is not None:
+                    each(outcome)
+    except DeviceError as error:
+        assert not procedure.arm.state().moving
+        return told, str(error)
+    return told, ""
+
+
+def _full(trial: int) -> tuple[int, int, int, str]:
+    with _small_disk(f"{1500 + 130 * trial}k") as folder:
+        told, sentence = _session(folder / "data", lab(seed=trial)[0], 50)
+        return len(told), *count(folder / "data", told), sentence
+
+
+def _read_only(trial: int) -> tuple[int, int, int, str]:
+    with _small_disk("20m") as folder:
+
+        def spoil(outcome: Outcome) -> None:
+            if outcome.site.number == 1:
+                # A lazy remount would be refused while files are open for writing.
+                subprocess.run(["mount", "--bind", folder, folder], check=True)
+                subprocess.run(["mount", "-o", "remount,bind,ro", folder], check=True)
+
+        try:
+            told, sentence = _session(folder / "data", lab(seed=trial)[0], 4, each=spoil)
+            return len(told), *count(folder / "data", told), sentence
+        finally:
+            subprocess.run(["umount", folder], check=False)
+
+
+def _clock(trial: int) -> tuple[int, int, int, str]:
+    procedure, clock = lab(seed=trial)
+
+    def spoil(outcome: Outcome) -> None:
+        clock.jump = -3600.0 if outcome.site.number == 1 else 0.0
+
+    with tempfile.TemporaryDirectory() as folder:
+        told, sentence = _session(Path(folder), procedure, 4, each=spoil)
+        return len(told), *count(Path(folder), told), sentence
+
+
+def _camera(trial: int) -> tuple[int, int, int, str]:
+    procedure, _ = lab(seed=trial)
+    eye: Any = procedure.camera
+
+    def spoil(outcome: Outcome) -> None:
+        if outcome.site.number == 1:
+            eye.trouble = DeviceError("the camera over a plane is gone; plug it in")
+
+    with tempfile.TemporaryDirectory() as folder:
+        told, sentence = _session(Path(folder), procedure, 4, each=spoil)
+        return len(told), *count(Path(folder), told), sentence

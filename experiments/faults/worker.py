@@ -1,0 +1,59 @@
+"""A collection that starts quickly, to be killed: the drivers, the procedure and the recorder of `i2t.collect.session`,
+with a patch in closed form instead of a compiled one.
+
+    python -m experiments.faults.worker HOST PORT FOLDER TOUCHES [WATCHDOG]
+
+prints the name of each touch once it is kept.
+"""
+
+import sys
+from pathlib import Path
+
+from experiments.faults.places import HEIGHT, site
+from experiments.faults.plane_camera import PlaneCamera, cut
+from i2t.collect.procedure import Procedure, Settings
+from i2t.collect.recorder import Names, Recorder, site_of, touches_in
+from i2t.depth.camera import Camera
+from i2t.errors import DeviceError
+from i2t.hardware.clock import Monotonic
+from i2t.hardware.reskin.driver import ReSkin
+from i2t.hardware.rig import Rig
+from i2t.hardware.ur.driver import UR
+from i2t.skin import boards
+
+QUICK = Settings(prepare=20e-3, near=2e-3, approach=0.05, press=0.004, settle=0.02, clearance=0.02, speed=0.25)
+STALE = 0.5  # s
+
+
+def main(host: str, port: str, folder: str, touches: str, watchdog: str = "10") -> int:
+    """Collect; returns the exit code."""
+    rig, out = Rig(), Path(folder)
+    done = {site_of(path) for path in touches_in(out)}
+    arm = UR(
+        host,
+        rig.limits,
+        rig.T_flange_tool,
+        (rig.mass, rig.centre),
+        stale=max(STALE, 2 / float(watchdog)),
+        watchdog=float(watchdog),
+    )
+    lens = Camera(320, 180, 161.2, 161.05, 159.5, 89.5)
+    eye = PlaneCamera(lens, HEIGHT, lambda: arm.state().T_b_t @ rig.T_tool_camera, Monotonic())
+    names = Names(
+        "hexagon", "emulated", "run", "simulated", boards.reskin(), rig.T_world_base, rig.T_world_object, lens
+    )
+    with ReSkin(port) as skin, eye, arm, Recorder(out, names) as kept:
+        procedure = Procedure(arm, skin, eye, rig, boards.reskin(), cut, HEIGHT, QUICK)
+        print("begun", flush=True)
+        left = (number for number in range(int(touches)) if number not in done)
+        for _ in procedure.run(lambda history: next((site(number) for number in left), None), kept):
+            if kept.kept:
+                print(kept.kept[-1].name, flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main(*sys.argv[1:]))
+    except DeviceError as error:
+        sys.exit(str(error))

@@ -1,0 +1,1 @@
+"""Which of five stamps was pressed into the skin."""

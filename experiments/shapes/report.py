@@ -1,0 +1,133 @@
+"""What `experiments.shapes` leaves behind: tables beside the paper's, confusion matrices, figures."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.shapes.methods import METHODS, PAPER
+from i2t.recognition.metrics import Estimate, rate, student
+from i2t.viz import touches as pictures
+
+PUBLISHED = {"T": 0.91, "circle": 0.90, "angle": 0.90, "triangle": 0.95, "cross": 0.94, "total": 0.92}
+
+
+def summarise(
+    parts: list[dict[str, Any]], truth: list[np.ndarray], held: list[dict[str, np.ndarray]], names: tuple[str, ...]
+) -> dict[str, Any]:
+    """Rates with intervals: Student's t over the folds of all pads (`held`), or over draws of presses for a new skin.
+
+    Folds of one pad share presses to learn from, so that with few pads the intervals are a little too narrow.
+    """
+    random = [split["random"] for split in held]
+    sensors: dict[str, Any] = {
+        sensor: {method: _total([part["sensors"][sensor][method] for part in parts], truth, random) for method in rates}
+        for sensor, rates in parts[0]["sensors"].items()
+    }
+    new = {
+        each: {
+            method: _plain(student(np.concatenate([part["new"][each][method] for part in parts]))) for method in methods
+        }
+        for each, methods in parts[0]["new"].items()
+    }
+    splits = {
+        split: {
+            method: _scored([part["splits"][split][method] for part in parts], truth, [h[split] for h in held], names)
+            for method in methods
+        }
+        for split, methods in parts[0]["splits"].items()
+        if all(split in part["splits"] for part in parts)
+    }
+    return {"splits": splits, "new": new, "sensors": sensors}
+
+
+def _scored(
+    guesses: list[list[int]], truth: list[np.ndarray], held: list[np.ndarray], names: tuple[str, ...]
+) -> dict[str, Any]:
+    guess, true = np.concatenate(guesses).astype(int), np.concatenate(truth).astype(int)
+    confusion = np.zeros((len(names), len(names)), int)
+    np.add.at(confusion, (true, guess), 1)
+    return {
+        "total": _total(guesses, truth, held),
+        "by_shape": {name: _plain(rate(guess[true == i] == i)) for i, name in enumerate(names)},
+        "confusion": confusion.tolist(),
+    }
+
+
+def _total(guesses: list[list[int]], truth: list[np.ndarray], held: list[np.ndarray]) -> list[float]:
+    right = [np.asarray(g) == t for g, t in zip(guesses, truth, strict=True)]
+    folds = [r[part == fold].mean() for r, part in zip(right, held, strict=True) for fold in np.unique(part)]
+    total = student(np.array(folds))
+    mean = float(np.concatenate(right).mean())  # folds are nearly of one size
+    return [mean, float(total.low), float(total.high)]
+
+
+def _plain(estimate: Estimate) -> list[float]:
+    return [float(estimate.mean), float(estimate.low), float(estimate.high)]
+
+
+def report(result: dict[str, Any]) -> None:
+    """The tables a person reads."""
+    kind = "" if result["source"] == "real" else f" ({result['source']})"
+    over = f"{len(result['pads'])} pads" if len(result["pads"]) > 1 else "one pad"
+    names = result["shapes"]
+    published = all(name in PUBLISHED for name in names)
+    print(f"\nrandom fifths held out{kind}, {over} [95 %]\n{'':30}" + "".join(f"{n:>10}" for n in (*names, "total")))
+    if published:
+        print(f"{'paper, one real skin':30}" + "".join(f"{PUBLISHED[name]:10.2f}" for name in (*names, "total")))
+    for method, scored in result["splits"]["random"].items():
+        each = "".join(f"{scored['by_shape'][name][0]:10.2f}" for name in names)
+        print(f"{method:30}{each}  {_interval(scored['total'])}")
+    methods = [method for method in METHODS if method in result["splits"]["random"]]
+    print(f"\nheld out{kind}{'':20}" + "".join(f"{method:>30}" for method in methods))
+    for split, scored in result["splits"].items():
+        print(f"{split:28}" + "".join(f"{_interval(scored[method]['total']):>30}" for method in methods))
+    for each, rates in result["new"].items():
+        print(f"\na new skin, {each} presses of each shape{kind}")
+        for method, value in rates.items():
+            print(f"  {method:40}{_interval(value)}")
+    if result["sensors"]:
+        print(f"\nother sensors, random fifths{kind}")
+        for name, rates in result["sensors"].items():
+            print(f"  {name:16}" + "".join(f"{method:>30} {_interval(value)}" for method, value in rates.items()))
+    for name, (value, n) in result["limits"].items():
+        print(f"  {PAPER}, {name}: {value:.3f} ({n:.0f} presses)")
+    print(f"{result['seconds']:.0f} s")
+
+
+def _interval(value: list[float]) -> str:
+    mean, low, high = (float("nan") if v is None else v for v in value)
+    return f"{mean:.3f} [{low:.2f}, {high:.2f}]" if np.isfinite(low) else f"{mean:.3f}"
+
+
+def figures(out: Path, result: dict[str, Any]) -> None:
+    """Confusion matrices of the random split, rates of all splits, and rates by the sensor's noise."""
+    simulated = result["source"] != "real"
+    matrices = {name: np.array(scored["confusion"]) for name, scored in result["splits"]["random"].items()}
+    figure = pictures.confusions(matrices, result["shapes"], "Which stamp was it? A random fifth held out", simulated)
+    pictures.save(figure, out / "confusion.png")
+    rates = {
+        f"{split} out": {method: scored["total"] for method, scored in methods.items()}
+        for split, methods in result["splits"].items()
+    } | {
+        f"new skin, {each} of each": rates for each, rates in result["new"].items()
+    }  # fmt: skip
+    figure = pictures.rates(
+        rates, "Which stamp was it?", "share of right answers", 1 / len(result["shapes"]), simulated
+    )
+    pictures.save(figure, out / "rates.png")
+    random = result["splits"]["random"]
+    levels = {name: rates for name, rates in result["sensors"].items() if name.endswith("x noise")}
+    for level in list(levels)[:1]:
+        levels["1 x noise"] = {method: random[method]["total"] for method in levels[level]}
+    levels = dict(sorted(levels.items(), key=lambda item: float(item[0].split()[0])))
+    if len(levels) > 1:
+        lines = {
+            method: np.array([[float(name.split()[0]), *rates[method]] for name, rates in levels.items()])
+            for method in next(iter(levels.values()))
+        }
+        figure = pictures.rates_by(
+            lines, "Which stamp was it? A random fifth held out", "sensor noise, times a real board's",
+            "share of right answers", simulated,
+        )  # fmt: skip
+        pictures.save(figure, out / "noise.png")

@@ -1,0 +1,1 @@
+"""The main experiment: which predictor foretells readings on objects it has not seen."""

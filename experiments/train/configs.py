@@ -1,0 +1,84 @@
+"""Named presets: frozen dataclasses that hold no arrays and say what an experiment does."""
+
+import math
+from dataclasses import dataclass, field, replace
+
+from i2t.prediction.model import ModelConfig
+from i2t.prediction.training import TrainConfig
+from i2t.simulation.touches import Errors, PressLimits
+from i2t.skin.contact import FINE
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """The simulated data set: which objects, how many touches of each, what goes wrong."""
+
+    train: tuple[str, ...] = ("hexagon", "parallelogram")  # the paper's
+    validation: tuple[str, ...] = ("cutter",)
+    test: tuple[str, ...] = ("star", "square", "flower", "cylinder", "screwdriver", "hammer")
+    touches: int = 1630  # the paper's, over all objects
+    train_share: float = 0.575  # of the touches, on the training objects: 13 runs of 36 each
+    touches_per_run: int = 36  # the paper's
+    errors: Errors = field(default_factory=Errors)
+    limits: PressLimits = field(default_factory=lambda: PressLimits(final=FINE))
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        """All objects, training objects first."""
+        return self.train + self.validation + self.test
+
+    def counts(self) -> list[int]:
+        """Touches of each object; they sum to `touches`."""
+        others = len(self.objects) - len(self.train)
+        trained = round(self.touches * self.train_share)
+        return _shares(trained, len(self.train)) + _shares(self.touches - trained, others)
+
+
+def _shares(total: int, parts: int) -> list[int]:
+    return [total // parts + (i < total % parts) for i in range(parts)]
+
+
+@dataclass(frozen=True)
+class TrainExperiment:
+    """What `python -m experiments.train` does."""
+
+    simulation: Simulation = field(default_factory=Simulation)
+    networks: dict[str, ModelConfig] = field(
+        default_factory=lambda: {
+            "paper's network, mask": ModelConfig(input="mask"),
+            "paper's network, depth": ModelConfig(),
+            "network on imagined pressure": ModelConfig(
+                input="image",
+                pixels=20,
+                bottleneck=30,
+                auxiliary=False,
+                heteroscedastic=True,
+                members=5,
+                conditions=("force", "depth"),
+            ),
+        }
+    )
+    training: TrainConfig = field(default_factory=lambda: TrainConfig(epochs=120))
+    pads: tuple[int, ...] = (0,)  # seeds of the simulated pads
+    seeds: int = 1
+    hidden_tilt: float = 0.4 * math.pi / 180  # rad, that a noisy view leaves open
+    block: float = 6e-3  # m, edge of a spatial block where presses on one object are split
+
+
+PRESETS: dict[str, TrainExperiment] = {
+    "paper": TrainExperiment(),
+    "debug": TrainExperiment(
+        simulation=Simulation(
+            train=("hexagon", "parallelogram"),
+            validation=("marker",),
+            test=("star", "hammer"),
+            touches=60,
+            train_share=0.6,
+            touches_per_run=12,
+            limits=PressLimits(),
+        ),
+        networks={"paper's network, depth": ModelConfig()},
+        training=TrainConfig(epochs=12, batch_size=16),
+    ),
+    "study": replace(TrainExperiment(), pads=(0, 1, 2), seeds=5),
+}

@@ -1,0 +1,141 @@
+"""What `experiments.train` leaves behind: scores with intervals, tables and figures."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.common import plots
+from experiments.common.runs import write_json
+from experiments.train.splitting import Split
+from i2t.dataset import Dataset
+from i2t.prediction.metrics import Score, grouped_interval, score, seed_interval
+from i2t.viz.touches import save
+
+
+def scored(
+    truth: np.ndarray, mean: np.ndarray, groups: np.ndarray, noise: np.ndarray | None, std: np.ndarray | None
+) -> dict[str, Any]:
+    """All scores of a method with the 95 % interval of R2 over groups, and how honest its spread is."""
+    values: dict[str, Any] = score(truth, mean, noise)._asdict()
+    values["r2_interval"] = grouped_interval(lambda rows: score(truth[rows], mean[rows]).r2, groups)
+    if std is not None:
+        values["coverage_90"] = float(np.mean(np.abs(truth - mean) < 1.645 * std))
+    return values
+
+
+def by_object(dataset: Dataset, split: Split, truth: np.ndarray, predicted: dict[str, np.ndarray]) -> dict[str, Any]:
+    """R2 of every method on each test object."""
+    kinds = dataset.touches.object[split.test]
+    return {
+        dataset.objects[kind]: {
+            name: score(truth[kinds == kind], mean[kinds == kind]).r2 for name, mean in predicted.items()
+        }
+        for kind in np.unique(kinds)
+        if (kinds == kind).sum() > 2
+    }
+
+
+def figures(
+    out: Path, dataset: Dataset, split: Split, predicted: dict[str, np.ndarray], best: str,
+    curves: dict[str, np.ndarray], noise: np.ndarray | None, metrics: dict[str, Any], simulated: bool,
+) -> None:  # fmt: skip
+    """All pictures of one run."""
+    truth, patches = dataset.touches.reading[split.test], dataset.touches.patch[split.test]
+    kinds = dataset.touches.object[split.test]
+    error = np.linalg.norm(predicted[best] - truth, axis=1) / np.maximum(np.linalg.norm(truth, axis=1), 1e-9)
+    order = np.argsort(error)
+    middle = len(order) // 2
+    shown = {
+        "typical touches": order[middle - 2 : middle + 3],
+        "best predicted": order[: min(5, len(order))],
+        "worst predicted": order[-min(5, len(order)) :][::-1],
+    }
+    for title, rows in shown.items():
+        labels = [f"{dataset.objects[kinds[i]]}\nerror {100 * error[i]:.0f} %" for i in rows]
+        figure = plots.touches(
+            patches[rows], truth[rows], predicted[best][rows], labels, dataset.board, dataset.window, dataset.reach,
+            f"Unseen {'objects' if split.how == 'object' else 'touches'}, {title}", simulated,
+        )  # fmt: skip
+        save(figure, out / f"touches_{title.split()[0]}.png")
+    if any(len(values) for values in curves.values()):
+        save(
+            plots.curves(
+                {k: v for k, v in curves.items() if len(v)}, "Training", "squared error (standardised)", simulated
+            ),
+            out / "training.png",
+        )
+    drawn = {
+        name: np.sqrt(((predicted[name] - truth) ** 2).mean(0))
+        for name in ("mean reading", "k nearest patches", "paper's network, depth", best)
+        if name in predicted
+    }
+    save(
+        plots.errors_per_axis(drawn, noise, "Error per chip and axis on the test touches", simulated),
+        out / "error_per_axis.png",
+    )
+    intervals = {name: (values["r2"], *values["r2_interval"]) for name, values in metrics["methods"].items()}
+    save(
+        plots.scores(intervals, "Explained variance on the test touches", "R² (95 % interval over groups)", simulated),
+        out / "scores.png",
+    )
+
+
+def summarise(parts: list[dict[str, Any]], out: Path) -> dict[str, Any]:
+    """Means over seeds with Student's t intervals, pad by pad."""
+    pads = sorted({part["pad"] or 0 for part in parts})
+    names = list(parts[0]["methods"])
+    numbers = [field for field in Score._fields if not field.endswith("_axis")]
+    summary: dict[str, Any] = {
+        "source": parts[0]["source"],
+        "seeds": sorted({part["seed"] for part in parts}),
+        "pads": {},
+    }
+    for pad in pads:
+        of_pad = [part for part in parts if (part["pad"] or 0) == pad]
+        summary["pads"][str(pad)] = {
+            name: {field: seed_interval([part["methods"][name][field] for part in of_pad]) for field in numbers}
+            for name in names
+        }
+    summary["best"] = {str(pad): [part["best"] for part in parts if (part["pad"] or 0) == pad] for pad in pads}
+    write_json(out / "metrics.json", summary)
+    first = summary["pads"][str(pads[0])]
+    figure = plots.scores(
+        {name: tuple(first[name]["r2"]) for name in names},
+        f"Explained variance, pad {pads[0]}",
+        "R² (95 % interval over seeds)",
+        parts[0]["source"] != "real",
+    )
+    save(figure, out / "scores.png")
+    return summary
+
+
+def report(result: dict[str, Any]) -> None:
+    """The table a person reads."""
+    kind = "" if result["source"] == "real" else f" ({result['source']})"
+    if "pads" in result:
+        for pad, methods in result["pads"].items():
+            print(f"\npad {pad}{kind}: mean over seeds {result['seeds']} with 95 % interval")
+            print(f"{'':48}{'R²':>22}{'RMSE µT':>10}{'/ sigma':>9}{'cosine':>8}")
+            for name, values in methods.items():
+                mean, low, high = values["r2"]
+                rmse, sigmas, cosine = (values[field][0] for field in ("rmse", "rmse_sigma", "cosine"))
+                print(f"{name:48}{_interval(mean, low, high):>22}{rmse:10.2f}{_number(sigmas):>9}{cosine:8.2f}")
+        return
+    print(f"\ntest touches{kind}, 95 % interval over {result['groups']} groups; kept as predictor: {result['best']}")
+    print(f"{'':48}{'R²':>22}{'RMSE µT':>10}{'/ sigma':>9}{'cosine':>8}{'R² x / y / z':>22}")
+    for name, values in result["methods"].items():
+        low, high = values["r2_interval"]
+        axes = " / ".join(f"{value:.2f}" for value in values["r2_axis"])
+        r2 = _interval(values["r2"], low, high)
+        sigmas = _number(values["rmse_sigma"])
+        print(f"{name:48}{r2:>22}{values['rmse']:10.2f}{sigmas:>9}{values['cosine']:8.2f}{axes:>22}")
+    print(f"{result['seconds']:.0f} s")
+
+
+def _interval(mean: float, low: float | None, high: float | None) -> str:
+    return f"{mean:.3f}" if low is None or not np.isfinite(low) else f"{mean:.3f} [{low:.3f}, {high:.3f}]"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None or not np.isfinite(value) else f"{value:.2f}"

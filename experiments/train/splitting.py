@@ -1,0 +1,77 @@
+"""Which touches train, which choose between methods, and which test: whole objects, runs, places or times, never single
+touches of what was trained on.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from experiments.train.configs import TrainExperiment
+from i2t import dataset as data
+from i2t.dataset import Dataset
+from i2t.errors import DataError
+from i2t.types import ReturnCode, Touches
+
+
+@dataclass(frozen=True)
+class Split:
+    """Rows to train on, to validate on and to test on, and the groups that are never torn apart."""
+
+    train: np.ndarray
+    validation: np.ndarray
+    test: np.ndarray
+    groups: np.ndarray
+    how: str
+
+
+def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -> Split:
+    """Hold out objects, runs, blocks of places or the last touches in time; presses that failed or met air are left
+    out.
+    """
+    touches = dataset.touches
+    usable = ~np.isin(touches.code, [ReturnCode.FAILED, ReturnCode.AIR])
+    plan = cfg.simulation
+    if how == "auto":
+        known = set(plan.objects) <= set(dataset.objects)
+        how = "object" if known or len(dataset.objects) >= 3 else "block"
+    rng = np.random.default_rng(seed)
+    groups = touches.run.copy()
+    if how == "object":
+        names = dataset.objects
+        if set(plan.objects) <= set(names):
+            test, validation = plan.test, plan.validation
+        else:
+            order = [names[i] for i in rng.permutation(len(names))]
+            third = max(len(names) // 3, 1)
+            test, validation = tuple(order[:third]), tuple(order[third : third + 1])
+        held, tuning = data.holdout_names(dataset, "object", test), data.holdout_names(dataset, "object", validation)
+        if len(np.unique(groups)) < 4:  # one long run: neighbours in place stay together
+            groups = data.spatial_blocks(dataset, cfg.block)
+    elif how == "run":
+        order = [dataset.runs[i] for i in rng.permutation(len(dataset.runs))]
+        fifth = max(len(order) // 5, 1)
+        held = data.holdout_names(dataset, "run", order[:fifth])
+        tuning = data.holdout_names(dataset, "run", order[fifth : 2 * fifth])
+    elif how == "block":
+        groups = data.spatial_blocks(dataset, cfg.block)
+        held = data.holdout_blocks(dataset, cfg.block, 0.2, seed)
+        rest = np.flatnonzero(~held)
+        tuning = np.zeros(len(dataset), bool)
+        tuning[rest[data.holdout_blocks(dataset.select(rest), cfg.block, 0.1, seed)]] = True
+    else:
+        groups = np.arange(len(dataset)) // 20
+        held = data.holdout_last(dataset, 0.2)
+        tuning = data.holdout_last(dataset, 0.3) & ~held
+    split = Split(usable & ~held & ~tuning, usable & tuning & ~held, usable & held, groups, how)
+    for part in ("train", "validation", "test"):
+        if getattr(split, part).sum() < 2:
+            raise DataError(
+                f"splitting by {how} leaves {getattr(split, part).sum()} touches to {part}; choose another --split"
+            )
+    return split
+
+
+def conditions_of(touches: Touches, split: Split) -> tuple[str, ...]:
+    """Which of force, nearest and depth were measured at every touch."""
+    used = split.train | split.validation | split.test
+    return tuple(name for name in ("force", "nearest", "depth") if np.isfinite(getattr(touches, name)[used]).all())

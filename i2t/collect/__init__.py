@@ -1,0 +1,2 @@
+"""Collecting touches: one procedure for real, emulated and simulated devices; each touch is on disk before it is
+acknowledged."""

@@ -1,0 +1,8 @@
+"""Collect touches: `python -m i2t.collect --help`."""
+
+import sys
+
+from i2t.collect.session import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,112 @@
+"""Where an object stands, from a depth view of it: the pose goes into the lab's calibration file.
+
+    python -m i2t.place lab.toml --object mug.stl --host 192.168.0.2 --write    # a RealSense, from where the arm is
+    python -m i2t.place lab.toml --object mug.stl --views DIR --tool 0.41 -0.12 0.25 2.5 0 0 --write
+
+Look at it obliquely, 25 to 55 degrees from the vertical: from above, a flat top tells nothing sideways. The rig's own
+T_world_object is where the search begins, within centimetres and some degrees; the camera must be calibrated
+(`python -m i2t.hardware.hand_eye`). How it is found is in `i2t.registration.touch.by_depth`; the error that is told is
+that of noise, and knows nothing of a constant error of the camera or of its calibration.
+"""
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from i2t.cli import ended
+from i2t.collect.devices import read_object
+from i2t.collect.site_plan import orthonormal
+from i2t.hardware.camera_folder import Folder
+from i2t.hardware.hand_eye import tool_pose
+from i2t.hardware.protocols import DepthCamera
+from i2t.hardware.realsense import RealSense
+from i2t.hardware.rig import Rig
+from i2t.hardware.ur.rtde_link import from_ur
+from i2t.registration.touch import by_depth, seen_through
+from i2t.types import LEVER, Array
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        "python -m i2t.place", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("rig", type=Path, help="the lab's calibration")
+    parser.add_argument("--object", required=True, help="a name of the catalogue, or a mesh file")
+    parser.add_argument("--unit", default="mm", help="of a mesh file: m, cm, mm or inch (default mm)")
+    parser.add_argument("--host", help="address of the arm, which is asked where it stands and not moved")
+    parser.add_argument(
+        "--tool", type=float, nargs=6, metavar=("X", "Y", "Z", "RX", "RY", "RZ"), help="or where the tool was: m, rad"
+    )
+    parser.add_argument("--views", type=Path, help="a folder of views, of which the first is taken; else a RealSense")
+    parser.add_argument("--distance", type=float, default=10e-3, help="m, how far off the rig may be (one sigma)")
+    parser.add_argument("--angle", type=float, default=6.0, help="degrees, the same")
+    parser.add_argument(
+        "--hand-eye", type=float, nargs=2, default=(1.0, 0.5), metavar=("MM", "DEGREES"),
+        help="how far off the camera may be on its tool (one sigma), which no view tells",
+    )  # fmt: skip
+    parser.add_argument("--no-table", action="store_true", help="the view shows no table at the world's z = 0")
+    parser.add_argument("--write", action="store_true", help="put the pose into the rig")
+    asked = parser.parse_args(arguments)
+    return ended(lambda: print(place(asked)))
+
+
+def place(asked: argparse.Namespace) -> str:
+    """Do what was asked; returns what to tell. Raises ValueError, OSError or DeviceError with one sentence."""
+    if (asked.host is None) == (asked.tool is None):
+        raise ValueError("the pose of the tool is needed: give --host, or --tool with the pendant's six numbers")
+    rig = Rig.read(asked.rig)
+    mesh = read_object(asked.object, asked.unit).mesh
+    T_b_t = tool_pose(asked.host) if asked.host is not None else from_ur(asked.tool)
+    lens = rig.camera
+    camera: DepthCamera = (
+        Folder(asked.views)
+        if asked.views is not None
+        else RealSense(size=(lens.width, lens.height), distance=rig.looking_distance)
+    )
+    with camera:
+        depth = camera.capture().depth
+        T_w_c = rig.T_world_base @ T_b_t @ rig.T_tool_camera
+        table = None if asked.no_table else 0.0
+        found = by_depth(
+            mesh,
+            rig.T_world_object,
+            depth,
+            camera.camera,
+            T_w_c,
+            asked.distance,
+            math.radians(asked.angle),
+            table=table,
+        )
+    T_w_o = orthonormal(np.asarray(found.T_w_o, float))
+    off, askew = asked.hand_eye
+    covariance = seen_through(found.covariance, np.linalg.inv(T_w_c) @ T_w_o, 1e-3 * off, math.radians(askew))
+    noise, sigma = (np.sqrt(np.diag(np.asarray(each, float))) for each in (found.covariance, covariance))
+    change = np.linalg.inv(rig.T_world_object) @ T_w_o
+    turn = math.degrees(Rotation.from_matrix(change[:3, :3]).magnitude())
+    fit = np.asarray(found.residual)[np.asarray(found.weight) > 0]
+    lines = [
+        f"{asked.object} is {1e3 * np.linalg.norm(change[:3, 3]):.1f} mm and {turn:.1f} degrees from what {asked.rig} "
+        "says",
+        f"noise leaves {_apart(noise)}, with the camera's own place {_apart(sigma)}; {len(fit)} points fit within "
+        f"{1e3 * float(np.sqrt(np.mean(fit**2))):.2f} mm RMS",
+    ]
+    if asked.write:
+        placed = replace(rig, T_world_object=T_w_o, object_from="registration", object_covariance=covariance)
+        placed.write(asked.rig)
+        lines.append(f"{asked.rig}: written")
+    return "\n".join(lines)
+
+
+def _apart(sigma: Array) -> str:
+    return f"{1e3 * np.linalg.norm(sigma[:3]):.2f} mm and {math.degrees(np.linalg.norm(sigma[3:]) / LEVER):.2f} degrees"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,293 @@
+"""Entry point for data sets: other people's recordings into ours, ours into other formats, and what a data set holds.
+
+Examples:
+
+    python -m i2t.convert summary DATA
+    python -m i2t.convert imagine2touch RECORDINGS DATA
+    python -m i2t.convert eflesh RECORDINGS DATA --tip-radius-mm 4
+    python -m i2t.convert presses TABLE.csv DATA --indenter sphere:4.0
+    python -m i2t.convert pack DATA PACKED
+    python -m i2t.convert npz DATA DATA.npz
+
+DATA is a folder; converters write one packed file in it and refuse a folder that holds anything, unless told --force.
+What cannot be used is refused with one sentence on the error stream and the exit code 2; with --skip-bad it is left
+out and named. The formats are described in docs/data.md.
+"""
+
+import json as json_text
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from i2t.convert import Converted, eflesh, imagine2touch, npz, presses
+from i2t.dataset import BadFileWarning, index, load, save
+from i2t.dataset.store import INDEX
+from i2t.errors import DataError
+from i2t.skin import boards
+from i2t.types import PATCH_WINDOW, REACH
+
+PACKED = "touches.h5"
+BOARDS = {"reskin": boards.reskin, "anyskin": boards.anyskin}
+
+Source = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SRC")]
+Target = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DST")]
+
+
+def summarise(source: Source, json: bool = False, quick: bool = False, skip_bad: bool = False) -> None:
+    """Say what a data set holds: touches per object, pad and run, how presses ended, readings, missing values.
+
+    Args:
+        source: folder or file of touches
+        json: print one JSON object, for a program
+        quick: counts only, from the folder's index, without reading every touch again
+        skip_bad: leave out files that cannot be used, and name them
+    """
+    found = _counts(source) if quick else load(source, skip_bad).summary()
+    print(json_text.dumps(found, indent=1, allow_nan=False) if json else _page(source, found))
+
+
+def from_imagine2touch(
+    source: Source,
+    target: Target,
+    order: Literal["auto", "binary", "ascii"] = "auto",
+    board: Literal["reskin", "anyskin"] = "reskin",
+    pad: str = "reskin",
+    window_mm: float = 1e3 * PATCH_WINDOW,
+    reach_mm: float = 1e3 * REACH,
+    camera_mm: float = 1e3 * imagine2touch.CAMERA,
+    quarter_turns: int = 0,
+    tool_forces: bool = False,
+    force: bool = False,
+    skip_bad: bool = False,
+) -> None:
+    """Convert recordings in the layout of the Imagine2touch code. Pickles inside them are read, never executed.
+
+    Args:
+        source: the data set's folder, or one of its objects
+        target: folder to write
+        order: whether temperature stands first (binary) or last (ascii) in a sample; auto looks for it
+        board: order and rotation of the chips
+        pad: name of the skin
+        window_mm: edge of the square that the depth images were cropped to
+        reach_mm: patches are clipped to this depth behind the nearest pixel
+        camera_mm: distance of the camera behind the tool's origin
+        quarter_turns: turn images counter-clockwise, until rows run along tool y and columns along tool x
+        tool_forces: forces are in the tool's axes, not in the robot base's
+        force: replace what an earlier conversion wrote
+        skip_bad: leave out runs and touches that are damaged, and name them
+    """
+    _require_free(target, force)
+    converted = imagine2touch.convert(
+        source,
+        board=BOARDS[board](),
+        order=order,
+        window=1e-3 * window_mm,
+        reach=1e-3 * reach_mm,
+        camera=1e-3 * camera_mm,
+        quarter_turns=quarter_turns,
+        tool_forces=tool_forces,
+        pad=pad,
+        skip_bad=skip_bad,
+    )
+    _write(target, converted)
+
+
+def from_eflesh(
+    source: Source,
+    target: Target,
+    tip_radius_mm: float = 1e3 * eflesh.RADIUS,
+    window_mm: float = 1e3 * eflesh.WINDOW,
+    reach_mm: float = 1e3 * REACH,
+    z0_mm: float | None = None,
+    centre_mm: tuple[float, float] | None = None,
+    pad: str | None = None,
+    board: Literal[0, 1] | None = None,
+    force: bool = False,
+    skip_bad: bool = False,
+) -> None:
+    """Convert recordings of eFlesh (characterization/datasets), plain or gzip-ed.
+
+    Args:
+        source: a session's folder (states.csv, sensor_post_baselines.csv), or a folder of sessions
+        target: folder to write
+        tip_radius_mm: radius of the probe's spherical tip, which the recordings do not state
+        window_mm: edge of the square that a patch shows; presses beside it are left out
+        reach_mm: patches are clipped to this depth behind the tip's lowest point
+        z0_mm: the robot's z at first contact; by default the session's highest z
+        centre_mm: the robot's x and y of the skin's centre; by default the middle of the session's range
+        pad: one name for the skin of all sessions; by default each session's own
+        board: of recordings with two boards, only this one; by default both, as two pads
+        force: replace what an earlier conversion wrote
+        skip_bad: leave out rows and sessions that are damaged, and name them
+    """
+    _require_free(target, force)
+    converted = eflesh.convert(
+        source,
+        radius=1e-3 * tip_radius_mm,
+        window=1e-3 * window_mm,
+        reach=1e-3 * reach_mm,
+        zero=None if z0_mm is None else 1e-3 * z0_mm,
+        centre=None if centre_mm is None else (1e-3 * centre_mm[0], 1e-3 * centre_mm[1]),
+        pad=pad,
+        board=board,
+        skip_bad=skip_bad,
+    )
+    _write(target, converted)
+
+
+def from_presses(
+    source: Source,
+    target: Target,
+    indenter: str,
+    board: Literal["reskin", "anyskin"] = "reskin",
+    window_mm: float = 1e3 * PATCH_WINDOW,
+    reach_mm: float = 1e3 * REACH,
+    mesh_unit: str = "mm",
+    force: bool = False,
+    skip_bad: bool = False,
+) -> None:
+    """Convert a table of presses of one indenter, as docs/data.md describes it.
+
+    Args:
+        source: comma-separated table with the columns x_mm, y_mm, depth_mm, b0x_uT ... b4z_uT and more
+        target: folder to write
+        indenter: sphere:RADIUS or cylinder:RADIUS with a radius in mm, or mesh:FILE
+        board: order and rotation of the chips
+        window_mm: edge of the square that a patch shows; presses beside it are left out
+        reach_mm: patches are clipped to this depth behind the indenter's lowest point
+        mesh_unit: unit of the mesh file: m, cm, mm or inch
+        force: replace what an earlier conversion wrote
+        skip_bad: leave out rows that are damaged, and name them
+    """
+    _require_free(target, force)
+    converted = presses.convert(
+        source,
+        indenter=indenter,
+        board=BOARDS[board](),
+        window=1e-3 * window_mm,
+        reach=1e-3 * reach_mm,
+        mesh_unit=mesh_unit,
+        skip_bad=skip_bad,
+    )
+    _write(target, converted)
+
+
+def pack(source: Source, target: Target, force: bool = False, skip_bad: bool = False) -> None:
+    """Pack all touches of a folder into one file, which loads faster; images and time series of touches stay behind.
+
+    Args:
+        source: folder of recorded touches
+        target: folder to write
+        force: replace what an earlier conversion wrote
+        skip_bad: leave out files that cannot be used, and name them
+    """
+    _require_free(target, force)
+    _write(target, Converted(load(source, skip_bad), ()))
+
+
+def to_npz(source: Source, target: Target, force: bool = False, skip_bad: bool = False) -> None:
+    """Write a data set as plain NumPy arrays, without pickles: all fields, names, board and provenance.
+
+    Args:
+        source: folder or file of touches
+        target: file to write, ending in .npz
+        force: replace an existing file
+        skip_bad: leave out files that cannot be used, and name them
+    """
+    if target.suffix != ".npz":
+        raise DataError(f"{target}: does not end in .npz; name the file so")
+    if target.exists() and not force:
+        raise DataError(f"{target}: exists already; choose another name or say --force")
+    dataset = load(source, skip_bad)
+    npz.write(target, dataset)
+    print(f"wrote {len(dataset)} touches to {target}")
+
+
+COMMANDS: dict[str, Callable[..., Any]] = {
+    "summary": summarise,
+    "imagine2touch": from_imagine2touch,
+    "eflesh": from_eflesh,
+    "presses": from_presses,
+    "pack": pack,
+    "npz": to_npz,
+}
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", BadFileWarning)
+        try:
+            tyro.extras.subcommand_cli_from_dict(
+                COMMANDS,
+                args=args,
+                prog="python -m i2t.convert",
+                description=__doc__,
+                config=(tyro.conf.FlagCreatePairsOff,),
+            )
+        except DataError as error:
+            print(error, file=sys.stderr)
+            return 2
+    for warning in caught:
+        print(warning.message, file=sys.stderr)
+    return 0
+
+
+def _require_free(target: Path, force: bool) -> None:
+    """Refuse to mix a conversion with other files, and to replace an earlier one unasked."""
+    if target.exists() and not target.is_dir():
+        raise DataError(f"{target}: is a file; give a folder to write")
+    found = sorted(file.name for file in target.iterdir()) if target.is_dir() else []
+    others = [name for name in found if name not in (PACKED, INDEX)]
+    if others:
+        raise DataError(f"{target}: holds {others[0]}, which no conversion wrote; give another folder")
+    if found and not force:
+        raise DataError(f"{target}: holds a data set already; give another folder or say --force")
+
+
+def _write(target: Path, converted: Converted) -> None:
+    path = save(target / PACKED, converted.dataset)
+    for note in converted.notes:
+        print(note)
+    print(f"wrote {len(converted.dataset)} touches to {path}")
+
+
+def _counts(folder: Path) -> dict[str, Any]:
+    entries = index(folder).values()
+    sources = {entry["source"] for entry in entries}
+    found: dict[str, Any] = {
+        "touches": sum(entry["touches"] for entry in entries),
+        "source": sources.pop() if len(sources) == 1 else "mixed",
+    }
+    for kind in ("objects", "pads", "runs"):
+        names = dict.fromkeys(name for entry in entries for name in entry[kind])
+        found[kind] = {name: sum(entry[kind].get(name, 0) for entry in entries) for name in names}
+    return found
+
+
+def _page(source: Path, found: dict[str, Any]) -> str:
+    """A summary for a person."""
+    lines = [f"{source}: {found['touches']} touches, {found['source']}"]
+    for kind in ("objects", "pads", "runs"):
+        lines += ["", f"{kind:<40} touches", *(f"  {name:<38} {count:7d}" for name, count in found[kind].items())]
+    if "codes" not in found:
+        return "\n".join(lines)
+    lines += ["", f"{'press ended':<40} touches"]
+    lines += [f"  {name:<38} {count:7d}" for name, count in found["codes"].items() if count]
+    lines += ["", f"{'measured':<22} {'mean':>9} {'std':>9} {'min':>9} {'median':>9} {'max':>9}"]
+    measured = [(f"reading {axis} (uT)", 1.0, found["reading_uT"][axis]) for axis in "xyz"]
+    measured += [("reading norm (uT)", 1.0, found["reading_norm_uT"]), ("force (N)", 1.0, found["force_N"])]
+    measured += [("depth (mm)", 1e3, found["depth_m"]), ("nearest (mm)", 1e3, found["nearest_m"])]
+    for label, scale, numbers in measured:
+        cells = [" " * 8 + "-" if value is None else f"{scale * value:9.3f}" for value in numbers.values()]
+        lines.append(f"  {label:<20} {' '.join(cells)}")
+    lines += ["", f"{'not measured':<40} touches"]
+    lines += [f"  {name:<38} {count:7d}" for name, count in found["missing"].items() if count]
+    pixels, window, reach = found["patch_pixels"], 1e3 * found["window_m"], 1e3 * found["reach_m"]
+    truth = "known" if found["truth"] else "unknown"
+    lines += ["", f"patches: {pixels} x {pixels} over {window:g} mm, reach {reach:g} mm; truth {truth}"]
+    return "\n".join(lines + [f"{key}: {text}" for key, text in found["meta"].items()])

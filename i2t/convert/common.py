@@ -1,0 +1,82 @@
+"""What all converters share: their result, how damage is treated, and reading text and tables of numbers."""
+
+import gzip
+import io
+import zlib
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from i2t.dataset import Dataset
+from i2t.errors import DataError
+
+
+class Converted(NamedTuple):
+    """A data set and, in sentences, what was assumed and what was left out on the way."""
+
+    dataset: Dataset
+    notes: tuple[str, ...]
+
+
+@dataclass
+class Notes:
+    """Collects what a person must know of a conversion, each sentence once; damage ends it unless it may be skipped."""
+
+    skip_bad: bool
+    lines: list[str] = field(default_factory=list)
+
+    def say(self, line: str) -> None:
+        """Note a sentence."""
+        if line not in self.lines:
+            self.lines.append(line)
+
+    def bad(self, error: DataError) -> None:
+        """Raise the error, or note what is left out for it."""
+        if not self.skip_bad:
+            raise error
+        self.say(f"left out: {error}")
+
+    def finish(self, dataset: Dataset) -> Converted:
+        """Put the notes into the data set's provenance."""
+        meta = dict(dataset.meta) | {"notes": " | ".join(self.lines)}
+        return Converted(replace(dataset, meta=meta), tuple(self.lines))
+
+
+def damaged(path: Path, problem: str) -> DataError:
+    """The sentence about a file that is not as its author wrote it."""
+    return DataError(f"{path}: {problem}; restore it from the source")
+
+
+def read_bytes(path: Path) -> bytes:
+    """The contents of a file, unzipped where its name ends in .gz. Raises DataError."""
+    try:
+        raw = path.read_bytes()
+        return gzip.decompress(raw) if path.suffix == ".gz" else raw
+    except (OSError, EOFError, zlib.error) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise damaged(path, f"cannot be read ({reason})") from error
+
+
+def read_text(path: Path) -> str:
+    """The contents of a text file, as `read_bytes`. Raises DataError."""
+    try:
+        return read_bytes(path).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise damaged(path, f"is no text (byte {error.start} is not UTF-8)") from error
+
+
+def read_numbers(path: Path, columns: tuple[int, ...]) -> np.ndarray:
+    """A comma-separated table of numbers without a header, (rows, one of `columns`) float64. Raises DataError."""
+    text = read_text(path)
+    if not text.strip():
+        raise damaged(path, "is empty")
+    try:
+        table = np.loadtxt(io.StringIO(text), delimiter=",", ndmin=2)
+    except ValueError as error:
+        raise damaged(path, f"is no table of numbers ({error})") from error
+    if table.shape[1] not in columns:
+        expected = " or ".join(map(str, columns))
+        raise damaged(path, f"has {table.shape[1]} columns, not {expected}")
+    return table

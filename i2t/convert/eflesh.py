@@ -1,0 +1,192 @@
+"""eFlesh recordings (github notvenky/eFlesh, characterization/datasets): a probe that presses one skin, or shears two.
+
+A session is a folder of comma-separated tables, plain or gzip-ed, without headers: `states.csv` (Unix time in s, x, y,
+z of the probe in mm of its robot, where it was read the load in grams, -1 = not read) and `sensor_post_baselines.csv`
+(Unix time in s, 15 values per board, each minus the reading taken before that touch; the steps of the values are those
+of the chip in uT, so the unit is very likely uT). Rows of the two tables belong together by their times.
+
+Frames: the skin is fixed, and its tool frame T is the world's: x and y are the robot's from the centre of the session's
+range, z is up, zero where the press begins. The object O is the probe: origin at the lowest point of its tip, axes as
+T. Nothing in the source states the shape of the tip (a sphere is assumed), the height of first contact, or the centre
+of the skin.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from i2t.convert import tips
+from i2t.convert.common import Converted, Notes, damaged, read_numbers
+from i2t.dataset import Dataset, concatenate, no_wide
+from i2t.errors import DataError
+from i2t.skin import boards
+from i2t.types import REACH, READINGS, ReturnCode, Touches
+
+GRAM = 9.80665e-3  # N, weight of a gram
+RADIUS = 4e-3  # m, of the tip; an assumption
+WINDOW = 40e-3  # m, holds the 31 x 31 mm grid of the `spatial` sessions
+SAME_ROW = 15e-3  # s: sensor and state of a row are at most 8 ms apart, and rows at least 34 ms
+LARGEST = 1e10  # of any recorded number: Unix times are 1.7e9 s
+PAUSE = 0.5  # s without rows between the strokes of a `normal` or `shear` session, whose rows are 0.03 to 0.14 s apart
+
+
+def convert(
+    source: Path,
+    *,
+    radius: float = RADIUS,
+    window: float = WINDOW,
+    reach: float = REACH,
+    zero: float | None = None,
+    centre: tuple[float, float] | None = None,
+    pad: str | None = None,
+    board: int | None = None,
+    skip_bad: bool = False,
+) -> Converted:
+    """Convert a session or a folder of sessions; lengths in metres.
+
+    `zero` is the robot's z at first contact (by default the session's highest z, so that no depth is negative),
+    `centre` the robot's x and y of the skin's centre (by default the middle of the session's range). Each board of each
+    session is a pad of its own, unless all are called `pad`; `board` picks one of two. Raises DataError.
+    """
+    if not 0 < radius < np.inf:
+        raise DataError(f"--tip-radius-mm {1e3 * radius:g}: is no radius; give a positive length in mm")
+    notes = Notes(skip_bad)
+    sessions = sorted({file.parent for file in source.rglob("states.csv*")}) if source.is_dir() else []
+    if not sessions:
+        raise DataError(f"{source}: holds no states.csv or states.csv.gz; give a session or a folder of sessions")
+    notes.say(f"assumed: the tip is a sphere of radius {1e3 * radius:g} mm (not stated in the source)")
+    notes.say("assumed: values are microtesla (their steps are the chip's); board order and axes as AnySkin's")
+    parts: list[Dataset] = []
+    for session in sessions:
+        try:
+            parts += _session(session, radius, window, reach, zero, centre, pad, board, notes)
+        except DataError as error:
+            notes.bad(error)
+    if not parts:
+        left_out = " | ".join(notes.lines)
+        raise DataError(f"{source}: no press is left to convert ({left_out}); widen --window-mm or restore it")
+    return notes.finish(concatenate(parts))
+
+
+def _session(
+    folder: Path,
+    radius: float,
+    window: float,
+    reach: float,
+    zero: float | None,
+    centre: tuple[float, float] | None,
+    pad: str | None,
+    board: int | None,
+    notes: Notes,
+) -> list[Dataset]:
+    name = folder.name
+    states = _table(folder, "states", (4, 5), notes)
+    values = _table(folder, "sensor_post_baselines", (1 + READINGS, 1 + 2 * READINGS), notes)
+    states, values = _matched(folder, states, values, notes)
+    sheared = values.shape[1] > 1 + READINGS
+    position = 1e-3 * states[:, 1:4]
+    middle = (position.min(0) + position.max(0)) / 2
+    x, y = (position[:, :2] - (middle[:2] if centre is None else centre)).T
+    load = np.full(len(states), np.nan)
+    if sheared:
+        # The probe moves along the skins: the robot's z is the direction of shear; how deep it presses is not recorded.
+        x = x + position[:, 2] - middle[2]
+        height = np.full(len(states), np.nan)
+        notes.say(f"assumed in {name}: the probe's stroke (robot z) shears along tool x, from the middle of the stroke")
+        notes.say(f"left out of {name}: the load, which is the shear force; press depth and normal force are unknown")
+    else:
+        top = position[:, 2].max() if zero is None else zero
+        height = position[:, 2] - top
+        notes.say(f"assumed in {name}: first contact at the robot's z = {1e3 * top:.3f} mm; depth counts from there")
+        if states.shape[1] == 5:
+            load = np.where(states[:, 4] == -1, np.nan, GRAM * states[:, 4])
+    inside = (np.abs(x) <= window / 2) & (np.abs(y) <= window / 2)
+    if not inside.all():
+        notes.say(f"left out of {name}: {np.sum(~inside)} presses beside the window of {1e3 * window:g} mm")
+    n = int(inside.sum())
+    T_w_o = np.tile(np.eye(4), (n, 1, 1))
+    T_w_o[:, :3, 3] = np.column_stack([x, y, np.nan_to_num(height)])[inside]
+    run, runs = _strokes(name, states[inside])
+    touches = Touches(
+        patch=tips.patches(tips.sphere(radius), x[inside], y[inside], window, reach),
+        wide=no_wide(n),
+        nearest=height[inside],
+        reading=np.empty((n, READINGS)),
+        force=load[inside],
+        depth=np.maximum(-height[inside], 0),
+        T_w_t=np.tile(np.eye(4), (n, 1, 1)),
+        T_w_o=T_w_o,
+        object=np.zeros(n),
+        pad=np.zeros(n),
+        run=run,
+        code=np.where(height[inside] > 0, ReturnCode.FREE, ReturnCode.UNDEFINED),
+    )
+    parts = []
+    for i in range(2 if sheared else 1):
+        if n and (not sheared or board in (None, i)):
+            reading = values[inside, 1 + READINGS * i : 1 + READINGS * (i + 1)]
+            parts.append(
+                Dataset(
+                    touches=touches._replace(reading=reading),
+                    objects=("probe",),
+                    pads=(pad or (f"{name}/board {i}" if sheared else name),),
+                    runs=runs,
+                    board=boards.anyskin(),
+                    source="real",
+                    window=window,
+                    reach=reach,
+                    meta={"converter": "eflesh", "tip_radius_m": f"{radius:g}"},
+                )
+            )
+    return parts
+
+
+def _table(folder: Path, name: str, columns: tuple[int, int], notes: Notes) -> np.ndarray:
+    """One table of a session, its times increasing; rows that are not finite are damage."""
+    path = next((p for p in (folder / f"{name}.csv", folder / f"{name}.csv.gz") if p.is_file()), None)
+    if path is None:
+        raise damaged(folder, f"{name}.csv or {name}.csv.gz is missing")
+    table = read_numbers(path, columns)
+    finite = (np.abs(table) < LARGEST).all(1)
+    if not finite.all():
+        row = np.flatnonzero(~finite)[0] + 1
+        notes.bad(damaged(path, f"{np.sum(~finite)} rows are not finite, first row {row}"))
+    table = table[finite]
+    if (np.diff(table[:, 0]) <= 0).any():
+        row = np.flatnonzero(np.diff(table[:, 0]) <= 0)[0] + 2
+        raise damaged(path, f"time does not increase at row {row}")
+    return table
+
+
+def _matched(folder: Path, states: np.ndarray, values: np.ndarray, notes: Notes) -> tuple[np.ndarray, np.ndarray]:
+    """The rows of both tables that belong together by time."""
+    if not len(states) or not len(values):
+        raise damaged(folder, "has no rows")
+    after = np.clip(np.searchsorted(states[:, 0], values[:, 0]), 1, len(states) - 1) if len(states) > 1 else 0
+    before = np.maximum(np.asarray(after) - 1, 0)
+    closer = np.abs(states[before, 0] - values[:, 0]) < np.abs(states[after, 0] - values[:, 0])
+    nearest = np.where(closer, before, after)
+    same = np.abs(states[nearest, 0] - values[:, 0]) <= SAME_ROW
+    if not same.any():
+        raise DataError(
+            f"{folder}: no state was recorded within {1e3 * SAME_ROW:g} ms of a sensor row; check both tables"
+        )
+    if len(states) != len(values) or not same.all():
+        lost = max(len(states), len(values)) - int(same.sum())
+        notes.bad(
+            DataError(f"{folder}: {lost} rows have no partner at their time; restore both tables from the source")
+        )
+    return states[nearest[same]], values[same]
+
+
+def _strokes(name: str, states: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Runs of a session: a session of single presses is one; where the probe was followed all the way, each stroke down
+    and up is.
+    """
+    if states.shape[1] == 4 or not len(states):
+        return np.zeros(len(states), np.int32), (name,)
+    z = states[:, 3]
+    at_top = z > z.max() - 0.1 * np.ptp(z)
+    begins = np.concatenate([[False], (np.diff(states[:, 0]) > PAUSE) & at_top[1:] & at_top[:-1]])
+    run = np.cumsum(begins)
+    return run, tuple(f"{name}/stroke {i + 1:02d}" for i in range(run[-1] + 1))

@@ -1,0 +1,235 @@
+"""The recordings of Imagine2touch (github ayadabdalla/imagine2touch), as its code writes them.
+
+For object O, run E and touch K = 1, 2, ...: `O/O_images/depth/experiment_E_depth_K.tif` (uint16, mm, what the wrist
+camera saw, cropped to the skin's window), `O/O_tactile/experiment_E_reskin` (object array of samples [time, delay, 5 x
+(t, x, y, z) or 5 x (x, y, z, t), device]) and `..._reskin_ambient` (15 values per touch, or 10 samples per touch, or 10
+samples for every 10 touches), `O/O_poses/experiment_E_*` (positions in m, quaternions xyzw),
+`O/O_forces/experiment_E_*`, `O/meta_data/O_experiment_E.txt`. Only images and tactile files are required.
+
+    reading = mean over samples in contact - mean over ambient samples, without temperatures
+    patch   = depth - depth of the nearest pixel, clipped to the reach; the value 0 is no measurement: no surface
+    nearest = depth of the nearest pixel - distance from the camera to the tool - travel from the look to the contact
+
+Assumed, for the recordings do not say: the tool frame is the one of the recorded poses; image rows run along tool y and
+columns along tool x; forces are in the robot base's axes and act on the tool, so that the force along tool z is minus
+their component along it. Objects' poses are unknown (NaN).
+"""
+
+import logging
+import math
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import tifffile
+from scipy.spatial.transform import Rotation
+
+from i2t.convert import npy, samples
+from i2t.convert.common import Converted, Notes, damaged
+from i2t.dataset import Dataset, concatenate, no_wide
+from i2t.errors import DataError
+from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Board, ReturnCode, Touches
+
+CAMERA = 64e-3  # m, the camera behind the tool's origin
+LATERAL = 2e-3  # m: a look from further beside the contact's axis saw another place
+UNIT = 1e-3  # how far the norm of a quaternion may be from 1
+LARGEST = 1e6  # of any recorded number, in its unit
+NOTE_LENGTH = 2000  # characters kept of a run's own notes
+
+_TACTILE = re.compile(r"experiment_(.+)_reskin(\.npy)?")
+_IMAGE = re.compile(r"experiment_(.+)_depth_\d+\.tif")
+
+
+def convert(
+    source: Path,
+    *,
+    board: Board,
+    order: str = "auto",
+    window: float = PATCH_WINDOW,
+    reach: float = REACH,
+    camera: float = CAMERA,
+    quarter_turns: int = 0,
+    tool_forces: bool = False,
+    pad: str = "reskin",
+    skip_bad: bool = False,
+) -> Converted:
+    """Convert one object's folder or a folder of them; lengths in metres.
+
+    `order` of a sample's values is "binary" (t first), "ascii" (t last) or "auto"; `camera` is the distance of the
+    camera behind the tool's origin; images are turned counter-clockwise by `quarter_turns`; `tool_forces` says that
+    forces are in the tool's axes. Raises DataError.
+    """
+    notes = Notes(skip_bad)
+    notes.say(f"assumed: image rows along tool y, columns along tool x, after {quarter_turns} quarter turns")
+    notes.say(f"assumed: forces act on the tool, in the axes of the {'tool' if tool_forces else 'robot base'}")
+    notes.say("left out: colour images, masks, point clouds, joint states, temperatures; object poses are unknown")
+    parts: list[Dataset] = []
+    for folder in _objects(source):
+        for run in _runs(folder):
+            try:
+                reading = samples.readings(folder / f"{folder.name}_tactile" / f"experiment_{run}_reskin", order, notes)
+                poses = _poses(folder / f"{folder.name}_poses" / f"experiment_{run}", len(reading), notes)
+                images = folder / f"{folder.name}_images" / "depth" / f"experiment_{run}_depth"
+                patch, closest = _patches(images, len(reading), quarter_turns, reach, notes)
+                forces = folder / f"{folder.name}_forces" / f"experiment_{run}"
+                force, code = _forces(forces, None if tool_forces else poses.T_w_t[:, :3, 2], len(reading), notes)
+            except DataError as error:
+                notes.bad(error)
+                continue
+            n = len(reading)
+            touches = Touches(
+                patch=patch,
+                wide=no_wide(n),
+                nearest=closest - camera - poses.travel,
+                reading=reading,
+                force=force,
+                depth=np.full(n, np.nan),
+                T_w_t=poses.T_w_t,
+                T_w_o=np.full((n, 4, 4), np.nan),
+                object=np.zeros(n),
+                pad=np.zeros(n),
+                run=np.zeros(n),
+                code=code,
+            )
+            name = f"{folder.name}/experiment_{run}"
+            meta = {"converter": "imagine2touch", **_remarks(folder, run)}
+            part = Dataset(touches, (folder.name,), (pad,), (name,), board, "real", window, reach, meta)
+            parts.append(part.select(np.isfinite(reading).all(1) & np.isfinite(closest)))
+    if not sum(map(len, parts)):
+        raise damaged(source, f"no touch is left to convert ({' | '.join(notes.lines[3:])})")
+    return notes.finish(concatenate(parts))
+
+
+def _objects(source: Path) -> list[Path]:
+    candidates = [source, *sorted(source.iterdir())] if source.is_dir() else []
+    objects = [folder for folder in candidates if (folder / f"{folder.name}_tactile").is_dir()]
+    if not objects:
+        raise DataError(f"{source}: holds no folder O/O_tactile; give the data set's folder or one of its objects")
+    return objects
+
+
+def _runs(folder: Path) -> list[str]:
+    """The names of an object's runs, from its tactile files and its images, numbers in the order of counting."""
+    runs: set[str] = set()
+    for place, name in ((f"{folder.name}_tactile", _TACTILE), (f"{folder.name}_images/depth", _IMAGE)):
+        files = (folder / place).iterdir() if (folder / place).is_dir() else ()
+        runs |= {match[1] for match in (name.fullmatch(file.name) for file in files) if match}
+    if not runs:
+        raise damaged(folder, "holds no run")
+    return sorted(runs, key=lambda run: [(len(part), part) for part in re.split(r"(\d+)", run)])
+
+
+def _remarks(folder: Path, run: str) -> dict[str, str]:
+    text = folder / "meta_data" / f"{folder.name}_experiment_{run}.txt"
+    words = text.read_text(errors="replace")[:NOTE_LENGTH].strip() if text.is_file() else ""
+    return {f"remarks on {folder.name} {run}": words} if words else {}
+
+
+class _Poses(NamedTuple):
+    T_w_t: np.ndarray  # (n, 4, 4) at the contact
+    travel: np.ndarray  # (n,) m along tool z, from where the camera looked to the contact
+
+
+def _poses(stem: Path, n: int, notes: Notes) -> _Poses:
+    final, prepare = (_optional(stem, name, (n, 3), notes) for name in ("final_contact", "prepare_contact"))
+    quaternions = _optional(stem, "rotations", (n, 4), notes)
+    crooked = np.abs(np.linalg.norm(quaternions, axis=1) - 1) > UNIT
+    if crooked.any():
+        raise damaged(stem, f"quaternion {np.flatnonzero(crooked)[0] + 1} of its rotations is not of length 1")
+    T_w_t = np.full((n, 4, 4), np.nan)
+    posed = np.isfinite(final).all(1) & np.isfinite(quaternions).all(1)
+    T_w_t[posed] = np.eye(4)
+    T_w_t[posed, :3, :3] = Rotation.from_quat(quaternions[posed]).as_matrix()
+    T_w_t[posed, :3, 3] = final[posed]
+    axis = T_w_t[:, :3, 2]
+    moved = final - prepare
+    travel = np.sum(moved * axis, axis=1)
+    aside = np.linalg.norm(moved - travel[:, None] * axis, axis=1)
+    if (travel < 0).any():
+        notes.say(
+            f"{stem}: {np.sum(travel < 0)} presses go against tool z, so this may be another frame than the tool's"
+        )
+    travel = np.where((aside <= LATERAL) & (travel >= 0), travel, np.nan)
+    if np.isnan(travel).any():
+        notes.say(f"{stem}: nearest is unknown for {np.isnan(travel).sum()} touches, not seen along their approach")
+    return _Poses(T_w_t, travel)
+
+
+def _forces(stem: Path, axis: np.ndarray | None, n: int, notes: Notes) -> tuple[np.ndarray, np.ndarray]:
+    """Force along tool z, (n,) N, from a wrench in the base's axes (with tool z as `axis`) or the tool's; return codes
+    (n,).
+    """
+    wrenches = _optional(stem, "forces_torques", (n, 6), notes)
+    force = -(wrenches[:, 2] if axis is None else np.sum(wrenches[:, :3] * axis, axis=1))
+    codes = _optional(stem, "contact_returns", (n,), notes, unknown=float(ReturnCode.UNDEFINED))
+    if not np.isin(codes, [int(code) for code in ReturnCode]).all():
+        raise damaged(stem, "contact_returns hold a value that is no return code (-1 to 4)")
+    return force, codes
+
+
+def _patches(stem: Path, n: int, quarter_turns: int, reach: float, notes: Notes) -> tuple[np.ndarray, np.ndarray]:
+    """Patches (n, 48, 48) and the depth of their nearest pixels (n,) m, NaN where the image is damaged."""
+    patches, closest = np.zeros((n, PATCH_PIXELS, PATCH_PIXELS), np.float32), np.full(n, np.nan)
+    for k in range(n):
+        try:
+            depth = np.rot90(_depth_image(stem.with_name(f"{stem.name}_{k + 1}.tif"), notes), quarter_turns)
+        except DataError as error:
+            notes.bad(error)
+            continue
+        closest[k] = depth.min()
+        patches[k] = np.minimum(depth - closest[k], reach)
+    more = stem.with_name(f"{stem.name}_{n + 1}.tif")
+    if more.exists():
+        raise damaged(more, f"is one image more than the {n} touches of its run")
+    return patches, closest
+
+
+def _optional(stem: Path, name: str, shape: tuple[int, ...], notes: Notes, unknown: float = math.nan) -> np.ndarray:
+    """A file of numbers of this shape, or the unknown value where there is no file."""
+    wanted = stem.with_name(f"{stem.name}_{name}")
+    path = npy.find(wanted)
+    if path is None:
+        notes.say(f"{wanted} is missing: what it holds is unknown")
+        return np.full(shape, unknown)
+    values = npy.read(path)
+    try:
+        numbers = np.array(values, np.float64)
+    except (TypeError, ValueError) as error:
+        raise damaged(path, f"does not hold numbers of the shape {shape}") from error
+    if numbers.size != math.prod(shape) or len(numbers) != shape[0]:
+        raise damaged(path, f"has the shape {numbers.shape} where {shape[0]} touches need {shape}")
+    if not (np.abs(numbers) < LARGEST).all():
+        raise damaged(path, f"is not finite at touch {np.argwhere(~(np.abs(numbers) < LARGEST))[0][0] + 1}")
+    return numbers.reshape(shape)
+
+
+def _depth_image(path: Path, notes: Notes) -> np.ndarray:
+    """The crop (48, 48) in metres, infinite where nothing was measured; another size is resampled, each pixel taking
+    the one under its centre.
+    """
+    if not path.is_file():
+        raise damaged(path, "is missing")
+    try:
+        with tifffile.TiffFile(path) as file:
+            shape, kind = file.pages.first.shape, file.pages.first.dtype
+            if len(shape) != 2 or kind != np.uint16 or not 8 <= max(shape) <= 1024:
+                raise damaged(path, f"is an image {shape} of {kind} where a crop of uint16 should be")
+            image = file.pages.first.asarray()
+    except DataError:
+        raise
+    except Exception as error:  # a damaged image can make its decoder fail in any way
+        raise damaged(path, f"is no readable TIF ({error})") from error
+    rows, columns = image.shape
+    if rows != columns:
+        raise damaged(path, f"is {rows} x {columns} pixels where the crop should be square")
+    if rows != PATCH_PIXELS:
+        notes.say(f"resampled: crops of {rows} pixels, each of {PATCH_PIXELS} taking the one under its centre")
+        under = ((np.arange(PATCH_PIXELS) + 0.5) * rows / PATCH_PIXELS).astype(int)
+        image = image[np.ix_(under, under)]
+    if not image.any():
+        raise damaged(path, "holds no measured pixel")
+    return np.where(image == 0, np.inf, 1e-3 * image)
+
+
+logging.getLogger("tifffile").addHandler(logging.NullHandler())  # its complaints become our sentence

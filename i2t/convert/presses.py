@@ -1,0 +1,187 @@
+"""A general table of presses that any lab can write: one row per press of a known indenter, upright on the skin
+(docs/data.md describes it).
+
+Columns, by name: x_mm, y_mm (the indenter's axis from the skin's centre, along the skin's edges), depth_mm (travel past
+first contact), the fifteen values b0x_uT, b0y_uT, b0z_uT, b1x_uT ... b4z_uT; if wanted force_N (empty = not measured),
+a0x_uT ... a4z_uT (ambient, subtracted), pad and run (names).
+
+Frames: the skin is fixed, and its tool frame T is the world's. The object O is the indenter, its axes as T's: at the
+lowest point of a sphere or cylinder, or a mesh's own frame, whose z axis is the indenter's and whose lowest point
+touches first.
+"""
+
+import csv
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from i2t.convert import tips
+from i2t.convert.common import Converted, Notes, read_text
+from i2t.dataset import Dataset, no_wide
+from i2t.errors import DataError
+from i2t.types import CHIPS, PATCH_PIXELS, PATCH_WINDOW, REACH, Board, ReturnCode, Touches
+
+PLACES = ("x_mm", "y_mm", "depth_mm")
+VALUES = tuple(f"b{chip}{axis}_uT" for chip in range(CHIPS) for axis in "xyz")
+AMBIENT = tuple("a" + name[1:] for name in VALUES)
+NAMES = ("pad", "run")
+LARGEST = 1e9  # of any number, in its unit
+
+
+def convert(
+    source: Path,
+    *,
+    indenter: str,
+    board: Board,
+    window: float = PATCH_WINDOW,
+    reach: float = REACH,
+    mesh_unit: str = "mm",
+    skip_bad: bool = False,
+) -> Converted:
+    """Convert a table; lengths in metres.
+
+    `indenter` is `sphere:RADIUS` or `cylinder:RADIUS` with the radius in mm, or `mesh:FILE` in `mesh_unit`. Presses
+    whose axis lies beside the window are left out. Raises DataError.
+    """
+    notes = Notes(skip_bad)
+    rows = _rows(source, notes)
+    numbers = np.array([[row[name] for name in (*PLACES, "force_N")] for row in rows])
+    x, y, depth = 1e-3 * numbers[:, :3].T
+    inside = (np.abs(x) <= window / 2) & (np.abs(y) <= window / 2)
+    if not inside.all():
+        notes.say(f"left out: {np.sum(~inside)} presses beside the window of {1e3 * window:g} mm")
+    if not inside.any():
+        raise DataError(f"{source}: no press lies inside the window of {1e3 * window:g} mm; widen --window-mm")
+    kept = [row for row, keep in zip(rows, inside, strict=True) if keep]
+    x, y, depth = x[inside], y[inside], depth[inside]
+    patch, lowest = _patches(indenter, mesh_unit, x, y, window, reach, notes)
+    n = len(x)
+    T_w_o = np.tile(np.eye(4), (n, 1, 1))
+    T_w_o[:, :3, 3] = np.column_stack([x, y, -depth - lowest])
+    names = {kind: tuple(dict.fromkeys(row[kind] for row in kept)) for kind in NAMES}
+    touches = Touches(
+        patch=patch,
+        wide=no_wide(n),
+        nearest=-depth,
+        reading=np.array([row["reading"] for row in kept]),
+        force=numbers[inside, 3],
+        depth=depth,
+        T_w_t=np.tile(np.eye(4), (n, 1, 1)),
+        T_w_o=T_w_o,
+        object=np.zeros(n),
+        pad=np.array([names["pad"].index(row["pad"]) for row in kept]),
+        run=np.array([names["run"].index(row["run"]) for row in kept]),
+        code=np.full(n, ReturnCode.UNDEFINED),
+    )
+    dataset = Dataset(
+        touches,
+        objects=(Path(indenter.partition(":")[2]).stem if indenter.startswith("mesh:") else indenter,),
+        pads=names["pad"],
+        runs=names["run"],
+        board=board,
+        source="real",
+        window=window,
+        reach=reach,
+        meta={"converter": "presses", "file": source.name, "indenter": indenter},
+    )
+    return notes.finish(dataset)
+
+
+def _rows(source: Path, notes: Notes) -> list[dict[str, Any]]:
+    try:
+        table = csv.DictReader(read_text(source).splitlines(), strict=True)
+        header = [name.strip() for name in table.fieldnames or ()]
+        table.fieldnames = header
+        lines = [(table.line_num, line) for line in table]
+    except csv.Error as error:
+        raise DataError(f"{source}: is no comma-separated table ({error}); save it as CSV") from error
+    missing = [name for name in PLACES + VALUES if name not in header]
+    if missing:
+        raise DataError(f"{source}: column {', '.join(missing)} is missing; name columns as in docs/data.md")
+    if len(set(header)) != len(header):
+        raise DataError(f"{source}: a column name stands twice in the first line; rename one")
+    has_ambient = set(AMBIENT) <= set(header)
+    if not has_ambient and set(AMBIENT) & set(header):
+        raise DataError(
+            f"{source}: some of the ambient columns {AMBIENT[0]} ... {AMBIENT[-1]} are missing; give all or none"
+        )
+    known = {*PLACES, *VALUES, "force_N", *NAMES, *(AMBIENT if has_ambient else ())}
+    unknown = [name for name in header if name not in known]
+    if unknown:
+        notes.say(f"left out: columns {', '.join(unknown)}, which have no meaning here")
+    rows: list[dict[str, Any]] = []
+    for number, line in lines:
+        try:
+            if None in line or None in line.values():
+                raise DataError(f"{source}: line {number} has not {len(header)} fields; give one for each column")
+            row: dict[str, Any] = {name: _number(source, number, name, line[name]) for name in PLACES}
+            row["force_N"] = (
+                _number(source, number, "force_N", line["force_N"]) if line.get("force_N", "").strip() else math.nan
+            )
+            reading = np.array([_number(source, number, name, line[name]) for name in VALUES])
+            if has_ambient:
+                reading -= [_number(source, number, name, line[name]) for name in AMBIENT]
+            row |= {kind: (line.get(kind) or kind).strip() for kind in NAMES} | {"reading": reading}
+            rows.append(row)
+        except DataError as error:
+            notes.bad(error)
+    if not rows:
+        raise DataError(f"{source}: holds no press; give at least one row")
+    return rows
+
+
+def _number(source: Path, line: int, column: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) < LARGEST:
+        raise DataError(f"{source}: line {line} has {text!r} in column {column}, which is no such number; correct it")
+    if column == "depth_mm" and value < 0:
+        raise DataError(
+            f"{source}: line {line} has the negative depth {text}; depth_mm counts from first contact into the skin"
+        )
+    return value
+
+
+def _patches(
+    indenter: str, mesh_unit: str, x: np.ndarray, y: np.ndarray, window: float, reach: float, notes: Notes
+) -> tuple[np.ndarray, float]:
+    """Patches (n, 48, 48) m and the z of the indenter's lowest point in its own frame (m)."""
+    kind, _, value = indenter.partition(":")
+    if kind == "mesh" and value:
+        return _mesh_patches(Path(value), mesh_unit, x, y, window, reach, notes)
+    try:
+        radius = 1e-3 * float(value)
+    except ValueError:
+        radius = math.nan
+    if kind not in ("sphere", "cylinder") or not 0 < radius < 1:
+        raise DataError(f"--indenter {indenter}: is unknown; give sphere:RADIUS or cylinder:RADIUS in mm, or mesh:FILE")
+    return tips.patches(getattr(tips, kind)(radius), x, y, window, reach), 0.0
+
+
+def _mesh_patches(
+    file: Path, unit: str, x: np.ndarray, y: np.ndarray, window: float, reach: float, notes: Notes
+) -> tuple[np.ndarray, float]:
+    import jax.numpy as jnp
+    from jax import jit
+
+    from i2t.objects import catalogue
+    from i2t.rendering import render
+
+    try:
+        (_, mesh, _), report = catalogue.load(file, unit, table=False)
+    except (ValueError, OSError) as error:
+        raise DataError(str(error)) from error
+    notes.say(str(report))
+    lowest = float(np.asarray(mesh.vertices)[:, 2].min())
+    surface = render.prepare(mesh)
+    look = jit(lambda T_o_t: render.render_patch(surface, T_o_t, window, PATCH_PIXELS, reach).depth)
+    patch = np.empty((len(x), PATCH_PIXELS, PATCH_PIXELS), np.float32)
+    for i, place in enumerate(zip(x, y, strict=True)):
+        T_o_t = np.eye(4, dtype=np.float32)
+        T_o_t[:3, 3] = (-place[0], -place[1], lowest)
+        patch[i] = look(jnp.asarray(T_o_t))
+    return patch, lowest

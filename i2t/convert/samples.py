@@ -1,0 +1,109 @@
+"""Tactile samples of Imagine2touch: object arrays of [time, delay, values, device], whose 20 values are five times a
+temperature and a field.
+
+The binary mode of the board puts the temperature first, the ASCII mode last; the ambient field was stored as means of
+15 values or as samples again.
+"""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from i2t.convert import npy
+from i2t.convert.common import Notes, damaged
+from i2t.errors import DataError
+from i2t.types import CHIPS, READINGS
+
+TEMPERATURES = (-40.0, 85.0)  # C, the range of the chips
+SPREAD = 10.0  # K, standard deviation of temperature over chips and touches; chips differ by 1 to 2.5 K
+LARGEST = 1e6  # uT: the chips end at 1.3e5
+CLEARLY = 3.0  # times: how much steadier one column must be to be the temperature where both could be
+
+
+def readings(tactile: Path, order: str, notes: Notes) -> np.ndarray:
+    """Readings (n, 15) uT of one run, mean in contact minus mean ambient; NaN in a touch that is damaged.
+
+    `order` is "binary", "ascii" or "auto", which looks for the steady temperature. Raises DataError.
+    """
+    path = _existing(tactile)
+    touches = [_samples(path, touch) for touch in _list(path)]
+    if not touches:
+        raise damaged(path, "holds no touch")
+    if any(len(sample) != 4 * CHIPS for touch in touches for sample in touch):
+        raise damaged(path, f"holds a sample that has not {4 * CHIPS} values")
+    if order == "auto":
+        order = _detected(path, np.array([sample for touch in touches for sample in touch]))
+        notes.say(f"{path}: samples are in {order} order")
+    means = _means(path, touches, order, notes)
+    path = _existing(tactile.with_name(tactile.name + "_ambient"))
+    groups = [_samples(path, group) for group in _list(path)]
+    n = len(touches)
+    if len(groups) not in (n, math.ceil(n / 10)):
+        raise damaged(path, f"holds {len(groups)} groups for {n} touches, neither one a touch nor one for every 10")
+    ambient = _means(path, groups, order, notes)
+    return means - (ambient if len(groups) == n else ambient[np.arange(n) // 10])
+
+
+def _existing(path: Path) -> Path:
+    found = npy.find(path)
+    if found is None:
+        raise damaged(path, "is missing")
+    return found
+
+
+def _list(path: Path) -> list[Any]:
+    values = npy.read(path)
+    items = values if isinstance(values, list) else values.tolist()
+    if not isinstance(items, list):
+        raise damaged(path, "holds one number instead of touches")
+    return items
+
+
+def _means(path: Path, touches: list[list[list[float]]], order: str, notes: Notes) -> np.ndarray:
+    """Mean fields (n, 15); NaN, and noted as damage, where a value is no plausible field."""
+    means = np.array([_mean(touch, order) for touch in touches])
+    for k in np.flatnonzero(np.isnan(means).any(1)):
+        notes.bad(damaged(path, f"item {k + 1} holds a value that is no field (not finite, or above {LARGEST:g} uT)"))
+    return means
+
+
+def _samples(path: Path, item: Any) -> list[list[float]]:
+    """All samples of one touch, of 15 or 20 values each, however they are nested: as bare values or inside [time,
+    delay, values, device].
+    """
+    if isinstance(item, list):
+        if len(item) in (READINGS, 4 * CHIPS) and all(isinstance(value, int | float) for value in item):
+            return [[float(value) for value in item]]
+        if len(item) == 4 and isinstance(item[2], list) and not isinstance(item[0], list):
+            return _samples(path, item[2])
+        if item and all(isinstance(part, list) for part in item):
+            return [sample for part in item for sample in _samples(path, part)]
+    kind = f"a list of {len(item)}" if isinstance(item, list) else repr(item)[:40]
+    raise damaged(path, f"holds {kind} where a sample of {READINGS} or {4 * CHIPS} values should be")
+
+
+def _mean(samples: list[list[float]], order: str) -> np.ndarray:
+    fields = []
+    for sample in samples:
+        values = np.array(sample, np.float64).reshape(CHIPS, -1)
+        field = values if values.shape[1] == 3 else values[:, 1:] if order == "binary" else values[:, :3]
+        fields.append(np.where(np.abs(field) < LARGEST, field, np.nan))
+    return np.mean(fields, axis=0).ravel()
+
+
+def _detected(path: Path, samples: np.ndarray) -> str:
+    """Which end of a chip's four values is the temperature: within the chip's range and steady, as no field component
+    is on five chips at once.
+    """
+    spread = {}
+    for order, column in (("binary", 0), ("ascii", 3)):
+        values = samples.reshape(-1, CHIPS, 4)[..., column]
+        values = values[(np.abs(values) < LARGEST).all(1)]
+        plausible = values.size and TEMPERATURES[0] <= values.min() and values.max() <= TEMPERATURES[1]
+        spread[order] = float(values.std()) if plausible and values.std() < SPREAD else math.inf
+    best, other = sorted(spread, key=lambda order: spread[order])
+    if not spread[best] * CLEARLY < spread[other]:
+        raise DataError(f"{path}: does not show whether temperature stands first or last; say --order binary or ascii")
+    return best

@@ -1,0 +1,1 @@
+"""Real depth images to the same depth patches."""

@@ -1,0 +1,169 @@
+"""Depth cameras and their files, in NumPy alone: what a camera is, and images read with an explicit scale.
+
+Camera frame C: x right along the image's columns, y down along its rows, z forward; a pixel's centre has whole
+coordinates, (0, 0) in the upper left. Depth is z in metres, not the distance along a pixel's ray. What was not measured
+is a hole, NaN in an image from `read_depth`.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+from PIL import Image
+
+from i2t.types import RIGID
+
+SCALES = {"m": 1.0, "mm": 1e-3}  # m
+SUFFIXES = (".png", ".tif", ".tiff")
+LARGEST = 16384  # pixels, edge of an image
+
+
+class Distortion(StrEnum):
+    """The lens models of RealSense cameras, by librealsense's names; `i2t.depth.distortion` has their formulas."""
+
+    NONE = "none"
+    MODIFIED_BROWN_CONRADY = "modified_brown_conrady"
+    INVERSE_BROWN_CONRADY = "inverse_brown_conrady"
+    BROWN_CONRADY = "brown_conrady"
+    FTHETA = "ftheta"
+    KANNALA_BRANDT4 = "kannala_brandt4"
+
+
+class Encoding(StrEnum):
+    """How a file's 16-bit numbers hold depth."""
+
+    PLAIN = "plain"
+    ROTATED = "rotated"  # turned left by three bits, as in files of a RealSense F200
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A depth camera: its size and lens in pixels. It can be a static argument under `jit`.
+
+    `coefficients` are in librealsense's order: k1, k2, p1, p2, k3 for the three Brown-Conrady models, the field of view
+    w (rad) for F-Theta, k1 to k4 for Kannala-Brandt; what is left out is zero.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    model: str = Distortion.NONE
+    coefficients: tuple[float, ...] = ()
+
+    def __post_init__(self):
+        for name in ("width", "height"):
+            size = getattr(self, name)
+            if not isinstance(size, int | np.integer) or not 2 <= size <= LARGEST:
+                raise ValueError(f"camera: {name} is {size!r}; give whole pixels from 2 to {LARGEST}")
+        lens = (self.fx, self.fy, self.cx, self.cy, *self.coefficients)
+        if not all(math.isfinite(value) for value in lens):
+            raise ValueError(f"camera: fx, fy, cx, cy and coefficients {lens} must all be finite; calibrate it again")
+        if self.fx <= 0 or self.fy <= 0:
+            raise ValueError(f"camera: focal lengths fx = {self.fx}, fy = {self.fy} must be positive; give pixels")
+        if self.model not in list(Distortion):
+            raise ValueError(f"camera: model {self.model!r} is not known; choose from {', '.join(Distortion)}")
+        if len(self.coefficients) > 5:
+            raise ValueError(
+                f"camera: {len(self.coefficients)} coefficients where librealsense's models have at most 5"
+            )
+        if self.model == Distortion.FTHETA and not 0 < (*self.coefficients, 0.0)[0] < math.pi:
+            raise ValueError("camera: F-Theta needs its field of view as first coefficient, between 0 and pi rad")
+        # One camera is one hash and so one compilation, whatever numbers described it.
+        for name in ("fx", "fy", "cx", "cy"):
+            object.__setattr__(self, name, float(getattr(self, name)))
+        padded = (*(float(value) for value in self.coefficients), 0.0, 0.0, 0.0, 0.0, 0.0)
+        object.__setattr__(self, "coefficients", padded[:5])
+
+
+def read_depth(path: str | Path, scale: float | str, encoding: str = Encoding.PLAIN) -> np.ndarray:
+    """Depth (h, w) float32 m of a 16-bit PNG or a TIF (uint16 or float), NaN where nothing was measured (0, NaN).
+
+    `scale` is metres per unit, or "m" or "mm". With `encoding="rotated"` 16-bit numbers are turned right by three bits
+    first. Raises ValueError or FileNotFoundError with one sentence that names the file and a remedy.
+    """
+    path = Path(path)
+    metres = SCALES.get(scale) if isinstance(scale, str) else scale
+    if metres is None or not math.isfinite(metres) or metres <= 0:
+        raise ValueError(f"{path}: scale is {scale!r}; give metres per unit as a positive number, or 'mm' or 'm'")
+    if encoding not in list(Encoding):
+        raise ValueError(f"{path}: encoding {encoding!r} is not known; choose from {', '.join(Encoding)}")
+    values = _pixels(path)
+    if values.ndim != 2:
+        raise ValueError(f"{path}: is an image of shape {values.shape}; give one with a single channel of depth")
+    if values.dtype != np.uint16 and values.dtype.kind != "f":
+        raise ValueError(f"{path}: holds {values.dtype}; give depth as 16-bit unsigned integers, or as floats in a TIF")
+    if min(values.shape) < 2 or max(values.shape) > LARGEST:
+        raise ValueError(f"{path}: is {values.shape} pixels; an edge must have from 2 to {LARGEST}")
+    if encoding == Encoding.ROTATED:
+        if values.dtype != np.uint16:
+            raise ValueError(f"{path}: holds {values.dtype}, which cannot be turned; say encoding='plain'")
+        values = (values >> 3) | (values << 13)
+    if np.isinf(values).any() or (values < 0).any():
+        raise ValueError(f"{path}: holds negative or infinite depth; write holes as 0 or NaN")
+    if not (values > 0).any():
+        raise ValueError(
+            f"{path}: no pixel was measured (all are 0 or NaN); record it again, within the camera's range"
+        )
+    return np.where(values > 0, values.astype(np.float64) * metres, np.nan).astype(np.float32)
+
+
+def check_view(depth: Any, camera: Camera, T_w_c: Any, T_w_t: Any) -> None:
+    """Refuse, with one sentence (ValueError), what `i2t.depth.patches.patch_from_depth` cannot make sense of: for
+    arrays at the border, before they are traced.
+    """
+    check_image(depth, camera)
+    measured = np.asarray(depth) > 0
+    if not measured.any():
+        raise ValueError("depth: no pixel was measured (none is above 0); record it again, within the camera's range")
+    if (np.asarray(depth) < 0).any():
+        raise ValueError("depth: holds negative depth; write holes as 0 or NaN, and depth along the camera's +z")
+    for name, T in (("T_w_c", np.asarray(T_w_c)), ("T_w_t", np.asarray(T_w_t))):
+        if T.shape != (4, 4):
+            raise ValueError(f"{name}: has the shape {T.shape}; give a (4, 4) transform")
+        if not np.isfinite(T).all():
+            raise ValueError(f"{name}: holds NaN or infinity; leave this view out")
+        if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > RIGID or np.linalg.det(T[:3, :3]) < 0:
+            raise ValueError(
+                f"{name}: is not a rigid motion (its rotation is scaled, singular or mirrored); correct it"
+            )
+
+
+def check_image(depth: Any, camera: Camera) -> None:
+    """Refuse (ValueError) a depth image of another shape than its camera's, or one that is not in metres yet."""
+    if depth.shape != (camera.height, camera.width):
+        raise ValueError(
+            f"depth: has the shape {depth.shape} where the camera's image is {(camera.height, camera.width)}; "
+            "give this camera's own image, or the camera scaled to it"
+        )
+    if depth.dtype.kind != "f":
+        raise ValueError(
+            f"depth: holds {depth.dtype}; give metres as floats (read_depth, or numbers times their scale)"
+        )
+
+
+def _pixels(path: Path) -> np.ndarray:
+    """A file's numbers as they are stored."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise ValueError(f"{path}: is no PNG or TIF; save depth as 16-bit PNG, or TIF")
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: there is no such file; check the path")
+    try:
+        if path.suffix.lower() != ".png":
+            return np.asarray(tifffile.imread(path))
+        with Image.open(path, formats=["PNG"]) as image:
+            mode, values = image.mode, np.asarray(image)
+    except Exception as error:  # a damaged image can make its decoder fail in any way
+        reason = " ".join(str(error).split())
+        raise ValueError(f"{path}: cannot be read ({reason}); save or copy it again") from error
+    if not mode.startswith("I"):
+        raise ValueError(
+            f"{path}: is a PNG of mode {mode} where depth needs 16 bits in one channel; save the raw depth"
+        )
+    return values.astype(np.uint16)  # older releases of Pillow widen 16-bit pixels

@@ -1,0 +1,142 @@
+"""Lenses: where points appear in a camera's image, and which line of sight a pixel has.
+
+The models are those of librealsense (`rs_types.h`, `rsutil.h` and its document on projection), written for x / z and
+y / z. Each has one direction in closed form; the other is solved by Newton's method:
+
+    model                   closed form         it is
+    none                    both                a pinhole
+    brown_conrady           project             radial k1, k2, k3 and tangential p1, p2 (Brown, 1966), as in OpenCV
+    modified_brown_conrady  project             the same, tangential after radial
+    inverse_brown_conrady   deproject           Brown-Conrady from the image to the straight lens
+    ftheta                  both                r -> atan(2 r tan(w/2)) / w (Devernay and Faugeras, 2001)
+    kannala_brandt4         project             angle + k1 angle^3 + ... + k4 angle^9 (2006), as OpenCV's fisheye
+
+Two departures: librealsense from 2.44 takes `inverse_brown_conrady` for the modified model in both directions, against
+its own definition, which is kept here (say `modified_brown_conrady` for that); and its inverse of F-Theta divides by
+atan where the inverse of its projection divides by 2 tan(w/2), as here.
+"""
+
+import math
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from i2t.depth.camera import Camera, Distortion
+
+NEWTON = 10  # steps; a lens that is nearly straight needs four
+
+
+def project(camera: Camera, points: Float[Array, "*n 3"]) -> Float[Array, "*n 2"]:
+    """Pixels (column, row) where points (m, in C, before the camera) appear."""
+    return to_pixel(camera, points[..., 0] / points[..., 2], points[..., 1] / points[..., 2])
+
+
+def deproject(camera: Camera, pixels: Float[Array, "*n 2"], depth: Float[Array, "*n"]) -> Float[Array, "*n 3"]:
+    """Points (m, in C) that pixels (column, row) show at a depth (m); NaN beyond 90 degrees from the axis."""
+    x, y = _undistort(camera, (pixels[..., 0] - camera.cx) / camera.fx, (pixels[..., 1] - camera.cy) / camera.fy)
+    return jnp.stack([x * depth, y * depth, depth], -1)
+
+
+def lines_of_sight(camera: Camera) -> Float[Array, "2 height width"]:
+    """x / z and y / z of every pixel's line of sight; NaN beyond 90 degrees from the axis."""
+    u, v = jnp.meshgrid(jnp.arange(camera.width), jnp.arange(camera.height))
+    return jnp.stack(_undistort(camera, (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy))
+
+
+def to_pixel(camera: Camera, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> Float[Array, "*n 2"]:
+    """Pixels (column, row) of lines of sight x / z, y / z."""
+    x, y = _distort(camera, x, y)
+    return jnp.stack([x * camera.fx + camera.cx, y * camera.fy + camera.cy], -1)
+
+
+def _distort(camera: Camera, x, y):
+    """From a straight lens to this one."""
+    match _model(camera):
+        case Distortion.INVERSE_BROWN_CONRADY:
+            return _solve(lambda u, v: _brown_conrady(camera, u, v), x, y)
+        case Distortion.BROWN_CONRADY | Distortion.MODIFIED_BROWN_CONRADY:
+            return _brown_conrady(camera, x, y)
+        case Distortion.FTHETA:
+            w = camera.coefficients[0]
+            return _radially(x, y, lambda r: jnp.arctan(2 * r * math.tan(w / 2)) / w)
+        case Distortion.KANNALA_BRANDT4:
+            return _radially(x, y, lambda r: _kannala_brandt(camera, jnp.arctan(r)))
+    return x, y
+
+
+def _undistort(camera: Camera, x, y):
+    """From this lens to a straight one; NaN beyond 90 degrees from the axis."""
+    match _model(camera):
+        case Distortion.INVERSE_BROWN_CONRADY:
+            return _brown_conrady(camera, x, y)
+        case Distortion.BROWN_CONRADY | Distortion.MODIFIED_BROWN_CONRADY:
+            return _solve(lambda u, v: _brown_conrady(camera, u, v), x, y)
+        case Distortion.FTHETA:
+            w = camera.coefficients[0]
+            return _radially(x, y, lambda r: _tan(w * r) / (2 * math.tan(w / 2)))
+        case Distortion.KANNALA_BRANDT4:
+            return _radially(x, y, lambda r: _tan(_angle(camera, r)))
+    return x, y
+
+
+def _model(camera: Camera) -> str:
+    """A lens without coefficients, as many cameras report it, is a pinhole."""
+    curved = any(camera.coefficients) or camera.model == Distortion.KANNALA_BRANDT4
+    return camera.model if curved else Distortion.NONE
+
+
+def _brown_conrady(camera: Camera, x, y):
+    """Radial and tangential distortion; the modified model moves radially first and then tangentially from there."""
+    k1, k2, p1, p2, k3 = camera.coefficients
+    square = x * x + y * y
+    scale = 1 + square * (k1 + square * (k2 + square * k3))
+    u, v = x * scale, y * scale
+    if camera.model == Distortion.MODIFIED_BROWN_CONRADY:
+        x, y = u, v
+    return (
+        u + 2 * p1 * x * y + p2 * (square + 2 * x * x),
+        v + 2 * p2 * x * y + p1 * (square + 2 * y * y),
+    )
+
+
+def _kannala_brandt(camera: Camera, angle):
+    """Radius in the image of a line of sight at an angle (rad) from the axis."""
+    k1, k2, k3, k4, _ = camera.coefficients
+    square = angle * angle
+    return angle * (1 + square * (k1 + square * (k2 + square * (k3 + square * k4))))
+
+
+def _angle(camera: Camera, radius):
+    """Inverse of `_kannala_brandt`, by Newton's method."""
+
+    def step(_, angle):
+        value, slope = jax.jvp(lambda angle: _kannala_brandt(camera, angle), (angle,), (jnp.ones_like(angle),))
+        return angle - (value - radius) / jnp.where(slope == 0, 1, slope)
+
+    return jax.lax.fori_loop(0, NEWTON, step, radius)
+
+
+def _radially(x, y, radius):
+    """Move (x, y) from its radius r to `radius(r)`."""
+    r = jnp.maximum(jnp.hypot(x, y), 1e-6)  # on the axis the ratio has its limit
+    return x * radius(r) / r, y * radius(r) / r
+
+
+def _tan(angle):
+    return jnp.where(angle < math.pi / 2, jnp.tan(angle), jnp.nan)
+
+
+def _solve(function: Callable, x, y):
+    """(u, v) with function(u, v) = (x, y), by Newton's method from (x, y), for functions near the identity."""
+    one, zero = jnp.ones_like(x), jnp.zeros_like(x)
+
+    def step(_, at):
+        (p, q), (px, qx) = jax.jvp(function, at, (one, zero))
+        _, (py, qy) = jax.jvp(function, at, (zero, one))
+        area = px * qy - py * qx
+        area = jnp.where(area == 0, 1, area)
+        return at[0] - ((p - x) * qy - (q - y) * py) / area, at[1] - ((q - y) * px - (p - x) * qx) / area
+
+    return jax.lax.fori_loop(0, NEWTON, step, (x, y))

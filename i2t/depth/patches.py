@@ -1,0 +1,326 @@
+"""Real depth images become depth patches: the same patch as `i2t.rendering.render.render_patch`, seen by a camera.
+
+Every ray of the patch runs along tool z, as in the renderer, and is followed through the depth image. Three measured
+neighbours make a triangle of surface, on which inverse depth is linear in the pixel, as on any plane seen by a pinhole;
+along a ray inverse depth is linear in the image too, so where both are equal the ray meets the surface. Triangles seen
+at a grazing angle span a depth edge and are no surface, which also leaves out flying pixels: one between two surfaces
+has such an edge on both sides.
+
+A camera knows more than what is surface: it saw that the space before it is free. A ray that is found behind the image
+without having met a triangle, because it started there or came in through a hole, is lost, and what it meets later is
+not known. So a pixel is
+
+    seen    its ray meets the surface, or is free to deeper than the reach behind the nearest point
+    filled  it is in a hole between two seen pixels of its row, column or diagonal, at most `fill` apart
+    neither it is in a larger hole; its depth reads the reach, as where there is no surface
+
+Frames: W world, C camera (z forward, x along columns, y along rows), T tool; metres.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Num
+
+from i2t.depth.camera import Camera, check_image
+from i2t.depth.distortion import lines_of_sight, to_pixel
+from i2t.geometry import is_rigid
+from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, Patch
+
+DISTANCE = 104e-3  # m, from the camera to the tool's origin when the paper's arm looks
+GRAZING = math.radians(10)  # rad, between a triangle and the line of sight to it
+STEP = 1.5e-3  # m: neighbours no further apart in depth are surface however steep; a unit of a file in millimetres is
+FILL = 2e-3  # m
+STRIDE = 0.5  # pixels of the image from sample to sample of a ray
+REFINE = 6  # steps; without a fold of the surface in between the first is exact
+CLOSE = 1e-4  # relative error of depth at which a crossing counts as found: 10 um at the paper's distance
+
+
+class DepthPatch(NamedTuple):
+    """A patch cut from a depth image, and what is known of each of its pixels."""
+
+    patch: Patch
+    seen: Bool[Array, "n n"]
+    filled: Bool[Array, "n n"]  # interpolated; seen and filled exclude each other
+
+
+def patch_from_depth(
+    depth: Num[Array, "height width"],
+    camera: Camera,
+    T_w_c: Float[Array, "4 4"],
+    T_w_t: Float[Array, "4 4"],
+    window: float = PATCH_WINDOW,
+    pixels: int = PATCH_PIXELS,
+    reach: float = REACH,
+    standoff: float = STANDOFF,
+    grazing: float = GRAZING,
+    step: float = STEP,
+    fill: float = FILL,
+) -> DepthPatch:
+    """What the tool at `T_w_t` has in front of it, as the camera at `T_w_c` saw it: `render_patch` for depth (m).
+
+    All but `depth` and the two poses are static. Rays start `standoff` (m) behind the tool's origin. Pixels that are
+    not positive and finite are holes. `nearest` is the nearest seen point; where nothing is seen it is +inf and the
+    depth reads the reach. A pose that is not finite, or not rigid, gives NaN and nothing seen. Holes are bridged from
+    side to side, but to the deeper side where the sides differ by more than their distance: what a nearer surface
+    hides lies behind it. Raises ValueError where the image is not the camera's or not in metres. It has no reverse-mode
+    derivative.
+    """
+    check_image(depth, camera)
+    # Wide enough that holes at the border are filled as if there were none.
+    margin = max(math.ceil(fill / window * pixels) - 1, 0)
+    T_c_t = _relative(T_w_c, T_w_t)
+    rigid = is_rigid(T_w_c) & is_rigid(T_w_t)
+    rays = _rays(depth, camera, jnp.where(rigid, T_c_t, jnp.eye(3, 4)), window, pixels, margin, standoff)
+    inner = (slice(margin, margin + pixels),) * 2
+    met, clear = _follow(rays, _cells(depth, camera, grazing, step), camera, reach, inner)
+    nearest = jnp.min(met[inner])
+    seen = ((met < jnp.inf) | (clear >= nearest + reach)) & (nearest < jnp.inf)
+    bridged = _bridge(met, seen, window / pixels, fill)
+    heights, seen = jnp.where(seen, met, bridged)[inner], seen[inner]
+    behind = jnp.where(heights < jnp.inf, heights - jnp.where(nearest < jnp.inf, nearest, 0), reach)
+    patch = Patch(
+        jnp.where(rigid, jnp.clip(behind, 0, reach), jnp.nan), jnp.where(rigid, nearest, jnp.nan).astype(depth.dtype)
+    )
+    return DepthPatch(patch, seen & rigid, ~seen & ~jnp.isnan(bridged[inner]) & rigid)
+
+
+def crop_patch(
+    depth: Num[Array, "height width"],
+    camera: Camera,
+    distance: float = DISTANCE,
+    window: float = PATCH_WINDOW,
+    pixels: int = PATCH_PIXELS,
+    reach: float = REACH,
+) -> DepthPatch:
+    """The crop of the Imagine2touch code: the square of the image that the skin's window fills at `distance` (m), for a
+    camera that looks along tool z at the tool's origin, its axes parallel to the tool's.
+
+    Each pixel of the patch takes the one under its centre. What is nearer than `distance` appears too large and what is
+    further too small, lens distortion stays and flying pixels too: use it to repeat what was done, and
+    `patch_from_depth` to measure. All but `depth` is static. Raises ValueError where the image is not the camera's, not
+    in metres, or does not hold the window.
+    """
+    check_image(depth, camera)
+    along = [((i + 0.5) / pixels - 0.5) * window / distance for i in range(pixels)]
+    columns = [math.floor(camera.cx + camera.fx * x + 0.5) for x in along]
+    rows = [math.floor(camera.cy + camera.fy * y + 0.5) for y in along]
+    if min(columns) < 0 or min(rows) < 0 or max(columns) >= camera.width or max(rows) >= camera.height:
+        raise ValueError(
+            f"camera: its image does not hold a window of {1e3 * window:.1f} mm at {1e3 * distance:.1f} mm around the "
+            "principal point; use a smaller window or a larger distance"
+        )
+    cut = depth[jnp.array(rows)[:, None], jnp.array(columns)[None, :]]
+    seen = jnp.isfinite(cut) & (cut > 0)
+    closest = jnp.min(jnp.where(seen, cut, jnp.inf))
+    behind = jnp.where(seen, cut - jnp.where(closest < jnp.inf, closest, 0), reach)
+    return DepthPatch(Patch(jnp.minimum(behind, reach), closest - distance), seen, jnp.zeros_like(seen))
+
+
+class _Rays(NamedTuple):
+    """The stretch of each ray that the image can say something about, from where it starts to where it ends.
+
+    Between both, the place in the image and the inverse depth are linear in a number from 0 to 1, and so is tool z
+    times inverse depth.
+    """
+
+    x: Array  # (2, n, n) x / z of both ends in C
+    y: Array  # (2, n, n)
+    inverse: Array  # (2, n, n) 1/m, 1 / z
+    height: Array  # (2, n, n) tool z / z
+    steps: Array  # (n, n) how many samples it takes; 0 for a ray that is not in sight
+
+
+def _rays(depth, camera, T_c_t, window, pixels, margin, standoff) -> _Rays:
+    """Cut (n + 2 margin)^2 rays to what lies in the camera's field of view, between its least and largest depth.
+
+    Half spaces a + b s >= 0 of tool z s: Liang and Barsky, "A new concept and method for line clipping", 1984.
+    """
+    along = ((jnp.arange(pixels + 2 * margin) - margin + 0.5) / pixels - 0.5) * window
+    x, y = jnp.meshgrid(along, along)
+    start = [row[0] * x + row[1] * y + row[3] for row in T_c_t[:3]]
+    go = T_c_t[:3, 2]
+    directions = lines_of_sight(camera)
+    measured = jnp.isfinite(depth) & (depth > 0)
+    near = jnp.min(jnp.where(measured, depth, jnp.inf)) * (1 - 1e-3)
+    far = jnp.max(jnp.where(measured, depth, 0)) * (1 + 1e-3)
+    low, high = jnp.full_like(x, -standoff), jnp.full_like(x, jnp.inf)
+    bounds: list = [(2, 1.0, 0, 0.0, -near), (2, -1.0, 0, 0.0, far)]
+    for axis in (0, 1):
+        bounds += [(axis, 1.0, 2, -jnp.nanmin(directions[axis]), 0.0), (axis, -1.0, 2, jnp.nanmax(directions[axis]), 0)]
+    for i, p, j, q, r in bounds:
+        a, b = p * start[i] + q * start[j] + r, p * go[i] + q * go[j]
+        at = -a / jnp.where(b == 0, 1, b)
+        low = jnp.where(b > 0, jnp.maximum(low, at), low)
+        high = jnp.where(b < 0, jnp.minimum(high, at), high)
+        high = jnp.where((b == 0) & (a < 0), -jnp.inf, high)
+    inside = (low < high) & (high < jnp.inf) & (near < jnp.inf)
+
+    def end(s):
+        s = jnp.where(inside, s, 0)
+        z = jnp.where(inside, start[2] + go[2] * s, 1)
+        return (start[0] + go[0] * s) / z, (start[1] + go[1] * s) / z, 1 / z, s / z
+
+    u, v, inverse, height = (jnp.stack(ends) for ends in zip(end(low), end(high), strict=True))
+    length = jnp.hypot((u[1] - u[0]) * camera.fx, (v[1] - v[0]) * camera.fy)
+    return _Rays(u, v, inverse, height, jnp.where(inside, jnp.ceil(length / STRIDE) + 1, 0))
+
+
+def _cells(depth, camera, grazing, step):
+    """For every square of four pixels ((h - 1)(w - 1), 6): their inverse depths (1/m; upper left, upper right, lower
+    left, lower right), and whether the triangles of its upper left and its lower right corner are surface.
+    """
+    x, y = lines_of_sight(camera)
+    measured = jnp.isfinite(depth) & (depth > 0) & jnp.isfinite(x) & jnp.isfinite(y)
+    z = jnp.where(measured, depth, 1)
+    points = jnp.stack([jnp.where(measured, x, 0) * z, jnp.where(measured, y, 0) * z, z])
+    inverse = jnp.where(measured, 1 / z, 0)
+
+    def corners(image):
+        return image[..., :-1, :-1], image[..., :-1, 1:], image[..., 1:, :-1], image[..., 1:, 1:]
+
+    a, b, c, d = corners(points)
+    at_a, at_b, at_c, at_d = corners(measured)
+
+    def surface(corner, one, other):
+        normal = jnp.cross(one - corner, other - corner, axis=0)
+        facing = jnp.abs(jnp.sum(normal * corner, 0))
+        steep = facing < math.sin(grazing) * jnp.sqrt(jnp.sum(normal**2, 0) * jnp.sum(corner**2, 0))
+        depths = jnp.stack([corner[2], one[2], other[2]])
+        return ~steep | (jnp.max(depths, 0) - jnp.min(depths, 0) <= step)
+
+    upper = at_a & at_b & at_c & surface(a, b, c)
+    lower = at_d & at_b & at_c & surface(d, c, b)
+    cells = jnp.stack([*corners(inverse), upper.astype(depth.dtype), lower.astype(depth.dtype)], -1)
+    return cells.reshape(-1, cells.shape[-1])
+
+
+class _March(NamedTuple):
+    """How far rays have been followed, (n, n) each; free is what lies before the surface."""
+
+    going: Array  # bool
+    free: Array  # bool, at the last sample
+    clear: Array  # m, tool z to which the ray is known to be free
+    hit: Array  # sample that lies behind the surface, next to a free one; 0 where there is none
+
+
+def _follow(rays: _Rays, cells, camera: Camera, reach: float, inner) -> tuple[Array, Array]:
+    """Tool z (m) where rays meet the surface, +inf where they do not, and to which they are known to be free."""
+    steps = jnp.maximum(rays.steps, 1)
+
+    def behind(part):
+        """How far rays are behind the surface, as a difference of inverse depths (1/m), and whether they are on it."""
+        pixel = to_pixel(camera, _between(rays.x, part), _between(rays.y, part))
+        u, v = pixel[..., 0], pixel[..., 1]
+        column = jnp.clip(jnp.floor(u), 0, camera.width - 2)
+        row = jnp.clip(jnp.floor(v), 0, camera.height - 2)
+        cell = cells[row.astype(jnp.int32) * (camera.width - 1) + column.astype(jnp.int32)]
+        a, b, c, d, upper, lower = jnp.moveaxis(cell, -1, 0)
+        across, down = u - column, v - row
+        first = across + down < 1
+        inverse = jnp.where(
+            first, a + across * (b - a) + down * (c - a), d + (1 - across) * (c - d) + (1 - down) * (b - d)
+        )
+        inside = (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
+        return inverse - _between(rays.inverse, part), inside & (jnp.where(first, upper, lower) > 0)
+
+    def height(part):
+        return _between(rays.height, part) / _between(rays.inverse, part)
+
+    def step(state):
+        k, last, march = state
+        part = jnp.minimum(k / steps, 1)
+        gap, on = behind(part)
+        behind_now = march.going & on & (gap >= 0)
+        met = behind_now & march.free
+        free = on & (gap < 0)
+        clear = jnp.where(march.going & free, height(part), march.clear)
+        # Behind the deepest that the patch can show nothing more is asked.
+        last = jnp.minimum(last, jnp.min(jnp.where(met, height(part), jnp.inf)[inner]))
+        going = march.going & ~behind_now & (k < rays.steps) & (clear <= last + reach)
+        return k + 1, last, _March(going, free, clear, jnp.where(met, k, march.hit))
+
+    none, zero = jnp.zeros(steps.shape, bool), jnp.zeros_like(steps)
+    start = _March(rays.steps > 0, none, jnp.full_like(steps, -jnp.inf), zero)
+    _, _, end = jax.lax.while_loop(
+        lambda state: jnp.any(state[2].going),
+        step,
+        (jnp.zeros((), steps.dtype), jnp.full((), jnp.inf, steps.dtype), start),
+    )
+    part, exact = _crossing(behind, (end.hit - 1) / steps, end.hit / steps)
+    found = (end.hit > 0) & exact(_between(rays.inverse, part))
+    return jnp.where(found, height(part), jnp.inf), end.clear
+
+
+def _crossing(behind, low, high):
+    """Where rays go from free (`low`) to behind (`high`), by the Illinois method (Dowell and Jarratt, 1971), and a
+    function that tells, from their inverse depth, whether that is on surface.
+    """
+
+    def cut(ends):
+        low, high, at_low, at_high = ends
+        return low - at_low * (high - low) / jnp.where(at_high > at_low, at_high - at_low, 1)
+
+    def refine(_, ends):
+        low, high, at_low, at_high = ends
+        middle = cut(ends)
+        gap, on = behind(middle)
+        free = on & (gap < 0)
+        return (
+            jnp.where(free, middle, low),
+            jnp.where(free, high, middle),
+            jnp.where(free, gap, at_low / 2),
+            jnp.where(free, at_high / 2, jnp.where(on, gap, at_high)),
+        )
+
+    ends = (low, high, jnp.minimum(behind(low)[0], 0), jnp.maximum(behind(high)[0], 0))
+    part = cut(jax.lax.fori_loop(0, REFINE, refine, ends))
+    gap, on = behind(part)
+    return part, lambda inverse: on & (jnp.abs(gap) <= CLOSE * inverse)
+
+
+def _bridge(met, seen, pitch: float, fill: float):
+    """Heights (n, n) across holes between two seen pixels at most `fill` apart, in a row, a column or a diagonal with
+    the hole, NaN elsewhere; the nearest two decide.
+    """
+    n = seen.shape[0]
+
+    def shift(image, i, j):
+        """image[k - i, l - j] at (k, l), zero beyond the border."""
+        wide = jnp.pad(image, ((max(i, 0), max(-i, 0)), (max(j, 0), max(-j, 0))))
+        return wide[max(-i, 0) : max(-i, 0) + n, max(-j, 0) : max(-j, 0) + n]
+
+    def first(i, j, most):
+        """The first seen height in a direction, and how many steps away."""
+        height, away = jnp.zeros_like(met), jnp.full(seen.shape, n)
+        for k in range(most - 1, 0, -1):
+            here = shift(seen, k * i, k * j)
+            height, away = jnp.where(here, shift(met, k * i, k * j), height), jnp.where(here, k, away)
+        return height, away
+
+    heights, spans = [], []
+    for i, j in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        length = pitch * math.hypot(i, j)
+        most = int(fill / length * (1 + 1e-6))
+        (a, before), (b, behind) = first(i, j, most), first(-i, -j, most)
+        span = before + behind
+        even = jnp.isfinite(a) & jnp.isfinite(b) & (jnp.abs(b - a) <= span * length)
+        heights.append(jnp.where(even, a + jnp.where(even, b - a, 0) * before / span, jnp.maximum(a, b)))
+        spans.append(jnp.where(~seen & (span <= most), span * length, jnp.inf))
+    least = jnp.minimum(jnp.minimum(spans[0], spans[1]), jnp.minimum(spans[2], spans[3]))
+    chosen = [(span == least) & (least < jnp.inf) for span in spans]
+    total = sum(jnp.where(which, height, 0) for which, height in zip(chosen, heights, strict=True))
+    return jnp.where(least < jnp.inf, total / jnp.maximum(sum(which.astype(met.dtype) for which in chosen), 1), jnp.nan)
+
+
+def _between(ends, part):
+    return ends[0] + part * (ends[1] - ends[0])
+
+
+def _relative(T_w_a, T_w_b):
+    """T_a_b, with full precision on accelerators too."""
+    R_a_w = T_w_a[:3, :3].T
+    moved = jnp.concatenate([T_w_b[:3, :3], (T_w_b[:3, 3] - T_w_a[:3, 3])[:, None]], 1)
+    return jnp.matmul(R_a_w, moved, precision=jax.lax.Precision.HIGHEST)

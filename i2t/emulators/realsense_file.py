@@ -1,0 +1,92 @@
+"""A recording as a RealSense camera would have made it, by the SDK's own software device: what `RealSense(file=...)`
+plays, so that every line that reads frames, lenses and units from the SDK can be rehearsed without a camera.
+
+    write("views.db3", camera, views, model="D405")
+
+What it cannot show is what only a camera does: USB, exposure, and times on the computer's clock.
+"""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from i2t.depth.camera import Camera
+from i2t.hardware.protocols import View
+from i2t.types import Array
+
+SERIAL = "000000000000"
+
+
+def write(
+    path: str | Path,
+    camera: Camera,
+    views: Sequence[View],
+    model: str = "D405",
+    unit: float = 1e-4,
+    rate: int = 30,
+    T_depth_colour: Array | None = None,
+) -> None:
+    """Record views of one camera to a new .db3 file.
+
+    `unit` is metres per unit of depth, 0 is written where nothing was measured; colours are taken as the colour
+    camera's own, which has the same lens and stands at `T_depth_colour` (4, 4) in the depth camera. Raises RuntimeError
+    where the SDK cannot write the file.
+    """
+    import pyrealsense2 as rs
+
+    device = rs.software_device()
+    for info, text in (
+        (rs.camera_info.name, f"Intel RealSense {model}"),
+        (rs.camera_info.serial_number, SERIAL),
+        (rs.camera_info.product_line, "D400"),
+    ):
+        device.register_info(info, text)
+    depth, colour = device.add_sensor("Stereo Module"), device.add_sensor("RGB Camera")
+    depth.add_read_only_option(rs.option.depth_units, unit)
+    streams = [
+        sensor.add_video_stream(_stream(rs, camera, kind, uid, form, size, rate), True)
+        for sensor, kind, uid, form, size in (
+            (depth, rs.stream.depth, 1, rs.format.z16, 2),
+            (colour, rs.stream.color, 2, rs.format.rgb8, 3),
+        )
+    ]
+    T = np.eye(4) if T_depth_colour is None else np.linalg.inv(T_depth_colour)
+    apart = rs.extrinsics()
+    apart.rotation, apart.translation = T[:3, :3].ravel(order="F").tolist(), T[:3, 3].tolist()
+    streams[0].register_extrinsics_to(streams[1], apart)
+
+    recorder, queue = rs.recorder(str(path), device), rs.frame_queue(4)
+    recorded = recorder.query_sensors()
+    for sensor in recorded:
+        sensor.open(sensor.get_stream_profiles()[0])
+        sensor.start(queue)
+    for number, view in enumerate(views):
+        units = np.nan_to_num(np.round(np.asarray(view.depth, float) / unit), nan=0.0).astype(np.uint16)
+        seen = np.zeros((*units.shape, 3), np.uint8) if view.colour is None else view.colour
+        for sensor, stream, pixels in ((depth, streams[0], units), (colour, streams[1], seen)):
+            frame = rs.software_video_frame()
+            frame.pixels = np.ascontiguousarray(pixels)
+            frame.bpp = pixels.itemsize * (pixels.shape[2] if pixels.ndim == 3 else 1)
+            frame.stride = frame.bpp * camera.width
+            frame.timestamp, frame.domain = 1e3 * number / rate, rs.timestamp_domain.hardware_clock
+            frame.frame_number, frame.profile = number + 1, stream.as_video_stream_profile()
+            if sensor is depth:
+                frame.depth_units = unit
+            sensor.on_video_frame(frame)
+        time.sleep(1 / rate)  # the file's own times are those of the writing
+    for sensor in recorded:
+        sensor.stop()
+        sensor.close()
+
+
+def _stream(rs: Any, camera: Camera, kind: Any, uid: int, form: Any, size: int, rate: int) -> Any:
+    lens, stream = rs.intrinsics(), rs.video_stream()
+    lens.width, lens.height, lens.fx, lens.fy = camera.width, camera.height, camera.fx, camera.fy
+    lens.ppx, lens.ppy, lens.coeffs = camera.cx, camera.cy, list(camera.coefficients)
+    lens.model = getattr(rs.distortion, str(camera.model))
+    stream.type, stream.index, stream.uid, stream.fmt, stream.bpp = kind, 0, uid, form, size
+    stream.width, stream.height, stream.fps, stream.intrinsics = camera.width, camera.height, rate, lens
+    return stream

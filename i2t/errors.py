@@ -1,0 +1,38 @@
+"""Everything that i2t raises for its users to catch. Each message is one sentence that names what is wrong and the
+remedy.
+"""
+
+
+class I2TError(Exception):
+    """What went wrong can be mended by whoever reads the message."""
+
+
+class DataError(I2TError, ValueError):
+    """A file or a data set that cannot be used; the message is one line that names it, what is wrong and the remedy."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(" ".join(message.splitlines()))  # what a library reported may have several lines
+
+
+class SerializationError(I2TError, ValueError):
+    """A file of arrays that is damaged, or that holds something else than is asked of it."""
+
+
+class CheckpointError(I2TError, ValueError):
+    """A checkpoint that cannot be read back."""
+
+
+class DeviceError(I2TError, RuntimeError):
+    """A device failed, in one sentence."""
+
+
+class NotConnectedError(DeviceError):
+    """The device was used before `connect` or after `close`."""
+
+
+class DeviceTimeoutError(DeviceError):
+    """Nothing new came in time. The device may speak again by itself."""
+
+
+class MotionStoppedError(DeviceError):
+    """A motion ended because somebody called `stop`."""

@@ -1,0 +1,163 @@
+"""A folder of recorded views as a depth camera, one after the other; and how to keep views in one.
+
+    DIR/camera.toml      the lens in pixels (keys of `i2t.depth.camera.Camera`), `scale` of the depth files (metres per
+    unit,
+                         or "m" or "mm"), and, where they differ from these, `encoding` = "plain", `nearest` = 0 (m)
+    DIR/depth/NAME.png   16 bits, or .tif; 0 or NaN where nothing was measured (see `i2t.depth.camera.read_depth`)
+    DIR/colour/NAME.png  8 bits RGB of the same pixels; may be missing
+
+Views come in the order of their names. Once all were given, or a file is missing or damaged, `capture` says so.
+"""
+
+import time
+import tomllib
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from PIL import Image
+
+from i2t.depth.camera import SUFFIXES, Camera, Encoding, check_image, read_depth
+from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
+from i2t.hardware.protocols import CameraFeatures, View
+from i2t.types import Array
+
+UNIT = 1e-4  # m, of what `keep` writes: 6.5 m are the most that 16 bits hold
+DESCRIPTION = "camera.toml"
+
+F = TypeVar("F", bound="Folder")
+
+
+class Folder:
+    """Recorded views as a camera (`i2t.hardware.protocols.DepthCamera`), from view number `first` on; `loop` begins
+    again where they end.
+    """
+
+    def __init__(self, path: str | Path, first: int = 0, loop: bool = False, rate: float = 30.0) -> None:
+        self._path, self._first, self._loop = Path(path), first, loop
+        self._features = CameraFeatures(f"the folder {path}", "folder", 0.0, rate)
+        self._camera: Camera | None = None
+        self._names: list[str] | None = None
+        self._next = 0
+        self._due = 0.0
+
+    @property
+    def features(self) -> CameraFeatures:
+        """Known before `connect`, but for the nearest depth."""
+        return self._features
+
+    @property
+    def camera(self) -> Camera:
+        """Size and lens; raises NotConnectedError before `connect` has read them."""
+        if self._camera is None:
+            raise NotConnectedError(f"{self._features.name} is not connected; its lens is read then")
+        return self._camera
+
+    def connect(self) -> None:
+        """Read what the folder holds, and begin with its first view; raises DeviceError."""
+        self.close()
+        self._camera, self._scale, self._encoding, least = read_description(self._path)
+        names = sorted(each.name for each in (self._path / "depth").glob("*") if each.suffix.lower() in SUFFIXES)
+        if len(names) <= self._first:
+            raise DeviceError(
+                f"{self._path / 'depth'} holds {len(names)} views, and number {self._first} is to be the first; "
+                "give a folder with depth/*.png or .tif"
+            )
+        self._features = self._features._replace(nearest=least)
+        self._names, self._next, self._due = names, self._first, 0.0
+
+    def close(self) -> None:
+        """Give no more views."""
+        self._names = None
+
+    def __enter__(self: F) -> F:
+        self.connect()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.close()
+
+    def capture(self, timeout: float = 2.0) -> View:
+        """The next view, at the camera's rate; raises DeviceError where there is none."""
+        names = self._names
+        if names is None:
+            raise NotConnectedError(f"{self._features.name} is not connected; call connect() or use with")
+        if self._next >= len(names):
+            if not self._loop:
+                raise DeviceError(f"{self._features.name} has given all its views; connect again for the first")
+            self._next = self._first
+        wait = max(0.0, self._due - time.monotonic())
+        if wait > timeout:
+            time.sleep(timeout)
+            raise DeviceTimeoutError(f"{self._features.name} gave no view in {timeout:.2g} s; ask for them less often")
+        time.sleep(wait)
+        when = time.monotonic()
+        self._due = when + 1 / self._features.rate
+        depth, colour = self._read(names[self._next])
+        self._next += 1
+        return View(when, depth, colour)
+
+    def _read(self, name: str) -> tuple[Array, Array | None]:
+        path = self._path / "depth" / name
+        colours = self._path / "colour"
+        try:
+            depth = read_depth(path, self._scale, self._encoding)
+            check_image(depth, self.camera)
+            if not colours.is_dir():
+                return depth, None
+            path = (colours / name).with_suffix(".png")
+            with Image.open(path) as image:
+                colour = np.asarray(image.convert("RGB"))
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or str(error).removeprefix(f"{path}: ")
+            raise DeviceError(f"{self._features.name} cannot give {path.name}: {reason}; restore {path}") from error
+        if colour.shape[:2] != depth.shape:
+            raise DeviceError(f"{path} has {colour.shape[:2]} pixels where depth has {depth.shape}; align it to depth")
+        return depth, colour
+
+
+def read_description(path: str | Path) -> tuple[Camera, float | str, str, float]:
+    """Lens, scale, encoding and nearest depth (m) of a folder of views; raises DeviceError with one sentence."""
+    file = Path(path) / DESCRIPTION
+    try:
+        table = tomllib.loads(file.read_text("utf-8"))
+    except OSError as error:
+        raise DeviceError(f"{file} cannot be read ({error.strerror}); name a folder of views") from error
+    except ValueError as error:
+        raise DeviceError(f"{file} is not TOML ({error}); correct it there") from error
+    try:
+        extra = table.pop("scale"), table.pop("encoding", str(Encoding.PLAIN)), float(table.pop("nearest", 0.0))
+        names = {each.name for each in fields(Camera)}
+        if not set(table) <= names:
+            raise ValueError(f"it has the unknown key {min(set(table) - names)}")
+        lens: Any = {key: float(table.pop(key)) for key in ("fx", "fy", "cx", "cy")}
+        coefficients = tuple(float(each) for each in table.pop("coefficients", ()))
+        return Camera(**table, **lens, coefficients=coefficients), *extra
+    except (KeyError, TypeError, ValueError) as error:
+        reason = f"{error} is missing" if isinstance(error, KeyError) else " ".join(str(error).split())
+        raise DeviceError(f"{file}: {reason}; see i2t.hardware.camera_folder for what it holds") from error
+
+
+def keep(path: str | Path, camera: Camera, views: Iterable[View]) -> Iterator[View]:
+    """Write views to a new folder as they pass; raises FileExistsError if there is one, OSError if it cannot be
+    written.
+    """
+    path = Path(path)
+    for sub in (path, path / "depth"):
+        sub.mkdir(parents=True)
+    lens = {**asdict(camera), "model": str(camera.model), "scale": UNIT}
+    lines = [f"{key} = {list(value) if isinstance(value, tuple) else _text(value)}" for key, value in lens.items()]
+    (path / DESCRIPTION).write_text("\n".join(lines) + "\n", "utf-8")
+    for number, view in enumerate(views):
+        units = np.nan_to_num(np.round(view.depth / UNIT), nan=0.0)
+        Image.fromarray(np.clip(units, 0, 65535).astype(np.uint16)).save(path / "depth" / f"{number:06d}.png")
+        if view.colour is not None:
+            (path / "colour").mkdir(exist_ok=True)
+            Image.fromarray(view.colour).save(path / "colour" / f"{number:06d}.png")
+        yield view
+
+
+def _text(value: Any) -> str:
+    return f'"{value}"' if isinstance(value, str) else repr(value)

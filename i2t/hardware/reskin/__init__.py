@@ -1,0 +1,1 @@
+"""A ReSkin or AnySkin board on a serial port."""

@@ -1,0 +1,303 @@
+"""A skin whose bytes come through a port: one thread reads, decodes (`i2t.hardware.reskin.frames`) and queues.
+
+Once that thread has ended, for whatever reason, every call says why until `connect` is called again. A sample's time is
+that of the read that brought its last byte, less what came after it in the same read at the board's rate.
+"""
+
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable
+from itertools import takewhile
+from pathlib import Path
+from typing import Any, NamedTuple, SupportsIndex, TypeAlias, TypeVar
+
+import numpy as np
+
+from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
+from i2t.hardware.protocols import Samples, SkinCounters, SkinFeatures
+from i2t.hardware.reskin import frames, recording
+from i2t.hardware.reskin.frames import Decoder, Format, Frame, Limits
+from i2t.types import CHIPS, READINGS
+
+BUFFER = 4000  # bytes; a Linux terminal holds 4095, so that a read this long may come after an overflow
+FIRST_BYTE = 3.0  # s that a board may need to start after its port is opened
+LOCK = 1.0  # s from its first byte to its first frame
+CHANNELS = tuple(f"chip{chip}_{axis}" for chip in range(CHIPS) for axis in "xyz")
+
+Row: TypeAlias = tuple[int, float, np.ndarray, np.ndarray]  # as in Samples
+S = TypeVar("S", bound="Stream")
+
+
+class BoardInfo(NamedTuple):
+    """What is known of a connected board."""
+
+    port: str
+    baud: int | None
+    form: Format
+    description: str = ""  # as USB tells it
+    serial_number: str | None = None
+    usb: str | None = None  # vendor and product
+
+
+class Stream(ABC):
+    """A skin whose bytes come through something with the face of a serial port; `_open` gives it."""
+
+    def __init__(self, features: SkinFeatures, limits: Limits | None, capacity: int) -> None:
+        self._features = features
+        self._limits = limits or Limits()
+        self._queue: deque[Row] = deque(maxlen=capacity)
+        self._news = threading.Condition()
+        self._counted = SkinCounters()  # before this connection
+        self._decoder: Decoder | None = None
+        self._seen = -1  # newest sample that `since` has handed out
+        self._overflowed = self._stalls = self._connects = 0
+        self._arrivals: deque[tuple[float, int]] = deque()  # (time, samples by then), the last second
+        self._failure: DeviceError | None = NotConnectedError(
+            f"{self._name} is not connected; call connect() or use with"
+        )
+        self._thread: threading.Thread | None = None
+        self._stop = threading.Event()
+        self._file: Any = None
+        self._info: BoardInfo | None = None
+
+    # What a user of any skin holds.
+
+    @property
+    def features(self) -> SkinFeatures:
+        """Known before `connect`."""
+        return self._features
+
+    @property
+    def info(self) -> BoardInfo:
+        """Port, speed, format and USB names, once connected."""
+        if self._info is None:
+            raise NotConnectedError(f"{self._name} has not been connected yet, so nothing is known of its board")
+        return self._info
+
+    @property
+    def counters(self) -> SkinCounters:
+        """So far."""
+        with self._news:
+            return self._total()._replace(
+                overflowed=self._overflowed, stalls=self._stalls, connects=self._connects, rate=self._rate()
+            )
+
+    def connect(self) -> None:
+        """Open the port and wait for the first frames."""
+        self.close()
+        port, decoder, found, self._info = self._open()
+        with self._news:
+            self._counted, self._decoder = self._total(), None
+            self._connects += 1
+            self._failure = None
+            self._arrivals.clear()
+            self._accept(decoder, found, time.monotonic())
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(port, self._stop), name=self._name, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop reading and give the port back."""
+        self._stop.set()
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(1.0)  # a read ends within a tick
+        self._thread = None
+        self._end_recording()
+        self._fail(NotConnectedError(f"{self._name} was closed; connect it again"))
+
+    def __enter__(self: S) -> S:
+        self.connect()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.close()
+
+    def latest(self, timeout: float = 0.4) -> Samples:
+        """The newest sample, one row; raises DeviceTimeoutError if it is older than `timeout`."""
+        with self._news:
+            self._check()
+            age = time.monotonic() - self._queue[-1][1]
+            if age > timeout:
+                raise DeviceTimeoutError(self._silence(age))
+            return _samples([self._queue[-1]])
+
+    def read(self, count: int, timeout: float | None = None) -> Samples:
+        """The next `count` samples."""
+        if not 0 < count <= (self._queue.maxlen or 0):
+            raise ValueError(f"{count} samples were asked for; the queue holds 1 to {self._queue.maxlen}")
+        timeout = 2 * count / self._features.rate + 0.5 if timeout is None else timeout
+        called = time.monotonic()
+        with self._news:
+            newest = self._queue[-1][0] if self._queue else -1
+
+            def fresh() -> list[Row]:
+                return [row for row in self._after(newest) if row[1] > called][:count]
+
+            self._news.wait_for(lambda: self._failure is not None or len(fresh()) == count, timeout)
+            got = fresh()
+            if len(got) == count:
+                return _samples(got)
+            self._check()
+            raise DeviceTimeoutError(
+                f"{self._name} gave {len(got)} of {count} samples in {timeout:.2g} s; check its cable and its rate"
+            )
+
+    def since(self, number: SupportsIndex) -> Samples:
+        """Samples after sample `number` that are still queued. A failure is raised once they are all read."""
+        with self._news:
+            mark = int(number)
+            got = self._after(mark)
+            if not got:
+                self._check()
+            else:
+                self._overflowed += max(0, got[0][0] - max(mark, self._seen) - 1) if mark >= 0 else 0
+                self._seen = max(self._seen, got[-1][0])
+            return _samples(got)
+
+    def record(self, path: str | Path) -> None:
+        """Write every byte that comes from now on to a new file (`i2t.hardware.reskin.recording`), until
+        `stop_recording` or `close`. A full disk ends the skin as an unplugged cable would.
+        """
+        self._check()
+        self._end_recording()
+        try:
+            self._file = recording.create(path)
+        except FileExistsError:
+            raise DeviceError(f"{path} exists already; give the recording a new name") from None
+        except OSError as error:
+            raise DeviceError(f"{path} cannot be written ({error.strerror}); give another place") from error
+
+    def stop_recording(self) -> None:
+        """End the recording, if there is one."""
+        self._end_recording()
+
+    # The thread, and what it shares with the calls above.
+
+    def _check(self) -> None:
+        if self._failure is not None:
+            raise type(self._failure)(*self._failure.args) from self._failure.__cause__
+
+    def _after(self, number: int) -> list[Row]:
+        rows = list(takewhile(lambda row: row[0] > number, reversed(self._queue)))
+        return rows[::-1]
+
+    @abstractmethod
+    def _open(self) -> tuple[Any, Decoder, list[Frame], BoardInfo]:
+        """A port from which frames come."""
+
+    @abstractmethod
+    def _lost(self, error: Exception) -> DeviceError:
+        """What the end of a port means."""
+
+    def _run(self, port: Any, stop: threading.Event) -> None:
+        try:
+            while not stop.is_set():
+                self._take(port.read(max(1, port.in_waiting)), time.monotonic())
+        except DeviceError as error:
+            self._fail(error)
+        except Exception as error:  # pyserial raises OSError, SerialException, TypeError and more
+            self._fail(self._lost(error))
+        finally:
+            port.close()
+
+    def _take(self, chunk: bytes, now: float) -> None:
+        if not chunk:
+            return
+        file = self._file
+        if file is not None:
+            try:
+                recording.append(file, now, chunk)
+            except (OSError, ValueError) as error:
+                if self._file is file:  # not closed meanwhile
+                    sentence = f"recording {self._name} to {file.name} failed ({error}); free some space"
+                    raise DeviceError(sentence) from error
+        assert self._decoder is not None
+        decoder, found = frames.decode(self._decoder, chunk)
+        with self._news:
+            self._stalls += len(chunk) >= BUFFER
+            self._accept(decoder, found, now)
+
+    def _accept(self, decoder: Decoder, found: list[Frame], now: float) -> None:
+        self._decoder = decoder
+        if not found:
+            return
+        number = self._counted.samples + decoder.frames - len(found)
+        self._arrivals.append((now, number + len(found)))
+        while now - self._arrivals[0][0] > 1.0:
+            self._arrivals.popleft()
+        per_byte = decoder.frames / decoder.taken / (self._rate() or self._features.rate)  # s
+        before = self._queue[-1][1] if self._queue else -np.inf
+        for frame in found:
+            before = max(before, now - (decoder.bytes - frame.end) * per_byte)
+            self._queue.append((number, before, frame.reading, frame.temperature))
+            number += 1
+        self._news.notify_all()
+
+    def _total(self) -> SkinCounters:
+        if self._decoder is None:
+            return self._counted
+        now, old = self._decoder, self._counted
+        return old._replace(
+            samples=old.samples + now.frames,
+            lost=old.lost + now.lost,
+            gaps=old.gaps + now.gaps,
+            bytes=old.bytes + now.bytes,
+            skipped=old.skipped + now.skipped,
+        )
+
+    def _rate(self) -> float:
+        if len(self._arrivals) < 2 or time.monotonic() - self._arrivals[-1][0] > 1.0:
+            return 0.0
+        (start, first), (end, last) = self._arrivals[0], self._arrivals[-1]
+        return (last - first) / (end - start) if end - start > 0.2 else 0.0
+
+    def _silence(self, age: float) -> str:
+        assert self._decoder is not None
+        if self._decoder.gap > 3 * frames.BINARY.size:
+            return f"{self._name} has sent no frame for {age:.2g} s, only bytes that are none; check its cable"
+        return f"{self._name} has been silent for {age:.2g} s; check its cable and that its sketch runs"
+
+    def _fail(self, error: DeviceError) -> None:
+        with self._news:
+            self._failure = self._failure or error
+            self._news.notify_all()
+
+    def _end_recording(self) -> None:
+        file, self._file = self._file, None
+        if file is not None:
+            file.close()
+
+    @property
+    def _name(self) -> str:
+        return self._features.name
+
+
+def listen(port: Any, limits: Limits, lost: Callable[[Exception], DeviceError]) -> tuple[Decoder, list[Frame], bytes]:
+    """The decoder that fits what comes from a port, its first frames, and what was heard if none does."""
+    candidates, heard = frames.decoders(limits), b""
+    end = time.monotonic() + FIRST_BYTE
+    while time.monotonic() < end:
+        try:
+            chunk = port.read(max(1, port.in_waiting))
+        except EOFError:
+            break
+        except Exception as error:
+            raise lost(error) from error
+        if chunk and not heard:
+            end = time.monotonic() + LOCK
+        heard = (heard + chunk)[-BUFFER:]
+        candidates, found = frames.decode_any(candidates, chunk)
+        if found:
+            return candidates[0], found, heard
+    return candidates[0], [], heard
+
+
+def _samples(rows: list[Row]) -> Samples:
+    return Samples(
+        np.array([row[0] for row in rows], np.int64),
+        np.array([row[1] for row in rows], np.float64),
+        np.array([row[2] for row in rows], np.float64).reshape(len(rows), READINGS),
+        np.array([row[3] for row in rows], np.float64).reshape(len(rows), CHIPS),
+    )

@@ -1,0 +1,1 @@
+"""A UR arm over RTDE."""

@@ -1,0 +1,1 @@
+"""What is touched: procedural solids, meshes and point clouds from files."""

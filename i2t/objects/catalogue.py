@@ -1,0 +1,263 @@
+"""Things to touch: primitives, stamps, hand tools, random shapes and files, as watertight triangle meshes in metres.
+
+`make(name)` builds the catalogue, `random_object(seed)` draws from families of shapes, `load` reads a mesh file and
+`load_points` with `surface_from_points` a point cloud.
+Primitives, each a function of sensible lengths in metres, are 50-70 mm across, so that the 20 mm skin meets faces,
+edges and corners apart; prisms differ by their outline alone, which is the paper's recognition problem. A stamp is a
+relief 3.5 mm high on a 20 mm square base of 5 mm, pointing up along +z, inside a square of 10 mm. The object frame
+rests on z = 0, z up, centred in x and y; round faces are cut finely enough for the skin (`i2t.objects.solids.SAGITTA`).
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+from manifold3d import CrossSection, Manifold
+
+from i2t.objects import tools
+from i2t.objects.mesh_files import Report, clean, load
+from i2t.objects.point_clouds import load_points, surface_from_points
+from i2t.objects.solids import (
+    Mesh,
+    Object,
+    ball,
+    disk,
+    mesh,
+    outline,
+    polar,
+    prism,
+    rectangle,
+    segments,
+    transform_mesh,
+)
+
+__all__ = [
+    "NAMES",
+    "PRIMITIVES",
+    "STAMPS",
+    "TOOLS",
+    "Mesh",
+    "Object",
+    "Report",
+    "clean",
+    "decoy",
+    "load",
+    "load_points",
+    "make",
+    "random_object",
+    "surface_from_points",
+    "transform_mesh",
+]
+
+MM = 1e3  # mm per m: primitives take metres, solids are drawn in millimetres
+
+RELIEF = 3.5  # mm, height of a stamp above its base
+STAMP_BASE = (20.0, 5.0)  # mm, edge and height of the base
+
+
+def polygon(sides: int, across: float = 60e-3, height: float = 30e-3) -> Mesh:
+    """A regular prism, `across` from corner to opposite corner (twice its circumradius), one flat side facing -y."""
+    turn = -np.pi / 2 + np.pi / sides
+    angles = turn + 2 * np.pi * np.arange(sides) / sides
+    corners = 0.5 * across * MM * np.stack([np.cos(angles), np.sin(angles)], -1)
+    return mesh(prism(outline(corners), height * MM))
+
+
+def square(width: float = 50e-3, height: float = 30e-3) -> Mesh:
+    """A square prism."""
+    return mesh(prism(rectangle(width * MM, width * MM), height * MM))
+
+
+def parallelogram(width: float = 50e-3, depth: float = 40e-3, slant: float = 20e-3, height: float = 30e-3) -> Mesh:
+    """A prism on a parallelogram: sides of `width` along x, `depth` apart, shifted by `slant`."""
+    w, d, s = width * MM, depth * MM, slant * MM
+    return mesh(prism(outline([(0, 0), (w, 0), (w + s, d), (s, d)]), height * MM))
+
+
+def star(points: int = 5, across: float = 70e-3, waist: float = 0.5, height: float = 30e-3) -> Mesh:
+    """A prism on a star: tips on a circle of diameter `across`, hollows on one `waist` times as large."""
+    radii = 0.5 * across * MM * np.where(np.arange(2 * points) % 2, waist, 1.0)
+    return mesh(prism(polar(radii), height * MM))
+
+
+def flower(petals: int = 6, across: float = 70e-3, relief: float = 0.15, height: float = 30e-3) -> Mesh:
+    """A prism on the smooth outline r = R (1 + relief cos(petals angle)), R (1 + relief) = across / 2."""
+    angles = 2 * np.pi * np.arange(24 * petals) / (24 * petals)
+    radii = 0.5 * across * MM * (1 + relief * np.cos(petals * angles)) / (1 + relief)
+    return mesh(prism(polar(radii), height * MM))
+
+
+def cross(across: float = 60e-3, bar: float = 22e-3, height: float = 30e-3) -> Mesh:
+    """A prism on a cross of two bars."""
+    a, b = across * MM, bar * MM
+    return mesh(prism(rectangle(a, b) + rectangle(b, a), height * MM))
+
+
+def cylinder(diameter: float = 60e-3, height: float = 30e-3) -> Mesh:
+    """A round disk."""
+    return mesh(prism(disk(0.5 * diameter * MM), height * MM))
+
+
+def blob(seed: int, across: float = 65e-3, height: float = 30e-3, order: int = 5, relief: float = 0.2) -> Mesh:
+    """A prism on a random smooth outline: a Fourier series of the radius whose terms 2 to `order` fall off as 1/k."""
+    rng = np.random.default_rng(seed)
+    angles = 2 * np.pi * np.arange(144) / 144
+    k = np.arange(2, order + 1)[:, None]
+    wave = (rng.normal(size=k.shape) / k * np.cos(k * angles + rng.uniform(0, 2 * np.pi, k.shape))).sum(0)
+    radii = 1 + relief * wave / np.abs(wave).max()
+    return mesh(prism(polar(0.5 * across * MM * radii / radii.max()), height * MM))
+
+
+def cone(bottom: float = 60e-3, top: float = 20e-3, height: float = 35e-3) -> Mesh:
+    """A round frustum of two diameters."""
+    return mesh(Manifold.cylinder(height * MM, bottom * MM / 2, top * MM / 2, segments(bottom * MM / 2)))
+
+
+def pyramid(width: float = 60e-3, top: float = 15e-3, height: float = 35e-3) -> Mesh:
+    """A square frustum."""
+    base = rectangle(width * MM, width * MM)
+    return mesh(Manifold.extrude(base, height * MM, scale_top=(top / width, top / width)))
+
+
+def dome(diameter: float = 60e-3) -> Mesh:
+    """A half ball, flat side down."""
+    return mesh(ball(0.5 * diameter * MM).trim_by_plane((0, 0, 1), 0.0))
+
+
+def ellipsoid(width: float = 70e-3, depth: float = 50e-3, height: float = 40e-3) -> Mesh:
+    """An ellipsoid, lying."""
+    axes = 0.5 * MM * np.array([width, depth, height])
+    return mesh(ball(axes.max(), scale=list(axes / axes.max())))
+
+
+def torus(across: float = 68e-3, tube: float = 20e-3) -> Mesh:
+    """The upper half of a ring of outer diameter `across` with a round tube, flat side down."""
+    section = disk(0.5 * tube * MM, (0.5 * (across - tube) * MM, 0.0))
+    ring = Manifold.revolve(section, segments(0.5 * across * MM))
+    return mesh(ring.trim_by_plane((0, 0, 1), 0.0))
+
+
+def wedge(width: float = 60e-3, depth: float = 50e-3, low: float = 10e-3, high: float = 35e-3) -> Mesh:
+    """A block whose top rises along x from `low` to `high`."""
+    side = outline([(0, 0), (width * MM, 0), (width * MM, high * MM), (0, low * MM)])
+    return mesh(prism(side, depth * MM).rotate((90, 0, 0)))
+
+
+def stairs(steps: int = 3, width: float = 60e-3, depth: float = 50e-3, height: float = 36e-3) -> Mesh:
+    """Equal steps that rise along x."""
+    run, rise = width * MM / steps, height * MM / steps
+    corners = [(run * (i + j), rise * (i + 1)) for i in range(steps) for j in (0, 1)]
+    side = outline([(0, 0), *corners, (run * steps, 0)])
+    return mesh(prism(side, depth * MM).rotate((90, 0, 0)))
+
+
+def ridge(width: float = 60e-3, depth: float = 50e-3, height: float = 20e-3, radius: float = 12e-3) -> Mesh:
+    """A block with a half round bar along y on its top."""
+    w, h, r = width * MM, height * MM, radius * MM
+    bar = disk(r, (0.0, h)) ^ rectangle(w, 2 * r, (0.0, h + r))
+    return mesh(prism(rectangle(w, h, (0.0, h / 2)) + bar, depth * MM).rotate((90, 0, 0)))
+
+
+def stamp(region: CrossSection) -> Mesh:
+    """A relief of a region (mm) on a stamp's base."""
+    edge, height = STAMP_BASE
+    return mesh(prism(rectangle(edge, edge), height) + prism(region, RELIEF + 1.0, height - 1.0))
+
+
+def _stamp_regions() -> dict[str, CrossSection]:
+    bar = 3.0  # mm, width of the strokes
+    height = 10 * 3**0.5 / 2  # mm, of the equilateral triangle of 10 mm
+    return {
+        "T": rectangle(10, bar, (0, 5 - bar / 2)) + rectangle(bar, 10),
+        "circle": disk(5.0),
+        "angle": rectangle(10, bar, (0, bar / 2 - 5)) + rectangle(bar, 10, (bar / 2 - 5, 0)),
+        "triangle": outline([(-5, -height / 2), (5, -height / 2), (0, height / 2)]),
+        "cross": rectangle(10, bar) + rectangle(bar, 10),
+    }
+
+
+_PRIMITIVES: dict[str, Callable[[], Mesh]] = {
+    "hexagon": lambda: polygon(6),
+    "parallelogram": parallelogram,
+    "star": star,
+    "square": square,
+    "flower": flower,
+    "cylinder": cylinder,
+    "triangle": lambda: polygon(3, across=64e-3),
+    "pentagon": lambda: polygon(5),
+    "octagon": lambda: polygon(8),
+    "cross": cross,
+    "dome": dome,
+    "cone": cone,
+    "pyramid": pyramid,
+    "ellipsoid": ellipsoid,
+    "torus": torus,
+    "wedge": wedge,
+    "stairs": stairs,
+    "ridge": ridge,
+}
+_STAMPS: dict[str, Callable[[], Mesh]] = {
+    f"stamp-{name}": partial(stamp, region) for name, region in _stamp_regions().items()
+}
+
+PRIMITIVES = tuple(_PRIMITIVES)  # the paper's six first
+STAMPS = tuple(_STAMPS)
+TOOLS = tuple(tools.TOOLS)
+NAMES = PRIMITIVES + STAMPS + TOOLS
+
+
+def make(name: str) -> Object:
+    """Build one object of the catalogue; raises ValueError for a name that is not in `NAMES`."""
+    for family, catalogue in (("primitive", _PRIMITIVES), ("stamp", _STAMPS)):
+        if name in catalogue:
+            return Object(name, catalogue[name](), family)
+    if name in tools.TOOLS:
+        return Object(name, mesh(tools.TOOLS[name]()), "tool")
+    raise ValueError(f"no object is called {name!r}; choose one of {', '.join(NAMES)}, or load a mesh file")
+
+
+def random_object(seed: int) -> Object:
+    """A primitive of a random family and proportions, 50-72 mm across, up to 40 mm high; one seed, one object."""
+    rng = np.random.default_rng(seed)
+    across, height = rng.uniform(50e-3, 72e-3), rng.uniform(20e-3, 40e-3)
+
+    def part(low: float, high: float) -> float:
+        return across * rng.uniform(low, high)
+
+    families: dict[str, Callable[[], Mesh]] = {
+        "polygon": lambda: polygon(int(rng.integers(3, 9)), across, height),
+        "parallelogram": lambda: parallelogram(part(0.6, 0.75), part(0.5, 0.9), part(0.1, 0.3), height),
+        "star": lambda: star(int(rng.integers(3, 8)), across, rng.uniform(0.45, 0.75), height),
+        "flower": lambda: flower(int(rng.integers(3, 8)), across, rng.uniform(0.06, 0.2), height),
+        "cross": lambda: cross(across, part(0.25, 0.5), height),
+        "blob": lambda: blob(int(rng.integers(2**31)), across, height, int(rng.integers(3, 8)), rng.uniform(0.1, 0.3)),
+        "cylinder": lambda: cylinder(across, height),
+        "cone": lambda: cone(across, part(0.1, 0.7), height),
+        "pyramid": lambda: pyramid(0.85 * across, part(0.1, 0.6), height),
+        "dome": lambda: dome(across),
+        "ellipsoid": lambda: ellipsoid(across, part(0.6, 0.95), height),
+        "torus": lambda: torus(across, part(0.2, 0.32)),
+        "wedge": lambda: wedge(across, part(0.7, 1.0), rng.uniform(0.2, 0.6) * height, height),
+        "stairs": lambda: stairs(int(rng.integers(2, 5)), across, part(0.7, 1.0), height),
+        "ridge": lambda: ridge(across, part(0.7, 1.0), 0.6 * height, rng.uniform(0.2, 0.55) * height),
+    }
+    family = list(families)[rng.integers(len(families))]
+    return Object(f"{family}-{seed}", families[family](), "primitive")
+
+
+def decoy(known: Sequence[Mesh], seed: int) -> Object:
+    """Something that is none of the `known` objects but might be taken for one: as high as one of them with another
+    outline, or one of them stretched by a seventh to a half in each direction; every other one is not as high.
+
+    Many of them stand for what "none of these" might be (`experiments.studies.open_set`).
+    """
+    rng = np.random.default_rng([seed, len(known)])
+    like = known[int(rng.integers(len(known)))]
+    height = float(np.ptp(like.vertices[:, 2])) * (1.0 if rng.random() < 0.5 else np.exp(rng.uniform(-1.2, 0.3)))
+    if rng.random() < 0.5:
+        like = random_object(int(rng.integers(2**31))).mesh
+        across = np.ones(2)
+    else:
+        across = np.exp(rng.choice([-1, 1], 2) * rng.uniform(0.15, 0.4, 2))
+    scale = np.array([*across, height / float(np.ptp(like.vertices[:, 2]))])
+    return Object(f"decoy-{seed}", Mesh(like.vertices * scale, like.faces), "primitive")

@@ -1,0 +1,239 @@
+"""Mesh files of other people: read with an explicit unit, cleaned, and honest about what was cleaned.
+
+A file says nothing reliable about its unit, so the caller does; STL, OBJ, PLY and GLB are read through trimesh.
+Cleaning merges equal vertices, drops degenerate and repeated faces, keeps the largest connected piece by area (stray
+facets of scans go) and turns faces outward. Holes are counted but left open: the renderer needs no closed surface,
+and an invented one would be touched as if it were there. Point clouds are read by `i2t.objects.point_clouds`.
+"""
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from i2t.objects.solids import Mesh, Object, settle, transform_mesh
+
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 25.4e-3}  # m
+SUFFIXES = (".stl", ".obj", ".ply", ".glb")
+SMALLEST, LARGEST = 2e-3, 2.0  # m, longest side of something to touch
+Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # from a frame whose y is up
+
+
+@dataclass(frozen=True)
+class Report:
+    """What cleaning a mesh file did; `str` is for people."""
+
+    path: str
+    faces_read: int
+    faces: int  # kept
+    vertices_merged: int
+    degenerate: int  # faces without area, dropped
+    repeated: int  # faces given twice and fins of two faces back to back, dropped
+    pieces_dropped: int  # smaller connected pieces
+    area_dropped: float  # fraction of the area, in those pieces
+    turned: int  # faces whose winding was turned
+    open_edges: int  # edges with other than two faces; 0 is watertight
+    size: tuple[float, float, float]  # m
+
+    @property
+    def watertight(self) -> bool:
+        """Whether the surface is closed."""
+        return self.open_edges == 0
+
+    def __str__(self) -> str:
+        size = " x ".join(f"{1e3 * s:.1f}" for s in self.size)
+        done = [
+            text
+            for count, text in (
+                (self.vertices_merged, f"merged {self.vertices_merged} vertices"),
+                (self.degenerate, f"dropped {self.degenerate} degenerate faces"),
+                (self.repeated, f"dropped {self.repeated} repeated faces"),
+                (
+                    self.pieces_dropped,
+                    f"dropped {self.pieces_dropped} loose pieces with {100 * self.area_dropped:.2g} % of the area",
+                ),
+                (self.turned, f"turned {self.turned} faces outward"),
+            )
+            if count
+        ]
+        closed = "watertight" if self.watertight else f"open at {self.open_edges} edges"
+        return (
+            f"{self.path}: {self.faces} of {self.faces_read} faces, {size} mm, {closed}; "
+            f"{', '.join(done) or 'nothing to clean'}"
+        )
+
+
+def load(
+    path: str | Path, unit: str, *, table: bool = True, largest: bool = True, up: str = "z"
+) -> tuple[Object, Report]:
+    """Read a mesh file (STL, OBJ, PLY, GLB) whose coordinates are in `unit` (m, cm, mm, inch).
+
+    `table` settles it: box centred in x and y, lowest point on z = 0, without turning it; otherwise it keeps its own
+    frame. `largest` keeps only the largest connected piece; switch it off for objects made of several bodies. `up` is
+    the file's upward axis, "z" or "y" (GLB files usually say y). Raises FileNotFoundError or ValueError, each with one
+    sentence that names the file and a remedy. (A text file cut off between two lines cannot be told from a whole one.)
+    """
+    path = Path(path)
+    data = read(path, SUFFIXES)
+    scale = metres(path, unit)
+    if up not in ("z", "y"):
+        raise ValueError(f"{path}: up={up!r} is not known; say up='z' or up='y'")
+    _check_whole(path, data)
+    try:
+        raw = trimesh.load_scene(io.BytesIO(data), file_type=path.suffix[1:].lower(), process=False).to_mesh()
+        vertices, faces = np.asarray(raw.vertices, np.float64) * scale, np.asarray(raw.faces, np.int64)
+    except Exception as error:  # whatever a parser trips over, the file is at fault
+        kind, reason = path.suffix[1:].upper(), " ".join(f"{type(error).__name__} {error}".split())
+        raise ValueError(
+            f"{path}: cannot be read as {kind} ({reason}); export it again, or check its ending"
+        ) from error
+    if not len(faces):
+        raise ValueError(
+            f"{path}: holds no faces; export it again (a point cloud is read by i2t.objects.point_clouds.load_points)"
+        )
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise ValueError(f"{path}: a face refers to a vertex that is not there; export it again")
+    if not np.isfinite(vertices).all():
+        raise ValueError(f"{path}: {np.sum(~np.isfinite(vertices).all(1))} vertices are not finite; repair the mesh")
+    check_size(path, vertices[faces].reshape(-1, 3), unit)
+    raw_mesh = Mesh(vertices, faces.astype(np.int32))
+    mesh, report = clean(transform_mesh(raw_mesh, Y_UP) if up == "y" else raw_mesh, str(path), largest)
+    return Object(path.stem, settle(mesh) if table else mesh, "file"), report
+
+
+def clean(mesh: Mesh, path: str = "mesh", largest: bool = True) -> tuple[Mesh, Report]:
+    """Merge vertices closer than 10 nm, drop bad faces and loose pieces, turn faces outward, and say so.
+
+    Raises ValueError, naming `path`, when no face has an area.
+    """
+    work = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    work.remove_unreferenced_vertices()
+    before = len(work.vertices)
+    work.merge_vertices(merge_tex=True, merge_norm=True)
+    merged = before - len(work.vertices)
+    solid = work.nondegenerate_faces()
+    if not solid.any():
+        raise ValueError(f"{path}: no face has an area; export the mesh again")
+    work.update_faces(solid)
+
+    once = _once(work.faces)
+    work.update_faces(once)
+    pieces, label = _pieces(work.faces)
+    areas = np.bincount(label, work.area_faces, pieces)
+    dropped = 0.0
+    if largest and pieces > 1:
+        work.update_faces(label == areas.argmax())
+        dropped = float(1 - areas.max() / areas.sum())
+    work.remove_unreferenced_vertices()
+
+    wound = work.faces.copy()
+    if not work.is_winding_consistent:
+        trimesh.repair.fix_winding(work)
+    trimesh.repair.fix_inversion(work, multibody=not largest)
+    turned = int((wound != work.faces).any(1).sum())
+    uses = np.unique(_edges(work.faces), axis=0, return_counts=True)[1]
+    size = np.ptp(work.vertices, axis=0)
+    report = Report(
+        path,
+        len(mesh.faces),
+        len(work.faces),
+        merged,
+        int((~solid).sum()),
+        int((~once).sum()),
+        pieces - 1 if largest else 0,
+        dropped,
+        turned,
+        int((uses != 2).sum()),
+        (float(size[0]), float(size[1]), float(size[2])),
+    )
+    return Mesh(np.asarray(work.vertices, np.float64), np.asarray(work.faces, np.int32)), report
+
+
+def read(path: Path, suffixes: tuple[str, ...]) -> bytes:
+    """The bytes of a file with one of the endings; FileNotFoundError or ValueError in one sentence otherwise."""
+    if path.suffix.lower() not in suffixes:
+        raise ValueError(
+            f"{path}: its ending {path.suffix!r} is none of {', '.join(suffixes)}; convert it to one of them"
+        )
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: there is no such file; check the name")
+    if not path.is_file():
+        raise ValueError(f"{path}: is a folder; name a file in it")
+    data = path.read_bytes()
+    if not data:
+        raise ValueError(f"{path}: is empty; export it again")
+    return data
+
+
+def metres(path: Path, unit: str) -> float:
+    """Metres in a unit; ValueError for an unknown one."""
+    if unit not in UNITS:
+        raise ValueError(f"{path}: unit {unit!r} is not known; say which of {', '.join(UNITS)} its coordinates are in")
+    return UNITS[unit]
+
+
+def check_size(path: Path, points: NDArray, unit: str) -> None:
+    """Refuse what is too small or too large to touch, with a hint at the unit that would fit."""
+    longest = float(np.ptp(points, axis=0).max())
+    if SMALLEST <= longest <= LARGEST:
+        return
+    drawn = longest / UNITS[unit]
+    fitting = [name for name, scale in UNITS.items() if 1e-2 <= drawn * scale <= 1]
+    hint = f"perhaps its unit is {' or '.join(fitting)}" if fitting else "check the unit, or scale the file"
+    word = "small" if longest < SMALLEST else "large"
+    raise ValueError(
+        f"{path}: too {word} to touch, {longest:.3g} m across when its unit is {unit} "
+        f"({SMALLEST:g} to {LARGEST:g} m are allowed); {hint}"
+    )
+
+
+def _check_whole(path: Path, data: bytes) -> None:
+    """Compare the lengths that STL and GLB files announce with what is there; parsers do not."""
+    suffix = path.suffix.lower()
+    if suffix == ".stl":
+        announced = 84 + 50 * int.from_bytes(data[80:84], "little")
+        text = data.lstrip()[:5].lower() == b"solid"
+        broken = b"endsolid" not in data.lower() if text and len(data) != announced else len(data) < max(announced, 84)
+    elif suffix == ".glb":
+        broken = data[:4] == b"glTF" and int.from_bytes(data[8:12], "little") > len(data)
+    else:
+        broken = False
+    if broken:
+        raise ValueError(f"{path}: is cut off or no {suffix[1:].upper()} file; export or copy it again")
+
+
+def _once(faces: NDArray) -> NDArray:
+    """Which faces to keep so that no two have the same corners.
+
+    Of repeated faces one stays, except of a fin: faces back to back that stand on a closed surface (scans have them),
+    whose edges belong to two other faces or to none. The winding says nothing here, as it may be wrong.
+    """
+    unique, first, times = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
+    _, edge, uses = np.unique(_edges(unique), axis=0, return_inverse=True, return_counts=True)
+    others = uses[edge.reshape(-1)].reshape(3, -1) - 1  # faces on the other side of each face's edges
+    fin = (times > 1) & (others != 1).all(0) & (others == 2).any(0)
+    keep = np.zeros(len(faces), bool)
+    keep[first[~fin]] = True
+    return keep
+
+
+def _edges(faces: NDArray) -> NDArray:
+    """The edges of all faces as sorted pairs: first all first edges, then all second, then all third ones."""
+    return np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1)
+
+
+def _pieces(faces: NDArray) -> tuple[int, NDArray]:
+    """Number of edge-connected pieces, and the piece of each face."""
+    _, edge = np.unique(_edges(faces), axis=0, return_inverse=True)
+    face = np.tile(np.arange(len(faces)), 3)
+    nodes = len(faces) + len(edge)
+    _, label = connected_components(
+        coo_array((np.ones(len(edge)), (face, len(faces) + edge.reshape(-1))), (nodes, nodes)), False
+    )
+    _, label = np.unique(label[: len(faces)], return_inverse=True)
+    return int(label.max()) + 1, label

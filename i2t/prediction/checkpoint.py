@@ -1,0 +1,200 @@
+"""Trained models on disk: a folder that orbax writes, with everything that is needed to use the model or to go on
+training.
+
+Each save is a folder of its own named by the epoch, which appears complete or not at all; only then is the one before
+it removed. Beside the arrays (the best parameters, the normalisation, and the rest of the training's state) it holds,
+as JSON, both configurations, the versions of the packages that wrote it, and whatever the caller wants to remember
+(object names, seeds, provenance).
+"""
+
+import json
+from dataclasses import asdict, is_dataclass
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar, get_type_hints
+
+import jax
+import jax.numpy as jnp
+from orbax.checkpoint import v1 as ocp
+
+from i2t._version import __version__
+from i2t.errors import CheckpointError
+from i2t.prediction import training
+from i2t.prediction.model import ModelConfig, Normalisation, Params, Standard
+from i2t.prediction.training import TrainConfig, TrainState
+from i2t.types import READINGS
+
+FORMAT = "i2t checkpoint"
+FORMAT_VERSION = 1
+PACKAGES = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")
+
+Config = TypeVar("Config")
+
+
+class Description(NamedTuple):
+    """What a checkpoint says of itself."""
+
+    model: ModelConfig
+    train: TrainConfig
+    touches: int  # in the training set, which sets the length of an epoch
+    epoch: int
+    packages: dict[str, str]
+    extra: dict[str, Any]
+
+
+def save(
+    directory: Path | str,
+    state: TrainState,
+    model: ModelConfig,
+    train: TrainConfig,
+    norm: Normalisation,
+    touches: int,
+    extra: dict[str, Any] | None = None,
+) -> None:
+    """Write the state of a training on `touches` touches into `directory`, in place of an earlier epoch's.
+
+    `extra` is anything that JSON can hold. With several seeds (`TrainConfig.seeds`) the state and the normalisation's
+    residual have them as a leading axis.
+    """
+    epoch = int(state.epoch.max())
+    about = {
+        "format": FORMAT,
+        "version": FORMAT_VERSION,
+        "model": asdict(model),
+        "train": asdict(train),
+        "touches": touches,
+        "packages": {"i2t": __version__} | {name: version(name) for name in PACKAGES},
+        "extra": extra or {},
+    }
+    arrays = {"params": state.best_params, "normalisation": norm, "state": state._replace(best_params=None)}
+    arrays = jax.tree.map(lambda leaf: leaf if jnp.size(leaf) else None, arrays)  # orbax refuses arrays without values
+    latest = ocp.training.preservation_policies.LatestN(1)
+    with ocp.training.Checkpointer(
+        Path(directory).absolute(), preservation_policy=latest, cleanup_tmp_directories=True
+    ) as checkpointer:
+        checkpointer.save_checkpointables(epoch, arrays, custom_metadata=about, force=True, overwrite=True)
+
+
+def exists(directory: Path | str) -> bool:
+    """Whether a save was finished in `directory`; a first one that was interrupted leaves only its beginnings."""
+    directory = Path(directory)
+    return directory.is_dir() and any(entry.name.isdecimal() for entry in directory.iterdir())
+
+
+def describe(directory: Path | str) -> Description:
+    """What the checkpoint in `directory` was made with (CheckpointError if there is none, or it is not one of ours)."""
+    return _describe(directory)[0]
+
+
+def load(directory: Path | str, seed: int = 0) -> tuple[Params, Normalisation, Description]:
+    """The best parameters (members as axis 0) of the `seed`-th of the seeds trained together, to predict with.
+
+    CheckpointError if they cannot be had.
+    """
+    about, step = _describe(directory)
+    if not 0 <= seed < about.train.seeds:
+        raise CheckpointError(f"{step} holds {about.train.seeds} seeds; choose one from 0 to {about.train.seeds - 1}.")
+    params, norm, _ = _abstract(about)
+    arrays = _arrays(step, {"params": params, "normalisation": norm})
+    params, norm = arrays["params"], arrays["normalisation"]
+    if about.train.seeds > 1:
+        params, norm = jax.tree.map(lambda leaf: leaf[seed], params), norm._replace(residual=norm.residual[seed])
+    return params, norm, about
+
+
+def restore(directory: Path | str) -> tuple[TrainState, Normalisation, Description]:
+    """The whole state, to go on training exactly where it stopped; CheckpointError if it cannot be had."""
+    about, step = _describe(directory)
+    params, norm, state = _abstract(about)
+    arrays = _arrays(step, {"params": params, "normalisation": norm, "state": state})
+    return arrays["state"]._replace(best_params=arrays["params"]), arrays["normalisation"], about
+
+
+def _describe(directory: Path | str) -> tuple[Description, Path]:
+    """Read and check the description of the latest epoch, and find its folder."""
+    directory = Path(directory).absolute()
+    if not directory.is_dir():
+        raise CheckpointError(
+            f"There is no checkpoint folder {directory}; train first, or name the folder that training wrote."
+        )
+    steps = sorted((int(entry.name), entry) for entry in directory.iterdir() if entry.name.isdecimal())
+    if not steps:
+        raise CheckpointError(
+            f"{directory} holds no finished checkpoint; name the folder 'checkpoint' that training wrote."
+        )
+    epoch, step = steps[-1]
+    try:
+        about = json.loads((step / "_CHECKPOINT_METADATA").read_text())["custom_metadata"]
+        if about["format"] != FORMAT:
+            raise KeyError(about["format"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise CheckpointError(
+            f"{step} was not written by i2t, or is damaged; name a folder that i2t's training wrote."
+        ) from error
+    if about["version"] != FORMAT_VERSION:
+        raise CheckpointError(
+            f"{step} has checkpoint version {about['version']}, but this i2t reads version {FORMAT_VERSION}; use the "
+            f"i2t that wrote it ({about['packages']['i2t']}) or train again."
+        )
+    try:
+        model, train = config_from(ModelConfig, about["model"]), config_from(TrainConfig, about["train"])
+    except (TypeError, ValueError) as error:
+        raise CheckpointError(
+            f"{step} has a configuration that this i2t does not know ({error}); use the i2t that wrote it "
+            f"({about['packages']['i2t']}) or train again."
+        ) from error
+    return Description(model, train, about["touches"], epoch, about["packages"], about["extra"]), step
+
+
+def _arrays(step: Path, abstract: dict[str, Any]) -> dict[str, Any]:
+    """Load what `abstract` describes, to the default device."""
+
+    def shapes(tree: Any) -> Any:
+        return jax.tree.map(lambda leaf: tuple(leaf.shape), tree)
+
+    here = jax.sharding.SingleDeviceSharding(jax.devices()[0])
+    abstract = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=here), abstract)
+    try:
+        stored: Any = ocp.checkpointables_metadata(step).metadata
+        # Compared here because orbax, in refusing, leaves half of its reading behind and says so at length.
+        if shapes(stored["params"]) == shapes(abstract["params"]):
+            arrays = ocp.load_checkpointables(step, jax.tree.map(lambda leaf: leaf if leaf.size else None, abstract))
+            # What has no values was not stored.
+            return jax.tree.map(
+                lambda leaf, value: value if leaf.size else jnp.zeros(leaf.shape, leaf.dtype), abstract, arrays
+            )
+        problem: Exception = ValueError("shapes differ")
+    except Exception as error:  # orbax raises many kinds, down to bare ones of its storage library
+        problem = error
+    raise CheckpointError(
+        f"The arrays in {step} are damaged or do not fit their configuration; train again, or restore a copy."
+    ) from problem
+
+
+def _abstract(about: Description) -> tuple[Params, Normalisation, TrainState]:
+    """Shapes and types of what a checkpoint holds: best parameters, normalisation, and the rest of the state."""
+    state = jax.eval_shape(partial(training.start, about.model, about.train, about.touches))
+    seeds = state.epoch.shape[:-1]
+
+    def normalisation() -> Normalisation:
+        reading, conditions = jnp.zeros(READINGS), jnp.zeros(len(about.model.conditions))
+        residual = jnp.zeros((*seeds, READINGS))
+        return Normalisation(Standard(reading, reading), Standard(conditions, conditions), residual)
+
+    return state.best_params, jax.eval_shape(normalisation), state._replace(best_params=None)
+
+
+def config_from(kind: type[Config], values: dict[str, Any]) -> Config:
+    """A configuration from its JSON form, in which tuples became lists."""
+    hints = get_type_hints(kind)
+    unknown = sorted(set(values) - set(hints))
+    if unknown:
+        raise ValueError(f"unknown {', '.join(unknown)}")
+
+    def convert(name: str) -> Any:
+        if is_dataclass(hints[name]):
+            return config_from(hints[name], values[name])
+        return tuple(values[name]) if isinstance(values[name], list) else values[name]
+
+    return kind(**{name: convert(name) for name in values})

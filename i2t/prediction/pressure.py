@@ -1,0 +1,97 @@
+"""From what is seen and measured at a contact to the pressure on the skin: the geometry half of imagining a touch.
+
+The camera's view is smoothed to robust local planes (`i2t.prediction.smoothing`), resampled to cells over the skin, and
+pressed with the measured force into a layer of nominal stiffness (`i2t.skin.contact`). What the camera cannot tell, the
+tilt between looking and pressing, is integrated out: the pressure is the mean over a 3 x 3 Gauss-Hermite rule in the
+two tilts, because one degree over 20 mm is as large as a press is deep and a single guess would put all of the load on
+the wrong edge. The result, a pressure map and its load, says where and how hard the skin is met; which reading that
+gives is a property of one pad's magnetisation and is learned from its touches (`i2t.prediction.gp`).
+
+Wide views are used where there are any; of a cropped one the outermost pixels are continued.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from i2t.prediction import smoothing
+from i2t.prediction.gp import CELL, Imagined
+from i2t.skin.contact import Grid, solve, solve_force
+from i2t.types import PAD_WINDOW, Pad
+
+TOLERANCE = 1e-3  # of the contact: far below the uncertainty of what is pressed
+
+# Gauss-Hermite, three points: exact to the fifth moment of the tilt.
+_NODES = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]) * np.sqrt(3)
+_WEIGHTS = np.array(
+    [{0: 2 / 3, 1: 1 / 6}[abs(x)] * {0: 2 / 3, 1: 1 / 6}[abs(y)] for x in (-1, 0, 1) for y in (-1, 0, 1)]
+)
+
+
+@dataclass(frozen=True)
+class Imagination:
+    """How a touch is imagined. Metres, radians, newtons."""
+
+    pitch: float  # m, edge of a pixel of the view
+    window: float = PAD_WINDOW  # m, edge of the square that can carry load
+    smooth: bool = True  # off for views without noise
+    tilt: float = 0.6 * np.pi / 180  # standard deviation of the tilt that the view does not show, about each axis
+    control: Literal["force", "depth"] = "force"  # what the press is known by
+    cell: float = 0.5e-3  # m, edge of a cell of the contact grid; divides 1 mm
+    iterations: int = 25  # of the contact solver: a per mille of the force is far below the uncertainty of the view
+    floor: float = 0.02  # N, least load, where a noisy wrench sensor says less
+
+    def __post_init__(self) -> None:
+        for name, length in (("1 mm", CELL * 1e-3), ("the window", self.window)):
+            count = length / self.cell
+            if count < 0.5 or abs(count - round(count)) > 1e-6 * count:
+                raise ValueError(f"cell is {self.cell:g} m, which does not divide {name}; take 0.5e-3 or 1e-3")
+
+    @property
+    def grid(self) -> Grid:
+        """The contact grid and its period of 1.6 windows."""
+        cells = round(self.window / self.cell)
+        return Grid(cells=cells, modes=int(np.ceil(1.6 * cells / 2) * 2), window=self.window)
+
+
+def heights(cfg: Imagination, view: Float[Array, "n n"]) -> Float[Array, "g g"]:
+    """Heights (m, of the view) over the cells of the skin, from a depth view whose unknown surroundings are NaN."""
+    if cfg.smooth:
+        view = smoothing.local_planes(view)
+    view = smoothing.fill(view)
+    at = cfg.grid.centres / cfg.pitch + (view.shape[0] - 1) / 2
+    row, column = jnp.meshgrid(at, at, indexing="ij")
+    return jax.scipy.ndimage.map_coordinates(view, [row, column], order=1, mode="nearest")
+
+
+def imagine(
+    cfg: Imagination, pad: Pad, view: Float[Array, "n n"], force: Float[Array, ""], depth: Float[Array, ""]
+) -> Imagined:
+    """The expected pressure (N on each 1 mm cell) of a press with `force` (N) or by `depth` (m) on what the view shows.
+
+    Only the one named by `cfg.control` is used. A press known by its depth alone gets the load that the nominal layer
+    gives.
+    """
+    grid = cfg.grid
+    height = heights(cfg, view)
+    x, y = jnp.meshgrid(grid.centres, grid.centres)
+
+    def press(tilt: Float[Array, "2"]) -> Float[Array, "g g"]:
+        tilted = height + cfg.tilt * (tilt[0] * x + tilt[1] * y)
+        tilted = tilted - jnp.min(tilted)
+        if cfg.control == "force":
+            load = jnp.maximum(force, cfg.floor)
+            contact = solve_force(pad, tilted, load, grid, tolerance=TOLERANCE, max_steps=cfg.iterations)
+            return contact.pressure * load / jnp.maximum(contact.force, 1e-6)
+        return solve(pad, tilted, jnp.maximum(depth, 0.0), grid, tolerance=TOLERANCE, max_steps=cfg.iterations).pressure
+
+    nodes, weights = (_NODES, _WEIGHTS) if cfg.tilt > 0 else (np.zeros((1, 2)), np.ones(1))
+    pressure = jnp.einsum("t,tij->ij", jnp.float32(weights), jax.lax.map(press, jnp.float32(nodes)))
+    coarse = round(CELL * 1e-3 / grid.spacing)
+    cells = pressure.shape[0] // coarse
+    newtons = pressure.reshape(cells, coarse, cells, coarse).sum((1, 3)) * grid.spacing**2
+    return Imagined(newtons, jnp.maximum(jnp.sum(newtons), cfg.floor))

@@ -1,0 +1,201 @@
+"""First hits of parallel rays on triangles: exact rasterisation of clustered faces in tiles of pixels.
+
+In the tool frame a ray is a point (x, y) and a face a triangle whose inside is where its three edge functions `A x + B
+y + C` are positive; the plane through its corners gives z. Neighbouring faces share their corners to the last bit, so a
+tolerance of a few roundings on every edge closes the cracks between them.
+
+Work goes from coarse to fine, and what it cannot need is never touched. Boxes name the groups, then the clusters, that
+the window can see no deeper than the reach behind the nearest hit; their faces are turned into edge functions once a
+pose; every tile keeps a bit for each cluster that crosses it, and draws the clusters of its bits.
+
+Poses differ many times in their work, so a batch is not one pose after another in lanes that wait for the slowest: all
+clusters of all poses make one dense list, and all tiles of all poses one set of lanes, of which the busiest few go on
+alone when most are done. `vmap` arrives here as a longer axis of poses (`custom_vmap`). Lists are worked off in passes
+of a fixed length, so that scratch memory is small and constant and no list can overflow.
+
+Meshes of many faces hardly larger than a pixel go another way, which keeps nothing of a face (`i2t.rendering.dense`).
+
+Work is split where XLA should store an intermediate: inside one loop body it would rather compute a cheap value again
+for each of its uses.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from i2t.rendering.bitset import BITS, pack, pick, running_sums
+from i2t.rendering.bvh import DENSE, GROUP
+from i2t.rendering.dense import cast_dense
+from i2t.rendering.ops import apart, cut, indices, put
+from i2t.rendering.tiles import (
+    FLAT,
+    TERMS,
+    Clusters,
+    Grid,
+    View,
+    Wanted,
+    blank,
+    draw_clusters,
+    place_boxes,
+    spread,
+    to_tool,
+)
+from i2t.types import STANDOFF, Surface
+
+GROUPS = 64  # groups listed in one pass
+SLOTS = 256  # clusters of a pose set up in one pass, a multiple of 32 and at most 1024
+SLAB = 2  # reaches behind the first box: what is drawn first, to learn how near the surface is
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2, 3, 4))
+def first_hit(surface: Surface, view: View, window: float, pixels: int, reach: float) -> Float[Array, "n n"]:
+    """Tool z (m) of the first hit beyond -STANDOFF on each pixel's ray, +inf where there is none.
+
+    Hits deeper than `reach` behind the nearest one may be missing (infinite reach: none is). Derivatives hold the
+    visible faces fixed.
+    """
+    return _rasterise(surface, view, Grid(window, pixels), reach, False)[0]
+
+
+@first_hit.defjvp
+def _first_hit_jvp(window, pixels, reach, primals, tangents):
+    """Differentiate the planes of the faces that are seen."""
+    surface, view = primals
+    grid = Grid(window, pixels)
+    # What is seen is held fixed in derivatives of any order.
+    heights, faces = _rasterise(jax.lax.stop_gradient(surface), jax.lax.stop_gradient(view), grid, reach, True)
+    x, y = jnp.asarray(grid.centres)[None, :], jnp.asarray(grid.centres)[:, None]
+
+    def plane(triangles, view):
+        corners = jnp.moveaxis(triangles.at[faces].get(mode="promise_in_bounds"), (2, 3), (0, 1))
+        (xa, ya, za), (xb, yb, zb), (xc, yc, zc) = (to_tool(corner, view) for corner in corners)
+        area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
+        seen = jnp.isfinite(heights) & (jnp.abs(area) >= FLAT)
+        area = jnp.where(seen, area, 1)
+        slope_x = ((zb - za) * (yc - ya) - (zc - za) * (yb - ya)) / area
+        slope_y = ((zc - za) * (xb - xa) - (zb - za) * (xc - xa)) / area
+        return jnp.where(seen, za + slope_x * (x - xa) + slope_y * (y - ya), 0)
+
+    triangles = jnp.asarray(surface.triangles)
+    _, change = jax.jvp(plane, (triangles, view), (tangents[0].triangles, tangents[1]))
+    return heights, change
+
+
+def _rasterise(surface: Surface, view: View, grid: Grid, reach: float, with_faces: bool):
+    """Heights (n, n) of the first hits and, if asked, the index of the face that each ray meets (n, n)."""
+
+    @jax.custom_batching.custom_vmap
+    def cast(meshes, mesh, linear, origin, offset):
+        view = View(*(jnp.moveaxis(part, 0, -1) for part in (linear, origin, offset)))
+        return _cast(meshes, mesh, view, grid, reach, with_faces)
+
+    @cast.def_vmap
+    def _(size, batched, meshes, mesh, *views):
+        """A batch of batches of poses is a longer batch, and of meshes a longer list of them."""
+        of_meshes, (of_mesh, *of_views) = batched[0], batched[1:]
+        several = any(of_meshes)
+        count = meshes[0].shape[1 if of_meshes[0] else 0]
+        meshes, mesh, views = (
+            jax.tree.map(lambda leaf, own: leaf if own else jnp.broadcast_to(leaf, (size, *leaf.shape)), *both)
+            for both in (
+                (meshes, tuple(own or not several for own in of_meshes)),
+                (mesh, of_mesh),
+                (tuple(views), tuple(of_views)),
+            )
+        )
+        if several:
+            meshes = jax.tree.map(_flat, meshes)
+            mesh = mesh + count * indices(size)[:, None]
+        hits = cast(meshes, _flat(mesh), *(_flat(part) for part in views))
+        return jax.tree.map(lambda leaf: leaf.reshape(size, -1, *leaf.shape[1:]), hits), (True, True)
+
+    meshes = tuple(jnp.asarray(part)[None] for part in (surface.triangles, surface.boxes, surface.groups))
+    heights, faces = cast(meshes, jnp.zeros(1, jnp.int32), *(part[None] for part in view))
+    poison = 0 * sum(jnp.sum(part) for part in view)  # a pose that is not finite gives an image that is not a number
+    return heights[0] + poison, faces[0]
+
+
+def _cast(meshes, mesh: Int[Array, " p"], view: View, grid: Grid, reach: float, with_faces: bool):
+    """Heights (p, n, n) that p poses see of their meshes, and the faces (p, n, n; zeros if not asked for)."""
+    triangles, boxes, groups = meshes
+    poses, count = len(mesh), boxes.shape[1]
+    size = triangles.shape[1] // (count * GROUP)
+    mesh_clusters = Clusters(triangles.reshape(-1, size * 9), mesh, count * GROUP, size)
+    boxes = boxes.reshape(-1, *boxes.shape[2:])
+    groups = groups[mesh if len(groups) > 1 else slice(None)]
+    if size >= DENSE:
+        best = cast_dense(boxes, groups, mesh_clusters, view, grid, reach, GROUPS, with_faces)
+        return _images(best, grid)
+    listed = min(count, GROUPS)
+    chunk = min(listed, 8)
+    slots = min(SLOTS, listed * GROUP)
+    every = indices(poses)[:, None]
+    dtype = jnp.result_type(triangles.dtype, view.linear.dtype)
+
+    seen, _ = _in_view(groups.swapaxes(0, 1), spread(view, 1), grid.half)
+    row = groups.shape[2] // BITS
+    group_words = pack([seen[:, i * row : (i + 1) * row] for i in range(BITS)])
+    group_sums = running_sums(group_words)
+
+    def group_pass(number, carry):
+        """Look into the groups of one pass: first at clusters near the front, then at what may still be in reach."""
+        left = jnp.clip(group_sums[:, -1] - number * listed, 0, listed)
+        at, bit = pick(group_words, group_sums, every, number * listed + indices(listed)[None])
+        ids = jnp.minimum(bit * row + at, count - 1)
+
+        def look(i):
+            some = cut(ids, (0, i * chunk), (poses, chunk))
+            box = boxes.at[some + mesh[:, None] * count].get(mode="promise_in_bounds")
+            hit, front = _in_view(jnp.moveaxis(box, 2, 0), spread(view, 2), grid.half)
+            hit &= (i * chunk + indices(chunk)[None] < left[:, None])[..., None]
+            return jnp.where(hit, front, jnp.inf)
+
+        chunks = jnp.max(-(-left // chunk))
+        fronts = jnp.full((poses, listed, GROUP), jnp.inf, dtype)
+        fronts = jax.lax.fori_loop(
+            0, chunks, lambda i, fronts: put(fronts, apart(look, i, i < chunks), (0, i * chunk, 0)), fronts
+        )
+        slab = jnp.min(fronts, (1, 2)) + SLAB * reach
+
+        def layer(i, carry):
+            best = carry[0]
+            low = jnp.where(i == 0, -jnp.inf, slab)[:, None, None]
+            high = jnp.where(i == 0, slab, jnp.min(best[0], (1, 2)) + reach)[:, None, None]
+            wanted = (fronts > low) & (fronts <= high) & (fronts < jnp.inf)
+            words = pack([wanted[..., k] for k in range(GROUP)])
+            sums = running_sums(words)
+            passes = jnp.max(-(-sums[:, -1] // slots))
+            draw = partial(draw_clusters, Wanted(ids, words, sums), mesh_clusters, view, grid, slots)
+            return jax.lax.fori_loop(0, passes, draw, carry)
+
+        return jax.lax.fori_loop(0, 2, layer, carry)
+
+    best = blank(poses, grid, dtype, with_faces)
+    # The last row of the scratch table, for tiles that have nothing to draw, has no inside.
+    nothing = jnp.zeros((1, TERMS * size), dtype).at[:, 6 * size : 9 * size].set(-1)
+    scratch = (
+        jnp.concatenate([jnp.zeros((slots * poses, TERMS * size), dtype), nothing]),
+        jnp.zeros((grid.side, slots * poses * size), jnp.uint32),
+        jnp.zeros(slots * poses + 1, jnp.int32),
+    )
+    best, _ = jax.lax.fori_loop(0, jnp.max(-(-group_sums[:, -1] // listed)), group_pass, (best, scratch))
+    return _images(best, grid)
+
+
+def _images(best, grid: Grid):
+    heights = grid.images(best[0])
+    return heights, grid.images(best[1]) if len(best) == 2 else jnp.zeros(heights.shape, jnp.int32)
+
+
+def _in_view(box, view, half):
+    """Which boxes (centre and half extents, six arrays) the rays can meet, and the z where each begins."""
+    centre, reach = place_boxes(box, view)
+    front, back = centre[2] - reach[2], centre[2] + reach[2]
+    inside = (jnp.abs(centre[0]) - reach[0] <= half) & (jnp.abs(centre[1]) - reach[1] <= half)
+    return inside & (back >= -STANDOFF), jnp.maximum(front, -STANDOFF)
+
+
+def _flat(array):
+    return array.reshape(-1, *array.shape[2:])

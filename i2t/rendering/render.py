@@ -1,0 +1,131 @@
+"""Surfaces and tool poses become depth patches, exactly: an orthographic first-hit ray caster on triangle meshes.
+
+Rays run along tool z through the pixel centres of a square window and start `STANDOFF` behind the tool origin, so a
+height is the tool z of the first face that a ray meets, whichever side of it. Frames: W is the frame of the surface, T
+the tool; metres. A patch is relative to its nearest point, `depth = min(z - nearest, reach)`, so it shows shape, and
+`nearest` says where that shape begins.
+
+A mesh is prepared once on the host (`prepare`), where it is checked and padded with faces of no area to a size class;
+from there on everything is pure and works on one pose and one surface: lift it with `vmap` over poses, or over surfaces
+brought together by `stack`.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from i2t.geometry import is_rigid
+from i2t.rendering.bvh import alike, arrange
+from i2t.rendering.raycast import first_hit
+from i2t.rendering.tiles import View
+from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Patch, Surface
+
+LARGEST = 100.0  # m, where one step of float32 is 8 um
+
+
+def prepare(mesh: Any) -> Surface:
+    """Make a mesh ready for rendering: check it, order its faces and pad them to a size class (a power of two).
+
+    `mesh` has `vertices` (v, 3) in metres and `faces` (f, 3) of indices: an `i2t.objects.catalogue.Mesh` or a
+    `trimesh.Trimesh`. Open meshes and any winding are welcome. Raises ValueError where it is empty, not finite, larger
+    than `LARGEST` or its faces point at missing vertices.
+    """
+    if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
+        raise ValueError(f"mesh: a {type(mesh).__name__} has no vertices and faces; give an i2t.objects.catalogue.Mesh")
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    if vertices.dtype.kind not in "iuf" or faces.dtype.kind not in "iu":
+        raise ValueError(
+            f"mesh: vertices of {vertices.dtype} and faces of {faces.dtype} must be reals and integers; convert them"
+        )
+    vertices = vertices.astype(np.float64)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+        raise ValueError(
+            f"mesh: vertices {vertices.shape} and faces {faces.shape} must be (v, 3) and (f, 3); triangulate it first"
+        )
+    if not len(vertices) or not len(faces):
+        raise ValueError("mesh: it has no faces; give one with at least one triangle")
+    if not np.isfinite(vertices).all():
+        raise ValueError("mesh: vertices hold NaN or infinity; remove or repair them")
+    if np.abs(vertices).max() > LARGEST:
+        raise ValueError(f"mesh: a vertex lies {np.abs(vertices).max():g} m out; give metres, at most {LARGEST:g}")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise ValueError(
+            f"mesh: faces refer to vertices {faces.min()} to {faces.max()} of 0 to {len(vertices) - 1}; repair the file"
+        )
+    return arrange(vertices[faces])
+
+
+def stack(surfaces: Sequence[Surface]) -> Surface:
+    """Bring surfaces to one size class, the largest among them, and stack them along a new first axis, for `vmap`.
+
+    Raises ValueError where there are none, or one was not prepared.
+    """
+    if not len(surfaces):
+        raise ValueError("stack: there are no surfaces; give at least one")
+    return Surface(
+        *(np.stack(field) for field in zip(*alike([_prepared(surface) for surface in surfaces]), strict=True))
+    )
+
+
+def render_patch(
+    surface: Surface,
+    T_w_t: Float[Array, "4 4"],
+    window: float = PATCH_WINDOW,
+    pixels: int = PATCH_PIXELS,
+    reach: float = REACH,
+) -> Patch:
+    """What the tool at the rigid pose `T_w_t` has in front of it.
+
+    `window` (m), `pixels` and `reach` (m) are static. Pixels without a surface, or with one deeper than the reach, read
+    the reach; `nearest` is +inf where no ray of the window meets anything. A pose that is not rigid (scaled, mirrored,
+    not finite, transposed) gives NaN. Raises ValueError for shapes and sizes that mean nothing.
+    """
+    _check(T_w_t, window, pixels)
+    if not reach > 0:
+        raise ValueError(f"reach is {reach} m; give a length above 0, or infinity for no end")
+    view = View(T_w_t[:3, :3].T, T_w_t[:3, 3], jnp.zeros_like(T_w_t[:3, 3]))
+    heights = first_hit(_prepared(surface), view, window, pixels, reach)
+    nearest, rigid = jnp.min(heights), is_rigid(T_w_t)
+    missed = heights == jnp.inf
+    behind = jnp.where(missed, 0, heights) - jnp.where(nearest == jnp.inf, 0, nearest)
+    depth = jnp.where(missed, reach, jnp.minimum(behind, reach))
+    # A minimum may lose what is not a number (XLA on CPU), so that is put in last.
+    return Patch(jnp.where(rigid, depth, jnp.nan), jnp.where(rigid, nearest, jnp.nan))
+
+
+def render_heights(
+    surface: Surface, A_t_w: Float[Array, "4 4"], window: float = PATCH_WINDOW, pixels: int = PATCH_PIXELS
+) -> Float[Array, "n n"]:
+    """Tool z (m) of the first hit on each ray, +inf where there is none, on the surface mapped by an affine `A_t_w`
+    (scaling and shear are welcome; faces that it puts edge on are not seen).
+    """
+    _check(A_t_w, window, pixels)
+    view = View(A_t_w[:3, :3], jnp.zeros_like(A_t_w[:3, 3]), A_t_w[:3, 3])
+    return first_hit(_prepared(surface), view, window, pixels, math.inf)
+
+
+def contact_mask(depth: Float[Array, "n n"], tolerance: float = 1e-3) -> Float[Array, "n n"]:
+    """The paper's binary image: 1 within `tolerance` (m) of the nearest point, else 0."""
+    return (depth <= jnp.min(depth) + tolerance).astype(depth.dtype)
+
+
+def _prepared(surface: Surface) -> Surface:
+    if surface.boxes is None or surface.groups is None:
+        raise ValueError("surface: it holds bare triangles; make it with i2t.rendering.render.prepare")
+    shapes: list[tuple[int, ...]] = [np.shape(field) for field in (surface.triangles, surface.boxes, surface.groups)]
+    if [len(shape) for shape in shapes] != [3, 3, 2] or 0 in sum(shapes, ()):
+        raise ValueError(f"surface: its shapes {shapes} are not those of one prepared mesh; use vmap for a stack")
+    return surface
+
+
+def _check(pose: Any, window: Any, pixels: Any) -> None:
+    if np.shape(pose) != (4, 4):
+        raise ValueError(f"the pose has shape {np.shape(pose)} instead of (4, 4); use vmap for several")
+    if not 0 < window < math.inf:
+        raise ValueError(f"window is {window} m; give a length above 0")
+    if not isinstance(pixels, int | np.integer) or pixels < 1:
+        raise ValueError(f"pixels is {pixels}; give a whole number of at least 1")

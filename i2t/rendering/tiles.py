@@ -1,0 +1,308 @@
+"""Clusters of faces drawn into tiles of pixels: the second half of `i2t.rendering.raycast`, which says how the two work
+together.
+
+A pass takes up to `slots` clusters of each pose. They are set up as one dense list, a bit for each cluster says which
+tiles it crosses, and the tiles of all poses are lanes that pop their bits one after another and keep the nearest hit.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, UInt
+
+from i2t.rendering.bitset import BITS, either, lowest, ones, pack, pick, word
+from i2t.rendering.bvh import GROUP
+from i2t.rendering.ops import apart, cut, indices, larger, put, smaller
+from i2t.types import STANDOFF
+
+TILE = 8  # pixels along the edge of a tile
+ROUNDINGS = 4  # tolerance of an edge, in roundings of its corners' coordinates
+FLAT = 1e-16  # m^2, below this projected area a face is seen edge on
+TERMS = 13  # numbers of a face: three edges, its plane, its lowest corner
+MANY = 0.25  # of the tiles: so many at work are quicker together than in shares
+SHARES = 8  # into which the busiest lanes are cut, each as long as its own longest
+
+
+class View(NamedTuple):
+    """How points come to the tool frame: `linear (p - origin) + offset`. Of many poses, the last axes count them."""
+
+    linear: Float[Array, "3 3"]
+    origin: Float[Array, "3"]
+    offset: Float[Array, "3"]
+
+
+class Grid:
+    """Pixel centres of a window, and the square tiles that they fall into (the last ones may hang over the edge)."""
+
+    def __init__(self, window: float, pixels: int):
+        self.pixels, self.half, self.pitch = pixels, window / 2, window / pixels
+        self.edge = TILE * -(-pixels // (TILE * (BITS - 1)))  # pixels; columns of tiles must fit a word
+        self.side = -(-pixels // self.edge)
+        self.tiles = self.side**2
+        self.centres = ((np.arange(self.side * self.edge) + 0.5) * self.pitch - self.half)[:pixels].astype(np.float32)
+        all_centres = ((np.arange(self.side * self.edge) + 0.5) * self.pitch - self.half).astype(np.float32)
+        blocks = np.broadcast_to(
+            all_centres.reshape(1, self.side, 1, self.edge), (self.side, self.side, self.edge, self.edge)
+        )
+        self.x = np.ascontiguousarray(blocks).reshape(self.tiles, -1)
+        self.y = np.ascontiguousarray(blocks.transpose(1, 0, 3, 2)).reshape(self.tiles, -1)
+        # What a tile's pixels span along one axis, with a twentieth of a pixel to spare for roundings.
+        first = all_centres.reshape(self.side, self.edge)
+        self.low, self.high = first[:, 0] - self.pitch / 20, first[:, -1] + self.pitch / 20
+
+    def images(self, tiles):
+        """(poses, tiles, pixels of a tile) -> (poses, n, n)."""
+        whole = tiles.reshape(-1, self.side, self.side, self.edge, self.edge).swapaxes(2, 3)
+        return whole.reshape(len(tiles), self.side * self.edge, -1)[:, : self.pixels, : self.pixels]
+
+    def columns(self, low, high):
+        """Bits of the columns of tiles that an interval along x touches."""
+        width = self.edge * self.pitch
+        first = jnp.clip(jnp.ceil((low - self.high[0]) / width), 0, self.side).astype(jnp.uint32)
+        behind = jnp.clip(jnp.floor((high - self.low[0]) / width) + 1, 0, self.side).astype(jnp.uint32)
+        return jnp.where(first < behind, (word(1) << behind) - (word(1) << first), word(0))
+
+
+class Clusters(NamedTuple):
+    """The faces of all meshes, a cluster a row."""
+
+    rows: Float[Array, "clusters size*9"]
+    mesh: Int[Array, " p"]  # of each pose
+    per_mesh: int  # clusters
+    size: int  # faces of a cluster
+
+
+class Wanted(NamedTuple):
+    """The clusters that each pose wants: bits of the groups it listed."""
+
+    ids: Int[Array, "p groups"]
+    words: UInt[Array, "p groups"]
+    sums: Int[Array, "p groups"]
+
+
+def draw_clusters(wanted: Wanted, clusters: Clusters, view: View, grid: Grid, slots: int, number, carry):
+    """Draw up to `slots` clusters of each pose into the tiles that they cross."""
+    best, scratch = carry
+    poses, size, dtype = len(wanted.ids), clusters.size, best[0].dtype
+    now = jnp.clip(wanted.sums[:, -1] - number * slots, 0, slots)
+    ends = jnp.cumsum(now)
+    begins = ends - now  # of each pose's part of the list
+    stride = BITS * poses  # clusters set up together
+    rounds = -(-ends[-1] // stride)
+    words_in_slots = slots // BITS
+
+    def set_up(i):
+        item = i * stride + indices(stride)
+        pose = jnp.minimum(jnp.searchsorted(ends, item, side="right"), poses - 1).astype(jnp.int32)
+        order = item - begins[pose] + number * slots
+        at, bit = pick(wanted.words, wanted.sums, pose, order)
+        name = wanted.ids.at[pose, at].get(mode="promise_in_bounds") * GROUP + bit
+        corners = clusters.rows.at[clusters.mesh[pose] * clusters.per_mesh + name].get(mode="promise_in_bounds")
+        corners = corners.reshape(stride * size, 3, 3).transpose(2, 1, 0)  # axis, corner, face
+        here = jax.tree.map(lambda part: jnp.repeat(part[..., pose], size, -1), view)
+        here = jax.tree.map(lambda part: part[..., None, :], here)
+        placed = apart(lambda _: to_tool(corners, here), i, i < rounds)
+        listed = i * stride + indices(stride * size) // size < ends[-1]
+        terms = face_terms(placed, listed, grid.half, 0, i < rounds)
+        solid = (terms[0][0] != 0) | (terms[1][0] != 0)  # what has no area has no edges
+        drawn = listed & solid & (larger(larger(*placed[2][:2]), placed[2][2]) >= -STANDOFF)
+        span = jnp.where(drawn[None], _spans(list(zip(*placed, strict=True)), grid), word(0))
+        terms = apart(lambda _: jnp.concatenate([*terms[:3], *(part[None] for part in terms[3:])]), i, i < rounds)
+        terms = terms.reshape(TERMS, stride, size).swapaxes(0, 1).reshape(stride, TERMS * size)
+        return terms, span, name
+
+    def store(i, carry):
+        faces, spans, names = carry
+        terms, span, name = apart(set_up, i, i < rounds)
+        return (
+            put(faces, terms, (i * stride, 0)),
+            put(spans, span, (0, i * stride * size)),
+            put(names, name, (i * stride,)),
+        )
+
+    faces, spans, names = jax.lax.fori_loop(0, rounds, store, scratch)
+
+    def merge(i, rows):
+        block = cut(spans, (0, i * stride * size), (grid.side, stride * size)).reshape(grid.side, stride, size)
+        return put(rows, either([block[..., f] for f in range(size)]), (0, i * stride))
+
+    rows = jax.lax.fori_loop(0, rounds, merge, jnp.zeros((grid.side, slots * poses), jnp.uint32))
+
+    def turn(i, tile_words):
+        mine = i * BITS + indices(BITS)[None]
+        block = rows.at[:, jnp.minimum(begins[:, None] + mine, slots * poses - 1)].get(mode="promise_in_bounds")
+        block = jnp.where((mine < now[:, None])[None], block, word(0))
+        column = jnp.arange(grid.side, dtype=jnp.uint32)[None, :, None]
+        bits = pack([(block[:, :, b][:, None] >> column) & word(1) for b in range(BITS)])
+        return put(tile_words, bits.reshape(1, grid.tiles, poses).swapaxes(1, 2).reshape(1, -1), (i, 0))
+
+    lanes = poses * grid.tiles
+    tile_words = jnp.zeros((words_in_slots, lanes), jnp.uint32)
+    tile_words = jax.lax.fori_loop(0, jnp.max(-(-now // BITS)), turn, tile_words)
+    todo = sum(ones(tile_words[w]) for w in range(words_in_slots))
+    full = either([jnp.where(tile_words[w] != 0, word(1 << w), word(0)) for w in range(words_in_slots)])
+    queue = _Queue(full, jnp.zeros_like(full), jnp.zeros_like(todo))
+    table = _Table(faces, names, size)
+    begin = jnp.broadcast_to(begins[:, None], (poses, grid.tiles)).reshape(-1)
+    x, y = (jnp.asarray(part, dtype) for part in (grid.x, grid.y))
+
+    # All tiles together while many are at work, then the busiest few, in shares that are each run to their end.
+    together = jax.lax.while_loop(lambda t: jnp.sum(todo > t) > MANY * lanes, lambda t: t + 1, jnp.int32(0))
+    queue, best = _draw(together, table, begin, tile_words, queue, best, x[None], y[None])
+    todo = jnp.maximum(todo - together, 0)
+    shares = SHARES if poses >= SHARES else 1
+    share = max(1, lanes // 4 // shares)
+
+    def finish(i, carry):
+        best, todo = carry
+        amount, busy = jax.lax.top_k(todo.astype(jnp.float32), share * shares)
+
+        def run(k, best):
+            those = cut(busy, (k * share,), (share,))
+            take = partial(jax.tree.map, lambda a: a.at[those].get(mode="promise_in_bounds"))
+            words = tile_words.at[:, those].get(mode="promise_in_bounds")
+            trips = amount[k * share].astype(jnp.int32)
+            across, down = (part[those % grid.tiles] for part in (x, y))
+            _, drawn = _draw(trips, table, take(begin), words, take(queue), take(best), across, down)
+            store = partial(
+                jax.tree.map, lambda a, b: a.at[those].set(b, mode="promise_in_bounds", unique_indices=True)
+            )
+            return store(best, drawn)
+
+        best = jax.lax.fori_loop(0, -(-jnp.sum(amount > 0) // share), run, best)
+        return best, todo.at[busy].set(0, mode="promise_in_bounds", unique_indices=True)
+
+    turns = -(-jnp.sum(todo > 0) // (share * shares))
+    flat = jax.tree.map(lambda part: part.reshape(lanes, -1), best)
+    flat, _ = jax.lax.fori_loop(0, turns, finish, (flat, todo))
+    return jax.tree.map(lambda part, like: part.reshape(like.shape), flat, best), (faces, spans, names)
+
+
+def place_boxes(box, view):
+    """Centres and half extents (three arrays each) in the tool frame of boxes, given as six arrays of such."""
+    stretch = [sum(jnp.abs(view.linear[i, j]) * box[3 + j] for j in range(3)) for i in range(3)]
+    return to_tool(box[:3], view), stretch
+
+
+def spread(view: View, axes: int) -> View:
+    """The view of poses on the first of `axes` + 1 axes."""
+    return jax.tree.map(lambda part: part.reshape(*part.shape, *(1,) * axes), view)
+
+
+def blank(poses: int, grid: Grid, dtype, with_faces: bool):
+    """Hits before anything is drawn: heights (p, tiles, pixels) and, if asked for, faces."""
+    heights = jnp.full((poses, *grid.x.shape), jnp.inf, dtype)
+    return (heights, jnp.zeros(heights.shape, jnp.int32)) if with_faces else (heights,)
+
+
+def to_tool(point, view):
+    """Coordinates (three arrays) in the tool frame; the origin is subtracted first, where it costs no digits."""
+    local = [point[j] - view.origin[j] for j in range(3)]
+    return [sum((view.linear[i, j] * local[j] for j in range(3)), view.offset[i]) for i in range(3)]
+
+
+class _Queue(NamedTuple):
+    """Clusters that tiles have still to draw: bits of the words not yet opened, bits left in the current word, its
+    index.
+    """
+
+    full: UInt[Array, " tiles"]
+    current: UInt[Array, " tiles"]
+    word: Int[Array, " tiles"]
+
+
+class _Table(NamedTuple):
+    """Clusters set up for drawing, a cluster a row; the last row draws nothing."""
+
+    faces: Float[Array, "rows terms"]
+    names: Int[Array, " rows"]
+    size: int  # faces of a cluster
+
+
+def _draw(trips, table: _Table, begin, words, queue: _Queue, best, x, y):
+    """Pop `trips` clusters from each tile's queue and keep the nearest hits.
+
+    `begin` is where the pose's clusters begin in the table. Tiles are one axis, or a pose's tiles on the last of two.
+    """
+    lane = indices(len(begin))
+    shape = best[0].shape
+    nothing, size = len(table.faces) - 1, table.size
+
+    def trip(_, carry):
+        (full, current, at), best = carry
+        fresh = (current == 0) & (full != 0)
+        at = jnp.where(fresh, lowest(full), at)
+        current = jnp.where(fresh, words.at[at, lane].get(mode="promise_in_bounds"), current)
+        full = jnp.where(fresh, full & (full - word(1)), full)
+        slot = jnp.where(current == 0, nothing, begin + at * BITS + lowest(current))
+        row = table.faces.at[slot].get(mode="promise_in_bounds").reshape(*shape[:-1], TERMS * size)
+        for f in range(size):
+            name = table.names.at[slot].get(mode="promise_in_bounds").reshape(shape[:-1]) * size + f
+            best = nearer(best, x, y, [row[..., k * size + f][..., None] for k in range(TERMS)], name[..., None])
+        return _Queue(full, current & (current - word(1)), at), best
+
+    return jax.lax.fori_loop(0, trips, trip, (queue, best))
+
+
+def face_terms(corners, shown, half, axis, holds):
+    """The numbers of faces in the tool frame: A, B and C of their edges, the slopes of their planes along x and y, and
+    the heights of the plane at the origin and of the lowest corner.
+
+    `corners` are x, y and z with the three corners of a face along `axis`, where A, B and C have its edges. What is not
+    `shown` has no inside. `holds` is always true (see `apart`).
+    """
+    x, y, _ = corners
+    (xa, xb, xc), (ya, yb, yc), (za, zb, zc) = (
+        [jax.lax.index_in_dim(part, k, axis, keepdims=False) for k in range(3)] for part in corners
+    )
+
+    def measure(_):
+        area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
+        solid = (jnp.abs(area) >= FLAT) & (jnp.abs(area) < jnp.inf) & shown  # and a number
+        return jnp.where(solid, jnp.sign(area), 0), 1 / jnp.where(solid, area, 1)
+
+    side, share = apart(measure, jnp.int32(0), holds)
+    side = jnp.expand_dims(side, axis)
+    xq, yq = (jnp.take(part, np.array([1, 2, 0]), axis) for part in (x, y))
+    A, B = (jnp.where(side == 0, 0, side * run) for run in (y - yq, xq - x))
+    tolerance = ROUNDINGS * float(jnp.finfo(x.dtype).eps)
+    slack = tolerance * (jnp.abs(A) * (jnp.abs(x) + half) + jnp.abs(B) * (jnp.abs(y) + half))
+    C = jnp.where(side == 0, -1, slack - (A * x + B * y))
+    slope_x = ((zb - za) * (yc - ya) - (zc - za) * (yb - ya)) * share
+    slope_y = ((zc - za) * (xb - xa) - (zb - za) * (xc - xa)) * share
+    base = za - slope_x * xa - slope_y * ya
+    # A steep plane means nothing beside its edge, where the tolerance still counts it: never nearer than a corner.
+    return A, B, C, slope_x, slope_y, base, smaller(smaller(za, zb), zc)
+
+
+def nearer(best, x, y, face, name):
+    """The nearest hits so far and those of one face, of `TERMS` numbers, on the pixels at x and y."""
+    A0, A1, A2, B0, B1, B2, C0, C1, C2, slope_x, slope_y, base, low = face
+    height = larger(slope_x * x + (slope_y * y + base), low)
+    inside = smaller(smaller(A0 * x + (B0 * y + C0), A1 * x + (B1 * y + C1)), A2 * x + (B2 * y + C2))
+    height = jnp.where(smaller(inside, height + STANDOFF) >= 0, height, jnp.inf)
+    if len(best) == 2:
+        return smaller(best[0], height), jnp.where(height < best[0], name, best[1])
+    return (smaller(best[0], height),)
+
+
+def _spans(corners, grid):
+    """Bits of the tiles that faces cross: for each row of tiles (rows, faces), the columns between the ends of the
+    face in that strip.
+    """
+    low, high = jnp.asarray(grid.low)[:, None], jnp.asarray(grid.high)[:, None]
+    left, right = jnp.full((), jnp.inf), jnp.full((), -jnp.inf)
+    for (xp, yp, _), (xq, yq, _) in zip(corners, corners[1:] + corners[:1], strict=True):
+        rise = yq - yp
+        slope = ((xq - xp) / jnp.where(jnp.abs(rise) < 1e-12, 1e-12, rise))[None]
+        xp, yp, xq, yq = xp[None], yp[None], xq[None], yq[None]
+        at_low, at_high = xp + (low - yp) * slope, xp + (high - yp) * slope
+        in_strip = (larger(yp, yq) >= low) & (smaller(yp, yq) <= high)
+        start = larger(smaller(at_low, at_high), smaller(xp, xq))
+        end = smaller(larger(at_low, at_high), larger(xp, xq))
+        left = jnp.where(in_strip, smaller(start, left), left)
+        right = jnp.where(in_strip, larger(end, right), right)
+    return grid.columns(left, right)

@@ -1,0 +1,120 @@
+"""NamedTuples of arrays on disk: one npz file each, which appears whole or not at all and never holds a pickle.
+
+Each array is stored under its field's name, those of nested NamedTuples with dots between; None is left out. One more
+entry is text (JSON): what kind of thing the file holds, in which version, and whatever the caller wants to remember.
+"""
+
+import hashlib
+import io
+import json
+import os
+import secrets
+import types
+import typing
+import zipfile
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from i2t.errors import SerializationError
+
+VERSION = 1
+ABOUT = "about"
+
+Tree = TypeVar("Tree")
+
+
+def save(path: Path | str, kind: str, tree: Any, about: dict[str, Any] | None = None) -> None:
+    """Write a NamedTuple of arrays as a file of this `kind`; `about` is anything that JSON can hold.
+
+    Raises SerializationError where the file cannot be written.
+    """
+    path, arrays = Path(path), flatten(tree)
+    told = {"format": kind, "version": VERSION, "sha256": _digest(arrays), "about": about or {}}
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with temporary.open("wb") as file:
+                np.savez_compressed(file, allow_pickle=False, **{ABOUT: np.array(json.dumps(told))}, **arrays)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise SerializationError(
+            f"{path}: cannot be written ({error.strerror}); choose a folder you may write to"
+        ) from error
+
+
+def load(path: Path | str, kind: str, form: type[Tree]) -> tuple[Tree, dict[str, Any]]:
+    """The NamedTuple of type `form` in a file of this `kind`, with NumPy arrays, and what is said about it.
+
+    Raises SerializationError where there is none, or it is of another kind or damaged.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise SerializationError(f"{path}: there is no such file; name a {kind} file that i2t wrote")
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        told = json.loads(str(arrays.pop(ABOUT)))
+        found, version, digest = told["format"], told["version"], told["sha256"]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+        raise SerializationError(
+            f"{path}: is damaged or was not written by i2t; restore a copy or make it again"
+        ) from error
+    except Exception as error:  # zlib's and the zip reader's own kinds, which have no common parent
+        raise SerializationError(f"{path}: is damaged; restore a copy or make it again") from error
+    if found != kind:
+        raise SerializationError(f"{path}: holds a {found}, not a {kind}; name the right file")
+    if version != VERSION:
+        raise SerializationError(f"{path}: has version {version}, but this i2t reads version {VERSION}; make it again")
+    if digest != _digest(arrays):
+        raise SerializationError(
+            f"{path}: its contents have changed since it was written; restore a copy or make it again"
+        )
+    try:
+        return _build(form, arrays, ""), told["about"]
+    except KeyError as error:
+        raise SerializationError(f"{path}: lacks {error}; it was written by another i2t, make it again") from error
+
+
+def flatten(tree: Any, prefix: str = "") -> dict[str, np.ndarray]:
+    """Arrays by their dotted names."""
+    arrays: dict[str, np.ndarray] = {}
+    for name, value in tree._asdict().items():
+        if hasattr(value, "_asdict"):
+            arrays |= flatten(value, f"{prefix}{name}.")
+        elif value is not None:
+            arrays[prefix + name] = np.asarray(value)
+    return arrays
+
+
+def _build(form: Any, arrays: dict[str, np.ndarray], prefix: str) -> Any:
+    """A NamedTuple from its arrays; fields that may be None are where nothing is stored."""
+    values: dict[str, Any] = {}
+    for name, hint in typing.get_type_hints(form).items():
+        several = typing.get_origin(hint) in (typing.Union, types.UnionType)
+        choices = typing.get_args(hint) if several else (hint,)
+        nested = next((choice for choice in choices if hasattr(choice, "_fields")), None)
+        stored = prefix + name in arrays or any(key.startswith(f"{prefix}{name}.") for key in arrays)
+        if not stored and type(None) in choices:
+            values[name] = None
+        elif nested is not None and stored:
+            values[name] = _build(nested, arrays, f"{prefix}{name}.")
+        else:
+            values[name] = arrays[prefix + name]
+    return form(**values)
+
+
+def _digest(arrays: dict[str, np.ndarray]) -> str:
+    """Of all names, types, shapes and values."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,152 @@
+"""Coulomb friction between a pressed skin and a rigid object that drags it: where it sticks, where it slips, and the
+traction on it.
+
+The pressure is found first, without friction, and then the traction it can bear (Goodman, J. Appl. Mech. 29, 1962): the
+motion of the layer under both loads is exact, but the traction's push on the gap is left out, which vanishes for an
+incompressible half space and is small for a skin. On the skin's surface the traction q, along x and y, moves the
+material by C q (`i2t.skin.elasticity`) and the pressure by S p. From one state to the next the object moves by `slide`
+along the skin; relative to it the skin slips by s = C q + S p - (displacement before) - slide, and in every cell
+
+    |q| <= friction p,   and either s = 0 or q = -friction p s / |s|,
+
+which are the optimality conditions of min q.Cq/2 - q.(displacement before + slide - S p) over those discs: a convex
+problem, solved as the normal one by spectral projected gradients (`i2t.skin.contact.descend`). Friction remembers: a
+path is a chain of states, each with the one before it, and the finer its steps the better it is followed. A press along
+a slant, a slide and a release are such paths; what an increment leaves of the traction depends on all before it.
+
+Derivatives are those of the conditions (see `i2t.skin.contact`) while sticking cells stick and slipping cells slip:
+C dq + ... = 0 on the first, and on the second the traction turns towards the change of the slip and grows with the
+friction. Tool frame; metres, pascals, newtons.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from i2t.skin.contact import MAX_STEPS, SMALLEST, conjugate_gradients, descend, positive
+from i2t.skin.elasticity import GRID, Grid, drag, evaluate, spectrum, spread, tangential_compliance
+from i2t.types import Pad
+
+TOLERANCE = 1e-4  # of the largest displacement: ten times what the roundings of float32 leave
+FULL = 1e-4  # of the friction that a slipping cell may lack
+
+
+class Shear(NamedTuple):
+    """A state of friction."""
+
+    traction: Float[Array, "2 n n"]  # Pa, along x and y, on the skin
+    displacement: Float[Array, "2 n n"]  # m, of the skin's surface along x and y
+    slipping: Bool[Array, "n n"]  # cells in contact that bear all the friction they can
+    residual: Float[Array, ""]  # largest violation of the conditions, as a slip, relative to the largest displacement
+    steps: Int[Array, ""]  # applications of C
+    converged: Bool[Array, ""]
+
+
+def rest(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Shear:
+    """The skin under `pressure` (Pa) without traction: as pressed without friction, or before anything touches."""
+    none = jnp.zeros((2, grid.cells, grid.cells), pressure.dtype)
+    return Shear(
+        none,
+        spread(pad, pressure, grid),
+        jnp.zeros((grid.cells, grid.cells), bool),
+        jnp.zeros((), pressure.dtype),
+        jnp.asarray(0),
+        jnp.asarray(True),
+    )
+
+
+def shear(
+    pad: Pad,
+    pressure: Float[Array, "n n"],
+    slide: Float[Array, "2"],
+    grid: Grid = GRID,
+    before: Shear | None = None,
+    tolerance: float = TOLERANCE,
+    max_steps: int = MAX_STEPS,
+) -> Shear:
+    """The state under `pressure` (Pa) after the object has moved by `slide` (m, along x and y of the skin) since the
+    state `before`, or since the untouched skin.
+    """
+    kernels = jnp.stack(tangential_compliance(pad, grid)) * pad.young / pad.thickness
+    spreading = spread(pad, pressure, grid)
+    followed = slide[:, None, None] - spreading + (0 if before is None else before.displacement)
+    # Only where it is pressed can the skin follow, so only there does it count.
+    wanted = jnp.where(pressure[None] > 0, followed, 0) / pad.thickness
+    # The problem is homogeneous, so that its scale is no part of the derivative.
+    scale = jax.lax.stop_gradient(jnp.maximum(jnp.max(jnp.abs(wanted)), SMALLEST))
+    wanted, limit = wanted / scale, pad.friction * pressure[None] / (pad.young * scale)
+    fixed_kernels, fixed_limit = jax.lax.stop_gradient((kernels, limit))
+
+    def onto_discs(q: Array) -> Array:
+        return q * jnp.minimum(1, fixed_limit / positive(_size(q)))
+
+    state = descend(
+        partial(_yielding, fixed_kernels, grid=grid),
+        -wanted,
+        onto_discs,
+        lambda q, slip: jnp.zeros_like(scale),
+        jnp.zeros_like(wanted) if before is None else before.traction / (pad.young * scale),
+        (jnp.min(kernels), jnp.max(kernels)),
+        tolerance,
+        max_steps,
+    )
+    traction, slip = _tracked(kernels, limit, wanted, state.point, state.gap, grid)
+    return Shear(
+        traction=traction * scale * pad.young,
+        displacement=(slip + wanted) * scale * pad.thickness + spreading,
+        slipping=_slipping(state.point, limit)[0],
+        residual=state.residual,
+        steps=state.steps,
+        converged=state.residual <= tolerance,
+    )
+
+
+def _yielding(kernels: Array, q: Array, grid: Grid) -> Array:
+    """C q: displacement of the surface under a traction, both along x and y."""
+    parts = drag(spectrum(q, grid), grid)
+    return evaluate(kernels[:1] * parts.lengthwise + kernels[1:] * (parts.traction - parts.lengthwise), grid)
+
+
+def _size(vectors: Array) -> Array:
+    return jnp.sqrt(jnp.sum(vectors * vectors, axis=0, keepdims=True))
+
+
+def _slipping(traction: Array, limit: Array) -> Array:
+    return (limit > 0) & (_size(traction) >= (1 - FULL) * limit)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(5,))
+def _tracked(
+    kernels: Array, limit: Array, wanted: Array, traction: Array, slip: Array, grid: Grid
+) -> tuple[Array, Array]:
+    """The solution `traction` and `slip` of a problem of friction, with its derivatives by the other arrays."""
+    return traction, slip
+
+
+@_tracked.defjvp
+def _track(grid: Grid, at: tuple, change: tuple) -> tuple[tuple, tuple]:
+    kernels, limit, _, traction, slip = at
+    d_kernels, d_limit, d_wanted, *_ = change
+    slipping = _slipping(traction, limit)
+    sticking = (limit > 0) & ~slipping
+    towards = traction / positive(_size(traction))  # against the slip
+    # The further a cell has slipped, the less a small motion turns its traction.
+    stiff = jnp.where(slipping, jnp.maximum(-jnp.sum(slip * towards, axis=0, keepdims=True), 0) / positive(limit), 0)
+
+    def allowed(q: Array) -> Array:
+        """The nearest change of traction that leaves the size of a slipping cell's, and none where nothing touches."""
+        return jnp.where(sticking, q, jnp.where(slipping, q - towards * jnp.sum(towards * q, axis=0, keepdims=True), 0))
+
+    def operator(q: Array) -> Array:
+        q = allowed(q)
+        return allowed(_yielding(kernels, q, grid) + stiff * q)
+
+    grown = jnp.where(slipping, d_limit, 0) * towards
+    moved = _yielding(kernels, grown, grid) + _yielding(d_kernels, traction, grid) - d_wanted
+    turned = jax.lax.custom_linear_solve(
+        operator, -moved, lambda operator, q: conjugate_gradients(operator, allowed(q)), symmetric=True
+    )
+    return (traction, slip), (grown + turned, moved + _yielding(kernels, turned, grid))

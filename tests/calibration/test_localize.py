@@ -1,0 +1,106 @@
+"""Places told from readings: on made-up linear skins exactly as Bayes says, on simulated pads by the experiment."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from experiments import pads
+from i2t.calibration import localize
+from i2t.calibration.localize import Atlas, Weights
+
+EDGE = np.linspace(-5e-3, 5e-3, 11)
+PLACES = np.stack(np.meshgrid(EDGE, EDGE), axis=-1).reshape(-1, 2)
+K = 20
+
+
+def _atlas(seed: int = 0, channels: int = 15) -> Atlas:
+    """A made-up skin: every weight is a bump that some channels feel, more or less, as the tip comes near it."""
+    random = np.random.default_rng(seed)
+    centres = random.uniform(-6e-3, 6e-3, (K, 2))
+    near = np.exp(-0.5 * np.sum((PLACES[:, None] - centres[None]) ** 2, axis=-1) / 2.5e-3**2)
+    phi = near[:, None, :] * random.normal(size=(1, channels, K)) * 20
+    return Atlas(jnp.asarray(PLACES, jnp.float32), jnp.ones(len(PLACES)), jnp.asarray(phi, jnp.float32))
+
+
+def _presses(atlas: Atlas, n: int, noise: float, seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which press, its reading, and the true weights."""
+    random = np.random.default_rng(seed)
+    weights = random.normal(size=K)
+    rows = random.integers(len(PLACES), size=n)
+    clean = np.asarray(atlas.phi)[rows] @ weights
+    return rows, clean + noise * random.normal(size=clean.shape), weights
+
+
+def test_likelihood_is_the_normal_density():
+    atlas = _atlas()
+    _, readings, _ = _presses(atlas, 5, 2.0)
+    random = np.random.default_rng(4)
+    root = np.tril(random.normal(size=(K, K))) + 3 * np.eye(K)
+    weights = Weights(jnp.asarray(random.normal(size=K), jnp.float32), jnp.asarray(root, jnp.float32), jnp.asarray(2.0))
+    found = localize.log_likelihood(atlas, weights, jnp.asarray(readings, jnp.float32))
+    phi = np.asarray(atlas.phi, float)
+    for m in (0, 17, 120):  # of 121: the last batch is padded
+        covariance = phi[m] @ np.linalg.inv(root @ root.T) @ phi[m].T + 4 * np.eye(15)
+        normal = stats.multivariate_normal(phi[m] @ np.asarray(weights.mean, float), covariance)
+        expected = normal.logpdf(readings) + 7.5 * np.log(2 * np.pi)
+        np.testing.assert_allclose(found[:, m], expected, rtol=1e-3, atol=0.05)
+
+
+def test_a_known_skin_tells_the_place_and_how_sure_it_is():
+    atlas = _atlas()
+    rows, readings, truth = _presses(atlas, 300, 4.0)
+    weights = Weights(jnp.asarray(truth, jnp.float32), 1e4 * jnp.eye(K), jnp.asarray(4.0))
+    places, sure = localize.locate(atlas, weights, jnp.asarray(readings, jnp.float32), 1.01e-3)
+    right = np.linalg.norm(np.asarray(places) - PLACES[rows], axis=1) <= 1.01e-3
+    assert right.mean() > 0.8
+    # Where its probability is 1, it is right; on average it is right as often as it says.
+    assert abs(right.mean() - np.mean(sure)) < 3 * np.sqrt(0.25 / 300)
+
+
+def test_readings_without_places_teach_a_skin():
+    """Better than nothing by far, and nearly as good as the skin itself."""
+    atlas = _atlas()
+    rows, readings, truth = _presses(atlas, 400, 2.0)
+    told = jnp.asarray(readings, jnp.float32)
+
+    def right(weights: Weights) -> float:
+        places, _ = localize.locate(atlas, weights, told[300:], 1.01e-3)
+        return float(np.mean(np.linalg.norm(np.asarray(places) - PLACES[rows[300:]], axis=1) <= 1.01e-3))
+
+    none = right(localize.unknown(atlas, 2.0))
+    learnt = right(localize.learn(atlas, told[:300], 2.0))
+    known = right(Weights(jnp.asarray(truth, jnp.float32), 1e4 * jnp.eye(K), jnp.asarray(2.0)))
+    assert learnt > none + 0.15
+    assert learnt > known - 0.1
+
+
+def test_skins_share_their_boards():
+    skins = pads.make_skins(jax.random.key(0), 5, 2)
+    np.testing.assert_array_equal(skins[0].gains, skins[2].gains)
+    gaps = [float(-skin.board.chips[0, 2] - skin.thickness) for skin in skins]
+    np.testing.assert_allclose([gaps[2], gaps[3]], gaps[:2], rtol=1e-4)
+    assert np.abs(skins[0].gains - skins[1].gains).max() > 0
+    assert np.abs(skins[0].magnetisation - skins[2].magnetisation).max() > 0
+
+
+def test_the_experiment_in_small(tmp_path, capsys):
+    assert pads.main(["--preset", "debug", "--out", str(tmp_path / "run")]) == 0
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert metrics["source"] == "simulated"
+    shares = [value for each in metrics["each"].values() for value in each]
+    assert all(0 <= share <= 1 for share in shares)
+    assert (tmp_path / "run" / "accuracy.png").stat().st_size > 0
+    assert not (tmp_path / "run" / "partial.json").exists()
+    assert "physics, 10 presses" in capsys.readouterr().out
+    assert pads.main(["--preset", "debug", "--out", str(tmp_path / "run")]) == 2
+    assert "holds a finished run" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("skins", ["0", "1", "-3"])
+def test_one_skin_is_too_few(skins, tmp_path, capsys):
+    assert pads.main(["--skins", skins, "--out", str(tmp_path / "run")]) == 2
+    assert capsys.readouterr().err.startswith("error: --skins")

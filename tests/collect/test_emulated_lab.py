@@ -1,0 +1,77 @@
+"""The command as a lab types it (`--arm ur --skin reskin --camera folder`), before stand-ins started by hand."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from i2t import dataset
+from i2t.collect import session
+from i2t.collect.site_plan import Plan
+from i2t.depth.camera import Camera
+from i2t.emulators import lab as rehearsal
+from i2t.emulators import ur_controller
+from i2t.emulators.scene import see
+from i2t.hardware import camera_folder
+from i2t.hardware.protocols import View
+from i2t.hardware.reskin.driver import ReSkin
+from i2t.hardware.rig import Rig
+from i2t.objects import catalogue
+from i2t.simulation import sites
+from i2t.types import ReturnCode
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs the addresses 127.x.y.z")
+
+PATIENT = ["--stale", "3", "--watchdog", "0.5"]  # on a busy machine; a lab has 0.1 s and 10 Hz
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    """Stand-ins over a star that stands where it is believed; a rig, and the view of its first site."""
+    pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
+    path = tmp_path_factory.mktemp("lab")
+    rig = replace(Rig(), camera=Camera(160, 90, 80.6, 80.5, 79.5, 44.5))
+    rig.write(path / "lab.toml")
+    mesh = catalogue.make("star").mesh
+    T_w_c = Plan(mesh, rig.T_world_object, sites.Limits(), 0, "star").site(0).T_w_t.copy()
+    T_w_c[:3, 3] -= rig.looking_distance * T_w_c[:3, 2]  # the camera's axes are the tool's
+    depth, _ = see(mesh.vertices[mesh.faces], T_w_c, rig.camera)
+    view = View(0.0, np.where(np.isfinite(depth), depth, np.nan).astype(np.float32), None)
+    list(camera_folder.keep(path / "views", rig.camera, [view]))
+    host, link = ur_controller.loopback(202), path / "skin"
+    options = ["--object", "star", "--exact", "--rig", str(path / "lab.toml")]
+    with rehearsal.started("--host", host, "--link", str(link), *options):
+        yield path, ["--arm", "ur", "--host", host, "--rig", str(path / "lab.toml"), "--object", "star",
+                     "--camera", "folder", "--views", str(path / "views"), "--touches", "1", *PATIENT]  # fmt: skip
+
+
+def test_an_arm_by_its_address_a_skin_by_its_port_and_recorded_views(lab, capsys):
+    path, options = lab
+    out = path / "touched"
+    assert session.main(["--out", str(out), "--skin", "reskin", "--port", str(path / "skin"), *options]) == 0
+    said = capsys.readouterr().out
+    assert "MIXED: some of these devices are not real" in said  # 127.x.y.z and a pseudo-terminal are no lab
+    made = dataset.load(out)
+    assert made.source == "mixed"
+    touches = made.touches
+    assert touches.code[0] in (ReturnCode.SKIN, ReturnCode.WRENCH)
+    assert np.linalg.norm(touches.reading[0]) > 10
+    height = touches.T_w_t[0, 2, 3]  # the star's flat top, less what skin, arm and mount give
+    assert 0.026 < height < 0.0305
+    seen = touches.patch[0][np.isfinite(touches.patch[0])]
+    assert np.abs(np.median(seen)) < 1e-3  # the view shows the site where the arm went
+
+
+def test_a_recording_in_place_of_a_skin(lab, capsys):
+    path, options = lab
+    with ReSkin(str(path / "skin")) as skin:
+        skin.record(path / "rest.raw")
+        skin.read(4000, 30.0)
+    out = path / "replayed"
+    assert session.main(["--out", str(out), "--skin", "replay", "--replay", str(path / "rest.raw"), *options]) == 0
+    made = dataset.load(out)
+    assert made.source == "mixed"
+    assert made.touches.code[0] == ReturnCode.WRENCH  # a recording of a skin at rest feels nothing; force stops it
+    assert np.linalg.norm(made.touches.reading[0]) < 20
+    assert made.touches.force[0] > 7

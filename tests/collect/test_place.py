@@ -1,0 +1,77 @@
+"""An object's pose from a depth view goes into the rig."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from i2t.collect import place
+from i2t.emulators.scene import see
+from i2t.hardware import camera_folder
+from i2t.hardware.protocols import View
+from i2t.hardware.rig import Rig
+from i2t.hardware.ur.rtde_link import to_ur
+from i2t.objects import catalogue
+from i2t.objects.solids import transform_mesh
+from i2t.types import LEVER
+
+
+def pose(turn, at):
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), at
+    return T
+
+
+# The camera looks at the object from 40 degrees beside the vertical, 0.2 m away.
+T_B_C = Rig().T_base_world @ pose([0, 0, 0], [0, 0, 0.015]) @ pose([np.pi - 0.7, 0, 0], [0, 0, 0])
+T_B_C = T_B_C @ pose([0, 0, 0], [0, 0, -0.2])
+TOOL = to_ur(T_B_C @ np.linalg.inv(Rig().T_tool_camera))
+
+
+@pytest.fixture
+def lab(tmp_path):
+    """A rig, a view of a star that stands elsewhere, and where it stands."""
+    rig = Rig()
+    rig.write(tmp_path / "lab.toml")
+    really = pose([0, 0, 0.06], [0.004, -0.006, 0.0])  # T_w_o
+    mesh = transform_mesh(catalogue.make("star").mesh, rig.T_base_world @ really)
+    corners = rig.T_base_world[:3, 3] + 0.1 * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
+    triangles = np.concatenate([mesh.vertices[mesh.faces], corners[[[0, 1, 2], [0, 2, 3]]]])
+    depth, _ = see(triangles, T_B_C, rig.camera)
+    rng = np.random.default_rng(0)
+    seen = np.where(np.isfinite(depth), depth + 0.3e-3 * rng.standard_normal(depth.shape), np.nan).astype(np.float32)
+    list(camera_folder.keep(tmp_path / "views", rig.camera, [View(0.0, seen, None)]))
+    return tmp_path, really
+
+
+def test_a_view_tells_where_it_stands(lab, capsys):
+    path, really = lab
+    tool = [str(x) for x in TOOL]
+    command = [str(path / "lab.toml"), "--object", "star", "--views", str(path / "views"), "--tool", *tool, "--write"]
+    assert place.main(command) == 0
+    assert "star is 7." in capsys.readouterr().out
+    rig = Rig.read(path / "lab.toml")
+    assert rig.object_from == "registration"
+    off = np.linalg.inv(really) @ rig.T_world_object
+    # 0.3 mm of noise on thousands of points: what is left is how finely surface and image are sampled.
+    assert np.linalg.norm(off[:3, 3]) < 0.5e-3
+    assert Rotation.from_matrix(off[:3, :3]).magnitude() < 0.01
+    assert rig.mass == Rig().mass
+    # The camera's own place, 1 mm and 0.5 degrees on each axis, is what remains: 0.2 m away, another 1.7 mm across.
+    sigma = np.sqrt(np.diagonal(rig.object_covariance))
+    assert 1e-3 < sigma[:3].min() < sigma[:3].max() < 2.2e-3
+    np.testing.assert_allclose(np.degrees(sigma[3:] / LEVER), 0.5, atol=0.05)
+
+
+def test_what_is_missing_is_said(lab, capsys):
+    path, _ = lab
+    rig, tool = str(path / "lab.toml"), [str(x) for x in TOOL]
+    for options, why in (
+        (["--object", "star"], "give --host, or --tool"),
+        (["--object", "nothing.stl", "--tool", *tool], "nothing.stl"),
+        (["--object", "star", "--tool", *tool, "--views", str(path)], "camera.toml cannot be read"),
+        (["--object", "star", "--tool", "9", *tool[1:], "--views", str(path / "views")], "points lie within"),
+    ):
+        assert place.main([rig, *options]) == 2
+        said = capsys.readouterr().err
+        assert why in said
+        assert said.count("\n") == 1

@@ -1,0 +1,231 @@
+"""Touches are files, whole and dated rightly, whatever happens while they are made."""
+
+import errno
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.closed_form import GAIN, HEIGHT, WALL, make, names, site
+
+from i2t import dataset
+from i2t.collect import event_log, recorder
+from i2t.collect.event_log import RAW, Lost, read_raw
+from i2t.collect.procedure import Procedure
+from i2t.collect.recorder import Recorder, touches_in, written_at
+from i2t.errors import DataError, DeviceError
+from i2t.types import ReturnCode
+
+
+class Jumping:
+    """A clock whose Unix time somebody sets."""
+
+    def __init__(self, clock):
+        self.clock, self.jump = clock, 0.0
+
+    def now(self):
+        return self.clock.now()
+
+    def wall(self):
+        return self.clock.wall() + self.jump
+
+    def sleep(self, seconds):
+        self.clock.sleep(seconds)
+
+
+def sites(*numbers):
+    return lambda history: site(numbers[len(history)]) if len(history) < len(numbers) else None
+
+
+def collected(folder: Path, *numbers, **options) -> tuple[Procedure, list]:
+    procedure = make(**options)
+    with Recorder(folder, names(procedure), procedure.clock) as kept:
+        return procedure, list(procedure.run(sites(*numbers), kept))
+
+
+def test_a_touch_is_read_back_as_it_was_made(tmp_path):
+    _, (outcome,) = collected(tmp_path, 3)
+    (path,) = touches_in(tmp_path)
+    record, touched = dataset.read_touch(path), outcome.touched
+    touches = record.touch.touches
+    assert touches.code[0] == ReturnCode.SKIN
+    np.testing.assert_allclose(touches.reading[0], touched.force * GAIN, rtol=1e-3)
+    np.testing.assert_allclose(touches.T_w_t[0], touched.T_w_t, atol=1e-7)
+    assert record.touch.source == "simulated"
+    assert record.counters["site"] == recorder.site_of(path) == 3
+    np.testing.assert_allclose(record.images["depth"].values * record.images["depth"].scale, 0.104, atol=5e-5)
+    np.testing.assert_array_equal(record.images["colour"].values, 0)
+    np.testing.assert_allclose(record.series["ambient"].values[0], touched.ambient, rtol=1e-6)
+    assert [text for _, text in record.events][:3] == ["site 3, attempt 1", "look", "prepare"]
+    assert not (tmp_path / recorder.UNDER_WAY).exists()
+
+
+def test_series_hold_the_whole_press_in_unix_time(tmp_path):
+    collected(tmp_path, 0)
+    record = dataset.read_touch(touches_in(tmp_path)[0])
+    tactile, pose, wrench = (record.series[name] for name in ("tactile", "pose", "wrench"))
+    events = {text: time for time, text in record.events}
+    for series in (tactile, pose, wrench):
+        assert series.time[0] > WALL
+        assert series.time[-1] <= written_at(touches_in(tmp_path)[0])
+        assert (np.diff(series.time) > 0).all()
+    during = (tactile.time > events["press"]) & (tactile.time < events["stopped by skin"])
+    # A line: the change of every sample is that of the force of the spring at the tool's height then.
+    height = np.interp(tactile.time, pose.time, pose.values[:, 11])
+    force = 10e3 * np.maximum(0, HEIGHT - height)
+    change = tactile.values - record.series["ambient"].values
+    np.testing.assert_allclose(change[during], force[during, None] * GAIN, atol=0.02 * np.abs(GAIN).max())
+    assert during.sum() >= 0.98 * 400 * (events["stopped by skin"] - events["press"])
+    at = np.interp(wrench.time, tactile.time, force)
+    np.testing.assert_allclose(-wrench.values[:, 2], at, atol=0.05)
+
+
+def test_a_folder_of_touches_is_a_data_set_in_the_order_of_time(tmp_path):
+    collected(tmp_path, *range(4))
+    data = dataset.load(tmp_path)
+    assert len(data) == 4
+    assert data.objects == ("plane",)
+    assert [written_at(path) for path in touches_in(tmp_path)] == sorted(map(written_at, touches_in(tmp_path)))
+
+
+def test_what_was_under_way_is_kept_aside_and_can_be_read(tmp_path):
+    procedure = make()
+    approach = procedure.arm.approach
+
+    def interrupted(*how):
+        approach(*how)
+        raise KeyboardInterrupt
+
+    procedure.arm.approach = interrupted
+    with Recorder(tmp_path, names(procedure), procedure.clock) as kept, pytest.raises(KeyboardInterrupt):
+        list(procedure.run(sites(0), kept))
+    assert not touches_in(tmp_path)
+    (raw,) = (tmp_path / recorder.INTERRUPTED).iterdir()
+    entries = list(read_raw(raw))
+    assert entries[0] == ("event", [entries[0][1][0], "site 0, attempt 1"])
+    assert entries[-1][1][1] == "ended by KeyboardInterrupt"
+    assert sum(len(rows) for kind, rows in entries if kind == "skin") > 400
+    assert any(kind == "arm" for kind, _ in entries)
+    whole = raw.read_bytes()
+    for cut in (len(whole) - 1, len(whole) // 2, len(RAW)):
+        raw.write_bytes(whole[:cut])
+        assert entries[: len(list(read_raw(raw)))] != [] or cut == len(RAW)
+    raw.write_bytes(b"something else")
+    with pytest.raises(DataError, match="no raw file"):
+        list(read_raw(raw))
+
+
+def test_a_killed_writer_loses_nothing_that_it_acknowledged(tmp_path):
+    code = f"""
+import os, sys
+sys.path.insert(0, {str(Path(__file__).parents[1])!r})
+from pathlib import Path
+import numpy as np
+from helpers.closed_form import make, names, site
+from i2t.collect.recorder import Recorder
+procedure = make()
+with Recorder(Path({str(tmp_path)!r}), names(procedure), procedure.clock) as kept:
+    for outcome in procedure.run(lambda history: site(len(history)), kept):
+        print(kept.kept[-1].name, flush=True)
+"""
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as running:
+        told = [running.stdout.readline().strip() for _ in range(3)]
+        running.kill()
+        told += running.stdout.read().splitlines()
+    present = [path.name for path in touches_in(tmp_path)]
+    assert set(told) <= set(present)
+    assert len(dataset.load(tmp_path)) == len(present)
+    before = len(present)
+    procedure = make()
+    with Recorder(tmp_path, names(procedure), procedure.clock) as kept:
+        procedure.clock.sleep(1e6)
+        list(procedure.run(sites(99), kept))
+    assert len(touches_in(tmp_path)) == before + 1
+
+
+def test_two_collections_cannot_write_to_one_folder(tmp_path):
+    procedure = make()
+    with (
+        Recorder(tmp_path, names(procedure), procedure.clock),
+        pytest.raises(Lost, match="another collection"),
+    ):
+        Recorder(tmp_path, names(procedure), procedure.clock)
+
+
+def test_a_disk_that_is_nearly_full_is_found_before_the_arm_moves(tmp_path):
+    procedure = make()
+    with (
+        Recorder(tmp_path, names(procedure), procedure.clock, reserve=2**60) as kept,
+        pytest.raises(Lost, match="free some space"),
+    ):
+        list(procedure.run(sites(0), kept))
+    assert procedure.clock.now() < 0.1
+
+
+@pytest.mark.parametrize(("code", "said"), [(errno.ENOSPC, "disk is full"), (errno.EROFS, "only be read")])
+@pytest.mark.parametrize("where", ["raw", "touch"])
+def test_trouble_with_the_disk_is_one_sentence_and_the_arm_stands(tmp_path, monkeypatch, code, said, where):
+    procedure = make()
+    with Recorder(tmp_path, names(procedure), procedure.clock) as kept:
+        list(procedure.run(sites(0), kept))
+        if where == "raw":
+            write, count = event_log.Tape._write, []
+
+            def failing(made, kind, payload):
+                count.append(kind)
+                if count.count(b"a") > 20:  # in the middle of an approach
+                    raise event_log.lost(tmp_path, OSError(code, os.strerror(code)))
+                write(made, kind, payload)
+
+            monkeypatch.setattr(event_log.Tape, "_write", failing)
+        else:
+
+            def full(*_):
+                raise DataError("not written") from OSError(code, os.strerror(code))
+
+            monkeypatch.setattr(recorder.dataset, "write_touch", full)
+        with pytest.raises(Lost, match=said) as error:
+            list(procedure.run(sites(1), kept))
+    assert "\n" not in str(error.value)
+    assert not procedure.arm.state().moving
+    assert np.linalg.norm(procedure.arm.state().wrench[:3]) == 0
+    assert len(dataset.load(tmp_path)) == 1
+
+
+def test_a_clock_that_is_set_during_a_touch_ends_the_session_and_keeps_the_touch(tmp_path):
+    procedure = make()
+    clock = procedure.clock = Jumping(procedure.clock)
+    capture = procedure.camera.capture
+
+    def jumped():
+        clock.jump = -3600.0
+        return capture()
+
+    with Recorder(tmp_path, names(procedure), clock) as kept:
+        list(procedure.run(sites(0), kept))
+        procedure.camera.capture = jumped
+        with pytest.raises(Lost, match=r"jumped by -3600\.0 s; the touch is kept"):
+            list(procedure.run(sites(1), kept))
+        with pytest.raises(Lost, match="behind the newest touch"):
+            list(procedure.run(sites(2), kept))
+    first, second = touches_in(tmp_path)
+    assert 5 < written_at(second) - written_at(first) < 30
+    assert any("jumped" in text for _, text in dataset.read_touch(second).events)
+
+
+def test_a_folder_that_cannot_be_made_says_so(tmp_path):
+    (tmp_path / "file").write_text("")
+    procedure = make()
+    with pytest.raises(DeviceError, match="choose another folder"):
+        Recorder(tmp_path / "file" / "data", names(procedure), procedure.clock)
+
+
+def test_notes_survive_and_damage_is_named(tmp_path):
+    assert recorder.read_notes(tmp_path) is None
+    recorder.write_notes(tmp_path, {"run": "a", "unreachable": {"3": "far"}})
+    assert recorder.read_notes(tmp_path) == {"run": "a", "unreachable": {"3": "far"}}
+    (tmp_path / recorder.NOTES).write_text("{")
+    with pytest.raises(DataError, match="cannot be read"):
+        recorder.read_notes(tmp_path)

@@ -1,0 +1,125 @@
+"""The command on its simulated defaults: it collects, resumes, rehearses dry, and says what is wrong."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+
+from i2t import dataset
+from i2t.collect import recorder, session
+from i2t.hardware.rig import Rig
+from i2t.types import ReturnCode
+
+pytestmark = pytest.mark.xdist_group("collect")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("collect")
+
+
+@pytest.fixture(scope="module")
+def rig(folder):
+    """The rig of the stand-ins with a smaller image."""
+    from dataclasses import replace
+
+    from i2t.depth.camera import Camera
+
+    path = folder / "rig.toml"
+    replace(Rig(), camera=Camera(160, 90, 161.2, 161.0, 79.5, 44.5)).write(path)
+    return path
+
+
+def command(folder, rig, *more, touches=2):
+    return session.main(["--out", str(folder / "set"), "--rig", str(rig), "--touches", str(touches), *more])
+
+
+def test_it_collects_a_set_says_so_and_goes_on_where_it_stopped(folder, rig, capsys):
+    assert command(folder, rig) == 0
+    said = capsys.readouterr().out
+    assert "SIMULATED: no real device takes part" in said
+    assert "touch 2/2" in said
+    first = dataset.load(folder / "set")
+    assert len(first) == 2
+    assert first.source == "simulated"
+    assert first.objects == ("hexagon",)
+    assert command(folder, rig, touches=3) == 0
+    data = dataset.load(folder / "set")
+    assert len(data) == 3
+    assert len(data.runs) == 1
+    np.testing.assert_array_equal(data.touches.reading[:2], first.touches.reading)
+    assert [recorder.site_of(path) for path in recorder.touches_in(folder / "set")] == [0, 1, 2]
+    capsys.readouterr()
+    assert command(folder, rig, touches=3) == 0
+    assert "there already" in capsys.readouterr().out
+
+
+def test_what_was_collected_makes_sense(folder, rig):
+    """A hexagon 30 mm high: the patch lies where the arm and the rig say, within their errors of a millimetre."""
+    touches = dataset.load(folder / "set").touches
+    pressed = np.isin(touches.code, [ReturnCode.SKIN, ReturnCode.WRENCH])
+    assert pressed.all()
+    assert (np.linalg.norm(touches.reading, axis=1) > 15).all()
+    assert ((touches.force > 0.05) & (touches.force < 10)).all()
+    assert ((touches.depth > 0) & (touches.depth < 1.5e-3)).all()
+    assert (np.abs(touches.nearest + touches.depth) < 4e-3).all()  # placement and camera 1 mm each, and 0.3 mm noise
+    assert (touches.T_w_t[:, 2, 2] < -0.2).all()
+
+
+def test_another_collection_is_not_mixed_in(folder, rig, capsys):
+    assert command(folder, rig, "--object", "star") == 2
+    assert "begun with another object" in capsys.readouterr().err
+    assert command(folder, rig, "--seed", "1") == 2
+    assert "another seed" in capsys.readouterr().err
+    (folder / "other").mkdir(exist_ok=True)
+    (folder / "other" / recorder.touches_in(folder / "set")[0].name).write_bytes(b"")
+    assert session.main(["--out", str(folder / "other")]) == 2
+    assert "another making" in capsys.readouterr().err
+
+
+def test_a_dry_run_moves_nothing_and_writes_no_touch(folder, rig, capsys):
+    assert session.main(["--out", str(folder / "dry"), "--rig", str(rig), "--touches", "5", "--dry-run"]) == 0
+    said = capsys.readouterr().out
+    assert "nothing was moved" in said
+    assert "0 of 5 cannot be reached" in said
+    assert (folder / "dry-plan.png").stat().st_size > 1000
+    assert not (folder / "dry").exists()
+
+
+def test_sigterm_stops_it_and_keeps_everything(folder, rig, capsys):
+    def stop(outcome):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    args = session.Args(out=folder / "stopped", rig=rig, touches=5)
+    before = signal.signal(signal.SIGTERM, session._terminated)
+    try:
+        with pytest.raises(SystemExit) as ended:
+            session.collect(args, tell=stop)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert ended.value.code == 128 + signal.SIGTERM
+    assert len(dataset.load(folder / "stopped")) == 1
+    assert "the same command goes on" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (["--arm", "ur"], "pass --rig"),
+        (["--skin", "replay"], "pass --replay"),
+        (["--camera", "folder"], "pass --views"),
+        (["--arm", "emulated"], "a simulated skin feels only"),
+        (["--object", "no such thing"], "no such"),
+        (["--settings.press", "0"], "press is 0"),
+    ],
+)
+def test_what_does_not_go_together_is_said_in_a_sentence(tmp_path, capsys, wrong, said):
+    try:
+        code = session.main(["--out", str(tmp_path / "set"), *wrong])
+    except SystemExit as error:
+        code = error.code
+    assert code == 2
+    caught = capsys.readouterr()
+    assert said in caught.err + caught.out
+    assert not (tmp_path / "set").exists()

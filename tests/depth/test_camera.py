@@ -1,0 +1,222 @@
+"""Cameras, lenses and depth files: round trips, OpenCV and SciPy where they know the same lens, and hostile files."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+from scipy.optimize import fsolve
+
+from i2t.depth.camera import Camera, Distortion, check_view, read_depth
+from i2t.depth.distortion import deproject, lines_of_sight, project
+
+LENSES = {
+    Distortion.NONE: (),
+    Distortion.BROWN_CONRADY: (-0.12, 0.05, 1e-3, -8e-4, 0.02),
+    Distortion.MODIFIED_BROWN_CONRADY: (-0.12, 0.05, 1e-3, -8e-4, 0.02),
+    Distortion.INVERSE_BROWN_CONRADY: (0.14, -0.04, -1e-3, 8e-4, 0.01),
+    Distortion.FTHETA: (0.9,),
+    Distortion.KANNALA_BRANDT4: (-0.02, 0.01, -5e-3, 1e-3),
+}
+PIXEL = 1e-3  # float32 holds a column of 640 to 6e-5 pixels; a lens and back is some ten roundings
+
+
+def camera(model: str = Distortion.NONE) -> Camera:
+    return Camera(640, 360, 322.4, 322.1, 318.7, 181.2, model, LENSES[model])
+
+
+def grid() -> np.ndarray:
+    u, v = np.meshgrid(np.linspace(0, 639, 17), np.linspace(0, 359, 11))
+    return np.stack([u, v], -1).reshape(-1, 2).astype(np.float32)
+
+
+def brown(coefficients, x, y, modified: bool):
+    """Brown-Conrady from its formula, in float64."""
+    k1, k2, p1, p2, k3 = coefficients
+    r2 = x**2 + y**2
+    f = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    a, b = (x * f, y * f) if modified else (x, y)
+    return x * f + 2 * p1 * a * b + p2 * (r2 + 2 * a**2), y * f + 2 * p2 * a * b + p1 * (r2 + 2 * b**2)
+
+
+@pytest.mark.parametrize("model", list(LENSES))
+def test_pixels_return(model):
+    pixels, depth = grid(), np.linspace(0.1, 2, len(grid())).astype(np.float32)
+    points = jax.jit(deproject, static_argnums=0)(camera(model), pixels, depth)
+    np.testing.assert_allclose(points[:, 2], depth)
+    back = jax.jit(project, static_argnums=0)(camera(model), points)
+    np.testing.assert_allclose(back, pixels, atol=PIXEL)
+    bent = np.abs(np.asarray(points[:, 0] / depth) - (pixels[:, 0] - 318.7) / 322.4).max()
+    assert (bent > 0.01) == (model != Distortion.NONE)
+
+
+@pytest.mark.parametrize("model", [m for m in LENSES if "brown" in m])
+def test_brown_conrady_against_a_solver(model):
+    """The direction that librealsense defines in closed form is the formula; the other solves it."""
+    lens, pixels = camera(model), grid()
+    x, y = ((pixels - [318.7, 181.2]) / [322.4, 322.1]).T
+    if model == Distortion.INVERSE_BROWN_CONRADY:
+        expected = np.stack(brown(lens.coefficients, x, y, False), -1)
+    else:
+        modified = model == Distortion.MODIFIED_BROWN_CONRADY
+        solve = partial(brown, lens.coefficients, modified=modified)
+        expected = np.array(
+            [fsolve(lambda q, a=a, b=b: np.subtract(solve(*q), (a, b)), (a, b)) for a, b in zip(x, y, strict=True)]
+        )
+    points = deproject(lens, jnp.asarray(pixels), jnp.ones(len(pixels)))
+    np.testing.assert_allclose(points[:, :2], expected, atol=PIXEL / 322)
+
+
+def test_fisheyes_against_their_formulas():
+    x = np.array([-0.9, -0.1, 0.0, 0.3, 0.8])
+    points = jnp.float32(np.stack([x, 0.5 * x, np.ones(5)], -1))
+    r = np.hypot(x, 0.5 * x)
+    for model in (Distortion.FTHETA, Distortion.KANNALA_BRANDT4):
+        lens = camera(model)
+        w, (k1, k2, k3, k4, _), t = 0.9, lens.coefficients, np.arctan(r)
+        radius = np.arctan(2 * r * np.tan(w / 2)) / w if model == Distortion.FTHETA else t
+        if model == Distortion.KANNALA_BRANDT4:
+            radius = t + k1 * t**3 + k2 * t**5 + k3 * t**7 + k4 * t**9
+        expected = 318.7 + 322.4 * x * radius / np.where(r == 0, 1, r)
+        np.testing.assert_allclose(project(lens, points)[:, 0], expected, atol=PIXEL)
+
+
+def test_against_opencv():
+    cv2 = pytest.importorskip("cv2")
+    rng = np.random.default_rng(0)
+    points = np.concatenate([rng.uniform(-0.8, 0.8, (50, 2)), np.ones((50, 1))], 1)
+    K = np.array([[322.4, 0, 318.7], [0, 322.1, 181.2], [0, 0, 1.0]])
+    at_rest = (np.zeros(3), np.zeros(3))
+    for model in (Distortion.BROWN_CONRADY, Distortion.KANNALA_BRANDT4):
+        lens = camera(model)
+        if model == Distortion.BROWN_CONRADY:
+            theirs, _ = cv2.projectPoints(points, *at_rest, K, np.array(lens.coefficients))
+        else:
+            theirs, _ = cv2.fisheye.projectPoints(points[:, None], *at_rest, K, np.array(lens.coefficients[:4]))
+        np.testing.assert_allclose(project(lens, jnp.float32(points)), theirs[:, 0], atol=PIXEL)
+
+
+def test_a_pinhole_and_what_a_fisheye_cannot_see():
+    x, y = lines_of_sight(Camera(4, 3, 2.0, 2.0, 1.0, 1.0))
+    np.testing.assert_allclose(x[0], [-0.5, 0, 0.5, 1])
+    np.testing.assert_allclose(y[:, 0], [-0.5, 0, 0.5])
+    beyond = lines_of_sight(Camera(400, 4, 50.0, 50.0, 200.0, 2.0, "kannala_brandt4"))[0]  # 90 degrees at 78 pixels
+    assert np.isfinite(beyond[2, 123:278]).all()
+    assert np.isnan(beyond[2, :121]).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"fx": 0.0}, "focal"),
+        ({"fy": -3.0}, "focal"),
+        ({"cx": float("nan")}, "finite"),
+        ({"width": 1}, "width"),
+        ({"model": "pincushion"}, "pincushion"),
+        ({"coefficients": (0.0,) * 6}, "6 coefficients"),
+        ({"model": "ftheta"}, "field of view"),
+    ],
+)
+def test_impossible_cameras(change, words):
+    with pytest.raises(ValueError, match=words):
+        Camera(**{"width": 640, "height": 360, "fx": 300.0, "fy": 300.0, "cx": 320.0, "cy": 180.0, **change})
+
+
+def test_one_camera_is_one_hash():
+    assert hash(Camera(4, 3, 2.0, 2.0, 1.0, 1.0)) == hash(
+        Camera(4, 3, np.float64(2), 2.0, 1.0, 1.0, "none", (0.0, 0.0))
+    )
+
+
+def png(path, values):
+    Image.fromarray(values).save(path)
+    return path
+
+
+def tif(path, values):
+    tifffile.imwrite(path, values)
+    return path
+
+
+def test_files(tmp_path):
+    stored = np.array([[0, 1000, 65535], [5, 104, 7]], np.uint16)
+    expected = np.where(stored == 0, np.nan, stored * 1e-3).astype(np.float32)
+    for path in (png(tmp_path / "a.png", stored), tif(tmp_path / "a.tif", stored)):
+        np.testing.assert_array_equal(read_depth(path, "mm"), expected)
+        np.testing.assert_array_equal(read_depth(path, 1e-3), expected)
+    floats = np.array([[np.nan, 0.5], [0, 1.25]], np.float32)
+    np.testing.assert_array_equal(read_depth(tif(tmp_path / "b.tiff", floats), "m"), [[np.nan, 0.5], [np.nan, 1.25]])
+    turned = (stored << 3) | (stored >> 13)  # left by three bits
+    path = png(tmp_path / "c.png", turned)
+    np.testing.assert_array_equal(read_depth(path, 1e-3, "rotated"), expected)
+
+
+def test_hostile_files(tmp_path):
+    good = np.full((4, 5), 300, np.uint16)
+    files = {
+        "uint8": png(tmp_path / "a.png", good.astype(np.uint8)),
+        "colour": png(tmp_path / "b.png", np.zeros((4, 5, 3), np.uint8)),
+        "holes": png(tmp_path / "c.png", 0 * good),
+        "single": tif(tmp_path / "d.tif", np.ones((2, 4, 5), np.uint16)),
+        "int32": tif(tmp_path / "e.tif", good.astype(np.int32)),
+        "negative": tif(tmp_path / "f.tif", -good.astype(np.float32)),
+        "infinite": tif(tmp_path / "g.tif", np.full((4, 5), np.inf, np.float32)),
+        "edge": tif(tmp_path / "h.tif", good[:1]),
+        "PNG or TIF": tmp_path / "depth.exr",
+        "cannot be read": tmp_path / "i.png",
+        "cannot be read ": tmp_path / "j.tif",
+    }
+    for name in ("i.png", "j.tif"):
+        (tmp_path / name).write_bytes(b"no image")
+    whole = png(tmp_path / "k.png", np.random.default_rng(0).integers(1, 9999, (64, 64)).astype(np.uint16))
+    (tmp_path / "l.png").write_bytes(whole.read_bytes()[:2000])
+    files["cannot be read  "] = tmp_path / "l.png"
+    words = {"uint8": "mode L", "colour": "mode RGB", "holes": "no pixel"}
+    for name, path in files.items():
+        with pytest.raises(ValueError, match=words.get(name, name.strip())) as caught:
+            read_depth(path, "mm")
+        assert str(path) in str(caught.value)
+    with pytest.raises(FileNotFoundError, match="no such file"):
+        read_depth(tmp_path / "nothing.png", "mm")
+    fine = png(tmp_path / "m.png", good)
+    for scale in ("cm", 0.0, -1e-3, float("nan")):
+        with pytest.raises(ValueError, match="scale"):
+            read_depth(fine, scale)
+    with pytest.raises(ValueError, match="encoding"):
+        read_depth(fine, "mm", "jpeg")
+    with pytest.raises(ValueError, match="cannot be turned"):
+        read_depth(tif(tmp_path / "n.tif", good.astype(np.float32)), "mm", "rotated")
+
+
+def test_views_are_checked():
+    lens, eye = Camera(5, 4, 10.0, 10.0, 2.0, 2.0), np.eye(4)
+    depth = np.full((4, 5), 0.3, np.float32)
+    check_view(depth, lens, eye, eye)
+    gone = np.eye(4)
+    gone[0, 3] = np.nan
+    for arguments, words in [
+        ((depth.T, lens, eye, eye), "shape"),
+        ((np.full((4, 5), 30, np.uint8), lens, eye, eye), "uint8"),
+        ((np.full((4, 5), np.nan, np.float32), lens, eye, eye), "no pixel"),
+        ((np.where(np.eye(4, 5) > 0, -depth, depth), lens, eye, eye), "negative"),
+        ((depth, lens, gone, eye), "T_w_c: holds NaN"),
+        ((depth, lens, eye, np.zeros((4, 4))), "T_w_t: is not a rigid"),
+        ((depth, lens, eye, np.diag([1.0, 1, -1, 1])), "mirrored"),
+        ((depth, lens, eye[:3], eye), "T_w_c: has the shape"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            check_view(*arguments)
+
+
+def test_real_files(shared_data):
+    """Both cameras' files hold plausible distances, and only with the right encoding."""
+    f200 = shared_data / "apc_depth" / "frame-000007.depth.png"
+    depth = read_depth(f200, 1e-4, "rotated")
+    assert depth.shape == (480, 640)
+    assert 0.2 < np.nanmedian(depth) < 0.8  # the range of the F200
+    assert np.nanmedian(np.abs(np.diff(depth))) < 2e-3 < np.nanmedian(np.abs(np.diff(read_depth(f200, 1e-4))))
+    xtion = read_depth(shared_data / "ycbvideo" / "000001-depth.png", 1e-4)
+    assert 0.5 < np.nanmedian(xtion) < 1.2

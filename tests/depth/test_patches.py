@@ -1,0 +1,359 @@
+"""Depth images made by Embree, from rays through the pixels' centres, against patches rendered directly.
+
+The camera is the paper's: 640 x 360, 322 pixels of focal length, 104 mm from the tool, where a pixel is 0.32 mm wide.
+Pixels whose neighbours within two pixels differ by more than 1 mm lie at edges and are left out, as what is seen there
+depends on which side of the edge a pixel's ray passes. Where the camera sees less than the tool is asked of Embree too.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from scipy.spatial.transform import Rotation
+
+from i2t.depth.camera import Camera
+from i2t.depth.distortion import lines_of_sight
+from i2t.depth.patches import DISTANCE, crop_patch, patch_from_depth
+from i2t.objects.catalogue import make
+from i2t.rendering.render import contact_mask, prepare, render_patch
+from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
+
+CAMERA = Camera(640, 360, 322.4, 322.1, 319.5, 179.5)
+ERROR = 1e-4  # m, RMS that is allowed away from edges
+FLAT = 3e-6  # m: float32 holds 0.2 m to 1.5e-8 m; a grazing ray (10 degrees) multiplies ten such roundings by six
+DOWN = np.diag([1.0, -1.0, -1.0])
+# Its outline bends: halfway to the side of all of it the window holds but the handle's flank, where a twentieth of the
+# pixels is away from edges and within the reach, however the camera looks. So places on its parts are looked at too.
+HAMMER = {
+    "hammer's handle": (0.070, 0.018, 0.020),
+    "hammer's head": (0.121, 0.005, 0.025),
+    "hammer's claw": (0.127, -0.040, 0.024),
+}
+
+STATIC = ("camera", "window", "pixels", "reach", "standoff", "grazing", "step", "fill")
+cut = jax.jit(patch_from_depth, static_argnames=STATIC)
+crop = jax.jit(crop_patch, static_argnames=("camera", "distance", "window", "pixels", "reach"))
+render = jax.jit(render_patch, static_argnames=("window", "pixels", "reach"))
+
+
+def pose(rotation, position) -> np.ndarray:
+    T = np.eye(4, dtype=np.float32)
+    T[:3, :3], T[:3, 3] = rotation, position
+    return T
+
+
+def views(tilt: float, at, distance: float = DISTANCE) -> tuple[np.ndarray, np.ndarray]:
+    """T_w_c and T_w_t: a tool that points down at a place, and a camera that looks at it, tilted by some degrees."""
+    look = DOWN @ Rotation.from_euler("yx", [tilt, tilt / 3], degrees=True).as_matrix()
+    return pose(look, np.asarray(at) - distance * look[:, 2]), pose(DOWN, at)
+
+
+def image(mesh, T_w_c: np.ndarray, camera: Camera = CAMERA) -> np.ndarray:
+    """Depth (h, w) m of a scene, NaN where nothing is hit."""
+    scene = EmbreeScene()
+    TriangleMesh(scene, np.asarray(mesh.vertices, np.float32)[np.asarray(mesh.faces)])
+    x, y = np.asarray(lines_of_sight(camera), float)
+    rays = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3) @ T_w_c[:3, :3].T.astype(float)
+    starts = np.broadcast_to(T_w_c[:3, 3], rays.shape)
+    hits = scene.run(starts.astype(np.float32), rays.astype(np.float32), output=1)  # in units of the rays: depth
+    return np.where(hits["primID"] < 0, np.nan, hits["tfar"]).reshape(x.shape).astype(np.float32)
+
+
+def in_sight(mesh, T_w_c: np.ndarray, T_w_t: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Whether nothing is between the camera and what a patch shows (n, n), and its angle to the line of sight (rad)."""
+    scene = EmbreeScene()
+    TriangleMesh(scene, np.asarray(mesh.vertices, np.float32)[np.asarray(mesh.faces)])
+    along = ((np.arange(PATCH_PIXELS) + 0.5) / PATCH_PIXELS - 0.5) * PATCH_WINDOW
+    points = np.stack([*np.meshgrid(along, along), heights], -1).reshape(-1, 3) @ T_w_t[:3, :3].T + T_w_t[:3, 3]
+    rays = (points - T_w_c[:3, 3]).astype(np.float32)
+    hits = scene.run(np.broadcast_to(T_w_c[:3, 3], rays.shape).astype(np.float32), rays, output=1)
+    length = np.linalg.norm(rays, axis=1)
+    cosine = np.abs((hits["Ng"] * rays).sum(1)) / (length * np.linalg.norm(hits["Ng"], axis=1).clip(1e-30))
+    free = (1 - hits["tfar"]) * length < 0.2e-3  # a grazing ray may meet its facet a little before the point
+    return free.reshape(heights.shape), np.arcsin(cosine.clip(0, 1)).reshape(heights.shape)
+
+
+def scene(name: str) -> trimesh.Trimesh:
+    """An object on a table."""
+    mesh = make(name.split("'")[0]).mesh
+    table = trimesh.creation.box((0.6, 0.6, 0.01)).apply_translation([0, 0, -0.005])
+    return trimesh.util.concatenate([trimesh.Trimesh(mesh.vertices, mesh.faces, process=False), table])
+
+
+def beside(name: str) -> np.ndarray:
+    """A place on the top of an object, halfway to its side, so that the window holds some of the edge."""
+    if name in HAMMER:
+        return np.array(HAMMER[name])
+    vertices = np.asarray(make(name).mesh.vertices)
+    return np.array([0.5 * np.abs(vertices[:, 0]).max(), -0.002, vertices[:, 2].max()])
+
+
+def heights(patch) -> np.ndarray:
+    return np.asarray(patch.depth) + float(patch.nearest)
+
+
+def around(image: np.ndarray) -> np.ndarray:
+    """(n, n, 5, 5), the pixels within two of each."""
+    return np.lib.stride_tricks.sliding_window_view(np.pad(image, 2, mode="edge"), (5, 5))
+
+
+def away(depth: np.ndarray) -> np.ndarray:
+    """Whether pixels are away from edges."""
+    return np.ptp(around(depth), axis=(2, 3)) < 1e-3
+
+
+def rms(values) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+@pytest.mark.parametrize("tilt", [0.0, 30.0, 50.0])
+@pytest.mark.parametrize("name", ["hexagon", "star", "stairs", "wedge", "dome", "torus", "stamp-T", "hammer", *HAMMER])
+def test_against_direct_rendering(name, tilt):
+    mesh, (T_w_c, T_w_t) = scene(name), views(tilt, beside(name))
+    real, imagined = cut(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare(mesh), T_w_t)
+    seen = np.asarray(real.seen)
+    assert not (seen & np.asarray(real.filled)).any()
+    # Where the reach hides what is deeper, both read it; so depths are compared from the imagined nearest point.
+    theirs = np.asarray(imagined.depth)
+    ours = np.minimum(heights(real.patch) - float(imagined.nearest), REACH)
+    inner = seen & away(theirs) & (np.asarray(real.patch.depth) < REACH)
+    assert inner.mean() > (0.04 if name == "hammer" else 0.25)
+    assert rms((ours - theirs)[inner]) <= (FLAT if name in ("hexagon", "star", "stairs") else ERROR)
+    # What a camera says it saw is there, at edges too: no closer than the surface within a pixel and a half of 0.5 mm.
+    assert (ours >= around(theirs).min((2, 3)) - ERROR)[seen].all()
+    # What is compared is nearly all there is: a camera misses what is hidden from it or grazes its line of sight, and
+    # what is within a pixel of an edge, which may be one to where the reach hides how deep it is.
+    free, angle = in_sight(mesh, T_w_c, T_w_t, heights(imagined))
+    plain = away(theirs) & (around(theirs).max((2, 3)) < REACH)
+    known = plain & around(free).all((2, 3)) & (angle > np.radians(12))
+    assert known.mean() > (0.04 if name == "hammer" else 0.25)
+    assert seen[known].mean() > 0.95
+    assert not (seen & plain & ~free).any()
+
+
+def roof(left: float, right: float) -> trimesh.Trimesh:
+    """A ridge at height 0 along y that falls off with two slopes."""
+    vertices = [(x, y, -z) for y in (-0.05, 0.05) for x, z in ((-0.05, 0.05 * left), (0, 0), (0.05, 0.05 * right))]
+    return trimesh.Trimesh(vertices, [(0, 1, 4), (0, 4, 3), (1, 2, 5), (1, 5, 4)], process=False)
+
+
+@pytest.mark.parametrize(("left", "right"), [(1.0, 1.0), (0.4, 2.0)])
+def test_sharp_ridges_are_cut_off(left, right):
+    """A triangle w wide across a ridge of two slopes meets its sides, not itself, and is at most (left + right) w / 4
+    too deep; w is a pixel for a ridge along rows or columns and up to the diagonal of one otherwise.
+    """
+    T_w_c, T_w_t = views(0.0, np.zeros(3))
+    centre = 0.5 * PATCH_WINDOW / PATCH_PIXELS  # of a pixel of the patch, and of a cell of the image
+    T_w_c[:2, 3] = centre
+    rng = np.random.default_rng(0)
+    turns = np.array([0.0, 45.0, -45.0, *rng.uniform(0, 180, 5)])
+    shifts = np.concatenate([np.zeros((3, 2)), rng.uniform(-2e-4, 2e-4, (5, 2))])
+    pixel = DISTANCE / CAMERA.fy / (1 - PATCH_WINDOW / DISTANCE * max(left, right))  # further on a side that falls off
+    worst = (left + right) / 4 * pixel
+    for turn, shift in zip(turns, shifts, strict=True):
+        turned = Rotation.from_euler("z", turn, degrees=True).as_matrix()
+        mesh = roof(left, right).apply_transform(pose(turned, [*(shift + centre), 0]))
+        real, imagined = cut(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare(mesh), T_w_t)
+        near = np.asarray(real.seen) & (np.asarray(imagined.depth) < 2e-3)
+        error = (heights(real.patch) - heights(imagined))[near]
+        closest = float(real.patch.nearest - imagined.nearest)
+        assert near.mean() > 0.1
+        assert error.min() >= -FLAT
+        assert error.max() <= (1 if turn == 0 else math.sqrt(2)) * worst + FLAT
+        assert -FLAT <= closest <= error.max() + FLAT
+        if turn == 0:  # the worst: the ridge along the middle of its cells, and every row alike
+            assert error.max() == pytest.approx((left + right) / 4 * DISTANCE / CAMERA.fx, rel=0.02)
+
+
+def test_quantised_depth():
+    """Rounding moves a pixel by at most q / 2 along its ray, and the tilt and the slope here a little more along z."""
+    mesh, (T_w_c, T_w_t) = scene("dome"), views(10.0, beside("dome"))
+    exact, imagined = image(mesh, T_w_c), render(prepare(mesh), T_w_t)
+    for q in (1e-4, 1e-3):
+        real = cut(np.float32(np.round(exact / q) * q), CAMERA, T_w_c, T_w_t)
+        error = heights(real.patch) - heights(imagined)
+        inner = np.asarray(real.seen) & away(np.asarray(imagined.depth))
+        assert inner.mean() > 0.5
+        assert rms(error[inner]) <= 0.6 * q + 1e-5
+
+
+def test_flying_pixels_are_no_surface():
+    """At every depth edge one pixel in between is put on either side, as cameras do."""
+    mesh, (T_w_c, T_w_t) = scene("hexagon"), views(0.0, beside("hexagon"))
+    T_w_t[0, 3] = T_w_c[0, 3] = np.asarray(make("hexagon").mesh.vertices)[:, 0].max() - 3e-3
+    exact = image(mesh, T_w_c)
+    mixed = exact.copy()
+    edge = np.abs(np.diff(exact, axis=1)) > 5e-3
+    rows, columns = np.nonzero(edge)
+    mixed[rows, columns] = (exact[rows, columns] + exact[rows, columns + 1]) / 2
+    assert edge.sum() > 30
+    clean, flying = (cut(depth, CAMERA, T_w_c, T_w_t) for depth in (exact, mixed))
+    both = np.asarray(clean.seen & flying.seen)
+    assert both.mean() > 0.5
+    np.testing.assert_allclose(np.asarray(flying.patch.depth)[both], np.asarray(clean.patch.depth)[both], atol=FLAT)
+    slopes = cut(mixed, CAMERA, T_w_c, T_w_t, grazing=1e-3)  # with edges taken for surface there is one in between
+    between = (np.asarray(slopes.patch.depth) > 0.2e-3) & (np.asarray(slopes.patch.depth) < REACH)
+    assert between[np.asarray(slopes.seen)].sum() > 10
+    between = (np.asarray(flying.patch.depth) > 0.2e-3) & (np.asarray(flying.patch.depth) < REACH)
+    assert not between[np.asarray(flying.seen)].any()
+
+
+@pytest.mark.parametrize(
+    ("model", "coefficients"),
+    [
+        ("brown_conrady", (-0.1, 0.03, 1e-3, -1e-3, 0.01)),
+        ("inverse_brown_conrady", (0.1, 0.0, 1e-3)),
+        ("ftheta", (0.8,)),
+    ],
+)
+def test_distorted_images(model, coefficients):
+    camera = Camera(640, 360, 322.4, 322.1, 310.0, 170.0, model, coefficients)
+    mesh, (T_w_c, T_w_t) = scene("torus"), views(25.0, beside("torus"))
+    depth, imagined = image(mesh, T_w_c, camera), render(prepare(mesh), T_w_t)
+    real, straight = cut(depth, camera, T_w_c, T_w_t), cut(depth, CAMERA, T_w_c, T_w_t)
+    inner = np.asarray(real.seen) & away(np.asarray(imagined.depth))
+    assert inner.mean() > 0.3
+    assert rms((heights(real.patch) - heights(imagined))[inner]) <= ERROR
+    assert rms((heights(straight.patch) - heights(imagined))[inner]) > ERROR  # the lens matters here
+
+
+def plane(depth: float = DISTANCE) -> np.ndarray:
+    return np.full((CAMERA.height, CAMERA.width), depth, np.float32)
+
+
+def test_holes():
+    """Small ones are bridged, large ones marked, and both are told apart from what was seen."""
+    T_w_t = pose(np.eye(3), [0, 0, DISTANCE])
+    depth = plane()
+    depth[:, 300] = np.nan  # two cells of 0.32 mm
+    depth[170:200, 325:345] = 0  # 20 pixels, 6.8 mm between what is measured on its sides
+    real = cut(depth, CAMERA, np.eye(4, dtype=np.float32), T_w_t)
+    seen, filled, patch = np.asarray(real.seen), np.asarray(real.filled), np.asarray(real.patch.depth)
+    along = ((np.arange(PATCH_PIXELS) + 0.5) / PATCH_PIXELS - 0.5) * PATCH_WINDOW
+    column = CAMERA.cx + CAMERA.fx * along / DISTANCE
+    row = CAMERA.cy + CAMERA.fy * along / DISTANCE
+    narrow = np.broadcast_to(np.abs(column - 300) < 1, seen.shape)
+    wide = ((row > 169) & (row < 200))[:, None] & ((column > 324) & (column < 345))[None, :]
+    np.testing.assert_array_equal(filled & narrow, narrow)
+    # At each of the hole's corners three of four pixels are measured, which is half a cell of surface.
+    assert (seen != (~narrow & ~wide)).sum() <= 4
+    assert (wide & ~filled).sum() > 0.9 * wide.sum()  # but for its corners, which a diagonal cuts off
+    np.testing.assert_allclose(patch[~wide], 0, atol=FLAT)
+    np.testing.assert_array_equal(patch[~seen & ~filled], np.float32(REACH))
+    none = cut(depth, CAMERA, np.eye(4, dtype=np.float32), T_w_t, fill=0.0)
+    assert not np.asarray(none.filled).any()
+
+
+def test_what_is_hidden_is_not_made_up():
+    """A camera from the side does not see the table behind a block, and the space above it does not count as seen."""
+    block = trimesh.creation.box((0.02, 0.04, 0.003)).apply_translation([0, 0, 0.0015])
+    table = trimesh.creation.box((0.6, 0.6, 0.01)).apply_translation([0, 0, -0.005])
+    mesh = trimesh.util.concatenate([block, table])
+    T_w_c, T_w_t = views(50.0, [0.010, 0, 0.003])
+    real = cut(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t)
+    x = ((np.arange(PATCH_PIXELS) + 0.5) / PATCH_PIXELS - 0.5) * PATCH_WINDOW  # tool x is world x here
+    toward = np.sign(T_w_c[0, 3] - 0.010)
+    hidden = (x > 0.3e-3) & (x < 2.5e-3) if toward < 0 else (x < -0.3e-3) & (x > -2.5e-3)
+    if toward < 0:  # the camera is on the block's side: tan(50 degrees) of 3 mm lie in its shadow
+        assert not np.asarray(real.seen)[:, hidden].any()
+    np.testing.assert_allclose(np.asarray(real.patch.depth)[:, x < -0.5e-3], 0, atol=FLAT)
+    np.testing.assert_allclose(np.asarray(real.patch.depth)[:, x > 4.5e-3], 3e-3, atol=FLAT)
+    assert np.asarray(real.seen)[:, np.abs(x) > 4.5e-3].all()
+
+
+def test_the_wide_view_holds_the_patch():
+    mesh, (T_w_c, T_w_t) = scene("star"), views(30.0, beside("star"))
+    depth = image(mesh, T_w_c)
+    small = cut(depth, CAMERA, T_w_c, T_w_t, reach=8e-3)
+    wide = cut(depth, CAMERA, T_w_c, T_w_t, WIDE_WINDOW, WIDE_PIXELS, reach=8e-3)
+    centre = (slice((WIDE_PIXELS - PATCH_PIXELS) // 2, (WIDE_PIXELS + PATCH_PIXELS) // 2),) * 2
+    assert wide.patch.nearest <= small.patch.nearest
+    known = np.asarray(small.seen & wide.seen[centre]) & (np.asarray(wide.patch.depth)[centre] < 8e-3 - 1e-6)
+    assert known.mean() > 0.3
+    np.testing.assert_allclose(heights(small.patch)[known], heights(wide.patch)[centre][known], atol=FLAT)
+
+
+def test_batches_are_their_elements():
+    names = ("hexagon", "dome", "hammer")
+    poses = [views(tilt, beside(name)) for tilt, name in zip((0.0, 20.0, 40.0), names, strict=True)]
+    depths = np.stack([image(scene(name), T_w_c) for name, (T_w_c, _) in zip(names, poses, strict=True)])
+    T_w_c, T_w_t = (np.stack(part) for part in zip(*poses, strict=True))
+    together = jax.jit(jax.vmap(patch_from_depth, (0, None, 0, 0)), static_argnums=1)(depths, CAMERA, T_w_c, T_w_t)
+    for i in range(len(names)):
+        alone = cut(depths[i], CAMERA, T_w_c[i], T_w_t[i])
+        assert (np.asarray(alone.seen) == np.asarray(together.seen[i])).mean() > 0.999  # a ray may graze an edge
+        both = np.asarray(alone.seen & together.seen[i])
+        np.testing.assert_allclose(
+            np.asarray(alone.patch.depth)[both], np.asarray(together.patch.depth[i])[both], atol=FLAT
+        )
+
+
+def test_hostile_values():
+    eye, T_w_t = np.eye(4, dtype=np.float32), pose(np.eye(3), [0, 0, DISTANCE])
+    for nothing in (np.nan * plane(), 0 * plane(), -plane(), np.inf * plane()):
+        real = cut(nothing, CAMERA, eye, T_w_t)
+        assert not np.asarray(real.seen | real.filled).any()
+        assert real.patch.nearest == np.inf
+        np.testing.assert_array_equal(real.patch.depth, np.float32(REACH))
+    lost = eye.copy()
+    lost[1, 3] = np.nan
+    for bad in (lost, 0 * eye, 2 * eye, np.diag([1, 1, -1, 1]).astype(np.float32)):
+        for poses in ((bad, T_w_t), (eye, bad)):
+            real = cut(plane(), CAMERA, *poses)
+            assert np.isnan(real.patch.depth).all()
+            assert np.isnan(real.patch.nearest)
+            assert not np.asarray(real.seen | real.filled).any()
+    behind = cut(plane(), CAMERA, eye, pose(np.eye(3), [0, 0, -1.0]))  # a tool behind the camera still looks forwards
+    np.testing.assert_allclose(behind.patch.nearest, 1 + DISTANCE, rtol=1e-5)
+    elsewhere = cut(plane(), CAMERA, eye, pose(np.eye(3), [5, 0, DISTANCE]))
+    assert not np.asarray(elsewhere.seen).any()
+    assert elsewhere.patch.nearest == np.inf
+    with pytest.raises(ValueError, match="shape"):
+        cut(plane().T, CAMERA, eye, T_w_t)
+    with pytest.raises(ValueError, match="uint16"):
+        cut(np.ones((360, 640), np.uint16), CAMERA, eye, T_w_t)
+
+
+def test_the_authors_crop():
+    """Right on a plane at its distance, too large nearer by; it knows its holes, and refuses what it cannot hold."""
+    cropped = crop(plane(), CAMERA)
+    np.testing.assert_allclose(cropped.patch.nearest, 0, atol=FLAT)
+    np.testing.assert_array_equal(cropped.patch.depth, 0)
+    assert np.asarray(cropped.seen).all()
+    assert np.ptp([round(CAMERA.cx + CAMERA.fx * s * 8.5e-3 / DISTANCE) for s in (-1, 1)]) == 53  # as the paper's code
+    depth = plane()
+    depth[:180] = 0.1  # above the principal point, so at negative y
+    depth[180, 320] = np.nan
+    cropped = crop(depth, CAMERA)
+    np.testing.assert_allclose(cropped.patch.nearest, 0.1 - DISTANCE, atol=FLAT)
+    np.testing.assert_allclose(cropped.patch.depth[:24], 0, atol=FLAT)
+    assert cropped.patch.depth[24, 24] == np.float32(REACH)
+    np.testing.assert_array_equal(np.argwhere(~np.asarray(cropped.seen)), [[24, 24]])
+    np.testing.assert_allclose(np.asarray(cropped.patch.depth)[25:], 4e-3, atol=FLAT)
+    exact = cut(depth, CAMERA, np.eye(4, dtype=np.float32), pose(np.eye(3), [0, 0, DISTANCE]))
+    assert exact.patch.nearest == pytest.approx(0.1 - DISTANCE, abs=FLAT)
+    empty = crop(0 * plane(), CAMERA)
+    assert empty.patch.nearest == np.inf
+    np.testing.assert_array_equal(empty.patch.depth, np.float32(REACH))
+    with pytest.raises(ValueError, match="does not hold"):
+        crop(plane(), CAMERA, window=0.2)
+    with pytest.raises(ValueError, match="uint8"):
+        crop(np.ones((360, 640), np.uint8), CAMERA)
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 2e-3])
+def test_contact_masks_agree(tolerance):
+    """The authors' rule, pixels within 1 to 2 mm of the nearest, says the same of both patches away from edges."""
+    mesh, (T_w_c, T_w_t) = scene("stamp-T"), views(0.0, beside("stamp-T"))
+    real, imagined = cut(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare(mesh), T_w_t)
+    inner = np.asarray(real.seen) & away(np.asarray(imagined.depth))
+    ours, theirs = (np.asarray(contact_mask(patch.depth, tolerance)) for patch in (real.patch, imagined))
+    assert 0.05 < theirs.mean() < 0.95
+    np.testing.assert_array_equal(ours[inner], theirs[inner])
+    np.testing.assert_array_equal(theirs, np.asarray(imagined.depth) <= tolerance)
+    assert jnp.issubdtype(contact_mask(real.patch.depth).dtype, jnp.floating)

@@ -1,0 +1,206 @@
+"""The simulated lab against closed forms, against the renderer, and against the physics that it tabulates."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.closed_form import DOWN, GAIN, HEIGHT, NOISY, QUIET, WALL
+from scipy.spatial.transform import Rotation
+
+from i2t.depth.camera import Camera
+from i2t.emulators.in_process import TICK, Lab, SimulatedArm, SimulatedCamera, SimulatedSkin, Virtual
+from i2t.emulators.scene import LOADS, Feeler, Flat, Scene, _meet, see
+from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
+from i2t.hardware.clock import Monotonic
+from i2t.hardware.limits import Limits
+from i2t.hardware.protocols import Arm, DepthCamera, Skin
+from i2t.hardware.rig import Rig
+from i2t.objects import catalogue
+from i2t.skin import boards
+from i2t.skin.pad import nominal_pad
+
+LENS = Camera(80, 60, 60.0, 61.0, 39.5, 29.5)
+BOX = Limits((0.2, -0.3, 0.0), (0.6, 0.3, 0.5))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    rig = Rig()
+    return Scene(catalogue.make("dome").mesh, rig.T_base_world @ rig.T_world_object, nominal_pad(), QUIET)
+
+
+def pose(x, y, z, turned=DOWN):
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = turned, [x, y, z]
+    return T
+
+
+def lab(errors=QUIET, clock=None, stiffness=10e3):
+    return Lab(Flat(HEIGHT, stiffness, GAIN, errors, boards.reskin()), clock or Virtual(WALL))
+
+
+def test_they_are_what_the_protocols_say(scene):
+    inside = lab()
+    arm, skin = SimulatedArm(inside, BOX), SimulatedSkin(inside)
+    assert isinstance(arm, Arm)
+    assert isinstance(skin, Skin)
+    eye = SimulatedCamera(scene, LENS, np.eye(4), lambda: arm.state().T_b_t, inside.clock)
+    with eye:
+        assert isinstance(eye, DepthCamera)
+    assert arm.features.source == skin.features.source == "simulated"
+    for call in (arm.state, skin.latest, eye.capture):
+        with pytest.raises(NotConnectedError):
+            call()
+
+
+def test_a_line_over_a_dome_is_the_physics_between_its_loads_too(scene):
+    """Down on a half ball of 30 mm: where it begins, and travel and reading at loads that are not tabulated. Between
+    loads that grow by 1.85, straight pieces of a force that grows as travel to the power 1.5 are off by up to 4 %.
+    """
+    start = pose(0.4, 0.0, 0.07)
+    line = scene.ahead(start)
+    np.testing.assert_allclose(line.first, 0.07 - 0.03, atol=0.05e-3)  # chords of the mesh and cells of the grid
+    T_o_t = jnp.asarray(np.linalg.inv(scene.T_b_o) @ start, jnp.float32)
+    loads = LOADS * np.sqrt(LOADS[1] / LOADS[0])
+    _, sunk, _, readings = _meet(scene._surface, T_o_t, scene.pad, jnp.asarray(loads, jnp.float32))
+    for i in range(3, 11):
+        force, centre, reading = line.felt(line.first + float(sunk[i]) + loads[i] / scene.stiffness)
+        np.testing.assert_allclose(force, loads[i], rtol=0.05)
+        np.testing.assert_allclose(reading, readings[i], atol=0.08 * np.linalg.norm(readings[i]))
+        np.testing.assert_allclose(centre, 0, atol=0.1e-3)
+
+
+def test_a_softer_mount_sinks_by_force_through_stiffness(scene):
+    line = scene.ahead(pose(0.4, 0.0, 0.07))
+    hard, scene.stiffness = scene.stiffness, 2e3
+    try:
+        soft = scene.ahead(pose(0.4, 0.0, 0.07))
+    finally:
+        scene.stiffness = hard
+    np.testing.assert_allclose(soft.sunk - line.sunk, line.force * (1 / 2e3 - 1 / hard), atol=1e-9)
+
+
+def test_nothing_is_met_beside_the_object_and_off_the_line(scene):
+    line = scene.ahead(pose(0.5, 0.0, 0.07))
+    assert line.first == np.inf
+    assert line.felt(0.1)[0] == 0.0
+    assert line.on(np.array([0.5, 0.0, 0.05]), DOWN) == pytest.approx(0.02)
+    assert line.on(np.array([0.501, 0.0, 0.05]), DOWN) is None
+    feeler = Feeler(scene)
+    for x in np.linspace(0.35, 0.45, 20):  # through the object, but never standing
+        assert not feeler(np.array([x, 0.0, 0.01]), DOWN).any()
+
+
+def test_a_feeler_beside_the_work_finds_the_same(scene):
+    waits, beside = Feeler(scene), Feeler(scene, wait=False)
+    for feeler in (waits, beside):
+        for _ in range(10):
+            feeler(np.array([0.4, 0.0, 0.07]), DOWN)
+    assert beside._coming is not None
+    beside._coming.result()
+    at = np.array([0.4, 0.0, 0.0297])
+    np.testing.assert_allclose(beside(at, DOWN), waits(at, DOWN), rtol=1e-5, atol=1e-7)
+    assert waits(at, DOWN)[2] > 0.3
+    np.testing.assert_allclose(beside.reading, waits.reading, rtol=1e-4, atol=1e-4)
+
+
+def test_force_off_the_middle_gives_a_torque(scene):
+    """On the dome beside its top the contact lies off the tool's middle: torque is place x force."""
+    feeler = Feeler(scene)
+    for _ in range(10):
+        feeler(np.array([0.405, 0.0, 0.07]), DOWN)
+    wrench = feeler(np.array([0.405, 0.0, 0.029]), DOWN)
+    np.testing.assert_allclose(wrench[:2], 0, atol=1e-9)
+    np.testing.assert_allclose(np.cross([-0.005, 0.0, 0.0], wrench[:3]), wrench[3:], atol=0.1 * wrench[2] * 5e-3)
+
+
+def test_a_view_of_a_plane_is_its_equation():
+    """Any plane, any pose: every pixel that sees it measures where its ray meets it."""
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        T = pose(*rng.uniform(-0.05, 0.05, 2), 0.2, Rotation.random(rng=rng).as_matrix())
+        T[:3, :3] = Rotation.from_rotvec(rng.normal(0, 0.15, 3)).as_matrix() @ DOWN
+        corners = np.array([[-0.3, -0.25, 0], [0.3, -0.25, 0.05], [0, 0.3, -0.05]])
+        depth, which = see(corners[None], T, LENS)
+        normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+        v, u = np.indices(depth.shape)
+        rays = np.stack([(u - LENS.cx) / LENS.fx, (v - LENS.cy) / LENS.fy, np.ones(depth.shape)], -1) @ T[:3, :3].T
+        expected = (normal @ (corners[0] - T[:3, 3])) / (rays @ normal)
+        assert (which == 0).mean() > 0.5
+        np.testing.assert_allclose(depth[which == 0], expected[which == 0], rtol=1e-9)
+
+
+def test_the_nearer_of_two_surfaces_is_seen_and_a_bent_lens_is_refused():
+    near = np.array([[-0.01, -0.01, 0.1], [0.01, -0.01, 0.1], [0, 0.02, 0.1]])
+    far = near * [40, 40, 1] - [0, 0, 0.1]
+    for triangles in (np.stack([near, far]), np.stack([far, near])):
+        depth, _ = see(triangles, pose(0, 0, 0.2), LENS)
+        assert depth[30, 40] == pytest.approx(0.1)
+        assert depth[10, 10] == pytest.approx(0.2)
+    with pytest.raises(ValueError, match="lens"):
+        see(near[None], pose(0, 0, 0.2), Camera(8, 8, 5.0, 5.0, 4.0, 4.0, "ftheta", (1.0,)))
+
+
+def test_noise_at_rest_has_the_size_that_real_boards_have():
+    inside = lab(NOISY)
+    with SimulatedSkin(inside) as skin:
+        samples = skin.read(4000)
+    np.testing.assert_allclose(np.diff(samples.time), TICK, rtol=1e-6)
+    # A slow field of a quarter of the variance is seen ten times over: one part in six of its size is not.
+    spread = samples.reading.reshape(-1, 5, 3).std(axis=0).mean(axis=0)
+    np.testing.assert_allclose(spread, [3.1, 3.1, 4.6], rtol=0.15)
+    steps = samples.reading.reshape(-1, 5, 3) / [0.150, 0.150, 0.242]
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
+
+
+def test_a_late_arm_overshoots_by_what_it_is_late():
+    for latency in (0.0, 0.05):
+        inside = lab()
+        with SimulatedArm(inside, BOX, latency) as arm:
+            arm.go(pose(0.4, 0.0, 0.035), 0.1, 0.5)
+            inside.clock.sleep(0.05)
+            pressed = arm.approach(0.02, 0.004, None, 8.0, 8.0, 0.2)
+        late = latency + 3 * TICK  # it looks every third tick
+        force = -pressed.state.wrench[2]
+        assert pressed.reason == "force"
+        assert 8.0 + 10e3 * 0.004 * latency <= force < 8.0 + 10e3 * (0.004 * (late + TICK) + 0.004**2 / 4) + 0.05
+
+
+def test_goals_outside_the_box_and_forces_in_the_way_are_refused():
+    inside = lab()
+    with SimulatedArm(inside, BOX) as arm:
+        with pytest.raises(ValueError, match="outside the box"):
+            arm.move(pose(0.7, 0.0, 0.2))
+        with pytest.raises(ValueError, match="speed"):
+            arm.move(pose(0.4, 0.0, 0.2), 2.0)
+        arm.go(pose(0.4, 0.0, 0.05))
+        inside.clock.sleep(0.05)
+        with pytest.raises(DeviceError, match="met something"):
+            arm.go(pose(0.4, 0.0, 0.01), 0.05)
+        assert not arm.state().moving
+        arm.go(pose(0.4, 0.0, 0.05))
+
+
+def test_an_arm_feels_what_it_meets_however_short_it_stood_before():
+    inside = lab()
+    with SimulatedArm(inside, BOX) as arm:
+        arm.go(pose(0.4, 0.0, 0.05))
+        assert inside.feeler._line is None
+        arm.go(pose(0.4, 0.0, HEIGHT - 0.5e-3), 0.05)
+        np.testing.assert_allclose(arm.state().wrench, [0, 0, -5, 0, 0, 0], atol=1e-6)
+
+
+def test_on_the_clock_of_this_machine_it_takes_its_time():
+    inside = lab(clock=Monotonic())
+    with SimulatedSkin(inside) as skin, SimulatedArm(inside, BOX) as arm:
+        before = inside.clock.now()
+        arm.move(pose(0.4, 0.0, 0.28), 0.1, 0.5)
+        assert arm.state().moving
+        samples = skin.read(40)
+        assert inside.clock.now() - before > 0.09
+        assert before < samples.time[0] < samples.time[-1] <= inside.clock.now()
+        arm.stop()
+        assert not arm.state().moving
+        skin.silent = True
+        inside.recording = False
+        with pytest.raises(DeviceTimeoutError):
+            skin.read(5, timeout=0.05)

@@ -1,0 +1,96 @@
+"""The emulated arm and the emulated skin that it wears: what the one presses the other feels, by i2t's own physics."""
+
+import os
+import signal
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from i2t.emulators import lab, reskin_board, ur_controller
+from i2t.emulators.ur_contact import PAD
+from i2t.hardware.reskin.driver import ReSkin
+from i2t.hardware.rig import Rig
+from i2t.hardware.ur.driver import UR, from_ur
+from i2t.skin.contact import GRID
+from i2t.skin.dipoles import rest_field
+from i2t.skin.noise import Noise
+from i2t.skin.pad import press, sample_pad
+
+PATIENCE = 20.0  # s that a loaded machine may need
+ABOVE, TOP, STIFFNESS = 0.05, 0.03, 20e3  # m, m, N/m: the star's top is flat, and wider than the skin
+SAMPLES = 200
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs the addresses 127.x.y.z")
+
+
+def down(z):
+    return from_ur([0.4, 0.0, z, np.pi, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def touching(tmp_path_factory):
+    """A pair over a star, without errors of placement."""
+    pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
+    pose = ["0.4", "0", str(ABOVE), str(np.pi), "0", "0"]
+    host, link = ur_controller.loopback(200), str(tmp_path_factory.mktemp("pair") / "skin")
+    options = ["--object", "star", "--exact", "--mount", str(STIFFNESS), "--noise", "0", "--pose", *pose]
+    with lab.started("--host", host, "--link", link, *options) as running:
+        yield host, link
+        running.send_signal(signal.SIGTERM)
+        assert running.wait(PATIENCE) == 0
+    assert not os.path.islink(link)  # the board has ended too
+
+
+def test_a_press_is_felt_as_the_physics_says(touching):
+    pad = jax.jit(sample_pad)(jax.random.key(PAD))
+    nominal = np.asarray(pad.board.to_board(rest_field(pad)), float)
+    presses = []
+    with ReSkin(touching[1]) as skin, UR(touching[0], Rig().limits, stale=3.0, watchdog=0.3) as arm:
+        assert arm.features.source == skin.features.source == "emulated"
+        ambient = skin.read(SAMPLES, PATIENCE).reading.mean(0)
+        arm.zero_wrench(PATIENCE)
+        for force in (1.0, 6.0):
+            done = arm.approach(0.03, 0.01, force=force, acceleration=0.2)
+            assert done.reason == "force"
+            assert -done.state.wrench[2] > force
+            np.testing.assert_allclose(done.state.wrench[:2], 0.0, atol=1e-6)
+            presses.append((done, skin.read(SAMPLES, PATIENCE).reading.mean(0) - ambient))
+            arm.go(down(ABOVE), 0.1)
+        after = skin.read(SAMPLES, PATIENCE).reading.mean(0)
+        assert skin.counters.loss < 1e-3
+    # The pad's own field at rest; the room's and a mean of noise, five sigma of it, are on top.
+    noise = 5 * 4.6 / np.sqrt(SAMPLES)
+    room = reskin_board.Readings(0.0, 0.0, None, 0).at(0.0)[0]
+    np.testing.assert_allclose(ambient, nominal + room, atol=noise + 0.25)
+    np.testing.assert_allclose(after, ambient, atol=noise * np.sqrt(2))
+    pressed = jax.jit(lambda depth: press(pad, jnp.zeros((GRID.cells, GRID.cells)), depth))
+    for done, change in presses:
+        # What the tool travelled past the top is the skin's indentation and the give of arm and mount.
+        felt, sunk = -done.state.wrench[2], TOP - (ABOVE - done.travel)
+        expected = pressed(jnp.asarray(sunk - felt / STIFFNESS, jnp.float32))
+        # Force and reading lie between those of loads a factor of 1.85 apart, and for a flat on straight lines. It is
+        # stiff: 3 % of 6 N are a micrometre of depth.
+        assert felt == pytest.approx(float(expected.force), rel=0.03)
+        wanted = np.asarray(expected.reading)
+        np.testing.assert_allclose(change, wanted, atol=noise * np.sqrt(2) + 0.03 * abs(wanted).max())
+        assert np.linalg.norm(wanted) > 10  # uT, so that there is something to compare
+
+
+def test_the_noise_is_the_worlds(touching):
+    with ReSkin(touching[1]) as skin:
+        sigma = skin.read(400, PATIENCE).reading.std(0)
+    np.testing.assert_allclose(sigma, Noise().sigma, rtol=0.2)  # 400 samples: 3.5 % of one sigma
+
+
+def test_what_cannot_be_touched_is_said(tmp_path):
+    for options, why in (
+        (["--object", "nothing.stl"], r"nothing\.stl"),
+        (["--object", "star", "--rig", str(tmp_path / "nowhere.toml")], "no such file"),
+        (["--object", "star", "--pad", str(tmp_path / "nowhere.npz")], r"nowhere\.npz"),
+    ):
+        with pytest.raises(SystemExit, match=why) as ended:
+            ur_controller.main(["--host", ur_controller.loopback(202), *options])
+        assert "\n" not in str(ended.value)

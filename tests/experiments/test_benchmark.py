@@ -1,0 +1,125 @@
+"""The benchmark compares like with like and says what it found; how fast anything was is not tested."""
+
+import json
+import sys
+from pathlib import Path
+
+import jax
+import pytest
+import trimesh
+
+from experiments.benchmark import rendering, skin, timing
+from experiments.benchmark import run as benchmark
+from experiments.benchmark import training as benchmark_training
+from experiments.benchmark.policy import Policy
+from experiments.benchmark.rendering import Rendering
+from experiments.benchmark.run import Benchmark
+from experiments.benchmark.skin import Skin
+from experiments.benchmark.timing import MissingPeerError, Row
+from experiments.benchmark.training import Training
+from i2t.prediction import training
+from i2t.prediction.model import ModelConfig
+from i2t.prediction.training import TrainConfig
+
+TINY = Training(
+    touches=20,
+    epochs=2,
+    seeds=2,
+    model=ModelConfig(pixels=6),
+    train=TrainConfig(schedule="constant", batch_size=8, learning_rate=1e-4),
+)
+
+
+def test_training_section_against_pytorch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The section itself checks that both trainings have the same losses, and fails where they have not."""
+    pytest.importorskip("torch", reason="the extra bench is not installed")
+    rows = benchmark.main(Benchmark(sections=("training",), turns=2, out=tmp_path / "out", training=TINY))
+    assert [row.peer_name.split(",")[0] for row in rows] == ["eager PyTorch", "the seeds one by one"]
+    report = json.loads((tmp_path / "out" / "benchmark.json").read_text())
+    assert [Row(**row) for row in report["rows"]] == rows
+    assert report["config"]["training"]["touches"] == 20
+    assert len(capsys.readouterr().out.splitlines()) == 1 + len(rows)
+
+
+def test_policy_section_times_decisions() -> None:
+    tiny = Policy(objects=2, sites=3, places=4, imagined=2)
+    rows = benchmark.main(Benchmark(sections=("policy",), turns=1, policy=tiny))
+    assert [row.work for row in rows] == ["a decision, 2 objects, 3 sites", "a decision, 2 objects, 3 sites, cold"]
+    assert all(row.ours > 0 for row in rows)
+    assert rows[0].peer > rows[0].ours  # imagining comes on top of deciding
+
+
+def test_unequal_work_is_not_compared() -> None:
+    torch = pytest.importorskip("torch", reason="the extra bench is not installed")
+    batch = benchmark_training._random_touches(TINY)
+    state = jax.jit(lambda: training.start(TINY.model, TINY.train, TINY.touches))()
+    peer = benchmark_training.TorchTraining(TINY, state, batch, "foreach")
+    before = peer.epochs()
+    again = benchmark_training.TorchTraining(TINY, state, batch, "foreach")
+    with torch.no_grad():
+        again.decoder[0].bias += 1.0
+    assert abs(again.epochs()[0] / before[0] - 1) > 1e-2  # ten times what the section lets pass
+
+
+def test_a_missing_peer_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(MissingPeerError, match=r"PyTorch, which is not installed; run pip install 'i2t\[bench\]'"):
+        benchmark.main(Benchmark(sections=("training",), training=TINY))
+
+
+def test_unknown_sections_are_refused() -> None:
+    with pytest.raises(ValueError, match="--sections is 'speed'; choose from training, rendering, skin"):
+        benchmark.main(Benchmark(sections=("speed",)))
+
+
+def test_rows_are_medians_over_turns() -> None:
+    row = timing.compare("s", "w", [1.0, 2.0, 4.0], "p", [3.0, 2.0, 8.0])
+    assert row == Row("s", "w", "s", 2.0, "p", 3.0, 2.0)
+
+
+def test_every_contender_gets_every_turn_in_order() -> None:
+    calls: list[str] = []
+    seconds = timing.in_turns({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 2)
+    assert calls == ["a", "b"] * 3
+    assert {name: len(each) for name, each in seconds.items()} == {"a": 2, "b": 2}
+
+
+def test_rendering_section_against_ray_casters(capsys: pytest.CaptureFixture[str]) -> None:
+    """The section itself checks that all see the same, and fails where they do not."""
+    pytest.importorskip("open3d", reason="the extra bench is not installed", exc_type=ImportError)
+    tiny = Rendering(spheres=(1,), shapes=("star",), batch=4, batches=(1,), largest=8)
+    rows = benchmark.main(Benchmark(sections=("rendering",), turns=1, rendering=tiny))
+    assert [row.peer_name for row in rows] == [*["Open3D", "embreex", "Open3D, rays given"] * 3, "rays and distances"]
+    assert all(row.ours > 0 and row.peer > 0 for row in rows)
+    assert len(capsys.readouterr().out.splitlines()) == 1 + len(rows)
+
+
+def test_skin_section_against_contact_mechanics() -> None:
+    """The section itself checks that both find the same pressures, and fails where they do not."""
+    tiny = Skin(batch=2, cells=(20,), dipoles=(10,), shapes=("tilted punch",), steady=0)
+    rows = benchmark.main(Benchmark(sections=("skin",), turns=1, skin=tiny))
+    assert [row.peer_name for row in rows] == ["ContactMechanics"] * 3 + ["the contact alone"]
+    assert all(row.ours > 0 and row.peer > 0 for row in rows)
+
+
+def test_pressures_that_are_not_the_peer_s_are_refused() -> None:
+    heights, depths = skin._touches(skin.GRID, ["punch"], 1)
+    pad = skin.nominal_pad()
+    found = jax.jit(jax.vmap(skin.solve, (None, 0, 0)))(pad, heights, depths)
+    with pytest.raises(ValueError, match="pressures differ by "):
+        skin.check("punch", found, [1.5 * found.pressure[0]], skin.GRID)
+
+
+def test_patches_of_another_mesh_are_not_compared() -> None:
+    """A ray caster that needs no system package, and a sphere a centimetre smaller."""
+    ball = trimesh.creation.icosphere(3, 0.03)
+    surface = rendering.prepare(ball)
+    poses = rendering.random_poses(surface, 4)
+    patch = jax.jit(jax.vmap(rendering.render_patch, (None, 0)))(surface, poses)
+    rays = rendering.rays_of(poses)
+    seen = [
+        rendering.embreex_caster(mesh)(rays).reshape(4, 48, 48) for mesh in (ball, trimesh.creation.icosphere(3, 0.02))
+    ]
+    rendering.check("ball", "embreex", patch.depth, patch.nearest, seen[0])
+    with pytest.raises(ValueError, match="of the pixels differ from embreex's"):
+        rendering.check("ball", "embreex", patch.depth, patch.nearest, seen[1])

@@ -1,0 +1,76 @@
+"""The report of faults on its debug preset, and real drivers before stand-ins, killed once."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from experiments.faults import arm
+from experiments.faults import run as faults
+from experiments.faults.rows import DEBUG, Row, Sizes, worst
+from i2t import dataset
+from i2t.collect.recorder import INTERRUPTED, site_of, touches_in
+from i2t.emulators import reskin_board, ur_controller
+from i2t.types import ReturnCode
+
+
+def test_the_report_of_what_costs_little(tmp_path, capsys):
+    assert faults.main(["--preset", "debug", "--sections", "disk", "presses", "--out", str(tmp_path / "faults")]) == 0
+    rows = json.loads((tmp_path / "faults" / "metrics.json").read_text())["rows"]
+    assert [row["section"] for row in rows] == 4 * ["disk"] + 2 * ["force"]
+    assert all(row["met"] in (True, None) for row in rows)
+    assert (
+        "| disk | camera unplugged | 1 times | 0 of 2 acknowledged" in (tmp_path / "faults" / "report.md").read_text()
+    )
+    assert "0 goals missed" in capsys.readouterr().out
+
+
+def test_a_goal_that_is_missed_is_the_exit_code(tmp_path, monkeypatch):
+    missed = [Row("disk", "what", "once", "3 lost", "0 lost", False)]
+    monkeypatch.setitem(faults.SECTIONS, "disk", lambda sizes: missed)
+    assert faults.main(["--sections", "disk", "--out", str(tmp_path / "faults")]) == 1
+    assert "MISSED" in (tmp_path / "faults" / "report.md").read_text()
+
+
+def test_sizes_shrink_to_one_of_each():
+    assert Sizes().times(0.5).kills == 100
+    assert min(vars(DEBUG.times(0.01)).values()) == 1
+    assert worst([0.3, 0.1, 0.2]) == "median 200 ms, worst 300 ms"
+
+
+def test_real_drivers_collect_before_stand_ins_are_killed_and_go_on(tmp_path):
+    """A springy plane, and a skin that feels nothing of it: presses end by force. `kill -9` in the second touch."""
+    pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
+    if sys.platform != "linux":
+        pytest.skip("needs the addresses 127.x.y.z, which only Linux gives without asking")
+    host, out = ur_controller.loopback(97), tmp_path / "set"
+    with (
+        ur_controller.process(host, "--plane", "0.03", "--stiffness", "5000"),
+        reskin_board.started() as (port, _),
+    ):
+        command = [sys.executable, "-m", "experiments.faults.worker", host, port, str(out)]
+        with subprocess.Popen([*command, "100", "1"], stdout=subprocess.PIPE, text=True) as first:
+            assert first.stdout.readline() == "begun\n"
+            told = first.stdout.readline().strip()
+            while not (out / ".under-way").exists():
+                assert first.poll() is None
+                time.sleep(0.01)
+            first.kill()
+        assert told in [path.name for path in touches_in(out)]
+        deadline = time.monotonic() + 10.0
+        while arm.status(host)["moving"] or arm.status(host)["runtime"] == 2:  # the watchdog ends its program
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        wanted = len(touches_in(out)) + 1
+        assert subprocess.run([*command, str(wanted), "1"], env=os.environ, timeout=60, check=False).returncode == 0
+    data = dataset.load(out)
+    assert len(data) == wanted
+    assert sorted(site_of(path) for path in touches_in(out)) == list(range(wanted))
+    assert list((out / INTERRUPTED).glob("*.raw"))
+    assert (data.touches.code == ReturnCode.WRENCH).all()
+    assert ((data.touches.force > 7.9) & (data.touches.force < 8.0 + 5e3 * 4e-3 * 0.3)).all()  # 0.3 s late at the most
+    np.testing.assert_allclose(0.03 - data.touches.T_w_t[:, 2, 3], data.touches.force / 5e3, atol=2e-5)

@@ -1,0 +1,79 @@
+"""Every notebook runs from top to bottom at its debug size, and what its cells end with can be shown."""
+
+import ast
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from experiments import notebooks
+
+NAMES = ("skin_physics", "recognition", "data_tsne", "real_press")  # the first two share compiled presses
+pytestmark = pytest.mark.xdist_group("notebooks")
+
+
+def run(name: str) -> list[object]:
+    """What the last expression of each code cell gave."""
+    shown: list[object] = []
+    space: dict[str, object] = {"__name__": "__main__"}
+    for number, source in enumerate(notebooks.sources(notebooks.FOLDER / f"{name}.ipynb")):
+        tree = ast.parse(source, f"{name}, code cell {number}")
+        last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
+        exec(compile(tree, f"{name}, code cell {number}", "exec"), space)
+        if last is not None:
+            shown.append(eval(compile(ast.Expression(last.value), f"{name}, code cell {number}", "eval"), space))
+    return shown
+
+
+@pytest.fixture(autouse=True)
+def _small(monkeypatch, tmp_path, request):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("I2T_NOTEBOOK", "debug")
+    # Interactive pages are megabytes of their own; stills show the same.
+    monkeypatch.setattr("i2t.viz.touches.turnable", lambda drawn, still: still())
+    monkeypatch.setitem(os.environ, "I2T_EFLESH", str(tmp_path / "none"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_notebook_runs_and_every_figure_can_be_shown(name, tmp_path, monkeypatch, capsys):
+    if name == "data_tsne":
+        monkeypatch.setenv("I2T_TOUCHES", str(stamped(tmp_path)))
+    shown = run(name)
+    pictures = [made._repr_png_() for made in shown if hasattr(made, "_repr_png_")]
+    assert len(pictures) >= 3
+    assert all(picture.startswith(b"\x89PNG") for picture in pictures)
+    assert "simulated" in capsys.readouterr().out.lower()
+
+
+def stamped(folder: Path) -> Path:
+    """A small data set on disk: a few presses of stamps."""
+    import jax
+
+    from experiments.shapes import run as shapes
+    from experiments.shapes.world import press_stamps
+    from experiments.train.run import numbered_pad
+    from i2t import dataset
+
+    path = folder / "touches.h5"
+    dataset.save(path, press_stamps(jax.random.key(0), [numbered_pad(0)], 50, shapes.PRESETS["debug"].pressing))
+    return path
+
+
+def test_real_press_says_that_it_is_not_real_where_recordings_are_missing(capsys):
+    source = notebooks.sources(notebooks.FOLDER / "real_press.ipynb")[0]
+    exec(compile(source, "real_press, code cell 0", "exec"), {})
+    assert "SIMULATED" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("path", sorted(notebooks.FOLDER.glob("*.ipynb")), ids=lambda path: path.stem)
+def test_notebooks_are_stored_without_outputs(path):
+    book = json.loads(path.read_text())
+    assert path.stem in NAMES
+    assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in book["cells"] if "outputs" in cell)
+    assert book["cells"][0]["cell_type"] == "markdown"
+
+
+def test_the_command_refuses_a_notebook_that_is_not_there(capsys, tmp_path):
+    assert notebooks.main(["nothing", "--out", str(tmp_path)]) == 2
+    assert "data_tsne" in capsys.readouterr().err

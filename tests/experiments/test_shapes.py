@@ -1,0 +1,211 @@
+"""The stamp experiment: what is pressed, what is held out, what is learnt, and the command at its debug size."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from experiments import tsne
+from experiments.shapes import methods, networks, pad, world
+from experiments.shapes import run as shapes
+from experiments.shapes.methods import FOLDS, Bench, folds, presses_on
+from experiments.train.run import numbered_pad
+from i2t import dataset as data
+from i2t.errors import DataError
+from i2t.geometry import random_motion
+from i2t.objects import catalogue
+from i2t.rendering.render import prepare, render_heights
+from i2t.skin.faults import Faults
+from i2t.skin.noise import Noise
+from i2t.types import PAD_WINDOW
+
+CFG = shapes.PRESETS["debug"]
+pytestmark = pytest.mark.xdist_group("notebooks")  # which press the same stamps
+
+
+def one(name: str) -> world.Stamp:
+    return jax.tree.map(lambda leaf: leaf[world.SHAPES.index(name)], world.stamps())
+
+
+@cache
+def pressed():
+    """Fifty presses on one skin."""
+    return world.press_stamps(jax.random.key(0), [numbered_pad(0)], 50, CFG.pressing)
+
+
+def test_a_stamp_is_met_as_the_renderer_sees_it():
+    stamp = one("angle")
+    T = world.pose(jnp.array([1e-3, -2e-3]), jnp.float32(0.7), stamp)
+    T = T @ random_motion(jax.random.key(3), 0.0, 0.02)
+    face, base = world.heights(stamp, T, PAD_WINDOW, 40)
+    seen = np.asarray(render_heights(prepare(catalogue.make("stamp-angle").mesh), T, PAD_WINDOW, 40))
+    ours = np.minimum(face, base)
+    both = np.isfinite(ours) & np.isfinite(seen)
+    # Walls, which only the renderer sees: less than half a cell at 0.02 rad, along 40 mm of outline and 80 of base.
+    assert (np.isfinite(ours) != np.isfinite(seen)).sum() < 40
+    assert (np.abs(ours[both] - seen[both]) > 2e-6).sum() < 20
+    area = np.isfinite(np.asarray(face)).sum() * 0.25  # mm2 of cells of half a millimetre
+    assert area == pytest.approx(51, abs=40 * 0.25)  # two bars of 10 x 3 less their corner; the outline is 40 mm
+
+
+def test_rows_of_one_press_differ_in_force_alone():
+    how = replace(CFG.pressing, readings=5)
+    where = presses_on(world.press_stamps(jax.random.key(0), [numbered_pad(0)], 25, how), 0)
+    of = np.arange(25) // 5
+    for each in (where.place, where.turn, where.shape):
+        np.testing.assert_allclose(each, each[5 * of], atol=1e-6)
+    assert len(np.unique(where.force)) == 25
+    assert len(np.unique(where.turn[::5])) == 5
+    with pytest.raises(ValueError, match="no whole number"):
+        world.press_stamps(jax.random.key(0), [numbered_pad(0)], 25, replace(how, readings=3))
+
+
+def test_a_press_lies_where_it_says_and_bears_its_force():
+    touches = pressed().touches
+    where = presses_on(pressed(), 0)
+    assert np.abs(where.place).max() <= CFG.pressing.place + 1e-6
+    assert touches.truth.force.min() >= 1
+    assert touches.truth.force.max() <= 3
+    # The patch is deepest where the face is not, and the face touches: its nearest point lies in the skin.
+    np.testing.assert_allclose(touches.nearest, -touches.truth.indentation, atol=1e-6)
+    assert np.bincount(touches.object).tolist() == [10] * 5
+    assert pressed().source == "simulated"
+
+
+def test_a_turn_of_the_cross_by_a_right_angle_is_no_turn():
+    cross = one("cross")
+    seen = [
+        world.heights(cross, world.pose(jnp.zeros(2), jnp.float32(a), cross), PAD_WINDOW, 40)[0]
+        for a in (0.3, 0.3 + np.pi / 2)
+    ]
+    assert (np.isfinite(seen[0]) != np.isfinite(seen[1])).mean() < 0.005  # rounding at the edge
+
+
+def test_folds_hold_out_what_they_say():
+    where = presses_on(pressed(), 0)
+    for split in methods.SPLITS:
+        part = folds(where, split, 0)
+        assert part is not None
+        assert set(part) <= set(range(FOLDS))
+    angle = folds(where, "angle", 0)
+    for fold in range(FOLDS):
+        turn = np.degrees(where.turn[angle == fold]) % 360
+        assert ((turn >= 72 * fold - 1e-6) & (turn <= 72 * (fold + 1) + 1e-6)).all()
+    block = np.floor(where.place / methods.BLOCK).astype(int)
+    location = folds(where, "location", 0)
+    for cell in np.unique(block, axis=0):
+        assert len(np.unique(location[(block == cell).all(1)])) == 1
+    depth = folds(where, "depth", 0)
+    for shape in range(5):
+        own = where.shape == shape
+        assert where.depth[own & (depth == 0)].max() <= where.depth[own & (depth == 1)].min()
+    lost = where._replace(turn=np.full(50, np.nan), place=np.full((50, 2), np.nan))
+    assert folds(lost, "angle", 0) is None
+    assert folds(lost, "location", 0) is None
+
+
+def test_a_classifier_learns_what_can_be_told_and_no_more():
+    rng = np.random.default_rng(0)
+    y = np.arange(200) % 4
+    x = 8 * np.eye(4, 6)[y] + rng.normal(size=(200, 6))
+    cfg = networks.Classifier((32, 10), 400)
+    log_p = networks.classify(0, cfg, x[:150], y[:150], x[150:], 4)
+    np.testing.assert_allclose(np.exp(log_p).sum(1), 1, rtol=1e-5)
+    assert (log_p.argmax(1) == y[150:]).mean() > 0.9  # means are 11 standard deviations apart
+    lost = networks.classify(0, cfg, rng.normal(size=(150, 6)), y[:150], x[150:], 4)
+    assert (lost.argmax(1) == y[150:]).mean() < 0.7  # chance is 0.25 of 50
+
+
+def test_what_a_chip_remembers_is_found():
+    rng = np.random.default_rng(1)
+    before, runs = 50 * rng.normal(size=(200, 15)), np.arange(200) // 100
+    kept = np.where(np.arange(15) // 3 == 2, 0.3, 0.0)
+    residuals = np.where((runs == 0)[:, None], kept[None] * before, 0) + rng.normal(size=(200, 15))
+    found = pad.remembered(residuals, before, runs, np.array([0, 1, 7]))
+    # Shrunk by n / (n + MEMORY); noise of 1 uT on 50 uT over 300 values leaves 0.001.
+    np.testing.assert_allclose(found[0], kept * 100 / (100 + pad.MEMORY), atol=0.03)
+    np.testing.assert_allclose(found[1:], 0, atol=0.01)
+
+
+def test_designs_are_linear_readings_of_the_pad_itself():
+    """A skin that is known exactly reads what its designs say."""
+    dataset, where = pressed(), presses_on(pressed(), 0)
+    bench = Bench(where, dataset.board, world.SHAPES, replace(CFG.methods, library=2), 0)
+    train = np.arange(40)
+    skin, readings = bench.fitted(train)
+    phi = bench.imagined.hypotheses(skin.layer, where.where, "presses")
+    mean = pad.read(skin, phi)[np.arange(50), where.shape]
+    left = np.sum((readings - mean)[40:] ** 2) / np.sum(readings[40:] ** 2)
+    assert left < 0.25  # noise and tilt; a reading that is not explained leaves 1
+    log_p = bench.log_p(methods.IMAGINED, train, np.arange(40, 50), 0)
+    assert (log_p.argmax(1) == where.shape[40:]).mean() >= 0.7  # of ten; chance gives this with p < 0.001
+
+
+def test_the_command_writes_what_it_found_and_refuses_to_lose_it(tmp_path, capsys):
+    out = tmp_path / "run"
+    assert shapes.main(["--preset", "debug", "--out", str(out)]) == 0
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["source"] == "simulated"
+    assert set(metrics["splits"]) == set(methods.SPLITS)
+    for scored in metrics["splits"].values():
+        assert set(scored) == set(methods.METHODS)
+        for method in scored.values():
+            assert np.sum(method["confusion"]) == 2 * CFG.presses
+            mean, low, high = method["total"]
+            assert low <= mean <= high
+    assert set(metrics["new"]) == {"0", "2"}
+    assert {"confusion.png", "rates.png"} <= {path.name for path in out.iterdir()}
+    assert "(simulated)" in capsys.readouterr().out
+    assert shapes.main(["--preset", "debug", "--out", str(out)]) == 2
+    assert "finished run" in capsys.readouterr().err
+
+
+def test_recorded_presses_of_which_the_arm_said_little_are_told_apart_by_readings_alone(tmp_path, capsys):
+    touches = pressed().touches
+    nowhere = np.full_like(touches.T_w_o, np.nan)
+    touches = touches._replace(T_w_o=nowhere, force=np.full_like(touches.force, np.nan), truth=None)
+    path, out = tmp_path / "presses.h5", tmp_path / "run"
+    data.save(path, replace(pressed(), touches=touches, source="real"))
+    assert shapes.main(["--preset", "debug", "--dataset", str(path), "--out", str(out)]) == 0
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["source"] == "real"
+    assert set(metrics["splits"]) == {"random", "depth"}
+    assert set(metrics["splits"]["random"]) == {methods.PAPER}
+    assert "simulated" not in capsys.readouterr().out
+
+
+def test_the_map_of_touches_is_made_by_one_command(tmp_path, capsys):
+    path, out = tmp_path / "presses.h5", tmp_path / "map"
+    data.save(path, pressed())
+    arguments = ["--preset", "debug", "--dataset", str(path), "--no-network", "--out", str(out)]
+    assert tsne.main(arguments) == 0
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert sum(metrics["cluster_sizes"]) == metrics["touches"] == 50
+    assert metrics["rand_index"]["seeds"][0] <= 1
+    assert metrics["agreement"]["all"]["permutations"] == 99
+    assert (out / "tsne.png").stat().st_size > 10_000
+    assert "(simulated)" in capsys.readouterr().out
+    assert tsne.main(arguments) == 2
+    data.save(path, pressed().select(np.arange(12)))
+    assert tsne.main([*arguments, "--overwrite"]) == 2
+    assert "at least are needed" in capsys.readouterr().err
+
+
+def test_presses_read_again_by_an_ideal_sensor_are_the_truth():
+    ideal = replace(CFG.pressing.errors, noise=Noise.none(), faults=Faults())
+    again = methods.read_again(pressed(), [numbered_pad(0)], ideal, 0)
+    # The mean of ten samples of float32 less that of ten zeros.
+    np.testing.assert_allclose(again, pressed().touches.truth.reading, rtol=1e-6, atol=1e-4)
+
+
+def test_a_data_set_of_one_shape_is_refused():
+    dataset = pressed()
+    with pytest.raises(DataError, match="two at least"):
+        methods.shapes_of(replace(dataset, objects=("T",)))
+    assert methods.shapes_of(dataset) == world.SHAPES
+    with pytest.raises(ValueError, match="no stamp is called"):
+        world.stamps(["banana"])

@@ -1,0 +1,165 @@
+"""The RealSense driver against the SDK itself, playing what the SDK's software device recorded. No camera was there."""
+
+import time
+
+import numpy as np
+import pytest
+
+from i2t.depth.camera import Camera
+from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
+from i2t.hardware import realsense
+from i2t.hardware.protocols import DepthCamera, View
+from i2t.hardware.realsense import RealSense, check_distance, nearest
+
+pytest.importorskip(
+    "pyrealsense2", reason="pyrealsense2, or its system package libusb-1.0-0, is not installed", exc_type=ImportError
+)
+
+from i2t.emulators import realsense_file
+
+CAMERA = Camera(64, 48, 60.0, 61.0, 31.0, 24.0, "brown_conrady", (0.1, -0.02, 1e-3, 2e-3, 0.01))
+UNIT = 1e-4
+PATIENCE = 20.0  # s that a loaded machine may need
+rows, columns = np.mgrid[:48, :64]
+DEPTH = np.where((rows == 5) & (columns < 3), np.nan, 0.1 + 1e-3 * rows + 1e-4 * columns)
+COLOUR = np.stack([rows, columns, 0 * rows + 7], -1).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("realsense") / "views.db3"
+    realsense_file.write(path, CAMERA, [View(0.0, DEPTH, COLOUR)] * 15, "D405", UNIT)
+    return path
+
+
+def test_it_gives_metres_lens_and_aligned_colour(file):
+    camera = RealSense(file=file, size=(64, 48), model="D405")
+    assert camera.features.nearest == 0.04
+    assert camera.features.source == "replay"
+    with pytest.raises(NotConnectedError, match="connect it"):
+        _ = camera.camera
+    with camera:
+        assert isinstance(camera, DepthCamera)
+        told = camera.camera
+        assert told.model == CAMERA.model
+        np.testing.assert_allclose(told.coefficients, CAMERA.coefficients, rtol=1e-6)  # the SDK has float32
+        assert (told.width, told.height, told.fx, told.fy, told.cx, told.cy) == (64, 48, 60.0, 61.0, 31.0, 24.0)
+        view = camera.capture(PATIENCE)
+        # Depth is stored in units; the unit itself is a float32.
+        np.testing.assert_allclose(view.depth, DEPTH, atol=UNIT / 2, rtol=1e-6)
+        assert np.isnan(view.depth[5, 0])
+        seen = np.isfinite(DEPTH)
+        # Same lens, same place: a pixel's colour is its own, but where distortion's inverse is rounded to a neighbour.
+        assert np.abs(view.colour[seen][:, :2].astype(int) - COLOUR[seen][:, :2]).max() <= 1
+        assert (view.colour[seen][:, 2] == 7).mean() > 0.97
+        assert (view.colour[~seen] == 0).all()
+
+
+def test_colour_keeps_its_own_frame(tmp_path):
+    T = np.eye(4)
+    T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    T[:3, 3] = 0.015, 0.001, -0.002
+    realsense_file.write(tmp_path / "views.db3", CAMERA, [View(0.0, DEPTH, COLOUR)] * 4, T_depth_colour=T)
+    with RealSense(file=tmp_path / "views.db3", size=(64, 48)) as camera:
+        colour = camera.colour(PATIENCE)
+    np.testing.assert_array_equal(colour.image, COLOUR)
+    np.testing.assert_allclose(colour.T_c_colour, T, atol=1e-7)
+    assert colour.camera.fx == 60.0
+
+
+def test_views_are_new_and_dated(file):
+    with RealSense(file=file, size=(64, 48)) as camera:
+        before = -np.inf
+        for _ in range(3):
+            view = camera.capture(PATIENCE)
+            assert before < view.time <= time.monotonic()
+            before = view.time
+        with pytest.raises(DeviceTimeoutError, match=r"gave no view in 0\.001 s"):
+            camera.capture(0.001)
+    with pytest.raises(NotConnectedError):
+        camera.capture()
+    camera.close()
+
+
+class Frames:
+    """What the SDK tells of when a frame was exposed."""
+
+    def __init__(self, domain, milliseconds):
+        self.get_frame_timestamp_domain, self.get_timestamp = lambda: domain, lambda: milliseconds
+
+
+def test_exposures_are_dated_where_the_clock_is_the_computers(file):
+    import pyrealsense2 as rs
+
+    camera = RealSense(file=file)
+    for domain in (rs.timestamp_domain.global_time, rs.timestamp_domain.system_time):
+        when = camera._exposed(Frames(domain, 1e3 * (time.time() - 0.05)))
+        assert 0.05 <= time.monotonic() - when < 0.05 + PATIENCE
+        for jump in (-3600.0, 3600.0):  # somebody set the clock
+            assert camera._exposed(Frames(domain, 1e3 * (time.time() + jump))) is None
+    assert camera._exposed(Frames(rs.timestamp_domain.hardware_clock, 1e3 * time.time())) is None
+
+
+class Gone:
+    """A pipeline whose camera was unplugged: the SDK gives no frames and says nothing."""
+
+    def try_wait_for_frames(self, milliseconds):
+        time.sleep(1e-3 * milliseconds)
+        return False, None
+
+    def stop(self):
+        raise RuntimeError("stop() cannot be called before start()")
+
+
+def test_an_unplugged_camera_is_noticed_before_the_timeout(file):
+    camera = RealSense(file=file, size=(64, 48))
+    camera.connect()
+    camera._pipe.stop()
+    camera._file, camera._pipe = None, Gone()
+    begun = time.monotonic()
+    with pytest.raises(DeviceError, match=r"is gone; plug it in"):
+        camera.capture(10.0)
+    assert time.monotonic() - begun < 5.0
+    with pytest.raises(NotConnectedError):
+        camera.capture()
+
+
+def test_what_cannot_be_connected_says_why(file, tmp_path):
+    with pytest.raises(DeviceError, match=r"was not found \(RealSense cameras here: none\)"):
+        RealSense("123").connect()
+    with pytest.raises(DeviceError, match="there is no such file"):
+        RealSense(file=tmp_path / "nowhere.db3").connect()
+    (tmp_path / "torn.db3").write_bytes(file.read_bytes()[:5000])
+    with pytest.raises(DeviceError, match="cannot be played"):
+        RealSense(file=tmp_path / "torn.db3").connect()
+    with pytest.raises(DeviceError, match="cannot be played at 640 x 360"):
+        RealSense(file=file).connect()
+    with pytest.raises(DeviceError, match=r"D405 measures nothing nearer than 40 mm"):
+        RealSense(file=file, size=(64, 48), distance=0.03).connect()  # as the file's own device tells
+    with pytest.raises(DeviceError, match=r"D435 measures nothing nearer than 150 mm at 640 x 360"):
+        RealSense(model="D435", distance=0.104).connect()  # before anything is opened
+
+
+def test_which_models_see_at_the_papers_distance():
+    assert nearest("Intel RealSense D435I", 640, 360) == 0.150
+    assert nearest("D435", 640, 480) == 0.175
+    assert np.isnan(nearest("D999", 640, 360))
+    seen = [name for name in realsense.NEAREST if nearest(name, 640, 360) <= 0.104]
+    assert seen == ["D405"]
+    check_distance("D405", 1280, 720, 0.104)
+    check_distance("D999", 640, 360, 0.01)
+    with pytest.raises(DeviceError, match=r"look from 105 mm, or mount a D405$"):
+        check_distance("D435", 424, 240, 0.104)
+    with pytest.raises(DeviceError, match=r"look from 280 mm, or take 424 x 240 pixels, or mount a D405$"):
+        check_distance("D435", 1280, 720, 0.11)
+
+
+def test_the_command_shows_and_keeps_views(file, tmp_path, capsys):
+    shown = ["--file", str(file), "--size", "64", "48"]
+    assert realsense.main([*shown, "--count", "2", "--save", str(tmp_path / "views")]) == 0
+    out = capsys.readouterr().out
+    assert "D405" in out
+    assert "view 1: 100% measured, 126.7 mm" in out
+    assert sorted(each.name for each in (tmp_path / "views" / "colour").iterdir()) == ["000000.png", "000001.png"]
+    assert realsense.main([*shown, "--save", str(tmp_path / "views")]) == 2  # nothing is overwritten
+    assert realsense.main([*shown, "--distance", "0.01"]) == 2

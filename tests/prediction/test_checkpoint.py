@@ -1,0 +1,197 @@
+"""What is saved comes back, bit for bit and with its meaning; what is not a checkpoint is said to be none."""
+
+import json
+import shutil
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from i2t.errors import CheckpointError
+from i2t.prediction import checkpoint, training
+from i2t.prediction.loss import LossConfig
+from i2t.prediction.model import Inputs, ModelConfig, Normalisation, Standard, predict
+from i2t.prediction.training import Batch, TrainConfig, TrainState
+
+MODEL = ModelConfig(
+    pixels=6,
+    encoder_width=8,
+    bottleneck=3,
+    decoder_width=8,
+    auxiliary_width=4,
+    conditions=("force", "depth"),
+    heteroscedastic=True,
+    members=2,
+)
+TRAIN = TrainConfig(epochs=4, batch_size=8, loss=LossConfig(beta=0.25), seed=7)
+N = 12
+
+
+@pytest.fixture(scope="module")
+def norm() -> Normalisation:
+    rng = np.random.default_rng(0)
+    reading, conditions = rng.uniform(1, 2, (2, 15)), rng.uniform(1, 2, (2, 2))
+    standards = [Standard(*(jnp.asarray(row, jnp.float32) for row in rows)) for rows in (reading, conditions)]
+    return Normalisation(*standards, jnp.asarray(rng.uniform(size=15), jnp.float32))
+
+
+@pytest.fixture(scope="module")
+def batch() -> Batch:
+    rng = np.random.default_rng(1)
+    image, conditions, target = (jnp.asarray(rng.random(shape), jnp.float32) for shape in ((N, 6, 6), (N, 2), (N, 15)))
+    return Batch(Inputs(image, conditions), target)
+
+
+@pytest.fixture(scope="module")
+def saved(norm: Normalisation, batch: Batch, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[TrainState]]:
+    """A training of four epochs that saved after each, and its states."""
+    directory = tmp_path_factory.mktemp("run") / "checkpoint"
+    states: list[TrainState] = []
+
+    def save(state: TrainState) -> None:
+        states.append(state)
+        checkpoint.save(directory, state, MODEL, TRAIN, norm, N, {"objects": ["hexagon", "star"], "pad": None})
+
+    training.fit(jax.jit(partial(training.start, MODEL, TRAIN, N))(), MODEL, TRAIN, batch, None, chunk=1, save=save)
+    return directory, states
+
+
+def assert_same(left: Any, right: Any) -> None:
+    assert jax.tree.structure(left) == jax.tree.structure(right)
+    for a, b in zip(jax.tree.leaves(left), jax.tree.leaves(right), strict=True):
+        assert a.dtype == b.dtype
+        if jax.dtypes.issubdtype(a.dtype, jax.dtypes.prng_key):
+            a, b = jax.random.key_data(a), jax.random.key_data(b)
+        np.testing.assert_array_equal(a, b)
+
+
+def test_everything_comes_back(saved: tuple[Path, list[TrainState]], norm: Normalisation) -> None:
+    directory, states = saved
+    state, back, about = checkpoint.restore(directory)
+    assert_same(state, states[-1])
+    assert_same(back, norm)
+    assert (about.model, about.train, about.touches, about.epoch) == (MODEL, TRAIN, N, 4)
+    assert about.extra == {"objects": ["hexagon", "star"], "pad": None}
+    assert about.packages["jax"] == jax.__version__
+    assert about == checkpoint.describe(directory)
+
+
+def test_only_the_latest_epoch_stays(saved: tuple[Path, list[TrainState]]) -> None:
+    directory, states = saved
+    assert len(states) == 4
+    assert [entry.name for entry in directory.iterdir()] == ["4"]
+
+
+def test_a_loaded_model_predicts_what_the_saved_one_does(
+    saved: tuple[Path, list[TrainState]], norm: Normalisation, batch: Batch
+) -> None:
+    directory, states = saved
+    params, back, about = checkpoint.load(directory)
+    one = jax.tree.map(lambda leaf: leaf[0], batch.inputs)
+    run = jax.jit(partial(predict, cfg=about.model))
+    assert_same(
+        run(params, normalisation=back, inputs=one), run(states[-1].best_params, normalisation=norm, inputs=one)
+    )
+
+
+def test_training_resumed_from_disk_is_the_uninterrupted_one(
+    saved: tuple[Path, list[TrainState]], norm: Normalisation, batch: Batch, tmp_path: Path
+) -> None:
+    _, states = saved
+    checkpoint.save(tmp_path / "c", states[1], MODEL, TRAIN, norm, N)
+    state, _, about = checkpoint.restore(tmp_path / "c")
+    assert_same(training.fit(state, about.model, about.train, batch, None, chunk=1), states[-1])
+
+
+def test_each_of_several_seeds_can_be_loaded_and_conditions_may_be_none(norm: Normalisation, tmp_path: Path) -> None:
+    cfg, model = replace(TRAIN, seeds=3), replace(MODEL, conditions=())
+    state = jax.jit(partial(training.start, model, cfg, N))()
+    state = state._replace(best_params=state.params)
+    each = norm._replace(conditions=Standard(jnp.zeros(0), jnp.zeros(0)), residual=jnp.arange(45.0).reshape(3, 15))
+    checkpoint.save(tmp_path / "c", state, model, cfg, each, N)
+    assert_same(checkpoint.restore(tmp_path / "c")[0], state)
+    params, back, _ = checkpoint.load(tmp_path / "c", seed=2)
+    assert_same(params, jax.tree.map(lambda leaf: leaf[2], state.params))
+    assert_same(back, each._replace(residual=each.residual[2]))
+    with pytest.raises(CheckpointError, match="holds 3 seeds; choose one from 0 to 2"):
+        checkpoint.load(tmp_path / "c", seed=3)
+
+
+def test_folders_that_are_no_checkpoint(tmp_path: Path) -> None:
+    with pytest.raises(CheckpointError, match=r"no checkpoint folder .*nowhere"):
+        checkpoint.load(tmp_path / "nowhere")
+    assert not (tmp_path / "nowhere").exists()
+    with pytest.raises(CheckpointError, match="holds no finished checkpoint"):
+        checkpoint.load(tmp_path)
+    (tmp_path / "10").mkdir()
+    with pytest.raises(CheckpointError, match="not written by i2t, or is damaged"):
+        checkpoint.restore(tmp_path)
+
+
+def edit(folder: Path, change: dict[str, Any]) -> None:
+    path = folder / "4" / "_CHECKPOINT_METADATA"
+    about = json.loads(path.read_text())
+    for key, value in change.items():
+        inner = about["custom_metadata"]
+        *parents, last = key.split(".")
+        for parent in parents:
+            inner = inner[parent]
+        inner[last] = value
+    path.write_text(json.dumps(about))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"format": "something else"}, "not written by i2t"),
+        ({"version": 99}, "checkpoint version 99, but this i2t reads version 1; use the i2t that wrote it"),
+        ({"model.attention": 8}, "does not know .unknown attention"),
+        ({"model.bottleneck": 0}, "does not know .model.bottleneck is 0"),
+        ({"model.bottleneck": 4}, "damaged or do not fit their configuration"),
+        ({"model.members": 3}, "damaged or do not fit their configuration"),
+    ],
+)
+def test_foreign_newer_and_inconsistent_checkpoints(
+    saved: tuple[Path, list[TrainState]], tmp_path: Path, change: dict, words: str
+) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(saved[0], folder)
+    edit(folder, change)
+    with pytest.raises(CheckpointError, match=words):
+        checkpoint.load(folder)
+
+
+def test_missing_arrays(saved: tuple[Path, list[TrainState]], tmp_path: Path) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(saved[0], folder)
+    shutil.rmtree(folder / "4" / "params")
+    with pytest.raises(CheckpointError, match=r"copy/4 are damaged"):
+        checkpoint.load(folder)
+
+
+def test_a_save_that_dies_leaves_the_one_before(
+    saved: tuple[Path, list[TrainState]], norm: Normalisation, tmp_path: Path
+) -> None:
+    directory, states = saved
+    folder = tmp_path / "copy"
+    shutil.copytree(directory, folder)
+    # What a killed process leaves: a temporary folder of the next epoch, half written.
+    shutil.copytree(folder / "4" / "params", folder / "5.orbax-checkpoint-tmp-1" / "params")
+    assert_same(checkpoint.restore(folder)[0], states[-1])
+    later = states[-1]._replace(epoch=states[-1].epoch + 1)
+    checkpoint.save(folder, later, MODEL, TRAIN, norm, N)
+    assert_same(checkpoint.restore(folder)[0], later)
+    assert [entry.name for entry in folder.iterdir()] == ["5"]
+
+
+def test_only_a_finished_save_exists(tmp_path):
+    assert not checkpoint.exists(tmp_path / "nowhere")
+    (tmp_path / "12.orbax-checkpoint-tmp").mkdir()
+    assert not checkpoint.exists(tmp_path)
+    (tmp_path / "12").mkdir()
+    assert checkpoint.exists(tmp_path)

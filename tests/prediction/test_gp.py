@@ -1,0 +1,184 @@
+"""The process against one written densely in double precision, and against maps it should find."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from i2t.prediction import gp
+from i2t.prediction.gp import Hyper, Imagined
+
+M = 12  # mm, edge of the maps
+CHANNELS = 15
+fit, predict = jax.jit(gp.fit), jax.jit(gp.predict)
+HYPER = Hyper(
+    jnp.array([0.1, 0.5, 0.2, 0.15, 0.05]), jnp.array(0.3), jnp.array(0.7), jnp.array(0.05)
+)  # as different from one another as can be
+
+
+def spots(rng: np.random.Generator, n: int) -> Imagined:
+    """Round contacts at random places under random loads."""
+    x = np.arange(M)
+    place = rng.uniform(1, M - 2, (n, 2, 1))
+    along = np.exp(-((x - place) ** 2) / (2 * rng.uniform(1, 2, (n, 1, 1)) ** 2))
+    pressure = along[:, 0, :, None] * along[:, 1, None, :]
+    pressure *= rng.uniform(0.3, 3, (n, 1, 1)) / pressure.sum((1, 2), keepdims=True)
+    return Imagined(jnp.float32(pressure), jnp.float32(pressure.sum((1, 2))))
+
+
+def covariance(hyper: Hyper, a: Imagined, b: Imagined, unit: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """k(a, b) by the formula in the module's opening, cell by cell, and the mean of p C p over a for each length."""
+    cells = np.stack(np.meshgrid(np.arange(M), np.arange(M), indexing="ij"), -1).reshape(-1, 2)
+    square = ((cells[:, None] - cells[None]) ** 2).sum(-1)
+    p, q = (np.asarray(x.pressure, np.float64).reshape(len(x.load), -1) for x in (a, b))
+    linear = np.stack([p @ np.exp(-square / (2 * length**2)) @ q.T for length in gp.LENGTHS])
+    unit = np.trace(linear, axis1=1, axis2=2) / len(p) if unit is None else unit
+    ratio = np.log(np.asarray(a.load, np.float64)[:, None] / np.asarray(b.load, np.float64))
+    bend = float(hyper.bend)
+    bracket = 1 - bend + bend * np.exp(-(ratio**2) / (2 * float(hyper.width) ** 2))
+    return np.einsum("l,lab->ab", np.asarray(hyper.weights, np.float64) / unit, linear) * bracket, unit
+
+
+def test_mean_and_variance_of_a_dense_process():
+    rng = np.random.default_rng(0)
+    train, other = spots(rng, 30), spots(rng, 20)
+    readings = rng.normal(scale=20, size=(30, CHANNELS)).astype(np.float32)
+    mean, std = predict(fit(HYPER, train, jnp.asarray(readings)), other)
+
+    K, unit = covariance(HYPER, train, train, None)
+    cross, _ = covariance(HYPER, other, train, unit)
+    own, _ = covariance(HYPER, other, other, unit)
+    noise = float(HYPER.noise)
+    inverse = np.linalg.inv(K + (noise + gp.JITTER) * np.eye(30))
+    # Total variance of a channel is its signal's times 1 + noise.
+    scale = np.sqrt((readings.astype(np.float64) ** 2).mean(0) / (1 + noise))
+    variance = np.diag(own - cross @ inverse @ cross.T) + noise
+    # float32 solves lose a condition number of digits: at most trace K / noise.
+    loss = np.finfo(np.float32).eps * np.trace(K) / noise
+    assert loss < 1e-3
+    np.testing.assert_allclose(mean, cross @ inverse @ readings, atol=loss * np.abs(readings).max())
+    np.testing.assert_allclose(std, np.sqrt(variance)[:, None] * scale, rtol=loss / noise)
+
+
+def test_maps_are_found_the_better_the_more_touches():
+    rng = np.random.default_rng(1)
+    cells = np.arange(M)
+    root = np.linalg.cholesky(np.exp(-((cells[:, None] - cells) ** 2) / (2 * 3.0**2)) + 1e-6 * np.eye(M))
+    maps = 50 * root @ rng.normal(size=(CHANNELS, M, M)) @ root.T
+    other = spots(rng, 100)
+
+    def field(touches: Imagined) -> np.ndarray:
+        return np.einsum("cij,nij->nc", maps, touches.pressure)
+
+    linear = HYPER._replace(weights=jnp.eye(5)[1], bend=jnp.array(0.0))
+    errors = []
+    for n in (10, 40, 160):
+        train = spots(rng, n)
+        noise = 0.05 * field(train).std()
+        readings = field(train) + rng.normal(scale=noise, size=(n, CHANNELS))
+        hyper = linear._replace(noise=jnp.array(0.05**2))
+        mean, _ = predict(fit(hyper, train, jnp.float32(readings)), other)
+        errors.append(np.sqrt(((mean - field(other)) ** 2).mean()) / noise)
+    # From few touches the maps are mostly unknown (the signal is 20 noises). 12 x 12 cells of length 3 hold some
+    # (12 / 3)^2 independent values, so that 160 touches average ten each: errors below the noise of a single touch.
+    assert errors[0] > 2 * errors[1] > 2 * errors[2]
+    assert errors[2] < 1
+
+
+def test_the_stated_spread_is_the_spread_of_the_errors():
+    rng = np.random.default_rng(2)
+    train, other = spots(rng, 60), spots(rng, 60)
+    both = Imagined(*(jnp.concatenate(parts) for parts in zip(train, other, strict=True)))
+    hyper = HYPER._replace(noise=jnp.array(1.0))
+    K, unit = covariance(hyper, train, train, None)
+    K, _ = covariance(hyper, both, both, unit)
+    channels = 400  # drawn from the process itself
+    signal = np.linalg.cholesky(K + 1e-6 * np.eye(120)) @ rng.normal(size=(120, channels))
+    readings = 10 * (signal + rng.normal(size=signal.shape))
+    process = fit(hyper, train, jnp.float32(readings[:60]))
+    mean, std = predict(process, other)
+
+    def is_one_on_average(squares: np.ndarray) -> bool:
+        return abs(squares.mean() - 1) < 4.5 * squares.std() / np.sqrt(channels)  # channels are independent
+
+    assert is_one_on_average((np.asarray(process.scale) / 10) ** 2)
+    # With the scale that is really behind the readings; the estimate of each channel scatters about it.
+    standard = np.asarray((readings[60:] - mean) / (std * 10 / process.scale[None]))
+    assert is_one_on_average((standard**2).mean(0))
+
+
+def test_no_pressure_gives_no_reading():
+    rng = np.random.default_rng(3)
+    train = spots(rng, 10)
+    process = fit(HYPER, train, jnp.float32(rng.normal(size=(10, CHANNELS))))
+    mean, std = predict(process, Imagined(jnp.zeros((2, M, M)), jnp.zeros(2)))
+    np.testing.assert_array_equal(mean, 0)
+    # Nothing but the sensor's noise is left.
+    np.testing.assert_allclose(std, np.broadcast_to(np.sqrt(0.05) * process.scale, std.shape), rtol=1e-6)
+
+
+def test_prediction_of_one_does_not_depend_on_others():
+    rng = np.random.default_rng(4)
+    process = fit(HYPER, spots(rng, 10), jnp.float32(rng.normal(size=(10, CHANNELS))))
+    other = spots(rng, 5)
+    together = predict(process, other)
+    alone = predict(process, Imagined(other.pressure[3:4], other.load[3:4]))
+    for all_, one in zip(together, alone, strict=True):
+        # Sums of a few hundred float32 terms in another order, through a solve with a condition of 10 / 0.05.
+        np.testing.assert_allclose(all_[3:4], one, rtol=200 * 1e-5, atol=1e-5)
+
+
+def test_cross_validation_leaves_whole_groups_out():
+    rng = np.random.default_rng(5)
+    touches, groups = spots(rng, 24), np.repeat([7, 3, 9, 1], 6)
+    readings = rng.normal(scale=10, size=(24, CHANNELS)).astype(np.float32)
+    _, explained = gp.choose(touches, jnp.asarray(readings), groups, steps=1, folds=4)
+    # As many folds as groups: each is left out once, however they were shuffled.
+    start = Hyper(jnp.full(5, 0.2), jnp.array(0.5), jnp.array(1.0), jnp.exp(-2.0))
+    K, _ = covariance(start, touches, touches, None)
+    noise = float(start.noise) + gp.JITTER
+    error = 0.0
+    for group in np.unique(groups):
+        kept = groups != group
+        weights = np.linalg.solve(K[np.ix_(kept, kept)] + noise * np.eye(kept.sum()), readings[kept])
+        error += (((K[np.ix_(~kept, kept)] @ weights - readings[~kept]) / np.sqrt((readings**2).mean(0))) ** 2).sum()
+    # Condition number times float32's roundings, of an error near 1.
+    assert abs(float(explained[0]) - (1 - error / readings.size)) < np.finfo(np.float32).eps * np.trace(K) / noise * 10
+
+
+def test_choosing_improves_and_never_tears_groups():
+    rng = np.random.default_rng(6)
+    touches, groups = spots(rng, 60), np.arange(60) % 10
+    maps = rng.normal(size=(CHANNELS, M, M)).cumsum(1).cumsum(2)
+    readings = np.einsum("cij,nij->nc", maps - maps.mean((1, 2), keepdims=True), touches.pressure)
+    readings += 0.1 * readings.std() * rng.normal(size=readings.shape)
+    hyper, explained = gp.choose(touches, jnp.float32(readings), groups, steps=8)
+    assert explained[0] < jnp.max(explained) <= 1
+    assert abs(float(jnp.sum(hyper.weights)) - 1) < 1e-6
+    assert 0 <= hyper.bend <= 1
+    assert hyper.width > 0
+    assert hyper.noise > 0
+
+    # Every touch twice in its group, with readings that are pure chance: torn groups would explain them, whole ones
+    # explain nothing (the best of 8 steps gains at most by chance, a few of 900 values).
+    twice = Imagined(*(jnp.concatenate([x, x]) for x in touches))
+    chance = jnp.float32(np.tile(rng.normal(size=(60, CHANNELS)), (2, 1)))
+    _, explained = gp.choose(twice, chance, np.tile(np.arange(60), 2), steps=8)
+    assert jnp.max(explained) < 0.1
+
+
+def test_choosing_among_many_uses_a_sample():
+    rng = np.random.default_rng(7)
+    touches = spots(rng, 50)
+    readings = jnp.float32(rng.normal(size=(50, CHANNELS)))
+    rows = np.sort(np.random.default_rng(3).choice(50, 30, replace=False))
+    groups = np.arange(50) // 5
+    few = gp.choose(touches, readings, groups, steps=2, limit=30, seed=3)
+    same = gp.choose(Imagined(*(x[rows] for x in touches)), readings[rows], groups[rows], steps=2, seed=3)
+    np.testing.assert_array_equal(few[1], same[1])
+
+
+def test_one_group_cannot_be_cross_validated():
+    touches = spots(np.random.default_rng(8), 4)
+    with pytest.raises(ValueError, match=r"at least two groups .*, got 1"):
+        gp.choose(touches, jnp.ones((4, CHANNELS)), np.zeros(4, int))

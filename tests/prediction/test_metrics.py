@@ -1,0 +1,148 @@
+"""Scores by hand, intervals by their coverage, baselines against closed forms."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from i2t.prediction import metrics
+from i2t.prediction.metrics import (
+    baselines,
+    grouped_interval,
+    nearest_neighbours,
+    reduce_patches,
+    ridge,
+    score,
+    seed_interval,
+    tuned,
+)
+
+
+def test_scores_by_hand():
+    truth = np.zeros((2, 15))
+    truth[:, 0], truth[:, 1], truth[:, 2] = (1, 3), (0, 4), (-1, 1)  # spreads 2, 8 and 2 about their means
+    truth[:, 3:] = np.array([[-1.0], [1.0]])  # twelve channels of spread 2
+    predicted = truth.copy()
+    predicted[0, 0] += 1  # the only errors: 1 on an x, 2 on a y
+    predicted[1, 1] -= 2
+    seen = score(truth, predicted, noise=np.r_[0.5, 2.0, np.ones(13)])
+    assert seen.r2 == pytest.approx(1 - 5 / 36)
+    assert seen.r2_median == 1
+    assert seen.rmse == pytest.approx(np.sqrt(5 / 30))
+    assert seen.rmse_sigma == pytest.approx(np.sqrt((1 / 0.25 + 4 / 4) / 30))
+    assert seen.r2_axis == pytest.approx((1 - 1 / 10, 1 - 4 / 16, 1))
+    assert seen.rmse_axis == pytest.approx((np.sqrt(1 / 10), np.sqrt(4 / 10), 0))
+    # |t|^2 = 1 + 0 + 1 + 12 = 14 and 9 + 16 + 1 + 12 = 38; |p|^2 = 17 and 26; t.p = 15 and 30.
+    assert seen.cosine == pytest.approx((15 / np.sqrt(14 * 17) + 30 / np.sqrt(38 * 26)) / 2)
+    assert np.isnan(score(truth, predicted).rmse_sigma)
+
+
+def test_the_mean_explains_nothing_and_the_truth_everything():
+    truth = np.random.default_rng(0).normal(size=(30, 15))
+    assert score(truth, np.broadcast_to(truth.mean(0), truth.shape)).r2 == pytest.approx(0)
+    assert score(truth, truth).r2 == 1
+    assert score(truth, np.zeros_like(truth)).cosine == 0  # nothing predicted points nowhere
+
+
+def test_seed_interval_covers_as_often_as_it_says():
+    draws = np.random.default_rng(1).normal(3, 2, (4000, 5))
+    _, low, high = np.array([seed_interval(list(row)) for row in draws]).T
+    # Student's interval is exact for normal values: a binomial proportion, 4.5 deviations.
+    assert abs(np.mean((low < 3) & (high > 3)) - 0.95) < 4.5 * np.sqrt(0.95 * 0.05 / 4000)
+    mean, low, high = seed_interval([7.0])
+    assert mean == 7
+    assert np.isnan([low, high]).all()
+    assert np.isnan(seed_interval([1.0])[1:]).all()
+
+
+def test_grouped_interval_covers_where_rows_of_a_group_agree(monkeypatch):
+    monkeypatch.setattr(metrics, "RESAMPLES", 100)
+    rng, groups, repeats = np.random.default_rng(2), 30, 200
+    members = np.repeat(np.arange(groups), 5)
+    covered, torn = 0, 0
+    for seed in range(repeats):
+        values = rng.normal(size=groups)[members] + 0.1 * rng.normal(size=len(members))
+        for names in (members, np.arange(len(members))):
+            low, high = grouped_interval(lambda rows, values=values: values[rows].mean(), names, seed)
+            if names is members:
+                covered += low < 0 < high
+            else:
+                torn += low < 0 < high
+    # The bootstrap of a mean is a normal interval of the biased deviation, whose true coverage is Student's; its ends
+    # are quantiles of 100 draws, which costs about two more in a hundred.
+    expected = 1 - 2 * stats.t.sf(1.96 * np.sqrt((groups - 1) / groups), groups - 1)
+    assert abs(covered / repeats - expected) < 4.5 * np.sqrt(expected * (1 - expected) / repeats) + 0.02
+    # Five rows that say the same are one: taken apart, the interval is sqrt(5) too short.
+    expected = 1 - 2 * stats.norm.sf(1.96 / np.sqrt(5))
+    assert abs(torn / repeats - expected) < 4.5 * np.sqrt(expected * (1 - expected) / repeats) + 0.02
+
+
+def test_neighbours_by_hand():
+    x = np.array([[0.0, 0], [1, 0], [5, 0], [0, 7]])
+    y = np.arange(4.0)[:, None] * np.ones((1, 15))
+    at = np.array([[0.4, 0.1], [4.0, 0]])
+    np.testing.assert_array_equal(nearest_neighbours(x, y, at, 1)[:, 0], [0, 2])
+    np.testing.assert_array_equal(nearest_neighbours(x, y, at, 2)[:, 0], [0.5, 1.5])
+    np.testing.assert_array_equal(nearest_neighbours(x, y, at, 99)[:, 0], [1.5, 1.5])
+
+
+def test_ridge_minimises_its_loss():
+    rng = np.random.default_rng(3)
+    x, y, penalty = rng.normal(size=(40, 6)) + 3, rng.normal(size=(40, 15)), 0.3
+    # The same problem as plain least squares: an unpenalised column of ones, and rows that ask for small weights.
+    tall = np.r_[np.c_[x, np.ones(40)], np.c_[np.sqrt(penalty * 40) * np.eye(6), np.zeros(6)]]
+    weights = np.linalg.lstsq(tall, np.r_[y, np.zeros((6, 15))])[0]
+    at = rng.normal(size=(5, 6))
+    np.testing.assert_allclose(ridge(x, y, at, penalty), np.c_[at, np.ones(5)] @ weights, atol=1e-10)
+    line = x @ rng.normal(size=(6, 15)) + 2
+    np.testing.assert_allclose(ridge(x, line, x, 1e-12), line, atol=1e-8)
+
+
+def test_components_keep_the_distances_of_what_they_span():
+    rng = np.random.default_rng(4)
+    basis = rng.normal(size=(3, 64))
+    train, other = (rng.normal(size=(n, 3)) @ basis + 5 for n in (20, 7))
+    a, b = reduce_patches(train.reshape(-1, 8, 8), other.reshape(-1, 8, 8), components=3)
+    assert a.shape == (20, 3)
+    distances = np.linalg.norm(train[:, None] - other[None], axis=-1)
+    np.testing.assert_allclose(np.linalg.norm(a[:, None] - b[None], axis=-1), distances, rtol=1e-9)
+    np.testing.assert_allclose(a.T @ a, np.diag(np.diag(a.T @ a)), atol=1e-8 * (a**2).sum())
+
+
+def test_options_are_chosen_between_groups():
+    # Every touch is there twice, in one group: inside a group its copy is the best neighbour; across groups chance
+    # neighbours are useless and many of them are better than one.
+    rng = np.random.default_rng(5)
+    x, y = np.tile(rng.normal(size=(50, 4)), (2, 1)), np.tile(rng.normal(size=(50, 15)), (2, 1))
+    asked = []
+
+    def method(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: float) -> np.ndarray:
+        asked.append(k)
+        return nearest_neighbours(x, y, at, int(k))
+
+    tuned(method, (1, 32), x, y, np.tile(np.arange(50), 2), x[:3])
+    assert asked[-1] == 32
+    tuned(method, (1, 32), x, y, np.repeat([0, 1], 50), x[:3])  # copies apart, on purpose
+    assert asked[-1] == 1
+    asked.clear()
+    tuned(method, (4, 1), x, y, np.zeros(100), x[:3])
+    assert asked == [4]
+
+
+def test_baselines_find_what_they_are_able_to():
+    rng = np.random.default_rng(6)
+    patches = rng.normal(size=(120, 6, 6))
+    measured = rng.normal(size=(120, 2)) * (1, 1e-3)
+    from_patch, from_measured = rng.normal(size=(36, 15)), rng.normal(size=(2, 15)) * [[1], [1e3]]
+    y = patches.reshape(120, -1) @ from_patch + 6 * measured @ from_measured
+    train, test = slice(0, 90), slice(90, 120)
+    predicted = baselines(patches[train], measured[train], y[train], np.arange(90) // 9, patches[test], measured[test])
+    r2 = {name: score(y[test], mean).r2 for name, mean in predicted.items()}
+    np.testing.assert_allclose(predicted["mean reading"], np.tile(y[train].mean(0), (30, 1)))
+    # The measured values carry two thirds of the variance: only a method that is given them can explain that much.
+    assert r2["mean reading"] <= 0
+    assert r2["ridge on PCA"] < 1 / 3 + 0.15
+    assert r2["ridge on PCA + measured"] > 0.8
+    assert r2["k nearest patches + measured"] > r2["k nearest patches"]
+
+    alike = baselines(0 * patches[train], measured[train], y[train], np.arange(90) // 9, patches[test], measured[test])
+    assert all(np.isfinite(mean).all() for mean in alike.values())

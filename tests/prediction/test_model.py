@@ -1,0 +1,165 @@
+"""The network against the paper's sizes, its own parts written out by hand, and the moments of a mixture."""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from i2t.prediction.model import (
+    Inputs,
+    ModelConfig,
+    Normalisation,
+    Prediction,
+    Standard,
+    apply,
+    init,
+    parameter_count,
+    predict,
+    prepare,
+)
+
+SMALL = ModelConfig(pixels=12, encoder_width=16, decoder_width=24, auxiliary_width=20)
+EPS = float(np.finfo(np.float32).eps)
+
+
+def examples(cfg: ModelConfig, n: int) -> Inputs:
+    key_image, key_conditions = jax.random.split(jax.random.key(3))
+    image = 4e-3 * jax.random.uniform(key_image, (n, cfg.pixels, cfg.pixels))
+    return Inputs(image, jax.random.normal(key_conditions, (n, len(cfg.conditions))))
+
+
+def plain(conditions: int) -> Normalisation:
+    one = jnp.ones(15)
+    return Normalisation(Standard(0 * one, one), Standard(jnp.zeros(conditions), jnp.ones(conditions)), 0 * one)
+
+
+def start(cfg: ModelConfig) -> dict:
+    return jax.jit(init, static_argnums=1)(jax.random.key(0), cfg)
+
+
+def dense(inputs: int, outputs: int) -> int:
+    return inputs * outputs + outputs
+
+
+def test_the_papers_network_has_the_papers_sizes() -> None:
+    readings = dense(2304, 200) + dense(200, 5) + dense(5, 500) + dense(500, 15)
+    assert parameter_count(ModelConfig(auxiliary=False)) == readings == 472_520
+    assert parameter_count(ModelConfig()) == readings + dense(5, 2000) + dense(2000, 2304) == 5_094_824
+
+
+def test_options_add_the_parameters_they_should() -> None:
+    base = parameter_count(SMALL)
+    assert parameter_count(replace(SMALL, heteroscedastic=True)) == base + dense(24, 15)
+    two = replace(SMALL, conditions=("force", "depth"))
+    assert parameter_count(two) == base + 2 * 16 + 2 * 24
+    assert parameter_count(replace(two, skip=False)) == base + 2 * 16
+    convolutions = (25 * 1 * 4 + 4) + (9 * 4 * 8 + 8)
+    features = 3 * 3 * 8  # two strides of 2 from 12 pixels
+    cnn = replace(SMALL, encoder="cnn", channels=(4, 8))
+    assert parameter_count(cnn) == base + convolutions + (features - 144) * 16
+
+
+def test_forward_pass_is_the_one_written_out_by_hand() -> None:
+    cfg = replace(SMALL, conditions=("force",), heteroscedastic=True)
+    params = start(cfg)
+    params["log_variance"]["kernel"] = jax.random.normal(jax.random.key(1), (24, 15))
+    example = jax.tree.map(lambda leaf: leaf[0], examples(cfg, 1))
+    got = jax.jit(partial(apply, cfg=cfg))(params, inputs=example)
+
+    weights = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), params)
+
+    def layer(name: str, values: np.ndarray) -> np.ndarray:
+        return values @ weights[name]["kernel"] + weights[name]["bias"]
+
+    force = np.asarray(example.conditions, np.float64)
+    features = np.concatenate([np.asarray(example.image, np.float64).ravel(), force])
+    latent = layer("bottleneck", np.maximum(layer("encoder", features), 0))
+    decoded = np.maximum(layer("decoder", np.concatenate([latent, force])), 0)
+    image = layer("image", np.maximum(layer("auxiliary", latent), 0)).reshape(12, 12)
+    expected = Prediction(layer("reading", decoded), 10 * np.tanh(layer("log_variance", decoded) / 10), image, latent)
+    # Each of at most three products in a row sums at most 145 terms of order one: rounding below 3 * 145 * eps.
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=3 * 145 * EPS, rtol=3 * 145 * EPS), got, expected)
+
+
+@pytest.mark.parametrize("encoder", ["mlp", "cnn"])
+@pytest.mark.parametrize("heteroscedastic", [False, True])
+@pytest.mark.parametrize("auxiliary", [False, True])
+def test_shapes_and_what_is_left_out(encoder: str, heteroscedastic: bool, auxiliary: bool) -> None:
+    cfg = replace(SMALL, pixels=20, encoder=encoder, heteroscedastic=heteroscedastic, auxiliary=auxiliary, bottleneck=7)
+    got = jax.eval_shape(lambda: apply(init(jax.random.key(0), cfg), cfg, Inputs(jnp.zeros((20, 20)), jnp.zeros(0))))
+    assert got.reading.shape == (15,)
+    assert got.latent.shape == (7,)
+    assert (got.log_variance is not None) == heteroscedastic
+    assert (got.image is not None) == auxiliary
+    assert not auxiliary or got.image.shape == (20, 20)
+
+
+@pytest.mark.parametrize("encoder", ["mlp", "cnn"])
+def test_examples_of_a_batch_do_not_touch_each_other(encoder: str) -> None:
+    cfg = replace(SMALL, encoder=encoder)
+    params = start(cfg)
+    inputs = examples(cfg, 4)
+    readings = jax.jit(jax.vmap(lambda x: apply(params, cfg, x).reading))
+    together = readings(inputs)
+    changed = inputs._replace(image=inputs.image.at[2].set(0.1))
+    again = readings(changed)
+    same = np.array([0, 1, 3])
+    np.testing.assert_array_equal(together[same], again[same])
+    assert np.abs(together[2] - again[2]).max() > 1e-3
+
+
+def test_prepared_inputs() -> None:
+    depth = jnp.array([[0.0, 1e-3], [2e-3, 9e-3]])
+    inputs = Inputs(depth, jnp.array([3.0]))
+    norm = plain(1)._replace(conditions=Standard(jnp.array([1.0]), jnp.array([4.0])))
+    cfg = ModelConfig(pixels=2, conditions=("force",))
+    np.testing.assert_allclose(prepare(cfg, norm, inputs).image, [[0, 0.25], [0.5, 1]], rtol=2 * EPS)
+    np.testing.assert_array_equal(prepare(cfg, norm, inputs).conditions, [0.5])
+    np.testing.assert_array_equal(prepare(replace(cfg, input="mask"), norm, inputs).image, [[1, 1], [0, 0]])
+    np.testing.assert_array_equal(prepare(replace(cfg, input="image"), norm, inputs).image, depth)
+
+
+def test_mixture_has_the_moments_worked_out_by_hand() -> None:
+    cfg = replace(SMALL, heteroscedastic=True, members=2)
+    params = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), start(cfg))
+    # Members that ignore their input: means 1 and 3, variances e^0 and e^ln 3 (before the smooth bound).
+    bias = jnp.array([1.0, 3.0])[:, None] * jnp.ones((1, 15))
+    params["reading"] = {"kernel": jnp.zeros((2, 24, 15)), "bias": bias}
+    raw = 10 * np.arctanh(np.log(3) / 10)
+    params["log_variance"]["bias"] = jnp.array([0.0, raw])[:, None] * jnp.ones((1, 15))
+    norm = plain(0)._replace(reading=Standard(jnp.arange(15.0), jnp.full(15, 10.0)))
+    mean, std = jax.jit(partial(predict, cfg=cfg))(
+        params, normalisation=norm, inputs=jax.tree.map(lambda leaf: leaf[0], examples(cfg, 1))
+    )
+    # Mixture: mean (1 + 3)/2; variance (1 + 3)/2 + ((1 - 2)^2 + (3 - 2)^2)/2 = 3.
+    np.testing.assert_allclose(mean, 20 + np.arange(15.0), rtol=4 * EPS)
+    np.testing.assert_allclose(std, np.full(15, 10 * np.sqrt(3)), rtol=16 * EPS)
+
+
+def test_a_model_without_variance_shows_its_residual_one() -> None:
+    params = jax.tree.map(lambda leaf: leaf[None], start(SMALL))
+    norm = plain(0)._replace(reading=Standard(jnp.zeros(15), jnp.full(15, 2.0)), residual=jnp.full(15, 0.25))
+    _, std = jax.jit(partial(predict, cfg=SMALL))(
+        params, normalisation=norm, inputs=jax.tree.map(lambda leaf: leaf[0], examples(SMALL, 1))
+    )
+    np.testing.assert_array_equal(std, np.full(15, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("input", "rgb", "model.input is 'rgb'; choose one of depth, mask, image"),
+        ("encoder", "vit", "choose one of mlp, cnn"),
+        ("conditions", ("force", "colour"), "name each of force, nearest, depth"),
+        ("conditions", ("force", "force"), "at most once"),
+        ("bottleneck", 0, "model.bottleneck is 0"),
+    ],
+)
+def test_impossible_networks_are_refused(field: str, value: object, words: str) -> None:
+    cfg = ModelConfig()
+    object.__setattr__(cfg, field, value)  # the run-time type checks of the tests would refuse some of these earlier
+    with pytest.raises(ValueError, match=words):
+        cfg.__post_init__()

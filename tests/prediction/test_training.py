@@ -1,0 +1,310 @@
+"""Training against what must hold whatever the data: what it fits, what it repeats exactly, and what it refuses."""
+
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from i2t.prediction import training
+from i2t.prediction.loss import LossConfig
+from i2t.prediction.model import Inputs, ModelConfig, Normalisation, predict
+from i2t.prediction.training import Batch, EpochInfo, TrainConfig, TrainState
+
+MODEL = ModelConfig(pixels=8, encoder_width=16, bottleneck=4, decoder_width=24, auxiliary_width=12)
+TRAIN = TrainConfig(epochs=7, batch_size=16, learning_rate=3e-3)
+EPS = float(np.finfo(np.float32).eps)
+
+
+def touches(n: int, seed: int = 0, conditions: int = 0, noise: float = 0.0) -> Batch:
+    """Smooth random depth patches and a linear response to their slopes, mean and conditions, plus noise (uT)."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[-1:1:8j, -1:1:8j]
+    slope = rng.uniform(-1, 1, (n, 3))
+    image = 2e-3 * (1 + 0.4 * (slope[:, 0, None, None] * x + slope[:, 1, None, None] * y + slope[:, 2, None, None]))
+    measured = rng.normal(size=(n, conditions))
+    response = np.random.default_rng(99).normal(size=(3 + conditions, 15))
+    target = 30 * np.hstack([slope, measured]) @ response + noise * rng.normal(size=(n, 15))
+    return Batch(
+        Inputs(jnp.asarray(image, jnp.float32), jnp.asarray(measured, jnp.float32)), jnp.asarray(target, jnp.float32)
+    )
+
+
+class Case(NamedTuple):
+    norm: Normalisation
+    train: Batch
+    validation: Batch
+
+
+@pytest.fixture(scope="module")
+def case() -> Case:
+    raw = touches(40)  # two minibatches of 16 and one of 8
+    norm = training.normalisation(raw)
+    return Case(norm, training.prepare(MODEL, norm, raw), training.prepare(MODEL, norm, touches(24, 1)))
+
+
+@partial(jax.jit, static_argnums=(1, 2, 3))
+def begin_with(key: jax.Array, model: ModelConfig, cfg: TrainConfig, n: int) -> TrainState:
+    return training.init(key, model, cfg, n)
+
+
+def begin(model: ModelConfig, cfg: TrainConfig, n: int) -> TrainState:
+    return begin_with(jax.random.key(0), model, cfg, n)
+
+
+fit = partial(training.fit, chunk=3)  # the same compiled program for most tests
+
+
+def assert_same(a: object, b: object) -> None:
+    def arrays(tree: object) -> list:
+        return [
+            jax.random.key_data(leaf) if jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key) else leaf
+            for leaf in jax.tree.leaves(tree)
+        ]
+
+    for left, right in zip(arrays(a), arrays(b), strict=True):
+        np.testing.assert_array_equal(left, right)
+
+
+def assert_near(left: object, right: object) -> None:
+    """Equal but for the order of summation inside the products.
+
+    An Adam step of rate r can differ by 2 r where a gradient is near zero, and hardly elsewhere: over the 21 steps of
+    a training no weight may be further apart than that, and their mean distance stays below a hundredth of it.
+    """
+    furthest = 2 * TRAIN.learning_rate * 3 * TRAIN.epochs
+    for a, b in zip(jax.tree.leaves(left), jax.tree.leaves(right), strict=True):
+        assert jnp.abs(a - b).max() <= furthest
+        assert jnp.abs(a - b).mean() <= 0.01 * furthest
+
+
+def test_a_few_touches_are_learned_by_heart() -> None:
+    raw = touches(16)
+    norm = training.normalisation(raw)
+    cfg = replace(TRAIN, epochs=400, learning_rate=1e-2)
+    state, info = jax.jit(training.make_train(MODEL, cfg))(jax.random.key(0), training.prepare(MODEL, norm, raw), None)
+    # Before training a standardised target leaves an error of about 1; 15 outputs linear in 3 hidden numbers fit in 4.
+    assert info.train.squared[0] > 0.5
+    assert info.train.squared[-1] < 1e-3
+    mean, _ = jax.vmap(partial(predict, state.best_params, MODEL, norm))(raw.inputs)
+    unexplained = jnp.sum((mean - raw.target) ** 2) / jnp.sum((raw.target - raw.target.mean(0)[None]) ** 2)
+    assert unexplained < 2e-3  # the same error again in physical units, of the touches' variance
+
+
+def test_an_epoch_meets_every_touch_once_and_weighs_the_last_minibatch_by_its_size(case: Case) -> None:
+    # A learning rate too small to move float32 parameters, so the epoch's mean is the mean over all touches.
+    cfg = replace(TRAIN, learning_rate=1e-30)
+    state = begin(MODEL, cfg, 40)
+    epoch = jax.jit(training.make_chunk(MODEL, cfg, 1))
+    after, info = epoch(state, case.train, None, jnp.int32(1))
+    for left, right in zip(jax.tree.leaves(after.params), jax.tree.leaves(state.params), strict=True):
+        np.testing.assert_allclose(left, right, atol=3 * 1e-29)  # three steps, none longer than ten times the rate
+    params = jax.tree.map(lambda leaf: leaf[0], state.params)
+    expected = jax.jit(lambda p: training.evaluate(p, MODEL, cfg.loss, case.train))(params)
+    # Two orders of summing 40 positive terms, each from products of up to 64 terms.
+    np.testing.assert_allclose(info.train.total[0, 0], expected.total, rtol=104 * EPS)
+
+
+def test_seeds_trained_together_are_the_seeds_trained_alone(case: Case) -> None:
+    cfg = replace(TRAIN, seed=3, seeds=3)
+    together = fit(jax.jit(lambda: training.start(MODEL, cfg, 40))(), MODEL, cfg, case.train, case.validation)
+    assert together.epoch.shape == (3, 1)
+    for i in range(3):
+        state = begin_with(jax.random.key(3 + i), MODEL, TRAIN, 40)
+        alone = fit(state, MODEL, TRAIN, case.train, case.validation)
+        assert_near(jax.tree.map(lambda leaf, i=i: leaf[i], together.params), alone.params)
+        np.testing.assert_allclose(together.best_loss[i], alone.best_loss, rtol=1e-3)
+
+
+def test_a_whole_training_is_a_function_of_its_key(case: Case) -> None:
+    keys = jax.random.split(jax.random.key(5), 2)
+    train = jax.jit(jax.vmap(training.make_train(MODEL, TRAIN), in_axes=(0, None, None)))
+    states, infos = train(keys, case.train, case.validation)
+    assert infos.train.total.shape == (2, TRAIN.epochs, 1)
+    alone = fit(begin_with(keys[1], MODEL, TRAIN, 40), MODEL, TRAIN, case.train, case.validation)
+    assert_near(jax.tree.map(lambda leaf: leaf[1], states.params), alone.params)
+    assert (jnp.abs(states.params["reading"]["kernel"][0] - alone.params["reading"]["kernel"]) > 1e-3).any()
+
+
+def test_ensemble_members_differ_and_are_what_they_would_be_alone(case: Case) -> None:
+    model = replace(MODEL, members=3)
+    state = begin(model, TRAIN, 40)
+    after = fit(state, model, TRAIN, case.train, case.validation)
+    for i in range(3):
+        alone = fit(jax.tree.map(lambda leaf, i=i: leaf[i : i + 1], state), MODEL, TRAIN, case.train, case.validation)
+        assert_near(jax.tree.map(lambda leaf, i=i: leaf[i : i + 1], after.params), alone.params)
+    kernels = after.params["encoder"]["kernel"]
+    assert jnp.abs(kernels[0] - kernels[1]).mean() > 0.01  # weights are of order 1/sqrt(64)
+
+
+def test_interrupted_training_repeats_the_uninterrupted_one_exactly(case: Case) -> None:
+    heard: list[tuple[int, EpochInfo]] = []
+    whole = fit(
+        begin(MODEL, TRAIN, 40), MODEL, TRAIN, case.train, case.validation, log=lambda e, i: heard.append((e, i))
+    )
+    assert [epoch for epoch, _ in heard] == [1, 2, 3, 4, 5, 6, 7]
+
+    saved: list[TrainState] = []
+
+    def save_until_the_fifth(state: TrainState) -> None:
+        saved.append(state)
+        if int(state.epoch[0]) >= 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit(begin(MODEL, TRAIN, 40), MODEL, TRAIN, case.train, case.validation, save=save_until_the_fifth)
+    # From the first save on, in chunks that end elsewhere.
+    again: list[tuple[int, EpochInfo]] = []
+    resumed = fit(saved[0], MODEL, TRAIN, case.train, case.validation, log=lambda e, i: again.append((e, i)))
+    assert_same(resumed, whole)
+    assert_same([info for _, info in again], [info for _, info in heard[3:]])
+
+
+def test_chunks_of_any_length_are_one_program(case: Case) -> None:
+    traced = 0
+
+    def counted(*args):
+        nonlocal traced
+        traced += 1
+        return training.make_chunk(MODEL, TRAIN, 4)(*args)
+
+    chunk = jax.jit(counted)
+    state = begin(MODEL, TRAIN, 40)
+    whole, info = chunk(state, case.train, case.validation, jnp.int32(4))
+    first, early = chunk(state, case.train, case.validation, jnp.int32(1))
+    second, late = chunk(first, case.train, case.validation, jnp.int32(3))
+    assert traced == 1
+    assert_same(second, whole)
+    np.testing.assert_array_equal(early.train.total[:1], info.train.total[:1])
+    np.testing.assert_array_equal(late.train.total[:3], info.train.total[1:])
+
+
+def test_the_best_epoch_is_kept(case: Case) -> None:
+    # Validation readings that contradict training: the score rises sooner or later.
+    contrary = case.validation._replace(target=-case.validation.target)
+    scores = []
+    state = fit(
+        begin(MODEL, TRAIN, 40),
+        MODEL,
+        TRAIN,
+        case.train,
+        contrary,
+        log=lambda _, i: scores.append(i.validation.reading[0]),
+    )
+    assert int(state.best_epoch[0]) == 1 + int(np.argmin(scores)) < TRAIN.epochs
+    assert state.best_loss[0] == min(scores)
+    best = jax.tree.map(lambda leaf: leaf[0], state.best_params)
+    score = jax.jit(lambda p: training.evaluate(p, MODEL, TRAIN.loss, contrary).reading)(best)
+    np.testing.assert_allclose(score, min(scores), rtol=104 * EPS)
+
+
+def test_known_noise_is_recovered() -> None:
+    model = replace(MODEL, heteroscedastic=True, auxiliary=False)
+    raw = touches(2000, noise=6.0)
+    norm = training.normalisation(raw)
+    cfg = TrainConfig(epochs=60, learning_rate=3e-3, batch_size=100)
+    held_out = touches(500, 1, noise=6.0)
+    state = fit(
+        begin(model, cfg, 2000), model, cfg, *(training.prepare(model, norm, b) for b in (raw, held_out)), chunk=60
+    )
+    spread = jax.jit(jax.vmap(lambda x: predict(state.best_params, model, norm, x)[1]))(held_out.inputs)
+    # The likelihood's best constant estimate of one channel from 2000 touches has a relative standard error of
+    # 1/sqrt(4000) = 1.6 %; the model also has to learn the mean (about 1000 parameters on 30 000 values, 3 % of the
+    # variance): 10 % is three times their sum.
+    np.testing.assert_allclose(jnp.sqrt(jnp.mean(spread**2, axis=0)), 6.0, rtol=0.1)
+
+
+def test_residual_makes_the_spread_right_where_it_was_measured(case: Case) -> None:
+    model = replace(MODEL, members=2)
+    state = begin(model, TRAIN, 40)
+    norm = jax.jit(partial(training.with_residual, model=model))(state.params, norm=case.norm, batch=case.validation)
+    raw = touches(24, 1)
+    mean, std = jax.jit(jax.vmap(lambda x: predict(state.params, model, norm, x)))(raw.inputs)
+    error = jnp.mean((mean - raw.target) ** 2, axis=0)
+    shown = jnp.mean(std**2, axis=0)
+    apart = norm.residual > 0
+    assert apart.any()
+    # Means over 24 touches of squares of numbers of order one.
+    np.testing.assert_allclose(shown[apart], error[apart], rtol=100 * EPS * 24)
+    assert (shown[~apart] >= error[~apart]).all()
+
+
+def test_normalisation_standardises_and_survives_constant_channels() -> None:
+    raw = touches(50, conditions=2)
+    raw = raw._replace(
+        target=raw.target.at[:, 4].set(0.1),
+        inputs=raw.inputs._replace(conditions=raw.inputs.conditions.at[:, 1].set(-3e-4)),
+    )
+    model = replace(MODEL, conditions=("force", "depth"))
+    norm = training.normalisation(raw)
+    prepared = training.prepare(model, norm, raw)
+    varying = np.arange(15) != 4
+    for values, channels in ((prepared.target, varying), (prepared.inputs.conditions, np.array([True, False]))):
+        # Sums of 50 float32 terms of order one.
+        np.testing.assert_allclose(values.mean(0), 0, atol=50 * EPS * 4)
+        np.testing.assert_allclose(values.std(0)[channels], 1, rtol=50 * EPS * 4)
+        np.testing.assert_allclose(values[:, ~channels], 0, atol=50 * EPS)
+    assert norm.reading.std[4] == 1
+
+
+def damaged(field: str) -> Batch:
+    raw = touches(20, conditions=1)
+    if field == "image":
+        return raw._replace(inputs=raw.inputs._replace(image=raw.inputs.image.at[7, 2, 3].set(jnp.nan)))
+    if field == "force":
+        return raw._replace(inputs=raw.inputs._replace(conditions=raw.inputs.conditions.at[7, 0].set(jnp.inf)))
+    if field == "reading":
+        return raw._replace(target=raw.target.at[7, 1].set(jnp.nan))
+    if field == "pixels":
+        return raw._replace(inputs=raw.inputs._replace(image=raw.inputs.image[:, :7, :7]))
+    if field == "conditions":
+        return raw._replace(inputs=raw.inputs._replace(conditions=raw.inputs.conditions[:, :0]))
+    return jax.tree.map(lambda leaf: leaf[:0], raw)
+
+
+@pytest.mark.parametrize(
+    ("field", "words"),
+    [
+        ("image", "1 of 20 touches of the training set have a image that is not finite .first at index 7"),
+        ("force", "condition 'force' that is not finite .first at index 7"),
+        ("reading", "reading that is not finite"),
+        ("pixels", "images have shape .20, 7, 7.; 20 touches of model.pixels = 8"),
+        ("conditions", "conditions have shape .20, 0."),
+        ("none", "holds no touches"),
+    ],
+)
+def test_touches_that_cannot_be_learned_from_are_refused(field: str, words: str) -> None:
+    model = replace(MODEL, conditions=("force",))
+    training.check(touches(20, conditions=1), model, "training")
+    with pytest.raises(ValueError, match=words):
+        training.check(damaged(field), model, "training")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"epochs": 0}, "train.epochs is 0"),
+        ({"learning_rate": float("nan")}, "train.learning_rate"),
+        ({"weight_decay": -1.0}, "train.weight_decay"),
+    ],
+)
+def test_impossible_trainings_are_refused(change: dict, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        TrainConfig(**change)
+
+
+def test_weight_decay_pulls_on_matrices_only_and_the_cosine_ends_at_rest(case: Case) -> None:
+    cfg = replace(TRAIN, weight_decay=0.1, learning_rate=0.5, loss=LossConfig())
+    optimizer = cfg.optimizer(40)
+    params = {"kernel": jnp.ones((2, 3)), "bias": jnp.ones(3)}
+    still = jax.tree.map(jnp.zeros_like, params)
+    state = optimizer.init(params)
+    updates, state = optimizer.update(still, state, params)
+    np.testing.assert_allclose(updates["kernel"], -0.5 * 0.1, rtol=4 * EPS)
+    np.testing.assert_array_equal(updates["bias"], 0)
+    for _ in range(cfg.epochs * 3):  # three minibatches an epoch
+        updates, state = optimizer.update(still, state, params)
+    np.testing.assert_allclose(updates["kernel"], 0, atol=EPS)

@@ -1,0 +1,253 @@
+"""Imagined touches against plane geometry, finite differences, statics and the process they are read from.
+
+A travel is a difference of places of some 0.1 m in float32, wrong by up to DELTA as in `tests.test_touch`.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from i2t.objects.catalogue import make
+from i2t.objects.solids import ball, mesh
+from i2t.prediction import gp
+from i2t.prediction.gp import Hyper, Imagined
+from i2t.recognition import outcomes
+from i2t.recognition.outcomes import CELLS, LOADS, Met, Outcome, SkinMap
+from i2t.rendering.ops import element
+from i2t.rendering.render import prepare, stack
+from i2t.types import LEVER, PAD_WINDOW, STANDOFF
+
+DELTA = 3e-7  # m
+HALF = PAD_WINDOW / 2
+PAST = 6e-3
+LOAD = jnp.float32(LOADS)
+DOWN = np.diag([1.0, -1.0, -1.0])
+RADIUS = 25e-3
+MANY = 26  # touches at a time: two for each coordinate of a placement, and two more of these
+BLOCK, BALL = (element(stack([prepare(make("square").mesh), prepare(mesh(ball(25.0)))]), i) for i in range(2))
+TOP = 30e-3  # m, height of the block, 50 mm wide
+
+meet = jax.jit(jax.vmap(partial(outcomes.meet, past=PAST), (None, None, 0, 0, None)))
+at_load = jax.jit(jax.vmap(outcomes.at_load, (None, None, 0)))
+
+
+def met(surface, T_w_o, twist, T_w_site) -> Met:
+    """Some touches, in one compilation for all tests; of a single site or a single place if that is all there is."""
+    twist, T = np.atleast_2d(twist), np.asarray(T_w_site).reshape(-1, 4, 4)
+    n = max(len(twist), len(T))
+    full = meet(
+        surface, jnp.float32(T_w_o), jnp.float32(np.resize(twist, (MANY, 6))),
+        jnp.float32(np.resize(T, (MANY, 4, 4))), LOAD,
+    )  # fmt: skip
+    return jax.tree.map(lambda x: np.asarray(x[:n]), full)
+
+
+def pose(rotation, position) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation, position
+    return T
+
+
+def tilted(rng: np.random.Generator, size: float) -> np.ndarray:
+    """A tool that looks down but for a tilt and a turn."""
+    return Rotation.from_euler("xyz", [*rng.uniform(0.3, 1, 2) * size * rng.choice([-1, 1], 2), 1.0]).as_matrix() @ DOWN
+
+
+def test_a_flat_top_is_met_by_the_lowest_corner_of_the_skin():
+    rng = np.random.default_rng(0)
+    T_w_o = pose(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-0.1, 0.1, 3))
+    n = 12
+    sites = [pose(tilted(rng, 0.2), [*rng.uniform(-5e-3, 5e-3, 2), TOP + rng.uniform(-5e-3, 5e-3)]) for _ in range(n)]
+    found = met(BLOCK, T_w_o, np.zeros(6), T_w_o[None] @ np.stack(sites))
+    assert found.hit.all()
+    for i, site in enumerate(sites):
+        R, p = site[:3, :3], site[:3, 3]
+        corner = -np.sign(R[2, :2]) * HALF
+        cosine = -R[2, 2]
+        height = p[2] + R[2, :2] @ corner - TOP
+        assert found.travel[i] == pytest.approx(height / cosine, abs=2 * DELTA)
+        # A plane that moves up by v shortens the travel by v over the cosine; a turn w moves it up by w x q at q.
+        q = p + R[:, :2] @ corner + R[:, 2] * height / cosine
+        slope = -np.array([0, 0, 1, q[1] / LEVER, -q[0] / LEVER, 0]) / cosine
+        np.testing.assert_allclose(found.slope[i], slope, atol=1e-4)  # q moves by DELTA, of 9 mm
+
+
+def test_slopes_are_differences_of_travels():
+    rng = np.random.default_rng(1)
+    step = 1e-4
+    T_w_o = pose(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-0.1, 0.1, 3))
+    off = np.float32(rng.normal(scale=3e-3, size=(2, 6)))  # up to half a radian
+    places = np.concatenate([off, *(off + sign * step * e for e in np.eye(6) for sign in (-1, 1))])
+    R = tilted(rng, 0.4)
+    top, pole = pose(R, [2e-3, -3e-3, TOP]), pose(R, np.array([0, 0, RADIUS]) - RADIUS * R[:, 2])
+    # What is met goes around the object's origin on an arm no longer than this. A ball has facets; the skin meets one
+    # of their corners, and a turn may change which: a kink within a step makes its difference wrong by half its bend,
+    # beyond that of the arc.
+    arm = 2 * RADIUS
+    turns = np.array([0, 0, 0, 1, 1, 1])[:, None]
+    for surface, site, facets in ((BLOCK, top, 0), (BALL, pole, 1)):
+        found = met(surface, T_w_o, places, T_w_o @ site)
+        assert found.hit.all()
+        assert np.abs(found.travel).max() > 1e-4
+        apart = found.travel[2:].reshape(6, 2, 2).astype(np.float64)  # (coordinate, sign, place)
+        difference = (apart[:, 1] - apart[:, 0]) / (2 * step)
+        bend = np.abs(apart.sum(1) - 2 * found.travel[:2]) / step
+        smooth = arm / LEVER**3 * step**2 + DELTA / step  # of travels wrong by DELTA
+        kink = 0.5 * facets * turns * (bend + arm / LEVER**2 * step)
+        assert (np.abs(found.slope[:2].T - difference) < smooth + kink).all()
+        assert np.abs(found.slope).max() > 0.5
+
+
+def test_a_miss_is_all_zeros_and_no_nan():
+    aside = pose(DOWN, [60e-3, 0, TOP])
+    far = pose(DOWN, [0, 0, TOP + PAST + 4 * DELTA])
+    near = pose(DOWN, [0, 0, TOP + PAST - 4 * DELTA])
+    # An approach that begins a millimetre below the bottom leads away from it.
+    below = pose(DOWN, [0, 0, -STANDOFF - 1e-3])
+    found = met(BLOCK, np.eye(4), np.zeros(6), np.stack([aside, far, near, below]))
+    np.testing.assert_array_equal(found.hit, [False, False, True, False])
+    np.testing.assert_allclose(found.travel, PAST, atol=5 * DELTA)
+    missed = jax.tree.map(lambda x: x[[0, 1, 3]], found)
+    for values in (missed.slope, missed.sunk, missed.newtons):
+        np.testing.assert_array_equal(values, 0)
+    assert all(np.isfinite(x).all() for x in found)
+
+
+def test_the_skin_carries_the_load_and_sinks_deeper_with_it():
+    flat, round_ = pose(DOWN, [0, 0, TOP]), pose(DOWN, [1e-3, 2e-3, 2 * RADIUS])
+    for surface, site in ((BLOCK, flat), (BALL, round_)):
+        found = met(surface, np.eye(4), np.zeros(6), site)
+        assert found.newtons.min() >= 0
+        # Rescaled to the load: 400 cells are summed in float32.
+        np.testing.assert_allclose(found.newtons.sum(-1), np.float32([LOADS]), rtol=400 * np.finfo(np.float32).eps)
+        assert (np.diff(found.sunk[0]) > 0).all()
+        assert found.sunk[0, 0] > 0
+    # Where the ball is met is where it presses: its centre of pressure lies under the pole.
+    x = (np.arange(CELLS.cells) + 0.5) * CELLS.spacing - HALF
+    newtons = found.newtons[0].reshape(-1, CELLS.cells, CELLS.cells)
+    centre = np.einsum("lij,j->l", newtons, x) / LOADS, np.einsum("lij,i->l", newtons, x) / LOADS
+    # The tool's x is the world's and its y is turned over; a cell wide, the centre is known to a part of it.
+    np.testing.assert_allclose(centre, np.array([[-1e-3], [2e-3]]) * np.ones(3), atol=0.25e-3)
+
+
+# --- one pad ----------------------------------------------------------------------------------------------------------
+
+HYPER = Hyper(jnp.array([0.1, 0.5, 0.2, 0.15, 0.05]), jnp.array(0.3), jnp.array(0.7), jnp.array(0.05))
+
+
+def spots(rng: np.random.Generator, load: np.ndarray) -> Imagined:
+    """Round contacts at random places."""
+    x = np.arange(CELLS.cells)
+    place = rng.uniform(2, CELLS.cells - 3, (len(load), 2, 1))
+    along = np.exp(-((x - place) ** 2) / (2 * rng.uniform(1, 2, (len(load), 1, 1)) ** 2))
+    pressure = along[:, 0, :, None] * along[:, 1, None, :]
+    pressure *= load[:, None, None] / pressure.sum((1, 2), keepdims=True)
+    return Imagined(jnp.float32(pressure), jnp.float32(load))
+
+
+@pytest.fixture(scope="module")
+def process() -> gp.GP:
+    rng = np.random.default_rng(3)
+    readings = rng.normal(size=(30, 15)) * np.linspace(5, 40, 15)
+    return jax.jit(gp.fit)(HYPER, spots(rng, rng.uniform(0.3, 3, 30)), jnp.float32(readings))
+
+
+def test_maps_give_the_mean_and_variance_of_the_process(process):
+    rng = np.random.default_rng(4)
+    told = spots(rng, np.repeat(LOADS, 10))
+    mean, std = jax.jit(gp.predict)(process, told)
+    variance = np.asarray(std)[:, 0] ** 2 / process.scale[0] ** 2 - HYPER.noise
+
+    skin = outcomes.skin_map(process, 1.7)
+    np.testing.assert_array_equal(skin.loads, LOAD)
+    np.testing.assert_array_equal(skin.scale, process.scale)
+    newtons = told.pressure.reshape(3, 10, -1).swapaxes(0, 1)
+    blank = jnp.zeros(10)
+    imagined = Met(blank == 0, blank + 1e-3, jnp.zeros((10, 6)), jnp.ones((10, 3)) * 1e-3, newtons)
+    outcome = jax.jit(jax.vmap(outcomes.read, (0, None)))(imagined, skin)
+    # As in tests.test_gp: float32 solves lose a condition number of digits, at most trace K / noise.
+    trace = float(jnp.sum(process.cholesky**2))
+    loss = np.finfo(np.float32).eps * trace / float(HYPER.noise)
+    assert loss < 1e-3
+    mean, reading = np.asarray(mean).reshape(3, 10, 15).swapaxes(0, 1), np.asarray(outcome.reading)
+    assert np.abs(mean).max() > 10
+    np.testing.assert_allclose(reading, mean, atol=loss * np.abs(mean).max())
+    variance = np.asarray(variance).reshape(3, 10).T
+    assert variance.max() / variance.min() > 3
+    # What is cut off below ROUNDING of an eigenvalue counts as lost as well.
+    own = float(jnp.max(jnp.diagonal(process.cholesky @ process.cholesky.T)))
+    lost = outcomes.ROUNDING * skin.root.shape[1] * own + np.finfo(np.float32).eps * trace * own
+    np.testing.assert_allclose(outcome.variance, variance, atol=lost)
+    assert lost < 0.1 * variance.max()
+    np.testing.assert_allclose(outcome.sunk, 1.7e-3, rtol=1e-6)
+    np.testing.assert_array_equal(outcome.hit, imagined.hit)
+    np.testing.assert_array_equal(outcome.travel, imagined.travel)
+
+
+def test_a_reading_is_linear_in_the_newtons():
+    rng = np.random.default_rng(5)
+    mean, root = rng.normal(size=(3, 400, 15)), rng.normal(size=(3, 400, 7))
+    skin = SkinMap(LOAD, jnp.float32(mean), jnp.float32(root), jnp.ones(15), jnp.float32(0.5))
+    newtons = rng.uniform(size=(3, 400))
+    blank = Met(jnp.array(True), jnp.array(0.0), jnp.zeros(6), LOAD, jnp.float32(newtons))
+    outcome = jax.jit(outcomes.read)(blank, skin)
+    rounding = 400 * np.finfo(np.float32).eps
+    np.testing.assert_allclose(outcome.reading, np.einsum("lx,lxc->lc", newtons, mean), atol=400 * rounding)
+    np.testing.assert_allclose(outcome.variance, (np.einsum("lx,lxr->lr", newtons, root) ** 2).sum(1), rtol=1e-3)
+    np.testing.assert_allclose(outcome.sunk, 0.5 * LOAD)
+
+
+# --- between loads ----------------------------------------------------------------------------------------------------
+
+
+def some_outcome(rng: np.random.Generator) -> Outcome:
+    sunk = np.cumsum(rng.uniform(1e-4, 3e-4, 3))
+    variance = rng.uniform(0.1, 1, 3) * np.array(LOADS) ** 2
+    reading = rng.normal(scale=20, size=(3, 15)) * np.array(LOADS)[:, None]
+    return Outcome(
+        jnp.array(True), jnp.float32(1e-3), jnp.zeros(6), jnp.float32(sunk), jnp.float32(reading),
+        jnp.float32(variance),
+    )  # fmt: skip
+
+
+def test_between_loads():
+    outcome = some_outcome(np.random.default_rng(6))
+    force = np.geomspace(0.1, 8.1, 61)  # from a third of the least load to three times the largest, which are knots
+    sunk, reading, variance = (np.asarray(x, np.float64) for x in at_load(outcome, LOAD, jnp.float32(force)))
+    knots = [np.argmin(np.abs(force - load)) for load in LOADS]
+    close = partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-9)  # logarithms and their powers in float32
+    close(sunk[knots], outcome.sunk)
+    close(reading[knots], outcome.reading, atol=1e-4 * 20)
+    close(variance[knots], outcome.variance)
+    assert (np.diff(sunk) > 0).all()
+    assert (variance > 0).all()
+    # Straight lines in the logarithm of the load, which go on beyond the outer knots, as NumPy draws them.
+    for values, at in (
+        (reading / force[:, None], np.asarray(outcome.reading) / np.array(LOADS)[:, None]),
+        (np.log(sunk)[:, None], np.log(outcome.sunk)[:, None]),
+        (np.log(variance / force**2)[:, None], np.log(outcome.variance / LOAD**2)[:, None]),
+    ):
+        first, second = at[:2], at[1:]
+        low = force[:, None] < LOADS[1]
+        part = np.log(force[:, None] / np.where(low, LOADS[0], LOADS[1])) / np.log(3)
+        start, end = np.where(low, first[:1], second[:1]), np.where(low, first[1:], second[1:])
+        np.testing.assert_allclose(values, start + part * (end - start), atol=1e-4 * np.abs(at).max())
+
+
+def test_extreme_forces_and_misses_stay_finite():
+    rng = np.random.default_rng(7)
+    outcome = some_outcome(rng)
+    force = jnp.array([0.0, -1.0, 1e-12, 1e4, 0.02])
+    for values in at_load(outcome, LOAD, force):
+        assert np.isfinite(values).all()
+    nothing = jax.tree.map(jnp.zeros_like, outcome)
+    for values in at_load(nothing, LOAD, force):
+        np.testing.assert_array_equal(values, 0)
+    sunk, reading, variance = at_load(outcome, LOAD, force)
+    # No wrench sensor tells less than the least load.
+    for values in (sunk, reading, variance):
+        np.testing.assert_array_equal(values[:3], np.asarray(values)[[4, 4, 4]])

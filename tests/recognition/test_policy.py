@@ -1,0 +1,217 @@
+"""What a touch is expected to tell against mutual information by quadrature; decisions against tables by hand."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from i2t.recognition import belief, policy
+from i2t.recognition.belief import Belief
+from i2t.recognition.outcomes import Outcome
+from i2t.recognition.policy import Gain
+
+LOADS = np.array([0.3, 0.9, 2.7])
+PAST = 6e-3
+SPREAD = np.full(6, 1e-3)  # m
+SITES, OBJECTS, COUNT, DRAWS, PLACES = 6, 2, 8, 512, 8
+RARE = 1e-6  # chance of a false alarm of a statistical test, were its key drawn anew
+SIGMAS = stats.norm.isf(RARE / 2)
+AT = 0.9  # N, where presses end: the second of the loads
+CHANGE = 25.0  # uT
+
+NOISE = 0.1  # uT, of every channel
+POSITION = 1e-4  # m
+# Errors so nearly normal that no 512 draws would tell.
+NORMAL = belief.likelihood(np.eye(15), jnp.ones(15), jnp.float32(LOADS), PAST, POSITION)._replace(
+    whiten=jnp.eye(15) / NOISE, growth=jnp.ones(15) / NOISE**2, freedom=jnp.float32(1e4), outliers=jnp.float32(1e-6)
+)
+TACTILE = NORMAL._replace(spatial=jnp.float32(0))
+SPATIAL = NORMAL._replace(tactile=jnp.float32(0))
+PLACED = belief.particles(SPREAD, COUNT)
+gains = jax.jit(partial(policy.gains, draws=DRAWS, places=PLACES))
+
+
+def touches(change: np.ndarray | float, travel: np.ndarray | float = 0.0, hit: np.ndarray | bool = True) -> Outcome:
+    """Touches (sites, objects, places) that end at AT, where readings of CHANGE differ by `change` (uT) sideways."""
+    shape = (SITES, OBJECTS, COUNT)
+    reading = np.zeros((*shape, 15))
+    reading[..., 1] = change
+    reading[..., 0] = np.sqrt(CHANGE**2 - reading[..., 1] ** 2)
+    values = (
+        np.broadcast_to(travel, shape), np.zeros((*shape, 6)), np.tile(1e-4 * LOADS, (*shape, 1)),
+        reading[..., None, :] * (LOADS / AT)[:, None], np.zeros((*shape, 3)),
+    )  # fmt: skip
+    return Outcome(jnp.broadcast_to(jnp.asarray(hit), shape), *map(jnp.float32, values))
+
+
+def information(distance: float, prior: float) -> tuple[float, float]:
+    """Mutual information (nats) between two objects and a measurement that is normal about 0 or about `distance`, in
+    units of its standard deviation; and how what is told varies from draw to draw.
+    """
+
+    def entropy(x: float) -> float:
+        odds = np.log(prior / (1 - prior)) + stats.norm.logpdf(x) - stats.norm.logpdf(x, distance)
+        p = 1 / (1 + np.exp(-odds))
+        return float(stats.bernoulli(p).entropy())
+
+    def mean(power: int) -> float:
+        def weighed(x: float) -> float:
+            return entropy(x) ** power * (prior * stats.norm.pdf(x) + (1 - prior) * stats.norm.pdf(x, distance))
+
+        return integrate.quad(weighed, -8, distance + 8, limit=200, points=[0, distance / 2, distance])[0]
+
+    return float(stats.bernoulli(prior).entropy()) - mean(1), np.sqrt(max(mean(2) - mean(1) ** 2, 0))
+
+
+def start(prior: float = 0.5) -> Belief:
+    now = belief.begin(PLACED, OBJECTS)
+    return now._replace(log_weight=now.log_weight + jnp.log(jnp.array([prior, 1 - prior]) * 2)[:, None])
+
+
+@pytest.mark.parametrize("prior", [0.5, 0.85])
+def test_gains_are_mutual_information(prior):
+    distances = np.array([0.0, 0.5, 1.0, 2.0, 4.0, 20.0])
+    apart = (distances[:, None] * np.array([-0.5, 0.5]))[..., None]
+    bound = stats.bernoulli(prior).entropy()
+    # What is not known about a place makes the travel unsure along its slope.
+    unsure = np.hypot(belief.WITHIN * SPREAD[2], POSITION)
+    steep = touches(0.0, unsure * apart)._replace(slope=jnp.broadcast_to(jnp.eye(6)[2], (SITES, OBJECTS, COUNT, 6)))
+    for told, table in (
+        (TACTILE, touches(NOISE * apart)),
+        (SPATIAL, touches(0.0, POSITION * apart)),
+        (SPATIAL, steep),
+    ):
+        found = gains(jax.random.key(0), start(prior), table, told)
+        for i, distance in enumerate(distances):
+            exact, sd = information(distance, prior)
+            # Draws; how many of them each object gets, to one; and Student's freedom: 15^2 / 10^4 of a nat at most.
+            loose = SIGMAS * sd / np.sqrt(DRAWS) + 1 / DRAWS + 15**2 / 1e4 * exact
+            assert float(found.object[i]) == pytest.approx(exact, abs=loose + 1e-4)
+        assert (np.diff(found.object) > 0).all()  # all sites see the same draws
+        assert (found.object < bound + 1e-4).all()
+        # Places feel alike here: nothing is told of them, and the two are estimates of one number.
+        np.testing.assert_allclose(found.both, found.object, atol=SIGMAS * 2 * bound / np.sqrt(DRAWS))
+
+
+def test_what_is_told_of_the_object_and_of_the_place():
+    which, place = np.meshgrid(np.arange(OBJECTS), np.arange(COUNT), indexing="ij")
+    # Readings that differ do so by ten errors or more.
+    kinds = np.stack([place, 8 * which, 8 * which + place, 0 * place, place % 2, 0 * place])
+    hit = np.ones(kinds.shape, bool)
+    hit[-1, 1] = False  # the other object is not there at all
+    table = touches(20 * NOISE * (kinds - 7.5) / 2, 0.0, hit)
+    found = gains(jax.random.key(1), start(), table, TACTILE)
+    close = partial(np.testing.assert_allclose, atol=1e-3)
+    close(found.object, np.log([1, 2, 2, 1, 1, 2]))
+    close(found.both, np.log([8, 2, 16, 1, 2, 2]))
+
+    # Where the place is known, all that is told is of the object.
+    known = start()
+    known = known._replace(log_weight=jnp.where(jnp.arange(COUNT)[None] == 5, known.log_weight, -jnp.inf))
+    found = gains(jax.random.key(2), known, table, TACTILE)
+    close(found.object, np.log([1, 2, 2, 1, 1, 2]))
+    close(found.both, np.log([1, 2, 2, 1, 1, 2]))
+
+    # And where the object is, all of the place.
+    known = start()._replace(log_weight=jnp.zeros((OBJECTS, COUNT)).at[1].set(-jnp.inf))
+    found = gains(jax.random.key(3), known, table, TACTILE)
+    close(found.object, 0)
+    close(found.both, np.log([8, 1, 8, 1, 2, 1]))
+
+
+def test_gains_of_real_touches_stay_within_bounds():
+    rng = np.random.default_rng(4)
+    shape = (SITES, OBJECTS, COUNT)
+    slope = rng.normal(size=(*shape, 6))
+    reading = rng.normal(scale=5, size=(*shape, 1, 15)) * LOADS[:, None] ** 0.8
+    values = rng.uniform(-2e-3, 2e-3, shape), slope, np.tile(1e-4 * LOADS, (*shape, 1)), reading, np.ones((*shape, 3))
+    table = Outcome(jnp.asarray(rng.uniform(size=shape) < 0.8), *map(jnp.float32, values))
+    told = belief.likelihood(
+        rng.normal(size=(99, 15)) * np.linspace(3, 9, 15), jnp.full(15, 5.0), jnp.float32(LOADS), PAST, POSITION
+    )
+    found = gains(jax.random.key(5), start(0.7), table, told)
+    bound = stats.bernoulli(0.7).entropy()
+    loose = SIGMAS * np.log(2) / 2 / np.sqrt(DRAWS)  # an entropy of two lies between 0 and log 2
+    assert (found.object > -loose).all()
+    assert (found.object < bound + 1 / DRAWS).all()
+    assert (found.both > found.object - 2 * loose).all()
+    assert (found.both < bound + np.log(PLACES) + loose).all()
+
+
+# --- where a press ends -----------------------------------------------------------------------------------------------
+
+
+def test_a_power_law_stops_where_it_crosses():
+    rng = np.random.default_rng(6)
+    n = 60
+    power, goal = rng.uniform(0.3, 1.3, n), rng.uniform(0.05, 7, n)
+    direction = rng.normal(size=(n, 15))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    reading = CHANGE * direction[:, None] * ((LOADS[None] / goal[:, None]) ** power[:, None])[..., None]
+    blank = jnp.ones((n, 3))
+    outcome = Outcome(jnp.ones(n, bool), blank[:, 0], jnp.ones((n, 6)), blank, jnp.float32(reading), blank)
+    stop = jax.jit(jax.vmap(partial(policy.stop_load, skin_change=CHANGE, force=6.0), (0, None)))
+    found = stop(outcome, jnp.float32(LOADS))
+    # Logarithms in float32, over a power of at least 0.3.
+    np.testing.assert_allclose(found, np.clip(goal, LOADS[0] / 10, 6.0), rtol=1e-5)
+    nothing = stop(outcome._replace(reading=jnp.zeros((n, 3, 15))), jnp.float32(LOADS))
+    np.testing.assert_array_equal(nothing, 6)
+    huge = stop(outcome._replace(reading=1e6 * outcome.reading), jnp.float32(LOADS))
+    np.testing.assert_allclose(huge, LOADS[0] / 10, rtol=1e-6)
+
+
+def test_what_is_imagined_is_what_is_expected_plus_its_noise():
+    outcome = jax.tree.map(lambda x: x[0, 0, 0], touches(3.0, 1e-3))
+    outcome = outcome._replace(slope=jnp.arange(6.0), variance=jnp.full(3, 0.02))
+    off, noise = jnp.full(6, 1e-4), jnp.arange(16.0) - 8
+    told = NORMAL._replace(inflation=jnp.float32(2))
+    imagine = jax.jit(policy.imagine, static_argnums=(4, 5))
+    found = imagine(outcome, off, noise, told, CHANGE, 8.0)
+    assert float(found.force) == pytest.approx(AT, rel=1e-5)
+    assert found.contact
+    advance = 1e-3 + 15e-4 + 1e-4 * AT + AT / belief.STIFFNESS + POSITION * 7
+    assert float(found.advance) == pytest.approx(advance, rel=1e-5)
+    # Errors are those of the likelihood: twice the noise of 0.1, and the process's variance of 1 uT^2 times 0.02.
+    sd = 2 * np.sqrt(NOISE**2 + 0.02)
+    np.testing.assert_allclose(found.reading - outcome.reading[1], sd * np.asarray(noise[:15]), atol=1e-4 * sd * 25)
+    assert not imagine(outcome, 4 * off, noise, told, CHANGE, 8.0).contact  # after 7 mm
+    assert not imagine(outcome._replace(hit=jnp.array(False)), off, noise, told, CHANGE, 8.0).contact
+    weak = imagine(outcome, off, noise, told, CHANGE, 0.5)
+    assert float(weak.force) == pytest.approx(0.5)
+
+
+# --- decisions --------------------------------------------------------------------------------------------------------
+
+
+def probable(*probability: float) -> Belief:
+    """A belief of three objects."""
+    now = belief.begin(PLACED, 3)
+    share = jnp.log(jnp.array(probability) / COUNT)[:, None]
+    return now._replace(log_weight=jnp.broadcast_to(share, (3, COUNT)))
+
+
+def test_permitted_sites_are_safe_on_what_is_possible():
+    now = probable(0.9, 0.06, 0.03)
+    safe = jnp.array([[1, 1, 1], [1, 1, 0], [1, 0, 1], [1, 0, 0], [0, 1, 1]], bool)
+    np.testing.assert_array_equal(policy.permitted(now, safe), [True, True, False, False, False])
+    np.testing.assert_array_equal(policy.permitted(now, safe, 0.1), [True, True, True, True, False])
+    np.testing.assert_array_equal(policy.permitted(now, safe, 0.0), [True, False, False, False, False])
+
+
+def test_the_most_telling_of_the_allowed_sites_is_chosen():
+    gain = Gain(jnp.array([0.3, 0.5, 0.45, 0.1]), jnp.array([0.4, 0.5, 1.5, 3.0]))
+    every = jnp.ones(4, bool)
+    assert policy.choose(gain, every) == 2  # 0.31, 0.5, 0.555, 0.39
+    assert policy.choose(gain, every, 0.0) == 1
+    assert policy.choose(gain, every, 1.0) == 3
+    assert policy.choose(gain, jnp.array([True, False, False, True])) == 3
+    assert policy.choose(gain, jnp.array([True, False, False, False])) == 0
+    assert policy.choose(gain, ~every) == 2  # none is allowed: any
+
+
+def test_stopping():
+    for error, stop in ((0.05, False), (0.11, True), (0.2, True)):
+        assert bool(policy.stops(belief.posterior(probable(0.9, 0.06, 0.03)), error)) is stop

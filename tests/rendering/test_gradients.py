@@ -1,0 +1,207 @@
+"""Derivatives of the renderer by pose and by corners: against central differences in float64, and finite where a ray
+meets an edge, a corner, a face seen edge on, or nothing.
+"""
+
+from functools import partial
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from i2t.geometry import rotation, transform
+from i2t.objects.catalogue import make
+from i2t.rendering.render import prepare, render_heights, render_patch, stack
+from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Surface
+
+STEP = 1e-6  # m and rad
+# On one face the path of a pixel bends by STEP^2 slope^2 / (0.01 m and more) < 1e-10 m up to slopes of 1; where it
+# bends more, the face, the reach or the nearest pixel changed. What is left of such kinks moves the quotient by at most
+# BEND / (2 STEP).
+BEND = 1e-10
+THINGS = ("pyramid", "torus", "screwdriver", "spanner", "dome")
+PITCH = PATCH_WINDOW / PATCH_PIXELS
+
+
+def poses(thing, count: int, seed: int) -> np.ndarray:
+    """Tilted looks at a thing from above, onto random points of its upper faces (T_w_t)."""
+    rng = np.random.default_rng(seed)
+    mesh = trimesh.Trimesh(thing.vertices, thing.faces, process=False)
+    up = np.where(mesh.face_normals[:, 2] > 0.5, mesh.area_faces, 0)
+    points, _ = trimesh.sample.sample_surface(mesh, count, face_weight=up, seed=seed)
+    T = np.tile(np.eye(4), (count, 1, 1))
+    tilt = Rotation.from_rotvec(rng.normal(0, 0.2, (count, 3)))
+    T[:, :3, :3] = np.diag([1.0, -1.0, -1.0]) @ tilt.as_matrix()
+    T[:, :3, 3] = points + rng.uniform(-2e-3, 2e-3, (count, 3))
+    return T
+
+
+def both(patch):
+    return jnp.append(patch.depth.ravel(), patch.nearest)
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    things = [make(name).mesh for name in THINGS]
+    with jax.enable_x64(True):
+        surfaces = jax.tree.map(lambda a: jnp.asarray(a, jnp.float64), stack([prepare(thing) for thing in things]))
+    return surfaces, np.stack([poses(thing, 2, seed) for seed, thing in enumerate(things)])
+
+
+def waves() -> tuple[np.ndarray, np.ndarray]:
+    """Wave vectors (rad/m) and amplitudes of displacements that bend the meshes, by less than half of STEP: inside the
+    slack of the boxes.
+    """
+    k, amplitude = np.random.default_rng(1).normal(size=(2, 3, 3))
+    return 60 * k, amplitude / np.linalg.norm(amplitude, axis=1, keepdims=True) / 2
+
+
+def look(surface: Surface, T, move):
+    """Depths and nearest after a twist of the tool (move[:6]) and with bent meshes (move[6:])."""
+    k, amplitude = waves()
+    phase = jnp.einsum("fcj,wj->fcw", surface.triangles, k)
+    bent = surface.triangles + jnp.einsum("fcw,w,wj->fcj", jnp.sin(phase), move[6:], amplitude)
+    return both(render_patch(surface._replace(triangles=bent), T @ transform(rotation(move[:3]), move[3:6])))
+
+
+def test_against_central_differences_by_pose_and_corners(scenes):
+    """Corners that share a place move together, so the mesh stays whole."""
+    with jax.enable_x64(True):
+
+        @jax.jit
+        @partial(jax.vmap, in_axes=(0, 0))
+        @partial(jax.vmap, in_axes=(None, 0))
+        def all_of_it(surface, T):
+            def at(step, direction):
+                return jax.jvp(partial(look, surface, T), (step * direction,), (direction,))
+
+            return jax.vmap(jax.vmap(at, (None, 0)), (0, None))(STEP * jnp.arange(-1.0, 2.0), jnp.eye(9))
+
+        value, slope = (np.moveaxis(np.asarray(a), 2, 0) for a in all_of_it(*scenes))
+    (back, here, ahead), slope = value, slope[1]  # (things, poses, directions, pixels and nearest) each
+    assert np.isfinite(slope).all()
+    same = np.abs(ahead - 2 * here + back) < BEND
+    assert same.mean() > 0.9
+    quotient = (ahead - back) / (2 * STEP)
+    np.testing.assert_allclose(slope[same], quotient[same], rtol=1e-3, atol=BEND / (2 * STEP))
+    # The comparison is of something: tilts and bends change much of what is seen, by 1e-3 and more (m per rad or unit);
+    # the rest of the pixels sees nothing, or what is too deep.
+    moving = np.abs(quotient) > 1e-3
+    assert (moving.mean((0, 1, 3))[[0, 1, 6, 7, 8]] > 0.2).all()
+    # Moving the tool ahead brings all of the surface nearer and changes no shape: exact, whatever is seen.
+    np.testing.assert_allclose(slope[..., 5, -1], -1, rtol=1e-9)
+    np.testing.assert_allclose(slope[..., 5, :-1], 0, atol=1e-9)
+
+
+def test_backwards_is_the_transpose_of_forwards(scenes):
+    """Reverse mode, which trains and optimises, is the same linear map by pose and by corners."""
+    rng = np.random.default_rng(2)
+    with jax.enable_x64(True):
+        surface, T = jax.tree.map(lambda a: a[0], scenes[0]), jnp.asarray(scenes[1][0, 0])
+        push = jnp.asarray(rng.normal(size=T.shape)), jnp.asarray(rng.normal(size=surface.triangles.shape))
+        pull = jnp.asarray(rng.normal(size=PATCH_PIXELS**2 + 1))
+
+        @jax.jit
+        def maps(T, triangles):
+            _, forward = jax.linearize(
+                lambda T, triangles: both(render_patch(surface._replace(triangles=triangles), T)), T, triangles
+            )
+            backward = jax.linear_transpose(forward, T, triangles)(pull)
+            return forward(*push) @ pull, sum(jnp.sum(a * b) for a, b in zip(backward, push, strict=True))
+
+        forward, backward = map(float, maps(T, surface.triangles))
+    assert forward == pytest.approx(backward, rel=1e-9)
+
+
+def test_by_the_affine_map():
+    """On a plane z = a x + b y + c the heights under a map are known, and so are their derivatives."""
+    along = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]]) * 0.05
+    a, b, c = 0.3, -0.2, 4e-3
+    corners = np.concatenate([along, (along @ [a, b] + c)[:, None]], 1)
+    plane = prepare(SimpleNamespace(vertices=corners, faces=np.array([[0, 1, 2], [0, 2, 3]])))
+    slope = jax.jit(jax.jacfwd(partial(render_heights, plane)))(jnp.eye(4))
+    x, y = np.meshgrid(*[((np.arange(PATCH_PIXELS) + 0.5) / PATCH_PIXELS - 0.5) * PATCH_WINDOW] * 2)
+    z = a * x + b * y + c
+    # A point p moves by dA p; the height over a fixed pixel then changes by its z minus the slopes times its x and y.
+    point = np.stack([x, y, z, np.ones_like(x)], -1)
+    for row, weight in enumerate((-a, -b, 1.0)):
+        np.testing.assert_allclose(slope[:, :, row], weight * point, rtol=0, atol=1e-5)  # 50 roundings of values < 1
+    np.testing.assert_array_equal(slope[:, :, 3], 0)
+
+
+def soup(*triangles) -> SimpleNamespace:
+    return SimpleNamespace(vertices=np.reshape(triangles, (-1, 3)), faces=np.arange(3 * len(triangles)).reshape(-1, 3))
+
+
+def hostile() -> dict[str, tuple[Surface, np.ndarray]]:
+    """Scenes in which some ray meets what has no derivative."""
+    on = (np.arange(PATCH_PIXELS)[20] + 0.5) * PITCH - PATCH_WINDOW / 2  # x and y of a ray
+    straight = np.eye(4)
+    aside, on_ray, turned, edge_on = (straight.copy() for _ in range(4))
+    aside[0, 3] = 0.2
+    on_ray[:2, 3] = -on, -on
+    turned[:3, :3] = Rotation.from_euler("z", 45, degrees=True).as_matrix()
+    edge_on[:3, :3] = Rotation.from_euler("x", 90, degrees=True).as_matrix()
+    tent = prepare(soup(*[[[0, 0, 0], [0.03 * x, 0, 0.01], [0, 0.03 * y, 0.01]] for x in (-1, 1) for y in (-1, 1)]))
+    sheet = prepare(soup([[-0.04, -0.04, 0], [0.04, -0.04, 0], [0.04, 0.04, 0]]))
+    sliver = prepare(soup([[-0.04, on, 0], [0.04, on, 0], [0.04, on + 1e-9, 1e-3]]))
+    degenerate = prepare(soup([[0, 0, 0]] * 3, [[-0.01, 0, 0], [0, 0, 0], [0.01, 0, 0]], [[0, 0, 0.01]] * 3))
+    box = prepare(trimesh.creation.box((0.01, 0.01, 0.02)))
+    return {
+        "a corner on a ray": (tent, on_ray),
+        "edges along the diagonal": (sheet, straight),
+        "edges along columns of rays": (tent, turned),
+        "a face edge on": (sheet, edge_on),
+        "walls edge on": (box, straight),
+        "a sliver through rays": (sliver, straight),
+        "faces of no area": (degenerate, straight),
+        "nothing in the window": (box, aside),
+        "the tool inside": (box, edge_on),
+    }
+
+
+def test_finite_whatever_the_rays_meet():
+    scenes = hostile()
+    surfaces = stack([surface for surface, _ in scenes.values()])
+    T = np.stack([T for _, T in scenes.values()]).astype(np.float32)
+
+    @jax.jit
+    @jax.vmap
+    def slopes(surface, T):
+        def look(T, triangles):
+            patch = render_patch(surface._replace(triangles=triangles), T)
+            return both(patch)
+
+        corners = jnp.asarray(surface.triangles)
+        value, forward = jax.linearize(look, T, corners)
+        pull = jax.linear_transpose(forward, T, corners)
+        ends = jnp.stack([jnp.ones_like(value), value.at[-1].set(1)])
+        return jax.vmap(forward, (0, None))(jnp.eye(16).reshape(16, 4, 4), 0 * corners), jax.vmap(pull)(ends)
+
+    values = jax.device_get(slopes(surfaces, T))
+    finite = [np.isfinite(value).reshape(len(T), -1).all(1) for value in jax.tree.leaves(values)]
+    assert dict(zip(scenes, np.all(finite, axis=0), strict=True)) == dict.fromkeys(scenes, True)
+    # A window with nothing in it does not change.
+    nothing = list(scenes).index("nothing in the window")
+    assert all((leaf[nothing] == 0).all() for leaf in jax.tree.leaves(values))
+
+
+def test_no_gradient_from_what_is_too_deep():
+    """Two sheets: the far one reads the reach, and only the near one moves `nearest`."""
+    near = [[-0.04, -0.04, 0.001], [0, -0.04, 0.001], [0, 0.04, 0.001]]
+    far = [[0, -0.08, 0.001 + 2 * REACH], [0.08, 0, 0.001 + 2 * REACH], [0, 0.08, 0.001 + 2 * REACH]]
+    surface = prepare(soup(near, far))
+
+    def look(triangles):
+        return both(render_patch(surface._replace(triangles=triangles), jnp.eye(4)))
+
+    slope = jax.jit(jax.jacrev(lambda triangles: (jnp.sum(look(triangles)[:-1]), look(triangles)[-1])))(
+        jnp.asarray(surface.triangles)
+    )
+    deep = (np.asarray(surface.triangles)[:, :, 2] > REACH).all(1)
+    for part in slope:
+        np.testing.assert_array_equal(part[deep], 0)
+    assert np.asarray(slope[1])[..., 2].sum() == pytest.approx(1, abs=1e-5)

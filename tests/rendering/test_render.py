@@ -1,0 +1,442 @@
+"""The renderer against closed forms, Embree, an exact float64 ray caster, rigid motion and its own batches.
+
+Coordinates here stay below 0.1 m (0.3 m where said), where one step of float32 is 7e-9 m. A corner on its way to the
+tool frame takes about ten roundings, so it is known to NEAR = 1e-7 m, and a height on a surface of slope s to (1 + s)
+NEAR.
+"""
+
+from functools import partial
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from i2t.geometry import rotation, transform
+from i2t.objects.catalogue import make
+from i2t.rendering.bvh import DENSE, GROUP, lay_out
+from i2t.rendering.raycast import GROUPS
+from i2t.rendering.render import contact_mask, prepare, render_heights, render_patch, stack
+from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, Surface
+
+NEAR = 1e-7
+EDGE = 1e-6  # m, a ray this near to a projected edge may see either side of it
+ERROR = 1e-5  # m, the error that is allowed everywhere else
+
+patch_of = jax.jit(render_patch, static_argnames=("window", "pixels", "reach"))
+heights_of = jax.jit(render_heights, static_argnames=("window", "pixels"))
+patches_of = jax.jit(jax.vmap(jax.vmap(render_patch, (None, 0))))
+
+
+def centres(window: float = PATCH_WINDOW, pixels: int = PATCH_PIXELS):
+    """x and y (n, n) of the pixels."""
+    along = ((np.arange(pixels) + 0.5) / pixels - 0.5) * window
+    return np.meshgrid(along, along)
+
+
+def pose(attitude=None, position=(0.0, 0.0, 0.0)) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3] = np.eye(3) if attitude is None else attitude
+    T[:3, 3] = position
+    return T
+
+
+def soup(triangles) -> SimpleNamespace:
+    """A mesh whose faces share nothing."""
+    triangles = np.asarray(triangles, float)
+    return SimpleNamespace(vertices=triangles.reshape(-1, 3), faces=np.arange(3 * len(triangles)).reshape(-1, 3))
+
+
+def sheet(height, n: int, half: float = 0.04) -> SimpleNamespace:
+    """The graph z = height(x, y) over a square, n x n cells of two faces each."""
+    along = np.linspace(-half, half, n + 1)
+    x, y = np.meshgrid(along, along)
+    corner = np.arange(n * (n + 1)).reshape(n, n + 1)[:, :n].ravel()
+    lower = np.stack([corner, corner + 1, corner + n + 2], 1)
+    upper = np.stack([corner, corner + n + 2, corner + n + 1], 1)
+    vertices = np.stack([x, y, height(x, y)], -1).reshape(-1, 3)
+    return SimpleNamespace(vertices=vertices, faces=np.concatenate([lower, upper]))
+
+
+def on_surface(thing, count: int, seed: int) -> np.ndarray:
+    """Tool poses (count, 4, 4) in all attitudes around the inward normal, -10 to 5 mm off the surface along z."""
+    rng = np.random.default_rng(seed)
+    whole = trimesh.Trimesh(thing.vertices, thing.faces, process=False)
+    points, faces = trimesh.sample.sample_surface(whole, count, seed=seed)
+    tilts = Rotation.from_rotvec(rng.normal(0, 0.3, (count, 3)))
+    poses = []
+    for point, normal, tilt in zip(points, whole.face_normals[faces], tilts, strict=True):
+        z = tilt.apply(-normal)
+        x = np.cross(z, rng.normal(size=3))
+        x /= np.linalg.norm(x)
+        poses.append(pose(np.stack([x, np.cross(z, x), z], 1), point + z * rng.uniform(-10e-3, 5e-3)))
+    return np.array(poses, np.float32)
+
+
+def embree_heights(triangles: np.ndarray, T_w_t: np.ndarray) -> np.ndarray:
+    """Tool z (poses, n, n) of the first hits as Embree finds them."""
+    scene = EmbreeScene()
+    TriangleMesh(scene, triangles)
+    x, y = centres()
+    start = np.stack([x, y, np.full_like(x, -STANDOFF)], -1)
+    origins = np.einsum("pij,nmj->pnmi", T_w_t[:, :3, :3].astype(float), start) + T_w_t[:, None, None, :3, 3]
+    along = np.broadcast_to(T_w_t[:, None, None, :3, 2], origins.shape)
+    hits = scene.run(origins.reshape(-1, 3).astype(np.float32), along.reshape(-1, 3).astype(np.float32), output=1)
+    z = np.where(hits["primID"] < 0, np.inf, hits["tfar"] - STANDOFF)
+    return z.reshape(len(T_w_t), *x.shape)
+
+
+def exact_ray(triangles: np.ndarray, T_w_t: np.ndarray, x: float, y: float) -> tuple[float, float]:
+    """First hit (tool z) of one ray in float64, and its distance from the nearest projected edge, with every face."""
+    T = T_w_t.astype(float)
+    a, b, c = np.moveaxis((triangles.astype(float) - T[:3, 3]) @ np.linalg.inv(T[:3, :3]).T, 1, 0) - [x, y, 0]
+    corners = [a, b, c]
+    distance, sides = np.inf, []
+    for p, q in zip(corners, [b, c, a], strict=True):
+        p2, d = p[:, :2], (q - p)[:, :2]
+        t = np.clip(-(p2 * d).sum(1) / np.maximum((d * d).sum(1), 1e-30), 0, 1)
+        distance = min(distance, np.linalg.norm(p2 + t[:, None] * d, axis=1).min())
+        sides.append(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])  # twice the area of the ray and this edge
+    sides = np.array(sides)
+    area = sides.sum(0)
+    hit = ((sides >= 0).all(0) | (sides <= 0).all(0)) & (area != 0)
+    weights = np.roll(sides, -1, 0) / np.where(area == 0, 1, area)  # of corners a, b, c
+    z = sum(w * p[:, 2] for w, p in zip(weights, corners, strict=True))
+    z = z[hit & (z >= -STANDOFF)]
+    return (z.min() if len(z) else np.inf), distance
+
+
+def assert_like_embree(things: list, seed: int, count: int = 50) -> None:
+    """Every pixel is right to ERROR; where float32 Embree disagrees, a float64 caster decides, edges excepted."""
+    surfaces = stack([prepare(thing) for thing in things])
+    poses = np.stack([on_surface(thing, count, seed + i) for i, thing in enumerate(things)])
+    patches = jax.device_get(patches_of(surfaces, poses))
+    x, y = centres()
+    seen = on_edges = 0
+    for triangles, T_w_t, depth, nearest in zip(surfaces.triangles, poses, *patches, strict=True):
+        z = np.where(depth < REACH, depth + nearest[:, None, None], np.inf)
+        floor = nearest[:, None, None] + REACH - ERROR  # what reads the reach must lie behind this
+        ours, theirs = np.minimum(z, floor), np.minimum(embree_heights(triangles, T_w_t), floor)
+        seen += np.isfinite(nearest).sum()
+        for k, i, j in np.argwhere(~(np.abs(ours - theirs) <= ERROR) & ~(np.isinf(ours) & np.isinf(theirs))):
+            height, distance = exact_ray(triangles, T_w_t[k], x[i, j], y[i, j])
+            on_edges += distance <= EDGE
+            assert distance <= EDGE or abs(ours[k, i, j] - min(height, floor[k, 0, 0])) <= ERROR
+    assert seen > 0.9 * poses.shape[0] * poses.shape[1]  # the poses look at their objects
+    # Embree and we part at silhouettes only: beside an outline 0.1 m long in each 17 mm window, where a strip of EDGE
+    # on both sides holds 2 EDGE 0.1 / 17 mm^2 = 7e-4 of the rays.
+    assert on_edges < 7e-4 * patches.depth.size
+
+
+def test_catalogue_and_hostile_shapes_against_embree():
+    """Primitives, stamps, tools; slivers, a 0.1 mm wall, open blades, needles and a concave part with overhangs."""
+    names = (
+        "hexagon star parallelogram flower cylinder cross dome pyramid torus wedge stairs ridge stamp-T stamp-circle"
+    )
+    names += " cutter screwdriver spanner hammer marker pliers"
+    fan = trimesh.creation.cylinder(0.03, 0.02, sections=200)
+    wall = trimesh.creation.box((0.05, 1e-4, 0.03))
+    blades = soup([[[x, -0.02, 0], [x, 0.02, 0], [x + 0.004, 0, 0.02]] for x in np.linspace(-0.02, 0.02, 21)])
+    feet = np.random.default_rng(5).uniform(-0.01, 0.01, (60, 2))
+    needle = trimesh.creation.cone(4e-4, 0.02, sections=6)
+    needles = trimesh.util.concatenate([needle.copy().apply_translation([x, y, 0]) for x, y in feet])
+    hook = trimesh.creation.annulus(0.012, 0.02, 0.01)
+    assert_like_embree([*(make(name).mesh for name in names.split()), fan, wall, blades, needles, hook], seed=0)
+
+
+def test_dense_meshes_against_embree():
+    """Faces as small as pixels, which have a way of their own: two skins 50 um apart, an overhang, slivers, holes."""
+    skins = [sheet(lambda x, y, gap=gap: 2e-3 * np.sin(x / 2e-3) + gap, 60, 0.02) for gap in (0, 5e-5)]
+    slivers = soup([[[x, -0.02, -2e-3], [x, 0.02, -4e-3], [x + 1e-5, 0, -3e-3]] for x in np.linspace(-0.02, 0.02, 21)])
+    skins = trimesh.util.concatenate([trimesh.Trimesh(thing.vertices, thing.faces) for thing in (*skins, slivers)])
+    hooks = trimesh.creation.torus(6e-3, 2e-3, major_sections=120, minor_sections=60)
+    hooks.update_faces(np.random.default_rng(6).random(len(hooks.faces)) > 0.1)
+    for thing in (skins, hooks):
+        assert cluster_size(prepare(thing)) == DENSE
+    assert_like_embree([skins, hooks], seed=200)
+
+
+def test_dense_way_sees_what_the_other_sees():
+    """Depths and their derivatives by the pose, in clusters of both ways, in a batch of two meshes."""
+
+    def look(surface, T, turn):
+        return render_patch(surface, T @ transform(rotation(turn), turn / 100))
+
+    shift = jax.jit(jax.vmap(lambda surface, T: jax.jvp(partial(look, surface, T), (jnp.zeros(3),), (jnp.ones(3),))))
+    things = [make("spanner").mesh, make("torus").mesh]
+    poses = np.concatenate([on_surface(thing, 1, 7 + i) for i, thing in enumerate(things)])
+    surfaces = [prepare(thing) for thing in things]
+    dense = [lay_out(surface.triangles, DENSE, 32) for surface in surfaces]
+    (one, turned), (other, also) = (shift(stack(way), poses) for way in (surfaces, dense))
+    assert np.isfinite(one.nearest).all()
+    np.testing.assert_allclose(one.depth, other.depth, rtol=0, atol=4 * NEAR)
+    np.testing.assert_allclose(one.nearest, other.nearest, rtol=0, atol=4 * NEAR)
+    same = np.isclose(turned.depth, also.depth, rtol=1e-3, atol=1e-5)
+    assert same.mean() > 1 - 2e-3  # rays on a shared edge may take either face
+    np.testing.assert_allclose(turned.nearest, also.nearest, rtol=1e-3, atol=1e-5)
+
+
+def cluster_size(surface: Surface) -> int:
+    return len(surface.triangles) // (len(surface.boxes) * GROUP)
+
+
+def test_scans_against_embree(shared_data):
+    files = sorted((shared_data / "ycb_meshes").glob("*.stl"))
+    assert files
+    assert_like_embree([trimesh.load(file) for file in files], seed=100)
+
+
+def test_thin_wall_is_never_missed():
+    """A blade thinner than a pixel shows in every pixel whose centre it holds."""
+    x, _ = centres()
+    for thickness in (4e-4, 5e-5, 5e-6):
+        middle = x[0, 20] + 0.3 * thickness  # holds the centres of column 20, not those of its neighbours
+        blade = trimesh.creation.box((thickness, 0.1, 0.02)).apply_translation([middle, 0, 0.01])
+        patch = patch_of(prepare(blade), pose())
+        expected = np.abs(x - middle) < thickness / 2
+        np.testing.assert_array_equal(np.asarray(patch.depth) < REACH, expected)
+
+
+def test_tilted_plane_and_the_axes_of_the_image():
+    """Column j lies along tool x, row i along tool y, at ((k + 0.5)/n - 0.5) window, also where n is no multiple of
+    8.
+    """
+    slope_x, slope_y, offset = 0.3, -0.15, 2e-3
+    plane = prepare(sheet(lambda x, y: offset + slope_x * x + slope_y * y, 2))
+    for window, pixels, reach in ((PATCH_WINDOW, PATCH_PIXELS, REACH), (0.03, 21, np.inf)):
+        x, y = centres(window, pixels)
+        z = offset + slope_x * x + slope_y * y
+        patch = patch_of(plane, pose(), window=window, pixels=pixels, reach=reach)
+        tolerance = (1 + slope_x - slope_y) * NEAR
+        assert patch.depth.dtype == jnp.float32
+        np.testing.assert_allclose(patch.nearest, z.min(), rtol=0, atol=tolerance)
+        np.testing.assert_allclose(patch.depth, np.minimum(z - z.min(), reach), rtol=0, atol=2 * tolerance)
+
+
+def test_dense_sphere_lies_between_its_spheres():
+    """81 920 faces in one window fill many passes; every hit lies between the balls inside and around the mesh."""
+    radius = 8e-3
+    ball = trimesh.creation.icosphere(6, radius)
+    surface = prepare(ball)
+    assert len(surface.boxes) > GROUPS
+    assert cluster_size(surface) == DENSE
+    inner = np.linalg.norm(ball.triangles_center, axis=1).min()  # faces are nearest to the centre near their middles
+    inner = min(inner, np.abs((ball.face_normals * ball.triangles[:, 0]).sum(1)).min())
+    x, y = centres()
+    square = x**2 + y**2
+    T = pose(Rotation.from_euler("xyz", (0.4, 1.0, -0.3)).as_matrix())
+    z = np.asarray(heights_of(surface, np.linalg.inv(T).astype(np.float32)))
+    within = square < (0.99 * inner) ** 2  # beyond, the slope is over 7 and the two balls part
+    depth = np.sqrt(inner**2 - square[within])
+    assert (z[within] <= -depth + 8 * NEAR).all()
+    assert (z[within] >= -np.sqrt(radius**2 - square[within]) - 8 * NEAR).all()
+    assert np.isinf(z[square > radius**2 + NEAR]).all()
+    shallow = patch_of(surface, T.astype(np.float32))
+    near = np.where(np.isinf(z), REACH, np.minimum(z - z.min(), REACH))
+    np.testing.assert_allclose(shallow.depth, near, rtol=0, atol=8 * NEAR)
+
+
+ROTATIONS = st.integers(0, 2**32 - 1).map(lambda seed: Rotation.random(random_state=seed).as_matrix())
+
+
+@settings(max_examples=30, deadline=None)
+@given(ROTATIONS, st.sampled_from(["diagonal", "grid", "fan"]), st.floats(0, 0.3))
+def test_no_cracks(attitude, kind, offset):
+    """Rays that run exactly along shared edges and through shared corners still hit, whatever way the scene is
+    turned.
+    """
+    x, y = centres()
+    if kind == "grid":  # 7 x 7 corners on pixel centres: the window has 48, so they lie 8 pixels apart
+        along = x[0, ::8]
+        along = np.concatenate([[-0.04], along, [0.04]])
+        gx, gy = np.meshgrid(along, along)
+        corner = np.arange(gx.size - len(along)).reshape(-1, len(along))[:, :-1].ravel()
+        n = len(along)
+        faces = np.concatenate([[[c, c + 1, c + n + 1], [c, c + n + 1, c + n]] for c in corner])
+        thing = SimpleNamespace(vertices=np.stack([gx, gy, 0 * gx], -1).reshape(-1, 3), faces=faces)
+    elif kind == "fan":
+        angle = np.arange(24) * np.pi / 12
+        rim = np.stack([0.04 * np.cos(angle), 0.04 * np.sin(angle), 0 * angle], 1)
+        hub = [x[10, 30], y[10, 30], 0.002]
+        thing = SimpleNamespace(
+            vertices=np.concatenate([[hub], rim]), faces=[[0, 1 + k, 1 + (k + 1) % 24] for k in range(24)]
+        )
+    else:
+        thing = sheet(lambda x, y: 0 * x, 1)
+    T = pose(attitude, [offset, -offset, offset])
+    moved = SimpleNamespace(vertices=thing.vertices @ attitude.T + T[:3, 3], faces=np.asarray(thing.faces))
+    patch = patch_of(prepare(moved), T.astype(np.float32))
+    assert (np.asarray(patch.depth) < REACH).all()
+    assert patch.nearest > -8 * NEAR  # coordinates of 0.3 m step by 3e-8 m, on slopes of at most 0.1
+
+
+def test_either_side_of_a_face_is_seen():
+    wave = sheet(lambda x, y: 2e-3 * np.sin(x / 7e-3) * np.cos(y / 9e-3), 5)
+    turned = SimpleNamespace(vertices=wave.vertices, faces=wave.faces[:, ::-1])
+    one, other = patch_of(prepare(wave), pose()), patch_of(prepare(turned), pose())
+    np.testing.assert_allclose(one.depth, other.depth, rtol=0, atol=2 * NEAR)
+    np.testing.assert_allclose(one.nearest, other.nearest, rtol=0, atol=2 * NEAR)
+
+
+@settings(max_examples=20, deadline=None)
+@given(ROTATIONS, st.tuples(*[st.floats(-0.15, 0.15)] * 3))
+def test_moving_scene_and_tool_together_changes_nothing(attitude, position):
+    wave = sheet(lambda x, y: 2e-3 * np.sin(x / 7e-3) * np.cos(y / 9e-3), 5)
+    T_w_t, g = pose(Rotation.from_euler("xy", (0.1, -0.2)).as_matrix(), [1e-3, 2e-3, -5e-3]), pose(attitude, position)
+    here = patch_of(prepare(wave), T_w_t.astype(np.float32))
+    moved = SimpleNamespace(vertices=wave.vertices @ attitude.T + position, faces=wave.faces)
+    there = patch_of(prepare(moved), (g @ T_w_t).astype(np.float32))
+    # Below 0.3 m a step of float32 is 3e-8 m: four times NEAR, in the scene and in the pose, on slopes up to 0.6.
+    np.testing.assert_allclose(here.depth, there.depth, rtol=0, atol=2 * 4 * 1.6 * NEAR)
+    np.testing.assert_allclose(here.nearest, there.nearest, rtol=0, atol=2 * 4 * 1.6 * NEAR)
+
+
+def test_each_of_a_batch_is_the_same_as_alone():
+    """Different surfaces and poses on every row, in a larger size class than their own, against one call for each."""
+    things = [make(name).mesh for name in ("star", "square", "spanner")]
+    surfaces = stack([prepare(thing) for thing in things])
+    poses = np.stack([on_surface(thing, 2, seed) for seed, thing in enumerate(things)])
+    together = jax.device_get(patches_of(surfaces, poses))
+    for i, thing in enumerate(things[:2]):
+        assert len(prepare(thing).triangles) < surfaces.triangles.shape[1]
+        for k in range(2):
+            alone = patch_of(prepare(thing), poses[i, k])
+            np.testing.assert_allclose(together.depth[i, k], alone.depth, rtol=0, atol=ERROR)
+            np.testing.assert_allclose(together.nearest[i, k], alone.nearest, rtol=0, atol=NEAR)
+
+
+def test_nothing_in_sight():
+    surface = prepare(sheet(lambda x, y: 0 * x, 2))
+    beside = patch_of(surface, pose(position=[0.1, 0, 0]))
+    assert beside.nearest == np.inf
+    assert (beside.depth == np.float32(REACH)).all()
+    assert jnp.isinf(heights_of(surface, pose(position=[0.1, 0, 0]))).all()
+
+
+def test_rays_start_at_the_standoff():
+    flat = sheet(lambda x, y: 0 * x, 1)
+    sheets = [flat.vertices[flat.faces] + [0, 0, z] for z in (-0.045, 0.03)]
+    surface = prepare(soup(np.concatenate(sheets)))
+    assert STANDOFF == 0.04
+    assert patch_of(surface, pose()).nearest == pytest.approx(0.03, abs=NEAR)
+    assert patch_of(surface, pose(position=[0, 0, -0.01])).nearest == pytest.approx(-0.035, abs=NEAR)
+
+
+def test_a_sheet_seen_edge_on_is_a_number():
+    surface = prepare(soup([[[-0.04, 0, 0], [0.04, 0, 0], [0, 0, 0.04]], [[0, 0, 0], [0, 0, 0], [0, 0, 0]]]))
+    patch = patch_of(surface, pose())
+    assert jnp.isfinite(patch.depth).all()
+
+
+def test_affine_map_moves_the_surface():
+    """Heights under a stretch and shear are those of the mesh with its corners so moved."""
+    A = np.array([[1.3, 0.2, 0, 1e-3], [0, 0.8, 0, -2e-3], [0.3, 0.1, 1.5, 4e-3], [0, 0, 0, 1]])
+    wave = sheet(lambda x, y: 2e-3 * np.sin(x / 7e-3) * np.cos(y / 9e-3), 5, 0.03)
+    moved = SimpleNamespace(vertices=wave.vertices @ A[:3, :3].T + A[:3, 3], faces=wave.faces)
+    here = heights_of(prepare(wave), A.astype(np.float32))
+    there = heights_of(prepare(moved), np.eye(4, dtype=np.float32))
+    np.testing.assert_allclose(here, there, rtol=0, atol=4 * NEAR)
+
+
+def test_contact_mask():
+    depth = jnp.array([[0.0, 0.5e-3], [1.5e-3, 4e-3]])
+    np.testing.assert_array_equal(contact_mask(depth), [[1, 1], [0, 0]])
+    np.testing.assert_array_equal(contact_mask(depth, 2e-3), [[1, 1], [1, 0]])
+    np.testing.assert_array_equal(contact_mask(depth + 1e-2, 0.1e-3), [[1, 0], [0, 0]])
+
+
+def test_one_compilation_for_a_size_class():
+    traces = []
+
+    @jax.jit
+    def render(surface, T_w_t):
+        traces.append(surface.triangles.shape)
+        return render_patch(surface, T_w_t)
+
+    for n in (4, 5, 5, 4, 9):  # 32, 50 and 162 faces: classes of 64 and 256
+        jax.eval_shape(render, prepare(sheet(lambda x, y: x, n)), pose())
+    assert traces == [(64, 3, 3), (256, 3, 3)]
+
+
+def test_preparing_keeps_every_face_once():
+    thing = make("spanner").mesh
+    corners = np.asarray(thing.vertices)[thing.faces].astype(np.float32)
+    triangles = prepare(thing).triangles
+    kept = triangles[(triangles != triangles[:, :1]).any((1, 2))]  # padding shrinks to a point
+    before, after = (faces[np.lexsort(faces.reshape(-1, 9).T)] for faces in (corners, kept))
+    np.testing.assert_array_equal(after, before)
+
+
+def test_derivatives_against_central_differences():
+    """Depths and nearest as the pose moves, in float64 and where the visible face stays the same."""
+    step, bend = 1e-6, 1e-10
+    with jax.enable_x64(True):
+        surface = jax.tree.map(lambda a: jnp.asarray(a, jnp.float64), prepare(make("pyramid").mesh))
+        attitude = np.diag([1.0, -1.0, -1.0]) @ Rotation.from_euler("xy", (0.2, 0.3)).as_matrix()
+        base = jnp.asarray(pose(attitude, [0.004, 0.007, 0.03]))
+
+        def look(twist):
+            patch = render_patch(surface, base @ transform(rotation(twist[:3]), twist[3:]))
+            return jnp.append(patch.depth.ravel(), patch.nearest)
+
+        @jax.jit
+        def look_and_slopes(twist):
+            value, slopes = jax.vmap(partial(jax.jvp, look, (twist,)))((jnp.eye(6),))
+            return value[0], slopes.T
+
+        still = jnp.zeros(6)
+        jacobian = np.asarray(look_and_slopes(still)[1])
+        assert np.isfinite(jacobian).all()
+        for k in range(6):
+            move = still.at[k].set(step)
+            ahead, here, back = (np.asarray(look_and_slopes(twist)[0]) for twist in (move, still, -move))
+            # On one face the path of a pixel bends by about step^2 / 0.1 m = 1e-11 m; where it bends more, the face or
+            # the reach changed. What is left of such kinks moves the quotient by at most bend / (2 step).
+            same = np.abs(ahead - 2 * here + back) < bend
+            assert same.mean() > 0.9
+            quotient = (ahead - back) / (2 * step)
+            np.testing.assert_allclose(jacobian[same, k], quotient[same], rtol=1e-3, atol=bend / (2 * step))
+
+
+def test_derivatives_are_finite_where_nothing_is_seen():
+    surface = prepare(soup([[[-0.04, 0, 0], [0.04, 0, 0], [0, 0, 0.04]]]))  # edge on
+    slope = jax.jit(jax.grad(lambda T: jnp.sum(render_patch(surface, T).depth)))
+    for position in ([0, 0, 0], [0.2, 0, 0]):
+        assert jnp.isfinite(slope(jnp.asarray(pose(position=position), jnp.float32))).all()
+
+
+def test_a_pose_that_is_not_finite_gives_no_image():
+    surface = prepare(sheet(lambda x, y: 0 * x, 2))
+    for bad in (np.nan, np.inf):
+        patch = patch_of(surface, pose(position=[0, bad, 0]))
+        assert jnp.isnan(patch.depth).all()
+        assert jnp.isnan(patch.nearest)
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "says"),
+    [
+        (np.zeros((0, 3)), np.zeros((0, 3), int), "no faces"),
+        (np.zeros((3, 3)), np.zeros((0, 3), int), "no faces"),
+        (np.full((3, 3), np.nan), [[0, 1, 2]], "NaN"),
+        (np.eye(3), [[0, 1, 3]], "0 to 2"),
+        (np.eye(3), [[-1, 1, 2]], "0 to 2"),
+        (np.zeros((4, 3)), [[0, 1, 2, 3]], "triangulate"),
+        (np.zeros((4, 2)), [[0, 1, 2]], "triangulate"),
+    ],
+)
+def test_hostile_meshes_get_a_sentence(vertices, faces, says):
+    with pytest.raises(ValueError, match=says):
+        prepare(SimpleNamespace(vertices=vertices, faces=np.asarray(faces)))
+
+
+def test_bare_triangles_get_a_sentence():
+    with pytest.raises(ValueError, match="prepare"):
+        render_patch(Surface(np.zeros((4, 3, 3), np.float32)), jnp.eye(4))

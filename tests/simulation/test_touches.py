@@ -1,0 +1,303 @@
+"""Simulated touches in a world whose only error is where the object stands; then each other error by itself.
+
+True poses are drawn again from the keys, and everything seen and felt is worked out from them by other means.
+"""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from i2t import geometry
+from i2t.rendering.render import prepare, render_heights
+from i2t.simulation import sites
+from i2t.simulation.press import PressLimits
+from i2t.simulation.touches import CAMERA_DISTANCE, Errors, cut, sample_run, sense, simulate
+from i2t.skin.contact import Grid
+from i2t.skin.pad import sample_pad
+from i2t.types import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW, Pad, ReturnCode, Surface, Touches
+
+# The last press is worked out once more, on as many cells in a longer period, which the skin's own convergence says
+# changes it by less than 2 % (tests/skin); the stop before it is within 0.1 % of its limit (test_press).
+LIMITS = PressLimits(overshoot=0.0, final=Grid(40, 68))
+WITHIN = 0.02
+PLACED = replace(Errors.none(), placement=4e-3, placement_angle=np.radians(1.0).item())
+RUNS, N = 4, 6  # touches of a run, touches of an object
+SEED = 5  # one of the four objects drawn lies too low to be met
+PITCH = WIDE_WINDOW / WIDE_PIXELS
+X, Y = np.meshgrid(*[(np.arange(WIDE_PIXELS) - (WIDE_PIXELS - 1) / 2) * PITCH] * 2)
+PATCH = slice(12, 60)  # the central 48 of 72 pixels
+ROUNDING = 2e-7  # m: two dozen roundings of coordinates below 0.1 m
+# Cells of 0.5 mm meet a corner up to half a diagonal aside. Where a flat skin rests on a corner of the ball, it is less
+# steep to a face than faces of one corner are to one another: 42 degrees.
+LATE = 0.25e-3 * np.sqrt(2) * np.tan(np.radians(42))
+many = partial(simulate, errors=PLACED, n=N, limits=LIMITS, touches_per_run=RUNS)
+
+
+def moved(mesh: trimesh.Trimesh, z: float) -> trimesh.Trimesh:
+    return mesh.apply_translation((0, 0, z))
+
+
+@pytest.fixture(scope="module")
+def solids() -> list[Surface]:
+    ball, box = trimesh.creation.icosphere(1, 0.03), trimesh.creation.box((0.06, 0.06, 0.06))
+    return [prepare(moved(ball, 0.03)), prepare(moved(box, 0.03))]
+
+
+@pytest.fixture(scope="module")
+def pad() -> Pad:
+    """Without friction, which the rule that ends a press does not know."""
+    return sample_pad(jax.random.key(3))._replace(friction=jnp.zeros(()))
+
+
+@pytest.fixture(scope="module")
+def told() -> list[int]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def touches(solids, pad, told) -> Touches:
+    return many(jax.random.key(SEED), solids, pad, progress=told.append)
+
+
+@pytest.fixture(scope="module")
+def true_poses(touches) -> np.ndarray:
+    """T_o_t of the reported poses, where each object really stood."""
+    placed = []
+    for run in range(4):
+        key_run = jax.random.split(jax.random.fold_in(jax.random.key(SEED), run), 3)[0]
+        placed.append(np.asarray(sample_run(key_run, PLACED).T_o_placed, np.float64))
+    return np.linalg.inv(np.array(placed)[touches.run]) @ touches.T_w_t
+
+
+@pytest.fixture(scope="module")
+def met(touches) -> np.ndarray:
+    return touches.code != ReturnCode.AIR
+
+
+@pytest.fixture(scope="module")
+def heights(solids):
+    """Heights (m along tool z) in the wide view of object i from T_o_t."""
+    render = jax.jit(lambda surface, T: render_heights(surface, geometry.invert(T), WIDE_WINDOW, WIDE_PIXELS))
+    return lambda i, T: np.asarray(render(solids[i], jnp.float32(T)))
+
+
+def along_z(T: np.ndarray, distance: float) -> np.ndarray:
+    step = np.eye(4)
+    step[2, 3] = distance
+    return np.asarray(T, np.float64) @ step
+
+
+def behind(z: np.ndarray, nearest: float) -> np.ndarray:
+    return np.clip(np.where(np.isfinite(z), z, 1.0) - nearest, 0, REACH)
+
+
+def test_runs_and_objects_are_counted(touches, told):
+    assert touches.object.tolist() == [0] * 6 + [1] * 6
+    assert touches.run.tolist() == [0, 0, 0, 0, 1, 1, 2, 2, 2, 2, 3, 3]
+    assert not touches.pad.any()
+    assert told == [4, 2, 4, 2]
+    assert touches.patch.shape == (12, 48, 48)
+    assert touches.T_w_o.tolist() == [np.eye(4).tolist()] * 12
+
+
+def test_the_camera_sees_the_object_where_it_stands(touches, true_poses, heights):
+    for i, T in enumerate(true_poses):
+        z = heights(int(touches.object[i]), T)
+        # A ray on an edge may fall to either side where a pose is rounded in another order.
+        assert np.mean(np.abs(touches.wide[i] - behind(z, touches.nearest[i])) < ROUNDING) > 0.995
+        np.testing.assert_array_equal(touches.patch[i], touches.wide[i, PATCH, PATCH])
+        # A mean of 5 x 5 pixels lies behind the nearest, by at most two of them along each slope (below 45 degrees).
+        assert -ROUNDING < touches.nearest[i] - z[PATCH, PATCH].min() < 2 * 2 * PITCH
+
+
+def test_a_press_ends_past_first_contact_by_indentation_and_compliance(touches, true_poses, met, solids):
+    first = jax.jit(lambda surface, T: sites.press_along(surface, T, T[:3, 2]))
+    for i in np.flatnonzero(met):
+        contact, hit = first(solids[int(touches.object[i])], jnp.float32(along_z(true_poses[i], -0.04)))
+        assert hit
+        travelled = (true_poses[i][:3, 3] - contact[:3, 3]) @ true_poses[i][:3, 2]
+        assert abs(travelled - touches.depth[i]) < ROUNDING
+        bent = touches.truth.force[i] / LIMITS.stiffness
+        late = travelled - touches.truth.indentation[i] - bent
+        assert -ROUNDING < late < LATE
+
+
+def test_the_truth_is_what_the_skin_met(touches, true_poses, met, heights):
+    truth, on_pad = touches.truth, np.maximum(np.abs(X), np.abs(Y)) < PAD_WINDOW / 2
+    for i in np.flatnonzero(met):
+        # The skin stays behind the reported pose by what force bends arm and mount.
+        z = heights(int(touches.object[i]), along_z(true_poses[i], -truth.force[i] / LIMITS.stiffness))
+        assert abs(truth.nearest[i] - z[on_pad].min()) < ROUNDING
+        assert np.mean(np.abs(truth.wide[i] - behind(z, truth.nearest[i])) < 2 * ROUNDING) > 0.995
+        # Pixels and the skin's cells meet the nearest point, each late by less than that.
+        assert abs(truth.nearest[i] + truth.indentation[i]) < LATE
+
+
+def test_presses_end_at_the_limit(touches, met):
+    truth = touches.truth
+    assert (touches.code[met] == ReturnCode.SKIN).all()
+    np.testing.assert_allclose(np.linalg.norm(truth.reading[met], axis=1), LIMITS.skin_change, rtol=WITHIN)
+    assert (truth.force < LIMITS.force).all()
+    np.testing.assert_array_equal(touches.force, truth.force)
+    # Without noise the sensor gives the true reading, up to the rounding of sums of ten.
+    np.testing.assert_allclose(touches.reading, truth.reading, atol=1e-5 * LIMITS.skin_change)
+
+
+def test_what_lies_too_low_is_air(touches, met, true_poses, solids):
+    air = np.flatnonzero(~met)
+    assert len(air)
+    assert len(np.unique(touches.run[air])) == 1
+    first = jax.jit(lambda surface, T: sites.press_along(surface, T, T[:3, 2]))
+    for i in air:
+        # It went to the end of its search, and what it looked for begins further on.
+        _, hit = first(solids[int(touches.object[i])], jnp.float32(along_z(true_poses[i], -0.04)))
+        assert hit
+        assert touches.nearest[i] > 0
+        assert np.isnan(touches.depth[i])
+        assert not touches.reading[i].any()
+        assert not touches.truth.reading[i].any()
+        assert touches.force[i] == touches.truth.indentation[i] == 0
+
+
+def test_a_dull_pad_stops_by_force_and_a_senseless_one_at_the_deepest(solids, pad, met):
+    ball = met[:N]
+    dull = pad._replace(magnetisation=1e-3 * pad.magnetisation, young=4 * pad.young)
+    touches = many(jax.random.key(SEED), solids[:1], dull)
+    assert (touches.code[ball] == ReturnCode.WRENCH).all()
+    np.testing.assert_allclose(touches.truth.force[ball], LIMITS.force, rtol=WITHIN)
+    senseless = pad._replace(magnetisation=0 * pad.magnetisation, young=jnp.float32(1))
+    touches = many(jax.random.key(SEED), solids[:1], senseless)
+    assert (touches.code[ball] == ReturnCode.UNDEFINED).all()
+    # A logarithm and its exponential lose a few roundings.
+    np.testing.assert_allclose(touches.truth.indentation[ball], LIMITS.indentation * pad.thickness, rtol=1e-5)
+
+
+def test_the_key_is_all_there_is_to_chance(touches, solids, pad):
+    few = many(jax.random.key(SEED), solids[:1], pad, n=[3])  # and fewer touches are the first ones
+    for name in ("patch", "reading", "force", "depth", "T_w_t", "code"):
+        np.testing.assert_array_equal(getattr(few, name), getattr(touches, name)[:3])
+    other = many(jax.random.key(SEED + 1), solids[:1], pad, n=[3])
+    assert (np.linalg.norm((other.T_w_t - touches.T_w_t[:3])[:, :3, 3], axis=1) > 1e-4).all()
+    # No two touches of a run, and no two runs, are alike.
+    assert len(np.unique(touches.T_w_t[:, :3, 3].round(6), axis=0)) == 12
+
+
+def test_an_object_without_safe_sites_is_named(solids, pad):
+    triangles = np.asarray(solids[1].triangles)[:12]
+    inside_out = trimesh.Trimesh(**trimesh.triangles.to_kwargs(triangles[:, ::-1]))  # only its floor looks up
+    with pytest.raises(ValueError, match=r"object 1 has too few safe touch sites; relax"):
+        many(jax.random.key(0), [solids[0], prepare(inside_out)], pad, n=[0, 4])
+
+
+def test_pose_errors_have_their_stated_spread():
+    errors, n = Errors(), 4000
+    run = jax.jit(jax.vmap(partial(sample_run, errors=errors)))(jax.random.split(jax.random.key(0), n))
+    for T, distance, angle in (
+        (run.T_o_placed, errors.placement, errors.placement_angle),
+        (run.T_t_camera, errors.hand_eye, errors.hand_eye_angle),
+    ):
+        turned = Rotation.from_matrix(np.asarray(T[:, :3, :3], np.float64)).as_rotvec()
+        for values, spread in ((np.asarray(T[:, :3, 3]), distance), (turned, angle)):
+            # A standard deviation of n normal values scatters by 1 / sqrt(2 n), a mean by 1 / sqrt(n); 4.5 of each.
+            np.testing.assert_allclose(values.std(0), spread, rtol=4.5 / np.sqrt(2 * n))
+            np.testing.assert_allclose(values.mean(0), 0, atol=4.5 * spread / np.sqrt(n))
+    both = np.concatenate([run.T_o_placed[:, :3, 3], run.T_t_camera[:, :3, 3]], axis=1)
+    assert np.abs(np.corrcoef(both.T) - np.eye(6)).max() < 4.5 / np.sqrt(n)
+
+
+def test_scaling_changes_pose_errors_only():
+    twice, nothing = Errors().scaled(2.0), Errors.none()
+    assert twice.hand_eye_angle == 2 * Errors().hand_eye_angle
+    assert twice.repeatability == 2 * Errors().repeatability
+    others = ("depth_noise", "depth_bleed", "depth_quantum", "force", "noise", "faults")
+    kept = {name: getattr(nothing, name) for name in others}
+    assert replace(Errors().scaled(0.0), **kept) == nothing
+    assert Errors().scaled(0.0).noise == Errors().noise
+
+
+# The camera, on a plane that falls to the right by 0.64 mm on either side.
+
+SLOPE = 0.05
+PLANE = SLOPE * X
+FREE = slice(24, 64)  # columns more than 0.19 mm behind the nearest mean: no error here reaches the clip at it
+camera = jax.jit(sense, static_argnames="errors")
+
+
+def seen(z: np.ndarray, **errors: float) -> np.ndarray:
+    """Heights in the wide view."""
+    wide, patch = camera(jax.random.key(0), jnp.float32(z), errors=replace(Errors.none(), **errors))
+    return np.asarray(wide, np.float64) + float(patch.nearest)
+
+
+def test_a_perfect_camera_changes_nothing():
+    np.testing.assert_allclose(seen(PLANE)[:, FREE], PLANE[:, FREE], atol=ROUNDING)
+
+
+def test_depth_noise_has_its_stated_size():
+    noise = 20e-6  # FREE is nine of these behind the clip
+    error = (seen(PLANE, depth_noise=noise) - PLANE)[:, FREE]
+    # Standard deviations, means and correlations of independent normal values: 4.5 of their own deviations.
+    assert abs(error.std() / noise - 1) < 4.5 / np.sqrt(2 * error.size)
+    assert abs(error.mean()) < 4.5 * noise / np.sqrt(error.size) + ROUNDING
+    assert abs(np.corrcoef(error[:, 1:].ravel(), error[:, :-1].ravel())[0, 1]) < 4.5 / np.sqrt(error.size)
+
+
+def test_depth_comes_in_steps():
+    quantum = 0.1e-3
+    z = seen(PLANE, depth_quantum=quantum)[:, FREE]
+    steps = (z + CAMERA_DISTANCE) / quantum
+    np.testing.assert_allclose(steps, steps.round(), atol=ROUNDING / quantum)
+    assert np.abs(z - PLANE[:, FREE]).max() <= quantum / 2 + ROUNDING
+    assert len(np.unique(steps.round())) > 5
+
+
+def test_bleeding_moves_pixels_sideways():
+    error = (seen(PLANE, depth_bleed=1.0) - PLANE)[:, FREE] / (SLOPE * PITCH)
+    shifts = error.round()
+    np.testing.assert_allclose(error, shifts, atol=ROUNDING / (SLOPE * PITCH))  # whole pixels
+    # A rounded unit normal has variance 1 + 1/12 (Sheppard, to 1e-3); that of a variance is 2 / n of its square.
+    assert abs(shifts.var() / (13 / 12) - 1) < 4.5 * np.sqrt(2 / shifts.size) + 1e-3
+
+    z = seen(np.where(X < 0, 0.0, 3e-3), depth_bleed=1.0)
+    near, far = np.abs(z) < ROUNDING, np.abs(z - 3e-3) < ROUNDING
+    assert (near | far).all()  # nothing between the two surfaces
+    assert near[:, : 36 - 6].all()  # a shift of six pixels is a normal value beyond 5.5: 4 in 100 million
+    assert far[:, 36 + 6 :].all()
+    crossing = 0.3085  # P(normal > 0.5)
+    for column in (near[:, 36], far[:, 35]):
+        assert abs(column.mean() - crossing) < 4.5 * np.sqrt(crossing * (1 - crossing) / 72)
+
+
+def test_nearest_is_a_surface_and_not_a_pixel():
+    look = jax.jit(cut)
+    view = np.full((72, 72), 10e-3, np.float32)
+    view[:, 30:33] = 2e-3  # a thin plate: three columns, about 1 mm
+    depth, patch = look(jnp.asarray(view))
+    assert abs(patch.nearest - 2e-3) < ROUNDING
+    view[40, 50] = -5e-3  # one wrong pixel
+    assert abs(look(jnp.asarray(view))[1].nearest - 2e-3) < ROUNDING
+    view[40, 50] = 10e-3
+    view[:, 70:] = -20e-3  # a high wall beside the patch neither hides nor moves it
+    walled, beside = look(jnp.asarray(view))
+    np.testing.assert_array_equal(beside.depth, patch.depth)
+    np.testing.assert_array_equal(walled[:, :70], depth[:, :70])
+    assert not np.asarray(walled[:, 70:]).any()
+
+
+def test_a_tip_alone_and_nothing_at_all():
+    look = jax.jit(cut)
+    view = np.full((72, 72), np.inf, np.float32)
+    depth, patch = look(jnp.asarray(view))
+    assert np.isposinf(patch.nearest)
+    assert (np.asarray(depth) == np.float32(REACH)).all()
+    view[35:37, 35:37] = 1e-3
+    depth, patch = look(jnp.asarray(view))
+    assert abs(patch.nearest - 1e-3) < ROUNDING
+    assert (np.asarray(patch.depth) == 0).sum() == 4
+    assert (np.asarray(patch.depth) == np.float32(REACH)).sum() == 48 * 48 - 4
