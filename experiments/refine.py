@@ -39,7 +39,7 @@ from i2t.registration.patch import Refinement, information, observable, refine, 
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare, render_patch, stack
 from i2t.simulation.sites import collect_sites
-from i2t.types import LEVER, PATCH_PIXELS, PATCH_WINDOW, REACH, Patch, Surface
+from i2t.types import TWIST_LEVER_M, PATCH_PIXELS, PATCH_WINDOW, REACH, Patch, Surface
 from i2t.viz import touches
 
 MILLI = 1e3
@@ -87,7 +87,7 @@ def main(args: Args) -> dict:
     key_sites, key_noise, key_search = jax.random.split(jax.random.key(args.seed), 3)
     surfaces = stack([prepare(thing.mesh) for thing in things])
     cases = draw_cases(key_sites, things, surfaces, each, args)
-    bound = resolvable(args.noise, min(args.close, np.radians(args.close_angle) * LEVER), PATCH_PIXELS)
+    bound = resolvable(args.noise, min(args.close, np.radians(args.close_angle) * TWIST_LEVER_M), PATCH_PIXELS)
 
     looks = jax.jit(jax.vmap(render_patch, (None, 0)))
     clean = [jax.device_get(looks(element(surfaces, i), poses)) for i, poses in enumerate(cases.true)]
@@ -201,7 +201,7 @@ def twists(T_a_b: np.ndarray) -> np.ndarray:
     cross = np.stack([0 * x, -z, y, z, 0 * x, -x, -y, x, 0 * x], -1).reshape(*w.shape, 3)
     angle = np.maximum(np.linalg.norm(w, axis=-1), 1e-4)[..., None, None]  # below, what is left out is under 1e-9
     V = np.eye(3) + (1 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross
-    return np.concatenate([np.linalg.solve(V, T_a_b[..., :3, 3:])[..., 0], w * LEVER], -1)
+    return np.concatenate([np.linalg.solve(V, T_a_b[..., :3, 3:])[..., 0], w * TWIST_LEVER_M], -1)
 
 
 def remaining(T_w_t: np.ndarray, cases: Cases, bound: float) -> tuple[np.ndarray, np.ndarray]:
@@ -209,7 +209,7 @@ def remaining(T_w_t: np.ndarray, cases: Cases, bound: float) -> tuple[np.ndarray
     error = twists(np.linalg.inv(cases.true.astype(float)) @ T_w_t)
     along = np.einsum("...ji,...j->...i", cases.directions, error) * (cases.eigenvalues >= bound)
     error = np.einsum("...ij,...j->...i", cases.directions, along)
-    return np.linalg.norm(error[..., :3], axis=-1), np.degrees(np.linalg.norm(error[..., 3:], axis=-1) / LEVER)
+    return np.linalg.norm(error[..., :3], axis=-1), np.degrees(np.linalg.norm(error[..., 3:], axis=-1) / TWIST_LEVER_M)
 
 
 def judge(T_w_t: np.ndarray, cases: Cases, bound: float, things: Sequence[objects.Object], args: Args) -> dict:

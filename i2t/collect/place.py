@@ -29,7 +29,7 @@ from i2t.hardware.realsense import RealSense
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur.rtde_link import from_ur
 from i2t.registration.touch import by_depth, seen_through
-from i2t.types import LEVER, Array
+from i2t.types import TWIST_LEVER_M, Array
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -105,7 +105,7 @@ def place(asked: argparse.Namespace) -> str:
 
 
 def _apart(sigma: Array) -> str:
-    return f"{1e3 * np.linalg.norm(sigma[:3]):.2f} mm and {math.degrees(np.linalg.norm(sigma[3:]) / LEVER):.2f} degrees"
+    return f"{1e3 * np.linalg.norm(sigma[:3]):.2f} mm and {math.degrees(np.linalg.norm(sigma[3:]) / TWIST_LEVER_M):.2f} degrees"
 
 
 if __name__ == "__main__":

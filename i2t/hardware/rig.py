@@ -22,14 +22,14 @@ import numpy as np
 from i2t.cli import ended
 from i2t.depth.camera import Camera
 from i2t.hardware.limits import Limits, place
-from i2t.types import LEVER, RIGID, Array
+from i2t.types import TWIST_LEVER_M, RIGID, Array
 
 FOUND = ("given", "registration")  # how an object's pose is known
 HEAVIEST = 20.0  # kg, that a UR arm carries
 TOOL, ROOM = 0.5, 10.0  # m, the largest sensible tool and lab
 NEAREST, FARTHEST = 0.02, 2.0  # m, from which a camera may look
 ASKEW = math.radians(60)  # between the camera's axis and the tool's, beyond which it cannot see what is touched
-PLACED = np.repeat([1e-3, math.radians(1) * LEVER], 3)  # m, standard deviations unless a rig says others
+PLACED = np.repeat([1e-3, math.radians(1) * TWIST_LEVER_M], 3)  # m, standard deviations unless a rig says others
 
 COMMENTS = {
     "tool": "the skin (T: origin at its centre, z out of it) on the flange, and what the flange carries (kg, m)",
@@ -318,7 +318,7 @@ def summary(rig: Rig) -> str:
             f"camera    {at.round(1).tolist()} mm from the skin in its axes, {apart:.1f} degrees askew; looks from "
             f"{1e3 * rig.looking_distance:.0f} mm; {rig.camera.width} x {rig.camera.height} pixels",
             f"object    at {place(rig.T_world_object[:3, 3])} m in the world ({rig.object_from}), within "
-            f"{1e3 * sigma[:3].max():.1f} mm and {math.degrees(sigma[3:].max() / LEVER):.1f} degrees"
+            f"{1e3 * sigma[:3].max():.1f} mm and {math.degrees(sigma[3:].max() / TWIST_LEVER_M):.1f} degrees"
             + ("" if in_box else "; OUTSIDE the box: nothing on it may be reachable"),
             f"box       {place(limits.lower)} to {place(limits.upper)} m in the base",
             f"limits    {limits.speed:g} m/s, {limits.acceleration:g} m/s^2, {limits.force:g} N, {limits.torque:g} Nm, "

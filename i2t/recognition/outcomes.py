@@ -35,7 +35,7 @@ from i2t.rendering.render import render_heights
 from i2t.simulation import sites
 from i2t.skin.contact import Grid, solve_force
 from i2t.skin.pad import nominal_pad
-from i2t.types import LEVER, PAD_WINDOW, STANDOFF, Pad, Surface
+from i2t.types import TWIST_LEVER_M, PAD_WINDOW, STANDOFF, Pad, Surface
 
 CELLS = Grid(cells=20, modes=32, window=PAD_WINDOW)  # 1 mm, as the process sees pressures
 LOADS = (0.3, 0.9, 2.7)  # N; most presses to 25 uT end between the outer ones
@@ -188,4 +188,4 @@ def _between(i: Array, part: Array, values: Array) -> Array:
 
 def prior_spread(distance: float, angle: float) -> Float[np.ndarray, "6"]:
     """Standard deviations (m) of the twist of a placement unsure by `distance` (m) and `angle` (rad) on each axis."""
-    return np.repeat([distance, LEVER * angle], 3).astype(np.float32)
+    return np.repeat([distance, TWIST_LEVER_M * angle], 3).astype(np.float32)

@@ -22,7 +22,7 @@ from jaxtyping import Array, Float, Int
 from i2t.recognition import belief
 from i2t.recognition.belief import Belief, Likelihood, Measured, Particles
 from i2t.recognition.outcomes import Outcome
-from i2t.types import LEVER
+from i2t.types import TWIST_LEVER_M
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def places(table: Table) -> tuple[Float[np.ndarray, "k 3"], Particles]:
     at = (np.arange(count) - (count - 1) / 2) * (2 * table.half / count)
     turn = 2 * np.pi * np.arange(table.turns) / table.turns
     pose = np.stack(np.meshgrid(at, at, turn, indexing="ij"), -1).reshape(-1, 3)
-    width = np.array([2 * table.half / count] * 2 + [LEVER * 2 * np.pi / table.turns])
+    width = np.array([2 * table.half / count] * 2 + [TWIST_LEVER_M * 2 * np.pi / table.turns])
     spread = np.zeros(6)
     spread[[0, 1, 5]] = width / np.sqrt(12)  # of a uniform distribution
     return pose.astype(np.float32), Particles(jnp.zeros((len(pose), 6)), jnp.diag(jnp.float32(spread**2)))
@@ -128,7 +128,7 @@ def standing(now: Belief, pose: Float[Array, "k 3"], table: Table, within: float
         near = (jnp.abs(off[:, :2]).max(1) < within * table.step) & (jnp.abs(around) < within * turn)
         c, s = jnp.cos(pose[:, 2]), jnp.sin(pose[:, 2])
         moved = jnp.stack([c * mean[:, 0] - s * mean[:, 1], s * mean[:, 0] + c * mean[:, 1]], -1)
-        at = jnp.concatenate([off[:, :2] + moved, (around + mean[:, 5] / LEVER)[:, None]], -1)
+        at = jnp.concatenate([off[:, :2] + moved, (around + mean[:, 5] / TWIST_LEVER_M)[:, None]], -1)
         weight = jnp.where(near, share, 0.0)
         total = jnp.sum(weight)
         return Standing(best + jnp.sum(weight[:, None] * at, 0) / total, total)

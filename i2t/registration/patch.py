@@ -28,7 +28,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t.geometry import full_precision, random_motion, rotation, transform
 from i2t.rendering.render import render_patch
-from i2t.types import LEVER, PATCH_WINDOW, REACH, Patch, Surface
+from i2t.types import TWIST_LEVER_M, PATCH_WINDOW, REACH, Patch, Surface
 
 # Of the Gauss-Newton matrix, whose eigenvalues are about 1 where a pose is known.
 LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e6
@@ -200,7 +200,7 @@ def resolvable(noise: float, error: float, pixels: int) -> float:
 
 def motion(twist: Float[Array, "6"]) -> Float[Array, "4 4"]:
     """The rigid motion of a small twist: its rotation, then its translation."""
-    return transform(rotation(twist[3:] / LEVER), twist[:3])
+    return transform(rotation(twist[3:] / TWIST_LEVER_M), twist[:3])
 
 
 def robust_cost(residual: Float[Array, "n n"], scale: float | Float[Array, ""]) -> Float[Array, ""]:

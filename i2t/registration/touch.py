@@ -41,7 +41,7 @@ from i2t.geometry import full_precision, invert, is_rigid
 from i2t.objects.solids import Mesh
 from i2t.registration.patch import EASE, STIFFEN, motion
 from i2t.simulation.sites import nearest_in_square
-from i2t.types import LEVER, PAD_WINDOW, STANDOFF, ReturnCode, Surface, Touches
+from i2t.types import TWIST_LEVER_M, PAD_WINDOW, STANDOFF, ReturnCode, Surface, Touches
 
 FREEDOM = 4.0  # degrees of freedom of Student's t: the usual compromise of Lange et al.
 LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e6  # of the Gauss-Newton matrix's diagonal
@@ -138,7 +138,7 @@ def by_touch(
     a touch out, whatever its pose holds: one in air. Residuals, weights and cost are those of the most probable pose.
     Iterations and starts are static.
     """
-    spread = jnp.stack([jnp.asarray(distance, jnp.float32)] * 3 + [jnp.asarray(angle * LEVER, jnp.float32)] * 3)
+    spread = jnp.stack([jnp.asarray(distance, jnp.float32)] * 3 + [jnp.asarray(angle * TWIST_LEVER_M, jnp.float32)] * 3)
     weight = jnp.asarray(weight, jnp.float32)
     T_w_t = jnp.where((weight > 0)[:, None, None], T_w_contact, jnp.eye(4)[None])
     T_t_o = jax.vmap(lambda T: invert(T) @ T_w_o)(T_w_t)
@@ -293,7 +293,7 @@ def by_depth(
     if len(points) > how.points:
         points = np.random.default_rng(how.seed).choice(points, how.points, replace=False)
 
-    prior = np.diag([distance] * 3 + [angle * LEVER] * 3) ** 2
+    prior = np.diag([distance] * 3 + [angle * TWIST_LEVER_M] * 3) ** 2
     inverse = np.linalg.inv(prior)
     T, limit = start, how.reach
     for _ in range(how.steps):
@@ -302,7 +302,7 @@ def by_depth(
         information = slopes.T @ (weight[:, None] * slopes) / (alike * scale**2) + inverse
         gradient = slopes.T @ (weight * residual) / (alike * scale**2) + inverse @ _twist(np.linalg.inv(start) @ T)
         step = -np.linalg.solve(information, gradient)
-        turn = Rotation.from_rotvec(step[3:] / LEVER).as_matrix()
+        turn = Rotation.from_rotvec(step[3:] / TWIST_LEVER_M).as_matrix()
         T = T @ np.block([[turn, step[:3, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
         if limit == how.close and np.linalg.norm(step) < how.settled:
             break
@@ -330,7 +330,7 @@ def seen_through(
     T = np.asarray(T_c_o, float)
     R, (x, y, z) = T[:3, :3], T[:3, 3]
     about = np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])  # times a small turn: how the object's origin moves
-    moved = np.block([[R.T, R.T @ about], [np.zeros((3, 3)), LEVER * R.T]])
+    moved = np.block([[R.T, R.T @ about], [np.zeros((3, 3)), TWIST_LEVER_M * R.T]])
     return np.asarray(covariance, float) + moved @ np.diag([distance**2] * 3 + [angle**2] * 3) @ moved.T
 
 
@@ -346,7 +346,7 @@ def _moved(T: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _twist(T: np.ndarray) -> np.ndarray:
-    return np.concatenate([T[:3, 3], LEVER * Rotation.from_matrix(T[:3, :3]).as_rotvec()])
+    return np.concatenate([T[:3, 3], TWIST_LEVER_M * Rotation.from_matrix(T[:3, :3]).as_rotvec()])
 
 
 def _scale(residual: np.ndarray, how: Matching) -> float:
@@ -364,6 +364,6 @@ def _pairs(
     near = apart < limit
     n = normals[index]
     residual = np.sum(n * (points - samples[index]), axis=1)
-    slopes = -np.concatenate([n, np.cross(points, n) / LEVER], axis=1)
+    slopes = -np.concatenate([n, np.cross(points, n) / TWIST_LEVER_M], axis=1)
     ratio = residual / (BIWEIGHT * _scale(residual[near], how))
     return residual, slopes, np.where(near & (np.abs(ratio) < 1), (1 - ratio**2) ** 2, 0.0), near

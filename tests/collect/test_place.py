@@ -12,7 +12,7 @@ from i2t.hardware.rig import Rig
 from i2t.hardware.ur.rtde_link import to_ur
 from i2t.objects import catalogue
 from i2t.objects.solids import transform_mesh
-from i2t.types import LEVER
+from i2t.types import TWIST_LEVER_M
 
 
 def pose(turn, at):
@@ -59,7 +59,7 @@ def test_a_view_tells_where_it_stands(lab, capsys):
     # The camera's own place, 1 mm and 0.5 degrees on each axis, is what remains: 0.2 m away, another 1.7 mm across.
     sigma = np.sqrt(np.diagonal(rig.object_covariance))
     assert 1e-3 < sigma[:3].min() < sigma[:3].max() < 2.2e-3
-    np.testing.assert_allclose(np.degrees(sigma[3:] / LEVER), 0.5, atol=0.05)
+    np.testing.assert_allclose(np.degrees(sigma[3:] / TWIST_LEVER_M), 0.5, atol=0.05)
 
 
 def test_what_is_missing_is_said(lab, capsys):

@@ -19,7 +19,7 @@ from i2t.recognition import outcomes
 from i2t.recognition.outcomes import CELLS, LOADS, Met, Outcome, SkinMap
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare, stack
-from i2t.types import LEVER, PAD_WINDOW, STANDOFF
+from i2t.types import TWIST_LEVER_M, PAD_WINDOW, STANDOFF
 
 DELTA = 3e-7  # m
 HALF = PAD_WINDOW / 2
@@ -72,7 +72,7 @@ def test_a_flat_top_is_met_by_the_lowest_corner_of_the_skin():
         assert found.travel[i] == pytest.approx(height / cosine, abs=2 * DELTA)
         # A plane that moves up by v shortens the travel by v over the cosine; a turn w moves it up by w x q at q.
         q = p + R[:, :2] @ corner + R[:, 2] * height / cosine
-        slope = -np.array([0, 0, 1, q[1] / LEVER, -q[0] / LEVER, 0]) / cosine
+        slope = -np.array([0, 0, 1, q[1] / TWIST_LEVER_M, -q[0] / TWIST_LEVER_M, 0]) / cosine
         np.testing.assert_allclose(found.slope[i], slope, atol=1e-4)  # q moves by DELTA, of 9 mm
 
 
@@ -96,8 +96,8 @@ def test_slopes_are_differences_of_travels():
         apart = found.travel[2:].reshape(6, 2, 2).astype(np.float64)  # (coordinate, sign, place)
         difference = (apart[:, 1] - apart[:, 0]) / (2 * step)
         bend = np.abs(apart.sum(1) - 2 * found.travel[:2]) / step
-        smooth = arm / LEVER**3 * step**2 + DELTA / step  # of travels wrong by DELTA
-        kink = 0.5 * facets * turns * (bend + arm / LEVER**2 * step)
+        smooth = arm / TWIST_LEVER_M**3 * step**2 + DELTA / step  # of travels wrong by DELTA
+        kink = 0.5 * facets * turns * (bend + arm / TWIST_LEVER_M**2 * step)
         assert (np.abs(found.slope[:2].T - difference) < smooth + kink).all()
         assert np.abs(found.slope).max() > 0.5
 

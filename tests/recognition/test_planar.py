@@ -11,7 +11,7 @@ from i2t.recognition.belief import Measured
 from i2t.recognition.outcomes import Outcome
 from i2t.recognition.planar import Table
 from i2t.registration.patch import motion
-from i2t.types import LEVER
+from i2t.types import TWIST_LEVER_M
 
 TABLE = Table(half=10e-3, reach=15e-3, step=2.5e-3, turns=24)
 LOADS, PAST, POSITION = (0.3, 0.9, 2.7), 20e-3, 0.1e-3
@@ -48,7 +48,7 @@ def test_cells_tile_the_table():
     assert len(np.unique(cells, axis=0)) == len(cells) == 8 * 8 * 24
     # Cells and what lies within them together have the variance of a uniform distribution over the square.
     np.testing.assert_allclose(cells[:, :2].var(0) + np.diag(places.covariance)[:2], (20e-3) ** 2 / 12, rtol=1e-4)
-    assert np.sqrt(places.covariance[5, 5]) / LEVER == pytest.approx(2 * np.pi / 24 / np.sqrt(12), rel=1e-5)
+    assert np.sqrt(places.covariance[5, 5]) / TWIST_LEVER_M == pytest.approx(2 * np.pi / 24 / np.sqrt(12), rel=1e-5)
 
 
 # Two landscapes, metres over the table: a lopsided hill, and its mirror image, which no turn makes the same.
@@ -64,7 +64,7 @@ def landscape(mirrored: bool) -> Outcome:
         at[:, 0], at[:, 1], mirrored
     )  # fmt: skip
     n, zero = len(at), jnp.zeros(len(at))
-    around = (at[:, 0] * dy - at[:, 1] * dx) / LEVER
+    around = (at[:, 0] * dy - at[:, 1] * dx) / TWIST_LEVER_M
     slope = jnp.stack([dx, dy, zero, zero, zero, around], -1)  # an object moved by x shows a place x before
     return Outcome(jnp.ones(n, bool), TABLE.height - height, slope, jnp.zeros((n, 3)), jnp.zeros((n, 3, 15)),
                    jnp.zeros((n, 3)))  # fmt: skip

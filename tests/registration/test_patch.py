@@ -15,7 +15,7 @@ from experiments import refine as experiment
 from i2t.objects.catalogue import make
 from i2t.registration.patch import Refinement, information, init, motion, observable, refine, resolvable, search, step
 from i2t.rendering.render import prepare, render_patch
-from i2t.types import LEVER, PATCH_PIXELS, PATCH_WINDOW, REACH, Patch
+from i2t.types import TWIST_LEVER_M, PATCH_PIXELS, PATCH_WINDOW, REACH, Patch
 
 HOW = Refinement()
 look = jax.jit(render_patch)
@@ -65,7 +65,7 @@ def test_logarithm_undoes_small_and_large_motions():
         for k in range(1, 20):
             power = power @ generator / k
             total = total + power
-        np.testing.assert_allclose(experiment.twists(total), [*v, *(w * LEVER)], rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(experiment.twists(total), [*v, *(w * TWIST_LEVER_M)], rtol=1e-6, atol=1e-12)
 
 
 def test_gauss_newton_matrix_of_planes():
@@ -82,8 +82,8 @@ def test_gauss_newton_matrix_of_planes():
         T[:3, 1] = np.cross(T[:3, 2], T[:3, 0])
         normal = T[2, :3] / T[2, 2]
         p = np.stack([x, y, -(normal[0] * x + normal[1] * y)], -1)
-        slopes = np.concatenate([np.broadcast_to(-normal, p.shape), np.cross(normal, p) / LEVER], 1)
-        slopes[:, 3:] = -np.cross(p, np.broadcast_to(normal, p.shape)) / LEVER
+        slopes = np.concatenate([np.broadcast_to(-normal, p.shape), np.cross(normal, p) / TWIST_LEVER_M], 1)
+        slopes[:, 3:] = -np.cross(p, np.broadcast_to(normal, p.shape)) / TWIST_LEVER_M
         expected = np.linalg.eigvalsh(slopes.T @ slopes / len(p))
         values, directions = see(PLANE, T.astype(np.float32), PATCH_PIXELS)
         np.testing.assert_allclose(values, expected, rtol=0, atol=1e-5)  # a few dozen roundings of numbers up to 1
@@ -132,7 +132,7 @@ def test_what_cannot_be_told_is_left_alone():
     left, before = twist_between(np.eye(4), ends.T_w_t), twist_between(np.eye(4), start)
     # Turned tilts slide by their angle times the height that they correct: 4 degrees of 2 mm.
     np.testing.assert_allclose(left[:, :2], before[:, :2], rtol=0, atol=2 * np.radians(4) * 2e-3)
-    np.testing.assert_allclose(left[:, 5], before[:, 5], rtol=0, atol=np.radians(4) ** 2 * LEVER)
+    np.testing.assert_allclose(left[:, 5], before[:, 5], rtol=0, atol=np.radians(4) ** 2 * TWIST_LEVER_M)
 
 
 def test_nothing_to_see_and_nowhere_to_start():
@@ -175,7 +175,7 @@ def test_several_starts_find_what_one_may_miss():
 def test_motion_measures_rotations_at_the_lever():
     T = np.asarray(motion(jnp.array([1e-3, 0, 0, 0, 0, 1e-4])))
     assert T[0, 3] == np.float32(1e-3)
-    assert np.linalg.norm(T @ [0, LEVER, 0, 1] - [1e-3, LEVER, 0, 1]) == pytest.approx(1e-4, rel=1e-3)
+    assert np.linalg.norm(T @ [0, TWIST_LEVER_M, 0, 1] - [1e-3, TWIST_LEVER_M, 0, 1]) == pytest.approx(1e-4, rel=1e-3)
 
 
 def test_the_experiment_in_small(tmp_path, capsys):

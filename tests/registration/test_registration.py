@@ -21,13 +21,13 @@ from i2t.objects.catalogue import load, make
 from i2t.registration.touch import FREEDOM, by_depth, by_touch, first_contacts, seen_through
 from i2t.rendering.render import prepare, stack
 from i2t.simulation import sites as touch_sites
-from i2t.types import LEVER, PAD_WINDOW, ReturnCode, Surface, Touches
+from i2t.types import TWIST_LEVER_M, PAD_WINDOW, ReturnCode, Surface, Touches
 
 NAMES = ("hexagon", "cylinder", "spanner")
 STACK = stack([prepare(make(name).mesh) for name in NAMES])  # one size class, and so one compilation
 SURFACES = [jax.tree.map(lambda field, i=i: jnp.asarray(field[i]), STACK) for i in range(len(NAMES))]
 DISTANCE, ANGLE, NOISE = 1e-3, math.radians(1.0), 0.1e-3
-SPREAD = np.array([DISTANCE] * 3 + [ANGLE * LEVER] * 3)
+SPREAD = np.array([DISTANCE] * 3 + [ANGLE * TWIST_LEVER_M] * 3)
 TOUCHES, RUNS, AT_ONCE = 10, 24, 4
 register = jax.jit(jax.vmap(by_touch, (0, None, None, 0, 0, None, None, None)))
 
@@ -82,7 +82,7 @@ def once(surface: Surface, contacts, touched):
 def errors(found, true) -> np.ndarray:
     """Twists from the true to the found pose; their first order is enough for what is left of a degree."""
     apart = np.linalg.inv(np.asarray(true, float)) @ np.asarray(found, float)
-    return np.concatenate([apart[:, :3, 3], LEVER * Rotation.from_matrix(apart[:, :3, :3]).as_rotvec()], 1)
+    return np.concatenate([apart[:, :3, 3], TWIST_LEVER_M * Rotation.from_matrix(apart[:, :3, :3]).as_rotvec()], 1)
 
 
 def test_corners_on_a_plane():
@@ -101,7 +101,7 @@ def test_corners_on_a_plane():
         T[:3, :3], T[:3, 3] = down.as_matrix(), point - lowest
         poses.append(T)
         normal = np.array([0, 0, 1.0])
-        rows.append([*normal, *(np.cross(point, normal) / LEVER)])
+        rows.append([*normal, *(np.cross(point, normal) / TWIST_LEVER_M)])
     a = np.array(rows)
     precision = np.diag(SPREAD**-2.0) + (FREEDOM + 1) / FREEDOM * a.T @ a / NOISE**2
     found = once(SURFACES[0], jnp.asarray(np.array(poses), jnp.float32), jnp.ones(TOUCHES, bool))
@@ -233,7 +233,7 @@ def test_depth_finds_the_pose(name, at):
         error = errors(found.T_w_o[None], np.eye(4)[None])[0]
         assert np.linalg.norm(error[:3]) < 1e-3
         if name != "dome":
-            assert np.linalg.norm(error[3:]) < math.radians(1) * LEVER
+            assert np.linalg.norm(error[3:]) < math.radians(1) * TWIST_LEVER_M
         squared.append(error @ np.linalg.solve(np.asarray(found.covariance, float), error))
         assert np.median(np.abs(found.residual)) < 1e-3
     if name != "dome":
@@ -251,7 +251,7 @@ def test_an_object_is_as_far_off_as_its_camera():
     moved[:, :3, 3] = distance * rng.normal(size=(count, 3))
     moved[:, :3, :3] = Rotation.from_rotvec(angle * rng.normal(size=(count, 3))).as_matrix()
     off = np.linalg.inv(T_c_o) @ moved @ T_c_o
-    twists = np.concatenate([off[:, :3, 3], LEVER * Rotation.from_matrix(off[:, :3, :3]).as_rotvec()], axis=1)
+    twists = np.concatenate([off[:, :3, 3], TWIST_LEVER_M * Rotation.from_matrix(off[:, :3, :3]).as_rotvec()], axis=1)
     before = np.diag(np.arange(1.0, 7.0)) * 1e-7
     found = seen_through(before, T_c_o, distance, angle)
     scale = np.sqrt(np.diagonal(found))
@@ -292,4 +292,4 @@ def test_depth_of_a_real_camera(shared_data):
             found = by_depth(mesh, T @ off(rng), depth, camera, np.eye(4), table=None)
             error = errors(found.T_w_o[None], T[None])[0]
             assert np.linalg.norm(error[:3]) < 2e-3
-            assert np.linalg.norm(error[3:]) < math.radians(2) * LEVER
+            assert np.linalg.norm(error[3:]) < math.radians(2) * TWIST_LEVER_M
