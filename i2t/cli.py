@@ -1,7 +1,7 @@
 """How a command ends."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from i2t.errors import DeviceError
@@ -20,3 +20,20 @@ def ended(work: Callable[[], Any], interrupted: str = "interrupted") -> int:
         print(f"\n{interrupted}", file=sys.stderr)
         return 130
     return code if isinstance(code, int) else 0
+
+
+def renamed_flags(args: Sequence[str], renamed: Mapping[str, str]) -> None:
+    """Answer flags of earlier versions with the name they have now.
+
+    Args:
+        args: The command line, without the program's name.
+        renamed: Old flag to new flag or to what to do instead, such as `{"--strange": "--prior-unknown"}`.
+
+    Raises:
+        SystemExit: One of `args` is an old flag; its message says what it is called now.
+    """
+    for arg in args:
+        flag = arg.split("=", 1)[0].replace("_", "-")
+        if flag in renamed:
+            print(f"error: {flag} is called {renamed[flag]} now", file=sys.stderr)
+            raise SystemExit(2)
