@@ -40,9 +40,24 @@ def pytest_xdist_make_scheduler(config, log):
     return _ByFile(config, log)
 
 
-def pytest_collection_modifyitems(items):
-    """The slow files first."""
+def pytest_addoption(parser):
+    """The tier of tests."""
+    parser.addoption("--full", action="store_true", help="run the full tier too: long sweeps, statistics and kills")
+
+
+def pytest_collection_modifyitems(config, items):
+    """The fast tier, unless the full one is asked for; the slow files first."""
+    if not (config.option.full or config.option.markexpr or config.option.keyword or _named(config)):
+        full = [item for item in items if item.get_closest_marker("full")]
+        if full:
+            config.hook.pytest_deselected(items=full)
+            items[:] = [item for item in items if not item.get_closest_marker("full")]
     items.sort(key=lambda item: SLOW.index(item.path.name) if item.path.name in SLOW else len(SLOW))
+
+
+def _named(config) -> bool:
+    """Whether single tests were asked for by their names."""
+    return any("::" in arg for arg in config.args)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -1,0 +1,141 @@
+"""The plan of the house: floors, circles, names that mean one thing, calls that can be read."""
+
+import ast
+import subprocess
+import sys
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+# A package imports from lower floors only. Calibration stands above prediction, whose small network it uses.
+FLOORS = {
+    0: ("_version", "errors", "types", "geometry", "serialization", "cli"),
+    1: ("objects",),
+    2: ("dataset",),
+    3: ("rendering", "depth", "skin"),
+    4: ("simulation", "prediction", "convert", "viz", "hardware"),
+    5: ("calibration", "registration", "emulators"),
+    6: ("recognition", "reconstruction", "environments", "collect"),
+    7: ("place",),  # the short name of a command
+}
+FLOOR_OF = {name: floor for floor, names in FLOORS.items() for name in names}
+WITHOUT_JAX = ("i2t", "i2t.types", "i2t.errors", "i2t.objects", "i2t.dataset", "i2t.hardware", "i2t.skin.boards")
+
+
+def _modules(*folders: str) -> dict[str, ast.Module]:
+    found = {}
+    for folder in folders:
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+            found[name.removesuffix(".__init__")] = ast.parse(path.read_text())
+    return found
+
+
+MODULES = _modules("i2t", "experiments")
+
+
+def _imports(tree: ast.Module, modules: dict[str, ast.Module]) -> Iterator[str]:
+    """Modules of the project that a module imports, wherever in it the import stands; those for type checkers only are
+    left out.
+    """
+    for_checkers = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        for inner in ast.walk(node)
+    }
+    for node in ast.walk(tree):
+        if id(node) in for_checkers:
+            continue
+        if isinstance(node, ast.ImportFrom) and node.module:
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                yield from (
+                    name for name in (full, node.module) if name in modules and (name == full or full not in modules)
+                )
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in modules)
+
+
+GRAPH = {name: set(_imports(tree, MODULES)) - {name} for name, tree in MODULES.items()}
+
+
+def test_a_package_imports_from_lower_floors_only():
+    wrong = []
+    for name, imported in GRAPH.items():
+        if not name.startswith("i2t."):
+            continue
+        here = name.split(".")[1]
+        assert here in FLOOR_OF, f"{name} has no floor: give it one in tests/test_house.py and docs/architecture.md"
+        for other in imported:
+            there = other.split(".")[1] if "." in other else ""
+            upwards = there and there != here and FLOOR_OF[there] >= max(FLOOR_OF[here], 1)
+            if other.startswith("experiments") or upwards:
+                wrong.append(f"{name} imports {other}")
+    assert not wrong
+
+
+def test_no_module_imports_itself_in_a_circle():
+    done: set[str] = set()
+
+    def visit(name: str, path: tuple[str, ...]) -> None:
+        assert name not in path, " -> ".join((*path[path.index(name) :], name))
+        if name not in done:
+            for other in sorted(GRAPH[name]):
+                visit(other, (*path, name))
+            done.add(name)
+
+    for name in GRAPH:
+        visit(name, ())
+
+
+@pytest.mark.parametrize("name", WITHOUT_JAX)
+def test_the_hardware_side_imports_no_jax(name):
+    modules = [name]
+    if name in ("i2t.dataset", "i2t.objects", "i2t.hardware"):
+        modules += [each for each in MODULES if each.startswith(name + ".") and not each.endswith("__main__")]
+    code = f"import sys, importlib\nfor name in {modules!r}: importlib.import_module(name)\nprint('jax' in sys.modules)"
+    asked = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
+    assert asked.stdout.strip() == "False"
+
+
+def test_no_two_public_classes_share_a_name():
+    where = defaultdict(list)
+    for name, tree in MODULES.items():
+        for node in tree.body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                where[node.name].append(name)
+    assert not {name: places for name, places in where.items() if len(places) > 1}
+
+
+def test_no_constant_has_two_values():
+    values = defaultdict(set)
+    for tree in MODULES.values():
+        for node in tree.body:
+            targets = node.targets if isinstance(node, ast.Assign) else []
+            for target in targets:
+                if isinstance(target, ast.Name) and target.id.isupper() and not target.id.startswith("_"):
+                    values[target.id].add(ast.unparse(node.value))
+    shared = {name: sorted(found) for name, found in values.items() if len(found) > 1}
+    assert not shared
+
+
+# Functions whose positional arguments are arrays in an order that everybody knows.
+ARRAY_CODE = ("jnp.", "np.", "lax.", "jax.", "math.", "struct.", "plt.", "axes", "scipy.")
+
+
+def test_no_call_has_six_positional_arguments():
+    wrong = Counter()
+    for name, tree in MODULES.items():
+        if not name.startswith("i2t"):
+            continue
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and len(node.args) >= 6:
+                called = ast.unparse(node.func)
+                if not called.startswith(ARRAY_CODE):
+                    wrong[f"{name}:{node.lineno} {called}"] += 1
+    assert not wrong
