@@ -139,7 +139,7 @@ def in_a_run(key: jax.Array, readings: jax.Array) -> jax.Array:
     poses = jnp.broadcast_to(jnp.eye(4), (readings.shape[1], 4, 4))
 
     def run(key: jax.Array, y: jax.Array) -> jax.Array:
-        return faults.apply(key, y, poses, boards.reskin(), faults.Faults.typical())
+        return faults.apply(key, y, poses, boards.reskin_board(), faults.Faults.typical())
 
     return jax.vmap(run)(jax.random.split(key, len(readings)), readings)
 
@@ -168,7 +168,7 @@ def run(args: Args) -> dict[str, Any]:
     for i in tqdm(range(cfg.pads), desc="pads", unit="pad"):
         pad, at = (jax.tree.map(lambda part, i=i: part[i], tree) for tree in (pads, presses))
         place, force, y = (np.asarray(part, np.float64) for part in (at.place, at.load, readings[i]))
-        recording = Recording(place, force, y, True, boards.reskin().chips[:, :2])
+        recording = Recording(place, force, y, True, boards.reskin_board().chips[:, :2])
         way = Way(recording, Preset(), 0.0)
         if told is not None:
             way = replace(
@@ -224,7 +224,7 @@ def ways(way: Way, rows: np.ndarray, test: np.ndarray) -> tuple[physics.PadFit, 
     """Readings at the test from those at rows in every way, and the pad fitted."""
     recording = way.recording
     at, y = recording.presses(rows), jnp.float32(recording.readings[rows])
-    board, given = boards.reskin(), physics.prior()
+    board, given = boards.reskin_board(), physics.prior()
     predicted = {
         NEIGHBOURS: neighbours(recording, rows, test),
         PLAIN: way.plain(rows, test),
@@ -328,7 +328,7 @@ def skins_r2(hyper: Hyper, presses: Presses, readings: jax.Array, counts: tuple[
 @partial(jax.jit, static_argnums=(3, 4))
 def told_r2(hyper: Hyper, presses: Presses, readings: jax.Array, n: int, held: int) -> jax.Array:
     """The same (pads,) for one count."""
-    chips = jnp.asarray(boards.reskin().chips[:, :2], jnp.float32)
+    chips = jnp.asarray(boards.reskin_board().chips[:, :2], jnp.float32)
 
     def skin(one: tuple[Presses, jax.Array]) -> jax.Array:
         at, y = one

@@ -39,7 +39,7 @@ from i2t.calibration.physics import Tip, fit_pad, prior, solve_map
 from i2t.calibration.structured_gp import Presses
 from i2t.prediction.metrics import nearest_neighbours, seed_interval
 from i2t.skin import faults
-from i2t.skin.boards import reskin
+from i2t.skin.boards import reskin_board
 from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise, observe
 from i2t.skin.pad import press_force, sample_pad
@@ -192,7 +192,7 @@ def locate_all(
             )
         ),
     }
-    middle, board = jax.tree.map(jnp.asarray, prior().middle), reskin()
+    middle, board = jax.tree.map(jnp.asarray, prior().middle), reskin_board()
     unpressed = localize.make_atlas(middle, board, TIP, REACH, LOADS, spacing=study.spacing)
     nothing = localize.unknown(unpressed, NOISE)
     found["physics, no press"] = right(localize.locate(unpressed, nothing, test.reading)[0])

@@ -12,7 +12,9 @@ words.
 from enum import IntEnum
 from typing import Any, NamedTuple, TypeAlias
 
-Array: TypeAlias = Any  # a NumPy or a JAX array; shapes are stated beside each field
+from jaxtyping import Float, Int  # noqa: F401
+
+Array: TypeAlias = Any  # a NumPy or a JAX array
 
 READINGS = 15  # 5 chips x (x, y, z)
 CHIPS = 5
@@ -37,9 +39,9 @@ class Surface(NamedTuple):
     box is its centre and its half extents. Triangles alone are enough for everything but rendering.
     """
 
-    triangles: Array  # (faces, 3 corners, 3) m
-    boxes: Array | None = None  # (groups, 6, 32 clusters) m
-    groups: Array | None = None  # (6, groups rounded up to whole words of 32) m
+    triangles: Float[Any, "*batch faces 3 3"]  # m, of each face's 3 corners
+    boxes: Float[Any, "*batch groups 6 32"] | None = None  # m, of 32 clusters
+    groups: Float[Any, "*batch 6 words"] | None = None  # m; groups rounded up to whole words of 32
 
 
 class Patch(NamedTuple):
@@ -47,29 +49,52 @@ class Patch(NamedTuple):
     ((k + 0.5)/n - 0.5) window.
     """
 
-    depth: Array  # (n, n) m behind the nearest surface point, clipped to the reach; no surface = reach
-    nearest: Array  # () m, signed distance of that point from the tool origin along tool z; +inf where nothing is met
+    depth: Float[Any, "*batch n n"]  # m behind the nearest surface point, clipped to the reach; no surface = reach
+    nearest: Float[Any, "*batch"]  # m, signed distance of that point from the tool origin along tool z; +inf for none
 
 
 class Board(NamedTuple):
     """A sensor board: where its chips sit below the skin and how their axes lie in the tool frame.
 
-    `chips[i]` is the i-th chip in the order in which the board sends its values, `rotations[i]` maps that chip's axes
-    to tool axes (a reflection where a driver flips a sign).
+    A board has n chips and sends readings of 3 n values. `chips[i]` is the i-th chip in the order in which the board
+    sends its values, `rotations[i]` maps that chip's axes to tool axes (a reflection where a driver flips a sign).
     """
 
-    chips: Array  # (5, 3) m, in the tool frame; z is negative, below the skin's surface
-    rotations: Array  # (5, 3, 3)
+    chips: Float[Any, "*batch chips 3"]  # m, in the tool frame; z is negative, below the skin's surface
+    rotations: Float[Any, "*batch chips 3 3"]
+
+    @property
+    def num_chips(self) -> int:
+        """Number n of chips."""
+        return int(self.chips.shape[-2])
+
+    @property
+    def num_readings(self) -> int:
+        """Values of one reading, 3 n."""
+        return 3 * self.num_chips
 
     def to_tool(self, reading: Array) -> Array:
-        """Turn readings (..., 15) in the chips' own axes into tool axes (..., 5, 3)."""
-        return (self.rotations @ reading.reshape(*reading.shape[:-1], CHIPS, 3, 1))[..., 0]
+        """Turn readings into tool axes.
+
+        Args:
+            reading: (..., 3 n) in the board's order and the chips' own axes.
+
+        Returns:
+            (..., n, 3) in tool axes.
+        """
+        return (self.rotations @ reading.reshape(*reading.shape[:-1], self.num_chips, 3, 1))[..., 0]
 
     def to_board(self, field: Array) -> Array:
-        """Turn fields (..., 5, 3) in tool axes into readings (..., 15) as the board sends them; the inverse of
-        `to_tool`.
+        """Turn fields into readings as the board sends them; the inverse of `to_tool`.
+
+        Args:
+            field: (..., n, 3) in tool axes.
+
+        Returns:
+            (..., 3 n) in the board's order and the chips' own axes.
         """
-        return (self.rotations.swapaxes(-1, -2) @ field[..., None])[..., 0].reshape(*field.shape[:-2], READINGS)
+        turned = (self.rotations.swapaxes(-1, -2) @ field[..., None])[..., 0]
+        return turned.reshape(*field.shape[:-2], self.num_readings)
 
 
 class Pad(NamedTuple):

@@ -81,14 +81,14 @@ def lab(
 ) -> tuple[Procedure, Watch]:
     """A procedure over a plane, its devices connected, and its clock."""
     clock, rig = Watch(Virtual(WALL)), Rig()
-    scene = Flat(height, stiffness, gain, Errors(), boards.reskin())
+    scene = Flat(height, stiffness, gain, Errors(), boards.reskin_board())
     inside = Lab(scene, clock, seed)
     arm, skin = SimulatedArm(inside, rig.limits, latency), SimulatedSkin(inside)
     lens = Camera(64, 36, 32.2, 32.2, 31.5, 17.5)
     eye = PlaneCamera(lens, HEIGHT, lambda: arm.state().T_b_t @ rig.T_tool_camera, clock)
     for device in (arm, skin, eye):
         device.connect()
-    return Procedure(arm, skin, eye, rig, boards.reskin(), cut, HEIGHT, Settings(patience=1.0), clock), clock
+    return Procedure(arm, skin, eye, rig, boards.reskin_board(), cut, HEIGHT, Settings(patience=1.0), clock), clock
 
 
 def presses(sizes: Sizes) -> list[Row]:
@@ -177,7 +177,7 @@ def _session(
     """The touches that were acknowledged, and what ended it early."""
     rig, told = procedure.rig, []
     names = Names(
-        "plane", "pad", "run", "simulated", boards.reskin(), rig.T_world_base, rig.T_world_object,
+        "plane", "pad", "run", "simulated", boards.reskin_board(), rig.T_world_base, rig.T_world_object,
         procedure.camera.camera,
     )  # fmt: skip
 

@@ -40,10 +40,10 @@ def main(host: str, port: str, folder: str, touches: str, watchdog: str = "10") 
     lens = Camera(320, 180, 161.2, 161.05, 159.5, 89.5)
     eye = PlaneCamera(lens, HEIGHT, lambda: arm.state().T_b_t @ rig.T_tool_camera, Monotonic())
     names = Names(
-        "hexagon", "emulated", "run", "simulated", boards.reskin(), rig.T_world_base, rig.T_world_object, lens
+        "hexagon", "emulated", "run", "simulated", boards.reskin_board(), rig.T_world_base, rig.T_world_object, lens
     )
     with ReSkin(port) as skin, eye, arm, Recorder(out, names) as kept:
-        procedure = Procedure(arm, skin, eye, rig, boards.reskin(), cut, HEIGHT, QUICK)
+        procedure = Procedure(arm, skin, eye, rig, boards.reskin_board(), cut, HEIGHT, QUICK)
         print("begun", flush=True)
         left = (number for number in range(int(touches)) if number not in done)
         for _ in procedure.run(lambda history: next((site(number) for number in left), None), kept):

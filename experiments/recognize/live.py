@@ -35,10 +35,10 @@ from i2t.objects import catalogue
 from i2t.objects.solids import Mesh
 from i2t.recognition import belief, policy
 from i2t.recognition import metrics as scores
-from i2t.recognition.belief import Measured
+from i2t.recognition.belief import TouchObservation
 from i2t.recognition.episodes import pool, surfaces_of, tabulate
 from i2t.recognition.planning import advance, next_touches, safe_on
-from i2t.skin.boards import reskin
+from i2t.skin.boards import reskin_board
 from i2t.types import ReturnCode
 from i2t.viz.story import story
 
@@ -106,7 +106,7 @@ def run(args: Live) -> dict[str, Any]:
 
 
 # How decoys' odds are to be read, fitted on validation objects and strangers where half of all were strange.
-EVEN, STRANGE = 0.5, scores.Odds(-0.04, 0.62, 0.19)
+EVEN, STRANGE = 0.5, scores.PlattScaling(-0.04, 0.62, 0.19)
 
 _tempered = jax.jit(belief.tempered)
 
@@ -190,7 +190,7 @@ class Sitting:
         T_o_t = np.linalg.inv(self.T_w_o) @ np.stack([touched.T_w_t for touched in ended])
         readings = np.stack([touched.reading for touched in ended])
         truth = (-1 if stranger else best) if there is None else names.index(there) if there in names else -1
-        story(list(self.meshes.values()), names, T_o_t, readings, reskin(), p, truth, self.args.out / "story",
+        story(list(self.meshes.values()), names, T_o_t, readings, reskin_board(), p, truth, self.args.out / "story",
               there is not None)  # fmt: skip
         stood = "" if there is None else f"; it was the {there} (simulated)"
         said = "it is none of these" if stranger else f"it is the {names[best]}"
@@ -202,7 +202,7 @@ class Sitting:
         self, number: int, reading: np.ndarray, force: float, advanced: float, met: bool
     ) -> tuple[belief.Belief, np.ndarray]:
         """The belief after a touch, and its probabilities as sure as they should be."""
-        measured = Measured(
+        measured = TouchObservation(
             jnp.float32(reading)[None], jnp.float32([force]), jnp.float32([advanced]), jnp.asarray([met])
         )
         now, p = advance(self.now, jnp.asarray([number]), measured, self.table, self.like)
@@ -211,9 +211,9 @@ class Sitting:
         if not self.strange:
             return now, named
         raw = all_of_them[: self.known], all_of_them[self.known :].sum()
-        _, none = scores.with_prior(*raw, self.args.strange, EVEN)
-        read = STRANGE.read(none, len(self.felt) + 1)
-        _, none = scores.with_prior(named * (1 - read), read, EVEN, self.args.strange)
+        _, none = scores.with_unknown_prior(*raw, self.args.strange, EVEN)
+        read = STRANGE.apply(none, len(self.felt) + 1)
+        _, none = scores.with_unknown_prior(named * (1 - read), read, EVEN, self.args.strange)
         return now, named * (1 - float(none))
 
     def _next(self, step: int) -> int:

@@ -12,10 +12,10 @@ from experiments.common.runs import write_json
 from experiments.recognize import figures as drawing
 from i2t.objects.catalogue import Mesh
 from i2t.recognition import metrics as scores
-from i2t.recognition.belief import TEMPER, Measured, Temper
+from i2t.recognition.belief import TEMPER, TouchObservation, Temper
 from i2t.recognition.episodes import EVIDENCE, Episodes
-from i2t.recognition.metrics import plain
-from i2t.skin.boards import reskin
+from i2t.recognition.metrics import to_json
+from i2t.skin.boards import reskin_board
 from i2t.viz import touches as plots
 from i2t.viz.story import story
 
@@ -53,7 +53,7 @@ def load(path: Path) -> dict[str, Played]:
     played = {}
     for name, names in json.loads(str(sets["about"])).items():
         found = sets[name]
-        episodes = Episodes(found["truth"], found["site"], Measured(**found["measured"]), found["T_w_t"])
+        episodes = Episodes(found["truth"], found["site"], TouchObservation(**found["measured"]), found["T_w_t"])
         played[name] = Played(tuple(names), found["truth"], found["believed"], episodes)
     return played
 
@@ -71,18 +71,18 @@ def sobered(parts: Sequence[dict[str, Played]]) -> tuple[list[dict[str, Played]]
     methods = [method for method in next(iter(parts[0].values())).believed if method.split(", ")[0] in EVIDENCE]
     tempers = dict.fromkeys(methods, TEMPER)
     if "validation" in parts[0]:
-        tempers = {method: scores.fit_temper(*pooled(parts, "validation", method)) for method in methods}
+        tempers = {method: scores.fit_temperature(*pooled(parts, "validation", method)) for method in methods}
     return [{name: _sober(played, tempers) for name, played in part.items()} for part in parts], tempers
 
 
 def _sober(played: Played, tempers: dict[str, Temper]) -> Played:
-    found = {method: scores.sobered(played.believed[method], temper) for method, temper in tempers.items()}
+    found = {method: scores.apply_temperature(played.believed[method], temper) for method, temper in tempers.items()}
     return played._replace(believed=played.believed | found)
 
 
 def summarise(parts: Sequence[dict[str, Played]], tempers: dict[str, Temper], out: Path, source: str) -> dict[str, Any]:
     """Scores of every set over all seeds, written to metrics.json with figures beside it."""
-    result: dict[str, Any] = {"source": source, "seeds": len(parts), "tempers": plain(tempers), "sets": {}}
+    result: dict[str, Any] = {"source": source, "seeds": len(parts), "tempers": to_json(tempers), "sets": {}}
     for name, first in parts[0].items():
         entry: dict[str, Any] = {"objects": list(first.names), "methods": {}}
         for method in first.believed:
@@ -96,8 +96,8 @@ def summarise(parts: Sequence[dict[str, Played]], tempers: dict[str, Temper], ou
         result["prisms of all"] = prisms_alone(parts)
     if {"validation", "all"} <= set(parts[0]) and "fused" in parts[0]["all"].believed:
         p_validation, truth_validation = pooled(parts, "validation", "fused")
-        found = scores.conformal(p_validation, truth_validation, *pooled(parts, "all", "fused"))
-        result["conformal 90 %"] = {"coverage": plain(found.coverage), "size": plain(found.size)}
+        found = scores.conformal_sets(p_validation, truth_validation, *pooled(parts, "all", "fused"))
+        result["conformal 90 %"] = {"coverage": to_json(found.coverage), "size": to_json(found.size)}
     write_json(out / "metrics.json", result)
     figures(parts, out, source != "real")
     return result
@@ -111,15 +111,15 @@ def scored(
     seeds = np.array([scores.hits(part[name].believed[method], part[name].truth).mean() for part in parts])
     each = [scores.calibration_error(sure[:, t], hit[:, t], EVENLY) for t in range(p.shape[1])]
     return {
-        "accuracy": plain(scores.accuracy(p, truth)),
-        "mean": plain(scores.mean_accuracy(p, truth)),
-        "mean_over_seeds": plain(scores.student(seeds)),
+        "accuracy": to_json(scores.accuracy(p, truth)),
+        "mean": to_json(scores.mean_accuracy(p, truth)),
+        "mean_over_seeds": to_json(scores.student_interval(seeds)),
         "calibration_error": [e.error for e in each],
         "calibration_error_by_chance": [e.chance for e in each],
         "log_loss": scores.log_loss(p, truth).mean(0).tolist(),
         "brier": scores.brier(p, truth).mean(0).tolist(),
-        "stopping": [plain(scores.stopping(p, truth, asked)) for asked in ASKED],
-        "until_95": plain(scores.until(scores.sure_at(p), p.shape[1])),
+        "stopping": [to_json(scores.stopping(p, truth, asked)) for asked in ASKED],
+        "until_95": to_json(scores.touches_to_confidence(scores.confident_at(p), p.shape[1])),
         "confusion": scores.confusion(p[:, -1], truth).tolist(),
     }
 
@@ -130,8 +130,8 @@ def prisms_alone(parts: Sequence[dict[str, Played]]) -> dict[str, Any]:
     prisms = [names.index(name) for name in parts[0]["primitives"].names]
     found = {}
     for method in parts[0]["all"].believed:
-        p, truth, _ = scores.among(*pooled(parts, "all", method), prisms)
-        found[method] = plain(scores.accuracy(p, truth))
+        p, truth, _ = scores.restrict_to(*pooled(parts, "all", method), prisms)
+        found[method] = to_json(scores.accuracy(p, truth))
     return found
 
 
@@ -152,7 +152,7 @@ def comparisons(parts: Sequence[dict[str, Played]], name: str, believed: dict[st
     for one, other in PAIRS:
         if one in believed and other in believed:
             hits = [scores.hits(*pooled(parts, name, method)) for method in (one, other)]
-            found[f"{one} - {other}"] = plain(scores.paired(*hits))
+            found[f"{one} - {other}"] = to_json(scores.compare_paired(*hits))
     return found
 
 
@@ -217,7 +217,7 @@ def tell(played: Played, meshes: Sequence[Mesh], out: Path, source: str) -> None
     one = int(np.argmin(doubt))
     readings = np.asarray(played.episodes.measured.reading)[one]
     T = played.episodes.T_w_t[one]
-    story(meshes, played.names, T, readings, reskin(), p[one], int(played.truth[one]), out, source != "real")
+    story(meshes, played.names, T, readings, reskin_board(), p[one], int(played.truth[one]), out, source != "real")
 
 
 def _rates(accuracy: dict[str, Any], columns: Sequence[int]) -> str:

@@ -12,7 +12,7 @@ from experiments.studies.lab import Lab, imagine, placements_of, sit
 from i2t.calibration.physics import Tip, fit_pad
 from i2t.calibration.structured_gp import Presses
 from i2t.recognition.episodes import by_evidence, pool, random_sites
-from i2t.skin.boards import reskin
+from i2t.skin.boards import reskin_board
 from i2t.skin.contact import GRID
 from i2t.skin.noise import Noise, observe
 from i2t.skin.pad import press_force, sample_pad
@@ -53,4 +53,4 @@ def press_and_fit(key: Array, pad: Pad, n: int) -> Pad:
     clean = jax.lax.map(lambda at: press_force(pad, BALL.height(at[0], GRID), at[1]).reading, (place, force))
     readings = jax.vmap(lambda k, r: observe(k, r, pad.board, Noise()))(jax.random.split(key_noise, n), clean)
     presses = Presses(place, force + 0.02 * jax.random.normal(key_wrench, (n,)))
-    return fit_pad(presses, readings, BALL, reskin(), by_force=True).pad
+    return fit_pad(presses, readings, BALL, reskin_board(), by_force=True).pad

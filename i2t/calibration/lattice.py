@@ -43,7 +43,7 @@ def skin(
     length, down, away, turn = between(7e-3, 14e-3), between(0.3, 0.8), between(0.0, 0.5), between(0.0, 60.0)
     power, offset = between(1.0, 2.0), between(0.0, 3e-3)
     soft = 0.2 * smooth_random(next(keys), between(2e-3, 6e-3), ROUGH)[..., 0]  # over 20 mm, stretched to the skin
-    board = boards.anyskin(depth=0.0)
+    board = boards.anyskin_board(depth=0.0)
     chips = jnp.asarray(board.chips)
 
     def one(at: Array, d: Array) -> Array:

@@ -130,7 +130,7 @@ def build(wanted: Wanted, rig: Rig, name: str, unit: str, stack: ExitStack) -> D
     if skin is None:
         skin = Replay(wanted.replay) if wanted.skin == "replay" and wanted.replay else ReSkin(port)
     camera = _camera(wanted, rig, scene, arm, clock)
-    board = scene.board if scene is not None and wanted.skin == "simulated" else boards.reskin()
+    board = scene.board if scene is not None and wanted.skin == "simulated" else boards.reskin_board()
     return Devices(arm, skin, camera, clock, Board(*(np.asarray(part) for part in board)))
 
 

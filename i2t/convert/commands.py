@@ -27,11 +27,10 @@ from i2t.convert import Converted, eflesh, imagine2touch, npz, presses
 from i2t.dataset import BadFileWarning, index, load, save
 from i2t.dataset.store import INDEX
 from i2t.errors import DataError
-from i2t.skin import boards
-from i2t.types import PATCH_WINDOW, REACH
+from i2t.skin.boards import make_board
+from i2t.types import PATCH_WINDOW, REACH, Board
 
 PACKED = "touches.h5"
-BOARDS = {"reskin": boards.reskin, "anyskin": boards.anyskin}
 
 Source = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SRC")]
 Target = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DST")]
@@ -83,7 +82,7 @@ def from_imagine2touch(
     _require_free(target, force)
     converted = imagine2touch.convert(
         source,
-        board=BOARDS[board](),
+        board=make_board(board),
         order=order,
         window=1e-3 * window_mm,
         reach=1e-3 * reach_mm,
@@ -143,7 +142,7 @@ def from_presses(
     source: Source,
     target: Target,
     indenter: str,
-    board: Literal["reskin", "anyskin"] = "reskin",
+    board: str = "reskin",
     window_mm: float = 1e3 * PATCH_WINDOW,
     reach_mm: float = 1e3 * REACH,
     mesh_unit: str = "mm",
@@ -153,10 +152,10 @@ def from_presses(
     """Convert a table of presses of one indenter, as docs/data.md describes it.
 
     Args:
-        source: comma-separated table with the columns x_mm, y_mm, depth_mm, b0x_uT ... b4z_uT and more
+        source: comma-separated table with the columns x_mm, y_mm, depth_mm, b0x_uT, b0y_uT, b0z_uT, b1x_uT ... and more
         target: folder to write
         indenter: sphere:RADIUS or cylinder:RADIUS with a radius in mm, or mesh:FILE
-        board: order and rotation of the chips
+        board: number, order and rotation of the chips: reskin, anyskin, or grid-RxC for R rows of C chips
         window_mm: edge of the square that a patch shows; presses beside it are left out
         reach_mm: patches are clipped to this depth behind the indenter's lowest point
         mesh_unit: unit of the mesh file: m, cm, mm or inch
@@ -167,7 +166,7 @@ def from_presses(
     converted = presses.convert(
         source,
         indenter=indenter,
-        board=BOARDS[board](),
+        board=_board(board),
         window=1e-3 * window_mm,
         reach=1e-3 * reach_mm,
         mesh_unit=mesh_unit,
@@ -247,6 +246,13 @@ def _require_free(target: Path, force: bool) -> None:
         raise DataError(f"{target}: holds {others[0]}, which no conversion wrote; give another folder")
     if found and not force:
         raise DataError(f"{target}: holds a data set already; give another folder or say --force")
+
+
+def _board(name: str) -> Board:
+    try:
+        return make_board(name)
+    except ValueError as error:
+        raise DataError(f"--board {name}: {error}") from error
 
 
 def _write(target: Path, converted: Converted) -> None:

@@ -20,8 +20,9 @@ from i2t.convert.common import Converted, Notes, damaged, read_numbers
 from i2t.dataset import Dataset, concatenate, no_wide
 from i2t.errors import DataError
 from i2t.skin import boards
-from i2t.types import REACH, READINGS, ReturnCode, Touches
+from i2t.types import REACH, ReturnCode, Touches
 
+READINGS = 15  # of one board, AnySkin's
 GRAM = 9.80665e-3  # N, weight of a gram
 RADIUS = 4e-3  # m, of the tip; an assumption
 WINDOW = 40e-3  # m, holds the 31 x 31 mm grid of the `spatial` sessions
@@ -131,7 +132,7 @@ def _session(
                     objects=("probe",),
                     pads=(pad or (f"{name}/board {i}" if sheared else name),),
                     runs=runs,
-                    board=boards.anyskin(),
+                    board=boards.anyskin_board(),
                     source="real",
                     window=window,
                     reach=reach,

@@ -2,8 +2,8 @@
 (docs/data.md describes it).
 
 Columns, by name: x_mm, y_mm (the indenter's axis from the skin's centre, along the skin's edges), depth_mm (travel past
-first contact), the fifteen values b0x_uT, b0y_uT, b0z_uT, b1x_uT ... b4z_uT; if wanted force_N (empty = not measured),
-a0x_uT ... a4z_uT (ambient, subtracted), pad and run (names).
+first contact), the values of the board's chips b0x_uT, b0y_uT, b0z_uT, b1x_uT ... (to b4z_uT for five chips); if wanted
+force_N (empty = not measured), a0x_uT ... (ambient, subtracted), pad and run (names).
 
 Frames: the skin is fixed, and its tool frame T is the world's. The object O is the indenter, its axes as T's: at the
 lowest point of a sphere or cylinder, or a mesh's own frame, whose z axis is the indenter's and whose lowest point
@@ -12,6 +12,7 @@ touches first.
 
 import csv
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,9 @@ from i2t.convert import tips
 from i2t.convert.common import Converted, Notes, read_text
 from i2t.dataset import Dataset, no_wide
 from i2t.errors import DataError
-from i2t.types import CHIPS, PATCH_PIXELS, PATCH_WINDOW, REACH, Board, ReturnCode, Touches
+from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Board, ReturnCode, Touches
 
 PLACES = ("x_mm", "y_mm", "depth_mm")
-VALUES = tuple(f"b{chip}{axis}_uT" for chip in range(CHIPS) for axis in "xyz")
-AMBIENT = tuple("a" + name[1:] for name in VALUES)
 NAMES = ("pad", "run")
 LARGEST = 1e9  # of any number, in its unit
 
@@ -46,7 +45,7 @@ def convert(
     whose axis lies beside the window are left out. Raises DataError.
     """
     notes = Notes(skip_bad)
-    rows = _rows(source, notes)
+    rows = _rows(source, board.num_chips, notes)
     numbers = np.array([[row[name] for name in (*PLACES, "force_N")] for row in rows])
     x, y, depth = 1e-3 * numbers[:, :3].T
     inside = (np.abs(x) <= window / 2) & (np.abs(y) <= window / 2)
@@ -89,7 +88,8 @@ def convert(
     return notes.finish(dataset)
 
 
-def _rows(source: Path, notes: Notes) -> list[dict[str, Any]]:
+def _rows(source: Path, chips: int, notes: Notes) -> list[dict[str, Any]]:
+    values, ambient = (tuple(f"{kind}{chip}{axis}_uT" for chip in range(chips) for axis in "xyz") for kind in "ba")
     try:
         table = csv.DictReader(read_text(source).splitlines(), strict=True)
         header = [name.strip() for name in table.fieldnames or ()]
@@ -97,17 +97,22 @@ def _rows(source: Path, notes: Notes) -> list[dict[str, Any]]:
         lines = [(table.line_num, line) for line in table]
     except csv.Error as error:
         raise DataError(f"{source}: is no comma-separated table ({error}); save it as CSV") from error
-    missing = [name for name in PLACES + VALUES if name not in header]
+    missing = [name for name in PLACES + values if name not in header]
     if missing:
         raise DataError(f"{source}: column {', '.join(missing)} is missing; name columns as in docs/data.md")
+    beyond = [name for name in header if re.fullmatch(r"b[0-9]+[xyz]_uT", name) and name not in values]
+    if beyond:
+        raise DataError(
+            f"{source}: column {', '.join(beyond)} is of no chip of the board, which has {chips}; name it with --board"
+        )
     if len(set(header)) != len(header):
         raise DataError(f"{source}: a column name stands twice in the first line; rename one")
-    has_ambient = set(AMBIENT) <= set(header)
-    if not has_ambient and set(AMBIENT) & set(header):
+    has_ambient = set(ambient) <= set(header)
+    if not has_ambient and set(ambient) & set(header):
         raise DataError(
-            f"{source}: some of the ambient columns {AMBIENT[0]} ... {AMBIENT[-1]} are missing; give all or none"
+            f"{source}: some of the ambient columns {ambient[0]} ... {ambient[-1]} are missing; give all or none"
         )
-    known = {*PLACES, *VALUES, "force_N", *NAMES, *(AMBIENT if has_ambient else ())}
+    known = {*PLACES, *values, "force_N", *NAMES, *(ambient if has_ambient else ())}
     unknown = [name for name in header if name not in known]
     if unknown:
         notes.say(f"left out: columns {', '.join(unknown)}, which have no meaning here")
@@ -120,9 +125,9 @@ def _rows(source: Path, notes: Notes) -> list[dict[str, Any]]:
             row["force_N"] = (
                 _number(source, number, "force_N", line["force_N"]) if line.get("force_N", "").strip() else math.nan
             )
-            reading = np.array([_number(source, number, name, line[name]) for name in VALUES])
+            reading = np.array([_number(source, number, name, line[name]) for name in values])
             if has_ambient:
-                reading -= [_number(source, number, name, line[name]) for name in AMBIENT]
+                reading -= [_number(source, number, name, line[name]) for name in ambient]
             row |= {kind: (line.get(kind) or kind).strip() for kind in NAMES} | {"reading": reading}
             rows.append(row)
         except DataError as error:

@@ -14,8 +14,9 @@ import numpy as np
 from i2t.convert import npy
 from i2t.convert.common import Notes, damaged
 from i2t.errors import DataError
-from i2t.types import CHIPS, READINGS
 
+CHIPS = 5  # of the boards that this layout is of
+READINGS = 3 * CHIPS
 TEMPERATURES = (-40.0, 85.0)  # C, the range of the chips
 SPREAD = 10.0  # K, standard deviation of temperature over chips and touches; chips differ by 1 to 2.5 K
 LARGEST = 1e6  # uT: the chips end at 1.3e5

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from i2t.errors import DataError
-from i2t.types import CHIPS, PATCH_WINDOW, REACH, READINGS, WIDE_PIXELS, Board, ReturnCode, Touches, Truth
+from i2t.types import PATCH_WINDOW, REACH, WIDE_PIXELS, Board, ReturnCode, Touches, Truth
 
 SOURCES = ("simulated", "real", "mixed")
 INDICES = ("object", "pad", "run", "code")
@@ -58,7 +58,7 @@ class Dataset:
         (unknown is None).
         """
         touches = self.touches
-        by_axis = touches.reading.reshape(-1, CHIPS, 3).astype(np.float64)
+        by_axis = touches.reading.reshape(-1, self.board.num_chips, 3).astype(np.float64)
         finite = {name: np.isfinite(getattr(touches, name)) for name in ("nearest", "force", "depth")}
         return {
             "touches": len(self),
@@ -68,7 +68,7 @@ class Dataset:
             "runs": _counts(touches.run, self.runs),
             "codes": {code.name.lower(): int(np.sum(touches.code == code)) for code in ReturnCode},
             "reading_uT": {axis: _statistics(by_axis[..., i].ravel()) for i, axis in enumerate(AXES)},
-            "reading_norm_uT": _statistics(np.linalg.norm(by_axis.reshape(-1, READINGS), axis=1)),
+            "reading_norm_uT": _statistics(np.linalg.norm(by_axis.reshape(len(self), -1), axis=1)),
             "force_N": _statistics(touches.force[finite["force"]].astype(np.float64)),
             "depth_m": _statistics(touches.depth[finite["depth"]].astype(np.float64)),
             "nearest_m": _statistics(touches.nearest[finite["nearest"]].astype(np.float64)),
@@ -145,21 +145,22 @@ def validate(dataset: Dataset) -> None:
     """
     touches, n = dataset.touches, len(dataset.touches.reading)
     pixels, wide = touches.patch.shape[-1], touches.wide.shape[-1]
+    chips = len(dataset.board.rotations)
     shapes: dict[str, tuple[int, ...]] = {
         "patch": (n, pixels, pixels),
         "wide": (n, wide, wide),
-        "reading": (n, READINGS),
+        "reading": (n, 3 * chips),
         "T_w_t": (n, 4, 4),
         "T_w_o": (n, 4, 4),
     }
+    _require_shape("board/chips", dataset.board.chips, (chips, 3))
+    _require_shape("board/rotations", dataset.board.rotations, (chips, 3, 3))
     for name in Touches._fields[:-1]:
         _require_shape(name, getattr(touches, name), shapes.get(name, (n,)))
     if touches.truth is not None:
         for name, value in touches.truth._asdict().items():
             shape = (n, *value.shape[1:2] * 2) if name == "wide" else shapes.get(name, (n,))
             _require_shape(f"truth/{name}", value, shape)
-    _require_shape("board/chips", dataset.board.chips, (CHIPS, 3))
-    _require_shape("board/rotations", dataset.board.rotations, (CHIPS, 3, 3))
     _require(dataset.source in SOURCES, f"source is {dataset.source!r}, not one of {', '.join(SOURCES)}")
     _require(
         0 < dataset.window < np.inf and 0 < dataset.reach < np.inf,

@@ -84,7 +84,8 @@ class Lab:
         self._random = np.random.default_rng((seed, 1))
         self._rest = scene.rest + scene.board.to_board(np.tile(np.array(EARTH), (CHIPS, 1)))
         self._slow = np.zeros(3)
-        self._steps = np.where(self.noise.steps > 0, self.noise.steps, 1e-6)
+        steps = self.noise.steps(scene.board.num_chips)
+        self._steps = np.where(steps > 0, steps, 1e-6)
         self._noise: list[tuple[Array, Array]] = []
 
     def catch_up(self) -> None:
@@ -121,7 +122,7 @@ class Lab:
             self._slow = kept * self._slow + news
             slow[i] = self._slow
         slow *= np.sqrt(size.common) * np.array([size.xy, size.xy, size.z])
-        white = size.sigma * np.sqrt(1 - size.common) * drawn[:, :READINGS]
+        white = size.sigma(CHIPS) * np.sqrt(1 - size.common) * drawn[:, :READINGS]
         noise = white + self.scene.board.to_board(np.repeat(slow[:, None], CHIPS, axis=1))
         celsius = WARM + WARMTH * (size.xy > 0) * drawn[:, READINGS + 3 :]
         return list(zip(noise, celsius, strict=True))

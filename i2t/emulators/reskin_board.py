@@ -5,8 +5,8 @@
 
 Its first line of output is the port's path (the link, if there is one), its second, with `--field`, where to send
 fields. Like a board it waits until somebody opens the port. At rest it shows a uniform ambient field on the turned
-chips of `i2t.skin.boards.reskin`, noise and steps as measured on real boards; a press comes and goes where asked for.
-Times of faults count from the first opening. Runs on Linux and macOS; NumPy only.
+chips of `i2t.skin.boards.reskin_board`, noise and steps as measured on real boards; a press comes and goes where
+asked for. Times of faults count from the first opening. Runs on Linux and macOS; NumPy only.
 """
 
 import argparse
@@ -70,7 +70,7 @@ class Readings:
 
     def __init__(self, noise: float, press: float, temperature: float | None, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
-        self._rest = boards.reskin().to_board(np.tile(np.array(AMBIENT), (CHIPS, 1)))
+        self._rest = boards.reskin_board().to_board(np.tile(np.array(AMBIENT), (CHIPS, 1)))
         self._noise, self._press, self._temperature = noise, press, temperature
         self.field = np.zeros(READINGS)  # uT, added to all else
 

@@ -26,7 +26,7 @@ from i2t.simulation.touches import Errors, sample_run
 from i2t.skin.contact import GRID
 from i2t.skin.dipoles import rest_field
 from i2t.skin.pad import press_force
-from i2t.types import PAD_WINDOW, READINGS, Array, Board, Pad, Surface
+from i2t.types import PAD_WINDOW, Array, Board, Pad, Surface
 
 AHEAD = 0.12  # m of a line on which the object is looked for
 LOADS = np.geomspace(0.02, 60.0, 14)  # N
@@ -45,7 +45,7 @@ class Line(NamedTuple):
     sunk: Array  # (k,) m past it, from 0
     force: Array  # (k,) N
     centre: Array  # (k, 2) m, of the pressure, in the tool's x and y
-    reading: Array  # (k, 15) uT, without noise
+    reading: Array  # (k, 3 chips) uT, without noise
 
     def on(self, position: Array, turned: Array) -> float | None:
         """How far (m) a pose is along the line, None beside it."""
@@ -58,10 +58,10 @@ class Line(NamedTuple):
         return along
 
     def felt(self, along: float) -> tuple[float, Array, Array]:
-        """Force (N), its centre (2,) m and the reading (15,) uT, `along` metres from the line's beginning."""
+        """Force (N), its centre (2,) m and the reading (3 chips,) uT, `along` metres from the line's beginning."""
         past = along - self.first
         if past <= 0:
-            return 0.0, np.zeros(2), np.zeros(READINGS)
+            return 0.0, np.zeros(2), np.zeros(self.reading.shape[1])
         i = int(np.clip(np.searchsorted(self.sunk, past), 1, len(self.sunk) - 1))
         part = (past - self.sunk[i - 1]) / (self.sunk[i] - self.sunk[i - 1])  # beyond the last it goes on straight
         force, reading = ((1 - part) * row[i - 1] + part * row[i] for row in (self.force, self.reading))
@@ -73,7 +73,7 @@ class Met(Protocol):
     """What a lab's tool meets."""
 
     board: Board
-    rest: Array  # (15,) uT, the reading of the skin alone
+    rest: Array  # (3 chips,) uT, the reading of the skin alone
     errors: Errors
 
     def near(self, position: Array) -> bool:
@@ -86,13 +86,13 @@ class Met(Protocol):
 class Flat:
     """A horizontal plane that pushes back like a spring: everything about it is known in closed form.
 
-    Its height is in the base (m), its stiffness in N/m with arm and mount in it, and each newton changes the 15 values
+    Its height is in the base (m), its stiffness in N/m with arm and mount in it, and each newton changes the readings
     by `gain` (uT).
     """
 
     def __init__(self, height: float, stiffness: float, gain: Array, errors: Errors, board: Board) -> None:
         self.height, self.stiffness, self.gain = height, stiffness, gain
-        self.errors, self.board, self.rest = errors, board, np.zeros(READINGS)
+        self.errors, self.board, self.rest = errors, board, np.zeros(board.num_readings)
 
     def near(self, position: Array) -> bool:
         """It is met above and below."""
@@ -123,7 +123,7 @@ class Scene:
         self.board = Board(*(np.asarray(part, float) for part in pad.board))
         self.T_b_o = np.asarray(T_b_o) @ np.asarray(run.T_o_placed, float)
         self.T_t_camera = np.asarray(run.T_t_camera, float)  # where it looks from, seen from where the lab believes
-        self.rest = np.asarray(pad.board.to_board(jax.jit(rest_field)(pad)), float)  # (15,) uT
+        self.rest = np.asarray(pad.board.to_board(jax.jit(rest_field)(pad)), float)  # (3 chips,) uT
         self._surface = jax.device_put(prepare(mesh))
         self._random = np.random.default_rng(seed)
         placed = transform_mesh(mesh, self.T_b_o)
@@ -152,7 +152,7 @@ class Scene:
             np.maximum.accumulate(past + 1e-9 * np.arange(len(past))),  # rounding must not turn it back
             np.append(0.0, LOADS),
             np.concatenate([centre[:1], centre]).astype(float),
-            np.concatenate([np.zeros((1, READINGS)), reading]).astype(float),
+            np.concatenate([np.zeros_like(reading[:1]), reading]).astype(float),
         )
 
 
@@ -185,7 +185,7 @@ class Feeler:
 
     def __init__(self, scene: Met, wait: bool = True) -> None:
         self.scene = scene
-        self.reading = np.zeros(READINGS)  # uT, at the pose that was asked for last
+        self.reading = np.zeros(scene.board.num_readings)  # uT, at the pose that was asked for last
         self._line: Line | None = None
         self._coming: Future[Line] | None = None
         self._beside = None if wait else ThreadPoolExecutor(1, "scene")
@@ -202,7 +202,7 @@ class Feeler:
         self._look(position, turned)
         along = None if self._line is None else self._line.on(position, turned)
         if self._line is None or along is None:
-            self.reading = np.zeros(READINGS)
+            self.reading = np.zeros(self.scene.board.num_readings)
             return np.zeros(6)
         force, (x, y), self.reading = self._line.felt(along)
         return np.concatenate([turned @ [0.0, 0.0, -force], turned @ [-force * y, force * x, 0.0]])

@@ -44,7 +44,7 @@ class Stop(NamedTuple):
 
     indentation: Float[Array, ""]  # m
     force: Float[Array, ""]  # N
-    reading: Float[Array, "15"]  # uT, noise free
+    reading: Float[Array, " c"]  # uT, noise free
     code: Int[Array, ""]
 
 
@@ -84,7 +84,7 @@ def press_until(
             ),
         )
 
-    nothing = Stop(jnp.zeros(()), jnp.zeros(()), jnp.zeros(15), jnp.asarray(ReturnCode.UNDEFINED))
+    nothing = Stop(jnp.zeros(()), jnp.zeros(()), jnp.zeros(pad.board.num_readings), jnp.asarray(ReturnCode.UNDEFINED))
     no = jnp.asarray(False)
     # A crossing in the first stride is sought as if the excess grew in proportion to the indentation below it.
     start = _Bracket(deepest - limits.scan * stride, jnp.asarray(-stride), deepest, jnp.ones(()), no, no, nothing)

@@ -48,7 +48,7 @@ def response(
     dipoles: Grid | None = None,
     nodes: int = NODES,
     traction: Float[Array, "2 n n"] | None = None,
-) -> Float[Array, "15"]:
+) -> Float[Array, " c"]:
     """The noise-free reading (uT) under `pressure` (Pa) and, where given, `traction` (Pa, along x and y) on `grid`:
     gains times the change of field, in the chips' axes.
 
@@ -66,7 +66,7 @@ def pressed_field(
     dipoles: Grid | None = None,
     nodes: int = NODES,
     traction: Float[Array, "2 n n"] | None = None,
-) -> Float[Array, "5 3"]:
+) -> Float[Array, "chips 3"]:
     """Field (uT, tool axes) of the pad's magnets at the chips under a load; arguments as for `response`."""
     dipoles = grid if dipoles is None else dipoles
     loaded = load(pad, pressure, traction, grid, dipoles)
@@ -80,7 +80,7 @@ def pressed_field(
     return jnp.sum(jax.lax.map(sheet, sheets(pad, dipoles, nodes)), axis=0)
 
 
-def rest_field(pad: Pad, dipoles: Grid = GRID, nodes: int = NODES) -> Float[Array, "5 3"]:
+def rest_field(pad: Pad, dipoles: Grid = GRID, nodes: int = NODES) -> Float[Array, "chips 3"]:
     """Field (uT, tool axes) of the pad's magnets at the chips when nothing touches it."""
 
     def sheet(magnets: tuple[Array, Array]) -> Array:

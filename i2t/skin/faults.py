@@ -25,7 +25,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t import geometry
 from i2t.skin.dipoles import MICROTESLA, MU0_OVER_4PI, dipole_field
-from i2t.types import CHIPS, READINGS, Board
+from i2t.types import Board
 
 DIP = np.deg2rad(64.0)  # of the earth's field below the horizon in central Europe (IGRF-13, 2020)
 PRONY_TIMES = (0.3, 3.0, 30.0)  # s: an equal share for each decade, relaxation linear in log time as elastomers show
@@ -75,19 +75,19 @@ class Faults:
 
 def apply(
     key: Key[Array, ""],
-    readings: Float[Array, "n 15"],
+    readings: Float[Array, "n c"],
     T_w_t: Float[Array, "n 4 4"],
     board: Board,
     faults: Faults,
-    rest: Float[Array, "15"] | None = None,
-) -> Float[Array, "n 15"]:
+    rest: Float[Array, " c"] | None = None,
+) -> Float[Array, "n c"]:
     """The readings of one run, in the order made, as a faulty sensor would feel them (see the module's head).
 
     `rest` is what the chips measure of the pad itself when nothing touches it (`field.rest_field` through
     `board.to_board`; zero if not given): saturation starts from there, and warming weakens it.
     """
     n = readings.shape[0]
-    rest = jnp.zeros(READINGS) if rest is None else rest
+    rest = jnp.zeros(board.num_readings) if rest is None else rest
     key_hold, key_memory, key_tip, key_place, key_warm, key_gain = jax.random.split(key, 6)
     key_common, key_offset = jax.random.split(key_warm)
 
@@ -101,23 +101,23 @@ def apply(
     x = jax.vmap(lambda reading: ferrous(reading, direction, board, faults.ferrous))(x)
     place = field_of_place(key_place, faults.earth, faults.room)
     seen = jax.vmap(lambda T: ambient(T, place, board))(T_w_t)
-    kelvin = warm(key_common, n, faults.warming)
-    offset = jax.random.normal(key_offset, (READINGS,))
+    kelvin = warm(key_common, n, board.num_chips, faults.warming)
+    offset = jax.random.normal(key_offset, (board.num_readings,))
     warmed, drifted = jax.vmap(lambda reading, warmer: thermal(reading, rest, warmer, offset))(x, kelvin)
     x = warmed + since_ambient(seen + drifted, faults.ambient_every)
 
-    x = gains(key_gain, faults.gain)[None] * x
+    x = gains(key_gain, board.num_readings, faults.gain)[None] * x
     return jax.vmap(lambda reading: saturate(reading, rest, faults.range_xy, faults.range_z))(x)
 
 
-def record(key: Key[Array, ""], readings: Float[Array, "n 15"], faults: Faults) -> Float[Array, "n 15"]:
+def record(key: Key[Array, ""], readings: Float[Array, "n c"], faults: Faults) -> Float[Array, "n c"]:
     """What is written down of a run's readings: nothing new from dead axes, and some rows twice."""
     key_dead, key_stale = jax.random.split(key)
-    answered = jnp.where(dead_axes(key_dead, faults.dead)[None], 0.0, readings)
+    answered = jnp.where(dead_axes(key_dead, readings.shape[-1], faults.dead)[None], 0.0, readings)
     return stale_rows(key_stale, answered, faults.stale)
 
 
-def soften(reading: Float[Array, "15"], presses: Int[Array, ""] | int, size: float = 0.1) -> Float[Array, "15"]:
+def soften(reading: Float[Array, " c"], presses: Int[Array, ""] | int, size: float = 0.1) -> Float[Array, " c"]:
     """At a given force a used layer yields more: readings grow towards 1 + `size` times as presses wear the pad.
 
     The Mullins effect: silicones soften in their first load cycles only (Case, White and Kramer, Soft Robotics 2, 2015;
@@ -133,11 +133,11 @@ def relaxed(seconds: Float[Array, ""] | float, size: float = 0.05) -> Float[Arra
 
 
 def creep(
-    reading: Float[Array, "15"],
+    reading: Float[Array, " c"],
     seconds: Float[Array, ""] | float,
     size: float = 0.05,
     yielding: float = 0.2,
-) -> Float[Array, "15"]:
+) -> Float[Array, " c"]:
     """What a reading grows to while the touch is held and the stress in the layer relaxes by up to `size`.
 
     A held depth keeps the layer's shape, and so its field. But the arm yields: with s = layer / (layer + arm), the part
@@ -149,21 +149,22 @@ def creep(
     return reading / (1 - yielding * (1 - relaxed(seconds, size)))
 
 
-def remember(key: Key[Array, ""], readings: Float[Array, "n 15"], size: float = 0.3) -> Float[Array, "n 15"]:
+def remember(key: Key[Array, ""], readings: Float[Array, "n c"], size: float = 0.3) -> Float[Array, "n c"]:
     """One chip, drawn for the run, adds `size` times the press before to each reading.
 
     On a real ReSkin board one chip was up to 35 uT off after a press, where a strong press is 107 uT (p95);
     hysteresis and slip look alike there. Negative if the ambient was measured on the memory and the press wipes
     it out.
     """
-    chip = jnp.repeat(jnp.arange(CHIPS) == jax.random.randint(key, (), 0, CHIPS), 3)
-    before = jnp.concatenate([jnp.zeros((1, READINGS)), readings[:-1]])
+    chips = readings.shape[-1] // 3
+    chip = jnp.repeat(jnp.arange(chips) == jax.random.randint(key, (), 0, chips), 3)
+    before = jnp.concatenate([jnp.zeros_like(readings[:1]), readings[:-1]])
     return readings + size * jnp.where(chip[None], before, 0.0)
 
 
 def induced(
     place: Float[Array, "3"], magnetising: Float[Array, "3"], radius: float, board: Board
-) -> Float[Array, "15"]:
+) -> Float[Array, " c"]:
     """Reading (uT) of a steel ball of `radius` (m) at `place` (m, tool frame) in a field of `magnetising` (uT).
 
     A highly permeable ball in a uniform field B has the moment 4 pi radius^3 B / mu0 (Jackson, Classical
@@ -174,8 +175,8 @@ def induced(
 
 
 def ferrous(
-    reading: Float[Array, "15"], direction: Float[Array, "3"], board: Board, size: float = 7.0
-) -> Float[Array, "15"]:
+    reading: Float[Array, " c"], direction: Float[Array, "3"], board: Board, size: float = 7.0
+) -> Float[Array, " c"]:
     """A steel tip adds `size` times the touch's norm, shared out as the field of a ball of 2 mm on the skin's centre
     that the pad magnetises along `direction`.
 
@@ -199,12 +200,12 @@ def field_of_place(key: Key[Array, ""], earth: float = 48.0, room: float = 10.0)
 
 
 @geometry.full_precision
-def ambient(T_w_t: Float[Array, "4 4"], field: Float[Array, "3"], board: Board) -> Float[Array, "15"]:
+def ambient(T_w_t: Float[Array, "4 4"], field: Float[Array, "3"], board: Board) -> Float[Array, " c"]:
     """Reading of a uniform field (uT, W) by a board in the pose T_w_t: one vector for all chips, each in its axes."""
-    return board.to_board(jnp.broadcast_to(T_w_t[:3, :3].T @ field, (CHIPS, 3)))
+    return board.to_board(jnp.broadcast_to(T_w_t[:3, :3].T @ field, (board.num_chips, 3)))
 
 
-def since_ambient(values: Float[Array, "n 15"], every: int) -> Float[Array, "n 15"]:
+def since_ambient(values: Float[Array, "n c"], every: int) -> Float[Array, "n c"]:
     """Slow additive terms less what they were when the ambient was last measured, at every `every`-th touch.
 
     Measured at each touch, in the pose of the touch, it takes them all away.
@@ -213,24 +214,24 @@ def since_ambient(values: Float[Array, "n 15"], every: int) -> Float[Array, "n 1
     return values - values[touch // every * every]
 
 
-def warm(key: Key[Array, ""], touches: int, size: float = 10.0) -> Float[Array, "n 5"]:
+def warm(key: Key[Array, ""], touches: int, chips: int, size: float = 10.0) -> Float[Array, "n chips"]:
     """Warming (K) of each chip at each touch of a run that begins cold: all but a twentieth of `size` by its end.
 
     Real boards were recorded at 22-32 C, their chips 1-2.5 K apart. Exponential in the number of the touch.
     """
-    uneven = UNEVEN * jax.random.uniform(key, (CHIPS,), minval=-1.0)
+    uneven = UNEVEN * jax.random.uniform(key, (chips,), minval=-1.0)
     course = 1 - jnp.exp(-3 * jnp.arange(touches) / max(touches - 1, 1))
     return size * course[:, None] * (1 + uneven)[None]
 
 
 def thermal(
-    reading: Float[Array, "15"],
-    rest: Float[Array, "15"],
-    kelvin: Float[Array, "5"],
-    offset: Float[Array, "15"],
+    reading: Float[Array, " c"],
+    rest: Float[Array, " c"],
+    kelvin: Float[Array, " chips"],
+    offset: Float[Array, " c"],
     gain: float = -1.2e-3,
     drift: float = 0.2,
-) -> tuple[Float[Array, "15"], Float[Array, "15"]]:
+) -> tuple[Float[Array, " c"], Float[Array, " c"]]:
     """A reading (uT) in a skin warmer by `kelvin` at each chip, and what its zero has drifted by.
 
     The magnets weaken by 0.12 % per kelvin (remanence of neodymium magnets, makers' tables): the reading by that
@@ -242,32 +243,32 @@ def thermal(
     return reading * (1 + gain * warmer), warmer * (gain * rest + drift * offset)
 
 
-def gains(key: Key[Array, ""], size: float = 0.05) -> Float[Array, "15"]:
+def gains(key: Key[Array, ""], channels: int, size: float = 0.05) -> Float[Array, " c"]:
     """Gains of the chips' axes about 1, at most three `size` away. 5 % is an assumption, as in `pad.sample_pad`."""
-    return 1 + size * jax.random.truncated_normal(key, -3.0, 3.0, (READINGS,))
+    return 1 + size * jax.random.truncated_normal(key, -3.0, 3.0, (channels,))
 
 
 def saturate(
-    reading: Float[Array, "15"], rest: Float[Array, "15"], range_xy: float = RANGE_XY, range_z: float = RANGE_Z
-) -> Float[Array, "15"]:
+    reading: Float[Array, " c"], rest: Float[Array, " c"], range_xy: float = RANGE_XY, range_z: float = RANGE_Z
+) -> Float[Array, " c"]:
     """A change of field from `rest` (uT), where each axis ends at its full scale.
 
     16 bits: 2^15 steps of 0.150 uT (x, y) and 0.242 uT (z) at gain 7 and resolution 0 (MLX90393 data sheet, sensitivity
     table; its features name 5 mT as the smallest range). A range of 0 has no end.
     """
-    limit = np.tile([range_xy or np.inf, range_xy or np.inf, range_z or np.inf], CHIPS)
+    limit = np.tile([range_xy or np.inf, range_xy or np.inf, range_z or np.inf], reading.shape[-1] // 3)
     # Written as a correction, so that a reading in range is left as it is and not rounded to the field at rest.
     total = rest + reading
     over = total - jnp.clip(total, -limit, limit)
     return reading - over + (rest - jnp.clip(rest, -limit, limit))
 
 
-def dead_axes(key: Key[Array, ""], count: int = 1) -> Bool[Array, "15"]:
+def dead_axes(key: Key[Array, ""], channels: int, count: int = 1) -> Bool[Array, " c"]:
     """`count` axes, drawn anew for each board, whose readings no longer change."""
-    return jax.random.permutation(key, READINGS) < count
+    return jax.random.permutation(key, channels) < count
 
 
-def stale_rows(key: Key[Array, ""], readings: Float[Array, "n 15"], size: float = 0.01) -> Float[Array, "n 15"]:
+def stale_rows(key: Key[Array, ""], readings: Float[Array, "n c"], size: float = 0.01) -> Float[Array, "n c"]:
     """Each row but the first repeats the one recorded before it with probability `size`.
 
     The public driver hands out buffers of up to 48 old frames, 0.12 s at 400 Hz and longer than the burst that makes a

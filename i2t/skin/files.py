@@ -16,7 +16,7 @@ import numpy as np
 
 from i2t import serialization
 from i2t.errors import SerializationError
-from i2t.types import CHIPS, READINGS, Pad
+from i2t.types import Pad
 
 KIND = "i2t pad"
 
@@ -33,9 +33,10 @@ def load_pad(path: Path | str) -> Pad:
     """The pad in a file. Raises SerializationError where it is missing, damaged, no pad, or no pad that can be."""
     pad, _ = serialization.load(path, KIND, Pad)
     side = pad.magnetisation.shape[0] if pad.magnetisation.ndim else 0
+    chips = pad.board.chips.shape[0] if pad.board.chips.ndim else 0
     shapes = {
-        "thickness": (), "young": (), "poisson": (), "magnetisation": (side, side, 3), "gains": (READINGS,),
-        "board.chips": (CHIPS, 3), "board.rotations": (CHIPS, 3, 3), "friction": (), "give": (),
+        "thickness": (), "young": (), "poisson": (), "magnetisation": (side, side, 3), "gains": (3 * chips,),
+        "board.chips": (chips, 3), "board.rotations": (chips, 3, 3), "friction": (), "give": (),
     }  # fmt: skip
     arrays = serialization.flatten(pad)
     for name, shape in shapes.items():

@@ -97,7 +97,7 @@ def response(
     displacement: Float[Array, "k 3"],
     rotation: Float[Array, "k 3"],
     nodes: int = NODES,
-) -> Float[Array, "15"]:
+) -> Float[Array, " c"]:
     """The noise-free reading (uT) of magnets moved from rest (see `moved`): the change of field at the chips."""
     chips = jnp.asarray(board.chips)
     change = field(chips, moved(magnets, displacement, rotation), nodes) - field(chips, magnets, nodes)

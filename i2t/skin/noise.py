@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from i2t.types import CHIPS, READINGS, Board
+from i2t.types import Board
 
 
 @dataclass(frozen=True)
@@ -42,20 +42,18 @@ class Noise:
         """The same sensor with `factor` times the noise and drift, and its steps as they are."""
         return replace(self, xy=factor * self.xy, z=factor * self.z, drift=factor * self.drift)
 
-    @property
-    def sigma(self) -> np.ndarray:
-        """(15,) uT: standard deviation of one sample at rest."""
-        return np.tile([self.xy, self.xy, self.z], CHIPS)
+    def sigma(self, chips: int) -> np.ndarray:
+        """(3 * chips,) uT: standard deviation of one sample at rest."""
+        return np.tile([self.xy, self.xy, self.z], chips)
 
-    @property
-    def steps(self) -> np.ndarray:
-        """(15,) uT: steps of the converter."""
-        return np.tile([self.step_xy, self.step_xy, self.step_z], CHIPS)
+    def steps(self, chips: int) -> np.ndarray:
+        """(3 * chips,) uT: steps of the converter."""
+        return np.tile([self.step_xy, self.step_xy, self.step_z], chips)
 
 
 def observe(
-    key: Key[Array, ""], reading: Float[Array, "15"], board: Board, noise: Noise | None = None
-) -> Float[Array, "15"]:
+    key: Key[Array, ""], reading: Float[Array, " c"], board: Board, noise: Noise | None = None
+) -> Float[Array, " c"]:
     """A touch as it is recorded: mean of the samples in contact minus mean of the samples before it.
 
     The slow field is taken as constant within a burst of samples (25 ms for 10 at 400 Hz) and drawn afresh for the next
@@ -69,36 +67,38 @@ def observe(
 
 
 def burst(
-    key: Key[Array, ""], reading: Float[Array, "15"], board: Board, noise: Noise, samples: int
-) -> Float[Array, "s 15"]:
+    key: Key[Array, ""], reading: Float[Array, " c"], board: Board, noise: Noise, samples: int
+) -> Float[Array, "s c"]:
     """Raw samples, quick enough after one another that only the white noise differs between them."""
     key_ambient, key_white = jax.random.split(key)
     field = reading + ambient(key_ambient, board, noise)
-    own = noise.sigma[None] * np.sqrt(1 - noise.common) * jax.random.normal(key_white, (samples, READINGS))
+    sigma = noise.sigma(board.num_chips)[None]
+    own = sigma * np.sqrt(1 - noise.common) * jax.random.normal(key_white, (samples, board.num_readings))
     return quantise(field[None] + own, noise)
 
 
-def ambient(key: Key[Array, ""], board: Board, noise: Noise) -> Float[Array, "15"]:
+def ambient(key: Key[Array, ""], board: Board, noise: Noise) -> Float[Array, " c"]:
     """The slow ambient field at one moment: one vector in tool axes, seen by every chip in its own."""
     size = np.sqrt(noise.common) * np.array([noise.xy, noise.xy, noise.z])
     field = size * jax.random.normal(key, (3,))
-    return board.to_board(jnp.broadcast_to(field, (CHIPS, 3)))
+    return board.to_board(jnp.broadcast_to(field, (board.num_chips, 3)))
 
 
-def quantise(readings: Float[Array, "*n 15"], noise: Noise) -> Float[Array, "*n 15"]:
+def quantise(readings: Float[Array, "*n c"], noise: Noise) -> Float[Array, "*n c"]:
     """Readings rounded to the converter's steps."""
-    steps = noise.steps.reshape((1,) * (readings.ndim - 1) + (READINGS,))
+    channels = readings.shape[-1]
+    steps = noise.steps(channels // 3).reshape((1,) * (readings.ndim - 1) + (channels,))
     safe = np.where(steps > 0, steps, 1)
     return jnp.where(steps > 0, jnp.round(readings / safe) * safe, readings)
 
 
-def drift(key: Key[Array, ""], touches: int, noise: Noise) -> Float[Array, "n 15"]:
+def drift(key: Key[Array, ""], touches: int, noise: Noise, channels: int) -> Float[Array, "n c"]:
     """Drift of each channel at each of a run's touches: a random walk from zero.
 
     Its standard deviation at the end is lognormal over channels about `noise.drift` with a factor of e either way, so
     that two thirds of the channels lie between 1.5 and 11 uT and the largest of many reach the 64 uT once seen.
     """
     key_size, key_walk = jax.random.split(key)
-    size = noise.drift * jnp.exp(jax.random.normal(key_size, (READINGS,)))
-    steps = jax.random.normal(key_walk, (touches, READINGS)) / np.sqrt(touches)
+    size = noise.drift * jnp.exp(jax.random.normal(key_size, (channels,)))
+    steps = jax.random.normal(key_walk, (touches, channels)) / np.sqrt(touches)
     return size[None] * jnp.cumsum(steps, axis=0)

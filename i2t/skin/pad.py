@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
-from i2t.skin.boards import reskin
+from i2t.skin.boards import reskin_board
 from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
 from i2t.skin.dipoles import pressed_field, response, rest_field
 from i2t.skin.faults import RANGE_XY, RANGE_Z
 from i2t.skin.friction import shear
-from i2t.types import CHIPS, PAD_WINDOW, READINGS, Board, Pad
+from i2t.types import PAD_WINDOW, Board, Pad
 
 THICKNESS = 2e-3  # m
 GAP = 1.5e-3  # m from the layer's base to the sensing elements: half of the chip's 1 mm package, glue and film
@@ -33,7 +33,7 @@ MAP = 20  # cells of a magnetisation map along each edge: 1 mm, and whole cells 
 class Press(NamedTuple):
     """What a press of the pad gives."""
 
-    reading: Float[Array, "15"]  # uT, without noise, in the board's order and axes
+    reading: Float[Array, " c"]  # uT, without noise, in the board's order and axes
     force: Float[Array, ""]  # N
     indentation: Float[Array, ""]  # m
     pressure: Float[Array, "n n"]  # Pa
@@ -73,7 +73,7 @@ def dragged(
     slide: Float[Array, "2"],
     grid: Grid = GRID,
     increments: int = 3,
-) -> Float[Array, "15"]:
+) -> Float[Array, " c"]:
     """What friction adds to the reading (uT) of a press whose surface moves by `slide` (m, along x and y of the skin)
     from first touch to `indentation`, evenly; see `i2t.skin.friction`. Not zero without a slide: friction also holds
     what pressure would spread.
@@ -87,21 +87,28 @@ def dragged(
     return pad.gains * pad.board.to_board(change)
 
 
-def nominal_pad(pattern: str = "poles", strength: float | Array = STRENGTH) -> Pad:
-    """A middling ReSkin with a known magnetisation: `pattern` (see `magnetise`) times `strength` (A/m)."""
+def nominal_pad(pattern: str = "poles", strength: float | Array = STRENGTH, *, board: Board | None = None) -> Pad:
+    """A middling ReSkin with a known magnetisation: `pattern` (see `magnetise`) times `strength` (A/m).
+
+    Args:
+        pattern: name of a magnetisation, see `magnetise`.
+        strength: A/m.
+        board: whose chips lie below the skin, by default ReSkin's five; their depth is that below a nominal layer.
+    """
+    board = reskin_board() if board is None else board
     return Pad(
         jnp.asarray(THICKNESS),
         jnp.asarray(YOUNG),
         jnp.asarray(POISSON),
         strength * magnetise(pattern),
-        jnp.ones(READINGS),
-        _board(jnp.asarray(THICKNESS + GAP)),
+        jnp.ones(board.num_readings),
+        _at_depth(board, jnp.asarray(THICKNESS + GAP)),
         friction=jnp.zeros(()),
         give=jnp.zeros(()),
     )
 
 
-def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0) -> Pad:
+def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0, *, board: Board | None = None) -> Pad:
     """A pad as different from the next as real skins are; with `spread` 0 only its magnetisation is random.
 
     Thickness 2-3 mm (ReSkin's range); stiffness within 15 %, gap within 0.25 mm, gains within 5 % and friction within
@@ -110,7 +117,14 @@ def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0) -> Pad:
     strength varies by 25 % from skin to skin; a skin that would bring an axis at rest near the end of its range (most
     would) is weaker: makers magnetise as strongly as the chips bear. STRENGTH and GIVE are such that presses of a small
     tip to 0.6-1.0 N change the 15 values as on real boards (`tests/skin/test_pad.py`).
+
+    Args:
+        key: random key; pads of one key differ between boards in their gains alone, and in strength where a chip's
+            range is what bounds it.
+        spread: factor of all that varies but the magnetisation.
+        board: whose chips lie below the skin, by default ReSkin's five; their depth is the layer's and the gap's.
     """
+    board = reskin_board() if board is None else board
     names = ("thickness", "young", "gap", "map", "strength", "gains", "friction", "held", "give")
     keys = dict(zip(names, jax.random.split(key, len(names)), strict=True))
     held = jax.random.uniform(keys["held"]) < HELD
@@ -121,12 +135,12 @@ def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0) -> Pad:
         YOUNG * jnp.exp(spread * 0.15 * jax.random.normal(keys["young"])),
         jnp.asarray(POISSON),
         STRENGTH * jnp.exp(spread * 0.25 * jax.random.normal(keys["strength"])) * uneven(keys["map"], spread),
-        1 + spread * 0.05 * jax.random.truncated_normal(keys["gains"], -3.0, 3.0, (READINGS,)),
-        _board(thickness + gap),
+        1 + spread * 0.05 * jax.random.truncated_normal(keys["gains"], -3.0, 3.0, (board.num_readings,)),
+        _at_depth(board, thickness + gap),
         friction=FRICTION * jnp.exp(spread * 0.2 * jax.random.normal(keys["friction"])),
         give=jnp.where(held, spread * GIVE * jnp.exp(0.6 * jax.random.normal(keys["give"])), 0.0),
     )
-    ends = np.tile([RANGE_XY, RANGE_XY, RANGE_Z], CHIPS)
+    ends = np.tile([RANGE_XY, RANGE_XY, RANGE_Z], board.num_chips)
     use = jnp.max(jnp.abs(pad.board.to_board(rest_field(pad))) / ends)
     return pad._replace(magnetisation=pad.magnetisation * jnp.minimum(1.0, HEADROOM / use))
 
@@ -173,8 +187,7 @@ def smooth_random(key: Key[Array, ""], length: float | Array, cells: int = MAP) 
     return jnp.einsum("ia,jb,abc->ijc", factor, factor, jax.random.normal(key, (cells, cells, 3)))
 
 
-def _board(depth: Array) -> Board:
-    board = reskin()
+def _at_depth(board: Board, depth: Array) -> Board:
     return Board(jnp.asarray(board.chips).at[:, 2].set(-depth), jnp.asarray(board.rotations))
 
 

@@ -34,7 +34,7 @@ def test_it_comes_back_as_it_was(calibration, tmp_path):
 
 
 def test_chips_give_each_channel_its_own_amplitude(tmp_path):
-    fitted = calibrate.calibrate(PLACE, 1e3 * DEPTH, READINGS, "force", board=boards.reskin())
+    fitted = calibrate.calibrate(PLACE, 1e3 * DEPTH, READINGS, "force", board=boards.reskin_board())
     fitted.save(tmp_path / "skin.npz")
     again = calibrate.load(tmp_path / "skin.npz")
     assert again.process.cholesky.shape == (5, 30, 30)

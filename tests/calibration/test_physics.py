@@ -13,7 +13,7 @@ from i2t.skin.pad import press, sample_pad
 
 COARSE = Grid(20, 32)  # a quarter of the dipoles; pads are made and fitted on the same
 TIP = Tip("sphere", 4e-3)
-BOARD = boards.reskin()
+BOARD = boards.reskin_board()
 
 
 def simulated(seed: int, n: int) -> tuple:

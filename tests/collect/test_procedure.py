@@ -188,7 +188,7 @@ def test_noise_alone_seldom_stops_a_press_and_never_within_a_thousand():
     from i2t.emulators.in_process import SLOW, TICK
 
     rng = np.random.default_rng(0)
-    noise, board, settings = NOISY.noise, boards.reskin(), Settings()
+    noise, board, settings = NOISY.noise, boards.reskin_board(), Settings()
     presses, n = 1000, 1600  # of four seconds
     kept = np.exp(-TICK * settings.mean_of / SLOW)
     size = np.sqrt(noise.common) * np.array([noise.xy, noise.xy, noise.z])
@@ -197,7 +197,7 @@ def test_noise_alone_seldom_stops_a_press_and_never_within_a_thousand():
     ambient = None
     for _ in range(n // settings.mean_of):
         slow = kept * slow + np.sqrt(1 - kept**2) * size * rng.standard_normal((presses, 3))
-        white = noise.sigma * np.sqrt((1 - noise.common) / settings.mean_of) * rng.standard_normal((presses, READINGS))
+        white = noise.sigma(5) * np.sqrt((1 - noise.common) / settings.mean_of) * rng.standard_normal((presses, READINGS))
         mean = board.to_board(np.repeat(slow[:, None], 5, axis=1)) + white
         ambient = mean if ambient is None else ambient
         change = mean - ambient
@@ -210,7 +210,7 @@ def test_noise_alone_seldom_stops_a_press_and_never_within_a_thousand():
 
 
 def test_a_uniform_field_is_no_touch():
-    board = boards.reskin()
+    board = boards.reskin_board()
     change = board.to_board(np.tile([10.0, -20.0, 30.0], (5, 1)))
     np.testing.assert_allclose(unevenness(change, board), 0, atol=1e-5)
     assert np.linalg.norm(unevenness(GAIN, board)) > 10

@@ -30,7 +30,7 @@ PATIENCE = 20.0  # s that a loaded machine may need
 def arms(kind: str) -> Iterator[Callable[[], Arm]]:
     """Arms of one kind that have not been connected; the tool stands at HOME."""
     if kind == "simulated":
-        board = boards.reskin()
+        board = boards.reskin_board()
         lab = Lab(Flat(FLOOR, STIFFNESS, np.zeros(15), Errors.none(), board), Monotonic())
         yield lambda: SimulatedArm(lab, LIMITS)
         return

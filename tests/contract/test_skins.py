@@ -29,7 +29,7 @@ def make(request, tmp_path) -> Iterator[Callable[[], Skin]]:
             yield lambda: ReSkin(port)
         return
     if request.param == "simulated":
-        lab = Lab(Flat(0.0, 1e4, np.zeros(15), touches.Errors(), boards.reskin()), Monotonic())
+        lab = Lab(Flat(0.0, 1e4, np.zeros(15), touches.Errors(), boards.reskin_board()), Monotonic())
         yield lambda: SimulatedSkin(lab)
         return
     board = Readings(1.0, 0.0, None, 0)

@@ -77,7 +77,7 @@ def make(n, seed=0, truth=False, wide=False, objects=("star", "square", "hammer"
         else None,
     )
     names = ("pad é", "pad b"), ("run 1", "run 2", "run 3", "run 4")
-    return Dataset(touches, objects, *names, boards.reskin(), "simulated", meta={"seed": str(seed)})
+    return Dataset(touches, objects, *names, boards.reskin_board(), "simulated", meta={"seed": str(seed)})
 
 
 def assert_equal(a, b):
@@ -425,8 +425,11 @@ T_PROJECTIVE = np.tile(np.eye(4) + 0.1 * np.eye(4)[3][:, None] * np.eye(4)[0], (
         (replace(make(3), reach=np.nan), "window and reach must be positive"),
         (replace(make(3), source="dreamt"), "source is 'dreamt'"),
         (replace(make(3), objects=("a", "a", "b")), "object names repeat"),
-        (replace(make(3), board=boards.reskin()._replace(chips=np.zeros((4, 3)))), "board/chips has shape"),
-        (replace(make(3), board=boards.reskin()._replace(rotations=np.ones((5, 3, 3)))), "board/rotations is neither"),
+        (replace(make(3), board=boards.reskin_board()._replace(chips=np.zeros((4, 3)))), "board/chips has shape"),
+        (
+            replace(make(3), board=boards.reskin_board()._replace(rotations=np.ones((5, 3, 3)))),
+            "board/rotations is neither",
+        ),
     ],
 )
 def test_what_no_touch_can_be_is_refused_in_one_sentence(tmp_path, dataset, problem):
@@ -455,7 +458,7 @@ def test_concatenation_merges_names_and_refuses_what_does_not_fit():
     assert concatenate([a, make(2)]).touches.truth is None
     assert concatenate([a, replace(b, source="real")]).source == "mixed"
     assert_equal(both.select(np.arange(11) < 6), replace(a, objects=both.objects, meta=both.meta))
-    for other in (replace(b, window=0.04), make(2, pixels=16), replace(b, board=boards.anyskin())):
+    for other in (replace(b, window=0.04), make(2, pixels=16), replace(b, board=boards.anyskin_board())):
         with pytest.raises(DataError, match="cannot be joined"):
             concatenate([a, other])
     with pytest.raises(DataError, match="name at least one"):
@@ -544,9 +547,9 @@ def test_importing_it_imports_no_jax():
 
 def test_known_boards_turn_a_uniform_field_as_recorded():
     """As one real board recorded: chips 1, 3 and 4 see (y, -x), (-y, x) and (-x, -y) of what chip 0 sees."""
-    for board in (boards.reskin(), boards.anyskin()):
+    for board in (boards.reskin_board(), boards.anyskin_board()):
         field = np.tile(np.float32([1, 2, 3]), (5, 1))
         np.testing.assert_array_equal(board.to_tool(board.to_board(field)), field)
-    seen = boards.reskin().to_board(field).reshape(5, 3)
+    seen = boards.reskin_board().to_board(field).reshape(5, 3)
     np.testing.assert_array_equal(seen, [[1, 2, 3], [2, -1, 3], [1, 2, 3], [-2, 1, 3], [-1, -2, 3]])
-    np.testing.assert_allclose(np.linalg.norm(boards.reskin().chips[1:, :2], axis=1), 7e-3, rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(boards.reskin_board().chips[1:, :2], axis=1), 7e-3, rtol=1e-6)

@@ -35,7 +35,7 @@ def pose(x, y, z, turned=DOWN):
 
 
 def lab(errors=QUIET, clock=None, stiffness=10e3):
-    return Lab(Flat(HEIGHT, stiffness, GAIN, errors, boards.reskin()), clock or Virtual(WALL))
+    return Lab(Flat(HEIGHT, stiffness, GAIN, errors, boards.reskin_board()), clock or Virtual(WALL))
 
 
 def test_they_are_what_the_protocols_say(scene):

@@ -82,7 +82,7 @@ def test_a_press_is_felt_as_the_physics_says(touching):
 def test_the_noise_is_the_worlds(touching):
     with ReSkin(touching[1]) as skin:
         sigma = skin.read(400, PATIENCE).reading.std(0)
-    np.testing.assert_allclose(sigma, Noise().sigma, rtol=0.2)  # 400 samples: 3.5 % of one sigma
+    np.testing.assert_allclose(sigma, Noise().sigma(5), rtol=0.2)  # 400 samples: 3.5 % of one sigma
 
 
 def test_what_cannot_be_touched_is_said(tmp_path):

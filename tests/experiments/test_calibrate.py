@@ -37,7 +37,7 @@ def recording(n: int, pads: int = 1) -> Dataset:
         code=np.full(n, ReturnCode.UNDEFINED),
     )
     names = tuple(f"skin {i}" for i in range(pads))
-    return Dataset(touches, ("tip",), names, ("run",), boards.anyskin(), "simulated")
+    return Dataset(touches, ("tip",), names, ("run",), boards.anyskin_board(), "simulated")
 
 
 def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):

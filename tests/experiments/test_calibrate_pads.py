@@ -46,7 +46,7 @@ def test_scores_of_a_population_are_those_of_single_skins():
     assert found.shape == (2, 2)
     one = Presses(presses.place[1], presses.load[1])
     known, test = (jax.tree.map(lambda a, rows=rows: a[rows], one) for rows in (slice(20), slice(20, None)))
-    chips = jnp.float32(boards.reskin().chips[:, :2])
+    chips = jnp.float32(boards.reskin_board().chips[:, :2])
     mean = predict(fit(calibrate_pads.GUESSED, known, readings[1, :20], chips), test)[0]
     np.testing.assert_allclose(found[1, 1], score(np.asarray(readings[1, 20:]), np.asarray(mean)).r2, rtol=1e-3)
 

@@ -12,7 +12,7 @@ from experiments.recognize import figures
 from i2t.objects import catalogue
 from i2t.recognition import metrics
 from i2t.recognition.metrics import Estimate
-from i2t.skin.boards import reskin
+from i2t.skin.boards import reskin_board
 from i2t.types import PAD_WINDOW, REACH
 from i2t.viz import story, touches
 
@@ -146,7 +146,7 @@ def meshes():
 @pytest.fixture(scope="module")
 def page(meshes) -> Figure:
     readings = np.random.default_rng(0).normal(size=(3, 15))
-    return story.page(meshes, NAMES, poses(), readings, reskin(), POSTERIOR, 0, [], simulated=True)
+    return story.page(meshes, NAMES, poses(), readings, reskin_board(), POSTERIOR, 0, [], simulated=True)
 
 
 def test_a_page_shows_the_patch_of_each_candidate_where_it_was_touched(page):
@@ -177,7 +177,7 @@ def test_many_touches_and_candidates_fit_on_a_page(meshes):
     p = np.full((20, 8), 0.05)
     p[:, 5] = 0.3
     many = story.page(
-        [meshes[0]] * 8, [f"o{i}" for i in range(8)], np.tile(poses()[:1], (20, 1, 1)), np.ones((20, 15)), reskin(), p,
+        [meshes[0]] * 8, [f"o{i}" for i in range(8)], np.tile(poses()[:1], (20, 1, 1)), np.ones((20, 15)), reskin_board(), p,
         6, [], simulated=False,
     )  # fmt: skip
     shown = texts(many)
@@ -188,7 +188,7 @@ def test_many_touches_and_candidates_fit_on_a_page(meshes):
 
 def test_an_unknown_object_is_said_to_be_none_of_them(meshes):
     unknown = story.page(
-        meshes, NAMES, poses(), np.ones((3, 15)), reskin(), POSTERIOR[:, ::-1], -1, [], simulated=False
+        meshes, NAMES, poses(), np.ones((3, 15)), reskin_board(), POSTERIOR[:, ::-1], -1, [], simulated=False
     )
     shown = texts(unknown)
     assert any(text.startswith("One episode: none of the candidates, drawn on the hexagon\n") for text in shown)
@@ -209,20 +209,20 @@ def test_a_machine_that_cannot_draw_is_asked_in_another_process(monkeypatch):
 
 def test_without_a_scene_the_page_is_told_all_the_same(meshes, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(story, "no_scene", lambda: touches.NO_GL)
-    told = story.story(meshes, NAMES, poses(), np.ones((3, 15)), reskin(), POSTERIOR, 0, tmp_path / "a", True)
+    told = story.story(meshes, NAMES, poses(), np.ones((3, 15)), reskin_board(), POSTERIOR, 0, tmp_path / "a", True)
     assert told == [tmp_path / "a" / "story.png"] == list((tmp_path / "a").iterdir())
     assert capsys.readouterr().err == touches.NO_GL + "\n"
 
 
 def test_a_story_of_unequal_lengths_is_refused(meshes, tmp_path):
     with pytest.raises(ValueError, match="same touches"):
-        story.story(meshes, NAMES, poses(), np.ones((2, 15)), reskin(), POSTERIOR, 0, tmp_path, True)
+        story.story(meshes, NAMES, poses(), np.ones((2, 15)), reskin_board(), POSTERIOR, 0, tmp_path, True)
 
 
 def test_a_scene_holds_the_object_and_its_touches(meshes, tmp_path):
     if story.no_scene():
         pytest.skip(story.no_scene())
-    told = story.story(meshes, NAMES, poses(), np.ones((3, 15)), reskin(), POSTERIOR, 0, tmp_path, True)
+    told = story.story(meshes, NAMES, poses(), np.ones((3, 15)), reskin_board(), POSTERIOR, 0, tmp_path, True)
     assert [path.name for path in told] == ["story.png", "scene.png", "scene.gltf"]
     with Image.open(told[1]) as picture:
         colours = {tuple(pixel) for pixel in np.asarray(picture.convert("RGB")).reshape(-1, 3)[::7]}

@@ -106,7 +106,7 @@ class Fingered:
 
 
 def arm_with(true, height=HEIGHT):
-    lab = Lab(Flat(0.0, 1.0, np.zeros(15), Errors.none(), boards.reskin()), Virtual(0.0))
+    lab = Lab(Flat(0.0, 1.0, np.zeros(15), Errors.none(), boards.reskin_board()), Virtual(0.0))
     lab.robot.contact = Fingered(true, height)
     return SimulatedArm(lab, LIMITS)
 

@@ -72,16 +72,16 @@ def site(number, x=0.0, y=0.0, height=HEIGHT, turned=DOWN):
 def make(stiffness=10e3, gain=GAIN, errors=QUIET, settings=None, clock=None, latency=0.03, seed=0):
     """A procedure whose devices are connected."""
     clock = clock or Virtual(WALL)
-    lab = Lab(Flat(HEIGHT, stiffness, gain, errors, boards.reskin()), clock, seed=seed)
+    lab = Lab(Flat(HEIGHT, stiffness, gain, errors, boards.reskin_board()), clock, seed=seed)
     rig = Rig()
     arm, skin, eye = SimulatedArm(lab, rig.limits, latency), SimulatedSkin(lab), Eye(clock)
     for device in (arm, skin, eye):
         device.connect()
-    return Procedure(arm, skin, eye, rig, boards.reskin(), cut, HEIGHT, settings or Settings(), clock)
+    return Procedure(arm, skin, eye, rig, boards.reskin_board(), cut, HEIGHT, settings or Settings(), clock)
 
 
 def names(procedure):
     rig = procedure.rig
     return Names(
-        "plane", "pad", "run", "simulated", boards.reskin(), rig.T_world_base, rig.T_world_object, Eye.camera, {}
+        "plane", "pad", "run", "simulated", boards.reskin_board(), rig.T_world_base, rig.T_world_object, Eye.camera, {}
     )

@@ -12,12 +12,12 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from i2t.skin import faults
-from i2t.skin.boards import reskin
+from i2t.skin.boards import reskin_board
 from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise
 from i2t.types import Board
 
-BOARD = reskin()
+BOARD = reskin_board()
 N = 60
 READINGS = jnp.asarray(np.random.default_rng(0).normal(size=(N, 15)) * 40, jnp.float32)
 REST = jnp.asarray(np.random.default_rng(1).normal(size=15) * 2000, jnp.float32)
@@ -215,14 +215,14 @@ def test_the_world_s_field_in_a_run():
 
 
 def test_chips_warm_unevenly():
-    kelvin = np.asarray(faults.warm(_key(), N, 10.0))
+    kelvin = np.asarray(faults.warm(_key(), N, 5, 10.0))
     np.testing.assert_array_equal(kelvin[0], np.zeros(5))
     assert np.all(np.diff(kelvin, axis=0) > 0)
     end = 10 * (1 - np.exp(-3))
     assert np.all(np.abs(kelvin[-1] / end - 1) <= faults.UNEVEN)
     assert 0 < np.ptp(kelvin[-1]) <= 2.5  # kelvins apart, as recorded
-    np.testing.assert_array_equal(faults.warm(_key(), 1, 10.0), np.zeros((1, 5)))
-    np.testing.assert_array_equal(faults.warm(_key(), N, 0.0), np.zeros((N, 5)))
+    np.testing.assert_array_equal(faults.warm(_key(), 1, 5, 10.0), np.zeros((1, 5)))
+    np.testing.assert_array_equal(faults.warm(_key(), N, 5, 0.0), np.zeros((N, 5)))
 
 
 def test_warm_magnets_are_weaker():
@@ -240,7 +240,7 @@ def test_warm_magnets_are_weaker():
 
 
 def test_gains_spread_as_asked():
-    found = np.asarray(jax.vmap(lambda key: faults.gains(key, 0.05))(jax.random.split(_key(), 1000))) - 1
+    found = np.asarray(jax.vmap(lambda key: faults.gains(key, 15, 0.05))(jax.random.split(_key(), 1000))) - 1
     assert np.abs(found).max() <= 0.15 + 1e-6
     assert stats.kstest(found.ravel() / 0.05, stats.truncnorm(-3, 3).cdf).pvalue > 1e-6
     ratio = _apply(Faults(gain=0.05)) / np.asarray(READINGS)
@@ -260,7 +260,7 @@ def test_the_converter_ends_at_its_full_scale():
     assert found[6] == low
     np.testing.assert_array_equal(faults.saturate(reading, rest, 0.0, 0.0), reading)
     # 16 bits of the steps recorded on real boards.
-    np.testing.assert_allclose([high, 7930.0], 2**15 * Noise().steps[1:3], atol=1)
+    np.testing.assert_allclose([high, 7930.0], 2**15 * Noise().steps(5)[1:3], atol=1)
 
 
 def test_dead_axes_stay_dead_and_the_others_alive():
@@ -269,7 +269,7 @@ def test_dead_axes_stay_dead_and_the_others_alive():
         gone = np.all(recorded == 0, axis=0)
         assert gone.sum() == count
         np.testing.assert_array_equal(recorded[:, ~gone], READINGS[:, ~gone])
-    often = np.asarray(jax.vmap(lambda key: faults.dead_axes(key, 2))(jax.random.split(_key(), 3000))).sum(axis=0)
+    often = np.asarray(jax.vmap(lambda key: faults.dead_axes(key, 15, 2))(jax.random.split(_key(), 3000))).sum(axis=0)
     assert stats.chisquare(often).pvalue > 1e-6
 
 

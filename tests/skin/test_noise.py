@@ -7,10 +7,10 @@ import pytest
 from scipy import stats
 
 from i2t.skin import noise
-from i2t.skin.boards import reskin
+from i2t.skin.boards import reskin_board
 from i2t.skin.noise import Noise
 
-BOARD = reskin()
+BOARD = reskin_board()
 N = 4000
 
 
@@ -29,7 +29,7 @@ def _bursts(samples: int, kind: Noise) -> np.ndarray:
 def test_one_sample_at_rest_has_the_measured_size():
     samples = _bursts(1, Noise())[:, 0]
     # Rounding to steps q adds q^2 / 12, a uniform error (Sheppard), at a noise of many steps.
-    _within(samples.var(axis=0, ddof=1), Noise().sigma ** 2 + Noise().steps ** 2 / 12, N)
+    _within(samples.var(axis=0, ddof=1), Noise().sigma(5) ** 2 + Noise().steps(5) ** 2 / 12, N)
 
 
 def test_part_of_it_is_one_field_for_all_chips():
@@ -38,7 +38,7 @@ def test_part_of_it_is_one_field_for_all_chips():
     for axis, sigma in enumerate((3.1, 3.1, 4.6)):
         correlation = np.corrcoef(chips[:, :, axis].T)[np.triu_indices(5, 1)]
         # Correlations of N samples err by (1 - r^2) / sqrt(N); ten of them stay within 5 such.
-        share = Noise().common * sigma**2 / (sigma**2 + Noise().steps[axis] ** 2 / 12)
+        share = Noise().common * sigma**2 / (sigma**2 + Noise().steps(5)[axis] ** 2 / 12)
         np.testing.assert_allclose(correlation, share, atol=5 / np.sqrt(N))
         assert 0.20 < correlation.mean() < 0.33  # of real boards
 
@@ -54,8 +54,8 @@ def test_averaging_removes_white_noise_only():
     kind = Noise(contact_samples=40)
     keys = jax.random.split(jax.random.key(1), N)
     seen = np.asarray(jax.jit(jax.vmap(lambda key: noise.observe(key, jnp.zeros(15), BOARD, kind)))(keys))
-    white = (1 - kind.common) * kind.sigma**2 + kind.steps**2 / 12
-    _within(seen.var(axis=0, ddof=1), 2 * kind.common * kind.sigma**2 + white * (1 / 40 + 1 / 10), N)
+    white = (1 - kind.common) * kind.sigma(5) ** 2 + kind.steps(5) ** 2 / 12
+    _within(seen.var(axis=0, ddof=1), 2 * kind.common * kind.sigma(5) ** 2 + white * (1 / 40 + 1 / 10), N)
     np.testing.assert_allclose(seen.mean(axis=0), 0, atol=5 * seen.std() / np.sqrt(N))
 
 
@@ -66,8 +66,8 @@ def test_an_ideal_sensor_reports_the_field():
 
 def test_scaling_scales_what_is_random():
     loud = Noise().scaled(3.0)
-    np.testing.assert_allclose(loud.sigma, 3 * Noise().sigma)
-    np.testing.assert_array_equal(loud.steps, Noise().steps)
+    np.testing.assert_allclose(loud.sigma(5), 3 * Noise().sigma(5))
+    np.testing.assert_array_equal(loud.steps(5), Noise().steps(5))
     assert loud.drift == 3 * Noise().drift
 
 
@@ -75,15 +75,15 @@ def test_scaling_scales_what_is_random():
 def test_samples_are_whole_steps(shape):
     values = np.random.default_rng(0).normal(size=shape) * 50
     rounded = noise.quantise(jnp.asarray(values, jnp.float32), Noise())
-    steps = np.asarray(rounded) / Noise().steps
+    steps = np.asarray(rounded) / Noise().steps(5)
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-3)  # float32 of a few hundred steps
-    assert np.all(np.abs(rounded - values) <= Noise().steps / 2 * (1 + 1e-3))
+    assert np.all(np.abs(rounded - values) <= Noise().steps(5) / 2 * (1 + 1e-3))
 
 
 def test_drift_is_a_random_walk():
     touches = 100
     keys = jax.random.split(jax.random.key(2), 600)
-    walks = np.asarray(jax.jit(jax.vmap(lambda key: noise.drift(key, touches, Noise())))(keys))
+    walks = np.asarray(jax.jit(jax.vmap(lambda key: noise.drift(key, touches, Noise(), 15)))(keys))
     end = walks[:, -1].ravel()
     # A normal number times a lognormal size: log |end| has mean log(drift) + mean log |normal|, the latter
     # -(Euler's constant + log 2) / 2, and variance 1 + pi^2 / 8.

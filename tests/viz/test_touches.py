@@ -6,10 +6,10 @@ import sys
 import numpy as np
 import pytest
 
-from i2t.skin.boards import reskin
+from i2t.skin.boards import reskin_board
 from i2t.viz import touches
 
-BOARD = reskin()
+BOARD = reskin_board()
 
 
 def titles(figure) -> str:

@@ -1,0 +1,83 @@
+"""Boards: what their chips are, and that a world on any of them is made, kept and read back."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from i2t.skin import faults
+from i2t.skin.boards import BOARDS, grid_board, make_board
+from i2t.skin.faults import Faults
+from i2t.skin.files import load_pad, save_pad
+from i2t.skin.noise import Noise, drift, observe
+from i2t.skin.pad import nominal_pad, press, sample_pad
+from i2t.types import Board
+
+NAMES = ("grid-2x2", "grid-4x4")
+
+
+@pytest.mark.parametrize("name", [*BOARDS, "grid-2x3"])
+def test_turning_to_the_tool_and_back_changes_nothing(name):
+    board = make_board(name)
+    assert board.chips.shape == (board.num_chips, 3)
+    assert board.rotations.shape == (board.num_chips, 3, 3)
+    readings = np.random.default_rng(0).normal(size=(2, board.num_readings))
+    field = board.to_tool(readings)
+    assert field.shape == (2, board.num_chips, 3)
+    np.testing.assert_allclose(board.to_board(field), readings, rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(field), np.linalg.norm(readings), rtol=1e-6)
+
+
+def test_a_grid_has_a_chip_below_the_middle_of_each_cell():
+    board = make_board("grid-2x2")
+    assert len(np.unique(board.chips, axis=0)) == 4
+    np.testing.assert_allclose(np.abs(board.chips[:, :2]), 5e-3, rtol=1e-6)
+    np.testing.assert_allclose(board.chips[:2, 1], -5e-3, rtol=1e-6)  # rows along y come first
+    np.testing.assert_allclose(grid_board(1, 3, 2e-3, 4e-3).chips, [[-2e-3, 0, -4e-3], [0, 0, -4e-3], [2e-3, 0, -4e-3]])
+
+
+@pytest.mark.parametrize("name", ["five", "grid-0x2", "grid-6x6", "grid-2x2x2"])
+def test_an_unknown_board_is_refused(name):
+    with pytest.raises(ValueError, match="not known; choose one of reskin, anyskin"):
+        make_board(name)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_pad_on_any_board_is_pressed_and_kept(name, tmp_path):
+    board = make_board(name)
+    pad = jax.jit(lambda key: sample_pad(key, board=board))(jax.random.key(0))
+    assert pad.gains.shape == (board.num_readings,)
+    height = jnp.full((40, 40), jnp.inf).at[8, 12].set(0.0)
+    reading = np.asarray(jax.jit(lambda pad: press(pad, height, 0.5e-3).reading)(pad))
+    assert reading.shape == (board.num_readings,)
+    change = np.linalg.norm(np.asarray(pad.board.to_tool(reading)), axis=1)
+    place = np.array([(12.5 / 40 - 0.5) * 20e-3, (8.5 / 40 - 0.5) * 20e-3])
+    near = np.argsort(np.linalg.norm(board.chips[:, :2] - place, axis=1))
+    assert np.argmax(change) in near[: 1 + board.num_chips // 4]  # the chips below the press feel it most
+    save_pad(tmp_path / "pad.npz", pad)
+    jax.tree.map(np.testing.assert_array_equal, load_pad(tmp_path / "pad.npz"), pad)
+
+
+def test_a_chip_measures_the_same_whichever_board_it_is_on():
+    """The field at a place does not depend on the other chips: a grid of 16 holds the readings of any four of it."""
+    sixteen = make_board("grid-4x4")
+    four = Board(sixteen.chips[[0, 3, 12, 15]], sixteen.rotations[[0, 3, 12, 15]])
+    height = jnp.full((40, 40), jnp.inf).at[8, 12].set(0.0)
+    read = [np.asarray(press(nominal_pad(board=board), height, 0.5e-3).reading) for board in (sixteen, four)]
+    np.testing.assert_allclose(read[0].reshape(16, 3)[[0, 3, 12, 15]].ravel(), read[1], rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_noise_and_faults_have_the_board_s_channels(name):
+    board, keys = make_board(name), jax.random.split(jax.random.key(0), 4)
+    assert observe(keys[0], jnp.zeros(board.num_readings), board, Noise()).shape == (board.num_readings,)
+    assert drift(keys[1], 7, Noise(), board.num_readings).shape == (7, board.num_readings)
+    readings, poses = jnp.ones((6, board.num_readings)), jnp.tile(jnp.eye(4), (6, 1, 1))
+    kind = Faults(
+        softening=0.1, relaxation=0.05, memory=0.3, ferrous=7.0, earth=48.0, room=10.0, warming=10.0, gain=0.05,
+        range_xy=4915.0, range_z=7930.0, dead=2, stale=0.5,
+    )  # fmt: skip
+    felt = faults.record(keys[2], faults.apply(keys[3], readings, poses, board, kind), kind)
+    assert felt.shape == readings.shape
+    assert np.isfinite(felt).all()
+    assert np.all(felt == 0, axis=0).sum() == 2
