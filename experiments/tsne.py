@@ -38,7 +38,7 @@ from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.prediction import model
 from i2t.prediction.model import Inputs, ModelConfig
-from i2t.recognition.metrics import plain
+from i2t.recognition.metrics import to_json
 from i2t.types import ReturnCode
 from i2t.viz import clusters as analysis
 from i2t.viz import touches as plots
@@ -134,7 +134,7 @@ def tests(x: np.ndarray, y: np.ndarray, groups: np.ndarray, plan: Plan, seed: in
         made["within objects"] = analysis.permutation_test(
             x, y, permutations=plan.permutations, seed=seed, groups=groups
         )
-    return {name: plain(test) for name, test in made.items()}
+    return {name: to_json(test) for name, test in made.items()}
 
 
 def bottleneck(dataset: Dataset, plan: Plan, args: Args, felt: np.ndarray) -> dict[str, Any]:

@@ -8,7 +8,7 @@
 The skin must be the one whose touches the run learnt from (--run). The next touch is the one that is expected to tell
 most (`i2t.recognition.policy`); it ends when an error of --error is promised, or after --touches. With --strange 0.1,
 say, it may be none of the objects, which is believed as far as decoys, things like them, explain the touches better.
-All touches are kept in OUT/touches as a data set, under the name "unknown": a stranger's can be replayed once there is
+All touches are kept in OUT/touches as a data set, under the name "unknown": a stranger's can be episodes_from_dataset once there is
 a mesh of it (--dataset).
 """
 
@@ -27,17 +27,17 @@ import tyro
 from experiments.common.runs import reported, write_json
 from experiments.recognize.run import Recognition, finished_runs, made, own_meshes, taught_by
 from i2t.collect import devices, session
-from i2t.collect.procedure import Outcome, Settings, Site
+from i2t.collect.procedure import SiteOutcome, TouchSettings, Site
 from i2t.collect.recorder import touches_in
 from i2t.collect.site_plan import orthonormal
 from i2t.hardware.rig import Rig
 from i2t.objects import catalogue
 from i2t.objects.solids import Mesh
-from i2t.recognition import belief, policy
+from i2t.recognition import belief, calibrated, policy
 from i2t.recognition import metrics as scores
 from i2t.recognition.belief import TouchObservation
-from i2t.recognition.episodes import pool, surfaces_of, tabulate
-from i2t.recognition.planning import advance, next_touches, safe_on
+from i2t.recognition.episodes import sample_sites, prepare_surfaces, precompute_outcomes
+from i2t.recognition.planning import advance, choose_informative_sites, safe_sites
 from i2t.skin.boards import reskin_board
 from i2t.types import ReturnCode
 from i2t.viz.story import story
@@ -97,7 +97,7 @@ def run(args: Live) -> dict[str, Any]:
     wanted = session.Args(
         out=folder, touches=args.touches, arm=args.arm, skin=args.skin, camera=args.camera, host=args.host,
         port=args.port, rig=args.rig, object=sources[tallest if real else there], unit=args.unit, name="unknown",
-        seed=args.seed, settings=replace(Settings(), skin_change=sitting.limit, past_goal=sitting.past),
+        seed=args.seed, settings=replace(TouchSettings(), skin_change=sitting.limit, past_goal=sitting.past),
     )  # fmt: skip
     code = session.collect(wanted, sitting.choose, sitting.told)
     if code or not sitting.after:
@@ -106,9 +106,9 @@ def run(args: Live) -> dict[str, Any]:
 
 
 # How decoys' odds are to be read, fitted on validation objects and strangers where half of all were strange.
-EVEN, STRANGE = 0.5, scores.PlattScaling(-0.04, 0.62, 0.19)
+EVEN, STRANGE = 0.5, calibrated.PlattScaling(-0.04, 0.62, 0.19)
 
-_tempered = jax.jit(belief.tempered)
+_tempered = jax.jit(belief.apply_temperature)
 
 
 class Sitting:
@@ -120,23 +120,23 @@ class Sitting:
         learnt = taught_by(key_learn, finished_runs(args.run)[0], cfg).learnt
         known = list(meshes.values())
         strange = [catalogue.decoy(known, i).mesh for i in range(args.decoys if args.strange > 0 else 0)]
-        surfaces = surfaces_of(known + strange)
+        surfaces = prepare_surfaces(known + strange)
         self.known, self.strange = len(known), len(strange)
         self.args, self.meshes, self.T_w_o = args, meshes, np.asarray(rig.T_world_object)
         self.limit, self.past = cfg.limits.skin_change, cfg.limits.past_goal
-        self.like = learnt.like
-        self.pool = pool(key_pool, surfaces[: self.known], list(meshes), cfg.sites, cfg.reach)
-        places = belief.particles(rig.object_covariance, cfg.places, args.seed)
-        (table,) = tabulate(surfaces, places.twist, self.pool.T_w_t, [learnt.skin], self.past, "live")
+        self.like = learnt.likelihood
+        self.pool = sample_sites(key_pool, surfaces[: self.known], list(meshes), cfg.sites, cfg.reach)
+        places = belief.sample_particles(rig.object_covariance, cfg.places, args.seed)
+        (table,) = precompute_outcomes(surfaces, places.twist, self.pool.T_w_t, [learnt.reading_model], self.past, "live")
         self.table = jax.device_put(table)
-        self.safe = jnp.asarray(safe_on(surfaces, self.pool, cfg.reach))
+        self.safe = jnp.asarray(safe_sites(surfaces, self.pool, cfg.reach))
         # One sitting of the many that experiments play at once.
         each = (1 - args.strange) / len(known), args.strange / max(1, len(strange))
-        begun = belief.begin(places, len(surfaces), np.repeat(each, [len(known), len(strange)]))
+        begun = belief.init(places, len(surfaces), np.repeat(each, [len(known), len(strange)]))
         self.now = jax.tree.map(lambda x: x[None], begun)
         self.spent = np.zeros((1, len(self.pool.owner)), bool)
         self.after: list[np.ndarray] = []  # probabilities of the objects; what they lack to 1 is "none of these"
-        self.felt: list[Outcome] = []
+        self.felt: list[SiteOutcome] = []
         self._rehearse()
 
     def _rehearse(self) -> None:
@@ -149,18 +149,18 @@ class Sitting:
             self.now, _ = self._learn(0, np.zeros(15), 1.0, 0.0, False)
         self.now = begun
 
-    def choose(self, history: Sequence[Outcome]) -> Site | None:
+    def choose(self, history: Sequence[SiteOutcome]) -> Site | None:
         """The site that is expected to tell most, until it is sure or enough was touched."""
-        sure = self.after and policy.stops(jnp.asarray(self.after[-1]), self.args.error)
+        sure = self.after and policy.should_stop(jnp.asarray(self.after[-1]), self.args.error)
         if sure or len(history) >= self.args.touches or self.spent.all():
             return None
         number = self._next(len(history))
         self.spent[0, number] = True
         return Site(number, self._site(number))
 
-    def told(self, outcome: Outcome) -> None:
+    def told(self, outcome: SiteOutcome) -> None:
         """Learn from a touch, and say what is believed now."""
-        touched = outcome.touched
+        touched = outcome.touch
         if touched is None:
             return
         T_w_site = self._site(outcome.site.number)
@@ -186,7 +186,7 @@ class Sitting:
             "sites": [o.site.number for o in self.felt], "belief": p.tolist(),
         }  # fmt: skip
         write_json(self.args.out / "result.json", result)
-        ended = [outcome.touched for outcome in self.felt if outcome.touched is not None]
+        ended = [outcome.touch for outcome in self.felt if outcome.touch is not None]
         T_o_t = np.linalg.inv(self.T_w_o) @ np.stack([touched.T_w_t for touched in ended])
         readings = np.stack([touched.reading for touched in ended])
         truth = (-1 if stranger else best) if there is None else names.index(there) if there in names else -1
@@ -219,7 +219,7 @@ class Sitting:
     def _next(self, step: int) -> int:
         keys = jax.random.split(jax.random.fold_in(self.key, step), 1)
         spent = jnp.asarray(self.spent)
-        return int(next_touches(keys, self.now, self.table, self.like, spent, self.safe, self.limit)[0])
+        return int(choose_informative_sites(keys, self.now, self.table, self.like, spent, self.safe, self.limit)[0])
 
     def _site(self, number: int) -> np.ndarray:
         return orthonormal(self.T_w_o @ np.asarray(self.pool.T_w_t[number], float))

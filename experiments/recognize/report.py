@@ -11,8 +11,9 @@ from experiments.common import nested
 from experiments.common.runs import write_json
 from experiments.recognize import figures as drawing
 from i2t.objects.catalogue import Mesh
+from i2t.recognition import calibrated
 from i2t.recognition import metrics as scores
-from i2t.recognition.belief import TEMPER, TouchObservation, Temper
+from i2t.recognition.belief import TEMPERATURE_SCALING, TouchObservation, TemperatureScaling
 from i2t.recognition.episodes import EVIDENCE, Episodes
 from i2t.recognition.metrics import to_json
 from i2t.skin.boards import reskin_board
@@ -39,7 +40,7 @@ def save(path: Path, played: dict[str, Played]) -> None:
     about = json.dumps({name: each.names for name, each in played.items()})
     sets = {
         name: {
-            "site": each.episodes.site, "T_w_t": each.episodes.T_w_t, "measured": each.episodes.measured._asdict(),
+            "site": each.episodes.site, "T_w_t": each.episodes.T_w_t, "measured": each.episodes.observations._asdict(),
             "believed": {method: p.astype(np.float32) for method, p in each.believed.items()}, "truth": each.truth,
         }
         for name, each in played.items()
@@ -64,23 +65,23 @@ def pooled(parts: Sequence[dict[str, Played]], name: str, method: str) -> tuple[
     return p.astype(np.float64), np.concatenate([part[name].truth for part in parts])
 
 
-def sobered(parts: Sequence[dict[str, Played]]) -> tuple[list[dict[str, Played]], dict[str, Temper]]:
+def sobered(parts: Sequence[dict[str, Played]]) -> tuple[list[dict[str, Played]], dict[str, TemperatureScaling]]:
     """Beliefs no surer than they should be, and the temper of each: fitted to the validation objects of all seeds, or
     that of earlier ones where there are none. The paper's rules stay as they are.
     """
     methods = [method for method in next(iter(parts[0].values())).believed if method.split(", ")[0] in EVIDENCE]
-    tempers = dict.fromkeys(methods, TEMPER)
+    tempers = dict.fromkeys(methods, TEMPERATURE_SCALING)
     if "validation" in parts[0]:
-        tempers = {method: scores.fit_temperature(*pooled(parts, "validation", method)) for method in methods}
+        tempers = {method: calibrated.fit_temperature(*pooled(parts, "validation", method)) for method in methods}
     return [{name: _sober(played, tempers) for name, played in part.items()} for part in parts], tempers
 
 
-def _sober(played: Played, tempers: dict[str, Temper]) -> Played:
-    found = {method: scores.apply_temperature(played.believed[method], temper) for method, temper in tempers.items()}
+def _sober(played: Played, tempers: dict[str, TemperatureScaling]) -> Played:
+    found = {method: calibrated.calibrated_beliefs(played.believed[method], temper) for method, temper in tempers.items()}
     return played._replace(believed=played.believed | found)
 
 
-def summarise(parts: Sequence[dict[str, Played]], tempers: dict[str, Temper], out: Path, source: str) -> dict[str, Any]:
+def summarise(parts: Sequence[dict[str, Played]], tempers: dict[str, TemperatureScaling], out: Path, source: str) -> dict[str, Any]:
     """Scores of every set over all seeds, written to metrics.json with figures beside it."""
     result: dict[str, Any] = {"source": source, "seeds": len(parts), "tempers": to_json(tempers), "sets": {}}
     for name, first in parts[0].items():
@@ -89,14 +90,14 @@ def summarise(parts: Sequence[dict[str, Played]], tempers: dict[str, Temper], ou
             p, truth = pooled(parts, name, method)
             entry["methods"][method] = scored(p, truth, parts, name, method)
         entry["sittings"] = len(truth)
-        entry["air"] = float(1 - np.mean([np.mean(part[name].episodes.measured.contact) for part in parts]))
+        entry["air"] = float(1 - np.mean([np.mean(part[name].episodes.observations.contact) for part in parts]))
         entry["paired"] = comparisons(parts, name, first.believed)
         result["sets"][name] = entry
     if {"primitives", "all"} <= set(parts[0]):
         result["prisms of all"] = prisms_alone(parts)
     if {"validation", "all"} <= set(parts[0]) and "fused" in parts[0]["all"].believed:
         p_validation, truth_validation = pooled(parts, "validation", "fused")
-        found = scores.conformal_sets(p_validation, truth_validation, *pooled(parts, "all", "fused"))
+        found = calibrated.conformal_sets(p_validation, truth_validation, *pooled(parts, "all", "fused"))
         result["conformal 90 %"] = {"coverage": to_json(found.coverage), "size": to_json(found.size)}
     write_json(out / "metrics.json", result)
     figures(parts, out, source != "real")
@@ -215,7 +216,7 @@ def tell(played: Played, meshes: Sequence[Mesh], out: Path, source: str) -> None
     right = p[:, -1].argmax(-1) == played.truth
     doubt = np.where(right, p[rows, 0, played.truth], 1 + p[rows, 0, played.truth])
     one = int(np.argmin(doubt))
-    readings = np.asarray(played.episodes.measured.reading)[one]
+    readings = np.asarray(played.episodes.observations.reading)[one]
     T = played.episodes.T_w_t[one]
     story(meshes, played.names, T, readings, reskin_board(), p[one], int(played.truth[one]), out, source != "real")
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from experiments.shapes.methods import METHODS, PAPER
-from i2t.recognition.metrics import Estimate, rate, student
+from i2t.recognition.metrics import Estimate, wilson_interval, student_interval
 from i2t.viz import touches as pictures
 
 PUBLISHED = {"T": 0.91, "circle": 0.90, "angle": 0.90, "triangle": 0.95, "cross": 0.94, "total": 0.92}
@@ -26,7 +26,7 @@ def summarise(
     }
     new = {
         each: {
-            method: _plain(student(np.concatenate([part["new"][each][method] for part in parts]))) for method in methods
+            method: _plain(student_interval(np.concatenate([part["new"][each][method] for part in parts]))) for method in methods
         }
         for each, methods in parts[0]["new"].items()
     }
@@ -49,7 +49,7 @@ def _scored(
     np.add.at(confusion, (true, guess), 1)
     return {
         "total": _total(guesses, truth, held),
-        "by_shape": {name: _plain(rate(guess[true == i] == i)) for i, name in enumerate(names)},
+        "by_shape": {name: _plain(wilson_interval(guess[true == i] == i)) for i, name in enumerate(names)},
         "confusion": confusion.tolist(),
     }
 
@@ -57,7 +57,7 @@ def _scored(
 def _total(guesses: list[list[int]], truth: list[np.ndarray], held: list[np.ndarray]) -> list[float]:
     right = [np.asarray(g) == t for g, t in zip(guesses, truth, strict=True)]
     folds = [r[part == fold].mean() for r, part in zip(right, held, strict=True) for fold in np.unique(part)]
-    total = student(np.array(folds))
+    total = student_interval(np.array(folds))
     mean = float(np.concatenate(right).mean())  # folds are nearly of one size
     return [mean, float(total.low), float(total.high)]
 

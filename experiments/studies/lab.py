@@ -19,18 +19,18 @@ from i2t.recognition import metrics as scores
 from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import (
     Episodes,
-    Learnt,
-    Pool,
-    Setting,
+    PadModel,
+    SitePool,
+    EpisodeConfig,
     Sitting,
     learn,
-    learn_on_pad,
-    places_about,
-    surfaces_of,
-    tabulate,
+    fit_simulated_pad_model,
+    pose_particles,
+    prepare_surfaces,
+    precompute_outcomes,
 )
-from i2t.recognition.metrics import plain
-from i2t.recognition.outcomes import Outcome, SkinMap
+from i2t.recognition.metrics import to_json
+from i2t.recognition.outcomes import PredictedTouch, LinearReadingModel
 from i2t.simulation import touches as simulation
 from i2t.simulation.press import PressLimits
 from i2t.types import Pad, Surface
@@ -62,15 +62,15 @@ class Lab(NamedTuple):
 
     cfg: Recognition
     pad: Pad
-    learnt: Learnt
+    learnt: PadModel
     names: tuple[str, ...]
     surfaces: list[Surface]
     sittings: int
     seed: int
     key: Array
     args: Args
-    training: Callable[[Pad, Array], Learnt]  # learns another pad from the same objects
-    pressed: Callable[[PressLimits, Array], Learnt]  # learns the pad as the run did, from presses with other limits
+    training: Callable[[Pad, Array], PadModel]  # learns another pad from the same objects
+    pressed: Callable[[PressLimits, Array], PadModel]  # learns the pad as the run did, from presses with other limits
     predictor: Predictor  # of the run
 
 
@@ -85,10 +85,10 @@ def prepare_lab(args: Args, folder: Path, seed: int) -> Lab:
     kinds = tuple(told.dataset.objects[i] for i in which)
     taught_on = [told.known[kind] for kind in kinds]
 
-    def training(other: Pad, key: Array) -> Learnt:
-        return learn_on_pad(key, other, taught_on, 100 if args.preset == "debug" else 900, cfg.limits, told.learnt)
+    def training(other: Pad, key: Array) -> PadModel:
+        return fit_simulated_pad_model(key, other, taught_on, 100 if args.preset == "debug" else 900, cfg.limits, told.learnt)
 
-    def pressed(limits: PressLimits, key: Array) -> Learnt:
+    def pressed(limits: PressLimits, key: Array) -> PadModel:
         key_press, key_learn = jax.random.split(key)
         made = simulation.simulate(key_press, taught_on, told.pad, cfg.errors, counts.tolist(), limits=limits)
         touches = jax.device_get(made)
@@ -96,7 +96,7 @@ def prepare_lab(args: Args, folder: Path, seed: int) -> Lab:
         told_by = Dataset(touches, kinds, ("the pad",), runs, told.dataset.board, "simulated")
         return learn(key_learn, told_by, np.ones(len(told_by), bool), told.known, cfg.errors, limits)
 
-    surfaces = surfaces_of(list(made(names).values()))
+    surfaces = prepare_surfaces(list(made(names).values()))
     sittings = 2 if args.preset == "debug" else args.sittings
     return Lab(
         cfg, told.pad, told.learnt, names, surfaces, sittings, seed, key, args, training, pressed, told.predictor
@@ -105,17 +105,17 @@ def prepare_lab(args: Args, folder: Path, seed: int) -> Lab:
 
 def placements_of(lab: Lab) -> Particles:
     """Places of an object in the lab's world."""
-    return places_about(lab.cfg.errors, lab.cfg.places, lab.seed)
+    return pose_particles(lab.cfg.errors, lab.cfg.places, lab.seed)
 
 
-def imagine(lab: Lab, sites: Pool, places: Particles, skins: Sequence[SkinMap], what: str) -> list[Outcome]:
+def imagine(lab: Lab, sites: SitePool, places: Particles, skins: Sequence[LinearReadingModel], what: str) -> list[PredictedTouch]:
     """Outcomes on the lab's objects."""
-    return tabulate(lab.surfaces, places.twist, sites.T_w_t, skins, lab.cfg.limits.past_goal, what)
+    return precompute_outcomes(lab.surfaces, places.twist, sites.T_w_t, skins, lab.cfg.limits.past_goal, what)
 
 
-def sit(lab: Lab, key: Array, sites: Pool, truth: np.ndarray, chosen: np.ndarray, what: str, **world: Any) -> Episodes:
+def sit(lab: Lab, key: Array, sites: SitePool, truth: np.ndarray, chosen: np.ndarray, what: str, **world: Any) -> Episodes:
     """Simulated sittings at sites chosen beforehand, with a bar; `world` replaces parts of the lab's."""
-    setting = Setting(lab.cfg.errors, lab.cfg.limits, chosen.shape[1])
+    setting = EpisodeConfig(lab.cfg.errors, lab.cfg.limits, chosen.shape[1])
     surfaces = world.pop("surfaces", lab.surfaces)
     pad = world.pop("pad", lab.pad)
     sitting = Sitting(key, surfaces, truth, sites, pad, replace(setting, **world))
@@ -147,7 +147,7 @@ def report_methods(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]
         p = np.concatenate([part[name] for part in parts]).astype(np.float64)
         accuracy = scores.accuracy(p, truth)
         result["methods"][name] = {
-            "accuracy": plain(accuracy), "mean": plain(scores.mean_accuracy(p, truth)),
+            "accuracy": to_json(accuracy), "mean": to_json(scores.mean_accuracy(p, truth)),
             "log_loss": scores.log_loss(p, truth).mean(0).tolist(),
         }  # fmt: skip
         last = scores.Estimate(*(x[-1] for x in accuracy))

@@ -11,7 +11,7 @@ from jaxtyping import Array
 from experiments.studies.lab import Lab, imagine, placements_of, sit
 from i2t.calibration.physics import Tip, fit_pad
 from i2t.calibration.structured_gp import Presses
-from i2t.recognition.episodes import by_evidence, pool, random_sites
+from i2t.recognition.episodes import run_belief, sample_sites, draw_random_sites
 from i2t.skin.boards import reskin_board
 from i2t.skin.contact import GRID
 from i2t.skin.noise import Noise, observe
@@ -32,17 +32,17 @@ def play(lab: Lab) -> dict[str, Any]:
         fitted = press_and_fit(key_press, other, n)
         learnt[f"{n} presses"] = lab.training(fitted, key_teach)
     learnt["the pad itself"] = lab.training(other, jax.random.fold_in(key_fit, 0))
-    sites = pool(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
+    sites = sample_sites(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
     places = placements_of(lab)
-    tables = imagine(lab, sites, places, [each.skin for each in learnt.values()], "new pad")
+    tables = imagine(lab, sites, places, [each.reading_model for each in learnt.values()], "new pad")
     truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
-    chosen = random_sites(key_site, sites, len(truth), lab.cfg.touches)
+    chosen = draw_random_sites(key_site, sites, len(truth), lab.cfg.touches)
     episodes = sit(lab, key_play, sites, truth, chosen, "new pad", pad=other)
     found: dict[str, Any] = {"truth": truth}
     for (name, each), table in zip(learnt.items(), tables, strict=True):
-        told = by_evidence(table, episodes, each.like, places, ("fused", "tactile only"))
+        told = run_belief(table, episodes, each.likelihood, places, ("fused", "tactile only"))
         found |= {f"{kind}, {name}": p for kind, p in told.items()}
-    return found | by_evidence(tables[0], episodes, lab.learnt.like, places, ("position only",))
+    return found | run_belief(tables[0], episodes, lab.learnt.likelihood, places, ("position only",))
 
 
 def press_and_fit(key: Array, pad: Pad, n: int) -> Pad:

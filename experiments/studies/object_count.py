@@ -15,8 +15,8 @@ from experiments.studies.lab import Lab, imagine, placements_of, sit
 from i2t.objects import catalogue
 from i2t.objects.catalogue import Mesh
 from i2t.recognition import metrics as scores
-from i2t.recognition.episodes import beliefs, pool, random_sites, surfaces_of
-from i2t.recognition.metrics import plain
+from i2t.recognition.episodes import posteriors, sample_sites, draw_random_sites, prepare_surfaces
+from i2t.recognition.metrics import to_json
 from i2t.viz import touches as plots
 
 COUNTS = (10, 25, 50)
@@ -44,14 +44,14 @@ def play(lab: Lab) -> dict[str, Any]:
     cfg = replace(lab.cfg, touches=touches, sites=2 if small else MANY_SITES, places=places_count)
     for count in counts:
         names = tuple(str(name) for name in order[:count])
-        some = lab._replace(names=names, surfaces=surfaces_of([meshes[name] for name in names]), cfg=cfg)
-        sites = pool(key_pool, some.surfaces, names, cfg.sites, cfg.reach)
+        some = lab._replace(names=names, surfaces=prepare_surfaces([meshes[name] for name in names]), cfg=cfg)
+        sites = sample_sites(key_pool, some.surfaces, names, cfg.sites, cfg.reach)
         places = placements_of(some)
-        (table,) = imagine(some, sites, places, [lab.learnt.skin], f"{count} objects")
+        (table,) = imagine(some, sites, places, [lab.learnt.reading_model], f"{count} objects")
         truth = np.resize(np.arange(count), 4 if small else max(MANY_SITTINGS, count))
-        chosen = random_sites(key_site, sites, len(truth), touches)
+        chosen = draw_random_sites(key_site, sites, len(truth), touches)
         episodes = sit(some, key_play, sites, truth, chosen, f"{count} objects")
-        p = beliefs(jax.device_put(table), jnp.asarray(chosen), episodes.measured, lab.learnt.like, places)
+        p = posteriors(jax.device_put(table), jnp.asarray(chosen), episodes.observations, lab.learnt.likelihood, places)
         found[f"{count} objects"] = {"truth": truth, "p": np.asarray(p)}
     return found
 
@@ -78,7 +78,7 @@ def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
         p = np.concatenate([part[name]["p"] for part in parts]).astype(np.float64)
         truth = np.concatenate([part[name]["truth"] for part in parts])
         curves[name] = scores.accuracy(p, truth)
-        result[name] = {"sittings": len(truth), "accuracy": plain(curves[name])}
+        result[name] = {"sittings": len(truth), "accuracy": to_json(curves[name])}
         print(f"{name:12} " + " ".join(f"{t + 1}: {curves[name].mean[t]:.2f}" for t in range(0, p.shape[1], 3)))
     plots.save(drawing.accuracy(curves, "Accuracy with more objects", True), out / "accuracy.png")
     return result

@@ -18,9 +18,10 @@ from experiments.recognize import figures as drawing
 from experiments.studies.lab import Lab, imagine, shown, sit
 from i2t.objects import catalogue
 from i2t.objects.catalogue import Mesh
+from i2t.recognition import calibrated
 from i2t.recognition import metrics as scores
-from i2t.recognition.episodes import beliefs, places_about, pool, random_sites, surfaces_of
-from i2t.recognition.metrics import plain
+from i2t.recognition.episodes import posteriors, pose_particles, sample_sites, draw_random_sites, prepare_surfaces
+from i2t.recognition.metrics import to_json
 from i2t.types import Surface
 from i2t.viz import touches
 
@@ -47,7 +48,7 @@ def play(lab: Lab) -> Part:
     strangers, others, known = (STRANGERS[:2], OTHERS[:2], KNOWN[:2]) if debug else (STRANGERS, OTHERS, KNOWN)
     decoys = 2 if debug else DECOYS
     first, second = _things(known, others, decoys), _things(lab.names, strangers, decoys)
-    prepared = surfaces_of(first + second)  # compiled for once
+    prepared = prepare_surfaces(first + second)  # compiled for once
     tuned = _game(lab, validation, known, others, prepared[: len(first)], "validation")
     tested = _game(lab, test, lab.names, strangers, prepared[len(first) :], "strangers")
     return {"validation": tuned._asdict(), "test": tested._asdict()}
@@ -65,41 +66,41 @@ def _game(
 ) -> Game:
     key_pool, key_play, key_site = jax.random.split(key, 3)
     imagined = surfaces[: len(names)] + surfaces[len(names) + len(strangers) :]
-    sites = pool(key_pool, surfaces[: len(names)], list(names), lab.cfg.sites, lab.cfg.reach)
-    places = places_about(lab.cfg.errors, min(lab.cfg.places, PLACES), lab.seed)
-    (table,) = imagine(lab._replace(surfaces=imagined), sites, places, [lab.learnt.skin], what)
+    sites = sample_sites(key_pool, surfaces[: len(names)], list(names), lab.cfg.sites, lab.cfg.reach)
+    places = pose_particles(lab.cfg.errors, min(lab.cfg.places, PLACES), lab.seed)
+    (table,) = imagine(lab._replace(surfaces=imagined), sites, places, [lab.learnt.reading_model], what)
     truth = np.repeat(np.arange(len(names)), lab.sittings)
     rng = np.random.default_rng(lab.seed)
     strange = rng.integers(len(names), len(names) + len(strangers), len(truth))
     everything = np.concatenate([truth, strange])
-    chosen = random_sites(key_site, sites, len(everything), lab.cfg.touches)
+    chosen = draw_random_sites(key_site, sites, len(everything), lab.cfg.touches)
     played = surfaces[: len(names) + len(strangers)]
     episodes = sit(lab, key_play, sites, everything, chosen, what, surfaces=played)
-    p = beliefs(jax.device_put(table), jnp.asarray(chosen), episodes.measured, lab.learnt.like, places)
+    p = posteriors(jax.device_put(table), jnp.asarray(chosen), episodes.observations, lab.learnt.likelihood, places)
     p = np.asarray(p, np.float64)
     share = (len(imagined) - len(names)) / len(imagined)
-    named, none = scores.with_prior(p[..., : len(names)], p[..., len(names) :].sum(-1), share, PRIOR)
+    named, none = scores.with_unknown_prior(p[..., : len(names)], p[..., len(names) :].sum(-1), share, PRIOR)
     return Game(np.where(everything < len(names), everything, -1), named, none)
 
 
 def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
     """How well strangers are told from known objects, and how sure one may be."""
     validation, test = (_pooled([Game(**part[name]) for part in parts]) for name in ("validation", "test"))
-    odds = scores.fit_odds(validation.none, validation.truth < 0)
+    odds = calibrated.fit_platt(validation.none, validation.truth < 0)
     area, raw = scores.auroc(test.none, test.truth < 0), test.none
-    p, none = scores.with_odds(test.p, test.none, odds)
-    result: dict[str, Any] = {"sittings": len(test.truth), "auroc": plain(area), "odds": plain(odds), "shares": {}}
+    p, none = calibrated.apply_platt(test.p, test.none, odds)
+    result: dict[str, Any] = {"sittings": len(test.truth), "auroc": to_json(area), "odds": to_json(odds), "shares": {}}
     print("AUROC after each touch: " + " ".join(f"{x:.2f}" for x in area.mean))
     print("after the last: " + shown(scores.Estimate(*(x[-1] for x in area))))
     for name, each in (("as imagined", (test.p, raw)), ("trusted as on validation objects", (p, none))):
         for share in (0.01, 0.25, 0.5):
-            found = scores.open_set(*each, test.truth, share, prior=PRIOR)
-            result["shares"][f"{name}, {share}"] = plain(found)
+            found = scores.open_set_accuracy(*each, test.truth, share, prior=PRIOR)
+            result["shares"][f"{name}, {share}"] = to_json(found)
             last = [shown(scores.Estimate(*(x[-1] for x in one))) for one in (found.known, found.unknown)]
             print(f"{name}, {share:.0%} unknown: right of known {last[0]}, of unknown {last[1]}")
         sure, right = each[1][:, -1], test.truth < 0
         wrong = scores.calibration_error(np.maximum(sure, 1 - sure), (sure > 0.5) == right, 10)
-        result[f"calibration_of_none, {name}"] = plain(wrong)
+        result[f"calibration_of_none, {name}"] = to_json(wrong)
         print(f"{name}, calibration error of none of these after the last touch: {wrong.error:.3f}")
     touches.save(
         drawing.accuracy({"none of these": area}, "Telling strangers", True, ylabel="AUROC"), out / "auroc.png"

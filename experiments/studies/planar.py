@@ -18,11 +18,11 @@ from experiments.recognize import figures as drawing
 from experiments.studies.lab import Lab, shown, sit, spread
 from i2t.recognition import belief, planar
 from i2t.recognition import metrics as scores
-from i2t.recognition.belief import Belief, Likelihood, Measured
-from i2t.recognition.episodes import Pool, tabulate
-from i2t.recognition.metrics import plain
-from i2t.recognition.outcomes import Outcome
-from i2t.recognition.planar import Standing, Table
+from i2t.recognition.belief import Belief, Likelihood, TouchObservation
+from i2t.recognition.episodes import SitePool, precompute_outcomes
+from i2t.recognition.metrics import to_json
+from i2t.recognition.outcomes import PredictedTouch
+from i2t.recognition.planar import PlanarPose, Table
 from i2t.viz import touches as plots
 
 TOUCHES = 20
@@ -39,7 +39,7 @@ def play(lab: Lab) -> dict[str, Any]:
     limits = replace(lab.cfg.limits, past_goal=PAST)
     errors = replace(lab.cfg.errors, placement=0.0, placement_angle=0.0)
     nothing = jnp.zeros((1, 6))
-    (found,) = tabulate(lab.surfaces, nothing, jnp.asarray(planar.nodes(table)), [lab.learnt.skin], PAST, "planar")
+    (found,) = precompute_outcomes(lab.surfaces, nothing, jnp.asarray(planar.node_poses(table)), [lab.learnt.reading_model], PAST, "planar")
     imagined = jax.device_put(jax.tree.map(lambda x: x[:, :, 0], found))
 
     truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
@@ -47,19 +47,19 @@ def play(lab: Lab) -> dict[str, Any]:
     pose = rng.uniform([-1, -1, -np.pi], [1, 1, np.pi], (len(truth), 3)) * [table.half, table.half, 1]
     radius, angle = table.reach * np.sqrt(rng.random((2, len(truth), touches)))[0], rng.random((len(truth), touches))
     site = radius[..., None] * np.stack([np.cos(2 * np.pi * angle), np.sin(2 * np.pi * angle)], -1)
-    sites = Pool(jnp.float32(_seen_from(pose, site, table)), np.repeat(truth, touches))
+    sites = SitePool(jnp.float32(_seen_from(pose, site, table)), np.repeat(truth, touches))
     chosen = np.arange(len(truth) * touches).reshape(len(truth), touches)
     episodes = sit(lab, lab.key, sites, truth, chosen, "planar", errors=errors, limits=limits)
 
-    cells, places = planar.places(table)
-    like = lab.learnt.like._replace(past=jnp.float32(PAST))
-    start = belief.begin(places, len(lab.surfaces))
+    cells, places = planar.pose_cells(table)
+    like = lab.learnt.likelihood._replace(past=jnp.float32(PAST))
+    start = belief.init(places, len(lab.surfaces))
     judge = jax.jit(partial(_judge, imagined=imagined, pose=jnp.asarray(cells), like=like, table=table))
     unknown, known, stands = [], [], []
     for i in tqdm(range(len(truth)), desc="planar: believing", unit="sitting"):
-        at = jax.tree.map(lambda x, i=i: x[i], episodes.measured)
+        at = jax.tree.map(lambda x, i=i: x[i], episodes.observations)
         p, stood = judge(start, jnp.float32(site[i]), at)
-        told = planar.about(start, jnp.asarray(cells), jnp.float32(pose[i]), jnp.float32(KNOWN))
+        told = planar.condition_on_pose(start, jnp.asarray(cells), jnp.float32(pose[i]), jnp.float32(KNOWN))
         q, _ = judge(told, jnp.float32(site[i]), at)
         unknown.append(np.asarray(p))
         known.append(np.asarray(q))
@@ -75,23 +75,23 @@ def play(lab: Lab) -> dict[str, Any]:
 
 def _seen_from(pose: np.ndarray, site: np.ndarray, table: Table) -> np.ndarray:
     """Sites (e * t, 4, 4) of presses at points of the table (e, t, 2), in the frames of objects in poses (e, 3)."""
-    seen = jax.vmap(jax.vmap(planar.seen_from, (None, 0)))(jnp.float32(pose), jnp.float32(site))
+    seen = jax.vmap(jax.vmap(planar.object_frame_pose, (None, 0)))(jnp.float32(pose), jnp.float32(site))
     at = np.asarray(seen, float).reshape(-1, 2)
     turn = np.repeat(-pose[:, 2], site.shape[1])
-    return np.stack([planar.straight_down(x, y, phi, table.height) for (x, y), phi in zip(at, turn, strict=True)])
+    return np.stack([planar.vertical_press_pose(x, y, phi, table.height) for (x, y), phi in zip(at, turn, strict=True)])
 
 
 def _judge(
-    start: Belief, site: Array, measured: Measured, imagined: Outcome, pose: Array, like: Likelihood, table: Table
-) -> tuple[Array, Standing]:
+    start: Belief, site: Array, measured: TouchObservation, imagined: PredictedTouch, pose: Array, like: Likelihood, table: Table
+) -> tuple[Array, PlanarPose]:
     """Probabilities of the objects after each touch, and where each would stand in the end."""
 
-    def step(now: Belief, touched: tuple[Array, Measured]) -> tuple[Belief, Array]:
+    def step(now: Belief, touched: tuple[Array, TouchObservation]) -> tuple[Belief, Array]:
         now = planar.update(now, touched[1], touched[0], pose, imagined, like, table)
         return now, belief.posterior(now)
 
     now, p = jax.lax.scan(step, start, (site, measured))
-    return p, planar.standing(now, pose, table)
+    return p, planar.most_probable_poses(now, pose, table)
 
 
 def turned(angle: np.ndarray, alike: np.ndarray) -> np.ndarray:
@@ -111,14 +111,14 @@ def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
         p = columns[name].astype(np.float64)
         curves[name] = scores.accuracy(p, truth)
         result["methods"][name] = {
-            "accuracy": plain(curves[name]),
+            "accuracy": to_json(curves[name]),
             "log_loss": scores.log_loss(p, truth).mean(0).tolist(),
         }
         shown_at = sorted({min(t, p.shape[1]) for t in (1, 5, 10, 15, 20)})
         print(f"{name:14} " + "   ".join(
             f"{t}: {shown(scores.Estimate(*(x[t - 1] for x in curves[name])))}" for t in shown_at))  # fmt: skip
-    lost = scores.paired(*(scores.hits(columns[name], truth) for name in ("known pose", "unknown pose")))
-    result["lost"] = plain(lost)
+    lost = scores.compare_paired(*(scores.hits(columns[name], truth) for name in ("known pose", "unknown pose")))
+    result["lost"] = to_json(lost)
     print(f"lost after the last touch: {shown(lost.last)}")
     right = scores.hits(columns["unknown pose"], truth)[:, -1] > 0.5
     where = "where the object is right"

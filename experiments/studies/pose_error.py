@@ -16,8 +16,8 @@ from experiments.common.nested import Part
 from experiments.recognize import figures as drawing
 from experiments.studies.lab import Lab, shown, sit
 from i2t.recognition import metrics as scores
-from i2t.recognition.episodes import paper_rules, pool, telling_sites
-from i2t.recognition.metrics import Estimate, plain
+from i2t.recognition.episodes import paper_rules, sample_sites, draw_informative_sites
+from i2t.recognition.metrics import Estimate, to_json
 from i2t.viz import touches
 
 RULES = ("votes", "product")
@@ -42,15 +42,15 @@ def play(lab: Lab) -> Part:
     for which, (name, names) in enumerate({"primitives": lab.cfg.primitives, "tools": lab.cfg.tools}.items()):
         key_pool, key_play, key_site = jax.random.split(jax.random.fold_in(lab.key, which), 3)
         surfaces = [lab.surfaces[lab.names.index(one)] for one in names]
-        sites = pool(key_pool, surfaces, names, lab.cfg.sites, lab.cfg.reach)
+        sites = sample_sites(key_pool, surfaces, names, lab.cfg.sites, lab.cfg.reach)
         truth = np.repeat(np.arange(len(names)), lab.sittings)
-        chosen = telling_sites(key_site, sites, len(truth), lab.cfg.touches)
+        chosen = draw_informative_sites(key_site, sites, len(truth), lab.cfg.touches)
         for size in placements:
             errors = replace(lab.cfg.errors, placement=size * 1e-3, placement_angle=np.radians(size))
             key = jax.random.clone(key_play)  # the same luck in all worlds
             episodes = sit(lab, key, sites, truth, chosen, f"{name}, {size} mm", surfaces=surfaces, errors=errors)
             for rough in (0.0, *roughs) if size == 1.0 else (0.0,):
-                told = paper_rules(lab.predictor, lab.learnt.std, surfaces, episodes, rough * 1e-3)
+                told = paper_rules(lab.predictor, lab.learnt.reading_std, surfaces, episodes, rough * 1e-3)
                 kept = {rule: p for rule, p in told.items() if rule.endswith(RULES)}
                 found[str(len(found))] = {"truth": truth, **World(name, size, rough)._asdict(), **kept}
     return found
@@ -71,10 +71,10 @@ def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
         said = []
         for rule in RULES:
             ours, theirs = (scores.hits(columns[f"{source}, {rule}"], truth) for source in ("I2T", "proprioception"))
-            lead = scores.paired(ours, theirs).last
+            lead = scores.compare_paired(ours, theirs).last
             entry[rule] = {
-                "I2T": plain(scores.rate(ours[:, -1])), "proprioception": plain(scores.rate(theirs[:, -1])),
-                "lead": plain(lead),
+                "I2T": to_json(scores.wilson_interval(ours[:, -1])), "proprioception": to_json(scores.wilson_interval(theirs[:, -1])),
+                "lead": to_json(lead),
             }  # fmt: skip
             said.append(f"{rule}: {ours[:, -1].mean():.3f} against {theirs[:, -1].mean():.3f}, by {shown(lead)}")
             if not world.rough:

@@ -22,7 +22,7 @@ from i2t.emulators.scene import noisy, see, table_at
 from i2t.hardware.rig import Rig
 from i2t.objects.catalogue import Mesh
 from i2t.recognition import belief
-from i2t.recognition.episodes import Pool, by_evidence, places_about, pool, random_sites, runs_of, tabulate
+from i2t.recognition.episodes import SitePool, run_belief, pose_particles, sample_sites, draw_random_sites, session_errors, precompute_outcomes
 from i2t.registration.touch import by_depth, seen_through
 from i2t.simulation.touches import Errors, RunErrors
 from i2t.types import Array
@@ -43,24 +43,24 @@ class Found(NamedTuple):
 def play(lab: Lab) -> dict[str, Any]:
     """The same luck with the object known to 1 mm, known to 5 mm, and found by a view."""
     key_pool, key_play, key_site = jax.random.split(lab.key, 3)
-    sites = pool(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
+    sites = sample_sites(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
     truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
-    chosen = random_sites(key_site, sites, len(truth), lab.cfg.touches)
+    chosen = draw_random_sites(key_site, sites, len(truth), lab.cfg.touches)
     errors = replace(lab.cfg.errors, placement=DISTANCE, placement_angle=ANGLE)
     result: dict[str, Any] = {"truth": truth}
     for what, world in (("known to 1 mm", lab.cfg.errors), ("known to 5 mm", errors)):
-        places = places_about(world, lab.cfg.places, lab.seed)
-        (table,) = imagine(lab, sites, places, [lab.learnt.skin], what)
+        places = pose_particles(world, lab.cfg.places, lab.seed)
+        (table,) = imagine(lab, sites, places, [lab.learnt.reading_model], what)
         episodes = sit(lab, jax.random.clone(key_play), sites, truth, chosen, what, errors=world)
-        told = by_evidence(table, episodes, lab.learnt.like, places, KINDS)
+        told = run_belief(table, episodes, lab.learnt.likelihood, places, KINDS)
         result |= {f"{kind}, {what}": p for kind, p in told.items()}
 
-    runs = jax.device_get(runs_of(jax.random.clone(key_play), len(truth), errors))
+    runs = jax.device_get(session_errors(jax.random.clone(key_play), len(truth), errors))
     found = look(made(lab.names), truth, runs, errors, lab.seed)
-    places = belief.particles(found.covariance, lab.cfg.places, lab.seed)
+    places = belief.sample_particles(found.covariance, lab.cfg.places, lab.seed)
     owner = sites.owner[chosen]
     T_w_site = found.T_w_o[np.arange(len(truth))[:, None], owner] @ np.asarray(sites.T_w_t, float)[chosen]
-    there = Pool(jnp.float32(T_w_site.reshape(-1, 4, 4)), owner.reshape(-1))
+    there = SitePool(jnp.float32(T_w_site.reshape(-1, 4, 4)), owner.reshape(-1))
     every = np.arange(chosen.size).reshape(chosen.shape)
     episodes = sit(lab, jax.random.clone(key_play), there, truth, every, "found by a view", errors=errors)
     columns = []
@@ -68,9 +68,9 @@ def play(lab: Lab) -> dict[str, Any]:
         seen = np.linalg.inv(found.T_w_o[:, i])[:, None] @ T_w_site  # as if that object stood at the origin
         sites_i = jnp.float32(seen.reshape(-1, 4, 4))
         past = lab.cfg.limits.past_goal
-        columns += tabulate([surface], places.twist, sites_i, [lab.learnt.skin], past, f"found: {lab.names[i]}")
+        columns += precompute_outcomes([surface], places.twist, sites_i, [lab.learnt.reading_model], past, f"found: {lab.names[i]}")
     table = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1), *columns)
-    told = by_evidence(table, episodes, lab.learnt.like, places, KINDS)
+    told = run_belief(table, episodes, lab.learnt.likelihood, places, KINDS)
     result |= {f"{kind}, found by a view": p for kind, p in told.items()}
 
     at = np.arange(len(truth)), truth

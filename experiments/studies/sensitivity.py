@@ -10,8 +10,8 @@ import numpy as np
 from experiments.studies.lab import Lab, imagine, placements_of, sit
 from i2t.recognition import belief, outcomes
 from i2t.recognition.belief import Particles
-from i2t.recognition.episodes import Episodes, by_evidence, pool, random_sites
-from i2t.recognition.outcomes import Outcome
+from i2t.recognition.episodes import Episodes, run_belief, sample_sites, draw_random_sites
+from i2t.recognition.outcomes import PredictedTouch
 from i2t.simulation.touches import Errors
 
 HARDER = (50.0, 100.0)  # uT at which presses stop that the pad is taught by, too
@@ -36,30 +36,30 @@ def play(lab: Lab) -> dict[str, Any]:
     if debug:
         worlds = {name: worlds[name] for name in ("as it is", "stop at 50 uT")}
     key_pool, key_play, key_site, key_press = jax.random.split(lab.key, 4)
-    sites = pool(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
+    sites = sample_sites(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
     truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
-    chosen = random_sites(key_site, sites, len(truth), lab.cfg.touches)
-    tables: dict[tuple[float, float], tuple[Particles, Outcome]] = {}
+    chosen = draw_random_sites(key_site, sites, len(truth), lab.cfg.touches)
+    tables: dict[tuple[float, float], tuple[Particles, PredictedTouch]] = {}
     played: dict[float, Episodes] = {}
     found: dict[str, Any] = {"truth": truth}
     for name, (errors, stop) in worlds.items():
         spread = (max(errors.placement, 0.02e-3), max(errors.placement_angle, np.radians(0.02)))
         if spread not in tables:
-            places = belief.particles(outcomes.prior_spread(*spread), lab.cfg.places, lab.seed)
-            tables[spread] = (places, imagine(lab, sites, places, [lab.learnt.skin], name)[0])
+            places = belief.sample_particles(outcomes.placement_std(*spread), lab.cfg.places, lab.seed)
+            tables[spread] = (places, imagine(lab, sites, places, [lab.learnt.reading_model], name)[0])
         places, table = tables[spread]
         limits, key = replace(lab.cfg.limits, skin_change=stop), jax.random.clone(key_play)  # the same luck in all
         episodes = played[stop] = sit(lab, key, sites, truth, chosen, name, errors=errors, limits=limits)
         wider = errors.noise.xy / base.noise.xy if errors.noise.xy > base.noise.xy else 1.0
-        like = lab.learnt.like._replace(inflation=lab.learnt.like.inflation * jnp.float32(wider))
-        told = by_evidence(table, episodes, like, places, ("fused", "tactile only"))
+        like = lab.learnt.likelihood._replace(inflation=lab.learnt.likelihood.inflation * jnp.float32(wider))
+        told = run_belief(table, episodes, like, places, ("fused", "tactile only"))
         found |= {f"{kind}, {name}": p for kind, p in told.items()}
 
     places = placements_of(lab)
     for stop in (stop for stop in HARDER if stop in played):
         limits, name = replace(lab.cfg.limits, skin_change=stop), f"stop at {stop:.0f} uT, taught there"
         learnt = lab.pressed(limits, jax.random.fold_in(key_press, int(stop)))
-        (table,) = imagine(lab, sites, places, [learnt.skin], name)
-        told = by_evidence(table, played[stop], learnt.like, places, ("fused", "tactile only"))
+        (table,) = imagine(lab, sites, places, [learnt.reading_model], name)
+        told = run_belief(table, played[stop], learnt.likelihood, places, ("fused", "tactile only"))
         found |= {f"{kind}, {name}": p for kind, p in told.items()}
     return found

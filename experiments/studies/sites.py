@@ -11,8 +11,8 @@ import numpy as np
 from experiments.studies.lab import Lab, imagine, placements_of, shown, sit
 from i2t.geometry import invert
 from i2t.recognition import metrics as scores
-from i2t.recognition.episodes import by_evidence, pool, random_sites
-from i2t.recognition.metrics import plain
+from i2t.recognition.episodes import run_belief, sample_sites, draw_random_sites
+from i2t.recognition.metrics import to_json
 from i2t.rendering.render import render_heights
 from i2t.types import PAD_WINDOW
 
@@ -25,17 +25,17 @@ KINDS = {"flat": (0.95, 1.01), "edge": (0.375, 0.95), "corner or narrow": (0.0, 
 def play(lab: Lab) -> dict[str, Any]:
     """Sittings of a single touch."""
     key_pool, key_play, key_site = jax.random.split(lab.key, 3)
-    sites = pool(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
+    sites = sample_sites(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
     places = placements_of(lab)
-    (table,) = imagine(lab, sites, places, [lab.learnt.skin], "sites")
+    (table,) = imagine(lab, sites, places, [lab.learnt.reading_model], "sites")
     each = lab.sittings * (1 if lab.args.preset == "debug" else lab.cfg.touches)
     truth = np.repeat(np.arange(len(lab.surfaces)), each)
-    chosen = random_sites(key_site, sites, len(truth), 1)
+    chosen = draw_random_sites(key_site, sites, len(truth), 1)
     episodes = sit(lab, key_play, sites, truth, chosen, "sites")
     look = jax.jit(jax.vmap(covered, (None, 0)))
     share = np.stack([np.asarray(look(surface, sites.T_w_t)) for surface in lab.surfaces], 1)
-    told = by_evidence(table, episodes, lab.learnt.like, places)
-    met = np.asarray(episodes.measured.contact)[:, 0]
+    told = run_belief(table, episodes, lab.learnt.likelihood, places)
+    met = np.asarray(episodes.observations.contact)[:, 0]
     return {"truth": truth, "share": share[chosen[:, 0], truth], "met": met, **told}
 
 
@@ -61,8 +61,8 @@ def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
                 continue
             # What the truth gained, on average, is the information as far as the belief is calibrated.
             bits = np.log2(np.clip(p[np.arange(len(p)), columns["truth"][rows]], 1e-6, 1) * p.shape[1])
-            gained = scores.student(bits)
-            result["bits"][name][kind] = plain(gained)
+            gained = scores.student_interval(bits)
+            result["bits"][name][kind] = to_json(gained)
             said.append(f"{kind} {shown(gained)}")
         print(f"{name:18} {rows.sum():5d} touches, bits: " + "   ".join(said))
     return result

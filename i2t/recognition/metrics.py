@@ -1,26 +1,25 @@
-"""How good beliefs about objects are: accuracy, calibration, conformal sets, stopping, unknown objects.
+"""Scores of recognition: accuracy, calibration error, proper scoring rules, stopping, and unknown objects.
 
-An array of beliefs p (e, t, c) holds the probabilities of c classes after each of t touches in e episodes, `truth` (e,)
-the class that was there. Where the object may be none of those known, `with_none` makes that the last class. Episodes
-are independent, the touches within one are not, so every interval is over episodes (or seeds) and covers 95 %: Wilson's
-for rates (JASA 22, 1927), Student's t for means, the percentile bootstrap for ratios and ranks. NumPy, because nothing
-here is differentiated.
+An array of beliefs p (episodes, touches, classes) holds the probabilities of the classes after each touch, `truth`
+(episodes,) the class that was there. Where an object may be unknown, `with_unknown_class` makes the unknown class the
+last one. Episodes are independent, the touches within one are not, so every interval is over episodes (or seeds) and
+covers 95 %: Wilson's for rates (JASA 22, 1927), Student's t for means, the percentile bootstrap for ratios and ranks.
+How beliefs are calibrated is in `i2t.recognition.calibrated`. NumPy, because nothing here is differentiated.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from scipy import optimize, stats
-from scipy.special import expit, logit, logsumexp
+from jaxtyping import Bool, Float, Int, Shaped
+from scipy import stats
 
-from i2t.recognition import belief
-from i2t.recognition.belief import Temper
+from i2t.types import Array
 
-LEVEL = 0.95
-RESAMPLES = 1000
-TIE = 1e-6  # probabilities that differ by less are equal: sums of votes in float32
-LEAST = 1e-6  # probability below which a logarithm is not followed
+COVERAGE = 0.95  # of every interval
+RESAMPLES = 1000  # of a bootstrap
+TIE_TOLERANCE = 1e-6  # probabilities that differ by less are equal: sums of votes in float32
+MIN_PROBABILITY = 1e-6  # no logarithm of a smaller one is taken
 BINS = 15
 
 
@@ -31,70 +30,129 @@ class Estimate(NamedTuple):
     low: np.ndarray
     high: np.ndarray
 
+    def at(self, index: int) -> "Estimate":
+        """The estimate of one entry of the leading axis.
+
+        Args:
+            index: Which entry, for instance -1 for the last touch.
+        """
+        return Estimate(self.mean[index], self.low[index], self.high[index])
+
 
 # --- intervals ---
 
 
-def rate(values: np.ndarray) -> Estimate:
-    """Mean and Wilson's interval of values (n, ...) between 0 and 1; NaN without any.
+def wilson_interval(values: Shaped[Array, "n ..."]) -> Estimate:
+    """Mean and Wilson's interval of independent values between 0 and 1.
 
     Fractions, which shared ties give, are welcome: nothing in [0, 1] varies more than a coin of the same mean.
+
+    Args:
+        values: (n, ...) in [0, 1].
+
+    Returns:
+        Estimates of the trailing shape; NaN where n is 0.
     """
     values = np.asarray(values, np.float64)
-    n, z = len(values), stats.norm.ppf((1 + LEVEL) / 2)
+    n, z = len(values), stats.norm.ppf((1 + COVERAGE) / 2)
     if not n:
-        unknown = np.full(values.shape[1:], np.nan)
-        return Estimate(unknown, unknown, unknown)
+        nothing = np.full(values.shape[1:], np.nan)
+        return Estimate(nothing, nothing, nothing)
     mean = values.mean(0)
     centre = (mean + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z / (1 + z**2 / n) * np.sqrt(mean * (1 - mean) / n + z**2 / (4 * n**2))
     return Estimate(mean, np.minimum(centre - half, mean), np.maximum(centre + half, mean))
 
 
-def student(values: np.ndarray) -> Estimate:
-    """Mean and Student's t interval of independent values (n, ...), episodes or seeds; NaN limits for a single one."""
+def student_interval(values: Shaped[Array, "n ..."]) -> Estimate:
+    """Mean and Student's t interval of independent values, such as scores of episodes or of seeds.
+
+    Args:
+        values: (n, ...) of any unit.
+
+    Returns:
+        Estimates of the trailing shape; NaN limits for a single value.
+    """
     values = np.asarray(values, np.float64)
     n, mean = len(values), values.mean(0)
     if n < 2:
         return Estimate(mean, np.full_like(mean, np.nan), np.full_like(mean, np.nan))
-    half = stats.t.ppf((1 + LEVEL) / 2, n - 1) * values.std(0, ddof=1) / np.sqrt(n)
+    half = stats.t.ppf((1 + COVERAGE) / 2, n - 1) * values.std(0, ddof=1) / np.sqrt(n)
     return Estimate(mean, mean - half, mean + half)
 
 
-def plain(values: Any) -> Any:
-    """Scores as JSON has them: fields by name, arrays as lists."""
+def to_json(values: Any) -> Any:
+    """Scores as JSON has them: fields by name, arrays as lists.
+
+    Args:
+        values: A named tuple of scores, an array or a number.
+    """
     if hasattr(values, "_asdict"):
-        return {name: plain(value) for name, value in values._asdict().items()}
+        return {name: to_json(value) for name, value in values._asdict().items()}
     return values.tolist() if isinstance(values, np.ndarray | np.generic) else values
 
 
 # --- accuracy ---
 
 
-def with_none(p: np.ndarray, none: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Beliefs (e, t, objects + 1) in which "none of these" (e, t) is the last class, and the class of unknown objects
-    (`truth` -1) is that.
+def with_unknown_class(
+    p: Float[Array, "e t objects"], p_unknown: Float[Array, "e t"], truth: Int[Array, " e"]
+) -> tuple[Float[Array, "e t classes"], Int[Array, " e"]]:
+    """Make the unknown class the last one.
+
+    Args:
+        p: Probabilities of the known objects.
+        p_unknown: Probability of the unknown class.
+        truth: Objects that were there, -1 for unknown ones.
+
+    Returns:
+        Beliefs (e, t, objects + 1) and classes (e,).
     """
-    joined = np.concatenate([np.asarray(p), np.asarray(none)[..., None]], axis=-1)
+    joined = np.concatenate([np.asarray(p), np.asarray(p_unknown)[..., None]], axis=-1)
     return joined, np.where(np.asarray(truth) < 0, joined.shape[-1] - 1, truth)
 
 
-def with_prior(p: np.ndarray, none: np.ndarray, was: float, now: float) -> tuple[np.ndarray, np.ndarray]:
-    """The same beliefs had unknown objects had the prior probability `now` instead of `was` (both below 1)."""
-    if not (0 < was < 1 and 0 <= now < 1):
-        raise ValueError(f"with_prior: priors {was} and {now} must lie in (0, 1) and [0, 1)")
-    odds = now / (1 - now) * (1 - was) / was
-    joined = np.concatenate([np.asarray(p, np.float64), odds * np.asarray(none, np.float64)[..., None]], axis=-1)
+def with_unknown_prior(
+    p: Float[Array, "*shape objects"], p_unknown: Float[Array, "*shape"], old: float, new: float
+) -> tuple[Float[Array, "*shape objects"], Float[Array, "*shape"]]:
+    """The same beliefs under another prior probability of unknown objects, by Bayes' rule.
+
+    Args:
+        p: Probabilities of the known objects.
+        p_unknown: Probability of the unknown class.
+        old: Prior probability of unknown objects from which these beliefs come, in (0, 1).
+        new: The prior probability they get, in [0, 1).
+
+    Returns:
+        Both under the new prior.
+
+    Raises:
+        ValueError: A prior lies outside its range.
+    """
+    if not (0 < old < 1 and 0 <= new < 1):
+        raise ValueError(f"with_unknown_prior: priors {old} and {new} must lie in (0, 1) and [0, 1)")
+    odds = new / (1 - new) * (1 - old) / old
+    joined = np.concatenate([np.asarray(p, np.float64), odds * np.asarray(p_unknown, np.float64)[..., None]], axis=-1)
     total = joined.sum(-1, keepdims=True)
-    # A belief that had ruled out all objects and may no longer doubt them knows nothing.
-    rest = np.append(np.full(np.shape(p)[-1], 1 / np.shape(p)[-1]), 0)
-    joined = np.where(total > 0, joined / np.where(total > 0, total, 1), rest)
+    # A belief that had ruled out all known objects and may no longer hold them unknown becomes uniform.
+    uniform = np.append(np.full(np.shape(p)[-1], 1 / np.shape(p)[-1]), 0)
+    joined = np.where(total > 0, joined / np.where(total > 0, total, 1), uniform)
     return joined[..., :-1], joined[..., -1]
 
 
-def among(p: np.ndarray, truth: np.ndarray, candidates: list[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The problem of some classes alone: beliefs (e', t, candidates) of the episodes in which one of them was there,
-    which one (e',), and the numbers (e',) of those episodes. Beliefs without weight on any of them become uniform.
+def restrict_to(
+    p: Float[Array, "e t c"], truth: Int[Array, " e"], candidates: list[int]
+) -> tuple[Float[Array, "kept t chosen"], Int[Array, " kept"], Int[Array, " kept"]]:
+    """The problem of telling some of the classes apart.
+
+    Args:
+        p: Beliefs in all classes.
+        truth: Classes that were there.
+        candidates: Classes to keep.
+
+    Returns:
+        Beliefs in the candidates of the episodes with one of them, uniform where none had any weight; which candidate
+        was there; and the numbers of those episodes.
     """
     match = np.asarray(truth)[:, None] == np.asarray(candidates)[None]
     rows = np.flatnonzero(match.any(1))
@@ -104,57 +162,109 @@ def among(p: np.ndarray, truth: np.ndarray, candidates: list[int]) -> tuple[np.n
     return kept, match[rows].argmax(1), rows
 
 
-def decisions(p: np.ndarray) -> np.ndarray:
-    """Share (..., c) of the decision that each class has: 1 for the most probable one, equal parts where several are
-    it, so that no order of the classes is favoured.
+def decision_shares(p: Float[Array, "*shape c"]) -> Float[Array, "*shape c"]:
+    """Share of the decision that each class has.
+
+    Args:
+        p: Beliefs.
+
+    Returns:
+        1 for the most probable class, equal parts where several are, so that no order of the classes is favoured.
     """
     p = np.asarray(p, np.float64)
-    best = p >= p.max(-1, keepdims=True) - TIE
+    best = p >= p.max(-1, keepdims=True) - TIE_TOLERANCE
     return best / best.sum(-1, keepdims=True)
 
 
-def hits(p: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Whether each decision is right, (e, t); 1/n where the truth ties with n - 1 others."""
-    return _at(decisions(p), truth)
+def hits(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, "e t"]:
+    """Whether each decision is right.
+
+    Args:
+        p: Beliefs.
+        truth: Classes that were there.
+
+    Returns:
+        1 or 0, and 1/n where the truth ties with n - 1 others.
+
+    Raises:
+        ValueError: Shapes do not fit, or `truth` names a class that is none.
+    """
+    return of_truth(decision_shares(p), truth)
 
 
-def accuracy(p: np.ndarray, truth: np.ndarray) -> Estimate:
-    """Share of right decisions after each touch, (t,)."""
-    return rate(hits(p, truth))
+def accuracy(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Estimate:
+    """Share of right decisions after each touch.
+
+    Args:
+        p: Beliefs.
+        truth: Classes that were there.
+
+    Returns:
+        Estimates (t,).
+    """
+    return wilson_interval(hits(p, truth))
 
 
-def mean_accuracy(p: np.ndarray, truth: np.ndarray) -> Estimate:
-    """Share of right decisions, mean over touches 1 to t."""
-    return student(hits(p, truth).mean(1))
+def mean_accuracy(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Estimate:
+    """Share of right decisions, mean over touches 1 to t.
+
+    Args:
+        p: Beliefs.
+        truth: Classes that were there.
+
+    Returns:
+        One estimate.
+    """
+    return student_interval(hits(p, truth).mean(1))
 
 
-def confusion(p: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """How often (c, c) each class, in rows, was taken for each, in columns, by beliefs p (e, c)."""
+def confusion(p: Float[Array, "e c"], truth: Int[Array, " e"]) -> Float[Array, "c c"]:
+    """How often each class was taken for each.
+
+    Args:
+        p: Beliefs at the decision.
+        truth: Classes that were there.
+
+    Returns:
+        Counts: rows are what was there, columns what was decided.
+    """
     counts = np.zeros((np.shape(p)[-1],) * 2)
-    np.add.at(counts, np.asarray(truth), decisions(p))
+    np.add.at(counts, np.asarray(truth), decision_shares(p))
     return counts
 
 
-class Paired(NamedTuple):
+class PairedComparison(NamedTuple):
     """One method less another on the same episodes."""
 
-    last: Estimate  # accuracy after the last touch
+    last: Estimate  # difference in accuracy after the last touch
     last_p: float  # McNemar's exact test; where ties are shared, the sign test
-    mean: Estimate  # mean accuracy over touches
+    mean: Estimate  # difference in mean accuracy over touches
     mean_p: float  # paired t test
 
 
-def paired(hit: np.ndarray, other: np.ndarray) -> Paired:
-    """Compare the `hits` (e, t) of a method with those of another on the same episodes."""
+def compare_paired(hit: Shaped[Array, "e t"], other: Shaped[Array, "... t2"]) -> PairedComparison:
+    """Compare two methods on the same episodes.
+
+    Args:
+        hit: `hits` of the one method.
+        other: `hits` of the other.
+
+    Raises:
+        ValueError: They are not of the same episodes, or of fewer than two.
+    """
     hit, other = np.asarray(hit, np.float64), np.asarray(other, np.float64)
     if hit.shape != other.shape or len(hit) < 2:
-        raise ValueError(f"paired: hits {hit.shape} and {other.shape} must be of the same episodes, two at least")
+        raise ValueError(f"compare_paired: hits {hit.shape} and {other.shape} must be of the same episodes, at least 2")
     last, mean = hit[:, -1] - other[:, -1], (hit - other).mean(1)
-    return Paired(student(last), sign_test(last), student(mean), _t_test(mean))
+    return PairedComparison(student_interval(last), sign_test(last), student_interval(mean), _t_test(mean))
 
 
-def sign_test(difference: np.ndarray) -> float:
-    """Two-sided exact p of as many differences above zero as below; of right-or-wrong answers it is McNemar's."""
+def sign_test(difference: Shaped[Array, " n"]) -> float:
+    """Two-sided exact p-value of as many differences above zero as below.
+
+    Args:
+        difference: Paired differences; of right-or-wrong answers this is McNemar's test.
+    """
     above, below = int((difference > 0).sum()), int((difference < 0).sum())
     return float(stats.binomtest(above, above + below).pvalue) if above + below else 1.0
 
@@ -169,8 +279,12 @@ def _t_test(difference: np.ndarray) -> float:
 # --- calibration ---
 
 
-def confidence(p: np.ndarray) -> np.ndarray:
-    """Probability (e, t) of the class decided for."""
+def confidence(p: Float[Array, "*shape c"]) -> Float[Array, "*shape"]:
+    """Probability of the class decided for.
+
+    Args:
+        p: Beliefs.
+    """
     return np.asarray(p, np.float64).max(-1)
 
 
@@ -182,45 +296,32 @@ class Reliability(NamedTuple):
     frequency: Estimate  # (b,) of right ones
 
 
-def fit_temper(p: np.ndarray, truth: np.ndarray) -> Temper:
-    """The temperature with which these beliefs would have had the least log loss over all touches."""
-    touches = np.arange(1, p.shape[1] + 1, dtype=np.float64)
-    logs = np.log(np.maximum(np.asarray(p, np.float64), belief.LEAST))
+def reliability(
+    confidences: Float[Array, "*n"], hit: Shaped[Array, "*n"], bins: int = BINS, equal_mass: bool = False
+) -> Reliability:
+    """Sort decisions by their confidence into bins (Guo et al., ICML 2017).
 
-    def loss(x: np.ndarray) -> float:
-        scaled = logs / Temper(np.exp(x[0]), np.exp(x[1])).temperature(touches)[None, :, None]
-        right = np.take_along_axis(scaled, np.asarray(truth)[:, None, None], -1)[..., 0]
-        return float(np.mean(logsumexp(scaled, axis=-1) - right))
+    The intervals take decisions as independent: give one touch of each episode.
 
-    found = optimize.minimize(loss, (0.0, np.log(0.05)), method="Nelder-Mead", bounds=((-2.0, 2.0), (-12.0, 1.0)))
-    return Temper(float(np.exp(found.x[0])), float(np.exp(found.x[1])))
-
-
-def sobered(p: np.ndarray, temper: Temper = belief.TEMPER) -> np.ndarray:
-    """Beliefs (e, t, c) of whole episodes, no surer than they should be (`i2t.recognition.belief.tempered`)."""
-    touches = np.broadcast_to(np.arange(1, p.shape[1] + 1, dtype=np.float32), p.shape[:2])
-    return np.asarray(belief.tempered(jnp.asarray(p), jnp.asarray(touches), temper), np.float64)
-
-
-def reliability(sure: np.ndarray, hit: np.ndarray, bins: int = BINS, equal_mass: bool = False) -> Reliability:
-    """Sort decisions of confidence `sure`, right or not by `hit` (arrays of one shape), into bins of equal width (as
-    Guo et al., ICML 2017) or of equal count.
-
-    The intervals take decisions as independent: one touch of each episode.
+    Args:
+        confidences: Of the decisions, in [0, 1].
+        hit: Whether each is right, as `hits`.
+        bins: How many.
+        equal_mass: Bins of equal count instead of equal width.
     """
-    sure, hit = np.ravel(sure), np.ravel(hit)
-    which = _bins(sure, bins, equal_mass)
+    confidences, hit = np.ravel(confidences), np.ravel(hit)
+    which = _bin_numbers(confidences, bins, equal_mass)
     rows = [which == i for i in range(bins)]
-    frequency = [rate(hit[row]) for row in rows]
+    frequency = [wilson_interval(hit[row]) for row in rows]
     return Reliability(
         np.array([row.sum() for row in rows]),
-        np.array([sure[row].mean() if row.any() else np.nan for row in rows]),
+        np.array([confidences[row].mean() if row.any() else np.nan for row in rows]),
         Estimate(*(np.array(column) for column in zip(*frequency, strict=True))),
     )
 
 
 class CalibrationError(NamedTuple):
-    """Expected calibration error, beside what the same confidences give by chance if they are right."""
+    """Expected calibration error, next to what the same confidences give by chance if they are calibrated."""
 
     error: float
     chance: float  # mean
@@ -228,243 +329,257 @@ class CalibrationError(NamedTuple):
 
 
 def calibration_error(
-    sure: np.ndarray, hit: np.ndarray, bins: int = BINS, equal_mass: bool = False, seed: int = 0
-) -> CalibrationError:
-    """Mean over decisions of |frequency - confidence| of their bin (Guo et al., ICML 2017; top class).
-
-    Few decisions to a bin make it positive for any forecaster, so it comes with its distribution for decisions that
-    are right as often as they claim (consistency resampling; Bröcker and Smith, Weather and Forecasting 22, 2007),
-    independent of each other: give one touch of each episode.
-    """
-    sure, hit = np.ravel(np.asarray(sure, np.float64)), np.ravel(hit)
-    which = _bins(sure, bins, equal_mass)
-    drawn = np.random.default_rng(seed).random((RESAMPLES, len(sure))) < sure
-    chance = [_gap(sure, draw, which, bins) for draw in drawn]
-    return CalibrationError(_gap(sure, hit, which, bins), float(np.mean(chance)), float(np.quantile(chance, LEVEL)))
-
-
-def _gap(sure: np.ndarray, hit: np.ndarray, which: np.ndarray, bins: int) -> float:
-    return float(np.abs(np.bincount(which, hit - sure, minlength=bins)).sum() / len(sure))
-
-
-def _bins(sure: np.ndarray, bins: int, equal_mass: bool) -> np.ndarray:
-    if equal_mass:
-        return np.argsort(np.argsort(sure, kind="stable"), kind="stable") * bins // len(sure)
-    return np.clip((sure * bins).astype(int), 0, bins - 1)
-
-
-def log_loss(p: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Minus the logarithm of the probability (e, t) of the truth, followed down to `LEAST`."""
-    return -np.log(np.clip(_at(p, truth), LEAST, 1))
-
-
-def brier(p: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Squared distance (e, t) of the probabilities from the truth, over all classes: 0 to 2 (Brier 1950)."""
-    p = np.asarray(p, np.float64)
-    return (p**2).sum(-1) - 2 * _at(p, truth) + 1
-
-
-# --- conformal sets ---
-
-
-class Conformal(NamedTuple):
-    """Sets of classes that hold the truth with a given probability, after each touch."""
-
-    threshold: np.ndarray  # (t,)
-    coverage: Estimate  # (t,)
-    size: Estimate  # (t,)
-
-
-def conformal(
-    p_validation: np.ndarray,
-    truth_validation: np.ndarray,
-    p: np.ndarray,
-    truth: np.ndarray,
-    level: float = 0.9,
+    confidences: Float[Array, "*n"],
+    hit: Shaped[Array, "*n"],
+    bins: int = BINS,
+    equal_mass: bool = False,
     seed: int = 0,
-) -> Conformal:
-    """Randomised adaptive prediction sets (Romano, Sesia and Candès, NeurIPS 2020) with thresholds from validation
-    episodes, tried on others; exact in expectation whatever the beliefs, at the price of empty sets where they are
-    surer than `level`.
+) -> CalibrationError:
+    """Expected calibration error of the top class: mean over decisions of |frequency - confidence| of their bin (Guo et
+    al., ICML 2017).
+
+    A few decisions to a bin make it positive for any forecaster, so it comes with its distribution for decisions that
+    are right as often as predicted (consistency resampling; Bröcker and Smith, Weather and Forecasting 22, 2007),
+    independent of each other: give one touch of each episode.
+
+    Args:
+        confidences: Of the decisions, in [0, 1].
+        hit: Whether each is right, as `hits`.
+        bins: How many.
+        equal_mass: Bins of equal count instead of equal width.
+        seed: Of the resampling.
     """
-    rng = np.random.default_rng(seed)
-    scores = np.sort(_at(_masses(p_validation, rng), truth_validation), axis=0)
-    rank = int(np.ceil((len(scores) + 1) * level))
-    threshold = scores[rank - 1] if rank <= len(scores) else np.full(scores.shape[1], np.inf)
-    sets = _masses(p, rng) <= threshold[None, :, None]
-    return Conformal(threshold, rate(_at(sets, truth)), student(sets.sum(-1)))
+    confidences, hit = np.ravel(np.asarray(confidences, np.float64)), np.ravel(hit)
+    which = _bin_numbers(confidences, bins, equal_mass)
+    drawn = np.random.default_rng(seed).random((RESAMPLES, len(confidences))) < confidences
+    chance = [_binned_gap(confidences, draw, which, bins) for draw in drawn]
+    observed = _binned_gap(confidences, hit, which, bins)
+    return CalibrationError(observed, float(np.mean(chance)), float(np.quantile(chance, COVERAGE)))
 
 
-def _masses(p: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Probability of the classes above each, plus a random part, the same for all, of its own; equal ones in random
-    order.
+def _binned_gap(confidences: np.ndarray, hit: np.ndarray, which: np.ndarray, bins: int) -> float:
+    return float(np.abs(np.bincount(which, hit - confidences, minlength=bins)).sum() / len(confidences))
+
+
+def _bin_numbers(confidences: np.ndarray, bins: int, equal_mass: bool) -> np.ndarray:
+    if equal_mass:
+        return np.argsort(np.argsort(confidences, kind="stable"), kind="stable") * bins // len(confidences)
+    return np.clip((confidences * bins).astype(int), 0, bins - 1)
+
+
+def log_loss(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, "e t"]:
+    """Minus the natural logarithm of the probability of the truth, which counts as `MIN_PROBABILITY` at least.
+
+    Args:
+        p: Beliefs.
+        truth: Classes that were there.
+    """
+    return -np.log(np.clip(of_truth(p, truth), MIN_PROBABILITY, 1))
+
+
+def brier(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, "e t"]:
+    """Brier score (Monthly Weather Review 78, 1950): squared distance of the probabilities from the truth, 0 to 2.
+
+    Args:
+        p: Beliefs.
+        truth: Classes that were there.
     """
     p = np.asarray(p, np.float64)
-    order = np.lexsort((rng.random(p.shape), -p), axis=-1)
-    ranked = np.take_along_axis(p, order, -1)
-    mass = np.cumsum(ranked, -1) - ranked * rng.random((*p.shape[:-1], 1))
-    return np.take_along_axis(mass, np.argsort(order, -1), -1)
+    return (p**2).sum(-1) - 2 * of_truth(p, truth) + 1
 
 
 # --- stopping ---
 
 
 class Stopping(NamedTuple):
-    """Decisions taken at the first touch after which the belief is as sure as asked, else after the last one."""
+    """Decisions at the first touch after which the belief is as confident as requested, else after the last one."""
 
-    asked: float
+    requested_error: float
     error: Estimate  # share of wrong decisions
-    promised: float  # mean of 1 - the belief decided on, which `error` should equal
-    stopped: Estimate  # share that was as sure as asked
-    stopped_error: Estimate  # among those
-    stopped_promised: float
+    predicted_error: float  # mean of 1 - the probability decided on, which `error` equals where beliefs are calibrated
+    stopped: Estimate  # share that became as confident as requested
+    stopped_error: Estimate  # share of wrong decisions, of those
+    stopped_predicted_error: float
     touches: Estimate
 
 
-def stopping(p: np.ndarray, truth: np.ndarray, error: float) -> Stopping:
-    """Stop as soon as the most probable class has at least 1 - `error`."""
-    sure, hit = confidence(p), hits(p, truth)
-    first = sure_at(p, 1 - error)
+def stopping(p: Float[Array, "e t c"], truth: Int[Array, " e"], error: float) -> Stopping:
+    """Stop as soon as the most probable class has at least 1 - `error`.
+
+    Args:
+        p: Beliefs.
+        truth: Classes that were there.
+        error: Requested probability of a wrong decision.
+    """
+    confidences, hit = confidence(p), hits(p, truth)
+    first = confident_at(p, 1 - error)
     stopped = np.isfinite(first)
-    last = np.where(stopped, first, sure.shape[1]).astype(int)
-    wrong, doubt = (np.take_along_axis(1 - x, last[:, None] - 1, 1)[:, 0] for x in (hit, sure))
-    promised = float(doubt[stopped].mean()) if stopped.any() else float("nan")
+    last = np.where(stopped, first, confidences.shape[1]).astype(int)
+    wrong, doubt = (np.take_along_axis(1 - x, last[:, None] - 1, 1)[:, 0] for x in (hit, confidences))
     return Stopping(
-        error, rate(wrong), float(doubt.mean()), rate(stopped), rate(wrong[stopped]), promised, student(last)
+        requested_error=error,
+        error=wilson_interval(wrong),
+        predicted_error=float(doubt.mean()),
+        stopped=wilson_interval(stopped),
+        stopped_error=wilson_interval(wrong[stopped]),
+        stopped_predicted_error=float(doubt[stopped].mean()) if stopped.any() else float("nan"),
+        touches=student_interval(last),
     )
 
 
-def sure_at(p: np.ndarray, level: float = 0.95) -> np.ndarray:
-    """Number (e,) of touches until some class has probability `level`; infinite where that never happens."""
-    sure = confidence(p) >= level
-    return np.where(sure.any(1), sure.argmax(1) + 1.0, np.inf)
+def confident_at(p: Float[Array, "e t c"], level: float = 0.95) -> Float[Array, " e"]:
+    """Number of touches until some class has probability `level`.
+
+    Args:
+        p: Beliefs.
+        level: The probability asked for.
+
+    Returns:
+        Touches of each episode; infinite where that never happens.
+    """
+    confident = confidence(p) >= level
+    return np.where(confident.any(1), confident.argmax(1) + 1.0, np.inf)
 
 
-def unsure(first: np.ndarray, touches: int) -> Estimate:
-    """Share of episodes still unsure after 0, 1, ... `touches` touches, (touches + 1,), from `sure_at` (e,)."""
-    return rate(np.asarray(first)[:, None] > np.arange(touches + 1)[None])
+def not_yet_confident(first: Shaped[Array, " e"], touches: int) -> Estimate:
+    """Share of episodes that are not yet confident after 0, 1, ... `touches` touches.
+
+    Args:
+        first: Of each episode, as `confident_at`.
+        touches: How many each episode has.
+
+    Returns:
+        Estimates (touches + 1,).
+    """
+    return wilson_interval(np.asarray(first)[:, None] > np.arange(touches + 1)[None])
 
 
-class Until(NamedTuple):
-    """Touches until sure. The mean is restricted: an episode that never was sure counts as all its touches."""
+class TouchesToConfidence(NamedTuple):
+    """Touches until confident; an episode that never was confident counts in the mean as all its touches."""
 
     mean: Estimate
-    median: Estimate  # infinite where the half were never sure; limits from order statistics
+    median: Estimate  # infinite where half of them never were; limits from order statistics
     never: Estimate  # share
 
 
-def until(first: np.ndarray, touches: int) -> Until:
-    """Summarise `sure_at` (e,) of episodes of so many touches."""
+def touches_to_confidence(first: Shaped[Array, " e"], touches: int) -> TouchesToConfidence:
+    """Summarise how many touches it takes to be confident.
+
+    Args:
+        first: Of each episode, as `confident_at`.
+        touches: How many each episode has.
+    """
     first = np.asarray(first, np.float64)
-    limits = stats.quantile_test(first, p=0.5).confidence_interval(LEVEL)
+    limits = stats.quantile_test(first, p=0.5).confidence_interval(COVERAGE)
     middle = np.quantile(first, 0.5, method="inverted_cdf")
-    return Until(
-        student(np.minimum(first, touches)),
+    return TouchesToConfidence(
+        student_interval(np.minimum(first, touches)),
         Estimate(middle, np.asarray(limits.low), np.asarray(limits.high)),
-        rate(np.isinf(first)),
+        wilson_interval(np.isinf(first)),
     )
 
 
-def saved(first: np.ndarray, other: np.ndarray, touches: int, seed: int = 0) -> Estimate:
-    """By what share the restricted mean number of touches until sure is less than that of another policy on the same
-    episodes; paired bootstrap. Episodes that neither ends count as equal, so a limit on touches hides part of it.
+def touches_saved(first: Shaped[Array, " e"], other: Shaped[Array, " e"], touches: int, seed: int = 0) -> Estimate:
+    """By what share the restricted mean number of touches until confident is less than that of another policy.
+
+    Paired bootstrap over the episodes. Episodes in which neither becomes confident count as equal, so a limit on
+    touches hides part of what is saved.
+
+    Args:
+        first: Of each episode under this policy, as `confident_at`.
+        other: The same under the other policy.
+        touches: How many each episode has.
+        seed: Of the bootstrap.
     """
     mine, theirs = (np.minimum(x, touches).astype(np.float64) for x in (first, other))
-    return _bootstrap((mine, theirs), lambda a, b, axis=-1: 1 - a.mean(axis) / b.mean(axis), True, seed)
+
+    def share_saved(a: np.ndarray, b: np.ndarray, axis: int = -1) -> Array:
+        return 1 - a.mean(axis) / b.mean(axis)
+
+    return _bootstrap((mine, theirs), share_saved, paired=True, seed=seed)
 
 
 # --- unknown objects ---
 
 
-class Odds(NamedTuple):
-    """How odds of "none of these" are to be read: their logarithm after t touches times slope / (1 + growth (t - 1)),
-    plus `offset`. What is wrong of the pad or the place at every touch, touches taken one by one do not know.
+def auroc(p_unknown: Shaped[Array, "e t"], unknown: Bool[Array, " e"], seed: int = 0) -> Estimate:
+    """Area under the receiver operating characteristic of telling unknown objects: the probability that an episode
+    with an unknown object has more in the unknown class than one without, equal ones counted half.
+
+    Args:
+        p_unknown: Probability of the unknown class.
+        unknown: Whether the object was unknown.
+        seed: Of the bootstrap, in which known and unknown episodes are resampled apart.
+
+    Returns:
+        Estimates (t,).
+
+    Raises:
+        ValueError: Episodes of one kind are missing.
     """
-
-    offset: float
-    slope: float
-    growth: float = 0.0
-
-    def read(self, none: np.ndarray, touches: np.ndarray | float) -> np.ndarray:
-        """Probabilities."""
-        return expit(self.offset + self.slope / (1 + self.growth * (touches - 1)) * _log_odds(none))
-
-
-def fit_odds(none: np.ndarray, unknown: np.ndarray) -> Odds:
-    """The reading of "none of these" (e, t) that has the least log loss over all touches of episodes with and without
-    an unknown object (e, bool): logistic regression (Platt, 1999).
-    """
-    at, touches = _log_odds(none), np.arange(1, np.shape(none)[1] + 1)
-    sign = np.where(np.asarray(unknown, bool), 1.0, -1.0)[:, None]
-
-    def loss(x: np.ndarray) -> float:
-        return float(np.mean(np.logaddexp(0, -sign * (x[0] + x[1] / (1 + x[2] * (touches - 1)) * at))))
-
-    bounds = (-20.0, 20.0), (0.01, 10.0), (0.0, 10.0)
-    found = optimize.minimize(loss, (0.0, 1.0, 0.0), method="Nelder-Mead", bounds=bounds)
-    return Odds(*(float(x) for x in found.x))
-
-
-def with_odds(p: np.ndarray, none: np.ndarray, odds: Odds) -> tuple[np.ndarray, np.ndarray]:
-    """Beliefs (e, t, objects) whose "none of these" (e, t) is read so; the objects keep their shares of the rest."""
-    read = odds.read(none, np.arange(1, np.shape(none)[1] + 1))
-    p = np.asarray(p, np.float64)
-    total = p.sum(-1, keepdims=True)
-    share = np.where(total > 0, p / np.where(total > 0, total, 1), 1 / p.shape[-1])
-    return share * (1 - read)[..., None], read
-
-
-def _log_odds(p: np.ndarray) -> np.ndarray:
-    """Logarithm of the odds, at most as sure as single precision says."""
-    return logit(np.clip(np.asarray(p, np.float64), LEAST, 1 - LEAST))
-
-
-def auroc(none: np.ndarray, unknown: np.ndarray, seed: int = 0) -> Estimate:
-    """Probability (t,) that "none of these" (e, t) is higher in an episode with an unknown object (e, bool) than in
-    one without, equal ones counted half: the area under the receiver operating characteristic. Known and unknown
-    episodes are resampled apart.
-    """
-    none, unknown = np.asarray(none, np.float64), np.asarray(unknown, bool)
+    p_unknown, unknown = np.asarray(p_unknown, np.float64), np.asarray(unknown, bool)
     if unknown.all() or not unknown.any():
         raise ValueError("auroc: it needs episodes with and without an unknown object")
-    areas = [_bootstrap((x[unknown], x[~unknown]), _area, False, seed) for x in none.T]
+    areas = [_bootstrap((x[unknown], x[~unknown]), _area, paired=False, seed=seed) for x in p_unknown.T]
     return Estimate(*(np.array(column) for column in zip(*areas, strict=True)))
 
 
-def _area(above: np.ndarray, below: np.ndarray, axis: int = -1) -> np.ndarray:
+def _area(above: np.ndarray, below: np.ndarray, axis: int = -1) -> Array:
+    """Mann and Whitney's statistic, as a share of all pairs."""
     n, m = above.shape[axis], below.shape[axis]
     ranks = stats.rankdata(np.concatenate([above, below], axis), axis=axis)
     return (np.take(ranks, np.arange(n), axis).sum(axis) - n * (n + 1) / 2) / (n * m)
 
 
-class OpenSet(NamedTuple):
-    """Right decisions after each touch, (t,), where "none of these" is a class."""
+class OpenSetAccuracy(NamedTuple):
+    """Right decisions after each touch, (t,), where the unknown class is one of the classes."""
 
     known: Estimate  # of episodes with a known object
     unknown: Estimate  # of those without
-    overall: Estimate  # of a mixture with the given share of unknown
+    overall: Estimate  # of a mixture with the given share of unknown objects
 
 
-def open_set(p: np.ndarray, none: np.ndarray, truth: np.ndarray, share: float, prior: float | None = None) -> OpenSet:
-    """Decide among the objects and none of them, as if a `share` of the episodes had an unknown object.
+def open_set_accuracy(
+    p: Float[Array, "e t objects"],
+    p_unknown: Float[Array, "e t"],
+    truth: Int[Array, " e"],
+    share: float,
+    prior: float | None = None,
+) -> OpenSetAccuracy:
+    """Decide among the known objects and the unknown class, as if a share of the episodes had an unknown object.
 
-    With the `prior` probability of unknown objects from which the beliefs started, they are first given `share` as
-    prior instead. The overall interval combines the two others' (Zou and Donner, Statistics in Medicine 27, 2008).
+    The overall interval combines the two others' (Zou and Donner, Statistics in Medicine 27, 2008).
+
+    Args:
+        p: Probabilities of the known objects.
+        p_unknown: Probability of the unknown class.
+        truth: Objects that were there, -1 for unknown ones.
+        share: Share of unknown objects, in [0, 1].
+        prior: Prior probability of unknown objects from which these beliefs come. Given it, beliefs get `share` as
+            their prior first.
     """
     truth = np.asarray(truth)
     if prior is not None:
-        p, none = with_prior(p, none, prior, share)
-    hit = hits(*with_none(p, none, truth))
-    known, unknown = rate(hit[truth >= 0]), rate(hit[truth < 0])
+        p, p_unknown = with_unknown_prior(p, p_unknown, prior, share)
+    hit = hits(*with_unknown_class(p, p_unknown, truth))
+    known, unknown = wilson_interval(hit[truth >= 0]), wilson_interval(hit[truth < 0])
     parts = [(part, weight) for part, weight in ((known, 1 - share), (unknown, share)) if weight > 0]
     mean = np.sum([weight * part.mean for part, weight in parts], 0)
     below = np.sqrt(np.sum([(weight * (part.mean - part.low)) ** 2 for part, weight in parts], 0))
     above = np.sqrt(np.sum([(weight * (part.high - part.mean)) ** 2 for part, weight in parts], 0))
-    return OpenSet(known, unknown, Estimate(mean, mean - below, mean + above))
+    return OpenSetAccuracy(known, unknown, Estimate(mean, mean - below, mean + above))
 
 
-def _at(values: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Values (e, t, c) of the classes that were there, (e, t)."""
+def of_truth(values: Shaped[Array, "..."], truth: Int[Array, "..."]) -> Float[Array, "e t"]:
+    """The values of the classes that were there.
+
+    Args:
+        values: (episodes, touches, classes).
+        truth: (episodes,) classes that were there.
+
+    Raises:
+        ValueError: Shapes do not fit, or `truth` names a class that is none.
+    """
     values, truth = np.asarray(values, np.float64), np.asarray(truth)
     if values.ndim != 3 or truth.shape != values.shape[:1]:
         raise ValueError(
@@ -473,19 +588,22 @@ def _at(values: np.ndarray, truth: np.ndarray) -> np.ndarray:
     if truth.size and not (truth.min() >= 0 and truth.max() < values.shape[-1]):
         raise ValueError(
             f"truth: {truth.min()} to {truth.max()} are not classes 0 to {values.shape[-1] - 1}; "
-            "add the unknown one with `with_none`"
+            "add the unknown one with `with_unknown_class`"
         )
     return np.take_along_axis(values, truth[:, None, None], -1)[..., 0]
 
 
-def _bootstrap(samples: tuple[np.ndarray, np.ndarray], statistic, paired: bool, seed: int) -> Estimate:
+def _bootstrap(
+    samples: tuple[np.ndarray, np.ndarray], statistic: Callable[..., Array], paired: bool, seed: int
+) -> Estimate:
+    """A statistic of two samples with its percentile interval."""
     found = stats.bootstrap(
         samples,
         statistic,
         paired=paired,
         method="percentile",
         n_resamples=RESAMPLES,
-        confidence_level=LEVEL,
+        confidence_level=COVERAGE,
         batch=100,
         rng=np.random.default_rng(seed),
     ).confidence_interval

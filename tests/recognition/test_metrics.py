@@ -1,32 +1,11 @@
-"""Scores of beliefs against tables worked by hand, SciPy, scikit-learn, and forecasters known to be calibrated."""
+"""Scores of beliefs against tables worked by hand, SciPy, scikit-learn, and calibrated forecasters."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.forecasters import calibrated_forecaster
 from scipy import stats
-from scipy.special import expit, logsumexp
 
 from i2t.recognition import metrics as scores
-from i2t.recognition.belief import Temper, tempered
-
-
-def calibrated(seed: int, episodes: int, classes: int = 5, touches: int = 4) -> tuple[np.ndarray, np.ndarray]:
-    """A forecaster that is right by construction: truth from a Dirichlet p, and after each touch the exact posterior of
-    one more noisy sight of the truth.
-    """
-    rng = np.random.default_rng(seed)
-    p = rng.dirichlet(np.full(classes, 1.0), episodes)
-    truth = (rng.random(episodes)[:, None] > np.cumsum(p, 1)[:, :-1]).sum(1)
-    seen = 0.45  # chance of the truth, the others share the rest
-    beliefs = []
-    for _ in range(touches):
-        beliefs.append(p)
-        wrong = (truth + rng.integers(1, classes, episodes)) % classes
-        sight = np.where(rng.random(episodes) < seen, truth, wrong)
-        p = p * np.where(np.arange(classes) == sight[:, None], seen, (1 - seen) / (classes - 1))
-        p = p / p.sum(1, keepdims=True)
-    return np.stack(beliefs, 1), truth
-
 
 # --- intervals ---
 
@@ -34,30 +13,30 @@ def calibrated(seed: int, episodes: int, classes: int = 5, touches: int = 4) -> 
 @pytest.mark.parametrize(("right", "n"), [(0, 10), (3, 10), (10, 10), (351, 400)])
 def test_wilson_as_in_scipy(right, n):
     known = stats.binomtest(right, n).proportion_ci(method="wilson")
-    found = scores.rate((np.arange(n) < right).astype(float))
+    found = scores.wilson_interval((np.arange(n) < right).astype(float))
     np.testing.assert_allclose(found, (right / n, known.low, known.high), atol=1e-12)
 
 
 def test_wilson_keeps_the_shape_and_has_nothing_to_say_of_nothing():
-    found = scores.rate(np.ones((7, 3)))
+    found = scores.wilson_interval(np.ones((7, 3)))
     assert found.low.shape == (3,)
     np.testing.assert_array_equal(found.high, 1)
-    assert np.isnan(scores.rate(np.ones((0, 3))).mean).all()
+    assert np.isnan(scores.wilson_interval(np.ones((0, 3))).mean).all()
 
 
 def test_student_as_in_scipy():
     values = np.random.default_rng(0).normal(size=(6, 2))
-    found = scores.student(values)
+    found = scores.student_interval(values)
     known = stats.ttest_1samp(values, 0).confidence_interval(0.95)
     np.testing.assert_allclose(found, (values.mean(0), known.low, known.high), rtol=1e-12)
-    assert np.isnan(scores.student(values[:1]).low).all()
+    assert np.isnan(scores.student_interval(values[:1]).low).all()
 
 
 def test_scores_can_be_written():
-    found = scores.plain(scores.stopping(np.array([[[1.0, 0.0]], [[0.5, 0.5]]]), np.array([0, 0]), 0.1))
+    found = scores.to_json(scores.stopping(np.array([[[1.0, 0.0]], [[0.5, 0.5]]]), np.array([0, 0]), 0.1))
     assert found["error"]["mean"] == 0.25
     assert type(found["touches"]["high"]) is float
-    assert scores.plain(scores.rate(np.ones((2, 2))))["mean"] == [1, 1]
+    assert scores.to_json(scores.wilson_interval(np.ones((2, 2))))["mean"] == [1, 1]
 
 
 # --- accuracy ---
@@ -97,7 +76,7 @@ def test_accuracy_by_hand():
 
 def test_classes_alone_are_renormalised_and_renumbered():
     p = np.array([[[0.5, 0.1, 0.4]], [[0.2, 0.7, 0.1]], [[1.0, 0.0, 0.0]]])
-    kept, truth, rows = scores.among(p, np.array([2, 0, 1]), [2, 1])
+    kept, truth, rows = scores.restrict_to(p, np.array([2, 0, 1]), [2, 1])
     np.testing.assert_array_equal(rows, [0, 2])
     np.testing.assert_array_equal(truth, [0, 1])
     np.testing.assert_allclose(kept, [[[0.8, 0.2]], [[0.5, 0.5]]])
@@ -107,23 +86,23 @@ def test_pairs_by_hand():
     # Last touch: right both 3, first only 5, second only 1, neither 1.
     hit = np.array([[1, 1]] * 3 + [[0, 1]] * 5 + [[1, 0]] + [[0, 0]], float)
     other = np.array([[1, 1]] * 3 + [[0, 0]] * 5 + [[1, 1]] + [[0, 0]], float)
-    found = scores.paired(hit, other)
+    found = scores.compare_paired(hit, other)
     assert found.last.mean == pytest.approx(0.4)
     assert found.last_p == pytest.approx(2 * (1 + 6) / 2**6)  # at most one of six coins
     known = stats.ttest_rel(hit.mean(1), other.mean(1))
     assert found.mean_p == pytest.approx(known.pvalue)
     np.testing.assert_allclose(found.mean[1:], known.confidence_interval(0.95))
-    swapped = scores.paired(other, hit)
+    swapped = scores.compare_paired(other, hit)
     assert (swapped.last.mean, swapped.last_p) == pytest.approx((-found.last.mean, found.last_p))
 
 
 def test_equal_methods_do_not_differ():
     hit = np.ones((5, 2))
-    found = scores.paired(hit, hit)
+    found = scores.compare_paired(hit, hit)
     assert (found.last_p, found.mean_p, float(found.mean.high)) == (1, 1, 0)
-    assert scores.paired(hit, 0 * hit).mean_p == 0
+    assert scores.compare_paired(hit, 0 * hit).mean_p == 0
     with pytest.raises(ValueError, match="same episodes"):
-        scores.paired(hit, hit[:4])
+        scores.compare_paired(hit, hit[:4])
 
 
 def test_the_sign_test_is_wrong_as_rarely_as_it_says():
@@ -150,7 +129,7 @@ def test_bins_and_their_gap_by_hand():
 
 @pytest.mark.parametrize("equal_mass", [False, True])
 def test_the_calibration_error_of_a_calibrated_forecaster_is_that_of_chance(equal_mass):
-    p, truth = calibrated(2, 4000)
+    p, truth = calibrated_forecaster(2, 4000)
     sure, hit = scores.confidence(p)[:, 2], scores.hits(p, truth)[:, 2]
     found = scores.calibration_error(sure, hit, equal_mass=equal_mass)
     # The frequency of n decisions misses by 0.8 * 0.5 / sqrt(n) on average at most; 15 equal bins are the worst.
@@ -175,72 +154,17 @@ def test_chance_tells_how_often_a_calibrated_forecaster_seems_worse():
 def test_losses_by_hand():
     p = np.array([[[0.7, 0.2, 0.1]], [[1.0, 0.0, 0.0]]])
     truth = np.array([0, 2])
-    np.testing.assert_allclose(scores.log_loss(p, truth)[:, 0], [-np.log(0.7), -np.log(scores.LEAST)])
+    np.testing.assert_allclose(scores.log_loss(p, truth)[:, 0], [-np.log(0.7), -np.log(scores.MIN_PROBABILITY)])
     np.testing.assert_allclose(scores.brier(p, truth)[:, 0], [0.3**2 + 0.2**2 + 0.1**2, 2])
 
 
 def test_losses_are_proper():
-    p, truth = calibrated(4, 4000)
+    p, truth = calibrated_forecaster(4, 4000)
     bold, shy = (q / q.sum(-1, keepdims=True) for q in (p**2, p**0.5))
     for loss in (scores.log_loss, scores.brier):
         here = loss(p, truth)
         for other in (bold, shy):
-            assert scores.student((loss(other, truth) - here).mean(1)).low > 0
-
-
-# --- conformal sets ---
-
-
-def test_the_temper_of_beliefs_that_count_touches_twice_is_found():
-    """Right beliefs about normal readings, made too sure by a known temperature."""
-    rng = np.random.default_rng(0)
-    episodes, touches, classes = 4000, 6, 3
-    truth = rng.integers(classes, size=episodes)
-    logs = rng.normal(size=(episodes, touches, classes))
-    logs[np.arange(episodes), :, truth] += 1  # log likelihoods of unit normal readings, one of each class
-    right = np.cumsum(logs, axis=1)
-    for wanted in (Temper(1.0, 0.0), Temper(1.5, 0.2)):
-        t = np.arange(1, touches + 1)
-        sure = right * (wanted.first * (1 + wanted.growth * (t - 1)))[None, :, None]
-        p = np.exp(sure - logsumexp(sure, axis=-1, keepdims=True))
-        found = scores.fit_temper(p, truth)
-        assert found.first == pytest.approx(wanted.first, abs=0.06)
-        assert found.growth == pytest.approx(wanted.growth, abs=0.03)
-        at = np.broadcast_to(t, p.shape[:2]).astype(np.float32)
-        sober = np.asarray(tempered(jnp.float32(p), jnp.asarray(at), found))
-        assert (sober.argmax(-1) == p.argmax(-1)).mean() > 0.9999
-        assert scores.log_loss(sober.astype(np.float64), truth).mean() <= scores.log_loss(p, truth).mean() + 1e-4
-
-
-def test_sets_by_hand():
-    # Nine validation episodes whose truth is the second of two classes at 0.75: scores are 0.25 u below 1, all in
-    # (0.75, 1), and of ten ranks the ninth is the largest of them.
-    p = np.tile([0.75, 0.25], (9, 1, 1))
-    found = scores.conformal(p, np.ones(9, int), p, np.zeros(9, int), level=0.9)
-    assert 0.75 < found.threshold[0] < 1
-    np.testing.assert_array_equal(found.coverage.mean, 1)  # the first class, at most 0.75, is in every set
-    fewer = scores.conformal(p[:8], np.ones(8, int), p, np.zeros(9, int), level=0.9)
-    assert np.isinf(fewer.threshold[0])  # nine ranks cannot promise 90 %
-    np.testing.assert_array_equal(fewer.size.mean, 2)
-
-
-@pytest.mark.parametrize("power", [0.4, 1, 3])
-def test_sets_cover_what_they_promise_however_wrong_the_beliefs(power):
-    p, truth = calibrated(5, 8000)
-    q = p**power / (p**power).sum(-1, keepdims=True)
-    found = scores.conformal(q[:4000], truth[:4000], q[4000:], truth[4000:])
-    # Threshold and coverage each vary by sqrt(0.09 / 4000) = 0.5 points.
-    assert np.abs(found.coverage.mean - 0.9).max() < 0.02
-    assert (np.diff(found.size.mean) < 0).all()  # touches tell
-    assert (found.size.mean < 0.9 * 5).all()  # 0.9 of all classes is what no knowledge needs
-
-
-def test_sets_of_beliefs_that_know_nothing_are_as_large_as_they_must_be():
-    truth = np.random.default_rng(6).integers(0, 4, 6000)
-    p = np.full((6000, 1, 4), 0.25)
-    found = scores.conformal(p[:3000], truth[:3000], p[3000:], truth[3000:])
-    assert found.coverage.mean == pytest.approx(0.9, abs=0.025)
-    assert found.size.mean == pytest.approx(0.9 * 4, abs=0.1)
+            assert scores.student_interval((loss(other, truth) - here).mean(1)).low > 0
 
 
 # --- stopping ---
@@ -249,48 +173,50 @@ def test_sets_of_beliefs_that_know_nothing_are_as_large_as_they_must_be():
 def test_stopping_by_hand():
     p = np.array([[0.6, 0.96, 0.5], [0.7, 0.8, 0.9], [0.99, 0.2, 0.2], [0.5, 0.5, 0.5]])
     p = np.stack([p, 1 - p], -1)
-    np.testing.assert_array_equal(scores.sure_at(p), [2, np.inf, 1, np.inf])
+    np.testing.assert_array_equal(scores.confident_at(p), [2, np.inf, 1, np.inf])
     found = scores.stopping(p, np.array([0, 1, 1, 0]), 0.05)
     # Decided at touches 2, 3, 1, 3 with 0.96, 0.9, 0.99 and a tie: right, wrong, wrong, half right.
     assert found.error.mean == pytest.approx(2.5 / 4)
-    assert found.promised == pytest.approx((0.04 + 0.1 + 0.01 + 0.5) / 4)
+    assert found.predicted_error == pytest.approx((0.04 + 0.1 + 0.01 + 0.5) / 4)
     assert found.stopped.mean == 0.5
     assert found.stopped_error.mean == 0.5
-    assert found.stopped_promised == pytest.approx(0.025)
+    assert found.stopped_predicted_error == pytest.approx(0.025)
     assert found.touches.mean == 9 / 4
     never = scores.stopping(p[3:], np.array([0]), 0.01)
-    assert np.isnan(never.stopped_promised)
+    assert np.isnan(never.stopped_predicted_error)
     assert np.isnan(never.stopped_error.mean)
 
 
 @pytest.mark.parametrize("error", [0.1, 0.3])
 def test_a_calibrated_forecaster_stops_with_the_error_it_promises(error):
-    p, truth = calibrated(7, 20000, touches=8)
+    p, truth = calibrated_forecaster(7, 20000, touches=8)
     found = scores.stopping(p, truth, error)
     four_sigma = 4 * np.sqrt(0.25 / (20000 * found.stopped.mean))
-    assert abs(found.error.mean - found.promised) < four_sigma
-    assert abs(found.stopped_error.mean - found.stopped_promised) < four_sigma
-    assert found.stopped_promised < error
+    assert abs(found.error.mean - found.predicted_error) < four_sigma
+    assert abs(found.stopped_error.mean - found.stopped_predicted_error) < four_sigma
+    assert found.stopped_predicted_error < error
     bold = p**2 / (p**2).sum(-1, keepdims=True)
     hasty = scores.stopping(bold, truth, error)
-    assert hasty.stopped_error.low > hasty.stopped_promised
+    assert hasty.stopped_error.low > hasty.stopped_predicted_error
 
 
-def test_touches_until_sure_by_hand():
+def test_touches_to_confidence_by_hand():
     first = np.array([1, 2, 2, 3, np.inf])
-    found = scores.until(first, 4)
+    found = scores.touches_to_confidence(first, 4)
     assert found.mean.mean == pytest.approx((1 + 2 + 2 + 3 + 4) / 5)
     assert found.median.mean == 2
     assert found.never.mean == 0.2
-    np.testing.assert_allclose(scores.unsure(first, 4).mean, [1, 0.8, 0.4, 0.2, 0.2])
-    assert np.isinf(scores.until(np.array([1, 2, np.inf, np.inf, np.inf]), 4).median.mean)
+    np.testing.assert_allclose(scores.not_yet_confident(first, 4).mean, [1, 0.8, 0.4, 0.2, 0.2])
+    assert np.isinf(scores.touches_to_confidence(np.array([1, 2, np.inf, np.inf, np.inf]), 4).median.mean)
 
 
 def test_the_interval_of_the_median_covers_it():
     rng = np.random.default_rng(8)
     inside = [
         low <= 7 <= high
-        for _, low, high in (scores.until(rng.geometric(0.1, 60).astype(float), 50).median for _ in range(400))
+        for _, low, high in (
+            scores.touches_to_confidence(rng.geometric(0.1, 60).astype(float), 50).median for _ in range(400)
+        )
     ]  # 1 - 0.9^7 is the first above one half
     assert np.mean(inside) > 0.95 - 3 * np.sqrt(0.05 * 0.95 / 400)
 
@@ -298,11 +224,11 @@ def test_the_interval_of_the_median_covers_it():
 def test_the_share_of_touches_saved():
     rng = np.random.default_rng(9)
     other = rng.integers(4, 12, 300).astype(float)
-    exact = scores.saved(other / 2, other, 20)
+    exact = scores.touches_saved(other / 2, other, 20)
     np.testing.assert_allclose(exact, 0.5)  # the same in every pair, so the interval is a point
     # The limit on touches hides savings: 5 against 10, seen up to 8.
-    np.testing.assert_allclose(scores.saved(np.full(9, 5.0), np.full(9, np.inf), 8), 3 / 8)
-    noisy = scores.saved(other * rng.uniform(0.4, 1, 300), other, 20)
+    np.testing.assert_allclose(scores.touches_saved(np.full(9, 5.0), np.full(9, np.inf), 8), 3 / 8)
+    noisy = scores.touches_saved(other * rng.uniform(0.4, 1, 300), other, 20)
     ratio = np.sqrt(0.6**2 / 12 * (other**2).mean() / other.mean() ** 2 / 300)  # delta method, pairs
     assert noisy.low < 0.3 < noisy.high
     np.testing.assert_allclose(noisy.high - noisy.low, 2 * 1.96 * ratio, rtol=0.2)
@@ -311,57 +237,38 @@ def test_the_share_of_touches_saved():
 # --- unknown objects ---
 
 
-def test_none_is_a_class():
+def test_the_unknown_class_is_the_last():
     p = np.array([[[0.3, 0.2]], [[0.1, 0.1]]])
-    joined, truth = scores.with_none(p, np.array([[0.5], [0.8]]), np.array([0, -1]))
+    joined, truth = scores.with_unknown_class(p, np.array([[0.5], [0.8]]), np.array([0, -1]))
     np.testing.assert_array_equal(truth, [0, 2])
     np.testing.assert_array_equal(scores.hits(joined, truth), [[0], [1]])
-    with pytest.raises(ValueError, match="with_none"):
+    with pytest.raises(ValueError, match="with_unknown_class"):
         scores.hits(p, np.array([0, -1]))
     with pytest.raises(ValueError, match="must be"):
-        scores.hits(p[0], np.array([0, 1]))
+        scores.of_truth(p[0], np.array([0, 1]))
 
 
 def test_another_prior_is_bayes_rule():
     p, none = np.array([[[0.3, 0.2]]]), np.array([[0.5]])
-    q, other = scores.with_prior(p, none, 0.2, 0.5)  # odds 1/4 to 1: four times as likely
+    q, other = scores.with_unknown_prior(p, none, 0.2, 0.5)  # odds 1/4 to 1: four times as likely
     np.testing.assert_allclose(np.append(q, other), np.array([0.3, 0.2, 2.0]) / 2.5)
-    back = scores.with_prior(q, other, 0.5, 0.2)
+    back = scores.with_unknown_prior(q, other, 0.5, 0.2)
     np.testing.assert_allclose(np.append(*back), [0.3, 0.2, 0.5])
-    closed, nothing = scores.with_prior(np.array([[0.0, 0.0]]), np.array([1.0]), 0.5, 0)
+    closed, nothing = scores.with_unknown_prior(np.array([[0.0, 0.0]]), np.array([1.0]), 0.5, 0)
     np.testing.assert_array_equal(np.append(closed, nothing), [0.5, 0.5, 0])
-
-
-def test_odds_that_are_read_wrongly_are_put_right():
-    """Odds of normal signals about -1 and 1 (log odds 2x), told with a wrong slope and offset."""
-    rng = np.random.default_rng(1)
-    unknown = rng.random(4000) < 0.5
-    x = rng.normal(size=(4000, 3)) + np.where(unknown, 1, -1)[:, None]
-    odds = scores.fit_odds(expit(0.5 * 2 * x + 1.5), unknown)
-    assert odds.slope == pytest.approx(2, rel=0.08)  # 12 000 signals: 2 % each way is one standard error
-    assert odds.offset == pytest.approx(-3, rel=0.08)
-    assert odds.growth < 0.1
-    surer = scores.fit_odds(expit(2 * x * (1 + 0.5 * np.arange(3))), unknown)  # with every touch
-    np.testing.assert_allclose(surer, [0, 1, 0.5], atol=0.1)
-    p = rng.dirichlet(np.ones(4), (4000, 3))
-    named, none = scores.with_odds(0.3 * p, np.full((4000, 3), 0.7), scores.Odds(0.0, 1.0))
-    np.testing.assert_allclose(none, 0.7, rtol=1e-12)
-    np.testing.assert_allclose(named, 0.3 * p, rtol=1e-9)
-    nothing, _ = scores.with_odds(np.zeros((1, 1, 4)), np.ones((1, 1)), scores.Odds(-3.0, 1.0))
-    np.testing.assert_allclose(nothing, nothing[0, 0, 0])  # knows none from another
 
 
 def test_open_set_by_hand():
     p = np.array([[[0.6, 0.1]], [[0.3, 0.2]], [[0.1, 0.5]], [[0.1, 0.1]], [[0.5, 0.1]]])
     none = 1 - p.sum(-1)  # .3 .5 .4 .8 .4
     truth = np.array([0, 0, 1, -1, -1])
-    half = scores.open_set(p, none, truth, 0.5)
+    half = scores.open_set_accuracy(p, none, truth, 0.5)
     assert (half.known.mean[0], half.unknown.mean[0]) == (2 / 3, 1 / 2)
     assert half.overall.mean[0] == pytest.approx(7 / 12)
     assert half.overall.low[0] < 7 / 12 < half.overall.high[0]
     wide = half.known.high[0] - half.known.low[0]
     assert 0.5 * wide < half.overall.high[0] - half.overall.low[0] < wide
-    closed = scores.open_set(p, none, truth, 0, prior=0.5)
+    closed = scores.open_set_accuracy(p, none, truth, 0, prior=0.5)
     np.testing.assert_allclose(closed.overall, closed.known)
     assert closed.known.mean[0] == 1  # without none of these all three are told
     assert closed.unknown.mean[0] == 0

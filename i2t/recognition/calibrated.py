@@ -1,0 +1,176 @@
+"""Calibrated beliefs: temperature scaling, Platt calibration of the unknown class, and conformal prediction sets.
+
+Errors of a pad model or of an object's pose are shared by all touches of an episode, but a belief treats touches as
+independent, and grows more confident than it is right. Both calibrations therefore soften a belief the more, the more
+touches it has seen; their parameters are fitted on validation episodes. Shapes are those of `i2t.recognition.metrics`.
+
+Sources: temperature scaling, Guo et al. (ICML 2017); logit calibration, Platt (Advances in Large Margin Classifiers,
+1999); adaptive prediction sets, Romano, Sesia and Candès (NeurIPS 2020).
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import optimize
+from scipy.special import expit, logit, logsumexp
+
+from i2t.recognition import belief
+from i2t.recognition.belief import TEMPERATURE_SCALING, TemperatureScaling
+from i2t.recognition.metrics import MIN_PROBABILITY, Estimate, of_truth, student_interval, wilson_interval
+from i2t.types import Array
+
+# --- temperature scaling of the objects ---
+
+
+def fit_temperature(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> TemperatureScaling:
+    """The temperature with which these beliefs would have had the least log loss over all touches.
+
+    Args:
+        p: Beliefs of validation episodes.
+        truth: Classes that were there.
+
+    Returns:
+        The temperature as a function of the number of touches.
+    """
+    touches = np.arange(1, p.shape[1] + 1, dtype=np.float64)
+    logs = np.log(np.maximum(np.asarray(p, np.float64), belief.MIN_PROBABILITY))
+
+    def loss(x: np.ndarray) -> float:
+        scaled = logs / TemperatureScaling(np.exp(x[0]), np.exp(x[1])).temperature(touches)[None, :, None]
+        right = np.take_along_axis(scaled, np.asarray(truth)[:, None, None], -1)[..., 0]
+        return float(np.mean(logsumexp(scaled, axis=-1) - right))
+
+    found = optimize.minimize(loss, (0.0, np.log(0.05)), method="Nelder-Mead", bounds=((-2.0, 2.0), (-12.0, 1.0)))
+    return TemperatureScaling(float(np.exp(found.x[0])), float(np.exp(found.x[1])))
+
+
+def calibrated_beliefs(
+    p: Float[Array, "e t c"], temperature: TemperatureScaling = TEMPERATURE_SCALING
+) -> Float[Array, "e t c"]:
+    """Beliefs of whole episodes after temperature scaling; the order of the classes stays.
+
+    Args:
+        p: Beliefs.
+        temperature: As fitted.
+    """
+    touches = np.broadcast_to(np.arange(1, p.shape[1] + 1, dtype=np.float32), p.shape[:2])
+    return np.asarray(belief.apply_temperature(jnp.asarray(p), jnp.asarray(touches), temperature), np.float64)
+
+
+# --- Platt calibration of the unknown class ---
+
+
+class PlattScaling(NamedTuple):
+    """Logit calibration of the unknown class: its log odds after t touches become `offset` plus themselves times
+    `slope` / (1 + `growth` (t - 1)).
+    """
+
+    offset: float
+    slope: float
+    growth: float = 0.0
+
+    def apply(self, p_unknown: Float[Array, "*shape"], touches: Array | float) -> Float[Array, "*shape"]:
+        """Calibrated probabilities.
+
+        Args:
+            p_unknown: Probability of the unknown class.
+            touches: How many each belief has seen, broadcast against it.
+        """
+        return expit(self.offset + self.slope / (1 + self.growth * (touches - 1)) * _log_odds(p_unknown))
+
+
+def fit_platt(p_unknown: Float[Array, "e t"], unknown: Bool[Array, " e"]) -> PlattScaling:
+    """The calibration of the unknown class with the least log loss over all touches.
+
+    Args:
+        p_unknown: Probability of the unknown class in validation episodes.
+        unknown: Whether the object was unknown.
+    """
+    log_odds, touches = _log_odds(p_unknown), np.arange(1, np.shape(p_unknown)[1] + 1)
+    sign = np.where(np.asarray(unknown, bool), 1.0, -1.0)[:, None]
+
+    def loss(x: np.ndarray) -> float:
+        return float(np.mean(np.logaddexp(0, -sign * (x[0] + x[1] / (1 + x[2] * (touches - 1)) * log_odds))))
+
+    bounds = (-20.0, 20.0), (0.01, 10.0), (0.0, 10.0)
+    found = optimize.minimize(loss, (0.0, 1.0, 0.0), method="Nelder-Mead", bounds=bounds)
+    return PlattScaling(*(float(x) for x in found.x))
+
+
+def apply_platt(
+    p: Float[Array, "e t objects"], p_unknown: Float[Array, "e t"], scaling: PlattScaling
+) -> tuple[Float[Array, "e t objects"], Float[Array, "e t"]]:
+    """Beliefs whose unknown class is calibrated; the objects keep their shares of the rest.
+
+    Args:
+        p: Probabilities of the known objects.
+        p_unknown: Probability of the unknown class.
+        scaling: As fitted.
+
+    Returns:
+        Both, calibrated.
+    """
+    read = scaling.apply(p_unknown, np.arange(1, np.shape(p_unknown)[1] + 1))
+    p = np.asarray(p, np.float64)
+    total = p.sum(-1, keepdims=True)
+    share = np.where(total > 0, p / np.where(total > 0, total, 1), 1 / p.shape[-1])
+    return share * (1 - read)[..., None], read
+
+
+def _log_odds(p: Array) -> np.ndarray:
+    """Log odds, clipped to what single precision can tell."""
+    return logit(np.clip(np.asarray(p, np.float64), MIN_PROBABILITY, 1 - MIN_PROBABILITY))
+
+
+# --- conformal sets ---
+
+
+class ConformalSets(NamedTuple):
+    """Sets of classes that contain the truth with a given probability, after each touch."""
+
+    threshold: np.ndarray  # (t,)
+    coverage: Estimate  # (t,)
+    size: Estimate  # (t,)
+
+
+def conformal_sets(
+    p_validation: Float[Array, "v t c"],
+    truth_validation: Int[Array, " v"],
+    p: Float[Array, "e t c"],
+    truth: Int[Array, " e"],
+    *,
+    level: float = 0.9,
+    seed: int = 0,
+) -> ConformalSets:
+    """Randomised adaptive prediction sets, with thresholds from validation episodes, judged on others.
+
+    Their coverage is exact in expectation however wrong the beliefs are, at the price of empty sets where beliefs are
+    more confident than `level`.
+
+    Args:
+        p_validation: Beliefs of validation episodes.
+        truth_validation: Classes that were there.
+        p: Beliefs to make sets of.
+        truth: Classes that were there.
+        level: Coverage asked for.
+        seed: Of the randomisation.
+    """
+    rng = np.random.default_rng(seed)
+    scores = np.sort(of_truth(_cumulative_masses(p_validation, rng), truth_validation), axis=0)
+    rank = int(np.ceil((len(scores) + 1) * level))
+    threshold = scores[rank - 1] if rank <= len(scores) else np.full(scores.shape[1], np.inf)
+    sets = _cumulative_masses(p, rng) <= threshold[None, :, None]
+    return ConformalSets(threshold, wilson_interval(of_truth(sets, truth)), student_interval(sets.sum(-1)))
+
+
+def _cumulative_masses(p: Array, rng: np.random.Generator) -> np.ndarray:
+    """Probability of the classes above each, plus a random part, the same for all, of its own; equal ones in random
+    order.
+    """
+    p = np.asarray(p, np.float64)
+    order = np.lexsort((rng.random(p.shape), -p), axis=-1)
+    ranked = np.take_along_axis(p, order, -1)
+    mass = np.cumsum(ranked, -1) - ranked * rng.random((*p.shape[:-1], 1))
+    return np.take_along_axis(mass, np.argsort(order, -1), -1)
