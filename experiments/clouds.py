@@ -24,7 +24,7 @@ from experiments.common.runs import settings, write_json
 from i2t.objects import catalogue
 from i2t.objects.point_clouds import suggest_radius, surface_from_points
 from i2t.rendering.ops import element
-from i2t.rendering.render import prepare, render_patch, stack
+from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
 from i2t.simulation.sites import collect_sites
 from i2t.types import REACH
 
@@ -60,16 +60,16 @@ class Row(NamedTuple):
 
 def main(args: Args) -> list[Row]:
     """Measure every combination, print the table and write it down."""
-    meshes = [catalogue.make(name).mesh for name in args.shapes]
+    meshes = [catalogue.make_object(name).mesh for name in args.shapes]
     variants = [(spacing, noise) for spacing in args.spacings for noise in args.noises]
     clouds = [sample(mesh, *variant, args.seed) for mesh in meshes for variant in variants]
     radii = [suggest_radius(points) for points, _ in clouds]
     disks = [surface_from_points(points, radius, side) for (points, side), radius in zip(clouds, radii, strict=True)]
-    surfaces = stack([prepare(mesh) for mesh in [*meshes, *disks]])  # one size class: one compilation
+    surfaces = stack_surfaces([prepare_surface(mesh) for mesh in [*meshes, *disks]])  # one size class: one compilation
     look = jax.jit(jax.vmap(render_patch, (None, 0)))
     rows = []
     for i, (name, mesh) in enumerate(zip(args.shapes, meshes, strict=True)):
-        poses = collect_sites(jax.random.key(args.seed + i), prepare(mesh), args.sites, name=name)
+        poses = collect_sites(jax.random.key(args.seed + i), prepare_surface(mesh), args.sites, name=name)
         true = jax.device_get(look(element(surfaces, i), poses))
         for j, (spacing, noise) in enumerate(variants):
             k = i * len(variants) + j

@@ -28,13 +28,13 @@ from PIL import Image
 
 from experiments.common.runs import settings, write_json
 from i2t.depth.camera import Camera, Encoding, read_depth
-from i2t.depth.distortion import lines_of_sight
+from i2t.depth.distortion import pixel_rays
 from i2t.depth.patches import DepthPatch, patch_from_depth
 from i2t.geometry import contact_frame
-from i2t.objects.catalogue import load
+from i2t.objects.catalogue import load_mesh
 from i2t.objects.solids import Mesh
 from i2t.prediction.metrics import grouped_interval
-from i2t.rendering.render import prepare, render_patch
+from i2t.rendering.render import prepare_surface, render_patch
 from i2t.types import PATCH_WINDOW, REACH, STANDOFF, Patch, Surface
 from i2t.viz import touches
 
@@ -97,10 +97,10 @@ def main(cfg: RealFrames) -> dict[str, Any]:
     cfg.out.mkdir(parents=True, exist_ok=True)
     objects: dict[str, Any] = {}
     for thing in THINGS:
-        mesh = load(cfg.data / "ycb_meshes" / f"{thing.name}.stl", "m", table=False)[0].mesh
+        mesh = load_mesh(cfg.data / "ycb_meshes" / f"{thing.name}.stl", "m", table=False)[0].mesh
         camera, depths, labels, T_c_o = frames(cfg.data / "ycbvideo", thing)
         T_o_t = places(cfg, thing, mesh, camera, depths, labels, T_c_o)
-        surface = prepare(mesh)
+        surface = prepare_surface(mesh)
         by_window = {window: compare(cfg, surface, camera, depths, T_c_o, T_o_t, window) for window in cfg.windows}
         objects[thing.name] = {f"{1e3 * window:g} mm": summary(part) for window, part in by_window.items()}
         touches.save(figure(thing.name, by_window), cfg.out / f"{thing.name}.png")
@@ -178,7 +178,7 @@ def compare(
     once = jax.device_get(draw(surface, T_o_t))
     imagined = Patch(*(np.broadcast_to(field, (len(depths), *field.shape)) for field in once))
     # Which pixels are compared is decided by the imagined depth alone: by the real one, its noise would be cut off.
-    both = (imagined.depth < reach) & real.seen & (real.patch.depth < reach + cfg.slack)
+    both = (imagined.depth < reach) & real.valid_mask & (real.patch.depth < reach + cfg.slack)
     difference = np.where(both, heights(real.patch) - heights(imagined), np.nan)
     enough = np.isfinite(difference).mean((2, 3)) >= cfg.least
     bias = np.full(enough.shape, np.nan)
@@ -210,8 +210,8 @@ def summary(part: Compared) -> dict[str, Any]:
         "bias_quartiles_mm": [1e3 * float(q) for q in np.percentile(bias, [25, 75])],
         "over_5_mm": float(np.mean(np.abs(rest[np.isfinite(rest)]) > 5e-3)),
         "compared": float(np.mean(np.isfinite(rest))),
-        "seen": float(part.real.seen.mean()),
-        "filled": float(part.real.filled.mean()),
+        "seen": float(part.real.valid_mask.mean()),
+        "filled": float(part.real.inpainted_mask.mean()),
     }
 
 
@@ -227,7 +227,7 @@ def figure(name: str, by_window: dict[float, Compared], count: int = 4) -> Figur
         for half, window in enumerate(windows):
             part, reach = by_window[window], REACH * window / PATCH_WINDOW
             near = part.imagined.nearest[0, site] + part.bias[0, site]
-            known = part.real.seen[0, site] | part.real.filled[0, site]
+            known = part.real.valid_mask[0, site] | part.real.inpainted_mask[0, site]
             real = np.clip(heights(part.real.patch)[0, site] - near, 0, reach)
             left, middle, right = row[3 * half : 3 * half + 3]
             image = draw(left, np.where(known, real, np.nan), window, reach)
@@ -269,7 +269,7 @@ def draw(axes: Axes, patch: np.ndarray, window: float, reach: float):
 def show_f200(cfg: RealFrames, name: str, count: int = 5) -> dict[str, Any]:
     """Cut patches from a frame without poses, along normals of planes through what is around a pixel, and draw them."""
     depth = read_depth(cfg.data / "apc_depth" / f"{name}.depth.png", UNIT, Encoding.ROTATED)
-    x, y = np.asarray(lines_of_sight(F200))
+    x, y = np.asarray(pixel_rays(F200))
     points = np.stack([x * depth, y * depth, depth], -1)
     rng = np.random.default_rng(cfg.seed)
     pixels, frames_at = [], []
@@ -298,10 +298,10 @@ def show_f200(cfg: RealFrames, name: str, count: int = 5) -> dict[str, Any]:
     return {
         "measured": float(np.isfinite(depth).mean()),
         "depth_quartiles_m": [float(q) for q in np.nanpercentile(depth, [25, 50, 75])],
-        "seen": [float(share) for share in patches.seen.mean((1, 2))],
-        "filled": [float(share) for share in patches.filled.mean((1, 2))],
+        "seen": [float(share) for share in patches.valid_mask.mean((1, 2))],
+        "filled": [float(share) for share in patches.inpainted_mask.mean((1, 2))],
         "relief_mm": [1e3 * float(np.ptp(np.percentile(d[s], [5, 95]))) if s.any() else None
-                      for d, s in zip(patches.patch.depth, patches.seen, strict=True)],
+                      for d, s in zip(patches.patch.depth, patches.valid_mask, strict=True)],
     }  # fmt: skip
 
 
@@ -317,7 +317,7 @@ def figure_f200(name: str, depth: np.ndarray, pixels: list[tuple[int, int]], pat
     for i, (column, row) in enumerate(pixels):
         axes[0].plot(column, row, "o", color=touches.RED, ms=4)
         axes[0].annotate(str(i), (column, row), color=touches.RED, xytext=(4, 4), textcoords="offset points")
-        known = patches.seen[i] | patches.filled[i]
+        known = patches.valid_mask[i] | patches.inpainted_mask[i]
         image = draw(axes[i + 1], np.where(known, patches.patch.depth[i], np.nan), PATCH_WINDOW, REACH)
         axes[i + 1].set_title(f"real, place {i}", fontsize=9)
         axes[i + 1].set_xlabel("tool x (mm)")

@@ -35,11 +35,18 @@ from tqdm import tqdm
 
 from experiments.common.runs import settings, write_json
 from i2t.objects import catalogue as objects
-from i2t.registration.patch import Refinement, information, observable, refine, resolvable, search
+from i2t.registration.patch import (
+    PatchRegistrationConfig,
+    observable_directions,
+    pose_information,
+    refine_pose,
+    refine_pose_multistart,
+    resolvable_eigenvalue,
+)
 from i2t.rendering.ops import element
-from i2t.rendering.render import prepare, render_patch, stack
+from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
 from i2t.simulation.sites import collect_sites
-from i2t.types import TWIST_LEVER_M, PATCH_PIXELS, PATCH_WINDOW, REACH, Patch, Surface
+from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, TWIST_LEVER_M, Patch, Surface
 from i2t.viz import touches
 
 MILLI = 1e3
@@ -85,9 +92,11 @@ def main(args: Args) -> dict:
     things = catalogue(args)
     each = -(-args.cases // len(things))
     key_sites, key_noise, key_search = jax.random.split(jax.random.key(args.seed), 3)
-    surfaces = stack([prepare(thing.mesh) for thing in things])
+    surfaces = stack_surfaces([prepare_surface(thing.mesh) for thing in things])
     cases = draw_cases(key_sites, things, surfaces, each, args)
-    bound = resolvable(args.noise, min(args.close, np.radians(args.close_angle) * TWIST_LEVER_M), PATCH_PIXELS)
+    bound = resolvable_eigenvalue(
+        args.noise, min(args.close, np.radians(args.close_angle) * TWIST_LEVER_M), PATCH_PIXELS
+    )
 
     looks = jax.jit(jax.vmap(render_patch, (None, 0)))
     clean = [jax.device_get(looks(element(surfaces, i), poses)) for i, poses in enumerate(cases.true)]
@@ -95,15 +104,15 @@ def main(args: Args) -> dict:
         jax.device_get(jax.vmap(add_noise, (0, 0, None))(jax.random.split(key, each), patch, args.noise))
         for key, patch in zip(jax.random.split(key_noise, len(things)), clean, strict=True)
     ]
-    precise = Refinement()
+    precise = PatchRegistrationConfig()
     careful = replace(precise, fine=max(precise.fine, 3 * args.noise))  # the loss takes noise for noise
     spread = args.distance / 3**0.5, np.radians(args.angle) / 3**0.5  # per axis
 
     def single(key, surface, observed, T_w_t, how):
-        return refine(surface, observed, T_w_t, how)
+        return refine_pose(surface, observed, T_w_t, how)
 
     def several(key, surface, observed, T_w_t, how):
-        return search(key, surface, observed, T_w_t, *spread, how, starts=args.starts)
+        return refine_pose_multistart(key, surface, observed, T_w_t, *spread, how, starts=args.starts)
 
     camera = f"noise {args.noise * MILLI:g} mm"
     methods = {
@@ -125,7 +134,7 @@ def main(args: Args) -> dict:
         ]
         found[name] = np.stack(poses)
         metrics[name] = judge(found[name], cases, bound, things, args)
-    told = np.asarray(observable(cases.eigenvalues, bound))
+    told = np.asarray(observable_directions(cases.eigenvalues, bound))
     report = {
         "source": "simulated",
         "cases": told[..., 0].size,
@@ -152,13 +161,13 @@ def main(args: Args) -> dict:
 
 def catalogue(args: Args) -> list[objects.Object]:
     """Named objects first, then random ones, then the meshes of a folder."""
-    named = [objects.make(name) for name in objects.NAMES[: args.objects]]
+    named = [objects.make_object(name) for name in objects.NAMES[: args.objects]]
     things = named + [objects.random_object(seed) for seed in range(args.objects - len(named))]
     if args.data is not None:
         files = sorted(args.data.glob("*.stl"))
         if not files:
             raise ValueError(f"{args.data}: holds no STL file; give --data a folder of meshes in metres")
-        things += [objects.Object(file.stem, objects.load(file, "m")[0].mesh, "file") for file in files]
+        things += [objects.Object(file.stem, objects.load_mesh(file, "m")[0].mesh, "file") for file in files]
     return things
 
 
@@ -175,7 +184,7 @@ def draw_cases(key: jax.Array, things: Sequence[objects.Object], surfaces: Surfa
     motion[..., :3, 3] = args.distance * along / np.linalg.norm(along, axis=-1, keepdims=True)
     turn = np.radians(args.angle) * axis / np.linalg.norm(axis, axis=-1, keepdims=True)
     motion[..., :3, :3] = Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix().reshape(*true.shape[:2], 3, 3)
-    look = jax.jit(jax.vmap(partial(information, pixels=PATCH_PIXELS), (None, 0)))
+    look = jax.jit(jax.vmap(partial(pose_information, pixels=PATCH_PIXELS), (None, 0)))
     values, directions = zip(*(look(element(surfaces, i), poses[i]) for i in range(len(things))), strict=True)
     start = (true @ motion).astype(np.float32)
     return Cases(true, start, np.stack(values), np.stack(directions))

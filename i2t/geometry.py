@@ -22,7 +22,7 @@ def transform(rotation: Float[Array, "3 3"], translation: Float[Array, "3"]) -> 
 
 
 @full_precision
-def invert(T_a_b: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
+def inverse(T_a_b: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
     """T_b_a of a rigid T_a_b."""
     R_b_a = T_a_b[:3, :3].T
     return transform(R_b_a, -R_b_a @ T_a_b[:3, 3])
@@ -43,7 +43,7 @@ def is_rigid(T_a_b: Float[Array, "4 4"]) -> Bool[Array, ""]:
 
 
 @full_precision
-def rotation(rotvec: Float[Array, "3"]) -> Float[Array, "3 3"]:
+def so3_exp(rotvec: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """Rotation matrix of a rotation vector (axis times angle, radians)."""
     square = rotvec @ rotvec
     small = square < 1e-8
@@ -79,11 +79,11 @@ def contact_frame(
     turn = jnp.eye(3) + cross + scale * cross @ cross
     turn = jnp.where(upright, jnp.diag(jnp.array([1.0, -1.0, -1.0])), turn)
     down = jnp.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]])  # R_w_t of the tool pointing straight down
-    about_z = rotation(jnp.stack([0.0 * c, 0.0 * c, jnp.asarray(spin, c.dtype)]))
+    about_z = so3_exp(jnp.stack([0.0 * c, 0.0 * c, jnp.asarray(spin, c.dtype)]))
     return transform(turn @ down @ about_z, point)
 
 
 def random_motion(key: Key[Array, ""], distance: float | Array, angle: float | Array) -> Float[Array, "4 4"]:
     """A small rigid motion: normal with standard deviation `distance` (m) and `angle` (rad) on each axis."""
     drawn = jax.random.normal(key, (6,))  # one draw: XLA compiles each for half a second
-    return transform(rotation(angle * drawn[3:]), distance * drawn[:3])
+    return transform(so3_exp(angle * drawn[3:]), distance * drawn[:3])

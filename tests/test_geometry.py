@@ -20,11 +20,11 @@ vectors = st.lists(st.floats(-3, 3, width=32), min_size=3, max_size=3).map(np.ar
 @given(vectors)
 def test_rotation_equals_scipy(rotvec):
     expected = Rotation.from_rotvec(rotvec).as_matrix()
-    np.testing.assert_allclose(geometry.rotation(jnp.float32(rotvec)), expected, atol=ROUNDING)
+    np.testing.assert_allclose(geometry.so3_exp(jnp.float32(rotvec)), expected, atol=ROUNDING)
 
 
 def test_rotation_gradient_is_finite_and_right_at_zero():
-    jacobian = jax.jacfwd(geometry.rotation)(jnp.zeros(3))
+    jacobian = jax.jacfwd(geometry.so3_exp)(jnp.zeros(3))
     generators = np.zeros((3, 3, 3))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # d R_kj / d r_i = +1 and its mirror
         generators[k, j, i], generators[j, k, i] = 1, -1
@@ -34,8 +34,8 @@ def test_rotation_gradient_is_finite_and_right_at_zero():
 @settings(max_examples=25, deadline=None)
 @given(vectors, vectors, vectors)
 def test_inverse_undoes(rotvec, translation, point):
-    T = geometry.transform(geometry.rotation(jnp.float32(rotvec)), jnp.float32(translation))
-    back = geometry.apply(geometry.invert(T), geometry.apply(T, jnp.float32(point)))
+    T = geometry.transform(geometry.so3_exp(jnp.float32(rotvec)), jnp.float32(translation))
+    back = geometry.apply(geometry.inverse(T), geometry.apply(T, jnp.float32(point)))
     np.testing.assert_allclose(back, point, atol=10 * ROUNDING)
 
 
@@ -72,7 +72,7 @@ def test_products_of_poses_keep_all_digits_on_every_device():
     """An accelerator rounds the factors of a product that does not ask for more."""
     pose = geometry.transform(jnp.eye(3), jnp.arange(3.0))
     for work in (
-        geometry.invert,
+        geometry.inverse,
         lambda T: geometry.apply(T, T[:3, :3]),
         lambda T: geometry.contact_frame(T[0, :3], T[1, :3]),
     ):

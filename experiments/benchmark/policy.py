@@ -16,8 +16,8 @@ import numpy as np
 from experiments.benchmark.timing import Row, compare, in_turns
 from i2t.objects import catalogue
 from i2t.recognition import belief, outcomes, policy
-from i2t.recognition.outcomes import LOADS, Outcome
-from i2t.rendering.render import prepare
+from i2t.recognition.outcomes import LOADS, PredictedTouch
+from i2t.rendering.render import prepare_surface
 from i2t.simulation.press import PressLimits
 from i2t.simulation.sites import RECOGNITION, collect_sites
 
@@ -37,7 +37,7 @@ def section(setup: Policy, turns: int) -> list[Row]:
     rng = np.random.default_rng(0)
     shape = (setup.sites, setup.objects, setup.places)
     loads = jnp.float32(LOADS)
-    table = Outcome(
+    table = PredictedTouch(
         jnp.asarray(rng.random(shape) < 0.8), *(jnp.float32(x) for x in (
             rng.normal(scale=1e-3, size=shape), rng.normal(scale=0.5, size=(*shape, 6)),
             rng.uniform(1e-4, 5e-4, (*shape, 3)), rng.normal(scale=10, size=(*shape, 3, 15)) * np.array(LOADS)[:, None],
@@ -45,14 +45,14 @@ def section(setup: Policy, turns: int) -> list[Row]:
         )),
     )  # fmt: skip
     errors = rng.normal(scale=3, size=(200, 15))
-    like = belief.likelihood(errors, jnp.full(15, 20.0), loads, PressLimits.past_goal, 1e-4)
-    places = belief.particles(outcomes.prior_spread(1e-3, np.radians(1)), setup.places)
-    start = belief.begin(places, setup.objects)
+    like = belief.fit_likelihood(errors, jnp.full(15, 20.0), loads, PressLimits.past_goal, 1e-4)
+    places = belief.sample_particles(outcomes.placement_std(1e-3, np.radians(1)), setup.places)
+    start = belief.init(places, setup.objects)
     now = start._replace(log_weight=start.log_weight + jnp.float32(rng.normal(size=start.log_weight.shape)))
 
     @jax.jit
     def decide(key: jax.Array, now: belief.Belief) -> jax.Array:
-        return policy.choose(policy.gains(key, now, table, like), jnp.ones(setup.sites, bool))
+        return policy.choose_site(policy.expected_information_gain(key, now, table, like), jnp.ones(setup.sites, bool))
 
     def ours() -> None:
         jax.block_until_ready(decide(jax.random.key(0), now))
@@ -73,7 +73,7 @@ def section(setup: Policy, turns: int) -> list[Row]:
 
 def _imagining(setup: Policy, loads: jax.Array):
     """A part of the outcomes, imagined on a mesh."""
-    surface = prepare(catalogue.make("star").mesh)
+    surface = prepare_surface(catalogue.make_object("star").mesh)
     sites = collect_sites(jax.random.key(1), surface, setup.imagined, RECOGNITION, "star")
-    meet = jax.jit(jax.vmap(partial(outcomes.meet, past=PressLimits.past_goal), (None, None, None, 0, None)))
+    meet = jax.jit(jax.vmap(partial(outcomes.predict_contact, past=PressLimits.past_goal), (None, None, None, 0, None)))
     return lambda: jax.block_until_ready(meet(surface, jnp.eye(4), jnp.zeros(6), sites, loads))

@@ -17,7 +17,7 @@ import trimesh
 from experiments.benchmark.timing import MissingPeerError, Row, compare, in_turns
 from i2t.geometry import contact_frame
 from i2t.objects import catalogue
-from i2t.rendering.render import prepare, render_patch
+from i2t.rendering.render import prepare_surface, render_patch
 from i2t.simulation import sites
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, Surface
 
@@ -42,7 +42,9 @@ def section(setup: Rendering, turns: int) -> list[Row]:
     """Batches over meshes, then over batch sizes, then memory."""
     rows = []
     meshes = {f"{SPHERE} of {20 * 4**k} faces": trimesh.creation.icosphere(k, 0.03) for k in setup.spheres}
-    meshes |= {f"{name}, {len(mesh.faces)} faces": mesh for name in setup.shapes if (mesh := catalogue.make(name).mesh)}
+    meshes |= {
+        f"{name}, {len(mesh.faces)} faces": mesh for name in setup.shapes if (mesh := catalogue.make_object(name).mesh)
+    }
     for name, mesh in meshes.items():
         rows += contest(name, mesh, setup.batch, turns)
     names = list(meshes)
@@ -55,7 +57,7 @@ def section(setup: Rendering, turns: int) -> list[Row]:
 
 def contest(name: str, mesh: Any, batch: int, turns: int) -> list[Row]:
     """One mesh and batch size against every peer."""
-    surface = jax.tree.map(jnp.asarray, prepare(mesh))
+    surface = jax.tree.map(jnp.asarray, prepare_surface(mesh))
     poses = random_poses(surface, batch)
     render = jax.jit(jax.vmap(render_patch, (None, 0)))
     casters = {"Open3D": open3d_caster(mesh), "embreex": embreex_caster(mesh)}
@@ -142,7 +144,7 @@ def check(name: str, peer: str, depth: np.ndarray, nearest: np.ndarray, distance
 
 def memory(name: str, mesh: Any, batch: int) -> Row:
     """Scratch memory and result of one batch, against the rays and distances that a ray caster is given and returns."""
-    surface = prepare(mesh)
+    surface = prepare_surface(mesh)
     shapes = jax.tree.map(lambda field: jax.ShapeDtypeStruct(field.shape, field.dtype), surface)
     poses = jax.ShapeDtypeStruct((batch, 4, 4), jnp.float32)
     plan = jax.jit(jax.vmap(render_patch, (None, 0))).lower(shapes, poses).compile().memory_analysis()

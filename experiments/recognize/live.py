@@ -25,7 +25,7 @@ import numpy as np
 import tyro
 
 from experiments.common.runs import reported, write_json
-from experiments.recognize.run import Recognition, finished_runs, made, own_meshes, taught_by
+from experiments.recognize.run import Recognition, finished_runs, meshes_by_name, load_meshes, taught_by
 from i2t.collect import devices, session
 from i2t.collect.procedure import SiteOutcome, TouchSettings, Site
 from i2t.collect.recorder import touches_in
@@ -84,7 +84,7 @@ def run(args: Live) -> dict[str, Any]:
         raise ValueError(f"--decoys {args.decoys}: --strange needs decoys, 16 say")
     rig = devices.read_rig(args.rig)
     cfg = Recognition()
-    meshes = own_meshes(args.objects, args.unit) if args.objects else made(cfg.primitives + cfg.tools)
+    meshes = load_meshes(args.objects, args.unit) if args.objects else meshes_by_name(cfg.primitives + cfg.tools)
     sitting = Sitting(args, meshes, rig)
     sources = {path.stem: str(path) for path in args.objects} or {name: name for name in meshes}
     real = args.arm == "ur"
@@ -119,7 +119,7 @@ class Sitting:
         key_learn, key_pool, self.key = jax.random.split(jax.random.key(args.seed), 3)
         learnt = taught_by(key_learn, finished_runs(args.run)[0], cfg).learnt
         known = list(meshes.values())
-        strange = [catalogue.decoy(known, i).mesh for i in range(args.decoys if args.strange > 0 else 0)]
+        strange = [catalogue.surrogate_unknown(known, i).mesh for i in range(args.decoys if args.strange > 0 else 0)]
         surfaces = prepare_surfaces(known + strange)
         self.known, self.strange = len(known), len(strange)
         self.args, self.meshes, self.T_w_o = args, meshes, np.asarray(rig.T_world_object)

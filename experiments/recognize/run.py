@@ -51,23 +51,23 @@ from i2t.prediction.predictor import Predictor, load_predictor
 from i2t.recognition import belief
 from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import (
-    Learnt,
-    Pool,
-    Setting,
+    PadModel,
+    SitePool,
+    EpisodeConfig,
     Sitting,
-    by_evidence,
+    run_belief,
     learn,
-    learn_oracle,
+    fit_oracle_pad_model,
     paper_rules,
-    places_about,
+    pose_particles,
     pool,
-    random_sites,
-    replayed,
-    surfaces_of,
-    tabulate,
-    telling_sites,
+    draw_random_sites,
+    episodes_from_dataset,
+    prepare_surfaces,
+    precompute_outcomes,
+    draw_informative_sites,
 )
-from i2t.recognition.outcomes import Outcome
+from i2t.recognition.outcomes import PredictedTouch
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import Errors
@@ -153,7 +153,7 @@ def run(args: Args) -> dict[str, Any]:
     parts, tempers = reporting.sobered(parts)
     result = reporting.summarise(parts, tempers, args.out, source)
     name = next(name for name in ("all", "recorded", "your objects") if name in parts[0])
-    meshes = own_meshes(args.objects, args.unit) if args.objects else made(parts[0][name].names)
+    meshes = load_meshes(args.objects, args.unit) if args.objects else meshes_by_name(parts[0][name].names)
     reporting.tell(parts[0][name], list(meshes.values()), args.out / "story", source)
     reporting.report(result)
     reporting.extras(result)
@@ -173,18 +173,18 @@ def play(args: Args, cfg: Recognition, folder: Path, seed: int) -> dict[str, rep
     """All sets of one pad and seed."""
     key_learn, key_groups = jax.random.split(jax.random.key(seed))
     told = taught_by(key_learn, folder, cfg)
-    learnt, oracle = told.learnt, learn_oracle(told.dataset, told.rows, told.learnt, cfg.limits)
+    learnt, oracle = told.learnt, fit_oracle_pad_model(told.dataset, told.rows, told.learnt, cfg.limits)
     print(f"pad learnt from {folder}: R2 {learnt.r2:.3f} on touches left out, {oracle.r2:.3f} without errors of pose")
     done: dict[str, reporting.Played] = {}
     groups = candidates(args, cfg)
-    prepared = iter(surfaces_of([mesh for meshes, _ in groups for mesh in meshes.values()]))  # compiled for once
+    prepared = iter(prepare_surfaces([mesh for meshes, _ in groups for mesh in meshes.values()]))  # compiled for once
     for i, (meshes, sets) in enumerate(groups):
         key_pool, key_sets = jax.random.split(jax.random.fold_in(key_groups, i))
         surfaces = [next(prepared) for _ in meshes]
-        sites = pool(key_pool, surfaces, list(meshes), cfg.sites, cfg.reach)
-        placements = places_about(cfg.errors, cfg.places, seed)
-        skins, what = [learnt.skin, oracle.skin], ", ".join(sets)
-        tables = tabulate(surfaces, placements.twist, sites.T_w_t, skins, cfg.limits.past_goal, what)
+        sites = sample_sites(key_pool, surfaces, list(meshes), cfg.sites, cfg.reach)
+        placements = pose_particles(cfg.errors, cfg.places, seed)
+        skins, what = [learnt.reading_model, oracle.reading_model], ", ".join(sets)
+        tables = precompute_outcomes(surfaces, placements.twist, sites.T_w_t, skins, cfg.limits.past_goal, what)
         table = Imagined(list(meshes), surfaces, sites, placements, tables)
         for j, (name, part) in enumerate(sets.items()):
             key = jax.random.fold_in(key_sets, j)
@@ -205,22 +205,22 @@ class Imagined(NamedTuple):
 
     names: list[str]
     surfaces: list[Surface]
-    sites: Pool
+    sites: SitePool
     placements: Particles
-    tables: list[Outcome]
+    tables: list[PredictedTouch]
 
 
 def candidates(args: Args, cfg: Recognition) -> list[tuple[dict[str, Mesh], dict[str, Part]]]:
     """Groups of meshes by name that share their sites, each with the sets that are played among them."""
     if args.objects:
-        own = own_meshes(args.objects, args.unit)
+        own = load_meshes(args.objects, args.unit)
         return [(own, {"your objects": Part(list(own), cfg.sittings, False)})]
 
     everything = cfg.primitives + cfg.tools
     return [
-        (made(cfg.validation), {"validation": Part(cfg.validation, cfg.validation_sittings, False)}),
+        (meshes_by_name(cfg.validation), {"validation": Part(cfg.validation, cfg.validation_sittings, False)}),
         (
-            made(everything),
+            meshes_by_name(everything),
             {
                 "all": Part(everything, cfg.sittings, False),
                 "primitives": Part(cfg.primitives, cfg.paper_sittings, True),
@@ -232,24 +232,24 @@ def candidates(args: Args, cfg: Recognition) -> list[tuple[dict[str, Mesh], dict
 
 def play_set(
     key: jax.Array, name: str, part: Part, imagined: Imagined, cfg: Recognition, pad: Pad, predictor: Predictor,
-    pads: tuple[Learnt, Learnt],
+    pads: tuple[PadModel, PadModel],
 ) -> reporting.Played:  # fmt: skip
     """Simulated sittings with one set of objects, and what every method believes after each touch."""
     key_play, key_site = jax.random.split(key)
     which = [imagined.names.index(one) for one in part.names]
     surfaces = [imagined.surfaces[i] for i in which]
     rows = np.flatnonzero(np.isin(imagined.sites.owner, which))
-    sites = Pool(imagined.sites.T_w_t[rows], np.searchsorted(which, imagined.sites.owner[rows]))
+    sites = SitePool(imagined.sites.T_w_t[rows], np.searchsorted(which, imagined.sites.owner[rows]))
     truth = np.repeat(np.arange(len(which)), part.sittings)
-    chosen = (telling_sites if part.heuristic else random_sites)(key_site, sites, len(truth), cfg.touches)
-    sitting = Sitting(key_play, surfaces, truth, sites, pad, Setting(cfg.errors, cfg.limits, cfg.touches))
+    chosen = (draw_informative_sites if part.heuristic else draw_random_sites)(key_site, sites, len(truth), cfg.touches)
+    sitting = Sitting(key_play, surfaces, truth, sites, pad, EpisodeConfig(cfg.errors, cfg.limits, cfg.touches))
     with tqdm(total=chosen.size, desc=f"{name}: touching", unit="touch") as bar:
         sitting.touch(chosen, bar)
     episodes = sitting.episodes()
     believed: dict[str, np.ndarray] = {}
     for label, learnt, table in zip(("", ", oracle"), pads, imagined.tables, strict=True):
         some = jax.tree.map(lambda x: x[rows][:, which], table)
-        found = by_evidence(some, episodes, learnt.like, imagined.placements)
+        found = run_belief(some, episodes, learnt.likelihood, imagined.placements)
         believed |= {f"{kind}{label}": p for kind, p in found.items()}
     believed |= paper_rules(predictor, pads[0].std, surfaces, episodes)
     return reporting.Played(tuple(part.names), truth, believed, episodes)
@@ -261,13 +261,13 @@ def replay(args: Args, cfg: Recognition, folder: Path) -> dict[str, reporting.Pl
     told = taught_by(jax.random.key(args.seed), folder, cfg)
     learnt = told.learnt
     recorded = data.load(args.dataset)
-    meshes = own_meshes(args.objects, args.unit) if args.objects else made(recorded.objects)
-    surfaces = surfaces_of(list(meshes.values()))
-    sites, episodes = replayed(recorded, list(meshes), cfg.touches)
-    placements = belief.particles(devices.read_rig(args.rig).object_covariance, cfg.places, args.seed)
-    (table,) = tabulate(surfaces, placements.twist, sites.T_w_t, [learnt.skin], cfg.limits.past_goal, "recorded")
-    believed = by_evidence(table, episodes, learnt.like, placements)
-    believed |= paper_rules(told.predictor, learnt.std, surfaces, episodes)
+    meshes = load_meshes(args.objects, args.unit) if args.objects else meshes_by_name(recorded.objects)
+    surfaces = prepare_surfaces(list(meshes.values()))
+    sites, episodes = episodes_from_dataset(recorded, list(meshes), cfg.touches)
+    placements = belief.sample_particles(devices.read_rig(args.rig).object_covariance, cfg.places, args.seed)
+    (table,) = precompute_outcomes(surfaces, placements.twist, sites.T_w_t, [learnt.reading_model], cfg.limits.past_goal, "recorded")
+    believed = run_belief(table, episodes, learnt.likelihood, placements)
+    believed |= paper_rules(told.predictor, learnt.reading_std, surfaces, episodes)
     return {"recorded": reporting.Played(tuple(meshes), episodes.truth, believed, episodes)}
 
 
@@ -279,7 +279,7 @@ class Taught(NamedTuple):
     known: dict[str, Surface]  # the objects that were touched, by name
     predictor: Predictor
     pad: Pad
-    learnt: Learnt
+    learnt: PadModel
 
 
 def taught_by(key: jax.Array, folder: Path, cfg: Recognition) -> Taught:
@@ -310,18 +310,18 @@ def training_rows(dataset: Dataset, folder: Path) -> np.ndarray:
 def taught(dataset: Dataset) -> dict[str, Surface]:
     """Surfaces of the catalogue's objects in a data set, by name."""
     names = [name for name in dataset.objects if name in catalogue.NAMES]
-    return dict(zip(names, surfaces_of([catalogue.make(name).mesh for name in names]), strict=True))
+    return dict(zip(names, prepare_surfaces([catalogue.make_object(name).mesh for name in names]), strict=True))
 
 
-def own_meshes(paths: Sequence[Path], unit: str | None) -> dict[str, Mesh]:
+def load_meshes(paths: Sequence[Path], unit: str | None) -> dict[str, Mesh]:
     """Meshes of files, by the files' names."""
     if unit is None:
         raise ValueError("say in which unit the files of --objects are, for instance --unit mm")
     if len(paths) < 2:
         raise ValueError("--objects needs at least two meshes to tell apart")
-    return {path.stem: catalogue.load(path, unit)[0].mesh for path in paths}
+    return {path.stem: catalogue.load_mesh(path, unit)[0].mesh for path in paths}
 
 
-def made(names: Sequence[str]) -> dict[str, Mesh]:
+def meshes_by_name(names: Sequence[str]) -> dict[str, Mesh]:
     """Meshes of the catalogue, by name."""
-    return {name: catalogue.make(name).mesh for name in names}
+    return {name: catalogue.make_object(name).mesh for name in names}

@@ -77,7 +77,7 @@ def stamps(names: Sequence[str] = SHAPES) -> Stamp:
     unknown = [name for name in names if name not in SHAPES]
     if unknown:
         raise ValueError(f"no stamp is called {', '.join(unknown)}; the catalogue has {', '.join(SHAPES)}")
-    drawn = [catalogue.make(PREFIX + name).mesh for name in names]
+    drawn = [catalogue.make_object(PREFIX + name).mesh for name in names]
     tops = [mesh.vertices[:, 2].max() for mesh in drawn]
     faces = []
     for mesh, top in zip(drawn, tops, strict=True):
@@ -88,7 +88,7 @@ def stamps(names: Sequence[str] = SHAPES) -> Stamp:
     return Stamp(
         jnp.asarray(np.stack(padded), jnp.float32),
         jnp.asarray(tops, jnp.float32),
-        jnp.asarray(tops, jnp.float32) - catalogue.RELIEF / catalogue.MM,
+        jnp.asarray(tops, jnp.float32) - catalogue.STAMP_RELIEF_MM / catalogue.MM_PER_M,
     )
 
 
@@ -123,7 +123,7 @@ def heights(
         return jnp.all(side >= 0, axis=0) & ~flat
 
     met = jnp.any(jax.vmap(inside)(stamp.face), axis=0)
-    edge = catalogue.STAMP_BASE[0] / catalogue.MM / 2
+    edge = catalogue.STAMP_BASE_MM[0] / catalogue.MM_PER_M / 2
     over = (jnp.abs(u) <= edge) & (jnp.abs(v) <= edge)
     return jnp.where(met, plane, jnp.inf), jnp.where(over, plane - (stamp.top - stamp.base) / normal[2], jnp.inf)
 
@@ -140,7 +140,7 @@ def press_stamp(
     believed = pose(place, turn, stamp)
     level = jnp.eye(4).at[2, 3].set(stamp.top)  # the face, about whose middle it tilts
     missed = geometry.random_motion(key_arm, errors.repeatability, 0.0)
-    tilted = level @ geometry.random_motion(key_tilt, 0.0, errors.approach_angle) @ geometry.invert(level)
+    tilted = level @ geometry.random_motion(key_tilt, 0.0, errors.approach_angle) @ geometry.inverse(level)
     T_t_o = believed @ missed @ tilted
 
     met = heights(stamp, T_t_o, PAD_WINDOW, how.grid.cells)[0]

@@ -12,7 +12,7 @@ from jaxtyping import Array
 from tqdm import tqdm
 
 from experiments.recognize import figures as drawing
-from experiments.recognize.run import PRESETS, Recognition, made, taught_by
+from experiments.recognize.run import PRESETS, Recognition, meshes_by_name, taught_by
 from i2t.dataset import Dataset
 from i2t.prediction.predictor import Predictor
 from i2t.recognition import metrics as scores
@@ -96,7 +96,7 @@ def prepare_lab(args: Args, folder: Path, seed: int) -> Lab:
         told_by = Dataset(touches, kinds, ("the pad",), runs, told.dataset.board, "simulated")
         return learn(key_learn, told_by, np.ones(len(told_by), bool), told.known, cfg.errors, limits)
 
-    surfaces = prepare_surfaces(list(made(names).values()))
+    surfaces = prepare_surfaces(list(meshes_by_name(names).values()))
     sittings = 2 if args.preset == "debug" else args.sittings
     return Lab(
         cfg, told.pad, told.learnt, names, surfaces, sittings, seed, key, args, training, pressed, told.predictor

@@ -30,12 +30,12 @@ def play(lab: Lab) -> dict[str, Any]:
     counts = (3,) if small else COUNTS
     touches, places_count = (3, 8) if small else (MANY_TOUCHES, MANY_PLACES)
     trained_on = ("hexagon", "parallelogram")
-    meshes = {name: catalogue.make(name).mesh for name in lab.names}
+    meshes = {name: catalogue.make_object(name).mesh for name in lab.names}
     for path in sorted(lab.args.meshes.glob("*.stl")) if lab.args.meshes else ():
-        meshes[path.stem] = coarse(catalogue.load(path, "m")[0].mesh)
+        meshes[path.stem] = coarse(catalogue.load_mesh(path, "m")[0].mesh)
     for name in catalogue.PRIMITIVES + catalogue.TOOLS:
         if name not in trained_on:
-            meshes.setdefault(name, catalogue.make(name).mesh)
+            meshes.setdefault(name, catalogue.make_object(name).mesh)
     for i in range(max(counts)):
         meshes[f"random {i}"] = catalogue.random_object(7000 + i).mesh
     found: dict[str, Any] = {}

@@ -56,9 +56,9 @@ def play(lab: Lab) -> Part:
 
 def _things(names: Sequence[str], strangers: Sequence[str], decoys: int) -> list[Mesh]:
     """What is known, what is strange, and decoys."""
-    known = [catalogue.make(name).mesh for name in names]
-    others = [catalogue.make(name).mesh for name in strangers]
-    return known + others + [catalogue.decoy(known, i).mesh for i in range(decoys)]
+    known = [catalogue.make_object(name).mesh for name in names]
+    others = [catalogue.make_object(name).mesh for name in strangers]
+    return known + others + [catalogue.surrogate_unknown(known, i).mesh for i in range(decoys)]
 
 
 def _game(

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
-from experiments.recognize.run import made
+from experiments.recognize.run import meshes_by_name
 from experiments.studies.lab import Lab, imagine, report_methods, sit, spread
 from i2t.depth.camera import Camera
 from i2t.emulators.scene import noisy, see, table_at
@@ -23,7 +23,7 @@ from i2t.hardware.rig import Rig
 from i2t.objects.catalogue import Mesh
 from i2t.recognition import belief
 from i2t.recognition.episodes import SitePool, run_belief, pose_particles, sample_sites, draw_random_sites, session_errors, precompute_outcomes
-from i2t.registration.touch import by_depth, seen_through
+from i2t.registration.touch import register_by_depth, camera_covariance
 from i2t.simulation.touches import Errors, RunErrors
 from i2t.types import Array
 
@@ -56,7 +56,7 @@ def play(lab: Lab) -> dict[str, Any]:
         result |= {f"{kind}, {what}": p for kind, p in told.items()}
 
     runs = jax.device_get(session_errors(jax.random.clone(key_play), len(truth), errors))
-    found = look(made(lab.names), truth, runs, errors, lab.seed)
+    found = look(meshes_by_name(lab.names), truth, runs, errors, lab.seed)
     places = belief.sample_particles(found.covariance, lab.cfg.places, lab.seed)
     owner = sites.owner[chosen]
     T_w_site = found.T_w_o[np.arange(len(truth))[:, None], owner] @ np.asarray(sites.T_w_t, float)[chosen]
@@ -93,13 +93,13 @@ def look(meshes: dict[str, Mesh], truth: np.ndarray, runs: RunErrors, errors: Er
         depth = _view(things[which], runs.T_o_placed[e], T_w_c @ runs.T_t_camera[e], lens, errors, (seed, e))
         for o, mesh in enumerate(things):
             try:
-                found = by_depth(mesh, np.eye(4), depth, lens, T_w_c, DISTANCE, ANGLE)
+                found = register_by_depth(mesh, np.eye(4), depth, lens, T_w_c, DISTANCE, ANGLE)
             except ValueError:  # it does not look like this one
                 refused[e, o] = True
                 continue
             poses[e, o] = found.T_w_o
             T_c_o = np.linalg.inv(T_w_c) @ poses[e, o]
-            spreads.append(seen_through(found.covariance, T_c_o, errors.hand_eye, errors.hand_eye_angle))
+            spreads.append(camera_covariance(found.covariance, T_c_o, errors.hand_eye, errors.hand_eye_angle))
     return Found(poses, np.mean(spreads, axis=0), refused)
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.studies.lab import Lab, imagine, placements_of, shown, sit
-from i2t.geometry import invert
+from i2t.geometry import inverse
 from i2t.recognition import metrics as scores
 from i2t.recognition.episodes import run_belief, sample_sites, draw_random_sites
 from i2t.recognition.metrics import to_json
@@ -41,7 +41,7 @@ def play(lab: Lab) -> dict[str, Any]:
 
 def covered(surface: Any, T_w_site: jax.Array) -> jax.Array:
     """Share of the skin under which the surface lies within `NEAR` of the nearest point, at the believed place."""
-    heights = render_heights(surface, invert(T_w_site), PAD_WINDOW, PIXELS)
+    heights = render_heights(surface, inverse(T_w_site), PAD_WINDOW, PIXELS)
     return jnp.mean(heights <= jnp.min(heights) + NEAR)
 
 

@@ -36,9 +36,9 @@ from experiments.train.configs import PRESETS, TrainExperiment
 from experiments.train.methods import (
     ceiling,
     describe,
-    fit_network_to,
-    fit_process,
-    imagination_of,
+    adapt_network,
+    fit_gp,
+    pressure_model_of,
     predict,
     train_network,
     views_of,
@@ -51,13 +51,13 @@ from i2t.objects import catalogue
 from i2t.prediction import predictor as predicting
 from i2t.prediction.metrics import baselines, score
 from i2t.prediction.predictor import Predictor, Reading
-from i2t.rendering.render import prepare
+from i2t.rendering.render import prepare_surface
 from i2t.simulation import touches as simulation
 from i2t.skin.files import load_pad
 from i2t.skin.pad import sample_pad
 from i2t.types import Board, Pad
 
-PROCESS = "Gaussian process on imagined pressure"
+GP_METHOD = "Gaussian process on imagined pressure"
 CEILING = "ceiling: process without camera and arm errors"
 
 
@@ -134,13 +134,13 @@ def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: Pad | int | None, 
     spreads: dict[str, np.ndarray] = {}
 
     print("imagining pressures")
-    imagination = imagination_of(dataset, measured, cfg)
+    imagination = pressure_model_of(dataset, measured, cfg)
     views = views_of(dataset)
-    imagined = predicting.imagine_all(imagination, views, touches.force, touches.depth)
+    imagined = predicting.predict_pressures(imagination, views, touches.force, touches.depth)
     candidates: dict[str, Predictor] = {}
     curves: dict[str, np.ndarray] = {}
     for name, network in cfg.networks.items():
-        network, images = fit_network_to(network, dataset, imagined, measured)
+        network, images = adapt_network(network, dataset, imagined, measured)
         trained, curve = train_network(
             name, network, replace(cfg.training, seed=seed), images, touches, split, out / "checkpoint" / slug(name)
         )
@@ -151,8 +151,8 @@ def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: Pad | int | None, 
             split,
         )
         curves |= curve
-    process = fit_process(imagined, readings, split, seed)
-    candidates[PROCESS] = describe(
+    process = fit_gp(imagined, readings, split, seed)
+    candidates[GP_METHOD] = describe(
         Predictor(process, None, imagination, dataset.window, dataset.reach, 1.0, 0.3e-3), dataset, split
     )
 
@@ -162,7 +162,7 @@ def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: Pad | int | None, 
     for name, candidate in candidates.items():
         reading = predict(candidate, dataset, held, imagined)
         seen = Reading(reading.mean[tuning], reading.std[tuning])
-        spread = predicting.spread_of(readings[split.validation], seen)
+        spread = predicting.std_scale(readings[split.validation], seen)
         validation[name] = score(readings[split.validation], seen.mean).r2
         predicted[name], spreads[name] = reading.mean[~tuning], spread * reading.std[~tuning]
         candidates[name] = replace(candidate, spread=spread)
@@ -209,7 +209,7 @@ def simulate(cfg: TrainExperiment, seed: int, which: Pad | int, path: Path) -> D
     if path.exists():
         return data.load(path)
     plan = cfg.simulation
-    surfaces = [prepare(catalogue.make(name).mesh) for name in plan.objects]
+    surfaces = [prepare_surface(catalogue.make_object(name).mesh) for name in plan.objects]
     pad = numbered_pad(which) if isinstance(which, int) else which
     with tqdm(total=plan.touches, desc="simulating touches", unit="touch") as bar:
         touches = simulation.simulate(

@@ -18,11 +18,11 @@ import numpy as np
 from i2t.collect.procedure import GuardedArm
 from i2t.depth.camera import Camera
 from i2t.emulators.scene import Feeler, Scene
-from i2t.hardware.clock import Clock, Monotonic
+from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.protocols import DepthCamera, Skin
 from i2t.hardware.reskin.driver import Replay, ReSkin
 from i2t.hardware.rig import Rig
-from i2t.hardware.ur.driver import UR
+from i2t.hardware.ur.driver import UrArm
 from i2t.objects import catalogue
 from i2t.objects.solids import Object
 from i2t.simulation.touches import Errors
@@ -71,7 +71,7 @@ def read_rig(path: Path | None) -> Rig:
 
 def read_object(name: str, unit: str) -> Object:
     """An object of the catalogue, or a mesh file. Raises ValueError or FileNotFoundError."""
-    return catalogue.make(name) if name in catalogue.NAMES else catalogue.load(name, unit)[0]
+    return catalogue.make_object(name) if name in catalogue.NAMES else catalogue.load_mesh(name, unit)[0]
 
 
 def scene_of(
@@ -95,15 +95,15 @@ def build(wanted: Wanted, rig: Rig, name: str, unit: str, stack: ExitStack) -> D
     scene = None
     if "simulated" in (wanted.arm, wanted.camera):
         scene = scene_of(name, unit, rig, wanted.pad, wanted.seed, wanted.exact, wanted.stiffness)
-    clock: Clock = Monotonic()
+    clock: Clock = MonotonicClock()
     arm: Any
     skin: Any
     if wanted.arm == "simulated":
-        from i2t.emulators.in_process import Lab, SimulatedArm, SimulatedSkin, Virtual
+        from i2t.emulators.in_process import Lab, SimulatedArm, SimulatedSkin, VirtualClock
 
         assert scene is not None
         if wanted.skin == "simulated":
-            clock = Virtual(max(time.time(), wanted.begin))
+            clock = VirtualClock(max(time.time(), wanted.begin))
         feeler: Feeler | None = None
         if wanted.skin == "emulated":
             from i2t.emulators import lab as rehearsal
@@ -111,20 +111,20 @@ def build(wanted: Wanted, rig: Rig, name: str, unit: str, stack: ExitStack) -> D
 
             link = ["--link", str(Path(stack.enter_context(tempfile.TemporaryDirectory())) / "skin")]
             port, process = stack.enter_context(reskin_board.started("--field", *link))
-            feeler = rehearsal.Wired(scene, rehearsal.address(process), wait=True)
+            feeler = rehearsal.BoardPublishingContactModel(scene, rehearsal.address(process), wait=True)
         lab = Lab(scene, clock, seed=wanted.seed, feeler=feeler)
         arm = SimulatedArm(lab, rig.limits)
         skin = SimulatedSkin(lab) if wanted.skin == "simulated" else None
     else:
         assert host is not None
         stale, watchdog = (0.1, 10.0) if wanted.arm == "ur" else (0.5, 4.0)
-        arm = UR(
+        arm = UrArm(
             host,
             rig.limits,
             rig.T_flange_tool,
             (rig.mass, rig.centre),
-            stale=wanted.stale or stale,
-            watchdog=wanted.watchdog or watchdog,
+            state_timeout=wanted.stale or stale,
+            watchdog_rate=wanted.watchdog or watchdog,
         )
         skin = None
     if skin is None:
@@ -149,10 +149,10 @@ def _camera(wanted: Wanted, rig: Rig, scene: Scene | None, arm: Any, clock: Cloc
         lens = Camera(*(getattr(rig.camera, each) for each in ("width", "height", "fx", "fy", "cx", "cy")))
         return SimulatedCamera(scene, lens, rig.T_tool_camera, lambda: arm.state().T_b_t, clock, wanted.seed)
     if wanted.camera == "folder":
-        from i2t.hardware.camera_folder import Folder
+        from i2t.hardware.camera_folder import RecordedDepthCamera
 
         assert wanted.views is not None
-        return Folder(wanted.views, loop=True)
+        return RecordedDepthCamera(wanted.views, loop=True)
     from i2t.hardware.realsense import RealSense
 
     return RealSense(size=(rig.camera.width, rig.camera.height), distance=rig.looking_distance)

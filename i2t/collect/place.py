@@ -22,13 +22,13 @@ from scipy.spatial.transform import Rotation
 from i2t.cli import ended
 from i2t.collect.devices import read_object
 from i2t.collect.site_plan import orthonormal
-from i2t.hardware.camera_folder import Folder
+from i2t.hardware.camera_folder import RecordedDepthCamera
 from i2t.hardware.hand_eye import tool_pose
 from i2t.hardware.protocols import DepthCamera
 from i2t.hardware.realsense import RealSense
 from i2t.hardware.rig import Rig
-from i2t.hardware.ur.rtde_link import from_ur
-from i2t.registration.touch import by_depth, seen_through
+from i2t.hardware.ur.poses import from_ur
+from i2t.registration.touch import register_by_depth, camera_covariance
 from i2t.types import TWIST_LEVER_M, Array
 
 
@@ -66,7 +66,7 @@ def place(asked: argparse.Namespace) -> str:
     T_b_t = tool_pose(asked.host) if asked.host is not None else from_ur(asked.tool)
     lens = rig.camera
     camera: DepthCamera = (
-        Folder(asked.views)
+        RecordedDepthCamera(asked.views)
         if asked.views is not None
         else RealSense(size=(lens.width, lens.height), distance=rig.looking_distance)
     )
@@ -74,7 +74,7 @@ def place(asked: argparse.Namespace) -> str:
         depth = camera.capture().depth
         T_w_c = rig.T_world_base @ T_b_t @ rig.T_tool_camera
         table = None if asked.no_table else 0.0
-        found = by_depth(
+        found = register_by_depth(
             mesh,
             rig.T_world_object,
             depth,
@@ -86,7 +86,7 @@ def place(asked: argparse.Namespace) -> str:
         )
     T_w_o = orthonormal(np.asarray(found.T_w_o, float))
     off, askew = asked.hand_eye
-    covariance = seen_through(found.covariance, np.linalg.inv(T_w_c) @ T_w_o, 1e-3 * off, math.radians(askew))
+    covariance = camera_covariance(found.covariance, np.linalg.inv(T_w_c) @ T_w_o, 1e-3 * off, math.radians(askew))
     noise, sigma = (np.sqrt(np.diag(np.asarray(each, float))) for each in (found.covariance, covariance))
     change = np.linalg.inv(rig.T_world_object) @ T_w_o
     turn = math.degrees(Rotation.from_matrix(change[:3, :3]).magnitude())

@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from i2t.collect.procedure import Cut, Seen, Site
+from i2t.collect.procedure import Cut, SeenPatch, Site
 from i2t.depth.camera import Camera
 from i2t.depth.patches import patch_from_depth
 from i2t.geometry import full_precision
 from i2t.hardware.protocols import View
 from i2t.objects.solids import Mesh, transform_mesh
-from i2t.rendering.render import prepare
+from i2t.rendering.render import prepare_surface
 from i2t.simulation import touches
 from i2t.simulation.sites import Limits, collect_sites
 from i2t.types import PATCH_PIXELS, WIDE_PIXELS, WIDE_WINDOW, Array
@@ -35,7 +35,7 @@ class Plan:
         placed = transform_mesh(mesh, np.asarray(T_w_o))
         self.top = float(placed.vertices[:, 2].max())  # m, in W
         self.outline = placed
-        self._surface = prepare(placed)
+        self._surface = prepare_surface(placed)
         self._limits, self._seed, self._name = limits, seed, name
         self._sites: list[Site] = []
 
@@ -55,12 +55,12 @@ class Plan:
         return self.site(number)
 
 
-def cutter() -> Cut:
+def patch_extractor() -> Cut:
     """Cuts patches out of views as the simulation does out of its own (`i2t.simulation.touches.cut`), so that what was
     learned from one fits the other.
     """
 
-    def cut(view: View, camera: Camera, T_w_c: Array, T_w_t: Array) -> Seen:
+    def cut(view: View, camera: Camera, T_w_c: Array, T_w_t: Array) -> SeenPatch:
         wide, patch, nearest, share = jax.device_get(
             _cut(
                 jnp.asarray(view.depth, jnp.float32),
@@ -69,7 +69,7 @@ def cutter() -> Cut:
                 jnp.asarray(T_w_t, jnp.float32),
             )
         )
-        return Seen(patch, wide, float(nearest), float(share))
+        return SeenPatch(patch, wide, float(nearest), float(share))
 
     return cut
 
@@ -79,7 +79,7 @@ def _cut(
     depth: Float[Array, "h w"], camera: Camera, T_w_c: Float[Array, "4 4"], T_w_t: Float[Array, "4 4"]
 ) -> tuple[Array, Array, Array, Array]:
     cut = patch_from_depth(depth, camera, T_w_c, T_w_t, window=WIDE_WINDOW, pixels=WIDE_PIXELS, reach=DEEP)
-    known = cut.seen | cut.filled
+    known = cut.valid_mask | cut.inpainted_mask
     margin = (WIDE_PIXELS - PATCH_PIXELS) // 2
     z = jnp.where(known & (cut.patch.depth < DEEP), cut.patch.nearest + cut.patch.depth, jnp.inf)
     wide, patch = touches.cut(z)

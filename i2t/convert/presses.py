@@ -177,12 +177,12 @@ def _mesh_patches(
     from i2t.rendering import render
 
     try:
-        (_, mesh, _), report = catalogue.load(file, unit, table=False)
+        (_, mesh, _), report = catalogue.load_mesh(file, unit, table=False)
     except (ValueError, OSError) as error:
         raise DataError(str(error)) from error
     notes.say(str(report))
     lowest = float(np.asarray(mesh.vertices)[:, 2].min())
-    surface = render.prepare(mesh)
+    surface = render.prepare_surface(mesh)
     look = jit(lambda T_o_t: render.render_patch(surface, T_o_t, window, PATCH_PIXELS, reach).depth)
     patch = np.empty((len(x), PATCH_PIXELS, PATCH_PIXELS), np.float32)
     for i, place in enumerate(zip(x, y, strict=True)):

@@ -17,9 +17,9 @@ from PIL import Image
 
 from i2t.types import RIGID
 
-SCALES = {"m": 1.0, "mm": 1e-3}  # m
-SUFFIXES = (".png", ".tif", ".tiff")
-LARGEST = 16384  # pixels, edge of an image
+METRES_PER_UNIT = {"m": 1.0, "mm": 1e-3}  # m
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff")
+MAX_IMAGE_PIXELS = 16384  # pixels, edge of an image
 
 
 class Distortion(StrEnum):
@@ -60,8 +60,8 @@ class Camera:
     def __post_init__(self):
         for name in ("width", "height"):
             size = getattr(self, name)
-            if not isinstance(size, int | np.integer) or not 2 <= size <= LARGEST:
-                raise ValueError(f"camera: {name} is {size!r}; give whole pixels from 2 to {LARGEST}")
+            if not isinstance(size, int | np.integer) or not 2 <= size <= MAX_IMAGE_PIXELS:
+                raise ValueError(f"camera: {name} is {size!r}; give whole pixels from 2 to {MAX_IMAGE_PIXELS}")
         lens = (self.fx, self.fy, self.cx, self.cy, *self.coefficients)
         if not all(math.isfinite(value) for value in lens):
             raise ValueError(f"camera: fx, fy, cx, cy and coefficients {lens} must all be finite; calibrate it again")
@@ -89,7 +89,7 @@ def read_depth(path: str | Path, scale: float | str, encoding: str = Encoding.PL
     first. Raises ValueError or FileNotFoundError with one sentence that names the file and a remedy.
     """
     path = Path(path)
-    metres = SCALES.get(scale) if isinstance(scale, str) else scale
+    metres = METRES_PER_UNIT.get(scale) if isinstance(scale, str) else scale
     if metres is None or not math.isfinite(metres) or metres <= 0:
         raise ValueError(f"{path}: scale is {scale!r}; give metres per unit as a positive number, or 'mm' or 'm'")
     if encoding not in list(Encoding):
@@ -99,8 +99,8 @@ def read_depth(path: str | Path, scale: float | str, encoding: str = Encoding.PL
         raise ValueError(f"{path}: is an image of shape {values.shape}; give one with a single channel of depth")
     if values.dtype != np.uint16 and values.dtype.kind != "f":
         raise ValueError(f"{path}: holds {values.dtype}; give depth as 16-bit unsigned integers, or as floats in a TIF")
-    if min(values.shape) < 2 or max(values.shape) > LARGEST:
-        raise ValueError(f"{path}: is {values.shape} pixels; an edge must have from 2 to {LARGEST}")
+    if min(values.shape) < 2 or max(values.shape) > MAX_IMAGE_PIXELS:
+        raise ValueError(f"{path}: is {values.shape} pixels; an edge must have from 2 to {MAX_IMAGE_PIXELS}")
     if encoding == Encoding.ROTATED:
         if values.dtype != np.uint16:
             raise ValueError(f"{path}: holds {values.dtype}, which cannot be turned; say encoding='plain'")
@@ -150,7 +150,7 @@ def check_image(depth: Any, camera: Camera) -> None:
 
 def _pixels(path: Path) -> np.ndarray:
     """A file's numbers as they are stored."""
-    if path.suffix.lower() not in SUFFIXES:
+    if path.suffix.lower() not in IMAGE_SUFFIXES:
         raise ValueError(f"{path}: is no PNG or TIF; save depth as 16-bit PNG, or TIF")
     if not path.is_file():
         raise FileNotFoundError(f"{path}: there is no such file; check the path")

@@ -25,12 +25,12 @@ from jaxtyping import Array, Float
 
 from i2t.depth.camera import Camera, Distortion
 
-NEWTON = 10  # steps; a lens that is nearly straight needs four
+NEWTON_STEPS = 10  # steps; a lens that is nearly straight needs four
 
 
 def project(camera: Camera, points: Float[Array, "*n 3"]) -> Float[Array, "*n 2"]:
     """Pixels (column, row) where points (m, in C, before the camera) appear."""
-    return to_pixel(camera, points[..., 0] / points[..., 2], points[..., 1] / points[..., 2])
+    return project_to_pixel(camera, points[..., 0] / points[..., 2], points[..., 1] / points[..., 2])
 
 
 def deproject(camera: Camera, pixels: Float[Array, "*n 2"], depth: Float[Array, "*n"]) -> Float[Array, "*n 3"]:
@@ -39,13 +39,13 @@ def deproject(camera: Camera, pixels: Float[Array, "*n 2"], depth: Float[Array, 
     return jnp.stack([x * depth, y * depth, depth], -1)
 
 
-def lines_of_sight(camera: Camera) -> Float[Array, "2 height width"]:
+def pixel_rays(camera: Camera) -> Float[Array, "2 height width"]:
     """x / z and y / z of every pixel's line of sight; NaN beyond 90 degrees from the axis."""
     u, v = jnp.meshgrid(jnp.arange(camera.width), jnp.arange(camera.height))
     return jnp.stack(_undistort(camera, (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy))
 
 
-def to_pixel(camera: Camera, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> Float[Array, "*n 2"]:
+def project_to_pixel(camera: Camera, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> Float[Array, "*n 2"]:
     """Pixels (column, row) of lines of sight x / z, y / z."""
     x, y = _distort(camera, x, y)
     return jnp.stack([x * camera.fx + camera.cx, y * camera.fy + camera.cy], -1)
@@ -115,7 +115,7 @@ def _angle(camera: Camera, radius):
         value, slope = jax.jvp(lambda angle: _kannala_brandt(camera, angle), (angle,), (jnp.ones_like(angle),))
         return angle - (value - radius) / jnp.where(slope == 0, 1, slope)
 
-    return jax.lax.fori_loop(0, NEWTON, step, radius)
+    return jax.lax.fori_loop(0, NEWTON_STEPS, step, radius)
 
 
 def _radially(x, y, radius):
@@ -139,4 +139,4 @@ def _solve(function: Callable, x, y):
         area = jnp.where(area == 0, 1, area)
         return at[0] - ((p - x) * qy - (q - y) * py) / area, at[1] - ((q - y) * px - (p - x) * qx) / area
 
-    return jax.lax.fori_loop(0, NEWTON, step, (x, y))
+    return jax.lax.fori_loop(0, NEWTON_STEPS, step, (x, y))

@@ -25,25 +25,26 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Num
 
 from i2t.depth.camera import Camera, check_image
-from i2t.depth.distortion import lines_of_sight, to_pixel
+from i2t.depth.distortion import pixel_rays, project_to_pixel
 from i2t.geometry import is_rigid
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, Patch
 
-DISTANCE = 104e-3  # m, from the camera to the tool's origin when the paper's arm looks
-GRAZING = math.radians(10)  # rad, between a triangle and the line of sight to it
-STEP = 1.5e-3  # m: neighbours no further apart in depth are surface however steep; a unit of a file in millimetres is
-FILL = 2e-3  # m
-STRIDE = 0.5  # pixels of the image from sample to sample of a ray
-REFINE = 6  # steps; without a fold of the surface in between the first is exact
-CLOSE = 1e-4  # relative error of depth at which a crossing counts as found: 10 um at the paper's distance
+LOOKING_DISTANCE_M = 104e-3  # m, from the camera to the tool's origin when the paper's arm looks
+GRAZING_ANGLE_RAD = math.radians(10)  # rad, between a triangle and the line of sight to it
+# m: neighbours no further apart in depth are surface however steep; the depth step of a file in millimetres is less
+MAX_DEPTH_STEP_M = 1.5e-3
+MAX_HOLE_M = 2e-3  # m
+STRIDE_PIXELS = 0.5  # pixels of the image from sample to sample of a ray
+CROSSING_STEPS = 6  # steps; without a fold of the surface in between the first is exact
+CROSSING_TOLERANCE = 1e-4  # relative error of depth at which a crossing counts as found: 10 um at the paper's distance
 
 
 class DepthPatch(NamedTuple):
     """A patch cut from a depth image, and what is known of each of its pixels."""
 
     patch: Patch
-    seen: Bool[Array, "n n"]
-    filled: Bool[Array, "n n"]  # interpolated; seen and filled exclude each other
+    valid_mask: Bool[Array, "n n"]  # measured on the pixel's ray
+    inpainted_mask: Bool[Array, "n n"]  # interpolated; valid and inpainted exclude each other
 
 
 def patch_from_depth(
@@ -55,9 +56,9 @@ def patch_from_depth(
     pixels: int = PATCH_PIXELS,
     reach: float = REACH,
     standoff: float = STANDOFF,
-    grazing: float = GRAZING,
-    step: float = STEP,
-    fill: float = FILL,
+    grazing: float = GRAZING_ANGLE_RAD,
+    step: float = MAX_DEPTH_STEP_M,
+    fill: float = MAX_HOLE_M,
 ) -> DepthPatch:
     """What the tool at `T_w_t` has in front of it, as the camera at `T_w_c` saw it: `render_patch` for depth (m).
 
@@ -90,7 +91,7 @@ def patch_from_depth(
 def crop_patch(
     depth: Num[Array, "height width"],
     camera: Camera,
-    distance: float = DISTANCE,
+    distance: float = LOOKING_DISTANCE_M,
     window: float = PATCH_WINDOW,
     pixels: int = PATCH_PIXELS,
     reach: float = REACH,
@@ -142,7 +143,7 @@ def _rays(depth, camera, T_c_t, window, pixels, margin, standoff) -> _Rays:
     x, y = jnp.meshgrid(along, along)
     start = [row[0] * x + row[1] * y + row[3] for row in T_c_t[:3]]
     go = T_c_t[:3, 2]
-    directions = lines_of_sight(camera)
+    directions = pixel_rays(camera)
     measured = jnp.isfinite(depth) & (depth > 0)
     near = jnp.min(jnp.where(measured, depth, jnp.inf)) * (1 - 1e-3)
     far = jnp.max(jnp.where(measured, depth, 0)) * (1 + 1e-3)
@@ -165,14 +166,14 @@ def _rays(depth, camera, T_c_t, window, pixels, margin, standoff) -> _Rays:
 
     u, v, inverse, height = (jnp.stack(ends) for ends in zip(end(low), end(high), strict=True))
     length = jnp.hypot((u[1] - u[0]) * camera.fx, (v[1] - v[0]) * camera.fy)
-    return _Rays(u, v, inverse, height, jnp.where(inside, jnp.ceil(length / STRIDE) + 1, 0))
+    return _Rays(u, v, inverse, height, jnp.where(inside, jnp.ceil(length / STRIDE_PIXELS) + 1, 0))
 
 
 def _cells(depth, camera, grazing, step):
     """For every square of four pixels ((h - 1)(w - 1), 6): their inverse depths (1/m; upper left, upper right, lower
     left, lower right), and whether the triangles of its upper left and its lower right corner are surface.
     """
-    x, y = lines_of_sight(camera)
+    x, y = pixel_rays(camera)
     measured = jnp.isfinite(depth) & (depth > 0) & jnp.isfinite(x) & jnp.isfinite(y)
     z = jnp.where(measured, depth, 1)
     points = jnp.stack([jnp.where(measured, x, 0) * z, jnp.where(measured, y, 0) * z, z])
@@ -212,7 +213,7 @@ def _follow(rays: _Rays, cells, camera: Camera, reach: float, inner) -> tuple[Ar
 
     def behind(part):
         """How far rays are behind the surface, as a difference of inverse depths (1/m), and whether they are on it."""
-        pixel = to_pixel(camera, _between(rays.x, part), _between(rays.y, part))
+        pixel = project_to_pixel(camera, _between(rays.x, part), _between(rays.y, part))
         u, v = pixel[..., 0], pixel[..., 1]
         column = jnp.clip(jnp.floor(u), 0, camera.width - 2)
         row = jnp.clip(jnp.floor(v), 0, camera.height - 2)
@@ -276,9 +277,9 @@ def _crossing(behind, low, high):
         )
 
     ends = (low, high, jnp.minimum(behind(low)[0], 0), jnp.maximum(behind(high)[0], 0))
-    part = cut(jax.lax.fori_loop(0, REFINE, refine, ends))
+    part = cut(jax.lax.fori_loop(0, CROSSING_STEPS, refine, ends))
     gap, on = behind(part)
-    return part, lambda inverse: on & (jnp.abs(gap) <= CLOSE * inverse)
+    return part, lambda inverse: on & (jnp.abs(gap) <= CROSSING_TOLERANCE * inverse)
 
 
 def _bridge(met, seen, pitch: float, fill: float):

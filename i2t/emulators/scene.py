@@ -20,7 +20,7 @@ from i2t.depth.camera import Camera, Distortion
 from i2t.emulators.robot_motion import rotation
 from i2t.geometry import full_precision
 from i2t.objects.solids import Mesh, transform_mesh
-from i2t.rendering.render import prepare, render_patch
+from i2t.rendering.render import prepare_surface, render_patch
 from i2t.simulation.sites import press_along
 from i2t.simulation.touches import Errors, sample_run
 from i2t.skin.contact import GRID
@@ -124,7 +124,7 @@ class Scene:
         self.T_b_o = np.asarray(T_b_o) @ np.asarray(run.T_o_placed, float)
         self.T_t_camera = np.asarray(run.T_t_camera, float)  # where it looks from, seen from where the lab believes
         self.rest = np.asarray(pad.board.to_board(jax.jit(rest_field)(pad)), float)  # (3 chips,) uT
-        self._surface = jax.device_put(prepare(mesh))
+        self._surface = jax.device_put(prepare_surface(mesh))
         self._random = np.random.default_rng(seed)
         placed = transform_mesh(mesh, self.T_b_o)
         self.triangles = np.concatenate([placed.vertices[placed.faces], table_at(np.asarray(T_b_o))])

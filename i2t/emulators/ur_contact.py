@@ -23,7 +23,7 @@ from i2t.types import READINGS, Array
 PAD = 1000  # key of the random pad, the same as pad 0 of experiments.train
 
 
-class Wired(Feeler):
+class BoardPublishingContactModel(Feeler):
     """A feeler that tells a board what it feels, by datagrams: the skin's own field at rest and what a press changes.
     The board keeps the newest.
     """
@@ -61,9 +61,9 @@ def feeler(
     emulated board wants to be told. It takes some seconds, in which everything is compiled.
     """
     setup = Rig() if rig is None else Rig.read(rig)
-    mesh = (catalogue.make(name) if name in catalogue.NAMES else catalogue.load(name, unit)[0]).mesh
+    mesh = (catalogue.make_object(name) if name in catalogue.NAMES else catalogue.load_mesh(name, unit)[0]).mesh
     skin = jax.jit(sample_pad)(jax.random.key(PAD)) if pad is None else load_pad(pad)
     errors = Errors().scaled(0.0) if exact else Errors()
     scene = Scene(mesh, setup.T_base_world @ setup.T_world_object, skin, errors, stiffness, seed)
     scene.ahead(setup.T_base_world @ setup.T_world_object)  # compiled before anybody waits for it
-    return Feeler(scene, wait=False) if board is None else Wired(scene, board)
+    return Feeler(scene, wait=False) if board is None else BoardPublishingContactModel(scene, board)

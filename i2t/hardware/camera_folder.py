@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 import numpy as np
 from PIL import Image
 
-from i2t.depth.camera import SUFFIXES, Camera, Encoding, check_image, read_depth
+from i2t.depth.camera import IMAGE_SUFFIXES, Camera, Encoding, check_image, read_depth
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.hardware.protocols import CameraFeatures, View
 from i2t.types import Array
@@ -27,10 +27,10 @@ from i2t.types import Array
 UNIT = 1e-4  # m, of what `keep` writes: 6.5 m are the most that 16 bits hold
 DESCRIPTION = "camera.toml"
 
-F = TypeVar("F", bound="Folder")
+F = TypeVar("F", bound="RecordedDepthCamera")
 
 
-class Folder:
+class RecordedDepthCamera:
     """Recorded views as a camera (`i2t.hardware.protocols.DepthCamera`), from view number `first` on; `loop` begins
     again where they end.
     """
@@ -59,7 +59,7 @@ class Folder:
         """Read what the folder holds, and begin with its first view; raises DeviceError."""
         self.close()
         self._camera, self._scale, self._encoding, least = read_description(self._path)
-        names = sorted(each.name for each in (self._path / "depth").glob("*") if each.suffix.lower() in SUFFIXES)
+        names = sorted(each.name for each in (self._path / "depth").glob("*") if each.suffix.lower() in IMAGE_SUFFIXES)
         if len(names) <= self._first:
             raise DeviceError(
                 f"{self._path / 'depth'} holds {len(names)} views, and number {self._first} is to be the first; "

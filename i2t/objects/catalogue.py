@@ -15,14 +15,14 @@ import numpy as np
 from manifold3d import CrossSection, Manifold
 
 from i2t.objects import tools
-from i2t.objects.mesh_files import Report, clean, load
-from i2t.objects.point_clouds import load_points, surface_from_points
+from i2t.objects.mesh_files import CleaningReport, clean_mesh, load_mesh
+from i2t.objects.point_clouds import load_point_cloud, surface_from_points
 from i2t.objects.solids import (
     Mesh,
     Object,
     ball,
     disk,
-    mesh,
+    mesh_from_solid,
     outline,
     polar,
     prism,
@@ -36,66 +36,66 @@ __all__ = [
     "PRIMITIVES",
     "STAMPS",
     "TOOLS",
+    "CleaningReport",
     "Mesh",
     "Object",
-    "Report",
-    "clean",
-    "decoy",
-    "load",
-    "load_points",
-    "make",
+    "clean_mesh",
+    "load_mesh",
+    "load_point_cloud",
+    "make_object",
     "random_object",
     "surface_from_points",
+    "surrogate_unknown",
     "transform_mesh",
 ]
 
-MM = 1e3  # mm per m: primitives take metres, solids are drawn in millimetres
+MM_PER_M = 1e3  # mm per m: primitives take metres, solids are drawn in millimetres
 
-RELIEF = 3.5  # mm, height of a stamp above its base
-STAMP_BASE = (20.0, 5.0)  # mm, edge and height of the base
+STAMP_RELIEF_MM = 3.5  # mm, height of a stamp above its base
+STAMP_BASE_MM = (20.0, 5.0)  # mm, edge and height of the base
 
 
 def polygon(sides: int, across: float = 60e-3, height: float = 30e-3) -> Mesh:
     """A regular prism, `across` from corner to opposite corner (twice its circumradius), one flat side facing -y."""
     turn = -np.pi / 2 + np.pi / sides
     angles = turn + 2 * np.pi * np.arange(sides) / sides
-    corners = 0.5 * across * MM * np.stack([np.cos(angles), np.sin(angles)], -1)
-    return mesh(prism(outline(corners), height * MM))
+    corners = 0.5 * across * MM_PER_M * np.stack([np.cos(angles), np.sin(angles)], -1)
+    return mesh_from_solid(prism(outline(corners), height * MM_PER_M))
 
 
 def square(width: float = 50e-3, height: float = 30e-3) -> Mesh:
     """A square prism."""
-    return mesh(prism(rectangle(width * MM, width * MM), height * MM))
+    return mesh_from_solid(prism(rectangle(width * MM_PER_M, width * MM_PER_M), height * MM_PER_M))
 
 
 def parallelogram(width: float = 50e-3, depth: float = 40e-3, slant: float = 20e-3, height: float = 30e-3) -> Mesh:
     """A prism on a parallelogram: sides of `width` along x, `depth` apart, shifted by `slant`."""
-    w, d, s = width * MM, depth * MM, slant * MM
-    return mesh(prism(outline([(0, 0), (w, 0), (w + s, d), (s, d)]), height * MM))
+    w, d, s = width * MM_PER_M, depth * MM_PER_M, slant * MM_PER_M
+    return mesh_from_solid(prism(outline([(0, 0), (w, 0), (w + s, d), (s, d)]), height * MM_PER_M))
 
 
 def star(points: int = 5, across: float = 70e-3, waist: float = 0.5, height: float = 30e-3) -> Mesh:
     """A prism on a star: tips on a circle of diameter `across`, hollows on one `waist` times as large."""
-    radii = 0.5 * across * MM * np.where(np.arange(2 * points) % 2, waist, 1.0)
-    return mesh(prism(polar(radii), height * MM))
+    radii = 0.5 * across * MM_PER_M * np.where(np.arange(2 * points) % 2, waist, 1.0)
+    return mesh_from_solid(prism(polar(radii), height * MM_PER_M))
 
 
 def flower(petals: int = 6, across: float = 70e-3, relief: float = 0.15, height: float = 30e-3) -> Mesh:
     """A prism on the smooth outline r = R (1 + relief cos(petals angle)), R (1 + relief) = across / 2."""
     angles = 2 * np.pi * np.arange(24 * petals) / (24 * petals)
-    radii = 0.5 * across * MM * (1 + relief * np.cos(petals * angles)) / (1 + relief)
-    return mesh(prism(polar(radii), height * MM))
+    radii = 0.5 * across * MM_PER_M * (1 + relief * np.cos(petals * angles)) / (1 + relief)
+    return mesh_from_solid(prism(polar(radii), height * MM_PER_M))
 
 
 def cross(across: float = 60e-3, bar: float = 22e-3, height: float = 30e-3) -> Mesh:
     """A prism on a cross of two bars."""
-    a, b = across * MM, bar * MM
-    return mesh(prism(rectangle(a, b) + rectangle(b, a), height * MM))
+    a, b = across * MM_PER_M, bar * MM_PER_M
+    return mesh_from_solid(prism(rectangle(a, b) + rectangle(b, a), height * MM_PER_M))
 
 
 def cylinder(diameter: float = 60e-3, height: float = 30e-3) -> Mesh:
     """A round disk."""
-    return mesh(prism(disk(0.5 * diameter * MM), height * MM))
+    return mesh_from_solid(prism(disk(0.5 * diameter * MM_PER_M), height * MM_PER_M))
 
 
 def blob(seed: int, across: float = 65e-3, height: float = 30e-3, order: int = 5, relief: float = 0.2) -> Mesh:
@@ -105,63 +105,65 @@ def blob(seed: int, across: float = 65e-3, height: float = 30e-3, order: int = 5
     k = np.arange(2, order + 1)[:, None]
     wave = (rng.normal(size=k.shape) / k * np.cos(k * angles + rng.uniform(0, 2 * np.pi, k.shape))).sum(0)
     radii = 1 + relief * wave / np.abs(wave).max()
-    return mesh(prism(polar(0.5 * across * MM * radii / radii.max()), height * MM))
+    return mesh_from_solid(prism(polar(0.5 * across * MM_PER_M * radii / radii.max()), height * MM_PER_M))
 
 
 def cone(bottom: float = 60e-3, top: float = 20e-3, height: float = 35e-3) -> Mesh:
     """A round frustum of two diameters."""
-    return mesh(Manifold.cylinder(height * MM, bottom * MM / 2, top * MM / 2, segments(bottom * MM / 2)))
+    return mesh_from_solid(
+        Manifold.cylinder(height * MM_PER_M, bottom * MM_PER_M / 2, top * MM_PER_M / 2, segments(bottom * MM_PER_M / 2))
+    )
 
 
 def pyramid(width: float = 60e-3, top: float = 15e-3, height: float = 35e-3) -> Mesh:
     """A square frustum."""
-    base = rectangle(width * MM, width * MM)
-    return mesh(Manifold.extrude(base, height * MM, scale_top=(top / width, top / width)))
+    base = rectangle(width * MM_PER_M, width * MM_PER_M)
+    return mesh_from_solid(Manifold.extrude(base, height * MM_PER_M, scale_top=(top / width, top / width)))
 
 
 def dome(diameter: float = 60e-3) -> Mesh:
     """A half ball, flat side down."""
-    return mesh(ball(0.5 * diameter * MM).trim_by_plane((0, 0, 1), 0.0))
+    return mesh_from_solid(ball(0.5 * diameter * MM_PER_M).trim_by_plane((0, 0, 1), 0.0))
 
 
 def ellipsoid(width: float = 70e-3, depth: float = 50e-3, height: float = 40e-3) -> Mesh:
     """An ellipsoid, lying."""
-    axes = 0.5 * MM * np.array([width, depth, height])
-    return mesh(ball(axes.max(), scale=list(axes / axes.max())))
+    axes = 0.5 * MM_PER_M * np.array([width, depth, height])
+    return mesh_from_solid(ball(axes.max(), scale=list(axes / axes.max())))
 
 
 def torus(across: float = 68e-3, tube: float = 20e-3) -> Mesh:
     """The upper half of a ring of outer diameter `across` with a round tube, flat side down."""
-    section = disk(0.5 * tube * MM, (0.5 * (across - tube) * MM, 0.0))
-    ring = Manifold.revolve(section, segments(0.5 * across * MM))
-    return mesh(ring.trim_by_plane((0, 0, 1), 0.0))
+    section = disk(0.5 * tube * MM_PER_M, (0.5 * (across - tube) * MM_PER_M, 0.0))
+    ring = Manifold.revolve(section, segments(0.5 * across * MM_PER_M))
+    return mesh_from_solid(ring.trim_by_plane((0, 0, 1), 0.0))
 
 
 def wedge(width: float = 60e-3, depth: float = 50e-3, low: float = 10e-3, high: float = 35e-3) -> Mesh:
     """A block whose top rises along x from `low` to `high`."""
-    side = outline([(0, 0), (width * MM, 0), (width * MM, high * MM), (0, low * MM)])
-    return mesh(prism(side, depth * MM).rotate((90, 0, 0)))
+    side = outline([(0, 0), (width * MM_PER_M, 0), (width * MM_PER_M, high * MM_PER_M), (0, low * MM_PER_M)])
+    return mesh_from_solid(prism(side, depth * MM_PER_M).rotate((90, 0, 0)))
 
 
 def stairs(steps: int = 3, width: float = 60e-3, depth: float = 50e-3, height: float = 36e-3) -> Mesh:
     """Equal steps that rise along x."""
-    run, rise = width * MM / steps, height * MM / steps
+    run, rise = width * MM_PER_M / steps, height * MM_PER_M / steps
     corners = [(run * (i + j), rise * (i + 1)) for i in range(steps) for j in (0, 1)]
     side = outline([(0, 0), *corners, (run * steps, 0)])
-    return mesh(prism(side, depth * MM).rotate((90, 0, 0)))
+    return mesh_from_solid(prism(side, depth * MM_PER_M).rotate((90, 0, 0)))
 
 
 def ridge(width: float = 60e-3, depth: float = 50e-3, height: float = 20e-3, radius: float = 12e-3) -> Mesh:
     """A block with a half round bar along y on its top."""
-    w, h, r = width * MM, height * MM, radius * MM
+    w, h, r = width * MM_PER_M, height * MM_PER_M, radius * MM_PER_M
     bar = disk(r, (0.0, h)) ^ rectangle(w, 2 * r, (0.0, h + r))
-    return mesh(prism(rectangle(w, h, (0.0, h / 2)) + bar, depth * MM).rotate((90, 0, 0)))
+    return mesh_from_solid(prism(rectangle(w, h, (0.0, h / 2)) + bar, depth * MM_PER_M).rotate((90, 0, 0)))
 
 
 def stamp(region: CrossSection) -> Mesh:
     """A relief of a region (mm) on a stamp's base."""
-    edge, height = STAMP_BASE
-    return mesh(prism(rectangle(edge, edge), height) + prism(region, RELIEF + 1.0, height - 1.0))
+    edge, height = STAMP_BASE_MM
+    return mesh_from_solid(prism(rectangle(edge, edge), height) + prism(region, STAMP_RELIEF_MM + 1.0, height - 1.0))
 
 
 def _stamp_regions() -> dict[str, CrossSection]:
@@ -206,13 +208,13 @@ TOOLS = tuple(tools.TOOLS)
 NAMES = PRIMITIVES + STAMPS + TOOLS
 
 
-def make(name: str) -> Object:
+def make_object(name: str) -> Object:
     """Build one object of the catalogue; raises ValueError for a name that is not in `NAMES`."""
     for family, catalogue in (("primitive", _PRIMITIVES), ("stamp", _STAMPS)):
         if name in catalogue:
             return Object(name, catalogue[name](), family)
     if name in tools.TOOLS:
-        return Object(name, mesh(tools.TOOLS[name]()), "tool")
+        return Object(name, mesh_from_solid(tools.TOOLS[name]()), "tool")
     raise ValueError(f"no object is called {name!r}; choose one of {', '.join(NAMES)}, or load a mesh file")
 
 
@@ -245,7 +247,7 @@ def random_object(seed: int) -> Object:
     return Object(f"{family}-{seed}", families[family](), "primitive")
 
 
-def decoy(known: Sequence[Mesh], seed: int) -> Object:
+def surrogate_unknown(known: Sequence[Mesh], seed: int) -> Object:
     """Something that is none of the `known` objects but might be taken for one: as high as one of them with another
     outline, or one of them stretched by a seventh to a half in each direction; every other one is not as high.
 

@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from i2t.objects.solids import Mesh, Object, settle, transform_mesh
+from i2t.objects.solids import Mesh, Object, place_on_table, transform_mesh
 
-UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 25.4e-3}  # m
-SUFFIXES = (".stl", ".obj", ".ply", ".glb")
-SMALLEST, LARGEST = 2e-3, 2.0  # m, longest side of something to touch
+METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 25.4e-3}  # m
+MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb")
+MIN_SIZE_M, MAX_SIZE_M = 2e-3, 2.0  # m, longest side of something to touch
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # from a frame whose y is up
 
 
 @dataclass(frozen=True)
-class Report:
+class CleaningReport:
     """What cleaning a mesh file did; `str` is for people."""
 
     path: str
@@ -68,9 +68,9 @@ class Report:
         )
 
 
-def load(
+def load_mesh(
     path: str | Path, unit: str, *, table: bool = True, largest: bool = True, up: str = "z"
-) -> tuple[Object, Report]:
+) -> tuple[Object, CleaningReport]:
     """Read a mesh file (STL, OBJ, PLY, GLB) whose coordinates are in `unit` (m, cm, mm, inch).
 
     `table` settles it: box centred in x and y, lowest point on z = 0, without turning it; otherwise it keeps its own
@@ -79,8 +79,8 @@ def load(
     sentence that names the file and a remedy. (A text file cut off between two lines cannot be told from a whole one.)
     """
     path = Path(path)
-    data = read(path, SUFFIXES)
-    scale = metres(path, unit)
+    data = read_bytes(path, MESH_SUFFIXES)
+    scale = to_metres(path, unit)
     if up not in ("z", "y"):
         raise ValueError(f"{path}: up={up!r} is not known; say up='z' or up='y'")
     _check_whole(path, data)
@@ -102,11 +102,11 @@ def load(
         raise ValueError(f"{path}: {np.sum(~np.isfinite(vertices).all(1))} vertices are not finite; repair the mesh")
     check_size(path, vertices[faces].reshape(-1, 3), unit)
     raw_mesh = Mesh(vertices, faces.astype(np.int32))
-    mesh, report = clean(transform_mesh(raw_mesh, Y_UP) if up == "y" else raw_mesh, str(path), largest)
-    return Object(path.stem, settle(mesh) if table else mesh, "file"), report
+    mesh, report = clean_mesh(transform_mesh(raw_mesh, Y_UP) if up == "y" else raw_mesh, str(path), largest)
+    return Object(path.stem, place_on_table(mesh) if table else mesh, "file"), report
 
 
-def clean(mesh: Mesh, path: str = "mesh", largest: bool = True) -> tuple[Mesh, Report]:
+def clean_mesh(mesh: Mesh, path: str = "mesh", largest: bool = True) -> tuple[Mesh, CleaningReport]:
     """Merge vertices closer than 10 nm, drop bad faces and loose pieces, turn faces outward, and say so.
 
     Raises ValueError, naming `path`, when no face has an area.
@@ -138,7 +138,7 @@ def clean(mesh: Mesh, path: str = "mesh", largest: bool = True) -> tuple[Mesh, R
     turned = int((wound != work.faces).any(1).sum())
     uses = np.unique(_edges(work.faces), axis=0, return_counts=True)[1]
     size = np.ptp(work.vertices, axis=0)
-    report = Report(
+    report = CleaningReport(
         path,
         len(mesh.faces),
         len(work.faces),
@@ -154,7 +154,7 @@ def clean(mesh: Mesh, path: str = "mesh", largest: bool = True) -> tuple[Mesh, R
     return Mesh(np.asarray(work.vertices, np.float64), np.asarray(work.faces, np.int32)), report
 
 
-def read(path: Path, suffixes: tuple[str, ...]) -> bytes:
+def read_bytes(path: Path, suffixes: tuple[str, ...]) -> bytes:
     """The bytes of a file with one of the endings; FileNotFoundError or ValueError in one sentence otherwise."""
     if path.suffix.lower() not in suffixes:
         raise ValueError(
@@ -170,25 +170,27 @@ def read(path: Path, suffixes: tuple[str, ...]) -> bytes:
     return data
 
 
-def metres(path: Path, unit: str) -> float:
+def to_metres(path: Path, unit: str) -> float:
     """Metres in a unit; ValueError for an unknown one."""
-    if unit not in UNITS:
-        raise ValueError(f"{path}: unit {unit!r} is not known; say which of {', '.join(UNITS)} its coordinates are in")
-    return UNITS[unit]
+    if unit not in METRES_PER_UNIT:
+        raise ValueError(
+            f"{path}: unit {unit!r} is not known; say which of {', '.join(METRES_PER_UNIT)} its coordinates are in"
+        )
+    return METRES_PER_UNIT[unit]
 
 
 def check_size(path: Path, points: NDArray, unit: str) -> None:
     """Refuse what is too small or too large to touch, with a hint at the unit that would fit."""
     longest = float(np.ptp(points, axis=0).max())
-    if SMALLEST <= longest <= LARGEST:
+    if MIN_SIZE_M <= longest <= MAX_SIZE_M:
         return
-    drawn = longest / UNITS[unit]
-    fitting = [name for name, scale in UNITS.items() if 1e-2 <= drawn * scale <= 1]
+    drawn = longest / METRES_PER_UNIT[unit]
+    fitting = [name for name, scale in METRES_PER_UNIT.items() if 1e-2 <= drawn * scale <= 1]
     hint = f"perhaps its unit is {' or '.join(fitting)}" if fitting else "check the unit, or scale the file"
-    word = "small" if longest < SMALLEST else "large"
+    word = "small" if longest < MIN_SIZE_M else "large"
     raise ValueError(
         f"{path}: too {word} to touch, {longest:.3g} m across when its unit is {unit} "
-        f"({SMALLEST:g} to {LARGEST:g} m are allowed); {hint}"
+        f"({MIN_SIZE_M:g} to {MAX_SIZE_M:g} m are allowed); {hint}"
     )
 
 

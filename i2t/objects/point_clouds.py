@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from i2t.objects.mesh_files import check_size, metres, read
+from i2t.objects.mesh_files import check_size, read_bytes, to_metres
 from i2t.objects.solids import Mesh
 
 PLY_TYPES = {
@@ -21,21 +21,21 @@ PLY_TYPES = {
     **{"double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
     **{"float32": "f4", "float64": "f8"},
 }
-NEIGHBOURS = 32  # at most, in a plane fit; disks lie half a radius apart, so some 28 lie within 1.5 radii
-RING = 8  # neighbours whose distance tells how dense a cloud is
-COVER = 2.0  # radius of a disk in spacings
-FEWEST = 5  # points of a plane fit; a point with fewer around it is an outlier
+MAX_FIT_NEIGHBOURS = 32  # at most, in a plane fit; disks lie half a radius apart, so some 28 lie within 1.5 radii
+SPACING_NEIGHBOUR = 8  # neighbours whose distance tells how dense a cloud is
+RADIUS_IN_SPACINGS = 2.0  # radius of a disk in spacings
+MIN_FIT_POINTS = 5  # points of a plane fit; a point with fewer around it is an outlier
 
 
-def load_points(path: str | Path, unit: str) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+def load_point_cloud(path: str | Path, unit: str) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
     """Read points (n, 3) in metres, and unit normals (n, 3) or None, from a PLY or PCD file with coordinates in `unit`.
 
     Points that are not finite mark missing measurements in both formats and are left out. Raises FileNotFoundError or
     ValueError, each with one sentence that names the file and a remedy; compressed PCD files are refused.
     """
     path = Path(path)
-    data = read(path, (".ply", ".pcd"))
-    scale = metres(path, unit)
+    data = read_bytes(path, (".ply", ".pcd"))
+    scale = to_metres(path, unit)
     parse = _ply if path.suffix.lower() == ".ply" else _pcd
     try:
         table = parse(data)
@@ -68,10 +68,10 @@ def suggest_radius(points: NDArray) -> float:
     look wider and the radius larger, as it should. Raises ValueError for fewer than nine points.
     """
     points = np.asarray(points, np.float64)
-    if len(points) <= RING:
-        raise ValueError(f"points: {len(points)} are too few to tell a spacing; give at least {RING + 1}")
-    distance, _ = cKDTree(points).query(points, k=[RING + 1])  # the first neighbour is the point itself
-    radius = COVER * float(np.median(distance)) * np.sqrt(np.pi / RING)
+    if len(points) <= SPACING_NEIGHBOUR:
+        raise ValueError(f"points: {len(points)} are too few to tell a spacing; give at least {SPACING_NEIGHBOUR + 1}")
+    distance, _ = cKDTree(points).query(points, k=[SPACING_NEIGHBOUR + 1])  # the first neighbour is the point itself
+    radius = RADIUS_IN_SPACINGS * float(np.median(distance)) * np.sqrt(np.pi / SPACING_NEIGHBOUR)
     if not radius > 0:
         raise ValueError("points: most of them lie in the same place; remove the repeated ones")
     return float(radius)
@@ -100,7 +100,7 @@ def surface_from_points(
     mean = np.stack([np.bincount(cube, v) for v in np.concatenate([points, side], 1).T], -1) / count
     centres, side = mean[:, :3], mean[:, 3:]
 
-    near = min(NEIGHBOURS, len(centres))
+    near = min(MAX_FIT_NEIGHBOURS, len(centres))
     distance, index = cKDTree(centres).query(centres, k=np.arange(1, near + 1), distance_upper_bound=1.5 * radius)
     weight = np.isfinite(distance)[..., None]
     ring = centres[np.where(weight[..., 0], index, 0)]
@@ -111,10 +111,10 @@ def surface_from_points(
     normal = np.where((normal * side).sum(1, keepdims=True) < 0, -normal, normal)
     centres = centres - ((centres - middle) * normal).sum(1, keepdims=True) * normal
 
-    kept = weight.sum((1, 2)) >= FEWEST
+    kept = weight.sum((1, 2)) >= MIN_FIT_POINTS
     if not kept.any():
         raise ValueError(
-            f"points: none has {FEWEST - 1} others within 1.5 x {radius:g} m; give a larger radius or a denser cloud"
+            f"points: none has {MIN_FIT_POINTS - 1} others within 1.5 x {radius:g} m; give a larger radius or a denser cloud"
         )
     centres, normal = centres[kept], normal[kept]
     u = axes[kept, :, 2]

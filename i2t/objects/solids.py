@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 Real: TypeAlias = float | int  # of a drawing
 
-SAGITTA = 0.03  # mm between a chord and its arc
+SAGITTA_MM = 0.03  # mm between a chord and its arc
 
 
 class Mesh(NamedTuple):
@@ -42,22 +42,22 @@ def transform_mesh(mesh: Mesh, T: NDArray) -> Mesh:
     return Mesh(mesh.vertices @ T[:3, :3].T + T[:3, 3], faces)
 
 
-def settle(mesh: Mesh) -> Mesh:
+def place_on_table(mesh: Mesh) -> Mesh:
     """Shift a mesh, without turning it, so that its box is centred in x and y and stands on z = 0."""
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
     return Mesh(mesh.vertices - [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]], mesh.faces)
 
 
-def mesh(solid: Manifold) -> Mesh:
+def mesh_from_solid(solid: Manifold) -> Mesh:
     """The settled mesh, in metres, of a solid drawn in millimetres."""
     drawn = solid.to_mesh64()
     vertices = np.asarray(drawn.vert_properties, np.float64)[:, :3] * 1e-3
-    return settle(Mesh(vertices, np.asarray(drawn.tri_verts).astype(np.int32)))
+    return place_on_table(Mesh(vertices, np.asarray(drawn.tri_verts).astype(np.int32)))
 
 
 def segments(radius: Real) -> int:
     """How many chords, a multiple of four and at least eight, replace a circle of `radius` mm within `SAGITTA`."""
-    return max(8, 4 * math.ceil(math.pi / math.acos(1 - SAGITTA / max(radius, 2 * SAGITTA)) / 4))
+    return max(8, 4 * math.ceil(math.pi / math.acos(1 - SAGITTA_MM / max(radius, 2 * SAGITTA_MM)) / 4))
 
 
 def outline(points: Sequence[Sequence[Real]] | NDArray) -> CrossSection:
@@ -89,7 +89,7 @@ def rounded(region: CrossSection, radius: Real) -> CrossSection:
     n = segments(radius)
     opened = region.offset(-radius, circular_segments=n).offset(radius, circular_segments=n)
     closed = opened.offset(radius, circular_segments=n).offset(-radius, circular_segments=n)
-    return closed.simplify(SAGITTA / 3)
+    return closed.simplify(SAGITTA_MM / 3)
 
 
 def prism(region: CrossSection, height: Real, base: Real = 0.0) -> Manifold:

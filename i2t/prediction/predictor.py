@@ -23,10 +23,10 @@ from orbax.checkpoint import v1 as ocp
 
 from i2t.errors import CheckpointError
 from i2t.prediction import checkpoint, gp, model
-from i2t.prediction.gp import GP, Imagined
+from i2t.prediction.gp import GP, ContactPressure
 from i2t.prediction.model import ModelConfig, Normalisation, Params
-from i2t.prediction.pressure import Imagination, imagine
-from i2t.rendering.render import prepare, render_patch
+from i2t.prediction.pressure import PressureModelConfig, predict_pressure
+from i2t.rendering.render import prepare_surface, render_patch
 from i2t.skin.pad import nominal_pad
 from i2t.types import PATCH_PIXELS, WIDE_PIXELS, Pad, Surface
 
@@ -42,7 +42,7 @@ class Reading(NamedTuple):
     std: np.ndarray  # as mean: standard deviation of what the sensor will say, its noise included
 
 
-class Network(NamedTuple):
+class TrainedNetwork(NamedTuple):
     """A trained network with what it needs."""
 
     params: Params  # members as axis 0
@@ -60,14 +60,14 @@ class Predictor:
     """
 
     process: GP | None
-    network: Network | None
-    imagination: Imagination | None
+    network: TrainedNetwork | None
+    imagination: PressureModelConfig | None
     window: float
     reach: float
-    load: float
-    depth: float
-    spread: float = 1.0
-    about: dict[str, Any] | None = None
+    default_force: float
+    default_depth: float
+    std_scale: float = 1.0
+    metadata: dict[str, Any] | None = None
 
     def predict(
         self,
@@ -93,16 +93,16 @@ class Predictor:
         if not np.isfinite(patches).all():
             raise ValueError("patch holds NaN or infinity; pixels without a surface are `reach`")
         measured = {
-            "force": _column("force", force, n, self.load),
+            "force": _column("force", force, n, self.default_force),
             "nearest": _column("nearest", nearest, n, None),
-            "depth": _column("depth", depth, n, self.depth),
+            "depth": _column("depth", depth, n, self.default_depth),
         }
         if self.imagination is None:
             reading = self.from_image(patches, measured)
         else:
             views = patches if wide is None else np.asarray(wide, np.float32).reshape(n, *np.shape(wide)[-2:])
             cfg = replace(self.imagination, pitch=self.window / patches.shape[1])
-            reading = self.from_imagined(imagine_all(cfg, views, measured["force"], measured["depth"]), measured)
+            reading = self.from_imagined(predict_pressures(cfg, views, measured["force"], measured["depth"]), measured)
         return Reading(reading.mean[0], reading.std[0]) if single else reading
 
     def predict_touch(
@@ -122,8 +122,8 @@ class Predictor:
 
             if unit is None:
                 raise ValueError(f"{mesh}: say in which unit the file is, for instance unit='mm'")
-            mesh = catalogue.load(mesh, unit, table=False)[0]
-        surface = mesh if isinstance(mesh, Surface) else prepare(getattr(mesh, "mesh", mesh))
+            mesh = catalogue.load_mesh(mesh, unit, table=False)[0]
+        surface = mesh if isinstance(mesh, Surface) else prepare_surface(getattr(mesh, "mesh", mesh))
         T = jnp.asarray(T_w_t, jnp.float32)
         if T.shape != (4, 4) or not bool(jnp.all(jnp.isfinite(T))):
             raise ValueError(f"T_w_t must be a finite (4, 4) transform, got shape {T.shape}")
@@ -136,7 +136,7 @@ class Predictor:
         around = np.clip(np.asarray(wide.depth) + float(wide.nearest - patch.nearest), 0, self.reach)
         return self.predict(np.asarray(patch.depth), force=force, nearest=float(patch.nearest), wide=around)
 
-    def from_imagined(self, imagined: Imagined, measured: dict[str, np.ndarray]) -> Reading:
+    def from_imagined(self, imagined: ContactPressure, measured: dict[str, np.ndarray]) -> Reading:
         """The readings of touches (axis 0) that `imagine_all` made from their views with this predictor's imagination.
 
         `measured` holds the force, `nearest` and depth of each touch, NaN where unknown.
@@ -144,7 +144,7 @@ class Predictor:
         if self.process is None:
             return self.from_image(np.asarray(imagined.pressure), measured)
         mean, std = _process(self.process, imagined)
-        return Reading(np.asarray(mean), np.asarray(std) * self.spread)
+        return Reading(np.asarray(mean), np.asarray(std) * self.std_scale)
 
     def from_image(self, images: np.ndarray, measured: dict[str, np.ndarray]) -> Reading:
         """The readings that a network sees in images (n, p, p): patches, or imagined pressures. Raises ValueError where
@@ -160,28 +160,28 @@ class Predictor:
         values = [measured[name] for name in network.conditions]
         conditions = np.stack(values, -1) if values else np.zeros((len(images), 0))
         mean, std = _network(network, params, norm, model.Inputs(jnp.float32(images), jnp.float32(conditions)))
-        return Reading(np.asarray(mean), np.asarray(std) * self.spread)
+        return Reading(np.asarray(mean), np.asarray(std) * self.std_scale)
 
 
-def imagine_all(
-    cfg: Imagination,
+def predict_pressures(
+    cfg: PressureModelConfig,
     views: np.ndarray,
     force: np.ndarray,
     depth: np.ndarray,
     pad: Pad | None = None,
-) -> Imagined:
+) -> ContactPressure:
     """Imagine many touches (axis 0) on a layer of nominal stiffness, a batch at a time."""
     values = (jnp.float32(views), jnp.float32(force), jnp.float32(depth))
     return _imagine(cfg, nominal_pad() if pad is None else pad, values)
 
 
 @partial(jax.jit, static_argnums=0)
-def _imagine(cfg: Imagination, pad: Pad, values: tuple[Array, Array, Array]) -> Imagined:
-    return jax.lax.map(lambda touch: imagine(cfg, pad, *touch), values, batch_size=BATCH)
+def _imagine(cfg: PressureModelConfig, pad: Pad, values: tuple[Array, Array, Array]) -> ContactPressure:
+    return jax.lax.map(lambda touch: predict_pressure(cfg, pad, *touch), values, batch_size=BATCH)
 
 
 @jax.jit
-def _process(process: GP, imagined: Imagined) -> tuple[Array, Array]:
+def _process(process: GP, imagined: ContactPressure) -> tuple[Array, Array]:
     return gp.predict(process, imagined)
 
 
@@ -251,12 +251,12 @@ def load_predictor(directory: Path | str) -> Predictor:
         raise CheckpointError(f"the arrays in {directory} are damaged; train again, or restore a copy") from error
     process = network = None
     if about["network"] is None:
-        process = _as(GP, arrays["process"], hyper=gp.Hyper, touches=Imagined)
+        process = _as(GP, arrays["process"], hyper=gp.GPHyperparameters, touches=ContactPressure)
     else:
         cfg = checkpoint.config_from(ModelConfig, about["network"])
         norm = _as(Normalisation, arrays["normalisation"], reading=model.Standard, conditions=model.Standard)
-        network = Network(arrays["params"], cfg, norm)
-    imagination = None if about["imagination"] is None else Imagination(**about["imagination"])
+        network = TrainedNetwork(arrays["params"], cfg, norm)
+    imagination = None if about["imagination"] is None else PressureModelConfig(**about["imagination"])
     return Predictor(
         process,
         network,
@@ -286,6 +286,6 @@ def middle(values: np.ndarray, default: float) -> float:
     return float(np.median(known)) if len(known) else default
 
 
-def spread_of(readings: np.ndarray, prediction: Reading) -> float:
+def std_scale(readings: np.ndarray, prediction: Reading) -> float:
     """The factor by which standard deviations must grow for the errors on these touches to have unit variance."""
     return float(np.sqrt(np.mean(((readings - prediction.mean) / prediction.std) ** 2)))

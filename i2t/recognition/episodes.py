@@ -19,17 +19,17 @@ from tqdm import tqdm
 from experiments.train.methods import condition
 from i2t.dataset import Dataset
 from i2t.errors import DataError
-from i2t.geometry import invert
+from i2t.geometry import inverse
 from i2t.prediction import gp
-from i2t.prediction.gp import Imagined
-from i2t.prediction.predictor import Predictor, imagine_all
-from i2t.prediction.pressure import Imagination
+from i2t.prediction.gp import ContactPressure
+from i2t.prediction.predictor import Predictor, predict_pressures
+from i2t.prediction.pressure import PressureModelConfig
 from i2t.recognition import belief, ensemble, outcomes
-from i2t.recognition.belief import Likelihood, Measured, Particles
-from i2t.recognition.outcomes import CELLS, Outcome, SkinMap
+from i2t.recognition.belief import Likelihood, TouchObservation, Particles
+from i2t.recognition.outcomes import CELLS, PredictedTouch, LinearReadingModel
 from i2t.registration import touch as register
 from i2t.rendering.ops import element
-from i2t.rendering.render import prepare, render_heights, stack
+from i2t.rendering.render import prepare_surface, render_heights, stack_surfaces
 from i2t.simulation import sites as touch_sites
 from i2t.simulation import touches as simulation
 from i2t.simulation.press import PressLimits
@@ -47,7 +47,7 @@ EVIDENCE = {"tactile only": (1.0, 0.0), "position only": (0.0, 1.0), "fused": (1
 class Learnt(NamedTuple):
     """A pad as touches on known objects taught it."""
 
-    skin: SkinMap
+    skin: LinearReadingModel
     like: Likelihood
     std: np.ndarray  # (15,) uT, of its readings
     r2: float  # of touches left out
@@ -75,7 +75,7 @@ def learn(
         surface = surfaces[dataset.objects[int(touches.object[here[0]])]]
         padded = np.resize(here, max(ROW, len(here)))
         some = jax.tree.map(lambda x, padded=padded: jnp.asarray(x[padded]), touches)
-        T_w_contact, met = register.first_contacts(some)
+        T_w_contact, met = register.contact_poses(some)
         met = met & (np.arange(len(padded)) < len(here))
         T_w_o = some.T_w_o[0]
         found = _place(
@@ -87,7 +87,7 @@ def learn(
         pressure[here], sunk[here] = newtons[: len(here), 0], deep[: len(here), 0]
     used = np.flatnonzero(rows & np.isfinite(sunk))
     load = np.maximum(touches.force[used], outcomes.SMALLEST)
-    told = Imagined(jnp.asarray(pressure[used].reshape(-1, CELLS.cells, CELLS.cells)), jnp.asarray(load))
+    told = ContactPressure(jnp.asarray(pressure[used].reshape(-1, CELLS.cells, CELLS.cells)), jnp.asarray(load))
     readings = jnp.asarray(touches.reading[used])
     depth = touches.depth[used] - load / limits.stiffness
     softness = float(np.sum(sunk[used] * depth) / np.sum(sunk[used] ** 2))
@@ -95,19 +95,19 @@ def learn(
     return _learnt(told, readings, readings, touches.run[used], softness, position, limits)
 
 
-_place = jax.jit(register.by_touch)
+_place = jax.jit(register.register_by_touch)
 
 
 @jax.jit
 def _press(surface: Surface, T_o_t: Array, force: Array) -> tuple[Array, Array]:
-    return jax.vmap(lambda T, f: outcomes.pressures(surface, T, f[None]))(T_o_t, force)
+    return jax.vmap(lambda T, f: outcomes.contact_pressures(surface, T, f[None]))(T_o_t, force)
 
 
 def learn_oracle(dataset: Dataset, rows: np.ndarray, learnt: Learnt, limits: PressLimits) -> Learnt:
     """What could be learnt from the same simulated touches if pose and reading had no error: a bound, not a method."""
     used = np.flatnonzero(rows)
     touches = jax.tree.map(lambda x: x[used], dataset.touches)
-    softness, position = float(learnt.skin.softness), float(learnt.like.position)
+    softness, position = float(learnt.skin.softness), float(learnt.like.position_std)
     readings, ideal = jnp.asarray(touches.reading), jnp.asarray(touches.truth.reading)
     return _learnt(_really_met(touches.truth), ideal, readings, touches.run, softness, position, limits)
 
@@ -123,26 +123,26 @@ def learn_on_pad(
     made = simulation.simulate(key, surfaces, pad, ideal, touches // len(surfaces), limits=limits)
     assert made.truth is not None
     process = condition(_really_met(made.truth), made.reading, np.asarray(made.run), seed=0)
-    skin, position = outcomes.skin_map(process, float(felt.skin.softness)), float(felt.like.position)
-    like = belief.likelihood(felt.errors, process.scale, skin.loads, limits.past_goal, position, limits.stiffness)
+    skin, position = outcomes.linear_reading_model(process, float(felt.skin.softness)), float(felt.like.position_std)
+    like = belief.fit_likelihood(felt.errors, process.scale, skin.loads, limits.past_goal, position, limits.stiffness)
     return felt._replace(skin=skin, like=like, r2=float("nan"))
 
 
-def _really_met(truth: Truth) -> Imagined:
+def _really_met(truth: Truth) -> ContactPressure:
     """Pressures of simulated touches whose contacts are known exactly."""
-    exact = Imagination(pitch=WIDE_WINDOW / WIDE_PIXELS, smooth=False, tilt=0.0, cell=CELLS.spacing)
-    return imagine_all(exact, truth.wide, truth.force, truth.indentation)
+    exact = PressureModelConfig(pitch=WIDE_WINDOW / WIDE_PIXELS, smooth=False, tilt=0.0, cell=CELLS.spacing)
+    return predict_pressures(exact, truth.wide, truth.force, truth.indentation)
 
 
 def _learnt(
-    told: Imagined, readings: Array, recorded: Array, runs: np.ndarray, softness: float, position: float,
+    told: ContactPressure, readings: Array, recorded: Array, runs: np.ndarray, softness: float, position: float,
     limits: PressLimits,
 ) -> Learnt:  # fmt: skip
     """Learn `readings`; how far off a prediction of those `recorded` is comes from touches left out."""
     process = condition(told, readings, runs, seed=0)
-    left = gp.left_out(process) + np.asarray(recorded - readings)
-    skin = outcomes.skin_map(process, softness)
-    like = belief.likelihood(left, process.scale, skin.loads, limits.past_goal, position, limits.stiffness)
+    left = gp.leave_one_out_errors(process) + np.asarray(recorded - readings)
+    skin = outcomes.linear_reading_model(process, softness)
+    like = belief.fit_likelihood(left, process.scale, skin.loads, limits.past_goal, position, limits.stiffness)
     around = np.asarray(recorded) - np.mean(np.asarray(recorded), axis=0)
     return Learnt(skin, like, around.std(axis=0), float(1 - np.sum(left**2) / np.sum(around**2)), left)
 
@@ -169,10 +169,10 @@ def tabulate(
     surfaces: Sequence[Surface],
     twist: Float[Array, "k 6"],
     T_w_site: Float[Array, "sites 4 4"],
-    skins: Sequence[SkinMap],
+    skins: Sequence[LinearReadingModel],
     past: float,
     what: str,
-) -> list[Outcome]:
+) -> list[PredictedTouch]:
     """What every object in every place would feel like at every site, for each of some pads that share their loads:
     an `Outcome` of (sites, objects, k) each. A bar says what for.
     """
@@ -193,10 +193,10 @@ def tabulate(
 
 
 @partial(jax.jit, static_argnames=("past",))
-def _imagine(surface: Surface, twist: Array, T_w_site: Array, skins: list[SkinMap], past: float) -> list[Outcome]:
-    def one(T: Array, x: Array) -> list[Outcome]:
-        met = outcomes.meet(surface, jnp.eye(4), x, T, skins[0].loads, past)
-        return [outcomes.read(met, skin) for skin in skins]
+def _imagine(surface: Surface, twist: Array, T_w_site: Array, skins: list[LinearReadingModel], past: float) -> list[PredictedTouch]:
+    def one(T: Array, x: Array) -> list[PredictedTouch]:
+        met = outcomes.predict_contact(surface, jnp.eye(4), x, T, skins[0].loads, past)
+        return [outcomes.predict_reading(met, skin) for skin in skins]
 
     return jax.vmap(lambda T: jax.vmap(lambda x: one(T, x))(twist))(T_w_site)
 
@@ -220,7 +220,7 @@ class Episodes(NamedTuple):
 
     truth: Int[np.ndarray, " e"]  # the object that was there
     site: Int[np.ndarray, "e t"]
-    measured: Measured  # (e, t)
+    measured: TouchObservation  # (e, t)
     T_w_t: Float[np.ndarray, "e t 4 4"]  # where the presses ended
 
 
@@ -271,7 +271,7 @@ class Sitting:
         self.touches += [jax.tree.map(lambda x, i=i: x[:, i], made) for i in range(n)]
         self.chosen += list(np.asarray(site).T)
 
-    def measured(self) -> Measured:
+    def measured(self) -> TouchObservation:
         """All touches so far, (e, t); a sensor's faults depend on the touches before."""
         # Touches to come are there as nothing, so that adding them changes no draw of those made.
         made = jax.tree.map(lambda *x: np.stack(x, axis=1), *self.touches)
@@ -281,7 +281,7 @@ class Sitting:
         T_w_site = np.asarray(self.sites.T_w_t)[np.stack(self.chosen, 1)]
         apart = made.T_w_t[..., :3, 3] - T_w_site[..., :3, 3]
         advance = np.sum(apart * T_w_site[..., :3, 2], axis=-1)
-        return Measured(
+        return TouchObservation(
             *map(jnp.asarray, (reading, made.force, advance.astype(np.float32), made.code != ReturnCode.AIR))
         )
 
@@ -392,7 +392,7 @@ def _views(surface: Surface, T_w_t: Array) -> tuple[Array, Array]:
 def _look(surface: Surface, T_w_t: Array) -> tuple[Array, Array]:
     """A wide view behind the patch's nearest point, as the camera's are (`i2t.simulation.touches.cut`), and whether it
     shows any."""
-    z = render_heights(surface, invert(T_w_t), WIDE_WINDOW, WIDE_PIXELS)
+    z = render_heights(surface, inverse(T_w_t), WIDE_WINDOW, WIDE_PIXELS)
     margin = (WIDE_PIXELS - PATCH_PIXELS) // 2
     nearest = jnp.min(z[margin:-margin, margin:-margin])
     seen = jnp.isfinite(nearest)
@@ -418,7 +418,7 @@ def replayed(recorded: Dataset, names: Sequence[str], touches: int) -> tuple[Poo
     if strange:
         raise DataError(f"the data set has touches of {', '.join(strange)}, of which there is no mesh; pass --objects")
     T_o_t = np.linalg.inv(made.T_w_o[rows]) @ made.T_w_t[rows]
-    measured = Measured(
+    measured = TouchObservation(
         jnp.asarray(made.reading[rows]), jnp.asarray(made.force[rows]), jnp.zeros(rows.shape),
         jnp.asarray(made.code[rows] != ReturnCode.AIR),
     )  # fmt: skip
@@ -429,23 +429,23 @@ def replayed(recorded: Dataset, names: Sequence[str], touches: int) -> tuple[Poo
 
 @jax.jit
 def beliefs(
-    table: Outcome, site: Int[Array, "e t"], measured: Measured, like: Likelihood, placements: Particles
+    table: PredictedTouch, site: Int[Array, "e t"], measured: TouchObservation, like: Likelihood, placements: Particles
 ) -> Float[Array, "e t objects"]:
     """Posteriors over the objects after each touch of each episode; `table` is (sites, objects, k)."""
     objects = table.hit.shape[1]
 
-    def episode(at: tuple[Array, Measured]) -> Array:
-        def step(now: belief.Belief, touched: tuple[Array, Measured]) -> tuple[belief.Belief, Array]:
+    def episode(at: tuple[Array, TouchObservation]) -> Array:
+        def step(now: belief.Belief, touched: tuple[Array, TouchObservation]) -> tuple[belief.Belief, Array]:
             now = belief.update(now, touched[1], element(table, touched[0]), like)
             return now, belief.posterior(now)
 
-        return jax.lax.scan(step, belief.begin(placements, objects), at)[1]
+        return jax.lax.scan(step, belief.init(placements, objects), at)[1]
 
     return jax.lax.map(episode, (site, measured), batch_size=8)
 
 
 def by_evidence(
-    table: Outcome,
+    table: PredictedTouch,
     episodes: Episodes,
     like: Likelihood,
     placements: Particles,
@@ -463,10 +463,10 @@ def by_evidence(
 
 def places_about(errors: Errors, count: int, seed: int) -> Particles:
     """Places in which an object may stand under the errors of placement."""
-    return belief.particles(outcomes.prior_spread(errors.placement, errors.placement_angle), count, seed)
+    return belief.sample_particles(outcomes.prior_spread(errors.placement, errors.placement_angle), count, seed)
 
 
 def surfaces_of(meshes: Sequence[Any]) -> list[Surface]:
     """Prepared surfaces of one size class, so that one compilation serves all."""
-    stacked = stack([prepare(mesh) for mesh in meshes])
+    stacked = stack_surfaces([prepare_surface(mesh) for mesh in meshes])
     return [element(stacked, i) for i in range(len(meshes))]

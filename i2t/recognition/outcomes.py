@@ -1,21 +1,22 @@
-"""What a touch would be like on a possible object: where the skin would meet it, how far it would sink, what it reads.
+"""What a touch would be like on a possible object: where the skin meets it, how far it sinks, what it reads.
 
-An object that may lie anywhere near where it is believed is met by the flat skin at some travel along the approach
+An object that may lie anywhere near its believed pose is met by the flat skin at some distance along the approach
 (`i2t.simulation.sites.press_along`); there its heights over the skin are pressed with a few loads into a layer of
-nominal stiffness (`i2t.skin.contact`), and a process that has learnt one pad's touches turns pressures into readings.
-For one load F the process of `i2t.prediction.gp` is linear in the pressure p,
+nominal stiffness (`i2t.skin.contact`), and a Gaussian process conditioned on one pad's touches turns pressures into
+readings. For one load F the process of `i2t.prediction.gp` is linear in the pressure p,
 
     mean = p . M_F,    variance = p' V_F p   (in units of each channel's signal),
 
-so M_F and the root of V_F are worked out once (`skin_map`), and a reading costs a product. Between loads, readings per
-newton are interpolated in the logarithm of the load.
+so M_F and the root of V_F are computed once (`linear_reading_model`), and a reading costs a product. Between loads,
+readings per newton are interpolated in the logarithm of the load.
 
-`meet` is geometry and mechanics, `read` one pad. Neither depends on what is measured, so outcomes can be tabulated for
-sites, objects and places once and used for any number of touches. The travel comes with its slope along the six
-coordinates of the object's placement, so that places between those imagined are told apart too
-(`i2t.recognition.belief`).
+`predict_contact` is geometry and mechanics, `predict_reading` one pad. Neither depends on what is measured, so touches
+can be predicted for sites, objects and pose particles once and used for any number of episodes. The approach distance
+comes with its Jacobian along the six coordinates of the object's pose, so that poses between the particles are told
+apart too (`i2t.recognition.belief`).
 
-Pure functions on one example; metres, newtons, microtesla; frames as in `i2t.types`.
+Pure functions on one example; metres, newtons, microtesla; frames as in `i2t.types`. A reading has c = 3 * chips
+channels.
 """
 
 from functools import partial
@@ -26,166 +27,251 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from i2t.geometry import full_precision, invert
+from i2t.geometry import full_precision, inverse
 from i2t.prediction import gp
 from i2t.prediction.gp import GP
-from i2t.prediction.pressure import TOLERANCE, Imagination
+from i2t.prediction.pressure import SOLVER_TOLERANCE, PressureModelConfig
 from i2t.registration.patch import motion
 from i2t.rendering.render import render_heights
 from i2t.simulation import sites
 from i2t.skin.contact import Grid, solve_force
 from i2t.skin.pad import nominal_pad
-from i2t.types import TWIST_LEVER_M, PAD_WINDOW, STANDOFF, Pad, Surface
+from i2t.types import PAD_WINDOW, STANDOFF, TWIST_LEVER_M, Pad, Surface
 
-CELLS = Grid(cells=20, modes=32, window=PAD_WINDOW)  # 1 mm, as the process sees pressures
-LOADS = (0.3, 0.9, 2.7)  # N; most presses to 25 uT end between the outer ones
-SMALLEST = Imagination.floor  # N, least load, where a noisy wrench sensor says less
-ROUNDING = 1e-5  # of the largest eigenvalue of a variance: below it, nothing is left but rounding
+PRESSURE_GRID = Grid(cells=20, modes=32, window=PAD_WINDOW)  # cells of 1 mm, as the process sees pressures
+LOADS_N = (0.3, 0.9, 2.7)  # most presses to 25 uT end between the outer ones
+MIN_LOAD_N = PressureModelConfig.floor  # a noisy wrench sensor says less
+EIGENVALUE_TOLERANCE = 1e-5  # of the largest eigenvalue of a variance: what is smaller is rounding
 
 
-class SkinMap(NamedTuple):
-    """A pad as its process sees it at a few loads."""
+class LinearReadingModel(NamedTuple):
+    """A pad's Gaussian process at a few loads, where it is linear in the pressure."""
 
     loads: Float[Array, " l"]  # N
-    mean: Float[Array, "l cells channels"]  # uT per N on each cell of 1 mm
+    mean: Float[Array, "l cells c"]  # uT per N on each cell of 1 mm
     root: Float[Array, "l cells rank"]  # of the variance, relative to the square of a channel's signal
-    scale: Float[Array, " channels"]  # uT, root mean square of each channel's signal
-    softness: Float[Array, ""]  # depth of a press over that on the nominal layer
+    scale: Float[Array, " c"]  # uT, root mean square of each channel's signal
+    softness: Float[Array, ""]  # indentation of the pad over that of the nominal layer
 
 
-class Met(NamedTuple):
+class PredictedContact(NamedTuple):
     """How the skin would meet an object; the same for every pad."""
 
-    hit: Bool[Array, ""]  # whether the skin meets anything within its travel
-    travel: Float[Array, ""]  # m from the site to first contact, along the approach; its longest where nothing is met
-    slope: Float[
-        Array, "6"
-    ]  # of the travel along the twist of the object's placement (`i2t.registration.patch.motion`)
-    sunk: Float[Array, " l"]  # m past first contact at each load, on the nominal layer
+    hit: Bool[Array, ""]  # whether the skin meets anything before it gives up
+    approach_distance: Float[Array, ""]  # m, from the site to first contact; where nothing is met, the overtravel
+    jacobian: Float[Array, "6"]  # of that distance along the twist of the object's pose
+    indentation: Float[Array, " l"]  # m past first contact at each load, on the nominal layer
     newtons: Float[Array, "l cells"]  # on each cell of 1 mm
 
 
-class Outcome(NamedTuple):
-    """A touch that was only imagined; loads (l) are those of the `SkinMap`."""
+class PredictedTouch(NamedTuple):
+    """A touch that was not made; loads (l) are those of the `LinearReadingModel`."""
 
-    hit: Bool[Array, ""]
-    travel: Float[Array, ""]  # m, as in `Met`
-    slope: Float[Array, "6"]
-    sunk: Float[Array, " l"]  # m past first contact
-    reading: Float[Array, "l 15"]  # uT
+    hit: Bool[Array, ""]  # as in `PredictedContact`
+    approach_distance: Float[Array, ""]  # m
+    jacobian: Float[Array, "6"]
+    indentation: Float[Array, " l"]  # m past first contact
+    reading: Float[Array, "l c"]  # uT
     variance: Float[Array, " l"]  # of the reading, relative to the square of a channel's signal
 
 
-def skin_map(process: GP, softness: float = 1.0, loads: tuple[float, ...] = LOADS) -> SkinMap:
-    """The maps of a fitted process; for the host, in double precision, as a variance is a small difference."""
+def linear_reading_model(process: GP, softness: float = 1.0, loads: tuple[float, ...] = LOADS_N) -> LinearReadingModel:
+    """Evaluate a Gaussian process at a few loads; on the host, in double precision, as a variance is a small difference.
+
+    Args:
+        process: Conditioned on one pad's touches.
+        softness: Indentation of the pad over that of the nominal layer.
+        loads: At which touches are to be predicted (N).
+
+    Returns:
+        The linear maps from pressure to mean and to the root of the variance.
+    """
     weights = np.asarray(process.hyper.weights / process.unit, np.float64)
-    root = gp.roots(process.touches.pressure.shape[-1]).astype(np.float64)
-    axis = np.einsum("lij,ljk->lik", root, root)  # C_l of one axis
-    told = np.asarray(process.touches.pressure, np.float64)
-    seen = np.einsum("lij,njk,lmk->lnim", axis, told, axis).reshape(len(axis), len(told), -1)
-    cells = seen.shape[-1]
+    root = gp.kernel_factor(process.touches.pressure.shape[-1]).astype(np.float64)
+    axis = np.einsum("lij,ljk->lik", root, root)  # the kernel along one axis, for each length scale
+    pressure = np.asarray(process.touches.pressure, np.float64)
+    blurred = np.einsum("lij,njk,lmk->lnim", axis, pressure, axis).reshape(len(axis), len(pressure), -1)
+    cells = blurred.shape[-1]
     prior = sum(w * np.kron(a, a) for w, a in zip(weights, axis, strict=True))
     cholesky, solved = np.asarray(process.cholesky, np.float64), np.asarray(process.weights, np.float64)
     means, roots = [], []
-    for at in np.asarray(gp.bending(process.hyper, jnp.float32(loads), process.touches.load), np.float64):
-        cross = np.einsum("l,lnx->nx", weights, seen) * at[:, None]
+    for factor in np.asarray(gp.stiffening(process.hyper, jnp.float32(loads), process.touches.load), np.float64):
+        cross = np.einsum("l,lnx->nx", weights, blurred) * factor[:, None]
         means.append(cross.T @ solved * np.asarray(process.scale))
         half = np.linalg.solve(cholesky, cross)
         values, vectors = np.linalg.eigh(prior - half.T @ half)
-        kept = np.maximum(values, 0) * (values > ROUNDING * values[-1])
+        kept = np.maximum(values, 0) * (values > EIGENVALUE_TOLERANCE * values[-1])
         roots.append(vectors * np.sqrt(kept))
     rank = max(int((np.abs(r).max(0) > 0).sum()) for r in roots)
-    return SkinMap(
-        jnp.float32(loads), jnp.float32(np.stack(means)), jnp.float32(np.stack([r[:, cells - rank :] for r in roots])),
-        process.scale, jnp.float32(softness),
-    )  # fmt: skip
+    return LinearReadingModel(
+        loads=jnp.float32(loads),
+        mean=jnp.float32(np.stack(means)),
+        root=jnp.float32(np.stack([r[:, cells - rank :] for r in roots])),
+        scale=process.scale,
+        softness=jnp.float32(softness),
+    )
 
 
-def meet(
+def predict_contact(
     surface: Surface,
     T_w_o: Float[Array, "4 4"],
     twist: Float[Array, "6"],
     T_w_site: Float[Array, "4 4"],
     loads: Float[Array, " l"],
-    past: float,
-    prepare: float = STANDOFF,
-) -> Met:
-    """A touch at a site if the object lay a `twist` off `T_w_o`, approached from `prepare` (m) before the site up to
-    `past` (m) beyond it, and pressed with each of `loads` (N).
+    *,
+    overtravel: float,
+    start_distance: float = STANDOFF,
+) -> PredictedContact:
+    """Predict where the skin meets an object and how a few loads are distributed over it.
+
+    Args:
+        surface: Of the object, in its own frame.
+        T_w_o: The object's believed pose.
+        twist: Displacement (m) of the object from there (`i2t.registration.patch.motion`).
+        T_w_site: The skin's pose where it would just lie on the surface; it moves along its z axis.
+        loads: With which it is pressed (N).
+        overtravel: Distance (m) beyond the site after which the press gives up.
+        start_distance: Distance (m) before the site at which the approach starts.
+
+    Returns:
+        Contact, distance to it and its Jacobian, indentations and newtons; zeros where nothing is met.
     """
-    (travel, (T_o_t, hit)), slope = jax.value_and_grad(_travel, argnums=2, has_aux=True)(
-        surface, T_w_o, twist, T_w_site, past, prepare
+    (distance, (T_o_t, hit)), jacobian = jax.value_and_grad(_approach_distance, argnums=2, has_aux=True)(
+        surface, T_w_o, twist, T_w_site, (start_distance, overtravel)
     )
-    sunk, newtons = pressures(surface, jax.lax.stop_gradient(T_o_t), loads)
-    hit = hit & jnp.isfinite(sunk[0])
-    smooth = hit & jnp.all(jnp.isfinite(slope))
-    return Met(hit, travel, jnp.where(smooth, slope, 0.0), jnp.where(hit, sunk, 0.0), jnp.where(hit, newtons, 0.0))
+    indentation, newtons = contact_pressures(surface, jax.lax.stop_gradient(T_o_t), loads)
+    hit = hit & jnp.isfinite(indentation[0])
+    smooth = hit & jnp.all(jnp.isfinite(jacobian))
+    return PredictedContact(
+        hit=hit,
+        approach_distance=distance,
+        jacobian=jnp.where(smooth, jacobian, 0.0),
+        indentation=jnp.where(hit, indentation, 0.0),
+        newtons=jnp.where(hit, newtons, 0.0),
+    )
 
 
-def read(met: Met, skin: SkinMap) -> Outcome:
-    """What a pad reads of it."""
-    reading = jnp.einsum("lx,lxc->lc", met.newtons, skin.mean, precision="highest")
-    variance = jnp.sum(jnp.einsum("lx,lxr->lr", met.newtons, skin.root, precision="highest") ** 2, axis=-1)
-    return Outcome(met.hit, met.travel, met.slope, skin.softness * met.sunk, reading, variance)
+def predict_reading(contact: PredictedContact, model: LinearReadingModel) -> PredictedTouch:
+    """Predict what a pad reads at a contact.
+
+    Args:
+        contact: Pressed with the loads of the model.
+        model: Of the pad.
+
+    Returns:
+        The touch with reading and variance at each load.
+    """
+    reading = jnp.einsum("lx,lxc->lc", contact.newtons, model.mean, precision="highest")
+    variance = jnp.sum(jnp.einsum("lx,lxr->lr", contact.newtons, model.root, precision="highest") ** 2, axis=-1)
+    return PredictedTouch(
+        hit=contact.hit,
+        approach_distance=contact.approach_distance,
+        jacobian=contact.jacobian,
+        indentation=model.softness * contact.indentation,
+        reading=reading,
+        variance=variance,
+    )
 
 
 @full_precision
-def _travel(
-    surface: Surface, T_w_o: Array, twist: Array, T_w_site: Array, past: float, prepare: float
+def _approach_distance(
+    surface: Surface, T_w_o: Array, twist: Array, T_w_site: Array, limits: tuple[float, float]
 ) -> tuple[Array, tuple[Array, Array]]:
-    T_o_w = invert(T_w_o @ motion(twist))
-    start = T_o_w @ T_w_site @ jnp.eye(4).at[2, 3].set(-prepare)
-    T_o_t, hit = sites.press_along(surface, start, start[:3, 2], travel=prepare + past)
-    return jnp.dot(T_o_t[:3, 3] - start[:3, 3], start[:3, 2]) - prepare, (T_o_t, hit)
+    """Distance (m) from the site to first contact, and the contact (T_o_t, hit); `limits` are where the approach starts
+    before the site and where it gives up beyond it.
+    """
+    start_distance, overtravel = limits
+    T_o_w = inverse(T_w_o @ motion(twist))
+    start = T_o_w @ T_w_site @ jnp.eye(4).at[2, 3].set(-start_distance)
+    T_o_t, hit = sites.press_along(surface, start, start[:3, 2], travel=start_distance + overtravel)
+    return jnp.dot(T_o_t[:3, 3] - start[:3, 3], start[:3, 2]) - start_distance, (T_o_t, hit)
 
 
-def pressures(
+def contact_pressures(
     surface: Surface, T_o_t: Float[Array, "4 4"], loads: Float[Array, " l"], pad: Pad | None = None
 ) -> tuple[Float[Array, " l"], Float[Array, "l cells"]]:
-    """The skin at first contact T_o_t pressed with each load: how far it sinks (m, nominal layer) and the newtons on
-    each cell. Infinite and zero where nothing lies before the skin.
+    """Press the skin into a surface with each of some loads.
+
+    Args:
+        surface: Of the object.
+        T_o_t: The skin's pose at first contact.
+        loads: Newtons, at least `MIN_LOAD_N`.
+        pad: Whose layer is pressed; the nominal one by default.
+
+    Returns:
+        Indentation (m) and newtons on each cell; infinite and zero where nothing lies before the skin.
     """
     pad = nominal_pad() if pad is None else pad
-    heights = render_heights(surface, invert(T_o_t), PAD_WINDOW, CELLS.cells)
+    heights = render_heights(surface, inverse(T_o_t), PAD_WINDOW, PRESSURE_GRID.cells)
     nearest = jnp.min(heights)
     met = jnp.isfinite(nearest)
     behind = jnp.where(met, heights - jnp.where(met, nearest, 0.0), 0.0)
 
     def press(load: Float[Array, ""]) -> tuple[Array, Array]:
-        load = jnp.maximum(load, SMALLEST)
-        contact = solve_force(pad, behind, load, CELLS, tolerance=TOLERANCE, max_steps=Imagination.iterations)
-        newtons = contact.pressure.reshape(-1) * CELLS.spacing**2
+        load = jnp.maximum(load, MIN_LOAD_N)
+        contact = solve_force(
+            pad, behind, load, PRESSURE_GRID, tolerance=SOLVER_TOLERANCE, max_steps=PressureModelConfig.iterations
+        )
+        newtons = contact.pressure.reshape(-1) * PRESSURE_GRID.spacing**2
         return contact.indentation, newtons * load / jnp.maximum(jnp.sum(newtons), 1e-9)
 
-    sunk, newtons = jax.vmap(press)(loads)
-    return jnp.where(met, nearest + sunk, jnp.inf), jnp.where(met, newtons, 0.0)
+    indentation, newtons = jax.vmap(press)(loads)
+    return jnp.where(met, nearest + indentation, jnp.inf), jnp.where(met, newtons, 0.0)
 
 
-def at_load(
-    outcome: Outcome, loads: Float[Array, " l"], force: Float[Array, ""]
-) -> tuple[Float[Array, ""], Float[Array, "15"], Float[Array, ""]]:
-    """How far the skin sinks (m), the reading (uT) and its variance at a load (N) between those imagined, or beyond."""
-    at = jnp.log(jnp.maximum(force, SMALLEST))
+def interpolate_load(
+    predicted: PredictedTouch, loads: Float[Array, " l"], force: Float[Array, ""]
+) -> tuple[Float[Array, ""], Float[Array, " c"], Float[Array, ""]]:
+    """A predicted touch at any load: between those predicted, or beyond them.
+
+    Indentation is a power of the load between two loads and down to none. Readings per newton are linear in the
+    logarithm of the load, up to one step between loads beyond the outer ones, and constant from there.
+
+    Args:
+        predicted: The touch at `loads`.
+        loads: Ascending (N).
+        force: The load asked for (N); none and less is no touch.
+
+    Returns:
+        Indentation (m), reading (uT) and its relative variance; all zero without load.
+    """
+    pressed = force > 0
+    at = jnp.log(jnp.where(pressed, force, loads[0]))
     knots = jnp.log(loads)
     i = jnp.clip(jnp.searchsorted(knots, at) - 1, 0, len(loads) - 2)
-    part = jnp.clip((at - knots[i]) / (knots[i + 1] - knots[i]), -1.0, 2.0)
-    between = partial(_between, i, part)
+    step = (at - knots[i]) / (knots[i + 1] - knots[i])
+    between = partial(_interpolate, i, jnp.clip(step, -1.0, 2.0))
     newtons = jnp.exp(at)
     # A contact sinks as a power of its load; a reading grows about in proportion to it.
-    sunk = jnp.exp(between(jnp.log(jnp.maximum(outcome.sunk, 1e-7))))
-    variance = jnp.exp(between(jnp.log(jnp.maximum(outcome.variance / loads**2, 1e-12)))) * newtons**2
-    reading = between(outcome.reading / loads[:, None]) * newtons
-    return jnp.where(outcome.hit, sunk, 0.0), reading, jnp.where(outcome.hit, variance, 0.0)
+    log_indentation = jnp.log(jnp.maximum(predicted.indentation, 1e-7))
+    indentation = jnp.exp(_interpolate(i, jnp.minimum(step, 2.0), log_indentation))
+    variance = jnp.exp(between(jnp.log(jnp.maximum(predicted.variance / loads**2, 1e-12)))) * newtons**2
+    reading = between(predicted.reading / loads[:, None]) * newtons
+    touched = predicted.hit & pressed
+    return (
+        jnp.where(touched, indentation, 0.0),
+        jnp.where(pressed, reading, 0.0),
+        jnp.where(touched, variance, 0.0),
+    )
 
 
-def _between(i: Array, part: Array, values: Array) -> Array:
+def _interpolate(i: Array, step: Array, values: Array) -> Array:
+    """On the straight line through values i and i + 1, a number of steps from the first."""
     low, high = (
         jax.lax.dynamic_index_in_dim(values, i, keepdims=False),
         jax.lax.dynamic_index_in_dim(values, i + 1, keepdims=False),
     )
-    return low + part * (high - low)
+    return low + step * (high - low)
 
 
-def prior_spread(distance: float, angle: float) -> Float[np.ndarray, "6"]:
-    """Standard deviations (m) of the twist of a placement unsure by `distance` (m) and `angle` (rad) on each axis."""
+def placement_std(distance: float, angle: float) -> Float[np.ndarray, "6"]:
+    """The prior of an object's pose that is uncertain alike about each axis.
+
+    Args:
+        distance: Standard deviation along each axis (m).
+        angle: Standard deviation about each axis (rad).
+
+    Returns:
+        Standard deviations (m) of the six parts of a twist.
+    """
     return np.repeat([distance, TWIST_LEVER_M * angle], 3).astype(np.float32)

@@ -26,9 +26,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from i2t.geometry import full_precision, random_motion, rotation, transform
+from i2t.geometry import full_precision, random_motion, so3_exp, transform
 from i2t.rendering.render import render_patch
-from i2t.types import TWIST_LEVER_M, PATCH_WINDOW, REACH, Patch, Surface
+from i2t.types import PATCH_WINDOW, REACH, TWIST_LEVER_M, Patch, Surface
 
 # Of the Gauss-Newton matrix, whose eigenvalues are about 1 where a pose is known.
 LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e6
@@ -38,7 +38,7 @@ EASE, STIFFEN = 1 / 3, 4.0  # of the damping, after a step that helped and one t
 
 
 @dataclass(frozen=True)
-class Refinement:
+class PatchRegistrationConfig:
     """How a pose is sought. Lengths in metres."""
 
     steps: int = 40  # at most
@@ -57,7 +57,7 @@ class Linearised(NamedTuple):
     slopes: Float[Array, "n n 6"]
 
 
-class State(NamedTuple):
+class RefinementState(NamedTuple):
     """What the next step needs."""
 
     T_w_t: Float[Array, "4 4"]
@@ -68,7 +68,7 @@ class State(NamedTuple):
     tried: Int[Array, ""]  # steps so far
 
 
-class Info(NamedTuple):
+class RefinementInfo(NamedTuple):
     """What a person looks at after a step."""
 
     cost: Float[Array, ""]  # m^2, mean robust loss of the pose that was kept, at this step's scale
@@ -77,7 +77,7 @@ class Info(NamedTuple):
     damping: Float[Array, ""]
 
 
-class Refined(NamedTuple):
+class RefinedPose(NamedTuple):
     """A pose, how well it explains the patch, and what the patch says about it."""
 
     T_w_t: Float[Array, "4 4"]
@@ -87,7 +87,12 @@ class Refined(NamedTuple):
     directions: Float[Array, "6 6"]  # unit twists in columns, in that order
 
 
-def refine(surface: Surface, observed: Patch, T_w_t: Float[Array, "4 4"], how: Refinement = Refinement()) -> Refined:
+def refine_pose(
+    surface: Surface,
+    observed: Patch,
+    T_w_t: Float[Array, "4 4"],
+    how: PatchRegistrationConfig = PatchRegistrationConfig(),
+) -> RefinedPose:
     """The pose near `T_w_t` at which the surface looks as `observed`.
 
     A patch that shows nothing (`nearest` infinite) leaves the pose where it is; a start that is not finite stays so.
@@ -98,21 +103,21 @@ def refine(surface: Surface, observed: Patch, T_w_t: Float[Array, "4 4"], how: R
         init(observed, T_w_t, how),
     )
     eigenvalues, directions = jnp.linalg.eigh(_gauss_newton(state.here.slopes))
-    return Refined(state.T_w_t, robust_cost(state.here.residual, how.fine), state.tried, eigenvalues, directions)
+    return RefinedPose(state.T_w_t, robust_cost(state.here.residual, how.fine), state.tried, eigenvalues, directions)
 
 
 @full_precision
-def search(
+def refine_pose_multistart(
     key: Key[Array, ""],
     surface: Surface,
     observed: Patch,
     T_w_t: Float[Array, "4 4"],
     distance: float,
     angle: float,
-    how: Refinement = Refinement(),
+    how: PatchRegistrationConfig = PatchRegistrationConfig(),
     draws: int = 32,
     starts: int = 4,
-) -> Refined:
+) -> RefinedPose:
     """`refine` from the `starts` best of `draws` poses around `T_w_t`, and the best of what they became.
 
     For objects with edges, where the heights of a pose two millimetres off have little to do with the right one's.
@@ -123,25 +128,27 @@ def search(
     motions = jax.vmap(random_motion, (0, None, None))(keys, distance, angle)
     poses = jnp.concatenate([T_w_t[None], T_w_t @ motions])
     pixels = observed.depth.shape[-1]
-    target, floor = target_heights(observed, how.reach)
+    target, floor = reference_heights(observed, how.reach)
     costs = jax.vmap(
-        lambda T: robust_cost(cut_heights(surface, T, floor, pixels, how.window, how.reach) - target, how.coarse)
+        lambda T: robust_cost(visible_heights(surface, T, floor, pixels, how.window, how.reach) - target, how.coarse)
     )(poses)
     _, best = jax.lax.top_k(-costs, starts)
-    ends = jax.vmap(refine, (None, None, 0, None))(surface, observed, poses[best], how)
+    ends = jax.vmap(refine_pose, (None, None, 0, None))(surface, observed, poses[best], how)
     first = jnp.argmin(jnp.where(jnp.isnan(ends.cost), jnp.inf, ends.cost))
     return jax.tree.map(lambda leaf: leaf[first], ends)
 
 
-def init(observed: Patch, T_w_t: Float[Array, "4 4"], how: Refinement) -> State:
+def init(observed: Patch, T_w_t: Float[Array, "4 4"], how: PatchRegistrationConfig) -> RefinementState:
     """The state before the first step, which only looks: so the renderer is compiled once."""
     one = jnp.ones((), T_w_t.dtype)
     blind = Linearised(jnp.full_like(observed.depth, UNSEEN), jnp.zeros((*observed.depth.shape, 6), T_w_t.dtype))
-    return State(T_w_t, blind, 0.1 * one, how.coarse * one, math.inf * one, jnp.zeros((), jnp.int32))
+    return RefinementState(T_w_t, blind, 0.1 * one, how.coarse * one, math.inf * one, jnp.zeros((), jnp.int32))
 
 
 @full_precision
-def step(surface: Surface, observed: Patch, state: State, how: Refinement) -> tuple[State, Info]:
+def step(
+    surface: Surface, observed: Patch, state: RefinementState, how: PatchRegistrationConfig
+) -> tuple[RefinementState, RefinementInfo]:
     """Try one damped Gauss-Newton step, and keep it if the robust cost falls."""
     weight = (1 + (state.here.residual / state.scale) ** 2) ** -2  # of rho, as a square's
     slopes = state.here.slopes
@@ -158,40 +165,42 @@ def step(surface: Surface, observed: Patch, state: State, how: Refinement) -> tu
     )
     damping = jnp.clip(state.damping * jnp.where(better, EASE, STIFFEN), LEAST_DAMPING, MOST_DAMPING)
     scale = jnp.maximum(state.scale * how.shrink, how.fine)
-    info = Info(jnp.where(better, after, before), better, state.scale, state.damping)
-    return State(kept_pose, kept, damping, scale, jnp.linalg.norm(twist), state.tried + 1), info
+    info = RefinementInfo(jnp.where(better, after, before), better, state.scale, state.damping)
+    return RefinementState(kept_pose, kept, damping, scale, jnp.linalg.norm(twist), state.tried + 1), info
 
 
-def terminate(state: State, how: Refinement) -> Bool[Array, ""]:
+def terminate(state: RefinementState, how: PatchRegistrationConfig) -> Bool[Array, ""]:
     """Whether the steps are used up or have become too short to matter."""
     return (state.tried >= how.steps) | ((state.moved < how.settled) & (state.scale <= how.fine))
 
 
-def linearise(surface: Surface, observed: Patch, T_w_t: Float[Array, "4 4"], how: Refinement) -> Linearised:
+def linearise(
+    surface: Surface, observed: Patch, T_w_t: Float[Array, "4 4"], how: PatchRegistrationConfig
+) -> Linearised:
     """Residuals of a pose and their derivatives by a twist."""
-    target, floor = target_heights(observed, how.reach)
+    target, floor = reference_heights(observed, how.reach)
     heights, slopes = slopes_of(surface, T_w_t, floor, target.shape[-1], how.window, how.reach)
     return Linearised(heights - target, slopes)
 
 
-def information(
+def pose_information(
     surface: Surface, T_w_t: Float[Array, "4 4"], pixels: int, window: float = PATCH_WINDOW, reach: float = REACH
 ) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
     """Eigenvalues of the Gauss-Newton matrix of a patch seen at a pose, smallest first, and its eigenvectors in
     columns.
     """
     patch = render_patch(surface, T_w_t, window, pixels, reach)
-    _, floor = target_heights(patch, reach)
+    _, floor = reference_heights(patch, reach)
     _, slopes = slopes_of(surface, T_w_t, floor, pixels, window, reach)
     return jnp.linalg.eigh(_gauss_newton(slopes))
 
 
-def observable(eigenvalues: Float[Any, "*n"], bound: float) -> Bool[Any, "*n"]:
+def observable_directions(eigenvalues: Float[Any, "*n"], bound: float) -> Bool[Any, "*n"]:
     """Which directions a patch tells, given the smallest eigenvalue that counts (see `resolvable`)."""
     return eigenvalues >= bound
 
 
-def resolvable(noise: float, error: float, pixels: int) -> float:
+def resolvable_eigenvalue(noise: float, error: float, pixels: int) -> float:
     """The eigenvalue from which on `error` (m) along a direction is two standard deviations of its estimate, where each
     of pixels^2 heights has its own `noise` (m, standard deviation): the variance is noise^2 / (pixels^2 eigenvalue).
     """
@@ -200,7 +209,7 @@ def resolvable(noise: float, error: float, pixels: int) -> float:
 
 def motion(twist: Float[Array, "6"]) -> Float[Array, "4 4"]:
     """The rigid motion of a small twist: its rotation, then its translation."""
-    return transform(rotation(twist[3:] / TWIST_LEVER_M), twist[:3])
+    return transform(so3_exp(twist[3:] / TWIST_LEVER_M), twist[:3])
 
 
 def robust_cost(residual: Float[Array, "n n"], scale: float | Float[Array, ""]) -> Float[Array, ""]:
@@ -209,7 +218,7 @@ def robust_cost(residual: Float[Array, "n n"], scale: float | Float[Array, ""]) 
     return jnp.mean(square / (square / scale**2 + 1))
 
 
-def target_heights(observed: Patch, reach: float) -> tuple[Float[Array, "n n"], Float[Array, ""]]:
+def reference_heights(observed: Patch, reach: float) -> tuple[Float[Array, "n n"], Float[Array, ""]]:
     """Absolute heights of a patch (m), cut at its floor, and that floor; one that shows nothing has its floor in front
     of everything, where every pose looks like it.
     """
@@ -218,7 +227,7 @@ def target_heights(observed: Patch, reach: float) -> tuple[Float[Array, "n n"], 
     return jnp.where(seen, start + observed.depth, NOTHING), jnp.where(seen, start + reach, NOTHING)
 
 
-def cut_heights(
+def visible_heights(
     surface: Surface, T_w_t: Float[Array, "4 4"], floor: Float[Array, ""], pixels: int, window: float, reach: float
 ) -> Float[Array, "n n"]:
     """Heights of a pose, cut at the floor."""
@@ -238,7 +247,7 @@ def slopes_of(
     """
 
     def look(twist):
-        return cut_heights(surface, T_w_t @ motion(twist), floor, pixels, window, reach)
+        return visible_heights(surface, T_w_t @ motion(twist), floor, pixels, window, reach)
 
     heights, push = jax.linearize(look, jnp.zeros(6, T_w_t.dtype))
     slopes = jax.vmap(push, out_axes=-1)(jnp.eye(6, dtype=T_w_t.dtype))

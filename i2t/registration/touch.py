@@ -36,14 +36,14 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera, check_image
-from i2t.depth.distortion import lines_of_sight
-from i2t.geometry import full_precision, invert, is_rigid
+from i2t.depth.distortion import pixel_rays
+from i2t.geometry import full_precision, inverse, is_rigid
 from i2t.objects.solids import Mesh
 from i2t.registration.patch import EASE, STIFFEN, motion
 from i2t.simulation.sites import nearest_in_square
-from i2t.types import TWIST_LEVER_M, PAD_WINDOW, STANDOFF, ReturnCode, Surface, Touches
+from i2t.types import PAD_WINDOW, STANDOFF, TWIST_LEVER_M, ReturnCode, Surface, Touches
 
-FREEDOM = 4.0  # degrees of freedom of Student's t: the usual compromise of Lange et al.
+STUDENT_T_DOF = 4.0  # degrees of freedom of Student's t: the usual compromise of Lange et al.
 LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e6  # of the Gauss-Newton matrix's diagonal
 UNSEEN = 1e3  # m, residual of a motion that was not looked at yet: worse than any
 TAIL = 5  # degrees of freedom of what is drawn: heavier tails than any posterior's
@@ -53,7 +53,7 @@ BIWEIGHT = 4.685  # scales beyond which Tukey's weight is zero (95 % efficient w
 
 
 @dataclass(frozen=True)
-class Probing:
+class TouchRegistrationConfig:
     """How a pose is sought from touches."""
 
     starts: int = 12  # draws of the prior; the first is its mean
@@ -66,7 +66,7 @@ class Probing:
 
 
 @dataclass(frozen=True)
-class Matching:
+class DepthRegistrationConfig:
     """How a pose is sought from a depth image."""
 
     reach: float = 15e-3  # m from the believed object within which a point counts, at first
@@ -82,7 +82,7 @@ class Matching:
     seed: int = 0
 
 
-class Registered(NamedTuple):
+class PoseEstimate(NamedTuple):
     """A pose, how well it is known, and how well it explains what was measured."""
 
     T_w_o: Float[Array, "4 4"]
@@ -109,7 +109,7 @@ class _Probe(NamedTuple):
     damping: Float[Array, ""]
 
 
-def first_contacts(touches: Touches) -> tuple[Float[Array, "n 4 4"], Bool[Array, " n"]]:
+def contact_poses(touches: Touches) -> tuple[Float[Array, "n 4 4"], Bool[Array, " n"]]:
     """Poses of first contact of recorded touches, and which of them met the object: each is the pose at the end of the
     press, taken back along tool z by the measured travel past contact.
     """
@@ -120,7 +120,7 @@ def first_contacts(touches: Touches) -> tuple[Float[Array, "n 4 4"], Bool[Array,
 
 
 @full_precision
-def by_touch(
+def register_by_touch(
     key: Key[Array, ""],
     surface: Surface,
     T_w_o: Float[Array, "4 4"],
@@ -129,8 +129,8 @@ def by_touch(
     distance: float | Float[Array, ""],
     angle: float | Float[Array, ""],
     noise: float | Float[Array, ""] = 0.1e-3,
-    how: Probing = Probing(),
-) -> Registered:
+    how: TouchRegistrationConfig = TouchRegistrationConfig(),
+) -> PoseEstimate:
     """The mean pose of an object believed at `T_w_o` that was met at the tool poses `T_w_contact`.
 
     Before, each axis is normal with standard deviation `distance` (m) and `angle` (rad); contact is known to `noise`
@@ -141,7 +141,7 @@ def by_touch(
     spread = jnp.stack([jnp.asarray(distance, jnp.float32)] * 3 + [jnp.asarray(angle * TWIST_LEVER_M, jnp.float32)] * 3)
     weight = jnp.asarray(weight, jnp.float32)
     T_w_t = jnp.where((weight > 0)[:, None, None], T_w_contact, jnp.eye(4)[None])
-    T_t_o = jax.vmap(lambda T: invert(T) @ T_w_o)(T_w_t)
+    T_t_o = jax.vmap(lambda T: inverse(T) @ T_w_o)(T_w_t)
     triangles = jax.vmap(lambda T: _candidates(surface, T, how, 3 * distance, 3 * angle))(T_t_o)
 
     def look_once(x, T, triangles):
@@ -161,12 +161,14 @@ def by_touch(
 
     def cost(z, seen, scale):
         """Minus the logarithm of the posterior."""
-        surprise = (FREEDOM + 1) / 2 * jnp.log1p((seen.residual / scale) ** 2 / FREEDOM) + jnp.log(seen.stretch)
+        surprise = (STUDENT_T_DOF + 1) / 2 * jnp.log1p((seen.residual / scale) ** 2 / STUDENT_T_DOF) + jnp.log(
+            seen.stretch
+        )
         return 0.5 * z @ z + weight @ surprise
 
     def normal(seen, scale):
         """Weights of the squares that have the t distribution's slope, and the Gauss-Newton matrix."""
-        share = weight * (FREEDOM + 1) / (FREEDOM + (seen.residual / scale) ** 2)
+        share = weight * (STUDENT_T_DOF + 1) / (STUDENT_T_DOF + (seen.residual / scale) ** 2)
         return share, seen.slopes.T @ (share[:, None] * seen.slopes) / scale**2 + jnp.eye(6)
 
     def step(probe, scale):
@@ -220,7 +222,7 @@ def by_touch(
     belief = end.z, jnp.linalg.inv(matrix)
     (z, covariance), _ = jax.lax.scan(adapt, belief, jax.random.normal(key_draws, (how.rounds, how.draws, 6 + TAIL)))
     covariance = spread[:, None] * covariance * spread[None]
-    return Registered(T_w_o @ motion(spread * z), covariance, end.seen.residual, share, costs[best])
+    return PoseEstimate(T_w_o @ motion(spread * z), covariance, end.seen.residual, share, costs[best])
 
 
 def _gap(triangle: Float[Array, "3 3"], T_t_o: Float[Array, "4 4"], half: float | Array) -> Float[Array, ""]:
@@ -234,7 +236,11 @@ def _gaps(triangles: Float[Array, "k 3 3"], T_t_o: Float[Array, "4 4"], half: fl
 
 
 def _candidates(
-    surface: Surface, T_t_o: Float[Array, "4 4"], how: Probing, distance: float | Array, angle: float | Array
+    surface: Surface,
+    T_t_o: Float[Array, "4 4"],
+    how: TouchRegistrationConfig,
+    distance: float | Array,
+    angle: float | Array,
 ) -> Float[Array, "k 3 3"]:
     """The faces that come nearest when the object moves sideways by up to `distance` (m) and turns by `angle` (rad)."""
     triangles = jnp.asarray(surface.triangles)
@@ -244,7 +250,7 @@ def _candidates(
     return triangles[nearest]
 
 
-def by_depth(
+def register_by_depth(
     mesh: Mesh,
     T_w_o: Float[np.ndarray | Array, "4 4"],
     depth: Float[np.ndarray | Array, "height width"],
@@ -255,8 +261,8 @@ def by_depth(
     *,
     table: float | None = 0.0,
     alike: float = 1.0,
-    how: Matching = Matching(),
-) -> Registered:
+    how: DepthRegistrationConfig = DepthRegistrationConfig(),
+) -> PoseEstimate:
     """The pose of an object believed at `T_w_o`, from a depth image (m, holes not positive or not finite) of a camera
     at `T_w_c`; host code.
 
@@ -315,10 +321,10 @@ def by_depth(
     off = _twist(np.linalg.inv(start) @ T)
     cost = 0.5 * off @ inverse @ off + 0.5 * np.sum(weight * residual**2) / (alike * scale**2)
     fields = (T, np.linalg.inv(information), residual, weight, cost)
-    return Registered(*(jnp.asarray(field, jnp.float32) for field in fields))
+    return PoseEstimate(*(jnp.asarray(field, jnp.float32) for field in fields))
 
 
-def seen_through(
+def camera_covariance(
     covariance: Float[np.ndarray | Array, "6 6"],
     T_c_o: Float[np.ndarray | Array, "4 4"],
     distance: float,
@@ -336,7 +342,7 @@ def seen_through(
 
 def _points(depth: np.ndarray, camera: Camera, T_w_c: np.ndarray) -> np.ndarray:
     """What the camera measured, in W (n, 3)."""
-    x, y = np.asarray(lines_of_sight(camera), float)
+    x, y = np.asarray(pixel_rays(camera), float)
     points = np.stack([x, y, np.ones_like(x)], axis=-1) * np.where(depth > 0, depth, np.nan)[..., None]
     return _moved(T_w_c, points[np.isfinite(points).all(axis=-1)])
 
@@ -349,13 +355,18 @@ def _twist(T: np.ndarray) -> np.ndarray:
     return np.concatenate([T[:3, 3], TWIST_LEVER_M * Rotation.from_matrix(T[:3, :3]).as_rotvec()])
 
 
-def _scale(residual: np.ndarray, how: Matching) -> float:
+def _scale(residual: np.ndarray, how: DepthRegistrationConfig) -> float:
     """Their standard deviation, were they normal."""
     return max(1.4826 * float(np.median(np.abs(residual))), how.least) if len(residual) else how.close
 
 
 def _pairs(
-    points: np.ndarray, tree: cKDTree, samples: np.ndarray, normals: np.ndarray, limit: float, how: Matching
+    points: np.ndarray,
+    tree: cKDTree,
+    samples: np.ndarray,
+    normals: np.ndarray,
+    limit: float,
+    how: DepthRegistrationConfig,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Distances of points in O to the planes of their nearest samples, their derivatives by a twist of the object, the
     biweights, and which points are near enough to count.

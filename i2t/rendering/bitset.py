@@ -5,25 +5,25 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, UInt
 
-BITS = 32
+WORD_BITS = 32
 
 
-def word(value: int) -> np.uint32:
+def as_uint32(value: int) -> np.uint32:
     """A constant of the type of words."""
     return np.uint32(value)
 
 
-def ones(words: UInt[Array, "*n"]) -> Int[Array, "*n"]:
+def popcount(words: UInt[Array, "*n"]) -> Int[Array, "*n"]:
     """How many bits are set."""
     return jax.lax.population_count(words).astype(jnp.int32)
 
 
-def lowest(words: UInt[Array, "*n"]) -> Int[Array, "*n"]:
+def lowest_set_bit(words: UInt[Array, "*n"]) -> Int[Array, "*n"]:
     """Index of the lowest set bit (-1 if there is none)."""
-    return 31 - jax.lax.clz(words & (~words + word(1))).astype(jnp.int32)
+    return 31 - jax.lax.clz(words & (~words + as_uint32(1))).astype(jnp.int32)
 
 
-def either(words: list[Array]) -> Array:
+def bitwise_or_reduce(words: list[Array]) -> Array:
     """All set bits of several words."""
     total = words[0]
     for other in words[1:]:
@@ -31,18 +31,18 @@ def either(words: list[Array]) -> Array:
     return total
 
 
-def pack(flags: list[Array]) -> Array:
+def pack_bits(flags: list[Array]) -> Array:
     """Words whose bit i is flags[i]."""
-    return either([flag.astype(jnp.uint32) << word(i) for i, flag in enumerate(flags)])
+    return bitwise_or_reduce([flag.astype(jnp.uint32) << as_uint32(i) for i, flag in enumerate(flags)])
 
 
-def running_sums(words: UInt[Array, "p n"]) -> Int[Array, "p n"]:
+def cumulative_popcounts(words: UInt[Array, "p n"]) -> Int[Array, "p n"]:
     """How many bits are set up to and including each word of a row."""
-    counts = ones(words).astype(jnp.float32)  # a product with a triangle of ones is quickest; exact below 2^24
+    counts = popcount(words).astype(jnp.float32)  # a product with a triangle of ones is quickest; exact below 2^24
     return (counts @ jnp.triu(jnp.ones((words.shape[1],) * 2, jnp.float32))).astype(jnp.int32)
 
 
-def pick(
+def select_kth_set_bit(
     words: UInt[Array, "p n"], sums: Int[Array, "p n"], row: Int[Array, "*#m"], order: Int[Array, "*#m"]
 ) -> tuple[Int[Array, "*m"], Int[Array, "*m"]]:
     """Word and bit of the set bits of number `order` in the bit lists `row`, whose running sums are `sums`.
@@ -61,8 +61,8 @@ def pick(
     before = jnp.where(place > 0, sums.at[row, jnp.maximum(place - 1, 0)].get(mode="promise_in_bounds"), 0)
     left, bits, bit = order - before, words.at[row, place].get(mode="promise_in_bounds"), jnp.zeros_like(order)
     for width in (16, 8, 4, 2, 1):
-        below = ones(bits & word((1 << width) - 1))
+        below = popcount(bits & as_uint32((1 << width) - 1))
         upper = left >= below
         bit = jnp.where(upper, bit + width, bit)
-        left, bits = jnp.where(upper, left - below, left), jnp.where(upper, bits >> word(width), bits)
+        left, bits = jnp.where(upper, left - below, left), jnp.where(upper, bits >> as_uint32(width), bits)
     return place, bit

@@ -12,42 +12,54 @@ import numpy as np
 
 from i2t.types import Surface
 
-GROUP = 32  # clusters of a group: one machine word holds a bit for each
-FINE, COARSE, DENSE = 2, 4, 5  # faces of a cluster, up to and beyond FINE_FACES faces in all, and if they are small
-FINE_FACES = 4096
-SMALL = 0.6e-6  # m^2, about five pixels of a patch: the area of the face at a random point is less on dense meshes
-NEVER = -1e3  # m, half extent of a box that nothing meets
-SLACK = 1e-6  # m and relative: boxes are widened by more than float32 can lose
+CLUSTERS_PER_GROUP = 32  # clusters of a group: one machine word holds a bit for each
+FINE_CLUSTER_FACES, COARSE_CLUSTER_FACES, DENSE_CLUSTER_FACES = (
+    2,
+    4,
+    5,
+)  # faces of a cluster, up to and beyond FINE_FACES faces in all, and if they are small
+MAX_FINE_FACES = 4096
+SMALL_FACE_M2 = (
+    0.6e-6  # m^2, about five pixels of a patch: the area of the face at a random point is less on dense meshes
+)
+EMPTY_HALF_EXTENT_M = -1e3  # m, half extent of a box that nothing meets
+BOX_SLACK = 1e-6  # m and relative: boxes are widened by more than float32 can lose
 
 
-def arrange(triangles: np.ndarray) -> Surface:
+def build_bvh(triangles: np.ndarray) -> Surface:
     """Order triangles (f, 3, 3) into clusters and pad them to their size class."""
-    size = FINE if len(triangles) <= FINE_FACES else DENSE if _are_small(triangles) else COARSE
+    size = (
+        FINE_CLUSTER_FACES
+        if len(triangles) <= MAX_FINE_FACES
+        else DENSE_CLUSTER_FACES
+        if _are_small(triangles)
+        else COARSE_CLUSTER_FACES
+    )
     order = _tree_order(triangles.mean(1), size)
     clusters = -(-len(triangles) // size)
-    return lay_out(triangles[order].astype(np.float32), size, _power_of_two(-(-clusters // GROUP)))
+    return layout_clusters(triangles[order].astype(np.float32), size, _power_of_two(-(-clusters // CLUSTERS_PER_GROUP)))
 
 
-def alike(surfaces: Sequence[Surface]) -> list[Surface]:
+def pad_to_same_size(surfaces: Sequence[Surface]) -> list[Surface]:
     """Bring surfaces to one size class, the largest among them."""
-    sizes = [len(surface.triangles) // (len(np.asarray(surface.boxes)) * GROUP) for surface in surfaces]
-    groups = [-(-len(surface.triangles) // (max(sizes) * GROUP)) for surface in surfaces]
-    return [lay_out(np.asarray(surface.triangles), max(sizes), max(groups)) for surface in surfaces]
+    sizes = [len(surface.triangles) // (len(np.asarray(surface.boxes)) * CLUSTERS_PER_GROUP) for surface in surfaces]
+    groups = [-(-len(surface.triangles) // (max(sizes) * CLUSTERS_PER_GROUP)) for surface in surfaces]
+    return [layout_clusters(np.asarray(surface.triangles), max(sizes), max(groups)) for surface in surfaces]
 
 
-def lay_out(triangles: np.ndarray, size: int, groups: int) -> Surface:
+def layout_clusters(triangles: np.ndarray, size: int, groups: int) -> Surface:
     """Cut ordered triangles (f, 3, 3) into clusters of `size` faces, padded to `groups` groups, and box them."""
-    missing = groups * GROUP * size - len(triangles)
+    missing = groups * CLUSTERS_PER_GROUP * size - len(triangles)
     triangles = np.concatenate([triangles, np.broadcast_to(triangles[-1, 0], (missing, 3, 3))])
-    corners = triangles.reshape(groups * GROUP, size * 3, 3)
+    corners = triangles.reshape(groups * CLUSTERS_PER_GROUP, size * 3, 3)
     low, high = corners.min(1), corners.max(1)
     void = (corners == corners[:, :1]).all((1, 2))  # a cluster that shrinks to a point: padding, or nothing to see
-    boxes = _boxes(low, high, void).reshape(groups, GROUP, 6).swapaxes(1, 2)
-    low = np.where(void[:, None], np.inf, low).reshape(groups, GROUP, 3).min(1)
-    high = np.where(void[:, None], -np.inf, high).reshape(groups, GROUP, 3).max(1)
-    empty = void.reshape(groups, GROUP).all(1)
+    boxes = _boxes(low, high, void).reshape(groups, CLUSTERS_PER_GROUP, 6).swapaxes(1, 2)
+    low = np.where(void[:, None], np.inf, low).reshape(groups, CLUSTERS_PER_GROUP, 3).min(1)
+    high = np.where(void[:, None], -np.inf, high).reshape(groups, CLUSTERS_PER_GROUP, 3).max(1)
+    empty = void.reshape(groups, CLUSTERS_PER_GROUP).all(1)
     low, high = np.where(empty[:, None], 0, low), np.where(empty[:, None], 0, high)
-    whole = np.full((6, -(-groups // 32) * 32), NEVER, np.float32)
+    whole = np.full((6, -(-groups // 32) * 32), EMPTY_HALF_EXTENT_M, np.float32)
     whole[:, :groups] = _boxes(low, high, empty).T
     return Surface(np.ascontiguousarray(triangles), np.ascontiguousarray(boxes), whole)
 
@@ -55,13 +67,15 @@ def lay_out(triangles: np.ndarray, size: int, groups: int) -> Surface:
 def _are_small(triangles: np.ndarray) -> bool:
     a, b, c = np.moveaxis(triangles, 1, 0)
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-    return bool((areas**2).sum() < SMALL * areas.sum())
+    return bool((areas**2).sum() < SMALL_FACE_M2 * areas.sum())
 
 
 def _boxes(low: np.ndarray, high: np.ndarray, void: np.ndarray) -> np.ndarray:
     """Centres and half extents (n, 6) of boxes between two corners."""
-    half = (high - low) / 2 * (1 + SLACK) + SLACK
-    return np.concatenate([(low + high) / 2, np.where(void[:, None], NEVER, half)], axis=1).astype(np.float32)
+    half = (high - low) / 2 * (1 + BOX_SLACK) + BOX_SLACK
+    return np.concatenate([(low + high) / 2, np.where(void[:, None], EMPTY_HALF_EXTENT_M, half)], axis=1).astype(
+        np.float32
+    )
 
 
 def _tree_order(points: np.ndarray, size: int) -> np.ndarray:

@@ -18,16 +18,34 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int, UInt
 
-from i2t.rendering.bitset import BITS, either, lowest, ones, pack, pick, running_sums, word
-from i2t.rendering.bvh import GROUP
-from i2t.rendering.ops import apart, cut, indices, put
-from i2t.rendering.tiles import Clusters, Grid, View, blank, face_terms, nearer, place_boxes, spread
+from i2t.rendering.bitset import (
+    WORD_BITS,
+    as_uint32,
+    bitwise_or_reduce,
+    cumulative_popcounts,
+    lowest_set_bit,
+    pack_bits,
+    popcount,
+    select_kth_set_bit,
+)
+from i2t.rendering.bvh import CLUSTERS_PER_GROUP
+from i2t.rendering.ops import dynamic_slice, dynamic_update, fusion_barrier, indices
+from i2t.rendering.tiles import (
+    FaceClusters,
+    PixelGrid,
+    ToolView,
+    broadcast_view,
+    closer_hit,
+    empty_buffers,
+    face_terms,
+    place_boxes,
+)
 from i2t.types import STANDOFF
 
-LANES = 32  # tiles side by side in memory
-BLOCKS = 72  # of lanes in a share
-CHUNK = 8  # groups of each pose looked into together
-SLAB = 1.25  # reaches behind where the first group should be met: what is drawn first
+LANES_PER_BLOCK = 32  # tiles side by side in memory
+BLOCKS_PER_SHARE = 72  # of lanes in a share
+GROUPS_PER_CHUNK = 8  # groups of each pose looked into together
+FRONT_SLAB_REACHES = 1.25  # reaches behind where the first group should be met: what is drawn first
 
 
 class _Listed(NamedTuple):
@@ -48,99 +66,101 @@ class _Queue(NamedTuple):
     place: Int[Array, "blocks lanes"]
 
 
-def cast_dense(boxes, groups, clusters: Clusters, view: View, grid: Grid, reach: float, listed: int, with_faces: bool):
+def cast_dense(
+    boxes, groups, clusters: FaceClusters, view: ToolView, grid: PixelGrid, reach: float, listed: int, with_faces: bool
+):
     """Heights (p, tiles, pixels) that poses see, and the faces if asked for.
 
     `boxes` (meshes x groups, 6, 32) are those of clusters, `groups` (p or 1, 6, groups) those of groups; so many of a
     pose as `listed` says are worked off in one pass.
     """
-    poses, count = len(clusters.mesh), clusters.per_mesh // GROUP
+    poses, count = len(clusters.mesh), clusters.per_mesh // CLUSTERS_PER_GROUP
     listed = min(count, listed)
-    shift, stretch = place_boxes(groups.swapaxes(0, 1), spread(view, 1))
+    shift, stretch = place_boxes(groups.swapaxes(0, 1), broadcast_view(view, 1))
     seen = (jnp.abs(shift[0]) - stretch[0] <= grid.half) & (jnp.abs(shift[1]) - stretch[1] <= grid.half)
     seen &= shift[2] + stretch[2] >= -STANDOFF
     fronts = jnp.where(seen, jnp.maximum(shift[2] - stretch[2], -STANDOFF), jnp.inf)
     # A group in the middle should be met at its own middle, one at the edge of the window perhaps only at its end.
     central = (jnp.abs(shift[0]) <= grid.half) & (jnp.abs(shift[1]) <= grid.half)
     met = jnp.maximum(jnp.where(central, shift[2], shift[2] + stretch[2]), -STANDOFF)
-    slab = jnp.min(jnp.where(seen, met, jnp.inf), 1) + SLAB * reach
-    row = groups.shape[2] // BITS
+    slab = jnp.min(jnp.where(seen, met, jnp.inf), 1) + FRONT_SLAB_REACHES * reach
+    row = groups.shape[2] // WORD_BITS
 
     def layer(i, best):
         """First what lies near the front, then what may still be in reach behind the nearest hit."""
         low = jnp.where(i == 0, -jnp.inf, slab)[:, None]
         high = jnp.where(i == 0, slab, jnp.min(best[0], (1, 2)) + reach)[:, None]
         wanted = (fronts <= high) & (fronts < jnp.inf) & (low < high)
-        words = pack([wanted[:, k * row : (k + 1) * row] for k in range(BITS)])
-        sums = running_sums(words)
+        words = pack_bits([wanted[:, k * row : (k + 1) * row] for k in range(WORD_BITS)])
+        sums = cumulative_popcounts(words)
 
         def group_pass(number, best):
             left = jnp.clip(sums[:, -1] - number * listed, 0, listed)
-            at, bit = pick(words, sums, indices(poses)[:, None], number * listed + indices(listed)[None])
+            at, bit = select_kth_set_bit(words, sums, indices(poses)[:, None], number * listed + indices(listed)[None])
             ids = jnp.minimum(bit * row + at, count - 1)
             return _draw(_look(ids, left, low, high, boxes, clusters, view, grid), clusters, view, grid, best)
 
         return jax.lax.fori_loop(0, jnp.max(-(-sums[:, -1] // listed)), group_pass, best)
 
     dtype = jnp.result_type(clusters.rows.dtype, view.linear.dtype)
-    return jax.lax.fori_loop(0, 2, layer, blank(poses, grid, dtype, with_faces))
+    return jax.lax.fori_loop(0, 2, layer, empty_buffers(poses, grid, dtype, with_faces))
 
 
-def _look(ids, left, low, high, boxes, clusters: Clusters, view: View, grid: Grid) -> _Listed:
+def _look(ids, left, low, high, boxes, clusters: FaceClusters, view: ToolView, grid: PixelGrid) -> _Listed:
     """Where the clusters of the first `left` groups of each list lie whose boxes begin between `low` and `high`."""
     poses, listed = ids.shape
-    chunk = min(CHUNK, listed)
+    chunk = min(GROUPS_PER_CHUNK, listed)
     chunks = jnp.max(-(-left // chunk))
-    start = clusters.mesh[:, None] * (clusters.per_mesh // GROUP)
+    start = clusters.mesh[:, None] * (clusters.per_mesh // CLUSTERS_PER_GROUP)
     first = jnp.minimum(indices(-(-listed // chunk)) * chunk, listed - chunk)  # the last chunk may repeat some
 
     def look(k):
-        some = cut(ids, (0, first[k]), (poses, chunk))
+        some = dynamic_slice(ids, (0, first[k]), (poses, chunk))
         box = boxes.at[some + start].get(mode="promise_in_bounds")
-        shift, stretch = place_boxes(jnp.moveaxis(box, 2, 0), spread(view, 2))
+        shift, stretch = place_boxes(jnp.moveaxis(box, 2, 0), broadcast_view(view, 2))
         front, back = jnp.maximum(shift[2] - stretch[2], -STANDOFF), shift[2] + stretch[2]
         met = (back >= -STANDOFF) & (front > low[..., None]) & (front <= high[..., None])
         met &= (first[k] + indices(chunk)[None] < left[:, None])[..., None]
         columns, rows = (grid.columns(shift[j] - stretch[j], shift[j] + stretch[j]) for j in (0, 1))
-        return jnp.where(met, columns, word(0)), rows
+        return jnp.where(met, columns, as_uint32(0)), rows
 
     def turn(words):
         """Bits of tiles for each cluster (p, chunk, 32) to bits of clusters for each column or row of tiles."""
         tile = jnp.arange(grid.side, dtype=jnp.uint32).reshape(1, 1, -1, 1)
-        cluster = jnp.arange(GROUP, dtype=jnp.uint32).reshape(1, 1, 1, -1)
-        flags = (words[:, :, None] >> tile) & word(1)
+        cluster = jnp.arange(CLUSTERS_PER_GROUP, dtype=jnp.uint32).reshape(1, 1, 1, -1)
+        flags = (words[:, :, None] >> tile) & as_uint32(1)
         return jnp.sum(flags << cluster, -1, dtype=jnp.uint32)
 
     def store(k, carry):
-        found = apart(look, k, k < chunks)
-        found = apart(lambda _: tuple(turn(words) for words in found), k, k < chunks)
-        return tuple(put(whole, part, (0, first[k], 0)) for whole, part in zip(carry, found, strict=True))
+        found = fusion_barrier(look, k, k < chunks)
+        found = fusion_barrier(lambda _: tuple(turn(words) for words in found), k, k < chunks)
+        return tuple(dynamic_update(whole, part, (0, first[k], 0)) for whole, part in zip(carry, found, strict=True))
 
     nothing = jnp.zeros((poses, listed, grid.side), jnp.uint32)
     return _Listed(ids, *jax.lax.fori_loop(0, chunks, store, (nothing, nothing)))
 
 
-def _draw(found: _Listed, clusters: Clusters, view: View, grid: Grid, best):
+def _draw(found: _Listed, clusters: FaceClusters, view: ToolView, grid: PixelGrid, best):
     """Draw what was found, the tiles that have most to draw first."""
     poses, listed = found.ids.shape
     lanes = poses * grid.tiles
-    blocks = min(BLOCKS, -(-lanes // LANES))
-    share = blocks * LANES
+    blocks = min(BLOCKS_PER_SHARE, -(-lanes // LANES_PER_BLOCK))
+    share = blocks * LANES_PER_BLOCK
     shares = -(-lanes // share)
 
     def words(g):
         return (found.rows[:, g, :, None] & found.columns[:, g, None, :]).reshape(-1)
 
-    filled = [jnp.where(words(g) != 0, word(1 << g % BITS), word(0)) for g in range(listed)]
-    full = [either(filled[i : i + BITS]) for i in range(0, listed, BITS)]
-    todo = sum(ones(words(g)) for g in range(listed))
+    filled = [jnp.where(words(g) != 0, as_uint32(1 << g % WORD_BITS), as_uint32(0)) for g in range(listed)]
+    full = [bitwise_or_reduce(filled[i : i + WORD_BITS]) for i in range(0, listed, WORD_BITS)]
+    todo = sum(popcount(words(g)) for g in range(listed))
     todo = jnp.pad(todo, (0, shares * share - lanes))
     amount, order = jax.lax.sort((-todo, indices(len(todo))), num_keys=1, is_stable=False)
     best = jax.tree.map(lambda part: part.reshape(lanes, -1), best)
 
     def run(k, best):
-        those = cut(order, (k * share,), (share,))
-        lane = jnp.minimum(those, lanes - 1).reshape(blocks, LANES)
+        those = dynamic_slice(order, (k * share,), (share,))
+        lane = jnp.minimum(those, lanes - 1).reshape(blocks, LANES_PER_BLOCK)
         pose, tile = lane // grid.tiles, lane % grid.tiles
 
         def fetch(_):
@@ -151,7 +171,7 @@ def _draw(found: _Listed, clusters: Clusters, view: View, grid: Grid, best):
             pixels = [_at(jnp.asarray(part, best[0].dtype), tile) for part in (grid.x, grid.y)]
             return queue, here, pixels, tuple(_at(part, lane) for part in best)
 
-        queue, here, pixels, mine = apart(fetch, k, k < shares)
+        queue, here, pixels, mine = fusion_barrier(fetch, k, k < shares)
         trip = partial(_trip, found, clusters, here, grid, pose, tile, pixels)
         _, mine = jax.lax.fori_loop(0, -amount[k * share], trip, (queue, mine))
         return tuple(
@@ -163,11 +183,11 @@ def _draw(found: _Listed, clusters: Clusters, view: View, grid: Grid, best):
     return jax.tree.map(lambda part: part.reshape(poses, grid.tiles, -1), best)
 
 
-def _trip(found: _Listed, clusters: Clusters, view: View, grid: Grid, pose, tile, pixels, t, carry):
+def _trip(found: _Listed, clusters: FaceClusters, view: ToolView, grid: PixelGrid, pose, tile, pixels, t, carry):
     """Each tile of a share pops a cluster and keeps the nearest hits."""
     queue, best = carry
     holds, size, (x, y) = t >= 0, clusters.size, pixels
-    queue, name = apart(lambda _: _pop(queue, found, pose, tile % grid.side, tile // grid.side), t, holds)
+    queue, name = fusion_barrier(lambda _: _pop(queue, found, pose, tile % grid.side, tile // grid.side), t, holds)
 
     corner, face, axis = np.mgrid[:3, :size, :3]
     number = (face * 9 + corner * 3 + axis).ravel()  # of a coordinate in its cluster's row
@@ -176,7 +196,9 @@ def _trip(found: _Listed, clusters: Clusters, view: View, grid: Grid, pose, tile
         row = jnp.maximum(name, 0) + clusters.mesh[pose] * clusters.per_mesh
         return _at(clusters.rows, (row[:, None], jnp.asarray(number, jnp.int32)[None, :, None]))
 
-    corners = apart(fetch, t, holds).reshape(-1, 3, size, 3, LANES)  # block, corner, face, axis, lane
+    corners = fusion_barrier(fetch, t, holds).reshape(
+        -1, 3, size, 3, LANES_PER_BLOCK
+    )  # block, corner, face, axis, lane
 
     def place(_):
         local = [corners[:, :, :, j] - view.origin[j][:, None, None] for j in range(3)]
@@ -185,13 +207,13 @@ def _trip(found: _Listed, clusters: Clusters, view: View, grid: Grid, pose, tile
             for i in range(3)
         ]
 
-    placed = apart(place, t, holds)
-    shown = jnp.broadcast_to((name >= 0)[:, None], (len(name), size, LANES))
-    terms = apart(lambda _: face_terms(placed, shown, grid.half, 1, holds), t, holds)
+    placed = fusion_barrier(place, t, holds)
+    shown = jnp.broadcast_to((name >= 0)[:, None], (len(name), size, LANES_PER_BLOCK))
+    terms = fusion_barrier(lambda _: face_terms(placed, shown, grid.half, 1, holds), t, holds)
     for f in range(size):
         edges = [part[:, k, f, :, None] for part in terms[:3] for k in range(3)]
         plane = [part[:, f, :, None] for part in terms[3:]]
-        best = nearer(best, x, y, edges + plane, name[..., None] * size + f)
+        best = closer_hit(best, x, y, edges + plane, name[..., None] * size + f)
     return queue, best
 
 
@@ -199,18 +221,18 @@ def _pop(queue: _Queue, found: _Listed, pose, column, row) -> tuple[_Queue, Int[
     """Take a cluster from each queue: what is left, and its index in the mesh (-1 from an empty queue)."""
     listed, side = found.columns.shape[1:]
     some: Array = queue.full[0]
-    place, left = lowest(some), [jnp.where(queue.current == 0, some & (some - word(1)), some)]
+    place, left = lowest_set_bit(some), [jnp.where(queue.current == 0, some & (some - as_uint32(1)), some)]
     for i, more in enumerate(queue.full[1:], 1):
-        place = jnp.where(some != 0, place, i * BITS + lowest(more))
-        left.append(jnp.where((queue.current == 0) & (some == 0), more & (more - word(1)), more))
+        place = jnp.where(some != 0, place, i * WORD_BITS + lowest_set_bit(more))
+        left.append(jnp.where((queue.current == 0) & (some == 0), more & (more - as_uint32(1)), more))
         some = some | more
     fresh: Bool[Array, "blocks lanes"] = (queue.current == 0) & (some != 0)
     place = jnp.where(fresh, place, queue.place)
     at = pose * listed + place
     opened = _at(found.columns.reshape(-1), at * side + column) & _at(found.rows.reshape(-1), at * side + row)
     current = jnp.where(fresh, opened, queue.current)
-    name = jnp.where(current == 0, -1, _at(found.ids.reshape(-1), at) * GROUP + lowest(current))
-    return _Queue(tuple(left), current & (current - word(1)), place), name
+    name = jnp.where(current == 0, -1, _at(found.ids.reshape(-1), at) * CLUSTERS_PER_GROUP + lowest_set_bit(current))
+    return _Queue(tuple(left), current & (current - as_uint32(1)), place), name
 
 
 def _at(array: Array, index: Any) -> Array:

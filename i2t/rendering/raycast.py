@@ -25,45 +25,45 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from i2t.rendering.bitset import BITS, pack, pick, running_sums
-from i2t.rendering.bvh import DENSE, GROUP
+from i2t.rendering.bitset import WORD_BITS, cumulative_popcounts, pack_bits, select_kth_set_bit
+from i2t.rendering.bvh import CLUSTERS_PER_GROUP, DENSE_CLUSTER_FACES
 from i2t.rendering.dense import cast_dense
-from i2t.rendering.ops import apart, cut, indices, put
+from i2t.rendering.ops import dynamic_slice, dynamic_update, fusion_barrier, indices
 from i2t.rendering.tiles import (
-    FLAT,
-    TERMS,
-    Clusters,
-    Grid,
-    View,
-    Wanted,
-    blank,
+    FACE_TERMS,
+    MIN_PROJECTED_AREA_M2,
+    ClusterList,
+    FaceClusters,
+    PixelGrid,
+    ToolView,
+    broadcast_view,
     draw_clusters,
+    empty_buffers,
     place_boxes,
-    spread,
     to_tool,
 )
 from i2t.types import STANDOFF, Surface
 
-GROUPS = 64  # groups listed in one pass
-SLOTS = 256  # clusters of a pose set up in one pass, a multiple of 32 and at most 1024
-SLAB = 2  # reaches behind the first box: what is drawn first, to learn how near the surface is
+GROUPS_PER_PASS = 64  # groups listed in one pass
+CLUSTERS_PER_PASS = 256  # clusters of a pose set up in one pass, a multiple of 32 and at most 1024
+FRONT_SLAB_REACHES = 2  # reaches behind the first box: what is drawn first, to learn how near the surface is
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3, 4))
-def first_hit(surface: Surface, view: View, window: float, pixels: int, reach: float) -> Float[Array, "n n"]:
+def first_hit(surface: Surface, view: ToolView, window: float, pixels: int, reach: float) -> Float[Array, "n n"]:
     """Tool z (m) of the first hit beyond -STANDOFF on each pixel's ray, +inf where there is none.
 
     Hits deeper than `reach` behind the nearest one may be missing (infinite reach: none is). Derivatives hold the
     visible faces fixed.
     """
-    return _rasterise(surface, view, Grid(window, pixels), reach, False)[0]
+    return _rasterise(surface, view, PixelGrid(window, pixels), reach, False)[0]
 
 
 @first_hit.defjvp
 def _first_hit_jvp(window, pixels, reach, primals, tangents):
     """Differentiate the planes of the faces that are seen."""
     surface, view = primals
-    grid = Grid(window, pixels)
+    grid = PixelGrid(window, pixels)
     # What is seen is held fixed in derivatives of any order.
     heights, faces = _rasterise(jax.lax.stop_gradient(surface), jax.lax.stop_gradient(view), grid, reach, True)
     x, y = jnp.asarray(grid.centres)[None, :], jnp.asarray(grid.centres)[:, None]
@@ -72,7 +72,7 @@ def _first_hit_jvp(window, pixels, reach, primals, tangents):
         corners = jnp.moveaxis(triangles.at[faces].get(mode="promise_in_bounds"), (2, 3), (0, 1))
         (xa, ya, za), (xb, yb, zb), (xc, yc, zc) = (to_tool(corner, view) for corner in corners)
         area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
-        seen = jnp.isfinite(heights) & (jnp.abs(area) >= FLAT)
+        seen = jnp.isfinite(heights) & (jnp.abs(area) >= MIN_PROJECTED_AREA_M2)
         area = jnp.where(seen, area, 1)
         slope_x = ((zb - za) * (yc - ya) - (zc - za) * (yb - ya)) / area
         slope_y = ((zc - za) * (xb - xa) - (zb - za) * (xc - xa)) / area
@@ -83,12 +83,12 @@ def _first_hit_jvp(window, pixels, reach, primals, tangents):
     return heights, change
 
 
-def _rasterise(surface: Surface, view: View, grid: Grid, reach: float, with_faces: bool):
+def _rasterise(surface: Surface, view: ToolView, grid: PixelGrid, reach: float, with_faces: bool):
     """Heights (n, n) of the first hits and, if asked, the index of the face that each ray meets (n, n)."""
 
     @jax.custom_batching.custom_vmap
     def cast(meshes, mesh, linear, origin, offset):
-        view = View(*(jnp.moveaxis(part, 0, -1) for part in (linear, origin, offset)))
+        view = ToolView(*(jnp.moveaxis(part, 0, -1) for part in (linear, origin, offset)))
         return _cast(meshes, mesh, view, grid, reach, with_faces)
 
     @cast.def_vmap
@@ -117,66 +117,69 @@ def _rasterise(surface: Surface, view: View, grid: Grid, reach: float, with_face
     return heights[0] + poison, faces[0]
 
 
-def _cast(meshes, mesh: Int[Array, " p"], view: View, grid: Grid, reach: float, with_faces: bool):
+def _cast(meshes, mesh: Int[Array, " p"], view: ToolView, grid: PixelGrid, reach: float, with_faces: bool):
     """Heights (p, n, n) that p poses see of their meshes, and the faces (p, n, n; zeros if not asked for)."""
     triangles, boxes, groups = meshes
     poses, count = len(mesh), boxes.shape[1]
-    size = triangles.shape[1] // (count * GROUP)
-    mesh_clusters = Clusters(triangles.reshape(-1, size * 9), mesh, count * GROUP, size)
+    size = triangles.shape[1] // (count * CLUSTERS_PER_GROUP)
+    mesh_clusters = FaceClusters(triangles.reshape(-1, size * 9), mesh, count * CLUSTERS_PER_GROUP, size)
     boxes = boxes.reshape(-1, *boxes.shape[2:])
     groups = groups[mesh if len(groups) > 1 else slice(None)]
-    if size >= DENSE:
-        best = cast_dense(boxes, groups, mesh_clusters, view, grid, reach, GROUPS, with_faces)
+    if size >= DENSE_CLUSTER_FACES:
+        best = cast_dense(boxes, groups, mesh_clusters, view, grid, reach, GROUPS_PER_PASS, with_faces)
         return _images(best, grid)
-    listed = min(count, GROUPS)
+    listed = min(count, GROUPS_PER_PASS)
     chunk = min(listed, 8)
-    slots = min(SLOTS, listed * GROUP)
+    slots = min(CLUSTERS_PER_PASS, listed * CLUSTERS_PER_GROUP)
     every = indices(poses)[:, None]
     dtype = jnp.result_type(triangles.dtype, view.linear.dtype)
 
-    seen, _ = _in_view(groups.swapaxes(0, 1), spread(view, 1), grid.half)
-    row = groups.shape[2] // BITS
-    group_words = pack([seen[:, i * row : (i + 1) * row] for i in range(BITS)])
-    group_sums = running_sums(group_words)
+    seen, _ = _in_view(groups.swapaxes(0, 1), broadcast_view(view, 1), grid.half)
+    row = groups.shape[2] // WORD_BITS
+    group_words = pack_bits([seen[:, i * row : (i + 1) * row] for i in range(WORD_BITS)])
+    group_sums = cumulative_popcounts(group_words)
 
     def group_pass(number, carry):
         """Look into the groups of one pass: first at clusters near the front, then at what may still be in reach."""
         left = jnp.clip(group_sums[:, -1] - number * listed, 0, listed)
-        at, bit = pick(group_words, group_sums, every, number * listed + indices(listed)[None])
+        at, bit = select_kth_set_bit(group_words, group_sums, every, number * listed + indices(listed)[None])
         ids = jnp.minimum(bit * row + at, count - 1)
 
         def look(i):
-            some = cut(ids, (0, i * chunk), (poses, chunk))
+            some = dynamic_slice(ids, (0, i * chunk), (poses, chunk))
             box = boxes.at[some + mesh[:, None] * count].get(mode="promise_in_bounds")
-            hit, front = _in_view(jnp.moveaxis(box, 2, 0), spread(view, 2), grid.half)
+            hit, front = _in_view(jnp.moveaxis(box, 2, 0), broadcast_view(view, 2), grid.half)
             hit &= (i * chunk + indices(chunk)[None] < left[:, None])[..., None]
             return jnp.where(hit, front, jnp.inf)
 
         chunks = jnp.max(-(-left // chunk))
-        fronts = jnp.full((poses, listed, GROUP), jnp.inf, dtype)
+        fronts = jnp.full((poses, listed, CLUSTERS_PER_GROUP), jnp.inf, dtype)
         fronts = jax.lax.fori_loop(
-            0, chunks, lambda i, fronts: put(fronts, apart(look, i, i < chunks), (0, i * chunk, 0)), fronts
+            0,
+            chunks,
+            lambda i, fronts: dynamic_update(fronts, fusion_barrier(look, i, i < chunks), (0, i * chunk, 0)),
+            fronts,
         )
-        slab = jnp.min(fronts, (1, 2)) + SLAB * reach
+        slab = jnp.min(fronts, (1, 2)) + FRONT_SLAB_REACHES * reach
 
         def layer(i, carry):
             best = carry[0]
             low = jnp.where(i == 0, -jnp.inf, slab)[:, None, None]
             high = jnp.where(i == 0, slab, jnp.min(best[0], (1, 2)) + reach)[:, None, None]
             wanted = (fronts > low) & (fronts <= high) & (fronts < jnp.inf)
-            words = pack([wanted[..., k] for k in range(GROUP)])
-            sums = running_sums(words)
+            words = pack_bits([wanted[..., k] for k in range(CLUSTERS_PER_GROUP)])
+            sums = cumulative_popcounts(words)
             passes = jnp.max(-(-sums[:, -1] // slots))
-            draw = partial(draw_clusters, Wanted(ids, words, sums), mesh_clusters, view, grid, slots)
+            draw = partial(draw_clusters, ClusterList(ids, words, sums), mesh_clusters, view, grid, slots)
             return jax.lax.fori_loop(0, passes, draw, carry)
 
         return jax.lax.fori_loop(0, 2, layer, carry)
 
-    best = blank(poses, grid, dtype, with_faces)
+    best = empty_buffers(poses, grid, dtype, with_faces)
     # The last row of the scratch table, for tiles that have nothing to draw, has no inside.
-    nothing = jnp.zeros((1, TERMS * size), dtype).at[:, 6 * size : 9 * size].set(-1)
+    nothing = jnp.zeros((1, FACE_TERMS * size), dtype).at[:, 6 * size : 9 * size].set(-1)
     scratch = (
-        jnp.concatenate([jnp.zeros((slots * poses, TERMS * size), dtype), nothing]),
+        jnp.concatenate([jnp.zeros((slots * poses, FACE_TERMS * size), dtype), nothing]),
         jnp.zeros((grid.side, slots * poses * size), jnp.uint32),
         jnp.zeros(slots * poses + 1, jnp.int32),
     )
@@ -184,7 +187,7 @@ def _cast(meshes, mesh: Int[Array, " p"], view: View, grid: Grid, reach: float, 
     return _images(best, grid)
 
 
-def _images(best, grid: Grid):
+def _images(best, grid: PixelGrid):
     heights = grid.images(best[0])
     return heights, grid.images(best[1]) if len(best) == 2 else jnp.zeros(heights.shape, jnp.int32)
 

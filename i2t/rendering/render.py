@@ -19,15 +19,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from i2t.geometry import is_rigid
-from i2t.rendering.bvh import alike, arrange
+from i2t.rendering.bvh import build_bvh, pad_to_same_size
 from i2t.rendering.raycast import first_hit
-from i2t.rendering.tiles import View
+from i2t.rendering.tiles import ToolView
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Patch, Surface
 
-LARGEST = 100.0  # m, where one step of float32 is 8 um
+MAX_COORDINATE_M = 100.0  # m, where one step of float32 is 8 um
 
 
-def prepare(mesh: Any) -> Surface:
+def prepare_surface(mesh: Any) -> Surface:
     """Make a mesh ready for rendering: check it, order its faces and pad them to a size class (a power of two).
 
     `mesh` has `vertices` (v, 3) in metres and `faces` (f, 3) of indices: an `i2t.objects.catalogue.Mesh` or a
@@ -50,16 +50,18 @@ def prepare(mesh: Any) -> Surface:
         raise ValueError("mesh: it has no faces; give one with at least one triangle")
     if not np.isfinite(vertices).all():
         raise ValueError("mesh: vertices hold NaN or infinity; remove or repair them")
-    if np.abs(vertices).max() > LARGEST:
-        raise ValueError(f"mesh: a vertex lies {np.abs(vertices).max():g} m out; give metres, at most {LARGEST:g}")
+    if np.abs(vertices).max() > MAX_COORDINATE_M:
+        raise ValueError(
+            f"mesh: a vertex lies {np.abs(vertices).max():g} m out; give metres, at most {MAX_COORDINATE_M:g}"
+        )
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise ValueError(
             f"mesh: faces refer to vertices {faces.min()} to {faces.max()} of 0 to {len(vertices) - 1}; repair the file"
         )
-    return arrange(vertices[faces])
+    return build_bvh(vertices[faces])
 
 
-def stack(surfaces: Sequence[Surface]) -> Surface:
+def stack_surfaces(surfaces: Sequence[Surface]) -> Surface:
     """Bring surfaces to one size class, the largest among them, and stack them along a new first axis, for `vmap`.
 
     Raises ValueError where there are none, or one was not prepared.
@@ -67,7 +69,10 @@ def stack(surfaces: Sequence[Surface]) -> Surface:
     if not len(surfaces):
         raise ValueError("stack: there are no surfaces; give at least one")
     return Surface(
-        *(np.stack(field) for field in zip(*alike([_prepared(surface) for surface in surfaces]), strict=True))
+        *(
+            np.stack(field)
+            for field in zip(*pad_to_same_size([_prepared(surface) for surface in surfaces]), strict=True)
+        )
     )
 
 
@@ -87,7 +92,7 @@ def render_patch(
     _check(T_w_t, window, pixels)
     if not reach > 0:
         raise ValueError(f"reach is {reach} m; give a length above 0, or infinity for no end")
-    view = View(T_w_t[:3, :3].T, T_w_t[:3, 3], jnp.zeros_like(T_w_t[:3, 3]))
+    view = ToolView(T_w_t[:3, :3].T, T_w_t[:3, 3], jnp.zeros_like(T_w_t[:3, 3]))
     heights = first_hit(_prepared(surface), view, window, pixels, reach)
     nearest, rigid = jnp.min(heights), is_rigid(T_w_t)
     missed = heights == jnp.inf
@@ -104,7 +109,7 @@ def render_heights(
     (scaling and shear are welcome; faces that it puts edge on are not seen).
     """
     _check(A_t_w, window, pixels)
-    view = View(A_t_w[:3, :3], jnp.zeros_like(A_t_w[:3, 3]), A_t_w[:3, 3])
+    view = ToolView(A_t_w[:3, :3], jnp.zeros_like(A_t_w[:3, 3]), A_t_w[:3, 3])
     return first_hit(_prepared(surface), view, window, pixels, math.inf)
 
 

@@ -13,20 +13,28 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt
 
-from i2t.rendering.bitset import BITS, either, lowest, ones, pack, pick, word
-from i2t.rendering.bvh import GROUP
-from i2t.rendering.ops import apart, cut, indices, larger, put, smaller
+from i2t.rendering.bitset import (
+    WORD_BITS,
+    as_uint32,
+    bitwise_or_reduce,
+    lowest_set_bit,
+    pack_bits,
+    popcount,
+    select_kth_set_bit,
+)
+from i2t.rendering.bvh import CLUSTERS_PER_GROUP
+from i2t.rendering.ops import dynamic_slice, dynamic_update, fusion_barrier, indices, maximum, minimum
 from i2t.types import STANDOFF
 
-TILE = 8  # pixels along the edge of a tile
-ROUNDINGS = 4  # tolerance of an edge, in roundings of its corners' coordinates
-FLAT = 1e-16  # m^2, below this projected area a face is seen edge on
-TERMS = 13  # numbers of a face: three edges, its plane, its lowest corner
-MANY = 0.25  # of the tiles: so many at work are quicker together than in shares
-SHARES = 8  # into which the busiest lanes are cut, each as long as its own longest
+TILE_PIXELS = 8  # pixels along the edge of a tile
+EDGE_TOLERANCE_ROUNDINGS = 4  # tolerance of an edge, in roundings of its corners' coordinates
+MIN_PROJECTED_AREA_M2 = 1e-16  # m^2, below this projected area a face is seen edge on
+FACE_TERMS = 13  # numbers of a face: three edges, its plane, its lowest corner
+TOGETHER_FRACTION = 0.25  # of the tiles: so many at work are quicker together than in shares
+NUM_SHARES = 8  # into which the busiest lanes are cut, each as long as its own longest
 
 
-class View(NamedTuple):
+class ToolView(NamedTuple):
     """How points come to the tool frame: `linear (p - origin) + offset`. Of many poses, the last axes count them."""
 
     linear: Float[Array, "3 3"]
@@ -34,12 +42,14 @@ class View(NamedTuple):
     offset: Float[Array, "3"]
 
 
-class Grid:
+class PixelGrid:
     """Pixel centres of a window, and the square tiles that they fall into (the last ones may hang over the edge)."""
 
     def __init__(self, window: float, pixels: int):
         self.pixels, self.half, self.pitch = pixels, window / 2, window / pixels
-        self.edge = TILE * -(-pixels // (TILE * (BITS - 1)))  # pixels; columns of tiles must fit a word
+        self.edge = TILE_PIXELS * -(
+            -pixels // (TILE_PIXELS * (WORD_BITS - 1))
+        )  # pixels; columns of tiles must fit a word
         self.side = -(-pixels // self.edge)
         self.tiles = self.side**2
         self.centres = ((np.arange(self.side * self.edge) + 0.5) * self.pitch - self.half)[:pixels].astype(np.float32)
@@ -63,10 +73,10 @@ class Grid:
         width = self.edge * self.pitch
         first = jnp.clip(jnp.ceil((low - self.high[0]) / width), 0, self.side).astype(jnp.uint32)
         behind = jnp.clip(jnp.floor((high - self.low[0]) / width) + 1, 0, self.side).astype(jnp.uint32)
-        return jnp.where(first < behind, (word(1) << behind) - (word(1) << first), word(0))
+        return jnp.where(first < behind, (as_uint32(1) << behind) - (as_uint32(1) << first), as_uint32(0))
 
 
-class Clusters(NamedTuple):
+class FaceClusters(NamedTuple):
     """The faces of all meshes, a cluster a row."""
 
     rows: Float[Array, "clusters size*9"]
@@ -75,7 +85,7 @@ class Clusters(NamedTuple):
     size: int  # faces of a cluster
 
 
-class Wanted(NamedTuple):
+class ClusterList(NamedTuple):
     """The clusters that each pose wants: bits of the groups it listed."""
 
     ids: Int[Array, "p groups"]
@@ -83,77 +93,87 @@ class Wanted(NamedTuple):
     sums: Int[Array, "p groups"]
 
 
-def draw_clusters(wanted: Wanted, clusters: Clusters, view: View, grid: Grid, slots: int, number, carry):
+def draw_clusters(
+    wanted: ClusterList, clusters: FaceClusters, view: ToolView, grid: PixelGrid, slots: int, number, carry
+):
     """Draw up to `slots` clusters of each pose into the tiles that they cross."""
     best, scratch = carry
     poses, size, dtype = len(wanted.ids), clusters.size, best[0].dtype
     now = jnp.clip(wanted.sums[:, -1] - number * slots, 0, slots)
     ends = jnp.cumsum(now)
     begins = ends - now  # of each pose's part of the list
-    stride = BITS * poses  # clusters set up together
+    stride = WORD_BITS * poses  # clusters set up together
     rounds = -(-ends[-1] // stride)
-    words_in_slots = slots // BITS
+    words_in_slots = slots // WORD_BITS
 
     def set_up(i):
         item = i * stride + indices(stride)
         pose = jnp.minimum(jnp.searchsorted(ends, item, side="right"), poses - 1).astype(jnp.int32)
         order = item - begins[pose] + number * slots
-        at, bit = pick(wanted.words, wanted.sums, pose, order)
-        name = wanted.ids.at[pose, at].get(mode="promise_in_bounds") * GROUP + bit
+        at, bit = select_kth_set_bit(wanted.words, wanted.sums, pose, order)
+        name = wanted.ids.at[pose, at].get(mode="promise_in_bounds") * CLUSTERS_PER_GROUP + bit
         corners = clusters.rows.at[clusters.mesh[pose] * clusters.per_mesh + name].get(mode="promise_in_bounds")
         corners = corners.reshape(stride * size, 3, 3).transpose(2, 1, 0)  # axis, corner, face
         here = jax.tree.map(lambda part: jnp.repeat(part[..., pose], size, -1), view)
         here = jax.tree.map(lambda part: part[..., None, :], here)
-        placed = apart(lambda _: to_tool(corners, here), i, i < rounds)
+        placed = fusion_barrier(lambda _: to_tool(corners, here), i, i < rounds)
         listed = i * stride + indices(stride * size) // size < ends[-1]
         terms = face_terms(placed, listed, grid.half, 0, i < rounds)
         solid = (terms[0][0] != 0) | (terms[1][0] != 0)  # what has no area has no edges
-        drawn = listed & solid & (larger(larger(*placed[2][:2]), placed[2][2]) >= -STANDOFF)
-        span = jnp.where(drawn[None], _spans(list(zip(*placed, strict=True)), grid), word(0))
-        terms = apart(lambda _: jnp.concatenate([*terms[:3], *(part[None] for part in terms[3:])]), i, i < rounds)
-        terms = terms.reshape(TERMS, stride, size).swapaxes(0, 1).reshape(stride, TERMS * size)
+        drawn = listed & solid & (maximum(maximum(*placed[2][:2]), placed[2][2]) >= -STANDOFF)
+        span = jnp.where(drawn[None], _spans(list(zip(*placed, strict=True)), grid), as_uint32(0))
+        terms = fusion_barrier(
+            lambda _: jnp.concatenate([*terms[:3], *(part[None] for part in terms[3:])]), i, i < rounds
+        )
+        terms = terms.reshape(FACE_TERMS, stride, size).swapaxes(0, 1).reshape(stride, FACE_TERMS * size)
         return terms, span, name
 
     def store(i, carry):
         faces, spans, names = carry
-        terms, span, name = apart(set_up, i, i < rounds)
+        terms, span, name = fusion_barrier(set_up, i, i < rounds)
         return (
-            put(faces, terms, (i * stride, 0)),
-            put(spans, span, (0, i * stride * size)),
-            put(names, name, (i * stride,)),
+            dynamic_update(faces, terms, (i * stride, 0)),
+            dynamic_update(spans, span, (0, i * stride * size)),
+            dynamic_update(names, name, (i * stride,)),
         )
 
     faces, spans, names = jax.lax.fori_loop(0, rounds, store, scratch)
 
     def merge(i, rows):
-        block = cut(spans, (0, i * stride * size), (grid.side, stride * size)).reshape(grid.side, stride, size)
-        return put(rows, either([block[..., f] for f in range(size)]), (0, i * stride))
+        block = dynamic_slice(spans, (0, i * stride * size), (grid.side, stride * size)).reshape(
+            grid.side, stride, size
+        )
+        return dynamic_update(rows, bitwise_or_reduce([block[..., f] for f in range(size)]), (0, i * stride))
 
     rows = jax.lax.fori_loop(0, rounds, merge, jnp.zeros((grid.side, slots * poses), jnp.uint32))
 
     def turn(i, tile_words):
-        mine = i * BITS + indices(BITS)[None]
+        mine = i * WORD_BITS + indices(WORD_BITS)[None]
         block = rows.at[:, jnp.minimum(begins[:, None] + mine, slots * poses - 1)].get(mode="promise_in_bounds")
-        block = jnp.where((mine < now[:, None])[None], block, word(0))
+        block = jnp.where((mine < now[:, None])[None], block, as_uint32(0))
         column = jnp.arange(grid.side, dtype=jnp.uint32)[None, :, None]
-        bits = pack([(block[:, :, b][:, None] >> column) & word(1) for b in range(BITS)])
-        return put(tile_words, bits.reshape(1, grid.tiles, poses).swapaxes(1, 2).reshape(1, -1), (i, 0))
+        bits = pack_bits([(block[:, :, b][:, None] >> column) & as_uint32(1) for b in range(WORD_BITS)])
+        return dynamic_update(tile_words, bits.reshape(1, grid.tiles, poses).swapaxes(1, 2).reshape(1, -1), (i, 0))
 
     lanes = poses * grid.tiles
     tile_words = jnp.zeros((words_in_slots, lanes), jnp.uint32)
-    tile_words = jax.lax.fori_loop(0, jnp.max(-(-now // BITS)), turn, tile_words)
-    todo = sum(ones(tile_words[w]) for w in range(words_in_slots))
-    full = either([jnp.where(tile_words[w] != 0, word(1 << w), word(0)) for w in range(words_in_slots)])
+    tile_words = jax.lax.fori_loop(0, jnp.max(-(-now // WORD_BITS)), turn, tile_words)
+    todo = sum(popcount(tile_words[w]) for w in range(words_in_slots))
+    full = bitwise_or_reduce(
+        [jnp.where(tile_words[w] != 0, as_uint32(1 << w), as_uint32(0)) for w in range(words_in_slots)]
+    )
     queue = _Queue(full, jnp.zeros_like(full), jnp.zeros_like(todo))
     table = _Table(faces, names, size)
     begin = jnp.broadcast_to(begins[:, None], (poses, grid.tiles)).reshape(-1)
     x, y = (jnp.asarray(part, dtype) for part in (grid.x, grid.y))
 
     # All tiles together while many are at work, then the busiest few, in shares that are each run to their end.
-    together = jax.lax.while_loop(lambda t: jnp.sum(todo > t) > MANY * lanes, lambda t: t + 1, jnp.int32(0))
+    together = jax.lax.while_loop(
+        lambda t: jnp.sum(todo > t) > TOGETHER_FRACTION * lanes, lambda t: t + 1, jnp.int32(0)
+    )
     queue, best = _draw(together, table, begin, tile_words, queue, best, x[None], y[None])
     todo = jnp.maximum(todo - together, 0)
-    shares = SHARES if poses >= SHARES else 1
+    shares = NUM_SHARES if poses >= NUM_SHARES else 1
     share = max(1, lanes // 4 // shares)
 
     def finish(i, carry):
@@ -161,7 +181,7 @@ def draw_clusters(wanted: Wanted, clusters: Clusters, view: View, grid: Grid, sl
         amount, busy = jax.lax.top_k(todo.astype(jnp.float32), share * shares)
 
         def run(k, best):
-            those = cut(busy, (k * share,), (share,))
+            those = dynamic_slice(busy, (k * share,), (share,))
             take = partial(jax.tree.map, lambda a: a.at[those].get(mode="promise_in_bounds"))
             words = tile_words.at[:, those].get(mode="promise_in_bounds")
             trips = amount[k * share].astype(jnp.int32)
@@ -187,12 +207,12 @@ def place_boxes(box, view):
     return to_tool(box[:3], view), stretch
 
 
-def spread(view: View, axes: int) -> View:
+def broadcast_view(view: ToolView, axes: int) -> ToolView:
     """The view of poses on the first of `axes` + 1 axes."""
     return jax.tree.map(lambda part: part.reshape(*part.shape, *(1,) * axes), view)
 
 
-def blank(poses: int, grid: Grid, dtype, with_faces: bool):
+def empty_buffers(poses: int, grid: PixelGrid, dtype, with_faces: bool):
     """Hits before anything is drawn: heights (p, tiles, pixels) and, if asked for, faces."""
     heights = jnp.full((poses, *grid.x.shape), jnp.inf, dtype)
     return (heights, jnp.zeros(heights.shape, jnp.int32)) if with_faces else (heights,)
@@ -234,15 +254,17 @@ def _draw(trips, table: _Table, begin, words, queue: _Queue, best, x, y):
     def trip(_, carry):
         (full, current, at), best = carry
         fresh = (current == 0) & (full != 0)
-        at = jnp.where(fresh, lowest(full), at)
+        at = jnp.where(fresh, lowest_set_bit(full), at)
         current = jnp.where(fresh, words.at[at, lane].get(mode="promise_in_bounds"), current)
-        full = jnp.where(fresh, full & (full - word(1)), full)
-        slot = jnp.where(current == 0, nothing, begin + at * BITS + lowest(current))
-        row = table.faces.at[slot].get(mode="promise_in_bounds").reshape(*shape[:-1], TERMS * size)
+        full = jnp.where(fresh, full & (full - as_uint32(1)), full)
+        slot = jnp.where(current == 0, nothing, begin + at * WORD_BITS + lowest_set_bit(current))
+        row = table.faces.at[slot].get(mode="promise_in_bounds").reshape(*shape[:-1], FACE_TERMS * size)
         for f in range(size):
             name = table.names.at[slot].get(mode="promise_in_bounds").reshape(shape[:-1]) * size + f
-            best = nearer(best, x, y, [row[..., k * size + f][..., None] for k in range(TERMS)], name[..., None])
-        return _Queue(full, current & (current - word(1)), at), best
+            best = closer_hit(
+                best, x, y, [row[..., k * size + f][..., None] for k in range(FACE_TERMS)], name[..., None]
+            )
+        return _Queue(full, current & (current - as_uint32(1)), at), best
 
     return jax.lax.fori_loop(0, trips, trip, (queue, best))
 
@@ -261,32 +283,32 @@ def face_terms(corners, shown, half, axis, holds):
 
     def measure(_):
         area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
-        solid = (jnp.abs(area) >= FLAT) & (jnp.abs(area) < jnp.inf) & shown  # and a number
+        solid = (jnp.abs(area) >= MIN_PROJECTED_AREA_M2) & (jnp.abs(area) < jnp.inf) & shown  # and a number
         return jnp.where(solid, jnp.sign(area), 0), 1 / jnp.where(solid, area, 1)
 
-    side, share = apart(measure, jnp.int32(0), holds)
+    side, share = fusion_barrier(measure, jnp.int32(0), holds)
     side = jnp.expand_dims(side, axis)
     xq, yq = (jnp.take(part, np.array([1, 2, 0]), axis) for part in (x, y))
     A, B = (jnp.where(side == 0, 0, side * run) for run in (y - yq, xq - x))
-    tolerance = ROUNDINGS * float(jnp.finfo(x.dtype).eps)
+    tolerance = EDGE_TOLERANCE_ROUNDINGS * float(jnp.finfo(x.dtype).eps)
     slack = tolerance * (jnp.abs(A) * (jnp.abs(x) + half) + jnp.abs(B) * (jnp.abs(y) + half))
     C = jnp.where(side == 0, -1, slack - (A * x + B * y))
     slope_x = ((zb - za) * (yc - ya) - (zc - za) * (yb - ya)) * share
     slope_y = ((zc - za) * (xb - xa) - (zb - za) * (xc - xa)) * share
     base = za - slope_x * xa - slope_y * ya
     # A steep plane means nothing beside its edge, where the tolerance still counts it: never nearer than a corner.
-    return A, B, C, slope_x, slope_y, base, smaller(smaller(za, zb), zc)
+    return A, B, C, slope_x, slope_y, base, minimum(minimum(za, zb), zc)
 
 
-def nearer(best, x, y, face, name):
+def closer_hit(best, x, y, face, name):
     """The nearest hits so far and those of one face, of `TERMS` numbers, on the pixels at x and y."""
     A0, A1, A2, B0, B1, B2, C0, C1, C2, slope_x, slope_y, base, low = face
-    height = larger(slope_x * x + (slope_y * y + base), low)
-    inside = smaller(smaller(A0 * x + (B0 * y + C0), A1 * x + (B1 * y + C1)), A2 * x + (B2 * y + C2))
-    height = jnp.where(smaller(inside, height + STANDOFF) >= 0, height, jnp.inf)
+    height = maximum(slope_x * x + (slope_y * y + base), low)
+    inside = minimum(minimum(A0 * x + (B0 * y + C0), A1 * x + (B1 * y + C1)), A2 * x + (B2 * y + C2))
+    height = jnp.where(minimum(inside, height + STANDOFF) >= 0, height, jnp.inf)
     if len(best) == 2:
-        return smaller(best[0], height), jnp.where(height < best[0], name, best[1])
-    return (smaller(best[0], height),)
+        return minimum(best[0], height), jnp.where(height < best[0], name, best[1])
+    return (minimum(best[0], height),)
 
 
 def _spans(corners, grid):
@@ -300,9 +322,9 @@ def _spans(corners, grid):
         slope = ((xq - xp) / jnp.where(jnp.abs(rise) < 1e-12, 1e-12, rise))[None]
         xp, yp, xq, yq = xp[None], yp[None], xq[None], yq[None]
         at_low, at_high = xp + (low - yp) * slope, xp + (high - yp) * slope
-        in_strip = (larger(yp, yq) >= low) & (smaller(yp, yq) <= high)
-        start = larger(smaller(at_low, at_high), smaller(xp, xq))
-        end = smaller(larger(at_low, at_high), larger(xp, xq))
-        left = jnp.where(in_strip, smaller(start, left), left)
-        right = jnp.where(in_strip, larger(end, right), right)
+        in_strip = (maximum(yp, yq) >= low) & (minimum(yp, yq) <= high)
+        start = maximum(minimum(at_low, at_high), minimum(xp, xq))
+        end = minimum(maximum(at_low, at_high), maximum(xp, xq))
+        left = jnp.where(in_strip, minimum(start, left), left)
+        right = jnp.where(in_strip, maximum(end, right), right)
     return grid.columns(left, right)

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
-from i2t.geometry import contact_frame, full_precision, invert
+from i2t.geometry import contact_frame, full_precision, inverse
 from i2t.types import PAD_WINDOW, STANDOFF, Surface
 
 MIN_FORWARD = 1e-3  # cosine; closer to sideways, the skin's face would meet a surface edge-on
@@ -147,7 +147,7 @@ def press_along(
     forward = d[2] > MIN_FORWARD
     ahead = jnp.where(forward, d[2], 1.0)
     shear = jnp.eye(4).at[:3, 2].set(jnp.stack([-d[0] / ahead, -d[1] / ahead, 1 / ahead]))
-    distance = nearest_in_square(surface, shear @ invert(start), half, behind=0.0)
+    distance = nearest_in_square(surface, shear @ inverse(start), half, behind=0.0)
     hit = forward & (distance <= travel)
     return start.at[:3, 3].add(jnp.where(hit, distance, travel) * direction), hit
 
@@ -159,7 +159,7 @@ def is_upward(T_w_t: Float[Array, "4 4"], limits: Limits) -> Bool[Array, ""]:
 
 def is_open(surface: Surface, T_w_t: Float[Array, "4 4"], limits: Limits) -> Bool[Array, ""]:
     """Second check: no surface is more than `max_rise` above the contact plane inside the sensor's square."""
-    return nearest_in_square(surface, invert(T_w_t), limits.half, behind=jnp.inf) >= -limits.max_rise
+    return nearest_in_square(surface, inverse(T_w_t), limits.half, behind=jnp.inf) >= -limits.max_rise
 
 
 def is_above_table(T_w_t: Float[Array, "4 4"], limits: Limits) -> Bool[Array, ""]:

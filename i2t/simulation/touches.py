@@ -28,7 +28,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from i2t import geometry
-from i2t.rendering.render import render_heights, render_patch, stack
+from i2t.rendering.render import render_heights, render_patch, stack_surfaces
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.press import PressLimits, press_until
 from i2t.skin import faults
@@ -169,7 +169,7 @@ def touch_once(
     """
     key_arm, key_tilt, key_camera, key_scalars = jax.random.split(key, 4)
     slip, force_error, travel_error, *slant = jax.random.normal(key_scalars, (5,))
-    T_o_w = geometry.invert(T_w_o @ run.T_o_placed)  # from here on the object is where it really is
+    T_o_w = geometry.inverse(T_w_o @ run.T_o_placed)  # from here on the object is where it really is
 
     T_w_arm = T_w_site @ geometry.random_motion(key_arm, errors.repeatability, 0.0)
     T_w_press = T_w_arm @ geometry.random_motion(key_tilt, 0.0, errors.approach_angle)
@@ -181,7 +181,7 @@ def touch_once(
     overshoot = limits.overshoot * jnp.abs(slip)
     stop = press_until(pad, met.depth, limits, overshoot)
     if limits.final != GRID:
-        heights = render_heights(surface, geometry.invert(T_o_t), PAD_WINDOW, limits.final.cells)
+        heights = render_heights(surface, geometry.inverse(T_o_t), PAD_WINDOW, limits.final.cells)
         nearest = jnp.min(heights)
         deeper = stop.indentation + met.nearest - nearest  # the finer grid may see a nearer point
         press = press_pad(pad, heights - nearest, deeper, limits.final)
@@ -201,7 +201,7 @@ def touch_once(
     T_w_t = T_w_site @ end
     # What the camera sees and what the skin meets, side by side: one compiled renderer for both.
     poses = jnp.stack([T_o_w @ T_w_arm @ end @ run.T_t_camera, T_o_t @ _along_z(sunk)])
-    seen, z = jax.vmap(lambda T: render_heights(surface, geometry.invert(T), WIDE_WINDOW, WIDE_PIXELS))(poses)
+    seen, z = jax.vmap(lambda T: render_heights(surface, geometry.inverse(T), WIDE_WINDOW, WIDE_PIXELS))(poses)
     wide, patch = sense(key_camera, seen, errors)
     nearest = jnp.min(_centre(z, PAD_WINDOW))
     return Touches(
@@ -281,7 +281,7 @@ def simulate(
     limits, sites = limits or PressLimits(), sites or touch_sites.Limits()
     counts = [n] * len(objects) if isinstance(n, int) else list(n)
     run_once = jax.jit(simulate_run, static_argnames=("errors", "limits", "sites", "n"))
-    surfaces = stack(objects)  # one size class for all, and so one compilation
+    surfaces = stack_surfaces(objects)  # one size class for all, and so one compilation
     parts, run = [], 0
     for i, count in enumerate(counts):
         surface = jax.tree.map(lambda field, i=i: field[i], surfaces)

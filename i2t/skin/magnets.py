@@ -87,7 +87,7 @@ def moved(magnets: Magnets, displacement: Float[Array, "k 3"], rotation: Float[A
     """Each magnet displaced (m) and turned about its own centre by a rotation vector (rad) in tool axes."""
     return magnets._replace(
         positions=magnets.positions + displacement,
-        rotations=jax.vmap(geometry.rotation)(rotation) @ magnets.rotations,
+        rotations=jax.vmap(geometry.so3_exp)(rotation) @ magnets.rotations,
     )
 
 

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 
 from i2t.objects.solids import Mesh
 from i2t.rendering.ops import element
-from i2t.rendering.render import prepare, render_patch, stack
+from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
 from i2t.types import PAD_WINDOW, PATCH_WINDOW, REACH, Board
 from i2t.viz.touches import BLUE, GREY, ORANGE, draw_patch, draw_reading, draw_skin, no_scene, save
 
@@ -160,7 +160,7 @@ def _candidates(p: np.ndarray, truth: int) -> list[int]:
 
 def _imagined(meshes: Sequence[Mesh], T_w_t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Depth (touches, candidates, n, n) m, and nearest points (touches, candidates) m."""
-    surfaces = stack([prepare(mesh) for mesh in meshes])  # of one size class, so that one compilation serves all
+    surfaces = stack_surfaces([prepare_surface(mesh) for mesh in meshes])  # of one size class, so that one compilation serves all
     patches = [[_render(element(surfaces, i), T) for i in range(len(meshes))] for T in np.asarray(T_w_t, np.float32)]
     depth = np.array([[patch.depth for patch in row] for row in patches])
     return depth, np.array([[patch.nearest for patch in row] for row in patches])

@@ -33,7 +33,7 @@ def lab(tmp_path_factory):
     path = tmp_path_factory.mktemp("lab")
     rig = replace(Rig(), camera=Camera(160, 90, 80.6, 80.5, 79.5, 44.5))
     rig.write(path / "lab.toml")
-    mesh = catalogue.make("star").mesh
+    mesh = catalogue.make_object("star").mesh
     T_w_c = Plan(mesh, rig.T_world_object, sites.Limits(), 0, "star").site(0).T_w_t.copy()
     T_w_c[:3, 3] -= rig.looking_distance * T_w_c[:3, 2]  # the camera's axes are the tool's
     depth, _ = see(mesh.vertices[mesh.faces], T_w_c, rig.camera)

@@ -9,7 +9,7 @@ from i2t.emulators.scene import see
 from i2t.hardware import camera_folder
 from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
-from i2t.hardware.ur.rtde_link import to_ur
+from i2t.hardware.ur.poses import to_ur
 from i2t.objects import catalogue
 from i2t.objects.solids import transform_mesh
 from i2t.types import TWIST_LEVER_M
@@ -33,7 +33,7 @@ def lab(tmp_path):
     rig = Rig()
     rig.write(tmp_path / "lab.toml")
     really = pose([0, 0, 0.06], [0.004, -0.006, 0.0])  # T_w_o
-    mesh = transform_mesh(catalogue.make("star").mesh, rig.T_base_world @ really)
+    mesh = transform_mesh(catalogue.make_object("star").mesh, rig.T_base_world @ really)
     corners = rig.T_base_world[:3, 3] + 0.1 * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
     triangles = np.concatenate([mesh.vertices[mesh.faces], corners[[[0, 1, 2], [0, 2, 3]]]])
     depth, _ = see(triangles, T_B_C, rig.camera)

@@ -12,8 +12,8 @@ from i2t.emulators.in_process import SimulatedCamera
 from i2t.emulators.scene import Scene
 from i2t.errors import NotConnectedError
 from i2t.hardware import camera_folder
-from i2t.hardware.camera_folder import Folder
-from i2t.hardware.clock import Monotonic
+from i2t.hardware.camera_folder import RecordedDepthCamera
+from i2t.hardware.clock import MonotonicClock
 from i2t.hardware.protocols import DepthCamera, View
 from i2t.hardware.realsense import RealSense
 from i2t.objects import catalogue
@@ -39,13 +39,13 @@ def make(request, tmp_path_factory) -> Iterator[Callable[[], DepthCamera]]:
         yield lambda: RealSense(file=path.with_suffix(".db3"), size=(64, 48), model="D405")
     elif request.param == "folder":
         list(camera_folder.keep(path, CAMERA, views))
-        yield lambda: Folder(path)
+        yield lambda: RecordedDepthCamera(path)
     else:
         errors = Errors.none()
-        scene = Scene(catalogue.make("square").mesh, np.eye(4), jax.jit(nominal_pad)(), errors)
+        scene = Scene(catalogue.make_object("square").mesh, np.eye(4), jax.jit(nominal_pad)(), errors)
         above = np.diag([1.0, -1.0, -1.0, 1.0])
         above[2, 3] = 0.13
-        yield lambda: SimulatedCamera(scene, CAMERA, np.eye(4), lambda: above, Monotonic())
+        yield lambda: SimulatedCamera(scene, CAMERA, np.eye(4), lambda: above, MonotonicClock())
 
 
 def test_features_are_known_before_connecting(make, request):

@@ -11,7 +11,7 @@ from PIL import Image
 from scipy.optimize import fsolve
 
 from i2t.depth.camera import Camera, Distortion, check_view, read_depth
-from i2t.depth.distortion import deproject, lines_of_sight, project
+from i2t.depth.distortion import deproject, pixel_rays, project
 
 LENSES = {
     Distortion.NONE: (),
@@ -100,10 +100,10 @@ def test_against_opencv():
 
 
 def test_a_pinhole_and_what_a_fisheye_cannot_see():
-    x, y = lines_of_sight(Camera(4, 3, 2.0, 2.0, 1.0, 1.0))
+    x, y = pixel_rays(Camera(4, 3, 2.0, 2.0, 1.0, 1.0))
     np.testing.assert_allclose(x[0], [-0.5, 0, 0.5, 1])
     np.testing.assert_allclose(y[:, 0], [-0.5, 0, 0.5])
-    beyond = lines_of_sight(Camera(400, 4, 50.0, 50.0, 200.0, 2.0, "kannala_brandt4"))[0]  # 90 degrees at 78 pixels
+    beyond = pixel_rays(Camera(400, 4, 50.0, 50.0, 200.0, 2.0, "kannala_brandt4"))[0]  # 90 degrees at 78 pixels
     assert np.isfinite(beyond[2, 123:278]).all()
     assert np.isnan(beyond[2, :121]).all()
 

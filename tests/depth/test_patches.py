@@ -17,10 +17,10 @@ from embreex.rtcore_scene import EmbreeScene
 from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera
-from i2t.depth.distortion import lines_of_sight
-from i2t.depth.patches import DISTANCE, crop_patch, patch_from_depth
-from i2t.objects.catalogue import make
-from i2t.rendering.render import contact_mask, prepare, render_patch
+from i2t.depth.distortion import pixel_rays
+from i2t.depth.patches import LOOKING_DISTANCE_M, crop_patch, patch_from_depth
+from i2t.objects.catalogue import make_object
+from i2t.rendering.render import contact_mask, prepare_surface, render_patch
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
 
 CAMERA = Camera(640, 360, 322.4, 322.1, 319.5, 179.5)
@@ -47,7 +47,7 @@ def pose(rotation, position) -> np.ndarray:
     return T
 
 
-def views(tilt: float, at, distance: float = DISTANCE) -> tuple[np.ndarray, np.ndarray]:
+def views(tilt: float, at, distance: float = LOOKING_DISTANCE_M) -> tuple[np.ndarray, np.ndarray]:
     """T_w_c and T_w_t: a tool that points down at a place, and a camera that looks at it, tilted by some degrees."""
     look = DOWN @ Rotation.from_euler("yx", [tilt, tilt / 3], degrees=True).as_matrix()
     return pose(look, np.asarray(at) - distance * look[:, 2]), pose(DOWN, at)
@@ -57,7 +57,7 @@ def image(mesh, T_w_c: np.ndarray, camera: Camera = CAMERA) -> np.ndarray:
     """Depth (h, w) m of a scene, NaN where nothing is hit."""
     scene = EmbreeScene()
     TriangleMesh(scene, np.asarray(mesh.vertices, np.float32)[np.asarray(mesh.faces)])
-    x, y = np.asarray(lines_of_sight(camera), float)
+    x, y = np.asarray(pixel_rays(camera), float)
     rays = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3) @ T_w_c[:3, :3].T.astype(float)
     starts = np.broadcast_to(T_w_c[:3, 3], rays.shape)
     hits = scene.run(starts.astype(np.float32), rays.astype(np.float32), output=1)  # in units of the rays: depth
@@ -80,7 +80,7 @@ def in_sight(mesh, T_w_c: np.ndarray, T_w_t: np.ndarray, heights: np.ndarray) ->
 
 def scene(name: str) -> trimesh.Trimesh:
     """An object on a table."""
-    mesh = make(name.split("'")[0]).mesh
+    mesh = make_object(name.split("'")[0]).mesh
     table = trimesh.creation.box((0.6, 0.6, 0.01)).apply_translation([0, 0, -0.005])
     return trimesh.util.concatenate([trimesh.Trimesh(mesh.vertices, mesh.faces, process=False), table])
 
@@ -89,7 +89,7 @@ def beside(name: str) -> np.ndarray:
     """A place on the top of an object, halfway to its side, so that the window holds some of the edge."""
     if name in HAMMER:
         return np.array(HAMMER[name])
-    vertices = np.asarray(make(name).mesh.vertices)
+    vertices = np.asarray(make_object(name).mesh.vertices)
     return np.array([0.5 * np.abs(vertices[:, 0]).max(), -0.002, vertices[:, 2].max()])
 
 
@@ -115,9 +115,9 @@ def rms(values) -> float:
 @pytest.mark.parametrize("name", ["hexagon", "star", "stairs", "wedge", "dome", "torus", "stamp-T", "hammer", *HAMMER])
 def test_against_direct_rendering(name, tilt):
     mesh, (T_w_c, T_w_t) = scene(name), views(tilt, beside(name))
-    real, imagined = cut(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare(mesh), T_w_t)
-    seen = np.asarray(real.seen)
-    assert not (seen & np.asarray(real.filled)).any()
+    real, imagined = cut(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare_surface(mesh), T_w_t)
+    seen = np.asarray(real.valid_mask)
+    assert not (seen & np.asarray(real.inpainted_mask)).any()
     # Where the reach hides what is deeper, both read it; so depths are compared from the imagined nearest point.
     theirs = np.asarray(imagined.depth)
     ours = np.minimum(heights(real.patch) - float(imagined.nearest), REACH)
@@ -153,13 +153,15 @@ def test_sharp_ridges_are_cut_off(left, right):
     rng = np.random.default_rng(0)
     turns = np.array([0.0, 45.0, -45.0, *rng.uniform(0, 180, 5)])
     shifts = np.concatenate([np.zeros((3, 2)), rng.uniform(-2e-4, 2e-4, (5, 2))])
-    pixel = DISTANCE / CAMERA.fy / (1 - PATCH_WINDOW / DISTANCE * max(left, right))  # further on a side that falls off
+    pixel = (
+        LOOKING_DISTANCE_M / CAMERA.fy / (1 - PATCH_WINDOW / LOOKING_DISTANCE_M * max(left, right))
+    )  # further on a side that falls off
     worst = (left + right) / 4 * pixel
     for turn, shift in zip(turns, shifts, strict=True):
         turned = Rotation.from_euler("z", turn, degrees=True).as_matrix()
         mesh = roof(left, right).apply_transform(pose(turned, [*(shift + centre), 0]))
-        real, imagined = cut(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare(mesh), T_w_t)
-        near = np.asarray(real.seen) & (np.asarray(imagined.depth) < 2e-3)
+        real, imagined = cut(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare_surface(mesh), T_w_t)
+        near = np.asarray(real.valid_mask) & (np.asarray(imagined.depth) < 2e-3)
         error = (heights(real.patch) - heights(imagined))[near]
         closest = float(real.patch.nearest - imagined.nearest)
         assert near.mean() > 0.1
@@ -167,17 +169,17 @@ def test_sharp_ridges_are_cut_off(left, right):
         assert error.max() <= (1 if turn == 0 else math.sqrt(2)) * worst + FLAT
         assert -FLAT <= closest <= error.max() + FLAT
         if turn == 0:  # the worst: the ridge along the middle of its cells, and every row alike
-            assert error.max() == pytest.approx((left + right) / 4 * DISTANCE / CAMERA.fx, rel=0.02)
+            assert error.max() == pytest.approx((left + right) / 4 * LOOKING_DISTANCE_M / CAMERA.fx, rel=0.02)
 
 
 def test_quantised_depth():
     """Rounding moves a pixel by at most q / 2 along its ray, and the tilt and the slope here a little more along z."""
     mesh, (T_w_c, T_w_t) = scene("dome"), views(10.0, beside("dome"))
-    exact, imagined = image(mesh, T_w_c), render(prepare(mesh), T_w_t)
+    exact, imagined = image(mesh, T_w_c), render(prepare_surface(mesh), T_w_t)
     for q in (1e-4, 1e-3):
         real = cut(np.float32(np.round(exact / q) * q), CAMERA, T_w_c, T_w_t)
         error = heights(real.patch) - heights(imagined)
-        inner = np.asarray(real.seen) & away(np.asarray(imagined.depth))
+        inner = np.asarray(real.valid_mask) & away(np.asarray(imagined.depth))
         assert inner.mean() > 0.5
         assert rms(error[inner]) <= 0.6 * q + 1e-5
 
@@ -185,7 +187,7 @@ def test_quantised_depth():
 def test_flying_pixels_are_no_surface():
     """At every depth edge one pixel in between is put on either side, as cameras do."""
     mesh, (T_w_c, T_w_t) = scene("hexagon"), views(0.0, beside("hexagon"))
-    T_w_t[0, 3] = T_w_c[0, 3] = np.asarray(make("hexagon").mesh.vertices)[:, 0].max() - 3e-3
+    T_w_t[0, 3] = T_w_c[0, 3] = np.asarray(make_object("hexagon").mesh.vertices)[:, 0].max() - 3e-3
     exact = image(mesh, T_w_c)
     mixed = exact.copy()
     edge = np.abs(np.diff(exact, axis=1)) > 5e-3
@@ -193,14 +195,14 @@ def test_flying_pixels_are_no_surface():
     mixed[rows, columns] = (exact[rows, columns] + exact[rows, columns + 1]) / 2
     assert edge.sum() > 30
     clean, flying = (cut(depth, CAMERA, T_w_c, T_w_t) for depth in (exact, mixed))
-    both = np.asarray(clean.seen & flying.seen)
+    both = np.asarray(clean.valid_mask & flying.valid_mask)
     assert both.mean() > 0.5
     np.testing.assert_allclose(np.asarray(flying.patch.depth)[both], np.asarray(clean.patch.depth)[both], atol=FLAT)
     slopes = cut(mixed, CAMERA, T_w_c, T_w_t, grazing=1e-3)  # with edges taken for surface there is one in between
     between = (np.asarray(slopes.patch.depth) > 0.2e-3) & (np.asarray(slopes.patch.depth) < REACH)
-    assert between[np.asarray(slopes.seen)].sum() > 10
+    assert between[np.asarray(slopes.valid_mask)].sum() > 10
     between = (np.asarray(flying.patch.depth) > 0.2e-3) & (np.asarray(flying.patch.depth) < REACH)
-    assert not between[np.asarray(flying.seen)].any()
+    assert not between[np.asarray(flying.valid_mask)].any()
 
 
 @pytest.mark.parametrize(
@@ -214,29 +216,29 @@ def test_flying_pixels_are_no_surface():
 def test_distorted_images(model, coefficients):
     camera = Camera(640, 360, 322.4, 322.1, 310.0, 170.0, model, coefficients)
     mesh, (T_w_c, T_w_t) = scene("torus"), views(25.0, beside("torus"))
-    depth, imagined = image(mesh, T_w_c, camera), render(prepare(mesh), T_w_t)
+    depth, imagined = image(mesh, T_w_c, camera), render(prepare_surface(mesh), T_w_t)
     real, straight = cut(depth, camera, T_w_c, T_w_t), cut(depth, CAMERA, T_w_c, T_w_t)
-    inner = np.asarray(real.seen) & away(np.asarray(imagined.depth))
+    inner = np.asarray(real.valid_mask) & away(np.asarray(imagined.depth))
     assert inner.mean() > 0.3
     assert rms((heights(real.patch) - heights(imagined))[inner]) <= ERROR
     assert rms((heights(straight.patch) - heights(imagined))[inner]) > ERROR  # the lens matters here
 
 
-def plane(depth: float = DISTANCE) -> np.ndarray:
+def plane(depth: float = LOOKING_DISTANCE_M) -> np.ndarray:
     return np.full((CAMERA.height, CAMERA.width), depth, np.float32)
 
 
 def test_holes():
     """Small ones are bridged, large ones marked, and both are told apart from what was seen."""
-    T_w_t = pose(np.eye(3), [0, 0, DISTANCE])
+    T_w_t = pose(np.eye(3), [0, 0, LOOKING_DISTANCE_M])
     depth = plane()
     depth[:, 300] = np.nan  # two cells of 0.32 mm
     depth[170:200, 325:345] = 0  # 20 pixels, 6.8 mm between what is measured on its sides
     real = cut(depth, CAMERA, np.eye(4, dtype=np.float32), T_w_t)
-    seen, filled, patch = np.asarray(real.seen), np.asarray(real.filled), np.asarray(real.patch.depth)
+    seen, filled, patch = np.asarray(real.valid_mask), np.asarray(real.inpainted_mask), np.asarray(real.patch.depth)
     along = ((np.arange(PATCH_PIXELS) + 0.5) / PATCH_PIXELS - 0.5) * PATCH_WINDOW
-    column = CAMERA.cx + CAMERA.fx * along / DISTANCE
-    row = CAMERA.cy + CAMERA.fy * along / DISTANCE
+    column = CAMERA.cx + CAMERA.fx * along / LOOKING_DISTANCE_M
+    row = CAMERA.cy + CAMERA.fy * along / LOOKING_DISTANCE_M
     narrow = np.broadcast_to(np.abs(column - 300) < 1, seen.shape)
     wide = ((row > 169) & (row < 200))[:, None] & ((column > 324) & (column < 345))[None, :]
     np.testing.assert_array_equal(filled & narrow, narrow)
@@ -246,7 +248,7 @@ def test_holes():
     np.testing.assert_allclose(patch[~wide], 0, atol=FLAT)
     np.testing.assert_array_equal(patch[~seen & ~filled], np.float32(REACH))
     none = cut(depth, CAMERA, np.eye(4, dtype=np.float32), T_w_t, fill=0.0)
-    assert not np.asarray(none.filled).any()
+    assert not np.asarray(none.inpainted_mask).any()
 
 
 def test_what_is_hidden_is_not_made_up():
@@ -260,10 +262,10 @@ def test_what_is_hidden_is_not_made_up():
     toward = np.sign(T_w_c[0, 3] - 0.010)
     hidden = (x > 0.3e-3) & (x < 2.5e-3) if toward < 0 else (x < -0.3e-3) & (x > -2.5e-3)
     if toward < 0:  # the camera is on the block's side: tan(50 degrees) of 3 mm lie in its shadow
-        assert not np.asarray(real.seen)[:, hidden].any()
+        assert not np.asarray(real.valid_mask)[:, hidden].any()
     np.testing.assert_allclose(np.asarray(real.patch.depth)[:, x < -0.5e-3], 0, atol=FLAT)
     np.testing.assert_allclose(np.asarray(real.patch.depth)[:, x > 4.5e-3], 3e-3, atol=FLAT)
-    assert np.asarray(real.seen)[:, np.abs(x) > 4.5e-3].all()
+    assert np.asarray(real.valid_mask)[:, np.abs(x) > 4.5e-3].all()
 
 
 def test_the_wide_view_holds_the_patch():
@@ -273,7 +275,7 @@ def test_the_wide_view_holds_the_patch():
     wide = cut(depth, CAMERA, T_w_c, T_w_t, WIDE_WINDOW, WIDE_PIXELS, reach=8e-3)
     centre = (slice((WIDE_PIXELS - PATCH_PIXELS) // 2, (WIDE_PIXELS + PATCH_PIXELS) // 2),) * 2
     assert wide.patch.nearest <= small.patch.nearest
-    known = np.asarray(small.seen & wide.seen[centre]) & (np.asarray(wide.patch.depth)[centre] < 8e-3 - 1e-6)
+    known = np.asarray(small.valid_mask & wide.valid_mask[centre]) & (np.asarray(wide.patch.depth)[centre] < 8e-3 - 1e-6)
     assert known.mean() > 0.3
     np.testing.assert_allclose(heights(small.patch)[known], heights(wide.patch)[centre][known], atol=FLAT)
 
@@ -286,18 +288,18 @@ def test_batches_are_their_elements():
     together = jax.jit(jax.vmap(patch_from_depth, (0, None, 0, 0)), static_argnums=1)(depths, CAMERA, T_w_c, T_w_t)
     for i in range(len(names)):
         alone = cut(depths[i], CAMERA, T_w_c[i], T_w_t[i])
-        assert (np.asarray(alone.seen) == np.asarray(together.seen[i])).mean() > 0.999  # a ray may graze an edge
-        both = np.asarray(alone.seen & together.seen[i])
+        assert (np.asarray(alone.valid_mask) == np.asarray(together.valid_mask[i])).mean() > 0.999  # a ray may graze an edge
+        both = np.asarray(alone.valid_mask & together.valid_mask[i])
         np.testing.assert_allclose(
             np.asarray(alone.patch.depth)[both], np.asarray(together.patch.depth[i])[both], atol=FLAT
         )
 
 
 def test_hostile_values():
-    eye, T_w_t = np.eye(4, dtype=np.float32), pose(np.eye(3), [0, 0, DISTANCE])
+    eye, T_w_t = np.eye(4, dtype=np.float32), pose(np.eye(3), [0, 0, LOOKING_DISTANCE_M])
     for nothing in (np.nan * plane(), 0 * plane(), -plane(), np.inf * plane()):
         real = cut(nothing, CAMERA, eye, T_w_t)
-        assert not np.asarray(real.seen | real.filled).any()
+        assert not np.asarray(real.valid_mask | real.inpainted_mask).any()
         assert real.patch.nearest == np.inf
         np.testing.assert_array_equal(real.patch.depth, np.float32(REACH))
     lost = eye.copy()
@@ -307,11 +309,11 @@ def test_hostile_values():
             real = cut(plane(), CAMERA, *poses)
             assert np.isnan(real.patch.depth).all()
             assert np.isnan(real.patch.nearest)
-            assert not np.asarray(real.seen | real.filled).any()
+            assert not np.asarray(real.valid_mask | real.inpainted_mask).any()
     behind = cut(plane(), CAMERA, eye, pose(np.eye(3), [0, 0, -1.0]))  # a tool behind the camera still looks forwards
-    np.testing.assert_allclose(behind.patch.nearest, 1 + DISTANCE, rtol=1e-5)
-    elsewhere = cut(plane(), CAMERA, eye, pose(np.eye(3), [5, 0, DISTANCE]))
-    assert not np.asarray(elsewhere.seen).any()
+    np.testing.assert_allclose(behind.patch.nearest, 1 + LOOKING_DISTANCE_M, rtol=1e-5)
+    elsewhere = cut(plane(), CAMERA, eye, pose(np.eye(3), [5, 0, LOOKING_DISTANCE_M]))
+    assert not np.asarray(elsewhere.valid_mask).any()
     assert elsewhere.patch.nearest == np.inf
     with pytest.raises(ValueError, match="shape"):
         cut(plane().T, CAMERA, eye, T_w_t)
@@ -324,19 +326,21 @@ def test_the_authors_crop():
     cropped = crop(plane(), CAMERA)
     np.testing.assert_allclose(cropped.patch.nearest, 0, atol=FLAT)
     np.testing.assert_array_equal(cropped.patch.depth, 0)
-    assert np.asarray(cropped.seen).all()
-    assert np.ptp([round(CAMERA.cx + CAMERA.fx * s * 8.5e-3 / DISTANCE) for s in (-1, 1)]) == 53  # as the paper's code
+    assert np.asarray(cropped.valid_mask).all()
+    assert (
+        np.ptp([round(CAMERA.cx + CAMERA.fx * s * 8.5e-3 / LOOKING_DISTANCE_M) for s in (-1, 1)]) == 53
+    )  # as the paper's code
     depth = plane()
     depth[:180] = 0.1  # above the principal point, so at negative y
     depth[180, 320] = np.nan
     cropped = crop(depth, CAMERA)
-    np.testing.assert_allclose(cropped.patch.nearest, 0.1 - DISTANCE, atol=FLAT)
+    np.testing.assert_allclose(cropped.patch.nearest, 0.1 - LOOKING_DISTANCE_M, atol=FLAT)
     np.testing.assert_allclose(cropped.patch.depth[:24], 0, atol=FLAT)
     assert cropped.patch.depth[24, 24] == np.float32(REACH)
-    np.testing.assert_array_equal(np.argwhere(~np.asarray(cropped.seen)), [[24, 24]])
+    np.testing.assert_array_equal(np.argwhere(~np.asarray(cropped.valid_mask)), [[24, 24]])
     np.testing.assert_allclose(np.asarray(cropped.patch.depth)[25:], 4e-3, atol=FLAT)
-    exact = cut(depth, CAMERA, np.eye(4, dtype=np.float32), pose(np.eye(3), [0, 0, DISTANCE]))
-    assert exact.patch.nearest == pytest.approx(0.1 - DISTANCE, abs=FLAT)
+    exact = cut(depth, CAMERA, np.eye(4, dtype=np.float32), pose(np.eye(3), [0, 0, LOOKING_DISTANCE_M]))
+    assert exact.patch.nearest == pytest.approx(0.1 - LOOKING_DISTANCE_M, abs=FLAT)
     empty = crop(0 * plane(), CAMERA)
     assert empty.patch.nearest == np.inf
     np.testing.assert_array_equal(empty.patch.depth, np.float32(REACH))
@@ -350,8 +354,8 @@ def test_the_authors_crop():
 def test_contact_masks_agree(tolerance):
     """The authors' rule, pixels within 1 to 2 mm of the nearest, says the same of both patches away from edges."""
     mesh, (T_w_c, T_w_t) = scene("stamp-T"), views(0.0, beside("stamp-T"))
-    real, imagined = cut(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare(mesh), T_w_t)
-    inner = np.asarray(real.seen) & away(np.asarray(imagined.depth))
+    real, imagined = cut(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare_surface(mesh), T_w_t)
+    inner = np.asarray(real.valid_mask) & away(np.asarray(imagined.depth))
     ours, theirs = (np.asarray(contact_mask(patch.depth, tolerance)) for patch in (real.patch, imagined))
     assert 0.05 < theirs.mean() < 0.95
     np.testing.assert_array_equal(ours[inner], theirs[inner])

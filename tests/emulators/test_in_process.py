@@ -7,11 +7,11 @@ from helpers.closed_form import DOWN, GAIN, HEIGHT, NOISY, QUIET, WALL
 from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera
-from i2t.emulators.in_process import TICK, Lab, SimulatedArm, SimulatedCamera, SimulatedSkin, Virtual
+from i2t.emulators.in_process import TICK, Lab, SimulatedArm, SimulatedCamera, SimulatedSkin, VirtualClock
 from i2t.emulators.scene import LOADS, Feeler, Flat, Scene, _meet, see
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
-from i2t.hardware.clock import Monotonic
-from i2t.hardware.limits import Limits
+from i2t.hardware.clock import MonotonicClock
+from i2t.hardware.limits import MotionLimits
 from i2t.hardware.protocols import Arm, DepthCamera, Skin
 from i2t.hardware.rig import Rig
 from i2t.objects import catalogue
@@ -19,13 +19,13 @@ from i2t.skin import boards
 from i2t.skin.pad import nominal_pad
 
 LENS = Camera(80, 60, 60.0, 61.0, 39.5, 29.5)
-BOX = Limits((0.2, -0.3, 0.0), (0.6, 0.3, 0.5))
+BOX = MotionLimits((0.2, -0.3, 0.0), (0.6, 0.3, 0.5))
 
 
 @pytest.fixture(scope="module")
 def scene():
     rig = Rig()
-    return Scene(catalogue.make("dome").mesh, rig.T_base_world @ rig.T_world_object, nominal_pad(), QUIET)
+    return Scene(catalogue.make_object("dome").mesh, rig.T_base_world @ rig.T_world_object, nominal_pad(), QUIET)
 
 
 def pose(x, y, z, turned=DOWN):
@@ -35,7 +35,7 @@ def pose(x, y, z, turned=DOWN):
 
 
 def lab(errors=QUIET, clock=None, stiffness=10e3):
-    return Lab(Flat(HEIGHT, stiffness, GAIN, errors, boards.reskin_board()), clock or Virtual(WALL))
+    return Lab(Flat(HEIGHT, stiffness, GAIN, errors, boards.reskin_board()), clock or VirtualClock(WALL))
 
 
 def test_they_are_what_the_protocols_say(scene):
@@ -190,7 +190,7 @@ def test_an_arm_feels_what_it_meets_however_short_it_stood_before():
 
 
 def test_on_the_clock_of_this_machine_it_takes_its_time():
-    inside = lab(clock=Monotonic())
+    inside = lab(clock=MonotonicClock())
     with SimulatedSkin(inside) as skin, SimulatedArm(inside, BOX) as arm:
         before = inside.clock.now()
         arm.move(pose(0.4, 0.0, 0.28), 0.1, 0.5)

@@ -113,7 +113,7 @@ def test_pressures_that_are_not_the_peer_s_are_refused() -> None:
 def test_patches_of_another_mesh_are_not_compared() -> None:
     """A ray caster that needs no system package, and a sphere a centimetre smaller."""
     ball = trimesh.creation.icosphere(3, 0.03)
-    surface = rendering.prepare(ball)
+    surface = rendering.prepare_surface(ball)
     poses = rendering.random_poses(surface, 4)
     patch = jax.jit(jax.vmap(rendering.render_patch, (None, 0)))(surface, poses)
     rays = rendering.rays_of(poses)

@@ -140,7 +140,7 @@ POSTERIOR = np.array([[0.3, 0.4], [0.7, 0.2], [0.9, 0.05]])
 
 @pytest.fixture(scope="module")
 def meshes():
-    return [catalogue.make(name).mesh for name in NAMES]
+    return [catalogue.make_object(name).mesh for name in NAMES]
 
 
 @pytest.fixture(scope="module")

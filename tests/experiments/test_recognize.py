@@ -1,5 +1,5 @@
 """The whole of `python -m experiments.recognize` and of its studies on debug presets, and the parts that decide
-what is simulated and replayed.
+what is simulated and episodes_from_dataset.
 """
 
 import json
@@ -107,30 +107,30 @@ def test_recorded_touches_are_replayed(trained_run, tmp_path):
 def test_replay_says_what_it_cannot_use(trained_run):
     recorded = dataset.load(trained_run / "data.h5")
     with pytest.raises(DataError, match="of which there is no mesh"):
-        recognition.replayed(recorded, ["square"], 3)
+        recognition.episodes_from_dataset(recorded, ["square"], 3)
     with pytest.raises(DataError, match="no run has 100 touches"):
-        recognition.replayed(recorded, list(recorded.objects), 100)
+        recognition.episodes_from_dataset(recorded, list(recorded.objects), 100)
 
 
 def test_a_replayed_press_ends_where_it_was_recorded(trained_run):
     """Sites are where presses ended, so that the advance beyond them is nothing."""
     recorded = dataset.load(trained_run / "data.h5")
-    sites, episodes = recognition.replayed(recorded, list(recorded.objects), 3)
-    np.testing.assert_array_equal(episodes.measured.advance, 0)
+    sites, episodes = recognition.episodes_from_dataset(recorded, list(recorded.objects), 3)
+    np.testing.assert_array_equal(episodes.observations.advance, 0)
     T = np.asarray(sites.T_w_t)[episodes.site[0, 1]]
     row = np.flatnonzero(recorded.touches.run == 0)[1]
     np.testing.assert_allclose(T, np.linalg.inv(recorded.touches.T_w_o[row]) @ recorded.touches.T_w_t[row], atol=1e-6)
     air = recorded.touches.code[np.flatnonzero(recorded.touches.run == 0)[:3]] == ReturnCode.AIR
-    np.testing.assert_array_equal(np.asarray(episodes.measured.contact)[0], ~air)
+    np.testing.assert_array_equal(np.asarray(episodes.observations.contact)[0], ~air)
 
 
 def test_telling_sites_follow_the_heuristic():
     """Two boxes of different height side by side: no site of either faces elsewhere, so all of them are equal; the
     sites drawn are all of them in the end.
     """
-    surfaces = recognition.surfaces_of([catalogue.make(name).mesh for name in ("square", "hexagon")])
-    sites = recognition.pool(jax.random.key(0), surfaces, ["square", "hexagon"], 4, touch_sites.RECOGNITION)
-    drawn = recognition.telling_sites(jax.random.key(1), sites, 50, 4)
+    surfaces = recognition.prepare_surfaces([catalogue.make_object(name).mesh for name in ("square", "hexagon")])
+    sites = recognition.sample_sites(jax.random.key(0), surfaces, ["square", "hexagon"], 4, touch_sites.RECOGNITION)
+    drawn = recognition.draw_informative_sites(jax.random.key(1), sites, 50, 4)
     assert drawn.shape == (50, 4)
     assert drawn.min() >= 0
     assert drawn.max() < 8
@@ -220,7 +220,7 @@ def test_studies_run(study, trained_run, tmp_path):
 
 def test_the_paper_s_distances_prefer_what_was_touched():
     """Without any error the model at the contact is nearest to it: proprioception is right, whatever the readings."""
-    surfaces = recognition.surfaces_of([catalogue.make(name).mesh for name in ("square", "cylinder")])
+    surfaces = recognition.prepare_surfaces([catalogue.make_object(name).mesh for name in ("square", "cylinder")])
     top = jnp.eye(4).at[:3, :3].set(jnp.diag(jnp.array([1.0, -1.0, -1.0])))
     side = top.at[:3, 3].set(jnp.array([24e-3, 24e-3, 30e-3]))  # near the square's corner, outside the cylinder
     apart = [float(recognition._near(side[None, :3, 3], surface)[0]) for surface in surfaces]

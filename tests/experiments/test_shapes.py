@@ -18,7 +18,7 @@ from i2t import dataset as data
 from i2t.errors import DataError
 from i2t.geometry import random_motion
 from i2t.objects import catalogue
-from i2t.rendering.render import prepare, render_heights
+from i2t.rendering.render import prepare_surface, render_heights
 from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise
 from i2t.types import PAD_WINDOW
@@ -42,7 +42,7 @@ def test_a_stamp_is_met_as_the_renderer_sees_it():
     T = world.pose(jnp.array([1e-3, -2e-3]), jnp.float32(0.7), stamp)
     T = T @ random_motion(jax.random.key(3), 0.0, 0.02)
     face, base = world.heights(stamp, T, PAD_WINDOW, 40)
-    seen = np.asarray(render_heights(prepare(catalogue.make("stamp-angle").mesh), T, PAD_WINDOW, 40))
+    seen = np.asarray(render_heights(prepare_surface(catalogue.make_object("stamp-angle").mesh), T, PAD_WINDOW, 40))
     ours = np.minimum(face, base)
     both = np.isfinite(ours) & np.isfinite(seen)
     # Walls, which only the renderer sees: less than half a cell at 0.02 rad, along 40 mm of outline and 80 of base.

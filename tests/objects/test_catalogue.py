@@ -8,8 +8,18 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from i2t.objects import catalogue
-from i2t.objects.catalogue import NAMES, PRIMITIVES, STAMPS, TOOLS, Mesh, decoy, make, random_object, transform_mesh
-from i2t.objects.solids import SAGITTA, segments
+from i2t.objects.catalogue import (
+    NAMES,
+    PRIMITIVES,
+    STAMPS,
+    TOOLS,
+    Mesh,
+    make_object,
+    random_object,
+    surrogate_unknown,
+    transform_mesh,
+)
+from i2t.objects.solids import SAGITTA_MM, segments
 
 # Outlines pass through a polygon clipper that rounds to 1e-8 mm, so lengths of 10 mm and more are exact to 1e-9, areas
 # to twice and volumes to three times that.
@@ -40,7 +50,7 @@ def check_shape(mesh: Mesh) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_object_is_closed_outward_and_settled(name):
-    thing = make(name)
+    thing = make_object(name)
     assert thing.name == name
     check_shape(thing.mesh)
 
@@ -50,16 +60,16 @@ def test_the_catalogue():
     assert len(STAMPS) == 5
     assert len(TOOLS) >= 6
     assert len(set(NAMES)) == len(NAMES) == len(PRIMITIVES) + len(STAMPS) + len(TOOLS)
-    assert {make(n).family for n in PRIMITIVES} == {"primitive"}
-    assert {make(n).family for n in STAMPS} == {"stamp"}
-    assert {make(n).family for n in TOOLS} == {"tool"}
+    assert {make_object(n).family for n in PRIMITIVES} == {"primitive"}
+    assert {make_object(n).family for n in STAMPS} == {"stamp"}
+    assert {make_object(n).family for n in TOOLS} == {"tool"}
     with pytest.raises(ValueError, match=r"'spoon'.*hexagon"):
-        make("spoon")
+        make_object("spoon")
 
 
 @pytest.mark.parametrize("name", PRIMITIVES)
 def test_primitives_are_wider_than_the_skin(name):
-    across = size(make(name).mesh)
+    across = size(make_object(name).mesh)
     assert min(across[:2]) >= 40e-3
     assert max(across[:2]) <= 72e-3
     assert 10e-3 <= across[2] <= 45e-3
@@ -103,7 +113,7 @@ def test_round_solids_have_their_corners_on_the_surface_and_their_chords_within_
     np.testing.assert_allclose(rim, 30e-3, rtol=EXACT)
     n = segments(30.0)
     assert solid(cylinder).volume == pytest.approx(n / 2 * 30e-3**2 * np.sin(2 * np.pi / n) * H, rel=EXACT)
-    assert 30 * (1 - np.cos(np.pi / n)) <= SAGITTA
+    assert 30 * (1 - np.cos(np.pi / n)) <= SAGITTA_MM
 
     cone = catalogue.cone(60e-3, 20e-3, 35e-3)
     radius = 30e-3 + (10e-3 - 30e-3) * cone.vertices[:, 2] / 35e-3
@@ -142,7 +152,7 @@ def test_flower_outline():
     ],
 )
 def test_stamps_are_reliefs_of_at_most_10_mm_and_3_5_mm_deep(name, area):
-    mesh = make(name).mesh
+    mesh = make_object(name).mesh
     np.testing.assert_allclose(size(mesh), [20e-3, 20e-3, 8.5e-3], rtol=EXACT)
     relief = mesh.vertices[mesh.vertices[:, 2] > 5.5e-3]
     assert (np.ptp(relief[:, :2], axis=0) <= 10e-3 * (1 + EXACT)).all()
@@ -164,7 +174,7 @@ def test_stamps_are_reliefs_of_at_most_10_mm_and_3_5_mm_deep(name, area):
     ],
 )
 def test_tools_have_about_real_size(name, length, width, height):
-    for value, (low, high) in zip(size(make(name).mesh) * 1e3, (length, width, height), strict=True):
+    for value, (low, high) in zip(size(make_object(name).mesh) * 1e3, (length, width, height), strict=True):
         assert low <= value <= high
 
 
@@ -186,8 +196,8 @@ def test_random_objects():
 
 
 def test_decoys_are_like_what_is_known_but_none_of_it():
-    known = [make("square").mesh, make("hammer").mesh]
-    drawn = [decoy(known, seed).mesh for seed in range(60)]
+    known = [make_object("square").mesh, make_object("hammer").mesh]
+    drawn = [surrogate_unknown(known, seed).mesh for seed in range(60)]
     heights = np.array([size(mesh)[2] for mesh in drawn])
     for mesh in drawn:
         check_shape(mesh)
@@ -195,13 +205,13 @@ def test_decoys_are_like_what_is_known_but_none_of_it():
     assert np.mean(np.array(apart) > 4e-3) > 0.9  # by a seventh of a square; a random outline may come near one
     same = np.isclose(heights[:, None], [30e-3, 26e-3], rtol=1e-6).any(1)
     assert 15 < same.sum() < 45  # half of them, within 4 standard deviations
-    np.testing.assert_array_equal(decoy(known, 3).mesh.vertices, drawn[3].vertices)
+    np.testing.assert_array_equal(surrogate_unknown(known, 3).mesh.vertices, drawn[3].vertices)
 
 
 @settings(deadline=None, max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.booleans())
 def test_moving_a_mesh_keeps_its_volume_and_its_outside(seed, mirrored):
-    mesh = make("star").mesh
+    mesh = make_object("star").mesh
     rng = np.random.default_rng(seed)
     T = np.eye(4)
     T[:3, :3] = Rotation.random(random_state=rng).as_matrix() @ np.diag([1, 1, -1 if mirrored else 1])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from i2t.objects.catalogue import clean, load, make
-from i2t.objects.mesh_files import UNITS
+from i2t.objects.catalogue import clean_mesh, load_mesh, make_object
+from i2t.objects.mesh_files import METRES_PER_UNIT
 from i2t.objects.solids import Mesh
 
 BOX = (0.06, 0.04, 0.02)  # m
@@ -30,11 +30,11 @@ def whole(mesh: Mesh) -> trimesh.Trimesh:
 
 
 @pytest.mark.parametrize("suffix", ["stl", "obj", "ply", "glb", "STL"])
-@pytest.mark.parametrize("unit", list(UNITS))
+@pytest.mark.parametrize("unit", list(METRES_PER_UNIT))
 def test_units_and_formats(tmp_path, suffix, unit):
     path = tmp_path / f"part.{suffix}"
-    box(1 / UNITS[unit]).export(path, file_type=suffix.lower())
-    thing, report = load(path, unit)
+    box(1 / METRES_PER_UNIT[unit]).export(path, file_type=suffix.lower())
+    thing, report = load_mesh(path, unit)
     assert thing.name == "part"
     assert thing.family == "file"
     # STL and GLB store float32: 2^-24 of each coordinate.
@@ -50,11 +50,11 @@ def test_frames(tmp_path):
     part = box()
     part.apply_translation([0.1, 0.2, 0.3])
     part.export(tmp_path / "part.ply")
-    own, _ = load(tmp_path / "part.ply", "m", table=False)
+    own, _ = load_mesh(tmp_path / "part.ply", "m", table=False)
     np.testing.assert_allclose(own.mesh.vertices.mean(0), [0.1, 0.2, 0.3], atol=1e-7)  # PLY in float32
-    settled, _ = load(tmp_path / "part.ply", "m")
+    settled, _ = load_mesh(tmp_path / "part.ply", "m")
     np.testing.assert_allclose(settled.mesh.vertices.mean(0), [0, 0, 0.01], atol=1e-7)
-    upright, report = load(tmp_path / "part.ply", "m", up="y")
+    upright, report = load_mesh(tmp_path / "part.ply", "m", up="y")
     np.testing.assert_allclose(upright.mesh.vertices.max(0), [0.03, 0.01, 0.04], atol=1e-7)
     assert whole(upright.mesh).volume > 0
     np.testing.assert_allclose(report.size, [0.06, 0.02, 0.04], atol=1e-7)
@@ -69,7 +69,7 @@ def test_cleaning_counts_what_it_does():
     soup.faces[turned] = soup.faces[turned][:, ::-1]
     extra = np.array([[0, 0, 1], [0, 1, 2], [3, 4, 5], [3, 5, 4]], np.int32)  # one of no area, three repeated
     dirty = joined(Mesh(soup.vertices, np.concatenate([soup.faces, extra])), speck)
-    mesh, report = clean(dirty, "dirty.stl")
+    mesh, report = clean_mesh(dirty, "dirty.stl")
     assert report.faces_read == 320 + 4 + 12
     assert report.faces == 320
     assert report.vertices_merged == 3 * 320 - len(good.vertices)
@@ -84,26 +84,26 @@ def test_cleaning_counts_what_it_does():
     text = str(report)
     for word in ("dirty.stl: 320 of 336 faces", "60.0 x 60.0 x 60.0 mm", "watertight", "1 degenerate", "3 repeated"):
         assert word in text
-    both, report = clean(dirty, largest=False)
+    both, report = clean_mesh(dirty, largest=False)
     assert len(both.faces) == 332
     assert report.pieces_dropped == 0
     assert whole(both).volume == pytest.approx(whole(good).volume + 1e-9, rel=1e-6)
 
 
 def test_cleaning_leaves_a_clean_mesh_and_turns_an_inverted_one():
-    star = make("star").mesh
-    mesh, report = clean(star, "star")
+    star = make_object("star").mesh
+    mesh, report = clean_mesh(star, "star")
     np.testing.assert_array_equal(mesh.faces, star.faces)
     np.testing.assert_array_equal(mesh.vertices, star.vertices)
     assert "nothing to clean" in str(report)
-    mesh, report = clean(Mesh(star.vertices, star.faces[:, ::-1]))
+    mesh, report = clean_mesh(Mesh(star.vertices, star.faces[:, ::-1]))
     assert report.turned == len(star.faces)
     assert whole(mesh).volume == pytest.approx(whole(star).volume)
 
 
 def test_holes_are_counted_and_stay():
     thing = plain(box())
-    mesh, report = clean(Mesh(thing.vertices, thing.faces[1:]))
+    mesh, report = clean_mesh(Mesh(thing.vertices, thing.faces[1:]))
     assert len(mesh.faces) == 11
     assert report.open_edges == 3
     assert not report.watertight
@@ -118,12 +118,12 @@ def test_fins_go_and_two_sided_sheets_keep_one_side():
         np.concatenate([thing.vertices, thing.vertices[[a]] * 1.01]),
         np.concatenate([thing.faces, [[a, b, tip], [b, a, tip]]]).astype(np.int32),
     )
-    mesh, report = clean(finned)
+    mesh, report = clean_mesh(finned)
     assert report.repeated == 2
     assert report.watertight
     assert len(mesh.faces) == len(thing.faces)
     sheet = Mesh(np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0.0]]), np.array([[0, 1, 2], [2, 1, 0]], np.int32))
-    mesh, report = clean(sheet)
+    mesh, report = clean_mesh(sheet)
     assert len(mesh.faces) == 1
     assert report.repeated == 1
 
@@ -133,7 +133,7 @@ def test_fins_go_and_two_sided_sheets_keep_one_side():
     ["009_gelatin_box", "011_banana", "025_mug", "031_spoon", "042_adjustable_wrench", "048_hammer", "061_foam_brick"],
 )
 def test_scans_of_real_objects_come_out_watertight(shared_data, name):
-    thing, report = load(shared_data / "ycb_meshes" / f"{name}.stl", "m")
+    thing, report = load_mesh(shared_data / "ycb_meshes" / f"{name}.stl", "m")
     cleaned = whole(thing.mesh)
     assert cleaned.is_watertight
     assert cleaned.is_winding_consistent
@@ -187,7 +187,7 @@ def test_bad_files_get_one_sentence(tmp_path, name, data, unit, words):
     path = tmp_path / name
     path.write_bytes(data)
     with pytest.raises(ValueError, match=words) as caught:
-        load(path, unit)
+        load_mesh(path, unit)
     text = str(caught.value)
     assert str(path) in text
     assert "\n" not in text
@@ -195,10 +195,10 @@ def test_bad_files_get_one_sentence(tmp_path, name, data, unit, words):
 
 def test_missing_files_and_folders(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"b\.stl: there is no such file"):
-        load(tmp_path / "b.stl", "m")
+        load_mesh(tmp_path / "b.stl", "m")
     (tmp_path / "c.stl").mkdir()
     with pytest.raises(ValueError, match="is a folder"):
-        load(tmp_path / "c.stl", "m")
+        load_mesh(tmp_path / "c.stl", "m")
     (tmp_path / "d.obj").write_text("v 0 0 0\n")
     with pytest.raises(ValueError, match="up='x'"):
-        load(tmp_path / "d.obj", "m", up="x")
+        load_mesh(tmp_path / "d.obj", "m", up="x")

@@ -9,7 +9,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from experiments import clouds as experiment
-from i2t.objects.catalogue import load_points, make, surface_from_points
+from i2t.objects.catalogue import load_point_cloud, make_object, surface_from_points
 from i2t.objects.point_clouds import suggest_radius
 
 RNG = np.random.default_rng(0)
@@ -54,10 +54,10 @@ BOTH = np.concatenate([POINTS, NORMALS], 1)
 )
 def test_points_and_normals_come_back(tmp_path, name, data):
     (tmp_path / name).write_bytes(data)
-    points, normals = load_points(tmp_path / name, "m")
+    points, normals = load_point_cloud(tmp_path / name, "m")
     np.testing.assert_array_equal(points, POINTS.astype(np.float64))  # every format carries float32 without loss
     np.testing.assert_allclose(normals, NORMALS, atol=2**-23)  # scaled to length one again
-    points, _ = load_points(tmp_path / name, "inch")
+    points, _ = load_point_cloud(tmp_path / name, "inch")
     np.testing.assert_array_equal(points, POINTS.astype(np.float64) * 0.0254)
 
 
@@ -65,7 +65,7 @@ def test_other_columns_other_types_and_faces_are_passed_over(tmp_path):
     rows = np.concatenate([RNG.uniform(size=(50, 3)), POINTS], 1)
     for form in ("ascii", "binary"):
         (tmp_path / "a.pcd").write_bytes(pcd(form, rows, "descriptor x y z", "3 1 1 1"))
-        points, normals = load_points(tmp_path / "a.pcd", "m")
+        points, normals = load_point_cloud(tmp_path / "a.pcd", "m")
         np.testing.assert_array_equal(points, POINTS)
         assert normals is None
     # A PLY with colour bytes and doubles, then faces.
@@ -75,13 +75,13 @@ def test_other_columns_other_types_and_faces_are_passed_over(tmp_path):
     )
     data = head.encode() + struct.pack("<B3dB3d", 7, 0.1, 0.2, 0.3, 9, 0.4, 0.5, 0.6) + b"\x03" + b"\x00" * 12
     (tmp_path / "b.ply").write_bytes(data)
-    points, _ = load_points(tmp_path / "b.ply", "m")
+    points, _ = load_point_cloud(tmp_path / "b.ply", "m")
     np.testing.assert_array_equal(points, [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
 
 
 def test_ply_as_trimesh_writes_it(tmp_path):
     trimesh.PointCloud(POINTS).export(tmp_path / "a.ply")
-    points, normals = load_points(tmp_path / "a.ply", "m")
+    points, normals = load_point_cloud(tmp_path / "a.ply", "m")
     np.testing.assert_allclose(points, POINTS, atol=1e-8)
     assert normals is None
 
@@ -91,7 +91,7 @@ def test_missing_points_are_left_out(tmp_path):
     rows[[3, 7], 1] = np.nan
     rows[9, 4] = np.nan
     (tmp_path / "a.pcd").write_bytes(pcd("binary", rows))
-    points, normals = load_points(tmp_path / "a.pcd", "m")
+    points, normals = load_point_cloud(tmp_path / "a.pcd", "m")
     kept = np.delete(np.arange(50), [3, 7])
     np.testing.assert_array_equal(points, POINTS[kept])
     assert (normals[list(kept).index(9)] == 0).all()  # a missing normal, not a missing point
@@ -137,7 +137,7 @@ def test_bad_files_get_one_sentence(tmp_path, name, data, unit, words):
     path = tmp_path / name
     path.write_bytes(data)
     with pytest.raises(ValueError, match=words) as caught:
-        load_points(path, unit)
+        load_point_cloud(path, unit)
     text = str(caught.value)
     assert str(path) in text
     assert "\n" not in text
@@ -145,7 +145,7 @@ def test_bad_files_get_one_sentence(tmp_path, name, data, unit, words):
 
 def test_missing_file(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"b\.pcd: there is no such file"):
-        load_points(tmp_path / "b.pcd", "m")
+        load_point_cloud(tmp_path / "b.pcd", "m")
 
 
 # --- disks ------------------------------------------------------------------------------------------------------------
@@ -200,7 +200,7 @@ def test_outliers_are_left_out_and_sparse_clouds_refused():
 
 
 def test_a_scanned_object_is_where_its_mesh_is():
-    thing = make("stairs").mesh
+    thing = make_object("stairs").mesh
     whole = trimesh.Trimesh(thing.vertices, thing.faces, process=False)
     cloud, face = trimesh.sample.sample_surface(whole, 60_000, seed=0)
     radius = 1e-3

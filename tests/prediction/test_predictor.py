@@ -12,12 +12,12 @@ from i2t import geometry
 from i2t.errors import CheckpointError
 from i2t.objects import catalogue
 from i2t.prediction import gp, model, predictor
-from i2t.prediction.predictor import Network, Predictor
-from i2t.prediction.pressure import Imagination
-from i2t.rendering.render import prepare, render_patch
+from i2t.prediction.predictor import TrainedNetwork, Predictor
+from i2t.prediction.pressure import PressureModelConfig
+from i2t.rendering.render import prepare_surface, render_patch
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
 
-IMAGINATION = Imagination(PATCH_WINDOW / PATCH_PIXELS, smooth=False, tilt=0.0)
+IMAGINATION = PressureModelConfig(PATCH_WINDOW / PATCH_PIXELS, smooth=False, tilt=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -31,9 +31,9 @@ def patches():
 @pytest.fixture(scope="module")
 def process(patches):
     """A Gaussian process that has seen six round tips, with any readings at all."""
-    imagined = predictor.imagine_all(IMAGINATION, patches, np.full(6, 0.8), np.full(6, np.nan))
-    lengths = len(gp.LENGTHS)
-    hyper = gp.Hyper(jnp.full(lengths, 1 / lengths), jnp.float32(0.2), jnp.float32(1.0), jnp.float32(0.01))
+    imagined = predictor.predict_pressures(IMAGINATION, patches, np.full(6, 0.8), np.full(6, np.nan))
+    lengths = len(gp.LENGTHS_MM)
+    hyper = gp.GPHyperparameters(jnp.full(lengths, 1 / lengths), jnp.float32(0.2), jnp.float32(1.0), jnp.float32(0.01))
     readings = 20 * jax.random.normal(jax.random.key(1), (6, 15))
     fitted = gp.fit(hyper, imagined, readings)
     return Predictor(fitted, None, IMAGINATION, PATCH_WINDOW, REACH, 0.8, 0.3e-3, 1.3, {"method": "test"}), readings
@@ -53,7 +53,7 @@ def network():
     norm = model.Normalisation(
         model.Standard(jnp.arange(15.0), jnp.full(15, 2.0)), model.Standard(jnp.zeros(2), jnp.ones(2)), jnp.zeros(15)
     )
-    return Predictor(None, Network(params, cfg, norm), None, PATCH_WINDOW, REACH, 1.0, 0.3e-3)
+    return Predictor(None, TrainedNetwork(params, cfg, norm), None, PATCH_WINDOW, REACH, 1.0, 0.3e-3)
 
 
 def test_a_process_reproduces_what_it_was_taught(process, patches):
@@ -80,7 +80,7 @@ def test_what_is_saved_is_what_is_loaded(process, network, patches, tmp_path):
     for name, made, given in (("process", process[0], {}), ("network", network, {"force": 1.0, "nearest": -1e-4})):
         predictor.save(tmp_path / name, made)
         loaded = predictor.load_predictor(tmp_path / name)
-        assert (loaded.window, loaded.spread, loaded.about) == (made.window, made.spread, made.about)
+        assert (loaded.window, loaded.std_scale, loaded.metadata) == (made.window, made.spread, made.about)
         before, after = made.predict(patches, **given), loaded.predict(patches, **given)
         np.testing.assert_array_equal(before.mean, after.mean)
         np.testing.assert_array_equal(before.std, after.std)
@@ -91,7 +91,7 @@ def test_a_network_without_conditions_is_saved_too(network, patches, tmp_path):
     alone = replace(cfg, conditions=())
     params = jax.vmap(lambda key: model.init(key, alone))(jax.random.split(jax.random.key(3), 2))
     nothing = model.Standard(jnp.zeros(0), jnp.zeros(0))
-    made = replace(network, network=Network(params, alone, norm._replace(conditions=nothing)))
+    made = replace(network, network=TrainedNetwork(params, alone, norm._replace(conditions=nothing)))
     predictor.save(tmp_path / "alone", made)
     loaded = predictor.load_predictor(tmp_path / "alone")
     np.testing.assert_array_equal(loaded.predict(patches).mean, made.predict(patches).mean)
@@ -109,10 +109,10 @@ def test_a_network_predicts_what_the_model_says(network, patches):
 
 def test_a_mesh_and_a_pose_are_a_patch(process):
     """`predict_touch` renders just what `render_patch` does, whoever brings the mesh."""
-    ball = catalogue.make("dome")
+    ball = catalogue.make_object("dome")
     top = float(ball.mesh.vertices[:, 2].max())
     T_w_t = geometry.contact_frame(jnp.array([1e-3, 0, top]), jnp.array([0.0, 0, 1]))
-    surface = prepare(ball.mesh)
+    surface = prepare_surface(ball.mesh)
     patch = render_patch(surface, T_w_t)
     wide = render_patch(surface, T_w_t, window=WIDE_WINDOW, pixels=WIDE_PIXELS)
     around = np.clip(wide.depth + (wide.nearest - patch.nearest), 0, REACH)
@@ -123,7 +123,7 @@ def test_a_mesh_and_a_pose_are_a_patch(process):
 
 def test_a_mesh_file_needs_its_unit(process, tmp_path):
     path = tmp_path / "dome.stl"
-    dome = catalogue.make("dome").mesh
+    dome = catalogue.make_object("dome").mesh
     import trimesh
 
     trimesh.Trimesh(dome.vertices * 1000, dome.faces).export(path)
@@ -155,9 +155,9 @@ def test_what_does_not_fit_is_refused(network, values, words):
 def test_air_is_refused(process):
     away = geometry.contact_frame(jnp.array([0.0, 0, 1]), jnp.array([0.0, 0, -1]))
     with pytest.raises(ValueError, match="nothing lies in front"):
-        process[0].predict_touch(catalogue.make("dome"), away)
+        process[0].predict_touch(catalogue.make_object("dome"), away)
     with pytest.raises(ValueError, match="finite"):
-        process[0].predict_touch(catalogue.make("dome"), np.full((4, 4), np.nan))
+        process[0].predict_touch(catalogue.make_object("dome"), np.full((4, 4), np.nan))
 
 
 def test_damage_is_one_sentence(process, tmp_path):

@@ -8,7 +8,7 @@ import trimesh
 
 from i2t.objects import catalogue
 from i2t.recognition import ensemble
-from i2t.rendering.render import prepare
+from i2t.rendering.render import prepare_surface
 
 # Three touches, three objects; exp(-d) are simple fractions.
 DISTANCE = jnp.log(jnp.asarray([[2.0, 4.0, 4.0], [8.0, 2.0, 8.0], [2.0, 4.0, 2.0]]))
@@ -49,9 +49,9 @@ def test_distances_are_standardised():
 
 def test_the_first_hypothesis_is_any_and_later_ones_the_believed():
     belief = jnp.asarray([0.2, 0.5, 0.3])
-    first = [int(ensemble.hypothesis(key, belief, 0)) for key in jax.random.split(jax.random.key(0), 60)]
+    first = [int(ensemble.choose_hypothesis(key, belief, 0)) for key in jax.random.split(jax.random.key(0), 60)]
     assert {0, 1, 2} == set(first)
-    assert int(ensemble.hypothesis(jax.random.key(1), belief, 3)) == 1
+    assert int(ensemble.choose_hypothesis(jax.random.key(1), belief, 3)) == 1
 
 
 def _facing(angles_deg: list[float]) -> np.ndarray:
@@ -66,7 +66,7 @@ def test_the_next_touch_is_where_other_objects_face_elsewhere():
     safe = np.ones((2, 4), bool)
     scores = -np.cos(np.radians([50, 60]))  # 0 degrees is too alike, 80 too different (cos < 0.2)
     weight = scores - scores.min()
-    found = ensemble.telling(jnp.asarray(points), jnp.asarray(normals), jnp.asarray(safe), 0)
+    found = ensemble.site_informativeness(jnp.asarray(points), jnp.asarray(normals), jnp.asarray(safe), 0)
     np.testing.assert_allclose(found, [0, *(weight / weight.sum()), 0], atol=1e-5)
     np.testing.assert_allclose(found, [0, 0, 1, 0], atol=1e-5)
 
@@ -74,15 +74,15 @@ def test_the_next_touch_is_where_other_objects_face_elsewhere():
     safe[1, 2] = False
     moved = points.copy()
     moved[1, 1, 0] += 1e-4
-    found = ensemble.telling(jnp.asarray(moved), jnp.asarray(normals), jnp.asarray(safe), 0)
+    found = ensemble.site_informativeness(jnp.asarray(moved), jnp.asarray(normals), jnp.asarray(safe), 0)
     np.testing.assert_allclose(found, [0, 0.5, 0.5, 0], atol=1e-5)  # both face 50 degrees away: equal
 
     # None qualifies: any safe point.
     safe = np.array([[True, False, True, False], [True] * 4])
     same = np.stack([normals[0], normals[0]])
-    found = ensemble.telling(jnp.asarray(points), jnp.asarray(same), jnp.asarray(safe), 0)
+    found = ensemble.site_informativeness(jnp.asarray(points), jnp.asarray(same), jnp.asarray(safe), 0)
     np.testing.assert_allclose(found, [0.5, 0, 0.5, 0], atol=1e-6)
-    assert np.isnan(ensemble.telling(jnp.asarray(points), jnp.asarray(same), jnp.zeros((2, 4), bool), 0)).all()
+    assert np.isnan(ensemble.site_informativeness(jnp.asarray(points), jnp.asarray(same), jnp.zeros((2, 4), bool), 0)).all()
 
 
 def test_the_bound_grows_with_the_number_of_objects():
@@ -91,17 +91,17 @@ def test_the_bound_grows_with_the_number_of_objects():
     points[:, 1, 0] = 1e-2
     normals = np.tile(_facing([53, 0]), (5, 1, 1))
     normals[0] = _facing([0, 0])
-    found = ensemble.telling(jnp.asarray(points), jnp.asarray(normals), jnp.ones((5, 2), bool), 0)
+    found = ensemble.site_informativeness(jnp.asarray(points), jnp.asarray(normals), jnp.ones((5, 2), bool), 0)
     np.testing.assert_allclose(found, [1, 0], atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["star", "hammer"])
 def test_distance_from_an_object(name):
-    mesh = catalogue.make(name).mesh
+    mesh = catalogue.make_object(name).mesh
     whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     low, high = whole.bounds
     points = np.random.default_rng(0).uniform(low - 0.02, high + 0.02, (300, 3))
-    surface = prepare(mesh)
+    surface = prepare_surface(mesh)
     found = jax.jit(jax.vmap(ensemble.nearest_distance, (0, None)))(jnp.asarray(points, jnp.float32), surface)
     _, expected, _ = trimesh.proximity.closest_point_naive(whole, points)
     np.testing.assert_allclose(found, expected, atol=1e-6)

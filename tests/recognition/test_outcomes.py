@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from i2t.objects.catalogue import make
+from i2t.objects.catalogue import make_object
 from i2t.objects.solids import ball, mesh
 from i2t.prediction import gp
-from i2t.prediction.gp import Hyper, Imagined
+from i2t.prediction.gp import GPHyperparameters, ContactPressure
 from i2t.recognition import outcomes
-from i2t.recognition.outcomes import CELLS, LOADS, Met, Outcome, SkinMap
+from i2t.recognition.outcomes import CELLS, LOADS, PredictedContact, PredictedTouch, LinearReadingModel
 from i2t.rendering.ops import element
-from i2t.rendering.render import prepare, stack
+from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.types import TWIST_LEVER_M, PAD_WINDOW, STANDOFF
 
 DELTA = 3e-7  # m
@@ -28,14 +28,14 @@ LOAD = jnp.float32(LOADS)
 DOWN = np.diag([1.0, -1.0, -1.0])
 RADIUS = 25e-3
 MANY = 26  # touches at a time: two for each coordinate of a placement, and two more of these
-BLOCK, BALL = (element(stack([prepare(make("square").mesh), prepare(mesh(ball(25.0)))]), i) for i in range(2))
+BLOCK, BALL = (element(stack_surfaces([prepare_surface(make_object("square").mesh), prepare_surface(mesh(ball(25.0)))]), i) for i in range(2))
 TOP = 30e-3  # m, height of the block, 50 mm wide
 
-meet = jax.jit(jax.vmap(partial(outcomes.meet, past=PAST), (None, None, 0, 0, None)))
-at_load = jax.jit(jax.vmap(outcomes.at_load, (None, None, 0)))
+meet = jax.jit(jax.vmap(partial(outcomes.predict_contact, past=PAST), (None, None, 0, 0, None)))
+interpolate_load = jax.jit(jax.vmap(outcomes.interpolate_load, (None, None, 0)))
 
 
-def met(surface, T_w_o, twist, T_w_site) -> Met:
+def met(surface, T_w_o, twist, T_w_site) -> PredictedContact:
     """Some touches, in one compilation for all tests; of a single site or a single place if that is all there is."""
     twist, T = np.atleast_2d(twist), np.asarray(T_w_site).reshape(-1, 4, 4)
     n = max(len(twist), len(T))
@@ -69,11 +69,11 @@ def test_a_flat_top_is_met_by_the_lowest_corner_of_the_skin():
         corner = -np.sign(R[2, :2]) * HALF
         cosine = -R[2, 2]
         height = p[2] + R[2, :2] @ corner - TOP
-        assert found.travel[i] == pytest.approx(height / cosine, abs=2 * DELTA)
+        assert found.approach_distance[i] == pytest.approx(height / cosine, abs=2 * DELTA)
         # A plane that moves up by v shortens the travel by v over the cosine; a turn w moves it up by w x q at q.
         q = p + R[:, :2] @ corner + R[:, 2] * height / cosine
         slope = -np.array([0, 0, 1, q[1] / TWIST_LEVER_M, -q[0] / TWIST_LEVER_M, 0]) / cosine
-        np.testing.assert_allclose(found.slope[i], slope, atol=1e-4)  # q moves by DELTA, of 9 mm
+        np.testing.assert_allclose(found.jacobian[i], slope, atol=1e-4)  # q moves by DELTA, of 9 mm
 
 
 def test_slopes_are_differences_of_travels():
@@ -92,14 +92,14 @@ def test_slopes_are_differences_of_travels():
     for surface, site, facets in ((BLOCK, top, 0), (BALL, pole, 1)):
         found = met(surface, T_w_o, places, T_w_o @ site)
         assert found.hit.all()
-        assert np.abs(found.travel).max() > 1e-4
-        apart = found.travel[2:].reshape(6, 2, 2).astype(np.float64)  # (coordinate, sign, place)
+        assert np.abs(found.approach_distance).max() > 1e-4
+        apart = found.approach_distance[2:].reshape(6, 2, 2).astype(np.float64)  # (coordinate, sign, place)
         difference = (apart[:, 1] - apart[:, 0]) / (2 * step)
-        bend = np.abs(apart.sum(1) - 2 * found.travel[:2]) / step
+        bend = np.abs(apart.sum(1) - 2 * found.approach_distance[:2]) / step
         smooth = arm / TWIST_LEVER_M**3 * step**2 + DELTA / step  # of travels wrong by DELTA
         kink = 0.5 * facets * turns * (bend + arm / TWIST_LEVER_M**2 * step)
-        assert (np.abs(found.slope[:2].T - difference) < smooth + kink).all()
-        assert np.abs(found.slope).max() > 0.5
+        assert (np.abs(found.jacobian[:2].T - difference) < smooth + kink).all()
+        assert np.abs(found.jacobian).max() > 0.5
 
 
 def test_a_miss_is_all_zeros_and_no_nan():
@@ -110,7 +110,7 @@ def test_a_miss_is_all_zeros_and_no_nan():
     below = pose(DOWN, [0, 0, -STANDOFF - 1e-3])
     found = met(BLOCK, np.eye(4), np.zeros(6), np.stack([aside, far, near, below]))
     np.testing.assert_array_equal(found.hit, [False, False, True, False])
-    np.testing.assert_allclose(found.travel, PAST, atol=5 * DELTA)
+    np.testing.assert_allclose(found.approach_distance, PAST, atol=5 * DELTA)
     missed = jax.tree.map(lambda x: x[[0, 1, 3]], found)
     for values in (missed.slope, missed.sunk, missed.newtons):
         np.testing.assert_array_equal(values, 0)
@@ -124,8 +124,8 @@ def test_the_skin_carries_the_load_and_sinks_deeper_with_it():
         assert found.newtons.min() >= 0
         # Rescaled to the load: 400 cells are summed in float32.
         np.testing.assert_allclose(found.newtons.sum(-1), np.float32([LOADS]), rtol=400 * np.finfo(np.float32).eps)
-        assert (np.diff(found.sunk[0]) > 0).all()
-        assert found.sunk[0, 0] > 0
+        assert (np.diff(found.indentation[0]) > 0).all()
+        assert found.indentation[0, 0] > 0
     # Where the ball is met is where it presses: its centre of pressure lies under the pole.
     x = (np.arange(CELLS.cells) + 0.5) * CELLS.spacing - HALF
     newtons = found.newtons[0].reshape(-1, CELLS.cells, CELLS.cells)
@@ -136,17 +136,17 @@ def test_the_skin_carries_the_load_and_sinks_deeper_with_it():
 
 # --- one pad ----------------------------------------------------------------------------------------------------------
 
-HYPER = Hyper(jnp.array([0.1, 0.5, 0.2, 0.15, 0.05]), jnp.array(0.3), jnp.array(0.7), jnp.array(0.05))
+HYPER = GPHyperparameters(jnp.array([0.1, 0.5, 0.2, 0.15, 0.05]), jnp.array(0.3), jnp.array(0.7), jnp.array(0.05))
 
 
-def spots(rng: np.random.Generator, load: np.ndarray) -> Imagined:
+def spots(rng: np.random.Generator, load: np.ndarray) -> ContactPressure:
     """Round contacts at random places."""
     x = np.arange(CELLS.cells)
     place = rng.uniform(2, CELLS.cells - 3, (len(load), 2, 1))
     along = np.exp(-((x - place) ** 2) / (2 * rng.uniform(1, 2, (len(load), 1, 1)) ** 2))
     pressure = along[:, 0, :, None] * along[:, 1, None, :]
     pressure *= load[:, None, None] / pressure.sum((1, 2), keepdims=True)
-    return Imagined(jnp.float32(pressure), jnp.float32(load))
+    return ContactPressure(jnp.float32(pressure), jnp.float32(load))
 
 
 @pytest.fixture(scope="module")
@@ -162,13 +162,13 @@ def test_maps_give_the_mean_and_variance_of_the_process(process):
     mean, std = jax.jit(gp.predict)(process, told)
     variance = np.asarray(std)[:, 0] ** 2 / process.scale[0] ** 2 - HYPER.noise
 
-    skin = outcomes.skin_map(process, 1.7)
+    skin = outcomes.linear_reading_model(process, 1.7)
     np.testing.assert_array_equal(skin.loads, LOAD)
     np.testing.assert_array_equal(skin.scale, process.scale)
     newtons = told.pressure.reshape(3, 10, -1).swapaxes(0, 1)
     blank = jnp.zeros(10)
-    imagined = Met(blank == 0, blank + 1e-3, jnp.zeros((10, 6)), jnp.ones((10, 3)) * 1e-3, newtons)
-    outcome = jax.jit(jax.vmap(outcomes.read, (0, None)))(imagined, skin)
+    imagined = PredictedContact(blank == 0, blank + 1e-3, jnp.zeros((10, 6)), jnp.ones((10, 3)) * 1e-3, newtons)
+    outcome = jax.jit(jax.vmap(outcomes.predict_reading, (0, None)))(imagined, skin)
     # As in tests.test_gp: float32 solves lose a condition number of digits, at most trace K / noise.
     trace = float(jnp.sum(process.cholesky**2))
     loss = np.finfo(np.float32).eps * trace / float(HYPER.noise)
@@ -180,21 +180,21 @@ def test_maps_give_the_mean_and_variance_of_the_process(process):
     assert variance.max() / variance.min() > 3
     # What is cut off below ROUNDING of an eigenvalue counts as lost as well.
     own = float(jnp.max(jnp.diagonal(process.cholesky @ process.cholesky.T)))
-    lost = outcomes.ROUNDING * skin.root.shape[1] * own + np.finfo(np.float32).eps * trace * own
+    lost = outcomes.EIGENVALUE_TOLERANCE * skin.root.shape[1] * own + np.finfo(np.float32).eps * trace * own
     np.testing.assert_allclose(outcome.variance, variance, atol=lost)
     assert lost < 0.1 * variance.max()
     np.testing.assert_allclose(outcome.sunk, 1.7e-3, rtol=1e-6)
     np.testing.assert_array_equal(outcome.hit, imagined.hit)
-    np.testing.assert_array_equal(outcome.travel, imagined.travel)
+    np.testing.assert_array_equal(outcome.travel, imagined.approach_distance)
 
 
 def test_a_reading_is_linear_in_the_newtons():
     rng = np.random.default_rng(5)
     mean, root = rng.normal(size=(3, 400, 15)), rng.normal(size=(3, 400, 7))
-    skin = SkinMap(LOAD, jnp.float32(mean), jnp.float32(root), jnp.ones(15), jnp.float32(0.5))
+    skin = LinearReadingModel(LOAD, jnp.float32(mean), jnp.float32(root), jnp.ones(15), jnp.float32(0.5))
     newtons = rng.uniform(size=(3, 400))
-    blank = Met(jnp.array(True), jnp.array(0.0), jnp.zeros(6), LOAD, jnp.float32(newtons))
-    outcome = jax.jit(outcomes.read)(blank, skin)
+    blank = PredictedContact(jnp.array(True), jnp.array(0.0), jnp.zeros(6), LOAD, jnp.float32(newtons))
+    outcome = jax.jit(outcomes.predict_reading)(blank, skin)
     rounding = 400 * np.finfo(np.float32).eps
     np.testing.assert_allclose(outcome.reading, np.einsum("lx,lxc->lc", newtons, mean), atol=400 * rounding)
     np.testing.assert_allclose(outcome.variance, (np.einsum("lx,lxr->lr", newtons, root) ** 2).sum(1), rtol=1e-3)
@@ -204,11 +204,11 @@ def test_a_reading_is_linear_in_the_newtons():
 # --- between loads ----------------------------------------------------------------------------------------------------
 
 
-def some_outcome(rng: np.random.Generator) -> Outcome:
+def some_outcome(rng: np.random.Generator) -> PredictedTouch:
     sunk = np.cumsum(rng.uniform(1e-4, 3e-4, 3))
     variance = rng.uniform(0.1, 1, 3) * np.array(LOADS) ** 2
     reading = rng.normal(scale=20, size=(3, 15)) * np.array(LOADS)[:, None]
-    return Outcome(
+    return PredictedTouch(
         jnp.array(True), jnp.float32(1e-3), jnp.zeros(6), jnp.float32(sunk), jnp.float32(reading),
         jnp.float32(variance),
     )  # fmt: skip
@@ -217,10 +217,10 @@ def some_outcome(rng: np.random.Generator) -> Outcome:
 def test_between_loads():
     outcome = some_outcome(np.random.default_rng(6))
     force = np.geomspace(0.1, 8.1, 61)  # from a third of the least load to three times the largest, which are knots
-    sunk, reading, variance = (np.asarray(x, np.float64) for x in at_load(outcome, LOAD, jnp.float32(force)))
+    sunk, reading, variance = (np.asarray(x, np.float64) for x in interpolate_load(outcome, LOAD, jnp.float32(force)))
     knots = [np.argmin(np.abs(force - load)) for load in LOADS]
     close = partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-9)  # logarithms and their powers in float32
-    close(sunk[knots], outcome.sunk)
+    close(sunk[knots], outcome.indentation)
     close(reading[knots], outcome.reading, atol=1e-4 * 20)
     close(variance[knots], outcome.variance)
     assert (np.diff(sunk) > 0).all()
@@ -228,7 +228,7 @@ def test_between_loads():
     # Straight lines in the logarithm of the load, which go on beyond the outer knots, as NumPy draws them.
     for values, at in (
         (reading / force[:, None], np.asarray(outcome.reading) / np.array(LOADS)[:, None]),
-        (np.log(sunk)[:, None], np.log(outcome.sunk)[:, None]),
+        (np.log(sunk)[:, None], np.log(outcome.indentation)[:, None]),
         (np.log(variance / force**2)[:, None], np.log(outcome.variance / LOAD**2)[:, None]),
     ):
         first, second = at[:2], at[1:]
@@ -242,12 +242,12 @@ def test_extreme_forces_and_misses_stay_finite():
     rng = np.random.default_rng(7)
     outcome = some_outcome(rng)
     force = jnp.array([0.0, -1.0, 1e-12, 1e4, 0.02])
-    for values in at_load(outcome, LOAD, force):
+    for values in interpolate_load(outcome, LOAD, force):
         assert np.isfinite(values).all()
     nothing = jax.tree.map(jnp.zeros_like, outcome)
-    for values in at_load(nothing, LOAD, force):
+    for values in interpolate_load(nothing, LOAD, force):
         np.testing.assert_array_equal(values, 0)
-    sunk, reading, variance = at_load(outcome, LOAD, force)
+    sunk, reading, variance = interpolate_load(outcome, LOAD, force)
     # No wrench sensor tells less than the least load.
     for values in (sunk, reading, variance):
         np.testing.assert_array_equal(values[:3], np.asarray(values)[[4, 4, 4]])

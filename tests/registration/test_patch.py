@@ -11,15 +11,25 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from experiments import refine as experiment
-from i2t.objects.catalogue import make
-from i2t.registration.patch import Refinement, information, init, motion, observable, refine, resolvable, search, step
-from i2t.rendering.render import prepare, render_patch
-from i2t.types import TWIST_LEVER_M, PATCH_PIXELS, PATCH_WINDOW, REACH, Patch
+from experiments import refine_pose as experiment
+from i2t.objects.catalogue import make_object
+from i2t.registration.patch import (
+    PatchRegistrationConfig,
+    init,
+    motion,
+    observable_directions,
+    pose_information,
+    refine_pose,
+    refine_pose_multistart,
+    resolvable_eigenvalue,
+    step,
+)
+from i2t.rendering.render import prepare_surface, render_patch
+from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, TWIST_LEVER_M, Patch
 
-HOW = Refinement()
+HOW = PatchRegistrationConfig()
 look = jax.jit(render_patch)
-refine_all = jax.jit(jax.vmap(refine, (None, 0, 0)))
+refine_all = jax.jit(jax.vmap(refine_pose, (None, 0, 0)))
 
 
 def sheet(height, n: int = 24, half: float = 0.03) -> SimpleNamespace:
@@ -33,8 +43,10 @@ def sheet(height, n: int = 24, half: float = 0.03) -> SimpleNamespace:
     return SimpleNamespace(vertices=np.stack([x, y, height(x, y)], -1).reshape(-1, 3), faces=faces)
 
 
-WAVES = prepare(sheet(lambda x, y: 1.5e-3 * np.sin(x / 3e-3 + 1) * np.cos(y / 4e-3) + 1e-3 * np.sin(y / 5e-3), n=44))
-PLANE = prepare(sheet(lambda x, y: 0 * x, n=44))  # of the same size class
+WAVES = prepare_surface(
+    sheet(lambda x, y: 1.5e-3 * np.sin(x / 3e-3 + 1) * np.cos(y / 4e-3) + 1e-3 * np.sin(y / 5e-3), n=44)
+)
+PLANE = prepare_surface(sheet(lambda x, y: 0 * x, n=44))  # of the same size class
 
 
 def off(seed: int, distance: float = 2e-3, degrees: float = 4.0, count: int = 4) -> np.ndarray:
@@ -74,7 +86,7 @@ def test_gauss_newton_matrix_of_planes():
     """
     pixel = ((np.arange(PATCH_PIXELS) + 0.5) / PATCH_PIXELS - 0.5) * PATCH_WINDOW
     x, y = (v.ravel() for v in np.meshgrid(pixel, pixel))
-    see = jax.jit(information, static_argnums=2)
+    see = jax.jit(pose_information, static_argnums=2)
     for a, b in ((0.0, 0.0), (0.12, -0.08)):
         T = np.eye(4)
         T[:3, 2] = np.array([-a, -b, 1]) / np.sqrt(1 + a * a + b * b)  # the plane's normal, in the tool's axes
@@ -88,14 +100,14 @@ def test_gauss_newton_matrix_of_planes():
         values, directions = see(PLANE, T.astype(np.float32), PATCH_PIXELS)
         np.testing.assert_allclose(values, expected, rtol=0, atol=1e-5)  # a few dozen roundings of numbers up to 1
         np.testing.assert_allclose(directions.T @ directions, np.eye(6), atol=1e-5)
-        assert observable(values, 1e-3).sum() == 3
+        assert observable_directions(values, 1e-3).sum() == 3
     np.testing.assert_allclose(sorted(expected)[:3], 0, atol=1e-12)
 
 
 def test_bound_from_noise():
     """At eigenvalue 1 (along the tool axis of a plane) the estimate is a mean of all pixels."""
-    assert resolvable(noise=1.0, error=2 / 48, pixels=48) == pytest.approx(1)
-    assert resolvable(3e-4, 1e-4, 48) == pytest.approx((6e-4 / 48e-4) ** 2)
+    assert resolvable_eigenvalue(noise=1.0, error=2 / 48, pixels=48) == pytest.approx(1)
+    assert resolvable_eigenvalue(3e-4, 1e-4, 48) == pytest.approx((6e-4 / 48e-4) ** 2)
 
 
 def test_pose_is_found_again_on_waves():
@@ -150,7 +162,7 @@ def test_nothing_to_see_and_nowhere_to_start():
 
 
 def test_steps_never_raise_the_cost_of_a_scale():
-    how = Refinement(coarse=0.5e-3, fine=0.5e-3)
+    how = PatchRegistrationConfig(coarse=0.5e-3, fine=0.5e-3)
     observed = look(WAVES, np.eye(4, dtype=np.float32))
     advance = jax.jit(step, static_argnums=3)
     state, costs = init(observed, jnp.asarray(off(5)[0]), how), []
@@ -168,7 +180,9 @@ def test_several_starts_find_what_one_may_miss():
     true = np.eye(4, dtype=np.float32)
     observed = look(WAVES, true)
     start = jnp.asarray(off(6, 4e-3, 6.0, 1)[0])
-    best = jax.jit(lambda key: search(key, WAVES, observed, start, 2.5e-3, np.radians(3.5)))(jax.random.key(0))
+    best = jax.jit(lambda key: refine_pose_multistart(key, WAVES, observed, start, 2.5e-3, np.radians(3.5)))(
+        jax.random.key(0)
+    )
     assert np.abs(twist_between(true, best.T_w_t[None])).max() < 1e-5
 
 
@@ -200,8 +214,8 @@ def test_the_experiment_in_small(tmp_path, capsys):
 
 def test_starts_are_exactly_as_far_off_as_they_say():
     args = experiment.Args(cases=4, objects=1)
-    thing = make("dome")
-    surfaces = jax.tree.map(lambda a: a[None], prepare(thing.mesh))
+    thing = make_object("dome")
+    surfaces = jax.tree.map(lambda a: a[None], prepare_surface(thing.mesh))
     cases = experiment.draw_cases(jax.random.key(0), [thing], surfaces, 4, args)
     moved = np.linalg.inv(cases.true.astype(float)) @ cases.start
     np.testing.assert_allclose(np.linalg.norm(moved[..., :3, 3], axis=-1), args.distance, rtol=1e-4)

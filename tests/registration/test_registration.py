@@ -15,21 +15,23 @@ from scipy.spatial.transform import Rotation
 
 from experiments.real_frames import THINGS, frames
 from i2t.depth.camera import Camera
-from i2t.depth.distortion import lines_of_sight
-from i2t.geometry import invert, random_motion
-from i2t.objects.catalogue import load, make
-from i2t.registration.touch import FREEDOM, by_depth, by_touch, first_contacts, seen_through
-from i2t.rendering.render import prepare, stack
+from i2t.depth.distortion import pixel_rays
+from i2t.geometry import inverse, random_motion
+from i2t.objects.catalogue import load_mesh, make_object
+from i2t.registration.touch import STUDENT_T_DOF, camera_covariance, contact_poses, register_by_depth, register_by_touch
+from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.simulation import sites as touch_sites
-from i2t.types import TWIST_LEVER_M, PAD_WINDOW, ReturnCode, Surface, Touches
+from i2t.types import PAD_WINDOW, TWIST_LEVER_M, ReturnCode, Surface, Touches
 
 NAMES = ("hexagon", "cylinder", "spanner")
-STACK = stack([prepare(make(name).mesh) for name in NAMES])  # one size class, and so one compilation
+STACK = stack_surfaces(
+    [prepare_surface(make_object(name).mesh) for name in NAMES]
+)  # one size class, and so one compilation
 SURFACES = [jax.tree.map(lambda field, i=i: jnp.asarray(field[i]), STACK) for i in range(len(NAMES))]
 DISTANCE, ANGLE, NOISE = 1e-3, math.radians(1.0), 0.1e-3
 SPREAD = np.array([DISTANCE] * 3 + [ANGLE * TWIST_LEVER_M] * 3)
 TOUCHES, RUNS, AT_ONCE = 10, 24, 4
-register = jax.jit(jax.vmap(by_touch, (0, None, None, 0, 0, None, None, None)))
+register = jax.jit(jax.vmap(register_by_touch, (0, None, None, 0, 0, None, None, None)))
 
 
 def probe(key, surface: Surface):
@@ -42,7 +44,7 @@ def probe(key, surface: Surface):
 
     def press(key, T_w_site):
         start = T_w_site.at[:3, 3].add(-0.02 * T_w_site[:3, 2])
-        T_o_t, hit = touch_sites.press_along(surface, *(invert(T_w_o) @ start, invert(T_w_o)[:3, :3] @ start[:3, 2]))
+        T_o_t, hit = touch_sites.press_along(surface, *(inverse(T_w_o) @ start, inverse(T_w_o)[:3, :3] @ start[:3, 2]))
         return T_w_o @ T_o_t @ random_motion(key, NOISE, 0.0), hit
 
     contacts, hit = jax.vmap(press)(jax.random.split(key_noise, TOUCHES), sites.T_w_t)
@@ -103,7 +105,7 @@ def test_corners_on_a_plane():
         normal = np.array([0, 0, 1.0])
         rows.append([*normal, *(np.cross(point, normal) / TWIST_LEVER_M)])
     a = np.array(rows)
-    precision = np.diag(SPREAD**-2.0) + (FREEDOM + 1) / FREEDOM * a.T @ a / NOISE**2
+    precision = np.diag(SPREAD**-2.0) + (STUDENT_T_DOF + 1) / STUDENT_T_DOF * a.T @ a / NOISE**2
     found = once(SURFACES[0], jnp.asarray(np.array(poses), jnp.float32), jnp.ones(TOUCHES, bool))
     root = np.linalg.cholesky(precision)
     values = np.linalg.eigvalsh(root.T @ found.covariance.astype(float) @ root)
@@ -180,7 +182,7 @@ def test_contact_of_recorded_touches():
         depth=jnp.array([1e-3, jnp.nan, 2e-3, 1e-3]),
         code=jnp.array([ReturnCode.SKIN, ReturnCode.AIR, ReturnCode.WRENCH, ReturnCode.FAILED]),
     )
-    poses, met = first_contacts(touches)
+    poses, met = contact_poses(touches)
     assert met.tolist() == [True, False, True, False]
     np.testing.assert_allclose(np.linalg.inv(T) @ np.asarray(poses[0]) @ [0, 0, 1e-3, 1], [0, 0, 0, 1], atol=1e-6)
     np.testing.assert_allclose(np.linalg.inv(T) @ np.asarray(poses[2]) @ [0, 0, 2e-3, 1], [0, 0, 0, 1], atol=1e-6)
@@ -203,7 +205,7 @@ def image(mesh, T_w_c: np.ndarray, rng: np.random.Generator, noise: float = 1e-3
     scene = EmbreeScene()
     for part in (mesh, table):
         TriangleMesh(scene, np.asarray(part.vertices, np.float32)[np.asarray(part.faces)])
-    x, y = np.asarray(lines_of_sight(CAMERA), float)
+    x, y = np.asarray(pixel_rays(CAMERA), float)
     rays = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3) @ T_w_c[:3, :3].T
     starts = np.broadcast_to(T_w_c[:3, 3], rays.shape)
     hits = scene.run(starts.astype(np.float32), rays.astype(np.float32), output=1)  # in units of the rays: depth
@@ -225,11 +227,11 @@ def test_depth_finds_the_pose(name, at):
     """About a thousand points of 1 mm know a face to 0.03 mm; what they see least of, a side in few rows, to ten times
     that. A dome does not tell how it is turned, and its facets, flat to 60 um, must not say much.
     """
-    rng, mesh = np.random.default_rng(1), make(name).mesh
+    rng, mesh = np.random.default_rng(1), make_object(name).mesh
     squared = []
     for degrees in (25, 35, 45, 55):
         T_w_c = look_at(np.array([at, 0, 15e-3]), degrees)
-        found = by_depth(mesh, off(rng), image(mesh, T_w_c, rng), CAMERA, T_w_c)
+        found = register_by_depth(mesh, off(rng), image(mesh, T_w_c, rng), CAMERA, T_w_c)
         error = errors(found.T_w_o[None], np.eye(4)[None])[0]
         assert np.linalg.norm(error[:3]) < 1e-3
         if name != "dome":
@@ -253,29 +255,29 @@ def test_an_object_is_as_far_off_as_its_camera():
     off = np.linalg.inv(T_c_o) @ moved @ T_c_o
     twists = np.concatenate([off[:, :3, 3], TWIST_LEVER_M * Rotation.from_matrix(off[:, :3, :3]).as_rotvec()], axis=1)
     before = np.diag(np.arange(1.0, 7.0)) * 1e-7
-    found = seen_through(before, T_c_o, distance, angle)
+    found = camera_covariance(before, T_c_o, distance, angle)
     scale = np.sqrt(np.diagonal(found))
     np.testing.assert_allclose((before + np.cov(twists.T) - found) / np.outer(scale, scale), 0, atol=0.05)
-    np.testing.assert_array_equal(seen_through(before, T_c_o, 0.0, 0.0), before)
+    np.testing.assert_array_equal(camera_covariance(before, T_c_o, 0.0, 0.0), before)
 
 
 def test_depth_refuses():
-    rng, mesh = np.random.default_rng(0), make("hexagon").mesh
+    rng, mesh = np.random.default_rng(0), make_object("hexagon").mesh
     T_w_c = look_at(np.array([0, 0, 15e-3]), 30)
     depth = image(mesh, T_w_c, rng)
     far = np.eye(4)
     far[0, 3] = 0.15
     with pytest.raises(ValueError, match="points lie within"):
-        by_depth(mesh, far, depth, CAMERA, T_w_c)
+        register_by_depth(mesh, far, depth, CAMERA, T_w_c)
     # One of a third the size, its top on the real top, has a ninth of its area within reach of the rest.
     small, lifted = mesh._replace(vertices=0.3 * mesh.vertices), np.eye(4)
     lifted[2, 3] = 0.7 * 30e-3
     with pytest.raises(ValueError, match="near the object fit"):
-        by_depth(small, lifted, depth, CAMERA, T_w_c)
+        register_by_depth(small, lifted, depth, CAMERA, T_w_c)
     with pytest.raises(ValueError, match="T_w_c: is not a rigid"):
-        by_depth(mesh, far, depth, CAMERA, 2 * T_w_c)
+        register_by_depth(mesh, far, depth, CAMERA, 2 * T_w_c)
     with pytest.raises(ValueError, match="has the shape"):
-        by_depth(mesh, far, depth[:-1], CAMERA, T_w_c)
+        register_by_depth(mesh, far, depth[:-1], CAMERA, T_w_c)
 
 
 def test_depth_of_a_real_camera(shared_data):
@@ -286,10 +288,10 @@ def test_depth_of_a_real_camera(shared_data):
     for thing in THINGS:
         if thing.name == "025_mug":  # its side shows no handle in these frames
             continue
-        mesh = load(shared_data / "ycb_meshes" / f"{thing.name}.stl", "m", table=False)[0].mesh
+        mesh = load_mesh(shared_data / "ycb_meshes" / f"{thing.name}.stl", "m", table=False)[0].mesh
         camera, depths, _, T_c_o = frames(shared_data / "ycbvideo", thing)
         for depth, T in zip(depths[::2], T_c_o[::2], strict=True):
-            found = by_depth(mesh, T @ off(rng), depth, camera, np.eye(4), table=None)
+            found = register_by_depth(mesh, T @ off(rng), depth, camera, np.eye(4), table=None)
             error = errors(found.T_w_o[None], T[None])[0]
             assert np.linalg.norm(error[:3]) < 2e-3
             assert np.linalg.norm(error[3:]) < math.radians(2) * TWIST_LEVER_M

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from i2t.objects.catalogue import make
-from i2t.rendering.render import prepare, render_heights, render_patch, stack
+from i2t.objects.catalogue import make_object
+from i2t.rendering.render import prepare_surface, render_heights, render_patch, stack_surfaces
 from i2t.types import REACH, Surface
 
-PYRAMID = prepare(make("pyramid").mesh)
+PYRAMID = prepare_surface(make_object("pyramid").mesh)
 DOWN = np.diag([1.0, -1.0, -1.0, 1.0]).astype(np.float32)
 unchecked = getattr(render_patch, "__wrapped__", render_patch)  # without the tests' own check of shapes
 
@@ -48,7 +48,7 @@ def test_poses_that_are_not_rigid_give_no_image():
         ({"T_w_t": DOWN[:3]}, r"shape \(3, 4\) instead of \(4, 4\)"),
         ({"T_w_t": DOWN[:3, :3]}, r"shape \(3, 3\)"),
         ({"T_w_t": np.stack([DOWN, DOWN])}, "use vmap for several"),
-        ({"surface": stack([PYRAMID, PYRAMID])}, "use vmap for a stack"),
+        ({"surface": stack_surfaces([PYRAMID, PYRAMID])}, "use vmap for a stack"),
         (
             {"surface": Surface(*(np.zeros(s, np.float32) for s in ((0, 3, 3), (0, 6, 32), (6, 0))))},
             "not those of one",
@@ -86,12 +86,12 @@ CORNERS = np.eye(3)
 )
 def test_hostile_meshes_get_a_sentence(mesh, says):
     with pytest.raises(ValueError, match=says):
-        prepare(mesh)
+        prepare_surface(mesh)
 
 
 def test_nothing_to_stack():
     with pytest.raises(ValueError, match="no surfaces"):
-        stack([])
+        stack_surfaces([])
 
 
 def test_a_corner_that_is_not_a_number_takes_its_face_away():

@@ -12,9 +12,9 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from i2t.geometry import rotation, transform
-from i2t.objects.catalogue import make
-from i2t.rendering.render import prepare, render_heights, render_patch, stack
+from i2t.geometry import so3_exp, transform
+from i2t.objects.catalogue import make_object
+from i2t.rendering.render import prepare_surface, render_heights, render_patch, stack_surfaces
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Surface
 
 STEP = 1e-6  # m and rad
@@ -45,9 +45,11 @@ def both(patch):
 
 @pytest.fixture(scope="module")
 def scenes():
-    things = [make(name).mesh for name in THINGS]
+    things = [make_object(name).mesh for name in THINGS]
     with jax.enable_x64(True):
-        surfaces = jax.tree.map(lambda a: jnp.asarray(a, jnp.float64), stack([prepare(thing) for thing in things]))
+        surfaces = jax.tree.map(
+            lambda a: jnp.asarray(a, jnp.float64), stack_surfaces([prepare_surface(thing) for thing in things])
+        )
     return surfaces, np.stack([poses(thing, 2, seed) for seed, thing in enumerate(things)])
 
 
@@ -64,7 +66,7 @@ def look(surface: Surface, T, move):
     k, amplitude = waves()
     phase = jnp.einsum("fcj,wj->fcw", surface.triangles, k)
     bent = surface.triangles + jnp.einsum("fcw,w,wj->fcj", jnp.sin(phase), move[6:], amplitude)
-    return both(render_patch(surface._replace(triangles=bent), T @ transform(rotation(move[:3]), move[3:6])))
+    return both(render_patch(surface._replace(triangles=bent), T @ transform(so3_exp(move[:3]), move[3:6])))
 
 
 def test_against_central_differences_by_pose_and_corners(scenes):
@@ -121,7 +123,7 @@ def test_by_the_affine_map():
     along = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]]) * 0.05
     a, b, c = 0.3, -0.2, 4e-3
     corners = np.concatenate([along, (along @ [a, b] + c)[:, None]], 1)
-    plane = prepare(SimpleNamespace(vertices=corners, faces=np.array([[0, 1, 2], [0, 2, 3]])))
+    plane = prepare_surface(SimpleNamespace(vertices=corners, faces=np.array([[0, 1, 2], [0, 2, 3]])))
     slope = jax.jit(jax.jacfwd(partial(render_heights, plane)))(jnp.eye(4))
     x, y = np.meshgrid(*[((np.arange(PATCH_PIXELS) + 0.5) / PATCH_PIXELS - 0.5) * PATCH_WINDOW] * 2)
     z = a * x + b * y + c
@@ -145,11 +147,13 @@ def hostile() -> dict[str, tuple[Surface, np.ndarray]]:
     on_ray[:2, 3] = -on, -on
     turned[:3, :3] = Rotation.from_euler("z", 45, degrees=True).as_matrix()
     edge_on[:3, :3] = Rotation.from_euler("x", 90, degrees=True).as_matrix()
-    tent = prepare(soup(*[[[0, 0, 0], [0.03 * x, 0, 0.01], [0, 0.03 * y, 0.01]] for x in (-1, 1) for y in (-1, 1)]))
-    sheet = prepare(soup([[-0.04, -0.04, 0], [0.04, -0.04, 0], [0.04, 0.04, 0]]))
-    sliver = prepare(soup([[-0.04, on, 0], [0.04, on, 0], [0.04, on + 1e-9, 1e-3]]))
-    degenerate = prepare(soup([[0, 0, 0]] * 3, [[-0.01, 0, 0], [0, 0, 0], [0.01, 0, 0]], [[0, 0, 0.01]] * 3))
-    box = prepare(trimesh.creation.box((0.01, 0.01, 0.02)))
+    tent = prepare_surface(
+        soup(*[[[0, 0, 0], [0.03 * x, 0, 0.01], [0, 0.03 * y, 0.01]] for x in (-1, 1) for y in (-1, 1)])
+    )
+    sheet = prepare_surface(soup([[-0.04, -0.04, 0], [0.04, -0.04, 0], [0.04, 0.04, 0]]))
+    sliver = prepare_surface(soup([[-0.04, on, 0], [0.04, on, 0], [0.04, on + 1e-9, 1e-3]]))
+    degenerate = prepare_surface(soup([[0, 0, 0]] * 3, [[-0.01, 0, 0], [0, 0, 0], [0.01, 0, 0]], [[0, 0, 0.01]] * 3))
+    box = prepare_surface(trimesh.creation.box((0.01, 0.01, 0.02)))
     return {
         "a corner on a ray": (tent, on_ray),
         "edges along the diagonal": (sheet, straight),
@@ -165,7 +169,7 @@ def hostile() -> dict[str, tuple[Surface, np.ndarray]]:
 
 def test_finite_whatever_the_rays_meet():
     scenes = hostile()
-    surfaces = stack([surface for surface, _ in scenes.values()])
+    surfaces = stack_surfaces([surface for surface, _ in scenes.values()])
     T = np.stack([T for _, T in scenes.values()]).astype(np.float32)
 
     @jax.jit
@@ -193,7 +197,7 @@ def test_no_gradient_from_what_is_too_deep():
     """Two sheets: the far one reads the reach, and only the near one moves `nearest`."""
     near = [[-0.04, -0.04, 0.001], [0, -0.04, 0.001], [0, 0.04, 0.001]]
     far = [[0, -0.08, 0.001 + 2 * REACH], [0.08, 0, 0.001 + 2 * REACH], [0, 0.08, 0.001 + 2 * REACH]]
-    surface = prepare(soup(near, far))
+    surface = prepare_surface(soup(near, far))
 
     def look(triangles):
         return both(render_patch(surface._replace(triangles=triangles), jnp.eye(4)))

@@ -8,8 +8,8 @@ import jax
 import numpy as np
 import pytest
 
-from i2t.objects.catalogue import make
-from i2t.rendering.render import prepare, render_heights, render_patch, stack
+from i2t.objects.catalogue import make_object
+from i2t.rendering.render import prepare_surface, render_heights, render_patch, stack_surfaces
 from i2t.types import REACH, STANDOFF
 
 TOP = 0.035  # m, height of the flat top of the pyramid, 15 mm wide
@@ -28,7 +28,7 @@ def soup(*triangles) -> SimpleNamespace:
 
 @pytest.fixture(scope="module")
 def pyramid():
-    return prepare(make("pyramid").mesh)
+    return prepare_surface(make_object("pyramid").mesh)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_compiled_once_for_all_meshes_of_a_class():
     rng = np.random.default_rng(0)
 
     def mesh(faces):
-        return prepare(soup(*rng.uniform(-0.03, 0.03, (faces, 3, 3))))
+        return prepare_surface(soup(*rng.uniform(-0.03, 0.03, (faces, 3, 3))))
 
     render = jax.jit(jax.vmap(render_patch, (None, 0)))
     poses = np.stack([looking_down()] * 4)
@@ -108,7 +108,7 @@ def test_compiled_once_for_all_meshes_of_a_class():
 
 
 def test_a_stack_is_compiled_for_its_largest_class_alone():
-    small, large = prepare(soup([[0, 0, 0], [1, 0, 0], [0, 1, 0]])), prepare(make("hammer").mesh)
-    shapes = [stack(pair).triangles.shape for pair in ([small, large], [large, small], [large, large])]
+    small, large = prepare_surface(soup([[0, 0, 0], [1, 0, 0], [0, 1, 0]])), prepare_surface(make_object("hammer").mesh)
+    shapes = [stack_surfaces(pair).triangles.shape for pair in ([small, large], [large, small], [large, large])]
     assert len(set(shapes)) == 1
     assert shapes[0][1:] == large.triangles.shape

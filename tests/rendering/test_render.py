@@ -19,11 +19,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from i2t.geometry import rotation, transform
-from i2t.objects.catalogue import make
-from i2t.rendering.bvh import DENSE, GROUP, lay_out
-from i2t.rendering.raycast import GROUPS
-from i2t.rendering.render import contact_mask, prepare, render_heights, render_patch, stack
+from i2t.geometry import so3_exp, transform
+from i2t.objects.catalogue import make_object
+from i2t.rendering.bvh import CLUSTERS_PER_GROUP, DENSE_CLUSTER_FACES, layout_clusters
+from i2t.rendering.raycast import GROUPS_PER_PASS
+from i2t.rendering.render import contact_mask, prepare_surface, render_heights, render_patch, stack_surfaces
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, Surface
 
 NEAR = 1e-7
@@ -115,7 +115,7 @@ def exact_ray(triangles: np.ndarray, T_w_t: np.ndarray, x: float, y: float) -> t
 
 def assert_like_embree(things: list, seed: int, count: int = 50) -> None:
     """Every pixel is right to ERROR; where float32 Embree disagrees, a float64 caster decides, edges excepted."""
-    surfaces = stack([prepare(thing) for thing in things])
+    surfaces = stack_surfaces([prepare_surface(thing) for thing in things])
     poses = np.stack([on_surface(thing, count, seed + i) for i, thing in enumerate(things)])
     patches = jax.device_get(patches_of(surfaces, poses))
     x, y = centres()
@@ -148,7 +148,7 @@ def test_catalogue_and_hostile_shapes_against_embree():
     needle = trimesh.creation.cone(4e-4, 0.02, sections=6)
     needles = trimesh.util.concatenate([needle.copy().apply_translation([x, y, 0]) for x, y in feet])
     hook = trimesh.creation.annulus(0.012, 0.02, 0.01)
-    assert_like_embree([*(make(name).mesh for name in names.split()), fan, wall, blades, needles, hook], seed=0)
+    assert_like_embree([*(make_object(name).mesh for name in names.split()), fan, wall, blades, needles, hook], seed=0)
 
 
 def test_dense_meshes_against_embree():
@@ -159,7 +159,7 @@ def test_dense_meshes_against_embree():
     hooks = trimesh.creation.torus(6e-3, 2e-3, major_sections=120, minor_sections=60)
     hooks.update_faces(np.random.default_rng(6).random(len(hooks.faces)) > 0.1)
     for thing in (skins, hooks):
-        assert cluster_size(prepare(thing)) == DENSE
+        assert cluster_size(prepare_surface(thing)) == DENSE_CLUSTER_FACES
     assert_like_embree([skins, hooks], seed=200)
 
 
@@ -167,14 +167,14 @@ def test_dense_way_sees_what_the_other_sees():
     """Depths and their derivatives by the pose, in clusters of both ways, in a batch of two meshes."""
 
     def look(surface, T, turn):
-        return render_patch(surface, T @ transform(rotation(turn), turn / 100))
+        return render_patch(surface, T @ transform(so3_exp(turn), turn / 100))
 
     shift = jax.jit(jax.vmap(lambda surface, T: jax.jvp(partial(look, surface, T), (jnp.zeros(3),), (jnp.ones(3),))))
-    things = [make("spanner").mesh, make("torus").mesh]
+    things = [make_object("spanner").mesh, make_object("torus").mesh]
     poses = np.concatenate([on_surface(thing, 1, 7 + i) for i, thing in enumerate(things)])
-    surfaces = [prepare(thing) for thing in things]
-    dense = [lay_out(surface.triangles, DENSE, 32) for surface in surfaces]
-    (one, turned), (other, also) = (shift(stack(way), poses) for way in (surfaces, dense))
+    surfaces = [prepare_surface(thing) for thing in things]
+    dense = [layout_clusters(surface.triangles, DENSE_CLUSTER_FACES, 32) for surface in surfaces]
+    (one, turned), (other, also) = (shift(stack_surfaces(way), poses) for way in (surfaces, dense))
     assert np.isfinite(one.nearest).all()
     np.testing.assert_allclose(one.depth, other.depth, rtol=0, atol=4 * NEAR)
     np.testing.assert_allclose(one.nearest, other.nearest, rtol=0, atol=4 * NEAR)
@@ -184,7 +184,7 @@ def test_dense_way_sees_what_the_other_sees():
 
 
 def cluster_size(surface: Surface) -> int:
-    return len(surface.triangles) // (len(surface.boxes) * GROUP)
+    return len(surface.triangles) // (len(surface.boxes) * CLUSTERS_PER_GROUP)
 
 
 def test_scans_against_embree(shared_data):
@@ -199,7 +199,7 @@ def test_thin_wall_is_never_missed():
     for thickness in (4e-4, 5e-5, 5e-6):
         middle = x[0, 20] + 0.3 * thickness  # holds the centres of column 20, not those of its neighbours
         blade = trimesh.creation.box((thickness, 0.1, 0.02)).apply_translation([middle, 0, 0.01])
-        patch = patch_of(prepare(blade), pose())
+        patch = patch_of(prepare_surface(blade), pose())
         expected = np.abs(x - middle) < thickness / 2
         np.testing.assert_array_equal(np.asarray(patch.depth) < REACH, expected)
 
@@ -209,7 +209,7 @@ def test_tilted_plane_and_the_axes_of_the_image():
     8.
     """
     slope_x, slope_y, offset = 0.3, -0.15, 2e-3
-    plane = prepare(sheet(lambda x, y: offset + slope_x * x + slope_y * y, 2))
+    plane = prepare_surface(sheet(lambda x, y: offset + slope_x * x + slope_y * y, 2))
     for window, pixels, reach in ((PATCH_WINDOW, PATCH_PIXELS, REACH), (0.03, 21, np.inf)):
         x, y = centres(window, pixels)
         z = offset + slope_x * x + slope_y * y
@@ -224,9 +224,9 @@ def test_dense_sphere_lies_between_its_spheres():
     """81 920 faces in one window fill many passes; every hit lies between the balls inside and around the mesh."""
     radius = 8e-3
     ball = trimesh.creation.icosphere(6, radius)
-    surface = prepare(ball)
-    assert len(surface.boxes) > GROUPS
-    assert cluster_size(surface) == DENSE
+    surface = prepare_surface(ball)
+    assert len(surface.boxes) > GROUPS_PER_PASS
+    assert cluster_size(surface) == DENSE_CLUSTER_FACES
     inner = np.linalg.norm(ball.triangles_center, axis=1).min()  # faces are nearest to the centre near their middles
     inner = min(inner, np.abs((ball.face_normals * ball.triangles[:, 0]).sum(1)).min())
     x, y = centres()
@@ -272,7 +272,7 @@ def test_no_cracks(attitude, kind, offset):
         thing = sheet(lambda x, y: 0 * x, 1)
     T = pose(attitude, [offset, -offset, offset])
     moved = SimpleNamespace(vertices=thing.vertices @ attitude.T + T[:3, 3], faces=np.asarray(thing.faces))
-    patch = patch_of(prepare(moved), T.astype(np.float32))
+    patch = patch_of(prepare_surface(moved), T.astype(np.float32))
     assert (np.asarray(patch.depth) < REACH).all()
     assert patch.nearest > -8 * NEAR  # coordinates of 0.3 m step by 3e-8 m, on slopes of at most 0.1
 
@@ -280,7 +280,7 @@ def test_no_cracks(attitude, kind, offset):
 def test_either_side_of_a_face_is_seen():
     wave = sheet(lambda x, y: 2e-3 * np.sin(x / 7e-3) * np.cos(y / 9e-3), 5)
     turned = SimpleNamespace(vertices=wave.vertices, faces=wave.faces[:, ::-1])
-    one, other = patch_of(prepare(wave), pose()), patch_of(prepare(turned), pose())
+    one, other = patch_of(prepare_surface(wave), pose()), patch_of(prepare_surface(turned), pose())
     np.testing.assert_allclose(one.depth, other.depth, rtol=0, atol=2 * NEAR)
     np.testing.assert_allclose(one.nearest, other.nearest, rtol=0, atol=2 * NEAR)
 
@@ -290,9 +290,9 @@ def test_either_side_of_a_face_is_seen():
 def test_moving_scene_and_tool_together_changes_nothing(attitude, position):
     wave = sheet(lambda x, y: 2e-3 * np.sin(x / 7e-3) * np.cos(y / 9e-3), 5)
     T_w_t, g = pose(Rotation.from_euler("xy", (0.1, -0.2)).as_matrix(), [1e-3, 2e-3, -5e-3]), pose(attitude, position)
-    here = patch_of(prepare(wave), T_w_t.astype(np.float32))
+    here = patch_of(prepare_surface(wave), T_w_t.astype(np.float32))
     moved = SimpleNamespace(vertices=wave.vertices @ attitude.T + position, faces=wave.faces)
-    there = patch_of(prepare(moved), (g @ T_w_t).astype(np.float32))
+    there = patch_of(prepare_surface(moved), (g @ T_w_t).astype(np.float32))
     # Below 0.3 m a step of float32 is 3e-8 m: four times NEAR, in the scene and in the pose, on slopes up to 0.6.
     np.testing.assert_allclose(here.depth, there.depth, rtol=0, atol=2 * 4 * 1.6 * NEAR)
     np.testing.assert_allclose(here.nearest, there.nearest, rtol=0, atol=2 * 4 * 1.6 * NEAR)
@@ -300,20 +300,20 @@ def test_moving_scene_and_tool_together_changes_nothing(attitude, position):
 
 def test_each_of_a_batch_is_the_same_as_alone():
     """Different surfaces and poses on every row, in a larger size class than their own, against one call for each."""
-    things = [make(name).mesh for name in ("star", "square", "spanner")]
-    surfaces = stack([prepare(thing) for thing in things])
+    things = [make_object(name).mesh for name in ("star", "square", "spanner")]
+    surfaces = stack_surfaces([prepare_surface(thing) for thing in things])
     poses = np.stack([on_surface(thing, 2, seed) for seed, thing in enumerate(things)])
     together = jax.device_get(patches_of(surfaces, poses))
     for i, thing in enumerate(things[:2]):
-        assert len(prepare(thing).triangles) < surfaces.triangles.shape[1]
+        assert len(prepare_surface(thing).triangles) < surfaces.triangles.shape[1]
         for k in range(2):
-            alone = patch_of(prepare(thing), poses[i, k])
+            alone = patch_of(prepare_surface(thing), poses[i, k])
             np.testing.assert_allclose(together.depth[i, k], alone.depth, rtol=0, atol=ERROR)
             np.testing.assert_allclose(together.nearest[i, k], alone.nearest, rtol=0, atol=NEAR)
 
 
 def test_nothing_in_sight():
-    surface = prepare(sheet(lambda x, y: 0 * x, 2))
+    surface = prepare_surface(sheet(lambda x, y: 0 * x, 2))
     beside = patch_of(surface, pose(position=[0.1, 0, 0]))
     assert beside.nearest == np.inf
     assert (beside.depth == np.float32(REACH)).all()
@@ -323,14 +323,14 @@ def test_nothing_in_sight():
 def test_rays_start_at_the_standoff():
     flat = sheet(lambda x, y: 0 * x, 1)
     sheets = [flat.vertices[flat.faces] + [0, 0, z] for z in (-0.045, 0.03)]
-    surface = prepare(soup(np.concatenate(sheets)))
+    surface = prepare_surface(soup(np.concatenate(sheets)))
     assert STANDOFF == 0.04
     assert patch_of(surface, pose()).nearest == pytest.approx(0.03, abs=NEAR)
     assert patch_of(surface, pose(position=[0, 0, -0.01])).nearest == pytest.approx(-0.035, abs=NEAR)
 
 
 def test_a_sheet_seen_edge_on_is_a_number():
-    surface = prepare(soup([[[-0.04, 0, 0], [0.04, 0, 0], [0, 0, 0.04]], [[0, 0, 0], [0, 0, 0], [0, 0, 0]]]))
+    surface = prepare_surface(soup([[[-0.04, 0, 0], [0.04, 0, 0], [0, 0, 0.04]], [[0, 0, 0], [0, 0, 0], [0, 0, 0]]]))
     patch = patch_of(surface, pose())
     assert jnp.isfinite(patch.depth).all()
 
@@ -340,8 +340,8 @@ def test_affine_map_moves_the_surface():
     A = np.array([[1.3, 0.2, 0, 1e-3], [0, 0.8, 0, -2e-3], [0.3, 0.1, 1.5, 4e-3], [0, 0, 0, 1]])
     wave = sheet(lambda x, y: 2e-3 * np.sin(x / 7e-3) * np.cos(y / 9e-3), 5, 0.03)
     moved = SimpleNamespace(vertices=wave.vertices @ A[:3, :3].T + A[:3, 3], faces=wave.faces)
-    here = heights_of(prepare(wave), A.astype(np.float32))
-    there = heights_of(prepare(moved), np.eye(4, dtype=np.float32))
+    here = heights_of(prepare_surface(wave), A.astype(np.float32))
+    there = heights_of(prepare_surface(moved), np.eye(4, dtype=np.float32))
     np.testing.assert_allclose(here, there, rtol=0, atol=4 * NEAR)
 
 
@@ -361,14 +361,14 @@ def test_one_compilation_for_a_size_class():
         return render_patch(surface, T_w_t)
 
     for n in (4, 5, 5, 4, 9):  # 32, 50 and 162 faces: classes of 64 and 256
-        jax.eval_shape(render, prepare(sheet(lambda x, y: x, n)), pose())
+        jax.eval_shape(render, prepare_surface(sheet(lambda x, y: x, n)), pose())
     assert traces == [(64, 3, 3), (256, 3, 3)]
 
 
 def test_preparing_keeps_every_face_once():
-    thing = make("spanner").mesh
+    thing = make_object("spanner").mesh
     corners = np.asarray(thing.vertices)[thing.faces].astype(np.float32)
-    triangles = prepare(thing).triangles
+    triangles = prepare_surface(thing).triangles
     kept = triangles[(triangles != triangles[:, :1]).any((1, 2))]  # padding shrinks to a point
     before, after = (faces[np.lexsort(faces.reshape(-1, 9).T)] for faces in (corners, kept))
     np.testing.assert_array_equal(after, before)
@@ -378,12 +378,12 @@ def test_derivatives_against_central_differences():
     """Depths and nearest as the pose moves, in float64 and where the visible face stays the same."""
     step, bend = 1e-6, 1e-10
     with jax.enable_x64(True):
-        surface = jax.tree.map(lambda a: jnp.asarray(a, jnp.float64), prepare(make("pyramid").mesh))
+        surface = jax.tree.map(lambda a: jnp.asarray(a, jnp.float64), prepare_surface(make_object("pyramid").mesh))
         attitude = np.diag([1.0, -1.0, -1.0]) @ Rotation.from_euler("xy", (0.2, 0.3)).as_matrix()
         base = jnp.asarray(pose(attitude, [0.004, 0.007, 0.03]))
 
         def look(twist):
-            patch = render_patch(surface, base @ transform(rotation(twist[:3]), twist[3:]))
+            patch = render_patch(surface, base @ transform(so3_exp(twist[:3]), twist[3:]))
             return jnp.append(patch.depth.ravel(), patch.nearest)
 
         @jax.jit
@@ -406,14 +406,14 @@ def test_derivatives_against_central_differences():
 
 
 def test_derivatives_are_finite_where_nothing_is_seen():
-    surface = prepare(soup([[[-0.04, 0, 0], [0.04, 0, 0], [0, 0, 0.04]]]))  # edge on
+    surface = prepare_surface(soup([[[-0.04, 0, 0], [0.04, 0, 0], [0, 0, 0.04]]]))  # edge on
     slope = jax.jit(jax.grad(lambda T: jnp.sum(render_patch(surface, T).depth)))
     for position in ([0, 0, 0], [0.2, 0, 0]):
         assert jnp.isfinite(slope(jnp.asarray(pose(position=position), jnp.float32))).all()
 
 
 def test_a_pose_that_is_not_finite_gives_no_image():
-    surface = prepare(sheet(lambda x, y: 0 * x, 2))
+    surface = prepare_surface(sheet(lambda x, y: 0 * x, 2))
     for bad in (np.nan, np.inf):
         patch = patch_of(surface, pose(position=[0, bad, 0]))
         assert jnp.isnan(patch.depth).all()
@@ -434,7 +434,7 @@ def test_a_pose_that_is_not_finite_gives_no_image():
 )
 def test_hostile_meshes_get_a_sentence(vertices, faces, says):
     with pytest.raises(ValueError, match=says):
-        prepare(SimpleNamespace(vertices=vertices, faces=np.asarray(faces)))
+        prepare_surface(SimpleNamespace(vertices=vertices, faces=np.asarray(faces)))
 
 
 def test_bare_triangles_get_a_sentence():

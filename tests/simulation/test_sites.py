@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from i2t.geometry import contact_frame, invert
-from i2t.objects.catalogue import make, transform_mesh
+from i2t.geometry import contact_frame, inverse
+from i2t.objects.catalogue import make_object, transform_mesh
 from i2t.objects.solids import Mesh, ball, box, mesh
-from i2t.rendering.render import prepare, stack
+from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.sites import Limits, collect_sites, nearest_in_square, press_along, sample_points, sample_sites
 from i2t.types import PAD_WINDOW, STANDOFF, Surface
@@ -81,7 +81,7 @@ def bracketed(value: float, reference, half: float, error: float = DELTA) -> boo
 
 
 def test_points_are_uniform_over_area_and_never_on_empty_faces():
-    star = prepare(make("wedge").mesh)
+    star = prepare_surface(make_object("wedge").mesh)
     faces = np.asarray(star.triangles)[:12]
     empty = np.broadcast_to(faces[0, 0], (5, 3, 3))
     line = np.stack([faces[0, 0], faces[0, 1], faces[0, 1]])[None]  # no area either, though not a point
@@ -110,7 +110,7 @@ def test_points_are_uniform_over_area_and_never_on_empty_faces():
 
 
 def test_points_of_wanted_faces_only():
-    surface = prepare(make("stairs").mesh)
+    surface = prepare_surface(make_object("stairs").mesh)
     up = touch_sites.face_normals(surface)[:, 2] > 0.5
     points, normals = points_of(jax.random.key(0), surface, 1000, up)
     assert (normals[:, 2] > 0.999).all()
@@ -123,8 +123,8 @@ def test_points_of_wanted_faces_only():
 
 @pytest.mark.parametrize("name", ["star", "hammer"])
 def test_nearest_agrees_with_clipping_and_bounds_rays(name):
-    thing = make(name).mesh
-    surface = Surface(stack([prepare(thing), prepare(make("hammer").mesh)]).triangles[0])  # one size, one compilation
+    thing = make_object(name).mesh
+    surface = Surface(stack_surfaces([prepare_surface(thing), prepare_surface(make_object("hammer").mesh)]).triangles[0])  # one size, one compilation
     rng = np.random.default_rng(5)
     rays = trimesh.ray.ray_pyembree.RayMeshIntersector(trimesh.Trimesh(thing.vertices, thing.faces, process=False))
     met = 0
@@ -132,7 +132,7 @@ def test_nearest_agrees_with_clipping_and_bounds_rays(name):
         low, high = thing.vertices.min(0), thing.vertices.max(0)
         T = pose(Rotation.random(random_state=rng).as_matrix(), rng.uniform(low, high) + 0.01)
         half, behind = rng.uniform(2e-3, 15e-3), (STANDOFF, np.inf, 5e-3)[rng.integers(3)]
-        value = float(nearest(surface, invert(T), half, behind))
+        value = float(nearest(surface, inverse(T), half, behind))
         reference = partial(clipped_nearest, thing, T, behind=min(behind, 10.0))
         if behind == np.inf:
             assert bracketed(value, reference, half)
@@ -177,16 +177,16 @@ def test_nearest_by_hand():
 @given(st.integers(0, 2**32 - 1))
 def test_nearest_does_not_depend_on_the_world_frame(seed):
     rng = np.random.default_rng(seed)
-    thing = make("pyramid").mesh
+    thing = make_object("pyramid").mesh
     T = pose(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-0.03, 0.03, 3))
     g = np.eye(4)
     g[:3, :3], g[:3, 3] = Rotation.random(random_state=rng).as_matrix(), rng.uniform(-0.3, 0.3, 3)
     there = nearest(
-        prepare(transform_mesh(thing, g)), invert(jnp.asarray(g @ np.asarray(T), jnp.float32)), HALF, np.inf
+        prepare_surface(transform_mesh(thing, g)), inverse(jnp.asarray(g @ np.asarray(T), jnp.float32)), HALF, np.inf
     )
-    surface = prepare(thing)
+    surface = prepare_surface(thing)
     # Two evaluations, each wrong by DELTA.
-    assert bracketed(float(there), lambda half: float(nearest(surface, invert(T), half, np.inf)), HALF, 2 * DELTA)
+    assert bracketed(float(there), lambda half: float(nearest(surface, inverse(T), half, np.inf)), HALF, 2 * DELTA)
 
 
 # --- first contact ----------------------------------------------------------------------------------------------------
@@ -204,7 +204,7 @@ def sagitta(thing: Mesh) -> float:
 
 
 def test_press_on_a_sphere_straight_and_slanted():
-    surface, gap = prepare(SPHERE), sagitta(SPHERE)
+    surface, gap = prepare_surface(SPHERE), sagitta(SPHERE)
     rng = np.random.default_rng(1)
     for _ in range(30):
         R = Rotation.random(random_state=rng).as_matrix()
@@ -222,7 +222,7 @@ def test_press_on_a_sphere_straight_and_slanted():
 
 
 def test_press_on_a_sphere_with_an_edge_and_with_a_corner_of_the_skin():
-    surface, gap = prepare(SPHERE), sagitta(SPHERE)
+    surface, gap = prepare_surface(SPHERE), sagitta(SPHERE)
     for a, b in ((17e-3, 3e-3), (16e-3, 18e-3)):  # the sphere's axis lies beyond x = 10 mm, and beyond the corner
         beyond = np.maximum(np.array([a, b]) - HALF, 0)
         below = RADIUS - np.sqrt(
@@ -244,13 +244,13 @@ def test_press_on_an_edge_and_on_a_corner():
     turn = Rotation.align_vectors([[0, 0, 1]], [diagonal])[0].as_matrix()
     on_corner = placed(cube, turn)
     for thing, top in ((on_edge, 15e-3 * np.sqrt(2)), (on_corner, 15e-3 * np.sqrt(3))):
-        T, hit = press(prepare(thing), pose(DOWN, [2e-3, 1e-3, 60e-3]), jnp.array([0.0, 0.0, -1.0]))
+        T, hit = press(prepare_surface(thing), pose(DOWN, [2e-3, 1e-3, 60e-3]), jnp.array([0.0, 0.0, -1.0]))
         assert hit
         np.testing.assert_allclose(T[:3, 3], [2e-3, 1e-3, top], atol=DELTA)
 
 
 def test_press_with_a_tilted_skin_on_a_flat_top():
-    surface = prepare(make("square").mesh)  # top at 30 mm, 50 mm wide
+    surface = prepare_surface(make_object("square").mesh)  # top at 30 mm, 50 mm wide
     for tilt in (0.05, 0.3):
         R = Rotation.from_euler("xyz", [tilt, -0.7 * tilt, 1.0]).as_matrix() @ DOWN
         T, hit = press(surface, pose(R, [0, 0, 60e-3]), jnp.array([0.0, 0.0, -1.0]))
@@ -266,7 +266,7 @@ def test_press_with_a_tilted_skin_on_a_flat_top():
 
 
 def test_air():
-    surface = prepare(make("square").mesh)
+    surface = prepare_surface(make_object("square").mesh)
     down = jnp.array([0.0, 0.0, -1.0])
     aside = pose(DOWN, [50e-3, 0, 60e-3])
     T, hit = press(surface, aside, down, HALF, 70e-3)
@@ -290,12 +290,12 @@ def test_air():
 @given(st.integers(0, 2**32 - 1))
 def test_contact_agrees_with_clipping_and_does_not_depend_on_the_world_frame(seed):
     rng = np.random.default_rng(seed)
-    thing = make("star").mesh
+    thing = make_object("star").mesh
     R = Rotation.random(random_state=rng).as_matrix()
     tilt = np.array([*rng.uniform(-0.4, 0.4, 2), 1.0])
     direction = R @ tilt / np.linalg.norm(tilt)
     start = np.array([*rng.uniform(-0.02, 0.02, 2), 15e-3]) - 70e-3 * direction
-    surface = prepare(thing)
+    surface = prepare_surface(thing)
     T, hit = press(surface, pose(R, start), jnp.asarray(direction, jnp.float32), HALF, 0.1)
     assume(bool(hit))
     distance = float((np.asarray(T[:3, 3], np.float64) - start) @ direction)
@@ -310,7 +310,7 @@ def test_contact_agrees_with_clipping_and_does_not_depend_on_the_world_frame(see
 
     g = np.eye(4)
     g[:3, :3], g[:3, 3] = Rotation.random(random_state=rng).as_matrix(), rng.uniform(-0.3, 0.3, 3)
-    other = prepare(transform_mesh(thing, g))
+    other = prepare_surface(transform_mesh(thing, g))
     there = jnp.asarray(g @ np.asarray(pose(R, start), np.float64), jnp.float32)
     turned = jnp.asarray(g[:3, :3] @ direction, jnp.float32)
 
@@ -340,7 +340,7 @@ def test_upward():
 def test_nothing_rises_above_the_contact_plane(height, aside, safe):
     plate = box((80, 80, 20), (0, 0, -10))
     post = box((2, 2, height + 1), (aside, 0, height / 2 - 0.5))
-    surface = prepare(mesh(plate + post))
+    surface = prepare_surface(mesh(plate + post))
     T = frame(jnp.array([0.0, 0.0, 20e-3]), jnp.array([0.0, 0.0, 1.0]), 0.0)
     assert bool(is_open(surface, T, Limits())) is safe
 
@@ -360,9 +360,9 @@ def test_flange_and_mount_above_the_table(seed):
 
 
 def test_sites_pass_an_independent_check():
-    thing = make("hammer").mesh
+    thing = make_object("hammer").mesh
     rays = trimesh.ray.ray_pyembree.RayMeshIntersector(trimesh.Trimesh(thing.vertices, thing.faces, process=False))
-    surface, limits = prepare(thing), Limits()
+    surface, limits = prepare_surface(thing), Limits()
     sites = sites_of(jax.random.key(2), surface, 40, limits, 8)
     assert sites.safe.all()
     for T in np.asarray(sites.T_w_t, np.float64):
@@ -382,7 +382,7 @@ def test_sites_pass_an_independent_check():
 
 def test_sites_are_uniform_in_place_and_spin():
     # Every point of a wide flat top is safe, and nothing else looks up.
-    surface = prepare(make("square").mesh)
+    surface = prepare_surface(make_object("square").mesh)
     sites = sites_of(jax.random.key(5), surface, 1000, Limits(), 2)
     assert sites.safe.all()
     T = np.asarray(sites.T_w_t)
@@ -394,7 +394,7 @@ def test_sites_are_uniform_in_place_and_spin():
 
 
 def test_sites_of_many_objects_at_once_are_those_of_each_alone():
-    surfaces = stack([prepare(make(name).mesh) for name in ("square", "wedge", "stairs")])
+    surfaces = stack_surfaces([prepare_surface(make_object(name).mesh) for name in ("square", "wedge", "stairs")])
     keys = jax.random.split(jax.random.key(1), 3)
     together = jax.jit(jax.vmap(lambda key, surface: sample_sites(key, surface, 5)))(keys, surfaces)
     for i, key in enumerate(jax.random.split(jax.random.key(1), 3)):
@@ -405,19 +405,19 @@ def test_sites_of_many_objects_at_once_are_those_of_each_alone():
 
 
 def test_too_few_sites():
-    pyramid, upright = make("pyramid").mesh, Limits(min_cos=0.99)
-    frames = collect_sites(jax.random.key(0), prepare(pyramid), 20, upright, "pyramid")
+    pyramid, upright = make_object("pyramid").mesh, Limits(min_cos=0.99)
+    frames = collect_sites(jax.random.key(0), prepare_surface(pyramid), 20, upright, "pyramid")
     np.testing.assert_allclose(frames[:, 2, 3], 35e-3, atol=DELTA)  # its flat top is the only upright face
-    fallen = prepare(placed(pyramid, Rotation.from_euler("x", 45, degrees=True).as_matrix(), [0, 0, 50e-3]))
+    fallen = prepare_surface(placed(pyramid, Rotation.from_euler("x", 45, degrees=True).as_matrix(), [0, 0, 50e-3]))
     with pytest.raises(ValueError, match=r"^the pyramid has too few safe sites: 0 of 20"):
         collect_sites(jax.random.key(0), fallen, 20, upright, "the pyramid", rounds=2)
 
 
 def test_the_mask_tells_safe_sites_from_fillers():
     # Beside the stamp's relief, 3.5 mm above its base, most of the base is unsafe; nothing else is.
-    stamp, hammer = make("stamp-triangle").mesh, make("hammer").mesh
+    stamp, hammer = make_object("stamp-triangle").mesh, make_object("hammer").mesh
     surface = Surface(
-        stack([prepare(stamp), prepare(hammer)]).triangles[0]
+        stack_surfaces([prepare_surface(stamp), prepare_surface(hammer)]).triangles[0]
     )  # the size of another test: one compilation
     sites = sites_of(jax.random.key(0), surface, 40, Limits(), 8)
     found = int(sites.safe.sum())

@@ -14,7 +14,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from i2t import geometry
-from i2t.rendering.render import prepare, render_heights
+from i2t.rendering.render import prepare_surface, render_heights
 from i2t.simulation import sites
 from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import CAMERA_DISTANCE, Errors, cut, sample_run, sense, simulate
@@ -46,7 +46,7 @@ def moved(mesh: trimesh.Trimesh, z: float) -> trimesh.Trimesh:
 @pytest.fixture(scope="module")
 def solids() -> list[Surface]:
     ball, box = trimesh.creation.icosphere(1, 0.03), trimesh.creation.box((0.06, 0.06, 0.06))
-    return [prepare(moved(ball, 0.03)), prepare(moved(box, 0.03))]
+    return [prepare_surface(moved(ball, 0.03)), prepare_surface(moved(box, 0.03))]
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def met(touches) -> np.ndarray:
 @pytest.fixture(scope="module")
 def heights(solids):
     """Heights (m along tool z) in the wide view of object i from T_o_t."""
-    render = jax.jit(lambda surface, T: render_heights(surface, geometry.invert(T), WIDE_WINDOW, WIDE_PIXELS))
+    render = jax.jit(lambda surface, T: render_heights(surface, geometry.inverse(T), WIDE_WINDOW, WIDE_PIXELS))
     return lambda i, T: np.asarray(render(solids[i], jnp.float32(T)))
 
 
@@ -192,7 +192,7 @@ def test_an_object_without_safe_sites_is_named(solids, pad):
     triangles = np.asarray(solids[1].triangles)[:12]
     inside_out = trimesh.Trimesh(**trimesh.triangles.to_kwargs(triangles[:, ::-1]))  # only its floor looks up
     with pytest.raises(ValueError, match=r"object 1 has too few safe touch sites; relax"):
-        many(jax.random.key(0), [solids[0], prepare(inside_out)], pad, n=[0, 4])
+        many(jax.random.key(0), [solids[0], prepare_surface(inside_out)], pad, n=[0, 4])
 
 
 def test_pose_errors_have_their_stated_spread():
