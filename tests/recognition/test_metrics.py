@@ -254,7 +254,7 @@ def test_another_prior_is_bayes_rule():
     np.testing.assert_allclose(np.append(q, other), np.array([0.3, 0.2, 2.0]) / 2.5)
     back = scores.with_unknown_prior(q, other, 0.5, 0.2)
     np.testing.assert_allclose(np.append(*back), [0.3, 0.2, 0.5])
-    closed, nothing = scores.with_unknown_prior(np.array([[0.0, 0.0]]), np.array([1.0]), 0.5, 0)
+    closed, nothing = scores.with_unknown_prior(np.array([[0.0, 0.0]]), np.array([1.0]), 0.5, 0.0)
     np.testing.assert_array_equal(np.append(closed, nothing), [0.5, 0.5, 0])
 
 
@@ -268,7 +268,7 @@ def test_open_set_by_hand():
     assert half.overall.low[0] < 7 / 12 < half.overall.high[0]
     wide = half.known.high[0] - half.known.low[0]
     assert 0.5 * wide < half.overall.high[0] - half.overall.low[0] < wide
-    closed = scores.open_set_accuracy(p, none, truth, 0, prior=0.5)
+    closed = scores.open_set_accuracy(p, none, truth, 0.0, prior=0.5)
     np.testing.assert_allclose(closed.overall, closed.known)
     assert closed.known.mean[0] == 1  # without none of these all three are told
     assert closed.unknown.mean[0] == 0
