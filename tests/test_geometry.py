@@ -2,18 +2,25 @@
 order one).
 """
 
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from i2t import geometry
+from i2t.types import TWIST_LEVER_M
 
 ROUNDING = 20 * np.finfo(np.float32).eps
 vectors = st.lists(st.floats(-3, 3, width=32), min_size=3, max_size=3).map(np.array)
+# Translations up to 3 m, turns below half a one: 1.8 rad along each axis at most.
+twists = st.tuples(vectors, vectors).map(lambda both: np.concatenate([both[0], 0.6 * both[1]]))
 
 
 @settings(max_examples=50, deadline=None)
@@ -31,12 +38,95 @@ def test_rotation_gradient_is_finite_and_right_at_zero():
     np.testing.assert_allclose(jacobian, generators, atol=ROUNDING)
 
 
+there_and_back = jax.jit(lambda twist: geometry.log(geometry.exp(twist)))
+
+
+def motion(twist) -> np.ndarray:
+    return geometry.exp(np.asarray(twist, np.float64))
+
+
 @settings(max_examples=25, deadline=None)
 @given(vectors, vectors, vectors)
 def test_inverse_undoes(rotvec, translation, point):
     T = geometry.transform(geometry.so3_exp(jnp.float32(rotvec)), jnp.float32(translation))
     back = geometry.apply(geometry.inverse(T), geometry.apply(T, jnp.float32(point)))
     np.testing.assert_allclose(back, point, atol=10 * ROUNDING)
+
+
+@settings(max_examples=50, deadline=None)
+@given(twists, twists, twists, vectors)
+def test_motions_are_a_group_that_acts_on_points(a, b, c, point):
+    """Float64 on the host: the axioms hold to a few roundings of numbers up to 30."""
+    A, B, C = motion(a), motion(b), motion(c)
+    compose, inverse = geometry.compose, geometry.inverse
+    exact = {"rtol": 0, "atol": 1e-13}
+    np.testing.assert_allclose(compose(compose(A, B), C), compose(A, compose(B, C)), **exact)
+    np.testing.assert_allclose(compose(A, np.eye(4)), A, **exact)
+    np.testing.assert_allclose(compose(A, inverse(A)), np.eye(4), **exact)
+    np.testing.assert_allclose(inverse(compose(A, B)), compose(inverse(B), inverse(A)), **exact)
+    np.testing.assert_allclose(
+        geometry.apply(compose(A, B), point), geometry.apply(A, geometry.apply(B, point)), **exact
+    )
+    assert geometry.is_rigid(compose(A, B))
+
+
+@settings(max_examples=50, deadline=None)
+@given(twists, st.floats(1e-9, 1))
+def test_logarithm_undoes_the_exponential(twist, share):
+    """Below half a turn, where the logarithm is unique; on both kinds of arrays, each to its own roundings."""
+    twist = np.float64(twist) * share
+    np.testing.assert_allclose(geometry.log(geometry.exp(twist)), twist, rtol=0, atol=1e-12)
+    back = there_and_back(jnp.float32(twist))
+    np.testing.assert_allclose(back, twist, rtol=0, atol=50 * ROUNDING)
+    np.testing.assert_allclose(geometry.to_twist(geometry.from_twist(twist * 1e-3)), twist * 1e-3, rtol=0, atol=1e-15)
+
+
+@settings(max_examples=25, deadline=None)
+@given(twists, st.floats(0, 1))
+def test_exponential_is_the_matrix_exponential(twist, share):
+    """And so turns sums of parallel twists into products."""
+    generator = np.zeros((4, 4))
+    generator[:3, :3], generator[:3, 3] = np.cross(np.eye(3), twist[3:]).T * -1, twist[:3]
+    np.testing.assert_allclose(motion(twist), expm(generator), rtol=0, atol=1e-12)
+    parts = motion(share * twist) @ motion((1 - share) * twist)
+    np.testing.assert_allclose(parts, motion(twist), rtol=0, atol=1e-12)
+
+
+def test_logarithm_holds_for_batches_up_to_half_a_turn():
+    vectors = np.random.default_rng(0).normal(size=(200, 3))
+    vectors *= (np.linspace(0, np.pi - 1e-9, 200) / np.linalg.norm(vectors, axis=1))[:, None]
+    matrices = Rotation.from_rotvec(vectors).as_matrix()
+    np.testing.assert_allclose(geometry.so3_exp(vectors), matrices, atol=1e-14)
+    np.testing.assert_allclose(geometry.so3_log(matrices), vectors, atol=1e-12)
+    half = Rotation.from_rotvec([[np.pi, 0, 0], [0, np.pi, 0], [0, 0, -np.pi]]).as_matrix()
+    np.testing.assert_allclose(geometry.so3_exp(geometry.so3_log(half)), half, atol=1e-12)
+
+
+def test_logarithm_has_derivatives_at_rest():
+    """There the exponential of a twist is the identity plus its generator, so the chain of both is the identity."""
+    chain = jax.jit(jax.jacfwd(there_and_back))(jnp.zeros(6))
+    np.testing.assert_allclose(chain, np.eye(6), atol=ROUNDING)
+
+
+def test_twist_measures_rotations_at_the_lever():
+    T = geometry.from_twist(np.array([1e-3, 0, 0, 0, 0, 1e-4]))
+    assert T[0, 3] == 1e-3
+    rim = np.array([0, TWIST_LEVER_M, 0])
+    assert np.linalg.norm(geometry.apply(T, rim) - rim - [1e-3, 0, 0]) == pytest.approx(1e-4, rel=1e-3)
+
+
+def test_arrays_keep_their_kind_and_drivers_need_no_jax():
+    for T in (np.eye(4), np.eye(4, dtype=np.float32)):
+        for work in (
+            geometry.inverse,
+            geometry.log,
+            lambda T: geometry.compose(T, T),
+            lambda T: geometry.apply(T, T[:3, :3]),
+        ):
+            assert type(work(T)) is np.ndarray
+            assert work(T).dtype == T.dtype
+    code = "import sys, numpy; from i2t.geometry import log; log(numpy.eye(4)); assert 'jax' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.parametrize(

@@ -10,34 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from i2t.geometry import so3_exp, so3_log
+
 Array = NDArray[np.float64]
 
 LEVER = 0.25  # m of travel that a radian counts as
-
-
-def rotation(vector: Array) -> Array:
-    """(3, 3) matrix of a rotation vector (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    x, y, z = vector / angle if angle > 1e-12 else vector
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-
-
-def rotation_vector(matrix: Array) -> Array:
-    """Rotation vector (3,) of a matrix, with an angle in [0, pi], through the quaternion's largest component."""
-    m = matrix
-    outer = np.array(  # 4 q q^T, q = (w, x, y, z)
-        [
-            [1 + m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
-            [m[2, 1] - m[1, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
-            [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[1, 2] + m[2, 1]],
-            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 - m[0, 0] - m[1, 1] + m[2, 2]],
-        ]
-    )
-    row = outer[np.argmax(np.diag(outer))]
-    w, *v = row / np.linalg.norm(row) * (1.0 if row[0] >= 0 else -1.0)
-    sine = float(np.linalg.norm(v))
-    return np.array(v) * (2 * np.arctan2(sine, w) / sine if sine > 1e-12 else 2.0)
 
 
 def toward(current: Array, target: Array, most: float) -> Array:
@@ -92,7 +69,7 @@ class Robot:
     """A tool that moves in time and touches; `extra` is a wrench from elsewhere, `bias` what the sensor makes up."""
 
     def __init__(self, pose: Array, contact: Contact, bias: Array, noise: float) -> None:
-        self.position, self.turned, self.twist = pose[:3], rotation(pose[3:]), np.zeros(6)
+        self.position, self.turned, self.twist = pose[:3], so3_exp(pose[3:]), np.zeros(6)
         self.motion: Line | Constant | Compliant | None = None
         self.travelled, self.rate, self.scaling, self.fastest = 0.0, 0.0, 1.0, 0.0
         self.contact, self.noise = contact, noise
@@ -102,7 +79,7 @@ class Robot:
     @property
     def pose(self) -> Array:
         """(6,) metres and rotation vector."""
-        return np.concatenate([self.position, rotation_vector(self.turned)])
+        return np.concatenate([self.position, so3_log(self.turned)])
 
     def felt(self) -> Array:
         """Wrench (6,) that is really on the tool, N and Nm, base axes."""
@@ -118,7 +95,7 @@ class Robot:
 
     def line_to(self, pose: Array, speed: float, acceleration: float) -> None:
         """Start a straight motion from the present pose."""
-        turn = rotation_vector(rotation(pose[3:]) @ self.turned.T)
+        turn = so3_log(so3_exp(pose[3:]) @ self.turned.T)
         along = np.concatenate([pose[:3] - self.position, turn])
         length = max(float(np.linalg.norm(along[:3])), LEVER * float(np.linalg.norm(turn)))
         self.travelled = self.rate = 0.0
@@ -151,7 +128,7 @@ class Robot:
 
     def _drift(self, dt: float) -> None:
         self.position = self.position + self.twist[:3] * dt
-        self.turned = rotation(self.twist[3:] * dt) @ self.turned
+        self.turned = so3_exp(self.twist[3:] * dt) @ self.turned
 
     def _follow(self, line: Line, dt: float) -> None:
         left = line.length - self.travelled
@@ -163,4 +140,4 @@ class Robot:
         part = self.travelled / line.length if line.length else 1.0
         self.twist = line.along * (self.rate / line.length if line.length else 0.0)
         self.position = line.start + part * line.along[:3]
-        self.turned = rotation(part * line.along[3:]) @ line.turned
+        self.turned = so3_exp(part * line.along[3:]) @ line.turned

@@ -17,8 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from i2t.depth.camera import Camera, Distortion
-from i2t.emulators.robot_motion import rotation
-from i2t.geometry import full_precision
+from i2t.geometry import full_precision, so3_exp
 from i2t.objects.solids import Mesh, transform_mesh
 from i2t.rendering.render import prepare_surface, render_patch
 from i2t.simulation.sites import press_along
@@ -140,7 +139,7 @@ class Scene:
         """The line from a pose that the arm reports: the tool is beside it by the arm's own errors."""
         off = np.eye(4)
         off[:3, 3] = self.errors.repeatability * self._random.standard_normal(3)
-        off[:3, :3] = rotation(self.errors.approach_angle * self._random.standard_normal(3))
+        off[:3, :3] = so3_exp(self.errors.approach_angle * self._random.standard_normal(3))
         T_o_t = np.linalg.inv(self.T_b_o) @ T_b_t @ off
         first, sunk, centre, reading = jax.device_get(
             _meet(self._surface, jnp.asarray(T_o_t, jnp.float32), self.pad, jnp.asarray(LOADS, jnp.float32))

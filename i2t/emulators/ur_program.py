@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from i2t.emulators import rtde_protocol
-from i2t.emulators.robot_motion import Array, Compliant, Constant, Robot, rotation
+from i2t.emulators.robot_motion import Array, Compliant, Constant, Robot
+from i2t.geometry import so3_exp
 
 TICK = 0.002  # s
 STOPPED, PLAYING, PAUSED = 1, 2, 4
@@ -37,11 +38,13 @@ class Controller:
         self.running, self.operation, self.writes = False, 0, 0
         self.payload, self.cog, self.offset = 0.0, [0.0] * 3, [0.0] * 6
         self.taken: list[int] = []
+        self.uploads = 0
 
     def upload(self) -> None:
         """Start the client's program; whatever ran before ends."""
         if self.local or self.protective:
             return
+        self.uploads += 1
         self.robot.stop()
         self.runtime, self.started, self.watchdog, self.busy = PLAYING, self.clock, None, None
         self.out_ints[:2] = [READY, 0]
@@ -124,7 +127,7 @@ class Controller:
             return
         if command == FORCE_MODE:
             chosen = np.array(self.ints[2:8], float)
-            robot.motion = Compliant(rotation(np.array(d[3:6])), chosen, np.array(d[6:12]), np.array(d[12:18]))
+            robot.motion = Compliant(so3_exp(np.array(d[3:6])), chosen, np.array(d[6:12]), np.array(d[12:18]))
             return
         if command == MOVE_L:
             robot.line_to(np.array(d[:6]), d[6], d[7])
@@ -233,6 +236,7 @@ class Controller:
             "watchdog": self.watchdog,
             "payload": self.payload,
             "commands": self.taken,
+            "uploads": self.uploads,
         }
 
 

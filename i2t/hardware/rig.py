@@ -21,8 +21,9 @@ import numpy as np
 
 from i2t.cli import ended
 from i2t.depth.camera import Camera
-from i2t.hardware.limits import Limits, place
-from i2t.types import TWIST_LEVER_M, RIGID, Array
+from i2t.geometry import inverse
+from i2t.hardware.limits import MotionLimits, format_position
+from i2t.types import RIGID, TWIST_LEVER_M, Array
 
 FOUND = ("given", "registration")  # how an object's pose is known
 HEAVIEST = 20.0  # kg, that a UR arm carries
@@ -62,7 +63,7 @@ class Rig:
     T_world_base: Array = field(default_factory=lambda: _pose(-0.4, 0.0, 0.0))
     T_world_object: Array = field(default_factory=lambda: np.eye(4))
     object_from: str = "given"  # or registration: the pose is where registering its depth starts from
-    limits: Limits = field(default_factory=lambda: Limits((0.25, -0.15, 0.005), (0.55, 0.15, 0.45)))
+    limits: MotionLimits = field(default_factory=lambda: MotionLimits((0.25, -0.15, 0.005), (0.55, 0.15, 0.45)))
     object_covariance: Array = field(
         default_factory=lambda: np.diag(PLACED) ** 2
     )  # (6, 6) m^2 (`i2t.registration.touch`)
@@ -159,21 +160,13 @@ class Rig:
         return {**asdict(self.camera), **own} if table == "camera" else own
 
 
-def inverse(T_a_b: Array) -> Array:
-    """T_b_a of a rigid (4, 4) T_a_b."""
-    T_b_a = np.eye(4)
-    T_b_a[:3, :3] = T_a_b[:3, :3].T
-    T_b_a[:3, 3] = -T_a_b[:3, :3].T @ T_a_b[:3, 3]
-    return T_b_a
-
-
 def _tables() -> dict[str, list[str]]:
     """The keys of each table of a file, in order."""
     return {
         "tool": ["T_flange_tool", "mass", "centre"],
         "camera": ["T_tool_camera", "looking_distance", *(each.name for each in fields(Camera))],
         "world": ["T_world_base", "T_world_object", "object_from", "object_covariance"],
-        "limits": [each.name for each in fields(Limits)],
+        "limits": [each.name for each in fields(MotionLimits)],
     }
 
 
@@ -189,14 +182,14 @@ def _parsed(tables: dict[str, Any]) -> Rig:
             raise ValueError(f"[{table}] is missing; add that table, with {COMMENTS[table]}")
         _known(f"key of [{table}]", tables[table], keys)
         own = {"model", "coefficients", "object_from", "object_covariance"}
-        optional = {each.name for each in fields(Limits)[2:]} | own
+        optional = {each.name for each in fields(MotionLimits)[2:]} | own
         missing = [key for key in keys if key not in tables[table] and key not in optional]
         if missing:
             raise ValueError(f"{table}.{missing[0]} is missing; add it to [{table}]: {COMMENTS[table]}")
     values = {table: {key: _value(f"{table}.{key}", tables[table][key]) for key in tables[table]} for table in known}
     camera = {key: values["camera"].pop(key) for key in known["camera"][2:] if key in values["camera"]}
     try:
-        limits = Limits(**values["limits"])
+        limits = MotionLimits(**values["limits"])
     except ValueError as error:
         raise ValueError(f"limits.{error}") from error
     return Rig(**values["tool"], **values["camera"], **values["world"], camera=Camera(**camera), limits=limits)
@@ -310,17 +303,17 @@ def summary(rig: Rig) -> str:
     at, limits = (1e3 * rig.T_tool_camera[:3, 3]), rig.limits
     apart = math.degrees(math.acos(min(1.0, rig.T_tool_camera[2, 2])))
     sigma = np.sqrt(np.diagonal(rig.object_covariance))
-    in_box = limits.hold((rig.T_base_world @ rig.T_world_object)[:3, 3], 0.05)
+    in_box = limits.contains((rig.T_base_world @ rig.T_world_object)[:3, 3], 0.05)
     return "\n".join(
         [
             f"skin      {1e3 * np.linalg.norm(rig.T_flange_tool[:3, 3]):.1f} mm from the flange; payload {rig.mass:g} "
             f"kg at {np.round(1e3 * np.array(rig.centre), 1).tolist()} mm",
             f"camera    {at.round(1).tolist()} mm from the skin in its axes, {apart:.1f} degrees askew; looks from "
             f"{1e3 * rig.looking_distance:.0f} mm; {rig.camera.width} x {rig.camera.height} pixels",
-            f"object    at {place(rig.T_world_object[:3, 3])} m in the world ({rig.object_from}), within "
+            f"object    at {format_position(rig.T_world_object[:3, 3])} m in the world ({rig.object_from}), within "
             f"{1e3 * sigma[:3].max():.1f} mm and {math.degrees(sigma[3:].max() / TWIST_LEVER_M):.1f} degrees"
             + ("" if in_box else "; OUTSIDE the box: nothing on it may be reachable"),
-            f"box       {place(limits.lower)} to {place(limits.upper)} m in the base",
+            f"box       {format_position(limits.lower)} to {format_position(limits.upper)} m in the base",
             f"limits    {limits.speed:g} m/s, {limits.acceleration:g} m/s^2, {limits.force:g} N, {limits.torque:g} Nm, "
             f"approaches of {1e3 * limits.travel:g} mm",
         ]

@@ -1,9 +1,11 @@
-"""The UR driver and the real client library against the stand-in for a controller, each in a process of its own.
+"""The UR driver and the real client library against the emulated controller, each in a process of its own.
 
 Times are judged on the controller's clock where they can be, so that a slow machine does not matter; what is asked of
 this machine's clock has seconds to spare.
 """
 
+import contextlib
+import io
 import itertools
 import json
 import os
@@ -14,6 +16,7 @@ import subprocess
 import sys
 import threading
 import time
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -21,14 +24,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from i2t import geometry
 from i2t.emulators import robot_motion, rtde_protocol, ur_controller
 from i2t.emulators.ur_controller import TICK, ask
 from i2t.errors import DeviceError, DeviceTimeoutError, MotionStoppedError, NotConnectedError
+from i2t.hardware.limits import MotionLimits
 from i2t.hardware.protocols import Arm
-from i2t.hardware.ur.driver import BRAKE, UR, Limits, from_ur, to_ur
+from i2t.hardware.ur import access, driver, rtde_worker
+from i2t.hardware.ur.driver import UrArm
+from i2t.hardware.ur.poses import from_ur, to_ur
+from i2t.hardware.ur.rtde_worker import BRAKE_MPS2
 
-LIMITS = Limits((0.2, -0.3, 0.1), (0.6, 0.3, 0.5), travel=0.3)
-STALE, WATCHDOG = 0.5, 4.0  # s, Hz: a machine that is busy with other tests is not a fault
+LIMITS = MotionLimits((0.2, -0.3, 0.1), (0.6, 0.3, 0.5), travel=0.3)
+STATE_TIMEOUT, WATCHDOG_RATE = 0.5, 4.0  # s, Hz: a machine that is busy with other tests is not a fault
 numbers = itertools.count()
 
 
@@ -47,28 +55,33 @@ def eventually(condition, seconds=10.0):
         time.sleep(0.02)
 
 
-@pytest.fixture
-def start():
-    """Start stand-ins that end with the test; the function returns the address."""
+@contextlib.contextmanager
+def emulators():
+    """Start emulated controllers that end with the block; what is yielded starts one and returns its address."""
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
     if sys.platform != "linux":
         pytest.skip("needs the addresses 127.x.y.z, which only Linux gives without asking")
-    running = []
+    running = {}
 
     def begin(*options):
         host = ur_controller.loopback(next(numbers))
-        process = ur_controller.process(host, *options)
-        running.append((host, process, process.__enter__()))
+        running[host] = stack.enter_context(ur_controller.process(host, *options))
         return host
 
-    begin.kill = lambda host: next(child for at, _, child in running if at == host).kill()
-    yield begin
-    for _, process, _ in running:
-        process.__exit__(None, None, None)
+    begin.kill = lambda host: running[host].kill()
+    with contextlib.ExitStack() as stack:
+        yield begin
+
+
+@pytest.fixture
+def start():
+    """`emulators` for one test."""
+    with emulators() as begin:
+        yield begin
 
 
 def connected(host, **options):
-    return UR(host, LIMITS, **{"stale": STALE, "watchdog": WATCHDOG, **options})
+    return UrArm(host, LIMITS, **{"state_timeout": STATE_TIMEOUT, "watchdog_rate": WATCHDOG_RATE, **options})
 
 
 # Pure parts
@@ -105,10 +118,10 @@ def test_rotations_agree_with_scipy():
     vectors = np.random.default_rng(0).normal(size=(200, 3))
     vectors *= (np.linspace(0, np.pi, 200) / np.linalg.norm(vectors, axis=1))[:, None]  # none to a half turn
     for vector in vectors:
-        matrix = robot_motion.rotation(vector)
+        matrix = geometry.so3_exp(vector)
         np.testing.assert_allclose(matrix, Rotation.from_rotvec(vector).as_matrix(), atol=1e-14)
         # At half a turn both signs are the same rotation.
-        np.testing.assert_allclose(robot_motion.rotation(robot_motion.rotation_vector(matrix)), matrix, atol=1e-12)
+        np.testing.assert_allclose(geometry.so3_exp(geometry.so3_log(matrix)), matrix, atol=1e-12)
         np.testing.assert_allclose(from_ur(to_ur(from_ur([0, 0, 0, *vector])))[:3, :3], matrix, atol=1e-12)
 
 
@@ -157,13 +170,13 @@ def test_a_motion_waits_until_it_is_known_what_lies_ahead():
 def test_limits_and_an_arm_say_what_they_are_before_connecting():
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
     with pytest.raises(ValueError, match="must lie below"):
-        Limits((0.0, 0.0, 0.0), (1.0, 0.0, 1.0))
+        MotionLimits((0.0, 0.0, 0.0), (1.0, 0.0, 1.0))
     with pytest.raises(ValueError, match="speed is 0; give m/s"):
-        Limits((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), speed=0.0)
+        MotionLimits((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), speed=0.0)
     arm = connected("127.0.0.1")
     assert isinstance(arm, Arm)
     assert arm.features.source == "emulated"
-    assert UR("192.0.2.1", LIMITS).features.source == "real"
+    assert UrArm("192.0.2.1", LIMITS).features.source == "real"
     np.testing.assert_array_equal(arm.features.box, [LIMITS.lower, LIMITS.upper])
     with pytest.raises(NotConnectedError):
         arm.state()
@@ -172,16 +185,128 @@ def test_limits_and_an_arm_say_what_they_are_before_connecting():
         arm.connect()
 
 
+@pytest.mark.parametrize("option", [{"watchdog_rate": 0.01}, {"watchdog_rate": 200.0}, {"state_timeout": 60.0}])
+def test_timeouts_that_protect_nobody_are_refused(option):
+    with pytest.raises(ValueError, match="is outside"):
+        connected("127.0.0.1", **option)
+
+
+# The lock
+
+
+def test_the_lock_is_in_the_users_own_folder(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with access.take_lock("192.0.2.1"):
+        (file,) = (tmp_path / "i2t").iterdir()
+        assert file.read_text() == str(os.getpid())
+        with pytest.raises(DeviceError, match=f"in use by process {os.getpid()}"):
+            access.take_lock("192.0.2.1")
+    access.take_lock("192.0.2.1").close()
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert access.lock_folder() == tmp_path / ".cache" / "i2t"
+
+
+def test_the_lock_does_not_follow_a_symbolic_link(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    target = tmp_path / "precious"
+    target.write_text("what nobody may truncate")
+    (tmp_path / "i2t").mkdir()
+    (tmp_path / "i2t" / "ur-192.0.2.1.lock").symlink_to(target)
+    with pytest.raises(DeviceError, match="cannot be opened"):
+        access.take_lock("192.0.2.1")
+    assert target.read_text() == "what nobody may truncate"
+
+
+def test_where_there_are_no_locks_the_arm_is_refused(monkeypatch):
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    with pytest.raises(DeviceError, match="Linux or macOS"):
+        access.take_lock("192.0.2.1")
+
+
+# The process of the client library
+
+
+class Library:
+    """The part of ur_rtde that a motion needs, without a controller."""
+
+    sent: ClassVar[list[str]] = []
+
+    def __getattr__(self, name):
+        values = {
+            "getTimestamp": 1.0, "getSafetyStatusBits": 1, "getRuntimeState": rtde_worker.PLAYING, "operationId": 0,
+            "isAsyncOperationRunning": False, "getTargetSpeedFraction": 1.0, "isConnected": True,
+        }  # fmt: skip
+        if name == "getAsyncOperationProgressEx":
+            return lambda: self
+        if name in ("moveL", "kickWatchdog"):
+            return lambda *_: self.sent.append(name) or True
+        return lambda *_: values.get(name, [0.0] * 6)
+
+
+def test_a_motion_is_made_under_a_fed_watchdog_only():
+    ours, theirs = (rtde_worker.Channel(end) for end in socket.socketpair())
+    library = Library()
+    library.sent.clear()
+    worker = rtde_worker.Worker(theirs, library, library, watchdog_rate=10.0)
+    worker.observe()
+    motion = {"motion": 1, "pose": [0.0] * 6, "speed": 0.1, "acceleration": 0.1, "force": 1.0, "torque": 1.0}
+    move = {"command": "move", "id": 1, "arguments": motion}
+    worker.process([move])
+    assert [message["error"] for message in ours.receive(1.0) if "answer" in message] == [
+        "its watchdog is not being fed"
+    ]
+    worker.process([{"heartbeat": True}, {**move, "id": 2}])
+    assert [message["error"] for message in ours.receive(1.0) if "answer" in message] == [None]
+    assert library.sent == ["kickWatchdog", "moveL"]
+    ours.close()
+    theirs.close()
+
+
+def test_the_process_keeps_its_connections_and_can_make_no_other():
+    code = (
+        "import socket; from i2t.hardware.ur import rtde_worker as worker\n"
+        "one, other = (worker.Channel(end) for end in socket.socketpair())\n"
+        "worker.forbid_new_connections()\n"
+        "one.send({'ready': True})\n"
+        "assert other.receive(1.0) == [{'ready': True}]\n"
+        "try: socket.socket()\n"
+        "except OSError: print('none')\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True).stdout == b"none\n"
+
+
 # Motion
 
+STIFFNESS, PLANE, SPEED = 5000.0, 0.295, 0.02  # N/m, m, m/s: what an approach meets
 
-def test_moves_reach_their_goal_no_faster_than_asked_and_never_leave_the_box(start):
+
+@pytest.fixture(scope="module")
+def touching():
+    """Address of an emulated controller whose tool stands 5 mm above a plane, and its connected arm."""
+    with emulators() as begin:
+        host = begin("--plane", str(PLANE), "--stiffness", str(STIFFNESS))
+        with connected(host) as arm:
+            yield host, arm
+
+
+@pytest.fixture
+def above(touching):
+    """The same, with the tool back where it began."""
+    host, arm = touching
+    ask(host, "wrench 0 0 0 0 0 0")
+    arm.go(pose(0.4, 0.0, 0.3), 0.1)
+    return host, arm
+
+
+def test_a_motion_ends_at_its_goal_no_faster_than_asked(start):
     host = start("--bias", "0.5", "-1", "2")
     with connected(host, payload=(0.3, (0.0, 0.0, 0.05)), tool=pose(0, 0, 0.1, 0)) as arm:
         begun = status(host)
         assert begun["payload"] == 0.3
-        assert begun["watchdog"] == 1 / WATCHDOG
-        np.testing.assert_allclose(arm.state(STALE).wrench[:3], [0.5, 1, -2], atol=1e-12)  # tool axes: half a turn on x
+        assert begun["watchdog"] == 1 / WATCHDOG_RATE
+        wrench = arm.state(STATE_TIMEOUT).wrench
+        np.testing.assert_allclose(wrench[:3], [0.5, 1, -2], atol=1e-12)  # tool axes: half a turn on x
         arm.zero_wrench()
         goal = pose(0.42, 0.04, 0.27, 3.0, 0.2, 0.1)
         state = arm.go(goal, 0.1, 0.5)
@@ -190,37 +315,51 @@ def test_moves_reach_their_goal_no_faster_than_asked_and_never_leave_the_box(sta
         after = status(host)
         np.testing.assert_allclose(from_ur(after["pose"]), goal, atol=1e-6)
         assert 0.09 < after["fastest"] <= 0.1 * (1 + 1e-9)
-
-        sent = arm.move(pose(0.40, 0.0, 0.3), 0.2)  # returns at once
-        assert arm.state(STALE).moving
-        np.testing.assert_allclose(sent, pose(0.40, 0.0, 0.3), atol=1e-12)
-        arm.move(pose(0.42, 0.04, 0.3), 0.2)  # replaces it
-        eventually(lambda: not arm.state(STALE).moving)
-        np.testing.assert_allclose(arm.state(STALE).T_b_t[:3, 3], [0.42, 0.04, 0.3], atol=1e-6)
-
-        commands = status(host)["commands"]
-        wrong = pose(0.4, 0, 0.3)
-        wrong[0, 0] = -1.0
-        for goal, options, why in [
-            (pose(0.4, 0.0, 0.05), {}, "outside the box"),
-            (pose(0.7, 0.0, 0.3), {}, "outside the box"),
-            (pose(np.nan, 0.0, 0.3), {}, "finite"),
-            (wrong, {}, "rotation"),
-            (pose(0.4, 0.0, 0.3), {"speed": 0.3}, "speed"),
-            (pose(0.4, 0.0, 0.3), {"speed": 0.1, "acceleration": 2.0}, "acceleration"),
-        ]:
-            for ask_for in (arm.go, arm.move):
-                with pytest.raises(ValueError, match=why):
-                    ask_for(goal, **options)
-        with pytest.raises(ValueError, match="outside the box"):
-            arm.approach(0.25)
-        with pytest.raises(ValueError, match="limit for its travel"):
-            arm.approach(0.31)
-        with pytest.raises(ValueError, match=r"force 50\.0 is outside"):
-            arm.approach(0.01, force=50.0)
-        assert status(host)["commands"] == commands  # nothing was sent
     assert status(host)["runtime"] == ur_controller.STOPPED
     arm.close()
+
+
+def test_a_motion_returns_at_once_and_is_replaced_by_the_next(above):
+    _, arm = above
+    sent = arm.move(pose(0.42, 0.0, 0.3), 0.2)
+    assert arm.state(STATE_TIMEOUT).moving
+    np.testing.assert_allclose(sent, pose(0.42, 0.0, 0.3), atol=1e-12)
+    arm.move(pose(0.42, 0.04, 0.3), 0.2)
+    eventually(lambda: not arm.state(STATE_TIMEOUT).moving)
+    np.testing.assert_allclose(arm.state(STATE_TIMEOUT).T_b_t[:3, 3], [0.42, 0.04, 0.3], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("goal", "options", "why"),
+    [
+        (pose(0.4, 0.0, 0.05), {}, "outside the box"),
+        (pose(0.7, 0.0, 0.3), {}, "outside the box"),
+        (pose(np.nan, 0.0, 0.3), {}, "finite"),
+        (pose(0.4, 0.0, 0.3) * [[-1], [1], [1], [1]], {}, "rotation"),
+        (pose(0.4, 0.0, 0.3), {"speed": 0.3}, "speed"),
+        (pose(0.4, 0.0, 0.3), {"speed": 0.1, "acceleration": 2.0}, "acceleration"),
+    ],
+    ids=["low", "far", "nan", "mirrored", "fast", "jerky"],
+)
+def test_a_motion_beyond_the_limits_is_refused_before_anything_is_sent(touching, goal, options, why):
+    host, arm = touching
+    commands = status(host)["commands"]
+    for ask_for in (arm.go, arm.move):
+        with pytest.raises(ValueError, match=why):
+            ask_for(goal, **options)
+    assert status(host)["commands"] == commands
+
+
+def test_an_approach_beyond_the_limits_is_refused_before_anything_is_sent(above):
+    host, arm = above
+    commands = status(host)["commands"]
+    with pytest.raises(ValueError, match="outside the box"):
+        arm.approach(0.25)
+    with pytest.raises(ValueError, match="limit for its"):
+        arm.approach(0.31)
+    with pytest.raises(ValueError, match=r"force 50\.0 is outside"):
+        arm.approach(0.01, force=50.0)
+    assert status(host)["commands"] == commands
 
 
 def test_the_slider_is_respected(start):
@@ -230,65 +369,82 @@ def test_the_slider_is_respected(start):
         assert 0.09 < status(host)["fastest"] <= 0.1 * (1 + 1e-9)
 
 
-def test_an_approach_ends_on_force_verdict_travel_or_when_nobody_watches(start):
-    stiffness, speed = 5000.0, 0.02
-    host = start("--plane", "0.295", "--stiffness", str(stiffness))
-    with connected(host) as arm:
-        top = arm.state(STALE).T_b_t
-        done = arm.approach(0.02, speed, force=4.0)
-        assert done.reason == "force"
-        reached = stiffness * (0.295 - done.state.T_b_t[2, 3])
-        assert np.linalg.norm(done.trigger.wrench[:3]) > 4.0
-        assert done.trigger.wrench[2] < 0  # pushes the tool back
-        np.testing.assert_allclose(done.state.wrench[2], -reached, atol=1e-9)
-        # What was felt before the trigger is below the limit; after it the arm goes on for at most what news (8 ms), a
-        # look (10 ms) and a command (two handshakes) take, and brakes. A busy machine adds to it: 20 ms in 100.
-        assert 4.0 < reached < 4.0 + stiffness * (speed * 0.12 + speed**2 / (2 * BRAKE))
-
-        with pytest.raises(DeviceError, match="met something on its way"):
-            arm.go(pose(0.4, 0, 0.28), 0.05)  # 30 N at 289 mm
-        arm.go(top, 0.1)
-
-        done = arm.approach(0.02, speed, verdict=lambda state: state.T_b_t[2, 3] < 0.298 and "skin")
-        assert (done.reason, done.verdict) == ("verdict", "skin")
-        assert 0.002 <= done.travel < 0.005
-        arm.go(top, 0.1)
-
-        def push(state):
-            if state.T_b_t[2, 3] < 0.2995:
-                ask(host, "wrench 0 0 0 0 6 0")
-
-        done = arm.approach(0.02, 0.002, push, torque=5.0)
-        assert done.reason == "torque"
-        np.testing.assert_allclose(done.state.wrench[3:], [0, -6, 0], atol=1e-9)  # tool axes
-        ask(host, "wrench 0 0 0 0 0 0")
-        arm.go(top, 0.1)
-
-        done = arm.approach(0.003, speed)
-        assert (done.reason, done.verdict) == ("travel", None)
-        assert done.travel == pytest.approx(0.003, abs=1e-6)
-
-        def hang(state):
-            time.sleep(3 * STALE)
-
-        with pytest.raises(DeviceError, match="Nobody watched"):
-            arm.approach(0.02, 0.002, hang)
-
-        def fail(state):
-            raise ZeroDivisionError
-
-        with pytest.raises(ZeroDivisionError):
-            arm.approach(0.02, 0.002, fail)
-        assert not status(host)["moving"]
+def test_an_approach_ends_on_force(above):
+    _, arm = above
+    done = arm.approach(0.02, SPEED, force=4.0)
+    assert done.reason == "force"
+    reached = STIFFNESS * (PLANE - done.state.T_b_t[2, 3])
+    assert np.linalg.norm(done.trigger.wrench[:3]) > 4.0
+    assert done.trigger.wrench[2] < 0  # pushes the tool back
+    np.testing.assert_allclose(done.state.wrench[2], -reached, atol=1e-9)
+    # What was felt before the trigger is below the limit; after it the arm goes on for at most what news (8 ms), a
+    # look (10 ms) and a command (two handshakes) take, and brakes. A busy machine adds to it: 20 ms in 100.
+    assert 4.0 < reached < 4.0 + STIFFNESS * (SPEED * 0.12 + SPEED**2 / (2 * BRAKE_MPS2))
 
 
-def test_commands_reach_the_stand_in_late(start):
+def test_a_motion_that_meets_something_is_stopped_and_may_back_out(above):
+    _, arm = above
+    with pytest.raises(DeviceError, match="met something on its way"):
+        arm.go(pose(0.4, 0, 0.28), 0.05)  # 30 N at 289 mm
+    assert np.linalg.norm(arm.state(STATE_TIMEOUT).wrench[:3]) > LIMITS.force
+    arm.go(pose(0.4, 0.0, 0.3), 0.1)
+
+
+def test_an_approach_ends_on_its_stop_condition(above):
+    _, arm = above
+    done = arm.approach(0.02, SPEED, stop_condition=lambda state: state.T_b_t[2, 3] < 0.298 and "skin")
+    assert (done.reason, done.answer) == ("condition", "skin")
+    assert 0.002 <= done.distance < 0.005
+
+
+def test_an_approach_ends_on_torque(above):
+    host, arm = above
+
+    def push(state):
+        if state.T_b_t[2, 3] < 0.2995:
+            ask(host, "wrench 0 0 0 0 6 0")
+
+    done = arm.approach(0.02, 0.002, push, torque=5.0)
+    assert done.reason == "torque"
+    np.testing.assert_allclose(done.state.wrench[3:], [0, -6, 0], atol=1e-9)  # tool axes
+
+
+def test_an_approach_ends_at_its_distance(above):
+    _, arm = above
+    done = arm.approach(0.003, SPEED)
+    assert (done.reason, done.answer) == ("distance", None)
+    assert done.distance == pytest.approx(0.003, abs=1e-6)
+
+
+def test_an_approach_that_nobody_watches_is_stopped(above):
+    host, arm = above
+
+    def hang(state):
+        time.sleep(3 * STATE_TIMEOUT)
+
+    with pytest.raises(DeviceError, match="Nobody watched"):
+        arm.approach(0.02, 0.002, hang)
+    assert not status(host)["moving"]
+
+
+def test_an_approach_whose_stop_condition_fails_is_stopped(above):
+    host, arm = above
+
+    def fail(state):
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        arm.approach(0.02, 0.002, fail)
+    assert not status(host)["moving"]
+
+
+def test_commands_reach_the_emulator_late(start):
     late = 0.15
     host = start("--latency", str(late))
     with connected(host) as arm:
         begun = status(host)["clock"]
         arm.move(pose(0.4, 0.01, 0.3), 0.05)  # returns once the program has taken it
-        eventually(lambda: arm.state(STALE).moving)
+        eventually(lambda: arm.state(STATE_TIMEOUT).moving)
         assert status(host)["clock"] - begun >= late
 
 
@@ -351,7 +507,7 @@ def test_a_killed_controller_is_noticed(start):
         assert isinstance(error, DeviceTimeoutError)
         # Whichever comes first: news that does not come, or the client library that meets the end of its stream.
         assert re.search("No news from the controller|The connection to the controller .* broke", str(error))
-        assert seconds < STALE + 1.0
+        assert seconds < STATE_TIMEOUT + 1.0
         with pytest.raises(DeviceTimeoutError):
             arm.state()
         with pytest.raises(DeviceError, match="does not answer"):
@@ -363,7 +519,7 @@ def test_a_stalled_stream_is_noticed_and_the_controller_stops_by_itself(start):
     with connected(host) as arm:
         error, seconds = in_motion(arm, host, lambda: ask(host, "stall"))
         assert isinstance(error, DeviceTimeoutError)
-        assert seconds < STALE + 1.0
+        assert seconds < STATE_TIMEOUT + 1.0
         eventually(lambda: not status(host)["moving"])
         stood = status(host)
         assert stood["runtime"] == ur_controller.STOPPED
@@ -373,6 +529,52 @@ def test_a_stalled_stream_is_noticed_and_the_controller_stops_by_itself(start):
         arm.go(pose(0.4, 0.0, 0.3), 0.2)
 
 
+def test_a_controller_that_sends_no_states_is_fed_no_longer(start):
+    """With the arm at rest and nobody asking, the watchdog alone ends the program."""
+    host = start()
+    with connected(host) as arm:
+        arm.state(STATE_TIMEOUT)
+        assert status(host)["runtime"] == ur_controller.PLAYING
+        ask(host, "stall")
+        eventually(lambda: status(host)["runtime"] == ur_controller.STOPPED)
+        said = status(host)
+        assert said["clock"] - said["heard"] >= 1 / WATCHDOG_RATE
+
+
+@pytest.mark.parametrize("connection", ["control", "state"])
+def test_a_connection_lost_alone_is_never_made_again_by_itself(start, connection):
+    host = start()
+    with connected(host) as arm:
+        error, seconds = in_motion(arm, host, lambda: ask(host, f"drop-{connection}"))
+        assert isinstance(error, DeviceTimeoutError)
+        assert re.search("The connection to the controller .* broke|No news from the controller", str(error))
+        assert seconds < STATE_TIMEOUT + 1.0
+        eventually(lambda: not status(host)["moving"])
+        time.sleep(2 / WATCHDOG_RATE)
+        stood = status(host)
+        assert (stood["runtime"], stood["uploads"]) == (ur_controller.STOPPED, 1)
+        with pytest.raises(DeviceTimeoutError):
+            arm.move(pose(0.4, 0.0, 0.3))
+        arm.connect()
+        assert status(host)["watchdog"] == 1 / WATCHDOG_RATE
+        arm.go(pose(0.4, 0.0, 0.3), 0.2)
+
+
+@pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGKILL, signal.SIGSTOP], ids=lambda number: number.name)
+def test_a_client_library_that_crashes_or_hangs_stops_the_arm_and_nothing_else(start, number):
+    host = start()
+    with connected(host) as arm:
+        worker = arm.connection._process.pid
+        error, seconds = in_motion(arm, host, lambda: os.kill(worker, number))
+        assert isinstance(error, DeviceTimeoutError)
+        assert ("No news" if number == signal.SIGSTOP else number.name) in str(error)
+        assert seconds < STATE_TIMEOUT + 1.0
+        eventually(lambda: not status(host)["moving"])
+        assert status(host)["runtime"] == ur_controller.STOPPED
+        arm.connect()
+        assert not arm.state(STATE_TIMEOUT).moving
+
+
 def test_a_lost_program_is_noticed(start):
     host = start()
     with connected(host) as arm:
@@ -380,7 +582,7 @@ def test_a_lost_program_is_noticed(start):
         assert "program on the controller" in str(error)
         assert seconds < 1.0
         arm.connect()
-        assert not arm.state(STALE).moving  # and nothing is sent again
+        assert not arm.state(STATE_TIMEOUT).moving  # and nothing is sent again
         arm.go(pose(0.4, 0.0, 0.3), 0.2)
 
 
@@ -391,7 +593,7 @@ def test_a_protective_stop_is_noticed_and_released_by_a_person(start):
         error, seconds = in_motion(arm, host, lambda: ask(host, "protective"))
         assert "protective" in str(error)
         assert seconds < 1.0
-        assert not arm.state(STALE).safe
+        assert not arm.state(STATE_TIMEOUT).safe
         with pytest.raises(DeviceError, match="protective"):
             arm.move(pose(0.4, 0.0, 0.3))
         with pytest.raises(DeviceError, match="protective stop"):
@@ -403,7 +605,18 @@ def test_a_protective_stop_is_noticed_and_released_by_a_person(start):
         arm.go(pose(0.4, 0.0, 0.3), 0.2)
 
 
-def test_control_is_refused_in_local_mode_to_a_second_client_and_by_a_mute_port(start):
+def test_connecting_again_leaves_no_descriptors_open(start):
+    host = start()
+    arm = connected(host)
+    arm.connect()
+    before = os.listdir("/proc/self/fd")
+    for _ in range(2):
+        arm.connect()
+    assert len(os.listdir("/proc/self/fd")) <= len(before)
+    arm.close()
+
+
+def test_control_is_refused_in_local_mode_to_a_second_client_and_by_a_mute_port(start, monkeypatch):
     host = start()
     arm = connected(host)
     ask(host, "local")
@@ -415,9 +628,9 @@ def test_control_is_refused_in_local_mode_to_a_second_client_and_by_a_mute_port(
         with pytest.raises(DeviceError, match=f"in use by process {os.getpid()}"):
             second.connect()
         second.close()
-        assert not arm.state(STALE).moving  # the first is not disturbed
+        assert not arm.state(STATE_TIMEOUT).moving  # the first is not disturbed
         another = connected(host)
-        another._take_lock = lambda: None  # on another computer the lock is not seen
+        monkeypatch.setattr(driver, "take_lock", lambda host: io.StringIO())  # on another computer it is not seen
         with pytest.raises(DeviceError, match="A program runs on the controller"):
             another.connect()
     ask(host, "mute")
@@ -427,9 +640,11 @@ def test_control_is_refused_in_local_mode_to_a_second_client_and_by_a_mute_port(
 
 VICTIM = f"""
 import sys, time
-from i2t.hardware.ur.driver import UR, Limits, from_ur
+from i2t.hardware.limits import MotionLimits
+from i2t.hardware.ur.driver import UrArm
+from i2t.hardware.ur.poses import from_ur
 assert "jax" not in sys.modules
-with UR(sys.argv[1], {LIMITS!r}, stale=2.0, watchdog={WATCHDOG}) as arm:
+with UrArm(sys.argv[1], {LIMITS!r}, state_timeout=2.0, watchdog_rate={WATCHDOG_RATE}) as arm:
     arm.move(from_ur([0.4, 0.25, 0.3, {np.pi}, 0, 0]), 0.05)
     print("moving", flush=True)
     while arm.state(2.0).moving:
@@ -454,22 +669,22 @@ def test_the_arm_stands_when_its_process_is_ended(start, number):
     assert 0 < stood["pose"][1] < 0.2
     assert stood["runtime"] == ur_controller.STOPPED
     if number == signal.SIGKILL:  # the watchdog's time, then braking from 0.05 m/s at 5 m/s^2, each to a tick
-        assert stood["stood"] - stood["heard"] <= 1 / WATCHDOG + 0.05 / 5.0 + 3 * TICK
+        assert stood["stood"] - stood["heard"] <= 1 / WATCHDOG_RATE + 0.05 / 5.0 + 3 * TICK
 
 
-def test_the_stand_in_survives_strangers(start):
+def test_the_emulator_survives_hostile_clients(start):
     host = start()
     random = np.random.default_rng(0)
     for port in (ur_controller.RTDE, ur_controller.DASHBOARD, ur_controller.SCRIPT, ur_controller.FAULTS):
         for body in (b"", b"\0", random.bytes(60), b"\n".join(random.bytes(9) for _ in range(5)), b"\xff\n"):
             for kind in b"VvOISPUM?":
-                with socket.create_connection((host, port), 5.0) as stranger:
-                    stranger.sendall(rtde_protocol.packet(kind, body) if port == ur_controller.RTDE else body)
+                with socket.create_connection((host, port), 5.0) as client:
+                    client.sendall(rtde_protocol.packet(kind, body) if port == ur_controller.RTDE else body)
     with connected(host) as arm:
         arm.go(pose(0.4, 0.01, 0.3), 0.2)
 
 
-def test_a_stand_in_that_cannot_start_says_so(start):
+def test_an_emulator_that_cannot_start_says_so(start):
     host = start()
     with socket.socket() as taken:
         taken.bind((host, 0))
