@@ -7,11 +7,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from experiments.faults.rows import Row, Sizes, worst
-from i2t.collect.procedure import Settings
+from i2t.collect.procedure import TouchSettings
 from i2t.emulators import ur_controller
 from i2t.errors import DeviceError
 from i2t.hardware.rig import Rig
-from i2t.hardware.ur.driver import UR
+from i2t.hardware.ur.driver import UrArm
 
 FAULTS = {  # what is told to the stand-in, None for its end
     "controller killed": None,
@@ -63,7 +63,7 @@ def _fault(trial: int, fault: str | None) -> tuple[float, str, bool] | None:
     the motion had ended before, as it does where a busy computer cannot watch.
     """
     host, rig = ur_controller.loopback(trial), Rig()
-    with ur_controller.process(host) as process, UR(host, rig.limits, stale=STALE, watchdog=4.0) as device:
+    with ur_controller.process(host) as process, UrArm(host, rig.limits, state_timeout=STALE, watchdog_rate=4.0) as device:
         with ThreadPoolExecutor(1) as beside:
             motion = beside.submit(_go_down, device)
             time.sleep(0.4)
@@ -83,7 +83,7 @@ def _fault(trial: int, fault: str | None) -> tuple[float, str, bool] | None:
         return seconds, sentence, not status(host)["moving"]
 
 
-def _go_down(device: UR) -> None:
+def _go_down(device: UrArm) -> None:
     goal = device.state(1.0).T_b_t.copy()
     goal[2, 3] = 0.1
     device.go(goal, 0.1, 0.5)
@@ -93,14 +93,14 @@ def _second(trials: int) -> Row:
     refused, unharmed = 0, 0
     for trial in range(trials):
         host, limits = ur_controller.loopback(trial + 50), Rig().limits
-        with ur_controller.process(host), UR(host, limits, stale=0.5, watchdog=4.0) as device:
+        with ur_controller.process(host), UrArm(host, limits, state_timeout=0.5, watchdog_rate=4.0) as device:
             goal = device.state(1.0).T_b_t.copy()
             goal[2, 3] -= 0.03
             with ThreadPoolExecutor(1) as beside:
                 motion = beside.submit(device.go, goal, 0.05, 0.5)
                 time.sleep(0.1)
                 try:
-                    UR(host, limits).connect()
+                    UrArm(host, limits).connect()
                 except DeviceError:
                     refused += 1
                 unharmed += motion.exception(PATIENCE) is None
@@ -110,14 +110,14 @@ def _second(trials: int) -> Row:
 
 def force(sizes: Sizes) -> list[Row]:
     """How far emulated presses on soft and stiff objects run past the limit of force."""
-    settings, rig = Settings(), Rig()
+    settings, rig = TouchSettings(), Rig()
     rng = np.random.default_rng(0)
     peaks, reasons = [], []
     host, height = ur_controller.loopback(99), 0.05
     pose = ("0.4", "0.0", str(height + GAP), str(np.pi), "0", "0")
     with (
         ur_controller.process(host, "--pose", *pose, "--noise", "0.1") as _,
-        UR(host, rig.limits, stale=2.0, watchdog=1.0) as device,
+        UrArm(host, rig.limits, state_timeout=2.0, watchdog_rate=1.0) as device,
     ):
         start = device.state(1.0).T_b_t
         for _ in range(sizes.presses):

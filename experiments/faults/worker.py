@@ -11,35 +11,35 @@ from pathlib import Path
 
 from experiments.faults.places import HEIGHT, site
 from experiments.faults.plane_camera import PlaneCamera, cut
-from i2t.collect.procedure import Procedure, Settings
-from i2t.collect.recorder import Names, Recorder, site_of, touches_in
+from i2t.collect.procedure import Procedure, TouchSettings
+from i2t.collect.recorder import SessionInfo, Recorder, site_number_of, touches_in
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError
-from i2t.hardware.clock import Monotonic
+from i2t.hardware.clock import MonotonicClock
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.rig import Rig
-from i2t.hardware.ur.driver import UR
+from i2t.hardware.ur.driver import UrArm
 from i2t.skin import boards
 
-QUICK = Settings(prepare=20e-3, near=2e-3, approach=0.05, press=0.004, settle=0.02, clearance=0.02, speed=0.25)
+QUICK = TouchSettings(prepare=20e-3, near=2e-3, approach=0.05, press=0.004, settle=0.02, clearance=0.02, speed=0.25)
 STALE = 0.5  # s
 
 
 def main(host: str, port: str, folder: str, touches: str, watchdog: str = "10") -> int:
     """Collect; returns the exit code."""
     rig, out = Rig(), Path(folder)
-    done = {site_of(path) for path in touches_in(out)}
-    arm = UR(
+    done = {site_number_of(path) for path in touches_in(out)}
+    arm = UrArm(
         host,
         rig.limits,
         rig.T_flange_tool,
         (rig.mass, rig.centre),
-        stale=max(STALE, 2 / float(watchdog)),
-        watchdog=float(watchdog),
+        state_timeout=max(STALE, 2 / float(watchdog)),
+        watchdog_rate=float(watchdog),
     )
     lens = Camera(320, 180, 161.2, 161.05, 159.5, 89.5)
-    eye = PlaneCamera(lens, HEIGHT, lambda: arm.state().T_b_t @ rig.T_tool_camera, Monotonic())
-    names = Names(
+    eye = PlaneCamera(lens, HEIGHT, lambda: arm.state().T_b_t @ rig.T_tool_camera, MonotonicClock())
+    names = SessionInfo(
         "hexagon", "emulated", "run", "simulated", boards.reskin_board(), rig.T_world_base, rig.T_world_object, lens
     )
     with ReSkin(port) as skin, eye, arm, Recorder(out, names) as kept:

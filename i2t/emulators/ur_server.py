@@ -220,6 +220,10 @@ class Server:
                     self.muted = True
                 case ["kill-program"]:
                     controller.kill()
+                case ["drop-control" | "drop-state" as word]:
+                    for client in [each for each in self.clients if each.port == RTDE]:
+                        if bool(client.inputs) == (word == "drop-control"):
+                            self._drop(client)
                 case ["local" | "remote" as word]:
                     controller.local = word == "local"
                 case ["wrench", *numbers]:

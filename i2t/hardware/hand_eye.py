@@ -147,10 +147,10 @@ def capture(path: Path, camera: Any, pose: Callable[[], Array], more: Callable[[
 
 def tool_pose(host: str) -> Array:
     """T_b_t (4, 4) of a UR arm now, without controlling it; raises DeviceError."""
-    from i2t.hardware.ur.access import greet
-    from i2t.hardware.ur.rtde_link import from_ur
+    from i2t.hardware.ur.access import check_reachable
+    from i2t.hardware.ur.poses import from_ur
 
-    greet(host)
+    check_reachable(host)
     try:
         import rtde_receive
 

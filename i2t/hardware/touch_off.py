@@ -115,7 +115,7 @@ def face(touches: Sequence[Array], height: float, half: float = PAD_WINDOW / 2) 
 
 
 def touch_off(arm: Any, at: tuple[float, float], height: float, tell: Callable[[str], None] = print) -> Face:
-    """Touch a flat with all corners, with a connected arm that guards its approaches (`i2t.hardware.ur.driver.UR`).
+    """Touch a flat with all corners, with a connected arm that guards its approaches (`i2t.hardware.ur.driver.UrArm`).
 
     `at` and `height` (m) are in the base. Raises ValueError, before anything moves, where it would leave the box;
     DeviceError where the arm fails, meets nothing, or something on its way.
@@ -172,19 +172,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rig", type=Path, required=True, help="the lab's calibration")
     parser.add_argument("--height", type=float, required=True, help="of the flat in the base, m")
     parser.add_argument("--at", type=float, nargs=2, required=True, metavar=("X", "Y"), help="its place in the base, m")
-    parser.add_argument("--stale", type=float, default=0.1, help="s without news after which the arm is taken for lost")
-    parser.add_argument("--watchdog", type=float, default=10.0, help="Hz, how often the controller must hear from us")
+    parser.add_argument("--state-timeout", type=float, default=0.1, help="s without news after which the arm is taken for lost")
+    parser.add_argument("--watchdog-rate", type=float, default=10.0, help="Hz, how often the controller must hear from us")
     parser.add_argument("--write", action="store_true", help="put what is found into the rig")
     asked = parser.parse_args(arguments)
     return ended(lambda: _touch_off(asked), "stopped; the rig is as it was")
 
 
 def _touch_off(asked: argparse.Namespace) -> None:
-    from i2t.hardware.ur.driver import UR
+    from i2t.hardware.ur.driver import UrArm
 
     rig = Rig.read(asked.rig)
     payload = rig.mass, rig.centre
-    with UR(asked.host, rig.limits, rig.T_flange_tool, payload, asked.stale, asked.watchdog) as arm:
+    with UrArm(asked.host, rig.limits, rig.T_flange_tool, payload, state_timeout=asked.state_timeout, watchdog_rate=asked.watchdog_rate) as arm:
         found = touch_off(arm, tuple(asked.at), asked.height)
     T = rig.T_flange_tool @ found.T_tool_skin
     tilt = math.degrees(math.acos(min(1.0, found.T_tool_skin[2, 2])))

@@ -13,14 +13,15 @@ from i2t.emulators import ur_controller
 from i2t.emulators.in_process import Lab, SimulatedArm
 from i2t.emulators.scene import Flat
 from i2t.errors import DeviceError, NotConnectedError
-from i2t.hardware.clock import Monotonic
-from i2t.hardware.limits import Limits
+from i2t.hardware.clock import MonotonicClock
+from i2t.hardware.limits import MotionLimits
 from i2t.hardware.protocols import Arm
-from i2t.hardware.ur.driver import UR, from_ur
-from i2t.simulation.touches import Errors
+from i2t.hardware.ur.driver import UrArm
+from i2t.hardware.ur.poses import from_ur
+from i2t.simulation.touches import SimulationErrors
 from i2t.skin import boards
 
-LIMITS = Limits((0.2, -0.3, 0.1), (0.6, 0.3, 0.5))
+LIMITS = MotionLimits((0.2, -0.3, 0.1), (0.6, 0.3, 0.5))
 FLOOR, STIFFNESS = 0.25, 5000.0  # m, N/m: a plane below the tool
 KINDS = ("emulated", "simulated")
 PATIENCE = 20.0  # s that a loaded machine may need
@@ -31,7 +32,7 @@ def arms(kind: str) -> Iterator[Callable[[], Arm]]:
     """Arms of one kind that have not been connected; the tool stands at HOME."""
     if kind == "simulated":
         board = boards.reskin_board()
-        lab = Lab(Flat(FLOOR, STIFFNESS, np.zeros(15), Errors.none(), board), Monotonic())
+        lab = Lab(Flat(FLOOR, STIFFNESS, np.zeros(15), SimulationErrors.none(), board), MonotonicClock())
         yield lambda: SimulatedArm(lab, LIMITS)
         return
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
@@ -39,7 +40,7 @@ def arms(kind: str) -> Iterator[Callable[[], Arm]]:
         pytest.skip("needs the addresses 127.x.y.z, which only Linux gives without asking")
     host = ur_controller.loopback(219)
     with ur_controller.process(host, "--plane", str(FLOOR), "--stiffness", str(STIFFNESS)):
-        yield lambda: UR(host, LIMITS, stale=3.0, watchdog=0.3)
+        yield lambda: UrArm(host, LIMITS, state_timeout=3.0, watchdog_rate=0.3)
 
 
 @pytest.fixture(params=KINDS)
@@ -187,21 +188,21 @@ def test_an_approach_ends_where_something_says_stop(make):
         np.testing.assert_allclose(arm.state(3.0).T_b_t, start, atol=1e-6)
 
         done = arm.approach(0.03, 0.02, force=4.0)
-        assert (done.reason, done.verdict) == ("force", None)
+        assert (done.reason, done.answer) == ("force", None)
         assert 4.0 < np.linalg.norm(done.trigger.wrench[:3]) <= np.linalg.norm(done.state.wrench[:3]) + 1e-9
         assert not done.state.moving
         # To 4 N it is 0.8 mm past the floor; what follows depends on the machine.
-        assert 0.0108 < done.travel < 0.03
+        assert 0.0108 < done.distance < 0.03
         arm.go(start, 0.1, 0.5)
 
         done = arm.approach(0.03, 0.02, lambda state: state.T_b_t[2, 3] < FLOOR + 0.006 and "skin", 4.0)
-        assert (done.reason, done.verdict) == ("verdict", "skin")
-        assert done.travel >= 0.004
+        assert (done.reason, done.answer) == ("condition", "skin")
+        assert done.distance >= 0.004
         arm.go(start, 0.1, 0.5)
 
         done = arm.approach(0.005, 0.02, lambda state: None)
-        assert (done.reason, done.verdict) == ("travel", None)
-        assert done.travel == pytest.approx(0.005, abs=1e-6)
+        assert (done.reason, done.answer) == ("distance", None)
+        assert done.distance == pytest.approx(0.005, abs=1e-6)
 
         with pytest.raises(ZeroDivisionError):
             arm.approach(0.03, 0.002, lambda state: 1 / 0)

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from i2t.emulators import lab, reskin_board, ur_controller
-from i2t.emulators.ur_contact import PAD
+from i2t.emulators.world import DEFAULT_PAD_KEY
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.rig import Rig
-from i2t.hardware.ur.driver import UR, from_ur
+from i2t.hardware.ur.driver import UrArm
+from i2t.hardware.ur.poses import from_ur
 from i2t.skin.contact import GRID
 from i2t.skin.dipoles import rest_field
 from i2t.skin.noise import Noise
@@ -45,10 +46,10 @@ def touching(tmp_path_factory):
 
 
 def test_a_press_is_felt_as_the_physics_says(touching):
-    pad = jax.jit(sample_pad)(jax.random.key(PAD))
+    pad = jax.jit(sample_pad)(jax.random.key(DEFAULT_PAD_KEY))
     nominal = np.asarray(pad.board.to_board(rest_field(pad)), float)
     presses = []
-    with ReSkin(touching[1]) as skin, UR(touching[0], Rig().limits, stale=3.0, watchdog=0.3) as arm:
+    with ReSkin(touching[1]) as skin, UrArm(touching[0], Rig().limits, state_timeout=3.0, watchdog_rate=0.3) as arm:
         assert arm.features.source == skin.features.source == "emulated"
         ambient = skin.read(SAMPLES, PATIENCE).reading.mean(0)
         arm.zero_wrench(PATIENCE)
@@ -69,7 +70,7 @@ def test_a_press_is_felt_as_the_physics_says(touching):
     pressed = jax.jit(lambda depth: press(pad, jnp.zeros((GRID.cells, GRID.cells)), depth))
     for done, change in presses:
         # What the tool travelled past the top is the skin's indentation and the give of arm and mount.
-        felt, sunk = -done.state.wrench[2], TOP - (ABOVE - done.travel)
+        felt, sunk = -done.state.wrench[2], TOP - (ABOVE - done.distance)
         expected = pressed(jnp.asarray(sunk - felt / STIFFNESS, jnp.float32))
         # Force and reading lie between those of loads a factor of 1.85 apart, and for a flat on straight lines. It is
         # stiff: 3 % of 6 N are a micrometre of depth.

@@ -1,27 +1,39 @@
 """Who may have a UR arm: its dashboard, and what must be true before the client library is let near it.
 
-The library's constructors wait for ever, and hold the interpreter, if the controller does not answer; and a second
-client replaces the first without a word. So both are asked for before: the controller by its ports and its dashboard,
-other programs of this machine by a lock, those of other machines by whether a program runs already.
+A second client replaces the first without a word. So it is asked before whether somebody has the arm: other programs of
+this user by a lock, anybody else by whether a program runs on the controller already.
 
 Source: Universal Robots' dashboard server manual.
 """
 
-import fcntl
+import contextlib
 import os
 import socket
-import tempfile
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO
 
 from i2t.errors import DeviceError
 
-RTDE, DASHBOARD = 30004, 29999
+RTDE_PORT, DASHBOARD_PORT = 30004, 29999
+PROTOCOL_REQUEST = b"\x00\x05V\x00\x02"  # asks an RTDE server for version 2 of its protocol
 
 
 def ask_dashboard(host: str, line: str, timeout: float = 1.0) -> str:
-    """One line to the controller's dashboard, and its answer; raises OSError if there is none in time."""
-    with socket.create_connection((host, DASHBOARD), timeout) as connection, connection.makefile("rw") as lines:
+    """Send one line to the controller's dashboard.
+
+    Args:
+        host: Address of the controller.
+        line: The question or command.
+        timeout: s, of each step.
+
+    Returns:
+        The answer.
+
+    Raises:
+        OSError: There is none in time.
+    """
+    with socket.create_connection((host, DASHBOARD_PORT), timeout) as connection, connection.makefile("rw") as lines:
         lines.readline()
         lines.write(line + "\n")
         lines.flush()
@@ -31,17 +43,39 @@ def ask_dashboard(host: str, line: str, timeout: float = 1.0) -> str:
     return answer
 
 
-def take_lock(host: str) -> Any:
-    """Keep other programs of this machine from the arm until what is returned is closed; raises DeviceError."""
-    path = Path(tempfile.gettempdir()) / f"i2t-ur-{host}.lock"
+def lock_folder() -> Path:
+    """The folder of this user's locks: in `$XDG_RUNTIME_DIR`, or in `~/.cache`."""
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    return (Path(runtime) if runtime else Path.home() / ".cache") / "i2t"
+
+
+def take_lock(host: str) -> IO[str]:
+    """Keep other programs of this user from an arm.
+
+    Args:
+        host: Address of the controller.
+
+    Returns:
+        The lock, held until it is closed.
+
+    Raises:
+        DeviceError: Another program has it, or it cannot be made.
+    """
     try:
-        lock = path.open("a+")
-    except OSError as error:
-        raise DeviceError(f"The lock of the arm, {path}, cannot be opened: {error.strerror}.") from error
+        import fcntl
+    except ImportError as error:
+        raise DeviceError("A UR arm is moved from Linux or macOS only: Windows has no lock for it here.") from error
+    path = lock_folder() / f"ur-{host}.lock"
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        # A symbolic link is not followed, and nothing is truncated before the lock is ours.
+        lock = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600), "r+")
+    except (OSError, RuntimeError) as error:  # RuntimeError: there is no home directory
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise DeviceError(f"The lock of the arm, {path}, cannot be opened: {reason}.") from error
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
-        lock.seek(0)
         owner = lock.read().strip() or "unknown"
         lock.close()
         raise DeviceError(
@@ -54,37 +88,60 @@ def take_lock(host: str) -> Any:
     return lock
 
 
-def greet(host: str) -> None:
-    """Ask a controller whether it speaks RTDE; raises DeviceError where it does not answer."""
-    try:
-        with socket.create_connection((host, RTDE), 1.0) as connection:
-            connection.sendall(b"\x00\x05V\x00\x02")
-            if not connection.recv(4):
-                raise OSError(f"port {RTDE} was closed")
-    except OSError as error:
-        raise DeviceError(f"The UR controller at {host} does not answer: {error}.") from error
+def check_reachable(host: str) -> None:
+    """Ask a controller whether it speaks RTDE.
+
+    Args:
+        host: Its address.
+
+    Raises:
+        DeviceError: It does not answer.
+    """
+    with _no_answer(host), socket.create_connection((host, RTDE_PORT), 1.0) as connection:
+        connection.sendall(PROTOCOL_REQUEST)
+        if not connection.recv(4):
+            raise OSError(f"port {RTDE_PORT} was closed")
 
 
-def probe(host: str) -> None:
-    """Ask a controller whether it could be controlled now; raises DeviceError where not."""
-    greet(host)
-    try:
+def check_controller(host: str) -> None:
+    """Ask a controller whether it could be controlled now.
+
+    Args:
+        host: Its address.
+
+    Raises:
+        DeviceError: It is in local mode or a protective stop, has another client, or does not answer.
+    """
+    check_reachable(host)
+    with _no_answer(host):
         if ask_dashboard(host, "is in remote control") == "false":
             raise DeviceError(f"The robot at {host} is in local mode: choose remote control on its pendant.")
         if "PROTECTIVE" in ask_dashboard(host, "safetystatus"):
             raise DeviceError(f"The robot at {host} is in a protective stop: clear its cause, then recover().")
         if ask_dashboard(host, "running") == "Program running: true":
             raise DeviceError(f"A program runs on the controller at {host}, perhaps for another client: end it first.")
-    except OSError as error:
-        raise DeviceError(f"The UR controller at {host} does not answer: {error}.") from error
 
 
-def release(host: str) -> None:
-    """Release a protective stop, if there is one; raises DeviceError."""
-    try:
+def release_protective_stop(host: str) -> None:
+    """Release a protective stop, if there is one.
+
+    Args:
+        host: Address of the controller.
+
+    Raises:
+        DeviceError: The controller refuses or does not answer.
+    """
+    with _no_answer(host):
         if "PROTECTIVE" in ask_dashboard(host, "safetystatus"):
             answer = ask_dashboard(host, "unlock protective stop")
             if answer != "Protective stop releasing":
                 raise DeviceError(f"The protective stop of {host} cannot be released: {answer}.")
+
+
+@contextlib.contextmanager
+def _no_answer(host: str) -> Iterator[None]:
+    """A connection that fails is an error of one sentence."""
+    try:
+        yield
     except OSError as error:
-        raise DeviceError(f"The dashboard of {host} does not answer: {error}.") from error
+        raise DeviceError(f"The UR controller at {host} does not answer: {error}.") from error

@@ -1,96 +1,104 @@
 """A Universal Robots arm over ur_rtde, moved only in ways that can be watched and stopped.
 
-One thread speaks with the controller: every 10 ms it looks at the state, brakes if a limit is crossed or somebody asked
-for it, passes on a command if one waits, and feeds the controller's watchdog at 50 Hz. Motions are asynchronous
-straight lines, so no call into the client library hides what the robot does, and `stop` works from any thread.
+`UrArm` is made of a connection (`i2t.hardware.ur.rtde_link`) and a motion controller (`i2t.hardware.ur.motion`). The
+client library runs in a process of its own (`i2t.hardware.ur.rtde_worker`), where it can neither crash this one nor
+connect again without a watchdog. Motions are asynchronous straight lines, so no call into the library hides what the
+robot does, and `stop` works from any thread.
 
 What stops the arm, besides `stop` and the limits of a motion:
 
-- No news: during a motion the controller's clock must advance within `stale` seconds. Otherwise the watchdog is no
-  longer fed, so that the controller ends the program by itself, and "stop" goes to the dashboard, another connection.
-- Nobody watches: an approach whose caller has not looked for `stale` seconds, as when its verdict hangs.
-- This process dies, even by kill -9: the watchdog runs dry (`watchdog` Hz; 0.1 s by default) and the controller ends
-  the program. Ctrl-C and SIGTERM brake at once, inside a `with` block on the main thread.
+- No news: during a motion the controller's clock must advance within `state_timeout` seconds. Otherwise the watchdog is
+  no longer fed, so that the controller ends the program by itself, and "stop" goes to the dashboard, another
+  connection.
+- A lost connection: one of the library's connections breaks, or its process dies. The arm is given up in the same way;
+  nothing connects again before `connect` is called.
+- Nobody watches: an approach whose caller has not looked for `state_timeout` seconds, as when its stop condition hangs.
+- This process dies or hangs, even by kill -9: the watchdog runs dry (`watchdog_rate` Hz; 0.1 s by default) and the
+  controller ends the program. Ctrl-C and SIGTERM brake at once, inside a `with` block on the main thread.
 
 Poses are (4, 4) T_b_t in metres, tool in robot base; forces act on the tool, in the tool's axes. The box holds the
 tool's origin: flange, elbow and cable are not watched here, so set the robot's own safety limits on the pendant too.
-The speed slider is left to people and respected. Linux and macOS, ur_rtde 1.6 (Python 3.10 to 3.12).
+The speed slider is left to people and respected. Linux and macOS, ur_rtde 1.6 (Python 3.11 and 3.12).
 """
 
 import contextlib
-import queue
+import importlib.util
 import signal
 import sys
 import threading
-import time
+from collections.abc import Callable
 from types import FrameType
-from typing import Any, Literal
-
-import numpy as np
+from typing import IO, Any, Literal
 
 from i2t.errors import DeviceError
-from i2t.errors import MotionStoppedError as MotionStoppedError
-from i2t.hardware.limits import Limits as Limits
-from i2t.hardware.protocols import ApproachResult as ApproachResult
-from i2t.hardware.protocols import ArmFeatures
-from i2t.hardware.ur.access import probe, release, take_lock
-from i2t.hardware.ur.motion import Motions
-from i2t.hardware.ur.rtde_link import BRAKE as BRAKE
-from i2t.hardware.ur.rtde_link import POLL, RATE, VARIABLES, to_ur
-from i2t.hardware.ur.rtde_link import from_ur as from_ur
+from i2t.hardware.limits import MotionLimits
+from i2t.hardware.protocols import ApproachResult, ArmFeatures, ArmState
+from i2t.hardware.ur.access import check_controller, release_protective_stop, take_lock
+from i2t.hardware.ur.motion import MotionController
+from i2t.hardware.ur.rtde_link import RtdeConnection
+from i2t.hardware.ur.rtde_worker import STATE_RATE_HZ
 from i2t.types import Array
 
+STATE_TIMEOUT_RANGE_S = (0.02, 5.0)
+WATCHDOG_RATE_RANGE_HZ = (0.25, 50.0)  # 4 s, in which an arm at 0.25 m/s goes 1 m, to 20 ms
 
-class UR(Motions):
+
+class UrArm:
     """A UR arm (`i2t.hardware.protocols.Arm`), with guarded approaches.
 
     Args:
-        host: address of the controller
-        limits: box, speed, acceleration, force and torque that nothing exceeds
-        tool: (4, 4) pose of the tool in the flange, sent to the controller; None keeps what is set on the pendant
-        payload: mass in kg and its centre (3,) in m in the flange, sent to the controller; None keeps what is set
-        stale: s without news in a motion after which the arm is taken for lost
-        watchdog: Hz, how often the controller must hear from us
-        source: real or emulated; by default an address of this machine itself is emulated
+        host: Address of the controller.
+        limits: Box, speed, acceleration, force and torque that nothing exceeds.
+        tool: (4, 4) pose of the tool in the flange, m, sent to the controller; None keeps what is set on the pendant.
+        payload: Mass in kg and its centre (3,) in m in the flange, sent to the controller; None keeps what is set.
+        state_timeout: s without news in a motion after which the arm is taken for lost.
+        watchdog_rate: Hz, how often the controller must hear from us.
+        source: Real or emulated; by default an address of this machine itself is emulated.
+
+    Raises:
+        ValueError: `state_timeout` or `watchdog_rate` protects nobody, or no controller can keep to it.
+        DeviceError: ur_rtde is not installed.
     """
 
     def __init__(
         self,
         host: str,
-        limits: Limits,
+        limits: MotionLimits,
         tool: Array | None = None,
         payload: tuple[float, tuple[float, float, float]] | None = None,
-        stale: float = 0.1,
-        watchdog: float = 10.0,
+        *,
+        state_timeout: float = 0.1,
+        watchdog_rate: float = 10.0,
         source: Literal["real", "emulated"] | None = None,
     ) -> None:
-        try:
-            import rtde_control
-            import rtde_receive
-        except ImportError as error:
-            raise DeviceError("A UR arm needs ur_rtde: pip install 'i2t[hardware]' on Python 3.10 to 3.12.") from error
-        self._sdk = rtde_control.RTDEControlInterface, rtde_receive.RTDEReceiveInterface
-        super().__init__(host, stale, watchdog)
-        self.limits, self.tool, self.payload = limits, tool, payload
+        _check_within("state timeout", state_timeout, STATE_TIMEOUT_RANGE_S, "s")
+        _check_within("watchdog rate", watchdog_rate, WATCHDOG_RATE_RANGE_HZ, "Hz")
+        if any(importlib.util.find_spec(module) is None for module in ("rtde_control", "rtde_receive")):
+            raise DeviceError("A UR arm needs ur_rtde: pip install 'i2t[hardware]' on Python 3.11 or 3.12.")
+        self.host, self.limits, self.tool, self.payload = host, limits, tool, payload
         self.source = source or ("emulated" if host == "localhost" or host.startswith("127.") else "real")
-        self._closer = threading.Lock()
-        self._lock: Any = None
+        self.connection = RtdeConnection(host, state_timeout, watchdog_rate)
+        self.motion = MotionController(self.connection, limits)
+        self._closing = threading.Lock()
+        self._lock: IO[str] | None = None
         self._handlers: dict[int, Any] = {}
 
     @property
     def features(self) -> ArmFeatures:
         """Known before `connect`."""
-        box = np.array([self.limits.lower, self.limits.upper], float)
-        return ArmFeatures(f"UR at {self.host}", self.source, RATE, box, self.limits.speed, self.limits.acceleration)
+        limits = self.limits
+        return ArmFeatures(
+            f"UR at {self.host}", self.source, STATE_RATE_HZ, limits.box, limits.speed, limits.acceleration
+        )
 
-    def __enter__(self) -> "UR":
+    def __enter__(self) -> "UrArm":
         self.connect()
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM):
                 self._handlers[number] = signal.signal(number, self._interrupted)
         return self
 
-    def __exit__(self, *error: Any) -> None:
+    def __exit__(self, *error: object) -> None:
         for number in self._handlers:  # a second Ctrl-C must not keep the arm from being stopped
             signal.signal(number, lambda *_: None)
         try:
@@ -101,64 +109,139 @@ class UR(Motions):
             self._handlers.clear()
 
     def _interrupted(self, number: int, frame: FrameType | None) -> None:
-        self._halt = True  # a plain assignment: no lock that the interrupted thread could hold
+        self.connection.request_stop()
         if number == signal.SIGINT:
             raise KeyboardInterrupt
         sys.exit(128 + number)
 
     def connect(self) -> None:
-        """Take control, anew if need be; raises DeviceError if somebody else has it or the robot refuses."""
+        """Take control, anew if need be.
+
+        Raises:
+            DeviceError: Somebody else has it, or the robot refuses or does not answer.
+        """
         self.close()
-        self._take_lock()
         try:
-            probe(self.host)
-            self._reset()
-            self._commands = queue.SimpleQueue()
-            make_control, make_receive = self._sdk
-            try:
-                self._receive = self._kept(make_receive(self.host, RATE, VARIABLES))
-                self._control = self._kept(make_control(self.host))
-                if self.tool is not None:
-                    self._control.setTcp(to_ur(self.tool))
-                if self.payload is not None:
-                    self._control.setPayload(self.payload[0], list(self.payload[1]))
-                self._control.setWatchdog(self.watchdog)
-            except RuntimeError as error:
-                raise DeviceError(f"The controller at {self.host} cannot be controlled: {error}.") from error
-            self._thread = threading.Thread(target=self._serve, name=f"UR {self.host}", daemon=True)
-            self._thread.start()
-            deadline = time.monotonic() + 1.0
-            while not self._fresh(2.0).program and time.monotonic() < deadline:
-                time.sleep(POLL)  # the first news may be older than the program
-            self._newest(2.0)
+            self._lock = take_lock(self.host)
+            check_controller(self.host)
+            self.connection.open(self.tool, self.payload)
         except BaseException:
             self.close()
             raise
 
     def close(self) -> None:
         """Brake, end the program and let go, from any thread, as often as one likes; raises nothing."""
-        with self._closer:
+        with self._closing:
             try:
-                if self._thread is not None:
-                    # The library may find the connection broken only now, and say so by a RuntimeError.
-                    with contextlib.suppress(DeviceError, RuntimeError):
-                        self.stop()
-                    with contextlib.suppress(DeviceError, RuntimeError):
-                        if self._fresh(self.stale).program:
-                            self._ask(self._control.stopScript)
-                if self._abandoning is not None:
-                    self._abandoning.join(5.0)
-                self._let_go()
+                if self.connection.is_open:
+                    with contextlib.suppress(DeviceError):
+                        self.connection.stop()
+                    with contextlib.suppress(DeviceError):
+                        if self.connection.newest(self.connection.state_timeout).program:
+                            self.connection.end_program()
+                self.connection.close()
             finally:
                 if self._lock is not None:
                     self._lock.close()
                     self._lock = None
 
     def recover(self) -> None:
-        """Release a protective stop and connect again, once a person has looked at what caused it."""
+        """Release a protective stop and connect again, once a person has looked at what caused it.
+
+        Raises:
+            DeviceError: It cannot be released, or as in `connect`.
+        """
         self.close()
-        release(self.host)
+        release_protective_stop(self.host)
         self.connect()
 
-    def _take_lock(self) -> None:
-        self._lock = take_lock(self.host)
+    def state(self, timeout: float | None = None) -> ArmState:
+        """The newest state.
+
+        Args:
+            timeout: s that it may be old; by default the state timeout.
+
+        Raises:
+            DeviceTimeoutError: It is older; the arm has been stopped as far as it can be told to.
+            DeviceError: Once, for anything else that has stopped the arm.
+        """
+        return self.connection.running(self.connection.state_timeout if timeout is None else timeout).arm
+
+    def stop(self, timeout: float = 1.0) -> None:
+        """Brake and return when the arm stands, from any thread.
+
+        Args:
+            timeout: s.
+
+        Raises:
+            DeviceError: It was not seen to stand in time.
+        """
+        self.connection.stop(timeout)
+
+    def zero_wrench(self, timeout: float = 1.0) -> None:
+        """Take the wrench felt now for zero.
+
+        Args:
+            timeout: s.
+
+        Raises:
+            DeviceError: The arm moves, or the controller does not answer in time.
+        """
+        if self.state().moving:
+            raise DeviceError("The wrench can be zeroed only while the arm stands.")
+        self.connection.zero_wrench(timeout)
+
+    def move(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> Array:
+        """Start a straight motion and return at once, as `MotionController.move`.
+
+        Args:
+            T_b_t: (4, 4) goal of the tool in the base, m.
+            speed: m/s; by default the limit.
+            acceleration: m/s^2; by default the limit.
+
+        Returns:
+            (4, 4) goal that was sent.
+        """
+        return self.motion.move(T_b_t, speed, acceleration)
+
+    def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
+        """Move straight to a pose and wait for the end, as `MotionController.go`.
+
+        Args:
+            T_b_t: (4, 4) goal of the tool in the base, m.
+            speed: m/s; by default the limit.
+            acceleration: m/s^2; by default the limit.
+
+        Returns:
+            The state at rest.
+        """
+        return self.motion.go(T_b_t, speed, acceleration)
+
+    def approach(
+        self,
+        distance: float,
+        speed: float = 0.005,
+        stop_condition: Callable[[ArmState], Any] | None = None,
+        force: float = 8.0,
+        torque: float = 8.0,
+        acceleration: float = 0.2,
+    ) -> ApproachResult:
+        """Move along the tool's z axis until something says stop, as `MotionController.approach`.
+
+        Args:
+            distance: m, to stop after at the latest.
+            speed: m/s.
+            stop_condition: Called with each new state in the caller's thread; anything true stops the arm.
+            force: N, norm of the force that stops the arm.
+            torque: Nm, norm of the torque that stops the arm.
+            acceleration: m/s^2.
+
+        Returns:
+            What stopped it, and where it stands.
+        """
+        return self.motion.approach(distance, speed, stop_condition, force, torque, acceleration)
+
+
+def _check_within(name: str, value: float, between: tuple[float, float], unit: str) -> None:
+    if not between[0] <= value <= between[1]:
+        raise ValueError(f"The {name} {value:g} {unit} is outside {between[0]:g} to {between[1]:g} {unit}.")

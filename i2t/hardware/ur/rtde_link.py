@@ -1,283 +1,448 @@
-"""The one thread that speaks with a UR controller: it looks, brakes, passes on commands and feeds the watchdog.
+"""The connection with a UR controller: what is known of the arm, the way to command it, and what happens if it is lost.
 
-Every 10 ms it looks at the state, brakes if a limit is crossed or somebody asked for it, passes on a command if one
-waits, and feeds the controller's watchdog at 50 Hz. Whoever wants something of the client library asks this thread.
-When no news come the watchdog is fed no longer, so that the controller ends the program by itself, and "stop" goes to
-the dashboard, another connection.
+`RtdeConnection` starts the process that holds the client library (`i2t.hardware.ur.rtde_worker`, which says why) and
+keeps one thread. The thread takes the states that come, passes on a request to stop, and sends a heartbeat every 20 ms
+as long as states come; heartbeats are what feeds the controller's watchdog. When states no longer come, or the process
+ends, no heartbeat is sent, "stop" goes to the dashboard, another connection, and the process is ended. A connection
+that was lost is never made again by itself.
 """
 
 import contextlib
-import ctypes
-import queue
+import json
+import signal
+import socket
+import subprocess
+import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from i2t.errors import DeviceError, DeviceTimeoutError, MotionStoppedError, NotConnectedError
-from i2t.hardware.protocols import ArmState
+from i2t.hardware.protocols import ArmState, StopReason
+from i2t.hardware.ur import rtde_worker
 from i2t.hardware.ur.access import ask_dashboard
+from i2t.hardware.ur.poses import from_ur, to_ur
+from i2t.hardware.ur.rtde_worker import POLL_S, Channel, Message
 from i2t.types import Array
 
-POLL = 0.01  # s
-FEED = 0.02  # s between two kicks of the watchdog
-RATE = 125.0  # Hz, of states
-BRAKE = 2.0  # m/s^2
-STILL = 1e-3  # m/s and rad/s: slower is standing
-SETTLED = 0.05  # s of the controller's clock after a command to brake: news of before may still be on their way
-PLAYING, NORMAL, REDUCED = 2, 0x1, 0x2
-VARIABLES = [
-    "timestamp",
-    "actual_TCP_pose",
-    "actual_TCP_speed",
-    "actual_TCP_force",
-    "actual_q",
-    "target_speed_fraction",
-    "runtime_state",
-    "safety_status_bits",
-]
+HEARTBEAT_S = 0.02  # between two heartbeats
+CONNECT_S = 20.0  # in which the client library must have connected
+ANSWER_S = 2.0  # in which a command must have been carried out
+GOODBYE_S = 1.0  # in which the process must have ended by itself
 
 
-class News(NamedTuple):
+class ControllerState(NamedTuple):
     """What the controller said last."""
 
     arm: ArmState
     clock: float  # s, the controller's own
-    fraction: float  # of the asked speed that the slider leaves
+    speed_fraction: float  # of the asked speed that the slider on the pendant leaves
     program: bool  # whether the program that obeys us runs
-    operation: int  # number of the newest motion
 
 
-def to_ur(pose: Array) -> list[float]:
-    """Position and rotation vector of a (4, 4) transform, as a UR controller takes them."""
-    return [*pose[:3, 3].tolist(), *Rotation.from_matrix(pose[:3, :3]).as_rotvec().tolist()]
+class MotionGuard(NamedTuple):
+    """What ends a motion early."""
+
+    force: float  # N
+    torque: float  # Nm
+    attended: bool  # whether it ends also when its caller has not called `attend` for the state timeout
 
 
-def from_ur(vector: Sequence[Any]) -> Array:
-    """(4, 4) transform of a UR pose."""
-    pose = np.eye(4)
-    pose[:3, 3], pose[:3, :3] = vector[:3], Rotation.from_rotvec(vector[3:]).as_matrix()
-    return pose
+class Trip(NamedTuple):
+    """Why the newest motion was stopped by its limits."""
+
+    reason: StopReason  # force or torque
+    arm: ArmState  # the state that was above the limit
 
 
-class Link:
-    """What is known of an arm now, and the thread that knows it; `i2t.hardware.ur.driver.UR` says what its values
-    mean."""
+class RtdeConnection:
+    """A connection that can be opened, lost, closed and opened anew; every method may be called from any thread.
 
-    def __init__(self, host: str, stale: float, watchdog: float) -> None:
-        self.host, self.stale, self.watchdog = host, stale, watchdog
-        self._control: Any = None
-        self._receive: Any = None
-        self._connections: list[Any] = []
-        self._abandoning: threading.Thread | None = None
+    Args:
+        host: Address of the controller.
+        state_timeout: s without a new state in a motion after which the controller is taken for lost.
+        watchdog_rate: Hz, how often the controller must hear from us.
+    """
+
+    def __init__(self, host: str, state_timeout: float, watchdog_rate: float) -> None:
+        self.host, self.state_timeout, self.watchdog_rate = host, state_timeout, watchdog_rate
+        self._channel: Channel | None = None
+        self._process: subprocess.Popen[bytes] | None = None
         self._thread: threading.Thread | None = None
-        self._commands: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = queue.SimpleQueue()
+        self._ending: threading.Thread | None = None
+        self._ordering = threading.Lock()  # a motion is sent before a brake or not at all
         self._reset()
 
     def _reset(self) -> None:
-        self._news: News | None = None
-        self._trouble: DeviceError | None = None
-        self._halt = False
+        self._state: ControllerState | None = None
+        self._failure: DeviceError | None = None
+        self._answers: dict[int, Future[None]] = {}
+        self._commands = 0
+        self._heartbeat_time = -np.inf
+        self._stop_requested = False
+        self._brake: Future[None] | None = None
         self._stops = 0
-        self._braked = -np.inf  # the controller's clock when it was last told to brake
-        self._before: tuple[int, float] | None = None  # the operation before one that has been asked for, and when
-        self._guard: Callable[[ArmState], str] | None = None
-        self._watched = False
-        self._looked = 0.0
-        self._tripped: tuple[str, ArmState] | None = None
+        self._motion = 0  # number of the newest motion
+        self._guard: MotionGuard | None = None  # of that motion, until it has ended
+        self._attended_time = 0.0
+        self._trip: Trip | None = None
 
-    def stop(self, timeout: float = 1.0) -> None:
-        """Brake and return when the arm stands, from any thread; raises DeviceError if it is not seen to stand."""
-        if self._thread is None:
-            return
-        self._halt = True
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a connection, be it a broken one that has not been closed."""
+        return self._thread is not None
+
+    @property
+    def stops(self) -> int:
+        """How often the arm has been stopped by request."""
+        return self._stops
+
+    @property
+    def trip(self) -> Trip | None:
+        """Why the newest motion was stopped, if its limits stopped it."""
+        return self._trip
+
+    def open(self, tool: Array | None, payload: tuple[float, tuple[float, float, float]] | None) -> None:
+        """Connect, set tool, payload and watchdog, and wait for the first state.
+
+        Args:
+            tool: (4, 4) pose of the tool in the flange, m; None keeps what is set on the pendant.
+            payload: kg and centre (3,) in m in the flange; None keeps what is set.
+
+        Raises:
+            DeviceError: The controller cannot be controlled.
+        """
+        self._reset()
+        request = {
+            "host": self.host,
+            "tool": None if tool is None else to_ur(tool),
+            "payload": None if payload is None else [payload[0], list(payload[1])],
+            "watchdog_rate": self.watchdog_rate,
+        }
+        self._channel = self._start_worker(request)
+        reply = self._first_message(self._channel)
+        if "ready" not in reply:
+            raise DeviceError(f"The controller at {self.host} cannot be controlled: {reply['error']}.")
+        self._thread = threading.Thread(target=self._read_loop, args=(self._channel,), name=f"UR {self.host}")
+        self._thread.daemon = True
+        self._thread.start()
+        deadline = time.monotonic() + ANSWER_S  # the first states may be older than the program
+        while self._heartbeat_time < 0 and self._failure is None and time.monotonic() < deadline:
+            time.sleep(POLL_S / 2)
+        self.running(ANSWER_S)
+
+    def close(self) -> None:
+        """End the process and with it the connection; on a controller that still listens the program ends."""
+        if self._ending is not None:
+            self._ending.join(5.0)
+        self._end()
+
+    # What is known
+
+    def newest(self, timeout: float) -> ControllerState:
+        """The newest state, whatever it says.
+
+        Args:
+            timeout: s that the state may be old, and that the first one is waited for.
+
+        Raises:
+            NotConnectedError: There is no connection.
+            DeviceTimeoutError: The state is older; the arm has been given up.
+        """
         deadline = time.monotonic() + timeout
-        while time.monotonic() < deadline:
-            state = self._fresh(timeout).arm
-            if not self._halt and not state.moving:
-                return
-            time.sleep(POLL / 2)
-        raise self._lose(f"The arm at {self.host} was not seen to stop within {timeout:g} s.")
+        while self._thread is not None and self._state is None and time.monotonic() < deadline:
+            time.sleep(POLL_S / 2)
+        state = self._state
+        if isinstance(self._failure, DeviceTimeoutError):
+            raise self._failure
+        if self._thread is None:
+            raise NotConnectedError(f"The arm at {self.host} is not connected.")
+        age = np.inf if state is None else time.monotonic() - state.arm.time
+        if state is None or age > timeout:
+            raise self.give_up(f"No news from the controller at {self.host} for {age:.2f} s: it was told to stop.")
+        return state
 
-    def _usable(self, stops: int) -> News:
-        """The news, if a motion may start or go on; `stops` is how often `stop` had been called before."""
-        news = self._newest(self.stale)
-        if self._halt or self._stops != stops:
-            raise MotionStoppedError(f"The arm at {self.host} was stopped by request.")
-        if not news.arm.safe:
-            raise DeviceError(
-                f"The robot at {self.host} made a protective or emergency stop: clear its cause, then recover()."
-            )
-        return news
+    def running(self, timeout: float) -> ControllerState:
+        """The newest state of an arm whose program runs; raises, once, also what has stopped the arm before.
 
-    def _newest(self, timeout: float) -> News:
-        """The news, at most `timeout` old; raises whatever has gone wrong."""
-        trouble = self._trouble
-        if trouble is not None and not isinstance(trouble, DeviceTimeoutError):
-            self._trouble = None
-            raise trouble
-        news = self._fresh(timeout)
-        if not news.program and news.arm.safe:
+        Args:
+            timeout: s, as in `newest`.
+
+        Raises:
+            DeviceError: The program has ended, or something stopped the arm; and as in `newest`.
+        """
+        failure = self._failure
+        if failure is not None and not isinstance(failure, DeviceTimeoutError):
+            self._failure = None
+            raise failure
+        state = self.newest(timeout)
+        if not state.program and state.arm.safe:
             raise DeviceError(
                 f"The program on the controller at {self.host} has ended, by the pendant, another client or the "
                 "watchdog: connect() starts it again."
             )
-        return news
+        return state
 
-    def _fresh(self, timeout: float) -> News:
-        """The news, at most `timeout` old, waiting for the first; raises NotConnectedError or DeviceTimeoutError."""
-        deadline = time.monotonic() + timeout
-        while self._thread is not None and self._news is None and time.monotonic() < deadline:
-            time.sleep(POLL / 2)
-        news = self._news
-        if isinstance(self._trouble, DeviceTimeoutError):
-            raise self._trouble
+    def movable(self, stops: int) -> ControllerState:
+        """The newest state of an arm that may start a motion or go on with one.
+
+        Args:
+            stops: What `stops` was when the motion was asked for.
+
+        Raises:
+            MotionStoppedError: It has been stopped by request since.
+            DeviceError: It is in a protective or emergency stop; and as in `running`.
+        """
+        state = self.running(self.state_timeout)
+        if self._stop_requested or self._stops != stops:
+            raise MotionStoppedError(f"The arm at {self.host} was stopped by request.")
+        if not state.arm.safe:
+            raise DeviceError(
+                f"The robot at {self.host} made a protective or emergency stop: clear its cause, then recover()."
+            )
+        return state
+
+    # Commands
+
+    def attend(self) -> None:
+        """Say that the caller of an attended motion looks at it."""
+        self._attended_time = time.monotonic()
+
+    def request_stop(self) -> None:
+        """Have the thread brake; a plain assignment, for a signal handler, which must not wait for a lock."""
+        self._stop_requested = True
+
+    def stop(self, timeout: float = 1.0) -> None:
+        """Brake and return when the arm stands.
+
+        Args:
+            timeout: s.
+
+        Raises:
+            DeviceError: It was not seen to stand in time; the arm has been given up.
+        """
         if self._thread is None:
+            return
+        self.request_stop()
+        deadline = time.monotonic() + timeout
+        while time.monotonic() < deadline:
+            state = self.newest(timeout)
+            if not self._stop_requested and not state.arm.moving:
+                return
+            time.sleep(POLL_S / 2)
+        raise self.give_up(f"The arm at {self.host} was not seen to stop within {timeout:g} s.")
+
+    def start_motion(self, goal: Array, *, speed: float, acceleration: float, guard: MotionGuard, stops: int) -> None:
+        """Start a straight motion; on return the newest state says that the arm moves.
+
+        Args:
+            goal: (4, 4) pose of the tool in the base, m.
+            speed: m/s.
+            acceleration: m/s^2.
+            guard: What ends it early.
+            stops: What `stops` was when the motion was asked for.
+
+        Raises:
+            DeviceError: As in `movable`, or the controller did not take it.
+        """
+        arguments = {
+            "motion": self._motion + 1, "pose": to_ur(goal), "speed": speed, "acceleration": acceleration,
+            "force": guard.force, "torque": guard.torque,
+        }  # fmt: skip
+        try:
+            with self._ordering:
+                self.movable(stops)
+                self._motion += 1
+                self._trip, self._guard = None, guard
+                self.attend()
+                answer = self._send("move", arguments)
+            self._wait(answer, ANSWER_S)
+        except BaseException:
+            self.request_stop()  # it may have begun all the same
+            raise
+
+    def zero_wrench(self, timeout: float) -> None:
+        """Take the wrench felt now for zero; raises DeviceError if that takes longer than `timeout` (s)."""
+        self._wait(self._send("zero_wrench"), timeout)
+
+    def end_program(self) -> None:
+        """End the program that obeys us; raises DeviceError."""
+        self._wait(self._send("end_program"), ANSWER_S)
+
+    def give_up(self, sentence: str) -> DeviceTimeoutError:
+        """Take the arm for lost: no heartbeat any more, "stop" to the dashboard, and the process is ended.
+
+        Args:
+            sentence: What happened.
+
+        Returns:
+            The error to raise; the first one if the arm was lost already.
+        """
+        if isinstance(self._failure, DeviceTimeoutError):
+            return self._failure
+        lost = self._failure = DeviceTimeoutError(sentence)
+
+        def end() -> None:
+            with contextlib.suppress(OSError):
+                ask_dashboard(self.host, "stop")
+            self._end()
+
+        thread = threading.Thread(target=end, daemon=True)
+        thread.start()  # before others may join it
+        self._ending = thread
+        return lost
+
+    def _send(self, command: str, arguments: Message | None = None) -> Future[None]:
+        channel = self._channel
+        if channel is None:
             raise NotConnectedError(f"The arm at {self.host} is not connected.")
-        age = np.inf if news is None else time.monotonic() - news.arm.time
-        if news is None or age > timeout:
-            raise self._lose(f"No news from the controller at {self.host} for {age:.2f} s: it was told to stop.")
-        return news
+        self._commands += 1
+        number, answer = self._commands, Future[None]()
+        self._answers[number] = answer
+        try:
+            channel.send({"command": command, "id": number, "arguments": arguments or {}})
+        except OSError as error:
+            raise self.give_up(f"The connection to the controller at {self.host} broke: {error}.") from error
+        return answer
+
+    def _wait(self, answer: Future[None], timeout: float) -> None:
+        deadline = time.monotonic() + timeout
+        while time.monotonic() < deadline:
+            with contextlib.suppress(FutureTimeout):
+                return answer.result(POLL_S)
+            self.newest(self.state_timeout)
+        raise DeviceError(f"The controller at {self.host} does not take commands.")
 
     # The thread
 
-    def _ask(self, call: Callable[[], Any], timeout: float = 2.0) -> Any:
-        """Have the thread make a call into the library."""
-        answer: Future[Any] = Future()
-        self._commands.put((call, answer))
-        deadline = time.monotonic() + timeout
+    def _read_loop(self, channel: Channel) -> None:
         try:
-            while time.monotonic() < deadline:
-                with contextlib.suppress(FutureTimeout):
-                    return answer.result(POLL)
-                self._fresh(self.stale)
-        finally:
-            answer.cancel()
-        raise DeviceError(f"The controller at {self.host} does not take commands.")
-
-    def _serve(self) -> None:
-        fed = 0.0
-        while self._thread is threading.current_thread():
-            try:
-                self._observe()
+            while self._thread is threading.current_thread():
+                for message in channel.receive(POLL_S):
+                    self._take(message)
                 self._react()
-                now = time.monotonic()
-                news = self._news
-                fresh = news is not None and news.program and now - news.arm.time <= self.stale
-                if fresh and now - fed >= FEED:
-                    fed = now
-                    self._control.kickWatchdog()
-            except Exception as error:
-                self._lose(f"The connection to the controller at {self.host} broke: {error}.")
-            time.sleep(POLL)
+                self._send_heartbeat(channel)
+        except EOFError:
+            self.give_up(f"The connection to the controller at {self.host} broke: {self._last_words()}.")
+        except Exception as error:
+            self.give_up(f"The connection to the controller at {self.host} broke: {error}.")
 
-    def _observe(self) -> None:
-        receive, last = self._receive, self._news
-        clock = receive.getTimestamp()
-        if clock == 0.0 or (last is not None and clock == last.clock and self._before is None):
-            return
-        now = time.monotonic() if last is None or clock != last.clock else last.arm.time
-        status = self._control.getAsyncOperationProgressEx()
-        if self._before is not None and (status.operationId() != self._before[0] or now > self._before[1] + 0.5):
-            self._before = None
-        pose, twist = from_ur(receive.getActualTCPPose()), np.array(receive.getActualTCPSpeed())
-        wrench = np.array(receive.getActualTCPForce()).reshape(2, 3) @ pose[:3, :3]
-        safe = bool(receive.getSafetyStatusBits() & (NORMAL | REDUCED))
-        program = receive.getRuntimeState() == PLAYING
-        # A program that has ended leaves its registers behind: then only the speed tells.
-        busy = program and safe and (status.isAsyncOperationRunning() or self._before is not None)
-        moving = bool(busy or np.linalg.norm(twist) > STILL or clock < self._braked + SETTLED)
-        arm = ArmState(now, pose, np.array(receive.getActualQ()), twist, wrench.ravel(), moving, safe)
-        self._news = News(arm, clock, receive.getTargetSpeedFraction(), program, status.operationId())
+    def _take(self, message: Message) -> None:
+        if "state" in message:
+            self._take_state(message["state"])
+        elif "answer" in message:
+            answer = self._answers.pop(message["answer"])
+            if message["error"] is None:
+                answer.set_result(None)
+            else:
+                sentence = f"The controller at {self.host} refused the command: {message['error']}."
+                answer.set_exception(DeviceError(sentence))
+        else:
+            raise OSError(message["error"])
+
+    def _take_state(self, raw: Message) -> None:
+        T_b_t = from_ur(raw["pose"])
+        wrench = np.array(raw["wrench"]).reshape(2, 3) @ T_b_t[:3, :3]
+        arm = ArmState(
+            raw["time"], T_b_t, np.array(raw["joints"]), np.array(raw["twist"]), wrench.ravel(), raw["moving"],
+            raw["safe"],
+        )  # fmt: skip
+        if self._guard is not None and raw["motion"] == self._motion:
+            if raw["tripped"]:
+                self._trip = Trip(raw["tripped"], arm)
+                if not self._guard.attended:
+                    force, torque = np.linalg.norm(wrench, axis=1)
+                    self._failure = DeviceError(
+                        f"The arm met something on its way ({force:.1f} N, {torque:.1f} Nm) and was stopped."
+                    )
+            if raw["tripped"] or not raw["moving"]:
+                self._guard = None
+        self._state = ControllerState(arm, raw["clock"], raw["speed_fraction"], raw["program"])
 
     def _react(self) -> None:
-        """Brake where there is a reason to; then pass on what others ask."""
-        news = self._news
-        if news is not None and self._guard is not None:
-            now = time.monotonic()
-            reason = self._guard(news.arm)
-            if now - news.arm.time > self.stale and news.arm.moving:
-                age = now - news.arm.time
-                self._lose(f"No news from the controller at {self.host} for {age:.2f} s: it was told to stop.")
-            elif self._watched and now - self._looked > self.stale:
-                self._brake()
-                self._trouble = DeviceError(f"Nobody watched the arm's approach for {self.stale:g} s: it was stopped.")
-            elif reason:
-                self._tripped = reason, news.arm
-                self._brake()
-                if not self._watched:
-                    felt = np.linalg.norm(news.arm.wrench.reshape(2, 3), axis=1)
-                    self._trouble = DeviceError(
-                        f"The arm met something on its way ({felt[0]:.1f} N, {felt[1]:.1f} Nm) and was stopped."
-                    )
-            elif not news.arm.moving:
+        """Give up a controller that fell silent in a motion; brake where nobody attends, or by request."""
+        state, guard, now = self._state, self._guard, time.monotonic()
+        if state is not None and guard is not None:
+            age = now - state.arm.time
+            if age > self.state_timeout and state.arm.moving:
+                self.give_up(f"No news from the controller at {self.host} for {age:.2f} s: it was told to stop.")
+                return
+            if guard.attended and now - self._attended_time > self.state_timeout:
                 self._guard = None
-        if self._halt:
-            self._stops += 1
-            self._brake()
-            self._halt = False
-        while not self._commands.empty() and self._thread is threading.current_thread():
-            call, answer = self._commands.get()
-            if answer.set_running_or_notify_cancel():
-                try:
-                    answer.set_result(call())
-                except Exception as error:
-                    answer.set_exception(error)
+                self._failure = DeviceError(
+                    f"Nobody watched the arm's approach for {self.state_timeout:g} s: it was stopped."
+                )
+                self._send("brake")
+        if self._stop_requested and self._brake is None:
+            if state is not None and now - state.arm.time > self.state_timeout:  # it would not answer
+                self.give_up(f"The controller at {self.host} fell silent: it was told to stop.")
+                return
+            with self._ordering:
+                self._stops += 1
+                self._guard = None
+                self._brake = self._send("brake")
+        elif self._brake is not None and self._brake.done():
+            self._brake, self._stop_requested = None, False
 
-    def _brake(self) -> None:
-        self._guard = self._before = None
-        news = self._news
-        if news is not None and time.monotonic() - news.arm.time > self.stale:
-            self._lose(f"The controller at {self.host} fell silent: it was told to stop.")  # it would not answer
-        elif news is not None and news.program and news.arm.safe:
-            self._news = news._replace(arm=news.arm._replace(moving=True))  # until later news says otherwise
-            self._braked = news.clock
-            self._control.stopL(BRAKE, True)
+    def _send_heartbeat(self, channel: Channel) -> None:
+        state, now = self._state, time.monotonic()
+        fresh = state is not None and state.program and now - state.arm.time <= self.state_timeout
+        if fresh and now - self._heartbeat_time >= HEARTBEAT_S:
+            self._heartbeat_time = now
+            channel.send({"heartbeat": True})
 
-    def _lose(self, sentence: str) -> DeviceTimeoutError:
-        """Give the arm up: say why, and have the controller stop by the only other way there is."""
-        if isinstance(self._trouble, DeviceTimeoutError):
-            return self._trouble
-        lost = self._trouble = DeviceTimeoutError(sentence)
+    # The process
 
-        def abandon() -> None:
-            with contextlib.suppress(OSError):
-                ask_dashboard(self.host, "stop")
-            self._let_go()
+    def _start_worker(self, request: Message) -> Channel:
+        ours, theirs = socket.socketpair()
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", str(Path(rtde_worker.__file__)), json.dumps(request)],
+                stdin=theirs.fileno(),
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C in the terminal is for us alone
+            )
+        return Channel(ours)
 
-        thread = threading.Thread(target=abandon, daemon=True)
-        thread.start()  # before others may join it
-        self._abandoning = thread
-        return lost
+    def _first_message(self, channel: Channel) -> dict[str, Any]:
+        deadline = time.monotonic() + CONNECT_S
+        try:
+            while time.monotonic() < deadline:
+                for message in channel.receive(POLL_S):
+                    return message
+        except EOFError:
+            return {"error": self._last_words()}
+        return {"error": f"it did not answer within {CONNECT_S:g} s"}
 
-    # The client library
+    def _last_words(self) -> str:
+        """How the process ended."""
+        process = self._process
+        code = None
+        if process is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                code = process.wait(GOODBYE_S)
+        if code is not None and code < 0:
+            return f"the client library was ended by {signal.Signals(-code).name}"
+        return "the client library ended"
 
-    def _kept(self, connection: Any) -> Any:
-        # The library's destructors stop the whole interpreter for half a second, at a moment that the garbage collector
-        # chooses, maybe in a motion. After a disconnect they have nothing left to do: a reference more, and none runs.
-        ctypes.pythonapi.Py_IncRef(ctypes.py_object(connection))
-        self._connections.append(connection)
-        return connection
-
-    def _let_go(self) -> None:
-        """End the thread and the library's own, which would otherwise connect again by themselves and may crash."""
+    def _end(self) -> None:
+        """End thread, channel and process."""
         thread, self._thread = self._thread, None
         if thread is not None and thread is not threading.current_thread():
             thread.join(1.0)
-        # The library may wait for a dead controller: not for ever, and not for us.
-        connections, self._connections = self._connections, []
-        going = [threading.Thread(target=_disconnect, args=(each,), daemon=True) for each in connections]
-        for each in going:
-            each.start()
-        for each in going:
-            each.join(2.0)
-
-
-def _disconnect(connection: Any) -> None:
-    with contextlib.suppress(RuntimeError):
-        connection.disconnect()
+        channel, self._channel = self._channel, None
+        if channel is not None:
+            channel.close()
+        process, self._process = self._process, None
+        if process is not None:
+            try:
+                process.wait(GOODBYE_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()

@@ -1,0 +1,275 @@
+"""The process that holds ur_rtde's connections to a UR controller; `i2t.hardware.ur.rtde_link` starts it.
+
+ur_rtde 1.6 has a process of its own because of what it does when its control connection breaks: it connects again, from
+a thread of its own. That may crash the process (segmentation fault), and it starts the program on the controller anew,
+without a watchdog. Here it can do no harm. Once both connections are made, this process gives up the right to open
+another socket (`RLIMIT_NOFILE`); an attempt ends the process, and the controller, which is no longer fed, ends the
+program. The driver sees the end of the channel at once and says "stop" to the dashboard.
+
+In a loop of 10 ms the process reads the controller's state, brakes if a force or torque is above its limit, does what
+the driver asks, and passes the driver's heartbeats on to the controller's watchdog. So the arm stops if either process
+dies or hangs. When the channel ends, the process ends the program on the controller, and itself.
+
+Messages are lines of JSON over a socket, which is standard input. The driver sends `{"heartbeat": true}` and
+`{"command": name, "id": n, "arguments": {...}}`. It is sent `{"ready": true}`, `{"state": {...}}`, `{"answer": n,
+"error": null}` and, before the process ends, `{"error": sentence}`. Only the standard library and ur_rtde are imported,
+so that it starts quickly and from any folder.
+"""
+
+import contextlib
+import json
+import math
+import os
+import signal
+import socket
+import sys
+import threading
+import time
+from typing import Any, TypeAlias
+
+Message: TypeAlias = dict[str, Any]
+
+POLL_S = 0.01  # between two looks at the state
+STATE_RATE_HZ = 125.0
+BRAKE_MPS2 = 2.0
+STANDING_SPEED = 1e-3  # m/s and rad/s, below which the tool stands
+BRAKE_SETTLING_S = 0.05  # of the controller's clock after a brake: states of before may still be on their way
+START_OF_MOTION_S = 0.5  # in which a motion that was asked for shows in the state
+GOODBYE_S = 2  # to end the program on the controller, after which this process ends in any case
+STANDARD_STREAMS = 3  # file descriptors 0, 1 and 2
+PLAYING, NORMAL, REDUCED = 2, 0x1, 0x2  # runtime state; bits of the safety status
+VARIABLES = [
+    "timestamp",
+    "actual_TCP_pose",
+    "actual_TCP_speed",
+    "actual_TCP_force",
+    "actual_q",
+    "target_speed_fraction",
+    "runtime_state",
+    "safety_status_bits",
+]
+
+
+class Channel:
+    """Lines of JSON over a socket, from any thread."""
+
+    def __init__(self, end: socket.socket, send_timeout_s: float = 1.0) -> None:
+        self._out, self._in = end, end.dup()  # two objects, as each has one timeout
+        self._out.settimeout(send_timeout_s)
+        self._sending = threading.Lock()
+        self._rest = b""
+
+    def send(self, message: Message) -> None:
+        """Send a message; raises OSError, also where the other side has not read for a second."""
+        with self._sending:
+            self._out.sendall(json.dumps(message).encode() + b"\n")
+
+    def receive(self, timeout_s: float) -> list[Message]:
+        """The messages that have come, at once or within the timeout; raises EOFError when the other side has ended."""
+        self._in.settimeout(timeout_s)
+        try:
+            chunk = self._in.recv(1 << 16)
+        except TimeoutError:
+            return []
+        except OSError as error:
+            raise EOFError(str(error)) from error
+        if not chunk:
+            raise EOFError("the channel was closed")
+        *lines, self._rest = (self._rest + chunk).split(b"\n")
+        return [json.loads(line) for line in lines]
+
+    def close(self) -> None:
+        """Let the other side see the end."""
+        with contextlib.suppress(OSError):
+            self._out.shutdown(socket.SHUT_RDWR)
+        self._out.close()
+        self._in.close()
+
+
+class Worker:
+    """Reads the state, guards the motion and obeys the driver.
+
+    Args:
+        channel: To the driver.
+        control: An RTDEControlInterface.
+        receive: An RTDEReceiveInterface.
+        watchdog_rate: Hz, how often the controller must hear from us.
+    """
+
+    def __init__(self, channel: Channel, control: Any, receive: Any, watchdog_rate: float) -> None:
+        self.channel, self.control, self.receive = channel, control, receive
+        self.heartbeat_limit_s = 1 / watchdog_rate
+        self.heartbeat_time = -math.inf
+        self.state: Message | None = None
+        self.motion = 0  # the driver's number of the newest motion
+        self.limits: tuple[float, float] | None = None  # N, Nm, of the motion under way
+        self.tripped = ""  # force or torque, once the motion has been stopped by it
+        self.pending: tuple[int, float] | None = None  # operation before a motion that was asked for, and when
+        self.braked_clock = -math.inf  # s, the controller's clock at the last brake
+
+    def serve(self) -> None:
+        """Work until the driver ends (EOFError) or a connection breaks (RuntimeError or the end of the process)."""
+        while True:
+            if not self.control.isConnected() or not self.receive.isConnected():
+                raise RuntimeError("the controller closed it")
+            self.observe()
+            self.process(self.channel.receive(POLL_S))
+
+    def process(self, messages: list[Message]) -> None:
+        """Feed the watchdog once for all heartbeats, and obey the commands."""
+        if any("heartbeat" in message for message in messages):
+            self.heartbeat_time = time.monotonic()
+            if self.state is not None and self.state["program"]:
+                self.control.kickWatchdog()
+        for message in messages:
+            if "command" in message:
+                self.obey(message)
+
+    def obey(self, message: Message) -> None:
+        """Carry out a command and answer; the state that it leads to is sent before the answer."""
+        commands = {
+            "move": self.move,
+            "brake": self.brake,
+            "zero_wrench": self.control.zeroFtSensor,
+            "end_program": self.control.stopScript,
+        }
+        error = None
+        try:
+            commands[message["command"]](**message["arguments"])
+            self.observe()
+        except (RuntimeError, ValueError) as failure:
+            error = str(failure)
+        self.channel.send({"answer": message["id"], "error": error})
+
+    def observe(self) -> None:
+        """Send the controller's newest state, if it is new, and brake if it is above the limits of the motion."""
+        clock, last = self.receive.getTimestamp(), self.state
+        if clock == 0.0 or (last is not None and clock == last["clock"] and self.pending is None):
+            return
+        state = self.read_state(clock)
+        force, torque = math.hypot(*state["wrench"][:3]), math.hypot(*state["wrench"][3:])
+        if self.limits is not None and (force > self.limits[0] or torque > self.limits[1]):
+            self.tripped = state["tripped"] = "force" if force > self.limits[0] else "torque"
+        self.send_state(state)
+        if self.tripped and self.limits is not None:
+            self.brake()
+        elif not state["moving"]:
+            self.limits = None
+
+    def read_state(self, clock: float) -> Message:
+        """What ur_rtde knows, as one message."""
+        receive, last = self.receive, self.state
+        now = time.monotonic() if last is None or clock != last["clock"] else last["time"]
+        progress = self.control.getAsyncOperationProgressEx()
+        operation = progress.operationId()
+        if self.pending is not None and (operation != self.pending[0] or now > self.pending[1] + START_OF_MOTION_S):
+            self.pending = None
+        twist = receive.getActualTCPSpeed()
+        safe = bool(receive.getSafetyStatusBits() & (NORMAL | REDUCED))
+        program = receive.getRuntimeState() == PLAYING
+        # A program that has ended leaves its registers behind: then only the speed tells.
+        busy = program and safe and (progress.isAsyncOperationRunning() or self.pending is not None)
+        braking = clock < self.braked_clock + BRAKE_SETTLING_S
+        return {
+            "time": now,
+            "clock": clock,
+            "pose": receive.getActualTCPPose(),
+            "twist": twist,
+            "wrench": receive.getActualTCPForce(),
+            "joints": receive.getActualQ(),
+            "moving": bool(busy or braking or math.hypot(*twist) > STANDING_SPEED),
+            "safe": safe,
+            "program": program,
+            "speed_fraction": receive.getTargetSpeedFraction(),
+            "motion": self.motion,
+            "tripped": self.tripped,
+        }
+
+    def send_state(self, state: Message) -> None:
+        """Keep a state and tell the driver."""
+        self.state = state
+        self.channel.send({"state": state})
+
+    def move(
+        self, motion: int, pose: list[float], speed: float, acceleration: float, force: float, torque: float
+    ) -> None:
+        """Start a straight motion, with a number, that is stopped above a force (N) or torque (Nm).
+
+        Raises:
+            RuntimeError: The watchdog would not end it, or the controller did not take it.
+        """
+        if self.state is None or not self.state["program"]:
+            raise RuntimeError("the program on the controller does not run")
+        if time.monotonic() - self.heartbeat_time > self.heartbeat_limit_s:
+            raise RuntimeError("its watchdog is not being fed")
+        before = self.control.getAsyncOperationProgressEx().operationId()
+        self.motion, self.tripped, self.limits = motion, "", None
+        self.pending = before, time.monotonic()
+        if not self.control.moveL(pose, speed, acceleration, True):
+            self.pending = None
+            raise RuntimeError("it did not take the motion")
+        self.limits = force, torque
+
+    def brake(self) -> None:
+        """Slow down to a stand, if a program runs that obeys."""
+        self.limits = self.pending = None
+        state = self.state
+        if state is not None and state["program"] and state["safe"]:
+            self.braked_clock = state["clock"]
+            self.send_state({**state, "moving": True})  # until a later state says otherwise
+            self.control.stopL(BRAKE_MPS2, True)
+
+    def end_program(self) -> None:
+        """End the program on the controller, which then brakes; gives up after some seconds."""
+        signal.alarm(GOODBYE_S)  # its default action ends the process, whatever the library is doing
+        if self.receive.getRuntimeState() == PLAYING:
+            self.control.stopScript()
+
+
+def connect(channel: Channel, request: Message) -> Worker:
+    """Connect to the controller, set tool, payload and watchdog; raises RuntimeError."""
+    import rtde_control
+    import rtde_receive
+
+    receive = rtde_receive.RTDEReceiveInterface(request["host"], STATE_RATE_HZ, VARIABLES)
+    control = rtde_control.RTDEControlInterface(request["host"])
+    if request["tool"] is not None:
+        control.setTcp(request["tool"])
+    if request["payload"] is not None:
+        control.setPayload(*request["payload"])
+    if not control.setWatchdog(request["watchdog_rate"]):
+        raise RuntimeError("the controller did not take the watchdog")
+    return Worker(channel, control, receive, request["watchdog_rate"])
+
+
+def forbid_new_connections() -> None:
+    """Make every later attempt to open a file or socket fail; those that are open go on working."""
+    import resource
+
+    for limit, soft in ((resource.RLIMIT_NOFILE, STANDARD_STREAMS), (resource.RLIMIT_CORE, 0)):
+        resource.setrlimit(limit, (soft, resource.getrlimit(limit)[1]))
+
+
+def main(request: Message) -> None:
+    """Serve the driver at the other end of standard input; ends the process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # what Ctrl-C means is the driver's to say
+    channel = Channel(socket.socket(fileno=os.dup(0)))
+    worker = None
+    try:
+        worker = connect(channel, request)
+        forbid_new_connections()
+        channel.send({"ready": True})
+        worker.serve()
+    except (EOFError, BrokenPipeError):
+        with contextlib.suppress(Exception):
+            if worker is not None:
+                worker.end_program()
+    except Exception as error:
+        with contextlib.suppress(OSError):
+            channel.send({"error": str(error)})
+    finally:
+        os._exit(0)  # neither the library's destructors nor its threads may do more
+
+
+if __name__ == "__main__":
+    main(json.loads(sys.argv[1]))
