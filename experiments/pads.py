@@ -32,19 +32,18 @@ import tyro
 from jaxtyping import Array, Float, Key
 from matplotlib.figure import Figure
 
-from experiments.common import plots
 from experiments.common.runs import begin, reported, write_json
+from i2t import viz
 from i2t.calibration import localize
 from i2t.calibration.physics import Tip, fit_pad, prior, solve_map
 from i2t.calibration.structured_gp import Presses
-from i2t.prediction.metrics import nearest_neighbours, seed_interval
+from i2t.prediction.metrics import nearest_neighbours, student_interval
 from i2t.skin import faults
 from i2t.skin.boards import reskin_board
 from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise, observe
 from i2t.skin.pad import press_force, sample_pad
 from i2t.types import Pad
-from i2t.viz.touches import save
 
 TIP = Tip("sphere", 2.3e-3)
 REACH = 7e-3  # m, of the places
@@ -128,7 +127,7 @@ def run(args: Args) -> dict[str, Any]:
     }
     write_json(args.out / "metrics.json", metrics)
     (args.out / "partial.json").unlink()
-    save(figure({name: interval(v) for name, v in found.items()}, skins), args.out / "accuracy.png")
+    viz.save_figure(figure({name: interval(v) for name, v in found.items()}, skins), args.out / "accuracy.png")
     print(f"\nlocated within 1 mm: mean of {skins} simulated skins [95 %]")
     for name, shares in found.items():
         mean, low, high = interval(shares)
@@ -138,7 +137,7 @@ def run(args: Args) -> dict[str, Any]:
 
 def interval(values: Sequence[float]) -> tuple[float, float, float]:
     """Mean and 95 % interval over skins, within 0 and 1."""
-    mean, low, high = seed_interval(values)
+    mean, low, high = student_interval(values)
     return mean, max(low, 0.0), min(high, 1.0)
 
 
@@ -283,7 +282,7 @@ def _train(key: Key[Array, ""], x: Array, y: Array, steps: int) -> list[tuple[Ar
 
 def figure(values: dict[str, tuple[float, float, float]], skins: int) -> Figure:
     """One bar for each method."""
-    return plots.scores(values, f"Presses located within 1 mm on {skins} unseen skins", "share of presses", True)
+    return viz.plot_intervals(values, f"Presses located within 1 mm on {skins} unseen skins", "share of presses", True)
 
 
 if __name__ == "__main__":

@@ -28,10 +28,10 @@ import numpy as np
 import tyro
 
 from experiments.common.runs import begin, reported, write_json
-from experiments.train import run as training
 from experiments.train.configs import PRESETS as TRAININGS
 from experiments.train.configs import TrainExperiment
 from experiments.train.methods import train_network
+from experiments.train.simulate import simulated_dataset
 from experiments.train.splitting import split_dataset
 from i2t import dataset as data
 from i2t.dataset import Dataset
@@ -87,9 +87,9 @@ def run(args: Args) -> dict[str, Any]:
     plan = PRESETS[args.preset]
     begin(args.out, args, plan, None, args.overwrite)
     dataset = (
-        data.load(args.dataset)
+        data.load_dataset(args.dataset)
         if args.dataset
-        else training.simulate(plan.training, args.seed, 0, args.out / "data.h5")
+        else simulated_dataset(plan.training.simulation, 0, args.out / "data.h5", seed=args.seed)
     )
     dataset = dataset.select(~np.isin(dataset.touches.code, [ReturnCode.FAILED, ReturnCode.AIR]))
     touches = dataset.touches

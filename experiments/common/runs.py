@@ -1,5 +1,5 @@
-"""Folders of runs: begun once, resumed if unfinished, never overwritten by accident; JSON that appears whole or not at
-all.
+"""Folders of runs: begun once, resumed if unfinished, never overwritten by accident; JSON and parts of results that
+appear whole or not at all.
 """
 
 import json
@@ -15,6 +15,9 @@ import numpy as np
 
 from i2t.cli import ended
 from i2t.prediction.checkpoint import PACKAGES
+
+Part = dict[str, Any]  # of arrays, or of such dicts: what an experiment made of one pad and seed
+BETWEEN = "/"  # names of a part's levels on disk
 
 
 def reported(work: Callable[[], Any], resumable: Path | None = None) -> int:
@@ -78,3 +81,49 @@ def write_json(path: Path, values: dict[str, Any]) -> None:
 def slug(name: str) -> str:
     """A folder name."""
     return "-".join("".join(c if c.isalnum() else " " for c in name.replace("'s", "")).split())
+
+
+def save_part(path: Path, part: Part) -> None:
+    """Write nested dicts of arrays whole or not at all, for a resumed run to find.
+
+    Args:
+        path: An npz file.
+        part: What to write.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    partial = path.with_suffix(".part.npz")
+    np.savez_compressed(partial, allow_pickle=False, **_flat(part))
+    partial.replace(path)
+
+
+def load_part(path: Path) -> Part:
+    """What `save_part` wrote.
+
+    Args:
+        path: An npz file.
+
+    Returns:
+        The same nested dicts.
+    """
+    part: Part = {}
+    with np.load(path) as file:
+        for key, array in file.items():
+            *above, name = key.split(BETWEEN)
+            level = part
+            for each in above:
+                level = level.setdefault(each, {})
+            level[name] = array
+    return part
+
+
+def _flat(part: Part, prefix: str = "") -> dict[str, np.ndarray]:
+    """Arrays by their levels' names, joined."""
+    arrays: dict[str, np.ndarray] = {}
+    for name, value in part.items():
+        if isinstance(value, dict):
+            arrays |= _flat(value, f"{prefix}{name}{BETWEEN}")
+        else:
+            arrays[prefix + name] = np.asarray(value)
+    return arrays

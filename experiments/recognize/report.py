@@ -1,142 +1,30 @@
-"""What `experiments.recognize` leaves behind: sittings on disk, scores over seeds with intervals, tables, figures."""
+"""What `experiments.recognize` leaves behind: episodes on disk, scores over seeds with intervals, tables, figures."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.common import nested
-from experiments.common.runs import write_json
-from experiments.recognize import figures as drawing
-from i2t.objects.catalogue import Mesh
-from i2t.recognition import calibrated
-from i2t.recognition import metrics as scores
-from i2t.recognition.belief import TEMPERATURE_SCALING, TouchObservation, TemperatureScaling
+from experiments.common.runs import load_part, save_part, write_json
+from experiments.recognize import figures
+from i2t import viz
+from i2t.objects.solids import Mesh
+from i2t.recognition import calibrated, metrics
+from i2t.recognition.belief import TEMPERATURE_SCALING, TemperatureScaling, TouchObservation
 from i2t.recognition.episodes import EVIDENCE, Episodes
 from i2t.recognition.metrics import to_json
 from i2t.skin.boards import reskin_board
-from i2t.viz import touches as plots
-from i2t.viz.story import story
+from i2t.types import Board
 
-PAPER = {"primitives": {"I2T, votes": 0.50, "proprioception, votes": 0.23},
-         "tools": {"I2T, votes": 0.70, "proprioception, votes": 0.80}}  # fmt: skip
-ASKED = (0.01, 0.05, 0.10)  # errors of the stopping rule
-EVENLY = 10  # bins of a reliability diagram
-
-
-class Played(NamedTuple):
-    """Sittings with one set of objects and what each method believed after each touch."""
-
-    names: tuple[str, ...]
-    truth: np.ndarray  # (e,)
-    believed: dict[str, np.ndarray]  # (e, t, objects)
-    episodes: Episodes
-
-
-def save(path: Path, played: dict[str, Played]) -> None:
-    """Write all sets of a seed, at once or not at all."""
-    about = json.dumps({name: each.names for name, each in played.items()})
-    sets = {
-        name: {
-            "site": each.episodes.site, "T_w_t": each.episodes.T_w_t, "measured": each.episodes.observations._asdict(),
-            "believed": {method: p.astype(np.float32) for method, p in each.believed.items()}, "truth": each.truth,
-        }
-        for name, each in played.items()
-    }  # fmt: skip
-    nested.save(path, {**sets, "about": about})
-
-
-def load(path: Path) -> dict[str, Played]:
-    """What `save` wrote."""
-    sets = nested.load(path)
-    played = {}
-    for name, names in json.loads(str(sets["about"])).items():
-        found = sets[name]
-        episodes = Episodes(found["truth"], found["site"], TouchObservation(**found["measured"]), found["T_w_t"])
-        played[name] = Played(tuple(names), found["truth"], found["believed"], episodes)
-    return played
-
-
-def pooled(parts: Sequence[dict[str, Played]], name: str, method: str) -> tuple[np.ndarray, np.ndarray]:
-    """Beliefs and truths of a set over all seeds."""
-    p = np.concatenate([part[name].believed[method] for part in parts])
-    return p.astype(np.float64), np.concatenate([part[name].truth for part in parts])
-
-
-def sobered(parts: Sequence[dict[str, Played]]) -> tuple[list[dict[str, Played]], dict[str, TemperatureScaling]]:
-    """Beliefs no surer than they should be, and the temper of each: fitted to the validation objects of all seeds, or
-    that of earlier ones where there are none. The paper's rules stay as they are.
-    """
-    methods = [method for method in next(iter(parts[0].values())).believed if method.split(", ")[0] in EVIDENCE]
-    tempers = dict.fromkeys(methods, TEMPERATURE_SCALING)
-    if "validation" in parts[0]:
-        tempers = {method: calibrated.fit_temperature(*pooled(parts, "validation", method)) for method in methods}
-    return [{name: _sober(played, tempers) for name, played in part.items()} for part in parts], tempers
-
-
-def _sober(played: Played, tempers: dict[str, TemperatureScaling]) -> Played:
-    found = {method: calibrated.calibrated_beliefs(played.believed[method], temper) for method, temper in tempers.items()}
-    return played._replace(believed=played.believed | found)
-
-
-def summarise(parts: Sequence[dict[str, Played]], tempers: dict[str, TemperatureScaling], out: Path, source: str) -> dict[str, Any]:
-    """Scores of every set over all seeds, written to metrics.json with figures beside it."""
-    result: dict[str, Any] = {"source": source, "seeds": len(parts), "tempers": to_json(tempers), "sets": {}}
-    for name, first in parts[0].items():
-        entry: dict[str, Any] = {"objects": list(first.names), "methods": {}}
-        for method in first.believed:
-            p, truth = pooled(parts, name, method)
-            entry["methods"][method] = scored(p, truth, parts, name, method)
-        entry["sittings"] = len(truth)
-        entry["air"] = float(1 - np.mean([np.mean(part[name].episodes.observations.contact) for part in parts]))
-        entry["paired"] = comparisons(parts, name, first.believed)
-        result["sets"][name] = entry
-    if {"primitives", "all"} <= set(parts[0]):
-        result["prisms of all"] = prisms_alone(parts)
-    if {"validation", "all"} <= set(parts[0]) and "fused" in parts[0]["all"].believed:
-        p_validation, truth_validation = pooled(parts, "validation", "fused")
-        found = calibrated.conformal_sets(p_validation, truth_validation, *pooled(parts, "all", "fused"))
-        result["conformal 90 %"] = {"coverage": to_json(found.coverage), "size": to_json(found.size)}
-    write_json(out / "metrics.json", result)
-    figures(parts, out, source != "real")
-    return result
-
-
-def scored(
-    p: np.ndarray, truth: np.ndarray, parts: Sequence[dict[str, Played]], name: str, method: str
-) -> dict[str, Any]:
-    """All scores of a method on a set."""
-    sure, hit = scores.confidence(p), scores.hits(p, truth)
-    seeds = np.array([scores.hits(part[name].believed[method], part[name].truth).mean() for part in parts])
-    each = [scores.calibration_error(sure[:, t], hit[:, t], EVENLY) for t in range(p.shape[1])]
-    return {
-        "accuracy": to_json(scores.accuracy(p, truth)),
-        "mean": to_json(scores.mean_accuracy(p, truth)),
-        "mean_over_seeds": to_json(scores.student_interval(seeds)),
-        "calibration_error": [e.error for e in each],
-        "calibration_error_by_chance": [e.chance for e in each],
-        "log_loss": scores.log_loss(p, truth).mean(0).tolist(),
-        "brier": scores.brier(p, truth).mean(0).tolist(),
-        "stopping": [to_json(scores.stopping(p, truth, asked)) for asked in ASKED],
-        "until_95": to_json(scores.touches_to_confidence(scores.confident_at(p), p.shape[1])),
-        "confusion": scores.confusion(p[:, -1], truth).tolist(),
-    }
-
-
-def prisms_alone(parts: Sequence[dict[str, Played]]) -> dict[str, Any]:
-    """Sittings of the set of all in which a primitive was there, told apart from the other primitives only."""
-    names = parts[0]["all"].names
-    prisms = [names.index(name) for name in parts[0]["primitives"].names]
-    found = {}
-    for method in parts[0]["all"].believed:
-        p, truth, _ = scores.restrict_to(*pooled(parts, "all", method), prisms)
-        found[method] = to_json(scores.accuracy(p, truth))
-    return found
-
-
-PAIRS = (
+PUBLISHED = {
+    "primitives": {"I2T, votes": 0.50, "proprioception, votes": 0.23},
+    "tools": {"I2T, votes": 0.70, "proprioception, votes": 0.80},
+}  # the paper's accuracies
+REQUESTED_ERRORS = (0.01, 0.05, 0.10)  # of the stopping rule
+NUM_BINS = 10  # of a calibration error
+COMPARED = (
     ("I2T, votes", "proprioception, votes"),
     ("I2T, product", "proprioception, product"),
     ("fused", "tactile only"),
@@ -147,39 +35,178 @@ PAIRS = (
 )
 
 
-def comparisons(parts: Sequence[dict[str, Played]], name: str, believed: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Differences between methods on the same sittings."""
+class EpisodeResults(NamedTuple):
+    """Episodes with one set of objects and what each method believed after each touch."""
+
+    names: tuple[str, ...]
+    truth: np.ndarray  # (e,)
+    beliefs: dict[str, np.ndarray]  # (e, t, objects) by method
+    episodes: Episodes
+
+
+Results = dict[str, EpisodeResults]  # of one pad and seed, by set of objects
+
+# --- on disk ---
+
+
+def save(path: Path, results: Results) -> None:
+    """Write all sets of a seed, at once or not at all."""
+    about = json.dumps({name: each.names for name, each in results.items()})
+    sets = {
+        name: {
+            "site": each.episodes.site, "T_w_t": each.episodes.T_w_t, "truth": each.truth,
+            "observations": each.episodes.observations._asdict(),
+            "beliefs": {method: p.astype(np.float32) for method, p in each.beliefs.items()},
+        }
+        for name, each in results.items()
+    }  # fmt: skip
+    save_part(path, {**sets, "about": about})
+
+
+def load(path: Path) -> Results:
+    """What `save` wrote."""
+    sets = load_part(path)
+    results = {}
+    for name, names in json.loads(str(sets["about"])).items():
+        found = sets[name]
+        observations = TouchObservation(**found["observations"])
+        episodes = Episodes(found["truth"], found["site"], observations, found["T_w_t"])
+        results[name] = EpisodeResults(tuple(names), found["truth"], found["beliefs"], episodes)
+    return results
+
+
+# --- calibration ---
+
+
+def pooled(parts: Sequence[Results], name: str, method: str) -> tuple[np.ndarray, np.ndarray]:
+    """Beliefs (e, t, objects) and truths (e,) of a set over all seeds."""
+    p = np.concatenate([part[name].beliefs[method] for part in parts])
+    return p.astype(np.float64), np.concatenate([part[name].truth for part in parts])
+
+
+def calibrate(parts: Sequence[Results]) -> tuple[list[Results], dict[str, TemperatureScaling]]:
+    """Beliefs after temperature scaling, and the temperature of each method.
+
+    Temperatures are fitted to the validation objects of all seeds; without validation objects they are those of earlier
+    ones. The paper's rules stay as they are.
+    """
+    methods = [method for method in next(iter(parts[0].values())).beliefs if method.split(", ")[0] in EVIDENCE]
+    temperatures = dict.fromkeys(methods, TEMPERATURE_SCALING)
+    if "validation" in parts[0]:
+        temperatures = {method: calibrated.fit_temperature(*pooled(parts, "validation", method)) for method in methods}
+    return [{name: _scaled(each, temperatures) for name, each in part.items()} for part in parts], temperatures
+
+
+def _scaled(results: EpisodeResults, temperatures: Mapping[str, TemperatureScaling]) -> EpisodeResults:
+    found = {
+        method: calibrated.calibrated_beliefs(results.beliefs[method], temperature)
+        for method, temperature in temperatures.items()
+    }
+    return results._replace(beliefs=results.beliefs | found)
+
+
+# --- scores ---
+
+
+def summarise(
+    parts: Sequence[Results], temperatures: Mapping[str, TemperatureScaling], out: Path, source: str
+) -> dict[str, Any]:
+    """Scores of every set over all seeds, written to metrics.json with figures beside it."""
+    written = {method: to_json(temperature) for method, temperature in temperatures.items()}
+    summary: dict[str, Any] = {"source": source, "seeds": len(parts), "temperatures": written, "sets": {}}
+    for name in parts[0]:
+        summary["sets"][name] = _score_set(parts, name)
+    if {"primitives", "all"} <= set(parts[0]):
+        summary["primitives of all"] = primitives_only(parts)
+    if {"validation", "all"} <= set(parts[0]) and "fused" in parts[0]["all"].beliefs:
+        validation, test = pooled(parts, "validation", "fused"), pooled(parts, "all", "fused")
+        sets = calibrated.conformal_sets(*validation, *test)
+        summary["conformal 90 %"] = {"coverage": to_json(sets.coverage), "size": to_json(sets.size)}
+    write_json(out / "metrics.json", summary)
+    write_figures(parts, out, source != "real")
+    return summary
+
+
+def _score_set(parts: Sequence[Results], name: str) -> dict[str, Any]:
+    """Scores of every method on one set of objects."""
+    first = parts[0][name]
+    contact = np.mean([np.mean(part[name].episodes.observations.contact) for part in parts])
+    return {
+        "objects": list(first.names),
+        "episodes": sum(len(part[name].truth) for part in parts),
+        "air": float(1 - contact),
+        "methods": {method: score_method(parts, name, method) for method in first.beliefs},
+        "paired": compare_methods(parts, name),
+    }
+
+
+def score_method(parts: Sequence[Results], name: str, method: str) -> dict[str, Any]:
+    """All scores of a method on a set."""
+    p, truth = pooled(parts, name, method)
+    confidence, hit = metrics.confidence(p), metrics.hits(p, truth)
+    of_seeds = [metrics.hits(part[name].beliefs[method], part[name].truth).mean() for part in parts]
+    errors = [metrics.calibration_error(confidence[:, t], hit[:, t], NUM_BINS) for t in range(p.shape[1])]
+    return {
+        "accuracy": to_json(metrics.accuracy(p, truth)),
+        "mean": to_json(metrics.mean_accuracy(p, truth)),
+        "mean_over_seeds": to_json(metrics.student_interval(np.array(of_seeds))),
+        "calibration_error": [error.error for error in errors],
+        "calibration_error_by_chance": [error.chance for error in errors],
+        "log_loss": metrics.log_loss(p, truth).mean(0).tolist(),
+        "brier": metrics.brier(p, truth).mean(0).tolist(),
+        "stopping": [to_json(metrics.stopping(p, truth, error)) for error in REQUESTED_ERRORS],
+        "touches_to_95": to_json(metrics.touches_to_confidence(metrics.confident_at(p), p.shape[1])),
+        "confusion": metrics.confusion(p[:, -1], truth).tolist(),
+    }
+
+
+def primitives_only(parts: Sequence[Results]) -> dict[str, Any]:
+    """Accuracy in those episodes of the set of all in which a primitive was there, among the primitives only."""
+    names = parts[0]["all"].names
+    primitives = [names.index(name) for name in parts[0]["primitives"].names]
     found = {}
-    for one, other in PAIRS:
-        if one in believed and other in believed:
-            hits = [scores.hits(*pooled(parts, name, method)) for method in (one, other)]
-            found[f"{one} - {other}"] = to_json(scores.compare_paired(*hits))
+    for method in parts[0]["all"].beliefs:
+        p, truth, _ = metrics.restrict_to(*pooled(parts, "all", method), primitives)
+        found[method] = to_json(metrics.accuracy(p, truth))
     return found
 
 
-def report(result: dict[str, Any]) -> None:
-    """Print the tables."""
-    for name, entry in result["sets"].items():
+def compare_methods(parts: Sequence[Results], name: str) -> dict[str, Any]:
+    """Differences between methods on the same episodes."""
+    found = {}
+    for one, other in COMPARED:
+        if {one, other} <= set(parts[0][name].beliefs):
+            hits = [metrics.hits(*pooled(parts, name, method)) for method in (one, other)]
+            found[f"{one} - {other}"] = to_json(metrics.compare_paired(*hits))
+    return found
+
+
+# --- tables ---
+
+
+def print_tables(summary: dict[str, Any]) -> None:
+    """Accuracy of every method on every set, and differences between methods."""
+    for name, entry in summary["sets"].items():
         touches = len(next(iter(entry["methods"].values()))["log_loss"])
         columns = sorted({1, min(3, touches), min(5, touches), touches})
         print(
-            f"\n{name} ({result['source']}): {', '.join(entry['objects'])}; {entry['sittings']} sittings over "
-            f"{result['seeds']} pads and seeds, {100 * entry['air']:.0f} % of touches in air"
+            f"\n{name} ({summary['source']}): {', '.join(entry['objects'])}; {entry['episodes']} episodes over "
+            f"{summary['seeds']} pads and seeds, {100 * entry['air']:.0f} % of touches in air"
         )
         head = "".join(f"{f'after {t}':>18}" for t in columns)
         print(f"{'':26}{head}{'mean of all':>22}{'ECE':>7}{'NLL':>7}")
         for method, values in entry["methods"].items():
-            shown = _rates(values["accuracy"], columns)
             mean = values["mean"]
-            note = PAPER.get(name, {}).get(method)
+            published = PUBLISHED.get(name, {}).get(method)
             print(
-                f"{method:26}{shown}  {mean['mean']:6.3f} [{mean['low']:.3f}, {mean['high']:.3f}]"
+                f"{method:26}{_rates(values['accuracy'], columns)}  {mean['mean']:6.3f} "
+                f"[{mean['low']:.3f}, {mean['high']:.3f}]"
                 f"{np.mean(values['calibration_error']):7.3f}{np.mean(values['log_loss']):7.3f}"
-                + (f"   paper: {note:.2f}" if note else "")
+                + (f"   paper: {published:.2f}" if published else "")
             )
-        if name == "all" and "prisms of all" in result:
-            print("  the primitives of these sittings, told apart from each other only:")
-            for method, accuracy in result["prisms of all"].items():
+        if name == "all" and "primitives of all" in summary:
+            print("  episodes of these with a primitive, decided among the primitives only:")
+            for method, accuracy in summary["primitives of all"].items():
                 print(f"  {method:24}{_rates(accuracy, columns)}")
         for pair, values in entry["paired"].items():
             print(
@@ -188,37 +215,23 @@ def report(result: dict[str, Any]) -> None:
             )
 
 
-def extras(result: dict[str, Any]) -> None:
-    """Print how sure the belief may be: stopping and conformal sets."""
-    entry = result["sets"].get("all", next(iter(result["sets"].values())))
+def print_calibration(summary: dict[str, Any]) -> None:
+    """How far the fused belief is calibrated: stopping, scores and conformal sets."""
+    entry = summary["sets"].get("all", next(iter(summary["sets"].values())))
     fused = entry["methods"]["fused"]
     for stop in fused["stopping"]:
         print(
-            f"stop at an error of {stop['asked']:.0%}: {_range(stop['error'])} wrong where the belief says "
-            f"{stop['promised']:.3f}, after {stop['touches']['mean']:.1f} touches; of the "
-            f"{stop['stopped']['mean']:.0%} that stopped {_range(stop['stopped_error'])} where it says "
-            f"{stop['stopped_promised']:.3f}"
+            f"stop at an error of {stop['requested_error']:.0%}: error {_range(stop['error'])}, predicted "
+            f"{stop['predicted_error']:.3f}, after {stop['touches']['mean']:.1f} touches; of the "
+            f"{stop['stopped']['mean']:.0%} that stopped early error {_range(stop['stopped_error'])}, predicted "
+            f"{stop['stopped_predicted_error']:.3f}"
         )
     for name in ("calibration_error", "log_loss", "brier"):
         print(f"{name.replace('_', ' ')} after each touch: " + " ".join(f"{x:.3f}" for x in fused[name]))
-    if "conformal 90 %" in result:
-        coverage, size = result["conformal 90 %"]["coverage"]["mean"], result["conformal 90 %"]["size"]["mean"]
+    if "conformal 90 %" in summary:
+        coverage, size = summary["conformal 90 %"]["coverage"]["mean"], summary["conformal 90 %"]["size"]["mean"]
         rates = [f"{c:.3f} ({n:.1f})" for c, n in zip(coverage, size, strict=True)]
-        print("conformal 90 % sets hold the object in (objects in them): " + " ".join(rates))
-
-
-def tell(played: Played, meshes: Sequence[Mesh], out: Path, source: str) -> None:
-    """The story of the sitting whose right object was least believed in after the first touch, among those that ended
-    right.
-    """
-    p = played.believed["fused"].astype(np.float64)
-    rows = np.arange(len(p))
-    right = p[:, -1].argmax(-1) == played.truth
-    doubt = np.where(right, p[rows, 0, played.truth], 1 + p[rows, 0, played.truth])
-    one = int(np.argmin(doubt))
-    readings = np.asarray(played.episodes.observations.reading)[one]
-    T = played.episodes.T_w_t[one]
-    story(meshes, played.names, T, readings, reskin_board(), p[one], int(played.truth[one]), out, source != "real")
+        print("coverage of conformal 90 % sets (mean size) after each touch: " + " ".join(rates))
 
 
 def _rates(accuracy: dict[str, Any], columns: Sequence[int]) -> str:
@@ -235,24 +248,40 @@ def _signed(estimate: dict[str, float]) -> str:
     return f"{estimate['mean']:+.3f} [{estimate['low']:+.3f}, {estimate['high']:+.3f}]"
 
 
-def figures(parts: Sequence[dict[str, Played]], out: Path, simulated: bool) -> None:
-    """Pictures of every set."""
+# --- figures ---
+
+
+def report_hardest_episode(
+    results: EpisodeResults, meshes: Sequence[Mesh], out: Path, source: str, board: Board | None = None
+) -> None:
+    """Report the correct episode whose true object had the lowest posterior after one touch."""
+    p = results.beliefs["fused"].astype(np.float64)
+    first = p[np.arange(len(p)), 0, results.truth]
+    right = p[:, -1].argmax(-1) == results.truth
+    one = int(np.argmin(np.where(right, first, 1 + first)))
+    record = viz.EpisodeRecord(
+        meshes, results.names, results.episodes.T_w_t[one], np.asarray(results.episodes.observations.reading)[one],
+        board or reskin_board(), p[one], int(results.truth[one]), source != "real",
+    )  # fmt: skip
+    viz.write_episode_report(record, out)
+
+
+def write_figures(parts: Sequence[Results], out: Path, simulated: bool) -> None:
+    """Accuracy, reliability and confusion of every set."""
     for name, first in parts[0].items():
         curves, reliable = {}, {}
-        for method in first.believed:
+        for method in first.beliefs:
             p, truth = pooled(parts, name, method)
-            curves[method] = scores.accuracy(p, truth)
-            if method in ("fused", "tactile only", "position only"):
+            curves[method] = metrics.accuracy(p, truth)
+            if method in EVIDENCE:
                 t = p.shape[1] // 2
-                reliable[method] = scores.reliability(scores.confidence(p)[:, t], scores.hits(p, truth)[:, t])
-        chosen = {k: v for k, v in curves.items() if "average" not in k and "oracle" not in k}
-        plots.save(drawing.accuracy(chosen, f"Accuracy, {name}", simulated), out / f"accuracy_{name}.png")
-        if "fused" in first.believed:
-            plots.save(
-                drawing.reliability(reliable, f"Reliability, {name}", simulated), out / f"reliability_{name}.png"
-            )
+                reliable[method] = metrics.reliability(metrics.confidence(p)[:, t], metrics.hits(p, truth)[:, t])
+        shown = {k: v for k, v in curves.items() if "average" not in k and "oracle" not in k}
+        viz.save_figure(figures.accuracy(shown, f"Accuracy, {name}", simulated), out / f"accuracy_{name}.png")
+        if "fused" in first.beliefs:
+            figure = figures.reliability(reliable, f"Reliability, {name}", simulated)
+            viz.save_figure(figure, out / f"reliability_{name}.png")
             p, truth = pooled(parts, name, "fused")
-            plots.save(
-                drawing.confusion(scores.confusion(p[:, -1], truth), first.names, f"Taken for, {name}", simulated),
-                out / f"confusion_{name}.png",
-            )
+            counts = metrics.confusion(p[:, -1], truth)
+            figure = figures.confusion(counts, first.names, f"Confusion, {name}", simulated)
+            viz.save_figure(figure, out / f"confusion_{name}.png")

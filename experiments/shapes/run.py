@@ -44,11 +44,11 @@ from experiments.shapes.methods import (
 )
 from experiments.shapes.networks import Classifier, classify
 from experiments.shapes.world import SHAPES, Pressing, press_stamps
-from experiments.train.run import numbered_pad
+from i2t.skin.pad import numbered_pad
 from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.errors import DataError
-from i2t.simulation.touches import Errors
+from i2t.simulation.touches import SimulationErrors
 from i2t.skin.elasticity import Grid
 from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise
@@ -190,7 +190,7 @@ def sensor(bench: Bench, presses: Presses, seed: int) -> dict[str, list[int]]:
     return {method: other.guesses(method, part).tolist() for method in (PAPER, IMAGINED) if method in bench.methods()}
 
 
-def other_sensors(cfg: ShapeExperiment) -> dict[str, Errors]:
+def other_sensors(cfg: ShapeExperiment) -> dict[str, SimulationErrors]:
     """Sensors of other noise, and without noise and faults."""
     real = cfg.pressing.errors
     if not cfg.noise:

@@ -29,8 +29,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import tyro
 
-from experiments.common import nested
-from experiments.common.runs import begin, reported, write_json
+from experiments.common.runs import begin, load_part, reported, save_part, write_json
 from experiments.recognize.run import PRESETS, finished_runs
 from experiments.studies import (
     new_pad,
@@ -73,8 +72,8 @@ def run(args: Args) -> dict[str, Any]:
     for i, folder in enumerate(finished_runs(args.run)):
         path = out / f"part-{i}.npz"
         if not path.exists():
-            nested.save(path, play(prepare_lab(args, folder, args.seed + i)))
-        made.append(nested.load(path))
+            save_part(path, play(prepare_lab(args, folder, args.seed + i)))
+        made.append(load_part(path))
     result = {"source": "simulated", "seeds": len(made), **report(made, out)}
     write_json(out / "metrics.json", result)
     print(f"\nresults and figures are in {out}")

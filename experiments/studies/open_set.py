@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.common.nested import Part
+from experiments.common.runs import Part
 from experiments.recognize import figures as drawing
 from experiments.studies.lab import Lab, imagine, shown, sit
 from i2t.objects import catalogue
@@ -23,7 +23,7 @@ from i2t.recognition import metrics as scores
 from i2t.recognition.episodes import posteriors, pose_particles, sample_sites, draw_random_sites, prepare_surfaces
 from i2t.recognition.metrics import to_json
 from i2t.types import Surface
-from i2t.viz import touches
+from i2t import viz
 
 STRANGERS = ("hexagon", "parallelogram", "flower", "cross", "spanner", "pliers", "marker", "scissors")
 # Of the validation: neither known in the test nor strangers there.
@@ -102,7 +102,7 @@ def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
         wrong = scores.calibration_error(np.maximum(sure, 1 - sure), (sure > 0.5) == right, 10)
         result[f"calibration_of_none, {name}"] = to_json(wrong)
         print(f"{name}, calibration error of none of these after the last touch: {wrong.error:.3f}")
-    touches.save(
+    viz.save_figure(
         drawing.accuracy({"none of these": area}, "Telling strangers", True, ylabel="AUROC"), out / "auroc.png"
     )
     return result

@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from experiments.common.nested import Part
+from experiments.common.runs import Part
 from experiments.recognize import figures as drawing
 from experiments.studies.lab import Lab, shown, sit
 from i2t.recognition import metrics as scores
 from i2t.recognition.episodes import paper_rules, sample_sites, draw_informative_sites
 from i2t.recognition.metrics import Estimate, to_json
-from i2t.viz import touches
+from i2t import viz
 
 RULES = ("votes", "product")
 
@@ -87,7 +87,7 @@ def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
         where = " and ".join(f"{x:.2f} mm" for x in at) or "nowhere"
         print(f"{name}: the two are even at {where}")
     if len(sizes) > 1:
-        touches.save(drawing.leads(sorted(sizes), lines, True), out / "crossing.png")
+        viz.save_figure(drawing.accuracy_differences(sorted(sizes), lines, True), out / "crossing.png")
     return result
 
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 
 from i2t.prediction.model import ModelConfig
 from i2t.prediction.training import TrainConfig
-from i2t.simulation.touches import Errors, PressLimits
-from i2t.skin.contact import FINE
+from i2t.simulation.touches import PressLimits, SimulationErrors
+from i2t.skin.contact import FINE_GRID
 
 
 @dataclass(frozen=True)
@@ -18,9 +18,9 @@ class Simulation:
     test: tuple[str, ...] = ("star", "square", "flower", "cylinder", "screwdriver", "hammer")
     touches: int = 1630  # the paper's, over all objects
     train_share: float = 0.575  # of the touches, on the training objects: 13 runs of 36 each
-    touches_per_run: int = 36  # the paper's
-    errors: Errors = field(default_factory=Errors)
-    limits: PressLimits = field(default_factory=lambda: PressLimits(final=FINE))
+    touches_per_session: int = 36  # the paper's
+    errors: SimulationErrors = field(default_factory=SimulationErrors)
+    limits: PressLimits = field(default_factory=lambda: PressLimits(final=FINE_GRID))
 
     @property
     def objects(self) -> tuple[str, ...]:
@@ -47,7 +47,7 @@ class TrainExperiment:
         default_factory=lambda: {
             "paper's network, mask": ModelConfig(input="mask"),
             "paper's network, depth": ModelConfig(),
-            "network on imagined pressure": ModelConfig(
+            "network on predicted contact pressure": ModelConfig(
                 input="image",
                 pixels=20,
                 bottleneck=30,
@@ -74,7 +74,7 @@ PRESETS: dict[str, TrainExperiment] = {
             test=("star", "hammer"),
             touches=60,
             train_share=0.6,
-            touches_per_run=12,
+            touches_per_session=12,
             limits=PressLimits(),
         ),
         networks={"paper's network, depth": ModelConfig()},

@@ -13,46 +13,83 @@ from experiments.train.configs import TrainExperiment
 from experiments.train.splitting import Split
 from i2t.dataset import Dataset
 from i2t.prediction import checkpoint, gp, training
-from i2t.prediction import predictor as predicting
+from i2t.prediction.gp import GP, ContactPressure
 from i2t.prediction.model import Inputs, ModelConfig
-from i2t.prediction.predictor import Network, Predictor, Reading
-from i2t.prediction.pressure import Imagination
+from i2t.prediction.predictor import TouchBatch, TrainedNetwork, predict_pressures
+from i2t.prediction.pressure import PressureModelConfig
 from i2t.prediction.training import Batch
 from i2t.types import Touches
 
+NOISY_CURVATURE_M = 20e-6  # median second difference of pixels that a surface without noise stays below
+LARGE_WINDOW_M = 25e-3  # from here on the skin is taken to be as large as the window, and cells are coarser
 
-def imagination_of(dataset: Dataset, measured: tuple[str, ...], cfg: TrainExperiment) -> Imagination:
-    """How touches of this set are imagined: by force where it was measured, else by depth; smoothed where views are
-    noisy.
+
+def pressure_model_of(dataset: Dataset, measured: tuple[str, ...], cfg: TrainExperiment) -> PressureModelConfig:
+    """How contact pressure is predicted on this set: from the force where it was measured, else from the depth;
+    views are smoothed where they are noisy.
     """
     patches = dataset.touches.patch
     curvature = patches[:, 2:] - 2 * patches[:, 1:-1] + patches[:, :-2]
-    noisy = float(np.median(np.abs(curvature))) > 20e-6  # a surface alone curves less than this over a pixel
-    large = dataset.window > 25e-3
-    return Imagination(
+    noisy = float(np.median(np.abs(curvature))) > NOISY_CURVATURE_M
+    large = dataset.window > LARGE_WINDOW_M
+    return PressureModelConfig(
         pitch=dataset.window / patches.shape[1],
-        window=round(dataset.window * 500) / 500 if large else Imagination.window,
+        window=round(dataset.window * 500) / 500 if large else PressureModelConfig.window,
         smooth=noisy,
         tilt=cfg.hidden_tilt if noisy else 0.0,
         control="force" if "force" in measured else "depth",
-        cell=1e-3 if large else Imagination.cell,
+        cell=1e-3 if large else PressureModelConfig.cell,
     )
 
 
 def views_of(dataset: Dataset) -> np.ndarray:
-    """Wide views where they were recorded, else patches."""
+    """Wide views (n, w, w) m where they were recorded, else patches."""
     wide = dataset.touches.wide
     centre = wide.shape[-1] // 2
     return dataset.touches.patch if np.isnan(wide[:, centre, centre]).any() else wide
 
 
-def fit_network_to(
-    network: ModelConfig, dataset: Dataset, imagined: gp.Imagined, measured: tuple[str, ...]
+def touch_batch(dataset: Dataset, rows: np.ndarray, pressure: ContactPressure) -> TouchBatch:
+    """The touches in `rows` (a mask), whose contact pressures were predicted before, as predictors take them."""
+    touches = dataset.touches
+    which = np.flatnonzero(rows)
+    return TouchBatch(
+        patch=touches.patch[rows],
+        view=views_of(dataset)[rows],
+        pitch=dataset.window / touches.patch.shape[1],
+        force=touches.force[rows],
+        nearest=touches.nearest[rows],
+        depth=touches.depth[rows],
+        pressure=ContactPressure(pressure.pressure[which], pressure.load[which]),
+    )
+
+
+def median_conditions(touches: Touches, rows: np.ndarray) -> tuple[float, float]:
+    """Median force (N) and depth (m) of the touches in `rows`, which stand in for what a user does not measure; 1 N and
+    0.3 mm where they were not measured.
+    """
+
+    def median(values: np.ndarray, default: float) -> float:
+        known = values[np.isfinite(values)]
+        return float(np.median(known)) if len(known) else default
+
+    return median(touches.force[rows], 1.0), median(touches.depth[rows], 0.3e-3)
+
+
+def adapt_network(
+    network: ModelConfig, dataset: Dataset, pressure: ContactPressure, measured: tuple[str, ...]
 ) -> tuple[ModelConfig, np.ndarray]:
-    """The configuration and images of a network on this data set."""
+    """The configuration of a network for this data set, and the images (n, p, p) that it sees of it."""
     conditions = tuple(name for name in network.conditions if name in measured)
-    images = np.asarray(imagined.pressure) if network.input == "image" else dataset.touches.patch
-    return replace(network, pixels=images.shape[1], reach=dataset.reach, conditions=conditions), images
+    images = np.asarray(pressure.pressure) if network.input == "image" else dataset.touches.patch
+    adapted = replace(
+        network,
+        pixels=images.shape[1],
+        reach=dataset.reach,
+        conditions=conditions,
+        readings=dataset.touches.reading.shape[-1],
+    )
+    return adapted, images
 
 
 def train_network(
@@ -63,15 +100,11 @@ def train_network(
     touches: Touches,
     split: Split,
     folder: Path,
-) -> tuple[Network, dict[str, np.ndarray]]:
-    """Train with a bar, saving every chunk; goes on from what an interrupted run saved."""
-
-    def batch(rows: np.ndarray) -> Batch:
-        values = [getattr(touches, condition)[rows] for condition in network.conditions]
-        stacked = np.stack(values, -1) if values else np.zeros((int(rows.sum()), 0))
-        return Batch(Inputs(jnp.asarray(images[rows]), jnp.float32(stacked)), jnp.asarray(touches.reading[rows]))
-
-    train, validation = batch(split.train), batch(split.validation)
+) -> tuple[TrainedNetwork, dict[str, np.ndarray]]:
+    """Train with a bar, saving every chunk in `folder`; goes on from what an interrupted run saved. Returns the network
+    and its errors over epochs.
+    """
+    train, validation = (_batch(network, images, touches, rows) for rows in (split.train, split.validation))
     training.check(train, network, "training")
     training.check(validation, network, "validation")
     norm = training.normalisation(train)
@@ -92,57 +125,39 @@ def train_network(
         state = training.fit(
             state, network, cfg, ready, ready_validation, log=log,
             save=lambda state: checkpoint.save(
-                folder, state, network, cfg, norm, len(train.target), {"history": history}
+                folder, state, network, cfg, norm, touches=len(train.target), extra={"history": history}
             ),
         )  # fmt: skip
     norm = jax.jit(training.with_residual, static_argnums=1)(state.best_params, network, norm, ready_validation)
     values = np.array(history).reshape(-1, 2)
-    return Network(state.best_params, network, norm), {
+    return TrainedNetwork(state.best_params, network, norm), {
         f"{name}, training": values[:, 0],
         f"{name}, validation": values[:, 1],
     }
 
 
-def fit_process(imagined: gp.Imagined, readings: np.ndarray, split: Split, seed: int) -> gp.GP:
+def _batch(network: ModelConfig, images: np.ndarray, touches: Touches, rows: np.ndarray) -> Batch:
+    """The touches in `rows` as a network is trained on them."""
+    values = [getattr(touches, condition)[rows] for condition in network.conditions]
+    stacked = np.stack(values, -1) if values else np.zeros((int(rows.sum()), 0))
+    return Batch(Inputs(jnp.asarray(images[rows]), jnp.float32(stacked)), jnp.asarray(touches.reading[rows]))
+
+
+def fit_gp(pressure: ContactPressure, readings: np.ndarray, split: Split, seed: int) -> GP:
     """The Gaussian process on the training touches, hyperparameters from held-out groups of them."""
     rows = np.flatnonzero(split.train)
-    train = gp.Imagined(imagined.pressure[rows], imagined.load[rows])
-    return condition(train, readings[rows], split.groups[rows], seed)
+    train = ContactPressure(pressure.pressure[rows], pressure.load[rows])
+    return gp.condition(train, readings[rows], split.groups[rows], seed=seed)
 
 
-def condition(imagined: gp.Imagined, readings: np.ndarray | jax.Array, groups: np.ndarray, seed: int) -> gp.GP:
-    """A process told all of these touches, hyperparameters from held-out groups of them."""
-    values = jnp.asarray(readings)
-    hyper, _ = gp.choose(imagined, values, groups, seed=seed)
-    return jax.jit(gp.fit)(hyper, imagined, values)
-
-
-def ceiling(dataset: Dataset, imagination: Imagination, split: Split, seed: int) -> np.ndarray:
-    """The same process where the camera saw what the skin met and the force was known: what the errors cost."""
+def ceiling(dataset: Dataset, pressure_model: PressureModelConfig, split: Split, seed: int) -> np.ndarray:
+    """Readings (n, 3 chips) uT of the test touches by the same Gaussian process where the camera saw what the skin met
+    and the force was known: what errors cost.
+    """
     truth = dataset.touches.truth
     assert truth is not None
-    exact = replace(imagination, smooth=False, tilt=0.0, pitch=dataset.window / dataset.touches.patch.shape[1])
-    imagined = predicting.imagine_all(exact, truth.wide, truth.force, truth.indentation)
-    process = fit_process(imagined, dataset.touches.reading, split, seed)
+    exact = replace(pressure_model, smooth=False, tilt=0.0, pitch=dataset.window / dataset.touches.patch.shape[1])
+    pressure = predict_pressures(exact, truth.wide, truth.force, truth.indentation)
+    fitted = fit_gp(pressure, dataset.touches.reading, split, seed)
     rows = np.flatnonzero(split.test)
-    return np.asarray(gp.predict(process, gp.Imagined(imagined.pressure[rows], imagined.load[rows]))[0])
-
-
-def describe(predictor: Predictor, dataset: Dataset, split: Split) -> Predictor:
-    """Fill in the middle of the training touches, which stands in for what a user does not measure."""
-    touches = dataset.touches
-    return replace(
-        predictor,
-        load=predicting.middle(touches.force[split.train], 1.0),
-        depth=predicting.middle(touches.depth[split.train], 0.3e-3),
-    )
-
-
-def predict(predictor: Predictor, dataset: Dataset, rows: np.ndarray, imagined: gp.Imagined) -> Reading:
-    """Predict rows of a data set whose touches were all imagined before."""
-    touches = dataset.touches
-    measured = {name: getattr(touches, name)[rows] for name in ("force", "nearest", "depth")}
-    if predictor.imagination is None:
-        return predictor.from_image(touches.patch[rows], measured)
-    which = np.flatnonzero(rows)
-    return predictor.from_imagined(gp.Imagined(imagined.pressure[which], imagined.load[which]), measured)
+    return np.asarray(gp.predict(fitted, ContactPressure(pressure.pressure[rows], pressure.load[rows]))[0])

@@ -5,12 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common import plots
 from experiments.common.runs import write_json
 from experiments.train.splitting import Split
+from i2t import viz
 from i2t.dataset import Dataset
-from i2t.prediction.metrics import Score, grouped_interval, score, seed_interval
-from i2t.viz.touches import save
+from i2t.prediction.metrics import Score, grouped_interval, score, student_interval
 
 
 def scored(
@@ -38,9 +37,10 @@ def by_object(dataset: Dataset, split: Split, truth: np.ndarray, predicted: dict
 
 def figures(
     out: Path, dataset: Dataset, split: Split, predicted: dict[str, np.ndarray], best: str,
-    curves: dict[str, np.ndarray], noise: np.ndarray | None, metrics: dict[str, Any], simulated: bool,
+    curves: dict[str, np.ndarray], noise: np.ndarray | None, metrics: dict[str, Any],
 ) -> None:  # fmt: skip
     """All pictures of one run."""
+    simulated = dataset.source != "real"
     truth, patches = dataset.touches.reading[split.test], dataset.touches.patch[split.test]
     kinds = dataset.touches.object[split.test]
     error = np.linalg.norm(predicted[best] - truth, axis=1) / np.maximum(np.linalg.norm(truth, axis=1), 1e-9)
@@ -53,14 +53,15 @@ def figures(
     }
     for title, rows in shown.items():
         labels = [f"{dataset.objects[kinds[i]]}\nerror {100 * error[i]:.0f} %" for i in rows]
-        figure = plots.touches(
-            patches[rows], truth[rows], predicted[best][rows], labels, dataset.board, dataset.window, dataset.reach,
+        figure = viz.plot_predicted_touches(
+            patches[rows], {"measured": truth[rows], "predicted": predicted[best][rows]}, labels, dataset.board,
             f"Unseen {'objects' if split.how == 'object' else 'touches'}, {title}", simulated,
+            window=dataset.window, reach=dataset.reach,
         )  # fmt: skip
-        save(figure, out / f"touches_{title.split()[0]}.png")
+        viz.save_figure(figure, out / f"touches_{title.split()[0]}.png")
     if any(len(values) for values in curves.values()):
-        save(
-            plots.curves(
+        viz.save_figure(
+            viz.plot_training_curves(
                 {k: v for k, v in curves.items() if len(v)}, "Training", "squared error (standardised)", simulated
             ),
             out / "training.png",
@@ -70,15 +71,14 @@ def figures(
         for name in ("mean reading", "k nearest patches", "paper's network, depth", best)
         if name in predicted
     }
-    save(
-        plots.errors_per_axis(drawn, noise, "Error per chip and axis on the test touches", simulated),
+    viz.save_figure(
+        viz.plot_channel_errors(drawn, noise, "Error per chip and axis on the test touches", simulated),
         out / "error_per_axis.png",
     )
     intervals = {name: (values["r2"], *values["r2_interval"]) for name, values in metrics["methods"].items()}
-    save(
-        plots.scores(intervals, "Explained variance on the test touches", "R² (95 % interval over groups)", simulated),
-        out / "scores.png",
-    )
+    xlabel = "R² (95 % interval over groups)"
+    figure = viz.plot_intervals(intervals, "Explained variance on the test touches", xlabel, simulated)
+    viz.save_figure(figure, out / "scores.png")
 
 
 def summarise(parts: list[dict[str, Any]], out: Path) -> dict[str, Any]:
@@ -94,23 +94,23 @@ def summarise(parts: list[dict[str, Any]], out: Path) -> dict[str, Any]:
     for pad in pads:
         of_pad = [part for part in parts if (part["pad"] or 0) == pad]
         summary["pads"][str(pad)] = {
-            name: {field: seed_interval([part["methods"][name][field] for part in of_pad]) for field in numbers}
+            name: {field: student_interval([part["methods"][name][field] for part in of_pad]) for field in numbers}
             for name in names
         }
     summary["best"] = {str(pad): [part["best"] for part in parts if (part["pad"] or 0) == pad] for pad in pads}
     write_json(out / "metrics.json", summary)
     first = summary["pads"][str(pads[0])]
-    figure = plots.scores(
+    figure = viz.plot_intervals(
         {name: tuple(first[name]["r2"]) for name in names},
         f"Explained variance, pad {pads[0]}",
         "R² (95 % interval over seeds)",
         parts[0]["source"] != "real",
     )
-    save(figure, out / "scores.png")
+    viz.save_figure(figure, out / "scores.png")
     return summary
 
 
-def report(result: dict[str, Any]) -> None:
+def print_table(result: dict[str, Any]) -> None:
     """The table a person reads."""
     kind = "" if result["source"] == "real" else f" ({result['source']})"
     if "pads" in result:

@@ -9,9 +9,9 @@
 
 Hexagon and parallelogram train, one tool validates, all other primitives and tools test. Every method sees the same
 touches: baselines that look up or regress patches, the paper's network (contact mask or depth), and two models on
-imagined pressure, of which the better on the validation object is kept as the predictor. A ceiling shows what the same
-model would reach if the camera and the arm made no error. Results go to --out: metrics.json, config.json, figures, the
-data (data.h5) and checkpoint/, which `i2t.load_predictor` reads.
+predicted contact pressure, of which the better on the validation object is kept as the predictor. A ceiling shows what
+the same model would reach if the camera and the arm made no error. Results go to --out: metrics.json, config.json,
+figures, the data (data.h5) and checkpoint/, which `i2t.load_predictor` reads.
 """
 
 import json
@@ -21,44 +21,51 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 # Factors of a few hundred rows are too small to share: waiting threads of LAPACK cost more than they give.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import jax
 import numpy as np
 import tyro
-from tqdm import tqdm
 
+from experiments.common.presets import answer_renamed_value, choose_preset
 from experiments.common.runs import begin, reported, slug, write_json
 from experiments.train.configs import PRESETS, TrainExperiment
 from experiments.train.methods import (
-    ceiling,
-    describe,
     adapt_network,
+    ceiling,
     fit_gp,
+    median_conditions,
     pressure_model_of,
-    predict,
+    touch_batch,
     train_network,
     views_of,
 )
-from experiments.train.reports import by_object, figures, report, scored, summarise
-from experiments.train.splitting import conditions_of, split_dataset
+from experiments.train.reports import by_object, figures, print_table, scored, summarise
+from experiments.train.simulate import simulated_dataset
+from experiments.train.splitting import Split, conditions_of, split_dataset
 from i2t import dataset as data
 from i2t.dataset import Dataset
-from i2t.objects import catalogue
-from i2t.prediction import predictor as predicting
+from i2t.prediction.gp import ContactPressure
 from i2t.prediction.metrics import baselines, score
-from i2t.prediction.predictor import Predictor, Reading
-from i2t.rendering.render import prepare_surface
-from i2t.simulation import touches as simulation
+from i2t.prediction.predictor import (
+    GPModel,
+    Model,
+    PatchNetwork,
+    Predictor,
+    PressureNetwork,
+    Reading,
+    predict_pressures,
+    save,
+    std_scale,
+)
+from i2t.prediction.pressure import PressureModelConfig
 from i2t.skin.files import load_pad
-from i2t.skin.pad import sample_pad
-from i2t.types import Board, Pad
+from i2t.types import Pad
 
-GP_METHOD = "Gaussian process on imagined pressure"
-CEILING = "ceiling: process without camera and arm errors"
+GP_METHOD = "Gaussian process on predicted contact pressure"
+CEILING = "ceiling: GP without camera and arm errors"
 
 
 @dataclass(frozen=True)
@@ -68,7 +75,7 @@ class Args:
     out: Path = Path("runs/train")  # folder for everything that is made
     preset: Literal["paper", "debug", "study"] = "paper"
     dataset: Path | None = None  # a data set to train on instead of simulating one
-    split: Literal["auto", "object", "run", "block", "time"] = "auto"  # what is held out of --dataset
+    split: Literal["auto", "object", "session", "block", "time"] = "auto"  # what is held out of --dataset
     pad: Path | None = None  # a pad on disk (`i2t.skin.files`), say one fitted to a real skin, to simulate with
     seed: int = 0  # of everything random
     seeds: int | None = None  # how many seeds, from --seed on
@@ -79,13 +86,14 @@ class Args:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
+    answer_renamed_value(argv, "--split", {"run": "session"})
     args = tyro.cli(Args, args=argv, description=__doc__, prog="python -m experiments.train")
     return reported(partial(run, args), args.out)
 
 
 def run(args: Args) -> dict[str, Any]:
     """The experiment: every pad and seed, then the table over them."""
-    cfg = PRESETS[args.preset]
+    cfg = choose_preset(PRESETS, args.preset)
     if args.epochs is not None:
         cfg = replace(cfg, training=replace(cfg.training, epochs=args.epochs))
     seeds = range(args.seed, args.seed + (args.seeds or cfg.seeds))
@@ -104,128 +112,146 @@ def run(args: Args) -> dict[str, Any]:
                 run_one(args, cfg, seed, pad, place)
             parts.append(json.loads(finished.read_text()))
     result = parts[0] if not several else summarise(parts, args.out)
-    report(result)
+    print_table(result)
     print(f"\nresults, figures and the predictor are in {args.out}")
     return result
 
 
+class PreparedData(NamedTuple):
+    """A data set, what is held out of it, and what every method shares."""
+
+    dataset: Dataset
+    split: Split
+    measured: tuple[str, ...]  # of force, nearest and depth, those that were measured at every touch
+    noise: np.ndarray | None  # (3 chips,) uT, the sensor's own, where it is known
+    pressure_model: PressureModelConfig
+    pressure: ContactPressure  # of all touches
+
+
+class FittedMethods(NamedTuple):
+    """What was fitted to the training touches, each by its name."""
+
+    baselines: dict[str, np.ndarray]  # (test touches, 3 chips) uT
+    predictors: dict[str, Predictor]  # their standard deviations not yet scaled
+    curves: dict[str, np.ndarray]  # (epochs,) errors of networks
+
+
+class Evaluation(NamedTuple):
+    """How the methods do on touches that none was fitted to."""
+
+    predicted: dict[str, np.ndarray]  # (test touches, 3 chips) uT, by method
+    std: dict[str, np.ndarray]  # likewise, of methods that have one
+    validation_r2: dict[str, float]
+    predictors: dict[str, Predictor]  # their standard deviations scaled on the validation touches
+    best: str  # the method that is kept: the best on validation touches of those on predicted contact pressure
+
+
 def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: Pad | int | None, out: Path) -> None:
-    """One pad and seed: data, split, methods, scores, figures, predictor."""
+    """One pad and seed: data, methods, scores, and what is left of them on disk."""
     started = time.perf_counter()
     out.mkdir(parents=True, exist_ok=True)
-    dataset = (
-        data.load(args.dataset) if args.dataset else simulate(cfg, seed, 0 if pad is None else pad, out / "data.h5")
-    )
+    prepared = prepare_data(args, cfg, seed, pad, out)
+    fitted = fit_methods(prepared, cfg, seed, out)
+    evaluation = evaluate(prepared, fitted)
+    if prepared.dataset.touches.truth is not None:
+        evaluation.predicted[CEILING] = ceiling(prepared.dataset, prepared.pressure_model, prepared.split, seed)
+    about = {"seed": seed, "pad": str(args.pad) if args.pad else pad}
+    report(out, prepared, fitted, evaluation, about, started)
+
+
+def prepare_data(args: Args, cfg: TrainExperiment, seed: int, pad: Pad | int | None, out: Path) -> PreparedData:
+    """Load or simulate touches, split them, and predict the contact pressure of each."""
+    if args.dataset:
+        dataset = data.load(args.dataset)
+    else:
+        dataset = simulated_dataset(cfg.simulation, 0 if pad is None else pad, out / "data.h5", seed=seed)
     split = split_dataset(dataset, cfg, args.split, seed)
-    touches, readings = dataset.touches, dataset.touches.reading
-    simulated = dataset.source != "real"
-    noise = None if touches.truth is None else (readings - touches.truth.reading).std(0)
     print(
         f"{len(dataset)} touches ({dataset.source}), split by {split.how}: {split.train.sum()} train, "
         f"{split.validation.sum()} validate, {split.test.sum()} test"
     )
-
+    touches = dataset.touches
     measured = conditions_of(touches, split)
-    values = np.stack([getattr(touches, name) for name in measured], -1) if measured else np.zeros((len(dataset), 0))
-    predicted = baselines(
-        touches.patch[split.train], values[split.train], readings[split.train], split.groups[split.train],
+    pressure_model = pressure_model_of(dataset, measured, cfg)
+    print("predicting contact pressures")
+    pressure = predict_pressures(pressure_model, views_of(dataset), touches.force, touches.depth)
+    noise = None if touches.truth is None else (touches.reading - touches.truth.reading).std(0)
+    return PreparedData(dataset, split, measured, noise, pressure_model, pressure)
+
+
+def fit_methods(prepared: PreparedData, cfg: TrainExperiment, seed: int, out: Path) -> FittedMethods:
+    """Fit the baselines, the networks and the Gaussian process to the training touches."""
+    dataset, split, touches = prepared.dataset, prepared.split, prepared.dataset.touches
+    columns = [getattr(touches, name) for name in prepared.measured]
+    values = np.stack(columns, -1) if columns else np.zeros((len(dataset), 0))
+    looked_up = baselines(
+        touches.patch[split.train], values[split.train], touches.reading[split.train], split.groups[split.train],
         touches.patch[split.test], values[split.test],
     )  # fmt: skip
-    spreads: dict[str, np.ndarray] = {}
 
-    print("imagining pressures")
-    imagination = pressure_model_of(dataset, measured, cfg)
-    views = views_of(dataset)
-    imagined = predicting.predict_pressures(imagination, views, touches.force, touches.depth)
-    candidates: dict[str, Predictor] = {}
+    models: dict[str, Model] = {}
     curves: dict[str, np.ndarray] = {}
     for name, network in cfg.networks.items():
-        network, images = adapt_network(network, dataset, imagined, measured)
-        trained, curve = train_network(
-            name, network, replace(cfg.training, seed=seed), images, touches, split, out / "checkpoint" / slug(name)
-        )
+        adapted, images = adapt_network(network, dataset, prepared.pressure, prepared.measured)
+        training = replace(cfg.training, seed=seed)
+        folder = out / "checkpoint" / slug(name)
+        trained, curve = train_network(name, adapted, training, images, touches, split, folder)
         on_pressure = network.input == "image"
-        candidates[name] = describe(
-            Predictor(None, trained, imagination if on_pressure else None, dataset.window, dataset.reach, 1.0, 0.3e-3),
-            dataset,
-            split,
-        )
+        models[name] = PressureNetwork(trained, prepared.pressure_model) if on_pressure else PatchNetwork(trained)
         curves |= curve
-    process = fit_gp(imagined, readings, split, seed)
-    candidates[GP_METHOD] = describe(
-        Predictor(process, None, imagination, dataset.window, dataset.reach, 1.0, 0.3e-3), dataset, split
-    )
+    models[GP_METHOD] = GPModel(fit_gp(prepared.pressure, touches.reading, split, seed), prepared.pressure_model)
 
-    validation: dict[str, float] = {}
-    held = split.validation | split.test
-    tuning = split.validation[held]
-    for name, candidate in candidates.items():
-        reading = predict(candidate, dataset, held, imagined)
+    force, depth = median_conditions(touches, split.train)
+    predictors = {name: Predictor(model, dataset.window, dataset.reach, force, depth) for name, model in models.items()}
+    return FittedMethods(looked_up, predictors, curves)
+
+
+def evaluate(prepared: PreparedData, fitted: FittedMethods) -> Evaluation:
+    """Scale the standard deviations and choose a predictor on the validation touches; predict the test touches."""
+    split, readings = prepared.split, prepared.dataset.touches.reading
+    held_out = split.validation | split.test
+    tuning = split.validation[held_out]
+    touches = touch_batch(prepared.dataset, held_out, prepared.pressure)
+    predicted, std = dict(fitted.baselines), {}
+    validation_r2: dict[str, float] = {}
+    predictors: dict[str, Predictor] = {}
+    for name, predictor in fitted.predictors.items():
+        reading = predictor.predict_batch(touches)
         seen = Reading(reading.mean[tuning], reading.std[tuning])
-        spread = predicting.std_scale(readings[split.validation], seen)
-        validation[name] = score(readings[split.validation], seen.mean).r2
-        predicted[name], spreads[name] = reading.mean[~tuning], spread * reading.std[~tuning]
-        candidates[name] = replace(candidate, spread=spread)
-    best = max(
-        (name for name in candidates if candidates[name].imagination is not None), key=lambda name: validation[name]
-    )
-    if touches.truth is not None:
-        predicted[CEILING] = ceiling(dataset, imagination, split, seed)
+        scale = std_scale(readings[split.validation], seen)
+        validation_r2[name] = score(readings[split.validation], seen.mean).r2
+        predicted[name], std[name] = reading.mean[~tuning], scale * reading.std[~tuning]
+        predictors[name] = replace(predictor, std_scale=scale)
+    on_pressure = [name for name, predictor in predictors.items() if predictor.pressure is not None]
+    best = max(on_pressure, key=lambda name: validation_r2[name])
+    return Evaluation(predicted, std, validation_r2, predictors, best)
 
-    truth = readings[split.test]
-    groups = split.groups[split.test]
+
+def report(
+    out: Path, prepared: PreparedData, fitted: FittedMethods, evaluation: Evaluation, about: dict[str, Any],
+    started: float,
+) -> None:  # fmt: skip
+    """Write the predictor, the figures and, last of all, metrics.json."""
+    dataset, split, noise = prepared.dataset, prepared.split, prepared.noise
+    truth, groups = dataset.touches.reading[split.test], split.groups[split.test]
     metrics: dict[str, Any] = {
         "source": dataset.source,
-        "seed": seed,
-        "pad": str(args.pad) if args.pad else pad,
+        **about,
         "split": split.how,
         "counts": {part: int(getattr(split, part).sum()) for part in ("train", "validation", "test")},
         "groups": len(np.unique(groups)),
         "noise_uT": None if noise is None else noise.tolist(),
-        "best": best,
-        "validation_r2": validation,
-        "methods": {name: scored(truth, mean, groups, noise, spreads.get(name)) for name, mean in predicted.items()},
-        "by_object": by_object(dataset, split, truth, predicted),
+        "best": evaluation.best,
+        "validation_r2": evaluation.validation_r2,
+        "methods": {
+            name: scored(truth, mean, groups, noise, evaluation.std.get(name))
+            for name, mean in evaluation.predicted.items()
+        },
+        "by_object": by_object(dataset, split, truth, evaluation.predicted),
         "seconds": 0.0,
     }
-    predicting.save(
-        out / "checkpoint" / "predictor",
-        replace(candidates[best], about={"method": best, "source": dataset.source, "seed": seed}),
-    )
-    figures(out, dataset, split, predicted, best, curves, noise, metrics, simulated)
+    metadata = {"method": evaluation.best, "source": dataset.source, "seed": about["seed"]}
+    save(out / "checkpoint" / "predictor", replace(evaluation.predictors[evaluation.best], metadata=metadata))
+    figures(out, dataset, split, evaluation.predicted, evaluation.best, fitted.curves, noise, metrics)
     metrics["seconds"] = round(time.perf_counter() - started, 1)
     write_json(out / "metrics.json", metrics)
-
-
-def numbered_pad(number: int) -> Pad:
-    """The random pad of a number, which a run's metrics name."""
-    return sample_pad(jax.random.key(1000 + number))
-
-
-def simulate(cfg: TrainExperiment, seed: int, which: Pad | int, path: Path) -> Dataset:
-    """The embedded default: simulated touches of the preset with one pad, random by its number or given, kept in `path`
-    for a resumed run.
-    """
-    if path.exists():
-        return data.load(path)
-    plan = cfg.simulation
-    surfaces = [prepare_surface(catalogue.make_object(name).mesh) for name in plan.objects]
-    pad = numbered_pad(which) if isinstance(which, int) else which
-    with tqdm(total=plan.touches, desc="simulating touches", unit="touch") as bar:
-        touches = simulation.simulate(
-            jax.random.key(seed), surfaces, pad, plan.errors, plan.counts(),
-            limits=plan.limits, touches_per_run=plan.touches_per_run, progress=bar.update,
-        )  # fmt: skip
-    runs = tuple(f"run {i:03d}" for i in range(int(touches.run.max()) + 1))
-    board = Board(*(np.asarray(field) for field in pad.board))
-    made = Dataset(
-        touches,
-        plan.objects,
-        (f"simulated pad {which}" if isinstance(which, int) else "pad on disk",),
-        runs,
-        board,
-        "simulated",
-        meta={"made by": f"experiments.train, seed {seed}"},
-    )
-    data.save(path, made)
-    return made

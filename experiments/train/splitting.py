@@ -1,5 +1,5 @@
-"""Which touches train, which choose between methods, and which test: whole objects, runs, places or times, never single
-touches of what was trained on.
+"""Which touches train, which choose between methods, and which test: whole objects, sessions, places or times, never
+single touches of what was trained on.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Split:
 
 
 def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -> Split:
-    """Hold out objects, runs, blocks of places or the last touches in time; presses that failed or met air are left
+    """Hold out objects, sessions, blocks of places or the last touches in time; presses that failed or met air are left
     out.
     """
     touches = dataset.touches
@@ -35,7 +35,7 @@ def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -
         known = set(plan.objects) <= set(dataset.objects)
         how = "object" if known or len(dataset.objects) >= 3 else "block"
     rng = np.random.default_rng(seed)
-    groups = touches.run.copy()
+    groups = touches.session.copy()
     if how == "object":
         names = dataset.objects
         if set(plan.objects) <= set(names):
@@ -47,11 +47,11 @@ def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -
         held, tuning = data.holdout_names(dataset, "object", test), data.holdout_names(dataset, "object", validation)
         if len(np.unique(groups)) < 4:  # one long run: neighbours in place stay together
             groups = data.spatial_blocks(dataset, cfg.block)
-    elif how == "run":
-        order = [dataset.runs[i] for i in rng.permutation(len(dataset.runs))]
+    elif how == "session":
+        order = [dataset.sessions[i] for i in rng.permutation(len(dataset.sessions))]
         fifth = max(len(order) // 5, 1)
-        held = data.holdout_names(dataset, "run", order[:fifth])
-        tuning = data.holdout_names(dataset, "run", order[fifth : 2 * fifth])
+        held = data.holdout_names(dataset, "session", order[:fifth])
+        tuning = data.holdout_names(dataset, "session", order[fifth : 2 * fifth])
     elif how == "block":
         groups = data.spatial_blocks(dataset, cfg.block)
         held = data.holdout_blocks(dataset, cfg.block, 0.2, seed)

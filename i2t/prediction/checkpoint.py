@@ -2,7 +2,7 @@
 training.
 
 Each save is a folder of its own named by the epoch, which appears complete or not at all; only then is the one before
-it removed. Beside the arrays (the best parameters, the normalisation, and the rest of the training's state) it holds,
+it removed. Next to the arrays (the best parameters, the normalisation, and the rest of the training's state) it holds,
 as JSON, both configurations, the versions of the packages that wrote it, and whatever the caller wants to remember
 (object names, seeds, provenance).
 """
@@ -23,11 +23,10 @@ from i2t.errors import CheckpointError
 from i2t.prediction import training
 from i2t.prediction.model import ModelConfig, Normalisation, Params, Standard
 from i2t.prediction.training import TrainConfig, TrainState
-from i2t.types import READINGS
 
 FORMAT = "i2t checkpoint"
 FORMAT_VERSION = 1
-PACKAGES = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")
+PACKAGES = ("jax", "optax", "orbax-checkpoint", "numpy")
 
 Config = TypeVar("Config")
 
@@ -49,13 +48,20 @@ def save(
     model: ModelConfig,
     train: TrainConfig,
     norm: Normalisation,
+    *,
     touches: int,
     extra: dict[str, Any] | None = None,
 ) -> None:
-    """Write the state of a training on `touches` touches into `directory`, in place of an earlier epoch's.
+    """Write the state of a training, in place of an earlier epoch's.
 
-    `extra` is anything that JSON can hold. With several seeds (`TrainConfig.seeds`) the state and the normalisation's
-    residual have them as a leading axis.
+    Args:
+        directory: Folder of the checkpoint.
+        state: Of the training.
+        model: Which network.
+        train: How it is trained.
+        norm: Of the training set.
+        touches: In the training set.
+        extra: Anything that JSON can hold, to be remembered.
     """
     epoch = int(state.epoch.max())
     about = {
@@ -77,34 +83,48 @@ def save(
 
 
 def exists(directory: Path | str) -> bool:
-    """Whether a save was finished in `directory`; a first one that was interrupted leaves only its beginnings."""
+    """Whether a save was finished; a first one that was interrupted leaves only its beginnings.
+
+    Args:
+        directory: Folder of the checkpoint.
+
+    Returns:
+        True where `load` and `restore` have something to read.
+    """
     directory = Path(directory)
     return directory.is_dir() and any(entry.name.isdecimal() for entry in directory.iterdir())
 
 
-def describe(directory: Path | str) -> Description:
-    """What the checkpoint in `directory` was made with (CheckpointError if there is none, or it is not one of ours)."""
-    return _describe(directory)[0]
+def load(directory: Path | str) -> tuple[Params, Normalisation, Description]:
+    """The best parameters, to predict with.
 
+    Args:
+        directory: Folder of the checkpoint.
 
-def load(directory: Path | str, seed: int = 0) -> tuple[Params, Normalisation, Description]:
-    """The best parameters (members as axis 0) of the `seed`-th of the seeds trained together, to predict with.
+    Returns:
+        Parameters (members as axis 0), normalisation, and what the checkpoint says of itself.
 
-    CheckpointError if they cannot be had.
+    Raises:
+        CheckpointError: They cannot be had.
     """
     about, step = _describe(directory)
-    if not 0 <= seed < about.train.seeds:
-        raise CheckpointError(f"{step} holds {about.train.seeds} seeds; choose one from 0 to {about.train.seeds - 1}.")
     params, norm, _ = _abstract(about)
     arrays = _arrays(step, {"params": params, "normalisation": norm})
-    params, norm = arrays["params"], arrays["normalisation"]
-    if about.train.seeds > 1:
-        params, norm = jax.tree.map(lambda leaf: leaf[seed], params), norm._replace(residual=norm.residual[seed])
-    return params, norm, about
+    return arrays["params"], arrays["normalisation"], about
 
 
 def restore(directory: Path | str) -> tuple[TrainState, Normalisation, Description]:
-    """The whole state, to go on training exactly where it stopped; CheckpointError if it cannot be had."""
+    """The whole state, to go on training exactly where it stopped.
+
+    Args:
+        directory: Folder of the checkpoint.
+
+    Returns:
+        State, normalisation, and what the checkpoint says of itself.
+
+    Raises:
+        CheckpointError: It cannot be had.
+    """
     about, step = _describe(directory)
     params, norm, state = _abstract(about)
     arrays = _arrays(step, {"params": params, "normalisation": norm, "state": state})
@@ -138,7 +158,9 @@ def _describe(directory: Path | str) -> tuple[Description, Path]:
             f"i2t that wrote it ({about['packages']['i2t']}) or train again."
         )
     try:
-        model, train = config_from(ModelConfig, about["model"]), config_from(TrainConfig, about["train"])
+        # Earlier versions could train several seeds together and said so; one seed is what is trained now.
+        training_said = {name: value for name, value in about["train"].items() if (name, value) != ("seeds", 1)}
+        model, train = config_from(ModelConfig, about["model"]), config_from(TrainConfig, training_said)
     except (TypeError, ValueError) as error:
         raise CheckpointError(
             f"{step} has a configuration that this i2t does not know ({error}); use the i2t that wrote it "
@@ -175,18 +197,27 @@ def _arrays(step: Path, abstract: dict[str, Any]) -> dict[str, Any]:
 def _abstract(about: Description) -> tuple[Params, Normalisation, TrainState]:
     """Shapes and types of what a checkpoint holds: best parameters, normalisation, and the rest of the state."""
     state = jax.eval_shape(partial(training.start, about.model, about.train, about.touches))
-    seeds = state.epoch.shape[:-1]
 
     def normalisation() -> Normalisation:
-        reading, conditions = jnp.zeros(READINGS), jnp.zeros(len(about.model.conditions))
-        residual = jnp.zeros((*seeds, READINGS))
-        return Normalisation(Standard(reading, reading), Standard(conditions, conditions), residual)
+        reading, conditions = jnp.zeros(about.model.readings), jnp.zeros(len(about.model.conditions))
+        return Normalisation(Standard(reading, reading), Standard(conditions, conditions), reading)
 
     return state.best_params, jax.eval_shape(normalisation), state._replace(best_params=None)
 
 
 def config_from(kind: type[Config], values: dict[str, Any]) -> Config:
-    """A configuration from its JSON form, in which tuples became lists."""
+    """A configuration from its JSON form, in which tuples became lists.
+
+    Args:
+        kind: Its dataclass.
+        values: Fields by name; those left out keep their defaults.
+
+    Returns:
+        The configuration.
+
+    Raises:
+        ValueError: A field is unknown, or a value is refused.
+    """
     hints = get_type_hints(kind)
     unknown = sorted(set(values) - set(hints))
     if unknown:

@@ -1,6 +1,6 @@
 """What training minimises, for one touch at a time; training takes the (weighted) mean.
 
-With standardised readings y, predictions m and log variances s, each averaged over the 15 values:
+With standardised readings y, predictions m and log variances s, each averaged over the values of a reading:
 
   squared error   (y - m)^2
   Gaussian        (s + (y - m)^2 exp(-s) + log 2 pi) / 2, weighted by exp(beta s) held constant: beta = 0 is the
@@ -48,9 +48,20 @@ class Losses(NamedTuple):
 
 
 def losses(
-    cfg: LossConfig, model: ModelConfig, prediction: Prediction, inputs: Inputs, target: Float[Array, "15"]
+    cfg: LossConfig, model: ModelConfig, prediction: Prediction, inputs: Inputs, target: Float[Array, " c"]
 ) -> Losses:
-    """All parts for one example; `inputs` are prepared and `target` is standardised."""
+    """All parts for one example.
+
+    Args:
+        cfg: Weights.
+        model: Which network predicted.
+        prediction: Of one member, standardised.
+        inputs: Prepared.
+        target: The reading, standardised.
+
+    Returns:
+        The loss and its parts.
+    """
     squared = squared_error(prediction.reading, target)
     reading = squared
     if prediction.log_variance is not None:
@@ -62,20 +73,47 @@ def losses(
 
 
 def squared_error(reading: Float[Array, " k"], target: Float[Array, " k"]) -> Float[Array, ""]:
-    """Mean squared error over the values of one reading."""
+    """Mean squared error over the values of one reading.
+
+    Args:
+        reading: Predicted, standardised.
+        target: Measured, standardised.
+
+    Returns:
+        Dimensionless.
+    """
     return jnp.mean((reading - target) ** 2)
 
 
 def gaussian(
     reading: Float[Array, " k"], log_variance: Float[Array, " k"], target: Float[Array, " k"], beta: float
 ) -> Float[Array, ""]:
-    """Beta-weighted negative log likelihood per value; its value (not its gradient) depends on the weights too."""
+    """Beta-weighted negative log likelihood per value; its value (not its gradient) depends on the weights too.
+
+    Args:
+        reading: Predicted, standardised.
+        log_variance: Predicted, of each value.
+        target: Measured, standardised.
+        beta: Exponent of the weights; 0 is the likelihood itself.
+
+    Returns:
+        Dimensionless.
+    """
     nll = 0.5 * (log_variance + (target - reading) ** 2 * jnp.exp(-log_variance) + jnp.log(2 * jnp.pi))
     return jnp.mean(jax.lax.stop_gradient(jnp.exp(beta * log_variance)) * nll)
 
 
 def image_error(kind: ImageKind, image: Float[Array, "n n"], target: Float[Array, "n n"]) -> Float[Array, ""]:
-    """How far a decoded image is from the prepared one: cross entropy of logits for a mask, squared error otherwise."""
+    """How far a decoded image is from the prepared one: cross entropy of logits for a mask, squared error otherwise.
+
+    Args:
+        kind: What the network sees.
+        image: Decoded.
+        target: Prepared.
+
+    Returns:
+        Mean over pixels.
+    """
     if kind == "mask":
         return jnp.mean(optax.sigmoid_binary_cross_entropy(image, target))
     return jnp.mean((image - target) ** 2)

@@ -6,8 +6,8 @@ Intervals come from resampling whole groups (runs or spatial blocks) where one d
 over seeds where several are.
 """
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -15,20 +15,37 @@ from scipy import stats
 RESAMPLES = 1000
 
 
+class Estimate(NamedTuple):
+    """Means with their intervals: floats, or arrays of one shape."""
+
+    mean: Any
+    low: Any
+    high: Any
+
+
 class Score(NamedTuple):
     """How well readings are predicted."""
 
-    r2: float  # pooled over the 15 channels
+    r2: float  # pooled over all channels
     r2_median: float  # median over channels
     rmse: float  # uT
     rmse_sigma: float  # in standard deviations of the sensor's noise; NaN where that is unknown
     cosine: float  # median over touches
-    r2_axis: tuple[float, float, float]  # pooled over the five chips
+    r2_axis: tuple[float, float, float]  # x, y and z, each pooled over the chips
     rmse_axis: tuple[float, float, float]  # uT
 
 
 def score(truth: np.ndarray, predicted: np.ndarray, noise: np.ndarray | None = None) -> Score:
-    """Compare readings (n, 15) uT with their predictions; `noise` (15,) uT is the sensor's own."""
+    """Compare readings with their predictions.
+
+    Args:
+        truth: (n, 3 chips) uT.
+        predicted: (n, 3 chips) uT.
+        noise: (3 chips,) uT, standard deviation of the sensor's own noise where it is known.
+
+    Returns:
+        All scores.
+    """
     truth, predicted = np.asarray(truth, np.float64), np.asarray(predicted, np.float64)
     error, spread = (predicted - truth) ** 2, (truth - truth.mean(0)) ** 2
     by_axis = [slice(axis, None, 3) for axis in range(3)]
@@ -45,7 +62,7 @@ def score(truth: np.ndarray, predicted: np.ndarray, noise: np.ndarray | None = N
     )
 
 
-def _three(values) -> tuple[float, float, float]:
+def _three(values: Iterable[float]) -> tuple[float, float, float]:
     x, y, z = (float(value) for value in values)
     return x, y, z
 
@@ -55,7 +72,14 @@ def grouped_interval(
 ) -> tuple[float, float]:
     """Percentile bootstrap over whole groups (Davison and Hinkley 1997, section 3.8).
 
-    `statistic` gets the resampled row numbers.
+    Args:
+        statistic: Function of the resampled row numbers.
+        groups: (n,) run or spatial block of each row; rows of one group are not independent.
+        seed: Of the resampling.
+        level: Coverage.
+
+    Returns:
+        Both ends of the interval.
     """
     rng = np.random.default_rng(seed)
     members = [np.flatnonzero(groups == group) for group in np.unique(groups)]
@@ -67,18 +91,35 @@ def grouped_interval(
     return float(low), float(high)
 
 
-def seed_interval(values: Sequence[float], level: float = 0.95) -> tuple[float, float, float]:
-    """Mean and Student's t interval over independent seeds; a single seed has no interval (NaN)."""
+def student_interval(values: Sequence[float] | np.ndarray, level: float = 0.95) -> Estimate:
+    """Mean and Student's t interval of independent values, such as seeds or episodes.
+
+    Args:
+        values: (n, ...), independent along axis 0.
+        level: Coverage.
+
+    Returns:
+        Mean and both ends, floats for values (n,); a single value has no interval (NaN).
+    """
     sample = np.asarray(values, np.float64)
-    mean = float(sample.mean())
-    if len(sample) < 2:
-        return mean, float("nan"), float("nan")
-    half = stats.t.ppf((1 + level) / 2, len(sample) - 1) * sample.std(ddof=1) / np.sqrt(len(sample))
-    return mean, float(mean - half), float(mean + half)
+    n, mean = len(sample), sample.mean(0)
+    if n < 2:
+        return Estimate(mean, mean * np.nan, mean * np.nan)
+    half = stats.t.ppf((1 + level) / 2, n - 1) * sample.std(0, ddof=1) / np.sqrt(n)
+    return Estimate(mean, mean - half, mean + half)
 
 
 def reduce_patches(train: np.ndarray, other: np.ndarray, components: int = 30) -> tuple[np.ndarray, np.ndarray]:
-    """Principal components of training patches, and other patches in the same coordinates; (n, components) each."""
+    """Principal components of patches.
+
+    Args:
+        train: (n, h, w) patches that define the components.
+        other: (m, h, w) patches to express in them.
+        components: How many are kept, at most.
+
+    Returns:
+        Coordinates of the training patches and of the others, (n, components) and (m, components).
+    """
     train, other = (patches.reshape(len(patches), -1).astype(np.float64) for patches in (train, other))
     mean = train.mean(0)
     # Eigenvectors of the smaller of the two covariance matrices.
@@ -93,14 +134,34 @@ def _standardised(train: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def nearest_neighbours(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: int) -> np.ndarray:
-    """Mean reading of the k nearest training touches."""
+    """Mean reading of the k nearest training touches.
+
+    Args:
+        x: (n, d) features of the training touches.
+        y: (n, 3 chips) their readings.
+        at: (m, d) features of the touches to predict.
+        k: Neighbours; all where there are fewer.
+
+    Returns:
+        (m, 3 chips), in the unit of `y`.
+    """
     square = (at**2).sum(1)[:, None] + (x**2).sum(1) - 2 * at @ x.T
     k = min(k, len(x))
     return y[np.argpartition(square, k - 1, axis=1)[:, :k]].mean(1)
 
 
 def ridge(x: np.ndarray, y: np.ndarray, at: np.ndarray, penalty: float) -> np.ndarray:
-    """Linear regression with an intercept and a squared penalty per training touch."""
+    """Linear regression with an intercept and a squared penalty per training touch.
+
+    Args:
+        x: (n, d) features of the training touches.
+        y: (n, 3 chips) their readings.
+        at: (m, d) features of the touches to predict.
+        penalty: On the squared weights, in units of the mean squared error.
+
+    Returns:
+        (m, 3 chips), in the unit of `y`.
+    """
     mean_x, mean_y = x.mean(0), y.mean(0)
     system = (x - mean_x).T @ (x - mean_x) + penalty * len(x) * np.eye(x.shape[1])
     return (at - mean_x) @ np.linalg.solve(system, (x - mean_x).T @ (y - mean_y)) + mean_y
@@ -118,6 +179,18 @@ def tuned(
     """Predict with the option that has the least squared error on held-out groups of the training touches.
 
     With a single group nothing can be held out, and the first option is taken.
+
+    Args:
+        method: `method(x, y, at, option)` predicts, as `nearest_neighbours` and `ridge` do.
+        options: To choose from.
+        x: (n, d) features of the training touches.
+        y: (n, 3 chips) their readings.
+        groups: (n,) run or spatial block of each training touch.
+        at: (m, d) features of the touches to predict.
+        folds: Parts of cross-validation, at most as many as groups.
+
+    Returns:
+        (m, 3 chips), in the unit of `y`.
     """
     names, group = np.unique(groups, return_inverse=True)
     fold = np.random.default_rng(0).permutation(len(names))[group] % min(folds, len(names))
@@ -143,9 +216,18 @@ def baselines(
 ) -> dict[str, np.ndarray]:
     """Predictions of every baseline: from patches alone, and from patches with what was measured at contact.
 
-    Patches (n, h, w), conditions (n, c) without NaN, readings y (n, 15), groups (n,) for choosing k and the penalty,
-    then the touches to predict. The conditions weigh as much as the patch: both are scaled to unit mean square length
-    before they are joined.
+    The conditions weigh as much as the patch: both are scaled to unit mean square length before they are joined.
+
+    Args:
+        patches: (n, h, w) m, of the training touches.
+        conditions: (n, k) what was measured at contact, without NaN.
+        y: (n, 3 chips) uT, readings of the training touches.
+        groups: (n,) run or spatial block of each training touch, to choose the number of neighbours and the penalty.
+        at_patches: (m, h, w) m, of the touches to predict.
+        at_conditions: (m, k).
+
+    Returns:
+        Readings (m, 3 chips) uT by the baseline's name.
     """
     train, other = reduce_patches(patches, at_patches)
     length = np.sqrt((train**2).sum(1).mean()) or 1.0  # all patches alike

@@ -17,7 +17,8 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Key
 
-Layers: TypeAlias = list[dict[str, Array]]  # of each layer {"kernel": (inputs, outputs), "bias": (outputs,)}
+Layer: TypeAlias = dict[str, Array]  # {"kernel": (inputs, outputs), "bias": (outputs,)}
+Layers: TypeAlias = list[Layer]
 Activation: TypeAlias = Callable[[Array], Array]
 Params = TypeVar("Params")
 
@@ -43,8 +44,21 @@ def init(key: Key[Array, ""], sizes: Sequence[int], *, gain: float = 2.0) -> Lay
     ]
 
 
+def dense(layer: Layer, x: Float[Array, " inputs"]) -> Float[Array, " outputs"]:
+    """One layer without its activation: x W + b.
+
+    Args:
+        layer: Its kernel and bias.
+        x: The example's values.
+
+    Returns:
+        The layer's values.
+    """
+    return x @ layer["kernel"] + layer["bias"]
+
+
 def apply(
-    layers: Sequence[dict[str, Array]],
+    layers: Sequence[Layer],
     x: Float[Array, " inputs"],
     *,
     activation: Activation | Sequence[Activation] = jax.nn.relu,
@@ -62,8 +76,8 @@ def apply(
     *hidden, last = layers
     activations = [activation] * len(hidden) if callable(activation) else activation
     for layer, active in zip(hidden, activations, strict=True):
-        x = active(x @ layer["kernel"] + layer["bias"])
-    return x @ last["kernel"] + last["bias"]
+        x = active(dense(layer, x))
+    return dense(last, x)
 
 
 def fit(

@@ -1,14 +1,14 @@
-"""The network that imagines a touch: a depth patch, and what is measured at contact, become 15 readings.
+"""The network that predicts a touch: a depth patch, and what is measured at contact, become a reading.
 
 The paper's network encodes the flattened patch (48 x 48 = 2304 values) in one hidden layer of 200, squeezes it through
-a bottleneck of 5 and decodes 15 readings through a hidden layer of 500; an auxiliary head decodes the bottleneck
-through 2000 units into the patch again, so that the bottleneck keeps what was seen. Hidden layers are rectified, the
-bottleneck and the outputs are linear (as in the paper's published code). By configuration the patch is a depth image
-scaled by its reach to [0, 1], the paper's binary contact mask, or any square image taken as it is; a small
-convolutional encoder (in the manner of the published one, with strides in place of pooling and batch normalisation)
-comes before the hidden layer; conditions measured at contact (force, nearest, depth) join the image's features at the
-encoder's input and again, for the readings, beside the bottleneck, because what the camera saw does not tell how hard
-the skin is pressed; and a second output predicts the log variance of each reading.
+a bottleneck of 5 and decodes a reading (3 values for each chip) through a hidden layer of 500; an auxiliary head
+decodes the bottleneck through 2000 units into the patch again, so that the bottleneck keeps what was seen. Hidden
+layers are rectified, the bottleneck and the outputs are linear (as in the paper's published code). By configuration the
+patch is a depth image scaled by its reach to [0, 1], the paper's binary contact mask, or any square image taken as it
+is; a small convolutional encoder (in the manner of the published one, with strides in place of pooling and batch
+normalisation) comes before the hidden layer; conditions measured at contact (force, nearest, depth) join the image's
+features at the encoder's input and again, for the reading, next to the bottleneck, because what the camera saw does not
+tell how hard the skin is pressed; and a second output predicts the log variance of each value.
 
 Inside the network everything is standardised; `predict` speaks physical units. Parameters are one plain pytree; the
 members of an ensemble are its axis 0. `init` and `apply` work on one member and one example and are lifted by `vmap`.
@@ -17,19 +17,21 @@ Source: Ayad et al., "Imagine2touch" (network); Lakshminarayanan et al., "Simple
 estimation using deep ensembles", 2017 (heteroscedastic members and the moments of their mixture).
 """
 
+import hashlib
 import math
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import Literal, NamedTuple, TypeAlias, get_args
 
-import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
+from i2t.prediction.mlp import Layer, dense
+from i2t.prediction.mlp import apply as apply_mlp
 from i2t.rendering.render import contact_mask
-from i2t.types import PATCH_PIXELS, REACH, READINGS
+from i2t.types import PATCH_PIXELS, REACH
 
-Params: TypeAlias = Any  # nested dict of arrays: {layer: {"kernel": ..., "bias": ...}}
+Params: TypeAlias = dict[str, Layer]  # layers by name
 ImageKind: TypeAlias = Literal["depth", "mask", "image"]
 Condition: TypeAlias = Literal["force", "nearest", "depth"]
 
@@ -40,17 +42,15 @@ class Inputs(NamedTuple):
     """What the network sees of one touch."""
 
     image: Float[Array, "n n"]  # a patch in m, or whatever `ModelConfig.input` says
-    conditions: Float[Array, " c"]  # in the order of `ModelConfig.conditions`: N, m, m
+    conditions: Float[Array, " k"]  # in the order of `ModelConfig.conditions`: N, m, m
 
 
 class Prediction(NamedTuple):
     """What one member says about one touch, in standardised units."""
 
-    reading: Float[Array, "15"]
-    log_variance: Float[Array, "15"] | None  # None unless heteroscedastic
-    image: (
-        Float[Array, "n n"] | None
-    )  # the prepared image decoded again (logits for a mask); None without the auxiliary head
+    reading: Float[Array, " c"]
+    log_variance: Float[Array, " c"] | None  # None unless heteroscedastic
+    image: Float[Array, "n n"] | None  # the prepared image decoded again (logits for a mask), by the auxiliary head
     latent: Float[Array, " b"]
 
 
@@ -64,9 +64,9 @@ class Standard(NamedTuple):
 class Normalisation(NamedTuple):
     """What turns physical units into the network's and back."""
 
-    reading: Standard  # of 15 values, uT
+    reading: Standard  # uT
     conditions: Standard  # in the order of `ModelConfig.conditions`
-    residual: Float[Array, "15"]  # variance (standardised) that a model without variance of its own leaves unexplained
+    residual: Float[Array, " c"]  # variance (standardised) that a model without variance of its own leaves unexplained
 
 
 @dataclass(frozen=True)
@@ -74,6 +74,7 @@ class ModelConfig:
     """Which network; the defaults are the paper's."""
 
     pixels: int = PATCH_PIXELS
+    readings: int = 15  # values of a reading, 3 for each chip of the board
     input: ImageKind = "depth"
     reach: float = REACH  # m, depth that becomes 1
     tolerance: float = 1.5e-3  # m behind the nearest point that still counts as contact in a mask
@@ -86,7 +87,7 @@ class ModelConfig:
     auxiliary_width: int = 2000
     heteroscedastic: bool = False
     conditions: tuple[Condition, ...] = ()
-    skip: bool = True  # conditions also beside the bottleneck
+    skip: bool = True  # conditions also next to the bottleneck
     members: int = 1
 
     def __post_init__(self) -> None:
@@ -101,53 +102,92 @@ class ModelConfig:
             raise ValueError(
                 f"model.conditions is {self.conditions}; name each of {', '.join(get_args(Condition))} at most once."
             )
-        sizes = ("pixels", "encoder_width", "bottleneck", "decoder_width", "auxiliary_width", "members")
+        sizes = ("pixels", "readings", "encoder_width", "bottleneck", "decoder_width", "auxiliary_width", "members")
         for field in sizes:
             if getattr(self, field) < 1:
                 raise ValueError(f"model.{field} is {getattr(self, field)}; it must be at least 1.")
 
-    def create(self) -> "Network":
-        """The network of one member."""
-        return Network(self)
+
+def init(key: Key[Array, ""], cfg: ModelConfig) -> Params:
+    """Random parameters of one member (He et al. 2015 before rectifiers, LeCun et al. 1998 before linear outputs).
+
+    Args:
+        key: Random key.
+        cfg: Which network.
+
+    Returns:
+        Layers by name. The weights of a layer depend on the key, its name and its shape only.
+    """
+    params: Params = {}
+
+    def add(name: str, gain: float, *shape: int) -> None:
+        # Drawn flat: XLA takes seconds to compile draws of four axes.
+        weights = jax.random.normal(_layer_key(key, name), (math.prod(shape),)).reshape(shape)
+        params[name] = {"kernel": math.sqrt(gain / math.prod(shape[:-1])) * weights, "bias": jnp.zeros(shape[-1])}
+
+    features, conditions = cfg.pixels**2, len(cfg.conditions)
+    if cfg.encoder == "cnn":
+        size, depth = cfg.pixels, 1
+        for i, channels in enumerate(cfg.channels):
+            kernel = 5 if i == 0 else 3
+            add(f"conv{i}", 2.0, kernel, kernel, depth, channels)
+            size, depth = -(-size // 2), channels
+        features = size**2 * depth
+    add("encoder", 2.0, features + conditions, cfg.encoder_width)
+    add("bottleneck", 1.0, cfg.encoder_width, cfg.bottleneck)
+    add("decoder", 2.0, cfg.bottleneck + (conditions if cfg.skip else 0), cfg.decoder_width)
+    add("reading", 1.0, cfg.decoder_width, cfg.readings)
+    if cfg.heteroscedastic:  # zero at first: the variance of the data itself
+        params["log_variance"] = {
+            "kernel": jnp.zeros((cfg.decoder_width, cfg.readings)),
+            "bias": jnp.zeros(cfg.readings),
+        }
+    if cfg.auxiliary:
+        add("auxiliary", 2.0, cfg.bottleneck, cfg.auxiliary_width)
+        add("image", 1.0, cfg.auxiliary_width, cfg.pixels**2)
+    return params
 
 
-class Network(nn.Module):
-    """One member on one example."""
+def apply(params: Params, cfg: ModelConfig, inputs: Inputs) -> Prediction:
+    """One member's prediction for one example, both in the network's units.
 
-    cfg: ModelConfig
+    Args:
+        params: Of one member.
+        cfg: Which network.
+        inputs: Prepared (see `prepare`).
 
-    @nn.compact
-    def __call__(self, inputs: Inputs) -> Prediction:
-        """`inputs` are prepared (see `prepare`)."""
-        cfg = self.cfg
-        features = inputs.image
-        if cfg.encoder == "cnn":
-            features = features[..., None]
-            for i, channels in enumerate(cfg.channels):
-                size = 5 if i == 0 else 3
-                features = nn.relu(
-                    nn.Conv(channels, (size, size), 2, kernel_init=_normal(2.0), name=f"conv{i}")(features)
-                )
-        features = jnp.concatenate([features.reshape(-1), inputs.conditions])
-        latent = _linear(cfg.bottleneck, "bottleneck")(_hidden(cfg.encoder_width, "encoder")(features))
-        code = jnp.concatenate([latent, inputs.conditions]) if cfg.skip else latent
+    Returns:
+        The reading and what else the network gives.
+    """
+    features = inputs.image
+    if cfg.encoder == "cnn":
+        features = features[..., None]
+        for i in range(len(cfg.channels)):
+            features = jax.nn.relu(_convolution(params[f"conv{i}"], features))
+    features = jnp.concatenate([features.reshape(-1), inputs.conditions])
+    latent = apply_mlp([params["encoder"], params["bottleneck"]], features)
+    code = jnp.concatenate([latent, inputs.conditions]) if cfg.skip else latent
 
-        decoded = _hidden(cfg.decoder_width, "decoder")(code)
-        reading = _linear(READINGS, "reading")(decoded)
-        log_variance = image = None
-        if cfg.heteroscedastic:
-            # Starts at the data's own variance, and is bounded smoothly so that no reading can make the loss overflow.
-            raw = nn.Dense(READINGS, kernel_init=nn.initializers.zeros, name="log_variance")(decoded)
-            log_variance = LOG_VARIANCE_LIMIT * jnp.tanh(raw / LOG_VARIANCE_LIMIT)
-        if cfg.auxiliary:
-            image = _linear(cfg.pixels**2, "image")(_hidden(cfg.auxiliary_width, "auxiliary")(latent))
-            image = image.reshape(cfg.pixels, cfg.pixels)
-        return Prediction(reading, log_variance, image, latent)
+    decoded = jax.nn.relu(dense(params["decoder"], code))
+    log_variance = image = None
+    if cfg.heteroscedastic:
+        # Bounded smoothly, so that no reading can make the loss overflow.
+        log_variance = LOG_VARIANCE_LIMIT * jnp.tanh(dense(params["log_variance"], decoded) / LOG_VARIANCE_LIMIT)
+    if cfg.auxiliary:
+        image = apply_mlp([params["auxiliary"], params["image"]], latent).reshape(cfg.pixels, cfg.pixels)
+    return Prediction(dense(params["reading"], decoded), log_variance, image, latent)
 
 
 def prepare(cfg: ModelConfig, normalisation: Normalisation, inputs: Inputs) -> Inputs:
-    """Physical inputs of one touch (m, N) as the network wants them: the image in [0, 1], the conditions
-    standardised.
+    """Physical inputs of one touch as the network wants them.
+
+    Args:
+        cfg: Which network.
+        normalisation: Of the training set.
+        inputs: The image (m, or N on each cell for a contact pressure) and the conditions (N, m, m).
+
+    Returns:
+        The image in [0, 1] unless it is taken as it is, and the conditions standardised.
     """
     image = inputs.image
     if cfg.input == "depth":
@@ -158,60 +198,54 @@ def prepare(cfg: ModelConfig, normalisation: Normalisation, inputs: Inputs) -> I
 
 
 def standardise(standard: Standard, values: Float[Array, " k"]) -> Float[Array, " k"]:
-    """Physical values in units of their spread about their mean."""
+    """Physical values in standard deviations about their mean.
+
+    Args:
+        standard: Mean and standard deviation of each value over the training set.
+        values: In their physical units.
+
+    Returns:
+        Dimensionless values.
+    """
     return (values - standard.mean) / standard.std
-
-
-def init(key: Key[Array, ""], cfg: ModelConfig) -> Params:
-    """Random parameters of one member (He et al. 2015 before rectifiers, LeCun et al. 1998 before linear outputs)."""
-    example = Inputs(jnp.zeros((cfg.pixels, cfg.pixels)), jnp.zeros(len(cfg.conditions)))
-    return cfg.create().init(key, example)["params"]
-
-
-def apply(params: Params, cfg: ModelConfig, inputs: Inputs) -> Prediction:
-    """One member's prediction for one example, both in the network's units (see `prepare`)."""
-    prediction: Any = cfg.create().apply({"params": params}, inputs)
-    return prediction
 
 
 def predict(
     params: Params, cfg: ModelConfig, normalisation: Normalisation, inputs: Inputs
-) -> tuple[Float[Array, "15"], Float[Array, "15"]]:
-    """Reading of one touch and its standard deviation, both in uT, from all members (axis 0 of `params`).
+) -> tuple[Float[Array, " c"], Float[Array, " c"]]:
+    """Reading of one touch from all members.
 
     The members' mixture has the mean of their means and, for its variance, the mean of their variances plus the
     variance of their means (Lakshminarayanan et al. 2017). Members without a variance of their own share the residual
     one.
+
+    Args:
+        params: Members as axis 0.
+        cfg: Which network.
+        normalisation: Of the training set, with the residual of the validation set.
+        inputs: In physical units.
+
+    Returns:
+        Mean and standard deviation, uT.
     """
     prepared = prepare(cfg, normalisation, inputs)
     members = jax.vmap(lambda member: apply(member, cfg, prepared))(params)
     own = normalisation.residual if members.log_variance is None else jnp.exp(members.log_variance).mean(0)
     std = jnp.sqrt(own + members.reading.var(0))
-    return members.reading.mean(
-        0
-    ) * normalisation.reading.std + normalisation.reading.mean, std * normalisation.reading.std
+    mean = members.reading.mean(0) * normalisation.reading.std + normalisation.reading.mean
+    return mean, std * normalisation.reading.std
 
 
-def parameter_count(cfg: ModelConfig) -> int:
-    """Number of trained values in one member."""
-    shapes = jax.eval_shape(lambda: init(jax.random.key(0), cfg))
-    return sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(shapes))
+def _layer_key(key: Key[Array, ""], name: str) -> Key[Array, ""]:
+    """A layer's own key, from a hash of its name: layers that are added or left out change no other. (It is the key
+    that flax.linen gives to a layer's first parameter; trainings of earlier versions start with the same weights.)
+    """
+    digest = hashlib.sha1(name.encode() + b"\x01", usedforsecurity=False).digest()
+    return jax.random.fold_in(key, jnp.uint32(int.from_bytes(digest[:4], "big")))
 
 
-def _hidden(width: int, name: str):
-    dense = nn.Dense(width, kernel_init=_normal(2.0), name=name)
-    return lambda values: nn.relu(dense(values))
-
-
-def _linear(width: int, name: str) -> nn.Dense:
-    return nn.Dense(width, kernel_init=_normal(1.0), name=name)
-
-
-def _normal(gain: float):
-    """Normal weights of variance gain / fan-in, drawn flat: XLA takes seconds to compile draws of four axes."""
-
-    def draw(key: Key[Array, ""], shape: tuple[int, ...], dtype=jnp.float32) -> Array:
-        scale = math.sqrt(gain / math.prod(shape[:-1]))
-        return scale * jax.random.normal(key, (math.prod(shape),), dtype).reshape(shape)
-
-    return draw
+def _convolution(layer: Layer, image: Float[Array, "h w c"]) -> Float[Array, "half_h half_w d"]:
+    """A convolution of stride 2; outside of the image is zero."""
+    numbers = ("NHWC", "HWIO", "NHWC")
+    convolved = jax.lax.conv_general_dilated(image[None], layer["kernel"], (2, 2), "SAME", dimension_numbers=numbers)
+    return convolved[0] + layer["bias"][None, None]

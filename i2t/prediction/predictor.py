@@ -1,19 +1,26 @@
-"""A trained model in the hands of a user: depth patches, or a mesh and a pose, become readings in uT with their spread.
+"""A trained model in the hands of a user: a depth patch, or a mesh and a pose, becomes a reading in uT with its
+standard deviation.
 
-A predictor is one of two things that `python -m experiments.train` makes: the network of `i2t.prediction.model` on a
-depth patch or on imagined pressure, or the Gaussian process of `i2t.prediction.gp` on imagined pressure. Both are saved
-by `save` and read by `load_predictor`; what is done to a patch on the way is part of what is saved.
+A predictor holds one of three models, all of which `python -m experiments.train` makes:
+
+  GPModel           the Gaussian process of `i2t.prediction.gp` on predicted contact pressure
+  PressureNetwork   the network of `i2t.prediction.model` on predicted contact pressure
+  PatchNetwork      the same network on the depth patch itself
+
+Each is asked by `predict_batch`. Predictors are written by `save` and read by `load_predictor`; how a patch is turned
+into what the model sees is part of what is saved. A board has n chips and a reading 3 n values, whichever board the
+model was trained on.
 
     predictor = i2t.load_predictor("runs/train")
-    reading, spread = predictor.predict(patch, force=1.0)                       # (15,) uT each
-    reading, spread = predictor.predict_touch("mug.stl", T_w_t, force=1.0, unit="m")
+    reading, std = predictor.predict(patch, force=1.0)                          # (3n,) uT each
+    reading, std = predictor.predict_touch("mug.stl", T_w_t, force=1.0, unit="m")
 """
 
 import json
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -23,45 +30,113 @@ from orbax.checkpoint import v1 as ocp
 
 from i2t.errors import CheckpointError
 from i2t.prediction import checkpoint, gp, model
-from i2t.prediction.gp import GP, ContactPressure
+from i2t.prediction.gp import GP, ContactPressure, GPHyperparameters
 from i2t.prediction.model import ModelConfig, Normalisation, Params
 from i2t.prediction.pressure import PressureModelConfig, predict_pressure
 from i2t.rendering.render import prepare_surface, render_patch
 from i2t.skin.pad import nominal_pad
-from i2t.types import PATCH_PIXELS, WIDE_PIXELS, Pad, Surface
+from i2t.types import PATCH_PIXELS, WIDE_PIXELS, Pad, Patch, Surface
 
 FORMAT = "i2t predictor"
-FORMAT_VERSION = 1
-BATCH = 64  # touches imagined at a time
+FORMAT_VERSION = 2
+BATCH = 64  # contact pressures computed at a time
+
+Values: TypeAlias = float | np.ndarray | Array  # one for all touches, or one for each
 
 
 class Reading(NamedTuple):
-    """A predicted touch, in the board's order and axes; unpacks as (reading, spread)."""
+    """A predicted touch, in the board's order and axes; unpacks as (mean, std). One touch, or n on axis 0."""
 
-    mean: np.ndarray  # (15,) or (n, 15) uT
-    std: np.ndarray  # as mean: standard deviation of what the sensor will say, its noise included
+    mean: np.ndarray  # (3 chips,) or (n, 3 chips) uT
+    std: np.ndarray  # as mean: standard deviation of the sensor's reading about the mean, its noise included
+
+
+class TouchBatch(NamedTuple):
+    """What is known of n touches before they are made; NaN where a value is unknown."""
+
+    patch: np.ndarray  # (n, p, p) m, behind the nearest surface point
+    view: np.ndarray  # (n, w, w) m, the patch, or the same view with its surroundings
+    pitch: float  # m, edge of a pixel of both
+    force: np.ndarray  # (n,) N, along tool z
+    nearest: np.ndarray  # (n,) m, signed distance of the nearest surface point from the tool origin
+    depth: np.ndarray  # (n,) m, travel past first contact
+    pressure: ContactPressure | None = None  # where it was predicted before
 
 
 class TrainedNetwork(NamedTuple):
-    """A trained network with what it needs."""
+    """A network's parameters with their meaning."""
 
     params: Params  # members as axis 0
     cfg: ModelConfig
     normalisation: Normalisation
 
 
-@dataclass(frozen=True)
-class Predictor:
-    """Predicts readings; make one with `load_predictor`.
+class GPModel(NamedTuple):
+    """A Gaussian process on predicted contact pressure."""
 
-    `process` or `network` does the work. `imagination` is None for a network that sees patches themselves. `window` and
-    `reach` (m) say what a patch is, `load` (N) and `depth` (m) are the middle of the training touches, and `spread`
-    scales the standard deviations to what was seen on validation touches.
+    gp: GP
+    pressure: PressureModelConfig
+
+    @property
+    def channels(self) -> int:
+        """Values of a reading."""
+        return self.gp.scale.shape[-1]
+
+    def predict_batch(self, touches: TouchBatch) -> Reading:
+        """Readings (uT) of n touches."""
+        mean, std = _gp_readings(self.gp, _pressure(self.pressure, touches))
+        return Reading(np.asarray(mean), np.asarray(std))
+
+
+class PressureNetwork(NamedTuple):
+    """A network on predicted contact pressure."""
+
+    network: TrainedNetwork
+    pressure: PressureModelConfig
+
+    @property
+    def channels(self) -> int:
+        """Values of a reading."""
+        return self.network.normalisation.reading.mean.shape[-1]
+
+    def predict_batch(self, touches: TouchBatch) -> Reading:
+        """Readings (uT) of n touches; raises ValueError where a condition that the network needs is unknown."""
+        return _network_readings(self.network, np.asarray(_pressure(self.pressure, touches).pressure), touches)
+
+
+class PatchNetwork(NamedTuple):
+    """A network on depth patches."""
+
+    network: TrainedNetwork
+
+    @property
+    def channels(self) -> int:
+        """Values of a reading."""
+        return self.network.normalisation.reading.mean.shape[-1]
+
+    def predict_batch(self, touches: TouchBatch) -> Reading:
+        """Readings (uT) of n touches; raises ValueError where patches or conditions do not fit the network."""
+        return _network_readings(self.network, touches.patch, touches)
+
+
+Model: TypeAlias = GPModel | PressureNetwork | PatchNetwork
+
+
+@dataclass(frozen=True, repr=False)
+class Predictor:
+    """Predicts readings; get one from `load_predictor`.
+
+    Attributes:
+        model: What predicts.
+        window: m, edge of the square that a patch shows.
+        reach: m, depth of a patch behind its nearest point.
+        default_force: N, taken where a user gives no force: the median of the training touches.
+        default_depth: m, likewise.
+        std_scale: Factor on the model's standard deviations that gives the errors on validation touches unit variance.
+        metadata: Provenance: how, from what and with which seed it was made.
     """
 
-    process: GP | None
-    network: TrainedNetwork | None
-    imagination: PressureModelConfig | None
+    model: Model
     window: float
     reach: float
     default_force: float
@@ -69,41 +144,74 @@ class Predictor:
     std_scale: float = 1.0
     metadata: dict[str, Any] | None = None
 
+    def __repr__(self) -> str:
+        """One line: the kind of model, the sensor's size and the patch."""
+        source = (self.metadata or {}).get("source", "unknown source")
+        return (
+            f"Predictor({type(self.model).__name__}, {self.model.channels // 3} chips, "
+            f"patch {self.window * 1e3:g} mm, default force {self.default_force:.2g} N, {source})"
+        )
+
+    @property
+    def pressure(self) -> PressureModelConfig | None:
+        """How contact pressure is predicted; None for a model that sees patches themselves."""
+        return None if isinstance(self.model, PatchNetwork) else self.model.pressure
+
+    def with_pressure(self, **changes: Any) -> "Predictor":
+        """The same predictor with fields of its pressure model changed; a model on patches has none and stays.
+
+        Args:
+            changes: Fields of `PressureModelConfig` with their new values.
+
+        Returns:
+            The changed predictor.
+        """
+        if isinstance(self.model, PatchNetwork):
+            return self
+        return replace(self, model=self.model._replace(pressure=replace(self.model.pressure, **changes)))
+
     def predict(
         self,
         patch: Float[Array, "*batch n n"] | np.ndarray,
-        force: Any = None,
-        nearest: Any = None,
-        depth: Any = None,
+        force: Values | None = None,
+        nearest: Values | None = None,
+        depth: Values | None = None,
         wide: Float[Array, "*batch w w"] | np.ndarray | None = None,
     ) -> Reading:
         """The reading of one touch, or of many on axis 0.
 
-        `patch` is in metres behind the nearest point (as in `i2t.types.Patch`), `force` in newtons along tool z; left
-        out, the middle of the training touches is taken. `nearest` and `depth` (m) are needed only by a model that was
-        trained with them. `wide` is the same view with its surroundings and makes the prediction better at the rim of
-        the skin. Raises ValueError for shapes and values that do not fit.
+        Args:
+            patch: (48, 48) or (n, 48, 48) m behind the nearest point, as in `i2t.types.Patch`.
+            force: N along tool z; left out, the median of the training touches is taken.
+            nearest: m, signed distance of the nearest point from the tool origin; only a model trained with it asks.
+            depth: m, travel past first contact; left out, the median of the training touches is taken.
+            wide: The same view with its surroundings, pixels of the same size, which makes the prediction better at
+                the rim of the skin.
+
+        Returns:
+            Mean and standard deviation, (3 chips,) or (n, 3 chips) uT.
+
+        Raises:
+            ValueError: Shapes or values do not fit.
         """
         patch = np.asarray(patch, np.float32)
-        single = patch.ndim == 2
-        patches = patch[None] if single else patch
+        patches = patch[None] if patch.ndim == 2 else patch
         n = len(patches)
         if patches.ndim != 3 or patches.shape[1] != patches.shape[2]:
             raise ValueError(f"patch has shape {patch.shape}; give (n, n) or (touches, n, n)")
         if not np.isfinite(patches).all():
             raise ValueError("patch holds NaN or infinity; pixels without a surface are `reach`")
-        measured = {
-            "force": _column("force", force, n, self.default_force),
-            "nearest": _column("nearest", nearest, n, None),
-            "depth": _column("depth", depth, n, self.default_depth),
-        }
-        if self.imagination is None:
-            reading = self.from_image(patches, measured)
-        else:
-            views = patches if wide is None else np.asarray(wide, np.float32).reshape(n, *np.shape(wide)[-2:])
-            cfg = replace(self.imagination, pitch=self.window / patches.shape[1])
-            reading = self.from_imagined(predict_pressures(cfg, views, measured["force"], measured["depth"]), measured)
-        return Reading(reading.mean[0], reading.std[0]) if single else reading
+        views = patches if wide is None else np.asarray(wide, np.float32).reshape(n, *np.shape(wide)[-2:])
+        touches = TouchBatch(
+            patches,
+            views,
+            self.window / patches.shape[1],
+            force=_column("force", force, n, self.default_force),
+            nearest=_column("nearest", nearest, n, None),
+            depth=_column("depth", depth, n, self.default_depth),
+        )
+        reading = self.predict_batch(touches)
+        return Reading(reading.mean[0], reading.std[0]) if patch.ndim == 2 else reading
 
     def predict_touch(
         self,
@@ -112,18 +220,22 @@ class Predictor:
         force: float | None = None,
         unit: str | None = None,
     ) -> Reading:
-        """The reading of the skin pressed on a mesh with its tool frame at T_w_t (the mesh is in W).
+        """The reading of the skin pressed on a mesh.
 
-        `mesh` is a file (then `unit` is required), an `i2t.objects.catalogue.Object` or anything with `vertices` and
-        `faces`, or a prepared `Surface`. Raises ValueError where nothing lies in front of the skin.
+        Args:
+            mesh: In W: a file (then `unit` is required), an `i2t.objects.catalogue.Object`, anything with `vertices`
+                and `faces` (m), or a prepared `Surface`.
+            T_w_t: (4, 4) pose of the tool frame at the contact.
+            force: N along tool z; left out, the median of the training touches is taken.
+            unit: Of a file's coordinates, such as "mm".
+
+        Returns:
+            Mean and standard deviation, (3 chips,) uT.
+
+        Raises:
+            ValueError: The pose is no transform, or nothing lies in front of the skin.
         """
-        if isinstance(mesh, str | Path):
-            from i2t.objects import catalogue
-
-            if unit is None:
-                raise ValueError(f"{mesh}: say in which unit the file is, for instance unit='mm'")
-            mesh = catalogue.load_mesh(mesh, unit, table=False)[0]
-        surface = mesh if isinstance(mesh, Surface) else prepare_surface(getattr(mesh, "mesh", mesh))
+        surface = _surface_of(mesh, unit)
         T = jnp.asarray(T_w_t, jnp.float32)
         if T.shape != (4, 4) or not bool(jnp.all(jnp.isfinite(T))):
             raise ValueError(f"T_w_t must be a finite (4, 4) transform, got shape {T.shape}")
@@ -136,109 +248,145 @@ class Predictor:
         around = np.clip(np.asarray(wide.depth) + float(wide.nearest - patch.nearest), 0, self.reach)
         return self.predict(np.asarray(patch.depth), force=force, nearest=float(patch.nearest), wide=around)
 
-    def from_imagined(self, imagined: ContactPressure, measured: dict[str, np.ndarray]) -> Reading:
-        """The readings of touches (axis 0) that `imagine_all` made from their views with this predictor's imagination.
+    def predict_batch(self, touches: TouchBatch) -> Reading:
+        """The model's readings of n touches, their standard deviations scaled.
 
-        `measured` holds the force, `nearest` and depth of each touch, NaN where unknown.
-        """
-        if self.process is None:
-            return self.from_image(np.asarray(imagined.pressure), measured)
-        mean, std = _process(self.process, imagined)
-        return Reading(np.asarray(mean), np.asarray(std) * self.std_scale)
+        Args:
+            touches: What is known of them; a contact pressure that it holds is not predicted again.
 
-    def from_image(self, images: np.ndarray, measured: dict[str, np.ndarray]) -> Reading:
-        """The readings that a network sees in images (n, p, p): patches, or imagined pressures. Raises ValueError where
-        they do not fit it.
+        Returns:
+            Mean and standard deviation, (n, 3 chips) uT.
+
+        Raises:
+            ValueError: Patches or conditions do not fit the model.
         """
-        assert self.network is not None
-        params, network, norm = self.network
-        if images.shape[1] != network.pixels:
-            raise ValueError(f"patch has {images.shape[1]} pixels an edge; this model sees {network.pixels}")
-        missing = [name for name in network.conditions if not np.isfinite(measured[name]).all()]
-        if missing:
-            raise ValueError(f"this model needs {', '.join(missing)} of every touch; pass it to predict")
-        values = [measured[name] for name in network.conditions]
-        conditions = np.stack(values, -1) if values else np.zeros((len(images), 0))
-        mean, std = _network(network, params, norm, model.Inputs(jnp.float32(images), jnp.float32(conditions)))
-        return Reading(np.asarray(mean), np.asarray(std) * self.std_scale)
+        mean, std = self.model.predict_batch(touches)
+        return Reading(mean, std * self.std_scale)
 
 
 def predict_pressures(
-    cfg: PressureModelConfig,
-    views: np.ndarray,
-    force: np.ndarray,
-    depth: np.ndarray,
-    pad: Pad | None = None,
+    cfg: PressureModelConfig, views: np.ndarray, force: np.ndarray, depth: np.ndarray, pad: Pad | None = None
 ) -> ContactPressure:
-    """Imagine many touches (axis 0) on a layer of nominal stiffness, a batch at a time."""
+    """The contact pressures of many touches, a batch at a time.
+
+    Args:
+        cfg: How pressure is predicted.
+        views: (n, w, w) m, depth views; NaN where the recording was cropped.
+        force: (n,) N along tool z.
+        depth: (n,) m past first contact.
+        pad: Whose layer is pressed; left out, one of nominal stiffness.
+
+    Returns:
+        Pressures and loads, n on axis 0.
+    """
     values = (jnp.float32(views), jnp.float32(force), jnp.float32(depth))
-    return _imagine(cfg, nominal_pad() if pad is None else pad, values)
-
-
-@partial(jax.jit, static_argnums=0)
-def _imagine(cfg: PressureModelConfig, pad: Pad, values: tuple[Array, Array, Array]) -> ContactPressure:
-    return jax.lax.map(lambda touch: predict_pressure(cfg, pad, *touch), values, batch_size=BATCH)
-
-
-@jax.jit
-def _process(process: GP, imagined: ContactPressure) -> tuple[Array, Array]:
-    return gp.predict(process, imagined)
-
-
-@partial(jax.jit, static_argnums=0)
-def _network(cfg: ModelConfig, params: Params, norm: Normalisation, inputs: model.Inputs) -> tuple[Array, Array]:
-    return jax.vmap(partial(model.predict, params, cfg, norm))(inputs)
-
-
-@partial(jax.jit, static_argnums=(2, 3, 4))
-def _render(surface: Surface, T_w_t: Array, window: float, pixels: int, reach: float):
-    return render_patch(surface, T_w_t, window=window, pixels=pixels, reach=reach)
-
-
-def _column(name: str, values: Any, n: int, default: float | None) -> np.ndarray:
-    if values is None:
-        return np.full(n, np.nan if default is None else default, np.float32)
-    given = np.asarray(values, np.float32)
-    column = np.full(n, given) if given.ndim == 0 else given
-    if column.shape != (n,) or not np.isfinite(column).all():
-        raise ValueError(f"{name} must be finite, one for all touches or one for each of {n}")
-    return column
+    return _pressures(cfg, nominal_pad() if pad is None else pad, values)
 
 
 def save(directory: Path | str, predictor: Predictor) -> None:
-    """Write a predictor into a folder, which appears complete or not at all."""
-    directory = Path(directory).absolute()
-    arrays: dict[str, Any] = {"process": predictor.process}
+    """Write a predictor into a folder, which appears complete or not at all.
+
+    Args:
+        directory: Folder to make or to replace.
+        predictor: What to write.
+    """
+    kind = predictor.model
+    if isinstance(kind, GPModel):
+        arrays: dict[str, Any] = {"gp": kind.gp}
+    else:
+        arrays = {"params": kind.network.params, "normalisation": kind.network.normalisation}
+    arrays = _plain(arrays)
     about = {
         "format": FORMAT,
         "version": FORMAT_VERSION,
-        "imagination": None if predictor.imagination is None else asdict(predictor.imagination),
-        "network": None if predictor.network is None else asdict(predictor.network.cfg),
-        **{name: getattr(predictor, name) for name in ("window", "reach", "load", "depth", "spread", "about")},
+        "pressure": None if predictor.pressure is None else asdict(predictor.pressure),
+        "network": None if isinstance(kind, GPModel) else asdict(kind.network.cfg),
+        **{name: getattr(predictor, name) for name in _FIELDS},
+        "shapes": jax.tree.map(lambda leaf: list(leaf.shape), arrays),
     }
-    if predictor.network is not None:
-        arrays = {"params": predictor.network.params, "normalisation": predictor.network.normalisation}
-    arrays = _plain(arrays)
-    about["shapes"] = jax.tree.map(lambda leaf: list(leaf.shape), arrays)
-    ocp.save_checkpointables(directory, arrays, custom_metadata=json.loads(json.dumps(about)), overwrite=True)
+    ocp.save_checkpointables(
+        Path(directory).absolute(), arrays, custom_metadata=json.loads(json.dumps(about)), overwrite=True
+    )
 
 
 def load_predictor(directory: Path | str) -> Predictor:
-    """The predictor in a run's folder (or in its `checkpoint/predictor`).
+    """The predictor in a run's folder.
 
-    Raises CheckpointError, one sentence, where there is none or it cannot be read.
+    Args:
+        directory: A folder that `python -m experiments.train` wrote, or the `checkpoint/predictor` in it.
+
+    Returns:
+        The predictor; those of earlier versions of this package are read too.
+
+    Raises:
+        CheckpointError: There is none, or it cannot be read.
     """
     directory = Path(directory).absolute()
     nested = directory / "checkpoint" / "predictor"
     directory = nested if nested.is_dir() else directory
+    about = _description(directory)
+    arrays = _load_arrays(directory, about)
+    pressure = None if about["pressure"] is None else PressureModelConfig(**about["pressure"])
+    if about["network"] is None:
+        assert pressure is not None
+        made: Model = GPModel(_as(GP, arrays["gp"], hyper=GPHyperparameters, touches=ContactPressure), pressure)
+    else:
+        cfg = checkpoint.config_from(ModelConfig, about["network"])
+        norm = _as(Normalisation, arrays["normalisation"], reading=model.Standard, conditions=model.Standard)
+        network = TrainedNetwork(arrays["params"], cfg, norm)
+        made = PatchNetwork(network) if pressure is None else PressureNetwork(network, pressure)
+    return Predictor(made, **{name: about[name] for name in _FIELDS})
+
+
+def std_scale(readings: Float[np.ndarray, "n c"], prediction: Reading) -> float:
+    """The factor by which standard deviations must grow for errors to have unit variance.
+
+    Args:
+        readings: uT, of touches that the model was not trained on.
+        prediction: Of the same touches.
+
+    Returns:
+        Root mean square of the errors in predicted standard deviations.
+    """
+    return float(np.sqrt(np.mean(((readings - prediction.mean) / prediction.std) ** 2)))
+
+
+_FIELDS = ("window", "reach", "default_force", "default_depth", "std_scale", "metadata")  # numbers and text of a file
+
+# Version 1 said the same in other words.
+_NAMES_OF_VERSION_1 = {
+    "imagination": "pressure", "load": "default_force", "depth": "default_depth", "spread": "std_scale",
+    "about": "metadata",
+}  # fmt: skip
+_ARRAYS_OF_VERSION_1 = {"process": "gp"}
+
+
+def _description(directory: Path) -> dict[str, Any]:
+    """What a predictor on disk says of itself, in this version's words; `stored` keeps its arrays' names."""
     try:
         about = json.loads((directory / "_CHECKPOINT_METADATA").read_text())["custom_metadata"]
-        if about["format"] != FORMAT or about["version"] != FORMAT_VERSION:
+        if about["format"] != FORMAT:
             raise KeyError(about["format"])
+        version, shapes = about["version"], about["shapes"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CheckpointError(
             f"{directory} holds no predictor of this i2t; name the folder that `python -m experiments.train` wrote"
         ) from error
+    if version == 1:
+        about = {_NAMES_OF_VERSION_1.get(name, name): value for name, value in about.items()}
+    elif version != FORMAT_VERSION:
+        raise CheckpointError(
+            f"{directory} holds a predictor of version {version}, but this i2t reads versions up to {FORMAT_VERSION}; "
+            "use the i2t that wrote it, or train again"
+        )
+    missing = [name for name in ("pressure", "network", *_FIELDS) if name not in about]
+    if missing:
+        raise CheckpointError(f"the predictor in {directory} lacks {', '.join(missing)}; train again")
+    return {**about, "shapes": shapes}
+
+
+def _load_arrays(directory: Path, about: dict[str, Any]) -> dict[str, Any]:
+    """The arrays of a predictor on disk, to the default device, under this version's names."""
     here = jax.sharding.SingleDeviceSharding(jax.devices()[0])
     abstract = jax.tree.map(
         lambda shape: jax.ShapeDtypeStruct(tuple(shape), jnp.float32, sharding=here),
@@ -249,20 +397,71 @@ def load_predictor(directory: Path | str) -> Predictor:
         arrays = ocp.load_checkpointables(directory, abstract)
     except Exception as error:  # orbax raises many kinds, down to bare ones of its storage library
         raise CheckpointError(f"the arrays in {directory} are damaged; train again, or restore a copy") from error
-    process = network = None
-    if about["network"] is None:
-        process = _as(GP, arrays["process"], hyper=gp.GPHyperparameters, touches=ContactPressure)
-    else:
-        cfg = checkpoint.config_from(ModelConfig, about["network"])
-        norm = _as(Normalisation, arrays["normalisation"], reading=model.Standard, conditions=model.Standard)
-        network = TrainedNetwork(arrays["params"], cfg, norm)
-    imagination = None if about["imagination"] is None else PressureModelConfig(**about["imagination"])
-    return Predictor(
-        process,
-        network,
-        imagination,
-        **{name: about[name] for name in ("window", "reach", "load", "depth", "spread", "about")},
-    )
+    return {_ARRAYS_OF_VERSION_1.get(name, name): value for name, value in arrays.items()}
+
+
+def _pressure(cfg: PressureModelConfig, touches: TouchBatch) -> ContactPressure:
+    """The contact pressures of touches, predicted where they were not before."""
+    if touches.pressure is not None:
+        return touches.pressure
+    return predict_pressures(replace(cfg, pitch=touches.pitch), touches.view, touches.force, touches.depth)
+
+
+def _network_readings(trained: TrainedNetwork, images: np.ndarray, touches: TouchBatch) -> Reading:
+    """Readings that a network predicts from images (n, p, p): patches (m), or contact pressures (N)."""
+    params, cfg, norm = trained
+    if images.shape[1] != cfg.pixels:
+        raise ValueError(f"patch has {images.shape[1]} pixels an edge; this model sees {cfg.pixels}")
+    missing = [name for name in cfg.conditions if not np.isfinite(getattr(touches, name)).all()]
+    if missing:
+        raise ValueError(f"this model needs {', '.join(missing)} of every touch; pass it to predict")
+    values = [getattr(touches, name) for name in cfg.conditions]
+    conditions = np.stack(values, -1) if values else np.zeros((len(images), 0))
+    inputs = model.Inputs(jnp.float32(images), jnp.float32(conditions))
+    mean, std = _network(cfg, params, norm, inputs)
+    return Reading(np.asarray(mean), np.asarray(std))
+
+
+@partial(jax.jit, static_argnums=0)
+def _pressures(cfg: PressureModelConfig, pad: Pad, values: tuple[Array, Array, Array]) -> ContactPressure:
+    return jax.lax.map(lambda touch: predict_pressure(cfg, pad, *touch), values, batch_size=BATCH)
+
+
+@jax.jit
+def _gp_readings(fitted: GP, pressure: ContactPressure) -> tuple[Array, Array]:
+    return gp.predict(fitted, pressure)
+
+
+@partial(jax.jit, static_argnums=0)
+def _network(cfg: ModelConfig, params: Params, norm: Normalisation, inputs: model.Inputs) -> tuple[Array, Array]:
+    return jax.vmap(partial(model.predict, params, cfg, norm))(inputs)
+
+
+@partial(jax.jit, static_argnums=(2, 3, 4))
+def _render(surface: Surface, T_w_t: Array, window: float, pixels: int, reach: float) -> Patch:
+    return render_patch(surface, T_w_t, window=window, pixels=pixels, reach=reach)
+
+
+def _surface_of(mesh: Any, unit: str | None) -> Surface:
+    """A surface to render, from whatever a user has."""
+    if isinstance(mesh, str | Path):
+        from i2t.objects import catalogue
+
+        if unit is None:
+            raise ValueError(f"{mesh}: say in which unit the file is, for instance unit='mm'")
+        mesh = catalogue.load_mesh(mesh, unit, table=False)[0]
+    return mesh if isinstance(mesh, Surface) else prepare_surface(getattr(mesh, "mesh", mesh))
+
+
+def _column(name: str, values: Values | None, n: int, default: float | None) -> np.ndarray:
+    """A value for each of n touches (n,); NaN where there is neither a value nor a default."""
+    if values is None:
+        return np.full(n, np.nan if default is None else default, np.float32)
+    given = np.asarray(values, np.float32)
+    column = np.full(n, given) if given.ndim == 0 else given
+    if column.shape != (n,) or not np.isfinite(column).all():
+        raise ValueError(f"{name} must be finite, one for all touches or one for each of {n}")
+    return column
 
 
 def _plain(node: Any) -> Any:
@@ -278,14 +477,3 @@ def _as(kind: Any, values: dict[str, Any], **nested: Any) -> Any:
     """A named tuple from its dict, in which empty arrays are missing."""
     fields: dict[str, Any] = {name: jnp.zeros(0) if value is None else value for name, value in values.items()}
     return kind(**{name: _as(nested[name], value) if name in nested else value for name, value in fields.items()})
-
-
-def middle(values: np.ndarray, default: float) -> float:
-    """Median of what was measured, or a default where nothing was."""
-    known = np.asarray(values)[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else default
-
-
-def std_scale(readings: np.ndarray, prediction: Reading) -> float:
-    """The factor by which standard deviations must grow for the errors on these touches to have unit variance."""
-    return float(np.sqrt(np.mean(((readings - prediction.mean) / prediction.std) ** 2)))

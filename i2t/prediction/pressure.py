@@ -1,4 +1,4 @@
-"""From what is seen and measured at a contact to the pressure on the skin: the geometry half of imagining a touch.
+"""From what is seen and measured at a contact to the pressure on the skin: the geometry half of predicting a touch.
 
 The camera's view is smoothed to robust local planes (`i2t.prediction.smoothing`), resampled to cells over the skin, and
 pressed with the measured force into a layer of nominal stiffness (`i2t.skin.contact`). What the camera cannot tell, the
@@ -19,11 +19,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from i2t.prediction import smoothing
-from i2t.prediction.gp import CELL, Imagined
+from i2t.prediction.gp import CELL_MM, ContactPressure
 from i2t.skin.contact import Grid, solve, solve_force
 from i2t.types import PAD_WINDOW, Pad
 
-TOLERANCE = 1e-3  # of the contact: far below the uncertainty of what is pressed
+SOLVER_TOLERANCE = 1e-3  # of the contact: far below the uncertainty of what is pressed
 
 # Gauss-Hermite, three points: exact to the fifth moment of the tilt.
 _NODES = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]) * np.sqrt(3)
@@ -33,8 +33,8 @@ _WEIGHTS = np.array(
 
 
 @dataclass(frozen=True)
-class Imagination:
-    """How a touch is imagined. Metres, radians, newtons."""
+class PressureModelConfig:
+    """How contact pressure is predicted. Metres, radians, newtons."""
 
     pitch: float  # m, edge of a pixel of the view
     window: float = PAD_WINDOW  # m, edge of the square that can carry load
@@ -46,7 +46,8 @@ class Imagination:
     floor: float = 0.02  # N, least load, where a noisy wrench sensor says less
 
     def __post_init__(self) -> None:
-        for name, length in (("1 mm", CELL * 1e-3), ("the window", self.window)):
+        """Refuse cells that do not tile the skin (ValueError)."""
+        for name, length in (("1 mm", CELL_MM * 1e-3), ("the window", self.window)):
             count = length / self.cell
             if count < 0.5 or abs(count - round(count)) > 1e-6 * count:
                 raise ValueError(f"cell is {self.cell:g} m, which does not divide {name}; take 0.5e-3 or 1e-3")
@@ -58,8 +59,16 @@ class Imagination:
         return Grid(cells=cells, modes=int(np.ceil(1.6 * cells / 2) * 2), window=self.window)
 
 
-def heights(cfg: Imagination, view: Float[Array, "n n"]) -> Float[Array, "g g"]:
-    """Heights (m, of the view) over the cells of the skin, from a depth view whose unknown surroundings are NaN."""
+def heights(cfg: PressureModelConfig, view: Float[Array, "n n"]) -> Float[Array, "g g"]:
+    """Heights of what is seen over the cells of the skin.
+
+    Args:
+        cfg: How pressure is predicted.
+        view: m, depth view about the tool axis; NaN where nothing is known.
+
+    Returns:
+        m, of the view, at the centres of the contact grid's cells.
+    """
     if cfg.smooth:
         view = smoothing.local_planes(view)
     view = smoothing.fill(view)
@@ -68,13 +77,27 @@ def heights(cfg: Imagination, view: Float[Array, "n n"]) -> Float[Array, "g g"]:
     return jax.scipy.ndimage.map_coordinates(view, [row, column], order=1, mode="nearest")
 
 
-def imagine(
-    cfg: Imagination, pad: Pad, view: Float[Array, "n n"], force: Float[Array, ""], depth: Float[Array, ""]
-) -> Imagined:
-    """The expected pressure (N on each 1 mm cell) of a press with `force` (N) or by `depth` (m) on what the view shows.
+def predict_pressure(
+    cfg: PressureModelConfig,
+    pad: Pad,
+    view: Float[Array, "n n"],
+    force: Float[Array, ""],
+    depth: Float[Array, ""],
+) -> ContactPressure:
+    """The contact pressure of a press on what the view shows.
 
-    Only the one named by `cfg.control` is used. A press known by its depth alone gets the load that the nominal layer
-    gives.
+    Of `force` and `depth` only the one named by `cfg.control` is used. A press known by its depth alone gets the load
+    that the nominal layer gives.
+
+    Args:
+        cfg: How pressure is predicted.
+        pad: Whose layer is pressed.
+        view: m, depth view; NaN where nothing is known.
+        force: N, along tool z.
+        depth: m, past first contact.
+
+    Returns:
+        Pressure (N on each 1 mm cell) and its load (N).
     """
     grid = cfg.grid
     height = heights(cfg, view)
@@ -85,13 +108,15 @@ def imagine(
         tilted = tilted - jnp.min(tilted)
         if cfg.control == "force":
             load = jnp.maximum(force, cfg.floor)
-            contact = solve_force(pad, tilted, load, grid, tolerance=TOLERANCE, max_steps=cfg.iterations)
+            contact = solve_force(pad, tilted, load, grid, tolerance=SOLVER_TOLERANCE, max_steps=cfg.iterations)
             return contact.pressure * load / jnp.maximum(contact.force, 1e-6)
-        return solve(pad, tilted, jnp.maximum(depth, 0.0), grid, tolerance=TOLERANCE, max_steps=cfg.iterations).pressure
+        return solve(
+            pad, tilted, jnp.maximum(depth, 0.0), grid, tolerance=SOLVER_TOLERANCE, max_steps=cfg.iterations
+        ).pressure
 
     nodes, weights = (_NODES, _WEIGHTS) if cfg.tilt > 0 else (np.zeros((1, 2)), np.ones(1))
     pressure = jnp.einsum("t,tij->ij", jnp.float32(weights), jax.lax.map(press, jnp.float32(nodes)))
-    coarse = round(CELL * 1e-3 / grid.spacing)
+    coarse = round(CELL_MM * 1e-3 / grid.spacing)
     cells = pressure.shape[0] // coarse
     newtons = pressure.reshape(cells, coarse, cells, coarse).sum((1, 3)) * grid.spacing**2
-    return Imagined(newtons, jnp.maximum(jnp.sum(newtons), cfg.floor))
+    return ContactPressure(newtons, jnp.maximum(jnp.sum(newtons), cfg.floor))

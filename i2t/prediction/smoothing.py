@@ -15,7 +15,14 @@ from i2t.types import Array as AnyArray
 
 
 def fill(depth: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Replace NaN pixels around a known central square by the nearest known pixel (row, then column)."""
+    """Replace NaN pixels around a known central square by the nearest known pixel (row, then column).
+
+    Args:
+        depth: m.
+
+    Returns:
+        m, the same where it was known.
+    """
     n = depth.shape[0]
     index = jnp.arange(n)
 
@@ -35,9 +42,16 @@ def local_planes(
     edges: tuple[float, ...] = (1.5e-3, 0.8e-3, 0.5e-3),
     radius: int = 5,
 ) -> Float[Array, "n n"]:
-    """Value at each pixel of the robust plane through its surroundings; NaN, and what lies outside, is unknown.
+    """Value at each pixel of the robust plane through its surroundings.
 
-    `edges` are the widths (m) of the agreement weights, one pass each.
+    Args:
+        depth: m; NaN, and what lies outside, is unknown.
+        sigma: Pixels, width of the Gaussian weights.
+        edges: m, widths of the agreement weights, one pass each.
+        radius: Pixels, half the edge of the square that counts as surroundings.
+
+    Returns:
+        m.
     """
     n, width = depth.shape[0], 2 * radius + 1
     padded = jnp.pad(depth, radius, constant_values=jnp.nan)
@@ -47,7 +61,12 @@ def local_planes(
 
     for edge in edges:
 
-        def add(moments: tuple[AnyArray, ...], offset: AnyArray, plane=plane, edge=edge) -> tuple[tuple, None]:
+        def add(
+            moments: tuple[AnyArray, ...],
+            offset: AnyArray,
+            plane: tuple[AnyArray, AnyArray, AnyArray] = plane,
+            edge: float = edge,
+        ) -> tuple[tuple[AnyArray, ...], None]:
             y, x = (offset - radius).astype(depth.dtype)
             z = jax.lax.dynamic_slice(padded, offset, (n, n))
             residual = z - (plane[0] + plane[1] * y + plane[2] * x)

@@ -5,11 +5,11 @@ loss of each; where the batch size does not divide the number of touches the las
 weight zero, so every touch counts once an epoch. After each epoch the validation touches are scored and the best
 parameters so far are kept, inside the compiled loop (early stopping, without stopping).
 
-`make_train` makes a whole training one function of a key, so that seeds are trained together by `vmap`; on a CPU they,
-like the members of an ensemble, are then run in turn within the one program. `fit` runs the same epochs in compiled
-chunks from any state it is given and reports on the way; every chunk is the same program, whatever its length, so an
-interrupted and resumed training repeats the uninterrupted one bit for bit. Members of an ensemble are axis 0 of every
-array of the state: each has its own key, minibatches and best epoch.
+`fit` runs epochs in compiled chunks from any state it is given and reports on the way; every chunk is the same program,
+whatever its length, so an interrupted and resumed training repeats the uninterrupted one bit for bit. Members of an
+ensemble are axis 0 of every array of the state: each has its own key, minibatches and best epoch. `make_chunk` is the
+pure function beneath, to be jitted, or mapped over the states of several seeds; on a CPU, members and seeds are then
+trained one after the other within the one program.
 """
 
 import math
@@ -32,20 +32,19 @@ from i2t.prediction.model import Inputs, ModelConfig, Normalisation, Params, Sta
 class Batch(NamedTuple):
     """Touches to learn from, in physical units, or in the network's after `prepare`."""
 
-    inputs: Inputs  # image (n, h, w) m, conditions (n, c) N, m, m
-    target: Float[Array, "n 15"]  # uT
+    inputs: Inputs  # image (n, h, w) m, conditions (n, k) N, m, m
+    target: Float[Array, "n c"]  # uT
 
 
 class TrainState(NamedTuple):
-    """All that a training carries from epoch to epoch; every array has the members as axis 0, behind the seeds where
-    several are trained together."""
+    """All that a training carries from epoch to epoch; every array has the members as axis 0."""
 
     params: Params
     opt_state: PyTree
     key: Key[Array, " m"]
     epoch: Int[Array, " m"]  # epochs done
-    best_params: Params
-    best_loss: Float[Array, " m"]  # on validation touches, +inf before the first epoch
+    best_params: PyTree  # as params
+    best_loss: Float[Array, " m"]  # on validation touches; +inf before the first epoch
     best_epoch: Int[Array, " m"]
 
 
@@ -67,11 +66,10 @@ class TrainConfig:
     weight_decay: float = 0.0  # decoupled, of matrices only
     loss: LossConfig = field(default_factory=LossConfig)
     seed: int = 0
-    seeds: int = 1
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run (ValueError)."""
-        for name in ("epochs", "batch_size", "seeds"):
+        for name in ("epochs", "batch_size"):
             if getattr(self, name) < 1:
                 raise ValueError(f"train.{name} is {getattr(self, name)}; it must be at least 1.")
         if not (math.isfinite(self.learning_rate) and self.learning_rate > 0):
@@ -82,7 +80,7 @@ class TrainConfig:
             raise ValueError(f"train.schedule is {self.schedule!r}; choose constant or cosine.")
 
     def optimizer(self, touches: int) -> optax.GradientTransformation:
-        """AdamW for a training set of `touches`."""
+        """AdamW for a training set of so many `touches`."""
         rate: optax.ScalarOrSchedule = self.learning_rate
         if self.schedule == "cosine":
             rate = optax.cosine_decay_schedule(self.learning_rate, self.epochs * -(-touches // self.batch_size))
@@ -91,8 +89,15 @@ class TrainConfig:
 
 
 def check(batch: Batch, model: ModelConfig, name: str) -> None:
-    """Refuse touches that cannot be learned from: no touches, shapes that do not fit the network, values that are
-    not finite (ValueError).
+    """Refuse touches that cannot be learned from.
+
+    Args:
+        batch: In physical units.
+        model: Which network is to learn from them.
+        name: Of the set, for the message: "training" or "validation".
+
+    Raises:
+        ValueError: There are no touches, shapes do not fit the network, or values are not finite.
     """
     touches = len(batch.target)
     if touches == 0:
@@ -119,18 +124,44 @@ def check(batch: Batch, model: ModelConfig, name: str) -> None:
 
 
 def normalisation(batch: Batch) -> Normalisation:
-    """Mean and spread of the readings and conditions of a training set; a value that never changes keeps its unit."""
+    """Mean and standard deviation of the readings and conditions of a training set.
+
+    Args:
+        batch: In physical units.
+
+    Returns:
+        The normalisation, without a residual; a value that never changes keeps its unit.
+    """
     return Normalisation(_standard(batch.target), _standard(batch.inputs.conditions), jnp.zeros(batch.target.shape[1]))
 
 
 def prepare(model: ModelConfig, norm: Normalisation, batch: Batch) -> Batch:
-    """Physical touches in the network's units."""
+    """Physical touches in the network's units.
+
+    Args:
+        model: Which network.
+        norm: Of the training set.
+        batch: In physical units.
+
+    Returns:
+        The same touches, prepared.
+    """
     inputs = jax.vmap(partial(net.prepare, model, norm))(batch.inputs)
     return Batch(inputs, jax.vmap(partial(standardise, norm.reading))(batch.target))
 
 
 def init(key: Key[Array, ""], model: ModelConfig, cfg: TrainConfig, touches: int) -> TrainState:
-    """The state before the first epoch on `touches` touches; member i depends on `fold_in(key, i)` only."""
+    """The state before the first epoch; member i depends on `fold_in(key, i)` only.
+
+    Args:
+        key: Random key.
+        model: Which network.
+        cfg: How to train.
+        touches: In the training set.
+
+    Returns:
+        The state, members as axis 0.
+    """
 
     def member(index: Int[Array, ""]) -> TrainState:
         key_params, key_epochs = jax.random.split(jax.random.fold_in(key, index))
@@ -151,20 +182,32 @@ def init(key: Key[Array, ""], model: ModelConfig, cfg: TrainConfig, touches: int
 
 
 def start(model: ModelConfig, cfg: TrainConfig, touches: int) -> TrainState:
-    """The state before the first epoch of all of the configuration's seeds, `cfg.seed` and its successors.
+    """The state before the first epoch with the configuration's seed.
 
-    Several seeds are a leading axis, before the members; each is what it would be alone.
+    Args:
+        model: Which network.
+        cfg: How to train.
+        touches: In the training set.
+
+    Returns:
+        The state, members as axis 0.
     """
-    if cfg.seeds == 1:
-        return init(jax.random.key(cfg.seed), model, cfg, touches)
-    return jax.vmap(lambda seed: init(jax.random.key(seed), model, cfg, touches))(cfg.seed + jnp.arange(cfg.seeds))
+    return init(jax.random.key(cfg.seed), model, cfg, touches)
 
 
 def minibatches(
     key: Key[Array, ""], epoch: Int[Array, ""], touches: int, size: int
 ) -> tuple[Int[Array, "steps size"], Float[Array, "steps size"]]:
-    """Which touches one member meets in an epoch, and with which weights: 1, and 0 where the last minibatch is
-    filled.
+    """Which touches one member meets in an epoch, and with which weights.
+
+    Args:
+        key: The member's.
+        epoch: Epochs done before.
+        touches: In the training set.
+        size: Of a minibatch.
+
+    Returns:
+        Rows of a new permutation for each epoch, and their weights: 1, and 0 where the last minibatch is filled up.
     """
     steps = -(-touches // size)
     permutation = jax.random.permutation(jax.random.fold_in(key, epoch), touches)
@@ -172,30 +215,20 @@ def minibatches(
     return rows, (jnp.arange(steps * size) < touches).astype(jnp.float32).reshape(steps, size)
 
 
-def make_train(
-    model: ModelConfig, cfg: TrainConfig
-) -> Callable[[Key[Array, ""], Batch, Batch | None], tuple[TrainState, EpochInfo]]:
-    """`train(key, train, validation) -> (state, info)`: a whole training as one closure, to be jitted and vmapped over
-    keys (and data).
-
-    Touches are prepared; `info` has the epochs as its leading axis, before the members.
-    """
-    chunk = make_chunk(model, cfg, cfg.epochs)
-
-    def train(key: Key[Array, ""], train: Batch, validation: Batch | None) -> tuple[TrainState, EpochInfo]:
-        return chunk(init(key, model, cfg, len(train.target)), train, validation, jnp.int32(cfg.epochs))
-
-    return train
-
-
 def make_chunk(
     model: ModelConfig, cfg: TrainConfig, capacity: int
 ) -> Callable[[TrainState, Batch, Batch | None, Int[Array, ""]], tuple[TrainState, EpochInfo]]:
-    """`chunk(state, train, validation, count) -> (state, info)`: up to `capacity` epochs of every member as one program
-    whose length is an argument.
+    """A function that trains for some epochs, as one program whose length is an argument.
 
-    Touches are prepared; without validation touches the last parameters count as the best. `info` has the epochs as its
-    leading axis, before the members; its rows beyond `count` are zero.
+    Args:
+        model: Which network.
+        cfg: How to train.
+        capacity: The most epochs of a call.
+
+    Returns:
+        `chunk(state, train, validation, count) -> (state, info)`: `count` epochs of every member on prepared touches;
+        without validation touches the last parameters count as the best. `info` has the epochs as its leading axis,
+        before the members; its rows beyond `count` are zero.
     """
 
     def member(
@@ -237,10 +270,23 @@ def fit(
     log: Callable[[int, EpochInfo], None] = lambda epoch, info: None,
     save: Callable[[TrainState], None] = lambda state: None,
 ) -> TrainState:
-    """Train from `state` (see `start`) to the last epoch, `chunk` epochs at a time, on prepared touches.
+    """Train to the last epoch; an interruption leaves the last saved state to resume from.
 
-    After every chunk `log(epoch, info)` hears of each of its epochs (from 1; NumPy arrays, members as the last axis)
-    and `save(state)` receives the state. An interruption leaves the last saved state to resume from.
+    Args:
+        state: Where to start: see `start`, or a state that was saved.
+        model: Which network.
+        cfg: How to train.
+        train: Prepared touches to learn from.
+        validation: Prepared touches that choose the best epoch; without them it is the last.
+        chunk: Epochs between two saves.
+        log: Hears of each epoch (from 1) with its losses (NumPy arrays, members as the last axis).
+        save: Receives the state after every chunk.
+
+    Returns:
+        The state after the last epoch.
+
+    Raises:
+        ValueError: The loss on the validation touches was at no epoch finite.
     """
     run = _compiled_chunk(model, replace(cfg, seed=0), chunk)
     done = int(state.epoch.max())
@@ -249,26 +295,49 @@ def fit(
         state, info = run(state, train, validation, jnp.int32(count))
         info = jax.device_get(info)
         for i in range(count):
-            row = (i,) if cfg.seeds == 1 else (slice(None), i)
-            log(done + i + 1, jax.tree.map(lambda rows, row=row: rows[row], info))
+            log(done + i + 1, jax.tree.map(lambda rows, i=i: rows[i], info))
         done += count
+        if not np.isfinite(state.best_loss).all() and validation is not None:
+            raise ValueError(
+                f"the loss on the validation touches was not finite in any of the first {done} epochs; lower "
+                f"train.learning_rate ({cfg.learning_rate:g}), or look for extreme readings or images"
+            )
         save(state)
     return state
 
 
 def evaluate(params: Params, model: ModelConfig, cfg: LossConfig, batch: Batch) -> Losses:
-    """Mean losses of one member over prepared touches; a Gaussian reading is scored by its likelihood itself (beta 0),
-    because beta's weights, good for gradients, would reward any small variance.
+    """Mean losses of one member over prepared touches.
+
+    A Gaussian reading is scored by its likelihood itself (beta 0), because beta's weights, good for gradients, would
+    reward any small variance.
+
+    Args:
+        params: Of one member.
+        model: Which network.
+        cfg: Weights of the loss.
+        batch: Prepared touches.
+
+    Returns:
+        Means over the touches.
     """
     return jax.tree.map(jnp.mean, _batch_losses(params, model, replace(cfg, beta=0.0), batch))
 
 
 def with_residual(params: Params, model: ModelConfig, norm: Normalisation, batch: Batch) -> Normalisation:
-    """Note in the normalisation what all members (axis 0) together leave unexplained of prepared touches that they were
-    not trained on.
+    """Note in the normalisation what all members together leave unexplained of touches that they were not trained on.
 
     It is the mean squared error of their mean less the variance they already show, so that `model.predict` has the
-    right spread on these touches.
+    right standard deviation on these touches.
+
+    Args:
+        params: Members as axis 0.
+        model: Which network.
+        norm: Of the training set.
+        batch: Prepared touches.
+
+    Returns:
+        The normalisation with its residual.
     """
     readings = jax.vmap(lambda member: jax.vmap(lambda x: net.apply(member, model, x).reading)(batch.inputs))(params)
     unexplained = jnp.mean((readings.mean(0) - batch.target) ** 2 - readings.var(0), axis=0)
@@ -279,7 +348,7 @@ def with_residual(params: Params, model: ModelConfig, norm: Normalisation, batch
 def _compiled_chunk(model: ModelConfig, cfg: TrainConfig, capacity: int) -> Callable:
     """One compiled program for all trainings that differ in seed and data only."""
     chunk = make_chunk(model, cfg, capacity)
-    return jax.jit(chunk if cfg.seeds == 1 else jax.vmap(chunk, in_axes=(0, None, None, None)))
+    return jax.jit(chunk)
 
 
 def _in_turn(train: Callable) -> Callable:
@@ -335,7 +404,14 @@ def _run_epoch(
     return TrainState(params, opt_state, state.key, epoch, best, best_loss, best_epoch), EpochInfo(met, scored)
 
 
-def _step(model, cfg, optimizer, train, carry, rows_weights):
+def _step(
+    model: ModelConfig,
+    cfg: TrainConfig,
+    optimizer: optax.GradientTransformation,
+    train: Batch,
+    carry: tuple[Params, PyTree],
+    rows_weights: tuple[Array, Array],
+) -> tuple[tuple[Params, PyTree], tuple[Losses, Array]]:
     """One minibatch: new (params, opt_state), and the mean losses with the touches they are of."""
     params, opt_state = carry
     rows, weights = rows_weights
@@ -357,14 +433,14 @@ def _step(model, cfg, optimizer, train, carry, rows_weights):
 def _batch_losses(params: Params, model: ModelConfig, cfg: LossConfig, batch: Batch) -> Losses:
     """Losses of one member for each of a batch of prepared touches."""
 
-    def one(inputs: Inputs, target: Float[Array, "15"]) -> Losses:
+    def one(inputs: Inputs, target: Float[Array, " c"]) -> Losses:
         return losses(cfg, model, net.apply(params, model, inputs), inputs, target)
 
     return jax.vmap(one)(batch.inputs, batch.target)
 
 
 def _standard(values: Float[Array, "n k"]) -> Standard:
-    """Mean and spread; rounding noise of a constant value is no spread."""
+    """Mean and standard deviation; the rounding noise of a constant value does not count."""
     mean, std = values.mean(0), values.std(0)
     resolution = jnp.finfo(values.dtype).eps * jnp.sqrt(len(values)) * jnp.abs(mean)
     return Standard(mean, jnp.where(std > resolution, std, 1.0))

@@ -14,20 +14,20 @@ from jaxtyping import Array, Bool, Float, Key
 from i2t.skin.boards import reskin_board
 from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
 from i2t.skin.dipoles import pressed_field, response, rest_field
-from i2t.skin.faults import RANGE_XY, RANGE_Z
+from i2t.skin.faults import RANGE_XY_UT, RANGE_Z_UT
 from i2t.skin.friction import shear
 from i2t.types import PAD_WINDOW, Board, Pad
 
-THICKNESS = 2e-3  # m
-GAP = 1.5e-3  # m from the layer's base to the sensing elements: half of the chip's 1 mm package, glue and film
-YOUNG = 150e3  # Pa: soft silicone (Shore 00-50, about 80 kPa) stiffened by the magnetic powder
-POISSON = 0.48
-FRICTION = 0.6  # of dry silicone on plastic, between 0.4 and 1 as a rule
-GIVE = 0.25e-3  # m/N, middling, of those that are held at their edge; see `sample_pad`
-HELD = 1 / 3  # of skins are
-STRENGTH = 2e4  # A/m, root mean square of one component of a random magnetisation; see `sample_pad`
-HEADROOM = 0.85  # of the converter's range, which no axis exceeds at rest
-MAP = 20  # cells of a magnetisation map along each edge: 1 mm, and whole cells to each of 4 poles
+THICKNESS_M = 2e-3  # m
+CHIP_GAP_M = 1.5e-3  # m from the layer's base to the sensing elements: half of the chip's 1 mm package, glue and film
+YOUNG_PA = 150e3  # Pa: soft silicone (Shore 00-50, about 80 kPa) stiffened by the magnetic powder
+POISSON_RATIO = 0.48
+FRICTION_COEFFICIENT = 0.6  # of dry silicone on plastic, between 0.4 and 1 as a rule
+MOUNT_COMPLIANCE_M_PER_N = 0.25e-3  # m/N, middling, of those that are held at their edge; see `sample_pad`
+EDGE_CLAMPED_FRACTION = 1 / 3  # of skins are
+MAGNETIZATION_A_PER_M = 2e4  # A/m, root mean square of one component of a random magnetisation; see `sample_pad`
+MAX_RANGE_FRACTION = 0.85  # of the converter's range, which no axis exceeds at rest
+MAP_CELLS = 20  # cells of a magnetisation map along each edge: 1 mm, and whole cells to each of 4 poles
 
 
 class Press(NamedTuple):
@@ -66,7 +66,7 @@ def press_force(
     return _press(pad, solve_force(pad, height, force, grid, start), grid, dipoles)
 
 
-def dragged(
+def friction_response(
     pad: Pad,
     height: Float[Array, "n n"],
     indentation: Float[Array, ""] | float,
@@ -87,7 +87,7 @@ def dragged(
     return pad.gains * pad.board.to_board(change)
 
 
-def nominal_pad(pattern: str = "poles", strength: float | Array = STRENGTH, *, board: Board | None = None) -> Pad:
+def nominal_pad(pattern: str = "poles", strength: float | Array = MAGNETIZATION_A_PER_M, *, board: Board | None = None) -> Pad:
     """A middling ReSkin with a known magnetisation: `pattern` (see `magnetise`) times `strength` (A/m).
 
     Args:
@@ -97,14 +97,14 @@ def nominal_pad(pattern: str = "poles", strength: float | Array = STRENGTH, *, b
     """
     board = reskin_board() if board is None else board
     return Pad(
-        jnp.asarray(THICKNESS),
-        jnp.asarray(YOUNG),
-        jnp.asarray(POISSON),
-        strength * magnetise(pattern),
+        jnp.asarray(THICKNESS_M),
+        jnp.asarray(YOUNG_PA),
+        jnp.asarray(POISSON_RATIO),
+        strength * magnetization_pattern(pattern),
         jnp.ones(board.num_readings),
-        _at_depth(board, jnp.asarray(THICKNESS + GAP)),
+        _at_depth(board, jnp.asarray(THICKNESS_M + CHIP_GAP_M)),
         friction=jnp.zeros(()),
-        give=jnp.zeros(()),
+        mount_compliance=jnp.zeros(()),
     )
 
 
@@ -127,25 +127,38 @@ def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0, *, board: Board
     board = reskin_board() if board is None else board
     names = ("thickness", "young", "gap", "map", "strength", "gains", "friction", "held", "give")
     keys = dict(zip(names, jax.random.split(key, len(names)), strict=True))
-    held = jax.random.uniform(keys["held"]) < HELD
-    thickness = THICKNESS + spread * jax.random.uniform(keys["thickness"], maxval=1e-3)
-    gap = GAP + spread * 0.25e-3 * jax.random.truncated_normal(keys["gap"], -2.0, 2.0)
+    held = jax.random.uniform(keys["held"]) < EDGE_CLAMPED_FRACTION
+    thickness = THICKNESS_M + spread * jax.random.uniform(keys["thickness"], maxval=1e-3)
+    gap = CHIP_GAP_M + spread * 0.25e-3 * jax.random.truncated_normal(keys["gap"], -2.0, 2.0)
     pad = Pad(
         thickness,
-        YOUNG * jnp.exp(spread * 0.15 * jax.random.normal(keys["young"])),
-        jnp.asarray(POISSON),
-        STRENGTH * jnp.exp(spread * 0.25 * jax.random.normal(keys["strength"])) * uneven(keys["map"], spread),
+        YOUNG_PA * jnp.exp(spread * 0.15 * jax.random.normal(keys["young"])),
+        jnp.asarray(POISSON_RATIO),
+        MAGNETIZATION_A_PER_M * jnp.exp(spread * 0.25 * jax.random.normal(keys["strength"])) * sample_magnetization(keys["map"], spread),
         1 + spread * 0.05 * jax.random.truncated_normal(keys["gains"], -3.0, 3.0, (board.num_readings,)),
         _at_depth(board, thickness + gap),
-        friction=FRICTION * jnp.exp(spread * 0.2 * jax.random.normal(keys["friction"])),
-        give=jnp.where(held, spread * GIVE * jnp.exp(0.6 * jax.random.normal(keys["give"])), 0.0),
+        friction=FRICTION_COEFFICIENT * jnp.exp(spread * 0.2 * jax.random.normal(keys["friction"])),
+        mount_compliance=jnp.where(held, spread * MOUNT_COMPLIANCE_M_PER_N * jnp.exp(0.6 * jax.random.normal(keys["give"])), 0.0),
     )
-    ends = np.tile([RANGE_XY, RANGE_XY, RANGE_Z], board.num_chips)
+    ends = np.tile([RANGE_XY_UT, RANGE_XY_UT, RANGE_Z_UT], board.num_chips)
     use = jnp.max(jnp.abs(pad.board.to_board(rest_field(pad))) / ends)
-    return pad._replace(magnetisation=pad.magnetisation * jnp.minimum(1.0, HEADROOM / use))
+    return pad._replace(magnetisation=pad.magnetization * jnp.minimum(1.0, MAX_RANGE_FRACTION / use))
 
 
-def uneven(key: Key[Array, ""], spread: float | Array = 1.0) -> Float[Array, "m m 3"]:
+def numbered_pad(number: int, *, board: Board | None = None) -> Pad:
+    """The random pad of a number, by which runs and their metrics name it.
+
+    Args:
+        number: Any number, the same pad each time.
+        board: The board beneath; left out, the default one.
+
+    Returns:
+        The pad.
+    """
+    return sample_pad(jax.random.key(1000 + number), board=board)
+
+
+def sample_magnetization(key: Key[Array, ""], spread: float | Array = 1.0) -> Float[Array, "m m 3"]:
     """A magnetisation of root mean square 1 that is as uneven as real skins': patches of some 2.5 mm about a common
     direction, stronger along some axes than others and in some places than others (some chips 100 uT, others 10 uT for
     the same press). The sizes are assumptions that meet what real boards show; see `sample_pad`.
@@ -158,7 +171,7 @@ def uneven(key: Key[Array, ""], spread: float | Array = 1.0) -> Float[Array, "m 
     return magnetisation / jnp.sqrt(jnp.mean(magnetisation**2))
 
 
-def magnetise(pattern: str, cells: int = MAP) -> Float[Array, "m m 3"]:
+def magnetization_pattern(pattern: str, cells: int = MAP_CELLS) -> Float[Array, "m m 3"]:
     """A magnetisation map in units of its strength: `poles` (4 x 4, up and down in turn, as in ReSkin's first paper),
     `uniform` (up) or `magnets` (four upright magnets of 6 mm, up and down in turn, in a skin that is else not magnetic;
     `i2t.skin.magnets` has their exact field). Raises ValueError for any other name.
@@ -178,7 +191,7 @@ def magnetise(pattern: str, cells: int = MAP) -> Float[Array, "m m 3"]:
     return jnp.asarray(maps[pattern][..., None] * np.array([0, 0, 1.0]))
 
 
-def smooth_random(key: Key[Array, ""], length: float | Array, cells: int = MAP) -> Float[Array, "m m 3"]:
+def smooth_random(key: Key[Array, ""], length: float | Array, cells: int = MAP_CELLS) -> Float[Array, "m m 3"]:
     """A random vector map: normal, each component of variance 1, correlated as exp(-d^2 / (2 length^2)) over d (m)."""
     places = (np.arange(cells) + 0.5) / cells * PAD_WINDOW
     distance = places[:, None] - places[None, :]

@@ -1,0 +1,51 @@
+"""The default data set of `experiments.train`: simulated touches of a preset's objects with one pad."""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+from tqdm import tqdm
+
+from experiments.train.configs import Simulation
+from i2t import dataset as data
+from i2t.dataset import Dataset
+from i2t.objects import catalogue
+from i2t.rendering.render import prepare_surface
+from i2t.simulation import touches as simulation
+from i2t.skin.pad import numbered_pad
+from i2t.types import Board, Pad
+
+
+def simulated_dataset(cfg: Simulation, pad: Pad | int, path: Path, *, seed: int) -> Dataset:
+    """The data set in `path`, simulated first where there is none, so that a resumed run finds the same touches.
+
+    Args:
+        cfg: Objects, counts and errors.
+        pad: The pad, or the number of a random one.
+        path: HDF5 file to keep it in.
+        seed: Of sites and errors.
+
+    Returns:
+        The data set, which says that it is simulated.
+    """
+    if path.exists():
+        return data.load(path)
+    surfaces = [prepare_surface(catalogue.make_object(name).mesh) for name in cfg.objects]
+    name = f"simulated pad {pad}" if isinstance(pad, int) else "pad on disk"
+    pad = numbered_pad(pad) if isinstance(pad, int) else pad
+    with tqdm(total=cfg.touches, desc="simulating touches", unit="touch") as bar:
+        touches = simulation.simulate_touches(
+            jax.random.key(seed), surfaces, pad, cfg.errors, cfg.counts(),
+            limits=cfg.limits, touches_per_session=cfg.touches_per_session, progress=bar.update,
+        )  # fmt: skip
+    dataset = Dataset(
+        touches,
+        cfg.objects,
+        (name,),
+        tuple(f"run {i:03d}" for i in range(int(touches.session.max()) + 1)),
+        Board(*(np.asarray(field) for field in pad.board)),
+        "simulated",
+        meta={"made by": f"experiments.train, seed {seed}"},
+    )
+    data.save(path, dataset)
+    return dataset
