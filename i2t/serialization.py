@@ -12,6 +12,7 @@ import secrets
 import types
 import typing
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -49,10 +50,13 @@ def save(path: Path | str, kind: str, tree: Any, about: dict[str, Any] | None = 
         ) from error
 
 
-def load(path: Path | str, kind: str, form: type[Tree]) -> tuple[Tree, dict[str, Any]]:
+def load(
+    path: Path | str, kind: str, form: type[Tree], *, renamed: Mapping[str, str] | None = None
+) -> tuple[Tree, dict[str, Any]]:
     """The NamedTuple of type `form` in a file of this `kind`, with NumPy arrays, and what is said about it.
 
-    Raises SerializationError where there is none, or it is of another kind or damaged.
+    `renamed` gives fields that files of earlier versions call otherwise: the name there, and the name now. Raises
+    SerializationError where there is none, or it is of another kind or damaged.
     """
     path = Path(path)
     if not path.is_file():
@@ -76,6 +80,9 @@ def load(path: Path | str, kind: str, form: type[Tree]) -> tuple[Tree, dict[str,
         raise SerializationError(
             f"{path}: its contents have changed since it was written; restore a copy or make it again"
         )
+    if renamed:
+        now = {name: ".".join(renamed.get(part, part) for part in name.split(".")) for name in arrays}
+        arrays = {now[name]: array for name, array in arrays.items()}
     try:
         return _build(form, arrays, ""), told["about"]
     except KeyError as error:

@@ -57,7 +57,7 @@ def main(argv: list[str] | None = None) -> int:
 def run(args: CalibrateArgs) -> dict[str, Any]:
     """Learning curves within one session: prepare, evaluate, report."""
     started, cfg = time.perf_counter(), preset_of(args)
-    dataset = data.load(args.dataset)
+    dataset = data.load_dataset(args.dataset)
     recording = read_presses(dataset, args.load)
     held, blocks = hold_out(recording, cfg.held_out_presses, cfg.block_mm, cfg.block_share, args.seed)
     refuse_too_few(args, cfg, held, blocks)

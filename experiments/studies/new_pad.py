@@ -9,17 +9,18 @@ import numpy as np
 from jaxtyping import Array
 
 from experiments.studies.lab import Lab, imagine, placements_of, sit
-from i2t.calibration.physics import Tip, fit_pad
+from i2t.calibration.physics import RoundTip, fit_pad
 from i2t.calibration.structured_gp import Presses
-from i2t.recognition.episodes import run_belief, sample_sites, draw_random_sites
+from i2t.recognition.episodes import run_belief
+from i2t.recognition.site_pool import draw_random_sites, sample_sites
 from i2t.skin.boards import reskin_board
 from i2t.skin.contact import GRID
-from i2t.skin.noise import Noise, observe
+from i2t.skin.noise import Noise, add_sensor_noise
 from i2t.skin.pad import press_force, sample_pad
 from i2t.types import Pad
 
 PRESSES = (5, 20, 100)
-BALL = Tip("sphere", 4e-3)
+BALL = RoundTip("sphere", 4e-3)
 
 
 def play(lab: Lab) -> dict[str, Any]:
@@ -32,7 +33,7 @@ def play(lab: Lab) -> dict[str, Any]:
         fitted = press_and_fit(key_press, other, n)
         learnt[f"{n} presses"] = lab.training(fitted, key_teach)
     learnt["the pad itself"] = lab.training(other, jax.random.fold_in(key_fit, 0))
-    sites = sample_sites(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
+    sites = sample_sites(key_pool, lab.surfaces, lab.names, lab.cfg.num_sites, lab.cfg.site_limits)
     places = placements_of(lab)
     tables = imagine(lab, sites, places, [each.reading_model for each in learnt.values()], "new pad")
     truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
@@ -51,6 +52,6 @@ def press_and_fit(key: Array, pad: Pad, n: int) -> Pad:
     place = jax.random.uniform(key_place, (n, 2), minval=-8e-3, maxval=8e-3)
     force = jax.random.uniform(key_force, (n,), minval=0.2, maxval=1.0)
     clean = jax.lax.map(lambda at: press_force(pad, BALL.height(at[0], GRID), at[1]).reading, (place, force))
-    readings = jax.vmap(lambda k, r: observe(k, r, pad.board, Noise()))(jax.random.split(key_noise, n), clean)
+    readings = jax.vmap(lambda k, r: add_sensor_noise(k, r, pad.board, Noise()))(jax.random.split(key_noise, n), clean)
     presses = Presses(place, force + 0.02 * jax.random.normal(key_wrench, (n,)))
-    return fit_pad(presses, readings, BALL, reskin_board(), by_force=True).pad
+    return fit_pad(presses, readings, tip=BALL, board=reskin_board(), by_force=True).pad

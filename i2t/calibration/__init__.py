@@ -1,33 +1,28 @@
 """Calibration of one skin from a few of its presses.
 
-`structured` predicts all other presses of the same tip, `calibration` is what a user holds and keeps on disk, `physics`
-fits a pad, `network` learns from many other skins, and `checks` finds what contradicts them.
+`calibrate` predicts all other presses of the same tip, `check_presses` finds what in recorded presses contradicts any
+sound skin. Behind them: `structured_gp` is the model and `model` what a user holds and keeps on disk; `physics` fits a
+pad to presses, `localize` says where a known tip pressed, and `baseline_network` learns from many other skins.
 """
 
-from i2t.calibration.checks import Faults, check
-from i2t.calibration.model import Calibration, calibrate, load, numbers
+from i2t.calibration.checks import DataWarnings, check_presses
+from i2t.calibration.model import Calibration, LoadKind, calibrate, load_calibration
 from i2t.calibration.structured_gp import (
-    DEPTH,
-    FEW,
-    FORCE,
-    JITTER,
-    WITHIN,
-    Hyper,
-    LeftOut,
+    DEPTH_HYPERPARAMETERS,
+    FORCE_HYPERPARAMETERS,
     Presses,
-    Process,
-    choose,
-    errors,
-    fit,
-    growth,
-    left_out,
-    options,
-    predict,
-    widening,
+    StructuredGPHyperparameters,
 )
 
 __all__ = [
-    "DEPTH", "FEW", "FORCE", "JITTER", "WITHIN", "Calibration", "Faults", "Hyper", "LeftOut", "Presses", "Process",
-    "calibrate", "check", "choose", "errors", "fit", "growth", "left_out", "load", "numbers", "options", "predict",
-    "widening",
-]  # fmt: skip
+    "DEPTH_HYPERPARAMETERS",
+    "FORCE_HYPERPARAMETERS",
+    "Calibration",
+    "DataWarnings",
+    "LoadKind",
+    "Presses",
+    "StructuredGPHyperparameters",
+    "calibrate",
+    "check_presses",
+    "load_calibration",
+]

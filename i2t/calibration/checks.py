@@ -1,115 +1,140 @@
-"""What in recorded presses contradicts any model of a sound skin, and what to do about it. NumPy only."""
+"""Diagnostics of recorded presses: what in them contradicts any model of a sound skin, and what to do about it.
+
+NumPy only. Presses are compared with their nearest neighbours in position and load, so that no model is needed.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
-STEEL = 500.0  # uT/N: real boards show 78-122 with a plastic tip, 6-10 times more with one of steel
+MAX_SENSITIVITY_UT_PER_N = 500.0  # real boards show 78-122 with a plastic tip, 6-10 times more with one of steel
+MIN_PRESSES = 100  # for a lag and a change
+MIN_PAIRS = 40  # of neighbours, for a change
+AXES = 3  # of a chip
 
 
-class Faults(NamedTuple):
+class DataWarnings(NamedTuple):
     """Where recorded presses contradict the model."""
 
-    stale: np.ndarray  # (n,) bool: rows that repeat the reading before them
-    lag: int  # rows by which the labels come late; best explains the readings
-    lag_r2: dict[int, float]  # R2 of neighbours for each lag
-    change: float  # squared difference of neighbours in other halves of time over that in the same half
-    changed: bool  # beyond chance; False where the halves do not overlap (change is then NaN)
-    chips: tuple[int, ...] = ()  # chips that changed by themselves, where the whole skin did not
-    sensitivity: float = float("nan")  # uT/N, median norm of a reading per force; only where the load is a force
+    repeated: Bool[np.ndarray, " n"]  # rows that repeat the reading before them
+    label_lag: int  # rows by which the labels come late; best explains the readings
+    r2_by_lag: dict[int, float]  # R2 of neighbours for each lag
+    change_ratio: float  # squared difference of neighbours in other halves of time over that in the same half
+    changed: bool  # beyond chance; False where the halves do not overlap (the ratio is then NaN)
+    changed_chips: tuple[int, ...] = ()  # chips that changed by themselves, where the whole skin did not
+    sensitivity_ut_per_n: float = float("nan")  # median norm of a reading per force; only where the load is a force
 
-    def sentences(self) -> list[str]:
-        """What to tell a person; empty where nothing is wrong."""
-        told = []
-        if self.stale.any():
-            told.append(
-                f"{self.stale.sum()} rows repeat the reading before them: the board sent nothing new; drop them"
+    def messages(self) -> list[str]:
+        """What to tell a person.
+
+        Returns:
+            One sentence for each finding; empty where nothing is wrong.
+        """
+        found = []
+        if self.repeated.any():
+            found.append(
+                f"{self.repeated.sum()} rows repeat the reading before them: the board sent nothing new; drop them"
             )
-        if self.lag:
-            told.append(
-                f"readings agree best with labels of {self.lag:+d} rows (R2 of neighbours {self.lag_r2[self.lag]:.2f}, "
-                f"{self.lag_r2[0]:.2f} as recorded): the label column is shifted"
+        if self.label_lag:
+            found.append(
+                f"readings agree best with labels of {self.label_lag:+d} rows (R2 of neighbours "
+                f"{self.r2_by_lag[self.label_lag]:.2f}, {self.r2_by_lag[0]:.2f} as recorded): the label column is "
+                "shifted"
             )
         if self.changed:
-            told.append(
-                f"neighbours from the other half of the session differ {self.change:.1f} times as much as from the "
-                "same half: the skin slipped or changed; calibrate the halves apart"
+            found.append(
+                f"neighbours from the other half of the session differ {self.change_ratio:.1f} times as much as from "
+                "the same half: the skin slipped or changed; calibrate the halves apart"
             )
-        if self.chips:
-            told.append(
-                f"chip {', '.join(map(str, self.chips))} changed between the halves of the session and the others did "
-                "not: the skin slipped over it, or it remembers presses; calibrate the halves apart"
+        if self.changed_chips:
+            found.append(
+                f"chip {', '.join(map(str, self.changed_chips))} changed between the halves of the session and the "
+                "others did not: the skin slipped over it, or it has hysteresis; calibrate the halves apart"
             )
-        if self.sensitivity > STEEL:
-            told.append(
-                f"readings are {self.sensitivity:.0f} uT per newton, beyond {STEEL:g} of any such skin: a tip of steel "
-                "or another magnet disturbs the field; press with plastic or aluminium"
+        if self.sensitivity_ut_per_n > MAX_SENSITIVITY_UT_PER_N:
+            found.append(
+                f"readings are {self.sensitivity_ut_per_n:.0f} uT per newton, beyond {MAX_SENSITIVITY_UT_PER_N:g} of "
+                "any such skin: a tip of steel or another magnet disturbs the field; press with plastic or aluminium"
             )
-        return told
+        return found
 
 
-def check(
-    place: np.ndarray,
-    load: np.ndarray,
-    readings: np.ndarray,
-    lags: int = 4,
-    gain: float = 0.05,
+def check_presses(
+    positions: Float[np.ndarray, "n 2"],
+    loads: Float[np.ndarray, " n"],
+    readings: Float[np.ndarray, "n c"],
+    *,
     by_force: bool = False,
-) -> Faults:
-    """Look for repeated rows, a shifted label column and a changed skin in presses in the order of time (NumPy).
+    max_lag: int = 4,
+    min_r2_gain: float = 0.05,
+) -> DataWarnings:
+    """Look for repeated rows, a shifted label column and a changed skin.
 
-    A lag is reported if the R2 of neighbours grows by more than `gain`. With lag k the reading of row i belongs to the
-    labels of row i + k. Needs about 100 presses; with fewer nothing but repeated rows and, where the load is a force
-    (`by_force`, N), a tip of steel is looked for.
+    With fewer than 100 presses nothing but repeated rows and, where the load is a force, a tip of steel is looked for.
+
+    Args:
+        positions: Positions of the tip (m), in the order of time.
+        loads: Depths (m) or forces (N).
+        readings: Readings (uT), three channels for each chip.
+        by_force: Whether the loads are forces.
+        max_lag: Rows by which labels may be shifted. With lag k the reading of row i belongs to the labels of row
+            i + k.
+        min_r2_gain: A lag is reported if the R2 of neighbours grows by more than this.
+
+    Returns:
+        What was found.
     """
-    stale = np.concatenate([[False], (np.diff(readings, axis=0) == 0).all(1)])
-    at = np.column_stack([place / np.maximum(place.std(0), 1e-9), load / max(load.std(), 1e-9)])
-    firm = (load > 0.1 * load.max()) & ~stale
-    sensitivity = float(np.median(np.linalg.norm(readings[firm], axis=1) / load[firm])) if by_force else float("nan")
-    if np.sum(~stale) < 100:
-        return Faults(stale, 0, {}, float("nan"), False, (), sensitivity)
-    r2 = {}
-    for lag in range(-lags, lags + 1):
-        rows = np.arange(max(0, -lag), len(at) - max(0, lag))
-        r2[lag] = _neighbours_r2(at[rows + lag][~stale[rows]], readings[rows][~stale[rows]])
+    repeated = np.concatenate([[False], (np.diff(readings, axis=0) == 0).all(1)])
+    labels = np.column_stack([positions / np.maximum(positions.std(0), 1e-9), loads / max(loads.std(), 1e-9)])
+    firm = (loads > 0.1 * loads.max()) & ~repeated
+    per_force = np.linalg.norm(readings[firm], axis=1) / loads[firm] if by_force else np.array(np.nan)
+    sensitivity = float(np.median(per_force))
+    if np.sum(~repeated) < MIN_PRESSES:
+        return DataWarnings(repeated, 0, {}, float("nan"), False, (), sensitivity)
+
+    def shifted(lag: int) -> tuple[np.ndarray, np.ndarray]:
+        """Labels and readings that belong together with this lag, repeated rows left out."""
+        rows = np.arange(max(0, -lag), len(labels) - max(0, lag))
+        return labels[rows + lag][~repeated[rows]], readings[rows][~repeated[rows]]
+
+    r2 = {lag: _neighbours_r2(*shifted(lag)) for lag in range(-max_lag, max_lag + 1)}
     best = max(r2, key=lambda lag: r2[lag])
-    lag = best if r2[best] > r2[0] + gain else 0
-    rows = np.arange(max(0, -lag), len(at) - max(0, lag))
-    labels, values = at[rows + lag][~stale[rows]], readings[rows][~stale[rows]]
-    change, changed = _change(labels, values)
-    alone = (
-        [] if changed else [i // 3 for i in range(0, values.shape[1], 3) if _change(labels, values[:, i : i + 3])[1]]
-    )
-    return Faults(stale, lag, r2, change, changed, tuple(alone), sensitivity)
+    lag = best if r2[best] > r2[0] + min_r2_gain else 0
+    at, values = shifted(lag)
+    ratio, changed = _change(at, values)
+    by_chip = np.split(values, values.shape[1] // AXES, axis=1)
+    alone = () if changed else tuple(i for i, chip in enumerate(by_chip) if _change(at, chip)[1])
+    return DataWarnings(repeated, lag, r2, ratio, changed, alone, sensitivity)
 
 
-def _neighbours_r2(at: np.ndarray, readings: np.ndarray, k: int = 4) -> float:
+def _neighbours_r2(labels: np.ndarray, readings: np.ndarray, k: int = 4) -> float:
     """R2 of the mean of the k nearest other presses."""
     from scipy.spatial import cKDTree
 
-    near = cKDTree(at).query(at, k + 1)[1]
+    near = cKDTree(labels).query(labels, k + 1)[1]
     error = readings - readings[near[:, 1:]].mean(1)
     return float(1 - (error**2).sum() / ((readings - readings.mean(0)) ** 2).sum())
 
 
-def _change(at: np.ndarray, readings: np.ndarray) -> tuple[float, bool]:
+def _change(labels: np.ndarray, readings: np.ndarray) -> tuple[float, bool]:
     """Compare the nearest neighbour in the other half of time with the nearest in the same half, where they are about
-    as far.
+    as far: the ratio of squared differences, and whether it is beyond chance.
     """
     from scipy.spatial import cKDTree
 
-    late = np.arange(len(at)) >= len(at) // 2
-    trees = {half: (np.flatnonzero(late == half), cKDTree(at[late == half])) for half in (False, True)}
+    late = np.arange(len(labels)) >= len(labels) // 2
+    trees = {half: (np.flatnonzero(late == half), cKDTree(labels[late == half])) for half in (False, True)}
     same, other = [], []
     for half, (rows, tree) in trees.items():
-        far_same, near_same = tree.query(at[rows], 2)
+        far_same, near_same = tree.query(labels[rows], 2)
         there, other_tree = trees[not half]
-        far_other, near_other = other_tree.query(at[rows])
+        far_other, near_other = other_tree.query(labels[rows])
         alike = (far_other > 0.5 * far_same[:, 1]) & (far_other < 2 * far_same[:, 1])
         same.append(((readings[rows] - readings[rows[near_same[:, 1]]]) ** 2).sum(1)[alike])
         other.append(((readings[rows] - readings[there[near_other]]) ** 2).sum(1)[alike])
     a, b = np.concatenate(same), np.concatenate(other)
-    if len(a) < 40:
+    if len(a) < MIN_PAIRS:
         return float("nan"), False
     # Neighbours come in pairs, so that half as many differences are independent.
     sure = (b - a).mean() > 4 * (b - a).std() / np.sqrt(len(a) / 2)

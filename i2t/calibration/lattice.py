@@ -1,10 +1,12 @@
-"""Made-up skins of the kind of eFlesh: four cylinder magnets in a soft lattice over the chips, to learn features from.
+"""Generated skins of the kind of eFlesh, to pretrain on: four cylinder magnets in a soft lattice over the chips.
 
-No mechanics is solved. A press moves every magnet by smooth functions of its place and depth, down and away from the
+No mechanics is solved. A press moves every magnet by smooth functions of its position and depth, down and away from the
 tip, and turns it towards the tip; how far, over which length, and how it grows with depth differs from skin to skin,
 and so do the magnets. The fields are those of `i2t.skin.magnets`. All sizes are assumptions, wide enough to hold a skin
-of 30 mm with magnets of a few mm.
+of 30 mm with magnets of a few mm. Metres, microtesla.
 """
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,59 +17,130 @@ from i2t.calibration.structured_gp import Presses
 from i2t.skin import boards, magnets
 from i2t.skin.magnets import Magnets
 from i2t.skin.pad import smooth_random
+from i2t.types import Board
 
-ROUGH = 8  # cells along each edge of the map by which a skin's softness varies
+SOFTNESS_CELLS = 8  # along each edge of the map by which a skin's softness varies
+DEEP_PRESS_M = 2e-3  # at which a magnet right under the tip moves by about as much
+READING_RMS_UT = 50.0
+NOISE_SHARE = 0.03  # of a reading's root mean square
+BATCH_PRESSES = 25
+_CORNERS = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
 
 
-def skin(
-    key: Key[Array, ""], place: Float[Array, "n 2"], depth: Float[Array, " n"], half: float = 16e-3
-) -> Float[Array, "n 15"]:
-    """Readings (uT) of one random skin, in units of their root mean square, at presses on a square of half edge `half`
-    (m).
+class _Lattice(NamedTuple):
+    """How one skin's magnets lie and move."""
+
+    rest: Array  # (4, 2) m
+    above: Array  # () m, of the magnets over the chips
+    signs: Array  # (4,)
+    strengths: Array  # (4,)
+    length: Array  # () m, over which a press is felt
+    down: Array  # () share of the depth by which a magnet sinks
+    away: Array  # () share by which it moves aside
+    tilt: Array  # () rad per depth and length
+    power: Array  # () of the depth
+    offset: Array  # () m
+    softness: Array  # (cells, cells)
+
+
+def sample_skin(
+    key: Key[Array, ""],
+    position: Float[Array, "n 2"],
+    depth: Float[Array, " n"],
+    *,
+    half_edge: float = 16e-3,
+    board: Board | None = None,
+) -> Float[Array, "n c"]:
+    """Readings of one random skin at n presses.
+
+    Args:
+        key: Random key.
+        position: Positions of the tip (m), in a square about the skin's centre.
+        depth: Depths of the presses (m).
+        half_edge: Half of the square's edge (m).
+        board: Where the chips lie; by default AnySkin's, in the plane z = 0.
+
+    Returns:
+        Readings in units of their root mean square.
     """
+    lattice = _sample_lattice(key)
+    board = boards.anyskin_board(depth=0.0) if board is None else board
+    chips = jnp.asarray(board.chips)
+    still = Magnets(
+        positions=jnp.concatenate([lattice.rest, jnp.full((4, 1), lattice.above)], axis=1),
+        rotations=jnp.broadcast_to(jnp.eye(3), (4, 3, 3)),
+        radii=jnp.full(4, 3e-3),
+        heights=jnp.full(4, 2e-3),
+        magnetizations=1e6 * lattice.signs * lattice.strengths,
+    )
+
+    def press(at: Array, d: Array) -> Array:
+        translation, rotation = _magnet_motion(lattice, at, d, half_edge)
+        moved = magnets.moved(still, translation, rotation)
+        return (magnets.field(chips, moved, 24) - magnets.field(chips, still, 24)).ravel()
+
+    readings = jax.lax.map(lambda one: press(*one), (position, depth), batch_size=BATCH_PRESSES)
+    return readings / jnp.sqrt(jnp.mean(readings**2))
+
+
+def sample_skins(
+    key: Key[Array, ""],
+    count: int,
+    n: int,
+    *,
+    half_edge: float,
+    max_depth: float,
+    board: Board | None = None,
+) -> tuple[Presses, Float[Array, "count n c"]]:
+    """Many random skins, random presses of each, and what they read.
+
+    Args:
+        key: Random key.
+        count: Number of skins.
+        n: Presses of each.
+        half_edge: Presses lie in a square of this half edge (m).
+        max_depth: Of the presses (m).
+        board: Where the chips lie; by default AnySkin's, in the plane z = 0.
+
+    Returns:
+        Presses, (count, n) each, and their readings (uT) with some noise.
+    """
+    key_position, key_depth, key_skins, key_noise = jax.random.split(key, 4)
+    position = jax.random.uniform(key_position, (count, n, 2), minval=-half_edge, maxval=half_edge)
+    depth = jax.random.uniform(key_depth, (count, n), maxval=max_depth)
+    each = (jax.random.split(key_skins, count), position, depth)
+    readings = jax.lax.map(lambda one: sample_skin(*one, half_edge=half_edge, board=board), each)
+    noise = NOISE_SHARE * jax.random.normal(key_noise, readings.shape)
+    return Presses(position, depth), READING_RMS_UT * (readings + noise)
+
+
+def _sample_lattice(key: Key[Array, ""]) -> _Lattice:
     keys = iter(jax.random.split(key, 16))
 
     def between(low: float, high: float, shape: tuple[int, ...] = ()) -> Array:
         return jax.random.uniform(next(keys), shape, minval=low, maxval=high)
 
-    corners = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
-    rest = between(4e-3, 10e-3) * corners + 0.5e-3 * jax.random.normal(next(keys), (4, 2))
+    rest = between(4e-3, 10e-3) * _CORNERS + 0.5e-3 * jax.random.normal(next(keys), (4, 2))
     above = between(4e-3, 9e-3)
-    still = Magnets(
-        positions=jnp.concatenate([rest, jnp.full((4, 1), above)], axis=1),
-        rotations=jnp.broadcast_to(jnp.eye(3), (4, 3, 3)),
-        radii=jnp.full(4, 3e-3),
-        heights=jnp.full(4, 2e-3),
-        magnetisations=1e6 * jnp.sign(jax.random.normal(next(keys), (4,))) * between(0.9, 1.1, (4,)),
-    )
-    length, down, away, turn = between(7e-3, 14e-3), between(0.3, 0.8), between(0.0, 0.5), between(0.0, 60.0)
+    signs, strengths = jnp.sign(jax.random.normal(next(keys), (4,))), between(0.9, 1.1, (4,))
+    length, down, away, tilt = between(7e-3, 14e-3), between(0.3, 0.8), between(0.0, 0.5), between(0.0, 60.0)
     power, offset = between(1.0, 2.0), between(0.0, 3e-3)
-    soft = 0.2 * smooth_random(next(keys), between(2e-3, 6e-3), ROUGH)[..., 0]  # over 20 mm, stretched to the skin
-    board = boards.anyskin_board(depth=0.0)
-    chips = jnp.asarray(board.chips)
-
-    def one(at: Array, d: Array) -> Array:
-        grown = 2e-3 * ((d + offset) / (2e-3 + offset)) ** power
-        cell = (at / half + 1) / 2 * (ROUGH - 1)
-        grown = grown * (1 + jax.scipy.ndimage.map_coordinates(soft, [cell[1], cell[0]], order=1, mode="nearest"))
-        apart = rest - at[None]
-        near = grown * jnp.exp(-jnp.sum(apart**2, axis=1) / (2 * length**2))
-        aside = away * near[:, None] * apart / length
-        sunk = -above * jnp.tanh(down * near / above)
-        moved = jnp.concatenate([aside, sunk[:, None]], axis=1)
-        tilt = turn * near[:, None] / length * jnp.stack([apart[:, 1], -apart[:, 0], jnp.zeros(4)], axis=1)
-        change = magnets.field(chips, magnets.moved(still, moved, tilt), 24) - magnets.field(chips, still, 24)
-        return change.ravel()
-
-    readings = jax.lax.map(lambda press: one(*press), (place, depth), batch_size=25)
-    return readings / jnp.sqrt(jnp.mean(readings**2))
+    # A map over 20 mm, stretched to the skin.
+    softness = 0.2 * smooth_random(next(keys), between(2e-3, 6e-3), SOFTNESS_CELLS)[..., 0]
+    return _Lattice(rest, above, signs, strengths, length, down, away, tilt, power, offset, softness)
 
 
-def skins(key: Key[Array, ""], count: int, n: int, half: float, deepest: float) -> tuple[Presses, Array]:
-    """Many random skins, (count, n) random presses of each, and their readings (count, n, 15) with some noise."""
-    a, b, c, d = jax.random.split(key, 4)
-    place = jax.random.uniform(a, (count, n, 2), minval=-half, maxval=half)
-    depth = jax.random.uniform(b, (count, n), maxval=deepest)
-    each = (jax.random.split(c, count), place, depth)
-    readings = jax.lax.map(lambda one: skin(one[0], one[1], one[2], half), each)
-    return Presses(place, depth), 50 * (readings + 0.03 * jax.random.normal(d, readings.shape))
+def _magnet_motion(lattice: _Lattice, at: Array, depth: Array, half_edge: float) -> tuple[Array, Array]:
+    """Translation (4, 3) m and rotation (4, 3) rad of the magnets under a press."""
+    grown = DEEP_PRESS_M * ((depth + lattice.offset) / (DEEP_PRESS_M + lattice.offset)) ** lattice.power
+    cell = (at / half_edge + 1) / 2 * (SOFTNESS_CELLS - 1)
+    grown = grown * (
+        1 + jax.scipy.ndimage.map_coordinates(lattice.softness, [cell[1], cell[0]], order=1, mode="nearest")
+    )
+    offset = lattice.rest - at[None]
+    near = grown * jnp.exp(-jnp.sum(offset**2, axis=1) / (2 * lattice.length**2))
+    aside = lattice.away * near[:, None] * offset / lattice.length
+    sinking = -lattice.above * jnp.tanh(lattice.down * near / lattice.above)
+    axis = jnp.stack([offset[:, 1], -offset[:, 0], jnp.zeros(4)], axis=1)
+    rotation = lattice.tilt * near[:, None] / lattice.length * axis
+    return jnp.concatenate([aside, sinking[:, None]], axis=1), rotation

@@ -1,164 +1,294 @@
-"""A pad from a few presses with a known tip: its magnetisation map, and the few numbers that say what lies under it.
+"""A pad from a few presses with a known tip: its magnetization map, and the few parameters of the layer under it.
 
-For a known displacement the reading is linear in the magnetisation (`i2t.skin.dipoles`), so that presses give a linear
+For a known displacement the reading is linear in the magnetization (`i2t.skin.dipoles`), so that presses give a linear
 system for the map, reading = Phi w + noise. The map is a series of cosines on the pad with the covariance of
 `i2t.skin.pad.smooth_random`, of which a few hundred weights w are left, normal with variance 1; their posterior is that
 of Bayesian linear regression (Bishop, "Pattern Recognition and Machine Learning", section 3.3).
 
-What is left is not linear: thickness, gap from layer to chips, stiffness (presses controlled by force) or the depth of
-first touch (by depth), the tip's offset in the plane, and strength and length of the map and the noise. They are found
-with the map solved for at every step (variable projection; Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973): what is
-climbed is the logarithm of the density that all other presses give to each (Rasmussen and Williams, "Gaussian Processes
-for Machine Learning", section 5.4.2) plus that of their priors, which are those of `i2t.skin.pad.sample_pad`. Gradients
-are exact: forward through the contact and the design, backwards through the regression. The curvature at the top gives
-their spread (Laplace).
+The other parameters, `LayerParameters`, are not linear: thickness, gap from layer to chips, stiffness (presses
+controlled by force) or the depth of first contact (by depth), the tip's offset in the plane, and strength and length of
+the map and the noise. They are found with the map solved for at every step (variable projection; Golub and Pereyra,
+SIAM J. Numer. Anal. 10, 1973): what is maximised is the log density of each press as predicted from all others
+(Rasmussen and Williams, "Gaussian Processes for Machine Learning", section 5.4.2) plus that of the parameters' priors,
+which are those of `i2t.skin.pad.sample_pad`. Gradients are exact: forward through the contact and the design matrices,
+backwards through the regression. The curvature at the maximum gives the parameters' spread (Laplace's approximation).
+
+Metres, newtons, pascals, microtesla. `c` is the number of channels, three for each chip of the board; `m` is the number
+of cosines along an edge, `k` the number of weights.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 from scipy import optimize
 
 from i2t.calibration.structured_gp import Presses
 from i2t.skin import elasticity as elastic
-from i2t.skin.contact import FAR, solve, solve_force
+from i2t.skin.contact import MAX_HEIGHT_M, solve, solve_force
 from i2t.skin.dipoles import MICROTESLA, MU0_OVER_4PI, NODES, cell_means, sheets, turn
 from i2t.skin.elasticity import GRID, Grid
-from i2t.skin.pad import FRICTION, GAP, GIVE, MAP, POISSON, STRENGTH, THICKNESS, YOUNG
-from i2t.types import READINGS, Board, Pad
+from i2t.skin.pad import (
+    CHIP_GAP_M,
+    FRICTION_COEFFICIENT,
+    MAGNETIZATION_A_PER_M,
+    MAP_CELLS,
+    MOUNT_COMPLIANCE_M_PER_N,
+    POISSON_RATIO,
+    THICKNESS_M,
+    YOUNG_PA,
+)
+from i2t.types import Board, Pad
 
 MODES = 12  # cosines along each edge: waves of 3.6 mm, finer than any that 1.5 mm above a chip can be told apart
-LIMIT = 48  # presses that the numbers which are not linear are found from; they take no more, and the map takes all
-ROUNDS = 3  # linearisations of the design
-STEPS = 25  # of the climb in each
-REACH = 0.7  # how far each goes, in standard deviations of the prior
-MOVES = 7  # coordinates that change the design
-COORDINATES = 13
-IMPOSSIBLE = 1e9  # what is descended, where it cannot be computed
-BATCH = 8  # presses at a time, for the caches
-GAIN_SPREAD = 0.05  # of the chips' gains, as in `sample_pad`
+MAX_LAYER_PRESSES = 48  # that the layer's parameters are fitted to; they need no more, and the map takes all
+LINEARIZATIONS = 3  # of the design matrices
+LBFGS_STEPS = 25  # in each
+MAX_MOVE_STDS = 0.7  # how far each coordinate goes in one of them, in standard deviations of the prior
+CURVATURE_STEP_STDS = 0.05  # of the finite differences for the curvature
+FAILED_OBJECTIVE = 1e9  # what is minimised, where it cannot be computed
+BATCH_PRESSES = 8  # at a time, for the caches
+MIN_FORCE_N = 1e-3
+GAIN_STD = 0.05  # of the chips' gains, as in `sample_pad`
+GAIN_ROUNDS = 3
+NOISE_STD_UT = 2.0  # prior median of a reading's noise
+MAGNETIZATION_STD = 0.7 * MAGNETIZATION_A_PER_M  # A/m, prior median: patches and the uniform part share the variance
+
+
+class Tip(Protocol):
+    """What presses: anything whose surface over the skin is known."""
+
+    def height(self, position: Float[Array, "2"], grid: Grid = GRID) -> Float[Array, "n n"]:
+        """Distance (m) of the tip's surface behind its lowest point over each cell, its axis at `position` (m)."""
+        ...
 
 
 @dataclass(frozen=True)
-class Tip:
-    """What presses: a sphere or the flat end of an upright cylinder."""
+class RoundTip:
+    """A sphere or the flat end of an upright cylinder.
+
+    Attributes:
+        shape: Which of them.
+        radius: In metres.
+    """
 
     shape: Literal["sphere", "cylinder"]
-    radius: float  # m
+    radius: float
 
-    def height(self, place: Float[Array, "2"], grid: Grid = GRID) -> Float[Array, "n n"]:
-        """Distance (m) of the tip's surface behind its lowest point over each cell, its axis at `place` (m)."""
+    def height(self, position: Float[Array, "2"] | Float[np.ndarray, "2"], grid: Grid = GRID) -> Float[Array, "n n"]:
+        """Distance of the tip's surface behind its lowest point over each cell.
+
+        Args:
+            position: Of the tip's axis on the skin (m).
+            grid: Cells of the pad.
+
+        Returns:
+            Heights (m), row along tool y; FAR where the tip is not over the cell.
+        """
         y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
-        square = (x - place[0]) ** 2 + (y - place[1]) ** 2
+        square = (x - position[0]) ** 2 + (y - position[1]) ** 2
         under = square < self.radius**2
         if self.shape == "cylinder":
-            return jnp.where(under, 0.0, FAR)
-        return jnp.where(under, self.radius - jnp.sqrt(jnp.where(under, self.radius**2 - square, 1.0)), FAR)
+            return jnp.where(under, 0.0, MAX_HEIGHT_M)
+        return jnp.where(under, self.radius - jnp.sqrt(jnp.where(under, self.radius**2 - square, 1.0)), MAX_HEIGHT_M)
 
 
-class Layer(NamedTuple):
-    """What is not linear; also its spread (one standard deviation) in the same units."""
+class LayerParameters(NamedTuple):
+    """What the readings are not linear in; also their standard deviations, and their coordinates in the prior."""
 
     thickness: Float[Array, ""]  # m
-    gap: Float[Array, ""]  # m
+    gap: Float[Array, ""]  # m, from the layer's base to the chips
     young: Float[Array, ""]  # Pa; only the prior's where presses are controlled by depth
-    zero: Float[Array, ""]  # m by which the skin was met later than believed; zero where controlled by force
-    give: Float[Array, ""]  # m/N, of a skin held at its edge
-    offset: Float[Array, "2"]  # m by which the tip stood off from where it was believed
-    strength: Float[Array, "3"]  # A/m, of the map's patches along each axis
-    common: Float[Array, ""]  # A/m, of the uniform part
-    length: Float[Array, ""]  # m, of the patches
-    noise: Float[Array, ""]  # uT, of a reading, with all that the model leaves out
+    contact_offset: Float[Array, ""]  # m, first contact later than believed; zero where controlled by force
+    mount_compliance: Float[Array, ""]  # m/N, of an edge-clamped skin
+    tip_offset: Float[Array, "2"]  # m, of the tip from where it was believed
+    patch_strength: Float[Array, "3"]  # A/m, of the map's patches along each axis
+    uniform_strength: Float[Array, ""]  # A/m, of the uniform part
+    patch_length: Float[Array, ""]  # m
+    noise_std: Float[Array, ""]  # uT, of a reading, with all that the model leaves out
 
 
-class Prior(NamedTuple):
-    """Middle and standard deviation of each of `Layer`; a factor exp(normal) for those that cannot be negative."""
+# Parameters that change the design matrices; the others only scale what the matrices give.
+DESIGN_PARAMETERS = ("thickness", "gap", "young", "contact_offset", "mount_compliance", "tip_offset")
+# Parameters with a normal prior; the others cannot be negative and have a lognormal one.
+NORMAL_PARAMETERS = ("contact_offset", "tip_offset")
 
-    middle: Layer
-    spread: Layer
+
+class LayerPrior(NamedTuple):
+    """Prior of `LayerParameters`: normal for NORMAL_PARAMETERS, lognormal for all others."""
+
+    median: LayerParameters
+    std: LayerParameters  # of the parameter where the prior is normal, of its logarithm where it is lognormal
 
 
-def prior(thickness: float = THICKNESS + 0.5e-3, gap: float = GAP, length: float = 3e-3) -> Prior:
-    """Much as `sample_pad` draws pads, with 0.1 mm of first touch, 0.3 mm of offset, 2 uT of noise within a factor e.
-    One wide lognormal stands for a give that is nothing in most skins.
+def layer_prior(
+    thickness: float = THICKNESS_M + 0.5e-3, gap: float = CHIP_GAP_M, patch_length: float = 3e-3
+) -> LayerPrior:
+    """Prior that approximates `sample_pad`.
+
+    A mounting compliance is lognormal although it is exactly 0 in bonded skins; one wide prior stands for both kinds.
+
+    Args:
+        thickness: Median thickness of the layer (m).
+        gap: Median distance from the layer's base to the chips (m).
+        patch_length: Median length of the magnetization's patches (m).
+
+    Returns:
+        Medians and standard deviations.
     """
-    part = 0.7 * STRENGTH  # patches and the uniform part share the variance
-    middle = Layer(thickness, gap, YOUNG, 0.0, 0.3 * GIVE, jnp.zeros(2), jnp.full(3, part), part, length, 2.0)  # type: ignore[arg-type]
-    spread = Layer(0.12, 0.17, 0.15, 1e-4, 1.3, jnp.full(2, 3e-4), jnp.full(3, 0.7), 0.7, 0.2, 1.0)  # type: ignore[arg-type]
-    return Prior(middle, spread)
+    median = LayerParameters(
+        thickness=jnp.asarray(thickness),
+        gap=jnp.asarray(gap),
+        young=jnp.asarray(YOUNG_PA),
+        contact_offset=jnp.asarray(0.0),
+        mount_compliance=jnp.asarray(0.3 * MOUNT_COMPLIANCE_M_PER_N),
+        tip_offset=jnp.zeros(2),
+        patch_strength=jnp.full(3, MAGNETIZATION_STD),
+        uniform_strength=jnp.asarray(MAGNETIZATION_STD),
+        patch_length=jnp.asarray(patch_length),
+        noise_std=jnp.asarray(NOISE_STD_UT),
+    )
+    std = LayerParameters(
+        thickness=jnp.asarray(0.12),
+        gap=jnp.asarray(0.17),
+        young=jnp.asarray(0.15),
+        contact_offset=jnp.asarray(1e-4),  # m
+        mount_compliance=jnp.asarray(1.3),
+        tip_offset=jnp.full(2, 3e-4),  # m
+        patch_strength=jnp.full(3, 0.7),
+        uniform_strength=jnp.asarray(0.7),
+        patch_length=jnp.asarray(0.2),
+        noise_std=jnp.asarray(1.0),
+    )
+    return LayerPrior(median, std)
 
 
 class PadFit(NamedTuple):
     """A fitted pad, and how sure it is."""
 
     pad: Pad
-    layer: Layer
-    spread: Layer  # of `layer`
-    weights: Float[Array, " k"]
-    cholesky: Float[Array, "k k"]  # of the weights' precision
-    left_out: Float[Array, "n 15"]  # uT, what all other presses say of each
-    score: Float[Array, ""]  # mean log density of a reading of a press as all others predict it
+    layer: LayerParameters
+    layer_std: LayerParameters
+    weights: Float[Array, " k"]  # posterior mean
+    precision_cholesky: Float[Array, "k k"]  # of the weights' posterior
+    leave_one_out: Float[Array, "n c"]  # uT, each press as predicted from all others
+    log_density: Float[Array, ""]  # mean, of a value of a press as predicted from all others
 
 
-def layer_of(free: Float[Array, " free"], given: Prior) -> Layer:
-    """From coordinates whose prior is normal with variance 1."""
-    m, d = given
+def parameters_at(coordinates: LayerParameters, prior: LayerPrior) -> LayerParameters:
+    """Parameters from their coordinates in the prior.
 
-    def factor(name: str, at: Array) -> Array:
-        return getattr(m, name) * jnp.exp(getattr(d, name) * at)
+    Args:
+        coordinates: Standard deviations from the median; their prior is normal with variance 1.
+        prior: Medians and standard deviations.
 
-    return Layer(
-        factor("thickness", free[0]), factor("gap", free[1]), factor("young", free[2]), m.zero + d.zero * free[3],
-        factor("give", free[4]), m.offset + d.offset * free[5:7], factor("strength", free[7:10]),
-        factor("common", free[10]), factor("length", free[11]), factor("noise", free[12]),
-    )  # fmt: skip
+    Returns:
+        The parameters in their units.
+    """
+
+    def value(name: str) -> Array:
+        median, std, at = (getattr(part, name) for part in (prior.median, prior.std, coordinates))
+        return median + std * at if name in NORMAL_PARAMETERS else median * jnp.exp(std * at)
+
+    return LayerParameters(**{name: value(name) for name in LayerParameters._fields})
 
 
-def make_pad(layer: Layer, board: Board, magnetisation: Float[Array, "m m 3"] | None = None) -> Pad:
-    """The layer over a board, whose chips keep their places in the plane."""
+def make_pad(layer: LayerParameters, board: Board, magnetization: Float[Array, "cells cells 3"] | None = None) -> Pad:
+    """A pad of a layer over a board, whose chips keep their positions in the plane.
+
+    Args:
+        layer: Parameters of the layer.
+        board: The sensor board, any number of chips.
+        magnetization: Map (A/m); by default none.
+
+    Returns:
+        A pad with gains of 1.
+    """
     chips = jnp.asarray(board.chips).at[:, 2].set(-(layer.thickness + layer.gap))
-    empty = jnp.zeros((MAP, MAP, 3)) if magnetisation is None else magnetisation
+    empty = jnp.zeros((MAP_CELLS, MAP_CELLS, 3)) if magnetization is None else magnetization
     return Pad(
-        jnp.asarray(layer.thickness), jnp.asarray(layer.young), jnp.asarray(POISSON), empty, jnp.ones(READINGS),
-        Board(chips, jnp.asarray(board.rotations)), friction=jnp.asarray(FRICTION), give=jnp.asarray(layer.give),
-    )  # fmt: skip
+        thickness=jnp.asarray(layer.thickness),
+        young=jnp.asarray(layer.young),
+        poisson=jnp.asarray(POISSON_RATIO),
+        magnetization=empty,
+        gains=jnp.ones(3 * len(board.chips)),
+        board=Board(chips, jnp.asarray(board.rotations)),
+        friction=jnp.asarray(FRICTION_COEFFICIENT),
+        mount_compliance=jnp.asarray(layer.mount_compliance),
+    )
 
 
-def cosines(cells: int = MAP) -> Float[np.ndarray, "cells modes"]:
-    """Orthonormal cosines on the cells of an edge (the discrete cosine transform's), the slowest first."""
+def cosine_basis(cells: int = MAP_CELLS) -> Float[np.ndarray, "cells m"]:
+    """Orthonormal cosines on the cells of an edge (the discrete cosine transform's), the slowest first.
+
+    Args:
+        cells: Cells along the edge.
+
+    Returns:
+        A column for each cosine.
+    """
     k, i = np.arange(min(MODES, cells)), np.arange(cells)
     waves = np.cos(np.pi * (i[:, None] + 0.5) * k / cells) * np.sqrt(2 / cells)
     return np.where(k == 0, waves / np.sqrt(2), waves).astype(np.float32)
 
 
-def root(length: Float[Array, ""], window: float, cells: int = MAP) -> Float[Array, "modes modes"]:
-    """Factor of the covariance of an edge's cosines: that of `smooth_random`, seen by them."""
+def cosine_prior_factor(patch_length: Float[Array, ""], window: float, cells: int = MAP_CELLS) -> Float[Array, "m m"]:
+    """Cholesky factor of the covariance of an edge's cosines: that of `smooth_random`, in their basis.
+
+    Args:
+        patch_length: Length of the patches (m).
+        window: Edge of the pad (m).
+        cells: Cells along the edge.
+
+    Returns:
+        The lower factor.
+    """
     at = (np.arange(cells) + 0.5) / cells * window
-    apart = (at[:, None] - at[None, :]) / length
-    waves = jnp.asarray(cosines(cells))
-    covariance = waves.T @ (0.999 * jnp.exp(-0.5 * apart**2) + 0.001 * jnp.eye(cells)) @ waves
+    scaled = (at[:, None] - at[None, :]) / patch_length
+    waves = jnp.asarray(cosine_basis(cells))
+    covariance = waves.T @ (0.999 * jnp.exp(-0.5 * scaled**2) + 0.001 * jnp.eye(cells)) @ waves
     return jnp.linalg.cholesky(covariance + 1e-5 * jnp.eye(len(covariance)))
 
 
-def design(
-    layer: Layer, board: Board, tip: Tip, place: Float[Array, "2"], load: Float[Array, ""], by_force: bool,
+def design_matrix(
+    layer: LayerParameters,
+    board: Board,
+    tip: Tip,
+    position: Float[Array, "2"],
+    load: Float[Array, ""],
+    *,
+    by_force: bool,
     grid: Grid = GRID,
-) -> Float[Array, "15 3 m m"]:  # fmt: skip
-    """The reading (uT) of one press for each cosine (y, x) of 1 A/m of each component of the magnetisation."""
+) -> Float[Array, "c 3 m m"]:
+    """Reading of one press for each cosine of each component of the magnetization.
+
+    Args:
+        layer: Parameters of the layer.
+        board: The sensor board.
+        tip: What presses.
+        position: Where, as believed (m).
+        load: Force (N) or depth (m).
+        by_force: Whether the load is a force.
+        grid: Cells of the pad.
+
+    Returns:
+        Readings (uT) of 1 A/m: channels, components, cosines along y and along x.
+    """
     pad = make_pad(layer, board)
-    height = tip.height(place + layer.offset, grid)
+    height = tip.height(position + layer.tip_offset, grid)
     if by_force:
-        contact = solve_force(pad, height, jnp.maximum(load, 1e-3), grid)
+        contact = solve_force(pad, height, jnp.maximum(load, MIN_FORCE_N), grid)
     else:
-        contact = solve(pad, height, load - layer.zero, grid)
+        contact = solve(pad, height, load - layer.contact_offset, grid)
     loaded = elastic.load(pad, contact.pressure, grid=grid)
-    # Moments of magnetisation 1 along one cosine in y and one in x are a product: the sheets' of each edge.
-    share, depths = _edge(grid), sheets(pad, grid)[0]
+    # Moments of magnetization 1 along one cosine in y and one in x are a product: the sheets' of each edge.
+    share, depths = _edge_moments(grid), sheets(pad, grid)[0]
     thick = pad.thickness * np.polynomial.legendre.leggauss(NODES)[1] / 2
     y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
 
@@ -169,7 +299,7 @@ def design(
         turned = jax.vmap(lambda one: turn(rotation, jnp.broadcast_to(one[:, None, None], rest.shape)))(jnp.eye(3))
 
         def chip(point: Array) -> Array:
-            before, after = _tensor(point, rest), _tensor(point, rest + displacement)
+            before, after = _dipole_tensor(point, rest), _dipole_tensor(point, rest + displacement)
             change = jnp.einsum("oqij,cqij->ocij", after, turned, precision="highest") - before
             return jnp.einsum("ocij,ia,jb->ocab", change, share, share, precision="highest")
 
@@ -177,197 +307,346 @@ def design(
 
     field = MICROTESLA * jnp.sum(jax.lax.map(sheet, (depths, thick)), axis=0)  # (chips, 3, 3, modes, modes), tool axes
     own = jnp.einsum("kqo,kqcab->kocab", pad.board.rotations, field, precision="highest")
-    return own.reshape(READINGS, 3, *field.shape[-2:])
+    return own.reshape(3 * len(own), 3, *field.shape[-2:])
 
 
-def _edge(grid: Grid) -> Float[np.ndarray, "n m"]:
+@partial(jax.jit, static_argnames=("tip", "by_force", "grid"))
+def design_matrices(
+    layer: LayerParameters, board: Board, tip: Tip, presses: Presses, *, by_force: bool, grid: Grid = GRID
+) -> Float[Array, "n c 3 m m"]:
+    """`design_matrix` of many presses.
+
+    Args:
+        layer: Parameters of the layer.
+        board: The sensor board.
+        tip: What presses; hashable.
+        presses: Positions (m) and loads (m or N).
+        by_force: Whether the loads are forces.
+        grid: Cells of the pad.
+
+    Returns:
+        Readings (uT) of 1 A/m for each press.
+    """
+
+    def one(press: Presses) -> Array:
+        return design_matrix(layer, board, tip, press.position, press.load, by_force=by_force, grid=grid)
+
+    return jax.lax.map(one, presses, batch_size=BATCH_PRESSES)
+
+
+def weight_features(layer: LayerParameters, designs: Float[Array, "n c 3 m m"], window: float) -> Float[Array, "n c k"]:
+    """Readings of weights of prior variance 1.
+
+    Args:
+        layer: Strengths and length of the magnetization's patches.
+        designs: Design matrices.
+        window: Edge of the pad (m).
+
+    Returns:
+        Readings (uT) of each weight: those of the patches, then three of the uniform part.
+    """
+    r = cosine_prior_factor(layer.patch_length, window)
+    patches = jnp.einsum("nocab,ax,by,c->nocxy", designs, r, r, layer.patch_strength, precision="highest")
+    level = designs[:, :, :, 0, 0] * (MAP_CELLS * layer.uniform_strength)  # the first cosines are 1 / sqrt(MAP)
+    return jnp.concatenate([patches.reshape(*designs.shape[:2], -1), level], axis=-1)
+
+
+class LinearRegression(NamedTuple):
+    """Posterior of the map's weights."""
+
+    weights: Float[Array, " k"]  # mean
+    precision_cholesky: Float[Array, "k k"]
+    leave_one_out: Float[Array, "n c"]  # uT, each press as predicted from all others
+    log_density: Float[Array, " n"]  # of each press as predicted from all others
+
+
+def bayesian_linear_regression(
+    features: Float[Array, "n c k"], readings: Float[Array, "n c"], noise_std: Float[Array, ""]
+) -> LinearRegression:
+    """Weights of prior variance 1, and what leaving out each press (all its values) gives, in closed form.
+
+    Args:
+        features: Readings of each weight.
+        readings: Readings of the presses, in the features' unit.
+        noise_std: Standard deviation of a reading's noise, in the same unit.
+
+    Returns:
+        The posterior, and each press as predicted from all others.
+    """
+    channels = features.shape[1]
+    rows = features.reshape(-1, features.shape[-1]) / noise_std
+    precision = jnp.matmul(rows.T, rows, precision="highest") + jnp.eye(features.shape[-1])
+    cholesky = jnp.linalg.cholesky(precision)
+    projected = jnp.matmul(rows.T, readings.reshape(-1) / noise_std, precision="highest")
+    weights = jax.scipy.linalg.cho_solve((cholesky, True), projected)
+    half = jax.scipy.linalg.solve_triangular(cholesky, rows.T, lower=True).T.reshape(features.shape)
+    rest = jnp.eye(channels)[None] - jnp.einsum("nok,npk->nop", half, half, precision="highest")
+    error = (readings - jnp.einsum("nok,k->no", features, weights, precision="highest")) / noise_std
+    factor = jnp.linalg.cholesky(rest + 1e-5 * jnp.eye(channels)[None])
+    # The error without the press is (I - H)^-1 e, its covariance (I - H)^-1.
+    lone = jax.vmap(lambda L, e: jax.scipy.linalg.cho_solve((L, True), e))(factor, error)
+    log_rest = 2 * jnp.sum(jnp.log(jnp.diagonal(factor, axis1=1, axis2=2)), axis=1)
+    log_density = -0.5 * (jnp.sum(error * lone, axis=1) - log_rest) - channels * jnp.log(noise_std * np.sqrt(2 * np.pi))
+    return LinearRegression(weights, cholesky, readings - noise_std * lone, log_density)
+
+
+def fit_pad(
+    presses: Presses,
+    readings: Float[Array, "n c"],
+    *,
+    tip: Tip,
+    board: Board,
+    by_force: bool,
+    prior: LayerPrior | None = None,
+    grid: Grid = GRID,
+    max_layer_presses: int = MAX_LAYER_PRESSES,
+    linearizations: int = LINEARIZATIONS,
+) -> PadFit:
+    """Fit a pad to presses with a known tip.
+
+    Args:
+        presses: Positions (m) and loads (m or N), in random order.
+        readings: Their readings (uT).
+        tip: What pressed; hashable.
+        board: The sensor board, any number of chips.
+        by_force: Whether the loads are forces.
+        prior: Of the layer's parameters; by default `layer_prior()`.
+        grid: Cells of the pad.
+        max_layer_presses: The layer's parameters are fitted to at most so many presses, the first.
+        linearizations: Of the design matrices; with 0 the layer stays at the median of its prior.
+
+    Returns:
+        The pad, the layer's parameters with their standard deviations, and the posterior of the map.
+    """
+    prior = layer_prior() if prior is None else prior
+    first = min(max_layer_presses, len(presses.load))
+    some, known = jax.tree.map(lambda part: part[:first], presses), readings[:first]
+    pressed = _Pressed(some, known, tip, board, by_force, grid)
+    flat, unravel = ravel_pytree(jax.tree.map(jnp.zeros_like, prior.median))
+    at, curvature = np.zeros(len(flat)), np.eye(len(flat))
+    for _ in range(linearizations):
+        at, curvature = _maximise(_linearized(at, pressed, prior, unravel), at)
+    values, vectors = np.linalg.eigh((curvature + curvature.T) / 2)
+    # The prior alone curves by 1: less is rounding, or a maximum that was not reached.
+    stds = np.sqrt(np.sum(vectors**2 / np.maximum(values, 1.0), axis=1))
+    layer = parameters_at(unravel(jnp.asarray(at, jnp.float32)), prior)
+    layer_std = _parameter_stds(layer, unravel(jnp.asarray(stds, jnp.float32)), prior)
+    return solve_map(layer, layer_std, presses, readings, tip=tip, board=board, by_force=by_force, grid=grid)
+
+
+def solve_map(
+    layer: LayerParameters,
+    layer_std: LayerParameters,
+    presses: Presses,
+    readings: Float[Array, "n c"],
+    *,
+    tip: Tip,
+    board: Board,
+    by_force: bool,
+    grid: Grid = GRID,
+) -> PadFit:
+    """Fit the magnetization and the chips' gains for a known layer.
+
+    Args:
+        layer: Parameters of the layer.
+        layer_std: Their standard deviations, which are passed on.
+        presses: Positions (m) and loads (m or N).
+        readings: Their readings (uT).
+        tip: What pressed; hashable.
+        board: The sensor board.
+        by_force: Whether the loads are forces.
+        grid: Cells of the pad.
+
+    Returns:
+        The fitted pad.
+    """
+    designs = design_matrices(layer, board, tip, presses, by_force=by_force, grid=grid)
+    features = weight_features(layer, designs, grid.window)
+    gains, solved, pad = _map_and_gains(layer, features, readings, board, grid.window)
+    return PadFit(
+        pad=pad._replace(gains=gains),
+        layer=layer,
+        layer_std=layer_std,
+        weights=solved.weights,
+        precision_cholesky=solved.precision_cholesky,
+        leave_one_out=solved.leave_one_out,
+        log_density=jnp.mean(solved.log_density) / readings.shape[1],
+    )
+
+
+def predict_pad(
+    fitted: PadFit, presses: Presses, *, tip: Tip, by_force: bool, grid: Grid = GRID
+) -> tuple[Float[Array, "n c"], Float[Array, "n c"]]:
+    """Predict the readings of other presses; the layer is taken as known.
+
+    Args:
+        fitted: The fitted pad.
+        presses: Positions (m) and loads (m or N).
+        tip: What presses; hashable.
+        by_force: Whether the loads are forces.
+        grid: Cells of the pad, as in the fit.
+
+    Returns:
+        Mean and standard deviation (uT).
+    """
+    designs = design_matrices(fitted.layer, fitted.pad.board, tip, presses, by_force=by_force, grid=grid)
+    return _predict(fitted, weight_features(fitted.layer, designs, grid.window))
+
+
+@partial(jax.jit, static_argnames=("window",))
+def _map_and_gains(
+    layer: LayerParameters, features: Array, readings: Array, board: Board, window: float
+) -> tuple[Array, LinearRegression, Pad]:
+    gains = jnp.ones(readings.shape[1])
+    solved = bayesian_linear_regression(features, readings, layer.noise_std)
+    for _ in range(GAIN_ROUNDS):
+        # The presses measure a gain only as far as each is predicted from all others.
+        own = jnp.sum(solved.leave_one_out**2, axis=0) / layer.noise_std**2
+        seen = jnp.sum(solved.leave_one_out / gains[None] * readings, axis=0) / layer.noise_std**2
+        own = own / gains**2
+        gains = (1 / GAIN_STD**2 + seen) / (1 / GAIN_STD**2 + own)
+        solved = bayesian_linear_regression(features * gains[None, :, None], readings, layer.noise_std)
+    weights, level = solved.weights[:-3].reshape(3, MODES, MODES), solved.weights[-3:]
+    r, waves = cosine_prior_factor(layer.patch_length, window), jnp.asarray(cosine_basis())
+    edge = jnp.matmul(waves, r, precision="highest")
+    patches = jnp.einsum("ia,jb,cab,c->ijc", edge, edge, weights, layer.patch_strength, precision="highest")
+    return gains, solved, make_pad(layer, board, patches + layer.uniform_strength * level[None, None])
+
+
+@jax.jit
+def _predict(fitted: PadFit, features: Array) -> tuple[Array, Array]:
+    features = features * fitted.pad.gains[None, :, None]
+    mean = jnp.einsum("nok,k->no", features, fitted.weights, precision="highest")
+    rows = features.reshape(-1, features.shape[-1])
+    half = jax.scipy.linalg.solve_triangular(fitted.precision_cholesky, rows.T, lower=True)
+    return mean, jnp.sqrt(jnp.sum(half**2, axis=0).reshape(mean.shape) + fitted.layer.noise_std**2)
+
+
+def _edge_moments(grid: Grid) -> Float[np.ndarray, "n m"]:
     """What a cosine of the map gives to each cell of the grid along an edge, times the cell's width (`sheets`)."""
-    cell = (2 * np.arange(grid.cells) + 1) * MAP // (2 * grid.cells)
-    return (cell_means(grid.cells).T @ cosines()[cell] * grid.spacing).astype(np.float32)
+    cell = (2 * np.arange(grid.cells) + 1) * MAP_CELLS // (2 * grid.cells)
+    return (cell_means(grid.cells).T @ cosine_basis()[cell] * grid.spacing).astype(np.float32)
 
 
-def _tensor(point: Array, at: Float[Array, "3 n n"]) -> Float[Array, "3 3 n n"]:
-    """Field (T) at a point per moment (A m2) at each place."""
+def _dipole_tensor(point: Array, at: Float[Array, "3 n n"]) -> Float[Array, "3 3 n n"]:
+    """Field (T) at a point per moment (A m2) at each position."""
     d = point[:, None, None] - at
     inverse = jax.lax.rsqrt(jnp.sum(d**2, axis=0))
     along = d * inverse[None]
     return MU0_OVER_4PI * (3 * along[:, None] * along[None] - jnp.eye(3)[..., None, None]) * inverse[None, None] ** 3
 
 
-@partial(jax.jit, static_argnums=(2, 4, 5))
-def designs(
-    layer: Layer, board: Board, tip: Tip, presses: Presses, by_force: bool, grid: Grid = GRID
-) -> Float[Array, "n 15 3 m m"]:
-    """`design` of many presses."""
-    return jax.lax.map(
-        lambda at: design(layer, board, tip, at[0], at[1], by_force, grid), tuple(presses), batch_size=BATCH
+# The layer's fit. Its coordinates are a LayerParameters of standard deviations from the prior's median, which the
+# optimiser sees as one vector (`ravel_pytree`).
+
+_Unravel: TypeAlias = Callable[[Any], LayerParameters]
+_Objective: TypeAlias = Callable[[np.ndarray], tuple[float, np.ndarray]]
+
+
+class _Pressed(NamedTuple):
+    """What the layer is fitted to."""
+
+    presses: Presses
+    readings: Array  # (n, c) uT
+    tip: Tip
+    board: Board
+    by_force: bool
+    grid: Grid
+
+
+class _Linearization(NamedTuple):
+    """Design matrices near some coordinates."""
+
+    coordinates: LayerParameters
+    value: Array  # (n, c, 3, m, m)
+    changes: Array  # (d, n, c, 3, m, m), along each coordinate of DESIGN_PARAMETERS
+
+
+def _maximise(objective: _Objective, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The minimum of a negative log posterior near `start`, and its curvature there."""
+    bounds = [(at - MAX_MOVE_STDS, at + MAX_MOVE_STDS) for at in start]
+    options = {"maxiter": LBFGS_STEPS}
+    found = optimize.minimize(objective, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
+    step = CURVATURE_STEP_STDS
+    curvature = [
+        (objective(found + step * e)[1] - objective(found - step * e)[1]) / (2 * step) for e in np.eye(len(found))
+    ]
+    return found, np.array(curvature)
+
+
+def _linearized(at: np.ndarray, pressed: _Pressed, prior: LayerPrior, unravel: _Unravel) -> _Objective:
+    """Value and gradient of the negative log posterior, with design matrices that are linear about `at`."""
+    coordinates = unravel(jnp.asarray(at, jnp.float32))
+    presses, readings, tip, board, by_force, grid = pressed
+    value, changes = _design_derivatives(
+        coordinates, prior, board, tip=tip, presses=presses, by_force=by_force, grid=grid
     )
+    linearization = _Linearization(coordinates, value, changes)
+
+    def objective(x: np.ndarray) -> tuple[float, np.ndarray]:
+        here = unravel(jnp.asarray(x, jnp.float32))
+        value, gradient = _value_and_gradient(here, linearization, readings, prior, window=grid.window)
+        gradient = np.asarray(ravel_pytree(gradient)[0], np.float64)
+        if not np.isfinite(value) or not np.isfinite(gradient).all():  # beyond what single precision can factor
+            return FAILED_OBJECTIVE, np.zeros(len(x))
+        return float(value), gradient
+
+    return objective
 
 
-def features(layer: Layer, designed: Float[Array, "n 15 3 m m"], window: float) -> Float[Array, "n 15 k"]:
-    """The readings of weights of variance 1."""
-    r = root(layer.length, window)
-    patches = jnp.einsum("nocab,ax,by,c->nocxy", designed, r, r, layer.strength, precision="highest")
-    level = designed[:, :, :, 0, 0] * (MAP * layer.common)  # the first cosines are 1 / sqrt(MAP)
-    return jnp.concatenate([patches.reshape(*designed.shape[:2], -1), level], axis=-1)
+def _design_coordinates(coordinates: LayerParameters) -> tuple[Array, ...]:
+    return tuple(getattr(coordinates, name) for name in DESIGN_PARAMETERS)
 
 
-class Solved(NamedTuple):
-    """A linear fit of the map."""
-
-    weights: Float[Array, " k"]
-    cholesky: Float[Array, "k k"]
-    mean: Float[Array, "n 15"]  # uT, of each press as all others predict it
-    density: Float[Array, " n"]  # log density of each press as all others predict it
-
-
-def regress(phi: Float[Array, "n 15 k"], readings: Float[Array, "n 15"], noise: Float[Array, ""]) -> Solved:
-    """Weights of prior variance 1, and what leaving out each press (all its 15 values) gives, in closed form."""
-    rows = phi.reshape(-1, phi.shape[-1]) / noise
-    precision = jnp.matmul(rows.T, rows, precision="highest") + jnp.eye(phi.shape[-1])
-    cholesky = jnp.linalg.cholesky(precision)
-    weights = jax.scipy.linalg.cho_solve(
-        (cholesky, True), jnp.matmul(rows.T, readings.reshape(-1) / noise, precision="highest")
-    )
-    half = jax.scipy.linalg.solve_triangular(cholesky, rows.T, lower=True).T.reshape(phi.shape)
-    rest = jnp.eye(READINGS)[None] - jnp.einsum("nok,npk->nop", half, half, precision="highest")
-    error = (readings - jnp.einsum("nok,k->no", phi, weights, precision="highest")) / noise
-    factor = jnp.linalg.cholesky(rest + 1e-5 * jnp.eye(READINGS)[None])
-    lone = jax.vmap(lambda L, e: jax.scipy.linalg.cho_solve((L, True), e))(factor, error)
-    # The error without the press is (I - H)^-1 e, its covariance (I - H)^-1.
-    log_rest = 2 * jnp.sum(jnp.log(jnp.diagonal(factor, axis1=1, axis2=2)), axis=1)
-    density = -0.5 * (jnp.sum(error * lone, axis=1) - log_rest) - READINGS * jnp.log(noise * np.sqrt(2 * np.pi))
-    return Solved(weights, cholesky, readings - noise * lone, density)
+def _negative_log_posterior(
+    coordinates: LayerParameters, linearization: _Linearization, readings: Array, prior: LayerPrior, window: float
+) -> Array:
+    layer = parameters_at(coordinates, prior)
+    here, _ = ravel_pytree(_design_coordinates(coordinates))
+    there, _ = ravel_pytree(_design_coordinates(linearization.coordinates))
+    designs = linearization.value + jnp.tensordot(here - there, linearization.changes, 1, precision="highest")
+    features = weight_features(layer, designs, window)
+    solved = bayesian_linear_regression(features, readings, layer.noise_std)
+    return 0.5 * jnp.sum(ravel_pytree(coordinates)[0] ** 2) - jnp.sum(solved.log_density)
 
 
-def fit_pad(
-    presses: Presses,
-    readings: Float[Array, "n 15"],
-    tip: Tip,
+_value_and_gradient = jax.jit(jax.value_and_grad(_negative_log_posterior), static_argnames=("window",))
+
+
+@partial(jax.jit, static_argnames=("tip", "by_force", "grid"))
+def _design_derivatives(
+    coordinates: LayerParameters,
+    prior: LayerPrior,
     board: Board,
-    by_force: bool,
-    given: Prior | None = None,
-    grid: Grid = GRID,
-    limit: int = LIMIT,
-    rounds: int = ROUNDS,
-) -> PadFit:
-    """A pad from n presses and their readings (uT); at most `limit` of them, the first, find what is not linear.
-
-    Presses are expected in random order. With `rounds` 0 the layer stays at the middle of its prior.
-    """
-    given = prior() if given is None else given
-    first = min(limit, len(presses.load))
-    some, told = jax.tree.map(lambda part: part[:first], presses), readings[:first]
-    free = np.zeros(COORDINATES)
-    curvature = np.eye(COORDINATES)
-    for _ in range(rounds):
-        here = jnp.asarray(free, jnp.float32)
-        designed = _moved(here, given, board, tip, some, by_force, grid)
-
-        def climb(x: np.ndarray, here: Array = here, designed: Array = designed) -> tuple[float, np.ndarray]:
-            value, slope = _slopes(jnp.asarray(x, jnp.float32), here, designed, told, given, grid.window)
-            if not np.isfinite(value) or not np.isfinite(slope).all():  # beyond what single precision can factor
-                return IMPOSSIBLE, np.zeros(COORDINATES)
-            return float(value), np.asarray(slope, np.float64)
-
-        bounds = [(at - REACH, at + REACH) for at in free]
-        found = optimize.minimize(climb, free, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": STEPS})
-        free = found.x
-        step = 0.05
-        curvature = np.array(
-            [(climb(free + step * e)[1] - climb(free - step * e)[1]) / (2 * step) for e in np.eye(len(free))]
-        )
-    values, vectors = np.linalg.eigh((curvature + curvature.T) / 2)
-    # The prior alone curves by 1: less is rounding, or a top that was not reached.
-    spread = np.sqrt(np.sum(vectors**2 / np.maximum(values, 1.0), axis=1))
-    layer = layer_of(jnp.asarray(free, jnp.float32), given)
-    return solve_map(layer, _spread(layer, spread, given), presses, readings, tip, board, by_force, grid)
-
-
-def solve_map(
-    layer: Layer,
-    spread: Layer,
-    presses: Presses,
-    readings: Float[Array, "n 15"],
+    *,
     tip: Tip,
-    board: Board,
+    presses: Presses,
     by_force: bool,
-    grid: Grid = GRID,
-) -> PadFit:
-    """The map and the chips' gains for a known layer."""
-    phi = features(layer, designs(layer, board, tip, presses, by_force, grid), grid.window)
-    return _finish(layer, spread, phi, readings, board, grid.window)
+    grid: Grid,
+) -> tuple[Array, Array]:
+    """Design matrices of all presses, and their change along each coordinate of DESIGN_PARAMETERS."""
+    start, unravel = ravel_pytree(_design_coordinates(coordinates))
 
-
-@partial(jax.jit, static_argnames=("window",))
-def _finish(layer: Layer, spread: Layer, phi: Array, readings: Array, board: Board, window: float) -> PadFit:
-    gains = jnp.ones(READINGS)
-    solved = regress(phi, readings, layer.noise)
-    for _ in range(3):
-        # A gain is told by the presses only as far as all other presses predict it.
-        own = jnp.sum(solved.mean**2, axis=0) / layer.noise**2
-        seen = jnp.sum(solved.mean / gains[None] * readings, axis=0) / layer.noise**2
-        own = own / gains**2
-        gains = (1 / GAIN_SPREAD**2 + seen) / (1 / GAIN_SPREAD**2 + own)
-        solved = regress(phi * gains[None, :, None], readings, layer.noise)
-    weights, level = solved.weights[:-3].reshape(3, MODES, MODES), solved.weights[-3:]
-    r, waves = root(layer.length, window), jnp.asarray(cosines())
-    edge = jnp.matmul(waves, r, precision="highest")
-    patches = jnp.einsum("ia,jb,cab,c->ijc", edge, edge, weights, layer.strength, precision="highest")
-    magnetisation = patches + layer.common * level[None, None]
-    pad = make_pad(layer, board, magnetisation)._replace(gains=gains)
-    return PadFit(pad, layer, spread, solved.weights, solved.cholesky, solved.mean, jnp.mean(solved.density) / READINGS)
-
-
-def predict_pad(
-    fitted: PadFit, presses: Presses, tip: Tip, by_force: bool, grid: Grid = GRID
-) -> tuple[Float[Array, "n 15"], Float[Array, "n 15"]]:
-    """Mean and standard deviation (uT) of the readings of other presses; the layer is taken as known."""
-    phi = features(fitted.layer, designs(fitted.layer, fitted.pad.board, tip, presses, by_force, grid), grid.window)
-    return _told(fitted, phi)
-
-
-@jax.jit
-def _told(fitted: PadFit, phi: Array) -> tuple[Array, Array]:
-    phi = phi * fitted.pad.gains[None, :, None]
-    mean = jnp.einsum("nok,k->no", phi, fitted.weights, precision="highest")
-    half = jax.scipy.linalg.solve_triangular(fitted.cholesky, phi.reshape(-1, phi.shape[-1]).T, lower=True)
-    return mean, jnp.sqrt(jnp.sum(half**2, axis=0).reshape(mean.shape) + fitted.layer.noise**2)
-
-
-def _spread(layer: Layer, free: np.ndarray, given: Prior) -> Layer:
-    """Spread of the layer from that of its coordinates, to first order."""
-    d = given.spread
-    return Layer(
-        layer.thickness * d.thickness * free[0], layer.gap * d.gap * free[1], layer.young * d.young * free[2],
-        jnp.asarray(d.zero * free[3]), layer.give * d.give * free[4], d.offset * jnp.asarray(free[5:7]),
-        layer.strength * d.strength * jnp.asarray(free[7:10]), layer.common * d.common * free[10],
-        layer.length * d.length * free[11], layer.noise * d.noise * free[12],
-    )  # fmt: skip
-
-
-def _climbed(free: Array, here: Array, designed: Array, readings: Array, given: Prior, window: float) -> Array:
-    """What is descended near `here`, where the design is linear in its coordinates."""
-    layer = layer_of(free, given)
-    moved = designed[0] + jnp.tensordot(free[:MOVES] - here[:MOVES], designed[1:], 1, precision="highest")
-    solved = regress(features(layer, moved, window), readings, layer.noise)
-    return 0.5 * jnp.sum(free**2) - jnp.sum(solved.density)
-
-
-_slopes = jax.jit(jax.value_and_grad(_climbed), static_argnames=("window",))
-
-
-@partial(jax.jit, static_argnums=(3, 5, 6))
-def _moved(free: Array, given: Prior, board: Board, tip: Tip, presses: Presses, by_force: bool, grid: Grid) -> Array:
-    """The design and its change along each of the first coordinates, (1 + MOVES, n, 15, 3, m, m)."""
-
-    def one(press: tuple[Array, Array]) -> Array:
-        def at(first: Array) -> Array:
-            return design(layer_of(free.at[:MOVES].set(first), given), board, tip, press[0], press[1], by_force, grid)
+    def one(press: Presses) -> tuple[Array, Array]:
+        def at(vector: Array) -> Array:
+            moved = coordinates._replace(**dict(zip(DESIGN_PARAMETERS, unravel(vector), strict=True)))
+            layer = parameters_at(moved, prior)
+            return design_matrix(layer, board, tip, press.position, press.load, by_force=by_force, grid=grid)
 
         def along(direction: Array) -> Array:
-            return jax.jvp(at, (free[:MOVES],), (direction,))[1]
+            return jax.jvp(at, (start,), (direction,))[1]
 
-        return jnp.concatenate([at(free[:MOVES])[None], jax.lax.map(along, jnp.eye(MOVES))])
+        return at(start), jax.lax.map(along, jnp.eye(len(start)))
 
-    return jnp.swapaxes(jax.lax.map(one, tuple(presses)), 0, 1)
+    value, changes = jax.lax.map(one, presses)
+    return value, jnp.swapaxes(changes, 0, 1)
+
+
+def _parameter_stds(layer: LayerParameters, stds: LayerParameters, prior: LayerPrior) -> LayerParameters:
+    """Standard deviations of the parameters from those of their coordinates, to first order."""
+
+    def std(name: str) -> Array:
+        moved = getattr(prior.std, name) * getattr(stds, name)
+        return moved if name in NORMAL_PARAMETERS else getattr(layer, name) * moved
+
+    return LayerParameters(**{name: std(name) for name in LayerParameters._fields})

@@ -1,21 +1,23 @@
-"""Calibration of one skin: from a few presses with one tip, what all other presses will read, with uncertainty.
+"""Structured Gaussian process (GP) of one skin: from a few presses with one tip, what all other presses will read.
 
-A reading of channel c at place x (m, tool frame) and load d (depth in m or force in N, one of them throughout) is
+A press has a position x (m, tool frame) and a load d: its depth (m) or its normal force (N), one of them throughout. A
+reading of channel c is
 
   y_c = e_c(x) [f(d) g_c(x) + f(d) b_c(x, d) + g0_c(x) + const_c] + noise,
-  f(d) = ((d + offset) / (unit + offset))^power,
+  f(d) = ((d + load_offset) / (unit_load + load_offset))^load_power,
 
-a structured Gaussian process of mean zero: one map g_c, stretched by the load, a little bend b_c of its shape with the
-load, and for presses controlled by force a part g0_c that does not depend on it. The amplitude e_c falls with the
-distance of x from the chip of channel c where chips are given. Channels share the covariance and differ in scale.
+a Gaussian process of mean zero: one map g_c, stretched by the load, a little bend b_c of its shape with the load, and
+for presses controlled by force a part g0_c that does not depend on it. The amplitude e_c falls with the distance of x
+from the chip of channel c where chips are given. Channels share the covariance and differ in scale.
 
-The surface is not flat: d is replaced by d + h(x), with one height h per place for all channels. Each press tells its
-height by the residuals of all channels along their slopes, taken from leave-one-out means (Rasmussen and Williams,
-"Gaussian Processes for Machine Learning", equations 5.10 to 5.12), so that no press explains itself; a second process
-of short length smooths the heights, and the fit is repeated with them.
+The surface is not flat: d is replaced by d + h(x), with one height h per position for all channels. The residuals of
+all channels along their slopes measure the height at each press. They are taken from leave-one-out means (Rasmussen and
+Williams, "Gaussian Processes for Machine Learning", equations 5.10 to 5.12), so that no press explains itself; a second
+GP of short length smooths the heights, and the fit is repeated with them.
 
-With few presses the hyperparameters cannot be fitted and are fixed: `DEPTH` and `FORCE`. `choose` may scale them by
-cross-validation on the presses, never by evidence, which misleads where the prior is wrong in detail.
+With few presses the hyperparameters cannot be fitted and are fixed: `DEPTH_HYPERPARAMETERS` and
+`FORCE_HYPERPARAMETERS`. `select_hyperparameters` may scale them by cross-validation on the presses, never by evidence,
+which misleads where the prior is wrong in detail.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,208 +29,283 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 JITTER = 1e-5  # of the signal's variance: float32 factors of 1000 presses stay real
-ROUNDS = 3  # fits, each with the heights that the one before found; more change nothing
-HEIGHT_ERROR = 5e-3  # of the unit load: what a press tells of its height is never better than this
-WITHIN = 1.645  # standard deviations of a normal error that hold nine in ten
-FOLDS = 10  # up to MANY presses, and three beyond
-MANY = 300
-USUAL = 1.2  # widening on the development presses of the recording that DEPTH was found on
-FEW = 2.0  # presses' worth of belief that all channels have one scale
+HEIGHT_ROUNDS = 3  # fits, each with the heights that the one before found; more change nothing
+HEIGHT_ERROR_UNIT_LOADS = 5e-3  # standard deviation of what one press measures of its height, at least
+STDS_WITHIN_90_PERCENT = 1.645  # standard deviations of a normal error that hold nine in ten
+FOLDS = 10  # of cross-validation, up to MANY_PRESSES
+FOLDS_OF_MANY = 3  # beyond
+MANY_PRESSES = 300
+DEFAULT_INTERVAL_SCALING = 1.2  # on the development presses of the recording that DEPTH_HYPERPARAMETERS was found on
+DEFAULT_SCALING_PRESSES = 5.0  # presses' worth of belief in DEFAULT_INTERVAL_SCALING
+SHARED_SCALING_PRESSES = 20.0  # presses' worth of belief that all channels have one interval scaling
+SHARED_SCALE_PRESSES = 2.0  # presses' worth of belief that all channels have one scale
 
 
 class Presses(NamedTuple):
     """Where and how hard a skin was pressed."""
 
-    place: Float[Array, "n 2"]  # m, tool frame
-    load: Float[Array, " n"]  # m of depth, or N of force
+    position: Float[Array, "n 2"]  # m, tool frame
+    load: Float[Array, " n"]  # depth in m, or normal force in N
 
 
-class Hyper(NamedTuple):
-    """Hyperparameters; the load's unit is that of the presses, variances are relative to a channel's at the unit load.
+class StructuredGPHyperparameters(NamedTuple):
+    """Hyperparameters, as Python numbers or scalars of JAX.
 
-    Python numbers or scalars of JAX.
+    Loads have the unit of the presses' (m or N); variances are relative to a channel's at the unit load.
     """
 
-    unit: float | Float[Array, "..."]  # load at which f is 1
-    offset: float | Float[Array, "..."]  # load below zero at which f vanishes
-    power: float | Float[Array, "..."]
-    length: float | Float[Array, "..."]  # m, of the maps g and g0
-    steady: float | Float[Array, "..."]  # variance of g
-    bend: float | Float[Array, "..."]  # variance of b
+    unit_load: float | Float[Array, "..."]  # load at which f is 1
+    load_offset: float | Float[Array, "..."]  # load below zero at which f vanishes
+    load_power: float | Float[Array, "..."]
+    map_length: float | Float[Array, "..."]  # m, of the maps g and g0
+    map_variance: float | Float[Array, "..."]  # of g
+    bend_variance: float | Float[Array, "..."]  # of b
     bend_length: float | Float[Array, "..."]  # m
-    bend_width: float | Float[Array, "..."]  # load
-    standing: float | Float[Array, "..."]  # variance of g0
-    constant: float | Float[Array, "..."]  # variance of const
-    noise: float | Float[Array, "..."]  # variance of noise and of what the model leaves out
-    height: float | Float[Array, "..."]  # standard deviation of h, load
+    bend_load_width: float | Float[Array, "..."]  # load
+    static_variance: float | Float[Array, "..."]  # of g0
+    constant_variance: float | Float[Array, "..."]  # of const
+    noise_variance: float | Float[Array, "..."]  # of noise and of what the model leaves out
+    height_std: float | Float[Array, "..."]  # load, of h
     height_length: float | Float[Array, "..."]  # m
-    reach: float | Float[Array, "..."]  # m, over which e falls
-    floor: float | Float[Array, "..."]  # e far from the chip
-    period: float | Float[Array, "..."] = 0.0  # m, of a lattice along x and y whose heights repeat; 0: none is known
-    height_width: float | Float[Array, "..."] = 0.0  # load over which heights change; 0: they do not
-    repeating: float | Float[Array, "..."] = 0.5  # share of the heights' variance that repeats, where there is a period
+    chip_reach: float | Float[Array, "..."]  # m, over which e falls
+    far_amplitude: float | Float[Array, "..."]  # e far from the chip
+    lattice_period: float | Float[Array, "..."] = 0.0  # m, of heights that repeat along x and y; 0: none is known
+    height_load_width: float | Float[Array, "..."] = 0.0  # load over which heights change; 0: they do not
+    periodic_share: float | Float[Array, "..."] = 0.5  # of the heights' variance, where there is a period
 
 
 # Found on the development presses of one eFlesh session (docs/calibration.md): the long length is in the order of the
 # height of the magnets over the chips and of their spacing, the short one that of a lattice's struts.
-DEPTH = Hyper(
-    unit=2e-3, offset=2.7e-3, power=1.8, length=16.5e-3, steady=1.0, bend=0.0145, bend_length=2e-3, bend_width=7e-3,
-    standing=0.03, constant=2e-3, noise=4.5e-3, height=0.17e-3, height_length=1.8e-3, reach=10e-3, floor=0.2,
-    height_width=8e-3,
+DEPTH_HYPERPARAMETERS = StructuredGPHyperparameters(
+    unit_load=2e-3, load_offset=2.7e-3, load_power=1.8, map_length=16.5e-3, map_variance=1.0, bend_variance=0.0145,
+    bend_length=2e-3, bend_load_width=7e-3, static_variance=0.03, constant_variance=2e-3, noise_variance=4.5e-3,
+    height_std=0.17e-3, height_length=1.8e-3, chip_reach=10e-3, far_amplitude=0.2, height_load_width=8e-3,
 )  # fmt: skip
 # Found on 24 simulated boards pressed with a spherical tip of 4 mm to 0.2 to 1 N (`experiments.calibrate_pads
 # --population`): a map of two lengths, that of the layer's thickness and twice as much, hardly bent by the load. What
 # does not depend on the force is kept from a guess: simulated boards have none, real ones may.
-FORCE = Hyper(
-    unit=1.0, offset=0.24, power=1.4, length=2.1e-3, steady=1.0, bend=5.2, bend_length=5e-3, bend_width=7.8,
-    standing=0.3, constant=0.1, noise=1.7e-2, height=0.0, height_length=2e-3, reach=5.8e-3, floor=0.013,
+FORCE_HYPERPARAMETERS = StructuredGPHyperparameters(
+    unit_load=1.0, load_offset=0.24, load_power=1.4, map_length=2.1e-3, map_variance=1.0, bend_variance=5.2,
+    bend_length=5e-3, bend_load_width=7.8, static_variance=0.3, constant_variance=0.1, noise_variance=1.7e-2,
+    height_std=0.0, height_length=2e-3, chip_reach=5.8e-3, far_amplitude=0.013,
 )  # fmt: skip
 
 
-class Process(NamedTuple):
-    """A fitted skin."""
+class StructuredGP(NamedTuple):
+    """The GP conditioned on the presses of one skin."""
 
-    hyper: Hyper
+    hyperparameters: StructuredGPHyperparameters
     presses: Presses
-    raised: Presses  # their loads with the heights found
-    chips: Float[Array, "chips 2"] | None
-    cholesky: Float[Array, "groups n n"]
-    weights: Float[Array, "n channels"]
-    scale: Float[Array, " channels"]  # uT
+    corrected_presses: Presses  # loads with the heights found
+    chip_positions: Float[Array, "chips 2"] | None  # m
+    cholesky: Float[Array, "groups n n"]  # of the covariance; a group of channels for each chip, or one of all
+    weights: Float[Array, "n c"]
+    scale: Float[Array, " c"]  # uT
     height_cholesky: Float[Array, "n n"]
     height_weights: Float[Array, " n"]
-    earlier: "Process | None"
+    previous_session: "StructuredGP | None"  # its predictions are the mean
 
 
-class LeftOut(NamedTuple):
-    """What all other presses say of each."""
+class LeaveOneOut(NamedTuple):
+    """Each press as predicted from all others."""
 
-    mean: Float[Array, "n channels"]  # uT
-    std: Float[Array, "n channels"]  # uT, noise included
-    slope: Float[Array, "n channels"]  # uT per unit load (hyper.unit)
-    scale: Float[Array, " channels"]  # uT
-
-
-def growth(hyper: Hyper, load: Float[Array, " n"]) -> Float[Array, " n"]:
-    """How a signal grows with the load, f."""
-    whole = hyper.unit + hyper.offset
-    return jnp.maximum((load + hyper.offset) / whole, 1e-3) ** hyper.power
+    mean: Float[Array, "n c"]  # uT
+    std: Float[Array, "n c"]  # uT, noise included
+    slope: Float[Array, "n c"]  # uT per unit load
+    scale: Float[Array, " c"]  # uT
 
 
-def covariance(hyper: Hyper, a: Presses, b: Presses) -> Float[Array, "a b"]:
-    """Covariance of two readings of one channel, relative to its scale, before the amplitudes e."""
-    square = _square(a.place, b.place)
-    apart = a.load[:, None] - b.load[None, :]
-    smooth = jnp.exp(-square / (2 * hyper.length**2))
-    bent = jnp.exp(-square / (2 * hyper.bend_length**2) - apart**2 / (2 * hyper.bend_width**2))
-    grown = growth(hyper, a.load)[:, None] * growth(hyper, b.load)[None, :]
-    return grown * (hyper.steady * smooth + hyper.bend * bent) + hyper.standing * smooth + hyper.constant
+def load_response(hyperparameters: StructuredGPHyperparameters, load: Float[Array, " n"]) -> Float[Array, " n"]:
+    """How a signal grows with the load: f, which is 1 at the unit load.
+
+    Args:
+        hyperparameters: Unit load, offset and power.
+        load: Depths (m) or forces (N).
+
+    Returns:
+        f of each load.
+    """
+    whole = hyperparameters.unit_load + hyperparameters.load_offset
+    return jnp.maximum((load + hyperparameters.load_offset) / whole, 1e-3) ** hyperparameters.load_power
+
+
+def covariance(hyperparameters: StructuredGPHyperparameters, a: Presses, b: Presses) -> Float[Array, "a b"]:
+    """Covariance of two readings of one channel, relative to its scale, before the amplitudes e.
+
+    Args:
+        hyperparameters: Of the GP.
+        a: Presses, one for each row.
+        b: Presses, one for each column.
+
+    Returns:
+        Covariances without noise.
+    """
+    h = hyperparameters
+    square = _squared_distance(a.position, b.position)
+    load_difference = a.load[:, None] - b.load[None, :]
+    smooth = jnp.exp(-square / (2 * h.map_length**2))
+    bent = jnp.exp(-square / (2 * h.bend_length**2) - load_difference**2 / (2 * h.bend_load_width**2))
+    grown = load_response(h, a.load)[:, None] * load_response(h, b.load)[None, :]
+    return grown * (h.map_variance * smooth + h.bend_variance * bent) + h.static_variance * smooth + h.constant_variance
 
 
 def amplitude(
-    hyper: Hyper, place: Float[Array, "n 2"], chips: Float[Array, "chips 2"] | None
+    hyperparameters: StructuredGPHyperparameters,
+    position: Float[Array, "n 2"],
+    chip_positions: Float[Array, "chips 2"] | None,
 ) -> Float[Array, "groups n"]:
-    """Amplitude e of each chip's channels at each place; one group of all channels without chips."""
-    if chips is None:
-        return jnp.ones((1, len(place)))
-    near = jnp.exp(-_square(chips, place) / (2 * hyper.reach**2))
-    return hyper.floor + (1 - hyper.floor) * near
+    """Amplitude e of each chip's channels at each position.
+
+    Args:
+        hyperparameters: Reach of a chip and amplitude far from it.
+        position: Positions of presses (m).
+        chip_positions: Positions of the chips (m), or None for one group of all channels.
+
+    Returns:
+        A row for each chip, or a row of ones without chips.
+    """
+    if chip_positions is None:
+        return jnp.ones((1, len(position)))
+    near = jnp.exp(-_squared_distance(chip_positions, position) / (2 * hyperparameters.chip_reach**2))
+    return hyperparameters.far_amplitude + (1 - hyperparameters.far_amplitude) * near
 
 
 def fit(
-    hyper: Hyper,
+    hyperparameters: StructuredGPHyperparameters,
     presses: Presses,
-    readings: Float[Array, "n channels"],
-    chips: Float[Array, "chips 2"] | None = None,
-    earlier: Process | None = None,
-) -> Process:
-    """Condition on n presses and their readings (uT); `chips` are their places (m) for an amplitude that falls.
+    readings: Float[Array, "n c"],
+    chip_positions: Float[Array, "chips 2"] | None = None,
+    previous_session: StructuredGP | None = None,
+) -> StructuredGP:
+    """Condition the GP on n presses and their readings.
 
-    With an `earlier` process its predictions are the mean and the residuals are what is learnt; heights were learnt by
-    the earlier one, so give hyperparameters with `height` zero.
+    Args:
+        hyperparameters: Of the GP. With a previous session the heights are those it found: give `height_std` 0.
+        presses: Positions (m) and loads (m or N).
+        readings: Their readings (uT); with chips three channels for each, in the chips' order.
+        chip_positions: Positions of the chips (m), for amplitudes that fall with the distance from them.
+        previous_session: A GP whose predictions are the mean; what it leaves of the readings is learnt.
+
+    Returns:
+        The conditioned GP.
     """
-    target = readings if earlier is None else readings - predict(earlier, presses)[0]
-    raised = presses
-    spread = (jnp.asarray(hyper.height) / hyper.unit) ** 2 * _near(presses, presses, hyper)
-    for _ in range(ROUNDS):
-        known = (raised.load - presses.load) / hyper.unit
-        seen, variance = _heights(left_out(hyper, raised, target, chips), target)
+    target = readings if previous_session is None else readings - predict(previous_session, presses)[0]
+    unit_load, corrected = hyperparameters.unit_load, presses
+    spread = _height_covariance(hyperparameters, presses, presses)
+    for _ in range(HEIGHT_ROUNDS):
+        known = (corrected.load - presses.load) / unit_load
+        seen, variance = _measured_heights(leave_one_out(hyperparameters, corrected, target, chip_positions), target)
         height_cholesky = jnp.linalg.cholesky(spread + jnp.diag(variance))
         height_weights = jax.scipy.linalg.cho_solve((height_cholesky, True), known + seen)
         height = jnp.matmul(spread, height_weights, precision="highest")
-        raised = Presses(presses.place, presses.load + hyper.unit * height)
-    system = _system(hyper, raised, chips)
+        corrected = Presses(presses.position, presses.load + unit_load * height)
+    system = _system(hyperparameters, corrected, chip_positions)
     # Group by group: batched factors that run side by side may wait for ever for the threads that each other holds.
     cholesky = jax.lax.map(jnp.linalg.cholesky, system)
-    weights = jax.lax.map(lambda both: _solve(*both), (cholesky, _grouped(target, len(system))))
-    return Process(
-        hyper, presses, raised, chips, cholesky, _flat(weights), _scale(target, _flat(weights)),
-        height_cholesky, height_weights, earlier,
-    )  # fmt: skip
+    weights = _ungrouped(jax.lax.map(lambda both: _solve(*both), (cholesky, _grouped(target, len(system)))))
+    return StructuredGP(
+        hyperparameters=hyperparameters,
+        presses=presses,
+        corrected_presses=corrected,
+        chip_positions=chip_positions,
+        cholesky=cholesky,
+        weights=weights,
+        scale=_channel_scale(target, weights),
+        height_cholesky=height_cholesky,
+        height_weights=height_weights,
+        previous_session=previous_session,
+    )
 
 
-def predict(process: Process, presses: Presses) -> tuple[Float[Array, "n channels"], Float[Array, "n channels"]]:
-    """Mean and standard deviation (uT) of the readings of n presses, noise and uncertain heights included."""
-    hyper, known = process.hyper, process.presses
-    near = (jnp.asarray(hyper.height) / hyper.unit) ** 2 * _near(presses, known, hyper)
-    height = jnp.matmul(near, process.height_weights, precision="highest")
-    told = jax.scipy.linalg.solve_triangular(process.height_cholesky, near.T, lower=True)
-    unsure = jnp.maximum((jnp.asarray(hyper.height) / hyper.unit) ** 2 - jnp.sum(told**2, axis=0), 0)
-    raised = Presses(presses.place, presses.load + hyper.unit * height)
-    e, e_known = (amplitude(hyper, p.place, process.chips) for p in (presses, known))
-    known = process.raised
-    weights = _grouped(process.weights, len(e))
+def predict(gp: StructuredGP, presses: Presses) -> tuple[Float[Array, "n c"], Float[Array, "n c"]]:
+    """Predict the readings of n presses.
+
+    Args:
+        gp: The GP of one skin.
+        presses: Positions (m) and loads (m or N).
+
+    Returns:
+        Mean and standard deviation (uT), noise and uncertain heights included.
+    """
+    h, chips = gp.hyperparameters, gp.chip_positions
+    height, height_variance = _predicted_heights(gp, presses)
+    corrected, known = Presses(presses.position, presses.load + h.unit_load * height), gp.corrected_presses
+    e, e_known = (amplitude(h, p.position, chips) for p in (presses, known))
+    weights = _grouped(gp.weights, len(e))
 
     def cross(load: Float[Array, " n"]) -> Float[Array, "groups n m"]:
-        return e[:, :, None] * e_known[:, None, :] * covariance(hyper, Presses(presses.place, load), known)[None]
+        return e[:, :, None] * e_known[:, None, :] * covariance(h, Presses(presses.position, load), known)[None]
 
-    k, change = jax.jvp(cross, (raised.load,), (jnp.full_like(raised.load, hyper.unit),))
-    mean, slope = (_flat(jnp.matmul(part, weights, precision="highest")) for part in (k, change))
-    own = e**2 * _own(hyper, raised)[None]
+    k, change = jax.jvp(cross, (corrected.load,), (jnp.full_like(corrected.load, h.unit_load),))
+    mean, slope = (_ungrouped(jnp.matmul(part, weights, precision="highest")) for part in (k, change))
+    own = e**2 * _variance(h, corrected)[None]
     explained = jax.lax.map(
-        lambda both: jax.scipy.linalg.solve_triangular(both[0], both[1].T, lower=True), (process.cholesky, k)
+        lambda both: jax.scipy.linalg.solve_triangular(both[0], both[1].T, lower=True), (gp.cholesky, k)
     )
-    variance = jnp.maximum(own - jnp.sum(explained**2, axis=1), 0) + hyper.noise
-    variance = jnp.repeat(variance, len(process.scale) // len(e), axis=0).T * process.scale[None] ** 2
-    if process.earlier is not None:
-        mean = mean + predict(process.earlier, presses)[0]
-    return mean, jnp.sqrt(variance + slope**2 * unsure[:, None])
+    variance = jnp.maximum(own - jnp.sum(explained**2, axis=1), 0) + h.noise_variance
+    variance = jnp.repeat(variance, len(gp.scale) // len(e), axis=0).T * gp.scale[None] ** 2
+    if gp.previous_session is not None:
+        mean = mean + predict(gp.previous_session, presses)[0]
+    return mean, jnp.sqrt(variance + slope**2 * height_variance[:, None])
 
 
-def left_out(
-    hyper: Hyper, presses: Presses, readings: Float[Array, "n channels"], chips: Float[Array, "chips 2"] | None = None
-) -> LeftOut:
-    """Each press as all others predict it, in closed form."""
-    system = _system(hyper, presses, chips)
+def leave_one_out(
+    hyperparameters: StructuredGPHyperparameters,
+    presses: Presses,
+    readings: Float[Array, "n c"],
+    chip_positions: Float[Array, "chips 2"] | None = None,
+) -> LeaveOneOut:
+    """Predict each press from all others, in closed form (Rasmussen and Williams, equations 5.10 to 5.12).
+
+    Args:
+        hyperparameters: Of the GP; heights take no part.
+        presses: Positions (m) and loads (m or N).
+        readings: Their readings (uT).
+        chip_positions: Positions of the chips (m), as in `fit`.
+
+    Returns:
+        Means, standard deviations, slopes by the load, and the channels' scales.
+    """
+    system = _system(hyperparameters, presses, chip_positions)
     inverse = jax.lax.map(lambda K: _solve(jnp.linalg.cholesky(K), jnp.eye(len(K))), system)
     y = _grouped(readings, len(system))
     weights = jnp.matmul(inverse, y, precision="highest")
     own = jnp.diagonal(inverse, axis1=1, axis2=2)[..., None]
-    e = amplitude(hyper, presses.place, chips)
+    e = amplitude(hyperparameters, presses.position, chip_positions)
 
     def rows(load: Float[Array, " n"]) -> Float[Array, "n n"]:
-        return covariance(hyper, Presses(presses.place, load), presses)
+        return covariance(hyperparameters, Presses(presses.position, load), presses)
 
-    change = jax.jvp(rows, (presses.load,), (jnp.full_like(presses.load, hyper.unit),))[1]
+    change = jax.jvp(rows, (presses.load,), (jnp.full_like(presses.load, hyperparameters.unit_load),))[1]
     change = e[:, :, None] * e[:, None, :] * change[None]
     # Weights without press i are w - A_i w_i / A_ii, A the inverse: zero at i itself.
     mine = jnp.einsum("gij,gji->gi", change, inverse, precision="highest")[..., None]
     slope = jnp.matmul(change, weights, precision="highest") - mine * weights / own
-    scale = _scale(readings, _flat(weights))
-    std = _flat(jnp.broadcast_to(jnp.sqrt(1 / own), y.shape)) * scale[None]
-    return LeftOut(_flat(y - weights / own), std, _flat(slope), scale)
+    scale = _channel_scale(readings, _ungrouped(weights))
+    std = _ungrouped(jnp.broadcast_to(jnp.sqrt(1 / own), y.shape)) * scale[None]
+    return LeaveOneOut(_ungrouped(y - weights / own), std, _ungrouped(slope), scale)
 
 
-def errors(
-    hyper: Hyper, presses: Presses, readings: Float[Array, "n channels"], chips: Float[Array, "chips 2"] | None = None
+def leave_one_out_errors(
+    hyperparameters: StructuredGPHyperparameters,
+    presses: Presses,
+    readings: Float[Array, "n c"],
+    chip_positions: Float[Array, "chips 2"] | None = None,
 ) -> Float[Array, " n"]:
-    """Squared error of each press as all others predict it, heights from all others included.
+    """Squared error of each press as predicted from all others, heights included.
 
-    In units of the readings' variance: one minus the mean is R2.
+    Args:
+        hyperparameters: Of the GP.
+        presses: Positions (m) and loads (m or N).
+        readings: Their readings (uT).
+        chip_positions: Positions of the chips (m), as in `fit`.
+
+    Returns:
+        Errors in units of the readings' variance: one minus their mean is R2.
     """
-    found = left_out(hyper, presses, readings, chips)
-    seen, variance = _heights(found, readings)
-    spread = (jnp.asarray(hyper.height) / hyper.unit) ** 2 * _near(presses, presses, hyper)
+    found = leave_one_out(hyperparameters, presses, readings, chip_positions)
+    seen, variance = _measured_heights(found, readings)
+    spread = _height_covariance(hyperparameters, presses, presses)
     inverse = _solve(jnp.linalg.cholesky(spread + jnp.diag(variance)), jnp.eye(len(seen)))
     height = seen - jnp.matmul(inverse, seen, precision="highest") / jnp.diagonal(inverse)
     error = readings - found.mean - found.slope * height[:, None]
@@ -236,112 +313,170 @@ def errors(
     return jnp.sum(error**2, axis=1) / total
 
 
-def widening(
-    hyper: Hyper, presses: Presses, readings: Float[Array, "n channels"], chips: Float[Array, "chips 2"] | None = None
-) -> Float[Array, " channels"]:
-    """Factors on the standard deviations of `predict`, by which nine in ten readings lie within 1.645 of them when a
-    tenth of the presses is predicted by the others, each tenth in turn (cross-conformal prediction; Vovk, Annals of
-    Mathematics and Artificial Intelligence 74, 2015).
+def interval_scaling(
+    hyperparameters: StructuredGPHyperparameters,
+    presses: Presses,
+    readings: Float[Array, "n c"],
+    chip_positions: Float[Array, "chips 2"] | None = None,
+) -> Float[Array, " c"]:
+    """Factors on the standard deviations of `predict`, so that nine in ten readings lie within 1.645 of them.
 
-    A few presses say little: each channel is drawn to all by 20 presses' worth, and all to USUAL by 5.
+    Each tenth of the presses is predicted from the others (cross-conformal prediction; Vovk, Annals of Mathematics and
+    Artificial Intelligence 74, 2015). Because a few presses say little, each channel's factor is drawn to that of all
+    channels by 20 presses' worth, and that one to DEFAULT_INTERVAL_SCALING by 5.
+
+    Args:
+        hyperparameters: Of the GP.
+        presses: Positions (m) and loads (m or N), in random order.
+        readings: Their readings (uT).
+        chip_positions: Positions of the chips (m), as in `fit`.
+
+    Returns:
+        A factor for each channel.
     """
     n = len(readings)
-    folds = min(FOLDS if n <= MANY else 3, n)
+    folds = min(FOLDS if n <= MANY_PRESSES else FOLDS_OF_MANY, n)
     if folds < 2:
         return jnp.ones(readings.shape[1])
 
-    def ratio(fold: Array) -> Float[Array, "m channels"]:
+    def ratio(fold: Array) -> Float[Array, "m c"]:
         # Folds of one size, strided through the presses; a remainder is always known.
         tested = fold + folds * jnp.arange(n // folds)
         rest = jnp.argsort(jnp.zeros(n).at[tested].set(1.0), stable=True)[: n - n // folds]
-        told = fit(hyper, Presses(presses.place[rest], presses.load[rest]), readings[rest], chips)
-        mean, std = predict(told, Presses(presses.place[tested], presses.load[tested]))
-        return jnp.abs(readings[tested] - mean) / std / WITHIN
+        known = Presses(presses.position[rest], presses.load[rest])
+        gp = fit(hyperparameters, known, readings[rest], chip_positions)
+        mean, std = predict(gp, Presses(presses.position[tested], presses.load[tested]))
+        return jnp.abs(readings[tested] - mean) / std / STDS_WITHIN_90_PERCENT
 
     ratios = jax.lax.map(ratio, jnp.arange(folds)).reshape(-1, readings.shape[1])
-    together = (n * jnp.quantile(ratios, 0.9) + 5 * USUAL) / (n + 5)
-    return (n * jnp.quantile(ratios, 0.9, axis=0) + 20 * together) / (n + 20)
+    prior, shared = DEFAULT_SCALING_PRESSES, SHARED_SCALING_PRESSES
+    together = (n * jnp.quantile(ratios, 0.9) + prior * DEFAULT_INTERVAL_SCALING) / (n + prior)
+    return (n * jnp.quantile(ratios, 0.9, axis=0) + shared * together) / (n + shared)
 
 
-def options(hyper: Hyper, factors: Mapping[str, Sequence[float]]) -> Hyper:
-    """All products of the given factors on the named hyperparameters, stacked; `hyper` itself comes first."""
+def hyperparameter_grid(
+    hyperparameters: StructuredGPHyperparameters, factors: Mapping[str, Sequence[float]]
+) -> StructuredGPHyperparameters:
+    """All products of the given factors on the named hyperparameters.
+
+    Args:
+        hyperparameters: What is scaled.
+        factors: Factors to try on each hyperparameter, by its name.
+
+    Returns:
+        Candidates, stacked along a leading axis; `hyperparameters` itself comes first.
+    """
+    base = {name: getattr(hyperparameters, name) for name in factors}
     scaled = [
-        hyper._replace(**{name: value * factor for (name, value), factor in zip(kept.items(), chosen, strict=True)})
-        for kept in [{name: getattr(hyper, name) for name in factors}]
+        hyperparameters._replace(**{name: base[name] * factor for name, factor in zip(base, chosen, strict=True)})
         for chosen in product(*factors.values())
     ]
-    return Hyper(*(jnp.asarray(values, jnp.float32) for values in zip(hyper, *scaled, strict=True)))
+    stacked = zip(hyperparameters, *scaled, strict=True)
+    return StructuredGPHyperparameters(*(jnp.asarray(values, jnp.float32) for values in stacked))
 
 
-def choose(
-    stacked: Hyper,
+def select_hyperparameters(
+    candidates: StructuredGPHyperparameters,
     presses: Presses,
-    readings: Float[Array, "n channels"],
-    chips: Float[Array, "chips 2"] | None = None,
-) -> Hyper:
-    """The option with the least leave-one-out error, or the first where none is better by one standard error.
+    readings: Float[Array, "n c"],
+    chip_positions: Float[Array, "chips 2"] | None = None,
+) -> StructuredGPHyperparameters:
+    """The candidate with the least leave-one-out error, or the first where none is better by one standard error.
 
-    The standard error is that of the paired difference over presses (Breiman et al. 1984, section 3.4.3): few presses
-    do not move the defaults by chance.
+    The standard error is that of the paired difference over presses (Breiman et al., "Classification and Regression
+    Trees", 1984, section 3.4.3): few presses do not move the defaults by chance.
+
+    Args:
+        candidates: Hyperparameters stacked along a leading axis (`hyperparameter_grid`).
+        presses: Positions (m) and loads (m or N).
+        readings: Their readings (uT).
+        chip_positions: Positions of the chips (m), as in `fit`.
+
+    Returns:
+        One of the candidates.
     """
-    all_errors = jax.lax.map(lambda hyper: errors(hyper, presses, readings, chips), stacked)
-    difference = all_errors - all_errors[:1]
+    errors = jax.lax.map(lambda one: leave_one_out_errors(one, presses, readings, chip_positions), candidates)
+    difference = errors - errors[:1]
     mean = jnp.mean(difference, axis=1)
     sure = mean + jnp.std(difference, axis=1) / jnp.sqrt(len(readings) - 1.0 + 1e-6) < 0
     best = jnp.argmin(jnp.where(sure & jnp.isfinite(mean), mean, 0.0).at[0].set(0.0))
-    return jax.tree.map(lambda values: values[best], stacked)
+    return jax.tree.map(lambda values: values[best], candidates)
 
 
-def _square(a: Float[Array, "a 2"], b: Float[Array, "b 2"]) -> Float[Array, "a b"]:
+def _squared_distance(a: Float[Array, "a 2"], b: Float[Array, "b 2"]) -> Float[Array, "a b"]:
     return jnp.sum((a[:, None, :] - b[None, :, :]) ** 2, axis=-1)
 
 
-def _near(a: Presses, b: Presses, hyper: Hyper) -> Float[Array, "a b"]:
-    """Correlation of heights."""
-    near = jnp.exp(-_square(a.place, b.place) / (2 * hyper.height_length**2))
-    period, known = jnp.where(hyper.period > 0, hyper.period, 1.0), hyper.period > 0
+def _height_covariance(h: StructuredGPHyperparameters, a: Presses, b: Presses) -> Float[Array, "a b"]:
+    """Covariance of heights, in unit loads squared."""
+    return (jnp.asarray(h.height_std) / h.unit_load) ** 2 * _height_correlation(h, a, b)
+
+
+def _height_correlation(h: StructuredGPHyperparameters, a: Presses, b: Presses) -> Float[Array, "a b"]:
+    near = jnp.exp(-_squared_distance(a.position, b.position) / (2 * h.height_length**2))
+    period, known = jnp.where(h.lattice_period > 0, h.lattice_period, 1.0), h.lattice_period > 0
     # MacKay's periodic kernel, which near zero is the same as the other.
-    phase = jnp.sin(jnp.pi / period * (a.place[:, None, :] - b.place[None, :, :])) * (period / jnp.pi)
-    repeated = jnp.exp(-jnp.sum(phase**2, axis=-1) / (2 * hyper.height_length**2))
-    share = jnp.where(known, hyper.repeating, 0.0)
-    changing = hyper.height_width > 0
-    apart = jnp.abs(a.load[:, None] - b.load[None, :]) / jnp.where(changing, hyper.height_width, 1.0)
-    return ((1 - share) * near + share * repeated) * jnp.where(changing, jnp.exp(-apart), 1.0)
+    phase = jnp.sin(jnp.pi / period * (a.position[:, None, :] - b.position[None, :, :])) * (period / jnp.pi)
+    repeated = jnp.exp(-jnp.sum(phase**2, axis=-1) / (2 * h.height_length**2))
+    share = jnp.where(known, h.periodic_share, 0.0)
+    changing = h.height_load_width > 0
+    load_distance = jnp.abs(a.load[:, None] - b.load[None, :]) / jnp.where(changing, h.height_load_width, 1.0)
+    return ((1 - share) * near + share * repeated) * jnp.where(changing, jnp.exp(-load_distance), 1.0)
 
 
-def _own(hyper: Hyper, presses: Presses) -> Float[Array, " n"]:
+def _predicted_heights(gp: StructuredGP, presses: Presses) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """Mean (unit loads) and variance of the heights at other presses."""
+    h = gp.hyperparameters
+    near = _height_covariance(h, presses, gp.presses)
+    height = jnp.matmul(near, gp.height_weights, precision="highest")
+    explained = jax.scipy.linalg.solve_triangular(gp.height_cholesky, near.T, lower=True)
+    variance = (jnp.asarray(h.height_std) / h.unit_load) ** 2 - jnp.sum(explained**2, axis=0)
+    return height, jnp.maximum(variance, 0)
+
+
+def _variance(h: StructuredGPHyperparameters, presses: Presses) -> Float[Array, " n"]:
     """Diagonal of the covariance."""
-    return growth(hyper, presses.load) ** 2 * (hyper.steady + hyper.bend) + hyper.standing + hyper.constant
+    return (
+        load_response(h, presses.load) ** 2 * (h.map_variance + h.bend_variance)
+        + h.static_variance
+        + h.constant_variance
+    )
 
 
-def _system(hyper: Hyper, presses: Presses, chips: Float[Array, "chips 2"] | None) -> Float[Array, "groups n n"]:
-    e = amplitude(hyper, presses.place, chips)
-    signal = e[:, :, None] * e[:, None, :] * covariance(hyper, presses, presses)[None]
-    return signal + (hyper.noise + JITTER) * jnp.eye(len(presses.load))[None]
+def _system(
+    h: StructuredGPHyperparameters, presses: Presses, chip_positions: Float[Array, "chips 2"] | None
+) -> Float[Array, "groups n n"]:
+    """Covariance of the readings, noise included."""
+    e = amplitude(h, presses.position, chip_positions)
+    signal = e[:, :, None] * e[:, None, :] * covariance(h, presses, presses)[None]
+    return signal + (h.noise_variance + JITTER) * jnp.eye(len(presses.load))[None]
 
 
-def _heights(found: LeftOut, readings: Float[Array, "n channels"]) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """What each press tells of its height, in unit loads, and its variance."""
-    precise = 1 / found.std**2
-    known = jnp.maximum(jnp.sum(found.slope**2 * precise, axis=1), 1e-6)
-    return jnp.sum(found.slope * (readings - found.mean) * precise, axis=1) / known, 1 / known + HEIGHT_ERROR**2
+def _measured_heights(
+    found: LeaveOneOut, readings: Float[Array, "n c"]
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """Height at each press (unit loads) by weighted least squares over its channels, and its variance."""
+    precision = 1 / found.std**2
+    total = jnp.maximum(jnp.sum(found.slope**2 * precision, axis=1), 1e-6)
+    height = jnp.sum(found.slope * (readings - found.mean) * precision, axis=1) / total
+    return height, 1 / total + HEIGHT_ERROR_UNIT_LOADS**2
 
 
-def _scale(target: Float[Array, "n channels"], weights: Float[Array, "n channels"]) -> Float[Array, " channels"]:
-    """Scale of each channel: its most likely value, drawn to that of all channels by FEW presses."""
-    square = jnp.sum(target * weights, axis=0)
-    return jnp.sqrt(jnp.maximum((square + FEW * jnp.mean(square) / len(target)) / (len(target) + FEW), 1e-6))
+def _channel_scale(target: Float[Array, "n c"], weights: Float[Array, "n c"]) -> Float[Array, " c"]:
+    """Scale of each channel: its most likely value, drawn to that of all channels."""
+    square, prior = jnp.sum(target * weights, axis=0), SHARED_SCALE_PRESSES
+    return jnp.sqrt(jnp.maximum((square + prior * jnp.mean(square) / len(target)) / (len(target) + prior), 1e-6))
 
 
 def _solve(cholesky: Float[Array, "n n"], values: Float[Array, "n m"]) -> Float[Array, "n m"]:
     return jax.scipy.linalg.cho_solve((cholesky, True), values)
 
 
-def _grouped(values: Float[Array, "n channels"], groups: int) -> Float[Array, "groups n each"]:
-    """Channels that share a system, those of one chip or all, side by side."""
+def _grouped(values: Float[Array, "n c"], groups: int) -> Float[Array, "groups n each"]:
+    """Channels that share a system, those of one chip or all, next to each other."""
     return jnp.swapaxes(values.reshape(len(values), groups, -1), 0, 1)
 
 
-def _flat(values: Float[Array, "groups n each"]) -> Float[Array, "n channels"]:
+def _ungrouped(values: Float[Array, "groups n each"]) -> Float[Array, "n c"]:
     """The inverse of `_grouped`."""
     return jnp.swapaxes(values, 0, 1).reshape(values.shape[1], -1)

@@ -1,18 +1,25 @@
-"""Calibration against dense algebra in double precision, against skins it should find, and faults of a known kind."""
+"""The structured GP against dense algebra in double precision and on skins it should find; known data faults."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from i2t import calibration
-from i2t.calibration import DEPTH, FORCE, Hyper, Presses
+from i2t.calibration import (
+    DEPTH_HYPERPARAMETERS,
+    FORCE_HYPERPARAMETERS,
+    Presses,
+    StructuredGPHyperparameters,
+    check_presses,
+    structured_gp,
+)
 
 CHANNELS = 15
 CHIPS = np.array([[0, 0], [6, 0], [-6, 0], [0, 6], [0, -6]]) * 1e-3
-fit, predict, left_out = jax.jit(calibration.fit), jax.jit(calibration.predict), jax.jit(calibration.left_out)
-FLAT = DEPTH._replace(height=0.0)
-EVERY = DEPTH._replace(standing=0.2, constant=0.1, height=0.0)  # all terms
+fit, predict = jax.jit(structured_gp.fit), jax.jit(structured_gp.predict)
+leave_one_out = jax.jit(structured_gp.leave_one_out)
+FLAT = DEPTH_HYPERPARAMETERS._replace(height_std=0.0)
+EVERY = DEPTH_HYPERPARAMETERS._replace(static_variance=0.2, constant_variance=0.1, height_std=0.0)  # all terms
 
 
 def presses(rng: np.random.Generator, n: int, half: float = 15e-3) -> Presses:
@@ -23,21 +30,24 @@ def both(a: Presses, b: Presses) -> Presses:
     return Presses(*(jnp.concatenate(parts) for parts in zip(a, b, strict=True)))
 
 
-def dense(h: Hyper, a: Presses, b: Presses, chip: np.ndarray | None = None) -> np.ndarray:
+def dense(h: StructuredGPHyperparameters, a: Presses, b: Presses, chip: np.ndarray | None = None) -> np.ndarray:
     """The covariance by the formula of the module, entry by entry."""
     a, b = (Presses(*(np.asarray(part, np.float64) for part in at)) for at in (a, b))
     K = np.empty((len(a.load), len(b.load)))
     for i in range(len(a.load)):
         for j in range(len(b.load)):
-            x, z = a.place[i], b.place[j]
+            x, z = a.position[i], b.position[j]
             d, e = a.load[i], b.load[j]
-            f = ((d + h.offset) * (e + h.offset) / (h.unit + h.offset) ** 2) ** h.power
-            g = np.exp(-((x - z) ** 2).sum() / 2 / h.length**2)
-            bent = np.exp(-((x - z) ** 2).sum() / 2 / h.bend_length**2 - (d - e) ** 2 / 2 / h.bend_width**2)
-            K[i, j] = f * (h.steady * g + h.bend * bent) + h.standing * g + h.constant
+            f = ((d + h.load_offset) * (e + h.load_offset) / (h.unit_load + h.load_offset) ** 2) ** h.load_power
+            g = np.exp(-((x - z) ** 2).sum() / 2 / h.map_length**2)
+            bent = np.exp(-((x - z) ** 2).sum() / 2 / h.bend_length**2 - (d - e) ** 2 / 2 / h.bend_load_width**2)
+            K[i, j] = f * (h.map_variance * g + h.bend_variance * bent) + h.static_variance * g + h.constant_variance
             if chip is not None:
                 K[i, j] *= np.prod(
-                    [h.floor + (1 - h.floor) * np.exp(-((p - chip) ** 2).sum() / 2 / h.reach**2) for p in (x, z)]
+                    [
+                        h.far_amplitude + (1 - h.far_amplitude) * np.exp(-((p - chip) ** 2).sum() / 2 / h.chip_reach**2)
+                        for p in (x, z)
+                    ]
                 )
     return K
 
@@ -49,19 +59,21 @@ def test_mean_and_spread_of_a_dense_process(chips):
     readings = rng.normal(scale=50, size=(25, CHANNELS))
     process = fit(EVERY, known, jnp.float32(readings), None if chips is None else jnp.float32(chips))
     mean, std = predict(process, other)
-    noise = EVERY.noise + calibration.JITTER
+    noise = EVERY.noise_variance + structured_gp.JITTER
     square = np.empty(CHANNELS)
     for c in range(CHANNELS):
         chip = None if chips is None else chips[c // 3]
         K, k = dense(EVERY, known, known, chip), dense(EVERY, other, known, chip)
         inverse = np.linalg.inv(K + noise * np.eye(25))
-        variance = np.diag(dense(EVERY, other, other, chip) - k @ inverse @ k.T) + EVERY.noise
+        variance = np.diag(dense(EVERY, other, other, chip) - k @ inverse @ k.T) + EVERY.noise_variance
         square[c] = readings[:, c] @ inverse @ readings[:, c]
         # float32 solves lose a condition number of digits, at most trace K / noise; weights are y / noise at most.
         loss = np.finfo(np.float32).eps * (np.trace(K) / noise + 1)
         np.testing.assert_allclose(mean[:, c], k @ inverse @ readings[:, c], atol=loss * 50 * 25 / np.sqrt(noise))
         np.testing.assert_allclose(std[:, c] / process.scale[c], np.sqrt(variance), rtol=loss / noise)
-    shrunk = (square + calibration.FEW * square.mean() / 25) / (25 + calibration.FEW)
+    shrunk = (square + structured_gp.SHARED_SCALE_PRESSES * square.mean() / 25) / (
+        25 + structured_gp.SHARED_SCALE_PRESSES
+    )
     np.testing.assert_allclose(process.scale, np.sqrt(shrunk), rtol=1e-3)
 
 
@@ -71,16 +83,16 @@ def test_left_out_is_what_leaving_out_gives(chips):
     known = presses(rng, 12)
     readings = jnp.float32(rng.normal(scale=50, size=(12, CHANNELS)))
     chips = None if chips is None else jnp.float32(chips)
-    found = left_out(EVERY, known, readings, chips)
+    found = leave_one_out(EVERY, known, readings, chips)
     step = 0.02e-3
     for i in (0, 7):
         rest = np.arange(12) != i
-        one = fit(EVERY, Presses(known.place[rest], known.load[rest]), readings[rest], chips)
-        place = jnp.repeat(known.place[i][None], 3, 0)
+        one = fit(EVERY, Presses(known.position[rest], known.load[rest]), readings[rest], chips)
+        place = jnp.repeat(known.position[i][None], 3, 0)
         mean, std = predict(one, Presses(place, known.load[i] + step * jnp.arange(-1, 2)))
         np.testing.assert_allclose(found.mean[i], mean[1], atol=0.1)  # of 50; float32 at a condition of some 1e4
         np.testing.assert_allclose(found.std[i] / found.scale, std[1] / one.scale, rtol=5e-3)
-        slope = (mean[2] - mean[0]) / (2 * step / EVERY.unit)
+        slope = (mean[2] - mean[0]) / (2 * step / EVERY.unit_load)
         # Rounding of two means (1e-3) over the step of 0.02 unit loads; curvature is smaller.
         np.testing.assert_allclose(found.slope[i], slope, atol=0.02 * np.abs(slope).max() + 0.2)
 
@@ -92,7 +104,7 @@ def skin(rng: np.random.Generator, rough: float):
     waves, phase = rng.normal(size=(60, 2)) / 3e-3, rng.uniform(0, 2 * np.pi, 60)
 
     def read(at: Presses) -> np.ndarray:
-        x, d = np.float64(at.place), np.float64(at.load)
+        x, d = np.float64(at.position), np.float64(at.load)
         height = rough * np.sqrt(2 / 60) * np.cos(x @ waves.T + phase).sum(1)
         g = np.exp(-((x[:, None] - place) ** 2).sum(-1) / 2 / 8e-3**2) @ size
         return 60 * g * (np.maximum(d + height + 3e-3, 0) / 5e-3)[:, None] ** 1.75
@@ -111,7 +123,9 @@ def test_a_map_stretched_by_the_load_is_found():
     for n in (10, 40, 160):
         known = presses(rng, n)
         readings = read(known) + rng.normal(size=(n, CHANNELS))
-        found.append(r2(read(other), predict(fit(FLAT._replace(noise=1e-3), known, jnp.float32(readings)), other)[0]))
+        found.append(
+            r2(read(other), predict(fit(FLAT._replace(noise_variance=1e-3), known, jnp.float32(readings)), other)[0])
+        )
     # Forty bumps of 8 mm hold some (40 / 16)^2 maps' worth of independent places: 160 presses settle them.
     assert found[0] < found[1] < found[2]
     assert found[2] > 0.98
@@ -122,7 +136,9 @@ def test_heights_help_where_there_are_any_and_do_no_harm_where_there_are_none(ro
     rng = np.random.default_rng(3)
     read, known, other = skin(rng, rough), presses(rng, 200), presses(rng, 200)
     readings = jnp.float32(read(known) + rng.normal(size=(200, CHANNELS)))
-    without, with_ = (r2(read(other), predict(fit(h, known, readings), other)[0]) for h in (FLAT, DEPTH))
+    without, with_ = (
+        r2(read(other), predict(fit(h, known, readings), other)[0]) for h in (FLAT, DEPTH_HYPERPARAMETERS)
+    )
     if rough:
         assert 1 - with_ < 0.9 * (1 - without)
     else:
@@ -132,7 +148,7 @@ def test_heights_help_where_there_are_any_and_do_no_harm_where_there_are_none(ro
 def test_the_stated_spread_is_the_spread_of_the_errors():
     rng = np.random.default_rng(4)
     known, other = presses(rng, 40), presses(rng, 40)
-    hyper = FLAT._replace(noise=0.1)
+    hyper = FLAT._replace(noise_variance=0.1)
     K = dense(hyper, both(known, other), both(known, other))
     channels = 300  # drawn from the process itself
     readings = 20 * np.linalg.cholesky(K + 0.1 * np.eye(80)) @ rng.normal(size=(80, channels))
@@ -153,8 +169,8 @@ def test_any_number_of_presses(n):
     known = presses(rng, n)
     readings = jnp.float32(skin(rng, 0.2e-3)(known))
     if n == 1000:  # many at the same place are the hardest
-        known = known._replace(place=known.place.at[:50].set(known.place[:1]))
-    mean, std = predict(fit(DEPTH, known, readings), presses(rng, 20))
+        known = known._replace(position=known.position.at[:50].set(known.position[:1]))
+    mean, std = predict(fit(DEPTH_HYPERPARAMETERS, known, readings), presses(rng, 20))
     assert np.isfinite(mean).all()
     assert (np.asarray(std) > 0).all()
 
@@ -166,19 +182,21 @@ def test_force_with_chips_beats_a_process_without_standing_field():
     centres, size, still = rng.uniform(-8e-3, 8e-3, (30, 2)), rng.normal(size=(30, 15)), rng.normal(size=(30, 15))
 
     def read(at: Presses) -> np.ndarray:
-        x = np.float64(at.place)
+        x = np.float64(at.position)
         bumps = np.exp(-((x[:, None] - centres) ** 2).sum(-1) / 2 / 4e-3**2)
         near = np.exp(-((x[:, None] - CHIPS) ** 2).sum(-1) / 2 / 7e-3**2).repeat(3, 1)
         return near * (bumps @ size * np.float64(at.load)[:, None] ** 0.7 + bumps @ still)
 
     readings = jnp.float32(read(known))
-    # A skin of this kind, which is not that of the pads that FORCE was found on.
-    hyper = FORCE._replace(
-        offset=0.1, power=0.7, length=5e-3, bend=0.03, bend_width=1.0, standing=0.3, constant=0.1, noise=5e-2,
-        reach=7e-3, floor=0.2,
+    # A skin of this kind, which is not that of the pads that FORCE_HYPERPARAMETERS was found on.
+    hyper = FORCE_HYPERPARAMETERS._replace(
+        load_offset=0.1, load_power=0.7, map_length=5e-3, bend_variance=0.03, bend_load_width=1.0, static_variance=0.3,
+        constant_variance=0.1, noise_variance=5e-2, chip_reach=7e-3, far_amplitude=0.2,
     )  # fmt: skip
     whole = r2(read(other), predict(fit(hyper, known, readings, jnp.float32(CHIPS)), other)[0])
-    bare = r2(read(other), predict(fit(hyper._replace(standing=0.0, constant=0.0), known, readings), other)[0])
+    bare = r2(
+        read(other), predict(fit(hyper._replace(static_variance=0.0, constant_variance=0.0), known, readings), other)[0]
+    )
     assert whole > bare
     assert whole > 0.8
 
@@ -190,13 +208,13 @@ def test_an_earlier_session_is_the_mean():
     earlier = fit(FLAT, before, jnp.float32(read(before)))
     readings = jnp.float32(read(now))
     alone = r2(read(other), predict(fit(FLAT, now, readings), other)[0])
-    told = r2(read(other), predict(fit(FLAT._replace(noise=1.0), now, readings, None, earlier), other)[0])
+    told = r2(read(other), predict(fit(FLAT._replace(noise_variance=1.0), now, readings, None, earlier), other)[0])
     assert told > 0.98
     assert told > alone
     # Without residuals nothing is learnt: the prediction is the earlier one.
     same = fit(FLAT, now, predict(earlier, now)[0], None, earlier)
     # What is left is rounding: that of a sum of 300 terms, on ten presses.
-    terms = 300 * np.abs(earlier.weights).max() * float(calibration.growth(FLAT, jnp.float32([4e-3]))[0]) ** 2
+    terms = 300 * np.abs(earlier.weights).max() * float(structured_gp.load_response(FLAT, jnp.float32([4e-3]))[0]) ** 2
     rounding = 10 * np.finfo(np.float32).eps * terms
     assert rounding < 10  # of readings of several hundred
     np.testing.assert_allclose(predict(same, other)[0], predict(earlier, other)[0], atol=rounding)
@@ -204,27 +222,27 @@ def test_an_earlier_session_is_the_mean():
 
 def test_cross_validation_moves_the_defaults_only_when_sure():
     rng = np.random.default_rng(8)
-    stacked = calibration.options(FLAT, {"length": (0.3, 1.0), "noise": (1.0, 10.0)})
-    assert stacked.length.shape == (5,)
-    np.testing.assert_allclose(stacked.length, np.array([1, 0.3, 0.3, 1, 1]) * FLAT.length, rtol=1e-6)
-    np.testing.assert_allclose(stacked.noise, np.array([1, 1, 10, 1, 10]) * FLAT.noise, rtol=1e-6)
-    choose = jax.jit(calibration.choose)
+    stacked = structured_gp.hyperparameter_grid(FLAT, {"map_length": (0.3, 1.0), "noise_variance": (1.0, 10.0)})
+    assert stacked.map_length.shape == (5,)
+    np.testing.assert_allclose(stacked.map_length, np.array([1, 0.3, 0.3, 1, 1]) * FLAT.map_length, rtol=1e-6)
+    np.testing.assert_allclose(stacked.noise_variance, np.array([1, 1, 10, 1, 10]) * FLAT.noise_variance, rtol=1e-6)
+    choose = jax.jit(structured_gp.select_hyperparameters)
     known = presses(rng, 150)
-    K = dense(FLAT._replace(length=0.3 * FLAT.length, bend=0.0), known, known)
+    K = dense(FLAT._replace(map_length=0.3 * FLAT.map_length, bend_variance=0.0), known, known)
     readings = np.linalg.cholesky(K + 1e-3 * np.eye(150)) @ rng.normal(size=(150, CHANNELS))
     chosen = choose(stacked, known, jnp.float32(30 * readings))
-    assert float(chosen.length) == pytest.approx(0.3 * FLAT.length)
+    assert float(chosen.map_length) == pytest.approx(0.3 * FLAT.map_length)
     # A single press has nothing to leave out: the first stays.
-    one = Presses(known.place[:1], known.load[:1])
-    assert float(choose(stacked, one, jnp.float32(readings[:1])).length) == pytest.approx(FLAT.length)
+    one = Presses(known.position[:1], known.load[:1])
+    assert float(choose(stacked, one, jnp.float32(readings[:1])).map_length) == pytest.approx(FLAT.map_length)
 
 
 def test_errors_are_those_of_left_out_presses():
     rng = np.random.default_rng(9)
     known = presses(rng, 30)
     readings = jnp.float32(rng.normal(scale=20, size=(30, CHANNELS)))
-    got = jax.jit(calibration.errors)(FLAT, known, readings)
-    error = ((readings - left_out(FLAT, known, readings).mean) ** 2).sum(1)
+    got = jax.jit(structured_gp.leave_one_out_errors)(FLAT, known, readings)
+    error = ((readings - leave_one_out(FLAT, known, readings).mean) ** 2).sum(1)
     expected = error / (((readings - readings.mean(0, keepdims=True)) ** 2).sum() / 30)
     np.testing.assert_allclose(got, expected, rtol=1e-4)
 
@@ -232,15 +250,15 @@ def test_errors_are_those_of_left_out_presses():
 def session(rng: np.random.Generator, n: int = 600) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     at = presses(rng, n)
     readings = skin(rng, 0.0)(at)
-    return np.asarray(at.place), np.asarray(at.load), readings + rng.normal(size=readings.shape)
+    return np.asarray(at.position), np.asarray(at.load), readings + rng.normal(size=readings.shape)
 
 
 def test_sound_presses_are_not_accused():
     for seed in range(10):
-        faults = calibration.check(*session(np.random.default_rng(100 + seed)))
-        assert faults.sentences() == []
-        assert np.isfinite(faults.change)
-    assert calibration.check(*session(np.random.default_rng(0), 20)).sentences() == []
+        warnings = check_presses(*session(np.random.default_rng(100 + seed)))
+        assert warnings.messages() == []
+        assert np.isfinite(warnings.change_ratio)
+    assert check_presses(*session(np.random.default_rng(0), 20)).messages() == []
 
 
 def test_repeated_rows_are_found():
@@ -248,40 +266,40 @@ def test_repeated_rows_are_found():
     repeated = [5, 6, 200]
     for row in repeated:
         readings[row] = readings[row - 1]
-    faults = calibration.check(place, load, readings)
-    np.testing.assert_array_equal(np.flatnonzero(faults.stale), repeated)
-    assert "3 rows repeat" in faults.sentences()[0]
+    warnings = check_presses(place, load, readings)
+    np.testing.assert_array_equal(np.flatnonzero(warnings.repeated), repeated)
+    assert "3 rows repeat" in warnings.messages()[0]
 
 
 @pytest.mark.parametrize("lag", [-2, 1, 3])
 def test_a_shifted_label_column_is_found(lag):
     place, load, readings = session(np.random.default_rng(11))
     shifted = np.roll(place, lag, 0), np.roll(load, lag)
-    faults = calibration.check(*shifted, readings)
-    assert faults.lag == lag
-    assert not faults.changed
-    assert f"{lag:+d} rows" in faults.sentences()[0]
+    warnings = check_presses(*shifted, readings)
+    assert warnings.label_lag == lag
+    assert not warnings.changed
+    assert f"{lag:+d} rows" in warnings.messages()[0]
 
 
 def test_a_skin_that_slips_is_found():
     rng = np.random.default_rng(12)
     at = presses(rng, 600)
     read = skin(rng, 0.0)
-    slipped = at._replace(place=at.place + jnp.where(jnp.arange(600)[:, None] < 300, 0.0, 4e-3))
+    slipped = at._replace(position=at.position + jnp.where(jnp.arange(600)[:, None] < 300, 0.0, 4e-3))
     readings = read(slipped) + rng.normal(size=(600, CHANNELS))
-    faults = calibration.check(np.asarray(at.place), np.asarray(at.load), readings)
-    assert faults.changed
-    assert faults.lag == 0
-    assert "slipped" in faults.sentences()[0]
+    warnings = check_presses(np.asarray(at.position), np.asarray(at.load), readings)
+    assert warnings.changed
+    assert warnings.label_lag == 0
+    assert "slipped" in warnings.messages()[0]
 
 
 def test_a_chip_that_changes_alone_is_found():
     place, load, readings = session(np.random.default_rng(14))
     readings[300:, 6:9] += 35  # as much as one chip of a real board remembered of the press before
-    faults = calibration.check(place, load, readings)
-    assert not faults.changed
-    assert faults.chips == (2,)
-    assert "chip 2" in faults.sentences()[0]
+    warnings = check_presses(place, load, readings)
+    assert not warnings.changed
+    assert warnings.changed_chips == (2,)
+    assert "chip 2" in warnings.messages()[0]
 
 
 def test_a_tip_of_steel_is_found_by_its_strength():
@@ -290,15 +308,15 @@ def test_a_tip_of_steel_is_found_by_its_strength():
         place, depth, readings = session(np.random.default_rng(seed), n)
         force = 300 * depth  # up to 1.2 N
         readings *= 100 / np.median(np.linalg.norm(readings, axis=1) / force)  # uT/N, as real boards
-        assert calibration.check(place, force, readings, by_force=True).sentences() == []
+        assert check_presses(place, force, readings, by_force=True).messages() == []
         steel = readings + rng.uniform(6, 10) * readings
-        (sentence,) = calibration.check(place, force, steel, by_force=True).sentences()
+        (sentence,) = check_presses(place, force, steel, by_force=True).messages()
         assert "steel" in sentence
 
 
 def test_halves_at_different_places_tell_nothing():
     place, load, readings = session(np.random.default_rng(13))
     place = place + np.where(np.arange(600)[:, None] < 300, 0, 0.1)
-    faults = calibration.check(place, load, readings)
-    assert not faults.changed
-    assert np.isnan(faults.change)
+    warnings = check_presses(place, load, readings)
+    assert not warnings.changed
+    assert np.isnan(warnings.change_ratio)

@@ -3,30 +3,30 @@
 import numpy as np
 import pytest
 
-from i2t import calibration as calibrate
+from i2t.calibration import Calibration, calibrate, load_calibration
 from i2t.errors import SerializationError
 from i2t.skin import boards
 from i2t.skin.files import load_pad
 
 rng = np.random.default_rng(0)
-PLACE, DEPTH = rng.uniform(-10e-3, 10e-3, (30, 2)), rng.uniform(0, 4e-3, 30)
+POSITIONS, DEPTH = rng.uniform(-10e-3, 10e-3, (30, 2)), rng.uniform(0, 4e-3, 30)
 READINGS = rng.normal(scale=30, size=(30, 15))
 
 
 @pytest.fixture(scope="module")
-def calibration() -> calibrate.Calibration:
-    return calibrate.calibrate(PLACE, DEPTH, READINGS, "depth", about={"skin": "made up"})
+def calibration() -> Calibration:
+    return calibrate(POSITIONS, DEPTH, READINGS, load_kind="depth", metadata={"skin": "made up"})
 
 
 def test_it_comes_back_as_it_was(calibration, tmp_path):
     calibration.save(tmp_path / "skin.npz")
-    again = calibrate.load(tmp_path / "skin.npz")
-    assert again.about == {"skin": "made up"}
-    assert again.load == "depth"
-    for a, b in zip(calibration.predict(PLACE, DEPTH), again.predict(PLACE, DEPTH), strict=True):
+    again = load_calibration(tmp_path / "skin.npz")
+    assert again.metadata == {"skin": "made up"}
+    assert again.load_kind == "depth"
+    for a, b in zip(calibration.predict(POSITIONS, DEPTH), again.predict(POSITIONS, DEPTH), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-6)
         assert a.shape == (30, 15)
-    mean, std = again.predict(PLACE[0], DEPTH[0])
+    mean, std = again.predict(POSITIONS[0], DEPTH[0])
     assert mean.shape == std.shape == (15,)
     assert (std > 0).all()
     with pytest.raises(SerializationError, match="holds a i2t calibration, not a i2t pad"):
@@ -34,21 +34,23 @@ def test_it_comes_back_as_it_was(calibration, tmp_path):
 
 
 def test_chips_give_each_channel_its_own_amplitude(tmp_path):
-    fitted = calibrate.calibrate(PLACE, 1e3 * DEPTH, READINGS, "force", board=boards.reskin_board())
+    fitted = calibrate(POSITIONS, 1e3 * DEPTH, READINGS, load_kind="force", board=boards.reskin_board())
     fitted.save(tmp_path / "skin.npz")
-    again = calibrate.load(tmp_path / "skin.npz")
-    assert again.process.cholesky.shape == (5, 30, 30)
-    np.testing.assert_allclose(again.predict(PLACE, 1e3 * DEPTH)[0], fitted.predict(PLACE, 1e3 * DEPTH)[0], rtol=1e-5)
+    again = load_calibration(tmp_path / "skin.npz")
+    assert again.gp.cholesky.shape == (5, 30, 30)
+    np.testing.assert_allclose(
+        again.predict(POSITIONS, 1e3 * DEPTH)[0], fitted.predict(POSITIONS, 1e3 * DEPTH)[0], rtol=1e-5
+    )
 
 
 def test_what_cannot_be_is_refused(calibration):
     with pytest.raises(ValueError, match="do not go with"):
-        calibration.predict(PLACE, DEPTH[:3])
+        calibration.predict(POSITIONS, DEPTH[:3])
     with pytest.raises(ValueError, match="give metres"):
-        calibration.predict(1e3 * PLACE, DEPTH)
+        calibration.predict(1e3 * POSITIONS, DEPTH)
     with pytest.raises(ValueError, match="between 0 and"):
-        calibration.predict(PLACE, -DEPTH - 1)
+        calibration.predict(POSITIONS, -DEPTH - 1)
     with pytest.raises(ValueError, match="not finite"):
-        calibrate.calibrate(PLACE, DEPTH, np.where(READINGS > 0, np.nan, READINGS), "depth")
+        calibrate(POSITIONS, DEPTH, np.where(READINGS > 0, np.nan, READINGS), load_kind="depth")
     with pytest.raises(ValueError, match="do not belong together"):
-        calibrate.calibrate(PLACE[:4], DEPTH, READINGS, "depth")
+        calibrate(POSITIONS[:4], DEPTH, READINGS, load_kind="depth")

@@ -1,4 +1,4 @@
-"""Places told from readings: on made-up linear skins exactly as Bayes says, on simulated pads by the experiment."""
+"""Positions told from readings: on generated linear skins exactly as Bayes says, on simulated pads by the experiment."""
 
 import json
 
@@ -10,39 +10,41 @@ from scipy import stats
 
 from experiments import pads
 from i2t.calibration import localize
-from i2t.calibration.localize import Atlas, Weights
+from i2t.calibration.localize import PressLibrary, WeightPosterior
 
 EDGE = np.linspace(-5e-3, 5e-3, 11)
 PLACES = np.stack(np.meshgrid(EDGE, EDGE), axis=-1).reshape(-1, 2)
 K = 20
 
 
-def _atlas(seed: int = 0, channels: int = 15) -> Atlas:
-    """A made-up skin: every weight is a bump that some channels feel, more or less, as the tip comes near it."""
+def _library(seed: int = 0, channels: int = 15) -> PressLibrary:
+    """A generated skin: every weight is a bump that some channels feel, more or less, as the tip comes near it."""
     random = np.random.default_rng(seed)
     centres = random.uniform(-6e-3, 6e-3, (K, 2))
     near = np.exp(-0.5 * np.sum((PLACES[:, None] - centres[None]) ** 2, axis=-1) / 2.5e-3**2)
     phi = near[:, None, :] * random.normal(size=(1, channels, K)) * 20
-    return Atlas(jnp.asarray(PLACES, jnp.float32), jnp.ones(len(PLACES)), jnp.asarray(phi, jnp.float32))
+    return PressLibrary(jnp.asarray(PLACES, jnp.float32), jnp.ones(len(PLACES)), jnp.asarray(phi, jnp.float32))
 
 
-def _presses(atlas: Atlas, n: int, noise: float, seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _presses(library: PressLibrary, n: int, noise: float, seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which press, its reading, and the true weights."""
     random = np.random.default_rng(seed)
     weights = random.normal(size=K)
     rows = random.integers(len(PLACES), size=n)
-    clean = np.asarray(atlas.phi)[rows] @ weights
+    clean = np.asarray(library.features)[rows] @ weights
     return rows, clean + noise * random.normal(size=clean.shape), weights
 
 
 def test_likelihood_is_the_normal_density():
-    atlas = _atlas()
-    _, readings, _ = _presses(atlas, 5, 2.0)
+    library = _library()
+    _, readings, _ = _presses(library, 5, 2.0)
     random = np.random.default_rng(4)
     root = np.tril(random.normal(size=(K, K))) + 3 * np.eye(K)
-    weights = Weights(jnp.asarray(random.normal(size=K), jnp.float32), jnp.asarray(root, jnp.float32), jnp.asarray(2.0))
-    found = localize.log_likelihood(atlas, weights, jnp.asarray(readings, jnp.float32))
-    phi = np.asarray(atlas.phi, float)
+    weights = WeightPosterior(
+        jnp.asarray(random.normal(size=K), jnp.float32), jnp.asarray(root, jnp.float32), jnp.asarray(2.0)
+    )
+    found = localize.log_likelihood(library, weights, jnp.asarray(readings, jnp.float32))
+    phi = np.asarray(library.features, float)
     for m in (0, 17, 120):  # of 121: the last batch is padded
         covariance = phi[m] @ np.linalg.inv(root @ root.T) @ phi[m].T + 4 * np.eye(15)
         normal = stats.multivariate_normal(phi[m] @ np.asarray(weights.mean, float), covariance)
@@ -51,31 +53,31 @@ def test_likelihood_is_the_normal_density():
 
 
 def test_a_known_skin_tells_the_place_and_how_sure_it_is():
-    atlas = _atlas()
-    rows, readings, truth = _presses(atlas, 300, 4.0)
-    weights = Weights(jnp.asarray(truth, jnp.float32), 1e4 * jnp.eye(K), jnp.asarray(4.0))
-    places, sure = localize.locate(atlas, weights, jnp.asarray(readings, jnp.float32), 1.01e-3)
+    library = _library()
+    rows, readings, truth = _presses(library, 300, 4.0)
+    weights = WeightPosterior(jnp.asarray(truth, jnp.float32), 1e4 * jnp.eye(K), jnp.asarray(4.0))
+    places, sure = localize.localize(library, weights, jnp.asarray(readings, jnp.float32), radius=1.01e-3)
     right = np.linalg.norm(np.asarray(places) - PLACES[rows], axis=1) <= 1.01e-3
     assert right.mean() > 0.8
     # Where its probability is 1, it is right; on average it is right as often as it says.
     assert abs(right.mean() - np.mean(sure)) < 3 * np.sqrt(0.25 / 300)
 
 
-def test_readings_without_places_teach_a_skin():
+def test_a_skin_is_fitted_to_readings_without_positions():
     """Better than nothing by far, and nearly as good as the skin itself."""
-    atlas = _atlas()
-    rows, readings, truth = _presses(atlas, 400, 2.0)
-    told = jnp.asarray(readings, jnp.float32)
+    library = _library()
+    rows, readings, truth = _presses(library, 400, 2.0)
+    seen = jnp.asarray(readings, jnp.float32)
 
-    def right(weights: Weights) -> float:
-        places, _ = localize.locate(atlas, weights, told[300:], 1.01e-3)
+    def right(weights: WeightPosterior) -> float:
+        places, _ = localize.localize(library, weights, seen[300:], radius=1.01e-3)
         return float(np.mean(np.linalg.norm(np.asarray(places) - PLACES[rows[300:]], axis=1) <= 1.01e-3))
 
-    none = right(localize.unknown(atlas, 2.0))
-    learnt = right(localize.learn(atlas, told[:300], 2.0))
-    known = right(Weights(jnp.asarray(truth, jnp.float32), 1e4 * jnp.eye(K), jnp.asarray(2.0)))
-    assert learnt > none + 0.15
-    assert learnt > known - 0.1
+    none = right(localize.pad_prior_weights(library, 2.0))
+    fitted = right(localize.fit_weights_without_positions(library, seen[:300], 2.0))
+    known = right(WeightPosterior(jnp.asarray(truth, jnp.float32), 1e4 * jnp.eye(K), jnp.asarray(2.0)))
+    assert fitted > none + 0.15
+    assert fitted > known - 0.1
 
 
 def test_skins_share_their_boards():
@@ -84,7 +86,7 @@ def test_skins_share_their_boards():
     gaps = [float(-skin.board.chips[0, 2] - skin.thickness) for skin in skins]
     np.testing.assert_allclose([gaps[2], gaps[3]], gaps[:2], rtol=1e-4)
     assert np.abs(skins[0].gains - skins[1].gains).max() > 0
-    assert np.abs(skins[0].magnetisation - skins[2].magnetisation).max() > 0
+    assert np.abs(skins[0].magnetization - skins[2].magnetization).max() > 0
 
 
 def test_the_experiment_in_small(tmp_path, capsys):

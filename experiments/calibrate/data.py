@@ -1,0 +1,108 @@
+"""Presses of one tip on one skin as arrays, and which of them are held out."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from i2t.calibration import LoadKind, Presses
+from i2t.dataset import Dataset
+from i2t.types import ReturnCode
+
+RANDOM, INSIDE, SECOND_HALF = "random presses", "those of them outside the blocks", "second half in time"
+MM_PER_M = 1e3
+
+
+@dataclass(frozen=True)
+class PressRecording:
+    """Presses in the order of time."""
+
+    position: np.ndarray  # (n, 2) m
+    load: np.ndarray  # (n,) m of depth, or N of force
+    readings: np.ndarray  # (n, c) uT
+    by_force: bool
+    chip_positions: np.ndarray | None = None  # (chips, 2) m; given where amplitudes fall with the distance
+
+    @property
+    def load_kind(self) -> LoadKind:
+        """What says how hard was pressed."""
+        return "force" if self.by_force else "depth"
+
+    @property
+    def chips(self) -> Array | None:
+        """Positions of the chips for the Gaussian process."""
+        return None if self.chip_positions is None else jnp.float32(self.chip_positions)
+
+    def presses(self, rows: np.ndarray) -> Presses:
+        """Some of them, for the Gaussian process."""
+        return Presses(jnp.float32(self.position[rows]), jnp.float32(self.load[rows]))
+
+    def features(self, rows: np.ndarray) -> np.ndarray:
+        """Position and load in their standard deviations, for neighbours."""
+        both = np.column_stack([self.position, self.load])
+        return (both / np.maximum(both.std(0), 1e-9))[rows]
+
+    def blocks(self, edge_mm: float) -> np.ndarray:
+        """The square block of this edge in which each press lies, counted from 0."""
+        position = MM_PER_M * self.position
+        cell = np.floor((position - position.min(0)) / edge_mm).astype(int)
+        return np.unique(cell, axis=0, return_inverse=True)[1].ravel()
+
+
+class Split(NamedTuple):
+    """Rows of a recording: what methods may learn from, and what they are tested on."""
+
+    tests: dict[str, np.ndarray]  # predicted from the pool
+    pool: np.ndarray
+    later_test: np.ndarray  # SECOND_HALF, predicted from later presses with earlier ones as the mean
+    later_pool: np.ndarray
+    earlier_pool: np.ndarray
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Presses of each test."""
+        return {name: len(rows) for name, rows in (self.tests | {SECOND_HALF: self.later_test}).items()}
+
+
+def read_presses(dataset: Dataset, load: str) -> PressRecording:
+    """Positions of the tool's origin on the skin, and depth or force; presses that failed or met air are left out."""
+    touches = dataset.touches
+    T_t_o = np.linalg.inv(touches.T_w_t.astype(np.float64)) @ touches.T_w_o
+    good = ~np.isin(touches.code, [ReturnCode.FAILED, ReturnCode.AIR, ReturnCode.FREE])
+    by_force = load == "force" or (load == "auto" and not np.isfinite(touches.depth[good]).all())
+    amount = (touches.force if by_force else touches.depth).astype(np.float64)
+    good &= np.isfinite(amount) & np.isfinite(T_t_o).all((1, 2))
+    if not good.any():
+        raise ValueError(f"no press has a known position and {'force' if by_force else 'depth'}; choose another --load")
+    if len(np.unique(touches.pad[good])) > 1:
+        raise ValueError("the data set holds several skins; calibrate them one at a time")
+    if len(np.unique(touches.object[good])) > 1:
+        raise ValueError("the data set holds several objects; calibration needs presses of one tip")
+    chips = dataset.board.chips[:, :2] if by_force else None
+    return PressRecording(T_t_o[good, :2, 3], amount[good], touches.reading[good].astype(np.float64), by_force, chips)
+
+
+def hold_out(
+    recording: PressRecording, presses: int, block_mm: float, block_share: float, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Masks of random presses and of whole blocks that no method sees; at most a quarter is taken at random."""
+    rng = np.random.default_rng(seed)
+    n, block = len(recording.load), recording.blocks(block_mm)
+    held = np.zeros(n, bool)
+    held[rng.permutation(n)[: min(presses, n // 4)]] = True
+    chosen = rng.permutation(block.max() + 1)[: max(round(block_share * (block.max() + 1)), 1)]
+    return held, np.isin(block, chosen)
+
+
+def split_presses(held: np.ndarray, blocks: np.ndarray, usable: np.ndarray, block_mm: float) -> Split:
+    """What is tested and what may be learnt from; rows that are not `usable` are neither."""
+    later = np.arange(len(held)) >= len(held) // 2
+    tests = {
+        RANDOM: np.flatnonzero(held & usable),
+        INSIDE: np.flatnonzero(held & ~blocks & usable),
+        f"blocks of {block_mm:g} mm": np.flatnonzero(blocks & usable),
+    }
+    pool = np.flatnonzero(~held & ~blocks & usable)
+    return Split(tests, pool, np.flatnonzero(held & later & usable), pool[later[pool]], pool[~later[pool]])

@@ -1,0 +1,1 @@
+"""Calibration of simulated pads by force."""
