@@ -27,6 +27,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from experiments.common.runs import settings, write_json
+from i2t import viz
 from i2t.depth.camera import Camera, Encoding, read_depth
 from i2t.depth.distortion import pixel_rays
 from i2t.depth.patches import DepthPatch, patch_from_depth
@@ -36,7 +37,7 @@ from i2t.objects.solids import Mesh
 from i2t.prediction.metrics import grouped_interval
 from i2t.rendering.render import prepare_surface, render_patch
 from i2t.types import PATCH_WINDOW, REACH, STANDOFF, Patch, Surface
-from i2t.viz import touches
+from i2t.viz import style
 
 FRAMES = ("000001", "000002", "000003", "000004", "000005")
 UNIT = 1e-4  # m, of both cameras' files
@@ -103,7 +104,7 @@ def main(cfg: RealFrames) -> dict[str, Any]:
         surface = prepare_surface(mesh)
         by_window = {window: compare(cfg, surface, camera, depths, T_c_o, T_o_t, window) for window in cfg.windows}
         objects[thing.name] = {f"{1e3 * window:g} mm": summary(part) for window, part in by_window.items()}
-        touches.save(figure(thing.name, by_window), cfg.out / f"{thing.name}.png")
+        viz.save_figure(figure(thing.name, by_window), cfg.out / f"{thing.name}.png")
     metrics = {
         "source": "real depth, posed scans",
         "seed": cfg.seed,
@@ -263,7 +264,7 @@ def figure(name: str, by_window: dict[float, Compared], count: int = 4) -> Figur
 def draw(axes: Axes, patch: np.ndarray, window: float, reach: float):
     """A patch with what is not known in grey."""
     axes.set_facecolor("#DDDDDD")
-    return touches.draw_patch(axes, patch, window, reach)
+    return viz.draw_patch(axes, patch, window, reach)
 
 
 def show_f200(cfg: RealFrames, name: str, count: int = 5) -> dict[str, Any]:
@@ -294,7 +295,7 @@ def show_f200(cfg: RealFrames, name: str, count: int = 5) -> dict[str, Any]:
     T_w_t = jax.jit(jax.vmap(contact_frame))(*(jnp.float32(np.array(part)) for part in zip(*frames_at, strict=True)))
     cut = jax.vmap(partial(patch_from_depth, fill=cfg.f200_fill), (None, None, None, 0))
     patches = jax.device_get(jax.jit(cut, static_argnums=1)(depth, F200, np.eye(4, dtype=np.float32), T_w_t))
-    touches.save(figure_f200(name, depth, pixels, patches), cfg.out / f"f200_{name}.png")
+    viz.save_figure(figure_f200(name, depth, pixels, patches), cfg.out / f"f200_{name}.png")
     return {
         "measured": float(np.isfinite(depth).mean()),
         "depth_quartiles_m": [float(q) for q in np.nanpercentile(depth, [25, 50, 75])],
@@ -315,8 +316,8 @@ def figure_f200(name: str, depth: np.ndarray, pixels: list[tuple[int, int]], pat
     result.colorbar(image, ax=axes[0], label="depth (m)", location="left")
     axes[0].set(xlabel="column", ylabel="row", title="real")
     for i, (column, row) in enumerate(pixels):
-        axes[0].plot(column, row, "o", color=touches.RED, ms=4)
-        axes[0].annotate(str(i), (column, row), color=touches.RED, xytext=(4, 4), textcoords="offset points")
+        axes[0].plot(column, row, "o", color=style.RED, ms=4)
+        axes[0].annotate(str(i), (column, row), color=style.RED, xytext=(4, 4), textcoords="offset points")
         known = patches.valid_mask[i] | patches.inpainted_mask[i]
         image = draw(axes[i + 1], np.where(known, patches.patch.depth[i], np.nan), PATCH_WINDOW, REACH)
         axes[i + 1].set_title(f"real, place {i}", fontsize=9)

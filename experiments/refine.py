@@ -34,6 +34,7 @@ from scipy.stats import binomtest
 from tqdm import tqdm
 
 from experiments.common.runs import settings, write_json
+from i2t import viz
 from i2t.objects import catalogue as objects
 from i2t.registration.patch import (
     PatchRegistrationConfig,
@@ -47,7 +48,7 @@ from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
 from i2t.simulation.sites import collect_sites
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, TWIST_LEVER_M, Patch, Surface
-from i2t.viz import touches
+from i2t.viz import style
 
 MILLI = 1e3
 BOUNDS = np.logspace(-5, 0, 26)
@@ -151,8 +152,8 @@ def main(args: Args) -> dict:
     write_json(args.out / "config.json", settings(args))
     write_json(args.out / "metrics.json", report)
     ends = found[f"one start, {camera}"]
-    touches.save(draw_patches(things, surfaces, clean, noisy, cases, ends, told), args.out / "patches.png")
-    touches.save(
+    viz.save_figure(draw_patches(things, surfaces, clean, noisy, cases, ends, told), args.out / "patches.png")
+    viz.save_figure(
         draw_bounds({k: success(T, cases, BOUNDS, args) for k, T in found.items()}, bound), args.out / "bounds.png"
     )
     print(table(report))
@@ -296,7 +297,7 @@ def draw_patches(
         floor = clean[i].nearest[j] + REACH
         off = np.minimum(after.nearest + after.depth, floor) - clean[i].nearest[j] - clean[i].depth[j]
         for axis, depth in zip(row[:3], (noisy[i].depth[j], before.depth, after.depth), strict=True):
-            image = touches.draw_patch(axis, depth, PATCH_WINDOW, REACH)
+            image = viz.draw_patch(axis, depth, PATCH_WINDOW, REACH)
         left = row[3].imshow(
             MILLI * off, origin="lower", extent=image.get_extent(), cmap="RdBu", vmin=-FAR_OFF, vmax=FAR_OFF
         )
@@ -315,11 +316,11 @@ def draw_bounds(curves: dict[str, np.ndarray], bound: float) -> Figure:
     """How success depends on which directions count."""
     figure = Figure(figsize=(6, 3.8), layout="constrained")
     axes = figure.subplots()
-    colours = (touches.BLUE, touches.ORANGE, touches.GREEN, touches.RED)
+    colours = (style.BLUE, style.ORANGE, style.GREEN, style.RED)
     for (name, rate), colour in zip(curves.items(), colours, strict=False):
         axes.semilogx(BOUNDS, rate, color=colour, label=name)
-    axes.axvline(bound, color=touches.GREY, lw=1, ls="--", label="the bound that is used")
-    axes.axhline(0.9, color=touches.GREY, lw=1, ls=":")
+    axes.axvline(bound, color=style.GREY, lw=1, ls="--", label="the bound that is used")
+    axes.axhline(0.9, color=style.GREY, lw=1, ls=":")
     axes.set(
         ylim=(0, 1.02),
         xlabel="smallest eigenvalue that counts",

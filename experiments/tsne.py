@@ -34,15 +34,17 @@ from experiments.train.methods import train_network
 from experiments.train.simulate import simulated_dataset
 from experiments.train.splitting import split_dataset
 from i2t import dataset as data
+from i2t import viz
 from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.prediction import model
 from i2t.prediction.model import Inputs, ModelConfig
 from i2t.recognition.metrics import to_json
 from i2t.types import ReturnCode
-from i2t.viz import clusters as analysis
-from i2t.viz import touches as plots
-from i2t.viz.clusters import Clusters
+from i2t.viz import agreement, clusters
+from i2t.viz.clusters import TouchMap
+
+EXAMPLE_RANKS = (0.0, 0.5)  # the touches nearest to and at the median distance from their cluster's mean
 
 
 @dataclass(frozen=True)
@@ -93,34 +95,35 @@ def run(args: Args) -> dict[str, Any]:
     )
     dataset = dataset.select(~np.isin(dataset.touches.code, [ReturnCode.FAILED, ReturnCode.AIR]))
     touches = dataset.touches
-    if len(dataset) < 4 * analysis.NEIGHBOURS:
-        raise DataError(f"the data set holds {len(dataset)} touches; {4 * analysis.NEIGHBOURS} at least are needed")
+    if len(dataset) < 4 * agreement.NUM_NEIGHBOURS:
+        needed = 4 * agreement.NUM_NEIGHBOURS
+        raise DataError(f"the data set holds {len(dataset)} touches; {needed} at least are needed")
 
     started = time.perf_counter()
-    views = analysis.components(analysis.views(touches.patch, args.kind))
-    clusters = analysis.cluster(views, seed=args.seed)
-    at, means = analysis.embed(views, clusters.centre, args.seed)
+    views = clusters.components(clusters.views(touches.patch, args.kind))
+    sorted_touches = clusters.cluster(views, seed=args.seed)
+    touch_map = clusters.map_touches(views, sorted_touches, args.seed, EXAMPLE_RANKS)
     seconds = time.perf_counter() - started
 
-    whole, parts = analysis.stability(views, seeds=plan.seeds)
-    maps = [at] + [analysis.embed(views, seed=args.seed + i)[0] for i in range(1, plan.maps)]
-    kept = [analysis.agreement(maps[0], other).overlap for other in maps[1:]]
-    felt = analysis.standardised(touches.reading)
+    whole, parts = clusters.stability(views, seeds=plan.seeds)
+    maps = [touch_map.at] + [clusters.embed(views, seed=args.seed + i)[0] for i in range(1, plan.maps)]
+    kept = [agreement.agreement(maps[0], other).overlap for other in maps[1:]]
+    felt = clusters.standardised(touches.reading)
     result: dict[str, Any] = {
         "source": dataset.source,
         "seed": args.seed,
         "touches": len(dataset),
         "view": args.kind,
         "seconds": round(seconds, 1),
-        "cluster_sizes": np.bincount(clusters.label).tolist(),
+        "cluster_sizes": np.bincount(touch_map.label).tolist(),
         "rand_index": {"seeds": _spread(whole), "parts": _spread(parts)},
         "map_neighbours_kept": _spread(np.array(kept)),
-        "variance_kept": float(views.var(0).sum() / analysis.views(touches.patch, args.kind).var(0).sum()),
+        "variance_kept": float(views.var(0).sum() / clusters.views(touches.patch, args.kind).var(0).sum()),
         "agreement": tests(views, felt, touches.object, plan, args.seed),
     }
     if args.network:
         result["bottleneck"] = bottleneck(dataset, plan, args, felt)
-    plots.save(figure(dataset, at, means, clusters, args.kind), args.out / "tsne.png")
+    viz.save_figure(figure(dataset, touch_map, args.kind), args.out / "tsne.png")
     write_json(args.out / "metrics.json", result)
     report(result)
     print(f"\nthe figure and the numbers are in {args.out}")
@@ -129,9 +132,9 @@ def run(args: Args) -> dict[str, Any]:
 
 def tests(x: np.ndarray, y: np.ndarray, groups: np.ndarray, plan: Plan, seed: int) -> dict[str, Any]:
     """Agreement of two modalities, against any pairing and against pairing within objects."""
-    made = {"all": analysis.permutation_test(x, y, permutations=plan.permutations, seed=seed)}
+    made = {"all": agreement.permutation_test(x, y, permutations=plan.permutations, seed=seed)}
     if len(np.unique(groups)) > 1:
-        made["within objects"] = analysis.permutation_test(
+        made["within objects"] = agreement.permutation_test(
             x, y, permutations=plan.permutations, seed=seed, groups=groups
         )
     return {name: to_json(test) for name, test in made.items()}
@@ -156,8 +159,8 @@ def bottleneck(dataset: Dataset, plan: Plan, args: Args, felt: np.ndarray) -> di
         return jax.vmap(one)(patches)
 
     rows = split.test
-    latent = analysis.standardised(np.asarray(encode(jnp.asarray(dataset.touches.patch[rows]))))
-    whole, parts = analysis.stability(latent, seeds=plan.seeds)
+    latent = clusters.standardised(np.asarray(encode(jnp.asarray(dataset.touches.patch[rows]))))
+    whole, parts = clusters.stability(latent, seeds=plan.seeds)
     return {
         "touches": int(rows.sum()),
         "rand_index": {"seeds": _spread(whole), "parts": _spread(parts)},
@@ -165,21 +168,20 @@ def bottleneck(dataset: Dataset, plan: Plan, args: Args, felt: np.ndarray) -> di
     }
 
 
-def figure(dataset: Dataset, at: np.ndarray, means: np.ndarray, clusters: Clusters, kind: str) -> Any:
-    """The map with its clusters: of each the mean view and reading, and the touch nearest to its mean on the map."""
+def figure(dataset: Dataset, touch_map: TouchMap, kind: str) -> Any:
+    """The map with its clusters, and of each the mean view and reading and two examples."""
     touches = dataset.touches
-    shown = analysis.views(touches.patch, "mask" if kind == "mask" else "depth").reshape(touches.patch.shape)
-    examples = []
-    for i, mean in enumerate(means):
-        own = np.flatnonzero(clusters.label == i)
-        order = own[np.argsort(np.linalg.norm(at[own] - mean[None], axis=1))]
-        examples.append([order[0], order[len(order) // 2]])
-    return plots.clusters(
-        at, means, clusters.label, shown, np.asarray(touches.reading), np.array(examples),
-        [dataset.objects[i] for i in touches.object], dataset.board, dataset.window,
-        "contact mask" if kind == "mask" else "depth, parts of the reach",
-        f"{len(at)} touches sorted by what was seen", dataset.source != "real",
-    )  # fmt: skip
+    values = clusters.views(touches.patch, "mask" if kind == "mask" else "depth").reshape(touches.patch.shape)
+    name = "contact mask" if kind == "mask" else "depth, relative to the reach"
+    return viz.plot_clusters(
+        touch_map,
+        viz.TouchViews(values, dataset.window, name),
+        np.asarray(touches.reading),
+        [dataset.objects[i] for i in touches.object],
+        dataset.board,
+        title=f"{len(touch_map.at)} touches sorted by what was seen",
+        simulated=dataset.source != "real",
+    )
 
 
 def report(result: dict[str, Any]) -> None:

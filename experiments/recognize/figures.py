@@ -1,12 +1,13 @@
-"""Figures of recognition: accuracy against touches, reliability, confusion, touches until sure, sensitivity.
+"""Figures of recognition: accuracy against touches, reliability, confusion, touches to confidence, sensitivity.
 
-Functions take scores (`i2t.recognition.metrics`) and return a matplotlib figure, which `i2t.viz.touches.save`
+Functions take scores (`i2t.recognition.metrics`) and return a matplotlib figure, which `i2t.viz.save_figure`
 writes. Methods keep their colour, from the colour-blind safe set of Okabe and Ito (2008), their marker and their line
 through all figures that name them in the same order; every figure made from simulated touches says so in its title.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import cycle
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, MultipleLocator, PercentFormatter
 
 from i2t.recognition.metrics import Estimate, Reliability
-from i2t.viz.touches import COLOURS, GREY, titled
+from i2t.viz.style import COLOURS, GREY, titled
 
 MARKERS = "osD^vPX"
 LINES = ("-", "--", "-.", ":")
@@ -50,20 +51,22 @@ def accuracy(
 
 
 def reliability(methods: Mapping[str, Reliability], title: str, simulated: bool) -> Figure:
-    """Frequency of right decisions against their confidence, and below how many decisions had it."""
+    """Frequency of right decisions against their confidence, and below, the number of decisions of that confidence."""
     figure = Figure(figsize=(4.6, 5.4), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     above.plot([0, 1], [0, 1], color=GREY, lw=0.8)
-    above.annotate("right as often as sure", (0.03, 0.13), rotation=45, color=GREY, fontsize=8)
-    for (name, (number, sure, (mean, low, high))), style in zip(methods.items(), _styles(), strict=False):
+    above.annotate("calibrated", (0.03, 0.13), rotation=45, color=GREY, fontsize=8)
+    for (name, (number, confidence, (mean, low, high))), style in zip(methods.items(), _styles(), strict=False):
         used = number > 0
         limits = np.stack([mean - low, high - mean])[:, used]
         dots = {key: value for key, value in style.items() if key != "linestyle"}
-        above.errorbar(sure[used], mean[used], limits, label=name, ls="", markersize=4, elinewidth=1, capsize=2, **dots)
-        above.plot(sure[used], mean[used], color=style["color"], ls=style["linestyle"], lw=0.8, alpha=0.5)
-        below.plot(sure[used], number[used], markersize=4, **style)
-    above.set(ylabel="share of them right", xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), title=titled(title, simulated))
-    below.set(xlabel="probability of the class decided for", ylabel="decisions")
+        x, bars = confidence[used], {"elinewidth": 1, "capsize": 2}
+        above.errorbar(x, mean[used], limits, label=name, ls="", markersize=4, **bars, **dots)
+        above.plot(x, mean[used], color=style["color"], ls=style["linestyle"], lw=0.8, alpha=0.5)
+        below.plot(x, number[used], markersize=4, **style)
+    above.set(ylabel="frequency of right decisions", xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
+    above.set_title(titled(title, simulated))
+    below.set(xlabel="confidence: probability of the class decided for", ylabel="decisions")
     below.set_yscale("log")
     below.set_ylim(0.7)
     below.grid(alpha=0.25, lw=0.6)
@@ -74,7 +77,7 @@ def reliability(methods: Mapping[str, Reliability], title: str, simulated: bool)
 
 
 def confusion(counts: np.ndarray, names: Sequence[str], title: str, simulated: bool) -> Figure:
-    """Shares of the decisions, in columns, for each class that was there, in rows; `counts` (c, c)."""
+    """Confusion matrix: shares of the decisions (columns) for each true class (rows); `counts` (c, c)."""
     counts = np.asarray(counts, np.float64)
     total = counts.sum(1, keepdims=True)
     share = counts / np.where(total > 0, total, 1)
@@ -89,14 +92,14 @@ def confusion(counts: np.ndarray, names: Sequence[str], title: str, simulated: b
     axes.set_xticks(range(len(names)), names, rotation=40, ha="right", rotation_mode="anchor", fontsize=8)
     rows = [f"{name} ({n:.0f})" for name, n in zip(names, total[:, 0], strict=True)]
     axes.set_yticks(range(len(names)), rows, fontsize=8)
-    axes.set(xlabel="decided", ylabel="there (episodes)")
+    axes.set(xlabel="decided", ylabel="true (episodes)")
     axes.set_title(titled(title, simulated), fontsize=10)
     figure.colorbar(image, ax=axes, label="share of row", format=PercentFormatter(1), fraction=0.046, pad=0.03)
     return figure
 
 
-def until_sure(policies: Mapping[str, Estimate], title: str, simulated: bool, level: float = 0.95) -> Figure:
-    """Share (t + 1,) of episodes still unsure after 0 to t touches under each policy, shaded over its interval."""
+def not_yet_confident(policies: Mapping[str, Estimate], title: str, simulated: bool, level: float = 0.95) -> Figure:
+    """Share (t + 1,) of episodes not yet confident after 0 to t touches under each policy, shaded over its interval."""
     figure, axes = _wide(title, simulated)
     for (name, (mean, low, high)), style in zip(policies.items(), _styles(), strict=False):
         x = np.arange(len(mean))
@@ -105,7 +108,7 @@ def until_sure(policies: Mapping[str, Estimate], title: str, simulated: bool, le
         axes.step(x, mean, where="post", label=name, **line)
     axes.axhline(0.5, color=GREY, lw=0.8)
     axes.annotate("median", (0, 0.5), (2, 3), textcoords="offset points", color=GREY, fontsize=8)
-    axes.set(xlabel="touches", ylabel=f"episodes not yet {level:.0%} sure", ylim=(0, 1.02))
+    axes.set(xlabel="touches", ylabel=f"episodes not yet {level:.0%} confident", ylim=(0, 1.02))
     axes.set_xlim(0, max(len(estimate.mean) for estimate in policies.values()) - 1)
     _finish(axes)
     return figure
@@ -142,14 +145,14 @@ def sensitivity(
     return figure
 
 
-def leads(sizes: Sequence[float], lines: Mapping[str, Estimate], simulated: bool) -> Figure:
-    """By how much imagined readings beat contact positions, for each size (mm, degrees) of the error of placement."""
-    figure, axes = _wide("Paper's rules: readings less contact positions, bars: 95 %", simulated)
+def accuracy_differences(sizes: Sequence[float], lines: Mapping[str, Estimate], simulated: bool) -> Figure:
+    """Accuracy from readings less accuracy from contact positions, for each pose error (mm and degrees)."""
+    figure, axes = _wide("Paper's rules: readings minus contact positions, bars: 95 %", simulated)
     for i, ((name, (mean, low, high)), style) in enumerate(zip(lines.items(), _styles(), strict=False)):
-        x = np.array(sizes) + 0.03 * (i - (len(lines) - 1) / 2)  # bars beside each other
+        x = np.array(sizes) + 0.03 * (i - (len(lines) - 1) / 2)  # bars next to each other
         axes.errorbar(x, mean, [mean - low, high - mean], label=name, markersize=4, elinewidth=1, **style)
     axes.axhline(0, color=GREY, lw=0.8)
-    axes.set(xlabel="error of placement (mm and degrees)", ylabel="difference in accuracy")
+    axes.set(xlabel="pose error (mm and degrees)", ylabel="difference in accuracy")
     _finish(axes)
     return figure
 
@@ -168,7 +171,7 @@ def _finish(axes: Axes) -> None:
     axes.legend(fontsize=8, framealpha=0.8)
 
 
-def _styles():
+def _styles() -> Iterator[dict[str, Any]]:
     """Colour, marker and line of the first, second, ... method."""
     for i, (colour, marker) in enumerate(zip(cycle(COLOURS), cycle(MARKERS), strict=False)):
         yield {"color": colour, "marker": marker, "linestyle": LINES[i % len(LINES)]}

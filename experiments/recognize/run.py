@@ -11,9 +11,9 @@ at random safe sites of random candidates, and asks after each touch which one i
 
   the paper       exp(-|tau - tau~|) of the run's predictor at the believed pose; votes, their average, product;
                   and the same with the distance from the contact to the nearest point of each model (proprioception);
-  the belief      `i2t.recognition.belief` with a pad model fitted to the training touches, whose objects were registered
-                  by their contacts: from readings alone, from positions alone, and from both; next to it an oracle
-                  fitted to the same touches without any error of pose or noise.
+  the belief      `i2t.recognition.belief` with a pad model fitted to the training touches, whose objects were
+                  registered by their contacts: from readings alone, from positions alone, and from both; next to it an
+                  oracle fitted to the same touches without any error of pose or noise.
 
 The paper's two sets (three primitives, two tools) are played apart, with the paper's heuristic for the next touch, and
 all five as one set. What was fixed before testing is in docs/recognition.md. Everything is simulated unless --dataset
@@ -102,7 +102,7 @@ def run(args: SimulateArgs) -> dict[str, Any]:
             played = replay(args, cfg, folder) if args.dataset else play(args, cfg, folder, args.seed + i)
             reporting.save(path, played)
         parts.append(reporting.load(path))
-    source = data.load(args.dataset).source if args.dataset else "simulated"
+    source = data.load_dataset(args.dataset).source if args.dataset else "simulated"
     return report(args, parts, source)
 
 
@@ -117,20 +117,20 @@ def configure(args: SimulateArgs) -> Recognition:
     return cfg
 
 
-def report(args: SimulateArgs, parts: list[dict[str, reporting.Played]], source: str) -> dict[str, Any]:
+def report(args: SimulateArgs, parts: list[reporting.Results], source: str) -> dict[str, Any]:
     """Scores, figures, tables, and the report of one episode."""
-    parts, tempers = reporting.sobered(parts)
-    result = reporting.summarise(parts, tempers, args.out, source)
+    parts, temperatures = reporting.calibrate(parts)
+    result = reporting.summarise(parts, temperatures, args.out, source)
     name = next(name for name in ("all", "recorded", "your objects") if name in parts[0])
     meshes = load_meshes(args.objects, args.unit) if args.objects else meshes_by_name(parts[0][name].names)
-    reporting.tell(parts[0][name], list(meshes.values()), args.out / "story", source)
-    reporting.report(result)
-    reporting.extras(result)
+    reporting.report_hardest_episode(parts[0][name], list(meshes.values()), args.out / "story", source)
+    reporting.print_tables(result)
+    reporting.print_calibration(result)
     print(f"\nresults and figures are in {args.out}")
     return result
 
 
-def play(args: SimulateArgs, cfg: Recognition, folder: Path, seed: int) -> dict[str, reporting.Played]:
+def play(args: SimulateArgs, cfg: Recognition, folder: Path, seed: int) -> reporting.Results:
     """All sets of one pad and seed."""
     key_fit, key_groups = jax.random.split(jax.random.key(seed))
     trained = trained_run.load_trained_run(key_fit, folder, cfg.errors, cfg.limits)
@@ -139,7 +139,7 @@ def play(args: SimulateArgs, cfg: Recognition, folder: Path, seed: int) -> dict[
         f"pad model fitted to {folder}: R2 {trained.pad_model.r2:.3f} on held-out touches, {oracle.r2:.3f} without "
         "errors of pose"
     )
-    done: dict[str, reporting.Played] = {}
+    done: reporting.Results = {}
     groups = object_groups(args, cfg)
     prepared = iter(prepare_surfaces([mesh for meshes, _ in groups for mesh in meshes.values()]))  # compiled for once
     for i, (meshes, sets) in enumerate(groups):
@@ -188,7 +188,7 @@ def play_set(
     cfg: Recognition,
     trained: TrainedRun,
     oracle: PadModel,
-) -> reporting.Played:
+) -> reporting.EpisodeResults:
     """Simulated episodes with one set of objects, and what every method believes after each touch."""
     key_play, key_site = jax.random.split(key)
     which = [predictions.names.index(one) for one in objects.names]
@@ -209,15 +209,15 @@ def play_set(
         found = run_belief(some, episodes, model.likelihood, predictions.particles)
         believed |= {f"{kind}{label}": p for kind, p in found.items()}
     believed |= paper_rules(trained.predictor, trained.pad_model.reading_std, surfaces, episodes)
-    return reporting.Played(tuple(objects.names), truth, believed, episodes)
+    return reporting.EpisodeResults(tuple(objects.names), truth, believed, episodes)
 
 
-def replay(args: SimulateArgs, cfg: Recognition, folder: Path) -> dict[str, reporting.Played]:
+def replay(args: SimulateArgs, cfg: Recognition, folder: Path) -> reporting.Results:
     """Recorded episodes in place of simulated ones."""
     assert args.dataset is not None
     trained = trained_run.load_trained_run(jax.random.key(args.seed), folder, cfg.errors, cfg.limits)
     model = trained.pad_model
-    recorded = data.load(args.dataset)
+    recorded = data.load_dataset(args.dataset)
     meshes = load_meshes(args.objects, args.unit) if args.objects else meshes_by_name(recorded.objects)
     surfaces = prepare_surfaces(list(meshes.values()))
     sites, episodes = episodes_from_dataset(
@@ -231,4 +231,4 @@ def replay(args: SimulateArgs, cfg: Recognition, folder: Path) -> dict[str, repo
     )  # fmt: skip
     believed = run_belief(table, episodes, model.likelihood, particles)
     believed |= paper_rules(trained.predictor, model.reading_std, surfaces, episodes)
-    return {"recorded": reporting.Played(tuple(meshes), episodes.truth, believed, episodes)}
+    return {"recorded": reporting.EpisodeResults(tuple(meshes), episodes.truth, believed, episodes)}

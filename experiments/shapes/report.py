@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from experiments.shapes.methods import METHODS, PAPER
-from i2t.recognition.metrics import Estimate, wilson_interval, student_interval
-from i2t.viz import touches as pictures
+from i2t import viz
+from i2t.recognition.metrics import Estimate, student_interval, wilson_interval
 
 PUBLISHED = {"T": 0.91, "circle": 0.90, "angle": 0.90, "triangle": 0.95, "cross": 0.94, "total": 0.92}
 
@@ -26,7 +26,8 @@ def summarise(
     }
     new = {
         each: {
-            method: _plain(student_interval(np.concatenate([part["new"][each][method] for part in parts]))) for method in methods
+            method: _plain(student_interval(np.concatenate([part["new"][each][method] for part in parts])))
+            for method in methods
         }
         for each, methods in parts[0]["new"].items()
     }
@@ -104,18 +105,18 @@ def figures(out: Path, result: dict[str, Any]) -> None:
     """Confusion matrices of the random split, rates of all splits, and rates by the sensor's noise."""
     simulated = result["source"] != "real"
     matrices = {name: np.array(scored["confusion"]) for name, scored in result["splits"]["random"].items()}
-    figure = pictures.confusions(matrices, result["shapes"], "Which stamp was it? A random fifth held out", simulated)
-    pictures.save(figure, out / "confusion.png")
+    figure = viz.plot_confusions(matrices, result["shapes"], "Which stamp was it? A random fifth held out", simulated)
+    viz.save_figure(figure, out / "confusion.png")
     rates = {
         f"{split} out": {method: scored["total"] for method, scored in methods.items()}
         for split, methods in result["splits"].items()
     } | {
         f"new skin, {each} of each": rates for each, rates in result["new"].items()
     }  # fmt: skip
-    figure = pictures.rates(
+    figure = viz.plot_rates(
         rates, "Which stamp was it?", "share of right answers", 1 / len(result["shapes"]), simulated
     )
-    pictures.save(figure, out / "rates.png")
+    viz.save_figure(figure, out / "rates.png")
     random = result["splits"]["random"]
     levels = {name: rates for name, rates in result["sensors"].items() if name.endswith("x noise")}
     for level in list(levels)[:1]:
@@ -126,8 +127,8 @@ def figures(out: Path, result: dict[str, Any]) -> None:
             method: np.array([[float(name.split()[0]), *rates[method]] for name, rates in levels.items()])
             for method in next(iter(levels.values()))
         }
-        figure = pictures.rates_by(
+        figure = viz.plot_rates_by_size(
             lines, "Which stamp was it? A random fifth held out", "sensor noise, times a real board's",
             "share of right answers", simulated,
         )  # fmt: skip
-        pictures.save(figure, out / "noise.png")
+        viz.save_figure(figure, out / "noise.png")

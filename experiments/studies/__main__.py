@@ -30,7 +30,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import tyro
 
 from experiments.common.runs import begin, load_part, reported, save_part, write_json
-from experiments.recognize.run import PRESETS, finished_runs
+from experiments.recognize.config import PRESETS
+from experiments.recognize.trained_run import finished_runs
 from experiments.studies import (
     new_pad,
     object_count,

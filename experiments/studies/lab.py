@@ -9,32 +9,24 @@ import jax
 import numpy as np
 import tyro
 from jaxtyping import Array
-from tqdm import tqdm
 
 from experiments.recognize import figures as drawing
-from experiments.recognize.run import PRESETS, Recognition, meshes_by_name, taught_by
+from experiments.recognize import trained_run
+from experiments.recognize.config import PRESETS, Recognition
+from experiments.recognize.trained_run import meshes_by_name
+from i2t import viz
 from i2t.dataset import Dataset
 from i2t.prediction.predictor import Predictor
 from i2t.recognition import metrics as scores
 from i2t.recognition.belief import Particles
-from i2t.recognition.episodes import (
-    Episodes,
-    PadModel,
-    SitePool,
-    EpisodeConfig,
-    Sitting,
-    learn,
-    fit_simulated_pad_model,
-    pose_particles,
-    prepare_surfaces,
-    precompute_outcomes,
-)
+from i2t.recognition.episodes import EpisodeConfig, Episodes, run_episodes
 from i2t.recognition.metrics import to_json
-from i2t.recognition.outcomes import PredictedTouch, LinearReadingModel
+from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
+from i2t.recognition.pad_model import PadModel, fit_pad_model, fit_simulated_pad_model
+from i2t.recognition.site_pool import SitePool, pose_particles, precompute_outcomes, prepare_surfaces
 from i2t.simulation import touches as simulation
 from i2t.simulation.press import PressLimits
 from i2t.types import Pad, Surface
-from i2t.viz import touches as plots
 
 PLACES = 128  # of each object: with 64 to 512 accuracies are the same within 0.01
 Study = Literal["policy", "open", "planar", "registered", "crossing", "sites", "pad", "sensitivity", "many"]
@@ -77,40 +69,45 @@ class Lab(NamedTuple):
 def prepare_lab(args: Args, folder: Path, seed: int) -> Lab:
     """What all studies of a pad and seed share."""
     cfg = PRESETS[args.preset]
-    cfg = replace(cfg, places=min(cfg.places, PLACES))
+    cfg = replace(cfg, num_particles=min(cfg.num_particles, PLACES))
     key_learn, key = jax.random.split(jax.random.key(100 + seed))
-    told = taught_by(key_learn, folder, cfg)
+    told = trained_run.load_trained_run(key_learn, folder, cfg.errors, cfg.limits)
     names = cfg.primitives + cfg.tools
     which, counts = np.unique(told.dataset.touches.object[told.rows], return_counts=True)
     kinds = tuple(told.dataset.objects[i] for i in which)
-    taught_on = [told.known[kind] for kind in kinds]
+    taught_on = [told.surfaces[kind] for kind in kinds]
 
     def training(other: Pad, key: Array) -> PadModel:
-        return fit_simulated_pad_model(key, other, taught_on, 100 if args.preset == "debug" else 900, cfg.limits, told.learnt)
+        return fit_simulated_pad_model(
+            key, other, taught_on, touches=100 if args.preset == "debug" else 900, limits=cfg.limits,
+            recorded=told.pad_model,
+        )  # fmt: skip
 
     def pressed(limits: PressLimits, key: Array) -> PadModel:
         key_press, key_learn = jax.random.split(key)
-        made = simulation.simulate(key_press, taught_on, told.pad, cfg.errors, counts.tolist(), limits=limits)
+        made = simulation.simulate_touches(key_press, taught_on, told.pad, cfg.errors, counts.tolist(), limits=limits)
         touches = jax.device_get(made)
-        runs = tuple(f"run {i}" for i in range(int(touches.run.max()) + 1))
+        runs = tuple(f"run {i}" for i in range(int(touches.session.max()) + 1))
         told_by = Dataset(touches, kinds, ("the pad",), runs, told.dataset.board, "simulated")
-        return learn(key_learn, told_by, np.ones(len(told_by), bool), told.known, cfg.errors, limits)
+        return fit_pad_model(key_learn, told_by, np.ones(len(told_by), bool), told.surfaces, errors=cfg.errors, limits=limits)
 
     surfaces = prepare_surfaces(list(meshes_by_name(names).values()))
     sittings = 2 if args.preset == "debug" else args.sittings
     return Lab(
-        cfg, told.pad, told.learnt, names, surfaces, sittings, seed, key, args, training, pressed, told.predictor
+        cfg, told.pad, told.pad_model, names, surfaces, sittings, seed, key, args, training, pressed, told.predictor
     )
 
 
 def placements_of(lab: Lab) -> Particles:
     """Places of an object in the lab's world."""
-    return pose_particles(lab.cfg.errors, lab.cfg.places, lab.seed)
+    return pose_particles(lab.cfg.errors, lab.cfg.num_particles, lab.seed)
 
 
 def imagine(lab: Lab, sites: SitePool, places: Particles, skins: Sequence[LinearReadingModel], what: str) -> list[PredictedTouch]:
     """Outcomes on the lab's objects."""
-    return precompute_outcomes(lab.surfaces, places.twist, sites.T_w_t, skins, lab.cfg.limits.past_goal, what)
+    return precompute_outcomes(
+        lab.surfaces, places.twist, sites.T_w_t, skins, overtravel=lab.cfg.limits.overtravel, label=what
+    )
 
 
 def sit(lab: Lab, key: Array, sites: SitePool, truth: np.ndarray, chosen: np.ndarray, what: str, **world: Any) -> Episodes:
@@ -118,10 +115,8 @@ def sit(lab: Lab, key: Array, sites: SitePool, truth: np.ndarray, chosen: np.nda
     setting = EpisodeConfig(lab.cfg.errors, lab.cfg.limits, chosen.shape[1])
     surfaces = world.pop("surfaces", lab.surfaces)
     pad = world.pop("pad", lab.pad)
-    sitting = Sitting(key, surfaces, truth, sites, pad, replace(setting, **world))
-    with tqdm(total=chosen.size, desc=f"{what}: touching", unit="touch") as bar:
-        sitting.touch(chosen, bar)
-    return sitting.episodes()
+    config = replace(setting, **world)
+    return run_episodes(key, surfaces, truth, chosen, sites=sites, pad=pad, config=config, label=what)
 
 
 def shown(estimate: scores.Estimate) -> str:
@@ -155,5 +150,5 @@ def report_methods(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]
         settings.setdefault(setting or "in any case", {})[evidence] = last
         print(f"{name:34} after {p.shape[1]}: {shown(last)}   mean: {shown(scores.mean_accuracy(p, truth))}")
     figure = drawing.sensitivity(settings, f"After {p.shape[1]} touches", "accuracy", True)
-    plots.save(figure, out / "accuracy.png")
+    viz.save_figure(figure, out / "accuracy.png")
     return result

@@ -12,12 +12,13 @@ import trimesh
 
 from experiments.recognize import figures as drawing
 from experiments.studies.lab import Lab, imagine, placements_of, sit
+from i2t import viz
 from i2t.objects import catalogue
 from i2t.objects.catalogue import Mesh
 from i2t.recognition import metrics as scores
-from i2t.recognition.episodes import posteriors, sample_sites, draw_random_sites, prepare_surfaces
+from i2t.recognition.episodes import posteriors
 from i2t.recognition.metrics import to_json
-from i2t.viz import touches as plots
+from i2t.recognition.site_pool import draw_random_sites, prepare_surfaces, sample_sites
 
 COUNTS = (10, 25, 50)
 FACES = 2048  # at most, of a scanned mesh
@@ -41,11 +42,11 @@ def play(lab: Lab) -> dict[str, Any]:
     found: dict[str, Any] = {}
     key_pool, key_play, key_site = jax.random.split(lab.key, 3)
     order = np.random.default_rng(0).permutation(list(meshes)[: max(counts)] if not small else list(meshes)[:3])
-    cfg = replace(lab.cfg, touches=touches, sites=2 if small else MANY_SITES, places=places_count)
+    cfg = replace(lab.cfg, touches=touches, num_sites=2 if small else MANY_SITES, num_particles=places_count)
     for count in counts:
         names = tuple(str(name) for name in order[:count])
         some = lab._replace(names=names, surfaces=prepare_surfaces([meshes[name] for name in names]), cfg=cfg)
-        sites = sample_sites(key_pool, some.surfaces, names, cfg.sites, cfg.reach)
+        sites = sample_sites(key_pool, some.surfaces, names, cfg.num_sites, cfg.site_limits)
         places = placements_of(some)
         (table,) = imagine(some, sites, places, [lab.learnt.reading_model], f"{count} objects")
         truth = np.resize(np.arange(count), 4 if small else max(MANY_SITTINGS, count))
@@ -80,5 +81,5 @@ def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
         curves[name] = scores.accuracy(p, truth)
         result[name] = {"sittings": len(truth), "accuracy": to_json(curves[name])}
         print(f"{name:12} " + " ".join(f"{t + 1}: {curves[name].mean[t]:.2f}" for t in range(0, p.shape[1], 3)))
-    plots.save(drawing.accuracy(curves, "Accuracy with more objects", True), out / "accuracy.png")
+    viz.save_figure(drawing.accuracy(curves, "Accuracy with more objects", True), out / "accuracy.png")
     return result

@@ -16,14 +16,15 @@ import numpy as np
 from experiments.common.runs import Part
 from experiments.recognize import figures as drawing
 from experiments.studies.lab import Lab, imagine, shown, sit
+from i2t import viz
 from i2t.objects import catalogue
 from i2t.objects.catalogue import Mesh
 from i2t.recognition import calibrated
 from i2t.recognition import metrics as scores
-from i2t.recognition.episodes import posteriors, pose_particles, sample_sites, draw_random_sites, prepare_surfaces
+from i2t.recognition.episodes import posteriors
 from i2t.recognition.metrics import to_json
+from i2t.recognition.site_pool import draw_random_sites, pose_particles, prepare_surfaces, sample_sites
 from i2t.types import Surface
-from i2t import viz
 
 STRANGERS = ("hexagon", "parallelogram", "flower", "cross", "spanner", "pliers", "marker", "scissors")
 # Of the validation: neither known in the test nor strangers there.
@@ -66,8 +67,8 @@ def _game(
 ) -> Game:
     key_pool, key_play, key_site = jax.random.split(key, 3)
     imagined = surfaces[: len(names)] + surfaces[len(names) + len(strangers) :]
-    sites = sample_sites(key_pool, surfaces[: len(names)], list(names), lab.cfg.sites, lab.cfg.reach)
-    places = pose_particles(lab.cfg.errors, min(lab.cfg.places, PLACES), lab.seed)
+    sites = sample_sites(key_pool, surfaces[: len(names)], list(names), lab.cfg.num_sites, lab.cfg.site_limits)
+    places = pose_particles(lab.cfg.errors, min(lab.cfg.num_particles, PLACES), lab.seed)
     (table,) = imagine(lab._replace(surfaces=imagined), sites, places, [lab.learnt.reading_model], what)
     truth = np.repeat(np.arange(len(names)), lab.sittings)
     rng = np.random.default_rng(lab.seed)

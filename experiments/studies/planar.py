@@ -16,14 +16,14 @@ from tqdm import tqdm
 
 from experiments.recognize import figures as drawing
 from experiments.studies.lab import Lab, shown, sit, spread
+from i2t import viz
 from i2t.recognition import belief, planar
 from i2t.recognition import metrics as scores
 from i2t.recognition.belief import Belief, Likelihood, TouchObservation
-from i2t.recognition.episodes import SitePool, precompute_outcomes
 from i2t.recognition.metrics import to_json
 from i2t.recognition.outcomes import PredictedTouch
-from i2t.recognition.planar import PlanarPose, Table
-from i2t.viz import touches as plots
+from i2t.recognition.planar import PlanarGrid, PlanarPose
+from i2t.recognition.site_pool import SitePool, precompute_outcomes
 
 TOUCHES = 20
 PAST = 20e-3  # m, how far presses go below the table's sites: to 10 mm over the table
@@ -34,12 +34,15 @@ TURNS = {"square": 4, "star": 5, "cylinder": 0}  # turns that look alike; 0: all
 def play(lab: Lab) -> dict[str, Any]:
     """Sittings with objects anywhere on the table, judged with their pose unknown and known."""
     debug = lab.args.preset == "debug"
-    table = Table(half=5e-3, reach=5e-3, step=5e-3, turns=4) if debug else Table()
+    table = PlanarGrid(half=5e-3, reach=5e-3, step=5e-3, turns=4) if debug else PlanarGrid()
     touches = 3 if debug else TOUCHES
-    limits = replace(lab.cfg.limits, past_goal=PAST)
+    limits = replace(lab.cfg.limits, overtravel=PAST)
     errors = replace(lab.cfg.errors, placement=0.0, placement_angle=0.0)
     nothing = jnp.zeros((1, 6))
-    (found,) = precompute_outcomes(lab.surfaces, nothing, jnp.asarray(planar.node_poses(table)), [lab.learnt.reading_model], PAST, "planar")
+    (found,) = precompute_outcomes(
+        lab.surfaces, nothing, jnp.asarray(planar.node_poses(table)), [lab.learnt.reading_model],
+        overtravel=PAST, label="planar",
+    )  # fmt: skip
     imagined = jax.device_put(jax.tree.map(lambda x: x[:, :, 0], found))
 
     truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
@@ -52,8 +55,8 @@ def play(lab: Lab) -> dict[str, Any]:
     episodes = sit(lab, lab.key, sites, truth, chosen, "planar", errors=errors, limits=limits)
 
     cells, places = planar.pose_cells(table)
-    like = lab.learnt.likelihood._replace(past=jnp.float32(PAST))
-    start = belief.init(places, len(lab.surfaces))
+    like = lab.learnt.likelihood._replace(overtravel=jnp.float32(PAST))
+    start = belief.init(places, len(lab.surfaces), channels=imagined.reading.shape[-1])
     judge = jax.jit(partial(_judge, imagined=imagined, pose=jnp.asarray(cells), like=like, table=table))
     unknown, known, stands = [], [], []
     for i in tqdm(range(len(truth)), desc="planar: believing", unit="sitting"):
@@ -73,7 +76,7 @@ def play(lab: Lab) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _seen_from(pose: np.ndarray, site: np.ndarray, table: Table) -> np.ndarray:
+def _seen_from(pose: np.ndarray, site: np.ndarray, table: PlanarGrid) -> np.ndarray:
     """Sites (e * t, 4, 4) of presses at points of the table (e, t, 2), in the frames of objects in poses (e, 3)."""
     seen = jax.vmap(jax.vmap(planar.object_frame_pose, (None, 0)))(jnp.float32(pose), jnp.float32(site))
     at = np.asarray(seen, float).reshape(-1, 2)
@@ -82,12 +85,14 @@ def _seen_from(pose: np.ndarray, site: np.ndarray, table: Table) -> np.ndarray:
 
 
 def _judge(
-    start: Belief, site: Array, measured: TouchObservation, imagined: PredictedTouch, pose: Array, like: Likelihood, table: Table
+    start: Belief, site: Array, measured: TouchObservation, imagined: PredictedTouch, pose: Array, like: Likelihood, table: PlanarGrid
 ) -> tuple[Array, PlanarPose]:
     """Probabilities of the objects after each touch, and where each would stand in the end."""
 
     def step(now: Belief, touched: tuple[Array, TouchObservation]) -> tuple[Belief, Array]:
-        now = planar.update(now, touched[1], touched[0], pose, imagined, like, table)
+        now = planar.update(
+            now, touched[1], touched[0], cells=pose, predicted=imagined, likelihood=like, grid=table
+        )
         return now, belief.posterior(now)
 
     now, p = jax.lax.scan(step, start, (site, measured))
@@ -124,5 +129,5 @@ def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
     where = "where the object is right"
     result["off"] = spread("off", "mm", 1e3 * columns["off"][right], where)
     result["turned"] = spread("turned", "degrees", np.degrees(columns["turned"][right]), where)
-    plots.save(drawing.accuracy(curves, "Anywhere on the table", True), out / "accuracy.png")
+    viz.save_figure(drawing.accuracy(curves, "Anywhere on the table", True), out / "accuracy.png")
     return result

@@ -12,15 +12,15 @@ from tqdm import tqdm
 
 from experiments.recognize import figures as drawing
 from experiments.studies.lab import Lab, imagine, placements_of, shown
-from i2t.recognition import belief
-from i2t.recognition import calibrated
+from i2t import viz
+from i2t.recognition import belief, calibrated
 from i2t.recognition import metrics as scores
 from i2t.recognition.belief import Particles
-from i2t.recognition.episodes import SitePool, EpisodeConfig, Sitting, sample_sites
+from i2t.recognition.episodes import EpisodeConfig, EpisodeSimulator
 from i2t.recognition.metrics import to_json
-from i2t.recognition.outcomes import Outcome
-from i2t.recognition.planning import advance, choose_heuristic_sites, choose_informative_sites, safe_sites, heuristic_weights
-from i2t.viz import touches as plots
+from i2t.recognition.outcomes import PredictedTouch
+from i2t.recognition.planning import choose_heuristic_sites, choose_informative_sites, heuristic_weights, update_beliefs
+from i2t.recognition.site_pool import SitePool, safe_sites, sample_sites
 
 POLICIES = ("random", "heuristic", "information")
 
@@ -28,7 +28,7 @@ POLICIES = ("random", "heuristic", "information")
 def play(lab: Lab) -> dict[str, Any]:
     """The same sittings under each policy."""
     key_pool, key_play, key_choice = jax.random.split(lab.key, 3)
-    sites = sample_sites(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
+    sites = sample_sites(key_pool, lab.surfaces, lab.names, lab.cfg.num_sites, lab.cfg.site_limits)
     places = placements_of(lab)
     (table,) = imagine(lab, sites, places, [lab.learnt.reading_model], "policy")
     truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
@@ -40,32 +40,35 @@ def play(lab: Lab) -> dict[str, Any]:
 
 
 def play_policy(
-    lab: Lab, name: str, key: Array, key_choice: Array, sites: SitePool, places: Particles, table: Outcome,
+    lab: Lab, name: str, key: Array, key_choice: Array, sites: SitePool, places: Particles, table: PredictedTouch,
     truth: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """Beliefs (e, t, objects) of sittings whose next touch a policy chooses."""
-    sitting = Sitting(
-        key, lab.surfaces, truth, sites, lab.pad, EpisodeConfig(lab.cfg.errors, lab.cfg.limits, lab.cfg.touches)
-    )
-    begun = belief.init(places, len(lab.surfaces))
+    config = EpisodeConfig(lab.cfg.errors, lab.cfg.limits, lab.cfg.touches)
+    sitting = EpisodeSimulator(key, lab.surfaces, truth, sites=sites, pad=lab.pad, config=config)
+    begun = belief.init(places, len(lab.surfaces), channels=table.reading.shape[-1])
     now = jax.tree.map(lambda x: jnp.broadcast_to(x, (len(truth), *x.shape)), begun)
     spent = np.zeros((len(truth), len(sites.owner)), bool)
     after = []
-    telling, safe = heuristic_weights(sites), jnp.asarray(safe_sites(lab.surfaces, sites, lab.cfg.reach))
+    telling, safe = heuristic_weights(sites), jnp.asarray(safe_sites(lab.surfaces, sites, lab.cfg.site_limits))
     for step in tqdm(range(lab.cfg.touches), desc=f"policy {name}", unit="touch"):
         keys = jax.random.split(jax.random.fold_in(key_choice, step), len(truth))
         if name == "information":
             limit = lab.cfg.limits.skin_change
-            site = choose_informative_sites(keys, now, table, lab.learnt.likelihood, jnp.asarray(spent), safe, limit)
+            site = choose_informative_sites(
+                keys, now, table, lab.learnt.likelihood, touched=jnp.asarray(spent), safe=safe, skin_change=limit
+            )
         elif name == "heuristic":
-            site = choose_heuristic_sites(keys, now, telling, jnp.asarray(spent), step)
+            site = choose_heuristic_sites(keys, now, telling, touched=jnp.asarray(spent), safe=safe, step=step)
         else:
             site = jax.vmap(jax.random.categorical)(keys, jnp.where(jnp.asarray(spent), -jnp.inf, 0.0))
         site = np.asarray(site)
-        spent[np.arange(len(truth)), site] = True
-        sitting.touch(site[:, None])
-        last = jax.tree.map(lambda x: x[:, -1], sitting.measured())
-        now, p = advance(now, jnp.asarray(site), last, table, lab.learnt.likelihood)
+        # An episode without a safe site ends there: its belief stays, and what is simulated for it is not used.
+        some = np.maximum(site, 0)
+        spent[np.arange(len(truth)), some] |= site >= 0
+        sitting.touch(some[:, None])
+        last = jax.tree.map(lambda x: x[:, -1], sitting.observations())
+        now, p = update_beliefs(now, jnp.asarray(site), last, table, lab.learnt.likelihood)
         after.append(np.asarray(p))
     return np.stack(after, axis=1)
 
@@ -88,6 +91,6 @@ def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
         result["saved"][other] = to_json(saved)
         print(f"information needs {shown(saved)} fewer touches than {other}")
     unsure = {name: scores.not_yet_confident(values, touches) for name, values in first.items()}
-    plots.save(drawing.until_sure(unsure, "Touches until 95 % sure", True), out / "until_sure.png")
-    plots.save(drawing.accuracy(curves, "Accuracy of each policy", True), out / "accuracy.png")
+    viz.save_figure(drawing.not_yet_confident(unsure, "Touches until 95 % sure", True), out / "until_sure.png")
+    viz.save_figure(drawing.accuracy(curves, "Accuracy of each policy", True), out / "accuracy.png")
     return result

@@ -15,10 +15,11 @@ import numpy as np
 from experiments.common.runs import Part
 from experiments.recognize import figures as drawing
 from experiments.studies.lab import Lab, shown, sit
-from i2t.recognition import metrics as scores
-from i2t.recognition.episodes import paper_rules, sample_sites, draw_informative_sites
-from i2t.recognition.metrics import Estimate, to_json
 from i2t import viz
+from i2t.recognition import metrics as scores
+from i2t.recognition.metrics import Estimate, to_json
+from i2t.recognition.paper_rules import paper_rules
+from i2t.recognition.site_pool import draw_informative_sites, sample_sites
 
 RULES = ("votes", "product")
 
@@ -42,7 +43,7 @@ def play(lab: Lab) -> Part:
     for which, (name, names) in enumerate({"primitives": lab.cfg.primitives, "tools": lab.cfg.tools}.items()):
         key_pool, key_play, key_site = jax.random.split(jax.random.fold_in(lab.key, which), 3)
         surfaces = [lab.surfaces[lab.names.index(one)] for one in names]
-        sites = sample_sites(key_pool, surfaces, names, lab.cfg.sites, lab.cfg.reach)
+        sites = sample_sites(key_pool, surfaces, names, lab.cfg.num_sites, lab.cfg.site_limits)
         truth = np.repeat(np.arange(len(names)), lab.sittings)
         chosen = draw_informative_sites(key_site, sites, len(truth), lab.cfg.touches)
         for size in placements:

@@ -15,16 +15,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
-from experiments.recognize.run import meshes_by_name
+from experiments.recognize.trained_run import meshes_by_name
 from experiments.studies.lab import Lab, imagine, report_methods, sit, spread
 from i2t.depth.camera import Camera
-from i2t.emulators.scene import noisy, see, table_at
+from i2t.emulators.scene import add_depth_noise, render_view, table_triangles
 from i2t.hardware.rig import Rig
 from i2t.objects.catalogue import Mesh
 from i2t.recognition import belief
-from i2t.recognition.episodes import SitePool, run_belief, pose_particles, sample_sites, draw_random_sites, session_errors, precompute_outcomes
-from i2t.registration.touch import register_by_depth, camera_covariance
-from i2t.simulation.touches import Errors, RunErrors
+from i2t.recognition.episodes import run_belief, session_errors
+from i2t.recognition.site_pool import SitePool, draw_random_sites, pose_particles, precompute_outcomes, sample_sites
+from i2t.registration.touch import camera_covariance, register_by_depth
+from i2t.simulation.touches import SessionErrors, SimulationErrors
 from i2t.types import Array
 
 DISTANCE, ANGLE = 5e-3, math.radians(5.0)  # one sigma, each axis
@@ -43,13 +44,13 @@ class Found(NamedTuple):
 def play(lab: Lab) -> dict[str, Any]:
     """The same luck with the object known to 1 mm, known to 5 mm, and found by a view."""
     key_pool, key_play, key_site = jax.random.split(lab.key, 3)
-    sites = sample_sites(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
+    sites = sample_sites(key_pool, lab.surfaces, lab.names, lab.cfg.num_sites, lab.cfg.site_limits)
     truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
     chosen = draw_random_sites(key_site, sites, len(truth), lab.cfg.touches)
     errors = replace(lab.cfg.errors, placement=DISTANCE, placement_angle=ANGLE)
     result: dict[str, Any] = {"truth": truth}
     for what, world in (("known to 1 mm", lab.cfg.errors), ("known to 5 mm", errors)):
-        places = pose_particles(world, lab.cfg.places, lab.seed)
+        places = pose_particles(world, lab.cfg.num_particles, lab.seed)
         (table,) = imagine(lab, sites, places, [lab.learnt.reading_model], what)
         episodes = sit(lab, jax.random.clone(key_play), sites, truth, chosen, what, errors=world)
         told = run_belief(table, episodes, lab.learnt.likelihood, places, KINDS)
@@ -57,7 +58,7 @@ def play(lab: Lab) -> dict[str, Any]:
 
     runs = jax.device_get(session_errors(jax.random.clone(key_play), len(truth), errors))
     found = look(meshes_by_name(lab.names), truth, runs, errors, lab.seed)
-    places = belief.sample_particles(found.covariance, lab.cfg.places, lab.seed)
+    places = belief.sample_particles(found.covariance, lab.cfg.num_particles, lab.seed)
     owner = sites.owner[chosen]
     T_w_site = found.T_w_o[np.arange(len(truth))[:, None], owner] @ np.asarray(sites.T_w_t, float)[chosen]
     there = SitePool(jnp.float32(T_w_site.reshape(-1, 4, 4)), owner.reshape(-1))
@@ -67,8 +68,10 @@ def play(lab: Lab) -> dict[str, Any]:
     for i, surface in enumerate(lab.surfaces):
         seen = np.linalg.inv(found.T_w_o[:, i])[:, None] @ T_w_site  # as if that object stood at the origin
         sites_i = jnp.float32(seen.reshape(-1, 4, 4))
-        past = lab.cfg.limits.past_goal
-        columns += precompute_outcomes([surface], places.twist, sites_i, [lab.learnt.reading_model], past, f"found: {lab.names[i]}")
+        past = lab.cfg.limits.overtravel
+        columns += precompute_outcomes(
+            [surface], places.twist, sites_i, [lab.learnt.reading_model], overtravel=past, label=f"found: {lab.names[i]}"
+        )
     table = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1), *columns)
     told = run_belief(table, episodes, lab.learnt.likelihood, places, KINDS)
     result |= {f"{kind}, found by a view": p for kind, p in told.items()}
@@ -82,7 +85,7 @@ def play(lab: Lab) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def look(meshes: dict[str, Mesh], truth: np.ndarray, runs: RunErrors, errors: Errors, seed: int) -> Found:
+def look(meshes: dict[str, Mesh], truth: np.ndarray, runs: SessionErrors, errors: SimulationErrors, seed: int) -> Found:
     """Register every candidate to one view of each sitting."""
     lens, T_w_c = Rig().camera, _aside()
     poses = np.tile(np.eye(4), (len(truth), len(meshes), 1, 1))
@@ -113,10 +116,10 @@ def _aside() -> Array:
     return T
 
 
-def _view(mesh: Mesh, T_w_o: Array, T_w_c: Array, lens: Camera, errors: Errors, seed: tuple[int, int]) -> Array:
+def _view(mesh: Mesh, T_w_o: Array, T_w_c: Array, lens: Camera, errors: SimulationErrors, seed: tuple[int, int]) -> Array:
     triangles = mesh.vertices[mesh.faces] @ T_w_o[:3, :3].T + T_w_o[:3, 3]
-    depth, _ = see(np.concatenate([triangles, table_at(np.eye(4))]), T_w_c, lens)
-    return noisy(depth, errors, np.random.default_rng(seed))
+    depth, _ = render_view(np.concatenate([triangles, table_triangles(np.eye(4))]), T_w_c, lens)
+    return add_depth_noise(depth, errors, np.random.default_rng(seed))
 
 
 def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:

@@ -10,9 +10,10 @@ import numpy as np
 from experiments.studies.lab import Lab, imagine, placements_of, sit
 from i2t.recognition import belief, outcomes
 from i2t.recognition.belief import Particles
-from i2t.recognition.episodes import Episodes, run_belief, sample_sites, draw_random_sites
+from i2t.recognition.episodes import Episodes, run_belief
 from i2t.recognition.outcomes import PredictedTouch
-from i2t.simulation.touches import Errors
+from i2t.recognition.site_pool import draw_random_sites, sample_sites
+from i2t.simulation.touches import SimulationErrors
 
 HARDER = (50.0, 100.0)  # uT at which presses stop that the pad is taught by, too
 
@@ -20,7 +21,7 @@ HARDER = (50.0, 100.0)  # uT at which presses stop that the pad is taught by, to
 def play(lab: Lab) -> dict[str, Any]:
     """The same sittings in other worlds, each known to the belief."""
     base, debug = lab.cfg.errors, lab.args.preset == "debug"
-    worlds: dict[str, tuple[Errors, float]] = {
+    worlds: dict[str, tuple[SimulationErrors, float]] = {
         "as it is": (base, 25.0),
         "placement 0.3 mm, 0.3 deg": (replace(base, placement=0.3e-3, placement_angle=np.radians(0.3)), 25.0),
         "placement 2 mm, 2 deg": (replace(base, placement=2e-3, placement_angle=np.radians(2.0)), 25.0),
@@ -29,14 +30,14 @@ def play(lab: Lab) -> dict[str, Any]:
         "stop at 50 uT": (base, 50.0),
         "stop at 100 uT": (base, 100.0),
         "no errors of pose": (base.scaled(0.0), 25.0),
-        "no noise, no faults": (replace(Errors.none(), placement=base.placement, placement_angle=base.placement_angle,
+        "no noise, no faults": (replace(SimulationErrors.none(), placement=base.placement, placement_angle=base.placement_angle,
                                         repeatability=base.repeatability, approach_angle=base.approach_angle,
                                         slant=base.slant), 25.0),
     }  # fmt: skip
     if debug:
         worlds = {name: worlds[name] for name in ("as it is", "stop at 50 uT")}
     key_pool, key_play, key_site, key_press = jax.random.split(lab.key, 4)
-    sites = sample_sites(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
+    sites = sample_sites(key_pool, lab.surfaces, lab.names, lab.cfg.num_sites, lab.cfg.site_limits)
     truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
     chosen = draw_random_sites(key_site, sites, len(truth), lab.cfg.touches)
     tables: dict[tuple[float, float], tuple[Particles, PredictedTouch]] = {}
@@ -45,7 +46,7 @@ def play(lab: Lab) -> dict[str, Any]:
     for name, (errors, stop) in worlds.items():
         spread = (max(errors.placement, 0.02e-3), max(errors.placement_angle, np.radians(0.02)))
         if spread not in tables:
-            places = belief.sample_particles(outcomes.placement_std(*spread), lab.cfg.places, lab.seed)
+            places = belief.sample_particles(outcomes.placement_std(*spread), lab.cfg.num_particles, lab.seed)
             tables[spread] = (places, imagine(lab, sites, places, [lab.learnt.reading_model], name)[0])
         places, table = tables[spread]
         limits, key = replace(lab.cfg.limits, skin_change=stop), jax.random.clone(key_play)  # the same luck in all

@@ -11,8 +11,9 @@ import numpy as np
 from experiments.studies.lab import Lab, imagine, placements_of, shown, sit
 from i2t.geometry import inverse
 from i2t.recognition import metrics as scores
-from i2t.recognition.episodes import run_belief, sample_sites, draw_random_sites
+from i2t.recognition.episodes import run_belief
 from i2t.recognition.metrics import to_json
+from i2t.recognition.site_pool import draw_random_sites, sample_sites
 from i2t.rendering.render import render_heights
 from i2t.types import PAD_WINDOW
 
@@ -25,7 +26,7 @@ KINDS = {"flat": (0.95, 1.01), "edge": (0.375, 0.95), "corner or narrow": (0.0, 
 def play(lab: Lab) -> dict[str, Any]:
     """Sittings of a single touch."""
     key_pool, key_play, key_site = jax.random.split(lab.key, 3)
-    sites = sample_sites(key_pool, lab.surfaces, lab.names, lab.cfg.sites, lab.cfg.reach)
+    sites = sample_sites(key_pool, lab.surfaces, lab.names, lab.cfg.num_sites, lab.cfg.site_limits)
     places = placements_of(lab)
     (table,) = imagine(lab, sites, places, [lab.learnt.reading_model], "sites")
     each = lab.sittings * (1 if lab.args.preset == "debug" else lab.cfg.touches)

@@ -14,6 +14,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 from scipy import stats
 
+from i2t.prediction.metrics import Estimate as Estimate
+from i2t.prediction.metrics import student_interval as student_interval
 from i2t.types import Array
 
 COVERAGE = 0.95  # of every interval
@@ -23,20 +25,14 @@ MIN_PROBABILITY = 1e-6  # no logarithm of a smaller one is taken
 BINS = 15
 
 
-class Estimate(NamedTuple):
-    """Means with their intervals; floats, or arrays of one shape."""
+def estimate_at(estimates: Estimate, index: int) -> Estimate:
+    """One of several estimates.
 
-    mean: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-
-    def at(self, index: int) -> "Estimate":
-        """The estimate of one entry of the leading axis.
-
-        Args:
-            index: Which entry, for instance -1 for the last touch.
-        """
-        return Estimate(self.mean[index], self.low[index], self.high[index])
+    Args:
+        estimates: Along a leading axis.
+        index: Which, for instance -1 for the last touch.
+    """
+    return Estimate(estimates.mean[index], estimates.low[index], estimates.high[index])
 
 
 # --- intervals ---
@@ -62,23 +58,6 @@ def wilson_interval(values: Shaped[Array, "n ..."]) -> Estimate:
     centre = (mean + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z / (1 + z**2 / n) * np.sqrt(mean * (1 - mean) / n + z**2 / (4 * n**2))
     return Estimate(mean, np.minimum(centre - half, mean), np.maximum(centre + half, mean))
-
-
-def student_interval(values: Shaped[Array, "n ..."]) -> Estimate:
-    """Mean and Student's t interval of independent values, such as scores of episodes or of seeds.
-
-    Args:
-        values: (n, ...) of any unit.
-
-    Returns:
-        Estimates of the trailing shape; NaN limits for a single value.
-    """
-    values = np.asarray(values, np.float64)
-    n, mean = len(values), values.mean(0)
-    if n < 2:
-        return Estimate(mean, np.full_like(mean, np.nan), np.full_like(mean, np.nan))
-    half = stats.t.ppf((1 + COVERAGE) / 2, n - 1) * values.std(0, ddof=1) / np.sqrt(n)
-    return Estimate(mean, mean - half, mean + half)
 
 
 def to_json(values: Any) -> Any:

@@ -1,16 +1,9 @@
-"""Clusters, maps and agreement of modalities: against closed forms, brute force and scikit-learn."""
+"""Views, clusters and maps of touches: groups that are there are found again."""
 
 import numpy as np
-import pytest
+from helpers.blobs import blobs
 
 from i2t.viz import clusters
-
-
-def blobs(seed: int = 0, n: int = 40, d: int = 6) -> tuple[np.ndarray, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    label = np.repeat(np.arange(5), n)
-    centres = 20 * np.eye(5, d)
-    return centres[label] + rng.normal(size=(5 * n, d)), label
 
 
 def test_a_mask_is_what_lies_near_the_nearest_point():
@@ -55,66 +48,13 @@ def test_a_map_keeps_groups_apart_and_puts_means_among_their_own():
     np.testing.assert_array_equal(at, again)
 
 
-def test_neighbours_are_those_of_brute_force():
-    x = np.random.default_rng(1).normal(size=(25, 3))
-    distance = np.linalg.norm(x[:, None] - x[None], axis=-1)
-    np.fill_diagonal(distance, np.inf)
-    np.testing.assert_array_equal(np.sort(clusters.neighbours(x, 4)), np.sort(np.argsort(distance, axis=1)[:, :4]))
-    with pytest.raises(ValueError, match="nearest others"):
-        clusters.neighbours(x, 25)
-
-
-def test_agreement_is_one_for_the_same_geometry_however_turned_and_scaled():
-    rng = np.random.default_rng(2)
-    x = rng.normal(size=(60, 4))
-    turn = np.linalg.qr(rng.normal(size=(4, 4)))[0]
-    same = clusters.agreement(x, 3 * x @ turn + 7)
-    np.testing.assert_allclose(same, (1, 1, 1), atol=1e-12)
-
-
-def test_cka_is_the_formula_of_its_paper():
-    rng = np.random.default_rng(3)
-    x, y = rng.normal(size=(20, 3)), rng.normal(size=(20, 5))
-    centre = np.eye(20) - 1 / 20
-    k, m = centre @ x @ x.T @ centre, centre @ y @ y.T @ centre
-    expected = np.sum(k * m) / (np.linalg.norm(k) * np.linalg.norm(m))
-    np.testing.assert_allclose(clusters.agreement(x, y, 3).cka, expected, rtol=1e-10)
-
-
-def test_mutual_neighbours_against_sets():
-    rng = np.random.default_rng(4)
-    x, y = rng.normal(size=(30, 2)), rng.normal(size=(30, 2))
-
-    def mutual(values):
-        near = [set(row) for row in clusters.neighbours(values, 5)]
-        return {(i, j) for i in range(30) for j in near[i] if i in near[j] and i < j}, near
-
-    (a, near_x), (b, near_y) = mutual(x), mutual(y)
-    found = clusters.agreement(x, y, 5)
-    assert found.mutual == pytest.approx(len(a & b) / len(a | b))
-    assert found.overlap == pytest.approx(np.mean([len(p & q) / 5 for p, q in zip(near_x, near_y, strict=True)]))
-
-
-def test_unrelated_modalities_are_not_found_to_agree_and_related_ones_are():
-    rng = np.random.default_rng(5)
-    x = rng.normal(size=(80, 3))
-    unrelated = clusters.permutation_test(x, rng.normal(size=(80, 3)), permutations=99)
-    assert min(unrelated.p) > 0.01  # the least that 99 permutations can give
-    # Chance: each of n - 1 others is as likely a neighbour, k / (n - 1); over 99 permutations within 5 %.
-    assert unrelated.chance.overlap == pytest.approx(10 / 79, rel=0.05)
-    related = clusters.permutation_test(x, x + 0.3 * rng.normal(size=x.shape), permutations=99)
-    assert max(related.p) == 0.01
-
-
-def test_groups_that_both_tell_apart_are_no_agreement_within_them():
-    x, label = blobs(6, n=20)
-    y, _ = blobs(7, n=20)
-    anyhow = clusters.permutation_test(x, y, permutations=49)
-    within = clusters.permutation_test(x, y, permutations=49, groups=label)
-    assert anyhow.p.overlap == 0.02
-    assert within.p.overlap > 0.02
-
-
-def test_ties_do_not_follow_the_order_of_touches():
-    same = np.zeros((60, 2))
-    assert clusters.agreement(same, np.random.default_rng(8).normal(size=(60, 2)), 5).overlap < 0.25
+def test_the_examples_of_a_cluster_are_its_own_from_the_nearest_to_its_mean_on():
+    x, _ = blobs(n=12)
+    found = clusters.cluster(x)
+    touch_map = clusters.map_touches(x, found, ranks=(0.0, 0.5))
+    assert touch_map.examples.shape == (5, 2)
+    for i, (nearest, middle) in enumerate(touch_map.examples):
+        assert found.label[nearest] == found.label[middle] == i
+        distance = np.linalg.norm(touch_map.at[found.label == i] - touch_map.means[i], axis=1)
+        assert np.linalg.norm(touch_map.at[nearest] - touch_map.means[i]) == distance.min()
+        assert np.linalg.norm(touch_map.at[middle] - touch_map.means[i]) == np.sort(distance)[6]

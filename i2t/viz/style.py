@@ -1,0 +1,52 @@
+"""What all figures share: colours, markers, titles, and how a figure is shown and written.
+
+Colours are the colour-blind safe set of Okabe and Ito (2008); maps are drawn in cividis.
+"""
+
+import io
+from pathlib import Path
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+BLUE, ORANGE, GREEN, RED, PINK, SKY, GREY = (
+    "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#666666",
+)  # fmt: skip
+COLOURS = (BLUE, ORANGE, GREEN, RED, PINK, SKY, GREY)
+MARKERS = "osD^vP*"
+MM_PER_M = 1e3
+KPA_PER_PA = 1e-3
+
+
+class Picture(Figure):
+    """A figure that notebooks show as it is, whatever their backend."""
+
+    def _repr_png_(self) -> bytes:
+        png = io.BytesIO()
+        FigureCanvasAgg(self).figure.savefig(png, format="png", dpi=90, bbox_inches="tight")
+        return png.getvalue()
+
+
+def save_figure(figure: Figure, path: Path | str) -> Path:
+    """Write a figure as PNG.
+
+    Args:
+        figure: What to write.
+        path: The file, whose folder exists.
+
+    Returns:
+        The file.
+    """
+    FigureCanvasAgg(figure)
+    figure.savefig(path, dpi=150, bbox_inches="tight")
+    return Path(path)
+
+
+def titled(title: str, simulated: bool) -> str:
+    """A title that says where its numbers come from.
+
+    Args:
+        title: What is shown.
+        simulated: Whether any of it was simulated.
+    """
+    return f"{title} (simulated)" if simulated else title

@@ -1,0 +1,140 @@
+"""Figures of training and calibration: touches measured and predicted, errors per channel, curves over epochs."""
+
+from collections.abc import Mapping, Sequence
+from itertools import cycle
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from i2t.types import PATCH_WINDOW, REACH, Array, Board
+from i2t.viz.patches import draw_patch
+from i2t.viz.skins import ARROW_MM, draw_reading, draw_skin
+from i2t.viz.style import BLUE, COLOURS, GREEN, GREY, ORANGE, RED, Picture, titled
+
+NORMAL_QUANTILE_90 = 1.645  # standard deviations each way that contain nine in ten
+
+
+def plot_predicted_touches(
+    patches: Float[Array, "n rows columns"],
+    sets: Mapping[str, Float[Array, "n c"]],
+    labels: Sequence[str],
+    board: Board,
+    title: str,
+    simulated: bool,
+    *,
+    window: float = PATCH_WINDOW,
+    reach: float = REACH,
+) -> Picture:
+    """A column per touch: its depth patch above; below it the field vectors of its readings.
+
+    Args:
+        patches: m behind the nearest surface point.
+        sets: Readings (n, c) uT by name, the measured ones first, which set the scale.
+        labels: One for each touch.
+        board: Of c / 3 chips.
+        title: What is shown.
+        simulated: Whether it was simulated.
+        window: m, edge of a patch.
+        reach: m, largest depth of a patch.
+    """
+    n = len(patches)
+    figure = Picture(figsize=(2.5 * n + 0.9, 5.6), layout="constrained")
+    axes = figure.subplots(2, n, squeeze=False)
+    measured = np.asarray(next(iter(sets.values())))
+    scale = float(np.percentile(np.linalg.norm(measured.reshape(-1, 3), axis=-1), 95)) or 1.0
+    for i in range(n):
+        image = draw_patch(axes[0, i], patches[i], window, reach)
+        axes[0, i].set_title(labels[i], fontsize=9)
+        draw_skin(axes[1, i])
+        for (name, readings), colour in zip(sets.items(), cycle(COLOURS), strict=False):
+            draw_reading(axes[1, i], board, readings[i], scale, colour=colour, label=name)
+        axes[1, i].set_xlabel("tool x (mm)")
+    axes[0, 0].set_ylabel("tool y (mm)")
+    axes[1, 0].set_ylabel("tool y (mm)")
+    figure.colorbar(image, ax=axes[0, -1], label="depth behind nearest (mm)")
+    figure.legend(*axes[1, -1].get_legend_handles_labels(), fontsize=8, loc="upper right", ncols=len(sets))
+    figure.suptitle(
+        f"{titled(title, simulated)}\narrows: field in the skin's plane, {ARROW_MM:g} mm = {scale:.0f} µT; discs: "
+        "normal field, filled outwards",
+        fontsize=10,
+    )
+    return figure
+
+
+def plot_training_curves(
+    series: Mapping[str, Shaped[Array, "..."]], title: str, ylabel: str, simulated: bool
+) -> Picture:
+    """Curves over epochs, drawn as mean and range over seeds.
+
+    Args:
+        series: By name, values (epochs,) or (seeds, epochs).
+        title: What is shown.
+        ylabel: What the values are, with their unit.
+        simulated: Whether it was simulated.
+    """
+    figure = Picture(figsize=(5, 3.4), layout="constrained")
+    axes = figure.subplots()
+    for (name, values), colour in zip(series.items(), (BLUE, ORANGE, GREEN, RED), strict=False):
+        values = np.atleast_2d(values)
+        x = np.arange(1, values.shape[1] + 1)
+        axes.plot(x, values.mean(0), color=colour, label=name)
+        if len(values) > 1:
+            axes.fill_between(x, values.min(0), values.max(0), color=colour, alpha=0.2, lw=0)
+    axes.set(xlabel="epoch", ylabel=ylabel, yscale="log", title=titled(title, simulated))
+    axes.legend(fontsize=8)
+    return figure
+
+
+def plot_channel_errors(
+    errors: Mapping[str, Shaped[Array, " c"]], noise: Shaped[Array, " c"] | None, title: str, simulated: bool
+) -> Picture:
+    """Bars of the error of every chip and axis, one group of bars per channel.
+
+    Args:
+        errors: By method, RMSE in uT of each channel.
+        noise: uT, standard deviation of the sensor's noise, drawn as the floor where known.
+        title: What is shown.
+        simulated: Whether it was simulated.
+    """
+    channels = len(next(iter(errors.values())))
+    figure = Picture(figsize=(max(9.0, 0.4 * channels), 3.4), layout="constrained")
+    axes = figure.subplots()
+    x, width = np.arange(channels), 0.8 / len(errors)
+    for i, ((name, values), colour) in enumerate(zip(errors.items(), cycle((GREY, GREEN, BLUE, ORANGE, RED)))):
+        axes.bar(x + (i - (len(errors) - 1) / 2) * width, values, width, label=name, color=colour)
+    if noise is not None:
+        edges, floor = np.r_[x - 0.5, channels - 0.5], np.r_[noise, noise[-1]]
+        axes.step(edges, floor, where="post", color="black", lw=1, label="sensor noise (1 sigma)")
+    axes.set_xticks(x, [f"{chip}{axis}" for chip in range(channels // 3) for axis in "xyz"])
+    axes.set(xlabel="chip and axis", ylabel="RMSE (µT)", title=titled(title, simulated))
+    axes.legend(fontsize=8, ncols=2)
+    return figure
+
+
+def plot_predictions(
+    measured: Shaped[Array, " n"],
+    predicted: Shaped[Array, " n"],
+    std: Shaped[Array, " n"],
+    title: str,
+    simulated: bool,
+) -> Picture:
+    """Predicted against measured values, with bars that should contain nine in ten.
+
+    Args:
+        measured: uT.
+        predicted: uT.
+        std: uT, predicted standard deviation.
+        title: What is shown.
+        simulated: Whether it was simulated.
+    """
+    figure = Picture(figsize=(4.8, 4.4), layout="constrained")
+    axes = figure.subplots()
+    bars: dict[str, Any] = {"elinewidth": 0.6, "alpha": 0.5, "color": BLUE, "ms": 3, "label": "presses, 90 % bars"}
+    axes.errorbar(measured, predicted, NORMAL_QUANTILE_90 * np.asarray(std), fmt="o", **bars)
+    ends = [min(np.min(measured), np.min(predicted)), max(np.max(measured), np.max(predicted))]
+    axes.plot(ends, ends, color=GREY, lw=1, label="predicted as measured")
+    axes.set(xlabel="measured (µT)", ylabel="predicted (µT)")
+    axes.legend(fontsize=8)
+    figure.suptitle(titled(title, simulated), fontsize=11)
+    return figure
