@@ -12,7 +12,7 @@ words.
 from enum import IntEnum
 from typing import Any, NamedTuple, TypeAlias
 
-from jaxtyping import Float, Int  # noqa: F401
+from jaxtyping import Float, Int
 
 Array: TypeAlias = Any  # a NumPy or a JAX array
 
@@ -28,7 +28,7 @@ REACH = 4e-3  # m, depth of a patch behind the nearest surface point
 STANDOFF = 40e-3  # m, rays start this far behind the tool origin
 PAD_WINDOW = 20e-3  # m, edge of the skin
 RIGID = 1e-3  # by which products of a rotation's columns may miss 1 and 0: 4 um at the rim of a patch
-NO_OBJECT = -1  # index of an unknown object, pad or run
+NO_OBJECT = -1  # index of an unknown object, pad or session
 
 
 class Surface(NamedTuple):
@@ -98,28 +98,27 @@ class Board(NamedTuple):
 
 
 class Pad(NamedTuple):
-    """One magnetic skin: an elastic layer, bonded to its board or held at its edge, magnetised unevenly."""
+    """One magnetic skin: an elastic layer, bonded to its board or clamped at its edge, magnetised unevenly."""
 
-    thickness: Array  # () m
-    young: Array  # () Pa
-    poisson: Array  # ()
-    magnetisation: (
-        Array  # (g, g, 3) A/m in tool axes on g x g equal cells of the pad (row along y), uniform through the thickness
-    )
-    gains: Array  # (15,) of the chips' axes, in the board's order; 1 is nominal
+    thickness: Float[Any, "*batch"]  # m
+    young: Float[Any, "*batch"]  # Pa
+    poisson: Float[Any, "*batch"]
+    # A/m in tool axes on m x m equal cells of the pad (row along y), uniform through the thickness:
+    magnetization: Float[Any, "*batch m m 3"]
+    gains: Float[Any, "*batch c"]  # of the chips' axes, in the board's order; 1 is nominal
     board: Board
-    friction: Array  # () coefficient of Coulomb friction of the skin; 0 is frictionless
-    give: Array  # () m/N by which the middle sinks as a skin that is only held at its edge; 0 is bonded
+    friction: Float[Any, "*batch"]  # coefficient of Coulomb friction of the skin; 0 is frictionless
+    mount_compliance: Float[Any, "*batch"]  # m/N by which the middle of a skin clamped at its edge sinks; 0 is bonded
 
 
 class Truth(NamedTuple):
     """What only a simulation knows of a touch: the ceiling that an ideal observer would reach."""
 
-    wide: Array  # (72, 72) m, the surface as the skin met it, without camera or pose error
-    nearest: Array  # () m, at the stop, without error
-    force: Array  # () N
-    indentation: Array  # () m, of the skin
-    reading: Array  # (15,) uT, without noise or ambient
+    wide: Float[Any, "*n w w"]  # m, 72 x 72, the surface as the skin met it, without camera or pose error
+    nearest: Float[Any, "*n"]  # m, at the stop, without error
+    force: Float[Any, "*n"]  # N
+    indentation: Float[Any, "*n"]  # m, of the skin
+    reading: Float[Any, "*n c"]  # uT, without noise or ambient
 
 
 class Touches(NamedTuple):
@@ -129,18 +128,18 @@ class Touches(NamedTuple):
     the press where camera and arm agree.
     """
 
-    patch: Array  # (n, 48, 48) m, what the camera saw in the tool frame at the end of the press
-    wide: Array  # (n, 72, 72) m, the same view with its surroundings; NaN where the recording was cropped
-    nearest: Array  # (n,) m
-    reading: Array  # (n, 15) uT, mean in contact minus ambient, in the board's order and axes
-    force: Array  # (n,) N, along tool z
-    depth: Array  # (n,) m, travel past first contact
-    T_w_t: Array  # (n, 4, 4) tool pose at the end of the press, as the arm reports it
-    T_w_o: Array  # (n, 4, 4) object pose as the lab believes it
-    object: Array  # (n,) int32, index into the data set's object names
-    pad: Array  # (n,) int32, index into its pad names
-    run: Array  # (n,) int32, index into its run names
-    code: Array  # (n,) int32, a `ReturnCode`
+    patch: Float[Any, "*n p p"]  # m, 48 x 48, what the camera saw in the tool frame at the end of the press
+    wide: Float[Any, "*n w w"]  # m, 72 x 72, the same view with its surroundings; NaN where the recording was cropped
+    nearest: Float[Any, "*n"]  # m
+    reading: Float[Any, "*n c"]  # uT, mean in contact minus ambient, in the board's order and axes
+    force: Float[Any, "*n"]  # N, along tool z
+    depth: Float[Any, "*n"]  # m, travel past first contact
+    T_w_t: Float[Any, "*n 4 4"]  # tool pose at the end of the press, as the arm reports it
+    T_w_o: Float[Any, "*n 4 4"]  # object pose as the lab believes it
+    object: Int[Any, "*n"]  # index into the data set's object names
+    pad: Int[Any, "*n"]  # index into its pad names
+    session: Int[Any, "*n"]  # index into its session names (a session: a recording with one placement of an object)
+    code: Int[Any, "*n"]  # a `ReturnCode`
     truth: Truth | None = None
 
 

@@ -15,16 +15,18 @@ out and named. The formats are described in docs/data.md.
 """
 
 import json as json_text
+import secrets
 import sys
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import tyro
 
-from i2t.convert import Converted, eflesh, imagine2touch, npz, presses
-from i2t.dataset import BadFileWarning, index, load, save
+from i2t.convert import Converted, eflesh, imagine2touch, presses
+from i2t.dataset import BadFileWarning, Dataset, index, load_dataset, save_dataset
 from i2t.dataset.store import INDEX
 from i2t.errors import DataError
 from i2t.skin.boards import make_board
@@ -37,7 +39,7 @@ Target = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DST")]
 
 
 def summarise(source: Source, json: bool = False, quick: bool = False, skip_bad: bool = False) -> None:
-    """Say what a data set holds: touches per object, pad and run, how presses ended, readings, missing values.
+    """Say what a data set holds: touches per object, pad and session, how presses ended, readings, missing values.
 
     Args:
         source: folder or file of touches
@@ -45,7 +47,7 @@ def summarise(source: Source, json: bool = False, quick: bool = False, skip_bad:
         quick: counts only, from the folder's index, without reading every touch again
         skip_bad: leave out files that cannot be used, and name them
     """
-    found = _counts(source) if quick else load(source, skip_bad).summary()
+    found = _counts(source) if quick else load_dataset(source, skip_bad).summary()
     print(json_text.dumps(found, indent=1, allow_nan=False) if json else _page(source, found))
 
 
@@ -77,7 +79,7 @@ def from_imagine2touch(
         quarter_turns: turn images counter-clockwise, until rows run along tool y and columns along tool x
         tool_forces: forces are in the tool's axes, not in the robot base's
         force: replace what an earlier conversion wrote
-        skip_bad: leave out runs and touches that are damaged, and name them
+        skip_bad: leave out sessions and touches that are damaged, and name them
     """
     _require_free(target, force)
     converted = imagine2touch.convert(
@@ -185,7 +187,7 @@ def pack(source: Source, target: Target, force: bool = False, skip_bad: bool = F
         skip_bad: leave out files that cannot be used, and name them
     """
     _require_free(target, force)
-    _write(target, Converted(load(source, skip_bad), ()))
+    _write(target, Converted(load_dataset(source, skip_bad), ()))
 
 
 def to_npz(source: Source, target: Target, force: bool = False, skip_bad: bool = False) -> None:
@@ -201,9 +203,36 @@ def to_npz(source: Source, target: Target, force: bool = False, skip_bad: bool =
         raise DataError(f"{target}: does not end in .npz; name the file so")
     if target.exists() and not force:
         raise DataError(f"{target}: exists already; choose another name or say --force")
-    dataset = load(source, skip_bad)
-    npz.write(target, dataset)
+    dataset = load_dataset(source, skip_bad)
+    write_npz(target, dataset)
     print(f"wrote {len(dataset)} touches to {target}")
+
+
+def write_npz(path: Path, dataset: Dataset) -> Path:
+    """Write every field of the touches under its name (`truth_...` for the truth), the names, board, window, reach,
+    source, and provenance as `meta_keys` and `meta_values`; atomically. Raises DataError.
+    """
+    touches = dataset.touches._asdict()
+    truth = touches.pop("truth")
+    arrays: dict[str, Any] = touches
+    if truth is not None:
+        arrays |= {f"truth_{name}": values for name, values in truth._asdict().items()}
+    arrays |= {kind: np.array(getattr(dataset, kind), np.str_) for kind in ("objects", "pads", "sessions")}
+    arrays |= {f"board_{name}": values for name, values in dataset.board._asdict().items()}
+    arrays |= {name: np.array(getattr(dataset, name)) for name in ("window", "reach", "source")}
+    arrays["meta_keys"] = np.array(list(dataset.meta), np.str_)
+    arrays["meta_values"] = np.array(list(dataset.meta.values()), np.str_)
+    temporary = path.with_name(f".{secrets.token_hex(4)}.{path.name}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            np.savez_compressed(temporary, allow_pickle=False, **arrays)
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written ({error.strerror}); choose a folder you may write to") from error
+    return path
 
 
 COMMANDS: dict[str, Callable[..., Any]] = {
@@ -256,7 +285,7 @@ def _board(name: str) -> Board:
 
 
 def _write(target: Path, converted: Converted) -> None:
-    path = save(target / PACKED, converted.dataset)
+    path = save_dataset(target / PACKED, converted.dataset)
     for note in converted.notes:
         print(note)
     print(f"wrote {len(converted.dataset)} touches to {path}")
@@ -269,7 +298,7 @@ def _counts(folder: Path) -> dict[str, Any]:
         "touches": sum(entry["touches"] for entry in entries),
         "source": sources.pop() if len(sources) == 1 else "mixed",
     }
-    for kind in ("objects", "pads", "runs"):
+    for kind in ("objects", "pads", "sessions"):
         names = dict.fromkeys(name for entry in entries for name in entry[kind])
         found[kind] = {name: sum(entry[kind].get(name, 0) for entry in entries) for name in names}
     return found
@@ -278,7 +307,7 @@ def _counts(folder: Path) -> dict[str, Any]:
 def _page(source: Path, found: dict[str, Any]) -> str:
     """A summary for a person."""
     lines = [f"{source}: {found['touches']} touches, {found['source']}"]
-    for kind in ("objects", "pads", "runs"):
+    for kind in ("objects", "pads", "sessions"):
         lines += ["", f"{kind:<40} touches", *(f"  {name:<38} {count:7d}" for name, count in found[kind].items())]
     if "codes" not in found:
         return "\n".join(lines)

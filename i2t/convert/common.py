@@ -21,30 +21,30 @@ class Converted(NamedTuple):
 
 
 @dataclass
-class Notes:
+class ConversionLog:
     """Collects what a person must know of a conversion, each sentence once; damage ends it unless it may be skipped."""
 
     skip_bad: bool
     lines: list[str] = field(default_factory=list)
 
-    def say(self, line: str) -> None:
-        """Note a sentence."""
+    def info(self, line: str) -> None:
+        """Note a sentence, once."""
         if line not in self.lines:
             self.lines.append(line)
 
-    def bad(self, error: DataError) -> None:
+    def skip(self, error: DataError) -> None:
         """Raise the error, or note what is left out for it."""
         if not self.skip_bad:
             raise error
-        self.say(f"left out: {error}")
+        self.info(f"left out: {error}")
 
-    def finish(self, dataset: Dataset) -> Converted:
+    def close(self, dataset: Dataset) -> Converted:
         """Put the notes into the data set's provenance."""
         meta = dict(dataset.meta) | {"notes": " | ".join(self.lines)}
         return Converted(replace(dataset, meta=meta), tuple(self.lines))
 
 
-def damaged(path: Path, problem: str) -> DataError:
+def data_error(path: Path, problem: str) -> DataError:
     """The sentence about a file that is not as its author wrote it."""
     return DataError(f"{path}: {problem}; restore it from the source")
 
@@ -56,7 +56,7 @@ def read_bytes(path: Path) -> bytes:
         return gzip.decompress(raw) if path.suffix == ".gz" else raw
     except (OSError, EOFError, zlib.error) as error:
         reason = getattr(error, "strerror", None) or error
-        raise damaged(path, f"cannot be read ({reason})") from error
+        raise data_error(path, f"cannot be read ({reason})") from error
 
 
 def read_text(path: Path) -> str:
@@ -64,19 +64,19 @@ def read_text(path: Path) -> str:
     try:
         return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise damaged(path, f"is no text (byte {error.start} is not UTF-8)") from error
+        raise data_error(path, f"is no text (byte {error.start} is not UTF-8)") from error
 
 
 def read_numbers(path: Path, columns: tuple[int, ...]) -> np.ndarray:
     """A comma-separated table of numbers without a header, (rows, one of `columns`) float64. Raises DataError."""
     text = read_text(path)
     if not text.strip():
-        raise damaged(path, "is empty")
+        raise data_error(path, "is empty")
     try:
         table = np.loadtxt(io.StringIO(text), delimiter=",", ndmin=2)
     except ValueError as error:
-        raise damaged(path, f"is no table of numbers ({error})") from error
+        raise data_error(path, f"is no table of numbers ({error})") from error
     if table.shape[1] not in columns:
         expected = " or ".join(map(str, columns))
-        raise damaged(path, f"has {table.shape[1]} columns, not {expected}")
+        raise data_error(path, f"has {table.shape[1]} columns, not {expected}")
     return table

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from i2t.convert import tips
-from i2t.convert.common import Converted, Notes, damaged, read_numbers
-from i2t.dataset import Dataset, concatenate, no_wide
+from i2t.convert.common import ConversionLog, Converted, data_error, read_numbers
+from i2t.convert.presses import sphere, tip_patches
+from i2t.dataset import Dataset, concatenate, missing_context
 from i2t.errors import DataError
 from i2t.skin import boards
 from i2t.types import REACH, ReturnCode, Touches
@@ -51,22 +51,22 @@ def convert(
     """
     if not 0 < radius < np.inf:
         raise DataError(f"--tip-radius-mm {1e3 * radius:g}: is no radius; give a positive length in mm")
-    notes = Notes(skip_bad)
+    notes = ConversionLog(skip_bad)
     sessions = sorted({file.parent for file in source.rglob("states.csv*")}) if source.is_dir() else []
     if not sessions:
         raise DataError(f"{source}: holds no states.csv or states.csv.gz; give a session or a folder of sessions")
-    notes.say(f"assumed: the tip is a sphere of radius {1e3 * radius:g} mm (not stated in the source)")
-    notes.say("assumed: values are microtesla (their steps are the chip's); board order and axes as AnySkin's")
+    notes.info(f"assumed: the tip is a sphere of radius {1e3 * radius:g} mm (not stated in the source)")
+    notes.info("assumed: values are microtesla (their steps are the chip's); board order and axes as AnySkin's")
     parts: list[Dataset] = []
     for session in sessions:
         try:
             parts += _session(session, radius, window, reach, zero, centre, pad, board, notes)
         except DataError as error:
-            notes.bad(error)
+            notes.skip(error)
     if not parts:
         left_out = " | ".join(notes.lines)
         raise DataError(f"{source}: no press is left to convert ({left_out}); widen --window-mm or restore it")
-    return notes.finish(concatenate(parts))
+    return notes.close(concatenate(parts))
 
 
 def _session(
@@ -78,7 +78,7 @@ def _session(
     centre: tuple[float, float] | None,
     pad: str | None,
     board: int | None,
-    notes: Notes,
+    notes: ConversionLog,
 ) -> list[Dataset]:
     name = folder.name
     states = _table(folder, "states", (4, 5), notes)
@@ -93,24 +93,26 @@ def _session(
         # The probe moves along the skins: the robot's z is the direction of shear; how deep it presses is not recorded.
         x = x + position[:, 2] - middle[2]
         height = np.full(len(states), np.nan)
-        notes.say(f"assumed in {name}: the probe's stroke (robot z) shears along tool x, from the middle of the stroke")
-        notes.say(f"left out of {name}: the load, which is the shear force; press depth and normal force are unknown")
+        notes.info(
+            f"assumed in {name}: the probe's stroke (robot z) shears along tool x, from the middle of the stroke"
+        )
+        notes.info(f"left out of {name}: the load, which is the shear force; press depth and normal force are unknown")
     else:
         top = position[:, 2].max() if zero is None else zero
         height = position[:, 2] - top
-        notes.say(f"assumed in {name}: first contact at the robot's z = {1e3 * top:.3f} mm; depth counts from there")
+        notes.info(f"assumed in {name}: first contact at the robot's z = {1e3 * top:.3f} mm; depth counts from there")
         if states.shape[1] == 5:
             load = np.where(states[:, 4] == -1, np.nan, GRAM * states[:, 4])
     inside = (np.abs(x) <= window / 2) & (np.abs(y) <= window / 2)
     if not inside.all():
-        notes.say(f"left out of {name}: {np.sum(~inside)} presses beside the window of {1e3 * window:g} mm")
+        notes.info(f"left out of {name}: {np.sum(~inside)} presses beside the window of {1e3 * window:g} mm")
     n = int(inside.sum())
     T_w_o = np.tile(np.eye(4), (n, 1, 1))
     T_w_o[:, :3, 3] = np.column_stack([x, y, np.nan_to_num(height)])[inside]
-    run, runs = _strokes(name, states[inside])
+    session, sessions = _strokes(name, states[inside])
     touches = Touches(
-        patch=tips.patches(tips.sphere(radius), x[inside], y[inside], window, reach),
-        wide=no_wide(n),
+        patch=tip_patches(sphere(radius), x[inside], y[inside], window, reach),
+        wide=missing_context(n),
         nearest=height[inside],
         reading=np.empty((n, READINGS)),
         force=load[inside],
@@ -119,7 +121,7 @@ def _session(
         T_w_o=T_w_o,
         object=np.zeros(n),
         pad=np.zeros(n),
-        run=run,
+        session=session,
         code=np.where(height[inside] > 0, ReturnCode.FREE, ReturnCode.UNDEFINED),
     )
     parts = []
@@ -131,7 +133,7 @@ def _session(
                     touches=touches._replace(reading=reading),
                     objects=("probe",),
                     pads=(pad or (f"{name}/board {i}" if sheared else name),),
-                    runs=runs,
+                    sessions=sessions,
                     board=boards.anyskin_board(),
                     source="real",
                     window=window,
@@ -142,27 +144,29 @@ def _session(
     return parts
 
 
-def _table(folder: Path, name: str, columns: tuple[int, int], notes: Notes) -> np.ndarray:
+def _table(folder: Path, name: str, columns: tuple[int, int], notes: ConversionLog) -> np.ndarray:
     """One table of a session, its times increasing; rows that are not finite are damage."""
     path = next((p for p in (folder / f"{name}.csv", folder / f"{name}.csv.gz") if p.is_file()), None)
     if path is None:
-        raise damaged(folder, f"{name}.csv or {name}.csv.gz is missing")
+        raise data_error(folder, f"{name}.csv or {name}.csv.gz is missing")
     table = read_numbers(path, columns)
     finite = (np.abs(table) < LARGEST).all(1)
     if not finite.all():
         row = np.flatnonzero(~finite)[0] + 1
-        notes.bad(damaged(path, f"{np.sum(~finite)} rows are not finite, first row {row}"))
+        notes.skip(data_error(path, f"{np.sum(~finite)} rows are not finite, first row {row}"))
     table = table[finite]
     if (np.diff(table[:, 0]) <= 0).any():
         row = np.flatnonzero(np.diff(table[:, 0]) <= 0)[0] + 2
-        raise damaged(path, f"time does not increase at row {row}")
+        raise data_error(path, f"time does not increase at row {row}")
     return table
 
 
-def _matched(folder: Path, states: np.ndarray, values: np.ndarray, notes: Notes) -> tuple[np.ndarray, np.ndarray]:
+def _matched(
+    folder: Path, states: np.ndarray, values: np.ndarray, notes: ConversionLog
+) -> tuple[np.ndarray, np.ndarray]:
     """The rows of both tables that belong together by time."""
     if not len(states) or not len(values):
-        raise damaged(folder, "has no rows")
+        raise data_error(folder, "has no rows")
     after = np.clip(np.searchsorted(states[:, 0], values[:, 0]), 1, len(states) - 1) if len(states) > 1 else 0
     before = np.maximum(np.asarray(after) - 1, 0)
     closer = np.abs(states[before, 0] - values[:, 0]) < np.abs(states[after, 0] - values[:, 0])
@@ -174,7 +178,7 @@ def _matched(folder: Path, states: np.ndarray, values: np.ndarray, notes: Notes)
         )
     if len(states) != len(values) or not same.all():
         lost = max(len(states), len(values)) - int(same.sum())
-        notes.bad(
+        notes.skip(
             DataError(f"{folder}: {lost} rows have no partner at their time; restore both tables from the source")
         )
     return states[nearest[same]], values[same]

@@ -26,8 +26,8 @@ import tifffile
 from scipy.spatial.transform import Rotation
 
 from i2t.convert import npy, samples
-from i2t.convert.common import Converted, Notes, damaged
-from i2t.dataset import Dataset, concatenate, no_wide
+from i2t.convert.common import ConversionLog, Converted, data_error
+from i2t.dataset import Dataset, concatenate, missing_context
 from i2t.errors import DataError
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Board, ReturnCode, Touches
 
@@ -60,10 +60,10 @@ def convert(
     camera behind the tool's origin; images are turned counter-clockwise by `quarter_turns`; `tool_forces` says that
     forces are in the tool's axes. Raises DataError.
     """
-    notes = Notes(skip_bad)
-    notes.say(f"assumed: image rows along tool y, columns along tool x, after {quarter_turns} quarter turns")
-    notes.say(f"assumed: forces act on the tool, in the axes of the {'tool' if tool_forces else 'robot base'}")
-    notes.say("left out: colour images, masks, point clouds, joint states, temperatures; object poses are unknown")
+    notes = ConversionLog(skip_bad)
+    notes.info(f"assumed: image rows along tool y, columns along tool x, after {quarter_turns} quarter turns")
+    notes.info(f"assumed: forces act on the tool, in the axes of the {'tool' if tool_forces else 'robot base'}")
+    notes.info("left out: colour images, masks, point clouds, joint states, temperatures; object poses are unknown")
     parts: list[Dataset] = []
     for folder in _objects(source):
         for run in _runs(folder):
@@ -75,12 +75,12 @@ def convert(
                 forces = folder / f"{folder.name}_forces" / f"experiment_{run}"
                 force, code = _forces(forces, None if tool_forces else poses.T_w_t[:, :3, 2], len(reading), notes)
             except DataError as error:
-                notes.bad(error)
+                notes.skip(error)
                 continue
             n = len(reading)
             touches = Touches(
                 patch=patch,
-                wide=no_wide(n),
+                wide=missing_context(n),
                 nearest=closest - camera - poses.travel,
                 reading=reading,
                 force=force,
@@ -89,7 +89,7 @@ def convert(
                 T_w_o=np.full((n, 4, 4), np.nan),
                 object=np.zeros(n),
                 pad=np.zeros(n),
-                run=np.zeros(n),
+                session=np.zeros(n),
                 code=code,
             )
             name = f"{folder.name}/experiment_{run}"
@@ -97,8 +97,8 @@ def convert(
             part = Dataset(touches, (folder.name,), (pad,), (name,), board, "real", window, reach, meta)
             parts.append(part.select(np.isfinite(reading).all(1) & np.isfinite(closest)))
     if not sum(map(len, parts)):
-        raise damaged(source, f"no touch is left to convert ({' | '.join(notes.lines[3:])})")
-    return notes.finish(concatenate(parts))
+        raise data_error(source, f"no touch is left to convert ({' | '.join(notes.lines[3:])})")
+    return notes.close(concatenate(parts))
 
 
 def _objects(source: Path) -> list[Path]:
@@ -116,7 +116,7 @@ def _runs(folder: Path) -> list[str]:
         files = (folder / place).iterdir() if (folder / place).is_dir() else ()
         runs |= {match[1] for match in (name.fullmatch(file.name) for file in files) if match}
     if not runs:
-        raise damaged(folder, "holds no run")
+        raise data_error(folder, "holds no run")
     return sorted(runs, key=lambda run: [(len(part), part) for part in re.split(r"(\d+)", run)])
 
 
@@ -131,12 +131,12 @@ class _Poses(NamedTuple):
     travel: np.ndarray  # (n,) m along tool z, from where the camera looked to the contact
 
 
-def _poses(stem: Path, n: int, notes: Notes) -> _Poses:
+def _poses(stem: Path, n: int, notes: ConversionLog) -> _Poses:
     final, prepare = (_optional(stem, name, (n, 3), notes) for name in ("final_contact", "prepare_contact"))
     quaternions = _optional(stem, "rotations", (n, 4), notes)
     crooked = np.abs(np.linalg.norm(quaternions, axis=1) - 1) > UNIT
     if crooked.any():
-        raise damaged(stem, f"quaternion {np.flatnonzero(crooked)[0] + 1} of its rotations is not of length 1")
+        raise data_error(stem, f"quaternion {np.flatnonzero(crooked)[0] + 1} of its rotations is not of length 1")
     T_w_t = np.full((n, 4, 4), np.nan)
     posed = np.isfinite(final).all(1) & np.isfinite(quaternions).all(1)
     T_w_t[posed] = np.eye(4)
@@ -147,16 +147,16 @@ def _poses(stem: Path, n: int, notes: Notes) -> _Poses:
     travel = np.sum(moved * axis, axis=1)
     aside = np.linalg.norm(moved - travel[:, None] * axis, axis=1)
     if (travel < 0).any():
-        notes.say(
+        notes.info(
             f"{stem}: {np.sum(travel < 0)} presses go against tool z, so this may be another frame than the tool's"
         )
     travel = np.where((aside <= LATERAL) & (travel >= 0), travel, np.nan)
     if np.isnan(travel).any():
-        notes.say(f"{stem}: nearest is unknown for {np.isnan(travel).sum()} touches, not seen along their approach")
+        notes.info(f"{stem}: nearest is unknown for {np.isnan(travel).sum()} touches, not seen along their approach")
     return _Poses(T_w_t, travel)
 
 
-def _forces(stem: Path, axis: np.ndarray | None, n: int, notes: Notes) -> tuple[np.ndarray, np.ndarray]:
+def _forces(stem: Path, axis: np.ndarray | None, n: int, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray]:
     """Force along tool z, (n,) N, from a wrench in the base's axes (with tool z as `axis`) or the tool's; return codes
     (n,).
     """
@@ -164,71 +164,75 @@ def _forces(stem: Path, axis: np.ndarray | None, n: int, notes: Notes) -> tuple[
     force = -(wrenches[:, 2] if axis is None else np.sum(wrenches[:, :3] * axis, axis=1))
     codes = _optional(stem, "contact_returns", (n,), notes, unknown=float(ReturnCode.UNDEFINED))
     if not np.isin(codes, [int(code) for code in ReturnCode]).all():
-        raise damaged(stem, "contact_returns hold a value that is no return code (-1 to 4)")
+        raise data_error(stem, "contact_returns hold a value that is no return code (-1 to 4)")
     return force, codes
 
 
-def _patches(stem: Path, n: int, quarter_turns: int, reach: float, notes: Notes) -> tuple[np.ndarray, np.ndarray]:
+def _patches(
+    stem: Path, n: int, quarter_turns: int, reach: float, notes: ConversionLog
+) -> tuple[np.ndarray, np.ndarray]:
     """Patches (n, 48, 48) and the depth of their nearest pixels (n,) m, NaN where the image is damaged."""
     patches, closest = np.zeros((n, PATCH_PIXELS, PATCH_PIXELS), np.float32), np.full(n, np.nan)
     for k in range(n):
         try:
             depth = np.rot90(_depth_image(stem.with_name(f"{stem.name}_{k + 1}.tif"), notes), quarter_turns)
         except DataError as error:
-            notes.bad(error)
+            notes.skip(error)
             continue
         closest[k] = depth.min()
         patches[k] = np.minimum(depth - closest[k], reach)
     more = stem.with_name(f"{stem.name}_{n + 1}.tif")
     if more.exists():
-        raise damaged(more, f"is one image more than the {n} touches of its run")
+        raise data_error(more, f"is one image more than the {n} touches of its run")
     return patches, closest
 
 
-def _optional(stem: Path, name: str, shape: tuple[int, ...], notes: Notes, unknown: float = math.nan) -> np.ndarray:
+def _optional(
+    stem: Path, name: str, shape: tuple[int, ...], notes: ConversionLog, unknown: float = math.nan
+) -> np.ndarray:
     """A file of numbers of this shape, or the unknown value where there is no file."""
     wanted = stem.with_name(f"{stem.name}_{name}")
     path = npy.find(wanted)
     if path is None:
-        notes.say(f"{wanted} is missing: what it holds is unknown")
+        notes.info(f"{wanted} is missing: what it holds is unknown")
         return np.full(shape, unknown)
     values = npy.read(path)
     try:
         numbers = np.array(values, np.float64)
     except (TypeError, ValueError) as error:
-        raise damaged(path, f"does not hold numbers of the shape {shape}") from error
+        raise data_error(path, f"does not hold numbers of the shape {shape}") from error
     if numbers.size != math.prod(shape) or len(numbers) != shape[0]:
-        raise damaged(path, f"has the shape {numbers.shape} where {shape[0]} touches need {shape}")
+        raise data_error(path, f"has the shape {numbers.shape} where {shape[0]} touches need {shape}")
     if not (np.abs(numbers) < LARGEST).all():
-        raise damaged(path, f"is not finite at touch {np.argwhere(~(np.abs(numbers) < LARGEST))[0][0] + 1}")
+        raise data_error(path, f"is not finite at touch {np.argwhere(~(np.abs(numbers) < LARGEST))[0][0] + 1}")
     return numbers.reshape(shape)
 
 
-def _depth_image(path: Path, notes: Notes) -> np.ndarray:
+def _depth_image(path: Path, notes: ConversionLog) -> np.ndarray:
     """The crop (48, 48) in metres, infinite where nothing was measured; another size is resampled, each pixel taking
     the one under its centre.
     """
     if not path.is_file():
-        raise damaged(path, "is missing")
+        raise data_error(path, "is missing")
     try:
         with tifffile.TiffFile(path) as file:
             shape, kind = file.pages.first.shape, file.pages.first.dtype
             if len(shape) != 2 or kind != np.uint16 or not 8 <= max(shape) <= 1024:
-                raise damaged(path, f"is an image {shape} of {kind} where a crop of uint16 should be")
+                raise data_error(path, f"is an image {shape} of {kind} where a crop of uint16 should be")
             image = file.pages.first.asarray()
     except DataError:
         raise
     except Exception as error:  # a damaged image can make its decoder fail in any way
-        raise damaged(path, f"is no readable TIF ({error})") from error
+        raise data_error(path, f"is no readable TIF ({error})") from error
     rows, columns = image.shape
     if rows != columns:
-        raise damaged(path, f"is {rows} x {columns} pixels where the crop should be square")
+        raise data_error(path, f"is {rows} x {columns} pixels where the crop should be square")
     if rows != PATCH_PIXELS:
-        notes.say(f"resampled: crops of {rows} pixels, each of {PATCH_PIXELS} taking the one under its centre")
+        notes.info(f"resampled: crops of {rows} pixels, each of {PATCH_PIXELS} taking the one under its centre")
         under = ((np.arange(PATCH_PIXELS) + 0.5) * rows / PATCH_PIXELS).astype(int)
         image = image[np.ix_(under, under)]
     if not image.any():
-        raise damaged(path, "holds no measured pixel")
+        raise data_error(path, "holds no measured pixel")
     return np.where(image == 0, np.inf, 1e-3 * image)
 
 

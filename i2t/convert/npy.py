@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from i2t.convert.common import damaged, read_bytes
+from i2t.convert.common import data_error, read_bytes
 from i2t.errors import DataError
 
 DEEPEST = 16  # nested lists: real files have five levels
@@ -57,20 +57,20 @@ def read(path: Path) -> np.ndarray | list[Any]:
             ]
             shape, fortran, dtype = read_header(stream)
     except Exception as error:  # a damaged header can make its parser fail in any way
-        raise damaged(path, "is no output of np.save") from error
+        raise data_error(path, "is no output of np.save") from error
     payload = stream.read()
     if dtype.hasobject:
         values = _unpickled(path, payload)
         found = _shape(values, len(shape))
         if found != shape and not (0 in shape and found == shape[: shape.index(0) + 1]):
-            raise damaged(path, f"holds {found} values where its header says {shape}")
+            raise data_error(path, f"holds {found} values where its header says {shape}")
         return values
     if dtype.kind not in "fiub":
-        raise damaged(path, f"holds {dtype} instead of numbers")
+        raise data_error(path, f"holds {dtype} instead of numbers")
     try:
         return np.frombuffer(payload, dtype).reshape(shape, order="F" if fortran else "C")
     except ValueError as error:
-        raise damaged(path, f"has {len(payload)} bytes for an array {shape} of {dtype}") from error
+        raise data_error(path, f"has {len(payload)} bytes for an array {shape} of {dtype}") from error
 
 
 def _unpickled(path: Path, payload: bytes) -> Any:
@@ -87,7 +87,7 @@ def _unpickled(path: Path, payload: bytes) -> Any:
         problem = f"refused, for it asks for {error}, which no recording needs"
         raise DataError(f"{path}: {problem}; do not open it with other programs") from error
     except Exception as error:  # a damaged pickle can make its reader fail in any way
-        raise damaged(path, f"its object array is damaged ({error})") from error
+        raise data_error(path, f"its object array is damaged ({error})") from error
 
 
 class _Unpickler(pickle.Unpickler):

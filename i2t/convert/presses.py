@@ -3,7 +3,7 @@
 
 Columns, by name: x_mm, y_mm (the indenter's axis from the skin's centre, along the skin's edges), depth_mm (travel past
 first contact), the values of the board's chips b0x_uT, b0y_uT, b0z_uT, b1x_uT ... (to b4z_uT for five chips); if wanted
-force_N (empty = not measured), a0x_uT ... (ambient, subtracted), pad and run (names).
+force_N (empty = not measured), a0x_uT ... (ambient, subtracted), pad and session (names; a session may be called run).
 
 Frames: the skin is fixed, and its tool frame T is the world's. The object O is the indenter, its axes as T's: at the
 lowest point of a sphere or cylinder, or a mesh's own frame, whose z axis is the indenter's and whose lowest point
@@ -13,19 +13,24 @@ touches first.
 import csv
 import math
 import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from i2t.convert import tips
-from i2t.convert.common import Converted, Notes, read_text
-from i2t.dataset import Dataset, no_wide
+from i2t.convert.common import ConversionLog, Converted, read_text
+from i2t.dataset import Dataset, missing_context
 from i2t.errors import DataError
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Board, ReturnCode, Touches
 
 PLACES = ("x_mm", "y_mm", "depth_mm")
-NAMES = ("pad", "run")
+NAMES = ("pad", "session")
+ROWS_AT_ONCE = 512  # bounds the memory of the intermediate arrays
+
+# A tip is a body of revolution whose axis stands on the skin: the height (m) of its surface above its lowest point at a
+# distance (m) from its axis, infinite where there is nothing.
+Profile: TypeAlias = Callable[[np.ndarray], np.ndarray]
 LARGEST = 1e9  # of any number, in its unit
 
 
@@ -44,13 +49,13 @@ def convert(
     `indenter` is `sphere:RADIUS` or `cylinder:RADIUS` with the radius in mm, or `mesh:FILE` in `mesh_unit`. Presses
     whose axis lies beside the window are left out. Raises DataError.
     """
-    notes = Notes(skip_bad)
+    notes = ConversionLog(skip_bad)
     rows = _rows(source, board.num_chips, notes)
     numbers = np.array([[row[name] for name in (*PLACES, "force_N")] for row in rows])
     x, y, depth = 1e-3 * numbers[:, :3].T
     inside = (np.abs(x) <= window / 2) & (np.abs(y) <= window / 2)
     if not inside.all():
-        notes.say(f"left out: {np.sum(~inside)} presses beside the window of {1e3 * window:g} mm")
+        notes.info(f"left out: {np.sum(~inside)} presses beside the window of {1e3 * window:g} mm")
     if not inside.any():
         raise DataError(f"{source}: no press lies inside the window of {1e3 * window:g} mm; widen --window-mm")
     kept = [row for row, keep in zip(rows, inside, strict=True) if keep]
@@ -62,7 +67,7 @@ def convert(
     names = {kind: tuple(dict.fromkeys(row[kind] for row in kept)) for kind in NAMES}
     touches = Touches(
         patch=patch,
-        wide=no_wide(n),
+        wide=missing_context(n),
         nearest=-depth,
         reading=np.array([row["reading"] for row in kept]),
         force=numbers[inside, 3],
@@ -71,28 +76,57 @@ def convert(
         T_w_o=T_w_o,
         object=np.zeros(n),
         pad=np.array([names["pad"].index(row["pad"]) for row in kept]),
-        run=np.array([names["run"].index(row["run"]) for row in kept]),
+        session=np.array([names["session"].index(row["session"]) for row in kept]),
         code=np.full(n, ReturnCode.UNDEFINED),
     )
     dataset = Dataset(
         touches,
         objects=(Path(indenter.partition(":")[2]).stem if indenter.startswith("mesh:") else indenter,),
         pads=names["pad"],
-        runs=names["run"],
+        sessions=names["session"],
         board=board,
         source="real",
         window=window,
         reach=reach,
         meta={"converter": "presses", "file": source.name, "indenter": indenter},
     )
-    return notes.finish(dataset)
+    return notes.close(dataset)
 
 
-def _rows(source: Path, chips: int, notes: Notes) -> list[dict[str, Any]]:
+def sphere(radius: float) -> Profile:
+    """The lower half of a sphere: h = R - sqrt(R^2 - r^2)."""
+
+    def profile(r: np.ndarray) -> np.ndarray:
+        return np.where(r < radius, radius - np.sqrt(np.maximum(radius**2 - r**2, 0)), np.inf)
+
+    return profile
+
+
+def cylinder(radius: float) -> Profile:
+    """The flat end of a cylinder."""
+    return lambda r: np.where(r <= radius, 0.0, np.inf)
+
+
+def tip_patches(profile: Profile, x: np.ndarray, y: np.ndarray, window: float, reach: float) -> np.ndarray:
+    """Patches (n, 48, 48), float32 m, of a tip whose axis stands at x, y (n,) m of the tool frame, clipped to the
+    reach.
+
+    Depth counts from the tip's lowest point, which may lie between two pixels.
+    """
+    centres = ((np.arange(PATCH_PIXELS) + 0.5) / PATCH_PIXELS - 0.5) * window
+    result = np.empty((len(x), PATCH_PIXELS, PATCH_PIXELS), np.float32)
+    for start in range(0, len(x), ROWS_AT_ONCE):
+        rows = slice(start, start + ROWS_AT_ONCE)
+        r = np.hypot(centres[None, :, None] - y[rows, None, None], centres[None, None, :] - x[rows, None, None])
+        result[rows] = np.minimum(profile(r), reach)
+    return result
+
+
+def _rows(source: Path, chips: int, notes: ConversionLog) -> list[dict[str, Any]]:
     values, ambient = (tuple(f"{kind}{chip}{axis}_uT" for chip in range(chips) for axis in "xyz") for kind in "ba")
     try:
         table = csv.DictReader(read_text(source).splitlines(), strict=True)
-        header = [name.strip() for name in table.fieldnames or ()]
+        header = ["session" if name.strip() == "run" else name.strip() for name in table.fieldnames or ()]
         table.fieldnames = header
         lines = [(table.line_num, line) for line in table]
     except csv.Error as error:
@@ -115,7 +149,7 @@ def _rows(source: Path, chips: int, notes: Notes) -> list[dict[str, Any]]:
     known = {*PLACES, *values, "force_N", *NAMES, *(ambient if has_ambient else ())}
     unknown = [name for name in header if name not in known]
     if unknown:
-        notes.say(f"left out: columns {', '.join(unknown)}, which have no meaning here")
+        notes.info(f"left out: columns {', '.join(unknown)}, which have no meaning here")
     rows: list[dict[str, Any]] = []
     for number, line in lines:
         try:
@@ -131,7 +165,7 @@ def _rows(source: Path, chips: int, notes: Notes) -> list[dict[str, Any]]:
             row |= {kind: (line.get(kind) or kind).strip() for kind in NAMES} | {"reading": reading}
             rows.append(row)
         except DataError as error:
-            notes.bad(error)
+            notes.skip(error)
     if not rows:
         raise DataError(f"{source}: holds no press; give at least one row")
     return rows
@@ -152,7 +186,7 @@ def _number(source: Path, line: int, column: str, text: str) -> float:
 
 
 def _patches(
-    indenter: str, mesh_unit: str, x: np.ndarray, y: np.ndarray, window: float, reach: float, notes: Notes
+    indenter: str, mesh_unit: str, x: np.ndarray, y: np.ndarray, window: float, reach: float, notes: ConversionLog
 ) -> tuple[np.ndarray, float]:
     """Patches (n, 48, 48) m and the z of the indenter's lowest point in its own frame (m)."""
     kind, _, value = indenter.partition(":")
@@ -164,11 +198,11 @@ def _patches(
         radius = math.nan
     if kind not in ("sphere", "cylinder") or not 0 < radius < 1:
         raise DataError(f"--indenter {indenter}: is unknown; give sphere:RADIUS or cylinder:RADIUS in mm, or mesh:FILE")
-    return tips.patches(getattr(tips, kind)(radius), x, y, window, reach), 0.0
+    return tip_patches({"sphere": sphere, "cylinder": cylinder}[kind](radius), x, y, window, reach), 0.0
 
 
 def _mesh_patches(
-    file: Path, unit: str, x: np.ndarray, y: np.ndarray, window: float, reach: float, notes: Notes
+    file: Path, unit: str, x: np.ndarray, y: np.ndarray, window: float, reach: float, notes: ConversionLog
 ) -> tuple[np.ndarray, float]:
     import jax.numpy as jnp
     from jax import jit
@@ -180,7 +214,7 @@ def _mesh_patches(
         (_, mesh, _), report = catalogue.load_mesh(file, unit, table=False)
     except (ValueError, OSError) as error:
         raise DataError(str(error)) from error
-    notes.say(str(report))
+    notes.info(str(report))
     lowest = float(np.asarray(mesh.vertices)[:, 2].min())
     surface = render.prepare_surface(mesh)
     look = jit(lambda T_o_t: render.render_patch(surface, T_o_t, window, PATCH_PIXELS, reach).depth)

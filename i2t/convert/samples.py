@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from i2t.convert import npy
-from i2t.convert.common import Notes, damaged
+from i2t.convert.common import ConversionLog, data_error
 from i2t.errors import DataError
 
 CHIPS = 5  # of the boards that this layout is of
@@ -23,7 +23,7 @@ LARGEST = 1e6  # uT: the chips end at 1.3e5
 CLEARLY = 3.0  # times: how much steadier one column must be to be the temperature where both could be
 
 
-def readings(tactile: Path, order: str, notes: Notes) -> np.ndarray:
+def readings(tactile: Path, order: str, notes: ConversionLog) -> np.ndarray:
     """Readings (n, 15) uT of one run, mean in contact minus mean ambient; NaN in a touch that is damaged.
 
     `order` is "binary", "ascii" or "auto", which looks for the steady temperature. Raises DataError.
@@ -31,18 +31,18 @@ def readings(tactile: Path, order: str, notes: Notes) -> np.ndarray:
     path = _existing(tactile)
     touches = [_samples(path, touch) for touch in _list(path)]
     if not touches:
-        raise damaged(path, "holds no touch")
+        raise data_error(path, "holds no touch")
     if any(len(sample) != 4 * CHIPS for touch in touches for sample in touch):
-        raise damaged(path, f"holds a sample that has not {4 * CHIPS} values")
+        raise data_error(path, f"holds a sample that has not {4 * CHIPS} values")
     if order == "auto":
         order = _detected(path, np.array([sample for touch in touches for sample in touch]))
-        notes.say(f"{path}: samples are in {order} order")
+        notes.info(f"{path}: samples are in {order} order")
     means = _means(path, touches, order, notes)
     path = _existing(tactile.with_name(tactile.name + "_ambient"))
     groups = [_samples(path, group) for group in _list(path)]
     n = len(touches)
     if len(groups) not in (n, math.ceil(n / 10)):
-        raise damaged(path, f"holds {len(groups)} groups for {n} touches, neither one a touch nor one for every 10")
+        raise data_error(path, f"holds {len(groups)} groups for {n} touches, neither one a touch nor one for every 10")
     ambient = _means(path, groups, order, notes)
     return means - (ambient if len(groups) == n else ambient[np.arange(n) // 10])
 
@@ -50,7 +50,7 @@ def readings(tactile: Path, order: str, notes: Notes) -> np.ndarray:
 def _existing(path: Path) -> Path:
     found = npy.find(path)
     if found is None:
-        raise damaged(path, "is missing")
+        raise data_error(path, "is missing")
     return found
 
 
@@ -58,15 +58,17 @@ def _list(path: Path) -> list[Any]:
     values = npy.read(path)
     items = values if isinstance(values, list) else values.tolist()
     if not isinstance(items, list):
-        raise damaged(path, "holds one number instead of touches")
+        raise data_error(path, "holds one number instead of touches")
     return items
 
 
-def _means(path: Path, touches: list[list[list[float]]], order: str, notes: Notes) -> np.ndarray:
+def _means(path: Path, touches: list[list[list[float]]], order: str, notes: ConversionLog) -> np.ndarray:
     """Mean fields (n, 15); NaN, and noted as damage, where a value is no plausible field."""
     means = np.array([_mean(touch, order) for touch in touches])
     for k in np.flatnonzero(np.isnan(means).any(1)):
-        notes.bad(damaged(path, f"item {k + 1} holds a value that is no field (not finite, or above {LARGEST:g} uT)"))
+        notes.skip(
+            data_error(path, f"item {k + 1} holds a value that is no field (not finite, or above {LARGEST:g} uT)")
+        )
     return means
 
 
@@ -82,7 +84,7 @@ def _samples(path: Path, item: Any) -> list[list[float]]:
         if item and all(isinstance(part, list) for part in item):
             return [sample for part in item for sample in _samples(path, part)]
     kind = f"a list of {len(item)}" if isinstance(item, list) else repr(item)[:40]
-    raise damaged(path, f"holds {kind} where a sample of {READINGS} or {4 * CHIPS} values should be")
+    raise data_error(path, f"holds {kind} where a sample of {READINGS} or {4 * CHIPS} values should be")
 
 
 def _mean(samples: list[list[float]], order: str) -> np.ndarray:

@@ -5,9 +5,19 @@ importing it imports no JAX.
 reads, `splits` holds touches out. The schema is described in docs/data.md.
 """
 
-from i2t.dataset.sets import Dataset, concatenate, no_wide, validate
+from i2t.dataset.sets import Dataset, concatenate, missing_context, validate
 from i2t.dataset.splits import by_group, holdout_blocks, holdout_last, holdout_names, spatial_blocks
-from i2t.dataset.store import BadFileWarning, Image, Record, Series, index, load, read_touch, save, write_touch
+from i2t.dataset.store import (
+    BadFileWarning,
+    Image,
+    Record,
+    Series,
+    index,
+    load_dataset,
+    read_touch,
+    save_dataset,
+    write_touch,
+)
 from i2t.errors import DataError
 
 __all__ = [
@@ -23,10 +33,10 @@ __all__ = [
     "holdout_last",
     "holdout_names",
     "index",
-    "load",
-    "no_wide",
+    "load_dataset",
+    "missing_context",
     "read_touch",
-    "save",
+    "save_dataset",
     "spatial_blocks",
     "validate",
     "write_touch",

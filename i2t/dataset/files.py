@@ -24,7 +24,8 @@ import h5py
 from i2t.errors import DataError
 
 SCHEMA = "i2t-touches"
-VERSION = 1
+VERSION = 2  # sessions, which version 1 called runs
+READABLE_VERSIONS = (1, 2)
 ENDING = ".h5"
 HEADER_BYTES = 512
 
@@ -83,7 +84,7 @@ def sync_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
-def digest_of(path: Path) -> str:
+def checksum(path: Path) -> str:
     """The SHA-256 that the header of `path` states; nothing but the header is read. Raises DataError for a file of
     another kind.
     """
@@ -116,7 +117,7 @@ def _header(path: Path, block: bytes) -> str:
         raise DataError(
             f"{path}: not an {SCHEMA} file; move it out of the data set, or convert it with python -m i2t.convert"
         )
-    if int(match[1]) != VERSION:
+    if int(match[1]) not in READABLE_VERSIONS:
         raise DataError(
             f"{path}: written in schema version {int(match[1])}, and this program reads {VERSION}; install a newer i2t"
         )

@@ -14,7 +14,7 @@ from i2t.errors import DataError
 from i2t.types import PATCH_WINDOW, REACH, WIDE_PIXELS, Board, ReturnCode, Touches, Truth
 
 SOURCES = ("simulated", "real", "mixed")
-INDICES = ("object", "pad", "run", "code")
+INDICES = ("object", "pad", "session", "code")
 AXES = ("x", "y", "z")
 ROTATION_TOLERANCE = (
     1e-4  # float32 leaves 1e-6 and quaternions printed with four decimals 1e-4: beyond it is no rotation
@@ -23,14 +23,14 @@ ROTATION_TOLERANCE = (
 
 @dataclass(frozen=True)
 class Dataset:
-    """Touches with their names: `touches.object[i]` indexes `objects`, and so do `pad` and `run`; rows are in the order
-    of time.
+    """Touches with their names: `touches.object[i]` indexes `objects`, `pad` and `session` likewise; rows are in the
+    order of time.
     """
 
     touches: Touches
     objects: tuple[str, ...]
     pads: tuple[str, ...]
-    runs: tuple[str, ...]
+    sessions: tuple[str, ...]  # a session: a recording with one placement of an object
     board: Board
     source: str  # "simulated", "real" or "mixed"
     window: float = PATCH_WINDOW  # m, edge of the square that a patch covers
@@ -65,7 +65,7 @@ class Dataset:
             "source": self.source,
             "objects": _counts(touches.object, self.objects),
             "pads": _counts(touches.pad, self.pads),
-            "runs": _counts(touches.run, self.runs),
+            "sessions": _counts(touches.session, self.sessions),
             "codes": {code.name.lower(): int(np.sum(touches.code == code)) for code in ReturnCode},
             "reading_uT": {axis: _statistics(by_axis[..., i].ravel()) for i, axis in enumerate(AXES)},
             "reading_norm_uT": _statistics(np.linalg.norm(by_axis.reshape(len(self), -1), axis=1)),
@@ -86,9 +86,15 @@ class Dataset:
         }
 
 
-def no_wide(touches: int, pixels: int = WIDE_PIXELS) -> np.ndarray:
-    """The `wide` of touches whose surroundings were not recorded: NaN of shape (touches, pixels, pixels) that takes no
-    memory (read-only).
+def missing_context(touches: int, pixels: int = WIDE_PIXELS) -> np.ndarray:
+    """The `wide` of touches whose surroundings were not recorded.
+
+    Args:
+        touches: number of touches.
+        pixels: along each edge.
+
+    Returns:
+        NaN of shape (touches, pixels, pixels) that takes no memory (read-only).
     """
     return np.broadcast_to(np.float32(np.nan), (touches, pixels, pixels))
 
@@ -96,8 +102,14 @@ def no_wide(touches: int, pixels: int = WIDE_PIXELS) -> np.ndarray:
 def concatenate(datasets: Sequence[Dataset]) -> Dataset:
     """One data set of all touches in the given order, with the names merged.
 
-    Window, reach and board must agree (DataError). The truth is kept where every part has it. Meta entries that differ
-    are joined with "; ".
+    Args:
+        datasets: at least one. The truth is kept where every part has it; meta entries that differ are joined by "; ".
+
+    Returns:
+        The data set.
+
+    Raises:
+        DataError: window, reach or board differ.
     """
     if not datasets:
         raise DataError("no data set given; name at least one")
@@ -114,7 +126,7 @@ def concatenate(datasets: Sequence[Dataset]) -> Dataset:
             raise DataError("readings of different boards cannot be joined; keep them in separate data sets")
     names: dict[str, Any] = {
         kind: tuple(dict.fromkeys(name for d in datasets for name in getattr(d, kind)))
-        for kind in ("objects", "pads", "runs")
+        for kind in ("objects", "pads", "sessions")
     }
     columns: dict[str, Any] = {}
     for column in Touches._fields[:-1]:
@@ -140,8 +152,13 @@ def concatenate(datasets: Sequence[Dataset]) -> Dataset:
 
 
 def validate(dataset: Dataset) -> None:
-    """Raise DataError, one sentence, at the first thing that no touch can be: a wrong shape, an index without a name, a
-    patch that is not finite ...
+    """Find the first thing that no touch can be: a wrong shape, an index without a name, a patch that is not finite ...
+
+    Args:
+        dataset: to check. Readings must have three values for each chip of its board.
+
+    Raises:
+        DataError: one sentence that names the field and the first bad row.
     """
     touches, n = dataset.touches, len(dataset.touches.reading)
     pixels, wide = touches.patch.shape[-1], touches.wide.shape[-1]
@@ -185,7 +202,7 @@ def validate(dataset: Dataset) -> None:
         "is neither a rotation nor a reflection",
         "chip",
     )
-    for name in ("object", "pad", "run"):
+    for name in ("object", "pad", "session"):
         names = getattr(dataset, name + "s")
         _require(len(set(names)) == len(names), f"{name} names repeat")
         value = getattr(touches, name)
@@ -239,12 +256,12 @@ def _rows(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 def _joined(parts: list[np.ndarray]) -> np.ndarray:
     if all(_takes_no_memory(part) for part in parts):
-        return no_wide(sum(map(len, parts)), parts[0].shape[-1])
+        return missing_context(sum(map(len, parts)), parts[0].shape[-1])
     return np.concatenate(parts)
 
 
 def _takes_no_memory(values: np.ndarray) -> bool:
-    """Whether these are views made by `no_wide`."""
+    """Whether these are views made by `missing_context`."""
     return values.ndim == 3 and values.size > 0 and not any(values.strides)
 
 

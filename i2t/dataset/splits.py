@@ -1,7 +1,13 @@
 """Which touches to hold out. Every function returns a boolean mask of the touches held out, or labels to split by.
 
-Neighbouring touches of one object share what they feel, and those of one run share their errors: rows are therefore
-never shuffled singly, but held out by object, by pad, by run, by block of space, or from some time on.
+Neighbouring touches of one object share what they feel, and those of one session share their errors: rows are therefore
+never shuffled singly, but held out by object, by pad, by session, by block of space, or from some time on.
+
+    from i2t.dataset import holdout_blocks, holdout_names, load_dataset
+
+    dataset = load_dataset("recordings")
+    held_out = holdout_names(dataset, "session", ["monday"])  # or holdout_blocks(dataset, 3e-3, 0.2, seed=0)
+    train, test = dataset.select(~held_out), dataset.select(held_out)
 """
 
 from collections.abc import Sequence
@@ -16,13 +22,30 @@ EDGE_SLACK = 1e-3
 
 
 def by_group(labels: np.ndarray) -> dict[int, np.ndarray]:
-    """The row numbers of each label (an index array of the touches, or block numbers), in row order."""
+    """The rows of each label.
+
+    Args:
+        labels: (n,) integers: an index array of the touches, or block numbers.
+
+    Returns:
+        Row numbers by label, in row order.
+    """
     return {int(label): np.flatnonzero(labels == label) for label in np.unique(labels)}
 
 
 def holdout_names(dataset: Dataset, kind: str, names: Sequence[str]) -> np.ndarray:
-    """Mask (n,) of the touches of the named objects, pads or runs (`kind` is "object", "pad" or "run"). Raises
-    DataError for an unknown name.
+    """The touches of some objects, pads or sessions.
+
+    Args:
+        dataset: of n touches.
+        kind: "object", "pad" or "session".
+        names: whose touches are held out.
+
+    Returns:
+        Mask (n,).
+
+    Raises:
+        DataError: a name is not in the data set.
     """
     known = getattr(dataset, kind + "s")
     unknown = [name for name in names if name not in known]
@@ -32,10 +55,17 @@ def holdout_names(dataset: Dataset, kind: str, names: Sequence[str]) -> np.ndarr
 
 
 def spatial_blocks(dataset: Dataset, size: float) -> np.ndarray:
-    """Block number (n,) of each touch: squares of edge `size` (m) over x and y of the tool's position in its object's
-    frame, object by object.
+    """Squares over x and y of the tool's position in its object's frame, object by object.
 
-    An edge belongs to the block above it. Where the object's pose is unknown, the world's frame of its run stands in.
+    An edge belongs to the block above it. Where the object's pose is unknown, the world's frame of its session stands
+    in.
+
+    Args:
+        dataset: of n touches.
+        size: m, edge of a square.
+
+    Returns:
+        Block number (n,) of each touch.
     """
     touches = dataset.touches
     unknown = np.isnan(touches.T_w_o).any((1, 2))
@@ -43,13 +73,21 @@ def spatial_blocks(dataset: Dataset, size: float) -> np.ndarray:
     from_object = touches.T_w_t[:, :3, 3].astype(np.float64) - T_w_o[:, :3, 3]
     position = np.einsum("nji,nj->ni", T_w_o[:, :3, :3], from_object)
     cell = np.floor(position[:, :2] / size + EDGE_SLACK).astype(np.int64)
-    frame = np.where(unknown, touches.run, -1)
+    frame = np.where(unknown, touches.session, -1)
     return np.unique(np.column_stack([touches.object, frame, cell]), axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def holdout_blocks(dataset: Dataset, size: float, fraction: float, seed: int) -> np.ndarray:
-    """Mask (n,) of whole random blocks of edge `size` (m) that together hold at least `fraction` of the touches, and
-    not a block more.
+    """Whole random blocks of space that together hold at least a fraction of the touches, and not a block more.
+
+    Args:
+        dataset: of n touches.
+        size: m, edge of a block.
+        fraction: of the touches, 0 to 1.
+        seed: of the choice of blocks.
+
+    Returns:
+        Mask (n,).
     """
     blocks = spatial_blocks(dataset, size)
     order = np.random.default_rng(seed).permutation(blocks.max(initial=-1) + 1)
@@ -59,7 +97,15 @@ def holdout_blocks(dataset: Dataset, size: float, fraction: float, seed: int) ->
 
 
 def holdout_last(dataset: Dataset, fraction: float) -> np.ndarray:
-    """Mask (n,) of the last `fraction` of each pad's touches in time (the order of rows), rounded to whole touches."""
+    """The last touches of each pad in time (the order of rows).
+
+    Args:
+        dataset: of n touches.
+        fraction: of each pad's touches, rounded to whole touches.
+
+    Returns:
+        Mask (n,).
+    """
     held = np.zeros(len(dataset), bool)
     for rows in by_group(dataset.touches.pad).values():
         held[rows[len(rows) - round(fraction * len(rows)) :]] = True

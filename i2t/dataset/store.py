@@ -1,5 +1,5 @@
-"""Data sets and recorded touches in files: `save` packs many touches into one, `write_touch` records one, and `load`
-reads files and folders of both.
+"""Data sets and recorded touches in files: `save_dataset` packs many touches into one, `write_touch` records one, and
+`load_dataset` reads files and folders of both.
 
 Every file holds the same groups (docs/data.md); a recorded touch adds what only one touch has: images, time series,
 events and counters.
@@ -19,28 +19,29 @@ import h5py
 import numpy as np
 
 from i2t._version import __version__
-from i2t.dataset.files import ENDING, digest_of, sync_folder, verified, write
-from i2t.dataset.sets import Dataset, concatenate, no_wide, validate
+from i2t.dataset.files import ENDING, checksum, sync_folder, verified, write
+from i2t.dataset.sets import Dataset, concatenate, missing_context, validate
 from i2t.errors import DataError
 from i2t.types import Board, Touches, Truth
 
 INDEX = "index.json"
-INDEX_VERSION = 1
+INDEX_VERSION = 2
 ROWS_PER_CHUNK = 64
+EARLIER_NAMES = {"session": "run", "sessions": "runs"}  # as files of schema version 1 call them
 
 UNITS = {
     **dict.fromkeys(("patch", "wide", "nearest", "depth", "indentation"), "m"),
     "reading": "uT",
     "force": "N",
     **dict.fromkeys(("T_w_t", "T_w_o"), "1 (rotation), m (translation)"),
-    **dict.fromkeys(("object", "pad", "run", "code"), "1"),
+    **dict.fromkeys(("object", "pad", "session", "code"), "1"),
 }
 
 T = TypeVar("T")
 
 
 class BadFileWarning(UserWarning):
-    """Names the files that `load(..., skip_bad=True)` left out."""
+    """Names the files that `load_dataset(..., skip_bad=True)` left out."""
 
 
 @dataclass(frozen=True)
@@ -73,9 +74,18 @@ class Record:
     counters: Mapping[str, int] = field(default_factory=dict)  # such as dropped frames
 
 
-def save(path: str | Path, dataset: Dataset) -> Path:
-    """Pack a data set into one file, atomically; returns its path. Raises DataError for a data set that `validate`
-    refuses.
+def save_dataset(path: str | Path, dataset: Dataset) -> Path:
+    """Pack a data set into one file, atomically.
+
+    Args:
+        path: of the file, ending in .h5; an existing one is replaced.
+        dataset: of touches of one board, with any number of chips.
+
+    Returns:
+        The path.
+
+    Raises:
+        DataError: `validate` refuses the data set, or the file cannot be written.
     """
     path = Path(path)
     if path.suffix != ENDING:
@@ -85,10 +95,18 @@ def save(path: str | Path, dataset: Dataset) -> Path:
 
 
 def write_touch(folder: str | Path, record: Record, at: float | None = None) -> Path:
-    """Record one touch in a new file of `folder`, named by the time in UTC (now, or `at`, Unix time in s); once this
-    returns, the touch survives a kill or a power cut.
+    """Record one touch in a new file; once this returns, the touch survives a kill or a power cut.
 
-    Raises DataError for a record that cannot be read back.
+    Args:
+        folder: in which the file is made.
+        record: of one touch.
+        at: Unix time in s that names the file; by default now.
+
+    Returns:
+        The path of the file, named by the time in UTC.
+
+    Raises:
+        DataError: the record cannot be read back, or the file cannot be written.
     """
     made = datetime.now(UTC) if at is None else datetime.fromtimestamp(at, UTC)
     name = f"touch-{made:%Y%m%dT%H%M%S.%f}Z-{secrets.token_hex(3)}{ENDING}"
@@ -121,8 +139,16 @@ def write_touch(folder: str | Path, record: Record, at: float | None = None) -> 
 
 
 def read_touch(path: str | Path) -> Record:
-    """Read back everything `write_touch` recorded (a packed file of one touch reads as a record without images and
-    series). Raises DataError.
+    """Read back everything `write_touch` recorded.
+
+    Args:
+        path: of the file; a packed file of one touch reads as a record without images and series.
+
+    Returns:
+        The record.
+
+    Raises:
+        DataError: the file is missing, damaged, or holds another number of touches than one.
     """
     path = Path(path)
 
@@ -146,18 +172,27 @@ def read_touch(path: str | Path) -> Record:
 
     record = _read(path, get)
     if len(record.touch) != 1:
-        raise DataError(f"{path}: holds {len(record.touch)} touches, not 1; read it with load")
+        raise DataError(f"{path}: holds {len(record.touch)} touches, not 1; read it with load_dataset")
     _check(path, record.touch)
     return record
 
 
-def load(path: str | Path, skip_bad: bool = False) -> Dataset:
-    """Read a packed file, a recorded touch, or a folder of any of these with its subfolders, in the order of their
-    names (recorded touches: of time).
+def load_dataset(path: str | Path, skip_bad: bool = False) -> Dataset:
+    """Read a packed file, a recorded touch, or a folder of any of these with its subfolders.
 
-    Hidden files (leftovers of an interrupted writer among them) and index.json are no part of a data set. Every other
-    file must be readable: one DataError names all that are not; with `skip_bad` they are left out, and named in a
-    BadFileWarning.
+    Touches come in the order of the files' names (recorded touches: of time). Hidden files (leftovers of an interrupted
+    writer among them) and index.json are no part of a data set.
+
+    Args:
+        path: a file or a folder.
+        skip_bad: leave out files that cannot be used, and name them in a BadFileWarning.
+
+    Returns:
+        One data set of all touches.
+
+    Raises:
+        DataError: files cannot be used and `skip_bad` is not set (one sentence names them all), none is left, or they
+            do not fit together (another board, another window or reach).
     """
     path = Path(path)
     files = _files(path)
@@ -191,12 +226,20 @@ def load(path: str | Path, skip_bad: bool = False) -> Dataset:
 
 
 def index(folder: str | Path) -> dict[str, dict[str, Any]]:
-    """What the files of a folder hold, by file name: size, time of change, SHA-256, touches, counts of objects, pads
-    and runs, and the source.
+    """What the files of a folder hold.
 
     Kept in index.json, so that only new or changed files are read; a missing, stale or unreadable index is rebuilt, and
-    a folder that cannot be written does without. It is a convenience for listing: `load` never uses it, so a file that
-    changed behind its back is still found there. Raises DataError that names every file that cannot be read.
+    a folder that cannot be written does without. It is a convenience for listing: `load_dataset` never uses it, so a
+    file that changed behind its back is still found there.
+
+    Args:
+        folder: of touches.
+
+    Returns:
+        By file name: size, time of change, SHA-256, touches, counts of objects, pads and sessions, and the source.
+
+    Raises:
+        DataError: files cannot be read; one sentence names them all.
     """
     folder = Path(folder)
     try:
@@ -213,12 +256,14 @@ def index(folder: str | Path) -> dict[str, dict[str, Any]]:
         name = file.relative_to(folder).as_posix()
         try:
             state = file.stat()
-            stamp = {"bytes": state.st_size, "changed_ns": state.st_mtime_ns, "sha256": digest_of(file)}
+            stamp = {"bytes": state.st_size, "changed_ns": state.st_mtime_ns, "sha256": checksum(file)}
             if known.get(name, {}).items() >= stamp.items():
                 entries[name] = known[name]
             else:
                 summary = _read(file, _get_dataset).summary()
-                entries[name] = stamp | {key: summary[key] for key in ("touches", "objects", "pads", "runs", "source")}
+                entries[name] = stamp | {
+                    key: summary[key] for key in ("touches", "objects", "pads", "sessions", "source")
+                }
         except (DataError, OSError) as error:
             bad.append(str(error))
     if bad:
@@ -267,7 +312,9 @@ def _read(path: Path, get: Callable[[h5py.File], T]) -> T:
             return get(file)
         except (KeyError, AttributeError, ValueError, TypeError, OSError) as error:
             reason = error.args[0] if error.args else type(error).__name__
-            raise DataError(f"{path}: does not follow the schema ({reason}); write it with i2t.dataset.save") from error
+            raise DataError(
+                f"{path}: does not follow the schema ({reason}); write it with i2t.dataset.save_dataset"
+            ) from error
 
 
 def _put_dataset(file: h5py.File, dataset: Dataset) -> None:
@@ -279,7 +326,7 @@ def _put_dataset(file: h5py.File, dataset: Dataset) -> None:
     _put(file, "reach", np.float64(dataset.reach), "m")
     for key, text in dataset.meta.items():
         _put(file, f"meta/{key}", text, "1")
-    for kind in ("objects", "pads", "runs"):
+    for kind in ("objects", "pads", "sessions"):
         _put(file, f"names/{kind}", _text(getattr(dataset, kind)), "1")
     _put(file, "board/chips", dataset.board.chips, "m")
     _put(file, "board/rotations", dataset.board.rotations, "1")
@@ -293,20 +340,28 @@ def _put_dataset(file: h5py.File, dataset: Dataset) -> None:
 
 def _get_dataset(file: h5py.File) -> Dataset:
     group = file["touches"]
-    columns = {name: group[name][()] for name in Touches._fields if name in group}
+    columns = {name: group[_stored(group, name)][()] for name in Touches._fields if _stored(group, name) in group}
     if "wide" not in columns:
-        columns["wide"] = no_wide(len(columns["reading"]), int(group.attrs["wide_pixels"]))
+        columns["wide"] = missing_context(len(columns["reading"]), int(group.attrs["wide_pixels"]))
     if "truth" in file:
         columns["truth"] = Truth(**{name: file["truth"][name][()] for name in Truth._fields})
     return Dataset(
         touches=Touches(**columns),
-        **{kind: tuple(file["names"][kind].asstr()[()]) for kind in ("objects", "pads", "runs")},
+        **{
+            kind: tuple(file["names"][_stored(file["names"], kind)].asstr()[()])
+            for kind in ("objects", "pads", "sessions")
+        },
         board=Board(file["board/chips"][()], file["board/rotations"][()]),
         source=str(file.attrs["source"]),
         window=float(file["window"][()]),
         reach=float(file["reach"][()]),
         meta={key: str(item.asstr()[()]) for key, item in file.get("meta", {}).items()},
     )
+
+
+def _stored(group: h5py.Group, name: str) -> str:
+    """What a file calls a field or a list of names."""
+    return name if name in group else EARLIER_NAMES.get(name, name)
 
 
 def _put(file: h5py.File, name: str, values: Any, unit: str) -> h5py.Dataset:

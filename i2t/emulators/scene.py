@@ -8,7 +8,6 @@ costs nothing in time. The skin neither rubs nor remembers, and an object is met
 stood still before: flange, mount and what is moved into sideways meet nothing. Everything here is simulated.
 """
 
-from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -16,98 +15,113 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from i2t.depth.camera import Camera, Distortion
 from i2t.geometry import full_precision, so3_exp
 from i2t.objects.solids import Mesh, transform_mesh
 from i2t.rendering.render import prepare_surface, render_patch
+from i2t.simulation.depth_camera import table_triangles
 from i2t.simulation.sites import press_along
-from i2t.simulation.touches import Errors, sample_run
+from i2t.simulation.touches import SimulationErrors, sample_session_errors
 from i2t.skin.contact import GRID
 from i2t.skin.dipoles import rest_field
 from i2t.skin.pad import press_force
 from i2t.types import PAD_WINDOW, Array, Board, Pad, Surface
 
-AHEAD = 0.12  # m of a line on which the object is looked for
-LOADS = np.geomspace(0.02, 60.0, 14)  # N
-ASIDE, TURNED = 20e-6, 1e-4  # m, rad: how far from its line a tool is still on it
-NEAR = 2e-3  # m before first contact, from which motion is followed finely
-STANDING = 3  # times that the same pose is asked for before the tool is taken to stand
-TABLE, CELL = 0.2, 0.05  # m, half edge of the table that the camera sees, and of its squares
-CLEAR = 5e-3  # m before a camera, nearer than which nothing is drawn
+LINE_LENGTH_M = 0.12  # of a line on which the object is looked for
+LOADS_N = np.geomspace(0.02, 60.0, 14)
+LINE_TOLERANCE_M, LINE_TOLERANCE_RAD = 20e-6, 1e-4  # how far from its line a tool is still on it
+NEAR_CONTACT_M = 2e-3  # before first contact, from which motion is followed finely
+STANDING_QUERIES = 3  # times that the same pose is asked for before the tool is taken to stand
 
 
-class Line(NamedTuple):
+class ContactLine(NamedTuple):
     """What the skin meets on its way along its own z axis."""
 
     T_b_t: Array  # (4, 4) where the line begins
     first: float  # m from there to first contact, inf where there is none
-    sunk: Array  # (k,) m past it, from 0
+    past_contact: Array  # (k,) m past it, from 0
     force: Array  # (k,) N
     centre: Array  # (k, 2) m, of the pressure, in the tool's x and y
     reading: Array  # (k, 3 chips) uT, without noise
 
-    def on(self, position: Array, turned: Array) -> float | None:
+    def distance_along(self, position: Array, turned: Array) -> float | None:
         """How far (m) a pose is along the line, None beside it."""
         axis = self.T_b_t[:3, 2]
         away = position - self.T_b_t[:3, 3]
         along = float(away @ axis)
         beside = away - along * axis
-        if beside @ beside > ASIDE**2 or np.abs(turned - self.T_b_t[:3, :3]).max() > TURNED:
+        if beside @ beside > LINE_TOLERANCE_M**2 or np.abs(turned - self.T_b_t[:3, :3]).max() > LINE_TOLERANCE_RAD:
             return None
         return along
 
-    def felt(self, along: float) -> tuple[float, Array, Array]:
+    def covers(self, along: float) -> bool:
+        """Whether what lies ahead of a position on the line is known.
+
+        The object is looked for only `LINE_LENGTH_M` ahead of the line's beginning: where nothing was found, more may
+        come behind its end.
+
+        Args:
+            along: m, of the position from the line's beginning.
+
+        Returns:
+            True at the beginning, and further on where the line has a first contact.
+        """
+        begun = along >= -LINE_TOLERANCE_M
+        return begun and bool(np.isfinite(self.first) or along <= LINE_TOLERANCE_M)
+
+    def contact_at(self, along: float) -> tuple[float, Array, Array]:
         """Force (N), its centre (2,) m and the reading (3 chips,) uT, `along` metres from the line's beginning."""
         past = along - self.first
         if past <= 0:
             return 0.0, np.zeros(2), np.zeros(self.reading.shape[1])
-        i = int(np.clip(np.searchsorted(self.sunk, past), 1, len(self.sunk) - 1))
-        part = (past - self.sunk[i - 1]) / (self.sunk[i] - self.sunk[i - 1])  # beyond the last it goes on straight
+        i = int(np.clip(np.searchsorted(self.past_contact, past), 1, len(self.past_contact) - 1))
+        part = (past - self.past_contact[i - 1]) / (
+            self.past_contact[i] - self.past_contact[i - 1]
+        )  # beyond the last it goes on straight
         force, reading = ((1 - part) * row[i - 1] + part * row[i] for row in (self.force, self.reading))
         return float(force), self.centre[i], reading
 
 
 @runtime_checkable
-class Met(Protocol):
+class TouchableScene(Protocol):
     """What a lab's tool meets."""
 
     board: Board
     rest: Array  # (3 chips,) uT, the reading of the skin alone
-    errors: Errors
+    errors: SimulationErrors
 
     def near(self, position: Array) -> bool:
         """Whether anything may be within a line's reach of a place."""
 
-    def ahead(self, T_b_t: Array) -> Line:
+    def ahead(self, T_b_t: Array) -> ContactLine:
         """The line from a pose that the arm reports."""
 
 
-class Flat:
+class SpringPlane:
     """A horizontal plane that pushes back like a spring: everything about it is known in closed form.
 
     Its height is in the base (m), its stiffness in N/m with arm and mount in it, and each newton changes the readings
     by `gain` (uT).
     """
 
-    def __init__(self, height: float, stiffness: float, gain: Array, errors: Errors, board: Board) -> None:
+    def __init__(self, height: float, stiffness: float, gain: Array, errors: SimulationErrors, board: Board) -> None:
         self.height, self.stiffness, self.gain = height, stiffness, gain
         self.errors, self.board, self.rest = errors, board, np.zeros(board.num_readings)
 
     def near(self, position: Array) -> bool:
         """It is met above and below."""
-        return bool(abs(position[2] - self.height) < AHEAD)
+        return bool(abs(position[2] - self.height) < LINE_LENGTH_M)
 
-    def ahead(self, T_b_t: Array) -> Line:
+    def ahead(self, T_b_t: Array) -> ContactLine:
         """The line to it."""
         down = -T_b_t[2, 2]
         first = (T_b_t[2, 3] - self.height) / down if down > 0 else np.inf
         force = np.array([0.0, 1.0])
-        return Line(
+        return ContactLine(
             T_b_t, float(first), force / self.stiffness, force, np.zeros((2, 2)), force[:, None] * self.gain[None]
         )
 
 
-class Scene:
+class ObjectScene:
     """An object that stands where it really is, not where the lab believes, and a pad that touches it.
 
     `T_b_o` is where the lab believes it; `stiffness` (N/m) is that of arm and mount. The same seed makes the same
@@ -115,9 +129,9 @@ class Scene:
     """
 
     def __init__(
-        self, mesh: Mesh, T_b_o: Array, pad: Pad, errors: Errors, stiffness: float = 10e3, seed: int = 0
+        self, mesh: Mesh, T_b_o: Array, pad: Pad, errors: SimulationErrors, stiffness: float = 10e3, seed: int = 0
     ) -> None:
-        run = jax.jit(lambda key: sample_run(key, errors))(jax.random.key(seed))
+        run = jax.jit(lambda key: sample_session_errors(key, errors))(jax.random.key(seed))
         self.pad, self.errors, self.stiffness = pad, errors, stiffness
         self.board = Board(*(np.asarray(part, float) for part in pad.board))
         self.T_b_o = np.asarray(T_b_o) @ np.asarray(run.T_o_placed, float)
@@ -126,30 +140,30 @@ class Scene:
         self._surface = jax.device_put(prepare_surface(mesh))
         self._random = np.random.default_rng(seed)
         placed = transform_mesh(mesh, self.T_b_o)
-        self.triangles = np.concatenate([placed.vertices[placed.faces], table_at(np.asarray(T_b_o))])
+        self.triangles = np.concatenate([placed.vertices[placed.faces], table_triangles(np.asarray(T_b_o))])
         corners = placed.vertices
         self._middle = (corners.min(0) + corners.max(0)) / 2
         self._radius = float(np.linalg.norm(corners - self._middle, axis=1).max())
 
     def near(self, position: Array) -> bool:
         """Whether the object may be within a line's reach of a place."""
-        return float(np.linalg.norm(position - self._middle)) < self._radius + AHEAD
+        return float(np.linalg.norm(position - self._middle)) < self._radius + LINE_LENGTH_M
 
-    def ahead(self, T_b_t: Array) -> Line:
+    def ahead(self, T_b_t: Array) -> ContactLine:
         """The line from a pose that the arm reports: the tool is beside it by the arm's own errors."""
         off = np.eye(4)
         off[:3, 3] = self.errors.repeatability * self._random.standard_normal(3)
         off[:3, :3] = so3_exp(self.errors.approach_angle * self._random.standard_normal(3))
         T_o_t = np.linalg.inv(self.T_b_o) @ T_b_t @ off
         first, sunk, centre, reading = jax.device_get(
-            _meet(self._surface, jnp.asarray(T_o_t, jnp.float32), self.pad, jnp.asarray(LOADS, jnp.float32))
+            _meet(self._surface, jnp.asarray(T_o_t, jnp.float32), self.pad, jnp.asarray(LOADS_N, jnp.float32))
         )
-        past = np.append(0.0, sunk + LOADS / self.stiffness)
-        return Line(
+        past = np.append(0.0, sunk + LOADS_N / self.stiffness)
+        return ContactLine(
             np.array(T_b_t),
             float(first),
             np.maximum.accumulate(past + 1e-9 * np.arange(len(past))),  # rounding must not turn it back
-            np.append(0.0, LOADS),
+            np.append(0.0, LOADS_N),
             np.concatenate([centre[:1], centre]).astype(float),
             np.concatenate([np.zeros_like(reading[:1]), reading]).astype(float),
         )
@@ -159,7 +173,7 @@ class Scene:
 @full_precision
 def _meet(surface: Surface, T_o_t: Array, pad: Pad, loads: Array) -> tuple[Array, Array, Array, Array]:
     """How far it is to first contact (m), and how deep each load sinks (m), with its centre (m) and reading (uT)."""
-    pose, hit = press_along(surface, T_o_t, T_o_t[:3, 2], travel=AHEAD)
+    pose, hit = press_along(surface, T_o_t, T_o_t[:3, 2], travel=LINE_LENGTH_M)
     met = render_patch(surface, pose, window=PAD_WINDOW, pixels=GRID.cells)
     hit = hit & jnp.isfinite(met.nearest)
     # The grid of the pad meets a point between its cells a little late.
@@ -175,18 +189,18 @@ def _meet(surface: Surface, T_o_t: Array, pad: Pad, loads: Array) -> tuple[Array
     return first, *jax.lax.map(press, loads)
 
 
-class Feeler:
+class ContactModel:
     """What a moving tool feels: the contact of an `i2t.emulators.robot_motion.Robot`, and the reading of its skin.
 
     A line is worked out once the tool stands somewhere near the object; with `wait` False that happens beside (it takes
     hundredths of a second), and until it is done, while it is `busy`, nothing is met.
     """
 
-    def __init__(self, scene: Met, wait: bool = True) -> None:
+    def __init__(self, scene: TouchableScene, wait: bool = True) -> None:
         self.scene = scene
         self.reading = np.zeros(scene.board.num_readings)  # uT, at the pose that was asked for last
-        self._line: Line | None = None
-        self._coming: Future[Line] | None = None
+        self._line: ContactLine | None = None
+        self._coming: Future[ContactLine] | None = None
         self._beside = None if wait else ThreadPoolExecutor(1, "scene")
         self._seen: tuple[Array, Array] = (np.full(3, np.inf), np.zeros((3, 3)))
         self._times = 0
@@ -199,17 +213,17 @@ class Feeler:
     def __call__(self, position: Array, turned: Array) -> Array:
         """Wrench (6,) on the tool at a pose, base axes."""
         self._look(position, turned)
-        along = None if self._line is None else self._line.on(position, turned)
+        along = None if self._line is None else self._line.distance_along(position, turned)
         if self._line is None or along is None:
             self.reading = np.zeros(self.scene.board.num_readings)
             return np.zeros(6)
-        force, (x, y), self.reading = self._line.felt(along)
+        force, (x, y), self.reading = self._line.contact_at(along)
         return np.concatenate([turned @ [0.0, 0.0, -force], turned @ [-force * y, force * x, 0.0]])
 
     def far(self, position: Array) -> bool:
         """Whether the tool is at least `NEAR` from first contact, or beside the line on which there is one."""
         line = self._line
-        return line is None or float((position - line.T_b_t[:3, 3]) @ line.T_b_t[:3, 2]) < line.first - NEAR
+        return line is None or float((position - line.T_b_t[:3, 3]) @ line.T_b_t[:3, 2]) < line.first - NEAR_CONTACT_M
 
     def _look(self, position: Array, turned: Array) -> None:
         if self._coming is not None and self._coming.done():
@@ -217,14 +231,15 @@ class Feeler:
         same = bool((position == self._seen[0]).all()) and bool((turned == self._seen[1]).all())
         self._times = self._times + 1 if same else 0
         self._seen = position, turned
-        if self._times == STANDING:
+        if self._times == STANDING_QUERIES:
             self.stands(position, turned)
 
     def stands(self, position: Array, turned: Array) -> None:
         """Work out what is ahead of a tool that stands somewhere, unless that is known or nothing is near."""
         if not self.scene.near(position):
             return
-        if self._line is not None and self._line.on(position, turned) is not None:
+        along = None if self._line is None else self._line.distance_along(position, turned)
+        if self._line is not None and along is not None and self._line.covers(along):
             return
         T_b_t = np.eye(4)
         T_b_t[:3, :3], T_b_t[:3, 3] = turned, position
@@ -234,68 +249,3 @@ class Feeler:
             self._coming = self._beside.submit(self.scene.ahead, T_b_t)
         else:
             self._times = 0  # ask again once the line before is known
-
-
-def see(triangles: Array, T_b_c: Array, camera: Camera) -> tuple[Array, Array]:
-    """What a pinhole camera sees of triangles (n, 3, 3) in the base: depth (h, w) m, +inf where there is nothing, and
-    the triangle of each pixel, -1 for none. Inverse depth is linear over a triangle's image. Raises ValueError for a
-    lens that bends.
-    """
-    if camera.model != Distortion.NONE and any(camera.coefficients):
-        raise ValueError(f"camera: the simulated one has no {camera.model} lens; give one with the model 'none'")
-    local = (triangles - T_b_c[:3, 3]) @ T_b_c[:3, :3]
-    inverse = np.zeros((camera.height, camera.width))
-    which = np.full(inverse.shape, -1)
-    z = local[..., 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u = camera.fx * local[..., 0] / z + camera.cx
-        v = camera.fy * local[..., 1] / z + camera.cy
-        twice = (u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0]) - (u[:, 2] - u[:, 0]) * (v[:, 1] - v[:, 0])
-    ends = [
-        (np.maximum(np.ceil(side.min(1)), 0), np.minimum(np.floor(side.max(1)), last - 1))
-        for side, last in ((u, camera.width), (v, camera.height))
-    ]
-    drawn = (z.min(1) > CLEAR) & (np.abs(twice) > 1e-12)
-    for i in np.flatnonzero(drawn & (ends[0][0] <= ends[0][1]) & (ends[1][0] <= ends[1][1])):
-        (left, right), (top, bottom) = ((int(low[i]), int(high[i])) for low, high in ends)
-        x, y = np.arange(left, right + 1)[None, :], np.arange(top, bottom + 1)[:, None]
-        weights = [
-            ((u[i, k] - u[i, j]) * (y - v[i, j]) - (v[i, k] - v[i, j]) * (x - u[i, j])) / twice[i]
-            for j, k in ((1, 2), (2, 0), (0, 1))
-        ]
-        close = weights[0] / z[i, 0] + weights[1] / z[i, 1] + weights[2] / z[i, 2]
-        part = (slice(top, bottom + 1), slice(left, right + 1))
-        front = (np.minimum.reduce(weights) >= -1e-9) & (close > inverse[part])
-        inverse[part] = np.where(front, close, inverse[part])
-        which[part] = np.where(front, i, which[part])
-    with np.errstate(divide="ignore"):
-        return 1 / inverse, which
-
-
-def shades(triangles: Array, which: Array, T_b_c: Array) -> Array:
-    """Colours (h, w, 3) uint8 of a view: grey, the brighter the more a face looks at the camera."""
-    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    grey = np.append(40 + 200 * np.abs(normal @ T_b_c[:3, 2]), 0.0)  # the last is that of no face
-    return np.repeat(grey[which][..., None], 3, axis=-1).astype(np.uint8)
-
-
-def noisy(depth: Array, errors: Errors, random: np.random.Generator) -> Array:
-    """What a depth camera makes of a view: bled sideways, noisy and in steps, as in `i2t.simulation.touches.sense`; NaN
-    for none."""
-    rows, columns = np.indices(depth.shape)
-    shift = np.rint(errors.depth_bleed * random.standard_normal((2, *depth.shape), np.float32)).astype(int)
-    depth = depth[np.clip(rows + shift[0], 0, depth.shape[0] - 1), np.clip(columns + shift[1], 0, depth.shape[1] - 1)]
-    depth = depth + errors.depth_noise * random.standard_normal(depth.shape, np.float32)
-    if errors.depth_quantum > 0:
-        depth = np.rint(depth / errors.depth_quantum) * errors.depth_quantum
-    return np.where(np.isfinite(depth), depth, np.nan).astype(np.float32)
-
-
-def table_at(T_b_o: Array) -> Array:
-    """The table (n, 3, 3) on which an object stands, in small squares, so that none is half behind a camera."""
-    edges = np.arange(-TABLE, TABLE - CELL / 2, CELL)
-    corners: Sequence[tuple[float, float]] = [(0, 0), (CELL, 0), (CELL, CELL), (0, CELL)]
-    squares = np.array([[(x + a, y + b, 0.0) for a, b in corners] for x in edges for y in edges])
-    squares = squares @ T_b_o[:3, :3].T + T_b_o[:3, 3]
-    return np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])

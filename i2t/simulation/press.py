@@ -20,7 +20,7 @@ from i2t.skin.contact import GRID, Grid
 from i2t.skin.pad import press as press_pad
 from i2t.types import STANDOFF, Pad, ReturnCode
 
-SCAN_FROM = 0.005  # of the deepest indentation, where the search begins
+SCAN_START_FRACTION = 0.005  # of the deepest indentation, where the search begins
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,11 @@ class PressLimits:
     refine: int = 4  # at least so many more close in on it: the limit is met within 0.1 %, mostly within 0.001 %
     stiffness: float = 10e3  # N/m, arm and mount in series
     final: Grid = GRID  # of the last press, whose reading counts; sharp edges want `i2t.skin.contact.FINE`
-    prepare: float = STANDOFF  # m before the site where the approach starts
-    past_goal: float = 6e-3  # m beyond the site before a press counts as air (three extra steps of 2 mm)
+    approach_distance: float = STANDOFF  # m before the site where the approach starts
+    overtravel: float = 6e-3  # m beyond the site before a press counts as air (three extra steps of 2 mm)
 
 
-class Stop(NamedTuple):
+class PressResult(NamedTuple):
     """The end of a press."""
 
     indentation: Float[Array, ""]  # m
@@ -48,9 +48,9 @@ class Stop(NamedTuple):
     code: Int[Array, ""]
 
 
-def press_until(
+def press_to_stop(
     pad: Pad, height: Float[Array, "g g"], limits: PressLimits, overshoot: Float[Array, ""] | float = 0.0
-) -> Stop:
+) -> PressResult:
     """Press until the skin change or the force first crosses its limit.
 
     `height` is the surface over the pad's cells, m behind its nearest point. `overshoot` raises both limits by that
@@ -58,7 +58,7 @@ def press_until(
     neither. A crossing within the first 0.2 % of the deepest indentation is not resolved; the press ends there.
     """
     deepest = jnp.log(limits.indentation * pad.thickness)
-    stride = -math.log(SCAN_FROM) / (limits.scan - 1)
+    stride = -math.log(SCAN_START_FRACTION) / (limits.scan - 1)
 
     def try_next(_: Int[Array, ""], state: _Bracket) -> _Bracket:
         """Stride towards the deepest until the excess turns positive, then close in on the root; one press for each."""
@@ -79,12 +79,14 @@ def press_until(
             f_high=jnp.where(above, f, kept * state.f_high),
             above=above,
             found=state.found | above,
-            stop=Stop(
+            stop=PressResult(
                 jnp.exp(x), press.force, press.reading, jnp.where(skin >= wrench, ReturnCode.SKIN, ReturnCode.WRENCH)
             ),
         )
 
-    nothing = Stop(jnp.zeros(()), jnp.zeros(()), jnp.zeros(pad.board.num_readings), jnp.asarray(ReturnCode.UNDEFINED))
+    nothing = PressResult(
+        jnp.zeros(()), jnp.zeros(()), jnp.zeros(pad.board.num_readings), jnp.asarray(ReturnCode.UNDEFINED)
+    )
     no = jnp.asarray(False)
     # A crossing in the first stride is sought as if the excess grew in proportion to the indentation below it.
     start = _Bracket(deepest - limits.scan * stride, jnp.asarray(-stride), deepest, jnp.ones(()), no, no, nothing)
@@ -99,4 +101,4 @@ class _Bracket(NamedTuple):
     f_high: Array
     above: Array  # whether the last trial was
     found: Array
-    stop: Stop  # at the last trial
+    stop: PressResult  # at the last trial

@@ -15,42 +15,40 @@ made); lengths in metres. Degenerate faces, which pad a surface to its size clas
 """
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from i2t.geometry import contact_frame, full_precision, inverse
+from i2t.objects.solids import Mesh
+from i2t.rendering.render import prepare_surface
+from i2t.simulation.site_limits import SiteLimits
 from i2t.types import PAD_WINDOW, STANDOFF, Surface
 
-MIN_FORWARD = 1e-3  # cosine; closer to sideways, the skin's face would meet a surface edge-on
+MIN_FORWARD_COSINE = 1e-3  # cosine; closer to sideways, the skin's face would meet a surface edge-on
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What makes a site safe; by default as in the paper's collection, with a fair guess of a UR flange and mount."""
-
-    min_cos: float = 0.25  # of the angle between normal and up; the paper's recognition uses 0.5
-    max_rise: float = 3e-3  # m, of any surface above the contact plane inside the square
-    half: float = PAD_WINDOW / 2  # m, half edge of the sensor's square
-    mount: float = PAD_WINDOW  # m, edge of the square bar that carries the skin, from the skin back to the flange
-    flange: float = 75e-3  # m, edge of the square box around flange and wrist
-    flange_near: float = 30e-3  # m, where that box begins behind the skin
-    flange_far: float = 100e-3  # m, and where it ends
-    table: float = 0.0  # m, height of the table in W
-    clearance: float = 1e-3  # m, that mount and flange keep above the table
-
-
-RECOGNITION = Limits(min_cos=0.5)
+SiteLimits = SiteLimits
+COLLECTION_LIMITS = SiteLimits()
+RECOGNITION_LIMITS = SiteLimits(min_cos=0.5)
 
 
 class Sites(NamedTuple):
     """Places to touch, and which of them passed the checks."""
 
-    T_w_t: Array  # (n, 4, 4) contact frames
-    safe: Array  # (n,) bool
+    T_w_t: Float[Array, "n 4 4"]  # contact frames
+    safe: Bool[Array, " n"]
+
+
+class TouchSites(NamedTuple):
+    """Safe sites of one object, in its frame."""
+
+    T_o_t: Float[np.ndarray, "n 4 4"]  # pose of the tool at contact: its z points into the object
+    points: Float[np.ndarray, "n 3"]  # m, the tool's origin on the surface
+    normals: Float[np.ndarray, "n 3"]  # outward, unit
 
 
 def sample_points(
@@ -144,7 +142,7 @@ def press_along(
     # The face meets a point q of the surface after s metres if q - s d lies in the square at z = 0 (tool frame), so
     # s = z / d_z: the shear (x - s d_x, y - s d_y, s) turns any forward direction into the z axis.
     d = start[:3, :3].T @ direction
-    forward = d[2] > MIN_FORWARD
+    forward = d[2] > MIN_FORWARD_COSINE
     ahead = jnp.where(forward, d[2], 1.0)
     shear = jnp.eye(4).at[:3, 2].set(jnp.stack([-d[0] / ahead, -d[1] / ahead, 1 / ahead]))
     distance = nearest_in_square(surface, shear @ inverse(start), half, behind=0.0)
@@ -152,17 +150,17 @@ def press_along(
     return start.at[:3, 3].add(jnp.where(hit, distance, travel) * direction), hit
 
 
-def is_upward(T_w_t: Float[Array, "4 4"], limits: Limits) -> Bool[Array, ""]:
+def is_upward(T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array, ""]:
     """First check: the surface's normal (minus tool z) is not too far from up."""
     return -T_w_t[2, 2] > limits.min_cos
 
 
-def is_open(surface: Surface, T_w_t: Float[Array, "4 4"], limits: Limits) -> Bool[Array, ""]:
+def is_unoccluded(surface: Surface, T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array, ""]:
     """Second check: no surface is more than `max_rise` above the contact plane inside the sensor's square."""
     return nearest_in_square(surface, inverse(T_w_t), limits.half, behind=jnp.inf) >= -limits.max_rise
 
 
-def is_above_table(T_w_t: Float[Array, "4 4"], limits: Limits) -> Bool[Array, ""]:
+def is_above_table(T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array, ""]:
     """Third check: the boxes of mount and flange keep their clearance above the table."""
     boxes = ((limits.mount, 0.0, limits.flange_near), (limits.flange, limits.flange_near, limits.flange_far))
     lowest = [
@@ -174,13 +172,13 @@ def is_above_table(T_w_t: Float[Array, "4 4"], limits: Limits) -> Bool[Array, ""
     return jnp.minimum(*lowest) >= limits.table + limits.clearance
 
 
-def is_safe(surface: Surface, T_w_t: Float[Array, "4 4"], limits: Limits) -> Bool[Array, ""]:
+def is_safe(surface: Surface, T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array, ""]:
     """All three checks."""
-    return is_upward(T_w_t, limits) & is_open(surface, T_w_t, limits) & is_above_table(T_w_t, limits)
+    return is_upward(T_w_t, limits) & is_unoccluded(surface, T_w_t, limits) & is_above_table(T_w_t, limits)
 
 
 def sample_sites(
-    key: Key[Array, ""], surface: Surface, n: int, limits: Limits = Limits(), oversample: int = 8
+    key: Key[Array, ""], surface: Surface, n: int, limits: SiteLimits = COLLECTION_LIMITS, oversample: int = 8
 ) -> Sites:
     """Draw n sites uniformly over the safe part of a surface, each turned about its normal by a uniformly random angle.
 
@@ -200,7 +198,12 @@ def sample_sites(
 
 
 def collect_sites(
-    key: Key[Array, ""], surface: Surface, n: int, limits: Limits = Limits(), name: str = "the object", rounds: int = 8
+    key: Key[Array, ""],
+    surface: Surface,
+    n: int,
+    limits: SiteLimits = COLLECTION_LIMITS,
+    name: str = "the object",
+    rounds: int = 8,
 ) -> Float[Array, "{n} 4 4"]:
     """The poses (n, 4, 4) of n safe sites, drawn in up to `rounds` rounds; for the host, so it compiles what it draws.
 
@@ -218,6 +221,37 @@ def collect_sites(
     raise ValueError(
         f"{name} has too few safe sites: {count} of {n} found; lower min_cos or the flange's size, or raise max_rise"
     )
+
+
+def sample_touch_sites(
+    mesh: Mesh | Surface, n: int, *, seed: int = 0, limits: SiteLimits = COLLECTION_LIMITS, name: str = "the object"
+) -> TouchSites:
+    """Where an object can be touched: n random safe sites with the tool's contact poses.
+
+    from i2t import make_object, sample_touch_sites
+
+    sites = sample_touch_sites(make_object("star").mesh, 20)
+    patch = render_patch(surface, sites.T_o_t[0])
+
+    Sites are uniform over the safe part of the surface, each turned about its normal by a random angle; the object
+    stands as it was made, with z up on a table at `limits.table`.
+
+    Args:
+        mesh: of the object, or its prepared surface.
+        n: number of sites.
+        seed: the same seed gives the same sites.
+        limits: what makes a site safe.
+        name: of the object, for the message of an error.
+
+    Returns:
+        Poses, points and normals of n sites.
+
+    Raises:
+        ValueError: the object has too few safe sites.
+    """
+    surface = mesh if isinstance(mesh, Surface) else prepare_surface(mesh)
+    T_o_t = np.asarray(collect_sites(jax.random.key(seed), surface, n, limits, name))
+    return TouchSites(T_o_t, T_o_t[:, :3, 3], -T_o_t[:, :3, 2])
 
 
 def _double_areas(triangles: Float[Array, "faces 3 3"]) -> Float[Array, " faces"]:

@@ -1,6 +1,6 @@
 """Simulated touches in bulk: (key, objects, pad, errors, n) -> Touches.
 
-A run is what a lab does in one sitting: the object is placed and registered once (a constant placement error), the
+A session is what a lab does at one time: the object is placed and registered once (a constant placement error), the
 camera is calibrated once (a constant hand-eye error), and the arm makes a number of touches, each with its own
 repeatability and tilt of approach. Nothing the model may later use is error free:
 
@@ -14,7 +14,7 @@ repeatability and tilt of approach. Nothing the model may later use is error fre
 the indentation and F / stiffness past first contact (series compliance of arm and mount).
 
 Depth camera after Handa et al. (ICRA 2014): pixels are displaced sideways near edges, then noise, then quantisation.
-Default sizes: a short-range stereo camera at 0.1 m and a calibrated UR arm; each is a field of `Errors`, and zero
+Default sizes: a short-range stereo camera at 0.1 m and a calibrated UR arm; each is a field of `SimulationErrors`, and zero
 switches it off. Everything here is simulated, and says so where it is stored.
 """
 
@@ -25,18 +25,18 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t import geometry
 from i2t.rendering.render import render_heights, render_patch, stack_surfaces
 from i2t.simulation import sites as touch_sites
-from i2t.simulation.press import PressLimits, press_until
+from i2t.simulation.press import PressLimits, press_to_stop
 from i2t.skin import faults
 from i2t.skin.contact import GRID
 from i2t.skin.dipoles import rest_field
 from i2t.skin.faults import Faults
-from i2t.skin.noise import Noise, observe
-from i2t.skin.pad import dragged
+from i2t.skin.noise import Noise, add_sensor_noise
+from i2t.skin.pad import friction_response
 from i2t.skin.pad import press as press_pad
 from i2t.types import (
     PAD_WINDOW,
@@ -53,17 +53,19 @@ from i2t.types import (
     Truth,
 )
 
-CAMERA_DISTANCE = 104e-3  # m from the camera to the surface while looking (the paper's 40 mm + 64 mm)
-SAME = 1.5e-3  # m, five times the default depth noise: pixels closer in depth than this are taken for one surface
+CAMERA_DISTANCE_M = 104e-3  # m from the camera to the surface while looking (the paper's 40 mm + 64 mm)
+SAME_SURFACE_M = (
+    1.5e-3  # m, five times the default depth noise: pixels closer in depth than this are taken for one surface
+)
 
 
 @dataclass(frozen=True)
-class Errors:
+class SimulationErrors:
     """Standard deviations of all that separates what the lab believes from what is (metres, radians, newtons)."""
 
-    placement: float = 1e-3  # of the object, per axis and run
+    placement: float = 1e-3  # of the object, per axis and session
     placement_angle: float = math.radians(1.0)
-    hand_eye: float = 1e-3  # of the camera in the tool frame, per axis and run
+    hand_eye: float = 1e-3  # of the camera in the tool frame, per axis and session
     hand_eye_angle: float = math.radians(0.5)
     repeatability: float = 0.05e-3  # of the arm, per axis and touch
     approach_angle: float = math.radians(0.3)  # between looking and pressing, per touch
@@ -76,11 +78,11 @@ class Errors:
     faults: Faults = field(default_factory=Faults.typical)
 
     @classmethod
-    def none(cls) -> "Errors":
+    def none(cls) -> "SimulationErrors":
         """A world in which the lab knows everything; the sensor's own noise and faults are off too."""
         return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, Noise.none(), Faults())
 
-    def scaled(self, factor: float) -> "Errors":
+    def scaled(self, factor: float) -> "SimulationErrors":
         """All pose errors times a factor; camera and sensor stay."""
         names = (
             "placement",
@@ -94,23 +96,25 @@ class Errors:
         return replace(self, **{name: factor * getattr(self, name) for name in names})
 
 
-class RunErrors(NamedTuple):
-    """What stays wrong during one run."""
+class SessionErrors(NamedTuple):
+    """What stays wrong during one session."""
 
     T_o_placed: Float[Array, "4 4"]  # where the object is, seen from where the lab believes it
     T_t_camera: Float[Array, "4 4"]  # where the camera really looks from, seen from where the lab believes
 
 
-def sample_run(key: Key[Array, ""], errors: Errors) -> RunErrors:
-    """Draw the placement and hand-eye errors of one run."""
+def sample_session_errors(key: Key[Array, ""], errors: SimulationErrors) -> SessionErrors:
+    """Draw the placement and hand-eye errors of one session."""
     key_placement, key_camera = jax.random.split(key)
-    return RunErrors(
+    return SessionErrors(
         geometry.random_motion(key_placement, errors.placement, errors.placement_angle),
         geometry.random_motion(key_camera, errors.hand_eye, errors.hand_eye_angle),
     )
 
 
-def sense(key: Key[Array, ""], z: Float[Array, "wide wide"], errors: Errors) -> tuple[Float[Array, "wide wide"], Patch]:
+def apply_camera_model(
+    key: Key[Array, ""], z: Float[Array, "wide wide"], errors: SimulationErrors
+) -> tuple[Float[Array, "wide wide"], Patch]:
     """What the depth camera makes of heights `z` (m along tool z): the wide view and its patch (see `cut`)."""
     row, column = jnp.meshgrid(jnp.arange(WIDE_PIXELS), jnp.arange(WIDE_PIXELS), indexing="ij")
     drawn = jax.random.normal(key, (3, *z.shape))  # one draw: each takes XLA a second to compile
@@ -118,11 +122,11 @@ def sense(key: Key[Array, ""], z: Float[Array, "wide wide"], errors: Errors) -> 
     z = z[jnp.clip(row + shift[0], 0, WIDE_PIXELS - 1), jnp.clip(column + shift[1], 0, WIDE_PIXELS - 1)]
     z = z + errors.depth_noise * drawn[2]
     if errors.depth_quantum > 0:
-        z = jnp.round((z + CAMERA_DISTANCE) / errors.depth_quantum) * errors.depth_quantum - CAMERA_DISTANCE
-    return cut(z)
+        z = jnp.round((z + CAMERA_DISTANCE_M) / errors.depth_quantum) * errors.depth_quantum - CAMERA_DISTANCE_M
+    return extract_patch(z)
 
 
-def cut(z: Float[Array, "wide wide"]) -> tuple[Float[Array, "wide wide"], Patch]:
+def extract_patch(z: Float[Array, "wide wide"]) -> tuple[Float[Array, "wide wide"], Patch]:
     """A wide view (m along tool z from the tool origin, +inf where nothing is seen) as the model sees it.
 
     Depths (m) are measured from the patch's nearest point and clipped to 0 and the reach; what lies outside the patch
@@ -133,7 +137,7 @@ def cut(z: Float[Array, "wide wide"]) -> tuple[Float[Array, "wide wide"], Patch]
     central = _centre(z, PATCH_WINDOW)
     inner = PATCH_PIXELS - 4
     windows = jnp.stack([central[i : i + inner, j : j + inner] for i in range(5) for j in range(5)])
-    same = jnp.isfinite(windows) & (windows <= jnp.min(windows, axis=0, keepdims=True) + SAME)
+    same = jnp.isfinite(windows) & (windows <= jnp.min(windows, axis=0, keepdims=True) + SAME_SURFACE_M)
     count = jnp.sum(same, axis=0)
     mean = jnp.sum(jnp.where(same, windows, 0), axis=0) / jnp.maximum(count, 1)
     nearest = jnp.min(jnp.where(count >= jnp.clip(jnp.max(count), 1, 10), mean, jnp.inf))
@@ -152,83 +156,164 @@ def _behind(z: Array, nearest: Array) -> Array:
     return jnp.clip(z - jnp.where(jnp.isfinite(nearest), nearest, 0), 0, REACH)
 
 
+class _Approach(NamedTuple):
+    """A tool on its way to a site."""
+
+    T_w_arm: Float[Array, "4 4"]  # where the arm really goes when it is sent to the site, and from where it looks
+    start: Float[Array, "4 4"]  # pose T_o_t in which the press begins, seen from where the object really is
+    T_o_t: Float[Array, "4 4"]  # pose at first contact, or at the end of the travel
+    met: Patch  # what the skin meets there, over the pad's cells
+    hit: Bool[Array, ""]
+
+
+class _Press(NamedTuple):
+    """The end of a press, zero where nothing was hit."""
+
+    sinking: Float[Array, ""]  # m, of the tool into the skin past `_Approach.T_o_t`
+    travel: Float[Array, ""]  # m, of the arm past it: the sinking and what arm and mount yield
+    indentation: Float[Array, ""]  # m
+    force: Float[Array, ""]  # N
+    reading: Float[Array, " c"]  # uT, of an ideal sensor
+    code: Int[Array, ""]
+
+
 @geometry.full_precision
-def touch_once(
+def simulate_touch(
     key: Key[Array, ""],
     surface: Surface,
     T_w_o: Float[Array, "4 4"],
     T_w_site: Float[Array, "4 4"],
-    run: RunErrors,
+    *,
+    session: SessionErrors,
     pad: Pad,
-    errors: Errors,
+    errors: SimulationErrors,
     limits: PressLimits,
 ) -> Touches:
     """One touch at a site chosen on the believed object: approach along the site's z, press, look.
 
-    The reading is still that of an ideal sensor (see `feel`), and indices are left 0 for the caller.
+    Args:
+        key: random key.
+        surface: of the object, in its frame.
+        T_w_o: pose of the object as the lab believes it.
+        T_w_site: contact pose of the tool, on the object as it is believed to stand.
+        session: what stays wrong during the session.
+        pad: the skin.
+        errors: sizes of the errors that each touch draws anew.
+        limits: when the press ends.
+
+    Returns:
+        One touch. Its reading is still that of an ideal sensor (see `apply_sensor_model`), and its indices are left 0
+        for the caller.
     """
     key_arm, key_tilt, key_camera, key_scalars = jax.random.split(key, 4)
-    slip, force_error, travel_error, *slant = jax.random.normal(key_scalars, (5,))
-    T_o_w = geometry.inverse(T_w_o @ run.T_o_placed)  # from here on the object is where it really is
+    overrun, force_error, travel_error, *slant = jax.random.normal(key_scalars, (5,))
+    T_o_w = geometry.inverse(T_w_o @ session.T_o_placed)  # from here on the object is where it really is
 
-    T_w_arm = T_w_site @ geometry.random_motion(key_arm, errors.repeatability, 0.0)
-    T_w_press = T_w_arm @ geometry.random_motion(key_tilt, 0.0, errors.approach_angle)
-    start = T_o_w @ T_w_press @ _along_z(jnp.asarray(-limits.prepare))
-    T_o_t, hit = touch_sites.press_along(surface, start, start[:3, 2], travel=limits.prepare + limits.past_goal)
+    approach = _approach(key_arm, key_tilt, surface, T_o_w, T_w_site, errors=errors, limits=limits)
+    overshoot = limits.overshoot * jnp.abs(overrun)
+    press = _press(surface, pad, approach, overshoot=overshoot, slant=jnp.stack(slant), errors=errors, limits=limits)
 
-    met = render_patch(surface, T_o_t, window=PAD_WINDOW, pixels=GRID.cells)
-    hit = hit & jnp.isfinite(met.nearest)
-    overshoot = limits.overshoot * jnp.abs(slip)
-    stop = press_until(pad, met.depth, limits, overshoot)
-    if limits.final != GRID:
-        heights = render_heights(surface, geometry.inverse(T_o_t), PAD_WINDOW, limits.final.cells)
-        nearest = jnp.min(heights)
-        deeper = stop.indentation + met.nearest - nearest  # the finer grid may see a nearer point
-        press = press_pad(pad, heights - nearest, deeper, limits.final)
-        stop = stop._replace(force=press.force, reading=press.reading)
-    slide = errors.slant * stop.indentation * jnp.stack(slant)
-    force = jnp.where(hit, stop.force, 0.0)
-    reading = jnp.where(hit, stop.reading + dragged(pad, met.depth, stop.indentation, slide), 0.0)
-    indentation = jnp.where(hit, stop.indentation, 0.0)
-    code = jnp.where(hit, stop.code, ReturnCode.AIR)
-
-    # The grid of the pad meets a point between its cells a little late; that travel is counted, so that nearest and
-    # depth agree.
-    sunk = jnp.where(hit, met.nearest + stop.indentation, 0.0)
-    past_contact = jnp.where(hit, sunk + stop.force / limits.stiffness, 0.0)
-    advanced = jnp.linalg.norm(T_o_t[:3, 3] - start[:3, 3]) - limits.prepare
-    end = _along_z(advanced + past_contact)
-    T_w_t = T_w_site @ end
+    advanced = jnp.linalg.norm(approach.T_o_t[:3, 3] - approach.start[:3, 3]) - limits.approach_distance
+    end = _along_z(advanced + press.travel)
     # What the camera sees and what the skin meets, side by side: one compiled renderer for both.
-    poses = jnp.stack([T_o_w @ T_w_arm @ end @ run.T_t_camera, T_o_t @ _along_z(sunk)])
+    poses = jnp.stack([T_o_w @ approach.T_w_arm @ end @ session.T_t_camera, approach.T_o_t @ _along_z(press.sinking)])
     seen, z = jax.vmap(lambda T: render_heights(surface, geometry.inverse(T), WIDE_WINDOW, WIDE_PIXELS))(poses)
-    wide, patch = sense(key_camera, seen, errors)
+    wide, patch = apply_camera_model(key_camera, seen, errors)
     nearest = jnp.min(_centre(z, PAD_WINDOW))
     return Touches(
         patch=patch.depth,
         wide=wide,
         nearest=patch.nearest,
-        reading=reading,
-        force=force + errors.force * force_error,
-        depth=jnp.where(hit, past_contact + errors.repeatability * travel_error, jnp.nan),
-        T_w_t=T_w_t,
+        reading=press.reading,
+        force=press.force + errors.force * force_error,
+        depth=jnp.where(approach.hit, press.travel + errors.repeatability * travel_error, jnp.nan),
+        T_w_t=T_w_site @ end,
         T_w_o=T_w_o,
         object=jnp.int32(0),
         pad=jnp.int32(0),
-        run=jnp.int32(0),
-        code=code.astype(jnp.int32),
-        truth=Truth(_behind(z, nearest), nearest, force, indentation, reading),
+        session=jnp.int32(0),
+        code=press.code.astype(jnp.int32),
+        truth=Truth(_behind(z, nearest), nearest, press.force, press.indentation, press.reading),
+    )
+
+
+def _approach(
+    key_arm: Key[Array, ""],
+    key_tilt: Key[Array, ""],
+    surface: Surface,
+    T_o_w: Float[Array, "4 4"],
+    T_w_site: Float[Array, "4 4"],
+    *,
+    errors: SimulationErrors,
+    limits: PressLimits,
+) -> _Approach:
+    """First contact on the way along the site's z, with the errors of the arm."""
+    T_w_arm = T_w_site @ geometry.random_motion(key_arm, errors.repeatability, 0.0)
+    T_w_press = T_w_arm @ geometry.random_motion(key_tilt, 0.0, errors.approach_angle)
+    start = T_o_w @ T_w_press @ _along_z(jnp.asarray(-limits.approach_distance))
+    T_o_t, hit = touch_sites.press_along(
+        surface, start, start[:3, 2], travel=limits.approach_distance + limits.overtravel
+    )
+    met = render_patch(surface, T_o_t, window=PAD_WINDOW, pixels=GRID.cells)
+    return _Approach(T_w_arm, start, T_o_t, met, hit & jnp.isfinite(met.nearest))
+
+
+def _press(
+    surface: Surface,
+    pad: Pad,
+    approach: _Approach,
+    *,
+    overshoot: Float[Array, ""],
+    slant: Float[Array, "2"],
+    errors: SimulationErrors,
+    limits: PressLimits,
+) -> _Press:
+    """Press past first contact to the limits, once more on the final grid where that is another, and with friction.
+
+    `overshoot` is the part by which the press runs past its limits, `slant` the slope of its motion along x and y in
+    standard deviations.
+    """
+    met, hit = approach.met, approach.hit
+    stop = press_to_stop(pad, met.depth, limits, overshoot)
+    if limits.final != GRID:
+        heights = render_heights(surface, geometry.inverse(approach.T_o_t), PAD_WINDOW, limits.final.cells)
+        nearest = jnp.min(heights)
+        deeper = stop.indentation + met.nearest - nearest  # the finer grid may see a nearer point
+        press = press_pad(pad, heights - nearest, deeper, limits.final)
+        stop = stop._replace(force=press.force, reading=press.reading)
+    slide = errors.slant * stop.indentation * slant
+    friction = friction_response(pad, met.depth, stop.indentation, slide)
+    # The grid of the pad meets a point between its cells a little late; that travel is counted, so that nearest and
+    # depth agree.
+    sinking = jnp.where(hit, met.nearest + stop.indentation, 0.0)
+    return _Press(
+        sinking=sinking,
+        travel=jnp.where(hit, sinking + stop.force / limits.stiffness, 0.0),
+        indentation=jnp.where(hit, stop.indentation, 0.0),
+        force=jnp.where(hit, stop.force, 0.0),
+        reading=jnp.where(hit, stop.reading + friction, 0.0),
+        code=jnp.where(hit, stop.code, ReturnCode.AIR),
     )
 
 
 @geometry.full_precision
-def feel(key: Key[Array, ""], touches: Touches, pad: Pad, errors: Errors) -> Touches:
-    """The touches of one run, in the order made, with readings of a real sensor instead of those of an ideal one."""
+def apply_sensor_model(key: Key[Array, ""], touches: Touches, pad: Pad, errors: SimulationErrors) -> Touches:
+    """Give the touches of one session readings of a real sensor instead of those of an ideal one.
+
+    Args:
+        key: random key.
+        touches: of one session, in the order made.
+        pad: the skin.
+        errors: whose noise and faults are applied.
+
+    Returns:
+        The touches with other readings.
+    """
     key_faults, key_noise, key_record = jax.random.split(key, 3)
     rest = pad.board.to_board(rest_field(pad))
     felt = faults.apply(key_faults, touches.reading, touches.T_w_t, pad.board, errors.faults, rest)
     keys = jax.random.split(key_noise, len(felt))
-    read = jax.vmap(lambda key, reading: observe(key, reading, pad.board, errors.noise))(keys, felt)
+    read = jax.vmap(lambda key, reading: add_sensor_noise(key, reading, pad.board, errors.noise))(keys, felt)
     return touches._replace(reading=faults.record(key_record, read, errors.faults))
 
 
@@ -237,74 +322,109 @@ def _along_z(distance: Float[Array, ""]) -> Float[Array, "4 4"]:
 
 
 @geometry.full_precision
-def simulate_run(
+def simulate_session(
     key: Key[Array, ""],
     surface: Surface,
     T_w_o: Float[Array, "4 4"],
     pad: Pad,
-    errors: Errors,
+    *,
+    errors: SimulationErrors,
     limits: PressLimits,
-    sites: touch_sites.Limits,
+    sites: touch_sites.SiteLimits,
     n: int,
 ) -> Touches:
-    """One run of n touches on random safe sites of one object.
+    """One session of n touches on random safe sites of one object.
 
-    Rows whose site is unsafe, because too few safe ones were found, carry the code FAILED.
+    Args:
+        key: random key.
+        surface: of the object, in its frame.
+        T_w_o: pose of the object as the lab believes it.
+        pad: the skin.
+        errors: of the lab.
+        limits: when a press ends.
+        sites: which sites are safe.
+        n: touches.
+
+    Returns:
+        n touches; rows whose site is unsafe, because too few safe ones were found, carry the code FAILED.
     """
-    key_run, key_sites, key_touches, key_skin = jax.random.split(key, 4)
+    key_session, key_sites, key_touches, key_skin = jax.random.split(key, 4)
     chosen = touch_sites.sample_sites(key_sites, surface, n, sites)
-    run = sample_run(key_run, errors)
-    touches = jax.vmap(
-        lambda key, T_o_site: touch_once(key, surface, T_w_o, T_w_o @ T_o_site, run, pad, errors, limits)
-    )(jax.random.split(key_touches, n), chosen.T_w_t)
+    session = sample_session_errors(key_session, errors)
+
+    def touch(key: Key[Array, ""], T_o_site: Float[Array, "4 4"]) -> Touches:
+        T_w_site = T_w_o @ T_o_site
+        return simulate_touch(key, surface, T_w_o, T_w_site, session=session, pad=pad, errors=errors, limits=limits)
+
+    touches = jax.vmap(touch)(jax.random.split(key_touches, n), chosen.T_w_t)
     touches = touches._replace(code=jnp.where(chosen.safe, touches.code, ReturnCode.FAILED))
-    return feel(key_skin, touches, pad, errors)
+    return apply_sensor_model(key_skin, touches, pad, errors)
 
 
-def simulate(
+def simulate_touches(
     key: Key[Array, ""],
     objects: Sequence[Surface],
     pad: Pad,
-    errors: Errors,
+    errors: SimulationErrors,
     n: int | Sequence[int],
     *,
     limits: PressLimits | None = None,
-    sites: touch_sites.Limits | None = None,
-    touches_per_run: int = 36,
+    sites: touch_sites.SiteLimits | None = None,
+    touches_per_session: int = 36,
     progress: Callable[[int], None] = lambda touches: None,
 ) -> Touches:
-    """n touches on each object (or n[i] on the i-th), in runs of `touches_per_run`, each object at the world's origin.
+    """Simulated touches on objects, in sessions, with the errors of a real lab.
 
-    `object` and `run` are indices in the order made; `pad` is 0. `progress` is told the number of touches just made.
-    Raises ValueError where an object has too few safe sites.
+    from i2t import load_mesh, prepare_surface, sample_pad, simulate_touches
+    from i2t.simulation.touches import SimulationErrors
+
+    surface = prepare_surface(load_mesh("cup.stl", "mm"))
+    touches = simulate_touches(jax.random.key(0), [surface], sample_pad(jax.random.key(1)), SimulationErrors(), 36)
+
+    Args:
+        key: random key.
+        objects: surfaces, each at the world's origin.
+        pad: the skin; its board says how many values a reading has.
+        errors: of the lab; `SimulationErrors.none()` is a lab that knows everything.
+        n: touches on each object, or on the i-th.
+        limits: when a press ends.
+        sites: which sites are safe.
+        touches_per_session: touches after which the object is placed anew.
+        progress: told the number of touches just made.
+
+    Returns:
+        Touches. `object` and `session` are indices in the order made; `pad` is 0.
+
+    Raises:
+        ValueError: an object has too few safe sites.
     """
-    limits, sites = limits or PressLimits(), sites or touch_sites.Limits()
+    limits, sites = limits or PressLimits(), sites or touch_sites.SiteLimits()
     counts = [n] * len(objects) if isinstance(n, int) else list(n)
-    run_once = jax.jit(simulate_run, static_argnames=("errors", "limits", "sites", "n"))
+    simulate = jax.jit(simulate_session, static_argnames=("errors", "limits", "sites", "n"))
     surfaces = stack_surfaces(objects)  # one size class for all, and so one compilation
-    parts, run = [], 0
+    parts, session = [], 0
     for i, count in enumerate(counts):
         surface = jax.tree.map(lambda field, i=i: field[i], surfaces)
-        for start in range(0, count, touches_per_run):
+        for start in range(0, count, touches_per_session):
             part = jax.device_get(
-                run_once(
-                    jax.random.fold_in(key, run),
+                simulate(
+                    jax.random.fold_in(key, session),
                     surface,
                     jnp.eye(4),
                     pad,
                     errors=errors,
                     limits=limits,
                     sites=sites,
-                    n=touches_per_run,
+                    n=touches_per_session,
                 )
             )
             if (part.code == ReturnCode.FAILED).any():
                 raise ValueError(
-                    f"object {i} has too few safe touch sites; relax the limits of i2t.simulation.sites.Limits"
+                    f"object {i} has too few safe touch sites; relax the limits of i2t.simulation.sites.SiteLimits"
                 )
-            part = part._replace(object=part.object + i, run=part.run + run)
-            kept = min(touches_per_run, count - start)
+            part = part._replace(object=part.object + i, session=part.session + session)
+            kept = min(touches_per_session, count - start)
             parts.append(jax.tree.map(lambda array, kept=kept: array[:kept], part))
-            run += 1
+            session += 1
             progress(kept)
     return jax.tree.map(lambda *arrays: jnp.concatenate(arrays), *parts)

@@ -2,7 +2,7 @@
 
 The object comes from z > 0 of the tool frame. A surface whose point above a cell lies `height` behind its nearest
 point, moved `indentation` past first touch, leaves the gap g = K p + height - indentation, where K p is how far the
-pressure pushes the skin down (the layer's compliance and, where it is held at its edge, the sinking of the whole), and
+pressure pushes the skin down (the layer's compliance and, of a skin clamped at its edge, the sinking of the whole), and
 
     p >= 0,   g >= 0,   p g = 0   in every cell
 
@@ -28,12 +28,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from i2t.skin.elasticity import FINE as FINE
-from i2t.skin.elasticity import GRID, Grid, clamped, compliance, convolve
+from i2t.skin.elasticity import FINE_GRID as FINE_GRID
+from i2t.skin.elasticity import GRID, Grid, clamped_shape, compliance, convolve
 from i2t.types import Pad
 
-FAR = 1.0  # m: heights are cut here, so that "nothing there" may be infinite
-SMALLEST = 1e-9  # strain below which a problem is no longer scaled to 1, so that no contact divides by no number
+MAX_HEIGHT_M = 1.0  # m: heights are cut here, so that "nothing there" may be infinite
+MIN_STRAIN = 1e-9  # strain below which a problem is no longer scaled to 1, so that no contact divides by no number
 TOLERANCE = 1e-5  # of the deepest deflection: about ten roundings of float32, a hundredth of the 0.1 % asked of a force
 MAX_STEPS = 200
 LINEAR_STEPS = 100  # at most, of the conjugate gradients for a derivative; about 20 are enough
@@ -66,9 +66,9 @@ def solve(
     (m) the depth of that nearest point below the resting skin; at or above the skin (<= 0) nothing touches. `start` is
     a pressure (Pa) to begin from, say that of a neighbouring indentation.
     """
-    gap = (jnp.minimum(height, FAR) - indentation) / pad.thickness
+    gap = (jnp.minimum(height, MAX_HEIGHT_M) - indentation) / pad.thickness
     # The problem is homogeneous, so that its scale is no part of the derivative.
-    scale = jax.lax.stop_gradient(jnp.maximum(jnp.max(-gap), SMALLEST))
+    scale = jax.lax.stop_gradient(jnp.maximum(jnp.max(-gap), MIN_STRAIN))
     soft, offset = _softness(pad, grid), gap / scale
     bounds = _bounds(soft, grid)
     state = descend(
@@ -95,9 +95,9 @@ def solve_force(
     max_steps: int = MAX_STEPS,
 ) -> Contact:
     """The contact at a given normal force (N, > 0), sought among the pressures that carry it; gives the indentation."""
-    height = jnp.minimum(height, FAR)
+    height = jnp.minimum(height, MAX_HEIGHT_M)
     nearest = jax.lax.stop_gradient(jnp.min(height))  # an origin, and as such no part of the derivative
-    scale = jnp.maximum(force / (grid.spacing**2 * pad.young), SMALLEST)
+    scale = jnp.maximum(force / (grid.spacing**2 * pad.young), MIN_STRAIN)
     soft, offset = _softness(pad, grid), (height - nearest) / (pad.thickness * scale)
     bounds = _bounds(soft, grid)
     state = descend(
@@ -118,22 +118,22 @@ class _Softness(NamedTuple):
     """K, for pressures in units of E and displacements in units of h."""
 
     kernel: Array  # of each wave
-    give: Array  # of the whole skin, per sum of w p
+    mount: Array  # of the whole skin, per sum of w p
 
 
 def _softness(pad: Pad, grid: Grid) -> _Softness:
     unit = pad.young / pad.thickness
-    return _Softness(compliance(pad, grid) * unit, pad.give * grid.spacing**2 * unit)
+    return _Softness(compliance(pad, grid) * unit, pad.mount_compliance * grid.spacing**2 * unit)
 
 
 def _bounds(soft: _Softness, grid: Grid) -> tuple[Array, Array]:
     """Bounds of K's spectrum; the squares of w sum to 9/64 of the cells."""
-    return jnp.min(soft.kernel), jnp.max(soft.kernel) + soft.give * (9 / 64 * grid.cells**2)
+    return jnp.min(soft.kernel), jnp.max(soft.kernel) + soft.mount * (9 / 64 * grid.cells**2)
 
 
 def _deflect(soft: _Softness, pressure: Array, grid: Grid) -> Array:
-    shape = clamped(grid, pressure.dtype)
-    return convolve(soft.kernel, pressure, grid) + soft.give * jnp.sum(shape * pressure) * shape
+    shape = clamped_shape(grid, pressure.dtype)
+    return convolve(soft.kernel, pressure, grid) + soft.mount * jnp.sum(shape * pressure) * shape
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(5, 6))

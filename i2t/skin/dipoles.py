@@ -9,7 +9,7 @@ rotation w = curl(u) / 2, both from `i2t.skin.elasticity.interior`; the reading 
 (Jackson, Classical Electrodynamics, 5.56). The material is hard: no moment depends on the field. For a given
 displacement the reading is linear in the moments.
 
-Two choices make few dipoles enough. Moments are not the magnetisation M of their cell alone: the field's integrand is
+Two choices make few dipoles enough. Moments are not the magnetization M of their cell alone: the field's integrand is
 smooth but for M, which jumps between cells, so a cell's mean of the smooth part is taken from its centre and its
 neighbours' (f + second difference / 24, the Euler-Maclaurin correction of the midpoint rule), which amounts to
 sharpening M before it is multiplied by the cell's volume. And the turn is Cayley's, about w by 2 atan(|w| / 2):
@@ -93,15 +93,15 @@ def rest_field(pad: Pad, dipoles: Grid = GRID, nodes: int = NODES) -> Float[Arra
 def sheets(pad: Pad, dipoles: Grid = GRID, nodes: int = NODES) -> tuple[Float[Array, " d"], Float[Array, "d 3 n n"]]:
     """The dipoles at rest: depths (m) of their sheets, and moments (A m2, x, y and z) under the cell centres.
 
-    A cell of `dipoles` takes the magnetisation of the map's cell in which its centre lies.
+    A cell of `dipoles` takes the magnetization of the map's cell in which its centre lies.
     """
     roots, weights = np.polynomial.legendre.leggauss(nodes)
     depths = pad.thickness * (0.5 + 0.5 * roots)
-    size = pad.magnetisation.shape[0]
+    size = pad.magnetization.shape[0]
     cell = (2 * np.arange(dipoles.cells) + 1) * size // (2 * dipoles.cells)
-    magnetisation = jnp.moveaxis(pad.magnetisation[cell[:, None], cell[None, :]], -1, 0)
+    magnetization = jnp.moveaxis(pad.magnetization[cell[:, None], cell[None, :]], -1, 0)
     mean = cell_means(dipoles.cells)
-    area = jnp.einsum("ai,bj,cab->cij", mean, mean, magnetisation) * dipoles.spacing**2
+    area = jnp.einsum("ai,bj,cab->cij", mean, mean, magnetization) * dipoles.spacing**2
     return depths, (weights / 2)[:, None, None, None] * (pad.thickness * area)[None]
 
 

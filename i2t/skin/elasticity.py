@@ -27,9 +27,9 @@ and the other surface compliances simplify likewise, free of differences of larg
 
 All is written with decaying exponentials so that nothing overflows.
 
-A skin that is held at its edge rather than bonded also moves as a whole. One shape, w = cos^2(pi x / L) cos^2(pi y / L)
+A skin that is clamped at its edge, not bonded, also moves as a whole. One shape, w = cos^2(pi x / L) cos^2(pi y / L)
 over the pad's edge L (1 in the middle, level and still at the clamped rim: the usual Ritz shape of a clamped plate),
-sinks by `Pad.give` times its load, the sum of w p over the pad; the material turns with its slope.
+sinks by `Pad.mount_compliance` times its load, the sum of w p over the pad; the material turns with its slope.
 
 The Fourier series has a longer period than the pad, so that its copies do not feel each other. Beyond the pad the layer
 goes on: the free side faces of a real pad are not modelled (`docs/physics.md`). The series is written in real sines and
@@ -80,7 +80,7 @@ class Grid:
 
 
 GRID = Grid()
-FINE = Grid(80, 128)  # where sharp edges matter more than speed: see `docs/physics.md`
+FINE_GRID = Grid(80, 128)  # where sharp edges matter more than speed: see `docs/physics.md`
 
 
 class Load(NamedTuple):
@@ -88,7 +88,7 @@ class Load(NamedTuple):
 
     slopes: Float[Array, "2 k k"]  # Pa/m: of the pressure along x and y
     pressure: Float[Array, "k k"]  # Pa
-    sunk: Float[Array, ""]  # m: by which the middle of a skin held at its edge sinks
+    centre_sinking: Float[Array, ""]  # m: by which the middle of a skin clamped at its edge sinks
     drag: "Drag | None" = None  # no traction
 
 
@@ -114,8 +114,8 @@ def load(
     series = grid if series is None else series
     waves = spectrum(pressure, grid, series)
     slopes = jnp.stack([_slope(waves, 1, series), _slope(waves, 0, series)])
-    sunk = pad.give * weight(pressure, grid)
-    return Load(slopes, waves, sunk, None if traction is None else drag(spectrum(traction, grid, series), series))
+    sinking = pad.mount_compliance * clamped_load(pressure, grid)
+    return Load(slopes, waves, sinking, None if traction is None else drag(spectrum(traction, grid, series), series))
 
 
 def drag(traction: Float[Array, "2 k k"], grid: Grid = GRID) -> Drag:
@@ -166,9 +166,9 @@ def interior(
 
     # As a thin plate: normals stay normals about the middle of its thickness.
     shape, slope = (jnp.asarray(part, displacement.dtype) for part in _clamped(grid, places))
-    tilt_x, tilt_y = (-load.sunk * jnp.outer(*pair) for pair in ((shape, slope), (slope, shape)))
+    tilt_x, tilt_y = (-load.centre_sinking * jnp.outer(*pair) for pair in ((shape, slope), (slope, shape)))
     above = pad.thickness / 2 - depth
-    sinking = jnp.stack([-above * tilt_x, -above * tilt_y, -load.sunk * jnp.outer(shape, shape)])
+    sinking = jnp.stack([-above * tilt_x, -above * tilt_y, -load.centre_sinking * jnp.outer(shape, shape)])
     return displacement + sinking, rotation + jnp.stack([tilt_y, -tilt_x, jnp.zeros_like(tilt_x)])
 
 
@@ -190,7 +190,7 @@ def tangential_compliance(pad: Pad, grid: Grid = GRID) -> tuple[Float[Array, "k 
     return lengthwise / (2 * modulus * layer.determinant), across
 
 
-def spread(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "2 n n"]:
+def tangential_displacement(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "2 n n"]:
     """Displacement (m) of the surface along x and y under a pressure (Pa) alone."""
     layer = _layer(pad, grid)
     along = layer.kappa * (layer.kappa - 1) * layer.sinh**2 - 2 * layer.q**2 * layer.fall
@@ -198,13 +198,13 @@ def spread(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[
     return evaluate(jnp.stack([_slope(waves, 1, grid), _slope(waves, 0, grid)]), grid)
 
 
-def weight(pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, ""]:
-    """The load (N) of `pressure` (Pa) on a skin held at its edge: the sum of w p over the pad."""
-    return jnp.sum(clamped(grid, pressure.dtype) * pressure) * grid.spacing**2
+def clamped_load(pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, ""]:
+    """The load (N) of `pressure` (Pa) on a skin clamped at its edge: the sum of w p over the pad."""
+    return jnp.sum(clamped_shape(grid, pressure.dtype) * pressure) * grid.spacing**2
 
 
-def clamped(grid: Grid, dtype: jnp.dtype) -> Float[Array, "n n"]:
-    """The shape w in which a skin held at its edge sinks, at the cell centres."""
+def clamped_shape(grid: Grid, dtype: jnp.dtype) -> Float[Array, "n n"]:
+    """The shape w in which a skin clamped at its edge sinks, at the cell centres."""
     shape, _ = _clamped(grid, grid.centres)
     return jnp.asarray(np.outer(shape, shape), dtype)
 

@@ -1,15 +1,15 @@
 """What goes wrong with a real skin besides noise: each fault a small function whose size, at zero, switches it off.
 
-`apply` takes the readings of one run in the order in which they were made, and `record` what the board then sends;
+`apply` takes the readings of one session in the order in which they were made, and `record` what the board then sends;
 together they compose the faults as physics does:
 
-  the layer     softens with use, creeps while it is held, and remembers the press before;
+  the layer     softens with use, creeps while it is held, and keeps a part of the press before;
   its field     is joined by that of a ferrous object, and by the earth's and the room's, which turn as the arm does;
   the chip      warms, has gains of its own, and saturates; `i2t.skin.noise` comes next;
   the recorder  gets nothing from a dead axis, and may repeat a row.
 
 Additive fields that change slowly reach a reading only by their change since the ambient was last measured (the paper's
-data hold one ambient for each touch or one for every ten), see `since_ambient`.
+data hold one ambient for each touch or one for every ten), see `subtract_ambient`.
 
 Default sizes are of real boards where a recording exists, and else of the literature; each docstring says which, and
 says so where a size is an assumption. Readings are microtesla in the board's order and the chips' own axes; W is the
@@ -27,34 +27,36 @@ from i2t import geometry
 from i2t.skin.dipoles import MICROTESLA, MU0_OVER_4PI, dipole_field
 from i2t.types import Board
 
-DIP = np.deg2rad(64.0)  # of the earth's field below the horizon in central Europe (IGRF-13, 2020)
-PRONY_TIMES = (0.3, 3.0, 30.0)  # s: an equal share for each decade, relaxation linear in log time as elastomers show
-WEAR = 40.0  # presses: a contact of 10 mm2 covers the pad once, and all softening comes with a place's first presses
-RANGE_XY, RANGE_Z = 4915.0, 7930.0  # uT, full scale: 2^15 steps at gain 7 and resolution 0 (MLX90393 data sheet)
-UNEVEN = 0.12  # of the warming: chips warmed by 10 K lie up to 2.4 K apart, as recorded
+EARTH_DIP_RAD = np.deg2rad(64.0)  # of the earth's field below the horizon in central Europe (IGRF-13, 2020)
+PRONY_TIMES_S = (0.3, 3.0, 30.0)  # s: an equal share for each decade, relaxation linear in log time as elastomers show
+WEAR_PRESSES = (
+    40.0  # presses: a contact of 10 mm2 covers the pad once, and all softening comes with a place's first presses
+)
+RANGE_XY_UT, RANGE_Z_UT = 4915.0, 7930.0  # uT, full scale: 2^15 steps at gain 7 and resolution 0 (MLX90393 data sheet)
+WARMING_SPREAD = 0.12  # of the warming: chips warmed by 10 K lie up to 2.4 K apart, as recorded
 
 
 @dataclass(frozen=True)
 class Faults:
-    """Sizes of the faults of one board and run; zero switches one off, and all are off by default."""
+    """Sizes of the faults of one board and session; zero switches one off, and all are off by default."""
 
-    softening: float = 0.0  # final part by which readings grow with use; see `soften`
+    softening: float = 0.0  # final part by which readings grow with use (Mullins softening); see `mullins_softening`
     relaxation: float = 0.0  # final part of the layer's stress that relaxes; see `creep`
-    memory: float = 0.0  # part of the press before that one chip keeps; see `remember`
+    hysteresis: float = 0.0  # part of the press before that one chip keeps (hysteresis); see `apply_hysteresis`
     ferrous: float = 0.0  # field of a steel tip over the touch's own; see `ferrous`
-    earth: float = 0.0  # uT; see `field_of_place`
+    earth: float = 0.0  # uT; see `ambient_field`
     room: float = 0.0  # uT, standard deviation of each component
-    warming: float = 0.0  # K over the run; see `warm` and `thermal`
+    warming: float = 0.0  # K over the session; see `temperature_drift` and `apply_warming`
     gain: float = 0.0  # standard deviation of gains; see `gains`
     range_xy: float = 0.0  # uT, full scale of x and y; see `saturate`
     range_z: float = 0.0  # and of z
     dead: int = 0  # axes that do not answer; see `dead_axes`
     stale: float = 0.0  # probability that a row repeats the one before; see `stale_rows`
-    # How the run was made, without effect while the sizes above are zero:
+    # How the session was made, without effect while the sizes above are zero:
     ambient_every: int = 1  # touches from one measurement of the ambient to the next
-    worn: int = 0  # presses before the run
-    hold: float = 1.0  # s, mean time from contact to the reading
-    yielding: float = 0.2  # see `creep`
+    presses_before: int = 0  # presses of the pad before the session
+    hold_time: float = 1.0  # s, mean time from contact to the reading
+    layer_share: float = 0.2  # see `creep`
 
     @classmethod
     def typical(cls) -> "Faults":
@@ -64,12 +66,12 @@ class Faults:
         return cls(
             softening=0.1,
             relaxation=0.05,
-            memory=0.3,
+            hysteresis=0.3,
             earth=48.0,
             room=10.0,
             warming=10.0,
-            range_xy=RANGE_XY,
-            range_z=RANGE_Z,
+            range_xy=RANGE_XY_UT,
+            range_z=RANGE_Z_UT,
         )
 
 
@@ -81,7 +83,7 @@ def apply(
     faults: Faults,
     rest: Float[Array, " c"] | None = None,
 ) -> Float[Array, "n c"]:
-    """The readings of one run, in the order made, as a faulty sensor would feel them (see the module's head).
+    """The readings of one session, in the order made, as a faulty sensor would feel them (see the module's head).
 
     `rest` is what the chips measure of the pad itself when nothing touches it (`field.rest_field` through
     `board.to_board`; zero if not given): saturation starts from there, and warming weakens it.
@@ -92,44 +94,48 @@ def apply(
     key_common, key_offset = jax.random.split(key_warm)
 
     touch = jnp.arange(n)
-    seconds = 2 * faults.hold * jax.random.uniform(key_hold, (n,))
-    x = jax.vmap(lambda reading, i: soften(reading, faults.worn + i, faults.softening))(readings, touch)
-    x = jax.vmap(lambda reading, held: creep(reading, held, faults.relaxation, faults.yielding))(x, seconds)
-    x = remember(key_memory, x, faults.memory)
+    seconds = 2 * faults.hold_time * jax.random.uniform(key_hold, (n,))
+    x = jax.vmap(lambda reading, i: mullins_softening(reading, faults.presses_before + i, faults.softening))(
+        readings, touch
+    )
+    x = jax.vmap(lambda reading, held: creep(reading, held, faults.relaxation, faults.layer_share))(x, seconds)
+    x = apply_hysteresis(key_memory, x, faults.hysteresis)
 
     direction = jax.random.normal(key_tip, (3,))
     x = jax.vmap(lambda reading: ferrous(reading, direction, board, faults.ferrous))(x)
-    place = field_of_place(key_place, faults.earth, faults.room)
+    place = ambient_field(key_place, faults.earth, faults.room)
     seen = jax.vmap(lambda T: ambient(T, place, board))(T_w_t)
-    kelvin = warm(key_common, n, board.num_chips, faults.warming)
+    kelvin = temperature_drift(key_common, n, board.num_chips, faults.warming)
     offset = jax.random.normal(key_offset, (board.num_readings,))
-    warmed, drifted = jax.vmap(lambda reading, warmer: thermal(reading, rest, warmer, offset))(x, kelvin)
-    x = warmed + since_ambient(seen + drifted, faults.ambient_every)
+    warmed, drifted = jax.vmap(lambda reading, warmer: apply_warming(reading, rest, warmer, offset))(x, kelvin)
+    x = warmed + subtract_ambient(seen + drifted, faults.ambient_every)
 
     x = gains(key_gain, board.num_readings, faults.gain)[None] * x
     return jax.vmap(lambda reading: saturate(reading, rest, faults.range_xy, faults.range_z))(x)
 
 
 def record(key: Key[Array, ""], readings: Float[Array, "n c"], faults: Faults) -> Float[Array, "n c"]:
-    """What is written down of a run's readings: nothing new from dead axes, and some rows twice."""
+    """What is written down of a session's readings: nothing new from dead axes, and some rows twice."""
     key_dead, key_stale = jax.random.split(key)
     answered = jnp.where(dead_axes(key_dead, readings.shape[-1], faults.dead)[None], 0.0, readings)
     return stale_rows(key_stale, answered, faults.stale)
 
 
-def soften(reading: Float[Array, " c"], presses: Int[Array, ""] | int, size: float = 0.1) -> Float[Array, " c"]:
+def mullins_softening(
+    reading: Float[Array, " c"], presses: Int[Array, ""] | int, size: float = 0.1
+) -> Float[Array, " c"]:
     """At a given force a used layer yields more: readings grow towards 1 + `size` times as presses wear the pad.
 
     The Mullins effect: silicones soften in their first load cycles only (Case, White and Kramer, Soft Robotics 2, 2015;
     Liao et al., Int. J. Mech. Sci. 206, 2021), which here come place by place. A tenth is an assumption: for strains
     of some 10 % no figure was found.
     """
-    return reading * (1 + size * (1 - jnp.exp(-presses / WEAR)))
+    return reading * (1 + size * (1 - jnp.exp(-presses / WEAR_PRESSES)))
 
 
-def relaxed(seconds: Float[Array, ""] | float, size: float = 0.05) -> Float[Array, ""]:
+def stress_left(seconds: Float[Array, ""] | float, size: float = 0.05) -> Float[Array, ""]:
     """Part of the layer's stress that is left after a hold: a Prony series of shares size / 3 at PRONY_TIMES."""
-    return 1 - size * jnp.mean(1 - jnp.exp(-seconds / jnp.asarray(PRONY_TIMES)))
+    return 1 - size * jnp.mean(1 - jnp.exp(-seconds / jnp.asarray(PRONY_TIMES_S)))
 
 
 def creep(
@@ -146,11 +152,11 @@ def creep(
     force. 5 % of relaxation is an assumption: silicone relaxes considerably when new and hardly when it was strained
     before (Liao et al., Polymer Testing 86, 2020), and skins are in use.
     """
-    return reading / (1 - yielding * (1 - relaxed(seconds, size)))
+    return reading / (1 - yielding * (1 - stress_left(seconds, size)))
 
 
-def remember(key: Key[Array, ""], readings: Float[Array, "n c"], size: float = 0.3) -> Float[Array, "n c"]:
-    """One chip, drawn for the run, adds `size` times the press before to each reading.
+def apply_hysteresis(key: Key[Array, ""], readings: Float[Array, "n c"], size: float = 0.3) -> Float[Array, "n c"]:
+    """Hysteresis: one chip, drawn for the session, adds `size` times the press before to each reading.
 
     On a real ReSkin board one chip was up to 35 uT off after a press, where a strong press is 107 uT (p95);
     hysteresis and slip look alike there. Negative if the ambient was measured on the memory and the press wipes
@@ -187,7 +193,7 @@ def ferrous(
     return reading + size * norm * pattern / jnp.linalg.norm(pattern)
 
 
-def field_of_place(key: Key[Array, ""], earth: float = 48.0, room: float = 10.0) -> Float[Array, "3"]:
+def ambient_field(key: Key[Array, ""], earth: float = 48.0, room: float = 10.0) -> Float[Array, "3"]:
     """The uniform field (uT, W) of a place: the earth's, at its dip and an unknown compass bearing, and the room's.
 
     48 uT is central Europe's (IGRF-13, 2020). Iron in walls, table and robot adds tens of microtesla; 10 uT for each
@@ -195,8 +201,8 @@ def field_of_place(key: Key[Array, ""], earth: float = 48.0, room: float = 10.0)
     """
     key_bearing, key_room = jax.random.split(key)
     bearing = jax.random.uniform(key_bearing, maxval=2 * np.pi)
-    level = jnp.stack([jnp.cos(bearing), jnp.sin(bearing)]) * np.cos(DIP)
-    return earth * jnp.append(level, -np.sin(DIP)) + room * jax.random.normal(key_room, (3,))
+    level = jnp.stack([jnp.cos(bearing), jnp.sin(bearing)]) * np.cos(EARTH_DIP_RAD)
+    return earth * jnp.append(level, -np.sin(EARTH_DIP_RAD)) + room * jax.random.normal(key_room, (3,))
 
 
 @geometry.full_precision
@@ -205,7 +211,7 @@ def ambient(T_w_t: Float[Array, "4 4"], field: Float[Array, "3"], board: Board) 
     return board.to_board(jnp.broadcast_to(T_w_t[:3, :3].T @ field, (board.num_chips, 3)))
 
 
-def since_ambient(values: Float[Array, "n c"], every: int) -> Float[Array, "n c"]:
+def subtract_ambient(values: Float[Array, "n c"], every: int) -> Float[Array, "n c"]:
     """Slow additive terms less what they were when the ambient was last measured, at every `every`-th touch.
 
     Measured at each touch, in the pose of the touch, it takes them all away.
@@ -214,17 +220,17 @@ def since_ambient(values: Float[Array, "n c"], every: int) -> Float[Array, "n c"
     return values - values[touch // every * every]
 
 
-def warm(key: Key[Array, ""], touches: int, chips: int, size: float = 10.0) -> Float[Array, "n chips"]:
-    """Warming (K) of each chip at each touch of a run that begins cold: all but a twentieth of `size` by its end.
+def temperature_drift(key: Key[Array, ""], touches: int, chips: int, size: float = 10.0) -> Float[Array, "n chips"]:
+    """Warming (K) of each chip at each touch of a session that begins cold: all but a twentieth of `size` by its end.
 
     Real boards were recorded at 22-32 C, their chips 1-2.5 K apart. Exponential in the number of the touch.
     """
-    uneven = UNEVEN * jax.random.uniform(key, (chips,), minval=-1.0)
+    uneven = WARMING_SPREAD * jax.random.uniform(key, (chips,), minval=-1.0)
     course = 1 - jnp.exp(-3 * jnp.arange(touches) / max(touches - 1, 1))
     return size * course[:, None] * (1 + uneven)[None]
 
 
-def thermal(
+def apply_warming(
     reading: Float[Array, " c"],
     rest: Float[Array, " c"],
     kelvin: Float[Array, " chips"],
@@ -249,7 +255,7 @@ def gains(key: Key[Array, ""], channels: int, size: float = 0.05) -> Float[Array
 
 
 def saturate(
-    reading: Float[Array, " c"], rest: Float[Array, " c"], range_xy: float = RANGE_XY, range_z: float = RANGE_Z
+    reading: Float[Array, " c"], rest: Float[Array, " c"], range_xy: float = RANGE_XY_UT, range_z: float = RANGE_Z_UT
 ) -> Float[Array, " c"]:
     """A change of field from `rest` (uT), where each axis ends at its full scale.
 

@@ -19,24 +19,41 @@ from i2t.errors import SerializationError
 from i2t.types import Pad
 
 KIND = "i2t pad"
+EARLIER_NAMES = {"magnetisation": "magnetization", "give": "mount_compliance"}  # of fields in files of earlier versions
 
 
 def save_pad(path: Path | str, pad: Pad, about: dict[str, Any] | None = None) -> None:
-    """Write one pad; `about` is anything that JSON can hold (whose pad it is, how it was fitted).
+    """Write one pad.
 
-    Raises SerializationError where the file cannot be written.
+    Args:
+        path: of the file.
+        pad: one pad, on a board of any number of chips.
+        about: anything that JSON can hold (whose pad it is, how it was fitted).
+
+    Raises:
+        SerializationError: the file cannot be written.
     """
     serialization.save(path, KIND, pad, about)
 
 
 def load_pad(path: Path | str) -> Pad:
-    """The pad in a file. Raises SerializationError where it is missing, damaged, no pad, or no pad that can be."""
-    pad, _ = serialization.load(path, KIND, Pad)
-    side = pad.magnetisation.shape[0] if pad.magnetisation.ndim else 0
+    """The pad in a file, also one that an earlier version wrote.
+
+    Args:
+        path: of the file.
+
+    Returns:
+        The pad, in float32.
+
+    Raises:
+        SerializationError: the file is missing, damaged, holds no pad, or none that can be.
+    """
+    pad, _ = serialization.load(path, KIND, Pad, renamed=EARLIER_NAMES)
+    side = pad.magnetization.shape[0] if pad.magnetization.ndim else 0
     chips = pad.board.chips.shape[0] if pad.board.chips.ndim else 0
     shapes = {
-        "thickness": (), "young": (), "poisson": (), "magnetisation": (side, side, 3), "gains": (3 * chips,),
-        "board.chips": (chips, 3), "board.rotations": (chips, 3, 3), "friction": (), "give": (),
+        "thickness": (), "young": (), "poisson": (), "magnetization": (side, side, 3), "gains": (3 * chips,),
+        "board.chips": (chips, 3), "board.rotations": (chips, 3, 3), "friction": (), "mount_compliance": (),
     }  # fmt: skip
     arrays = serialization.flatten(pad)
     for name, shape in shapes.items():

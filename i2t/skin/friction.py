@@ -26,12 +26,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from i2t.skin.contact import MAX_STEPS, SMALLEST, conjugate_gradients, descend, positive
-from i2t.skin.elasticity import GRID, Grid, drag, evaluate, spectrum, spread, tangential_compliance
+from i2t.skin.contact import MAX_STEPS, MIN_STRAIN, conjugate_gradients, descend, positive
+from i2t.skin.elasticity import GRID, Grid, drag, evaluate, spectrum, tangential_compliance, tangential_displacement
 from i2t.types import Pad
 
 TOLERANCE = 1e-4  # of the largest displacement: ten times what the roundings of float32 leave
-FULL = 1e-4  # of the friction that a slipping cell may lack
+SLIP_TOLERANCE = 1e-4  # of the friction that a slipping cell may lack
 
 
 class Shear(NamedTuple):
@@ -50,7 +50,7 @@ def rest(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Shear:
     none = jnp.zeros((2, grid.cells, grid.cells), pressure.dtype)
     return Shear(
         none,
-        spread(pad, pressure, grid),
+        tangential_displacement(pad, pressure, grid),
         jnp.zeros((grid.cells, grid.cells), bool),
         jnp.zeros((), pressure.dtype),
         jnp.asarray(0),
@@ -71,12 +71,12 @@ def shear(
     state `before`, or since the untouched skin.
     """
     kernels = jnp.stack(tangential_compliance(pad, grid)) * pad.young / pad.thickness
-    spreading = spread(pad, pressure, grid)
+    spreading = tangential_displacement(pad, pressure, grid)
     followed = slide[:, None, None] - spreading + (0 if before is None else before.displacement)
     # Only where it is pressed can the skin follow, so only there does it count.
     wanted = jnp.where(pressure[None] > 0, followed, 0) / pad.thickness
     # The problem is homogeneous, so that its scale is no part of the derivative.
-    scale = jax.lax.stop_gradient(jnp.maximum(jnp.max(jnp.abs(wanted)), SMALLEST))
+    scale = jax.lax.stop_gradient(jnp.maximum(jnp.max(jnp.abs(wanted)), MIN_STRAIN))
     wanted, limit = wanted / scale, pad.friction * pressure[None] / (pad.young * scale)
     fixed_kernels, fixed_limit = jax.lax.stop_gradient((kernels, limit))
 
@@ -115,7 +115,7 @@ def _size(vectors: Array) -> Array:
 
 
 def _slipping(traction: Array, limit: Array) -> Array:
-    return (limit > 0) & (_size(traction) >= (1 - FULL) * limit)
+    return (limit > 0) & (_size(traction) >= (1 - SLIP_TOLERANCE) * limit)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(5,))

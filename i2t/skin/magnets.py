@@ -38,14 +38,14 @@ class Magnets(NamedTuple):
     rotations: Float[Array, "k 3 3"]  # from a magnet's own axes, in which it is magnetised along z, to tool axes
     radii: Float[Array, " k"]  # m
     heights: Float[Array, " k"]  # m
-    magnetisations: Float[Array, " k"]  # A/m; remanence over mu0, negative for a magnet upside down
+    magnetizations: Float[Array, " k"]  # A/m; remanence over mu0, negative for a magnet upside down
 
 
 def cylinder_field(
     point: Float[Array, "3"],
     radius: Float[Array, ""] | float,
     height: Float[Array, ""] | float,
-    magnetisation: Float[Array, ""] | float,
+    magnetization: Float[Array, ""] | float,
     nodes: int = NODES,
 ) -> Float[Array, "3"]:
     """Flux density (T) at `point` (m) of one cylinder centred at the origin, in the cylinder's own axes, inside it too;
@@ -67,7 +67,7 @@ def cylinder_field(
     between = (top / far - bottom / near) / jnp.where(beyond, 1.0, square)
     axial = (radius - across) * jnp.where(beyond, change / mixed, between)
     integrals = jnp.stack([jnp.mean(cosine * side), jnp.mean(sine * side), jnp.mean(axial)])
-    return 2 * np.pi * MU0_OVER_4PI * magnetisation * radius * integrals
+    return 2 * np.pi * MU0_OVER_4PI * magnetization * radius * integrals
 
 
 @geometry.full_precision
@@ -76,7 +76,7 @@ def field(points: Float[Array, "m 3"], magnets: Magnets, nodes: int = NODES) -> 
 
     def one(point: Array, magnet: Magnets) -> Array:
         local = magnet.rotations.T @ (point - magnet.positions)
-        own = cylinder_field(local, magnet.radii, magnet.heights, magnet.magnetisations, nodes)
+        own = cylinder_field(local, magnet.radii, magnet.heights, magnet.magnetizations, nodes)
         return magnet.rotations @ own
 
     return jnp.sum(jax.vmap(jax.vmap(one, (None, 0)), (0, None))(points, magnets), axis=1)

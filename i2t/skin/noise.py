@@ -51,7 +51,7 @@ class Noise:
         return np.tile([self.step_xy, self.step_xy, self.step_z], chips)
 
 
-def observe(
+def add_sensor_noise(
     key: Key[Array, ""], reading: Float[Array, " c"], board: Board, noise: Noise | None = None
 ) -> Float[Array, " c"]:
     """A touch as it is recorded: mean of the samples in contact minus mean of the samples before it.
@@ -61,12 +61,12 @@ def observe(
     """
     noise = Noise() if noise is None else noise
     key_contact, key_ambient = jax.random.split(key)
-    contact = burst(key_contact, reading, board, noise, noise.contact_samples)
-    rest = burst(key_ambient, jnp.zeros_like(reading), board, noise, noise.ambient_samples)
+    contact = sample_burst(key_contact, reading, board, noise, noise.contact_samples)
+    rest = sample_burst(key_ambient, jnp.zeros_like(reading), board, noise, noise.ambient_samples)
     return jnp.mean(contact, axis=0) - jnp.mean(rest, axis=0)
 
 
-def burst(
+def sample_burst(
     key: Key[Array, ""], reading: Float[Array, " c"], board: Board, noise: Noise, samples: int
 ) -> Float[Array, "s c"]:
     """Raw samples, quick enough after one another that only the white noise differs between them."""

@@ -18,16 +18,17 @@ from i2t.skin.faults import RANGE_XY_UT, RANGE_Z_UT
 from i2t.skin.friction import shear
 from i2t.types import PAD_WINDOW, Board, Pad
 
-THICKNESS_M = 2e-3  # m
-CHIP_GAP_M = 1.5e-3  # m from the layer's base to the sensing elements: half of the chip's 1 mm package, glue and film
-YOUNG_PA = 150e3  # Pa: soft silicone (Shore 00-50, about 80 kPa) stiffened by the magnetic powder
+THICKNESS_M = 2e-3
+CHIP_GAP_M = 1.5e-3  # from the layer's base to the sensing elements: half of the chip's 1 mm package, glue and film
+YOUNG_PA = 150e3  # soft silicone (Shore 00-50, about 80 kPa) stiffened by the magnetic powder
 POISSON_RATIO = 0.48
 FRICTION_COEFFICIENT = 0.6  # of dry silicone on plastic, between 0.4 and 1 as a rule
-MOUNT_COMPLIANCE_M_PER_N = 0.25e-3  # m/N, middling, of those that are held at their edge; see `sample_pad`
+MOUNT_COMPLIANCE_M_PER_N = 0.25e-3  # middling, of those that are clamped at their edge; see `sample_pad`
 EDGE_CLAMPED_FRACTION = 1 / 3  # of skins are
-MAGNETIZATION_A_PER_M = 2e4  # A/m, root mean square of one component of a random magnetisation; see `sample_pad`
+MAGNETIZATION_A_PER_M = 2e4  # root mean square of one component of a random magnetization; see `sample_pad`
 MAX_RANGE_FRACTION = 0.85  # of the converter's range, which no axis exceeds at rest
-MAP_CELLS = 20  # cells of a magnetisation map along each edge: 1 mm, and whole cells to each of 4 poles
+FIRST_PAD_SEED = 1000  # of pad 0 of `numbered_pad`
+MAP_CELLS = 20  # cells of a magnetization map along each edge: 1 mm, and whole cells to each of 4 poles
 
 
 class Press(NamedTuple):
@@ -48,8 +49,18 @@ def press(
     start: Float[Array, "n n"] | None = None,
     dipoles: Grid | None = None,
 ) -> Press:
-    """Press the pad `indentation` (m) past first touch onto a surface `height` (m) behind its nearest point at each
-    cell centre, row along tool y; `start` is a pressure to begin from. See `contact.solve`.
+    """Press the pad onto a surface to an indentation; see `contact.solve`.
+
+    Args:
+        pad: the skin.
+        height: m, of the surface behind its nearest point at each cell centre, row along tool y.
+        indentation: m past first touch.
+        grid: of the contact.
+        start: Pa, a pressure to begin from.
+        dipoles: a coarser grid of the same period for the field.
+
+    Returns:
+        Reading, force, indentation and pressure.
     """
     return _press(pad, solve(pad, height, indentation, grid, start), grid, dipoles)
 
@@ -62,7 +73,19 @@ def press_force(
     start: Float[Array, "n n"] | None = None,
     dipoles: Grid | None = None,
 ) -> Press:
-    """As `press`, to a normal force (N, > 0). See `contact.solve_force`."""
+    """Press the pad onto a surface to a normal force; see `contact.solve_force`.
+
+    Args:
+        pad: the skin.
+        height: m, as for `press`.
+        force: N, > 0.
+        grid: of the contact.
+        start: Pa, a pressure to begin from.
+        dipoles: a coarser grid of the same period for the field.
+
+    Returns:
+        Reading, force, indentation and pressure.
+    """
     return _press(pad, solve_force(pad, height, force, grid, start), grid, dipoles)
 
 
@@ -74,9 +97,20 @@ def friction_response(
     grid: Grid = GRID,
     increments: int = 3,
 ) -> Float[Array, " c"]:
-    """What friction adds to the reading (uT) of a press whose surface moves by `slide` (m, along x and y of the skin)
-    from first touch to `indentation`, evenly; see `i2t.skin.friction`. Not zero without a slide: friction also holds
-    what pressure would spread.
+    """What friction adds to the reading of a press whose surface slides evenly on its way; see `i2t.skin.friction`.
+
+    Not zero without a slide: friction also holds what pressure would spread.
+
+    Args:
+        pad: the skin.
+        height: m, as for `press`.
+        indentation: m past first touch.
+        slide: m, along x and y of the skin, from first touch to the indentation.
+        grid: of the contact.
+        increments: equal steps of the path.
+
+    Returns:
+        The change of the reading in uT.
     """
     state, pressure = None, jnp.zeros_like(height)
     for part in np.arange(1, increments + 1) / increments:
@@ -87,13 +121,22 @@ def friction_response(
     return pad.gains * pad.board.to_board(change)
 
 
-def nominal_pad(pattern: str = "poles", strength: float | Array = MAGNETIZATION_A_PER_M, *, board: Board | None = None) -> Pad:
-    """A middling ReSkin with a known magnetisation: `pattern` (see `magnetise`) times `strength` (A/m).
+def nominal_pad(
+    pattern: str = "poles", strength: float | Array = MAGNETIZATION_A_PER_M, *, board: Board | None = None
+) -> Pad:
+    """A middling ReSkin with a known magnetization: a pattern times its strength.
 
     Args:
-        pattern: name of a magnetisation, see `magnetise`.
+        pattern: name of a `magnetization_pattern`.
         strength: A/m.
-        board: whose chips lie below the skin, by default ReSkin's five; their depth is that below a nominal layer.
+        board: whose chips lie below the skin, by default ReSkin's five; the depth of its chips is replaced by that
+            below a nominal layer.
+
+    Returns:
+        The pad, bonded and without friction.
+
+    Raises:
+        ValueError: the pattern is not known.
     """
     board = reskin_board() if board is None else board
     return Pad(
@@ -109,57 +152,64 @@ def nominal_pad(pattern: str = "poles", strength: float | Array = MAGNETIZATION_
 
 
 def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0, *, board: Board | None = None) -> Pad:
-    """A pad as different from the next as real skins are; with `spread` 0 only its magnetisation is random.
+    """A pad as different from the next as real skins are; with `spread` 0 only its magnetization is random.
 
     Thickness 2-3 mm (ReSkin's range); stiffness within 15 %, gap within 0.25 mm, gains within 5 % and friction within
-    20 % (one sigma). One skin in three is held at its edge instead of bonded, and gives by GIVE within a factor of 1.8:
-    on one of a few real boards a press anywhere moved two chips by 60-100 uT. The magnetisation is `uneven`, and its
-    strength varies by 25 % from skin to skin; a skin that would bring an axis at rest near the end of its range (most
-    would) is weaker: makers magnetise as strongly as the chips bear. STRENGTH and GIVE are such that presses of a small
-    tip to 0.6-1.0 N change the 15 values as on real boards (`tests/skin/test_pad.py`).
+    20 % (one sigma). Poisson's ratio is the same for all pads. One skin in three is clamped at its edge instead of
+    bonded, and its mounting compliance is MOUNT_COMPLIANCE_M_PER_N within a factor of 1.8: on one of a few real boards
+    a press anywhere moved two chips by 60-100 uT. The magnetization is that of `sample_magnetization`, and its strength
+    varies by 25 % from skin to skin; a skin that would bring an axis at rest near the end of its range (most would) is
+    weaker: makers magnetize as strongly as the chips bear. MAGNETIZATION_A_PER_M and MOUNT_COMPLIANCE_M_PER_N are such
+    that presses of a small tip to 0.6-1.0 N change the readings as on real boards (`tests/skin/test_pad.py`).
 
     Args:
-        key: random key; pads of one key differ between boards in their gains alone, and in strength where a chip's
-            range is what bounds it.
-        spread: factor of all that varies but the magnetisation.
-        board: whose chips lie below the skin, by default ReSkin's five; their depth is the layer's and the gap's.
+        key: random key. Pads of one key on different boards differ in their gains, and in strength where the range of
+            a chip bounds it.
+        spread: factor of all that varies but the magnetization.
+        board: whose chips lie below the skin, by default ReSkin's five; the depth of its chips is replaced by that of
+            the pad, thickness and gap.
+
+    Returns:
+        The pad.
     """
     board = reskin_board() if board is None else board
-    names = ("thickness", "young", "gap", "map", "strength", "gains", "friction", "held", "give")
+    names = ("thickness", "young", "gap", "map", "strength", "gains", "friction", "clamped", "compliance")
     keys = dict(zip(names, jax.random.split(key, len(names)), strict=True))
-    held = jax.random.uniform(keys["held"]) < EDGE_CLAMPED_FRACTION
+    clamped = jax.random.uniform(keys["clamped"]) < EDGE_CLAMPED_FRACTION
+    compliance = spread * MOUNT_COMPLIANCE_M_PER_N * jnp.exp(0.6 * jax.random.normal(keys["compliance"]))
+    strength = MAGNETIZATION_A_PER_M * jnp.exp(spread * 0.25 * jax.random.normal(keys["strength"]))
     thickness = THICKNESS_M + spread * jax.random.uniform(keys["thickness"], maxval=1e-3)
     gap = CHIP_GAP_M + spread * 0.25e-3 * jax.random.truncated_normal(keys["gap"], -2.0, 2.0)
     pad = Pad(
         thickness,
         YOUNG_PA * jnp.exp(spread * 0.15 * jax.random.normal(keys["young"])),
         jnp.asarray(POISSON_RATIO),
-        MAGNETIZATION_A_PER_M * jnp.exp(spread * 0.25 * jax.random.normal(keys["strength"])) * sample_magnetization(keys["map"], spread),
+        strength * sample_magnetization(keys["map"], spread),
         1 + spread * 0.05 * jax.random.truncated_normal(keys["gains"], -3.0, 3.0, (board.num_readings,)),
         _at_depth(board, thickness + gap),
         friction=FRICTION_COEFFICIENT * jnp.exp(spread * 0.2 * jax.random.normal(keys["friction"])),
-        mount_compliance=jnp.where(held, spread * MOUNT_COMPLIANCE_M_PER_N * jnp.exp(0.6 * jax.random.normal(keys["give"])), 0.0),
+        mount_compliance=jnp.where(clamped, compliance, 0.0),
     )
-    ends = np.tile([RANGE_XY_UT, RANGE_XY_UT, RANGE_Z_UT], board.num_chips)
-    use = jnp.max(jnp.abs(pad.board.to_board(rest_field(pad))) / ends)
-    return pad._replace(magnetisation=pad.magnetization * jnp.minimum(1.0, MAX_RANGE_FRACTION / use))
+    full_scale = np.tile([RANGE_XY_UT, RANGE_XY_UT, RANGE_Z_UT], board.num_chips)
+    use = jnp.max(jnp.abs(pad.board.to_board(rest_field(pad))) / full_scale)
+    return pad._replace(magnetization=pad.magnetization * jnp.minimum(1.0, MAX_RANGE_FRACTION / use))
 
 
 def numbered_pad(number: int, *, board: Board | None = None) -> Pad:
-    """The random pad of a number, by which runs and their metrics name it.
+    """The random pad of a number, by which experiments, emulators and their results name it.
 
     Args:
-        number: Any number, the same pad each time.
-        board: The board beneath; left out, the default one.
+        number: of the pad, from 0; the same number is the same pad.
+        board: as for `sample_pad`.
 
     Returns:
         The pad.
     """
-    return sample_pad(jax.random.key(1000 + number), board=board)
+    return sample_pad(jax.random.key(FIRST_PAD_SEED + number), board=board)
 
 
 def sample_magnetization(key: Key[Array, ""], spread: float | Array = 1.0) -> Float[Array, "m m 3"]:
-    """A magnetisation of root mean square 1 that is as uneven as real skins': patches of some 2.5 mm about a common
+    """A magnetization of root mean square 1 that is as uneven as real skins': patches of some 2.5 mm about a common
     direction, stronger along some axes than others and in some places than others (some chips 100 uT, others 10 uT for
     the same press). The sizes are assumptions that meet what real boards show; see `sample_pad`.
     """
@@ -167,12 +217,12 @@ def sample_magnetization(key: Key[Array, ""], spread: float | Array = 1.0) -> Fl
     length = 2.5e-3 * jnp.exp(spread * 0.2 * jax.random.normal(key_length))
     patches = smooth_random(key_patches, length) * jnp.exp(0.8 * jax.random.normal(key_axes, (1, 1, 3)))
     strong = jnp.exp(0.6 * smooth_random(key_places, 7e-3)[..., :1])
-    magnetisation = strong * patches + jax.random.normal(key_common, (1, 1, 3))
-    return magnetisation / jnp.sqrt(jnp.mean(magnetisation**2))
+    magnetization = strong * patches + jax.random.normal(key_common, (1, 1, 3))
+    return magnetization / jnp.sqrt(jnp.mean(magnetization**2))
 
 
 def magnetization_pattern(pattern: str, cells: int = MAP_CELLS) -> Float[Array, "m m 3"]:
-    """A magnetisation map in units of its strength: `poles` (4 x 4, up and down in turn, as in ReSkin's first paper),
+    """A magnetization map in units of its strength: `poles` (4 x 4, up and down in turn, as in ReSkin's first paper),
     `uniform` (up) or `magnets` (four upright magnets of 6 mm, up and down in turn, in a skin that is else not magnetic;
     `i2t.skin.magnets` has their exact field). Raises ValueError for any other name.
     """
@@ -187,7 +237,7 @@ def magnetization_pattern(pattern: str, cells: int = MAP_CELLS) -> Float[Array, 
         "magnets": inside * (1 - 2 * ((half[:, None] + half[None, :]) % 2)),
     }
     if pattern not in maps:
-        raise ValueError(f"Magnetisation pattern {pattern!r} is not known; choose one of {', '.join(maps)}.")
+        raise ValueError(f"Magnetization pattern {pattern!r} is not known; choose one of {', '.join(maps)}.")
     return jnp.asarray(maps[pattern][..., None] * np.array([0, 0, 1.0]))
 
 

@@ -22,7 +22,7 @@ from test_dataset import assert_equal, make
 
 from i2t.convert import npy
 from i2t.convert.commands import main
-from i2t.dataset import Record, load, save, write_touch
+from i2t.dataset import Record, load_dataset, save_dataset, write_touch
 from i2t.errors import DataError
 from i2t.types import ReturnCode
 
@@ -36,7 +36,7 @@ def run(*args):
 
 def converted(source, target, *options, command="imagine2touch"):
     assert run(command, source, target, *options) == 0
-    return load(target)
+    return load_dataset(target)
 
 
 def refused(capsys, *args):
@@ -74,7 +74,7 @@ def test_the_authors_layout_comes_out_as_written(tmp_path, n, order, ambient, si
     dataset = converted(tmp_path / "src", tmp_path / "dst")
     touches = dataset.touches
     assert len(dataset) == n
-    assert (dataset.source, dataset.objects, dataset.runs) == ("real", ("star",), ("star/experiment_1",))
+    assert (dataset.source, dataset.objects, dataset.sessions) == ("real", ("star",), ("star/experiment_1",))
     np.testing.assert_allclose(touches.reading, truth.reading, atol=UT)
     np.testing.assert_array_equal(touches.code, truth.code)
     # Each pixel takes the crop's pixel under its centre: (k + 1/2) / 48 of the way, counted in halves of pixels.
@@ -99,7 +99,7 @@ def test_objects_and_runs_keep_their_names_and_the_order_of_counting(tmp_path):
     (tmp_path / "src" / "notes").mkdir()
     dataset = converted(tmp_path / "src", tmp_path / "all")
     assert dataset.objects == ("hammer", "star")
-    assert dataset.runs == tuple(
+    assert dataset.sessions == tuple(
         f"{o}/experiment_{e}" for o, e in (("hammer", "a"), ("star", 1), ("star", 2), ("star", 10))
     )
     assert dataset.summary()["objects"] == {"hammer": 2, "star": 6}
@@ -503,8 +503,8 @@ def test_real_normal_presses_carry_their_load_and_strokes(shared_data, tmp_path)
     np.testing.assert_allclose(dataset.touches.force, force, rtol=1e-6)
     assert len(dataset) == 7200
     assert dataset.pads == ("one skin",)
-    assert set(dataset.summary()["runs"].values()) == {360}  # 10 strokes of each session, none torn
-    assert len(dataset.runs) == 20
+    assert set(dataset.summary()["sessions"].values()) == {360}  # 10 strokes of each session, none torn
+    assert len(dataset.sessions) == 20
     height = states[:, 3].reshape(20, 360)
     assert (height[:, [0, -1]] > 287.9).all()  # each begins and ends at the top
     lower = converted(source, tmp_path / "lower", "--z0-mm", 286.5, "--reach-mm", 2, command="eflesh")
@@ -641,7 +641,7 @@ def test_a_table_of_presses_comes_out_as_written(tmp_path, capsys):
     np.testing.assert_allclose(touches.nearest, -touches.depth)
     place = 1e-3 * np.column_stack([columns["x_mm"], columns["y_mm"], -columns["depth_mm"]])
     np.testing.assert_allclose(touches.T_w_o[:, :3, 3], place, atol=1e-9)
-    assert [dataset.runs[i] for i in touches.run] == more["run"]
+    assert [dataset.sessions[i] for i in touches.session] == more["run"]
     assert [dataset.pads[i] for i in touches.pad] == more["pad"]
     assert (dataset.objects, dataset.source) == (("sphere:4.0",), "real")
     assert "humidity" in capsys.readouterr().out
@@ -741,7 +741,7 @@ def test_each_wrong_number_is_one_sentence_and_its_row_can_be_skipped(tmp_path, 
     args = ("presses", tmp_path / "table.csv", tmp_path / "dst", "--indenter", "sphere:4")
     assert problem in refused(capsys, *args)
     assert run(*args, "--skip-bad") == 0
-    assert len(load(tmp_path / "dst")) == 5
+    assert len(load_dataset(tmp_path / "dst")) == 5
 
 
 @pytest.mark.parametrize("indenter", ["cube:3", "sphere", "sphere:", "sphere:-1", "sphere:wide", "mesh:", "sphere:nan"])
@@ -780,7 +780,7 @@ def test_a_window_without_presses_is_one_sentence(tmp_path, capsys):
 
 def test_the_summary_for_a_program_and_for_a_person(tmp_path, capsys):
     dataset = make(9, truth=True)
-    save(tmp_path / "set.h5", dataset)
+    save_dataset(tmp_path / "set.h5", dataset)
     assert run("summary", tmp_path, "--json") == 0
     assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(dataset.summary()))
     assert run("summary", tmp_path, "--json", "--quick") == 0
@@ -795,7 +795,7 @@ def test_the_summary_for_a_program_and_for_a_person(tmp_path, capsys):
 
 
 def test_the_summary_skips_bad_files_on_request(tmp_path, capsys):
-    save(tmp_path / "set.h5", make(2))
+    save_dataset(tmp_path / "set.h5", make(2))
     (tmp_path / "bad.h5").write_bytes(b"bad")
     assert "bad.h5: not an i2t-touches file" in refused(capsys, "summary", tmp_path)
     assert run("summary", tmp_path, "--skip-bad", "--json") == 0
@@ -809,14 +809,14 @@ def test_packing_keeps_every_touch(tmp_path):
     for part in parts:
         write_touch(tmp_path / "recorded", Record(part))
     assert run("pack", tmp_path / "recorded", tmp_path / "packed") == 0
-    assert_equal(load(tmp_path / "packed"), load(tmp_path / "recorded"))
+    assert_equal(load_dataset(tmp_path / "packed"), load_dataset(tmp_path / "recorded"))
     assert [file.name for file in (tmp_path / "packed").iterdir()] == ["touches.h5"]
 
 
 @pytest.mark.parametrize("truth", [False, True])
 def test_the_way_back_holds_everything_and_no_pickle(tmp_path, truth):
     dataset = make(4, truth=truth, wide=truth)
-    save(tmp_path / "set.h5", dataset)
+    save_dataset(tmp_path / "set.h5", dataset)
     assert run("npz", tmp_path / "set.h5", tmp_path / "out" / "set.npz") == 0
     with np.load(tmp_path / "out" / "set.npz", allow_pickle=False) as arrays:
         for name, values in dataset.touches._asdict().items():
@@ -826,7 +826,7 @@ def test_the_way_back_holds_everything_and_no_pickle(tmp_path, truth):
         for name, values in dataset.touches.truth._asdict().items() if truth else ():
             np.testing.assert_array_equal(arrays[f"truth_{name}"], values)
         assert ("truth_wide" in arrays) == truth
-        for kind in ("objects", "pads", "runs"):
+        for kind in ("objects", "pads", "sessions"):
             assert tuple(arrays[kind]) == getattr(dataset, kind)
         np.testing.assert_array_equal(arrays["board_chips"], dataset.board.chips)
         np.testing.assert_array_equal(arrays["board_rotations"], dataset.board.rotations)

@@ -27,10 +27,10 @@ from i2t.dataset import (
     holdout_last,
     holdout_names,
     index,
-    load,
-    no_wide,
+    load_dataset,
+    missing_context,
     read_touch,
-    save,
+    save_dataset,
     spatial_blocks,
     validate,
     write_touch,
@@ -57,7 +57,7 @@ def make(n, seed=0, truth=False, wide=False, objects=("star", "square", "hammer"
 
     touches = Touches(
         patch=rng.uniform(0, 4e-3, (n, pixels, pixels)).clip(0, 3.9e-3),
-        wide=rng.uniform(0, 4e-3, (n, 72, 72)) if wide else no_wide(n),
+        wide=rng.uniform(0, 4e-3, (n, 72, 72)) if wide else missing_context(n),
         nearest=sometimes(rng.normal(0, 1e-3, n)),
         reading=rng.normal(0, 50, (n, 15)),
         force=sometimes(rng.uniform(0, 8, n)),
@@ -66,7 +66,7 @@ def make(n, seed=0, truth=False, wide=False, objects=("star", "square", "hammer"
         T_w_o=poses(),
         object=rng.integers(0, len(objects), n),
         pad=rng.integers(0, 2, n),
-        run=rng.integers(0, 4, n),
+        session=rng.integers(0, 4, n),
         code=rng.integers(-1, 5, n),
         truth=Truth(
             rng.uniform(0, 4e-3, (n, 72, 72)),
@@ -81,10 +81,10 @@ def make(n, seed=0, truth=False, wide=False, objects=("star", "square", "hammer"
 
 
 def assert_equal(a, b):
-    assert (a.objects, a.pads, a.runs, a.source, a.window, a.reach, dict(a.meta)) == (
+    assert (a.objects, a.pads, a.sessions, a.source, a.window, a.reach, dict(a.meta)) == (
         b.objects,
         b.pads,
-        b.runs,
+        b.sessions,
         b.source,
         b.window,
         b.reach,
@@ -126,12 +126,12 @@ def record(touch):
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_packed_set_reads_back_exactly(tmp_path, n, seed, truth, wide, pixels):
     dataset = make(n, seed, truth, wide, pixels=pixels)
-    assert_equal(load(save(tmp_path / "set.h5", dataset)), dataset)
+    assert_equal(load_dataset(save_dataset(tmp_path / "set.h5", dataset)), dataset)
 
 
 def test_large_sets_read_back_exactly_and_an_absent_view_takes_no_memory(tmp_path):
     dataset = make(200)
-    again = load(save(tmp_path / "set.h5", dataset))
+    again = load_dataset(save_dataset(tmp_path / "set.h5", dataset))
     assert_equal(again, dataset)
     assert not any(again.touches.wide.strides)
     assert not any(again.select(np.arange(5, 90)).touches.wide.strides)
@@ -158,9 +158,9 @@ def test_a_recorded_touch_reads_back_exactly(tmp_path):
 
 def test_a_packed_touch_reads_as_a_record_and_many_do_not(tmp_path):
     one = make(1)
-    assert_equal(read_touch(save(tmp_path / "one.h5", one)).touch, one)
+    assert_equal(read_touch(save_dataset(tmp_path / "one.h5", one)).touch, one)
     with pytest.raises(DataError, match=r"two\.h5: holds 2 touches, not 1; read it with load"):
-        read_touch(save(tmp_path / "two.h5", make(2)))
+        read_touch(save_dataset(tmp_path / "two.h5", make(2)))
 
 
 def test_records_that_could_not_be_read_are_not_written(tmp_path):
@@ -170,7 +170,7 @@ def test_records_that_could_not_be_read_are_not_written(tmp_path):
     with pytest.raises(DataError, match=r"series wrench .* 3 times and 2 columns"):
         write_touch(tmp_path, Record(make(1), series={"wrench": bad}))
     with pytest.raises(DataError, match=r"set\.hdf: .*\.h5"):
-        save(tmp_path / "set.hdf", make(1))
+        save_dataset(tmp_path / "set.hdf", make(1))
     assert not list(tmp_path.iterdir())
 
 
@@ -190,7 +190,7 @@ def test_every_array_has_units_and_the_file_its_provenance(tmp_path):
 
 @pytest.fixture(scope="module")
 def packed(tmp_path_factory):
-    path = save(tmp_path_factory.mktemp("packed") / "set.h5", make(3, truth=True))
+    path = save_dataset(tmp_path_factory.mktemp("packed") / "set.h5", make(3, truth=True))
     return path, path.read_bytes()
 
 
@@ -203,7 +203,7 @@ def test_any_changed_byte_is_found(packed, tmp_path, data, flip):
     changed[place] ^= flip
     (tmp_path / "changed.h5").write_bytes(changed)
     with pytest.raises(DataError, match=r"changed\.h5: "):
-        load(tmp_path / "changed.h5")
+        load_dataset(tmp_path / "changed.h5")
 
 
 @given(data=st.data())
@@ -214,14 +214,14 @@ def test_missing_and_added_bytes_are_found(packed, tmp_path, data):
     for changed in (contents[:kept], contents + data.draw(st.binary(min_size=1, max_size=600))):
         (tmp_path / "changed.h5").write_bytes(changed)
         with pytest.raises(DataError, match=r"changed\.h5: "):
-            load(tmp_path / "changed.h5")
+            load_dataset(tmp_path / "changed.h5")
 
 
 def test_a_newer_schema_is_told_apart_from_damage(packed, tmp_path):
     newer = packed[1].replace(b"i2t-touches 1 ", b"i2t-touches 2 ", 1)
     (tmp_path / "newer.h5").write_bytes(newer)
     with pytest.raises(DataError, match=r"newer\.h5: written in schema version 2, .* newer i2t"):
-        load(tmp_path / "newer.h5")
+        load_dataset(tmp_path / "newer.h5")
 
 
 def test_an_intact_file_that_breaks_the_schema_is_named(tmp_path):
@@ -231,15 +231,15 @@ def test_an_intact_file_that_breaks_the_schema_is_named(tmp_path):
         tmp_path / "imitation.h5", lambda file: file.create_dataset("touches/reading", data=np.zeros((1, 15)))
     )
     with pytest.raises(DataError, match=r"imitation\.h5: does not follow the schema"):
-        load(path)
+        load_dataset(path)
 
 
 def test_a_folder_reads_as_the_concatenation_of_its_files(tmp_path):
     parts = [make(4, 1), make(1, 2), make(1, 3)]
-    save(tmp_path / "a.h5", parts[0])
+    save_dataset(tmp_path / "a.h5", parts[0])
     for part in parts[1:]:
         write_touch(tmp_path / "recorded", Record(part))
-    both = load(tmp_path)
+    both = load_dataset(tmp_path)
     assert_equal(both, concatenate(parts))
     assert len(both) == 6
     assert both.meta["seed"] == "1; 2; 3"
@@ -247,7 +247,7 @@ def test_a_folder_reads_as_the_concatenation_of_its_files(tmp_path):
 
 def test_all_files_that_cannot_be_used_are_named_at_once_and_skipped_on_request(tmp_path, packed):
     good = make(2)
-    save(tmp_path / "good.h5", good)
+    save_dataset(tmp_path / "good.h5", good)
     np.savez(tmp_path / "foreign.npz", a=np.zeros(3))
     with h5py.File(tmp_path / "foreign.h5", "w") as file:
         file["a"] = 1
@@ -255,35 +255,35 @@ def test_all_files_that_cannot_be_used_are_named_at_once_and_skipped_on_request(
     (tmp_path / "cut.h5").write_bytes(packed[1][:-1])
     (tmp_path / "empty.h5").write_bytes(b"")
     with pytest.raises(DataError, match="5 of 6 files") as error:
-        load(tmp_path)
+        load_dataset(tmp_path)
     bad = ("foreign.npz", "foreign.h5", "notes.txt", "cut.h5", "empty.h5")
     assert all(f"{name}: " in str(error.value) for name in bad)
     assert "\n" not in str(error.value)
     with pytest.warns(BadFileWarning, match="5 of 6 files") as caught:
-        assert_equal(load(tmp_path, skip_bad=True), good)
+        assert_equal(load_dataset(tmp_path, skip_bad=True), good)
     assert all(f"{name}: " in str(caught[0].message) for name in bad)
 
 
 def test_nothing_to_read_is_an_error(tmp_path):
     for path, problem in ((tmp_path, "holds no touches"), (tmp_path / "nowhere", "no such file")):
         with pytest.raises(DataError, match=problem):
-            load(path)
+            load_dataset(path)
     (tmp_path / "bad.h5").write_bytes(b"?")
     with pytest.raises(DataError, match=r"bad\.h5: .*no file is left"):
-        load(tmp_path, skip_bad=True)
+        load_dataset(tmp_path, skip_bad=True)
 
 
 def test_what_an_interrupted_writer_leaves_is_ignored(tmp_path, packed):
     dataset = make(2)
-    save(tmp_path / "good.h5", dataset)
+    save_dataset(tmp_path / "good.h5", dataset)
     (tmp_path / ".touch.h5.0a1b2c3d.tmp").write_bytes(packed[1][:700])
-    assert_equal(load(tmp_path), dataset)
+    assert_equal(load_dataset(tmp_path), dataset)
 
 
 def test_a_failing_write_leaves_the_old_file_and_no_other(tmp_path):
     from i2t.dataset import files
 
-    path = save(tmp_path / "set.h5", make(2))
+    path = save_dataset(tmp_path / "set.h5", make(2))
     before = path.read_bytes()
 
     def fail(file):
@@ -299,7 +299,7 @@ def test_a_failing_write_leaves_the_old_file_and_no_other(tmp_path):
 def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match=r"cannot be written .* choose a folder"):
-        save(tmp_path / "file" / "set.h5", make(1))
+        save_dataset(tmp_path / "file" / "set.h5", make(1))
 
 
 WRITER = """
@@ -326,20 +326,20 @@ def test_a_killed_writer_loses_no_acknowledged_touch(tmp_path, acknowledged):
     for line in told:
         path, seed = line.rsplit(" ", 1)
         assert_equal(read_touch(path).touch, make(1, int(seed)))
-    assert len(load(tmp_path)) in (len(told), len(told) + 1)  # one may be complete and not yet acknowledged
+    assert len(load_dataset(tmp_path)) in (len(told), len(told) + 1)  # one may be complete and not yet acknowledged
 
 
 def test_names_of_recorded_touches_sort_by_time(tmp_path):
     paths = [write_touch(tmp_path, Record(make(1, seed))) for seed in range(5)]
     assert paths == sorted(paths)
     np.testing.assert_array_equal(
-        load(tmp_path).touches.reading, np.concatenate([make(1, s).touches.reading for s in range(5)])
+        load_dataset(tmp_path).touches.reading, np.concatenate([make(1, s).touches.reading for s in range(5)])
     )
 
 
 def test_the_index_lists_a_folder_and_is_rebuilt_whenever_it_is_wrong(tmp_path):
     dataset = make(5)
-    save(tmp_path / "a.h5", dataset)
+    save_dataset(tmp_path / "a.h5", dataset)
     write_touch(tmp_path / "more", Record(make(1)))
     entries = index(tmp_path)
     assert [entry["touches"] for entry in entries.values()] == [5, 1]
@@ -358,7 +358,7 @@ def test_the_index_lists_a_folder_and_is_rebuilt_whenever_it_is_wrong(tmp_path):
 
 
 def test_the_index_is_used_where_it_is_right(tmp_path):
-    save(tmp_path / "a.h5", make(5))
+    save_dataset(tmp_path / "a.h5", make(5))
     index(tmp_path)
     cache = tmp_path / "index.json"
     cache.write_text(cache.read_text().replace('"touches": 5', '"touches": 6'))
@@ -366,7 +366,7 @@ def test_the_index_is_used_where_it_is_right(tmp_path):
 
 
 def test_the_index_is_never_trusted_over_the_files(tmp_path):
-    path = save(tmp_path / "a.h5", make(5))
+    path = save_dataset(tmp_path / "a.h5", make(5))
     index(tmp_path)
     state = path.stat()
     contents = bytearray(path.read_bytes())
@@ -374,7 +374,7 @@ def test_the_index_is_never_trusted_over_the_files(tmp_path):
     path.write_bytes(contents)
     os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
     with pytest.raises(DataError, match=r"a\.h5: .* damaged"):
-        load(tmp_path)
+        load_dataset(tmp_path)
     os.utime(path)
     with pytest.raises(DataError, match=r"a\.h5: .* damaged"):
         index(tmp_path)
@@ -419,7 +419,7 @@ T_PROJECTIVE = np.tile(np.eye(4) + 0.1 * np.eye(4)[3][:, None] * np.eye(4)[0], (
         (broken(T_w_t=T_PROJECTIVE), "T_w_t is no rigid transform"),
         (with_first("object", 3), "object is not an index into the 3 object names"),
         (with_first("pad", -1), "pad is not an index"),
-        (with_first("run", 4), "run is not an index"),
+        (with_first("session", 4), "session is not an index"),
         (with_first("code", 7), "code is not a return code"),
         (replace(make(3), window=0.0), "window and reach must be positive"),
         (replace(make(3), reach=np.nan), "window and reach must be positive"),
@@ -437,7 +437,7 @@ def test_what_no_touch_can_be_is_refused_in_one_sentence(tmp_path, dataset, prob
         validate(dataset)
     assert "\n" not in str(error.value)
     with pytest.raises(DataError, match=r"set\.h5: .*" + problem):
-        save(tmp_path / "set.h5", dataset)
+        save_dataset(tmp_path / "set.h5", dataset)
 
 
 def test_unknown_values_are_no_error():
@@ -498,10 +498,10 @@ def test_splits_are_whole_groups(n, seed, fraction, size):
         assert (np.diff(mine.astype(int)) >= 0).all()
     star = holdout_names(dataset, "object", ["star"])
     assert [dataset.objects[i] == "star" for i in dataset.touches.object] == star.tolist()
-    groups = by_group(dataset.touches.run)
+    groups = by_group(dataset.touches.session)
     rows = np.concatenate(list(groups.values()))
     assert sorted(rows) == list(range(n))
-    assert all(np.unique(dataset.touches.run[members]).tolist() == [run] for run, members in groups.items())
+    assert all(np.unique(dataset.touches.session[members]).tolist() == [run] for run, members in groups.items())
 
 
 def test_unknown_names_are_told_with_the_known_ones():
@@ -516,7 +516,7 @@ def grid(T_w_o, spacing=1e-3, n=31):
     T_o_t[:, 0, 3], T_o_t[:, 1, 3] = (axis.ravel() for axis in np.meshgrid(steps, steps))
     dataset = make(n * n, pixels=1)
     one = np.zeros(n * n)
-    touches = dataset.touches._replace(T_w_t=T_w_o @ T_o_t, T_w_o=np.tile(T_w_o, (n * n, 1, 1)), object=one, run=one)
+    touches = dataset.touches._replace(T_w_t=T_w_o @ T_o_t, T_w_o=np.tile(T_w_o, (n * n, 1, 1)), object=one, session=one)
     return replace(dataset, touches=touches)
 
 
@@ -536,7 +536,7 @@ def test_blocks_of_different_objects_and_of_runs_with_unknown_objects_differ():
     rows = np.arange(len(dataset))
     two = replace(dataset, touches=dataset.touches._replace(object=rows % 2))
     assert len(np.unique(spatial_blocks(two, 1.0))) == 2 * len(np.unique(spatial_blocks(dataset, 1.0)))
-    lost = dataset.touches._replace(T_w_o=np.full((len(rows), 4, 4), np.nan), run=rows % 3)
+    lost = dataset.touches._replace(T_w_o=np.full((len(rows), 4, 4), np.nan), session=rows % 3)
     assert len(np.unique(spatial_blocks(replace(dataset, touches=lost), 1.0))) == 3 * 4
 
 

@@ -16,7 +16,7 @@ from test_field import _tip
 from i2t.skin import contact, elasticity
 from i2t.skin import dipoles as field
 from i2t.skin.dipoles import NODES, response
-from i2t.skin.elasticity import FINE, GRID, Grid
+from i2t.skin.elasticity import FINE_GRID, GRID, Grid
 from i2t.skin.friction import rest, shear
 from i2t.skin.pad import nominal_pad, press, press_force, sample_pad
 
@@ -71,7 +71,7 @@ def against_mindlin() -> None:
 def free_sides() -> None:
     """The bonded pad in space, of 1 mm Taylor-Hood bricks, three through its thickness, half of it by symmetry."""
     pads = [PAD, *(sample_pad(jax.random.key(i)) for i in range(4))]
-    pads = [pad._replace(thickness=PAD.thickness, young=PAD.young, give=PAD.give) for pad in pads]  # bonded
+    pads = [pad._replace(thickness=PAD.thickness, young=PAD.young, mount_compliance=PAD.mount_compliance) for pad in pads]  # bonded
     axes = np.linspace(-10e-3, 10e-3, 21), np.linspace(0, 10e-3, 11), np.linspace(-THICKNESS, 0, 4)
     half = GRID.centres[GRID.cells // 2 :]
     along, ahead = interpolate(axes[0], GRID.centres), interpolate(axes[1], half)
@@ -94,7 +94,7 @@ def free_sides() -> None:
         ]
         return pad.gains * pad.board.to_board(sum(parts) - field.rest_field(pad))
 
-    y, x = np.meshgrid(FINE.centres, FINE.centres, indexing="ij")
+    y, x = np.meshgrid(FINE_GRID.centres, FINE_GRID.centres, indexing="ij")
     depths = np.asarray(field.sheets(PAD)[0], float)
     print("\na pad with free sides: sink under the load, largest error of the surface, change of the reading")
     push = 0.02e-3
@@ -107,21 +107,21 @@ def free_sides() -> None:
     }.items():
         if centre is None:
             moved, force = displacement(axes, None, [(1, 0, 1)], pushed=push)
-            found = contact.solve(PAD, jnp.zeros((80, 80)), push, FINE)
+            found = contact.solve(PAD, jnp.zeros((80, 80)), push, FINE_GRID)
             pressure = np.asarray(found.pressure) * 2 * force / float(found.force)  # the same force
             print(f"{name}: {2 * force:.3f} N, {found.force:.3f} N without free sides")
         else:
             moved, _ = displacement(axes, lambda p, c=centre: (0, 0, -cap(np.hypot(p[0] - c, p[1]))), [(1, 0, 1)])
             pressure = cap(np.hypot(x - centre, y))
         pressure = jnp.asarray(pressure, jnp.float32)
-        load = elasticity.load(PAD, pressure, None, FINE, GRID)
+        load = elasticity.load(PAD, pressure, None, FINE_GRID, GRID)
         top, ours = inside(moved, 0.0)[0], np.asarray(elasticity.interior(PAD, load, 0.0)[0])
         weight = np.asarray(pressure).reshape(40, 2, 40, 2).mean(axis=(1, 3))
         sink = np.sum(weight * ours[2]) / np.sum(weight * top[2]) - 1
         worst = np.abs(ours - top).max() / np.abs(top).max()
         motions = [tuple(jnp.asarray(part, jnp.float32) for part in inside(moved, depth)) for depth in depths]
         free = np.stack([read(pad, motions) for pad in pads])
-        endless = np.stack([response(pad, pressure, FINE, GRID) for pad in pads])
+        endless = np.stack([response(pad, pressure, FINE_GRID, GRID) for pad in pads])
         change = np.sqrt(np.sum((endless - free) ** 2) / np.sum(free**2))
         print(
             f"{name}: {sink:+.1%}, {worst:.1%}, {change:.1%} ({np.linalg.norm(free, axis=1).round(1)} uT)", flush=True
@@ -169,12 +169,12 @@ def _families() -> dict:
 def refinement() -> None:
     pads = [nominal_pad(), *(sample_pad(jax.random.key(i)) for i in range(4))]
     print("\nchange of the reading against 160 x 160 cells and 80 x 80 x 10 dipoles: pooled, median and worst press")
-    levels = {"40, dipoles 40": (GRID, GRID), "80, dipoles 40": (FINE, GRID), "80, dipoles 80": (FINE, FINE)}
+    levels = {"40, dipoles 40": (GRID, GRID), "80, dipoles 40": (FINE_GRID, GRID), "80, dipoles 80": (FINE_GRID, FINE_GRID)}
     for family, (shapes, force) in _families().items():
         readings = {}
         for name, (grid, dipoles, nodes) in {
             **{name: (*level, NODES) for name, level in levels.items()},
-            "reference": (FINEST, FINE, 2 * NODES),
+            "reference": (FINEST, FINE_GRID, 2 * NODES),
         }.items():
             y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
             heights = jnp.asarray(np.stack([shape(x, y) for shape in shapes]), jnp.float32)
@@ -195,7 +195,7 @@ def refinement() -> None:
 
 def speed() -> None:
     print("\nin batches of 64, at 0.3 mm")
-    for name, grid in (("40 cells", GRID), ("80 cells", FINE)):
+    for name, grid in (("40 cells", GRID), ("80 cells", FINE_GRID)):
         y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
         places = RANDOM.uniform(-5e-3, 5e-3, (64, 2))
         heights = jnp.asarray(np.stack([_tip(*place)(x, y) for place in places]), jnp.float32)

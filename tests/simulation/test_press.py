@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from i2t.simulation.press import PressLimits, press_until
+from i2t.simulation.press import PressLimits, press_to_stop
 from i2t.skin.contact import GRID
 from i2t.skin.pad import press, sample_pad
 from i2t.types import Pad, ReturnCode
@@ -22,7 +22,7 @@ def pad() -> Pad:
 
 @pytest.fixture(scope="module")
 def stop():
-    return jax.jit(lambda pad, height, overshoot: press_until(pad, height, LIMITS, overshoot))
+    return jax.jit(lambda pad, height, overshoot: press_to_stop(pad, height, LIMITS, overshoot))
 
 
 @pytest.fixture(scope="module")
@@ -74,14 +74,14 @@ def test_it_ends_at_the_first_crossing(name, pad, stop, sweep):
 @pytest.mark.parametrize("name", [name for name in shapes() if name != "two tips"])  # which never reach 8 N
 def test_a_dull_skin_ends_by_force(name, pad, stop):
     # Bonded, so that it does not sink away: 8 N long before the deepest.
-    dull = pad._replace(magnetisation=1e-3 * pad.magnetisation, young=6 * pad.young, give=jnp.zeros(()))
+    dull = pad._replace(magnetization=1e-3 * pad.magnetization, young=6 * pad.young, mount_compliance=jnp.zeros(()))
     end = stop(dull, jnp.float32(shapes()[name]), 0.0)
     assert end.code == ReturnCode.WRENCH
     assert abs(end.force / LIMITS.force - 1) < WITHIN
 
 
 def test_a_skin_that_feels_nothing_ends_at_the_deepest(pad, stop):
-    soft = pad._replace(magnetisation=0 * pad.magnetisation, young=jnp.float32(1.0))
+    soft = pad._replace(magnetization=0 * pad.magnetization, young=jnp.float32(1.0))
     end = stop(soft, jnp.float32(shapes()["ball"]), 0.0)
     assert end.code == ReturnCode.UNDEFINED
     # A logarithm and its exponential lose a few roundings.

@@ -22,7 +22,7 @@ from i2t.objects.catalogue import make_object, transform_mesh
 from i2t.objects.solids import Mesh, ball, box, mesh
 from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.simulation import sites as touch_sites
-from i2t.simulation.sites import Limits, collect_sites, nearest_in_square, press_along, sample_points, sample_sites
+from i2t.simulation.sites import SiteLimits, collect_sites, nearest_in_square, press_along, sample_points, sample_sites
 from i2t.types import PAD_WINDOW, STANDOFF, Surface
 
 DELTA = 3e-7
@@ -34,7 +34,7 @@ press = jax.jit(press_along)
 nearest = jax.jit(nearest_in_square)
 points_of = jax.jit(sample_points, static_argnums=2)
 frame = jax.jit(contact_frame)
-is_open = jax.jit(touch_sites.is_open, static_argnums=2)
+is_open = jax.jit(touch_sites.is_unoccluded, static_argnums=2)
 
 
 def pose(rotation, position) -> jnp.ndarray:
@@ -124,7 +124,9 @@ def test_points_of_wanted_faces_only():
 @pytest.mark.parametrize("name", ["star", "hammer"])
 def test_nearest_agrees_with_clipping_and_bounds_rays(name):
     thing = make_object(name).mesh
-    surface = Surface(stack_surfaces([prepare_surface(thing), prepare_surface(make_object("hammer").mesh)]).triangles[0])  # one size, one compilation
+    surface = Surface(
+        stack_surfaces([prepare_surface(thing), prepare_surface(make_object("hammer").mesh)]).triangles[0]
+    )  # one size, one compilation
     rng = np.random.default_rng(5)
     rays = trimesh.ray.ray_pyembree.RayMeshIntersector(trimesh.Trimesh(thing.vertices, thing.faces, process=False))
     met = 0
@@ -330,10 +332,10 @@ def test_upward():
     for angle in (0.0, 1.0, 1.3, 1.32, 2.0, np.pi):
         normal = jnp.array([np.sin(angle), 0.0, np.cos(angle)], jnp.float32)
         T = frame(jnp.zeros(3), normal, 0.7)
-        assert bool(touch_sites.is_upward(T, Limits())) is bool(
+        assert bool(touch_sites.is_upward(T, SiteLimits())) is bool(
             np.cos(angle) > 0.25
         )  # cos 1.3 = 0.267, cos 1.32 = 0.248
-        assert bool(touch_sites.is_upward(T, touch_sites.RECOGNITION)) is bool(np.cos(angle) > 0.5)
+        assert bool(touch_sites.is_upward(T, touch_sites.RECOGNITION_LIMITS)) is bool(np.cos(angle) > 0.5)
 
 
 @pytest.mark.parametrize(("height", "aside", "safe"), [(2.9, 5, True), (3.1, 5, False), (60, 5, False), (60, 12, True)])
@@ -342,14 +344,14 @@ def test_nothing_rises_above_the_contact_plane(height, aside, safe):
     post = box((2, 2, height + 1), (aside, 0, height / 2 - 0.5))
     surface = prepare_surface(mesh(plate + post))
     T = frame(jnp.array([0.0, 0.0, 20e-3]), jnp.array([0.0, 0.0, 1.0]), 0.0)
-    assert bool(is_open(surface, T, Limits())) is safe
+    assert bool(is_open(surface, T, SiteLimits())) is safe
 
 
 @settings(deadline=None, max_examples=60)
 @given(st.integers(0, 2**32 - 1))
 def test_flange_and_mount_above_the_table(seed):
     rng = np.random.default_rng(seed)
-    limits = Limits(table=-0.01, clearance=2e-3, flange=0.1, mount=0.03, flange_near=0.02, flange_far=0.15)
+    limits = SiteLimits(table=-0.01, clearance=2e-3, flange=0.1, mount=0.03, flange_near=0.02, flange_far=0.15)
     T = pose(Rotation.random(random_state=rng).as_matrix(), rng.uniform(0, 0.1, 3))
     corners = []
     for edge, near, far in ((0.03, 0.0, 0.02), (0.1, 0.02, 0.15)):
@@ -362,7 +364,7 @@ def test_flange_and_mount_above_the_table(seed):
 def test_sites_pass_an_independent_check():
     thing = make_object("hammer").mesh
     rays = trimesh.ray.ray_pyembree.RayMeshIntersector(trimesh.Trimesh(thing.vertices, thing.faces, process=False))
-    surface, limits = prepare_surface(thing), Limits()
+    surface, limits = prepare_surface(thing), SiteLimits()
     sites = sites_of(jax.random.key(2), surface, 40, limits, 8)
     assert sites.safe.all()
     for T in np.asarray(sites.T_w_t, np.float64):
@@ -383,7 +385,7 @@ def test_sites_pass_an_independent_check():
 def test_sites_are_uniform_in_place_and_spin():
     # Every point of a wide flat top is safe, and nothing else looks up.
     surface = prepare_surface(make_object("square").mesh)
-    sites = sites_of(jax.random.key(5), surface, 1000, Limits(), 2)
+    sites = sites_of(jax.random.key(5), surface, 1000, SiteLimits(), 2)
     assert sites.safe.all()
     T = np.asarray(sites.T_w_t)
     np.testing.assert_allclose(T[:, 2, 3], 30e-3, atol=DELTA)
@@ -398,14 +400,14 @@ def test_sites_of_many_objects_at_once_are_those_of_each_alone():
     keys = jax.random.split(jax.random.key(1), 3)
     together = jax.jit(jax.vmap(lambda key, surface: sample_sites(key, surface, 5)))(keys, surfaces)
     for i, key in enumerate(jax.random.split(jax.random.key(1), 3)):
-        alone = sites_of(key, Surface(surfaces.triangles[i]), 5, Limits(), 8)
+        alone = sites_of(key, Surface(surfaces.triangles[i]), 5, SiteLimits(), 8)
         # The same arithmetic in another order: one place or direction may round differently.
         np.testing.assert_allclose(together.T_w_t[i], alone.T_w_t, atol=1e-6)
         np.testing.assert_array_equal(together.safe[i], alone.safe)
 
 
 def test_too_few_sites():
-    pyramid, upright = make_object("pyramid").mesh, Limits(min_cos=0.99)
+    pyramid, upright = make_object("pyramid").mesh, SiteLimits(min_cos=0.99)
     frames = collect_sites(jax.random.key(0), prepare_surface(pyramid), 20, upright, "pyramid")
     np.testing.assert_allclose(frames[:, 2, 3], 35e-3, atol=DELTA)  # its flat top is the only upright face
     fallen = prepare_surface(placed(pyramid, Rotation.from_euler("x", 45, degrees=True).as_matrix(), [0, 0, 50e-3]))
@@ -419,7 +421,7 @@ def test_the_mask_tells_safe_sites_from_fillers():
     surface = Surface(
         stack_surfaces([prepare_surface(stamp), prepare_surface(hammer)]).triangles[0]
     )  # the size of another test: one compilation
-    sites = sites_of(jax.random.key(0), surface, 40, Limits(), 8)
+    sites = sites_of(jax.random.key(0), surface, 40, SiteLimits(), 8)
     found = int(sites.safe.sum())
     assert 0 < found < 40
     np.testing.assert_array_equal(sites.safe, np.arange(40) < found)

@@ -17,7 +17,14 @@ from i2t import geometry
 from i2t.rendering.render import prepare_surface, render_heights
 from i2t.simulation import sites
 from i2t.simulation.press import PressLimits
-from i2t.simulation.touches import CAMERA_DISTANCE, Errors, cut, sample_run, sense, simulate
+from i2t.simulation.touches import (
+    CAMERA_DISTANCE_M,
+    SimulationErrors,
+    apply_camera_model,
+    extract_patch,
+    sample_session_errors,
+    simulate_touches,
+)
 from i2t.skin.contact import Grid
 from i2t.skin.pad import sample_pad
 from i2t.types import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW, Pad, ReturnCode, Surface, Touches
@@ -26,7 +33,7 @@ from i2t.types import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW, Pad, ReturnCo
 # changes it by less than 2 % (tests/skin); the stop before it is within 0.1 % of its limit (test_press).
 LIMITS = PressLimits(overshoot=0.0, final=Grid(40, 68))
 WITHIN = 0.02
-PLACED = replace(Errors.none(), placement=4e-3, placement_angle=np.radians(1.0).item())
+PLACED = replace(SimulationErrors.none(), placement=4e-3, placement_angle=np.radians(1.0).item())
 RUNS, N = 4, 6  # touches of a run, touches of an object
 SEED = 5  # one of the four objects drawn lies too low to be met
 PITCH = WIDE_WINDOW / WIDE_PIXELS
@@ -36,7 +43,7 @@ ROUNDING = 2e-7  # m: two dozen roundings of coordinates below 0.1 m
 # Cells of 0.5 mm meet a corner up to half a diagonal aside. Where a flat skin rests on a corner of the ball, it is less
 # steep to a face than faces of one corner are to one another: 42 degrees.
 LATE = 0.25e-3 * np.sqrt(2) * np.tan(np.radians(42))
-many = partial(simulate, errors=PLACED, n=N, limits=LIMITS, touches_per_run=RUNS)
+many = partial(simulate_touches, errors=PLACED, n=N, limits=LIMITS, touches_per_session=RUNS)
 
 
 def moved(mesh: trimesh.Trimesh, z: float) -> trimesh.Trimesh:
@@ -71,8 +78,8 @@ def true_poses(touches) -> np.ndarray:
     placed = []
     for run in range(4):
         key_run = jax.random.split(jax.random.fold_in(jax.random.key(SEED), run), 3)[0]
-        placed.append(np.asarray(sample_run(key_run, PLACED).T_o_placed, np.float64))
-    return np.linalg.inv(np.array(placed)[touches.run]) @ touches.T_w_t
+        placed.append(np.asarray(sample_session_errors(key_run, PLACED).T_o_placed, np.float64))
+    return np.linalg.inv(np.array(placed)[touches.session]) @ touches.T_w_t
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +106,7 @@ def behind(z: np.ndarray, nearest: float) -> np.ndarray:
 
 def test_runs_and_objects_are_counted(touches, told):
     assert touches.object.tolist() == [0] * 6 + [1] * 6
-    assert touches.run.tolist() == [0, 0, 0, 0, 1, 1, 2, 2, 2, 2, 3, 3]
+    assert touches.session.tolist() == [0, 0, 0, 0, 1, 1, 2, 2, 2, 2, 3, 3]
     assert not touches.pad.any()
     assert told == [4, 2, 4, 2]
     assert touches.patch.shape == (12, 48, 48)
@@ -152,7 +159,7 @@ def test_presses_end_at_the_limit(touches, met):
 def test_what_lies_too_low_is_air(touches, met, true_poses, solids):
     air = np.flatnonzero(~met)
     assert len(air)
-    assert len(np.unique(touches.run[air])) == 1
+    assert len(np.unique(touches.session[air])) == 1
     first = jax.jit(lambda surface, T: sites.press_along(surface, T, T[:3, 2]))
     for i in air:
         # It went to the end of its search, and what it looked for begins further on.
@@ -167,11 +174,11 @@ def test_what_lies_too_low_is_air(touches, met, true_poses, solids):
 
 def test_a_dull_pad_stops_by_force_and_a_senseless_one_at_the_deepest(solids, pad, met):
     ball = met[:N]
-    dull = pad._replace(magnetisation=1e-3 * pad.magnetisation, young=4 * pad.young)
+    dull = pad._replace(magnetization=1e-3 * pad.magnetization, young=4 * pad.young)
     touches = many(jax.random.key(SEED), solids[:1], dull)
     assert (touches.code[ball] == ReturnCode.WRENCH).all()
     np.testing.assert_allclose(touches.truth.force[ball], LIMITS.force, rtol=WITHIN)
-    senseless = pad._replace(magnetisation=0 * pad.magnetisation, young=jnp.float32(1))
+    senseless = pad._replace(magnetization=0 * pad.magnetization, young=jnp.float32(1))
     touches = many(jax.random.key(SEED), solids[:1], senseless)
     assert (touches.code[ball] == ReturnCode.UNDEFINED).all()
     # A logarithm and its exponential lose a few roundings.
@@ -196,8 +203,8 @@ def test_an_object_without_safe_sites_is_named(solids, pad):
 
 
 def test_pose_errors_have_their_stated_spread():
-    errors, n = Errors(), 4000
-    run = jax.jit(jax.vmap(partial(sample_run, errors=errors)))(jax.random.split(jax.random.key(0), n))
+    errors, n = SimulationErrors(), 4000
+    run = jax.jit(jax.vmap(partial(sample_session_errors, errors=errors)))(jax.random.split(jax.random.key(0), n))
     for T, distance, angle in (
         (run.T_o_placed, errors.placement, errors.placement_angle),
         (run.T_t_camera, errors.hand_eye, errors.hand_eye_angle),
@@ -212,13 +219,13 @@ def test_pose_errors_have_their_stated_spread():
 
 
 def test_scaling_changes_pose_errors_only():
-    twice, nothing = Errors().scaled(2.0), Errors.none()
-    assert twice.hand_eye_angle == 2 * Errors().hand_eye_angle
-    assert twice.repeatability == 2 * Errors().repeatability
+    twice, nothing = SimulationErrors().scaled(2.0), SimulationErrors.none()
+    assert twice.hand_eye_angle == 2 * SimulationErrors().hand_eye_angle
+    assert twice.repeatability == 2 * SimulationErrors().repeatability
     others = ("depth_noise", "depth_bleed", "depth_quantum", "force", "noise", "faults")
     kept = {name: getattr(nothing, name) for name in others}
-    assert replace(Errors().scaled(0.0), **kept) == nothing
-    assert Errors().scaled(0.0).noise == Errors().noise
+    assert replace(SimulationErrors().scaled(0.0), **kept) == nothing
+    assert SimulationErrors().scaled(0.0).noise == SimulationErrors().noise
 
 
 # The camera, on a plane that falls to the right by 0.64 mm on either side.
@@ -226,12 +233,12 @@ def test_scaling_changes_pose_errors_only():
 SLOPE = 0.05
 PLANE = SLOPE * X
 FREE = slice(24, 64)  # columns more than 0.19 mm behind the nearest mean: no error here reaches the clip at it
-camera = jax.jit(sense, static_argnames="errors")
+camera = jax.jit(apply_camera_model, static_argnames="errors")
 
 
 def seen(z: np.ndarray, **errors: float) -> np.ndarray:
     """Heights in the wide view."""
-    wide, patch = camera(jax.random.key(0), jnp.float32(z), errors=replace(Errors.none(), **errors))
+    wide, patch = camera(jax.random.key(0), jnp.float32(z), errors=replace(SimulationErrors.none(), **errors))
     return np.asarray(wide, np.float64) + float(patch.nearest)
 
 
@@ -251,7 +258,7 @@ def test_depth_noise_has_its_stated_size():
 def test_depth_comes_in_steps():
     quantum = 0.1e-3
     z = seen(PLANE, depth_quantum=quantum)[:, FREE]
-    steps = (z + CAMERA_DISTANCE) / quantum
+    steps = (z + CAMERA_DISTANCE_M) / quantum
     np.testing.assert_allclose(steps, steps.round(), atol=ROUNDING / quantum)
     assert np.abs(z - PLANE[:, FREE]).max() <= quantum / 2 + ROUNDING
     assert len(np.unique(steps.round())) > 5
@@ -275,7 +282,7 @@ def test_bleeding_moves_pixels_sideways():
 
 
 def test_nearest_is_a_surface_and_not_a_pixel():
-    look = jax.jit(cut)
+    look = jax.jit(extract_patch)
     view = np.full((72, 72), 10e-3, np.float32)
     view[:, 30:33] = 2e-3  # a thin plate: three columns, about 1 mm
     depth, patch = look(jnp.asarray(view))
@@ -291,7 +298,7 @@ def test_nearest_is_a_surface_and_not_a_pixel():
 
 
 def test_a_tip_alone_and_nothing_at_all():
-    look = jax.jit(cut)
+    look = jax.jit(extract_patch)
     view = np.full((72, 72), np.inf, np.float32)
     depth, patch = look(jnp.asarray(view))
     assert np.isposinf(patch.nearest)

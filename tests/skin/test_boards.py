@@ -9,7 +9,7 @@ from i2t.skin import faults
 from i2t.skin.boards import BOARDS, grid_board, make_board
 from i2t.skin.faults import Faults
 from i2t.skin.files import load_pad, save_pad
-from i2t.skin.noise import Noise, drift, observe
+from i2t.skin.noise import Noise, add_sensor_noise, drift
 from i2t.skin.pad import nominal_pad, press, sample_pad
 from i2t.types import Board
 
@@ -70,11 +70,11 @@ def test_a_chip_measures_the_same_whichever_board_it_is_on():
 @pytest.mark.parametrize("name", NAMES)
 def test_noise_and_faults_have_the_board_s_channels(name):
     board, keys = make_board(name), jax.random.split(jax.random.key(0), 4)
-    assert observe(keys[0], jnp.zeros(board.num_readings), board, Noise()).shape == (board.num_readings,)
+    assert add_sensor_noise(keys[0], jnp.zeros(board.num_readings), board, Noise()).shape == (board.num_readings,)
     assert drift(keys[1], 7, Noise(), board.num_readings).shape == (7, board.num_readings)
     readings, poses = jnp.ones((6, board.num_readings)), jnp.tile(jnp.eye(4), (6, 1, 1))
     kind = Faults(
-        softening=0.1, relaxation=0.05, memory=0.3, ferrous=7.0, earth=48.0, room=10.0, warming=10.0, gain=0.05,
+        softening=0.1, relaxation=0.05, hysteresis=0.3, ferrous=7.0, earth=48.0, room=10.0, warming=10.0, gain=0.05,
         range_xy=4915.0, range_z=7930.0, dead=2, stale=0.5,
     )  # fmt: skip
     felt = faults.record(keys[2], faults.apply(keys[3], readings, poses, board, kind), kind)

@@ -173,7 +173,7 @@ def test_force_grows_with_depth(sweeps):
 def test_force_grows_with_depth_on_every_pad():
     """500 sweeps of 8 depths: rough, tilted and cut surfaces, each on a pad of its own, some held at their edges."""
     pads = jax.jit(jax.vmap(sample_pad))(jax.random.split(jax.random.key(2), 500))
-    pads = pads._replace(give=jnp.where(jnp.arange(500) % 2 == 0, 0.0, pads.give))
+    pads = pads._replace(mount_compliance=jnp.where(jnp.arange(500) % 2 == 0, 0.0, pads.mount_compliance))
     heights, shares = jnp.asarray(_rough(500), jnp.float32), jnp.geomspace(1e-3, 0.4, 8)
 
     def end(pad, height, share):
@@ -324,7 +324,7 @@ def test_interior_ends_at_the_base_and_the_surface(smooth_load):
         )
     # 2 Q^2 is at most 640, so that many roundings may be left where `interior` does not cancel it.
     np.testing.assert_allclose(
-        top[:2], dragged + elasticity.spread(PAD, pressure), atol=1e-4 * float(abs(top[:2]).max())
+        top[:2], dragged + elasticity.tangential_displacement(PAD, pressure), atol=1e-4 * float(abs(top[:2]).max())
     )
 
 
@@ -338,18 +338,18 @@ def test_pressure_and_traction_answer_each_other():
     # Traction does work on motion along it, pressure on motion down.
     np.testing.assert_allclose(jnp.sum(one * top[1][:2]), jnp.sum(two * top[0][:2]), rtol=1e-4)
     np.testing.assert_allclose(
-        -jnp.sum(pressure * top[0][2]), jnp.sum(one * elasticity.spread(PAD, pressure)), rtol=1e-3
+        -jnp.sum(pressure * top[0][2]), jnp.sum(one * elasticity.tangential_displacement(PAD, pressure)), rtol=1e-3
     )
 
 
 @pytest.mark.parametrize("give", [2e-5, 2e-4])
 def test_a_skin_held_at_its_edge_sinks_away_from_the_object(give):
     """Its pressure is that of a bonded skin whose surface has sunk by as much as this pressure sinks it."""
-    pad = PAD._replace(give=jnp.asarray(give))
+    pad = PAD._replace(mount_compliance=jnp.asarray(give))
     height, depth = (jnp.asarray(value, jnp.float32) for value in SHAPES["tilted stamp"])
     found, bonded = solve(pad, height, depth), solve(PAD, height, depth)
     assert found.converged
-    load = elasticity.weight(found.pressure)
+    load = elasticity.clamped_load(found.pressure)
     np.testing.assert_allclose(load, np.sum(np.asarray(found.pressure) * SHAPE) * GRID.spacing**2, rtol=1e-5)
     sunk = give * load * jnp.asarray(SHAPE, jnp.float32)
     again = solve(PAD, height + sunk, depth)
@@ -369,7 +369,7 @@ def test_a_skin_held_at_its_edge_sinks_away_from_the_object(give):
 
 def test_a_bonded_skin_has_no_global_motion():
     pressure = solve(PAD, jnp.asarray(SHAPES["sphere"][0], jnp.float32), 0.5e-3).pressure
-    assert elasticity.load(PAD, pressure).sunk == 0
+    assert elasticity.load(PAD, pressure).centre_sinking == 0
     # Its compliance is that of the layer alone, bit for bit.
     soft = contact._softness(PAD, GRID)
     np.testing.assert_array_equal(contact._deflect(soft, pressure, GRID), elasticity.convolve(soft.kernel, pressure))

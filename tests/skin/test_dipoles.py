@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from i2t.skin import contact, elasticity
 from i2t.skin import dipoles as field
-from i2t.skin.elasticity import FINE, GRID, Grid
+from i2t.skin.elasticity import FINE_GRID, GRID, Grid
 from i2t.skin.pad import nominal_pad, press_force, sample_pad
 
 with warnings.catch_warnings():
@@ -57,7 +57,7 @@ def test_a_dipole_on_its_axis():
 def test_the_layer_at_rest_agrees_with_solid_magnets(pattern):
     """The dipoles stand for 16 cuboid magnets, of which magpylib knows the field in closed form."""
     pad = nominal_pad(pattern)
-    thickness, strength, edge = float(pad.thickness), float(jnp.abs(pad.magnetisation).max()), 5e-3
+    thickness, strength, edge = float(pad.thickness), float(jnp.abs(pad.magnetization).max()), 5e-3
     exact = np.zeros((5, 3))
     for i in range(4):
         for j in range(4):
@@ -76,7 +76,7 @@ def test_the_layer_at_rest_agrees_with_solid_magnets(pattern):
 def test_a_pressed_layer_agrees_with_magpylib(held):
     """Every dipole moved and turned by hand, its field by magpylib; with friction and held at its edge or without."""
     pad, pressure = sample(jax.random.key(5)), _load(1)
-    pad = pad._replace(give=jnp.asarray(1e-4)) if held else pad
+    pad = pad._replace(mount_compliance=jnp.asarray(1e-4)) if held else pad
     traction = 0.5 * jnp.stack([pressure, -0.5 * pressure]) if held else None
     depths, moments = field.sheets(pad)
     waves = elasticity.load(pad, pressure, traction)
@@ -100,7 +100,8 @@ def test_a_skin_held_at_its_edge_moves_at_all_its_chips():
     pressure = jnp.asarray(4e4 * (((X - x) ** 2 + (Y - y) ** 2) < 2.5e-3**2), jnp.float32)
     pad = sample(jax.random.key(5))
     bonded, once, twice = (
-        np.asarray(response(pad._replace(give=jnp.asarray(give)), pressure)).reshape(5, 3) for give in (0, 1e-4, 2e-4)
+        np.asarray(response(pad._replace(mount_compliance=jnp.asarray(give)), pressure)).reshape(5, 3)
+        for give in (0, 1e-4, 2e-4)
     )
     far = np.linalg.norm(np.asarray(pad.board.chips)[:, :2] - [x, y], axis=1) > 9e-3
     assert far.sum() == 2
@@ -124,8 +125,8 @@ def test_no_pressure_no_reading():
 
 def test_reading_is_linear_in_the_magnetisation():
     one, two, pressure = sample(jax.random.key(1)), sample(jax.random.key(2)), _load(3)
-    mixed = one._replace(magnetisation=2 * one.magnetisation - 3 * two.magnetisation)
-    expected = 2 * response(one, pressure) - 3 * response(one._replace(magnetisation=two.magnetisation), pressure)
+    mixed = one._replace(magnetization=2 * one.magnetization - 3 * two.magnetization)
+    expected = 2 * response(one, pressure) - 3 * response(one._replace(magnetization=two.magnetization), pressure)
     np.testing.assert_allclose(response(mixed, pressure), expected, atol=1e-5 * float(jnp.abs(expected).max()) * 10)
 
 
@@ -136,8 +137,8 @@ def test_gains_act_on_the_board_s_values():
 
 
 def test_a_map_of_any_size_is_sampled_at_its_cells():
-    coarse = PAD._replace(magnetisation=jnp.arange(12.0).reshape(2, 2, 3))
-    fine = PAD._replace(magnetisation=jnp.repeat(jnp.repeat(coarse.magnetisation, 7, axis=0), 7, axis=1))
+    coarse = PAD._replace(magnetization=jnp.arange(12.0).reshape(2, 2, 3))
+    fine = PAD._replace(magnetization=jnp.repeat(jnp.repeat(coarse.magnetization, 7, axis=0), 7, axis=1))
     np.testing.assert_array_equal(field.sheets(coarse)[1], field.sheets(fine)[1])
 
 
@@ -192,21 +193,23 @@ def test_reading_has_converged_for_tips(pads):
     """Cells halved and nodes doubled change the reading of a small tip at 0.8 N by less than 2 %."""
     places = np.random.default_rng(3).uniform(-7e-3, 7e-3, (8, 2))
     tips = [_tip(x, y) for x, y in places]
-    assert _change(pads, tips, np.full(8, 0.8, np.float32), (GRID, field.NODES), (FINE, 2 * field.NODES)) < 0.02
+    assert _change(pads, tips, np.full(8, 0.8, np.float32), (GRID, field.NODES), (FINE_GRID, 2 * field.NODES)) < 0.02
 
 
 def test_fine_reading_has_converged_for_stamps(pads):
     """Outlines are cut by cells, so stamps need the fine grid to come within 2 % of one twice as fine."""
     forces = np.array([1.0, 1.0], np.float32)
     nominal = jax.tree.map(lambda leaf: leaf[:2], pads)
-    assert _change(nominal, [_disc, _tee], forces, (FINE, field.NODES), (Grid(160, 256), field.NODES)) < 0.02
+    assert _change(nominal, [_disc, _tee], forces, (FINE_GRID, field.NODES), (Grid(160, 256), field.NODES)) < 0.02
 
 
 def test_fewer_dipoles_suffice_for_a_fine_contact(pads):
     pad = jax.tree.map(lambda leaf: leaf[1], pads)
-    y, x = np.meshgrid(FINE.centres, FINE.centres, indexing="ij")
+    y, x = np.meshgrid(FINE_GRID.centres, FINE_GRID.centres, indexing="ij")
     height = jnp.asarray(_tip(1e-3, 4e-3)(x, y), jnp.float32)
     fine, cheap = jax.jit(
-        lambda pad, height: [press_force(pad, height, 0.8, FINE, dipoles=grid).reading for grid in (FINE, GRID)]
+        lambda pad, height: [
+            press_force(pad, height, 0.8, FINE_GRID, dipoles=grid).reading for grid in (FINE_GRID, GRID)
+        ]
     )(pad, height)
     assert np.linalg.norm(cheap - fine) < 0.02 * np.linalg.norm(fine)

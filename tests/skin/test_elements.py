@@ -15,7 +15,7 @@ from scipy.sparse import bmat
 from scipy.sparse.linalg import splu
 
 from i2t.skin import elasticity
-from i2t.skin.elasticity import FINE, Grid
+from i2t.skin.elasticity import FINE_GRID, Grid
 from i2t.skin.pad import nominal_pad
 
 with warnings.catch_warnings():
@@ -127,11 +127,13 @@ def test_a_round_press_agrees_with_finite_elements():
     places = np.arange(0.125e-3, 6e-3, 0.25e-3)  # cell centres of FINE
     exact = np.einsum("cij,di,rj->dcr", found, interpolate(DEEP, -DEPTHS)[0], interpolate(radial, places)[0])
     # The grid's centres lie beside the axis: take the load's middle to one of them.
-    middle = FINE.centres[40]
-    y, x = np.meshgrid(FINE.centres, FINE.centres, indexing="ij")
+    middle = FINE_GRID.centres[40]
+    y, x = np.meshgrid(FINE_GRID.centres, FINE_GRID.centres, indexing="ij")
     pressure = jnp.asarray(cap(np.hypot(x - middle, y - middle)), jnp.float32)
-    load = elasticity.load(PAD, pressure, None, FINE)
-    inside = jax.jit(lambda depth: elasticity.interior(PAD, load, depth, FINE, np.append(middle, middle + places))[0])
+    load = elasticity.load(PAD, pressure, None, FINE_GRID)
+    inside = jax.jit(
+        lambda depth: elasticity.interior(PAD, load, depth, FINE_GRID, np.append(middle, middle + places))[0]
+    )
     for depth, expected in zip(DEPTHS, exact, strict=True):
         ours = np.asarray(inside(depth))[:, 0, 1:]  # along x from the axis
         assert np.abs(ours[[0, 2]] - expected).max() < ASKED * np.abs(exact).max()
@@ -156,7 +158,7 @@ def test_a_dragged_strip_agrees_with_finite_elements(strip):
     x = np.broadcast_to(grid.centres, (128, 128))
     pressure, along = (jnp.asarray(cap(x - shift), jnp.float32) for shift in (0, 0.9e-3))
     traction = 0.7 * jnp.stack([along, jnp.zeros_like(along)])
-    load = elasticity.load(PAD._replace(give=jnp.zeros(())), pressure, traction, grid)
+    load = elasticity.load(PAD._replace(mount_compliance=jnp.zeros(())), pressure, traction, grid)
     places = np.linspace(-6e-3, 6e-3, 50)
     inside = jax.jit(lambda depth: elasticity.interior(PAD, load, depth, grid, places))
     values, slopes = interpolate(across, places)

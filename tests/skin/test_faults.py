@@ -28,7 +28,7 @@ ROUNDING = 1e-5  # of a value, after some ten operations in float32
 ALONE = [
     Faults(softening=0.1),
     Faults(relaxation=0.05),
-    Faults(memory=0.3),
+    Faults(hysteresis=0.3),
     Faults(ferrous=7.0),
     Faults(earth=48.0, ambient_every=10),
     Faults(room=10.0, ambient_every=10),
@@ -62,7 +62,9 @@ def _sizes(kind: Faults) -> list[str]:
 def test_off_is_the_identity():
     assert _sizes(Faults()) == []
     np.testing.assert_array_equal(_apply(Faults()), READINGS)
-    np.testing.assert_array_equal(_apply(Faults(ambient_every=10, worn=500, hold=60.0, yielding=1.0)), READINGS)
+    np.testing.assert_array_equal(
+        _apply(Faults(ambient_every=10, presses_before=500, hold_time=60.0, layer_share=1.0)), READINGS
+    )
     np.testing.assert_array_equal(faults.apply(_key(), READINGS, POSES, BOARD, Faults()), READINGS)
 
 
@@ -81,11 +83,13 @@ def test_every_size_is_tried_alone():
 
 def test_a_used_skin_is_softer():
     reading = READINGS[0]
-    np.testing.assert_array_equal(faults.soften(reading, 0, 0.1), reading)
-    np.testing.assert_allclose(faults.soften(reading, 100_000, 0.1), 1.1 * reading, rtol=ROUNDING)
+    np.testing.assert_array_equal(faults.mullins_softening(reading, 0, 0.1), reading)
+    np.testing.assert_allclose(faults.mullins_softening(reading, 100_000, 0.1), 1.1 * reading, rtol=ROUNDING)
     one = 1 + 0.1 * (1 - np.exp(-1))
-    np.testing.assert_allclose(faults.soften(reading, int(faults.WEAR), 0.1), one * reading, rtol=ROUNDING)
-    later = _apply(Faults(softening=0.1, worn=100_000))
+    np.testing.assert_allclose(
+        faults.mullins_softening(reading, int(faults.WEAR_PRESSES), 0.1), one * reading, rtol=ROUNDING
+    )
+    later = _apply(Faults(softening=0.1, presses_before=100_000))
     np.testing.assert_allclose(later, 1.1 * READINGS, rtol=ROUNDING)
 
 
@@ -93,23 +97,23 @@ def test_stress_relaxes_as_maxwell_elements_do():
     """Three springs behind dashpots, integrated in time, beside one spring that holds."""
     size, times = 0.3, np.array([0.1, 1.0, 10.0, 100.0])
     arms = solve_ivp(
-        lambda _, s: -s / np.array(faults.PRONY_TIMES),
+        lambda _, s: -s / np.array(faults.PRONY_TIMES_S),
         (0, 100),
         np.full(3, size / 3),
         t_eval=times,
         rtol=1e-9,
         atol=1e-12,
     )
-    left = [faults.relaxed(float(t), size) for t in times]
+    left = [faults.stress_left(float(t), size) for t in times]
     np.testing.assert_allclose(left, 1 - size + arms.y.sum(axis=0), rtol=ROUNDING)
-    assert faults.relaxed(0.0, size) == 1
+    assert faults.stress_left(0.0, size) == 1
 
 
 @pytest.mark.parametrize("yielding", [0.0, 0.2, 0.7, 1.0])
 def test_creep_is_that_of_springs_in_series(yielding):
     size, seconds, travel = 0.3, 5.0, 1e-3
     layer = 1.0
-    left = float(faults.relaxed(seconds, size))
+    left = float(faults.stress_left(seconds, size))
 
     def indentation(stress: float) -> float:
         """Where the arm's force equals the layer's: arm (travel - d) = layer stress d."""
@@ -126,7 +130,7 @@ def test_creep_is_that_of_springs_in_series(yielding):
 
 
 def test_one_chip_remembers_the_press_before():
-    remembering = np.asarray(faults.remember(_key(), READINGS, 0.3)).reshape(N, 5, 3)
+    remembering = np.asarray(faults.apply_hysteresis(_key(), READINGS, 0.3)).reshape(N, 5, 3)
     plain = np.asarray(READINGS).reshape(N, 5, 3)
     [chip] = np.unique(np.nonzero(remembering != plain)[1])
     np.testing.assert_array_equal(remembering[0], plain[0])
@@ -137,7 +141,7 @@ def test_one_chip_remembers_the_press_before():
 
 def test_the_remembering_chip_is_any():
     keys = jax.random.split(jax.random.key(5), 500)
-    ones = jax.vmap(lambda key: faults.remember(key, jnp.ones((2, 15)), 1.0)[1])(keys)
+    ones = jax.vmap(lambda key: faults.apply_hysteresis(key, jnp.ones((2, 15)), 1.0)[1])(keys)
     counts = np.asarray(ones - 1).reshape(500, 5, 3)[:, :, 0].sum(axis=0)
     assert counts.sum() == 500
     assert stats.chisquare(counts).pvalue > 1e-6
@@ -170,14 +174,14 @@ def test_a_steel_tip_multiplies_the_touch():
 
 def test_the_field_of_a_place():
     earth = np.asarray(
-        jax.vmap(lambda key: faults.field_of_place(key, 48.0, 0.0))(jax.random.split(_key(3), 4000)), float
+        jax.vmap(lambda key: faults.ambient_field(key, 48.0, 0.0))(jax.random.split(_key(3), 4000)), float
     )
     np.testing.assert_allclose(np.linalg.norm(earth, axis=1), 48, rtol=ROUNDING)
-    np.testing.assert_allclose(earth[:, 2], -48 * np.sin(faults.DIP), rtol=ROUNDING)
+    np.testing.assert_allclose(earth[:, 2], -48 * np.sin(faults.EARTH_DIP_RAD), rtol=ROUNDING)
     bearing = np.arctan2(earth[:, 1], earth[:, 0]) / (2 * np.pi) % 1
     assert stats.kstest(bearing, "uniform").pvalue > 1e-6
     room = np.asarray(
-        jax.vmap(lambda key: faults.field_of_place(key, 0.0, 10.0))(jax.random.split(_key(4), 4000)), float
+        jax.vmap(lambda key: faults.ambient_field(key, 0.0, 10.0))(jax.random.split(_key(4), 4000)), float
     )
     assert stats.kstest(room.ravel() / 10, "norm").pvalue > 1e-6
 
@@ -193,8 +197,8 @@ def test_the_world_s_field_turns_with_the_tool():
 
 def test_only_what_changed_since_the_ambient_is_left():
     values = jnp.cumsum(READINGS, axis=0)
-    np.testing.assert_array_equal(faults.since_ambient(values, 1), np.zeros((N, 15)))
-    left = np.asarray(faults.since_ambient(values, 7))
+    np.testing.assert_array_equal(faults.subtract_ambient(values, 1), np.zeros((N, 15)))
+    left = np.asarray(faults.subtract_ambient(values, 7))
     for start in range(0, N, 7):
         np.testing.assert_array_equal(left[start : start + 7], values[start : start + 7] - values[start : start + 1])
 
@@ -215,19 +219,19 @@ def test_the_world_s_field_in_a_run():
 
 
 def test_chips_warm_unevenly():
-    kelvin = np.asarray(faults.warm(_key(), N, 5, 10.0))
+    kelvin = np.asarray(faults.temperature_drift(_key(), N, 5, 10.0))
     np.testing.assert_array_equal(kelvin[0], np.zeros(5))
     assert np.all(np.diff(kelvin, axis=0) > 0)
     end = 10 * (1 - np.exp(-3))
-    assert np.all(np.abs(kelvin[-1] / end - 1) <= faults.UNEVEN)
+    assert np.all(np.abs(kelvin[-1] / end - 1) <= faults.WARMING_SPREAD)
     assert 0 < np.ptp(kelvin[-1]) <= 2.5  # kelvins apart, as recorded
-    np.testing.assert_array_equal(faults.warm(_key(), 1, 5, 10.0), np.zeros((1, 5)))
-    np.testing.assert_array_equal(faults.warm(_key(), N, 5, 0.0), np.zeros((N, 5)))
+    np.testing.assert_array_equal(faults.temperature_drift(_key(), 1, 5, 10.0), np.zeros((1, 5)))
+    np.testing.assert_array_equal(faults.temperature_drift(_key(), N, 5, 0.0), np.zeros((N, 5)))
 
 
 def test_warm_magnets_are_weaker():
     kelvin, offset = jnp.asarray([0.0, 1, 2, 5, 10]), jnp.linspace(-1.0, 1, 15)
-    reading, drift = faults.thermal(READINGS[0], REST, kelvin, offset, -1.2e-3, 0.2)
+    reading, drift = faults.apply_warming(READINGS[0], REST, kelvin, offset, -1.2e-3, 0.2)
     warmer = np.repeat(np.asarray(kelvin), 3)
     np.testing.assert_allclose(reading, READINGS[0] * (1 - 1.2e-3 * warmer), rtol=ROUNDING)
     np.testing.assert_allclose(drift, warmer * (-1.2e-3 * REST + 0.2 * offset), rtol=ROUNDING, atol=1e-5)

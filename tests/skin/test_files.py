@@ -1,5 +1,7 @@
 """Pads and other trees of arrays on disk: the same again, and one clear sentence for everything else."""
 
+from collections import namedtuple
+
 import jax
 import numpy as np
 import pytest
@@ -19,6 +21,16 @@ def test_a_pad_comes_back_as_it_was(tmp_path):
         np.testing.assert_array_equal(a, b)
     assert serialization.load(tmp_path / "deep" / "pad.npz", KIND, type(pad))[1] == {"of": "a test"}
     assert [path.name for path in (tmp_path / "deep").iterdir()] == ["pad.npz"]
+
+
+def test_a_pad_of_an_earlier_version_is_read(tmp_path):
+    """Before its fields were renamed a pad had a `magnetisation`, and a `give` for its mounting compliance."""
+    pad = nominal_pad()._replace(mount_compliance=np.float32(1e-4))
+    fields = {
+        {"magnetization": "magnetisation", "mount_compliance": "give"}.get(k, k): v for k, v in pad._asdict().items()
+    }
+    serialization.save(tmp_path / "pad.npz", KIND, namedtuple("Pad", fields)(**fields))
+    jax.tree.map(np.testing.assert_array_equal, load_pad(tmp_path / "pad.npz"), pad)
 
 
 def test_what_is_no_pad_is_refused_in_one_sentence(tmp_path):
@@ -41,8 +53,8 @@ def test_what_is_no_pad_is_refused_in_one_sentence(tmp_path):
     refused("lacks")
     save_pad(path, nominal_pad()._replace(gains=np.full(15, np.nan)))
     refused("gains")
-    save_pad(path, nominal_pad()._replace(magnetisation=np.zeros((3, 4, 3))))
-    refused("magnetisation")
+    save_pad(path, nominal_pad()._replace(magnetization=np.zeros((3, 4, 3))))
+    refused("magnetization")
     save_pad(path, nominal_pad()._replace(thickness=np.zeros(())))
     refused("cannot be")
     save_pad(path, nominal_pad())

@@ -28,7 +28,7 @@ def double():
 
 def _pad(give=2e-4):
     pad = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, float)), SAMPLE)
-    return pad._replace(give=jnp.asarray(give))
+    return pad._replace(mount_compliance=jnp.asarray(give))
 
 
 def _inputs(rng, control):
@@ -118,7 +118,7 @@ def test_second_derivatives_exist(double):
     (pad, height, depth), _ = _inputs(np.random.default_rng(0), 0.4e-3)
 
     def slope(young):
-        bonded = pad._replace(young=young, give=jnp.zeros(()))
+        bonded = pad._replace(young=young, mount_compliance=jnp.zeros(()))
         return jax.grad(lambda depth: _depth(bonded, height, depth)[1])(depth)
 
     value, change = jax.jit(jax.value_and_grad(slope))(pad.young)

@@ -149,7 +149,7 @@ def test_moved_and_turned_magnets_agree_with_magpylib():
             (1, np.asarray(lattice.positions[i], float) + shift[i], Rotation.from_rotvec(turn[i]) * rest),
         ):
             magnet = magpylib.magnet.Cylinder(
-                magnetization=(0, 0, float(lattice.magnetisations[i])),
+                magnetization=(0, 0, float(lattice.magnetizations[i])),
                 dimension=(2 * float(lattice.radii[i]), float(lattice.heights[i])),
                 position=place,
                 orientation=pose,

@@ -23,7 +23,7 @@ def _within(variance: np.ndarray, expected: np.ndarray, count: int) -> None:
 
 def _bursts(samples: int, kind: Noise) -> np.ndarray:
     keys = jax.random.split(jax.random.key(0), N)
-    return np.asarray(jax.jit(jax.vmap(lambda key: noise.burst(key, jnp.zeros(15), BOARD, kind, samples)))(keys))
+    return np.asarray(jax.jit(jax.vmap(lambda key: noise.sample_burst(key, jnp.zeros(15), BOARD, kind, samples)))(keys))
 
 
 def test_one_sample_at_rest_has_the_measured_size():
@@ -53,7 +53,7 @@ def test_ambient_is_the_same_vector_for_every_chip():
 def test_averaging_removes_white_noise_only():
     kind = Noise(contact_samples=40)
     keys = jax.random.split(jax.random.key(1), N)
-    seen = np.asarray(jax.jit(jax.vmap(lambda key: noise.observe(key, jnp.zeros(15), BOARD, kind)))(keys))
+    seen = np.asarray(jax.jit(jax.vmap(lambda key: noise.add_sensor_noise(key, jnp.zeros(15), BOARD, kind)))(keys))
     white = (1 - kind.common) * kind.sigma(5) ** 2 + kind.steps(5) ** 2 / 12
     _within(seen.var(axis=0, ddof=1), 2 * kind.common * kind.sigma(5) ** 2 + white * (1 / 40 + 1 / 10), N)
     np.testing.assert_allclose(seen.mean(axis=0), 0, atol=5 * seen.std() / np.sqrt(N))
@@ -61,7 +61,9 @@ def test_averaging_removes_white_noise_only():
 
 def test_an_ideal_sensor_reports_the_field():
     reading = jnp.linspace(-80.0, 60.0, 15)
-    np.testing.assert_allclose(noise.observe(jax.random.key(0), reading, BOARD, Noise.none()), reading, rtol=1e-6)
+    np.testing.assert_allclose(
+        noise.add_sensor_noise(jax.random.key(0), reading, BOARD, Noise.none()), reading, rtol=1e-6
+    )
 
 
 def test_scaling_scales_what_is_random():
@@ -101,7 +103,7 @@ def test_drift_is_a_random_walk():
 def test_keys_of_a_batch_are_independent():
     keys = jax.random.split(jax.random.key(9), 3)
     reading = jnp.arange(15.0)
-    together = jax.vmap(lambda key: noise.observe(key, reading, BOARD))(keys)
+    together = jax.vmap(lambda key: noise.add_sensor_noise(key, reading, BOARD))(keys)
     for key, row in zip(keys, together, strict=True):
-        np.testing.assert_allclose(noise.observe(key, reading, BOARD), row, atol=1e-4)  # sums in another order
+        np.testing.assert_allclose(noise.add_sensor_noise(key, reading, BOARD), row, atol=1e-4)  # sums in another order
     assert np.abs(together[0] - together[1]).max() > 0.1

@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from i2t.simulation.touches import Errors
+from i2t.simulation.touches import SimulationErrors
 from i2t.skin import faults
 from i2t.skin import pad as pads
 from i2t.skin.contact import GRID
 from i2t.skin.dipoles import rest_field
-from i2t.skin.noise import observe
+from i2t.skin.noise import add_sensor_noise
 from i2t.types import PAD_WINDOW, Pad
 
 Y, X = np.meshgrid(GRID.centres, GRID.centres, indexing="ij")
@@ -83,7 +83,7 @@ def test_pads_differ(presses):
 
 def test_sessions_of_one_pad_are_alike():
     """Real response maps of one board correlate 0.6-0.9 between sessions: mounted anew, used, warm, and with noise."""
-    errors = Errors()
+    errors = SimulationErrors()
     places = np.stack(np.meshgrid(*2 * [np.linspace(-7e-3, 7e-3, 5)], indexing="ij"), axis=-1).reshape(-1, 2)
     random = np.random.default_rng(1)
 
@@ -94,7 +94,7 @@ def test_sessions_of_one_pad_are_alike():
         key_faults, key_noise = jax.random.split(key)
         felt = faults.apply(key_faults, readings, still, pad.board, errors.faults)
         keys = jax.random.split(key_noise, len(readings))
-        return jax.vmap(lambda key, reading: observe(key, reading, pad.board, errors.noise))(keys, felt)
+        return jax.vmap(lambda key, reading: add_sensor_noise(key, reading, pad.board, errors.noise))(keys, felt)
 
     def session(samples: Pad, seed: int) -> np.ndarray:
         """(pads, 25 x 15) maps, each pad remounted."""
@@ -120,24 +120,24 @@ def test_pads_stay_in_their_ranges(presses):
     assert np.std(samples.young) > 0
     assert np.all(np.abs(samples.gains - 1) <= 0.15 + 1e-6)
     assert np.all((samples.friction > 0.2) & (samples.friction < 1.5))
-    assert np.all(samples.give >= 0)
-    assert 0.2 < np.mean(samples.give > 0) < 0.47  # a third of 200, four standard deviations
+    assert np.all(samples.mount_compliance >= 0)
+    assert 0.2 < np.mean(samples.mount_compliance > 0) < 0.47  # a third of 200, four standard deviations
 
 
 def test_no_axis_rests_at_the_end_of_its_range(presses):
     samples, _, _ = presses
     rest = jax.jit(jax.vmap(lambda pad: pad.board.to_board(rest_field(pad))))(samples)
     share = np.abs(rest) / np.tile([4915, 4915, 7930], 5)
-    assert share.max() <= pads.HEADROOM * (1 + 1e-4)
-    assert share.max(axis=1).min() < 0.7 * pads.HEADROOM  # which does not decide for all
+    assert share.max() <= pads.MAX_RANGE_FRACTION * (1 + 1e-4)
+    assert share.max(axis=1).min() < 0.7 * pads.MAX_RANGE_FRACTION  # which does not decide for all
 
 
 def test_without_spread_only_the_magnetisation_differs():
     one, two = (pads.sample_pad(jax.random.key(seed), 0.0) for seed in (1, 2))
-    assert np.abs(one.magnetisation - two.magnetisation).max() > pads.STRENGTH / 10
-    same = [pad._replace(magnetisation=None) for pad in (one, two)]
+    assert np.abs(one.magnetization - two.magnetization).max() > pads.MAGNETIZATION_A_PER_M / 10
+    same = [pad._replace(magnetization=None) for pad in (one, two)]
     jax.tree.map(np.testing.assert_array_equal, *same)
-    np.testing.assert_allclose(one.thickness, pads.THICKNESS)
+    np.testing.assert_allclose(one.thickness, pads.THICKNESS_M)
     np.testing.assert_array_equal(one.gains, np.ones(15))
 
 
@@ -146,7 +146,9 @@ def test_keys_of_a_batch_are_independent():
     together = sample(keys)
     for i, key in enumerate(keys):
         alone = pads.sample_pad(key)
-        np.testing.assert_allclose(alone.magnetisation, together.magnetisation[i], atol=1e-3 * pads.STRENGTH)
+        np.testing.assert_allclose(
+            alone.magnetization, together.magnetization[i], atol=1e-3 * pads.MAGNETIZATION_A_PER_M
+        )
         np.testing.assert_allclose(alone.gains, together.gains[i], rtol=1e-6)
 
 
@@ -164,19 +166,19 @@ def test_smooth_maps_have_their_length_and_strength():
 
 
 def test_magnetisation_patterns():
-    poles = np.asarray(pads.magnetise("poles"))
+    poles = np.asarray(pads.magnetization_pattern("poles"))
     assert poles.shape == (20, 20, 3)
     assert np.all(poles[..., :2] == 0)
     assert np.all(np.abs(poles[..., 2]) == 1)
     assert poles.sum() == 0
     np.testing.assert_array_equal(poles[:5, :5, 2], 1)
     np.testing.assert_array_equal(poles, -np.roll(poles, 5, axis=0))
-    np.testing.assert_array_equal(pads.magnetise("uniform")[..., 2], np.ones((20, 20)))
-    magnets = np.asarray(pads.magnetise("magnets"))[..., 2]
+    np.testing.assert_array_equal(pads.magnetization_pattern("uniform")[..., 2], np.ones((20, 20)))
+    magnets = np.asarray(pads.magnetization_pattern("magnets"))[..., 2]
     np.testing.assert_array_equal(magnets, np.rot90(magnets, 2))
     assert np.abs(magnets).sum() == pytest.approx(4 * np.pi * 3**2, rel=0.15)  # discs in cells of 1 mm
     with pytest.raises(ValueError, match="'checkers' is not known; choose one of poles, uniform, magnets"):
-        pads.magnetise("checkers")
+        pads.magnetization_pattern("checkers")
 
 
 def test_a_quarter_turn_turns_the_reading():
@@ -221,7 +223,7 @@ def test_air_gives_nothing():
 def test_friction_leaves_its_mark():
     """No friction, no mark; with it a slide changes the reading, more and more until all of the skin slips."""
     pad, height = pads.sample_pad(jax.random.key(2)), jnp.asarray(_tip(1e-3, 2e-3))
-    mark = jax.jit(lambda pad, slide: pads.dragged(pad, height, 0.4e-3, jnp.stack([slide, 0.0])))
+    mark = jax.jit(lambda pad, slide: pads.friction_response(pad, height, 0.4e-3, jnp.stack([slide, 0.0])))
     np.testing.assert_allclose(mark(pad._replace(friction=jnp.asarray(0.0)), 1e-4), np.zeros(15), atol=1e-3)
     slides = np.array([0, 1e-5, 1e-4, 1e-3, 2e-3, -1e-4])
     marks = np.stack([mark(pad, jnp.asarray(slide)) for slide in slides])

@@ -1,0 +1,20 @@
+"""What makes a touch site safe, without JAX, so that command lines can offer it."""
+
+from dataclasses import dataclass
+
+from i2t.types import PAD_WINDOW
+
+
+@dataclass(frozen=True)
+class SiteLimits:
+    """What makes a site safe; by default as in the paper's collection, with a fair guess of a UR flange and mount."""
+
+    min_cos: float = 0.25  # of the angle between normal and up; the paper's recognition uses 0.5
+    max_rise: float = 3e-3  # m, of any surface above the contact plane inside the square
+    half: float = PAD_WINDOW / 2  # m, half edge of the sensor's square
+    mount: float = PAD_WINDOW  # m, edge of the square bar that carries the skin, from the skin back to the flange
+    flange: float = 75e-3  # m, edge of the square box around flange and wrist
+    flange_near: float = 30e-3  # m, where that box begins behind the skin
+    flange_far: float = 100e-3  # m, and where it ends
+    table: float = 0.0  # m, height of the table in W
+    clearance: float = 1e-3  # m, that mount and flange keep above the table
