@@ -1,7 +1,7 @@
-"""Four ways to tell which stamp pressed, and the ways to hold presses out.
+"""The four compared classifiers of stamps, and the splits by which presses are held out.
 
   paper's classifier             15 readings into 500, 10 and 5 units
-  paper's classifier + arm       the same, told what the arm measured too: place, turn, force and travel
+  paper's classifier + arm       the same with what the arm measured too: position, rotation, force and travel
   network on imagined presses    15 readings; an ensemble that besides the presses at hand has met thousands that were
                                  imagined on the skin fitted to them (`experiments.shapes.pad`), noise drawn afresh
   imagined touch                 which stamp, pressed where the arm says with the force it measured, would have read so?
@@ -19,13 +19,21 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.shapes.networks import Classifier, classify
-from experiments.shapes.pad import LAYERS, Imagined, Skin, Where, log_likelihood, read, remembered
+from experiments.shapes.pad import (
+    LAYERS,
+    FittedSkin,
+    StampFeatures,
+    StampPoses,
+    fit_hysteresis,
+    log_likelihood,
+    predict_reading,
+)
 from experiments.shapes.world import PREFIX, SHAPES
 from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.simulation import touches as simulation
 from i2t.skin.elasticity import GRID, Grid
-from i2t.types import READINGS, Board, Pad, ReturnCode
+from i2t.types import Board, Pad, ReturnCode
 
 PAPER, ARM, NETWORK, IMAGINED = (
     "paper's classifier", "paper's classifier + arm", "network on imagined presses", "imagined touch",
@@ -33,8 +41,8 @@ PAPER, ARM, NETWORK, IMAGINED = (
 METHODS = (PAPER, ARM, NETWORK, IMAGINED)
 SPLITS = ("random", "location", "depth", "angle")
 FOLDS = 5
-BLOCK = 2e-3  # m, edge of the squares of places that are never torn apart
-REAL_WEIGHT = 0.5  # share of a reading's spread that training adds to a press that has its own
+BLOCK_EDGE_M = 2e-3  # of the squares of positions that are never torn apart
+REAL_NOISE_SHARE = 0.5  # share of a reading's spread that training adds to a press that has its own
 
 
 @dataclass(frozen=True)
@@ -43,48 +51,48 @@ class Methods:
 
     paper: Classifier = field(default_factory=Classifier)
     network: Classifier = field(default_factory=lambda: Classifier(steps=4000))
-    library: int = 640  # places, each imagined under every stamp
+    library: int = 640  # poses, each imagined under every stamp
     layers: int = len(LAYERS)  # how many of `LAYERS` a skin may have
     grid: Grid = GRID  # of the fitted skin
 
 
-class Presses(NamedTuple):
+class StampPresses(NamedTuple):
     """Presses on one pad, in order of time; NaN where the arm did not say."""
 
-    reading: np.ndarray  # (n, 15) uT
-    before: np.ndarray  # (n, 15) uT, the reading before it in its sitting; zero for the first
+    reading: np.ndarray  # (n, c) uT
+    before: np.ndarray  # (n, c) uT, the reading before it in its session; zero for the first
     shape: np.ndarray  # (n,)
-    place: np.ndarray  # (n, 2) m
-    turn: np.ndarray  # (n,) rad
+    position: np.ndarray  # (n, 2) m
+    rotation: np.ndarray  # (n,) rad, about the skin's normal
     force: np.ndarray  # (n,) N
     depth: np.ndarray  # (n,) m
-    run: np.ndarray  # (n,)
+    session: np.ndarray  # (n,)
 
     @property
-    def where(self) -> Where:
+    def poses(self) -> StampPoses:
         """What the arm knew."""
-        return Where(self.place, self.turn, self.force)
+        return StampPoses(self.position, self.rotation, self.force)
 
     @property
-    def placed(self) -> bool:
+    def located(self) -> bool:
         """Whether it knew all that a press is imagined from."""
-        return all(bool(np.isfinite(leaf).all()) for leaf in self.where)
+        return all(bool(np.isfinite(leaf).all()) for leaf in self.poses)
 
 
-def presses_on(dataset: Dataset, pad: int, readings: np.ndarray | None = None) -> Presses:
-    """The presses of one pad; `readings` (n, 15) of the whole set may take the place of its own."""
+def presses_on(dataset: Dataset, pad: int, readings: np.ndarray | None = None) -> StampPresses:
+    """The presses of one pad; `readings` (n, c) of the whole set may take the place of its own."""
     touches = dataset.touches
     met = ~np.isin(touches.code, [ReturnCode.FAILED, ReturnCode.AIR])
     rows = np.flatnonzero((touches.pad == pad) & met)
     y = (touches.reading if readings is None else readings)[rows].astype(np.float64)
-    run = touches.run[rows]
-    before = np.concatenate([np.zeros((1, READINGS)), y[:-1]])
-    before[np.r_[True, run[1:] != run[:-1]]] = 0
+    session = touches.session[rows]
+    before = np.concatenate([np.zeros((1, y.shape[1])), y[:-1]])
+    before[np.r_[True, session[1:] != session[:-1]]] = 0
     T_t_w = np.linalg.inv(touches.T_w_t[rows].astype(np.float64))
     T_t_o = T_t_w @ touches.T_w_o[rows].astype(np.float64)
-    return Presses(
+    return StampPresses(
         y, before, touches.object[rows], T_t_o[:, :2, 3], np.arctan2(T_t_o[:, 1, 0], T_t_o[:, 0, 0]),
-        touches.force[rows].astype(np.float64), touches.depth[rows].astype(np.float64), run,
+        touches.force[rows].astype(np.float64), touches.depth[rows].astype(np.float64), session,
     )  # fmt: skip
 
 
@@ -95,7 +103,7 @@ def shapes_of(dataset: Dataset) -> tuple[str, ...]:
     return tuple(name.removeprefix(PREFIX) for name in dataset.objects)
 
 
-def folds(presses: Presses, how: str, seed: int) -> np.ndarray | None:
+def split_folds(presses: StampPresses, split: str, seed: int) -> np.ndarray | None:
     """Which of `FOLDS` parts each press is tested in; None where the arm did not say what the split needs.
 
     random: any presses. location: squares of 2 mm. depth: fifths of each shape's travel (or force). angle: sectors of
@@ -103,14 +111,14 @@ def folds(presses: Presses, how: str, seed: int) -> np.ndarray | None:
     """
     rng = np.random.default_rng(seed)
     n = len(presses.shape)
-    if how == "random":
+    if split == "random":
         return rng.permutation(n) % FOLDS
-    if how == "angle":
-        if not np.isfinite(presses.turn).all():
+    if split == "angle":
+        if not np.isfinite(presses.rotation).all():
             return None
-        sector = np.floor((presses.turn % (2 * np.pi)) / (2 * np.pi) * FOLDS).astype(int)
+        sector = np.floor((presses.rotation % (2 * np.pi)) / (2 * np.pi) * FOLDS).astype(int)
         return np.minimum(sector, FOLDS - 1)
-    if how == "depth":
+    if split == "depth":
         load = presses.depth if np.isfinite(presses.depth).all() else presses.force
         if not np.isfinite(load).all():
             return None
@@ -119,11 +127,11 @@ def folds(presses: Presses, how: str, seed: int) -> np.ndarray | None:
             rows = np.flatnonzero(presses.shape == shape)
             part[rows[np.argsort(load[rows], kind="stable")]] = np.arange(len(rows)) * FOLDS // len(rows)
         return part
-    if how != "location":
-        raise ValueError(f"{how!r} is no split; choose one of {', '.join(SPLITS)}")
-    if not np.isfinite(presses.place).all():
+    if split != "location":
+        raise ValueError(f"{split!r} is no split; choose one of {', '.join(SPLITS)}")
+    if not np.isfinite(presses.position).all():
         return None
-    cell = np.floor(presses.place / BLOCK).astype(int)
+    cell = np.floor(presses.position / BLOCK_EDGE_M).astype(int)
     block = np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
     counts = np.bincount(block)
     part, filled = np.zeros(len(counts), int), np.zeros(FOLDS)
@@ -133,79 +141,108 @@ def folds(presses: Presses, how: str, seed: int) -> np.ndarray | None:
     return part[block]
 
 
-class Bench:
-    """One pad's presses and what was worked out about them; its methods share the fitted skins."""
+@dataclass(frozen=True)
+class StampClassificationBenchmark:
+    """One pad's presses and what was worked out about them; its methods share the fitted skins.
 
-    def __init__(self, presses: Presses, board: Board, names: tuple[str, ...], cfg: Methods, seed: int) -> None:
-        self.presses, self.names, self.cfg, self.seed = presses, names, cfg, seed
-        known = presses.placed and set(names) <= set(SHAPES)
-        self.imagined = Imagined(board, names, presses.where, presses.shape, cfg.layers, cfg.grid) if known else None
-        self._kept: tuple[tuple, Skin, np.ndarray] | None = None
-        rng = np.random.default_rng(seed)
-        if known:
-            # Other places than the presses', drawn as widely.
-            low, high = presses.place.min(0), presses.place.max(0)
-            n = cfg.library
-            self.library = Where(
-                rng.uniform(low, high, (n, 2)),
-                rng.uniform(0, 2 * np.pi, n),
-                rng.uniform(presses.force.min(), presses.force.max(), n),
-            )
+    Make one with `make_benchmark`; `dataclasses.replace(benchmark, presses=...)` is the same with other readings.
+    """
 
-    def with_readings(self, presses: Presses) -> "Bench":
-        """The same presses, read by another sensor: what was worked out of their places stays."""
-        other = object.__new__(Bench)
-        other.__dict__.update(self.__dict__ | {"presses": presses})
-        return other
+    presses: StampPresses
+    names: tuple[str, ...]
+    cfg: Methods
+    seed: int
+    features: StampFeatures | None  # None where the arm did not say enough to imagine a press
+    library: StampPoses | None  # other poses than the presses', drawn as widely
+    fits: dict[bytes, tuple[FittedSkin, np.ndarray]] = field(default_factory=dict)  # the last fit, by what it was of
 
     def methods(self) -> tuple[str, ...]:
         """Those that can be had of these presses."""
         arm = (ARM,) if np.isfinite(self._arm()).all() else ()
-        return (PAPER, *arm, *((NETWORK, IMAGINED) if self.imagined else ()))
+        return (PAPER, *arm, *((NETWORK, IMAGINED) if self.features else ()))
 
-    def log_p(self, method: str, train: np.ndarray, test: np.ndarray, seed: int) -> np.ndarray:
+    def log_probability(self, method: str, train: np.ndarray, test: np.ndarray, seed: int) -> np.ndarray:
         """Log probability (up to a constant) of each shape at the presses `test`, learnt from those of `train`."""
         p, classes = self.presses, len(self.names)
         if method in (PAPER, ARM):
             x = p.reading if method == PAPER else np.c_[p.reading, self._arm()]
-            return classify(seed, self.cfg.paper, x[train], p.shape[train], x[test], classes)
-        assert self.imagined is not None
+            return classify(self.cfg.paper, x[train], p.shape[train], x[test], classes=classes, seed=seed)
+        assert self.features is not None
+        assert self.library is not None
         skin, readings = self.fitted(train)
         if method == IMAGINED:
-            phi = self.imagined.hypotheses(skin.layer, p.where, "presses")
-            return log_likelihood(skin, phi[test], readings[test])
-        made = read(skin, self.imagined.hypotheses(skin.layer, self.library, "library")).reshape(-1, READINGS)
-        x = np.concatenate([made, readings[train]])
-        y = np.concatenate([np.tile(np.arange(classes), self.cfg.library), p.shape[train]])
-        share = np.concatenate([np.ones(len(made)), np.full(len(train), REAL_WEIGHT)])
-        return classify(seed, self.cfg.network, x, y, readings[test], classes, share, skin.covariance)
+            hypotheses = self.features.hypotheses(skin.layer, p.poses, "presses")
+            return log_likelihood(skin, hypotheses[test], readings[test])
+        imagined = predict_reading(skin, self.features.hypotheses(skin.layer, self.library, "library"))
+        imagined = imagined.reshape(-1, p.reading.shape[1])
+        return classify(
+            self.cfg.network,
+            np.concatenate([imagined, readings[train]]),
+            np.concatenate([np.tile(np.arange(classes), self.cfg.library), p.shape[train]]),
+            readings[test],
+            classes=classes,
+            seed=seed,
+            noise_share=np.concatenate([np.ones(len(imagined)), np.full(len(train), REAL_NOISE_SHARE)]),
+            noise_covariance=skin.covariance,
+        )
 
     def guesses(self, method: str, part: np.ndarray) -> np.ndarray:
         """The shape guessed for each press when its part is held out."""
         guess = np.zeros(len(part), int)
         for fold in np.unique(part):
             train, test = np.flatnonzero(part != fold), np.flatnonzero(part == fold)
-            guess[test] = self.log_p(method, train, test, self.seed + int(fold)).argmax(1)
+            guess[test] = self.log_probability(method, train, test, self.seed + int(fold)).argmax(1)
         return guess
 
-    def _arm(self) -> np.ndarray:
+    def fitted(self, train: np.ndarray) -> tuple[FittedSkin, np.ndarray]:
+        """The skin fitted to labelled presses, and all readings (n, c) uT less the chips' hysteresis."""
+        assert self.features is not None
         p = self.presses
-        return np.c_[p.place, np.cos(p.turn), np.sin(p.turn), p.force, p.depth]
+        key = train.tobytes() + p.reading.tobytes()
+        if key not in self.fits:
+            first = self.features.fit(train, p.reading[train])
+            sessions = np.unique(p.session)
+            kept = fit_hysteresis(first.residuals, p.before[train], p.session[train], sessions)
+            readings = p.reading - kept[np.searchsorted(sessions, p.session)] * p.before
+            self.fits.clear()  # folds follow each other
+            self.fits[key] = (self.features.fit(train, readings[train]), readings)
+        return self.fits[key]
 
-    def fitted(self, train: np.ndarray) -> tuple[Skin, np.ndarray]:
-        """The skin fitted to labelled presses, and all readings (n, 15) uT less what chips remember."""
-        assert self.imagined is not None
-        p, key = self.presses, (train.tobytes(), self.presses.reading.tobytes()[:64])
-        if self._kept is None or self._kept[0] != key:
-            first = self.imagined.fit(train, p.reading[train])
-            runs = np.unique(p.run)
-            kept = remembered(first.residuals, p.before[train], p.run[train], runs)
-            readings = p.reading - kept[np.searchsorted(runs, p.run)] * p.before
-            self._kept = (key, self.imagined.fit(train, readings[train]), readings)
-        return self._kept[1], self._kept[2]
+    def _arm(self) -> np.ndarray:
+        """(n, 6): what the arm measured of each press."""
+        p = self.presses
+        return np.c_[p.position, np.cos(p.rotation), np.sin(p.rotation), p.force, p.depth]
 
 
-def few(presses: Presses, each: int, seed: int) -> np.ndarray:
+def make_benchmark(
+    presses: StampPresses, board: Board, names: tuple[str, ...], *, cfg: Methods, seed: int
+) -> StampClassificationBenchmark:
+    """A benchmark of the presses of one pad.
+
+    Args:
+        presses: In the order of time.
+        board: The sensor board.
+        names: Of the shapes.
+        cfg: Sizes of the methods.
+        seed: Of the library and of the classifiers.
+
+    Returns:
+        The benchmark; presses are imagined only where the arm said where they were and the stamps are the catalogue's.
+    """
+    if not presses.located or not set(names) <= set(SHAPES):
+        return StampClassificationBenchmark(presses, names, cfg, seed, features=None, library=None)
+    features = StampFeatures(board, names, presses.poses, presses.shape, layers=cfg.layers, grid=cfg.grid)
+    rng = np.random.default_rng(seed)
+    low, high = presses.position.min(0), presses.position.max(0)
+    library = StampPoses(
+        rng.uniform(low, high, (cfg.library, 2)),
+        rng.uniform(0, 2 * np.pi, cfg.library),
+        rng.uniform(presses.force.min(), presses.force.max(), cfg.library),
+    )
+    return StampClassificationBenchmark(presses, names, cfg, seed, features, library)
+
+
+def rows_per_shape(presses: StampPresses, each: int, seed: int) -> np.ndarray:
     """Rows of `each` presses of every shape."""
     rng = np.random.default_rng(seed)
     return np.sort(
@@ -213,18 +250,18 @@ def few(presses: Presses, each: int, seed: int) -> np.ndarray:
     )
 
 
-def read_again(dataset: Dataset, pads: list[Pad], errors: simulation.Errors, seed: int) -> np.ndarray:
-    """(n, 15): what another sensor reads of the same simulated presses, whose ideal readings are known."""
+def read_again(dataset: Dataset, pads: list[Pad], errors: simulation.SimulationErrors, seed: int) -> np.ndarray:
+    """(n, c): what another sensor reads of the same simulated presses, whose ideal readings are known."""
     touches = dataset.touches
     assert touches.truth is not None
     made = np.zeros_like(touches.reading)
-    for run in np.unique(touches.run):
-        rows = np.flatnonzero(touches.run == run)
+    for session in np.unique(touches.session):
+        rows = np.flatnonzero(touches.session == session)
         some = jax.tree.map(lambda leaf, rows=rows: jnp.asarray(leaf[rows]), touches)
         pad = pads[int(touches.pad[rows[0]])]
-        key = jax.random.fold_in(jax.random.key(seed), int(run))
-        made[rows] = _feel(key, some._replace(reading=some.truth.reading), pad, errors).reading
+        key = jax.random.fold_in(jax.random.key(seed), int(session))
+        made[rows] = _apply_sensor_model(key, some._replace(reading=some.truth.reading), pad, errors).reading
     return made
 
 
-_feel: Callable = jax.jit(simulation.feel, static_argnames="errors")
+_apply_sensor_model: Callable = jax.jit(simulation.apply_sensor_model, static_argnames="errors")

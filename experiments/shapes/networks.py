@@ -6,9 +6,9 @@ by the training presses. Minibatches are drawn with replacement, so that trainin
 one compiled program.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,10 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int, Key
 
-ROWS = 2048  # capacities are multiples of it
+from i2t.prediction import mlp
+from i2t.prediction.mlp import Layers
+
+CAPACITY_ROWS = 2048  # capacities are multiples of it
 
 
 @dataclass(frozen=True)
@@ -31,87 +34,84 @@ class Classifier:
     members: int = 1
 
 
-def init(key: Key[Array, ""], sizes: Sequence[int]) -> list[dict[str, Array]]:
-    """Random layers (He et al. 2015)."""
-    keys = jax.random.split(key, len(sizes) - 1)
-    return [
-        {"kernel": jnp.sqrt(2 / a) * jax.random.normal(k, (a, b)), "bias": jnp.zeros(b)}
-        for k, a, b in zip(keys, sizes[:-1], sizes[1:], strict=True)
-    ]
+class TrainingSet(NamedTuple):
+    """Standardised inputs and their classes, padded to a capacity."""
 
-
-def apply(layers: list[dict[str, Array]], x: Float[Array, " d"]) -> Float[Array, " c"]:
-    """Logits of one input."""
-    for layer in layers[:-1]:
-        x = jax.nn.relu(x @ layer["kernel"] + layer["bias"])
-    return x @ layers[-1]["kernel"] + layers[-1]["bias"]
+    x: Float[Array, "rows d"]
+    y: Int[Array, " rows"]
+    noise_share: Float[Array, "rows d"]  # of the noise, by which each row is disturbed afresh when it is met
+    noise_factor: Float[Array, "d d"]  # turns normal draws into the noise
+    n: Int[Array, ""]  # rows that count, the first
 
 
 @partial(jax.jit, static_argnames=("cfg", "classes"))
-def _train(
-    key: Key[Array, ""], x: Float[Array, "r d"], y: Int[Array, " r"], noise: Float[Array, "r d"],
-    mix: Float[Array, "d d"], n: Int[Array, ""], cfg: Classifier, classes: int,
-) -> list[dict[str, Array]]:  # fmt: skip
-    """Train on the first n rows; each time a row is met, `noise` times a normal draw mixed by `mix` is added to it."""
+def _train(key: Key[Array, ""], known: TrainingSet, cfg: Classifier, classes: int) -> Layers:
     key_init, key_steps = jax.random.split(key)
     optimizer = optax.adamw(
         optax.cosine_decay_schedule(cfg.rate, cfg.steps),
         weight_decay=cfg.decay,
         mask=lambda tree: jax.tree.map(lambda leaf: leaf.ndim > 1, tree),
     )
+    inputs = known.x.shape[1]
 
-    def loss(layers: list, rows: Array, jitter: Array) -> Array:
-        seen = x[rows] + noise[rows] * (jitter @ mix)
-        logits = jax.vmap(lambda one: apply(layers, one))(seen)
-        return jnp.mean(optax.softmax_cross_entropy_with_integer_labels(logits, y[rows]))
+    def loss(layers: Layers, key: Key[Array, ""]) -> Array:
+        key_rows, key_noise = jax.random.split(key)
+        rows = jax.random.randint(key_rows, (cfg.batch,), 0, known.n)
+        noise = jax.random.normal(key_noise, (cfg.batch, inputs)) @ known.noise_factor
+        logits = jax.vmap(lambda one: mlp.apply(layers, one))(known.x[rows] + known.noise_share[rows] * noise)
+        return jnp.mean(optax.softmax_cross_entropy_with_integer_labels(logits, known.y[rows]))
 
-    def step(i: Array, carry: tuple) -> tuple:
-        layers, state = carry
-        key_rows, key_noise = jax.random.split(jax.random.fold_in(key_steps, i))
-        rows = jax.random.randint(key_rows, (cfg.batch,), 0, n)
-        gradient = jax.grad(loss)(layers, rows, jax.random.normal(key_noise, (cfg.batch, x.shape[1])))
-        updates, state = optimizer.update(gradient, state, layers)
-        return optax.apply_updates(layers, updates), state
-
-    layers = init(key_init, (x.shape[1], *cfg.hidden, classes))
-    return jax.lax.fori_loop(0, cfg.steps, step, (layers, optimizer.init(layers)))[0]
+    keys = jax.vmap(lambda i: jax.random.fold_in(key_steps, i))(jnp.arange(cfg.steps))
+    return mlp.fit(mlp.init(key_init, (inputs, *cfg.hidden, classes)), loss, optimizer, keys)[0]
 
 
 @jax.jit
-def _log_p(layers: list[dict[str, Array]], x: Float[Array, "n d"]) -> Float[Array, "n c"]:
-    return jax.nn.log_softmax(jax.vmap(lambda one: apply(layers, one))(x))
+def _log_probability(layers: Layers, x: Float[Array, "n d"]) -> Float[Array, "n classes"]:
+    return jax.nn.log_softmax(jax.vmap(lambda one: mlp.apply(layers, one))(x))
 
 
 def classify(
-    seed: int, cfg: Classifier, x: np.ndarray, y: np.ndarray, at: np.ndarray, classes: int,
-    noise: np.ndarray | None = None, mix: np.ndarray | None = None,
-) -> np.ndarray:  # fmt: skip
-    """Train on inputs x (n, d) of classes y (n,) and give log probabilities (m, classes) at `at` (m, d).
+    cfg: Classifier,
+    x: Float[np.ndarray, "n d"],
+    y: Int[np.ndarray, " n"],
+    at: Float[np.ndarray, "m d"],
+    *,
+    classes: int,
+    seed: int,
+    noise_share: Float[np.ndarray, " n"] | None = None,
+    noise_covariance: Float[np.ndarray, "d d"] | None = None,
+) -> Float[np.ndarray, "m classes"]:
+    """Train on inputs x of classes y, and give log probabilities at other inputs.
 
-    `noise` (n,) is the share, row by row, of the spread whose covariance (d, d) is `mix` that training adds afresh each
-    time a row is met.
+    Args:
+        cfg: How to train.
+        x: Inputs.
+        y: Their classes.
+        at: Inputs to classify.
+        classes: Number of classes.
+        seed: Of the training.
+        noise_share: For each row, the share of the noise that is added to it afresh each time it is met.
+        noise_covariance: Of that noise.
+
+    Returns:
+        Log probabilities, the mean over the ensemble's members.
     """
     n, d = x.shape
     mean, std = x.mean(0), x.std(0)
     std = np.where(std > 0, std, 1)
-    capacity = -(-n // ROWS) * ROWS
-    rows = np.zeros((capacity, d), np.float32)
+    capacity = -(-n // CAPACITY_ROWS) * CAPACITY_ROWS
+    rows, share = np.zeros((capacity, d), np.float32), np.zeros((capacity, d), np.float32)
     rows[:n] = (x - mean) / std
     labels = np.zeros(capacity, np.int32)
     labels[:n] = y
-    share = np.zeros((capacity, d), np.float32)
     factor = np.zeros((d, d), np.float32)
-    if noise is not None and mix is not None:
-        share[:n] = noise[:, None]
-        factor = (np.linalg.cholesky(mix + 1e-9 * np.eye(d)).T / std).astype(np.float32)
+    if noise_share is not None and noise_covariance is not None:
+        share[:n] = noise_share[:, None]
+        factor = (np.linalg.cholesky(noise_covariance + 1e-9 * np.eye(d)).T / std).astype(np.float32)
+    known = TrainingSet(
+        jnp.asarray(rows), jnp.asarray(labels), jnp.asarray(share), jnp.asarray(factor), jnp.asarray(n, jnp.int32)
+    )
     seen = jnp.float32((at - mean) / std)
-    log_p = [
-        _log_p(
-            _train(
-                jax.random.fold_in(jax.random.key(seed), i), rows, labels, share, factor, jnp.int32(n), cfg, classes
-            ),
-            seen,
-        )
-        for i in range(cfg.members)
-    ]
+    keys = [jax.random.fold_in(jax.random.key(seed), i) for i in range(cfg.members)]
+    log_p = [_log_probability(_train(key, known, cfg, classes), seen) for key in keys]
     return np.asarray(jax.nn.logsumexp(jnp.stack(log_p), axis=0) - np.log(cfg.members))

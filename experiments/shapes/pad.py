@@ -1,11 +1,11 @@
-"""A skin learnt from labelled presses of stamps, and what each stamp would read on it where the arm says it presses.
+"""A skin fitted to labelled presses of stamps, and what each stamp would read on it where the arm says it presses.
 
-For a known stamp, place, turn and force the pressure is known up to the layer, and the reading is linear in the skin's
-magnetisation: the map is fitted by Bayesian linear regression as in `i2t.calibration.physics`, which does so for round
-tips. Of the numbers that are not linear only thickness and give are told apart, by how well all other presses predict
-each (leave-one-out density) on a grid of layers. What one press leaves unexplained of the next, the noise, the tilt of
-the stamp and what the layer cannot say, is a covariance of the residuals; a chip that remembers the press before is
-found by regressing the residuals of a sitting on the readings before.
+For a known stamp, position, rotation and force the pressure is known up to the layer, and the reading is linear in the
+skin's magnetization: the map is fitted by Bayesian linear regression as in `i2t.calibration.physics`. Of the parameters
+that are not linear only thickness and mount compliance are told apart, by the density of each press as predicted from
+all others (leave-one-out) on a grid of layers. What one press leaves unexplained, the noise, the tilt of the stamp and
+what the layer cannot say, is a covariance of the residuals; the hysteresis of a chip is found by regressing the
+residuals of a session on the readings before.
 """
 
 from collections.abc import Sequence
@@ -20,154 +20,188 @@ from jaxtyping import Array, Float, Int
 
 from experiments.shapes.world import Stamp, heights, pose, stamps
 from i2t.calibration import physics
-from i2t.calibration.physics import Layer, Tip
-from i2t.skin.contact import FAR
+from i2t.calibration.physics import LayerParameters, LinearRegression
+from i2t.skin.contact import MAX_HEIGHT_M
 from i2t.skin.elasticity import GRID, Grid
-from i2t.types import CHIPS, PAD_WINDOW, READINGS, Board
+from i2t.types import PAD_WINDOW, Board
 
-LAYERS = [(thickness, give) for give in (1e-6, 0.25e-3) for thickness in (2.0e-3, 2.5e-3, 3.0e-3)]  # m, m/N
-TOLD = 48  # presses from which the layer is chosen
-NOISES = (3.0, 5.0)  # uT, of a reading, with what the layer cannot say
-SPREAD = 1.0  # uT, least standard deviation of a residual
-LEAST = 0.05  # N, where a noisy wrench sensor says less
-MEMORY = 8.0  # presses' worth of belief that a chip remembers nothing
-CHUNK = 64
+# Thickness (m) and mount compliance (m/N).
+LAYERS = [(thickness, compliance) for compliance in (1e-6, 0.25e-3) for thickness in (2.0e-3, 2.5e-3, 3.0e-3)]
+LAYER_PRESSES = 48  # from which the layer is chosen
+NOISE_LEVELS_UT = (3.0, 5.0)  # of a reading, with what the layer cannot say
+MIN_RESIDUAL_STD_UT = 1.0
+MIN_FORCE_N = 0.05  # where a noisy wrench sensor says less
+HYSTERESIS_PRIOR_PRESSES = 8.0  # presses' worth of belief that a chip has none
+CHUNK_PRESSES = 64
+AXES = 3  # of a chip
 
 
 @dataclass(frozen=True)
-class Face(Tip):
-    """A tip of any flat shape, already where it presses."""
+class StampTip:
+    """A stamp that is already where it presses.
 
-    seen: Array | None = None  # (n, n) m behind the nearest point
+    Attributes:
+        surface: (n, n) m behind its nearest point, over the cells of the pad.
+    """
 
-    def height(self, place: Float[Array, "2"], grid: Grid = GRID) -> Float[Array, "n n"]:
-        """What lies over the cells."""
-        assert self.seen is not None
-        return self.seen
+    surface: Array
+
+    def height(self, position: Float[Array, "2"], grid: Grid = GRID) -> Float[Array, "n n"]:
+        """What lies over the cells, whatever the position."""
+        return self.surface
 
 
-class Where(NamedTuple):
+class StampPoses(NamedTuple):
     """What the arm knows of n presses."""
 
-    place: Float[np.ndarray, "n 2"]  # m, of the face's middle on the skin
-    turn: Float[np.ndarray, " n"]  # rad
+    position: Float[np.ndarray, "n 2"]  # m, of the face's middle on the skin
+    rotation: Float[np.ndarray, " n"]  # rad, about the skin's normal
     force: Float[np.ndarray, " n"]  # N
 
 
-class Skin(NamedTuple):
+class FittedSkin(NamedTuple):
     """A fitted skin."""
 
     layer: int  # in `LAYERS`
     weights: Float[Array, " k"]
-    covariance: Float[np.ndarray, "15 15"]  # uT^2, of what is left of a reading
-    residuals: Float[np.ndarray, "n 15"]  # uT, of the presses that it was fitted to, each as all others predict it
+    covariance: Float[np.ndarray, "c c"]  # uT^2, of what is left of a reading
+    residuals: Float[np.ndarray, "n c"]  # uT, of the presses it was fitted to, each as predicted from all others
 
 
-def layer(thickness: float, give: float) -> Layer:
-    """A middling layer of a given thickness (m) and give (m/N)."""
-    middle = physics.prior().middle._replace(thickness=jnp.float32(thickness), give=jnp.float32(give))
-    return jax.tree.map(jnp.float32, middle)
+def layer_of(thickness: float, mount_compliance: float) -> LayerParameters:
+    """The prior's median with a given thickness (m) and mount compliance (m/N)."""
+    median = physics.layer_prior().median
+    layer = median._replace(thickness=jnp.float32(thickness), mount_compliance=jnp.float32(mount_compliance))
+    return jax.tree.map(jnp.float32, layer)
 
 
 @partial(jax.jit, static_argnames=("grid",))
-def designs(
-    under: Layer, board: Board, drawn: Stamp, which: Int[Array, " n"], where: Where, grid: Grid = GRID
-) -> Float[Array, "n 15 k"]:
+def stamp_features(
+    layer: LayerParameters, board: Board, drawn: Stamp, which: Int[Array, " n"], poses: StampPoses, *, grid: Grid = GRID
+) -> Float[Array, "n c k"]:
     """What a press of each stamp `which` reads (uT) of each weight of the map, of prior variance 1."""
 
     def one(args: tuple) -> Array:
-        index, place, turn, force = args
+        index, position, rotation, force = args
         stamp = jax.tree.map(lambda leaf: leaf[index], drawn)
-        met = heights(stamp, pose(place, turn, stamp), PAD_WINDOW, grid.cells)[0]
-        tip = Face("cylinder", 1.0, jnp.minimum(met - jnp.min(met), FAR))
-        designed = physics.design(under, board, tip, jnp.zeros(2), jnp.maximum(force, LEAST), True, grid)
-        return physics.features(under, designed[None], PAD_WINDOW)[0]
+        face = heights(stamp, pose(position, rotation, stamp), PAD_WINDOW, grid.cells)[0]
+        tip = StampTip(jnp.minimum(face - jnp.min(face), MAX_HEIGHT_M))
+        force = jnp.maximum(force, MIN_FORCE_N)
+        design = physics.design_matrix(layer, board, tip, jnp.zeros(2), force, by_force=True, grid=grid)
+        return physics.weight_features(layer, design[None], PAD_WINDOW)[0]
 
-    return jax.lax.map(one, (which, *where), batch_size=physics.BATCH)
+    return jax.lax.map(one, (which, *poses), batch_size=physics.BATCH_PRESSES)
 
 
-class Imagined:
-    """Designs of one skin's presses, each worked out when it is first asked for and kept."""
+class StampFeatures:
+    """Features of one skin's presses, each worked out when it is first asked for and kept."""
 
     def __init__(
-        self, board: Board, names: Sequence[str], where: Where, shape: np.ndarray, layers: int, grid: Grid = GRID
+        self,
+        board: Board,
+        names: Sequence[str],
+        poses: StampPoses,
+        shape: Int[np.ndarray, " n"],
+        *,
+        layers: int,
+        grid: Grid = GRID,
     ) -> None:
         self.board, self.drawn, self.classes, self.grid = board, stamps(names), len(names), grid
         self.layers = range(layers)
-        self.where, self.shape = where, shape
-        self._own: dict[tuple[int, int], np.ndarray] = {}
-        self._all: dict[tuple, np.ndarray] = {}
+        self.poses, self.shape = poses, shape
+        self._pressed: dict[tuple[int, int], np.ndarray] = {}
+        self._hypotheses: dict[tuple[int, str], np.ndarray] = {}
 
-    def own(self, at: int, rows: np.ndarray) -> np.ndarray:
-        """(n, 15, k) of what was pressed, on a layer of `LAYERS`."""
-        missing = [row for row in rows if (at, row) not in self._own]
+    def pressed(self, layer: int, rows: np.ndarray) -> Float[np.ndarray, "n c k"]:
+        """Features of what was pressed, on a layer of `LAYERS`."""
+        missing = [row for row in rows if (layer, row) not in self._pressed]
         if missing:
-            made = self._designs(at, self.shape[missing], Where(*(leaf[missing] for leaf in self.where)))
-            self._own |= {(at, row): design for row, design in zip(missing, made, strict=True)}
-        return np.stack([self._own[at, row] for row in rows])
+            made = self._features(layer, self.shape[missing], StampPoses(*(leaf[missing] for leaf in self.poses)))
+            self._pressed |= {(layer, row): features for row, features in zip(missing, made, strict=True)}
+        return np.stack([self._pressed[layer, row] for row in rows])
 
-    def hypotheses(self, at: int, where: Where, name: str) -> np.ndarray:
-        """(n, c, 15, k) of every stamp in turn at every place of a set that is called `name`."""
-        if (at, name) not in self._all:
-            n = len(where.force)
-            each = Where(*(np.repeat(leaf, self.classes, axis=0) for leaf in where))
-            made = self._designs(at, np.tile(np.arange(self.classes), n), each)
-            self._all[at, name] = made.reshape(n, self.classes, *made.shape[1:])
-        return self._all[at, name]
+    def hypotheses(self, layer: int, poses: StampPoses, name: str) -> Float[np.ndarray, "n classes c k"]:
+        """Features of every stamp in turn at every pose of a set that is called `name`."""
+        if (layer, name) not in self._hypotheses:
+            n = len(poses.force)
+            each = StampPoses(*(np.repeat(leaf, self.classes, axis=0) for leaf in poses))
+            made = self._features(layer, np.tile(np.arange(self.classes), n), each)
+            self._hypotheses[layer, name] = made.reshape(n, self.classes, *made.shape[1:])
+        return self._hypotheses[layer, name]
 
-    def _designs(self, at: int, which: np.ndarray, where: Where) -> np.ndarray:
-        under, parts = layer(*LAYERS[at]), []
-        for start in range(0, len(which), CHUNK):  # of one size, and so compiled once
-            rows = np.minimum(np.arange(start, start + CHUNK), len(which) - 1)
-            some = Where(*(jnp.float32(leaf[rows]) for leaf in where))
-            parts.append(np.asarray(designs(under, self.board, self.drawn, jnp.int32(which[rows]), some, self.grid)))
+    def _features(self, layer: int, which: np.ndarray, poses: StampPoses) -> np.ndarray:
+        parameters, parts = layer_of(*LAYERS[layer]), []
+        for start in range(0, len(which), CHUNK_PRESSES):  # of one size, and so compiled once
+            rows = np.minimum(np.arange(start, start + CHUNK_PRESSES), len(which) - 1)
+            some = StampPoses(*(jnp.float32(leaf[rows]) for leaf in poses))
+            made = stamp_features(parameters, self.board, self.drawn, jnp.int32(which[rows]), some, grid=self.grid)
+            parts.append(np.asarray(made))
         return np.concatenate(parts)[: len(which)]
 
-    def fit(self, rows: np.ndarray, readings: Float[np.ndarray, "n 15"]) -> Skin:
+    def fit(self, rows: np.ndarray, readings: Float[np.ndarray, "n c"]) -> FittedSkin:
         """The skin from labelled presses `rows` and their readings (uT): the layer that best predicts each of (at most
-        `TOLD` of) them from the others, and its map.
+        LAYER_PRESSES of) them from the others, and its map.
         """
-        told = np.argsort(_PRIORITY[rows % len(_PRIORITY)], kind="stable")[:TOLD]  # mostly the same in all folds
-        scores = [
-            max(float(np.mean(_regress(self.own(at, rows[told]), readings[told], noise).density)) for noise in NOISES)
-            for at in self.layers
-        ]
+        some = np.argsort(_PRIORITY[rows % len(_PRIORITY)], kind="stable")[
+            :LAYER_PRESSES
+        ]  # mostly the same in all folds
+        scores = [_best_regression(self.pressed(layer, rows[some]), readings[some])[1] for layer in self.layers]
         best = int(np.argmax(scores))
-        phi = self.hypotheses(best, self.where, "presses")[rows, self.shape[rows]]
-        solved = max((_regress(phi, readings, noise) for noise in NOISES), key=lambda s: float(np.mean(s.density)))
-        left = np.asarray(readings - solved.mean, np.float64)
+        features = self.hypotheses(best, self.poses, "presses")[rows, self.shape[rows]]
+        solved, _ = _best_regression(features, readings)
+        left = np.asarray(readings - solved.leave_one_out, np.float64)
         # Shrunk towards its diagonal as by as many presses as there are values.
-        raw = left.T @ left
-        covariance = (raw + READINGS * np.diag(np.diag(raw)) / len(left)) / (len(left) + READINGS)
-        return Skin(best, solved.weights, covariance + SPREAD**2 * np.eye(READINGS), left)
+        raw, channels = left.T @ left, readings.shape[1]
+        covariance = (raw + channels * np.diag(np.diag(raw)) / len(left)) / (len(left) + channels)
+        return FittedSkin(best, solved.weights, covariance + MIN_RESIDUAL_STD_UT**2 * np.eye(channels), left)
 
 
-def _regress(phi: np.ndarray, readings: np.ndarray, noise: float) -> physics.Solved:
-    return _compiled(jnp.asarray(phi), jnp.float32(readings), jnp.float32(noise))
+def _best_regression(features: np.ndarray, readings: np.ndarray) -> tuple[LinearRegression, float]:
+    """The regression of the noise level under which presses are most probable as predicted from all others."""
+    tried = [_regression(jnp.asarray(features), jnp.float32(readings), jnp.float32(noise)) for noise in NOISE_LEVELS_UT]
+    densities = [float(np.mean(one.log_density)) for one in tried]
+    best = int(np.argmax(densities))
+    return tried[best], densities[best]
 
 
-_compiled = jax.jit(physics.regress)
+_regression = jax.jit(physics.bayesian_linear_regression)
 _PRIORITY = np.random.default_rng(0).permutation(100_003)
 
 
-def remembered(residuals: np.ndarray, before: np.ndarray, runs: np.ndarray, every: np.ndarray) -> np.ndarray:
-    """What part (m, 15) of the press before each chip keeps in each sitting of `every` (m,): ridge regression of the
-    residuals (n, 15) of presses of sittings `runs` (n,) on the readings (n, 15) `before` them.
+def fit_hysteresis(
+    residuals: Float[np.ndarray, "n c"],
+    before: Float[np.ndarray, "n c"],
+    session: Int[np.ndarray, " n"],
+    sessions: Int[np.ndarray, " m"],
+) -> Float[np.ndarray, "m c"]:
+    """What share of the press before each chip keeps in each session.
+
+    Args:
+        residuals: Of presses (uT).
+        before: Readings of the presses before them (uT).
+        session: In which each was.
+        sessions: Sessions to report; one without presses has none.
+
+    Returns:
+        Shares by ridge regression of the residuals on the readings before.
     """
-    kept = np.zeros((len(every), CHIPS))
-    power = np.maximum((before**2).reshape(-1, CHIPS, 3).sum(2).mean(0), 1e-9)
-    for i, run in enumerate(every):
-        x, y = (values[runs == run].reshape(-1, CHIPS, 3) for values in (before, residuals))
-        kept[i] = (x * y).sum((0, 2)) / ((x**2).sum((0, 2)) + MEMORY * power)
-    return np.repeat(kept, 3, axis=1)
+    chips = before.shape[1] // AXES
+    kept = np.zeros((len(sessions), chips))
+    power = np.maximum((before**2).reshape(-1, chips, AXES).sum(2).mean(0), 1e-9)
+    for i, one in enumerate(sessions):
+        x, y = (values[session == one].reshape(-1, chips, AXES) for values in (before, residuals))
+        kept[i] = (x * y).sum((0, 2)) / ((x**2).sum((0, 2)) + HYSTERESIS_PRIOR_PRESSES * power)
+    return np.repeat(kept, AXES, axis=1)
 
 
-def read(skin: Skin, phi: Float[np.ndarray, "*n 15 k"]) -> np.ndarray:
-    """The readings (*n, 15) uT that a skin is expected to give."""
-    return np.asarray(phi @ np.asarray(skin.weights))
+def predict_reading(skin: FittedSkin, features: Float[np.ndarray, "*n c k"]) -> Float[np.ndarray, "*n c"]:
+    """The readings (uT) that a skin is expected to give."""
+    return np.asarray(features @ np.asarray(skin.weights))
 
 
-def log_likelihood(skin: Skin, phi: Float[np.ndarray, "n c 15 k"], readings: Float[np.ndarray, "n 15"]) -> np.ndarray:
-    """(n, c): how probable the readings are if each of c stamps had been pressed there, up to a constant."""
-    error = readings[:, None] - read(skin, phi)
+def log_likelihood(
+    skin: FittedSkin, features: Float[np.ndarray, "n classes c k"], readings: Float[np.ndarray, "n c"]
+) -> Float[np.ndarray, "n classes"]:
+    """How probable the readings are if each of the stamps had been pressed there, up to a constant."""
+    error = readings[:, None] - predict_reading(skin, features)
     return -0.5 * np.einsum("nco,op,ncp->nc", error, np.linalg.inv(skin.covariance), error)

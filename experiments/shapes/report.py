@@ -1,4 +1,4 @@
-"""What `experiments.shapes` leaves behind: tables beside the paper's, confusion matrices, figures."""
+"""What `experiments.shapes` writes: tables next to the paper's, confusion matrices, figures."""
 
 from pathlib import Path
 from typing import Any

@@ -1,13 +1,13 @@
 """Stamps pressed on a skin that is held still: the paper's stamp experiment, simulated.
 
-A press draws a place of the stamp's centre on the skin, a turn about the skin's normal and a force; the stamp comes
-down along the normal until it bears that force. What goes wrong is what goes wrong in `i2t.simulation.touches`: the arm
-misses the place by its repeatability, the stamp's face is not quite level, the motion slants (so that friction drags
-the skin), force and travel are measured with errors, and the skin is read by a noisy board with faults.
+A press draws a position of the stamp's centre on the skin, a rotation about the skin's normal and a force; the stamp
+comes down along the normal until it bears that force. What goes wrong is what goes wrong in `i2t.simulation.touches`:
+the arm misses the position by its repeatability, the stamp's face is not quite level, the motion slants (so that
+friction drags the skin), force and travel are measured with errors, and the skin is read by a noisy board with faults.
 
 The skin's tool frame T is the world's, and the object O is the stamp, as in recordings of a probe on a fixed skin
-(`i2t.convert.eflesh`): `T_w_t` is the identity and `T_w_o` the stamp's believed pose, so that place and turn are the
-arm's own measurements. The patch is the stamp as its drawing says it lies there; no camera looks.
+(`i2t.convert.eflesh`): `T_w_t` is the identity and `T_w_o` the stamp's believed pose, so that position and rotation are
+the arm's own measurements. The patch is the stamp as its drawing says it lies there; no camera looks.
 
 A stamp has one flat face, parallel to its base. So what a skin meets is a plane inside an outline and nothing that it
 can reach outside, and needs no renderer: `heights` asks which cells see the face.
@@ -28,9 +28,9 @@ from i2t import geometry
 from i2t.dataset import Dataset
 from i2t.objects import catalogue
 from i2t.simulation import touches as simulation
-from i2t.skin.contact import FAR
-from i2t.skin.elasticity import FINE, GRID, Grid
-from i2t.skin.pad import dragged, press_force
+from i2t.skin.contact import MAX_HEIGHT_M
+from i2t.skin.elasticity import FINE_GRID, GRID, Grid
+from i2t.skin.pad import friction_response, press_force
 from i2t.types import (
     PAD_WINDOW,
     PATCH_PIXELS,
@@ -50,7 +50,7 @@ SHAPES = tuple(name.removeprefix(PREFIX) for name in catalogue.STAMPS)
 
 
 class Stamp(NamedTuple):
-    """A flat-faced thing, in its own frame: z points out of the face."""
+    """A flat-faced object, in its own frame: z points out of the face."""
 
     face: Float[Array, "k 3 2"]  # m, triangles that tile the face
     top: Float[Array, ""]  # m, height of the face
@@ -58,22 +58,22 @@ class Stamp(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Pressing:
+class StampPressConfig:
     """How the stamps are pressed."""
 
-    place: float = 2.9e-3  # m, furthest from the skin's middle along x and y: at any turn the whole face meets the skin
-    turn: float = 2 * math.pi  # rad, of the range of turns
+    max_position: float = 2.9e-3  # m, from the skin's middle along x and y: at any rotation the whole face is on it
+    max_rotation: float = 2 * math.pi  # rad
     force: tuple[float, float] = (1.0, 3.0)  # N, the paper's
-    errors: simulation.Errors = field(default_factory=simulation.Errors)
+    errors: simulation.SimulationErrors = field(default_factory=simulation.SimulationErrors)
     stiffness: float = 10e3  # N/m, of arm and mount in series
-    grid: Grid = FINE  # sharp edges
+    grid: Grid = FINE_GRID  # sharp edges
     friction: bool = True
     readings: int = 1  # of each press, at as many forces; a data set then holds several rows of one press
-    touches_per_run: int = 64  # a sitting, over which the sensor warms, wears and drifts
+    touches_per_session: int = 64  # over which the sensor warms, wears and drifts
 
 
 def stamps(names: Sequence[str] = SHAPES) -> Stamp:
-    """The catalogue's stamps, stacked; ValueError for a name that is none."""
+    """The catalogue's stamps, stacked; ValueError for any other name."""
     unknown = [name for name in names if name not in SHAPES]
     if unknown:
         raise ValueError(f"no stamp is called {', '.join(unknown)}; the catalogue has {', '.join(SHAPES)}")
@@ -92,13 +92,13 @@ def stamps(names: Sequence[str] = SHAPES) -> Stamp:
     )
 
 
-def pose(place: Float[Array, "2"], turn: Float[Array, ""], stamp: Stamp) -> Float[Array, "4 4"]:
-    """T_t_o of a stamp whose face lies on the skin about `place` (m), turned by `turn` (rad): its z points into the
-    skin, and with no turn its x is the skin's.
+def pose(position: Float[Array, "2"], rotation: Float[Array, ""], stamp: Stamp) -> Float[Array, "4 4"]:
+    """T_t_o of a stamp whose face lies on the skin about `position` (m), at `rotation` (rad) about the normal: its z
+    points into the skin, and at rotation 0 its x is the skin's.
     """
-    c, s = jnp.cos(turn), jnp.sin(turn)
-    rotation = jnp.stack([c, s, jnp.zeros(()), s, -c, jnp.zeros(()), jnp.zeros(()), jnp.zeros(()), -jnp.ones(())])
-    return geometry.transform(rotation.reshape(3, 3), jnp.append(place, stamp.top))
+    c, s = jnp.cos(rotation), jnp.sin(rotation)
+    matrix = jnp.stack([c, s, jnp.zeros(()), s, -c, jnp.zeros(()), jnp.zeros(()), jnp.zeros(()), -jnp.ones(())])
+    return geometry.transform(matrix.reshape(3, 3), jnp.append(position, stamp.top))
 
 
 @geometry.full_precision
@@ -130,31 +130,31 @@ def heights(
 
 @geometry.full_precision
 def press_stamp(
-    key: Key[Array, ""], stamp: Stamp, pad: Pad, place: Float[Array, "2"], turn: Float[Array, ""],
-    force: Float[Array, ""], how: Pressing,
+    key: Key[Array, ""], stamp: Stamp, pad: Pad, position: Float[Array, "2"], rotation: Float[Array, ""],
+    force: Float[Array, ""], cfg: StampPressConfig,
 ) -> Touches:  # fmt: skip
-    """One press; the reading is still that of an ideal sensor, and indices are left 0 (see `world.feel`)."""
-    errors = how.errors
+    """One press; the reading is still that of an ideal sensor, and indices are left 0 (see `apply_sensor_model`)."""
+    errors = cfg.errors
     key_arm, key_tilt, key_scalars = jax.random.split(key, 3)
     force_error, travel_error, *slant = jax.random.normal(key_scalars, (4,))
-    believed = pose(place, turn, stamp)
+    believed = pose(position, rotation, stamp)
     level = jnp.eye(4).at[2, 3].set(stamp.top)  # the face, about whose middle it tilts
     missed = geometry.random_motion(key_arm, errors.repeatability, 0.0)
     tilted = level @ geometry.random_motion(key_tilt, 0.0, errors.approach_angle) @ geometry.inverse(level)
     T_t_o = believed @ missed @ tilted
 
-    met = heights(stamp, T_t_o, PAD_WINDOW, how.grid.cells)[0]
-    met = jnp.minimum(met - jnp.min(met), FAR)
-    pressed = press_force(pad, met, force, how.grid)
+    met = heights(stamp, T_t_o, PAD_WINDOW, cfg.grid.cells)[0]
+    met = jnp.minimum(met - jnp.min(met), MAX_HEIGHT_M)
+    pressed = press_force(pad, met, force, cfg.grid)
     reading = pressed.reading
-    if how.friction:
+    if cfg.friction:
         slide = errors.slant * pressed.indentation * jnp.stack(slant)
         # Every other cell: friction's part is small, and four times as quick.
-        step = max(how.grid.cells // GRID.cells, 1)
-        coarse = GRID if step > 1 else how.grid
-        reading = reading + dragged(pad, met[::step, ::step], pressed.indentation, slide, coarse)
+        step = max(cfg.grid.cells // GRID.cells, 1)
+        coarse = GRID if step > 1 else cfg.grid
+        reading = reading + friction_response(pad, met[::step, ::step], pressed.indentation, slide, coarse)
 
-    travel = pressed.indentation + force / how.stiffness
+    travel = pressed.indentation + force / cfg.stiffness
     deep = jnp.eye(4).at[2, 3].set(-pressed.indentation)
     wide, nearest = _depths(stamp, deep @ believed, WIDE_WINDOW, WIDE_PIXELS)
     patch, _ = _depths(stamp, deep @ believed, PATCH_WINDOW, PATCH_PIXELS)
@@ -171,7 +171,7 @@ def press_stamp(
         T_w_o=deep @ believed,
         object=zero,
         pad=zero,
-        run=zero,
+        session=zero,
         code=jnp.int32(ReturnCode.WRENCH),
         truth=Truth(truth, true_nearest, force, pressed.indentation, reading),
     )
@@ -185,53 +185,65 @@ def _depths(stamp: Stamp, T_t_o: Array, window: float, pixels: int) -> tuple[Arr
     return jnp.clip(z - nearest, 0, REACH), nearest
 
 
-@partial(jax.jit, static_argnames=("how",))
-def press_run(key: Key[Array, ""], drawn: Stamp, which: Int[Array, " n"], pad: Pad, how: Pressing) -> Touches:
-    """A sitting: one press each of the stamps `which`, at random places, turns and forces, by a real sensor; of each
-    press `how.readings` rows, which differ in their forces.
+@partial(jax.jit, static_argnames=("cfg",))
+def press_session(
+    key: Key[Array, ""], drawn: Stamp, which: Int[Array, " n"], pad: Pad, cfg: StampPressConfig
+) -> Touches:
+    """A session: one press each of the stamps `which`, at random positions, rotations and forces, by a real sensor; of
+    each press `cfg.readings` rows, which differ in their forces.
     """
     n = len(which)
-    key_place, key_turn, key_force, key_touch, key_skin = jax.random.split(key, 5)
-    places = jax.random.uniform(key_place, (n, 2), minval=-how.place, maxval=how.place)
-    turns = jax.random.uniform(key_turn, (n,), maxval=how.turn)
+    key_position, key_rotation, key_force, key_touch, key_skin = jax.random.split(key, 5)
+    limit = cfg.max_position
+    positions = jax.random.uniform(key_position, (n, 2), minval=-limit, maxval=limit)
+    rotations = jax.random.uniform(key_rotation, (n,), maxval=cfg.max_rotation)
     keys = jax.random.split(key_touch, n)
-    which, keys, places, turns = (jnp.repeat(each, how.readings, axis=0) for each in (which, keys, places, turns))
-    forces = jax.random.uniform(key_force, (len(which),), minval=how.force[0], maxval=how.force[1])
+    which, keys, positions, rotations = (
+        jnp.repeat(each, cfg.readings, axis=0) for each in (which, keys, positions, rotations)
+    )
+    forces = jax.random.uniform(key_force, (len(which),), minval=cfg.force[0], maxval=cfg.force[1])
 
     def one(args: tuple) -> Touches:
-        key, stamp, place, turn, force = args
-        return press_stamp(key, jax.tree.map(lambda leaf: leaf[stamp], drawn), pad, place, turn, force, how)
+        key, stamp, position, rotation, force = args
+        return press_stamp(key, jax.tree.map(lambda leaf: leaf[stamp], drawn), pad, position, rotation, force, cfg)
 
-    touches = jax.lax.map(one, (keys, which, places, turns, forces), batch_size=16)
-    return simulation.feel(key_skin, touches._replace(object=which), pad, how.errors)
+    touches = jax.lax.map(one, (keys, which, positions, rotations, forces), batch_size=16)
+    return simulation.apply_sensor_model(key_skin, touches._replace(object=which), pad, cfg.errors)
 
 
 def press_stamps(
-    key: Key[Array, ""], pads: Sequence[Pad], n: int, how: Pressing, progress: Callable[[int], None] = lambda n: None
+    key: Key[Array, ""],
+    pads: Sequence[Pad],
+    n: int,
+    cfg: StampPressConfig,
+    progress: Callable[[int], None] = lambda n: None,
 ) -> Dataset:
-    """n rows, presses of all stamps in turn on each pad, in runs, as a data set that says it is simulated. Raises
-    ValueError for a sitting that is no whole number of presses.
+    """n rows of each pad, presses of all stamps in sessions, as a data set that says it is simulated.
+
+    Raises ValueError for a session that is no whole number of presses.
     """
-    if how.touches_per_run % how.readings:
-        raise ValueError(f"sittings of {how.touches_per_run} rows hold no whole number of presses of {how.readings}")
-    drawn, rows = stamps(), how.touches_per_run
-    parts, run = [], 0
+    if cfg.touches_per_session % cfg.readings:
+        raise ValueError(
+            f"sessions of {cfg.touches_per_session} rows hold no whole number of presses of {cfg.readings}"
+        )
+    drawn, rows = stamps(), cfg.touches_per_session
+    parts, session = [], 0
     for number, pad in enumerate(pads):
         for start in range(0, n, rows):
             key_order, key_press = jax.random.split(jax.random.fold_in(jax.random.fold_in(key, number), start))
-            first, count = start // how.readings, rows // how.readings
+            first, count = start // cfg.readings, rows // cfg.readings
             shapes = jnp.arange(first, first + count, dtype=jnp.int32) % len(SHAPES)
-            part = jax.device_get(press_run(key_press, drawn, jax.random.permutation(key_order, shapes), pad, how))
+            part = jax.device_get(press_session(key_press, drawn, jax.random.permutation(key_order, shapes), pad, cfg))
             kept = min(rows, n - start)
             part = jax.tree.map(lambda leaf, kept=kept: leaf[:kept], part)
-            parts.append(part._replace(pad=part.pad + number, run=part.run + run))
-            run += 1
+            parts.append(part._replace(pad=part.pad + number, session=part.session + session))
+            session += 1
             progress(kept)
     return Dataset(
         jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts),
         SHAPES,
         tuple(f"simulated pad {i}" for i in range(len(pads))),
-        tuple(f"run {i:03d}" for i in range(run)),
+        tuple(f"session {i:03d}" for i in range(session)),
         Board(*(np.asarray(leaf) for leaf in pads[0].board)),
         "simulated",
         meta={"made by": "experiments.shapes"},

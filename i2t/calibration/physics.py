@@ -20,7 +20,7 @@ of cosines along an edge, `k` the number of weights.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -61,6 +61,7 @@ NOISE_STD_UT = 2.0  # prior median of a reading's noise
 MAGNETIZATION_STD = 0.7 * MAGNETIZATION_A_PER_M  # A/m, prior median: patches and the uniform part share the variance
 
 
+@runtime_checkable
 class Tip(Protocol):
     """What presses: anything whose surface over the skin is known."""
 

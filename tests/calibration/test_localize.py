@@ -1,4 +1,4 @@
-"""Positions told from readings: on generated linear skins exactly as Bayes says, on simulated pads by the experiment."""
+"""Positions from readings: on generated linear skins exactly as Bayes says, on simulated pads by the experiment."""
 
 import json
 
@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from experiments import pads
+from experiments.pads import run as pads
+from experiments.pads.simulate import sample_skins
 from i2t.calibration import localize
 from i2t.calibration.localize import PressLibrary, WeightPosterior
 
@@ -81,7 +82,7 @@ def test_a_skin_is_fitted_to_readings_without_positions():
 
 
 def test_skins_share_their_boards():
-    skins = pads.make_skins(jax.random.key(0), 5, 2)
+    skins = sample_skins(jax.random.key(0), 5, 2)
     np.testing.assert_array_equal(skins[0].gains, skins[2].gains)
     gaps = [float(-skin.board.chips[0, 2] - skin.thickness) for skin in skins]
     np.testing.assert_allclose([gaps[2], gaps[3]], gaps[:2], rtol=1e-4)

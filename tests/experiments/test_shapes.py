@@ -12,8 +12,8 @@ import pytest
 from experiments import tsne
 from experiments.shapes import methods, networks, pad, world
 from experiments.shapes import run as shapes
-from experiments.shapes.methods import FOLDS, Bench, folds, presses_on
-from experiments.train.run import numbered_pad
+from experiments.shapes.config import PRESETS
+from experiments.shapes.methods import FOLDS, make_benchmark, presses_on, split_folds
 from i2t import dataset as data
 from i2t.errors import DataError
 from i2t.geometry import random_motion
@@ -21,9 +21,10 @@ from i2t.objects import catalogue
 from i2t.rendering.render import prepare_surface, render_heights
 from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise
+from i2t.skin.pad import numbered_pad
 from i2t.types import PAD_WINDOW
 
-CFG = shapes.PRESETS["debug"]
+CFG = PRESETS["debug"]
 pytestmark = pytest.mark.xdist_group("notebooks")  # which press the same stamps
 
 
@@ -56,10 +57,10 @@ def test_rows_of_one_press_differ_in_force_alone():
     how = replace(CFG.pressing, readings=5)
     where = presses_on(world.press_stamps(jax.random.key(0), [numbered_pad(0)], 25, how), 0)
     of = np.arange(25) // 5
-    for each in (where.place, where.turn, where.shape):
+    for each in (where.position, where.rotation, where.shape):
         np.testing.assert_allclose(each, each[5 * of], atol=1e-6)
     assert len(np.unique(where.force)) == 25
-    assert len(np.unique(where.turn[::5])) == 5
+    assert len(np.unique(where.rotation[::5])) == 5
     with pytest.raises(ValueError, match="no whole number"):
         world.press_stamps(jax.random.key(0), [numbered_pad(0)], 25, replace(how, readings=3))
 
@@ -67,7 +68,7 @@ def test_rows_of_one_press_differ_in_force_alone():
 def test_a_press_lies_where_it_says_and_bears_its_force():
     touches = pressed().touches
     where = presses_on(pressed(), 0)
-    assert np.abs(where.place).max() <= CFG.pressing.place + 1e-6
+    assert np.abs(where.position).max() <= CFG.pressing.max_position + 1e-6
     assert touches.truth.force.min() >= 1
     assert touches.truth.force.max() <= 3
     # The patch is deepest where the face is not, and the face touches: its nearest point lies in the skin.
@@ -76,7 +77,7 @@ def test_a_press_lies_where_it_says_and_bears_its_force():
     assert pressed().source == "simulated"
 
 
-def test_a_turn_of_the_cross_by_a_right_angle_is_no_turn():
+def test_the_cross_rotated_by_a_right_angle_is_the_same():
     cross = one("cross")
     seen = [
         world.heights(cross, world.pose(jnp.zeros(2), jnp.float32(a), cross), PAD_WINDOW, 40)[0]
@@ -88,24 +89,24 @@ def test_a_turn_of_the_cross_by_a_right_angle_is_no_turn():
 def test_folds_hold_out_what_they_say():
     where = presses_on(pressed(), 0)
     for split in methods.SPLITS:
-        part = folds(where, split, 0)
+        part = split_folds(where, split, 0)
         assert part is not None
         assert set(part) <= set(range(FOLDS))
-    angle = folds(where, "angle", 0)
+    angle = split_folds(where, "angle", 0)
     for fold in range(FOLDS):
-        turn = np.degrees(where.turn[angle == fold]) % 360
+        turn = np.degrees(where.rotation[angle == fold]) % 360
         assert ((turn >= 72 * fold - 1e-6) & (turn <= 72 * (fold + 1) + 1e-6)).all()
-    block = np.floor(where.place / methods.BLOCK).astype(int)
-    location = folds(where, "location", 0)
+    block = np.floor(where.position / methods.BLOCK_EDGE_M).astype(int)
+    location = split_folds(where, "location", 0)
     for cell in np.unique(block, axis=0):
         assert len(np.unique(location[(block == cell).all(1)])) == 1
-    depth = folds(where, "depth", 0)
+    depth = split_folds(where, "depth", 0)
     for shape in range(5):
         own = where.shape == shape
         assert where.depth[own & (depth == 0)].max() <= where.depth[own & (depth == 1)].min()
-    lost = where._replace(turn=np.full(50, np.nan), place=np.full((50, 2), np.nan))
-    assert folds(lost, "angle", 0) is None
-    assert folds(lost, "location", 0) is None
+    lost = where._replace(rotation=np.full(50, np.nan), position=np.full((50, 2), np.nan))
+    assert split_folds(lost, "angle", 0) is None
+    assert split_folds(lost, "location", 0) is None
 
 
 def test_a_classifier_learns_what_can_be_told_and_no_more():
@@ -113,35 +114,35 @@ def test_a_classifier_learns_what_can_be_told_and_no_more():
     y = np.arange(200) % 4
     x = 8 * np.eye(4, 6)[y] + rng.normal(size=(200, 6))
     cfg = networks.Classifier((32, 10), 400)
-    log_p = networks.classify(0, cfg, x[:150], y[:150], x[150:], 4)
+    log_p = networks.classify(cfg, x[:150], y[:150], x[150:], classes=4, seed=0)
     np.testing.assert_allclose(np.exp(log_p).sum(1), 1, rtol=1e-5)
     assert (log_p.argmax(1) == y[150:]).mean() > 0.9  # means are 11 standard deviations apart
-    lost = networks.classify(0, cfg, rng.normal(size=(150, 6)), y[:150], x[150:], 4)
+    lost = networks.classify(cfg, rng.normal(size=(150, 6)), y[:150], x[150:], classes=4, seed=0)
     assert (lost.argmax(1) == y[150:]).mean() < 0.7  # chance is 0.25 of 50
 
 
-def test_what_a_chip_remembers_is_found():
+def test_the_hysteresis_of_a_chip_is_found():
     rng = np.random.default_rng(1)
     before, runs = 50 * rng.normal(size=(200, 15)), np.arange(200) // 100
     kept = np.where(np.arange(15) // 3 == 2, 0.3, 0.0)
     residuals = np.where((runs == 0)[:, None], kept[None] * before, 0) + rng.normal(size=(200, 15))
-    found = pad.remembered(residuals, before, runs, np.array([0, 1, 7]))
+    found = pad.fit_hysteresis(residuals, before, runs, np.array([0, 1, 7]))
     # Shrunk by n / (n + MEMORY); noise of 1 uT on 50 uT over 300 values leaves 0.001.
-    np.testing.assert_allclose(found[0], kept * 100 / (100 + pad.MEMORY), atol=0.03)
+    np.testing.assert_allclose(found[0], kept * 100 / (100 + pad.HYSTERESIS_PRIOR_PRESSES), atol=0.03)
     np.testing.assert_allclose(found[1:], 0, atol=0.01)
 
 
 def test_designs_are_linear_readings_of_the_pad_itself():
     """A skin that is known exactly reads what its designs say."""
     dataset, where = pressed(), presses_on(pressed(), 0)
-    bench = Bench(where, dataset.board, world.SHAPES, replace(CFG.methods, library=2), 0)
+    benchmark = make_benchmark(where, dataset.board, world.SHAPES, cfg=replace(CFG.methods, library=2), seed=0)
     train = np.arange(40)
-    skin, readings = bench.fitted(train)
-    phi = bench.imagined.hypotheses(skin.layer, where.where, "presses")
-    mean = pad.read(skin, phi)[np.arange(50), where.shape]
+    skin, readings = benchmark.fitted(train)
+    phi = benchmark.features.hypotheses(skin.layer, where.poses, "presses")
+    mean = pad.predict_reading(skin, phi)[np.arange(50), where.shape]
     left = np.sum((readings - mean)[40:] ** 2) / np.sum(readings[40:] ** 2)
     assert left < 0.25  # noise and tilt; a reading that is not explained leaves 1
-    log_p = bench.log_p(methods.IMAGINED, train, np.arange(40, 50), 0)
+    log_p = benchmark.log_probability(methods.IMAGINED, train, np.arange(40, 50), 0)
     assert (log_p.argmax(1) == where.shape[40:]).mean() >= 0.7  # of ten; chance gives this with p < 0.001
 
 
@@ -169,7 +170,7 @@ def test_recorded_presses_of_which_the_arm_said_little_are_told_apart_by_reading
     nowhere = np.full_like(touches.T_w_o, np.nan)
     touches = touches._replace(T_w_o=nowhere, force=np.full_like(touches.force, np.nan), truth=None)
     path, out = tmp_path / "presses.h5", tmp_path / "run"
-    data.save(path, replace(pressed(), touches=touches, source="real"))
+    data.save_dataset(path, replace(pressed(), touches=touches, source="real"))
     assert shapes.main(["--preset", "debug", "--dataset", str(path), "--out", str(out)]) == 0
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["source"] == "real"
@@ -180,7 +181,7 @@ def test_recorded_presses_of_which_the_arm_said_little_are_told_apart_by_reading
 
 def test_the_map_of_touches_is_made_by_one_command(tmp_path, capsys):
     path, out = tmp_path / "presses.h5", tmp_path / "map"
-    data.save(path, pressed())
+    data.save_dataset(path, pressed())
     arguments = ["--preset", "debug", "--dataset", str(path), "--no-network", "--out", str(out)]
     assert tsne.main(arguments) == 0
     metrics = json.loads((out / "metrics.json").read_text())
@@ -190,7 +191,7 @@ def test_the_map_of_touches_is_made_by_one_command(tmp_path, capsys):
     assert (out / "tsne.png").stat().st_size > 10_000
     assert "(simulated)" in capsys.readouterr().out
     assert tsne.main(arguments) == 2
-    data.save(path, pressed().select(np.arange(12)))
+    data.save_dataset(path, pressed().select(np.arange(12)))
     assert tsne.main([*arguments, "--overwrite"]) == 2
     assert "at least are needed" in capsys.readouterr().err
 

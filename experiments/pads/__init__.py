@@ -1,0 +1,1 @@
+"""Presses located on simulated pads that were never seen."""

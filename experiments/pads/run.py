@@ -1,0 +1,177 @@
+"""Question: how well is a press located on a pad that was never seen, and how many presses of it does that take?
+
+    python -m experiments.pads                   18 skins on 6 boards, as in ReSkin's study; about an hour on two cores
+    python -m experiments.pads --skins 6         fewer skins
+    python -m experiments.pads --preset debug    2 skins, too few to mean anything
+
+ReSkin (Bhirangi et al., CoRL 2021) reports how often a press is located within 1 mm: 25 % with a network trained on one
+other pad, 84 % on many, 87 % after 390 presses of the new pad whose positions nobody noted. Here skins, boards and
+presses are simulated (`sample_pad` with the faults and the noise of a board in order): a tip of 4.6 mm at random
+positions within 7 mm of the middle along x and y, 0.6-1.0 N, the force not known. Each skin is tested on presses of its
+own that no method sees; networks that learn from other skins learn from those of the other boards only. The share
+within 1 mm is the mean over skins with its 95 % interval (Student's t). Results go to --out: metrics.json, config.json
+and accuracy.png.
+"""
+
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+# Factors of a few hundred rows are too small to share, as in experiments.train.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from jaxtyping import Array, Key
+
+from experiments.common.runs import begin, reported, write_json
+from experiments.pads import methods
+from experiments.pads.simulate import TIP, SkinSession, press_skin, sample_skins
+from i2t import viz
+from i2t.calibration.localize import GRID_SPACING_M
+from i2t.calibration.physics import fit_pad, solve_map
+from i2t.prediction.metrics import student_interval
+from i2t.skin.boards import reskin_board
+
+MAX_LAYER_PRESSES = 20  # that the layer is fitted to
+
+
+@dataclass(frozen=True)
+class LocalizationStudy:
+    """How much of everything."""
+
+    boards: int = 6
+    labelled: tuple[int, ...] = (5, 20, 100, 390)
+    unlabelled: int = 390
+    own_presses: int = 1500  # of the pad itself that the ceiling learns from
+    test_presses: int = 400
+    epochs: int = 200  # of the networks
+    spacing: float = GRID_SPACING_M  # of the press library
+
+
+PRESETS = {"study": LocalizationStudy(), "debug": LocalizationStudy(2, (), 10, 10, 20, 3, 3.5e-3)}
+DEFAULT_SKINS = {"study": 18, "debug": 2}
+
+
+@dataclass(frozen=True)
+class PadsArgs:
+    """Locate presses on pads that were never seen."""
+
+    out: Path = Path("runs/pads")
+    preset: Literal["study", "debug"] = "study"
+    skins: int | None = None  # 18 in the study, 2 in debug; a multiple of the boards is best
+    seed: int = 0
+    overwrite: bool = False
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    args = tyro.cli(PadsArgs, description=__doc__, args=argv)
+    return reported(partial(run, args))
+
+
+def run(args: PadsArgs) -> dict[str, Any]:
+    """The experiment: prepare, evaluate, report."""
+    study = PRESETS[args.preset]
+    skins = DEFAULT_SKINS[args.preset] if args.skins is None else args.skins
+    if skins < 2:
+        raise ValueError(f"--skins {skins} leaves no other skin to learn from; 2 are needed")
+    begin(args.out, args, study, None, args.overwrite)
+    key = jax.random.key(args.seed)
+    sessions = simulate_sessions(key, skins, study)
+    board = np.arange(skins) % study.boards  # alone on a board of its own where there are fewer skins
+
+    shares: dict[str, list[float]] = {}
+    for i in range(skins):
+        others = [sessions[j] for j in range(skins) if board[j] != board[i]]
+        for name, share in evaluate(jax.random.fold_in(key, 1000 + i), sessions[i], others, study).items():
+            shares.setdefault(name, []).append(share)
+        print(f"skin {i + 1} of {skins}: " + ", ".join(f"{name} {v[-1]:.2f}" for name, v in shares.items()), flush=True)
+        write_json(args.out / "partial.json", shares)
+    return report(args.out, shares, skins)
+
+
+def simulate_sessions(key: Key[Array, ""], skins: int, study: LocalizationStudy) -> list[SkinSession]:
+    """A session of presses of each skin."""
+    sessions = []
+    for i, pad in enumerate(sample_skins(jax.random.fold_in(key, 0), skins, study.boards)):
+        sessions.append(press_skin(jax.random.fold_in(key, 1 + i), pad, study.own_presses + study.test_presses))
+        print(f"\rpressed {i + 1} of {skins} skins", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    return sessions
+
+
+def evaluate(
+    key: Key[Array, ""], session: SkinSession, others: list[SkinSession], study: LocalizationStudy
+) -> dict[str, float]:
+    """Share of the test presses of one skin located within 1 mm, by each method."""
+    own, test = session.rows(slice(study.own_presses)), session.rows(slice(study.own_presses, None))
+    unlabelled = [other.rows(slice(study.unlabelled)) for other in others]
+    pooled = SkinSession(*(jnp.concatenate(part) for part in zip(*unlabelled, strict=True)))
+    library = methods.press_library(methods.nominal_layer(), study.spacing)
+    key_one, key_many, key_own = jax.random.split(key, 3)
+    own_readings = own.reading[: study.unlabelled]
+    located: dict[str, Array | np.ndarray] = {
+        "network, one other skin": methods.by_network(key_one, unlabelled[0], test.reading, study.epochs),
+        "network, skins of other boards": methods.by_network(key_many, pooled, test.reading, study.epochs),
+        "physics, no press": methods.by_unpressed_pad(library, test.reading),
+        f"physics, {study.unlabelled} presses without labels": methods.by_unlabelled_presses(
+            library, own_readings, test.reading, study.spacing
+        ),
+    }
+    located |= by_labelled_presses(own, test, study)
+    located[f"network, {study.own_presses} presses"] = methods.by_network(key_own, own, test.reading, study.epochs)
+
+    def share_right(positions: Array | np.ndarray) -> float:
+        error = np.linalg.norm(np.asarray(positions) - np.asarray(test.position), axis=1)
+        return float(np.mean(error <= methods.RIGHT_M))
+
+    return {name: share_right(positions) for name, positions in located.items()}
+
+
+def by_labelled_presses(own: SkinSession, test: SkinSession, study: LocalizationStudy) -> dict[str, Array | np.ndarray]:
+    """Positions by physics and by neighbours, from more and more presses; the layer is fitted to at most 20 of them."""
+    located: dict[str, Array | np.ndarray] = {}
+    fitted = None
+    pressed_by: dict[str, Any] = {"tip": TIP, "board": reskin_board(), "by_force": True}
+    for n in (*study.labelled, study.own_presses):
+        some = own.rows(slice(n))
+        if fitted is None or n <= MAX_LAYER_PRESSES:
+            fitted = fit_pad(some.presses, some.reading, **pressed_by, max_layer_presses=MAX_LAYER_PRESSES)
+            library = methods.press_library(fitted.layer, study.spacing)
+        else:
+            fitted = solve_map(fitted.layer, fitted.layer_std, some.presses, some.reading, **pressed_by)
+        located[f"physics, {n} presses"] = methods.by_fitted_pad(library, fitted, test.reading)
+        located[f"nearest presses, {n} presses"] = methods.by_neighbours(some, test.reading)
+    return located
+
+
+def report(out: Path, shares: dict[str, list[float]], skins: int) -> dict[str, Any]:
+    """Write the metrics and the figure, and print the table."""
+    intervals = {name: interval(values) for name, values in shares.items()}
+    metrics = {
+        "source": "simulated",
+        "skins": skins,
+        "within_1_mm": {name: dict(zip(("mean", "low", "high"), v, strict=True)) for name, v in intervals.items()},
+        "each": shares,
+    }
+    write_json(out / "metrics.json", metrics)
+    (out / "partial.json").unlink()
+    title = f"Presses located within 1 mm on {skins} unseen skins"
+    viz.save_figure(viz.plot_intervals(intervals, title, "share of presses", True), out / "accuracy.png")
+    print(f"\nlocated within 1 mm: mean of {skins} simulated skins [95 %]")
+    for name, (mean, low, high) in intervals.items():
+        print(f"{name:42s} {mean:.3f} [{low:.3f}, {high:.3f}]")
+    return metrics
+
+
+def interval(values: Sequence[float]) -> tuple[float, float, float]:
+    """Mean and 95 % interval over skins, within 0 and 1."""
+    mean, low, high = student_interval(values)
+    return float(mean), max(float(low), 0.0), min(float(high), 1.0)
