@@ -1,18 +1,18 @@
 """Questions about recognition by touch beyond `experiments.recognize`, each a study of its own:
 
-    python -m experiments.studies policy        which next touch makes one sure soonest?
-    python -m experiments.studies open          is it none of the objects that are known?
+    python -m experiments.studies policy        which next touch makes one confident soonest?
+    python -m experiments.studies open_set      is the object an unknown one?
     python -m experiments.studies planar        what does it cost not to know where the object stands?
-    python -m experiments.studies registered    what does a view tell that finds it where it may be 5 mm off?
-    python -m experiments.studies pad           how many presses does a pad need that was never felt?
-    python -m experiments.studies crossing      how well must poses be known for the paper's rules, and its baseline?
-    python -m experiments.studies sites         what does a touch tell on a flat, an edge and a corner?
+    python -m experiments.studies registered    what is a view worth that finds an object known to 5 mm only?
+    python -m experiments.studies new_pad       how many presses does a pad need that was never recorded?
+    python -m experiments.studies pose_error    how well must poses be known for the paper's rules, and its baseline?
+    python -m experiments.studies sites         how informative is a touch of a flat, an edge and a corner?
     python -m experiments.studies sensitivity   what do errors of pose, noise and harder presses do?
-    python -m experiments.studies many          10, 25 and 50 objects, the meshes of a folder among them
-    python -m experiments.studies policy --preset debug      a handful of sittings, to see it run
+    python -m experiments.studies object_count  10, 25 and 50 objects, the meshes of a folder among them
+    python -m experiments.studies policy --preset debug      a handful of episodes, to see it run
 
-Each takes a finished run of `experiments.train` (--run, or a study's folder of several pads and seeds) and uses the
-catalogue's test objects and the worlds of `experiments.recognize`; what was fixed before testing is in
+Each takes a finished run of `experiments.train` (--trained-run, or a study's folder of several pads and seeds) and uses
+the catalogue's test objects and the worlds of `experiments.recognize`; what was fixed before testing is in
 docs/recognition.md. Everything is simulated. Results go to --out: metrics.json, config.json, figures, and what was
 made of each pad and seed (npz), where --resume goes on.
 """
@@ -22,14 +22,14 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 # Factors of a few hundred rows are too small to share, as in experiments.train.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import tyro
 
-from experiments.common.runs import begin, load_part, reported, save_part, write_json
+from experiments.common.runs import Part, begin, load_part, reported, save_part, write_json
 from experiments.recognize.config import PRESETS
 from experiments.recognize.trained_run import finished_runs
 from experiments.studies import (
@@ -43,39 +43,66 @@ from experiments.studies import (
     sensitivity,
     sites,
 )
-from experiments.studies.lab import Args, Lab, prepare_lab, report_methods
+from experiments.studies.lab import StudyArgs, StudyLab, prepare_lab, report_methods
+from i2t.cli import renamed_flags
 
-STUDIES: dict[str, tuple[Callable[[Lab], Any], Callable[[Sequence[Any], Path], dict[str, Any]]]] = {
-    "policy": (policy.play, policy.report),
-    "open": (open_set.play, open_set.report),
-    "planar": (planar.play, planar.report),
-    "registered": (registered.play, registered.report),
-    "crossing": (pose_error.play, pose_error.report),
-    "sites": (sites.play, sites.report),
-    "pad": (new_pad.play, report_methods),
-    "sensitivity": (sensitivity.play, report_methods),
-    "many": (object_count.play, object_count.report),
+
+class StudySteps(NamedTuple):
+    """What a study does with each pad and seed, and with all of them."""
+
+    evaluate: Callable[[StudyLab], Part]
+    report: Callable[[Sequence[Part], Path], dict[str, Any]]
+
+
+STUDIES = {
+    "policy": StudySteps(policy.evaluate, policy.report),
+    "open_set": StudySteps(open_set.evaluate, open_set.report),
+    "planar": StudySteps(planar.evaluate, planar.report),
+    "registered": StudySteps(registered.evaluate, registered.report),
+    "pose_error": StudySteps(pose_error.evaluate, pose_error.report),
+    "sites": StudySteps(sites.evaluate, sites.report),
+    "new_pad": StudySteps(new_pad.evaluate, report_methods),
+    "sensitivity": StudySteps(sensitivity.evaluate, report_methods),
+    "object_count": StudySteps(object_count.evaluate, object_count.report),
+}
+RENAMED_STUDIES = {
+    "open": "open_set",
+    "strangers": "open_set",
+    "crossing": "pose_error",
+    "many": "object_count",
+    "pad": "new_pad",
+}
+RENAMED_FLAGS = {
+    "--run": "--trained-run",
+    "--sittings": "--episodes",
+    "--placements": "--pose-errors",
+    "--rough": "--view-noise",
 }
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    args = tyro.cli(Args, args=argv, description=__doc__, prog="python -m experiments.studies")
+    words = list(sys.argv[1:] if argv is None else argv)
+    renamed_flags(words, RENAMED_FLAGS)
+    if words and words[0] in RENAMED_STUDIES:
+        print(f"error: the study {words[0]} is called {RENAMED_STUDIES[words[0]]} now", file=sys.stderr)
+        return 2
+    args = tyro.cli(StudyArgs, args=words, description=__doc__, prog="python -m experiments.studies")
     return reported(partial(run, args), args.out or Path("runs") / args.study)
 
 
-def run(args: Args) -> dict[str, Any]:
+def run(args: StudyArgs) -> dict[str, Any]:
     """A study on every pad and seed, pooled."""
     out = args.out or Path("runs") / args.study
-    play, report = STUDIES[args.study]
+    study = STUDIES[args.study]
     begin(out, args, PRESETS[args.preset], args.resume, args.overwrite)
-    made = []
-    for i, folder in enumerate(finished_runs(args.run)):
+    parts = []
+    for i, folder in enumerate(finished_runs(args.trained_run)):
         path = out / f"part-{i}.npz"
         if not path.exists():
-            save_part(path, play(prepare_lab(args, folder, args.seed + i)))
-        made.append(load_part(path))
-    result = {"source": "simulated", "seeds": len(made), **report(made, out)}
+            save_part(path, study.evaluate(prepare_lab(args, folder, args.seed + i)))
+        parts.append(load_part(path))
+    result = {"source": "simulated", "seeds": len(parts), **study.report(parts, out)}
     write_json(out / "metrics.json", result)
     print(f"\nresults and figures are in {out}")
     return result

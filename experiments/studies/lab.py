@@ -1,6 +1,6 @@
-"""What all studies share: a pad learnt from a finished run, objects to tell apart, simulated sittings."""
+"""What all studies share: a finished run with its pad model, objects to tell apart, simulated episodes, tables."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -10,145 +10,207 @@ import numpy as np
 import tyro
 from jaxtyping import Array
 
-from experiments.recognize import figures as drawing
-from experiments.recognize import trained_run
-from experiments.recognize.config import PRESETS, Recognition
-from experiments.recognize.trained_run import meshes_by_name
+from experiments.common.runs import Part
+from experiments.recognize import figures, trained_run
+from experiments.recognize.config import PRESETS, PresetName, Recognition
+from experiments.recognize.trained_run import TrainedRun, meshes_by_name
 from i2t import viz
 from i2t.dataset import Dataset
-from i2t.prediction.predictor import Predictor
-from i2t.recognition import metrics as scores
+from i2t.recognition import metrics
 from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import EpisodeConfig, Episodes, run_episodes
-from i2t.recognition.metrics import to_json
+from i2t.recognition.metrics import Estimate, estimate_at, to_json
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.recognition.pad_model import PadModel, fit_pad_model, fit_simulated_pad_model
-from i2t.recognition.site_pool import SitePool, pose_particles, precompute_outcomes, prepare_surfaces
+from i2t.recognition.site_pool import (
+    SitePool,
+    draw_random_sites,
+    pose_particles,
+    precompute_outcomes,
+    prepare_surfaces,
+    sample_sites,
+)
 from i2t.simulation import touches as simulation
 from i2t.simulation.press import PressLimits
+from i2t.simulation.touches import SimulationErrors
 from i2t.types import Pad, Surface
 
-PLACES = 128  # of each object: with 64 to 512 accuracies are the same within 0.01
-Study = Literal["policy", "open", "planar", "registered", "crossing", "sites", "pad", "sensitivity", "many"]
+MAX_PARTICLES = 128  # of each object: with 64 to 512 accuracies are the same within 0.01
+SIMULATED_TOUCHES, SIMULATED_TOUCHES_DEBUG = 900, 100  # that a pad model of another pad is fitted to
+DEBUG_EPISODES = 2  # of each object
+FIRST_SEED = 100  # of the studies' keys, apart from those of other experiments
+Study = Literal[
+    "policy", "open_set", "planar", "registered", "new_pad", "pose_error", "sites", "sensitivity", "object_count"
+]
 
 
 @dataclass(frozen=True)
-class Args:
+class StudyArgs:
     """Study recognition by touch."""
 
     study: tyro.conf.Positional[Study]
     out: Path | None = None  # folder for everything that is made; runs/STUDY unless given
-    run: Path = Path("runs/train")  # a finished run of experiments.train, or a study's folder of several
-    preset: Literal["paper", "debug"] = "paper"
-    sittings: int = 20  # of each object and setting, for each pad and seed
-    meshes: Path | None = None  # a folder of STL files in metres that join the objects of `many`
-    placements: tuple[float, ...] = (0.0, 0.1, 0.3, 1.0, 2.0, 4.0)  # of `crossing`: mm and degrees, one sigma
-    rough: tuple[float, ...] = (0.3, 1.0)  # of `crossing`: mm of noise on every pixel of views, at 1 mm of placement
+    trained_run: Path = Path("runs/train")  # a finished run of experiments.train, or a study's folder of several
+    preset: PresetName = "paper"
+    episodes: int = 20  # of each object and setting, for each pad and seed
+    meshes: Path | None = None  # a folder of STL files in metres that join the objects of `object_count`
+    pose_errors: tuple[float, ...] = (0.0, 0.1, 0.3, 1.0, 2.0, 4.0)  # of `pose_error`: mm and degrees, one sigma
+    view_noise: tuple[float, ...] = (0.3, 1.0)  # of `pose_error`: mm on every pixel of views, at a pose error of 1 mm
     seed: int = 0
     resume: bool = False  # go on with an unfinished study in --out
     overwrite: bool = False  # replace a finished or unfinished one
 
+    @property
+    def debug(self) -> bool:
+        """Whether this is a small run, too small to mean anything."""
+        return self.preset == "debug"
 
-class Lab(NamedTuple):
-    """One pad and seed: what was learnt, and the objects to tell apart."""
 
+class EpisodePlan(NamedTuple):
+    """Episodes before they are simulated: which object is there, and where it is touched."""
+
+    sites: SitePool
+    truth: np.ndarray  # (e,)
+    chosen: np.ndarray  # (e, t) sites of the pool
+
+
+@dataclass(frozen=True)
+class StudyLab:
+    """One pad and seed: the finished run with its pad model, and the objects to tell apart."""
+
+    args: StudyArgs
     cfg: Recognition
-    pad: Pad
-    learnt: PadModel
+    run: TrainedRun
     names: tuple[str, ...]
     surfaces: list[Surface]
-    sittings: int
+    episodes: int  # of each object
     seed: int
     key: Array
-    args: Args
-    training: Callable[[Pad, Array], PadModel]  # learns another pad from the same objects
-    pressed: Callable[[PressLimits, Array], PadModel]  # learns the pad as the run did, from presses with other limits
-    predictor: Predictor  # of the run
 
+    @property
+    def pad_model(self) -> PadModel:
+        """The pad model of the run."""
+        return self.run.pad_model
 
-def prepare_lab(args: Args, folder: Path, seed: int) -> Lab:
-    """What all studies of a pad and seed share."""
-    cfg = PRESETS[args.preset]
-    cfg = replace(cfg, num_particles=min(cfg.num_particles, PLACES))
-    key_learn, key = jax.random.split(jax.random.key(100 + seed))
-    told = trained_run.load_trained_run(key_learn, folder, cfg.errors, cfg.limits)
-    names = cfg.primitives + cfg.tools
-    which, counts = np.unique(told.dataset.touches.object[told.rows], return_counts=True)
-    kinds = tuple(told.dataset.objects[i] for i in which)
-    taught_on = [told.surfaces[kind] for kind in kinds]
+    def particles(self, errors: SimulationErrors | None = None) -> Particles:
+        """Pose particles of an object under some errors of placement, the lab's unless given."""
+        return pose_particles(errors or self.cfg.errors, self.cfg.num_particles, self.seed)
 
-    def training(other: Pad, key: Array) -> PadModel:
-        return fit_simulated_pad_model(
-            key, other, taught_on, touches=100 if args.preset == "debug" else 900, limits=cfg.limits,
-            recorded=told.pad_model,
+    def sample_sites(self, key: Array) -> SitePool:
+        """Safe sites of the lab's objects."""
+        return sample_sites(key, self.surfaces, self.names, self.cfg.num_sites, self.cfg.site_limits)
+
+    def truth(self, repeats: int = 1) -> np.ndarray:
+        """Which object is there in each episode: each in as many; `repeats` times as many where episodes are short."""
+        return np.repeat(np.arange(len(self.surfaces)), self.episodes * repeats)
+
+    def plan(self, key_sites: Array, key_chosen: Array, *, repeats: int = 1, touches: int | None = None) -> EpisodePlan:
+        """Episodes at random sites."""
+        sites, truth = self.sample_sites(key_sites), self.truth(repeats)
+        chosen = draw_random_sites(key_chosen, sites, len(truth), touches or self.cfg.touches)
+        return EpisodePlan(sites, truth, chosen)
+
+    def predict(
+        self, sites: SitePool, particles: Particles, models: Sequence[LinearReadingModel], label: str
+    ) -> list[PredictedTouch]:
+        """Predicted touches of the lab's objects, for each reading model."""
+        overtravel = self.cfg.limits.overtravel
+        return precompute_outcomes(
+            self.surfaces, particles.twist, sites.T_w_t, models, overtravel=overtravel, label=label
+        )
+
+    def simulate(
+        self,
+        key: Array,
+        plan: EpisodePlan,
+        label: str,
+        *,
+        surfaces: Sequence[Surface] | None = None,
+        pad: Pad | None = None,
+        errors: SimulationErrors | None = None,
+        limits: PressLimits | None = None,
+    ) -> Episodes:
+        """Simulated episodes; surfaces, pad, errors and limits are the lab's unless given."""
+        config = EpisodeConfig(errors or self.cfg.errors, limits or self.cfg.limits, plan.chosen.shape[1])
+        return run_episodes(
+            key, surfaces or self.surfaces, plan.truth, plan.chosen,
+            sites=plan.sites, pad=pad or self.run.pad, config=config, label=label,
         )  # fmt: skip
 
-    def pressed(limits: PressLimits, key: Array) -> PadModel:
-        key_press, key_learn = jax.random.split(key)
-        made = simulation.simulate_touches(key_press, taught_on, told.pad, cfg.errors, counts.tolist(), limits=limits)
+    def fit_other_pad(self, key: Array, pad: Pad) -> PadModel:
+        """The pad model of a known pad, from simulated touches of the objects that the run trained on."""
+        surfaces = [self.run.surfaces[name] for name in self._trained_on()[0]]
+        touches = SIMULATED_TOUCHES_DEBUG if self.args.debug else SIMULATED_TOUCHES
+        return fit_simulated_pad_model(
+            key, pad, surfaces, touches=touches, limits=self.cfg.limits, recorded=self.pad_model
+        )
+
+    def refit(self, key: Array, limits: PressLimits) -> PadModel:
+        """The pad model as the run fitted it, but from presses with other limits."""
+        key_press, key_fit = jax.random.split(key)
+        names, counts = self._trained_on()
+        surfaces, errors = [self.run.surfaces[name] for name in names], self.cfg.errors
+        made = simulation.simulate_touches(key_press, surfaces, self.run.pad, errors, counts, limits=limits)
         touches = jax.device_get(made)
-        runs = tuple(f"run {i}" for i in range(int(touches.session.max()) + 1))
-        told_by = Dataset(touches, kinds, ("the pad",), runs, told.dataset.board, "simulated")
-        return fit_pad_model(key_learn, told_by, np.ones(len(told_by), bool), told.surfaces, errors=cfg.errors, limits=limits)
+        sessions = tuple(f"session {i}" for i in range(int(touches.session.max()) + 1))
+        dataset = Dataset(touches, names, ("the pad",), sessions, self.run.dataset.board, "simulated")
+        rows = np.ones(len(dataset), bool)
+        return fit_pad_model(key_fit, dataset, rows, self.run.surfaces, errors=errors, limits=limits)
 
-    surfaces = prepare_surfaces(list(meshes_by_name(names).values()))
-    sittings = 2 if args.preset == "debug" else args.sittings
-    return Lab(
-        cfg, told.pad, told.pad_model, names, surfaces, sittings, seed, key, args, training, pressed, told.predictor
-    )
-
-
-def placements_of(lab: Lab) -> Particles:
-    """Places of an object in the lab's world."""
-    return pose_particles(lab.cfg.errors, lab.cfg.num_particles, lab.seed)
+    def _trained_on(self) -> tuple[tuple[str, ...], list[int]]:
+        """Objects that the run trained on, and the number of touches of each."""
+        which, counts = np.unique(self.run.dataset.touches.object[self.run.rows], return_counts=True)
+        return tuple(self.run.dataset.objects[i] for i in which), counts.tolist()
 
 
-def imagine(lab: Lab, sites: SitePool, places: Particles, skins: Sequence[LinearReadingModel], what: str) -> list[PredictedTouch]:
-    """Outcomes on the lab's objects."""
-    return precompute_outcomes(
-        lab.surfaces, places.twist, sites.T_w_t, skins, overtravel=lab.cfg.limits.overtravel, label=what
-    )
+def prepare_lab(args: StudyArgs, folder: Path, seed: int) -> StudyLab:
+    """Read a finished run, fit its pad model, and prepare the objects."""
+    cfg = PRESETS[args.preset]
+    cfg = replace(cfg, num_particles=min(cfg.num_particles, MAX_PARTICLES))
+    key_fit, key = jax.random.split(jax.random.key(FIRST_SEED + seed))
+    run = trained_run.load_trained_run(key_fit, folder, cfg.errors, cfg.limits)
+    surfaces = prepare_surfaces(list(meshes_by_name(cfg.objects).values()))
+    episodes = DEBUG_EPISODES if args.debug else args.episodes
+    return StudyLab(args, cfg, run, cfg.objects, surfaces, episodes, seed, key)
 
 
-def sit(lab: Lab, key: Array, sites: SitePool, truth: np.ndarray, chosen: np.ndarray, what: str, **world: Any) -> Episodes:
-    """Simulated sittings at sites chosen beforehand, with a bar; `world` replaces parts of the lab's."""
-    setting = EpisodeConfig(lab.cfg.errors, lab.cfg.limits, chosen.shape[1])
-    surfaces = world.pop("surfaces", lab.surfaces)
-    pad = world.pop("pad", lab.pad)
-    config = replace(setting, **world)
-    return run_episodes(key, surfaces, truth, chosen, sites=sites, pad=pad, config=config, label=what)
+# --- reports ---
 
 
-def shown(estimate: scores.Estimate) -> str:
+def pool_parts(parts: Sequence[Part]) -> dict[str, np.ndarray]:
+    """Arrays of several pads and seeds as one, by name."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def format_estimate(estimate: Estimate) -> str:
     """A mean with its interval."""
     return f"{float(estimate.mean):.3f} [{float(estimate.low):.3f}, {float(estimate.high):.3f}]"
 
 
-def spread(name: str, unit: str, values: np.ndarray, where: str) -> dict[str, Any]:
-    """Quantiles of how far something was off."""
+def report_error(name: str, unit: str, values: np.ndarray, where: str) -> dict[str, Any]:
+    """Print and return quantiles of an error."""
     percentiles = np.percentile(values, [25, 50, 75, 90])
-    print(f"{name} by {percentiles[1]:.2f} {unit} (median; 90 %: {percentiles[3]:.2f}) {where}")
+    print(f"{name}: median {percentiles[1]:.2f} {unit}, 90 % below {percentiles[3]:.2f} {unit} {where}")
     return {"unit": unit, "of": len(values), "percentiles_25_50_75_90": percentiles.tolist()}
 
 
-def report_methods(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
-    """Accuracy of every method on the same sittings."""
-    truth = np.concatenate([part["truth"] for part in parts])
-    result: dict[str, Any] = {"sittings": len(truth), "methods": {}}
-    settings: dict[str, dict[str, scores.Estimate]] = {}
-    for name in parts[0]:
-        if name == "truth":
-            continue
-        p = np.concatenate([part[name] for part in parts]).astype(np.float64)
-        accuracy = scores.accuracy(p, truth)
+def report_methods(parts: Sequence[Part], out: Path) -> dict[str, Any]:
+    """Accuracy of every method on the same episodes; methods are called "evidence, setting"."""
+    columns = pool_parts(parts)
+    truth = columns.pop("truth")
+    result: dict[str, Any] = {"episodes": len(truth), "methods": {}}
+    settings: dict[str, dict[str, Estimate]] = {}
+    for name, beliefs in columns.items():
+        p = beliefs.astype(np.float64)
+        accuracy, mean = metrics.accuracy(p, truth), metrics.mean_accuracy(p, truth)
         result["methods"][name] = {
-            "accuracy": to_json(accuracy), "mean": to_json(scores.mean_accuracy(p, truth)),
-            "log_loss": scores.log_loss(p, truth).mean(0).tolist(),
+            "accuracy": to_json(accuracy), "mean": to_json(mean),
+            "log_loss": metrics.log_loss(p, truth).mean(0).tolist(),
         }  # fmt: skip
-        last = scores.Estimate(*(x[-1] for x in accuracy))
+        last = estimate_at(accuracy, -1)
         evidence, _, setting = name.partition(", ")
-        settings.setdefault(setting or "in any case", {})[evidence] = last
-        print(f"{name:34} after {p.shape[1]}: {shown(last)}   mean: {shown(scores.mean_accuracy(p, truth))}")
-    figure = drawing.sensitivity(settings, f"After {p.shape[1]} touches", "accuracy", True)
+        settings.setdefault(setting or "all settings", {})[evidence] = last
+        print(f"{name:34} after {p.shape[1]}: {format_estimate(last)}   mean: {format_estimate(mean)}")
+    figure = figures.sensitivity(settings, f"After {p.shape[1]} touches", "accuracy", True)
     viz.save_figure(figure, out / "accuracy.png")
     return result

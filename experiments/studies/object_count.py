@@ -10,56 +10,77 @@ import jax.numpy as jnp
 import numpy as np
 import trimesh
 
-from experiments.recognize import figures as drawing
-from experiments.studies.lab import Lab, imagine, placements_of, sit
+from experiments.common.runs import Part
+from experiments.recognize import figures
+from experiments.studies.lab import EpisodePlan, StudyLab
 from i2t import viz
 from i2t.objects import catalogue
 from i2t.objects.catalogue import Mesh
-from i2t.recognition import metrics as scores
+from i2t.recognition import metrics
 from i2t.recognition.episodes import posteriors
 from i2t.recognition.metrics import to_json
-from i2t.recognition.site_pool import draw_random_sites, prepare_surfaces, sample_sites
+from i2t.recognition.site_pool import draw_random_sites, prepare_surfaces
 
-COUNTS = (10, 25, 50)
-FACES = 2048  # at most, of a scanned mesh
-MANY_TOUCHES, MANY_SITES, MANY_PLACES, MANY_SITTINGS = 20, 8, 64, 100
+COUNTS, DEBUG_COUNTS = (10, 25, 50), (3,)
+EPISODES, DEBUG_EPISODES = 100, 4  # at least, with each number of objects
+TOUCHES, NUM_SITES, NUM_PARTICLES = 20, 8, 64
+DEBUG_TOUCHES, DEBUG_NUM_SITES, DEBUG_NUM_PARTICLES = 3, 2, 8
+MAX_FACES = 2048  # of a scanned mesh
+TRAINED_ON = ("hexagon", "parallelogram")
+FIRST_RANDOM_SEED = 7000  # of the random objects
 
 
-def play(lab: Lab) -> dict[str, Any]:
-    """Sittings with the first 10, 25 and 50 of a list of objects: the catalogue's, the folder's, and random ones."""
-    small = lab.args.preset == "debug"
-    counts = (3,) if small else COUNTS
-    touches, places_count = (3, 8) if small else (MANY_TOUCHES, MANY_PLACES)
-    trained_on = ("hexagon", "parallelogram")
-    meshes = {name: catalogue.make_object(name).mesh for name in lab.names}
-    for path in sorted(lab.args.meshes.glob("*.stl")) if lab.args.meshes else ():
-        meshes[path.stem] = coarse(catalogue.load_mesh(path, "m")[0].mesh)
-    for name in catalogue.PRIMITIVES + catalogue.TOOLS:
-        if name not in trained_on:
-            meshes.setdefault(name, catalogue.make_object(name).mesh)
-    for i in range(max(counts)):
-        meshes[f"random {i}"] = catalogue.random_object(7000 + i).mesh
-    found: dict[str, Any] = {}
-    key_pool, key_play, key_site = jax.random.split(lab.key, 3)
-    order = np.random.default_rng(0).permutation(list(meshes)[: max(counts)] if not small else list(meshes)[:3])
-    cfg = replace(lab.cfg, touches=touches, num_sites=2 if small else MANY_SITES, num_particles=places_count)
+def evaluate(lab: StudyLab) -> Part:
+    """Beliefs in episodes with the first 10, 25 and 50 of the objects in random order."""
+    debug = lab.args.debug
+    counts = DEBUG_COUNTS if debug else COUNTS
+    meshes = collect_meshes(lab, max(counts))
+    names = np.random.default_rng(0).permutation(list(meshes)[: max(counts)])
+    cfg = replace(
+        lab.cfg,
+        touches=DEBUG_TOUCHES if debug else TOUCHES,
+        num_sites=DEBUG_NUM_SITES if debug else NUM_SITES,
+        num_particles=DEBUG_NUM_PARTICLES if debug else NUM_PARTICLES,
+    )
+    found: Part = {}
     for count in counts:
-        names = tuple(str(name) for name in order[:count])
-        some = lab._replace(names=names, surfaces=prepare_surfaces([meshes[name] for name in names]), cfg=cfg)
-        sites = sample_sites(key_pool, some.surfaces, names, cfg.num_sites, cfg.site_limits)
-        places = placements_of(some)
-        (table,) = imagine(some, sites, places, [lab.learnt.reading_model], f"{count} objects")
-        truth = np.resize(np.arange(count), 4 if small else max(MANY_SITTINGS, count))
-        chosen = draw_random_sites(key_site, sites, len(truth), touches)
-        episodes = sit(some, key_play, sites, truth, chosen, f"{count} objects")
-        p = posteriors(jax.device_put(table), jnp.asarray(chosen), episodes.observations, lab.learnt.likelihood, places)
-        found[f"{count} objects"] = {"truth": truth, "p": np.asarray(p)}
+        chosen = tuple(str(name) for name in names[:count])
+        surfaces = prepare_surfaces([meshes[name] for name in chosen])
+        some = replace(lab, names=chosen, surfaces=surfaces, cfg=cfg)
+        found[f"{count} objects"] = evaluate_objects(some, DEBUG_EPISODES if debug else max(EPISODES, count))
     return found
 
 
-def coarse(mesh: Mesh, faces: int = FACES) -> Mesh:
-    """A scanned mesh with fewer faces, by quadric decimation (Garland and Heckbert, SIGGRAPH 1997): imagining takes as
-    long as the object with the most of them. Raises ValueError where pyvista is missing.
+def evaluate_objects(lab: StudyLab, count: int) -> Part:
+    """Truth and beliefs (e, t, objects) in some episodes with the lab's objects."""
+    key_sites, key_episodes, key_chosen = jax.random.split(jax.random.clone(lab.key), 3)
+    label = f"{len(lab.names)} objects"
+    sites, particles = lab.sample_sites(key_sites), lab.particles()
+    (table,) = lab.predict(sites, particles, [lab.pad_model.reading_model], label)
+    truth = np.resize(np.arange(len(lab.names)), count)
+    plan = EpisodePlan(sites, truth, draw_random_sites(key_chosen, sites, count, lab.cfg.touches))
+    observations = lab.simulate(key_episodes, plan, label).observations
+    likelihood = lab.pad_model.likelihood
+    p = posteriors(jax.device_put(table), jnp.asarray(plan.chosen), observations, likelihood, particles)
+    return {"truth": truth, "p": np.asarray(p)}
+
+
+def collect_meshes(lab: StudyLab, count: int) -> dict[str, Mesh]:
+    """Meshes by name: the lab's objects, those of the folder, the rest of the catalogue, and `count` random ones."""
+    meshes = {name: catalogue.make_object(name).mesh for name in lab.names}
+    for path in sorted(lab.args.meshes.glob("*.stl")) if lab.args.meshes else ():
+        meshes[path.stem] = decimate(catalogue.load_mesh(path, "m")[0].mesh)
+    for name in catalogue.PRIMITIVES + catalogue.TOOLS:
+        if name not in TRAINED_ON:
+            meshes.setdefault(name, catalogue.make_object(name).mesh)
+    for i in range(count):
+        meshes[f"random {i}"] = catalogue.random_object(FIRST_RANDOM_SEED + i).mesh
+    return meshes
+
+
+def decimate(mesh: Mesh, faces: int = MAX_FACES) -> Mesh:
+    """A scanned mesh with fewer faces, by quadric decimation (Garland and Heckbert, SIGGRAPH 1997): predictions take as
+    long as those of the object with the most of them. Raises ValueError where pyvista is missing.
     """
     if len(mesh.faces) <= faces:
         return mesh
@@ -71,15 +92,15 @@ def coarse(mesh: Mesh, faces: int = FACES) -> Mesh:
     return Mesh(np.asarray(fewer.points, np.float64), np.asarray(fewer.regular_faces, np.int32))
 
 
-def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
     """Accuracy against touches for each number of objects."""
     result: dict[str, Any] = {}
     curves = {}
     for name in parts[0]:
         p = np.concatenate([part[name]["p"] for part in parts]).astype(np.float64)
         truth = np.concatenate([part[name]["truth"] for part in parts])
-        curves[name] = scores.accuracy(p, truth)
-        result[name] = {"sittings": len(truth), "accuracy": to_json(curves[name])}
+        curves[name] = metrics.accuracy(p, truth)
+        result[name] = {"episodes": len(truth), "accuracy": to_json(curves[name])}
         print(f"{name:12} " + " ".join(f"{t + 1}: {curves[name].mean[t]:.2f}" for t in range(0, p.shape[1], 3)))
-    viz.save_figure(drawing.accuracy(curves, "Accuracy with more objects", True), out / "accuracy.png")
+    viz.save_figure(figures.accuracy(curves, "Accuracy with more objects", True), out / "accuracy.png")
     return result

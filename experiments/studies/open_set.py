@@ -1,11 +1,13 @@
-"""Is it none of the objects that are known? Half of the sittings have a stranger of the same families.
+"""Is the object an unknown one? Half of the episodes have an unknown object of the same families as the known ones.
 
-What is not known is stood for by decoys (`i2t.objects.catalogue.decoy`): objects like those known, but none of them.
-They have places as the known ones have and take part in the posterior through the whole sitting; "none of these" is
-what they have together. How much that is to be trusted is fitted on validation objects and other strangers.
+The unknown class is represented by surrogate unknowns (`i2t.objects.catalogue.surrogate_unknown`): objects like the
+known ones, but none of them. They have pose particles as the known ones have and take part in the posterior throughout
+an episode; together they are the unknown class. Its probability is calibrated (Platt) on validation objects and other
+unknown ones.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,100 +16,123 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.common.runs import Part
-from experiments.recognize import figures as drawing
-from experiments.studies.lab import Lab, imagine, shown, sit
+from experiments.recognize import figures
+from experiments.studies.lab import EpisodePlan, StudyLab, format_estimate
 from i2t import viz
 from i2t.objects import catalogue
 from i2t.objects.catalogue import Mesh
-from i2t.recognition import calibrated
-from i2t.recognition import metrics as scores
+from i2t.recognition import calibrated, metrics
 from i2t.recognition.episodes import posteriors
-from i2t.recognition.metrics import to_json
-from i2t.recognition.site_pool import draw_random_sites, pose_particles, prepare_surfaces, sample_sites
+from i2t.recognition.metrics import estimate_at, to_json
+from i2t.recognition.site_pool import draw_random_sites, prepare_surfaces, sample_sites
 from i2t.types import Surface
 
-STRANGERS = ("hexagon", "parallelogram", "flower", "cross", "spanner", "pliers", "marker", "scissors")
-# Of the validation: neither known in the test nor strangers there.
-OTHERS = ("pentagon", "pyramid", "dome", "cone", "ellipsoid", "torus", "wedge")
-KNOWN = ("triangle", "octagon", "stairs", "ridge", "cutter")
-DECOYS, PLACES = 48, 64  # places of each object, of decoys too
-PRIOR = 0.5  # of a stranger
+TEST_UNKNOWN = ("hexagon", "parallelogram", "flower", "cross", "spanner", "pliers", "marker", "scissors")
+# Of the validation: neither known nor unknown objects of the test.
+VALIDATION_UNKNOWN = ("pentagon", "pyramid", "dome", "cone", "ellipsoid", "torus", "wedge")
+VALIDATION_KNOWN = ("triangle", "octagon", "stairs", "ridge", "cutter")
+NUM_SURROGATES, DEBUG_NUM_SURROGATES = 48, 2
+DEBUG_OBJECTS = 2  # of each kind
+MAX_PARTICLES = 64  # of each object, of surrogates too
+PRIOR_UNKNOWN = 0.5
+UNKNOWN_SHARES = (0.01, 0.25, 0.5)  # of the episodes, for which accuracies are reported
+NUM_BINS = 10  # of a calibration error
 
 
-class Game(NamedTuple):
-    """Sittings with known objects and as many with strangers."""
+class ObjectSet(NamedTuple):
+    """Known objects, unknown ones, and surrogates, in this order."""
 
-    truth: np.ndarray  # (e,), -1 for a stranger
+    known: tuple[str, ...]
+    unknown: tuple[str, ...]
+    surrogates: int
+
+    def meshes(self) -> list[Mesh]:
+        """Of all of them."""
+        known = [catalogue.make_object(name).mesh for name in self.known]
+        unknown = [catalogue.make_object(name).mesh for name in self.unknown]
+        return known + unknown + [catalogue.surrogate_unknown(known, i).mesh for i in range(self.surrogates)]
+
+
+class OpenSetEpisodes(NamedTuple):
+    """Episodes with known objects and as many with unknown ones."""
+
+    truth: np.ndarray  # (e,), -1 for an unknown object
     p: np.ndarray  # (e, t, known)
-    none: np.ndarray  # (e, t)
+    p_unknown: np.ndarray  # (e, t) of the unknown class
 
 
-def play(lab: Lab) -> Part:
-    """The game on validation objects and that on test objects."""
-    debug = lab.args.preset == "debug"
-    test, validation = jax.random.split(lab.key)
-    strangers, others, known = (STRANGERS[:2], OTHERS[:2], KNOWN[:2]) if debug else (STRANGERS, OTHERS, KNOWN)
-    decoys = 2 if debug else DECOYS
-    first, second = _things(known, others, decoys), _things(lab.names, strangers, decoys)
-    prepared = prepare_surfaces(first + second)  # compiled for once
-    tuned = _game(lab, validation, known, others, prepared[: len(first)], "validation")
-    tested = _game(lab, test, lab.names, strangers, prepared[len(first) :], "strangers")
-    return {"validation": tuned._asdict(), "test": tested._asdict()}
+def evaluate(lab: StudyLab) -> Part:
+    """Beliefs on validation objects and on test objects."""
+    key_test, key_validation = jax.random.split(lab.key)
+    some = DEBUG_OBJECTS if lab.args.debug else None
+    surrogates = DEBUG_NUM_SURROGATES if lab.args.debug else NUM_SURROGATES
+    validation = ObjectSet(VALIDATION_KNOWN[:some], VALIDATION_UNKNOWN[:some], surrogates)
+    test = ObjectSet(lab.names, TEST_UNKNOWN[:some], surrogates)
+    meshes = validation.meshes(), test.meshes()
+    surfaces = prepare_surfaces([*meshes[0], *meshes[1]])  # of one size class, so that they compile once
+    count = len(meshes[0])
+    fitted = evaluate_set(lab, key_validation, validation, surfaces[:count], "validation")
+    tested = evaluate_set(lab, key_test, test, surfaces[count:], "test")
+    return {"validation": fitted._asdict(), "test": tested._asdict()}
 
 
-def _things(names: Sequence[str], strangers: Sequence[str], decoys: int) -> list[Mesh]:
-    """What is known, what is strange, and decoys."""
-    known = [catalogue.make_object(name).mesh for name in names]
-    others = [catalogue.make_object(name).mesh for name in strangers]
-    return known + others + [catalogue.surrogate_unknown(known, i).mesh for i in range(decoys)]
+def evaluate_set(
+    lab: StudyLab, key: jax.Array, objects: ObjectSet, surfaces: list[Surface], label: str
+) -> OpenSetEpisodes:
+    """Beliefs in episodes with known objects, then in as many with unknown ones."""
+    key_sites, key_episodes, key_chosen = jax.random.split(key, 3)
+    known, unknown = len(objects.known), len(objects.unknown)
+    believed = surfaces[:known] + surfaces[known + unknown :]
+    cfg = replace(lab.cfg, num_particles=min(lab.cfg.num_particles, MAX_PARTICLES))
+    lab = replace(lab, surfaces=believed, cfg=cfg)
+    sites = sample_sites(key_sites, surfaces[:known], objects.known, cfg.num_sites, cfg.site_limits)
+    particles = lab.particles()
+    (table,) = lab.predict(sites, particles, [lab.pad_model.reading_model], label)
 
-
-def _game(
-    lab: Lab, key: jax.Array, names: Sequence[str], strangers: Sequence[str], surfaces: list[Surface], what: str
-) -> Game:
-    key_pool, key_play, key_site = jax.random.split(key, 3)
-    imagined = surfaces[: len(names)] + surfaces[len(names) + len(strangers) :]
-    sites = sample_sites(key_pool, surfaces[: len(names)], list(names), lab.cfg.num_sites, lab.cfg.site_limits)
-    places = pose_particles(lab.cfg.errors, min(lab.cfg.num_particles, PLACES), lab.seed)
-    (table,) = imagine(lab._replace(surfaces=imagined), sites, places, [lab.learnt.reading_model], what)
-    truth = np.repeat(np.arange(len(names)), lab.sittings)
-    rng = np.random.default_rng(lab.seed)
-    strange = rng.integers(len(names), len(names) + len(strangers), len(truth))
-    everything = np.concatenate([truth, strange])
-    chosen = draw_random_sites(key_site, sites, len(everything), lab.cfg.touches)
-    played = surfaces[: len(names) + len(strangers)]
-    episodes = sit(lab, key_play, sites, everything, chosen, what, surfaces=played)
-    p = posteriors(jax.device_put(table), jnp.asarray(chosen), episodes.observations, lab.learnt.likelihood, places)
+    truth = np.repeat(np.arange(known), lab.episodes)
+    drawn = np.random.default_rng(lab.seed).integers(known, known + unknown, len(truth))
+    there = np.concatenate([truth, drawn])
+    plan = EpisodePlan(sites, there, draw_random_sites(key_chosen, sites, len(there), cfg.touches))
+    observations = lab.simulate(key_episodes, plan, label, surfaces=surfaces[: known + unknown]).observations
+    likelihood = lab.pad_model.likelihood
+    p = posteriors(jax.device_put(table), jnp.asarray(plan.chosen), observations, likelihood, particles)
     p = np.asarray(p, np.float64)
-    share = (len(imagined) - len(names)) / len(imagined)
-    named, none = scores.with_unknown_prior(p[..., : len(names)], p[..., len(names) :].sum(-1), share, PRIOR)
-    return Game(np.where(everything < len(names), everything, -1), named, none)
+    share = (len(believed) - known) / len(believed)  # prior of the unknown class: all objects alike
+    p, p_unknown = metrics.with_unknown_prior(p[..., :known], p[..., known:].sum(-1), share, PRIOR_UNKNOWN)
+    return OpenSetEpisodes(np.where(there < known, there, -1), p, p_unknown)
 
 
 def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
-    """How well strangers are told from known objects, and how sure one may be."""
-    validation, test = (_pooled([Game(**part[name]) for part in parts]) for name in ("validation", "test"))
-    odds = calibrated.fit_platt(validation.none, validation.truth < 0)
-    area, raw = scores.auroc(test.none, test.truth < 0), test.none
-    p, none = calibrated.apply_platt(test.p, test.none, odds)
-    result: dict[str, Any] = {"sittings": len(test.truth), "auroc": to_json(area), "odds": to_json(odds), "shares": {}}
+    """How well unknown objects are told from known ones, and how far the unknown class is calibrated."""
+    validation, test = (_pooled([OpenSetEpisodes(**part[name]) for part in parts]) for name in ("validation", "test"))
+    scaling = calibrated.fit_platt(validation.p_unknown, validation.truth < 0)
+    p, p_unknown = calibrated.apply_platt(test.p, test.p_unknown, scaling)
+    area = metrics.auroc(test.p_unknown, test.truth < 0)
     print("AUROC after each touch: " + " ".join(f"{x:.2f}" for x in area.mean))
-    print("after the last: " + shown(scores.Estimate(*(x[-1] for x in area))))
-    for name, each in (("as imagined", (test.p, raw)), ("trusted as on validation objects", (p, none))):
-        for share in (0.01, 0.25, 0.5):
-            found = scores.open_set_accuracy(*each, test.truth, share, prior=PRIOR)
-            result["shares"][f"{name}, {share}"] = to_json(found)
-            last = [shown(scores.Estimate(*(x[-1] for x in one))) for one in (found.known, found.unknown)]
-            print(f"{name}, {share:.0%} unknown: right of known {last[0]}, of unknown {last[1]}")
-        sure, right = each[1][:, -1], test.truth < 0
-        wrong = scores.calibration_error(np.maximum(sure, 1 - sure), (sure > 0.5) == right, 10)
-        result[f"calibration_of_none, {name}"] = to_json(wrong)
-        print(f"{name}, calibration error of none of these after the last touch: {wrong.error:.3f}")
-    viz.save_figure(
-        drawing.accuracy({"none of these": area}, "Telling strangers", True, ylabel="AUROC"), out / "auroc.png"
-    )
+    print("after the last: " + format_estimate(estimate_at(area, -1)))
+    result = {"episodes": len(test.truth), "auroc": to_json(area), "platt": to_json(scaling)}
+    for name, episodes in (("uncalibrated", test), ("calibrated", OpenSetEpisodes(test.truth, p, p_unknown))):
+        result[name] = score_episodes(name, episodes)
+    figure = figures.accuracy({"unknown class": area}, "Telling unknown objects", True, ylabel="AUROC")
+    viz.save_figure(figure, out / "auroc.png")
     return result
 
 
-def _pooled(games: Sequence[Game]) -> Game:
-    return Game(*(np.concatenate(column) for column in zip(*games, strict=True)))
+def score_episodes(name: str, episodes: OpenSetEpisodes) -> dict[str, Any]:
+    """Accuracies for several shares of unknown objects, and the calibration error of the unknown class at the end."""
+    truth, p, p_unknown = episodes
+    scores: dict[str, Any] = {"accuracy": {}}
+    for share in UNKNOWN_SHARES:
+        found = metrics.open_set_accuracy(p, p_unknown, truth, share, prior=PRIOR_UNKNOWN)
+        scores["accuracy"][str(share)] = to_json(found)
+        known, unknown = (format_estimate(estimate_at(one, -1)) for one in (found.known, found.unknown))
+        print(f"{name}, {share:.0%} unknown: accuracy on known objects {known}, on unknown ones {unknown}")
+    last = p_unknown[:, -1]
+    right = (last > 0.5) == (truth < 0)
+    error = metrics.calibration_error(np.maximum(last, 1 - last), right, NUM_BINS)
+    print(f"{name}, calibration error of the unknown class after the last touch: {error.error:.3f}")
+    return scores | {"calibration_error": to_json(error)}
+
+
+def _pooled(parts: Sequence[OpenSetEpisodes]) -> OpenSetEpisodes:
+    return OpenSetEpisodes(*(np.concatenate(column) for column in zip(*parts, strict=True)))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,120 +14,151 @@ import numpy as np
 from jaxtyping import Array
 from tqdm import tqdm
 
-from experiments.recognize import figures as drawing
-from experiments.studies.lab import Lab, shown, sit, spread
+from experiments.common.runs import Part
+from experiments.recognize import figures
+from experiments.studies.lab import EpisodePlan, StudyLab, format_estimate, pool_parts, report_error
 from i2t import viz
-from i2t.recognition import belief, planar
-from i2t.recognition import metrics as scores
+from i2t.recognition import belief, metrics, planar
 from i2t.recognition.belief import Belief, Likelihood, TouchObservation
-from i2t.recognition.metrics import to_json
+from i2t.recognition.episodes import Episodes
+from i2t.recognition.metrics import estimate_at, to_json
 from i2t.recognition.outcomes import PredictedTouch
 from i2t.recognition.planar import PlanarGrid, PlanarPose
 from i2t.recognition.site_pool import SitePool, precompute_outcomes
 
-TOUCHES = 20
-PAST = 20e-3  # m, how far presses go below the table's sites: to 10 mm over the table
-KNOWN = (1e-3, 1e-3, np.radians(2.4))  # of the pose, where it is: 1 mm, 1 degree and half a step of the turns
-TURNS = {"square": 4, "star": 5, "cylinder": 0}  # turns that look alike; 0: all of them; else one
+TOUCHES, DEBUG_TOUCHES = 20, 3
+DEBUG_GRID = PlanarGrid(half=5e-3, reach=5e-3, step=5e-3, turns=4)
+OVERTRAVEL_M = 20e-3  # beyond the sites of the table: presses end 10 mm over the table
+KNOWN_POSE_STD = (1e-3, 1e-3, np.radians(2.4))  # m, m, rad: 1 mm, 1 degree and half a step of the grid's turns
+SYMMETRY = {"square": 4, "star": 5, "cylinder": 0}  # turns that look alike; 0: all of them; else one
+SHOWN_TOUCHES = (1, 5, 10, 15, 20)
 
 
-def play(lab: Lab) -> dict[str, Any]:
-    """Sittings with objects anywhere on the table, judged with their pose unknown and known."""
-    debug = lab.args.preset == "debug"
-    table = PlanarGrid(half=5e-3, reach=5e-3, step=5e-3, turns=4) if debug else PlanarGrid()
-    touches = 3 if debug else TOUCHES
-    limits = replace(lab.cfg.limits, overtravel=PAST)
-    errors = replace(lab.cfg.errors, placement=0.0, placement_angle=0.0)
-    nothing = jnp.zeros((1, 6))
-    (found,) = precompute_outcomes(
-        lab.surfaces, nothing, jnp.asarray(planar.node_poses(table)), [lab.learnt.reading_model],
-        overtravel=PAST, label="planar",
-    )  # fmt: skip
-    imagined = jax.device_put(jax.tree.map(lambda x: x[:, :, 0], found))
+class TablePresses(NamedTuple):
+    """Where objects lie and where the table is pressed."""
 
-    truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
-    rng = np.random.default_rng(lab.seed)
-    pose = rng.uniform([-1, -1, -np.pi], [1, 1, np.pi], (len(truth), 3)) * [table.half, table.half, 1]
-    radius, angle = table.reach * np.sqrt(rng.random((2, len(truth), touches)))[0], rng.random((len(truth), touches))
-    site = radius[..., None] * np.stack([np.cos(2 * np.pi * angle), np.sin(2 * np.pi * angle)], -1)
-    sites = SitePool(jnp.float32(_seen_from(pose, site, table)), np.repeat(truth, touches))
-    chosen = np.arange(len(truth) * touches).reshape(len(truth), touches)
-    episodes = sit(lab, lab.key, sites, truth, chosen, "planar", errors=errors, limits=limits)
+    truth: np.ndarray  # (e,)
+    pose: np.ndarray  # (e, 3) m, m, rad
+    site: np.ndarray  # (e, t, 2) m, on the table
 
-    cells, places = planar.pose_cells(table)
-    like = lab.learnt.likelihood._replace(overtravel=jnp.float32(PAST))
-    start = belief.init(places, len(lab.surfaces), channels=imagined.reading.shape[-1])
-    judge = jax.jit(partial(_judge, imagined=imagined, pose=jnp.asarray(cells), like=like, table=table))
-    unknown, known, stands = [], [], []
-    for i in tqdm(range(len(truth)), desc="planar: believing", unit="sitting"):
-        at = jax.tree.map(lambda x, i=i: x[i], episodes.observations)
-        p, stood = judge(start, jnp.float32(site[i]), at)
-        told = planar.condition_on_pose(start, jnp.asarray(cells), jnp.float32(pose[i]), jnp.float32(KNOWN))
-        q, _ = judge(told, jnp.float32(site[i]), at)
+
+def evaluate(lab: StudyLab) -> Part:
+    """Beliefs about objects anywhere on the table, with their pose unknown and known, and where they are found."""
+    grid = DEBUG_GRID if lab.args.debug else PlanarGrid()
+    presses = draw_presses(lab, grid)
+    episodes = simulate_presses(lab, presses, grid)
+    cells, particles = planar.pose_cells(grid)
+    predicted = predict_touches(lab, grid)
+    start = belief.init(particles, len(lab.surfaces), channels=predicted.reading.shape[-1])
+    likelihood = lab.pad_model.likelihood._replace(overtravel=jnp.float32(OVERTRAVEL_M))
+    cells = jnp.asarray(cells)
+    judge = jax.jit(partial(_run_belief, predicted=predicted, cells=cells, likelihood=likelihood, grid=grid))
+    unknown, known, found = [], [], []
+    for i in tqdm(range(len(presses.truth)), desc="planar: believing", unit="episode"):
+        observations = jax.tree.map(lambda x, i=i: x[i], episodes.observations)
+        site, pose = jnp.float32(presses.site[i]), jnp.float32(presses.pose[i])
+        p, poses = judge(start, site, observations)
         unknown.append(np.asarray(p))
-        known.append(np.asarray(q))
-        stands.append(np.asarray(stood.pose)[truth[i]])
-    found_pose = np.stack(stands)
-    turns = np.array([TURNS.get(lab.names[i], 1) for i in truth])
+        found.append(np.asarray(poses.pose)[presses.truth[i]])
+        conditioned = planar.condition_on_pose(start, cells, pose, jnp.float32(KNOWN_POSE_STD))
+        known.append(np.asarray(judge(conditioned, site, observations)[0]))
+    error = np.stack(found) - presses.pose
+    symmetry = np.array([SYMMETRY.get(lab.names[i], 1) for i in presses.truth])
     return {
-        "truth": truth, "unknown pose": np.stack(unknown), "known pose": np.stack(known),
-        "off": np.linalg.norm(found_pose[:, :2] - pose[:, :2], axis=1),
-        "turned": turned(found_pose[:, 2] - pose[:, 2], turns),
+        "truth": presses.truth, "unknown pose": np.stack(unknown), "known pose": np.stack(known),
+        "position_error": np.linalg.norm(error[:, :2], axis=1), "rotation_error": rotation_error(error[:, 2], symmetry),
     }  # fmt: skip
 
 
-def _seen_from(pose: np.ndarray, site: np.ndarray, table: PlanarGrid) -> np.ndarray:
-    """Sites (e * t, 4, 4) of presses at points of the table (e, t, 2), in the frames of objects in poses (e, 3)."""
-    seen = jax.vmap(jax.vmap(planar.object_frame_pose, (None, 0)))(jnp.float32(pose), jnp.float32(site))
-    at = np.asarray(seen, float).reshape(-1, 2)
-    turn = np.repeat(-pose[:, 2], site.shape[1])
-    return np.stack([planar.vertical_press_pose(x, y, phi, table.height) for (x, y), phi in zip(at, turn, strict=True)])
+def draw_presses(lab: StudyLab, grid: PlanarGrid) -> TablePresses:
+    """Random poses of the objects, and random points of the table about its middle."""
+    truth, rng = lab.truth(), np.random.default_rng(lab.seed)
+    touches = DEBUG_TOUCHES if lab.args.debug else TOUCHES
+    pose = rng.uniform([-1, -1, -np.pi], [1, 1, np.pi], (len(truth), 3)) * [grid.half, grid.half, 1]
+    radius = grid.reach * np.sqrt(rng.random((2, len(truth), touches)))[0]
+    angle = rng.random((len(truth), touches))
+    site = radius[..., None] * np.stack([np.cos(2 * np.pi * angle), np.sin(2 * np.pi * angle)], -1)
+    return TablePresses(truth, pose, site)
 
 
-def _judge(
-    start: Belief, site: Array, measured: TouchObservation, imagined: PredictedTouch, pose: Array, like: Likelihood, table: PlanarGrid
+def simulate_presses(lab: StudyLab, presses: TablePresses, grid: PlanarGrid) -> Episodes:
+    """Simulated presses, each at a site of its own in the frame of the object that is there."""
+    episodes, touches = presses.site.shape[:2]
+    limits = replace(lab.cfg.limits, overtravel=OVERTRAVEL_M)
+    errors = replace(lab.cfg.errors, placement=0.0, placement_angle=0.0)
+    poses = jnp.float32(_object_frame_sites(presses, grid))
+    sites = SitePool(poses, np.repeat(presses.truth, touches))
+    plan = EpisodePlan(sites, presses.truth, np.arange(episodes * touches).reshape(episodes, touches))
+    return lab.simulate(lab.key, plan, "planar", errors=errors, limits=limits)
+
+
+def _object_frame_sites(presses: TablePresses, grid: PlanarGrid) -> np.ndarray:
+    """Poses (e * t, 4, 4) of presses in the frames of the objects."""
+    to_object = jax.vmap(jax.vmap(planar.object_frame_pose, (None, 0)))
+    at = np.asarray(to_object(jnp.float32(presses.pose), jnp.float32(presses.site)), float).reshape(-1, 2)
+    turn = np.repeat(-presses.pose[:, 2], presses.site.shape[1])
+    poses = [planar.vertical_press_pose(x, y, phi, grid.height) for (x, y), phi in zip(at, turn, strict=True)]
+    return np.stack(poses)
+
+
+def predict_touches(lab: StudyLab, grid: PlanarGrid) -> PredictedTouch:
+    """Predicted touches (nodes, objects) of the grid."""
+    nodes, origin = jnp.asarray(planar.node_poses(grid)), jnp.zeros((1, 6))
+    (found,) = precompute_outcomes(
+        lab.surfaces, origin, nodes, [lab.pad_model.reading_model], overtravel=OVERTRAVEL_M, label="planar"
+    )
+    return jax.device_put(jax.tree.map(lambda x: x[:, :, 0], found))
+
+
+def _run_belief(
+    start: Belief,
+    site: Array,
+    observations: TouchObservation,
+    *,
+    predicted: PredictedTouch,
+    cells: Array,
+    likelihood: Likelihood,
+    grid: PlanarGrid,
 ) -> tuple[Array, PlanarPose]:
-    """Probabilities of the objects after each touch, and where each would stand in the end."""
+    """Probabilities of the objects after each touch, and the most probable pose of each in the end."""
 
     def step(now: Belief, touched: tuple[Array, TouchObservation]) -> tuple[Belief, Array]:
         now = planar.update(
-            now, touched[1], touched[0], cells=pose, predicted=imagined, likelihood=like, grid=table
+            now, touched[1], touched[0], cells=cells, predicted=predicted, likelihood=likelihood, grid=grid
         )
         return now, belief.posterior(now)
 
-    now, p = jax.lax.scan(step, start, (site, measured))
-    return p, planar.most_probable_poses(now, pose, table)
+    now, p = jax.lax.scan(step, start, (site, observations))
+    return p, planar.most_probable_poses(now, cells, grid)
 
 
-def turned(angle: np.ndarray, alike: np.ndarray) -> np.ndarray:
-    """Error of a turn (rad), as far as it can be seen."""
-    period = 2 * np.pi / np.maximum(alike, 1)
+def rotation_error(angle: np.ndarray, symmetry: np.ndarray) -> np.ndarray:
+    """Error of a rotation (rad), as far as the symmetry of the objects lets it be seen."""
+    period = 2 * np.pi / np.maximum(symmetry, 1)
     error = np.abs((angle + period / 2) % period - period / 2)
-    return np.where(alike == 0, 0.0, error)
+    return np.where(symmetry == 0, 0.0, error)
 
 
-def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
     """What not knowing the pose costs, and how well it is found."""
-    columns = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+    columns = pool_parts(parts)
     truth = columns["truth"]
-    result: dict[str, Any] = {"sittings": len(truth), "methods": {}}
+    result: dict[str, Any] = {"episodes": len(truth), "methods": {}}
     curves = {}
     for name in ("known pose", "unknown pose"):
         p = columns[name].astype(np.float64)
-        curves[name] = scores.accuracy(p, truth)
+        curves[name] = metrics.accuracy(p, truth)
         result["methods"][name] = {
-            "accuracy": to_json(curves[name]),
-            "log_loss": scores.log_loss(p, truth).mean(0).tolist(),
-        }
-        shown_at = sorted({min(t, p.shape[1]) for t in (1, 5, 10, 15, 20)})
-        print(f"{name:14} " + "   ".join(
-            f"{t}: {shown(scores.Estimate(*(x[t - 1] for x in curves[name])))}" for t in shown_at))  # fmt: skip
-    lost = scores.compare_paired(*(scores.hits(columns[name], truth) for name in ("known pose", "unknown pose")))
+            "accuracy": to_json(curves[name]), "log_loss": metrics.log_loss(p, truth).mean(0).tolist(),
+        }  # fmt: skip
+        shown = sorted({min(t, p.shape[1]) for t in SHOWN_TOUCHES})
+        print(f"{name:14} " + "   ".join(f"{t}: {format_estimate(estimate_at(curves[name], t - 1))}" for t in shown))
+    hits = {name: metrics.hits(columns[name], truth) for name in curves}
+    lost = metrics.compare_paired(hits["known pose"], hits["unknown pose"])
     result["lost"] = to_json(lost)
-    print(f"lost after the last touch: {shown(lost.last)}")
-    right = scores.hits(columns["unknown pose"], truth)[:, -1] > 0.5
-    where = "where the object is right"
-    result["off"] = spread("off", "mm", 1e3 * columns["off"][right], where)
-    result["turned"] = spread("turned", "degrees", np.degrees(columns["turned"][right]), where)
-    viz.save_figure(drawing.accuracy(curves, "Anywhere on the table", True), out / "accuracy.png")
+    print(f"accuracy lost after the last touch: {format_estimate(lost.last)}")
+    right, where = hits["unknown pose"][:, -1] > 0.5, "where the object is right"
+    for key, unit, factor in (("position_error", "mm", 1e3), ("rotation_error", "degrees", np.degrees(1.0))):
+        result[key] = report_error(key.replace("_", " "), unit, factor * columns[key][right], where)
+    viz.save_figure(figures.accuracy(curves, "Anywhere on the table", True), out / "accuracy.png")
     return result

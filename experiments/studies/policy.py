@@ -1,8 +1,8 @@
-"""Which next touch makes one sure soonest: a random one, the paper's heuristic, or the one expected to tell most?"""
+"""Which next touch makes one confident soonest: a random one, the paper's heuristic, or the most informative one?"""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,87 +10,109 @@ import numpy as np
 from jaxtyping import Array
 from tqdm import tqdm
 
-from experiments.recognize import figures as drawing
-from experiments.studies.lab import Lab, imagine, placements_of, shown
+from experiments.common.runs import Part
+from experiments.recognize import figures
+from experiments.studies.lab import StudyLab, format_estimate, pool_parts
 from i2t import viz
-from i2t.recognition import belief, calibrated
-from i2t.recognition import metrics as scores
-from i2t.recognition.belief import Particles
+from i2t.recognition import belief, calibrated, metrics
+from i2t.recognition.belief import Belief, Particles
 from i2t.recognition.episodes import EpisodeConfig, EpisodeSimulator
 from i2t.recognition.metrics import to_json
 from i2t.recognition.outcomes import PredictedTouch
 from i2t.recognition.planning import choose_heuristic_sites, choose_informative_sites, heuristic_weights, update_beliefs
-from i2t.recognition.site_pool import SitePool, safe_sites, sample_sites
+from i2t.recognition.site_pool import SitePool, safe_sites
 
 POLICIES = ("random", "heuristic", "information")
+CONFIDENCE = 0.95  # that episodes are to reach
 
 
-def play(lab: Lab) -> dict[str, Any]:
-    """The same sittings under each policy."""
-    key_pool, key_play, key_choice = jax.random.split(lab.key, 3)
-    sites = sample_sites(key_pool, lab.surfaces, lab.names, lab.cfg.num_sites, lab.cfg.site_limits)
-    places = placements_of(lab)
-    (table,) = imagine(lab, sites, places, [lab.learnt.reading_model], "policy")
-    truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
-    found = {"truth": truth}
-    for name in POLICIES:
-        keys = jax.random.clone(key_play), jax.random.clone(key_choice)  # the same luck for all
-        found[name] = play_policy(lab, name, *keys, sites, places, jax.device_put(table), truth)
+class Choices(NamedTuple):
+    """What policies choose among, and what is known of each site."""
+
+    sites: SitePool
+    table: PredictedTouch  # predicted touches, (sites, objects, k)
+    weights: Array  # (objects, sites), of the paper's heuristic
+    safe: Array  # (sites, objects)
+
+
+def evaluate(lab: StudyLab) -> Part:
+    """Beliefs (e, t, objects) in episodes with common random numbers under each policy."""
+    key_sites, key_episodes, key_choice = jax.random.split(lab.key, 3)
+    sites, truth, particles = lab.sample_sites(key_sites), lab.truth(), lab.particles()
+    (table,) = lab.predict(sites, particles, [lab.pad_model.reading_model], "policy")
+    safe = jnp.asarray(safe_sites(lab.surfaces, sites, lab.cfg.site_limits))
+    choices = Choices(sites, jax.device_put(table), heuristic_weights(sites), safe)
+    found: dict[str, np.ndarray] = {"truth": truth}
+    for policy in POLICIES:
+        keys = jax.random.clone(key_episodes), jax.random.clone(key_choice)
+        found[policy] = run_policy(lab, policy, keys, truth, particles, choices)
     return found
 
 
-def play_policy(
-    lab: Lab, name: str, key: Array, key_choice: Array, sites: SitePool, places: Particles, table: PredictedTouch,
-    truth: np.ndarray,
-) -> np.ndarray:  # fmt: skip
-    """Beliefs (e, t, objects) of sittings whose next touch a policy chooses."""
+def run_policy(
+    lab: StudyLab, policy: str, keys: tuple[Array, Array], truth: np.ndarray, particles: Particles, choices: Choices
+) -> np.ndarray:
+    """Beliefs (e, t, objects) in episodes whose next touch a policy chooses; keys of the episodes and the choices."""
     config = EpisodeConfig(lab.cfg.errors, lab.cfg.limits, lab.cfg.touches)
-    sitting = EpisodeSimulator(key, lab.surfaces, truth, sites=sites, pad=lab.pad, config=config)
-    begun = belief.init(places, len(lab.surfaces), channels=table.reading.shape[-1])
-    now = jax.tree.map(lambda x: jnp.broadcast_to(x, (len(truth), *x.shape)), begun)
-    spent = np.zeros((len(truth), len(sites.owner)), bool)
+    simulator = EpisodeSimulator(keys[0], lab.surfaces, truth, sites=choices.sites, pad=lab.run.pad, config=config)
+    episodes = len(truth)
+    start = belief.init(particles, len(lab.surfaces), channels=choices.table.reading.shape[-1])
+    beliefs = jax.tree.map(lambda x: jnp.broadcast_to(x, (episodes, *x.shape)), start)
+    touched = np.zeros((episodes, len(choices.sites.owner)), bool)
     after = []
-    telling, safe = heuristic_weights(sites), jnp.asarray(safe_sites(lab.surfaces, sites, lab.cfg.site_limits))
-    for step in tqdm(range(lab.cfg.touches), desc=f"policy {name}", unit="touch"):
-        keys = jax.random.split(jax.random.fold_in(key_choice, step), len(truth))
-        if name == "information":
-            limit = lab.cfg.limits.skin_change
-            site = choose_informative_sites(
-                keys, now, table, lab.learnt.likelihood, touched=jnp.asarray(spent), safe=safe, skin_change=limit
-            )
-        elif name == "heuristic":
-            site = choose_heuristic_sites(keys, now, telling, touched=jnp.asarray(spent), safe=safe, step=step)
-        else:
-            site = jax.vmap(jax.random.categorical)(keys, jnp.where(jnp.asarray(spent), -jnp.inf, 0.0))
-        site = np.asarray(site)
+    for step in tqdm(range(lab.cfg.touches), desc=f"policy {policy}", unit="touch"):
+        step_keys = jax.random.split(jax.random.fold_in(keys[1], step), episodes)
+        site = choose_sites(lab, policy, step_keys, beliefs, jnp.asarray(touched), choices, step)
         # An episode without a safe site ends there: its belief stays, and what is simulated for it is not used.
-        some = np.maximum(site, 0)
-        spent[np.arange(len(truth)), some] |= site >= 0
-        sitting.touch(some[:, None])
-        last = jax.tree.map(lambda x: x[:, -1], sitting.observations())
-        now, p = update_beliefs(now, jnp.asarray(site), last, table, lab.learnt.likelihood)
+        simulated = np.maximum(site, 0)
+        touched[np.arange(episodes), simulated] |= site >= 0
+        simulator.touch(simulated[:, None])
+        last = jax.tree.map(lambda x: x[:, -1], simulator.observations())
+        beliefs, p = update_beliefs(beliefs, jnp.asarray(site), last, choices.table, lab.pad_model.likelihood)
         after.append(np.asarray(p))
     return np.stack(after, axis=1)
 
 
-def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
-    """Accuracy and touches until sure under each policy, and what choosing by information saves."""
-    truth = np.concatenate([part["truth"] for part in parts])
-    p = {name: calibrated.calibrated_beliefs(np.concatenate([part[name] for part in parts])) for name in POLICIES}
+def choose_sites(
+    lab: StudyLab, policy: str, keys: Array, beliefs: Belief, touched: Array, choices: Choices, step: int
+) -> np.ndarray:
+    """The next site of each episode, -1 where none is left."""
+    if policy == "information":
+        site = choose_informative_sites(
+            keys, beliefs, choices.table, lab.pad_model.likelihood, touched=touched, safe=choices.safe,
+            skin_change=lab.cfg.limits.skin_change,
+        )  # fmt: skip
+    elif policy == "heuristic":
+        site = choose_heuristic_sites(keys, beliefs, choices.weights, touched=touched, safe=choices.safe, step=step)
+    else:
+        site = jax.vmap(jax.random.categorical)(keys, jnp.where(touched, -jnp.inf, 0.0))
+    return np.asarray(site)
+
+
+def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
+    """Accuracy and touches to confidence under each policy, and what choosing by information saves."""
+    columns = pool_parts(parts)
+    truth = columns["truth"]
+    p = {policy: calibrated.calibrated_beliefs(columns[policy]) for policy in POLICIES}
     touches = next(iter(p.values())).shape[1]
-    first = {name: scores.confident_at(each) for name, each in p.items()}
-    result: dict[str, Any] = {"sittings": len(truth), "policies": {}, "saved": {}}
-    curves = {name: scores.accuracy(each, truth) for name, each in p.items()}
-    for name, each in p.items():
-        mean, until = scores.mean_accuracy(each, truth), scores.touches_to_confidence(first[name], touches)
-        result["policies"][name] = {"accuracy": to_json(curves[name]), "mean": to_json(mean), "until_95": to_json(until)}
-        print(f"{name:12} {shown(mean)} mean accuracy, {shown(until.mean)} touches until 95 % sure "
-              f"(restricted to {touches}), never {float(until.never.mean):.2f}")  # fmt: skip
+    first = {policy: metrics.confident_at(each, CONFIDENCE) for policy, each in p.items()}
+    curves = {policy: metrics.accuracy(each, truth) for policy, each in p.items()}
+    result: dict[str, Any] = {"episodes": len(truth), "policies": {}, "touches_saved": {}}
+    for policy, each in p.items():
+        mean, needed = metrics.mean_accuracy(each, truth), metrics.touches_to_confidence(first[policy], touches)
+        result["policies"][policy] = {
+            "accuracy": to_json(curves[policy]), "mean": to_json(mean), "touches_to_95": to_json(needed),
+        }  # fmt: skip
+        print(
+            f"{policy:12} {format_estimate(mean)} mean accuracy, {format_estimate(needed.mean)} touches to "
+            f"{CONFIDENCE:.0%} confidence (restricted to {touches}), never {float(needed.never.mean):.2f}"
+        )
     for other in ("random", "heuristic"):
-        saved = scores.touches_saved(first["information"], first[other], touches)
-        result["saved"][other] = to_json(saved)
-        print(f"information needs {shown(saved)} fewer touches than {other}")
-    unsure = {name: scores.not_yet_confident(values, touches) for name, values in first.items()}
-    viz.save_figure(drawing.not_yet_confident(unsure, "Touches until 95 % sure", True), out / "until_sure.png")
-    viz.save_figure(drawing.accuracy(curves, "Accuracy of each policy", True), out / "accuracy.png")
+        saved = metrics.touches_saved(first["information"], first[other], touches)
+        result["touches_saved"][other] = to_json(saved)
+        print(f"information needs {format_estimate(saved)} fewer touches than {other}")
+    waiting = {policy: metrics.not_yet_confident(values, touches) for policy, values in first.items()}
+    figure = figures.not_yet_confident(waiting, f"Touches to {CONFIDENCE:.0%} confidence", True, CONFIDENCE)
+    viz.save_figure(figure, out / "touches_to_confidence.png")
+    viz.save_figure(figures.accuracy(curves, "Accuracy of each policy", True), out / "accuracy.png")
     return result

@@ -1,6 +1,6 @@
 """How well must a pose be known for the paper's rules, and for its baseline that only knows where contacts were?
 
-The same sittings with more and more error of placement, and with views of objects that are noisy themselves.
+The same episodes with more and more error of the object's pose, and with noisy views of the objects.
 """
 
 from collections.abc import Sequence
@@ -13,86 +13,112 @@ import jax
 import numpy as np
 
 from experiments.common.runs import Part
-from experiments.recognize import figures as drawing
-from experiments.studies.lab import Lab, shown, sit
+from experiments.recognize import figures
+from experiments.studies.lab import EpisodePlan, StudyLab, format_estimate
 from i2t import viz
-from i2t.recognition import metrics as scores
+from i2t.recognition import metrics
 from i2t.recognition.metrics import Estimate, to_json
 from i2t.recognition.paper_rules import paper_rules
 from i2t.recognition.site_pool import draw_informative_sites, sample_sites
 
 RULES = ("votes", "product")
+NOISY_POSE_ERROR_MM = 1.0  # pose error at which noisy views are tried
+M_PER_MM = 1e-3
+DEBUG_POSE_ERRORS_MM, DEBUG_VIEW_NOISE_MM = (0.0, 1.0), (0.3,)
 
 
 class World(NamedTuple):
-    """A set of objects, how far they are from where they are believed (mm and degrees), and how noisily known (mm)."""
+    """A set of objects, the error of their poses, and the noise of their views."""
 
     objects: str
-    placement: float
-    rough: float
+    pose_error: float  # mm and degrees, one sigma
+    view_noise: float  # mm
 
     def __str__(self) -> str:
-        return f"{self.objects}, {self.placement} mm" + (f", views {self.rough} mm" if self.rough else "")
+        views = f", views {self.view_noise} mm" if self.view_noise else ""
+        return f"{self.objects}, {self.pose_error} mm{views}"
 
 
-def play(lab: Lab) -> Part:
-    """Both of the paper's sets in every world."""
-    debug = lab.args.preset == "debug"
-    placements, roughs = ((0.0, 1.0), (0.3,)) if debug else (lab.args.placements, lab.args.rough)
+def evaluate(lab: StudyLab) -> Part:
+    """Both of the paper's sets in every world, with common random numbers."""
     found: Part = {}
-    for which, (name, names) in enumerate({"primitives": lab.cfg.primitives, "tools": lab.cfg.tools}.items()):
-        key_pool, key_play, key_site = jax.random.split(jax.random.fold_in(lab.key, which), 3)
-        surfaces = [lab.surfaces[lab.names.index(one)] for one in names]
-        sites = sample_sites(key_pool, surfaces, names, lab.cfg.num_sites, lab.cfg.site_limits)
-        truth = np.repeat(np.arange(len(names)), lab.sittings)
-        chosen = draw_informative_sites(key_site, sites, len(truth), lab.cfg.touches)
-        for size in placements:
-            errors = replace(lab.cfg.errors, placement=size * 1e-3, placement_angle=np.radians(size))
-            key = jax.random.clone(key_play)  # the same luck in all worlds
-            episodes = sit(lab, key, sites, truth, chosen, f"{name}, {size} mm", surfaces=surfaces, errors=errors)
-            for rough in (0.0, *roughs) if size == 1.0 else (0.0,):
-                told = paper_rules(lab.predictor, lab.learnt.reading_std, surfaces, episodes, rough * 1e-3)
-                kept = {rule: p for rule, p in told.items() if rule.endswith(RULES)}
-                found[str(len(found))] = {"truth": truth, **World(name, size, rough)._asdict(), **kept}
+    for i, (name, names) in enumerate({"primitives": lab.cfg.primitives, "tools": lab.cfg.tools}.items()):
+        for world, part in evaluate_set(lab, jax.random.fold_in(lab.key, i), name, names).items():
+            found[str(len(found))] = {**world._asdict(), **part}
+    return found
+
+
+def evaluate_set(lab: StudyLab, key: jax.Array, name: str, names: Sequence[str]) -> dict[World, dict[str, np.ndarray]]:
+    """Truth and beliefs by the paper's rules with one set of objects, in each world."""
+    pose_errors = DEBUG_POSE_ERRORS_MM if lab.args.debug else lab.args.pose_errors
+    view_noises = DEBUG_VIEW_NOISE_MM if lab.args.debug else lab.args.view_noise
+    key_sites, key_episodes, key_chosen = jax.random.split(key, 3)
+    surfaces = [lab.surfaces[lab.names.index(one)] for one in names]
+    sites = sample_sites(key_sites, surfaces, names, lab.cfg.num_sites, lab.cfg.site_limits)
+    truth = np.repeat(np.arange(len(names)), lab.episodes)
+    plan = EpisodePlan(sites, truth, draw_informative_sites(key_chosen, sites, len(truth), lab.cfg.touches))
+    found = {}
+    for pose_error in pose_errors:
+        angle = np.radians(pose_error)
+        errors = replace(lab.cfg.errors, placement=pose_error * M_PER_MM, placement_angle=angle)
+        episodes = lab.simulate(
+            jax.random.clone(key_episodes), plan, f"{name}, {pose_error} mm", surfaces=surfaces, errors=errors
+        )
+        for noise in (0.0, *view_noises) if pose_error == NOISY_POSE_ERROR_MM else (0.0,):
+            std = lab.pad_model.reading_std
+            beliefs = paper_rules(lab.run.predictor, std, surfaces, episodes, view_noise=noise * M_PER_MM)
+            kept = {rule: p for rule, p in beliefs.items() if rule.endswith(RULES)}
+            found[World(name, pose_error, noise)] = {"truth": truth, **kept}
     return found
 
 
 def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
-    """Accuracy after the last touch in every world, and where the baseline overtakes."""
+    """Accuracy after the last touch in every world, and the pose error at which the baseline overtakes."""
     result: dict[str, Any] = {"worlds": {}}
-    leads: dict[str, list[Estimate]] = {}
+    differences: dict[str, list[Estimate]] = {}
     sizes: set[float] = set()
     for number, first in parts[0].items():
-        world = World(str(first["objects"]), float(first["placement"]), float(first["rough"]))
-        sizes.add(world.placement)
-        kept = [key for key in first if key not in World._fields]
-        columns = {key: np.concatenate([part[number][key] for part in parts]) for key in kept}
-        truth = columns["truth"]
-        entry: dict[str, Any] = {"sittings": len(truth)}
-        said = []
-        for rule in RULES:
-            ours, theirs = (scores.hits(columns[f"{source}, {rule}"], truth) for source in ("I2T", "proprioception"))
-            lead = scores.compare_paired(ours, theirs).last
-            entry[rule] = {
-                "I2T": to_json(scores.wilson_interval(ours[:, -1])), "proprioception": to_json(scores.wilson_interval(theirs[:, -1])),
-                "lead": to_json(lead),
-            }  # fmt: skip
-            said.append(f"{rule}: {ours[:, -1].mean():.3f} against {theirs[:, -1].mean():.3f}, by {shown(lead)}")
-            if not world.rough:
-                leads.setdefault(f"{world.objects}, {rule}", []).append(lead)
+        world = World(str(first["objects"]), float(first["pose_error"]), float(first["view_noise"]))
+        sizes.add(world.pose_error)
+        entry, by_rule = compare_rules([part[number] for part in parts])
         result["worlds"][str(world)] = entry
-        print(f"{world!s:32} " + "   ".join(said))
-    lines = {name: Estimate(*(np.array(x, float) for x in zip(*each, strict=True))) for name, each in leads.items()}
-    result["crossing_mm"] = {name: crossings(sorted(sizes), line.mean) for name, line in lines.items()}
-    for name, at in result["crossing_mm"].items():
-        where = " and ".join(f"{x:.2f} mm" for x in at) or "nowhere"
-        print(f"{name}: the two are even at {where}")
+        for rule, difference in by_rule.items() if not world.view_noise else ():
+            differences.setdefault(f"{world.objects}, {rule}", []).append(difference)
+        line = [
+            f"{rule}: {entry[rule]['I2T']['mean']:.3f} and {entry[rule]['proprioception']['mean']:.3f}, difference "
+            f"{format_estimate(difference)}"
+            for rule, difference in by_rule.items()
+        ]
+        print(f"{world!s:32} " + "   ".join(line))
+    columns = {name: zip(*each, strict=True) for name, each in differences.items()}
+    lines = {name: Estimate(*(np.array(x, float) for x in each)) for name, each in columns.items()}
+    result["equal_at_mm"] = {name: sign_changes(sorted(sizes), line.mean) for name, line in lines.items()}
+    for name, at in result["equal_at_mm"].items():
+        where = " and ".join(f"{x:.2f} mm" for x in at) or "no pose error"
+        print(f"{name}: readings and contact positions are equally good at {where}")
     if len(sizes) > 1:
-        viz.save_figure(drawing.accuracy_differences(sorted(sizes), lines, True), out / "crossing.png")
+        viz.save_figure(figures.accuracy_differences(sorted(sizes), lines, True), out / "pose_error.png")
     return result
 
 
-def crossings(sizes: Sequence[float], lead: Sequence[float] | np.ndarray) -> list[float]:
-    """Sizes at which a lead changes sign, on the straight lines between those measured."""
-    steps = zip(pairwise(sizes), pairwise(lead), strict=True)
+def compare_rules(parts: Sequence[Part]) -> tuple[dict[str, Any], dict[str, Estimate]]:
+    """Accuracies from readings and from contact positions in one world, and their difference, by rule."""
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0] if name not in World._fields}
+    truth = columns["truth"]
+    entry: dict[str, Any] = {"episodes": len(truth)}
+    differences = {}
+    for rule in RULES:
+        ours, theirs = (metrics.hits(columns[f"{source}, {rule}"], truth) for source in ("I2T", "proprioception"))
+        differences[rule] = metrics.compare_paired(ours, theirs).last
+        entry[rule] = {
+            "I2T": to_json(metrics.wilson_interval(ours[:, -1])),
+            "proprioception": to_json(metrics.wilson_interval(theirs[:, -1])),
+            "difference": to_json(differences[rule]),
+        }
+    return entry, differences
+
+
+def sign_changes(sizes: Sequence[float], values: Sequence[float] | np.ndarray) -> list[float]:
+    """Sizes at which values change sign, on the straight lines between those measured."""
+    steps = zip(pairwise(sizes), pairwise(values), strict=True)
     return [float(a + (b - a) * x / (x - y)) for (a, b), (x, y) in steps if x * y < 0]

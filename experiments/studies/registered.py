@@ -1,6 +1,5 @@
 """What does it take to know where the object stands? It may be 5 mm and 5 degrees off; one depth image, taken from
-aside, registers what it might be (`i2t.registration.touch.by_depth`), and the belief takes the pose found and its
-covariance.
+the side, registers every candidate (`i2t.registration`), and the belief takes the poses found and their covariance.
 """
 
 import math
@@ -15,123 +14,154 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
+from experiments.common.runs import Part
 from experiments.recognize.trained_run import meshes_by_name
-from experiments.studies.lab import Lab, imagine, report_methods, sit, spread
+from experiments.studies.lab import EpisodePlan, StudyLab, pool_parts, report_error, report_methods
 from i2t.depth.camera import Camera
-from i2t.emulators.scene import add_depth_noise, render_view, table_triangles
 from i2t.hardware.rig import Rig
 from i2t.objects.catalogue import Mesh
 from i2t.recognition import belief
+from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import run_belief, session_errors
-from i2t.recognition.site_pool import SitePool, draw_random_sites, pose_particles, precompute_outcomes, sample_sites
-from i2t.registration.touch import camera_covariance, register_by_depth
+from i2t.recognition.outcomes import PredictedTouch
+from i2t.recognition.site_pool import SitePool, precompute_outcomes
+from i2t.registration.depth import camera_covariance, register_by_depth
+from i2t.simulation.depth_camera import add_depth_noise, render_view, table_triangles
 from i2t.simulation.touches import SessionErrors, SimulationErrors
 from i2t.types import Array
 
-DISTANCE, ANGLE = 5e-3, math.radians(5.0)  # one sigma, each axis
-ASIDE = 0.12  # m, from which the camera looks, down by 45 degrees
+TRANSLATION_STD_M, ROTATION_STD_RAD = 5e-3, math.radians(5.0)  # of the placement, along and about each axis
+CAMERA_DISTANCE_M = 0.12  # from which the camera looks, down by 45 degrees
+VIEW_HEIGHT_M = 15e-3  # above the table, of the point that it looks at
 KINDS = ("fused", "tactile only")
+FOUND = "found by a view"
+ERRORS = ("position_error", "rotation_error", "refused", "others_refused")
 
 
-class Found(NamedTuple):
-    """Where a view of each sitting has each candidate."""
+class RegisteredPoses(NamedTuple):
+    """Where a view of each episode has each candidate."""
 
     T_w_o: Array  # (e, objects, 4, 4); where it was believed, if its registration was refused
-    covariance: Array  # (6, 6) m^2, of those that were found
+    covariance: Array  # (6, 6) m^2, mean of those that were found
     refused: Array  # (e, objects)
 
 
-def play(lab: Lab) -> dict[str, Any]:
-    """The same luck with the object known to 1 mm, known to 5 mm, and found by a view."""
-    key_pool, key_play, key_site = jax.random.split(lab.key, 3)
-    sites = sample_sites(key_pool, lab.surfaces, lab.names, lab.cfg.num_sites, lab.cfg.site_limits)
-    truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
-    chosen = draw_random_sites(key_site, sites, len(truth), lab.cfg.touches)
-    errors = replace(lab.cfg.errors, placement=DISTANCE, placement_angle=ANGLE)
-    result: dict[str, Any] = {"truth": truth}
-    for what, world in (("known to 1 mm", lab.cfg.errors), ("known to 5 mm", errors)):
-        places = pose_particles(world, lab.cfg.num_particles, lab.seed)
-        (table,) = imagine(lab, sites, places, [lab.learnt.reading_model], what)
-        episodes = sit(lab, jax.random.clone(key_play), sites, truth, chosen, what, errors=world)
-        told = run_belief(table, episodes, lab.learnt.likelihood, places, KINDS)
-        result |= {f"{kind}, {what}": p for kind, p in told.items()}
+def evaluate(lab: StudyLab) -> Part:
+    """Beliefs with the object known to 1 mm, known to 5 mm, and found by a view, with common random numbers."""
+    key_sites, key_episodes, key_chosen = jax.random.split(lab.key, 3)
+    plan = lab.plan(key_sites, key_chosen)
+    errors = replace(lab.cfg.errors, placement=TRANSLATION_STD_M, placement_angle=ROTATION_STD_RAD)
+    found: dict[str, np.ndarray] = {"truth": plan.truth}
+    for name, world in (("known to 1 mm", lab.cfg.errors), ("known to 5 mm", errors)):
+        particles = lab.particles(world)
+        (table,) = lab.predict(plan.sites, particles, [lab.pad_model.reading_model], name)
+        episodes = lab.simulate(jax.random.clone(key_episodes), plan, name, errors=world)
+        beliefs = run_belief(table, episodes, lab.pad_model.likelihood, particles, KINDS)
+        found |= {f"{kind}, {name}": p for kind, p in beliefs.items()}
 
-    runs = jax.device_get(session_errors(jax.random.clone(key_play), len(truth), errors))
-    found = look(meshes_by_name(lab.names), truth, runs, errors, lab.seed)
-    places = belief.sample_particles(found.covariance, lab.cfg.num_particles, lab.seed)
-    owner = sites.owner[chosen]
-    T_w_site = found.T_w_o[np.arange(len(truth))[:, None], owner] @ np.asarray(sites.T_w_t, float)[chosen]
-    there = SitePool(jnp.float32(T_w_site.reshape(-1, 4, 4)), owner.reshape(-1))
-    every = np.arange(chosen.size).reshape(chosen.shape)
-    episodes = sit(lab, jax.random.clone(key_play), there, truth, every, "found by a view", errors=errors)
+    sessions = jax.device_get(session_errors(jax.random.clone(key_episodes), len(plan.truth), errors))
+    poses = register_views(meshes_by_name(lab.names), plan.truth, sessions, errors, lab.seed)
+    beliefs = evaluate_registered(lab, jax.random.clone(key_episodes), plan, poses, errors)
+    found |= {f"{kind}, {FOUND}": p for kind, p in beliefs.items()}
+    return found | registration_errors(plan.truth, poses, sessions)
+
+
+def evaluate_registered(
+    lab: StudyLab, key: jax.Array, plan: EpisodePlan, poses: RegisteredPoses, errors: SimulationErrors
+) -> dict[str, np.ndarray]:
+    """Beliefs in episodes whose sites and poses come from the registered views."""
+    particles = belief.sample_particles(poses.covariance, lab.cfg.num_particles, lab.seed)
+    owner = plan.sites.owner[plan.chosen]
+    T_w_site = (
+        poses.T_w_o[np.arange(len(plan.truth))[:, None], owner] @ np.asarray(plan.sites.T_w_t, float)[plan.chosen]
+    )
+    sites = SitePool(jnp.float32(T_w_site.reshape(-1, 4, 4)), owner.reshape(-1))
+    moved = EpisodePlan(sites, plan.truth, np.arange(plan.chosen.size).reshape(plan.chosen.shape))
+    episodes = lab.simulate(key, moved, FOUND, errors=errors)
+    table = predict_registered(lab, particles, T_w_site, poses)
+    return run_belief(table, episodes, lab.pad_model.likelihood, particles, KINDS)
+
+
+def predict_registered(
+    lab: StudyLab, particles: Particles, T_w_site: np.ndarray, poses: RegisteredPoses
+) -> PredictedTouch:
+    """Predicted touches (sites, objects, k), each object standing where the episode's view has it."""
     columns = []
-    for i, surface in enumerate(lab.surfaces):
-        seen = np.linalg.inv(found.T_w_o[:, i])[:, None] @ T_w_site  # as if that object stood at the origin
-        sites_i = jnp.float32(seen.reshape(-1, 4, 4))
-        past = lab.cfg.limits.overtravel
+    for i, (name, surface) in enumerate(zip(lab.names, lab.surfaces, strict=True)):
+        T_o_site = np.linalg.inv(poses.T_w_o[:, i])[:, None] @ T_w_site  # as if that object stood at the origin
         columns += precompute_outcomes(
-            [surface], places.twist, sites_i, [lab.learnt.reading_model], overtravel=past, label=f"found: {lab.names[i]}"
-        )
-    table = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1), *columns)
-    told = run_belief(table, episodes, lab.learnt.likelihood, places, KINDS)
-    result |= {f"{kind}, found by a view": p for kind, p in told.items()}
-
-    at = np.arange(len(truth)), truth
-    apart = np.linalg.inv(runs.T_o_placed) @ found.T_w_o[at]
-    turn = np.linalg.norm(Rotation.from_matrix(apart[:, :3, :3]).as_rotvec(), axis=1)
-    return result | {
-        "off": np.linalg.norm(apart[:, :3, 3], axis=1), "turned": turn, "refused": found.refused[at],
-        "strangers refused": found.refused.sum(1) - found.refused[at],
-    }  # fmt: skip
+            [surface], particles.twist, jnp.float32(T_o_site.reshape(-1, 4, 4)), [lab.pad_model.reading_model],
+            overtravel=lab.cfg.limits.overtravel, label=f"found: {name}",
+        )  # fmt: skip
+    return jax.tree.map(lambda *parts: np.concatenate(parts, axis=1), *columns)
 
 
-def look(meshes: dict[str, Mesh], truth: np.ndarray, runs: SessionErrors, errors: SimulationErrors, seed: int) -> Found:
-    """Register every candidate to one view of each sitting."""
-    lens, T_w_c = Rig().camera, _aside()
-    poses = np.tile(np.eye(4), (len(truth), len(meshes), 1, 1))
-    refused = np.zeros(poses.shape[:2], bool)
-    spreads = []
-    things = list(meshes.values())
+def register_views(
+    meshes: dict[str, Mesh], truth: np.ndarray, sessions: SessionErrors, errors: SimulationErrors, seed: int
+) -> RegisteredPoses:
+    """Register every candidate to one view of each episode."""
+    camera, T_w_c, candidates = Rig().camera, _camera_pose(), list(meshes.values())
+    T_w_o = np.tile(np.eye(4), (len(truth), len(meshes), 1, 1))
+    refused = np.zeros(T_w_o.shape[:2], bool)
+    covariances = []
     for e, which in enumerate(tqdm(truth, desc="registering", unit="view")):
-        depth = _view(things[which], runs.T_o_placed[e], T_w_c @ runs.T_t_camera[e], lens, errors, (seed, e))
-        for o, mesh in enumerate(things):
+        T_w_lens = T_w_c @ sessions.T_t_camera[e]
+        depth = _depth_view(candidates[which], sessions.T_o_placed[e], T_w_lens, camera, errors, (seed, e))
+        for o, mesh in enumerate(candidates):
             try:
-                found = register_by_depth(mesh, np.eye(4), depth, lens, T_w_c, DISTANCE, ANGLE)
-            except ValueError:  # it does not look like this one
+                found = register_by_depth(
+                    mesh, np.eye(4), depth, camera, T_w_c, translation_std=TRANSLATION_STD_M,
+                    rotation_std=ROTATION_STD_RAD,
+                )  # fmt: skip
+            except ValueError:  # the view does not look like this candidate
                 refused[e, o] = True
                 continue
-            poses[e, o] = found.T_w_o
-            T_c_o = np.linalg.inv(T_w_c) @ poses[e, o]
-            spreads.append(camera_covariance(found.covariance, T_c_o, errors.hand_eye, errors.hand_eye_angle))
-    return Found(poses, np.mean(spreads, axis=0), refused)
+            T_w_o[e, o] = found.T_w_o
+            T_c_o = np.linalg.inv(T_w_c) @ T_w_o[e, o]
+            covariances.append(camera_covariance(found.covariance, T_c_o, errors.hand_eye, errors.hand_eye_angle))
+    return RegisteredPoses(T_w_o, np.mean(covariances, axis=0), refused)
 
 
-def _aside() -> Array:
-    """A camera that looks at the object from aside and above."""
+def registration_errors(truth: np.ndarray, poses: RegisteredPoses, sessions: SessionErrors) -> dict[str, np.ndarray]:
+    """How far the view has the true object from where it stands (m, rad), and which registrations were refused."""
+    rows = np.arange(len(truth)), truth
+    difference = np.linalg.inv(sessions.T_o_placed) @ poses.T_w_o[rows]
+    refused = poses.refused[rows]
+    return {
+        "position_error": np.linalg.norm(difference[:, :3, 3], axis=1),
+        "rotation_error": np.linalg.norm(Rotation.from_matrix(difference[:, :3, :3]).as_rotvec(), axis=1),
+        "refused": refused,
+        "others_refused": poses.refused.sum(1) - refused,
+    }
+
+
+def _camera_pose() -> Array:
+    """A camera that looks at the object from the side and above."""
     z = -np.array([math.sqrt(0.5), 0.0, math.sqrt(0.5)])
     y = np.cross(z, [0.0, 1.0, 0.0])
     T = np.eye(4)
     T[:3, :3] = np.stack([np.cross(y, z), y, z], axis=1)
-    T[:3, 3] = -ASIDE * z + [0.0, 0.0, 15e-3]
+    T[:3, 3] = -CAMERA_DISTANCE_M * z + [0.0, 0.0, VIEW_HEIGHT_M]
     return T
 
 
-def _view(mesh: Mesh, T_w_o: Array, T_w_c: Array, lens: Camera, errors: SimulationErrors, seed: tuple[int, int]) -> Array:
+def _depth_view(
+    mesh: Mesh, T_w_o: Array, T_w_c: Array, camera: Camera, errors: SimulationErrors, seed: tuple[int, int]
+) -> Array:
+    """A simulated depth image (m) of an object on the table."""
     triangles = mesh.vertices[mesh.faces] @ T_w_o[:3, :3].T + T_w_o[:3, 3]
-    depth, _ = render_view(np.concatenate([triangles, table_triangles(np.eye(4))]), T_w_c, lens)
+    depth, _ = render_view(np.concatenate([triangles, table_triangles(np.eye(4))]), T_w_c, camera)
     return add_depth_noise(depth, errors, np.random.default_rng(seed))
 
 
-def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
-    """What knowing the place is worth, and how well a view finds it."""
-    beside = ("off", "turned", "refused", "strangers refused")
-    columns = {key: np.concatenate([part[key] for part in parts]) for key in beside}
-    result = report_methods([{key: p for key, p in part.items() if key not in beside} for part in parts], out)
-    kept = ~columns["refused"]
-    where = "as the view has the object"
-    result["off"] = spread("off", "mm", 1e3 * columns["off"][kept], where)
-    result["turned"] = spread("turned", "degrees", np.degrees(columns["turned"][kept]), where)
-    itself, others = int(columns["refused"].sum()), int(columns["strangers refused"].sum())
-    result["refused"] = {"itself": itself, "others": others}
-    print(f"registrations refused: {itself} of the object, {others} of others")
+def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
+    """What knowing the pose is worth, and how well a view finds it."""
+    columns = pool_parts([{key: part[key] for key in ERRORS} for part in parts])
+    result = report_methods([{key: p for key, p in part.items() if key not in ERRORS} for part in parts], out)
+    kept, where = ~columns["refused"], "as the view has the object"
+    for key, unit, factor in (("position_error", "mm", 1e3), ("rotation_error", "degrees", np.degrees(1.0))):
+        result[key] = report_error(key.replace("_", " "), unit, factor * columns[key][kept], where)
+    refused = {"true_object": int(columns["refused"].sum()), "others": int(columns["others_refused"].sum())}
+    result["refused"] = refused
+    print(f"registrations refused: {refused['true_object']} of the true object, {refused['others']} of others")
     return result

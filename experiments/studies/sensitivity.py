@@ -1,66 +1,99 @@
-"""What errors of pose, noise and harder presses do: the same sittings in other worlds, each known to the belief."""
+"""What errors of pose, noise and harder presses do: the same episodes in other worlds, each known to the belief."""
 
 from dataclasses import replace
-from typing import Any
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.studies.lab import Lab, imagine, placements_of, sit
+from experiments.common.runs import Part
+from experiments.studies.lab import EpisodePlan, StudyLab
 from i2t.recognition import belief, outcomes
-from i2t.recognition.belief import Particles
+from i2t.recognition.belief import Likelihood
 from i2t.recognition.episodes import Episodes, run_belief
-from i2t.recognition.outcomes import PredictedTouch
-from i2t.recognition.site_pool import draw_random_sites, sample_sites
 from i2t.simulation.touches import SimulationErrors
 
-HARDER = (50.0, 100.0)  # uT at which presses stop that the pad is taught by, too
+KINDS = ("fused", "tactile only")
+SKIN_CHANGE_UT = 25.0  # at which presses stop, unless a world says otherwise
+REFITTED_UT = (50.0, 100.0)  # at which presses stop that a pad model is fitted to, too
+MIN_PLACEMENT_M, MIN_PLACEMENT_RAD = 0.02e-3, np.radians(0.02)  # spread of pose particles where poses are exact
 
 
-def play(lab: Lab) -> dict[str, Any]:
-    """The same sittings in other worlds, each known to the belief."""
-    base, debug = lab.cfg.errors, lab.args.preset == "debug"
-    worlds: dict[str, tuple[SimulationErrors, float]] = {
-        "as it is": (base, 25.0),
-        "placement 0.3 mm, 0.3 deg": (replace(base, placement=0.3e-3, placement_angle=np.radians(0.3)), 25.0),
-        "placement 2 mm, 2 deg": (replace(base, placement=2e-3, placement_angle=np.radians(2.0)), 25.0),
-        "tilt 1 deg": (replace(base, approach_angle=np.radians(1.0)), 25.0),
-        "noise x 3": (replace(base, noise=base.noise.scaled(3.0)), 25.0),
-        "stop at 50 uT": (base, 50.0),
-        "stop at 100 uT": (base, 100.0),
-        "no errors of pose": (base.scaled(0.0), 25.0),
-        "no noise, no faults": (replace(SimulationErrors.none(), placement=base.placement, placement_angle=base.placement_angle,
-                                        repeatability=base.repeatability, approach_angle=base.approach_angle,
-                                        slant=base.slant), 25.0),
-    }  # fmt: skip
-    if debug:
-        worlds = {name: worlds[name] for name in ("as it is", "stop at 50 uT")}
-    key_pool, key_play, key_site, key_press = jax.random.split(lab.key, 4)
-    sites = sample_sites(key_pool, lab.surfaces, lab.names, lab.cfg.num_sites, lab.cfg.site_limits)
-    truth = np.repeat(np.arange(len(lab.surfaces)), lab.sittings)
-    chosen = draw_random_sites(key_site, sites, len(truth), lab.cfg.touches)
-    tables: dict[tuple[float, float], tuple[Particles, PredictedTouch]] = {}
+class SensitivityWorld(NamedTuple):
+    """Errors of a world, and the change of the readings at which presses stop."""
+
+    errors: SimulationErrors
+    skin_change: float = SKIN_CHANGE_UT  # uT
+
+
+def worlds(base: SimulationErrors) -> dict[str, SensitivityWorld]:
+    """The worlds by name; the first is the usual one."""
+    without = replace(
+        SimulationErrors.none(), placement=base.placement, placement_angle=base.placement_angle,
+        repeatability=base.repeatability, approach_angle=base.approach_angle, slant=base.slant,
+    )  # fmt: skip
+    return {
+        "default": SensitivityWorld(base),
+        "placement 0.3 mm, 0.3 deg": SensitivityWorld(_placed(base, 0.3)),
+        "placement 2 mm, 2 deg": SensitivityWorld(_placed(base, 2.0)),
+        "tilt 1 deg": SensitivityWorld(replace(base, approach_angle=np.radians(1.0))),
+        "noise x 3": SensitivityWorld(replace(base, noise=base.noise.scaled(3.0))),
+        "stop at 50 uT": SensitivityWorld(base, 50.0),
+        "stop at 100 uT": SensitivityWorld(base, 100.0),
+        "no errors of pose": SensitivityWorld(base.scaled(0.0)),
+        "no noise, no faults": SensitivityWorld(without),
+    }
+
+
+def _placed(base: SimulationErrors, size: float) -> SimulationErrors:
+    """With another error of placement, in mm and degrees."""
+    return replace(base, placement=size * 1e-3, placement_angle=np.radians(size))
+
+
+def evaluate(lab: StudyLab) -> Part:
+    """Beliefs in episodes with common random numbers in every world, each known to the belief."""
+    some = worlds(lab.cfg.errors)
+    if lab.args.debug:
+        some = {name: some[name] for name in ("default", "stop at 50 uT")}
+    key_sites, key_episodes, key_chosen, key_press = jax.random.split(lab.key, 4)
+    plan = lab.plan(key_sites, key_chosen)
+    found: dict[str, np.ndarray] = {"truth": plan.truth}
     played: dict[float, Episodes] = {}
-    found: dict[str, Any] = {"truth": truth}
-    for name, (errors, stop) in worlds.items():
-        spread = (max(errors.placement, 0.02e-3), max(errors.placement_angle, np.radians(0.02)))
+    tables: dict[tuple[float, float], tuple[belief.Particles, outcomes.PredictedTouch]] = {}
+    for name, world in some.items():
+        errors = world.errors
+        spread = (max(errors.placement, MIN_PLACEMENT_M), max(errors.placement_angle, MIN_PLACEMENT_RAD))
         if spread not in tables:
-            places = belief.sample_particles(outcomes.placement_std(*spread), lab.cfg.num_particles, lab.seed)
-            tables[spread] = (places, imagine(lab, sites, places, [lab.learnt.reading_model], name)[0])
-        places, table = tables[spread]
-        limits, key = replace(lab.cfg.limits, skin_change=stop), jax.random.clone(key_play)  # the same luck in all
-        episodes = played[stop] = sit(lab, key, sites, truth, chosen, name, errors=errors, limits=limits)
-        wider = errors.noise.xy / base.noise.xy if errors.noise.xy > base.noise.xy else 1.0
-        like = lab.learnt.likelihood._replace(inflation=lab.learnt.likelihood.inflation * jnp.float32(wider))
-        told = run_belief(table, episodes, like, places, ("fused", "tactile only"))
-        found |= {f"{kind}, {name}": p for kind, p in told.items()}
+            particles = belief.sample_particles(outcomes.placement_std(*spread), lab.cfg.num_particles, lab.seed)
+            tables[spread] = (particles, lab.predict(plan.sites, particles, [lab.pad_model.reading_model], name)[0])
+        particles, table = tables[spread]
+        limits = replace(lab.cfg.limits, skin_change=world.skin_change)
+        key = jax.random.clone(key_episodes)
+        episodes = played[world.skin_change] = lab.simulate(key, plan, name, errors=errors, limits=limits)
+        likelihood = noisier_likelihood(lab, errors)
+        beliefs = run_belief(table, episodes, likelihood, particles, KINDS)
+        found |= {f"{kind}, {name}": p for kind, p in beliefs.items()}
+    return found | evaluate_refitted(lab, key_press, plan, played)
 
-    places = placements_of(lab)
-    for stop in (stop for stop in HARDER if stop in played):
-        limits, name = replace(lab.cfg.limits, skin_change=stop), f"stop at {stop:.0f} uT, taught there"
-        learnt = lab.pressed(limits, jax.random.fold_in(key_press, int(stop)))
-        (table,) = imagine(lab, sites, places, [learnt.reading_model], name)
-        told = run_belief(table, played[stop], learnt.likelihood, places, ("fused", "tactile only"))
-        found |= {f"{kind}, {name}": p for kind, p in told.items()}
+
+def noisier_likelihood(lab: StudyLab, errors: SimulationErrors) -> Likelihood:
+    """The likelihood of the pad model, wider where the noise is more than that of the touches it was fitted to."""
+    likelihood = lab.pad_model.likelihood
+    wider = max(errors.noise.xy / lab.cfg.errors.noise.xy, 1.0)
+    return likelihood._replace(inflation=likelihood.inflation * jnp.float32(wider))
+
+
+def evaluate_refitted(
+    lab: StudyLab, key: jax.Array, plan: EpisodePlan, played: dict[float, Episodes]
+) -> dict[str, np.ndarray]:
+    """Beliefs in the episodes of harder presses with a pad model fitted to presses as hard."""
+    found = {}
+    particles = lab.particles()
+    for stop in (stop for stop in REFITTED_UT if stop in played):
+        name = f"stop at {stop:.0f} uT, fitted there"
+        model = lab.refit(jax.random.fold_in(key, int(stop)), replace(lab.cfg.limits, skin_change=stop))
+        (table,) = lab.predict(plan.sites, particles, [model.reading_model], name)
+        beliefs = run_belief(table, played[stop], model.likelihood, particles, KINDS)
+        found |= {f"{kind}, {name}": p for kind, p in beliefs.items()}
     return found

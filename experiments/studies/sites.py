@@ -1,4 +1,4 @@
-"""What does a first touch tell on a flat, on an edge and on a corner?"""
+"""How informative is a first touch of a flat, of an edge and of a corner?"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,62 +8,64 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.studies.lab import Lab, imagine, placements_of, shown, sit
+from experiments.common.runs import Part
+from experiments.studies.lab import StudyLab, format_estimate, pool_parts
 from i2t.geometry import inverse
-from i2t.recognition import metrics as scores
-from i2t.recognition.episodes import run_belief
+from i2t.recognition import metrics
+from i2t.recognition.episodes import EVIDENCE, run_belief
 from i2t.recognition.metrics import to_json
-from i2t.recognition.site_pool import draw_random_sites, sample_sites
 from i2t.rendering.render import render_heights
-from i2t.types import PAD_WINDOW
+from i2t.types import PAD_WINDOW, Surface
 
 PIXELS = 20  # over the skin
-NEAR = 1e-3  # m: what lies so near to a contact's nearest point is pressed
-# Shares of the skin under which the surface lies so near: an edge through the middle has a half, a corner a quarter.
-KINDS = {"flat": (0.95, 1.01), "edge": (0.375, 0.95), "corner or narrow": (0.0, 0.375)}
+CONTACT_DEPTH_M = 1e-3  # what lies so near to a contact's nearest point is pressed
+MIN_PROBABILITY = 1e-6  # no logarithm of a smaller one is taken
+# Shares of the skin under which the surface is pressed: an edge through the middle has a half, a corner a quarter.
+SHARES = {"flat": (0.95, 1.01), "edge": (0.375, 0.95), "corner or narrow": (0.0, 0.375)}
 
 
-def play(lab: Lab) -> dict[str, Any]:
-    """Sittings of a single touch."""
-    key_pool, key_play, key_site = jax.random.split(lab.key, 3)
-    sites = sample_sites(key_pool, lab.surfaces, lab.names, lab.cfg.num_sites, lab.cfg.site_limits)
-    places = placements_of(lab)
-    (table,) = imagine(lab, sites, places, [lab.learnt.reading_model], "sites")
-    each = lab.sittings * (1 if lab.args.preset == "debug" else lab.cfg.touches)
-    truth = np.repeat(np.arange(len(lab.surfaces)), each)
-    chosen = draw_random_sites(key_site, sites, len(truth), 1)
-    episodes = sit(lab, key_play, sites, truth, chosen, "sites")
-    look = jax.jit(jax.vmap(covered, (None, 0)))
-    share = np.stack([np.asarray(look(surface, sites.T_w_t)) for surface in lab.surfaces], 1)
-    told = run_belief(table, episodes, lab.learnt.likelihood, places)
-    met = np.asarray(episodes.observations.contact)[:, 0]
-    return {"truth": truth, "share": share[chosen[:, 0], truth], "met": met, **told}
+def evaluate(lab: StudyLab) -> Part:
+    """Episodes of a single touch, and the share of the skin that each pressed."""
+    key_sites, key_episodes, key_chosen = jax.random.split(lab.key, 3)
+    plan = lab.plan(key_sites, key_chosen, repeats=1 if lab.args.debug else lab.cfg.touches, touches=1)
+    particles = lab.particles()
+    (table,) = lab.predict(plan.sites, particles, [lab.pad_model.reading_model], "sites")
+    episodes = lab.simulate(key_episodes, plan, "sites")
+    shares = jax.jit(jax.vmap(pressed_share, (None, 0)))
+    share = np.stack([np.asarray(shares(surface, plan.sites.T_w_t)) for surface in lab.surfaces], 1)
+    beliefs = run_belief(table, episodes, lab.pad_model.likelihood, particles)
+    contact = np.asarray(episodes.observations.contact)[:, 0]
+    return {"truth": plan.truth, "share": share[plan.chosen[:, 0], plan.truth], "contact": contact, **beliefs}
 
 
-def covered(surface: Any, T_w_site: jax.Array) -> jax.Array:
-    """Share of the skin under which the surface lies within `NEAR` of the nearest point, at the believed place."""
+def pressed_share(surface: Surface, T_w_site: jax.Array) -> jax.Array:
+    """Share of the skin under which the surface lies within `CONTACT_DEPTH_M` of its nearest point."""
     heights = render_heights(surface, inverse(T_w_site), PAD_WINDOW, PIXELS)
-    return jnp.mean(heights <= jnp.min(heights) + NEAR)
+    return jnp.mean(heights <= jnp.min(heights) + CONTACT_DEPTH_M)
 
 
-def report(parts: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
-    """Bits for each kind of place and of evidence."""
-    columns = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
-    kinds = {"air": ~columns["met"]}
-    for name, (low, high) in KINDS.items():
-        kinds[name] = columns["met"] & (columns["share"] >= low) & (columns["share"] < high)
+def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
+    """Bits of information for each kind of site and of evidence."""
+    columns = pool_parts(parts)
+    contact, share = columns["contact"], columns["share"]
+    kinds = {"air": ~contact} | {
+        name: contact & (share >= low) & (share < high) for name, (low, high) in SHARES.items()
+    }
     result: dict[str, Any] = {"touches": len(columns["truth"]), "bits": {}}
     for name, rows in kinds.items():
         result["bits"][name] = {"touches": int(rows.sum())}
-        said = []
-        for kind in ("fused", "tactile only", "position only"):
-            p = columns[kind][rows, 0].astype(np.float64)
-            if not len(p):
-                continue
-            # What the truth gained, on average, is the information as far as the belief is calibrated.
-            bits = np.log2(np.clip(p[np.arange(len(p)), columns["truth"][rows]], 1e-6, 1) * p.shape[1])
-            gained = scores.student_interval(bits)
-            result["bits"][name][kind] = to_json(gained)
-            said.append(f"{kind} {shown(gained)}")
-        print(f"{name:18} {rows.sum():5d} touches, bits: " + "   ".join(said))
+        line = []
+        for kind in EVIDENCE if rows.any() else ():
+            bits = metrics.student_interval(information_bits(columns[kind][rows, 0], columns["truth"][rows]))
+            result["bits"][name][kind] = to_json(bits)
+            line.append(f"{kind} {format_estimate(bits)}")
+        print(f"{name:18} {rows.sum():5d} touches, bits: " + "   ".join(line))
     return result
+
+
+def information_bits(p: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """What each touch tells, in bits: how much the probability of the truth grew over that of guessing. Its mean is the
+    information as far as the belief is calibrated.
+    """
+    right = p.astype(np.float64)[np.arange(len(p)), truth]
+    return np.log2(np.clip(right, MIN_PROBABILITY, 1) * p.shape[1])

@@ -1,4 +1,4 @@
-"""The whole of `python -m experiments.recognize` and of its studies on debug presets, and the parts that decide
+"""The whole of `python -m experiments.recognize` on its debug preset, and the parts that decide
 what is simulated and episodes_from_dataset.
 """
 
@@ -12,8 +12,6 @@ import pytest
 from experiments.common import nested
 from experiments.recognize import live, report
 from experiments.recognize import run as recognize
-from experiments.studies import __main__ as studies
-from experiments.studies import lab
 from i2t import dataset
 from i2t.errors import DataError
 from i2t.objects import catalogue
@@ -34,7 +32,7 @@ def _taught_once():
         return known[world]
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in (recognize, lab, live):
+        for module in (recognize, live):
             patch.setattr(module, "taught_by", taught_by)
         yield
 
@@ -100,12 +98,12 @@ def test_recorded_touches_are_replayed(trained_run, tmp_path):
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["source"] == "simulated"  # as the data set says of itself
     recorded = metrics["sets"]["recorded"]
-    assert recorded["objects"] == list(dataset.load(data).objects)
+    assert recorded["objects"] == list(dataset.load_dataset(data).objects)
     assert recorded["methods"]["fused"]["accuracy"]["mean"][-1] > 1 / len(recorded["objects"])
 
 
 def test_replay_says_what_it_cannot_use(trained_run):
-    recorded = dataset.load(trained_run / "data.h5")
+    recorded = dataset.load_dataset(trained_run / "data.h5")
     with pytest.raises(DataError, match="of which there is no mesh"):
         recognition.episodes_from_dataset(recorded, ["square"], 3)
     with pytest.raises(DataError, match="no run has 100 touches"):
@@ -114,13 +112,13 @@ def test_replay_says_what_it_cannot_use(trained_run):
 
 def test_a_replayed_press_ends_where_it_was_recorded(trained_run):
     """Sites are where presses ended, so that the advance beyond them is nothing."""
-    recorded = dataset.load(trained_run / "data.h5")
+    recorded = dataset.load_dataset(trained_run / "data.h5")
     sites, episodes = recognition.episodes_from_dataset(recorded, list(recorded.objects), 3)
     np.testing.assert_array_equal(episodes.observations.advance, 0)
     T = np.asarray(sites.T_w_t)[episodes.site[0, 1]]
-    row = np.flatnonzero(recorded.touches.run == 0)[1]
+    row = np.flatnonzero(recorded.touches.session == 0)[1]
     np.testing.assert_allclose(T, np.linalg.inv(recorded.touches.T_w_o[row]) @ recorded.touches.T_w_t[row], atol=1e-6)
-    air = recorded.touches.code[np.flatnonzero(recorded.touches.run == 0)[:3]] == ReturnCode.AIR
+    air = recorded.touches.code[np.flatnonzero(recorded.touches.session == 0)[:3]] == ReturnCode.AIR
     np.testing.assert_array_equal(np.asarray(episodes.observations.contact)[0], ~air)
 
 
@@ -129,7 +127,7 @@ def test_telling_sites_follow_the_heuristic():
     sites drawn are all of them in the end.
     """
     surfaces = recognition.prepare_surfaces([catalogue.make_object(name).mesh for name in ("square", "hexagon")])
-    sites = recognition.sample_sites(jax.random.key(0), surfaces, ["square", "hexagon"], 4, touch_sites.RECOGNITION)
+    sites = recognition.sample_sites(jax.random.key(0), surfaces, ["square", "hexagon"], 4, touch_sites.RECOGNITION_LIMITS)
     drawn = recognition.draw_informative_sites(jax.random.key(1), sites, 50, 4)
     assert drawn.shape == (50, 4)
     assert drawn.min() >= 0
@@ -156,7 +154,7 @@ def test_an_arm_touches_where_the_belief_wants_it_to(strange, trained_run, tmp_p
         np.testing.assert_allclose(belief.sum(1), 1, atol=1e-5)
     assert len(belief) == touches or belief[-1].max() >= 0.95  # it ends when it is sure
     assert len(set(result["sites"])) == len(result["sites"])
-    kept = dataset.load(out / "touches")
+    kept = dataset.load_dataset(out / "touches")
     assert len(kept) == len(belief)
     assert kept.objects == ("unknown",)
     # What the belief heard of is what was kept.
@@ -185,37 +183,6 @@ def test_what_a_study_made_of_a_pad_is_kept(tmp_path):
     assert str(back["0"]["objects"]) == "tools"
     assert float(back["0"]["rough"]) == 0.3
     np.testing.assert_array_equal(back["0"]["I2T, votes"], part["0"]["I2T, votes"])
-
-
-@pytest.mark.parametrize("study", ["policy", "open", "planar", "registered", "crossing", "sites"])
-def test_studies_run(study, trained_run, tmp_path):
-    out = tmp_path / study
-    assert studies.main([study, "--preset", "debug", "--run", str(trained_run), "--out", str(out)]) == 0
-    metrics = json.loads((out / "metrics.json").read_text())
-    assert metrics["source"] == "simulated"
-    assert (out / "part-0.npz").exists()
-    if study == "planar":
-        assert metrics["sittings"] == 8
-        assert set(metrics["methods"]) == {"known pose", "unknown pose"}
-        assert 0 <= metrics["turned"]["percentiles_25_50_75_90"][0] <= 180
-    elif study == "registered":
-        places = "known to 1 mm", "known to 5 mm", "found by a view"
-        assert set(metrics["methods"]) == {f"{kind}, {place}" for kind in ("fused", "tactile only") for place in places}
-        assert metrics["refused"]["itself"] == 0
-        assert 0 < metrics["off"]["percentiles_25_50_75_90"][1] < 8.0  # mm; 5 mm on each axis are believed at first
-    elif study == "crossing":
-        assert len(metrics["worlds"]) == 6  # two errors of placement and one of views, in two sets
-        assert set(metrics["crossing_mm"]) == {
-            f"{s}, {r}" for s in ("primitives", "tools") for r in ("votes", "product")
-        }
-    elif study == "sites":
-        assert sum(kind["touches"] for kind in metrics["bits"].values()) == metrics["touches"] == 8
-    elif study == "policy":
-        assert set(metrics["policies"]) == {"random", "heuristic", "information"}
-        assert metrics["sittings"] == 8
-    else:
-        assert metrics["sittings"] == 16
-        assert len(metrics["auroc"]["mean"]) == 3
 
 
 def test_the_paper_s_distances_prefer_what_was_touched():

@@ -1,0 +1,97 @@
+"""The studies of recognition on their debug presets, and the small formulas of their reports."""
+
+import json
+
+import numpy as np
+import pytest
+
+from experiments.recognize import trained_run as runs
+from experiments.studies import __main__ as studies
+from experiments.studies import object_count, planar, pose_error, sites
+from i2t.objects.catalogue import Mesh
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _fit_once():
+    """Studies fit the same pad model to the same touches: once is enough."""
+    kept, load = {}, runs.load_trained_run
+
+    def load_once(key, folder, errors, limits):
+        world = str(folder), errors, limits
+        if world not in kept:
+            kept[world] = load(key, folder, errors, limits)
+        return kept[world]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runs, "load_trained_run", load_once)
+        yield
+
+
+@pytest.mark.parametrize("study", ["policy", "open_set", "planar", "registered", "pose_error", "sites"])
+def test_studies_run(study, trained_run, tmp_path):
+    out = tmp_path / study
+    assert studies.main([study, "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]) == 0
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["source"] == "simulated"
+    assert (out / "part-0.npz").exists()
+    if study == "planar":
+        assert metrics["episodes"] == 8
+        assert set(metrics["methods"]) == {"known pose", "unknown pose"}
+        assert 0 <= metrics["rotation_error"]["percentiles_25_50_75_90"][0] <= 180
+    elif study == "registered":
+        places = "known to 1 mm", "known to 5 mm", "found by a view"
+        assert set(metrics["methods"]) == {f"{kind}, {place}" for kind in ("fused", "tactile only") for place in places}
+        assert metrics["refused"]["true_object"] == 0
+        middle = metrics["position_error"]["percentiles_25_50_75_90"][1]
+        assert 0 < middle < 8.0  # mm; 5 mm on each axis are believed at first
+    elif study == "pose_error":
+        assert len(metrics["worlds"]) == 6  # two pose errors and one noise of views, in two sets
+        rules = {f"{s}, {r}" for s in ("primitives", "tools") for r in ("votes", "product")}
+        assert set(metrics["equal_at_mm"]) == rules
+    elif study == "sites":
+        assert sum(kind["touches"] for kind in metrics["bits"].values()) == metrics["touches"] == 8
+    elif study == "policy":
+        assert set(metrics["policies"]) == {"random", "heuristic", "information"}
+        assert metrics["episodes"] == 8
+    else:
+        assert metrics["episodes"] == 16
+        assert len(metrics["auroc"]["mean"]) == 3
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("strangers", "open_set"), ("open", "open_set"), ("many", "object_count"), ("crossing", "pose_error"),
+     ("pad", "new_pad")],
+)  # fmt: skip
+def test_a_study_answers_to_its_old_name_with_the_new_one(old, new, capsys):
+    assert studies.main([old]) == 2
+    error = capsys.readouterr().err
+    assert error == f"error: the study {old} is called {new} now\n"
+
+
+@pytest.mark.parametrize(("old", "new"), studies.RENAMED_FLAGS.items())
+def test_a_flag_answers_to_its_old_name_with_the_new_one(old, new, capsys):
+    with pytest.raises(SystemExit):
+        studies.main(["policy", old, "1"])
+    assert new in capsys.readouterr().err
+
+
+def test_a_rotation_of_a_symmetric_object_is_wrong_up_to_half_its_period_only():
+    angle = np.radians([100.0, 100.0, 100.0, -350.0])
+    found = planar.rotation_error(angle, np.array([4, 0, 1, 1]))
+    np.testing.assert_allclose(np.degrees(found), [10, 0, 100, 10])
+
+
+def test_lines_change_sign_where_they_meet_zero():
+    assert pose_error.sign_changes([0, 1, 3], [1.0, -1.0, 3.0]) == [0.5, 1.5]
+    assert pose_error.sign_changes([0, 1], [1.0, 2.0]) == []
+
+
+def test_information_is_counted_from_guessing():
+    p = np.array([[0.25, 0.25, 0.25, 0.25], [1.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.0, 0.0]])
+    np.testing.assert_allclose(sites.information_bits(p, np.array([3, 0, 1])), [0, 2, 1])
+
+
+def test_a_small_mesh_is_not_decimated():
+    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))
+    assert object_count.decimate(mesh) is mesh
