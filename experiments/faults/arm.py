@@ -6,8 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from experiments.faults.rows import Row, Sizes, worst
-from i2t.collect.procedure import TouchSettings
+from experiments.faults.rows import FaultRow, Sizes, worst
+from i2t.collect.settings import TouchSettings
 from i2t.emulators import ur_controller
 from i2t.errors import DeviceError
 from i2t.hardware.rig import Rig
@@ -25,7 +25,7 @@ PATIENCE = 10.0  # s
 GAP = 0.5e-3  # m before the surface where a press begins
 
 
-def arm(sizes: Sizes) -> list[Row]:
+def arm(sizes: Sizes) -> list[FaultRow]:
     """Every fault in a motion: when it was noticed, and whether the arm stands."""
     rows = []
     for name, fault in FAULTS.items():
@@ -43,7 +43,7 @@ def arm(sizes: Sizes) -> list[Row]:
         known = "not to be known" if fault is None else f"stood in {stood} of {len(noticed)}"
         alarms = f"; {busy} false alarms of a busy computer before the fault" if busy else ""
         rows.append(
-            Row(
+            FaultRow(
                 "arm", f"{name}: noticed", f"{len(noticed)} motions",
                 f'{worst(noticed or [np.inf])}; {known}{alarms}; "{min(sentences, default="")}"',
                 "< 500 ms, and the arm stands",
@@ -89,7 +89,7 @@ def _go_down(device: UrArm) -> None:
     device.go(goal, 0.1, 0.5)
 
 
-def _second(trials: int) -> Row:
+def _second(trials: int) -> FaultRow:
     refused, unharmed = 0, 0
     for trial in range(trials):
         host, limits = ur_controller.loopback(trial + 50), Rig().limits
@@ -105,10 +105,10 @@ def _second(trials: int) -> Row:
                     refused += 1
                 unharmed += motion.exception(PATIENCE) is None
     said = f"refused {refused}, the first one's motion ended where it should {unharmed}"
-    return Row("arm", "second client", f"{trials} motions", said, "all", refused == unharmed == trials)
+    return FaultRow("arm", "second client", f"{trials} motions", said, "all", refused == unharmed == trials)
 
 
-def force(sizes: Sizes) -> list[Row]:
+def force(sizes: Sizes) -> list[FaultRow]:
     """How far emulated presses on soft and stiff objects run past the limit of force."""
     settings, rig = TouchSettings(), Rig()
     rng = np.random.default_rng(0)
@@ -134,7 +134,7 @@ def force(sizes: Sizes) -> list[Row]:
     derived = 10e3 * (settings.press * 0.06 + settings.press**2 / 4)
     said = f"median {np.median(over):+.2f} N, greatest {over.max():+.2f} N; {reasons.count('force')} by force"
     return [
-        Row(
+        FaultRow(
             "force", "past the 8 N limit, 1 to 10 N/mm, noise 0.1 N", f"{sizes.presses} emulated presses", said,
             f"<= +2 N (derived at 10 N/mm, 60 ms: {derived:.1f})", bool(over.max() <= 2.0),
         )

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.faults.arm import status
-from experiments.faults.rows import Row, Sizes, worst
+from experiments.faults.rows import FaultRow, Sizes, worst
 from experiments.faults.simulated import count
 from i2t.collect.recorder import touches_in
 from i2t.emulators import lab, ur_controller
@@ -20,7 +20,7 @@ PATIENCE = 5  # collections, to make them
 MORE = 5  # touches that are made after the last kill
 
 
-def kill(sizes: Sizes) -> list[Row]:
+def kill(sizes: Sizes) -> list[FaultRow]:
     """All of it, on stand-ins that run on as a lab would."""
     rng, moving, starts = np.random.default_rng(0), 0, 0
     told: list[str] = []
@@ -53,12 +53,12 @@ def kill(sizes: Sizes) -> list[Row]:
     said = f"{lost} of {len(told)} lost, {unreadable} of {len(present)} files unreadable; {aside} raw files kept aside"
     complete = end.returncode == 0 and len(present) == wanted
     return [
-        Row("kill", "acknowledged touches", tried, said, "0 lost, 0 unreadable", lost + unreadable == 0),
-        Row(
+        FaultRow("kill", "acknowledged touches", tried, said, "0 lost, 0 unreadable", lost + unreadable == 0),
+        FaultRow(
             "kill", "resumed and completed", f"{len(present)} touches", "yes" if complete else end.stderr[-80:],
             "yes", complete,
         ),
-        Row(
+        FaultRow(
             "kill", "arm stands after the kill", f"{moving} of {len(stood)} in motion", worst(stood), "< 200 ms",
             max(stood) < 0.2,
         ),

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from i2t.collect.procedure import Seen
+from i2t.collect.procedure import SeenPatch
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError, NotConnectedError
 from i2t.hardware.clock import Clock
@@ -64,11 +64,11 @@ class PlaneCamera:
         return View(self._clock.now(), noisy.astype(np.float32), None)
 
 
-def cut(view: View, camera: Camera, T_w_c: Array, T_w_t: Array) -> Seen:
+def plane_patch(view: View, camera: Camera, T_w_c: Array, T_w_t: Array) -> SeenPatch:
     """The patch of a plane that the tool faces: flat, and as far away as the middle of the view says."""
     row, column = round(camera.cy), round(camera.cx)
     middle = view.depth[max(0, row - 8) : row + 9, max(0, column - 8) : column + 9]
     point = T_w_c[:3, 3] + float(np.nanmean(middle)) * T_w_c[:3, 2]
     nearest = float((point - T_w_t[:3, 3]) @ T_w_t[:3, 2])
     flat = np.zeros((WIDE_PIXELS, WIDE_PIXELS), np.float32)
-    return Seen(flat[:PATCH_PIXELS, :PATCH_PIXELS], flat, nearest, float(np.isfinite(middle).mean()))
+    return SeenPatch(flat[:PATCH_PIXELS, :PATCH_PIXELS], flat, nearest, float(np.isfinite(middle).mean()))

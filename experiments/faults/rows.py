@@ -4,7 +4,7 @@ from dataclasses import astuple, dataclass
 from typing import NamedTuple
 
 
-class Row(NamedTuple):
+class FaultRow(NamedTuple):
     """One figure."""
 
     section: str

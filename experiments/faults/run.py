@@ -22,14 +22,14 @@ import tyro
 from experiments.common.runs import reported, write_json
 from experiments.faults.arm import arm, force
 from experiments.faults.kill import kill
-from experiments.faults.rows import DEBUG, Row, Sizes
+from experiments.faults.rows import DEBUG, FaultRow, Sizes
 from experiments.faults.simulated import disk, presses
 from experiments.faults.skin import skin
 from experiments.faults.volume import volume
 from i2t.errors import DeviceError
 
 Section = Literal["disk", "presses", "arm", "skin", "force", "volume", "kill"]
-SECTIONS: dict[Section, Callable[[Sizes], list[Row]]] = {
+SECTIONS: dict[Section, Callable[[Sizes], list[FaultRow]]] = {
     "disk": disk,
     "presses": presses,
     "arm": arm,
@@ -42,7 +42,7 @@ PRESETS = {"full": Sizes(), "debug": DEBUG}
 
 
 @dataclass(frozen=True)
-class Args:
+class FaultsArgs:
     """Break things while touches are collected, and count what is lost."""
 
     out: Path = Path("runs/faults")  # folder for the report
@@ -53,13 +53,13 @@ class Args:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    args = tyro.cli(Args, args=argv, description=__doc__, prog="python -m experiments.faults")
-    missed: list[Row] = []
+    args = tyro.cli(FaultsArgs, args=argv, description=__doc__, prog="python -m experiments.faults")
+    missed: list[FaultRow] = []
     return reported(partial(_run, args, missed)) or int(bool(missed))
 
 
-def _run(args: Args, missed: list[Row]) -> None:
-    rows: list[Row] = []
+def _run(args: FaultsArgs, missed: list[FaultRow]) -> None:
+    rows: list[FaultRow] = []
     sizes = PRESETS[args.preset].times(args.share)
     args.out.mkdir(parents=True, exist_ok=True)
     for name in args.sections:
@@ -68,7 +68,7 @@ def _run(args: Args, missed: list[Row]) -> None:
         try:
             found = SECTIONS[name](sizes)
         except DeviceError as error:
-            found = [Row(name, "the section", "-", f"ended early: {error}", "", False)]
+            found = [FaultRow(name, "the section", "-", f"ended early: {error}", "", False)]
         rows += found
         print(table(found), f"({time.monotonic() - begun:.0f} s)\n", sep="\n", flush=True)
         (args.out / "report.md").write_text(table(rows) + "\n")
@@ -77,7 +77,7 @@ def _run(args: Args, missed: list[Row]) -> None:
     print(f"{len(rows)} figures, {len(missed)} goals missed; the report is {args.out / 'report.md'}")
 
 
-def table(rows: Sequence[Row]) -> str:
+def table(rows: Sequence[FaultRow]) -> str:
     """Figures as a table in Markdown."""
     lines = ["| section | what | tried | measured | goal | |", "| --- | --- | --- | --- | --- | --- |"]
     verdicts = {True: "met", False: "MISSED", None: ""}

@@ -11,18 +11,19 @@ from typing import Any
 import numpy as np
 
 from experiments.faults.places import HEIGHT, site
-from experiments.faults.plane_camera import PlaneCamera, cut
-from experiments.faults.rows import Row, Sizes
+from experiments.faults.plane_camera import PlaneCamera, plane_patch
+from experiments.faults.rows import FaultRow, Sizes
 from i2t import dataset
-from i2t.collect.procedure import Outcome, Procedure, Settings, Site
-from i2t.collect.recorder import Names, Recorder, touches_in
+from i2t.collect.procedure import Procedure, Site, SiteOutcome
+from i2t.collect.recorder import Recorder, SessionInfo, touches_in
+from i2t.collect.settings import TouchSettings
 from i2t.depth.camera import Camera
-from i2t.emulators.in_process import Lab, SimulatedArm, SimulatedSkin, Virtual
-from i2t.emulators.scene import Flat
+from i2t.emulators.in_process import SimulatedArm, SimulatedLab, SimulatedSkin, VirtualClock
+from i2t.emulators.scene import SpringPlane
 from i2t.errors import DeviceError
 from i2t.hardware.clock import Clock
 from i2t.hardware.rig import Rig
-from i2t.simulation.touches import Errors
+from i2t.simulation.touches import SimulationErrors
 from i2t.skin import boards
 from i2t.types import READINGS, Array, ReturnCode
 
@@ -30,7 +31,7 @@ WALL = 1.8e9  # Unix time at which simulated time begins
 GAIN = np.linspace(-9, 12, READINGS)  # uT/N
 
 
-class Watch:
+class SettableClock:
     """A clock whose Unix time somebody sets."""
 
     def __init__(self, clock: Clock) -> None:
@@ -49,17 +50,17 @@ class Watch:
         self._clock.sleep(seconds)
 
 
-class Nobody:
+class NullRecorder:
     """Keeps nothing but how far the tool went."""
 
     def __init__(self) -> None:
         self.places: list[Array] = []
 
-    def begin(self, site: Site, attempt: int) -> "Nobody":
+    def begin(self, site: Site, attempt: int) -> "NullRecorder":
         """A touch begins."""
         return self
 
-    def keep(self, touched: Any) -> None:
+    def save(self, touched: Any) -> None:
         """It was made."""
 
     def abandon(self, reason: str) -> None:
@@ -76,48 +77,48 @@ class Nobody:
         """What happened."""
 
 
-def lab(
+def make_procedure(
     height: float = HEIGHT, stiffness: float = 10e3, gain: Array = GAIN, latency: float = 0.03, seed: int = 0
-) -> tuple[Procedure, Watch]:
+) -> tuple[Procedure, SettableClock]:
     """A procedure over a plane, its devices connected, and its clock."""
-    clock, rig = Watch(Virtual(WALL)), Rig()
-    scene = Flat(height, stiffness, gain, Errors(), boards.reskin_board())
-    inside = Lab(scene, clock, seed)
+    clock, rig = SettableClock(VirtualClock(WALL)), Rig()
+    scene = SpringPlane(height, stiffness, gain, SimulationErrors(), boards.reskin_board())
+    inside = SimulatedLab(scene, clock, seed)
     arm, skin = SimulatedArm(inside, rig.limits, latency), SimulatedSkin(inside)
     lens = Camera(64, 36, 32.2, 32.2, 31.5, 17.5)
-    eye = PlaneCamera(lens, HEIGHT, lambda: arm.state().T_b_t @ rig.T_tool_camera, clock)
+    eye = PlaneCamera(lens, height, lambda: arm.state().T_b_t @ rig.T_tool_camera, clock)
     for device in (arm, skin, eye):
         device.connect()
-    return Procedure(arm, skin, eye, rig, boards.reskin_board(), cut, HEIGHT, Settings(patience=1.0), clock), clock
+    return Procedure(arm, skin, eye, rig, boards.reskin_board(), plane_patch, HEIGHT, TouchSettings(patience=1.0), clock), clock
 
 
-def presses(sizes: Sizes) -> list[Row]:
+def presses(sizes: Sizes) -> list[FaultRow]:
     """Force on late arms, and noise alone."""
     rng, over, outside = np.random.default_rng(0), [], 0
     for number in range(sizes.presses):
         stiffness = float(np.exp(rng.uniform(np.log(1e3), np.log(10e3))))
-        procedure, _ = lab(stiffness=stiffness, gain=np.zeros(READINGS), latency=rng.uniform(0, 0.06), seed=number)
-        keeper = Nobody()
-        touched = procedure.touch(site(number), keeper)
-        outside += sum(not procedure.rig.limits.hold(place, 1e-6) for place in keeper.places)
+        procedure, _ = make_procedure(stiffness=stiffness, gain=np.zeros(READINGS), latency=rng.uniform(0, 0.06), seed=number)
+        recorder = NullRecorder()
+        touched = procedure.touch(site(number), recorder)
+        outside += sum(not procedure.rig.limits.contains(place, 1e-6) for place in recorder.places)
         over.append(stiffness * (HEIGHT - touched.T_w_t[2, 3]) - procedure.settings.force)
-    procedure, _ = lab(height=-1.0)
-    codes = [procedure.touch(site(number), Nobody()).code for number in range(sizes.air)]
+    procedure, _ = make_procedure(height=-1.0)
+    codes = [procedure.touch(site(number), NullRecorder()).code for number in range(sizes.air)]
     stopped = sum(code == ReturnCode.SKIN for code in codes)
     said = f"median {np.median(over):+.2f} N, greatest {max(over):+.2f} N; outside the box {outside} times"
     return [
-        Row(
+        FaultRow(
             "force", "past the 8 N limit, 1 to 10 N/mm, up to 60 ms late", f"{sizes.presses} simulated presses", said,
             "<= +2 N, never outside", max(over) <= 2.0 and outside == 0,
         ),
-        Row(
+        FaultRow(
             "force", "false stops of the skin, in the air with real noise", f"{sizes.air} simulated presses",
             str(stopped), "< 1 in 1000", stopped * 1000 <= sizes.air and (sizes.air < 1000 or stopped == 0),
         ),
     ]  # fmt: skip
 
 
-def disk(sizes: Sizes) -> list[Row]:
+def disk(sizes: Sizes) -> list[FaultRow]:
     """Full and read-only disks, a clock that is set, a camera that is unplugged."""
     rows = []
     for name, harm in (
@@ -133,7 +134,7 @@ def disk(sizes: Sizes) -> list[Row]:
                 ended += bool(sentence)
                 sentences.add(sentence)
         except PermissionError:
-            rows.append(Row("disk", name, "not run", "a disk can be made only by root", "0 lost", None))
+            rows.append(FaultRow("disk", name, "not run", "a disk can be made only by root", "0 lost", None))
             continue
         shown = min(sentences)[:110]
         said = (
@@ -141,7 +142,7 @@ def disk(sizes: Sizes) -> list[Row]:
             f'"{shown}"'
         )
         rows.append(
-            Row("disk", name, f"{sizes.disk} times", said, "0 lost", lost + unreadable == 0 and ended == sizes.disk)
+            FaultRow("disk", name, f"{sizes.disk} times", said, "0 lost", lost + unreadable == 0 and ended == sizes.disk)
         )
     return rows
 
@@ -176,7 +177,7 @@ def _session(
 ) -> tuple[list[str], str]:
     """The touches that were acknowledged, and what ended it early."""
     rig, told = procedure.rig, []
-    names = Names(
+    names = SessionInfo(
         "plane", "pad", "run", "simulated", boards.reskin_board(), rig.T_world_base, rig.T_world_object,
         procedure.camera.camera,
     )  # fmt: skip
@@ -185,9 +186,9 @@ def _session(
         return site(len(history)) if len(history) < most else None
 
     try:
-        with Recorder(folder, names, procedure.clock, reserve) as kept:
-            for outcome in procedure.run(choose, kept):
-                told.append(kept.kept[-1].name)
+        with Recorder(folder, names, procedure.clock, reserve) as recorder:
+            for outcome in procedure.run(choose, recorder):
+                told.append(recorder.saved[-1].name)
                 if each is not None:
                     each(outcome)
     except DeviceError as error:
@@ -198,30 +199,30 @@ def _session(
 
 def _full(trial: int) -> tuple[int, int, int, str]:
     with _small_disk(f"{1500 + 130 * trial}k") as folder:
-        told, sentence = _session(folder / "data", lab(seed=trial)[0], 50)
+        told, sentence = _session(folder / "data", make_procedure(seed=trial)[0], 50)
         return len(told), *count(folder / "data", told), sentence
 
 
 def _read_only(trial: int) -> tuple[int, int, int, str]:
     with _small_disk("20m") as folder:
 
-        def spoil(outcome: Outcome) -> None:
+        def spoil(outcome: SiteOutcome) -> None:
             if outcome.site.number == 1:
                 # A lazy remount would be refused while files are open for writing.
                 subprocess.run(["mount", "--bind", folder, folder], check=True)
                 subprocess.run(["mount", "-o", "remount,bind,ro", folder], check=True)
 
         try:
-            told, sentence = _session(folder / "data", lab(seed=trial)[0], 4, each=spoil)
+            told, sentence = _session(folder / "data", make_procedure(seed=trial)[0], 4, each=spoil)
             return len(told), *count(folder / "data", told), sentence
         finally:
             subprocess.run(["umount", folder], check=False)
 
 
 def _clock(trial: int) -> tuple[int, int, int, str]:
-    procedure, clock = lab(seed=trial)
+    procedure, clock = make_procedure(seed=trial)
 
-    def spoil(outcome: Outcome) -> None:
+    def spoil(outcome: SiteOutcome) -> None:
         clock.jump = -3600.0 if outcome.site.number == 1 else 0.0
 
     with tempfile.TemporaryDirectory() as folder:
@@ -230,10 +231,10 @@ def _clock(trial: int) -> tuple[int, int, int, str]:
 
 
 def _camera(trial: int) -> tuple[int, int, int, str]:
-    procedure, _ = lab(seed=trial)
+    procedure, _ = make_procedure(seed=trial)
     eye: Any = procedure.camera
 
-    def spoil(outcome: Outcome) -> None:
+    def spoil(outcome: SiteOutcome) -> None:
         if outcome.site.number == 1:
             eye.trouble = DeviceError("the camera over a plane is gone; plug it in")
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.faults.rows import Row, Sizes, worst
-from i2t.emulators.reskin_board import Readings, spoil, started
+from experiments.faults.rows import FaultRow, Sizes, worst
+from i2t.emulators.reskin_board import Readings, corrupt, started
 from i2t.errors import DeviceError, DeviceTimeoutError
 from i2t.hardware.reskin.driver import ReSkin
-from i2t.hardware.reskin.frames import Decoder, Format, Frame, Limits, decode, encode
+from i2t.hardware.reskin.frames import Decoder, Format, Frame, FrameLayout, FrameLimits, decode, encode
 
 LINES = ((0.01, 0.0, 0.98), (0.0, 0.001, 0.95))  # bytes substituted, dropped; goal for intact frames
 WRONG = (1.0, 10.0, 25.0)  # uT
@@ -19,7 +19,7 @@ CRLF = struct.unpack("<f", bytes.fromhex("980d0a42"))[0]  # degrees Celsius that
 PATIENCE = 10.0  # s
 
 
-def skin(sizes: Sizes) -> list[Row]:
+def skin(sizes: Sizes) -> list[FaultRow]:
     """All of it."""
     rows = [_stream(sizes.stream)]
     for substitute, drop, goal in LINES:
@@ -28,7 +28,7 @@ def skin(sizes: Sizes) -> list[Row]:
     return rows + _gone(sizes.silences)
 
 
-def _stream(seconds: float) -> Row:
+def _stream(seconds: float) -> FaultRow:
     with started("--rate", "400") as (port, _), ReSkin(port) as device:
         first, newest = device.counters.samples, int(device.latest().number[-1])
         begun = time.monotonic()
@@ -43,25 +43,25 @@ def _stream(seconds: float) -> Row:
     lost = counters.lost + counters.overflowed + (newest - start - numbers)
     share = lost / max(1, came + lost)
     said = f"{came} samples, {came / took:.1f} Hz, {lost} lost ({100 * share:.4f} %)"
-    return Row("skin", "400 Hz over a pseudo-terminal", f"{seconds:g} s", said, "< 0.1 % lost", share < 1e-3)
+    return FaultRow("skin", "400 Hz over a pseudo-terminal", f"{seconds:g} s", said, "< 0.1 % lost", share < 1e-3)
 
 
 def _line(
     count: int, substitute: float, drop: float, goal: float, temperature: float | None, skipped: int
-) -> list[Row]:
+) -> list[FaultRow]:
     """Frames through a bad line, beginning `skipped` bytes late."""
     rng, board = np.random.default_rng(0), Readings(1.0, 0.0, temperature, 0)
     truth, ends, good, data = [], [], [], b""
     for i in range(count):
         reading, celsius = board.at(0.0)
         whole = encode(reading, celsius, Format.BINARY)
-        sent = spoil(whole, substitute, drop, rng)[skipped if i == 0 else 0 :]
+        sent = corrupt(whole, substitute, drop, rng)[skipped if i == 0 else 0 :]
         truth.append(reading)
         good.append(sent == whole)
         data += sent
         ends.append(len(data))
     found: list[Frame] = []
-    decoder = Decoder(Format.BINARY, Limits())
+    decoder = Decoder(FrameLayout(), FrameLimits())
     for at in range(0, len(data), 4096):
         decoder, more = decode(decoder, data[at : at + 4096])
         found += more
@@ -78,7 +78,7 @@ def _line(
         what += f", from mid-frame at {temperature:.3f} C"
     tried = f"{count} frames ({len(intact)} intact)"
     rows = [
-        Row(
+        FaultRow(
             "skin",
             f"{what}: intact frames delivered",
             tried,
@@ -86,13 +86,13 @@ def _line(
             f">= {100 * goal:g} %",
             share >= goal,
         ),
-        Row("skin", f"{what}: misaligned frames accepted", tried, str(misaligned), "0", misaligned == 0),
+        FaultRow("skin", f"{what}: misaligned frames accepted", tried, str(misaligned), "0", misaligned == 0),
     ]
     if substitute:
         rates = " / ".join(f"{100 * np.mean(errors > size):.3g}" for size in WRONG)
         sizes = " / ".join(f"{size:g}" for size in WRONG)
         rows.append(
-            Row(
+            FaultRow(
                 "skin",
                 f"{what}: delivered with an error over {sizes} uT",
                 f"{len(found)} frames",
@@ -104,7 +104,7 @@ def _line(
     return rows
 
 
-def _gone(trials: int) -> list[Row]:
+def _gone(trials: int) -> list[FaultRow]:
     silent, unplugged, back = [], [], 0
     for i in range(trials):
         with started("--silent-after", "0.6", "--seed", str(i)) as (port, _), ReSkin(port) as device:
@@ -125,9 +125,9 @@ def _gone(trials: int) -> list[Row]:
                         time.sleep(0.1)
     tried = f"{trials} times"
     return [
-        Row("skin", "silence noticed", tried, worst(silent), "< 500 ms", max(silent) < 0.5),
-        Row("skin", "unplugged cable noticed", tried, worst(unplugged), "< 500 ms", max(unplugged) < 0.5),
-        Row("skin", "connected again when plugged in", tried, f"{back} of {trials}", "all", back == trials),
+        FaultRow("skin", "silence noticed", tried, worst(silent), "< 500 ms", max(silent) < 0.5),
+        FaultRow("skin", "unplugged cable noticed", tried, worst(unplugged), "< 500 ms", max(unplugged) < 0.5),
+        FaultRow("skin", "connected again when plugged in", tried, f"{back} of {trials}", "all", back == trials),
     ]
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.faults.rows import Row, Sizes
+from experiments.faults.rows import FaultRow, Sizes
 from i2t import dataset
 from i2t.collect.recorder import touches_in
 
@@ -17,7 +17,7 @@ WARM = 20  # touches until everything has been compiled and allocated
 GROWTH = 0.1  # of the memory, that may come on top
 
 
-def volume(sizes: Sizes) -> list[Row]:
+def volume(sizes: Sizes) -> list[FaultRow]:
     """Run the command and watch it."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "data"
@@ -25,7 +25,7 @@ def volume(sizes: Sizes) -> list[Row]:
             sys.executable,
             "-u",
             "-m",
-            "i2t.collect.session",
+            "i2t.collect",
             "--out",
             str(out),
             "--touches",
@@ -40,17 +40,17 @@ def volume(sizes: Sizes) -> list[Row]:
                     memory.append(_resident(process.pid))
         files = touches_in(out)
         bytes_each = np.mean([path.stat().st_size for path in files]) if files else 0
-        readable = len(dataset.load(out)) if files else 0
+        readable = len(dataset.load_dataset(out)) if files else 0
     each = np.diff(times[min(1, len(times) - 1) :])
     after = memory[min(WARM, len(memory) - 1) :]
     growth = max(after) / after[0] - 1 if after and after[0] else 0.0
     tried = f"{len(files)} simulated touches"
     spent = f"median {np.median(each):.2f} s, 95 % {np.quantile(each, 0.95):.2f} s" if len(each) else "-"
     return [
-        Row("volume", "touches of the command, all readable", tried, str(readable), "all", readable == sizes.touches),
-        Row("volume", "time of a touch beyond motion (simulated time is not waited for)", tried, spent, "stated", None),
-        Row("volume", "size of a file", tried, f"{bytes_each / 1024:.0f} KiB", "stated", None),
-        Row(
+        FaultRow("volume", "touches of the command, all readable", tried, str(readable), "all", readable == sizes.touches),
+        FaultRow("volume", "time of a touch beyond motion (simulated time is not waited for)", tried, spent, "stated", None),
+        FaultRow("volume", "size of a file", tried, f"{bytes_each / 1024:.0f} KiB", "stated", None),
+        FaultRow(
             "volume", f"memory after touch {WARM}", tried,
             f"{after[0] / 2**20:.0f} to at most {max(after) / 2**20:.0f} MiB ({100 * growth:+.1f} %)",
             f"< {100 * GROWTH:+.0f} %", growth < GROWTH,

@@ -10,9 +10,10 @@ import sys
 from pathlib import Path
 
 from experiments.faults.places import HEIGHT, site
-from experiments.faults.plane_camera import PlaneCamera, cut
-from i2t.collect.procedure import Procedure, TouchSettings
-from i2t.collect.recorder import SessionInfo, Recorder, site_number_of, touches_in
+from experiments.faults.plane_camera import PlaneCamera, plane_patch
+from i2t.collect.procedure import Procedure
+from i2t.collect.recorder import Recorder, SessionInfo, site_number_of, touches_in
+from i2t.collect.settings import TouchSettings
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError
 from i2t.hardware.clock import MonotonicClock
@@ -42,13 +43,13 @@ def main(host: str, port: str, folder: str, touches: str, watchdog: str = "10") 
     names = SessionInfo(
         "hexagon", "emulated", "run", "simulated", boards.reskin_board(), rig.T_world_base, rig.T_world_object, lens
     )
-    with ReSkin(port) as skin, eye, arm, Recorder(out, names) as kept:
-        procedure = Procedure(arm, skin, eye, rig, boards.reskin_board(), cut, HEIGHT, QUICK)
+    with ReSkin(port) as skin, eye, arm, Recorder(out, names) as recorder:
+        procedure = Procedure(arm, skin, eye, rig, boards.reskin_board(), plane_patch, HEIGHT, QUICK)
         print("begun", flush=True)
         left = (number for number in range(int(touches)) if number not in done)
-        for _ in procedure.run(lambda history: next((site(number) for number in left), None), kept):
-            if kept.kept:
-                print(kept.kept[-1].name, flush=True)
+        for _ in procedure.run(lambda history: next((site(number) for number in left), None), recorder):
+            if recorder.saved:
+                print(recorder.saved[-1].name, flush=True)
     return 0
 
 

@@ -2,7 +2,7 @@
 
 import sys
 
-from i2t.collect.session import main
+from i2t.collect.command import main
 
 if __name__ == "__main__":
     sys.exit(main())

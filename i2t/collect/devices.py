@@ -1,37 +1,49 @@
-"""Which device is meant by a name: builds arm, skin and camera for `i2t.collect.session`, real, emulated or simulated.
+"""Arm, skin and camera of a collection, real, emulated, simulated or a third party's, from their configurations.
 
-Emulated devices are the real drivers before stand-ins (`i2t.emulators.lab`), in processes of their own; where
-neither address nor port is given, one is started. Simulated ones share a lab (`i2t.emulators.in_process`); where
-nothing else takes part, its time need not be waited for.
+Each kind has a frozen configuration beside its driver, and here a small function that builds it, without connecting it.
+Emulated devices are the real drivers with emulators (`i2t.emulators.lab`) in processes of their own; where no address
+is given, one is started. Simulated devices share a lab (`i2t.emulators.in_process`); where only simulated devices take
+part, its time is virtual and nobody waits for it. Drivers are imported only where they are asked for.
 """
 
 import tempfile
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import cached_property, singledispatch
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
-import jax
 import numpy as np
 
-from i2t.collect.procedure import GuardedArm
 from i2t.depth.camera import Camera
-from i2t.emulators.scene import Feeler, Scene
+from i2t.emulators.world import (
+    EmulatedArmConfig,
+    EmulatedSkinConfig,
+    SimulatedArmConfig,
+    SimulatedCameraConfig,
+    SimulatedSkinConfig,
+    WorldConfig,
+    make_scene,
+)
+from i2t.hardware.camera_folder import CameraFolderConfig
 from i2t.hardware.clock import Clock, MonotonicClock
-from i2t.hardware.protocols import DepthCamera, Skin
-from i2t.hardware.reskin.driver import Replay, ReSkin
+from i2t.hardware.plugins import DeviceSetup, PluginConfig, load_plugin
+from i2t.hardware.protocols import DepthCamera, GuardedArm, Skin
+from i2t.hardware.realsense import RealSenseConfig
+from i2t.hardware.reskin.config import ReplayConfig, ReSkinConfig
 from i2t.hardware.rig import Rig
-from i2t.hardware.ur.driver import UrArm
-from i2t.objects import catalogue
-from i2t.objects.solids import Object
-from i2t.simulation.touches import Errors
+from i2t.hardware.ur.config import UrConfig
 from i2t.skin import boards
-from i2t.skin.files import load_pad
-from i2t.skin.pad import sample_pad
 from i2t.types import Board
 
-PAD = 1000  # key of the random pad, the same as pad 0 of experiments.train
+if TYPE_CHECKING:
+    from i2t.emulators.in_process import SimulatedLab
+    from i2t.emulators.scene import ObjectScene
+
+ArmConfig: TypeAlias = UrConfig | EmulatedArmConfig | SimulatedArmConfig | PluginConfig
+SkinConfig: TypeAlias = ReSkinConfig | ReplayConfig | EmulatedSkinConfig | SimulatedSkinConfig | PluginConfig
+CameraConfig: TypeAlias = RealSenseConfig | CameraFolderConfig | SimulatedCameraConfig | PluginConfig
 
 
 class Devices(NamedTuple):
@@ -45,144 +57,302 @@ class Devices(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """Which devices; see `i2t.collect.session.Args`."""
+class DeviceConfig:
+    """Which devices. Raises ValueError for what does not go together."""
 
-    arm: str
-    skin: str
-    camera: str
-    host: str | None
-    port: str | None
-    replay: Path | None
-    views: Path | None
-    pad: Path | None
-    seed: int
-    exact: bool
-    stiffness: float
-    stale: float | None
-    watchdog: float | None
-    begin: float  # Unix time at which simulated time may begin
+    arm: ArmConfig
+    skin: SkinConfig
+    camera: CameraConfig
+    world: WorldConfig  # what simulated and emulated devices meet
+    begin: float = 0.0  # Unix time (s) at which virtual time may begin
 
-
-def read_rig(path: Path | None) -> Rig:
-    """The rig in a file, or that of the stand-ins."""
-    return Rig() if path is None else Rig.read(path)
+    def __post_init__(self) -> None:
+        arm, skin = self.arm, self.skin
+        if isinstance(skin, SimulatedSkinConfig) and not isinstance(arm, SimulatedArmConfig):
+            raise ValueError("a simulated skin feels only what a simulated arm does; choose --skin emulated, or reskin")
+        if isinstance(skin, EmulatedSkinConfig):
+            if isinstance(arm, UrConfig | PluginConfig) and not skin.port:
+                raise ValueError(
+                    "an emulated skin on a real arm feels nothing; choose --skin reskin, or name its --port"
+                )
+            if isinstance(arm, EmulatedArmConfig) and bool(arm.host) != bool(skin.port):
+                raise ValueError("emulators that run already have a --host and a --port; pass both, or neither")
 
 
-def read_object(name: str, unit: str) -> Object:
-    """An object of the catalogue, or a mesh file. Raises ValueError or FileNotFoundError."""
-    return catalogue.make_object(name) if name in catalogue.NAMES else catalogue.load_mesh(name, unit)[0]
+class DeviceContext:
+    """What the devices of one collection share; each part is made when it is first asked for.
 
-
-def scene_of(
-    name: str, unit: str, rig: Rig, pad: Path | None, seed: int, exact: bool = False, stiffness: float = 10e3
-) -> Scene:
-    """A simulated lab's object, with the errors of a run of that seed (`exact`: none of placement and camera)."""
-    errors = Errors().scaled(0.0) if exact else Errors()
-    skin = sample_pad(jax.random.key(PAD)) if pad is None else load_pad(pad)
-    T_b_o = rig.T_base_world @ rig.T_world_object
-    return Scene(read_object(name, unit).mesh, T_b_o, skin, errors, stiffness, seed)
-
-
-def build(wanted: Wanted, rig: Rig, name: str, unit: str, stack: ExitStack) -> Devices:
-    """The devices; what has to be started for them ends with the stack. Raises ValueError for what does not go
-    together, and DeviceError.
+    Args:
+        config: Which devices.
+        rig: Where everything is.
+        stack: Ends what has to be started.
     """
-    _check(wanted)
-    host, port = wanted.host, wanted.port
-    if "emulated" in (wanted.arm, wanted.skin) and wanted.arm != "simulated" and not (host and port):
-        host, port = _rehearse(wanted, rig, name, unit, stack)
-    scene = None
-    if "simulated" in (wanted.arm, wanted.camera):
-        scene = scene_of(name, unit, rig, wanted.pad, wanted.seed, wanted.exact, wanted.stiffness)
-    clock: Clock = MonotonicClock()
-    arm: Any
-    skin: Any
-    if wanted.arm == "simulated":
-        from i2t.emulators.in_process import Lab, SimulatedArm, SimulatedSkin, VirtualClock
 
-        assert scene is not None
-        if wanted.skin == "simulated":
-            clock = VirtualClock(max(time.time(), wanted.begin))
-        feeler: Feeler | None = None
-        if wanted.skin == "emulated":
-            from i2t.emulators import lab as rehearsal
-            from i2t.emulators import reskin_board
+    def __init__(self, config: DeviceConfig, rig: Rig, stack: ExitStack) -> None:
+        self.config, self.rig, self.stack = config, rig, stack
+        self.arm: GuardedArm | None = None  # once it is made
 
-            link = ["--link", str(Path(stack.enter_context(tempfile.TemporaryDirectory())) / "skin")]
-            port, process = stack.enter_context(reskin_board.started("--field", *link))
-            feeler = rehearsal.BoardPublishingContactModel(scene, rehearsal.address(process), wait=True)
-        lab = Lab(scene, clock, seed=wanted.seed, feeler=feeler)
-        arm = SimulatedArm(lab, rig.limits)
-        skin = SimulatedSkin(lab) if wanted.skin == "simulated" else None
+    @cached_property
+    def clock(self) -> Clock:
+        """Virtual where only simulated devices take part, else this machine's."""
+        if isinstance(self.config.arm, SimulatedArmConfig) and isinstance(self.config.skin, SimulatedSkinConfig):
+            from i2t.emulators.in_process import VirtualClock
+
+            return VirtualClock(max(time.time(), self.config.begin))
+        return MonotonicClock()
+
+    @cached_property
+    def scene(self) -> "ObjectScene":
+        """What simulated devices meet."""
+        return make_scene(self.config.world, self.rig)
+
+    @cached_property
+    def simulated_lab(self) -> "SimulatedLab":
+        """Where simulated arm and skin are; an emulated skin hears what is felt there."""
+        from i2t.emulators.in_process import SimulatedLab
+        from i2t.emulators.scene import ContactModel
+
+        model: ContactModel | None = None
+        if isinstance(self.config.skin, EmulatedSkinConfig):
+            from i2t.emulators import lab
+            from i2t.emulators.ur_contact import BoardPublishingContactModel
+
+            _, process = self.emulated_board
+            model = BoardPublishingContactModel(self.scene, lab.board_address(process), wait=True)
+        return SimulatedLab(self.scene, self.clock, seed=self.config.world.seed, contact_model=model)
+
+    @cached_property
+    def emulated_board(self) -> tuple[str, Any]:
+        """Port and process of a board that shows what a simulated arm feels."""
+        from i2t.emulators import reskin_board
+
+        return self.stack.enter_context(reskin_board.started("--field", "--link", str(self._folder / "skin")))
+
+    @cached_property
+    def emulated_lab(self) -> tuple[str, str]:
+        """The controller's address and the skin's port of an emulated lab that is started."""
+        from i2t.emulators import lab, ur_controller
+
+        world, folder = self.config.world, self._folder
+        self.rig.write(folder / "rig.toml")
+        host, link = ur_controller.loopback(200), folder / "skin"
+        options = ["--host", host, "--link", str(link), "--object", world.object, "--unit", world.unit]
+        options += ["--seed", str(world.seed), "--rig", str(folder / "rig.toml"), "--mount", str(world.stiffness)]
+        options += ["--pad", str(world.pad)] if world.pad else []
+        self.stack.enter_context(lab.started(*options, *(["--exact"] if world.no_pose_error else [])))
+        return host, str(link)
+
+    @cached_property
+    def _folder(self) -> Path:
+        return Path(self.stack.enter_context(tempfile.TemporaryDirectory()))
+
+
+def make_devices(config: DeviceConfig, rig: Rig, stack: ExitStack) -> Devices:
+    """Build the devices of a collection.
+
+    Args:
+        config: Which.
+        rig: Where everything is.
+        stack: Ends what has to be started for them.
+
+    Returns:
+        The devices, not connected.
+
+    Raises:
+        ValueError: A third party's device, an object or a pad cannot be used.
+        DeviceError: A driver is not installed.
+    """
+    context = DeviceContext(config, rig, stack)
+    arm = context.arm = make_arm(config.arm, context)
+    skin = make_skin(config.skin, context)
+    camera = make_camera(config.camera, context)
+    if isinstance(config.skin, SimulatedSkinConfig):
+        board = context.scene.board
     else:
-        assert host is not None
-        stale, watchdog = (0.1, 10.0) if wanted.arm == "ur" else (0.5, 4.0)
-        arm = UrArm(
-            host,
-            rig.limits,
-            rig.T_flange_tool,
-            (rig.mass, rig.centre),
-            state_timeout=wanted.stale or stale,
-            watchdog_rate=wanted.watchdog or watchdog,
-        )
-        skin = None
-    if skin is None:
-        skin = Replay(wanted.replay) if wanted.skin == "replay" and wanted.replay else ReSkin(port)
-    camera = _camera(wanted, rig, scene, arm, clock)
-    board = scene.board if scene is not None and wanted.skin == "simulated" else boards.reskin_board()
-    return Devices(arm, skin, camera, clock, Board(*(np.asarray(part) for part in board)))
+        board = getattr(skin, "board", None) or boards.reskin_board()
+    return Devices(arm, skin, camera, context.clock, Board(*(np.asarray(part) for part in board)))
 
 
 def source_of(devices: Devices) -> str:
-    """What a data set must say of touches that connected devices make: real, simulated or mixed."""
+    """What a data set must say of the touches of devices.
+
+    Args:
+        devices: Connected.
+
+    Returns:
+        real, simulated or mixed.
+    """
     each = (device.features.source for device in (devices.arm, devices.skin, devices.camera))
     sources = {"real" if source in ("real", "folder") else "simulated" for source in each}
     return sources.pop() if len(sources) == 1 else "mixed"
 
 
-def _camera(wanted: Wanted, rig: Rig, scene: Scene | None, arm: Any, clock: Clock) -> Any:
-    if wanted.camera == "simulated":
-        from i2t.emulators.in_process import SimulatedCamera
+# Arms
 
-        assert scene is not None
-        lens = Camera(*(getattr(rig.camera, each) for each in ("width", "height", "fx", "fy", "cx", "cy")))
-        return SimulatedCamera(scene, lens, rig.T_tool_camera, lambda: arm.state().T_b_t, clock, wanted.seed)
-    if wanted.camera == "folder":
-        from i2t.hardware.camera_folder import RecordedDepthCamera
 
-        assert wanted.views is not None
-        return RecordedDepthCamera(wanted.views, loop=True)
+@singledispatch
+def make_arm(config: ArmConfig, context: DeviceContext) -> GuardedArm:
+    """An arm by its configuration.
+
+    Args:
+        config: Which.
+        context: What the devices share.
+
+    Returns:
+        The arm, not connected.
+
+    Raises:
+        ValueError: A third party's arm cannot be used.
+        DeviceError: Its driver is not installed.
+    """
+    raise TypeError(f"{type(config).__name__} is no configuration of an arm")
+
+
+@make_arm.register
+def _(config: UrConfig, context: DeviceContext) -> GuardedArm:
+    return _ur_arm(config, context.rig)
+
+
+@make_arm.register
+def _(config: EmulatedArmConfig, context: DeviceContext) -> GuardedArm:
+    host = config.host or context.emulated_lab[0]
+    return _ur_arm(UrConfig(host, config.state_timeout, config.watchdog_rate), context.rig)
+
+
+@make_arm.register
+def _(config: SimulatedArmConfig, context: DeviceContext) -> GuardedArm:
+    from i2t.emulators.in_process import SimulatedArm
+
+    return SimulatedArm(context.simulated_lab, context.rig.limits)
+
+
+@make_arm.register
+def _(config: PluginConfig, context: DeviceContext) -> GuardedArm:
+    return load_plugin("arm", config, DeviceSetup(context.rig, config.address))
+
+
+def _ur_arm(config: UrConfig, rig: Rig) -> GuardedArm:
+    from i2t.hardware.ur.driver import UrArm
+
+    return UrArm(
+        config.host,
+        rig.limits,
+        rig.T_flange_tool,
+        (rig.mass, rig.centre),
+        state_timeout=config.state_timeout,
+        watchdog_rate=config.watchdog_rate,
+    )
+
+
+# Skins
+
+
+@singledispatch
+def make_skin(config: SkinConfig, context: DeviceContext) -> Skin:
+    """A skin by its configuration.
+
+    Args:
+        config: Which.
+        context: What the devices share.
+
+    Returns:
+        The skin, not connected.
+
+    Raises:
+        ValueError: A third party's skin cannot be used.
+        DeviceError: Its driver is not installed.
+    """
+    raise TypeError(f"{type(config).__name__} is no configuration of a skin")
+
+
+@make_skin.register
+def _(config: ReSkinConfig, context: DeviceContext) -> Skin:
+    from i2t.hardware.reskin.driver import ReSkin
+
+    return ReSkin(config.port)
+
+
+@make_skin.register
+def _(config: ReplayConfig, context: DeviceContext) -> Skin:
+    from i2t.hardware.reskin.driver import Replay
+
+    return Replay(config.file)
+
+
+@make_skin.register
+def _(config: EmulatedSkinConfig, context: DeviceContext) -> Skin:
+    if isinstance(context.config.arm, SimulatedArmConfig):
+        port, _ = context.emulated_board  # it shows what that arm feels
+    else:
+        port = config.port or context.emulated_lab[1]
+    return make_skin(ReSkinConfig(port), context)
+
+
+@make_skin.register
+def _(config: SimulatedSkinConfig, context: DeviceContext) -> Skin:
+    from i2t.emulators.in_process import SimulatedSkin
+
+    return SimulatedSkin(context.simulated_lab)
+
+
+@make_skin.register
+def _(config: PluginConfig, context: DeviceContext) -> Skin:
+    return load_plugin("skin", config, DeviceSetup(context.rig, config.address, context.arm))
+
+
+# Cameras
+
+
+@singledispatch
+def make_camera(config: CameraConfig, context: DeviceContext) -> DepthCamera:
+    """A camera by its configuration.
+
+    Args:
+        config: Which.
+        context: What the devices share, with the arm.
+
+    Returns:
+        The camera, not connected.
+
+    Raises:
+        ValueError: A third party's camera cannot be used.
+        DeviceError: Its driver is not installed.
+    """
+    raise TypeError(f"{type(config).__name__} is no configuration of a camera")
+
+
+@make_camera.register
+def _(config: RealSenseConfig, context: DeviceContext) -> DepthCamera:
     from i2t.hardware.realsense import RealSense
 
-    return RealSense(size=(rig.camera.width, rig.camera.height), distance=rig.looking_distance)
+    lens = context.rig.camera
+    return RealSense(size=(lens.width, lens.height), distance=context.rig.looking_distance)
 
 
-def _check(wanted: Wanted) -> None:
-    if wanted.skin == "simulated" and wanted.arm != "simulated":
-        raise ValueError("a simulated skin feels only what a simulated arm does; choose --skin emulated, or reskin")
-    if wanted.arm == "ur" and wanted.skin == "emulated" and not wanted.port:
-        raise ValueError("an emulated skin on a real arm feels nothing; choose --skin reskin, or name its --port")
-    if wanted.arm == "ur" and not wanted.host:
-        raise ValueError("a UR arm needs the address of its controller; pass --host")
-    if wanted.skin == "replay" and not wanted.replay:
-        raise ValueError("a replay needs a recording; pass --replay FILE")
-    if wanted.camera == "folder" and not wanted.views:
-        raise ValueError("a folder of views must be named; pass --views DIR")
-    if (wanted.arm == "emulated") and bool(wanted.host) != bool(wanted.port) and wanted.skin == "emulated":
-        raise ValueError("stand-ins that run already have a --host and a --port; pass both, or neither")
+@make_camera.register
+def _(config: CameraFolderConfig, context: DeviceContext) -> DepthCamera:
+    from i2t.hardware.camera_folder import RecordedDepthCamera
+
+    return RecordedDepthCamera(config.folder, loop=True)
 
 
-def _rehearse(wanted: Wanted, rig: Rig, name: str, unit: str, stack: ExitStack) -> tuple[str, str]:
-    """Start the stand-ins; returns the controller's address and the skin's port."""
-    from i2t.emulators import lab as rehearsal
-    from i2t.emulators import ur_controller
+@make_camera.register
+def _(config: SimulatedCameraConfig, context: DeviceContext) -> DepthCamera:
+    from i2t.emulators.in_process import SimulatedCamera
 
-    folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-    rig.write(folder / "rig.toml")
-    host, link = ur_controller.loopback(200), folder / "skin"
-    options = ["--host", host, "--link", str(link), "--object", name, "--unit", unit, "--seed", str(wanted.seed)]
-    options += ["--rig", str(folder / "rig.toml"), "--mount", str(wanted.stiffness)]
-    options += ["--pad", str(wanted.pad)] if wanted.pad else []
-    stack.enter_context(rehearsal.started(*options, *(["--exact"] if wanted.exact else [])))
-    return host, str(link)
+    arm, rig = context.arm, context.rig
+    assert arm is not None
+    lens = rig.camera
+    return SimulatedCamera(
+        context.scene,
+        Camera(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy),
+        rig.T_tool_camera,
+        lambda: arm.state().T_b_t,
+        context.clock,
+        context.config.world.seed,
+    )
+
+
+@make_camera.register
+def _(config: PluginConfig, context: DeviceContext) -> DepthCamera:
+    return load_plugin("camera", config, DeviceSetup(context.rig, config.address, context.arm))

@@ -2,73 +2,128 @@
 
 import math
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from i2t.collect.procedure import Procedure, Unreachable
-from i2t.collect.site_plan import Plan, picture
+from i2t.collect.procedure import Procedure, Site, UnreachableError
+from i2t.collect.settings import TouchSettings
+from i2t.collect.site_plan import SiteSampler, draw_plan
 from i2t.hardware.rig import summary
 
-NOISE = 15.0  # uT, standard deviation of a channel at rest, above which a skin is not healthy
+MAX_NOISE_UT = 15.0  # standard deviation of a channel at rest, above which a skin is not healthy
+NOISE_SAMPLES = 200
+MIN_MEASURED_SHARE = 0.1  # of a view's pixels
+TRANSFER_M = 0.1  # a guess of each of the three ways between sites, for the time of a touch
+SHOWN_REFUSALS = 5
 
 
-def dry_run(procedure: Procedure, plan: Plan, name: str, touches: int, out: Path) -> int:
-    """Say what would be done with what, and whether it could; returns the exit code."""
-    sites = [plan.site(number) for number in range(touches)]
-    unreachable = []
-    for site in sites:
-        try:
-            procedure.check(site)
-        except Unreachable as error:
-            unreachable.append((site.number, str(error)))
-    settings, rig = procedure.settings, procedure.rig
-    state = procedure.arm.state()
-    samples = procedure.skin.read(200)
-    noise = samples.reading.std(axis=0)
-    span = max(samples.time[-1] - samples.time[0], 1e-9)
-    view = procedure.camera.capture()
-    seen = np.isfinite(view.depth)
-    box = np.array([rig.limits.lower, rig.limits.upper]) + rig.T_world_base[:3, 3]
+class _Check(NamedTuple):
+    what: str
+    good: bool
+    said: str
+
+
+def dry_run(procedure: Procedure, sampler: SiteSampler, name: str, touches: int, out: Path) -> int:
+    """Say what would be done with what, and whether it could.
+
+    Args:
+        procedure: Its devices are connected.
+        sampler: Of the sites.
+        name: Of the object.
+        touches: How many there would be.
+        out: Folder of the touches; the plan's picture is drawn next to it.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        ValueError: The settings are beyond the arm's limits.
+        DeviceError: A device does not do its part.
+    """
+    procedure.check_settings()
+    sites = [sampler.site(number) for number in range(touches)]
+    refused = _refused(procedure, sites)
+    checks = _device_checks(procedure)
+    checks.append(_Check("sites", len(refused) < len(sites) / 2, f"{len(refused)} of {len(sites)} cannot be reached"))
+    source = procedure.arm.features.source
+    box = procedure.rig.limits.box + procedure.rig.T_world_base[:3, 3]
     path = out.with_name(f"{out.name}-plan.png")
     path.parent.mkdir(parents=True, exist_ok=True)
-    refused = {number for number, _ in unreachable}
-    picture(plan, sites, refused, box, path, f"{name}: {len(sites)} sites ({procedure.arm.features.source} arm)")
-    seconds = (
+    draw_plan(sampler, sites, set(refused), box, path, f"{name}: {len(sites)} sites ({source} arm)")
+    print(summary(procedure.rig))
+    seconds = touch_seconds(procedure.settings)
+    print(f"plan      {len(sites)} touches of {name}, about {seconds:.0f} s each; drawn in {path}")
+    for number, why in list(refused.items())[:SHOWN_REFUSALS]:
+        print(f"          site {number}: {why}")
+    for check in checks:
+        print(f"{'ok' if check.good else 'BAD':<9} {check.what}: {check.said}")
+    print("nothing was moved" + ("" if source == "simulated" else "; the arm was taken and let go"))
+    return 0 if all(check.good for check in checks) else 1
+
+
+def touch_seconds(settings: TouchSettings) -> float:
+    """About how long a touch takes.
+
+    Args:
+        settings: How it is made.
+
+    Returns:
+        s.
+    """
+    return (
         4 * settings.settle
         + (settings.prepare - settings.near) / settings.approach
         + settings.near / settings.press
         + settings.prepare / settings.retreat
-        + 3 * 0.1 / settings.speed
+        + 3 * TRANSFER_M / settings.speed
     )
-    checks = [
-        (procedure.arm.features.name, state.safe, f"tool at {np.round(state.T_b_t[:3, 3], 3).tolist()} m"),
-        (
+
+
+def _refused(procedure: Procedure, sites: list[Site]) -> dict[int, str]:
+    """Numbers of the sites that cannot be reached, and why."""
+    refused = {}
+    for site in sites:
+        try:
+            procedure.check(site)
+        except UnreachableError as error:
+            refused[site.number] = str(error)
+    return refused
+
+
+def _device_checks(procedure: Procedure) -> list[_Check]:
+    """What arm, skin and camera do."""
+    state = procedure.arm.state()
+    samples = procedure.skin.read(NOISE_SAMPLES)
+    noise = samples.reading.std(axis=0)
+    span = max(samples.time[-1] - samples.time[0], 1e-9)
+    view = procedure.camera.capture()
+    measured = np.isfinite(view.depth)
+    return [
+        _Check(procedure.arm.features.name, state.safe, f"tool at {np.round(state.T_b_t[:3, 3], 3).tolist()} m"),
+        _Check(
             procedure.skin.features.name,
-            bool(noise.max() < NOISE),
+            bool(noise.max() < MAX_NOISE_UT),
             f"{len(samples.time) / span:.0f} Hz, noise up to {noise.max():.1f} uT",
         ),
-        (
+        _Check(
             procedure.camera.features.name,
-            bool(seen.mean() > 0.1),
-            f"{100 * seen.mean():.0f} % of the pixels measured"
-            + (f", median {1e3 * np.nanmedian(view.depth):.0f} mm" if seen.any() else ""),
+            bool(measured.mean() > MIN_MEASURED_SHARE),
+            f"{100 * measured.mean():.0f} % of the pixels measured"
+            + (f", median {1e3 * np.nanmedian(view.depth):.0f} mm" if measured.any() else ""),
         ),
-        ("sites", len(unreachable) < len(sites) / 2, f"{len(unreachable)} of {len(sites)} cannot be reached"),
     ]
-    print(summary(rig))
-    print(f"plan      {len(sites)} touches of {name}, about {seconds:.0f} s each; drawn in {path}")
-    for number, why in unreachable[:5]:
-        print(f"          site {number}: {why}")
-    for what, good, said in checks:
-        print(f"{'ok' if good else 'BAD':<9} {what}: {said}")
-    print(
-        "nothing was moved" + ("" if procedure.arm.features.source == "simulated" else "; the arm was taken and let go")
-    )
-    return 0 if all(good for _, good, _ in checks) else 1
 
 
 def check_camera(procedure: Procedure) -> None:
-    """Refuse (ValueError) a camera that cannot see as near as the rig looks."""
+    """Refuse a camera that cannot see as near as the rig looks.
+
+    Args:
+        procedure: Its camera is connected.
+
+    Raises:
+        ValueError: The camera measures nothing so near.
+    """
     camera, distance = procedure.camera.features, procedure.rig.looking_distance
     if math.isfinite(camera.nearest) and camera.nearest > distance:
         raise ValueError(

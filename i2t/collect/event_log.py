@@ -1,7 +1,8 @@
-"""What is told of a touch while it is made, in memory and, against everything that may happen, in a raw file.
+"""The log of one touch while it is made: events, samples and states, in memory and, against a kill, in a raw file.
 
-A raw file begins with a line of JSON; entries follow, each a letter (e an event, s samples, a a state of the arm), its
-size (uint32) and its bytes, little-endian. A file that was cut off ends with its last whole entry.
+A raw file begins with a line of JSON that holds the board's number of chips; entries follow, each a letter (e an event,
+s samples, a a state of the arm), its size (uint32) and its bytes, little-endian. A file that was cut off ends with its
+last whole entry.
 """
 
 import errno
@@ -9,40 +10,66 @@ import json
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Protocol, runtime_checkable
 
 import numpy as np
+from jaxtyping import Float
 
 from i2t.errors import DataError, DeviceError
 from i2t.hardware.clock import Clock
 from i2t.hardware.protocols import ArmState, Samples
-from i2t.types import CHIPS, READINGS, Array
+from i2t.types import Array
 
-RAW = json.dumps({"touch": "i2t raw", "version": 1}).encode() + b"\n"
-ENTRY = struct.Struct("<cI")
+KIND = "i2t raw"
+CHIPS_OF_VERSION_1 = 5  # files of version 1 do not say how many chips their board has
+ENTRY_HEADER = struct.Struct("<cI")
 
 
-class Lost(DeviceError):
+class StorageError(DeviceError):
     """What was recorded cannot be kept: the disk is full or not ours, or the clock was set."""
 
 
-class Tape:
-    """What is told of a touch while it is made, in memory and in a file."""
-
-    def __init__(self, file: BinaryIO, clock: Clock) -> None:
-        self._file, self._clock = file, clock
-        self.readings: dict[int, Array] = {}  # by the sample's number: time, 15 values, 5 temperatures
-        self.states: list[ArmState] = []
-        self.events: list[tuple[float, str]] = []
+@runtime_checkable
+class TouchLog(Protocol):
+    """Who hears what is measured and what happens while a touch is made."""
 
     def samples(self, samples: Samples) -> None:
-        """Of the skin; the same sample may come twice."""
+        """Samples of the skin; the same sample may come twice."""
+
+    def state(self, state: ArmState) -> None:
+        """A state of the arm."""
+
+    def event(self, text: str) -> None:
+        """What happened now."""
+
+
+class EventLog:
+    """The log of a touch (`TouchLog`), in memory and in a file.
+
+    Args:
+        file: Open for writing, unbuffered; its header is written by this.
+        clock: That dates events.
+        chips: Number of the board's chips.
+
+    Raises:
+        StorageError: The file cannot be written.
+    """
+
+    def __init__(self, file: BinaryIO, clock: Clock, chips: int) -> None:
+        self._file, self._clock = file, clock
+        self.readings: dict[int, Float[Array, " k"]] = {}  # by sample number: time, 3 chips readings, temperatures
+        self.states: list[ArmState] = []
+        self.events: list[tuple[float, str]] = []
+        self._put(json.dumps({"touch": KIND, "version": 2, "chips": chips}).encode() + b"\n")
+
+    def samples(self, samples: Samples) -> None:
+        """Samples of the skin; the same sample may come twice."""
         rows = np.column_stack([samples.number, samples.time, samples.reading, samples.temperature])
         self.readings |= {int(row[0]): row[1:] for row in rows}
         self._write(b"s", rows.astype("<f8").tobytes())
 
     def state(self, state: ArmState) -> None:
-        """Of the arm."""
+        """A state of the arm."""
         self.states.append(state)
         row = np.concatenate([[state.time], state.T_b_t.ravel(), state.joints, state.velocity, state.wrench])
         self._write(b"a", row.astype("<f8").tobytes())
@@ -54,23 +81,35 @@ class Tape:
         self._write(b"e", json.dumps([now, text]).encode())
 
     def _write(self, kind: bytes, payload: bytes) -> None:
+        self._put(ENTRY_HEADER.pack(kind, len(payload)) + payload)
+
+    def _put(self, data: bytes) -> None:
         try:
-            self._file.write(ENTRY.pack(kind, len(payload)) + payload)
+            self._file.write(data)
         except (OSError, ValueError) as error:
-            raise lost(Path(self._file.name), error) from error
+            raise storage_error(Path(self._file.name), error) from error
 
 
 def read_raw(path: str | Path) -> Iterator[tuple[str, Any]]:
-    """Entries of a raw file: ("event", [s, text]), ("skin", (n, 22): number, s, 15 uT, 5 C) and ("arm", (35,): s, 16 of
-    T_b_t, 6 joints, 6 velocities, 6 of the wrench). It ends with the last whole one. Raises DataError.
+    """Entries of a raw file, up to the last whole one.
+
+    Args:
+        path: Such as a file of `.interrupted`.
+
+    Yields:
+        ("event", [s, text]), ("skin", (n, 2 + 4 chips): number, s, readings in uT, temperatures in degrees Celsius) and
+        ("arm", (29 + joints,): s, 16 of T_b_t, the joints, 6 of the velocity, 6 of the wrench).
+
+    Raises:
+        DataError: The file is of another kind.
     """
     data = Path(path).read_bytes()
-    if not data.startswith(RAW):
-        raise DataError(f"{path}: is no raw file of a touch; give one from .interrupted")
-    at = len(RAW)
-    while at + ENTRY.size <= len(data):
-        kind, size = ENTRY.unpack_from(data, at)
-        at += ENTRY.size
+    header, _, _ = data.partition(b"\n")
+    chips = _chips(Path(path), header)
+    at = len(header) + 1
+    while at + ENTRY_HEADER.size <= len(data):
+        kind, size = ENTRY_HEADER.unpack_from(data, at)
+        at += ENTRY_HEADER.size
         if at + size > len(data):
             return
         payload = data[at : at + size]
@@ -78,20 +117,39 @@ def read_raw(path: str | Path) -> Iterator[tuple[str, Any]]:
         if kind == b"e":
             yield "event", json.loads(payload)
         elif kind == b"s":
-            yield "skin", np.frombuffer(payload, "<f8").reshape(-1, 2 + READINGS + CHIPS)
+            yield "skin", np.frombuffer(payload, "<f8").reshape(-1, 2 + 4 * chips)
         elif kind == b"a":
             yield "arm", np.frombuffer(payload, "<f8")
 
 
-def lost(path: Path, error: Exception) -> Lost:
-    """What became of a file, in a sentence."""
+def _chips(path: Path, header: bytes) -> int:
+    """Number of chips by a raw file's header."""
+    try:
+        about = json.loads(header)
+        if about["touch"] == KIND:
+            return int(about["chips"]) if about["version"] > 1 else CHIPS_OF_VERSION_1
+    except (ValueError, KeyError, TypeError):
+        pass
+    raise DataError(f"{path}: is no raw file of a touch; give one from .interrupted")
+
+
+def storage_error(path: Path, error: Exception) -> StorageError:
+    """What became of a file, in a sentence.
+
+    Args:
+        path: Of the file or folder.
+        error: What the system said.
+
+    Returns:
+        The error to raise, with the remedy.
+    """
     code = getattr(error, "errno", None)
     remedy = {
         errno.ENOSPC: "the disk is full: free some space",
-        errno.EDQUOT: "your quota is used up: free some space",
+        getattr(errno, "EDQUOT", None): "your quota is used up: free some space",
         errno.EFBIG: "files may not grow so large here",
         errno.EROFS: "it may only be read: choose another folder",
         errno.EACCES: "it may not be written: choose another folder",
         errno.EPERM: "it may not be written: choose another folder",
     }.get(code or 0, f"{getattr(error, 'strerror', None) or error}: choose another folder")
-    return Lost(f"{path}: {remedy}, and go on where it stopped")
+    return StorageError(f"{path}: {remedy}, and go on where it stopped")

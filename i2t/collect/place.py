@@ -20,15 +20,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from i2t.cli import ended
-from i2t.collect.devices import read_object
 from i2t.collect.site_plan import orthonormal
+from i2t.emulators.world import read_object
 from i2t.hardware.camera_folder import RecordedDepthCamera
 from i2t.hardware.hand_eye import tool_pose
+from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.protocols import DepthCamera
 from i2t.hardware.realsense import RealSense
 from i2t.hardware.rig import Rig
-from i2t.hardware.ur.poses import from_ur
-from i2t.registration.touch import register_by_depth, camera_covariance
+from i2t.registration import camera_covariance, register_by_depth
 from i2t.types import TWIST_LEVER_M, Array
 
 
@@ -58,35 +58,40 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def place(asked: argparse.Namespace) -> str:
-    """Do what was asked; returns what to tell. Raises ValueError, OSError or DeviceError with one sentence."""
+    """Find where the object is.
+
+    Args:
+        asked: The command line.
+
+    Returns:
+        What to tell.
+
+    Raises:
+        ValueError: What was asked for cannot be read, or the view does not tell the pose.
+        OSError: A file cannot be read or written.
+        DeviceError: Camera or arm do not answer.
+    """
     if (asked.host is None) == (asked.tool is None):
         raise ValueError("the pose of the tool is needed: give --host, or --tool with the pendant's six numbers")
     rig = Rig.read(asked.rig)
     mesh = read_object(asked.object, asked.unit).mesh
-    T_b_t = tool_pose(asked.host) if asked.host is not None else from_ur(asked.tool)
-    lens = rig.camera
-    camera: DepthCamera = (
-        RecordedDepthCamera(asked.views)
-        if asked.views is not None
-        else RealSense(size=(lens.width, lens.height), distance=rig.looking_distance)
-    )
-    with camera:
-        depth = camera.capture().depth
-        T_w_c = rig.T_world_base @ T_b_t @ rig.T_tool_camera
-        table = None if asked.no_table else 0.0
+    T_b_t = tool_pose(asked.host) if asked.host is not None else pose_from_vector(asked.tool)
+    T_w_c = rig.T_world_base @ T_b_t @ rig.T_tool_camera
+    with _camera(asked, rig) as camera:
         found = register_by_depth(
             mesh,
             rig.T_world_object,
-            depth,
+            camera.capture().depth,
             camera.camera,
             T_w_c,
-            asked.distance,
-            math.radians(asked.angle),
-            table=table,
+            translation_std=asked.distance,
+            rotation_std=math.radians(asked.angle),
+            table_height=None if asked.no_table else 0.0,
         )
     T_w_o = orthonormal(np.asarray(found.T_w_o, float))
-    off, askew = asked.hand_eye
-    covariance = camera_covariance(found.covariance, np.linalg.inv(T_w_c) @ T_w_o, 1e-3 * off, math.radians(askew))
+    position_error, angle_error = asked.hand_eye
+    T_c_o = np.linalg.inv(T_w_c) @ T_w_o
+    covariance = camera_covariance(found.covariance, T_c_o, 1e-3 * position_error, math.radians(angle_error))
     noise, sigma = (np.sqrt(np.diag(np.asarray(each, float))) for each in (found.covariance, covariance))
     change = np.linalg.inv(rig.T_world_object) @ T_w_o
     turn = math.degrees(Rotation.from_matrix(change[:3, :3]).magnitude())
@@ -94,7 +99,7 @@ def place(asked: argparse.Namespace) -> str:
     lines = [
         f"{asked.object} is {1e3 * np.linalg.norm(change[:3, 3]):.1f} mm and {turn:.1f} degrees from what {asked.rig} "
         "says",
-        f"noise leaves {_apart(noise)}, with the camera's own place {_apart(sigma)}; {len(fit)} points fit within "
+        f"noise leaves {_spread(noise)}, with the camera's own place {_spread(sigma)}; {len(fit)} points fit within "
         f"{1e3 * float(np.sqrt(np.mean(fit**2))):.2f} mm RMS",
     ]
     if asked.write:
@@ -104,8 +109,16 @@ def place(asked: argparse.Namespace) -> str:
     return "\n".join(lines)
 
 
-def _apart(sigma: Array) -> str:
-    return f"{1e3 * np.linalg.norm(sigma[:3]):.2f} mm and {math.degrees(np.linalg.norm(sigma[3:]) / TWIST_LEVER_M):.2f} degrees"
+def _camera(asked: argparse.Namespace, rig: Rig) -> DepthCamera:
+    if asked.views is not None:
+        return RecordedDepthCamera(asked.views)
+    return RealSense(size=(rig.camera.width, rig.camera.height), distance=rig.looking_distance)
+
+
+def _spread(sigma: Array) -> str:
+    """Standard deviations (6,) of a twist, for a sentence."""
+    turn = math.degrees(np.linalg.norm(sigma[3:]) / TWIST_LEVER_M)
+    return f"{1e3 * np.linalg.norm(sigma[:3]):.2f} mm and {turn:.2f} degrees"
 
 
 if __name__ == "__main__":

@@ -1,44 +1,56 @@
-"""Collect touches of an object: an arm looks, presses and retreats, and every touch becomes a file.
+"""A session of collecting: what was done before, which site is next, and what is said meanwhile.
 
-    python -m i2t.collect                                        all simulated: see how it goes
-    python -m i2t.collect --arm emulated --skin emulated         the real drivers before stand-ins, in a lab's time
-    python -m i2t.collect --arm ur --host 192.168.1.10 --skin reskin --camera realsense --rig lab.toml \\
-        --object mug.stl --out DATA/mug --dry-run                checks everything, moves nothing
-
-The same command again goes on where it stopped. Ctrl-C or SIGTERM stops the arm and keeps everything. What it writes is
-a data set: `python -m experiments.train --dataset DATA`.
+`i2t.collect.command` is its command line.
 """
 
 import json
-import signal
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-import tyro
 from scipy.spatial.transform import Rotation
 
-from i2t.cli import ended
-from i2t.collect import devices as wiring
 from i2t.collect import recorder
+from i2t.collect.command import CollectArgs
+from i2t.collect.devices import (
+    ArmConfig,
+    CameraConfig,
+    DeviceConfig,
+    SkinConfig,
+    make_devices,
+    source_of,
+)
 from i2t.collect.dry_run import check_camera, dry_run
-from i2t.collect.procedure import Choose, Cut, Outcome, Procedure, Settings, Site, Unreachable
-from i2t.collect.recorder import Names, Recorder
-from i2t.collect.site_plan import Plan, cutter
+from i2t.collect.procedure import ChooseSite, ExtractPatch, Procedure, Site, SiteOutcome, UnreachableError
+from i2t.collect.recorder import Recorder, SessionInfo
+from i2t.collect.site_plan import SiteSampler, patch_extractor
 from i2t.depth.camera import Camera
+from i2t.emulators.world import (
+    EmulatedArmConfig,
+    EmulatedSkinConfig,
+    SimulatedArmConfig,
+    SimulatedCameraConfig,
+    SimulatedSkinConfig,
+    WorldConfig,
+    read_object,
+)
 from i2t.errors import DataError, DeviceError
-from i2t.hardware.protocols import View
+from i2t.hardware.camera_folder import CameraFolderConfig
+from i2t.hardware.plugins import DeviceKind, PluginConfig, is_plugin
+from i2t.hardware.protocols import View, channel_names
+from i2t.hardware.realsense import RealSenseConfig
+from i2t.hardware.reskin.config import ReplayConfig, ReSkinConfig
 from i2t.hardware.reskin.monitor import bar
 from i2t.hardware.rig import Rig
-from i2t.simulation import sites as touch_sites
-from i2t.types import CHIPS, ReturnCode
+from i2t.hardware.ur.config import UrConfig
+from i2t.types import ReturnCode
 
 ENDS = {
     ReturnCode.SKIN: "stopped by the skin",
@@ -46,131 +58,102 @@ ENDS = {
     ReturnCode.AIR: "met air",
     ReturnCode.FAILED: "failed",
 }
-SCALE = 50.0  # uT at the end of a bar
+BAR_SCALE_UT = 50.0  # at the end of a bar
 
 
-@dataclass(frozen=True)
-class Args:
-    """Collect touches of an object."""
+def collect(
+    args: CollectArgs, choose: ChooseSite | None = None, on_outcome: Callable[[SiteOutcome], None] | None = None
+) -> int:
+    """A collection from its beginning, or from where it stopped, to its end.
 
-    out: Path = Path("runs/collect")
-    """Folder of the touches; a collection that was begun there goes on."""
-    touches: int = 36
-    """How many there are to be."""
-    arm: Literal["ur", "simulated", "emulated"] = "simulated"
-    """Emulated: the real driver before a stand-in."""
-    skin: Literal["reskin", "simulated", "emulated", "replay"] = "simulated"
-    camera: Literal["realsense", "simulated", "folder"] = "simulated"
-    host: str | None = None
-    """Address of the UR controller."""
-    port: str | None = None
-    """Serial port of the skin; by default the one board that is plugged in."""
-    replay: Path | None = None
-    """Recording to play as the skin."""
-    views: Path | None = None
-    """Folder of views to show as the camera."""
-    rig: Path | None = None
-    """Calibration of the lab (python -m i2t.hardware.rig); real devices need one."""
-    object: str = "hexagon"
-    """Of the catalogue, or a mesh file."""
-    unit: Literal["m", "cm", "mm", "inch"] = "mm"
-    """Of a mesh file."""
-    pose: tuple[float, float, float, float, float, float] | None = None
-    """Of the object in the world: x y z in m, then turns about x y z in degrees; by default that of the rig."""
-    name: str | None = None
-    """Of the object in the data set; by default the catalogue's or the file's."""
-    pad: Path | None = None
-    """A pad on disk, for simulated skins."""
-    pad_name: str | None = None
-    """Of the skin in the data set."""
-    run: str | None = None
-    """Of the sitting in the data set; by default the object and the time at which it was begun."""
-    seed: int = 0
-    """Of the sites, and of what is simulated."""
-    exact: bool = False
-    """Simulated: object and camera are where they are believed to be."""
-    stiffness: float = 10e3
-    """Simulated: of arm and mount, N/m."""
-    stale: float | None = None
-    """s without news after which a UR arm is taken for lost: 0.1, and 0.5 for an emulated one beside other work."""
-    watchdog: float | None = None
-    """Hz, how often a UR controller must hear from us: 10, and 4 for an emulated one."""
-    dry_run: bool = False
-    """Check everything and draw the plan; move nothing and write no touch."""
-    settings: Settings = field(default_factory=Settings)
-    sites: touch_sites.Limits = field(default_factory=touch_sites.Limits)
+    Args:
+        args: As on the command line.
+        choose: Says which site is next; by default the next of a random list.
+        on_outcome: Hears of each touch once it is saved.
 
+    Returns:
+        The exit code.
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    args = tyro.cli(
-        Args,
-        args=argv,
-        description=__doc__,
-        prog="python -m i2t.collect",
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
-    before = signal.signal(signal.SIGTERM, _terminated)
-    try:
-        return ended(lambda: collect(args), f"stopped; everything is in {args.out}: the same command goes on")
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def collect(args: Args, choose: Choose | None = None, tell: Callable[[Outcome], None] | None = None) -> int:
-    """A collection from its beginning, or from where it stopped, to its end. `choose` says which site is next, by
-    default the next of a random list; `tell` hears of each touch once it is kept.
+    Raises:
+        ValueError: What was asked for does not go together, or cannot be read.
+        DeviceError: A person is needed.
     """
-    rig = _rig(args)
-    thing = wiring.read_object(args.object, args.unit)
-    name = args.name or (thing.name if args.object == thing.name else Path(args.object).stem)
-    plan = Plan(thing.mesh, rig.T_world_object, args.sites, args.seed, name)
-    done, notes = _resumed(args, name)
+    rig = read_rig(args)
+    target = read_object(args.object, args.unit)
+    name = args.name or (target.name if args.object == target.name else Path(args.object).stem)
+    done, notes = _resume(args, name)
+    config = device_config(args, begin=max(done.values(), default=0.0) + 1.0)
+    sampler = SiteSampler(target.mesh, rig.T_world_object, args.sites, args.seed, name)
     with ExitStack() as stack:
-        wanted = _wanted(args, done)
-        devices = wiring.build(wanted, rig, args.object, args.unit, stack)
+        devices = make_devices(config, rig, stack)
         if not args.dry_run and len(done) >= args.touches:
             print(f"{len(done)} touches are there already; raise --touches for more")
             return 0
         skin = stack.enter_context(devices.skin)
         camera = stack.enter_context(devices.camera)
-        cut = _warm(camera.camera, plan)
+        extract_patch = _compiled_extractor(camera.camera, sampler)
         arm = stack.enter_context(devices.arm)  # last, as it must not wait for a compiler
-        source = wiring.source_of(devices)
+        source = source_of(devices)
         print(_headline(args, source, name))
         procedure = Procedure(
-            arm, skin, camera, rig, devices.board, cut, plan.top, args.settings, devices.clock,
+            arm,
+            skin,
+            camera,
+            rig,
+            devices.board,
+            extract_patch,
+            sampler.top,
+            args.settings,
+            devices.clock,
             {int(number): why for number, why in notes["unreachable"].items()},
-        )  # fmt: skip
+        )
         check_camera(procedure)
         if args.dry_run:
-            return dry_run(procedure, plan, name, args.touches, args.out)
-        names = Names(
-            name, args.pad_name or _pad_name(args), notes["run"], source, devices.board, rig.T_world_base,
-            rig.T_world_object, camera.camera,
-            {"arm": arm.features.name, "skin": f"{skin.features.name} ({skin.features.source})"},
-        )  # fmt: skip
-        kept = stack.enter_context(Recorder(args.out, names, devices.clock))
-        kept.check()
-        recorder.write_notes(args.out, notes)
-        session = _Session(args, procedure, plan, set(done), notes)
-        try:
-            for outcome in procedure.run(choose or session.choose, kept):
-                session.told(outcome, kept)
-                if tell is not None:
-                    tell(outcome)
-        finally:
-            notes["unreachable"] = {str(number): why for number, why in procedure.unreachable.items()}
-            recorder.write_notes(args.out, notes)
-            print(session.summary(kept))
+            return dry_run(procedure, sampler, name, args.touches, args.out)
+        info = SessionInfo(
+            object=name,
+            pad=args.pad_name or _pad_name(args),
+            session=notes["session"],
+            source=source,
+            board=devices.board,
+            T_w_b=rig.T_world_base,
+            T_w_o=rig.T_world_object,
+            camera=camera.camera,
+            meta={"arm": arm.features.name, "skin": f"{skin.features.name} ({skin.features.source})"},
+        )
+        file_recorder = stack.enter_context(Recorder(args.out, info, devices.clock))
+        file_recorder.check()
+        session = _Session(args, procedure, sampler, set(done))
+        _run(session, choose or session.choose, file_recorder, notes, on_outcome)
     return 0
+
+
+def _run(
+    session: "_Session",
+    choose: ChooseSite,
+    file_recorder: Recorder,
+    notes: dict[str, Any],
+    on_outcome: Callable[[SiteOutcome], None] | None,
+) -> None:
+    """Touch until there are enough, and leave notes for the next time however it ends."""
+    out, procedure = session.args.out, session.procedure
+    recorder.write_notes(out, notes)
+    try:
+        for outcome in procedure.run(choose, file_recorder):
+            session.report(outcome, file_recorder)
+            if on_outcome is not None:
+                on_outcome(outcome)
+    finally:
+        notes["unreachable"] = {str(number): why for number, why in procedure.unreachable.items()}
+        recorder.write_notes(out, notes)
+        print(session.summary(file_recorder))
 
 
 class _Session:
     """Which site is next, and what is said meanwhile."""
 
-    def __init__(self, args: Args, procedure: Procedure, plan: Plan, done: set[int], notes: dict[str, Any]) -> None:
-        self.args, self.procedure, self.plan, self.done, self.notes = args, procedure, plan, done, notes
+    def __init__(self, args: CollectArgs, procedure: Procedure, sampler: SiteSampler, done: set[int]) -> None:
+        self.args, self.procedure, self.sampler, self.done = args, procedure, sampler, done
         self.before = len(done)
         self.tried = set(done)
         self.codes: Counter[ReturnCode] = Counter()
@@ -178,41 +161,41 @@ class _Session:
         self.live = sys.stdout.isatty()
         self.drawn = 0
 
-    def choose(self, history: Sequence[Outcome]) -> Site | None:
-        """The next site of the plan that can be reached, until there are enough touches."""
+    def choose(self, history: Sequence[SiteOutcome]) -> Site | None:
+        """The next sampled site that can be reached, until there are enough touches."""
         if len(self.done) >= self.args.touches:
             return None
         while True:
-            site = self.plan.next(self.tried)
+            site = self.sampler.next(self.tried)
             self.tried.add(site.number)
             try:
                 self.procedure.check(site)
                 return site
-            except Unreachable as error:
+            except UnreachableError as error:
                 self.procedure.unreachable[site.number] = str(error)
                 if len(self.procedure.unreachable) > 20 + 20 * self.args.touches:
                     raise DeviceError(f"hardly any site can be reached, the last not because {error}") from error
 
-    def told(self, outcome: Outcome, kept: Recorder) -> None:
+    def report(self, outcome: SiteOutcome, file_recorder: Recorder) -> None:
         """Show a touch."""
         self.codes[outcome.code] += 1
         now = time.monotonic()
         took, self.since = now - self.since, now
-        number, touched = outcome.site.number, outcome.touched
-        if touched is None:
+        number, touch = outcome.site.number, outcome.touch
+        if touch is None:
             self._show([f"site {number}: failed, {outcome.reason}"], keep=True)
             return
         self.done.add(number)
-        size = float(np.linalg.norm(touched.reading))
+        size = float(np.linalg.norm(touch.reading))
         left = (self.args.touches - len(self.done)) * (now - self.begun) / max(1, len(self.done) - self.before)
         line = (
             f"touch {len(self.done)}/{self.args.touches}  site {number}  {ENDS[outcome.code]}  {size:.1f} uT  "
-            f"{touched.force:.2f} N  {1e3 * touched.depth:.2f} mm  {took:.1f} s  {kept.kept[-1].name}"
+            f"{touch.force:.2f} N  {1e3 * touch.depth:.2f} mm  {took:.1f} s  {file_recorder.saved[-1].name}"
         )
+        names = (name.replace("chip", "chip ").replace("_", " ") for name in channel_names(len(touch.reading) // 3))
         bars = [
-            f"  chip {i} {axis}  {value:+7.1f}  {bar(value / SCALE)}"
-            for i in range(CHIPS)
-            for axis, value in zip("xyz", touched.reading[3 * i : 3 * i + 3], strict=True)
+            f"  {name}  {value:+7.1f}  {bar(value / BAR_SCALE_UT)}"
+            for name, value in zip(names, touch.reading, strict=True)
         ]
         self._show([line, *bars, f"  {left / 60:.0f} min to go"] if self.live else [line])
 
@@ -220,23 +203,24 @@ class _Session:
         print(f"\x1b[{self.drawn}F\x1b[J" if self.drawn else "", "\n".join(lines), sep="", flush=True)
         self.drawn = 0 if keep or not self.live else len(lines)
 
-    def summary(self, kept: Recorder) -> str:
+    def summary(self, file_recorder: Recorder) -> str:
         """The end of a session."""
-        made = len(kept.kept)
-        ways = ", ".join(f"{count} {ENDS[code]}" for code, count in sorted(self.codes.items()))
+        made = len(file_recorder.saved)
+        ends = ", ".join(f"{count} {ENDS[code]}" for code, count in sorted(self.codes.items()))
         seconds = time.monotonic() - self.begun
-        lost = self.procedure.skin.counters
+        counters = self.procedure.skin.counters
         lines = [
-            f"{len(self.done)} of {self.args.touches} touches are in {self.args.out}; {made} of them now ({ways})",
-            f"{seconds / max(1, made):.2f} s and {kept.bytes / max(1, made) / 1024:.0f} KiB a touch; of {lost.samples} "
-            f"samples {lost.lost} were lost; {len(self.procedure.unreachable)} sites cannot be reached",
+            f"{len(self.done)} of {self.args.touches} touches are in {self.args.out}; {made} of them now ({ends})",
+            f"{seconds / max(1, made):.2f} s and {file_recorder.bytes / max(1, made) / 1024:.0f} KiB a touch; of "
+            f"{counters.samples} samples {counters.lost} were lost; {len(self.procedure.unreachable)} sites cannot be "
+            "reached",
         ]
         if len(self.done) < self.args.touches:
             lines.append("the same command goes on where this stopped")
         return "\n".join(lines)
 
 
-def _resumed(args: Args, name: str) -> tuple[dict[int, float], dict[str, Any]]:
+def _resume(args: CollectArgs, name: str) -> tuple[dict[int, float], dict[str, Any]]:
     """Sites that were touched and when (Unix time), and the notes of the collection. Raises DataError."""
     files = recorder.touches_in(args.out) if args.out.is_dir() else []
     notes = recorder.read_notes(args.out)
@@ -245,29 +229,45 @@ def _resumed(args: Args, name: str) -> tuple[dict[int, float], dict[str, Any]]:
         "seed": args.seed,
         "devices": [args.arm, args.skin, args.camera],
         "pose": args.pose,
-        "sites": json.loads(json.dumps(vars(args.sites))),
+        "sites": vars(args.sites),
     }
     same = json.loads(json.dumps(same))
     if notes is None:
         if files:
             raise DataError(f"{args.out} holds touches of another making; choose another --out")
-        notes = {**same, "run": args.run or f"{name}, {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC", "unreachable": {}}
-        return {}, notes
+        session = args.session or f"{name}, {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"
+        return {}, {**same, "session": session, "unreachable": {}}
+    if "run" in notes:  # as earlier versions called it
+        notes["session"] = notes.pop("run")
     different = [key for key, value in same.items() if notes.get(key) != value]
     if different:
         raise DataError(
             f"{args.out} was begun with another {' and '.join(different)} "
             f"({'; '.join(f'{key}: {notes.get(key)}' for key in different)}); pass that again, or another --out"
         )
-    if args.run:
-        notes["run"] = args.run
-    return {recorder.site_of(file): recorder.written_at(file) for file in files}, notes
+    if args.session:
+        notes["session"] = args.session
+    return {recorder.site_number_of(file): recorder.written_at(file) for file in files}, notes
 
 
-def _rig(args: Args) -> Rig:
+# What the command line means
+
+
+def read_rig(args: CollectArgs) -> Rig:
+    """The lab's calibration, with the object where the command line says.
+
+    Args:
+        args: As on the command line.
+
+    Returns:
+        The rig; the emulators' own where none is named and no real arm is asked for.
+
+    Raises:
+        ValueError: A real arm needs a rig, or the file is damaged.
+    """
     if args.rig is None and args.arm == "ur":
         raise ValueError("a real arm needs to know its lab; write a rig (python -m i2t.hardware.rig) and pass --rig")
-    rig = wiring.read_rig(args.rig)
+    rig = Rig() if args.rig is None else Rig.read(args.rig)
     if args.pose is None:
         return rig
     T = np.eye(4)
@@ -275,15 +275,79 @@ def _rig(args: Args) -> Rig:
     return replace(rig, T_world_object=T, object_from="given")
 
 
-def _wanted(args: Args, done: dict[int, float]) -> wiring.Wanted:
-    begin = max(done.values(), default=0.0) + 1.0
-    return wiring.Wanted(
-        args.arm, args.skin, args.camera, args.host, args.port, args.replay, args.views, args.pad, args.seed,
-        args.exact, args.stiffness, args.stale, args.watchdog, begin,
-    )  # fmt: skip
+def device_config(args: CollectArgs, begin: float = 0.0) -> DeviceConfig:
+    """Configurations of the devices that a command line names.
+
+    Args:
+        args: As on the command line.
+        begin: Unix time (s) at which virtual time may begin.
+
+    Returns:
+        The configurations.
+
+    Raises:
+        ValueError: A name is not known, or what it needs is missing.
+    """
+    world = WorldConfig(args.object, args.unit, args.pad, args.seed, args.no_pose_error, args.stiffness)
+    return DeviceConfig(_arm_config(args), _skin_config(args), _camera_config(args), world, begin)
 
 
-def _headline(args: Args, source: str, name: str) -> str:
+def _arm_config(args: CollectArgs) -> ArmConfig:
+    given = {"state_timeout": args.state_timeout, "watchdog_rate": args.watchdog_rate}
+    watched = {name: value for name, value in given.items() if value is not None}
+    match args.arm:
+        case "simulated":
+            return SimulatedArmConfig()
+        case "emulated":
+            return EmulatedArmConfig(args.host, **watched)
+        case "ur" if args.host:
+            return UrConfig(args.host, **watched)
+        case "ur":
+            raise ValueError("a UR arm needs the address of its controller; pass --host")
+    return _plugin_config("arm", args.arm, args.host, "ur, simulated, emulated")
+
+
+def _skin_config(args: CollectArgs) -> SkinConfig:
+    match args.skin:
+        case "simulated":
+            return SimulatedSkinConfig()
+        case "emulated":
+            return EmulatedSkinConfig(args.port)
+        case "reskin":
+            return ReSkinConfig(args.port)
+        case "replay" if args.replay:
+            return ReplayConfig(args.replay)
+        case "replay":
+            raise ValueError("a replay needs a recording; pass --replay FILE")
+    return _plugin_config("skin", args.skin, args.port, "reskin, simulated, emulated, replay")
+
+
+def _camera_config(args: CollectArgs) -> CameraConfig:
+    match args.camera:
+        case "simulated":
+            return SimulatedCameraConfig()
+        case "realsense":
+            return RealSenseConfig()
+        case "folder" if args.views:
+            return CameraFolderConfig(args.views)
+        case "folder":
+            raise ValueError("a folder of views must be named; pass --views DIR")
+    return _plugin_config("camera", args.camera, str(args.views or "") or None, "realsense, simulated, folder")
+
+
+def _plugin_config(kind: DeviceKind, name: str, address: str | None, built_in: str) -> PluginConfig:
+    if not is_plugin(kind, name):
+        raise ValueError(
+            f"--{kind} {name} is not known; give one of {built_in}, a name that an installed package registers, or "
+            "package.module:Class"
+        )
+    return PluginConfig(name, address)
+
+
+# What is said
+
+
+def _headline(args: CollectArgs, source: str, name: str) -> str:
     devices = f"arm {args.arm}, skin {args.skin}, camera {args.camera}"
     said = {
         "simulated": "SIMULATED: no real device takes part",
@@ -293,19 +357,16 @@ def _headline(args: Args, source: str, name: str) -> str:
     return f"{name}: {devices} ({said})"
 
 
-def _pad_name(args: Args) -> str:
-    if args.skin == "reskin":
+def _pad_name(args: CollectArgs) -> str:
+    if args.skin not in ("simulated", "emulated", "replay"):
         return "skin"
     return f"simulated, {args.pad.stem}" if args.pad else "simulated pad 0"
 
 
-def _warm(camera: Camera, plan: Plan) -> Cut:
-    """What cuts patches, compiled."""
-    cut = cutter()
-    pose = plan.site(0).T_w_t
-    cut(View(0.0, np.full((camera.height, camera.width), 0.1, np.float32), None), camera, pose, pose)
-    return cut
-
-
-def _terminated(*_: Any) -> None:
-    sys.exit(128 + signal.SIGTERM)
+def _compiled_extractor(camera: Camera, sampler: SiteSampler) -> ExtractPatch:
+    """What extracts patches, compiled."""
+    extract_patch = patch_extractor()
+    pose = sampler.site(0).T_w_t
+    blank = View(0.0, np.full((camera.height, camera.width), 0.1, np.float32), None)
+    extract_patch(blank, camera, pose, pose)
+    return extract_patch

@@ -1,45 +1,45 @@
 """When the skin stops a press, and where that press began.
 
 A press ends where the mean change of some samples is large enough, and differs enough between chips: a change that all
-chips see alike, turned to common axes, is a field of the room. Afterwards its samples are followed back to first
-contact.
+chips see alike, turned to common axes, is a field of the room. Afterwards the contact onset is found by following the
+samples back to zero change.
 """
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
-from i2t.hardware.protocols import ArmState, Samples, Skin
-from i2t.types import CHIPS, READINGS, Array, Board
+from i2t.collect.event_log import TouchLog
+from i2t.hardware.protocols import ArmState, Skin
+from i2t.types import Array, Board
 
-RISING = (0.15, 0.7)  # parts of the final change between which a press is followed back to where it began
-
-
-class Rule(NamedTuple):
-    """How much is enough."""
-
-    skin_change: float  # uT, norm of the 15 values' change
-    uneven: float  # of it must differ between chips
-    mean_of: int  # samples
-    silence: float  # s without a sample
+ONSET_RANGE = (0.15, 0.7)  # shares of the final change between which the line of the contact onset is fitted
+MIN_ONSET_SAMPLES = 3
 
 
-@runtime_checkable
-class Listener(Protocol):
-    """Who is told of what is seen."""
+class StopRule(NamedTuple):
+    """Which change of a reading stops a press."""
 
-    def samples(self, samples: Samples) -> None:
-        """Of the skin."""
-
-    def state(self, state: ArmState) -> None:
-        """Of the arm."""
+    skin_change: float  # uT, norm of the change of a reading
+    nonuniform_share: float  # of it must differ between chips
+    averaged_samples: int
+    silence: float  # s without a sample, after which the press fails
 
 
-class Watch:
-    """The stop rule of the skin, asked with every state of an approach; it keeps what it saw."""
+class SkinStopCondition:
+    """The stop condition of the skin, asked with every state of an approach; it keeps what it saw.
 
-    def __init__(self, skin: Skin, board: Board, rule: Rule, ambient: Array, tape: Listener) -> None:
-        self._skin, self._board, self._rule, self._ambient, self._tape = skin, board, rule, ambient, tape
+    Args:
+        skin: Connected.
+        board: Of the skin.
+        rule: Which change is enough.
+        ambient: (3 chips,) uT, the reading before contact.
+        log: That hears of every sample and state.
+    """
+
+    def __init__(self, skin: Skin, board: Board, rule: StopRule, ambient: Float[Array, " c"], log: TouchLog) -> None:
+        self._skin, self._board, self._rule, self._ambient, self._log = skin, board, rule, ambient, log
         self._number = int(skin.latest().number[-1])
         self._last: list[Array] = []
         self._times: list[Array] = []
@@ -47,55 +47,101 @@ class Watch:
         self._states: list[tuple[float, Array]] = []
 
     def __call__(self, state: ArmState) -> float | None:
-        """The change (uT) if it is enough; raises DeviceTimeoutError if the skin says nothing."""
+        """Whether the skin has changed enough.
+
+        Args:
+            state: The arm's newest.
+
+        Returns:
+            The change (uT) if it is enough, else None.
+
+        Raises:
+            DeviceTimeoutError: The skin is silent.
+        """
+        self._hear(state)
         rule = self._rule
-        fresh = self._skin.since(self._number)
-        self._tape.state(state)
-        self._states.append((state.time, state.T_b_t[:3, 3]))
-        if len(fresh.number):
-            self._tape.samples(fresh)
-            self._number = int(fresh.number[-1])
-            self._times.append(fresh.time)
-            self._readings.append(fresh.reading)
-            self._last = [*self._last, *fresh.reading][-rule.mean_of :]
-        else:
-            self._skin.latest(rule.silence)
-        if len(self._last) < rule.mean_of:
+        if len(self._last) < rule.averaged_samples:
             return None
         change = np.mean(self._last, axis=0) - self._ambient
         size = float(np.linalg.norm(change))
-        apart = float(np.linalg.norm(unevenness(change, self._board)))
-        return size if size > rule.skin_change and apart > rule.uneven * rule.skin_change else None
+        nonuniform = float(np.linalg.norm(nonuniform_field(change, self._board)))
+        enough = size > rule.skin_change and nonuniform > rule.nonuniform_share * rule.skin_change
+        return size if enough else None
 
-    def press(self, started: float, T_b_t: Array) -> tuple[Array, Array]:
-        """Samples (n, 15) since a time, and how far (n,) m the tool was then before the pose where it ended."""
+    def _hear(self, state: ArmState) -> None:
+        """Take what is new; raises DeviceTimeoutError if the skin is silent."""
+        fresh = self._skin.since(self._number)
+        self._log.state(state)
+        self._states.append((state.time, state.T_b_t[:3, 3]))
+        if not len(fresh.number):
+            self._skin.latest(self._rule.silence)
+            return
+        self._log.samples(fresh)
+        self._number = int(fresh.number[-1])
+        self._times.append(fresh.time)
+        self._readings.append(fresh.reading)
+        self._last = [*self._last, *fresh.reading][-self._rule.averaged_samples :]
+
+    def press(self, started: float, T_b_t: Float[Array, "4 4"]) -> tuple[Float[Array, "n c"], Float[Array, " n"]]:
+        """Samples of a press, and where the tool was when they were taken.
+
+        Args:
+            started: s, when the press began.
+            T_b_t: (4, 4) tool in base where it ended.
+
+        Returns:
+            Readings (n, 3 chips) uT, and how far (n,) m the tool was before that end.
+        """
         if not self._readings or not self._states:
-            return np.zeros((0, READINGS)), np.zeros(0)
+            return np.zeros((0, self._board.num_readings)), np.zeros(0)
         times, readings = np.concatenate(self._times), np.concatenate(self._readings)
-        at = np.array([time for time, _ in self._states])
-        before = np.array([(T_b_t[:3, 3] - place) @ T_b_t[:3, 2] for _, place in self._states])
-        order = times >= started
-        return readings[order], np.interp(times[order], at, before)
+        state_times = np.array([time for time, _ in self._states])
+        before = np.array([(T_b_t[:3, 3] - position) @ T_b_t[:3, 2] for _, position in self._states])
+        during = times >= started
+        return readings[during], np.interp(times[during], state_times, before)
 
 
-def unevenness(change: Array, board: Board) -> Array:
-    """(5, 3) uT, tool axes: what of a change (15,) differs between chips."""
-    field = np.asarray(board.to_tool(change)).reshape(CHIPS, 3)
+def nonuniform_field(change: Float[Array, " c"], board: Board) -> Float[Array, "chips 3"]:
+    """What of a change differs between chips.
+
+    Args:
+        change: (3 chips,) uT, of a reading.
+        board: Whose reading it is.
+
+    Returns:
+        (chips, 3) uT in tool axes, with mean zero.
+    """
+    field = np.asarray(board.to_tool(change))
     return field - field.mean(axis=0)
 
 
-def onset(readings: Array, before: Array, ambient: Array, reading: Array) -> float:
-    """How far (m) a press went past first contact: of its samples (n, 15), taken `before` (n,) m ahead of where it
-    ended, those whose change along the final one (15,) has grown to between 15 and 70 % of it are followed back to
-    none by a straight line. NaN where there are fewer than three.
+def onset_distance(
+    readings: Float[Array, "n c"],
+    before: Float[Array, " n"],
+    ambient: Float[Array, " c"],
+    change: Float[Array, " c"],
+) -> float:
+    """How far a press went past first contact.
 
-    The line is that of a flat face; where force grows as travel to the power 1.5 it is a fifth of the way short.
+    A line is fitted to the samples whose change, along the final change, is 15 to 70 % of it, and extrapolated to zero
+    change. The line is that of a flat face; where force grows as indentation to the power 1.5 the result is a fifth too
+    short.
+
+    Args:
+        readings: uT, of the press.
+        before: m, how far the tool was before its end then.
+        ambient: uT, the reading before contact.
+        change: uT, the final change.
+
+    Returns:
+        m from first contact to the end; NaN where fewer than three samples are in that range.
     """
-    size = float(np.linalg.norm(reading))
-    grown = (readings - ambient) @ reading / max(size, 1e-9) ** 2
-    end = len(grown) - int(np.argmax((grown < RISING[0])[::-1])) if (grown < RISING[0]).any() else 0
-    rising = (np.arange(len(grown)) >= end) & (grown <= RISING[1])
-    if rising.sum() < 3 or np.ptp(grown[rising]) < 0.1:
+    size = float(np.linalg.norm(change))
+    share = (readings - ambient) @ change / max(size, 1e-9) ** 2
+    low = share < ONSET_RANGE[0]
+    last_low = len(share) - int(np.argmax(low[::-1])) if low.any() else 0
+    rising = (np.arange(len(share)) >= last_low) & (share <= ONSET_RANGE[1])
+    if rising.sum() < MIN_ONSET_SAMPLES or np.ptp(share[rising]) < 0.1:
         return float("nan")
-    slope, start = np.polyfit(grown[rising], before[rising], 1)
-    return float(max(0.0, start)) if slope < 0 else float("nan")
+    slope, onset = np.polyfit(share[rising], before[rising], 1)
+    return float(max(0.0, onset)) if slope < 0 else float("nan")

@@ -1,27 +1,29 @@
 """Skin, arm and depth camera of a lab that is not there, behind the protocols of the real ones.
 
-    lab = Lab(Scene(mesh, T_b_o, pad, errors), Virtual())
+    lab = SimulatedLab(ObjectScene(mesh, T_b_o, pad, errors), VirtualClock())
     with SimulatedSkin(lab) as skin, SimulatedArm(lab, rig.limits) as arm: ...
 
-All three live in one `Lab`, in whose time a tool moves (`i2t.emulators.robot_motion`) and meets an object
-(`i2t.emulators.scene`). On a `Virtual` clock nobody waits: whoever would wait moves time on, and a touch of ten seconds
+All three live in one `SimulatedLab`, in whose time a tool moves (`i2t.emulators.robot_motion`) and meets an object
+(`i2t.emulators.scene`). On a `VirtualClock` nobody waits: whoever would wait moves time on, and a touch of ten seconds
 takes a fraction of one. On the clock of this machine it takes as long as in a lab. What the arm is told reaches it
 `latency` seconds late, which is what a press runs past its limit by. They call themselves simulated.
 """
 
 import threading
 from collections import deque
-from collections.abc import Callable
-from typing import Any, SupportsIndex, TypeVar
+from collections.abc import Callable, Sequence
+from typing import Any, SupportsIndex, TypeAlias
 
 import numpy as np
 
 from i2t.depth.camera import Camera
 from i2t.emulators.robot_motion import Robot
-from i2t.emulators.scene import Feeler, Met, Scene, noisy, see, shades
+from i2t.emulators.scene import ContactModel, ObjectScene, TouchableScene
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
+from i2t.hardware.base import CameraBase, DeviceBase
 from i2t.hardware.clock import Clock
-from i2t.hardware.limits import Limits
+from i2t.hardware.limits import BRAKING_M_S2, MotionLimits
+from i2t.hardware.poses import pose_from_vector, pose_to_vector, shifted_along_z
 from i2t.hardware.protocols import (
     ApproachResult,
     ArmFeatures,
@@ -30,28 +32,37 @@ from i2t.hardware.protocols import (
     Samples,
     SkinCounters,
     SkinFeatures,
+    StopReason,
     View,
+    channel_names,
 )
-from i2t.hardware.reskin.stream import CHANNELS
-from i2t.hardware.ur.driver import BRAKE, from_ur, to_ur
-from i2t.types import CHIPS, READINGS, Array
+from i2t.simulation.depth_camera import add_depth_noise, render_view, shade_view
+from i2t.types import Array
 
-TICK = 2.5e-3  # s, of motion and of the skin's samples
-LOOK = 3  # ticks between two looks at an arm that is watched
-STATES = 125.0  # Hz
-EARTH = (18.0, -7.0, -41.0)  # uT in tool axes
-WARM, WARMTH = 24.6, 0.1  # degrees Celsius, and their noise
-FAR = 3  # ticks that a tool far from everything moves at once
-SLOW = 1.0  # s, after which the slow common field is another one; an assumption
-BLOCK = 1024  # samples whose noise is drawn at once
-IDLE = 60.0  # s: what nobody looked at for longer is left out
-HOME = (0.4, 0.0, 0.3, np.pi, 0.0, 0.0)  # pose of the tool at the start: pointing down
+TICK_S = 2.5e-3  # of motion and of the skin's samples
+LOOK_TICKS = 3  # between two looks at an arm that is watched
+STATE_RATE_HZ = 125.0
+NUM_JOINTS = 6
+QUEUE_SAMPLES = 4096
+EARTH_FIELD_UT = (18.0, -7.0, -41.0)  # in tool axes
+CHIP_TEMPERATURE_C, CHIP_NOISE_C = 24.6, 0.1
+FAR_TICKS = 3  # that a tool far from everything moves at once
+SLOW_FIELD_S = 1.0  # after which the slow common field is another one; an assumption
+NOISE_BLOCK = 1024  # samples whose noise is drawn at once
+MAX_IDLE_S = 60.0  # what nobody looked at for longer is left out
+HOME_POSE = (0.4, 0.0, 0.3, np.pi, 0.0, 0.0)  # m and rotation vector of the tool at the start: pointing down
+NEAREST_DEPTH_M = 0.03  # that the simulated camera measures
+FRAME_RATE_HZ = 30.0
 
-D = TypeVar("D", bound="_Simulated")
+Row: TypeAlias = tuple[int, float, Array, Array]  # number, time, reading and temperatures of a sample
 
 
-class Virtual:
-    """Time that passes only when somebody waits; `wall` is the Unix time at which it begins."""
+class VirtualClock:
+    """Time that passes only when somebody waits.
+
+    Args:
+        wall: Unix time (s) at which it begins.
+    """
 
     def __init__(self, wall: float) -> None:
         self._now, self._begun = 0.0, wall
@@ -69,69 +80,98 @@ class Virtual:
         self._now += max(0.0, seconds)
 
 
-class Lab:
-    """A tool that moves in a scene, and its skin's samples, up to the clock's present."""
+class SimulatedLab:
+    """A tool that moves in a scene, and its skin's samples, up to the clock's present.
 
-    def __init__(self, scene: Met, clock: Clock, seed: int = 0, feeler: Feeler | None = None) -> None:
+    Args:
+        scene: What the tool meets.
+        clock: In whose time it moves.
+        seed: Of the noise.
+        contact_model: What the tool feels; by default made of the scene.
+    """
+
+    def __init__(
+        self, scene: TouchableScene, clock: Clock, seed: int = 0, contact_model: ContactModel | None = None
+    ) -> None:
         self.scene, self.clock, self.noise = scene, clock, scene.errors.noise
-        self.feeler = feeler or Feeler(scene)
-        self.robot = Robot(np.array(HOME), self.feeler, np.zeros(6), scene.errors.force)
+        self.contact_model = contact_model or ContactModel(scene)
+        self.robot = Robot(np.array(HOME_POSE), self.contact_model, np.zeros(6), scene.errors.force)
         self.time = clock.now()
         self.lock = threading.RLock()
-        self.samples: deque[tuple[int, float, Array, Array]] = deque(maxlen=4096)
+        self.samples: deque[Row] = deque(maxlen=QUEUE_SAMPLES)
         self.number = 0
         self.recording = False  # whether somebody holds the skin
         self._random = np.random.default_rng((seed, 1))
-        self._rest = scene.rest + scene.board.to_board(np.tile(np.array(EARTH), (CHIPS, 1)))
+        chips = scene.board.num_chips
+        self._rest = scene.rest + scene.board.to_board(np.tile(np.array(EARTH_FIELD_UT), (chips, 1)))
         self._slow = np.zeros(3)
-        steps = self.noise.steps(scene.board.num_chips)
+        steps = self.noise.steps(chips)
         self._steps = np.where(steps > 0, steps, 1e-6)
         self._noise: list[tuple[Array, Array]] = []
 
-    def catch_up(self) -> None:
+    def advance(self) -> None:
         """Move tool and samples on to the present."""
         with self.lock:
             now = self.clock.now()
-            self.time = max(self.time, now - IDLE)
-            while self.time + TICK <= now:
-                ticks = min(FAR if self.feeler.far(self.robot.position) else 1, max(1, int((now - self.time) / TICK)))
+            self.time = max(self.time, now - MAX_IDLE_S)
+            while self.time + TICK_S <= now:
+                at_once = FAR_TICKS if self.contact_model.far(self.robot.position) else 1
+                ticks = min(at_once, max(1, int((now - self.time) / TICK_S)))
                 if self.robot.motion is not None:
-                    self.robot.step(ticks * TICK)
+                    self.robot.step(ticks * TICK_S)
                 self.robot.felt()
                 for _ in range(ticks):
-                    self.time += TICK
+                    self.time += TICK_S
                     if self.recording:
                         self.samples.append((self.number, self.time, *self._sample()))
                         self.number += 1
 
     def _sample(self) -> tuple[Array, Array]:
-        """A reading (15,) uT and temperatures (5,)."""
+        """A reading (3 chips,) uT and temperatures (chips,)."""
         if not self._noise:
             self._noise = self._draw()
         noise, celsius = self._noise.pop()
-        reading = self._rest + self.feeler.reading + noise
+        reading = self._rest + self.contact_model.reading + noise
         return np.rint(reading / self._steps) * self._steps, celsius
 
     def _draw(self) -> list[tuple[Array, Array]]:
         """Noise as `i2t.skin.noise` has it, but with a slow field that changes by and by."""
-        size = self.noise
-        drawn = self._random.standard_normal((BLOCK, READINGS + 3 + CHIPS))
-        kept = np.exp(-TICK / SLOW)
-        slow = np.empty((BLOCK, 3))
-        for i, news in enumerate(np.sqrt(1 - kept**2) * drawn[:, READINGS : READINGS + 3]):
+        size, board = self.noise, self.scene.board
+        chips, channels = board.num_chips, board.num_readings
+        drawn = self._random.standard_normal((NOISE_BLOCK, channels + 3 + chips))
+        kept = np.exp(-TICK_S / SLOW_FIELD_S)
+        slow = np.empty((NOISE_BLOCK, 3))
+        for i, news in enumerate(np.sqrt(1 - kept**2) * drawn[:, channels : channels + 3]):
             self._slow = kept * self._slow + news
             slow[i] = self._slow
         slow *= np.sqrt(size.common) * np.array([size.xy, size.xy, size.z])
-        white = size.sigma(CHIPS) * np.sqrt(1 - size.common) * drawn[:, :READINGS]
-        noise = white + self.scene.board.to_board(np.repeat(slow[:, None], CHIPS, axis=1))
-        celsius = WARM + WARMTH * (size.xy > 0) * drawn[:, READINGS + 3 :]
+        white = size.sigma(chips) * np.sqrt(1 - size.common) * drawn[:, :channels]
+        noise = white + board.to_board(np.repeat(slow[:, None], chips, axis=1))
+        celsius = CHIP_TEMPERATURE_C + CHIP_NOISE_C * (size.xy > 0) * drawn[:, channels + 3 :]
         return list(zip(noise, celsius, strict=True))
 
+    def rows(self, rows: Sequence[Row]) -> Samples:
+        """Samples of rows.
 
-class _Simulated:
-    """What the devices of a lab share."""
+        Args:
+            rows: Some of `samples`, in order; maybe none.
 
-    def __init__(self, lab: Lab, name: str) -> None:
+        Returns:
+            The samples.
+        """
+        n, board = len(rows), self.scene.board
+        return Samples(
+            np.array([row[0] for row in rows], np.int64),
+            np.array([row[1] for row in rows], np.float64),
+            np.array([row[2] for row in rows], np.float64).reshape(n, board.num_readings),
+            np.array([row[3] for row in rows], np.float64).reshape(n, board.num_chips),
+        )
+
+
+class _SimulatedDevice(DeviceBase):
+    """What skin and arm of a lab share."""
+
+    def __init__(self, lab: SimulatedLab, name: str) -> None:
         self.lab, self._name = lab, name
         self._trouble: DeviceError | None = NotConnectedError(f"{name} is not connected; call connect() or use with")
 
@@ -143,42 +183,41 @@ class _Simulated:
         """Let it go."""
         self._trouble = NotConnectedError(f"{self._name} was closed; connect it again")
 
-    def __enter__(self: D) -> D:
-        self.connect()
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self.close()
-
     def _check(self) -> None:
+        """Raise what is wrong, else move the lab on to the present."""
         if self._trouble is not None:
             raise type(self._trouble)(*self._trouble.args)
-        self.lab.catch_up()
+        self.lab.advance()
 
 
-class SimulatedSkin(_Simulated):
-    """A skin (`i2t.hardware.protocols.Skin`) at 400 Hz. `silent` makes it fall silent, for rehearsals."""
+class SimulatedSkin(_SimulatedDevice):
+    """A skin (`i2t.hardware.protocols.Skin`) at 400 Hz; `silent` makes it fall silent.
 
-    def __init__(self, lab: Lab) -> None:
+    Args:
+        lab: In which its arm moves.
+    """
+
+    def __init__(self, lab: SimulatedLab) -> None:
         super().__init__(lab, "the simulated skin")
+        self.board = lab.scene.board
         self.silent = False
         self._connects = 0
 
     @property
     def features(self) -> SkinFeatures:
         """Known before `connect`."""
-        return SkinFeatures(self._name, "simulated", CHANNELS, "uT", 1 / TICK)
+        return SkinFeatures(self._name, "simulated", channel_names(self.board.num_chips), "uT", 1 / TICK_S)
 
     @property
     def counters(self) -> SkinCounters:
         """So far; nothing is ever lost."""
-        rate = 1 / TICK if self._trouble is None else 0.0
+        rate = 1 / TICK_S if self._trouble is None else 0.0
         return SkinCounters(samples=self.lab.number, connects=self._connects, rate=rate)
 
     def connect(self) -> None:
         """Begin to send; the past is not sent."""
         with self.lab.lock:
-            self.lab.catch_up()
+            self.lab.advance()
             self.lab.recording = True
         self._connects += 1
         super().connect()
@@ -196,32 +235,32 @@ class SimulatedSkin(_Simulated):
             age = self.lab.clock.now() - self.lab.samples[-1][1]
             if age > timeout:
                 raise DeviceTimeoutError(f"{self._name} has been silent for {age:.2g} s")
-            return _rows([self.lab.samples[-1]])
+            return self.lab.rows([self.lab.samples[-1]])
 
     def read(self, count: int, timeout: float | None = None) -> Samples:
         """The next `count` samples."""
-        if not 0 < count <= 4096:
-            raise ValueError(f"{count} samples were asked for; the queue holds 1 to 4096")
+        if not 0 < count <= QUEUE_SAMPLES:
+            raise ValueError(f"{count} samples were asked for; the queue holds 1 to {QUEUE_SAMPLES}")
         self._check()
         called, before = self.lab.clock.now(), self.lab.number - 1
-        timeout = 2 * count * TICK + 0.5 if timeout is None else timeout
+        timeout = 2 * count * TICK_S + 0.5 if timeout is None else timeout
         while True:
             self._check()
             with self.lab.lock:
                 got = [row for row in self._after(before) if row[1] > called][:count]
             if len(got) == count:
-                return _rows(got)
+                return self.lab.rows(got)
             if self.lab.clock.now() - called >= timeout:
                 raise DeviceTimeoutError(f"{self._name} gave {len(got)} of {count} samples in {timeout:.2g} s")
-            self.lab.clock.sleep(min((count - len(got)) * TICK, timeout))
+            self.lab.clock.sleep(min((count - len(got)) * TICK_S, timeout))
 
     def since(self, number: SupportsIndex) -> Samples:
         """Samples after sample `number` that are still queued."""
         self._check()
         with self.lab.lock:
-            return _rows(self._after(int(number)))
+            return self.lab.rows(self._after(int(number)))
 
-    def _after(self, number: int) -> list[tuple[int, float, Array, Array]]:
+    def _after(self, number: int) -> list[Row]:
         if self.silent:
             self.lab.recording = False
         rows = []
@@ -232,35 +271,38 @@ class SimulatedSkin(_Simulated):
         return rows[::-1]
 
 
-class SimulatedArm(_Simulated):
-    """An arm (`i2t.hardware.protocols.Arm`) with guarded approaches, as `i2t.hardware.ur.driver.UR` has them.
+class SimulatedArm(_SimulatedDevice):
+    """An arm with guarded approaches (`i2t.hardware.protocols.GuardedArm`).
 
-    What it is told to do while it moves reaches it `latency` (s) late.
+    Args:
+        lab: In which it moves.
+        limits: That no motion exceeds.
+        latency: s, by which what it is told while it moves reaches it late.
     """
 
-    def __init__(self, lab: Lab, limits: Limits, latency: float = 0.03) -> None:
+    def __init__(self, lab: SimulatedLab, limits: MotionLimits, latency: float = 0.03) -> None:
         super().__init__(lab, "the simulated arm")
         self.limits, self.latency = limits, latency
 
     @property
     def features(self) -> ArmFeatures:
         """Known before `connect`."""
-        box = np.array([self.limits.lower, self.limits.upper], float)
-        return ArmFeatures(self._name, "simulated", STATES, box, self.limits.speed, self.limits.acceleration)
+        limits = self.limits
+        return ArmFeatures(self._name, "simulated", STATE_RATE_HZ, limits.box, limits.speed, limits.acceleration)
 
     def connect(self) -> None:
         """Take it."""
         super().connect()
-        self.lab.catch_up()
+        self.lab.advance()
 
     def close(self) -> None:
         """Stop it and let it go."""
         with self.lab.lock:
-            self.lab.robot.stop(BRAKE)
+            self.lab.robot.stop(BRAKING_M_S2)
         super().close()
 
     def state(self, timeout: float = 0.1) -> ArmState:
-        """The present state."""
+        """The present state; `timeout` never passes."""
         self._check()
         with self.lab.lock:
             robot = self.lab.robot
@@ -268,53 +310,52 @@ class SimulatedArm(_Simulated):
             T_b_t = np.eye(4)
             T_b_t[:3, :3], T_b_t[:3, 3] = robot.turned, robot.position
             return ArmState(
-                self.lab.time,
-                T_b_t,
-                np.zeros(6),
-                robot.twist,
-                wrench.ravel(),
-                robot.motion is not None,
-                True,
+                time=self.lab.time,
+                T_b_t=T_b_t,
+                joints=np.zeros(NUM_JOINTS),
+                velocity=robot.twist,
+                wrench=wrench.ravel(),
+                moving=robot.motion is not None,
+                safe=True,
             )
 
     def move(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> Array:
-        """Start a straight motion; one under way is replaced."""
+        """Start a straight motion; one under way is replaced. See `i2t.hardware.protocols.Arm.move`."""
         self._check()
-        speed = self.limits.speed if speed is None else speed
-        acceleration = self.limits.acceleration if acceleration is None else acceleration
-        self.limits.check(T_b_t, speed, acceleration)
+        speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)
         if self.lab.robot.motion is not None:
             self.stop()
+        vector = pose_to_vector(T_b_t)
         with self.lab.lock:
             robot = self.lab.robot
-            self.lab.feeler.stands(robot.position, robot.turned)  # however short it stood
-            robot.line_to(np.array(to_ur(T_b_t)), speed, acceleration)
-        return from_ur(to_ur(T_b_t))
+            self.lab.contact_model.stands(robot.position, robot.turned)  # however short it stood
+            robot.line_to(np.array(vector), speed, acceleration)
+        return pose_from_vector(vector)
 
     def stop(self, timeout: float = 1.0) -> None:
-        """Brake and return when it stands."""
+        """Brake and return when it stands; raises DeviceError where it does not in time (s)."""
         self._check()
         with self.lab.lock:
-            self.lab.robot.stop(BRAKE)
-        for _ in range(round(timeout / TICK)):
+            self.lab.robot.stop(BRAKING_M_S2)
+        for _ in range(round(timeout / TICK_S)):
             if not self.state().moving:
                 return
-            self.lab.clock.sleep(TICK)
+            self.lab.clock.sleep(TICK_S)
         raise DeviceError(f"{self._name} was not seen to stop within {timeout:g} s")
 
     def zero_wrench(self, timeout: float = 1.0) -> None:
-        """Take the wrench felt now as zero."""
+        """Take the wrench felt now as zero; raises DeviceError while it moves."""
         if self.state().moving:
             raise DeviceError("The wrench can be zeroed only while the arm stands.")
         robot = self.lab.robot
         robot.zero = robot.felt() + robot.bias
 
     def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
-        """Move straight to a pose and return the state at rest; raises DeviceError if something is in the way."""
+        """Move straight to a pose and wait. See `i2t.hardware.protocols.GuardedArm.go`."""
         felt = float(np.linalg.norm(self.state().wrench[:3]))
         self.move(T_b_t, speed, acceleration)
         while True:
-            self.lab.clock.sleep(LOOK * TICK)
+            self.lab.clock.sleep(LOOK_TICKS * TICK_S)
             state = self.state()
             force = float(np.linalg.norm(state.wrench[:3]))
             if not state.moving:
@@ -325,64 +366,66 @@ class SimulatedArm(_Simulated):
 
     def approach(
         self,
-        travel: float,
+        distance: float,
         speed: float = 0.005,
-        verdict: Callable[[ArmState], Any] | None = None,
+        stop_condition: Callable[[ArmState], Any] | None = None,
         force: float = 8.0,
         torque: float = 8.0,
         acceleration: float = 0.2,
     ) -> ApproachResult:
-        """Move along the tool's z axis until something says stop."""
-        self.limits.check_approach(travel, force, torque)
+        """Move along tool z until something says stop. See `i2t.hardware.protocols.GuardedArm.approach`."""
+        self.limits.check_approach(distance, force, torque)
         start = self.state().T_b_t
-        goal = start.copy()
-        goal[:3, 3] += travel * goal[:3, 2]
-        self.move(goal, speed, acceleration)
-        reason: Any = "travel"
-        said: Any = None
+        self.move(shifted_along_z(start, distance), speed, acceleration)
+        reason: StopReason = "distance"
+        answer: Any = None
         try:
             while True:
-                self.lab.clock.sleep(LOOK * TICK)
+                self.lab.clock.sleep(LOOK_TICKS * TICK_S)
                 trigger = self.state()
                 if not trigger.moving:
                     break
-                said = verdict(trigger) if verdict is not None else None
-                size = np.linalg.norm(trigger.wrench.reshape(2, 3), axis=1)
-                reason = "force" if size[0] > force else "torque" if size[1] > torque else "verdict" if said else reason
-                if reason != "travel":
+                answer = stop_condition(trigger) if stop_condition is not None else None
+                felt = np.linalg.norm(trigger.wrench.reshape(2, 3), axis=1)
+                if felt[0] > force:
+                    reason = "force"
+                elif felt[1] > torque:
+                    reason = "torque"
+                elif answer:
+                    reason = "condition"
+                if reason != "distance":
                     break
         finally:
             if self.lab.robot.motion is not None:
                 self.lab.clock.sleep(self.latency)
-                self.lab.catch_up()
+                self.lab.advance()
                 self.stop()
         state = self.state()
         moved = float(np.linalg.norm(state.T_b_t[:3, 3] - start[:3, 3]))
-        return ApproachResult(reason, said, trigger, state, moved)
+        return ApproachResult(reason, answer, trigger, state, moved)
 
 
-class SimulatedCamera:
-    """A depth camera (`i2t.hardware.protocols.DepthCamera`) on a tool, of which `pose` tells T_b_t: of a simulated arm,
-    or of any other that moves in the scene.
+class SimulatedCamera(CameraBase):
+    """A depth camera (`i2t.hardware.protocols.DepthCamera`) on the tool of an arm.
+
+    Args:
+        scene: What it sees.
+        camera: Its size and lens, without distortion.
+        T_t_c: (4, 4) where it is believed to be in the tool.
+        pose: Gives T_b_t (4, 4) of the tool now: of a simulated arm, or of any other that moves in the scene.
+        clock: That dates its views.
+        seed: Of the noise.
     """
 
     def __init__(
-        self, scene: Scene, camera: Camera, T_t_c: Array, pose: Callable[[], Array], clock: Clock, seed: int = 0
+        self, scene: ObjectScene, camera: Camera, T_t_c: Array, pose: Callable[[], Array], clock: Clock, seed: int = 0
     ) -> None:
-        self._scene, self._camera, self._pose, self._clock = scene, camera, pose, clock
+        super().__init__(CameraFeatures("the simulated camera", "simulated", NEAREST_DEPTH_M, FRAME_RATE_HZ))
+        self._camera: Camera = camera
+        self._scene, self._pose, self._clock = scene, pose, clock
         self._T_t_c = scene.T_t_camera @ np.asarray(T_t_c)
         self._random = np.random.default_rng((seed, 2))
         self._open = False
-
-    @property
-    def features(self) -> CameraFeatures:
-        """Known before `connect`."""
-        return CameraFeatures("the simulated camera", "simulated", 0.03, 30.0)
-
-    @property
-    def camera(self) -> Camera:
-        """Size and lens."""
-        return self._camera
 
     def connect(self) -> None:
         """Switch it on."""
@@ -392,28 +435,12 @@ class SimulatedCamera:
         """Switch it off."""
         self._open = False
 
-    def __enter__(self) -> "SimulatedCamera":
-        self.connect()
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self.close()
-
     def capture(self, timeout: float = 2.0) -> View:
-        """A view from where the tool is now."""
+        """A view from where the tool is now; `timeout` never passes. Raises NotConnectedError."""
         if not self._open:
-            raise NotConnectedError("the simulated camera is not connected; call connect() or use with")
+            raise self._not_connected()
         self._clock.sleep(1 / self.features.rate)
         T_b_c = self._pose() @ self._T_t_c
-        depth, which = see(self._scene.triangles, T_b_c, self._camera)
-        colour = shades(self._scene.triangles, which, T_b_c)
-        return View(self._clock.now(), noisy(depth, self._scene.errors, self._random), colour)
-
-
-def _rows(rows: list[tuple[int, float, Array, Array]]) -> Samples:
-    return Samples(
-        np.array([row[0] for row in rows], np.int64),
-        np.array([row[1] for row in rows], np.float64),
-        np.array([row[2] for row in rows], np.float64).reshape(len(rows), READINGS),
-        np.array([row[3] for row in rows], np.float64).reshape(len(rows), CHIPS),
-    )
+        depth, which = render_view(self._scene.triangles, T_b_c, self._camera)
+        colour = shade_view(self._scene.triangles, which, T_b_c)
+        return View(self._clock.now(), add_depth_noise(depth, self._scene.errors, self._random), colour)

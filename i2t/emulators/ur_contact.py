@@ -1,7 +1,7 @@
 """What the tool of the emulated UR arm touches: an object, through the skin's physics (`i2t.emulators.scene`).
 
 The only part of that process that needs JAX, imported only if there is an object. The object stands where the rig's
-file says it is, but for the errors of a run of that seed.
+file says it is, but for the errors of a session of that seed.
 """
 
 import contextlib
@@ -9,61 +9,66 @@ import socket
 import struct
 from pathlib import Path
 
-import jax
 import numpy as np
+from jaxtyping import Float
 
-from i2t.emulators.scene import Feeler, Met, Scene
+from i2t.emulators.scene import ContactModel, TouchableScene
+from i2t.emulators.world import WorldConfig, make_scene
 from i2t.hardware.rig import Rig
-from i2t.objects import catalogue
-from i2t.simulation.touches import Errors
-from i2t.skin.files import load_pad
-from i2t.skin.pad import sample_pad
-from i2t.types import READINGS, Array
-
-PAD = 1000  # key of the random pad, the same as pad 0 of experiments.train
+from i2t.types import Array
 
 
-class BoardPublishingContactModel(Feeler):
-    """A feeler that tells a board what it feels, by datagrams: the skin's own field at rest and what a press changes.
-    The board keeps the newest.
+class BoardPublishingContactModel(ContactModel):
+    """A contact model that tells a board what the skin feels, by datagrams: the skin's own field at rest and what a
+    press changes. The board keeps the newest.
+
+    Args:
+        scene: What the tool meets.
+        to: Address and port where the board listens.
+        wait: Work out contact lines at once, not beside.
     """
 
-    def __init__(self, scene: Met, to: tuple[str, int], wait: bool = False) -> None:
+    def __init__(self, scene: TouchableScene, to: tuple[str, int], wait: bool = False) -> None:
         super().__init__(scene, wait)
-        self._to, self._told = to, np.full(READINGS, np.nan)
+        self._to, self._told = to, np.full(scene.board.num_readings, np.nan)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 
-    def __call__(self, position: Array, turned: Array) -> Array:
-        """Wrench (6,) on the tool at a pose, base axes."""
+    def __call__(self, position: Float[Array, "3"], turned: Float[Array, "3 3"]) -> Float[Array, "6"]:
+        """Wrench on the tool at a pose.
+
+        Args:
+            position: (3,) m, base axes.
+            turned: (3, 3) tool axes in the base.
+
+        Returns:
+            (6,) N and Nm, base axes.
+        """
         wrench = super().__call__(position, turned)
         if not np.array_equal(self.reading, self._told):
+            reading = self.scene.rest + self.reading
             with contextlib.suppress(OSError):
-                self._socket.sendto(struct.pack(f"<{READINGS}f", *(self.scene.rest + self.reading)), self._to)
+                self._socket.sendto(struct.pack(f"<{len(reading)}f", *reading), self._to)
                 self._told = self.reading
         return wrench
 
 
-def feeler(
-    name: str,
-    unit: str,
-    rig: Path | None,
-    pad: Path | None,
-    seed: int,
-    exact: bool,
-    stiffness: float,
-    board: tuple[str, int] | None,
-) -> Feeler:
-    """The contact with an object of the catalogue, or a mesh file in `unit`; raises ValueError or OSError, with one
-    sentence.
+def make_contact_model(world: WorldConfig, rig: Path | None, board: tuple[str, int] | None) -> ContactModel:
+    """The contact with an object; it takes some seconds, in which everything is compiled.
 
-    With `exact` there are no errors of placement; `stiffness` is that of arm and mount in N/m; `board` is where an
-    emulated board wants to be told. It takes some seconds, in which everything is compiled.
+    Args:
+        world: What is there.
+        rig: File that says where; by default the emulators' own rig.
+        board: Where an emulated board wants to be told what the skin feels.
+
+    Returns:
+        What a moving tool feels.
+
+    Raises:
+        ValueError: Object, pad or rig cannot be used.
+        OSError: A file cannot be read.
     """
     setup = Rig() if rig is None else Rig.read(rig)
-    mesh = (catalogue.make_object(name) if name in catalogue.NAMES else catalogue.load_mesh(name, unit)[0]).mesh
-    skin = jax.jit(sample_pad)(jax.random.key(PAD)) if pad is None else load_pad(pad)
-    errors = Errors().scaled(0.0) if exact else Errors()
-    scene = Scene(mesh, setup.T_base_world @ setup.T_world_object, skin, errors, stiffness, seed)
+    scene = make_scene(world, setup)
     scene.ahead(setup.T_base_world @ setup.T_world_object)  # compiled before anybody waits for it
-    return Feeler(scene, wait=False) if board is None else BoardPublishingContactModel(scene, board)
+    return ContactModel(scene, wait=False) if board is None else BoardPublishingContactModel(scene, board)

@@ -132,11 +132,13 @@ def main(arguments: list[str] | None = None) -> None:
     noise = args.noise or 0.0
     try:
         if args.object is not None:
-            from i2t.emulators.ur_contact import feeler
+            from i2t.emulators.ur_contact import make_contact_model
+            from i2t.emulators.world import WorldConfig
 
             address = args.skin.rsplit(":", 1) if args.skin else None
             board = (address[0], int(address[1])) if address else None
-            contact = feeler(args.object, args.unit, args.rig, args.pad, args.seed, args.exact, args.mount, board)
+            world = WorldConfig(args.object, args.unit, args.pad, args.seed, args.exact, args.mount)
+            contact = make_contact_model(world, args.rig, board)
             noise = contact.scene.errors.force if args.noise is None else args.noise
         robot = Robot(np.array(args.pose), contact, np.array([*args.bias, 0.0, 0.0, 0.0], float), noise)
         timed = [(float(seconds), command) for seconds, command in args.after]

@@ -12,48 +12,46 @@ Views come in the order of their names. Once all were given, or a file is missin
 import time
 import tomllib
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from i2t.depth.camera import IMAGE_SUFFIXES, Camera, Encoding, check_image, read_depth
-from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
+from i2t.errors import DeviceError, DeviceTimeoutError
+from i2t.hardware.base import CameraBase
 from i2t.hardware.protocols import CameraFeatures, View
 from i2t.types import Array
 
-UNIT = 1e-4  # m, of what `keep` writes: 6.5 m are the most that 16 bits hold
+DEPTH_UNIT_M = 1e-4  # of what `save_views` writes: 6.5 m are the most that 16 bits hold
 DESCRIPTION = "camera.toml"
 
-F = TypeVar("F", bound="RecordedDepthCamera")
+
+@dataclass(frozen=True)
+class CameraFolderConfig:
+    """Recorded views in place of a camera; see `RecordedDepthCamera`."""
+
+    folder: Path
 
 
-class RecordedDepthCamera:
-    """Recorded views as a camera (`i2t.hardware.protocols.DepthCamera`), from view number `first` on; `loop` begins
-    again where they end.
+class RecordedDepthCamera(CameraBase):
+    """Recorded views as a camera (`i2t.hardware.protocols.DepthCamera`).
+
+    Args:
+        path: Folder of the views.
+        first: Number of the view to begin with.
+        loop: Begin again where they end.
+        rate: Hz, at which they come.
     """
 
     def __init__(self, path: str | Path, first: int = 0, loop: bool = False, rate: float = 30.0) -> None:
+        super().__init__(CameraFeatures(f"the folder {path}", "folder", 0.0, rate))
         self._path, self._first, self._loop = Path(path), first, loop
-        self._features = CameraFeatures(f"the folder {path}", "folder", 0.0, rate)
-        self._camera: Camera | None = None
         self._names: list[str] | None = None
         self._next = 0
         self._due = 0.0
-
-    @property
-    def features(self) -> CameraFeatures:
-        """Known before `connect`, but for the nearest depth."""
-        return self._features
-
-    @property
-    def camera(self) -> Camera:
-        """Size and lens; raises NotConnectedError before `connect` has read them."""
-        if self._camera is None:
-            raise NotConnectedError(f"{self._features.name} is not connected; its lens is read then")
-        return self._camera
 
     def connect(self) -> None:
         """Read what the folder holds, and begin with its first view; raises DeviceError."""
@@ -72,26 +70,19 @@ class RecordedDepthCamera:
         """Give no more views."""
         self._names = None
 
-    def __enter__(self: F) -> F:
-        self.connect()
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self.close()
-
     def capture(self, timeout: float = 2.0) -> View:
         """The next view, at the camera's rate; raises DeviceError where there is none."""
         names = self._names
         if names is None:
-            raise NotConnectedError(f"{self._features.name} is not connected; call connect() or use with")
+            raise self._not_connected()
         if self._next >= len(names):
             if not self._loop:
-                raise DeviceError(f"{self._features.name} has given all its views; connect again for the first")
+                raise DeviceError(f"{self._name} has given all its views; connect again for the first")
             self._next = self._first
         wait = max(0.0, self._due - time.monotonic())
         if wait > timeout:
             time.sleep(timeout)
-            raise DeviceTimeoutError(f"{self._features.name} gave no view in {timeout:.2g} s; ask for them less often")
+            raise DeviceTimeoutError(f"{self._name} gave no view in {timeout:.2g} s; ask for them less often")
         time.sleep(wait)
         when = time.monotonic()
         self._due = when + 1 / self._features.rate
@@ -112,7 +103,7 @@ class RecordedDepthCamera:
                 colour = np.asarray(image.convert("RGB"))
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error).removeprefix(f"{path}: ")
-            raise DeviceError(f"{self._features.name} cannot give {path.name}: {reason}; restore {path}") from error
+            raise DeviceError(f"{self._name} cannot give {path.name}: {reason}; restore {path}") from error
         if colour.shape[:2] != depth.shape:
             raise DeviceError(f"{path} has {colour.shape[:2]} pixels where depth has {depth.shape}; align it to depth")
         return depth, colour
@@ -140,18 +131,18 @@ def read_description(path: str | Path) -> tuple[Camera, float | str, str, float]
         raise DeviceError(f"{file}: {reason}; see i2t.hardware.camera_folder for what it holds") from error
 
 
-def keep(path: str | Path, camera: Camera, views: Iterable[View]) -> Iterator[View]:
+def save_views(path: str | Path, camera: Camera, views: Iterable[View]) -> Iterator[View]:
     """Write views to a new folder as they pass; raises FileExistsError if there is one, OSError if it cannot be
     written.
     """
     path = Path(path)
     for sub in (path, path / "depth"):
         sub.mkdir(parents=True)
-    lens = {**asdict(camera), "model": str(camera.model), "scale": UNIT}
+    lens = {**asdict(camera), "model": str(camera.model), "scale": DEPTH_UNIT_M}
     lines = [f"{key} = {list(value) if isinstance(value, tuple) else _text(value)}" for key, value in lens.items()]
     (path / DESCRIPTION).write_text("\n".join(lines) + "\n", "utf-8")
     for number, view in enumerate(views):
-        units = np.nan_to_num(np.round(view.depth / UNIT), nan=0.0)
+        units = np.nan_to_num(np.round(view.depth / DEPTH_UNIT_M), nan=0.0)
         Image.fromarray(np.clip(units, 0, 65535).astype(np.uint16)).save(path / "depth" / f"{number:06d}.png")
         if view.colour is not None:
             (path / "colour").mkdir(exist_ok=True)

@@ -18,7 +18,7 @@ class Clock(Protocol):
         """Wait."""
 
 
-class Monotonic:
+class MonotonicClock:
     """The clocks of this machine."""
 
     def now(self) -> float:

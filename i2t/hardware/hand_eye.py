@@ -35,15 +35,15 @@ from scipy.spatial.transform import Rotation
 from i2t.cli import ended
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError
-from i2t.hardware.hand_eye_fit import CORNERS, Found, Sight, fit, lines_of_sight
+from i2t.hardware.hand_eye_fit import MIN_CORNERS, BoardView, HandEyeResult, fit, pixel_rays
 from i2t.hardware.rig import Rig
 from i2t.types import Array
 
-PRINTED = 300 / 25.4  # pixels per mm of a printed board: 300 dpi
+PRINT_PIXELS_PER_MM = 300 / 25.4  # pixels per mm of a printed board: 300 dpi
 
 
 @dataclass(frozen=True)
-class Board:
+class CharucoBoard:
     """A ChArUco board: columns and rows of squares, the edges of squares and markers (m)."""
 
     columns: int = 8
@@ -59,7 +59,7 @@ class Board:
                 "m is none; give at least 3 x 3 squares, in metres, larger than their markers"
             )
 
-    def drawn(self, pixels_per_mm: float = PRINTED) -> Array:
+    def drawn(self, pixels_per_mm: float = PRINT_PIXELS_PER_MM) -> Array:
         """(h, w) uint8, with a margin of a square."""
         edge = round(1e3 * self.square * pixels_per_mm)
         size = ((self.columns + 2) * edge, (self.rows + 2) * edge)
@@ -92,12 +92,12 @@ class Board:
         return cv2, cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, markers)
 
 
-def estimate(path: Path, board: Board) -> tuple[Found, Array, list[str]]:
+def estimate(path: Path, board: CharucoBoard) -> tuple[HandEyeResult, Array, list[str]]:
     """What a folder of views tells, T_camera_image of its images (4, 4), and the names of the images that were used.
     Raises ValueError with one sentence.
     """
     camera, T_c_image = _lens(path / "camera.toml")
-    sights, names = [], []
+    views, names = [], []
     for name, T_b_t in _poses(path / "poses.csv"):
         file = path / "images" / name
         try:
@@ -113,16 +113,18 @@ def estimate(path: Path, board: Board) -> tuple[Found, Array, list[str]]:
                 f"{camera.height}; give the lens of these images"
             )
         corners, pixels = board.find(image)
-        if len(corners) >= CORNERS:
-            sights.append(Sight(T_b_t, corners, lines_of_sight(camera, pixels)))
+        if len(corners) >= MIN_CORNERS:
+            views.append(BoardView(T_b_t, corners, pixel_rays(camera, pixels)))
             names.append(name)
     try:
-        return fit(sights, (camera.fx + camera.fy) / 2), T_c_image, names
+        return fit(views, (camera.fx + camera.fy) / 2), T_c_image, names
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def capture(path: Path, camera: Any, pose: Callable[[], Array], more: Callable[[int], bool], board: Board) -> int:
+def capture(
+    path: Path, camera: Any, pose: Callable[[], Array], more: Callable[[int], bool], board: CharucoBoard
+) -> int:
     """Keep colour images of a connected `RealSense` and the tool's poses in a new folder, as long as `more(number)`
     says so; returns how many.
     """
@@ -135,7 +137,9 @@ def capture(path: Path, camera: Any, pose: Callable[[], Array], more: Callable[[
             if number == 0:
                 (path / "camera.toml").write_text(_lens_text(seen.camera, seen.T_c_colour), "utf-8")
             found = len(board.find(seen.image)[0])
-            print(f"view {number}: {found} corners" + ("" if found >= CORNERS else "; too few, it will not be used"))
+            print(
+                f"view {number}: {found} corners" + ("" if found >= MIN_CORNERS else "; too few, it will not be used")
+            )
             name = f"{number:03d}.png"
             Image.fromarray(seen.image).save(path / "images" / name)
             turn = Rotation.from_matrix(T_b_t[:3, :3]).as_rotvec()
@@ -212,7 +216,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "python -m i2t.hardware.hand_eye", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     shape = argparse.ArgumentParser(add_help=False)
-    for each in fields(Board):
+    for each in fields(CharucoBoard):
         shape.add_argument(f"--{each.name}", type=type(each.default), default=each.default)
     steps = parser.add_subparsers(dest="step", required=True)
     draw = steps.add_parser("board", parents=[shape], help="draw the board")
@@ -228,15 +232,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     tell.add_argument("--write", action="store_true", help="put the estimate into it")
     asked = parser.parse_args(arguments)
     do = {"board": _draw, "capture": _capture, "estimate": _estimate}[asked.step]
-    return ended(lambda: do(asked, Board(**{each.name: getattr(asked, each.name) for each in fields(Board)})))
+    return ended(
+        lambda: do(asked, CharucoBoard(**{each.name: getattr(asked, each.name) for each in fields(CharucoBoard)}))
+    )
 
 
-def _draw(asked: argparse.Namespace, board: Board) -> None:
+def _draw(asked: argparse.Namespace, board: CharucoBoard) -> None:
     Image.fromarray(board.drawn()).save(asked.file, dpi=(300, 300))
     print(f"{asked.file}: print it at 100 %; a square must measure {1e3 * board.square:g} mm")
 
 
-def _capture(asked: argparse.Namespace, board: Board) -> None:
+def _capture(asked: argparse.Namespace, board: CharucoBoard) -> None:
     from i2t.hardware.realsense import RealSense
 
     def more(number: int) -> bool:
@@ -251,18 +257,20 @@ def _capture(asked: argparse.Namespace, board: Board) -> None:
     print(f"{asked.folder}: {count} views")
 
 
-def _estimate(asked: argparse.Namespace, board: Board) -> None:
+def _estimate(asked: argparse.Namespace, board: CharucoBoard) -> None:
     if asked.write and asked.rig is None:
         raise ValueError("--write needs the file to write into; give --rig")
     rig = Rig.read(asked.rig) if asked.rig is not None else None
     found, T_c_image, names = estimate(asked.folder, board)
     T_t_c = found.T_t_c @ np.linalg.inv(T_c_image)
     print(
-        f"{len(names)} views, {found.rms:.2f} pixels RMS; the worst is {names[int(found.views.argmax())]} with ", end=""
+        f"{len(names)} views, {found.rms:.2f} pixels RMS; the worst is {names[int(found.view_rms.argmax())]} with ",
+        end="",
     )
-    print(f"{found.views.max():.2f}")
+    print(f"{found.view_rms.max():.2f}")
     print(
-        f"standard error {1e3 * found.distance:.2f} mm, {math.degrees(found.angle):.2f} degrees (jackknife over views)"
+        f"standard error {1e3 * found.position_error:.2f} mm, {math.degrees(found.rotation_error):.2f} degrees "
+        "(jackknife over views)"
     )
     with np.printoptions(precision=6, suppress=True):
         print(f"T_tool_camera =\n{T_t_c}")

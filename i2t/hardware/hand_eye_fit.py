@@ -21,12 +21,12 @@ from scipy.spatial.transform import Rotation
 from i2t.depth.camera import Camera, Distortion
 from i2t.types import Array
 
-FEWEST, CORNERS = 6, 6  # views, and corners of each
-TILT = math.radians(5)  # root mean square turn about a second axis, under which the problem is nearly singular
-PIXEL = 1.0  # from where on a corner counts less than its square
+MIN_VIEWS, MIN_CORNERS = 6, 6  # views, and corners of each
+MIN_TILT_RAD = math.radians(5)  # root mean square turn about a second axis, under which the problem is nearly singular
+LOSS_SCALE_PX = 1.0  # from where on a corner counts less than its square
 
 
-class Sight(NamedTuple):
+class BoardView(NamedTuple):
     """A board seen from one pose of the tool."""
 
     T_b_t: Array  # (4, 4)
@@ -34,20 +34,29 @@ class Sight(NamedTuple):
     rays: Array  # (k, 2) lines of sight
 
 
-class Found(NamedTuple):
+class HandEyeResult(NamedTuple):
     """A camera in a tool."""
 
     T_t_c: Array  # (4, 4)
     T_b_o: Array  # (4, 4) the board
     rms: float  # pixels, of all corners
-    views: Array  # (n,) pixels, of each view
-    distance: float  # m, one standard error of the camera's place
-    angle: float  # rad, one standard error of its turn
+    view_rms: Array  # (n,) pixels, of each view
+    position_error: float  # m, one standard error of the camera's place
+    rotation_error: float  # rad, one standard error of its turn
 
 
-def lines_of_sight(camera: Camera, pixels: Array) -> Array:
-    """Lines of sight (k, 2) of pixels (k, 2); raises ValueError for a lens other than the Brown-Conrady family's (see
-    `i2t.depth.distortion`, of which this is the part without JAX).
+def pixel_rays(camera: Camera, pixels: Array) -> Array:
+    """Lines of sight of pixels; the part of `i2t.depth.distortion` that needs no JAX.
+
+    Args:
+        camera: Its lens.
+        pixels: (k, 2) columns and rows.
+
+    Returns:
+        (k, 2) x / z and y / z in the camera.
+
+    Raises:
+        ValueError: The lens is not of the Brown-Conrady family.
     """
     seen = (np.asarray(pixels, float) - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
     if not any(camera.coefficients):
@@ -71,23 +80,32 @@ def _bend(camera: Camera, at: Array) -> Array:
     return radial + np.stack([2 * p1 * x * y + p2 * (square + 2 * x**2), 2 * p2 * x * y + p1 * (square + 2 * y**2)], 1)
 
 
-def fit(sights: Sequence[Sight], focal: float) -> Found:
-    """The camera in the tool; `focal` (pixels) turns lines of sight into pixels. Raises ValueError where the views do
-    not tell it.
+def fit(views: Sequence[BoardView], focal: float) -> HandEyeResult:
+    """The camera in the tool.
+
+    Args:
+        views: Of the board.
+        focal: Pixels, that turns lines of sight into pixels.
+
+    Returns:
+        Where the camera and the board are, and how well that is known.
+
+    Raises:
+        ValueError: The views do not determine it.
     """
-    if len(sights) < FEWEST:
-        raise ValueError(f"the board was found in {len(sights)} views; take at least {FEWEST}, better 15")
-    T_c_o = np.stack([board_pose(sight) for sight in sights])
-    tools = np.stack([sight.T_b_t for sight in sights])
+    if len(views) < MIN_VIEWS:
+        raise ValueError(f"the board was found in {len(views)} views; take at least {MIN_VIEWS}, better 15")
+    T_c_o = np.stack([board_pose(view) for view in views])
+    tools = np.stack([view.T_b_t for view in views])
     X = closed_form(tools, T_c_o)
     Y = _mean([T @ X @ seen for T, seen in zip(tools, T_c_o, strict=True)])
-    whole = _refine(sights, focal, X, Y)
-    parts = [_refine([*sights[:i], *sights[i + 1 :]], focal, *whole[:2]) for i in range(len(sights))]
+    whole = _refine(views, focal, X, Y)
+    parts = [_refine([*views[:i], *views[i + 1 :]], focal, *whole[:2]) for i in range(len(views))]
     moved = np.array([np.linalg.norm(X[:3, 3] - whole[0][:3, 3]) for X, _ in parts])
     turned = np.array([_turn(X[:3, :3], whole[0][:3, :3]) for X, _ in parts])
-    each = [_miss(*whole, sight) * focal for sight in sights]
-    spread = (len(sights) - 1) / len(sights)
-    return Found(
+    each = [_miss(*whole, view) * focal for view in views]
+    spread = (len(views) - 1) / len(views)
+    return HandEyeResult(
         *whole,
         math.sqrt((np.concatenate(each) ** 2).sum(1).mean()),
         np.array([math.sqrt((miss**2).sum(1).mean()) for miss in each]),
@@ -96,14 +114,24 @@ def fit(sights: Sequence[Sight], focal: float) -> Found:
     )
 
 
-def board_pose(sight: Sight) -> Array:
-    """T_c_o (4, 4) from one view's homography between the board and lines of sight."""
-    if len(sight.corners) < CORNERS:
-        raise ValueError(f"a view shows {len(sight.corners)} corners; at least {CORNERS} are needed")
-    scale = np.abs(sight.corners).max()
-    flat = np.column_stack([sight.corners[:, :2] / scale, np.ones(len(sight.corners))])
+def board_pose(view: BoardView) -> Array:
+    """The board's pose from one view's homography between the board and lines of sight.
+
+    Args:
+        view: With at least `MIN_CORNERS` corners.
+
+    Returns:
+        (4, 4) T_c_o.
+
+    Raises:
+        ValueError: It shows too few corners.
+    """
+    if len(view.corners) < MIN_CORNERS:
+        raise ValueError(f"a view shows {len(view.corners)} corners; at least {MIN_CORNERS} are needed")
+    scale = np.abs(view.corners).max()
+    flat = np.column_stack([view.corners[:, :2] / scale, np.ones(len(view.corners))])
     zero = np.zeros_like(flat)
-    x, y = sight.rays[:, :1], sight.rays[:, 1:]
+    x, y = view.rays[:, :1], view.rays[:, 1:]
     equations = np.concatenate([np.hstack([flat, zero, -x * flat]), np.hstack([zero, flat, -y * flat])])
     H = np.linalg.svd(equations)[2][-1].reshape(3, 3) @ np.diag([1 / scale, 1 / scale, 1])
     H *= np.sign(H[2, 2]) / math.sqrt(np.linalg.norm(H[:, 0]) * np.linalg.norm(H[:, 1]))  # before the camera
@@ -114,13 +142,22 @@ def board_pose(sight: Sight) -> Array:
 
 
 def closed_form(tools: Array, T_c_o: Array) -> Array:
-    """T_t_c (4, 4) from poses of the tool (n, 4, 4) T_b_t and what the camera saw; raises ValueError for views between
-    which the tool turns about one axis at most.
+    """The camera in the tool, by two linear steps (Park and Martin).
+
+    Args:
+        tools: (n, 4, 4) T_b_t of the views.
+        T_c_o: (n, 4, 4) what the camera saw.
+
+    Returns:
+        (4, 4) T_t_c.
+
+    Raises:
+        ValueError: The tool turned about one axis at most.
     """
     A = np.linalg.inv(tools[1:]) @ tools[0]  # t_i <- t_0
     B = T_c_o[1:] @ np.linalg.inv(T_c_o[0])  # c_i <- c_0, and A X = X B
     turns = Rotation.from_matrix(A[:, :3, :3]).as_rotvec()
-    if np.linalg.svd(turns)[1][1] / math.sqrt(len(tools)) < TILT:
+    if np.linalg.svd(turns)[1][1] / math.sqrt(len(tools)) < MIN_TILT_RAD:
         raise ValueError(
             "the tool turned about one axis at most between the views; tilt it by 15 degrees or more about two"
         )
@@ -132,11 +169,11 @@ def closed_form(tools: Array, T_c_o: Array) -> Array:
     return X
 
 
-def _refine(sights: Sequence[Sight], focal: float, X: Array, Y: Array) -> tuple[Array, Array]:
+def _refine(views: Sequence[BoardView], focal: float, X: Array, Y: Array) -> tuple[Array, Array]:
     """X and Y with the least squares of what was seen, from a guess."""
-    index = np.repeat(np.arange(len(sights)), [len(sight.corners) for sight in sights])
-    T_t_b = np.linalg.inv(np.stack([sight.T_b_t for sight in sights]))[index]
-    corners, rays = np.concatenate([s.corners for s in sights]), np.concatenate([s.rays for s in sights])
+    index = np.repeat(np.arange(len(views)), [len(view.corners) for view in views])
+    T_t_b = np.linalg.inv(np.stack([view.T_b_t for view in views]))[index]
+    corners, rays = np.concatenate([s.corners for s in views]), np.concatenate([s.rays for s in views])
 
     def miss(change: Array) -> Array:
         T_c_t, T_b_o = np.linalg.inv(X @ _motion(change[:6])), Y @ _motion(change[6:])
@@ -145,15 +182,15 @@ def _refine(sights: Sequence[Sight], focal: float, X: Array, Y: Array) -> tuple[
         seen = tool @ T_c_t[:3, :3].T + T_c_t[:3, 3]
         return (focal * (seen[:, :2] / seen[:, 2:] - rays)).ravel()
 
-    found = least_squares(miss, np.zeros(12), loss="soft_l1", f_scale=PIXEL, x_scale="jac", max_nfev=100).x
+    found = least_squares(miss, np.zeros(12), loss="soft_l1", f_scale=LOSS_SCALE_PX, x_scale="jac", max_nfev=100).x
     return X @ _motion(found[:6]), Y @ _motion(found[6:])
 
 
-def _miss(X: Array, Y: Array, sight: Sight) -> Array:
+def _miss(X: Array, Y: Array, view: BoardView) -> Array:
     """(k, 2) by which lines of sight are missed."""
-    T = np.linalg.inv(sight.T_b_t @ X) @ Y
-    seen = sight.corners @ T[:3, :3].T + T[:3, 3]
-    return seen[:, :2] / seen[:, 2:] - sight.rays
+    T = np.linalg.inv(view.T_b_t @ X) @ Y
+    seen = view.corners @ T[:3, :3].T + T[:3, 3]
+    return seen[:, :2] / seen[:, 2:] - view.rays
 
 
 def _motion(twist: Array) -> Array:

@@ -1,27 +1,30 @@
 """What no motion of an arm may exceed, and the refusal of what would, before a packet is sent.
 
 Goals are (4, 4) T_b_t in metres, tool in robot base. The box holds the tool's origin: flange, elbow and cable are not
-watched here, so set the robot's own safety limits on the pendant too.
+watched here, so set the robot's own safety limits on the pendant too. The box is convex: a straight motion between two
+poses inside it stays inside.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from i2t.types import Array
 
-RANGES = {  # the greatest that makes sense of an arm that carries a skin, and its unit
+LARGEST_LIMITS = {  # the greatest that makes sense of an arm that carries a skin, and its unit
     "speed": (1.0, "m/s"),
     "acceleration": (5.0, "m/s^2"),
     "force": (150.0, "N"),
     "torque": (50.0, "Nm"),
     "travel": (0.5, "m"),
 }
-REACH = 3.0  # m: no arm that this is for reaches further
+MAX_REACH_M = 3.0  # no arm that this is for reaches further
+BRAKING_M_S2 = 2.0  # deceleration of a stop that is not an emergency's
 
 
 @dataclass(frozen=True)
-class Limits:
+class MotionLimits:
     """Anything beyond is refused, or stops the arm. Raises ValueError for limits that are none."""
 
     lower: tuple[float, float, float]  # m, corner of the box for the tool's origin, base axes
@@ -30,44 +33,87 @@ class Limits:
     acceleration: float = 0.5  # m/s^2
     force: float = 30.0  # N, on any motion; an approach has its own, lower one
     torque: float = 10.0  # Nm
-    travel: float = 0.1  # m, of one approach
+    travel: float = 0.1  # m, the longest approach
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper"):
             corner = np.asarray(getattr(self, name), float)
-            if corner.shape != (3,) or not np.isfinite(corner).all() or np.abs(corner).max() > REACH:
-                raise ValueError(f"{name} is {getattr(self, name)}; give x, y, z in m, each within {REACH:g} m")
+            if corner.shape != (3,) or not np.isfinite(corner).all() or np.abs(corner).max() > MAX_REACH_M:
+                raise ValueError(f"{name} is {getattr(self, name)}; give x, y, z in m, each within {MAX_REACH_M:g} m")
             object.__setattr__(self, name, tuple(float(x) for x in corner))
         if not all(low < high for low, high in zip(self.lower, self.upper, strict=True)):
             raise ValueError(
                 f"lower, {self.lower}, must lie below upper, {self.upper}, in x, y and z; move the corners"
             )
-        for name, (most, unit) in RANGES.items():
+        for name, (largest, unit) in LARGEST_LIMITS.items():
             given = getattr(self, name)
-            if not 0 < given <= most:
-                raise ValueError(f"{name} is {given:g}; give {unit}, above 0 and at most {most:g}")
+            if not 0 < given <= largest:
+                raise ValueError(f"{name} is {given:g}; give {unit}, above 0 and at most {largest:g}")
+
+    @property
+    def box(self) -> Float[Array, "2 3"]:
+        """(2, 3) m, lower and upper corner in the base."""
+        return np.array([self.lower, self.upper], float)
 
     def check(self, goal: Array, speed: float, acceleration: float) -> None:
-        """Refuse (ValueError) a goal that is no pose or lies outside the box, and what is too fast."""
+        """Refuse a goal that is no pose or lies outside the box, and what is too fast.
+
+        Args:
+            goal: (4, 4) T_b_t in m.
+            speed: m/s.
+            acceleration: m/s^2.
+
+        Raises:
+            ValueError: One sentence that names what is beyond which limit.
+        """
         pose = np.asarray(goal, float)
         if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.allclose(pose[3], [0, 0, 0, 1]):
             raise ValueError("A goal must be a finite (4, 4) transform of the tool in the robot's base.")
-        turned, at = pose[:3, :3], pose[:3, 3]
-        if not np.allclose(turned @ turned.T, np.eye(3), atol=1e-5) or np.linalg.det(turned) < 0:
+        rotation, position = pose[:3, :3], pose[:3, 3]
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
             raise ValueError("A goal's rotation must be a rotation: orthonormal and right-handed.")
-        if not self.hold(at):
+        if not self.contains(position):
             raise ValueError(
-                f"The goal {place(at)} m is outside the box from {place(self.lower)} to {place(self.upper)} m."
+                f"The goal {format_position(position)} m is outside the box from {format_position(self.lower)} to "
+                f"{format_position(self.upper)} m."
             )
         for name, asked in (("speed", speed), ("acceleration", acceleration)):
             if not 0 < asked <= getattr(self, name):
                 raise ValueError(f"The {name} {asked} is outside (0, {getattr(self, name)}], the arm's limit.")
 
-    def check_approach(self, travel: float, force: float, torque: float) -> None:
-        """Refuse (ValueError) an approach that goes too far or pushes too hard."""
-        if not 0 < travel <= self.travel:
+    def checked(self, goal: Array, speed: float | None, acceleration: float | None) -> tuple[float, float]:
+        """Speed and acceleration of a motion, the limits' own where none is given, once it is known to be allowed.
+
+        Args:
+            goal: (4, 4) T_b_t in m.
+            speed: m/s, or None for the limit.
+            acceleration: m/s^2, or None for the limit.
+
+        Returns:
+            Speed (m/s) and acceleration (m/s^2).
+
+        Raises:
+            ValueError: As `check`.
+        """
+        speed = self.speed if speed is None else speed
+        acceleration = self.acceleration if acceleration is None else acceleration
+        self.check(goal, speed, acceleration)
+        return speed, acceleration
+
+    def check_approach(self, distance: float, force: float, torque: float) -> None:
+        """Refuse an approach that goes too far or pushes too hard.
+
+        Args:
+            distance: m, that it may go.
+            force: N, that stops it.
+            torque: Nm, that stops it.
+
+        Raises:
+            ValueError: One sentence that names what is beyond which limit.
+        """
+        if not 0 < distance <= self.travel:
             raise ValueError(
-                f"An approach of {travel} m is outside (0, {self.travel}], the arm's limit for its travel."
+                f"An approach of {distance} m is outside (0, {self.travel}], the arm's limit for its travel."
             )
         for name, asked in (("force", force), ("torque", torque)):
             if not 0 < asked <= getattr(self, name):
@@ -75,14 +121,29 @@ class Limits:
                     f"An approach's {name} {asked} is outside (0, {getattr(self, name)}], the arm's limit."
                 )
 
-    def hold(self, at: Array, margin: float = 0.0) -> bool:
-        """Whether a place (3,) in the base is in the box, or at most `margin` (m) beside it."""
+    def contains(self, position: Array, margin: float = 0.0) -> bool:
+        """Whether the box holds a position.
+
+        Args:
+            position: (3,) m, in the base.
+            margin: m, by which it may lie outside.
+
+        Returns:
+            True inside, or at most `margin` outside.
+        """
         return bool(
-            (np.asarray(at) >= np.array(self.lower) - margin).all()
-            and (np.asarray(at) <= np.array(self.upper) + margin).all()
+            (np.asarray(position) >= np.array(self.lower) - margin).all()
+            and (np.asarray(position) <= np.array(self.upper) + margin).all()
         )
 
 
-def place(at: Array) -> str:
-    """A place (3,) in m, for a sentence."""
-    return "(" + ", ".join(f"{x:.3f}" for x in at) + ")"
+def format_position(position: Array) -> str:
+    """A position for a sentence.
+
+    Args:
+        position: (3,) m.
+
+    Returns:
+        Such as "(0.400, 0.000, 0.300)".
+    """
+    return "(" + ", ".join(f"{x:.3f}" for x in position) + ")"

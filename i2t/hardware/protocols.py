@@ -7,15 +7,17 @@ that names the device and the remedy: from the call that was made, or from the n
 are those of `i2t.types`: metres, radians, newtons, and microtesla for the skin.
 
 Real drivers, emulated devices (real drivers talking to `i2t.emulators`), simulated and replayed ones meet the same
-protocols and pass the same tests (tests/contract).
+protocols and pass the same tests (`i2t.hardware.contract`).
 """
 
-from typing import Any, Literal, NamedTuple, Protocol, SupportsIndex, TypeVar, runtime_checkable
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple, Protocol, SupportsIndex, TypeAlias, TypeVar, runtime_checkable
 
 from i2t.depth.camera import Camera
 from i2t.types import Array
 
 T = TypeVar("T")
+StopReason: TypeAlias = Literal["condition", "force", "torque", "distance"]
 
 
 class Device(Protocol):
@@ -39,9 +41,21 @@ class SkinFeatures(NamedTuple):
 
     name: str
     source: str  # real, emulated, simulated or replay: what a file must say of its readings
-    channels: tuple[str, ...]  # 15 names, in the board's order
+    channels: tuple[str, ...]  # one for each value of a reading, in the board's order
     unit: str  # uT
     rate: float  # Hz, nominal
+
+
+def channel_names(chips: int) -> tuple[str, ...]:
+    """Names of the values of a reading.
+
+    Args:
+        chips: Of the board.
+
+    Returns:
+        3 chips names, in the board's order.
+    """
+    return tuple(f"chip{chip}_{axis}" for chip in range(chips) for axis in "xyz")
 
 
 class Samples(NamedTuple):
@@ -49,8 +63,8 @@ class Samples(NamedTuple):
 
     number: Array  # (n,) int64, counts the samples of this device; a jump is what its queue had to let go
     time: Array  # (n,) s, monotonic and never decreasing
-    reading: Array  # (n, 15) uT
-    temperature: Array  # (n, 5) degrees Celsius, of each chip; NaN if the skin does not tell
+    reading: Array  # (n, c) uT, c = 3 values for each chip
+    temperature: Array  # (n, chips) degrees Celsius, of each chip; NaN if the skin does not tell
 
 
 class SkinCounters(NamedTuple):
@@ -114,7 +128,7 @@ class ArmState(NamedTuple):
 
     time: float  # s, monotonic
     T_b_t: Array  # (4, 4) tool in base, as measured
-    joints: Array  # (6,) rad
+    joints: Array  # (joints,) rad
     velocity: Array  # (6,) of the tool: m/s, rad/s, along the base's axes
     wrench: Array  # (6,) on the tool, along the tool's axes: N, Nm, zeroed by `zero_wrench`
     moving: bool
@@ -186,8 +200,56 @@ class DepthCamera(Device, Protocol):
 class ApproachResult(NamedTuple):
     """How a guarded approach ended."""
 
-    reason: Literal["verdict", "force", "torque", "travel"]
-    verdict: Any  # what the caller's function said, None unless it stopped the arm
+    reason: StopReason
+    answer: Any  # what the caller's stop condition returned, None unless it stopped the arm
     trigger: ArmState  # what was known when the arm was told to brake
     state: ArmState  # at rest
-    travel: float  # m from the start to rest
+    distance: float  # m from the start to rest
+
+
+@runtime_checkable
+class GuardedArm(Arm, Protocol):
+    """An arm that follows its motions to their end; the touch procedure needs one."""
+
+    def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
+        """Move straight to a pose and wait.
+
+        Args:
+            T_b_t: (4, 4) goal, m.
+            speed: m/s, by default the greatest that is allowed.
+            acceleration: m/s^2, by default the greatest that is allowed.
+
+        Returns:
+            The state at rest at the goal.
+
+        Raises:
+            ValueError: The goal is outside the box or too fast; nothing has moved.
+            DeviceError: The arm met something, or was lost; it stands as far as it can be told to.
+        """
+
+    def approach(
+        self,
+        distance: float,
+        speed: float = 0.005,
+        stop_condition: Callable[[ArmState], Any] | None = None,
+        force: float = 8.0,
+        torque: float = 8.0,
+        acceleration: float = 0.2,
+    ) -> ApproachResult:
+        """Move along the tool's z axis, out of the skin, until something says stop.
+
+        Args:
+            distance: m, after which it stops at the latest.
+            speed: m/s.
+            stop_condition: Called with each new state in the caller's thread; anything true stops the arm.
+            force: N, norm of the force that stops the arm.
+            torque: Nm, norm of the torque that stops the arm.
+            acceleration: m/s^2.
+
+        Returns:
+            How it ended; the arm stands.
+
+        Raises:
+            ValueError: It would leave the box or exceed a limit; nothing has moved.
+            DeviceError: The arm was lost, or stopped by somebody else.
+        """

@@ -7,7 +7,7 @@ The camera's lens, with its distortion, is that of the depth image as the device
 A view is exposed after the call where the camera's clock is the computer's (global or system time; the rule on Linux
 and Windows). Where it is not, or a file is played, frames that may have been under way at the call are let go.
 
-Stereo cameras measure nothing nearer than focal length x baseline / greatest disparity; NEAREST is what their maker
+Stereo cameras measure nothing nearer than focal length x baseline / greatest disparity; NEAREST_MM is what their maker
 states. At the paper's 104 mm only a D405 measures (at any resolution); a D435 needs 105 mm even at its smallest image
 (424 x 240) and 150 mm at the paper's 640 x 360, which its lens is like; D415 and D455 need 160 mm and more, SR300 and
 L515 200 and 250 mm. A disparity shift, set with the maker's viewer, brings a D435 nearer; its model is then no reason
@@ -21,8 +21,9 @@ import contextlib
 import sys
 import threading
 import time
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,11 +31,12 @@ from i2t.cli import ended
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.hardware import camera_folder
+from i2t.hardware.base import CameraBase
 from i2t.hardware.protocols import CameraFeatures, View
 from i2t.types import Array
 
-SIZES = ((424, 240), (480, 270), (640, 360), (640, 480), (848, 480), (1280, 720))  # pixels
-NEAREST = {  # mm, of each model at these sizes
+SIZES_PX = ((424, 240), (480, 270), (640, 360), (640, 480), (848, 480), (1280, 720))
+NEAREST_MM = {  # of each model at these sizes
     "D405": (40, 45, 55, 70, 70, 100),
     "D415": (160, 180, 240, 310, 310, 450),
     "D435": (105, 120, 150, 175, 195, 280),
@@ -42,13 +44,16 @@ NEAREST = {  # mm, of each model at these sizes
     "SR300": (200,) * 6,
     "L515": (250,) * 6,
 }
-SETTLE = 0.5  # s of frames that are let go at the start, for the exposure to settle
-UNDERWAY = 2  # frames that may have been exposed before they were asked for, where times do not tell
-
-C = TypeVar("C", bound="RealSense")
+SETTLE_S = 0.5  # of frames that are let go at the start, for the exposure to settle
+UNDERWAY_FRAMES = 2  # frames that may have been exposed before they were asked for, where times do not tell
 
 
-class Colour(NamedTuple):
+@dataclass(frozen=True)
+class RealSenseConfig:
+    """The RealSense that is plugged in, at the size and the distance of the rig; see `RealSense`."""
+
+
+class ColourImage(NamedTuple):
     """A colour image as it was taken, for what must see fine print: colours of a `View` have depth's holes."""
 
     time: float  # s, monotonic
@@ -61,8 +66,8 @@ def nearest(model: str, width: int, height: int) -> float:
     """Nearest depth (m) that a model measures at an image size, by its maker, who states it for six sizes: the next
     larger counts. NaN where it is not known.
     """
-    for name, listed in NEAREST.items():
-        for size, least in zip(SIZES, listed, strict=True):
+    for name, listed in NEAREST_MM.items():
+        for size, least in zip(SIZES_PX, listed, strict=True):
             if name in model.upper() and width <= size[0] and height <= size[1]:
                 return least / 1000
     return float("nan")
@@ -72,8 +77,8 @@ def check_distance(model: str, width: int, height: int, distance: float) -> None
     """Refuse (DeviceError) a camera that measures nothing as near as it is to look (m)."""
     least = nearest(model, width, height)
     if distance < least:
-        fits = [f"{w} x {h}" for w, h in SIZES if nearest(model, w, h) <= distance]
-        others = [name for name in NEAREST if nearest(name, width, height) <= distance]
+        fits = [f"{w} x {h}" for w, h in SIZES_PX if nearest(model, w, h) <= distance]
+        others = [name for name in NEAREST_MM if nearest(name, width, height) <= distance]
         ways = [f"look from {1e3 * least:.0f} mm"]
         ways += [f"take {fits[-1]} pixels"] if fits else []
         ways += [f"mount a {others[0]}"] if others else []
@@ -83,7 +88,7 @@ def check_distance(model: str, width: int, height: int, distance: float) -> None
         )
 
 
-class RealSense:
+class RealSense(CameraBase):
     """A RealSense camera (`i2t.hardware.protocols.DepthCamera`).
 
     Args:
@@ -113,24 +118,11 @@ class RealSense:
         self._file = Path(file) if file is not None else None
         name = f"the recording {file}" if file is not None else f"the RealSense {serial or ''}".strip()
         source = "replay" if file is not None else "real"
-        self._features = CameraFeatures(name, source, nearest(model, *size), float(rate))
+        super().__init__(CameraFeatures(name, source, nearest(model, *size), float(rate)))
         self._model = model
         self._lock = threading.Lock()
         self._pipe: Any = None
-        self._camera: Camera | None = None
         self._colour: tuple[Camera, Array] | None = None
-
-    @property
-    def features(self) -> CameraFeatures:
-        """Known before `connect`; the nearest depth only with a `model`."""
-        return self._features
-
-    @property
-    def camera(self) -> Camera:
-        """Size and lens of the depth image; raises NotConnectedError before the device has told them."""
-        if self._camera is None:
-            raise NotConnectedError(f"{self._name} is not connected, and only it knows its lens; connect it")
-        return self._camera
 
     def connect(self) -> None:
         """Start streaming; raises DeviceError."""
@@ -171,7 +163,7 @@ class RealSense:
             self._align = rs.align(rs.stream.depth)
             self._pipe = pipe
             if self._file is None:
-                end = time.monotonic() + SETTLE
+                end = time.monotonic() + SETTLE_S
                 while time.monotonic() < end:
                     self._wait(5.0)
         except BaseException:
@@ -188,13 +180,6 @@ class RealSense:
             with contextlib.suppress(RuntimeError):
                 pipe.stop()
 
-    def __enter__(self: C) -> C:
-        self.connect()
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self.close()
-
     def capture(self, timeout: float = 2.0) -> View:
         """A view exposed after the call; raises DeviceTimeoutError after `timeout`."""
         when, frames = self._fresh(timeout)
@@ -204,15 +189,11 @@ class RealSense:
         metres = np.where(values > 0, values * np.float64(depth.get_units()), np.nan).astype(np.float32)
         return View(when, metres, np.array(colour.get_data()) if colour else None)
 
-    def colour(self, timeout: float = 2.0) -> Colour:
+    def colour(self, timeout: float = 2.0) -> ColourImage:
         """The colour image as it was taken, after the call; raises DeviceTimeoutError after `timeout`."""
         when, frames = self._fresh(timeout)
         assert self._colour is not None
-        return Colour(when, np.array(frames.get_color_frame().get_data()), *self._colour)
-
-    @property
-    def _name(self) -> str:
-        return self._features.name
+        return ColourImage(when, np.array(frames.get_color_frame().get_data()), *self._colour)
 
     def _fresh(self, timeout: float) -> tuple[float, Any]:
         """When frames were exposed after now, and the frames."""
@@ -225,7 +206,7 @@ class RealSense:
                     f"{self._name} gave no view in {timeout:.2g} s; check its cable, and that it is on USB 3"
                 )
             exposed = self._exposed(frames)
-            new = number >= UNDERWAY if exposed is None else exposed >= called
+            new = number >= UNDERWAY_FRAMES if exposed is None else exposed >= called
             if new and frames.get_depth_frame() and frames.get_color_frame():
                 return time.monotonic() - 1 / self._rate if exposed is None else exposed, frames
         raise AssertionError
@@ -234,7 +215,7 @@ class RealSense:
         """The next frames, or None; raises NotConnectedError, or DeviceError if the camera is gone."""
         pipe = self._pipe
         if pipe is None:
-            raise NotConnectedError(f"{self._name} is not connected; call connect() or use with")
+            raise self._not_connected()
         ended = time.monotonic() + timeout
         while True:
             # In pieces, so that a camera that is gone or closed is noticed before a long wait is over.
@@ -279,7 +260,7 @@ class RealSense:
 
 
 def devices(rs: Any) -> list[tuple[str, str]]:
-    """Names and serial numbers of the cameras that are plugged in."""
+    """SessionInfo and serial numbers of the cameras that are plugged in."""
     info = rs.camera_info
     return [(each.get_info(info.name), each.get_info(info.serial_number)) for each in rs.context().query_devices()]
 
@@ -307,7 +288,9 @@ def _show(asked: argparse.Namespace) -> None:
         print(f"{camera.features.name}: nothing nearer than {1e3 * camera.features.nearest:.0f} mm")
         print(camera.camera)
         views = (camera.capture() for _ in range(asked.count))
-        for number, view in enumerate(camera_folder.keep(asked.save, camera.camera, views) if asked.save else views):
+        for number, view in enumerate(
+            camera_folder.save_views(asked.save, camera.camera, views) if asked.save else views
+        ):
             middle = view.depth[asked.size[1] // 2 - 10 :, asked.size[0] // 2 - 10 :][:20, :20]
             at = np.nanmedian(middle) if np.isfinite(middle).any() else np.nan
             print(f"view {number}: {np.isfinite(view.depth).mean():.0%} measured, {1e3 * at:.1f} mm in the middle")

@@ -25,83 +25,127 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from i2t.cli import ended
+from i2t.cli import ended, renamed_flags
 from i2t.errors import DeviceError
-from i2t.hardware.protocols import ArmState
+from i2t.hardware.limits import MotionLimits
+from i2t.hardware.poses import shifted_along_z
+from i2t.hardware.protocols import ArmState, GuardedArm
 from i2t.hardware.rig import Rig
 from i2t.types import PAD_WINDOW, Array
 
-SIDES = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the corners, in their order around
-TILT = math.radians(6)  # of the tool while it touches
-CLEAR = 6e-3  # m above the flat, from where the lowest corner is lowered
-BEYOND = 5e-3  # m past where it should touch, after which there is no flat
-SPEED, FORCE = 2e-3, 2.0  # m/s, N: a corner gives some newtons per millimetre
-SOFT, STIFF = 0.8e-3, 1e4  # m/N^(1/3), N/m: a guess of a corner, and of arm and mount
-EARLY, FEWEST = 0.2, 5  # of the last force, above which it counts as felt; looks that must feel it
-LARGEST = 5e-3, math.radians(4)  # m, rad: what is further from the rig was no touch of a flat
+CORNER_SIGNS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the corners, in their order around
+TILT_RAD = math.radians(6)  # of the tool while it touches
+CLEARANCE_M = 6e-3  # above the flat, from where the lowest corner is lowered
+OVERTRAVEL_M = 5e-3  # past where it should touch, after which there is no flat
+TRANSFER_SPEED_M_S, LOWERING_SPEED_M_S = 0.05, 0.02
+APPROACH_ACCELERATION_M_S2 = 0.1
+SPEED_M_S, STOP_FORCE_N = 2e-3, 2.0  # a corner gives some newtons per millimetre
+SOFT_M_PER_CUBE_ROOT_N, STIFFNESS_N_PER_M = 0.8e-3, 1e4  # m/N^(1/3), N/m: a guess of a corner, and of arm and mount
+FELT_SHARE, MIN_LOOKS = 0.2, 5  # of the last force, above which it counts as felt; looks that must feel it
+MAX_SHIFT_M, MAX_TILT_RAD = 5e-3, math.radians(4)  # what is further from the rig was no touch of a flat
+
+RENAMED_FLAGS = {"--stale": "--state-timeout", "--watchdog": "--watchdog-rate"}
 
 
-class Face(NamedTuple):
+class FittedPlane(NamedTuple):
     """The skin as it was found."""
 
     T_tool_skin: Array  # (4, 4), from the tool's frame as it was: a shift along z and a tilt
-    miss: float  # m, by which each corner misses their plane
+    flatness_error: float  # m, by which each corner misses their plane
 
 
-def lowered(side: tuple[int, int], tilt: float = TILT) -> Array:
-    """(3, 3) turn, in the tool's axes, that brings the corner on a side forward."""
-    across = np.array([side[1], -side[0], 0.0]) / math.sqrt(2)  # across x corner is along +z
-    return Rotation.from_rotvec(tilt * across).as_matrix()
+def corner_rotation(side: tuple[int, int], tilt: float = TILT_RAD) -> Float[Array, "3 3"]:
+    """The turn that brings one corner of the skin forward.
+
+    Args:
+        side: Signs of the corner's x and y.
+        tilt: rad.
+
+    Returns:
+        (3, 3) rotation in the tool's axes.
+    """
+    axis = np.array([side[1], -side[0], 0.0]) / math.sqrt(2)  # axis x corner is along +z
+    return Rotation.from_rotvec(tilt * axis).as_matrix()
 
 
-def onset(travel: Array, force: Array) -> float:
-    """Where (m) a press began, from travel (n,) m and force (n,) N on the way; raises ValueError where none rose."""
-    travel, force = np.asarray(travel, float), np.asarray(force, float)
-    most, felt = force.max(), force > EARLY * force.max()
-    if felt.sum() < FEWEST or most <= 0 or np.ptp(travel[felt]) <= 0:
-        raise ValueError(f"the force did not rise in at least {FEWEST} looks; lower the skin more slowly")
-    if np.polyfit(travel[felt], force[felt], 1)[0] <= 0:
+def contact_onset(distance: Float[Array, " n"], force: Float[Array, " n"]) -> float:
+    """Where a press of a corner began.
+
+    Args:
+        distance: m, of the looks on the way.
+        force: N, felt then.
+
+    Returns:
+        m, where first contact was.
+
+    Raises:
+        ValueError: The force did not rise.
+    """
+    distance, force = np.asarray(distance, float), np.asarray(force, float)
+    greatest, felt = force.max(), force > FELT_SHARE * force.max()
+    if felt.sum() < MIN_LOOKS or greatest <= 0 or np.ptp(distance[felt]) <= 0:
+        raise ValueError(f"the force did not rise in at least {MIN_LOOKS} looks; lower the skin more slowly")
+    if np.polyfit(distance[felt], force[felt], 1)[0] <= 0:
         raise ValueError("the force did not rise with the travel; zero it in the air and touch again")
-    low, high = travel[0], travel[felt][0]
-    deep = max(travel[-1] - low, 1e-6)
+    low, high = distance[0], distance[felt][0]
+    deep = max(distance[-1] - low, 1e-6)
 
-    def miss(x: Array) -> Array:
-        return pressed(travel - x[0], *np.exp(x[1:])) - force
+    def residuals(x: Array) -> Array:
+        return corner_force(distance - x[0], *np.exp(x[1:])) - force
 
     found = least_squares(
-        miss,
-        [high - 0.3 * np.ptp(travel[felt]), math.log(SOFT), math.log(STIFF)],
+        residuals,
+        [high - 0.3 * np.ptp(distance[felt]), math.log(SOFT_M_PER_CUBE_ROOT_N), math.log(STIFFNESS_N_PER_M)],
         bounds=([low - deep, math.log(1e-6), math.log(1e2)], [high, math.log(1e-2), math.log(1e6)]),
         x_scale=[1e-4, 1.0, 1.0],
     )
     return float(found.x[0])
 
 
-def pressed(travel: Array, soft: float, stiff: float) -> Array:
-    """Force (N) at `travel` (m) since first contact, where travel = soft F^(1/3) + F / stiff (Cardano)."""
-    half = stiff * np.maximum(travel, 0) / 2
-    root = np.sqrt(half**2 + (soft * stiff / 3) ** 3)
+def corner_force(indentation: Float[Array, " n"], soft: float, stiffness: float) -> Float[Array, " n"]:
+    """Force of a corner that is pressed: indentation = soft F^(1/3) + F / stiffness, solved by Cardano's formula.
+
+    Args:
+        indentation: m since first contact; none below zero.
+        soft: m/N^(1/3), of the elastic corner.
+        stiffness: N/m, of arm and mount.
+
+    Returns:
+        N.
+    """
+    half = stiffness * np.maximum(indentation, 0) / 2
+    root = np.sqrt(half**2 + (soft * stiffness / 3) ** 3)
     return (np.cbrt(half + root) + np.cbrt(half - root)) ** 3
 
 
-def face(touches: Sequence[Array], height: float, half: float = PAD_WINDOW / 2) -> Face:
-    """The skin's face from the tool's poses T_b_t (4, 4) where each of its corners began to touch, in the order of
-    SIDES; `height` (m) is the flat's in the base, `half` (m) half the skin's edge. Raises ValueError where it lies so
-    far from the tool's frame that it was something else.
+def fit_plane(touches: Sequence[Array], height: float, half: float = PAD_WINDOW / 2) -> FittedPlane:
+    """The skin's face from the tool's poses where each of its corners began to touch.
+
+    Args:
+        touches: Four T_b_t (4, 4), in the order of `CORNER_SIGNS`.
+        height: m, of the flat in the base.
+        half: m, half the skin's edge.
+
+    Returns:
+        Where the face is in the tool.
+
+    Raises:
+        ValueError: It lies so far from the tool's frame that something else was touched.
     """
-    corners = half * np.array(SIDES, float)
+    corners = half * np.array(CORNER_SIGNS, float)
     z = np.array([(height - T[2, 3] - T[2, :2] @ corner) / T[2, 2] for T, corner in zip(touches, corners, strict=True)])
     design = np.column_stack([np.ones(4), corners])
     z0, sx, sy = np.linalg.lstsq(design, z, rcond=None)[0]
     normal = np.array([-sx, -sy, 1.0]) / math.sqrt(1 + sx**2 + sy**2)
     tilt = math.acos(normal[2])
-    if abs(z0) > LARGEST[0] or tilt > LARGEST[1]:
+    if abs(z0) > MAX_SHIFT_M or tilt > MAX_TILT_RAD:
         raise ValueError(
             f"the skin would be {1e3 * z0:.1f} mm and {math.degrees(tilt):.1f} degrees from where the rig has it; "
             "check the flat's height, and measure T_flange_tool with a ruler first"
@@ -111,56 +155,81 @@ def face(touches: Sequence[Array], height: float, half: float = PAD_WINDOW / 2) 
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(axis / size * tilt if size > 0 else axis).as_matrix()
     T[2, 3] = z0
-    return Face(T, float(abs(z[0] - z[1] + z[2] - z[3]) / 4))
+    return FittedPlane(T, float(abs(z[0] - z[1] + z[2] - z[3]) / 4))
 
 
-def touch_off(arm: Any, at: tuple[float, float], height: float, tell: Callable[[str], None] = print) -> Face:
-    """Touch a flat with all corners, with a connected arm that guards its approaches (`i2t.hardware.ur.driver.UrArm`).
+def touch_off(
+    arm: GuardedArm,
+    limits: MotionLimits,
+    at: tuple[float, float],
+    height: float,
+    report: Callable[[str], None] = print,
+) -> FittedPlane:
+    """Touch a flat with all corners.
 
-    `at` and `height` (m) are in the base. Raises ValueError, before anything moves, where it would leave the box;
-    DeviceError where the arm fails, meets nothing, or something on its way.
+    Args:
+        arm: Connected.
+        limits: Of the arm.
+        at: x and y (m) of the flat in the base.
+        height: m, of the flat in the base.
+        report: Hears how it goes.
+
+    Returns:
+        Where the skin's face is.
+
+    Raises:
+        ValueError: It would leave the box; nothing has moved.
+        DeviceError: The arm fails, meets nothing, or something on its way.
     """
-    down = np.diag([1.0, -1.0, -1.0, 1.0])
-    down[:2, 3] = at
-    starts = []
-    for side in SIDES:
-        T = down.copy()
-        T[:3, :3] = down[:3, :3] @ lowered(side)
-        reach = -float(T[2, :2] @ (PAD_WINDOW / 2 * np.array(side)))  # from the tool's origin down to that corner
-        T[2, 3] = height + reach + CLEAR
-        end = T.copy()
-        end[:3, 3] += (CLEAR + BEYOND) * T[:3, 2]
-        for goal in (T, end):
-            arm.limits.check(goal, SPEED, 0.1)
-        starts.append(T)
-    top = max(T[2, 3] for T in starts)
+    starts = [_start(side, at, height) for side in CORNER_SIGNS]
+    for start in starts:
+        for goal in (start, shifted_along_z(start, CLEARANCE_M + OVERTRAVEL_M)):
+            limits.check(goal, SPEED_M_S, APPROACH_ACCELERATION_M_S2)
+    top = max(start[2, 3] for start in starts) + CLEARANCE_M
     touches = []
-    for side, T in zip(SIDES, starts, strict=True):
-        above = T.copy()
-        above[2, 3] = top + CLEAR
-        arm.go(above, min(0.05, arm.limits.speed))
-        arm.go(T, min(0.02, arm.limits.speed))
-        arm.zero_wrench()
-        looks: list[tuple[float, float]] = []
+    for side, start in zip(CORNER_SIGNS, starts, strict=True):
+        above = start.copy()
+        above[2, 3] = top
+        arm.go(above, min(TRANSFER_SPEED_M_S, limits.speed))
+        arm.go(start, min(LOWERING_SPEED_M_S, limits.speed))
+        onset = _touch_corner(arm, side, start)
+        touches.append(shifted_along_z(start, onset))
+        report(f"corner {side}: touched after {1e3 * onset:.2f} mm")
+        arm.go(start, min(LOWERING_SPEED_M_S, limits.speed))
+        arm.go(above, min(TRANSFER_SPEED_M_S, limits.speed))
+    return fit_plane(touches, height)
 
-        def look(state: ArmState, start: Array = T, looks: list[tuple[float, float]] = looks) -> None:
-            looks.append((float((state.T_b_t[:3, 3] - start[:3, 3]) @ start[:3, 2]), float(-state.wrench[2])))
 
-        done = arm.approach(CLEAR + BEYOND, SPEED, look, force=FORCE, acceleration=0.1)
-        if done.reason != "force":
-            raise DeviceError(f"corner {side} met no flat within {1e3 * (CLEAR + BEYOND):g} mm: check its height")
-        look(done.trigger)
-        try:
-            began = onset(*np.array(looks).T)
-        except ValueError as error:
-            raise DeviceError(f"corner {side}: {error}") from error
-        touch = T.copy()
-        touch[:3, 3] += began * T[:3, 2]
-        touches.append(touch)
-        tell(f"corner {side}: touched after {1e3 * began:.2f} mm")
-        arm.go(T, 0.02)
-        arm.go(above, min(0.05, arm.limits.speed))
-    return face(touches, height)
+def _start(side: tuple[int, int], at: tuple[float, float], height: float) -> Array:
+    """T_b_t (4, 4) from where a corner is lowered onto the flat."""
+    down = np.diag([1.0, -1.0, -1.0])
+    T = np.eye(4)
+    T[:3, :3] = down @ corner_rotation(side)
+    lowest = -float(T[2, :2] @ (PAD_WINDOW / 2 * np.array(side)))  # m from the tool's origin down to that corner
+    T[:3, 3] = *at, height + lowest + CLEARANCE_M
+    return T
+
+
+def _touch_corner(arm: GuardedArm, side: tuple[int, int], start: Array) -> float:
+    """Lower a corner from T_b_t (4, 4), where the arm stands; how far (m) it went until first contact."""
+    arm.zero_wrench()
+    looks: list[tuple[float, float]] = []
+
+    def look(state: ArmState) -> None:
+        looks.append((float((state.T_b_t[:3, 3] - start[:3, 3]) @ start[:3, 2]), float(-state.wrench[2])))
+
+    done = arm.approach(
+        CLEARANCE_M + OVERTRAVEL_M, SPEED_M_S, look, force=STOP_FORCE_N, acceleration=APPROACH_ACCELERATION_M_S2
+    )
+    if done.reason != "force":
+        raise DeviceError(
+            f"corner {side} met no flat within {1e3 * (CLEARANCE_M + OVERTRAVEL_M):g} mm: check its height"
+        )
+    look(done.trigger)
+    try:
+        return contact_onset(*np.array(looks).T)
+    except ValueError as error:
+        raise DeviceError(f"corner {side}: {error}") from error
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -172,9 +241,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rig", type=Path, required=True, help="the lab's calibration")
     parser.add_argument("--height", type=float, required=True, help="of the flat in the base, m")
     parser.add_argument("--at", type=float, nargs=2, required=True, metavar=("X", "Y"), help="its place in the base, m")
-    parser.add_argument("--state-timeout", type=float, default=0.1, help="s without news after which the arm is taken for lost")
-    parser.add_argument("--watchdog-rate", type=float, default=10.0, help="Hz, how often the controller must hear from us")
+    parser.add_argument(
+        "--state-timeout", type=float, default=0.1, help="s without news after which the arm is taken for lost"
+    )
+    parser.add_argument(
+        "--watchdog-rate", type=float, default=10.0, help="Hz, how often the controller must hear from us"
+    )
     parser.add_argument("--write", action="store_true", help="put what is found into the rig")
+    renamed_flags(sys.argv[1:] if arguments is None else arguments, RENAMED_FLAGS)
     asked = parser.parse_args(arguments)
     return ended(lambda: _touch_off(asked), "stopped; the rig is as it was")
 
@@ -184,13 +258,20 @@ def _touch_off(asked: argparse.Namespace) -> None:
 
     rig = Rig.read(asked.rig)
     payload = rig.mass, rig.centre
-    with UrArm(asked.host, rig.limits, rig.T_flange_tool, payload, state_timeout=asked.state_timeout, watchdog_rate=asked.watchdog_rate) as arm:
-        found = touch_off(arm, tuple(asked.at), asked.height)
+    with UrArm(
+        asked.host,
+        rig.limits,
+        rig.T_flange_tool,
+        payload,
+        state_timeout=asked.state_timeout,
+        watchdog_rate=asked.watchdog_rate,
+    ) as arm:
+        found = touch_off(arm, rig.limits, tuple(asked.at), asked.height)
     T = rig.T_flange_tool @ found.T_tool_skin
     tilt = math.degrees(math.acos(min(1.0, found.T_tool_skin[2, 2])))
     print(
         f"the skin is {1e3 * found.T_tool_skin[2, 3]:+.2f} mm along z and {tilt:.2f} degrees from where the rig has "
-        f"it; the corners miss a plane by {1e3 * found.miss:.2f} mm"
+        f"it; the corners miss a plane by {1e3 * found.flatness_error:.2f} mm"
     )
     if asked.write:
         # The camera stays where it is on the flange.

@@ -7,23 +7,23 @@ import numpy as np
 import pytest
 
 from i2t import dataset
-from i2t.collect import session
-from i2t.collect.site_plan import Plan
+from i2t.collect import command
+from i2t.collect.site_plan import SiteSampler
 from i2t.depth.camera import Camera
-from i2t.emulators import lab as rehearsal
+from i2t.emulators import lab as emulated_lab
 from i2t.emulators import ur_controller
-from i2t.emulators.scene import see
 from i2t.hardware import camera_folder
 from i2t.hardware.protocols import View
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.rig import Rig
 from i2t.objects import catalogue
-from i2t.simulation import sites
+from i2t.simulation.depth_camera import render_view
+from i2t.simulation.site_limits import SiteLimits
 from i2t.types import ReturnCode
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs the addresses 127.x.y.z")
 
-PATIENT = ["--stale", "3", "--watchdog", "0.5"]  # on a busy machine; a lab has 0.1 s and 10 Hz
+PATIENT = ["--state-timeout", "3", "--watchdog-rate", "0.5"]  # on a busy machine; a lab has 0.1 s and 10 Hz
 
 
 @pytest.fixture(scope="module")
@@ -34,14 +34,14 @@ def lab(tmp_path_factory):
     rig = replace(Rig(), camera=Camera(160, 90, 80.6, 80.5, 79.5, 44.5))
     rig.write(path / "lab.toml")
     mesh = catalogue.make_object("star").mesh
-    T_w_c = Plan(mesh, rig.T_world_object, sites.Limits(), 0, "star").site(0).T_w_t.copy()
+    T_w_c = SiteSampler(mesh, rig.T_world_object, SiteLimits(), 0, "star").site(0).T_w_t.copy()
     T_w_c[:3, 3] -= rig.looking_distance * T_w_c[:3, 2]  # the camera's axes are the tool's
-    depth, _ = see(mesh.vertices[mesh.faces], T_w_c, rig.camera)
+    depth, _ = render_view(mesh.vertices[mesh.faces], T_w_c, rig.camera)
     view = View(0.0, np.where(np.isfinite(depth), depth, np.nan).astype(np.float32), None)
-    list(camera_folder.keep(path / "views", rig.camera, [view]))
+    list(camera_folder.save_views(path / "views", rig.camera, [view]))
     host, link = ur_controller.loopback(202), path / "skin"
     options = ["--object", "star", "--exact", "--rig", str(path / "lab.toml")]
-    with rehearsal.started("--host", host, "--link", str(link), *options):
+    with emulated_lab.started("--host", host, "--link", str(link), *options):
         yield path, ["--arm", "ur", "--host", host, "--rig", str(path / "lab.toml"), "--object", "star",
                      "--camera", "folder", "--views", str(path / "views"), "--touches", "1", *PATIENT]  # fmt: skip
 
@@ -49,10 +49,10 @@ def lab(tmp_path_factory):
 def test_an_arm_by_its_address_a_skin_by_its_port_and_recorded_views(lab, capsys):
     path, options = lab
     out = path / "touched"
-    assert session.main(["--out", str(out), "--skin", "reskin", "--port", str(path / "skin"), *options]) == 0
+    assert command.main(["--out", str(out), "--skin", "reskin", "--port", str(path / "skin"), *options]) == 0
     said = capsys.readouterr().out
     assert "MIXED: some of these devices are not real" in said  # 127.x.y.z and a pseudo-terminal are no lab
-    made = dataset.load(out)
+    made = dataset.load_dataset(out)
     assert made.source == "mixed"
     touches = made.touches
     assert touches.code[0] in (ReturnCode.SKIN, ReturnCode.WRENCH)
@@ -69,8 +69,8 @@ def test_a_recording_in_place_of_a_skin(lab, capsys):
         skin.record(path / "rest.raw")
         skin.read(4000, 30.0)
     out = path / "replayed"
-    assert session.main(["--out", str(out), "--skin", "replay", "--replay", str(path / "rest.raw"), *options]) == 0
-    made = dataset.load(out)
+    assert command.main(["--out", str(out), "--skin", "replay", "--replay", str(path / "rest.raw"), *options]) == 0
+    made = dataset.load_dataset(out)
     assert made.source == "mixed"
     assert made.touches.code[0] == ReturnCode.WRENCH  # a recording of a skin at rest feels nothing; force stops it
     assert np.linalg.norm(made.touches.reading[0]) < 20

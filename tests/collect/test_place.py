@@ -5,13 +5,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from i2t.collect import place
-from i2t.emulators.scene import see
 from i2t.hardware import camera_folder
 from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur.poses import to_ur
 from i2t.objects import catalogue
 from i2t.objects.solids import transform_mesh
+from i2t.simulation.depth_camera import render_view
 from i2t.types import TWIST_LEVER_M
 
 
@@ -36,10 +36,10 @@ def lab(tmp_path):
     mesh = transform_mesh(catalogue.make_object("star").mesh, rig.T_base_world @ really)
     corners = rig.T_base_world[:3, 3] + 0.1 * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
     triangles = np.concatenate([mesh.vertices[mesh.faces], corners[[[0, 1, 2], [0, 2, 3]]]])
-    depth, _ = see(triangles, T_B_C, rig.camera)
+    depth, _ = render_view(triangles, T_B_C, rig.camera)
     rng = np.random.default_rng(0)
     seen = np.where(np.isfinite(depth), depth + 0.3e-3 * rng.standard_normal(depth.shape), np.nan).astype(np.float32)
-    list(camera_folder.keep(tmp_path / "views", rig.camera, [View(0.0, seen, None)]))
+    list(camera_folder.save_views(tmp_path / "views", rig.camera, [View(0.0, seen, None)]))
     return tmp_path, really
 
 

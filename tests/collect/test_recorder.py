@@ -12,7 +12,7 @@ from helpers.closed_form import GAIN, HEIGHT, WALL, make, names, site
 
 from i2t import dataset
 from i2t.collect import event_log, recorder
-from i2t.collect.event_log import RAW, Lost, read_raw
+from i2t.collect.event_log import StorageError, read_raw
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, touches_in, written_at
 from i2t.errors import DataError, DeviceError
@@ -41,20 +41,20 @@ def sites(*numbers):
 
 def collected(folder: Path, *numbers, **options) -> tuple[Procedure, list]:
     procedure = make(**options)
-    with Recorder(folder, names(procedure), procedure.clock) as kept:
-        return procedure, list(procedure.run(sites(*numbers), kept))
+    with Recorder(folder, names(procedure), procedure.clock) as recording:
+        return procedure, list(procedure.run(sites(*numbers), recording))
 
 
 def test_a_touch_is_read_back_as_it_was_made(tmp_path):
     _, (outcome,) = collected(tmp_path, 3)
     (path,) = touches_in(tmp_path)
-    record, touched = dataset.read_touch(path), outcome.touched
+    record, touched = dataset.read_touch(path), outcome.touch
     touches = record.touch.touches
     assert touches.code[0] == ReturnCode.SKIN
     np.testing.assert_allclose(touches.reading[0], touched.force * GAIN, rtol=1e-3)
     np.testing.assert_allclose(touches.T_w_t[0], touched.T_w_t, atol=1e-7)
     assert record.touch.source == "simulated"
-    assert record.counters["site"] == recorder.site_of(path) == 3
+    assert record.counters["site"] == recorder.site_number_of(path) == 3
     np.testing.assert_allclose(record.images["depth"].values * record.images["depth"].scale, 0.104, atol=5e-5)
     np.testing.assert_array_equal(record.images["colour"].values, 0)
     np.testing.assert_allclose(record.series["ambient"].values[0], touched.ambient, rtol=1e-6)
@@ -84,7 +84,7 @@ def test_series_hold_the_whole_press_in_unix_time(tmp_path):
 
 def test_a_folder_of_touches_is_a_data_set_in_the_order_of_time(tmp_path):
     collected(tmp_path, *range(4))
-    data = dataset.load(tmp_path)
+    data = dataset.load_dataset(tmp_path)
     assert len(data) == 4
     assert data.objects == ("plane",)
     assert [written_at(path) for path in touches_in(tmp_path)] == sorted(map(written_at, touches_in(tmp_path)))
@@ -99,8 +99,8 @@ def test_what_was_under_way_is_kept_aside_and_can_be_read(tmp_path):
         raise KeyboardInterrupt
 
     procedure.arm.approach = interrupted
-    with Recorder(tmp_path, names(procedure), procedure.clock) as kept, pytest.raises(KeyboardInterrupt):
-        list(procedure.run(sites(0), kept))
+    with Recorder(tmp_path, names(procedure), procedure.clock) as recording, pytest.raises(KeyboardInterrupt):
+        list(procedure.run(sites(0), recording))
     assert not touches_in(tmp_path)
     (raw,) = (tmp_path / recorder.INTERRUPTED).iterdir()
     entries = list(read_raw(raw))
@@ -109,9 +109,20 @@ def test_what_was_under_way_is_kept_aside_and_can_be_read(tmp_path):
     assert sum(len(rows) for kind, rows in entries if kind == "skin") > 400
     assert any(kind == "arm" for kind, _ in entries)
     whole = raw.read_bytes()
-    for cut in (len(whole) - 1, len(whole) // 2, len(RAW)):
+    header = whole.index(b"\n") + 1
+    ends, at = [], header
+    while at < len(whole):
+        at += event_log.ENTRY_HEADER.size + event_log.ENTRY_HEADER.unpack_from(whole, at)[1]
+        ends.append(at)
+    assert ends[-1] == len(whole)
+    assert len(ends) == len(entries)
+    for cut in (len(whole), len(whole) - 1, len(whole) // 2, ends[3], ends[3] - 1, ends[3] + 2, header):
         raw.write_bytes(whole[:cut])
-        assert entries[: len(list(read_raw(raw)))] != [] or cut == len(RAW)
+        read = list(read_raw(raw))
+        assert len(read) == sum(end <= cut for end in ends)
+        for (kind, value), (whole_kind, whole_value) in zip(read, entries, strict=False):
+            assert kind == whole_kind
+            assert np.array_equal(value, whole_value) if kind != "event" else value == whole_value
     raw.write_bytes(b"something else")
     with pytest.raises(DataError, match="no raw file"):
         list(read_raw(raw))
@@ -126,9 +137,9 @@ import numpy as np
 from helpers.closed_form import make, names, site
 from i2t.collect.recorder import Recorder
 procedure = make()
-with Recorder(Path({str(tmp_path)!r}), names(procedure), procedure.clock) as kept:
-    for outcome in procedure.run(lambda history: site(len(history)), kept):
-        print(kept.kept[-1].name, flush=True)
+with Recorder(Path({str(tmp_path)!r}), names(procedure), procedure.clock) as recording:
+    for outcome in procedure.run(lambda history: site(len(history)), recording):
+        print(recording.saved[-1].name, flush=True)
 """
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as running:
         told = [running.stdout.readline().strip() for _ in range(3)]
@@ -136,12 +147,12 @@ with Recorder(Path({str(tmp_path)!r}), names(procedure), procedure.clock) as kep
         told += running.stdout.read().splitlines()
     present = [path.name for path in touches_in(tmp_path)]
     assert set(told) <= set(present)
-    assert len(dataset.load(tmp_path)) == len(present)
+    assert len(dataset.load_dataset(tmp_path)) == len(present)
     before = len(present)
     procedure = make()
-    with Recorder(tmp_path, names(procedure), procedure.clock) as kept:
+    with Recorder(tmp_path, names(procedure), procedure.clock) as recording:
         procedure.clock.sleep(1e6)
-        list(procedure.run(sites(99), kept))
+        list(procedure.run(sites(99), recording))
     assert len(touches_in(tmp_path)) == before + 1
 
 
@@ -149,7 +160,7 @@ def test_two_collections_cannot_write_to_one_folder(tmp_path):
     procedure = make()
     with (
         Recorder(tmp_path, names(procedure), procedure.clock),
-        pytest.raises(Lost, match="another collection"),
+        pytest.raises(StorageError, match="another collection"),
     ):
         Recorder(tmp_path, names(procedure), procedure.clock)
 
@@ -157,10 +168,10 @@ def test_two_collections_cannot_write_to_one_folder(tmp_path):
 def test_a_disk_that_is_nearly_full_is_found_before_the_arm_moves(tmp_path):
     procedure = make()
     with (
-        Recorder(tmp_path, names(procedure), procedure.clock, reserve=2**60) as kept,
-        pytest.raises(Lost, match="free some space"),
+        Recorder(tmp_path, names(procedure), procedure.clock, reserve=2**60) as recording,
+        pytest.raises(StorageError, match="free some space"),
     ):
-        list(procedure.run(sites(0), kept))
+        list(procedure.run(sites(0), recording))
     assert procedure.clock.now() < 0.1
 
 
@@ -168,30 +179,30 @@ def test_a_disk_that_is_nearly_full_is_found_before_the_arm_moves(tmp_path):
 @pytest.mark.parametrize("where", ["raw", "touch"])
 def test_trouble_with_the_disk_is_one_sentence_and_the_arm_stands(tmp_path, monkeypatch, code, said, where):
     procedure = make()
-    with Recorder(tmp_path, names(procedure), procedure.clock) as kept:
-        list(procedure.run(sites(0), kept))
+    with Recorder(tmp_path, names(procedure), procedure.clock) as recording:
+        list(procedure.run(sites(0), recording))
         if where == "raw":
-            write, count = event_log.Tape._write, []
+            write, count = event_log.EventLog._write, []
 
             def failing(made, kind, payload):
                 count.append(kind)
                 if count.count(b"a") > 20:  # in the middle of an approach
-                    raise event_log.lost(tmp_path, OSError(code, os.strerror(code)))
+                    raise event_log.storage_error(tmp_path, OSError(code, os.strerror(code)))
                 write(made, kind, payload)
 
-            monkeypatch.setattr(event_log.Tape, "_write", failing)
+            monkeypatch.setattr(event_log.EventLog, "_write", failing)
         else:
 
             def full(*_):
                 raise DataError("not written") from OSError(code, os.strerror(code))
 
             monkeypatch.setattr(recorder.dataset, "write_touch", full)
-        with pytest.raises(Lost, match=said) as error:
-            list(procedure.run(sites(1), kept))
+        with pytest.raises(StorageError, match=said) as error:
+            list(procedure.run(sites(1), recording))
     assert "\n" not in str(error.value)
     assert not procedure.arm.state().moving
     assert np.linalg.norm(procedure.arm.state().wrench[:3]) == 0
-    assert len(dataset.load(tmp_path)) == 1
+    assert len(dataset.load_dataset(tmp_path)) == 1
 
 
 def test_a_clock_that_is_set_during_a_touch_ends_the_session_and_keeps_the_touch(tmp_path):
@@ -203,13 +214,13 @@ def test_a_clock_that_is_set_during_a_touch_ends_the_session_and_keeps_the_touch
         clock.jump = -3600.0
         return capture()
 
-    with Recorder(tmp_path, names(procedure), clock) as kept:
-        list(procedure.run(sites(0), kept))
+    with Recorder(tmp_path, names(procedure), clock) as recording:
+        list(procedure.run(sites(0), recording))
         procedure.camera.capture = jumped
-        with pytest.raises(Lost, match=r"jumped by -3600\.0 s; the touch is kept"):
-            list(procedure.run(sites(1), kept))
-        with pytest.raises(Lost, match="behind the newest touch"):
-            list(procedure.run(sites(2), kept))
+        with pytest.raises(StorageError, match=r"jumped by -3600\.0 s; the touch is saved"):
+            list(procedure.run(sites(1), recording))
+        with pytest.raises(StorageError, match="behind the newest touch"):
+            list(procedure.run(sites(2), recording))
     first, second = touches_in(tmp_path)
     assert 5 < written_at(second) - written_at(first) < 30
     assert any("jumped" in text for _, text in dataset.read_touch(second).events)
@@ -229,3 +240,110 @@ def test_notes_survive_and_damage_is_named(tmp_path):
     (tmp_path / recorder.NOTES).write_text("{")
     with pytest.raises(DataError, match="cannot be read"):
         recorder.read_notes(tmp_path)
+
+
+def recorder_and_touch(folder):
+    """A procedure, a recorder of its own folder, and a touch that can be saved there as often as one likes."""
+    procedure, (outcome,) = collected(folder / "made", 0)
+    recording = Recorder(folder / "again", names(procedure), procedure.clock)
+    return procedure, recording, outcome.touch
+
+
+def test_names_of_touches_grow_even_if_the_clock_stands_or_goes_back_a_little(tmp_path):
+    """The clock of the second touch is read between its check and its date: set back by 0.3 s, it would sort first."""
+    procedure, recording, touch = recorder_and_touch(tmp_path)
+    clock = Jumping(procedure.clock)
+    recording._clock = clock
+    with recording:
+        for number in range(3):
+            recording.begin(site(number), 0).state(procedure.arm.state())
+            clock.jump -= 0.3  # less than a jump that ends the session
+            recording._offset -= 0.3
+            recording.save(touch._replace(site=site(number)))
+            clock.jump += 0.3 + 1e-3
+        files = touches_in(recording.folder)
+        assert [recorder.site_number_of(path) for path in files] == [0, 1, 2]
+        times = [written_at(path) for path in files]
+        assert (np.diff(times) > 0).all()
+
+
+def test_a_touch_that_is_saved_leaves_no_raw_file(tmp_path):
+    collected(tmp_path, 0, 1)
+    assert len(touches_in(tmp_path)) == 2
+    assert not (tmp_path / recorder.INTERRUPTED).exists()
+    assert not (tmp_path / recorder.UNDER_WAY).exists()
+
+
+def test_states_are_written_once_and_in_the_order_of_time(tmp_path):
+    procedure, recording, touch = recorder_and_touch(tmp_path)
+    state = procedure.arm.state()
+    with recording:
+        log = recording.begin(site(0), 0)
+        for number in (2, 0, 3, 1, 2):
+            log.state(state._replace(time=float(number), wrench=np.full(6, number), joints=np.full(7, 0.1 * number)))
+        recording.save(touch)
+    series = dataset.read_touch(recording.saved[0]).series
+    for name in ("wrench", "pose", "joints"):
+        np.testing.assert_allclose(np.diff(series[name].time), 1.0, atol=1e-6)
+    np.testing.assert_array_equal(series["wrench"].values[:, 2], [0, 1, 2, 3])
+    assert series["joints"].values.shape == (4, 7)  # an arm may have any number of joints
+
+
+def test_files_reach_the_disk_before_their_names_do_and_then_the_folder(tmp_path, monkeypatch):
+    """What is acknowledged is synchronised: first the contents, then the rename, then the folder that holds it."""
+    done = []
+    fsync, rename = os.fsync, os.replace
+
+    def synced(descriptor):
+        path = Path(os.readlink(f"/proc/self/fd/{descriptor}")) if sys.platform == "linux" else Path()
+        done.append(("sync", "folder" if path.is_dir() else "file"))
+        fsync(descriptor)
+
+    def renamed(*paths, **options):
+        done.append(("rename", "file"))
+        return rename(*paths, **options)
+
+    procedure, recording, touch = recorder_and_touch(tmp_path)
+    monkeypatch.setattr(os, "fsync", synced)
+    for name in ("replace", "rename"):
+        monkeypatch.setattr(os, name, renamed)
+    with recording:
+        recording.begin(site(0), 0).state(procedure.arm.state())
+        done.clear()
+        recording.save(touch)
+        assert done[:3] == [("sync", "file"), ("rename", "file"), ("sync", "folder")]
+        done.clear()
+        recorder.write_notes(recording.folder, {"seed": 0})
+        assert done == [("sync", "file"), ("rename", "file"), ("sync", "folder")]
+
+
+def test_a_raw_file_of_an_earlier_version_is_still_read(tmp_path):
+    path = tmp_path / "touch.raw"
+    row = np.arange(22.0)
+    path.write_bytes(
+        b'{"touch": "i2t raw", "version": 1}\n'
+        + event_log.ENTRY_HEADER.pack(b"s", row.nbytes)
+        + row.astype("<f8").tobytes()
+    )
+    ((kind, rows),) = read_raw(path)
+    assert kind == "skin"
+    np.testing.assert_array_equal(rows, row[None])
+
+
+def test_a_folder_is_locked_where_there_is_no_fcntl(tmp_path, monkeypatch):
+    """On Windows the lock is that of its C library."""
+    import types
+
+    locked = []
+
+    def locking(descriptor, mode, count):
+        if locked:
+            raise PermissionError(errno.EACCES, "Permission denied")
+        locked.append((mode, count))
+
+    monkeypatch.setattr(recorder, "fcntl", None)
+    monkeypatch.setitem(sys.modules, "msvcrt", types.SimpleNamespace(locking=locking, LK_NBLCK=2))
+    procedure = make()
+    with Recorder(tmp_path, names(procedure), procedure.clock), pytest.raises(StorageError, match="another collection"):
+        Recorder(tmp_path, names(procedure), procedure.clock)
+    assert locked == [(2, 1)]

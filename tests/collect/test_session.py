@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from i2t import dataset
-from i2t.collect import recorder, session
+from i2t.collect import command, recorder, session
 from i2t.hardware.rig import Rig
 from i2t.types import ReturnCode
 
@@ -31,33 +31,33 @@ def rig(folder):
     return path
 
 
-def command(folder, rig, *more, touches=2):
-    return session.main(["--out", str(folder / "set"), "--rig", str(rig), "--touches", str(touches), *more])
+def run(folder, rig, *more, touches=2):
+    return command.main(["--out", str(folder / "set"), "--rig", str(rig), "--touches", str(touches), *more])
 
 
 def test_it_collects_a_set_says_so_and_goes_on_where_it_stopped(folder, rig, capsys):
-    assert command(folder, rig) == 0
+    assert run(folder, rig) == 0
     said = capsys.readouterr().out
     assert "SIMULATED: no real device takes part" in said
     assert "touch 2/2" in said
-    first = dataset.load(folder / "set")
+    first = dataset.load_dataset(folder / "set")
     assert len(first) == 2
     assert first.source == "simulated"
     assert first.objects == ("hexagon",)
-    assert command(folder, rig, touches=3) == 0
-    data = dataset.load(folder / "set")
+    assert run(folder, rig, touches=3) == 0
+    data = dataset.load_dataset(folder / "set")
     assert len(data) == 3
-    assert len(data.runs) == 1
+    assert len(data.sessions) == 1
     np.testing.assert_array_equal(data.touches.reading[:2], first.touches.reading)
-    assert [recorder.site_of(path) for path in recorder.touches_in(folder / "set")] == [0, 1, 2]
+    assert [recorder.site_number_of(path) for path in recorder.touches_in(folder / "set")] == [0, 1, 2]
     capsys.readouterr()
-    assert command(folder, rig, touches=3) == 0
+    assert run(folder, rig, touches=3) == 0
     assert "there already" in capsys.readouterr().out
 
 
 def test_what_was_collected_makes_sense(folder, rig):
     """A hexagon 30 mm high: the patch lies where the arm and the rig say, within their errors of a millimetre."""
-    touches = dataset.load(folder / "set").touches
+    touches = dataset.load_dataset(folder / "set").touches
     pressed = np.isin(touches.code, [ReturnCode.SKIN, ReturnCode.WRENCH])
     assert pressed.all()
     assert (np.linalg.norm(touches.reading, axis=1) > 15).all()
@@ -68,18 +68,18 @@ def test_what_was_collected_makes_sense(folder, rig):
 
 
 def test_another_collection_is_not_mixed_in(folder, rig, capsys):
-    assert command(folder, rig, "--object", "star") == 2
+    assert run(folder, rig, "--object", "star") == 2
     assert "begun with another object" in capsys.readouterr().err
-    assert command(folder, rig, "--seed", "1") == 2
+    assert run(folder, rig, "--seed", "1") == 2
     assert "another seed" in capsys.readouterr().err
     (folder / "other").mkdir(exist_ok=True)
     (folder / "other" / recorder.touches_in(folder / "set")[0].name).write_bytes(b"")
-    assert session.main(["--out", str(folder / "other")]) == 2
+    assert command.main(["--out", str(folder / "other")]) == 2
     assert "another making" in capsys.readouterr().err
 
 
 def test_a_dry_run_moves_nothing_and_writes_no_touch(folder, rig, capsys):
-    assert session.main(["--out", str(folder / "dry"), "--rig", str(rig), "--touches", "5", "--dry-run"]) == 0
+    assert command.main(["--out", str(folder / "dry"), "--rig", str(rig), "--touches", "5", "--dry-run"]) == 0
     said = capsys.readouterr().out
     assert "nothing was moved" in said
     assert "0 of 5 cannot be reached" in said
@@ -91,15 +91,15 @@ def test_sigterm_stops_it_and_keeps_everything(folder, rig, capsys):
     def stop(outcome):
         os.kill(os.getpid(), signal.SIGTERM)
 
-    args = session.Args(out=folder / "stopped", rig=rig, touches=5)
-    before = signal.signal(signal.SIGTERM, session._terminated)
+    args = command.CollectArgs(out=folder / "stopped", rig=rig, touches=5)
+    before = signal.signal(signal.SIGTERM, command.end_by_signal)
     try:
         with pytest.raises(SystemExit) as ended:
-            session.collect(args, tell=stop)
+            session.collect(args, on_outcome=stop)
     finally:
         signal.signal(signal.SIGTERM, before)
     assert ended.value.code == 128 + signal.SIGTERM
-    assert len(dataset.load(folder / "stopped")) == 1
+    assert len(dataset.load_dataset(folder / "stopped")) == 1
     assert "the same command goes on" in capsys.readouterr().out
 
 
@@ -116,7 +116,7 @@ def test_sigterm_stops_it_and_keeps_everything(folder, rig, capsys):
 )
 def test_what_does_not_go_together_is_said_in_a_sentence(tmp_path, capsys, wrong, said):
     try:
-        code = session.main(["--out", str(tmp_path / "set"), *wrong])
+        code = command.main(["--out", str(tmp_path / "set"), *wrong])
     except SystemExit as error:
         code = error.code
     assert code == 2

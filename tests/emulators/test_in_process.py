@@ -7,8 +7,9 @@ from helpers.closed_form import DOWN, GAIN, HEIGHT, NOISY, QUIET, WALL
 from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera
-from i2t.emulators.in_process import TICK, Lab, SimulatedArm, SimulatedCamera, SimulatedSkin, VirtualClock
-from i2t.emulators.scene import LOADS, Feeler, Flat, Scene, _meet, see
+from i2t.emulators.in_process import TICK_S, SimulatedArm, SimulatedCamera, SimulatedLab, SimulatedSkin, VirtualClock
+from i2t.emulators.scene import LOADS_N, ContactModel, SpringPlane, ObjectScene, _meet
+from i2t.simulation.depth_camera import render_view
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.hardware.clock import MonotonicClock
 from i2t.hardware.limits import MotionLimits
@@ -25,7 +26,7 @@ BOX = MotionLimits((0.2, -0.3, 0.0), (0.6, 0.3, 0.5))
 @pytest.fixture(scope="module")
 def scene():
     rig = Rig()
-    return Scene(catalogue.make_object("dome").mesh, rig.T_base_world @ rig.T_world_object, nominal_pad(), QUIET)
+    return ObjectScene(catalogue.make_object("dome").mesh, rig.T_base_world @ rig.T_world_object, nominal_pad(), QUIET)
 
 
 def pose(x, y, z, turned=DOWN):
@@ -35,7 +36,7 @@ def pose(x, y, z, turned=DOWN):
 
 
 def lab(errors=QUIET, clock=None, stiffness=10e3):
-    return Lab(Flat(HEIGHT, stiffness, GAIN, errors, boards.reskin_board()), clock or VirtualClock(WALL))
+    return SimulatedLab(SpringPlane(HEIGHT, stiffness, GAIN, errors, boards.reskin_board()), clock or VirtualClock(WALL))
 
 
 def test_they_are_what_the_protocols_say(scene):
@@ -60,10 +61,10 @@ def test_a_line_over_a_dome_is_the_physics_between_its_loads_too(scene):
     line = scene.ahead(start)
     np.testing.assert_allclose(line.first, 0.07 - 0.03, atol=0.05e-3)  # chords of the mesh and cells of the grid
     T_o_t = jnp.asarray(np.linalg.inv(scene.T_b_o) @ start, jnp.float32)
-    loads = LOADS * np.sqrt(LOADS[1] / LOADS[0])
+    loads = LOADS_N * np.sqrt(LOADS_N[1] / LOADS_N[0])
     _, sunk, _, readings = _meet(scene._surface, T_o_t, scene.pad, jnp.asarray(loads, jnp.float32))
     for i in range(3, 11):
-        force, centre, reading = line.felt(line.first + float(sunk[i]) + loads[i] / scene.stiffness)
+        force, centre, reading = line.contact_at(line.first + float(sunk[i]) + loads[i] / scene.stiffness)
         np.testing.assert_allclose(force, loads[i], rtol=0.05)
         np.testing.assert_allclose(reading, readings[i], atol=0.08 * np.linalg.norm(readings[i]))
         np.testing.assert_allclose(centre, 0, atol=0.1e-3)
@@ -82,16 +83,35 @@ def test_a_softer_mount_sinks_by_force_through_stiffness(scene):
 def test_nothing_is_met_beside_the_object_and_off_the_line(scene):
     line = scene.ahead(pose(0.5, 0.0, 0.07))
     assert line.first == np.inf
-    assert line.felt(0.1)[0] == 0.0
+    assert line.contact_at(0.1)[0] == 0.0
     assert line.on(np.array([0.5, 0.0, 0.05]), DOWN) == pytest.approx(0.02)
     assert line.on(np.array([0.501, 0.0, 0.05]), DOWN) is None
-    feeler = Feeler(scene)
+    feeler = ContactModel(scene)
     for x in np.linspace(0.35, 0.45, 20):  # through the object, but never standing
         assert not feeler(np.array([x, 0.0, 0.01]), DOWN).any()
 
 
+def test_an_object_beyond_the_reach_of_a_line_is_met_from_where_the_tool_stands_next(scene):
+    """A tool that first stands 130 mm above the object and then 40 mm: on one line, of which 120 mm are known."""
+    model = ContactModel(scene)
+    for z in (0.16, 0.07):
+        for _ in range(10):
+            assert not model(np.array([0.4, 0.0, z]), DOWN).any()
+    assert model(np.array([0.4, 0.0, 0.0297]), DOWN)[2] > 0.3
+
+
+def test_a_tool_that_goes_back_behind_the_beginning_of_a_line_meets_what_is_there(scene):
+    """Sideways, 10 mm above the table: first past the object, then in front of it, on the same line."""
+    model = ContactModel(scene)
+    sideways = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # tool z along the base's x
+    for x in (0.46, 0.33):
+        for _ in range(10):
+            assert not model(np.array([x, 0.0, 0.01]), sideways).any()
+    assert np.linalg.norm(model(np.array([0.3725, 0.0, 0.01]), sideways)[:3]) > 0.3
+
+
 def test_a_feeler_beside_the_work_finds_the_same(scene):
-    waits, beside = Feeler(scene), Feeler(scene, wait=False)
+    waits, beside = ContactModel(scene), ContactModel(scene, wait=False)
     for feeler in (waits, beside):
         for _ in range(10):
             feeler(np.array([0.4, 0.0, 0.07]), DOWN)
@@ -105,7 +125,7 @@ def test_a_feeler_beside_the_work_finds_the_same(scene):
 
 def test_force_off_the_middle_gives_a_torque(scene):
     """On the dome beside its top the contact lies off the tool's middle: torque is place x force."""
-    feeler = Feeler(scene)
+    feeler = ContactModel(scene)
     for _ in range(10):
         feeler(np.array([0.405, 0.0, 0.07]), DOWN)
     wrench = feeler(np.array([0.405, 0.0, 0.029]), DOWN)
@@ -120,7 +140,7 @@ def test_a_view_of_a_plane_is_its_equation():
         T = pose(*rng.uniform(-0.05, 0.05, 2), 0.2, Rotation.random(rng=rng).as_matrix())
         T[:3, :3] = Rotation.from_rotvec(rng.normal(0, 0.15, 3)).as_matrix() @ DOWN
         corners = np.array([[-0.3, -0.25, 0], [0.3, -0.25, 0.05], [0, 0.3, -0.05]])
-        depth, which = see(corners[None], T, LENS)
+        depth, which = render_view(corners[None], T, LENS)
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
         v, u = np.indices(depth.shape)
         rays = np.stack([(u - LENS.cx) / LENS.fx, (v - LENS.cy) / LENS.fy, np.ones(depth.shape)], -1) @ T[:3, :3].T
@@ -133,18 +153,18 @@ def test_the_nearer_of_two_surfaces_is_seen_and_a_bent_lens_is_refused():
     near = np.array([[-0.01, -0.01, 0.1], [0.01, -0.01, 0.1], [0, 0.02, 0.1]])
     far = near * [40, 40, 1] - [0, 0, 0.1]
     for triangles in (np.stack([near, far]), np.stack([far, near])):
-        depth, _ = see(triangles, pose(0, 0, 0.2), LENS)
+        depth, _ = render_view(triangles, pose(0, 0, 0.2), LENS)
         assert depth[30, 40] == pytest.approx(0.1)
         assert depth[10, 10] == pytest.approx(0.2)
     with pytest.raises(ValueError, match="lens"):
-        see(near[None], pose(0, 0, 0.2), Camera(8, 8, 5.0, 5.0, 4.0, 4.0, "ftheta", (1.0,)))
+        render_view(near[None], pose(0, 0, 0.2), Camera(8, 8, 5.0, 5.0, 4.0, 4.0, "ftheta", (1.0,)))
 
 
 def test_noise_at_rest_has_the_size_that_real_boards_have():
     inside = lab(NOISY)
     with SimulatedSkin(inside) as skin:
         samples = skin.read(4000)
-    np.testing.assert_allclose(np.diff(samples.time), TICK, rtol=1e-6)
+    np.testing.assert_allclose(np.diff(samples.time), TICK_S, rtol=1e-6)
     # A slow field of a quarter of the variance is seen ten times over: one part in six of its size is not.
     spread = samples.reading.reshape(-1, 5, 3).std(axis=0).mean(axis=0)
     np.testing.assert_allclose(spread, [3.1, 3.1, 4.6], rtol=0.15)
@@ -159,10 +179,10 @@ def test_a_late_arm_overshoots_by_what_it_is_late():
             arm.go(pose(0.4, 0.0, 0.035), 0.1, 0.5)
             inside.clock.sleep(0.05)
             pressed = arm.approach(0.02, 0.004, None, 8.0, 8.0, 0.2)
-        late = latency + 3 * TICK  # it looks every third tick
+        late = latency + 3 * TICK_S  # it looks every third tick
         force = -pressed.state.wrench[2]
         assert pressed.reason == "force"
-        assert 8.0 + 10e3 * 0.004 * latency <= force < 8.0 + 10e3 * (0.004 * (late + TICK) + 0.004**2 / 4) + 0.05
+        assert 8.0 + 10e3 * 0.004 * latency <= force < 8.0 + 10e3 * (0.004 * (late + TICK_S) + 0.004**2 / 4) + 0.05
 
 
 def test_goals_outside_the_box_and_forces_in_the_way_are_refused():

@@ -11,9 +11,9 @@ import pytest
 
 from experiments.faults import arm
 from experiments.faults import run as faults
-from experiments.faults.rows import DEBUG, Row, Sizes, worst
+from experiments.faults.rows import DEBUG, FaultRow, Sizes, worst
 from i2t import dataset
-from i2t.collect.recorder import INTERRUPTED, site_of, touches_in
+from i2t.collect.recorder import INTERRUPTED, site_number_of, touches_in
 from i2t.emulators import reskin_board, ur_controller
 from i2t.types import ReturnCode
 
@@ -30,7 +30,7 @@ def test_the_report_of_what_costs_little(tmp_path, capsys):
 
 
 def test_a_goal_that_is_missed_is_the_exit_code(tmp_path, monkeypatch):
-    missed = [Row("disk", "what", "once", "3 lost", "0 lost", False)]
+    missed = [FaultRow("disk", "what", "once", "3 lost", "0 lost", False)]
     monkeypatch.setitem(faults.SECTIONS, "disk", lambda sizes: missed)
     assert faults.main(["--sections", "disk", "--out", str(tmp_path / "faults")]) == 1
     assert "MISSED" in (tmp_path / "faults" / "report.md").read_text()
@@ -67,9 +67,9 @@ def test_real_drivers_collect_before_stand_ins_are_killed_and_go_on(tmp_path):
             time.sleep(0.05)
         wanted = len(touches_in(out)) + 1
         assert subprocess.run([*command, str(wanted), "1"], env=os.environ, timeout=60, check=False).returncode == 0
-    data = dataset.load(out)
+    data = dataset.load_dataset(out)
     assert len(data) == wanted
-    assert sorted(site_of(path) for path in touches_in(out)) == list(range(wanted))
+    assert sorted(site_number_of(path) for path in touches_in(out)) == list(range(wanted))
     assert list((out / INTERRUPTED).glob("*.raw"))
     assert (data.touches.code == ReturnCode.WRENCH).all()
     assert ((data.touches.force > 7.9) & (data.touches.force < 8.0 + 5e3 * 4e-3 * 0.3)).all()  # 0.3 s late at the most

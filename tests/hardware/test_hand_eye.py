@@ -14,13 +14,13 @@ from scipy.spatial.transform import Rotation
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError
 from i2t.hardware import hand_eye
-from i2t.hardware.hand_eye import Board
-from i2t.hardware.hand_eye_fit import Sight, board_pose, closed_form, fit, lines_of_sight
+from i2t.hardware.hand_eye import CharucoBoard
+from i2t.hardware.hand_eye_fit import BoardView, board_pose, closed_form, fit, pixel_rays
 from i2t.hardware.realsense import Colour
 from i2t.hardware.rig import Rig
 
 CAMERA = Camera(640, 360, 322.4, 322.1, 319.5, 179.5)
-BOARD = Board()
+BOARD = CharucoBoard()
 ARM = (0.1e-3, math.radians(0.05))  # m, rad: errors of the arm's pose, per axis
 PATIENCE = 20.0
 
@@ -49,13 +49,13 @@ def reported(T, rng):
     return T @ pose(ARM[1] * rng.standard_normal(3), ARM[0] * rng.standard_normal(3))
 
 
-def sight(T_b_t, rng, noise, told=None):
+def board_view(T_b_t, rng, noise, told=None):
     """All corners of a board as a perfect detector with `noise` pixels sees them."""
     grid = np.stack(np.meshgrid(np.arange(1, BOARD.columns), np.arange(1, BOARD.rows)), -1).reshape(-1, 2)
     corners = np.column_stack([BOARD.square * grid, np.zeros(len(grid))])
     seen = corners @ (T := np.linalg.inv(T_b_t @ TRUE) @ LAID)[:3, :3].T + T[:3, 3]
     rays = seen[:, :2] / seen[:, 2:] + noise / CAMERA.fx * rng.standard_normal((len(grid), 2))
-    return Sight(T_b_t if told is None else told, corners, rays)
+    return BoardView(T_b_t if told is None else told, corners, rays)
 
 
 def error(T_t_c):
@@ -67,12 +67,12 @@ def error(T_t_c):
 
 def test_without_noise_it_is_exact():
     rng = np.random.default_rng(0)
-    sights = [sight(T, rng, 0.0) for T in tools(6, rng)]
-    for each in sights:
+    board_views = [board_view(T, rng, 0.0) for T in tools(6, rng)]
+    for each in board_views:
         np.testing.assert_allclose(board_pose(each), np.linalg.inv(each.T_b_t @ TRUE) @ LAID, atol=1e-9)
-    T_c_o = np.stack([board_pose(each) for each in sights])
-    np.testing.assert_allclose(closed_form(np.stack([each.T_b_t for each in sights]), T_c_o), TRUE, atol=1e-8)
-    found = fit(sights, CAMERA.fx)
+    T_c_o = np.stack([board_pose(each) for each in board_views])
+    np.testing.assert_allclose(closed_form(np.stack([each.T_b_t for each in board_views]), T_c_o), TRUE, atol=1e-8)
+    found = fit(board_views, CAMERA.fx)
     np.testing.assert_allclose(found.T_t_c, TRUE, atol=1e-7)
     np.testing.assert_allclose(found.T_b_o, LAID, atol=1e-7)
     assert found.rms < 1e-4
@@ -86,9 +86,9 @@ def test_the_error_it_states_is_the_error_it_makes():
     made, stated = [], []
     for seed in range(12):
         rng = np.random.default_rng(seed)
-        found = fit([sight(T, rng, 0.1, reported(T, rng)) for T in tools(12, rng)], CAMERA.fx)
+        found = fit([board_view(T, rng, 0.1, reported(T, rng)) for T in tools(12, rng)], CAMERA.fx)
         made.append(error(found.T_t_c))
-        stated.append((found.distance, found.angle))
+        stated.append((found.position_error, found.rotation_error))
     made, stated = (np.sqrt(np.mean(np.square(each), 0)) for each in (made, stated))
     assert 0.5 < made[0] / stated[0] < 2
     assert 0.5 < made[1] / stated[1] < 2
@@ -99,23 +99,23 @@ def test_the_error_it_states_is_the_error_it_makes():
 
 def test_a_few_wrong_corners_do_not_matter():
     rng = np.random.default_rng(1)
-    sights = [sight(T, rng, 0.1) for T in tools(10, rng)]
-    clean = error(fit(sights, CAMERA.fx).T_t_c)[0]
-    for each in sights[::2]:
+    board_views = [board_view(T, rng, 0.1) for T in tools(10, rng)]
+    clean = error(fit(board_views, CAMERA.fx).T_t_c)[0]
+    for each in board_views[::2]:
         each.rays[rng.integers(len(each.rays))] += 3 / CAMERA.fx
-    assert error(fit(sights, CAMERA.fx).T_t_c)[0] < max(3 * clean, 0.1e-3)
+    assert error(fit(board_views, CAMERA.fx).T_t_c)[0] < max(3 * clean, 0.1e-3)
 
 
 def test_views_that_do_not_tell_are_refused():
     rng = np.random.default_rng(2)
     with pytest.raises(ValueError, match="found in 5 views; take at least 6"):
-        fit([sight(T, rng, 0.1) for T in tools(5, rng)], CAMERA.fx)
+        fit([board_view(T, rng, 0.1) for T in tools(5, rng)], CAMERA.fx)
     upright = list(tools(8, rng, tilt=0.0))
     with pytest.raises(ValueError, match="tilt it by 15 degrees or more about two"):
-        fit([sight(T, rng, 0.1, reported(T, rng)) for T in upright], CAMERA.fx)
-    one = sight(upright[0], rng, 0.0)
+        fit([board_view(T, rng, 0.1, reported(T, rng)) for T in upright], CAMERA.fx)
+    one = board_view(upright[0], rng, 0.0)
     with pytest.raises(ValueError, match="shows 5 corners"):
-        board_pose(Sight(one.T_b_t, one.corners[:5], one.rays[:5]))
+        board_pose(BoardView(one.T_b_t, one.corners[:5], one.rays[:5]))
 
 
 @pytest.mark.parametrize("model", ["none", "brown_conrady", "modified_brown_conrady", "inverse_brown_conrady"])
@@ -127,9 +127,9 @@ def test_lines_of_sight_are_those_of_the_core(model):
     camera = replace(CAMERA, model=model, coefficients=(0.08, -0.03, 1e-3, -2e-3, 0.01) if model != "none" else ())
     pixels = np.random.default_rng(3).uniform([0, 0], [639, 359], (50, 2))
     expected = deproject(camera, jnp.asarray(pixels, jnp.float32), jnp.ones(50))[:, :2]
-    np.testing.assert_allclose(lines_of_sight(camera, pixels), expected, atol=2e-6)  # float32
+    np.testing.assert_allclose(pixel_rays(camera, pixels), expected, atol=2e-6)  # float32
     with pytest.raises(ValueError, match="knows no kannala_brandt4"):
-        lines_of_sight(replace(CAMERA, model="kannala_brandt4", coefficients=(0.1,)), pixels)
+        pixel_rays(replace(CAMERA, model="kannala_brandt4", coefficients=(0.1,)), pixels)
 
 
 # With images
@@ -238,7 +238,7 @@ def test_boards_are_drawn_and_checked(tmp_path, capsys):
     assert hand_eye.main(["board", str(file), "--dictionary", "APRILTAG_36h11"]) == 0
     with Image.open(file) as image:
         assert image.size == (10 * 177, 8 * 177)  # 15 mm at 300 dpi
-        corners, _ = Board(dictionary="APRILTAG_36h11").find(np.asarray(image.convert("RGB").resize((885, 708))))
+        corners, _ = CharucoBoard(dictionary="APRILTAG_36h11").find(np.asarray(image.convert("RGB").resize((885, 708))))
     assert len(corners) == 35
     for arguments, why in ((["--square", "15"], "in metres"), (["--dictionary", "5X5"], "has no dictionary '5X5'")):
         assert hand_eye.main(["board", str(file), *arguments]) == 2

@@ -144,7 +144,7 @@ def test_which_models_see_at_the_papers_distance():
     assert nearest("Intel RealSense D435I", 640, 360) == 0.150
     assert nearest("D435", 640, 480) == 0.175
     assert np.isnan(nearest("D999", 640, 360))
-    seen = [name for name in realsense.NEAREST if nearest(name, 640, 360) <= 0.104]
+    seen = [name for name in realsense.NEAREST_MM if nearest(name, 640, 360) <= 0.104]
     assert seen == ["D405"]
     check_distance("D405", 1280, 720, 0.104)
     check_distance("D999", 640, 360, 0.01)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera
 from i2t.hardware import rig as rigs
-from i2t.hardware.limits import Limits
+from i2t.hardware.limits import MotionLimits
 from i2t.hardware.rig import Rig
 
 
@@ -45,7 +45,7 @@ def test_what_is_written_is_read(tmp_path_factory, turn, at, centre, mass, dista
         pose(3 * np.array(turn), at),
         pose(turn, centre),
         "registration",
-        Limits((0.1, -0.2, 0.0), (0.5, 0.2, 0.4), speed=0.1, travel=0.05),
+        MotionLimits((0.1, -0.2, 0.0), (0.5, 0.2, 0.4), speed=0.1, travel=0.05),
     )
     written.write(path)
     read = Rig.read(path)
@@ -63,7 +63,7 @@ def test_the_example_is_the_default_and_frames_agree(tmp_path):
     same(rig, Rig())
     np.testing.assert_allclose(rig.T_base_world @ rig.T_world_base, np.eye(4), atol=1e-15)
     np.testing.assert_allclose(rig.T_tool_flange @ rig.T_flange_tool, np.eye(4), atol=1e-15)
-    assert rig.limits.hold((rig.T_base_world @ rig.T_world_object)[:3, 3] + [0, 0, 0.03])  # the object's top
+    assert rig.limits.contains((rig.T_base_world @ rig.T_world_object)[:3, 3] + [0, 0, 0.03])  # the object's top
     # Standing 40 mm off a surface the paper's camera looks from its looking distance.
     assert 0.04 - rig.T_tool_camera[2, 3] == pytest.approx(rig.looking_distance)
     with pytest.raises(ValueError, match="read-only"):

@@ -8,19 +8,28 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from i2t.emulators.in_process import Lab, SimulatedArm, Virtual
-from i2t.emulators.scene import Flat
+from i2t.emulators.in_process import SimulatedArm, SimulatedLab, VirtualClock
+from i2t.emulators.scene import SpringPlane
 from i2t.errors import DeviceError
 from i2t.hardware import touch_off as touching
-from i2t.hardware.limits import Limits
-from i2t.hardware.touch_off import CLEAR, SIDES, TILT, face, lowered, onset, pressed, touch_off
-from i2t.simulation.touches import Errors
+from i2t.hardware.limits import MotionLimits
+from i2t.hardware.touch_off import (
+    CLEARANCE_M,
+    CORNER_SIGNS,
+    TILT_RAD,
+    contact_onset,
+    corner_force,
+    corner_rotation,
+    fit_plane,
+    touch_off,
+)
+from i2t.simulation.touches import SimulationErrors
 from i2t.skin import boards
 from i2t.types import PAD_WINDOW
 
-LIMITS = Limits((0.2, -0.3, 0.005), (0.6, 0.3, 0.5))
+LIMITS = MotionLimits((0.2, -0.3, 0.005), (0.6, 0.3, 0.5))
 AT, HEIGHT, STIFFNESS = (0.4, 0.1), 0.03, 4000.0  # m, m, N/m of a corner
-CORNERS = PAD_WINDOW / 2 * np.column_stack([np.array(SIDES, float), np.zeros(4)])
+CORNERS = PAD_WINDOW / 2 * np.column_stack([np.array(CORNER_SIGNS, float), np.zeros(4)])
 
 
 def skin(z, rx, ry):
@@ -39,19 +48,19 @@ def corners(T_b_t, true):
 def test_a_plane_through_four_corners_is_the_skin(z, rx, ry):
     true = skin(z, rx, ry)
     touches = []
-    for i, side in enumerate(SIDES):
+    for i, side in enumerate(CORNER_SIGNS):
         T = np.diag([1.0, -1.0, -1.0, 1.0])
-        T[:3, :3] = T[:3, :3] @ lowered(side)
+        T[:3, :3] = T[:3, :3] @ corner_rotation(side)
         heights = corners(T, true)[:, 2]
         assert heights.argmin() == i  # its own corner touches first
         T[2, 3] = HEIGHT - heights.min()
         touches.append(T)
-    found = face(touches, HEIGHT)
+    found = fit_plane(touches, HEIGHT)
     # A tilted face's corners come closer to the axis by 1 - cos 0.06 = 0.2 % of 10 mm, on a slope of 0.06: 1 um; twice
     # for both tilts, and the tool's own 6 degrees let a corner that is 20 um aside stand 2 um higher.
     np.testing.assert_allclose(found.T_tool_skin[2, 3], z, atol=8e-6)
     np.testing.assert_allclose(found.T_tool_skin[:3, 2], true[:3, 2], atol=1e-3)
-    assert found.miss < 4e-6
+    assert found.flatness_error < 4e-6
 
 
 LOOKS = np.arange(0.0, 8e-3, 2e-3 / 125)  # m: 125 looks a second at 2 mm/s
@@ -59,10 +68,10 @@ LOOKS = np.arange(0.0, 8e-3, 2e-3 / 125)  # m: 125 looks a second at 2 mm/s
 
 @pytest.mark.parametrize(("soft", "stiff"), [(0.9e-3, 1e4), (0.5e-3, 3e3), (1e-6, 4e3)], ids=["skin", "hard", "spring"])
 def test_where_a_press_began_is_found(soft, stiff):
-    force = pressed(LOOKS - 5e-3, soft, stiff)
+    force = corner_force(LOOKS - 5e-3, soft, stiff)
     np.testing.assert_allclose(soft * np.cbrt(force) + force / stiff, np.maximum(LOOKS - 5e-3, 0), atol=1e-9)
     end = np.argmax(force > 2) + 1
-    assert onset(LOOKS[:end], force[:end]) == pytest.approx(5e-3, abs=2e-6)
+    assert contact_onset(LOOKS[:end], force[:end]) == pytest.approx(5e-3, abs=2e-6)
 
 
 @pytest.mark.parametrize(("soft", "stiff"), [(0.9e-3, 1e4), (0.5e-3, 3e3)], ids=["skin", "hard"])
@@ -73,22 +82,22 @@ def test_where_a_press_began_is_found_in_noise_as_well_as_can_be(soft, stiff):
     rng, noise, true = np.random.default_rng(0), 0.1, np.array([5e-3, math.log(soft), math.log(stiff)])
 
     def model(x):
-        return pressed(travel - x[0], *np.exp(x[1:]))
+        return corner_force(travel - x[0], *np.exp(x[1:]))
 
-    travel = LOOKS[: np.argmax(pressed(LOOKS - 5e-3, soft, stiff) > 2) + 1]
+    travel = LOOKS[: np.argmax(corner_force(LOOKS - 5e-3, soft, stiff) > 2) + 1]
     steps = np.diag([1e-7, 1e-4, 1e-4])
     slopes = np.stack([(model(true + step) - model(true - step)) / (2 * step.max()) for step in steps], 1)
     bound = noise * math.sqrt(np.linalg.inv(slopes.T @ slopes)[0, 0])
-    errors = [onset(travel, model(true) + noise * rng.standard_normal(len(travel))) - 5e-3 for _ in range(16)]
+    errors = [contact_onset(travel, model(true) + noise * rng.standard_normal(len(travel))) - 5e-3 for _ in range(16)]
     assert np.sqrt(np.mean(np.square(errors))) < 1.54 * bound
     assert bound < 0.15e-3
 
 
 def test_what_is_no_press_is_said():
     with pytest.raises(ValueError, match="in at least 5 looks"):
-        onset(np.array([0, 1e-3]), np.array([0, 1.0]))
+        contact_onset(np.array([0, 1e-3]), np.array([0, 1.0]))
     with pytest.raises(ValueError, match="did not rise with"):
-        onset(np.arange(6.0), np.array([6.0, 5, 4, 3, 2, 1]))
+        contact_onset(np.arange(6.0), np.array([6.0, 5, 4, 3, 2, 1]))
 
 
 class Fingered:
@@ -106,7 +115,9 @@ class Fingered:
 
 
 def arm_with(true, height=HEIGHT):
-    lab = Lab(Flat(0.0, 1.0, np.zeros(15), Errors.none(), boards.reskin_board()), Virtual(0.0))
+    lab = SimulatedLab(
+        SpringPlane(0.0, 1.0, np.zeros(15), SimulationErrors.none(), boards.reskin_board()), VirtualClock(0.0)
+    )
     lab.robot.contact = Fingered(true, height)
     return SimulatedArm(lab, LIMITS)
 
@@ -114,28 +125,31 @@ def arm_with(true, height=HEIGHT):
 def test_an_arm_finds_its_skin():
     true, told = skin(0.8e-3, 0.02, -0.03), []
     with arm_with(true) as arm:
-        found = touch_off(arm, AT, HEIGHT, told.append)
-        assert arm.state().T_b_t[2, 3] > HEIGHT + CLEAR
+        found = touch_off(arm, LIMITS, AT, HEIGHT, told.append)
+        assert arm.state().T_b_t[2, 3] > HEIGHT + CLEARANCE_M
     np.testing.assert_allclose(found.T_tool_skin[2, 3], true[2, 3], atol=0.02e-3)
     np.testing.assert_allclose(found.T_tool_skin[:3, 2], true[:3, 2], atol=2e-3)
-    assert found.miss < 0.02e-3
+    assert found.flatness_error < 0.02e-3
     assert len(told) == 4
 
 
 def test_what_is_no_flat_is_said():
     with arm_with(skin(0, 0, 0), HEIGHT - 0.02) as arm, pytest.raises(DeviceError, match="met no flat within 11 mm"):
-        touch_off(arm, AT, HEIGHT, str)
+        touch_off(arm, LIMITS, AT, HEIGHT, str)
     with arm_with(skin(0, 0, 0)) as arm:
         with pytest.raises(ValueError, match="outside the box"):
-            touch_off(arm, (0.7, 0.1), HEIGHT, str)
+            touch_off(arm, LIMITS, (0.7, 0.1), HEIGHT, str)
         with pytest.raises(ValueError, match="outside the box"):
-            touch_off(arm, AT, 0.0, str)
+            touch_off(arm, LIMITS, AT, 0.0, str)
     T = np.diag([1.0, -1.0, -1.0, 1.0])
-    tilted = [T @ np.block([[lowered(side), np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]]) for side in SIDES]
+    tilted = [
+        T @ np.block([[corner_rotation(side), np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
+        for side in CORNER_SIGNS
+    ]
     with pytest.raises(ValueError, match=r"the skin would be .* mm and .* degrees from where the rig has it"):
-        face(tilted, HEIGHT)
-    assert lowered((1, 1))[2, 0] != 0
-    assert math.acos(lowered((1, -1))[2, 2]) == pytest.approx(TILT)
+        fit_plane(tilted, HEIGHT)
+    assert corner_rotation((1, 1))[2, 0] != 0
+    assert math.acos(corner_rotation((1, -1))[2, 2]) == pytest.approx(TILT_RAD)
 
 
 def test_the_command_says_what_is_missing(tmp_path, capsys):

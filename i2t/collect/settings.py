@@ -1,0 +1,50 @@
+"""How a touch is made: the numbers of the procedure, without NumPy, so that a command line shows them at once."""
+
+import math
+from dataclasses import dataclass, fields
+
+MAY_BE_ZERO = ("nonuniform_share", "settle", "hold", "retries", "min_visible_share", "patience")
+
+
+@dataclass(frozen=True)
+class TouchSettings:
+    """How a touch is made. Raises ValueError for numbers that make no sense.
+
+    The speed of a press is what keeps it near its limits: at k N/m, t seconds late and braking with a, it runs
+    k (v t + v^2 / 2a) past them; 10 N/mm, 60 ms and 2 mm/s give 1.2 N. The paper presses in steps; here the motion is
+    one, watched all the time.
+    """
+
+    prepare: float = 40e-3  # m before the site
+    near: float = 5e-3  # m before the site, where the quick approach ends and the ambient is taken (paper: 10 mm)
+    overtravel: float = 6e-3  # m past the site, after which a press has met air (three extra steps of 2 mm)
+    skin_change: float = 25.0  # uT, norm of the change of a reading
+    nonuniform_share: float = 0.5  # of it must differ between chips: a change that all chips see alike is the room's
+    averaged_samples: int = 10  # samples; one alone is 25 uT off in two of a thousand
+    force: float = 8.0  # N; the paper's recognition has 7
+    torque: float = 8.0  # Nm
+    ambient: int = 10  # samples
+    contact: int = 10  # samples
+    speed: float = 0.15  # m/s in the air
+    approach: float = 0.02  # m/s
+    press: float = 0.002  # m/s
+    retreat: float = 0.05  # m/s
+    acceleration: float = 0.3  # m/s^2
+    settle: float = 0.2  # s that the arm swings, before it looks or zeroes
+    hold: float = 0.05  # s from the stop to the samples in contact
+    clearance: float = 0.1  # m above the object's highest point, on the way across
+    min_visible_share: float = 0.5  # of the patch's pixels, that the camera must have measured
+    surface_tolerance: float = 5e-3  # m that the camera may see the surface before the site
+    air_tolerance: float = 3e-3  # m that the camera may see the surface before the end of a press that met nothing
+    silence: float = 0.15  # s without a sample, after which a press ends
+    retries: int = 2  # of a touch that failed
+    failures: int = 3  # sites in a row that fail, after which a person is asked
+    patience: float = 10.0  # s, for a device that has to be connected again
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if not math.isfinite(value) or value < 0 or (value == 0 and each.name not in MAY_BE_ZERO):
+                raise ValueError(f"{each.name} is {value:g}; give a number above 0")
+        if self.near > self.prepare:
+            raise ValueError(f"near, {self.near:g} m, lies before prepare, {self.prepare:g} m; make it smaller")

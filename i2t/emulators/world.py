@@ -1,0 +1,124 @@
+"""What simulated and emulated devices meet: an object of the catalogue or a mesh file, and the pad that touches it.
+
+The configurations of simulated and emulated devices are here too. JAX is imported only once a scene is made.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from i2t.hardware.rig import Rig
+
+if TYPE_CHECKING:
+    from i2t.emulators.scene import ObjectScene
+    from i2t.objects.solids import Object
+    from i2t.types import Pad
+
+DEFAULT_PAD_KEY = 1000  # of the random pad that is worn where none is named, the same as pad 0 of experiments.train
+
+
+@dataclass(frozen=True)
+class WorldConfig:
+    """What simulated and emulated devices meet."""
+
+    object: str  # of the catalogue, or a mesh file
+    unit: str = "mm"  # of a mesh file
+    pad: Path | None = None  # on disk; by default a random one
+    seed: int = 0  # of the errors
+    no_pose_error: bool = False  # object and camera are where they are believed to be
+    stiffness: float = 10e3  # N/m, of arm and mount
+
+
+@dataclass(frozen=True)
+class SimulatedArmConfig:
+    """An arm that is simulated in this process."""
+
+
+@dataclass(frozen=True)
+class SimulatedSkinConfig:
+    """The skin of a simulated arm."""
+
+
+@dataclass(frozen=True)
+class SimulatedCameraConfig:
+    """A camera that renders the object from where an arm says that it is."""
+
+
+@dataclass(frozen=True)
+class EmulatedArmConfig:
+    """The driver of a UR arm with an emulated controller, in a process of its own."""
+
+    host: str | None = None  # of a controller that runs; by default one is started
+    state_timeout: float = 0.5  # s, more than a lab's: other processes want the processor too
+    watchdog_rate: float = 4.0  # Hz
+
+
+@dataclass(frozen=True)
+class EmulatedSkinConfig:
+    """The driver of a ReSkin board with an emulated board, in a process of its own."""
+
+    port: str | None = None  # of a board that runs; by default one is started
+
+
+def read_object(name: str, unit: str) -> "Object":
+    """An object by its name or file.
+
+    Args:
+        name: Of the catalogue, or a mesh file.
+        unit: Of a mesh file: m, cm, mm or inch.
+
+    Returns:
+        The object.
+
+    Raises:
+        ValueError: There is no such name, or the file holds no usable mesh.
+        FileNotFoundError: There is no such file.
+    """
+    from i2t.objects.catalogue import NAMES, make_object
+    from i2t.objects.mesh_files import load_mesh
+
+    return make_object(name) if name in NAMES else load_mesh(name, unit)[0]
+
+
+def read_pad(path: Path | None) -> "Pad":
+    """A pad on disk, or the random one that is worn where none is named.
+
+    Args:
+        path: Of the pad, or None.
+
+    Returns:
+        The pad.
+
+    Raises:
+        ValueError: The file holds no pad.
+        OSError: It cannot be read.
+    """
+    import jax
+
+    from i2t.skin.files import load_pad
+    from i2t.skin.pad import sample_pad
+
+    return sample_pad(jax.random.key(DEFAULT_PAD_KEY)) if path is None else load_pad(path)
+
+
+def make_scene(world: WorldConfig, rig: Rig) -> "ObjectScene":
+    """The object where the rig says that it stands, but for the errors of a session of that seed.
+
+    Args:
+        world: What is there.
+        rig: Where it is.
+
+    Returns:
+        What tool and camera meet.
+
+    Raises:
+        ValueError: Object or pad cannot be used.
+        OSError: A file cannot be read.
+    """
+    from i2t.emulators.scene import ObjectScene
+    from i2t.simulation.touches import SimulationErrors
+
+    errors = SimulationErrors().scaled(0.0) if world.no_pose_error else SimulationErrors()
+    mesh = read_object(world.object, world.unit).mesh
+    T_b_o = rig.T_base_world @ rig.T_world_object
+    return ObjectScene(mesh, T_b_o, read_pad(world.pad), errors, world.stiffness, world.seed)

@@ -1,0 +1,119 @@
+"""Devices of third parties: found by a name that their package registers, or by `package.module:Class`.
+
+A package registers a class under a name in its `pyproject.toml`,
+
+    [project.entry-points."i2t.arms"]
+    acme = "acme_devices:AcmeArm"
+
+(likewise `i2t.skins`, `i2t.cameras`), after which `python -m i2t.collect --arm acme` finds it. The class is called with
+one `DeviceSetup` and must meet the protocol of its kind (`i2t.hardware.protocols`): an arm the one of `GuardedArm`. A
+skin of another board than ReSkin's has an attribute `board`. `examples/acme_devices` is a complete package, and
+`i2t.hardware.contract` holds the tests that every device must pass.
+"""
+
+import importlib
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Literal, TypeAlias
+
+from i2t.hardware.protocols import Arm, DepthCamera, GuardedArm, Skin
+from i2t.hardware.rig import Rig
+
+DeviceKind: TypeAlias = Literal["arm", "skin", "camera"]
+
+GROUPS: dict[DeviceKind, str] = {"arm": "i2t.arms", "skin": "i2t.skins", "camera": "i2t.cameras"}
+PROTOCOLS: dict[DeviceKind, type] = {"arm": GuardedArm, "skin": Skin, "camera": DepthCamera}
+
+
+@dataclass(frozen=True)
+class PluginConfig:
+    """A device of a third party."""
+
+    name: str  # that a package registers, or package.module:Class
+    address: str | None = None  # such as a host or a port
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceSetup:
+    """What a third party's device is built with."""
+
+    rig: Rig  # the lab's calibration: frames, payload, limits
+    address: str | None = None  # --host for an arm, --port for a skin, --views for a camera
+    arm: Arm | None = None  # that carries the camera
+
+
+def is_plugin(kind: DeviceKind, name: str) -> bool:
+    """Whether a name means a third party's device.
+
+    Args:
+        kind: Arm, skin or camera.
+        name: As on the command line.
+
+    Returns:
+        True for `package.module:Class`, and for a name that a package registers.
+    """
+    return ":" in name or bool(_registered(kind, name))
+
+
+def load_plugin(kind: DeviceKind, config: PluginConfig, setup: DeviceSetup) -> Any:
+    """Build a third party's device, without connecting it.
+
+    Args:
+        kind: Arm, skin or camera.
+        config: Which.
+        setup: What it is built with.
+
+    Returns:
+        The device.
+
+    Raises:
+        ValueError: It cannot be imported or built, or lacks what its protocol asks for; one sentence says what.
+    """
+    make = _find(kind, config.name)
+    try:
+        device = make(setup)
+    except TypeError as error:
+        raise ValueError(
+            f"--{kind} {config.name}: cannot be built ({error}); it must take one i2t.hardware.plugins.DeviceSetup"
+        ) from error
+    own = vars(device) if hasattr(device, "__dict__") else {}
+    missing = [name for name in _members(PROTOCOLS[kind]) if name not in own and not hasattr(type(device), name)]
+    if missing:
+        raise ValueError(
+            f"--{kind} {config.name}: lacks {', '.join(missing)}; i2t.hardware.protocols says what "
+            f"{PROTOCOLS[kind].__name__} asks for"
+        )
+    return device
+
+
+def _find(kind: DeviceKind, name: str) -> Any:
+    """The class of a name."""
+    group = GROUPS[kind]
+    found = _registered(kind, name)
+    if len(found) > 1:
+        owners = ", ".join(each.value for each in found)
+        raise ValueError(f"--{kind} {name}: several packages register it ({owners}); give package.module:Class")
+    if ":" not in name and not found:
+        known = ", ".join(sorted(each.name for each in entry_points(group=group))) or "none"
+        raise ValueError(
+            f"--{kind} {name}: there is no such {kind} (registered under {group}: {known}); give package.module:Class"
+        )
+    module, _, attribute = (found[0].value if found else name).partition(":")
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except AttributeError as error:
+        raise ValueError(f"--{kind} {name}: {module} has no {attribute}; give package.module:Class") from error
+    except (ImportError, ValueError) as error:
+        raise ValueError(
+            f"--{kind} {name}: {module} cannot be imported ({error}); install it, or correct it"
+        ) from error
+
+
+def _registered(kind: DeviceKind, name: str) -> list[EntryPoint]:
+    return list(entry_points(group=GROUPS[kind], name=name))
+
+
+def _members(protocol: type) -> list[str]:
+    """Names of the methods and properties that a protocol asks for."""
+    names = {name for base in protocol.__mro__ if getattr(base, "_is_protocol", False) for name in vars(base)}
+    return sorted(name for name in names if not name.startswith("_"))

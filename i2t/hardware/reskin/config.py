@@ -1,0 +1,18 @@
+"""Where a ReSkin's bytes come from, without its driver."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class ReSkinConfig:
+    """A ReSkin or AnySkin board; see `i2t.hardware.reskin.driver.ReSkin`."""
+
+    port: str | None = None  # by default the one board that is plugged in
+
+
+@dataclass(frozen=True)
+class ReplayConfig:
+    """A recording in place of a board; see `i2t.hardware.reskin.driver.Replay`."""
+
+    file: Path

@@ -1,0 +1,110 @@
+"""Devices of third parties: a complete package is collected with, and what is missing or wrong is one sentence."""
+
+import sys
+import types
+from dataclasses import replace
+from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from i2t import dataset
+from i2t.collect import command
+from i2t.depth.camera import Camera
+from i2t.hardware import plugins
+from i2t.hardware.plugins import DeviceSetup, PluginConfig, is_plugin, load_plugin
+from i2t.hardware.rig import Rig
+
+ACME = Path(__file__).parents[2] / "examples" / "acme_devices"
+QUICK = ["--settings.approach", "0.1", "--settings.press", "0.005", "--settings.settle", "0.02"]
+
+pytestmark = pytest.mark.xdist_group("collect")
+
+
+@pytest.fixture
+def acme(monkeypatch):
+    """The example's folder on the path, and its names as an installed package would register them."""
+    monkeypatch.syspath_prepend(str(ACME))
+    monkeypatch.delitem(sys.modules, "acme_devices", raising=False)
+    registered = EntryPoints(
+        EntryPoint("acme", f"acme_devices:Acme{kind.capitalize()}", group) for kind, group in plugins.GROUPS.items()
+    )
+    monkeypatch.setattr(plugins, "entry_points", lambda **wanted: registered.select(**wanted))
+
+
+def test_the_example_is_collected_with_by_its_classes_and_then_by_its_names(acme, tmp_path, capsys):
+    """Four chips: twelve values from the device to the data set. The second command resumes the first's folder only
+    under the first's names, so it has a folder of its own.
+    """
+    rig = tmp_path / "rig.toml"
+    replace(Rig(), camera=Camera(160, 90, 161.2, 161.0, 79.5, 44.5)).write(rig)
+    classes = [f"--{kind}=acme_devices:Acme{kind.capitalize()}" for kind in plugins.GROUPS]
+    shared = ["--rig", str(rig), "--no-pose-error", *QUICK]
+    assert command.main(["--out", str(tmp_path / "set"), "--touches", "2", *classes, *shared]) == 0
+    assert "SIMULATED" in capsys.readouterr().out
+    made = dataset.load(tmp_path / "set")
+    assert made.touches.reading.shape == (2, 12)
+    assert made.source == "simulated"
+    assert made.board.num_chips == 4
+    assert (np.linalg.norm(made.touches.reading, axis=1) > 15).all()
+    names = [f"--{kind}=acme" for kind in plugins.GROUPS]
+    assert command.main(["--out", str(tmp_path / "dry"), "--touches", "2", "--dry-run", *names, *shared]) == 0
+    said = capsys.readouterr().out
+    assert all(f"ok        Acme's {kind}" in said for kind in plugins.GROUPS)
+
+
+def test_a_name_means_what_a_package_registers(acme):
+    assert is_plugin("arm", "acme")
+    assert is_plugin("arm", "somewhere:Arm")
+    assert not is_plugin("arm", "other")
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("nowhere_at_all:Arm", "nowhere_at_all cannot be imported (No module named"),
+        ("acme_devices:Nothing", "acme_devices has no Nothing; give package.module:Class"),
+        ("acme_devices:", "acme_devices has no ; give package.module:Class"),
+        (":Arm", "cannot be imported"),
+        ("broken_devices:NoArguments", "cannot be built"),
+        ("broken_devices:NoMethods", "lacks approach, close, connect, features, go, move, state, stop, zero_wrench"),
+        ("other", "there is no such arm (registered under i2t.arms: acme)"),
+    ],
+)
+def test_what_is_missing_or_wrong_is_one_sentence(acme, monkeypatch, name, said):
+    broken = types.ModuleType("broken_devices")
+    broken.NoArguments = type("NoArguments", (), {})
+    broken.NoMethods = type("NoMethods", (), {"__init__": lambda self, setup: None})
+    monkeypatch.setitem(sys.modules, "broken_devices", broken)
+    with pytest.raises(ValueError, match=r"^--arm ") as error:
+        load_plugin("arm", PluginConfig(name), DeviceSetup(Rig()))
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_name_that_two_packages_register_is_refused(monkeypatch):
+    both = EntryPoints(EntryPoint("acme", f"{package}:Arm", "i2t.arms") for package in ("one", "two"))
+    monkeypatch.setattr(plugins, "entry_points", lambda **wanted: both.select(**wanted))
+    with pytest.raises(ValueError, match=r"several packages register it \(one:Arm, two:Arm\)"):
+        load_plugin("arm", PluginConfig("acme"), DeviceSetup(Rig()))
+
+
+def test_an_unknown_name_on_the_command_line_is_one_sentence(tmp_path, capsys):
+    assert command.main(["--out", str(tmp_path / "set"), "--arm", "robot"]) == 2
+    assert "--arm robot is not known; give one of ur, simulated, emulated" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["arm", "skin"])
+def test_the_example_passes_the_contract(acme, kind):
+    """Its own tests say so; here one test of each kind shows that they run."""
+    sys.modules.pop("test_acme_devices", None)
+    import test_acme_devices
+
+    tests = {"arm": test_acme_devices.TestAcmeArm, "skin": test_acme_devices.TestAcmeSkin}[kind]()
+    tests.test_features_are_known_before_connecting(tests.make_device)
+    if kind == "arm":
+        tests.test_what_is_beyond_the_limits_is_refused_before_anything_moves(tests.make_device)
+        tests.test_an_approach_beyond_the_limits_is_refused_before_anything_moves(tests.make_device)
+    else:
+        tests.test_samples_are_whole_plausible_and_in_order(tests.make_device)
