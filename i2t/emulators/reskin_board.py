@@ -1,12 +1,12 @@
-"""A ReSkin or AnySkin board that is not there: a pseudo-terminal that sends its frames, well or badly.
+"""An emulated ReSkin or AnySkin board: a pseudo-terminal that sends its frames, well or badly.
 
     python -m i2t.emulators.reskin_board --link /tmp/skin
     python -m i2t.hardware.reskin --port /tmp/skin
 
 Its first line of output is the port's path (the link, if there is one), its second, with `--field`, where to send
 fields. Like a board it waits until somebody opens the port. At rest it shows a uniform ambient field on the turned
-chips of `i2t.skin.boards.reskin_board`, noise and steps as measured on real boards; a press comes and goes where
-asked for. Times of faults count from the first opening. Runs on Linux and macOS; NumPy only.
+chips of its board (`i2t.skin.boards`), noise and steps as measured on real boards; a press comes and goes where asked
+for. Times of faults count from the first opening. Runs on Linux and macOS; NumPy only.
 """
 
 import argparse
@@ -27,31 +27,39 @@ from pathlib import Path
 from typing import TextIO
 
 import numpy as np
+from jaxtyping import Float
 
 from i2t.hardware.reskin.frames import Format, encode
-from i2t.skin import boards
-from i2t.types import CHIPS, READINGS
+from i2t.skin.boards import make_board
+from i2t.types import Board
 
-AMBIENT = (18.0, -7.0, -41.0)  # uT in tool axes: the Earth's, about
-NOISE = (3.1, 3.1, 4.6)  # uT, standard deviation of a sample of x, y and z on real boards
-STEPS = (0.150, 0.150, 0.242)  # uT, of the converter at the paper's settings
-CELSIUS, CELSIUS_NOISE, CELSIUS_STEP = 24.6, 0.1, 1 / 45.2
-PRESS = np.array([9.0, 4.0, -38.0, -14.0, 8.0, 12.0, 6.0, 20.0, 9.0, -5.0, -16.0, 7.0, 11.0, -9.0, 13.0])  # uT
-PERIOD = 4.0  # s from one press to the next
-BAUDS = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()}
+AMBIENT_UT = (18.0, -7.0, -41.0)  # in tool axes: the Earth's, about
+NOISE_UT = (3.1, 3.1, 4.6)  # standard deviation of a sample of x, y and z on real boards
+STEPS_UT = (0.150, 0.150, 0.242)  # of the converter at the paper's settings
+TEMPERATURE_C, TEMPERATURE_NOISE_C, TEMPERATURE_STEP_C = 24.6, 0.1, 1 / 45.2
+TEMPERATURE_ORIGIN_C = 25.0  # from which the converter counts
+PRESS_UT = np.array([[9, 4, -38], [-14, 8, 12], [6, 20, 9], [-5, -16, 7], [11, -9, 13.0]])  # of chips, over and over
+PRESS_PERIOD_S = 4.0
+IDLE_S = 0.01  # between two looks whether somebody has opened the port
+BAUD_RATES = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()}
 
 
 def parser() -> argparse.ArgumentParser:
-    """Its switches."""
+    """The command line.
+
+    Returns:
+        A parser of its options.
+    """
     switches = argparse.ArgumentParser("python -m i2t.emulators.reskin_board", description=__doc__.split("\n\n")[0])
     add = switches.add_argument
     add("--link", type=Path, help="name the port: a symbolic link that is made and removed")
+    add("--board", default="reskin", help="reskin, anyskin, or grid-RxC for R rows and C columns of chips")
     add("--format", choices=[str(form) for form in Format], default=str(Format.BINARY), help="what firmware it has")
     add("--rate", type=float, default=400.0, help="frames a second")
     add("--noise", type=float, default=1.0, help="times that of real boards; 0 repeats one frame exactly")
-    add("--press", type=float, default=0.0, help="size of a press every 4 s, times 57 uT (15-vector norm)")
+    add("--press", type=float, default=0.0, help="size of a press every 4 s, times 57 uT (norm on 5 chips)")
     add("--temperature", type=float, default=None, help="of all chips, exactly; 34.513 holds CR LF in binary")
-    add("--field", action="store_true", help="take fields (15 float32, little-endian, uT) from UDP datagrams")
+    add("--field", action="store_true", help="take fields (3 float32 a chip, little-endian, uT) from UDP datagrams")
     add("--mid-frame", type=int, default=0, help="bytes missing from the first frame")
     add("--substitute", type=float, default=0.0, help="part of the bytes that are changed")
     add("--drop", type=float, default=0.0, help="part of the bytes that are lost")
@@ -66,37 +74,67 @@ def parser() -> argparse.ArgumentParser:
 
 
 class Readings:
-    """What the chips measure, sample after sample."""
+    """What the chips measure, sample after sample.
 
-    def __init__(self, noise: float, press: float, temperature: float | None, seed: int) -> None:
+    Args:
+        noise: Times that of real boards.
+        press: Size of the presses that come and go.
+        temperature: Degrees Celsius of all chips; None for some 24.6 with noise.
+        seed: Of the noise.
+        board: Whose chips they are; by default ReSkin's.
+    """
+
+    def __init__(
+        self, noise: float, press: float, temperature: float | None, seed: int, board: Board | None = None
+    ) -> None:
+        board = make_board("reskin") if board is None else board
+        self.chips = len(board.chips)
         self._rng = np.random.default_rng(seed)
-        self._rest = boards.reskin_board().to_board(np.tile(np.array(AMBIENT), (CHIPS, 1)))
-        self._noise, self._press, self._temperature = noise, press, temperature
-        self.field = np.zeros(READINGS)  # uT, added to all else
+        self._rest = np.asarray(board.to_board(np.tile(np.array(AMBIENT_UT), (self.chips, 1))))
+        self._press = press * np.resize(PRESS_UT, (self.chips, 3)).ravel()
+        self._noise, self._temperature = noise, temperature
+        self.field = np.zeros(3 * self.chips)  # uT, added to all else
 
-    def at(self, now: float) -> tuple[np.ndarray, np.ndarray]:
-        """Reading (15,) in uT and temperatures (5,) at `now` (s)."""
-        depth = self._press * max(0.0, np.sin(2 * np.pi * now / PERIOD)) ** 2
-        noisy = self._rest + self.field + depth * PRESS
-        noisy = noisy + self._noise * np.tile(NOISE, CHIPS) * self._rng.standard_normal(READINGS)
-        steps = np.tile(STEPS, CHIPS)
-        celsius = CELSIUS + self._noise * CELSIUS_NOISE * self._rng.standard_normal(CHIPS)
-        celsius = 25 + np.round((celsius - 25) / CELSIUS_STEP) * CELSIUS_STEP
+    def at(self, now: float) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, " chips"]]:
+        """One sample.
+
+        Args:
+            now: s, from when the board was opened.
+
+        Returns:
+            The reading (uT) and the chips' temperatures (degrees Celsius).
+        """
+        depth = max(0.0, np.sin(2 * np.pi * now / PRESS_PERIOD_S)) ** 2
+        noise = self._noise * np.tile(NOISE_UT, self.chips) * self._rng.standard_normal(3 * self.chips)
+        steps = np.tile(STEPS_UT, self.chips)
+        reading = np.round((self._rest + self.field + depth * self._press + noise) / steps) * steps
+        warmth = TEMPERATURE_C + self._noise * TEMPERATURE_NOISE_C * self._rng.standard_normal(self.chips)
+        counts = np.round((warmth - TEMPERATURE_ORIGIN_C) / TEMPERATURE_STEP_C)
         if self._temperature is not None:
-            celsius = np.full(CHIPS, self._temperature)
-        return np.round(noisy / steps) * steps, celsius
+            return reading, np.full(self.chips, self._temperature)
+        return reading, TEMPERATURE_ORIGIN_C + counts * TEMPERATURE_STEP_C
 
 
-def spoil(chunk: bytes, substitute: float, drop: float, rng: np.random.Generator) -> bytes:
-    """The bytes of a bad line: each is changed with probability `substitute`, then lost with probability `drop`."""
+def corrupt(chunk: bytes, substitute: float, drop: float, rng: np.random.Generator) -> bytes:
+    """The bytes of a bad line.
+
+    Args:
+        chunk: Bytes as the board sends them.
+        substitute: Probability that a byte is changed.
+        drop: Probability that it is lost then.
+        rng: Of the damage.
+
+    Returns:
+        What arrives.
+    """
     data = np.frombuffer(chunk, np.uint8)
     changed = rng.random(data.size) < substitute
     data = data + np.where(changed, rng.integers(1, 256, data.size), 0).astype(np.uint8)
     return data[rng.random(data.size) >= drop].tobytes()
 
 
-class Board:
-    """The board's end of the pseudo-terminal."""
+class BoardPort:
+    """The board's end of a pseudo-terminal, which may be unplugged; `link` names its other end."""
 
     def __init__(self, link: Path | None) -> None:
         self._link = link
@@ -127,7 +165,7 @@ class Board:
             self.master = None
         self._unlink()
 
-    def open(self) -> bool:
+    def is_open(self) -> bool:
         """Whether somebody has the port open."""
         if self.master is None:
             return False
@@ -135,11 +173,11 @@ class Board:
         poll.register(self.master, select.POLLIN)
         return not any(event & select.POLLHUP for _, event in poll.poll(0))
 
-    def speed(self) -> int:
+    def baud_rate(self) -> int:
         """Baud rate to which the port is set."""
         assert self.master is not None
         code = termios.tcgetattr(self.master)[4]
-        return BAUDS.get(code, 0)
+        return BAUD_RATES.get(code, 0)
 
     def send(self, chunk: bytes) -> None:
         """What does not fit the port's buffer is lost, and so is what is sent to the board."""
@@ -158,57 +196,76 @@ class Board:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run until SIGTERM or Ctrl-C; returns the exit code."""
-    asked = parser().parse_args(args)
+    """Run until SIGTERM or Ctrl-C.
+
+    Args:
+        args: Of the command line; by default those of this process.
+
+    Returns:
+        The exit code.
+    """
+    options = parser().parse_args(args)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-    if asked.link and asked.link.exists() and not asked.link.is_symlink():
-        print(f"{asked.link} exists and is no link; give another name", file=sys.stderr)
+    if options.link and options.link.exists() and not options.link.is_symlink():
+        print(f"error: {options.link} exists and is no link; give another name", file=sys.stderr)
         return 2
-    board = Board(asked.link)
     try:
-        print(board.plug(), flush=True)
-        _serve(board, asked)
+        board = make_board(options.board)
+    except ValueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    port = BoardPort(options.link)
+    try:
+        print(port.plug(), flush=True)
+        _serve(port, board, options)
     except KeyboardInterrupt:
         pass
     finally:
-        board.unplug()
+        port.unplug()
     return 0
 
 
-def _serve(board: Board, asked: argparse.Namespace) -> None:
-    readings = Readings(asked.noise, asked.press, asked.temperature, asked.seed)
-    rng = np.random.default_rng((asked.seed, 1))
-    inbox = _inbox() if asked.field else None
-    cut = asked.mid_frame
-    first: float | None = None  # when the port was first opened
+def _serve(port: BoardPort, board: Board, options: argparse.Namespace) -> None:
+    readings = Readings(options.noise, options.press, options.temperature, options.seed, board)
+    rng = np.random.default_rng((options.seed, 1))
+    inbox = _field_inbox() if options.field else None
+    missing = options.mid_frame
+    opened: float | None = None  # when the port was first opened
     due = time.monotonic()
-    while not (asked.tethered and _ended(sys.stdin)):
+    while not (options.tethered and _has_ended(sys.stdin)):
         now = time.monotonic()
-        since = -1.0 if first is None else now - first
+        elapsed = -1.0 if opened is None else now - opened
         if inbox is not None:
-            readings.field = _newest(inbox, readings.field)
-        gone = asked.unplug_after <= since < asked.replug_after
-        if gone and board.plugged:
-            board.unplug()
-        elif not gone and not board.plugged:
-            board.plug()
-        if gone or not board.open():
-            time.sleep(0.01)
+            readings.field = _newest_field(inbox, readings.field)
+        unplugged = options.unplug_after <= elapsed < options.replug_after
+        if unplugged and port.plugged:
+            port.unplug()
+        elif not unplugged and not port.plugged:
+            port.plug()
+        if unplugged or not port.is_open():
+            time.sleep(IDLE_S)
             due = time.monotonic()
             continue
-        first = now if first is None else first
-        if not asked.silent_after <= since < asked.silent_after + asked.silent_for:
-            reading, celsius = readings.at(max(0.0, since))
-            chunk = encode(reading, celsius, Format(asked.format))[cut:]
-            cut = 0
-            if asked.baud and board.speed() != asked.baud:
-                chunk = rng.bytes(len(chunk))
-            board.send(spoil(chunk, asked.substitute, asked.drop, rng) if asked.substitute or asked.drop else chunk)
-        due += 1 / asked.rate
+        opened = now if opened is None else opened
+        if not options.silent_after <= elapsed < options.silent_after + options.silent_for:
+            port.send(_chunk(readings, port, max(0.0, elapsed), options, rng)[missing:])
+            missing = 0
+        due += 1 / options.rate
         time.sleep(max(0.0, due - time.monotonic()))
 
 
-def _inbox() -> socket.socket:
+def _chunk(
+    readings: Readings, port: BoardPort, now: float, options: argparse.Namespace, rng: np.random.Generator
+) -> bytes:
+    """One frame as it leaves the board, or what a wrong baud rate or a bad line makes of it."""
+    frame = encode(*readings.at(now), Format(options.format))
+    if options.baud and port.baud_rate() != options.baud:
+        frame = rng.bytes(len(frame))
+    damaged = options.substitute or options.drop
+    return corrupt(frame, options.substitute, options.drop, rng) if damaged else frame
+
+
+def _field_inbox() -> socket.socket:
     inbox = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     inbox.bind(("127.0.0.1", 0))
     inbox.setblocking(False)
@@ -216,26 +273,31 @@ def _inbox() -> socket.socket:
     return inbox
 
 
-def _newest(inbox: socket.socket, field: np.ndarray) -> np.ndarray:
+def _newest_field(inbox: socket.socket, field: np.ndarray) -> np.ndarray:
     """The newest field that was sent, or the old one; datagrams of another size are ignored."""
     try:
         while True:
             data = inbox.recv(4096)
-            if len(data) == 4 * READINGS:
-                field = np.array(struct.unpack(f"<{READINGS}f", data))
+            if len(data) == 4 * len(field):
+                field = np.array(struct.unpack(f"<{len(field)}f", data))
     except BlockingIOError:
         return field
 
 
-def _ended(stream: TextIO) -> bool:
+def _has_ended(stream: TextIO) -> bool:
     ready, _, _ = select.select([stream], [], [], 0)
     return bool(ready) and not os.read(stream.fileno(), 1)
 
 
 @contextmanager
 def started(*switches: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """A board in a process of its own, which ends with the block and with this program: its port and its process.
-    Further lines it prints can be read from the process.
+    """Run a board in a process of its own, which ends with the block and with this program.
+
+    Args:
+        switches: Options of its command line.
+
+    Yields:
+        Its port and its process, from which further lines that it prints can be read.
     """
     process = subprocess.Popen(
         [sys.executable, "-m", "i2t.emulators.reskin_board", "--tethered", *switches],

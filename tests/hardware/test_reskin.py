@@ -17,14 +17,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from i2t.emulators.reskin_board import NOISE, Readings, spoil, started
+from i2t.emulators.reskin_board import NOISE_UT, Readings, corrupt, started
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.hardware.protocols import Samples, SkinCounters
 from i2t.hardware.reskin import frames, monitor, quantization, recording
 from i2t.hardware.reskin import stream as streaming
 from i2t.hardware.reskin.driver import Replay, ReSkin
-from i2t.hardware.reskin.frames import Decoder, Format, Limits, decode, decode_any, decoders, diagnose, encode
+from i2t.hardware.reskin.frames import (
+    Decoder,
+    Format,
+    FrameLayout,
+    FrameLimits,
+    decode,
+    decode_any,
+    decoders,
+    diagnose,
+    encode,
+)
 from i2t.hardware.reskin.stream import BoardInfo
+from i2t.skin.boards import make_board
 
 SIZE = 82
 PATIENCE = 20.0  # s that a loaded machine may need for what takes a moment
@@ -41,8 +52,13 @@ def stream(count: int, form: Format = Format.BINARY, **kwargs) -> list[bytes]:
     return [encode(reading, celsius, form) for reading, celsius in zip(*rest(count, **kwargs), strict=True)]
 
 
-def decoded(data: bytes, form: Format = Format.BINARY, limits: Limits | None = None) -> tuple:
-    return decode(Decoder(form, limits or Limits()), data)
+def decoded(data: bytes, form: Format = Format.BINARY, limits: FrameLimits | None = None) -> tuple:
+    return decode(Decoder(FrameLayout(form), limits or FrameLimits()), data)
+
+
+def counted(decoder: Decoder) -> dict:
+    """The decoder's state, without its arrays."""
+    return {name: part for name, part in decoder._asdict().items() if name not in ("last", "early", "steps")}
 
 
 def adds_up(decoder: Decoder, total: int) -> bool:
@@ -70,7 +86,7 @@ def by_hand(form: Format) -> bytes:
 def test_formats_are_those_of_the_firmware(form):
     assert encode(FIELD, CELSIUS, form) == by_hand(form)
     (decoder,), found = decode_any(decoders(), b"7\r\n" + 4 * by_hand(form))
-    assert decoder.form == form
+    assert decoder.layout == FrameLayout(form)
     assert len(found) >= 3  # a line of text ends for certain when the next one begins
     for frame in found:
         np.testing.assert_array_equal(frame.reading, np.round(FIELD, 2) if form != Format.BINARY else FIELD)
@@ -94,7 +110,7 @@ def test_every_frame_of_a_clean_stream_arrives_once(form):
     st.sampled_from(list(Format)), st.integers(0, 1000), st.lists(st.integers(0, 5000), max_size=12), st.integers(0, 90)
 )
 def test_chunks_do_not_matter(form, seed, cuts, start):
-    data = spoil(b"".join(stream(30, form, seed=seed % 5)), 0.004, 0.001, np.random.default_rng(seed))[start:]
+    data = corrupt(b"".join(stream(30, form, seed=seed % 5)), 0.004, 0.001, np.random.default_rng(seed))[start:]
     once, expected = decode_any(decoders(), data)
     candidates, found = decoders(), []
     edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
@@ -104,23 +120,22 @@ def test_chunks_do_not_matter(form, seed, cuts, start):
         assert all(adds_up(decoder, end) for decoder in candidates)
     assert [frame.end for frame in found] == [frame.end for frame in expected]
     np.testing.assert_array_equal([f.reading for f in found], [f.reading for f in expected])
-    assert [d[6:] for d in candidates] == [d[6:] for d in once]
-    assert [d.rest for d in candidates] == [d.rest for d in once]
+    assert [counted(decoder) for decoder in candidates] == [counted(decoder) for decoder in once]
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.sampled_from([0.001, 0.01, 0.1]), st.sampled_from([0.0, 0.001, 0.05]))
 def test_no_corruption_gives_an_implausible_frame(seed, substitute, drop):
-    limits = Limits()
-    data = spoil(b"".join(stream(40, seed=seed % 3)), substitute, drop, np.random.default_rng(seed))
+    limits = FrameLimits()
+    data = corrupt(b"".join(stream(40, seed=seed % 3)), substitute, drop, np.random.default_rng(seed))
     decoder, found = decoded(data)
     assert adds_up(decoder, len(data))
     assert decoder.taken == SIZE * len(found)
     for frame in found:
         size = np.abs(frame.reading)
-        assert ((size == 0) | (size >= limits.least)).all()
+        assert ((size == 0) | (size >= limits.min_field)).all()
         assert (size <= limits.full_scale).all()
-        assert ((frame.temperature >= limits.coldest) & (frame.temperature <= limits.hottest)).all()
+        assert ((frame.temperature >= limits.min_temperature) & (frame.temperature <= limits.max_temperature)).all()
 
 
 @settings(max_examples=40, deadline=None)
@@ -135,7 +150,7 @@ def test_noise_is_no_board(data, form):
 def test_changed_bytes_cost_their_own_frames_only():
     whole = stream(4000)
     data = b"".join(whole)
-    bad = spoil(data, 0.01, 0.0, np.random.default_rng(0))
+    bad = corrupt(data, 0.01, 0.0, np.random.default_rng(0))
     decoder, found = decoded(bad)
     intact = {SIZE * (i + 1) for i in range(4000) if bad[SIZE * i : SIZE * (i + 1)] == whole[i]}
     ends = {frame.end for frame in found}
@@ -146,13 +161,13 @@ def test_changed_bytes_cost_their_own_frames_only():
     # What passes unseen is bounded: each value lies within the jump of the frame before, which itself may be off.
     truth = rest(4000)[0]
     worst = max(np.abs(frame.reading - truth[frame.end // SIZE - 1]).max() for frame in found)
-    assert worst <= 2 * Limits().jump + 8 * max(NOISE)
+    assert worst <= 2 * FrameLimits().max_jump + 8 * max(NOISE_UT)
 
 
 def test_lost_bytes_cost_their_own_frames_only():
     whole = stream(4000)
     rng = np.random.default_rng(1)
-    sent = [spoil(frame, 0.0, 0.001, rng) for frame in whole]
+    sent = [corrupt(frame, 0.0, 0.001, rng) for frame in whole]
     ends = np.cumsum([len(part) for part in sent])
     decoder, found = decoded(b"".join(sent))
     intact = {int(end) for end, part in zip(ends, sent, strict=True) if len(part) == SIZE}
@@ -178,7 +193,7 @@ def ambiguous() -> bytes:
     """A frame that repeated is just as plausible three bytes later."""
     frame = b"\x42\x0d\x0a\x42" + 76 * b"\x42" + b"\r\n"
     assert all(
-        frames._values(Format.BINARY, (2 * frame)[begin : begin + SIZE], Limits()) is not None for begin in (0, 3)
+        frames._values(FrameLayout(), (2 * frame)[begin : begin + SIZE], FrameLimits()) is not None for begin in (0, 3)
     )
     return frame
 
@@ -192,6 +207,15 @@ def test_two_alignments_are_one_too_many(start):
     clean = stream(5)
     _, found = decode(decoder, b"".join(clean))
     assert [frame.end for frame in found] == [len(data) + SIZE * (i + 1) for i in range(5)]
+
+
+def test_two_candidates_in_a_row_are_too_few_and_three_are_enough():
+    """Without a frame before them, two candidates that adjoin may be chance."""
+    noise = np.random.default_rng(0).bytes(200).replace(b"\r\n", b"")
+    for count in (1, 2, 3, 4):
+        data = noise + b"".join(stream(count)) + noise
+        _, found = decoded(data)
+        assert len(found) == (count if count >= FrameLimits().run_length else 0)
 
 
 def test_a_lasting_jump_is_true_and_a_single_one_is_not():
@@ -211,75 +235,125 @@ def test_one_impossible_value_condemns_its_frame(value):
     assert (decoder.lost, decoder.gaps, decoder.skipped) == (1, 1, SIZE)
 
 
-# The grid.
+# The converter's steps.
 
 
 def test_steps_are_learned_exactly_and_in_spite_of_damage():
     found, _ = learned(0.0)
-    np.testing.assert_allclose(found.step[1:], [0.150, 0.150, 0.242], rtol=2.0**-24)  # the rounding of one value
+    np.testing.assert_allclose(found.size[1:], [0.150, 0.150, 0.242], rtol=2.0**-24)  # the rounding of one value
     # Counts from 25 degrees are some twenty, in float32 about 24.6 degrees.
-    np.testing.assert_allclose(found.step[0], 1 / 45.2, rtol=np.spacing(np.float32(24.6)) / 0.4)
+    np.testing.assert_allclose(found.size[0], 1 / 45.2, rtol=np.spacing(np.float32(24.6)) / 0.4)
     damaged, delivered = learned(0.01)
-    np.testing.assert_allclose(damaged.step[1:], found.step[1:], rtol=2.0**-24)
-    assert sum(found.holds(table) for table in delivered) < len(delivered)
+    np.testing.assert_allclose(damaged.size[1:], found.size[1:], rtol=2.0**-24)
+    assert sum(found.fit(table) for table in delivered) < len(delivered)
 
 
 def learned(substitute: float) -> tuple:
-    data = spoil(b"".join(stream(300)), substitute, 0.0, np.random.default_rng(0))
+    data = corrupt(b"".join(stream(300)), substitute, 0.0, np.random.default_rng(0))
     decoder, found = decoded(data)
-    return decoder.grid, [np.column_stack([f.temperature, f.reading.reshape(5, 3)]) for f in found]
+    return decoder.steps, [np.column_stack([f.temperature, f.reading.reshape(5, 3)]) for f in found]
 
 
-def test_real_boards_keep_to_a_grid(shared_data):
+def test_real_boards_send_whole_numbers_of_steps(shared_data):
     """eFlesh's recordings: 16 times the MLX90393's finest steps, 0.150 and 0.242 uT, in every one of 3600 samples."""
     path = shared_data / "eflesh" / "normal" / "20250401_014340_probe" / "sensor.csv.gz"
     fields = np.loadtxt(path, delimiter=",")[:, 1:].reshape(-1, 5, 3)
     recorded = np.concatenate([np.full((len(fields), 5, 1), 24.0), fields], axis=2)
-    found = quantization.learn(recorded[:128])
-    np.testing.assert_allclose(found.step[1:], [2.4, 2.4, 3.872], rtol=1e-7)
-    assert np.isnan(found.step[0])  # constant here
-    assert all(found.holds(table) for table in recorded)
+    found = quantization.learn_steps(recorded[:128])
+    np.testing.assert_allclose(found.size[1:], [2.4, 2.4, 3.872], rtol=1e-7)
+    assert np.isnan(found.size[0])  # constant here
+    assert all(found.fit(table) for table in recorded)
     # And what was recorded comes back through the decoder.
     data = b"".join(encode(field.ravel(), np.full(5, 24.0)) for field in fields)
-    _, frames_found = decoded(data, limits=Limits(jump=20e3))
+    _, frames_found = decoded(data, limits=FrameLimits(max_jump=20e3))
     np.testing.assert_array_equal([frame.reading for frame in frames_found], fields.reshape(-1, 15))
 
 
 def test_what_has_no_steps_is_not_judged_by_any():
     table = np.random.default_rng(0).normal(30.0, 4.0, (128, 5, 4))
-    found = quantization.learn(table)
-    assert np.isnan(found.step).all()
-    assert found.holds(table[0])
-    assert np.isnan(quantization.learn(np.ones((128, 5, 4))).step).all()
+    found = quantization.learn_steps(table)
+    assert np.isnan(found.size).all()
+    assert found.fit(table[0])
+    assert np.isnan(quantization.learn_steps(np.ones((128, 5, 4))).size).all()
 
 
-def test_changed_values_hardly_pass_the_grid():
-    count, first = 3000, 300  # frames; those after the grid is known are judged
+def test_changed_values_are_seldom_whole_numbers_of_steps():
+    count, first = 3000, 300  # frames; those after the steps are known are judged
     whole = stream(count)
-    bad = spoil(b"".join(whole), 0.01, 0.0, np.random.default_rng(2))
+    bad = corrupt(b"".join(whole), 0.01, 0.0, np.random.default_rng(2))
     changed = {SIZE * (i + 1) for i in range(first, count) if bad[SIZE * i : SIZE * (i + 1)] != whole[i]}
     _, found = decoded(bad)
-    # Powers of two times a value, its negative, and sums like 5 x 0.150 = 2^-1 + 2^-2 are on the grid too.
+    # Powers of two times a value, its negative, and sums like 5 x 0.150 = 2^-1 + 2^-2 are whole numbers of steps too.
     assert len(changed & {frame.end for frame in found}) <= 0.04 * len(changed)
 
 
-def test_a_grid_that_no_longer_holds_is_given_up():
+def test_steps_that_no_longer_fit_are_given_up():
     readings, celsius = rest(400)
     readings[200:] += np.random.default_rng(0).uniform(-0.07, 0.07, (200, 15))
     decoder, found = decoded(b"".join(encode(r, c) for r, c in zip(readings, celsius, strict=True)))
-    assert np.isnan(decoder.grid.step).all()
-    assert len(found) == 400 - frames.DOUBTED
-    assert decoder.lost == frames.DOUBTED
+    assert np.isnan(decoder.steps.size).all()
+    assert len(found) == 400 - frames.MAX_MISFITS
+    assert decoder.lost == frames.MAX_MISFITS
 
 
 def test_what_is_wrong_is_said():
     assert "sends nothing" in diagnose(b"")
     assert "baud" in diagnose(np.random.default_rng(0).bytes(2000))
-    three = b"1.00\t2.00\t3.00\t24.50\t" * 3 + b"\r\n"
-    assert "12 plausible numbers" in diagnose(10 * three)
+    thirteen = b"1.00\t2.00\t3.00\t24.50\t" * 3 + b"1.00\t\r\n"
+    assert "13 plausible numbers, not 20" in diagnose(10 * thirteen)
     readings, celsius = rest(10)
     celsius[:, 3] = -998.1  # what the firmware makes of a chip that does not answer
     assert "chip 3 reads -998.1 degrees" in diagnose(b"".join(map(encode, readings, celsius)))
+
+
+# Boards of any number of chips.
+
+
+@pytest.mark.parametrize("form", Format)
+@pytest.mark.parametrize("chips", [1, 4, 16, 25])
+def test_frames_of_any_board_are_read(form, chips):
+    board = Readings(1.0, 0.0, None, 0, make_board(f"grid-1x{chips}"))
+    sent = [board.at(0.0) for _ in range(30)]
+    data = b"\r\n" + b"".join(encode(*sample, form) for sample in sent) + b"\r\n"
+    (decoder,), found = decode_any(decoders(chips=chips), data)
+    assert decoder.layout == FrameLayout(form, chips)
+    assert len(found) == 30
+    assert decoder.lost == 0
+    step = 1e-3 if form == Format.BINARY else 0.006
+    np.testing.assert_allclose([frame.reading for frame in found], [reading for reading, _ in sent], atol=step)
+    np.testing.assert_allclose([frame.temperature for frame in found], [celsius for _, celsius in sent], atol=step)
+    assert not decode_any(decoders(chips=chips + 1), data)[1]
+    assert f"frames of {chips} chips come, not of 7" in diagnose(data, chips=7)
+
+
+@pytest.mark.parametrize(("name", "chips"), [("grid-2x2", 4), ("grid-4x4", 16)])
+def test_an_emulated_board_of_any_size_is_read_end_to_end(name, chips):
+    with started("--board", name, "--field", "--noise", "0") as (port, process):
+        host, number = process.stdout.readline().split()[1].split(":")
+        with pytest.raises(DeviceError, match=f"frames of {chips} chips come, not of 5; say which board it is"):
+            ReSkin(port, 115200).connect()
+        with ReSkin(port, chips=chips) as skin:
+            assert len(skin.features.channels) == 3 * chips
+            samples = skin.read(5, PATIENCE)
+            assert samples.reading.shape == (5, 3 * chips)
+            assert samples.temperature.shape == (5, chips)
+            sent = 15 * np.arange(3.0 * chips)
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+                out.sendto(sent.astype("<f4").tobytes(), (host, int(number)))
+            felt = until(lambda: changed(skin, samples.reading[-1]))
+            np.testing.assert_allclose(felt, sent, atol=0.25)
+
+
+def test_the_monitor_draws_every_chip_of_a_board(capsys):
+    with started("--board", "grid-2x2") as (port, _):
+        assert monitor.main(["--port", port, "--board", "grid-2x2", "--seconds", "1"]) == 0
+    assert "change of all 12" in capsys.readouterr().out
+    shown = Samples(np.arange(2), np.arange(2.0), np.zeros((2, 48)), np.full((2, 16), 25.0))
+    info = BoardInfo("port", None, Format.BINARY)
+    lines = monitor.picture(info, "emulated", SkinCounters(), shown, np.zeros(48), 100.0)
+    assert len([line for line in lines if re.match(r"\d+ [xyz] ", line)]) == 48
+    assert monitor.main(["--board", "round"]) == 2
+    assert "is not known" in capsys.readouterr().err
 
 
 # Recordings.
@@ -372,8 +446,8 @@ def test_a_hostile_line_is_survived_and_counted():
     assert counters.lost > 0
     assert counters.gaps > 0
     assert 0.01 < counters.loss < 0.3  # 19 % of the frames are touched
-    assert np.abs(samples.reading - rest(1, noise=0.0)[0]).max() <= 2 * Limits().jump + 8 * max(NOISE)
-    np.testing.assert_allclose(samples.temperature, 34.513, atol=2 * Limits().warming)
+    assert np.abs(samples.reading - rest(1, noise=0.0)[0]).max() <= 2 * FrameLimits().max_jump + 8 * max(NOISE_UT)
+    np.testing.assert_allclose(samples.temperature, 34.513, atol=2 * FrameLimits().max_warming)
 
 
 def test_unplugging_is_noticed_and_replugging_resumes(tmp_path):
@@ -417,7 +491,7 @@ def test_silence_is_noticed_and_ends():
 
 
 def test_a_board_that_never_speaks_is_given_up(monkeypatch):
-    monkeypatch.setattr(streaming, "FIRST_BYTE", 0.3)
+    monkeypatch.setattr(streaming, "FIRST_BYTE_S", 0.3)
     with (
         started("--silent-after", "0") as (port, _),
         pytest.raises(DeviceTimeoutError, match="the board sends nothing"),
@@ -426,7 +500,7 @@ def test_a_board_that_never_speaks_is_given_up(monkeypatch):
 
 
 def test_the_baud_rate_is_found_or_said_to_be_wrong(monkeypatch):
-    monkeypatch.setattr(streaming, "LOCK", 0.3)
+    monkeypatch.setattr(streaming, "FIRST_FRAME_S", 0.3)
     with started("--baud", "460800") as (port, _):
         with pytest.raises(DeviceError, match=r"at 9600 baud: .* check the baud rate"):
             ReSkin(port, 9600).connect()
@@ -644,7 +718,7 @@ def test_the_driver_needs_no_jax_and_no_sdk_to_be_imported():
 
 
 def test_a_bar_shows_sign_size_and_overflow():
-    half = monitor.WIDTH
+    half = monitor.HALF_BAR_WIDTH
     assert monitor.bar(0.0) == half * " " + "|" + half * " "
     assert monitor.bar(0.5) == half * " " + "|" + half // 2 * "#" + half // 2 * " "
     assert monitor.bar(-1.0) == half * "#" + "|" + half * " "

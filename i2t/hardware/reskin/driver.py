@@ -10,20 +10,34 @@ from pathlib import Path
 from typing import Any
 
 from i2t.errors import DeviceError, DeviceTimeoutError
-from i2t.hardware.protocols import SkinFeatures
 from i2t.hardware.reskin import frames, recording
-from i2t.hardware.reskin.frames import Decoder, Format, Frame, Limits
-from i2t.hardware.reskin.stream import CHANNELS, BoardInfo, Stream, listen
+from i2t.hardware.reskin.frames import DEFAULT_CHIPS, Decoder, Format, Frame, FrameLayout, FrameLimits
+from i2t.hardware.reskin.stream import BoardInfo, Port, Stream, detect_format
 
-RATE = 400.0  # Hz, published
-BAUDS = (115200, 921600, 460800, 230400, 57600, 9600)  # tried in this order; over USB any will do
-MAKERS = {0x239A: "Adafruit", 0x1B4F: "SparkFun", 0x2341: "Arduino", 0x2886: "Seeed"}  # of boards that run the firmware
-TICK = 0.05  # s that a read waits at most
+RATE_HZ = 400.0  # published
+BAUD_RATES = (115200, 921600, 460800, 230400, 57600, 9600)  # tried in this order; over USB any will do
+VENDORS = {
+    0x239A: "Adafruit",
+    0x1B4F: "SparkFun",
+    0x2341: "Arduino",
+    0x2886: "Seeed",
+}  # of boards that run the firmware
+READ_TIMEOUT_S = 0.05
 
 
 class ReSkin(Stream):
-    """A board on a serial port. Without a port it takes the one board it finds, without a baud rate it tries the usual
-    ones; both are settled by `connect`.
+    """A board on a serial port (`i2t.hardware.protocols.Skin`).
+
+    Args:
+        port: Its name; by default the one board that `connect` finds.
+        baud: Its rate; by default `connect` tries the usual ones.
+        chips: How many magnetometers the board has.
+        rate: Hz, nominal.
+        limits: What can be true of a frame.
+        capacity: Samples that the queue holds.
+
+    Raises:
+        DeviceError: pyserial is missing.
     """
 
     def __init__(
@@ -31,8 +45,9 @@ class ReSkin(Stream):
         port: str | None = None,
         baud: int | None = None,
         *,
-        rate: float = RATE,
-        limits: Limits | None = None,
+        chips: int = DEFAULT_CHIPS,
+        rate: float = RATE_HZ,
+        limits: FrameLimits | None = None,
         capacity: int = 4096,
     ) -> None:
         try:
@@ -41,60 +56,60 @@ class ReSkin(Stream):
         except ImportError as error:
             raise DeviceError("pyserial is missing; install it with: pip install 'i2t[hardware]'") from error
         self._serial, self._comports = serial.Serial, list_ports.comports
-        self._wanted, self._baud = port, baud
+        self._asked_port, self._baud = port, baud
         name = f"the skin on {port}" if port else "the skin"
-        super().__init__(SkinFeatures(name, _source(port), CHANNELS, "uT", rate), limits, capacity)
+        super().__init__(name, _source(port), chips=chips, rate=rate, limits=limits, capacity=capacity)
 
     def ports(self) -> list[BoardInfo]:
         """USB serial ports of this machine, those of likely boards first; nothing is opened."""
         found = [port for port in self._comports() if port.vid is not None]
-        return [_described(port) for port in sorted(found, key=lambda port: port.vid not in MAKERS)]
+        return [_board_info(port) for port in sorted(found, key=lambda port: port.vid not in VENDORS)]
 
-    def _open(self) -> tuple[Any, Decoder, list[Frame], BoardInfo]:
+    def _open(self) -> tuple[Port, Decoder, list[Frame], BoardInfo]:
         port = self._find()
         heard = b""
-        for baud in (self._baud,) if self._baud else BAUDS:
-            line = self._opened(port, baud)
+        for baud in (self._baud,) if self._baud else BAUD_RATES:
+            line = self._open_port(port, baud)
             try:
-                decoder, found, heard = listen(line, self._limits, self._lost)
+                decoder, found, heard = detect_format(line, self._limits, self._chips, self._lost)
             except BaseException:
                 line.close()
                 raise
             if found:
                 self._features = self._features._replace(source=_source(port))
                 known = {board.port: board for board in self.ports()}
-                info = known.get(os.path.realpath(port), BoardInfo(port, None, decoder.form))
-                return line, decoder, found, info._replace(port=port, baud=baud, form=decoder.form)
+                info = known.get(os.path.realpath(port), BoardInfo(port, None, decoder.layout.form))
+                return line, decoder, found, info._replace(port=port, baud=baud, form=decoder.layout.form)
             line.close()
             if not heard:
                 break  # at a wrong rate bytes are wrong, but they come
         tried = f" at {self._baud} baud" if self._baud else " at any usual baud rate" if heard else ""
         kind = DeviceError if heard else DeviceTimeoutError
-        raise kind(f"no skin on {port}{tried}: {frames.diagnose(heard, self._limits)}")
+        raise kind(f"no skin on {port}{tried}: {frames.diagnose(heard, self._limits, self._chips)}")
 
     def _find(self) -> str:
         """The port that was asked for, or the board that was there before, or the only likely one."""
         before = self._info.serial_number if self._info else None
-        if self._wanted is not None and (before is None or os.path.exists(self._wanted)):
-            return self._wanted
+        if self._asked_port is not None and (before is None or os.path.exists(self._asked_port)):
+            return self._asked_port
         known = self.ports()
         for choice in (
             [board for board in known if before is not None and board.serial_number == before],
-            [] if self._wanted else [board for board in known if int((board.usb or "0")[:4], 16) in MAKERS],
-            [] if self._wanted else known,
+            [] if self._asked_port else [board for board in known if int((board.usb or "0")[:4], 16) in VENDORS],
+            [] if self._asked_port else known,
         ):
             if len(choice) == 1:
                 return choice[0].port
             if choice:
                 names = ", ".join(f"{board.port} ({board.description})" for board in choice)
                 raise DeviceError(f"more than one board may be the skin: {names}; name its port")
-        if self._wanted is not None:
-            return self._wanted
+        if self._asked_port is not None:
+            return self._asked_port
         raise DeviceError("no USB serial port was found; plug the skin in, or name its port")
 
-    def _opened(self, port: str, baud: int) -> Any:
+    def _open_port(self, port: str, baud: int) -> Any:
         try:
-            line = self._serial(port, baud, timeout=TICK, exclusive=True if os.name == "posix" else None)
+            line = self._serial(port, baud, timeout=READ_TIMEOUT_S, exclusive=True if os.name == "posix" else None)
             line.reset_input_buffer()  # what was sent to nobody is old
             return line
         except ValueError as error:
@@ -115,38 +130,48 @@ class ReSkin(Stream):
             raise DeviceError(f"{port} cannot be opened ({error}); is it a serial port?") from error
 
     def _lost(self, error: Exception) -> DeviceError:
-        port = self._info.port if self._info else self._wanted
+        port = self._info.port if self._info else self._asked_port
         lost = DeviceError(f"the skin on {port} is gone ({error}); plug it in and connect again")
         lost.__cause__ = error
         return lost
 
 
 class Replay(Stream):
-    """A recording as a skin, `speed` times as fast as it was; it fails when it is over. Bare bytes come at `rate`."""
+    """A recording as a skin; it fails when it is over.
+
+    Args:
+        path: Of the recording (`i2t.hardware.reskin.recording`), or of a board's bare bytes.
+        speed: How many times as fast as it was.
+        chips: How many magnetometers the board has.
+        rate: Hz, nominal; bare bytes come at this rate.
+        limits: What can be true of a frame.
+        capacity: Samples that the queue holds.
+    """
 
     def __init__(
         self,
         path: str | Path,
         *,
         speed: float = 1.0,
-        rate: float = RATE,
-        limits: Limits | None = None,
+        chips: int = DEFAULT_CHIPS,
+        rate: float = RATE_HZ,
+        limits: FrameLimits | None = None,
         capacity: int = 4096,
     ) -> None:
-        self._path, self._speed, self._bytes = Path(path), speed, rate * frames.BINARY.size
-        super().__init__(
-            SkinFeatures(f"the recording {path}", "replay", CHANNELS, "uT", rate * speed), limits, capacity
-        )
+        self._path, self._speed = Path(path), speed
+        self._byte_rate = rate * FrameLayout(chips=chips).binary.size  # 1/s
+        name = f"the recording {path}"
+        super().__init__(name, "replay", chips=chips, rate=rate * speed, limits=limits, capacity=capacity)
 
-    def _open(self) -> tuple[Any, Decoder, list[Frame], BoardInfo]:
+    def _open(self) -> tuple[Port, Decoder, list[Frame], BoardInfo]:
         try:
-            port = recording.PlayedPort(self._path, self._speed, self._bytes, TICK)
+            port = recording.PlayedPort(self._path, self._speed, self._byte_rate, READ_TIMEOUT_S)
         except OSError as error:
             raise DeviceError(f"{self._path} cannot be read ({error.strerror}); name a recording") from error
-        decoder, found, heard = listen(port, self._limits, self._lost)
+        decoder, found, heard = detect_format(port, self._limits, self._chips, self._lost)
         if not found:
-            raise DeviceError(f"no skin in {self._path}: {frames.diagnose(heard, self._limits)}")
-        return port, decoder, found, BoardInfo(str(self._path), None, decoder.form, "recording")
+            raise DeviceError(f"no skin in {self._path}: {frames.diagnose(heard, self._limits, self._chips)}")
+        return port, decoder, found, BoardInfo(str(self._path), None, decoder.layout.form, "recording")
 
     def _lost(self, error: Exception) -> DeviceError:
         if isinstance(error, EOFError):
@@ -159,7 +184,7 @@ def _source(port: str | None) -> str:
     return "emulated" if port and os.path.realpath(port).startswith(("/dev/pts/", "/dev/ttys0")) else "real"
 
 
-def _described(port: Any) -> BoardInfo:
-    maker = f"{MAKERS[port.vid]} " if port.vid in MAKERS and MAKERS[port.vid] not in (port.description or "") else ""
+def _board_info(port: Any) -> BoardInfo:
+    maker = f"{VENDORS[port.vid]} " if port.vid in VENDORS and VENDORS[port.vid] not in (port.description or "") else ""
     usb = f"{port.vid:04x}:{port.pid:04x}"
     return BoardInfo(port.device, None, Format.BINARY, f"{maker}{port.description}", port.serial_number, usb)

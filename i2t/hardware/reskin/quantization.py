@@ -8,32 +8,47 @@ the temperature), in float32. The constants depend on gain and library, so they 
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 ORIGIN = np.array([25.0, 0.0, 0.0, 0.0])  # degrees, uT: where t, x, y, z count from
-SLACK = 3.0  # float32 units in the last place that the firmware's roundings may come to
-SHARE = 0.9  # of the values must lie on a grid for it to be believed
-FEWEST = 6  # different values, each seen twice, from which a step is learned
+ROUNDING_ULPS = 3.0  # float32 units in the last place that the firmware's roundings may come to
+MIN_SHARE = 0.9  # of the values must be whole numbers of steps for the steps to be believed
+MIN_VALUES = 6  # different values, each seen twice, from which a step is learned
 
 
-class Grid(NamedTuple):
+class ConverterSteps(NamedTuple):
     """Steps of t, x, y and z; NaN where none was found."""
 
-    step: np.ndarray  # (4,) K, uT
+    size: Float[np.ndarray, " 4"]  # K, uT
 
-    def holds(self, table: np.ndarray) -> bool:
-        """Whether every value (5, 4) is a whole number of its steps."""
-        return bool(np.all(_on(table, self.step) | np.isnan(self.step)[None]))
+    def fit(self, table: Float[np.ndarray, "chips 4"]) -> bool:
+        """Whether every value is a whole number of its steps.
+
+        Args:
+            table: t, x, y, z of each chip, degrees Celsius and uT.
+
+        Returns:
+            True also for values whose step is not known.
+        """
+        return bool(np.all(_is_whole(table, self.size) | np.isnan(self.size)[None]))
 
 
-NO_GRID = Grid(np.full(4, np.nan))
+NO_STEPS = ConverterSteps(np.full(4, np.nan))
 
 
-def learn(tables: np.ndarray) -> Grid:
-    """The grid of frames (n, 5, 4), some of which may be damaged; 100 are enough."""
-    return Grid(np.array([_step(tables[:, :, column] - ORIGIN[column], column) for column in range(4)]))
+def learn_steps(tables: Float[np.ndarray, "frames chips 4"]) -> ConverterSteps:
+    """The steps of a board.
+
+    Args:
+        tables: t, x, y, z of each chip in some frames, some of which may be damaged; 100 are enough.
+
+    Returns:
+        Steps, NaN for a column whose values have none in common.
+    """
+    return ConverterSteps(np.array([_step(tables[:, :, column] - ORIGIN[column], column) for column in range(4)]))
 
 
-def _step(offsets: np.ndarray, column: int) -> float:
+def _step(offsets: Float[np.ndarray, "frames chips"], column: int) -> float:
     """The step of one column, NaN if its values have none in common.
 
     Values that occur twice are whole numbers of steps, for changed bytes do not repeat. Their smallest difference is
@@ -42,7 +57,7 @@ def _step(offsets: np.ndarray, column: int) -> float:
     """
     values, count = np.unique(offsets, return_counts=True)
     values = values[(count > 1) & (values != 0)]
-    if len(values) < FEWEST:
+    if len(values) < MIN_VALUES:
         return np.nan
     gaps = np.diff(values)
     gaps = gaps[gaps < 1.5 * gaps.min()]
@@ -56,11 +71,11 @@ def _step(offsets: np.ndarray, column: int) -> float:
         step = float(some @ number / (number @ number))
     table = np.zeros((*offsets.shape, 4))
     table[..., column] = offsets + ORIGIN[column]
-    on = _on(table, np.full(4, step))[..., column]
-    return step if on.mean() >= SHARE else np.nan
+    whole = _is_whole(table, np.full(4, step))[..., column]
+    return step if whole.mean() >= MIN_SHARE else np.nan
 
 
-def _on(table: np.ndarray, step: np.ndarray) -> np.ndarray:
+def _is_whole(table: Float[np.ndarray, "*n 4"], step: Float[np.ndarray, " 4"]) -> Bool[np.ndarray, "*n 4"]:
     offset = table - ORIGIN
     size = np.maximum(np.abs(table), ORIGIN).astype(np.float32)
-    return np.abs(offset - np.round(offset / step) * step) <= SLACK * np.spacing(size)
+    return np.abs(offset - np.round(offset / step) * step) <= ROUNDING_ULPS * np.spacing(size)

@@ -14,11 +14,21 @@ from typing import BinaryIO
 
 HEADER = json.dumps({"stream": "i2t raw bytes", "version": 1}).encode() + b"\n"
 CHUNK = struct.Struct("<dI")
-PIECE = 5e-3  # s between the chunks that bare bytes are played in
+CHUNK_S = 5e-3  # between the chunks that bare bytes are played in
 
 
 def create(path: str | Path) -> BinaryIO:
-    """A new recording; raises OSError, FileExistsError if there is one already."""
+    """Begin a recording.
+
+    Args:
+        path: Of the new file.
+
+    Returns:
+        The file, to be closed by the caller.
+
+    Raises:
+        OSError: It cannot be written; FileExistsError if there is one already.
+    """
     file = open(path, "xb", buffering=0)  # noqa: SIM115, closed by its user; every chunk goes to the system at once
     try:
         file.write(HEADER)
@@ -29,17 +39,37 @@ def create(path: str | Path) -> BinaryIO:
 
 
 def append(file: BinaryIO, at: float, chunk: bytes) -> None:
-    """Add a chunk that came at `at` (s)."""
+    """Add a chunk to a recording.
+
+    Args:
+        file: From `create`.
+        at: s, when the chunk came.
+        chunk: Its bytes.
+
+    Raises:
+        OSError: The disk is full.
+    """
     whole = CHUNK.pack(at, len(chunk)) + chunk
     if file.write(whole) != len(whole):
         raise OSError(28, "No space left on device")
 
 
 def chunks(path: str | Path, byte_rate: float) -> Iterator[tuple[float, bytes]]:
-    """Times (s, from zero) and bytes of a recording; bare bytes come at `byte_rate` (1/s). Raises OSError."""
+    """Read a recording.
+
+    Args:
+        path: Of the file.
+        byte_rate: 1/s, of a file of bare bytes, which says no times.
+
+    Yields:
+        Times (s, from zero) and bytes.
+
+    Raises:
+        OSError: The file cannot be read.
+    """
     data = Path(path).read_bytes()
     if not data.startswith(HEADER):
-        piece = max(1, round(byte_rate * PIECE))
+        piece = max(1, round(byte_rate * CHUNK_S))
         for i in range(0, len(data), piece):
             yield i / byte_rate, data[i : i + piece]
         return
@@ -55,9 +85,13 @@ def chunks(path: str | Path, byte_rate: float) -> Iterator[tuple[float, bytes]]:
 
 
 class PlayedPort:
-    """A recording with the face of a serial port, in its own time or `speed` times as fast.
+    """A recording with the face of a serial port; `read` raises EOFError once everything has been read.
 
-    `read` raises EOFError once everything has been read.
+    Args:
+        path: Of the recording.
+        speed: How many times as fast as it was.
+        byte_rate: 1/s, of bare bytes.
+        timeout: s that `read` waits for a first byte.
     """
 
     def __init__(self, path: str | Path, speed: float, byte_rate: float, timeout: float) -> None:

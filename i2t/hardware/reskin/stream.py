@@ -11,23 +11,34 @@ from collections import deque
 from collections.abc import Callable
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, NamedTuple, SupportsIndex, TypeAlias, TypeVar
+from typing import Any, BinaryIO, NamedTuple, SupportsIndex, TypeAlias, TypeVar
 
 import numpy as np
 
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
-from i2t.hardware.protocols import Samples, SkinCounters, SkinFeatures
+from i2t.hardware.protocols import Samples, SkinCounters, SkinFeatures, channel_names
 from i2t.hardware.reskin import frames, recording
-from i2t.hardware.reskin.frames import Decoder, Format, Frame, Limits
-from i2t.types import CHIPS, READINGS
+from i2t.hardware.reskin.frames import Decoder, Format, Frame, FrameLimits
 
-BUFFER = 4000  # bytes; a Linux terminal holds 4095, so that a read this long may come after an overflow
-FIRST_BYTE = 3.0  # s that a board may need to start after its port is opened
-LOCK = 1.0  # s from its first byte to its first frame
-CHANNELS = tuple(f"chip{chip}_{axis}" for chip in range(CHIPS) for axis in "xyz")
+PORT_BUFFER_BYTES = 4000  # a Linux terminal holds 4095, so that a read this long may come after an overflow
+FIRST_BYTE_S = 3.0  # that a board may need to start after its port is opened
+FIRST_FRAME_S = 1.0  # from its first byte to its first frame
+RATE_WINDOW_S = 1.0  # over which the rate is taken
+JOIN_S = 1.0  # in which the thread ends
 
-Row: TypeAlias = tuple[int, float, np.ndarray, np.ndarray]  # as in Samples
 S = TypeVar("S", bound="Stream")
+# A serial port or a played recording: `in_waiting`, `read` and `close`. No protocol, as a check of types at run time
+# would ask a port how much is waiting that may be gone.
+Port: TypeAlias = Any
+
+
+class Row(NamedTuple):
+    """One sample; see `i2t.hardware.protocols.Samples`."""
+
+    number: int
+    time: float  # s
+    reading: np.ndarray  # (c,) uT
+    temperature: np.ndarray  # (chips,) degrees Celsius
 
 
 class BoardInfo(NamedTuple):
@@ -42,16 +53,28 @@ class BoardInfo(NamedTuple):
 
 
 class Stream(ABC):
-    """A skin whose bytes come through something with the face of a serial port; `_open` gives it."""
+    """A skin whose bytes come through something with the face of a serial port; `_open` gives it.
 
-    def __init__(self, features: SkinFeatures, limits: Limits | None, capacity: int) -> None:
-        self._features = features
-        self._limits = limits or Limits()
+    Args:
+        name: Of the skin, for messages.
+        source: Real, emulated or replay.
+        chips: How many magnetometers the board has.
+        rate: Hz, nominal.
+        limits: What can be true of a frame.
+        capacity: Samples that the queue holds.
+    """
+
+    def __init__(
+        self, name: str, source: str, *, chips: int, rate: float, limits: FrameLimits | None, capacity: int
+    ) -> None:
+        self._features = SkinFeatures(name, source, channel_names(chips), "uT", rate)
+        self._chips = chips
+        self._limits = limits or FrameLimits()
         self._queue: deque[Row] = deque(maxlen=capacity)
-        self._news = threading.Condition()
-        self._counted = SkinCounters()  # before this connection
+        self._changed = threading.Condition()  # guards what the thread and the calls share
+        self._earlier = SkinCounters()  # of earlier connections
         self._decoder: Decoder | None = None
-        self._seen = -1  # newest sample that `since` has handed out
+        self._newest_given = -1  # newest sample that `since` has handed out
         self._overflowed = self._stalls = self._connects = 0
         self._arrivals: deque[tuple[float, int]] = deque()  # (time, samples by then), the last second
         self._failure: DeviceError | None = NotConnectedError(
@@ -59,7 +82,7 @@ class Stream(ABC):
         )
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
-        self._file: Any = None
+        self._file: BinaryIO | None = None
         self._info: BoardInfo | None = None
 
     # What a user of any skin holds.
@@ -71,7 +94,7 @@ class Stream(ABC):
 
     @property
     def info(self) -> BoardInfo:
-        """Port, speed, format and USB names, once connected."""
+        """Port, speed, format and USB names; raises NotConnectedError before the first connection."""
         if self._info is None:
             raise NotConnectedError(f"{self._name} has not been connected yet, so nothing is known of its board")
         return self._info
@@ -79,30 +102,34 @@ class Stream(ABC):
     @property
     def counters(self) -> SkinCounters:
         """So far."""
-        with self._news:
+        with self._changed:
             return self._total()._replace(
                 overflowed=self._overflowed, stalls=self._stalls, connects=self._connects, rate=self._rate()
             )
 
     def connect(self) -> None:
-        """Open the port and wait for the first frames."""
+        """Open the port and wait for the first frames.
+
+        Raises:
+            DeviceError: There is no such board, or it does not send frames.
+        """
         self.close()
         port, decoder, found, self._info = self._open()
-        with self._news:
-            self._counted, self._decoder = self._total(), None
+        with self._changed:
+            self._earlier, self._decoder = self._total(), None
             self._connects += 1
             self._failure = None
             self._arrivals.clear()
             self._accept(decoder, found, time.monotonic())
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(port, self._stop), name=self._name, daemon=True)
+        self._thread = threading.Thread(target=self._read_loop, args=(port, self._stop), name=self._name, daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         """Stop reading and give the port back."""
         self._stop.set()
         if self._thread is not None and self._thread is not threading.current_thread():
-            self._thread.join(1.0)  # a read ends within a tick
+            self._thread.join(JOIN_S)  # a read ends within a tick
         self._thread = None
         self._end_recording()
         self._fail(NotConnectedError(f"{self._name} was closed; connect it again"))
@@ -111,54 +138,93 @@ class Stream(ABC):
         self.connect()
         return self
 
-    def __exit__(self, *error: Any) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def latest(self, timeout: float = 0.4) -> Samples:
-        """The newest sample, one row; raises DeviceTimeoutError if it is older than `timeout`."""
-        with self._news:
+        """The newest sample, at once.
+
+        Args:
+            timeout: s that it may be old.
+
+        Returns:
+            One row.
+
+        Raises:
+            DeviceTimeoutError: It is older.
+            DeviceError: The skin is not connected or gone.
+        """
+        with self._changed:
             self._check()
-            age = time.monotonic() - self._queue[-1][1]
+            age = time.monotonic() - self._queue[-1].time
             if age > timeout:
                 raise DeviceTimeoutError(self._silence(age))
-            return _samples([self._queue[-1]])
+            return self._samples([self._queue[-1]])
 
     def read(self, count: int, timeout: float | None = None) -> Samples:
-        """The next `count` samples."""
+        """The next samples, all measured after the call.
+
+        Args:
+            count: How many, at most what the queue holds.
+            timeout: s; by default twice what the nominal rate needs, and half a second.
+
+        Returns:
+            `count` rows.
+
+        Raises:
+            DeviceTimeoutError: They did not come in time.
+            DeviceError: The skin is not connected or gone.
+        """
         if not 0 < count <= (self._queue.maxlen or 0):
             raise ValueError(f"{count} samples were asked for; the queue holds 1 to {self._queue.maxlen}")
         timeout = 2 * count / self._features.rate + 0.5 if timeout is None else timeout
         called = time.monotonic()
-        with self._news:
-            newest = self._queue[-1][0] if self._queue else -1
+        with self._changed:
+            newest = self._queue[-1].number if self._queue else -1
 
             def fresh() -> list[Row]:
-                return [row for row in self._after(newest) if row[1] > called][:count]
+                return [row for row in self._after(newest) if row.time > called][:count]
 
-            self._news.wait_for(lambda: self._failure is not None or len(fresh()) == count, timeout)
+            self._changed.wait_for(lambda: self._failure is not None or len(fresh()) == count, timeout)
             got = fresh()
             if len(got) == count:
-                return _samples(got)
+                return self._samples(got)
             self._check()
             raise DeviceTimeoutError(
                 f"{self._name} gave {len(got)} of {count} samples in {timeout:.2g} s; check its cable and its rate"
             )
 
     def since(self, number: SupportsIndex) -> Samples:
-        """Samples after sample `number` that are still queued. A failure is raised once they are all read."""
-        with self._news:
+        """Samples that are still in the queue, without waiting.
+
+        Args:
+            number: Of the sample after which they came; -1 for all.
+
+        Returns:
+            Any number of rows, maybe none.
+
+        Raises:
+            DeviceError: The skin is not connected or gone, and there are none.
+        """
+        with self._changed:
             mark = int(number)
             got = self._after(mark)
             if not got:
                 self._check()
             else:
-                self._overflowed += max(0, got[0][0] - max(mark, self._seen) - 1) if mark >= 0 else 0
-                self._seen = max(self._seen, got[-1][0])
-            return _samples(got)
+                self._overflowed += max(0, got[0].number - max(mark, self._newest_given) - 1) if mark >= 0 else 0
+                self._newest_given = max(self._newest_given, got[-1].number)
+            return self._samples(got)
 
     def record(self, path: str | Path) -> None:
-        """Write every byte that comes from now on to a new file (`i2t.hardware.reskin.recording`), until
-        `stop_recording` or `close`. A full disk ends the skin as an unplugged cable would.
+        """Write every byte that comes from now on to a file (`i2t.hardware.reskin.recording`), until `stop_recording`
+        or `close`. A full disk ends the skin as an unplugged cable would.
+
+        Args:
+            path: Of the new file.
+
+        Raises:
+            DeviceError: It exists, or cannot be written.
         """
         self._check()
         self._end_recording()
@@ -180,21 +246,21 @@ class Stream(ABC):
             raise type(self._failure)(*self._failure.args) from self._failure.__cause__
 
     def _after(self, number: int) -> list[Row]:
-        rows = list(takewhile(lambda row: row[0] > number, reversed(self._queue)))
+        rows = list(takewhile(lambda row: row.number > number, reversed(self._queue)))
         return rows[::-1]
 
     @abstractmethod
-    def _open(self) -> tuple[Any, Decoder, list[Frame], BoardInfo]:
+    def _open(self) -> tuple[Port, Decoder, list[Frame], BoardInfo]:
         """A port from which frames come."""
 
     @abstractmethod
     def _lost(self, error: Exception) -> DeviceError:
         """What the end of a port means."""
 
-    def _run(self, port: Any, stop: threading.Event) -> None:
+    def _read_loop(self, port: Port, stop: threading.Event) -> None:
         try:
             while not stop.is_set():
-                self._take(port.read(max(1, port.in_waiting)), time.monotonic())
+                self._process(port.read(max(1, port.in_waiting)), time.monotonic())
         except DeviceError as error:
             self._fail(error)
         except Exception as error:  # pyserial raises OSError, SerialException, TypeError and more
@@ -202,7 +268,7 @@ class Stream(ABC):
         finally:
             port.close()
 
-    def _take(self, chunk: bytes, now: float) -> None:
+    def _process(self, chunk: bytes, now: float) -> None:
         if not chunk:
             return
         file = self._file
@@ -215,30 +281,30 @@ class Stream(ABC):
                     raise DeviceError(sentence) from error
         assert self._decoder is not None
         decoder, found = frames.decode(self._decoder, chunk)
-        with self._news:
-            self._stalls += len(chunk) >= BUFFER
+        with self._changed:
+            self._stalls += len(chunk) >= PORT_BUFFER_BYTES
             self._accept(decoder, found, now)
 
     def _accept(self, decoder: Decoder, found: list[Frame], now: float) -> None:
         self._decoder = decoder
         if not found:
             return
-        number = self._counted.samples + decoder.frames - len(found)
+        number = self._earlier.samples + decoder.frames - len(found)
         self._arrivals.append((now, number + len(found)))
-        while now - self._arrivals[0][0] > 1.0:
+        while now - self._arrivals[0][0] > RATE_WINDOW_S:
             self._arrivals.popleft()
         per_byte = decoder.frames / decoder.taken / (self._rate() or self._features.rate)  # s
-        before = self._queue[-1][1] if self._queue else -np.inf
+        before = self._queue[-1].time if self._queue else -np.inf
         for frame in found:
             before = max(before, now - (decoder.bytes - frame.end) * per_byte)
-            self._queue.append((number, before, frame.reading, frame.temperature))
+            self._queue.append(Row(number, before, frame.reading, frame.temperature))
             number += 1
-        self._news.notify_all()
+        self._changed.notify_all()
 
     def _total(self) -> SkinCounters:
         if self._decoder is None:
-            return self._counted
-        now, old = self._decoder, self._counted
+            return self._earlier
+        now, old = self._decoder, self._earlier
         return old._replace(
             samples=old.samples + now.frames,
             lost=old.lost + now.lost,
@@ -248,21 +314,21 @@ class Stream(ABC):
         )
 
     def _rate(self) -> float:
-        if len(self._arrivals) < 2 or time.monotonic() - self._arrivals[-1][0] > 1.0:
+        if len(self._arrivals) < 2 or time.monotonic() - self._arrivals[-1][0] > RATE_WINDOW_S:
             return 0.0
         (start, first), (end, last) = self._arrivals[0], self._arrivals[-1]
         return (last - first) / (end - start) if end - start > 0.2 else 0.0
 
     def _silence(self, age: float) -> str:
         assert self._decoder is not None
-        if self._decoder.gap > 3 * frames.BINARY.size:
+        if self._decoder.gap > 3 * self._decoder.layout.binary.size:
             return f"{self._name} has sent no frame for {age:.2g} s, only bytes that are none; check its cable"
         return f"{self._name} has been silent for {age:.2g} s; check its cable and that its sketch runs"
 
     def _fail(self, error: DeviceError) -> None:
-        with self._news:
+        with self._changed:
             self._failure = self._failure or error
-            self._news.notify_all()
+            self._changed.notify_all()
 
     def _end_recording(self) -> None:
         file, self._file = self._file, None
@@ -273,11 +339,35 @@ class Stream(ABC):
     def _name(self) -> str:
         return self._features.name
 
+    def _samples(self, rows: list[Row]) -> Samples:
+        n = len(rows)
+        return Samples(
+            np.array([row.number for row in rows], np.int64),
+            np.array([row.time for row in rows], np.float64),
+            np.array([row.reading for row in rows], np.float64).reshape(n, 3 * self._chips),
+            np.array([row.temperature for row in rows], np.float64).reshape(n, self._chips),
+        )
 
-def listen(port: Any, limits: Limits, lost: Callable[[Exception], DeviceError]) -> tuple[Decoder, list[Frame], bytes]:
-    """The decoder that fits what comes from a port, its first frames, and what was heard if none does."""
-    candidates, heard = frames.decoders(limits), b""
-    end = time.monotonic() + FIRST_BYTE
+
+def detect_format(
+    port: Port, limits: FrameLimits, chips: int, lost: Callable[[Exception], DeviceError]
+) -> tuple[Decoder, list[Frame], bytes]:
+    """Read from a port until one of the formats gives a frame.
+
+    Args:
+        port: Where a board's bytes come from.
+        limits: What can be true of a frame.
+        chips: How many the board has.
+        lost: The error to raise when reading fails.
+
+    Returns:
+        The decoder that fits, its first frames, and the last bytes that came; no frames if none fits in time.
+
+    Raises:
+        DeviceError: `lost` of what went wrong.
+    """
+    candidates, heard = frames.decoders(limits, chips), b""
+    end = time.monotonic() + FIRST_BYTE_S
     while time.monotonic() < end:
         try:
             chunk = port.read(max(1, port.in_waiting))
@@ -286,18 +376,9 @@ def listen(port: Any, limits: Limits, lost: Callable[[Exception], DeviceError]) 
         except Exception as error:
             raise lost(error) from error
         if chunk and not heard:
-            end = time.monotonic() + LOCK
-        heard = (heard + chunk)[-BUFFER:]
+            end = time.monotonic() + FIRST_FRAME_S
+        heard = (heard + chunk)[-PORT_BUFFER_BYTES:]
         candidates, found = frames.decode_any(candidates, chunk)
         if found:
             return candidates[0], found, heard
     return candidates[0], [], heard
-
-
-def _samples(rows: list[Row]) -> Samples:
-    return Samples(
-        np.array([row[0] for row in rows], np.int64),
-        np.array([row[1] for row in rows], np.float64),
-        np.array([row[2] for row in rows], np.float64).reshape(len(rows), READINGS),
-        np.array([row[3] for row in rows], np.float64).reshape(len(rows), CHIPS),
-    )
