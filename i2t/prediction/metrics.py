@@ -91,7 +91,7 @@ def grouped_interval(
     return float(low), float(high)
 
 
-def student_interval(values: Sequence[float] | np.ndarray, level: float = 0.95) -> Estimate:
+def student_interval(values: Sequence[int | float] | np.ndarray, level: float = 0.95) -> Estimate:
     """Mean and Student's t interval of independent values, such as seeds or episodes.
 
     Args:
@@ -168,8 +168,8 @@ def ridge(x: np.ndarray, y: np.ndarray, at: np.ndarray, penalty: float) -> np.nd
 
 
 def tuned(
-    method: Callable[[np.ndarray, np.ndarray, np.ndarray, float], np.ndarray],
-    options: Sequence[float],
+    method: Callable[[np.ndarray, np.ndarray, np.ndarray, Any], np.ndarray],
+    options: Sequence[int | float],
     x: np.ndarray,
     y: np.ndarray,
     groups: np.ndarray,
@@ -238,13 +238,10 @@ def baselines(
     neighbours = (1, 2, 4, 8, 16, 32, 64)
     penalties = tuple(10.0 ** np.arange(-6, 3))
 
-    def knn(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: float) -> np.ndarray:
-        return nearest_neighbours(x, y, at, int(k))
-
     return {
         "mean reading": np.broadcast_to(y.mean(0), (len(at_patches), y.shape[1])),
-        "k nearest patches": tuned(knn, neighbours, train, y, groups, other),
-        "k nearest patches + measured": tuned(knn, neighbours, joined, y, groups, at_joined),
+        "k nearest patches": tuned(nearest_neighbours, neighbours, train, y, groups, other),
+        "k nearest patches + measured": tuned(nearest_neighbours, neighbours, joined, y, groups, at_joined),
         "ridge on PCA": tuned(ridge, penalties, train, y, groups, other),
         "ridge on PCA + measured": tuned(ridge, penalties, joined, y, groups, at_joined),
     }

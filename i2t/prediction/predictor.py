@@ -17,6 +17,7 @@ model was trained on.
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -41,7 +42,7 @@ FORMAT = "i2t predictor"
 FORMAT_VERSION = 2
 BATCH = 64  # contact pressures computed at a time
 
-Values: TypeAlias = float | np.ndarray | Array  # one for all touches, or one for each
+Values: TypeAlias = int | float | Sequence[int | float] | np.ndarray | Array  # one for all touches, or one for each
 
 
 class Reading(NamedTuple):

@@ -55,7 +55,9 @@ def saved(norm: Normalisation, batch: Batch, tmp_path_factory: pytest.TempPathFa
 
     def save(state: TrainState) -> None:
         states.append(state)
-        checkpoint.save(directory, state, MODEL, TRAIN, norm, N, {"objects": ["hexagon", "star"], "pad": None})
+        checkpoint.save(
+            directory, state, MODEL, TRAIN, norm, touches=N, extra={"objects": ["hexagon", "star"], "pad": None}
+        )
 
     training.fit(jax.jit(partial(training.start, MODEL, TRAIN, N))(), MODEL, TRAIN, batch, None, chunk=1, save=save)
     return directory, states
@@ -78,7 +80,7 @@ def test_everything_comes_back(saved: tuple[Path, list[TrainState]], norm: Norma
     assert (about.model, about.train, about.touches, about.epoch) == (MODEL, TRAIN, N, 4)
     assert about.extra == {"objects": ["hexagon", "star"], "pad": None}
     assert about.packages["jax"] == jax.__version__
-    assert about == checkpoint.describe(directory)
+    assert about == checkpoint.load(directory)[2]
 
 
 def test_only_the_latest_epoch_stays(saved: tuple[Path, list[TrainState]]) -> None:
@@ -103,23 +105,38 @@ def test_training_resumed_from_disk_is_the_uninterrupted_one(
     saved: tuple[Path, list[TrainState]], norm: Normalisation, batch: Batch, tmp_path: Path
 ) -> None:
     _, states = saved
-    checkpoint.save(tmp_path / "c", states[1], MODEL, TRAIN, norm, N)
+    checkpoint.save(tmp_path / "c", states[1], MODEL, TRAIN, norm, touches=N)
     state, _, about = checkpoint.restore(tmp_path / "c")
     assert_same(training.fit(state, about.model, about.train, batch, None, chunk=1), states[-1])
 
 
-def test_each_of_several_seeds_can_be_loaded_and_conditions_may_be_none(norm: Normalisation, tmp_path: Path) -> None:
-    cfg, model = replace(TRAIN, seeds=3), replace(MODEL, conditions=())
-    state = jax.jit(partial(training.start, model, cfg, N))()
+def test_conditions_may_be_none_and_readings_any_number(norm: Normalisation, tmp_path: Path) -> None:
+    model = replace(MODEL, conditions=(), readings=12)
+    state = jax.jit(partial(training.start, model, TRAIN, N))()
     state = state._replace(best_params=state.params)
-    each = norm._replace(conditions=Standard(jnp.zeros(0), jnp.zeros(0)), residual=jnp.arange(45.0).reshape(3, 15))
-    checkpoint.save(tmp_path / "c", state, model, cfg, each, N)
+    nothing = Standard(jnp.zeros(0), jnp.zeros(0))
+    fewer = jax.tree.map(lambda leaf: leaf[:12], norm)._replace(conditions=nothing)
+    checkpoint.save(tmp_path / "c", state, model, TRAIN, fewer, touches=N)
     assert_same(checkpoint.restore(tmp_path / "c")[0], state)
-    params, back, _ = checkpoint.load(tmp_path / "c", seed=2)
-    assert_same(params, jax.tree.map(lambda leaf: leaf[2], state.params))
-    assert_same(back, each._replace(residual=each.residual[2]))
-    with pytest.raises(CheckpointError, match="holds 3 seeds; choose one from 0 to 2"):
-        checkpoint.load(tmp_path / "c", seed=3)
+    params, back, _ = checkpoint.load(tmp_path / "c")
+    assert_same(params, state.params)
+    assert_same(back, fewer)
+
+
+def test_checkpoints_from_before_are_read(saved: tuple[Path, list[TrainState]], tmp_path: Path) -> None:
+    """They name one seed, and no number of readings, which was 15."""
+    folder = tmp_path / "copy"
+    shutil.copytree(saved[0], folder)
+    path = folder / "4" / "_CHECKPOINT_METADATA"
+    about = json.loads(path.read_text())
+    about["custom_metadata"]["train"]["seeds"] = 1
+    del about["custom_metadata"]["model"]["readings"]
+    path.write_text(json.dumps(about))
+    assert_same(checkpoint.restore(folder)[0], saved[1][-1])
+    about["custom_metadata"]["train"]["seeds"] = 3
+    path.write_text(json.dumps(about))
+    with pytest.raises(CheckpointError, match=r"does not know .unknown seeds"):
+        checkpoint.load(folder)
 
 
 def test_folders_that_are_no_checkpoint(tmp_path: Path) -> None:
@@ -184,7 +201,7 @@ def test_a_save_that_dies_leaves_the_one_before(
     shutil.copytree(folder / "4" / "params", folder / "5.orbax-checkpoint-tmp-1" / "params")
     assert_same(checkpoint.restore(folder)[0], states[-1])
     later = states[-1]._replace(epoch=states[-1].epoch + 1)
-    checkpoint.save(folder, later, MODEL, TRAIN, norm, N)
+    checkpoint.save(folder, later, MODEL, TRAIN, norm, touches=N)
     assert_same(checkpoint.restore(folder)[0], later)
     assert [entry.name for entry in folder.iterdir()] == ["5"]
 

@@ -1,4 +1,4 @@
-"""The process against one written densely in double precision, and against maps it should find."""
+"""The Gaussian process against one written densely in double precision, and against maps it should find."""
 
 import jax
 import jax.numpy as jnp
@@ -6,37 +6,61 @@ import numpy as np
 import pytest
 
 from i2t.prediction import gp
-from i2t.prediction.gp import Hyper, Imagined
+from i2t.prediction.gp import ContactPressure, GPHyperparameters
 
 M = 12  # mm, edge of the maps
 CHANNELS = 15
 fit, predict = jax.jit(gp.fit), jax.jit(gp.predict)
-HYPER = Hyper(
+HYPER = GPHyperparameters(
     jnp.array([0.1, 0.5, 0.2, 0.15, 0.05]), jnp.array(0.3), jnp.array(0.7), jnp.array(0.05)
 )  # as different from one another as can be
 
 
-def spots(rng: np.random.Generator, n: int) -> Imagined:
+def spots(rng: np.random.Generator, n: int) -> ContactPressure:
     """Round contacts at random places under random loads."""
     x = np.arange(M)
     place = rng.uniform(1, M - 2, (n, 2, 1))
     along = np.exp(-((x - place) ** 2) / (2 * rng.uniform(1, 2, (n, 1, 1)) ** 2))
     pressure = along[:, 0, :, None] * along[:, 1, None, :]
     pressure *= rng.uniform(0.3, 3, (n, 1, 1)) / pressure.sum((1, 2), keepdims=True)
-    return Imagined(jnp.float32(pressure), jnp.float32(pressure.sum((1, 2))))
+    return ContactPressure(jnp.float32(pressure), jnp.float32(pressure.sum((1, 2))))
 
 
-def covariance(hyper: Hyper, a: Imagined, b: Imagined, unit: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def covariance(
+    hyper: GPHyperparameters, a: ContactPressure, b: ContactPressure, unit: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
     """k(a, b) by the formula in the module's opening, cell by cell, and the mean of p C p over a for each length."""
     cells = np.stack(np.meshgrid(np.arange(M), np.arange(M), indexing="ij"), -1).reshape(-1, 2)
     square = ((cells[:, None] - cells[None]) ** 2).sum(-1)
     p, q = (np.asarray(x.pressure, np.float64).reshape(len(x.load), -1) for x in (a, b))
-    linear = np.stack([p @ np.exp(-square / (2 * length**2)) @ q.T for length in gp.LENGTHS])
+    linear = np.stack([p @ np.exp(-square / (2 * length**2)) @ q.T for length in gp.LENGTHS_MM])
     unit = np.trace(linear, axis1=1, axis2=2) / len(p) if unit is None else unit
     ratio = np.log(np.asarray(a.load, np.float64)[:, None] / np.asarray(b.load, np.float64))
     bend = float(hyper.bend)
     bracket = 1 - bend + bend * np.exp(-(ratio**2) / (2 * float(hyper.width) ** 2))
     return np.einsum("l,lab->ab", np.asarray(hyper.weights, np.float64) / unit, linear) * bracket, unit
+
+
+def explained_between_groups(
+    hyper: GPHyperparameters, touches: ContactPressure, readings: np.ndarray, groups: np.ndarray
+) -> tuple[float, float]:
+    """R2 with each group predicted from all others, densely in double precision, and how far float32 may be off."""
+    K, _ = covariance(hyper, touches, touches, None)
+    noise = float(hyper.noise) + gp.JITTER
+    error = 0.0
+    for group in np.unique(groups):
+        kept = groups != group
+        weights = np.linalg.solve(K[np.ix_(kept, kept)] + noise * np.eye(kept.sum()), readings[kept])
+        error += (((K[np.ix_(~kept, kept)] @ weights - readings[~kept]) / np.sqrt((readings**2).mean(0))) ** 2).sum()
+    # Condition number times float32's roundings, of an error near 1.
+    return 1 - error / readings.size, np.finfo(np.float32).eps * np.trace(K) / noise * 10
+
+
+def smooth_readings(rng: np.random.Generator, touches: ContactPressure) -> np.ndarray:
+    """Readings that random walks across the skin give, with a tenth of noise."""
+    maps = rng.normal(size=(CHANNELS, M, M)).cumsum(1).cumsum(2)
+    readings = np.einsum("cij,nij->nc", maps - maps.mean((1, 2), keepdims=True), touches.pressure)
+    return (readings + 0.1 * readings.std() * rng.normal(size=readings.shape)).astype(np.float32)
 
 
 def test_mean_and_variance_of_a_dense_process():
@@ -67,7 +91,7 @@ def test_maps_are_found_the_better_the_more_touches():
     maps = 50 * root @ rng.normal(size=(CHANNELS, M, M)) @ root.T
     other = spots(rng, 100)
 
-    def field(touches: Imagined) -> np.ndarray:
+    def field(touches: ContactPressure) -> np.ndarray:
         return np.einsum("cij,nij->nc", maps, touches.pressure)
 
     linear = HYPER._replace(weights=jnp.eye(5)[1], bend=jnp.array(0.0))
@@ -88,7 +112,7 @@ def test_maps_are_found_the_better_the_more_touches():
 def test_the_stated_spread_is_the_spread_of_the_errors():
     rng = np.random.default_rng(2)
     train, other = spots(rng, 60), spots(rng, 60)
-    both = Imagined(*(jnp.concatenate(parts) for parts in zip(train, other, strict=True)))
+    both = ContactPressure(*(jnp.concatenate(parts) for parts in zip(train, other, strict=True)))
     hyper = HYPER._replace(noise=jnp.array(1.0))
     K, unit = covariance(hyper, train, train, None)
     K, _ = covariance(hyper, both, both, unit)
@@ -111,7 +135,7 @@ def test_no_pressure_gives_no_reading():
     rng = np.random.default_rng(3)
     train = spots(rng, 10)
     process = fit(HYPER, train, jnp.float32(rng.normal(size=(10, CHANNELS))))
-    mean, std = predict(process, Imagined(jnp.zeros((2, M, M)), jnp.zeros(2)))
+    mean, std = predict(process, ContactPressure(jnp.zeros((2, M, M)), jnp.zeros(2)))
     np.testing.assert_array_equal(mean, 0)
     # Nothing but the sensor's noise is left.
     np.testing.assert_allclose(std, np.broadcast_to(np.sqrt(0.05) * process.scale, std.shape), rtol=1e-6)
@@ -122,7 +146,7 @@ def test_prediction_of_one_does_not_depend_on_others():
     process = fit(HYPER, spots(rng, 10), jnp.float32(rng.normal(size=(10, CHANNELS))))
     other = spots(rng, 5)
     together = predict(process, other)
-    alone = predict(process, Imagined(other.pressure[3:4], other.load[3:4]))
+    alone = predict(process, ContactPressure(other.pressure[3:4], other.load[3:4]))
     for all_, one in zip(together, alone, strict=True):
         # Sums of a few hundred float32 terms in another order, through a solve with a condition of 10 / 0.05.
         np.testing.assert_allclose(all_[3:4], one, rtol=200 * 1e-5, atol=1e-5)
@@ -132,27 +156,68 @@ def test_cross_validation_leaves_whole_groups_out():
     rng = np.random.default_rng(5)
     touches, groups = spots(rng, 24), np.repeat([7, 3, 9, 1], 6)
     readings = rng.normal(scale=10, size=(24, CHANNELS)).astype(np.float32)
-    _, explained = gp.choose(touches, jnp.asarray(readings), groups, steps=1, folds=4)
+    _, explained = gp.choose_hyperparameters(touches, jnp.asarray(readings), groups, steps=1, folds=4)
     # As many folds as groups: each is left out once, however they were shuffled.
-    start = Hyper(jnp.full(5, 0.2), jnp.array(0.5), jnp.array(1.0), jnp.exp(-2.0))
-    K, _ = covariance(start, touches, touches, None)
-    noise = float(start.noise) + gp.JITTER
-    error = 0.0
-    for group in np.unique(groups):
-        kept = groups != group
-        weights = np.linalg.solve(K[np.ix_(kept, kept)] + noise * np.eye(kept.sum()), readings[kept])
-        error += (((K[np.ix_(~kept, kept)] @ weights - readings[~kept]) / np.sqrt((readings**2).mean(0))) ** 2).sum()
-    # Condition number times float32's roundings, of an error near 1.
-    assert abs(float(explained[0]) - (1 - error / readings.size)) < np.finfo(np.float32).eps * np.trace(K) / noise * 10
+    start = GPHyperparameters(jnp.full(5, 0.2), jnp.array(0.5), jnp.array(1.0), jnp.exp(-2.0))
+    expected, rounding = explained_between_groups(start, touches, readings, groups)
+    assert abs(float(explained[0]) - expected) < rounding
+
+
+def test_the_best_of_all_steps_is_taken():
+    rng = np.random.default_rng(9)
+    touches, groups = spots(rng, 24), np.repeat([7, 3, 9, 1], 6)
+    readings = smooth_readings(rng, touches)
+    chosen, explained = gp.choose_hyperparameters(touches, jnp.asarray(readings), groups, steps=8)
+    expected, rounding = explained_between_groups(chosen, touches, readings, groups)
+    explained = np.sort(explained)
+    # It can be told from all other steps, so that taking any of them would show.
+    assert explained[-1] - explained[-2] > 2 * rounding
+    assert abs(expected - explained[-1]) < rounding
+
+
+@pytest.mark.parametrize("bad", ["readings", "pressure"])
+def test_hyperparameters_without_any_score_are_refused(bad):
+    rng = np.random.default_rng(10)
+    touches, readings = spots(rng, 8), np.ones((8, CHANNELS), np.float32)
+    if bad == "readings":
+        readings[3, 2] = np.nan
+    else:
+        touches = touches._replace(pressure=jnp.zeros_like(touches.pressure))
+    with pytest.raises(ValueError, match="no finite score on 8 touches"):
+        gp.choose_hyperparameters(touches, jnp.asarray(readings), np.arange(8) // 2, steps=2)
+
+
+def test_to_condition_is_to_fit_with_the_chosen_hyperparameters():
+    rng = np.random.default_rng(11)
+    touches, groups = spots(rng, 12), np.arange(12) // 3
+    readings = smooth_readings(rng, touches)
+    hyper, _ = gp.choose_hyperparameters(touches, jnp.asarray(readings), groups, seed=5)
+    expected = fit(hyper, touches, jnp.asarray(readings))
+    jax.tree.map(np.testing.assert_array_equal, gp.condition(touches, readings, groups, seed=5), expected)
+
+
+def test_errors_left_out_are_those_of_a_process_without_the_touch():
+    rng = np.random.default_rng(12)
+    touches, readings = spots(rng, 20), rng.normal(scale=20, size=(20, CHANNELS)).astype(np.float32)
+    errors = gp.leave_one_out_errors(fit(HYPER, touches, jnp.asarray(readings)))
+    K, _ = covariance(HYPER, touches, touches, None)
+    noise = float(HYPER.noise) + gp.JITTER
+    expected = np.zeros_like(readings, np.float64)
+    for i in range(20):
+        rest = np.arange(20) != i
+        weights = np.linalg.solve(K[np.ix_(rest, rest)] + noise * np.eye(19), readings[rest].astype(np.float64))
+        expected[i] = readings[i] - K[i, rest] @ weights
+    # The Cholesky factor is float32's: digits are lost with the condition number, at most trace K / noise.
+    loss = np.finfo(np.float32).eps * np.trace(K) / noise
+    np.testing.assert_allclose(errors, expected, atol=loss * np.abs(readings).max())
+    assert np.abs(expected).max() > 10  # they are not small because nothing is left out
 
 
 def test_choosing_improves_and_never_tears_groups():
     rng = np.random.default_rng(6)
     touches, groups = spots(rng, 60), np.arange(60) % 10
-    maps = rng.normal(size=(CHANNELS, M, M)).cumsum(1).cumsum(2)
-    readings = np.einsum("cij,nij->nc", maps - maps.mean((1, 2), keepdims=True), touches.pressure)
-    readings += 0.1 * readings.std() * rng.normal(size=readings.shape)
-    hyper, explained = gp.choose(touches, jnp.float32(readings), groups, steps=8)
+    readings = smooth_readings(rng, touches)
+    hyper, explained = gp.choose_hyperparameters(touches, jnp.float32(readings), groups, steps=8)
     assert explained[0] < jnp.max(explained) <= 1
     assert abs(float(jnp.sum(hyper.weights)) - 1) < 1e-6
     assert 0 <= hyper.bend <= 1
@@ -161,9 +226,9 @@ def test_choosing_improves_and_never_tears_groups():
 
     # Every touch twice in its group, with readings that are pure chance: torn groups would explain them, whole ones
     # explain nothing (the best of 8 steps gains at most by chance, a few of 900 values).
-    twice = Imagined(*(jnp.concatenate([x, x]) for x in touches))
+    twice = ContactPressure(*(jnp.concatenate([x, x]) for x in touches))
     chance = jnp.float32(np.tile(rng.normal(size=(60, CHANNELS)), (2, 1)))
-    _, explained = gp.choose(twice, chance, np.tile(np.arange(60), 2), steps=8)
+    _, explained = gp.choose_hyperparameters(twice, chance, np.tile(np.arange(60), 2), steps=8)
     assert jnp.max(explained) < 0.1
 
 
@@ -173,12 +238,14 @@ def test_choosing_among_many_uses_a_sample():
     readings = jnp.float32(rng.normal(size=(50, CHANNELS)))
     rows = np.sort(np.random.default_rng(3).choice(50, 30, replace=False))
     groups = np.arange(50) // 5
-    few = gp.choose(touches, readings, groups, steps=2, limit=30, seed=3)
-    same = gp.choose(Imagined(*(x[rows] for x in touches)), readings[rows], groups[rows], steps=2, seed=3)
+    few = gp.choose_hyperparameters(touches, readings, groups, steps=2, limit=30, seed=3)
+    same = gp.choose_hyperparameters(
+        ContactPressure(*(x[rows] for x in touches)), readings[rows], groups[rows], steps=2, seed=3
+    )
     np.testing.assert_array_equal(few[1], same[1])
 
 
 def test_one_group_cannot_be_cross_validated():
     touches = spots(np.random.default_rng(8), 4)
     with pytest.raises(ValueError, match=r"at least two groups .*, got 1"):
-        gp.choose(touches, jnp.ones((4, CHANNELS)), np.zeros(4, int))
+        gp.choose_hyperparameters(touches, jnp.ones((4, CHANNELS)), np.zeros(4, int))

@@ -12,7 +12,7 @@ from i2t.prediction.metrics import (
     reduce_patches,
     ridge,
     score,
-    seed_interval,
+    student_interval,
     tuned,
 )
 
@@ -45,13 +45,13 @@ def test_the_mean_explains_nothing_and_the_truth_everything():
 
 def test_seed_interval_covers_as_often_as_it_says():
     draws = np.random.default_rng(1).normal(3, 2, (4000, 5))
-    _, low, high = np.array([seed_interval(list(row)) for row in draws]).T
+    _, low, high = np.array([student_interval(list(row)) for row in draws]).T
     # Student's interval is exact for normal values: a binomial proportion, 4.5 deviations.
     assert abs(np.mean((low < 3) & (high > 3)) - 0.95) < 4.5 * np.sqrt(0.95 * 0.05 / 4000)
-    mean, low, high = seed_interval([7.0])
+    mean, low, high = student_interval([7.0])
     assert mean == 7
     assert np.isnan([low, high]).all()
-    assert np.isnan(seed_interval([1.0])[1:]).all()
+    assert np.isnan(student_interval([1.0])[1:]).all()
 
 
 def test_grouped_interval_covers_where_rows_of_a_group_agree(monkeypatch):

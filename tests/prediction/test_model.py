@@ -1,5 +1,6 @@
 """The network against the paper's sizes, its own parts written out by hand, and the moments of a mixture."""
 
+import math
 from dataclasses import replace
 from functools import partial
 
@@ -16,7 +17,6 @@ from i2t.prediction.model import (
     Standard,
     apply,
     init,
-    parameter_count,
     predict,
     prepare,
 )
@@ -38,6 +38,12 @@ def plain(conditions: int) -> Normalisation:
 
 def start(cfg: ModelConfig) -> dict:
     return jax.jit(init, static_argnums=1)(jax.random.key(0), cfg)
+
+
+def parameter_count(cfg: ModelConfig) -> int:
+    """Number of trained values in one member."""
+    shapes = jax.eval_shape(lambda: init(jax.random.key(0), cfg))
+    return sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(shapes))
 
 
 def dense(inputs: int, outputs: int) -> int:
@@ -82,6 +88,50 @@ def test_forward_pass_is_the_one_written_out_by_hand() -> None:
     expected = Prediction(layer("reading", decoded), 10 * np.tanh(layer("log_variance", decoded) / 10), image, latent)
     # Each of at most three products in a row sums at most 145 terms of order one: rounding below 3 * 145 * eps.
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=3 * 145 * EPS, rtol=3 * 145 * EPS), got, expected)
+
+
+def test_a_convolution_is_the_one_written_out_by_hand() -> None:
+    cfg = replace(SMALL, pixels=5, encoder="cnn", channels=(2,), auxiliary=False)
+    params = start(cfg)
+    params["conv0"]["bias"] = jnp.array([0.1, -0.2])
+    example = jax.tree.map(lambda leaf: leaf[0], examples(cfg, 1))
+    got = jax.jit(partial(apply, cfg=cfg))(params, inputs=example).latent
+
+    weights = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), params)
+    padded = np.pad(np.asarray(example.image, np.float64), 2)
+    features = np.array(
+        [
+            [
+                np.einsum("ij,ijc->c", padded[y : y + 5, x : x + 5], weights["conv0"]["kernel"][:, :, 0])
+                for x in (0, 2, 4)
+            ]
+            for y in (0, 2, 4)
+        ]
+    )
+    features = np.maximum(features + weights["conv0"]["bias"], 0).ravel()
+    hidden = np.maximum(features @ weights["encoder"]["kernel"] + weights["encoder"]["bias"], 0)
+    expected = hidden @ weights["bottleneck"]["kernel"] + weights["bottleneck"]["bias"]
+    np.testing.assert_allclose(got, expected, atol=3 * 25 * EPS, rtol=3 * 25 * EPS)
+
+
+def test_weights_of_a_seed_are_those_of_earlier_versions() -> None:
+    """Whoever trained with a seed before gets the same network again."""
+    params = start(ModelConfig(pixels=4, encoder_width=3, auxiliary=False))
+    expected = [1.2329613, 0.130290493, -0.636551082, 0.406681776, 0.446827978]
+    np.testing.assert_allclose(params["bottleneck"]["kernel"][0], expected, rtol=4 * EPS)
+
+
+def test_layers_left_out_change_no_other() -> None:
+    whole, part = start(replace(SMALL, heteroscedastic=True)), start(replace(SMALL, auxiliary=False))
+    for name, layer in part.items():
+        jax.tree.map(np.testing.assert_array_equal, layer, whole[name])
+
+
+@pytest.mark.parametrize("readings", [3, 48])
+def test_any_board_has_its_number_of_readings(readings: int) -> None:
+    cfg = replace(SMALL, readings=readings, heteroscedastic=True)
+    got = jax.eval_shape(lambda: apply(init(jax.random.key(0), cfg), cfg, Inputs(jnp.zeros((12, 12)), jnp.zeros(0))))
+    assert got.reading.shape == got.log_variance.shape == (readings,)
 
 
 @pytest.mark.parametrize("encoder", ["mlp", "cnn"])

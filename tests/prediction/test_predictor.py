@@ -1,23 +1,34 @@
 """What a user holds: saving, loading, one touch and many, meshes and poses, and refusals."""
 
+import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from orbax.checkpoint import v1 as ocp
 
 from i2t import geometry
 from i2t.errors import CheckpointError
 from i2t.objects import catalogue
 from i2t.prediction import gp, model, predictor
-from i2t.prediction.predictor import TrainedNetwork, Predictor
+from i2t.prediction.predictor import (
+    GPModel,
+    PatchNetwork,
+    Predictor,
+    PressureNetwork,
+    TouchBatch,
+    TrainedNetwork,
+)
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.rendering.render import prepare_surface, render_patch
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
 
-IMAGINATION = PressureModelConfig(PATCH_WINDOW / PATCH_PIXELS, smooth=False, tilt=0.0)
+PRESSURE = PressureModelConfig(PATCH_WINDOW / PATCH_PIXELS, smooth=False, tilt=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -28,38 +39,51 @@ def patches():
     return np.clip(square * 5e-3, 0, REACH).astype(np.float32)
 
 
-@pytest.fixture(scope="module")
-def process(patches):
-    """A Gaussian process that has seen six round tips, with any readings at all."""
-    imagined = predictor.predict_pressures(IMAGINATION, patches, np.full(6, 0.8), np.full(6, np.nan))
+def fitted_gp(patches: np.ndarray, channels: int) -> tuple[Predictor, jax.Array]:
+    """A Gaussian process conditioned on six round tips, with any readings at all, and these readings."""
+    pressure = predictor.predict_pressures(PRESSURE, patches, np.full(6, 0.8), np.full(6, np.nan))
     lengths = len(gp.LENGTHS_MM)
     hyper = gp.GPHyperparameters(jnp.full(lengths, 1 / lengths), jnp.float32(0.2), jnp.float32(1.0), jnp.float32(0.01))
-    readings = 20 * jax.random.normal(jax.random.key(1), (6, 15))
-    fitted = gp.fit(hyper, imagined, readings)
-    return Predictor(fitted, None, IMAGINATION, PATCH_WINDOW, REACH, 0.8, 0.3e-3, 1.3, {"method": "test"}), readings
+    readings = 20 * jax.random.normal(jax.random.key(1), (6, channels))
+    fitted = GPModel(gp.fit(hyper, pressure, readings), PRESSURE)
+    return Predictor(fitted, PATCH_WINDOW, REACH, 0.8, 0.3e-3, 1.3, {"method": "test", "source": "simulated"}), readings
+
+
+def trained(channels: int, **changes: Any) -> TrainedNetwork:
+    """A small network with random weights."""
+    cfg = model.ModelConfig(
+        readings=channels, encoder_width=8, decoder_width=8, auxiliary=False, heteroscedastic=True, members=2, **changes
+    )
+    params = jax.vmap(lambda key: model.init(key, cfg))(jax.random.split(jax.random.key(2), 2))
+    k = len(cfg.conditions)
+    norm = model.Normalisation(
+        model.Standard(jnp.arange(1.0 * channels), jnp.full(channels, 2.0)),
+        model.Standard(jnp.zeros(k), jnp.ones(k)),
+        jnp.zeros(channels),
+    )
+    return TrainedNetwork(params, cfg, norm)
+
+
+@pytest.fixture(scope="module")
+def process(patches):
+    return fitted_gp(patches, 15)
 
 
 @pytest.fixture(scope="module")
 def network():
-    cfg = model.ModelConfig(
-        encoder_width=8,
-        decoder_width=8,
-        auxiliary=False,
-        heteroscedastic=True,
-        members=2,
-        conditions=("force", "nearest"),
-    )
-    params = jax.vmap(lambda key: model.init(key, cfg))(jax.random.split(jax.random.key(2), 2))
-    norm = model.Normalisation(
-        model.Standard(jnp.arange(15.0), jnp.full(15, 2.0)), model.Standard(jnp.zeros(2), jnp.ones(2)), jnp.zeros(15)
-    )
-    return Predictor(None, TrainedNetwork(params, cfg, norm), None, PATCH_WINDOW, REACH, 1.0, 0.3e-3)
+    return Predictor(PatchNetwork(trained(15, conditions=("force", "nearest"))), PATCH_WINDOW, REACH, 1.0, 0.3e-3)
 
 
-def test_a_process_reproduces_what_it_was_taught(process, patches):
-    """With little noise its mean comes back to the readings, and far less uncertain than before seeing any."""
-    taught, readings = process
-    seen = taught.predict(patches, force=0.8)
+@pytest.fixture(scope="module")
+def on_pressure():
+    seen = trained(15, conditions=("force", "depth"), input="image", pixels=20)
+    return Predictor(PressureNetwork(seen, PRESSURE), PATCH_WINDOW, REACH, 1.0, 0.3e-3, 0.5)
+
+
+def test_a_process_reproduces_what_it_was_conditioned_on(process, patches):
+    """With little noise its mean comes back to the readings."""
+    fitted, readings = process
+    seen = fitted.predict(patches, force=0.8)
     assert np.corrcoef(seen.mean.ravel(), np.ravel(readings))[0, 1] > 0.9
     assert (seen.std > 0).all()
 
@@ -72,34 +96,125 @@ def test_one_touch_is_a_row_of_many(process, patches):
     np.testing.assert_allclose(one.std, many.std[2], rtol=1e-3)
 
 
-def test_force_left_out_is_the_middle_of_training(process, patches):
+def test_force_left_out_is_the_default_force(process, patches):
     np.testing.assert_array_equal(process[0].predict(patches).mean, process[0].predict(patches, force=0.8).mean)
 
 
-def test_what_is_saved_is_what_is_loaded(process, network, patches, tmp_path):
-    for name, made, given in (("process", process[0], {}), ("network", network, {"force": 1.0, "nearest": -1e-4})):
+def assert_same_predictions(one: Predictor, other: Predictor, patches: np.ndarray, **given: float) -> None:
+    before, after = one.predict(patches, **given), other.predict(patches, **given)
+    np.testing.assert_array_equal(before.mean, after.mean)
+    np.testing.assert_array_equal(before.std, after.std)
+
+
+def test_what_is_saved_is_what_is_loaded(process, network, on_pressure, patches, tmp_path):
+    given = {"force": 1.0, "nearest": -1e-4}
+    for name, made in (("process", process[0]), ("network", network), ("pressure", on_pressure)):
         predictor.save(tmp_path / name, made)
         loaded = predictor.load_predictor(tmp_path / name)
-        assert (loaded.window, loaded.std_scale, loaded.metadata) == (made.window, made.spread, made.about)
-        before, after = made.predict(patches, **given), loaded.predict(patches, **given)
-        np.testing.assert_array_equal(before.mean, after.mean)
-        np.testing.assert_array_equal(before.std, after.std)
+        assert type(loaded.model) is type(made.model)
+        assert loaded.pressure == made.pressure
+        assert (loaded.window, loaded.std_scale, loaded.metadata) == (made.window, made.std_scale, made.metadata)
+        assert_same_predictions(loaded, made, patches, **given)
 
 
 def test_a_network_without_conditions_is_saved_too(network, patches, tmp_path):
-    params, cfg, norm = network.network
-    alone = replace(cfg, conditions=())
-    params = jax.vmap(lambda key: model.init(key, alone))(jax.random.split(jax.random.key(3), 2))
-    nothing = model.Standard(jnp.zeros(0), jnp.zeros(0))
-    made = replace(network, network=TrainedNetwork(params, alone, norm._replace(conditions=nothing)))
+    made = replace(network, model=PatchNetwork(trained(15)))
     predictor.save(tmp_path / "alone", made)
-    loaded = predictor.load_predictor(tmp_path / "alone")
-    np.testing.assert_array_equal(loaded.predict(patches).mean, made.predict(patches).mean)
+    assert_same_predictions(predictor.load_predictor(tmp_path / "alone"), made, patches)
+
+
+def save_as_version_1(folder: Path, made: Predictor) -> None:
+    """A predictor on disk as earlier versions wrote it, which had other words for its parts."""
+    predictor.save(folder, made)
+    here = json.loads((folder / "_CHECKPOINT_METADATA").read_text())["custom_metadata"]
+    arrays = predictor._load_arrays(folder, here)
+    words = {
+        "pressure": "imagination", "default_force": "load", "default_depth": "depth", "std_scale": "spread",
+        "metadata": "about",
+    }  # fmt: skip
+    about = {words.get(name, name): value for name, value in here.items()} | {"version": 1}
+    if "gp" in arrays:
+        arrays["process"] = arrays.pop("gp")
+        about["shapes"] = {"process": about["shapes"]["gp"]}
+    else:
+        del about["network"]["readings"]
+    ocp.save_checkpointables(folder, arrays, custom_metadata=about, overwrite=True)
+
+
+def test_predictors_from_before_are_read(process, network, on_pressure, patches, tmp_path):
+    for name, made in (("process", process[0]), ("network", network), ("pressure", on_pressure)):
+        save_as_version_1(tmp_path / name, made)
+        loaded = predictor.load_predictor(tmp_path / name)
+        assert loaded.pressure == made.pressure
+        fields = ("window", "reach", "default_force", "default_depth", "std_scale", "metadata")
+        assert all(getattr(loaded, field) == getattr(made, field) for field in fields)
+        assert_same_predictions(loaded, made, patches, force=1.0, nearest=-1e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"), [({"version": 99}, "of version 99, but this i2t reads"), ({"window": None}, "lacks window")]
+)
+def test_predictors_of_later_versions_and_incomplete_ones_are_refused(network, tmp_path, change, words):
+    predictor.save(tmp_path / "p", network)
+    path = tmp_path / "p" / "_CHECKPOINT_METADATA"
+    about = json.loads(path.read_text())
+    for name, value in change.items():
+        if value is None:
+            del about["custom_metadata"][name]
+        else:
+            about["custom_metadata"][name] = value
+    path.write_text(json.dumps(about))
+    with pytest.raises(CheckpointError, match=words) as error:
+        predictor.load_predictor(tmp_path / "p")
+    assert "\n" not in str(error.value)
+
+
+def test_a_predictor_says_in_one_line_what_it_is(process, network):
+    assert repr(process[0]) == "Predictor(GPModel, 5 chips, patch 17 mm, default force 0.8 N, simulated)"
+    assert repr(network) == "Predictor(PatchNetwork, 5 chips, patch 17 mm, default force 1 N, unknown source)"
+
+
+@pytest.mark.parametrize("chips", [4, 16])
+def test_any_board_is_predicted_saved_and_loaded(chips, patches, tmp_path):
+    channels = 3 * chips
+    fitted, readings = fitted_gp(patches, channels)
+    seen = trained(channels, conditions=("force",), input="image", pixels=20)
+    for i, made in enumerate((fitted, replace(fitted, model=PressureNetwork(seen, PRESSURE)))):
+        assert f"{chips} chips" in repr(made)
+        assert made.predict(patches[0]).mean.shape == (channels,)
+        predictor.save(tmp_path / str(i), made)
+        assert_same_predictions(predictor.load_predictor(tmp_path / str(i)), made, patches)
+    assert np.corrcoef(fitted.predict(patches, force=0.8).mean.ravel(), np.ravel(readings))[0, 1] > 0.9
+
+
+def test_pressure_that_was_predicted_before_is_not_predicted_again(process, on_pressure, patches):
+    force, nothing = np.full(6, 0.8, np.float32), np.full(6, np.nan, np.float32)
+    pressure = predictor.predict_pressures(PRESSURE, patches, force, nothing)
+    blank = np.zeros_like(patches)
+    for made in (process[0], on_pressure):
+        depth = np.full(6, made.default_depth, np.float32)
+        batch = TouchBatch(blank, blank, PRESSURE.pitch, force, nothing, depth, pressure)
+        seen = made.predict(patches, force=0.8)
+        np.testing.assert_allclose(made.predict_batch(batch).mean, seen.mean, rtol=1e-5, atol=1e-5)
+
+
+def test_fields_of_the_pressure_model_can_be_changed(process, network):
+    changed = process[0].with_pressure(smooth=True)
+    assert changed.pressure == replace(PRESSURE, smooth=True)
+    assert network.with_pressure(smooth=True) is network
+
+
+def test_scaled_standard_deviations_have_unit_variance(process, patches):
+    truth = process[0].predict(patches).mean + np.random.default_rng(0).normal(size=(6, 15))
+    bare = replace(process[0], std_scale=1.0)
+    scale = predictor.std_scale(truth, bare.predict(patches))
+    seen = replace(bare, std_scale=scale).predict(patches)
+    np.testing.assert_allclose(np.mean(((truth - seen.mean) / seen.std) ** 2), 1, rtol=1e-5)
 
 
 def test_a_network_predicts_what_the_model_says(network, patches):
     """Through the user's door or straight from i2t.prediction.model: the same numbers."""
-    params, cfg, norm = network.network
+    params, cfg, norm = network.model.network
     inputs = model.Inputs(jnp.asarray(patches[0]), jnp.array([1.2, -2e-4]))
     mean, std = model.predict(params, cfg, norm, inputs)
     seen = network.predict(patches[0], force=1.2, nearest=-2e-4)

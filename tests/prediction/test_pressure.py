@@ -8,20 +8,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from i2t.prediction.pressure import Imagination, heights, imagine
+from i2t.prediction.pressure import PressureModelConfig, heights, predict_pressure
 from i2t.skin.contact import solve, solve_force
 from i2t.skin.pad import nominal_pad
 
 PIXELS, PITCH = 54, 0.5e-3  # a view of 27 mm
-CFG = Imagination(pitch=PITCH, smooth=False, tilt=0.0, cell=1e-3)
+CFG = PressureModelConfig(pitch=PITCH, smooth=False, tilt=0.0, cell=1e-3)
 PAD = nominal_pad()
 SOLVER = 1e-3  # tolerance of the contact solver, relative to the deepest deflection
-run = jax.jit(imagine, static_argnums=0)
+run = jax.jit(predict_pressure, static_argnums=0)
 X, Y = np.meshgrid(*[(np.arange(PIXELS) - (PIXELS - 1) / 2) * PITCH] * 2)
 AT = np.meshgrid(CFG.grid.centres, CFG.grid.centres)
 
 
-def press(cfg: Imagination, view: np.ndarray, force: float = 1.0, depth: float = 0.2e-3) -> np.ndarray:
+def press(cfg: PressureModelConfig, view: np.ndarray, force: float = 1.0, depth: float = 0.2e-3) -> np.ndarray:
     return np.asarray(run(cfg, PAD, jnp.float32(view), jnp.float32(force), jnp.float32(depth)).pressure)
 
 
@@ -116,7 +116,7 @@ def test_smoothing_leaves_a_plane_and_takes_noise_off():
 def test_a_batch_is_its_examples():
     views = jnp.float32(np.stack([tilted(0.01, 0.0), (X**2 + Y**2) / 40e-3, tilted(0.0, 0.0)]))
     force, depth = jnp.float32([0.5, 1.0, 4.0]), jnp.zeros(3)
-    together = jax.jit(jax.vmap(partial(imagine, CFG, PAD)))(views, force, depth).pressure
+    together = jax.jit(jax.vmap(partial(predict_pressure, CFG, PAD)))(views, force, depth).pressure
     for i in range(3):
         close(np.asarray(together[i]), press(CFG, views[i], float(force[i])))
 
@@ -124,4 +124,4 @@ def test_a_batch_is_its_examples():
 @pytest.mark.parametrize(("cell", "window"), [(0.4e-3, 20e-3), (1e-3, 20.5e-3), (3e-3, 21e-3)])
 def test_cells_that_do_not_tile_the_skin_are_refused(cell, window):
     with pytest.raises(ValueError, match="does not divide"):
-        Imagination(pitch=PITCH, cell=cell, window=window)
+        PressureModelConfig(pitch=PITCH, cell=cell, window=window)
