@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, TypeVar, get_type_hints
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import PyTree
 from orbax.checkpoint import v1 as ocp
 
 from i2t._version import __version__
@@ -194,7 +195,7 @@ def _arrays(step: Path, abstract: dict[str, Any]) -> dict[str, Any]:
     ) from problem
 
 
-def _abstract(about: Description) -> tuple[Params, Normalisation, TrainState]:
+def _abstract(about: Description) -> tuple[PyTree, Normalisation, TrainState]:
     """Shapes and types of what a checkpoint holds: best parameters, normalisation, and the rest of the state."""
     state = jax.eval_shape(partial(training.start, about.model, about.train, about.touches))
 

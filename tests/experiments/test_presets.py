@@ -1,0 +1,45 @@
+"""Presets are chosen by name, and names of earlier versions are answered."""
+
+from dataclasses import dataclass
+
+import pytest
+
+from experiments.common.presets import NAMES, RENAMED, answer_renamed_value, choose_preset
+
+
+@dataclass(frozen=True)
+class Config:
+    touches: int = 1000
+    seeds: int = 1
+
+
+PRESETS = {"paper": Config(), "debug": Config(10)}
+
+
+def test_a_preset_is_changed_where_something_is_given() -> None:
+    assert choose_preset(PRESETS, "debug") == Config(10)
+    assert choose_preset(PRESETS, "debug", seeds=3, touches=None) == Config(10, 3)
+    assert PRESETS["debug"] == Config(10)
+
+
+@pytest.mark.parametrize(("name", "words"), [("full", "is called paper now"), ("nonsense", "is none of paper, debug")])
+def test_presets_that_are_not_there_are_refused(name: str, words: str) -> None:
+    with pytest.raises(ValueError, match=f"--preset {name} {words}"):
+        choose_preset(PRESETS, name)
+
+
+def test_names_of_earlier_versions_lead_to_todays() -> None:
+    assert set(RENAMED.values()) <= set(NAMES)
+    assert not set(RENAMED) & set(NAMES)
+
+
+@pytest.mark.parametrize("argv", [["--preset", "full"], ["--preset=full", "--out", "x"]])
+def test_a_renamed_value_is_answered(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        answer_renamed_value(argv, "--preset", RENAMED)
+    assert end.value.code == 2
+    assert "--preset full is called --preset paper now" in capsys.readouterr().err
+
+
+def test_other_values_pass() -> None:
+    answer_renamed_value(["--preset", "paper", "--out", "full"], "--preset", RENAMED)
