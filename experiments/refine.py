@@ -29,12 +29,12 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 from matplotlib.figure import Figure
-from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest
 from tqdm import tqdm
 
 from experiments.common.runs import settings, write_json
 from i2t import viz
+from i2t.geometry import log, so3_exp
 from i2t.objects import catalogue as objects
 from i2t.registration.patch import (
     PatchRegistrationConfig,
@@ -106,14 +106,23 @@ def main(args: Args) -> dict:
         for key, patch in zip(jax.random.split(key_noise, len(things)), clean, strict=True)
     ]
     precise = PatchRegistrationConfig()
-    careful = replace(precise, fine=max(precise.fine, 3 * args.noise))  # the loss takes noise for noise
+    careful = replace(precise, final_scale=max(precise.final_scale, 3 * args.noise))  # the loss takes noise for noise
     spread = args.distance / 3**0.5, np.radians(args.angle) / 3**0.5  # per axis
 
     def single(key, surface, observed, T_w_t, how):
         return refine_pose(surface, observed, T_w_t, how)
 
     def several(key, surface, observed, T_w_t, how):
-        return refine_pose_multistart(key, surface, observed, T_w_t, *spread, how, starts=args.starts)
+        return refine_pose_multistart(
+            key,
+            surface,
+            observed,
+            T_w_t,
+            translation_std=spread[0],
+            rotation_std=spread[1],
+            num_starts=args.starts,
+            config=how,
+        )
 
     camera = f"noise {args.noise * MILLI:g} mm"
     methods = {
@@ -184,7 +193,7 @@ def draw_cases(key: jax.Array, things: Sequence[objects.Object], surfaces: Surfa
     motion = np.broadcast_to(np.eye(4), true.shape).copy()
     motion[..., :3, 3] = args.distance * along / np.linalg.norm(along, axis=-1, keepdims=True)
     turn = np.radians(args.angle) * axis / np.linalg.norm(axis, axis=-1, keepdims=True)
-    motion[..., :3, :3] = Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix().reshape(*true.shape[:2], 3, 3)
+    motion[..., :3, :3] = so3_exp(turn)
     look = jax.jit(jax.vmap(partial(pose_information, pixels=PATCH_PIXELS), (None, 0)))
     values, directions = zip(*(look(element(surfaces, i), poses[i]) for i in range(len(things))), strict=True)
     start = (true @ motion).astype(np.float32)
@@ -199,24 +208,10 @@ def add_noise(key: jax.Array, patch: Patch, noise: float) -> Patch:
     return Patch(jnp.minimum(heights - nearest, REACH), nearest)
 
 
-def twists(T_a_b: np.ndarray) -> np.ndarray:
-    """Logarithms (..., 6) of rigid motions: translation in metres, then rotation times LEVER.
-
-    With V the integral of the rotation along the motion, T = exp(w, v) has the translation V v (Murray, Li and Sastry,
-    "A mathematical introduction to robotic manipulation", 1994). Motions that leave a plane, ball or cylinder unchanged
-    have logarithms without any part in the directions that can be seen on it.
-    """
-    w = Rotation.from_matrix(T_a_b[..., :3, :3].reshape(-1, 3, 3)).as_rotvec().reshape(*T_a_b.shape[:-2], 3)
-    x, y, z = np.moveaxis(w, -1, 0)
-    cross = np.stack([0 * x, -z, y, z, 0 * x, -x, -y, x, 0 * x], -1).reshape(*w.shape, 3)
-    angle = np.maximum(np.linalg.norm(w, axis=-1), 1e-4)[..., None, None]  # below, what is left out is under 1e-9
-    V = np.eye(3) + (1 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross
-    return np.concatenate([np.linalg.solve(V, T_a_b[..., :3, 3:])[..., 0], w * TWIST_LEVER_M], -1)
-
-
 def remaining(T_w_t: np.ndarray, cases: Cases, bound: float) -> tuple[np.ndarray, np.ndarray]:
     """Error in the observable directions: translation (m) and rotation (degrees)."""
-    error = twists(np.linalg.inv(cases.true.astype(float)) @ T_w_t)
+    # Of a motion that leaves what is seen unchanged the logarithm has no part in the directions that can be seen.
+    error = log(np.linalg.inv(cases.true.astype(float)) @ T_w_t) * ([1.0] * 3 + [TWIST_LEVER_M] * 3)
     along = np.einsum("...ji,...j->...i", cases.directions, error) * (cases.eigenvalues >= bound)
     error = np.einsum("...ij,...j->...i", cases.directions, along)
     return np.linalg.norm(error[..., :3], axis=-1), np.degrees(np.linalg.norm(error[..., 3:], axis=-1) / TWIST_LEVER_M)

@@ -1,22 +1,24 @@
-"""Which object is there, and where: a posterior over objects and their placements from touches.
+"""Which object is there, and where: a posterior over objects and their poses from touches.
 
-Each possible object stands in a number of places drawn from what is known of its placement, the same through an episode
-(particles), and each touch is compared with what it would be like there (`i2t.recognition.outcomes`). Two things are
-evidence:
+Each possible object has a number of pose particles: poses drawn from what is known of its placement, the same through
+an episode. Each touch is compared with the touch that was predicted for every particle (`i2t.recognition.outcomes`).
+Two measurements are evidence:
 
-  the reading   given the force: Student's t about the imagined one. Its scale is the covariance of a trained process's
-                errors, sensor noise that all chips share included, plus the process's own variance at that touch;
-  the position  at which the press ended: travel to contact + sinking of the skin + give of the arm. Around a particle
-                the travel is linear in the placement, so each particle carries a normal distribution of what it is
-                still off by and updates it as Kalman's filter does (a Gaussian sum; Alspach and Sorenson, IEEE Trans.
-                Automatic Control 17, 1972). That makes a few hundred particles enough for contacts known to 0.1 mm in
-                a prior of 1 mm in six dimensions; bare ones would leave none.
+  the reading   given the force: Student's t about the predicted reading. Its scale matrix is the covariance of a
+                Gaussian process's errors, which includes sensor noise that all chips share, plus the process's own
+                variance at that touch;
+  the position  at which the press ended: distance to contact + indentation of the skin + compliance of the arm. Around
+                a particle the distance to contact is linear in the pose, so each particle carries a normal distribution
+                of its remaining pose error and updates it with a Kalman filter (a Gaussian sum; Alspach and Sorenson,
+                IEEE Trans. Automatic Control 17, 1972). Without these normal distributions no particle of a few hundred
+                would survive contacts measured to 0.1 mm in a prior of 1 mm in six dimensions.
 
-A touch that meets nothing is evidence as well. A share of touches may be anything (outliers). "None of these" is what
-decoys have together (`i2t.objects.catalogue.decoy`), which are objects like any other here. What the sensor's zero has
-drifted by is followed by a Kalman filter on what the posterior leaves of the readings.
+A touch that meets nothing is evidence as well. A small share of touches may be anything (outliers). "None of these" is
+the sum over surrogates of unknown objects (`i2t.objects.catalogue`), which are objects like any other here. The
+sensor's bias, where it drifts, is followed by a Kalman filter on the residual of the readings.
 
-Pure functions on one episode; metres, newtons, microtesla.
+Pure functions on one episode: `init(...) -> Belief`, `update(belief, ...) -> Belief`, `posterior(belief)`. A reading
+has c = 3 * chips channels. Metres, newtons, microtesla.
 """
 
 from functools import partial
@@ -29,258 +31,410 @@ from jax.scipy.special import gammaln, log_ndtr, logsumexp
 from jaxtyping import Array, Bool, Float
 from scipy.stats import norm, qmc
 
-from i2t.recognition.outcomes import Outcome, at_load
+from i2t.recognition.outcomes import MIN_LOAD_N, PredictedTouch, interpolate_load
 from i2t.simulation.press import PressLimits
-from i2t.types import READINGS
 
-Count = TypeVar("Count", float, np.ndarray, Array)  # of touches; one or many
+TouchCount = TypeVar("TouchCount", float, np.ndarray, Array)  # number of touches so far; one number or an array
 
-WITHIN = 0.5  # standard deviation of the placement about a particle, relative to that of the prior
-LEAST = 1e-30  # probability below which none is told from another
-NEVER = 1e-12  # least share of touches that may be anything
-STIFFNESS = PressLimits.stiffness  # N/m, arm and mount in series
+PARTICLE_STD_RATIO = 0.5  # standard deviation of the pose about a particle, relative to that of the prior
+MIN_PROBABILITY = 1e-30  # probabilities below are treated as equal
+MIN_OUTLIER_RATE = 1e-12
+STRAY_RANGE_M = 20e-3  # added to twice the overtravel: the length over which an outlier's press may end
+ARM_STIFFNESS_N_PER_M = PressLimits.stiffness  # of arm and mount in series
 
 
-class Measured(NamedTuple):
-    """What a touch at a site gave."""
+class TouchObservation(NamedTuple):
+    """What was measured at a touch of a site."""
 
-    reading: Float[Array, "15"]  # uT
+    reading: Float[Array, " c"]  # uT
     force: Float[Array, ""]  # N
-    advance: Float[Array, ""]  # m, from the site to the tool's end, along the approach
+    advance: Float[Array, ""]  # m, from the site to where the press ended, along the approach
     contact: Bool[Array, ""]  # whether anything was met
 
 
 class Likelihood(NamedTuple):
-    """How far a touch may be from the imagined one; fitted to touches by `likelihood` and to episodes by validation."""
+    """How far a touch may be from the predicted one; see `fit_likelihood`, the rest chosen on validation episodes."""
 
-    whiten: Float[Array, "15 15"]  # W, with W S W' = 1 and W diag(scale^2) W' = diag(growth), S the errors' covariance
-    growth: Float[Array, "15"]
-    loads: Float[Array, " l"]  # N, of the outcomes
-    past: Float[Array, ""]  # m beyond the site after which a press gives up
-    freedom: Float[Array, ""]  # of Student's t
-    inflation: Float[Array, ""]  # of the errors' standard deviation, on objects other than those learnt from
-    position: Float[Array, ""]  # m, standard deviation of where a press ends, the object's place known
-    outliers: Float[Array, ""]  # share of touches that may be anything
-    tactile: Float[Array, ""]  # weight of the reading's evidence; 0 leaves it out
-    spatial: Float[Array, ""]  # and of the position's
-    stiffness: Float[Array, ""]  # N/m
-    drift: Float[Array, ""]  # uT by which the zero may drift from touch to touch; 0 where it is measured at each
+    whiten: Float[Array, "c c"]  # W, with W S W' = 1 and W diag(scale^2) W' = diag(growth), S the errors' covariance
+    growth: Float[Array, " c"]  # of the whitened variance with the process's own variance
+    loads: Float[Array, " l"]  # N, of the predicted touches
+    overtravel: Float[Array, ""]  # m beyond the site after which a press gives up
+    dof: Float[Array, ""]  # degrees of freedom of Student's t
+    inflation: Float[Array, ""]  # of the errors' standard deviation, on objects that were not trained on
+    position_std: Float[Array, ""]  # m, standard deviation of where a press ends at a known pose
+    outlier_rate: Float[Array, ""]  # share of touches that may be anything
+    tactile_weight: Float[Array, ""]  # of the reading's evidence; 0 leaves it out
+    spatial_weight: Float[Array, ""]  # of the position's evidence; 0 leaves it out
+    stiffness: Float[Array, ""]  # N/m, of arm and mount
+    drift_std: Float[Array, ""]  # uT by which the bias drifts from touch to touch; 0 where it is measured at each
 
 
 class Particles(NamedTuple):
-    """Placements of an object about where it is believed."""
+    """Pose particles of an object: displacements from its believed pose (`i2t.geometry.from_twist`)."""
 
-    twist: Float[Array, "k 6"]  # m (`i2t.registration.patch.motion`)
+    twist: Float[Array, "k 6"]  # m
     covariance: Float[Array, "6 6"]  # m^2, about each
 
 
 class Belief(NamedTuple):
-    """What is believed after some touches."""
+    """What is believed after some touches of an episode."""
 
-    log_weight: Float[Array, "objects k"]  # joint with all touches so far
+    log_weight: Float[Array, "objects k"]  # log probability of object, particle and all touches so far
     mean: Float[Array, "objects k 6"]  # m, of the twist about the particle
     covariance: Float[Array, "objects k 6 6"]  # m^2
-    zero: Float[Array, "15"]  # uT, the sensor's
-    zero_variance: Float[Array, ""]  # uT^2
+    bias: Float[Array, " c"]  # uT, of the sensor
+    bias_variance: Float[Array, ""]  # uT^2
 
 
-class Temper(NamedTuple):
-    """How much less the touches of an episode say together than each says alone: temperature 1 + growth * (t - 1) times
-    `first` after t touches.
+class TemperatureScaling(NamedTuple):
+    """Temperature of an episode's posterior: `initial` * (1 + growth * (t - 1)) after t touches.
+
+    Errors of the pad model are shared by all touches of an episode, but the likelihood treats touches as independent;
+    the temperature grows with their number to compensate.
     """
 
-    first: float = 1.0
+    initial: float = 1.0
     growth: float = 0.0
 
-    def temperature(self, touches: Count) -> Count:
-        """After a number of touches."""
-        return self.first * (1 + self.growth * (touches - 1))
+    def temperature(self, touches: TouchCount) -> TouchCount:
+        """The temperature after a number of touches."""
+        return self.initial * (1 + self.growth * (touches - 1))
 
 
-# Fitted on validation objects of five pads and seeds (docs/recognition.md): what a pad taught wrongly is wrong at every
-# touch, which touches that are taken one by one do not know.
-TEMPER = Temper(1.04, 0.04)
+# Fitted on validation objects of five pads and seeds (docs/recognition.md).
+TEMPERATURE_SCALING = TemperatureScaling(1.04, 0.04)
 
 
 class Evidence(NamedTuple):
-    """Log densities of one touch under each particle, and the Kalman filter's step."""
+    """Log densities of one touch under each particle, and the particle's normal distribution after it."""
 
     tactile: Float[Array, "..."]  # of the reading
     spatial: Float[Array, "..."]  # of the position
     presence: Float[Array, "..."]  # of meeting something, or nothing
-    reading: Float[Array, "... 15"]  # uT, expected
+    reading: Float[Array, "... c"]  # uT, predicted
     mean: Float[Array, "... 6"]
     covariance: Float[Array, "... 6 6"]
 
 
-def particles(
-    prior: Float[np.ndarray, "6"] | Float[np.ndarray, "6 6"], count: int, seed: int = 0, within: float = WITHIN
+def sample_particles(
+    prior: Float[np.ndarray, "6"] | Float[np.ndarray, "6 6"],
+    count: int,
+    seed: int = 0,
+    std_ratio: float = PARTICLE_STD_RATIO,
 ) -> Particles:
-    """`count` placements, the first of which is where the object is believed. `prior` is the covariance (m^2) of the
-    twist, or the standard deviations (m) of a twist whose six parts are independent.
+    """Draw pose particles from a normal prior; the first one is the believed pose itself.
 
-    Quasi-random normal (scrambled Sobol sequence; Owen, J. Complexity 14, 1998), on the host. Together with what lies
-    about them they have the prior's variance.
+    Quasi-random (scrambled Sobol sequence; Owen, J. Complexity 14, 1998), on the host. Particles and the normal
+    distributions about them together have the prior's variance.
+
+    Args:
+        prior: Covariance (m^2) of the twist, which may be singular, or the standard deviations (m) of its six parts.
+        count: Number of particles.
+        seed: Of the sequence.
+        std_ratio: Standard deviation about each particle, relative to the prior's.
+
+    Returns:
+        The particles and the covariance about each.
     """
     uniform = qmc.Sobol(6, seed=seed).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
     prior = np.asarray(prior, np.float64)
     if prior.ndim == 1:
         root = np.diag(prior)
-    else:  # a covariance, which may be singular
+    else:
         values, axes = np.linalg.eigh(prior)
         root = axes * np.sqrt(np.maximum(values, 0.0))
-    twist = norm.ppf(np.clip(uniform, 1e-6, 1 - 1e-6)) * np.sqrt(1 - within**2) @ root.T
+    twist = norm.ppf(np.clip(uniform, 1e-6, 1 - 1e-6)) * np.sqrt(1 - std_ratio**2) @ root.T
     twist[0] = 0.0
-    return Particles(jnp.float32(twist), jnp.float32(within**2 * root @ root.T))
+    return Particles(jnp.float32(twist), jnp.float32(std_ratio**2 * root @ root.T))
 
 
-def likelihood(
-    errors: Float[np.ndarray, "n 15"],
-    scale: Float[Array, "15"],
+def fit_likelihood(
+    errors: Float[np.ndarray, "n c"],
+    scale: Float[Array, " c"],
     loads: Float[Array, " l"],
-    past: float,
-    position: float,
-    stiffness: float = STIFFNESS,
+    *,
+    overtravel: float,
+    position_std: float,
+    stiffness: float = ARM_STIFFNESS_N_PER_M,
 ) -> Likelihood:
-    """A likelihood from what a process left of touches that it had not learnt from (uT), in double precision.
+    """Fit a likelihood to a Gaussian process's errors on held-out touches, in double precision.
 
-    `scale` (uT) is that of the process's variance, `position` (m) what its touches said of where presses end.
+    Args:
+        errors: Measured minus predicted readings (uT) of touches that the process was not conditioned on.
+        scale: Scale (uT) of each channel by which the process's relative variance is multiplied.
+        loads: Loads (N) at which touches are predicted.
+        overtravel: Distance (m) beyond the site after which a press gives up.
+        position_std: Standard deviation (m) of where a press ends at a known pose.
+        stiffness: Of arm and mount in series (N/m).
+
+    Returns:
+        The likelihood, with defaults for what errors cannot tell.
     """
-    covariance = np.cov(np.asarray(errors, np.float64).T) + 1e-3 * np.eye(READINGS)
+    covariance = np.cov(np.asarray(errors, np.float64).T) + 1e-3 * np.eye(len(scale))
     factor = np.linalg.inv(np.linalg.cholesky(covariance))
-    growth, turn = np.linalg.eigh(factor @ np.diag(np.asarray(scale, np.float64) ** 2) @ factor.T)
+    growth, rotation = np.linalg.eigh(factor @ np.diag(np.asarray(scale, np.float64) ** 2) @ factor.T)
     number = partial(jnp.asarray, dtype=jnp.float32)
     return Likelihood(
-        number(turn.T @ factor), number(np.maximum(growth, 0)), loads, number(past), number(8.0), number(1.0),
-        number(position), number(0.01), number(1.0), number(1.0), number(stiffness), number(0.0),
-    )  # fmt: skip
+        whiten=number(rotation.T @ factor),
+        growth=number(np.maximum(growth, 0)),
+        loads=loads,
+        overtravel=number(overtravel),
+        dof=number(8.0),
+        inflation=number(1.0),
+        position_std=number(position_std),
+        outlier_rate=number(0.01),
+        tactile_weight=number(1.0),
+        spatial_weight=number(1.0),
+        stiffness=number(stiffness),
+        drift_std=number(0.0),
+    )
 
 
-def begin(placements: Particles, objects: int, prior: Float[np.ndarray, " objects"] | None = None) -> Belief:
-    """Before the first touch: objects with the probabilities `prior`, or all alike."""
-    shape = (objects, len(placements.twist))
+def init(
+    particles: Particles, objects: int, *, channels: int, prior: Float[np.ndarray, " objects"] | None = None
+) -> Belief:
+    """The belief before the first touch.
+
+    Args:
+        particles: Poses of each object.
+        objects: How many objects there may be.
+        channels: Values of a reading, three for each chip.
+        prior: Probabilities of the objects; all equal by default.
+
+    Returns:
+        The belief, with all particles of an object equally probable.
+    """
+    shape = (objects, len(particles.twist))
     prior = np.full(objects, 1 / objects) if prior is None else prior
     return Belief(
         jnp.broadcast_to(jnp.log(jnp.float32(prior / shape[1]))[:, None], shape),
         jnp.zeros((*shape, 6)),
-        jnp.broadcast_to(placements.covariance, (*shape, 6, 6)),
-        jnp.zeros(READINGS),
+        jnp.broadcast_to(particles.covariance, (*shape, 6, 6)),
+        jnp.zeros(channels),
         jnp.zeros(()),
     )
 
 
-def update(belief: Belief, measured: Measured, outcomes: Outcome, like: Likelihood) -> Belief:
-    """The belief after one more touch, whose `outcomes` were imagined for each object and particle, (objects, k)."""
-    told = measured._replace(reading=measured.reading - belief.zero)
-    found = jax.vmap(jax.vmap(partial(evidence, told, like=like)))(outcomes, belief.mean, belief.covariance)
-    log_weight = belief.log_weight + weighed(found, like)
-    zero, variance = _follow(belief, told, found.reading, log_weight, like)
-    return Belief(log_weight, found.mean, found.covariance, zero, variance)
+def update(belief: Belief, observation: TouchObservation, predicted: PredictedTouch, likelihood: Likelihood) -> Belief:
+    """The belief after one more touch.
+
+    Args:
+        belief: Before the touch.
+        observation: What was measured.
+        predicted: What the touch was predicted to be for each object and particle, (objects, k).
+        likelihood: How far measurements may be from predictions.
+
+    Returns:
+        The belief with that touch.
+    """
+    unbiased = observation._replace(reading=observation.reading - belief.bias)
+    found = jax.vmap(jax.vmap(partial(evidence, unbiased, likelihood=likelihood)))(
+        predicted, belief.mean, belief.covariance
+    )
+    log_weight = belief.log_weight + log_likelihood(found, likelihood)
+    bias, variance = _update_bias(belief, unbiased, found.reading, log_weight, likelihood)
+    return Belief(log_weight, found.mean, found.covariance, bias, variance)
 
 
-def weighed(found: Evidence, like: Likelihood) -> Float[Array, "..."]:
-    """Log density of a touch from the kinds of evidence that are used; each of them knows whether anything was met."""
+def log_likelihood(found: Evidence, likelihood: Likelihood) -> Float[Array, "..."]:
+    """Log density of a touch from the kinds of evidence that have weight.
 
-    def part(weight: Array, density: Array) -> Array:
+    Args:
+        found: Evidence of the touch under any number of particles.
+        likelihood: Whose weights say what counts. Whether anything was met counts with the larger of the two.
+
+    Returns:
+        One log density for each particle.
+    """
+
+    def weighted(weight: Array, density: Array) -> Array:
         return jnp.where(weight > 0, weight * density, 0.0)  # what is left out may be NaN
 
-    met = part(jnp.maximum(like.tactile, like.spatial), found.presence)
-    return part(like.tactile, found.tactile) + part(like.spatial, found.spatial) + met
-
-
-def evidence(
-    measured: Measured,
-    outcome: Outcome,
-    mean: Float[Array, "6"],
-    covariance: Float[Array, "6 6"],
-    like: Likelihood,
-) -> Evidence:
-    """One touch under one particle, which lies off by `mean` with `covariance`."""
-    sunk, reading, variance = at_load(outcome, like.loads, measured.force)
-    tactile = jnp.where(measured.contact, reading_density(measured.reading - reading, variance, like), 0.0)
-
-    # Where the press should have ended, and how sure that is.
-    expected = outcome.travel + jnp.dot(outcome.slope, mean) + sunk + measured.force / like.stiffness
-    carried = jnp.matmul(covariance, outcome.slope, precision="highest")
-    unsure = jnp.dot(outcome.slope, carried) + like.position**2
-    error = measured.advance - expected
-    normal = -0.5 * (error**2 / unsure + jnp.log(2 * jnp.pi * unsure))
-    outliers = jnp.maximum(like.outliers, NEVER)
-    stray = jnp.log(outliers / _range(like))
-    usual = jnp.where(outcome.hit, jnp.log1p(-outliers) + normal, -jnp.inf)
-    density = jnp.logaddexp(usual, stray)
-    short = (like.past - outcome.travel - jnp.dot(outcome.slope, mean)) / jnp.sqrt(unsure)
-    met = jnp.where(outcome.hit, log_ndtr(short), -jnp.inf)
-    missed = jnp.where(outcome.hit, log_ndtr(-short), 0.0)
-    presence = jnp.logaddexp(jnp.where(measured.contact, met, missed), jnp.log(outliers))
-
-    # With probability w the press ended where it should; the mixture of having learnt from it or not keeps its spread.
-    w = jnp.where(measured.contact & (like.spatial > 0), jnp.exp(usual - density), 0.0)
-    gain = carried / unsure
-    left = w * (1 - w) * error**2 * jnp.outer(gain, gain)
-    return Evidence(
-        tactile,
-        jnp.where(measured.contact, density, 0.0),
-        presence,
-        reading,
-        mean + w * gain * error,
-        covariance - w * jnp.outer(gain, carried) + left,
+    presence_weight = jnp.maximum(likelihood.tactile_weight, likelihood.spatial_weight)
+    presence = weighted(presence_weight, found.presence)
+    return (
+        weighted(likelihood.tactile_weight, found.tactile)
+        + weighted(likelihood.spatial_weight, found.spatial)
+        + presence
     )
 
 
-def reading_density(error: Float[Array, "15"], variance: Float[Array, ""], like: Likelihood) -> Float[Array, ""]:
-    """Log density of an error of reading (uT): Student's t in whitened coordinates."""
-    whitened = jnp.matmul(like.whiten, error, precision="highest")
-    spread = like.inflation**2 * (1 + like.growth * variance)
+def evidence(
+    observation: TouchObservation,
+    predicted: PredictedTouch,
+    mean: Float[Array, "6"],
+    covariance: Float[Array, "6 6"],
+    likelihood: Likelihood,
+) -> Evidence:
+    """Compare one touch with its prediction for one particle.
+
+    Args:
+        observation: The touch; its reading is free of the sensor's bias.
+        predicted: The touch as predicted for the particle.
+        mean: Mean (m) of the object's twist about the particle.
+        covariance: Its covariance (m^2).
+        likelihood: How far measurements may be from predictions.
+
+    Returns:
+        Log densities of the reading, of the position and of contact, and the twist's normal distribution given the
+        position.
+    """
+    # A noisy wrench sensor may say less than the least load with which anything is pressed.
+    force = jnp.maximum(observation.force, MIN_LOAD_N)
+    indentation, reading, variance = interpolate_load(predicted, likelihood.loads, force)
+    tactile = reading_log_density(observation.reading - reading, variance, likelihood)
+
+    # Where the press should have ended, and with which variance.
+    distance = predicted.approach_distance + jnp.dot(predicted.jacobian, mean)
+    cross_covariance = jnp.matmul(covariance, predicted.jacobian, precision="highest")
+    end_variance = jnp.dot(predicted.jacobian, cross_covariance) + likelihood.position_std**2
+    error = observation.advance - (distance + indentation + observation.force / likelihood.stiffness)
+
+    inlier, outlier = _end_log_densities(error, end_variance, predicted, likelihood)
+    spatial = jnp.logaddexp(inlier, outlier)
+    presence = _presence_log_probability(observation.contact, predicted, distance, end_variance, likelihood)
+
+    # The position is learnt from only with the probability that it is no outlier.
+    learnt = observation.contact & (likelihood.spatial_weight > 0)
+    inlier_probability = jnp.where(learnt, jnp.exp(inlier - spatial), 0.0)
+    new_mean, new_covariance = _kalman_mixture(
+        mean, covariance, error=error, cross_covariance=cross_covariance, variance=end_variance,
+        inlier_probability=inlier_probability,
+    )  # fmt: skip
+    return Evidence(
+        tactile=jnp.where(observation.contact, tactile, 0.0),
+        spatial=jnp.where(observation.contact, spatial, 0.0),
+        presence=presence,
+        reading=reading,
+        mean=new_mean,
+        covariance=new_covariance,
+    )
+
+
+def reading_log_density(
+    error: Float[Array, " c"], variance: Float[Array, ""], likelihood: Likelihood
+) -> Float[Array, ""]:
+    """Log density of an error of the reading: a multivariate Student's t in whitened coordinates.
+
+    Args:
+        error: Measured minus predicted reading (uT).
+        variance: The process's own variance at the touch, relative to its scale.
+        likelihood: Whitening, inflation and degrees of freedom.
+
+    Returns:
+        The log density, up to the whitening's volume, which is the same for all that are compared.
+    """
+    channels = error.shape[-1]
+    whitened = jnp.matmul(likelihood.whiten, error, precision="highest")
+    spread = likelihood.inflation**2 * (1 + likelihood.growth * variance)
     square = jnp.sum(whitened**2 / spread)
-    v = like.freedom
-    level = gammaln((v + READINGS) / 2) - gammaln(v / 2) - READINGS / 2 * jnp.log(v * jnp.pi)
-    return level - 0.5 * jnp.sum(jnp.log(spread)) - (v + READINGS) / 2 * jnp.log1p(square / v)
+    dof = likelihood.dof
+    level = gammaln((dof + channels) / 2) - gammaln(dof / 2) - channels / 2 * jnp.log(dof * jnp.pi)
+    return level - 0.5 * jnp.sum(jnp.log(spread)) - (dof + channels) / 2 * jnp.log1p(square / dof)
 
 
 def posterior(belief: Belief) -> Float[Array, " objects"]:
-    """Probabilities of the objects."""
+    """Probabilities of the objects, particles summed out.
+
+    Args:
+        belief: After some touches.
+
+    Returns:
+        Probabilities that sum to 1.
+    """
     return jax.nn.softmax(logsumexp(belief.log_weight, axis=1))
 
 
-def tempered(
-    probability: Float[Array, "*t objects"], touches: Float[Array, "*t"] | float, temper: Temper = TEMPER
+def apply_temperature(
+    probability: Float[Array, "*t objects"],
+    touches: Float[Array, "*t"] | float,
+    scaling: TemperatureScaling = TEMPERATURE_SCALING,
 ) -> Float[Array, "*t objects"]:
-    """Probabilities after a number of touches, as sure as they should be (temperature scaling; Guo and others, ICML
-    2017): the order of the objects stays.
+    """Calibrate probabilities by temperature scaling (Guo and others, ICML 2017); the order of the objects stays.
+
+    Args:
+        probability: Of the objects.
+        touches: After how many touches.
+        scaling: Temperature as a function of the number of touches.
+
+    Returns:
+        Calibrated probabilities.
     """
-    temperature = temper.temperature(jnp.asarray(touches))
-    return jax.nn.softmax(jnp.log(jnp.maximum(probability, LEAST)) / temperature[..., None], axis=-1)
+    temperature = scaling.temperature(jnp.asarray(touches))
+    return jax.nn.softmax(jnp.log(jnp.maximum(probability, MIN_PROBABILITY)) / temperature[..., None], axis=-1)
 
 
-def placement(belief: Belief, placements: Particles) -> tuple[Float[Array, "objects 6"], Float[Array, "objects 6 6"]]:
-    """Mean (m) and covariance (m^2) of each object's twist, if it is the one."""
-    share = jax.nn.softmax(belief.log_weight, axis=1)
-    at = placements.twist[None] + belief.mean
-    mean = jnp.einsum("ok,oki->oi", share, at)
-    apart = at - mean[:, None]
-    between = jnp.einsum("ok,oki,okj->oij", share, apart, apart)
-    return mean, between + jnp.einsum("ok,okij->oij", share, belief.covariance)
+def twist_estimate(
+    belief: Belief, particles: Particles
+) -> tuple[Float[Array, "objects 6"], Float[Array, "objects 6 6"]]:
+    """Where each object lies, if it is the one that is there.
+
+    Args:
+        belief: After some touches.
+        particles: The pose particles it began with.
+
+    Returns:
+        Mean (m) and covariance (m^2) of each object's twist from its believed pose.
+    """
+    weight = jax.nn.softmax(belief.log_weight, axis=1)
+    twist = particles.twist[None] + belief.mean
+    mean = jnp.einsum("ok,oki->oi", weight, twist)
+    deviation = twist - mean[:, None]
+    between = jnp.einsum("ok,oki,okj->oij", weight, deviation, deviation)
+    return mean, between + jnp.einsum("ok,okij->oij", weight, belief.covariance)
 
 
-def effective(belief: Belief) -> Float[Array, " objects"]:
-    """Effective number of particles of each object (Kong, Liu and Wong, JASA 89, 1994)."""
-    return 1 / jnp.sum(jax.nn.softmax(belief.log_weight, axis=1) ** 2, axis=1)
+def _end_log_densities(
+    error: Float[Array, ""], variance: Float[Array, ""], predicted: PredictedTouch, likelihood: Likelihood
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Log densities of where a press ended: as predicted (normal), and as an outlier (uniform over its range)."""
+    normal = -0.5 * (error**2 / variance + jnp.log(2 * jnp.pi * variance))
+    rate = jnp.maximum(likelihood.outlier_rate, MIN_OUTLIER_RATE)
+    inlier = jnp.where(predicted.hit, jnp.log1p(-rate) + normal, -jnp.inf)
+    return inlier, jnp.log(rate / (2 * likelihood.overtravel + STRAY_RANGE_M))
 
 
-def _range(like: Likelihood) -> Array:
-    """Length (m) over which a stray press may end."""
-    return 2 * like.past + 20e-3
+def _presence_log_probability(
+    contact: Bool[Array, ""],
+    predicted: PredictedTouch,
+    distance: Float[Array, ""],
+    variance: Float[Array, ""],
+    likelihood: Likelihood,
+) -> Float[Array, ""]:
+    """Log probability of contact (or of none) before the press gives up; either may be an outlier."""
+    margin = (likelihood.overtravel - distance) / jnp.sqrt(variance)
+    met = jnp.where(predicted.hit, log_ndtr(margin), -jnp.inf)
+    missed = jnp.where(predicted.hit, log_ndtr(-margin), 0.0)
+    rate = jnp.maximum(likelihood.outlier_rate, MIN_OUTLIER_RATE)
+    return jnp.logaddexp(jnp.where(contact, met, missed), jnp.log(rate))
 
 
-def _follow(
-    belief: Belief, told: Measured, readings: Array, log_weight: Array, like: Likelihood
+def _kalman_mixture(
+    mean: Float[Array, "6"],
+    covariance: Float[Array, "6 6"],
+    *,
+    error: Float[Array, ""],
+    cross_covariance: Float[Array, "6"],
+    variance: Float[Array, ""],
+    inlier_probability: Float[Array, ""],
+) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
+    """A Kalman step that holds with a probability: mean and covariance of the mixture of having made it or not."""
+    gain = cross_covariance / variance
+    w = inlier_probability
+    between = w * (1 - w) * error**2 * jnp.outer(gain, gain)
+    return mean + w * gain * error, covariance - w * jnp.outer(gain, cross_covariance) + between
+
+
+def _update_bias(
+    belief: Belief, observation: TouchObservation, predicted: Array, log_weight: Array, likelihood: Likelihood
 ) -> tuple[Array, Array]:
-    """The sensor's zero after a touch, from what the posterior expects the reading to be."""
-    share = jax.nn.softmax(log_weight.reshape(-1)).reshape(log_weight.shape)
-    left = told.reading - jnp.einsum("ok,okc->c", share, readings)
-    left = jnp.where(jnp.isfinite(left) & told.contact, left, 0.0)
-    error = jnp.mean(jnp.sum(jnp.linalg.inv(like.whiten) ** 2, axis=1)) * like.inflation**2
-    prior = belief.zero_variance + like.drift**2
-    gain = jnp.where(told.contact, prior / (prior + error), 0.0)
-    return belief.zero + gain * left, (1 - gain) * prior
+    """The sensor's bias (uT) and its variance after a touch, from the posterior mean of the `predicted` readings
+    (objects, k, c).
+    """
+    weight = jax.nn.softmax(log_weight.reshape(-1)).reshape(log_weight.shape)
+    residual = observation.reading - jnp.einsum("ok,okc->c", weight, predicted)
+    residual = jnp.where(jnp.isfinite(residual) & observation.contact, residual, 0.0)
+    noise = jnp.mean(jnp.sum(jnp.linalg.inv(likelihood.whiten) ** 2, axis=1)) * likelihood.inflation**2
+    prior = belief.bias_variance + likelihood.drift_std**2
+    gain = jnp.where(observation.contact, prior / (prior + noise), 0.0)
+    return belief.bias + gain * residual, (1 - gain) * prior

@@ -27,11 +27,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from i2t.geometry import full_precision, inverse
+from i2t.geometry import from_twist, full_precision, inverse
 from i2t.prediction import gp
 from i2t.prediction.gp import GP
 from i2t.prediction.pressure import SOLVER_TOLERANCE, PressureModelConfig
-from i2t.registration.patch import motion
 from i2t.rendering.render import render_heights
 from i2t.simulation import sites
 from i2t.skin.contact import Grid, solve_force
@@ -76,7 +75,7 @@ class PredictedTouch(NamedTuple):
 
 
 def linear_reading_model(process: GP, softness: float = 1.0, loads: tuple[float, ...] = LOADS_N) -> LinearReadingModel:
-    """Evaluate a Gaussian process at a few loads; on the host, in double precision, as a variance is a small difference.
+    """Evaluate a Gaussian process at a few loads, on the host in double precision, as a variance is a small difference.
 
     Args:
         process: Conditioned on one pad's touches.
@@ -127,7 +126,7 @@ def predict_contact(
     Args:
         surface: Of the object, in its own frame.
         T_w_o: The object's believed pose.
-        twist: Displacement (m) of the object from there (`i2t.registration.patch.motion`).
+        twist: Displacement (m) of the object from there (`i2t.geometry.from_twist`).
         T_w_site: The skin's pose where it would just lie on the surface; it moves along its z axis.
         loads: With which it is pressed (N).
         overtravel: Distance (m) beyond the site after which the press gives up.
@@ -181,7 +180,7 @@ def _approach_distance(
     before the site and where it gives up beyond it.
     """
     start_distance, overtravel = limits
-    T_o_w = inverse(T_w_o @ motion(twist))
+    T_o_w = inverse(T_w_o @ from_twist(twist))
     start = T_o_w @ T_w_site @ jnp.eye(4).at[2, 3].set(-start_distance)
     T_o_t, hit = sites.press_along(surface, start, start[:3, 2], travel=start_distance + overtravel)
     return jnp.dot(T_o_t[:3, 3] - start[:3, 3], start[:3, 2]) - start_distance, (T_o_t, hit)

@@ -1,1 +1,20 @@
 """Where an object or a tool is, from one depth patch, from touches or from a depth image."""
+
+from i2t.registration.depth import DepthRegistrationConfig, camera_covariance, register_by_depth
+from i2t.registration.estimate import PoseEstimate
+from i2t.registration.patch import PatchRegistrationConfig, RefinedPose, refine_pose, refine_pose_multistart
+from i2t.registration.touch import TouchRegistrationConfig, contact_poses, register_by_touch
+
+__all__ = [
+    "DepthRegistrationConfig",
+    "PatchRegistrationConfig",
+    "PoseEstimate",
+    "RefinedPose",
+    "TouchRegistrationConfig",
+    "camera_covariance",
+    "contact_poses",
+    "refine_pose",
+    "refine_pose_multistart",
+    "register_by_depth",
+    "register_by_touch",
+]

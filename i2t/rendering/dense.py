@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int, UInt
+from jaxtyping import Array, Bool, Float, Int, UInt
 
 from i2t.rendering.bitset import (
     WORD_BITS,
@@ -32,6 +32,7 @@ from i2t.rendering.bvh import CLUSTERS_PER_GROUP
 from i2t.rendering.ops import dynamic_slice, dynamic_update, fusion_barrier, indices
 from i2t.rendering.tiles import (
     FaceClusters,
+    Hits,
     PixelGrid,
     ToolView,
     broadcast_view,
@@ -67,12 +68,29 @@ class _Queue(NamedTuple):
 
 
 def cast_dense(
-    boxes, groups, clusters: FaceClusters, view: ToolView, grid: PixelGrid, reach: float, listed: int, with_faces: bool
-):
-    """Heights (p, tiles, pixels) that poses see, and the faces if asked for.
+    boxes: Float[Array, "groups 6 clusters"],
+    groups: Float[Array, "views 6 groups_of_mesh"],
+    clusters: FaceClusters,
+    view: ToolView,
+    grid: PixelGrid,
+    reach: float,
+    listed: int,
+    with_faces: bool,
+) -> Hits:
+    """Find the first hits.
 
-    `boxes` (meshes x groups, 6, 32) are those of clusters, `groups` (p or 1, 6, groups) those of groups; so many of a
-    pose as `listed` says are worked off in one pass.
+    Args:
+        boxes: Centres and half extents (m) of the clusters of all meshes, a group a row.
+        groups: Those of the groups of each pose's mesh, or of the one mesh.
+        clusters: The faces of all meshes.
+        view: Of each pose.
+        grid: Pixels and tiles.
+        reach: Depth (m) behind the nearest hit that counts.
+        listed: Groups of a pose that are worked off in one pass.
+        with_faces: Whether faces are asked for.
+
+    Returns:
+        Heights (p, tiles, pixels) in metres, and the faces if asked for.
     """
     poses, count = len(clusters.mesh), clusters.per_mesh // CLUSTERS_PER_GROUP
     listed = min(count, listed)
@@ -86,7 +104,7 @@ def cast_dense(
     slab = jnp.min(jnp.where(seen, met, jnp.inf), 1) + FRONT_SLAB_REACHES * reach
     row = groups.shape[2] // WORD_BITS
 
-    def layer(i, best):
+    def layer(i: Array, best: Hits) -> Hits:
         """First what lies near the front, then what may still be in reach behind the nearest hit."""
         low = jnp.where(i == 0, -jnp.inf, slab)[:, None]
         high = jnp.where(i == 0, slab, jnp.min(best[0], (1, 2)) + reach)[:, None]
@@ -94,7 +112,7 @@ def cast_dense(
         words = pack_bits([wanted[:, k * row : (k + 1) * row] for k in range(WORD_BITS)])
         sums = cumulative_popcounts(words)
 
-        def group_pass(number, best):
+        def group_pass(number: Array, best: Hits) -> Hits:
             left = jnp.clip(sums[:, -1] - number * listed, 0, listed)
             at, bit = select_kth_set_bit(words, sums, indices(poses)[:, None], number * listed + indices(listed)[None])
             ids = jnp.minimum(bit * row + at, count - 1)
@@ -106,7 +124,16 @@ def cast_dense(
     return jax.lax.fori_loop(0, 2, layer, empty_buffers(poses, grid, dtype, with_faces))
 
 
-def _look(ids, left, low, high, boxes, clusters: FaceClusters, view: ToolView, grid: PixelGrid) -> _Listed:
+def _look(
+    ids: Int[Array, "p listed"],
+    left: Int[Array, " p"],
+    low: Float[Array, "p 1"],
+    high: Float[Array, "p 1"],
+    boxes: Float[Array, "groups 6 clusters"],
+    clusters: FaceClusters,
+    view: ToolView,
+    grid: PixelGrid,
+) -> _Listed:
     """Where the clusters of the first `left` groups of each list lie whose boxes begin between `low` and `high`."""
     poses, listed = ids.shape
     chunk = min(GROUPS_PER_CHUNK, listed)
@@ -114,7 +141,7 @@ def _look(ids, left, low, high, boxes, clusters: FaceClusters, view: ToolView, g
     start = clusters.mesh[:, None] * (clusters.per_mesh // CLUSTERS_PER_GROUP)
     first = jnp.minimum(indices(-(-listed // chunk)) * chunk, listed - chunk)  # the last chunk may repeat some
 
-    def look(k):
+    def look(k: Array) -> tuple[Array, Array]:
         some = dynamic_slice(ids, (0, first[k]), (poses, chunk))
         box = boxes.at[some + start].get(mode="promise_in_bounds")
         shift, stretch = place_boxes(jnp.moveaxis(box, 2, 0), broadcast_view(view, 2))
@@ -124,23 +151,23 @@ def _look(ids, left, low, high, boxes, clusters: FaceClusters, view: ToolView, g
         columns, rows = (grid.columns(shift[j] - stretch[j], shift[j] + stretch[j]) for j in (0, 1))
         return jnp.where(met, columns, as_uint32(0)), rows
 
-    def turn(words):
+    def transpose(words: Array) -> Array:
         """Bits of tiles for each cluster (p, chunk, 32) to bits of clusters for each column or row of tiles."""
         tile = jnp.arange(grid.side, dtype=jnp.uint32).reshape(1, 1, -1, 1)
         cluster = jnp.arange(CLUSTERS_PER_GROUP, dtype=jnp.uint32).reshape(1, 1, 1, -1)
         flags = (words[:, :, None] >> tile) & as_uint32(1)
         return jnp.sum(flags << cluster, -1, dtype=jnp.uint32)
 
-    def store(k, carry):
+    def store(k: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
         found = fusion_barrier(look, k, k < chunks)
-        found = fusion_barrier(lambda _: tuple(turn(words) for words in found), k, k < chunks)
+        found = fusion_barrier(lambda _: tuple(transpose(words) for words in found), k, k < chunks)
         return tuple(dynamic_update(whole, part, (0, first[k], 0)) for whole, part in zip(carry, found, strict=True))
 
     nothing = jnp.zeros((poses, listed, grid.side), jnp.uint32)
     return _Listed(ids, *jax.lax.fori_loop(0, chunks, store, (nothing, nothing)))
 
 
-def _draw(found: _Listed, clusters: FaceClusters, view: ToolView, grid: PixelGrid, best):
+def _draw(found: _Listed, clusters: FaceClusters, view: ToolView, grid: PixelGrid, best: Hits) -> Hits:
     """Draw what was found, the tiles that have most to draw first."""
     poses, listed = found.ids.shape
     lanes = poses * grid.tiles
@@ -148,7 +175,7 @@ def _draw(found: _Listed, clusters: FaceClusters, view: ToolView, grid: PixelGri
     share = blocks * LANES_PER_BLOCK
     shares = -(-lanes // share)
 
-    def words(g):
+    def words(g: int) -> Array:
         return (found.rows[:, g, :, None] & found.columns[:, g, None, :]).reshape(-1)
 
     filled = [jnp.where(words(g) != 0, as_uint32(1 << g % WORD_BITS), as_uint32(0)) for g in range(listed)]
@@ -158,12 +185,12 @@ def _draw(found: _Listed, clusters: FaceClusters, view: ToolView, grid: PixelGri
     amount, order = jax.lax.sort((-todo, indices(len(todo))), num_keys=1, is_stable=False)
     best = jax.tree.map(lambda part: part.reshape(lanes, -1), best)
 
-    def run(k, best):
+    def draw_share(k: Array, best: Hits) -> Hits:
         those = dynamic_slice(order, (k * share,), (share,))
         lane = jnp.minimum(those, lanes - 1).reshape(blocks, LANES_PER_BLOCK)
         pose, tile = lane // grid.tiles, lane % grid.tiles
 
-        def fetch(_):
+        def fetch(_: Array) -> tuple[_Queue, ToolView, list[Array], Hits]:
             queue = _Queue(
                 tuple(_at(part, lane) for part in full), jnp.zeros_like(lane, jnp.uint32), jnp.zeros_like(lane)
             )
@@ -179,11 +206,21 @@ def _draw(found: _Listed, clusters: FaceClusters, view: ToolView, grid: PixelGri
             for part, own in zip(best, mine, strict=True)
         )
 
-    best = jax.lax.fori_loop(0, -(-jnp.sum(todo > 0) // share), run, best)
+    best = jax.lax.fori_loop(0, -(-jnp.sum(todo > 0) // share), draw_share, best)
     return jax.tree.map(lambda part: part.reshape(poses, grid.tiles, -1), best)
 
 
-def _trip(found: _Listed, clusters: FaceClusters, view: ToolView, grid: PixelGrid, pose, tile, pixels, t, carry):
+def _trip(
+    found: _Listed,
+    clusters: FaceClusters,
+    view: ToolView,
+    grid: PixelGrid,
+    pose: Int[Array, "blocks lanes"],
+    tile: Int[Array, "blocks lanes"],
+    pixels: list[Array],
+    t: Int[Array, ""],
+    carry: tuple[_Queue, Hits],
+) -> tuple[_Queue, Hits]:
     """Each tile of a share pops a cluster and keeps the nearest hits."""
     queue, best = carry
     holds, size, (x, y) = t >= 0, clusters.size, pixels
@@ -192,7 +229,7 @@ def _trip(found: _Listed, clusters: FaceClusters, view: ToolView, grid: PixelGri
     corner, face, axis = np.mgrid[:3, :size, :3]
     number = (face * 9 + corner * 3 + axis).ravel()  # of a coordinate in its cluster's row
 
-    def fetch(_):
+    def fetch(_: Array) -> Array:
         row = jnp.maximum(name, 0) + clusters.mesh[pose] * clusters.per_mesh
         return _at(clusters.rows, (row[:, None], jnp.asarray(number, jnp.int32)[None, :, None]))
 
@@ -200,7 +237,7 @@ def _trip(found: _Listed, clusters: FaceClusters, view: ToolView, grid: PixelGri
         -1, 3, size, 3, LANES_PER_BLOCK
     )  # block, corner, face, axis, lane
 
-    def place(_):
+    def place(_: Array) -> list[Array]:
         local = [corners[:, :, :, j] - view.origin[j][:, None, None] for j in range(3)]
         return [
             sum((view.linear[i, j][:, None, None] * local[j] for j in range(3)), view.offset[i][:, None, None])
@@ -217,7 +254,13 @@ def _trip(found: _Listed, clusters: FaceClusters, view: ToolView, grid: PixelGri
     return queue, best
 
 
-def _pop(queue: _Queue, found: _Listed, pose, column, row) -> tuple[_Queue, Int[Array, "blocks lanes"]]:
+def _pop(
+    queue: _Queue,
+    found: _Listed,
+    pose: Int[Array, "blocks lanes"],
+    column: Int[Array, "blocks lanes"],
+    row: Int[Array, "blocks lanes"],
+) -> tuple[_Queue, Int[Array, "blocks lanes"]]:
     """Take a cluster from each queue: what is left, and its index in the mesh (-1 from an empty queue)."""
     listed, side = found.columns.shape[1:]
     some: Array = queue.full[0]

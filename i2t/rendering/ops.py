@@ -9,8 +9,20 @@ from jaxtyping import Array
 
 
 def fusion_barrier(work: Callable[[Array], Any], i: Array, holds: Array) -> Any:
-    """work(i), kept apart from its storing by a condition that always holds: XLA would merge the two, and a merged one
-    runs on a single core.
+    """Compute `work(i)` in a computation of its own.
+
+    XLA's CPU backend otherwise fuses it with the update that stores it: values are computed again for each of their
+    uses, and the fused loop runs on a single core. A branch that the compiler cannot decide keeps the two apart. The
+    condition is true at every call, so the other branch is never taken and the result is that of `work` to the last
+    bit.
+
+    Args:
+        work: A function of a loop's counter.
+        i: The counter.
+        holds: True, but only at run time: the condition of the loop, `i < count`.
+
+    Returns:
+        work(i), an array or a tree of arrays.
     """
     return jax.lax.cond(holds, work, lambda i: jax.tree.map(jnp.zeros_like, jax.eval_shape(work, i)), i)
 

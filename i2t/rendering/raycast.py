@@ -20,47 +20,64 @@ for each of its uses.
 """
 
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from i2t.rendering.bitset import WORD_BITS, cumulative_popcounts, pack_bits, select_kth_set_bit
 from i2t.rendering.bvh import CLUSTERS_PER_GROUP, DENSE_CLUSTER_FACES
 from i2t.rendering.dense import cast_dense
 from i2t.rendering.ops import dynamic_slice, dynamic_update, fusion_barrier, indices
 from i2t.rendering.tiles import (
-    FACE_TERMS,
     MIN_PROJECTED_AREA_M2,
     ClusterList,
     FaceClusters,
+    Hits,
     PixelGrid,
+    Scratch,
     ToolView,
     broadcast_view,
     draw_clusters,
     empty_buffers,
+    empty_scratch,
     place_boxes,
     to_tool,
 )
 from i2t.types import STANDOFF, Surface
 
 GROUPS_PER_PASS = 64  # groups listed in one pass
+GROUPS_PER_CHUNK = 8  # whose boxes are looked at together
 CLUSTERS_PER_PASS = 256  # clusters of a pose set up in one pass, a multiple of 32 and at most 1024
 FRONT_SLAB_REACHES = 2  # reaches behind the first box: what is drawn first, to learn how near the surface is
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3, 4))
 def first_hit(surface: Surface, view: ToolView, window: float, pixels: int, reach: float) -> Float[Array, "n n"]:
-    """Tool z (m) of the first hit beyond -STANDOFF on each pixel's ray, +inf where there is none.
+    """Find where the pixels' rays first meet a surface. Derivatives hold the visible faces fixed.
 
-    Hits deeper than `reach` behind the nearest one may be missing (infinite reach: none is). Derivatives hold the
-    visible faces fixed.
+    Args:
+        surface: A prepared surface.
+        view: How its points come to the tool frame.
+        window: Edge (m) of the square of pixels.
+        pixels: Along the edge.
+        reach: Depth (m) behind the nearest hit beyond which hits may be missing; infinite: none is.
+
+    Returns:
+        Tool z (m) of the first hit beyond -STANDOFF on each ray, +inf where there is none.
     """
     return _rasterise(surface, view, PixelGrid(window, pixels), reach, False)[0]
 
 
 @first_hit.defjvp
-def _first_hit_jvp(window, pixels, reach, primals, tangents):
+def _first_hit_jvp(
+    window: float,
+    pixels: int,
+    reach: float,
+    primals: tuple[Surface, ToolView],
+    tangents: tuple[Surface, ToolView],
+) -> tuple[Array, Array]:
     """Differentiate the planes of the faces that are seen."""
     surface, view = primals
     grid = PixelGrid(window, pixels)
@@ -68,7 +85,7 @@ def _first_hit_jvp(window, pixels, reach, primals, tangents):
     heights, faces = _rasterise(jax.lax.stop_gradient(surface), jax.lax.stop_gradient(view), grid, reach, True)
     x, y = jnp.asarray(grid.centres)[None, :], jnp.asarray(grid.centres)[:, None]
 
-    def plane(triangles, view):
+    def plane(triangles: Array, view: ToolView) -> Array:
         corners = jnp.moveaxis(triangles.at[faces].get(mode="promise_in_bounds"), (2, 3), (0, 1))
         (xa, ya, za), (xb, yb, zb), (xc, yc, zc) = (to_tool(corner, view) for corner in corners)
         area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
@@ -83,16 +100,22 @@ def _first_hit_jvp(window, pixels, reach, primals, tangents):
     return heights, change
 
 
-def _rasterise(surface: Surface, view: ToolView, grid: PixelGrid, reach: float, with_faces: bool):
+def _rasterise(
+    surface: Surface, view: ToolView, grid: PixelGrid, reach: float, with_faces: bool
+) -> tuple[Float[Array, "n n"], Int[Array, "n n"]]:
     """Heights (n, n) of the first hits and, if asked, the index of the face that each ray meets (n, n)."""
 
     @jax.custom_batching.custom_vmap
-    def cast(meshes, mesh, linear, origin, offset):
+    def cast(
+        meshes: tuple[Array, Array, Array], mesh: Array, linear: Array, origin: Array, offset: Array
+    ) -> tuple[Array, Array]:
         view = ToolView(*(jnp.moveaxis(part, 0, -1) for part in (linear, origin, offset)))
         return _cast(meshes, mesh, view, grid, reach, with_faces)
 
     @cast.def_vmap
-    def _(size, batched, meshes, mesh, *views):
+    def _(
+        size: int, batched: Any, meshes: tuple[Array, ...], mesh: Array, *views: Array
+    ) -> tuple[tuple[Array, Array], tuple[bool, bool]]:
         """A batch of batches of poses is a longer batch, and of meshes a longer list of them."""
         of_meshes, (of_mesh, *of_views) = batched[0], batched[1:]
         several = any(of_meshes)
@@ -117,88 +140,127 @@ def _rasterise(surface: Surface, view: ToolView, grid: PixelGrid, reach: float, 
     return heights[0] + poison, faces[0]
 
 
-def _cast(meshes, mesh: Int[Array, " p"], view: ToolView, grid: PixelGrid, reach: float, with_faces: bool):
+def _cast(
+    meshes: tuple[Array, Array, Array],
+    mesh: Int[Array, " p"],
+    view: ToolView,
+    grid: PixelGrid,
+    reach: float,
+    with_faces: bool,
+) -> tuple[Array, Array]:
     """Heights (p, n, n) that p poses see of their meshes, and the faces (p, n, n; zeros if not asked for)."""
     triangles, boxes, groups = meshes
-    poses, count = len(mesh), boxes.shape[1]
+    count = boxes.shape[1]
     size = triangles.shape[1] // (count * CLUSTERS_PER_GROUP)
-    mesh_clusters = FaceClusters(triangles.reshape(-1, size * 9), mesh, count * CLUSTERS_PER_GROUP, size)
+    clusters = FaceClusters(triangles.reshape(-1, size * 9), mesh, count * CLUSTERS_PER_GROUP, size)
     boxes = boxes.reshape(-1, *boxes.shape[2:])
     groups = groups[mesh if len(groups) > 1 else slice(None)]
     if size >= DENSE_CLUSTER_FACES:
-        best = cast_dense(boxes, groups, mesh_clusters, view, grid, reach, GROUPS_PER_PASS, with_faces)
-        return _images(best, grid)
-    listed = min(count, GROUPS_PER_PASS)
-    chunk = min(listed, 8)
-    slots = min(CLUSTERS_PER_PASS, listed * CLUSTERS_PER_GROUP)
-    every = indices(poses)[:, None]
-    dtype = jnp.result_type(triangles.dtype, view.linear.dtype)
-
-    seen, _ = _in_view(groups.swapaxes(0, 1), broadcast_view(view, 1), grid.half)
-    row = groups.shape[2] // WORD_BITS
-    group_words = pack_bits([seen[:, i * row : (i + 1) * row] for i in range(WORD_BITS)])
-    group_sums = cumulative_popcounts(group_words)
-
-    def group_pass(number, carry):
-        """Look into the groups of one pass: first at clusters near the front, then at what may still be in reach."""
-        left = jnp.clip(group_sums[:, -1] - number * listed, 0, listed)
-        at, bit = select_kth_set_bit(group_words, group_sums, every, number * listed + indices(listed)[None])
-        ids = jnp.minimum(bit * row + at, count - 1)
-
-        def look(i):
-            some = dynamic_slice(ids, (0, i * chunk), (poses, chunk))
-            box = boxes.at[some + mesh[:, None] * count].get(mode="promise_in_bounds")
-            hit, front = _in_view(jnp.moveaxis(box, 2, 0), broadcast_view(view, 2), grid.half)
-            hit &= (i * chunk + indices(chunk)[None] < left[:, None])[..., None]
-            return jnp.where(hit, front, jnp.inf)
-
-        chunks = jnp.max(-(-left // chunk))
-        fronts = jnp.full((poses, listed, CLUSTERS_PER_GROUP), jnp.inf, dtype)
-        fronts = jax.lax.fori_loop(
-            0,
-            chunks,
-            lambda i, fronts: dynamic_update(fronts, fusion_barrier(look, i, i < chunks), (0, i * chunk, 0)),
-            fronts,
-        )
-        slab = jnp.min(fronts, (1, 2)) + FRONT_SLAB_REACHES * reach
-
-        def layer(i, carry):
-            best = carry[0]
-            low = jnp.where(i == 0, -jnp.inf, slab)[:, None, None]
-            high = jnp.where(i == 0, slab, jnp.min(best[0], (1, 2)) + reach)[:, None, None]
-            wanted = (fronts > low) & (fronts <= high) & (fronts < jnp.inf)
-            words = pack_bits([wanted[..., k] for k in range(CLUSTERS_PER_GROUP)])
-            sums = cumulative_popcounts(words)
-            passes = jnp.max(-(-sums[:, -1] // slots))
-            draw = partial(draw_clusters, ClusterList(ids, words, sums), mesh_clusters, view, grid, slots)
-            return jax.lax.fori_loop(0, passes, draw, carry)
-
-        return jax.lax.fori_loop(0, 2, layer, carry)
-
-    best = empty_buffers(poses, grid, dtype, with_faces)
-    # The last row of the scratch table, for tiles that have nothing to draw, has no inside.
-    nothing = jnp.zeros((1, FACE_TERMS * size), dtype).at[:, 6 * size : 9 * size].set(-1)
-    scratch = (
-        jnp.concatenate([jnp.zeros((slots * poses, FACE_TERMS * size), dtype), nothing]),
-        jnp.zeros((grid.side, slots * poses * size), jnp.uint32),
-        jnp.zeros(slots * poses + 1, jnp.int32),
-    )
-    best, _ = jax.lax.fori_loop(0, jnp.max(-(-group_sums[:, -1] // listed)), group_pass, (best, scratch))
-    return _images(best, grid)
-
-
-def _images(best, grid: PixelGrid):
+        best = cast_dense(boxes, groups, clusters, view, grid, reach, GROUPS_PER_PASS, with_faces)
+    else:
+        best = _cast_listed(boxes, groups, clusters, view, grid, reach, with_faces)
     heights = grid.images(best[0])
     return heights, grid.images(best[1]) if len(best) == 2 else jnp.zeros(heights.shape, jnp.int32)
 
 
-def _in_view(box, view, half):
-    """Which boxes (centre and half extents, six arrays) the rays can meet, and the z where each begins."""
-    centre, reach = place_boxes(box, view)
-    front, back = centre[2] - reach[2], centre[2] + reach[2]
-    inside = (jnp.abs(centre[0]) - reach[0] <= half) & (jnp.abs(centre[1]) - reach[1] <= half)
+def _cast_listed(
+    boxes: Float[Array, "groups 6 clusters"],
+    groups: Float[Array, "views 6 groups_of_mesh"],
+    clusters: FaceClusters,
+    view: ToolView,
+    grid: PixelGrid,
+    reach: float,
+    with_faces: bool,
+) -> Hits:
+    """Hits of meshes of large or few faces, whose clusters are set up in a table: list the groups in view, and work the
+    list off in passes.
+    """
+    poses, count = len(clusters.mesh), clusters.per_mesh // CLUSTERS_PER_GROUP
+    listed = min(count, GROUPS_PER_PASS)
+    slots = min(CLUSTERS_PER_PASS, listed * CLUSTERS_PER_GROUP)
+    dtype = jnp.result_type(clusters.rows.dtype, view.linear.dtype)
+
+    seen, _ = _in_view(groups.swapaxes(0, 1), broadcast_view(view, 1), grid.half)
+    row = groups.shape[2] // WORD_BITS
+    words = pack_bits([seen[:, i * row : (i + 1) * row] for i in range(WORD_BITS)])
+    sums = cumulative_popcounts(words)
+
+    def group_pass(number: Array, carry: tuple[Hits, Scratch]) -> tuple[Hits, Scratch]:
+        left = jnp.clip(sums[:, -1] - number * listed, 0, listed)
+        order = number * listed + indices(listed)[None]
+        at, bit = select_kth_set_bit(words, sums, indices(poses)[:, None], order)
+        ids = jnp.minimum(bit * row + at, count - 1)
+        fronts = _fronts(ids, left, boxes, clusters, view, grid)
+        return _draw_layers(ids, fronts, clusters, view, grid, reach, slots, carry)
+
+    best = empty_buffers(poses, grid, dtype, with_faces)
+    scratch = empty_scratch(poses, clusters.size, slots, grid, dtype)
+    best, _ = jax.lax.fori_loop(0, jnp.max(-(-sums[:, -1] // listed)), group_pass, (best, scratch))
+    return best
+
+
+def _fronts(
+    ids: Int[Array, "p listed"],
+    left: Int[Array, " p"],
+    boxes: Float[Array, "groups 6 clusters"],
+    clusters: FaceClusters,
+    view: ToolView,
+    grid: PixelGrid,
+) -> Float[Array, "p listed clusters"]:
+    """Tool z (m) where the boxes of the clusters in the first `left` groups of each list begin, +inf out of view."""
+    poses, listed = ids.shape
+    chunk = min(listed, GROUPS_PER_CHUNK)
+    count = clusters.per_mesh // CLUSTERS_PER_GROUP
+    chunks = jnp.max(-(-left // chunk))
+    dtype = jnp.result_type(clusters.rows.dtype, view.linear.dtype)
+
+    def look(i: Array) -> Array:
+        some = dynamic_slice(ids, (0, i * chunk), (poses, chunk))
+        box = boxes.at[some + clusters.mesh[:, None] * count].get(mode="promise_in_bounds")
+        hit, front = _in_view(jnp.moveaxis(box, 2, 0), broadcast_view(view, 2), grid.half)
+        hit &= (i * chunk + indices(chunk)[None] < left[:, None])[..., None]
+        return jnp.where(hit, front, jnp.inf)
+
+    def store(i: Array, fronts: Array) -> Array:
+        return dynamic_update(fronts, fusion_barrier(look, i, i < chunks), (0, i * chunk, 0))
+
+    return jax.lax.fori_loop(0, chunks, store, jnp.full((poses, listed, CLUSTERS_PER_GROUP), jnp.inf, dtype))
+
+
+def _draw_layers(
+    ids: Int[Array, "p listed"],
+    fronts: Float[Array, "p listed clusters"],
+    clusters: FaceClusters,
+    view: ToolView,
+    grid: PixelGrid,
+    reach: float,
+    slots: int,
+    carry: tuple[Hits, Scratch],
+) -> tuple[Hits, Scratch]:
+    """Draw the clusters near the front, and then what may still be in reach behind the nearest hit."""
+    slab = jnp.min(fronts, (1, 2)) + FRONT_SLAB_REACHES * reach
+
+    def layer(i: Array, carry: tuple[Hits, Scratch]) -> tuple[Hits, Scratch]:
+        best = carry[0]
+        low = jnp.where(i == 0, -jnp.inf, slab)[:, None, None]
+        high = jnp.where(i == 0, slab, jnp.min(best[0], (1, 2)) + reach)[:, None, None]
+        wanted = (fronts > low) & (fronts <= high) & (fronts < jnp.inf)
+        words = pack_bits([wanted[..., k] for k in range(CLUSTERS_PER_GROUP)])
+        sums = cumulative_popcounts(words)
+        draw = partial(draw_clusters, ClusterList(ids, words, sums), clusters, view, grid, slots)
+        return jax.lax.fori_loop(0, jnp.max(-(-sums[:, -1] // slots)), draw, carry)
+
+    return jax.lax.fori_loop(0, 2, layer, carry)
+
+
+def _in_view(box: Array, view: ToolView, half: float) -> tuple[Bool[Array, "..."], Float[Array, "..."]]:
+    """Which boxes (centre and half extents, six arrays) the rays can meet, and the z (m) where each begins."""
+    centre, extent = place_boxes(box, view)
+    front, back = centre[2] - extent[2], centre[2] + extent[2]
+    inside = (jnp.abs(centre[0]) - extent[0] <= half) & (jnp.abs(centre[1]) - extent[1] <= half)
     return inside & (back >= -STANDOFF), jnp.maximum(front, -STANDOFF)
 
 
-def _flat(array):
+def _flat(array: Array) -> Array:
+    """The first two axes as one."""
     return array.reshape(-1, *array.shape[2:])

@@ -5,13 +5,15 @@ A pass takes up to `slots` clusters of each pose. They are set up as one dense l
 tiles it crosses, and the tiles of all poses are lanes that pop their bits one after another and keep the nearest hit.
 """
 
+from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt
+from jax.typing import DTypeLike
+from jaxtyping import Array, Bool, Float, Int, UInt
 
 from i2t.rendering.bitset import (
     WORD_BITS,
@@ -34,6 +36,9 @@ TOGETHER_FRACTION = 0.25  # of the tiles: so many at work are quicker together t
 NUM_SHARES = 8  # into which the busiest lanes are cut, each as long as its own longest
 
 
+Hits: TypeAlias = tuple[Array, ...]  # nearest so far (p, tiles, pixels): heights (m) and, if asked for, faces
+
+
 class ToolView(NamedTuple):
     """How points come to the tool frame: `linear (p - origin) + offset`. Of many poses, the last axes count them."""
 
@@ -45,7 +50,7 @@ class ToolView(NamedTuple):
 class PixelGrid:
     """Pixel centres of a window, and the square tiles that they fall into (the last ones may hang over the edge)."""
 
-    def __init__(self, window: float, pixels: int):
+    def __init__(self, window: float, pixels: int) -> None:
         self.pixels, self.half, self.pitch = pixels, window / 2, window / pixels
         self.edge = TILE_PIXELS * -(
             -pixels // (TILE_PIXELS * (WORD_BITS - 1))
@@ -63,12 +68,12 @@ class PixelGrid:
         first = all_centres.reshape(self.side, self.edge)
         self.low, self.high = first[:, 0] - self.pitch / 20, first[:, -1] + self.pitch / 20
 
-    def images(self, tiles):
+    def images(self, tiles: Array) -> Array:
         """(poses, tiles, pixels of a tile) -> (poses, n, n)."""
         whole = tiles.reshape(-1, self.side, self.side, self.edge, self.edge).swapaxes(2, 3)
         return whole.reshape(len(tiles), self.side * self.edge, -1)[:, : self.pixels, : self.pixels]
 
-    def columns(self, low, high):
+    def columns(self, low: Float[Array, "*n"], high: Float[Array, "*n"]) -> UInt[Array, "*n"]:
         """Bits of the columns of tiles that an interval along x touches."""
         width = self.edge * self.pitch
         first = jnp.clip(jnp.ceil((low - self.high[0]) / width), 0, self.side).astype(jnp.uint32)
@@ -93,137 +98,6 @@ class ClusterList(NamedTuple):
     sums: Int[Array, "p groups"]
 
 
-def draw_clusters(
-    wanted: ClusterList, clusters: FaceClusters, view: ToolView, grid: PixelGrid, slots: int, number, carry
-):
-    """Draw up to `slots` clusters of each pose into the tiles that they cross."""
-    best, scratch = carry
-    poses, size, dtype = len(wanted.ids), clusters.size, best[0].dtype
-    now = jnp.clip(wanted.sums[:, -1] - number * slots, 0, slots)
-    ends = jnp.cumsum(now)
-    begins = ends - now  # of each pose's part of the list
-    stride = WORD_BITS * poses  # clusters set up together
-    rounds = -(-ends[-1] // stride)
-    words_in_slots = slots // WORD_BITS
-
-    def set_up(i):
-        item = i * stride + indices(stride)
-        pose = jnp.minimum(jnp.searchsorted(ends, item, side="right"), poses - 1).astype(jnp.int32)
-        order = item - begins[pose] + number * slots
-        at, bit = select_kth_set_bit(wanted.words, wanted.sums, pose, order)
-        name = wanted.ids.at[pose, at].get(mode="promise_in_bounds") * CLUSTERS_PER_GROUP + bit
-        corners = clusters.rows.at[clusters.mesh[pose] * clusters.per_mesh + name].get(mode="promise_in_bounds")
-        corners = corners.reshape(stride * size, 3, 3).transpose(2, 1, 0)  # axis, corner, face
-        here = jax.tree.map(lambda part: jnp.repeat(part[..., pose], size, -1), view)
-        here = jax.tree.map(lambda part: part[..., None, :], here)
-        placed = fusion_barrier(lambda _: to_tool(corners, here), i, i < rounds)
-        listed = i * stride + indices(stride * size) // size < ends[-1]
-        terms = face_terms(placed, listed, grid.half, 0, i < rounds)
-        solid = (terms[0][0] != 0) | (terms[1][0] != 0)  # what has no area has no edges
-        drawn = listed & solid & (maximum(maximum(*placed[2][:2]), placed[2][2]) >= -STANDOFF)
-        span = jnp.where(drawn[None], _spans(list(zip(*placed, strict=True)), grid), as_uint32(0))
-        terms = fusion_barrier(
-            lambda _: jnp.concatenate([*terms[:3], *(part[None] for part in terms[3:])]), i, i < rounds
-        )
-        terms = terms.reshape(FACE_TERMS, stride, size).swapaxes(0, 1).reshape(stride, FACE_TERMS * size)
-        return terms, span, name
-
-    def store(i, carry):
-        faces, spans, names = carry
-        terms, span, name = fusion_barrier(set_up, i, i < rounds)
-        return (
-            dynamic_update(faces, terms, (i * stride, 0)),
-            dynamic_update(spans, span, (0, i * stride * size)),
-            dynamic_update(names, name, (i * stride,)),
-        )
-
-    faces, spans, names = jax.lax.fori_loop(0, rounds, store, scratch)
-
-    def merge(i, rows):
-        block = dynamic_slice(spans, (0, i * stride * size), (grid.side, stride * size)).reshape(
-            grid.side, stride, size
-        )
-        return dynamic_update(rows, bitwise_or_reduce([block[..., f] for f in range(size)]), (0, i * stride))
-
-    rows = jax.lax.fori_loop(0, rounds, merge, jnp.zeros((grid.side, slots * poses), jnp.uint32))
-
-    def turn(i, tile_words):
-        mine = i * WORD_BITS + indices(WORD_BITS)[None]
-        block = rows.at[:, jnp.minimum(begins[:, None] + mine, slots * poses - 1)].get(mode="promise_in_bounds")
-        block = jnp.where((mine < now[:, None])[None], block, as_uint32(0))
-        column = jnp.arange(grid.side, dtype=jnp.uint32)[None, :, None]
-        bits = pack_bits([(block[:, :, b][:, None] >> column) & as_uint32(1) for b in range(WORD_BITS)])
-        return dynamic_update(tile_words, bits.reshape(1, grid.tiles, poses).swapaxes(1, 2).reshape(1, -1), (i, 0))
-
-    lanes = poses * grid.tiles
-    tile_words = jnp.zeros((words_in_slots, lanes), jnp.uint32)
-    tile_words = jax.lax.fori_loop(0, jnp.max(-(-now // WORD_BITS)), turn, tile_words)
-    todo = sum(popcount(tile_words[w]) for w in range(words_in_slots))
-    full = bitwise_or_reduce(
-        [jnp.where(tile_words[w] != 0, as_uint32(1 << w), as_uint32(0)) for w in range(words_in_slots)]
-    )
-    queue = _Queue(full, jnp.zeros_like(full), jnp.zeros_like(todo))
-    table = _Table(faces, names, size)
-    begin = jnp.broadcast_to(begins[:, None], (poses, grid.tiles)).reshape(-1)
-    x, y = (jnp.asarray(part, dtype) for part in (grid.x, grid.y))
-
-    # All tiles together while many are at work, then the busiest few, in shares that are each run to their end.
-    together = jax.lax.while_loop(
-        lambda t: jnp.sum(todo > t) > TOGETHER_FRACTION * lanes, lambda t: t + 1, jnp.int32(0)
-    )
-    queue, best = _draw(together, table, begin, tile_words, queue, best, x[None], y[None])
-    todo = jnp.maximum(todo - together, 0)
-    shares = NUM_SHARES if poses >= NUM_SHARES else 1
-    share = max(1, lanes // 4 // shares)
-
-    def finish(i, carry):
-        best, todo = carry
-        amount, busy = jax.lax.top_k(todo.astype(jnp.float32), share * shares)
-
-        def run(k, best):
-            those = dynamic_slice(busy, (k * share,), (share,))
-            take = partial(jax.tree.map, lambda a: a.at[those].get(mode="promise_in_bounds"))
-            words = tile_words.at[:, those].get(mode="promise_in_bounds")
-            trips = amount[k * share].astype(jnp.int32)
-            across, down = (part[those % grid.tiles] for part in (x, y))
-            _, drawn = _draw(trips, table, take(begin), words, take(queue), take(best), across, down)
-            store = partial(
-                jax.tree.map, lambda a, b: a.at[those].set(b, mode="promise_in_bounds", unique_indices=True)
-            )
-            return store(best, drawn)
-
-        best = jax.lax.fori_loop(0, -(-jnp.sum(amount > 0) // share), run, best)
-        return best, todo.at[busy].set(0, mode="promise_in_bounds", unique_indices=True)
-
-    turns = -(-jnp.sum(todo > 0) // (share * shares))
-    flat = jax.tree.map(lambda part: part.reshape(lanes, -1), best)
-    flat, _ = jax.lax.fori_loop(0, turns, finish, (flat, todo))
-    return jax.tree.map(lambda part, like: part.reshape(like.shape), flat, best), (faces, spans, names)
-
-
-def place_boxes(box, view):
-    """Centres and half extents (three arrays each) in the tool frame of boxes, given as six arrays of such."""
-    stretch = [sum(jnp.abs(view.linear[i, j]) * box[3 + j] for j in range(3)) for i in range(3)]
-    return to_tool(box[:3], view), stretch
-
-
-def broadcast_view(view: ToolView, axes: int) -> ToolView:
-    """The view of poses on the first of `axes` + 1 axes."""
-    return jax.tree.map(lambda part: part.reshape(*part.shape, *(1,) * axes), view)
-
-
-def empty_buffers(poses: int, grid: PixelGrid, dtype, with_faces: bool):
-    """Hits before anything is drawn: heights (p, tiles, pixels) and, if asked for, faces."""
-    heights = jnp.full((poses, *grid.x.shape), jnp.inf, dtype)
-    return (heights, jnp.zeros(heights.shape, jnp.int32)) if with_faces else (heights,)
-
-
-def to_tool(point, view):
-    """Coordinates (three arrays) in the tool frame; the origin is subtracted first, where it costs no digits."""
-    local = [point[j] - view.origin[j] for j in range(3)]
-    return [sum((view.linear[i, j] * local[j] for j in range(3)), view.offset[i]) for i in range(3)]
-
-
 class _Queue(NamedTuple):
     """Clusters that tiles have still to draw: bits of the words not yet opened, bits left in the current word, its
     index.
@@ -242,7 +116,259 @@ class _Table(NamedTuple):
     size: int  # faces of a cluster
 
 
-def _draw(trips, table: _Table, begin, words, queue: _Queue, best, x, y):
+class Scratch(NamedTuple):
+    """Clusters set up for drawing, overwritten by every pass. Row i of `faces` and `names` is one cluster; the last row
+    of `faces` draws nothing.
+    """
+
+    faces: Float[Array, "rows terms"]  # `FACE_TERMS` numbers of each face of the cluster
+    spans: UInt[Array, "side faces"]  # for each row of tiles the columns of tiles (bits) that a face crosses
+    names: Int[Array, " rows"]  # of the cluster in its mesh
+
+
+class _Share(NamedTuple):
+    """Which part of every pose's list a pass takes: its clusters lie next to each other in the scratch table."""
+
+    first: Int[Array, ""]  # number of its first cluster in a pose's list
+    counts: Int[Array, " p"]  # clusters of each pose
+    begins: Int[Array, " p"]  # rows of the table where they begin
+    ends: Int[Array, " p"]  # and end
+
+
+def draw_clusters(
+    listed: ClusterList,
+    clusters: FaceClusters,
+    view: ToolView,
+    grid: PixelGrid,
+    slots: int,
+    number: Int[Array, ""],
+    carry: tuple[Hits, Scratch],
+) -> tuple[Hits, Scratch]:
+    """Draw up to `slots` clusters of each pose into the tiles that they cross.
+
+        list of each pose  ->  table of clusters, all poses one after another      (`_set_up`)
+        spans of faces     ->  rows of tiles x table: columns of tiles, bits        (`_merge_faces`)
+        rows x table       ->  tiles of all poses: clusters to draw, bits           (`_clusters_of_tiles`)
+        bits of a tile     ->  hits on its pixels                                   (`_draw`)
+
+    Args:
+        listed: The clusters that each pose wants.
+        clusters: The faces of all meshes.
+        view: Of each pose.
+        grid: Pixels and tiles.
+        slots: Clusters of a pose in one pass, a multiple of 32.
+        number: Of the pass.
+        carry: Nearest hits so far, and the scratch table.
+
+    Returns:
+        The same after the pass.
+    """
+    best, scratch = carry
+    poses = len(listed.ids)
+    counts = jnp.clip(listed.sums[:, -1] - number * slots, 0, slots)
+    ends = jnp.cumsum(counts)
+    share = _Share(number * slots, counts, ends - counts, ends)
+    scratch = _set_up(listed, clusters, view, grid, share, scratch)
+    rows = _merge_faces(scratch.spans, share, clusters.size, (grid.side, slots * poses))
+    tile_words = _clusters_of_tiles(rows, share, grid, slots)
+    return _draw_all(tile_words, share, clusters.size, grid, scratch, best), scratch
+
+
+def empty_scratch(poses: int, size: int, slots: int, grid: PixelGrid, dtype: DTypeLike) -> Scratch:
+    """The table before the first pass.
+
+    Args:
+        poses: How many poses are drawn together.
+        size: Faces of a cluster.
+        slots: Clusters of a pose in one pass.
+        grid: Pixels and tiles.
+        dtype: Of the numbers of a face.
+
+    Returns:
+        The table, whose last row draws nothing: its edge functions are negative everywhere.
+    """
+    nothing = jnp.zeros((1, FACE_TERMS * size), dtype).at[:, 6 * size : 9 * size].set(-1)
+    return Scratch(
+        jnp.concatenate([jnp.zeros((slots * poses, FACE_TERMS * size), dtype), nothing]),
+        jnp.zeros((grid.side, slots * poses * size), jnp.uint32),
+        jnp.zeros(slots * poses + 1, jnp.int32),
+    )
+
+
+def _set_up(
+    listed: ClusterList, clusters: FaceClusters, view: ToolView, grid: PixelGrid, share: _Share, scratch: Scratch
+) -> Scratch:
+    """Fill the table, some clusters of all poses at a time."""
+    stride = WORD_BITS * len(listed.ids)  # clusters set up together
+    rounds = -(-share.ends[-1] // stride)
+    work = partial(_set_up_round, listed, clusters, view, grid, share, rounds)
+
+    def store(i: Array, scratch: Scratch) -> Scratch:
+        terms, span, name = fusion_barrier(work, i, i < rounds)
+        return Scratch(
+            dynamic_update(scratch.faces, terms, (i * stride, 0)),
+            dynamic_update(scratch.spans, span, (0, i * stride * clusters.size)),
+            dynamic_update(scratch.names, name, (i * stride,)),
+        )
+
+    return jax.lax.fori_loop(0, rounds, store, scratch)
+
+
+def _set_up_round(
+    listed: ClusterList,
+    clusters: FaceClusters,
+    view: ToolView,
+    grid: PixelGrid,
+    share: _Share,
+    rounds: Int[Array, ""],
+    i: Int[Array, ""],
+) -> tuple[Array, Array, Array]:
+    """Terms (clusters, terms) of the i-th `WORD_BITS` clusters a pose of the table, the spans (side, faces) of their
+    faces, and their names.
+    """
+    poses, size = len(listed.ids), clusters.size
+    stride = WORD_BITS * poses
+    item = i * stride + indices(stride)
+    pose = jnp.minimum(jnp.searchsorted(share.ends, item, side="right"), poses - 1).astype(jnp.int32)
+    order = item - share.begins[pose] + share.first
+    at, bit = select_kth_set_bit(listed.words, listed.sums, pose, order)
+    name = listed.ids.at[pose, at].get(mode="promise_in_bounds") * CLUSTERS_PER_GROUP + bit
+    corners = clusters.rows.at[clusters.mesh[pose] * clusters.per_mesh + name].get(mode="promise_in_bounds")
+    corners = corners.reshape(stride * size, 3, 3).transpose(2, 1, 0)  # axis, corner, face
+    here = jax.tree.map(lambda part: jnp.repeat(part[..., pose], size, -1), view)
+    here = jax.tree.map(lambda part: part[..., None, :], here)
+    placed = fusion_barrier(lambda _: to_tool(corners, here), i, i < rounds)
+    taken = i * stride + indices(stride * size) // size < share.ends[-1]
+    terms = face_terms(placed, taken, grid.half, 0, i < rounds)
+    solid = (terms[0][0] != 0) | (terms[1][0] != 0)  # what has no area has no edges
+    drawn = taken & solid & (maximum(maximum(*placed[2][:2]), placed[2][2]) >= -STANDOFF)
+    span = jnp.where(drawn[None], _spans(list(zip(*placed, strict=True)), grid), as_uint32(0))
+    packed = fusion_barrier(lambda _: jnp.concatenate([*terms[:3], *(part[None] for part in terms[3:])]), i, i < rounds)
+    return packed.reshape(FACE_TERMS, stride, size).swapaxes(0, 1).reshape(stride, FACE_TERMS * size), span, name
+
+
+def _merge_faces(
+    spans: UInt[Array, "side faces"], share: _Share, size: int, shape: tuple[int, int]
+) -> UInt[Array, "side rows"]:
+    """Spans of whole clusters: those of their faces together."""
+    side, rows = shape
+    stride = WORD_BITS * len(share.counts)
+
+    def merge(i: Array, merged: Array) -> Array:
+        block = dynamic_slice(spans, (0, i * stride * size), (side, stride * size)).reshape(side, stride, size)
+        return dynamic_update(merged, bitwise_or_reduce([block[..., f] for f in range(size)]), (0, i * stride))
+
+    return jax.lax.fori_loop(0, -(-share.ends[-1] // stride), merge, jnp.zeros((side, rows), jnp.uint32))
+
+
+def _clusters_of_tiles(
+    rows: UInt[Array, "side rows"], share: _Share, grid: PixelGrid, slots: int
+) -> UInt[Array, "words tiles"]:
+    """For each tile of all poses, which of its pose's clusters cross it: bit b of word w is the cluster of number
+    `w * WORD_BITS + b`. A transposition of bits, a word of clusters at a time.
+    """
+    poses = len(share.counts)
+    column = jnp.arange(grid.side, dtype=jnp.uint32)[None, :, None]
+
+    def transpose(i: Array, tile_words: Array) -> Array:
+        mine = i * WORD_BITS + indices(WORD_BITS)[None]
+        block = rows.at[:, jnp.minimum(share.begins[:, None] + mine, slots * poses - 1)].get(mode="promise_in_bounds")
+        block = jnp.where((mine < share.counts[:, None])[None], block, as_uint32(0))
+        bits = pack_bits([(block[:, :, b][:, None] >> column) & as_uint32(1) for b in range(WORD_BITS)])
+        return dynamic_update(tile_words, bits.reshape(1, grid.tiles, poses).swapaxes(1, 2).reshape(1, -1), (i, 0))
+
+    tile_words = jnp.zeros((slots // WORD_BITS, poses * grid.tiles), jnp.uint32)
+    return jax.lax.fori_loop(0, jnp.max(-(-share.counts // WORD_BITS)), transpose, tile_words)
+
+
+def _draw_all(
+    tile_words: UInt[Array, "words tiles"], share: _Share, size: int, grid: PixelGrid, scratch: Scratch, best: Hits
+) -> Hits:
+    """Draw what the tiles have to draw: all tiles together while many are at work, then the busiest few."""
+    words, lanes = tile_words.shape
+    todo = sum((popcount(tile_words[w]) for w in range(words)), jnp.zeros(lanes, jnp.int32))
+    full = bitwise_or_reduce([jnp.where(tile_words[w] != 0, as_uint32(1 << w), as_uint32(0)) for w in range(words)])
+    queue = _Queue(full, jnp.zeros_like(full), jnp.zeros_like(todo))
+    table = _Table(scratch.faces, scratch.names, size)
+    begin = jnp.broadcast_to(share.begins[:, None], (len(share.begins), grid.tiles)).reshape(-1)
+    x, y = (jnp.asarray(part, best[0].dtype) for part in (grid.x, grid.y))
+    together = jax.lax.while_loop(
+        lambda t: jnp.sum(todo > t) > TOGETHER_FRACTION * lanes, lambda t: t + 1, jnp.int32(0)
+    )
+    queue, best = _draw(together, table, begin, tile_words, queue, best, x[None], y[None])
+    return _draw_busiest(jnp.maximum(todo - together, 0), table, begin, tile_words, queue, best, (x, y))
+
+
+def _draw_busiest(
+    todo: Int[Array, " tiles"],
+    table: _Table,
+    begin: Int[Array, " tiles"],
+    tile_words: UInt[Array, "words tiles"],
+    queue: _Queue,
+    best: Hits,
+    pixels: tuple[Array, Array],
+) -> Hits:
+    """Draw what is left of the tiles, the busiest first, in shares that are each run to their end."""
+    poses, tiles = best[0].shape[:2]
+    lanes = poses * tiles
+    shares = NUM_SHARES if poses >= NUM_SHARES else 1
+    share = max(1, lanes // 4 // shares)
+
+    def draw_share(amount: Array, busy: Array, k: Array, best: Hits) -> Hits:
+        those = dynamic_slice(busy, (k * share,), (share,))
+        take = partial(jax.tree.map, lambda a: a.at[those].get(mode="promise_in_bounds"))
+        words = tile_words.at[:, those].get(mode="promise_in_bounds")
+        trips = amount[k * share].astype(jnp.int32)
+        across, down = (part[those % tiles] for part in pixels)
+        _, drawn = _draw(trips, table, take(begin), words, take(queue), take(best), across, down)
+        store = partial(jax.tree.map, lambda a, b: a.at[those].set(b, mode="promise_in_bounds", unique_indices=True))
+        return store(best, drawn)
+
+    def finish(_: Array, carry: tuple[Hits, Array]) -> tuple[Hits, Array]:
+        best, todo = carry
+        amount, busy = jax.lax.top_k(todo.astype(jnp.float32), share * shares)
+        best = jax.lax.fori_loop(0, -(-jnp.sum(amount > 0) // share), partial(draw_share, amount, busy), best)
+        return best, todo.at[busy].set(0, mode="promise_in_bounds", unique_indices=True)
+
+    turns = -(-jnp.sum(todo > 0) // (share * shares))
+    flat = jax.tree.map(lambda part: part.reshape(lanes, -1), best)
+    flat, _ = jax.lax.fori_loop(0, turns, finish, (flat, todo))
+    return jax.tree.map(lambda part, like: part.reshape(like.shape), flat, best)
+
+
+def place_boxes(box: Sequence[Array] | Array, view: ToolView) -> tuple[list[Array], list[Array]]:
+    """Centres and half extents (three arrays each) in the tool frame of boxes, given as six arrays of such."""
+    stretch: list[Any] = [sum(jnp.abs(view.linear[i, j]) * box[3 + j] for j in range(3)) for i in range(3)]
+    return to_tool(box[:3], view), stretch
+
+
+def broadcast_view(view: ToolView, axes: int) -> ToolView:
+    """The view of poses on the first of `axes` + 1 axes."""
+    return jax.tree.map(lambda part: part.reshape(*part.shape, *(1,) * axes), view)
+
+
+def empty_buffers(poses: int, grid: PixelGrid, dtype: DTypeLike, with_faces: bool) -> Hits:
+    """Hits before anything is drawn: heights (p, tiles, pixels) and, if asked for, faces."""
+    heights = jnp.full((poses, *grid.x.shape), jnp.inf, dtype)
+    return (heights, jnp.zeros(heights.shape, jnp.int32)) if with_faces else (heights,)
+
+
+def to_tool(point: Sequence[Array] | Array, view: ToolView) -> list[Array]:
+    """Coordinates (three arrays) in the tool frame; the origin is subtracted first, where it costs no digits."""
+    local = [point[j] - view.origin[j] for j in range(3)]
+    return [sum((view.linear[i, j] * local[j] for j in range(3)), view.offset[i]) for i in range(3)]
+
+
+def _draw(
+    trips: Int[Array, ""],
+    table: _Table,
+    begin: Int[Array, " tiles"],
+    words: UInt[Array, "words tiles"],
+    queue: _Queue,
+    best: Hits,
+    x: Array,
+    y: Array,
+) -> tuple[_Queue, Hits]:
     """Pop `trips` clusters from each tile's queue and keep the nearest hits.
 
     `begin` is where the pose's clusters begin in the table. Tiles are one axis, or a pose's tiles on the last of two.
@@ -251,7 +377,7 @@ def _draw(trips, table: _Table, begin, words, queue: _Queue, best, x, y):
     shape = best[0].shape
     nothing, size = len(table.faces) - 1, table.size
 
-    def trip(_, carry):
+    def trip(_: Array, carry: tuple[_Queue, Hits]) -> tuple[_Queue, Hits]:
         (full, current, at), best = carry
         fresh = (current == 0) & (full != 0)
         at = jnp.where(fresh, lowest_set_bit(full), at)
@@ -269,7 +395,9 @@ def _draw(trips, table: _Table, begin, words, queue: _Queue, best, x, y):
     return jax.lax.fori_loop(0, trips, trip, (queue, best))
 
 
-def face_terms(corners, shown, half, axis, holds):
+def face_terms(
+    corners: Sequence[Array], shown: Bool[Array, "..."], half: float, axis: int, holds: Bool[Array, ""]
+) -> tuple[Array, ...]:
     """The numbers of faces in the tool frame: A, B and C of their edges, the slopes of their planes along x and y, and
     the heights of the plane at the origin and of the lowest corner.
 
@@ -281,7 +409,7 @@ def face_terms(corners, shown, half, axis, holds):
         [jax.lax.index_in_dim(part, k, axis, keepdims=False) for k in range(3)] for part in corners
     )
 
-    def measure(_):
+    def measure(_: Array) -> tuple[Array, Array]:
         area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
         solid = (jnp.abs(area) >= MIN_PROJECTED_AREA_M2) & (jnp.abs(area) < jnp.inf) & shown  # and a number
         return jnp.where(solid, jnp.sign(area), 0), 1 / jnp.where(solid, area, 1)
@@ -300,7 +428,7 @@ def face_terms(corners, shown, half, axis, holds):
     return A, B, C, slope_x, slope_y, base, minimum(minimum(za, zb), zc)
 
 
-def closer_hit(best, x, y, face, name):
+def closer_hit(best: Hits, x: Array, y: Array, face: Sequence[Array], name: Array) -> Hits:
     """The nearest hits so far and those of one face, of `TERMS` numbers, on the pixels at x and y."""
     A0, A1, A2, B0, B1, B2, C0, C1, C2, slope_x, slope_y, base, low = face
     height = maximum(slope_x * x + (slope_y * y + base), low)
@@ -311,7 +439,7 @@ def closer_hit(best, x, y, face, name):
     return (minimum(best[0], height),)
 
 
-def _spans(corners, grid):
+def _spans(corners: list[tuple[Array, ...]], grid: PixelGrid) -> UInt[Array, "rows faces"]:
     """Bits of the tiles that faces cross: for each row of tiles (rows, faces), the columns between the ends of the
     face in that strip.
     """

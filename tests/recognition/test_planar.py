@@ -6,19 +6,23 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
+from i2t.geometry import from_twist
 from i2t.recognition import belief, planar
-from i2t.recognition.belief import Measured
-from i2t.recognition.outcomes import Outcome
-from i2t.recognition.planar import Table
-from i2t.registration.patch import motion
+from i2t.recognition.belief import TouchObservation
+from i2t.recognition.outcomes import PredictedTouch
+from i2t.recognition.planar import PlanarGrid
 from i2t.types import TWIST_LEVER_M
 
-TABLE = Table(half=10e-3, reach=15e-3, step=2.5e-3, turns=24)
+TABLE = PlanarGrid(half=10e-3, reach=15e-3, step=2.5e-3, turns=24)
 LOADS, PAST, POSITION = (0.3, 0.9, 2.7), 20e-3, 0.1e-3
-LIKE = belief.likelihood(
-    np.random.default_rng(0).normal(size=(60, 15)), jnp.ones(15), jnp.float32(LOADS), PAST, POSITION
+LIKE = belief.fit_likelihood(
+    np.random.default_rng(0).normal(size=(60, 15)),
+    jnp.ones(15),
+    jnp.float32(LOADS),
+    overtravel=PAST,
+    position_std=POSITION,
 )
-LIKE = LIKE._replace(tactile=jnp.float32(0.0))  # only where presses end
+LIKE = LIKE._replace(tactile_weight=jnp.float32(0.0))  # only where presses end
 
 
 def standing(pose) -> np.ndarray:
@@ -28,23 +32,23 @@ def standing(pose) -> np.ndarray:
 
 
 def test_a_press_is_a_node_and_a_displacement():
-    nodes, (cells, _) = planar.nodes(TABLE), planar.places(TABLE)
+    nodes, (cells, _) = planar.node_poses(TABLE), planar.pose_cells(TABLE)
     rng = np.random.default_rng(1)
     which = rng.integers(len(cells), size=50)
     angle, radius = rng.uniform(0, 2 * np.pi, 50), TABLE.reach * np.sqrt(rng.random(50))
     site = np.stack([radius * np.cos(angle), radius * np.sin(angle)], -1)
-    node, beside = jax.vmap(lambda pose, at: planar.between(TABLE, pose, at))(
+    node, beside = jax.vmap(lambda pose, at: planar.nearest_node(TABLE, pose, at))(
         jnp.asarray(cells[which]), jnp.float32(site)
     )
     for i in range(50):
-        seen = np.linalg.inv(standing(cells[which[i]])) @ planar.straight_down(*site[i], 0.0, TABLE.height)
-        moved = np.linalg.inv(np.asarray(motion(beside[i]))) @ nodes[node[i]]
+        seen = np.linalg.inv(standing(cells[which[i]])) @ planar.vertical_press_pose(*site[i], 0.0, TABLE.height)
+        moved = np.linalg.inv(np.asarray(from_twist(beside[i]))) @ nodes[node[i]]
         np.testing.assert_allclose(moved, seen, atol=1e-6)  # turns and metres in float32
     assert np.abs(beside).max() <= TABLE.step / 2 * (1 + 1e-4)
 
 
 def test_cells_tile_the_table():
-    cells, places = planar.places(TABLE)
+    cells, places = planar.pose_cells(TABLE)
     assert len(np.unique(cells, axis=0)) == len(cells) == 8 * 8 * 24
     # Cells and what lies within them together have the variance of a uniform distribution over the square.
     np.testing.assert_allclose(cells[:, :2].var(0) + np.diag(places.covariance)[:2], (20e-3) ** 2 / 12, rtol=1e-4)
@@ -57,26 +61,26 @@ def hill(x, y, mirrored):
     return 20e-3 + 0.15 * x + 6e-3 * jnp.sin(x / 9e-3) * jnp.cos(y / 7e-3) + 5e-3 * jnp.sin((x + 2 * y) / 16e-3)
 
 
-def landscape(mirrored: bool) -> Outcome:
+def landscape(mirrored: bool) -> PredictedTouch:
     """Presses on a landscape at all nodes: the travel falls with the height, and with its slope as it is moved."""
-    at = jnp.asarray(planar.nodes(TABLE)[:, :2, 3])
+    at = jnp.asarray(planar.node_poses(TABLE)[:, :2, 3])
     height, (dx, dy) = hill(at[:, 0], at[:, 1], mirrored), jax.vmap(jax.grad(hill, (0, 1)), (0, 0, None))(
         at[:, 0], at[:, 1], mirrored
     )  # fmt: skip
     n, zero = len(at), jnp.zeros(len(at))
     around = (at[:, 0] * dy - at[:, 1] * dx) / TWIST_LEVER_M
     slope = jnp.stack([dx, dy, zero, zero, zero, around], -1)  # an object moved by x shows a place x before
-    return Outcome(jnp.ones(n, bool), TABLE.height - height, slope, jnp.zeros((n, 3)), jnp.zeros((n, 3, 15)),
+    return PredictedTouch(jnp.ones(n, bool), TABLE.height - height, slope, jnp.zeros((n, 3)), jnp.zeros((n, 3, 15)),
                    jnp.zeros((n, 3)))  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def both() -> Outcome:
+def both() -> PredictedTouch:
     return jax.tree.map(lambda *x: jnp.stack(x, 1), landscape(False), landscape(True))
 
 
 def test_landscapes_are_found_wherever_they_stand(both):
-    cells, places = planar.places(TABLE)
+    cells, places = planar.pose_cells(TABLE)
     cells = jnp.asarray(cells)
     rng = np.random.default_rng(2)
     touches, force = 15, 0.9
@@ -84,20 +88,21 @@ def test_landscapes_are_found_wherever_they_stand(both):
     @jax.jit
     def judge(start, site, measured):
         def step(now, touched):
-            return planar.update(now, touched[1], touched[0], cells, both, LIKE, TABLE), None
+            now = planar.update(now, touched[1], touched[0], cells=cells, predicted=both, likelihood=LIKE, grid=TABLE)
+            return now, None
 
         now, _ = jax.lax.scan(step, start, (site, measured))
-        return belief.posterior(now), planar.standing(now, cells, TABLE)
+        return belief.posterior(now), planar.most_probable_poses(now, cells, TABLE)
 
-    start = belief.begin(places, 2)
+    start = belief.init(places, 2, channels=15)
     off = []
     for episode in range(6):
         truth = episode % 2
         pose = rng.uniform(-1, 1, 3) * [TABLE.half, TABLE.half, np.pi]
         site = rng.uniform(-1, 1, (touches, 2)) * TABLE.reach / np.sqrt(2)
         seen = np.linalg.inv(standing(pose)) @ np.stack([*site.T, np.zeros(touches), np.ones(touches)])
-        advance = TABLE.height - np.asarray(hill(seen[0], seen[1], bool(truth))) + force / belief.STIFFNESS
-        measured = Measured(
+        advance = TABLE.height - np.asarray(hill(seen[0], seen[1], bool(truth))) + force / belief.ARM_STIFFNESS_N_PER_M
+        measured = TouchObservation(
             jnp.zeros((touches, 15)), jnp.full(touches, force), jnp.float32(advance), jnp.ones(touches, bool)
         )
         p, stood = judge(start, jnp.float32(site), measured)
@@ -105,7 +110,7 @@ def test_landscapes_are_found_wherever_they_stand(both):
         found = np.asarray(stood.pose[truth])
         around = (found[2] - pose[2] + np.pi) % (2 * np.pi) - np.pi
         off.append([*(found[:2] - pose[:2]), around])
-        near = planar.about(start, cells, jnp.float32(pose), jnp.float32([2e-3, 2e-3, 0.1]))
+        near = planar.condition_on_pose(start, cells, jnp.float32(pose), jnp.float32([2e-3, 2e-3, 0.1]))
         q, _ = judge(near, jnp.float32(site), measured)
         assert q[truth] > 0.99
     # Finer than the grid: 0.72 mm and 4.3 degrees are the standard deviations within a cell.
@@ -114,9 +119,11 @@ def test_landscapes_are_found_wherever_they_stand(both):
 
 
 def test_knowing_the_pose_keeps_the_prior_of_the_objects():
-    cells, places = planar.places(TABLE)
-    start = belief.begin(places, 3)
-    near = planar.about(start, jnp.asarray(cells), jnp.float32([3e-3, -4e-3, 1.0]), jnp.float32([1e-3, 1e-3, 0.1]))
+    cells, places = planar.pose_cells(TABLE)
+    start = belief.init(places, 3, channels=15)
+    near = planar.condition_on_pose(
+        start, jnp.asarray(cells), jnp.float32([3e-3, -4e-3, 1.0]), jnp.float32([1e-3, 1e-3, 0.1])
+    )
     np.testing.assert_allclose(logsumexp(near.log_weight, axis=1), np.log(1 / 3), atol=1e-5)
     best = cells[np.argmax(near.log_weight[0])]
     np.testing.assert_allclose(best[:2], [3e-3, -4e-3], atol=TABLE.step / 2 + 1e-7)

@@ -11,18 +11,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from experiments import refine_pose as experiment
+from experiments import refine as experiment
+from i2t.geometry import log
 from i2t.objects.catalogue import make_object
+from i2t.registration import levenberg_marquardt
 from i2t.registration.patch import (
     PatchRegistrationConfig,
-    init,
-    motion,
     observable_directions,
+    patch_problem,
     pose_information,
     refine_pose,
     refine_pose_multistart,
     resolvable_eigenvalue,
-    step,
+    scale_schedule,
 )
 from i2t.rendering.render import prepare_surface, render_patch
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, TWIST_LEVER_M, Patch
@@ -64,20 +65,7 @@ def repeated(patch: Patch, count: int = 4) -> Patch:
 
 
 def twist_between(T_a: np.ndarray, T_b: np.ndarray) -> np.ndarray:
-    return experiment.twists(np.linalg.inv(np.asarray(T_a, float)) @ np.asarray(T_b, float))
-
-
-def test_logarithm_undoes_small_and_large_motions():
-    for scale in (1e-6, 1e-3, 0.1):
-        v, w = np.random.default_rng(0).normal(size=(2, 3)) * scale
-        generator = np.zeros((4, 4))
-        generator[:3, :3] = np.cross(np.eye(3), w)
-        generator[:3, 3] = v
-        power = total = np.eye(4)
-        for k in range(1, 20):
-            power = power @ generator / k
-            total = total + power
-        np.testing.assert_allclose(experiment.twists(total), [*v, *(w * TWIST_LEVER_M)], rtol=1e-6, atol=1e-12)
+    return log(np.linalg.inv(np.asarray(T_a, float)) @ np.asarray(T_b, float)) * ([1.0] * 3 + [TWIST_LEVER_M] * 3)
 
 
 def test_gauss_newton_matrix_of_planes():
@@ -119,7 +107,7 @@ def test_pose_is_found_again_on_waves():
     least = np.asarray(ends.eigenvalues).min()
     assert least > 1e-3
     assert np.abs(twist_between(true, ends.T_w_t)).max() <= 1e-7 / least**0.5
-    assert (np.asarray(ends.steps) < HOW.steps).all()
+    assert (np.asarray(ends.steps) < HOW.max_steps).all()
 
 
 def test_outliers_do_not_pull():
@@ -133,7 +121,7 @@ def test_outliers_do_not_pull():
     # A residual of a millimetre and more weighs at most (1 + (1 mm / fine)^2)^-2 = 1e-4, so the pull of 5 % of them
     # with 1.5 mm moves the heights by 0.05 * 1e-4 * 1.5 mm = 8 nm, the few below a millimetre by up to 0.3 fine * 1 %.
     least = np.asarray(ends.eigenvalues).min()
-    assert np.abs(twist_between(true, ends.T_w_t)).max() <= 0.003 * HOW.fine / least**0.5
+    assert np.abs(twist_between(true, ends.T_w_t)).max() <= 0.003 * HOW.final_scale / least**0.5
 
 
 def test_what_cannot_be_told_is_left_alone():
@@ -162,17 +150,22 @@ def test_nothing_to_see_and_nowhere_to_start():
 
 
 def test_steps_never_raise_the_cost_of_a_scale():
-    how = PatchRegistrationConfig(coarse=0.5e-3, fine=0.5e-3)
+    config = PatchRegistrationConfig(initial_scale=0.5e-3, final_scale=0.5e-3)
     observed = look(WAVES, np.eye(4, dtype=np.float32))
-    advance = jax.jit(step, static_argnums=3)
-    state, costs = init(observed, jnp.asarray(off(5)[0]), how), []
+    problem, scale = patch_problem(WAVES, observed, config), jnp.float32(config.final_scale)
+    advance = jax.jit(lambda state: levenberg_marquardt.step(problem, state, scale, scale))
+    state, costs = levenberg_marquardt.init(problem, jnp.asarray(off(5)[0]), damping=0.1), []
     for _ in range(15):
-        state, info = advance(WAVES, observed, state, how)
+        state, info = advance(state)
         costs.append(float(info.cost))
-        assert info.scale == np.float32(how.fine)
     assert (np.diff(costs) <= 0).all()
-    assert state.tried == 15
-    np.testing.assert_allclose(state.T_w_t[:3, :3] @ state.T_w_t[:3, :3].T, np.eye(3), atol=1e-5)
+    assert state.steps == 15
+    np.testing.assert_allclose(state.x[:3, :3] @ state.x[:3, :3].T, np.eye(3), atol=1e-5)
+
+
+def test_the_scale_shrinks_to_the_final_one():
+    config = PatchRegistrationConfig(max_steps=5, initial_scale=1.0, final_scale=0.3, scale_factor=0.5)
+    np.testing.assert_allclose(scale_schedule(config), [1, 0.5, 0.3, 0.3, 0.3, 0.3], rtol=1e-6)
 
 
 def test_several_starts_find_what_one_may_miss():
@@ -180,16 +173,12 @@ def test_several_starts_find_what_one_may_miss():
     true = np.eye(4, dtype=np.float32)
     observed = look(WAVES, true)
     start = jnp.asarray(off(6, 4e-3, 6.0, 1)[0])
-    best = jax.jit(lambda key: refine_pose_multistart(key, WAVES, observed, start, 2.5e-3, np.radians(3.5)))(
-        jax.random.key(0)
-    )
+    best = jax.jit(
+        lambda key: refine_pose_multistart(
+            key, WAVES, observed, start, translation_std=2.5e-3, rotation_std=np.radians(3.5)
+        )
+    )(jax.random.key(0))
     assert np.abs(twist_between(true, best.T_w_t[None])).max() < 1e-5
-
-
-def test_motion_measures_rotations_at_the_lever():
-    T = np.asarray(motion(jnp.array([1e-3, 0, 0, 0, 0, 1e-4])))
-    assert T[0, 3] == np.float32(1e-3)
-    assert np.linalg.norm(T @ [0, TWIST_LEVER_M, 0, 1] - [1e-3, TWIST_LEVER_M, 0, 1]) == pytest.approx(1e-4, rel=1e-3)
 
 
 def test_the_experiment_in_small(tmp_path, capsys):

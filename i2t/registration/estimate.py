@@ -1,0 +1,15 @@
+"""What registration finds: an object's pose with its covariance."""
+
+from typing import NamedTuple
+
+from jaxtyping import Array, Float
+
+
+class PoseEstimate(NamedTuple):
+    """An object's pose, how well it is known, and how well it explains what was measured."""
+
+    T_w_o: Float[Array, "4 4"]
+    covariance: Float[Array, "6 6"]  # m^2, of the twist x (`i2t.geometry.from_twist`) in T_w_o exp(x), prior included
+    residual: Float[Array, " n"]  # m, of each touch or point
+    weight: Float[Array, " n"]  # of each, from 0 for an outlier to about 1
+    cost: Float[Array, ""]  # minus the logarithm of the posterior density, up to a constant
