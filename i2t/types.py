@@ -16,9 +16,6 @@ from jaxtyping import Float, Int
 
 Array: TypeAlias = Any  # a NumPy or a JAX array
 
-READINGS = 15  # 5 chips x (x, y, z)
-CHIPS = 5
-
 PATCH_PIXELS = 48
 PATCH_WINDOW = 17e-3  # m, edge of the square the paper cuts around the tool axis
 WIDE_PIXELS = 72

@@ -25,10 +25,10 @@ from i2t.hardware.clock import Clock
 from i2t.hardware.rig import Rig
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin import boards
-from i2t.types import READINGS, Array, ReturnCode
+from i2t.types import Array, ReturnCode
 
 WALL = 1.8e9  # Unix time at which simulated time begins
-GAIN = np.linspace(-9, 12, READINGS)  # uT/N
+GAIN = np.linspace(-9, 12, 15)  # uT/N
 
 
 class SettableClock:
@@ -97,7 +97,7 @@ def presses(sizes: Sizes) -> list[FaultRow]:
     rng, over, outside = np.random.default_rng(0), [], 0
     for number in range(sizes.presses):
         stiffness = float(np.exp(rng.uniform(np.log(1e3), np.log(10e3))))
-        procedure, _ = make_procedure(stiffness=stiffness, gain=np.zeros(READINGS), latency=rng.uniform(0, 0.06), seed=number)
+        procedure, _ = make_procedure(stiffness=stiffness, gain=np.zeros_like(GAIN), latency=rng.uniform(0, 0.06), seed=number)
         recorder = NullRecorder()
         touched = procedure.touch(site(number), recorder)
         outside += sum(not procedure.rig.limits.contains(place, 1e-6) for place in recorder.places)

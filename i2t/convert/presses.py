@@ -207,11 +207,10 @@ def _mesh_patches(
     import jax.numpy as jnp
     from jax import jit
 
-    from i2t.objects import catalogue
     from i2t.rendering import render
 
     try:
-        (_, mesh, _), report = catalogue.load_mesh(file, unit, table=False)
+        (_, mesh, _), report = load_mesh(file, unit, table=False)
     except (ValueError, OSError) as error:
         raise DataError(str(error)) from error
     notes.info(str(report))

@@ -68,7 +68,7 @@ class Dataset:
             "sessions": _counts(touches.session, self.sessions),
             "codes": {code.name.lower(): int(np.sum(touches.code == code)) for code in ReturnCode},
             "reading_uT": {axis: _statistics(by_axis[..., i].ravel()) for i, axis in enumerate(AXES)},
-            "reading_norm_uT": _statistics(np.linalg.norm(by_axis.reshape(len(self), -1), axis=1)),
+            "reading_norm_uT": _statistics(np.linalg.norm(by_axis.reshape(-1, self.board.num_readings), axis=1)),
             "force_N": _statistics(touches.force[finite["force"]].astype(np.float64)),
             "depth_m": _statistics(touches.depth[finite["depth"]].astype(np.float64)),
             "nearest_m": _statistics(touches.nearest[finite["nearest"]].astype(np.float64)),
@@ -122,7 +122,10 @@ def concatenate(datasets: Sequence[Dataset]) -> Dataset:
         ):
             both = f"{_geometry(first)} and of {_geometry(other)}"
             raise DataError(f"patches of {both} cannot be joined; convert them with one window and one reach")
-        if not all(np.allclose(a, b, rtol=0, atol=1e-6) for a, b in zip(first.board, other.board, strict=True)):
+        if not all(
+            a.shape == b.shape and np.allclose(a, b, rtol=0, atol=1e-6)
+            for a, b in zip(first.board, other.board, strict=True)
+        ):
             raise DataError("readings of different boards cannot be joined; keep them in separate data sets")
     names: dict[str, Any] = {
         kind: tuple(dict.fromkeys(name for d in datasets for name in getattr(d, kind)))

@@ -16,9 +16,9 @@ import tifffile
 import trimesh
 from helpers import authors_layout
 from helpers.authors_layout import AMBIENT, ReSkinData, write
+from helpers.random_touches import assert_equal, make
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from test_dataset import assert_equal, make
 
 from i2t.convert import npy
 from i2t.convert.commands import main
@@ -616,11 +616,12 @@ def test_damaged_archives_are_one_sentence(tmp_path, capsys, damage):
 READING_NAMES = [f"b{chip}{axis}_uT" for chip in range(5) for axis in "xyz"]
 
 
-def presses_table(path, n=6, ambient=False, more=None):
+def presses_table(path, n=6, ambient=False, more=None, chips=5):
+    names = [f"b{chip}{axis}_uT" for chip in range(chips) for axis in "xyz"]
     rng = np.random.default_rng(5)
     columns = {"x_mm": rng.uniform(-8, 8, n), "y_mm": rng.uniform(-8, 8, n), "depth_mm": rng.uniform(0, 2, n)}
-    columns |= {name: rng.normal(0, 50, n) for name in READING_NAMES}
-    columns |= {"a" + name[1:]: rng.normal(0, 50, n) for name in READING_NAMES if ambient}
+    columns |= {name: rng.normal(0, 50, n) for name in names}
+    columns |= {"a" + name[1:]: rng.normal(0, 50, n) for name in names if ambient}
     columns |= more or {}
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
@@ -645,6 +646,33 @@ def test_a_table_of_presses_comes_out_as_written(tmp_path, capsys):
     assert [dataset.pads[i] for i in touches.pad] == more["pad"]
     assert (dataset.objects, dataset.source) == (("sphere:4.0",), "real")
     assert "humidity" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("board", "chips"), [("grid-2x2", 4), ("grid-4x4", 16), ("grid-1x1", 1)])
+def test_a_table_of_any_board_comes_out_as_written(tmp_path, capsys, board, chips):
+    columns = presses_table(tmp_path / "table.csv", chips=chips, more={"session": list("aabbcc")})
+    options = ("--indenter", "sphere:4.0", "--board", board)
+    dataset = converted(tmp_path / "table.csv", tmp_path / "dst", *options, command="presses")
+    reading = np.column_stack([columns[f"b{chip}{axis}_uT"] for chip in range(chips) for axis in "xyz"])
+    np.testing.assert_allclose(dataset.touches.reading, reading, atol=UT)
+    assert dataset.board.chips.shape == (chips, 3)
+    assert dataset.sessions == ("a", "b", "c")
+    assert run("npz", tmp_path / "dst", tmp_path / "dst.npz") == 0
+    with np.load(tmp_path / "dst.npz", allow_pickle=False) as back:
+        np.testing.assert_array_equal(back["reading"], dataset.touches.reading)
+        np.testing.assert_array_equal(back["board_chips"], dataset.board.chips)
+    many = refused(capsys, "presses", tmp_path / "table.csv", tmp_path / "other", *options[:2], "--board", "grid-5x5")
+    assert "column b" in many
+    assert "is missing" in many
+
+
+def test_a_table_of_more_chips_than_the_board_has_is_refused(tmp_path, capsys):
+    presses_table(tmp_path / "table.csv", chips=6)
+    args = ("presses", tmp_path / "table.csv", tmp_path / "dst", "--indenter", "sphere:4")
+    assert "b5x_uT, b5y_uT, b5z_uT is of no chip of the board, which has 5; name it with --board" in refused(
+        capsys, *args
+    )
+    assert "--board five: Board 'five' is not known" in refused(capsys, *args, "--board", "five")
 
 
 def test_the_same_presses_come_out_the_same_from_two_layouts(tmp_path):
@@ -856,7 +884,7 @@ def test_nothing_is_overwritten_or_mixed_unasked(tmp_path, capsys):
 
 
 def test_the_module_runs_as_a_command():
-    command = [sys.executable, "-m", "i2t.convert.commands"]
+    command = [sys.executable, "-m", "i2t.convert"]
     helped = subprocess.run([*command, "--help"], cwd=ROOT, capture_output=True, text=True, check=True)
     assert "python -m i2t.convert presses TABLE.csv DATA --indenter sphere:4.0" in helped.stdout
     failed = subprocess.run([*command, "summary", "nowhere"], cwd=ROOT, capture_output=True, text=True, check=False)

@@ -18,8 +18,8 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from i2t.geometry import contact_frame, inverse
-from i2t.objects.catalogue import make_object, transform_mesh
-from i2t.objects.solids import Mesh, ball, box, mesh
+from i2t.objects import make_object, transform_mesh
+from i2t.objects.solids import Mesh, ball, box, mesh_from_solid
 from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.sites import SiteLimits, collect_sites, nearest_in_square, press_along, sample_points, sample_sites
@@ -194,7 +194,8 @@ def test_nearest_does_not_depend_on_the_world_frame(seed):
 # --- first contact ----------------------------------------------------------------------------------------------------
 
 RADIUS = 25e-3
-SPHERE = mesh(ball(25.0))  # its centre lies RADIUS above the table: the lowest corner of an octahedral sphere is a pole
+# Its centre lies RADIUS above the table: the lowest corner of an octahedral sphere is a pole
+SPHERE = mesh_from_solid(ball(25.0))
 CENTRE = np.array([0, 0, RADIUS])
 
 
@@ -240,7 +241,7 @@ def test_press_on_a_sphere_with_an_edge_and_with_a_corner_of_the_skin():
 
 
 def test_press_on_an_edge_and_on_a_corner():
-    cube = placed(mesh(box((30, 30, 30))), position=(0, 0, -15e-3))  # centred on the origin
+    cube = placed(mesh_from_solid(box((30, 30, 30))), position=(0, 0, -15e-3))  # centred on the origin
     on_edge = placed(cube, Rotation.from_euler("x", 45, degrees=True).as_matrix())
     diagonal = np.array([1, 1, 1]) / np.sqrt(3)
     turn = Rotation.align_vectors([[0, 0, 1]], [diagonal])[0].as_matrix()
@@ -342,7 +343,7 @@ def test_upward():
 def test_nothing_rises_above_the_contact_plane(height, aside, safe):
     plate = box((80, 80, 20), (0, 0, -10))
     post = box((2, 2, height + 1), (aside, 0, height / 2 - 0.5))
-    surface = prepare_surface(mesh(plate + post))
+    surface = prepare_surface(mesh_from_solid(plate + post))
     T = frame(jnp.array([0.0, 0.0, 20e-3]), jnp.array([0.0, 0.0, 1.0]), 0.0)
     assert bool(is_open(surface, T, SiteLimits())) is safe
 
@@ -504,3 +505,19 @@ def test_derivatives_agree_with_differences_of_exact_clipping():
         assert len(moved) == 1  # the nearest face alone
         assert empty // 2 <= moved[0] < faces + empty // 2
     assert compared > scenes / 2
+
+
+def test_touch_sites_of_a_mesh_are_safe_contacts_on_its_surface():
+    box = trimesh.creation.box((0.06, 0.05, 0.06))
+    box.apply_translation((0, 0, 0.03))
+    mesh = Mesh(np.asarray(box.vertices), np.asarray(box.faces))
+    sites = touch_sites.sample_touch_sites(mesh, 12, seed=4)
+    assert (sites.T_o_t.shape, sites.points.shape, sites.normals.shape) == ((12, 4, 4), (12, 3), (12, 3))
+    np.testing.assert_allclose(sites.points[:, 2], 0.06, atol=1e-6)  # sides look sideways and the bottom down
+    np.testing.assert_allclose(sites.normals, np.broadcast_to([0, 0, 1], (12, 3)), atol=1e-6)
+    np.testing.assert_allclose(sites.T_o_t[:, :3, 2], -sites.normals, atol=1e-6)
+    again = touch_sites.sample_touch_sites(prepare_surface(mesh), 12, seed=4)
+    np.testing.assert_array_equal(again.T_o_t, sites.T_o_t)
+    assert np.abs(touch_sites.sample_touch_sites(mesh, 12, seed=5).points - sites.points).max() > 1e-3
+    with pytest.raises(ValueError, match="the box has too few safe sites"):
+        touch_sites.sample_touch_sites(mesh, 2, limits=SiteLimits(min_cos=1.1), name="the box")

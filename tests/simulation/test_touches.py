@@ -11,9 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from helpers.field_types import wrong_fields
+from helpers.random_touches import assert_equal
 from scipy.spatial.transform import Rotation
 
 from i2t import geometry
+from i2t.dataset import Dataset, load_dataset, save_dataset
 from i2t.rendering.render import prepare_surface, render_heights
 from i2t.simulation import sites
 from i2t.simulation.press import PressLimits
@@ -25,6 +28,7 @@ from i2t.simulation.touches import (
     sample_session_errors,
     simulate_touches,
 )
+from i2t.skin.boards import make_board
 from i2t.skin.contact import Grid
 from i2t.skin.pad import sample_pad
 from i2t.types import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW, Pad, ReturnCode, Surface, Touches
@@ -308,3 +312,16 @@ def test_a_tip_alone_and_nothing_at_all():
     assert abs(patch.nearest - 1e-3) < ROUNDING
     assert (np.asarray(patch.depth) == 0).sum() == 4
     assert (np.asarray(patch.depth) == np.float32(REACH)).sum() == 48 * 48 - 4
+
+
+@pytest.mark.parametrize("name", ["grid-2x2", "grid-4x4"])
+def test_a_board_of_any_number_of_chips_is_touched_and_kept(solids, tmp_path, name):
+    board = make_board(name)
+    pad = sample_pad(jax.random.key(3), board=board)
+    made = simulate_touches(jax.random.key(1), solids[1:], pad, SimulationErrors(), 3, touches_per_session=3)
+    assert made.reading.shape == (3, board.num_readings)
+    assert wrong_fields(made) == []
+    dataset = Dataset(made, ("box",), ("pad",), ("session",), pad.board, "simulated")
+    assert_equal(load_dataset(save_dataset(tmp_path / "touches.h5", dataset)), dataset)
+    truth = np.asarray(made.truth.reading)
+    assert (np.linalg.norm(truth[made.code == ReturnCode.SKIN], axis=1) > 20).all()  # the limit is 25 uT, felt by all

@@ -1,0 +1,85 @@
+"""Touches of random contents, for what reads and writes them."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from i2t.dataset import Dataset, Image, Record, Series, missing_context
+from i2t.skin import boards
+from i2t.types import Touches, Truth
+
+
+def make(n, seed=0, truth=False, wide=False, objects=("star", "square", "hammer"), pixels=48, board="reskin"):
+    """Touches of random contents in every field."""
+    board = boards.make_board(board)
+    rng = np.random.default_rng(seed)
+
+    def poses():
+        T = np.tile(np.eye(4), (n, 1, 1))
+        T[:, :3, :3] = Rotation.random(n, rng).as_matrix() if n else T[:, :3, :3]
+        T[:, :3, 3] = rng.uniform(-0.5, 0.5, (n, 3))
+        return T
+
+    def sometimes(values):
+        return np.where(rng.random(n) < 0.3, np.nan, values)
+
+    touches = Touches(
+        patch=rng.uniform(0, 4e-3, (n, pixels, pixels)).clip(0, 3.9e-3),
+        wide=rng.uniform(0, 4e-3, (n, 72, 72)) if wide else missing_context(n),
+        nearest=sometimes(rng.normal(0, 1e-3, n)),
+        reading=rng.normal(0, 50, (n, board.num_readings)),
+        force=sometimes(rng.uniform(0, 8, n)),
+        depth=sometimes(rng.uniform(0, 1e-3, n)),
+        T_w_t=poses(),
+        T_w_o=poses(),
+        object=rng.integers(0, len(objects), n),
+        pad=rng.integers(0, 2, n),
+        session=rng.integers(0, 4, n),
+        code=rng.integers(-1, 5, n),
+        truth=Truth(
+            rng.uniform(0, 4e-3, (n, 72, 72)),
+            *(rng.normal(size=n) for _ in range(3)),
+            rng.normal(size=(n, board.num_readings)),
+        )
+        if truth
+        else None,
+    )
+    names = ("pad é", "pad b"), ("run 1", "run 2", "run 3", "run 4")
+    return Dataset(touches, objects, *names, board, "simulated", meta={"seed": str(seed)})
+
+
+def assert_equal(a, b):
+    """Two data sets agree in every field."""
+    assert (a.objects, a.pads, a.sessions, a.source, a.window, a.reach, dict(a.meta)) == (
+        b.objects,
+        b.pads,
+        b.sessions,
+        b.source,
+        b.window,
+        b.reach,
+        dict(b.meta),
+    )
+    for x, y in zip(a.board, b.board, strict=True):
+        np.testing.assert_array_equal(x, y)
+    assert (a.touches.truth is None) == (b.touches.truth is None)
+    for ours, theirs in ((a.touches[:-1], b.touches[:-1]), (a.touches.truth or (), b.touches.truth or ())):
+        for x, y in zip(ours, theirs, strict=True):
+            assert x.dtype == y.dtype
+            np.testing.assert_array_equal(x, y)
+
+
+def record(touch):
+    """What else may be recorded of one touch."""
+    rng = np.random.default_rng(7)
+    return Record(
+        touch,
+        images={
+            "depth": Image(rng.integers(0, 2**16, (48, 64), np.uint16), 1e-4, "m"),
+            "colour": Image(rng.integers(0, 256, (48, 64, 3), np.uint8)),
+        },
+        series={
+            "tactile": Series(1.7e9 + np.arange(800) / 400, rng.normal(size=(800, 15)), tuple("abcdefghijklmno"), "uT"),
+            "wrench": Series(np.zeros(0), np.zeros((0, 6)), tuple("uvwxyz"), "N, Nm"),
+        },
+        events=((1.7e9, "look"), (1.7e9 + 2.5, "contact: Berührung")),
+        counters={"dropped frames": 3},
+    )

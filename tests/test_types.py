@@ -1,0 +1,43 @@
+"""The central types: arrays are as their fields say, and a board has any number of chips."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.field_types import wrong_fields
+from helpers.random_touches import make
+
+from i2t.objects import catalogue
+from i2t.rendering.render import prepare_surface
+from i2t.skin.boards import make_board
+from i2t.skin.pad import nominal_pad
+from i2t.types import Patch
+
+
+@pytest.mark.parametrize("name", ["reskin", "grid-4x4"])
+def test_fields_are_as_annotated(name):
+    board = make_board(name)
+    pad = nominal_pad(board=board)
+    touches = make(3, truth=True, wide=True, board=name).touches
+    surface = prepare_surface(catalogue.make_object("star").mesh)
+    for value in (board, pad, touches, surface, Patch(np.zeros((48, 48), np.float32), np.float32(0))):
+        assert wrong_fields(value) == []
+    pads = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), pad)
+    assert wrong_fields(pads) == []  # a batch has a leading axis
+
+
+def test_a_wrong_field_is_found():
+    touches = make(3, truth=True).touches
+    assert wrong_fields(touches._replace(force=np.zeros(2, np.float32))) == ["force"]
+    assert wrong_fields(touches._replace(code=np.zeros(3, np.float32))) == ["code"]
+    assert wrong_fields(touches._replace(truth=touches.truth._replace(wide=np.zeros((3, 72, 71))))) == ["truth.wide"]
+    assert wrong_fields(nominal_pad()._replace(young=3)) == ["young"]
+
+
+def test_importing_the_types_imports_no_jax():
+    code = "import sys, i2t.types; sys.exit('jax' in sys.modules or 'jaxlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[1], check=False).returncode == 0
