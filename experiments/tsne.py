@@ -1,11 +1,11 @@
-"""Question: do views and readings of the same touches sort themselves alike, so that one can be learnt from the other?
+"""Question: do views and readings of the same touches sort themselves alike, so that one can be learned from the other?
 
     python -m experiments.tsne                       the paper's 1630 touches, simulated
     python -m experiments.tsne --dataset DIR         recorded or converted touches
     python -m experiments.tsne --preset debug        the same in seconds, too small to mean anything
 
 The paper's figure: t-SNE of the processed depth patches (contact masks) and their five-means, with the mean patch and
-the mean tactile picture of each cluster and an example from it. Beside it the numbers that a picture cannot give: how
+the mean tactile picture of each cluster and an example from it. Next to it the numbers that a picture cannot give: how
 stable clusters and map are from seed to seed, and how far the neighbourhoods and the geometry of views and of readings
 agree, against touches paired anew (within objects, too: knowing the object is no agreement of views and readings). The
 same for the five-dimensional bottleneck of the paper's network, trained on the readings of two objects and asked about
@@ -116,8 +116,8 @@ def run(args: Args) -> dict[str, Any]:
         "view": args.kind,
         "seconds": round(seconds, 1),
         "cluster_sizes": np.bincount(touch_map.label).tolist(),
-        "rand_index": {"seeds": _spread(whole), "parts": _spread(parts)},
-        "map_neighbours_kept": _spread(np.array(kept)),
+        "rand_index": {"seeds": _mean_and_least(whole), "parts": _mean_and_least(parts)},
+        "map_neighbours_kept": _mean_and_least(np.array(kept)),
         "variance_kept": float(views.var(0).sum() / clusters.views(touches.patch, args.kind).var(0).sum()),
         "agreement": tests(views, felt, touches.object, plan, args.seed),
     }
@@ -163,7 +163,7 @@ def bottleneck(dataset: Dataset, plan: Plan, args: Args, felt: np.ndarray) -> di
     whole, parts = clusters.stability(latent, seeds=plan.seeds)
     return {
         "touches": int(rows.sum()),
-        "rand_index": {"seeds": _spread(whole), "parts": _spread(parts)},
+        "rand_index": {"seeds": _mean_and_least(whole), "parts": _mean_and_least(parts)},
         "agreement": tests(latent, felt[rows], dataset.touches.object[rows], plan, args.seed),
     }
 
@@ -208,7 +208,7 @@ def report(result: dict[str, Any]) -> None:
             print(f"  paired anew: {pairing:37}{cells}")
 
 
-def _spread(values: np.ndarray) -> list[float]:
+def _mean_and_least(values: np.ndarray) -> list[float]:
     """Mean and least."""
     return [float(values.mean()), float(values.min())] if len(values) else [float("nan")] * 2
 

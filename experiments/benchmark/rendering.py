@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import trimesh
 
-from experiments.benchmark.timing import MissingPeerError, Row, compare, in_turns
+from experiments.benchmark.timing import MissingPeerError, Row, compare, interleave
 from i2t.geometry import contact_frame
 from i2t.objects import catalogue
 from i2t.rendering.render import prepare_surface, render_patch
@@ -68,7 +68,7 @@ def contest(name: str, mesh: Any, batch: int, turns: int) -> list[Row]:
     contenders: dict[str, Callable[[], object]] = {"ours": lambda: jax.block_until_ready(render(surface, poses))}
     contenders |= {peer: lambda cast=cast: cast(rays_of(poses)) for peer, cast in casters.items()}  # type: ignore[misc]
     contenders["Open3D, rays given"] = lambda: casters["Open3D"](rays)
-    seconds = in_turns(contenders, turns, STEADY)
+    seconds = interleave(contenders, turns, STEADY)
     work = f"{name}, batch of {batch}"
     return [
         compare("rendering", work, seconds["ours"], peer, seconds[peer])._replace(unit="s a batch")

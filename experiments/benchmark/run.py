@@ -2,7 +2,7 @@
 
     python -m experiments.benchmark --sections training rendering skin policy [--out DIR]
 
-Every section times our work and its peer's in turns in one run, on the same machine with the same inputs, after
+Every section interleaves our work and its peer's in one run, on the same machine with the same inputs, after
 checking that both compute the same thing; the table gives the median of each and the median of the turns' ratios (above
 1: we are faster). Each section takes three to five minutes on a quiet machine of two cores; all but `policy`
 need the extra `bench`.

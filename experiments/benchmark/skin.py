@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.benchmark.timing import MissingPeerError, Row, compare, in_turns
+from experiments.benchmark.timing import MissingPeerError, Row, compare, interleave
 from i2t.skin.contact import TOLERANCE, solve
 from i2t.skin.elasticity import GRID, Grid
 from i2t.skin.pad import nominal_pad, press
@@ -63,7 +63,7 @@ def contest(pad: Pad, grid: Grid, shapes: list[str], setup: Skin, turns: int) ->
         "readings": lambda: jax.block_until_ready(reading(pad, heights, depths)),
         PEER: lambda: [system() for system in systems],
     }
-    seconds = in_turns(contenders, turns, setup.steady)
+    seconds = interleave(contenders, turns, setup.steady)
     theirs = [value / len(systems) for value in seconds[PEER]]
     return [
         compare("skin", f"{kind}: {work}", [value / setup.batch for value in seconds[kind]], PEER, theirs)._replace(
@@ -89,7 +89,7 @@ def dipoles(pad: Pad, setup: Skin, turns: int) -> list[Row]:
         str(count): partial(_finish, run, pad, heights, depths, _grid(count)) for count in setup.dipoles
     }
     contenders["contact"] = partial(_finish, contact, pad, heights, depths)
-    seconds = in_turns(contenders, turns, setup.steady)
+    seconds = interleave(contenders, turns, setup.steady)
     per_touch = {name: [value / setup.batch for value in values] for name, values in seconds.items()}
     return [
         compare(

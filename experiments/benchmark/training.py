@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.benchmark.timing import MissingPeerError, Row, compare, in_turns
+from experiments.benchmark.timing import MissingPeerError, Row, compare, interleave
 from i2t.prediction import training
 from i2t.prediction.model import Inputs, ModelConfig
 from i2t.prediction.training import Batch, TrainConfig, TrainState
@@ -48,7 +48,7 @@ def section(setup: Training, turns: int) -> list[Row]:
         "together": lambda: jax.block_until_ready(vmapped(states, batch, None, count)),
     }
     contenders |= {name: peer.epochs for name, peer in peers.items()}
-    seconds = {name: [s / setup.epochs for s in each] for name, each in in_turns(contenders, turns).items()}
+    seconds = {name: [s / setup.epochs for s in each] for name, each in interleave(contenders, turns).items()}
     best = min(peers, key=lambda name: statistics.median(seconds[name]))
     together_each, alone_each = ([s / setup.seeds for s in seconds[name]] for name in ("together", "alone"))
     what = f"epoch of {setup.touches} touches, minibatches of {setup.train.batch_size}"
@@ -122,5 +122,5 @@ def _random_touches(setup: Training) -> Batch:
     """Numbers of the right shapes: what a training costs does not depend on what it learns."""
     rng = np.random.default_rng(0)
     image = rng.random((setup.touches, setup.model.pixels, setup.model.pixels), np.float32)
-    target = rng.standard_normal((setup.touches, 15), np.float32)
+    target = rng.standard_normal((setup.touches, setup.model.readings), np.float32)
     return Batch(Inputs(jnp.asarray(image), jnp.zeros((setup.touches, 0))), jnp.asarray(target))

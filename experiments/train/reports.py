@@ -15,7 +15,18 @@ from i2t.prediction.metrics import Score, grouped_interval, score, student_inter
 def scored(
     truth: np.ndarray, mean: np.ndarray, groups: np.ndarray, noise: np.ndarray | None, std: np.ndarray | None
 ) -> dict[str, Any]:
-    """All scores of a method with the 95 % interval of R2 over groups, and how honest its spread is."""
+    """All scores of a method.
+
+    Args:
+        truth: (n, 3 chips) uT, of the test touches.
+        mean: Predicted, as `truth`.
+        groups: (n,) session or spatial block of each touch.
+        noise: (3 chips,) uT, the sensor's own, where it is known.
+        std: Predicted standard deviations, of a method that has them.
+
+    Returns:
+        The scores, the 95 % interval of R2 over groups, and the share of values within the predicted 90 %.
+    """
     values: dict[str, Any] = score(truth, mean, noise)._asdict()
     values["r2_interval"] = grouped_interval(lambda rows: score(truth[rows], mean[rows]).r2, groups)
     if std is not None:
@@ -39,11 +50,32 @@ def figures(
     out: Path, dataset: Dataset, split: Split, predicted: dict[str, np.ndarray], best: str,
     curves: dict[str, np.ndarray], noise: np.ndarray | None, metrics: dict[str, Any],
 ) -> None:  # fmt: skip
-    """All pictures of one run."""
+    """All pictures of one run, in the folder `out`."""
     simulated = dataset.source != "real"
+    truth = dataset.touches.reading[split.test]
+    _touches(out, dataset, split, predicted[best])
+    trained = {name: values for name, values in curves.items() if len(values)}
+    if trained:
+        figure = viz.plot_training_curves(trained, "Training", "squared error (standardised)", simulated)
+        viz.save_figure(figure, out / "training.png")
+    errors = {
+        name: np.sqrt(((predicted[name] - truth) ** 2).mean(0))
+        for name in ("mean reading", "k nearest patches", "paper's network, depth", best)
+        if name in predicted
+    }
+    figure = viz.plot_channel_errors(errors, noise, "Error per chip and axis on the test touches", simulated)
+    viz.save_figure(figure, out / "error_per_axis.png")
+    intervals = {name: (values["r2"], *values["r2_interval"]) for name, values in metrics["methods"].items()}
+    xlabel = "R² (95 % interval over groups)"
+    figure = viz.plot_intervals(intervals, "Explained variance on the test touches", xlabel, simulated)
+    viz.save_figure(figure, out / "scores.png")
+
+
+def _touches(out: Path, dataset: Dataset, split: Split, predicted: np.ndarray) -> None:
+    """Pictures of test touches with a typical, a small and a large error."""
     truth, patches = dataset.touches.reading[split.test], dataset.touches.patch[split.test]
     kinds = dataset.touches.object[split.test]
-    error = np.linalg.norm(predicted[best] - truth, axis=1) / np.maximum(np.linalg.norm(truth, axis=1), 1e-9)
+    error = np.linalg.norm(predicted - truth, axis=1) / np.maximum(np.linalg.norm(truth, axis=1), 1e-9)
     order = np.argsort(error)
     middle = len(order) // 2
     shown = {
@@ -54,31 +86,11 @@ def figures(
     for title, rows in shown.items():
         labels = [f"{dataset.objects[kinds[i]]}\nerror {100 * error[i]:.0f} %" for i in rows]
         figure = viz.plot_predicted_touches(
-            patches[rows], {"measured": truth[rows], "predicted": predicted[best][rows]}, labels, dataset.board,
-            f"Unseen {'objects' if split.how == 'object' else 'touches'}, {title}", simulated,
+            patches[rows], {"measured": truth[rows], "predicted": predicted[rows]}, labels, dataset.board,
+            f"Unseen {'objects' if split.how == 'object' else 'touches'}, {title}", dataset.source != "real",
             window=dataset.window, reach=dataset.reach,
         )  # fmt: skip
         viz.save_figure(figure, out / f"touches_{title.split()[0]}.png")
-    if any(len(values) for values in curves.values()):
-        viz.save_figure(
-            viz.plot_training_curves(
-                {k: v for k, v in curves.items() if len(v)}, "Training", "squared error (standardised)", simulated
-            ),
-            out / "training.png",
-        )
-    drawn = {
-        name: np.sqrt(((predicted[name] - truth) ** 2).mean(0))
-        for name in ("mean reading", "k nearest patches", "paper's network, depth", best)
-        if name in predicted
-    }
-    viz.save_figure(
-        viz.plot_channel_errors(drawn, noise, "Error per chip and axis on the test touches", simulated),
-        out / "error_per_axis.png",
-    )
-    intervals = {name: (values["r2"], *values["r2_interval"]) for name, values in metrics["methods"].items()}
-    xlabel = "R² (95 % interval over groups)"
-    figure = viz.plot_intervals(intervals, "Explained variance on the test touches", xlabel, simulated)
-    viz.save_figure(figure, out / "scores.png")
 
 
 def summarise(parts: list[dict[str, Any]], out: Path) -> dict[str, Any]:

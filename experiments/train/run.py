@@ -162,7 +162,7 @@ def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: Pad | int | None, 
 def prepare_data(args: Args, cfg: TrainExperiment, seed: int, pad: Pad | int | None, out: Path) -> PreparedData:
     """Load or simulate touches, split them, and predict the contact pressure of each."""
     if args.dataset:
-        dataset = data.load(args.dataset)
+        dataset = data.load_dataset(args.dataset)
     else:
         dataset = simulated_dataset(cfg.simulation, 0 if pad is None else pad, out / "data.h5", seed=seed)
     split = split_dataset(dataset, cfg, args.split, seed)

@@ -29,7 +29,7 @@ def simulated_dataset(cfg: Simulation, pad: Pad | int, path: Path, *, seed: int)
         The data set, which says that it is simulated.
     """
     if path.exists():
-        return data.load(path)
+        return data.load_dataset(path)
     surfaces = [prepare_surface(catalogue.make_object(name).mesh) for name in cfg.objects]
     name = f"simulated pad {pad}" if isinstance(pad, int) else "pad on disk"
     pad = numbered_pad(pad) if isinstance(pad, int) else pad
@@ -47,5 +47,5 @@ def simulated_dataset(cfg: Simulation, pad: Pad | int, path: Path, *, seed: int)
         "simulated",
         meta={"made by": f"experiments.train, seed {seed}"},
     )
-    data.save(path, dataset)
+    data.save_dataset(path, dataset)
     return dataset

@@ -42,7 +42,7 @@ def test_training_section_against_pytorch(tmp_path: Path, capsys: pytest.Capture
 
 
 def test_policy_section_times_decisions() -> None:
-    tiny = Policy(objects=2, sites=3, places=4, imagined=2)
+    tiny = Policy(objects=2, sites=3, num_particles=4, imagined=2)
     rows = benchmark.main(Benchmark(sections=("policy",), turns=1, policy=tiny))
     assert [row.work for row in rows] == ["a decision, 2 objects, 3 sites", "a decision, 2 objects, 3 sites, cold"]
     assert all(row.ours > 0 for row in rows)
@@ -79,7 +79,7 @@ def test_rows_are_medians_over_turns() -> None:
 
 def test_every_contender_gets_every_turn_in_order() -> None:
     calls: list[str] = []
-    seconds = timing.in_turns({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 2)
+    seconds = timing.interleave({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 2)
     assert calls == ["a", "b"] * 3
     assert {name: len(each) for name, each in seconds.items()} == {"a": 2, "b": 2}
 
