@@ -55,6 +55,8 @@ class CollectArgs:
     """Address of the arm's controller."""
     port: str | None = None
     """Serial port of the skin; by default the one board that is plugged in."""
+    board: str = "reskin"
+    """Of a real or replayed skin: reskin, anyskin, or grid-RxC for R rows and C columns of chips."""
     replay: Path | None = None
     """Recording to play as the skin."""
     views: Path | None = None

@@ -166,11 +166,17 @@ def make_devices(config: DeviceConfig, rig: Rig, stack: ExitStack) -> Devices:
     arm = context.arm = make_arm(config.arm, context)
     skin = make_skin(config.skin, context)
     camera = make_camera(config.camera, context)
-    if isinstance(config.skin, SimulatedSkinConfig):
-        board = context.scene.board
-    else:
-        board = getattr(skin, "board", None) or boards.reskin_board()
-    return Devices(arm, skin, camera, context.clock, Board(*(np.asarray(part) for part in board)))
+    board = Board(*(np.asarray(part) for part in _board(config.skin, skin, context)))
+    return Devices(arm, skin, camera, context.clock, board)
+
+
+def _board(config: SkinConfig, skin: Skin, context: DeviceContext) -> Board:
+    """Where the chips of a skin are."""
+    if isinstance(config, SimulatedSkinConfig):
+        return context.scene.board
+    if isinstance(config, ReSkinConfig | ReplayConfig):
+        return boards.make_board(config.board)
+    return getattr(skin, "board", None) or boards.reskin_board()
 
 
 def source_of(devices: Devices) -> str:
@@ -269,14 +275,14 @@ def make_skin(config: SkinConfig, context: DeviceContext) -> Skin:
 def _(config: ReSkinConfig, context: DeviceContext) -> Skin:
     from i2t.hardware.reskin.driver import ReSkin
 
-    return ReSkin(config.port)
+    return ReSkin(config.port, chips=boards.make_board(config.board).num_chips)
 
 
 @make_skin.register
 def _(config: ReplayConfig, context: DeviceContext) -> Skin:
     from i2t.hardware.reskin.driver import Replay
 
-    return Replay(config.file)
+    return Replay(config.file, chips=boards.make_board(config.board).num_chips)
 
 
 @make_skin.register

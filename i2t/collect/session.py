@@ -228,6 +228,7 @@ def _resume(args: CollectArgs, name: str) -> tuple[dict[int, float], dict[str, A
         "object": name,
         "seed": args.seed,
         "devices": [args.arm, args.skin, args.camera],
+        "board": args.board,
         "pose": args.pose,
         "sites": vars(args.sites),
     }
@@ -239,6 +240,7 @@ def _resume(args: CollectArgs, name: str) -> tuple[dict[int, float], dict[str, A
         return {}, {**same, "session": session, "unreachable": {}}
     if "run" in notes:  # as earlier versions called it
         notes["session"] = notes.pop("run")
+    notes.setdefault("board", "reskin")  # earlier versions knew no other
     different = [key for key, value in same.items() if notes.get(key) != value]
     if different:
         raise DataError(
@@ -314,9 +316,9 @@ def _skin_config(args: CollectArgs) -> SkinConfig:
         case "emulated":
             return EmulatedSkinConfig(args.port)
         case "reskin":
-            return ReSkinConfig(args.port)
+            return ReSkinConfig(args.port, args.board)
         case "replay" if args.replay:
-            return ReplayConfig(args.replay)
+            return ReplayConfig(args.replay, args.board)
         case "replay":
             raise ValueError("a replay needs a recording; pass --replay FILE")
     return _plugin_config("skin", args.skin, args.port, "reskin, simulated, emulated, replay")

@@ -25,12 +25,16 @@ from i2t.geometry import inverse
 from i2t.hardware.limits import MotionLimits, format_position
 from i2t.types import RIGID, TWIST_LEVER_M, Array
 
-FOUND = ("given", "registration")  # how an object's pose is known
-HEAVIEST = 20.0  # kg, that a UR arm carries
-TOOL, ROOM = 0.5, 10.0  # m, the largest sensible tool and lab
-NEAREST, FARTHEST = 0.02, 2.0  # m, from which a camera may look
-ASKEW = math.radians(60)  # between the camera's axis and the tool's, beyond which it cannot see what is touched
-PLACED = np.repeat([1e-3, math.radians(1) * TWIST_LEVER_M], 3)  # m, standard deviations unless a rig says others
+OBJECT_SOURCES = ("given", "registration")  # how an object's pose is known
+MAX_PAYLOAD_KG = 20.0  # kg, that a UR arm carries
+MAX_TOOL_M, MAX_LAB_M = 0.5, 10.0  # the largest sensible tool and lab
+MIN_LOOKING_M, MAX_LOOKING_M = 0.02, 2.0  # from which a camera may look
+MAX_CAMERA_TILT_RAD = math.radians(
+    60
+)  # between the camera's axis and the tool's, beyond which it cannot see what is touched
+DEFAULT_OBJECT_STD_M = np.repeat(
+    [1e-3, math.radians(1) * TWIST_LEVER_M], 3
+)  # standard deviations unless a rig says others
 
 COMMENTS = {
     "tool": "the skin (T: origin at its centre, z out of it) on the flange, and what the flange carries (kg, m)",
@@ -49,7 +53,7 @@ def _pose(x: float, y: float, z: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """What is where and how far it may go. The defaults describe the stand-ins and the simulation, no lab.
+    """What is where and how far it may go. The defaults describe the emulators and the simulation, no lab.
 
     Raises ValueError, with one sentence that names the field, for values that cannot be.
     """
@@ -65,42 +69,39 @@ class Rig:
     object_from: str = "given"  # or registration: the pose is where registering its depth starts from
     limits: MotionLimits = field(default_factory=lambda: MotionLimits((0.25, -0.15, 0.005), (0.55, 0.15, 0.45)))
     object_covariance: Array = field(
-        default_factory=lambda: np.diag(PLACED) ** 2
+        default_factory=lambda: np.diag(DEFAULT_OBJECT_STD_M) ** 2
     )  # (6, 6) m^2 (`i2t.registration.touch`)
 
     def __post_init__(self) -> None:
         for name, far in (
-            ("T_flange_tool", TOOL),
-            ("T_tool_camera", TOOL),
-            ("T_world_base", ROOM),
-            ("T_world_object", ROOM),
+            ("T_flange_tool", MAX_TOOL_M),
+            ("T_tool_camera", MAX_TOOL_M),
+            ("T_world_base", MAX_LAB_M),
+            ("T_world_object", MAX_LAB_M),
         ):
             object.__setattr__(self, name, _rigid(_key(name), getattr(self, name), far))
         centre = _numbers("tool.centre", self.centre, (3,))
-        if np.abs(centre).max() > TOOL:
-            raise ValueError(f"tool.centre is {self.centre}; give x, y, z in m from the flange, each within {TOOL} m")
+        if np.abs(centre).max() > MAX_TOOL_M:
+            raise ValueError(
+                f"tool.centre is {self.centre}; give x, y, z in m from the flange, each within {MAX_TOOL_M} m"
+            )
         object.__setattr__(self, "centre", tuple(float(x) for x in centre))
         for name, least, most, unit in (
-            ("mass", 0.0, HEAVIEST, "kg"),
-            ("looking_distance", NEAREST, FARTHEST, "m"),
+            ("mass", 0.0, MAX_PAYLOAD_KG, "kg"),
+            ("looking_distance", MIN_LOOKING_M, MAX_LOOKING_M, "m"),
         ):
             value = float(_numbers(_key(name), getattr(self, name), ()))
             if not least <= value <= most:
                 raise ValueError(f"{_key(name)} is {value:g}; give {unit}, from {least:g} to {most:g}")
             object.__setattr__(self, name, value)
         object.__setattr__(self, "object_covariance", _covariance("world.object_covariance", self.object_covariance))
-        if self.object_from not in FOUND:
-            raise ValueError(f"world.object_from is {self.object_from!r}; give one of {', '.join(FOUND)}")
-        if self.T_tool_camera[2, 2] < math.cos(ASKEW):
+        if self.object_from not in OBJECT_SOURCES:
+            raise ValueError(f"world.object_from is {self.object_from!r}; give one of {', '.join(OBJECT_SOURCES)}")
+        if self.T_tool_camera[2, 2] < math.cos(MAX_CAMERA_TILT_RAD):
             raise ValueError(
                 "camera.T_tool_camera turns the camera's axis more than 60 degrees away from the tool's, so it cannot "
                 "see what is touched; its columns are the camera's axes in the tool, and it may be the inverse"
             )
-
-    @property
-    def T_tool_flange(self) -> Array:
-        """(4, 4) flange in tool."""
-        return inverse(self.T_flange_tool)
 
     @property
     def T_base_world(self) -> Array:
@@ -109,7 +110,18 @@ class Rig:
 
     @classmethod
     def read(cls, path: str | Path) -> "Rig":
-        """The rig in a file; raises ValueError or FileNotFoundError, each one sentence."""
+        """The rig in a file.
+
+        Args:
+            path: Of the TOML file.
+
+        Returns:
+            The rig.
+
+        Raises:
+            ValueError: What is wrong with the file, in one sentence.
+            FileNotFoundError: There is no such file.
+        """
         path = Path(path)
         try:
             tables = tomllib.loads(path.read_text("utf-8"))
@@ -132,7 +144,14 @@ class Rig:
             raise ValueError(f"{path}: {error}") from error
 
     def write(self, path: str | Path) -> None:
-        """Write it to a file, whole or not at all; raises OSError."""
+        """Write it to a file, whole or not at all.
+
+        Args:
+            path: Of the TOML file; one that is there is replaced.
+
+        Raises:
+            OSError: It cannot be written.
+        """
         path = Path(path)
         temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         try:
@@ -261,7 +280,7 @@ def _covariance(key: str, value: Any) -> Array:
         raise ValueError(f"{key} is not symmetric; copy it whole")
     if np.linalg.eigvalsh(matrix).min() < -RIGID * np.abs(matrix).max():
         raise ValueError(f"{key} has a negative variance; copy it whole")
-    if np.sqrt(np.diagonal(matrix).max()) > TOOL:
+    if np.sqrt(np.diagonal(matrix).max()) > MAX_TOOL_M:
         raise ValueError(f"{key} says {np.sqrt(np.diagonal(matrix).max()):g} m; give variances in m^2")
     matrix.flags.writeable = False
     return matrix
@@ -285,7 +304,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     parser = argparse.ArgumentParser("python -m i2t.hardware.rig", description=__doc__.split("\n\n")[0])
     parser.add_argument("file", type=Path, help="the lab's calibration")
-    parser.add_argument("--example", action="store_true", help="write that of the stand-ins, to start from")
+    parser.add_argument("--example", action="store_true", help="write that of the emulators, to start from")
     asked = parser.parse_args(arguments)
 
     def show() -> None:
@@ -299,7 +318,14 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def summary(rig: Rig) -> str:
-    """What a rig means, for a person to compare with what stands on the table."""
+    """What a rig means, for a person to compare with what stands on the table.
+
+    Args:
+        rig: The lab's calibration.
+
+    Returns:
+        Five lines.
+    """
     at, limits = (1e3 * rig.T_tool_camera[:3, 3]), rig.limits
     apart = math.degrees(math.acos(min(1.0, rig.T_tool_camera[2, 2])))
     sigma = np.sqrt(np.diagonal(rig.object_covariance))

@@ -43,7 +43,7 @@ def test_the_example_is_collected_with_by_its_classes_and_then_by_its_names(acme
     shared = ["--rig", str(rig), "--no-pose-error", *QUICK]
     assert command.main(["--out", str(tmp_path / "set"), "--touches", "2", *classes, *shared]) == 0
     assert "SIMULATED" in capsys.readouterr().out
-    made = dataset.load(tmp_path / "set")
+    made = dataset.load_dataset(tmp_path / "set")
     assert made.touches.reading.shape == (2, 12)
     assert made.source == "simulated"
     assert made.board.num_chips == 4

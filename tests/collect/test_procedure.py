@@ -193,6 +193,8 @@ def test_a_camera_that_is_unplugged_is_waited_for_and_then_a_person_is_asked():
 class Batches:
     """A skin that gives its samples ten at a time, one batch for each look."""
 
+    features = counters = connect = close = read = __enter__ = __exit__ = print  # never called
+
     def __init__(self, batches):
         self.batches, self.given = batches, 0
 

@@ -62,7 +62,6 @@ def test_the_example_is_the_default_and_frames_agree(tmp_path):
     rig = Rig.read(tmp_path / "lab.toml")
     same(rig, Rig())
     np.testing.assert_allclose(rig.T_base_world @ rig.T_world_base, np.eye(4), atol=1e-15)
-    np.testing.assert_allclose(rig.T_tool_flange @ rig.T_flange_tool, np.eye(4), atol=1e-15)
     assert rig.limits.contains((rig.T_base_world @ rig.T_world_object)[:3, 3] + [0, 0, 0.03])  # the object's top
     # Standing 40 mm off a surface the paper's camera looks from its looking distance.
     assert 0.04 - rig.T_tool_camera[2, 3] == pytest.approx(rig.looking_distance)

@@ -9,6 +9,7 @@ class ReSkinConfig:
     """A ReSkin or AnySkin board; see `i2t.hardware.reskin.driver.ReSkin`."""
 
     port: str | None = None  # by default the one board that is plugged in
+    board: str = "reskin"  # as `i2t.skin.boards.make_board` knows it
 
 
 @dataclass(frozen=True)
@@ -16,3 +17,4 @@ class ReplayConfig:
     """A recording in place of a board; see `i2t.hardware.reskin.driver.Replay`."""
 
     file: Path
+    board: str = "reskin"  # as `i2t.skin.boards.make_board` knows it
