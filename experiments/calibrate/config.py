@@ -20,7 +20,7 @@ class Preset:
     saved_presses: int = 1500  # in the calibration that is saved
 
 
-PRESETS = {
+PRESETS: dict[str, Preset] = {
     "full": Preset(),
     "short": Preset(counts=(5, 10, 20, 50, 100, 300)),
     "debug": Preset(2, (5, 20), generated_skins=16, pretraining_steps=50, scratch_steps=50),

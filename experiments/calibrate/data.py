@@ -51,7 +51,7 @@ class PressRecording:
         return np.unique(cell, axis=0, return_inverse=True)[1].ravel()
 
 
-class Split(NamedTuple):
+class PressSplit(NamedTuple):
     """Rows of a recording: what methods may learn from, and what they are tested on."""
 
     tests: dict[str, np.ndarray]  # predicted from the pool
@@ -96,7 +96,7 @@ def hold_out(
     return held, np.isin(block, chosen)
 
 
-def split_presses(held: np.ndarray, blocks: np.ndarray, usable: np.ndarray, block_mm: float) -> Split:
+def split_presses(held: np.ndarray, blocks: np.ndarray, usable: np.ndarray, block_mm: float) -> PressSplit:
     """What is tested and what may be learnt from; rows that are not `usable` are neither."""
     later = np.arange(len(held)) >= len(held) // 2
     tests = {
@@ -105,4 +105,4 @@ def split_presses(held: np.ndarray, blocks: np.ndarray, usable: np.ndarray, bloc
         f"blocks of {block_mm:g} mm": np.flatnonzero(blocks & usable),
     }
     pool = np.flatnonzero(~held & ~blocks & usable)
-    return Split(tests, pool, np.flatnonzero(held & later & usable), pool[later[pool]], pool[~later[pool]])
+    return PressSplit(tests, pool, np.flatnonzero(held & later & usable), pool[later[pool]], pool[~later[pool]])

@@ -6,7 +6,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from tqdm import tqdm
 
-from experiments.calibrate.data import SECOND_HALF, PressRecording, Split
+from experiments.calibrate.data import SECOND_HALF, PressRecording, PressSplit
 from experiments.calibrate.methods import (
     BEST,
     HEIGHT,
@@ -43,7 +43,9 @@ class Scores(NamedTuple):
     coverage: dict[str, Curves]
 
 
-def learning_curves(predictors: Predictors, split: Split, *, counts: Sequence[int], draws: int, seed: int) -> Scores:
+def learning_curves(
+    predictors: Predictors, split: PressSplit, *, counts: Sequence[int], draws: int, seed: int
+) -> Scores:
     """Scores of every method at every number of presses, a value for each draw."""
     tasks = (
         _draw_tasks(predictors, split, counts, (seed, draw)) for draw in tqdm(range(draws), desc="draws", unit="draw")
@@ -78,7 +80,7 @@ def explained(readings: np.ndarray, error: np.ndarray) -> float:
     return float(1 - error.sum() / ((readings - readings.mean(0)) ** 2).sum())
 
 
-def _draw_tasks(predictors: Predictors, split: Split, counts: Sequence[int], seed: tuple[int, int]) -> list[Task]:
+def _draw_tasks(predictors: Predictors, split: PressSplit, counts: Sequence[int], seed: tuple[int, int]) -> list[Task]:
     rng = np.random.default_rng(seed)
     order, later, past = (rng.permutation(rows) for rows in (split.pool, split.later_pool, split.earlier_pool))
     mean = _previous_mean(predictors, predictors.recording, past[: max(counts)])

@@ -30,7 +30,7 @@ from i2t.prediction.metrics import grouped_interval, student_interval
 from i2t.viz import style
 
 SESSION = {PREVIOUS_MEAN: "previous session as the mean", PREVIOUS_ALONE: "previous session alone"}
-STYLES = {
+STYLES: dict[str, tuple[str, str]] = {
     NEIGHBOURS: (style.GREY, "-"), PLAIN: (style.ORANGE, "-"), STRUCTURED: (style.BLUE, "-"),
     HEIGHT: (style.GREEN, "-"), SELECTED: (style.RED, ":"), PREVIOUS_MEAN: (style.BLUE, "-"),
     PREVIOUS_ALONE: (style.RED, "--"), PERIOD: (style.GREEN, ":"), SCRATCH: (style.GREY, "--"),

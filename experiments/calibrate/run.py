@@ -43,7 +43,7 @@ from i2t.calibration.model import hyperparameters_to_json
 from i2t.cli import renamed_flags
 from i2t.dataset import Dataset
 
-RENAMED_FLAGS = {"--earlier": "--previous-session"}
+RENAMED_FLAGS: dict[str, str] = {"--earlier": "--previous-session"}
 M_PER_MM = 1e-3
 
 

@@ -22,7 +22,7 @@ from i2t.calibration.model import hyperparameters_to_json
 from i2t.prediction.metrics import score
 
 GUESSED, FOUND, IN_USE = "guessed", "found", "in use"
-LABEL_WIDTH = 40
+PAD_LABEL_WIDTH = 40
 # What geometry suggests for a layer of a few mm: a chip feels what happens within twice the layer's thickness, and the
 # part that does not depend on the force is as large as the rest. The search for `FORCE_HYPERPARAMETERS` begins here.
 GUESS = FORCE_HYPERPARAMETERS._replace(
@@ -49,7 +49,11 @@ class Population:
     held_out_presses: int = 100  # of each pad
 
 
-PRESETS = {"full": Population(), "short": Population(6, 6), "debug": Population(2, 2, (10, 20), 20)}
+PRESETS: dict[str, Population] = {
+    "full": Population(),
+    "short": Population(6, 6),
+    "debug": Population(2, 2, (10, 20), 20),
+}
 
 
 def evaluate(cfg: Population, seed: int) -> dict[str, Any]:
@@ -86,7 +90,7 @@ def report(metrics: dict[str, Any], out: Any) -> None:
     for condition in metrics["r2"]:
         print(condition)
         for name, by_count in {**metrics["r2"][condition], **metrics["differences"][condition]}.items():
-            print(table_row(name, by_count, LABEL_WIDTH))
+            print(table_row(name, by_count, PAD_LABEL_WIDTH))
     print(f"\nresults are in {out}")
 
 

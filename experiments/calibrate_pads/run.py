@@ -37,7 +37,7 @@ from experiments.calibrate.evaluate import Curves
 from experiments.calibrate.methods import NEIGHBOURS, PLAIN, Predictors, fit, neighbours, predict, select
 from experiments.calibrate.report import draw_curves, summarise, table_row
 from experiments.calibrate_pads import population
-from experiments.calibrate_pads.simulate import TIP, board, press_pads
+from experiments.calibrate_pads.simulate import BALL_TIP, board, press_pads
 from experiments.common.runs import begin, reported, write_json
 from i2t.calibration import FORCE_HYPERPARAMETERS, Presses, baseline_network, physics, structured_gp
 from i2t.calibration.baseline_network import PressFeatures
@@ -49,14 +49,14 @@ from i2t.viz import style
 
 STRUCTURED, PRETRAINED = "structured GP", "network pretrained on random pads"
 NOMINAL, FITTED, RESIDUAL = "physics, median layer", "physics, fitted layer", "physics + structured GP"
-STYLES = {
+STYLES: dict[str, tuple[str, str]] = {
     NEIGHBOURS: (style.GREY, "-"), PLAIN: (style.ORANGE, "-"), STRUCTURED: (style.GREEN, "-"),
     PRETRAINED: ("#8b5fbf", "-"), NOMINAL: ("#7fb3d5", "-"), FITTED: (style.BLUE, "-"), RESIDUAL: (style.RED, "-"),
 }  # fmt: skip
-PRETRAINING_PRESSES = 60  # of each other pad
+OTHER_PAD_PRESSES = 60  # of each other pad
 # What physics leaves is noise for the most part; the presses select how much.
-RESIDUAL_NOISE = (100.0, {"noise_variance": (1e-3, 1e-2, 0.1)})
-LABEL_WIDTH = 40
+PHYSICS_RESIDUAL_NOISE = (100.0, {"noise_variance": (1e-3, 1e-2, 0.1)})
+PAD_LABEL_WIDTH = 40
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class PadsPreset:
     pretraining_steps: int = 3000
 
 
-PRESETS = {
+PRESETS: dict[str, PadsPreset] = {
     "full": PadsPreset(),
     "short": PadsPreset(4, (5, 20, 100), 200, 0),
     "debug": PadsPreset(1, (10, 20), 40, 4, 20),
@@ -111,7 +111,7 @@ def run(args: CalibratePadsArgs) -> dict[str, Any]:
     pads, presses, readings = press_pads(key_pads, cfg.pads, max(cfg.counts) + cfg.held_out_presses)
     network = None
     if cfg.other_pads:
-        _, *others = press_pads(key_others, cfg.other_pads, PRETRAINING_PRESSES)
+        _, *others = press_pads(key_others, cfg.other_pads, OTHER_PAD_PRESSES)
         steps, counts = cfg.pretraining_steps, (5, 10, 20, 50)
         network = baseline_network.pretrain(key_train, *others, steps=steps, counts=counts)[0]
 
@@ -136,7 +136,7 @@ def run(args: CalibratePadsArgs) -> dict[str, Any]:
     style.save_figure(figure(metrics), args.out / "curves.png")
     write_json(args.out / "metrics.json", metrics)
     for name, by_count in metrics["r2"].items():
-        print(table_row(name, by_count, LABEL_WIDTH))
+        print(table_row(name, by_count, PAD_LABEL_WIDTH))
     print(f"\nsimulated; results, the figure and the fitted pad are in {args.out}")
     return metrics
 
@@ -184,7 +184,7 @@ def score_methods(scores: PadScores, predictors: Predictors, pad: Pad, rows: np.
     true_map = np.asarray(pad.magnetization)
     wrong = np.sum((true_map - np.asarray(fitted.pad.magnetization)) ** 2)
     scores.map_r2.setdefault(FITTED, {}).setdefault(count, []).append(float(1 - wrong / np.sum(true_map**2)))
-    expected, std = physics.predict_pad(fitted, recording.presses(test), tip=TIP, by_force=True)
+    expected, std = physics.predict_pad(fitted, recording.presses(test), tip=BALL_TIP, by_force=True)
     inside = np.abs(truth - np.asarray(expected)) < structured_gp.STDS_WITHIN_90_PERCENT * np.asarray(std)
     scores.coverage.setdefault(FITTED, {}).setdefault(count, []).append(float(np.mean(inside)))
     return fitted
@@ -201,12 +201,12 @@ def predict_all(predictors: Predictors, rows: np.ndarray, test: np.ndarray) -> t
     }
     if predictors.pretrained_features is not None:
         predicted[PRETRAINED] = predictors.pretrained(rows, test)
-    nominal = physics.solve_map(prior.median, prior.std, at, y, tip=TIP, board=board(), by_force=True)
-    fitted = physics.fit_pad(at, y, tip=TIP, board=board(), by_force=True, prior=prior)
+    nominal = physics.solve_map(prior.median, prior.std, at, y, tip=BALL_TIP, board=board(), by_force=True)
+    fitted = physics.fit_pad(at, y, tip=BALL_TIP, board=board(), by_force=True, prior=prior)
     for name, one in ((NOMINAL, nominal), (FITTED, fitted)):
-        mean = physics.predict_pad(one, recording.presses(test), tip=TIP, by_force=True)[0]
+        mean = physics.predict_pad(one, recording.presses(test), tip=BALL_TIP, by_force=True)[0]
         predicted[name] = np.asarray(mean, np.float64)
-    left, (noise, factors) = y - fitted.leave_one_out, RESIDUAL_NOISE
+    left, (noise, factors) = y - fitted.leave_one_out, PHYSICS_RESIDUAL_NOISE
     candidates = structured_gp.hyperparameter_grid(FORCE_HYPERPARAMETERS._replace(noise_variance=noise), factors)
     rest = fit(select(candidates, recording, rows, np.asarray(left)), at, left, recording.chips)
     predicted[RESIDUAL] = predicted[FITTED] + np.asarray(predict(rest, recording.presses(test))[0], np.float64)

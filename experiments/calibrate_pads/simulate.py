@@ -12,11 +12,11 @@ from i2t.skin import boards, faults
 from i2t.skin.pad import press_force, sample_pad
 from i2t.types import Board, Pad
 
-TIP = RoundTip("sphere", 4e-3)
+BALL_TIP = RoundTip("sphere", 4e-3)
 HALF_EDGE_M = 8e-3  # of the square of positions
-FORCES_N = (0.2, 1.0)
+BALL_FORCES_N = (0.2, 1.0)
 FORCE_ERROR_N, POSITION_ERROR_M, NOISE_UT = 0.02, 0.05e-3, 1.5
-BATCH_PRESSES = 8
+PAD_PRESS_BATCH = 8
 
 
 def board() -> Board:
@@ -30,14 +30,16 @@ def press_pads(key: Key[Array, ""], count: int, n: int) -> tuple[Pad, Presses, F
     names = ("pads", "position", "force", "position error", "force error", "noise")
     keys = dict(zip(names, jax.random.split(key, len(names)), strict=True))
     position = jax.random.uniform(keys["position"], (count, n, 2), minval=-HALF_EDGE_M, maxval=HALF_EDGE_M)
-    force = jax.random.uniform(keys["force"], (count, n), minval=FORCES_N[0], maxval=FORCES_N[1])
+    force = jax.random.uniform(keys["force"], (count, n), minval=BALL_FORCES_N[0], maxval=BALL_FORCES_N[1])
     true_position = position + POSITION_ERROR_M * jax.random.normal(keys["position error"], position.shape)
     true_force = force + FORCE_ERROR_N * jax.random.normal(keys["force error"], force.shape)
 
     def skin(at: tuple[Array, Array, Array]) -> tuple[Pad, Array]:
         pad = sample_pad(at[0])
         return pad, jax.lax.map(
-            lambda press: press_force(pad, TIP.height(press[0]), press[1]).reading, at[1:], batch_size=BATCH_PRESSES
+            lambda press: press_force(pad, BALL_TIP.height(press[0]), press[1]).reading,
+            at[1:],
+            batch_size=PAD_PRESS_BATCH,
         )
 
     pads, readings = jax.lax.map(skin, (jax.random.split(keys["pads"], count), true_position, true_force))

@@ -8,7 +8,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Key
 
-from experiments.pads.simulate import FORCES_N, REACH_M, TIP, SkinSession
+from experiments.pads.simulate import PROBE_FORCES_N, PROBE_TIP, REACH_M, SkinSession
 from i2t.calibration import localize
 from i2t.calibration.localize import PressLibrary, WeightPosterior
 from i2t.calibration.physics import LayerParameters, PadFit, layer_prior
@@ -17,24 +17,24 @@ from i2t.prediction.metrics import nearest_neighbours
 from i2t.prediction.mlp import Layers
 from i2t.skin.boards import reskin_board
 
-LIBRARY_FORCES_N = np.linspace(*FORCES_N, 3)
-NOISE_STD_UT = 4.0  # of a reading of a pad that nothing is known of: sensor, faults and layer
+LIBRARY_FORCES_N = np.linspace(*PROBE_FORCES_N, 3)
+UNKNOWN_PAD_NOISE_UT = 4.0  # of a reading of a pad that nothing is known of: sensor, faults and layer
 RIGHT_M = 1e-3  # within which a press counts as located
 HIDDEN = (256, 256)
-BATCH_PRESSES = 128
-NEIGHBOURS = (1, 2, 3, 5, 8)
+MINIBATCH_PRESSES = 128
+NEIGHBOUR_COUNTS = (1, 2, 3, 5, 8)
 
 
 def press_library(layer: LayerParameters, spacing: float, refinement: int = 2) -> PressLibrary:
     """What presses on a layer over the nominal board would read."""
     return localize.make_press_library(
-        layer, reskin_board(), TIP, reach=REACH_M, loads=LIBRARY_FORCES_N, spacing=spacing, refinement=refinement
+        layer, reskin_board(), PROBE_TIP, reach=REACH_M, loads=LIBRARY_FORCES_N, spacing=spacing, refinement=refinement
     )
 
 
 def by_unpressed_pad(library: PressLibrary, readings: Float[Array, "n c"]) -> Float[Array, "n 2"]:
     """Physics, on a pad that was never pressed."""
-    return localize.localize(library, localize.pad_prior_weights(library, NOISE_STD_UT), readings)[0]
+    return localize.localize(library, localize.pad_prior_weights(library, UNKNOWN_PAD_NOISE_UT), readings)[0]
 
 
 def by_unlabelled_presses(
@@ -42,7 +42,7 @@ def by_unlabelled_presses(
 ) -> Float[Array, "n 2"]:
     """Physics, on a pad with presses whose positions nobody noted; weights are fitted on a coarser library."""
     coarse = press_library(nominal_layer(), spacing, refinement=1)
-    weights = localize.fit_weights_without_positions(coarse, known, NOISE_STD_UT)
+    weights = localize.fit_weights_without_positions(coarse, known, UNKNOWN_PAD_NOISE_UT)
     return localize.localize(library, weights, readings)[0]
 
 
@@ -68,7 +68,7 @@ def by_neighbours(known: SkinSession, readings: Float[Array, "n c"]) -> np.ndarr
     def missed(k: int) -> float:
         return float(np.mean(np.linalg.norm(y[order[:, :k]].mean(axis=1) - y, axis=1) > RIGHT_M))
 
-    best = min((k for k in NEIGHBOURS if k < len(x)), key=missed)
+    best = min((k for k in NEIGHBOUR_COUNTS if k < len(x)), key=missed)
     return nearest_neighbours(x, y, np.asarray(readings), best)
 
 
@@ -78,7 +78,7 @@ def by_network(
     """Positions (m) by a network of two hidden layers, trained on known presses (AdamW, decayed)."""
     middle, scale = jnp.mean(known.reading, axis=0), jnp.std(known.reading, axis=0)
     x, y = (known.reading - middle[None]) / scale[None], known.position / REACH_M
-    layers = _train(key, x, y, max(1, epochs * len(x) // BATCH_PRESSES))
+    layers = _train(key, x, y, max(1, epochs * len(x) // MINIBATCH_PRESSES))
     return REACH_M * _positions(layers, (readings - middle[None]) / scale[None])
 
 
@@ -92,7 +92,7 @@ def _train(key: Key[Array, ""], x: Float[Array, "n c"], y: Float[Array, "n 2"], 
     optimizer = optax.adamw(optax.cosine_decay_schedule(1e-3, steps), weight_decay=1e-3)
 
     def loss(layers: Layers, key: Key[Array, ""]) -> Array:
-        rows = jax.random.randint(key, (BATCH_PRESSES,), 0, len(x))
+        rows = jax.random.randint(key, (MINIBATCH_PRESSES,), 0, len(x))
         return jnp.mean((_positions(layers, x[rows]) - y[rows]) ** 2)
 
     layers = mlp.init(key_weights, (x.shape[1], *HIDDEN, y.shape[1]))

@@ -32,14 +32,14 @@ from jaxtyping import Array, Key
 
 from experiments.common.runs import begin, reported, write_json
 from experiments.pads import methods
-from experiments.pads.simulate import TIP, SkinSession, press_skin, sample_skins
+from experiments.pads.simulate import PROBE_TIP, SkinSession, press_skin, sample_skins
 from i2t import viz
 from i2t.calibration.localize import GRID_SPACING_M
 from i2t.calibration.physics import fit_pad, solve_map
 from i2t.prediction.metrics import student_interval
 from i2t.skin.boards import reskin_board
 
-MAX_LAYER_PRESSES = 20  # that the layer is fitted to
+LAYER_FIT_PRESSES = 20  # that the layer is fitted to
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,10 @@ class LocalizationStudy:
     spacing: float = GRID_SPACING_M  # of the press library
 
 
-PRESETS = {"study": LocalizationStudy(), "debug": LocalizationStudy(2, (), 10, 10, 20, 3, 3.5e-3)}
+PRESETS: dict[str, LocalizationStudy] = {
+    "study": LocalizationStudy(),
+    "debug": LocalizationStudy(2, (), 10, 10, 20, 3, 3.5e-3),
+}
 DEFAULT_SKINS = {"study": 18, "debug": 2}
 
 
@@ -139,11 +142,11 @@ def by_labelled_presses(own: SkinSession, test: SkinSession, study: Localization
     """Positions by physics and by neighbours, from more and more presses; the layer is fitted to at most 20 of them."""
     located: dict[str, Array | np.ndarray] = {}
     fitted = None
-    pressed_by: dict[str, Any] = {"tip": TIP, "board": reskin_board(), "by_force": True}
+    pressed_by: dict[str, Any] = {"tip": PROBE_TIP, "board": reskin_board(), "by_force": True}
     for n in (*study.labelled, study.own_presses):
         some = own.rows(slice(n))
-        if fitted is None or n <= MAX_LAYER_PRESSES:
-            fitted = fit_pad(some.presses, some.reading, **pressed_by, max_layer_presses=MAX_LAYER_PRESSES)
+        if fitted is None or n <= LAYER_FIT_PRESSES:
+            fitted = fit_pad(some.presses, some.reading, **pressed_by, max_layer_presses=LAYER_FIT_PRESSES)
             library = methods.press_library(fitted.layer, study.spacing)
         else:
             fitted = solve_map(fitted.layer, fitted.layer_std, some.presses, some.reading, **pressed_by)

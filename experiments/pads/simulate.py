@@ -15,10 +15,10 @@ from i2t.skin.noise import Noise, add_sensor_noise
 from i2t.skin.pad import press_force, sample_pad
 from i2t.types import Pad
 
-TIP = RoundTip("sphere", 2.3e-3)
+PROBE_TIP = RoundTip("sphere", 2.3e-3)
 REACH_M = 7e-3  # of the positions along x and y
-FORCES_N = (0.6, 1.0)
-BATCH_PRESSES = 16
+PROBE_FORCES_N = (0.6, 1.0)
+PROBE_PRESS_BATCH = 16
 
 
 class SkinSession(NamedTuple):
@@ -60,9 +60,11 @@ def press_skin(key: Key[Array, ""], pad: Pad, n: int) -> SkinSession:
     """n presses, as a board in order records them."""
     key_position, key_force, key_faults, key_noise = jax.random.split(key, 4)
     position = jax.random.uniform(key_position, (n, 2), minval=-REACH_M, maxval=REACH_M)
-    force = jax.random.uniform(key_force, (n,), minval=FORCES_N[0], maxval=FORCES_N[1])
+    force = jax.random.uniform(key_force, (n,), minval=PROBE_FORCES_N[0], maxval=PROBE_FORCES_N[1])
     ideal = jax.lax.map(
-        lambda at: press_force(pad, TIP.height(at[0]), at[1]).reading, (position, force), batch_size=BATCH_PRESSES
+        lambda at: press_force(pad, PROBE_TIP.height(at[0]), at[1]).reading,
+        (position, force),
+        batch_size=PROBE_PRESS_BATCH,
     )
     upright = jnp.broadcast_to(jnp.eye(4), (n, 4, 4))
     felt = faults.apply(key_faults, ideal, upright, pad.board, Faults.typical())

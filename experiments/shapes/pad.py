@@ -30,10 +30,10 @@ LAYERS = [(thickness, compliance) for compliance in (1e-6, 0.25e-3) for thicknes
 LAYER_PRESSES = 48  # from which the layer is chosen
 NOISE_LEVELS_UT = (3.0, 5.0)  # of a reading, with what the layer cannot say
 MIN_RESIDUAL_STD_UT = 1.0
-MIN_FORCE_N = 0.05  # where a noisy wrench sensor says less
+MIN_MEASURED_FORCE_N = 0.05  # where a noisy wrench sensor says less
 HYSTERESIS_PRIOR_PRESSES = 8.0  # presses' worth of belief that a chip has none
 CHUNK_PRESSES = 64
-AXES = 3  # of a chip
+AXES_PER_CHIP = 3  # of a chip
 
 
 @dataclass(frozen=True)
@@ -86,11 +86,11 @@ def stamp_features(
         stamp = jax.tree.map(lambda leaf: leaf[index], drawn)
         face = heights(stamp, pose(position, rotation, stamp), PAD_WINDOW, grid.cells)[0]
         tip = StampTip(jnp.minimum(face - jnp.min(face), MAX_HEIGHT_M))
-        force = jnp.maximum(force, MIN_FORCE_N)
+        force = jnp.maximum(force, MIN_MEASURED_FORCE_N)
         design = physics.design_matrix(layer, board, tip, jnp.zeros(2), force, by_force=True, grid=grid)
         return physics.weight_features(layer, design[None], PAD_WINDOW)[0]
 
-    return jax.lax.map(one, (which, *poses), batch_size=physics.BATCH_PRESSES)
+    return jax.lax.map(one, (which, *poses), batch_size=physics.DESIGN_BATCH)
 
 
 class StampFeatures:
@@ -185,13 +185,13 @@ def fit_hysteresis(
     Returns:
         Shares by ridge regression of the residuals on the readings before.
     """
-    chips = before.shape[1] // AXES
+    chips = before.shape[1] // AXES_PER_CHIP
     kept = np.zeros((len(sessions), chips))
-    power = np.maximum((before**2).reshape(-1, chips, AXES).sum(2).mean(0), 1e-9)
+    power = np.maximum((before**2).reshape(-1, chips, AXES_PER_CHIP).sum(2).mean(0), 1e-9)
     for i, one in enumerate(sessions):
-        x, y = (values[session == one].reshape(-1, chips, AXES) for values in (before, residuals))
+        x, y = (values[session == one].reshape(-1, chips, AXES_PER_CHIP) for values in (before, residuals))
         kept[i] = (x * y).sum((0, 2)) / ((x**2).sum((0, 2)) + HYSTERESIS_PRIOR_PRESSES * power)
-    return np.repeat(kept, AXES, axis=1)
+    return np.repeat(kept, AXES_PER_CHIP, axis=1)
 
 
 def predict_reading(skin: FittedSkin, features: Float[np.ndarray, "*n c k"]) -> Float[np.ndarray, "*n c"]:

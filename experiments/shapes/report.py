@@ -9,7 +9,7 @@ from experiments.shapes.methods import METHODS, PAPER
 from i2t import viz
 from i2t.recognition.metrics import Estimate, student_interval, wilson_interval
 
-PUBLISHED = {"T": 0.91, "circle": 0.90, "angle": 0.90, "triangle": 0.95, "cross": 0.94, "total": 0.92}
+PUBLISHED_RATES = {"T": 0.91, "circle": 0.90, "angle": 0.90, "triangle": 0.95, "cross": 0.94, "total": 0.92}
 
 
 def summarise(
@@ -72,10 +72,10 @@ def report(result: dict[str, Any]) -> None:
     kind = "" if result["source"] == "real" else f" ({result['source']})"
     over = f"{len(result['pads'])} pads" if len(result["pads"]) > 1 else "one pad"
     names = result["shapes"]
-    published = all(name in PUBLISHED for name in names)
+    published = all(name in PUBLISHED_RATES for name in names)
     print(f"\nrandom fifths held out{kind}, {over} [95 %]\n{'':30}" + "".join(f"{n:>10}" for n in (*names, "total")))
     if published:
-        print(f"{'paper, one real skin':30}" + "".join(f"{PUBLISHED[name]:10.2f}" for name in (*names, "total")))
+        print(f"{'paper, one real skin':30}" + "".join(f"{PUBLISHED_RATES[name]:10.2f}" for name in (*names, "total")))
     for method, scored in result["splits"]["random"].items():
         each = "".join(f"{scored['by_shape'][name][0]:10.2f}" for name in names)
         print(f"{method:30}{each}  {_interval(scored['total'])}")

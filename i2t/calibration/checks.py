@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 MAX_SENSITIVITY_UT_PER_N = 500.0  # real boards show 78-122 with a plastic tip, 6-10 times more with one of steel
 MIN_PRESSES = 100  # for a lag and a change
 MIN_PAIRS = 40  # of neighbours, for a change
-AXES = 3  # of a chip
+AXES_PER_CHIP = 3  # of a chip
 
 
 class DataWarnings(NamedTuple):
@@ -91,7 +91,7 @@ def check_presses(
     per_force = np.linalg.norm(readings[firm], axis=1) / loads[firm] if by_force else np.array(np.nan)
     sensitivity = float(np.median(per_force))
     if np.sum(~repeated) < MIN_PRESSES:
-        return DataWarnings(repeated, 0, {}, float("nan"), False, (), sensitivity)
+        return DataWarnings(repeated, 0, {}, float("nan"), changed=False, sensitivity_ut_per_n=sensitivity)
 
     def shifted(lag: int) -> tuple[np.ndarray, np.ndarray]:
         """Labels and readings that belong together with this lag, repeated rows left out."""
@@ -103,9 +103,11 @@ def check_presses(
     lag = best if r2[best] > r2[0] + min_r2_gain else 0
     at, values = shifted(lag)
     ratio, changed = _change(at, values)
-    by_chip = np.split(values, values.shape[1] // AXES, axis=1)
+    by_chip = np.split(values, values.shape[1] // AXES_PER_CHIP, axis=1)
     alone = () if changed else tuple(i for i, chip in enumerate(by_chip) if _change(at, chip)[1])
-    return DataWarnings(repeated, lag, r2, ratio, changed, alone, sensitivity)
+    return DataWarnings(
+        repeated, lag, r2, ratio, changed=changed, changed_chips=alone, sensitivity_ut_per_n=sensitivity
+    )
 
 
 def _neighbours_r2(labels: np.ndarray, readings: np.ndarray, k: int = 4) -> float:

@@ -23,7 +23,7 @@ SOFTNESS_CELLS = 8  # along each edge of the map by which a skin's softness vari
 DEEP_PRESS_M = 2e-3  # at which a magnet right under the tip moves by about as much
 READING_RMS_UT = 50.0
 NOISE_SHARE = 0.03  # of a reading's root mean square
-BATCH_PRESSES = 25
+LATTICE_BATCH = 25
 _CORNERS = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
 
 
@@ -79,7 +79,7 @@ def sample_skin(
         moved = magnets.moved(still, translation, rotation)
         return (magnets.field(chips, moved, 24) - magnets.field(chips, still, 24)).ravel()
 
-    readings = jax.lax.map(lambda one: press(*one), (position, depth), batch_size=BATCH_PRESSES)
+    readings = jax.lax.map(lambda one: press(*one), (position, depth), batch_size=LATTICE_BATCH)
     return readings / jnp.sqrt(jnp.mean(readings**2))
 
 
@@ -127,7 +127,10 @@ def _sample_lattice(key: Key[Array, ""]) -> _Lattice:
     power, offset = between(1.0, 2.0), between(0.0, 3e-3)
     # A map over 20 mm, stretched to the skin.
     softness = 0.2 * smooth_random(next(keys), between(2e-3, 6e-3), SOFTNESS_CELLS)[..., 0]
-    return _Lattice(rest, above, signs, strengths, length, down, away, tilt, power, offset, softness)
+    return _Lattice(
+        rest=rest, above=above, signs=signs, strengths=strengths, length=length, down=down, away=away, tilt=tilt,
+        power=power, offset=offset, softness=softness,
+    )  # fmt: skip
 
 
 def _magnet_motion(lattice: _Lattice, at: Array, depth: Array, half_edge: float) -> tuple[Array, Array]:

@@ -30,7 +30,7 @@ from i2t.calibration.structured_gp import Presses
 from i2t.types import PAD_WINDOW, Board
 
 GRID_SPACING_M = 1e-3  # between computed positions; what lies between is interpolated by cubic splines
-BATCH_PRESSES = 64  # of a library at a time
+LIBRARY_BATCH = 64  # of a library at a time
 ANNEALING_FACTORS = (8.0, 5.0, 3.0, 2.0, 1.5, 1.2, 1.0, 1.0, 1.0)  # on the noise, one for each round
 
 
@@ -132,8 +132,8 @@ def log_likelihood(
         return -0.5 * jnp.sum(white**2, axis=-1) - level[:, None]
 
     m = len(library.features)
-    padded = jnp.pad(library.features, ((0, -m % BATCH_PRESSES), (0, 0), (0, 0)))
-    batches = padded.reshape(-1, BATCH_PRESSES, *padded.shape[1:])
+    padded = jnp.pad(library.features, ((0, -m % LIBRARY_BATCH), (0, 0), (0, 0)))
+    batches = padded.reshape(-1, LIBRARY_BATCH, *padded.shape[1:])
     return jax.lax.map(of_batch, batches).reshape(-1, len(readings))[:m].T
 
 

@@ -35,7 +35,7 @@ FILE_KIND = "i2t calibration"
 MAX_POSITION_M = 1.0
 MAX_LOAD = {"depth": 0.1, "force": 1e3}  # m, N
 LOAD_UNITS = {"depth": "m", "force": "N"}
-AXES = 3  # of a chip
+AXES_PER_CHIP = 3  # of a chip
 
 LoadKind: TypeAlias = Literal["depth", "force"]
 
@@ -154,7 +154,7 @@ def calibrate(
         raise ValueError(
             f"{np.sum(~np.isfinite(readings).all(1))} presses have readings that are not finite; drop them"
         )
-    if board is not None and readings.shape[1] != AXES * len(board.chips):
+    if board is not None and readings.shape[1] != AXES_PER_CHIP * len(board.chips):
         raise ValueError(
             f"readings of {readings.shape[1]} values are not those of a board with {len(board.chips)} chips; "
             "give the board that was pressed"
@@ -184,7 +184,7 @@ def load_calibration(path: Path | str) -> Calibration:
     gp, n = record.gp, len(record.gp.presses.load)
     whole = gp.weights.shape[0] == n and gp.cholesky.shape[-2:] == (n, n)
     groups, channels = len(gp.cholesky), gp.weights.shape[1]
-    if not whole or (groups != 1 and AXES * groups != channels) or about.get("load") not in MAX_LOAD:
+    if not whole or (groups != 1 and AXES_PER_CHIP * groups != channels) or about.get("load") not in MAX_LOAD:
         raise serialization.SerializationError(f"{path}: its parts do not fit each other; calibrate again")
     return Calibration(gp, record.interval_scaling, about["load"], about["about"])
 

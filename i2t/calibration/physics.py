@@ -53,11 +53,11 @@ LBFGS_STEPS = 25  # in each
 MAX_MOVE_STDS = 0.7  # how far each coordinate goes in one of them, in standard deviations of the prior
 CURVATURE_STEP_STDS = 0.05  # of the finite differences for the curvature
 FAILED_OBJECTIVE = 1e9  # what is minimised, where it cannot be computed
-BATCH_PRESSES = 8  # at a time, for the caches
+DESIGN_BATCH = 8  # at a time, for the caches
 MIN_FORCE_N = 1e-3
 GAIN_STD = 0.05  # of the chips' gains, as in `sample_pad`
 GAIN_ROUNDS = 3
-NOISE_STD_UT = 2.0  # prior median of a reading's noise
+NOISE_PRIOR_UT = 2.0  # prior median of a reading's noise
 MAGNETIZATION_STD = 0.7 * MAGNETIZATION_A_PER_M  # A/m, prior median: patches and the uniform part share the variance
 
 
@@ -153,7 +153,7 @@ def layer_prior(
         patch_strength=jnp.full(3, MAGNETIZATION_STD),
         uniform_strength=jnp.asarray(MAGNETIZATION_STD),
         patch_length=jnp.asarray(patch_length),
-        noise_std=jnp.asarray(NOISE_STD_UT),
+        noise_std=jnp.asarray(NOISE_PRIOR_UT),
     )
     std = LayerParameters(
         thickness=jnp.asarray(0.12),
@@ -332,7 +332,7 @@ def design_matrices(
     def one(press: Presses) -> Array:
         return design_matrix(layer, board, tip, press.position, press.load, by_force=by_force, grid=grid)
 
-    return jax.lax.map(one, presses, batch_size=BATCH_PRESSES)
+    return jax.lax.map(one, presses, batch_size=DESIGN_BATCH)
 
 
 def weight_features(layer: LayerParameters, designs: Float[Array, "n c 3 m m"], window: float) -> Float[Array, "n c k"]:
@@ -422,7 +422,7 @@ def fit_pad(
     prior = layer_prior() if prior is None else prior
     first = min(max_layer_presses, len(presses.load))
     some, known = jax.tree.map(lambda part: part[:first], presses), readings[:first]
-    pressed = _Pressed(some, known, tip, board, by_force, grid)
+    pressed = _Pressed(some, known, tip=tip, board=board, by_force=by_force, grid=grid)
     flat, unravel = ravel_pytree(jax.tree.map(jnp.zeros_like, prior.median))
     at, curvature = np.zeros(len(flat)), np.eye(len(flat))
     for _ in range(linearizations):

@@ -32,8 +32,8 @@ JITTER = 1e-5  # of the signal's variance: float32 factors of 1000 presses stay 
 HEIGHT_ROUNDS = 3  # fits, each with the heights that the one before found; more change nothing
 HEIGHT_ERROR_UNIT_LOADS = 5e-3  # standard deviation of what one press measures of its height, at least
 STDS_WITHIN_90_PERCENT = 1.645  # standard deviations of a normal error that hold nine in ten
-FOLDS = 10  # of cross-validation, up to MANY_PRESSES
-FOLDS_OF_MANY = 3  # beyond
+CONFORMAL_FOLDS = 10  # of cross-validation, up to MANY_PRESSES
+CONFORMAL_FOLDS_OF_MANY = 3  # beyond
 MANY_PRESSES = 300
 DEFAULT_INTERVAL_SCALING = 1.2  # on the development presses of the recording that DEPTH_HYPERPARAMETERS was found on
 DEFAULT_SCALING_PRESSES = 5.0  # presses' worth of belief in DEFAULT_INTERVAL_SCALING
@@ -335,7 +335,7 @@ def interval_scaling(
         A factor for each channel.
     """
     n = len(readings)
-    folds = min(FOLDS if n <= MANY_PRESSES else FOLDS_OF_MANY, n)
+    folds = min(CONFORMAL_FOLDS if n <= MANY_PRESSES else CONFORMAL_FOLDS_OF_MANY, n)
     if folds < 2:
         return jnp.ones(readings.shape[1])
 

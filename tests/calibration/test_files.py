@@ -1,9 +1,13 @@
-"""What a user holds: a calibration from arrays, on disk and back, and what is refused."""
+"""What a user holds: a calibration from arrays, on disk and back, any board, and what is refused."""
+
+from collections import namedtuple
 
 import numpy as np
 import pytest
 
-from i2t.calibration import Calibration, calibrate, load_calibration
+from i2t import serialization
+from i2t.calibration import Calibration, calibrate, check_presses, load_calibration
+from i2t.calibration.model import CalibrationRecord
 from i2t.errors import SerializationError
 from i2t.skin import boards
 from i2t.skin.files import load_pad
@@ -54,3 +58,57 @@ def test_what_cannot_be_is_refused(calibration):
         calibrate(POSITIONS, DEPTH, np.where(READINGS > 0, np.nan, READINGS), load_kind="depth")
     with pytest.raises(ValueError, match="do not belong together"):
         calibrate(POSITIONS[:4], DEPTH, READINGS, load_kind="depth")
+
+
+OLD_NAMES = {
+    "gp": "process", "interval_scaling": "widening", "hyperparameters": "hyper", "corrected_presses": "raised",
+    "chip_positions": "chips", "position": "place", "unit_load": "unit", "load_offset": "offset", "load_power": "power",
+    "map_length": "length", "map_variance": "steady", "bend_variance": "bend", "bend_load_width": "bend_width",
+    "static_variance": "standing", "constant_variance": "constant", "noise_variance": "noise", "height_std": "height",
+    "chip_reach": "reach", "far_amplitude": "floor", "lattice_period": "period", "height_load_width": "height_width",
+    "periodic_share": "repeating", "previous_session": "earlier",
+}  # fmt: skip
+
+
+def as_first_version(tree):
+    """The same arrays under the names of the first version's files."""
+    if not hasattr(tree, "_asdict"):
+        return tree
+    fields = {OLD_NAMES.get(name, name): as_first_version(value) for name, value in tree._asdict().items()}
+    return namedtuple("Old", fields)(**fields)
+
+
+def test_a_file_of_the_first_version_still_loads(tmp_path):
+    path = tmp_path / "old.npz"
+    fitted = calibrate(POSITIONS, 1e3 * DEPTH, READINGS, load_kind="force", board=boards.reskin_board())
+    record = CalibrationRecord(fitted.gp, fitted.interval_scaling)
+    serialization.save(path, "i2t calibration", as_first_version(record), {"load": "force", "about": {"skin": "old"}})
+    with np.load(path) as file:
+        names = set(file.files)
+    # As recorded from a file that the first version wrote.
+    assert {"process.cholesky", "process.raised.place", "process.hyper.steady", "process.chips", "widening"} <= names
+    again = load_calibration(path)
+    assert again.metadata == {"skin": "old"}
+    for a, b in zip(fitted.predict(POSITIONS, 1e3 * DEPTH), again.predict(POSITIONS, 1e3 * DEPTH), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-5)
+
+
+def test_a_skin_of_sixteen_chips_is_calibrated(tmp_path):
+    board = boards.grid_board(4, 4)
+    readings = np.tile(READINGS[:, :12], 4)
+    fitted = calibrate(POSITIONS, 1e3 * DEPTH, readings, load_kind="force", board=board)
+    fitted.save(tmp_path / "skin.npz")
+    again = load_calibration(tmp_path / "skin.npz")
+    mean, std = again.predict(POSITIONS, 1e3 * DEPTH)
+    assert mean.shape == std.shape == (30, 48)
+    assert again.gp.cholesky.shape == (16, 30, 30)
+    with pytest.raises(ValueError, match="16 chips"):
+        calibrate(POSITIONS, 1e3 * DEPTH, READINGS, load_kind="force", board=board)
+
+
+def test_data_warnings_name_any_chip():
+    rng = np.random.default_rng(2)
+    position, load = rng.uniform(-5e-3, 5e-3, (600, 2)), rng.uniform(1e-3, 4e-3, 600)
+    readings = 1e4 * np.tile(position[:, :1] * load[:, None], 48) * np.arange(1, 49) + 1e-3 * rng.normal(size=(600, 48))
+    readings[300:, 36:39] += 5 * readings.std(0)[36:39]
+    assert check_presses(position, load, readings).changed_chips == (12,)

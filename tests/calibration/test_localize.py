@@ -36,8 +36,9 @@ def _presses(library: PressLibrary, n: int, noise: float, seed: int = 1) -> tupl
     return rows, clean + noise * random.normal(size=clean.shape), weights
 
 
-def test_likelihood_is_the_normal_density():
-    library = _library()
+@pytest.mark.parametrize("channels", [15, 48])
+def test_likelihood_is_the_normal_density(channels):
+    library = _library(channels=channels)
     _, readings, _ = _presses(library, 5, 2.0)
     random = np.random.default_rng(4)
     root = np.tril(random.normal(size=(K, K))) + 3 * np.eye(K)
@@ -47,9 +48,9 @@ def test_likelihood_is_the_normal_density():
     found = localize.log_likelihood(library, weights, jnp.asarray(readings, jnp.float32))
     phi = np.asarray(library.features, float)
     for m in (0, 17, 120):  # of 121: the last batch is padded
-        covariance = phi[m] @ np.linalg.inv(root @ root.T) @ phi[m].T + 4 * np.eye(15)
+        covariance = phi[m] @ np.linalg.inv(root @ root.T) @ phi[m].T + 4 * np.eye(channels)
         normal = stats.multivariate_normal(phi[m] @ np.asarray(weights.mean, float), covariance)
-        expected = normal.logpdf(readings) + 7.5 * np.log(2 * np.pi)
+        expected = normal.logpdf(readings) + channels / 2 * np.log(2 * np.pi)
         np.testing.assert_allclose(found[:, m], expected, rtol=1e-3, atol=0.05)
 
 

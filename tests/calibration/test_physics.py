@@ -23,12 +23,19 @@ def simulated(seed: int, n: int) -> tuple:
     return pad, presses, read(*presses) + jnp.float32(rng.normal(size=(n, 15)))
 
 
-@pytest.mark.parametrize(("tip", "deep"), [(TIP, 0.5e-3), (RoundTip("cylinder", 2e-3), 0.2e-3)])
-def test_the_design_gives_what_the_simulator_reads(tip, deep):
+@pytest.mark.parametrize(
+    ("tip", "deep", "board"),
+    [
+        (TIP, 0.5e-3, BOARD),
+        (RoundTip("cylinder", 2e-3), 0.2e-3, BOARD),
+        (TIP, 0.5e-3, boards.grid_board(2, 2)),
+    ],
+)
+def test_the_design_gives_what_the_simulator_reads(tip, deep, board):
     rng = np.random.default_rng(0)
     weights = rng.normal(size=(3, physics.MODES, physics.MODES))
     waves = physics.cosine_basis()
-    pad = sample_pad(jax.random.key(1))
+    pad = sample_pad(jax.random.key(1), board=board)
     layer = physics.layer_prior().median._replace(
         thickness=pad.thickness,
         gap=-pad.board.chips[0, 2] - pad.thickness,
@@ -36,7 +43,8 @@ def test_the_design_gives_what_the_simulator_reads(tip, deep):
         mount_compliance=pad.mount_compliance,
     )
     pad = pad._replace(
-        magnetization=jnp.float32(1e3 * np.einsum("ia,jb,cab->ijc", waves, waves, weights)), gains=jnp.ones(15)
+        magnetization=jnp.float32(1e3 * np.einsum("ia,jb,cab->ijc", waves, waves, weights)),
+        gains=jnp.ones(3 * len(board.chips)),
     )
     place = jnp.float32([1e-3, -2e-3])
     expected = press(pad, tip.height(place, COARSE), deep, COARSE).reading
