@@ -1,8 +1,55 @@
-"""`python -m experiments.recognize --help`."""
+"""Which object is it, by touch?
 
+    python -m experiments.recognize                simulated episodes on a finished run of experiments.train
+    python -m experiments.recognize live           an arm, real or not, that touches where the belief wants it to
+
+Each has its own --help: python -m experiments.recognize simulate --help. Without a subcommand it simulates.
+"""
+
+import os
 import sys
+from collections.abc import Sequence
+from functools import partial
+from typing import Annotated
 
-from experiments.recognize.run import main
+# Factors of a few hundred rows are too small to share, as in experiments.train.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import tyro
+
+from experiments.common.runs import reported
+from experiments.recognize import live, run
+from i2t.cli import renamed_flags
+
+Command = (
+    Annotated[run.SimulateArgs, tyro.conf.subcommand("simulate", description=run.__doc__)]
+    | Annotated[live.LiveArgs, tyro.conf.subcommand("live", description=live.__doc__)]
+)
+RENAMED_FLAGS = {
+    "--live": "the subcommand live (python -m experiments.recognize live ...)",
+    "--run": "--trained-run",
+    "--sittings": "--episodes",
+    "--paper-sittings": "--paper-episodes",
+    "--there": "--true-object",
+    "--strange": "--prior-unknown",
+    "--decoys": "--num-surrogates",
+    "--touches": "--max-touches",
+    "--error": "--max-error-probability",
+    "--sites": "--num-sites",
+    "--places": "--num-particles",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    renamed_flags(words, RENAMED_FLAGS)
+    if words[:1] not in (["simulate"], ["live"], ["--help"], ["-h"]):
+        words = ["simulate", *words]
+    args = tyro.cli(Command, args=words, description=__doc__, prog="python -m experiments.recognize")
+    work = partial(live.run, args) if isinstance(args, live.LiveArgs) else partial(run.run, args)
+    return reported(work, args.out)
+
 
 if __name__ == "__main__":
     sys.exit(main())

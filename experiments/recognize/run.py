@@ -35,7 +35,7 @@ from experiments.recognize.config import PRESETS, PresetName, Recognition
 from experiments.recognize.trained_run import TrainedRun, finished_runs, load_meshes, meshes_by_name
 from i2t import dataset as data
 from i2t.hardware.rig import Rig
-from i2t.objects.catalogue import Mesh
+from i2t.objects import Mesh
 from i2t.recognition import belief
 from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import EpisodeConfig, episodes_from_dataset, run_belief, run_episodes

@@ -25,7 +25,7 @@ from i2t.recognition.site_pool import SitePool
 from i2t.rendering.ops import element
 from i2t.simulation import touches as simulation
 from i2t.simulation.press import PressLimits
-from i2t.simulation.touches import SimulationErrors, SessionErrors
+from i2t.simulation.touches import SessionErrors, SimulationErrors
 from i2t.types import Pad, ReturnCode, Surface, Touches
 
 BATCH_TOUCHES = 40  # simulated at a time
@@ -215,12 +215,22 @@ def _sample_sessions(key: Array, count: int, errors: SimulationErrors) -> Sessio
 
 @partial(jax.jit, static_argnames=("errors", "limits"))
 def _touch_many(
-    drawn: Array, surface: Surface, T: Array, sessions: SessionErrors, pad: Pad, errors: SimulationErrors, limits: PressLimits
+    drawn: Array,
+    surface: Surface,
+    T: Array,
+    sessions: SessionErrors,
+    pad: Pad,
+    errors: SimulationErrors,
+    limits: PressLimits,
 ) -> Touches:
     keys = jax.random.wrap_key_data(drawn)
-    made = jax.vmap(lambda key, T, run: simulation.simulate_touch(key, surface, jnp.eye(4), T, run, pad, errors, limits))(
-        keys, T, sessions
-    )
+
+    def one(key: Array, T: Array, session: SessionErrors) -> Touches:
+        return simulation.simulate_touch(
+            key, surface, jnp.eye(4), T, session=session, pad=pad, errors=errors, limits=limits
+        )
+
+    made = jax.vmap(one)(keys, T, sessions)
     blank = jnp.zeros((len(drawn), 0))
     return made._replace(patch=blank, wide=blank, truth=None)
 

@@ -1,11 +1,11 @@
 """Objects that stand anywhere on a table, turned in any way: a posterior over object and planar pose.
 
-A press straight down at a point of the table meets an object at some place of the object's own frame, seen from some
-direction. So what every object would feel like is imagined once for a grid of places and turns in its own frame
-(`nodes`), and serves every press on it wherever it stands. Poses are cells of a grid over the table with the same
-turns (`places`): a pose and a press lead to a node and to how far beside it the press is (`between`). The rest is
-`i2t.recognition.belief`: each cell carries a normal distribution of what the pose is still off by, and the offset from
-the node is one more such displacement, which the slope of the travel accounts for.
+A press straight down at a point of the table meets an object at some point of the object's own frame, from some
+direction. So touches of every object are predicted once for a grid of points and turns in its own frame
+(`node_poses`), and serve every press on it wherever it stands. Poses are cells of a grid over the table with the same
+turns (`pose_cells`): a pose and a press lead to the nearest node and to the displacement from it (`nearest_node`). The
+rest is `i2t.recognition.belief`: each cell carries a normal distribution of the remaining pose error, and the offset
+from the node is one more such displacement, which the Jacobian of the approach distance accounts for.
 
 Object frames stand on z = 0 with z up. Metres, radians; a pose is (x, y, turn) of the object in the world.
 """
@@ -20,14 +20,14 @@ from jax.scipy.special import logsumexp
 from jaxtyping import Array, Float, Int
 
 from i2t.recognition import belief
-from i2t.recognition.belief import Belief, Likelihood, Measured, Particles
-from i2t.recognition.outcomes import Outcome
+from i2t.recognition.belief import Belief, Likelihood, Particles, TouchObservation
+from i2t.recognition.outcomes import PredictedTouch
 from i2t.types import TWIST_LEVER_M
 
 
 @dataclass(frozen=True)
-class Table:
-    """Where objects may stand and presses go, and how finely both are told apart."""
+class PlanarGrid:
+    """Where objects may stand and presses go, and the resolution of both."""
 
     half: float = 20e-3  # m: objects stand within a square of +-half about the origin
     reach: float = 25e-3  # m: presses go to points at most so far from the origin
@@ -39,7 +39,7 @@ class Table:
     @property
     def extent(self) -> float:
         """How far (m) from an object's origin a press may be."""
-        return self.reach + np.sqrt(2) * self.half
+        return float(self.reach + np.sqrt(2) * self.half)
 
     @property
     def across(self) -> int:
@@ -47,99 +47,181 @@ class Table:
         return 2 * int(np.ceil(self.extent / self.step)) + 1
 
 
-def seen_from(pose: Float[Array, "3"], site: Float[Array, "2"]) -> Float[Array, "2"]:
-    """A point of the table in the frame of an object in a pose."""
+class PlanarPose(NamedTuple):
+    """Where an object stands, if it is the one that is there."""
+
+    pose: Float[Array, "*objects 3"]  # x, y, turn: mean over the most probable cell and those near it
+    share: Float[Array, "*objects"]  # probability of those cells
+
+
+def object_frame_pose(pose: Float[Array, "3"], site: Float[Array, "2"]) -> Float[Array, "2"]:
+    """A point of the table in the frame of an object.
+
+    Args:
+        pose: Of the object.
+        site: Point of the table (m).
+
+    Returns:
+        The point in the object's frame (m).
+    """
     c, s = jnp.cos(pose[2]), jnp.sin(pose[2])
-    apart = site - pose[:2]
-    return jnp.stack([c * apart[0] + s * apart[1], c * apart[1] - s * apart[0]])
+    offset = site - pose[:2]
+    return jnp.stack([c * offset[0] + s * offset[1], c * offset[1] - s * offset[0]])
 
 
-def straight_down(x: float, y: float, turn: float, height: float) -> Float[np.ndarray, "4 4"]:
-    """The tool over (x, y), its z axis down, its x axis turned from the world's."""
+def vertical_press_pose(x: float, y: float, turn: float, height: float) -> Float[np.ndarray, "4 4"]:
+    """The tool's pose for a press straight down.
+
+    Args:
+        x: Of the point under the tool (m).
+        y: Of the point under the tool (m).
+        turn: Of the tool's x axis from the world's (rad).
+        height: Of the tool over the table (m).
+
+    Returns:
+        T_w_site, its z axis down.
+    """
     c, s = np.cos(turn), np.sin(turn)
     return np.array([[c, s, 0, x], [s, -c, 0, y], [0, 0, -1, height], [0, 0, 0, 1]])
 
 
-def nodes(table: Table) -> Float[np.ndarray, "nodes 4 4"]:
-    """Sites T_o_site in an object's frame; turns vary slowest, then x, then y."""
-    at = table.step * (np.arange(table.across) - table.across // 2)
-    turn = 2 * np.pi * np.arange(table.turns) / table.turns
-    made = [straight_down(x, y, phi, table.height) for phi in turn for x in at for y in at]
-    return np.stack(made).astype(np.float32)
+def node_poses(grid: PlanarGrid) -> Float[np.ndarray, "nodes 4 4"]:
+    """The sites at which touches of every object are predicted.
 
+    Args:
+        grid: Of the table.
 
-def places(table: Table) -> tuple[Float[np.ndarray, "k 3"], Particles]:
-    """Poses in the middle of cells that tile the table, and how far off each may be."""
-    count = int(np.ceil(2 * table.half / table.step))
-    at = (np.arange(count) - (count - 1) / 2) * (2 * table.half / count)
-    turn = 2 * np.pi * np.arange(table.turns) / table.turns
-    pose = np.stack(np.meshgrid(at, at, turn, indexing="ij"), -1).reshape(-1, 3)
-    width = np.array([2 * table.half / count] * 2 + [TWIST_LEVER_M * 2 * np.pi / table.turns])
-    spread = np.zeros(6)
-    spread[[0, 1, 5]] = width / np.sqrt(12)  # of a uniform distribution
-    return pose.astype(np.float32), Particles(jnp.zeros((len(pose), 6)), jnp.diag(jnp.float32(spread**2)))
-
-
-def between(table: Table, pose: Float[Array, "3"], site: Float[Array, "2"]) -> tuple[Int[Array, ""], Float[Array, "6"]]:
-    """The node nearest to a press at a point of the table on an object in a pose that has one of the table's turns,
-    and the displacement of the object (m, a twist) that would bring the node to the press.
+    Returns:
+        T_o_site of every node; turns vary slowest, then x, then y.
     """
-    at = seen_from(pose, site)
-    cell = jnp.round(at / table.step)
-    i, j = cell.astype(int) + table.across // 2
-    turn = jnp.round(-pose[2] * table.turns / (2 * jnp.pi)).astype(int) % table.turns
-    beside = cell * table.step - at
-    return (turn * table.across + i) * table.across + j, jnp.zeros(6).at[:2].set(beside)
+    at = grid.step * (np.arange(grid.across) - grid.across // 2)
+    turn = 2 * np.pi * np.arange(grid.turns) / grid.turns
+    poses = [vertical_press_pose(x, y, phi, grid.height) for phi in turn for x in at for y in at]
+    return np.stack(poses).astype(np.float32)
+
+
+def pose_cells(grid: PlanarGrid) -> tuple[Float[np.ndarray, "k 3"], Particles]:
+    """The poses that an object may have: the centres of cells that tile the table.
+
+    Args:
+        grid: Of the table.
+
+    Returns:
+        Poses of the centres, and particles with the covariance of a uniform distribution over a cell.
+    """
+    count = int(np.ceil(2 * grid.half / grid.step))
+    at = (np.arange(count) - (count - 1) / 2) * (2 * grid.half / count)
+    turn = 2 * np.pi * np.arange(grid.turns) / grid.turns
+    pose = np.stack(np.meshgrid(at, at, turn, indexing="ij"), -1).reshape(-1, 3)
+    width = np.array([2 * grid.half / count] * 2 + [TWIST_LEVER_M * 2 * np.pi / grid.turns])
+    std = np.zeros(6)
+    std[[0, 1, 5]] = width / np.sqrt(12)  # of a uniform distribution
+    return pose.astype(np.float32), Particles(jnp.zeros((len(pose), 6)), jnp.diag(jnp.float32(std**2)))
+
+
+def nearest_node(
+    grid: PlanarGrid, pose: Float[Array, "3"], site: Float[Array, "2"]
+) -> tuple[Int[Array, ""], Float[Array, "6"]]:
+    """The node nearest to a press.
+
+    Args:
+        grid: Of the table.
+        pose: Of the object, with one of the grid's turns.
+        site: Point of the table that is pressed (m).
+
+    Returns:
+        Index of the node, and the displacement of the object (m, a twist) that would bring the node to the press.
+    """
+    at = object_frame_pose(pose, site)
+    cell = jnp.round(at / grid.step)
+    i, j = cell.astype(int) + grid.across // 2
+    turn = jnp.round(-pose[2] * grid.turns / (2 * jnp.pi)).astype(int) % grid.turns
+    offset = cell * grid.step - at
+    return (turn * grid.across + i) * grid.across + j, jnp.zeros(6).at[:2].set(offset)
 
 
 def update(
-    now: Belief,
-    measured: Measured,
+    state: Belief,
+    observation: TouchObservation,
     site: Float[Array, "2"],
-    pose: Float[Array, "k 3"],
-    imagined: Outcome,
-    like: Likelihood,
-    table: Table,
+    *,
+    cells: Float[Array, "k 3"],
+    predicted: PredictedTouch,
+    likelihood: Likelihood,
+    grid: PlanarGrid,
 ) -> Belief:
-    """The belief (objects, k) after a press at a point of the table; `imagined` is (nodes, objects)."""
-    like = like._replace(inflation=table.inflation * like.inflation)
-    node, beside = jax.vmap(lambda at: between(table, at, site))(pose)
-    rows = jax.tree.map(lambda x: jnp.swapaxes(x[node], 0, 1), imagined)
-    after = belief.update(now._replace(mean=now.mean + beside[None]), measured, rows, like)
-    return after._replace(mean=after.mean - beside[None])
+    """The belief after one more press.
+
+    Args:
+        state: The belief before, (objects, k).
+        observation: What was measured.
+        site: Point of the table that was pressed (m).
+        cells: Poses that the objects may have (`pose_cells`).
+        predicted: Touches at all nodes, (nodes, objects).
+        likelihood: How far measurements may be from predictions.
+        grid: Of the table.
+
+    Returns:
+        The belief with that press.
+    """
+    likelihood = likelihood._replace(inflation=grid.inflation * likelihood.inflation)
+    node, offset = jax.vmap(lambda pose: nearest_node(grid, pose, site))(cells)
+    rows = jax.tree.map(lambda x: jnp.swapaxes(x[node], 0, 1), predicted)
+    after = belief.update(state._replace(mean=state.mean + offset[None]), observation, rows, likelihood)
+    return after._replace(mean=after.mean - offset[None])
 
 
-class Standing(NamedTuple):
-    """Where an object stands, if it is the one."""
+def most_probable_poses(state: Belief, cells: Float[Array, "k 3"], grid: PlanarGrid, within: float = 2.5) -> PlanarPose:
+    """The most probable pose of each object.
 
-    pose: Float[Array, "3"]  # x, y, turn of the most probable cell and what belongs to it
-    share: Float[Array, ""]  # probability of that
+    Args:
+        state: The belief after some presses.
+        cells: Poses that the objects may have.
+        grid: Of the table.
+        within: Distance in cells and turns from the most probable cell up to which the mean is taken.
 
+    Returns:
+        Poses of the objects, and how probable they are.
+    """
+    turn = 2 * jnp.pi / grid.turns
 
-def standing(now: Belief, pose: Float[Array, "k 3"], table: Table, within: float = 2.5) -> Standing:
-    """Most probable pose of each object (objects,): the mean of what is believed within so many cells of the best."""
-    turn = 2 * jnp.pi / table.turns
-
-    def one(log_weight: Array, mean: Array) -> Standing:
+    def one(log_weight: Array, mean: Array) -> PlanarPose:
         share = jax.nn.softmax(log_weight)
-        best = pose[jnp.argmax(log_weight)]
-        off = pose - best[None]
-        around = (off[:, 2] + jnp.pi) % (2 * jnp.pi) - jnp.pi
-        near = (jnp.abs(off[:, :2]).max(1) < within * table.step) & (jnp.abs(around) < within * turn)
-        c, s = jnp.cos(pose[:, 2]), jnp.sin(pose[:, 2])
+        best = cells[jnp.argmax(log_weight)]
+        offset = cells - best[None]
+        around = _wrapped(offset[:, 2])
+        near = (jnp.abs(offset[:, :2]).max(1) < within * grid.step) & (jnp.abs(around) < within * turn)
+        c, s = jnp.cos(cells[:, 2]), jnp.sin(cells[:, 2])
         moved = jnp.stack([c * mean[:, 0] - s * mean[:, 1], s * mean[:, 0] + c * mean[:, 1]], -1)
-        at = jnp.concatenate([off[:, :2] + moved, (around + mean[:, 5] / TWIST_LEVER_M)[:, None]], -1)
+        at = jnp.concatenate([offset[:, :2] + moved, (around + mean[:, 5] / TWIST_LEVER_M)[:, None]], -1)
         weight = jnp.where(near, share, 0.0)
         total = jnp.sum(weight)
-        return Standing(best + jnp.sum(weight[:, None] * at, 0) / total, total)
+        return PlanarPose(best + jnp.sum(weight[:, None] * at, 0) / total, total)
 
-    return jax.vmap(one)(now.log_weight, now.mean)
+    return jax.vmap(one)(state.log_weight, state.mean)
 
 
-def about(now: Belief, pose: Float[Array, "k 3"], known: Float[Array, "3"], spread: Float[Array, "3"]) -> Belief:
-    """The belief if the pose were known up to a `spread` (m, m, rad): what not knowing it costs."""
-    off = pose - known[None]
-    off = off.at[:, 2].set((off[:, 2] + jnp.pi) % (2 * jnp.pi) - jnp.pi)
-    log = -0.5 * jnp.sum((off / spread[None]) ** 2, axis=1)
-    weight = logsumexp(now.log_weight, axis=1, keepdims=True) + (log - logsumexp(log))[None]
-    return now._replace(log_weight=weight)
+def condition_on_pose(
+    state: Belief, cells: Float[Array, "k 3"], known: Float[Array, "3"], std: Float[Array, "3"]
+) -> Belief:
+    """The belief if the pose were known: what not knowing it costs.
+
+    Args:
+        state: The belief.
+        cells: Poses that the objects may have.
+        known: The pose.
+        std: Standard deviations with which it is known (m, m, rad).
+
+    Returns:
+        The belief with the same probabilities of the objects, their particles about the pose.
+    """
+    offset = cells - known[None]
+    offset = offset.at[:, 2].set(_wrapped(offset[:, 2]))
+    log = -0.5 * jnp.sum((offset / std[None]) ** 2, axis=1)
+    weight = logsumexp(state.log_weight, axis=1, keepdims=True) + (log - logsumexp(log))[None]
+    return state._replace(log_weight=weight)
+
+
+def _wrapped(angle: Array) -> Array:
+    """The same angle (rad) between -pi and pi."""
+    return (angle + jnp.pi) % (2 * jnp.pi) - jnp.pi

@@ -1,74 +1,141 @@
-"""The next touch of many sittings at once: by what it is expected to tell, or by the paper's heuristic."""
+"""The next touch of many episodes at once: by what it is expected to tell, or by the paper's heuristic.
 
-from collections.abc import Sequence
-from functools import partial
+A site is chosen only among those that are safe on what may be there and that were not touched yet; an episode for which
+there is none gets `i2t.recognition.policy.NO_SITE` (-1), and whoever asked draws other candidates or stops.
+"""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t.recognition import belief, ensemble, policy
-from i2t.recognition.belief import Belief, Likelihood, Measured
-from i2t.recognition.episodes import Pool, telling
-from i2t.recognition.outcomes import Outcome
+from i2t.recognition.belief import Belief, Likelihood, TouchObservation
+from i2t.recognition.outcomes import PredictedTouch
+from i2t.recognition.policy import NO_SITE
+from i2t.recognition.site_pool import SitePool, own_site_informativeness
 from i2t.rendering.ops import element
-from i2t.simulation import sites as touch_sites
-from i2t.types import Surface
 
-CANDIDATES = 48  # sites that the next touch is chosen among, drawn anew for each
+NUM_CANDIDATES = 48  # sites that the next touch is chosen among, drawn anew for each
 
 
 @jax.jit
-def advance(now: Belief, site: Array, measured: Measured, table: Outcome, like: Likelihood) -> tuple[Belief, Array]:
-    """All sittings one touch further, and the probabilities of their objects."""
+def update_beliefs(
+    beliefs: Belief,
+    site: Int[Array, " e"],
+    observations: TouchObservation,
+    table: PredictedTouch,
+    likelihood: Likelihood,
+) -> tuple[Belief, Float[Array, "e objects"]]:
+    """All episodes one touch further; an episode without a site (-1) stays as it is.
 
-    def one(at: tuple[Belief, Array, Measured]) -> tuple[Belief, Array]:
-        updated = belief.update(at[0], at[2], element(table, at[1]), like)
-        return updated, belief.posterior(updated)
+    Args:
+        beliefs: Of e episodes.
+        site: That was touched in each.
+        observations: What was measured, (e,).
+        table: Predicted touches, (sites, objects, k).
+        likelihood: How far measurements may be from predictions.
 
-    return jax.lax.map(one, (now, site, measured), batch_size=8)
+    Returns:
+        The beliefs, and the probabilities of the objects.
+    """
+
+    def one(at: tuple[Belief, Array, TouchObservation]) -> tuple[Belief, Array]:
+        before, site, observation = at
+        after = belief.update(before, observation, element(table, jnp.maximum(site, 0)), likelihood)
+        kept = jax.tree.map(lambda new, old: jnp.where(site >= 0, new, old), after, before)
+        return kept, belief.posterior(kept)
+
+    return jax.lax.map(one, (beliefs, site, observations), batch_size=8)
 
 
 @jax.jit
-def next_touches(
-    keys: Array, now: Belief, table: Outcome, like: Likelihood, spent: Array, safe: Array, skin_change: float
-) -> Array:
-    """The site that is expected to tell most, of some drawn anew for each sitting, and safe as far as is believed."""
-    sites = spent.shape[1]
+def choose_informative_sites(
+    keys: Key[Array, " e"],
+    beliefs: Belief,
+    table: PredictedTouch,
+    likelihood: Likelihood,
+    *,
+    touched: Bool[Array, "e sites"],
+    safe: Bool[Array, "sites objects"],
+    skin_change: float | Float[Array, ""],
+) -> Int[Array, " e"]:
+    """For each episode the site that is expected to tell most, of candidates drawn anew.
+
+    Args:
+        keys: Of the candidates and of their imagined outcomes.
+        beliefs: Of e episodes.
+        table: Predicted touches, (sites, objects, k).
+        likelihood: How far measurements may be from predictions.
+        touched: Sites that are not to be chosen again.
+        safe: Whether a touch of each site would be safe on each object.
+        skin_change: Change of the reading (uT) at which a press ends.
+
+    Returns:
+        Indices of sites; -1 where no candidate is allowed.
+    """
+    sites = touched.shape[1]
 
     def one(at: tuple[Array, Belief, Array]) -> Array:
-        key_some, key_gain = jax.random.split(at[0])
-        some = jax.random.permutation(key_some, sites)[: min(CANDIDATES, sites)]
-        gain = policy.gains(key_gain, at[1], element(table, some), like, skin_change)
-        allowed = policy.permitted(at[1], safe[some]) & ~at[2][some]
-        return some[policy.choose(gain, allowed)]
+        key, state, done = at
+        key_some, key_gain = jax.random.split(key)
+        some = jax.random.permutation(key_some, sites)[: min(NUM_CANDIDATES, sites)]
+        gain = policy.expected_information_gain(
+            key_gain, state, element(table, some), likelihood, skin_change=skin_change
+        )
+        allowed = policy.safe_sites_mask(state, safe[some]) & ~done[some]
+        best = policy.choose_site(gain, allowed)
+        return jnp.where(best >= 0, some[best], NO_SITE)
 
-    return jax.lax.map(one, (keys, now, spent))
-
-
-def safe_on(surfaces: Sequence[Surface], sites: Pool, limits: touch_sites.Limits) -> np.ndarray:
-    """Whether each site would be safe on each object, (sites, objects): each is on its own."""
-    check = jax.jit(jax.vmap(partial(touch_sites.is_safe, limits=limits), (None, 0)))
-    return np.stack([np.asarray(check(surface, sites.T_w_t)) for surface in surfaces], axis=1)
+    return jax.lax.map(one, (keys, beliefs, touched))
 
 
-def telling_weights(sites: Pool) -> Array:
-    """The heuristic's probability of every site, (objects, sites): 0 for those of other objects."""
-    own = telling(sites)
+def heuristic_weights(sites: SitePool) -> Float[Array, "objects sites"]:
+    """The paper's heuristic over a whole pool.
+
+    Args:
+        sites: The pool.
+
+    Returns:
+        Probability of every site if an object is believed in; 0 for the sites of others.
+    """
+    own = own_site_informativeness(sites)
     mine = sites.owner[None] == np.arange(len(own))[:, None]
     return jnp.where(mine, own.reshape(1, -1), 0.0)
 
 
 @jax.jit
-def heuristic_touches(keys: Array, now: Belief, telling: Array, spent: Array, step: int) -> Array:
-    """The paper's: a telling site of the object believed in."""
+def choose_heuristic_sites(
+    keys: Key[Array, " e"],
+    beliefs: Belief,
+    weights: Float[Array, "objects sites"],
+    *,
+    touched: Bool[Array, "e sites"],
+    safe: Bool[Array, "sites objects"],
+    step: int | Int[Array, ""],
+) -> Int[Array, " e"]:
+    """The paper's choice for each episode: an informative site of the object believed in, or else any site that is safe
+    on that object.
 
-    def one(key: Array, now: Belief, spent: Array) -> Array:
+    Args:
+        keys: Of the draws.
+        beliefs: Of e episodes.
+        weights: Of every site for each object (`heuristic_weights`).
+        touched: Sites that are not to be chosen again.
+        safe: Whether a touch of each site would be safe on each object.
+        step: Touches so far.
+
+    Returns:
+        Indices of sites; -1 where none is left.
+    """
+
+    def one(key: Array, state: Belief, done: Array) -> Array:
         key_object, key_site = jax.random.split(key)
-        which = ensemble.hypothesis(key_object, belief.posterior(now), step)
-        weight = jnp.where(spent, 0.0, telling[which])
-        left = jnp.where(jnp.sum(weight) > 0, weight, jnp.where(spent, 0.0, 1.0))
-        return jax.random.categorical(key_site, jnp.log(left))
+        which = ensemble.choose_hypothesis(key_object, belief.posterior(state), step)
+        weight = jnp.where(done, 0.0, weights[which])
+        other = jnp.where(done | ~safe[:, which], 0.0, 1.0)
+        weight = jnp.where(jnp.sum(weight) > 0, weight, other)
+        drawn = jax.random.categorical(key_site, jnp.log(weight))
+        return jnp.where(jnp.any(weight > 0), drawn, NO_SITE)
 
-    return jax.vmap(one)(keys, now, spent)
+    return jax.vmap(one)(keys, beliefs, touched)

@@ -2,13 +2,14 @@
 
 A touch is worth what it is expected to tell: the mutual information between its outcome and the object (Lindley, Annals
 of Mathematical Statistics 27, 1956), and, for a part, between its outcome and where the object lies. It is estimated
-for every site by imagining: an object and a place are drawn from the belief, the press ends where the skin's change or
-the force crosses its limit, noise is added, and what is then read is compared with every other object and place, as in
-`i2t.recognition.belief`. All sites see the same draws, so that differences between sites are less noisy than the
-values.
+for every site by imagining: an object and a pose are drawn from the belief, the press ends where the skin's change or
+the force crosses its limit, errors are drawn from the likelihood, and the reading is compared with every other object
+and pose, as in `i2t.recognition.belief`. All sites see the same draws (common random numbers), so that differences
+between sites are less noisy than the values.
 
-Only sites that are allowed are chosen among: within reach, not spent, and safe on the objects that are still possible
-(`permitted`). The paper's heuristic is `i2t.recognition.ensemble.telling`.
+Only allowed sites are chosen among: within reach, not touched yet, and safe on the objects that are still possible
+(`safe_sites_mask`). Where no site is allowed none is chosen, and the caller draws other sites or stops. The paper's
+heuristic is `i2t.recognition.ensemble.site_informativeness`.
 
 Pure functions on one episode; information in nats.
 """
@@ -21,124 +22,238 @@ import jax.numpy as jnp
 from jax.scipy.special import logsumexp, xlogy
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from i2t.recognition.belief import Belief, Likelihood, Measured, evidence, posterior, weighed
-from i2t.recognition.outcomes import Outcome, at_load
-from i2t.types import READINGS
+from i2t.recognition.belief import Belief, Likelihood, TouchObservation, evidence, log_likelihood, posterior
+from i2t.recognition.outcomes import PredictedTouch, interpolate_load
 
-DRAWS = 24  # imagined outcomes of a site
-PLACES = 16  # of each object, with which they are compared
-RISK = 0.05  # largest probability of an object on which a site is not safe
+NUM_DRAWS = 24  # imagined outcomes of a site
+NUM_COMPARED_PARTICLES = 16  # of each object, with which they are compared
+MAX_UNSAFE_PROBABILITY = 0.05  # of the objects on which a site is not safe
+NO_SITE = -1  # what is chosen where no site is allowed
 
 
-class Gain(NamedTuple):
+class InformationGain(NamedTuple):
     """What a touch is expected to tell (nats)."""
 
-    object: Float[Array, ""]  # which object it is
-    both: Float[Array, ""]  # which object and where it lies, as far as the compared places differ
+    object: Float[Array, "..."]  # which object it is
+    both: Float[Array, "..."]  # which object and where it lies, as far as the compared particles differ
 
 
-def gains(
+class _Compared(NamedTuple):
+    """The particles of each object with which imagined touches are compared, all of equal weight."""
+
+    particle: Int[Array, "objects p"]
+    mean: Float[Array, "objects p 6"]
+    covariance: Float[Array, "objects p 6 6"]
+
+
+class _Draws(NamedTuple):
+    """Hypotheses and errors, the same for all sites."""
+
+    object: Int[Array, " n"]
+    particle: Int[Array, " n"]  # among the compared ones
+    twist: Float[Array, "n 6"]  # m, about the particle
+    noise: Float[Array, "n noise"]  # c whitened errors of the reading, then that of the position
+
+
+def expected_information_gain(
     key: Key[Array, ""],
     belief: Belief,
-    table: Outcome,
-    like: Likelihood,
+    table: PredictedTouch,
+    likelihood: Likelihood,
+    *,
     skin_change: float | Float[Array, ""] = 25.0,
     force: float | Float[Array, ""] = 8.0,
-    draws: int = DRAWS,
-    places: int = PLACES,
-) -> Gain:
-    """What a touch at each site of a table (sites, objects, k) is expected to tell: arrays over sites.
+    num_draws: int = NUM_DRAWS,
+    num_particles: int = NUM_COMPARED_PARTICLES,
+) -> InformationGain:
+    """Estimate what a touch at each site is expected to tell.
 
-    The press ends at `skin_change` (uT) or `force` (N); `draws` and `places` are static.
+    Args:
+        key: Of the imagined outcomes.
+        belief: After the touches so far.
+        table: Predicted touches, (sites, objects, k).
+        likelihood: How far measurements may be from predictions.
+        skin_change: Change of the reading (uT) at which a press ends.
+        force: Force (N) at which it ends at the latest.
+        num_draws: Imagined outcomes of each site; static.
+        num_particles: Particles of each object they are compared with; static.
+
+    Returns:
+        Information about the object, and about object and pose, (sites,) each.
     """
-    key_place, key_draw, key_which, key_noise, key_off = jax.random.split(key, 5)
-    weight = logsumexp(belief.log_weight, axis=1)
-    objects = len(weight)
-    prior = weight - logsumexp(weight)
-    # Systematic resampling: the places of each object that are believed in, with equal weights.
-    share = jnp.cumsum(jax.nn.softmax(belief.log_weight, axis=1), axis=1)
-    comb = (jnp.arange(places) + jax.random.uniform(key_place)) / places
-    place = jax.vmap(lambda total: jnp.searchsorted(total, comb * total[-1]))(share)
-    place = jnp.minimum(place, share.shape[1] - 1)
-    mean = jnp.take_along_axis(belief.mean, place[:, :, None], axis=1)
-    covariance = jnp.take_along_axis(belief.covariance, place[:, :, None, None], axis=1)
-    comb = (jnp.arange(draws) + jax.random.uniform(key_draw)) / draws
-    drawn = jnp.minimum(jnp.searchsorted(jnp.cumsum(jnp.exp(prior)), comb), objects - 1)
-    which = jax.random.randint(key_which, (draws,), 0, places)
-    noise = jax.random.normal(key_noise, (draws, READINGS + 1))
-    root = jnp.linalg.cholesky(covariance + 1e-12 * jnp.eye(6)[None, None])
-    off = mean[drawn, which] + jnp.einsum("nij,nj->ni", root[drawn, which], jax.random.normal(key_off, (draws, 6)))
+    key_place, key_draw, key_which, key_noise, key_twist = jax.random.split(key, 5)
+    log_weight = logsumexp(belief.log_weight, axis=1)
+    log_prior = log_weight - logsumexp(log_weight)
+    compared = _resample_particles(key_place, belief, num_particles)
+    objects = _systematic_draw(key_draw, jnp.exp(log_prior), num_draws)
+    particle = jax.random.randint(key_which, (num_draws,), 0, num_particles)
+    root = jnp.linalg.cholesky(compared.covariance + 1e-12 * jnp.eye(6)[None, None])
+    normal = jax.random.normal(key_twist, (num_draws, 6))
+    twist = compared.mean[objects, particle] + jnp.einsum("nij,nj->ni", root[objects, particle], normal)
+    noise = _draw_noise(key_noise, likelihood, (num_draws, table.reading.shape[-1] + 1))
+    draws = _Draws(objects, particle, twist, noise)
+    imagine = partial(imagine_observation, likelihood=likelihood, skin_change=skin_change, force=force)
 
-    def site(row: Outcome) -> Gain:
-        some = jax.tree.map(lambda x: jax.vmap(lambda x, i: x[i])(x, place), row)  # (objects, places)
-        true = jax.tree.map(lambda x: x[drawn, which], some)
-        imagined = jax.vmap(partial(imagine, like=like, skin_change=skin_change, force=force))(true, off, noise)
+    def site_gain(row: PredictedTouch) -> InformationGain:
+        some = jax.tree.map(lambda x: jax.vmap(lambda x, i: x[i])(x, compared.particle), row)  # (objects, particles)
+        true = jax.tree.map(lambda x: x[draws.object, draws.particle], some)
+        density = _compare(jax.vmap(imagine)(true, draws.twist, draws.noise), some, compared, likelihood)
+        return _mutual_information(density, log_prior, draws)
 
-        def compare(measured: Measured) -> Array:
-            found = jax.vmap(jax.vmap(partial(evidence, measured, like=like)))(some, mean, covariance)
-            return weighed(found, like)
-
-        density = jax.vmap(compare)(imagined)  # (draws, objects, places)
-        of_object = logsumexp(density, axis=2) - jnp.log(places)
-        total = logsumexp(of_object + prior[None], axis=1)
-        after = jnp.exp(of_object + prior[None] - total[:, None])
-        uncertain = -jnp.sum(xlogy(after, after), axis=1)
-        before = -jnp.sum(xlogy(jnp.exp(prior), jnp.exp(prior)))
-        own = density[jnp.arange(draws), drawn, which]
-        return Gain(before - jnp.mean(uncertain), jnp.mean(own - total))
-
-    return jax.lax.map(site, table, batch_size=16)
+    return jax.lax.map(site_gain, table, batch_size=16)
 
 
-def imagine(
-    outcome: Outcome,
-    off: Float[Array, "6"],
-    noise: Float[Array, "16"],
-    like: Likelihood,
+def imagine_observation(
+    predicted: PredictedTouch,
+    twist: Float[Array, "6"],
+    noise: Float[Array, " noise"],
+    *,
+    likelihood: Likelihood,
     skin_change: float | Float[Array, ""],
     force: float | Float[Array, ""],
-) -> Measured:
-    """What would be measured at a touch, of a place off by `off` (m); `noise` is standard normal."""
-    load = stop_load(outcome, like.loads, skin_change, force)
-    sunk, reading, variance = at_load(outcome, like.loads, load)
-    spread = like.inflation * jnp.sqrt(1 + like.growth * variance)
-    error = jnp.linalg.solve(like.whiten, spread * noise[:READINGS])
-    travel = outcome.travel + jnp.dot(outcome.slope, off)
-    contact = outcome.hit & (travel < like.past)
-    advance = travel + sunk + load / like.stiffness + like.position * noise[READINGS]
-    return Measured(reading + error, load, advance, contact)
+) -> TouchObservation:
+    """What would be measured at a touch.
+
+    Args:
+        predicted: The touch as predicted for a particle.
+        twist: Displacement (m) of the object from the particle.
+        noise: c + 1 numbers: whitened errors of the reading (Student's t with the likelihood's degrees of freedom) and
+            the standard normal error of the position.
+        likelihood: By whose errors the numbers are multiplied.
+        skin_change: Change of the reading (uT) at which the press ends.
+        force: Force (N) at which it ends at the latest.
+
+    Returns:
+        The imagined measurement.
+    """
+    load = stop_load(predicted, likelihood.loads, skin_change=skin_change, force=force)
+    indentation, reading, variance = interpolate_load(predicted, likelihood.loads, load)
+    spread = likelihood.inflation * jnp.sqrt(1 + likelihood.growth * variance)
+    error = jnp.linalg.solve(likelihood.whiten, spread * noise[:-1])
+    distance = predicted.approach_distance + jnp.dot(predicted.jacobian, twist)
+    contact = predicted.hit & (distance < likelihood.overtravel)
+    advance = distance + indentation + load / likelihood.stiffness + likelihood.position_std * noise[-1]
+    return TouchObservation(reading + error, load, advance, contact)
 
 
 def stop_load(
-    outcome: Outcome,
+    predicted: PredictedTouch,
     loads: Float[Array, " l"],
+    *,
     skin_change: float | Float[Array, ""],
     force: float | Float[Array, ""],
 ) -> Float[Array, ""]:
-    """The load (N) at which an imagined press would end: a reading grows about as a power of its load."""
-    size = jnp.log(jnp.maximum(jnp.linalg.norm(outcome.reading, axis=1), 1e-3))
+    """The load at which an imagined press would end: a reading grows about as a power of its load.
+
+    Args:
+        predicted: The touch at `loads`.
+        loads: Ascending (N).
+        skin_change: Change of the reading (uT) at which the press ends.
+        force: Force (N) at which it ends at the latest.
+
+    Returns:
+        The load (N), from a tenth of the least load to `force`.
+    """
+    size = jnp.log(jnp.maximum(jnp.linalg.norm(predicted.reading, axis=1), 1e-3))
     knots, goal = jnp.log(loads), jnp.log(skin_change)
     i = jnp.clip(jnp.sum(size < goal) - 1, 0, len(loads) - 2)
     slope = jnp.maximum((size[i + 1] - size[i]) / (knots[i + 1] - knots[i]), 0.2)
     return jnp.clip(jnp.exp(knots[i] + (goal - size[i]) / slope), loads[0] / 10, force)
 
 
-def permitted(belief: Belief, safe: Bool[Array, "sites objects"], risk: float = RISK) -> Bool[Array, " sites"]:
-    """Sites that are safe but for objects of at most a probability of `risk` together."""
+def safe_sites_mask(
+    belief: Belief, safe: Bool[Array, "sites objects"], max_unsafe_probability: float = MAX_UNSAFE_PROBABILITY
+) -> Bool[Array, " sites"]:
+    """Which sites are safe on what may be there.
+
+    Args:
+        belief: After the touches so far.
+        safe: Whether a touch of each site would be safe on each object.
+        max_unsafe_probability: Largest probability, together, of the objects on which a safe site is not safe.
+
+    Returns:
+        Whether each site is safe.
+    """
     probability = posterior(belief)
-    return jnp.sum(jnp.where(safe, 0.0, probability[None]), axis=1) <= risk
+    return jnp.sum(jnp.where(safe, 0.0, probability[None]), axis=1) <= max_unsafe_probability
 
 
-def choose(gain: Gain, allowed: Bool[Array, " sites"], pose: float = 0.1) -> Int[Array, ""]:
-    """The allowed site that is expected to tell most, what it tells of the place counting `pose` times; any of all
-    where none is allowed.
+def choose_site(gain: InformationGain, allowed: Bool[Array, " sites"], pose_weight: float = 0.1) -> Int[Array, ""]:
+    """The allowed site that is expected to tell most; `NO_SITE` (-1) where none is allowed.
+
+    Args:
+        gain: What a touch at each site is expected to tell.
+        allowed: Which sites may be touched.
+        pose_weight: Of what is told of the pose, next to 1 for the object.
+
+    Returns:
+        Index of the site, or -1.
     """
-    value = gain.object + pose * (gain.both - gain.object)
-    return jnp.argmax(jnp.where(allowed | ~jnp.any(allowed), value, -jnp.inf))
+    value = gain.object + pose_weight * (gain.both - gain.object)
+    best = jnp.argmax(jnp.where(allowed, value, -jnp.inf))
+    return jnp.where(jnp.any(allowed), best, NO_SITE)
 
 
-def stops(probability: Float[Array, " objects"], error: float) -> Bool[Array, ""]:
-    """Whether the most probable object is wrong with at most the probability `error`, as far as the probabilities are
-    calibrated (`i2t.recognition.belief.tempered`).
+def should_stop(probability: Float[Array, " objects"], max_error_probability: float) -> Bool[Array, ""]:
+    """Whether the most probable object is probable enough.
+
+    Args:
+        probability: Of the objects, calibrated (`i2t.recognition.belief.apply_temperature`).
+        max_error_probability: Largest probability of naming the wrong object.
+
+    Returns:
+        Whether to stop.
     """
-    return jnp.max(probability) >= 1 - error
+    return jnp.max(probability) >= 1 - max_error_probability
+
+
+def _resample_particles(key: Array, belief: Belief, count: int) -> _Compared:
+    """Systematic resampling of each object's particles."""
+    share = jnp.cumsum(jax.nn.softmax(belief.log_weight, axis=1), axis=1)
+    comb = (jnp.arange(count) + jax.random.uniform(key)) / count
+    index = jax.vmap(lambda total: jnp.searchsorted(total, comb * total[-1]))(share)
+    index = jnp.minimum(index, share.shape[1] - 1)
+    mean = jnp.take_along_axis(belief.mean, index[:, :, None], axis=1)
+    covariance = jnp.take_along_axis(belief.covariance, index[:, :, None, None], axis=1)
+    return _Compared(index, mean, covariance)
+
+
+def _systematic_draw(key: Array, probability: Array, count: int) -> Array:
+    """Draws of a category, each as often as its probability says, to one."""
+    comb = (jnp.arange(count) + jax.random.uniform(key)) / count
+    return jnp.minimum(jnp.searchsorted(jnp.cumsum(probability), comb), len(probability) - 1)
+
+
+def _draw_noise(key: Array, likelihood: Likelihood, shape: tuple[int, int]) -> Array:
+    """Whitened errors of readings, rows of a multivariate Student's t, and in the last column normal ones of positions:
+    a t vector is a normal one over the root of one chi-square variable per degree of freedom.
+    """
+    key_normal, key_scale = jax.random.split(key)
+    normal = jax.random.normal(key_normal, shape)
+    scale = jnp.sqrt(likelihood.dof / jax.random.chisquare(key_scale, likelihood.dof, (shape[0], 1)))
+    return jnp.concatenate([scale * normal[:, :-1], normal[:, -1:]], axis=1)
+
+
+def _compare(
+    imagined: TouchObservation, predicted: PredictedTouch, compared: _Compared, likelihood: Likelihood
+) -> Float[Array, "n objects p"]:
+    """Log likelihood of each imagined touch under each compared particle."""
+
+    def one(observation: TouchObservation) -> Array:
+        under = jax.vmap(jax.vmap(partial(evidence, observation, likelihood=likelihood)))
+        return log_likelihood(under(predicted, compared.mean, compared.covariance), likelihood)
+
+    return jax.vmap(one)(imagined)
+
+
+def _mutual_information(
+    density: Float[Array, "n objects p"], log_prior: Float[Array, " objects"], draws: _Draws
+) -> InformationGain:
+    """Entropy of the object before less that after; and the log likelihood ratio of the truth to all hypotheses."""
+    of_object = logsumexp(density, axis=2) - jnp.log(density.shape[2])
+    total = logsumexp(of_object + log_prior[None], axis=1)
+    after = jnp.exp(of_object + log_prior[None] - total[:, None])
+    entropy_after = -jnp.sum(xlogy(after, after), axis=1)
+    entropy_before = -jnp.sum(xlogy(jnp.exp(log_prior), jnp.exp(log_prior)))
+    own = density[jnp.arange(len(density)), draws.object, draws.particle]
+    return InformationGain(entropy_before - jnp.mean(entropy_after), jnp.mean(own - total))

@@ -43,7 +43,7 @@ def test_distances_are_standardised():
     readings = jnp.zeros((1, 15)).at[0, 0].set(4.0)
     imagined = jnp.zeros((1, 2, 15)).at[0, 1, 1].set(3.0)
     std = jnp.ones(15).at[0].set(2.0)
-    found = ensemble.distances(readings, imagined, jnp.full(15, 7.0), std)
+    found = ensemble.distances(readings, imagined, std)
     np.testing.assert_allclose(found, [[2, np.sqrt(4 + 9)]], rtol=1e-6)
 
 
@@ -82,7 +82,27 @@ def test_the_next_touch_is_where_other_objects_face_elsewhere():
     same = np.stack([normals[0], normals[0]])
     found = ensemble.site_informativeness(jnp.asarray(points), jnp.asarray(same), jnp.asarray(safe), 0)
     np.testing.assert_allclose(found, [0.5, 0, 0.5, 0], atol=1e-6)
-    assert np.isnan(ensemble.site_informativeness(jnp.asarray(points), jnp.asarray(same), jnp.zeros((2, 4), bool), 0)).all()
+
+
+def test_no_point_may_be_touched_where_none_is_safe():
+    points = np.tile(np.stack([np.arange(4), np.zeros(4), np.zeros(4)], axis=-1) * 5e-3, (2, 1, 1))
+    normals = np.stack([_facing([0, 0, 0, 0]), _facing([0, 50, 60, 80])])
+    for safe in (np.zeros((2, 4), bool), np.array([[False] * 4, [True] * 4])):
+        found = ensemble.site_informativeness(jnp.asarray(points), jnp.asarray(normals), jnp.asarray(safe), 0)
+        np.testing.assert_array_equal(found, 0)
+
+
+def test_a_point_that_faces_too_far_from_one_other_object_does_not_qualify():
+    # Three objects, three points. The means of the two cosines are all within bounds, but one counterpart of the second
+    # point faces 85 degrees away, with a cosine below 0.2.
+    points = np.tile(np.stack([np.arange(3), np.zeros(3), np.zeros(3)], axis=-1) * 5e-3, (3, 1, 1))
+    normals = np.stack([_facing([0, 0, 0]), _facing([60, 30, 65]), _facing([60, 85, 60])])
+    cosines = np.cos(np.radians([[60, 30, 65], [60, 85, 60]]))
+    assert (cosines.mean(0) < ensemble.MAX_MEAN_NORMAL_COSINE).all()
+    assert (cosines > ensemble.MIN_NORMAL_COSINE).all(0).tolist() == [True, False, True]
+    found = ensemble.site_informativeness(jnp.asarray(points), jnp.asarray(normals), jnp.ones((3, 3), bool), 0)
+    # Of the two that qualify the lower score has no weight.
+    np.testing.assert_allclose(found, [0, 0, 1], atol=1e-6)
 
 
 def test_the_bound_grows_with_the_number_of_objects():

@@ -12,26 +12,27 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from i2t.objects.catalogue import make_object
-from i2t.objects.solids import ball, mesh
+from i2t.objects.solids import ball, mesh_from_solid
 from i2t.prediction import gp
-from i2t.prediction.gp import GPHyperparameters, ContactPressure
+from i2t.prediction.gp import ContactPressure, GPHyperparameters
 from i2t.recognition import outcomes
-from i2t.recognition.outcomes import CELLS, LOADS, PredictedContact, PredictedTouch, LinearReadingModel
+from i2t.recognition.outcomes import LOADS_N, PRESSURE_GRID, LinearReadingModel, PredictedContact, PredictedTouch
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, stack_surfaces
-from i2t.types import TWIST_LEVER_M, PAD_WINDOW, STANDOFF
+from i2t.types import PAD_WINDOW, STANDOFF, TWIST_LEVER_M
 
 DELTA = 3e-7  # m
 HALF = PAD_WINDOW / 2
 PAST = 6e-3
-LOAD = jnp.float32(LOADS)
+LOAD = jnp.float32(LOADS_N)
 DOWN = np.diag([1.0, -1.0, -1.0])
 RADIUS = 25e-3
 MANY = 26  # touches at a time: two for each coordinate of a placement, and two more of these
-BLOCK, BALL = (element(stack_surfaces([prepare_surface(make_object("square").mesh), prepare_surface(mesh(ball(25.0)))]), i) for i in range(2))
+MESHES = make_object("square").mesh, mesh_from_solid(ball(25.0))
+BLOCK, BALL = (element(stack_surfaces([prepare_surface(mesh) for mesh in MESHES]), i) for i in range(2))
 TOP = 30e-3  # m, height of the block, 50 mm wide
 
-meet = jax.jit(jax.vmap(partial(outcomes.predict_contact, past=PAST), (None, None, 0, 0, None)))
+meet = jax.jit(jax.vmap(partial(outcomes.predict_contact, overtravel=PAST), (None, None, 0, 0, None)))
 interpolate_load = jax.jit(jax.vmap(outcomes.interpolate_load, (None, None, 0)))
 
 
@@ -112,7 +113,7 @@ def test_a_miss_is_all_zeros_and_no_nan():
     np.testing.assert_array_equal(found.hit, [False, False, True, False])
     np.testing.assert_allclose(found.approach_distance, PAST, atol=5 * DELTA)
     missed = jax.tree.map(lambda x: x[[0, 1, 3]], found)
-    for values in (missed.slope, missed.sunk, missed.newtons):
+    for values in (missed.jacobian, missed.indentation, missed.newtons):
         np.testing.assert_array_equal(values, 0)
     assert all(np.isfinite(x).all() for x in found)
 
@@ -123,13 +124,13 @@ def test_the_skin_carries_the_load_and_sinks_deeper_with_it():
         found = met(surface, np.eye(4), np.zeros(6), site)
         assert found.newtons.min() >= 0
         # Rescaled to the load: 400 cells are summed in float32.
-        np.testing.assert_allclose(found.newtons.sum(-1), np.float32([LOADS]), rtol=400 * np.finfo(np.float32).eps)
+        np.testing.assert_allclose(found.newtons.sum(-1), np.float32([LOADS_N]), rtol=400 * np.finfo(np.float32).eps)
         assert (np.diff(found.indentation[0]) > 0).all()
         assert found.indentation[0, 0] > 0
     # Where the ball is met is where it presses: its centre of pressure lies under the pole.
-    x = (np.arange(CELLS.cells) + 0.5) * CELLS.spacing - HALF
-    newtons = found.newtons[0].reshape(-1, CELLS.cells, CELLS.cells)
-    centre = np.einsum("lij,j->l", newtons, x) / LOADS, np.einsum("lij,i->l", newtons, x) / LOADS
+    x = (np.arange(PRESSURE_GRID.cells) + 0.5) * PRESSURE_GRID.spacing - HALF
+    newtons = found.newtons[0].reshape(-1, PRESSURE_GRID.cells, PRESSURE_GRID.cells)
+    centre = np.einsum("lij,j->l", newtons, x) / LOADS_N, np.einsum("lij,i->l", newtons, x) / LOADS_N
     # The tool's x is the world's and its y is turned over; a cell wide, the centre is known to a part of it.
     np.testing.assert_allclose(centre, np.array([[-1e-3], [2e-3]]) * np.ones(3), atol=0.25e-3)
 
@@ -141,8 +142,8 @@ HYPER = GPHyperparameters(jnp.array([0.1, 0.5, 0.2, 0.15, 0.05]), jnp.array(0.3)
 
 def spots(rng: np.random.Generator, load: np.ndarray) -> ContactPressure:
     """Round contacts at random places."""
-    x = np.arange(CELLS.cells)
-    place = rng.uniform(2, CELLS.cells - 3, (len(load), 2, 1))
+    x = np.arange(PRESSURE_GRID.cells)
+    place = rng.uniform(2, PRESSURE_GRID.cells - 3, (len(load), 2, 1))
     along = np.exp(-((x - place) ** 2) / (2 * rng.uniform(1, 2, (len(load), 1, 1)) ** 2))
     pressure = along[:, 0, :, None] * along[:, 1, None, :]
     pressure *= load[:, None, None] / pressure.sum((1, 2), keepdims=True)
@@ -158,7 +159,7 @@ def process() -> gp.GP:
 
 def test_maps_give_the_mean_and_variance_of_the_process(process):
     rng = np.random.default_rng(4)
-    told = spots(rng, np.repeat(LOADS, 10))
+    told = spots(rng, np.repeat(LOADS_N, 10))
     mean, std = jax.jit(gp.predict)(process, told)
     variance = np.asarray(std)[:, 0] ** 2 / process.scale[0] ** 2 - HYPER.noise
 
@@ -178,14 +179,14 @@ def test_maps_give_the_mean_and_variance_of_the_process(process):
     np.testing.assert_allclose(reading, mean, atol=loss * np.abs(mean).max())
     variance = np.asarray(variance).reshape(3, 10).T
     assert variance.max() / variance.min() > 3
-    # What is cut off below ROUNDING of an eigenvalue counts as lost as well.
+    # What is cut off below EIGENVALUE_TOLERANCE of an eigenvalue counts as lost as well.
     own = float(jnp.max(jnp.diagonal(process.cholesky @ process.cholesky.T)))
     lost = outcomes.EIGENVALUE_TOLERANCE * skin.root.shape[1] * own + np.finfo(np.float32).eps * trace * own
     np.testing.assert_allclose(outcome.variance, variance, atol=lost)
     assert lost < 0.1 * variance.max()
-    np.testing.assert_allclose(outcome.sunk, 1.7e-3, rtol=1e-6)
+    np.testing.assert_allclose(outcome.indentation, 1.7e-3, rtol=1e-6)
     np.testing.assert_array_equal(outcome.hit, imagined.hit)
-    np.testing.assert_array_equal(outcome.travel, imagined.approach_distance)
+    np.testing.assert_array_equal(outcome.approach_distance, imagined.approach_distance)
 
 
 def test_a_reading_is_linear_in_the_newtons():
@@ -198,7 +199,7 @@ def test_a_reading_is_linear_in_the_newtons():
     rounding = 400 * np.finfo(np.float32).eps
     np.testing.assert_allclose(outcome.reading, np.einsum("lx,lxc->lc", newtons, mean), atol=400 * rounding)
     np.testing.assert_allclose(outcome.variance, (np.einsum("lx,lxr->lr", newtons, root) ** 2).sum(1), rtol=1e-3)
-    np.testing.assert_allclose(outcome.sunk, 0.5 * LOAD)
+    np.testing.assert_allclose(outcome.indentation, 0.5 * LOAD)
 
 
 # --- between loads ----------------------------------------------------------------------------------------------------
@@ -206,8 +207,8 @@ def test_a_reading_is_linear_in_the_newtons():
 
 def some_outcome(rng: np.random.Generator) -> PredictedTouch:
     sunk = np.cumsum(rng.uniform(1e-4, 3e-4, 3))
-    variance = rng.uniform(0.1, 1, 3) * np.array(LOADS) ** 2
-    reading = rng.normal(scale=20, size=(3, 15)) * np.array(LOADS)[:, None]
+    variance = rng.uniform(0.1, 1, 3) * np.array(LOADS_N) ** 2
+    reading = rng.normal(scale=20, size=(3, 15)) * np.array(LOADS_N)[:, None]
     return PredictedTouch(
         jnp.array(True), jnp.float32(1e-3), jnp.zeros(6), jnp.float32(sunk), jnp.float32(reading),
         jnp.float32(variance),
@@ -218,7 +219,7 @@ def test_between_loads():
     outcome = some_outcome(np.random.default_rng(6))
     force = np.geomspace(0.1, 8.1, 61)  # from a third of the least load to three times the largest, which are knots
     sunk, reading, variance = (np.asarray(x, np.float64) for x in interpolate_load(outcome, LOAD, jnp.float32(force)))
-    knots = [np.argmin(np.abs(force - load)) for load in LOADS]
+    knots = [np.argmin(np.abs(force - load)) for load in LOADS_N]
     close = partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-9)  # logarithms and their powers in float32
     close(sunk[knots], outcome.indentation)
     close(reading[knots], outcome.reading, atol=1e-4 * 20)
@@ -227,13 +228,13 @@ def test_between_loads():
     assert (variance > 0).all()
     # Straight lines in the logarithm of the load, which go on beyond the outer knots, as NumPy draws them.
     for values, at in (
-        (reading / force[:, None], np.asarray(outcome.reading) / np.array(LOADS)[:, None]),
+        (reading / force[:, None], np.asarray(outcome.reading) / np.array(LOADS_N)[:, None]),
         (np.log(sunk)[:, None], np.log(outcome.indentation)[:, None]),
         (np.log(variance / force**2)[:, None], np.log(outcome.variance / LOAD**2)[:, None]),
     ):
         first, second = at[:2], at[1:]
-        low = force[:, None] < LOADS[1]
-        part = np.log(force[:, None] / np.where(low, LOADS[0], LOADS[1])) / np.log(3)
+        low = force[:, None] < LOADS_N[1]
+        part = np.log(force[:, None] / np.where(low, LOADS_N[0], LOADS_N[1])) / np.log(3)
         start, end = np.where(low, first[:1], second[:1]), np.where(low, first[1:], second[1:])
         np.testing.assert_allclose(values, start + part * (end - start), atol=1e-4 * np.abs(at).max())
 
@@ -247,7 +248,27 @@ def test_extreme_forces_and_misses_stay_finite():
     nothing = jax.tree.map(jnp.zeros_like, outcome)
     for values in interpolate_load(nothing, LOAD, force):
         np.testing.assert_array_equal(values, 0)
-    sunk, reading, variance = interpolate_load(outcome, LOAD, force)
-    # No wrench sensor tells less than the least load.
-    for values in (sunk, reading, variance):
-        np.testing.assert_array_equal(values[:3], np.asarray(values)[[4, 4, 4]])
+    # Without load nothing is pressed.
+    for values in interpolate_load(outcome, LOAD, force):
+        np.testing.assert_array_equal(values[:2], 0)
+
+
+def test_a_touch_fades_to_none_with_its_load():
+    """Below the least load the indentation goes on as the power of the load that it is between the first two, and
+    nothing is left of a touch without load.
+    """
+    outcome = some_outcome(np.random.default_rng(8))
+    force = np.geomspace(1e-4, LOADS_N[0], 40)
+    indentation, reading, variance = (
+        np.asarray(x, np.float64) for x in interpolate_load(outcome, LOAD, jnp.float32(force))
+    )
+    first, second = np.asarray(outcome.indentation, np.float64)[:2]
+    power = np.log(second / first) / np.log(LOADS_N[1] / LOADS_N[0])
+    np.testing.assert_allclose(indentation, first * (force / LOADS_N[0]) ** power, rtol=1e-4)
+    for values in (indentation, np.linalg.norm(reading, axis=1), variance):
+        assert values[0] < 0.05 * values[-1]
+        assert (np.diff(values[force < LOADS_N[0] / 3]) > 0).all()
+    # Readings per newton are constant from a step between loads below the least.
+    deep = force < LOADS_N[0] / 3
+    per_newton = reading[deep] / force[deep, None]
+    np.testing.assert_allclose(per_newton, np.broadcast_to(per_newton[0], per_newton.shape), rtol=1e-4, atol=1e-3)

@@ -10,8 +10,8 @@ from scipy import integrate, stats
 
 from i2t.recognition import belief, policy
 from i2t.recognition.belief import Belief
-from i2t.recognition.outcomes import Outcome
-from i2t.recognition.policy import Gain
+from i2t.recognition.outcomes import PredictedTouch
+from i2t.recognition.policy import InformationGain
 
 LOADS = np.array([0.3, 0.9, 2.7])
 PAST = 6e-3
@@ -25,16 +25,20 @@ CHANGE = 25.0  # uT
 NOISE = 0.1  # uT, of every channel
 POSITION = 1e-4  # m
 # Errors so nearly normal that no 512 draws would tell.
-NORMAL = belief.likelihood(np.eye(15), jnp.ones(15), jnp.float32(LOADS), PAST, POSITION)._replace(
-    whiten=jnp.eye(15) / NOISE, growth=jnp.ones(15) / NOISE**2, freedom=jnp.float32(1e4), outliers=jnp.float32(1e-6)
+NORMAL = belief.fit_likelihood(
+    np.eye(15), jnp.ones(15), jnp.float32(LOADS), overtravel=PAST, position_std=POSITION
+)._replace(
+    whiten=jnp.eye(15) / NOISE, growth=jnp.ones(15) / NOISE**2, dof=jnp.float32(1e4), outlier_rate=jnp.float32(1e-6)
 )
-TACTILE = NORMAL._replace(spatial=jnp.float32(0))
-SPATIAL = NORMAL._replace(tactile=jnp.float32(0))
-PLACED = belief.particles(SPREAD, COUNT)
-gains = jax.jit(partial(policy.gains, draws=DRAWS, places=PLACES))
+TACTILE = NORMAL._replace(spatial_weight=jnp.float32(0))
+SPATIAL = NORMAL._replace(tactile_weight=jnp.float32(0))
+PLACED = belief.sample_particles(SPREAD, COUNT)
+gains = jax.jit(partial(policy.expected_information_gain, num_draws=DRAWS, num_particles=PLACES))
 
 
-def touches(change: np.ndarray | float, travel: np.ndarray | float = 0.0, hit: np.ndarray | bool = True) -> Outcome:
+def touches(
+    change: np.ndarray | float, travel: np.ndarray | float = 0.0, hit: np.ndarray | bool = True
+) -> PredictedTouch:
     """Touches (sites, objects, places) that end at AT, where readings of CHANGE differ by `change` (uT) sideways."""
     shape = (SITES, OBJECTS, COUNT)
     reading = np.zeros((*shape, 15))
@@ -44,7 +48,7 @@ def touches(change: np.ndarray | float, travel: np.ndarray | float = 0.0, hit: n
         np.broadcast_to(travel, shape), np.zeros((*shape, 6)), np.tile(1e-4 * LOADS, (*shape, 1)),
         reading[..., None, :] * (LOADS / AT)[:, None], np.zeros((*shape, 3)),
     )  # fmt: skip
-    return Outcome(jnp.broadcast_to(jnp.asarray(hit), shape), *map(jnp.float32, values))
+    return PredictedTouch(jnp.broadcast_to(jnp.asarray(hit), shape), *map(jnp.float32, values))
 
 
 def information(distance: float, prior: float) -> tuple[float, float]:
@@ -67,7 +71,7 @@ def information(distance: float, prior: float) -> tuple[float, float]:
 
 
 def start(prior: float = 0.5) -> Belief:
-    now = belief.begin(PLACED, OBJECTS)
+    now = belief.init(PLACED, OBJECTS, channels=15)
     return now._replace(log_weight=now.log_weight + jnp.log(jnp.array([prior, 1 - prior]) * 2)[:, None])
 
 
@@ -77,8 +81,8 @@ def test_gains_are_mutual_information(prior):
     apart = (distances[:, None] * np.array([-0.5, 0.5]))[..., None]
     bound = stats.bernoulli(prior).entropy()
     # What is not known about a place makes the travel unsure along its slope.
-    unsure = np.hypot(belief.WITHIN * SPREAD[2], POSITION)
-    steep = touches(0.0, unsure * apart)._replace(slope=jnp.broadcast_to(jnp.eye(6)[2], (SITES, OBJECTS, COUNT, 6)))
+    unsure = np.hypot(belief.PARTICLE_STD_RATIO * SPREAD[2], POSITION)
+    steep = touches(0.0, unsure * apart)._replace(jacobian=jnp.broadcast_to(jnp.eye(6)[2], (SITES, OBJECTS, COUNT, 6)))
     for told, table in (
         (TACTILE, touches(NOISE * apart)),
         (SPATIAL, touches(0.0, POSITION * apart)),
@@ -94,6 +98,29 @@ def test_gains_are_mutual_information(prior):
         assert (found.object < bound + 1e-4).all()
         # Places feel alike here: nothing is told of them, and the two are estimates of one number.
         np.testing.assert_allclose(found.both, found.object, atol=SIGMAS * 2 * bound / np.sqrt(DRAWS))
+
+
+def test_errors_are_imagined_with_the_tails_of_the_likelihood():
+    """Mutual information of Student's t with few degrees of freedom, by Monte Carlo; normal errors promise more."""
+    dof, distances = 2.0, np.array([0.0, 1.0, 2.0, 3.0, 5.0, 8.0])
+    apart = (distances[:, None] * np.array([-0.5, 0.5]))[..., None]
+    told = TACTILE._replace(dof=jnp.float32(dof))
+    found = gains(jax.random.key(6), start(), touches(NOISE * apart), told)
+    rng = np.random.default_rng(7)
+    normal = rng.normal(size=(200_000, 15))
+    heavy = normal / np.sqrt(rng.chisquare(dof, (len(normal), 1)) / dof)
+
+    def gained(error: np.ndarray, distance: float) -> np.ndarray:
+        shifted = error - distance * np.eye(15)[0]
+        density, other = (-(dof + 15) / 2 * np.log1p((x**2).sum(1) / dof) for x in (error, shifted))
+        return np.log(2) - stats.bernoulli(1 / (1 + np.exp(other - density))).entropy()
+
+    for i, distance in enumerate(distances):
+        draws = gained(heavy, distance)
+        loose = SIGMAS * draws.std() / np.sqrt(DRAWS) + 1 / DRAWS
+        assert float(found.object[i]) == pytest.approx(draws.mean(), abs=loose + 1e-4)
+        if distance >= 3:
+            assert gained(normal, distance).mean() > draws.mean() + loose  # else this would show nothing
 
 
 def test_what_is_told_of_the_object_and_of_the_place():
@@ -128,9 +155,13 @@ def test_gains_of_real_touches_stay_within_bounds():
     slope = rng.normal(size=(*shape, 6))
     reading = rng.normal(scale=5, size=(*shape, 1, 15)) * LOADS[:, None] ** 0.8
     values = rng.uniform(-2e-3, 2e-3, shape), slope, np.tile(1e-4 * LOADS, (*shape, 1)), reading, np.ones((*shape, 3))
-    table = Outcome(jnp.asarray(rng.uniform(size=shape) < 0.8), *map(jnp.float32, values))
-    told = belief.likelihood(
-        rng.normal(size=(99, 15)) * np.linspace(3, 9, 15), jnp.full(15, 5.0), jnp.float32(LOADS), PAST, POSITION
+    table = PredictedTouch(jnp.asarray(rng.uniform(size=shape) < 0.8), *map(jnp.float32, values))
+    told = belief.fit_likelihood(
+        rng.normal(size=(99, 15)) * np.linspace(3, 9, 15),
+        jnp.full(15, 5.0),
+        jnp.float32(LOADS),
+        overtravel=PAST,
+        position_std=POSITION,
     )
     found = gains(jax.random.key(5), start(0.7), table, told)
     bound = stats.bernoulli(0.7).entropy()
@@ -152,7 +183,7 @@ def test_a_power_law_stops_where_it_crosses():
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     reading = CHANGE * direction[:, None] * ((LOADS[None] / goal[:, None]) ** power[:, None])[..., None]
     blank = jnp.ones((n, 3))
-    outcome = Outcome(jnp.ones(n, bool), blank[:, 0], jnp.ones((n, 6)), blank, jnp.float32(reading), blank)
+    outcome = PredictedTouch(jnp.ones(n, bool), blank[:, 0], jnp.ones((n, 6)), blank, jnp.float32(reading), blank)
     stop = jax.jit(jax.vmap(partial(policy.stop_load, skin_change=CHANGE, force=6.0), (0, None)))
     found = stop(outcome, jnp.float32(LOADS))
     # Logarithms in float32, over a power of at least 0.3.
@@ -165,21 +196,22 @@ def test_a_power_law_stops_where_it_crosses():
 
 def test_what_is_imagined_is_what_is_expected_plus_its_noise():
     outcome = jax.tree.map(lambda x: x[0, 0, 0], touches(3.0, 1e-3))
-    outcome = outcome._replace(slope=jnp.arange(6.0), variance=jnp.full(3, 0.02))
+    outcome = outcome._replace(jacobian=jnp.arange(6.0), variance=jnp.full(3, 0.02))
     off, noise = jnp.full(6, 1e-4), jnp.arange(16.0) - 8
     told = NORMAL._replace(inflation=jnp.float32(2))
-    imagine = jax.jit(policy.imagine, static_argnums=(4, 5))
-    found = imagine(outcome, off, noise, told, CHANGE, 8.0)
+    imagine = jax.jit(policy.imagine_observation)
+    limits = {"likelihood": told, "skin_change": CHANGE, "force": 8.0}
+    found = imagine(outcome, off, noise, **limits)
     assert float(found.force) == pytest.approx(AT, rel=1e-5)
     assert found.contact
-    advance = 1e-3 + 15e-4 + 1e-4 * AT + AT / belief.STIFFNESS + POSITION * 7
+    advance = 1e-3 + 15e-4 + 1e-4 * AT + AT / belief.ARM_STIFFNESS_N_PER_M + POSITION * 7
     assert float(found.advance) == pytest.approx(advance, rel=1e-5)
     # Errors are those of the likelihood: twice the noise of 0.1, and the process's variance of 1 uT^2 times 0.02.
     sd = 2 * np.sqrt(NOISE**2 + 0.02)
     np.testing.assert_allclose(found.reading - outcome.reading[1], sd * np.asarray(noise[:15]), atol=1e-4 * sd * 25)
-    assert not imagine(outcome, 4 * off, noise, told, CHANGE, 8.0).contact  # after 7 mm
-    assert not imagine(outcome._replace(hit=jnp.array(False)), off, noise, told, CHANGE, 8.0).contact
-    weak = imagine(outcome, off, noise, told, CHANGE, 0.5)
+    assert not imagine(outcome, 4 * off, noise, **limits).contact  # after 7 mm
+    assert not imagine(outcome._replace(hit=jnp.array(False)), off, noise, **limits).contact
+    weak = imagine(outcome, off, noise, **limits | {"force": 0.5})
     assert float(weak.force) == pytest.approx(0.5)
 
 
@@ -188,7 +220,7 @@ def test_what_is_imagined_is_what_is_expected_plus_its_noise():
 
 def probable(*probability: float) -> Belief:
     """A belief of three objects."""
-    now = belief.begin(PLACED, 3)
+    now = belief.init(PLACED, 3, channels=15)
     share = jnp.log(jnp.array(probability) / COUNT)[:, None]
     return now._replace(log_weight=jnp.broadcast_to(share, (3, COUNT)))
 
@@ -196,22 +228,27 @@ def probable(*probability: float) -> Belief:
 def test_permitted_sites_are_safe_on_what_is_possible():
     now = probable(0.9, 0.06, 0.03)
     safe = jnp.array([[1, 1, 1], [1, 1, 0], [1, 0, 1], [1, 0, 0], [0, 1, 1]], bool)
-    np.testing.assert_array_equal(policy.permitted(now, safe), [True, True, False, False, False])
-    np.testing.assert_array_equal(policy.permitted(now, safe, 0.1), [True, True, True, True, False])
-    np.testing.assert_array_equal(policy.permitted(now, safe, 0.0), [True, False, False, False, False])
+    np.testing.assert_array_equal(policy.safe_sites_mask(now, safe), [True, True, False, False, False])
+    np.testing.assert_array_equal(policy.safe_sites_mask(now, safe, 0.1), [True, True, True, True, False])
+    np.testing.assert_array_equal(policy.safe_sites_mask(now, safe, 0.0), [True, False, False, False, False])
 
 
 def test_the_most_telling_of_the_allowed_sites_is_chosen():
-    gain = Gain(jnp.array([0.3, 0.5, 0.45, 0.1]), jnp.array([0.4, 0.5, 1.5, 3.0]))
+    gain = InformationGain(jnp.array([0.3, 0.5, 0.45, 0.1]), jnp.array([0.4, 0.5, 1.5, 3.0]))
     every = jnp.ones(4, bool)
-    assert policy.choose(gain, every) == 2  # 0.31, 0.5, 0.555, 0.39
-    assert policy.choose(gain, every, 0.0) == 1
-    assert policy.choose(gain, every, 1.0) == 3
-    assert policy.choose(gain, jnp.array([True, False, False, True])) == 3
-    assert policy.choose(gain, jnp.array([True, False, False, False])) == 0
-    assert policy.choose(gain, ~every) == 2  # none is allowed: any
+    assert policy.choose_site(gain, every) == 2  # 0.31, 0.5, 0.555, 0.39
+    assert policy.choose_site(gain, every, 0.0) == 1
+    assert policy.choose_site(gain, every, 1.0) == 3
+    assert policy.choose_site(gain, jnp.array([True, False, False, True])) == 3
+    assert policy.choose_site(gain, jnp.array([True, False, False, False])) == 0
+
+
+def test_no_site_is_chosen_where_none_is_allowed():
+    gain = InformationGain(jnp.array([0.3, 0.5, 0.45, 0.1]), jnp.array([0.4, 0.5, 1.5, 3.0]))
+    assert policy.choose_site(gain, jnp.zeros(4, bool)) == policy.NO_SITE == -1
+    assert policy.choose_site(gain, jnp.zeros(4, bool), 1.0) == -1
 
 
 def test_stopping():
     for error, stop in ((0.05, False), (0.11, True), (0.2, True)):
-        assert bool(policy.stops(belief.posterior(probable(0.9, 0.06, 0.03)), error)) is stop
+        assert bool(policy.should_stop(belief.posterior(probable(0.9, 0.06, 0.03)), error)) is stop

@@ -1,0 +1,51 @@
+"""How much of everything the recognition experiments have; what was fixed before testing."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from i2t.simulation import sites as touch_sites
+from i2t.simulation.press import PressLimits
+from i2t.simulation.touches import SimulationErrors
+from i2t.skin.contact import FINE_GRID
+
+PresetName = Literal["paper", "debug"]
+
+
+@dataclass(frozen=True)
+class Recognition:
+    """Objects, numbers of episodes, and the world in which they are simulated."""
+
+    primitives: tuple[str, ...] = ("square", "star", "cylinder")
+    tools: tuple[str, ...] = ("screwdriver", "hammer")
+    validation: tuple[str, ...] = ("flower", "cross", "pyramid", "cutter", "spanner")
+    touches: int = 10
+    episodes: int = 80  # of each object, in the set of all
+    paper_episodes: int = 200  # of each object, in each of the paper's sets
+    validation_episodes: int = 40  # of each validation object, for the conformal sets
+    num_sites: int = 24  # of each object
+    num_particles: int = 512  # poses of each object
+    errors: SimulationErrors = field(default_factory=SimulationErrors)
+    limits: PressLimits = field(default_factory=lambda: PressLimits(final=FINE_GRID))
+    site_limits: touch_sites.SiteLimits = touch_sites.RECOGNITION_LIMITS
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        """All objects of the test."""
+        return self.primitives + self.tools
+
+
+PRESETS: dict[str, Recognition] = {
+    "paper": Recognition(),
+    "debug": Recognition(  # as many episodes in each set, so that they compile once
+        primitives=("square", "cylinder"),
+        tools=("screwdriver", "hammer"),
+        validation=("flower", "spanner"),
+        touches=3,
+        episodes=3,
+        paper_episodes=6,
+        validation_episodes=6,
+        num_sites=3,
+        num_particles=16,
+        limits=PressLimits(),
+    ),
+}

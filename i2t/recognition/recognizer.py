@@ -1,0 +1,343 @@
+"""Recognise an object by touches that the belief itself chooses; for one robot, whatever it is.
+
+    recognizer = ObjectRecognizer(jax.random.key(0), pad_model, meshes)
+    state = recognizer.init()
+    while (site := recognizer.choose_touch(state)) is not None:
+        reading, force, T_w_t, contact = touch(site.T_w_t)  # your robot
+        observation = recognizer.observe(site, reading, force=force, T_w_t=T_w_t, contact=contact)
+        state, info = recognizer.update(state, observation)
+    print(info.name, info.confidence)
+
+A state is a NamedTuple and never changed: `choose_touch` and `update` are pure. What takes long, predicting touches of
+every object at every candidate site, is done once when a recogniser is made. The object may be none of those known:
+with `prior_unknown` surrogates, objects like those known, take part, and "unknown" is what they have together.
+
+Metres, newtons, microtesla; W world, O object, T tool.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Key
+
+from i2t.geometry import from_twist
+from i2t.objects import catalogue
+from i2t.recognition import belief, calibrated, metrics, outcomes, policy
+from i2t.recognition.belief import Belief, TouchObservation
+from i2t.recognition.pad_model import PadModel
+from i2t.recognition.planning import choose_informative_sites, update_beliefs
+from i2t.recognition.site_pool import SitePool, precompute_outcomes, prepare_surfaces, safe_sites, sample_sites
+from i2t.simulation import sites as touch_sites
+from i2t.simulation.press import PressLimits
+
+MAX_EMPTY_DRAWS = 10  # of candidates among which no site is allowed, after which no touch is chosen
+# Calibration of the unknown class, fitted on validation objects and others where half of all were unknown.
+CALIBRATION_PRIOR_UNKNOWN = 0.5
+UNKNOWN_SCALING = calibrated.PlattScaling(-0.04, 0.62, 0.19)
+POSE_STD_M, POSE_STD_RAD = 1e-3, float(np.radians(1.0))  # of an object's pose unless it is given
+
+
+@dataclass(frozen=True)
+class RecognizerConfig:
+    """How a recogniser chooses and when it stops. Raises ValueError for numbers that make no sense."""
+
+    num_sites: int = 24  # of each object, to choose among
+    num_particles: int = 64  # poses of each object
+    max_touches: int = 10
+    max_error_probability: float = 0.05  # it stops when the most probable object is wrong with at most this probability
+    prior_unknown: float = 0.0  # probability beforehand that it is none of the objects
+    num_surrogates: int = 16  # objects like those known, where it may be none of them
+    skin_change: float = PressLimits.skin_change  # uT at which presses end
+    overtravel: float = PressLimits.overtravel  # m beyond a site after which a press has met air
+    site_limits: touch_sites.SiteLimits = field(default=touch_sites.RECOGNITION_LIMITS)
+    seed: int = 0  # of pose particles and choices
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.prior_unknown < 1:
+            raise ValueError(f"prior_unknown is {self.prior_unknown:g}; give a probability, from 0 to below 1")
+        if self.prior_unknown > 0 and self.num_surrogates < 1:
+            raise ValueError(f"num_surrogates is {self.num_surrogates}; an unknown object needs some, 16 say")
+
+
+class ChosenSite(NamedTuple):
+    """A site to be touched."""
+
+    number: int
+    T_w_t: Float[np.ndarray, "4 4"]  # the tool's pose where the skin would just lie on the believed surface
+
+
+class SiteObservation(NamedTuple):
+    """What a touch of a site measured."""
+
+    number: int  # of the site
+    touch: TouchObservation
+
+
+class RecognizerState(NamedTuple):
+    """What is believed, and which sites were touched."""
+
+    belief: Belief
+    touched: Bool[np.ndarray, " sites"]  # or excluded
+    touches: int  # from which the belief learnt
+    probability: Float[np.ndarray, " objects"]  # calibrated, of the known objects; what lacks to 1 is unknown
+
+
+class RecognitionInfo(NamedTuple):
+    """What is believed after a touch, calibrated."""
+
+    probability: Float[np.ndarray, " objects"]  # of the known objects, in the order of `ObjectRecognizer.names`
+    unknown: float  # probability that it is none of them
+    name: str | None  # the most probable object; None for an unknown one
+    confidence: float  # probability of that
+
+
+class ObjectRecognizer:
+    """Recognises one of some objects, touch by touch; see the module's example."""
+
+    def __init__(
+        self,
+        key: Key[Array, ""],
+        pad_model: PadModel,
+        meshes: Mapping[str, Any],
+        *,
+        T_w_o: Float[np.ndarray, "4 4"] | None = None,
+        pose_prior: Float[np.ndarray, "6"] | Float[np.ndarray, "6 6"] | None = None,
+        sites: SitePool | None = None,
+        config: RecognizerConfig = RecognizerConfig(),
+    ) -> None:
+        """Predict touches of every object at every candidate site; a bar shows progress.
+
+        Args:
+            key: Of the sites.
+            pad_model: Fitted to touches of the skin that will touch (`i2t.recognition.pad_model.fit_pad_model`).
+            meshes: Of the known objects, by name.
+            T_w_o: Where the object is believed to stand; the world's origin by default.
+            pose_prior: Covariance (m^2), or standard deviations (m), of its twist from there; 1 mm and 1 degree about
+                each axis by default.
+            sites: Candidates, T_o_site; safe random sites of every object by default.
+            config: How it chooses and when it stops.
+
+        Raises:
+            ValueError: Fewer than two objects, or an object has too few safe sites.
+        """
+        if len(meshes) < 2:
+            raise ValueError("a recogniser needs at least two objects to tell apart")
+        self.names, self.config, self.likelihood = tuple(meshes), config, pad_model.likelihood
+        self.T_w_o = np.eye(4) if T_w_o is None else np.asarray(T_w_o, float)
+        known = list(meshes.values())
+        surrogates = range(config.num_surrogates if config.prior_unknown > 0 else 0)
+        unknown = [catalogue.surrogate_unknown(known, i).mesh for i in surrogates]
+        surfaces = prepare_surfaces(known + unknown)
+        if sites is None:
+            sites = sample_sites(key, surfaces[: len(known)], self.names, config.num_sites, config.site_limits)
+        self.sites = sites
+        pose_prior = outcomes.placement_std(POSE_STD_M, POSE_STD_RAD) if pose_prior is None else pose_prior
+        self.particles = belief.sample_particles(pose_prior, config.num_particles, config.seed)
+        (table,) = precompute_outcomes(
+            surfaces, self.particles.twist, sites.T_w_t, [pad_model.reading_model],
+            overtravel=config.overtravel, label="candidates",
+        )  # fmt: skip
+        self.table = jax.device_put(table)
+        self.safe = jnp.asarray(safe_sites(surfaces, sites, config.site_limits))
+        self._objects = len(surfaces)
+
+    @property
+    def channels(self) -> int:
+        """Values of a reading."""
+        return self.table.reading.shape[-1]
+
+    def init(self, prior: Float[np.ndarray, " objects"] | None = None) -> RecognizerState:
+        """The state before the first touch.
+
+        Args:
+            prior: Probabilities of the known objects if it is one of them; all equal by default.
+
+        Returns:
+            The state.
+        """
+        known, unknown = len(self.names), self._objects - len(self.names)
+        prior = np.full(known, 1 / known) if prior is None else np.asarray(prior, float) / np.sum(prior)
+        share = np.full(unknown, self.config.prior_unknown / max(1, unknown))
+        probability = (1 - self.config.prior_unknown) * prior
+        begun = belief.init(
+            self.particles, self._objects, channels=self.channels, prior=np.concatenate([probability, share])
+        )
+        return RecognizerState(begun, np.zeros(len(self.sites.owner), bool), 0, probability)
+
+    def choose_touch(self, state: RecognizerState, *, key: Key[Array, ""] | None = None) -> ChosenSite | None:
+        """The site that is expected to tell most, among those that are safe on what may be there.
+
+        Args:
+            state: After the touches so far.
+            key: Of the candidates; by default a function of the seed and of the sites touched.
+
+        Returns:
+            The site, or None where no more touch is wanted (`stop_reason` says why) or allowed: `MAX_EMPTY_DRAWS` draws
+            of candidates had no site that is safe and untouched.
+        """
+        if self.stop_reason(state) is not None:
+            return None
+        if key is None:
+            key = jax.random.fold_in(jax.random.key(self.config.seed), int(state.touched.sum()))
+        spare = jax.random.clone(key)
+        for draw in range(MAX_EMPTY_DRAWS):
+            number = self._choose(state, key if draw == 0 else jax.random.fold_in(spare, draw))
+            if number >= 0:
+                return ChosenSite(number, self.site_pose(number))
+        return None
+
+    def stop_reason(self, state: RecognizerState) -> str | None:
+        """Why no more touch is wanted.
+
+        Args:
+            state: After the touches so far.
+
+        Returns:
+            A phrase, or None while touches are wanted.
+        """
+        config = self.config
+        if state.touches and policy.should_stop(jnp.asarray(state.probability), config.max_error_probability):
+            return f"an object is {1 - config.max_error_probability:.0%} probable"
+        if state.touched.sum() >= config.max_touches:
+            return f"{config.max_touches} sites were touched"
+        return "every site was touched" if state.touched.all() else None
+
+    def observe(
+        self,
+        site: ChosenSite,
+        reading: Float[np.ndarray, " c"],
+        *,
+        force: float,
+        T_w_t: Float[np.ndarray, "4 4"],
+        contact: bool,
+    ) -> SiteObservation:
+        """Put what a robot measured into the form of `update`.
+
+        Args:
+            site: That was touched.
+            reading: Of the skin in contact, ambient subtracted (uT), in the board's order.
+            force: Along the tool's z axis (N).
+            T_w_t: The tool's pose at the end of the press.
+            contact: Whether anything was met.
+
+        Returns:
+            The observation.
+        """
+        moved = np.asarray(T_w_t)[:3, 3] - site.T_w_t[:3, 3]
+        advance = float(moved @ site.T_w_t[:3, 2])
+        touch = TouchObservation(
+            jnp.float32(reading), jnp.float32(max(force, 0.0)), jnp.float32(advance), jnp.asarray(bool(contact))
+        )
+        return SiteObservation(site.number, touch)
+
+    def update(self, state: RecognizerState, observation: SiteObservation) -> tuple[RecognizerState, RecognitionInfo]:
+        """Learn from a touch.
+
+        Args:
+            state: Before the touch.
+            observation: What it measured.
+
+        Returns:
+            The state after it, and what is believed.
+        """
+        one = jax.tree.map(lambda x: jnp.asarray(x)[None], (state.belief, observation.touch))
+        after, p = update_beliefs(one[0], jnp.asarray([observation.number]), one[1], self.table, self.likelihood)
+        touches = state.touches + 1
+        probability = self._calibrated(p[0], touches)
+        state = RecognizerState(
+            jax.tree.map(lambda x: x[0], after), self.exclude(state, observation.number).touched, touches, probability
+        )
+        return state, self.info(state)
+
+    def exclude(self, state: RecognizerState, number: int) -> RecognizerState:
+        """The state in which a site is not chosen again, for instance because it could not be reached.
+
+        Args:
+            state: So far.
+            number: Of the site.
+
+        Returns:
+            The new state.
+        """
+        touched = state.touched.copy()
+        touched[number] = True
+        return state._replace(touched=touched)
+
+    def info(self, state: RecognizerState) -> RecognitionInfo:
+        """What is believed.
+
+        Args:
+            state: After the touches so far.
+
+        Returns:
+            Calibrated probabilities and the most probable object.
+        """
+        p = state.probability
+        best, unknown = int(p.argmax()), float(max(0.0, 1 - p.sum()))
+        if unknown > p[best]:
+            return RecognitionInfo(p, unknown, None, unknown)
+        return RecognitionInfo(p, unknown, self.names[best], float(p[best]))
+
+    def object_pose(self, state: RecognizerState, name: str) -> Float[np.ndarray, "4 4"]:
+        """Where an object stands, if it is the one that is there.
+
+        Args:
+            state: After the touches so far.
+            name: Of the object.
+
+        Returns:
+            T_w_o of its mean pose.
+        """
+        mean, _ = belief.twist_estimate(state.belief, self.particles)
+        return np.asarray(self.T_w_o @ np.asarray(from_twist(mean[self.names.index(name)]), np.float64))
+
+    def site_pose(self, number: int) -> Float[np.ndarray, "4 4"]:
+        """The tool's pose at a site.
+
+        Args:
+            number: Of the site.
+
+        Returns:
+            T_w_t in float64, its rotation orthonormal to the last digit.
+        """
+        pose = self.T_w_o @ np.asarray(self.sites.T_w_t[number], float)
+        u, _, vt = np.linalg.svd(pose[:3, :3])
+        return np.block([[u @ vt, pose[:3, 3:]], [np.zeros((1, 3)), np.ones((1, 1))]])
+
+    def warm_up(self) -> None:
+        """Choose and learn once for nothing, so that nothing is compiled while an arm waits."""
+        state = self.init()
+        blank = TouchObservation(jnp.zeros(self.channels), jnp.float32(1.0), jnp.float32(0.0), jnp.asarray(False))
+        for step in range(2):  # after a first touch the belief has other types
+            self._choose(state, jax.random.fold_in(jax.random.key(self.config.seed), step))
+            state, _ = self.update(state, SiteObservation(0, blank))
+
+    def _choose(self, state: RecognizerState, key: Array) -> int:
+        """The number of a site among candidates drawn with a key; -1 where none of them is allowed."""
+        state_of_one = jax.tree.map(lambda x: jnp.asarray(x)[None], state.belief)
+        found = choose_informative_sites(
+            jax.random.split(key, 1), state_of_one, self.table, self.likelihood,
+            touched=jnp.asarray(state.touched)[None], safe=self.safe, skin_change=self.config.skin_change,
+        )  # fmt: skip
+        return int(found[0])
+
+    def _calibrated(self, p: Float[Array, " all"], touches: int) -> Float[np.ndarray, " objects"]:
+        """Calibrated probabilities of the known objects from those of all, surrogates included."""
+        known = len(self.names)
+        named = np.asarray(_apply_temperature(p[:known], jnp.float32(touches)), np.float64)
+        if self._objects == known:
+            return named
+        everything, prior = np.asarray(p, np.float64), self.config.prior_unknown
+        raw = everything[:known], everything[known:].sum()
+        # The scaling was fitted at another prior: there, and back.
+        _, unknown = metrics.with_unknown_prior(*raw, prior, CALIBRATION_PRIOR_UNKNOWN)
+        read = UNKNOWN_SCALING.apply(unknown, touches)
+        _, unknown = metrics.with_unknown_prior(named * (1 - read), read, CALIBRATION_PRIOR_UNKNOWN, prior)
+        return named * (1 - float(unknown))
+
+
+_apply_temperature = jax.jit(belief.apply_temperature)

@@ -1,0 +1,86 @@
+"""Recorded sessions as episodes: where the sites of touches lie, and what a touch that met air says."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from i2t.dataset import Dataset
+from i2t.errors import DataError
+from i2t.recognition import belief
+from i2t.recognition.episodes import EpisodeConfig, EpisodeSimulator, episodes_from_dataset
+from i2t.recognition.outcomes import PredictedTouch
+from i2t.recognition.site_pool import SitePool
+from i2t.simulation.press import PressLimits
+from i2t.simulation.touches import SimulationErrors
+from i2t.skin.boards import grid_board
+from i2t.skin.pad import nominal_pad
+from i2t.types import ReturnCode, Touches
+
+BOARD = grid_board(2, 2)
+CHANNELS = 3 * len(BOARD.chips)
+OVERTRAVEL = 6e-3
+TOP = 30e-3  # m, height of the object's top
+DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def recorded(heights: np.ndarray, codes: list[ReturnCode]) -> Dataset:
+    """A session of presses straight down that ended at these heights (m), on a 4-chip board."""
+    n = len(heights)
+    T = np.tile(DOWN, (n, 1, 1))
+    T[:, 2, 3] = heights
+    zero, index = np.zeros(n), np.zeros(n, np.int32)
+    touches = Touches(
+        patch=np.zeros((n, 48, 48)), wide=np.zeros((n, 72, 72)), nearest=zero, reading=np.ones((n, CHANNELS)),
+        force=zero + 0.5, depth=np.where(np.array(codes) == ReturnCode.AIR, np.nan, 1e-3), T_w_t=T,
+        T_w_o=np.tile(np.eye(4), (n, 1, 1)), object=index, pad=index, session=index, code=np.array(codes, np.int32),
+    )  # fmt: skip
+    return Dataset(touches, ("square",), ("pad",), ("session",), BOARD, "simulated")
+
+
+def test_the_site_of_a_touch_that_met_air_lies_before_its_end():
+    heights = np.array([TOP, TOP + 3e-3, TOP - 1e-3])
+    data = recorded(heights, [ReturnCode.SKIN, ReturnCode.AIR, ReturnCode.WRENCH])
+    sites, episodes = episodes_from_dataset(data, ["square"], 3, overtravel=OVERTRAVEL)
+    np.testing.assert_allclose(sites.T_w_t[:, 2, 3], heights + np.array([0, OVERTRAVEL, 0]), atol=1e-8)
+    np.testing.assert_allclose(episodes.observations.advance[0], [0, OVERTRAVEL, 0])
+    np.testing.assert_array_equal(episodes.observations.contact[0], [True, False, True])
+    np.testing.assert_allclose(episodes.T_w_t[0, :, 2, 3], heights, atol=1e-8)
+
+
+def test_a_true_object_that_a_press_did_not_reach_is_not_punished():
+    """A press ended in the air 3 mm above the true object, and another object reaches 3 mm further up."""
+    data = recorded(np.array([TOP + 3e-3]), [ReturnCode.AIR])
+    sites, episodes = episodes_from_dataset(data, ["square"], 1, overtravel=OVERTRAVEL)
+    site_height = float(sites.T_w_t[0, 2, 3])
+    tops = np.array([TOP, TOP + 6e-3])
+    predicted = PredictedTouch(
+        hit=jnp.ones((2, 1), bool), approach_distance=jnp.float32(site_height - tops)[:, None],
+        jacobian=jnp.zeros((2, 1, 6)), indentation=jnp.ones((2, 1, 2)) * 1e-4,
+        reading=jnp.ones((2, 1, 2, CHANNELS)), variance=jnp.ones((2, 1, 2)) * 1e-3,
+    )  # fmt: skip
+    likelihood = belief.fit_likelihood(
+        np.random.default_rng(0).normal(size=(50, CHANNELS)), jnp.ones(CHANNELS), jnp.array([0.3, 0.9]),
+        overtravel=OVERTRAVEL, position_std=1e-4,
+    )  # fmt: skip
+    begun = belief.init(belief.sample_particles(np.full(6, 1e-3), 1), 2, channels=CHANNELS)
+    touch = jax.tree.map(lambda x: x[0, 0], episodes.observations)
+    assert belief.posterior(belief.update(begun, touch, predicted, likelihood))[0] > 0.95
+
+
+def test_what_cannot_be_used_is_said():
+    data = recorded(np.array([TOP]), [ReturnCode.SKIN])
+    with pytest.raises(DataError, match="of which there is no mesh"):
+        episodes_from_dataset(data, ["hexagon"], 1)
+    with pytest.raises(DataError, match="no session has 2 touches"):
+        episodes_from_dataset(data, ["square"], 2)
+
+
+def test_an_episode_without_a_site_is_refused():
+    sites = SitePool(jnp.eye(4)[None], np.zeros(1, int))
+    simulator = EpisodeSimulator(
+        jax.random.key(0), [], np.zeros(1, int), sites=sites, pad=nominal_pad(),
+        config=EpisodeConfig(SimulationErrors(), PressLimits(), 1),
+    )  # fmt: skip
+    with pytest.raises(ValueError, match="no site"):
+        simulator.touch(np.array([[-1]]))

@@ -1,0 +1,132 @@
+"""A recogniser without devices: touches are those that its own pad model predicts of one object in one pose, with
+errors.
+"""
+
+from copy import copy
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from i2t.objects import catalogue
+from i2t.recognition import belief, policy
+from i2t.recognition.outcomes import LOADS_N, PRESSURE_GRID, LinearReadingModel
+from i2t.recognition.pad_model import PadModel
+from i2t.recognition.recognizer import ChosenSite, ObjectRecognizer, RecognizerConfig
+from i2t.rendering.ops import element
+
+CHANNELS = 12  # of a 4-chip board
+NAMES = ("square", "cylinder", "hexagon")
+POSE = 2  # the particle that is true
+CONFIG = RecognizerConfig(num_sites=3, num_particles=4, max_touches=6, prior_unknown=0.1, num_surrogates=1)
+
+
+@pytest.fixture(scope="module")
+def pad_model() -> PadModel:
+    """A pad whose channels see blurred parts of the pressure."""
+    rng = np.random.default_rng(0)
+    x = PRESSURE_GRID.centres * 1e3
+    middle, width = rng.uniform(-6, 6, (CHANNELS, 2)), 5.0
+    blur = np.exp(-((x[:, None] - middle[:, 0]) ** 2) / width**2)[:, None] * np.exp(
+        -((x[:, None] - middle[:, 1]) ** 2) / width**2
+    )
+    mean = np.tile(60 * blur.reshape(1, -1, CHANNELS), (len(LOADS_N), 1, 1))
+    cells = mean.shape[1]
+    model = LinearReadingModel(
+        jnp.float32(LOADS_N), jnp.float32(mean), jnp.zeros((len(LOADS_N), cells, 1)), jnp.ones(CHANNELS),
+        jnp.float32(1.0),
+    )  # fmt: skip
+    errors = rng.normal(scale=0.5, size=(200, CHANNELS))
+    likelihood = belief.fit_likelihood(
+        errors, jnp.ones(CHANNELS), jnp.float32(LOADS_N), overtravel=CONFIG.overtravel, position_std=1e-4
+    )
+    return PadModel(model, likelihood, np.ones(CHANNELS), 1.0, errors)
+
+
+@pytest.fixture(scope="module")
+def recognizer(pad_model) -> ObjectRecognizer:
+    meshes = {name: catalogue.make_object(name).mesh for name in NAMES}
+    T_w_o = np.eye(4)
+    T_w_o[:3, 3] = 0.3, 0.1, 0.02
+    return ObjectRecognizer(jax.random.key(0), pad_model, meshes, T_w_o=T_w_o, config=CONFIG)
+
+
+def touch(recognizer: ObjectRecognizer, site: ChosenSite, truth: int, key: jax.Array):
+    """What a robot would measure: reading, force, end of the press and contact."""
+    row = element(element(recognizer.table, site.number), (truth, POSE))
+    found = policy.imagine_observation(
+        row, jnp.zeros(6), jax.random.normal(key, (CHANNELS + 1,)), likelihood=recognizer.likelihood,
+        skin_change=25.0, force=8.0,
+    )  # fmt: skip
+    T_w_t = site.T_w_t.copy()
+    T_w_t[:3, 3] += float(found.advance) * site.T_w_t[:3, 2]
+    return np.asarray(found.reading), float(found.force), T_w_t, bool(found.contact)
+
+
+@pytest.mark.parametrize("truth", [0, 1, 2])
+def test_an_object_is_recognised_by_chosen_touches(recognizer, truth):
+    state = recognizer.init()
+    sites = []
+    while (site := recognizer.choose_touch(state)) is not None:
+        key = jax.random.fold_in(jax.random.key(truth), len(sites))
+        reading, force, T_w_t, contact = touch(recognizer, site, truth, key)
+        observation = recognizer.observe(site, reading, force=force, T_w_t=T_w_t, contact=contact)
+        before = jax.tree.map(np.array, state)
+        after, info = recognizer.update(state, observation)
+        jax.tree.map(np.testing.assert_array_equal, before, jax.tree.map(np.array, state))  # a state never changes
+        state = after
+        sites.append(site.number)
+    assert info.name == NAMES[truth]
+    assert info.confidence == info.probability[truth] >= 0.95
+    assert info.probability.sum() + info.unknown == pytest.approx(1)
+    assert recognizer.stop_reason(state) == "an object is 95% probable"
+    assert len(set(sites)) == len(sites) == state.touches
+    # It stands where the true particle lies, to the width of the particles.
+    found = recognizer.object_pose(state, NAMES[truth])
+    assert np.linalg.norm(found[:3, 3] - recognizer.T_w_o[:3, 3]) < 5e-3
+
+
+def test_no_touch_is_chosen_where_none_is_safe(recognizer):
+    state = recognizer.init()
+    cautious = copy(recognizer)
+    cautious.safe = jnp.zeros_like(recognizer.safe)
+    assert cautious.choose_touch(state) is None
+    assert cautious.stop_reason(state) is None  # it wants one
+    assert recognizer.choose_touch(state) is not None
+
+
+def test_sites_that_were_excluded_are_not_chosen(recognizer):
+    state = recognizer.init()
+    for number in range(len(recognizer.sites.owner) - 1):
+        state = recognizer.exclude(state, number)
+    patient = copy(recognizer)
+    patient.config = replace(CONFIG, max_touches=100)
+    site = patient.choose_touch(state)
+    assert site is None or site.number == len(recognizer.sites.owner) - 1
+    assert recognizer.choose_touch(state) is None
+    assert recognizer.stop_reason(state) == "6 sites were touched"
+    assert patient.stop_reason(patient.exclude(state, len(recognizer.sites.owner) - 1)) == "every site was touched"
+
+
+def test_a_prior_is_what_is_believed_at_first(recognizer):
+    info = recognizer.info(recognizer.init(np.array([2.0, 1.0, 1.0])))
+    np.testing.assert_allclose(info.probability, 0.9 * np.array([0.5, 0.25, 0.25]))
+    assert info.unknown == pytest.approx(0.1)
+    assert info.name == "square"
+
+
+def test_sites_stand_on_the_believed_object(recognizer):
+    pose = recognizer.site_pose(0)
+    np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.inv(recognizer.T_w_o) @ pose, recognizer.sites.T_w_t[0], atol=1e-6)
+
+
+def test_what_makes_no_sense_is_refused(pad_model):
+    with pytest.raises(ValueError, match="prior_unknown is 1"):
+        RecognizerConfig(prior_unknown=1.0)
+    with pytest.raises(ValueError, match="num_surrogates is 0"):
+        RecognizerConfig(prior_unknown=0.1, num_surrogates=0)
+    with pytest.raises(ValueError, match="at least two objects"):
+        ObjectRecognizer(jax.random.key(0), pad_model, {"square": catalogue.make_object("square").mesh})
