@@ -119,7 +119,7 @@ class SimulatedLab:
                 ticks = min(at_once, max(1, int((now - self.time) / TICK_S)))
                 if self.robot.motion is not None:
                     self.robot.step(ticks * TICK_S)
-                self.robot.felt()
+                self.robot.wrench()
                 for _ in range(ticks):
                     self.time += TICK_S
                     if self.recording:
@@ -306,9 +306,9 @@ class SimulatedArm(_SimulatedDevice):
         self._check()
         with self.lab.lock:
             robot = self.lab.robot
-            wrench = robot.measured().reshape(2, 3) @ robot.turned
+            wrench = robot.measured_wrench().reshape(2, 3) @ robot.rotation
             T_b_t = np.eye(4)
-            T_b_t[:3, :3], T_b_t[:3, 3] = robot.turned, robot.position
+            T_b_t[:3, :3], T_b_t[:3, 3] = robot.rotation, robot.position
             return ArmState(
                 time=self.lab.time,
                 T_b_t=T_b_t,
@@ -328,7 +328,7 @@ class SimulatedArm(_SimulatedDevice):
         vector = pose_to_vector(T_b_t)
         with self.lab.lock:
             robot = self.lab.robot
-            self.lab.contact_model.stands(robot.position, robot.turned)  # however short it stood
+            self.lab.contact_model.stands(robot.position, robot.rotation)  # however short it stood
             robot.line_to(np.array(vector), speed, acceleration)
         return pose_from_vector(vector)
 
@@ -348,7 +348,7 @@ class SimulatedArm(_SimulatedDevice):
         if self.state().moving:
             raise DeviceError("The wrench can be zeroed only while the arm stands.")
         robot = self.lab.robot
-        robot.zero = robot.felt() + robot.bias
+        robot.zero_wrench()
 
     def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
         """Move straight to a pose and wait. See `i2t.hardware.protocols.GuardedArm.go`."""

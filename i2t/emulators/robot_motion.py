@@ -1,143 +1,185 @@
 """A tool that moves in time: straight lines, constant speeds, stops, giving way to forces, and what it touches.
 
 Lines have a trapezoidal speed profile; speeds change by at most an acceleration. Where a motion also turns, a radian
-counts as 0.25 m of travel. Poses are six numbers as a UR robot has them, metres and a rotation vector in its base axes.
+counts as 0.25 m of travel. Poses are six numbers as a UR robot has them, metres and a rotation vector in its base axes;
+so are twists (m/s, rad/s) and wrenches (N, Nm), along the base's axes.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from i2t.geometry import so3_exp, so3_log
 
-Array = NDArray[np.float64]
+Array: TypeAlias = NDArray[np.float64]
+Contact: TypeAlias = Callable[[Array, Array], Array]  # position (3,) and rotation (3, 3) of the tool -> wrench on it
 
-LEVER = 0.25  # m of travel that a radian counts as
-
-
-def toward(current: Array, target: Array, most: float) -> Array:
-    """Change a vector towards a target by at most a given length."""
-    step = target - current
-    length = float(np.linalg.norm(step))
-    return target if length <= most else current + step * (most / length)
+ROTATION_LEVER_M = 0.25  # travel that a radian counts as
+STOP_DECELERATION = 5.0  # m/s^2, of a program that ends
+FORCE_COMPLIANCE = 1e-3  # m/s per N: a contact of 100 N/mm converges, as the lag in one tick is a fifth of the way
+ARRIVED_M = 1e-9
 
 
-class Line(NamedTuple):
+class LinearMotion(NamedTuple):
     """Straight motion from a pose to a pose, rotation about a fixed axis in proportion."""
 
-    start: Array  # (3,) m
-    turned: Array  # (3, 3)
-    along: Array  # (6,) whole displacement and rotation vector, base axes
+    position: Array  # (3,) m, at the start
+    rotation: Array  # (3, 3)
+    displacement: Array  # (6,) to the end: m and rotation vector
     length: float  # m
     speed: float  # m/s
     acceleration: float  # m/s^2
 
 
-class Constant(NamedTuple):
-    """Speed that is reached and kept; zero is a stop."""
+class ConstantTwist(NamedTuple):
+    """A speed that is reached and kept; zero is a stop."""
 
-    twist: Array  # (6,) m/s and rad/s, base axes
+    twist: Array  # (6,)
     acceleration: float  # m/s^2
 
 
-class Compliant(NamedTuple):
-    """Along chosen axes of a frame the tool moves until it pushes with the given wrench; the others stand still."""
+class ForceMotion(NamedTuple):
+    """Along selected axes of a frame the tool moves until it pushes with the given wrench; the others stand still."""
 
     frame: Array  # (3, 3) axes of the task in the base
-    chosen: Array  # (6,) 0 or 1
-    wrench: Array  # (6,) N and Nm on the environment
-    fastest: Array  # (6,) m/s and rad/s
+    selected: Array  # (6,) 0 or 1
+    wrench: Array  # (6,) on the environment
+    max_twist: Array  # (6,)
 
 
-Contact = Callable[
-    [Array, Array], Array
-]  # position (3,) and rotation (3, 3) of the tool -> wrench (6,) on it, base axes
+def limited_step(current: Array, target: Array, max_length: float) -> Array:
+    """Change a vector towards a target by at most a given length.
+
+    Args:
+        current: The vector now.
+        target: Where it should go.
+        max_length: Of the change.
+
+    Returns:
+        The vector after the change.
+    """
+    step = target - current
+    length = float(np.linalg.norm(step))
+    return target if length <= max_length else current + step * (max_length / length)
 
 
 def plane(height: float, stiffness: float) -> Contact:
-    """A horizontal plane (m) that pushes back like a spring (N/m), without friction, on the tool's origin."""
+    """A horizontal plane that pushes back like a spring, without friction, on the tool's origin.
 
-    def wrench(position: Array, turned: Array) -> Array:
+    Args:
+        height: m in the base.
+        stiffness: N/m.
+
+    Returns:
+        The contact with it.
+    """
+
+    def wrench(position: Array, rotation: Array) -> Array:
         return np.array([0.0, 0.0, stiffness * max(0.0, height - position[2]), 0.0, 0.0, 0.0])
 
     return wrench
 
 
 class Robot:
-    """A tool that moves in time and touches; `extra` is a wrench from elsewhere, `bias` what the sensor makes up."""
+    """A tool that moves in time and touches.
+
+    Args:
+        pose: (6,) at the start.
+        contact: What the tool touches.
+        bias: (6,) wrench that the sensor reports in the air.
+        noise: N, standard deviation of the sensor's force on each axis.
+    """
 
     def __init__(self, pose: Array, contact: Contact, bias: Array, noise: float) -> None:
-        self.position, self.turned, self.twist = pose[:3], so3_exp(pose[3:]), np.zeros(6)
-        self.motion: Line | Constant | Compliant | None = None
-        self.travelled, self.rate, self.scaling, self.fastest = 0.0, 0.0, 1.0, 0.0
+        self.position, self.rotation, self.twist = pose[:3], so3_exp(pose[3:]), np.zeros(6)
+        self.motion: LinearMotion | ConstantTwist | ForceMotion | None = None
+        self.travelled, self.speed = 0.0, 0.0  # m, m/s, along a line
+        self.speed_fraction = 1.0  # that the slider leaves
+        self.max_speed = 0.0  # m/s, the greatest so far
         self.contact, self.noise = contact, noise
-        self.extra, self.zero, self.bias = np.zeros(6), np.zeros(6), bias
-        self.random = np.random.default_rng(0)
+        self.external_wrench = np.zeros(6)  # from elsewhere
+        self.bias, self.wrench_zero = bias, np.zeros(6)
+        self.rng = np.random.default_rng(0)
 
     @property
     def pose(self) -> Array:
         """(6,) metres and rotation vector."""
-        return np.concatenate([self.position, so3_log(self.turned)])
+        return np.concatenate([self.position, so3_log(self.rotation)])
 
-    def felt(self) -> Array:
-        """Wrench (6,) that is really on the tool, N and Nm, base axes."""
-        return self.contact(self.position, self.turned) + self.extra
+    def wrench(self) -> Array:
+        """Wrench (6,) that is really on the tool."""
+        return self.contact(self.position, self.rotation) + self.external_wrench
 
-    def told(self) -> Array:
-        """Wrench (6,) that the sensor tells, zeroed and without its noise."""
-        return self.felt() + self.bias - self.zero
+    def zeroed_wrench(self) -> Array:
+        """Wrench (6,) that the sensor would report without its noise."""
+        return self.wrench() + self.bias - self.wrench_zero
 
-    def measured(self) -> Array:
-        """Wrench (6,) that the sensor tells."""
-        return self.told() + self.noise * np.append(self.random.standard_normal(3), np.zeros(3))
+    def measured_wrench(self) -> Array:
+        """Wrench (6,) that the sensor reports."""
+        return self.zeroed_wrench() + self.noise * np.append(self.rng.standard_normal(3), np.zeros(3))
+
+    def zero_wrench(self) -> None:
+        """Have the sensor report nothing for what it feels now."""
+        self.wrench_zero = self.wrench() + self.bias
 
     def line_to(self, pose: Array, speed: float, acceleration: float) -> None:
-        """Start a straight motion from the present pose."""
-        turn = so3_log(so3_exp(pose[3:]) @ self.turned.T)
-        along = np.concatenate([pose[:3] - self.position, turn])
-        length = max(float(np.linalg.norm(along[:3])), LEVER * float(np.linalg.norm(turn)))
-        self.travelled = self.rate = 0.0
-        self.motion = Line(self.position, self.turned, along, length, speed, acceleration)
+        """Start a straight motion from the present pose.
 
-    def stop(self, deceleration: float = 5.0) -> None:
-        """Slow down to a stand."""
+        Args:
+            pose: (6,) at the end.
+            speed: m/s.
+            acceleration: m/s^2.
+        """
+        turn = so3_log(so3_exp(pose[3:]) @ self.rotation.T)
+        displacement = np.concatenate([pose[:3] - self.position, turn])
+        length = max(float(np.linalg.norm(displacement[:3])), ROTATION_LEVER_M * float(np.linalg.norm(turn)))
+        self.travelled = self.speed = 0.0
+        self.motion = LinearMotion(self.position, self.rotation, displacement, length, speed, acceleration)
+
+    def stop(self, deceleration: float = STOP_DECELERATION) -> None:
+        """Slow down (m/s^2) to a stand."""
         if self.motion is not None:
-            self.motion = Constant(np.zeros(6), deceleration)
+            self.motion = ConstantTwist(np.zeros(6), deceleration)
 
     def step(self, dt: float) -> None:
-        """Advance by a tick."""
-        if isinstance(self.motion, Line):
-            self._follow(self.motion, dt)
-        elif isinstance(self.motion, Compliant):
-            frame, chosen, wanted, most = self.motion
-            both = np.kron(np.eye(2), frame)
-            # Slow enough that a contact of 100 N/mm converges: the lag in one tick is a fifth of the way.
-            pushed = (wanted + both.T @ self.told()) * 1e-3
-            self.twist = both @ (chosen * np.clip(pushed, -most, most))
-            self._drift(dt)
-        elif self.motion is not None:
-            target, a = self.motion
-            scale = np.array([1.0, 1.0, 1.0, LEVER, LEVER, LEVER])
-            self.twist = toward(self.twist * scale, self.scaling * target * scale, a * dt) / scale
-            self._drift(dt)
-            if not target.any() and not self.twist.any():
-                self.motion = None
-        self.fastest = max(self.fastest, float(np.linalg.norm(self.twist[:3])))
+        """Advance by a time (s)."""
+        if isinstance(self.motion, LinearMotion):
+            self._step_line(self.motion, dt)
+        elif isinstance(self.motion, ForceMotion):
+            self._step_force(self.motion, dt)
+        elif isinstance(self.motion, ConstantTwist):
+            self._step_twist(self.motion, dt)
+        self.max_speed = max(self.max_speed, float(np.linalg.norm(self.twist[:3])))
 
-    def _drift(self, dt: float) -> None:
-        self.position = self.position + self.twist[:3] * dt
-        self.turned = so3_exp(self.twist[3:] * dt) @ self.turned
-
-    def _follow(self, line: Line, dt: float) -> None:
+    def _step_line(self, line: LinearMotion, dt: float) -> None:
         left = line.length - self.travelled
-        brake = float(np.sqrt(2 * line.acceleration * left))
-        self.rate = min(self.rate + line.acceleration * dt, line.speed * self.scaling, brake)
-        self.travelled += self.rate * dt
-        if self.travelled >= line.length - 1e-9:
-            self.travelled, self.rate, self.motion = line.length, 0.0, None
+        braking_speed = float(np.sqrt(2 * line.acceleration * left))
+        self.speed = min(self.speed + line.acceleration * dt, line.speed * self.speed_fraction, braking_speed)
+        self.travelled += self.speed * dt
+        if self.travelled >= line.length - ARRIVED_M:
+            self.travelled, self.speed, self.motion = line.length, 0.0, None
         part = self.travelled / line.length if line.length else 1.0
-        self.twist = line.along * (self.rate / line.length if line.length else 0.0)
-        self.position = line.start + part * line.along[:3]
-        self.turned = so3_exp(part * line.along[3:]) @ line.turned
+        self.twist = line.displacement * (self.speed / line.length if line.length else 0.0)
+        self.position = line.position + part * line.displacement[:3]
+        self.rotation = so3_exp(part * line.displacement[3:]) @ line.rotation
+
+    def _step_force(self, motion: ForceMotion, dt: float) -> None:
+        axes = np.kron(np.eye(2), motion.frame)
+        missing = motion.wrench + axes.T @ self.zeroed_wrench()
+        twist = np.clip(FORCE_COMPLIANCE * missing, -motion.max_twist, motion.max_twist)
+        self.twist = axes @ (motion.selected * twist)
+        self._move_by_twist(dt)
+
+    def _step_twist(self, motion: ConstantTwist, dt: float) -> None:
+        metres = np.array([1.0, 1.0, 1.0, ROTATION_LEVER_M, ROTATION_LEVER_M, ROTATION_LEVER_M])
+        target = self.speed_fraction * motion.twist * metres
+        self.twist = limited_step(self.twist * metres, target, motion.acceleration * dt) / metres
+        self._move_by_twist(dt)
+        if not motion.twist.any() and not self.twist.any():
+            self.motion = None
+
+    def _move_by_twist(self, dt: float) -> None:
+        self.position = self.position + self.twist[:3] * dt
+        self.rotation = so3_exp(self.twist[3:] * dt) @ self.rotation

@@ -1,9 +1,9 @@
-"""A stand-in for a Universal Robots controller, as a process of its own, that the real ur_rtde client accepts.
+"""An emulated Universal Robots controller, as a process of its own, that the real ur_rtde client accepts.
 
     python -m i2t.emulators.ur_controller --host 127.0.0.9
 
-It opens the ports the client uses (30004 RTDE, 29999 dashboard, 30003 script) and plays the part of the script that the
-client uploads: commands and results pass through registers. A tool without arm or joints moves in time, in straight
+It opens the ports the client uses (30004 RTDE, 29999 dashboard, 30003 script) and does what the script would do that
+the client uploads: commands and results pass through registers. A tool without arm or joints moves in time, in straight
 lines with a trapezoidal speed profile. Joint values are therefore zero, and the tool is where the controller says,
 whatever TCP it is given. Any 127.0.0.x is a robot of its own.
 
@@ -23,19 +23,22 @@ Faults on demand. A fourth port, 30100, takes a line and answers one, for instan
     protective            protective stop; the dashboard's "unlock protective stop" releases it after --unlock-delay
     stall | resume        RTDE packets stop, connections stay open | and come again
     mute                  every port still connects, and answers nothing more
+    drop-control          the connections that write registers are closed, and can be made again
+    drop-state            the connections that only listen are closed, and can be made again
     kill-program          the running program ends at once, as when someone presses stop on the pendant
     local | remote        control is refused: local mode, scripts are ignored | and allowed again
     wrench X Y Z A B C    a constant force (N) and torque (Nm) on the tool, base axes, besides the plane's
     plane Z STIFFNESS     move the plane: height in metres, newtons per metre; stiffness 0 removes it
     speed FRACTION        the speed slider on the pendant
-    status                a JSON object: pose, twist, force, program, commands taken, greatest speed so far, since when
+    status                a JSON object: pose, twist, force, program, how often it was
+                          uploaded, commands taken, greatest speed so far, since when
                           the tool stands and when the client was heard last (s on the controller's clock)
 
 Sources: Universal Robots' RTDE guide, dashboard server and URScript manuals (watchdog: `rtde_set_watchdog` with the
 action "stop"); the register handshake was observed from ur_rtde 1.6.5. The stopping distance, the lever by which
 rotation counts as travel, how force mode gives way, the 5 N that end moveUntilContact, and the delays of a real
 controller are not modelled on measurements. Of the client's commands those on straight lines and speeds of the tool,
-force mode, payload, tool, zeroing, watchdog and stopping are played; any other ends the program, and says so.
+force mode, payload, tool, zeroing, watchdog and stopping are emulated; any other ends the program, and says so.
 """
 
 import argparse
@@ -45,111 +48,149 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from i2t.emulators.robot_motion import Robot, plane
+from i2t.emulators.robot_motion import Contact, Robot, plane
 from i2t.emulators.ur_program import PLAYING as PLAYING
 from i2t.emulators.ur_program import STOPPED as STOPPED
 from i2t.emulators.ur_program import TICK as TICK
 from i2t.emulators.ur_program import Controller
-from i2t.emulators.ur_server import DASHBOARD as DASHBOARD
-from i2t.emulators.ur_server import FAULTS, Server
-from i2t.emulators.ur_server import RTDE as RTDE
-from i2t.emulators.ur_server import SCRIPT as SCRIPT
+from i2t.emulators.ur_server import FAULT_PORT, Server
+
+POINTING_DOWN = (0.4, 0.0, 0.3, np.pi, 0.0, 0.0)  # m, rad: the tool's pose at the start
+ASK_TIMEOUT_S = 5.0
 
 
 def loopback(number: int) -> str:
-    """The address of a controller of this process's own, one of 250."""
+    """The address of a controller of this process's own.
+
+    Args:
+        number: Which, one of 250.
+
+    Returns:
+        An address 127.x.y.z of this machine.
+    """
     pid = os.getpid()
     return f"127.{pid // 250 % 250 + 1}.{pid % 250 + 1}.{number % 250 + 1}"
 
 
 @contextlib.contextmanager
 def process(host: str, *options: str) -> Iterator[subprocess.Popen[str]]:
-    """Run the stand-in beside this process, from when it is ready until the block is left."""
+    """Run an emulated controller next to this process, from when it is ready until the block is left.
+
+    Args:
+        host: Address to listen on.
+        options: Of its command line.
+
+    Yields:
+        Its process.
+
+    Raises:
+        RuntimeError: It did not start.
+    """
     command = [sys.executable, "-m", "i2t.emulators.ur_controller", "--host", host, *options]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as running:
         try:
             assert running.stdout is not None
             if not running.stdout.readline():
-                raise RuntimeError(f"The UR stand-in did not start on {host}.")
+                raise RuntimeError(f"The UR emulator did not start on {host}.")
             yield running
         finally:
             running.kill()
 
 
 def ask(host: str, line: str) -> str:
-    """Send a line to the fault port of a running stand-in; returns its answer."""
-    with socket.create_connection((host, FAULTS), 5.0) as connection, connection.makefile("rw") as lines:
+    """Send a line to the fault port of a running emulator.
+
+    Args:
+        host: Its address.
+        line: A fault, or "status".
+
+    Returns:
+        Its answer.
+    """
+    with socket.create_connection((host, FAULT_PORT), ASK_TIMEOUT_S) as connection, connection.makefile("rw") as lines:
         lines.write(line + "\n")
         lines.flush()
         return lines.readline().strip()
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(
+def parser() -> argparse.ArgumentParser:
+    """The command line.
+
+    Returns:
+        A parser of its options.
+    """
+    options = argparse.ArgumentParser(
         prog="python -m i2t.emulators.ur_controller",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--host", default="127.0.0.9", help="address to listen on (default %(default)s)")
-    parser.add_argument(
-        "--pose",
-        type=float,
-        nargs=6,
-        default=(0.4, 0.0, 0.3, np.pi, 0.0, 0.0),
-        metavar=("X", "Y", "Z", "RX", "RY", "RZ"),
-        help="tool's pose at the start, metres and rotation vector (default: pointing down, 0.3 m high)",
-    )
-    parser.add_argument("--plane", type=float, default=0.0, help="height of the plane in m (default %(default)s)")
-    parser.add_argument("--stiffness", type=float, default=0.0, help="of the plane in N/m; 0: no plane")
-    parser.add_argument("--bias", type=float, nargs=3, default=(0, 0, 0), help="N, what the sensor tells in the air")
-    parser.add_argument(
-        "--noise", type=float, help="of the force sensor, N, one sigma per axis (default 0; 0.1 with --object)"
-    )
-    parser.add_argument("--force-limit", type=float, default=150.0, help="N, protective stop above (default 150)")
-    parser.add_argument("--unlock-delay", type=float, default=5.0, help="s, before a protective stop can be released")
-    parser.add_argument(
-        "--after", nargs=2, action="append", default=[], metavar=("SECONDS", "COMMAND"), help="fault after the start"
-    )
-    parser.add_argument("--latency", type=float, default=0.0, help="s that commands take to reach the program")
-    parser.add_argument("--object", help="what the tool touches: a name of the catalogue, or a mesh file")
-    parser.add_argument("--unit", default="mm", help="of a mesh file: m, cm, mm or inch (default mm)")
-    parser.add_argument("--rig", type=Path, help="a lab's calibration, which says where the object is")
-    parser.add_argument("--pad", type=Path, help="the skin that the tool wears, on disk; by default a random one")
-    parser.add_argument("--seed", type=int, default=0, help="of the errors")
-    parser.add_argument("--exact", action="store_true", help="the object is where it is believed to be")
-    parser.add_argument("--mount", type=float, default=10e3, help="stiffness of arm and mount, N/m (default 10000)")
-    parser.add_argument("--skin", metavar="HOST:PORT", help="an emulated board that shows what the skin feels")
-    parser.add_argument("--tethered", action="store_true", help="end when standard input closes")
-    args = parser.parse_args(arguments)
-    contact: Any = plane(args.plane, args.stiffness)
-    noise = args.noise or 0.0
-    try:
-        if args.object is not None:
-            from i2t.emulators.ur_contact import make_contact_model
-            from i2t.emulators.world import WorldConfig
+    add = options.add_argument
+    pose = ("X", "Y", "Z", "RX", "RY", "RZ")
+    add("--host", default="127.0.0.9", help="address to listen on (default %(default)s)")
+    add("--pose", type=float, nargs=6, default=POINTING_DOWN, metavar=pose,
+        help="tool's pose at the start, metres and rotation vector (default: pointing down, 0.3 m high)")  # fmt: skip
+    add("--plane", type=float, default=0.0, help="height of the plane in m (default %(default)s)")
+    add("--stiffness", type=float, default=0.0, help="of the plane in N/m; 0: no plane")
+    add("--bias", type=float, nargs=3, default=(0, 0, 0), help="N, what the sensor reports in the air")
+    add("--noise", type=float, help="of the force sensor, N, one sigma per axis (default 0; 0.1 with --object)")
+    add("--force-limit", type=float, default=150.0, help="N, protective stop above (default 150)")
+    add("--unlock-delay", type=float, default=5.0, help="s, before a protective stop can be released")
+    add("--after", nargs=2, action="append", default=[], metavar=("SECONDS", "COMMAND"), help="fault after the start")
+    add("--latency", type=float, default=0.0, help="s that commands take to reach the program")
+    add("--object", help="what the tool touches: a name of the catalogue, or a mesh file")
+    add("--unit", default="mm", help="of a mesh file: m, cm, mm or inch (default mm)")
+    add("--rig", type=Path, help="a lab's calibration, which says where the object is")
+    add("--pad", type=Path, help="the skin that the tool wears, on disk; by default a random one")
+    add("--seed", type=int, default=0, help="of the errors")
+    add("--exact", action="store_true", help="the object is where it is believed to be")
+    add("--mount", type=float, default=10e3, help="stiffness of arm and mount, N/m (default 10000)")
+    add("--skin", metavar="HOST:PORT", help="an emulated board that shows what the skin feels")
+    add("--tethered", action="store_true", help="end when standard input closes")
+    return options
 
-            address = args.skin.rsplit(":", 1) if args.skin else None
-            board = (address[0], int(address[1])) if address else None
-            world = WorldConfig(args.object, args.unit, args.pad, args.seed, args.exact, args.mount)
-            contact = make_contact_model(world, args.rig, board)
-            noise = contact.scene.errors.force if args.noise is None else args.noise
-        robot = Robot(np.array(args.pose), contact, np.array([*args.bias, 0.0, 0.0, 0.0], float), noise)
-        timed = [(float(seconds), command) for seconds, command in args.after]
-        controller = Controller(robot, args.unlock_delay, args.force_limit)
-        server = Server(controller, args.host, timed, args.latency, args.tethered)
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run until SIGTERM or Ctrl-C, or until the standard input of a tethered controller ends.
+
+    Args:
+        arguments: Of the command line; by default those of this process.
+    """
+    options = parser().parse_args(arguments)
+    try:
+        server = _server(options)
     except (OSError, ValueError) as error:
-        sys.exit(f"The stand-in cannot start on {args.host}: {error}.")
+        sys.exit(f"The emulator cannot start on {options.host}: {error}.")
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-    print(f"simulated UR controller on {args.host}, ready", flush=True)
+    print(f"emulated UR controller on {options.host}, ready", flush=True)
     with contextlib.suppress(KeyboardInterrupt):
         server.run()
+
+
+def _server(options: argparse.Namespace) -> Server:
+    contact, noise = _contact(options)
+    robot = Robot(np.array(options.pose), contact, np.array([*options.bias, 0.0, 0.0, 0.0], float), noise)
+    controller = Controller(robot, options.unlock_delay, options.force_limit)
+    timed_faults = [(float(seconds), command) for seconds, command in options.after]
+    return Server(controller, options.host, timed_faults, options.latency, options.tethered)
+
+
+def _contact(options: argparse.Namespace) -> tuple[Contact, float]:
+    """What the tool touches, and the noise of its force sensor (N)."""
+    if options.object is None:
+        return plane(options.plane, options.stiffness), options.noise or 0.0
+    from i2t.emulators.ur_contact import make_contact_model
+    from i2t.emulators.world import WorldConfig
+
+    address = options.skin.rsplit(":", 1) if options.skin else None
+    board = (address[0], int(address[1])) if address else None
+    world = WorldConfig(options.object, options.unit, options.pad, options.seed, options.exact, options.mount)
+    contact = make_contact_model(world, options.rig, board)
+    return contact, contact.scene.errors.force if options.noise is None else options.noise
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ import struct
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -15,38 +15,56 @@ from i2t.emulators import rtde_protocol
 from i2t.emulators.robot_motion import plane
 from i2t.emulators.ur_program import PLAYING, TICK, Controller
 
-SCRIPT, DASHBOARD, RTDE, FAULTS = 30003, 29999, 30004, 30100
+SCRIPT_PORT, DASHBOARD_PORT, RTDE_PORT, FAULT_PORT = 30003, 29999, 30004, 30100
+MAX_UNREAD_BYTES = 1 << 20  # of a client that does not read, which is then dropped
+MAX_LATE_S = 0.1  # that this process may be kept waiting before the robot's time stands still
+SCRIPT_BEGIN, SCRIPT_END = b"def rtde_control():", b"\nend\n"  # of the only program that is known here
+CONTROLLER_VERSION = (5, 11, 0, 108249)
+OK, UNKNOWN = "ok", "unknown: {}"  # answers of the fault port
 
 
 class Client:
-    """One connection, with what has arrived and not been used."""
+    """One connection, with what has arrived and not been used, and what waits to be sent."""
 
     def __init__(self, connection: socket.socket, port: int) -> None:
-        self.socket, self.port, self.buffer, self.waiting = connection, port, b"", b""
+        self.socket, self.port, self.received, self.unsent = connection, port, b"", b""
         self.inputs: dict[int, rtde_protocol.Recipe] = {}
-        self.names: tuple[str, ...] = ()
+        self.names: tuple[str, ...] = ()  # of the outputs that it is sent
         self.layout = struct.Struct("")
-        self.every, self.streaming = 1, False
+        self.every, self.streaming = 1, False  # ticks between two packets
+
+    @property
+    def controls(self) -> bool:
+        """Whether it is a client that writes registers, not one that only listens."""
+        return bool(self.inputs)
 
 
 class Server:
-    """All ports in one loop that also keeps time."""
+    """All ports of a controller, and its time.
+
+    Args:
+        controller: What runs.
+        host: Address of this machine to listen on.
+        timed_faults: Seconds after a program has started, and the line of the fault port that is done then.
+        latency: s that a client's registers take to reach the program.
+        tethered: Whether to end when standard input closes.
+    """
 
     def __init__(
         self,
         controller: Controller,
         host: str,
-        timed: list[tuple[float, str]],
+        timed_faults: Sequence[tuple[float, str]] = (),
         latency: float = 0.0,
         tethered: bool = False,
     ) -> None:
-        self.controller, self.timed, self.latency = controller, sorted(timed), latency
-        self.coming: deque[tuple[float, dict[str, rtde_protocol.Value]]] = deque()
+        self.controller, self.timed_faults, self.latency = controller, sorted(timed_faults), latency
+        self.delayed_inputs: deque[tuple[float, dict[str, rtde_protocol.Value]]] = deque()  # clock, values
         self.stalled = self.muted = False
         self.ticks = 0
         self.selector = selectors.DefaultSelector()
         self.clients: list[Client] = []
-        for port in (RTDE, DASHBOARD, SCRIPT, FAULTS):
+        for port in (RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT, FAULT_PORT):
             listener = socket.create_server((host, port))
             listener.setblocking(False)
             self.selector.register(listener, selectors.EVENT_READ, port)
@@ -54,7 +72,7 @@ class Server:
             self.selector.register(sys.stdin, selectors.EVENT_READ, None)
 
     def run(self) -> None:
-        """Serve until interrupted, or until a tethered one's standard input ends."""
+        """Serve until interrupted, or until the standard input of a tethered server ends."""
         due = time.monotonic()
         while True:
             for key, _ in self.selector.select(max(0.0, due - time.monotonic())):
@@ -65,7 +83,7 @@ class Server:
                 else:
                     self._accept(key.fileobj, key.data)  # type: ignore[arg-type]
             now = time.monotonic()
-            if now - due > 0.1:  # this process was kept waiting: the robot's time stood still
+            if now - due > MAX_LATE_S:
                 due = now
             while due <= now:
                 self._tick()
@@ -78,35 +96,39 @@ class Server:
         client = Client(connection, port)
         self.clients.append(client)
         self.selector.register(connection, selectors.EVENT_READ, client)
-        if port == DASHBOARD:
+        if port == DASHBOARD_PORT:
             self._send(client, b"Connected: Universal Robots Dashboard Server\n")
 
     def _tick(self) -> None:
         controller = self.controller
-        while self.coming and self.coming[0][0] <= controller.clock:
-            controller.write(self.coming.popleft()[1])
+        while self.delayed_inputs and self.delayed_inputs[0][0] <= controller.clock:
+            controller.write(self.delayed_inputs.popleft()[1])
         controller.step()
         self.ticks += 1
-        while self.timed and controller.started and controller.clock >= controller.started + self.timed[0][0]:
-            self.fault(self.timed.pop(0)[1])
-        wanting = [c for c in self.clients if c.streaming and self.ticks % c.every == 0]
-        if wanting and not self.stalled:
+        while (
+            self.timed_faults
+            and controller.start_clock
+            and controller.clock >= controller.start_clock + self.timed_faults[0][0]
+        ):
+            self.fault(self.timed_faults.pop(0)[1])
+        due = [client for client in self.clients if client.streaming and self.ticks % client.every == 0]
+        if due and not self.stalled:
             controller.observe()
-            for client in wanting:
+            for client in due:
                 values = (controller.output(name) for name in client.names)
                 self._send(client, rtde_protocol.encode(1, client.layout, values))
 
     def _send(self, client: Client, data: bytes) -> None:
-        if self.muted and client.port != FAULTS:
+        if self.muted and client.port != FAULT_PORT:
             return
-        client.waiting += data
+        client.unsent += data
         try:
-            client.waiting = client.waiting[client.socket.send(client.waiting) :]
+            client.unsent = client.unsent[client.socket.send(client.unsent) :]
         except BlockingIOError:
             pass
         except OSError:
             self._drop(client)
-        if len(client.waiting) > 1 << 20:  # nobody reads
+        if len(client.unsent) > MAX_UNREAD_BYTES:
             self._drop(client)
 
     def _drop(self, client: Client) -> None:
@@ -125,17 +147,17 @@ class Server:
         if not data:
             self._drop(client)
             return
-        client.buffer += data
+        client.received += data
         try:
-            if client.port == RTDE:
-                packets, client.buffer = rtde_protocol.split(client.buffer)
+            if client.port == RTDE_PORT:
+                packets, client.received = rtde_protocol.split(client.received)
                 for kind, body in packets:
                     self._rtde(client, kind, body)
-            elif client.port == SCRIPT:
+            elif client.port == SCRIPT_PORT:
                 self._script(client)
             else:
                 for line in self._lines(client):
-                    answer = self.dashboard(line) if client.port == DASHBOARD else self.fault(line)
+                    answer = self.dashboard(line) if client.port == DASHBOARD_PORT else self.fault(line)
                     self._send(client, answer.encode() + b"\n")
         except (ValueError, ArithmeticError, struct.error) as error:
             print(f"{error}: connection to port {client.port} closed", file=sys.stderr, flush=True)
@@ -143,15 +165,15 @@ class Server:
 
     @staticmethod
     def _lines(client: Client) -> Iterator[str]:
-        while b"\n" in client.buffer:
-            line, client.buffer = client.buffer.split(b"\n", 1)
+        while b"\n" in client.received:
+            line, client.received = client.received.split(b"\n", 1)
             yield line.decode().strip()
 
     def _rtde(self, client: Client, kind: int, body: bytes) -> None:
         if kind == rtde_protocol.PROTOCOL:
             self._send(client, rtde_protocol.packet(kind, bytes([body == b"\x00\x02"])))
         elif kind == rtde_protocol.VERSION:
-            self._send(client, rtde_protocol.packet(kind, struct.pack(">4I", 5, 11, 0, 108249)))
+            self._send(client, rtde_protocol.packet(kind, struct.pack(">4I", *CONTROLLER_VERSION)))
         elif kind == rtde_protocol.OUTPUTS:
             (frequency,) = struct.unpack_from(">d", body)
             wanted = rtde_protocol.recipe(body[8:].decode(), rtde_protocol.OUTPUT_TYPES)
@@ -169,16 +191,24 @@ class Server:
             client.streaming = kind == rtde_protocol.START and bool(client.names)
             self._send(client, rtde_protocol.packet(kind, bytes([kind == rtde_protocol.PAUSE or client.streaming])))
         elif kind == rtde_protocol.DATA and not self.muted:
-            self.coming.append((self.controller.clock + self.latency, rtde_protocol.decode(body, client.inputs)))
+            self.delayed_inputs.append(
+                (self.controller.clock + self.latency, rtde_protocol.decode(body, client.inputs))
+            )
 
     def _script(self, client: Client) -> None:
-        # Only the client's own program is known here; it ends with the first line that is "end" without indentation.
-        if b"def rtde_control():" in client.buffer and b"\nend\n" in client.buffer and not self.muted:
-            client.buffer = b""
+        if SCRIPT_BEGIN in client.received and SCRIPT_END in client.received and not self.muted:
+            client.received = b""
             self.controller.upload()
 
     def dashboard(self, line: str) -> str:
-        """Answer a line on the dashboard port."""
+        """Do what a line on the dashboard port asks.
+
+        Args:
+            line: Of Universal Robots' dashboard.
+
+        Returns:
+            The answer.
+        """
         controller = self.controller
         match line.lower():
             case "polyscopeversion":
@@ -208,12 +238,19 @@ class Server:
         return f"could not understand: '{line}'"
 
     def fault(self, line: str) -> str:
-        """Do what a line on the fault port asks."""
+        """Do what a line on the fault port asks.
+
+        Args:
+            line: As in `i2t.emulators.ur_controller`.
+
+        Returns:
+            "ok", the status, or that the line is unknown.
+        """
         controller, robot = self.controller, self.controller.robot
         try:
             match line.split():
                 case ["protective"]:
-                    controller.protect()
+                    controller.protective_stop()
                 case ["stall" | "resume" as word]:
                     self.stalled = word == "stall"
                 case ["mute"]:
@@ -221,21 +258,21 @@ class Server:
                 case ["kill-program"]:
                     controller.kill()
                 case ["drop-control" | "drop-state" as word]:
-                    for client in [each for each in self.clients if each.port == RTDE]:
-                        if bool(client.inputs) == (word == "drop-control"):
+                    for client in [each for each in self.clients if each.port == RTDE_PORT]:
+                        if client.controls == (word == "drop-control"):
                             self._drop(client)
                 case ["local" | "remote" as word]:
                     controller.local = word == "local"
                 case ["wrench", *numbers]:
-                    robot.extra = np.array([float(number) for number in numbers]).reshape(6)
+                    robot.external_wrench = np.array([float(number) for number in numbers]).reshape(6)
                 case ["plane", height, stiffness]:
                     robot.contact = plane(float(height), float(stiffness))
                 case ["speed", fraction]:
-                    robot.scaling = min(1.0, max(0.0, float(fraction)))
+                    robot.speed_fraction = min(1.0, max(0.0, float(fraction)))
                 case ["status"]:
                     return json.dumps(controller.status())
                 case _:
-                    return f"unknown: {line}"
+                    return UNKNOWN.format(line)
         except ValueError:
-            return f"unknown: {line}"
-        return "ok"
+            return UNKNOWN.format(line)
+        return OK

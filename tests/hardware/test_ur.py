@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from i2t import geometry
-from i2t.emulators import robot_motion, rtde_protocol, ur_controller
+from i2t.emulators import robot_motion, rtde_protocol, ur_controller, ur_server
 from i2t.emulators.ur_controller import TICK, ask
 from i2t.errors import DeviceError, DeviceTimeoutError, MotionStoppedError, NotConnectedError
 from i2t.hardware.limits import MotionLimits
@@ -136,10 +136,10 @@ def test_a_line_takes_the_time_of_a_trapezoid_and_a_stop_its_distance(length, sp
     # One tick at each change of acceleration, and a last stretch at less than a TICK's worth of speed.
     assert ticks * TICK == pytest.approx(length / speed + speed / a, abs=4 * TICK)
     np.testing.assert_allclose(robot.pose, [length, 0, 0, 0, 0, 0.1], atol=1e-12)
-    assert robot.fastest <= speed * (1 + 1e-9)
+    assert robot.max_speed <= speed * (1 + 1e-9)
 
     robot.line_to(robot.pose - [length, 0, 0, 0, 0, 0], speed, a)
-    while robot.rate < speed:
+    while robot.speed < speed:
         robot.step(TICK)
     before = robot.position[0]
     robot.stop(a)
@@ -239,7 +239,7 @@ class Library:
         }  # fmt: skip
         if name == "getAsyncOperationProgressEx":
             return lambda: self
-        if name in ("moveL", "kickWatchdog"):
+        if name in ("moveL", "kickWatchdog", "setWatchdog"):
             return lambda *_: self.sent.append(name) or True
         return lambda *_: values.get(name, [0.0] * 6)
 
@@ -251,14 +251,20 @@ def test_a_motion_is_made_under_a_fed_watchdog_only():
     worker = rtde_worker.Worker(theirs, library, library, watchdog_rate=10.0)
     worker.observe()
     motion = {"motion": 1, "pose": [0.0] * 6, "speed": 0.1, "acceleration": 0.1, "force": 1.0, "torque": 1.0}
-    move = {"command": "move", "id": 1, "arguments": motion}
-    worker.process([move])
-    assert [message["error"] for message in ours.receive(1.0) if "answer" in message] == [
-        "its watchdog is not being fed"
-    ]
-    worker.process([{"heartbeat": True}, {**move, "id": 2}])
-    assert [message["error"] for message in ours.receive(1.0) if "answer" in message] == [None]
-    assert library.sent == ["kickWatchdog", "moveL"]
+    heartbeat, move = {"heartbeat": True}, {"command": "move", "id": 1, "arguments": motion}
+
+    def error(*messages):
+        worker.process(list(messages))
+        return [message["error"] for message in ours.receive(1.0) if "answer" in message][-1]
+
+    assert error(move) == "its watchdog is not being fed"
+    assert error(heartbeat, move) == "its watchdog is not being fed"  # nor set
+    assert error({"command": "set_watchdog", "id": 2, "arguments": {}}) is None
+    time.sleep(2 / worker.watchdog_rate)
+    assert error(move) == "its watchdog is not being fed"
+    assert "moveL" not in library.sent
+    assert error(heartbeat, move) is None
+    assert library.sent == ["kickWatchdog", "setWatchdog", "kickWatchdog", "moveL"]
     ours.close()
     theirs.close()
 
@@ -675,11 +681,11 @@ def test_the_arm_stands_when_its_process_is_ended(start, number):
 def test_the_emulator_survives_hostile_clients(start):
     host = start()
     random = np.random.default_rng(0)
-    for port in (ur_controller.RTDE, ur_controller.DASHBOARD, ur_controller.SCRIPT, ur_controller.FAULTS):
+    for port in (ur_server.RTDE_PORT, ur_server.DASHBOARD_PORT, ur_server.SCRIPT_PORT, ur_server.FAULT_PORT):
         for body in (b"", b"\0", random.bytes(60), b"\n".join(random.bytes(9) for _ in range(5)), b"\xff\n"):
             for kind in b"VvOISPUM?":
                 with socket.create_connection((host, port), 5.0) as client:
-                    client.sendall(rtde_protocol.packet(kind, body) if port == ur_controller.RTDE else body)
+                    client.sendall(rtde_protocol.packet(kind, body) if port == ur_server.RTDE_PORT else body)
     with connected(host) as arm:
         arm.go(pose(0.4, 0.01, 0.3), 0.2)
 

@@ -134,6 +134,7 @@ class RtdeConnection:
         deadline = time.monotonic() + ANSWER_S  # the first states may be older than the program
         while self._heartbeat_time < 0 and self._failure is None and time.monotonic() < deadline:
             time.sleep(POLL_S / 2)
+        self._wait(self._send("set_watchdog"), ANSWER_S)  # now that it is fed
         self.running(ANSWER_S)
 
     def close(self) -> None:

@@ -98,7 +98,8 @@ class Worker:
 
     def __init__(self, channel: Channel, control: Any, receive: Any, watchdog_rate: float) -> None:
         self.channel, self.control, self.receive = channel, control, receive
-        self.heartbeat_limit_s = 1 / watchdog_rate
+        self.watchdog_rate = watchdog_rate
+        self.watchdog_set = False
         self.heartbeat_time = -math.inf
         self.state: Message | None = None
         self.motion = 0  # the driver's number of the newest motion
@@ -128,6 +129,7 @@ class Worker:
     def obey(self, message: Message) -> None:
         """Carry out a command and answer; the state that it leads to is sent before the answer."""
         commands = {
+            "set_watchdog": self.set_watchdog,
             "move": self.move,
             "brake": self.brake,
             "zero_wrench": self.control.zeroFtSensor,
@@ -190,6 +192,12 @@ class Worker:
         self.state = state
         self.channel.send({"state": state})
 
+    def set_watchdog(self) -> None:
+        """Have the controller end the program when it is fed no longer; raises RuntimeError."""
+        if not self.control.setWatchdog(self.watchdog_rate):
+            raise RuntimeError("it did not take the watchdog")
+        self.watchdog_set = True
+
     def move(
         self, motion: int, pose: list[float], speed: float, acceleration: float, force: float, torque: float
     ) -> None:
@@ -200,7 +208,7 @@ class Worker:
         """
         if self.state is None or not self.state["program"]:
             raise RuntimeError("the program on the controller does not run")
-        if time.monotonic() - self.heartbeat_time > self.heartbeat_limit_s:
+        if not self.watchdog_set or time.monotonic() - self.heartbeat_time > 1 / self.watchdog_rate:
             raise RuntimeError("its watchdog is not being fed")
         before = self.control.getAsyncOperationProgressEx().operationId()
         self.motion, self.tripped, self.limits = motion, "", None
@@ -227,7 +235,7 @@ class Worker:
 
 
 def connect(channel: Channel, request: Message) -> Worker:
-    """Connect to the controller, set tool, payload and watchdog; raises RuntimeError."""
+    """Connect to the controller, set tool and payload; raises RuntimeError."""
     import rtde_control
     import rtde_receive
 
@@ -237,8 +245,6 @@ def connect(channel: Channel, request: Message) -> Worker:
         control.setTcp(request["tool"])
     if request["payload"] is not None:
         control.setPayload(*request["payload"])
-    if not control.setWatchdog(request["watchdog_rate"]):
-        raise RuntimeError("the controller did not take the watchdog")
     return Worker(channel, control, receive, request["watchdog_rate"])
 
 
