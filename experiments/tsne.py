@@ -145,8 +145,8 @@ def bottleneck(dataset: Dataset, plan: Plan, args: Args, felt: np.ndarray) -> di
     split = split_dataset(dataset, plan.training, "auto", args.seed)
     network = ModelConfig(input=args.kind, pixels=dataset.touches.patch.shape[1], reach=dataset.reach)
     trained, _ = train_network(
-        "paper's network", network, plan.training.training, dataset.touches.patch, dataset.touches, split,
-        args.out / "checkpoint",
+        "paper's network", network, plan.training.training,
+        images=dataset.touches.patch, touches=dataset.touches, split=split, folder=args.out / "checkpoint",
     )  # fmt: skip
     params = jax.tree.map(lambda leaf: leaf[0], trained.params)
 

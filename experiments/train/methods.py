@@ -96,6 +96,7 @@ def train_network(
     name: str,
     network: ModelConfig,
     cfg: training.TrainConfig,
+    *,
     images: np.ndarray,
     touches: Touches,
     split: Split,

@@ -47,7 +47,7 @@ def by_object(dataset: Dataset, split: Split, truth: np.ndarray, predicted: dict
 
 
 def figures(
-    out: Path, dataset: Dataset, split: Split, predicted: dict[str, np.ndarray], best: str,
+    out: Path, dataset: Dataset, split: Split, *, predicted: dict[str, np.ndarray], best: str,
     curves: dict[str, np.ndarray], noise: np.ndarray | None, metrics: dict[str, Any],
 ) -> None:  # fmt: skip
     """All pictures of one run, in the folder `out`."""

@@ -156,7 +156,7 @@ def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: Pad | int | None, 
     if prepared.dataset.touches.truth is not None:
         evaluation.predicted[CEILING] = ceiling(prepared.dataset, prepared.pressure_model, prepared.split, seed)
     about = {"seed": seed, "pad": str(args.pad) if args.pad else pad}
-    report(out, prepared, fitted, evaluation, about, started)
+    report(out, prepared, fitted, evaluation, about=about, started=started)
 
 
 def prepare_data(args: Args, cfg: TrainExperiment, seed: int, pad: Pad | int | None, out: Path) -> PreparedData:
@@ -186,7 +186,7 @@ def fit_methods(prepared: PreparedData, cfg: TrainExperiment, seed: int, out: Pa
     values = np.stack(columns, -1) if columns else np.zeros((len(dataset), 0))
     looked_up = baselines(
         touches.patch[split.train], values[split.train], touches.reading[split.train], split.groups[split.train],
-        touches.patch[split.test], values[split.test],
+        at_patches=touches.patch[split.test], at_conditions=values[split.test],
     )  # fmt: skip
 
     models: dict[str, Model] = {}
@@ -195,7 +195,9 @@ def fit_methods(prepared: PreparedData, cfg: TrainExperiment, seed: int, out: Pa
         adapted, images = adapt_network(network, dataset, prepared.pressure, prepared.measured)
         training = replace(cfg.training, seed=seed)
         folder = out / "checkpoint" / slug(name)
-        trained, curve = train_network(name, adapted, training, images, touches, split, folder)
+        trained, curve = train_network(
+            name, adapted, training, images=images, touches=touches, split=split, folder=folder
+        )
         on_pressure = network.input == "image"
         models[name] = PressureNetwork(trained, prepared.pressure_model) if on_pressure else PatchNetwork(trained)
         curves |= curve
@@ -228,8 +230,8 @@ def evaluate(prepared: PreparedData, fitted: FittedMethods) -> Evaluation:
 
 
 def report(
-    out: Path, prepared: PreparedData, fitted: FittedMethods, evaluation: Evaluation, about: dict[str, Any],
-    started: float,
+    out: Path, prepared: PreparedData, fitted: FittedMethods, evaluation: Evaluation, *,
+    about: dict[str, Any], started: float,
 ) -> None:  # fmt: skip
     """Write the predictor, the figures and, last of all, metrics.json."""
     dataset, split, noise = prepared.dataset, prepared.split, prepared.noise
@@ -252,6 +254,9 @@ def report(
     }
     metadata = {"method": evaluation.best, "source": dataset.source, "seed": about["seed"]}
     save(out / "checkpoint" / "predictor", replace(evaluation.predictors[evaluation.best], metadata=metadata))
-    figures(out, dataset, split, evaluation.predicted, evaluation.best, fitted.curves, noise, metrics)
+    figures(
+        out, dataset, split,
+        predicted=evaluation.predicted, best=evaluation.best, curves=fitted.curves, noise=noise, metrics=metrics,
+    )  # fmt: skip
     metrics["seconds"] = round(time.perf_counter() - started, 1)
     write_json(out / "metrics.json", metrics)

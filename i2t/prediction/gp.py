@@ -249,12 +249,12 @@ def choose_hyperparameters(
         ValueError: There are fewer than two groups, or no step has a score (touches or readings that are not finite,
             or no pressure at all).
     """
-    touches, readings, ends = _by_fold(touches, readings, groups, folds, limit, seed)
+    touches, readings, ends = _by_fold(touches, readings, groups, folds=folds, limit=limit, seed=seed)
     linear = inner_products(f := features(touches), f)
     unit = jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
     standard = readings / (jnp.sqrt(jnp.mean(readings**2, axis=0, keepdims=True)) + 1e-6)
 
-    path, errors = _descend(ends, steps, linear, unit, touches.load, standard)
+    path, errors = _descend(linear, unit, touches.load, standard, ends=ends, steps=steps)
     if not bool(jnp.any(jnp.isfinite(errors))):
         raise ValueError(
             f"cross-validation of the Gaussian process has no finite score on {len(standard)} touches; "
@@ -268,6 +268,7 @@ def _by_fold(
     touches: ContactPressure,
     readings: Float[Array, "n c"],
     groups: Int[np.ndarray, " n"],
+    *,
     folds: int,
     limit: int,
     seed: int,
@@ -285,9 +286,9 @@ def _by_fold(
     return jax.tree.map(lambda x: x[order], touches), readings[order], tuple(ends.tolist())
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@partial(jax.jit, static_argnames=("ends", "steps"))
 def _descend(
-    ends: tuple[int, ...], steps: int, linear: Array, unit: Array, load: Array, standard: Array
+    linear: Array, unit: Array, load: Array, standard: Array, *, ends: tuple[int, ...], steps: int
 ) -> tuple[dict[str, Array], Float[Array, " steps"]]:
     """The path of Adam, and the share of variance that folds, which end at rows `ends`, leave unexplained along it."""
     blocks = [slice(start, end) for start, end in zip((0, *ends), ends, strict=False)]

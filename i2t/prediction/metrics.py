@@ -173,6 +173,7 @@ def tuned(
     x: np.ndarray,
     y: np.ndarray,
     groups: np.ndarray,
+    *,
     at: np.ndarray,
     folds: int = 5,
 ) -> np.ndarray:
@@ -211,6 +212,7 @@ def baselines(
     conditions: np.ndarray,
     y: np.ndarray,
     groups: np.ndarray,
+    *,
     at_patches: np.ndarray,
     at_conditions: np.ndarray,
 ) -> dict[str, np.ndarray]:
@@ -240,8 +242,8 @@ def baselines(
 
     return {
         "mean reading": np.broadcast_to(y.mean(0), (len(at_patches), y.shape[1])),
-        "k nearest patches": tuned(nearest_neighbours, neighbours, train, y, groups, other),
-        "k nearest patches + measured": tuned(nearest_neighbours, neighbours, joined, y, groups, at_joined),
-        "ridge on PCA": tuned(ridge, penalties, train, y, groups, other),
-        "ridge on PCA + measured": tuned(ridge, penalties, joined, y, groups, at_joined),
+        "k nearest patches": tuned(nearest_neighbours, neighbours, train, y, groups, at=other),
+        "k nearest patches + measured": tuned(nearest_neighbours, neighbours, joined, y, groups, at=at_joined),
+        "ridge on PCA": tuned(ridge, penalties, train, y, groups, at=other),
+        "ridge on PCA + measured": tuned(ridge, penalties, joined, y, groups, at=at_joined),
     }

@@ -224,7 +224,7 @@ class Predictor:
         """The reading of the skin pressed on a mesh.
 
         Args:
-            mesh: In W: a file (then `unit` is required), an `i2t.objects.catalogue.Object`, anything with `vertices`
+            mesh: In W: a file (then `unit` is required), an `i2t.objects.Object`, anything with `vertices`
                 and `faces` (m), or a prepared `Surface`.
             T_w_t: (4, 4) pose of the tool frame at the contact.
             force: N along tool z; left out, the median of the training touches is taken.
@@ -446,11 +446,11 @@ def _render(surface: Surface, T_w_t: Array, window: float, pixels: int, reach: f
 def _surface_of(mesh: Any, unit: str | None) -> Surface:
     """A surface to render, from whatever a user has."""
     if isinstance(mesh, str | Path):
-        from i2t.objects import catalogue
+        from i2t.objects import load_mesh
 
         if unit is None:
             raise ValueError(f"{mesh}: say in which unit the file is, for instance unit='mm'")
-        mesh = catalogue.load_mesh(mesh, unit, table=False)[0]
+        mesh = load_mesh(mesh, unit, table=False)[0]
     return mesh if isinstance(mesh, Surface) else prepare_surface(getattr(mesh, "mesh", mesh))
 
 

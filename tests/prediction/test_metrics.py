@@ -119,12 +119,12 @@ def test_options_are_chosen_between_groups():
         asked.append(k)
         return nearest_neighbours(x, y, at, int(k))
 
-    tuned(method, (1, 32), x, y, np.tile(np.arange(50), 2), x[:3])
+    tuned(method, (1, 32), x, y, np.tile(np.arange(50), 2), at=x[:3])
     assert asked[-1] == 32
-    tuned(method, (1, 32), x, y, np.repeat([0, 1], 50), x[:3])  # copies apart, on purpose
+    tuned(method, (1, 32), x, y, np.repeat([0, 1], 50), at=x[:3])  # copies apart, on purpose
     assert asked[-1] == 1
     asked.clear()
-    tuned(method, (4, 1), x, y, np.zeros(100), x[:3])
+    tuned(method, (4, 1), x, y, np.zeros(100), at=x[:3])
     assert asked == [4]
 
 
@@ -135,7 +135,8 @@ def test_baselines_find_what_they_are_able_to():
     from_patch, from_measured = rng.normal(size=(36, 15)), rng.normal(size=(2, 15)) * [[1], [1e3]]
     y = patches.reshape(120, -1) @ from_patch + 6 * measured @ from_measured
     train, test = slice(0, 90), slice(90, 120)
-    predicted = baselines(patches[train], measured[train], y[train], np.arange(90) // 9, patches[test], measured[test])
+    asked = {"at_patches": patches[test], "at_conditions": measured[test]}
+    predicted = baselines(patches[train], measured[train], y[train], np.arange(90) // 9, **asked)
     r2 = {name: score(y[test], mean).r2 for name, mean in predicted.items()}
     np.testing.assert_allclose(predicted["mean reading"], np.tile(y[train].mean(0), (30, 1)))
     # The measured values carry two thirds of the variance: only a method that is given them can explain that much.
@@ -144,5 +145,5 @@ def test_baselines_find_what_they_are_able_to():
     assert r2["ridge on PCA + measured"] > 0.8
     assert r2["k nearest patches + measured"] > r2["k nearest patches"]
 
-    alike = baselines(0 * patches[train], measured[train], y[train], np.arange(90) // 9, patches[test], measured[test])
+    alike = baselines(0 * patches[train], measured[train], y[train], np.arange(90) // 9, **asked)
     assert all(np.isfinite(mean).all() for mean in alike.values())
