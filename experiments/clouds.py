@@ -21,7 +21,7 @@ import trimesh
 import tyro
 
 from experiments.common.runs import settings, write_json
-from i2t.objects import catalogue
+from i2t.objects import Mesh, catalogue
 from i2t.objects.point_clouds import suggest_radius, surface_from_points
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
@@ -84,7 +84,7 @@ def main(args: Args) -> list[Row]:
     return rows
 
 
-def sample(mesh: catalogue.Mesh, spacing: float, noise: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def sample(mesh: Mesh, spacing: float, noise: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Points and normals of a mesh, one to a square of this edge on average, moved along their normals."""
     whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     points, face = trimesh.sample.sample_surface(whole, int(whole.area / spacing**2), seed=seed)

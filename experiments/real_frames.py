@@ -32,7 +32,7 @@ from i2t.depth.camera import Camera, Encoding, read_depth
 from i2t.depth.distortion import pixel_rays
 from i2t.depth.patches import DepthPatch, patch_from_depth
 from i2t.geometry import contact_frame
-from i2t.objects.catalogue import load_mesh
+from i2t.objects import load_mesh
 from i2t.objects.solids import Mesh
 from i2t.prediction.metrics import grouped_interval
 from i2t.rendering.render import prepare_surface, render_patch

@@ -35,6 +35,7 @@ from tqdm import tqdm
 from experiments.common.runs import settings, write_json
 from i2t import viz
 from i2t.geometry import log, so3_exp
+from i2t.objects import Object, load_mesh
 from i2t.objects import catalogue as objects
 from i2t.registration.patch import (
     PatchRegistrationConfig,
@@ -169,7 +170,7 @@ def main(args: Args) -> dict:
     return report
 
 
-def catalogue(args: Args) -> list[objects.Object]:
+def catalogue(args: Args) -> list[Object]:
     """Named objects first, then random ones, then the meshes of a folder."""
     named = [objects.make_object(name) for name in objects.NAMES[: args.objects]]
     things = named + [objects.random_object(seed) for seed in range(args.objects - len(named))]
@@ -177,11 +178,11 @@ def catalogue(args: Args) -> list[objects.Object]:
         files = sorted(args.data.glob("*.stl"))
         if not files:
             raise ValueError(f"{args.data}: holds no STL file; give --data a folder of meshes in metres")
-        things += [objects.Object(file.stem, objects.load_mesh(file, "m")[0].mesh, "file") for file in files]
+        things += [Object(file.stem, load_mesh(file, "m")[0].mesh, "file") for file in files]
     return things
 
 
-def draw_cases(key: jax.Array, things: Sequence[objects.Object], surfaces: Surface, each: int, args: Args) -> Cases:
+def draw_cases(key: jax.Array, things: Sequence[Object], surfaces: Surface, each: int, args: Args) -> Cases:
     """Safe sites of every object and poses exactly as far off as the arguments say."""
     rng = np.random.default_rng(args.seed)
     poses = [
@@ -217,7 +218,7 @@ def remaining(T_w_t: np.ndarray, cases: Cases, bound: float) -> tuple[np.ndarray
     return np.linalg.norm(error[..., :3], axis=-1), np.degrees(np.linalg.norm(error[..., 3:], axis=-1) / TWIST_LEVER_M)
 
 
-def judge(T_w_t: np.ndarray, cases: Cases, bound: float, things: Sequence[objects.Object], args: Args) -> dict:
+def judge(T_w_t: np.ndarray, cases: Cases, bound: float, things: Sequence[Object], args: Args) -> dict:
     """Success with its 95 % interval (Wilson), its rate in each family, and the errors."""
     distance, angle = remaining(T_w_t, cases, bound)
     ok = (distance <= args.close) & (angle <= args.close_angle)
@@ -268,7 +269,7 @@ def table(report: dict) -> str:
 
 
 def draw_patches(
-    things: Sequence[objects.Object],
+    things: Sequence[Object],
     surfaces: Surface,
     clean: list[Patch],
     noisy: list[Patch],

@@ -19,8 +19,7 @@ from experiments.common.runs import Part
 from experiments.recognize import figures
 from experiments.studies.lab import EpisodePlan, StudyLab, format_estimate
 from i2t import viz
-from i2t.objects import catalogue
-from i2t.objects.catalogue import Mesh
+from i2t.objects import Mesh, catalogue
 from i2t.recognition import calibrated, metrics
 from i2t.recognition.episodes import posteriors
 from i2t.recognition.metrics import estimate_at, to_json

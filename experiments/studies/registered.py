@@ -19,7 +19,7 @@ from experiments.recognize.trained_run import meshes_by_name
 from experiments.studies.lab import EpisodePlan, StudyLab, pool_parts, report_error, report_methods
 from i2t.depth.camera import Camera
 from i2t.hardware.rig import Rig
-from i2t.objects.catalogue import Mesh
+from i2t.objects import Mesh
 from i2t.recognition import belief
 from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import run_belief, session_errors

@@ -207,6 +207,7 @@ def _mesh_patches(
     import jax.numpy as jnp
     from jax import jit
 
+    from i2t.objects import load_mesh
     from i2t.rendering import render
 
     try:

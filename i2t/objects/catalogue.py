@@ -1,11 +1,12 @@
 """Things to touch: primitives, stamps, hand tools, random shapes and files, as watertight triangle meshes in metres.
 
-`make(name)` builds the catalogue, `random_object(seed)` draws from families of shapes, `load` reads a mesh file and
-`load_points` with `surface_from_points` a point cloud.
+`make_object(name)` builds the catalogue, `random_object(seed)` draws from families of shapes; files are read by
+`i2t.objects.mesh_files` and `i2t.objects.point_clouds`.
 Primitives, each a function of sensible lengths in metres, are 50-70 mm across, so that the 20 mm skin meets faces,
 edges and corners apart; prisms differ by their outline alone, which is the paper's recognition problem. A stamp is a
 relief 3.5 mm high on a 20 mm square base of 5 mm, pointing up along +z, inside a square of 10 mm. The object frame
-rests on z = 0, z up, centred in x and y; round faces are cut finely enough for the skin (`i2t.objects.solids.SAGITTA`).
+rests on z = 0, z up, centred in x and y; round faces are cut finely enough for the skin
+(`i2t.objects.solids.SAGITTA_MM`).
 """
 
 from collections.abc import Callable, Sequence
@@ -15,8 +16,6 @@ import numpy as np
 from manifold3d import CrossSection, Manifold
 
 from i2t.objects import tools
-from i2t.objects.mesh_files import CleaningReport, clean_mesh, load_mesh
-from i2t.objects.point_clouds import load_point_cloud, surface_from_points
 from i2t.objects.solids import (
     Mesh,
     Object,
@@ -28,31 +27,12 @@ from i2t.objects.solids import (
     prism,
     rectangle,
     segments,
-    transform_mesh,
 )
 
-__all__ = [
-    "NAMES",
-    "PRIMITIVES",
-    "STAMPS",
-    "TOOLS",
-    "CleaningReport",
-    "Mesh",
-    "Object",
-    "clean_mesh",
-    "load_mesh",
-    "load_point_cloud",
-    "make_object",
-    "random_object",
-    "surface_from_points",
-    "surrogate_unknown",
-    "transform_mesh",
-]
+MM_PER_M = 1e3  # primitives take metres, solids are drawn in millimetres
 
-MM_PER_M = 1e3  # mm per m: primitives take metres, solids are drawn in millimetres
-
-STAMP_RELIEF_MM = 3.5  # mm, height of a stamp above its base
-STAMP_BASE_MM = (20.0, 5.0)  # mm, edge and height of the base
+STAMP_RELIEF_MM = 3.5  # height of a stamp above its base
+STAMP_BASE_MM = (20.0, 5.0)  # edge and height of the base
 
 
 def polygon(sides: int, across: float = 60e-3, height: float = 30e-3) -> Mesh:
@@ -209,7 +189,17 @@ NAMES = PRIMITIVES + STAMPS + TOOLS
 
 
 def make_object(name: str) -> Object:
-    """Build one object of the catalogue; raises ValueError for a name that is not in `NAMES`."""
+    """Build one object of the catalogue.
+
+    Args:
+        name: One of `NAMES`.
+
+    Returns:
+        The object, standing on z = 0 of its own frame.
+
+    Raises:
+        ValueError: The name is not in the catalogue.
+    """
     for family, catalogue in (("primitive", _PRIMITIVES), ("stamp", _STAMPS)):
         if name in catalogue:
             return Object(name, catalogue[name](), family)
@@ -219,7 +209,14 @@ def make_object(name: str) -> Object:
 
 
 def random_object(seed: int) -> Object:
-    """A primitive of a random family and proportions, 50-72 mm across, up to 40 mm high; one seed, one object."""
+    """Draw a primitive of a random family and proportions, 50-72 mm across, up to 40 mm high.
+
+    Args:
+        seed: One seed, one object.
+
+    Returns:
+        The object, named by its family and seed.
+    """
     rng = np.random.default_rng(seed)
     across, height = rng.uniform(50e-3, 72e-3), rng.uniform(20e-3, 40e-3)
 
@@ -248,10 +245,18 @@ def random_object(seed: int) -> Object:
 
 
 def surrogate_unknown(known: Sequence[Mesh], seed: int) -> Object:
-    """Something that is none of the `known` objects but might be taken for one: as high as one of them with another
-    outline, or one of them stretched by a seventh to a half in each direction; every other one is not as high.
+    """Draw an object that is none of the known ones but might be taken for one.
 
-    Many of them stand for what "none of these" might be (`experiments.studies.open_set`).
+    It has a known object's height with a random outline, or is a known mesh stretched or shrunk by 1/7 to 1/2 along x
+    and y; with probability 1/2 the height is drawn instead. Many of them stand for what an unknown object might be
+    (`experiments.studies.open_set`).
+
+    Args:
+        known: Meshes of the known objects.
+        seed: One seed and number of known objects, one surrogate.
+
+    Returns:
+        The surrogate.
     """
     rng = np.random.default_rng([seed, len(known)])
     like = known[int(rng.integers(len(known)))]
@@ -262,4 +267,4 @@ def surrogate_unknown(known: Sequence[Mesh], seed: int) -> Object:
     else:
         across = np.exp(rng.choice([-1, 1], 2) * rng.uniform(0.15, 0.4, 2))
     scale = np.array([*across, height / float(np.ptp(like.vertices[:, 2]))])
-    return Object(f"decoy-{seed}", Mesh(like.vertices * scale, like.faces), "primitive")
+    return Object(f"surrogate-{seed}", Mesh(like.vertices * scale, like.faces), "primitive")

@@ -71,12 +71,22 @@ class CleaningReport:
 def load_mesh(
     path: str | Path, unit: str, *, table: bool = True, largest: bool = True, up: str = "z"
 ) -> tuple[Object, CleaningReport]:
-    """Read a mesh file (STL, OBJ, PLY, GLB) whose coordinates are in `unit` (m, cm, mm, inch).
+    """Read and clean a mesh file. (A text file cut off between two lines cannot be told from a whole one.)
 
-    `table` settles it: box centred in x and y, lowest point on z = 0, without turning it; otherwise it keeps its own
-    frame. `largest` keeps only the largest connected piece; switch it off for objects made of several bodies. `up` is
-    the file's upward axis, "z" or "y" (GLB files usually say y). Raises FileNotFoundError or ValueError, each with one
-    sentence that names the file and a remedy. (A text file cut off between two lines cannot be told from a whole one.)
+    Args:
+        path: An STL, OBJ, PLY or GLB file.
+        unit: Of its coordinates: m, cm, mm or inch.
+        table: Whether to place it on the table: box centred in x and y, lowest point on z = 0, without turning it;
+            otherwise it keeps its own frame.
+        largest: Whether to keep only the largest connected piece; switch it off for objects made of several bodies.
+        up: The file's upward axis, "z" or "y" (GLB files usually say y).
+
+    Returns:
+        The object, named by the file, in metres, and what cleaning did.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It cannot be read, or is not something to touch; one sentence that names the file and a remedy.
     """
     path = Path(path)
     data = read_bytes(path, MESH_SUFFIXES)
@@ -94,7 +104,7 @@ def load_mesh(
         ) from error
     if not len(faces):
         raise ValueError(
-            f"{path}: holds no faces; export it again (a point cloud is read by i2t.objects.point_clouds.load_points)"
+            f"{path}: holds no faces; export it again (a point cloud is read by i2t.objects.load_point_cloud)"
         )
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise ValueError(f"{path}: a face refers to a vertex that is not there; export it again")
@@ -109,7 +119,16 @@ def load_mesh(
 def clean_mesh(mesh: Mesh, path: str = "mesh", largest: bool = True) -> tuple[Mesh, CleaningReport]:
     """Merge vertices closer than 10 nm, drop bad faces and loose pieces, turn faces outward, and say so.
 
-    Raises ValueError, naming `path`, when no face has an area.
+    Args:
+        mesh: Any triangles (m).
+        path: Its name in messages.
+        largest: Whether to keep only the largest connected piece.
+
+    Returns:
+        The clean mesh, and what was done.
+
+    Raises:
+        ValueError: No face has an area.
     """
     work = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     work.remove_unreferenced_vertices()
@@ -155,7 +174,19 @@ def clean_mesh(mesh: Mesh, path: str = "mesh", largest: bool = True) -> tuple[Me
 
 
 def read_bytes(path: Path, suffixes: tuple[str, ...]) -> bytes:
-    """The bytes of a file with one of the endings; FileNotFoundError or ValueError in one sentence otherwise."""
+    """Read a file of a known kind.
+
+    Args:
+        path: The file.
+        suffixes: Endings that are welcome, in small letters.
+
+    Returns:
+        Its bytes.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It has another ending, is a folder or is empty.
+    """
     if path.suffix.lower() not in suffixes:
         raise ValueError(
             f"{path}: its ending {path.suffix!r} is none of {', '.join(suffixes)}; convert it to one of them"
@@ -171,7 +202,18 @@ def read_bytes(path: Path, suffixes: tuple[str, ...]) -> bytes:
 
 
 def to_metres(path: Path, unit: str) -> float:
-    """Metres in a unit; ValueError for an unknown one."""
+    """Say how long a unit is.
+
+    Args:
+        path: The file, for the message.
+        unit: m, cm, mm or inch.
+
+    Returns:
+        Metres in one unit.
+
+    Raises:
+        ValueError: The unit is unknown.
+    """
     if unit not in METRES_PER_UNIT:
         raise ValueError(
             f"{path}: unit {unit!r} is not known; say which of {', '.join(METRES_PER_UNIT)} its coordinates are in"
@@ -180,7 +222,16 @@ def to_metres(path: Path, unit: str) -> float:
 
 
 def check_size(path: Path, points: NDArray, unit: str) -> None:
-    """Refuse what is too small or too large to touch, with a hint at the unit that would fit."""
+    """Refuse what is too small or too large to touch, with a hint at the unit that would fit.
+
+    Args:
+        path: The file, for the message.
+        points: (n, 3) corners (m).
+        unit: That was said to be the file's.
+
+    Raises:
+        ValueError: The longest side is not between `MIN_SIZE_M` and `MAX_SIZE_M`.
+    """
     longest = float(np.ptp(points, axis=0).max())
     if MIN_SIZE_M <= longest <= MAX_SIZE_M:
         return

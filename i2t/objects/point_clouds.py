@@ -28,10 +28,18 @@ MIN_FIT_POINTS = 5  # points of a plane fit; a point with fewer around it is an 
 
 
 def load_point_cloud(path: str | Path, unit: str) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Read points (n, 3) in metres, and unit normals (n, 3) or None, from a PLY or PCD file with coordinates in `unit`.
+    """Read a point cloud. Points that are not finite mark missing measurements and are left out.
 
-    Points that are not finite mark missing measurements in both formats and are left out. Raises FileNotFoundError or
-    ValueError, each with one sentence that names the file and a remedy; compressed PCD files are refused.
+    Args:
+        path: A PLY or PCD file; compressed PCD files are refused.
+        unit: Of its coordinates: m, cm, mm or inch.
+
+    Returns:
+        Points (n, 3) in metres, and unit normals (n, 3), zero where one is missing, or None where the file has none.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It cannot be read; one sentence that names the file and a remedy.
     """
     path = Path(path)
     data = read_bytes(path, (".ply", ".pcd"))
@@ -60,12 +68,21 @@ def load_point_cloud(path: str | Path, unit: str) -> tuple[NDArray[np.float64], 
 
 
 def suggest_radius(points: NDArray) -> float:
-    """A radius (m) of disks that covers a cloud (n, 3): twice its typical spacing s, where a point has s^2 to itself.
+    """A radius of disks that covers a cloud: twice its typical spacing s, where a point has s^2 to itself.
 
     On a surface k neighbours lie within d_k, pi d_k^2 = k s^2; the median over points of the eighth's distance gives s.
     Of points strewn at random a disk of 2 s misses a place with probability exp(-4 pi) = 3e-6; averaging them in cubes
     of edge s leaves at least 63 % of their number, so 4e-4 of the surface at most is left bare. Noise makes the cloud
-    look wider and the radius larger, as it should. Raises ValueError for fewer than nine points.
+    look wider and the radius larger, as it should.
+
+    Args:
+        points: The cloud (n, 3) in metres.
+
+    Returns:
+        The radius (m).
+
+    Raises:
+        ValueError: There are fewer than nine points, or most lie in the same place.
     """
     points = np.asarray(points, np.float64)
     if len(points) <= SPACING_NEIGHBOUR:
@@ -83,14 +100,24 @@ def surface_from_points(
     normals: NDArray | None = None,
     up: NDArray | tuple[float, float, float] = (0.0, 0.0, 1.0),
 ) -> Mesh:
-    """Cover points (n, 3) m with disks of `radius` m: an open mesh for rendering and touching.
+    """Cover points with disks: an open mesh for rendering and touching.
 
     Points are first averaged in cubes of half the radius, so that disks overlap without gaps where the cloud is denser
-    than that, and each disk is moved onto the plane of its neighbours within 1.5 radii, which averages noise. Disks
-    face the side of the given normals, else that of `up` (where the camera was). Edges of the surface reach out by up
-    to one radius, a curvature of radius R is flattened by about radius^2 / 2R, and points with hardly any neighbour are
-    left out.
-    Raises ValueError where no disk remains.
+    than that, and each disk is moved onto the plane of its neighbours within 1.5 radii, which averages noise. Edges of
+    the surface reach out by up to one radius, a curvature of radius R is flattened by about radius^2 / 2R, and points
+    with hardly any neighbour are left out.
+
+    Args:
+        points: The cloud (n, 3) in metres.
+        radius: Of the disks (m).
+        normals: (n, 3) on whose side the disks face; a zero normal leaves its disk the plane's own.
+        up: (3,) or (n, 3), the side that disks face without normals: where the camera was.
+
+    Returns:
+        The mesh of the disks.
+
+    Raises:
+        ValueError: No disk remains.
     """
     points = np.asarray(points, np.float64)
     side = np.broadcast_to(np.asarray(up, np.float64), points.shape) if normals is None else np.asarray(normals)
@@ -114,7 +141,8 @@ def surface_from_points(
     kept = weight.sum((1, 2)) >= MIN_FIT_POINTS
     if not kept.any():
         raise ValueError(
-            f"points: none has {MIN_FIT_POINTS - 1} others within 1.5 x {radius:g} m; give a larger radius or a denser cloud"
+            f"points: none has {MIN_FIT_POINTS - 1} others within 1.5 x {radius:g} m; give a larger radius or a "
+            "denser cloud"
         )
     centres, normal = centres[kept], normal[kept]
     u = axes[kept, :, 2]

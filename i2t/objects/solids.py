@@ -17,18 +17,22 @@ from numpy.typing import NDArray
 
 Real: TypeAlias = float | int  # of a drawing
 
-SAGITTA_MM = 0.03  # mm between a chord and its arc
+SAGITTA_MM = 0.03  # between a chord and its arc
 
 
 class Mesh(NamedTuple):
-    """A triangle mesh; seen from outside, the corners of a face run counter-clockwise."""
+    """A triangle mesh, as every function of i2t takes it: anything with `vertices` and `faces` serves, such as a
+    `trimesh.Trimesh`. Seen from outside, the corners of a face run counter-clockwise.
+    """
 
     vertices: NDArray[np.float64]  # (vertices, 3) m
-    faces: NDArray[np.int32]  # (faces, 3)
+    faces: NDArray[np.int32]  # (faces, 3) rows of `vertices`
 
 
 class Object(NamedTuple):
-    """Something to touch, in its own frame."""
+    """Something to touch, in its own frame: z up, and unless a file was read otherwise standing on z = 0, centred in x
+    and y.
+    """
 
     name: str
     mesh: Mesh
@@ -36,20 +40,42 @@ class Object(NamedTuple):
 
 
 def transform_mesh(mesh: Mesh, T: NDArray) -> Mesh:
-    """Move a mesh by the (4, 4) transform T_a_b from b into a; a reflection turns the winding too."""
+    """Move a mesh.
+
+    Args:
+        mesh: A mesh in b.
+        T: The (4, 4) transform T_a_b; a reflection turns the winding too.
+
+    Returns:
+        The mesh in a.
+    """
     T = np.asarray(T, np.float64)
     faces = mesh.faces[:, ::-1] if np.linalg.det(T[:3, :3]) < 0 else mesh.faces
     return Mesh(mesh.vertices @ T[:3, :3].T + T[:3, 3], faces)
 
 
 def place_on_table(mesh: Mesh) -> Mesh:
-    """Shift a mesh, without turning it, so that its box is centred in x and y and stands on z = 0."""
+    """Shift a mesh, without turning it.
+
+    Args:
+        mesh: Any mesh.
+
+    Returns:
+        The mesh whose box is centred in x and y and stands on z = 0.
+    """
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
     return Mesh(mesh.vertices - [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]], mesh.faces)
 
 
 def mesh_from_solid(solid: Manifold) -> Mesh:
-    """The settled mesh, in metres, of a solid drawn in millimetres."""
+    """Turn a solid into a mesh.
+
+    Args:
+        solid: Drawn in millimetres.
+
+    Returns:
+        Its mesh in metres, placed on the table.
+    """
     drawn = solid.to_mesh64()
     vertices = np.asarray(drawn.vert_properties, np.float64)[:, :3] * 1e-3
     return place_on_table(Mesh(vertices, np.asarray(drawn.tri_verts).astype(np.int32)))

@@ -8,7 +8,7 @@ import pytest
 from experiments.recognize import trained_run as runs
 from experiments.studies import __main__ as studies
 from experiments.studies import object_count, planar, pose_error, sites
-from i2t.objects.catalogue import Mesh
+from i2t.objects import Mesh
 
 
 @pytest.fixture(scope="module", autouse=True)

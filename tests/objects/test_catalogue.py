@@ -7,13 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from i2t.objects import catalogue
-from i2t.objects.catalogue import (
+from i2t.objects import (
     NAMES,
     PRIMITIVES,
     STAMPS,
     TOOLS,
     Mesh,
+    catalogue,
     make_object,
     random_object,
     surrogate_unknown,

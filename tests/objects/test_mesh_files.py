@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from i2t.objects.catalogue import clean_mesh, load_mesh, make_object
+from i2t.objects import clean_mesh, load_mesh, make_object
 from i2t.objects.mesh_files import METRES_PER_UNIT
 from i2t.objects.solids import Mesh
 

@@ -9,7 +9,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from experiments import clouds as experiment
-from i2t.objects.catalogue import load_point_cloud, make_object, surface_from_points
+from i2t.objects import load_point_cloud, make_object, surface_from_points
 from i2t.objects.point_clouds import suggest_radius
 
 RNG = np.random.default_rng(0)

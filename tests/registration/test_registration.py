@@ -18,7 +18,7 @@ from experiments.real_frames import THINGS, frames
 from i2t.depth.camera import Camera
 from i2t.depth.distortion import pixel_rays
 from i2t.geometry import inverse, random_motion, to_twist
-from i2t.objects.catalogue import load_mesh, make_object
+from i2t.objects import load_mesh, make_object
 from i2t.registration import (
     DepthRegistrationConfig,
     camera_covariance,

@@ -1,0 +1,87 @@
+"""Poses of a touching tool, against trimesh and the renderer."""
+
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+import trimesh
+
+from i2t import geometry
+from i2t.objects import contact_pose, make_object
+from i2t.rendering.render import prepare_surface, render_patch
+
+HEXAGON, DOME = make_object("hexagon").mesh, make_object("dome").mesh
+TOP = np.array([5e-3, -4e-3, 30e-3])  # on the hexagon's top, more than half a window from its edges
+
+
+def test_the_tool_stands_on_the_point_and_points_into_the_surface():
+    """At random points of a round and a flat object: trimesh's own samples and face normals."""
+    for mesh in (HEXAGON, DOME):
+        whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+        points, faces = trimesh.sample.sample_surface(whole, 20, seed=0)
+        for point, normal in zip(points, whole.face_normals[faces], strict=True):
+            T = contact_pose(mesh, point)
+            assert geometry.is_rigid(T)
+            np.testing.assert_array_equal(T[:3, 3], point)
+            np.testing.assert_allclose(T[:3, 2], -normal, atol=1e-9)
+            leaning = contact_pose(mesh, point, normal=[0.6, 0.0, 0.8])
+            np.testing.assert_allclose(leaning[:3, 2], [-0.6, 0, -0.8], atol=1e-12)
+
+
+def test_roll_turns_about_tool_z_from_the_objects_x():
+    level = contact_pose(HEXAGON, TOP)
+    np.testing.assert_allclose(level[:3, :3], np.diag([1.0, -1, -1]), atol=1e-12)
+    for roll in (-2.0, 0.3, 1.5):
+        turned = geometry.compose(geometry.inverse(level), contact_pose(HEXAGON, TOP, roll=roll))
+        np.testing.assert_allclose(geometry.log(turned), [0, 0, 0, 0, 0, roll], atol=1e-12)
+
+
+def test_a_patch_at_the_pose_begins_at_the_tool_and_is_flat():
+    look = jax.jit(render_patch)
+    surface = prepare_surface(HEXAGON)
+    side = np.array([0, -30e-3 * np.cos(np.pi / 6), 15e-3])  # the middle of a face, 30 mm wide and high
+    for point in (TOP, side):
+        patch = look(surface, contact_pose(HEXAGON, point, roll=0.4).astype(np.float32))
+        assert abs(patch.nearest) < 1e-6
+        # Around the side's middle the window ends before the prism's edges.
+        np.testing.assert_allclose(patch.depth, 0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"point": (*TOP[:2], 32e-3)}, "point: lies 2 mm off the surface, of at most 1 mm"),
+        ({"point": 1e3 * TOP}, "point: lies 3"),
+        ({"point": [0, np.nan, 0]}, "point: .* is not three finite numbers"),
+        ({"point": TOP[:2]}, "point: .* is not three finite numbers"),
+        ({"normal": [0, 0, 2]}, "normal: .* is no unit vector"),
+        ({"normal": [0, 0, 0]}, "normal: .* is no unit vector"),
+        ({"normal": [0, 0, np.nan]}, "normal: .* is no unit vector"),
+        ({"roll": np.inf}, "roll: is inf; give radians"),
+    ],
+)
+def test_what_makes_no_pose_is_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        contact_pose(HEXAGON, **{"point": TOP, **change})
+
+
+def test_a_face_without_area_gives_no_normal():
+    point = HEXAGON.vertices.argmax(0)[2]
+    flat = np.array([[point, point, point]], np.int32)
+    mesh = HEXAGON._replace(faces=np.concatenate([flat, HEXAGON.faces]))
+    np.testing.assert_array_equal(contact_pose(mesh, TOP), contact_pose(HEXAGON, TOP))
+    with pytest.raises(ValueError, match="no face has an area"):
+        contact_pose(HEXAGON._replace(faces=flat), TOP)
+
+
+def test_objects_need_no_jax():
+    code = """
+import sys
+from i2t.objects import contact_pose, make_object
+
+contact_pose(make_object("dome").mesh, (0, 0, 30e-3))
+assert "jax" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
