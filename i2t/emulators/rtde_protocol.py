@@ -9,9 +9,9 @@ Source: Universal Robots, "Real-Time Data Exchange (RTDE) guide", protocol versi
 
 import struct
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
-Value = int | float | Sequence[int | float]
+Value: TypeAlias = int | float | Sequence[int | float]
 
 HEADER = struct.Struct(">HB")
 PROTOCOL, VERSION, MESSAGE, DATA, OUTPUTS, INPUTS, START, PAUSE = b"VvMUOISP"
@@ -77,32 +77,67 @@ class Recipe(NamedTuple):
 
 
 def recipe(names: str, table: Mapping[str, str]) -> Recipe:
-    """Look up a comma-separated list of names; an unknown name has type NOT_FOUND."""
-    listed = tuple(name.strip() for name in names.split(",") if name.strip())  # clients may end with a comma
+    """Look up the types of a recipe.
+
+    Args:
+        names: Separated by commas, maybe with one at the end.
+        table: Type of each name that the controller knows.
+
+    Returns:
+        The recipe; an unknown name has type NOT_FOUND.
+    """
+    listed = tuple(name.strip() for name in names.split(",") if name.strip())
     return Recipe(listed, tuple(table.get(name, "NOT_FOUND") for name in listed))
 
 
 def packet(kind: int, body: bytes = b"") -> bytes:
-    """Frame a body."""
+    """Put a header before a body.
+
+    Args:
+        kind: Type of the packet.
+        body: Its contents.
+
+    Returns:
+        The packet.
+    """
     return HEADER.pack(HEADER.size + len(body), kind) + body
 
 
 def split(buffer: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
-    """Cut a byte stream into (type, body) packets and what is left over; raises ValueError on an impossible size."""
-    packets, at = [], 0
-    while len(buffer) - at >= HEADER.size:
-        size, kind = HEADER.unpack_from(buffer, at)
+    """Split a byte stream into packets.
+
+    Args:
+        buffer: Bytes that have come and were not used.
+
+    Returns:
+        (type, body) of each whole packet, and the bytes that are left over.
+
+    Raises:
+        ValueError: A header says a size that cannot be.
+    """
+    packets, start = [], 0
+    while len(buffer) - start >= HEADER.size:
+        size, kind = HEADER.unpack_from(buffer, start)
         if size < HEADER.size:
             raise ValueError(f"an RTDE packet cannot be {size} bytes long")
-        if len(buffer) - at < size:
+        if len(buffer) - start < size:
             break
-        packets.append((kind, buffer[at + HEADER.size : at + size]))
-        at += size
-    return packets, buffer[at:]
+        packets.append((kind, buffer[start + HEADER.size : start + size]))
+        start += size
+    return packets, buffer[start:]
 
 
 def encode(number: int, layout: struct.Struct, values: Iterable[Value]) -> bytes:
-    """Data packet of the values of one recipe."""
+    """A data packet.
+
+    Args:
+        number: Of the recipe.
+        layout: Of the recipe.
+        values: In the recipe's order.
+
+    Returns:
+        The packet.
+    """
     flat: list[int | float] = []
     for value in values:
         if isinstance(value, int | float):
@@ -113,7 +148,18 @@ def encode(number: int, layout: struct.Struct, values: Iterable[Value]) -> bytes
 
 
 def decode(body: bytes, recipes: Mapping[int, Recipe]) -> dict[str, Value]:
-    """Values by name from the body of a data packet; raises ValueError if the recipe or the size is not as agreed."""
+    """Read the body of a data packet.
+
+    Args:
+        body: The number of a recipe, and values.
+        recipes: By number.
+
+    Returns:
+        Values by name.
+
+    Raises:
+        ValueError: The recipe or the size is not as agreed.
+    """
     if not body or body[0] not in recipes:
         raise ValueError("a data packet names no agreed recipe")
     wanted = recipes[body[0]]
