@@ -152,7 +152,7 @@ def press_stamp(
         # Every other cell: friction's part is small, and four times as quick.
         step = max(cfg.grid.cells // GRID.cells, 1)
         coarse = GRID if step > 1 else cfg.grid
-        reading = reading + friction_response(pad, met[::step, ::step], pressed.indentation, slide, coarse)
+        reading = reading + friction_response(pad, met[::step, ::step], pressed.indentation, slide, grid=coarse)
 
     travel = pressed.indentation + force / cfg.stiffness
     deep = jnp.eye(4).at[2, 3].set(-pressed.indentation)

@@ -14,8 +14,8 @@ repeatability and tilt of approach. Nothing the model may later use is error fre
 the indentation and F / stiffness past first contact (series compliance of arm and mount).
 
 Depth camera after Handa et al. (ICRA 2014): pixels are displaced sideways near edges, then noise, then quantisation.
-Default sizes: a short-range stereo camera at 0.1 m and a calibrated UR arm; each is a field of `SimulationErrors`, and zero
-switches it off. Everything here is simulated, and says so where it is stored.
+Default sizes: a short-range stereo camera at 0.1 m and a calibrated UR arm; each is a field of `SimulationErrors`, and
+zero switches it off. Everything here is simulated, and says so where it is stored.
 """
 
 import math
@@ -311,7 +311,7 @@ def apply_sensor_model(key: Key[Array, ""], touches: Touches, pad: Pad, errors: 
     """
     key_faults, key_noise, key_record = jax.random.split(key, 3)
     rest = pad.board.to_board(rest_field(pad))
-    felt = faults.apply(key_faults, touches.reading, touches.T_w_t, pad.board, errors.faults, rest)
+    felt = faults.apply(key_faults, touches.reading, touches.T_w_t, pad.board, errors.faults, rest=rest)
     keys = jax.random.split(key_noise, len(felt))
     read = jax.vmap(lambda key, reading: add_sensor_noise(key, reading, pad.board, errors.noise))(keys, felt)
     return touches._replace(reading=faults.record(key_record, read, errors.faults))

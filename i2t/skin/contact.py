@@ -56,15 +56,24 @@ def solve(
     height: Float[Array, "n n"],
     indentation: Float[Array, ""] | float,
     grid: Grid = GRID,
+    *,
     start: Float[Array, "n n"] | None = None,
     tolerance: float = TOLERANCE,
     max_steps: int = MAX_STEPS,
 ) -> Contact:
     """The contact at a given indentation.
 
-    `height` (m, >= 0, may be infinite) is the surface's distance behind its nearest point along tool z, `indentation`
-    (m) the depth of that nearest point below the resting skin; at or above the skin (<= 0) nothing touches. `start` is
-    a pressure (Pa) to begin from, say that of a neighbouring indentation.
+    Args:
+        pad: the skin.
+        height: m, >= 0, may be infinite: the surface's distance behind its nearest point along tool z.
+        indentation: m, depth of that nearest point below the resting skin; at or above it (<= 0) nothing touches.
+        grid: cells of the pad.
+        start: Pa, a pressure to begin from, say that of a neighbouring indentation.
+        tolerance: largest violation of the conditions, of the deepest deflection.
+        max_steps: after which it is given up, and `converged` is False.
+
+    Returns:
+        The contact.
     """
     gap = (jnp.minimum(height, MAX_HEIGHT_M) - indentation) / pad.thickness
     # The problem is homogeneous, so that its scale is no part of the derivative.
@@ -75,11 +84,11 @@ def solve(
         partial(_deflect, jax.lax.stop_gradient(soft), grid=grid),
         offset,
         lambda p: jnp.maximum(p, 0),
-        lambda p, gap: jnp.zeros_like(scale),
-        -offset / bounds[1] if start is None else start / (pad.young * scale),
-        bounds,
-        tolerance,
-        max_steps,
+        level=lambda p, gap: jnp.zeros_like(scale),
+        start=-offset / bounds[1] if start is None else start / (pad.young * scale),
+        bounds=bounds,
+        tolerance=tolerance,
+        max_steps=max_steps,
     )
     pressure, gap, level = _tracked(soft, offset, state.point, state.gap, state.level, grid, False)
     return _contact(pad, state, pressure, gap - level, scale, jnp.asarray(indentation), grid, tolerance)
@@ -90,11 +99,25 @@ def solve_force(
     height: Float[Array, "n n"],
     force: Float[Array, ""] | float,
     grid: Grid = GRID,
+    *,
     start: Float[Array, "n n"] | None = None,
     tolerance: float = TOLERANCE,
     max_steps: int = MAX_STEPS,
 ) -> Contact:
-    """The contact at a given normal force (N, > 0), sought among the pressures that carry it; gives the indentation."""
+    """The contact at a given normal force, sought among the pressures that carry it.
+
+    Args:
+        pad: the skin.
+        height: m, as for `solve`.
+        force: N, > 0.
+        grid: cells of the pad.
+        start: Pa, a pressure to begin from.
+        tolerance: largest violation of the conditions, of the deepest deflection.
+        max_steps: after which it is given up, and `converged` is False.
+
+    Returns:
+        The contact, with its indentation.
+    """
     height = jnp.minimum(height, MAX_HEIGHT_M)
     nearest = jax.lax.stop_gradient(jnp.min(height))  # an origin, and as such no part of the derivative
     scale = jnp.maximum(force / (grid.spacing**2 * pad.young), MIN_STRAIN)
@@ -104,11 +127,11 @@ def solve_force(
         partial(_deflect, jax.lax.stop_gradient(soft), grid=grid),
         offset,
         _onto_simplex,
-        lambda p, gap: jnp.sum(p * gap),
-        -offset / bounds[1] if start is None else start / (pad.young * scale),
-        bounds,
-        tolerance,
-        max_steps,
+        level=lambda p, gap: jnp.sum(p * gap),
+        start=-offset / bounds[1] if start is None else start / (pad.young * scale),
+        bounds=bounds,
+        tolerance=tolerance,
+        max_steps=max_steps,
     )
     pressure, gap, level = _tracked(soft, offset, state.point, state.gap, state.level, grid, True)
     return _contact(pad, state, pressure, gap - level, scale, nearest + level * scale * pad.thickness, grid, tolerance)
@@ -207,14 +230,27 @@ def descend(
     deflect: Callable[[Array], Array],
     offset: Array,
     project: Callable[[Array], Array],
+    *,
     level: Callable[[Array, Array], Array],
     start: Array,
     bounds: tuple[Array, Array],
     tolerance: float,
     max_steps: int,
 ) -> State:
-    """Minimise x.Kx/2 + x.offset over the convex set onto which `project` projects, by spectral projected gradients;
-    K is `deflect`. Gradient steps are kept within the inverse of `bounds` of K's spectrum. Not differentiated.
+    """Minimise x.Kx/2 + x.offset over a convex set by spectral projected gradients. Not differentiated.
+
+    Args:
+        deflect: x to K x, symmetric and positive.
+        offset: the linear term.
+        project: the nearest point of the set.
+        level: from point and gap, the constant of the gap that the set's own conditions leave free.
+        start: where to begin.
+        bounds: of K's spectrum, smallest and largest; gradient steps are kept within their inverses.
+        tolerance: largest violation of the conditions, of the largest deflection.
+        max_steps: applications of K after which it is given up.
+
+    Returns:
+        Where the descent has come to.
     """
     offset, start = jax.lax.stop_gradient((offset, start))
     shortest, longest = (1 / jax.lax.stop_gradient(bound) for bound in bounds[::-1])

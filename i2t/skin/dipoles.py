@@ -45,17 +45,28 @@ def response(
     pad: Pad,
     pressure: Float[Array, "n n"],
     grid: Grid = GRID,
+    *,
     dipoles: Grid | None = None,
     nodes: int = NODES,
     traction: Float[Array, "2 n n"] | None = None,
 ) -> Float[Array, " c"]:
-    """The noise-free reading (uT) under `pressure` (Pa) and, where given, `traction` (Pa, along x and y) on `grid`:
-    gains times the change of field, in the chips' axes.
+    """The noise-free reading under a load: gains times the change of field, in the chips' axes.
 
-    `dipoles`, a coarser grid of the same period, has fewer dipoles than one under each cell.
+    Args:
+        pad: the skin on its board.
+        pressure: Pa, on the cells of `grid`.
+        grid: of the loads.
+        dipoles: a coarser grid of the same period, with fewer dipoles than one under each cell of `grid`.
+        nodes: sheets of dipoles across the thickness.
+        traction: Pa, along x and y.
+
+    Returns:
+        The reading in uT.
     """
     dipoles = grid if dipoles is None else dipoles
-    change = pressed_field(pad, pressure, grid, dipoles, nodes, traction) - rest_field(pad, dipoles, nodes)
+    change = pressed_field(pad, pressure, grid, dipoles=dipoles, nodes=nodes, traction=traction) - rest_field(
+        pad, dipoles, nodes
+    )
     return pad.gains * pad.board.to_board(change)
 
 
@@ -63,6 +74,7 @@ def pressed_field(
     pad: Pad,
     pressure: Float[Array, "n n"],
     grid: Grid = GRID,
+    *,
     dipoles: Grid | None = None,
     nodes: int = NODES,
     traction: Float[Array, "2 n n"] | None = None,

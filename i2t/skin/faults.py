@@ -81,12 +81,22 @@ def apply(
     T_w_t: Float[Array, "n 4 4"],
     board: Board,
     faults: Faults,
+    *,
     rest: Float[Array, " c"] | None = None,
 ) -> Float[Array, "n c"]:
-    """The readings of one session, in the order made, as a faulty sensor would feel them (see the module's head).
+    """The readings of one session as a faulty sensor would feel them (see the module's head).
 
-    `rest` is what the chips measure of the pad itself when nothing touches it (`field.rest_field` through
-    `board.to_board`; zero if not given): saturation starts from there, and warming weakens it.
+    Args:
+        key: random key.
+        readings: uT, in the order made.
+        T_w_t: poses of the tool.
+        board: whose chips lie below the skin.
+        faults: sizes of the faults.
+        rest: uT, what the chips measure of the pad itself when nothing touches it (`dipoles.rest_field` through
+            `board.to_board`; zero if not given): saturation starts from there, and warming weakens it.
+
+    Returns:
+        Readings in uT.
     """
     n = readings.shape[0]
     rest = jnp.zeros(board.num_readings) if rest is None else rest
@@ -235,6 +245,7 @@ def apply_warming(
     rest: Float[Array, " c"],
     kelvin: Float[Array, " chips"],
     offset: Float[Array, " c"],
+    *,
     gain: float = -1.2e-3,
     drift: float = 0.2,
 ) -> tuple[Float[Array, " c"], Float[Array, " c"]]:

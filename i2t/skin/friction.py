@@ -63,12 +63,24 @@ def shear(
     pressure: Float[Array, "n n"],
     slide: Float[Array, "2"],
     grid: Grid = GRID,
+    *,
     before: Shear | None = None,
     tolerance: float = TOLERANCE,
     max_steps: int = MAX_STEPS,
 ) -> Shear:
-    """The state under `pressure` (Pa) after the object has moved by `slide` (m, along x and y of the skin) since the
-    state `before`, or since the untouched skin.
+    """The state of friction after the object has moved along the skin.
+
+    Args:
+        pad: the skin.
+        pressure: Pa, at the end of the motion.
+        slide: m, along x and y of the skin, since the state before.
+        grid: cells of the pad.
+        before: the state before; by default the untouched skin.
+        tolerance: largest violation of the conditions, of the largest displacement.
+        max_steps: after which it is given up, and `converged` is False.
+
+    Returns:
+        The new state.
     """
     kernels = jnp.stack(tangential_compliance(pad, grid)) * pad.young / pad.thickness
     spreading = tangential_displacement(pad, pressure, grid)
@@ -87,11 +99,11 @@ def shear(
         partial(_yielding, fixed_kernels, grid=grid),
         -wanted,
         onto_discs,
-        lambda q, slip: jnp.zeros_like(scale),
-        jnp.zeros_like(wanted) if before is None else before.traction / (pad.young * scale),
-        (jnp.min(kernels), jnp.max(kernels)),
-        tolerance,
-        max_steps,
+        level=lambda q, slip: jnp.zeros_like(scale),
+        start=jnp.zeros_like(wanted) if before is None else before.traction / (pad.young * scale),
+        bounds=(jnp.min(kernels), jnp.max(kernels)),
+        tolerance=tolerance,
+        max_steps=max_steps,
     )
     traction, slip = _tracked(kernels, limit, wanted, state.point, state.gap, grid)
     return Shear(

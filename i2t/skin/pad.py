@@ -46,6 +46,7 @@ def press(
     height: Float[Array, "n n"],
     indentation: Float[Array, ""] | float,
     grid: Grid = GRID,
+    *,
     start: Float[Array, "n n"] | None = None,
     dipoles: Grid | None = None,
 ) -> Press:
@@ -62,7 +63,7 @@ def press(
     Returns:
         Reading, force, indentation and pressure.
     """
-    return _press(pad, solve(pad, height, indentation, grid, start), grid, dipoles)
+    return _press(pad, solve(pad, height, indentation, grid, start=start), grid, dipoles)
 
 
 def press_force(
@@ -70,6 +71,7 @@ def press_force(
     height: Float[Array, "n n"],
     force: Float[Array, ""] | float,
     grid: Grid = GRID,
+    *,
     start: Float[Array, "n n"] | None = None,
     dipoles: Grid | None = None,
 ) -> Press:
@@ -86,7 +88,7 @@ def press_force(
     Returns:
         Reading, force, indentation and pressure.
     """
-    return _press(pad, solve_force(pad, height, force, grid, start), grid, dipoles)
+    return _press(pad, solve_force(pad, height, force, grid, start=start), grid, dipoles)
 
 
 def friction_response(
@@ -94,6 +96,7 @@ def friction_response(
     height: Float[Array, "n n"],
     indentation: Float[Array, ""] | float,
     slide: Float[Array, "2"],
+    *,
     grid: Grid = GRID,
     increments: int = 3,
 ) -> Float[Array, " c"]:
@@ -114,8 +117,8 @@ def friction_response(
     """
     state, pressure = None, jnp.zeros_like(height)
     for part in np.arange(1, increments + 1) / increments:
-        pressure = solve(pad, height, part * indentation, grid, pressure).pressure
-        state = shear(pad, pressure, slide / increments, grid, state)
+        pressure = solve(pad, height, part * indentation, grid, start=pressure).pressure
+        state = shear(pad, pressure, slide / increments, grid, before=state)
     assert state is not None
     change = pressed_field(pad, pressure, grid, traction=state.traction) - pressed_field(pad, pressure, grid)
     return pad.gains * pad.board.to_board(change)
@@ -256,7 +259,7 @@ def _at_depth(board: Board, depth: Array) -> Board:
 
 def _press(pad: Pad, contact: Contact, grid: Grid, dipoles: Grid | None) -> Press:
     return Press(
-        response(pad, contact.pressure, grid, dipoles),
+        response(pad, contact.pressure, grid, dipoles=dipoles),
         contact.force,
         contact.indentation,
         contact.pressure,

@@ -60,7 +60,7 @@ def against_mindlin() -> None:
     pressed = rest(pad, found.pressure, grid)
     print("\nshare of the slide to full slip: force over theirs, sticking radius over the contact's, and theirs, steps")
     for part in (0.2, 0.4, 0.6, 0.8, 0.95, 1.2):
-        state = shear(pad, found.pressure, jnp.asarray([part * full, 0]), grid, pressed)
+        state = shear(pad, found.pressure, jnp.asarray([part * full, 0]), grid, before=pressed)
         force = float(jnp.sum(state.traction[0])) * grid.spacing**2
         theirs = 0.6 * load * (1 - max(1 - part, 0) ** 1.5)
         stuck = np.sum((np.asarray(found.pressure) > 0) & ~np.asarray(state.slipping)) * grid.spacing**2
@@ -71,7 +71,9 @@ def against_mindlin() -> None:
 def free_sides() -> None:
     """The bonded pad in space, of 1 mm Taylor-Hood bricks, three through its thickness, half of it by symmetry."""
     pads = [PAD, *(sample_pad(jax.random.key(i)) for i in range(4))]
-    pads = [pad._replace(thickness=PAD.thickness, young=PAD.young, mount_compliance=PAD.mount_compliance) for pad in pads]  # bonded
+    pads = [
+        pad._replace(thickness=PAD.thickness, young=PAD.young, mount_compliance=PAD.mount_compliance) for pad in pads
+    ]  # bonded
     axes = np.linspace(-10e-3, 10e-3, 21), np.linspace(0, 10e-3, 11), np.linspace(-THICKNESS, 0, 4)
     half = GRID.centres[GRID.cells // 2 :]
     along, ahead = interpolate(axes[0], GRID.centres), interpolate(axes[1], half)
@@ -121,7 +123,7 @@ def free_sides() -> None:
         worst = np.abs(ours - top).max() / np.abs(top).max()
         motions = [tuple(jnp.asarray(part, jnp.float32) for part in inside(moved, depth)) for depth in depths]
         free = np.stack([read(pad, motions) for pad in pads])
-        endless = np.stack([response(pad, pressure, FINE_GRID, GRID) for pad in pads])
+        endless = np.stack([response(pad, pressure, FINE_GRID, dipoles=GRID) for pad in pads])
         change = np.sqrt(np.sum((endless - free) ** 2) / np.sum(free**2))
         print(
             f"{name}: {sink:+.1%}, {worst:.1%}, {change:.1%} ({np.linalg.norm(free, axis=1).round(1)} uT)", flush=True
@@ -169,7 +171,11 @@ def _families() -> dict:
 def refinement() -> None:
     pads = [nominal_pad(), *(sample_pad(jax.random.key(i)) for i in range(4))]
     print("\nchange of the reading against 160 x 160 cells and 80 x 80 x 10 dipoles: pooled, median and worst press")
-    levels = {"40, dipoles 40": (GRID, GRID), "80, dipoles 40": (FINE_GRID, GRID), "80, dipoles 80": (FINE_GRID, FINE_GRID)}
+    levels = {
+        "40, dipoles 40": (GRID, GRID),
+        "80, dipoles 40": (FINE_GRID, GRID),
+        "80, dipoles 80": (FINE_GRID, FINE_GRID),
+    }
     for family, (shapes, force) in _families().items():
         readings = {}
         for name, (grid, dipoles, nodes) in {
@@ -181,7 +187,7 @@ def refinement() -> None:
 
             def one(pad, height, grid=grid, dipoles=dipoles, nodes=nodes, force=force):
                 found = contact.solve_force(pad, height - jnp.min(height), force, grid)
-                return response(pad, found.pressure, grid, dipoles, nodes)
+                return response(pad, found.pressure, grid, dipoles=dipoles, nodes=nodes)
 
             each = jax.jit(lambda pad, heights, one=one: jax.lax.map(lambda height: one(pad, height), heights))
             readings[name] = np.stack([each(pad, heights) for pad in pads])

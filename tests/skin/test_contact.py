@@ -205,14 +205,14 @@ def test_a_start_changes_the_effort_only():
     cold = solve(PAD, height, depth)
     near = solve(PAD, height, 0.48e-3).pressure
     for start, control in ((near, depth), (jnp.zeros((40, 40)), depth)):
-        warm = solve(PAD, height, control, GRID, start)
+        warm = solve(PAD, height, control, GRID, start=start)
         np.testing.assert_allclose(warm.force, cold.force, rtol=10 * contact.TOLERANCE)
-    forced = solve_force(PAD, height, cold.force, GRID, near)
+    forced = solve_force(PAD, height, cold.force, GRID, start=near)
     np.testing.assert_allclose(forced.indentation, depth, rtol=10 * contact.TOLERANCE)
 
 
 def test_an_unfinished_solution_says_so():
-    found = solve(PAD, jnp.asarray(T, jnp.float32), 0.2e-3, GRID, None, contact.TOLERANCE, 3)
+    found = solve(PAD, jnp.asarray(T, jnp.float32), 0.2e-3, GRID, max_steps=3)
     assert not found.converged
     assert found.residual > contact.TOLERANCE
     assert found.steps == 3

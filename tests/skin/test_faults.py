@@ -43,7 +43,7 @@ ALONE = [
 
 @partial(jax.jit, static_argnames="kind")
 def _recorded(key, readings, poses, kind):
-    return faults.record(jax.random.key(77), faults.apply(key, readings, poses, BOARD, kind, REST), kind)
+    return faults.record(jax.random.key(77), faults.apply(key, readings, poses, BOARD, kind, rest=REST), kind)
 
 
 def _key(seed: int = 0) -> jax.Array:
@@ -231,7 +231,7 @@ def test_chips_warm_unevenly():
 
 def test_warm_magnets_are_weaker():
     kelvin, offset = jnp.asarray([0.0, 1, 2, 5, 10]), jnp.linspace(-1.0, 1, 15)
-    reading, drift = faults.apply_warming(READINGS[0], REST, kelvin, offset, -1.2e-3, 0.2)
+    reading, drift = faults.apply_warming(READINGS[0], REST, kelvin, offset, gain=-1.2e-3, drift=0.2)
     warmer = np.repeat(np.asarray(kelvin), 3)
     np.testing.assert_allclose(reading, READINGS[0] * (1 - 1.2e-3 * warmer), rtol=ROUNDING)
     np.testing.assert_allclose(drift, warmer * (-1.2e-3 * REST + 0.2 * offset), rtol=ROUNDING, atol=1e-5)
@@ -345,7 +345,7 @@ def test_readings_can_be_fitted_through_faults():
     kind = replace(Faults.typical(), ferrous=1.0, gain=0.05)
 
     def total(readings):
-        return jnp.sum(faults.apply(_key(), readings, POSES, BOARD, kind, REST))
+        return jnp.sum(faults.apply(_key(), readings, POSES, BOARD, kind, rest=REST))
 
     assert np.all(np.isfinite(jax.jit(jax.grad(total))(READINGS.at[4].set(0.0))))
     with jax.enable_x64(True):

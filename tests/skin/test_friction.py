@@ -17,7 +17,7 @@ TIP = jnp.asarray(((X - 0.4e-3) ** 2 + (Y + 1.3e-3) ** 2) / (2 * 6e-3), jnp.floa
 STAMP = jnp.asarray(np.where((abs(X) < 3e-3) & (abs(Y - 1e-3) < 2e-3), 0.02 * (X + 3e-3), np.inf), jnp.float32)
 solve = jax.jit(contact.solve)
 first = jax.jit(lambda pad, pressure, slide: shear(pad, pressure, slide))
-then = jax.jit(lambda pad, pressure, slide, before: shear(pad, pressure, slide, GRID, before))
+then = jax.jit(lambda pad, pressure, slide, before: shear(pad, pressure, slide, GRID, before=before))
 
 
 def _total(state, grid=GRID):
@@ -35,7 +35,7 @@ def test_reproduces_cattaneo_and_mindlin_where_they_hold():
     modulus, nu = float(pad.young) / (2 * (1 + float(pad.poisson))), float(pad.poisson)
     slides = 3 * mu * load * (2 - nu) / (16 * modulus * a)  # on a half space, where all of the contact slips
     pressed = rest(pad, found.pressure, grid)
-    drag = jax.jit(lambda pad, pressure, slide, before: shear(pad, pressure, slide, grid, before))
+    drag = jax.jit(lambda pad, pressure, slide, before: shear(pad, pressure, slide, grid, before=before))
     for part in (0.3, 0.6, 0.9):
         state = drag(pad, found.pressure, jnp.asarray([part * slides, 0]), pressed)
         assert state.converged
@@ -111,7 +111,7 @@ def test_a_slanted_approach_leaves_its_mark_on_the_reading():
     @jax.jit
     def press(slides):
         def increment(state, load):
-            state = shear(PAD, load[0], load[1], GRID, state)
+            state = shear(PAD, load[0], load[1], GRID, before=state)
             return state, state.converged
 
         untouched = rest(PAD, jnp.zeros((40, 40)))
@@ -139,14 +139,14 @@ def test_derivatives_against_differences():
     with jax.enable_x64(True):
         pad = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, float)), PAD)
         height = jnp.asarray(((x - 0.4e-3) ** 2 + (y + 1.3e-3) ** 2) / (2 * 8e-3))
-        pressure = contact.solve(pad, height, 0.5e-3, small, None, 1e-12, 4000).pressure
+        pressure = contact.solve(pad, height, 0.5e-3, small, tolerance=1e-12, max_steps=4000).pressure
         rng = np.random.default_rng(0)
         at = (pad.thickness, pad.young, pad.poisson, pad.friction, pressure, jnp.asarray([1.2e-4, 5e-5]))
         way = tuple(value * jnp.asarray(rng.normal(size=value.shape)) for value in at)
 
         def state(thickness, young, poisson, friction, pressure, slide):
             changed = pad._replace(thickness=thickness, young=young, poisson=poisson, friction=friction)
-            found = shear(changed, pressure, slide, small, None, 1e-11, 4000)
+            found = shear(changed, pressure, slide, small, tolerance=1e-11, max_steps=4000)
             return found.traction, found.displacement, found.slipping
 
         run = jax.jit(state)

@@ -44,11 +44,11 @@ def _outcome(found):
 
 
 def _depth(pad, height, depth):
-    return _outcome(contact.solve(pad, height, depth, SMALL, None, EXACT, 4000))
+    return _outcome(contact.solve(pad, height, depth, SMALL, tolerance=EXACT, max_steps=4000))
 
 
 def _force(pad, height, force):
-    return _outcome(contact.solve_force(pad, height, force, SMALL, None, EXACT, 4000))
+    return _outcome(contact.solve_force(pad, height, force, SMALL, tolerance=EXACT, max_steps=4000))
 
 
 def _moved(at, way, step):
