@@ -97,7 +97,7 @@ def hold_out(
 
 
 def split_presses(held: np.ndarray, blocks: np.ndarray, usable: np.ndarray, block_mm: float) -> PressSplit:
-    """What is tested and what may be learnt from; rows that are not `usable` are neither."""
+    """Rows to test on and to train on; rows that are not `usable` are neither."""
     later = np.arange(len(held)) >= len(held) // 2
     tests = {
         RANDOM: np.flatnonzero(held & usable),

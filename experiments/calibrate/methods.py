@@ -152,7 +152,7 @@ def neighbours(recording: PressRecording, rows: np.ndarray, test: np.ndarray) ->
         return nearest_neighbours(x, y, at, int(k))
 
     x, at = recording.features(rows), recording.features(test)
-    return tuned(mean, (1.0, 2.0, 3.0, 4.0, 6.0, 8.0), x, recording.readings[rows], np.arange(len(rows)), at)
+    return tuned(mean, (1.0, 2.0, 3.0, 4.0, 6.0, 8.0), x, recording.readings[rows], np.arange(len(rows)), at=at)
 
 
 def select(

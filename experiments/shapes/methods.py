@@ -162,7 +162,7 @@ class StampClassificationBenchmark:
         return (PAPER, *arm, *((NETWORK, IMAGINED) if self.features else ()))
 
     def log_probability(self, method: str, train: np.ndarray, test: np.ndarray, seed: int) -> np.ndarray:
-        """Log probability (up to a constant) of each shape at the presses `test`, learnt from those of `train`."""
+        """Log probability (up to a constant) of each shape at the presses `test`, from those of `train`."""
         p, classes = self.presses, len(self.names)
         if method in (PAPER, ARM):
             x = p.reading if method == PAPER else np.c_[p.reading, self._arm()]

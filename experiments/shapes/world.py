@@ -105,7 +105,7 @@ def pose(position: Float[Array, "2"], rotation: Float[Array, ""], stamp: Stamp) 
 def heights(
     stamp: Stamp, T_t_o: Float[Array, "4 4"], window: float, cells: int
 ) -> tuple[Float[Array, "n n"], Float[Array, "n n"]]:
-    """Along tool z (m), at the cells' centres: the stamp's face, +inf beside it; and its base, +inf beside that."""
+    """Along tool z (m), at the cells' centres: the stamp's face, +inf next to it; and its base, +inf next to that."""
     at = ((np.arange(cells) + 0.5) / cells - 0.5) * window
     x, y = jnp.meshgrid(jnp.float32(at), jnp.float32(at))
     normal, origin = T_t_o[:3, 2], T_t_o[:3, 3]

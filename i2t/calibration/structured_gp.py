@@ -184,7 +184,7 @@ def fit(
         presses: Positions (m) and loads (m or N).
         readings: Their readings (uT); with chips three channels for each, in the chips' order.
         chip_positions: Positions of the chips (m), for amplitudes that fall with the distance from them.
-        previous_session: A GP whose predictions are the mean; what it leaves of the readings is learnt.
+        previous_session: A GP whose predictions are the mean; the GP is conditioned on what it leaves of the readings.
 
     Returns:
         The conditioned GP.

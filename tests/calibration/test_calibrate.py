@@ -88,8 +88,8 @@ def test_left_out_is_what_leaving_out_gives(chips):
     for i in (0, 7):
         rest = np.arange(12) != i
         one = fit(EVERY, Presses(known.position[rest], known.load[rest]), readings[rest], chips)
-        place = jnp.repeat(known.position[i][None], 3, 0)
-        mean, std = predict(one, Presses(place, known.load[i] + step * jnp.arange(-1, 2)))
+        position = jnp.repeat(known.position[i][None], 3, 0)
+        mean, std = predict(one, Presses(position, known.load[i] + step * jnp.arange(-1, 2)))
         np.testing.assert_allclose(found.mean[i], mean[1], atol=0.1)  # of 50; float32 at a condition of some 1e4
         np.testing.assert_allclose(found.std[i] / found.scale, std[1] / one.scale, rtol=5e-3)
         slope = (mean[2] - mean[0]) / (2 * step / EVERY.unit_load)
@@ -99,14 +99,14 @@ def test_left_out_is_what_leaving_out_gives(chips):
 
 def skin(rng: np.random.Generator, rough: float):
     """A skin f(d) g(x) with heights of `rough` m that vary over 3 mm: a function from presses to readings."""
-    place = rng.uniform(-20e-3, 20e-3, (40, 2))
+    position = rng.uniform(-20e-3, 20e-3, (40, 2))
     size = rng.normal(size=(40, CHANNELS))
     waves, phase = rng.normal(size=(60, 2)) / 3e-3, rng.uniform(0, 2 * np.pi, 60)
 
     def read(at: Presses) -> np.ndarray:
         x, d = np.float64(at.position), np.float64(at.load)
         height = rough * np.sqrt(2 / 60) * np.cos(x @ waves.T + phase).sum(1)
-        g = np.exp(-((x[:, None] - place) ** 2).sum(-1) / 2 / 8e-3**2) @ size
+        g = np.exp(-((x[:, None] - position) ** 2).sum(-1) / 2 / 8e-3**2) @ size
         return 60 * g * (np.maximum(d + height + 3e-3, 0) / 5e-3)[:, None] ** 1.75
 
     return read
@@ -126,7 +126,7 @@ def test_a_map_stretched_by_the_load_is_found():
         found.append(
             r2(read(other), predict(fit(FLAT._replace(noise_variance=1e-3), known, jnp.float32(readings)), other)[0])
         )
-    # Forty bumps of 8 mm hold some (40 / 16)^2 maps' worth of independent places: 160 presses settle them.
+    # Forty bumps of 8 mm hold some (40 / 16)^2 maps' worth of independent positions: 160 presses settle them.
     assert found[0] < found[1] < found[2]
     assert found[2] > 0.98
 
@@ -168,7 +168,7 @@ def test_any_number_of_presses(n):
     rng = np.random.default_rng(5)
     known = presses(rng, n)
     readings = jnp.float32(skin(rng, 0.2e-3)(known))
-    if n == 1000:  # many at the same place are the hardest
+    if n == 1000:  # many at the same position are the hardest
         known = known._replace(position=known.position.at[:50].set(known.position[:1]))
     mean, std = predict(fit(DEPTH_HYPERPARAMETERS, known, readings), presses(rng, 20))
     assert np.isfinite(mean).all()
@@ -208,10 +208,10 @@ def test_an_earlier_session_is_the_mean():
     earlier = fit(FLAT, before, jnp.float32(read(before)))
     readings = jnp.float32(read(now))
     alone = r2(read(other), predict(fit(FLAT, now, readings), other)[0])
-    told = r2(read(other), predict(fit(FLAT._replace(noise_variance=1.0), now, readings, None, earlier), other)[0])
-    assert told > 0.98
-    assert told > alone
-    # Without residuals nothing is learnt: the prediction is the earlier one.
+    adapted = r2(read(other), predict(fit(FLAT._replace(noise_variance=1.0), now, readings, None, earlier), other)[0])
+    assert adapted > 0.98
+    assert adapted > alone
+    # Without residuals nothing is fitted: the prediction is the earlier one.
     same = fit(FLAT, now, predict(earlier, now)[0], None, earlier)
     # What is left is rounding: that of a sum of 300 terms, on ten presses.
     terms = 300 * np.abs(earlier.weights).max() * float(structured_gp.load_response(FLAT, jnp.float32([4e-3]))[0]) ** 2
@@ -262,19 +262,19 @@ def test_sound_presses_are_not_accused():
 
 
 def test_repeated_rows_are_found():
-    place, load, readings = session(np.random.default_rng(10))
+    position, load, readings = session(np.random.default_rng(10))
     repeated = [5, 6, 200]
     for row in repeated:
         readings[row] = readings[row - 1]
-    warnings = check_presses(place, load, readings)
+    warnings = check_presses(position, load, readings)
     np.testing.assert_array_equal(np.flatnonzero(warnings.repeated), repeated)
     assert "3 rows repeat" in warnings.messages()[0]
 
 
 @pytest.mark.parametrize("lag", [-2, 1, 3])
 def test_a_shifted_label_column_is_found(lag):
-    place, load, readings = session(np.random.default_rng(11))
-    shifted = np.roll(place, lag, 0), np.roll(load, lag)
+    position, load, readings = session(np.random.default_rng(11))
+    shifted = np.roll(position, lag, 0), np.roll(load, lag)
     warnings = check_presses(*shifted, readings)
     assert warnings.label_lag == lag
     assert not warnings.changed
@@ -294,9 +294,9 @@ def test_a_skin_that_slips_is_found():
 
 
 def test_a_chip_that_changes_alone_is_found():
-    place, load, readings = session(np.random.default_rng(14))
+    position, load, readings = session(np.random.default_rng(14))
     readings[300:, 6:9] += 35  # as much as one chip of a real board remembered of the press before
-    warnings = check_presses(place, load, readings)
+    warnings = check_presses(position, load, readings)
     assert not warnings.changed
     assert warnings.changed_chips == (2,)
     assert "chip 2" in warnings.messages()[0]
@@ -305,18 +305,18 @@ def test_a_chip_that_changes_alone_is_found():
 def test_a_tip_of_steel_is_found_by_its_strength():
     rng = np.random.default_rng(15)
     for seed, n in ((16, 50), (17, 300)):
-        place, depth, readings = session(np.random.default_rng(seed), n)
+        position, depth, readings = session(np.random.default_rng(seed), n)
         force = 300 * depth  # up to 1.2 N
         readings *= 100 / np.median(np.linalg.norm(readings, axis=1) / force)  # uT/N, as real boards
-        assert check_presses(place, force, readings, by_force=True).messages() == []
+        assert check_presses(position, force, readings, by_force=True).messages() == []
         steel = readings + rng.uniform(6, 10) * readings
-        (sentence,) = check_presses(place, force, steel, by_force=True).messages()
+        (sentence,) = check_presses(position, force, steel, by_force=True).messages()
         assert "steel" in sentence
 
 
 def test_halves_at_different_places_tell_nothing():
-    place, load, readings = session(np.random.default_rng(13))
-    place = place + np.where(np.arange(600)[:, None] < 300, 0, 0.1)
-    warnings = check_presses(place, load, readings)
+    position, load, readings = session(np.random.default_rng(13))
+    position = position + np.where(np.arange(600)[:, None] < 300, 0, 0.1)
+    warnings = check_presses(position, load, readings)
     assert not warnings.changed
     assert np.isnan(warnings.change_ratio)

@@ -14,7 +14,7 @@ from i2t.calibration import localize
 from i2t.calibration.localize import PressLibrary, WeightPosterior
 
 EDGE = np.linspace(-5e-3, 5e-3, 11)
-PLACES = np.stack(np.meshgrid(EDGE, EDGE), axis=-1).reshape(-1, 2)
+POSITIONS = np.stack(np.meshgrid(EDGE, EDGE), axis=-1).reshape(-1, 2)
 K = 20
 
 
@@ -22,16 +22,16 @@ def _library(seed: int = 0, channels: int = 15) -> PressLibrary:
     """A generated skin: every weight is a bump that some channels feel, more or less, as the tip comes near it."""
     random = np.random.default_rng(seed)
     centres = random.uniform(-6e-3, 6e-3, (K, 2))
-    near = np.exp(-0.5 * np.sum((PLACES[:, None] - centres[None]) ** 2, axis=-1) / 2.5e-3**2)
+    near = np.exp(-0.5 * np.sum((POSITIONS[:, None] - centres[None]) ** 2, axis=-1) / 2.5e-3**2)
     phi = near[:, None, :] * random.normal(size=(1, channels, K)) * 20
-    return PressLibrary(jnp.asarray(PLACES, jnp.float32), jnp.ones(len(PLACES)), jnp.asarray(phi, jnp.float32))
+    return PressLibrary(jnp.asarray(POSITIONS, jnp.float32), jnp.ones(len(POSITIONS)), jnp.asarray(phi, jnp.float32))
 
 
 def _presses(library: PressLibrary, n: int, noise: float, seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which press, its reading, and the true weights."""
     random = np.random.default_rng(seed)
     weights = random.normal(size=K)
-    rows = random.integers(len(PLACES), size=n)
+    rows = random.integers(len(POSITIONS), size=n)
     clean = np.asarray(library.features)[rows] @ weights
     return rows, clean + noise * random.normal(size=clean.shape), weights
 
@@ -58,8 +58,8 @@ def test_a_known_skin_tells_the_place_and_how_sure_it_is():
     library = _library()
     rows, readings, truth = _presses(library, 300, 4.0)
     weights = WeightPosterior(jnp.asarray(truth, jnp.float32), 1e4 * jnp.eye(K), jnp.asarray(4.0))
-    places, sure = localize.localize(library, weights, jnp.asarray(readings, jnp.float32), radius=1.01e-3)
-    right = np.linalg.norm(np.asarray(places) - PLACES[rows], axis=1) <= 1.01e-3
+    positions, sure = localize.localize(library, weights, jnp.asarray(readings, jnp.float32), radius=1.01e-3)
+    right = np.linalg.norm(np.asarray(positions) - POSITIONS[rows], axis=1) <= 1.01e-3
     assert right.mean() > 0.8
     # Where its probability is 1, it is right; on average it is right as often as it says.
     assert abs(right.mean() - np.mean(sure)) < 3 * np.sqrt(0.25 / 300)
@@ -72,8 +72,8 @@ def test_a_skin_is_fitted_to_readings_without_positions():
     seen = jnp.asarray(readings, jnp.float32)
 
     def right(weights: WeightPosterior) -> float:
-        places, _ = localize.localize(library, weights, seen[300:], radius=1.01e-3)
-        return float(np.mean(np.linalg.norm(np.asarray(places) - PLACES[rows[300:]], axis=1) <= 1.01e-3))
+        positions, _ = localize.localize(library, weights, seen[300:], radius=1.01e-3)
+        return float(np.mean(np.linalg.norm(np.asarray(positions) - POSITIONS[rows[300:]], axis=1) <= 1.01e-3))
 
     none = right(localize.pad_prior_weights(library, 2.0))
     fitted = right(localize.fit_weights_without_positions(library, seen[:300], 2.0))

@@ -19,7 +19,7 @@ BOARD = boards.reskin_board()
 def simulated(seed: int, n: int) -> tuple:
     pad, rng = sample_pad(jax.random.key(seed)), np.random.default_rng(seed)
     presses = Presses(jnp.float32(rng.uniform(-7e-3, 7e-3, (n, 2))), jnp.float32(rng.uniform(0.2e-3, 0.8e-3, n)))
-    read = jax.jit(jax.vmap(lambda place, depth: press(pad, TIP.height(place, COARSE), depth, COARSE).reading))
+    read = jax.jit(jax.vmap(lambda position, depth: press(pad, TIP.height(position, COARSE), depth, COARSE).reading))
     return pad, presses, read(*presses) + jnp.float32(rng.normal(size=(n, 15)))
 
 
@@ -46,9 +46,9 @@ def test_the_design_gives_what_the_simulator_reads(tip, deep, board):
         magnetization=jnp.float32(1e3 * np.einsum("ia,jb,cab->ijc", waves, waves, weights)),
         gains=jnp.ones(3 * len(board.chips)),
     )
-    place = jnp.float32([1e-3, -2e-3])
-    expected = press(pad, tip.height(place, COARSE), deep, COARSE).reading
-    designed = physics.design_matrix(layer, pad.board, tip, place, jnp.float32(deep), by_force=False, grid=COARSE)
+    position = jnp.float32([1e-3, -2e-3])
+    expected = press(pad, tip.height(position, COARSE), deep, COARSE).reading
+    designed = physics.design_matrix(layer, pad.board, tip, position, jnp.float32(deep), by_force=False, grid=COARSE)
     got = 1e3 * np.einsum("ocab,cab->o", np.float64(designed), weights)
     # Both are differences of fields a hundred times as large, in single precision.
     np.testing.assert_allclose(got, expected, atol=5e-3 * np.abs(expected).max())
