@@ -57,7 +57,7 @@ class Camera:
     model: str = Distortion.NONE
     coefficients: tuple[float, ...] = ()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("width", "height"):
             size = getattr(self, name)
             if not isinstance(size, int | np.integer) or not 2 <= size <= MAX_IMAGE_PIXELS:
@@ -85,8 +85,17 @@ class Camera:
 def read_depth(path: str | Path, scale: float | str, encoding: str = Encoding.PLAIN) -> np.ndarray:
     """Depth (h, w) float32 m of a 16-bit PNG or a TIF (uint16 or float), NaN where nothing was measured (0, NaN).
 
-    `scale` is metres per unit, or "m" or "mm". With `encoding="rotated"` 16-bit numbers are turned right by three bits
-    first. Raises ValueError or FileNotFoundError with one sentence that names the file and a remedy.
+    Args:
+        path: The file.
+        scale: Metres per unit, or "m" or "mm".
+        encoding: An `Encoding`; with "rotated" 16-bit numbers are turned right by three bits first.
+
+    Returns:
+        The image.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It holds no depth; one sentence that names the file and a remedy.
     """
     path = Path(path)
     metres = METRES_PER_UNIT.get(scale) if isinstance(scale, str) else scale
@@ -117,6 +126,15 @@ def read_depth(path: str | Path, scale: float | str, encoding: str = Encoding.PL
 def check_view(depth: Any, camera: Camera, T_w_c: Any, T_w_t: Any) -> None:
     """Refuse, with one sentence (ValueError), what `i2t.depth.patches.patch_from_depth` cannot make sense of: for
     arrays at the border, before they are traced.
+
+    Args:
+        depth: Depth (h, w) m.
+        camera: The camera.
+        T_w_c: Where it stood (4, 4).
+        T_w_t: Where the tool is to look from (4, 4).
+
+    Raises:
+        ValueError: One of them makes no sense.
     """
     check_image(depth, camera)
     measured = np.asarray(depth) > 0
@@ -136,7 +154,15 @@ def check_view(depth: Any, camera: Camera, T_w_c: Any, T_w_t: Any) -> None:
 
 
 def check_image(depth: Any, camera: Camera) -> None:
-    """Refuse (ValueError) a depth image of another shape than its camera's, or one that is not in metres yet."""
+    """Refuse a depth image of another shape than its camera's, or one that is not in metres yet.
+
+    Args:
+        depth: Depth (h, w) m.
+        camera: The camera.
+
+    Raises:
+        ValueError: The image is not the camera's, or holds no floats.
+    """
     if depth.shape != (camera.height, camera.width):
         raise ValueError(
             f"depth: has the shape {depth.shape} where the camera's image is {(camera.height, camera.width)}; "

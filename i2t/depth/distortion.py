@@ -29,29 +29,62 @@ NEWTON_STEPS = 10  # steps; a lens that is nearly straight needs four
 
 
 def project(camera: Camera, points: Float[Array, "*n 3"]) -> Float[Array, "*n 2"]:
-    """Pixels (column, row) where points (m, in C, before the camera) appear."""
+    """Find where points appear in the image.
+
+    Args:
+        camera: The camera.
+        points: Points (m) in C, before the camera.
+
+    Returns:
+        Pixels (column, row).
+    """
     return project_to_pixel(camera, points[..., 0] / points[..., 2], points[..., 1] / points[..., 2])
 
 
 def deproject(camera: Camera, pixels: Float[Array, "*n 2"], depth: Float[Array, "*n"]) -> Float[Array, "*n 3"]:
-    """Points (m, in C) that pixels (column, row) show at a depth (m); NaN beyond 90 degrees from the axis."""
+    """Find what pixels show.
+
+    Args:
+        camera: The camera.
+        pixels: Pixels (column, row).
+        depth: Depth (m) along the camera's axis.
+
+    Returns:
+        Points (m) in C; NaN beyond 90 degrees from the axis.
+    """
     x, y = _undistort(camera, (pixels[..., 0] - camera.cx) / camera.fx, (pixels[..., 1] - camera.cy) / camera.fy)
     return jnp.stack([x * depth, y * depth, depth], -1)
 
 
 def pixel_rays(camera: Camera) -> Float[Array, "2 height width"]:
-    """x / z and y / z of every pixel's line of sight; NaN beyond 90 degrees from the axis."""
+    """Find every pixel's line of sight.
+
+    Args:
+        camera: The camera.
+
+    Returns:
+        x / z and y / z of the rays; NaN beyond 90 degrees from the axis.
+    """
     u, v = jnp.meshgrid(jnp.arange(camera.width), jnp.arange(camera.height))
     return jnp.stack(_undistort(camera, (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy))
 
 
 def project_to_pixel(camera: Camera, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> Float[Array, "*n 2"]:
-    """Pixels (column, row) of lines of sight x / z, y / z."""
+    """Find the pixels of lines of sight.
+
+    Args:
+        camera: The camera.
+        x: x / z of the rays.
+        y: y / z of the rays.
+
+    Returns:
+        Pixels (column, row).
+    """
     x, y = _distort(camera, x, y)
     return jnp.stack([x * camera.fx + camera.cx, y * camera.fy + camera.cy], -1)
 
 
-def _distort(camera: Camera, x, y):
+def _distort(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
     """From a straight lens to this one."""
     match _model(camera):
         case Distortion.INVERSE_BROWN_CONRADY:
@@ -66,7 +99,7 @@ def _distort(camera: Camera, x, y):
     return x, y
 
 
-def _undistort(camera: Camera, x, y):
+def _undistort(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
     """From this lens to a straight one; NaN beyond 90 degrees from the axis."""
     match _model(camera):
         case Distortion.INVERSE_BROWN_CONRADY:
@@ -87,7 +120,7 @@ def _model(camera: Camera) -> str:
     return camera.model if curved else Distortion.NONE
 
 
-def _brown_conrady(camera: Camera, x, y):
+def _brown_conrady(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
     """Radial and tangential distortion; the modified model moves radially first and then tangentially from there."""
     k1, k2, p1, p2, k3 = camera.coefficients
     square = x * x + y * y
@@ -101,38 +134,39 @@ def _brown_conrady(camera: Camera, x, y):
     )
 
 
-def _kannala_brandt(camera: Camera, angle):
+def _kannala_brandt(camera: Camera, angle: Array) -> Array:
     """Radius in the image of a line of sight at an angle (rad) from the axis."""
     k1, k2, k3, k4, _ = camera.coefficients
     square = angle * angle
     return angle * (1 + square * (k1 + square * (k2 + square * (k3 + square * k4))))
 
 
-def _angle(camera: Camera, radius):
+def _angle(camera: Camera, radius: Array) -> Array:
     """Inverse of `_kannala_brandt`, by Newton's method."""
 
-    def step(_, angle):
+    def step(_: Array, angle: Array) -> Array:
         value, slope = jax.jvp(lambda angle: _kannala_brandt(camera, angle), (angle,), (jnp.ones_like(angle),))
         return angle - (value - radius) / jnp.where(slope == 0, 1, slope)
 
     return jax.lax.fori_loop(0, NEWTON_STEPS, step, radius)
 
 
-def _radially(x, y, radius):
+def _radially(x: Array, y: Array, radius: Callable[[Array], Array]) -> tuple[Array, Array]:
     """Move (x, y) from its radius r to `radius(r)`."""
     r = jnp.maximum(jnp.hypot(x, y), 1e-6)  # on the axis the ratio has its limit
     return x * radius(r) / r, y * radius(r) / r
 
 
-def _tan(angle):
+def _tan(angle: Array) -> Array:
+    """The tangent, NaN beyond 90 degrees."""
     return jnp.where(angle < math.pi / 2, jnp.tan(angle), jnp.nan)
 
 
-def _solve(function: Callable, x, y):
+def _solve(function: Callable[[Array, Array], tuple[Array, Array]], x: Array, y: Array) -> tuple[Array, Array]:
     """(u, v) with function(u, v) = (x, y), by Newton's method from (x, y), for functions near the identity."""
     one, zero = jnp.ones_like(x), jnp.zeros_like(x)
 
-    def step(_, at):
+    def step(_: Array, at: tuple[Array, Array]) -> tuple[Array, Array]:
         (p, q), (px, qx) = jax.jvp(function, at, (one, zero))
         _, (py, qy) = jax.jvp(function, at, (zero, one))
         area = px * qy - py * qx

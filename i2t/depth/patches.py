@@ -18,6 +18,7 @@ Frames: W world, C camera (z forward, x along columns, y along rows), T tool; me
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -60,14 +61,31 @@ def patch_from_depth(
     step: float = MAX_DEPTH_STEP_M,
     fill: float = MAX_HOLE_M,
 ) -> DepthPatch:
-    """What the tool at `T_w_t` has in front of it, as the camera at `T_w_c` saw it: `render_patch` for depth (m).
+    """What the tool at `T_w_t` has in front of it, as the camera at `T_w_c` saw it: `render_patch` for depth images.
 
-    All but `depth` and the two poses are static. Rays start `standoff` (m) behind the tool's origin. Pixels that are
-    not positive and finite are holes. `nearest` is the nearest seen point; where nothing is seen it is +inf and the
-    depth reads the reach. A pose that is not finite, or not rigid, gives NaN and nothing seen. Holes are bridged from
-    side to side, but to the deeper side where the sides differ by more than their distance: what a nearer surface
-    hides lies behind it. Raises ValueError where the image is not the camera's or not in metres. It has no reverse-mode
-    derivative.
+    All but `depth` and the two poses are static. It has no reverse-mode derivative. Holes are bridged from side to
+    side, but to the deeper side where the sides differ by more than their distance: what a nearer surface hides lies
+    behind it.
+
+    Args:
+        depth: Depth (m) along the camera's axis; pixels that are not positive and finite are holes.
+        camera: The camera.
+        T_w_c: Where it stood.
+        T_w_t: Where the tool looks from.
+        window: Edge (m) of the patch.
+        pixels: Along the edge.
+        reach: Depth (m) behind the nearest point at which the patch is cut.
+        standoff: How far (m) behind the tool's origin rays start.
+        grazing: Smallest angle (rad) between a triangle of surface and the line of sight to it.
+        step: Difference of depth (m) up to which neighbours are surface however steep.
+        fill: Widest hole (m) that is bridged.
+
+    Returns:
+        The patch and what is known of its pixels. `nearest` is the nearest measured point; where nothing is measured it
+        is +inf and the depth reads the reach. A pose that is not rigid or not finite gives NaN and no valid pixel.
+
+    Raises:
+        ValueError: The image is not the camera's or not in metres.
     """
     check_image(depth, camera)
     # Wide enough that holes at the border are filled as if there were none.
@@ -101,8 +119,21 @@ def crop_patch(
 
     Each pixel of the patch takes the one under its centre. What is nearer than `distance` appears too large and what is
     further too small, lens distortion stays and flying pixels too: use it to repeat what was done, and
-    `patch_from_depth` to measure. All but `depth` is static. Raises ValueError where the image is not the camera's, not
-    in metres, or does not hold the window.
+    `patch_from_depth` to measure. All but `depth` is static.
+
+    Args:
+        depth: Depth (m) along the camera's axis.
+        camera: The camera.
+        distance: From the camera to the tool's origin (m).
+        window: Edge (m) of the patch.
+        pixels: Along the edge.
+        reach: Depth (m) behind the nearest point at which the patch is cut.
+
+    Returns:
+        The patch and which of its pixels were measured.
+
+    Raises:
+        ValueError: The image is not the camera's, not in metres, or does not hold the window.
     """
     check_image(depth, camera)
     along = [((i + 0.5) / pixels - 0.5) * window / distance for i in range(pixels)]
@@ -134,7 +165,9 @@ class _Rays(NamedTuple):
     steps: Array  # (n, n) how many samples it takes; 0 for a ray that is not in sight
 
 
-def _rays(depth, camera, T_c_t, window, pixels, margin, standoff) -> _Rays:
+def _rays(
+    depth: Array, camera: Camera, T_c_t: Array, window: float, pixels: int, margin: int, standoff: float
+) -> _Rays:
     """Cut (n + 2 margin)^2 rays to what lies in the camera's field of view, between its least and largest depth.
 
     Half spaces a + b s >= 0 of tool z s: Liang and Barsky, "A new concept and method for line clipping", 1984.
@@ -159,7 +192,7 @@ def _rays(depth, camera, T_c_t, window, pixels, margin, standoff) -> _Rays:
         high = jnp.where((b == 0) & (a < 0), -jnp.inf, high)
     inside = (low < high) & (high < jnp.inf) & (near < jnp.inf)
 
-    def end(s):
+    def end(s: Array) -> tuple[Array, Array, Array, Array]:
         s = jnp.where(inside, s, 0)
         z = jnp.where(inside, start[2] + go[2] * s, 1)
         return (start[0] + go[0] * s) / z, (start[1] + go[1] * s) / z, 1 / z, s / z
@@ -169,7 +202,7 @@ def _rays(depth, camera, T_c_t, window, pixels, margin, standoff) -> _Rays:
     return _Rays(u, v, inverse, height, jnp.where(inside, jnp.ceil(length / STRIDE_PIXELS) + 1, 0))
 
 
-def _cells(depth, camera, grazing, step):
+def _cells(depth: Array, camera: Camera, grazing: float, step: float) -> Float[Array, "cells 6"]:
     """For every square of four pixels ((h - 1)(w - 1), 6): their inverse depths (1/m; upper left, upper right, lower
     left, lower right), and whether the triangles of its upper left and its lower right corner are surface.
     """
@@ -179,13 +212,13 @@ def _cells(depth, camera, grazing, step):
     points = jnp.stack([jnp.where(measured, x, 0) * z, jnp.where(measured, y, 0) * z, z])
     inverse = jnp.where(measured, 1 / z, 0)
 
-    def corners(image):
+    def corners(image: Array) -> tuple[Array, Array, Array, Array]:
         return image[..., :-1, :-1], image[..., :-1, 1:], image[..., 1:, :-1], image[..., 1:, 1:]
 
     a, b, c, d = corners(points)
     at_a, at_b, at_c, at_d = corners(measured)
 
-    def surface(corner, one, other):
+    def surface(corner: Array, one: Array, other: Array) -> Array:
         normal = jnp.cross(one - corner, other - corner, axis=0)
         facing = jnp.abs(jnp.sum(normal * corner, 0))
         steep = facing < math.sin(grazing) * jnp.sqrt(jnp.sum(normal**2, 0) * jnp.sum(corner**2, 0))
@@ -207,11 +240,13 @@ class _March(NamedTuple):
     hit: Array  # sample that lies behind the surface, next to a free one; 0 where there is none
 
 
-def _follow(rays: _Rays, cells, camera: Camera, reach: float, inner) -> tuple[Array, Array]:
+def _follow(
+    rays: _Rays, cells: Float[Array, "cells 6"], camera: Camera, reach: float, inner: tuple[slice, slice]
+) -> tuple[Array, Array]:
     """Tool z (m) where rays meet the surface, +inf where they do not, and to which they are known to be free."""
     steps = jnp.maximum(rays.steps, 1)
 
-    def behind(part):
+    def behind(part: Array) -> tuple[Array, Array]:
         """How far rays are behind the surface, as a difference of inverse depths (1/m), and whether they are on it."""
         pixel = project_to_pixel(camera, _between(rays.x, part), _between(rays.y, part))
         u, v = pixel[..., 0], pixel[..., 1]
@@ -227,10 +262,10 @@ def _follow(rays: _Rays, cells, camera: Camera, reach: float, inner) -> tuple[Ar
         inside = (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
         return inverse - _between(rays.inverse, part), inside & (jnp.where(first, upper, lower) > 0)
 
-    def height(part):
+    def height(part: Array) -> Array:
         return _between(rays.height, part) / _between(rays.inverse, part)
 
-    def step(state):
+    def step(state: tuple[Array, Array, _March]) -> tuple[Array, Array, _March]:
         k, last, march = state
         part = jnp.minimum(k / steps, 1)
         gap, on = behind(part)
@@ -255,18 +290,20 @@ def _follow(rays: _Rays, cells, camera: Camera, reach: float, inner) -> tuple[Ar
     return jnp.where(found, height(part), jnp.inf), end.clear
 
 
-def _crossing(behind, low, high):
+def _crossing(
+    behind: Callable[[Array], tuple[Array, Array]], low: Array, high: Array
+) -> tuple[Array, Callable[[Array], Array]]:
     """Where rays go from free (`low`) to behind (`high`), by the Illinois method (Dowell and Jarratt, 1971), and a
     function that tells, from their inverse depth, whether that is on surface.
     """
 
-    def cut(ends):
+    def chord(ends: tuple[Array, ...]) -> Array:
         low, high, at_low, at_high = ends
         return low - at_low * (high - low) / jnp.where(at_high > at_low, at_high - at_low, 1)
 
-    def refine(_, ends):
+    def refine(_: Array, ends: tuple[Array, ...]) -> tuple[Array, ...]:
         low, high, at_low, at_high = ends
-        middle = cut(ends)
+        middle = chord(ends)
         gap, on = behind(middle)
         free = on & (gap < 0)
         return (
@@ -277,23 +314,23 @@ def _crossing(behind, low, high):
         )
 
     ends = (low, high, jnp.minimum(behind(low)[0], 0), jnp.maximum(behind(high)[0], 0))
-    part = cut(jax.lax.fori_loop(0, CROSSING_STEPS, refine, ends))
+    part = chord(jax.lax.fori_loop(0, CROSSING_STEPS, refine, ends))
     gap, on = behind(part)
     return part, lambda inverse: on & (jnp.abs(gap) <= CROSSING_TOLERANCE * inverse)
 
 
-def _bridge(met, seen, pitch: float, fill: float):
+def _bridge(met: Float[Array, "m m"], seen: Bool[Array, "m m"], pitch: float, fill: float) -> Float[Array, "m m"]:
     """Heights (n, n) across holes between two seen pixels at most `fill` apart, in a row, a column or a diagonal with
     the hole, NaN elsewhere; the nearest two decide.
     """
     n = seen.shape[0]
 
-    def shift(image, i, j):
+    def shift(image: Array, i: int, j: int) -> Array:
         """image[k - i, l - j] at (k, l), zero beyond the border."""
         wide = jnp.pad(image, ((max(i, 0), max(-i, 0)), (max(j, 0), max(-j, 0))))
         return wide[max(-i, 0) : max(-i, 0) + n, max(-j, 0) : max(-j, 0) + n]
 
-    def first(i, j, most):
+    def first(i: int, j: int, most: int) -> tuple[Array, Array]:
         """The first seen height in a direction, and how many steps away."""
         height, away = jnp.zeros_like(met), jnp.full(seen.shape, n)
         for k in range(most - 1, 0, -1):
@@ -316,12 +353,13 @@ def _bridge(met, seen, pitch: float, fill: float):
     return jnp.where(least < jnp.inf, total / jnp.maximum(sum(which.astype(met.dtype) for which in chosen), 1), jnp.nan)
 
 
-def _between(ends, part):
+def _between(ends: Array, part: Array) -> Array:
+    """Linear interpolation, from the first end at 0 to the second at 1."""
     return ends[0] + part * (ends[1] - ends[0])
 
 
-def _relative(T_w_a, T_w_b):
-    """T_a_b, with full precision on accelerators too."""
+def _relative(T_w_a: Float[Array, "4 4"], T_w_b: Float[Array, "4 4"]) -> Float[Array, "3 4"]:
+    """The first three rows of T_a_b, with full precision on accelerators too."""
     R_a_w = T_w_a[:3, :3].T
     moved = jnp.concatenate([T_w_b[:3, :3], (T_w_b[:3, 3] - T_w_a[:3, 3])[:, None]], 1)
     return jnp.matmul(R_a_w, moved, precision=jax.lax.Precision.HIGHEST)
