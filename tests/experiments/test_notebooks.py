@@ -9,7 +9,7 @@ import pytest
 
 from experiments import notebooks
 
-NAMES = ("skin_physics", "recognition", "data_tsne", "real_press")  # the first two share compiled presses
+NAMES = ("skin_physics", "recognition", "data_tsne", "real_press")
 pytestmark = pytest.mark.xdist_group("notebooks")
 
 
@@ -31,7 +31,7 @@ def _small(monkeypatch, tmp_path, request):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("I2T_NOTEBOOK", "debug")
     # Interactive pages are megabytes of their own; stills show the same.
-    monkeypatch.setattr("i2t.viz.touches.turnable", lambda drawn, still: still())
+    monkeypatch.setattr("i2t.viz.scene.interactive", lambda make_plotter, still: still())
     monkeypatch.setitem(os.environ, "I2T_EFLESH", str(tmp_path / "none"))
 
 
@@ -52,11 +52,11 @@ def stamped(folder: Path) -> Path:
 
     from experiments.shapes import run as shapes
     from experiments.shapes.world import press_stamps
-    from experiments.train.run import numbered_pad
     from i2t import dataset
+    from i2t.skin.pad import numbered_pad
 
     path = folder / "touches.h5"
-    dataset.save(path, press_stamps(jax.random.key(0), [numbered_pad(0)], 50, shapes.PRESETS["debug"].pressing))
+    dataset.save_dataset(path, press_stamps(jax.random.key(0), [numbered_pad(0)], 50, shapes.PRESETS["debug"].pressing))
     return path
 
 
@@ -72,6 +72,18 @@ def test_notebooks_are_stored_without_outputs(path):
     assert path.stem in NAMES
     assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in book["cells"] if "outputs" in cell)
     assert book["cells"][0]["cell_type"] == "markdown"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_notebooks_need_the_package_only(name):
+    imported = {
+        alias.name if isinstance(node, ast.Import) else node.module
+        for source in notebooks.sources(notebooks.FOLDER / f"{name}.ipynb")
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for alias in node.names
+    }
+    assert not [module for module in imported if module.split(".")[0] == "experiments"]
 
 
 def test_the_command_refuses_a_notebook_that_is_not_there(capsys, tmp_path):
