@@ -45,8 +45,9 @@ def anyskin_board(depth: float = CHIP_DEPTH_M) -> Board:
     """The AnySkin board, also used for eFlesh: centre, left, right, up, down (-x, +x, +y, -y) as public viewers draw
     it.
 
-    How its chips are turned is not published; they are taken as aligned, which matters only where readings are turned
-    into tool axes.
+    How its chips are turned has not been measured here; they are taken as aligned, which matters only where readings
+    are turned into tool axes. The makers' viewer (github raunaqbhirangi/anyskin, `chip_xy_rotations`) turns each chip's
+    x and y by -90, -90, 180, 90 and 0 degrees in this order, on a screen whose y points down.
 
     Args:
         depth: m, nominal, of the chips below the surface.
