@@ -43,11 +43,24 @@ def convert(
     board: int | None = None,
     skip_bad: bool = False,
 ) -> Converted:
-    """Convert a session or a folder of sessions; lengths in metres.
+    """Convert a session or a folder of sessions.
 
-    `zero` is the robot's z at first contact (by default the session's highest z, so that no depth is negative),
-    `centre` the robot's x and y of the skin's centre (by default the middle of the session's range). Each board of each
-    session is a pad of its own, unless all are called `pad`; `board` picks one of two. Raises DataError.
+    Args:
+        source: folder of a session, or of sessions.
+        radius: m, of the probe's spherical tip, which the recordings do not state.
+        window: m, edge of the square that a patch shows; presses beside it are left out.
+        reach: m, patches are clipped to this depth behind the tip's lowest point.
+        zero: m, the robot's z at first contact; by default the session's highest z, so that no depth is negative.
+        centre: m, the robot's x and y of the skin's centre; by default the middle of the session's range.
+        pad: one name for all pads; by default each board of each session is a pad of its own.
+        board: of recordings with two boards, only this one.
+        skip_bad: leave out damaged rows and sessions, and note them.
+
+    Returns:
+        The data set and what was assumed and left out.
+
+    Raises:
+        DataError: a recording cannot be used.
     """
     if not 0 < radius < np.inf:
         raise DataError(f"--tip-radius-mm {1e3 * radius:g}: is no radius; give a positive length in mm")

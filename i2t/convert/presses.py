@@ -44,10 +44,22 @@ def convert(
     mesh_unit: str = "mm",
     skip_bad: bool = False,
 ) -> Converted:
-    """Convert a table; lengths in metres.
+    """Convert a table of presses.
 
-    `indenter` is `sphere:RADIUS` or `cylinder:RADIUS` with the radius in mm, or `mesh:FILE` in `mesh_unit`. Presses
-    whose axis lies beside the window are left out. Raises DataError.
+    Args:
+        source: the table.
+        indenter: `sphere:RADIUS` or `cylinder:RADIUS` with the radius in mm, or `mesh:FILE` in `mesh_unit`.
+        board: which the values are of; the table has three columns for each of its chips.
+        window: m, edge of the square that a patch shows; presses whose axis lies beside it are left out.
+        reach: m, patches are clipped to this depth behind the indenter's lowest point.
+        mesh_unit: unit of the mesh file: m, cm, mm or inch.
+        skip_bad: leave out damaged rows, and note them.
+
+    Returns:
+        The data set and what was assumed and left out.
+
+    Raises:
+        DataError: the table or the indenter cannot be used.
     """
     notes = ConversionLog(skip_bad)
     rows = _rows(source, board.num_chips, notes)
@@ -108,10 +120,19 @@ def cylinder(radius: float) -> Profile:
 
 
 def tip_patches(profile: Profile, x: np.ndarray, y: np.ndarray, window: float, reach: float) -> np.ndarray:
-    """Patches (n, 48, 48), float32 m, of a tip whose axis stands at x, y (n,) m of the tool frame, clipped to the
-    reach.
+    """Patches of a tip whose axis stands upright on the skin.
 
     Depth counts from the tip's lowest point, which may lie between two pixels.
+
+    Args:
+        profile: of the tip.
+        x: (n,) m, of the axis in the tool frame.
+        y: (n,) m, likewise.
+        window: m, edge of the square that a patch shows.
+        reach: m, to which depth is clipped.
+
+    Returns:
+        (n, 48, 48) m, float32.
     """
     centres = ((np.arange(PATCH_PIXELS) + 0.5) / PATCH_PIXELS - 0.5) * window
     result = np.empty((len(x), PATCH_PIXELS, PATCH_PIXELS), np.float32)

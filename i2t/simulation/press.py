@@ -27,14 +27,14 @@ SCAN_START_FRACTION = 0.005  # of the deepest indentation, where the search begi
 class PressLimits:
     """When a press ends (the paper's values)."""
 
-    skin_change: float = 25.0  # uT, norm of the 15-vector
+    skin_change: float = 25.0  # uT, norm of the reading
     force: float = 8.0  # N
     indentation: float = 0.6  # of the layer's thickness: beyond it small-strain elasticity means nothing
     overshoot: float = 0.1  # relative standard deviation by which a press runs past its limit (latency; one-sided)
     scan: int = 6  # presses at growing strides, up to the deepest indentation, that bracket the crossing
     refine: int = 4  # at least so many more close in on it: the limit is met within 0.1 %, mostly within 0.001 %
     stiffness: float = 10e3  # N/m, arm and mount in series
-    final: Grid = GRID  # of the last press, whose reading counts; sharp edges want `i2t.skin.contact.FINE`
+    final: Grid = GRID  # of the last press, whose reading counts; sharp edges want `i2t.skin.contact.FINE_GRID`
     approach_distance: float = STANDOFF  # m before the site where the approach starts
     overtravel: float = 6e-3  # m beyond the site before a press counts as air (three extra steps of 2 mm)
 
@@ -53,9 +53,17 @@ def press_to_stop(
 ) -> PressResult:
     """Press until the skin change or the force first crosses its limit.
 
-    `height` is the surface over the pad's cells, m behind its nearest point. `overshoot` raises both limits by that
-    fraction. Code SKIN or WRENCH says which came first; UNDEFINED means that the deepest allowed indentation crossed
-    neither. A crossing within the first 0.2 % of the deepest indentation is not resolved; the press ends there.
+    A crossing within the first 0.2 % of the deepest indentation is not resolved; the press ends there.
+
+    Args:
+        pad: the skin.
+        height: m, the surface behind its nearest point over the pad's cells.
+        limits: of skin change, force and indentation.
+        overshoot: fraction by which both limits are raised.
+
+    Returns:
+        The end of the press. Its code SKIN or WRENCH says which limit came first; UNDEFINED means that the deepest
+        allowed indentation crossed neither.
     """
     deepest = jnp.log(limits.indentation * pad.thickness)
     stride = -math.log(SCAN_START_FRACTION) / (limits.scan - 1)

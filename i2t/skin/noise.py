@@ -58,6 +58,15 @@ def add_sensor_noise(
 
     The slow field is taken as constant within a burst of samples (25 ms for 10 at 400 Hz) and drawn afresh for the next
     (a press later), so averaging more samples does not remove it. Drift within one touch is far smaller and left out.
+
+    Args:
+        key: random key.
+        reading: uT, of an ideal sensor.
+        board: whose chips read it.
+        noise: sizes of the errors, by default those of real boards.
+
+    Returns:
+        The reading in uT.
     """
     noise = Noise() if noise is None else noise
     key_contact, key_ambient = jax.random.split(key)
@@ -69,7 +78,18 @@ def add_sensor_noise(
 def sample_burst(
     key: Key[Array, ""], reading: Float[Array, " c"], board: Board, noise: Noise, samples: int
 ) -> Float[Array, "s c"]:
-    """Raw samples, quick enough after one another that only the white noise differs between them."""
+    """Raw samples, quick enough after one another that only the white noise differs between them.
+
+    Args:
+        key: random key.
+        reading: uT, of an ideal sensor.
+        board: whose chips read it.
+        noise: sizes of the errors.
+        samples: how many.
+
+    Returns:
+        Samples in uT.
+    """
     key_ambient, key_white = jax.random.split(key)
     field = reading + ambient(key_ambient, board, noise)
     sigma = noise.sigma(board.num_chips)[None]
@@ -78,14 +98,31 @@ def sample_burst(
 
 
 def ambient(key: Key[Array, ""], board: Board, noise: Noise) -> Float[Array, " c"]:
-    """The slow ambient field at one moment: one vector in tool axes, seen by every chip in its own."""
+    """The slow ambient field at one moment: one vector in tool axes, seen by every chip in its own.
+
+    Args:
+        key: random key.
+        board: whose chips see it.
+        noise: sizes of the errors.
+
+    Returns:
+        A reading in uT.
+    """
     size = np.sqrt(noise.common) * np.array([noise.xy, noise.xy, noise.z])
     field = size * jax.random.normal(key, (3,))
     return board.to_board(jnp.broadcast_to(field, (board.num_chips, 3)))
 
 
 def quantise(readings: Float[Array, "*n c"], noise: Noise) -> Float[Array, "*n c"]:
-    """Readings rounded to the converter's steps."""
+    """Readings rounded to the converter's steps.
+
+    Args:
+        readings: uT.
+        noise: whose steps.
+
+    Returns:
+        Readings in uT.
+    """
     channels = readings.shape[-1]
     steps = noise.steps(channels // 3).reshape((1,) * (readings.ndim - 1) + (channels,))
     safe = np.where(steps > 0, steps, 1)
@@ -93,10 +130,19 @@ def quantise(readings: Float[Array, "*n c"], noise: Noise) -> Float[Array, "*n c
 
 
 def drift(key: Key[Array, ""], touches: int, noise: Noise, channels: int) -> Float[Array, "n c"]:
-    """Drift of each channel at each of a run's touches: a random walk from zero.
+    """Drift of each channel at each of a session's touches: a random walk from zero.
 
     Its standard deviation at the end is lognormal over channels about `noise.drift` with a factor of e either way, so
     that two thirds of the channels lie between 1.5 and 11 uT and the largest of many reach the 64 uT once seen.
+
+    Args:
+        key: random key.
+        touches: of the session.
+        noise: sizes of the errors.
+        channels: of the board, three for each chip.
+
+    Returns:
+        Drift in uT.
     """
     key_size, key_walk = jax.random.split(key)
     size = noise.drift * jnp.exp(jax.random.normal(key_size, (channels,)))
