@@ -1,1 +1,1 @@
-"""Stand-ins for devices, so that everything can be rehearsed without them."""
+"""Emulated and simulated devices, so that everything can be tried without hardware."""
