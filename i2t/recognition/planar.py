@@ -100,7 +100,7 @@ def node_poses(grid: PlanarGrid) -> Float[np.ndarray, "nodes 4 4"]:
     return np.stack(poses).astype(np.float32)
 
 
-def pose_cells(grid: PlanarGrid) -> tuple[Float[np.ndarray, "k 3"], Particles]:
+def pose_cells(grid: PlanarGrid) -> tuple[Float[Array, "k 3"], Particles]:
     """The poses that an object may have: the centres of cells that tile the table.
 
     Args:
@@ -116,7 +116,7 @@ def pose_cells(grid: PlanarGrid) -> tuple[Float[np.ndarray, "k 3"], Particles]:
     width = np.array([2 * grid.half / count] * 2 + [TWIST_LEVER_M * 2 * np.pi / grid.turns])
     std = np.zeros(6)
     std[[0, 1, 5]] = width / np.sqrt(12)  # of a uniform distribution
-    return pose.astype(np.float32), Particles(jnp.zeros((len(pose), 6)), jnp.diag(jnp.float32(std**2)))
+    return jnp.float32(pose), Particles(jnp.zeros((len(pose), 6)), jnp.diag(jnp.float32(std**2)))
 
 
 def nearest_node(

@@ -15,7 +15,6 @@ from i2t.recognition import belief, policy
 from i2t.recognition.outcomes import LOADS_N, PRESSURE_GRID, LinearReadingModel
 from i2t.recognition.pad_model import PadModel
 from i2t.recognition.recognizer import ChosenSite, ObjectRecognizer, RecognizerConfig
-from i2t.rendering.ops import element
 
 CHANNELS = 12  # of a 4-chip board
 NAMES = ("square", "cylinder", "hexagon")
@@ -55,7 +54,7 @@ def recognizer(pad_model) -> ObjectRecognizer:
 
 def touch(recognizer: ObjectRecognizer, site: ChosenSite, truth: int, key: jax.Array):
     """What a robot would measure: reading, force, end of the press and contact."""
-    row = element(element(recognizer.table, site.number), (truth, POSE))
+    row = jax.tree.map(lambda x: x[site.number, truth, POSE], recognizer.table)
     found = policy.imagine_observation(
         row, jnp.zeros(6), jax.random.normal(key, (CHANNELS + 1,)), likelihood=recognizer.likelihood,
         skin_change=25.0, force=8.0,
