@@ -13,16 +13,16 @@ from i2t.errors import DeviceError
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur.driver import UrArm
 
-FAULTS = {  # what is told to the stand-in, None for its end
+FAULTS = {  # commands to the emulator, None for its end
     "controller killed": None,
     "stream stalled": "stall",
     "all ports mute": "mute",
     "protective stop": "protective",
     "program ended (pendant, lost script)": "kill-program",
 }
-STALE = 0.1  # s
-PATIENCE = 10.0  # s
-GAP = 0.5e-3  # m before the surface where a press begins
+STATE_TIMEOUT_S = 0.1
+PATIENCE_S = 10.0
+GAP_M = 0.5e-3  # before the surface where a press begins
 
 
 def arm(sizes: Sizes) -> list[FaultRow]:
@@ -44,17 +44,19 @@ def arm(sizes: Sizes) -> list[FaultRow]:
         alarms = f"; {busy} false alarms of a busy computer before the fault" if busy else ""
         rows.append(
             FaultRow(
-                "arm", f"{name}: noticed", f"{len(noticed)} motions",
+                "arm",
+                f"{name}: noticed",
+                f"{len(noticed)} motions",
                 f'{worst(noticed or [np.inf])}; {known}{alarms}; "{min(sentences, default="")}"',
                 "< 500 ms, and the arm stands",
                 len(noticed) == sizes.arm and max(noticed) < 0.5 and (fault is None or stood == sizes.arm),
             )
-        )  # fmt: skip
+        )
     return [*rows, _second(sizes.arm)]
 
 
 def status(host: str) -> dict:
-    """What the stand-in says of itself."""
+    """What the emulator says of itself."""
     return dict(json.loads(ur_controller.ask(host, "status")))
 
 
@@ -63,9 +65,12 @@ def _fault(trial: int, fault: str | None) -> tuple[float, str, bool] | None:
     the motion had ended before, as it does where a busy computer cannot watch.
     """
     host, rig = ur_controller.loopback(trial), Rig()
-    with ur_controller.process(host) as process, UrArm(host, rig.limits, state_timeout=STALE, watchdog_rate=4.0) as device:
-        with ThreadPoolExecutor(1) as beside:
-            motion = beside.submit(_go_down, device)
+    with (
+        ur_controller.process(host) as process,
+        UrArm(host, rig.limits, state_timeout=STATE_TIMEOUT_S, watchdog_rate=4.0) as device,
+    ):
+        with ThreadPoolExecutor(1) as executor:
+            motion = executor.submit(_go_down, device)
             time.sleep(0.4)
             if motion.done():
                 return None
@@ -74,7 +79,7 @@ def _fault(trial: int, fault: str | None) -> tuple[float, str, bool] | None:
                 process.kill()
             else:
                 ur_controller.ask(host, fault)
-            error = motion.exception(PATIENCE)
+            error = motion.exception(PATIENCE_S)
             seconds = time.monotonic() - begun
         sentence = str(error) if isinstance(error, DeviceError) else f"no sentence, but {error!r}"
         if fault is None:
@@ -96,14 +101,14 @@ def _second(trials: int) -> FaultRow:
         with ur_controller.process(host), UrArm(host, limits, state_timeout=0.5, watchdog_rate=4.0) as device:
             goal = device.state(1.0).T_b_t.copy()
             goal[2, 3] -= 0.03
-            with ThreadPoolExecutor(1) as beside:
-                motion = beside.submit(device.go, goal, 0.05, 0.5)
+            with ThreadPoolExecutor(1) as executor:
+                motion = executor.submit(device.go, goal, 0.05, 0.5)
                 time.sleep(0.1)
                 try:
                     UrArm(host, limits).connect()
                 except DeviceError:
                     refused += 1
-                unharmed += motion.exception(PATIENCE) is None
+                unharmed += motion.exception(PATIENCE_S) is None
     said = f"refused {refused}, the first one's motion ended where it should {unharmed}"
     return FaultRow("arm", "second client", f"{trials} motions", said, "all", refused == unharmed == trials)
 
@@ -114,7 +119,7 @@ def force(sizes: Sizes) -> list[FaultRow]:
     rng = np.random.default_rng(0)
     peaks, reasons = [], []
     host, height = ur_controller.loopback(99), 0.05
-    pose = ("0.4", "0.0", str(height + GAP), str(np.pi), "0", "0")
+    pose = ("0.4", "0.0", str(height + GAP_M), str(np.pi), "0", "0")
     with (
         ur_controller.process(host, "--pose", *pose, "--noise", "0.1") as _,
         UrArm(host, rig.limits, state_timeout=2.0, watchdog_rate=1.0) as device,
@@ -125,7 +130,7 @@ def force(sizes: Sizes) -> list[FaultRow]:
             ur_controller.ask(host, f"plane {height} {stiffness}")
             device.zero_wrench()
             pressed = device.approach(
-                GAP + 0.02, settings.press, None, settings.force, settings.torque, settings.acceleration
+                GAP_M + 0.02, settings.press, None, settings.force, settings.torque, settings.acceleration
             )
             reasons.append(pressed.reason)
             peaks.append(stiffness * max(0.0, height - pressed.state.T_b_t[2, 3]))
@@ -135,7 +140,11 @@ def force(sizes: Sizes) -> list[FaultRow]:
     said = f"median {np.median(over):+.2f} N, greatest {over.max():+.2f} N; {reasons.count('force')} by force"
     return [
         FaultRow(
-            "force", "past the 8 N limit, 1 to 10 N/mm, noise 0.1 N", f"{sizes.presses} emulated presses", said,
-            f"<= +2 N (derived at 10 N/mm, 60 ms: {derived:.1f})", bool(over.max() <= 2.0),
+            "force",
+            "past the 8 N limit, 1 to 10 N/mm, noise 0.1 N",
+            f"{sizes.presses} emulated presses",
+            said,
+            f"<= +2 N (derived at 10 N/mm, 60 ms: {derived:.1f})",
+            bool(over.max() <= 2.0),
         )
-    ]  # fmt: skip
+    ]

@@ -14,14 +14,14 @@ from experiments.faults.simulated import count
 from i2t.collect.recorder import touches_in
 from i2t.emulators import lab, ur_controller
 
-MOST = 2  # touches, after which a collection is killed
-LATEST = 6.0  # s after those, at the latest: a touch takes five
-PATIENCE = 5  # collections, to make them
-MORE = 5  # touches that are made after the last kill
+MAX_TOUCHES = 2  # after which a collection is killed
+MAX_DELAY_S = 6.0  # after those, at the latest: a touch takes five
+MAX_ATTEMPTS = 5  # collections, to make the touches after the last kill
+TOUCHES_AFTER = 5  # touches that are made after the last kill
 
 
 def kill(sizes: Sizes) -> list[FaultRow]:
-    """All of it, on stand-ins that run on as a lab would."""
+    """All of it, on emulators that run on as a lab would."""
     rng, moving, starts = np.random.default_rng(0), 0, 0
     told: list[str] = []
     stood: list[float] = []
@@ -31,7 +31,9 @@ def kill(sizes: Sizes) -> list[FaultRow]:
         with lab.started("--host", host, "--link", str(link), "--exact"):
             while len(stood) < sizes.kills and starts < 2 * sizes.kills + 3:
                 starts += 1
-                found = _killed(host, str(link), out, int(rng.integers(0, MOST + 1)), float(rng.uniform(0, LATEST)))
+                found = _killed(
+                    host, str(link), out, int(rng.integers(0, MAX_TOUCHES + 1)), float(rng.uniform(0, MAX_DELAY_S))
+                )
                 if found is None:
                     continue
                 names, seconds, moved = found
@@ -39,8 +41,8 @@ def kill(sizes: Sizes) -> list[FaultRow]:
                 if seconds is not None:
                     stood.append(seconds)
                     moving += moved
-            wanted = len(touches_in(out)) + MORE
-            for _ in range(PATIENCE):  # a busy computer may end one by itself
+            wanted = len(touches_in(out)) + TOUCHES_AFTER
+            for _ in range(MAX_ATTEMPTS):  # a busy computer may end one by itself
                 command = [*_command(host, str(link), out, wanted), "1"]
                 end = subprocess.run(command, capture_output=True, text=True, check=False)
                 if end.returncode == 0:
@@ -55,14 +57,22 @@ def kill(sizes: Sizes) -> list[FaultRow]:
     return [
         FaultRow("kill", "acknowledged touches", tried, said, "0 lost, 0 unreadable", lost + unreadable == 0),
         FaultRow(
-            "kill", "resumed and completed", f"{len(present)} touches", "yes" if complete else end.stderr[-80:],
-            "yes", complete,
+            "kill",
+            "resumed and completed",
+            f"{len(present)} touches",
+            "yes" if complete else end.stderr[-80:],
+            "yes",
+            complete,
         ),
         FaultRow(
-            "kill", "arm stands after the kill", f"{moving} of {len(stood)} in motion", worst(stood), "< 200 ms",
+            "kill",
+            "arm stands after the kill",
+            f"{moving} of {len(stood)} in motion",
+            worst(stood),
+            "< 200 ms",
             max(stood) < 0.2,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _command(host: str, port: str, out: Path, touches: int) -> list[str]:

@@ -1,4 +1,4 @@
-"""A camera that sees a horizontal plane, and its patch: closed forms, for rehearsals that need neither mesh nor JAX."""
+"""A camera that sees a horizontal plane, and its patch: closed forms that need neither mesh nor JAX."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,12 +12,17 @@ from i2t.hardware.clock import Clock
 from i2t.hardware.protocols import CameraFeatures, View
 from i2t.types import PATCH_PIXELS, WIDE_PIXELS, Array
 
-NOISE = 0.3e-3  # m, of a pixel
+NOISE_M = 0.3e-3  # of a pixel
 
 
 class PlaneCamera:
-    """A pinhole camera over a plane at `height` (m) in the base; `pose` tells T_b_c. While `trouble` is set, that is
-    what it raises.
+    """A pinhole camera over a plane; while `trouble` is set, that is what it raises.
+
+    Args:
+        camera: Its size and lens.
+        height: m, of the plane in the base.
+        pose: Gives T_b_c (4, 4) now.
+        clock: That dates its views.
     """
 
     def __init__(self, camera: Camera, height: float, pose: Callable[[], Array], clock: Clock) -> None:
@@ -60,12 +65,22 @@ class PlaneCamera:
         T_b_c = self._pose()
         down = self._rays @ T_b_c[2, :3]
         depth = np.where(down < -1e-6, (self.height - T_b_c[2, 3]) / np.where(down < -1e-6, down, -1.0), np.nan)
-        noisy = depth + NOISE * self._random.standard_normal(depth.shape)
+        noisy = depth + NOISE_M * self._random.standard_normal(depth.shape)
         return View(self._clock.now(), noisy.astype(np.float32), None)
 
 
 def plane_patch(view: View, camera: Camera, T_w_c: Array, T_w_t: Array) -> SeenPatch:
-    """The patch of a plane that the tool faces: flat, and as far away as the middle of the view says."""
+    """The patch of a plane that the tool faces: flat, and as far away as the middle of the view says.
+
+    Args:
+        view: Of the plane.
+        camera: That took it.
+        T_w_c: (4, 4) from where.
+        T_w_t: (4, 4) the tool.
+
+    Returns:
+        The patch.
+    """
     row, column = round(camera.cy), round(camera.cx)
     middle = view.depth[max(0, row - 8) : row + 9, max(0, column - 8) : column + 9]
     point = T_w_c[:3, 3] + float(np.nanmean(middle)) * T_w_c[:3, 2]

@@ -4,7 +4,7 @@
     python -m experiments.faults --sections skin disk    some of it
     python -m experiments.faults --preset debug          everything once or twice, in a minute
 
-Real drivers talk to stand-ins for a skin and a UR controller (whose watchdog and protective stop follow Universal
+Real drivers talk to emulators of a skin and a UR controller (whose watchdog and protective stop follow Universal
 Robots' documents and were compared with no real controller), and simulated devices fill disks and press a thousand
 times. Every figure says how often it was tried. Results go to --out: report.md and metrics.json. Exit code 1 if a goal
 was missed.
@@ -38,7 +38,7 @@ SECTIONS: dict[Section, Callable[[Sizes], list[FaultRow]]] = {
     "volume": volume,
     "kill": kill,
 }
-PRESETS = {"full": Sizes(), "debug": DEBUG}
+SIZES_BY_PRESET = {"full": Sizes(), "debug": DEBUG}
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(args: FaultsArgs, missed: list[FaultRow]) -> None:
     rows: list[FaultRow] = []
-    sizes = PRESETS[args.preset].times(args.share)
+    sizes = SIZES_BY_PRESET[args.preset].times(args.share)
     args.out.mkdir(parents=True, exist_ok=True)
     for name in args.sections:
         print(f"{name} ...", flush=True)
@@ -80,11 +80,11 @@ def _run(args: FaultsArgs, missed: list[FaultRow]) -> None:
 def table(rows: Sequence[FaultRow]) -> str:
     """Figures as a table in Markdown."""
     lines = ["| section | what | tried | measured | goal | |", "| --- | --- | --- | --- | --- | --- |"]
-    verdicts = {True: "met", False: "MISSED", None: ""}
+    outcomes = {True: "met", False: "MISSED", None: ""}
     return "\n".join(
         lines
         + [
-            f"| {row.section} | {row.what} | {row.tried} | {row.measured} | {row.goal} | {verdicts[row.met]} |"
+            f"| {row.section} | {row.what} | {row.tried} | {row.measured} | {row.goal} | {outcomes[row.met]} |"
             for row in rows
         ]
     )

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.faults.places import HEIGHT, site
 from experiments.faults.plane_camera import PlaneCamera, plane_patch
+from experiments.faults.plane_sites import HEIGHT_M, site
 from experiments.faults.rows import FaultRow, Sizes
 from i2t import dataset
 from i2t.collect.procedure import Procedure, Site, SiteOutcome
@@ -27,8 +27,9 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.skin import boards
 from i2t.types import Array, ReturnCode
 
-WALL = 1.8e9  # Unix time at which simulated time begins
-GAIN = np.linspace(-9, 12, 15)  # uT/N
+WALL_TIME_S = 1.8e9  # Unix time at which simulated time begins
+BOARD = boards.reskin_board()
+GAIN_UT_PER_N = np.linspace(-9, 12, BOARD.num_readings)
 
 
 class SettableClock:
@@ -54,7 +55,7 @@ class NullRecorder:
     """Keeps nothing but how far the tool went."""
 
     def __init__(self) -> None:
-        self.places: list[Array] = []
+        self.positions: list[Array] = []
 
     def begin(self, site: Site, attempt: int) -> "NullRecorder":
         """A touch begins."""
@@ -71,25 +72,25 @@ class NullRecorder:
 
     def state(self, state: Any) -> None:
         """Of the arm."""
-        self.places.append(state.T_b_t[:3, 3])
+        self.positions.append(state.T_b_t[:3, 3])
 
     def event(self, text: str) -> None:
         """What happened."""
 
 
 def make_procedure(
-    height: float = HEIGHT, stiffness: float = 10e3, gain: Array = GAIN, latency: float = 0.03, seed: int = 0
+    height: float = HEIGHT_M, stiffness: float = 10e3, gain: Array = GAIN_UT_PER_N, latency: float = 0.03, seed: int = 0
 ) -> tuple[Procedure, SettableClock]:
     """A procedure over a plane, its devices connected, and its clock."""
-    clock, rig = SettableClock(VirtualClock(WALL)), Rig()
-    scene = SpringPlane(height, stiffness, gain, SimulationErrors(), boards.reskin_board())
+    clock, rig = SettableClock(VirtualClock(WALL_TIME_S)), Rig()
+    scene = SpringPlane(height, stiffness, gain, SimulationErrors(), BOARD)
     inside = SimulatedLab(scene, clock, seed)
     arm, skin = SimulatedArm(inside, rig.limits, latency), SimulatedSkin(inside)
     lens = Camera(64, 36, 32.2, 32.2, 31.5, 17.5)
     eye = PlaneCamera(lens, height, lambda: arm.state().T_b_t @ rig.T_tool_camera, clock)
     for device in (arm, skin, eye):
         device.connect()
-    return Procedure(arm, skin, eye, rig, boards.reskin_board(), plane_patch, HEIGHT, TouchSettings(patience=1.0), clock), clock
+    return Procedure(arm, skin, eye, rig, BOARD, plane_patch, HEIGHT_M, TouchSettings(patience=1.0), clock), clock
 
 
 def presses(sizes: Sizes) -> list[FaultRow]:
@@ -97,34 +98,46 @@ def presses(sizes: Sizes) -> list[FaultRow]:
     rng, over, outside = np.random.default_rng(0), [], 0
     for number in range(sizes.presses):
         stiffness = float(np.exp(rng.uniform(np.log(1e3), np.log(10e3))))
-        procedure, _ = make_procedure(stiffness=stiffness, gain=np.zeros_like(GAIN), latency=rng.uniform(0, 0.06), seed=number)
+        procedure, _ = make_procedure(
+            stiffness=stiffness, gain=np.zeros_like(GAIN_UT_PER_N), latency=rng.uniform(0, 0.06), seed=number
+        )
         recorder = NullRecorder()
         touched = procedure.touch(site(number), recorder)
-        outside += sum(not procedure.rig.limits.contains(place, 1e-6) for place in recorder.places)
-        over.append(stiffness * (HEIGHT - touched.T_w_t[2, 3]) - procedure.settings.force)
+        outside += sum(not procedure.rig.limits.contains(position, 1e-6) for position in recorder.positions)
+        over.append(stiffness * (HEIGHT_M - touched.T_w_t[2, 3]) - procedure.settings.force)
     procedure, _ = make_procedure(height=-1.0)
     codes = [procedure.touch(site(number), NullRecorder()).code for number in range(sizes.air)]
     stopped = sum(code == ReturnCode.SKIN for code in codes)
     said = f"median {np.median(over):+.2f} N, greatest {max(over):+.2f} N; outside the box {outside} times"
     return [
         FaultRow(
-            "force", "past the 8 N limit, 1 to 10 N/mm, up to 60 ms late", f"{sizes.presses} simulated presses", said,
-            "<= +2 N, never outside", max(over) <= 2.0 and outside == 0,
+            "force",
+            "past the 8 N limit, 1 to 10 N/mm, up to 60 ms late",
+            f"{sizes.presses} simulated presses",
+            said,
+            "<= +2 N, never outside",
+            max(over) <= 2.0 and outside == 0,
         ),
         FaultRow(
-            "force", "false stops of the skin, in the air with real noise", f"{sizes.air} simulated presses",
-            str(stopped), "< 1 in 1000", stopped * 1000 <= sizes.air and (sizes.air < 1000 or stopped == 0),
+            "force",
+            "false stops of the skin, in the air with real noise",
+            f"{sizes.air} simulated presses",
+            str(stopped),
+            "< 1 in 1000",
+            stopped * 1000 <= sizes.air and (sizes.air < 1000 or stopped == 0),
         ),
-    ]  # fmt: skip
+    ]
 
 
 def disk(sizes: Sizes) -> list[FaultRow]:
     """Full and read-only disks, a clock that is set, a camera that is unplugged."""
     rows = []
     for name, harm in (
-        ("full disk", _full), ("folder becomes read-only", _read_only),
-        ("clock set back an hour", _clock), ("camera unplugged", _camera),
-    ):  # fmt: skip
+        ("full disk", _full),
+        ("folder becomes read-only", _read_only),
+        ("clock set back an hour", _clock),
+        ("camera unplugged", _camera),
+    ):
         lost = unreadable = acknowledged = ended = 0
         sentences = set()
         try:
@@ -142,7 +155,9 @@ def disk(sizes: Sizes) -> list[FaultRow]:
             f'"{shown}"'
         )
         rows.append(
-            FaultRow("disk", name, f"{sizes.disk} times", said, "0 lost", lost + unreadable == 0 and ended == sizes.disk)
+            FaultRow(
+                "disk", name, f"{sizes.disk} times", said, "0 lost", lost + unreadable == 0 and ended == sizes.disk
+            )
         )
     return rows
 
@@ -177,16 +192,22 @@ def _session(
 ) -> tuple[list[str], str]:
     """The touches that were acknowledged, and what ended it early."""
     rig, told = procedure.rig, []
-    names = SessionInfo(
-        "plane", "pad", "run", "simulated", boards.reskin_board(), rig.T_world_base, rig.T_world_object,
+    info = SessionInfo(
+        "plane",
+        "pad",
+        "run",
+        "simulated",
+        BOARD,
+        rig.T_world_base,
+        rig.T_world_object,
         procedure.camera.camera,
-    )  # fmt: skip
+    )
 
     def choose(history: Any) -> Site | None:
         return site(len(history)) if len(history) < most else None
 
     try:
-        with Recorder(folder, names, procedure.clock, reserve) as recorder:
+        with Recorder(folder, info, procedure.clock, reserve) as recorder:
             for outcome in procedure.run(choose, recorder):
                 told.append(recorder.saved[-1].name)
                 if each is not None:

@@ -13,17 +13,17 @@ from i2t.errors import DeviceError, DeviceTimeoutError
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.reskin.frames import Decoder, Format, Frame, FrameLayout, FrameLimits, decode, encode
 
-LINES = ((0.01, 0.0, 0.98), (0.0, 0.001, 0.95))  # bytes substituted, dropped; goal for intact frames
-WRONG = (1.0, 10.0, 25.0)  # uT
-CRLF = struct.unpack("<f", bytes.fromhex("980d0a42"))[0]  # degrees Celsius that hold a line's end
-PATIENCE = 10.0  # s
+LINE_ERRORS = ((0.01, 0.0, 0.98), (0.0, 0.001, 0.95))  # bytes substituted, dropped; goal for intact frames
+ERROR_SIZES_UT = (1.0, 10.0, 25.0)
+CRLF_TEMPERATURE_C = struct.unpack("<f", bytes.fromhex("980d0a42"))[0]  # holds a line's end
+PATIENCE_S = 10.0
 
 
 def skin(sizes: Sizes) -> list[FaultRow]:
     """All of it."""
     rows = [_stream(sizes.stream)]
-    for substitute, drop, goal in LINES:
-        for temperature, skipped in ((None, 0), (CRLF, 40)):
+    for substitute, drop, goal in LINE_ERRORS:
+        for temperature, skipped in ((None, 0), (CRLF_TEMPERATURE_C, 40)):
             rows += _line(sizes.frames, substitute, drop, goal, temperature, skipped)
     return rows + _gone(sizes.silences)
 
@@ -89,8 +89,8 @@ def _line(
         FaultRow("skin", f"{what}: misaligned frames accepted", tried, str(misaligned), "0", misaligned == 0),
     ]
     if substitute:
-        rates = " / ".join(f"{100 * np.mean(errors > size):.3g}" for size in WRONG)
-        sizes = " / ".join(f"{size:g}" for size in WRONG)
+        rates = " / ".join(f"{100 * np.mean(errors > size):.3g}" for size in ERROR_SIZES_UT)
+        sizes = " / ".join(f"{size:g}" for size in ERROR_SIZES_UT)
         rows.append(
             FaultRow(
                 "skin",
@@ -114,7 +114,7 @@ def _gone(trials: int) -> list[FaultRow]:
             faults = ("--unplug-after", "0.6", "--replug-after", "1.4", "--link", link)
             with started(*faults, "--seed", str(i)) as (port, _), ReSkin(port) as device:
                 unplugged.append(_noticed(device))
-                end = time.monotonic() + PATIENCE
+                end = time.monotonic() + PATIENCE_S
                 while time.monotonic() < end:
                     try:
                         device.connect()
@@ -134,7 +134,7 @@ def _gone(trials: int) -> list[FaultRow]:
 def _noticed(device: ReSkin) -> float:
     """Seconds from the last sample to the error, for a loop that asks every 10 ms."""
     last = time.monotonic()
-    end = last + PATIENCE
+    end = last + PATIENCE_S
     while time.monotonic() < end:
         try:
             last = float(device.latest().time[-1])

@@ -9,8 +9,8 @@ prints the name of each touch once it is kept.
 import sys
 from pathlib import Path
 
-from experiments.faults.places import HEIGHT, site
 from experiments.faults.plane_camera import PlaneCamera, plane_patch
+from experiments.faults.plane_sites import HEIGHT_M, site
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, SessionInfo, site_number_of, touches_in
 from i2t.collect.settings import TouchSettings
@@ -22,8 +22,10 @@ from i2t.hardware.rig import Rig
 from i2t.hardware.ur.driver import UrArm
 from i2t.skin import boards
 
-QUICK = TouchSettings(prepare=20e-3, near=2e-3, approach=0.05, press=0.004, settle=0.02, clearance=0.02, speed=0.25)
-STALE = 0.5  # s
+QUICK_SETTINGS = TouchSettings(
+    prepare=20e-3, near=2e-3, approach=0.05, press=0.004, settle=0.02, clearance=0.02, speed=0.25
+)
+WORKER_STATE_TIMEOUT_S = 0.5
 
 
 def main(host: str, port: str, folder: str, touches: str, watchdog: str = "10") -> int:
@@ -35,16 +37,16 @@ def main(host: str, port: str, folder: str, touches: str, watchdog: str = "10") 
         rig.limits,
         rig.T_flange_tool,
         (rig.mass, rig.centre),
-        state_timeout=max(STALE, 2 / float(watchdog)),
+        state_timeout=max(WORKER_STATE_TIMEOUT_S, 2 / float(watchdog)),
         watchdog_rate=float(watchdog),
     )
     lens = Camera(320, 180, 161.2, 161.05, 159.5, 89.5)
-    eye = PlaneCamera(lens, HEIGHT, lambda: arm.state().T_b_t @ rig.T_tool_camera, MonotonicClock())
-    names = SessionInfo(
+    eye = PlaneCamera(lens, HEIGHT_M, lambda: arm.state().T_b_t @ rig.T_tool_camera, MonotonicClock())
+    info = SessionInfo(
         "hexagon", "emulated", "run", "simulated", boards.reskin_board(), rig.T_world_base, rig.T_world_object, lens
     )
-    with ReSkin(port) as skin, eye, arm, Recorder(out, names) as recorder:
-        procedure = Procedure(arm, skin, eye, rig, boards.reskin_board(), plane_patch, HEIGHT, QUICK)
+    with ReSkin(port) as skin, eye, arm, Recorder(out, info) as recorder:
+        procedure = Procedure(arm, skin, eye, rig, boards.reskin_board(), plane_patch, HEIGHT_M, QUICK_SETTINGS)
         print("begun", flush=True)
         left = (number for number in range(int(touches)) if number not in done)
         for _ in procedure.run(lambda history: next((site(number) for number in left), None), recorder):

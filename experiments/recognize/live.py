@@ -26,7 +26,7 @@ from experiments.recognize import trained_run
 from experiments.recognize.config import Recognition
 from experiments.recognize.trained_run import TrainedRun, finished_runs, load_meshes, meshes_by_name
 from i2t.collect import session
-from i2t.collect.command import CollectArgs
+from i2t.collect.arguments import CollectArgs
 from i2t.collect.procedure import Site, SiteOutcome, TouchResult
 from i2t.collect.recorder import touches_in
 from i2t.collect.settings import TouchSettings

@@ -1,6 +1,6 @@
 """Arm, skin and camera of a collection, real, emulated, simulated or a third party's, from their configurations.
 
-Each kind has a frozen configuration beside its driver, and here a small function that builds it, without connecting it.
+Each kind has a frozen configuration next to its driver, and here a small function that builds it, not connected.
 Emulated devices are the real drivers with emulators (`i2t.emulators.lab`) in processes of their own; where no address
 is given, one is started. Simulated devices share a lab (`i2t.emulators.in_process`); where only simulated devices take
 part, its time is virtual and nobody waits for it. Drivers are imported only where they are asked for.
@@ -9,14 +9,14 @@ part, its time is virtual and nobody waits for it. Drivers are imported only whe
 import tempfile
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, singledispatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from i2t.depth.camera import Camera
+from i2t.depth.camera import Distortion
 from i2t.emulators.world import (
     EmulatedArmConfig,
     EmulatedSkinConfig,
@@ -351,11 +351,11 @@ def _(config: SimulatedCameraConfig, context: DeviceContext) -> DepthCamera:
     lens = rig.camera
     return SimulatedCamera(
         context.scene,
-        Camera(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy),
+        replace(lens, model=Distortion.NONE, coefficients=()),
         rig.T_tool_camera,
         lambda: arm.state().T_b_t,
         context.clock,
-        context.config.world.seed,
+        seed=context.config.world.seed,
     )
 
 

@@ -50,7 +50,8 @@ def dry_run(procedure: Procedure, sampler: SiteSampler, name: str, touches: int,
     box = procedure.rig.limits.box + procedure.rig.T_world_base[:3, 3]
     path = out.with_name(f"{out.name}-plan.png")
     path.parent.mkdir(parents=True, exist_ok=True)
-    draw_plan(sampler, sites, set(refused), box, path, f"{name}: {len(sites)} sites ({source} arm)")
+    title = f"{name}: {len(sites)} sites ({source} arm)"
+    draw_plan(sampler, sites, set(refused), box=box, path=path, title=title)
     print(summary(procedure.rig))
     seconds = touch_seconds(procedure.settings)
     print(f"plan      {len(sites)} touches of {name}, about {seconds:.0f} s each; drawn in {path}")

@@ -20,7 +20,7 @@ from i2t.hardware.clock import Clock
 from i2t.hardware.protocols import ArmState, Samples
 from i2t.types import Array
 
-KIND = "i2t raw"
+RAW_FILE_KIND = "i2t raw"
 CHIPS_OF_VERSION_1 = 5  # files of version 1 do not say how many chips their board has
 ENTRY_HEADER = struct.Struct("<cI")
 
@@ -60,7 +60,7 @@ class EventLog:
         self.readings: dict[int, Float[Array, " k"]] = {}  # by sample number: time, 3 chips readings, temperatures
         self.states: list[ArmState] = []
         self.events: list[tuple[float, str]] = []
-        self._put(json.dumps({"touch": KIND, "version": 2, "chips": chips}).encode() + b"\n")
+        self._put(json.dumps({"touch": RAW_FILE_KIND, "version": 2, "chips": chips}).encode() + b"\n")
 
     def samples(self, samples: Samples) -> None:
         """Samples of the skin; the same sample may come twice."""
@@ -126,7 +126,7 @@ def _chips(path: Path, header: bytes) -> int:
     """Number of chips by a raw file's header."""
     try:
         about = json.loads(header)
-        if about["touch"] == KIND:
+        if about["touch"] == RAW_FILE_KIND:
             return int(about["chips"]) if about["version"] > 1 else CHIPS_OF_VERSION_1
     except (ValueError, KeyError, TypeError):
         pass

@@ -349,7 +349,14 @@ class Procedure:
         if distance <= 0:
             state = self.arm.state()
             return ApproachResult("distance", None, state, state, 0.0), condition
-        result = self.arm.approach(distance, speed, condition, settings.force, settings.torque, settings.acceleration)
+        result = self.arm.approach(
+            distance,
+            speed,
+            condition,
+            force=settings.force,
+            torque=settings.torque,
+            acceleration=settings.acceleration,
+        )
         return result, condition
 
     def _check_view(self, seen: SeenPatch) -> None:

@@ -307,14 +307,14 @@ def _dataset(touch: TouchResult, info: SessionInfo) -> Dataset:
     )
     return Dataset(
         touches,
-        (info.object,),
-        (info.pad,),
-        (info.session,),
-        info.board,
-        info.source,
-        PATCH_WINDOW,
-        REACH,
-        {"made by": "i2t.collect.session", "camera": json.dumps(asdict(info.camera)), **info.meta},
+        objects=(info.object,),
+        pads=(info.pad,),
+        sessions=(info.session,),
+        board=info.board,
+        source=info.source,
+        window=PATCH_WINDOW,
+        reach=REACH,
+        meta={"made by": "i2t.collect.session", "camera": json.dumps(asdict(info.camera)), **info.meta},
     )
 
 

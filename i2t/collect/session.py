@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from i2t.collect import recorder
-from i2t.collect.command import CollectArgs
+from i2t.collect.arguments import CollectArgs
 from i2t.collect.devices import (
     ArmConfig,
     CameraConfig,
@@ -100,12 +100,12 @@ def collect(
             skin,
             camera,
             rig,
-            devices.board,
-            extract_patch,
-            sampler.top,
-            args.settings,
-            devices.clock,
-            {int(number): why for number, why in notes["unreachable"].items()},
+            board=devices.board,
+            extract_patch=extract_patch,
+            top=sampler.top,
+            settings=args.settings,
+            clock=devices.clock,
+            unreachable={int(number): why for number, why in notes["unreachable"].items()},
         )
         check_camera(procedure)
         if args.dry_run:
@@ -290,7 +290,14 @@ def device_config(args: CollectArgs, begin: float = 0.0) -> DeviceConfig:
     Raises:
         ValueError: A name is not known, or what it needs is missing.
     """
-    world = WorldConfig(args.object, args.unit, args.pad, args.seed, args.no_pose_error, args.stiffness)
+    world = WorldConfig(
+        args.object,
+        args.unit,
+        args.pad,
+        seed=args.seed,
+        no_pose_error=args.no_pose_error,
+        stiffness=args.stiffness,
+    )
     return DeviceConfig(_arm_config(args), _skin_config(args), _camera_config(args), world, begin)
 
 

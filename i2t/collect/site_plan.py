@@ -126,6 +126,7 @@ def draw_plan(
     sampler: SiteSampler,
     sites: Sequence[Site],
     refused: Collection[int],
+    *,
     box: Float[Array, "2 3"],
     path: Path,
     title: str,
@@ -147,7 +148,7 @@ def draw_plan(
 
     figure = Figure(figsize=(12, 6.5), layout="constrained")
     for axes, plane, names in zip(figure.subplots(1, 2), ([0, 1], [0, 2]), ("xy", "xz"), strict=True):
-        _draw_projection(axes, plane, names, sampler, sites, refused, box)
+        _draw_projection(axes, plane, names, sampler, sites, refused=refused, box=box)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(title)
     plots.save_figure(figure, path)
@@ -159,6 +160,7 @@ def _draw_projection(
     names: str,
     sampler: SiteSampler,
     sites: Sequence[Site],
+    *,
     refused: Collection[int],
     box: Array,
 ) -> None:

@@ -52,7 +52,7 @@ NOISE_BLOCK = 1024  # samples whose noise is drawn at once
 MAX_IDLE_S = 60.0  # what nobody looked at for longer is left out
 HOME_POSE = (0.4, 0.0, 0.3, np.pi, 0.0, 0.0)  # m and rotation vector of the tool at the start: pointing down
 NEAREST_DEPTH_M = 0.03  # that the simulated camera measures
-FRAME_RATE_HZ = 30.0
+CAMERA_RATE_HZ = 30.0
 
 Row: TypeAlias = tuple[int, float, Array, Array]  # number, time, reading and temperatures of a sample
 
@@ -288,7 +288,14 @@ class SimulatedArm(_SimulatedDevice):
     def features(self) -> ArmFeatures:
         """Known before `connect`."""
         limits = self.limits
-        return ArmFeatures(self._name, "simulated", STATE_RATE_HZ, limits.box, limits.speed, limits.acceleration)
+        return ArmFeatures(
+            self._name,
+            "simulated",
+            STATE_RATE_HZ,
+            box=limits.box,
+            speed=limits.speed,
+            acceleration=limits.acceleration,
+        )
 
     def connect(self) -> None:
         """Take it."""
@@ -420,7 +427,7 @@ class SimulatedCamera(CameraBase):
     def __init__(
         self, scene: ObjectScene, camera: Camera, T_t_c: Array, pose: Callable[[], Array], clock: Clock, seed: int = 0
     ) -> None:
-        super().__init__(CameraFeatures("the simulated camera", "simulated", NEAREST_DEPTH_M, FRAME_RATE_HZ))
+        super().__init__(CameraFeatures("the simulated camera", "simulated", NEAREST_DEPTH_M, CAMERA_RATE_HZ))
         self._camera: Camera = camera
         self._scene, self._pose, self._clock = scene, pose, clock
         self._T_t_c = scene.T_t_camera @ np.asarray(T_t_c)

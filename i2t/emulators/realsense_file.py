@@ -1,5 +1,5 @@
 """A recording as a RealSense camera would have made it, by the SDK's own software device: what `RealSense(file=...)`
-plays, so that every line that reads frames, lenses and units from the SDK can be rehearsed without a camera.
+plays, so that every line that reads frames, lenses and units from the SDK can be tried without a camera.
 
     write("views.db3", camera, views, model="D405")
 
@@ -47,7 +47,7 @@ def write(
     depth, colour = device.add_sensor("Stereo Module"), device.add_sensor("RGB Camera")
     depth.add_read_only_option(rs.option.depth_units, unit)
     streams = [
-        sensor.add_video_stream(_stream(rs, camera, kind, uid, form, size, rate), True)
+        sensor.add_video_stream(_stream(rs, camera, kind, uid=uid, form=form, size=size, rate=rate), True)
         for sensor, kind, uid, form, size in (
             (depth, rs.stream.depth, 1, rs.format.z16, 2),
             (colour, rs.stream.color, 2, rs.format.rgb8, 3),
@@ -82,7 +82,7 @@ def write(
         sensor.close()
 
 
-def _stream(rs: Any, camera: Camera, kind: Any, uid: int, form: Any, size: int, rate: int) -> Any:
+def _stream(rs: Any, camera: Camera, kind: Any, *, uid: int, form: Any, size: int, rate: int) -> Any:
     lens, stream = rs.intrinsics(), rs.video_stream()
     lens.width, lens.height, lens.fx, lens.fy = camera.width, camera.height, camera.fx, camera.fy
     lens.ppx, lens.ppy, lens.coeffs = camera.cx, camera.cy, list(camera.coefficients)

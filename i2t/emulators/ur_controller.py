@@ -188,7 +188,14 @@ def _contact(options: argparse.Namespace) -> tuple[Contact, float]:
 
     address = options.skin.rsplit(":", 1) if options.skin else None
     board = (address[0], int(address[1])) if address else None
-    world = WorldConfig(options.object, options.unit, options.pad, options.seed, options.exact, options.mount)
+    world = WorldConfig(
+        options.object,
+        options.unit,
+        options.pad,
+        seed=options.seed,
+        no_pose_error=options.exact,
+        stiffness=options.mount,
+    )
     contact = make_contact_model(world, options.rig, board)
     return contact, contact.scene.errors.force if options.noise is None else options.noise
 

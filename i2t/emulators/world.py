@@ -49,8 +49,8 @@ class EmulatedArmConfig:
     """The driver of a UR arm with an emulated controller, in a process of its own."""
 
     host: str | None = None  # of a controller that runs; by default one is started
-    state_timeout: float = 0.5  # s, more than a lab's: other processes want the processor too
-    watchdog_rate: float = 4.0  # Hz
+    state_timeout: float = 0.1  # s without a state after which the arm is taken for lost: as in a lab
+    watchdog_rate: float = 10.0  # Hz, how often the controller must hear from us
 
 
 @dataclass(frozen=True)
@@ -121,4 +121,4 @@ def make_scene(world: WorldConfig, rig: Rig) -> "ObjectScene":
     errors = SimulationErrors().scaled(0.0) if world.no_pose_error else SimulationErrors()
     mesh = read_object(world.object, world.unit).mesh
     T_b_o = rig.T_base_world @ rig.T_world_object
-    return ObjectScene(mesh, T_b_o, read_pad(world.pad), errors, world.stiffness, world.seed)
+    return ObjectScene(mesh, T_b_o, read_pad(world.pad), errors, stiffness=world.stiffness, seed=world.seed)

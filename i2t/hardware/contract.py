@@ -22,8 +22,8 @@ from i2t.hardware.limits import MotionLimits
 from i2t.hardware.protocols import ArmState, DepthCamera, GuardedArm, Skin
 from i2t.types import Array
 
-PATIENCE_S = 20.0  # that a loaded machine may need
-STATE_TIMEOUT_S = 3.0
+TEST_PATIENCE_S = 20.0  # that a loaded machine may need
+TEST_STATE_TIMEOUT_S = 3.0
 MIN_STATE_RATE_HZ = 100
 
 
@@ -47,7 +47,7 @@ class ArmContract(_Contract):
     stiffness: float = 5e3  # N/m, of that plane
 
     def pose(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Array:
-        """(4, 4) T_b_t beside home, m."""
+        """(4, 4) T_b_t next to home, m."""
         pose = np.array(self.home, float)
         pose[:3, 3] += x, y, z
         return pose
@@ -71,7 +71,7 @@ class ArmContract(_Contract):
         arm = make()
         assert isinstance(arm, GuardedArm)
         with pytest.raises(NotConnectedError):
-            arm.state(STATE_TIMEOUT_S)
+            arm.state(TEST_STATE_TIMEOUT_S)
         with pytest.raises(NotConnectedError):
             arm.move(self.home, 0.1, 0.5)
         arm.close()
@@ -80,7 +80,7 @@ class ArmContract(_Contract):
         """`move` returns at once, and a motion under way is replaced."""
         goal = self.pose(0.02, 0.03, 0.02)
         with make() as arm:
-            before = arm.state(STATE_TIMEOUT_S)
+            before = arm.state(TEST_STATE_TIMEOUT_S)
             np.testing.assert_allclose(before.T_b_t, self.home, atol=1e-6)
             assert before.joints.ndim == 1
             assert before.velocity.shape == before.wrench.shape == (6,)
@@ -88,7 +88,7 @@ class ArmContract(_Contract):
             assert not before.moving
             sent = arm.move(goal, 0.1, 0.5)
             np.testing.assert_allclose(sent, goal, atol=1e-9)
-            assert arm.state(STATE_TIMEOUT_S).moving
+            assert arm.state(TEST_STATE_TIMEOUT_S).moving
             after, fastest = at_rest(arm)
             np.testing.assert_allclose(after.T_b_t, goal, atol=1e-6)
             assert 0 < fastest <= 0.1 * (1 + 1e-6)
@@ -118,7 +118,7 @@ class ArmContract(_Contract):
                 for motion in (arm.move, arm.go):
                     with pytest.raises(ValueError, match=why):
                         motion(goal, speed, acceleration)
-            state = arm.state(STATE_TIMEOUT_S)
+            state = arm.state(TEST_STATE_TIMEOUT_S)
             assert not state.moving
             np.testing.assert_allclose(state.T_b_t, self.home, atol=1e-6)
 
@@ -136,13 +136,13 @@ class ArmContract(_Contract):
 
             thread = threading.Thread(target=stop)
             thread.start()
-            thread.join(PATIENCE_S)
+            thread.join(TEST_PATIENCE_S)
             assert not errors
-            stood = arm.state(STATE_TIMEOUT_S)
+            stood = arm.state(TEST_STATE_TIMEOUT_S)
             assert not stood.moving
             assert stood.T_b_t[1, 3] < self.home[1, 3] + 0.04
             time.sleep(0.1)
-            np.testing.assert_allclose(arm.state(STATE_TIMEOUT_S).T_b_t, stood.T_b_t, atol=1e-6)
+            np.testing.assert_allclose(arm.state(TEST_STATE_TIMEOUT_S).T_b_t, stood.T_b_t, atol=1e-6)
             arm.stop(1.0)  # at rest it changes nothing
             arm.move(self.home, 0.2, 0.5)
             np.testing.assert_allclose(at_rest(arm)[0].T_b_t, self.home, atol=1e-6)
@@ -152,7 +152,7 @@ class ArmContract(_Contract):
         touching = self.above_floor(-1e-3)
         with make() as arm:
             arm.zero_wrench(1.0)
-            np.testing.assert_allclose(arm.state(STATE_TIMEOUT_S).wrench, 0, atol=1e-9)
+            np.testing.assert_allclose(arm.state(TEST_STATE_TIMEOUT_S).wrench, 0, atol=1e-9)
             arm.move(touching, 0.05, 0.5)
             with pytest.raises(DeviceError, match="zeroed only while"):
                 arm.zero_wrench(1.0)
@@ -171,14 +171,14 @@ class ArmContract(_Contract):
                 arm.approach(2 * limits.travel, 0.02)
             with pytest.raises(ValueError, match="force"):
                 arm.approach(0.02, 0.02, force=limits.force + 10)
-            np.testing.assert_allclose(arm.state(STATE_TIMEOUT_S).T_b_t, self.home, atol=1e-6)
+            np.testing.assert_allclose(arm.state(TEST_STATE_TIMEOUT_S).T_b_t, self.home, atol=1e-6)
 
     def test_an_approach_ends_where_something_says_stop(self, make: Callable[[], GuardedArm]) -> None:
         """Force, a stop condition, or the distance; an error in the condition stops the arm too."""
         start, floor = self.above_floor(0.01), self.floor or 0.0
         with make() as arm:
             arm.go(start, 0.1, 0.5)
-            arm.zero_wrench(STATE_TIMEOUT_S)
+            arm.zero_wrench(TEST_STATE_TIMEOUT_S)
             done = arm.approach(0.03, 0.02, force=4.0)
             assert (done.reason, done.answer) == ("force", None)
             assert 4.0 < np.linalg.norm(done.trigger.wrench[:3]) <= np.linalg.norm(done.state.wrench[:3]) + 1e-9
@@ -198,7 +198,7 @@ class ArmContract(_Contract):
 
             with pytest.raises(ZeroDivisionError):
                 arm.approach(0.03, 0.002, lambda state: 1 / 0)
-            assert not arm.state(STATE_TIMEOUT_S).moving
+            assert not arm.state(TEST_STATE_TIMEOUT_S).moving
             arm.go(self.home, 0.1, 0.5)
 
     def test_it_can_be_closed_twice_and_connected_again(self, make: Callable[[], GuardedArm]) -> None:
@@ -209,7 +209,7 @@ class ArmContract(_Contract):
         arm.close()
         arm.close()
         with pytest.raises(DeviceError):
-            arm.state(STATE_TIMEOUT_S)
+            arm.state(TEST_STATE_TIMEOUT_S)
         with arm:
             assert at_rest(arm)[0].T_b_t[1, 3] < self.home[1, 3] + 0.045
             arm.move(self.home, 0.2, 0.5)
@@ -225,9 +225,9 @@ def at_rest(arm: GuardedArm) -> tuple[ArmState, float]:
     Returns:
         Its state at rest, and the greatest speed on the way (m/s).
     """
-    fastest, end = 0.0, time.monotonic() + PATIENCE_S
+    fastest, end = 0.0, time.monotonic() + TEST_PATIENCE_S
     while True:
-        state = arm.state(STATE_TIMEOUT_S)
+        state = arm.state(TEST_STATE_TIMEOUT_S)
         fastest = max(fastest, float(np.linalg.norm(state.velocity[:3])))
         if not state.moving:
             return state, fastest
@@ -265,7 +265,7 @@ class SkinContract(_Contract):
         with make() as skin:
             channels = len(skin.features.channels)
             called = time.monotonic()
-            samples = skin.read(100, PATIENCE_S)
+            samples = skin.read(100, TEST_PATIENCE_S)
             assert samples.reading.shape == (100, channels)
             assert samples.temperature.shape == (100, channels // 3)
             assert samples.number.tolist() == list(range(samples.number[0], samples.number[0] + 100))
@@ -281,9 +281,9 @@ class SkinContract(_Contract):
     def test_since_gives_every_sample_once(self, make: Callable[[], Skin]) -> None:
         """Asked again and again it leaves none out."""
         with make() as skin:
-            newest, numbers = int(skin.latest(PATIENCE_S).number[-1]), list[int]()
+            newest, numbers = int(skin.latest(TEST_PATIENCE_S).number[-1]), list[int]()
             first = newest + 1
-            end = time.monotonic() + PATIENCE_S
+            end = time.monotonic() + TEST_PATIENCE_S
             while len(numbers) < 100 and time.monotonic() < end:
                 samples = skin.since(newest)
                 numbers += samples.number.tolist()
@@ -298,7 +298,7 @@ class SkinContract(_Contract):
             begun = time.monotonic()
             with pytest.raises(DeviceTimeoutError):
                 skin.read(2000, timeout=0.05)
-            assert time.monotonic() - begun < PATIENCE_S
+            assert time.monotonic() - begun < TEST_PATIENCE_S
             with pytest.raises(ValueError, match="samples"):
                 skin.read(0)
 
@@ -306,13 +306,13 @@ class SkinContract(_Contract):
         """Numbers of samples go on."""
         skin = make()
         with skin:
-            skin.read(5, PATIENCE_S)
+            skin.read(5, TEST_PATIENCE_S)
             before = skin.counters.samples
         skin.close()
         with pytest.raises(DeviceError):
             skin.read(1)
         with skin:
-            assert skin.read(5, PATIENCE_S).number[0] >= before
+            assert skin.read(5, TEST_PATIENCE_S).number[0] >= before
             assert skin.counters.connects == 2
 
 
@@ -343,7 +343,7 @@ class CameraContract(_Contract):
             shape = device.camera.height, device.camera.width
             before = time.monotonic()
             for _ in range(3):
-                view = device.capture(PATIENCE_S)
+                view = device.capture(TEST_PATIENCE_S)
                 assert before < view.time <= time.monotonic()
                 before = view.time
                 assert view.depth.shape == shape
@@ -361,9 +361,9 @@ class CameraContract(_Contract):
         """It gives views again."""
         camera = make()
         with camera:
-            camera.capture(PATIENCE_S)
+            camera.capture(TEST_PATIENCE_S)
         camera.close()
         with pytest.raises(NotConnectedError):
             camera.capture()
         with camera:
-            camera.capture(PATIENCE_S)
+            camera.capture(TEST_PATIENCE_S)

@@ -266,7 +266,16 @@ def devices(rs: Any) -> list[tuple[str, str]]:
 
 
 def _camera(lens: Any) -> Camera:
-    return Camera(lens.width, lens.height, lens.fx, lens.fy, lens.ppx, lens.ppy, lens.model.name, tuple(lens.coeffs))
+    return Camera(
+        width=lens.width,
+        height=lens.height,
+        fx=lens.fx,
+        fy=lens.fy,
+        cx=lens.ppx,
+        cy=lens.ppy,
+        model=lens.model.name,
+        coefficients=tuple(lens.coeffs),
+    )
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -63,7 +63,7 @@ class Rig:
     centre: tuple[float, float, float] = (0.0, 0.0, 0.03)  # m, its centre of mass in the flange
     T_tool_camera: Array = field(default_factory=lambda: _pose(0.0, 0.0, -0.064))  # the paper's: 64 mm behind the skin
     looking_distance: float = 0.104  # m from the camera to the surface it looks at
-    camera: Camera = field(default_factory=lambda: Camera(640, 360, 322.4, 322.1, 319.5, 179.5))
+    camera: Camera = field(default_factory=lambda: Camera(640, 360, fx=322.4, fy=322.1, cx=319.5, cy=179.5))
     T_world_base: Array = field(default_factory=lambda: _pose(-0.4, 0.0, 0.0))
     T_world_object: Array = field(default_factory=lambda: np.eye(4))
     object_from: str = "given"  # or registration: the pose is where registering its depth starts from

@@ -43,7 +43,7 @@ from i2t.types import PAD_WINDOW, Array
 CORNER_SIGNS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the corners, in their order around
 TILT_RAD = math.radians(6)  # of the tool while it touches
 CLEARANCE_M = 6e-3  # above the flat, from where the lowest corner is lowered
-OVERTRAVEL_M = 5e-3  # past where it should touch, after which there is no flat
+MAX_OVERTRAVEL_M = 5e-3  # past where it should touch, after which there is no flat
 TRANSFER_SPEED_M_S, LOWERING_SPEED_M_S = 0.05, 0.02
 APPROACH_ACCELERATION_M_S2 = 0.1
 SPEED_M_S, STOP_FORCE_N = 2e-3, 2.0  # a corner gives some newtons per millimetre
@@ -51,7 +51,7 @@ SOFT_M_PER_CUBE_ROOT_N, STIFFNESS_N_PER_M = 0.8e-3, 1e4  # m/N^(1/3), N/m: a gue
 FELT_SHARE, MIN_LOOKS = 0.2, 5  # of the last force, above which it counts as felt; looks that must feel it
 MAX_SHIFT_M, MAX_TILT_RAD = 5e-3, math.radians(4)  # what is further from the rig was no touch of a flat
 
-RENAMED_FLAGS = {"--stale": "--state-timeout", "--watchdog": "--watchdog-rate"}
+RENAMED_TOUCH_OFF_FLAGS = {"--stale": "--state-timeout", "--watchdog": "--watchdog-rate"}
 
 
 class FittedPlane(NamedTuple):
@@ -183,7 +183,7 @@ def touch_off(
     """
     starts = [_start(side, at, height) for side in CORNER_SIGNS]
     for start in starts:
-        for goal in (start, shifted_along_z(start, CLEARANCE_M + OVERTRAVEL_M)):
+        for goal in (start, shifted_along_z(start, CLEARANCE_M + MAX_OVERTRAVEL_M)):
             limits.check(goal, SPEED_M_S, APPROACH_ACCELERATION_M_S2)
     top = max(start[2, 3] for start in starts) + CLEARANCE_M
     touches = []
@@ -219,11 +219,11 @@ def _touch_corner(arm: GuardedArm, side: tuple[int, int], start: Array) -> float
         looks.append((float((state.T_b_t[:3, 3] - start[:3, 3]) @ start[:3, 2]), float(-state.wrench[2])))
 
     done = arm.approach(
-        CLEARANCE_M + OVERTRAVEL_M, SPEED_M_S, look, force=STOP_FORCE_N, acceleration=APPROACH_ACCELERATION_M_S2
+        CLEARANCE_M + MAX_OVERTRAVEL_M, SPEED_M_S, look, force=STOP_FORCE_N, acceleration=APPROACH_ACCELERATION_M_S2
     )
     if done.reason != "force":
         raise DeviceError(
-            f"corner {side} met no flat within {1e3 * (CLEARANCE_M + OVERTRAVEL_M):g} mm: check its height"
+            f"corner {side} met no flat within {1e3 * (CLEARANCE_M + MAX_OVERTRAVEL_M):g} mm: check its height"
         )
     look(done.trigger)
     try:
@@ -248,7 +248,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--watchdog-rate", type=float, default=10.0, help="Hz, how often the controller must hear from us"
     )
     parser.add_argument("--write", action="store_true", help="put what is found into the rig")
-    renamed_flags(sys.argv[1:] if arguments is None else arguments, RENAMED_FLAGS)
+    renamed_flags(sys.argv[1:] if arguments is None else arguments, RENAMED_TOUCH_OFF_FLAGS)
     asked = parser.parse_args(arguments)
     return ended(lambda: _touch_off(asked), "stopped; the rig is as it was")
 

@@ -1,4 +1,4 @@
-"""The command as a lab types it (`--arm ur --skin reskin --camera folder`), before stand-ins started by hand."""
+"""The command as a lab types it (`--arm ur --skin reskin --camera folder`), with emulators started by hand."""
 
 import sys
 from dataclasses import replace
@@ -28,7 +28,7 @@ PATIENT = ["--state-timeout", "3", "--watchdog-rate", "0.5"]  # on a busy machin
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory):
-    """Stand-ins over a star that stands where it is believed; a rig, and the view of its first site."""
+    """Emulators over a star that stands where it is believed; a rig, and the view of its first site."""
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
     path = tmp_path_factory.mktemp("lab")
     rig = replace(Rig(), camera=Camera(160, 90, 80.6, 80.5, 79.5, 44.5))

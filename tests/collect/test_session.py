@@ -1,4 +1,4 @@
-"""The command on its simulated defaults: it collects, resumes, rehearses dry, and says what is wrong."""
+"""The command on its simulated defaults: it collects, resumes, checks dry, and says what is wrong."""
 
 import os
 import signal
@@ -8,6 +8,7 @@ import pytest
 
 from i2t import dataset
 from i2t.collect import command, recorder, session
+from i2t.collect.arguments import CollectArgs
 from i2t.hardware.rig import Rig
 from i2t.types import ReturnCode
 
@@ -21,7 +22,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def rig(folder):
-    """The rig of the stand-ins with a smaller image."""
+    """The rig of the emulators with a smaller image."""
     from dataclasses import replace
 
     from i2t.depth.camera import Camera
@@ -91,7 +92,7 @@ def test_sigterm_stops_it_and_keeps_everything(folder, rig, capsys):
     def stop(outcome):
         os.kill(os.getpid(), signal.SIGTERM)
 
-    args = command.CollectArgs(out=folder / "stopped", rig=rig, touches=5)
+    args = CollectArgs(out=folder / "stopped", rig=rig, touches=5)
     before = signal.signal(signal.SIGTERM, command.end_by_signal)
     try:
         with pytest.raises(SystemExit) as ended:

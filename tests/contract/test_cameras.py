@@ -12,7 +12,7 @@ from i2t.emulators.scene import ObjectScene
 from i2t.hardware import camera_folder
 from i2t.hardware.camera_folder import RecordedDepthCamera
 from i2t.hardware.clock import MonotonicClock
-from i2t.hardware.contract import PATIENCE_S, CameraContract
+from i2t.hardware.contract import TEST_PATIENCE_S, CameraContract
 from i2t.hardware.protocols import DepthCamera, View
 from i2t.hardware.realsense import RealSense
 from i2t.objects import catalogue
@@ -28,7 +28,7 @@ class OurCameras(CameraContract):
     def test_the_lens_is_that_of_its_views(self, make) -> None:
         with make() as device:
             assert device.camera == CAMERA
-            view = device.capture(PATIENCE_S)
+            view = device.capture(TEST_PATIENCE_S)
             assert view.colour is not None
             assert view.depth.shape == (48, 64)
 

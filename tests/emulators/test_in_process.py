@@ -8,14 +8,14 @@ from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import TICK_S, SimulatedArm, SimulatedCamera, SimulatedLab, SimulatedSkin, VirtualClock
-from i2t.emulators.scene import LOADS_N, ContactModel, SpringPlane, ObjectScene, _meet
-from i2t.simulation.depth_camera import render_view
+from i2t.emulators.scene import LOADS_N, ContactModel, ObjectScene, SpringPlane, _meet
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.hardware.clock import MonotonicClock
 from i2t.hardware.limits import MotionLimits
 from i2t.hardware.protocols import Arm, DepthCamera, Skin
 from i2t.hardware.rig import Rig
 from i2t.objects import catalogue
+from i2t.simulation.depth_camera import render_view
 from i2t.skin import boards
 from i2t.skin.pad import nominal_pad
 
@@ -36,7 +36,9 @@ def pose(x, y, z, turned=DOWN):
 
 
 def lab(errors=QUIET, clock=None, stiffness=10e3):
-    return SimulatedLab(SpringPlane(HEIGHT, stiffness, GAIN, errors, boards.reskin_board()), clock or VirtualClock(WALL))
+    return SimulatedLab(
+        SpringPlane(HEIGHT, stiffness, GAIN, errors, boards.reskin_board()), clock or VirtualClock(WALL)
+    )
 
 
 def test_they_are_what_the_protocols_say(scene):
@@ -77,15 +79,15 @@ def test_a_softer_mount_sinks_by_force_through_stiffness(scene):
         soft = scene.ahead(pose(0.4, 0.0, 0.07))
     finally:
         scene.stiffness = hard
-    np.testing.assert_allclose(soft.sunk - line.sunk, line.force * (1 / 2e3 - 1 / hard), atol=1e-9)
+    np.testing.assert_allclose(soft.past_contact - line.sunk, line.force * (1 / 2e3 - 1 / hard), atol=1e-9)
 
 
 def test_nothing_is_met_beside_the_object_and_off_the_line(scene):
     line = scene.ahead(pose(0.5, 0.0, 0.07))
     assert line.first == np.inf
     assert line.contact_at(0.1)[0] == 0.0
-    assert line.on(np.array([0.5, 0.0, 0.05]), DOWN) == pytest.approx(0.02)
-    assert line.on(np.array([0.501, 0.0, 0.05]), DOWN) is None
+    assert line.distance_along(np.array([0.5, 0.0, 0.05]), DOWN) == pytest.approx(0.02)
+    assert line.distance_along(np.array([0.501, 0.0, 0.05]), DOWN) is None
     feeler = ContactModel(scene)
     for x in np.linspace(0.35, 0.45, 20):  # through the object, but never standing
         assert not feeler(np.array([x, 0.0, 0.01]), DOWN).any()
@@ -110,17 +112,17 @@ def test_a_tool_that_goes_back_behind_the_beginning_of_a_line_meets_what_is_ther
     assert np.linalg.norm(model(np.array([0.3725, 0.0, 0.01]), sideways)[:3]) > 0.3
 
 
-def test_a_feeler_beside_the_work_finds_the_same(scene):
-    waits, beside = ContactModel(scene), ContactModel(scene, wait=False)
-    for feeler in (waits, beside):
+def test_a_contact_model_in_a_thread_finds_the_same(scene):
+    waits, threaded = ContactModel(scene), ContactModel(scene, wait=False)
+    for model in (waits, threaded):
         for _ in range(10):
-            feeler(np.array([0.4, 0.0, 0.07]), DOWN)
-    assert beside._coming is not None
-    beside._coming.result()
+            model(np.array([0.4, 0.0, 0.07]), DOWN)
+    assert threaded._coming is not None
+    threaded._coming.result()
     at = np.array([0.4, 0.0, 0.0297])
-    np.testing.assert_allclose(beside(at, DOWN), waits(at, DOWN), rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(threaded(at, DOWN), waits(at, DOWN), rtol=1e-5, atol=1e-7)
     assert waits(at, DOWN)[2] > 0.3
-    np.testing.assert_allclose(beside.reading, waits.reading, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(threaded.reading, waits.reading, rtol=1e-4, atol=1e-4)
 
 
 def test_force_off_the_middle_gives_a_torque(scene):
@@ -204,7 +206,7 @@ def test_an_arm_feels_what_it_meets_however_short_it_stood_before():
     inside = lab()
     with SimulatedArm(inside, BOX) as arm:
         arm.go(pose(0.4, 0.0, 0.05))
-        assert inside.feeler._line is None
+        assert inside.contact_model._line is None
         arm.go(pose(0.4, 0.0, HEIGHT - 0.5e-3), 0.05)
         np.testing.assert_allclose(arm.state().wrench, [0, 0, -5, 0, 0, 0], atol=1e-6)
 

@@ -1,4 +1,4 @@
-"""The report of faults on its debug preset, and real drivers before stand-ins, killed once."""
+"""The report of faults on its debug preset, and real drivers with emulators, killed once."""
 
 import json
 import os
@@ -42,7 +42,7 @@ def test_sizes_shrink_to_one_of_each():
     assert worst([0.3, 0.1, 0.2]) == "median 200 ms, worst 300 ms"
 
 
-def test_real_drivers_collect_before_stand_ins_are_killed_and_go_on(tmp_path):
+def test_real_drivers_collect_with_emulators_are_killed_and_go_on(tmp_path):
     """A springy plane, and a skin that feels nothing of it: presses end by force. `kill -9` in the second touch."""
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
     if sys.platform != "linux":

@@ -36,7 +36,7 @@ def test_what_is_kept_comes_back_in_order(views):
         before = -np.inf
         for number in range(3):
             view = camera.capture()
-            np.testing.assert_allclose(view.depth, DEPTH + 0.1 * number, atol=camera_folder.UNIT / 2 + 1e-7)
+            np.testing.assert_allclose(view.depth, DEPTH + 0.1 * number, atol=camera_folder.DEPTH_UNIT_M / 2 + 1e-7)
             np.testing.assert_array_equal(view.colour, COLOUR + number)
             assert before < view.time <= time.monotonic()
             before = view.time

@@ -16,7 +16,7 @@ from i2t.errors import DeviceError
 from i2t.hardware import hand_eye
 from i2t.hardware.hand_eye import CharucoBoard
 from i2t.hardware.hand_eye_fit import BoardView, board_pose, closed_form, fit, pixel_rays
-from i2t.hardware.realsense import Colour
+from i2t.hardware.realsense import ColourImage
 from i2t.hardware.rig import Rig
 
 CAMERA = Camera(640, 360, 322.4, 322.1, 319.5, 179.5)
@@ -169,7 +169,7 @@ def taken(tmp_path_factory):
 
     class Taker:
         def colour(self):
-            return Colour(0.0, view(now[-1], texture, rng), CAMERA, T_c_colour)
+            return ColourImage(0.0, view(now[-1], texture, rng), CAMERA, T_c_colour)
 
     def arm():
         now.append(poses[len(now)])
