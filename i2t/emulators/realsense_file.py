@@ -31,9 +31,17 @@ def write(
 ) -> None:
     """Record views of one camera to a new .db3 file.
 
-    `unit` is metres per unit of depth, 0 is written where nothing was measured; colours are taken as the colour
-    camera's own, which has the same lens and stands at `T_depth_colour` (4, 4) in the depth camera. Raises RuntimeError
-    where the SDK cannot write the file.
+    Args:
+        path: Of the file.
+        camera: Lens of depth and of colour.
+        views: Depth in m; 0 is written where nothing was measured.
+        model: That the recording says.
+        unit: m per unit of depth.
+        rate: Hz.
+        T_depth_colour: (4, 4) where the colour camera stands in the depth camera.
+
+    Raises:
+        RuntimeError: The SDK cannot write the file.
     """
     import pyrealsense2 as rs
 

@@ -25,7 +25,7 @@ class BoardPublishingContactModel(ContactModel):
     Args:
         scene: What the tool meets.
         to: Address and port where the board listens.
-        wait: Work out contact lines at once, not beside.
+        wait: Work out contact lines at once, not in a thread.
     """
 
     def __init__(self, scene: TouchableScene, to: tuple[str, int], wait: bool = False) -> None:

@@ -110,7 +110,17 @@ class RecordedDepthCamera(CameraBase):
 
 
 def read_description(path: str | Path) -> tuple[Camera, float | str, str, float]:
-    """Lens, scale, encoding and nearest depth (m) of a folder of views; raises DeviceError with one sentence."""
+    """What the description of a folder of views holds.
+
+    Args:
+        path: The folder.
+
+    Returns:
+        The camera, the scale of depth files (m per unit, or its name), their encoding, and the nearest depth (m).
+
+    Raises:
+        DeviceError: One sentence that names the file and the field.
+    """
     file = Path(path) / DESCRIPTION
     try:
         table = tomllib.loads(file.read_text("utf-8"))
@@ -132,8 +142,19 @@ def read_description(path: str | Path) -> tuple[Camera, float | str, str, float]
 
 
 def save_views(path: str | Path, camera: Camera, views: Iterable[View]) -> Iterator[View]:
-    """Write views to a new folder as they pass; raises FileExistsError if there is one, OSError if it cannot be
-    written.
+    """Write views to a new folder as they pass.
+
+    Args:
+        path: The folder.
+        camera: That took them.
+        views: Depth in m.
+
+    Yields:
+        Each view, once it is written.
+
+    Raises:
+        FileExistsError: There is such a folder.
+        OSError: It cannot be written.
     """
     path = Path(path)
     for sub in (path, path / "depth"):

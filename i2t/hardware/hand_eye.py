@@ -93,8 +93,17 @@ class CharucoBoard:
 
 
 def estimate(path: Path, board: CharucoBoard) -> tuple[HandEyeResult, Array, list[str]]:
-    """What a folder of views tells, T_camera_image of its images (4, 4), and the names of the images that were used.
-    Raises ValueError with one sentence.
+    """The camera in the tool, from a folder of views.
+
+    Args:
+        path: The folder.
+        board: That the images show.
+
+    Returns:
+        The estimate, T_camera_image (4, 4) of its images, and the names of the images that were used.
+
+    Raises:
+        ValueError: One sentence that names the file.
     """
     camera, T_c_image = _lens(path / "camera.toml")
     views, names = [], []
@@ -125,8 +134,17 @@ def estimate(path: Path, board: CharucoBoard) -> tuple[HandEyeResult, Array, lis
 def capture(
     path: Path, camera: Any, pose: Callable[[], Array], more: Callable[[int], bool], board: CharucoBoard
 ) -> int:
-    """Keep colour images of a connected `RealSense` and the tool's poses in a new folder, as long as `more(number)`
-    says so; returns how many.
+    """Keep colour images and the tool's poses in a new folder.
+
+    Args:
+        path: The folder.
+        camera: A connected `RealSense`.
+        pose: Gives T_b_t (4, 4) now.
+        more: Whether to take view number n.
+        board: That the images show.
+
+    Returns:
+        How many views were taken.
     """
     (path / "images").mkdir(parents=True)
     number = 0
@@ -150,7 +168,17 @@ def capture(
 
 
 def tool_pose(host: str) -> Array:
-    """T_b_t (4, 4) of a UR arm now, without controlling it; raises DeviceError."""
+    """Where the tool of a UR arm is now, without controlling it.
+
+    Args:
+        host: Address of the controller.
+
+    Returns:
+        (4, 4) T_b_t.
+
+    Raises:
+        DeviceError: The controller does not answer, or ur_rtde is missing.
+    """
     from i2t.hardware.ur.access import check_reachable
     from i2t.hardware.ur.poses import from_ur
 

@@ -63,8 +63,15 @@ class ColourImage(NamedTuple):
 
 
 def nearest(model: str, width: int, height: int) -> float:
-    """Nearest depth (m) that a model measures at an image size, by its maker, who states it for six sizes: the next
-    larger counts. NaN where it is not known.
+    """Nearest depth that a model measures, by its maker, who states it for six image sizes: the next larger counts.
+
+    Args:
+        model: Such as "D405", or the name that the device tells.
+        width: Pixels.
+        height: Pixels.
+
+    Returns:
+        m; NaN where it is not known.
     """
     for name, listed in NEAREST_MM.items():
         for size, least in zip(SIZES_PX, listed, strict=True):
@@ -74,7 +81,17 @@ def nearest(model: str, width: int, height: int) -> float:
 
 
 def check_distance(model: str, width: int, height: int, distance: float) -> None:
-    """Refuse (DeviceError) a camera that measures nothing as near as it is to look (m)."""
+    """Refuse a camera that measures nothing as near as it is to look.
+
+    Args:
+        model: Such as "D405".
+        width: Pixels.
+        height: Pixels.
+        distance: m, from which it is to look.
+
+    Raises:
+        DeviceError: With what to change.
+    """
     least = nearest(model, width, height)
     if distance < least:
         fits = [f"{w} x {h}" for w, h in SIZES_PX if nearest(model, w, h) <= distance]

@@ -79,7 +79,7 @@ def test_a_softer_mount_sinks_by_force_through_stiffness(scene):
         soft = scene.ahead(pose(0.4, 0.0, 0.07))
     finally:
         scene.stiffness = hard
-    np.testing.assert_allclose(soft.past_contact - line.sunk, line.force * (1 / 2e3 - 1 / hard), atol=1e-9)
+    np.testing.assert_allclose(soft.past_contact - line.past_contact, line.force * (1 / 2e3 - 1 / hard), atol=1e-9)
 
 
 def test_nothing_is_met_beside_the_object_and_off_the_line(scene):
