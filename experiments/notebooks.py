@@ -24,7 +24,7 @@ LIMIT = 900  # s for one cell
 
 
 @dataclass(frozen=True)
-class Args:
+class NotebookArgs:
     """Run notebooks and write them as HTML."""
 
     names: tyro.conf.Positional[tuple[str, ...]] = ()  # all, unless named
@@ -35,11 +35,11 @@ class Args:
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     return reported(
-        partial(run, tyro.cli(Args, args=argv, description=__doc__, prog="python -m experiments.notebooks"))
+        partial(run, tyro.cli(NotebookArgs, args=argv, description=__doc__, prog="python -m experiments.notebooks"))
     )
 
 
-def run(args: Args) -> list[Path]:
+def run(args: NotebookArgs) -> list[Path]:
     """The files written. Raises ValueError for a name that is none, or where Jupyter is missing."""
     known = sorted(path.stem for path in FOLDER.glob("*.ipynb"))
     unknown = [name for name in args.names if name not in known]

@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator, PercentFormatter
 from i2t.recognition.metrics import Estimate, Reliability
 from i2t.viz.style import COLOURS, GREY, titled
 
-MARKERS = "osD^vPX"
+METHOD_MARKERS = "osD^vPX"
 LINES = ("-", "--", "-.", ":")
 
 
@@ -173,5 +173,5 @@ def _finish(axes: Axes) -> None:
 
 def _styles() -> Iterator[dict[str, Any]]:
     """Colour, marker and line of the first, second, ... method."""
-    for i, (colour, marker) in enumerate(zip(cycle(COLOURS), cycle(MARKERS), strict=False)):
+    for i, (colour, marker) in enumerate(zip(cycle(COLOURS), cycle(METHOD_MARKERS), strict=False)):
         yield {"color": colour, "marker": marker, "linestyle": LINES[i % len(LINES)]}

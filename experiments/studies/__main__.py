@@ -72,7 +72,7 @@ RENAMED_STUDIES = {
     "many": "object_count",
     "pad": "new_pad",
 }
-RENAMED_FLAGS = {
+RENAMED_STUDY_FLAGS = {
     "--run": "--trained-run",
     "--sittings": "--episodes",
     "--placements": "--pose-errors",
@@ -83,7 +83,7 @@ RENAMED_FLAGS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
-    renamed_flags(words, RENAMED_FLAGS)
+    renamed_flags(words, RENAMED_STUDY_FLAGS)
     if words and words[0] in RENAMED_STUDIES:
         print(f"error: the study {words[0]} is called {RENAMED_STUDIES[words[0]]} now", file=sys.stderr)
         return 2

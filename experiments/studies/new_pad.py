@@ -19,7 +19,7 @@ from i2t.types import Board, Pad
 
 PRESS_COUNTS = (5, 20, 100)
 BALL = RoundTip("sphere", 4e-3)
-FIRST_PAD_SEED = 5000  # of the pads that were never recorded, apart from those of the runs
+FIRST_NEW_PAD_SEED = 5000  # of the pads that were never recorded, apart from those of the runs
 PRESS_HALF_WIDTH_M = 8e-3
 PRESS_FORCES_N = (0.2, 1.0)
 FORCE_NOISE_N = 0.02
@@ -28,7 +28,7 @@ FORCE_NOISE_N = 0.02
 def evaluate(lab: StudyLab) -> Part:
     """The same episodes with a pad that was never recorded, by pad models that know it better and better."""
     key_sites, key_episodes, key_chosen, key_fit = jax.random.split(lab.key, 4)
-    pad = sample_pad(jax.random.key(FIRST_PAD_SEED + lab.seed), board=lab.run.dataset.board)
+    pad = sample_pad(jax.random.key(FIRST_NEW_PAD_SEED + lab.seed), board=lab.run.dataset.board)
     models = fit_models(lab, key_fit, pad)
     plan, particles = lab.plan(key_sites, key_chosen), lab.particles()
     tables = lab.predict(plan.sites, particles, [model.reading_model for model in models.values()], "new pad")

@@ -21,7 +21,7 @@ from i2t.recognition.metrics import to_json
 from i2t.recognition.site_pool import draw_random_sites, prepare_surfaces
 
 COUNTS, DEBUG_COUNTS = (10, 25, 50), (3,)
-EPISODES, DEBUG_EPISODES = 100, 4  # at least, with each number of objects
+MIN_EPISODES, DEBUG_COUNT_EPISODES = 100, 4  # at least, with each number of objects
 TOUCHES, NUM_SITES, NUM_PARTICLES = 20, 8, 64
 DEBUG_TOUCHES, DEBUG_NUM_SITES, DEBUG_NUM_PARTICLES = 3, 2, 8
 MAX_FACES = 2048  # of a scanned mesh
@@ -46,7 +46,7 @@ def evaluate(lab: StudyLab) -> Part:
         chosen = tuple(str(name) for name in names[:count])
         surfaces = prepare_surfaces([meshes[name] for name in chosen])
         some = replace(lab, names=chosen, surfaces=surfaces, cfg=cfg)
-        found[f"{count} objects"] = evaluate_objects(some, DEBUG_EPISODES if debug else max(EPISODES, count))
+        found[f"{count} objects"] = evaluate_objects(some, DEBUG_COUNT_EPISODES if debug else max(MIN_EPISODES, count))
     return found
 
 

@@ -32,13 +32,13 @@ VALIDATION_UNKNOWN = ("pentagon", "pyramid", "dome", "cone", "ellipsoid", "torus
 VALIDATION_KNOWN = ("triangle", "octagon", "stairs", "ridge", "cutter")
 NUM_SURROGATES, DEBUG_NUM_SURROGATES = 48, 2
 DEBUG_OBJECTS = 2  # of each kind
-MAX_PARTICLES = 64  # of each object, of surrogates too
+OPEN_SET_PARTICLES = 64  # of each object, of surrogates too
 PRIOR_UNKNOWN = 0.5
 UNKNOWN_SHARES = (0.01, 0.25, 0.5)  # of the episodes, for which accuracies are reported
 NUM_BINS = 10  # of a calibration error
 
 
-class ObjectSet(NamedTuple):
+class OpenSetObjects(NamedTuple):
     """Known objects, unknown ones, and surrogates, in this order."""
 
     known: tuple[str, ...]
@@ -65,8 +65,8 @@ def evaluate(lab: StudyLab) -> Part:
     key_test, key_validation = jax.random.split(lab.key)
     some = DEBUG_OBJECTS if lab.args.debug else None
     surrogates = DEBUG_NUM_SURROGATES if lab.args.debug else NUM_SURROGATES
-    validation = ObjectSet(VALIDATION_KNOWN[:some], VALIDATION_UNKNOWN[:some], surrogates)
-    test = ObjectSet(lab.names, TEST_UNKNOWN[:some], surrogates)
+    validation = OpenSetObjects(VALIDATION_KNOWN[:some], VALIDATION_UNKNOWN[:some], surrogates)
+    test = OpenSetObjects(lab.names, TEST_UNKNOWN[:some], surrogates)
     meshes = validation.meshes(), test.meshes()
     surfaces = prepare_surfaces([*meshes[0], *meshes[1]])  # of one size class, so that they compile once
     count = len(meshes[0])
@@ -76,13 +76,13 @@ def evaluate(lab: StudyLab) -> Part:
 
 
 def evaluate_set(
-    lab: StudyLab, key: jax.Array, objects: ObjectSet, surfaces: list[Surface], label: str
+    lab: StudyLab, key: jax.Array, objects: OpenSetObjects, surfaces: list[Surface], label: str
 ) -> OpenSetEpisodes:
     """Beliefs in episodes with known objects, then in as many with unknown ones."""
     key_sites, key_episodes, key_chosen = jax.random.split(key, 3)
     known, unknown = len(objects.known), len(objects.unknown)
     believed = surfaces[:known] + surfaces[known + unknown :]
-    cfg = replace(lab.cfg, num_particles=min(lab.cfg.num_particles, MAX_PARTICLES))
+    cfg = replace(lab.cfg, num_particles=min(lab.cfg.num_particles, OPEN_SET_PARTICLES))
     lab = replace(lab, surfaces=believed, cfg=cfg)
     sites = sample_sites(key_sites, surfaces[:known], objects.known, cfg.num_sites, cfg.site_limits)
     particles = lab.particles()

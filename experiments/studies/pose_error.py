@@ -21,7 +21,7 @@ from i2t.recognition.metrics import Estimate, to_json
 from i2t.recognition.paper_rules import paper_rules
 from i2t.recognition.site_pool import draw_informative_sites, sample_sites
 
-RULES = ("votes", "product")
+COMPARED_RULES = ("votes", "product")
 NOISY_POSE_ERROR_MM = 1.0  # pose error at which noisy views are tried
 M_PER_MM = 1e-3
 DEBUG_POSE_ERRORS_MM, DEBUG_VIEW_NOISE_MM = (0.0, 1.0), (0.3,)
@@ -67,7 +67,7 @@ def evaluate_set(lab: StudyLab, key: jax.Array, name: str, names: Sequence[str])
         for noise in (0.0, *view_noises) if pose_error == NOISY_POSE_ERROR_MM else (0.0,):
             std = lab.pad_model.reading_std
             beliefs = paper_rules(lab.run.predictor, std, surfaces, episodes, view_noise=noise * M_PER_MM)
-            kept = {rule: p for rule, p in beliefs.items() if rule.endswith(RULES)}
+            kept = {rule: p for rule, p in beliefs.items() if rule.endswith(COMPARED_RULES)}
             found[World(name, pose_error, noise)] = {"truth": truth, **kept}
     return found
 
@@ -107,7 +107,7 @@ def compare_rules(parts: Sequence[Part]) -> tuple[dict[str, Any], dict[str, Esti
     truth = columns["truth"]
     entry: dict[str, Any] = {"episodes": len(truth)}
     differences = {}
-    for rule in RULES:
+    for rule in COMPARED_RULES:
         ours, theirs = (metrics.hits(columns[f"{source}, {rule}"], truth) for source in ("I2T", "proprioception"))
         differences[rule] = metrics.compare_paired(ours, theirs).last
         entry[rule] = {

@@ -31,10 +31,10 @@ from i2t.simulation.touches import SessionErrors, SimulationErrors
 from i2t.types import Array
 
 TRANSLATION_STD_M, ROTATION_STD_RAD = 5e-3, math.radians(5.0)  # of the placement, along and about each axis
-CAMERA_DISTANCE_M = 0.12  # from which the camera looks, down by 45 degrees
+SIDE_VIEW_DISTANCE_M = 0.12  # from which the camera looks, down by 45 degrees
 VIEW_HEIGHT_M = 15e-3  # above the table, of the point that it looks at
 KINDS = ("fused", "tactile only")
-FOUND = "found by a view"
+FOUND_BY_VIEW = "found by a view"
 ERRORS = ("position_error", "rotation_error", "refused", "others_refused")
 
 
@@ -62,7 +62,7 @@ def evaluate(lab: StudyLab) -> Part:
     sessions = jax.device_get(session_errors(jax.random.clone(key_episodes), len(plan.truth), errors))
     poses = register_views(meshes_by_name(lab.names), plan.truth, sessions, errors, lab.seed)
     beliefs = evaluate_registered(lab, jax.random.clone(key_episodes), plan, poses, errors)
-    found |= {f"{kind}, {FOUND}": p for kind, p in beliefs.items()}
+    found |= {f"{kind}, {FOUND_BY_VIEW}": p for kind, p in beliefs.items()}
     return found | registration_errors(plan.truth, poses, sessions)
 
 
@@ -77,7 +77,7 @@ def evaluate_registered(
     )
     sites = SitePool(jnp.float32(T_w_site.reshape(-1, 4, 4)), owner.reshape(-1))
     moved = EpisodePlan(sites, plan.truth, np.arange(plan.chosen.size).reshape(plan.chosen.shape))
-    episodes = lab.simulate(key, moved, FOUND, errors=errors)
+    episodes = lab.simulate(key, moved, FOUND_BY_VIEW, errors=errors)
     table = predict_registered(lab, particles, T_w_site, poses)
     return run_belief(table, episodes, lab.pad_model.likelihood, particles, KINDS)
 
@@ -141,7 +141,7 @@ def _camera_pose() -> Array:
     y = np.cross(z, [0.0, 1.0, 0.0])
     T = np.eye(4)
     T[:3, :3] = np.stack([np.cross(y, z), y, z], axis=1)
-    T[:3, 3] = -CAMERA_DISTANCE_M * z + [0.0, 0.0, VIEW_HEIGHT_M]
+    T[:3, 3] = -SIDE_VIEW_DISTANCE_M * z + [0.0, 0.0, VIEW_HEIGHT_M]
     return T
 
 

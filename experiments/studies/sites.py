@@ -19,7 +19,7 @@ from i2t.types import PAD_WINDOW, Surface
 
 PIXELS = 20  # over the skin
 CONTACT_DEPTH_M = 1e-3  # what lies so near to a contact's nearest point is pressed
-MIN_PROBABILITY = 1e-6  # no logarithm of a smaller one is taken
+
 # Shares of the skin under which the surface is pressed: an edge through the middle has a half, a corner a quarter.
 SHARES = {"flat": (0.95, 1.01), "edge": (0.375, 0.95), "corner or narrow": (0.0, 0.375)}
 
@@ -68,4 +68,4 @@ def information_bits(p: np.ndarray, truth: np.ndarray) -> np.ndarray:
     information as far as the belief is calibrated.
     """
     right = p.astype(np.float64)[np.arange(len(p)), truth]
-    return np.log2(np.clip(right, MIN_PROBABILITY, 1) * p.shape[1])
+    return np.log2(np.clip(right, metrics.PROBABILITY_FLOOR, 1) * p.shape[1])

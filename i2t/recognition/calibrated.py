@@ -18,7 +18,7 @@ from scipy.special import expit, logit, logsumexp
 
 from i2t.recognition import belief
 from i2t.recognition.belief import TEMPERATURE_SCALING, TemperatureScaling
-from i2t.recognition.metrics import MIN_PROBABILITY, Estimate, of_truth, student_interval, wilson_interval
+from i2t.recognition.metrics import PROBABILITY_FLOOR, Estimate, of_truth, student_interval, wilson_interval
 from i2t.types import Array
 
 # --- temperature scaling of the objects ---
@@ -121,7 +121,7 @@ def apply_platt(
 
 def _log_odds(p: Array) -> np.ndarray:
     """Log odds, clipped to what single precision can tell."""
-    return logit(np.clip(np.asarray(p, np.float64), MIN_PROBABILITY, 1 - MIN_PROBABILITY))
+    return logit(np.clip(np.asarray(p, np.float64), PROBABILITY_FLOOR, 1 - PROBABILITY_FLOOR))
 
 
 # --- conformal sets ---

@@ -21,7 +21,7 @@ from i2t.types import Array
 COVERAGE = 0.95  # of every interval
 RESAMPLES = 1000  # of a bootstrap
 TIE_TOLERANCE = 1e-6  # probabilities that differ by less are equal: sums of votes in float32
-MIN_PROBABILITY = 1e-6  # no logarithm of a smaller one is taken
+PROBABILITY_FLOOR = 1e-6  # no logarithm of a smaller one is taken
 BINS = 15
 
 
@@ -347,13 +347,13 @@ def _bin_numbers(confidences: np.ndarray, bins: int, equal_mass: bool) -> np.nda
 
 
 def log_loss(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, "e t"]:
-    """Minus the natural logarithm of the probability of the truth, which counts as `MIN_PROBABILITY` at least.
+    """Minus the natural logarithm of the probability of the truth, which counts as `PROBABILITY_FLOOR` at least.
 
     Args:
         p: Beliefs.
         truth: Classes that were there.
     """
-    return -np.log(np.clip(of_truth(p, truth), MIN_PROBABILITY, 1))
+    return -np.log(np.clip(of_truth(p, truth), PROBABILITY_FLOOR, 1))
 
 
 def brier(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, "e t"]:

@@ -69,7 +69,7 @@ def test_a_study_answers_to_its_old_name_with_the_new_one(old, new, capsys):
     assert error == f"error: the study {old} is called {new} now\n"
 
 
-@pytest.mark.parametrize(("old", "new"), studies.RENAMED_FLAGS.items())
+@pytest.mark.parametrize(("old", "new"), studies.RENAMED_STUDY_FLAGS.items())
 def test_a_flag_answers_to_its_old_name_with_the_new_one(old, new, capsys):
     with pytest.raises(SystemExit):
         studies.main(["policy", old, "1"])

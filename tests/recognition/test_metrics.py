@@ -154,7 +154,7 @@ def test_chance_tells_how_often_a_calibrated_forecaster_seems_worse():
 def test_losses_by_hand():
     p = np.array([[[0.7, 0.2, 0.1]], [[1.0, 0.0, 0.0]]])
     truth = np.array([0, 2])
-    np.testing.assert_allclose(scores.log_loss(p, truth)[:, 0], [-np.log(0.7), -np.log(scores.MIN_PROBABILITY)])
+    np.testing.assert_allclose(scores.log_loss(p, truth)[:, 0], [-np.log(0.7), -np.log(scores.PROBABILITY_FLOOR)])
     np.testing.assert_allclose(scores.brier(p, truth)[:, 0], [0.3**2 + 0.2**2 + 0.1**2, 2])
 
 
