@@ -1,4 +1,4 @@
-"""Question: which object is it, told by touch, and how sure can one be?
+"""Question: which object is it, by touch, and how sure can one be?
 
     python -m experiments.recognize                       on runs/train of python -m experiments.train
     python -m experiments.recognize --preset debug        a handful of episodes, too few to mean anything

@@ -294,9 +294,9 @@ def evidence(
     spatial = jnp.logaddexp(inlier, outlier)
     presence = _presence_log_probability(observation.contact, predicted, distance, end_variance, likelihood)
 
-    # The position is learnt from only with the probability that it is no outlier.
-    learnt = observation.contact & (likelihood.spatial_weight > 0)
-    inlier_probability = jnp.where(learnt, jnp.exp(inlier - spatial), 0.0)
+    # The pose is updated only with the probability that the position is no outlier.
+    informative = observation.contact & (likelihood.spatial_weight > 0)
+    inlier_probability = jnp.where(informative, jnp.exp(inlier - spatial), 0.0)
     new_mean, new_covariance = _kalman_mixture(
         mean, covariance, error=error, cross_covariance=cross_covariance, variance=end_variance,
         inlier_probability=inlier_probability,

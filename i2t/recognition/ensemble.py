@@ -84,7 +84,7 @@ def _mean_so_far(each: Float[Array, "n objects"]) -> Float[Array, "n objects"]:
 def choose_hypothesis(
     key: Key[Array, ""], belief: Float[Array, " objects"], touches: Int[Array, ""] | int
 ) -> Int[Array, ""]:
-    """The object to be told from the others next: any before the first touch, the most probable one after it.
+    """The object to be distinguished from the others next: any before the first touch, the most probable one after it.
 
     Args:
         key: Of the first choice.

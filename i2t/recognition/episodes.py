@@ -59,7 +59,7 @@ class Episodes(NamedTuple):
 
 
 class EpisodeSimulator:
-    """Simulated episodes that go on touch by touch, so that sites may be chosen by what was felt."""
+    """Simulated episodes that go on touch by touch, so that sites may be chosen by what was measured."""
 
     def __init__(
         self,

@@ -50,7 +50,9 @@ def paper_rules(
     # Rendered views have no noise to be smoothed away.
     predictor = predictor.with_pressure(smooth=view_noise > 0, cell=PRESSURE_GRID.spacing)
     rng = np.random.default_rng(0)
-    predicted = [predict_at_contacts(predictor, surface, T, force, view_noise, rng) for surface in surfaces]
+    predicted = [
+        _predict_at_contacts(predictor, surface, T, force, view_noise=view_noise, rng=rng) for surface in surfaces
+    ]
     distance = [np.asarray(_nearest_distances(T[:, :3, 3], surface)) for surface in surfaces]
     measured = jnp.asarray(np.asarray(episodes.observations.reading).reshape(len(T), -1))
     tau = ensemble.distances(measured, jnp.float32(np.stack(predicted, 1)), jnp.asarray(reading_std, jnp.float32))
@@ -66,11 +68,12 @@ def paper_rules(
     }
 
 
-def predict_at_contacts(
+def _predict_at_contacts(
     predictor: Predictor,
     surface: Surface,
     T_w_t: Float[Array, "n 4 4"],
     force: Float[np.ndarray, " n"],
+    *,
     view_noise: float,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "n c"]:

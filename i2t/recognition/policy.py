@@ -184,7 +184,7 @@ def choose_site(gain: InformationGain, allowed: Bool[Array, " sites"], pose_weig
     Args:
         gain: What a touch at each site is expected to tell.
         allowed: Which sites may be touched.
-        pose_weight: Of what is told of the pose, next to 1 for the object.
+        pose_weight: Of the information about the pose; that about the object counts 1.
 
     Returns:
         Index of the site, or -1.

@@ -82,7 +82,7 @@ class RecognizerState(NamedTuple):
 
     belief: Belief
     touched: Bool[np.ndarray, " sites"]  # or excluded
-    touches: int  # from which the belief learnt
+    touches: int  # that updated the belief
     probability: Float[np.ndarray, " objects"]  # calibrated, of the known objects; what lacks to 1 is unknown
 
 
@@ -331,13 +331,14 @@ class ObjectRecognizer:
         named = np.asarray(_apply_temperature(p[:known], jnp.float32(touches)), np.float64)
         if self._objects == known:
             return named
-        everything, prior = np.asarray(p, np.float64), self.config.prior_unknown
-        raw = everything[:known], everything[known:].sum()
+        everything, prior = np.asarray(p, np.float64)[None], self.config.prior_unknown
+        raw = everything[:, :known], everything[:, known:].sum(-1)
         # The scaling was fitted at another prior: there, and back.
         _, unknown = metrics.with_unknown_prior(*raw, prior, CALIBRATION_PRIOR_UNKNOWN)
         read = UNKNOWN_SCALING.apply(unknown, touches)
-        _, unknown = metrics.with_unknown_prior(named * (1 - read), read, CALIBRATION_PRIOR_UNKNOWN, prior)
-        return named * (1 - float(unknown))
+        shares = named[None] * (1 - read)[:, None]
+        _, unknown = metrics.with_unknown_prior(shares, read, CALIBRATION_PRIOR_UNKNOWN, prior)
+        return named * (1 - float(unknown[0]))
 
 
 _apply_temperature = jax.jit(belief.apply_temperature)
