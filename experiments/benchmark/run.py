@@ -22,7 +22,7 @@ from experiments.benchmark import skin as benchmark_skin
 from experiments.benchmark import training as benchmark_training
 from experiments.benchmark.policy import Policy
 from experiments.benchmark.rendering import Rendering
-from experiments.benchmark.skin import Skin
+from experiments.benchmark.skin import SkinBenchmark
 from experiments.benchmark.timing import Row
 from experiments.benchmark.training import Training
 from experiments.common.runs import write_json
@@ -37,7 +37,7 @@ class Benchmark:
     turns: int = 5
     training: Training = field(default_factory=Training)
     rendering: Rendering = field(default_factory=Rendering)
-    skin: Skin = field(default_factory=Skin)
+    skin: SkinBenchmark = field(default_factory=SkinBenchmark)
     policy: Policy = field(default_factory=Policy)
 
 

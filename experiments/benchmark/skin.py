@@ -21,13 +21,13 @@ from i2t.skin.elasticity import GRID, Grid
 from i2t.skin.pad import nominal_pad, press
 from i2t.types import Pad
 
-AGREE = 1e-3  # of the peak, by which pressures may differ (root mean square)
+PRESSURE_TOLERANCE = 1e-3  # of the peak, by which pressures may differ (root mean square)
 PEER = "ContactMechanics"
-BEYOND = 1.0  # m behind the nearest point: nothing there
+NO_SURFACE_M = 1.0  # behind the nearest point: nothing there
 
 
 @dataclass(frozen=True)
-class Skin:
+class SkinBenchmark:
     """Which batches, grids and numbers of dipoles."""
 
     batch: int = 64
@@ -39,16 +39,16 @@ class Skin:
     steady: float = 0.5  # s that each contender works in each turn
 
 
-def section(setup: Skin, turns: int) -> list[Row]:
+def section(setup: SkinBenchmark, turns: int) -> list[Row]:
     """Each shape on the default grid, then all of them on every grid, then readings by the number of dipoles."""
     pad = nominal_pad()
-    rows = [contest(pad, GRID, [name], setup, turns)[0] for name in setup.shapes]
+    rows = [benchmark_case(pad, GRID, [name], setup, turns)[0] for name in setup.shapes]
     for cells in setup.cells:
-        rows += contest(pad, _grid(cells), list(setup.shapes), setup, turns)
+        rows += benchmark_case(pad, _grid(cells), list(setup.shapes), setup, turns)
     return rows + dipoles(pad, setup, turns)
 
 
-def contest(pad: Pad, grid: Grid, shapes: list[str], setup: Skin, turns: int) -> list[Row]:
+def benchmark_case(pad: Pad, grid: Grid, shapes: list[str], setup: SkinBenchmark, turns: int) -> list[Row]:
     """Contacts, and whole readings, against the peer's contacts."""
     heights, depths = _touches(grid, shapes, setup.batch)
     contact = jax.jit(jax.vmap(lambda pad, height, depth: solve(pad, height, depth, grid), (None, 0, 0)))
@@ -73,7 +73,7 @@ def contest(pad: Pad, grid: Grid, shapes: list[str], setup: Skin, turns: int) ->
     ]
 
 
-def dipoles(pad: Pad, setup: Skin, turns: int) -> list[Row]:
+def dipoles(pad: Pad, setup: SkinBenchmark, turns: int) -> list[Row]:
     """Readings of contacts on the finest grid with ever more dipoles, against the contact alone."""
     grid = _grid(max(setup.cells))
     heights, depths = _touches(grid, list(setup.shapes), setup.batch)
@@ -119,8 +119,8 @@ def peer_contact(pad: Pad, grid: Grid, height: np.ndarray, depth: float) -> Call
     elastic = PeriodicFFTElasticHalfSpace(
         modes, float(pad.young), (period, period), thickness=float(pad.thickness), poisson=float(pad.poisson)
     )
-    surface = np.full(modes, -BEYOND)
-    surface[: grid.cells, : grid.cells] = -np.minimum(height, BEYOND)
+    surface = np.full(modes, -NO_SURFACE_M)
+    surface[: grid.cells, : grid.cells] = -np.minimum(height, NO_SURFACE_M)
     system = NonSmoothContactSystem(elastic, Topography(surface, (period, period)))
 
     def run() -> np.ndarray:
@@ -138,7 +138,7 @@ def check(work: str, ours: object, theirs: list[np.ndarray], grid: Grid) -> None
         raise ValueError(f"{work}: {np.sum(~converged)} contacts have not converged.")
     for mine, pressure in zip(pressures, theirs, strict=False):
         difference = np.sqrt(np.mean((mine - pressure) ** 2)) / pressure.max()
-        if difference > AGREE:
+        if difference > PRESSURE_TOLERANCE:
             raise ValueError(f"{work}: pressures differ by {difference:.1e} of the peak from those of {PEER}.")
 
 
@@ -167,7 +167,7 @@ def _touches(grid: Grid, shapes: list[str], batch: int) -> tuple[jax.Array, jax.
 
 def _ball(radius: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     square = radius**2 - x**2 - y**2
-    return np.where(square > 0, radius - np.sqrt(np.maximum(square, 0)), BEYOND)
+    return np.where(square > 0, radius - np.sqrt(np.maximum(square, 0)), NO_SURFACE_M)
 
 
 def _stamp(tilt: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -176,7 +176,7 @@ def _stamp(tilt: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _punch(tilt: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return np.where(x**2 + y**2 < 4e-3**2, tilt * (x + 15e-3), BEYOND)
+    return np.where(x**2 + y**2 < 4e-3**2, tilt * (x + 15e-3), NO_SURFACE_M)
 
 
 def _edge(x: np.ndarray, y: np.ndarray) -> np.ndarray:

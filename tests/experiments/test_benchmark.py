@@ -14,7 +14,7 @@ from experiments.benchmark import training as benchmark_training
 from experiments.benchmark.policy import Policy
 from experiments.benchmark.rendering import Rendering
 from experiments.benchmark.run import Benchmark
-from experiments.benchmark.skin import Skin
+from experiments.benchmark.skin import SkinBenchmark
 from experiments.benchmark.timing import MissingPeerError, Row
 from experiments.benchmark.training import Training
 from i2t.prediction import training
@@ -96,7 +96,7 @@ def test_rendering_section_against_ray_casters(capsys: pytest.CaptureFixture[str
 
 def test_skin_section_against_contact_mechanics() -> None:
     """The section itself checks that both find the same pressures, and fails where they do not."""
-    tiny = Skin(batch=2, cells=(20,), dipoles=(10,), shapes=("tilted punch",), steady=0)
+    tiny = SkinBenchmark(batch=2, cells=(20,), dipoles=(10,), shapes=("tilted punch",), steady=0)
     rows = benchmark.main(Benchmark(sections=("skin",), turns=1, skin=tiny))
     assert [row.peer_name for row in rows] == ["ContactMechanics"] * 3 + ["the contact alone"]
     assert all(row.ours > 0 and row.peer > 0 for row in rows)
