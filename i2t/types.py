@@ -29,7 +29,7 @@ NO_OBJECT = -1  # index of an unknown object, pad or session
 
 
 class Surface(NamedTuple):
-    """A triangle mesh ready for rendering, in the object's frame; build it with `i2t.rendering.render.prepare`.
+    """A triangle mesh ready for rendering, in the object's frame; build it with `i2t.rendering.render.prepare_surface`.
 
     Faces lie in the order of a k-d tree, a few to a cluster and 32 clusters to a group, padded with faces that shrink
     to a point up to a static size class, so that surfaces of one class share a compiled renderer and can be stacked. A

@@ -27,7 +27,14 @@ BOX_SLACK = 1e-6  # m and relative: boxes are widened by more than float32 can l
 
 
 def build_bvh(triangles: np.ndarray) -> Surface:
-    """Order triangles (f, 3, 3) into clusters and pad them to their size class."""
+    """Order triangles into clusters and pad them to their size class.
+
+    Args:
+        triangles: (f, 3, 3) corners (m).
+
+    Returns:
+        The surface.
+    """
     size = (
         FINE_CLUSTER_FACES
         if len(triangles) <= MAX_FINE_FACES
@@ -41,14 +48,30 @@ def build_bvh(triangles: np.ndarray) -> Surface:
 
 
 def pad_to_same_size(surfaces: Sequence[Surface]) -> list[Surface]:
-    """Bring surfaces to one size class, the largest among them."""
+    """Bring surfaces to one size class, the largest among them.
+
+    Args:
+        surfaces: Of `build_bvh`.
+
+    Returns:
+        Surfaces whose arrays have the same shapes.
+    """
     sizes = [len(surface.triangles) // (len(np.asarray(surface.boxes)) * CLUSTERS_PER_GROUP) for surface in surfaces]
     groups = [-(-len(surface.triangles) // (max(sizes) * CLUSTERS_PER_GROUP)) for surface in surfaces]
     return [layout_clusters(np.asarray(surface.triangles), max(sizes), max(groups)) for surface in surfaces]
 
 
 def layout_clusters(triangles: np.ndarray, size: int, groups: int) -> Surface:
-    """Cut ordered triangles (f, 3, 3) into clusters of `size` faces, padded to `groups` groups, and box them."""
+    """Cut ordered triangles into clusters, pad them and box them.
+
+    Args:
+        triangles: (f, 3, 3) corners (m), in the order of the tree's leaves.
+        size: Faces of a cluster.
+        groups: Of clusters, with the padding.
+
+    Returns:
+        The surface.
+    """
     missing = groups * CLUSTERS_PER_GROUP * size - len(triangles)
     triangles = np.concatenate([triangles, np.broadcast_to(triangles[-1, 0], (missing, 3, 3))])
     corners = triangles.reshape(groups * CLUSTERS_PER_GROUP, size * 3, 3)

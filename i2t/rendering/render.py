@@ -5,9 +5,10 @@ height is the tool z of the first face that a ray meets, whichever side of it. F
 the tool; metres. A patch is relative to its nearest point, `depth = min(z - nearest, reach)`, so it shows shape, and
 `nearest` says where that shape begins.
 
-A mesh is prepared once on the host (`prepare`), where it is checked and padded with faces of no area to a size class;
+A mesh is prepared once on the host (`prepare_surface`), where it is checked and padded with faces of no area to a size
+class;
 from there on everything is pure and works on one pose and one surface: lift it with `vmap` over poses, or over surfaces
-brought together by `stack`.
+brought together by `stack_surfaces`.
 """
 
 import math
@@ -30,12 +31,18 @@ MAX_COORDINATE_M = 100.0  # m, where one step of float32 is 8 um
 def prepare_surface(mesh: Any) -> Surface:
     """Make a mesh ready for rendering: check it, order its faces and pad them to a size class (a power of two).
 
-    `mesh` has `vertices` (v, 3) in metres and `faces` (f, 3) of indices: an `i2t.objects.catalogue.Mesh` or a
-    `trimesh.Trimesh`. Open meshes and any winding are welcome. Raises ValueError where it is empty, not finite, larger
-    than `LARGEST` or its faces point at missing vertices.
+    Args:
+        mesh: Anything with `vertices` (v, 3) in metres and `faces` (f, 3) of indices, such as an `i2t.objects.Mesh` or
+            a `trimesh.Trimesh`. Open meshes and any winding are welcome.
+
+    Returns:
+        The surface, for `render_patch` and all that touches it.
+
+    Raises:
+        ValueError: The mesh is empty, not finite, larger than `MAX_COORDINATE_M`, or a face points at a missing vertex.
     """
     if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
-        raise ValueError(f"mesh: a {type(mesh).__name__} has no vertices and faces; give an i2t.objects.catalogue.Mesh")
+        raise ValueError(f"mesh: a {type(mesh).__name__} has no vertices and faces; give an i2t.objects.Mesh")
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     if vertices.dtype.kind not in "iuf" or faces.dtype.kind not in "iu":
         raise ValueError(
@@ -64,7 +71,14 @@ def prepare_surface(mesh: Any) -> Surface:
 def stack_surfaces(surfaces: Sequence[Surface]) -> Surface:
     """Bring surfaces to one size class, the largest among them, and stack them along a new first axis, for `vmap`.
 
-    Raises ValueError where there are none, or one was not prepared.
+    Args:
+        surfaces: Prepared surfaces.
+
+    Returns:
+        One surface whose arrays have a leading axis.
+
+    Raises:
+        ValueError: There are none, or one was not prepared.
     """
     if not len(surfaces):
         raise ValueError("stack: there are no surfaces; give at least one")
@@ -85,9 +99,20 @@ def render_patch(
 ) -> Patch:
     """What the tool at the rigid pose `T_w_t` has in front of it.
 
-    `window` (m), `pixels` and `reach` (m) are static. Pixels without a surface, or with one deeper than the reach, read
-    the reach; `nearest` is +inf where no ray of the window meets anything. A pose that is not rigid (scaled, mirrored,
-    not finite, transposed) gives NaN. Raises ValueError for shapes and sizes that mean nothing.
+    Args:
+        surface: A prepared surface.
+        T_w_t: The tool's pose in the surface's frame. One that is not rigid (scaled, mirrored, not finite, transposed)
+            gives NaN.
+        window: Edge (m) of the patch; static.
+        pixels: Along the edge; static.
+        reach: Depth (m) behind the nearest point at which the patch is cut; static.
+
+    Returns:
+        The patch. Pixels without a surface, or with one deeper than the reach, read the reach; `nearest` is +inf where
+        no ray of the window meets anything.
+
+    Raises:
+        ValueError: A shape or size means nothing.
     """
     _check(T_w_t, window, pixels)
     if not reach > 0:
@@ -107,6 +132,15 @@ def render_heights(
 ) -> Float[Array, "n n"]:
     """Tool z (m) of the first hit on each ray, +inf where there is none, on the surface mapped by an affine `A_t_w`
     (scaling and shear are welcome; faces that it puts edge on are not seen).
+
+    Args:
+        surface: A prepared surface.
+        A_t_w: An affine map to the tool frame.
+        window: Edge (m) of the square of rays; static.
+        pixels: Along the edge; static.
+
+    Returns:
+        Heights (m).
     """
     _check(A_t_w, window, pixels)
     view = ToolView(A_t_w[:3, :3], jnp.zeros_like(A_t_w[:3, 3]), A_t_w[:3, 3])
@@ -114,13 +148,21 @@ def render_heights(
 
 
 def contact_mask(depth: Float[Array, "n n"], tolerance: float = 1e-3) -> Float[Array, "n n"]:
-    """The paper's binary image: 1 within `tolerance` (m) of the nearest point, else 0."""
+    """The paper's binary image.
+
+    Args:
+        depth: Of a patch (m).
+        tolerance: Behind the nearest point (m).
+
+    Returns:
+        1 within the tolerance of the nearest point, else 0.
+    """
     return (depth <= jnp.min(depth) + tolerance).astype(depth.dtype)
 
 
 def _prepared(surface: Surface) -> Surface:
     if surface.boxes is None or surface.groups is None:
-        raise ValueError("surface: it holds bare triangles; make it with i2t.rendering.render.prepare")
+        raise ValueError("surface: it holds bare triangles; make it with i2t.rendering.render.prepare_surface")
     shapes: list[tuple[int, ...]] = [np.shape(field) for field in (surface.triangles, surface.boxes, surface.groups)]
     if [len(shape) for shape in shapes] != [3, 3, 2] or 0 in sum(shapes, ()):
         raise ValueError(f"surface: its shapes {shapes} are not those of one prepared mesh; use vmap for a stack")

@@ -7,7 +7,7 @@ tiles it crosses, and the tiles of all poses are lanes that pop their bits one a
 
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp

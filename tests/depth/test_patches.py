@@ -275,7 +275,8 @@ def test_the_wide_view_holds_the_patch():
     wide = cut(depth, CAMERA, T_w_c, T_w_t, WIDE_WINDOW, WIDE_PIXELS, reach=8e-3)
     centre = (slice((WIDE_PIXELS - PATCH_PIXELS) // 2, (WIDE_PIXELS + PATCH_PIXELS) // 2),) * 2
     assert wide.patch.nearest <= small.patch.nearest
-    known = np.asarray(small.valid_mask & wide.valid_mask[centre]) & (np.asarray(wide.patch.depth)[centre] < 8e-3 - 1e-6)
+    both = np.asarray(small.valid_mask & wide.valid_mask[centre])
+    known = both & (np.asarray(wide.patch.depth)[centre] < 8e-3 - 1e-6)
     assert known.mean() > 0.3
     np.testing.assert_allclose(heights(small.patch)[known], heights(wide.patch)[centre][known], atol=FLAT)
 
@@ -288,7 +289,8 @@ def test_batches_are_their_elements():
     together = jax.jit(jax.vmap(patch_from_depth, (0, None, 0, 0)), static_argnums=1)(depths, CAMERA, T_w_c, T_w_t)
     for i in range(len(names)):
         alone = cut(depths[i], CAMERA, T_w_c[i], T_w_t[i])
-        assert (np.asarray(alone.valid_mask) == np.asarray(together.valid_mask[i])).mean() > 0.999  # a ray may graze an edge
+        # A ray may graze an edge.
+        assert (np.asarray(alone.valid_mask) == np.asarray(together.valid_mask[i])).mean() > 0.999
         both = np.asarray(alone.valid_mask & together.valid_mask[i])
         np.testing.assert_allclose(
             np.asarray(alone.patch.depth)[both], np.asarray(together.patch.depth[i])[both], atol=FLAT

@@ -166,7 +166,7 @@ ASCII_STL = trimesh.creation.box(BOX).export(file_type="stl_ascii")
         ("a.stl", b"solid nothing\nendsolid nothing\n", "m", "holds no faces"),
         ("a.ply", _bytes(box(), "ply")[:-5], "m", "cannot be read as PLY"),
         ("a.ply", b"hello", "m", "cannot be read as PLY"),
-        ("a.ply", _bytes(trimesh.PointCloud(np.eye(3)), "ply"), "m", "load_points"),
+        ("a.ply", _bytes(trimesh.PointCloud(np.eye(3)), "ply"), "m", "load_point_cloud"),
         ("a.glb", _bytes(box(), "glb")[:-5], "m", "cut off"),
         ("a.glb", b"hello there, I am no glb file", "m", "cannot be read as GLB"),
         ("a.obj", b"v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\n", "m", "holds no faces"),
