@@ -1,0 +1,33 @@
+"""What a skin reports: a pad pressed onto a surface gives pressure, force and a reading.
+
+python examples/03_press_a_skin.py
+"""
+
+import numpy as np
+
+import i2t
+from i2t import viz
+from i2t.skin.elasticity import GRID
+
+
+def main(out: str = "press.png") -> np.ndarray:
+    """Press a ball of 8 mm radius 0.4 mm into a nominal skin, off its centre; draw the press and return the reading."""
+    pad = i2t.nominal_pad()  # a ReSkin of middling size and stiffness; nominal_pad(board=...) for other boards
+    x, y = GRID.centres[None, :] - 3e-3, GRID.centres[:, None]  # m from the ball's lowest point, row along tool y
+    pressed = i2t.press(pad, (x**2 + y**2) / (2 * 8e-3), 0.4e-3)
+
+    print(f"{float(pressed.force):.2f} N, {1e-3 * float(pressed.pressure.max()):.0f} kPa at most (simulated)")
+    for chip, (bx, by, bz) in enumerate(np.asarray(pressed.reading).reshape(-1, 3)):
+        print(f"chip {chip}: {bx:7.1f} {by:7.1f} {bz:7.1f} uT")
+    # Where the ball touches, the skin's surface follows it.
+    sunk = np.clip(0.4e-3 - (x**2 + y**2) / (2 * 8e-3), 0, None)
+    board = i2t.Board(*map(np.asarray, pad.board))
+    figure = viz.plot_press(
+        np.asarray(pressed.pressure), sunk, board, np.asarray(pressed.reading), "A ball, 0.4 mm deep", simulated=True
+    )
+    viz.save_figure(figure, out)
+    return np.asarray(pressed.reading)
+
+
+if __name__ == "__main__":
+    main()

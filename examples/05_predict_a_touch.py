@@ -1,0 +1,29 @@
+"""Imagine a touch: a trained predictor, a mesh and a pose become a reading with its uncertainty.
+
+python -m experiments.train && python examples/05_predict_a_touch.py
+"""
+
+import numpy as np
+
+import i2t
+
+
+def main(run: str = "runs/train") -> i2t.Reading:
+    """Predict the reading of a press on the screwdriver with 1 N, and return it."""
+    predictor = i2t.load_predictor(run)
+    mesh = i2t.make_object("screwdriver").mesh  # an object that training has not seen
+    sites = i2t.sample_touch_sites(mesh, 4, seed=0)  # safe places for the skin
+
+    for T_o_t in sites.T_o_t:
+        reading = predictor.predict_touch(mesh, T_o_t, force=1.0)
+        strongest = int(np.argmax(np.abs(reading.mean)))
+        chip, axis = divmod(strongest, 3)
+        print(
+            f"at {1e3 * T_o_t[:3, 3].round(4)} mm: chip {chip} {'xyz'[axis]} changes most, "
+            f"by {reading.mean[strongest]:.1f} +- {reading.std[strongest]:.1f} uT"
+        )
+    return reading
+
+
+if __name__ == "__main__":
+    main()
