@@ -2,6 +2,10 @@
 
 import os
 import signal
+import subprocess
+import sys
+from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +13,12 @@ import pytest
 from i2t import dataset
 from i2t.collect import command, recorder, session
 from i2t.collect.arguments import CollectArgs
+from i2t.collect.devices import DeviceContext, make_skin
+from i2t.emulators.world import EmulatedArmConfig, EmulatedSkinConfig
+from i2t.hardware.camera_folder import CameraFolderConfig
+from i2t.hardware.reskin.config import ReSkinConfig
 from i2t.hardware.rig import Rig
+from i2t.hardware.ur.config import UrConfig
 from i2t.types import ReturnCode
 
 pytestmark = pytest.mark.xdist_group("collect")
@@ -23,8 +32,6 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def rig(folder):
     """The rig of the emulators with a smaller image."""
-    from dataclasses import replace
-
     from i2t.depth.camera import Camera
 
     path = folder / "rig.toml"
@@ -124,3 +131,47 @@ def test_what_does_not_go_together_is_said_in_a_sentence(tmp_path, capsys, wrong
     caught = capsys.readouterr()
     assert said in caught.err + caught.out
     assert not (tmp_path / "set").exists()
+
+
+@pytest.mark.parametrize(("old", "new"), command.RENAMED_COLLECT_FLAGS.items())
+def test_a_flag_of_an_earlier_version_is_answered_with_its_new_name(capsys, old, new):
+    with pytest.raises(SystemExit) as ended:
+        command.main([old, "1"])
+    assert ended.value.code == 2
+    assert f"{old} is called {new} now" in capsys.readouterr().err
+
+
+def test_help_needs_neither_jax_nor_numpy_mathematics():
+    """So that it comes at once."""
+    code = "import sys, i2t.collect.command\nassert not {'jax', 'scipy', 'h5py', 'matplotlib'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_each_name_on_the_command_line_is_a_configuration(tmp_path):
+    args = CollectArgs(arm="ur", host="10.0.0.2", skin="reskin", port="/dev/skin", board="grid-4x4", camera="folder",
+                       views=tmp_path, watchdog_rate=5.0)  # fmt: skip
+    config = session.device_config(args)
+    assert config.arm == UrConfig("10.0.0.2", watchdog_rate=5.0)
+    assert config.skin == ReSkinConfig("/dev/skin", "grid-4x4")
+    assert config.camera == CameraFolderConfig(tmp_path)
+    emulated = session.device_config(replace(args, arm="emulated", skin="emulated"))
+    assert emulated.arm == EmulatedArmConfig("10.0.0.2", watchdog_rate=5.0)
+    assert emulated.skin == EmulatedSkinConfig("/dev/skin")
+    for wrong, said in (
+        ({"arm": "ur", "host": None}, "pass --host"),
+        ({"arm": "ur", "skin": "emulated", "port": None}, "feels nothing"),
+        ({"arm": "emulated", "skin": "emulated", "port": None}, "pass both, or neither"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            session.device_config(replace(args, **wrong))
+    with pytest.raises(ValueError, match="touches is 0"):
+        CollectArgs(touches=0)
+
+
+def test_a_skin_of_another_board_has_as_many_channels(tmp_path):
+    """Its own port is kept, also where an emulated arm brings a skin with it."""
+    config = session.device_config(CollectArgs(arm="emulated", skin="reskin", port="/dev/skin", board="grid-4x4"))
+    with ExitStack() as stack:
+        skin = make_skin(config.skin, DeviceContext(config, Rig(), stack))
+    assert len(skin.features.channels) == 48
+    assert "/dev/skin" in skin.features.name
