@@ -155,10 +155,10 @@ class ObjectScene:
         off[:3, 3] = self.errors.repeatability * self._random.standard_normal(3)
         off[:3, :3] = so3_exp(self.errors.approach_angle * self._random.standard_normal(3))
         T_o_t = np.linalg.inv(self.T_b_o) @ T_b_t @ off
-        first, sunk, centre, reading = jax.device_get(
+        first, past_contact, centre, reading = jax.device_get(
             _meet(self._surface, jnp.asarray(T_o_t, jnp.float32), self.pad, jnp.asarray(LOADS_N, jnp.float32))
         )
-        past = np.append(0.0, sunk + LOADS_N / self.stiffness)
+        past = np.append(0.0, past_contact + LOADS_N / self.stiffness)
         return ContactLine(
             np.array(T_b_t),
             float(first),
