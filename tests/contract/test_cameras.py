@@ -34,30 +34,34 @@ class OurCameras(CameraContract):
 
 
 class TestRecordingOfTheSdk(OurCameras):
-    @pytest.fixture(scope="class")
-    def make(self, tmp_path_factory) -> Callable[[], DepthCamera]:
-        pytest.importorskip("pyrealsense2", reason="pyrealsense2 is not installed")
+    @pytest.fixture
+    def make(self, tmp_path) -> Callable[[], DepthCamera]:
+        pytest.importorskip(
+            "pyrealsense2", reason="pyrealsense2, or its libusb-1.0-0, is not installed", exc_type=ImportError
+        )
         from i2t.emulators import realsense_file
 
-        path = tmp_path_factory.mktemp("camera") / "views.db3"
+        path = tmp_path / "views.db3"
         realsense_file.write(path, CAMERA, VIEWS)
         return lambda: RealSense(file=path, size=(64, 48), model="D405")
 
 
 class TestFolderOfViews(OurCameras):
-    @pytest.fixture(scope="class")
-    def make(self, tmp_path_factory) -> Callable[[], DepthCamera]:
-        path = tmp_path_factory.mktemp("camera") / "views"
+    @pytest.fixture
+    def make(self, tmp_path) -> Callable[[], DepthCamera]:
+        path = tmp_path / "views"
         list(camera_folder.save_views(path, CAMERA, VIEWS))
         return lambda: RecordedDepthCamera(path)
 
 
+@pytest.fixture(scope="module")
+def scene() -> ObjectScene:
+    return ObjectScene(catalogue.make_object("square").mesh, np.eye(4), jax.jit(nominal_pad)(), SimulationErrors.none())
+
+
 class TestSimulatedCamera(OurCameras):
-    @pytest.fixture(scope="class")
-    def make(self) -> Callable[[], DepthCamera]:
-        scene = ObjectScene(
-            catalogue.make_object("square").mesh, np.eye(4), jax.jit(nominal_pad)(), SimulationErrors.none()
-        )
+    @pytest.fixture
+    def make(self, scene) -> Callable[[], DepthCamera]:
         above = np.diag([1.0, -1.0, -1.0, 1.0])
         above[2, 3] = 0.13
         return lambda: SimulatedCamera(scene, CAMERA, np.eye(4), lambda: above, MonotonicClock())
