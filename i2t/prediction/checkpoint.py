@@ -27,7 +27,7 @@ from i2t.prediction.training import TrainConfig, TrainState
 
 FORMAT = "i2t checkpoint"
 FORMAT_VERSION = 1
-PACKAGES = ("jax", "optax", "orbax-checkpoint", "numpy")
+PACKAGES = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")
 
 Config = TypeVar("Config")
 

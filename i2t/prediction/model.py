@@ -17,21 +17,20 @@ Source: Ayad et al., "Imagine2touch" (network); Lakshminarayanan et al., "Simple
 estimation using deep ensembles", 2017 (heteroscedastic members and the moments of their mixture).
 """
 
-import hashlib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
+import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from i2t.prediction.mlp import Layer, dense
-from i2t.prediction.mlp import apply as apply_mlp
 from i2t.rendering.render import contact_mask
 from i2t.types import PATCH_PIXELS, REACH
 
-Params: TypeAlias = dict[str, Layer]  # layers by name
+Params: TypeAlias = dict[str, dict[str, Array]]  # {layer: {"kernel": ..., "bias": ...}}
 ImageKind: TypeAlias = Literal["depth", "mask", "image"]
 Condition: TypeAlias = Literal["force", "nearest", "depth"]
 
@@ -108,6 +107,40 @@ class ModelConfig:
                 raise ValueError(f"model.{field} is {getattr(self, field)}; it must be at least 1.")
 
 
+class Network(nn.Module):
+    """One member on one example."""
+
+    cfg: ModelConfig
+
+    @nn.compact
+    def __call__(self, inputs: Inputs) -> Prediction:
+        """`inputs` are prepared (see `prepare`)."""
+        cfg = self.cfg
+        features = inputs.image
+        if cfg.encoder == "cnn":
+            features = features[..., None]
+            for i, channels in enumerate(cfg.channels):
+                size = 5 if i == 0 else 3
+                convolution = nn.Conv(channels, (size, size), 2, kernel_init=_normal(2.0), name=f"conv{i}")
+                features = nn.relu(convolution(features))
+        features = jnp.concatenate([features.reshape(-1), inputs.conditions])
+        encoded = nn.relu(_dense(cfg.encoder_width, "encoder", gain=2.0)(features))
+        latent = _dense(cfg.bottleneck, "bottleneck")(encoded)
+        code = jnp.concatenate([latent, inputs.conditions]) if cfg.skip else latent
+
+        decoded = nn.relu(_dense(cfg.decoder_width, "decoder", gain=2.0)(code))
+        reading = _dense(cfg.readings, "reading")(decoded)
+        log_variance = image = None
+        if cfg.heteroscedastic:
+            # Starts at the data's own variance, and is bounded smoothly so that no reading can make the loss overflow.
+            raw = nn.Dense(cfg.readings, kernel_init=nn.initializers.zeros, name="log_variance")(decoded)
+            log_variance = LOG_VARIANCE_LIMIT * jnp.tanh(raw / LOG_VARIANCE_LIMIT)
+        if cfg.auxiliary:
+            seen = nn.relu(_dense(cfg.auxiliary_width, "auxiliary", gain=2.0)(latent))
+            image = _dense(cfg.pixels**2, "image")(seen).reshape(cfg.pixels, cfg.pixels)
+        return Prediction(reading, log_variance, image, latent)
+
+
 def init(key: Key[Array, ""], cfg: ModelConfig) -> Params:
     """Random parameters of one member (He et al. 2015 before rectifiers, LeCun et al. 1998 before linear outputs).
 
@@ -116,35 +149,10 @@ def init(key: Key[Array, ""], cfg: ModelConfig) -> Params:
         cfg: Which network.
 
     Returns:
-        Layers by name. The weights of a layer depend on the key, its name and its shape only.
+        Layers by name.
     """
-    params: Params = {}
-
-    def add(name: str, gain: float, *shape: int) -> None:
-        # Drawn flat: XLA takes seconds to compile draws of four axes.
-        weights = jax.random.normal(_layer_key(key, name), (math.prod(shape),)).reshape(shape)
-        params[name] = {"kernel": math.sqrt(gain / math.prod(shape[:-1])) * weights, "bias": jnp.zeros(shape[-1])}
-
-    features, conditions = cfg.pixels**2, len(cfg.conditions)
-    if cfg.encoder == "cnn":
-        size, depth = cfg.pixels, 1
-        for i, channels in enumerate(cfg.channels):
-            kernel = 5 if i == 0 else 3
-            add(f"conv{i}", 2.0, kernel, kernel, depth, channels)
-            size, depth = -(-size // 2), channels
-        features = size**2 * depth
-    add("encoder", 2.0, features + conditions, cfg.encoder_width)
-    add("bottleneck", 1.0, cfg.encoder_width, cfg.bottleneck)
-    add("decoder", 2.0, cfg.bottleneck + (conditions if cfg.skip else 0), cfg.decoder_width)
-    add("reading", 1.0, cfg.decoder_width, cfg.readings)
-    if cfg.heteroscedastic:  # zero at first: the variance of the data itself
-        params["log_variance"] = {
-            "kernel": jnp.zeros((cfg.decoder_width, cfg.readings)),
-            "bias": jnp.zeros(cfg.readings),
-        }
-    if cfg.auxiliary:
-        add("auxiliary", 2.0, cfg.bottleneck, cfg.auxiliary_width)
-        add("image", 1.0, cfg.auxiliary_width, cfg.pixels**2)
+    example = Inputs(jnp.zeros((cfg.pixels, cfg.pixels)), jnp.zeros(len(cfg.conditions)))
+    params: Params = Network(cfg).init(key, example)["params"]
     return params
 
 
@@ -159,23 +167,8 @@ def apply(params: Params, cfg: ModelConfig, inputs: Inputs) -> Prediction:
     Returns:
         The reading and what else the network gives.
     """
-    features = inputs.image
-    if cfg.encoder == "cnn":
-        features = features[..., None]
-        for i in range(len(cfg.channels)):
-            features = jax.nn.relu(_convolution(params[f"conv{i}"], features))
-    features = jnp.concatenate([features.reshape(-1), inputs.conditions])
-    latent = apply_mlp([params["encoder"], params["bottleneck"]], features)
-    code = jnp.concatenate([latent, inputs.conditions]) if cfg.skip else latent
-
-    decoded = jax.nn.relu(dense(params["decoder"], code))
-    log_variance = image = None
-    if cfg.heteroscedastic:
-        # Bounded smoothly, so that no reading can make the loss overflow.
-        log_variance = LOG_VARIANCE_LIMIT * jnp.tanh(dense(params["log_variance"], decoded) / LOG_VARIANCE_LIMIT)
-    if cfg.auxiliary:
-        image = apply_mlp([params["auxiliary"], params["image"]], latent).reshape(cfg.pixels, cfg.pixels)
-    return Prediction(dense(params["reading"], decoded), log_variance, image, latent)
+    prediction: Any = Network(cfg).apply({"params": params}, inputs)
+    return prediction
 
 
 def prepare(cfg: ModelConfig, normalisation: Normalisation, inputs: Inputs) -> Inputs:
@@ -236,16 +229,15 @@ def predict(
     return mean, std * normalisation.reading.std
 
 
-def _layer_key(key: Key[Array, ""], name: str) -> Key[Array, ""]:
-    """A layer's own key, from a hash of its name: layers that are added or left out change no other. (It is the key
-    that flax.linen gives to a layer's first parameter; trainings of earlier versions start with the same weights.)
-    """
-    digest = hashlib.sha1(name.encode() + b"\x01", usedforsecurity=False).digest()
-    return jax.random.fold_in(key, jnp.uint32(int.from_bytes(digest[:4], "big")))
+def _dense(width: int, name: str, *, gain: float = 1.0) -> nn.Dense:
+    return nn.Dense(width, kernel_init=_normal(gain), name=name)
 
 
-def _convolution(layer: Layer, image: Float[Array, "h w c"]) -> Float[Array, "half_h half_w d"]:
-    """A convolution of stride 2; outside of the image is zero."""
-    numbers = ("NHWC", "HWIO", "NHWC")
-    convolved = jax.lax.conv_general_dilated(image[None], layer["kernel"], (2, 2), "SAME", dimension_numbers=numbers)
-    return convolved[0] + layer["bias"][None, None]
+def _normal(gain: float) -> Callable[..., Array]:
+    """Normal weights of variance gain / fan-in, drawn flat: XLA takes seconds to compile draws of four axes."""
+
+    def draw(key: Key[Array, ""], shape: tuple[int, ...], dtype: Any = jnp.float32) -> Array:
+        scale = math.sqrt(gain / math.prod(shape[:-1]))
+        return scale * jax.random.normal(key, (math.prod(shape),), dtype).reshape(shape)
+
+    return draw
