@@ -21,8 +21,8 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_debug_key_reuse", True)
 
 
-# Longest first, so that no worker is left with one of them at the end. The first two share a finished run.
-SLOW = ("test_train.py", "test_recognize.py")
+# Longest first, so that no worker is left with one of them at the end. They share a finished run.
+SLOW = ("test_train.py", "test_recognize.py", "test_studies.py")
 
 
 class _ByFile(LoadFileScheduling):
@@ -30,7 +30,7 @@ class _ByFile(LoadFileScheduling):
 
     def _split_scope(self, nodeid: str) -> str:
         file = super()._split_scope(nodeid)
-        return "a finished run" if file.endswith(SLOW[:2]) else file
+        return "a finished run" if file.endswith(SLOW) else file
 
 
 @pytest.hookimpl(optionalhook=True)

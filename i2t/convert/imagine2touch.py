@@ -94,7 +94,17 @@ def convert(
             )
             name = f"{folder.name}/experiment_{run}"
             meta = {"converter": "imagine2touch", **_remarks(folder, run)}
-            part = Dataset(touches, (folder.name,), (pad,), (name,), board, "real", window, reach, meta)
+            part = Dataset(
+                touches=touches,
+                objects=(folder.name,),
+                pads=(pad,),
+                sessions=(name,),
+                board=board,
+                source="real",
+                window=window,
+                reach=reach,
+                meta=meta,
+            )
             parts.append(part.select(np.isfinite(reading).all(1) & np.isfinite(closest)))
     if not sum(map(len, parts)):
         raise data_error(source, f"no touch is left to convert ({' | '.join(notes.lines[3:])})")

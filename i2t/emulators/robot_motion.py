@@ -136,7 +136,14 @@ class Robot:
         displacement = np.concatenate([pose[:3] - self.position, turn])
         length = max(float(np.linalg.norm(displacement[:3])), ROTATION_LEVER_M * float(np.linalg.norm(turn)))
         self.travelled = self.speed = 0.0
-        self.motion = LinearMotion(self.position, self.rotation, displacement, length, speed, acceleration)
+        self.motion = LinearMotion(
+            position=self.position,
+            rotation=self.rotation,
+            displacement=displacement,
+            length=length,
+            speed=speed,
+            acceleration=acceleration,
+        )
 
     def stop(self, deceleration: float = STOP_DECELERATION) -> None:
         """Slow down (m/s^2) to a stand."""

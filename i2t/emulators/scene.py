@@ -117,7 +117,12 @@ class SpringPlane:
         first = (T_b_t[2, 3] - self.height) / down if down > 0 else np.inf
         force = np.array([0.0, 1.0])
         return ContactLine(
-            T_b_t, float(first), force / self.stiffness, force, np.zeros((2, 2)), force[:, None] * self.gain[None]
+            T_b_t=T_b_t,
+            first=float(first),
+            past_contact=force / self.stiffness,
+            force=force,
+            centre=np.zeros((2, 2)),
+            reading=force[:, None] * self.gain[None],
         )
 
 
@@ -160,12 +165,12 @@ class ObjectScene:
         )
         past = np.append(0.0, past_contact + LOADS_N / self.stiffness)
         return ContactLine(
-            np.array(T_b_t),
-            float(first),
-            np.maximum.accumulate(past + 1e-9 * np.arange(len(past))),  # rounding must not turn it back
-            np.append(0.0, LOADS_N),
-            np.concatenate([centre[:1], centre]).astype(float),
-            np.concatenate([np.zeros_like(reading[:1]), reading]).astype(float),
+            T_b_t=np.array(T_b_t),
+            first=float(first),
+            past_contact=np.maximum.accumulate(past + 1e-9 * np.arange(len(past))),  # rounding must not turn it back
+            force=np.append(0.0, LOADS_N),
+            centre=np.concatenate([centre[:1], centre]).astype(float),
+            reading=np.concatenate([np.zeros_like(reading[:1]), reading]).astype(float),
         )
 
 

@@ -158,17 +158,17 @@ def clean_mesh(mesh: Mesh, path: str = "mesh", largest: bool = True) -> tuple[Me
     uses = np.unique(_edges(work.faces), axis=0, return_counts=True)[1]
     size = np.ptp(work.vertices, axis=0)
     report = CleaningReport(
-        path,
-        len(mesh.faces),
-        len(work.faces),
-        merged,
-        int((~solid).sum()),
-        int((~once).sum()),
-        pieces - 1 if largest else 0,
-        dropped,
-        turned,
-        int((uses != 2).sum()),
-        (float(size[0]), float(size[1]), float(size[2])),
+        path=path,
+        faces_read=len(mesh.faces),
+        faces=len(work.faces),
+        vertices_merged=merged,
+        degenerate=int((~solid).sum()),
+        repeated=int((~once).sum()),
+        pieces_dropped=pieces - 1 if largest else 0,
+        area_dropped=dropped,
+        turned=turned,
+        open_edges=int((uses != 2).sum()),
+        size=(float(size[0]), float(size[1]), float(size[2])),
     )
     return Mesh(np.asarray(work.vertices, np.float64), np.asarray(work.faces, np.int32)), report
 

@@ -167,7 +167,14 @@ def _describe(directory: Path | str) -> tuple[Description, Path]:
             f"{step} has a configuration that this i2t does not know ({error}); use the i2t that wrote it "
             f"({about['packages']['i2t']}) or train again."
         ) from error
-    return Description(model, train, about["touches"], epoch, about["packages"], about["extra"]), step
+    return Description(
+        model=model,
+        train=train,
+        touches=about["touches"],
+        epoch=epoch,
+        packages=about["packages"],
+        extra=about["extra"],
+    ), step
 
 
 def _arrays(step: Path, abstract: dict[str, Any]) -> dict[str, Any]:

@@ -153,7 +153,7 @@ def fit(hyper: GPHyperparameters, touches: ContactPressure, readings: Float[Arra
     K = gram(hyper, unit, linear, touches.load, touches.load)
     cholesky = jnp.linalg.cholesky(K + (hyper.noise + JITTER) * jnp.eye(len(K)))
     weights = jax.scipy.linalg.cho_solve((cholesky, True), readings / scale[None])
-    return GP(hyper, touches, unit, cholesky, weights, scale)
+    return GP(hyper=hyper, touches=touches, unit=unit, cholesky=cholesky, weights=weights, scale=scale)
 
 
 def predict(gp: GP, touches: ContactPressure) -> tuple[Float[Array, "n c"], Float[Array, "n c"]]:

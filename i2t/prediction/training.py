@@ -169,13 +169,13 @@ def init(key: Key[Array, ""], model: ModelConfig, cfg: TrainConfig, touches: int
         zero = jnp.zeros((), jnp.int32)
         best = jax.tree.map(jnp.zeros_like, params)
         return TrainState(
-            params,
-            cfg.optimizer(touches).init(params),
-            key_epochs,
-            zero,
-            best,
-            jnp.full((), jnp.inf, jnp.float32),
-            zero,
+            params=params,
+            opt_state=cfg.optimizer(touches).init(params),
+            key=key_epochs,
+            epoch=zero,
+            best_params=best,
+            best_loss=jnp.full((), jnp.inf, jnp.float32),
+            best_epoch=zero,
         )
 
     return jax.vmap(member)(jnp.arange(model.members))
@@ -401,7 +401,15 @@ def _run_epoch(
     best = jax.tree.map(partial(jnp.where, better), params, state.best_params)
     best_loss = jnp.where(better, scored.reading, state.best_loss)
     best_epoch = jnp.where(better, epoch, state.best_epoch)
-    return TrainState(params, opt_state, state.key, epoch, best, best_loss, best_epoch), EpochInfo(met, scored)
+    return TrainState(
+        params=params,
+        opt_state=opt_state,
+        key=state.key,
+        epoch=epoch,
+        best_params=best,
+        best_loss=best_loss,
+        best_epoch=best_epoch,
+    ), EpochInfo(met, scored)
 
 
 def _step(

@@ -71,7 +71,15 @@ def init(problem: LeastSquares, x0: Any, *, damping: float = MIN_DAMPING) -> Sta
         A state whose first trial is the start itself.
     """
     far = jnp.full((), math.inf, jnp.float32)
-    return State(x0, problem.unseen, x0, far, far, jnp.full((), damping, jnp.float32), jnp.zeros((), jnp.int32))
+    return State(
+        x=x0,
+        linearised=problem.unseen,
+        trial=x0,
+        trial_length=far,
+        looked_length=far,
+        damping=jnp.full((), damping, jnp.float32),
+        steps=jnp.zeros((), jnp.int32),
+    )
 
 
 def step(
@@ -109,7 +117,15 @@ def step(
     info = Info(jnp.where(accepted, after, before), accepted, state.damping)
     length = jnp.linalg.norm(change)
     trial = problem.retract(x, change)
-    return State(x, linearised, trial, length, state.trial_length, damping, state.steps + 1), info
+    return State(
+        x=x,
+        linearised=linearised,
+        trial=trial,
+        trial_length=length,
+        looked_length=state.trial_length,
+        damping=damping,
+        steps=state.steps + 1,
+    ), info
 
 
 def levenberg_marquardt(

@@ -97,7 +97,15 @@ def press_to_stop(
     )
     no = jnp.asarray(False)
     # A crossing in the first stride is sought as if the excess grew in proportion to the indentation below it.
-    start = _Bracket(deepest - limits.scan * stride, jnp.asarray(-stride), deepest, jnp.ones(()), no, no, nothing)
+    start = _Bracket(
+        low=deepest - limits.scan * stride,
+        f_low=jnp.asarray(-stride),
+        high=deepest,
+        f_high=jnp.ones(()),
+        above=no,
+        found=no,
+        stop=nothing,
+    )
     end = jax.lax.fori_loop(0, limits.scan + limits.refine, try_next, start)
     return end.stop._replace(code=jnp.where(end.found, end.stop.code, ReturnCode.UNDEFINED))
 

@@ -80,7 +80,21 @@ class SimulationErrors:
     @classmethod
     def none(cls) -> "SimulationErrors":
         """A world in which the lab knows everything; the sensor's own noise and faults are off too."""
-        return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, Noise.none(), Faults())
+        return cls(
+            placement=0.0,
+            placement_angle=0.0,
+            hand_eye=0.0,
+            hand_eye_angle=0.0,
+            repeatability=0.0,
+            approach_angle=0.0,
+            slant=0.0,
+            depth_noise=0.0,
+            depth_bleed=0.0,
+            depth_quantum=0.0,
+            force=0.0,
+            noise=Noise.none(),
+            faults=Faults(),
+        )
 
     def scaled(self, factor: float) -> "SimulationErrors":
         """All pose errors times a factor; camera and sensor stay."""

@@ -261,7 +261,15 @@ def descend(
         reached = level(x, gap)
         target = project(x - length * (gap - reached))
         deflection = positive(jnp.max(jnp.abs(gap - offset)))
-        return State(x, gap, reached, target, length, jnp.max(jnp.abs(target - x)) / (length * deflection), steps)
+        return State(
+            point=x,
+            gap=gap,
+            level=reached,
+            target=target,
+            length=length,
+            residual=jnp.max(jnp.abs(target - x)) / (length * deflection),
+            steps=steps,
+        )
 
     def step(now: State) -> State:
         d = now.target - now.point

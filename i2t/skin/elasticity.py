@@ -282,7 +282,17 @@ def _layer(pad: Pad, grid: Grid) -> _Layer:
     kappa = 3 - 4 * pad.poisson
     determinant = kappa * (1 + fall**2) / 2 + fall * (2 * q**2 + (kappa**2 + 1) / 2)
     sinh, cosh = (1 - fall) / 2, (1 + fall) / 2
-    return _Layer(kappa, pad.young / (2 * (1 + pad.poisson)), safe, uniform, q, fall, sinh, cosh, determinant)
+    return _Layer(
+        kappa=kappa,
+        shear=pad.young / (2 * (1 + pad.poisson)),
+        k=safe,
+        uniform=uniform,
+        q=q,
+        fall=fall,
+        sinh=sinh,
+        cosh=cosh,
+        determinant=determinant,
+    )
 
 
 class _Height(NamedTuple):

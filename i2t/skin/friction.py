@@ -49,12 +49,12 @@ def rest(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Shear:
     """The skin under `pressure` (Pa) without traction: as pressed without friction, or before anything touches."""
     none = jnp.zeros((2, grid.cells, grid.cells), pressure.dtype)
     return Shear(
-        none,
-        tangential_displacement(pad, pressure, grid),
-        jnp.zeros((grid.cells, grid.cells), bool),
-        jnp.zeros((), pressure.dtype),
-        jnp.asarray(0),
-        jnp.asarray(True),
+        traction=none,
+        displacement=tangential_displacement(pad, pressure, grid),
+        slipping=jnp.zeros((grid.cells, grid.cells), bool),
+        residual=jnp.zeros((), pressure.dtype),
+        steps=jnp.asarray(0),
+        converged=jnp.asarray(True),
     )
 
 

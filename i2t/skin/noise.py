@@ -36,7 +36,7 @@ class Noise:
     @classmethod
     def none(cls) -> "Noise":
         """An ideal sensor."""
-        return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return cls(xy=0.0, z=0.0, common=0.0, step_xy=0.0, step_z=0.0, drift=0.0)
 
     def scaled(self, factor: float) -> "Noise":
         """The same sensor with `factor` times the noise and drift, and its steps as they are."""

@@ -143,12 +143,12 @@ def nominal_pad(
     """
     board = reskin_board() if board is None else board
     return Pad(
-        jnp.asarray(THICKNESS_M),
-        jnp.asarray(YOUNG_PA),
-        jnp.asarray(POISSON_RATIO),
-        strength * magnetization_pattern(pattern),
-        jnp.ones(board.num_readings),
-        _at_depth(board, jnp.asarray(THICKNESS_M + CHIP_GAP_M)),
+        thickness=jnp.asarray(THICKNESS_M),
+        young=jnp.asarray(YOUNG_PA),
+        poisson=jnp.asarray(POISSON_RATIO),
+        magnetization=strength * magnetization_pattern(pattern),
+        gains=jnp.ones(board.num_readings),
+        board=_at_depth(board, jnp.asarray(THICKNESS_M + CHIP_GAP_M)),
         friction=jnp.zeros(()),
         mount_compliance=jnp.zeros(()),
     )
@@ -184,12 +184,12 @@ def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0, *, board: Board
     thickness = THICKNESS_M + spread * jax.random.uniform(keys["thickness"], maxval=1e-3)
     gap = CHIP_GAP_M + spread * 0.25e-3 * jax.random.truncated_normal(keys["gap"], -2.0, 2.0)
     pad = Pad(
-        thickness,
-        YOUNG_PA * jnp.exp(spread * 0.15 * jax.random.normal(keys["young"])),
-        jnp.asarray(POISSON_RATIO),
-        strength * sample_magnetization(keys["map"], spread),
-        1 + spread * 0.05 * jax.random.truncated_normal(keys["gains"], -3.0, 3.0, (board.num_readings,)),
-        _at_depth(board, thickness + gap),
+        thickness=thickness,
+        young=YOUNG_PA * jnp.exp(spread * 0.15 * jax.random.normal(keys["young"])),
+        poisson=jnp.asarray(POISSON_RATIO),
+        magnetization=strength * sample_magnetization(keys["map"], spread),
+        gains=1 + spread * 0.05 * jax.random.truncated_normal(keys["gains"], -3.0, 3.0, (board.num_readings,)),
+        board=_at_depth(board, thickness + gap),
         friction=FRICTION_COEFFICIENT * jnp.exp(spread * 0.2 * jax.random.normal(keys["friction"])),
         mount_compliance=jnp.where(clamped, compliance, 0.0),
     )

@@ -187,4 +187,11 @@ def _source(port: str | None) -> str:
 def _board_info(port: Any) -> BoardInfo:
     maker = f"{VENDORS[port.vid]} " if port.vid in VENDORS and VENDORS[port.vid] not in (port.description or "") else ""
     usb = f"{port.vid:04x}:{port.pid:04x}"
-    return BoardInfo(port.device, None, Format.BINARY, f"{maker}{port.description}", port.serial_number, usb)
+    return BoardInfo(
+        port=port.device,
+        baud=None,
+        form=Format.BINARY,
+        description=f"{maker}{port.description}",
+        serial_number=port.serial_number,
+        usb=usb,
+    )

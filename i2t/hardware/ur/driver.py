@@ -88,7 +88,12 @@ class UrArm:
         """Known before `connect`."""
         limits = self.limits
         return ArmFeatures(
-            f"UR at {self.host}", self.source, STATE_RATE_HZ, limits.box, limits.speed, limits.acceleration
+            name=f"UR at {self.host}",
+            source=self.source,
+            rate=STATE_RATE_HZ,
+            box=limits.box,
+            speed=limits.speed,
+            acceleration=limits.acceleration,
         )
 
     def __enter__(self) -> "UrArm":
