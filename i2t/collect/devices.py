@@ -306,11 +306,11 @@ def _(config: PluginConfig, context: DeviceContext) -> Skin:
     return load_plugin("skin", config, DeviceSetup(context.rig, config.address, context.arm))
 
 
-# Cameras
+# Cameras, of which the type cannot be asked before they are connected: only then is a lens known
 
 
 @singledispatch
-def make_camera(config: CameraConfig, context: DeviceContext) -> DepthCamera:
+def make_camera(config: CameraConfig, context: DeviceContext) -> Any:
     """A camera by its configuration.
 
     Args:
@@ -328,7 +328,7 @@ def make_camera(config: CameraConfig, context: DeviceContext) -> DepthCamera:
 
 
 @make_camera.register
-def _(config: RealSenseConfig, context: DeviceContext) -> DepthCamera:
+def _(config: RealSenseConfig, context: DeviceContext) -> Any:
     from i2t.hardware.realsense import RealSense
 
     lens = context.rig.camera
@@ -336,14 +336,14 @@ def _(config: RealSenseConfig, context: DeviceContext) -> DepthCamera:
 
 
 @make_camera.register
-def _(config: CameraFolderConfig, context: DeviceContext) -> DepthCamera:
+def _(config: CameraFolderConfig, context: DeviceContext) -> Any:
     from i2t.hardware.camera_folder import RecordedDepthCamera
 
     return RecordedDepthCamera(config.folder, loop=True)
 
 
 @make_camera.register
-def _(config: SimulatedCameraConfig, context: DeviceContext) -> DepthCamera:
+def _(config: SimulatedCameraConfig, context: DeviceContext) -> Any:
     from i2t.emulators.in_process import SimulatedCamera
 
     arm, rig = context.arm, context.rig
@@ -360,5 +360,5 @@ def _(config: SimulatedCameraConfig, context: DeviceContext) -> DepthCamera:
 
 
 @make_camera.register
-def _(config: PluginConfig, context: DeviceContext) -> DepthCamera:
+def _(config: PluginConfig, context: DeviceContext) -> Any:
     return load_plugin("camera", config, DeviceSetup(context.rig, config.address, context.arm))

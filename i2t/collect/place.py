@@ -25,7 +25,6 @@ from i2t.emulators.world import read_object
 from i2t.hardware.camera_folder import RecordedDepthCamera
 from i2t.hardware.hand_eye import tool_pose
 from i2t.hardware.poses import pose_from_vector
-from i2t.hardware.protocols import DepthCamera
 from i2t.hardware.realsense import RealSense
 from i2t.hardware.rig import Rig
 from i2t.registration import camera_covariance, register_by_depth
@@ -109,7 +108,7 @@ def place(asked: argparse.Namespace) -> str:
     return "\n".join(lines)
 
 
-def _camera(asked: argparse.Namespace, rig: Rig) -> DepthCamera:
+def _camera(asked: argparse.Namespace, rig: Rig) -> RecordedDepthCamera | RealSense:
     if asked.views is not None:
         return RecordedDepthCamera(asked.views)
     return RealSense(size=(rig.camera.width, rig.camera.height), distance=rig.looking_distance)
