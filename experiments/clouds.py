@@ -33,7 +33,7 @@ DEEP = 3e-3  # m behind the nearest point: what is deeper may leave the reach wi
 
 
 @dataclass(frozen=True)
-class Args:
+class CloudArgs:
     """Compare disks on sampled points with the mesh they were sampled from."""
 
     out: Path | None = None  # folder for clouds.json
@@ -44,7 +44,7 @@ class Args:
     seed: int = 0
 
 
-class Row(NamedTuple):
+class CloudRow(NamedTuple):
     """One cloud; lengths in millimetres."""
 
     shape: str
@@ -58,7 +58,7 @@ class Row(NamedTuple):
     beyond: float
 
 
-def main(args: Args) -> list[Row]:
+def main(args: CloudArgs) -> list[CloudRow]:
     """Measure every combination, print the table and write it down."""
     meshes = [catalogue.make_object(name).mesh for name in args.shapes]
     variants = [(spacing, noise) for spacing in args.spacings for noise in args.noises]
@@ -75,7 +75,7 @@ def main(args: Args) -> list[Row]:
             k = i * len(variants) + j
             patches = jax.device_get(look(element(surfaces, len(meshes) + k), poses))
             cloud = len(clouds[k][0]), MILLI * spacing, MILLI * noise, MILLI * radii[k]
-            rows.append(Row(name, *cloud, *compare(true, patches)))
+            rows.append(CloudRow(name, *cloud, *compare(true, patches)))
     print(table(rows))
     if args.out is not None:
         args.out.mkdir(parents=True, exist_ok=True)
@@ -106,7 +106,7 @@ def compare(true, disks) -> tuple[float, float, float, float]:
     )
 
 
-def table(rows: list[Row]) -> str:
+def table(rows: list[CloudRow]) -> str:
     """The rows as text."""
     lines = [f"{'shape':12s} {'points':>7s} spacing  noise radius  median    95 %   holes  beyond   (mm; simulated)"]
     lines += [
@@ -119,6 +119,6 @@ def table(rows: list[Row]) -> str:
 
 if __name__ == "__main__":
     try:
-        main(tyro.cli(Args, description=__doc__))
+        main(tyro.cli(CloudArgs, description=__doc__))
     except ValueError as error:
         sys.exit(str(error))

@@ -40,7 +40,7 @@ from i2t.types import PATCH_WINDOW, REACH, STANDOFF, Patch, Surface
 from i2t.viz import style
 
 FRAMES = ("000001", "000002", "000003", "000004", "000005")
-UNIT = 1e-4  # m, of both cameras' files
+YCB_DEPTH_UNIT_M = 1e-4  # m, of both cameras' files
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ def frames(folder: Path, thing: Thing) -> tuple[Camera, np.ndarray, np.ndarray, 
             pose[:3] = meta[f"{frame}/poses"][:, :, which]
     T_m_o = np.eye(4)
     T_m_o[:3, 3] = -np.array(thing.offset)
-    depths = np.stack([read_depth(folder / f"{frame}-depth.png", UNIT) for frame in FRAMES])
+    depths = np.stack([read_depth(folder / f"{frame}-depth.png", YCB_DEPTH_UNIT_M) for frame in FRAMES])
     labels = np.stack([np.asarray(Image.open(folder / f"{frame}-label.png")) for frame in FRAMES])
     height, width = depths.shape[1:]
     camera = Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
@@ -269,7 +269,7 @@ def draw(axes: Axes, patch: np.ndarray, window: float, reach: float):
 
 def show_f200(cfg: RealFrames, name: str, count: int = 5) -> dict[str, Any]:
     """Cut patches from a frame without poses, along normals of planes through what is around a pixel, and draw them."""
-    depth = read_depth(cfg.data / "apc_depth" / f"{name}.depth.png", UNIT, Encoding.ROTATED)
+    depth = read_depth(cfg.data / "apc_depth" / f"{name}.depth.png", YCB_DEPTH_UNIT_M, Encoding.ROTATED)
     x, y = np.asarray(pixel_rays(F200))
     points = np.stack([x * depth, y * depth, depth], -1)
     rng = np.random.default_rng(cfg.seed)

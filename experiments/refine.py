@@ -54,11 +54,11 @@ from i2t.viz import style
 MILLI = 1e3
 BOUNDS = np.logspace(-5, 0, 26)
 FAR_OFF = 0.3  # mm, where the colours of a difference end
-AXES = {"sliding": [0, 1], "approach": [2], "tilt": [3, 4], "spin": [5]}
+TWIST_PARTS = {"sliding": [0, 1], "approach": [2], "tilt": [3, 4], "spin": [5]}
 
 
 @dataclass(frozen=True)
-class Args:
+class RefineArgs:
     """Seek poses from single patches and say how often they are found."""
 
     out: Path = Path("runs/refine")  # folder for what is made
@@ -85,7 +85,7 @@ class Cases(NamedTuple):
     directions: np.ndarray  # (..., 6, 6)
 
 
-def main(args: Args) -> dict:
+def main(args: RefineArgs) -> dict:
     """Run every method on the same cases; print the table, write metrics.json, config.json and figures."""
     if args.preset == "debug":
         args = replace(args, cases=6, objects=3, starts=1)
@@ -170,7 +170,7 @@ def main(args: Args) -> dict:
     return report
 
 
-def catalogue(args: Args) -> list[Object]:
+def catalogue(args: RefineArgs) -> list[Object]:
     """Named objects first, then random ones, then the meshes of a folder."""
     named = [objects.make_object(name) for name in objects.NAMES[: args.objects]]
     things = named + [objects.random_object(seed) for seed in range(args.objects - len(named))]
@@ -182,7 +182,7 @@ def catalogue(args: Args) -> list[Object]:
     return things
 
 
-def draw_cases(key: jax.Array, things: Sequence[Object], surfaces: Surface, each: int, args: Args) -> Cases:
+def draw_cases(key: jax.Array, things: Sequence[Object], surfaces: Surface, each: int, args: RefineArgs) -> Cases:
     """Safe sites of every object and poses exactly as far off as the arguments say."""
     rng = np.random.default_rng(args.seed)
     poses = [
@@ -218,7 +218,7 @@ def remaining(T_w_t: np.ndarray, cases: Cases, bound: float) -> tuple[np.ndarray
     return np.linalg.norm(error[..., :3], axis=-1), np.degrees(np.linalg.norm(error[..., 3:], axis=-1) / TWIST_LEVER_M)
 
 
-def judge(T_w_t: np.ndarray, cases: Cases, bound: float, things: Sequence[Object], args: Args) -> dict:
+def judge(T_w_t: np.ndarray, cases: Cases, bound: float, things: Sequence[Object], args: RefineArgs) -> dict:
     """Success with its 95 % interval (Wilson), its rate in each family, and the errors."""
     distance, angle = remaining(T_w_t, cases, bound)
     ok = (distance <= args.close) & (angle <= args.close_angle)
@@ -233,7 +233,7 @@ def judge(T_w_t: np.ndarray, cases: Cases, bound: float, things: Sequence[Object
     }
 
 
-def success(T_w_t: np.ndarray, cases: Cases, bounds: np.ndarray, args: Args) -> np.ndarray:
+def success(T_w_t: np.ndarray, cases: Cases, bounds: np.ndarray, args: RefineArgs) -> np.ndarray:
     """Success for each bound."""
     errors = [remaining(T_w_t, cases, bound) for bound in bounds]
     return np.array([np.mean((d <= args.close) & (a <= args.close_angle)) for d, a in errors])
@@ -242,7 +242,7 @@ def success(T_w_t: np.ndarray, cases: Cases, bounds: np.ndarray, args: Args) -> 
 def untold(directions: np.ndarray, told: np.ndarray) -> dict[str, float]:
     """How much of each kind of motion lies in the directions that do not count, 0 to 1, on average."""
     share = (directions**2 * ~told[..., None, :]).sum(-1).reshape(-1, 6).mean(0)
-    return {name: float(share[axes].mean()) for name, axes in AXES.items()}
+    return {name: float(share[axes].mean()) for name, axes in TWIST_PARTS.items()}
 
 
 def table(report: dict) -> str:
@@ -329,6 +329,6 @@ def draw_bounds(curves: dict[str, np.ndarray], bound: float) -> Figure:
 
 if __name__ == "__main__":
     try:
-        main(tyro.cli(Args, description=__doc__))
+        main(tyro.cli(RefineArgs, description=__doc__))
     except (ValueError, FileNotFoundError) as error:
         sys.exit(str(error))

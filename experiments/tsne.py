@@ -66,7 +66,7 @@ PRESETS = {
 
 
 @dataclass(frozen=True)
-class Args:
+class TsneArgs:
     """A map of touches, their clusters, and how far views and readings agree."""
 
     out: Path = Path("runs/tsne")  # folder for everything that is made
@@ -80,11 +80,11 @@ class Args:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    args = tyro.cli(Args, args=argv, description=__doc__, prog="python -m experiments.tsne")
+    args = tyro.cli(TsneArgs, args=argv, description=__doc__, prog="python -m experiments.tsne")
     return reported(partial(run, args))
 
 
-def run(args: Args) -> dict[str, Any]:
+def run(args: TsneArgs) -> dict[str, Any]:
     """The experiment: touches, map, clusters, stability, agreement, figure."""
     plan = PRESETS[args.preset]
     begin(args.out, args, plan, None, args.overwrite)
@@ -140,7 +140,7 @@ def tests(x: np.ndarray, y: np.ndarray, groups: np.ndarray, plan: Plan, seed: in
     return {name: to_json(test) for name, test in made.items()}
 
 
-def bottleneck(dataset: Dataset, plan: Plan, args: Args, felt: np.ndarray) -> dict[str, Any]:
+def bottleneck(dataset: Dataset, plan: Plan, args: TsneArgs, felt: np.ndarray) -> dict[str, Any]:
     """The agreement of the paper's network's five values with the readings of touches that it was not trained on."""
     split = split_dataset(dataset, plan.training, "auto", args.seed)
     network = ModelConfig(input=args.kind, pixels=dataset.touches.patch.shape[1], reach=dataset.reach)

@@ -20,7 +20,7 @@ import numpy as np
 
 from i2t.errors import SerializationError
 
-VERSION = 1
+TREE_VERSION = 1
 ABOUT = "about"
 
 Tree = TypeVar("Tree")
@@ -32,7 +32,7 @@ def save(path: Path | str, kind: str, tree: Any, about: dict[str, Any] | None = 
     Raises SerializationError where the file cannot be written.
     """
     path, arrays = Path(path), flatten(tree)
-    told = {"format": kind, "version": VERSION, "sha256": _digest(arrays), "about": about or {}}
+    told = {"format": kind, "version": TREE_VERSION, "sha256": _digest(arrays), "about": about or {}}
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -74,8 +74,10 @@ def load(
         raise SerializationError(f"{path}: is damaged; restore a copy or make it again") from error
     if found != kind:
         raise SerializationError(f"{path}: holds a {found}, not a {kind}; name the right file")
-    if version != VERSION:
-        raise SerializationError(f"{path}: has version {version}, but this i2t reads version {VERSION}; make it again")
+    if version != TREE_VERSION:
+        raise SerializationError(
+            f"{path}: has version {version}, but this i2t reads version {TREE_VERSION}; make it again"
+        )
     if digest != _digest(arrays):
         raise SerializationError(
             f"{path}: its contents have changed since it was written; restore a copy or make it again"

@@ -124,8 +124,10 @@ def test_no_constant_has_two_values():
     assert not shared
 
 
-# Functions whose positional arguments are arrays in an order that everybody knows.
+# Array code: functions whose positional arguments are arrays in an order that everybody knows, the kernels of the
+# renderer, and functions with derivatives of their own, which JAX calls by position.
 ARRAY_CODE = ("jnp.", "np.", "lax.", "jax.", "math.", "struct.", "plt.", "axes", "scipy.")
+KERNELS = ("i2t.rendering.", "i2t.depth.patches", "i2t.skin.contact", "i2t.skin.friction")
 
 
 def test_no_call_has_six_positional_arguments():
@@ -136,6 +138,6 @@ def test_no_call_has_six_positional_arguments():
         for node in ast.walk(tree):
             if isinstance(node, ast.Call) and len(node.args) >= 6:
                 called = ast.unparse(node.func)
-                if not called.startswith(ARRAY_CODE):
+                if not called.startswith(ARRAY_CODE) and not name.startswith(KERNELS):
                     wrong[f"{name}:{node.lineno} {called}"] += 1
     assert not wrong

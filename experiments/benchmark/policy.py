@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.benchmark.timing import Row, compare, interleave
+from experiments.benchmark.timing import BenchmarkRow, compare, interleave
 from i2t.objects import catalogue
 from i2t.recognition import belief, outcomes, policy
 from i2t.recognition.outcomes import LOADS_N, PredictedTouch
@@ -35,7 +35,7 @@ class Policy:
     imagined: int = 512  # touches that the peer's time is taken of
 
 
-def section(setup: Policy, turns: int) -> list[Row]:
+def section(setup: Policy, turns: int) -> list[BenchmarkRow]:
     """A decision with predictions at hand, from a belief after some touches, and without."""
     rng = np.random.default_rng(0)
     table = _random_table(setup, rng)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import trimesh
 
-from experiments.benchmark.timing import MissingPeerError, Row, compare, interleave
+from experiments.benchmark.timing import BenchmarkRow, MissingPeerError, compare, interleave
 from i2t.geometry import contact_frame
 from i2t.objects import catalogue
 from i2t.rendering.render import prepare_surface, render_patch
@@ -38,7 +38,7 @@ class Rendering:
     largest: int = 4096  # batch whose memory is measured, on the last sphere
 
 
-def section(setup: Rendering, turns: int) -> list[Row]:
+def section(setup: Rendering, turns: int) -> list[BenchmarkRow]:
     """Batches over meshes, then over batch sizes, then memory."""
     rows = []
     meshes = {f"{SPHERE} of {20 * 4**k} faces": trimesh.creation.icosphere(k, 0.03) for k in setup.spheres}
@@ -55,7 +55,7 @@ def section(setup: Rendering, turns: int) -> list[Row]:
     return [*rows, memory(last, meshes[last], setup.largest)]
 
 
-def contest(name: str, mesh: Any, batch: int, turns: int) -> list[Row]:
+def contest(name: str, mesh: Any, batch: int, turns: int) -> list[BenchmarkRow]:
     """One mesh and batch size against every peer."""
     surface = jax.tree.map(jnp.asarray, prepare_surface(mesh))
     poses = random_poses(surface, batch)
@@ -142,7 +142,7 @@ def check(name: str, peer: str, depth: np.ndarray, nearest: np.ndarray, distance
         raise ValueError(f"{name}: {different:.2%} of the pixels differ from {peer}'s by more than {CLOSE} m")
 
 
-def memory(name: str, mesh: Any, batch: int) -> Row:
+def memory(name: str, mesh: Any, batch: int) -> BenchmarkRow:
     """Scratch memory and result of one batch, against the rays and distances that a ray caster is given and returns."""
     surface = prepare_surface(mesh)
     shapes = jax.tree.map(lambda field: jax.ShapeDtypeStruct(field.shape, field.dtype), surface)
@@ -152,7 +152,7 @@ def memory(name: str, mesh: Any, batch: int) -> Row:
     ours = plan.temp_size_in_bytes + plan.output_size_in_bytes
     theirs = batch * PATCH_PIXELS**2 * 7 * 4
     gigabyte = 1e9
-    return Row(
+    return BenchmarkRow(
         "rendering", f"{name}, batch of {batch}", "GB", ours / gigabyte, "rays and distances", theirs / gigabyte,
         theirs / ours,
     )  # fmt: skip

@@ -23,7 +23,7 @@ from experiments.benchmark import training as benchmark_training
 from experiments.benchmark.policy import Policy
 from experiments.benchmark.rendering import Rendering
 from experiments.benchmark.skin import SkinBenchmark
-from experiments.benchmark.timing import Row
+from experiments.benchmark.timing import BenchmarkRow
 from experiments.benchmark.training import Training
 from experiments.common.runs import write_json
 
@@ -41,7 +41,7 @@ class Benchmark:
     policy: Policy = field(default_factory=Policy)
 
 
-def main(cfg: Benchmark) -> list[Row]:
+def main(cfg: Benchmark) -> list[BenchmarkRow]:
     """Run the sections, print their tables, and write them down."""
     unknown = [name for name in cfg.sections if name not in SECTIONS]
     if unknown or not cfg.sections:
@@ -63,7 +63,7 @@ def main(cfg: Benchmark) -> list[Row]:
     return rows
 
 
-def table(rows: list[Row]) -> str:
+def table(rows: list[BenchmarkRow]) -> str:
     """The rows as text, one comparison a line."""
     lines = [("section", "work", "ours", "peer", "", "ratio")]
     for row in rows:
@@ -73,7 +73,7 @@ def table(rows: list[Row]) -> str:
     return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
 
 
-SECTIONS: dict[str, Callable[[Benchmark], list[Row]]] = {
+SECTIONS: dict[str, Callable[[Benchmark], list[BenchmarkRow]]] = {
     "training": lambda cfg: benchmark_training.section(cfg.training, cfg.turns),
     "rendering": lambda cfg: benchmark_rendering.section(cfg.rendering, cfg.turns),
     "skin": lambda cfg: benchmark_skin.section(cfg.skin, cfg.turns),

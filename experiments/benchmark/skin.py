@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.benchmark.timing import MissingPeerError, Row, compare, interleave
-from i2t.skin.contact import TOLERANCE, solve
+from experiments.benchmark.timing import BenchmarkRow, MissingPeerError, compare, interleave
+from i2t.skin.contact import CONTACT_TOLERANCE, solve
 from i2t.skin.elasticity import GRID, Grid
 from i2t.skin.pad import nominal_pad, press
 from i2t.types import Pad
@@ -39,7 +39,7 @@ class SkinBenchmark:
     steady: float = 0.5  # s that each contender works in each turn
 
 
-def section(setup: SkinBenchmark, turns: int) -> list[Row]:
+def section(setup: SkinBenchmark, turns: int) -> list[BenchmarkRow]:
     """Each shape on the default grid, then all of them on every grid, then readings by the number of dipoles."""
     pad = nominal_pad()
     rows = [benchmark_case(pad, GRID, [name], setup, turns)[0] for name in setup.shapes]
@@ -48,7 +48,7 @@ def section(setup: SkinBenchmark, turns: int) -> list[Row]:
     return rows + dipoles(pad, setup, turns)
 
 
-def benchmark_case(pad: Pad, grid: Grid, shapes: list[str], setup: SkinBenchmark, turns: int) -> list[Row]:
+def benchmark_case(pad: Pad, grid: Grid, shapes: list[str], setup: SkinBenchmark, turns: int) -> list[BenchmarkRow]:
     """Contacts, and whole readings, against the peer's contacts."""
     heights, depths = _touches(grid, shapes, setup.batch)
     contact = jax.jit(jax.vmap(lambda pad, height, depth: solve(pad, height, depth, grid), (None, 0, 0)))
@@ -73,7 +73,7 @@ def benchmark_case(pad: Pad, grid: Grid, shapes: list[str], setup: SkinBenchmark
     ]
 
 
-def dipoles(pad: Pad, setup: SkinBenchmark, turns: int) -> list[Row]:
+def dipoles(pad: Pad, setup: SkinBenchmark, turns: int) -> list[BenchmarkRow]:
     """Readings of contacts on the finest grid with ever more dipoles, against the contact alone."""
     grid = _grid(max(setup.cells))
     heights, depths = _touches(grid, list(setup.shapes), setup.batch)
@@ -124,7 +124,7 @@ def peer_contact(pad: Pad, grid: Grid, height: np.ndarray, depth: float) -> Call
     system = NonSmoothContactSystem(elastic, Topography(surface, (period, period)))
 
     def run() -> np.ndarray:
-        if not system.minimize_proxy(offset=depth, pentol=TOLERANCE * depth).success:
+        if not system.minimize_proxy(offset=depth, pentol=CONTACT_TOLERANCE * depth).success:
             raise ValueError(f"{PEER} did not converge")
         return np.asarray(system.force)[: grid.cells, : grid.cells] / grid.spacing**2
 

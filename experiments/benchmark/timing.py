@@ -8,7 +8,7 @@ from typing import NamedTuple
 REST_S = 0.1
 
 
-class Row(NamedTuple):
+class BenchmarkRow(NamedTuple):
     """One comparison."""
 
     section: str
@@ -51,7 +51,7 @@ def interleave(contenders: dict[str, Callable[[], object]], turns: int, steady: 
     return seconds
 
 
-def compare(section: str, work: str, ours: list[float], peer_name: str, peer: list[float]) -> Row:
+def compare(section: str, work: str, ours: list[float], peer_name: str, peer: list[float]) -> BenchmarkRow:
     """A row of the table.
 
     Args:
@@ -65,4 +65,4 @@ def compare(section: str, work: str, ours: list[float], peer_name: str, peer: li
         Medians, and the median of the turns' ratios.
     """
     ratio = statistics.median(theirs / mine for mine, theirs in zip(ours, peer, strict=True))
-    return Row(section, work, "s", statistics.median(ours), peer_name, statistics.median(peer), ratio)
+    return BenchmarkRow(section, work, "s", statistics.median(ours), peer_name, statistics.median(peer), ratio)

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.benchmark.timing import MissingPeerError, Row, compare, interleave
+from experiments.benchmark.timing import BenchmarkRow, MissingPeerError, compare, interleave
 from i2t.prediction import training
 from i2t.prediction.model import Inputs, ModelConfig
 from i2t.prediction.training import Batch, TrainConfig, TrainState
@@ -27,7 +27,7 @@ class Training:
     train: TrainConfig = field(default_factory=lambda: TrainConfig(schedule="constant"))
 
 
-def section(setup: Training, turns: int) -> list[Row]:
+def section(setup: Training, turns: int) -> list[BenchmarkRow]:
     """Our compiled epoch against eager PyTorch, and a seed among several trained together against one alone."""
     batch = _random_touches(setup)
     state = jax.jit(lambda: training.start(setup.model, setup.train, setup.touches))()

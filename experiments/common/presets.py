@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
-NAMES = ("debug", "short", "paper", "study")
+PRESET_NAMES = ("debug", "short", "paper", "study")
 RENAMED = {"full": "paper", "default": "paper"}  # of earlier versions
 
 Config = TypeVar("Config")

@@ -69,7 +69,7 @@ CEILING = "ceiling: GP without camera and arm errors"
 
 
 @dataclass(frozen=True)
-class Args:
+class TrainArgs:
     """Train a touch predictor and report how well it does on unseen objects (or unseen places)."""
 
     out: Path = Path("runs/train")  # folder for everything that is made
@@ -87,11 +87,11 @@ class Args:
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     answer_renamed_value(argv, "--split", {"run": "session"})
-    args = tyro.cli(Args, args=argv, description=__doc__, prog="python -m experiments.train")
+    args = tyro.cli(TrainArgs, args=argv, description=__doc__, prog="python -m experiments.train")
     return reported(partial(run, args), args.out)
 
 
-def run(args: Args) -> dict[str, Any]:
+def run(args: TrainArgs) -> dict[str, Any]:
     """The experiment: every pad and seed, then the table over them."""
     cfg = choose_preset(PRESETS, args.preset)
     if args.epochs is not None:
@@ -146,7 +146,7 @@ class Evaluation(NamedTuple):
     best: str  # the method that is kept: the best on validation touches of those on predicted contact pressure
 
 
-def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: Pad | int | None, out: Path) -> None:
+def run_one(args: TrainArgs, cfg: TrainExperiment, seed: int, pad: Pad | int | None, out: Path) -> None:
     """One pad and seed: data, methods, scores, and what is left of them on disk."""
     started = time.perf_counter()
     out.mkdir(parents=True, exist_ok=True)
@@ -159,7 +159,7 @@ def run_one(args: Args, cfg: TrainExperiment, seed: int, pad: Pad | int | None, 
     report(out, prepared, fitted, evaluation, about=about, started=started)
 
 
-def prepare_data(args: Args, cfg: TrainExperiment, seed: int, pad: Pad | int | None, out: Path) -> PreparedData:
+def prepare_data(args: TrainArgs, cfg: TrainExperiment, seed: int, pad: Pad | int | None, out: Path) -> PreparedData:
     """Load or simulate touches, split them, and predict the contact pressure of each."""
     if args.dataset:
         dataset = data.load_dataset(args.dataset)

@@ -32,7 +32,7 @@ from scipy import optimize
 from i2t.calibration.structured_gp import Presses
 from i2t.skin import elasticity as elastic
 from i2t.skin.contact import MAX_HEIGHT_M, solve, solve_force
-from i2t.skin.dipoles import MICROTESLA, MU0_OVER_4PI, NODES, cell_means, sheets, turn
+from i2t.skin.dipoles import CELL_NODES, MICROTESLA, MU0_OVER_4PI, cell_means, sheets, turn
 from i2t.skin.elasticity import GRID, Grid
 from i2t.skin.pad import (
     CHIP_GAP_M,
@@ -290,7 +290,7 @@ def design_matrix(
     loaded = elastic.load(pad, contact.pressure, grid=grid)
     # Moments of magnetization 1 along one cosine in y and one in x are a product: the sheets' of each edge.
     share, depths = _edge_moments(grid), sheets(pad, grid)[0]
-    thick = pad.thickness * np.polynomial.legendre.leggauss(NODES)[1] / 2
+    thick = pad.thickness * np.polynomial.legendre.leggauss(CELL_NODES)[1] / 2
     y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
 
     def sheet(at: tuple[Array, Array]) -> Array:

@@ -22,12 +22,12 @@ from i2t.errors import DataError
 from i2t.skin import boards
 from i2t.types import REACH, ReturnCode, Touches
 
-READINGS = 15  # of one board, AnySkin's
+EFLESH_READINGS = 15  # of one board, AnySkin's
 GRAM = 9.80665e-3  # N, weight of a gram
 RADIUS = 4e-3  # m, of the tip; an assumption
 WINDOW = 40e-3  # m, holds the 31 x 31 mm grid of the `spatial` sessions
 SAME_ROW = 15e-3  # s: sensor and state of a row are at most 8 ms apart, and rows at least 34 ms
-LARGEST = 1e10  # of any recorded number: Unix times are 1.7e9 s
+MAX_RAW_VALUE = 1e10  # of any recorded number: Unix times are 1.7e9 s
 PAUSE = 0.5  # s without rows between the strokes of a `normal` or `shear` session, whose rows are 0.03 to 0.14 s apart
 
 
@@ -73,7 +73,17 @@ def convert(
     parts: list[Dataset] = []
     for session in sessions:
         try:
-            parts += _session(session, radius, window, reach, zero, centre, pad, board, notes)
+            parts += _session(
+                session,
+                notes,
+                radius=radius,
+                window=window,
+                reach=reach,
+                zero=zero,
+                centre=centre,
+                pad=pad,
+                board=board,
+            )
         except DataError as error:
             notes.skip(error)
     if not parts:
@@ -84,6 +94,8 @@ def convert(
 
 def _session(
     folder: Path,
+    notes: ConversionLog,
+    *,
     radius: float,
     window: float,
     reach: float,
@@ -91,13 +103,12 @@ def _session(
     centre: tuple[float, float] | None,
     pad: str | None,
     board: int | None,
-    notes: ConversionLog,
 ) -> list[Dataset]:
     name = folder.name
     states = _table(folder, "states", (4, 5), notes)
-    values = _table(folder, "sensor_post_baselines", (1 + READINGS, 1 + 2 * READINGS), notes)
+    values = _table(folder, "sensor_post_baselines", (1 + EFLESH_READINGS, 1 + 2 * EFLESH_READINGS), notes)
     states, values = _matched(folder, states, values, notes)
-    sheared = values.shape[1] > 1 + READINGS
+    sheared = values.shape[1] > 1 + EFLESH_READINGS
     position = 1e-3 * states[:, 1:4]
     middle = (position.min(0) + position.max(0)) / 2
     x, y = (position[:, :2] - (middle[:2] if centre is None else centre)).T
@@ -127,7 +138,7 @@ def _session(
         patch=tip_patches(sphere(radius), x[inside], y[inside], window, reach),
         wide=missing_context(n),
         nearest=height[inside],
-        reading=np.empty((n, READINGS)),
+        reading=np.empty((n, EFLESH_READINGS)),
         force=load[inside],
         depth=np.maximum(-height[inside], 0),
         T_w_t=np.tile(np.eye(4), (n, 1, 1)),
@@ -140,7 +151,7 @@ def _session(
     parts = []
     for i in range(2 if sheared else 1):
         if n and (not sheared or board in (None, i)):
-            reading = values[inside, 1 + READINGS * i : 1 + READINGS * (i + 1)]
+            reading = values[inside, 1 + EFLESH_READINGS * i : 1 + EFLESH_READINGS * (i + 1)]
             parts.append(
                 Dataset(
                     touches=touches._replace(reading=reading),
@@ -163,7 +174,7 @@ def _table(folder: Path, name: str, columns: tuple[int, int], notes: ConversionL
     if path is None:
         raise data_error(folder, f"{name}.csv or {name}.csv.gz is missing")
     table = read_numbers(path, columns)
-    finite = (np.abs(table) < LARGEST).all(1)
+    finite = (np.abs(table) < MAX_RAW_VALUE).all(1)
     if not finite.all():
         row = np.flatnonzero(~finite)[0] + 1
         notes.skip(data_error(path, f"{np.sum(~finite)} rows are not finite, first row {row}"))

@@ -33,8 +33,8 @@ from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Board, ReturnCode, Touc
 
 CAMERA = 64e-3  # m, the camera behind the tool's origin
 LATERAL = 2e-3  # m: a look from further beside the contact's axis saw another place
-UNIT = 1e-3  # how far the norm of a quaternion may be from 1
-LARGEST = 1e6  # of any recorded number, in its unit
+QUATERNION_NORM_TOLERANCE = 1e-3  # how far the norm of a quaternion may be from 1
+MAX_POSE_VALUE = 1e6  # of any recorded number, in its unit
 NOTE_LENGTH = 2000  # characters kept of a run's own notes
 
 _TACTILE = re.compile(r"experiment_(.+)_reskin(\.npy)?")
@@ -144,7 +144,7 @@ class _Poses(NamedTuple):
 def _poses(stem: Path, n: int, notes: ConversionLog) -> _Poses:
     final, prepare = (_optional(stem, name, (n, 3), notes) for name in ("final_contact", "prepare_contact"))
     quaternions = _optional(stem, "rotations", (n, 4), notes)
-    crooked = np.abs(np.linalg.norm(quaternions, axis=1) - 1) > UNIT
+    crooked = np.abs(np.linalg.norm(quaternions, axis=1) - 1) > QUATERNION_NORM_TOLERANCE
     if crooked.any():
         raise data_error(stem, f"quaternion {np.flatnonzero(crooked)[0] + 1} of its rotations is not of length 1")
     T_w_t = np.full((n, 4, 4), np.nan)
@@ -213,8 +213,8 @@ def _optional(
         raise data_error(path, f"does not hold numbers of the shape {shape}") from error
     if numbers.size != math.prod(shape) or len(numbers) != shape[0]:
         raise data_error(path, f"has the shape {numbers.shape} where {shape[0]} touches need {shape}")
-    if not (np.abs(numbers) < LARGEST).all():
-        raise data_error(path, f"is not finite at touch {np.argwhere(~(np.abs(numbers) < LARGEST))[0][0] + 1}")
+    if not (np.abs(numbers) < MAX_POSE_VALUE).all():
+        raise data_error(path, f"is not finite at touch {np.argwhere(~(np.abs(numbers) < MAX_POSE_VALUE))[0][0] + 1}")
     return numbers.reshape(shape)
 
 

@@ -25,13 +25,13 @@ from i2t.errors import DataError
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Board, ReturnCode, Touches
 
 PLACES = ("x_mm", "y_mm", "depth_mm")
-NAMES = ("pad", "session")
+NAME_COLUMNS = ("pad", "session")
 ROWS_AT_ONCE = 512  # bounds the memory of the intermediate arrays
 
 # A tip is a body of revolution whose axis stands on the skin: the height (m) of its surface above its lowest point at a
 # distance (m) from its axis, infinite where there is nothing.
 Profile: TypeAlias = Callable[[np.ndarray], np.ndarray]
-LARGEST = 1e9  # of any number, in its unit
+MAX_TABLE_VALUE = 1e9  # of any number, in its unit
 
 
 def convert(
@@ -72,11 +72,11 @@ def convert(
         raise DataError(f"{source}: no press lies inside the window of {1e3 * window:g} mm; widen --window-mm")
     kept = [row for row, keep in zip(rows, inside, strict=True) if keep]
     x, y, depth = x[inside], y[inside], depth[inside]
-    patch, lowest = _patches(indenter, mesh_unit, x, y, window, reach, notes)
+    patch, lowest = _patches(indenter, mesh_unit, x, y, window=window, reach=reach, notes=notes)
     n = len(x)
     T_w_o = np.tile(np.eye(4), (n, 1, 1))
     T_w_o[:, :3, 3] = np.column_stack([x, y, -depth - lowest])
-    names = {kind: tuple(dict.fromkeys(row[kind] for row in kept)) for kind in NAMES}
+    names = {kind: tuple(dict.fromkeys(row[kind] for row in kept)) for kind in NAME_COLUMNS}
     touches = Touches(
         patch=patch,
         wide=missing_context(n),
@@ -167,7 +167,7 @@ def _rows(source: Path, chips: int, notes: ConversionLog) -> list[dict[str, Any]
         raise DataError(
             f"{source}: some of the ambient columns {ambient[0]} ... {ambient[-1]} are missing; give all or none"
         )
-    known = {*PLACES, *values, "force_N", *NAMES, *(ambient if has_ambient else ())}
+    known = {*PLACES, *values, "force_N", *NAME_COLUMNS, *(ambient if has_ambient else ())}
     unknown = [name for name in header if name not in known]
     if unknown:
         notes.info(f"left out: columns {', '.join(unknown)}, which have no meaning here")
@@ -183,7 +183,7 @@ def _rows(source: Path, chips: int, notes: ConversionLog) -> list[dict[str, Any]
             reading = np.array([_number(source, number, name, line[name]) for name in values])
             if has_ambient:
                 reading -= [_number(source, number, name, line[name]) for name in ambient]
-            row |= {kind: (line.get(kind) or kind).strip() for kind in NAMES} | {"reading": reading}
+            row |= {kind: (line.get(kind) or kind).strip() for kind in NAME_COLUMNS} | {"reading": reading}
             rows.append(row)
         except DataError as error:
             notes.skip(error)
@@ -197,7 +197,7 @@ def _number(source: Path, line: int, column: str, text: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not abs(value) < LARGEST:
+    if not abs(value) < MAX_TABLE_VALUE:
         raise DataError(f"{source}: line {line} has {text!r} in column {column}, which is no such number; correct it")
     if column == "depth_mm" and value < 0:
         raise DataError(
@@ -207,12 +207,12 @@ def _number(source: Path, line: int, column: str, text: str) -> float:
 
 
 def _patches(
-    indenter: str, mesh_unit: str, x: np.ndarray, y: np.ndarray, window: float, reach: float, notes: ConversionLog
+    indenter: str, mesh_unit: str, x: np.ndarray, y: np.ndarray, *, window: float, reach: float, notes: ConversionLog
 ) -> tuple[np.ndarray, float]:
     """Patches (n, 48, 48) m and the z of the indenter's lowest point in its own frame (m)."""
     kind, _, value = indenter.partition(":")
     if kind == "mesh" and value:
-        return _mesh_patches(Path(value), mesh_unit, x, y, window, reach, notes)
+        return _mesh_patches(Path(value), mesh_unit, x, y, window=window, reach=reach, notes=notes)
     try:
         radius = 1e-3 * float(value)
     except ValueError:
@@ -223,7 +223,7 @@ def _patches(
 
 
 def _mesh_patches(
-    file: Path, unit: str, x: np.ndarray, y: np.ndarray, window: float, reach: float, notes: ConversionLog
+    file: Path, unit: str, x: np.ndarray, y: np.ndarray, *, window: float, reach: float, notes: ConversionLog
 ) -> tuple[np.ndarray, float]:
     import jax.numpy as jnp
     from jax import jit

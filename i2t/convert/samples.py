@@ -16,10 +16,10 @@ from i2t.convert.common import ConversionLog, data_error
 from i2t.errors import DataError
 
 CHIPS = 5  # of the boards that this layout is of
-READINGS = 3 * CHIPS
+AUTHORS_READINGS = 3 * CHIPS
 TEMPERATURES = (-40.0, 85.0)  # C, the range of the chips
 SPREAD = 10.0  # K, standard deviation of temperature over chips and touches; chips differ by 1 to 2.5 K
-LARGEST = 1e6  # uT: the chips end at 1.3e5
+MAX_SAMPLE_VALUE = 1e6  # uT: the chips end at 1.3e5
 CLEARLY = 3.0  # times: how much steadier one column must be to be the temperature where both could be
 
 
@@ -67,7 +67,9 @@ def _means(path: Path, touches: list[list[list[float]]], order: str, notes: Conv
     means = np.array([_mean(touch, order) for touch in touches])
     for k in np.flatnonzero(np.isnan(means).any(1)):
         notes.skip(
-            data_error(path, f"item {k + 1} holds a value that is no field (not finite, or above {LARGEST:g} uT)")
+            data_error(
+                path, f"item {k + 1} holds a value that is no field (not finite, or above {MAX_SAMPLE_VALUE:g} uT)"
+            )
         )
     return means
 
@@ -77,14 +79,14 @@ def _samples(path: Path, item: Any) -> list[list[float]]:
     delay, values, device].
     """
     if isinstance(item, list):
-        if len(item) in (READINGS, 4 * CHIPS) and all(isinstance(value, int | float) for value in item):
+        if len(item) in (AUTHORS_READINGS, 4 * CHIPS) and all(isinstance(value, int | float) for value in item):
             return [[float(value) for value in item]]
         if len(item) == 4 and isinstance(item[2], list) and not isinstance(item[0], list):
             return _samples(path, item[2])
         if item and all(isinstance(part, list) for part in item):
             return [sample for part in item for sample in _samples(path, part)]
     kind = f"a list of {len(item)}" if isinstance(item, list) else repr(item)[:40]
-    raise data_error(path, f"holds {kind} where a sample of {READINGS} or {4 * CHIPS} values should be")
+    raise data_error(path, f"holds {kind} where a sample of {AUTHORS_READINGS} or {4 * CHIPS} values should be")
 
 
 def _mean(samples: list[list[float]], order: str) -> np.ndarray:
@@ -92,7 +94,7 @@ def _mean(samples: list[list[float]], order: str) -> np.ndarray:
     for sample in samples:
         values = np.array(sample, np.float64).reshape(CHIPS, -1)
         field = values if values.shape[1] == 3 else values[:, 1:] if order == "binary" else values[:, :3]
-        fields.append(np.where(np.abs(field) < LARGEST, field, np.nan))
+        fields.append(np.where(np.abs(field) < MAX_SAMPLE_VALUE, field, np.nan))
     return np.mean(fields, axis=0).ravel()
 
 
@@ -103,7 +105,7 @@ def _detected(path: Path, samples: np.ndarray) -> str:
     spread = {}
     for order, column in (("binary", 0), ("ascii", 3)):
         values = samples.reshape(-1, CHIPS, 4)[..., column]
-        values = values[(np.abs(values) < LARGEST).all(1)]
+        values = values[(np.abs(values) < MAX_SAMPLE_VALUE).all(1)]
         plausible = values.size and TEMPERATURES[0] <= values.min() and values.max() <= TEMPERATURES[1]
         spread[order] = float(values.std()) if plausible and values.std() < SPREAD else math.inf
     best, other = sorted(spread, key=lambda order: spread[order])

@@ -24,7 +24,7 @@ import h5py
 from i2t.errors import DataError
 
 SCHEMA = "i2t-touches"
-VERSION = 2  # sessions, which version 1 called runs
+SCHEMA_VERSION = 2  # sessions, which version 1 called runs
 READABLE_VERSIONS = (1, 2)
 ENDING = ".h5"
 HEADER_BYTES = 512
@@ -53,7 +53,7 @@ def write(path: Path, fill: Callable[[h5py.File], None], small: bool = False) ->
                 raw.seek(HEADER_BYTES)
                 digest = hashlib.file_digest(raw, "sha256").hexdigest()
                 raw.seek(0)
-                raw.write(f"{SCHEMA} {VERSION} sha256 {digest}\n".encode().ljust(HEADER_BYTES, b"\0"))
+                raw.write(f"{SCHEMA} {SCHEMA_VERSION} sha256 {digest}\n".encode().ljust(HEADER_BYTES, b"\0"))
                 raw.flush()
                 os.fsync(raw.fileno())
             temporary.replace(path)
@@ -70,7 +70,7 @@ def write(path: Path, fill: Callable[[h5py.File], None], small: bool = False) ->
 def _make(where: Path | io.BytesIO, fill: Callable[[h5py.File], None]) -> None:
     with h5py.File(where, "w", userblock_size=HEADER_BYTES) as file:
         file.attrs["schema"] = SCHEMA
-        file.attrs["version"] = VERSION
+        file.attrs["version"] = SCHEMA_VERSION
         fill(file)
 
 
@@ -119,6 +119,7 @@ def _header(path: Path, block: bytes) -> str:
         )
     if int(match[1]) not in READABLE_VERSIONS:
         raise DataError(
-            f"{path}: written in schema version {int(match[1])}, and this program reads {VERSION}; install a newer i2t"
+            f"{path}: written in schema version {int(match[1])}, and this program reads {SCHEMA_VERSION}; "
+            "install a newer i2t"
         )
     return match[2].decode()

@@ -15,7 +15,7 @@ from i2t.types import PATCH_WINDOW, REACH, WIDE_PIXELS, Board, ReturnCode, Touch
 
 SOURCES = ("simulated", "real", "mixed")
 INDICES = ("object", "pad", "session", "code")
-AXES = ("x", "y", "z")
+AXIS_NAMES = ("x", "y", "z")
 ROTATION_TOLERANCE = (
     1e-4  # float32 leaves 1e-6 and quaternions printed with four decimals 1e-4: beyond it is no rotation
 )
@@ -67,7 +67,7 @@ class Dataset:
             "pads": _counts(touches.pad, self.pads),
             "sessions": _counts(touches.session, self.sessions),
             "codes": {code.name.lower(): int(np.sum(touches.code == code)) for code in ReturnCode},
-            "reading_uT": {axis: _statistics(by_axis[..., i].ravel()) for i, axis in enumerate(AXES)},
+            "reading_uT": {axis: _statistics(by_axis[..., i].ravel()) for i, axis in enumerate(AXIS_NAMES)},
             "reading_norm_uT": _statistics(np.linalg.norm(by_axis.reshape(-1, self.board.num_readings), axis=1)),
             "force_N": _statistics(touches.force[finite["force"]].astype(np.float64)),
             "depth_m": _statistics(touches.depth[finite["depth"]].astype(np.float64)),

@@ -27,7 +27,7 @@ from i2t.types import Board, Touches, Truth
 INDEX = "index.json"
 INDEX_VERSION = 2
 ROWS_PER_CHUNK = 64
-EARLIER_NAMES = {"session": "run", "sessions": "runs"}  # as files of schema version 1 call them
+FIELDS_OF_VERSION_1 = {"session": "run", "sessions": "runs"}  # as files of schema version 1 call them
 
 UNITS = {
     **dict.fromkeys(("patch", "wide", "nearest", "depth", "indentation"), "m"),
@@ -361,7 +361,7 @@ def _get_dataset(file: h5py.File) -> Dataset:
 
 def _stored(group: h5py.Group, name: str) -> str:
     """What a file calls a field or a list of names."""
-    return name if name in group else EARLIER_NAMES.get(name, name)
+    return name if name in group else FIELDS_OF_VERSION_1.get(name, name)
 
 
 def _put(file: h5py.File, name: str, values: Any, unit: str) -> h5py.Dataset:

@@ -17,7 +17,7 @@ from PIL import Image
 
 from i2t.types import RIGID
 
-METRES_PER_UNIT = {"m": 1.0, "mm": 1e-3}  # m
+METRES_PER_DEPTH_UNIT = {"m": 1.0, "mm": 1e-3}  # m
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff")
 MAX_IMAGE_PIXELS = 16384  # pixels, edge of an image
 
@@ -98,7 +98,7 @@ def read_depth(path: str | Path, scale: float | str, encoding: str = Encoding.PL
         ValueError: It holds no depth; one sentence that names the file and a remedy.
     """
     path = Path(path)
-    metres = METRES_PER_UNIT.get(scale) if isinstance(scale, str) else scale
+    metres = METRES_PER_DEPTH_UNIT.get(scale) if isinstance(scale, str) else scale
     if metres is None or not math.isfinite(metres) or metres <= 0:
         raise ValueError(f"{path}: scale is {scale!r}; give metres per unit as a positive number, or 'mm' or 'm'")
     if encoding not in list(Encoding):

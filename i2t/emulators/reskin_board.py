@@ -41,7 +41,9 @@ TEMPERATURE_ORIGIN_C = 25.0  # from which the converter counts
 PRESS_UT = np.array([[9, 4, -38], [-14, 8, 12], [6, 20, 9], [-5, -16, 7], [11, -9, 13.0]])  # of chips, over and over
 PRESS_PERIOD_S = 4.0
 IDLE_S = 0.01  # between two looks whether somebody has opened the port
-BAUD_RATES = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()}
+TERMIOS_SPEEDS = {
+    getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()
+}
 
 
 def parser() -> argparse.ArgumentParser:
@@ -177,7 +179,7 @@ class BoardPort:
         """Baud rate to which the port is set."""
         assert self.master is not None
         code = termios.tcgetattr(self.master)[4]
-        return BAUD_RATES.get(code, 0)
+        return TERMIOS_SPEEDS.get(code, 0)
 
     def send(self, chunk: bytes) -> None:
         """What does not fit the port's buffer is lost, and so is what is sent to the board."""

@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeAlias
 
 Value: TypeAlias = int | float | Sequence[int | float]
 
-HEADER = struct.Struct(">HB")
+PACKET_HEADER = struct.Struct(">HB")
 PROTOCOL, VERSION, MESSAGE, DATA, OUTPUTS, INPUTS, START, PAUSE = b"VvMUOISP"
 
 FORMATS = {
@@ -100,7 +100,7 @@ def packet(kind: int, body: bytes = b"") -> bytes:
     Returns:
         The packet.
     """
-    return HEADER.pack(HEADER.size + len(body), kind) + body
+    return PACKET_HEADER.pack(PACKET_HEADER.size + len(body), kind) + body
 
 
 def split(buffer: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
@@ -116,13 +116,13 @@ def split(buffer: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
         ValueError: A header says a size that cannot be.
     """
     packets, start = [], 0
-    while len(buffer) - start >= HEADER.size:
-        size, kind = HEADER.unpack_from(buffer, start)
-        if size < HEADER.size:
+    while len(buffer) - start >= PACKET_HEADER.size:
+        size, kind = PACKET_HEADER.unpack_from(buffer, start)
+        if size < PACKET_HEADER.size:
             raise ValueError(f"an RTDE packet cannot be {size} bytes long")
         if len(buffer) - start < size:
             break
-        packets.append((kind, buffer[start + HEADER.size : start + size]))
+        packets.append((kind, buffer[start + PACKET_HEADER.size : start + size]))
         start += size
     return packets, buffer[start:]
 

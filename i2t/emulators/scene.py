@@ -27,7 +27,7 @@ from i2t.skin.pad import press_force
 from i2t.types import PAD_WINDOW, Array, Board, Pad, Surface
 
 LINE_LENGTH_M = 0.12  # of a line on which the object is looked for
-LOADS_N = np.geomspace(0.02, 60.0, 14)
+TABULATED_LOADS_N = np.geomspace(0.02, 60.0, 14)
 LINE_TOLERANCE_M, LINE_TOLERANCE_RAD = 20e-6, 1e-4  # how far from its line a tool is still on it
 NEAR_CONTACT_M = 2e-3  # before first contact, from which motion is followed finely
 STANDING_QUERIES = 3  # times that the same pose is asked for before the tool is taken to stand
@@ -161,14 +161,14 @@ class ObjectScene:
         off[:3, :3] = so3_exp(self.errors.approach_angle * self._random.standard_normal(3))
         T_o_t = np.linalg.inv(self.T_b_o) @ T_b_t @ off
         first, past_contact, centre, reading = jax.device_get(
-            _meet(self._surface, jnp.asarray(T_o_t, jnp.float32), self.pad, jnp.asarray(LOADS_N, jnp.float32))
+            _meet(self._surface, jnp.asarray(T_o_t, jnp.float32), self.pad, jnp.asarray(TABULATED_LOADS_N, jnp.float32))
         )
-        past = np.append(0.0, past_contact + LOADS_N / self.stiffness)
+        past = np.append(0.0, past_contact + TABULATED_LOADS_N / self.stiffness)
         return ContactLine(
             T_b_t=np.array(T_b_t),
             first=float(first),
             past_contact=np.maximum.accumulate(past + 1e-9 * np.arange(len(past))),  # rounding must not turn it back
-            force=np.append(0.0, LOADS_N),
+            force=np.append(0.0, TABULATED_LOADS_N),
             centre=np.concatenate([centre[:1], centre]).astype(float),
             reading=np.concatenate([np.zeros_like(reading[:1]), reading]).astype(float),
         )

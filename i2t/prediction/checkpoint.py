@@ -25,8 +25,8 @@ from i2t.prediction import training
 from i2t.prediction.model import ModelConfig, Normalisation, Params, Standard
 from i2t.prediction.training import TrainConfig, TrainState
 
-FORMAT = "i2t checkpoint"
-FORMAT_VERSION = 1
+CHECKPOINT_FORMAT = "i2t checkpoint"
+CHECKPOINT_VERSION = 1
 PACKAGES = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")
 
 Config = TypeVar("Config")
@@ -66,8 +66,8 @@ def save(
     """
     epoch = int(state.epoch.max())
     about = {
-        "format": FORMAT,
-        "version": FORMAT_VERSION,
+        "format": CHECKPOINT_FORMAT,
+        "version": CHECKPOINT_VERSION,
         "model": asdict(model),
         "train": asdict(train),
         "touches": touches,
@@ -147,16 +147,16 @@ def _describe(directory: Path | str) -> tuple[Description, Path]:
     epoch, step = steps[-1]
     try:
         about = json.loads((step / "_CHECKPOINT_METADATA").read_text())["custom_metadata"]
-        if about["format"] != FORMAT:
+        if about["format"] != CHECKPOINT_FORMAT:
             raise KeyError(about["format"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CheckpointError(
             f"{step} was not written by i2t, or is damaged; name a folder that i2t's training wrote."
         ) from error
-    if about["version"] != FORMAT_VERSION:
+    if about["version"] != CHECKPOINT_VERSION:
         raise CheckpointError(
-            f"{step} has checkpoint version {about['version']}, but this i2t reads version {FORMAT_VERSION}; use the "
-            f"i2t that wrote it ({about['packages']['i2t']}) or train again."
+            f"{step} has checkpoint version {about['version']}, but this i2t reads version {CHECKPOINT_VERSION}; use "
+            f"the i2t that wrote it ({about['packages']['i2t']}) or train again."
         )
     try:
         # Earlier versions could train several seeds together and said so; one seed is what is trained now.

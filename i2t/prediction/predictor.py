@@ -38,8 +38,8 @@ from i2t.rendering.render import prepare_surface, render_patch
 from i2t.skin.pad import nominal_pad
 from i2t.types import PATCH_PIXELS, WIDE_PIXELS, Pad, Patch, Surface
 
-FORMAT = "i2t predictor"
-FORMAT_VERSION = 2
+PREDICTOR_FORMAT = "i2t predictor"
+PREDICTOR_VERSION = 2
 BATCH = 64  # contact pressures computed at a time
 
 Values: TypeAlias = int | float | Sequence[int | float] | np.ndarray | Array  # one for all touches, or one for each
@@ -298,8 +298,8 @@ def save(directory: Path | str, predictor: Predictor) -> None:
         arrays = {"params": kind.network.params, "normalisation": kind.network.normalisation}
     arrays = _plain(arrays)
     about = {
-        "format": FORMAT,
-        "version": FORMAT_VERSION,
+        "format": PREDICTOR_FORMAT,
+        "version": PREDICTOR_VERSION,
         "pressure": None if predictor.pressure is None else asdict(predictor.pressure),
         "network": None if isinstance(kind, GPModel) else asdict(kind.network.cfg),
         **{name: getattr(predictor, name) for name in _FIELDS},
@@ -366,7 +366,7 @@ def _description(directory: Path) -> dict[str, Any]:
     """What a predictor on disk says of itself, in this version's words; `stored` keeps its arrays' names."""
     try:
         about = json.loads((directory / "_CHECKPOINT_METADATA").read_text())["custom_metadata"]
-        if about["format"] != FORMAT:
+        if about["format"] != PREDICTOR_FORMAT:
             raise KeyError(about["format"])
         version, shapes = about["version"], about["shapes"]
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -375,10 +375,10 @@ def _description(directory: Path) -> dict[str, Any]:
         ) from error
     if version == 1:
         about = {_NAMES_OF_VERSION_1.get(name, name): value for name, value in about.items()}
-    elif version != FORMAT_VERSION:
+    elif version != PREDICTOR_VERSION:
         raise CheckpointError(
-            f"{directory} holds a predictor of version {version}, but this i2t reads versions up to {FORMAT_VERSION}; "
-            "use the i2t that wrote it, or train again"
+            f"{directory} holds a predictor of version {version}, but this i2t reads versions up to "
+            f"{PREDICTOR_VERSION}; use the i2t that wrote it, or train again"
         )
     missing = [name for name in ("pressure", "network", *_FIELDS) if name not in about]
     if missing:

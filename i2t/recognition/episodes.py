@@ -28,7 +28,7 @@ from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import SessionErrors, SimulationErrors
 from i2t.types import Pad, ReturnCode, Surface, Touches
 
-BATCH_TOUCHES = 40  # simulated at a time
+OBSERVED_BATCH = 40  # simulated at a time
 # Kinds of evidence: weights of readings and of positions.
 EVIDENCE = {"tactile only": (1.0, 0.0), "position only": (0.0, 1.0), "fused": (1.0, 1.0)}
 
@@ -110,8 +110,8 @@ class EpisodeSimulator:
         done: list[tuple[np.ndarray, Touches]] = []
         for which in range(len(self.surfaces)):
             rows = np.flatnonzero(self.truth[episode] == which)
-            for start in range(0, len(rows), BATCH_TOUCHES):
-                some = rows[start : start + BATCH_TOUCHES]
+            for start in range(0, len(rows), OBSERVED_BATCH):
+                some = rows[start : start + OBSERVED_BATCH]
                 done.append((some, self._touch_batch(which, drawn, episode, where, some)))
                 if bar is not None:
                     bar.update(len(some))
@@ -125,7 +125,7 @@ class EpisodeSimulator:
         self, which: int, drawn: np.ndarray, episode: np.ndarray, where: np.ndarray, rows: np.ndarray
     ) -> Touches:
         """Touches of one object, filled up to a batch so that one compilation serves all."""
-        full = np.resize(rows, BATCH_TOUCHES)
+        full = np.resize(rows, OBSERVED_BATCH)
         made = _touch_many(
             drawn[full], self.surfaces[which], self.sites.T_w_t[where[full]], element(self.sessions, episode[full]),
             self.pad, errors=self.config.touch_errors, limits=self.config.limits,

@@ -39,7 +39,7 @@ class LeastSquares(NamedTuple):
     unseen: Any  # linearisation of a start that was not looked at yet: its cost exceeds all others
 
 
-class State(NamedTuple):
+class SolverState(NamedTuple):
     """What the next step needs."""
 
     x: Any  # the best so far
@@ -59,7 +59,7 @@ class Info(NamedTuple):
     damping: Float[Array, ""]
 
 
-def init(problem: LeastSquares, x0: Any, *, damping: float = MIN_DAMPING) -> State:
+def init(problem: LeastSquares, x0: Any, *, damping: float = MIN_DAMPING) -> SolverState:
     """The state before the first step.
 
     Args:
@@ -71,7 +71,7 @@ def init(problem: LeastSquares, x0: Any, *, damping: float = MIN_DAMPING) -> Sta
         A state whose first trial is the start itself.
     """
     far = jnp.full((), math.inf, jnp.float32)
-    return State(
+    return SolverState(
         x=x0,
         linearised=problem.unseen,
         trial=x0,
@@ -84,12 +84,12 @@ def init(problem: LeastSquares, x0: Any, *, damping: float = MIN_DAMPING) -> Sta
 
 def step(
     problem: LeastSquares,
-    state: State,
+    state: SolverState,
     scale: Float[Array, ""],
     next_scale: Float[Array, ""],
     *,
     scale_free: bool = False,
-) -> tuple[State, Info]:
+) -> tuple[SolverState, Info]:
     """Look at the trial, keep it if its cost is not larger, and propose the next one.
 
     Args:
@@ -117,7 +117,7 @@ def step(
     info = Info(jnp.where(accepted, after, before), accepted, state.damping)
     length = jnp.linalg.norm(change)
     trial = problem.retract(x, change)
-    return State(
+    return SolverState(
         x=x,
         linearised=linearised,
         trial=trial,
@@ -137,7 +137,7 @@ def levenberg_marquardt(
     damping: float = MIN_DAMPING,
     scale_free: bool = False,
     tolerance: float | None = None,
-) -> State:
+) -> SolverState:
     """Make a robust sum of squares small.
 
     Args:
@@ -154,14 +154,14 @@ def levenberg_marquardt(
     """
     next_scales = scales if next_scales is None else next_scales
 
-    def unfinished(state: State) -> Bool[Array, ""]:
+    def unfinished(state: SolverState) -> Bool[Array, ""]:
         left = state.steps < len(scales)
         if tolerance is None:
             return left
         last_scale = scales[jnp.minimum(state.steps, len(scales) - 1)] <= scales[-1]
         return left & ~((state.looked_length < tolerance) & last_scale)
 
-    def advance(state: State) -> State:
+    def advance(state: SolverState) -> SolverState:
         return step(problem, state, scales[state.steps], next_scales[state.steps], scale_free=scale_free)[0]
 
     return jax.lax.while_loop(unfinished, advance, init(problem, x0, damping=damping))

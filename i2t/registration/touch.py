@@ -33,7 +33,7 @@ from i2t.simulation.sites import nearest_in_square
 from i2t.types import PAD_WINDOW, STANDOFF, TWIST_LEVER_M, ReturnCode, Surface, Touches
 
 STUDENT_T_DOF = 4.0  # of the residuals: the usual compromise of Lange et al.
-UNSEEN_RESIDUAL_M = 1e3  # of a motion that was not looked at yet: worse than any
+UNSEEN_CONTACT_RESIDUAL_M = 1e3  # of a motion that was not looked at yet: worse than any
 PROPOSAL_DOF = 5  # of what is drawn: heavier tails than any posterior's
 MIN_PROPOSAL_STD = 1e-3  # of draws, in standard deviations of the prior, for float32's sake
 MIN_VARIANCE_FACTOR = 0.1  # by which one round of draws may shrink the variance along any direction
@@ -202,7 +202,7 @@ def _touch_problem(contacts: _Contacts, half_edge: float) -> LeastSquares:
         cost=lambda z, linearised, scale: _cost(z, linearised, contacts.weight, scale),
         normal_equations=lambda z, linearised, scale: _normal_equations(z, linearised, contacts.weight, scale),
         retract=lambda z, change: z + change,
-        unseen=_Linearised(jnp.full(n, UNSEEN_RESIDUAL_M), jnp.zeros((n, 6)), jnp.ones(n)),
+        unseen=_Linearised(jnp.full(n, UNSEEN_CONTACT_RESIDUAL_M), jnp.zeros((n, 6)), jnp.ones(n)),
     )
 
 

@@ -46,7 +46,7 @@ from i2t.types import STANDOFF
 LANES_PER_BLOCK = 32  # tiles side by side in memory
 BLOCKS_PER_SHARE = 72  # of lanes in a share
 GROUPS_PER_CHUNK = 8  # groups of each pose looked into together
-FRONT_SLAB_REACHES = 1.25  # reaches behind where the first group should be met: what is drawn first
+DENSE_FRONT_SLAB_REACHES = 1.25  # reaches behind where the first group should be met: what is drawn first
 
 
 class _Listed(NamedTuple):
@@ -101,7 +101,7 @@ def cast_dense(
     # A group in the middle should be met at its own middle, one at the edge of the window perhaps only at its end.
     central = (jnp.abs(shift[0]) <= grid.half) & (jnp.abs(shift[1]) <= grid.half)
     met = jnp.maximum(jnp.where(central, shift[2], shift[2] + stretch[2]), -STANDOFF)
-    slab = jnp.min(jnp.where(seen, met, jnp.inf), 1) + FRONT_SLAB_REACHES * reach
+    slab = jnp.min(jnp.where(seen, met, jnp.inf), 1) + DENSE_FRONT_SLAB_REACHES * reach
     row = groups.shape[2] // WORD_BITS
 
     def layer(i: Array, best: Hits) -> Hits:

@@ -34,7 +34,9 @@ from i2t.types import Pad
 
 MAX_HEIGHT_M = 1.0  # m: heights are cut here, so that "nothing there" may be infinite
 MIN_STRAIN = 1e-9  # strain below which a problem is no longer scaled to 1, so that no contact divides by no number
-TOLERANCE = 1e-5  # of the deepest deflection: about ten roundings of float32, a hundredth of the 0.1 % asked of a force
+CONTACT_TOLERANCE = (
+    1e-5  # of the deepest deflection: about ten roundings of float32, a hundredth of the 0.1 % asked of a force
+)
 MAX_STEPS = 200
 LINEAR_STEPS = 100  # at most, of the conjugate gradients for a derivative; about 20 are enough
 
@@ -58,7 +60,7 @@ def solve(
     grid: Grid = GRID,
     *,
     start: Float[Array, "n n"] | None = None,
-    tolerance: float = TOLERANCE,
+    tolerance: float = CONTACT_TOLERANCE,
     max_steps: int = MAX_STEPS,
 ) -> Contact:
     """The contact at a given indentation.
@@ -101,7 +103,7 @@ def solve_force(
     grid: Grid = GRID,
     *,
     start: Float[Array, "n n"] | None = None,
-    tolerance: float = TOLERANCE,
+    tolerance: float = CONTACT_TOLERANCE,
     max_steps: int = MAX_STEPS,
 ) -> Contact:
     """The contact at a given normal force, sought among the pressures that carry it.
@@ -214,7 +216,7 @@ def conjugate_gradients(operator: Callable[[Array], Array], b: Array) -> Array:
     return jax.lax.while_loop(unfinished, step, first)[0]
 
 
-class State(NamedTuple):
+class ContactState(NamedTuple):
     """Where a descent has come to."""
 
     point: Array  # within the allowed set
@@ -236,7 +238,7 @@ def descend(
     bounds: tuple[Array, Array],
     tolerance: float,
     max_steps: int,
-) -> State:
+) -> ContactState:
     """Minimise x.Kx/2 + x.offset over a convex set by spectral projected gradients. Not differentiated.
 
     Args:
@@ -255,13 +257,13 @@ def descend(
     offset, start = jax.lax.stop_gradient((offset, start))
     shortest, longest = (1 / jax.lax.stop_gradient(bound) for bound in bounds[::-1])
 
-    def state(x: Array, gap: Array, length: Array, steps: Array) -> State:
+    def state(x: Array, gap: Array, length: Array, steps: Array) -> ContactState:
         # Taking the level off changes nothing in exact arithmetic (directions of constant force sum to zero); it saves
         # the digits below it.
         reached = level(x, gap)
         target = project(x - length * (gap - reached))
         deflection = positive(jnp.max(jnp.abs(gap - offset)))
-        return State(
+        return ContactState(
             point=x,
             gap=gap,
             level=reached,
@@ -271,7 +273,7 @@ def descend(
             steps=steps,
         )
 
-    def step(now: State) -> State:
+    def step(now: ContactState) -> ContactState:
         d = now.target - now.point
         change = deflect(d)
         dd, dk, kk = (positive(jnp.sum(product)) for product in (d * d, d * change, change * change))
@@ -280,7 +282,7 @@ def descend(
         x = (1 - fraction) * now.point + fraction * now.target  # between two points of the set, so within it
         return state(x, now.gap + fraction * change, jnp.clip(length, shortest, longest), now.steps + 1)
 
-    def unfinished(now: State) -> Array:
+    def unfinished(now: ContactState) -> Array:
         return (now.residual > tolerance) & (now.steps < max_steps)
 
     start = project(start)
@@ -299,7 +301,14 @@ def _onto_simplex(p: Array) -> Array:
 
 
 def _contact(
-    pad: Pad, state: State, pressure: Array, gap: Array, scale: Array, indentation: Array, grid: Grid, tolerance: float
+    pad: Pad,
+    state: ContactState,
+    pressure: Array,
+    gap: Array,
+    scale: Array,
+    indentation: Array,
+    grid: Grid,
+    tolerance: float,
 ) -> Contact:
     pressure = pressure * scale * pad.young
     return Contact(

@@ -29,7 +29,7 @@ from jaxtyping import Array, Float
 from i2t.skin.elasticity import GRID, Grid, interior, load
 from i2t.types import Pad
 
-NODES = 5  # across the thickness; `tests/skin/test_field.py` refines them and the cells
+CELL_NODES = 5  # across the thickness; `tests/skin/test_field.py` refines them and the cells
 MU0_OVER_4PI = 1e-7  # T m/A
 MICROTESLA = 1e6
 
@@ -47,7 +47,7 @@ def response(
     grid: Grid = GRID,
     *,
     dipoles: Grid | None = None,
-    nodes: int = NODES,
+    nodes: int = CELL_NODES,
     traction: Float[Array, "2 n n"] | None = None,
 ) -> Float[Array, " c"]:
     """The noise-free reading under a load: gains times the change of field, in the chips' axes.
@@ -76,7 +76,7 @@ def pressed_field(
     grid: Grid = GRID,
     *,
     dipoles: Grid | None = None,
-    nodes: int = NODES,
+    nodes: int = CELL_NODES,
     traction: Float[Array, "2 n n"] | None = None,
 ) -> Float[Array, "chips 3"]:
     """Field (uT, tool axes) of the pad's magnets at the chips under a load; arguments as for `response`."""
@@ -92,7 +92,7 @@ def pressed_field(
     return jnp.sum(jax.lax.map(sheet, sheets(pad, dipoles, nodes)), axis=0)
 
 
-def rest_field(pad: Pad, dipoles: Grid = GRID, nodes: int = NODES) -> Float[Array, "chips 3"]:
+def rest_field(pad: Pad, dipoles: Grid = GRID, nodes: int = CELL_NODES) -> Float[Array, "chips 3"]:
     """Field (uT, tool axes) of the pad's magnets at the chips when nothing touches it."""
 
     def sheet(magnets: tuple[Array, Array]) -> Array:
@@ -102,7 +102,9 @@ def rest_field(pad: Pad, dipoles: Grid = GRID, nodes: int = NODES) -> Float[Arra
     return jnp.sum(jax.lax.map(sheet, sheets(pad, dipoles, nodes)), axis=0)
 
 
-def sheets(pad: Pad, dipoles: Grid = GRID, nodes: int = NODES) -> tuple[Float[Array, " d"], Float[Array, "d 3 n n"]]:
+def sheets(
+    pad: Pad, dipoles: Grid = GRID, nodes: int = CELL_NODES
+) -> tuple[Float[Array, " d"], Float[Array, "d 3 n n"]]:
     """The dipoles at rest: depths (m) of their sheets, and moments (A m2, x, y and z) under the cell centres.
 
     A cell of `dipoles` takes the magnetization of the map's cell in which its centre lies.

@@ -19,7 +19,10 @@ from i2t.errors import SerializationError
 from i2t.types import Pad
 
 KIND = "i2t pad"
-EARLIER_NAMES = {"magnetisation": "magnetization", "give": "mount_compliance"}  # of fields in files of earlier versions
+PAD_FIELDS_OF_BEFORE = {
+    "magnetisation": "magnetization",
+    "give": "mount_compliance",
+}  # of fields in files of earlier versions
 
 
 def save_pad(path: Path | str, pad: Pad, about: dict[str, Any] | None = None) -> None:
@@ -48,7 +51,7 @@ def load_pad(path: Path | str) -> Pad:
     Raises:
         SerializationError: the file is missing, damaged, holds no pad, or none that can be.
     """
-    pad, _ = serialization.load(path, KIND, Pad, renamed=EARLIER_NAMES)
+    pad, _ = serialization.load(path, KIND, Pad, renamed=PAD_FIELDS_OF_BEFORE)
     side = pad.magnetization.shape[0] if pad.magnetization.ndim else 0
     chips = pad.board.chips.shape[0] if pad.board.chips.ndim else 0
     shapes = {

@@ -30,7 +30,7 @@ from i2t.skin.contact import MAX_STEPS, MIN_STRAIN, conjugate_gradients, descend
 from i2t.skin.elasticity import GRID, Grid, drag, evaluate, spectrum, tangential_compliance, tangential_displacement
 from i2t.types import Pad
 
-TOLERANCE = 1e-4  # of the largest displacement: ten times what the roundings of float32 leave
+FRICTION_TOLERANCE = 1e-4  # of the largest displacement: ten times what the roundings of float32 leave
 SLIP_TOLERANCE = 1e-4  # of the friction that a slipping cell may lack
 
 
@@ -65,7 +65,7 @@ def shear(
     grid: Grid = GRID,
     *,
     before: Shear | None = None,
-    tolerance: float = TOLERANCE,
+    tolerance: float = FRICTION_TOLERANCE,
     max_steps: int = MAX_STEPS,
 ) -> Shear:
     """The state of friction after the object has moved along the skin.

@@ -28,7 +28,7 @@ from i2t import geometry
 from i2t.skin.dipoles import MICROTESLA, MU0_OVER_4PI
 from i2t.types import Board
 
-NODES = 64  # of the integral round a magnet
+CYLINDER_NODES = 64  # of the integral round a magnet
 
 
 class Magnets(NamedTuple):
@@ -46,7 +46,7 @@ def cylinder_field(
     radius: Float[Array, ""] | float,
     height: Float[Array, ""] | float,
     magnetization: Float[Array, ""] | float,
-    nodes: int = NODES,
+    nodes: int = CYLINDER_NODES,
 ) -> Float[Array, "3"]:
     """Flux density (T) at `point` (m) of one cylinder centred at the origin, in the cylinder's own axes, inside it too;
     not finite on its curved surface.
@@ -71,7 +71,7 @@ def cylinder_field(
 
 
 @geometry.full_precision
-def field(points: Float[Array, "m 3"], magnets: Magnets, nodes: int = NODES) -> Float[Array, "m 3"]:
+def field(points: Float[Array, "m 3"], magnets: Magnets, nodes: int = CYLINDER_NODES) -> Float[Array, "m 3"]:
     """Flux density (T, tool axes) of all magnets together at `points` (m)."""
 
     def one(point: Array, magnet: Magnets) -> Array:
@@ -96,7 +96,7 @@ def response(
     magnets: Magnets,
     displacement: Float[Array, "k 3"],
     rotation: Float[Array, "k 3"],
-    nodes: int = NODES,
+    nodes: int = CYLINDER_NODES,
 ) -> Float[Array, " c"]:
     """The noise-free reading (uT) of magnets moved from rest (see `moved`): the change of field at the chips."""
     chips = jnp.asarray(board.chips)

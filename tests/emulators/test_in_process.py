@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import TICK_S, SimulatedArm, SimulatedCamera, SimulatedLab, SimulatedSkin, VirtualClock
-from i2t.emulators.scene import LOADS_N, ContactModel, ObjectScene, SpringPlane, _meet
+from i2t.emulators.scene import TABULATED_LOADS_N, ContactModel, ObjectScene, SpringPlane, _meet
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.hardware.clock import MonotonicClock
 from i2t.hardware.limits import MotionLimits
@@ -63,7 +63,7 @@ def test_a_line_over_a_dome_is_the_physics_between_its_loads_too(scene):
     line = scene.ahead(start)
     np.testing.assert_allclose(line.first, 0.07 - 0.03, atol=0.05e-3)  # chords of the mesh and cells of the grid
     T_o_t = jnp.asarray(np.linalg.inv(scene.T_b_o) @ start, jnp.float32)
-    loads = LOADS_N * np.sqrt(LOADS_N[1] / LOADS_N[0])
+    loads = TABULATED_LOADS_N * np.sqrt(TABULATED_LOADS_N[1] / TABULATED_LOADS_N[0])
     _, sunk, _, readings = _meet(scene._surface, T_o_t, scene.pad, jnp.asarray(loads, jnp.float32))
     for i in range(3, 11):
         force, centre, reading = line.contact_at(line.first + float(sunk[i]) + loads[i] / scene.stiffness)

@@ -15,7 +15,7 @@ from experiments.benchmark.policy import Policy
 from experiments.benchmark.rendering import Rendering
 from experiments.benchmark.run import Benchmark
 from experiments.benchmark.skin import SkinBenchmark
-from experiments.benchmark.timing import MissingPeerError, Row
+from experiments.benchmark.timing import BenchmarkRow, MissingPeerError
 from experiments.benchmark.training import Training
 from i2t.prediction import training
 from i2t.prediction.model import ModelConfig
@@ -36,7 +36,7 @@ def test_training_section_against_pytorch(tmp_path: Path, capsys: pytest.Capture
     rows = benchmark.main(Benchmark(sections=("training",), turns=2, out=tmp_path / "out", training=TINY))
     assert [row.peer_name.split(",")[0] for row in rows] == ["eager PyTorch", "the seeds one by one"]
     report = json.loads((tmp_path / "out" / "benchmark.json").read_text())
-    assert [Row(**row) for row in report["rows"]] == rows
+    assert [BenchmarkRow(**row) for row in report["rows"]] == rows
     assert report["config"]["training"]["touches"] == 20
     assert len(capsys.readouterr().out.splitlines()) == 1 + len(rows)
 
@@ -74,7 +74,7 @@ def test_unknown_sections_are_refused() -> None:
 
 def test_rows_are_medians_over_turns() -> None:
     row = timing.compare("s", "w", [1.0, 2.0, 4.0], "p", [3.0, 2.0, 8.0])
-    assert row == Row("s", "w", "s", 2.0, "p", 3.0, 2.0)
+    assert row == BenchmarkRow("s", "w", "s", 2.0, "p", 3.0, 2.0)
 
 
 def test_every_contender_gets_every_turn_in_order() -> None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from experiments.common.presets import NAMES, RENAMED, answer_renamed_value, choose_preset
+from experiments.common.presets import PRESET_NAMES, RENAMED, answer_renamed_value, choose_preset
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,8 @@ def test_presets_that_are_not_there_are_refused(name: str, words: str) -> None:
 
 
 def test_names_of_earlier_versions_lead_to_todays() -> None:
-    assert set(RENAMED.values()) <= set(NAMES)
-    assert not set(RENAMED) & set(NAMES)
+    assert set(RENAMED.values()) <= set(PRESET_NAMES)
+    assert not set(RENAMED) & set(PRESET_NAMES)
 
 
 @pytest.mark.parametrize("argv", [["--preset", "full"], ["--preset=full", "--out", "x"]])

@@ -350,7 +350,7 @@ def test_the_monitor_draws_every_chip_of_a_board(capsys):
     assert "change of all 12" in capsys.readouterr().out
     shown = Samples(np.arange(2), np.arange(2.0), np.zeros((2, 48)), np.full((2, 16), 25.0))
     info = BoardInfo("port", None, Format.BINARY)
-    lines = monitor.picture(info, "emulated", SkinCounters(), shown, np.zeros(48), 100.0)
+    lines = monitor.picture(info, "emulated", SkinCounters(), shown, np.zeros(48), scale=100.0)
     assert len([line for line in lines if re.match(r"\d+ [xyz] ", line)]) == 48
     assert monitor.main(["--board", "round"]) == 2
     assert "is not known" in capsys.readouterr().err
@@ -732,7 +732,7 @@ def test_the_picture_says_what_was_read():
     shown = Samples(np.arange(20), np.arange(20.0), readings + FIELD, celsius)
     counters = SkinCounters(samples=990, lost=10, gaps=7, skipped=800, rate=399.96)
     info = BoardInfo("/dev/ttyACM0", 115200, Format.BINARY, "QT Py", "A1", "239a:80cb")
-    lines = monitor.picture(info, "real", counters, shown, readings[0], 100.0)
+    lines = monitor.picture(info, "real", counters, shown, readings[0], scale=100.0)
     assert lines[0] == "/dev/ttyACM0  real  binary  115200 baud  QT Py 239a:80cb A1"
     assert "400.0 Hz  990 samples  lost 10 (1.00 %) in 7 gaps  800 stray bytes" in lines[1]
     rows = [line.split() for line in lines[4:19]]

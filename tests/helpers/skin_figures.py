@@ -15,7 +15,7 @@ from test_field import _tip
 
 from i2t.skin import contact, elasticity
 from i2t.skin import dipoles as field
-from i2t.skin.dipoles import NODES, response
+from i2t.skin.dipoles import CELL_NODES, response
 from i2t.skin.elasticity import FINE_GRID, GRID, Grid
 from i2t.skin.friction import rest, shear
 from i2t.skin.pad import nominal_pad, press, press_force, sample_pad
@@ -179,8 +179,8 @@ def refinement() -> None:
     for family, (shapes, force) in _families().items():
         readings = {}
         for name, (grid, dipoles, nodes) in {
-            **{name: (*level, NODES) for name, level in levels.items()},
-            "reference": (FINEST, FINE_GRID, 2 * NODES),
+            **{name: (*level, CELL_NODES) for name, level in levels.items()},
+            "reference": (FINEST, FINE_GRID, 2 * CELL_NODES),
         }.items():
             y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
             heights = jnp.asarray(np.stack([shape(x, y) for shape in shapes]), jnp.float32)

@@ -182,7 +182,7 @@ def test_several_starts_find_what_one_may_miss():
 
 
 def test_the_experiment_in_small(tmp_path, capsys):
-    args = experiment.Args(out=tmp_path / "run", preset="debug")
+    args = experiment.RefineArgs(out=tmp_path / "run", preset="debug")
     report = experiment.main(args)
     assert json.loads((tmp_path / "run" / "metrics.json").read_text()) == report
     assert report["source"] == "simulated"
@@ -198,11 +198,11 @@ def test_the_experiment_in_small(tmp_path, capsys):
     with pytest.raises(ValueError, match="holds a finished run"):
         experiment.main(args)
     with pytest.raises(ValueError, match="no STL file"):
-        experiment.main(experiment.Args(out=tmp_path / "other", preset="debug", data=tmp_path))
+        experiment.main(experiment.RefineArgs(out=tmp_path / "other", preset="debug", data=tmp_path))
 
 
 def test_starts_are_exactly_as_far_off_as_they_say():
-    args = experiment.Args(cases=4, objects=1)
+    args = experiment.RefineArgs(cases=4, objects=1)
     thing = make_object("dome")
     surfaces = jax.tree.map(lambda a: a[None], prepare_surface(thing.mesh))
     cases = experiment.draw_cases(jax.random.key(0), [thing], surfaces, 4, args)

@@ -137,7 +137,7 @@ def test_meets_the_contact_conditions(sweeps):
     assert np.all(found.pressure >= 0)
     deflection = np.max(found.gap - heights[:, None] + depths[None, :, None, None], axis=(2, 3))
     # The residual is the tolerance's meaning; float32 adds a few roundings of heights of about a millimetre.
-    violation = contact.TOLERANCE * deflection[..., None, None] + 4 * np.finfo(np.float32).eps * 1e-3
+    violation = contact.CONTACT_TOLERANCE * deflection[..., None, None] + 4 * np.finfo(np.float32).eps * 1e-3
     assert np.all(found.gap > -violation)
     touching = found.pressure > 1e-3 * np.max(found.pressure, axis=(2, 3), keepdims=True)
     assert np.all(np.where(touching, np.abs(found.gap) < violation, True))
@@ -197,7 +197,7 @@ def test_force_control_inverts_depth_control(sweeps):
     assert np.all(back.converged)
     np.testing.assert_allclose(back.force, found.force[rows, -2], rtol=1e-5)
     # Both stop within the tolerance of the deepest deflection, which is at most a few times the depth here.
-    np.testing.assert_allclose(back.indentation, np.full(10, depths[-2]), rtol=10 * contact.TOLERANCE)
+    np.testing.assert_allclose(back.indentation, np.full(10, depths[-2]), rtol=10 * contact.CONTACT_TOLERANCE)
 
 
 def test_a_start_changes_the_effort_only():
@@ -206,15 +206,15 @@ def test_a_start_changes_the_effort_only():
     near = solve(PAD, height, 0.48e-3).pressure
     for start, control in ((near, depth), (jnp.zeros((40, 40)), depth)):
         warm = solve(PAD, height, control, GRID, start=start)
-        np.testing.assert_allclose(warm.force, cold.force, rtol=10 * contact.TOLERANCE)
+        np.testing.assert_allclose(warm.force, cold.force, rtol=10 * contact.CONTACT_TOLERANCE)
     forced = solve_force(PAD, height, cold.force, GRID, start=near)
-    np.testing.assert_allclose(forced.indentation, depth, rtol=10 * contact.TOLERANCE)
+    np.testing.assert_allclose(forced.indentation, depth, rtol=10 * contact.CONTACT_TOLERANCE)
 
 
 def test_an_unfinished_solution_says_so():
     found = solve(PAD, jnp.asarray(T, jnp.float32), 0.2e-3, GRID, max_steps=3)
     assert not found.converged
-    assert found.residual > contact.TOLERANCE
+    assert found.residual > contact.CONTACT_TOLERANCE
     assert found.steps == 3
 
 
@@ -364,7 +364,7 @@ def test_a_skin_held_at_its_edge_sinks_away_from_the_object(give):
     for found_slope, expected in zip((turned - turned_alone)[:2], (slope[0], -slope[1]), strict=True):
         np.testing.assert_allclose(found_slope[inner], expected[inner], atol=0.02 * np.abs(expected).max())
     forced = solve_force(pad, height, found.force)
-    np.testing.assert_allclose(forced.indentation, depth, rtol=20 * contact.TOLERANCE)
+    np.testing.assert_allclose(forced.indentation, depth, rtol=20 * contact.CONTACT_TOLERANCE)
 
 
 def test_a_bonded_skin_has_no_global_motion():

@@ -193,14 +193,20 @@ def test_reading_has_converged_for_tips(pads):
     """Cells halved and nodes doubled change the reading of a small tip at 0.8 N by less than 2 %."""
     places = np.random.default_rng(3).uniform(-7e-3, 7e-3, (8, 2))
     tips = [_tip(x, y) for x, y in places]
-    assert _change(pads, tips, np.full(8, 0.8, np.float32), (GRID, field.NODES), (FINE_GRID, 2 * field.NODES)) < 0.02
+    assert (
+        _change(pads, tips, np.full(8, 0.8, np.float32), (GRID, field.CELL_NODES), (FINE_GRID, 2 * field.CELL_NODES))
+        < 0.02
+    )
 
 
 def test_fine_reading_has_converged_for_stamps(pads):
     """Outlines are cut by cells, so stamps need the fine grid to come within 2 % of one twice as fine."""
     forces = np.array([1.0, 1.0], np.float32)
     nominal = jax.tree.map(lambda leaf: leaf[:2], pads)
-    assert _change(nominal, [_disc, _tee], forces, (FINE_GRID, field.NODES), (Grid(160, 256), field.NODES)) < 0.02
+    assert (
+        _change(nominal, [_disc, _tee], forces, (FINE_GRID, field.CELL_NODES), (Grid(160, 256), field.CELL_NODES))
+        < 0.02
+    )
 
 
 def test_fewer_dipoles_suffice_for_a_fine_contact(pads):

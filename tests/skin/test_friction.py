@@ -8,7 +8,7 @@ import pytest
 from i2t.skin import contact, elasticity
 from i2t.skin.dipoles import response
 from i2t.skin.elasticity import GRID, Grid
-from i2t.skin.friction import TOLERANCE, rest, shear
+from i2t.skin.friction import FRICTION_TOLERANCE, rest, shear
 from i2t.skin.pad import nominal_pad
 
 PAD = nominal_pad()._replace(friction=jnp.asarray(0.6))
@@ -54,7 +54,7 @@ def test_meets_the_conditions_of_friction(height, depth, slide):
     pressure = solve(PAD, height, depth).pressure
     state = first(PAD, pressure, jnp.asarray(slide))
     assert state.converged
-    assert state.residual <= TOLERANCE
+    assert state.residual <= FRICTION_TOLERANCE
     traction, limit = np.asarray(state.traction, float), float(PAD.friction) * np.asarray(pressure, float)
     size = np.linalg.norm(traction, axis=0)
     assert np.all(size <= limit * (1 + 1e-5))
@@ -64,7 +64,7 @@ def test_meets_the_conditions_of_friction(height, depth, slide):
     np.testing.assert_allclose(state.displacement, top[:2], atol=1e-4 * largest)
     slip = np.asarray(state.displacement, float) - np.asarray(slide)[:, None, None]
     stuck = (limit > 0) & ~np.asarray(state.slipping)
-    violation = 3 * TOLERANCE * max(largest, np.abs(slide).max())
+    violation = 3 * FRICTION_TOLERANCE * max(largest, np.abs(slide).max())
     assert np.all(np.linalg.norm(slip, axis=0)[stuck] < violation)
     # Where it slips, the traction pulls against the slip.
     slipping = np.asarray(state.slipping)

@@ -36,7 +36,7 @@ from i2t.hardware.reskin.quantization import NO_STEPS, ConverterSteps, learn_ste
 from i2t.skin import boards
 
 DEFAULT_CHIPS = len(boards.reskin_board().chips)
-MAX_CHIPS = boards.MAX_CHIPS
+
 LEARNING_FRAMES = 128  # from which the converter's steps are learned
 MAX_MISFITS = 64  # candidates in a row that the steps alone exclude, after which these are not believed any more
 VALUE_TEXT_BYTES = 20  # of a number in a line with its separator; it has at most 9 characters
@@ -234,7 +234,7 @@ def diagnose(data: bytes, limits: FrameLimits | None = None, chips: int = DEFAUL
     limits = limits or FrameLimits()
     if not data:
         return "the board sends nothing; check its cable and that its sketch runs"
-    others = [n for n in range(1, MAX_CHIPS + 1) if n != chips and decode_any(decoders(limits, n), data)[1]]
+    others = [n for n in range(1, boards.MAX_CHIPS + 1) if n != chips and decode_any(decoders(limits, n), data)[1]]
     if others:
         return f"frames of {others[0]} chips come, not of {chips}; say which board it is"
     layout = FrameLayout(Format.BINARY, chips)

@@ -73,7 +73,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def picture(
-    info: BoardInfo, source: str, counters: SkinCounters, shown: Samples, rest: np.ndarray, scale: float
+    info: BoardInfo, source: str, counters: SkinCounters, shown: Samples, rest: np.ndarray, *, scale: float
 ) -> list[str]:
     """The lines of one picture.
 
@@ -145,7 +145,7 @@ def _show_live(skin: Stream, asked: Options) -> None:
                 if asked.replay or asked.record:  # a recording must not be taken up again in silence
                     raise
                 trouble = _try_again(skin, error)
-            lines = [*picture(skin.info, skin.features.source, skin.counters, shown, rest, asked.scale), trouble]
+            lines = [*picture(skin.info, skin.features.source, skin.counters, shown, rest, scale=asked.scale), trouble]
             if live:
                 print(f"\x1b[{drawn}F\x1b[J" if drawn else "", "\n".join(lines), sep="")
                 drawn = len(lines)

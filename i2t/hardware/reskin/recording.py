@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-HEADER = json.dumps({"stream": "i2t raw bytes", "version": 1}).encode() + b"\n"
+RECORDING_HEADER = json.dumps({"stream": "i2t raw bytes", "version": 1}).encode() + b"\n"
 CHUNK = struct.Struct("<dI")
 CHUNK_S = 5e-3  # between the chunks that bare bytes are played in
 
@@ -31,7 +31,7 @@ def create(path: str | Path) -> BinaryIO:
     """
     file = open(path, "xb", buffering=0)  # noqa: SIM115, closed by its user; every chunk goes to the system at once
     try:
-        file.write(HEADER)
+        file.write(RECORDING_HEADER)
     except OSError:
         file.close()
         raise
@@ -68,12 +68,12 @@ def chunks(path: str | Path, byte_rate: float) -> Iterator[tuple[float, bytes]]:
         OSError: The file cannot be read.
     """
     data = Path(path).read_bytes()
-    if not data.startswith(HEADER):
+    if not data.startswith(RECORDING_HEADER):
         piece = max(1, round(byte_rate * CHUNK_S))
         for i in range(0, len(data), piece):
             yield i / byte_rate, data[i : i + piece]
         return
-    at, first = len(HEADER), None
+    at, first = len(RECORDING_HEADER), None
     while at + CHUNK.size <= len(data):
         when, size = CHUNK.unpack_from(data, at)
         at += CHUNK.size

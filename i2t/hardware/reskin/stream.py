@@ -32,7 +32,7 @@ S = TypeVar("S", bound="Stream")
 Port: TypeAlias = Any
 
 
-class Row(NamedTuple):
+class StreamRow(NamedTuple):
     """One sample; see `i2t.hardware.protocols.Samples`."""
 
     number: int
@@ -70,7 +70,7 @@ class Stream(ABC):
         self._features = SkinFeatures(name, source, channel_names(chips), "uT", rate)
         self._chips = chips
         self._limits = limits or FrameLimits()
-        self._queue: deque[Row] = deque(maxlen=capacity)
+        self._queue: deque[StreamRow] = deque(maxlen=capacity)
         self._changed = threading.Condition()  # guards what the thread and the calls share
         self._earlier = SkinCounters()  # of earlier connections
         self._decoder: Decoder | None = None
@@ -182,7 +182,7 @@ class Stream(ABC):
         with self._changed:
             newest = self._queue[-1].number if self._queue else -1
 
-            def fresh() -> list[Row]:
+            def fresh() -> list[StreamRow]:
                 return [row for row in self._after(newest) if row.time > called][:count]
 
             self._changed.wait_for(lambda: self._failure is not None or len(fresh()) == count, timeout)
@@ -245,7 +245,7 @@ class Stream(ABC):
         if self._failure is not None:
             raise type(self._failure)(*self._failure.args) from self._failure.__cause__
 
-    def _after(self, number: int) -> list[Row]:
+    def _after(self, number: int) -> list[StreamRow]:
         rows = list(takewhile(lambda row: row.number > number, reversed(self._queue)))
         return rows[::-1]
 
@@ -297,7 +297,7 @@ class Stream(ABC):
         before = self._queue[-1].time if self._queue else -np.inf
         for frame in found:
             before = max(before, now - (decoder.bytes - frame.end) * per_byte)
-            self._queue.append(Row(number, before, frame.reading, frame.temperature))
+            self._queue.append(StreamRow(number, before, frame.reading, frame.temperature))
             number += 1
         self._changed.notify_all()
 
@@ -339,7 +339,7 @@ class Stream(ABC):
     def _name(self) -> str:
         return self._features.name
 
-    def _samples(self, rows: list[Row]) -> Samples:
+    def _samples(self, rows: list[StreamRow]) -> Samples:
         n = len(rows)
         return Samples(
             np.array([row.number for row in rows], np.int64),

@@ -244,7 +244,9 @@ class UrArm:
         Returns:
             What stopped it, and where it stands.
         """
-        return self.motion.approach(distance, speed, stop_condition, force, torque, acceleration)
+        return self.motion.approach(
+            distance, speed, stop_condition, force=force, torque=torque, acceleration=acceleration
+        )
 
 
 def _check_within(name: str, value: float, between: tuple[float, float], unit: str) -> None:

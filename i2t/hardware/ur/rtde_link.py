@@ -350,9 +350,14 @@ class RtdeConnection:
         T_b_t = from_ur(raw["pose"])
         wrench = np.array(raw["wrench"]).reshape(2, 3) @ T_b_t[:3, :3]
         arm = ArmState(
-            time=raw["time"], T_b_t=T_b_t, joints=np.array(raw["joints"]), velocity=np.array(raw["twist"]), wrench=wrench.ravel(), moving=raw["moving"],
+            time=raw["time"],
+            T_b_t=T_b_t,
+            joints=np.array(raw["joints"]),
+            velocity=np.array(raw["twist"]),
+            wrench=wrench.ravel(),
+            moving=raw["moving"],
             safe=raw["safe"],
-        )  # fmt: skip
+        )
         if self._guard is not None and raw["motion"] == self._motion:
             if raw["tripped"]:
                 self._trip = Trip(raw["tripped"], arm)

@@ -35,7 +35,7 @@ BRAKE_MPS2 = 2.0
 STANDING_SPEED = 1e-3  # m/s and rad/s, below which the tool stands
 BRAKE_SETTLING_S = 0.05  # of the controller's clock after a brake: states of before may still be on their way
 START_OF_MOTION_S = 0.5  # in which a motion that was asked for shows in the state
-GOODBYE_S = 2  # to end the program on the controller, after which this process ends in any case
+EXIT_GRACE_S = 2  # to end the program on the controller, after which this process ends in any case
 STANDARD_STREAMS = 3  # file descriptors 0, 1 and 2
 PLAYING, NORMAL, REDUCED = 2, 0x1, 0x2  # runtime state; bits of the safety status
 VARIABLES = [
@@ -229,7 +229,7 @@ class Worker:
 
     def end_program(self) -> None:
         """End the program on the controller, which then brakes; gives up after some seconds."""
-        signal.alarm(GOODBYE_S)  # its default action ends the process, whatever the library is doing
+        signal.alarm(EXIT_GRACE_S)  # its default action ends the process, whatever the library is doing
         if self.receive.getRuntimeState() == PLAYING:
             self.control.stopScript()
 
