@@ -32,7 +32,7 @@ from i2t.depth.camera import Camera, Encoding, read_depth
 from i2t.depth.distortion import pixel_rays
 from i2t.depth.patches import DepthPatch, patch_from_depth
 from i2t.geometry import contact_frame
-from i2t.objects import load_mesh
+from i2t.objects import read_mesh
 from i2t.objects.solids import Mesh
 from i2t.prediction.metrics import grouped_interval
 from i2t.rendering.render import prepare_surface, render_patch
@@ -98,7 +98,7 @@ def main(cfg: RealFrames) -> dict[str, Any]:
     cfg.out.mkdir(parents=True, exist_ok=True)
     objects: dict[str, Any] = {}
     for thing in THINGS:
-        mesh = load_mesh(cfg.data / "ycb_meshes" / f"{thing.name}.stl", "m", table=False)[0].mesh
+        mesh = read_mesh(cfg.data / "ycb_meshes" / f"{thing.name}.stl", "m", table=False)[0].mesh
         camera, depths, labels, T_c_o = frames(cfg.data / "ycbvideo", thing)
         T_o_t = places(cfg, thing, mesh, camera, depths, labels, T_c_o)
         surface = prepare_surface(mesh)

@@ -35,7 +35,7 @@ from tqdm import tqdm
 from experiments.common.runs import settings, write_json
 from i2t import viz
 from i2t.geometry import log, so3_exp
-from i2t.objects import Object, load_mesh
+from i2t.objects import Object, read_mesh
 from i2t.objects import catalogue as objects
 from i2t.registration.patch import (
     PatchRegistrationConfig,
@@ -178,7 +178,7 @@ def catalogue(args: RefineArgs) -> list[Object]:
         files = sorted(args.data.glob("*.stl"))
         if not files:
             raise ValueError(f"{args.data}: holds no STL file; give --data a folder of meshes in metres")
-        things += [Object(file.stem, load_mesh(file, "m")[0].mesh, "file") for file in files]
+        things += [Object(file.stem, read_mesh(file, "m")[0].mesh, "file") for file in files]
     return things
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from i2t import dataset as data
 from i2t.dataset import Dataset
-from i2t.objects import Mesh, catalogue, load_mesh
+from i2t.objects import Mesh, catalogue, read_mesh
 from i2t.prediction.predictor import Predictor, load_predictor
 from i2t.recognition.pad_model import PadModel, fit_pad_model
 from i2t.recognition.site_pool import prepare_surfaces
@@ -88,7 +88,7 @@ def load_meshes(paths: Sequence[Path], unit: str | None) -> dict[str, Mesh]:
         raise ValueError("say in which unit the files of --objects are, for instance --unit mm")
     if len(paths) < 2:
         raise ValueError("--objects needs at least two meshes to tell apart")
-    return {path.stem: load_mesh(path, unit)[0].mesh for path in paths}
+    return {path.stem: read_mesh(path, unit)[0].mesh for path in paths}
 
 
 def meshes_by_name(names: Sequence[str]) -> dict[str, Mesh]:

@@ -14,7 +14,7 @@ from experiments.common.runs import Part
 from experiments.recognize import figures
 from experiments.studies.lab import EpisodePlan, StudyLab
 from i2t import viz
-from i2t.objects import Mesh, catalogue, load_mesh
+from i2t.objects import Mesh, catalogue, read_mesh
 from i2t.recognition import metrics
 from i2t.recognition.episodes import posteriors
 from i2t.recognition.metrics import to_json
@@ -68,7 +68,7 @@ def collect_meshes(lab: StudyLab, count: int) -> dict[str, Mesh]:
     """Meshes by name: the lab's objects, those of the folder, the rest of the catalogue, and `count` random ones."""
     meshes = {name: catalogue.make_object(name).mesh for name in lab.names}
     for path in sorted(lab.args.meshes.glob("*.stl")) if lab.args.meshes else ():
-        meshes[path.stem] = decimate(load_mesh(path, "m")[0].mesh)
+        meshes[path.stem] = decimate(read_mesh(path, "m")[0].mesh)
     for name in catalogue.PRIMITIVES + catalogue.TOOLS:
         if name not in TRAINED_ON:
             meshes.setdefault(name, catalogue.make_object(name).mesh)

@@ -124,8 +124,6 @@ def calibrate(
 ) -> Calibration:
     """Calibrate one skin from n presses with one tip.
 
-        calibration = i2t.calibrate(positions, forces, readings, load_kind="force", board=i2t.reskin_board())
-
     Args:
         positions: (n, 2) positions of the tip in the tool frame (m), in random order.
         loads: (n,) depths past first contact (m) or normal forces (N).
@@ -140,6 +138,9 @@ def calibrate(
 
     Raises:
         ValueError: Shapes do not belong together, or a value cannot be.
+
+    Example:
+        calibration = i2t.calibrate(positions, forces, readings, load_kind="force", board=i2t.reskin_board())
     """
     if load_kind not in MAX_LOAD:
         raise ValueError(f"{load_kind!r} is no load; choose one of {', '.join(MAX_LOAD)}")
@@ -178,6 +179,9 @@ def load_calibration(path: Path | str) -> Calibration:
 
     Raises:
         SerializationError: The file is missing, damaged or something else.
+
+    Example:
+        mean, std = i2t.load_calibration("skin.npz").predict(positions, depths)
     """
     record, about = serialization.load(path, FILE_KIND, CalibrationRecord, renamed=_OLD_NAMES)
     record = jax.tree.map(lambda array: jnp.asarray(array, jnp.float32), record)

@@ -228,17 +228,17 @@ def _mesh_patches(
     import jax.numpy as jnp
     from jax import jit
 
-    from i2t.objects import load_mesh
+    from i2t.objects import read_mesh
     from i2t.rendering import render
 
     try:
-        (_, mesh, _), report = load_mesh(file, unit, table=False)
+        (_, mesh, _), report = read_mesh(file, unit, table=False)
     except (ValueError, OSError) as error:
         raise DataError(str(error)) from error
     notes.info(str(report))
     lowest = float(np.asarray(mesh.vertices)[:, 2].min())
     surface = render.prepare_surface(mesh)
-    look = jit(lambda T_o_t: render.render_patch(surface, T_o_t, window, PATCH_PIXELS, reach).depth)
+    look = jit(lambda T_o_t: render.render_patch(surface, T_o_t, window=window, pixels=PATCH_PIXELS, reach=reach).depth)
     patch = np.empty((len(x), PATCH_PIXELS, PATCH_PIXELS), np.float32)
     for i, place in enumerate(zip(x, y, strict=True)):
         T_o_t = np.eye(4, dtype=np.float32)

@@ -86,6 +86,9 @@ def save_dataset(path: str | Path, dataset: Dataset) -> Path:
 
     Raises:
         DataError: `validate` refuses the data set, or the file cannot be written.
+
+    Example:
+        i2t.save_dataset("touches.h5", dataset)
     """
     path = Path(path)
     if path.suffix != ENDING:
@@ -193,6 +196,9 @@ def load_dataset(path: str | Path, skip_bad: bool = False) -> Dataset:
     Raises:
         DataError: files cannot be used and `skip_bad` is not set (one sentence names them all), none is left, or they
             do not fit together (another board, another window or reach).
+
+    Example:
+        touches = i2t.load_dataset("data/mug").touches
     """
     path = Path(path)
     files = _files(path)

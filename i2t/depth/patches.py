@@ -53,6 +53,7 @@ def patch_from_depth(
     camera: Camera,
     T_w_c: Float[Array, "4 4"],
     T_w_t: Float[Array, "4 4"],
+    *,
     window: float = PATCH_WINDOW,
     pixels: int = PATCH_PIXELS,
     reach: float = REACH,
@@ -86,6 +87,10 @@ def patch_from_depth(
 
     Raises:
         ValueError: The image is not the camera's or not in metres.
+
+    Example:
+        seen = i2t.patch_from_depth(image, camera, T_w_c, T_w_t)
+        reading, std = predictor.predict(seen.patch.depth, force=1.0)
     """
     check_image(depth, camera)
     # Wide enough that holes at the border are filled as if there were none.

@@ -75,9 +75,9 @@ def read_object(name: str, unit: str) -> "Object":
         FileNotFoundError: There is no such file.
     """
     from i2t.objects.catalogue import NAMES, make_object
-    from i2t.objects.mesh_files import load_mesh
+    from i2t.objects.mesh_files import read_mesh
 
-    return make_object(name) if name in NAMES else load_mesh(name, unit)[0]
+    return make_object(name) if name in NAMES else read_mesh(name, unit)[0]
 
 
 def read_pad(path: Path | None) -> "Pad":

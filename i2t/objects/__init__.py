@@ -9,7 +9,7 @@ from i2t.objects.catalogue import (
     random_object,
     surrogate_unknown,
 )
-from i2t.objects.mesh_files import CleaningReport, clean_mesh, load_mesh
+from i2t.objects.mesh_files import CleaningReport, clean_mesh, load_mesh, read_mesh
 from i2t.objects.point_clouds import load_point_cloud, suggest_radius, surface_from_points
 from i2t.objects.poses import contact_pose
 from i2t.objects.solids import Mesh, Object, place_on_table, transform_mesh
@@ -29,6 +29,7 @@ __all__ = [
     "make_object",
     "place_on_table",
     "random_object",
+    "read_mesh",
     "suggest_radius",
     "surface_from_points",
     "surrogate_unknown",

@@ -199,6 +199,9 @@ def make_object(name: str) -> Object:
 
     Raises:
         ValueError: The name is not in the catalogue.
+
+    Example:
+        mesh = i2t.make_object("hammer").mesh
     """
     for family, catalogue in (("primitive", _PRIMITIVES), ("stamp", _STAMPS)):
         if name in catalogue:

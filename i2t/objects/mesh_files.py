@@ -7,6 +7,7 @@ and an invented one would be touched as if it were there. Point clouds are read 
 """
 
 import io
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,7 +69,7 @@ class CleaningReport:
         )
 
 
-def load_mesh(
+def read_mesh(
     path: str | Path, unit: str, *, table: bool = True, largest: bool = True, up: str = "z"
 ) -> tuple[Object, CleaningReport]:
     """Read and clean a mesh file. (A text file cut off between two lines cannot be told from a whole one.)
@@ -114,6 +115,34 @@ def load_mesh(
     raw_mesh = Mesh(vertices, faces.astype(np.int32))
     mesh, report = clean_mesh(transform_mesh(raw_mesh, Y_UP) if up == "y" else raw_mesh, str(path), largest)
     return Object(path.stem, place_on_table(mesh) if table else mesh, "file"), report
+
+
+def load_mesh(path: str | Path, unit: str, *, table: bool = True, largest: bool = True, up: str = "z") -> Mesh:
+    """The mesh in a file, cleaned.
+
+    Args:
+        path: An STL, OBJ, PLY or GLB file.
+        unit: Of its coordinates: m, cm, mm or inch.
+        table: Whether to place it on the table: box centred in x and y, lowest point on z = 0, without turning it;
+            otherwise it keeps its own frame.
+        largest: Whether to keep only the largest connected piece, with a warning of what is dropped; switch it off for
+            objects made of several bodies.
+        up: The file's upward axis, "z" or "y" (GLB files usually say y).
+
+    Returns:
+        The mesh, in metres. `i2t.objects.read_mesh` says as well what cleaning did.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It cannot be read, or is not something to touch; one sentence that names the file and a remedy.
+
+    Example:
+        mesh = i2t.load_mesh("mug.stl", "mm")
+    """
+    (_, mesh, _), report = read_mesh(path, unit, table=table, largest=largest, up=up)
+    if report.pieces_dropped:
+        warnings.warn(f"{report}; largest=False keeps all of it", stacklevel=2)
+    return mesh
 
 
 def clean_mesh(mesh: Mesh, path: str = "mesh", largest: bool = True) -> tuple[Mesh, CleaningReport]:

@@ -22,9 +22,6 @@ def contact_pose(mesh: Mesh, point: Array, normal: Array | None = None, roll: fl
     to the surface's normal; pointing straight up, where that rotation is not unique, it turns about x. This is the
     frame of `i2t.geometry.contact_frame`, so that sites drawn at random and poses made by hand mean the same by a roll.
 
-        T_o_t = contact_pose(make_object("dome").mesh, (0, 0, 30e-3))
-        patch = render_patch(prepare_surface(mesh), T_o_t)
-
     Args:
         mesh: The object, in its own frame (m).
         point: (3,) where the middle of the skin touches (m), within 1 mm of the surface: the tool's
@@ -38,6 +35,10 @@ def contact_pose(mesh: Mesh, point: Array, normal: Array | None = None, roll: fl
 
     Raises:
         ValueError: The point is not finite or off the surface, or the normal is no unit vector.
+
+    Example:
+        T_o_t = contact_pose(make_object("dome").mesh, (0, 0, 30e-3))
+        patch = render_patch(prepare_surface(mesh), T_o_t)
     """
     at = np.asarray(point, np.float64)
     if at.shape != (3,) or not np.isfinite(at).all():

@@ -321,6 +321,10 @@ def load_predictor(directory: Path | str) -> Predictor:
 
     Raises:
         CheckpointError: There is none, or it cannot be read.
+
+    Example:
+        predictor = i2t.load_predictor("runs/train")
+        reading, std = predictor.predict(patch.depth, force=1.0)
     """
     directory = Path(directory).absolute()
     nested = directory / "checkpoint" / "predictor"
@@ -446,11 +450,11 @@ def _render(surface: Surface, T_w_t: Array, window: float, pixels: int, reach: f
 def _surface_of(mesh: Any, unit: str | None) -> Surface:
     """A surface to render, from whatever a user has."""
     if isinstance(mesh, str | Path):
-        from i2t.objects import load_mesh
+        from i2t.objects import read_mesh
 
         if unit is None:
             raise ValueError(f"{mesh}: say in which unit the file is, for instance unit='mm'")
-        mesh = load_mesh(mesh, unit, table=False)[0]
+        mesh = read_mesh(mesh, unit, table=False)[0]
     return mesh if isinstance(mesh, Surface) else prepare_surface(getattr(mesh, "mesh", mesh))
 
 

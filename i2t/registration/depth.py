@@ -105,6 +105,10 @@ def register_by_depth(
     Raises:
         ValueError: The image is not the camera's, a pose is not rigid, too few points lie near the object, or too few
             of those fit its surface.
+
+    Example:
+        estimate = i2t.register_by_depth(mesh, T_w_o, image, camera, T_w_c)
+        estimate.T_w_o
     """
     depth, T_w_c, start = np.asarray(depth), np.asarray(T_w_c, float), np.asarray(T_w_o, float)
     check_image(depth, camera)

@@ -216,7 +216,7 @@ def pose_information(
     Returns:
         Eigenvalues of the Gauss-Newton matrix, smallest first, and its eigenvectors (unit twists) in columns.
     """
-    patch = render_patch(surface, T_w_t, window, pixels, reach)
+    patch = render_patch(surface, T_w_t, window=window, pixels=pixels, reach=reach)
     _, floor = reference_heights(patch, reach)
     _, jacobian = heights_and_jacobian(surface, T_w_t, floor, pixels=pixels, window=window, reach=reach)
     return jnp.linalg.eigh(_gauss_newton(jacobian))
@@ -303,7 +303,7 @@ def visible_heights(
         Heights (m) along tool z.
     """
     far = 2 * reach  # so that a pose up to one reach nearer than the right one still shows all that it should
-    patch = render_patch(surface, T_w_t, window, pixels, far)
+    patch = render_patch(surface, T_w_t, window=window, pixels=pixels, reach=far)
     return jnp.where(patch.depth < far, jnp.minimum(patch.depth + patch.nearest, floor), floor)
 
 

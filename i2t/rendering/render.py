@@ -40,6 +40,9 @@ def prepare_surface(mesh: Any) -> Surface:
 
     Raises:
         ValueError: The mesh is empty, not finite, larger than `MAX_COORDINATE_M`, or a face points at a missing vertex.
+
+    Example:
+        surface = i2t.prepare_surface(i2t.load_mesh("mug.stl", "mm"))
     """
     if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
         raise ValueError(f"mesh: a {type(mesh).__name__} has no vertices and faces; give an i2t.objects.Mesh")
@@ -93,6 +96,7 @@ def stack_surfaces(surfaces: Sequence[Surface]) -> Surface:
 def render_patch(
     surface: Surface,
     T_w_t: Float[Array, "4 4"],
+    *,
     window: float = PATCH_WINDOW,
     pixels: int = PATCH_PIXELS,
     reach: float = REACH,
@@ -113,6 +117,10 @@ def render_patch(
 
     Raises:
         ValueError: A shape or size means nothing.
+
+    Example:
+        patch = i2t.render_patch(surface, T_w_t)
+        patches = jax.jit(jax.vmap(functools.partial(i2t.render_patch, surface)))(T_w_ts)
     """
     _check(T_w_t, window, pixels)
     if not reach > 0:

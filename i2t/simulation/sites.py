@@ -228,11 +228,6 @@ def sample_touch_sites(
 ) -> TouchSites:
     """Where an object can be touched: n random safe sites with the tool's contact poses.
 
-    from i2t import make_object, sample_touch_sites
-
-    sites = sample_touch_sites(make_object("star").mesh, 20)
-    patch = render_patch(surface, sites.T_o_t[0])
-
     Sites are uniform over the safe part of the surface, each turned about its normal by a random angle; the object
     stands as it was made, with z up on a table at `limits.table`.
 
@@ -248,6 +243,12 @@ def sample_touch_sites(
 
     Raises:
         ValueError: the object has too few safe sites.
+
+    Example:
+        from i2t import make_object, sample_touch_sites
+
+        sites = sample_touch_sites(make_object("star").mesh, 20)
+        patch = render_patch(surface, sites.T_o_t[0])
     """
     surface = mesh if isinstance(mesh, Surface) else prepare_surface(mesh)
     T_o_t = np.asarray(collect_sites(jax.random.key(seed), surface, n, limits, name))

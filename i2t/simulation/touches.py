@@ -389,12 +389,6 @@ def simulate_touches(
 ) -> Touches:
     """Simulated touches on objects, in sessions, with the errors of a real lab.
 
-    from i2t import load_mesh, prepare_surface, sample_pad, simulate_touches
-    from i2t.simulation.touches import SimulationErrors
-
-    surface = prepare_surface(load_mesh("cup.stl", "mm"))
-    touches = simulate_touches(jax.random.key(0), [surface], sample_pad(jax.random.key(1)), SimulationErrors(), 36)
-
     Args:
         key: random key.
         objects: surfaces, each at the world's origin.
@@ -411,6 +405,13 @@ def simulate_touches(
 
     Raises:
         ValueError: an object has too few safe sites.
+
+    Example:
+        from i2t import load_mesh, prepare_surface, sample_pad, simulate_touches
+        from i2t.simulation.touches import SimulationErrors
+
+        surface = prepare_surface(load_mesh("cup.stl", "mm"))
+        touches = simulate_touches(jax.random.key(0), [surface], sample_pad(jax.random.key(1)), SimulationErrors(), 36)
     """
     limits, sites = limits or PressLimits(), sites or touch_sites.SiteLimits()
     counts = [n] * len(objects) if isinstance(n, int) else list(n)

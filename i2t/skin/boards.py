@@ -35,6 +35,10 @@ def reskin_board(depth: float = CHIP_DEPTH_M) -> Board:
 
     Returns:
         A board of 5 chips.
+
+    Example:
+        board = i2t.reskin_board()
+        pad = i2t.nominal_pad(board=board)
     """
     cells = np.array([[0, 0], [1, 0], [0, 1], [0, -1], [-1, 0]])
     rotations = [np.linalg.matrix_power(_QUARTER_TURN, turns) for turns in (0, 1, 0, 3, 2)]
@@ -54,6 +58,9 @@ def anyskin_board(depth: float = CHIP_DEPTH_M) -> Board:
 
     Returns:
         A board of 5 chips.
+
+    Example:
+        board = i2t.anyskin_board()
     """
     cells = np.array([[0, 0], [-1, 0], [1, 0], [0, 1], [0, -1]])
     return _board(CHIP_PITCH_M * cells, np.tile(np.eye(3), (5, 1, 1)), depth)

@@ -35,6 +35,9 @@ def save_pad(path: Path | str, pad: Pad, about: dict[str, Any] | None = None) ->
 
     Raises:
         SerializationError: the file cannot be written.
+
+    Example:
+        i2t.save_pad("pad.npz", i2t.sample_pad(jax.random.key(0)))
     """
     serialization.save(path, KIND, pad, about)
 
@@ -50,6 +53,9 @@ def load_pad(path: Path | str) -> Pad:
 
     Raises:
         SerializationError: the file is missing, damaged, holds no pad, or none that can be.
+
+    Example:
+        pad = i2t.load_pad("pad.npz")
     """
     pad, _ = serialization.load(path, KIND, Pad, renamed=PAD_FIELDS_OF_BEFORE)
     side = pad.magnetization.shape[0] if pad.magnetization.ndim else 0

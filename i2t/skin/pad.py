@@ -62,6 +62,10 @@ def press(
 
     Returns:
         Reading, force, indentation and pressure.
+
+    Example:
+        pressed = i2t.press(i2t.nominal_pad(), height, 0.4e-3)
+        pressed.reading, pressed.force
     """
     return _press(pad, solve(pad, height, indentation, grid, start=start), grid, dipoles)
 
@@ -140,6 +144,9 @@ def nominal_pad(
 
     Raises:
         ValueError: the pattern is not known.
+
+    Example:
+        pad = i2t.nominal_pad("uniform", board=make_board("grid-4x4"))
     """
     board = reskin_board() if board is None else board
     return Pad(
@@ -174,6 +181,9 @@ def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0, *, board: Board
 
     Returns:
         The pad.
+
+    Example:
+        pad = i2t.sample_pad(jax.random.key(0))
     """
     board = reskin_board() if board is None else board
     names = ("thickness", "young", "gap", "map", "strength", "gains", "friction", "clamped", "compliance")

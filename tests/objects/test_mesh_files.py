@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from i2t.objects import clean_mesh, load_mesh, make_object
+from i2t.objects import clean_mesh, make_object, read_mesh
 from i2t.objects.mesh_files import METRES_PER_UNIT
 from i2t.objects.solids import Mesh
 
@@ -34,7 +34,7 @@ def whole(mesh: Mesh) -> trimesh.Trimesh:
 def test_units_and_formats(tmp_path, suffix, unit):
     path = tmp_path / f"part.{suffix}"
     box(1 / METRES_PER_UNIT[unit]).export(path, file_type=suffix.lower())
-    thing, report = load_mesh(path, unit)
+    thing, report = read_mesh(path, unit)
     assert thing.name == "part"
     assert thing.family == "file"
     # STL and GLB store float32: 2^-24 of each coordinate.
@@ -50,11 +50,11 @@ def test_frames(tmp_path):
     part = box()
     part.apply_translation([0.1, 0.2, 0.3])
     part.export(tmp_path / "part.ply")
-    own, _ = load_mesh(tmp_path / "part.ply", "m", table=False)
+    own, _ = read_mesh(tmp_path / "part.ply", "m", table=False)
     np.testing.assert_allclose(own.mesh.vertices.mean(0), [0.1, 0.2, 0.3], atol=1e-7)  # PLY in float32
-    settled, _ = load_mesh(tmp_path / "part.ply", "m")
+    settled, _ = read_mesh(tmp_path / "part.ply", "m")
     np.testing.assert_allclose(settled.mesh.vertices.mean(0), [0, 0, 0.01], atol=1e-7)
-    upright, report = load_mesh(tmp_path / "part.ply", "m", up="y")
+    upright, report = read_mesh(tmp_path / "part.ply", "m", up="y")
     np.testing.assert_allclose(upright.mesh.vertices.max(0), [0.03, 0.01, 0.04], atol=1e-7)
     assert whole(upright.mesh).volume > 0
     np.testing.assert_allclose(report.size, [0.06, 0.02, 0.04], atol=1e-7)
@@ -133,7 +133,7 @@ def test_fins_go_and_two_sided_sheets_keep_one_side():
     ["009_gelatin_box", "011_banana", "025_mug", "031_spoon", "042_adjustable_wrench", "048_hammer", "061_foam_brick"],
 )
 def test_scans_of_real_objects_come_out_watertight(shared_data, name):
-    thing, report = load_mesh(shared_data / "ycb_meshes" / f"{name}.stl", "m")
+    thing, report = read_mesh(shared_data / "ycb_meshes" / f"{name}.stl", "m")
     cleaned = whole(thing.mesh)
     assert cleaned.is_watertight
     assert cleaned.is_winding_consistent
@@ -187,7 +187,7 @@ def test_bad_files_get_one_sentence(tmp_path, name, data, unit, words):
     path = tmp_path / name
     path.write_bytes(data)
     with pytest.raises(ValueError, match=words) as caught:
-        load_mesh(path, unit)
+        read_mesh(path, unit)
     text = str(caught.value)
     assert str(path) in text
     assert "\n" not in text
@@ -195,10 +195,10 @@ def test_bad_files_get_one_sentence(tmp_path, name, data, unit, words):
 
 def test_missing_files_and_folders(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"b\.stl: there is no such file"):
-        load_mesh(tmp_path / "b.stl", "m")
+        read_mesh(tmp_path / "b.stl", "m")
     (tmp_path / "c.stl").mkdir()
     with pytest.raises(ValueError, match="is a folder"):
-        load_mesh(tmp_path / "c.stl", "m")
+        read_mesh(tmp_path / "c.stl", "m")
     (tmp_path / "d.obj").write_text("v 0 0 0\n")
     with pytest.raises(ValueError, match="up='x'"):
-        load_mesh(tmp_path / "d.obj", "m", up="x")
+        read_mesh(tmp_path / "d.obj", "m", up="x")

@@ -18,7 +18,7 @@ from experiments.real_frames import THINGS, frames
 from i2t.depth.camera import Camera
 from i2t.depth.distortion import pixel_rays
 from i2t.geometry import inverse, random_motion, to_twist
-from i2t.objects import load_mesh, make_object
+from i2t.objects import make_object, read_mesh
 from i2t.registration import (
     DepthRegistrationConfig,
     camera_covariance,
@@ -329,7 +329,7 @@ def test_depth_of_a_real_camera(shared_data):
     for thing in THINGS:
         if thing.name == "025_mug":  # its side shows no handle in these frames
             continue
-        mesh = load_mesh(shared_data / "ycb_meshes" / f"{thing.name}.stl", "m", table=False)[0].mesh
+        mesh = read_mesh(shared_data / "ycb_meshes" / f"{thing.name}.stl", "m", table=False)[0].mesh
         camera, depths, _, T_c_o = frames(shared_data / "ycbvideo", thing)
         for depth, T in zip(depths[::2], T_c_o[::2], strict=True):
             found = register_by_depth(mesh, T @ off(rng), depth, camera, np.eye(4), table_height=None)
