@@ -11,7 +11,9 @@ on the disks, which reach over edges by up to their radius. Simulated; about hal
 """
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +22,7 @@ import numpy as np
 import trimesh
 import tyro
 
-from experiments.common.runs import settings, write_json
+from experiments.common.runs import reported, settings, write_json
 from i2t.objects import Mesh, catalogue
 from i2t.objects.point_clouds import suggest_radius, surface_from_points
 from i2t.rendering.ops import element
@@ -58,7 +60,13 @@ class CloudRow(NamedTuple):
     beyond: float
 
 
-def main(args: CloudArgs) -> list[CloudRow]:
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    args = tyro.cli(CloudArgs, args=argv, description=__doc__, prog="python -m experiments.clouds")
+    return reported(partial(run, args))
+
+
+def run(args: CloudArgs) -> list[CloudRow]:
     """Measure every combination, print the table and write it down."""
     meshes = [catalogue.make_object(name).mesh for name in args.shapes]
     variants = [(spacing, noise) for spacing in args.spacings for noise in args.noises]
@@ -118,7 +126,4 @@ def table(rows: list[CloudRow]) -> str:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(CloudArgs, description=__doc__))
-    except ValueError as error:
-        sys.exit(str(error))
+    sys.exit(main())

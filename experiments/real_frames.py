@@ -12,6 +12,7 @@ expected. Results go to --out: metrics.json, config.json and figures.
 """
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -26,7 +27,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-from experiments.common.runs import settings, write_json
+from experiments.common.runs import reported, settings, write_json
 from i2t import viz
 from i2t.depth.camera import Camera, Encoding, read_depth
 from i2t.depth.distortion import pixel_rays
@@ -88,7 +89,13 @@ class Compared(NamedTuple):
     bias: np.ndarray  # (frames, sites) m, median of the differences; NaN where there are too few
 
 
-def main(cfg: RealFrames) -> dict[str, Any]:
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    args = tyro.cli(RealFrames, args=argv, description=__doc__, prog="python -m experiments.real_frames")
+    return reported(partial(run, args))
+
+
+def run(cfg: RealFrames) -> dict[str, Any]:
     """Run the comparison, print its table and write metrics and figures."""
     for folder in ("ycbvideo", "ycb_meshes", "apc_depth"):
         if not (cfg.data / folder).is_dir():
@@ -350,7 +357,4 @@ def report(metrics: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(RealFrames))
-    except (ValueError, FileNotFoundError) as error:
-        sys.exit(str(error))
+    sys.exit(main())

@@ -32,7 +32,7 @@ from matplotlib.figure import Figure
 from scipy.stats import binomtest
 from tqdm import tqdm
 
-from experiments.common.runs import settings, write_json
+from experiments.common.runs import reported, settings, write_json
 from i2t import viz
 from i2t.geometry import log, so3_exp
 from i2t.objects import Object, read_mesh
@@ -85,7 +85,13 @@ class Cases(NamedTuple):
     directions: np.ndarray  # (..., 6, 6)
 
 
-def main(args: RefineArgs) -> dict:
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    args = tyro.cli(RefineArgs, args=argv, description=__doc__, prog="python -m experiments.refine")
+    return reported(partial(run, args))
+
+
+def run(args: RefineArgs) -> dict:
     """Run every method on the same cases; print the table, write metrics.json, config.json and figures."""
     if args.preset == "debug":
         args = replace(args, cases=6, objects=3, starts=1)
@@ -328,7 +334,4 @@ def draw_bounds(curves: dict[str, np.ndarray], bound: float) -> Figure:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(RefineArgs, description=__doc__))
-    except (ValueError, FileNotFoundError) as error:
-        sys.exit(str(error))
+    sys.exit(main())

@@ -2,13 +2,7 @@
 
 import sys
 
-import tyro
-
-from experiments.benchmark import run
-from experiments.benchmark.timing import MissingPeerError
+from experiments.benchmark.run import main
 
 if __name__ == "__main__":
-    try:
-        run.main(tyro.cli(run.Benchmark, prog="python -m experiments.benchmark", description=run.__doc__))
-    except (MissingPeerError, ValueError) as error:
-        sys.exit(str(error))
+    sys.exit(main())

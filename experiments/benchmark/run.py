@@ -10,11 +10,13 @@ need the extra `bench`.
 
 import os
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 
 import jax
+import tyro
 
 from experiments.benchmark import policy as benchmark_policy
 from experiments.benchmark import rendering as benchmark_rendering
@@ -25,7 +27,7 @@ from experiments.benchmark.rendering import Rendering
 from experiments.benchmark.skin import SkinBenchmark
 from experiments.benchmark.timing import BenchmarkRow
 from experiments.benchmark.training import Training
-from experiments.common.runs import write_json
+from experiments.common.runs import reported, write_json
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,13 @@ class Benchmark:
     policy: Policy = field(default_factory=Policy)
 
 
-def main(cfg: Benchmark) -> list[BenchmarkRow]:
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    args = tyro.cli(Benchmark, args=argv, description=__doc__, prog="python -m experiments.benchmark")
+    return reported(partial(run, args))
+
+
+def run(cfg: Benchmark) -> list[BenchmarkRow]:
     """Run the sections, print their tables, and write them down."""
     unknown = [name for name in cfg.sections if name not in SECTIONS]
     if unknown or not cfg.sections:

@@ -20,7 +20,7 @@ class BenchmarkRow(NamedTuple):
     ratio: float  # median over the turns of the peer's time through ours
 
 
-class MissingPeerError(RuntimeError):
+class MissingPeerError(ValueError):
     """A section's peer is not installed."""
 
 

@@ -33,7 +33,7 @@ TINY = Training(
 def test_training_section_against_pytorch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The section itself checks that both trainings have the same losses, and fails where they have not."""
     pytest.importorskip("torch", reason="the extra bench is not installed")
-    rows = benchmark.main(Benchmark(sections=("training",), turns=2, out=tmp_path / "out", training=TINY))
+    rows = benchmark.run(Benchmark(sections=("training",), turns=2, out=tmp_path / "out", training=TINY))
     assert [row.peer_name.split(",")[0] for row in rows] == ["eager PyTorch", "the seeds one by one"]
     report = json.loads((tmp_path / "out" / "benchmark.json").read_text())
     assert [BenchmarkRow(**row) for row in report["rows"]] == rows
@@ -43,7 +43,7 @@ def test_training_section_against_pytorch(tmp_path: Path, capsys: pytest.Capture
 
 def test_policy_section_times_decisions() -> None:
     tiny = Policy(objects=2, sites=3, num_particles=4, imagined=2)
-    rows = benchmark.main(Benchmark(sections=("policy",), turns=1, policy=tiny))
+    rows = benchmark.run(Benchmark(sections=("policy",), turns=1, policy=tiny))
     assert [row.work for row in rows] == ["a decision, 2 objects, 3 sites", "a decision, 2 objects, 3 sites, cold"]
     assert all(row.ours > 0 for row in rows)
     assert rows[0].peer > rows[0].ours  # imagining comes on top of deciding
@@ -64,12 +64,12 @@ def test_unequal_work_is_not_compared() -> None:
 def test_a_missing_peer_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(MissingPeerError, match=r"PyTorch, which is not installed; run pip install 'i2t\[bench\]'"):
-        benchmark.main(Benchmark(sections=("training",), training=TINY))
+        benchmark.run(Benchmark(sections=("training",), training=TINY))
 
 
 def test_unknown_sections_are_refused() -> None:
     with pytest.raises(ValueError, match="--sections is 'speed'; choose from training, rendering, skin"):
-        benchmark.main(Benchmark(sections=("speed",)))
+        benchmark.run(Benchmark(sections=("speed",)))
 
 
 def test_rows_are_medians_over_turns() -> None:
@@ -88,7 +88,7 @@ def test_rendering_section_against_ray_casters(capsys: pytest.CaptureFixture[str
     """The section itself checks that all see the same, and fails where they do not."""
     pytest.importorskip("open3d", reason="the extra bench is not installed", exc_type=ImportError)
     tiny = Rendering(spheres=(1,), shapes=("star",), batch=4, batches=(1,), largest=8)
-    rows = benchmark.main(Benchmark(sections=("rendering",), turns=1, rendering=tiny))
+    rows = benchmark.run(Benchmark(sections=("rendering",), turns=1, rendering=tiny))
     assert [row.peer_name for row in rows] == [*["Open3D", "embreex", "Open3D, rays given"] * 3, "rays and distances"]
     assert all(row.ours > 0 and row.peer > 0 for row in rows)
     assert len(capsys.readouterr().out.splitlines()) == 1 + len(rows)
@@ -97,7 +97,7 @@ def test_rendering_section_against_ray_casters(capsys: pytest.CaptureFixture[str
 def test_skin_section_against_contact_mechanics() -> None:
     """The section itself checks that both find the same pressures, and fails where they do not."""
     tiny = SkinBenchmark(batch=2, cells=(20,), dipoles=(10,), shapes=("tilted punch",), steady=0)
-    rows = benchmark.main(Benchmark(sections=("skin",), turns=1, skin=tiny))
+    rows = benchmark.run(Benchmark(sections=("skin",), turns=1, skin=tiny))
     assert [row.peer_name for row in rows] == ["ContactMechanics"] * 3 + ["the contact alone"]
     assert all(row.ours > 0 and row.peer > 0 for row in rows)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.real_frames import Compared, RealFrames, main, summary
+from experiments.real_frames import Compared, RealFrames, run, summary
 from i2t.depth.patches import DepthPatch
 from i2t.types import Patch
 
@@ -34,17 +34,17 @@ def test_summary_of_known_differences():
 
 def test_it_refuses(tmp_path):
     with pytest.raises(ValueError, match="ycbvideo is missing"):
-        main(RealFrames(tmp_path, tmp_path / "out"))
+        run(RealFrames(tmp_path, tmp_path / "out"))
     for folder in ("ycbvideo", "ycb_meshes", "apc_depth"):
         (tmp_path / folder).mkdir()
     (tmp_path / "metrics.json").write_text("{}")
     with pytest.raises(ValueError, match="finished run"):
-        main(RealFrames(tmp_path, tmp_path))
+        run(RealFrames(tmp_path, tmp_path))
 
 
 def test_real_run(shared_data: Path, tmp_path):
     """The camera's own step is 1 mm and its noise as much: a median difference beyond 1 mm means a wrong frame."""
-    main(RealFrames(shared_data, tmp_path, sites=4, windows=(17e-3,)))
+    run(RealFrames(shared_data, tmp_path, sites=4, windows=(17e-3,)))
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     assert set(metrics["objects"]) == {"009_gelatin_box", "025_mug", "061_foam_brick"}
     for windows in metrics["objects"].values():

@@ -228,7 +228,7 @@ def test_suggested_radius_is_two_spacings():
 def test_patches_of_disks_are_those_of_the_mesh(tmp_path):
     """Within what is promised: flattening of radius^2 / 2R and noise averaged over the dozen points of a disk."""
     args = experiment.CloudArgs(out=tmp_path, shapes=("dome",), spacings=(0.5e-3,), noises=(0.0, 0.1e-3), sites=8)
-    clean, noisy = experiment.main(args)
+    clean, noisy = experiment.run(args)
     assert json.loads((tmp_path / "clouds.json").read_text())["source"] == "simulated"
     flat = (1.5 * clean.radius) ** 2 / (2 * 30)  # mm, on the dome's radius of 30 mm; disks look 1.5 radii around
     assert clean.median < flat

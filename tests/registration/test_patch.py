@@ -183,7 +183,7 @@ def test_several_starts_find_what_one_may_miss():
 
 def test_the_experiment_in_small(tmp_path, capsys):
     args = experiment.RefineArgs(out=tmp_path / "run", preset="debug")
-    report = experiment.main(args)
+    report = experiment.run(args)
     assert json.loads((tmp_path / "run" / "metrics.json").read_text()) == report
     assert report["source"] == "simulated"
     assert report["cases"] == 6
@@ -196,9 +196,9 @@ def test_the_experiment_in_small(tmp_path, capsys):
     }
     assert "simulated cases on 3 objects" in capsys.readouterr().out
     with pytest.raises(ValueError, match="holds a finished run"):
-        experiment.main(args)
+        experiment.run(args)
     with pytest.raises(ValueError, match="no STL file"):
-        experiment.main(experiment.RefineArgs(out=tmp_path / "other", preset="debug", data=tmp_path))
+        experiment.run(experiment.RefineArgs(out=tmp_path / "other", preset="debug", data=tmp_path))
 
 
 def test_starts_are_exactly_as_far_off_as_they_say():
