@@ -3,78 +3,95 @@
     python -m i2t.place lab.toml --object mug.stl --host 192.168.0.2 --write    # a RealSense, from where the arm is
     python -m i2t.place lab.toml --object mug.stl --views DIR --tool 0.41 -0.12 0.25 2.5 0 0 --write
 
-Look at it obliquely, 25 to 55 degrees from the vertical: from above, a flat top tells nothing sideways. The rig's own
+Look at it obliquely, 25 to 55 degrees from the vertical: from above, a flat top shows nothing sideways. The rig's own
 T_world_object is where the search begins, within centimetres and some degrees; the camera must be calibrated
-(`python -m i2t.hardware.hand_eye`). How it is found is in `i2t.registration.touch.by_depth`; the error that is told is
-that of noise, and knows nothing of a constant error of the camera or of its calibration.
+(`python -m i2t.hardware.hand_eye`). How it is found is in `i2t.registration.register_by_depth`; the error that is
+reported is that of noise, and knows nothing of a constant error of the camera or of its calibration.
 """
 
-import argparse
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import tyro
 from scipy.spatial.transform import Rotation
 
 from i2t.cli import ended
-from i2t.collect.site_plan import orthonormal
-from i2t.emulators.world import read_object
 from i2t.hardware.camera_folder import RecordedDepthCamera
 from i2t.hardware.hand_eye import tool_pose
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.realsense import RealSense
 from i2t.hardware.rig import Rig
-from i2t.registration import camera_covariance, register_by_depth
 from i2t.types import TWIST_LEVER_M, Array
+
+PoseVector = tuple[float, float, float, float, float, float]  # position (m) and rotation vector (rad)
+
+
+@dataclass(frozen=True)
+class PlaceArgs:
+    """Find where an object stands from a depth view of it."""
+
+    rig: tyro.conf.Positional[Path]  # the lab's calibration
+    object: str  # a name of the catalogue, or a mesh file
+    unit: str = "mm"  # of a mesh file: m, cm, mm or inch
+    host: str | None = None  # address of the arm, which is asked where it stands and not moved
+    tool: Annotated[PoseVector | None, tyro.conf.arg(metavar="X Y Z RX RY RZ")] = None  # or where the tool was: m, rad
+    views: Path | None = None  # a folder of views, of which the first is taken; else a RealSense
+    distance: float = 10e-3  # m, how far off the rig may be (one sigma)
+    angle: float = 6.0  # degrees, the same
+    hand_eye: Annotated[tuple[float, float], tyro.conf.arg(metavar="MM DEGREES")] = (1.0, 0.5)
+    """How far off the camera may be on its tool (one sigma), which no view shows."""
+    no_table: bool = False  # the view shows no table at the world's z = 0
+    write: bool = False  # put the pose into the rig
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        "python -m i2t.place", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    """Run the command line.
+
+    Args:
+        arguments: Without the program's name; by default those of this process.
+
+    Returns:
+        The exit code.
+    """
+    asked = tyro.cli(
+        PlaceArgs,
+        args=arguments,
+        prog="python -m i2t.place",
+        description=__doc__,
+        config=(tyro.conf.FlagCreatePairsOff,),
     )
-    parser.add_argument("rig", type=Path, help="the lab's calibration")
-    parser.add_argument("--object", required=True, help="a name of the catalogue, or a mesh file")
-    parser.add_argument("--unit", default="mm", help="of a mesh file: m, cm, mm or inch (default mm)")
-    parser.add_argument("--host", help="address of the arm, which is asked where it stands and not moved")
-    parser.add_argument(
-        "--tool", type=float, nargs=6, metavar=("X", "Y", "Z", "RX", "RY", "RZ"), help="or where the tool was: m, rad"
-    )
-    parser.add_argument("--views", type=Path, help="a folder of views, of which the first is taken; else a RealSense")
-    parser.add_argument("--distance", type=float, default=10e-3, help="m, how far off the rig may be (one sigma)")
-    parser.add_argument("--angle", type=float, default=6.0, help="degrees, the same")
-    parser.add_argument(
-        "--hand-eye", type=float, nargs=2, default=(1.0, 0.5), metavar=("MM", "DEGREES"),
-        help="how far off the camera may be on its tool (one sigma), which no view tells",
-    )  # fmt: skip
-    parser.add_argument("--no-table", action="store_true", help="the view shows no table at the world's z = 0")
-    parser.add_argument("--write", action="store_true", help="put the pose into the rig")
-    asked = parser.parse_args(arguments)
     return ended(lambda: print(place(asked)))
 
 
-def place(asked: argparse.Namespace) -> str:
+def place(asked: PlaceArgs) -> str:
     """Find where the object is.
 
     Args:
         asked: The command line.
 
     Returns:
-        What to tell.
+        What was found, as sentences.
 
     Raises:
-        ValueError: What was asked for cannot be read, or the view does not tell the pose.
+        ValueError: What was asked for cannot be read, or the view does not determine the pose.
         OSError: A file cannot be read or written.
         DeviceError: Camera or arm do not answer.
     """
+    # Not above: JAX takes seconds, which --help need not wait for.
+    from i2t.collect.site_plan import orthonormal
+    from i2t.emulators.world import read_object
+    from i2t.registration import camera_covariance, register_by_depth
+
     if (asked.host is None) == (asked.tool is None):
         raise ValueError("the pose of the tool is needed: give --host, or --tool with the pendant's six numbers")
     rig = Rig.read(asked.rig)
     mesh = read_object(asked.object, asked.unit).mesh
-    T_b_t = tool_pose(asked.host) if asked.host is not None else pose_from_vector(asked.tool)
+    T_b_t = pose_from_vector(asked.tool) if asked.tool is not None else tool_pose(str(asked.host))
     T_w_c = rig.T_world_base @ T_b_t @ rig.T_tool_camera
     with _camera(asked, rig) as camera:
         found = register_by_depth(
@@ -108,7 +125,7 @@ def place(asked: argparse.Namespace) -> str:
     return "\n".join(lines)
 
 
-def _camera(asked: argparse.Namespace, rig: Rig) -> RecordedDepthCamera | RealSense:
+def _camera(asked: PlaceArgs, rig: Rig) -> RecordedDepthCamera | RealSense:
     if asked.views is not None:
         return RecordedDepthCamera(asked.views)
     return RealSense(size=(rig.camera.width, rig.camera.height), distance=rig.looking_distance)

@@ -10,12 +10,14 @@ noise and steps in its next frame, 2.5 ms after the last. So a reading is some 5
 spare. `python -m i2t.collect --arm emulated --skin emulated` starts one by itself.
 """
 
-import argparse
 import contextlib
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import tyro
 
 from i2t.emulators import reskin_board, ur_controller
 
@@ -59,21 +61,32 @@ def started(*options: str) -> Iterator["subprocess.Popen[str]"]:
             process.wait()
 
 
+@dataclass(frozen=True, kw_only=True)
+class LabArgs(ur_controller.ControllerArgs):
+    """An emulated lab; what follows `--board` are options of its board."""
+
+    link: Path  # name of the skin's port
+    object: str | None = "hexagon"  # of the catalogue, or a mesh file
+    skin: tyro.conf.Suppress[str | None] = None  # the board, which is started here
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        "python -m i2t.emulators.lab",
+    """Run the command line until SIGTERM or Ctrl-C, or until the standard input of a tethered lab ends.
+
+    Args:
+        arguments: Without the program's name; by default those of this process.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    end = words.index("--board") if "--board" in words else len(words)
+    args = tyro.cli(
+        LabArgs,
+        args=words[:end],
+        prog="python -m i2t.emulators.lab",
         description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="Further options are those of python -m i2t.emulators.ur_controller.",
+        config=(tyro.conf.FlagCreatePairsOff,),
     )
-    parser.add_argument("--link", type=Path, required=True, help="name of the skin's port")
-    parser.add_argument("--object", default="hexagon", help="of the catalogue, or a mesh file")
-    parser.add_argument("--board", nargs=argparse.REMAINDER, default=[], help="options of the board, to the end")
-    args, further = parser.parse_known_args(arguments)
-    with reskin_board.started("--field", "--link", str(args.link), *args.board) as (_, process):
-        told = "{}:{}".format(*board_address(process))
-        ur_controller.main(["--object", args.object, "--skin", told, *further])
+    with reskin_board.started("--field", "--link", str(args.link), *words[end + 1 :]) as (_, process):
+        ur_controller.run(replace(args, skin="{}:{}".format(*board_address(process))))
 
 
 if __name__ == "__main__":

@@ -6,10 +6,9 @@
 Its first line of output is the port's path (the link, if there is one), its second, with `--field`, where to send
 fields. Like a board it waits until somebody opens the port. At rest it shows a uniform ambient field on the turned
 chips of its board (`i2t.skin.boards`), noise and steps as measured on real boards; a press comes and goes where asked
-for. Times of faults count from the first opening. Runs on Linux and macOS; NumPy only.
+for. Times of faults count from the first opening. Runs on Linux and macOS, without JAX.
 """
 
-import argparse
 import errno
 import os
 import select
@@ -23,10 +22,12 @@ import time
 import tty
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
 import numpy as np
+import tyro
 from jaxtyping import Float
 
 from i2t.hardware.reskin.frames import Format, encode
@@ -46,33 +47,28 @@ TERMIOS_SPEEDS = {
 }
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command line.
+@dataclass(frozen=True)
+class BoardArgs:
+    """An emulated ReSkin or AnySkin board."""
 
-    Returns:
-        A parser of its options.
-    """
-    switches = argparse.ArgumentParser("python -m i2t.emulators.reskin_board", description=__doc__.split("\n\n")[0])
-    add = switches.add_argument
-    add("--link", type=Path, help="name the port: a symbolic link that is made and removed")
-    add("--board", default="reskin", help="reskin, anyskin, or grid-RxC for R rows and C columns of chips")
-    add("--format", choices=[str(form) for form in Format], default=str(Format.BINARY), help="what firmware it has")
-    add("--rate", type=float, default=400.0, help="frames a second")
-    add("--noise", type=float, default=1.0, help="times that of real boards; 0 repeats one frame exactly")
-    add("--press", type=float, default=0.0, help="size of a press every 4 s, times 57 uT (norm on 5 chips)")
-    add("--temperature", type=float, default=None, help="of all chips, exactly; 34.513 holds CR LF in binary")
-    add("--field", action="store_true", help="take fields (3 float32 a chip, little-endian, uT) from UDP datagrams")
-    add("--mid-frame", type=int, default=0, help="bytes missing from the first frame")
-    add("--substitute", type=float, default=0.0, help="part of the bytes that are changed")
-    add("--drop", type=float, default=0.0, help="part of the bytes that are lost")
-    add("--silent-after", type=float, default=np.inf, help="s until it falls silent")
-    add("--silent-for", type=float, default=np.inf, help="s that it stays so")
-    add("--unplug-after", type=float, default=np.inf, help="s until it is unplugged")
-    add("--replug-after", type=float, default=np.inf, help="s until it is back, under the same link")
-    add("--baud", type=int, default=None, help="a real UART: any other rate gives rubbish")
-    add("--seed", type=int, default=0)
-    add("--tethered", action="store_true", help="end when standard input closes, with the program that started it")
-    return switches
+    link: Path | None = None  # name the port: a symbolic link that is made and removed
+    board: str = "reskin"  # reskin, anyskin, or grid-RxC for R rows and C columns of chips
+    format: tyro.conf.EnumChoicesFromValues[Format] = Format.BINARY  # what firmware it has
+    rate: float = 400.0  # frames a second
+    noise: float = 1.0  # times that of real boards; 0 repeats one frame exactly
+    press: float = 0.0  # size of a press every 4 s, times 57 uT (norm on 5 chips)
+    temperature: float | None = None  # of all chips, exactly; 34.513 holds CR LF in binary
+    field: bool = False  # take fields (3 float32 a chip, little-endian, uT) from UDP datagrams
+    mid_frame: int = 0  # bytes missing from the first frame
+    substitute: float = 0.0  # part of the bytes that are changed
+    drop: float = 0.0  # part of the bytes that are lost
+    silent_after: float = float("inf")  # s until it falls silent
+    silent_for: float = float("inf")  # s that it stays so
+    unplug_after: float = float("inf")  # s until it is unplugged
+    replug_after: float = float("inf")  # s until it is back, under the same link
+    baud: int | None = None  # a real UART: any other rate gives rubbish
+    seed: int = 0  # of noise and damage
+    tethered: bool = False  # end when standard input closes, with the program that started it
 
 
 class Readings:
@@ -206,7 +202,13 @@ def main(args: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    options = parser().parse_args(args)
+    options = tyro.cli(
+        BoardArgs,
+        args=args,
+        prog="python -m i2t.emulators.reskin_board",
+        description=__doc__,
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     if options.link and options.link.exists() and not options.link.is_symlink():
         print(f"error: {options.link} exists and is no link; give another name", file=sys.stderr)
@@ -227,7 +229,7 @@ def main(args: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _serve(port: BoardPort, board: Board, options: argparse.Namespace) -> None:
+def _serve(port: BoardPort, board: Board, options: BoardArgs) -> None:
     readings = Readings(options.noise, options.press, options.temperature, options.seed, board)
     rng = np.random.default_rng((options.seed, 1))
     inbox = _field_inbox() if options.field else None
@@ -256,11 +258,9 @@ def _serve(port: BoardPort, board: Board, options: argparse.Namespace) -> None:
         time.sleep(max(0.0, due - time.monotonic()))
 
 
-def _chunk(
-    readings: Readings, port: BoardPort, now: float, options: argparse.Namespace, rng: np.random.Generator
-) -> bytes:
+def _chunk(readings: Readings, port: BoardPort, now: float, options: BoardArgs, rng: np.random.Generator) -> bytes:
     """One frame as it leaves the board, or what a wrong baud rate or a bad line makes of it."""
-    frame = encode(*readings.at(now), Format(options.format))
+    frame = encode(*readings.at(now), options.format)
     if options.baud and port.baud_rate() != options.baud:
         frame = rng.bytes(len(frame))
     damaged = options.substitute or options.drop

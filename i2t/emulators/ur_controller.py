@@ -41,7 +41,6 @@ controller are not modelled on measurements. Of the client's commands those on s
 force mode, payload, tool, zeroing, watchdog and stopping are emulated; any other ends the program, and says so.
 """
 
-import argparse
 import contextlib
 import os
 import signal
@@ -49,9 +48,12 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import tyro
 
 from i2t.emulators.robot_motion import Contact, Robot, plane
 from i2t.emulators.ur_program import PLAYING as PLAYING
@@ -60,7 +62,8 @@ from i2t.emulators.ur_program import TICK as TICK
 from i2t.emulators.ur_program import Controller
 from i2t.emulators.ur_server import FAULT_PORT, Server
 
-POINTING_DOWN = (0.4, 0.0, 0.3, np.pi, 0.0, 0.0)  # m, rad: the tool's pose at the start
+PoseVector = tuple[float, float, float, float, float, float]  # position (m) and rotation vector (rad)
+POINTING_DOWN: PoseVector = (0.4, 0.0, 0.3, np.pi, 0.0, 0.0)  # m, rad: the tool's pose at the start
 ASK_TIMEOUT_S = 5.0
 
 
@@ -118,49 +121,63 @@ def ask(host: str, line: str) -> str:
         return lines.readline().strip()
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command line.
+@dataclass(frozen=True, kw_only=True)
+class ControllerArgs:
+    """An emulated UR controller."""
 
-    Returns:
-        A parser of its options.
-    """
-    options = argparse.ArgumentParser(
-        prog="python -m i2t.emulators.ur_controller",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    add = options.add_argument
-    pose = ("X", "Y", "Z", "RX", "RY", "RZ")
-    add("--host", default="127.0.0.9", help="address to listen on (default %(default)s)")
-    add("--pose", type=float, nargs=6, default=POINTING_DOWN, metavar=pose,
-        help="tool's pose at the start, metres and rotation vector (default: pointing down, 0.3 m high)")  # fmt: skip
-    add("--plane", type=float, default=0.0, help="height of the plane in m (default %(default)s)")
-    add("--stiffness", type=float, default=0.0, help="of the plane in N/m; 0: no plane")
-    add("--bias", type=float, nargs=3, default=(0, 0, 0), help="N, what the sensor reports in the air")
-    add("--noise", type=float, help="of the force sensor, N, one sigma per axis (default 0; 0.1 with --object)")
-    add("--force-limit", type=float, default=150.0, help="N, protective stop above (default 150)")
-    add("--unlock-delay", type=float, default=5.0, help="s, before a protective stop can be released")
-    add("--after", nargs=2, action="append", default=[], metavar=("SECONDS", "COMMAND"), help="fault after the start")
-    add("--latency", type=float, default=0.0, help="s that commands take to reach the program")
-    add("--object", help="what the tool touches: a name of the catalogue, or a mesh file")
-    add("--unit", default="mm", help="of a mesh file: m, cm, mm or inch (default mm)")
-    add("--rig", type=Path, help="a lab's calibration, which says where the object is")
-    add("--pad", type=Path, help="the skin that the tool wears, on disk; by default a random one")
-    add("--seed", type=int, default=0, help="of the errors")
-    add("--exact", action="store_true", help="the object is where it is believed to be")
-    add("--mount", type=float, default=10e3, help="stiffness of arm and mount, N/m (default 10000)")
-    add("--skin", metavar="HOST:PORT", help="an emulated board that shows what the skin feels")
-    add("--tethered", action="store_true", help="end when standard input closes")
-    return options
+    host: str = "127.0.0.9"  # address to listen on
+    pose: Annotated[PoseVector, tyro.conf.arg(metavar="X Y Z RX RY RZ")] = POINTING_DOWN
+    """The tool's pose at the start, metres and rotation vector."""
+    plane: float = 0.0  # height of the plane in m
+    stiffness: float = 0.0  # of the plane in N/m; 0: no plane
+    bias: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
+    """N, what the sensor reports in the air."""
+    noise: float | None = None  # of the force sensor, N, one sigma per axis; by default 0, with --object 0.1
+    force_limit: float = 150.0  # N, protective stop above
+    unlock_delay: float = 5.0  # s, before a protective stop can be released
+    after: Annotated[
+        tyro.conf.UseAppendAction[tuple[tuple[float, str], ...]], tyro.conf.arg(metavar="SECONDS COMMAND")
+    ] = ()
+    """A fault after the start."""
+    latency: float = 0.0  # s that commands take to reach the program
+    object: str | None = None  # what the tool touches: a name of the catalogue, or a mesh file
+    unit: str = "mm"  # of a mesh file: m, cm, mm or inch
+    rig: Path | None = None  # a lab's calibration, which says where the object is
+    pad: Path | None = None  # the skin that the tool wears, on disk; by default a random one
+    seed: int = 0  # of the errors
+    exact: bool = False  # the object is where it is believed to be
+    mount: float = 10e3  # stiffness of arm and mount, N/m
+    skin: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
+    """An emulated board that shows what the skin feels."""
+    tethered: bool = False  # end when standard input closes
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run until SIGTERM or Ctrl-C, or until the standard input of a tethered controller ends.
+    """Run the command line until SIGTERM or Ctrl-C, or until the standard input of a tethered controller ends.
 
     Args:
-        arguments: Of the command line; by default those of this process.
+        arguments: Without the program's name; by default those of this process.
     """
-    options = parser().parse_args(arguments)
+    run(
+        tyro.cli(
+            ControllerArgs,
+            args=arguments,
+            prog="python -m i2t.emulators.ur_controller",
+            description=__doc__,
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
+    )
+
+
+def run(options: ControllerArgs) -> None:
+    """Be a controller until SIGTERM or Ctrl-C, or until the standard input of a tethered controller ends.
+
+    Args:
+        options: What it is like.
+
+    Raises:
+        SystemExit: It cannot start; its message says why.
+    """
     try:
         server = _server(options)
     except (OSError, ValueError) as error:
@@ -171,15 +188,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         server.run()
 
 
-def _server(options: argparse.Namespace) -> Server:
+def _server(options: ControllerArgs) -> Server:
     contact, noise = _contact(options)
     robot = Robot(np.array(options.pose), contact, np.array([*options.bias, 0.0, 0.0, 0.0], float), noise)
     controller = Controller(robot, options.unlock_delay, options.force_limit)
-    timed_faults = [(float(seconds), command) for seconds, command in options.after]
-    return Server(controller, options.host, timed_faults, options.latency, options.tethered)
+    return Server(controller, options.host, list(options.after), options.latency, options.tethered)
 
 
-def _contact(options: argparse.Namespace) -> tuple[Contact, float]:
+def _contact(options: ControllerArgs) -> tuple[Contact, float]:
     """What the tool touches, and the noise of its force sensor (N)."""
     if options.object is None:
         return plane(options.plane, options.stiffness), options.noise or 0.0

@@ -8,8 +8,7 @@ The board is a ChArUco board of OpenCV (`--dictionary APRILTAG_36h11` makes one 
 RealSense's colour image and the arm's pose, without controlling the arm; the TCP set on the pendant must be the rig's
 T_flange_tool. DIR may come from elsewhere:
 
-    DIR/camera.toml      the images' lens in pixels (keys of `i2t.depth.camera.Camera`), and T_camera_image (rows of 4 x
-    4),
+    DIR/camera.toml      the images' lens in pixels (keys of `i2t.depth.camera.Camera`), and T_camera_image (4 rows),
                          the frame of the images in the depth camera's, where they were taken by another imager
     DIR/images/NAME.png  the board seen from one pose each
     DIR/poses.csv        NAME.png, x, y, z (m), rx, ry, rz (rotation vector, rad): T_base_tool as the pendant shows it
@@ -18,7 +17,6 @@ The estimate needs at least six views, tilted by 15 degrees or more about two ax
 that it states means is in `i2t.hardware.hand_eye_fit`.
 """
 
-import argparse
 import csv
 import math
 import sys
@@ -26,9 +24,10 @@ import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import tyro
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -42,15 +41,20 @@ from i2t.types import Array
 PRINT_PIXELS_PER_MM = 300 / 25.4  # pixels per mm of a printed board: 300 dpi
 
 
-@dataclass(frozen=True)
-class CharucoBoard:
-    """A ChArUco board: columns and rows of squares, the edges of squares and markers (m)."""
+@dataclass(frozen=True, kw_only=True)
+class BoardArgs:
+    """What a ChArUco board looks like."""
 
-    columns: int = 8
-    rows: int = 6
-    square: float = 0.015
-    marker: float = 0.011
-    dictionary: str = "4X4_50"
+    columns: int = 8  # of squares
+    rows: int = 6  # of squares
+    square: float = 0.015  # m, edge of a square
+    marker: float = 0.011  # m, edge of a marker
+    dictionary: str = "4X4_50"  # of OpenCV; APRILTAG_36h11 makes a board of AprilTags
+
+
+@dataclass(frozen=True, kw_only=True)
+class CharucoBoard(BoardArgs):
+    """A ChArUco board that can be drawn and found; one that cannot be is refused (ValueError)."""
 
     def __post_init__(self) -> None:
         if self.columns < 3 or self.rows < 3 or not 0 < self.marker < self.square < 1:
@@ -238,39 +242,76 @@ def _lens_text(camera: Camera, T: Array) -> str:
     return "".join(f"{key} = {value}\n" for key, value in lens.items()) + f"T_camera_image = [{rows}]\n"
 
 
+@dataclass(frozen=True, kw_only=True)
+class DrawArgs(BoardArgs):
+    """Draw the board."""
+
+    file: tyro.conf.Positional[Path]  # the image that is written
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureArgs(BoardArgs):
+    """Take views with a RealSense and a UR arm."""
+
+    folder: tyro.conf.Positional[Path]  # for the views
+    host: str  # address of the arm's controller
+    serial: str | None = None  # which camera, if there are several
+    size: Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")] = (640, 360)  # pixels
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimateArgs(BoardArgs):
+    """Find the camera in the tool."""
+
+    folder: tyro.conf.Positional[Path]  # of the views
+    rig: Path | None = None  # a lab's calibration, to compare with
+    write: bool = False  # put the estimate into it
+
+
+HandEyeArgs = (
+    Annotated[DrawArgs, tyro.conf.subcommand(name="board")]
+    | Annotated[CaptureArgs, tyro.conf.subcommand(name="capture")]
+    | Annotated[EstimateArgs, tyro.conf.subcommand(name="estimate")]
+)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        "python -m i2t.hardware.hand_eye", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    """Run the command line.
+
+    Args:
+        arguments: Without the program's name; by default those of this process.
+
+    Returns:
+        The exit code.
+    """
+    parse: Any = tyro.cli  # a union is no type to mypy
+    asked: DrawArgs | CaptureArgs | EstimateArgs = parse(
+        HandEyeArgs,
+        args=arguments,
+        prog="python -m i2t.hardware.hand_eye",
+        description=__doc__,
+        config=(tyro.conf.FlagCreatePairsOff,),
     )
-    shape = argparse.ArgumentParser(add_help=False)
-    for each in fields(CharucoBoard):
-        shape.add_argument(f"--{each.name}", type=type(each.default), default=each.default)
-    steps = parser.add_subparsers(dest="step", required=True)
-    draw = steps.add_parser("board", parents=[shape], help="draw the board")
-    draw.add_argument("file", type=Path)
-    take = steps.add_parser("capture", parents=[shape], help="take views with a RealSense and a UR arm")
-    take.add_argument("folder", type=Path)
-    take.add_argument("--host", required=True, help="address of the arm's controller")
-    take.add_argument("--serial", help="which camera, if there are several")
-    take.add_argument("--size", type=int, nargs=2, default=(640, 360), metavar=("WIDTH", "HEIGHT"))
-    tell = steps.add_parser("estimate", parents=[shape], help="find the camera in the tool")
-    tell.add_argument("folder", type=Path)
-    tell.add_argument("--rig", type=Path, help="a lab's calibration, to compare with")
-    tell.add_argument("--write", action="store_true", help="put the estimate into it")
-    asked = parser.parse_args(arguments)
-    do = {"board": _draw, "capture": _capture, "estimate": _estimate}[asked.step]
-    return ended(
-        lambda: do(asked, CharucoBoard(**{each.name: getattr(asked, each.name) for each in fields(CharucoBoard)}))
-    )
+    return ended(lambda: _run(asked))
 
 
-def _draw(asked: argparse.Namespace, board: CharucoBoard) -> None:
+def _run(asked: DrawArgs | CaptureArgs | EstimateArgs) -> None:
+    board = CharucoBoard(**{each.name: getattr(asked, each.name) for each in fields(BoardArgs)})
+    match asked:
+        case DrawArgs():
+            _draw(asked, board)
+        case CaptureArgs():
+            _capture(asked, board)
+        case EstimateArgs():
+            _estimate(asked, board)
+
+
+def _draw(asked: DrawArgs, board: CharucoBoard) -> None:
     Image.fromarray(board.drawn()).save(asked.file, dpi=(300, 300))
     print(f"{asked.file}: print it at 100 %; a square must measure {1e3 * board.square:g} mm")
 
 
-def _capture(asked: argparse.Namespace, board: CharucoBoard) -> None:
+def _capture(asked: CaptureArgs, board: CharucoBoard) -> None:
     from i2t.hardware.realsense import RealSense
 
     def more(number: int) -> bool:
@@ -280,12 +321,12 @@ def _capture(asked: argparse.Namespace, board: CharucoBoard) -> None:
             return False
 
     tool_pose(asked.host)
-    with RealSense(asked.serial, tuple(asked.size)) as camera:
+    with RealSense(asked.serial, asked.size) as camera:
         count = capture(asked.folder, camera, lambda: tool_pose(asked.host), more, board)
     print(f"{asked.folder}: {count} views")
 
 
-def _estimate(asked: argparse.Namespace, board: CharucoBoard) -> None:
+def _estimate(asked: EstimateArgs, board: CharucoBoard) -> None:
     if asked.write and asked.rig is None:
         raise ValueError("--write needs the file to write into; give --rig")
     rig = Rig.read(asked.rig) if asked.rig is not None else None
@@ -306,7 +347,7 @@ def _estimate(asked: argparse.Namespace, board: CharucoBoard) -> None:
         change = np.linalg.inv(rig.T_tool_camera) @ T_t_c
         turn = math.degrees(Rotation.from_matrix(change[:3, :3]).magnitude())
         print(f"{1e3 * np.linalg.norm(change[:3, 3]):.1f} mm and {turn:.1f} degrees from what {asked.rig} says")
-        if asked.write:
+        if asked.write and asked.rig is not None:
             replace(rig, T_tool_camera=T_t_c).write(asked.rig)
             print(f"{asked.rig}: written")
 

@@ -16,16 +16,17 @@ to refuse it: leave `distance` out.
 Sources: RealSense D400 series data sheet (337029), "Minimum-Z depth"; data sheets of SR300 and L515.
 """
 
-import argparse
 import contextlib
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+import tyro
 
 from i2t.cli import ended
 from i2t.depth.camera import Camera
@@ -295,22 +296,34 @@ def _camera(lens: Any) -> Camera:
     )
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser("python -m i2t.hardware.realsense", description=__doc__.split("\n\n")[0])
-    parser.add_argument("--serial", help="which camera, if there are several")
-    parser.add_argument("--file", type=Path, help="play this recording instead")
-    parser.add_argument("--size", type=int, nargs=2, default=(640, 360), metavar=("WIDTH", "HEIGHT"))
-    parser.add_argument("--rate", type=int, default=30, help="Hz")
-    parser.add_argument("--distance", type=float, help="m from which it is to look")
-    parser.add_argument("--save", type=Path, help="a new folder for the views")
-    parser.add_argument("--count", type=int, default=1, help="how many views")
-    asked = parser.parse_args(arguments)
+@dataclass(frozen=True)
+class RealSenseArgs:
+    """Show what a depth camera sees, and keep views of it."""
+
+    serial: str | None = None  # which camera, if there are several
+    file: Path | None = None  # play this recording instead
+    size: Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")] = (640, 360)  # pixels
+    rate: int = 30  # Hz
+    distance: float | None = None  # m from which it is to look
+    save: Path | None = None  # a new folder for the views
+    count: int = 1  # how many views
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        arguments: Without the program's name; by default those of this process.
+
+    Returns:
+        The exit code.
+    """
+    asked = tyro.cli(RealSenseArgs, args=arguments, prog="python -m i2t.hardware.realsense", description=__doc__)
     return ended(lambda: _show(asked))
 
 
-def _show(asked: argparse.Namespace) -> None:
-    with RealSense(asked.serial, tuple(asked.size), asked.rate, asked.distance, asked.file) as camera:
+def _show(asked: RealSenseArgs) -> None:
+    with RealSense(asked.serial, asked.size, asked.rate, asked.distance, asked.file) as camera:
         print(f"{camera.features.name}: nothing nearer than {1e3 * camera.features.nearest:.0f} mm")
         print(camera.camera)
         views = (camera.capture() for _ in range(asked.count))

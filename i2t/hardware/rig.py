@@ -13,11 +13,13 @@ import math
 import os
 import sys
 import tomllib
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tyro
 
 from i2t.cli import ended
 from i2t.depth.camera import Camera
@@ -298,14 +300,30 @@ def _toml(value: Any) -> str:
     return repr(float(value))
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    import argparse
+@dataclass(frozen=True)
+class RigArgs:
+    """Check a lab's calibration and say what it means."""
 
-    parser = argparse.ArgumentParser("python -m i2t.hardware.rig", description=__doc__.split("\n\n")[0])
-    parser.add_argument("file", type=Path, help="the lab's calibration")
-    parser.add_argument("--example", action="store_true", help="write that of the emulators, to start from")
-    asked = parser.parse_args(arguments)
+    file: tyro.conf.Positional[Path]  # the lab's calibration
+    example: bool = False  # write that of the emulators, to start from
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        arguments: Without the program's name; by default those of this process.
+
+    Returns:
+        The exit code.
+    """
+    asked = tyro.cli(
+        RigArgs,
+        args=arguments,
+        prog="python -m i2t.hardware.rig",
+        description=__doc__,
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
 
     def show() -> None:
         if asked.example and asked.file.exists():

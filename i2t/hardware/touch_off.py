@@ -19,15 +19,15 @@ of the simulated world that is 0.03 mm early at this tilt, where a straight line
 0.5 mm late.
 """
 
-import argparse
 import math
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+import tyro
 from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -232,28 +232,40 @@ def _touch_corner(arm: GuardedArm, side: tuple[int, int], start: Array) -> float
         raise DeviceError(f"corner {side}: {error}") from error
 
 
+@dataclass(frozen=True)
+class TouchOffArgs:
+    """Find the skin in the tool by touching a flat with each of its corners."""
+
+    host: str  # address of the arm's controller
+    rig: Path  # the lab's calibration
+    height: float  # of the flat in the base, m
+    at: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")]  # the flat's position in the base, m
+    state_timeout: float = 0.1  # s without news after which the arm is taken for lost
+    watchdog_rate: float = 10.0  # Hz, how often the controller must hear from us
+    write: bool = False  # put what is found into the rig
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        "python -m i2t.hardware.touch_off", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--host", required=True, help="address of the arm's controller")
-    parser.add_argument("--rig", type=Path, required=True, help="the lab's calibration")
-    parser.add_argument("--height", type=float, required=True, help="of the flat in the base, m")
-    parser.add_argument("--at", type=float, nargs=2, required=True, metavar=("X", "Y"), help="its place in the base, m")
-    parser.add_argument(
-        "--state-timeout", type=float, default=0.1, help="s without news after which the arm is taken for lost"
-    )
-    parser.add_argument(
-        "--watchdog-rate", type=float, default=10.0, help="Hz, how often the controller must hear from us"
-    )
-    parser.add_argument("--write", action="store_true", help="put what is found into the rig")
+    """Run the command line.
+
+    Args:
+        arguments: Without the program's name; by default those of this process.
+
+    Returns:
+        The exit code.
+    """
     renamed_flags(sys.argv[1:] if arguments is None else arguments, RENAMED_TOUCH_OFF_FLAGS)
-    asked = parser.parse_args(arguments)
+    asked = tyro.cli(
+        TouchOffArgs,
+        args=arguments,
+        prog="python -m i2t.hardware.touch_off",
+        description=__doc__,
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
     return ended(lambda: _touch_off(asked), "stopped; the rig is as it was")
 
 
-def _touch_off(asked: argparse.Namespace) -> None:
+def _touch_off(asked: TouchOffArgs) -> None:
     from i2t.hardware.ur.driver import UrArm
 
     rig = Rig.read(asked.rig)
@@ -266,7 +278,7 @@ def _touch_off(asked: argparse.Namespace) -> None:
         state_timeout=asked.state_timeout,
         watchdog_rate=asked.watchdog_rate,
     ) as arm:
-        found = touch_off(arm, rig.limits, tuple(asked.at), asked.height)
+        found = touch_off(arm, rig.limits, asked.at, asked.height)
     T = rig.T_flange_tool @ found.T_tool_skin
     tilt = math.degrees(math.acos(min(1.0, found.T_tool_skin[2, 2])))
     print(
