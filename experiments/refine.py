@@ -32,6 +32,7 @@ from matplotlib.figure import Figure
 from scipy.stats import binomtest
 from tqdm import tqdm
 
+from experiments.common.presets import RENAMED, answer_renamed_value
 from experiments.common.runs import reported, settings, write_json
 from i2t import viz
 from i2t.geometry import log, so3_exp
@@ -62,7 +63,7 @@ class RefineArgs:
     """Seek poses from single patches and say how often they are found."""
 
     out: Path = Path("runs/refine")  # folder for what is made
-    preset: Literal["full", "debug"] = "full"
+    preset: Literal["paper", "debug"] = "paper"
     data: Path | None = None  # folder of mesh files in metres that join the objects
     cases: int = 200
     objects: int = 40  # different ones, besides those of --data; the cases are shared among all
@@ -87,6 +88,7 @@ class Cases(NamedTuple):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
+    answer_renamed_value(argv, "--preset", RENAMED)
     args = tyro.cli(RefineArgs, args=argv, description=__doc__, prog="python -m experiments.refine")
     return reported(partial(run, args))
 

@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
+from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
 from experiments.common.runs import begin, reported, write_json
 from experiments.train.configs import PRESETS as TRAININGS
 from experiments.train.configs import TrainExperiment
@@ -80,13 +81,14 @@ class TsneArgs:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
+    answer_renamed_value(argv, "--preset", RENAMED)
     args = tyro.cli(TsneArgs, args=argv, description=__doc__, prog="python -m experiments.tsne")
     return reported(partial(run, args))
 
 
 def run(args: TsneArgs) -> dict[str, Any]:
     """The experiment: touches, map, clusters, stability, agreement, figure."""
-    plan = PRESETS[args.preset]
+    plan = choose_preset(PRESETS, args.preset)
     begin(args.out, args, plan, None, args.overwrite)
     dataset = (
         data.load_dataset(args.dataset)

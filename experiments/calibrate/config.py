@@ -4,6 +4,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from experiments.common.presets import choose_preset
+
 
 @dataclass(frozen=True)
 class Preset:
@@ -21,7 +23,7 @@ class Preset:
 
 
 PRESETS: dict[str, Preset] = {
-    "full": Preset(),
+    "paper": Preset(),
     "short": Preset(counts=(5, 10, 20, 50, 100, 300)),
     "debug": Preset(2, (5, 20), generated_skins=16, pretraining_steps=50, scratch_steps=50),
 }
@@ -33,7 +35,7 @@ class CalibrateArgs:
 
     dataset: Path  # a data set of one tip on one skin
     out: Path = Path("runs/calibrate")  # folder for everything that is made
-    preset: Literal["full", "short", "debug"] = "full"
+    preset: Literal["paper", "short", "debug"] = "paper"
     load: Literal["auto", "depth", "force"] = "auto"  # what says how hard was pressed; auto: depth where measured
     previous_session: Path | None = None  # a data set of an earlier session of the same skin with the same tip
     presses: tuple[int, ...] = ()  # how many to calibrate with; by default what the preset says
@@ -45,7 +47,7 @@ class CalibrateArgs:
 
 def preset_of(args: CalibrateArgs) -> Preset:
     """The preset, with what is given instead."""
-    cfg = PRESETS[args.preset]
+    cfg = choose_preset(PRESETS, args.preset)
     cfg = replace(cfg, draws=args.draws or cfg.draws, counts=tuple(sorted(set(args.presses))) or cfg.counts)
     if cfg.draws < 1 or min(cfg.counts) < 2:
         raise ValueError("--draws must be at least 1 and --presses at least 2")

@@ -36,6 +36,7 @@ from experiments.calibrate.config import CalibrateArgs, Preset, preset_of
 from experiments.calibrate.data import PressRecording, hold_out, read_presses, split_presses
 from experiments.calibrate.evaluate import learning_curves
 from experiments.calibrate.methods import Predictors, pretrain_network
+from experiments.common.presets import RENAMED, answer_renamed_value
 from experiments.common.runs import begin, reported
 from i2t import dataset as data
 from i2t.calibration import calibrate
@@ -50,6 +51,7 @@ M_PER_MM = 1e-3
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     renamed_flags(sys.argv[1:] if argv is None else argv, RENAMED_FLAGS)
+    answer_renamed_value(argv, "--preset", RENAMED)
     args = tyro.cli(CalibrateArgs, args=argv, description=__doc__, prog="python -m experiments.calibrate")
     return reported(partial(previous_session.run if args.previous_session else run, args))
 

@@ -50,7 +50,7 @@ class Population:
 
 
 PRESETS: dict[str, Population] = {
-    "full": Population(),
+    "paper": Population(),
     "short": Population(6, 6),
     "debug": Population(2, 2, (10, 20), 20),
 }

@@ -38,6 +38,7 @@ from experiments.calibrate.methods import NEIGHBOURS, PLAIN, Predictors, fit, ne
 from experiments.calibrate.report import draw_curves, summarise, table_row
 from experiments.calibrate_pads import population
 from experiments.calibrate_pads.simulate import BALL_TIP, board, press_pads
+from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
 from experiments.common.runs import begin, reported, write_json
 from i2t.calibration import FORCE_HYPERPARAMETERS, Presses, baseline_network, physics, structured_gp
 from i2t.calibration.baseline_network import PressFeatures
@@ -71,7 +72,7 @@ class PadsPreset:
 
 
 PRESETS: dict[str, PadsPreset] = {
-    "full": PadsPreset(),
+    "paper": PadsPreset(),
     "short": PadsPreset(4, (5, 20, 100), 200, 0),
     "debug": PadsPreset(1, (10, 20), 40, 4, 20),
 }
@@ -82,7 +83,7 @@ class CalibratePadsArgs:
     """Calibration of simulated pads by force."""
 
     out: Path = Path("runs/calibrate_pads")  # folder for everything that is made
-    preset: Literal["full", "short", "debug"] = "full"
+    preset: Literal["paper", "short", "debug"] = "paper"
     population: bool = False  # choose hyperparameters on a population of pads instead
     seed: int = 0
     overwrite: bool = False  # replace a run in --out
@@ -99,13 +100,14 @@ class PadScores(NamedTuple):
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
+    answer_renamed_value(argv, "--preset", RENAMED)
     args = tyro.cli(CalibratePadsArgs, args=argv, description=__doc__, prog="python -m experiments.calibrate_pads")
     return reported(partial(run_population if args.population else run, args))
 
 
 def run(args: CalibratePadsArgs) -> dict[str, Any]:
     """The experiment: prepare, evaluate, report."""
-    started, cfg = time.perf_counter(), PRESETS[args.preset]
+    started, cfg = time.perf_counter(), choose_preset(PRESETS, args.preset)
     begin(args.out, args, cfg, None, args.overwrite)
     key_pads, key_others, key_train = jax.random.split(jax.random.key(args.seed), 3)
     pads, presses, readings = press_pads(key_pads, cfg.pads, max(cfg.counts) + cfg.held_out_presses)
@@ -143,7 +145,7 @@ def run(args: CalibratePadsArgs) -> dict[str, Any]:
 
 def run_population(args: CalibratePadsArgs) -> dict[str, Any]:
     """The search for hyperparameters."""
-    cfg = population.PRESETS[args.preset]
+    cfg = choose_preset(population.PRESETS, args.preset)
     begin(args.out, args, cfg, None, args.overwrite)
     metrics = population.evaluate(cfg, args.seed)
     population.report(metrics, args.out)

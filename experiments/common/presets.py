@@ -3,7 +3,7 @@
   debug    everything once, in a minute: too small to mean anything
   short    the main result in a fraction of the time
   paper    what the README and the docs print; the default
-  study    several pads and seeds, for intervals
+  study    several pads and seeds, for intervals; the default where no single one means anything (pads)
 
 An experiment keeps a dict of those it has, `PRESETS: dict[str, Config]`, and states their names in the type of its
 `--preset`, so that `--help` lists them.

@@ -19,6 +19,7 @@ from typing import Literal
 
 import tyro
 
+from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
 from experiments.common.runs import reported, write_json
 from experiments.faults.arm import arm, force
 from experiments.faults.kill import kill
@@ -38,7 +39,7 @@ SECTIONS: dict[Section, Callable[[Sizes], list[FaultRow]]] = {
     "volume": volume,
     "kill": kill,
 }
-SIZES_BY_PRESET = {"full": Sizes(), "debug": DEBUG}
+PRESETS = {"paper": Sizes(), "debug": DEBUG}
 
 
 @dataclass(frozen=True)
@@ -47,12 +48,13 @@ class FaultsArgs:
 
     out: Path = Path("runs/faults")  # folder for the report
     sections: tuple[Section, ...] = tuple(SECTIONS)  # which
-    preset: Literal["full", "debug"] = "full"  # how often
+    preset: Literal["paper", "debug"] = "paper"  # how often
     share: float = 1.0  # of that
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
+    answer_renamed_value(argv, "--preset", RENAMED)
     args = tyro.cli(FaultsArgs, args=argv, description=__doc__, prog="python -m experiments.faults")
     missed: list[FaultRow] = []
     return reported(partial(_run, args, missed)) or int(bool(missed))
@@ -60,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(args: FaultsArgs, missed: list[FaultRow]) -> None:
     rows: list[FaultRow] = []
-    sizes = SIZES_BY_PRESET[args.preset].times(args.share)
+    sizes = choose_preset(PRESETS, args.preset).times(args.share)
     args.out.mkdir(parents=True, exist_ok=True)
     for name in args.sections:
         print(f"{name} ...", flush=True)

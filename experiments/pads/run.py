@@ -30,6 +30,7 @@ import numpy as np
 import tyro
 from jaxtyping import Array, Key
 
+from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
 from experiments.common.runs import begin, reported, write_json
 from experiments.pads import methods
 from experiments.pads.simulate import PROBE_TIP, SkinSession, press_skin, sample_skins
@@ -75,13 +76,14 @@ class PadsArgs:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    args = tyro.cli(PadsArgs, description=__doc__, args=argv)
+    answer_renamed_value(argv, "--preset", RENAMED)
+    args = tyro.cli(PadsArgs, args=argv, description=__doc__, prog="python -m experiments.pads")
     return reported(partial(run, args))
 
 
 def run(args: PadsArgs) -> dict[str, Any]:
     """The experiment: prepare, evaluate, report."""
-    study = PRESETS[args.preset]
+    study = choose_preset(PRESETS, args.preset)
     skins = DEFAULT_SKINS[args.preset] if args.skins is None else args.skins
     if skins < 2:
         raise ValueError(f"--skins {skins} leaves no other skin to learn from; 2 are needed")

@@ -17,6 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import tyro
 
+from experiments.common.presets import RENAMED, answer_renamed_value
 from experiments.common.runs import reported
 from experiments.recognize import live, run
 from i2t.cli import renamed_flags
@@ -43,6 +44,7 @@ RENAMED_FLAGS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
+    answer_renamed_value(words, "--preset", RENAMED)
     renamed_flags(words, RENAMED_FLAGS)
     if words[:1] not in (["simulate"], ["live"], ["--help"], ["-h"]):
         words = ["simulate", *words]

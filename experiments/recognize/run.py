@@ -28,6 +28,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from experiments.common.presets import choose_preset
 from experiments.common.runs import begin
 from experiments.recognize import report as reporting
 from experiments.recognize import trained_run
@@ -108,7 +109,7 @@ def run(args: SimulateArgs) -> dict[str, Any]:
 
 def configure(args: SimulateArgs) -> Recognition:
     """The preset with the numbers of episodes that the command line asks for."""
-    cfg = PRESETS[args.preset]
+    cfg = choose_preset(PRESETS, args.preset)
     if args.episodes is not None:
         n = args.episodes
         cfg = replace(cfg, episodes=n, paper_episodes=2 * n, validation_episodes=n)

@@ -25,6 +25,7 @@ import jax
 import tyro
 from tqdm import tqdm
 
+from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
 from experiments.common.runs import begin, reported, write_json
 from experiments.shapes import report
 from experiments.shapes.config import PRESETS, ShapeExperiment, ShapesArgs
@@ -39,13 +40,14 @@ from i2t.skin.pad import numbered_pad
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
+    answer_renamed_value(argv, "--preset", RENAMED)
     args = tyro.cli(ShapesArgs, args=argv, description=__doc__, prog="python -m experiments.shapes")
     return reported(partial(run, args), args.out)
 
 
 def run(args: ShapesArgs) -> dict[str, Any]:
     """The experiment: presses, then pad by pad the splits, new skins, and what limits them."""
-    cfg = PRESETS[args.preset]
+    cfg = choose_preset(PRESETS, args.preset)
     begin(args.out, args, cfg, args.resume, args.overwrite)
     started = time.perf_counter()
     dataset = data.load_dataset(args.dataset) if args.dataset else simulated(cfg, args.seed, args.out / "data.h5")

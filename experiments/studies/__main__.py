@@ -29,6 +29,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import tyro
 
+from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
 from experiments.common.runs import Part, begin, load_part, reported, save_part, write_json
 from experiments.recognize.config import PRESETS
 from experiments.recognize.trained_run import finished_runs
@@ -83,6 +84,7 @@ RENAMED_STUDY_FLAGS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
+    answer_renamed_value(words, "--preset", RENAMED)
     renamed_flags(words, RENAMED_STUDY_FLAGS)
     if words and words[0] in RENAMED_STUDIES:
         print(f"error: the study {words[0]} is called {RENAMED_STUDIES[words[0]]} now", file=sys.stderr)
@@ -95,7 +97,7 @@ def run(args: StudyArgs) -> dict[str, Any]:
     """A study on every pad and seed, pooled."""
     out = args.out or Path("runs") / args.study
     study = STUDIES[args.study]
-    begin(out, args, PRESETS[args.preset], args.resume, args.overwrite)
+    begin(out, args, choose_preset(PRESETS, args.preset), args.resume, args.overwrite)
     parts = []
     for i, folder in enumerate(finished_runs(args.trained_run)):
         path = out / f"part-{i}.npz"

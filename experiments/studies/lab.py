@@ -10,6 +10,7 @@ import numpy as np
 import tyro
 from jaxtyping import Array
 
+from experiments.common.presets import choose_preset
 from experiments.common.runs import Part
 from experiments.recognize import figures, trained_run
 from experiments.recognize.config import PRESETS, PresetName, Recognition
@@ -165,7 +166,7 @@ class StudyLab:
 
 def prepare_lab(args: StudyArgs, folder: Path, seed: int) -> StudyLab:
     """Read a finished run, fit its pad model, and prepare the objects."""
-    cfg = PRESETS[args.preset]
+    cfg = choose_preset(PRESETS, args.preset)
     cfg = replace(cfg, num_particles=min(cfg.num_particles, MAX_PARTICLES))
     key_fit, key = jax.random.split(jax.random.key(FIRST_SEED + seed))
     run = trained_run.load_trained_run(key_fit, folder, cfg.errors, cfg.limits)

@@ -29,7 +29,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import tyro
 
-from experiments.common.presets import answer_renamed_value, choose_preset
+from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
 from experiments.common.runs import begin, reported, slug, write_json
 from experiments.train.configs import PRESETS, TrainExperiment
 from experiments.train.methods import (
@@ -87,6 +87,7 @@ class TrainArgs:
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     answer_renamed_value(argv, "--split", {"run": "session"})
+    answer_renamed_value(argv, "--preset", RENAMED)
     args = tyro.cli(TrainArgs, args=argv, description=__doc__, prog="python -m experiments.train")
     return reported(partial(run, args), args.out)
 

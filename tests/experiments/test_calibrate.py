@@ -71,7 +71,7 @@ def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
 
 
 def test_held_out_presses_are_never_in_a_pool():
-    cfg = config.PRESETS["full"]
+    cfg = config.PRESETS["paper"]
     presses = read_presses(recording(600), "auto")
     held, blocks = hold_out(presses, cfg.held_out_presses, cfg.block_mm, cfg.block_share, 0)
     assert held.sum() == 150
@@ -123,7 +123,7 @@ def test_an_earlier_session_of_one_place_helps(tmp_path):
 def test_presses_and_draws_given_replace_those_of_the_preset(tmp_path, capsys):
     args = config.CalibrateArgs(tmp_path, preset="short", presses=(1000, 20), draws=5)
     assert config.preset_of(args) == replace(config.PRESETS["short"], counts=(20, 1000), draws=5)
-    assert config.preset_of(config.CalibrateArgs(tmp_path)) == config.PRESETS["full"]
+    assert config.preset_of(config.CalibrateArgs(tmp_path)) == config.PRESETS["paper"]
     assert calibrate.main(["--dataset", str(tmp_path), "--presses", "1"]) == 2
     assert "at least 2" in capsys.readouterr().err
 

@@ -1,5 +1,7 @@
 """Presets are chosen by name, and names of earlier versions are answered."""
 
+import importlib
+import importlib.util
 from dataclasses import dataclass
 
 import pytest
@@ -43,3 +45,17 @@ def test_a_renamed_value_is_answered(argv: list[str], capsys: pytest.CaptureFixt
 
 def test_other_values_pass() -> None:
     answer_renamed_value(["--preset", "paper", "--out", "full"], "--preset", RENAMED)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["calibrate", "calibrate_pads", "faults", "pads", "recognize", "refine", "shapes", "studies", "train", "tsne"],
+)
+def test_every_command_answers_the_old_name(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    module = f"experiments.{name}"
+    if importlib.util.find_spec(module).submodule_search_locations:
+        module += ".__main__"
+    with pytest.raises(SystemExit) as ended:
+        importlib.import_module(module).main(["--preset", "full"])
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == "error: --preset full is called --preset paper now\n"
