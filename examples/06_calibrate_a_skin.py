@@ -1,4 +1,4 @@
-"""Your skin from a few presses: positions, depths and readings of one tip become a model of all other presses.
+"""Your skin from a few presses: positions, forces and readings of one tip become a model of all other presses.
 
 python examples/06_calibrate_a_skin.py
 """
@@ -13,24 +13,28 @@ from i2t.skin.elasticity import GRID
 TIP_RADIUS_M = 4e-3
 
 
-def main(presses: int = 30) -> float:
+def main(presses: int = 60) -> float:
     """Calibrate a simulated skin from some presses; return R2 over 60 others."""
     pad = i2t.sample_pad(jax.random.key(2))  # here the "real" skin; bring your own presses instead
     random = np.random.default_rng(0)
     positions = random.uniform(-6e-3, 6e-3, (presses + 60, 2))  # m, of the tip in the tool frame
     depths = random.uniform(0.1e-3, 0.5e-3, presses + 60)  # m past first contact
 
-    def read(position: jax.Array, depth: jax.Array) -> jax.Array:
+    def press(position: jax.Array, depth: jax.Array) -> tuple[jax.Array, jax.Array]:
         squared = (GRID.centres[None, :] - position[0]) ** 2 + (GRID.centres[:, None] - position[1]) ** 2
         height = squared / (2 * TIP_RADIUS_M)
-        return i2t.press(pad, height - height.min(), depth).reading
+        pressed = i2t.press(pad, height - height.min(), depth)
+        return pressed.reading, pressed.force
 
-    readings = np.asarray(jax.lax.map(lambda press: read(*press), (jnp.asarray(positions), jnp.asarray(depths))))
+    readings, forces = map(
+        np.asarray, jax.lax.map(lambda at: press(*at), (jnp.asarray(positions), jnp.asarray(depths)))
+    )
     readings = readings + random.normal(0, 1.0, readings.shape)  # uT of noise
 
     known, others = slice(None, presses), slice(presses, None)
-    calibration = i2t.calibrate(positions[known], depths[known], readings[known], load_kind="depth")
-    mean, std = calibration.predict(positions[others], depths[others])
+    board = i2t.Board(*map(np.asarray, pad.board))
+    calibration = i2t.calibrate(positions[known], forces[known], readings[known], load_kind="force", board=board)
+    mean, std = calibration.predict(positions[others], forces[others])
     error, spread = readings[others] - mean, readings[others] - readings[others].mean(0)
     r2 = float(1 - (error**2).sum() / (spread**2).sum())
     inside = (np.abs(error) < 1.645 * std).mean()

@@ -136,7 +136,7 @@ class ConformalSets(NamedTuple):
 
 
 def conformal_sets(
-    p_validation: Float[Array, "v t c"],
+    p_validation: Float[Array, "v t k"],
     truth_validation: Int[Array, " v"],
     p: Float[Array, "e t c"],
     truth: Int[Array, " e"],

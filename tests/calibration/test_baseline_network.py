@@ -3,10 +3,12 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from i2t.calibration import Presses, baseline_network, lattice
 
 
+@pytest.mark.full
 def test_the_last_layer_is_bayesian_ridge():
     rng = np.random.default_rng(0)
     presses = Presses(jnp.float32(rng.normal(size=(12, 2))), jnp.float32(rng.uniform(size=12)))
@@ -26,6 +28,7 @@ def test_the_last_layer_is_bayesian_ridge():
     np.testing.assert_allclose(some.weights, few.weights, atol=1e-3)
 
 
+@pytest.mark.full
 def test_other_skins_help():
     presses, readings = jax.jit(lambda key: lattice.sample_skins(key, 24, 40, half_edge=15e-3, max_depth=4e-3))(
         jax.random.key(0)

@@ -116,6 +116,7 @@ def r2(truth: np.ndarray, mean) -> float:
     return 1 - ((truth - np.asarray(mean)) ** 2).sum() / ((truth - truth.mean(0)) ** 2).sum()
 
 
+@pytest.mark.full
 def test_a_map_stretched_by_the_load_is_found():
     rng = np.random.default_rng(2)
     read, other = skin(rng, 0.0), presses(rng, 200)

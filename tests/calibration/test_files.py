@@ -93,6 +93,7 @@ def test_a_file_of_the_first_version_still_loads(tmp_path):
         np.testing.assert_allclose(a, b, rtol=1e-5)
 
 
+@pytest.mark.full
 def test_a_skin_of_sixteen_chips_is_calibrated(tmp_path):
     board = boards.grid_board(4, 4)
     readings = np.tile(READINGS[:, :12], 4)

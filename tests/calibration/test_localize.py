@@ -82,6 +82,7 @@ def test_a_skin_is_fitted_to_readings_without_positions():
     assert fitted > known - 0.1
 
 
+@pytest.mark.full
 def test_skins_share_their_boards():
     skins = sample_skins(jax.random.key(0), 5, 2)
     np.testing.assert_array_equal(skins[0].gains, skins[2].gains)
@@ -91,6 +92,7 @@ def test_skins_share_their_boards():
     assert np.abs(skins[0].magnetization - skins[2].magnetization).max() > 0
 
 
+@pytest.mark.full
 def test_the_experiment_in_small(tmp_path, capsys):
     assert pads.main(["--preset", "debug", "--out", str(tmp_path / "run")]) == 0
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())

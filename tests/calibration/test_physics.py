@@ -54,6 +54,7 @@ def test_the_design_gives_what_the_simulator_reads(tip, deep, board):
     np.testing.assert_allclose(got, expected, atol=5e-3 * np.abs(expected).max())
 
 
+@pytest.mark.full
 def test_a_pad_is_found_again():
     pad, presses, readings = simulated(2, 60)
     known, held = jax.tree.map(lambda part: part[:30], (presses, readings)), readings[30:]
@@ -74,6 +75,7 @@ def test_a_pad_is_found_again():
     np.testing.assert_allclose(again, mean[0], atol=0.02 * np.abs(mean[0]).max())
 
 
+@pytest.mark.full
 def test_left_out_is_what_leaving_out_gives():
     rng = np.random.default_rng(3)
     phi, y = jnp.float32(rng.normal(size=(6, 15, 20))), jnp.float32(rng.normal(size=(6, 15)))

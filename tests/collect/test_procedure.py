@@ -146,6 +146,7 @@ def test_places_outside_the_box_are_remembered_and_cost_no_motion():
         procedure.check(site(7))
 
 
+@pytest.mark.full
 def test_every_pose_on_the_way_stays_in_the_box_and_above_the_object():
     procedure, memory = make(), Memory()
     seen = []
@@ -352,6 +353,7 @@ def test_onset_is_exact_for_a_line_and_a_fifth_short_for_a_ball():
     assert np.isnan(onset_distance(np.zeros((5, READINGS)), np.zeros(5), np.zeros(READINGS), GAIN))
 
 
+@pytest.mark.full
 def test_noise_of_real_size_leaves_depth_within_a_twentieth_of_a_millimetre():
     depths = []
     for seed in range(5):

@@ -94,8 +94,8 @@ def test_what_was_under_way_is_kept_aside_and_can_be_read(tmp_path):
     procedure = make()
     approach = procedure.arm.approach
 
-    def interrupted(*how):
-        approach(*how)
+    def interrupted(*how, **named):
+        approach(*how, **named)
         raise KeyboardInterrupt
 
     procedure.arm.approach = interrupted
@@ -128,6 +128,7 @@ def test_what_was_under_way_is_kept_aside_and_can_be_read(tmp_path):
         list(read_raw(raw))
 
 
+@pytest.mark.full
 def test_a_killed_writer_loses_nothing_that_it_acknowledged(tmp_path):
     code = f"""
 import os, sys

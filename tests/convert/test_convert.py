@@ -515,6 +515,7 @@ def test_real_normal_presses_carry_their_load_and_strokes(shared_data, tmp_path)
 math_nan = float("nan")
 
 
+@pytest.mark.full
 def test_real_shear_recordings_are_two_pads(shared_data, tmp_path, capsys):
     source = shared_data / "eflesh" / "shear"
     dataset = converted(source, tmp_path / "dst", command="eflesh")

@@ -55,6 +55,7 @@ def test_they_are_what_the_protocols_say(scene):
             call()
 
 
+@pytest.mark.full
 def test_a_line_over_a_dome_is_the_physics_between_its_loads_too(scene):
     """Down on a half ball of 30 mm: where it begins, and travel and reading at loads that are not tabulated. Between
     loads that grow by 1.85, straight pieces of a force that grows as travel to the power 1.5 are off by up to 4 %.

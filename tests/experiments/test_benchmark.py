@@ -41,6 +41,7 @@ def test_training_section_against_pytorch(tmp_path: Path, capsys: pytest.Capture
     assert len(capsys.readouterr().out.splitlines()) == 1 + len(rows)
 
 
+@pytest.mark.full
 def test_policy_section_times_decisions() -> None:
     tiny = Policy(objects=2, sites=3, num_particles=4, imagined=2)
     rows = benchmark.run(Benchmark(sections=("policy",), turns=1, policy=tiny))
@@ -94,6 +95,7 @@ def test_rendering_section_against_ray_casters(capsys: pytest.CaptureFixture[str
     assert len(capsys.readouterr().out.splitlines()) == 1 + len(rows)
 
 
+@pytest.mark.full
 def test_skin_section_against_contact_mechanics() -> None:
     """The section itself checks that both find the same pressures, and fails where they do not."""
     tiny = SkinBenchmark(batch=2, cells=(20,), dipoles=(10,), shapes=("tilted punch",), steady=0)
@@ -110,6 +112,7 @@ def test_pressures_that_are_not_the_peer_s_are_refused() -> None:
         skin.check("punch", found, [1.5 * found.pressure[0]], skin.GRID)
 
 
+@pytest.mark.full
 def test_patches_of_another_mesh_are_not_compared() -> None:
     """A ray caster that needs no system package, and a sphere a centimetre smaller."""
     ball = trimesh.creation.icosphere(3, 0.03)

@@ -43,6 +43,7 @@ def recording(n: int, pads: int = 1) -> Dataset:
     return Dataset(touches, ("tip",), names, ("run",), boards.anyskin_board(), "simulated")
 
 
+@pytest.mark.full
 def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
     data.save_dataset(tmp_path / "set.h5", recording(400))
     args = ["--dataset", str(tmp_path / "set.h5"), "--out", str(tmp_path / "out"), "--preset", "debug"]

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from experiments.calibrate_pads import population, simulate
 from i2t.calibration import Presses
@@ -11,6 +12,7 @@ from i2t.prediction.metrics import score
 from i2t.skin import boards
 
 
+@pytest.mark.full
 def test_pads_are_pressed_as_stated():
     pads, presses, readings = simulate.press_pads(jax.random.key(0), 2, 6)
     assert readings.shape == (2, 6, 15)
@@ -37,6 +39,7 @@ def test_the_search_climbs_to_the_top():
         assert abs(np.log(far)) <= np.log(population.STEP_FACTORS[-1]) / 2 + 1e-9
 
 
+@pytest.mark.full
 def test_scores_of_a_population_are_those_of_single_skins():
     position, load = jax.random.split(jax.random.key(1))
     presses = Presses(

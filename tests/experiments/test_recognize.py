@@ -83,6 +83,7 @@ def test_meshes_need_a_unit(trained_run, tmp_path, capsys):
     assert "--unit mm" in capsys.readouterr().err
 
 
+@pytest.mark.full
 def test_recorded_touches_are_replayed(trained_run, tmp_path):
     """Episodes of a recorded set: the run's own touches, of which the belief must find the object more often than not
     guessing would.
@@ -141,6 +142,7 @@ def test_informative_sites_follow_the_heuristic():
 LIVE = ["--num-sites", "3", "--num-particles", "8", "--num-surrogates", "2", "--true-object", "hammer"]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("prior_unknown", [0.0, 0.1])
 def test_an_arm_touches_where_the_belief_wants_it_to(prior_unknown, trained_run, tmp_path, capsys):
     out, touches = tmp_path / "live", 2 if prior_unknown else 3

@@ -27,6 +27,7 @@ def _fit_once():
         yield
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("study", ["policy", "open_set", "planar", "registered", "pose_error", "sites"])
 def test_studies_run(study, trained_run, tmp_path):
     out = tmp_path / study

@@ -91,6 +91,7 @@ def test_a_finished_run_is_not_overwritten(finished, capsys):
     assert (finished / "metrics.json").read_bytes() == before
 
 
+@pytest.mark.full
 def test_killed_and_resumed_equals_uninterrupted(finished, tmp_path, capsys):
     out = tmp_path / "killed"
     command = [sys.executable, "-m", "experiments.train", "--preset", "debug", "--out", str(out)]
@@ -111,6 +112,7 @@ def test_killed_and_resumed_equals_uninterrupted(finished, tmp_path, capsys):
     assert numbers(out) == numbers(finished)
 
 
+@pytest.mark.full
 def test_a_data_set_trains_as_well(finished, tmp_path):
     """The set that the first run simulated, given back as --dataset, split by session this time."""
     out = tmp_path / "again"
@@ -193,7 +195,7 @@ def test_a_board_of_sixteen_chips_from_simulation_to_a_predictor_on_disk(tmp_pat
     out = tmp_path / "run"
     arguments = ["--preset", "debug", "--epochs", "2", "--pad", str(tmp_path / "pad.npz"), "--out", str(out)]
     assert train.main(arguments) == 0
-    touches = dataset.load(out / "data.h5")
+    touches = dataset.load_dataset(out / "data.h5")
     assert touches.touches.reading.shape == (60, 48)
     assert touches.board.chips.shape == (16, 3)
     predictor = i2t.load_predictor(out)

@@ -225,6 +225,7 @@ def test_suggested_radius_is_two_spacings():
         suggest_radius(np.repeat(cloud[:2], 50, axis=0))
 
 
+@pytest.mark.full
 def test_patches_of_disks_are_those_of_the_mesh(tmp_path):
     """Within what is promised: flattening of radius^2 / 2R and noise averaged over the dozen points of a disk."""
     args = experiment.CloudArgs(out=tmp_path, shapes=("dome",), spacings=(0.5e-3,), noises=(0.0, 0.1e-3), sites=8)

@@ -20,8 +20,9 @@ with warnings.catch_warnings():
 Y, X = np.meshgrid(GRID.centres, GRID.centres, indexing="ij")
 PAD = nominal_pad()
 SHAPE = np.cos(np.pi * X / 20e-3) ** 2 * np.cos(np.pi * Y / 20e-3) ** 2  # in which a skin held at its edge sinks
-solve = jax.jit(contact.solve, static_argnums=(3, 5, 6))
-solve_force = jax.jit(contact.solve_force, static_argnums=(3, 5, 6))
+STATIC = ("grid", "tolerance", "max_steps")
+solve = jax.jit(contact.solve, static_argnames=STATIC)
+solve_force = jax.jit(contact.solve_force, static_argnames=STATIC)
 
 
 def _sphere(x: float, y: float, radius: float) -> np.ndarray:
@@ -170,6 +171,7 @@ def test_force_grows_with_depth(sweeps):
     assert np.all(np.diff(slope, axis=1) > -1e-3 * slope[:, 1:])
 
 
+@pytest.mark.full
 def test_force_grows_with_depth_on_every_pad():
     """500 sweeps of 8 depths: rough, tilted and cut surfaces, each on a pad of its own, some held at their edges."""
     pads = jax.jit(jax.vmap(sample_pad))(jax.random.split(jax.random.key(2), 500))

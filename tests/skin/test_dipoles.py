@@ -189,6 +189,7 @@ def pads():
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), PAD, samples)
 
 
+@pytest.mark.full
 def test_reading_has_converged_for_tips(pads):
     """Cells halved and nodes doubled change the reading of a small tip at 0.8 N by less than 2 %."""
     places = np.random.default_rng(3).uniform(-7e-3, 7e-3, (8, 2))
@@ -199,6 +200,7 @@ def test_reading_has_converged_for_tips(pads):
     )
 
 
+@pytest.mark.full
 def test_fine_reading_has_converged_for_stamps(pads):
     """Outlines are cut by cells, so stamps need the fine grid to come within 2 % of one twice as fine."""
     forces = np.array([1.0, 1.0], np.float32)

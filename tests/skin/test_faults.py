@@ -340,6 +340,7 @@ def test_runs_of_a_batch_are_independent():
     np.testing.assert_array_equal(_apply(kind, _key(7)), _apply(kind, _key(7)))
 
 
+@pytest.mark.full
 def test_readings_can_be_fitted_through_faults():
     """The derivative of a fault is finite where a touch missed, and equals a difference elsewhere."""
     kind = replace(Faults.typical(), ferrous=1.0, gain=0.05)

@@ -133,6 +133,7 @@ def test_a_slanted_approach_leaves_its_mark_on_the_reading():
     assert np.linalg.norm(readings[1] - readings[0]) > 3
 
 
+@pytest.mark.full
 def test_derivatives_against_differences():
     small = Grid(20, 32)
     y, x = np.meshgrid(small.centres, small.centres, indexing="ij")

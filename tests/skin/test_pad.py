@@ -49,6 +49,7 @@ def _covers(values: np.ndarray, *real: float) -> bool:
     return all(low < value < high for value in real)
 
 
+@pytest.mark.full
 def test_readings_are_those_of_real_boards(presses):
     """Real boards: norm of the 15 values with a median of 46-85 uT and a 95th percentile of 131-164 uT; 78-122 uT/N;
     the strongest chip's medians 61, 22 and 36 uT (x, y, z); some chips ten times stronger than others.
@@ -81,6 +82,7 @@ def test_pads_differ(presses):
     assert np.mean(np.abs(between) > 0.6) < 0.05
 
 
+@pytest.mark.full
 def test_sessions_of_one_pad_are_alike():
     """Real response maps of one board correlate 0.6-0.9 between sessions: mounted anew, used, warm, and with noise."""
     errors = SimulationErrors()
@@ -220,6 +222,7 @@ def test_air_gives_nothing():
     np.testing.assert_allclose(found.reading, np.zeros(15), atol=1e-3)  # rounding of fields of some mT
 
 
+@pytest.mark.full
 def test_friction_leaves_its_mark():
     """No friction, no mark; with it a slide changes the reading, more and more until all of the skin slips."""
     pad, height = pads.sample_pad(jax.random.key(2)), jnp.asarray(_tip(1e-3, 2e-3))

@@ -1,0 +1,72 @@
+"""Each program of examples/ runs, and does what it says."""
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("0*.py"))
+
+
+def _load(number: int) -> ModuleType:
+    path = EXAMPLES[number - 1]
+    assert path.name.startswith(f"{number:02d}_")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_there_are_eight_short_ones():
+    assert [int(path.name[:2]) for path in EXAMPLES] == list(range(1, 9))
+    for path in EXAMPLES:
+        assert len(path.read_text().splitlines()) <= 55, f"{path.name} is no short program any more"
+
+
+def test_a_patch_is_rendered_and_drawn(tmp_path):
+    patch = _load(1).main(str(tmp_path / "patch.png"))
+    assert abs(float(patch.nearest)) < 0.1e-3
+    assert (tmp_path / "patch.png").stat().st_size > 1000
+
+
+def test_a_depth_image_gives_the_patch_of_the_mesh():
+    assert _load(2).main() < 0.05e-3
+
+
+def test_a_press_is_strongest_below_the_ball(tmp_path):
+    reading = _load(3).main(str(tmp_path / "press.png")).reshape(-1, 3)
+    assert np.linalg.norm(reading, axis=1).argmax() in (0, 1)  # the ball is 3 mm along x: between chips 0 and 1
+    assert (tmp_path / "press.png").exists()
+
+
+@pytest.mark.full
+def test_simulated_touches_come_back_from_disk(tmp_path):
+    dataset = _load(4).main(str(tmp_path / "touches.h5"), 4)
+    assert len(dataset) == 8
+    assert dataset.source == "simulated"
+
+
+def test_a_trained_run_predicts_touches(trained_run):
+    reading = _load(5).main(str(trained_run))
+    assert np.isfinite(reading.mean).all()
+    assert (reading.std > 0).all()
+
+
+def test_sixty_presses_calibrate_a_skin():
+    assert _load(6).main() > 0.5
+
+
+@pytest.mark.full
+def test_touches_find_the_object():
+    before, after = _load(7).main(8)
+    assert after < before / 2
+
+
+@pytest.mark.full
+def test_an_object_is_recognised():
+    from i2t.recognition.recognizer import RecognizerConfig
+
+    config = RecognizerConfig(num_sites=8, num_particles=32, max_touches=6)
+    assert _load(8).main(36, config) in ("star", "cylinder", "hammer")
