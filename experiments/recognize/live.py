@@ -2,10 +2,10 @@
 
     python -m experiments.recognize live                                   all simulated: see how it goes
     python -m experiments.recognize live --true-object hammer --arm emulated --skin emulated      the real drivers
-    python -m experiments.recognize live --objects a.stl b.stl --unit mm --arm ur --host 192.168.1.10 \\
-        --skin reskin --camera realsense --rig lab.toml
+    python -m experiments.recognize live --objects a.stl b.stl --unit mm --arm emulated --skin emulated
 
-The skin must be the one whose touches the run was trained on (--trained-run). The next touch is the one that is
+The skin must be the one whose touches the run was trained on (--trained-run). Runs are of simulated pads so far, and
+every skin differs, so a real skin is refused. The next touch is the one that is
 expected to tell most (`i2t.recognition.recognizer`), among sites that are safe on what may be there; where ten draws of
 candidates have none, the run stops and says so. It ends when the most probable object is wrong with at most
 --max-error-probability, or after --max-touches. With --prior-unknown 0.1, say, it may be none of the objects, which is
@@ -230,6 +230,11 @@ def conclude(
 
 
 def _check(args: LiveArgs) -> None:
+    if args.skin not in ("simulated", "emulated"):
+        raise ValueError(
+            f"--skin {args.skin}: the pad model of {args.trained_run} is of a simulated pad and says nothing of "
+            "another skin; recognise with --skin simulated or emulated, or collect its touches with python -m i2t.collect"
+        )
     folder = args.out / "touches"
     if folder.is_dir() and touches_in(folder):
         raise ValueError(f"{args.out} holds the touches of another episode; choose another --out")

@@ -5,26 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from experiments.recognize import trained_run as runs
 from experiments.studies import __main__ as studies
 from experiments.studies import object_count, planar, pose_error, sites
 from i2t.objects import Mesh
 
-
-@pytest.fixture(scope="module", autouse=True)
-def _fit_once():
-    """Studies fit the same pad model to the same touches: once is enough."""
-    kept, load = {}, runs.load_trained_run
-
-    def load_once(key, folder, errors, limits):
-        world = str(folder), errors, limits
-        if world not in kept:
-            kept[world] = load(key, folder, errors, limits)
-        return kept[world]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runs, "load_trained_run", load_once)
-        yield
+pytestmark = pytest.mark.usefixtures("pad_models_fitted_once")
 
 
 @pytest.mark.full
