@@ -17,7 +17,7 @@ def main() -> float:
     T_w_t = i2t.contact_pose(mesh, point)
     T_w_c = T_w_t @ np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -0.104], [0, 0, 0, 1]])  # looks along tool z
 
-    # A real image comes from a driver or a file: i2t.depth.camera.load_depth. Metres, NaN or 0 where nothing was seen.
+    # A real image comes from a driver or a file: i2t.depth.camera.read_depth. Metres, NaN or 0 where nothing was seen.
     triangles = np.concatenate([mesh.vertices[mesh.faces], table_triangles(np.eye(4))])
     image, _ = render_view(triangles, T_w_c, camera)
     seen = i2t.patch_from_depth(image.astype(np.float32), camera, T_w_c.astype(np.float32), T_w_t.astype(np.float32))

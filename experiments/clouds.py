@@ -30,8 +30,8 @@ from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
 from i2t.simulation.sites import collect_sites
 from i2t.types import REACH
 
-MILLI = 1e3
-DEEP = 3e-3  # m behind the nearest point: what is deeper may leave the reach with the noise of the nearest point
+MM_PER_M = 1e3
+MAX_DEPTH_M = 3e-3  # behind the nearest point: what is deeper may leave the reach with the noise of the nearest point
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def run(args: CloudArgs) -> list[CloudRow]:
         for j, (spacing, noise) in enumerate(variants):
             k = i * len(variants) + j
             patches = jax.device_get(look(element(surfaces, len(meshes) + k), poses))
-            cloud = len(clouds[k][0]), MILLI * spacing, MILLI * noise, MILLI * radii[k]
+            cloud = len(clouds[k][0]), MM_PER_M * spacing, MM_PER_M * noise, MM_PER_M * radii[k]
             rows.append(CloudRow(name, *cloud, *compare(true, patches)))
     print(table(rows))
     if args.out is not None:
@@ -103,9 +103,9 @@ def sample(mesh: Mesh, spacing: float, noise: float, seed: int) -> tuple[np.ndar
 def compare(true, disks) -> tuple[float, float, float, float]:
     """Median and 95th percentile of the absolute difference of heights (mm), share of holes, share beyond edges."""
     heights, others = (patch.nearest[:, None, None] + patch.depth for patch in (true, disks))
-    solid, empty = true.depth < DEEP, true.depth >= REACH
-    missing, covered = disks.depth >= REACH, disks.depth < DEEP
-    off = MILLI * np.abs(heights - others)[solid & ~missing]
+    solid, empty = true.depth < MAX_DEPTH_M, true.depth >= REACH
+    missing, covered = disks.depth >= REACH, disks.depth < MAX_DEPTH_M
+    off = MM_PER_M * np.abs(heights - others)[solid & ~missing]
     return (
         float(np.median(off)),
         float(np.quantile(off, 0.95)),

@@ -3,9 +3,9 @@
     python -m experiments.real_frames --data DIR --out DIR
 
 DIR holds `ycbvideo` (five frames of YCB-Video, an Asus Xtion at 0.5 to 0.65 m), `ycb_meshes` and `apc_depth` (two
-frames of a RealSense F200). On each posed mesh of the five frames, places are drawn that the camera sees in all of
+frames of a RealSense F200). On each posed mesh of the five frames, sites are drawn that the camera sees in all of
 them; there a real patch is cut from the depth image, and the same patch is imagined from the mesh, at three sizes of
-window. The frames follow each other within a second and show the same scene, so intervals are over places. The F200's
+window. The frames follow each other within a second and show the same scene, so intervals are over sites. The F200's
 frames have no poses of objects: patches are cut along normals of the depth itself and shown. It takes about a minute on
 two cores; the camera's own step is 1 mm and its noise about as much, so a median difference below 1 mm is what can be
 expected. Results go to --out: metrics.json, config.json and figures.
@@ -29,6 +29,7 @@ from PIL import Image
 
 from experiments.common.runs import reported, settings, write_json
 from i2t import viz
+from i2t.cli import renamed_flags
 from i2t.depth.camera import Camera, Encoding, read_depth
 from i2t.depth.distortion import pixel_rays
 from i2t.depth.patches import DepthPatch, patch_from_depth
@@ -45,7 +46,7 @@ YCB_DEPTH_UNIT_M = 1e-4  # m, of both cameras' files
 
 
 @dataclass(frozen=True)
-class Thing:
+class FrameObject:
     """An object of the frames: its class in the label images, and where YCB-Video's model frame lies in the mesh's."""
 
     name: str
@@ -53,13 +54,23 @@ class Thing:
     offset: tuple[float, float, float]  # m; p_mesh = p_model + offset
 
 
-THINGS = (
-    Thing("009_gelatin_box", 8, (-21.31e-3, -8.69e-3, 18.10e-3)),
-    Thing("025_mug", 14, (-17.11e-3, 16.62e-3, 38.43e-3)),
-    Thing("061_foam_brick", 21, (-18.46e-3, 17.24e-3, 16.89e-3)),
+OBJECTS = (
+    FrameObject("009_gelatin_box", 8, (-21.31e-3, -8.69e-3, 18.10e-3)),
+    FrameObject("025_mug", 14, (-17.11e-3, 16.62e-3, 38.43e-3)),
+    FrameObject("061_foam_brick", 21, (-18.46e-3, 17.24e-3, 16.89e-3)),
 )
 # From the data set's cam.info.txt.
 F200 = Camera(640, 480, 477.584259, 477.584167, 314.188080, 245.884354)
+
+
+RENAMED_FLAGS = {
+    "--facing": "--min-cosine",
+    "--hidden": "--max-occlusion-m",
+    "--border": "--border-px",
+    "--slack": "--extra-reach-m",
+    "--least": "--min-share",
+    "--f200-fill": "--f200-fill-m",
+}
 
 
 @dataclass(frozen=True)
@@ -68,16 +79,16 @@ class RealFrames:
 
     data: Path  # folder with ycbvideo, ycb_meshes and apc_depth
     out: Path = Path("runs/real_frames")
-    sites: int = 40  # places on each object
+    sites: int = 40  # on each object
     windows: tuple[float, ...] = (PATCH_WINDOW, 30e-3, 50e-3)  # m
     seed: int = 0
-    facing: float = 0.5  # least cosine between a place's normal and the line of sight
-    hidden: float = 8e-3  # m: where the image is further than this from the mesh, something else is in front
-    border: int = 3  # pixels from a place to the border of the object's label
-    # m, how much further than the reach a real patch is read, so that neither noise nor a thing in front clips it
-    slack: float = STANDOFF
-    least: float = 0.1  # share of a patch's pixels that must be comparable
-    f200_fill: float = 4e-3  # m; every fifth row and column of the F200's frames is empty, 1 to 1.6 mm wide
+    min_cosine: float = 0.5  # least cosine between a site's normal and the line of sight
+    max_occlusion_m: float = 8e-3  # where the image is further than this from the mesh, something else is in front
+    border_px: int = 3  # from a site to the border of the object's label
+    # How much further than the reach a real patch is read, so that neither noise nor something in front clips it
+    extra_reach_m: float = STANDOFF
+    min_share: float = 0.1  # share of a patch's pixels that must be comparable
+    f200_fill_m: float = 4e-3  # every fifth row and column of the F200's frames is empty, 1 to 1.6 mm wide
 
 
 class Compared(NamedTuple):
@@ -91,6 +102,7 @@ class Compared(NamedTuple):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
+    renamed_flags(sys.argv[1:] if argv is None else argv, RENAMED_FLAGS)
     args = tyro.cli(RealFrames, args=argv, description=__doc__, prog="python -m experiments.real_frames")
     return reported(partial(run, args))
 
@@ -104,14 +116,14 @@ def run(cfg: RealFrames) -> dict[str, Any]:
         raise ValueError(f"{cfg.out} holds a finished run; choose another --out")
     cfg.out.mkdir(parents=True, exist_ok=True)
     objects: dict[str, Any] = {}
-    for thing in THINGS:
-        mesh = read_mesh(cfg.data / "ycb_meshes" / f"{thing.name}.stl", "m", table=False)[0].mesh
-        camera, depths, labels, T_c_o = frames(cfg.data / "ycbvideo", thing)
-        T_o_t = places(cfg, thing, mesh, camera, depths, labels, T_c_o)
+    for item in OBJECTS:
+        mesh = read_mesh(cfg.data / "ycb_meshes" / f"{item.name}.stl", "m", table=False)[0].mesh
+        camera, depths, labels, T_c_o = frames(cfg.data / "ycbvideo", item)
+        T_o_t = draw_sites(cfg, item, mesh, camera, depths, labels, T_c_o)
         surface = prepare_surface(mesh)
         by_window = {window: compare(cfg, surface, camera, depths, T_c_o, T_o_t, window) for window in cfg.windows}
-        objects[thing.name] = {f"{1e3 * window:g} mm": summary(part) for window, part in by_window.items()}
-        viz.save_figure(figure(thing.name, by_window), cfg.out / f"{thing.name}.png")
+        objects[item.name] = {f"{1e3 * window:g} mm": summary(part) for window, part in by_window.items()}
+        viz.save_figure(figure(item.name, by_window), cfg.out / f"{item.name}.png")
     metrics = {
         "source": "real depth, posed scans",
         "seed": cfg.seed,
@@ -125,16 +137,16 @@ def run(cfg: RealFrames) -> dict[str, Any]:
     return metrics
 
 
-def frames(folder: Path, thing: Thing) -> tuple[Camera, np.ndarray, np.ndarray, np.ndarray]:
+def frames(folder: Path, item: FrameObject) -> tuple[Camera, np.ndarray, np.ndarray, np.ndarray]:
     """The camera, depth (frames, h, w) m, labels (frames, h, w) and poses T_c_o (frames, 4, 4) of the mesh."""
     with np.load(folder / "meta.npz", allow_pickle=False) as meta:
         K = meta[f"{FRAMES[0]}/intrinsic_matrix"]
         T_c_m = np.tile(np.eye(4), (len(FRAMES), 1, 1))
         for pose, frame in zip(T_c_m, FRAMES, strict=True):
-            (which,) = np.flatnonzero(meta[f"{frame}/cls_indexes"][:, 0] == thing.label)
+            (which,) = np.flatnonzero(meta[f"{frame}/cls_indexes"][:, 0] == item.label)
             pose[:3] = meta[f"{frame}/poses"][:, :, which]
     T_m_o = np.eye(4)
-    T_m_o[:3, 3] = -np.array(thing.offset)
+    T_m_o[:3, 3] = -np.array(item.offset)
     depths = np.stack([read_depth(folder / f"{frame}-depth.png", YCB_DEPTH_UNIT_M) for frame in FRAMES])
     labels = np.stack([np.asarray(Image.open(folder / f"{frame}-label.png")) for frame in FRAMES])
     height, width = depths.shape[1:]
@@ -142,8 +154,8 @@ def frames(folder: Path, thing: Thing) -> tuple[Camera, np.ndarray, np.ndarray, 
     return camera, depths, labels, (T_c_m @ T_m_o).astype(np.float32)
 
 
-def places(
-    cfg: RealFrames, thing: Thing, mesh: Mesh, camera: Camera, depths: np.ndarray, labels: np.ndarray,
+def draw_sites(
+    cfg: RealFrames, item: FrameObject, mesh: Mesh, camera: Camera, depths: np.ndarray, labels: np.ndarray,
     T_c_o: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """Contact frames T_o_t (sites, 4, 4) that the camera sees in all frames, drawn uniformly over the mesh's area."""
@@ -156,18 +168,18 @@ def places(
         facing = -np.sum(n * at, 1) / np.linalg.norm(at, axis=1)
         u = np.rint(at[:, 0] / at[:, 2] * camera.fx + camera.cx).astype(int)
         v = np.rint(at[:, 1] / at[:, 2] * camera.fy + camera.cy).astype(int)
-        near = cfg.border
+        near = cfg.border_px
         inside = (u >= near) & (u < camera.width - near) & (v >= near) & (v < camera.height - near)
         u, v = np.where(inside, u, near), np.where(inside, v, near)
         own = np.ones(len(points), bool)
         for i in (-near, 0, near):
             for j in (-near, 0, near):
-                own &= label[v + i, u + j] == thing.label
+                own &= label[v + i, u + j] == item.label
         # A hole compares false, and so is not visible.
-        visible &= inside & own & (facing >= cfg.facing) & (np.abs(depth[v, u] - at[:, 2]) <= cfg.hidden)
+        visible &= inside & own & (facing >= cfg.min_cosine) & (np.abs(depth[v, u] - at[:, 2]) <= cfg.max_occlusion_m)
     chosen = np.flatnonzero(visible)[: cfg.sites]
     if not len(chosen):
-        raise ValueError(f"{thing.name} is not visible in these frames; check its poses and labels")
+        raise ValueError(f"{item.name} is not visible in these frames; check its poses and labels")
     return np.asarray(jax.vmap(contact_frame)(jnp.float32(points[chosen]), jnp.float32(normals[chosen])))
 
 
@@ -177,7 +189,7 @@ def compare(
 ) -> Compared:  # fmt: skip
     """Real and imagined patches at the same poses; the reach grows with the window."""
     reach = REACH * window / PATCH_WINDOW
-    cut = partial(patch_from_depth, window=window, reach=reach + cfg.slack)
+    cut = partial(patch_from_depth, window=window, reach=reach + cfg.extra_reach_m)
     seen_in = jax.jit(jax.vmap(cut, (None, None, None, 0)), static_argnums=1)
     here = np.eye(4, dtype=np.float32)  # the camera's frame serves as the world's
     real = [seen_in(depth, camera, here, T @ T_o_t) for depth, T in zip(depths, T_c_o, strict=True)]
@@ -186,9 +198,9 @@ def compare(
     once = jax.device_get(draw(surface, T_o_t))
     imagined = Patch(*(np.broadcast_to(field, (len(depths), *field.shape)) for field in once))
     # Which pixels are compared is decided by the imagined depth alone: by the real one, its noise would be cut off.
-    both = (imagined.depth < reach) & real.valid_mask & (real.patch.depth < reach + cfg.slack)
+    both = (imagined.depth < reach) & real.valid_mask & (real.patch.depth < reach + cfg.extra_reach_m)
     difference = np.where(both, heights(real.patch) - heights(imagined), np.nan)
-    enough = np.isfinite(difference).mean((2, 3)) >= cfg.least
+    enough = np.isfinite(difference).mean((2, 3)) >= cfg.min_share
     bias = np.full(enough.shape, np.nan)
     bias[enough] = np.nanmedian(difference[enough], axis=(1, 2))
     return Compared(real, imagined, difference, bias)
@@ -224,7 +236,7 @@ def summary(part: Compared) -> dict[str, Any]:
 
 
 def figure(name: str, by_window: dict[float, Compared], count: int = 4) -> Figure:
-    """Rows of places; for the smallest and the largest window the real patch, the imagined one and the difference."""
+    """Rows of sites; for the smallest and the largest window the real patch, the imagined one and the difference."""
     windows = (min(by_window), max(by_window))
     sites = np.flatnonzero(np.isfinite(by_window[windows[0]].bias[0]) & np.isfinite(by_window[windows[1]].bias[0]))[
         :count
@@ -261,7 +273,7 @@ def figure(name: str, by_window: dict[float, Compared], count: int = 4) -> Figur
                 result.colorbar(
                     change, ax=axes[:, first + 2], label="difference, bias taken off (mm)", location="bottom"
                 )
-        row[0].set_ylabel(f"place {site}\ntool y (mm)")
+        row[0].set_ylabel(f"site {site}\ntool y (mm)")
     result.suptitle(
         f"{name}: real depth (Xtion, first frame) against the posed scan; grey was not seen or not compared"
     )
@@ -291,16 +303,16 @@ def show_f200(cfg: RealFrames, name: str, count: int = 5) -> dict[str, Any]:
         middle = around.mean(0)
         normal = np.linalg.svd(around - middle, full_matrices=False)[2][2]
         normal *= -np.sign(normal @ middle)  # towards the camera
-        if -normal @ middle < cfg.facing * np.linalg.norm(middle):
+        if -normal @ middle < cfg.min_cosine * np.linalg.norm(middle):
             continue
         pixels.append((column, row))
         frames_at.append((middle, normal))
         if len(frames_at) == count:
             break
     if not frames_at:
-        raise ValueError(f"{name} holds no place with enough measured pixels around it; check its encoding")
+        raise ValueError(f"{name} holds no point with enough measured pixels around it; check its encoding")
     T_w_t = jax.jit(jax.vmap(contact_frame))(*(jnp.float32(np.array(part)) for part in zip(*frames_at, strict=True)))
-    cut = jax.vmap(partial(patch_from_depth, fill=cfg.f200_fill), (None, None, None, 0))
+    cut = jax.vmap(partial(patch_from_depth, fill=cfg.f200_fill_m), (None, None, None, 0))
     patches = jax.device_get(jax.jit(cut, static_argnums=1)(depth, F200, np.eye(4, dtype=np.float32), T_w_t))
     viz.save_figure(figure_f200(name, depth, pixels, patches), cfg.out / f"f200_{name}.png")
     return {
@@ -314,7 +326,7 @@ def show_f200(cfg: RealFrames, name: str, count: int = 5) -> dict[str, Any]:
 
 
 def figure_f200(name: str, depth: np.ndarray, pixels: list[tuple[int, int]], patches: DepthPatch) -> Figure:
-    """The depth image with the places, and their patches."""
+    """The depth image with the points, and their patches."""
     result = Figure(figsize=(3.6 + 2.4 * len(pixels), 3.2), layout="constrained")
     axes = result.subplots(1, 1 + len(pixels), width_ratios=[1.6] + [1.0] * len(pixels))
     low, high = np.nanpercentile(depth, [2, 98])
@@ -327,7 +339,7 @@ def figure_f200(name: str, depth: np.ndarray, pixels: list[tuple[int, int]], pat
         axes[0].annotate(str(i), (column, row), color=style.RED, xytext=(4, 4), textcoords="offset points")
         known = patches.valid_mask[i] | patches.inpainted_mask[i]
         image = draw(axes[i + 1], np.where(known, patches.patch.depth[i], np.nan), PATCH_WINDOW, REACH)
-        axes[i + 1].set_title(f"real, place {i}", fontsize=9)
+        axes[i + 1].set_title(f"real, point {i}", fontsize=9)
         axes[i + 1].set_xlabel("tool x (mm)")
     axes[1].set_ylabel("tool y (mm)")
     result.colorbar(image, ax=axes[-1], label="depth behind nearest (mm)")
@@ -337,7 +349,7 @@ def figure_f200(name: str, depth: np.ndarray, pixels: list[tuple[int, int]], pat
 
 def report(metrics: dict[str, Any]) -> None:
     """The table a person reads."""
-    print("real against imagined patches, each patch's bias taken off; 95 % interval over places; mm")
+    print("real against imagined patches, each patch's bias taken off; 95 % interval over sites; mm")
     print(
         f"{'object':18}{'window':>8}{'patches':>9}{'median |d|':>22}{'IQR':>7}{'bias':>22}{'> 5 mm':>8}{'compared':>10}"
     )

@@ -9,10 +9,10 @@ directions and sought again from `(patch, nearest)` alone, by Levenberg-Marquard
 (`i2t.registration.patch`), from a single start and from the best of several, without noise and with that of a camera.
 Everything is simulated.
 
-A flat patch says nothing about sliding on it, so errors count in the directions that the patch can tell: eigenvectors
-of the Gauss-Newton matrix at the true pose whose eigenvalue is at least the bound at which noise of 0.3 mm in each
-pixel leaves 0.3 degrees, at half a window from the axis, at two standard deviations (0.079; the same rule for 0.1 mm
-gives 0.016, which is less strict on what counts). The error is the twist from the true pose to the found one, projected
+A flat patch says nothing about sliding on it, so errors count in observable directions: eigenvectors of the
+Gauss-Newton matrix at the true pose whose eigenvalue is at least the bound at which noise of 0.3 mm in each pixel
+leaves 0.3 degrees, at half a window from the axis, at two standard deviations (0.079; the same rule for 0.1 mm gives
+0.016, which is less strict on what counts). The error is the twist from the true pose to the found one, projected
 on them; a case succeeds with at most 0.1 mm and 0.3 degrees of it. Two to three minutes on two cores. Expect at least
 98 % without noise.
 """
@@ -36,8 +36,7 @@ from experiments.common.presets import RENAMED, answer_renamed_value
 from experiments.common.runs import reported, settings, write_json
 from i2t import viz
 from i2t.geometry import log, so3_exp
-from i2t.objects import Object, read_mesh
-from i2t.objects import catalogue as objects
+from i2t.objects import Object, catalogue, read_mesh
 from i2t.registration.patch import (
     PatchRegistrationConfig,
     observable_directions,
@@ -52,9 +51,9 @@ from i2t.simulation.sites import collect_sites
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, TWIST_LEVER_M, Patch, Surface
 from i2t.viz import style
 
-MILLI = 1e3
+MM_PER_M = 1e3
 BOUNDS = np.logspace(-5, 0, 26)
-FAR_OFF = 0.3  # mm, where the colours of a difference end
+MAX_SHOWN_MM = 0.3  # where the colours of a difference end
 TWIST_PARTS = {"sliding": [0, 1], "approach": [2], "tilt": [3, 4], "spin": [5]}
 
 
@@ -99,11 +98,11 @@ def run(args: RefineArgs) -> dict:
         args = replace(args, cases=6, objects=3, starts=1)
     if (args.out / "metrics.json").exists() and not args.overwrite:
         raise ValueError(f"{args.out} holds a finished run; choose another --out, or pass --overwrite")
-    things = catalogue(args)
-    each = -(-args.cases // len(things))
+    objects = list_objects(args)
+    each = -(-args.cases // len(objects))
     key_sites, key_noise, key_search = jax.random.split(jax.random.key(args.seed), 3)
-    surfaces = stack_surfaces([prepare_surface(thing.mesh) for thing in things])
-    cases = draw_cases(key_sites, things, surfaces, each, args)
+    surfaces = stack_surfaces([prepare_surface(item.mesh) for item in objects])
+    cases = draw_cases(key_sites, objects, surfaces, each, args)
     bound = resolvable_eigenvalue(
         args.noise, min(args.close, np.radians(args.close_angle) * TWIST_LEVER_M), PATCH_PIXELS
     )
@@ -112,7 +111,7 @@ def run(args: RefineArgs) -> dict:
     clean = [jax.device_get(looks(element(surfaces, i), poses)) for i, poses in enumerate(cases.true)]
     noisy = [
         jax.device_get(jax.vmap(add_noise, (0, 0, None))(jax.random.split(key, each), patch, args.noise))
-        for key, patch in zip(jax.random.split(key_noise, len(things)), clean, strict=True)
+        for key, patch in zip(jax.random.split(key_noise, len(objects)), clean, strict=True)
     ]
     precise = PatchRegistrationConfig()
     careful = replace(precise, final_scale=max(precise.final_scale, 3 * args.noise))  # the loss takes noise for noise
@@ -133,7 +132,7 @@ def run(args: RefineArgs) -> dict:
             config=how,
         )
 
-    camera = f"noise {args.noise * MILLI:g} mm"
+    camera = f"noise {args.noise * MM_PER_M:g} mm"
     methods = {
         "one start, no noise": (single, precise, clean),
         f"one start, {camera}": (single, careful, noisy),
@@ -149,20 +148,20 @@ def run(args: RefineArgs) -> dict:
         batch = jax.jit(jax.vmap(partial(method, how=how), (0, None, 0, 0)))
         poses = [
             jax.device_get(batch(jax.random.split(key, each), element(surfaces, i), patches[i], cases.start[i]).T_w_t)
-            for i, key in enumerate(tqdm(jax.random.split(key_method, len(things)), desc=name, file=sys.stderr))
+            for i, key in enumerate(tqdm(jax.random.split(key_method, len(objects)), desc=name, file=sys.stderr))
         ]
         found[name] = np.stack(poses)
-        metrics[name] = judge(found[name], cases, bound, things, args)
-    told = np.asarray(observable_directions(cases.eigenvalues, bound))
+        metrics[name] = judge(found[name], cases, bound, objects, args)
+    observable = np.asarray(observable_directions(cases.eigenvalues, bound))
     report = {
         "source": "simulated",
-        "cases": told[..., 0].size,
-        "objects": len(things),
+        "cases": observable[..., 0].size,
+        "objects": len(objects),
         "bound": bound,
-        "observable_share": float(told.mean()),
-        "observable_directions": np.bincount(told.sum(-1).ravel(), minlength=7).tolist(),  # cases with 0 to 6
-        "untold": untold(cases.directions, told),
-        "at_start": judge(cases.start, cases, bound, things, args),
+        "observable_share": float(observable.mean()),
+        "observable_directions": np.bincount(observable.sum(-1).ravel(), minlength=7).tolist(),  # cases with 0 to 6
+        "unobservable_motion": unobservable_motion(cases.directions, observable),
+        "at_start": judge(cases.start, cases, bound, objects, args),
         "methods": metrics,
         "seed": args.seed,
     }
@@ -170,7 +169,7 @@ def run(args: RefineArgs) -> dict:
     write_json(args.out / "config.json", settings(args))
     write_json(args.out / "metrics.json", report)
     ends = found[f"one start, {camera}"]
-    viz.save_figure(draw_patches(things, surfaces, clean, noisy, cases, ends, told), args.out / "patches.png")
+    viz.save_figure(draw_patches(objects, surfaces, clean, noisy, cases, ends, observable), args.out / "patches.png")
     viz.save_figure(
         draw_bounds({k: success(T, cases, BOUNDS, args) for k, T in found.items()}, bound), args.out / "bounds.png"
     )
@@ -178,24 +177,24 @@ def run(args: RefineArgs) -> dict:
     return report
 
 
-def catalogue(args: RefineArgs) -> list[Object]:
+def list_objects(args: RefineArgs) -> list[Object]:
     """Named objects first, then random ones, then the meshes of a folder."""
-    named = [objects.make_object(name) for name in objects.NAMES[: args.objects]]
-    things = named + [objects.random_object(seed) for seed in range(args.objects - len(named))]
+    named = [catalogue.make_object(name) for name in catalogue.NAMES[: args.objects]]
+    objects = named + [catalogue.random_object(seed) for seed in range(args.objects - len(named))]
     if args.data is not None:
         files = sorted(args.data.glob("*.stl"))
         if not files:
             raise ValueError(f"{args.data}: holds no STL file; give --data a folder of meshes in metres")
-        things += [Object(file.stem, read_mesh(file, "m")[0].mesh, "file") for file in files]
-    return things
+        objects += [Object(file.stem, read_mesh(file, "m")[0].mesh, "file") for file in files]
+    return objects
 
 
-def draw_cases(key: jax.Array, things: Sequence[Object], surfaces: Surface, each: int, args: RefineArgs) -> Cases:
+def draw_cases(key: jax.Array, objects: Sequence[Object], surfaces: Surface, each: int, args: RefineArgs) -> Cases:
     """Safe sites of every object and poses exactly as far off as the arguments say."""
     rng = np.random.default_rng(args.seed)
     poses = [
-        np.asarray(collect_sites(k, element(surfaces, i), each, name=thing.name))
-        for i, (k, thing) in enumerate(zip(jax.random.split(key, len(things)), things, strict=True))
+        np.asarray(collect_sites(k, element(surfaces, i), each, name=item.name))
+        for i, (k, item) in enumerate(zip(jax.random.split(key, len(objects)), objects, strict=True))
     ]
     true = np.stack(poses)
     along, axis = rng.normal(size=(2, *true.shape[:2], 3))
@@ -204,7 +203,7 @@ def draw_cases(key: jax.Array, things: Sequence[Object], surfaces: Surface, each
     turn = np.radians(args.angle) * axis / np.linalg.norm(axis, axis=-1, keepdims=True)
     motion[..., :3, :3] = so3_exp(turn)
     look = jax.jit(jax.vmap(partial(pose_information, pixels=PATCH_PIXELS), (None, 0)))
-    values, directions = zip(*(look(element(surfaces, i), poses[i]) for i in range(len(things))), strict=True)
+    values, directions = zip(*(look(element(surfaces, i), poses[i]) for i in range(len(objects))), strict=True)
     start = (true @ motion).astype(np.float32)
     return Cases(true, start, np.stack(values), np.stack(directions))
 
@@ -226,17 +225,17 @@ def remaining(T_w_t: np.ndarray, cases: Cases, bound: float) -> tuple[np.ndarray
     return np.linalg.norm(error[..., :3], axis=-1), np.degrees(np.linalg.norm(error[..., 3:], axis=-1) / TWIST_LEVER_M)
 
 
-def judge(T_w_t: np.ndarray, cases: Cases, bound: float, things: Sequence[Object], args: RefineArgs) -> dict:
+def judge(T_w_t: np.ndarray, cases: Cases, bound: float, objects: Sequence[Object], args: RefineArgs) -> dict:
     """Success with its 95 % interval (Wilson), its rate in each family, and the errors."""
     distance, angle = remaining(T_w_t, cases, bound)
     ok = (distance <= args.close) & (angle <= args.close_angle)
     interval = binomtest(int(ok.sum()), ok.size).proportion_ci(method="wilson")
-    families = np.array([thing.family for thing in things])
+    families = np.array([item.family for item in objects])
     return {
         "success": float(ok.mean()),
         "success_interval": [interval.low, interval.high],
         "families": {name: float(ok[families == name].mean()) for name in sorted(set(families))},
-        "distance_mm": (MILLI * np.quantile(distance, (0.5, 0.95))).tolist(),
+        "distance_mm": (MM_PER_M * np.quantile(distance, (0.5, 0.95))).tolist(),
         "angle_deg": np.quantile(angle, (0.5, 0.95)).tolist(),
     }
 
@@ -247,9 +246,9 @@ def success(T_w_t: np.ndarray, cases: Cases, bounds: np.ndarray, args: RefineArg
     return np.array([np.mean((d <= args.close) & (a <= args.close_angle)) for d, a in errors])
 
 
-def untold(directions: np.ndarray, told: np.ndarray) -> dict[str, float]:
+def unobservable_motion(directions: np.ndarray, observable: np.ndarray) -> dict[str, float]:
     """How much of each kind of motion lies in the directions that do not count, 0 to 1, on average."""
-    share = (directions**2 * ~told[..., None, :]).sum(-1).reshape(-1, 6).mean(0)
+    share = (directions**2 * ~observable[..., None, :]).sum(-1).reshape(-1, 6).mean(0)
     return {name: float(share[axes].mean()) for name, axes in TWIST_PARTS.items()}
 
 
@@ -271,30 +270,30 @@ def table(report: dict) -> str:
         f" are observable (eigenvalue >= {report['bound']:.3g})",
         "observable directions: " + ", ".join(f"{k} in {n} cases" for k, n in enumerate(counts) if n),
         "unobservable part of a motion: "
-        + ", ".join(f"{name} {share:.0%}" for name, share in report["untold"].items()),
+        + ", ".join(f"{name} {share:.0%}" for name, share in report["unobservable_motion"].items()),
     ]
     return "\n".join(lines)
 
 
 def draw_patches(
-    things: Sequence[Object],
+    objects: Sequence[Object],
     surfaces: Surface,
     clean: list[Patch],
     noisy: list[Patch],
     cases: Cases,
     found: np.ndarray,
-    told: np.ndarray,
+    observable: np.ndarray,
     rows: int = 4,
 ) -> Figure:
     """What the camera saw, what the start shows, what the found pose shows, and how far that is from the truth, for the
-    objects that tell the most.
+    objects with the most observable directions.
     """
-    rows = min(rows, len(things))
+    rows = min(rows, len(objects))
     figure = Figure(figsize=(9.5, 2.4 * rows + 0.9), layout="constrained")
     axes = figure.subplots(rows, 4, squeeze=False, sharex=True, sharey=True)
     look = jax.jit(jax.vmap(render_patch, (None, 0)))
-    best = told.sum(-1).argmax(1)
-    chosen = np.argsort(-told.sum(-1).max(1), kind="stable")[:rows]
+    best = observable.sum(-1).argmax(1)
+    chosen = np.argsort(-observable.sum(-1).max(1), kind="stable")[:rows]
     for row, i in zip(axes, chosen, strict=True):
         j = best[i]
         before, after = (element(look(element(surfaces, i), T[i]), j) for T in (cases.start, found))
@@ -303,9 +302,14 @@ def draw_patches(
         for axis, depth in zip(row[:3], (noisy[i].depth[j], before.depth, after.depth), strict=True):
             image = viz.draw_patch(axis, depth, PATCH_WINDOW, REACH)
         left = row[3].imshow(
-            MILLI * off, origin="lower", extent=image.get_extent(), cmap="RdBu", vmin=-FAR_OFF, vmax=FAR_OFF
+            MM_PER_M * off,
+            origin="lower",
+            extent=image.get_extent(),
+            cmap="RdBu",
+            vmin=-MAX_SHOWN_MM,
+            vmax=MAX_SHOWN_MM,
         )
-        row[0].set_ylabel(f"{things[i].name}\ntool y (mm)")
+        row[0].set_ylabel(f"{objects[i].name}\ntool y (mm)")
     for axis, title in zip(axes[0], ("observed", "at the start", "refined", "refined - true"), strict=True):
         axis.set_title(title, fontsize=10)
     for axis in axes[-1]:

@@ -227,14 +227,14 @@ def _full(trial: int) -> tuple[int, int, int, str]:
 def _read_only(trial: int) -> tuple[int, int, int, str]:
     with _small_disk("20m") as folder:
 
-        def spoil(outcome: SiteOutcome) -> None:
+        def inject_fault(outcome: SiteOutcome) -> None:
             if outcome.site.number == 1:
                 # A lazy remount would be refused while files are open for writing.
                 subprocess.run(["mount", "--bind", folder, folder], check=True)
                 subprocess.run(["mount", "-o", "remount,bind,ro", folder], check=True)
 
         try:
-            told, sentence = _session(folder / "data", make_procedure(seed=trial)[0], 4, each=spoil)
+            told, sentence = _session(folder / "data", make_procedure(seed=trial)[0], 4, each=inject_fault)
             return len(told), *count(folder / "data", told), sentence
         finally:
             subprocess.run(["umount", folder], check=False)
@@ -243,11 +243,11 @@ def _read_only(trial: int) -> tuple[int, int, int, str]:
 def _clock(trial: int) -> tuple[int, int, int, str]:
     procedure, clock = make_procedure(seed=trial)
 
-    def spoil(outcome: SiteOutcome) -> None:
+    def inject_fault(outcome: SiteOutcome) -> None:
         clock.jump = -3600.0 if outcome.site.number == 1 else 0.0
 
     with tempfile.TemporaryDirectory() as folder:
-        told, sentence = _session(Path(folder), procedure, 4, each=spoil)
+        told, sentence = _session(Path(folder), procedure, 4, each=inject_fault)
         return len(told), *count(Path(folder), told), sentence
 
 
@@ -255,10 +255,10 @@ def _camera(trial: int) -> tuple[int, int, int, str]:
     procedure, _ = make_procedure(seed=trial)
     eye: Any = procedure.camera
 
-    def spoil(outcome: SiteOutcome) -> None:
+    def inject_fault(outcome: SiteOutcome) -> None:
         if outcome.site.number == 1:
             eye.trouble = DeviceError("the camera over a plane is gone; plug it in")
 
     with tempfile.TemporaryDirectory() as folder:
-        told, sentence = _session(Path(folder), procedure, 4, each=spoil)
+        told, sentence = _session(Path(folder), procedure, 4, each=inject_fault)
         return len(told), *count(Path(folder), told), sentence

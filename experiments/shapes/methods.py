@@ -2,8 +2,8 @@
 
   paper's classifier             15 readings into 500, 10 and 5 units
   paper's classifier + arm       the same with what the arm measured too: position, rotation, force and travel
-  network on imagined presses    15 readings; an ensemble that besides the presses at hand has met thousands that were
-                                 imagined on the skin fitted to them (`experiments.shapes.pad`), noise drawn afresh
+  network on imagined presses    15 readings; trained on the presses at hand and on thousands that were imagined on
+                                 the skin fitted to them (`experiments.shapes.pad`), noise drawn afresh
   imagined touch                 which stamp, pressed where the arm says with the force it measured, would have read so?
 
 The first three answer from what training presses looked like, the last from what each hypothesis would feel like. Only

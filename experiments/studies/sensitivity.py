@@ -88,7 +88,7 @@ def evaluate_refitted(
     lab: StudyLab, key: jax.Array, plan: EpisodePlan, played: dict[float, Episodes]
 ) -> dict[str, np.ndarray]:
     """Beliefs in the episodes of harder presses with a pad model fitted to presses as hard."""
-    found = {}
+    found: dict[str, np.ndarray] = {}
     particles = lab.particles()
     for stop in (stop for stop in REFITTED_UT if stop in played):
         name = f"stop at {stop:.0f} uT, fitted there"

@@ -90,7 +90,7 @@ class RoundTip:
             grid: Cells of the pad.
 
         Returns:
-            Heights (m), row along tool y; FAR where the tip is not over the cell.
+            Heights (m), row along tool y; `MAX_HEIGHT_M` where the tip is not over the cell.
         """
         y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
         square = (x - position[0]) ** 2 + (y - position[1]) ** 2

@@ -13,15 +13,11 @@ import numpy as np
 from i2t.types import Surface
 
 CLUSTERS_PER_GROUP = 32  # clusters of a group: one machine word holds a bit for each
-FINE_CLUSTER_FACES, COARSE_CLUSTER_FACES, DENSE_CLUSTER_FACES = (
-    2,
-    4,
-    5,
-)  # faces of a cluster, up to and beyond FINE_FACES faces in all, and if they are small
+FINE_CLUSTER_FACES = 2  # faces of a cluster in meshes of up to MAX_FINE_FACES faces
+COARSE_CLUSTER_FACES = 4  # in larger meshes
+DENSE_CLUSTER_FACES = 5  # in larger meshes of small faces
 MAX_FINE_FACES = 4096
-SMALL_FACE_M2 = (
-    0.6e-6  # m^2, about five pixels of a patch: the area of the face at a random point is less on dense meshes
-)
+SMALL_FACE_M2 = 0.6e-6  # about five pixels of a patch: on dense meshes the face at a random point is smaller
 EMPTY_HALF_EXTENT_M = -1e3  # m, half extent of a box that nothing meets
 BOX_SLACK = 1e-6  # m and relative: boxes are widened by more than float32 can lose
 

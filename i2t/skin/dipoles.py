@@ -29,7 +29,7 @@ from jaxtyping import Array, Float
 from i2t.skin.elasticity import GRID, Grid, interior, load
 from i2t.types import Pad
 
-CELL_NODES = 5  # across the thickness; `tests/skin/test_field.py` refines them and the cells
+CELL_NODES = 5  # across the thickness; `tests/skin/test_dipoles.py` refines them and the cells
 MU0_OVER_4PI = 1e-7  # T m/A
 MICROTESLA = 1e6
 

@@ -139,15 +139,22 @@ def interior(
     load: Load,
     depth: Float[Array, ""] | float,
     grid: Grid = GRID,
-    places: np.ndarray | None = None,
+    coordinates: np.ndarray | None = None,
 ) -> tuple[Float[Array, "3 m m"], Float[Array, "3 m m"]]:
-    """Displacement (m) and local rotation (rad) at `depth` (m, 0 at the surface to h at the base) under a load on the
-    series of `grid`, at the points (rows y, columns x) whose coordinates are `places`: the cell centres by default.
+    """Displacement and local rotation of the layer at one depth under a load.
 
-    Each comes as its components along tool x, y and z, first axis; the rotation is the vector curl(u) / 2, about z only
-    under a traction.
+    Args:
+        pad: The skin.
+        load: What acts on its surface, as coefficients of the series of `grid`.
+        depth: m, 0 at the surface to h at the base.
+        grid: Of the series.
+        coordinates: (m,) of rows (y) and columns (x) of the points, m from the pad's centre; by default cell centres.
+
+    Returns:
+        Displacement (m) and rotation (rad), each as components along tool x, y and z, first axis; the rotation is the
+        vector curl(u) / 2, about z only under a traction.
     """
-    places = grid.centres if places is None else places
+    coordinates = grid.centres if coordinates is None else coordinates
     along, down, turn = _under_pressure(pad, grid, depth)
     move = [along * load.slopes[0], along * load.slopes[1], down * load.pressure]
     rotate = [turn * load.slopes[1], -turn * load.slopes[0]]
@@ -159,13 +166,13 @@ def interior(
         move[2] = move[2] + down * load.drag.divergence
         leaning = [turn * part[i] + bend * (traction[i] - part[i]) for i in range(2)]
         rotate = [rotate[0] - leaning[1], rotate[1] + leaning[0], across * load.drag.curl / 2]
-    moved = evaluate(jnp.stack([*move, *rotate]), grid, places)
+    moved = evaluate(jnp.stack([*move, *rotate]), grid, coordinates)
     displacement, rotation = moved[:3], moved[3:]
     if load.drag is None:
         rotation = jnp.concatenate([rotation, jnp.zeros_like(rotation[:1])])
 
     # As a thin plate: normals stay normals about the middle of its thickness.
-    shape, slope = (jnp.asarray(part, displacement.dtype) for part in _clamped(grid, places))
+    shape, slope = (jnp.asarray(part, displacement.dtype) for part in _clamped(grid, coordinates))
     tilt_x, tilt_y = (-load.centre_sinking * jnp.outer(*pair) for pair in ((shape, slope), (slope, shape)))
     above = pad.thickness / 2 - depth
     sinking = jnp.stack([-above * tilt_x, -above * tilt_y, -load.centre_sinking * jnp.outer(shape, shape)])
@@ -223,10 +230,19 @@ def spectrum(
 
 
 def evaluate(
-    waves: Float[Array, "... k k"], grid: Grid = GRID, places: np.ndarray | None = None
+    waves: Float[Array, "... k k"], grid: Grid = GRID, coordinates: np.ndarray | None = None
 ) -> Float[Array, "... m m"]:
-    """The series of coefficients `waves` at the points whose coordinates are `places`: the cell centres by default."""
-    values, _ = basis(grid, grid.centres if places is None else places)
+    """A series at points.
+
+    Args:
+        waves: Coefficients of the series.
+        grid: Of the series.
+        coordinates: (m,) of rows (y) and columns (x) of the points, m from the pad's centre; by default cell centres.
+
+    Returns:
+        Values at the points, rows along tool y.
+    """
+    values, _ = basis(grid, grid.centres if coordinates is None else coordinates)
     return _product(values.T, waves, values.T)
 
 
@@ -235,10 +251,18 @@ def convolve(kernel: Float[Array, "k k"], pressure: Float[Array, "n n"], grid: G
     return evaluate(kernel * spectrum(pressure, grid), grid)
 
 
-def basis(grid: Grid, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The series' waves at `places` (m, from the pad's centre), (modes, len(places)), and their slopes (1/m)."""
+def basis(grid: Grid, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The series' waves along one axis.
+
+    Args:
+        grid: Of the series.
+        coordinates: (m,) along the axis, m from the pad's centre.
+
+    Returns:
+        Values (modes, m) and slopes (modes, m) in 1/m.
+    """
     k = grid.wavenumbers[:, None]
-    cosine, sine = np.cos(k * places[None]), np.sin(k * places[None])
+    cosine, sine = np.cos(k * coordinates[None]), np.sin(k * coordinates[None])
     even = np.arange(grid.modes)[:, None] < grid.modes // 2
     return np.where(even, cosine, sine), k * np.where(even, -sine, cosine)
 
@@ -253,9 +277,9 @@ def _slope(waves: Array, axis: int, grid: Grid) -> Array:
     return jnp.concatenate([jnp.zeros_like(none), k * sines, -k * cosines, jnp.zeros_like(last)], axis=axis)
 
 
-def _clamped(grid: Grid, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """cos^2(pi x / L) at `places`, still outside the pad, and its slope (1/m)."""
-    turn = np.pi * np.clip(places / grid.window, -0.5, 0.5)
+def _clamped(grid: Grid, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """cos^2(pi x / L) at `coordinates`, still outside the pad, and its slope (1/m)."""
+    turn = np.pi * np.clip(coordinates / grid.window, -0.5, 0.5)
     return np.cos(turn) ** 2, -np.pi / grid.window * np.sin(2 * turn)
 
 

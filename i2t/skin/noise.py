@@ -4,7 +4,7 @@ A chip's sample is `quantise(field + ambient + white)`; a reading is the mean of
 of the samples before it. Sizes come from recordings of real ReSkin boards at rest with the paper's settings (MLX90393,
 gain 7, resolution 0, oversampling 0, filter 2): 3.1 uT (x, y) and 4.6 uT (z) in one sample, 20-33 % of that variance
 one slow field that all chips share once turned to common axes, steps of 0.150 and 0.242 uT, drifts of 1-15 uT over a
-run of thousands of presses.
+session of thousands of presses.
 
 Readings are microtesla in the board's order and the chips' own axes. Each function takes one reading and is lifted by
 `vmap`.
@@ -29,7 +29,7 @@ class Noise:
     common: float = 0.26  # part of that variance that is the slow ambient field
     step_xy: float = 0.150  # of the converter
     step_z: float = 0.242
-    drift: float = 4.0  # median over channels of the drift's standard deviation at the end of a run
+    drift: float = 4.0  # median over channels of the drift's standard deviation at the end of a session
     ambient_samples: int = 10  # averaged before contact, as in the paper
     contact_samples: int = 10  # and in contact
 

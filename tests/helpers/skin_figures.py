@@ -1,17 +1,16 @@
-"""The figures of `docs/physics.md`: `python tests/skin/figures.py` (about ten minutes on two cores, most of them for
-finite elements).
+"""The figures of `docs/physics.md`: `python tests/helpers/skin_figures.py` from the root of the checkout (about ten
+minutes on two cores, most of them for finite elements).
 
 Speeds are those of one run on one machine: read their ratios.
 """
 
+import sys
 import time
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from test_contact import PAD, SHAPES, _reference
-from test_elements import THICKNESS, cap, displacement, interpolate
-from test_field import _tip
 
 from i2t.skin import contact, elasticity
 from i2t.skin import dipoles as field
@@ -19,6 +18,12 @@ from i2t.skin.dipoles import CELL_NODES, response
 from i2t.skin.elasticity import FINE_GRID, GRID, Grid
 from i2t.skin.friction import rest, shear
 from i2t.skin.pad import nominal_pad, press, press_force, sample_pad
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "skin"))  # whose oracles these figures are of
+
+from test_contact import PAD, SHAPES, _reference
+from test_dipoles import _tip
+from test_elements import THICKNESS, cap, displacement, interpolate
 
 RANDOM = np.random.default_rng(1)
 FINEST = Grid(160, 256)

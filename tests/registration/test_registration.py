@@ -14,7 +14,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from scipy.spatial.transform import Rotation
 
-from experiments.real_frames import THINGS, frames
+from experiments.real_frames import OBJECTS, frames
 from i2t.depth.camera import Camera
 from i2t.depth.distortion import pixel_rays
 from i2t.geometry import inverse, random_motion, to_twist
@@ -326,11 +326,11 @@ def test_depth_of_a_real_camera(shared_data):
     degrees from 7 mm and 5 degrees off, among what else is in the image.
     """
     rng = np.random.default_rng(2)
-    for thing in THINGS:
-        if thing.name == "025_mug":  # its side shows no handle in these frames
+    for item in OBJECTS:
+        if item.name == "025_mug":  # its side shows no handle in these frames
             continue
-        mesh = read_mesh(shared_data / "ycb_meshes" / f"{thing.name}.stl", "m", table=False)[0].mesh
-        camera, depths, _, T_c_o = frames(shared_data / "ycbvideo", thing)
+        mesh = read_mesh(shared_data / "ycb_meshes" / f"{item.name}.stl", "m", table=False)[0].mesh
+        camera, depths, _, T_c_o = frames(shared_data / "ycbvideo", item)
         for depth, T in zip(depths[::2], T_c_o[::2], strict=True):
             found = register_by_depth(mesh, T @ off(rng), depth, camera, np.eye(4), table_height=None)
             error = errors(found.T_w_o[None], T[None])[0]
