@@ -15,7 +15,6 @@ from i2t.recognition import calibrated, metrics
 from i2t.recognition.belief import TEMPERATURE_SCALING, TemperatureScaling, TouchObservation
 from i2t.recognition.episodes import EVIDENCE, Episodes
 from i2t.recognition.metrics import to_json
-from i2t.skin.boards import reskin_board
 from i2t.types import Board
 
 PUBLISHED = {
@@ -252,7 +251,7 @@ def _signed(estimate: dict[str, float]) -> str:
 
 
 def report_hardest_episode(
-    results: EpisodeResults, meshes: Sequence[Mesh], out: Path, source: str, board: Board | None = None
+    results: EpisodeResults, meshes: Sequence[Mesh], out: Path, source: str, board: Board
 ) -> None:
     """Report the correct episode whose true object had the lowest posterior after one touch."""
     p = results.beliefs["fused"].astype(np.float64)
@@ -261,7 +260,7 @@ def report_hardest_episode(
     one = int(np.argmin(np.where(right, first, 1 + first)))
     record = viz.EpisodeRecord(
         meshes, results.names, results.episodes.T_w_t[one], np.asarray(results.episodes.observations.reading)[one],
-        board or reskin_board(), p[one], int(results.truth[one]), source != "real",
+        board, p[one], int(results.truth[one]), source != "real",
     )  # fmt: skip
     viz.write_episode_report(record, out)
 

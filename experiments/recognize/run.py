@@ -52,7 +52,7 @@ from i2t.recognition.site_pool import (
     prepare_surfaces,
     sample_sites,
 )
-from i2t.types import Surface
+from i2t.types import Board, Surface
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,8 @@ def run(args: SimulateArgs) -> dict[str, Any]:
             played = replay(args, cfg, folder) if args.dataset else play(args, cfg, folder, args.seed + i)
             reporting.save(path, played)
         parts.append(reporting.load(path))
-    source = data.load_dataset(args.dataset).source if args.dataset else "simulated"
-    return report(args, parts, source)
+    touched = data.load_dataset(args.dataset or folders[0] / "data.h5")
+    return report(args, parts, touched.source, touched.board)
 
 
 def configure(args: SimulateArgs) -> Recognition:
@@ -118,13 +118,13 @@ def configure(args: SimulateArgs) -> Recognition:
     return cfg
 
 
-def report(args: SimulateArgs, parts: list[reporting.Results], source: str) -> dict[str, Any]:
+def report(args: SimulateArgs, parts: list[reporting.Results], source: str, board: Board) -> dict[str, Any]:
     """Scores, figures, tables, and the report of one episode."""
     parts, temperatures = reporting.calibrate(parts)
     result = reporting.summarise(parts, temperatures, args.out, source)
     name = next(name for name in ("all", "recorded", "your objects") if name in parts[0])
     meshes = load_meshes(args.objects, args.unit) if args.objects else meshes_by_name(parts[0][name].names)
-    reporting.report_hardest_episode(parts[0][name], list(meshes.values()), args.out / "story", source)
+    reporting.report_hardest_episode(parts[0][name], list(meshes.values()), args.out / "story", source, board)
     reporting.print_tables(result)
     reporting.print_calibration(result)
     print(f"\nresults and figures are in {args.out}")
