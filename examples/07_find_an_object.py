@@ -12,9 +12,9 @@ from i2t.registration.touch import contact_poses
 from i2t.simulation.touches import SimulationErrors
 
 
-def main(n: int = 12) -> tuple[float, float]:
-    """Touch a star that stands 3 mm and 3 degrees off; return the position errors (m) before and after."""
-    surface = i2t.prepare_surface(i2t.make_object("star").mesh)
+def main(n: int = 24) -> tuple[float, float]:
+    """Touch a hammer that stands 3 mm and 3 degrees off; return the position errors (m) before and after."""
+    surface = i2t.prepare_surface(i2t.make_object("hammer").mesh)
     errors = SimulationErrors(placement=0.0, placement_angle=0.0)
     touches = i2t.simulate_touches(jax.random.key(0), [surface], i2t.sample_pad(jax.random.key(1)), errors, n)
 

@@ -23,7 +23,7 @@ TOUCHES_AFTER = 5  # touches that are made after the last kill
 def kill(sizes: Sizes) -> list[FaultRow]:
     """All of it, on emulators that run on as a lab would."""
     rng, moving, starts = np.random.default_rng(0), 0, 0
-    told: list[str] = []
+    acknowledged: list[str] = []
     stood: list[float] = []
     host = ur_controller.loopback(98)
     with tempfile.TemporaryDirectory() as folder:
@@ -37,23 +37,24 @@ def kill(sizes: Sizes) -> list[FaultRow]:
                 if found is None:
                     continue
                 names, seconds, moved = found
-                told += names
+                acknowledged += names
                 if seconds is not None:
                     stood.append(seconds)
                     moving += moved
-            wanted = len(touches_in(out)) + TOUCHES_AFTER
+            target = len(touches_in(out)) + TOUCHES_AFTER
             for _ in range(MAX_ATTEMPTS):  # a busy computer may end one by itself
-                command = [*_command(host, str(link), out, wanted), "1"]
+                command = [*_command(host, str(link), out, target), "1"]
                 end = subprocess.run(command, capture_output=True, text=True, check=False)
                 if end.returncode == 0:
                     break
                 time.sleep(0.5)
         present = touches_in(out)
-        lost, unreadable = count(out, told)
+        lost, unreadable = count(out, acknowledged)
         aside = len(list((out / ".interrupted").glob("*"))) if out.exists() else 0
     tried = f"{len(stood)} kills of {starts} collections"
-    said = f"{lost} of {len(told)} lost, {unreadable} of {len(present)} files unreadable; {aside} raw files kept aside"
-    complete = end.returncode == 0 and len(present) == wanted
+    files = f"{unreadable} of {len(present)} files unreadable; {aside} raw files kept aside"
+    said = f"{lost} of {len(acknowledged)} lost, {files}"
+    complete = end.returncode == 0 and len(present) == target
     return [
         FaultRow("kill", "acknowledged touches", tried, said, "0 lost, 0 unreadable", lost + unreadable == 0),
         FaultRow(

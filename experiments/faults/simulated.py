@@ -142,8 +142,8 @@ def disk(sizes: Sizes) -> list[FaultRow]:
         sentences = set()
         try:
             for trial in range(sizes.disk):
-                told, folder_lost, bad, sentence = harm(trial)
-                acknowledged, lost, unreadable = acknowledged + told, lost + folder_lost, unreadable + bad
+                count_acknowledged, folder_lost, bad, sentence = harm(trial)
+                acknowledged, lost, unreadable = acknowledged + count_acknowledged, lost + folder_lost, unreadable + bad
                 ended += bool(sentence)
                 sentences.add(sentence)
         except PermissionError:
@@ -175,7 +175,7 @@ def _small_disk(size: str) -> Iterator[Path]:
             subprocess.run(["umount", folder], check=False)
 
 
-def count(folder: Path, told: list[str]) -> tuple[int, int]:
+def count(folder: Path, acknowledged: list[str]) -> tuple[int, int]:
     """How many acknowledged touches are lost, and files that cannot be read."""
     present = {path.name: path for path in touches_in(folder)}
     bad = 0
@@ -184,14 +184,14 @@ def count(folder: Path, told: list[str]) -> tuple[int, int]:
             dataset.read_touch(path)
         except dataset.DataError:
             bad += 1
-    return sum(name not in present for name in told), bad
+    return sum(name not in present for name in acknowledged), bad
 
 
 def _session(
     folder: Path, procedure: Procedure, most: int, reserve: int = 0, each: Any = None
 ) -> tuple[list[str], str]:
     """The touches that were acknowledged, and what ended it early."""
-    rig, told = procedure.rig, []
+    rig, acknowledged = procedure.rig, []
     info = SessionInfo(
         "plane",
         "pad",
@@ -209,19 +209,19 @@ def _session(
     try:
         with Recorder(folder, info, procedure.clock, reserve) as recorder:
             for outcome in procedure.run(choose, recorder):
-                told.append(recorder.saved[-1].name)
+                acknowledged.append(recorder.saved[-1].name)
                 if each is not None:
                     each(outcome)
     except DeviceError as error:
         assert not procedure.arm.state().moving
-        return told, str(error)
-    return told, ""
+        return acknowledged, str(error)
+    return acknowledged, ""
 
 
 def _full(trial: int) -> tuple[int, int, int, str]:
     with _small_disk(f"{1500 + 130 * trial}k") as folder:
-        told, sentence = _session(folder / "data", make_procedure(seed=trial)[0], 50)
-        return len(told), *count(folder / "data", told), sentence
+        acknowledged, sentence = _session(folder / "data", make_procedure(seed=trial)[0], 50)
+        return len(acknowledged), *count(folder / "data", acknowledged), sentence
 
 
 def _read_only(trial: int) -> tuple[int, int, int, str]:
@@ -234,8 +234,8 @@ def _read_only(trial: int) -> tuple[int, int, int, str]:
                 subprocess.run(["mount", "-o", "remount,bind,ro", folder], check=True)
 
         try:
-            told, sentence = _session(folder / "data", make_procedure(seed=trial)[0], 4, each=inject_fault)
-            return len(told), *count(folder / "data", told), sentence
+            acknowledged, sentence = _session(folder / "data", make_procedure(seed=trial)[0], 4, each=inject_fault)
+            return len(acknowledged), *count(folder / "data", acknowledged), sentence
         finally:
             subprocess.run(["umount", folder], check=False)
 
@@ -247,8 +247,8 @@ def _clock(trial: int) -> tuple[int, int, int, str]:
         clock.jump = -3600.0 if outcome.site.number == 1 else 0.0
 
     with tempfile.TemporaryDirectory() as folder:
-        told, sentence = _session(Path(folder), procedure, 4, each=inject_fault)
-        return len(told), *count(Path(folder), told), sentence
+        acknowledged, sentence = _session(Path(folder), procedure, 4, each=inject_fault)
+        return len(acknowledged), *count(Path(folder), acknowledged), sentence
 
 
 def _camera(trial: int) -> tuple[int, int, int, str]:
@@ -260,5 +260,5 @@ def _camera(trial: int) -> tuple[int, int, int, str]:
             eye.trouble = DeviceError("the camera over a plane is gone; plug it in")
 
     with tempfile.TemporaryDirectory() as folder:
-        told, sentence = _session(Path(folder), procedure, 4, each=inject_fault)
-        return len(told), *count(Path(folder), told), sentence
+        acknowledged, sentence = _session(Path(folder), procedure, 4, each=inject_fault)
+        return len(acknowledged), *count(Path(folder), acknowledged), sentence

@@ -233,7 +233,7 @@ def _check(args: LiveArgs) -> None:
     if args.skin not in ("simulated", "emulated"):
         raise ValueError(
             f"--skin {args.skin}: the pad model of {args.trained_run} is of a simulated pad and says nothing of "
-            "another skin; recognise with --skin simulated or emulated, or collect its touches with python -m i2t.collect"
+            "another skin; recognise with --skin simulated or emulated, or collect touches with python -m i2t.collect"
         )
     folder = args.out / "touches"
     if folder.is_dir() and touches_in(folder):

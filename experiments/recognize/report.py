@@ -110,7 +110,7 @@ def _scaled(results: EpisodeResults, temperatures: Mapping[str, TemperatureScali
 def summarise(
     parts: Sequence[Results], temperatures: Mapping[str, TemperatureScaling], out: Path, source: str
 ) -> dict[str, Any]:
-    """Scores of every set over all seeds, written to metrics.json with figures beside it."""
+    """Scores of every set over all seeds, written to metrics.json with figures next to it."""
     written = {method: to_json(temperature) for method, temperature in temperatures.items()}
     summary: dict[str, Any] = {"source": source, "seeds": len(parts), "temperatures": written, "sets": {}}
     for name in parts[0]:

@@ -102,7 +102,7 @@ def evaluate_set(
 
 
 def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
-    """How well unknown objects are told from known ones, and how far the unknown class is calibrated."""
+    """How well unknown objects are distinguished from known ones, and how far the unknown class is calibrated."""
     validation, test = (_pooled([OpenSetEpisodes(**part[name]) for part in parts]) for name in ("validation", "test"))
     scaling = calibrated.fit_platt(validation.p_unknown, validation.truth < 0)
     p, p_unknown = calibrated.apply_platt(test.p, test.p_unknown, scaling)
@@ -112,7 +112,7 @@ def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
     result = {"episodes": len(test.truth), "auroc": to_json(area), "platt": to_json(scaling)}
     for name, episodes in (("uncalibrated", test), ("calibrated", OpenSetEpisodes(test.truth, p, p_unknown))):
         result[name] = score_episodes(name, episodes)
-    figure = figures.accuracy({"unknown class": area}, "Telling unknown objects", True, ylabel="AUROC")
+    figure = figures.accuracy({"unknown class": area}, "Detecting unknown objects", True, ylabel="AUROC")
     viz.save_figure(figure, out / "auroc.png")
     return result
 
