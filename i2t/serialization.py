@@ -32,13 +32,13 @@ def save(path: Path | str, kind: str, tree: Any, about: dict[str, Any] | None = 
     Raises SerializationError where the file cannot be written.
     """
     path, arrays = Path(path), flatten(tree)
-    told = {"format": kind, "version": TREE_VERSION, "sha256": _digest(arrays), "about": about or {}}
+    header = {"format": kind, "version": TREE_VERSION, "sha256": _digest(arrays), "about": about or {}}
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             with temporary.open("wb") as file:
-                np.savez_compressed(file, allow_pickle=False, **{ABOUT: np.array(json.dumps(told))}, **arrays)
+                np.savez_compressed(file, allow_pickle=False, **{ABOUT: np.array(json.dumps(header))}, **arrays)
                 file.flush()
                 os.fsync(file.fileno())
             temporary.replace(path)
@@ -64,8 +64,8 @@ def load(
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        told = json.loads(str(arrays.pop(ABOUT)))
-        found, version, digest = told["format"], told["version"], told["sha256"]
+        header = json.loads(str(arrays.pop(ABOUT)))
+        found, version, digest = header["format"], header["version"], header["sha256"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
         raise SerializationError(
             f"{path}: is damaged or was not written by i2t; restore a copy or make it again"
@@ -86,7 +86,7 @@ def load(
         now = {name: ".".join(renamed.get(part, part) for part in name.split(".")) for name in arrays}
         arrays = {now[name]: array for name, array in arrays.items()}
     try:
-        return _build(form, arrays, ""), told["about"]
+        return _build(form, arrays, ""), header["about"]
     except KeyError as error:
         raise SerializationError(f"{path}: lacks {error}; it was written by another i2t, make it again") from error
 

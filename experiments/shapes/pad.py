@@ -3,8 +3,8 @@
 For a known stamp, position, rotation and force the pressure is known up to the layer, and the reading is linear in the
 skin's magnetization: the map is fitted by Bayesian linear regression as in `i2t.calibration.physics`. Of the parameters
 that are not linear only thickness and mount compliance are distinguished, by the density of each press as predicted
-from all others (leave-one-out) on a grid of layers. What one press leaves unexplained, the noise, the tilt of the stamp and
-what the layer cannot say, is a covariance of the residuals; the hysteresis of a chip is found by regressing the
+from all others (leave-one-out) on a grid of layers. What one press leaves unexplained, the noise, the tilt of the stamp
+and what the layer cannot say, is a covariance of the residuals; the hysteresis of a chip is found by regressing the
 residuals of a session on the readings before.
 """
 

@@ -46,7 +46,7 @@ from i2t.skin.pad import (
 )
 from i2t.types import Board, Pad
 
-MODES = 12  # cosines along each edge: waves of 3.6 mm, finer than any that 1.5 mm above a chip can be told apart
+MODES = 12  # cosines along each edge: waves of 3.6 mm, finer than any that can be distinguished 1.5 mm above a chip
 MAX_LAYER_PRESSES = 48  # that the layer's parameters are fitted to; they need no more, and the map takes all
 LINEARIZATIONS = 3  # of the design matrices
 LBFGS_STEPS = 25  # in each

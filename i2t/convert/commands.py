@@ -9,7 +9,7 @@ Examples:
     python -m i2t.convert pack DATA PACKED
     python -m i2t.convert npz DATA DATA.npz
 
-DATA is a folder; converters write one packed file in it and refuse a folder that holds anything, unless told --force.
+DATA is a folder; converters write one packed file in it and refuse a folder that holds anything, except with --force.
 What cannot be used is refused with one sentence on the error stream and the exit code 2; with --skip-bad it is left
 out and named. The formats are described in docs/data.md.
 """
@@ -116,7 +116,7 @@ def from_eflesh(
         source: a session's folder (states.csv, sensor_post_baselines.csv), or a folder of sessions
         target: folder to write
         tip_radius_mm: radius of the probe's spherical tip, which the recordings do not state
-        window_mm: edge of the square that a patch shows; presses beside it are left out
+        window_mm: edge of the square that a patch shows; presses outside it are left out
         reach_mm: patches are clipped to this depth behind the tip's lowest point
         z0_mm: the robot's z at first contact; by default the session's highest z
         centre_mm: the robot's x and y of the skin's centre; by default the middle of the session's range
@@ -158,7 +158,7 @@ def from_presses(
         target: folder to write
         indenter: sphere:RADIUS or cylinder:RADIUS with a radius in mm, or mesh:FILE
         board: number, order and rotation of the chips: reskin, anyskin, or grid-RxC for R rows of C chips
-        window_mm: edge of the square that a patch shows; presses beside it are left out
+        window_mm: edge of the square that a patch shows; presses outside it are left out
         reach_mm: patches are clipped to this depth behind the indenter's lowest point
         mesh_unit: unit of the mesh file: m, cm, mm or inch
         force: replace what an earlier conversion wrote

@@ -48,7 +48,7 @@ def convert(
     Args:
         source: folder of a session, or of sessions.
         radius: m, of the probe's spherical tip, which the recordings do not state.
-        window: m, edge of the square that a patch shows; presses beside it are left out.
+        window: m, edge of the square that a patch shows; presses outside it are left out.
         reach: m, patches are clipped to this depth behind the tip's lowest point.
         zero: m, the robot's z at first contact; by default the session's highest z, so that no depth is negative.
         centre: m, the robot's x and y of the skin's centre; by default the middle of the session's range.
@@ -129,7 +129,7 @@ def _session(
             load = np.where(states[:, 4] == -1, np.nan, GRAM * states[:, 4])
     inside = (np.abs(x) <= window / 2) & (np.abs(y) <= window / 2)
     if not inside.all():
-        notes.info(f"left out of {name}: {np.sum(~inside)} presses beside the window of {1e3 * window:g} mm")
+        notes.info(f"left out of {name}: {np.sum(~inside)} presses outside the window of {1e3 * window:g} mm")
     n = int(inside.sum())
     T_w_o = np.tile(np.eye(4), (n, 1, 1))
     T_w_o[:, :3, 3] = np.column_stack([x, y, np.nan_to_num(height)])[inside]

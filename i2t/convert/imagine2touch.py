@@ -32,7 +32,7 @@ from i2t.errors import DataError
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Board, ReturnCode, Touches
 
 CAMERA = 64e-3  # m, the camera behind the tool's origin
-LATERAL = 2e-3  # m: a look from further beside the contact's axis saw another place
+LATERAL = 2e-3  # m: a look from further off the contact's axis saw another place
 QUATERNION_NORM_TOLERANCE = 1e-3  # how far the norm of a quaternion may be from 1
 MAX_POSE_VALUE = 1e6  # of any recorded number, in its unit
 NOTE_LENGTH = 2000  # characters kept of a run's own notes

@@ -1,10 +1,10 @@
-"""Reading `np.save` output from strangers, object arrays included, without executing anything in it.
+"""Reading `np.save` output from unknown sources, object arrays included, without executing anything in it.
 
 An object array is a pickle, and a pickle is a program: its opcodes build objects and call what they name. Here the
 opcodes are listed first, and only those that build plain values pass; then every name the pickle asks for is looked up
-in a short table of stand-ins written below (the parts of a NumPy array, of its type and of a NumPy scalar, and a named
-tuple called ReSkinData under any module). Nothing of NumPy or of the standard library is called by the pickle itself,
-and any other name is refused before it is imported.
+in a short table of substitutes written below (the parts of a NumPy array, of its type and of a NumPy scalar, and a
+named tuple called ReSkinData under any module). Nothing of NumPy or of the standard library is called by the pickle
+itself, and any other name is refused before it is imported.
 """
 
 import io

@@ -50,7 +50,7 @@ def convert(
         source: the table.
         indenter: `sphere:RADIUS` or `cylinder:RADIUS` with the radius in mm, or `mesh:FILE` in `mesh_unit`.
         board: which the values are of; the table has three columns for each of its chips.
-        window: m, edge of the square that a patch shows; presses whose axis lies beside it are left out.
+        window: m, edge of the square that a patch shows; presses whose axis lies outside it are left out.
         reach: m, patches are clipped to this depth behind the indenter's lowest point.
         mesh_unit: unit of the mesh file: m, cm, mm or inch.
         skip_bad: leave out damaged rows, and note them.
@@ -67,7 +67,7 @@ def convert(
     x, y, depth = 1e-3 * numbers[:, :3].T
     inside = (np.abs(x) <= window / 2) & (np.abs(y) <= window / 2)
     if not inside.all():
-        notes.info(f"left out: {np.sum(~inside)} presses beside the window of {1e3 * window:g} mm")
+        notes.info(f"left out: {np.sum(~inside)} presses outside the window of {1e3 * window:g} mm")
     if not inside.any():
         raise DataError(f"{source}: no press lies inside the window of {1e3 * window:g} mm; widen --window-mm")
     kept = [row for row, keep in zip(rows, inside, strict=True) if keep]

@@ -5,7 +5,7 @@
 
 All three live in one `SimulatedLab`, in whose time a tool moves (`i2t.emulators.robot_motion`) and meets an object
 (`i2t.emulators.scene`). On a `VirtualClock` nobody waits: whoever would wait moves time on, and a touch of ten seconds
-takes a fraction of one. On the clock of this machine it takes as long as in a lab. What the arm is told reaches it
+takes a fraction of one. On the clock of this machine it takes as long as in a lab. What is sent to the arm reaches it
 `latency` seconds late, which is what a press runs past its limit by. They call themselves simulated.
 """
 
@@ -277,7 +277,7 @@ class SimulatedArm(_SimulatedDevice):
     Args:
         lab: In which it moves.
         limits: That no motion exceeds.
-        latency: s, by which what it is told while it moves reaches it late.
+        latency: s, by which what is sent to it while it moves arrives late.
     """
 
     def __init__(self, lab: SimulatedLab, limits: MotionLimits, latency: float = 0.03) -> None:

@@ -44,12 +44,12 @@ class ContactLine(NamedTuple):
     reading: Array  # (k, 3 chips) uT, without noise
 
     def distance_along(self, position: Array, turned: Array) -> float | None:
-        """How far (m) a pose is along the line, None beside it."""
+        """How far (m) a pose is along the line, None off it."""
         axis = self.T_b_t[:3, 2]
         away = position - self.T_b_t[:3, 3]
         along = float(away @ axis)
-        beside = away - along * axis
-        if beside @ beside > LINE_TOLERANCE_M**2 or np.abs(turned - self.T_b_t[:3, :3]).max() > LINE_TOLERANCE_RAD:
+        off_line = away - along * axis
+        if off_line @ off_line > LINE_TOLERANCE_M**2 or np.abs(turned - self.T_b_t[:3, :3]).max() > LINE_TOLERANCE_RAD:
             return None
         return along
 
@@ -155,7 +155,7 @@ class ObjectScene:
         return float(np.linalg.norm(position - self._middle)) < self._radius + LINE_LENGTH_M
 
     def ahead(self, T_b_t: Array) -> ContactLine:
-        """The line from a pose that the arm reports: the tool is beside it by the arm's own errors."""
+        """The line from a pose that the arm reports: the tool is off it by the arm's own errors."""
         off = np.eye(4)
         off[:3, 3] = self.errors.repeatability * self._random.standard_normal(3)
         off[:3, :3] = so3_exp(self.errors.approach_angle * self._random.standard_normal(3))
@@ -197,8 +197,8 @@ def _meet(surface: Surface, T_o_t: Array, pad: Pad, loads: Array) -> tuple[Array
 class ContactModel:
     """What a moving tool feels: the contact of an `i2t.emulators.robot_motion.Robot`, and the reading of its skin.
 
-    A line is worked out once the tool stands somewhere near the object; with `wait` False that happens beside (it takes
-    hundredths of a second), and until it is done, while it is `busy`, nothing is met.
+    A line is worked out once the tool stands somewhere near the object; with `wait` False that happens in the
+    background (it takes hundredths of a second), and until it is done, while it is `busy`, nothing is met.
     """
 
     def __init__(self, scene: TouchableScene, wait: bool = True) -> None:
@@ -212,7 +212,7 @@ class ContactModel:
 
     @property
     def busy(self) -> bool:
-        """Whether a line is being worked out beside."""
+        """Whether a line is being worked out in the background."""
         return self._coming is not None
 
     def __call__(self, position: Array, turned: Array) -> Array:
@@ -226,7 +226,7 @@ class ContactModel:
         return np.concatenate([turned @ [0.0, 0.0, -force], turned @ [-force * y, force * x, 0.0]])
 
     def far(self, position: Array) -> bool:
-        """Whether the tool is at least `NEAR` from first contact, or beside the line on which there is one."""
+        """Whether the tool is at least `NEAR` from first contact, or off the line on which there is one."""
         line = self._line
         return line is None or float((position - line.T_b_t[:3, 3]) @ line.T_b_t[:3, 2]) < line.first - NEAR_CONTACT_M
 

@@ -59,7 +59,7 @@ def make_contact_model(world: WorldConfig, rig: Path | None, board: tuple[str, i
     Args:
         world: What is there.
         rig: File that says where; by default the emulators' own rig.
-        board: Where an emulated board wants to be told what the skin feels.
+        board: Where an emulated board receives what the skin feels.
 
     Returns:
         What a moving tool feels.

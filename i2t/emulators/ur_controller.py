@@ -13,7 +13,7 @@ The tool meets a springy horizontal plane (`--plane`, `--stiffness`), or an obje
 
 `--object` is a name of `i2t.objects.catalogue` or a mesh file, which stands where the rig's file says; force, its
 centre and what the skin would read come from i2t's own contact mechanics, worked out along the tool's z axis once it
-has stood for some ticks (hundredths of a second of computing, beside the 500 Hz; a motion waits for it). With `--skin
+has stood for some ticks (hundredths of a second of computing, next to the 500 Hz; a motion waits for it). With `--skin
 HOST:PORT` that reading goes to an emulated board: `i2t.emulators.lab` starts both. `--latency` delays whatever the
 client sends; without it a command takes effect at the next tick of 2 ms.
 

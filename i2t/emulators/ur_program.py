@@ -264,7 +264,7 @@ class Controller:
         return self.outputs.get(name, _zero(name))
 
     def observe(self) -> None:
-        """Gather what every client is told at this tick."""
+        """Gather what every client receives at this tick."""
         robot, pose = self.robot, tuple(self.robot.pose)
         wrench, twist = tuple(robot.measured_wrench()), tuple(robot.twist)
         self.outputs = {

@@ -41,7 +41,7 @@ class CameraBase(DeviceBase):
 
     @property
     def features(self) -> CameraFeatures:
-        """What is known before `connect`, and after it what the device told."""
+        """What is known before `connect`, and after it what the device reported."""
         return self._features
 
     @property

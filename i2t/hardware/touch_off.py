@@ -9,8 +9,8 @@ corner (x, y) of the skin has in the tool the height
     z = (height - o_z - R_zx x - R_zy y) / R_zz,        T_b_t = (R, o),
 
 and four corners make a plane, z = z0 + sx x + sy y by least squares: the skin's face. The tool's frame is moved along
-its z axis and tilted onto it; sideways and about z a flat tells nothing. The fourth corner is one more than a plane
-needs: by how much the four miss it, |z1 - z2 + z3 - z4| / 4 in their order around, is told.
+its z axis and tilted onto it; sideways and about z a flat shows nothing. The fourth corner is one more than a plane
+needs: by how much the four miss it, |z1 - z2 + z3 - z4| / 4 in their order around, is reported.
 
 A press begins before it is felt. A corner that sinks into an elastic layer by d meets it over an area of d^2 at a mean
 strain in proportion to d, so its force grows as d^3; with a spring 1 / k in series the travel since first contact is

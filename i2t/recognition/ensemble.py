@@ -157,9 +157,9 @@ def _to_triangle(p: Float[Array, "3"], triangle: Float[Array, "3 3"]) -> Float[A
     ends = ((a, b), (b, c), (c, a))
     sides = jnp.stack([jnp.dot(jnp.cross(end - start, p - start), normal) for start, end in ends])
     above = jnp.dot(p - a, normal) ** 2 / jnp.where(area > 0, area, 1)
-    beside = jnp.min(jnp.stack([_to_segment(p, *end) for end in ends]))
+    outside = jnp.min(jnp.stack([_to_segment(p, *end) for end in ends]))
     # Faces without area fill a surface up to its size class.
-    return jnp.where(area > 0, jnp.where(jnp.all(sides >= 0), above, beside), jnp.inf)
+    return jnp.where(area > 0, jnp.where(jnp.all(sides >= 0), above, outside), jnp.inf)
 
 
 def _to_segment(p: Float[Array, "3"], a: Float[Array, "3"], b: Float[Array, "3"]) -> Float[Array, ""]:

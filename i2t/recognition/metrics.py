@@ -122,7 +122,7 @@ def with_unknown_prior(
 def restrict_to(
     p: Float[Array, "e t c"], truth: Int[Array, " e"], candidates: list[int]
 ) -> tuple[Float[Array, "kept t chosen"], Int[Array, " kept"], Int[Array, " kept"]]:
-    """The problem of telling some of the classes apart.
+    """The problem of distinguishing some of the classes.
 
     Args:
         p: Beliefs in all classes.
@@ -482,7 +482,7 @@ def touches_saved(first: Shaped[Array, " e"], other: Shaped[Array, " e"], touche
 
 
 def auroc(p_unknown: Shaped[Array, "e t"], unknown: Bool[Array, " e"], seed: int = 0) -> Estimate:
-    """Area under the receiver operating characteristic of telling unknown objects: the probability that an episode
+    """Area under the receiver operating characteristic of detecting unknown objects: the probability that an episode
     with an unknown object has more in the unknown class than one without, equal ones counted half.
 
     Args:

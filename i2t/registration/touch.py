@@ -216,11 +216,11 @@ def _linearise(z: Float[Array, "6"], contacts: _Contacts, half_edge: float) -> _
     """Residuals of all contacts and their derivatives; those of no weight say nothing."""
     one = jax.vmap(_linearise_one, (None, 0, 0, None))
     seen = one(contacts.prior_std * z, contacts.T_t_o, contacts.triangles, half_edge)
-    told = (contacts.weight > 0) & jnp.isfinite(seen.jacobian).all(axis=1)
+    observed = (contacts.weight > 0) & jnp.isfinite(seen.jacobian).all(axis=1)
     return _Linearised(
         jnp.where(contacts.weight > 0, seen.residual, 0.0),
-        jnp.where(told[:, None], seen.jacobian * contacts.prior_std[None], 0.0),
-        jnp.where(told, seen.stretch, 1.0),
+        jnp.where(observed[:, None], seen.jacobian * contacts.prior_std[None], 0.0),
+        jnp.where(observed, seen.stretch, 1.0),
     )
 
 
@@ -268,7 +268,7 @@ def _annealed(
 
 
 def _gap(triangle: Float[Array, "3 3"], T_t_o: Float[Array, "4 4"], half: float | Array) -> Float[Array, ""]:
-    """Gap (m) between the square face and a triangle, negative where they overlap; one beside the face is far off."""
+    """Gap (m) between the square face and a triangle, negative where they overlap; one next to the face is far off."""
     gap = nearest_in_square(Surface(triangle[None]), T_t_o, half)
     return jnp.where(gap < jnp.inf, gap, STANDOFF)
 

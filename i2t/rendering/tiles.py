@@ -424,7 +424,7 @@ def face_terms(
     slope_x = ((zb - za) * (yc - ya) - (zc - za) * (yb - ya)) * share
     slope_y = ((zc - za) * (xb - xa) - (zb - za) * (xc - xa)) * share
     base = za - slope_x * xa - slope_y * ya
-    # A steep plane means nothing beside its edge, where the tolerance still counts it: never nearer than a corner.
+    # A steep plane means nothing outside its edge, where the tolerance still counts it: never nearer than a corner.
     return A, B, C, slope_x, slope_y, base, minimum(minimum(za, zb), zc)
 
 

@@ -2,7 +2,7 @@
 
 A magnet is a cylinder of radius a and height 2b, magnetised by M along its axis, the same as a sheet of current M round
 its side (Jackson, Classical Electrodynamics, section 5.8). Along the axis Biot and Savart's integral is elementary;
-with e the unit vector to the sheet at the angle t, p and z the point beside and along the axis, R = |p - a e|,
+with e the unit vector to the sheet at the angle t, p and z the point's distances off and along the axis, R = |p - a e|,
 z+- = z +- b and D+- = sqrt(R^2 + z+-^2),
 
     B_side = mu0 M a / (4 pi) integral e (1 / D- - 1 / D+) dt

@@ -366,15 +366,15 @@ def test_noise_of_real_size_leaves_depth_within_a_twentieth_of_a_millimetre():
 
 def test_history_tells_the_chooser_all_but_images():
     procedure, memory = make(), Memory()
-    told = []
+    histories = []
 
     def choose(history):
-        told.append(list(history))
+        histories.append(list(history))
         return site(len(history)) if len(history) < 2 else None
 
     list(procedure.run(choose, memory))
-    assert [len(history) for history in told] == [0, 1, 2]
-    last = told[-1][0]
+    assert [len(history) for history in histories] == [0, 1, 2]
+    last = histories[-1][0]
     assert isinstance(last, SiteOutcome)
     assert last.touch.view is None
     np.testing.assert_array_equal(last.touch.reading, memory.saved[0].reading)

@@ -143,11 +143,11 @@ with Recorder(Path({str(tmp_path)!r}), names(procedure), procedure.clock) as rec
         print(recording.saved[-1].name, flush=True)
 """
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as running:
-        told = [running.stdout.readline().strip() for _ in range(3)]
+        acknowledged = [running.stdout.readline().strip() for _ in range(3)]
         running.kill()
-        told += running.stdout.read().splitlines()
+        acknowledged += running.stdout.read().splitlines()
     present = [path.name for path in touches_in(tmp_path)]
-    assert set(told) <= set(present)
+    assert set(acknowledged) <= set(present)
     assert len(dataset.load_dataset(tmp_path)) == len(present)
     before = len(present)
     procedure = make()

@@ -559,7 +559,7 @@ def test_presses_beside_the_window_are_left_out_and_counted(tmp_path, capsys):
     inside = (np.abs(place[:, :2] - [285, -100]) <= 5).all(1)
     assert 0 < inside.sum() < 20
     np.testing.assert_allclose(dataset.touches.reading, values[inside], atol=UT)
-    assert f"{20 - inside.sum()} presses beside the window" in capsys.readouterr().out
+    assert f"{20 - inside.sum()} presses outside the window" in capsys.readouterr().out
 
 
 def edit(old, new, count=1):

@@ -55,12 +55,12 @@ def test_real_drivers_collect_with_emulators_are_killed_and_go_on(tmp_path):
         command = [sys.executable, "-m", "experiments.faults.worker", host, port, str(out)]
         with subprocess.Popen([*command, "100", "1"], stdout=subprocess.PIPE, text=True) as first:
             assert first.stdout.readline() == "begun\n"
-            told = first.stdout.readline().strip()
+            acknowledged = first.stdout.readline().strip()
             while not (out / ".under-way").exists():
                 assert first.poll() is None
                 time.sleep(0.01)
             first.kill()
-        assert told in [path.name for path in touches_in(out)]
+        assert acknowledged in [path.name for path in touches_in(out)]
         deadline = time.monotonic() + 10.0
         while arm.status(host)["moving"] or arm.status(host)["runtime"] == 2:  # the watchdog ends its program
             assert time.monotonic() < deadline

@@ -23,10 +23,10 @@ METHODS = {"votes": estimate(np.array([0.3, 0.5, 0.6])), "belief": estimate(np.a
 def every_figure(simulated: bool) -> list[Figure]:
     p = np.random.default_rng(0).dirichlet(np.ones(3), (40, 1))
     truth = np.arange(40) % 3
-    told = metrics.reliability(metrics.confidence(p), metrics.hits(p, truth), 5)
+    reliable = metrics.reliability(metrics.confidence(p), metrics.hits(p, truth), 5)
     return [
         figures.accuracy(METHODS, "five objects", simulated, {"paper": 0.58}, 0.2),
-        figures.reliability({"belief": told}, "five objects", simulated),
+        figures.reliability({"belief": reliable}, "five objects", simulated),
         figures.confusion(np.eye(3), ["a", "b", "c"], "five objects", simulated),
         figures.not_yet_confident(METHODS, "five objects", simulated),
         figures.sensitivity({"default": {"belief": (0.9, 0.8, 1.0)}}, "five objects", "R", simulated),
@@ -74,13 +74,13 @@ def test_unsure_starts_before_the_first_touch():
 
 def test_reliability_leaves_out_empty_bins():
     sure, hit = np.array([0.3, 0.5, 0.5, 0.95, 0.95]), np.array([0.0, 1, 0, 1, 1])
-    told = metrics.reliability(sure, hit, 10)
-    above, below = figures.reliability({"belief": told}, "", True).axes
+    reliable = metrics.reliability(sure, hit, 10)
+    above, below = figures.reliability({"belief": reliable}, "", True).axes
     dots, *_ = above.containers[0]
     np.testing.assert_allclose(dots.get_xdata(), [0.3, 0.5, 0.95])
     np.testing.assert_allclose(dots.get_ydata(), [0, 0.5, 1])
     bars = np.array([part.vertices for part in above.containers[0][2][0].get_paths()])
-    np.testing.assert_allclose(bars[1, :, 1], [told.frequency.low[5], told.frequency.high[5]])
+    np.testing.assert_allclose(bars[1, :, 1], [reliable.frequency.low[5], reliable.frequency.high[5]])
     np.testing.assert_array_equal(below.lines[0].get_ydata(), [1, 2, 2])
 
 

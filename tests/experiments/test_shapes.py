@@ -1,4 +1,4 @@
-"""The stamp experiment: what is pressed, what is held out, what is learnt, and the command at its debug size."""
+"""The stamp experiment: what is pressed, what is held out, what is learned, and the command at its debug size."""
 
 import json
 from dataclasses import replace

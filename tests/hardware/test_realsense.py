@@ -40,10 +40,17 @@ def test_it_gives_metres_lens_and_aligned_colour(file):
         _ = camera.camera
     with camera:
         assert isinstance(camera, DepthCamera)
-        told = camera.camera
-        assert told.model == CAMERA.model
-        np.testing.assert_allclose(told.coefficients, CAMERA.coefficients, rtol=1e-6)  # the SDK has float32
-        assert (told.width, told.height, told.fx, told.fy, told.cx, told.cy) == (64, 48, 60.0, 61.0, 31.0, 24.0)
+        reported = camera.camera
+        assert reported.model == CAMERA.model
+        np.testing.assert_allclose(reported.coefficients, CAMERA.coefficients, rtol=1e-6)  # the SDK has float32
+        assert (reported.width, reported.height, reported.fx, reported.fy, reported.cx, reported.cy) == (
+            64,
+            48,
+            60.0,
+            61.0,
+            31.0,
+            24.0,
+        )
         view = camera.capture(PATIENCE)
         # Depth is stored in units; the unit itself is a float32.
         np.testing.assert_allclose(view.depth, DEPTH, atol=UNIT / 2, rtol=1e-6)

@@ -123,14 +123,14 @@ def arm_with(true, height=HEIGHT):
 
 
 def test_an_arm_finds_its_skin():
-    true, told = skin(0.8e-3, 0.02, -0.03), []
+    true, messages = skin(0.8e-3, 0.02, -0.03), []
     with arm_with(true) as arm:
-        found = touch_off(arm, LIMITS, AT, HEIGHT, told.append)
+        found = touch_off(arm, LIMITS, AT, HEIGHT, messages.append)
         assert arm.state().T_b_t[2, 3] > HEIGHT + CLEARANCE_M
     np.testing.assert_allclose(found.T_tool_skin[2, 3], true[2, 3], atol=0.02e-3)
     np.testing.assert_allclose(found.T_tool_skin[:3, 2], true[:3, 2], atol=2e-3)
     assert found.flatness_error < 0.02e-3
-    assert len(told) == 4
+    assert len(messages) == 4
 
 
 def test_what_is_no_flat_is_said():

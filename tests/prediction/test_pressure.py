@@ -1,4 +1,4 @@
-"""Imagined pressure against the contact solver, symmetry and averages written out."""
+"""Predicted contact pressure against the contact solver, symmetry and averages written out."""
 
 from dataclasses import replace
 from functools import partial

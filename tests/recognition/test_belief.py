@@ -88,20 +88,20 @@ def test_whitening():
 
 def test_density_of_a_reading_is_student_t():
     rng = np.random.default_rng(2)
-    told = like(dof=5.0, inflation=1.3)
+    likelihood = like(dof=5.0, inflation=1.3)
     S = np.cov(ERRORS.T) + 1e-3 * np.eye(15)
     error = rng.normal(size=(20, 15)) @ np.linalg.cholesky(S).T * rng.uniform(0.3, 30, (20, 1))
     variance = np.concatenate([[0.0], rng.uniform(0, 0.5, 19)])
-    value = np.asarray(density(jnp.float32(error), jnp.float32(variance), told))
+    value = np.asarray(density(jnp.float32(error), jnp.float32(variance), likelihood))
     # Densities are those of whitened coordinates, whose volume is the same for all that are compared.
-    volume = np.linalg.slogdet(np.asarray(told.whiten, np.float64))[1]
+    volume = np.linalg.slogdet(np.asarray(likelihood.whiten, np.float64))[1]
     exact = [
         stats.multivariate_t(shape=1.3**2 * (S + v * np.diag(SCALE**2)), df=5).logpdf(e)
         for e, v in zip(error, variance, strict=True)
     ]
     # A condition number of roundings in the distance, of which the density takes (5 + 15) / 2 logarithms.
     np.testing.assert_allclose(value + volume, exact, atol=10 * 15 * EPS * np.sqrt(np.linalg.cond(S)))
-    grown = np.asarray(density(jnp.float32(100 * error), jnp.float32(variance), told))
+    grown = np.asarray(density(jnp.float32(100 * error), jnp.float32(variance), likelihood))
     assert (grown - value > -20 * np.log(100) - 1e-3).all()  # heavy tails: a power, no exponential
 
 
@@ -119,8 +119,8 @@ def test_position_is_the_marginal_over_the_placement():
     error = rng.normal(scale=0.5e-3, size=MANY)
     at = expected(outcome, force)
     contact = measured(np.zeros((MANY, 15)), force, at + error, np.ones(MANY, bool))
-    told = like(outlier_rate=0.05)
-    found = evidence(contact, outcome, jnp.float32(mean), jnp.float32(covariance), told)
+    likelihood = like(outlier_rate=0.05)
+    found = evidence(contact, outcome, jnp.float32(mean), jnp.float32(covariance), likelihood)
     # The placement moves the travel along its slope, so one dimension of it is integrated over.
     for i in range(MANY):
         slope = np.asarray(outcome.jacobian[i], np.float64)
@@ -214,8 +214,8 @@ def test_extremes_stay_finite():
     covariance[10] = 0
     for contact in (True, False):
         at = measured(reading, force, advance, np.full(MANY, contact))
-        for told in (LIKE, EXACT):
-            found = evidence(at, outcome, jnp.zeros((MANY, 6)), jnp.float32(covariance), told)
+        for likelihood in (LIKE, EXACT):
+            found = evidence(at, outcome, jnp.zeros((MANY, 6)), jnp.float32(covariance), likelihood)
             for values in found:
                 assert np.isfinite(values).all()
             assert (np.linalg.eigvalsh(np.asarray(found.covariance, np.float64)) > -1e-6 * SPREAD.max() ** 2).all()
@@ -250,15 +250,15 @@ def test_particles_have_the_variance_of_the_prior():
     # A registered pose: correlated, and known exactly in one direction.
     half = np.random.default_rng(0).normal(size=(6, 5)) * 1e-3
     prior = half @ half.T
-    told = belief.sample_particles(prior, 4096, seed=3)
-    total = np.cov(np.asarray(told.twist, np.float64).T) + np.asarray(told.covariance)
+    particles = belief.sample_particles(prior, 4096, seed=3)
+    total = np.cov(np.asarray(particles.twist, np.float64).T) + np.asarray(particles.covariance)
     scale = np.sqrt(np.diagonal(prior))
     np.testing.assert_allclose((total - prior) / np.outer(scale, scale), 0, atol=np.log(4096) / 4096 * 10)
 
 
 def test_touches_are_a_linear_regression():
     rng = np.random.default_rng(7)
-    told = EXACT._replace(tactile_weight=jnp.float32(0), position_std=jnp.float32(0.5e-3))
+    likelihood = EXACT._replace(tactile_weight=jnp.float32(0), position_std=jnp.float32(0.5e-3))
     now = belief.init(PLACES, OBJECTS, channels=15)
     twist = rng.normal(size=6) * SPREAD
     rows, rights = [], []
@@ -270,7 +270,7 @@ def test_touches_are_a_linear_regression():
         advance = at[0] + slope[0] @ twist + rng.normal(scale=0.5e-3)
         rows.append(slope)
         rights.append(advance - at)
-        now = update(now, measured(np.zeros(15), force, advance, True), outcome, told)
+        now = update(now, measured(np.zeros(15), force, advance, True), outcome, likelihood)
     mean, covariance = belief.twist_estimate(now, PLACES)
     evidences = []
     for o in range(OBJECTS):
@@ -306,8 +306,8 @@ def some_belief(rng: np.random.Generator) -> tuple[Belief, TouchObservation, Pre
 def test_probabilities_add_up_and_follow_a_permutation():
     rng = np.random.default_rng(8)
     now, at, outcome = some_belief(rng)
-    told = like(drift_std=1.0)
-    after = update(now, at, outcome, told)
+    likelihood = like(drift_std=1.0)
+    after = update(now, at, outcome, likelihood)
     found = posterior(after)
     assert float(found.sum()) == pytest.approx(1, abs=1e-5)
     order, shuffle = np.array([1, 0]), rng.permutation(COUNT)
@@ -316,7 +316,7 @@ def test_probabilities_add_up_and_follow_a_permutation():
         return jax.tree.map(lambda x: x[order][:, shuffle], tree)
 
     mixed = Belief(*turned(tuple(now[:3])), *now[3:])
-    again = update(mixed, at, turned(outcome), told)
+    again = update(mixed, at, turned(outcome), likelihood)
     other = posterior(again)
     # Sums over 512 places, in another order.
     np.testing.assert_allclose(other, found[order], rtol=1e-4)
@@ -345,8 +345,8 @@ def test_weights_leave_evidence_out():
         (like(tactile_weight=0), at._replace(reading=at.reading + 30)),
         (like(spatial_weight=0), at._replace(advance=at.advance + 1e-3)),
     )
-    for told, changed in pairs:
-        found, other = update(now, at, outcome, told), update(now, changed, outcome, told)
+    for likelihood, changed in pairs:
+        found, other = update(now, at, outcome, likelihood), update(now, changed, outcome, likelihood)
         np.testing.assert_allclose(found.log_weight, other.log_weight, atol=1e-5)
         full, apart = update(now, at, outcome, LIKE), update(now, changed, outcome, LIKE)
         assert np.abs(full.log_weight - apart.log_weight).max() > 1
@@ -369,7 +369,7 @@ def test_what_is_left_out_may_be_nan_and_moves_nothing():
 
 
 def test_a_doubtful_position_keeps_the_spread_of_the_mixture():
-    """Half learnt from and half not: the variance of a mixture of two normals, in double precision."""
+    """Half learned from and half not: the variance of a mixture of two normals, in double precision."""
     rng = np.random.default_rng(9)
     outcome = host(outcomes(rng, 1), 0)
     slope, P = np.asarray(outcome.jacobian, np.float64), np.diag(SPREAD**2)
@@ -417,7 +417,7 @@ def test_any_board(chips):
     """Objects that only the readings of other boards tell apart."""
     rng, channels = np.random.default_rng(13), 3 * chips
     errors = rng.normal(size=(200, channels))
-    told = belief.fit_likelihood(
+    likelihood = belief.fit_likelihood(
         errors, jnp.full(channels, 10.0), jnp.float32(LOADS), overtravel=PAST, position_std=POSITION
     )
     places = belief.sample_particles(SPREAD, 4)
@@ -431,7 +431,7 @@ def test_any_board(chips):
     now = belief.init(places, 2, channels=channels, prior=np.array([0.9, 0.1]))
     advance = expected(part(table, np.s_[1:, 0]), np.array([0.9]))[0]
     at = measured(reading[1, 0, 1] + rng.normal(size=channels), 0.9, advance, True)
-    now = belief.update(now, at, table, told)
+    now = belief.update(now, at, table, likelihood)
     assert now.bias.shape == (channels,)
     assert belief.posterior(now)[1] > 0.99
 

@@ -53,7 +53,7 @@ def touches(
 
 def information(distance: float, prior: float) -> tuple[float, float]:
     """Mutual information (nats) between two objects and a measurement that is normal about 0 or about `distance`, in
-    units of its standard deviation; and how what is told varies from draw to draw.
+    units of its standard deviation; and how the information varies from draw to draw.
     """
 
     def entropy(x: float) -> float:
@@ -62,10 +62,10 @@ def information(distance: float, prior: float) -> tuple[float, float]:
         return float(stats.bernoulli(p).entropy())
 
     def mean(power: int) -> float:
-        def weighed(x: float) -> float:
+        def weighted(x: float) -> float:
             return entropy(x) ** power * (prior * stats.norm.pdf(x) + (1 - prior) * stats.norm.pdf(x, distance))
 
-        return integrate.quad(weighed, -8, distance + 8, limit=200, points=[0, distance / 2, distance])[0]
+        return integrate.quad(weighted, -8, distance + 8, limit=200, points=[0, distance / 2, distance])[0]
 
     return float(stats.bernoulli(prior).entropy()) - mean(1), np.sqrt(max(mean(2) - mean(1) ** 2, 0))
 
@@ -83,29 +83,29 @@ def test_gains_are_mutual_information(prior):
     # What is not known about a place makes the travel unsure along its slope.
     unsure = np.hypot(belief.PARTICLE_STD_RATIO * SPREAD[2], POSITION)
     steep = touches(0.0, unsure * apart)._replace(jacobian=jnp.broadcast_to(jnp.eye(6)[2], (SITES, OBJECTS, COUNT, 6)))
-    for told, table in (
+    for likelihood, table in (
         (TACTILE, touches(NOISE * apart)),
         (SPATIAL, touches(0.0, POSITION * apart)),
         (SPATIAL, steep),
     ):
-        found = gains(jax.random.key(0), start(prior), table, told)
+        found = gains(jax.random.key(0), start(prior), table, likelihood)
         for i, distance in enumerate(distances):
             exact, sd = information(distance, prior)
-            # Draws; how many of them each object gets, to one; and Student's freedom: 15^2 / 10^4 of a nat at most.
+            # Draws; how many of them each object gets, to one; and Student's degrees of freedom: 15^2 / 10^4 of a nat.
             loose = SIGMAS * sd / np.sqrt(DRAWS) + 1 / DRAWS + 15**2 / 1e4 * exact
             assert float(found.object[i]) == pytest.approx(exact, abs=loose + 1e-4)
         assert (np.diff(found.object) > 0).all()  # all sites see the same draws
         assert (found.object < bound + 1e-4).all()
-        # Places feel alike here: nothing is told of them, and the two are estimates of one number.
+        # Places feel alike here: nothing is learned of them, and the two are estimates of one number.
         np.testing.assert_allclose(found.both, found.object, atol=SIGMAS * 2 * bound / np.sqrt(DRAWS))
 
 
 def test_errors_are_imagined_with_the_tails_of_the_likelihood():
-    """Mutual information of Student's t with few degrees of freedom, by Monte Carlo; normal errors promise more."""
+    """Mutual information of Student's t with few degrees of freedom, by Monte Carlo; normal errors give more."""
     dof, distances = 2.0, np.array([0.0, 1.0, 2.0, 3.0, 5.0, 8.0])
     apart = (distances[:, None] * np.array([-0.5, 0.5]))[..., None]
-    told = TACTILE._replace(dof=jnp.float32(dof))
-    found = gains(jax.random.key(6), start(), touches(NOISE * apart), told)
+    likelihood = TACTILE._replace(dof=jnp.float32(dof))
+    found = gains(jax.random.key(6), start(), touches(NOISE * apart), likelihood)
     rng = np.random.default_rng(7)
     normal = rng.normal(size=(200_000, 15))
     heavy = normal / np.sqrt(rng.chisquare(dof, (len(normal), 1)) / dof)
@@ -123,7 +123,7 @@ def test_errors_are_imagined_with_the_tails_of_the_likelihood():
             assert gained(normal, distance).mean() > draws.mean() + loose  # else this would show nothing
 
 
-def test_what_is_told_of_the_object_and_of_the_place():
+def test_information_on_the_object_and_on_the_place():
     which, place = np.meshgrid(np.arange(OBJECTS), np.arange(COUNT), indexing="ij")
     # Readings that differ do so by ten errors or more.
     kinds = np.stack([place, 8 * which, 8 * which + place, 0 * place, place % 2, 0 * place])
@@ -135,7 +135,7 @@ def test_what_is_told_of_the_object_and_of_the_place():
     close(found.object, np.log([1, 2, 2, 1, 1, 2]))
     close(found.both, np.log([8, 2, 16, 1, 2, 2]))
 
-    # Where the place is known, all that is told is of the object.
+    # Where the place is known, all information is on the object.
     known = start()
     known = known._replace(log_weight=jnp.where(jnp.arange(COUNT)[None] == 5, known.log_weight, -jnp.inf))
     found = gains(jax.random.key(2), known, table, TACTILE)
@@ -156,14 +156,14 @@ def test_gains_of_real_touches_stay_within_bounds():
     reading = rng.normal(scale=5, size=(*shape, 1, 15)) * LOADS[:, None] ** 0.8
     values = rng.uniform(-2e-3, 2e-3, shape), slope, np.tile(1e-4 * LOADS, (*shape, 1)), reading, np.ones((*shape, 3))
     table = PredictedTouch(jnp.asarray(rng.uniform(size=shape) < 0.8), *map(jnp.float32, values))
-    told = belief.fit_likelihood(
+    likelihood = belief.fit_likelihood(
         rng.normal(size=(99, 15)) * np.linspace(3, 9, 15),
         jnp.full(15, 5.0),
         jnp.float32(LOADS),
         overtravel=PAST,
         position_std=POSITION,
     )
-    found = gains(jax.random.key(5), start(0.7), table, told)
+    found = gains(jax.random.key(5), start(0.7), table, likelihood)
     bound = stats.bernoulli(0.7).entropy()
     loose = SIGMAS * np.log(2) / 2 / np.sqrt(DRAWS)  # an entropy of two lies between 0 and log 2
     assert (found.object > -loose).all()
@@ -198,9 +198,9 @@ def test_what_is_imagined_is_what_is_expected_plus_its_noise():
     outcome = jax.tree.map(lambda x: x[0, 0, 0], touches(3.0, 1e-3))
     outcome = outcome._replace(jacobian=jnp.arange(6.0), variance=jnp.full(3, 0.02))
     off, noise = jnp.full(6, 1e-4), jnp.arange(16.0) - 8
-    told = NORMAL._replace(inflation=jnp.float32(2))
+    likelihood = NORMAL._replace(inflation=jnp.float32(2))
     imagine = jax.jit(policy.imagine_observation)
-    limits = {"likelihood": told, "skin_change": CHANGE, "force": 8.0}
+    limits = {"likelihood": likelihood, "skin_change": CHANGE, "force": 8.0}
     found = imagine(outcome, off, noise, **limits)
     assert float(found.force) == pytest.approx(AT, rel=1e-5)
     assert found.contact

@@ -137,14 +137,14 @@ def test_covariance_is_calibrated(which):
     covariance = np.asarray(found.covariance, float)
     squared = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
     assert abs(squared.mean() - 6) < 4 * math.sqrt(12 / RUNS)
-    told = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(0)) / SPREAD
+    predicted = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(0)) / SPREAD
     left = np.sqrt((error**2).mean(0)) / SPREAD
     # Ten touches know the height to 0.1 mm / sqrt(10), and tilts to that over their spread, 10 mm on the hexagon and
     # lengthwise on the spanner; what meets first is off the middle, which mixes the two: two and a half times as much.
-    told, left = (part[2:5] if which == 0 else part[[2, 4]] for part in (told, left))
-    assert told[0] < 2.5 * NOISE / math.sqrt(TOUCHES) / DISTANCE
-    assert (told[1:] < 2.5 * NOISE / math.sqrt(TOUCHES) / 10e-3 / ANGLE).all()
-    assert (left < 1.6 * told).all()  # over 24 runs an rms is known to 14 %
+    predicted, left = (part[2:5] if which == 0 else part[[2, 4]] for part in (predicted, left))
+    assert predicted[0] < 2.5 * NOISE / math.sqrt(TOUCHES) / DISTANCE
+    assert (predicted[1:] < 2.5 * NOISE / math.sqrt(TOUCHES) / 10e-3 / ANGLE).all()
+    assert (left < 1.6 * predicted).all()  # over 24 runs an rms is known to 14 %
 
 
 def test_what_is_symmetric_stays_at_the_prior():
@@ -280,10 +280,10 @@ def test_covariance_from_depth_includes_the_prior():
     found = register_by_depth(
         mesh, np.eye(4), image(mesh, T_w_c, rng), CAMERA, T_w_c, translation_std=std, rotation_std=angle
     )
-    told = np.sqrt(np.diagonal(np.asarray(found.covariance, float)))
-    np.testing.assert_allclose(told[:3], std, rtol=1e-2)
-    assert (told[3:] < angle * TWIST_LEVER_M * (1 + 1e-6)).all()
-    assert told[5] > 0.5 * angle * TWIST_LEVER_M
+    predicted = np.sqrt(np.diagonal(np.asarray(found.covariance, float)))
+    np.testing.assert_allclose(predicted[:3], std, rtol=1e-2)
+    assert (predicted[3:] < angle * TWIST_LEVER_M * (1 + 1e-6)).all()
+    assert predicted[5] > 0.5 * angle * TWIST_LEVER_M
 
 
 def test_an_object_is_as_far_off_as_its_camera():

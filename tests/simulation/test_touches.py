@@ -67,13 +67,13 @@ def pad() -> Pad:
 
 
 @pytest.fixture(scope="module")
-def told() -> list[int]:
+def progress_counts() -> list[int]:
     return []
 
 
 @pytest.fixture(scope="module")
-def touches(solids, pad, told) -> Touches:
-    return many(jax.random.key(SEED), solids, pad, progress=told.append)
+def touches(solids, pad, progress_counts) -> Touches:
+    return many(jax.random.key(SEED), solids, pad, progress=progress_counts.append)
 
 
 @pytest.fixture(scope="module")
@@ -108,11 +108,11 @@ def behind(z: np.ndarray, nearest: float) -> np.ndarray:
     return np.clip(np.where(np.isfinite(z), z, 1.0) - nearest, 0, REACH)
 
 
-def test_runs_and_objects_are_counted(touches, told):
+def test_runs_and_objects_are_counted(touches, progress_counts):
     assert touches.object.tolist() == [0] * 6 + [1] * 6
     assert touches.session.tolist() == [0, 0, 0, 0, 1, 1, 2, 2, 2, 2, 3, 3]
     assert not touches.pad.any()
-    assert told == [4, 2, 4, 2]
+    assert progress_counts == [4, 2, 4, 2]
     assert touches.patch.shape == (12, 48, 48)
     assert touches.T_w_o.tolist() == [np.eye(4).tolist()] * 12
 
