@@ -27,9 +27,16 @@ Tree = TypeVar("Tree")
 
 
 def save(path: Path | str, kind: str, tree: Any, about: dict[str, Any] | None = None) -> None:
-    """Write a NamedTuple of arrays as a file of this `kind`; `about` is anything that JSON can hold.
+    """Write a NamedTuple of arrays as a file.
 
-    Raises SerializationError where the file cannot be written.
+    Args:
+        path: Of the file.
+        kind: Of file, which `load` must name too.
+        tree: The NamedTuple; its fields may be NamedTuples.
+        about: Anything that JSON can hold, kept with it.
+
+    Raises:
+        SerializationError: The file cannot be written.
     """
     path, arrays = Path(path), flatten(tree)
     header = {"format": kind, "version": TREE_VERSION, "sha256": _digest(arrays), "about": about or {}}
@@ -53,10 +60,19 @@ def save(path: Path | str, kind: str, tree: Any, about: dict[str, Any] | None = 
 def load(
     path: Path | str, kind: str, form: type[Tree], *, renamed: Mapping[str, str] | None = None
 ) -> tuple[Tree, dict[str, Any]]:
-    """The NamedTuple of type `form` in a file of this `kind`, with NumPy arrays, and what is said about it.
+    """Read a NamedTuple that `save` wrote.
 
-    `renamed` gives fields that files of earlier versions call otherwise: the name there, and the name now. Raises
-    SerializationError where there is none, or it is of another kind or damaged.
+    Args:
+        path: Of the file.
+        kind: Of file.
+        form: Type of the NamedTuple.
+        renamed: Fields that files of earlier versions call otherwise: the name there, and the name now.
+
+    Returns:
+        The NamedTuple, with NumPy arrays, and what was kept with it.
+
+    Raises:
+        SerializationError: There is no such file, or it is of another kind or damaged.
     """
     path = Path(path)
     if not path.is_file():
@@ -92,7 +108,15 @@ def load(
 
 
 def flatten(tree: Any, prefix: str = "") -> dict[str, np.ndarray]:
-    """Arrays by their dotted names."""
+    """Arrays by their dotted names.
+
+    Args:
+        tree: A NamedTuple of arrays and of NamedTuples.
+        prefix: Before each name.
+
+    Returns:
+        The arrays.
+    """
     arrays: dict[str, np.ndarray] = {}
     for name, value in tree._asdict().items():
         if hasattr(value, "_asdict"):

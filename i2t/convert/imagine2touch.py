@@ -54,11 +54,25 @@ def convert(
     pad: str = "reskin",
     skip_bad: bool = False,
 ) -> Converted:
-    """Convert one object's folder or a folder of them; lengths in metres.
+    """Convert one object's folder or a folder of them.
 
-    `order` of a sample's values is "binary" (t first), "ascii" (t last) or "auto"; `camera` is the distance of the
-    camera behind the tool's origin; images are turned counter-clockwise by `quarter_turns`; `tool_forces` says that
-    forces are in the tool's axes. Raises DataError.
+    Args:
+        source: The folder.
+        board: That recorded the touches.
+        order: Of a sample's values: "binary" (t first), "ascii" (t last) or "auto".
+        window: m, edge of the square that a patch shows.
+        reach: m, depth at which a patch ends.
+        camera: m, distance of the camera behind the tool's origin.
+        quarter_turns: By which images are turned counter-clockwise.
+        tool_forces: Whether forces are in the tool's axes.
+        pad: Name of the skin.
+        skip_bad: Leave out what cannot be read instead of ending.
+
+    Returns:
+        The data set and what was noted.
+
+    Raises:
+        DataError: The folder cannot be read as such a recording.
     """
     notes = ConversionLog(skip_bad)
     notes.info(f"assumed: image rows along tool y, columns along tool x, after {quarter_turns} quarter turns")

@@ -54,9 +54,16 @@ class TouchSites(NamedTuple):
 def sample_points(
     key: Key[Array, ""], surface: Surface, n: int, wanted: Bool[Array, " faces"] | None = None
 ) -> tuple[Float[Array, "{n} 3"], Float[Array, "{n} 3"]]:
-    """Draw n points uniformly over the area of a surface, with their outward unit normals.
+    """Draw points uniformly over the area of a surface.
 
-    `wanted` restricts them to some faces; where it leaves none, points of an arbitrary face come back.
+    Args:
+        key: Random key.
+        surface: To draw from.
+        n: Number of points.
+        wanted: Faces to draw from; by default all. Where it leaves none, points of an arbitrary face come back.
+
+    Returns:
+        Points (m) and their outward unit normals.
     """
     key_face, key_place = jax.random.split(key)
     triangles = jnp.asarray(surface.triangles)
@@ -75,7 +82,14 @@ def sample_points(
 
 
 def face_normals(surface: Surface) -> Float[Array, "faces 3"]:
-    """Outward unit normals of the faces; zero for degenerate ones."""
+    """Outward unit normals of the faces.
+
+    Args:
+        surface: With its triangles.
+
+    Returns:
+        Normals; zero for degenerate faces.
+    """
     cross = _cross(jnp.asarray(surface.triangles))
     norm = jnp.linalg.norm(cross, axis=-1, keepdims=True)
     return cross / jnp.where(norm > 0, norm, 1)
@@ -87,9 +101,16 @@ def nearest_in_square(
     half: float | Float[Array, ""],
     behind: float | Float[Array, ""] = STANDOFF,
 ) -> Float[Array, ""]:
-    """The smallest z, after the affine map `A_t_w`, of the surface inside the square |x|, |y| <= half; +inf for none.
+    """The smallest z of the surface inside the square |x|, |y| <= half, after an affine map. Exact.
 
-    Exact; what lies further than `behind` (m, may be inf) behind the origin does not count.
+    Args:
+        surface: In the world.
+        A_t_w: The map, from the world.
+        half: m, half the edge of the square.
+        behind: m, how far behind the origin a surface still counts; may be inf.
+
+    Returns:
+        z (m); +inf where the square holds no surface.
     """
     behind = jnp.asarray(behind, A_t_w.dtype)
     return _nearest(jnp.asarray(surface.triangles), A_t_w, jnp.asarray(half, A_t_w.dtype), behind)
@@ -134,10 +155,18 @@ def press_along(
     half: float | Float[Array, ""] = PAD_WINDOW / 2,
     travel: float | Float[Array, ""] = 2 * STANDOFF,
 ) -> tuple[Float[Array, "4 4"], Bool[Array, ""]]:
-    """Move the skin's flat square face from `start` (T_w_t) along a world unit vector to first contact: (T_w_t, hit).
+    """Move the skin's flat square face along a line to first contact.
 
-    Where nothing is met within `travel` metres, or the face does not move forwards (along its own z), hit is false and
-    the pose is that at the travel's end. The start should be clear of the surface; what is behind it is not met.
+    Args:
+        surface: In the world.
+        start: T_w_t, clear of the surface; what is behind it is not met.
+        direction: Unit vector in the world.
+        half: m, half the edge of the face.
+        travel: m, after which nothing was met.
+
+    Returns:
+        T_w_t at contact, and whether there was one. Where nothing is met within `travel`, or the face does not move
+        forwards (along its own z), that is false and the pose is that at the travel's end.
     """
     # The face meets a point q of the surface after s metres if q - s d lies in the square at z = 0 (tool frame), so
     # s = z / d_z: the shear (x - s d_x, y - s d_y, s) turns any forward direction into the z axis.
@@ -151,17 +180,42 @@ def press_along(
 
 
 def is_upward(T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array, ""]:
-    """First check: the surface's normal (minus tool z) is not too far from up."""
+    """First check: the surface's normal (minus tool z) is not too far from up.
+
+    Args:
+        T_w_t: Pose of the tool at the site.
+        limits: Of the angle.
+
+    Returns:
+        Whether it holds.
+    """
     return -T_w_t[2, 2] > limits.min_cos
 
 
 def is_unoccluded(surface: Surface, T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array, ""]:
-    """Second check: no surface is more than `max_rise` above the contact plane inside the sensor's square."""
+    """Second check: no surface is more than `max_rise` above the contact plane inside the sensor's square.
+
+    Args:
+        surface: In the world.
+        T_w_t: Pose of the tool at the site.
+        limits: Of the rise.
+
+    Returns:
+        Whether it holds.
+    """
     return nearest_in_square(surface, inverse(T_w_t), limits.half, behind=jnp.inf) >= -limits.max_rise
 
 
 def is_above_table(T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array, ""]:
-    """Third check: the boxes of mount and flange keep their clearance above the table."""
+    """Third check: the boxes of mount and flange keep their clearance above the table.
+
+    Args:
+        T_w_t: Pose of the tool at the site.
+        limits: The boxes and their clearance.
+
+    Returns:
+        Whether it holds.
+    """
     boxes = ((limits.mount, 0.0, limits.flange_near), (limits.flange, limits.flange_near, limits.flange_far))
     lowest = [
         T_w_t[2, 3]
@@ -173,17 +227,35 @@ def is_above_table(T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array
 
 
 def is_safe(surface: Surface, T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array, ""]:
-    """All three checks."""
+    """All three checks.
+
+    Args:
+        surface: In the world.
+        T_w_t: Pose of the tool at the site.
+        limits: Of the checks.
+
+    Returns:
+        Whether all hold.
+    """
     return is_upward(T_w_t, limits) & is_unoccluded(surface, T_w_t, limits) & is_above_table(T_w_t, limits)
 
 
 def sample_sites(
     key: Key[Array, ""], surface: Surface, n: int, limits: SiteLimits = COLLECTION_LIMITS, oversample: int = 8
 ) -> Sites:
-    """Draw n sites uniformly over the safe part of a surface, each turned about its normal by a uniformly random angle.
+    """Draw sites uniformly over the safe part of a surface, each turned about its normal by a uniformly random angle.
 
-    The first n safe ones of `oversample` n candidates are returned; where there are fewer, unsafe ones fill up, as the
-    mask tells. The two counts are static.
+    The first n safe ones of `oversample` n candidates are returned; where there are fewer, unsafe ones fill up.
+
+    Args:
+        key: Random key.
+        surface: In the world.
+        n: Number of sites; static.
+        limits: Of what is safe.
+        oversample: Candidates for each site; static.
+
+    Returns:
+        The sites, with a mask of the safe ones.
     """
     key_points, key_spin = jax.random.split(key)
     # Faces that look away fail the first check, so leaving them out changes nothing but the yield.
@@ -205,9 +277,21 @@ def collect_sites(
     name: str = "the object",
     rounds: int = 8,
 ) -> Float[Array, "{n} 4 4"]:
-    """The poses (n, 4, 4) of n safe sites, drawn in up to `rounds` rounds; for the host, so it compiles what it draws.
+    """Draw safe sites in several rounds; for the host, so it compiles what it draws.
 
-    Raises ValueError, naming the object, when they do not suffice.
+    Args:
+        key: Random key.
+        surface: In the world.
+        n: Number of sites.
+        limits: Of what is safe.
+        name: Of the object, for the message.
+        rounds: After which too few is an error.
+
+    Returns:
+        T_w_t of the sites.
+
+    Raises:
+        ValueError: The object has too few safe sites.
     """
     draw = jax.jit(sample_sites, static_argnums=(2, 3))
     found: list[Array] = []

@@ -108,8 +108,17 @@ def load(
     grid: Grid = GRID,
     series: Grid | None = None,
 ) -> Load:
-    """The load of `pressure` (Pa) and `traction` (Pa, along x and y on the skin) on the cells of `grid`, in the waves
-    that the `series` of a coarser grid of the same period has.
+    """The load of a pressure and a traction, as coefficients of a series.
+
+    Args:
+        pad: The skin.
+        pressure: Pa, on the cells of `grid`.
+        traction: Pa, along x and y on the skin; None for none.
+        grid: Cells of the pad.
+        series: A coarser grid of the same period whose waves are kept; by default all of those of `grid`.
+
+    Returns:
+        The load, ready for `interior`.
     """
     series = grid if series is None else series
     waves = spectrum(pressure, grid, series)
@@ -119,7 +128,15 @@ def load(
 
 
 def drag(traction: Float[Array, "2 k k"], grid: Grid = GRID) -> Drag:
-    """The parts of a traction's series."""
+    """The parts of a traction's series along and across each wave.
+
+    Args:
+        traction: Coefficients (Pa) along x and y.
+        grid: Of the series.
+
+    Returns:
+        The parts.
+    """
     k = grid.wavenumbers
     square = k[:, None] ** 2 + k[None, :] ** 2
     inverse = 1 / np.where(square == 0, np.inf, square)
@@ -180,7 +197,15 @@ def interior(
 
 
 def compliance(pad: Pad, grid: Grid = GRID) -> Float[Array, "k k"]:
-    """G at the grid's wavenumbers, (modes, modes), m/Pa: downward displacement of the bonded layer per pressure."""
+    """G at the grid's wavenumbers: downward displacement of the bonded layer per pressure.
+
+    Args:
+        pad: The skin.
+        grid: Of the series.
+
+    Returns:
+        m/Pa, (modes, modes).
+    """
     layer = _layer(pad, grid)
     flat = pad.thickness * (1 + pad.poisson) * (1 - 2 * pad.poisson) / (pad.young * (1 - pad.poisson))
     wavy = 2 * layer.kappa * layer.sinh * layer.cosh - 2 * layer.q * layer.fall
@@ -189,7 +214,15 @@ def compliance(pad: Pad, grid: Grid = GRID) -> Float[Array, "k k"]:
 
 
 def tangential_compliance(pad: Pad, grid: Grid = GRID) -> tuple[Float[Array, "k k"], Float[Array, "k k"]]:
-    """As `compliance`, of the surface along the traction: for its parts along and across each wave."""
+    """As `compliance`, of the surface along a traction.
+
+    Args:
+        pad: The skin.
+        grid: Of the series.
+
+    Returns:
+        m/Pa, for the parts of the traction along and across each wave.
+    """
     layer = _layer(pad, grid)
     modulus = layer.shear * layer.k
     lengthwise = (layer.kappa + 1) * (layer.kappa * layer.sinh * layer.cosh + layer.q * layer.fall)
@@ -198,7 +231,16 @@ def tangential_compliance(pad: Pad, grid: Grid = GRID) -> tuple[Float[Array, "k 
 
 
 def tangential_displacement(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "2 n n"]:
-    """Displacement (m) of the surface along x and y under a pressure (Pa) alone."""
+    """Displacement of the surface along the skin under a pressure alone.
+
+    Args:
+        pad: The skin.
+        pressure: Pa.
+        grid: Cells of the pad.
+
+    Returns:
+        m, along x and y.
+    """
     layer = _layer(pad, grid)
     along = layer.kappa * (layer.kappa - 1) * layer.sinh**2 - 2 * layer.q**2 * layer.fall
     waves = spectrum(pressure, grid) * along / (2 * layer.shear * layer.k**2 * layer.determinant)
@@ -206,12 +248,28 @@ def tangential_displacement(pad: Pad, pressure: Float[Array, "n n"], grid: Grid 
 
 
 def clamped_load(pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, ""]:
-    """The load (N) of `pressure` (Pa) on a skin clamped at its edge: the sum of w p over the pad."""
+    """The load on a skin clamped at its edge: the sum of w p over the pad.
+
+    Args:
+        pressure: Pa.
+        grid: Cells of the pad.
+
+    Returns:
+        N.
+    """
     return jnp.sum(clamped_shape(grid, pressure.dtype) * pressure) * grid.spacing**2
 
 
 def clamped_shape(grid: Grid, dtype: jnp.dtype) -> Float[Array, "n n"]:
-    """The shape w in which a skin clamped at its edge sinks, at the cell centres."""
+    """The shape w in which a skin clamped at its edge sinks, at the cell centres.
+
+    Args:
+        grid: Cells of the pad.
+        dtype: Of the result.
+
+    Returns:
+        w, 1 in the middle and 0 at the edge.
+    """
     shape, _ = _clamped(grid, grid.centres)
     return jnp.asarray(np.outer(shape, shape), dtype)
 
@@ -219,8 +277,15 @@ def clamped_shape(grid: Grid, dtype: jnp.dtype) -> Float[Array, "n n"]:
 def spectrum(
     pressure: Float[Array, "... n n"], grid: Grid = GRID, series: Grid | None = None
 ) -> Float[Array, "... k k"]:
-    """Coefficients, (modes, modes) with rows along y, of the series that equals `pressure` on the pad's cells and zero
-    on the rest of the period; or only those of its waves that the `series` of a coarser grid of the same period has.
+    """Coefficients of the series that equals a pressure on the pad's cells and zero on the rest of the period.
+
+    Args:
+        pressure: Pa, or any other density.
+        grid: Cells of the pad.
+        series: A coarser grid of the same period whose waves are kept; by default all of those of `grid`.
+
+    Returns:
+        Coefficients (modes, modes), rows along y.
     """
     series = grid if series is None else series
     k = series.wavenumbers
@@ -247,7 +312,16 @@ def evaluate(
 
 
 def convolve(kernel: Float[Array, "k k"], pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "n n"]:
-    """Multiply each wave of `pressure` by `kernel`, and evaluate the series on the pad's cells."""
+    """Multiply each wave of a pressure by a kernel, and evaluate the series on the pad's cells.
+
+    Args:
+        kernel: One factor for each wave, for instance `compliance` (m/Pa).
+        pressure: Pa.
+        grid: Cells of the pad.
+
+    Returns:
+        Values at the cell centres, in units of kernel times pressure.
+    """
     return evaluate(kernel * spectrum(pressure, grid), grid)
 
 

@@ -125,7 +125,16 @@ def apply(
 
 
 def record(key: Key[Array, ""], readings: Float[Array, "n c"], faults: Faults) -> Float[Array, "n c"]:
-    """What is written down of a session's readings: nothing new from dead axes, and some rows twice."""
+    """What is written down of a session's readings: nothing new from dead axes, and some rows twice.
+
+    Args:
+        key: Random key.
+        readings: uT, of the session's touches in order.
+        faults: Which faults the board has.
+
+    Returns:
+        The recorded readings (uT).
+    """
     key_dead, key_stale = jax.random.split(key)
     answered = jnp.where(dead_axes(key_dead, readings.shape[-1], faults.dead)[None], 0.0, readings)
     return stale_rows(key_stale, answered, faults.stale)
@@ -139,12 +148,28 @@ def mullins_softening(
     The Mullins effect: silicones soften in their first load cycles only (Case, White and Kramer, Soft Robotics 2, 2015;
     Liao et al., Int. J. Mech. Sci. 206, 2021), which here come place by place. A tenth is an assumption: for strains
     of some 10 % no figure was found.
+
+    Args:
+        reading: uT, of a new layer.
+        presses: That the pad has had.
+        size: Growth in the end, as a share.
+
+    Returns:
+        The reading (uT) of the used layer.
     """
     return reading * (1 + size * (1 - jnp.exp(-presses / WEAR_PRESSES)))
 
 
 def stress_left(seconds: Float[Array, ""] | float, size: float = 0.05) -> Float[Array, ""]:
-    """Part of the layer's stress that is left after a hold: a Prony series of shares size / 3 at PRONY_TIMES."""
+    """Part of the layer's stress that is left after a hold: a Prony series of shares size / 3 at PRONY_TIMES.
+
+    Args:
+        seconds: For which the touch was held.
+        size: Part that relaxes in the end.
+
+    Returns:
+        Between 1 - `size` and 1.
+    """
     return 1 - size * jnp.mean(1 - jnp.exp(-seconds / jnp.asarray(PRONY_TIMES_S)))
 
 
@@ -154,23 +179,40 @@ def creep(
     size: float = 0.05,
     yielding: float = 0.2,
 ) -> Float[Array, " c"]:
-    """What a reading grows to while the touch is held and the stress in the layer relaxes by up to `size`.
+    """What a reading grows to while the touch is held and the stress in the layer relaxes.
 
     A held depth keeps the layer's shape, and so its field. But the arm yields: with s = layer / (layer + arm), the part
     of the press that the arm takes up, the indentation grows by 1 / (1 - s (1 - g)) where g of the stress is left, and
     the reading is taken to follow it. s = 0.2 is a tip of 2.5 N/mm on an arm of 10 N/mm; 0 is a held depth, 1 a held
     force. 5 % of relaxation is an assumption: silicone relaxes considerably when new and hardly when it was strained
     before (Liao et al., Polymer Testing 86, 2020), and skins are in use.
+
+    Args:
+        reading: uT, at the start of the hold.
+        seconds: For which the touch is held.
+        size: Part of the stress that relaxes in the end.
+        yielding: s above.
+
+    Returns:
+        The reading (uT) at the end of the hold.
     """
     return reading / (1 - yielding * (1 - stress_left(seconds, size)))
 
 
 def apply_hysteresis(key: Key[Array, ""], readings: Float[Array, "n c"], size: float = 0.3) -> Float[Array, "n c"]:
-    """Hysteresis: one chip, drawn for the session, adds `size` times the press before to each reading.
+    """Hysteresis: one chip, drawn for the session, adds a part of the press before to each reading.
 
     On a real ReSkin board one chip was up to 35 uT off after a press, where a strong press is 107 uT (p95);
     hysteresis and slip look alike there. Negative if the ambient was measured on the memory and the press wipes
     it out.
+
+    Args:
+        key: Random key.
+        readings: uT, of the session's touches in order.
+        size: That part.
+
+    Returns:
+        The readings (uT) with it.
     """
     chips = readings.shape[-1] // 3
     chip = jnp.repeat(jnp.arange(chips) == jax.random.randint(key, (), 0, chips), 3)
@@ -181,10 +223,19 @@ def apply_hysteresis(key: Key[Array, ""], readings: Float[Array, "n c"], size: f
 def induced(
     place: Float[Array, "3"], magnetising: Float[Array, "3"], radius: float, board: Board
 ) -> Float[Array, " c"]:
-    """Reading (uT) of a steel ball of `radius` (m) at `place` (m, tool frame) in a field of `magnetising` (uT).
+    """Reading of a steel ball in a magnetic field.
 
     A highly permeable ball in a uniform field B has the moment 4 pi radius^3 B / mu0 (Jackson, Classical
     Electrodynamics, section 5.11).
+
+    Args:
+        place: m, of the ball in the tool frame.
+        magnetising: uT, the field in which it is.
+        radius: m, of the ball.
+        board: That reads it.
+
+    Returns:
+        The reading (uT).
     """
     moment = radius**3 * magnetising / (MU0_OVER_4PI * MICROTESLA)
     return MICROTESLA * board.to_board(dipole_field(jnp.asarray(board.chips), place[None], moment[None]))
@@ -193,10 +244,18 @@ def induced(
 def ferrous(
     reading: Float[Array, " c"], direction: Float[Array, "3"], board: Board, size: float = 7.0
 ) -> Float[Array, " c"]:
-    """A steel tip adds `size` times the touch's norm, shared out as the field of a ball of 2 mm on the skin's centre
-    that the pad magnetises along `direction`.
+    """A steel tip adds a multiple of the touch's norm, shared out as the field of a ball of 2 mm on the skin's centre.
 
     Presses with a steel tip gave 6-10 times more per newton than with a plastic one: 8 times is 7 on top.
+
+    Args:
+        reading: uT, with a plastic tip.
+        direction: Along which the pad magnetises the ball.
+        board: That reads it.
+        size: That multiple.
+
+    Returns:
+        The reading (uT) with the steel tip.
     """
     pattern = induced(jnp.asarray([0.0, 0.0, 1e-3]), direction, 1e-3, board)
     norm = jnp.sqrt(jnp.sum(reading**2) + 1e-12)  # with a derivative at zero
@@ -204,10 +263,18 @@ def ferrous(
 
 
 def ambient_field(key: Key[Array, ""], earth: float = 48.0, room: float = 10.0) -> Float[Array, "3"]:
-    """The uniform field (uT, W) of a place: the earth's, at its dip and an unknown compass bearing, and the room's.
+    """The uniform field of a place: the earth's, at its dip and an unknown compass bearing, and the room's.
 
     48 uT is central Europe's (IGRF-13, 2020). Iron in walls, table and robot adds tens of microtesla; 10 uT for each
     component is an assumption, as is that the robot's own iron is far.
+
+    Args:
+        key: Random key.
+        earth: uT, the earth's.
+        room: uT, standard deviation of each component of the room's.
+
+    Returns:
+        The field (uT, world axes).
     """
     key_bearing, key_room = jax.random.split(key)
     bearing = jax.random.uniform(key_bearing, maxval=2 * np.pi)
@@ -217,23 +284,48 @@ def ambient_field(key: Key[Array, ""], earth: float = 48.0, room: float = 10.0) 
 
 @geometry.full_precision
 def ambient(T_w_t: Float[Array, "4 4"], field: Float[Array, "3"], board: Board) -> Float[Array, " c"]:
-    """Reading of a uniform field (uT, W) by a board in the pose T_w_t: one vector for all chips, each in its axes."""
+    """Reading of a uniform field: one vector for all chips, each in its axes.
+
+    Args:
+        T_w_t: Pose of the tool.
+        field: uT, world axes.
+        board: That reads it.
+
+    Returns:
+        The reading (uT).
+    """
     return board.to_board(jnp.broadcast_to(T_w_t[:3, :3].T @ field, (board.num_chips, 3)))
 
 
 def subtract_ambient(values: Float[Array, "n c"], every: int) -> Float[Array, "n c"]:
-    """Slow additive terms less what they were when the ambient was last measured, at every `every`-th touch.
+    """Slow additive terms less what they were when the ambient was last measured.
 
     Measured at each touch, in the pose of the touch, it takes them all away.
+
+    Args:
+        values: uT, the terms at each touch of a session.
+        every: Touches from one measurement of the ambient to the next.
+
+    Returns:
+        What is left of them (uT).
     """
     touch = np.arange(values.shape[0])
     return values - values[touch // every * every]
 
 
 def temperature_drift(key: Key[Array, ""], touches: int, chips: int, size: float = 10.0) -> Float[Array, "n chips"]:
-    """Warming (K) of each chip at each touch of a session that begins cold: all but a twentieth of `size` by its end.
+    """Warming of each chip at each touch of a session that begins cold: all but a twentieth of `size` by its end.
 
     Real boards were recorded at 22-32 C, their chips 1-2.5 K apart. Exponential in the number of the touch.
+
+    Args:
+        key: Random key.
+        touches: Of the session.
+        chips: Of the board.
+        size: K.
+
+    Returns:
+        Warming (K).
     """
     uneven = WARMING_SPREAD * jax.random.uniform(key, (chips,), minval=-1.0)
     course = 1 - jnp.exp(-3 * jnp.arange(touches) / max(touches - 1, 1))
@@ -249,29 +341,58 @@ def apply_warming(
     gain: float = -1.2e-3,
     drift: float = 0.2,
 ) -> tuple[Float[Array, " c"], Float[Array, " c"]]:
-    """A reading (uT) in a skin warmer by `kelvin` at each chip, and what its zero has drifted by.
+    """A reading in a warmer skin, and what its zero has drifted by.
 
     The magnets weaken by 0.12 % per kelvin (remanence of neodymium magnets, makers' tables): the reading by that
-    factor, and the zero by that part of the pad's own field at `rest` (6 uT/K at 5 mT, enough for the drifts of up to
-    64 uT that real boards show). The chips' own drift, `drift` times `offset` (standard normal) in uT/K, is what drifts
-    of 1-15 uT over 10 K leave for boards with a weak pad.
+    factor, and the zero by that part of the pad's own field at rest (6 uT/K at 5 mT, enough for the drifts of up to
+    64 uT that real boards show). The chips' own drift is what drifts of 1-15 uT over 10 K leave for boards with a weak
+    pad.
+
+    Args:
+        reading: uT, of the cold skin.
+        rest: uT, the pad's own field at rest.
+        kelvin: Warming of each chip.
+        offset: Standard normal, of the chips' own drifts.
+        gain: Change of the magnets per kelvin, as a share.
+        drift: uT/K, size of the chips' own drifts.
+
+    Returns:
+        The reading and the drift of its zero (uT).
     """
     warmer = jnp.repeat(kelvin, 3)
     return reading * (1 + gain * warmer), warmer * (gain * rest + drift * offset)
 
 
 def gains(key: Key[Array, ""], channels: int, size: float = 0.05) -> Float[Array, " c"]:
-    """Gains of the chips' axes about 1, at most three `size` away. 5 % is an assumption, as in `pad.sample_pad`."""
+    """Gains of the chips' axes about 1, at most three `size` away. 5 % is an assumption, as in `pad.sample_pad`.
+
+    Args:
+        key: Random key.
+        channels: Of the board, three for each chip.
+        size: Standard deviation.
+
+    Returns:
+        The gains.
+    """
     return 1 + size * jax.random.truncated_normal(key, -3.0, 3.0, (channels,))
 
 
 def saturate(
     reading: Float[Array, " c"], rest: Float[Array, " c"], range_xy: float = RANGE_XY_UT, range_z: float = RANGE_Z_UT
 ) -> Float[Array, " c"]:
-    """A change of field from `rest` (uT), where each axis ends at its full scale.
+    """A change of field where each axis ends at its full scale.
 
     16 bits: 2^15 steps of 0.150 uT (x, y) and 0.242 uT (z) at gain 7 and resolution 0 (MLX90393 data sheet, sensitivity
-    table; its features name 5 mT as the smallest range). A range of 0 has no end.
+    table; its features name 5 mT as the smallest range).
+
+    Args:
+        reading: uT, the change.
+        rest: uT, from which it begins.
+        range_xy: uT, full scale of x and y; 0 has no end.
+        range_z: uT, of z.
+
+    Returns:
+        The change (uT) that is read.
     """
     limit = np.tile([range_xy or np.inf, range_xy or np.inf, range_z or np.inf], reading.shape[-1] // 3)
     # Written as a correction, so that a reading in range is left as it is and not rounded to the field at rest.
@@ -281,15 +402,32 @@ def saturate(
 
 
 def dead_axes(key: Key[Array, ""], channels: int, count: int = 1) -> Bool[Array, " c"]:
-    """`count` axes, drawn anew for each board, whose readings no longer change."""
+    """Axes, drawn anew for each board, whose readings no longer change.
+
+    Args:
+        key: Random key.
+        channels: Of the board, three for each chip.
+        count: How many are dead.
+
+    Returns:
+        True for dead axes.
+    """
     return jax.random.permutation(key, channels) < count
 
 
 def stale_rows(key: Key[Array, ""], readings: Float[Array, "n c"], size: float = 0.01) -> Float[Array, "n c"]:
-    """Each row but the first repeats the one recorded before it with probability `size`.
+    """Each row but the first repeats the one recorded before it with a small probability.
 
     The public driver hands out buffers of up to 48 old frames, 0.12 s at 400 Hz and longer than the burst that makes a
     reading. How often was not recorded; one in a hundred is an assumption.
+
+    Args:
+        key: Random key.
+        readings: uT, of the session's touches in order.
+        size: That probability.
+
+    Returns:
+        The recorded readings (uT).
     """
     touch = jnp.arange(readings.shape[0])
     fresh = jax.random.uniform(key, touch.shape) >= size
