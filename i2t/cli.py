@@ -8,8 +8,14 @@ from i2t.errors import DeviceError
 
 
 def ended(work: Callable[[], Any], interrupted: str = "interrupted") -> int:
-    """The exit code of a command that does `work`: what its user can mend is said in one sentence (2), and after Ctrl-C
-    how things stand (130). An exit code that `work` returns is passed on.
+    """Do a command's work and say how it ended: what its user can mend in one sentence, after Ctrl-C how things stand.
+
+    Args:
+        work: Of the command; an int that it returns is the exit code.
+        interrupted: The sentence after Ctrl-C.
+
+    Returns:
+        The exit code: that of `work` or 0, 2 after an error, 130 after Ctrl-C.
     """
     try:
         code = work()

@@ -45,12 +45,30 @@ class ConversionLog:
 
 
 def data_error(path: Path, problem: str) -> DataError:
-    """The sentence about a file that is not as its author wrote it."""
+    """The error about a file that is not as its author wrote it.
+
+    Args:
+        path: Of the file.
+        problem: What is wrong with it.
+
+    Returns:
+        The error, with one sentence.
+    """
     return DataError(f"{path}: {problem}; restore it from the source")
 
 
 def read_bytes(path: Path) -> bytes:
-    """The contents of a file, unzipped where its name ends in .gz. Raises DataError."""
+    """The contents of a file, unzipped where its name ends in .gz.
+
+    Args:
+        path: Of the file.
+
+    Returns:
+        The contents.
+
+    Raises:
+        DataError: It cannot be read.
+    """
     try:
         raw = path.read_bytes()
         return gzip.decompress(raw) if path.suffix == ".gz" else raw
@@ -60,7 +78,17 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """The contents of a text file, as `read_bytes`. Raises DataError."""
+    """The contents of a text file, unzipped as by `read_bytes`.
+
+    Args:
+        path: Of the file.
+
+    Returns:
+        The text.
+
+    Raises:
+        DataError: It cannot be read, or is no text.
+    """
     try:
         return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -68,7 +96,18 @@ def read_text(path: Path) -> str:
 
 
 def read_numbers(path: Path, columns: tuple[int, ...]) -> np.ndarray:
-    """A comma-separated table of numbers without a header, (rows, one of `columns`) float64. Raises DataError."""
+    """A comma-separated table of numbers without a header.
+
+    Args:
+        path: Of the file.
+        columns: How many columns it may have.
+
+    Returns:
+        (rows, columns) float64.
+
+    Raises:
+        DataError: It cannot be read, or is no such table.
+    """
     text = read_text(path)
     if not text.strip():
         raise data_error(path, "is empty")

@@ -41,12 +41,29 @@ class _Refused(pickle.UnpicklingError):
 
 
 def find(path: Path) -> Path | None:
-    """The file itself or the one that `np.save` made of its name by adding .npy."""
+    """The file itself or the one that `np.save` made of its name by adding .npy.
+
+    Args:
+        path: Name of the file.
+
+    Returns:
+        The path of the file that exists, None where neither does.
+    """
     return next((p for p in (path, path.with_name(path.name + ".npy")) if p.is_file()), None)
 
 
 def read(path: Path) -> np.ndarray | list[Any]:
-    """An array of numbers, or an object array as nested lists of numbers, texts and None. Raises DataError."""
+    """Read an array of numbers, or an object array as nested lists of numbers, texts and None.
+
+    Args:
+        path: Of the file.
+
+    Returns:
+        The array or the lists.
+
+    Raises:
+        DataError: The file cannot be read, or holds anything else.
+    """
     stream = io.BytesIO(read_bytes(path))
     try:
         with warnings.catch_warnings():

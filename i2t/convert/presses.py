@@ -106,7 +106,14 @@ def convert(
 
 
 def sphere(radius: float) -> Profile:
-    """The lower half of a sphere: h = R - sqrt(R^2 - r^2)."""
+    """The lower half of a sphere: h = R - sqrt(R^2 - r^2).
+
+    Args:
+        radius: m.
+
+    Returns:
+        Its profile.
+    """
 
     def profile(r: np.ndarray) -> np.ndarray:
         return np.where(r < radius, radius - np.sqrt(np.maximum(radius**2 - r**2, 0)), np.inf)
@@ -115,7 +122,14 @@ def sphere(radius: float) -> Profile:
 
 
 def cylinder(radius: float) -> Profile:
-    """The flat end of a cylinder."""
+    """The flat end of a cylinder.
+
+    Args:
+        radius: m.
+
+    Returns:
+        Its profile.
+    """
     return lambda r: np.where(r <= radius, 0.0, np.inf)
 
 

@@ -278,7 +278,14 @@ class RealSense(CameraBase):
 
 
 def devices(rs: Any) -> list[tuple[str, str]]:
-    """SessionInfo and serial numbers of the cameras that are plugged in."""
+    """The cameras that are plugged in.
+
+    Args:
+        rs: The module pyrealsense2.
+
+    Returns:
+        Name and serial number of each.
+    """
     info = rs.camera_info
     return [(each.get_info(info.name), each.get_info(info.serial_number)) for each in rs.context().query_devices()]
 

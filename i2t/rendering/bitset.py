@@ -9,22 +9,50 @@ WORD_BITS = 32
 
 
 def as_uint32(value: int) -> np.uint32:
-    """A constant of the type of words."""
+    """A constant of the type of words.
+
+    Args:
+        value: From 0 to 2^32 - 1.
+
+    Returns:
+        The constant.
+    """
     return np.uint32(value)
 
 
 def popcount(words: UInt[Array, "*n"]) -> Int[Array, "*n"]:
-    """How many bits are set."""
+    """How many bits are set.
+
+    Args:
+        words: Of bits.
+
+    Returns:
+        The number for each word.
+    """
     return jax.lax.population_count(words).astype(jnp.int32)
 
 
 def lowest_set_bit(words: UInt[Array, "*n"]) -> Int[Array, "*n"]:
-    """Index of the lowest set bit (-1 if there is none)."""
+    """Index of the lowest set bit.
+
+    Args:
+        words: Of bits.
+
+    Returns:
+        The index for each word; -1 if there is none.
+    """
     return 31 - jax.lax.clz(words & (~words + as_uint32(1))).astype(jnp.int32)
 
 
 def bitwise_or_reduce(words: list[Array]) -> Array:
-    """All set bits of several words."""
+    """All set bits of several words.
+
+    Args:
+        words: Arrays of words.
+
+    Returns:
+        Their union, word by word.
+    """
     total = words[0]
     for other in words[1:]:
         total = total | other
@@ -32,12 +60,26 @@ def bitwise_or_reduce(words: list[Array]) -> Array:
 
 
 def pack_bits(flags: list[Array]) -> Array:
-    """Words whose bit i is flags[i]."""
+    """Words of flags.
+
+    Args:
+        flags: Arrays of booleans, one for each bit.
+
+    Returns:
+        Words whose bit i is flags[i].
+    """
     return bitwise_or_reduce([flag.astype(jnp.uint32) << as_uint32(i) for i, flag in enumerate(flags)])
 
 
 def cumulative_popcounts(words: UInt[Array, "p n"]) -> Int[Array, "p n"]:
-    """How many bits are set up to and including each word of a row."""
+    """How many bits are set up to and including each word of a row.
+
+    Args:
+        words: Of bits, in rows.
+
+    Returns:
+        The running sums.
+    """
     counts = popcount(words).astype(jnp.float32)  # a product with a triangle of ones is quickest; exact below 2^24
     return (counts @ jnp.triu(jnp.ones((words.shape[1],) * 2, jnp.float32))).astype(jnp.int32)
 
@@ -45,9 +87,16 @@ def cumulative_popcounts(words: UInt[Array, "p n"]) -> Int[Array, "p n"]:
 def select_kth_set_bit(
     words: UInt[Array, "p n"], sums: Int[Array, "p n"], row: Int[Array, "*#m"], order: Int[Array, "*#m"]
 ) -> tuple[Int[Array, "*m"], Int[Array, "*m"]]:
-    """Word and bit of the set bits of number `order` in the bit lists `row`, whose running sums are `sums`.
+    """The k-th set bit of a row of words.
 
-    Numbers beyond the last give the last word.
+    Args:
+        words: Of bits, in rows.
+        sums: Running sums of the set bits, of `cumulative_popcounts`.
+        row: In which to look.
+        order: k, from 0; beyond the last it gives the last word.
+
+    Returns:
+        Indices of the word in its row and of the bit in its word.
     """
     last = words.shape[1] - 1
     row, order = jnp.broadcast_arrays(row, order)

@@ -118,7 +118,15 @@ class SessionErrors(NamedTuple):
 
 
 def sample_session_errors(key: Key[Array, ""], errors: SimulationErrors) -> SessionErrors:
-    """Draw the placement and hand-eye errors of one session."""
+    """Draw the placement and hand-eye errors of one session.
+
+    Args:
+        key: Random key.
+        errors: Their sizes.
+
+    Returns:
+        The errors.
+    """
     key_placement, key_camera = jax.random.split(key)
     return SessionErrors(
         geometry.random_motion(key_placement, errors.placement, errors.placement_angle),
@@ -129,7 +137,16 @@ def sample_session_errors(key: Key[Array, ""], errors: SimulationErrors) -> Sess
 def apply_camera_model(
     key: Key[Array, ""], z: Float[Array, "wide wide"], errors: SimulationErrors
 ) -> tuple[Float[Array, "wide wide"], Patch]:
-    """What the depth camera makes of heights `z` (m along tool z): the wide view and its patch (see `cut`)."""
+    """What the depth camera makes of heights.
+
+    Args:
+        key: Random key.
+        z: m along tool z.
+        errors: Sizes of the camera's errors.
+
+    Returns:
+        The wide view and its patch, as of `extract_patch`.
+    """
     row, column = jnp.meshgrid(jnp.arange(WIDE_PIXELS), jnp.arange(WIDE_PIXELS), indexing="ij")
     drawn = jax.random.normal(key, (3, *z.shape))  # one draw: each takes XLA a second to compile
     shift = jnp.round(errors.depth_bleed * drawn[:2]).astype(jnp.int32)
@@ -141,12 +158,18 @@ def apply_camera_model(
 
 
 def extract_patch(z: Float[Array, "wide wide"]) -> tuple[Float[Array, "wide wide"], Patch]:
-    """A wide view (m along tool z from the tool origin, +inf where nothing is seen) as the model sees it.
+    """A wide view as the model sees it, and its patch.
 
     Depths (m) are measured from the patch's nearest point and clipped to 0 and the reach; what lies outside the patch
     and is nearer reads 0. Nearest is the least mean of 5 x 5 pixels, of which those on the window's nearest surface
     count (a sigma filter; Lee, CVGIP 24, 1983) and must be at least ten, or as many as there are anywhere: few pixels
     would be the noisiest rather than the nearest.
+
+    Args:
+        z: m along tool z from the tool origin, +inf where nothing is seen.
+
+    Returns:
+        Depths of the wide view (m), and the patch in its middle.
     """
     central = _centre(z, PATCH_WINDOW)
     inner = PATCH_PIXELS - 4

@@ -198,7 +198,15 @@ def _track(grid: Grid, forced: bool, at: tuple, change: tuple) -> tuple[tuple, t
 
 
 def conjugate_gradients(operator: Callable[[Array], Array], b: Array) -> Array:
-    """x with operator(x) = b, of a symmetric operator that is positive on a subspace with b in it; x is in it too."""
+    """Solve operator(x) = b.
+
+    Args:
+        operator: Symmetric, and positive on a subspace with `b` in it.
+        b: Right side.
+
+    Returns:
+        x, in that subspace.
+    """
     tolerance = (20 * float(jnp.finfo(b.dtype).eps)) ** 2 * jnp.sum(b * b)
 
     def step(now: tuple) -> tuple:
@@ -323,5 +331,12 @@ def _contact(
 
 
 def positive(x: Array) -> Array:
-    """`x`, or the smallest normal number where it is not above it, so that dividing is safe."""
+    """A number by which dividing is safe.
+
+    Args:
+        x: Any number.
+
+    Returns:
+        `x`, or the smallest normal number where it is not above it.
+    """
     return jnp.maximum(x, jnp.finfo(x.dtype).tiny)

@@ -37,7 +37,16 @@ MICROTESLA = 1e6
 def dipole_field(
     points: Float[Array, "m 3"], positions: Float[Array, "n 3"], moments: Float[Array, "n 3"]
 ) -> Float[Array, "m 3"]:
-    """Flux density (T) at `points` (m) of dipoles at `positions` (m) with `moments` (A m2); not finite on a dipole."""
+    """Flux density of dipoles.
+
+    Args:
+        points: m.
+        positions: m, of the dipoles.
+        moments: A m2.
+
+    Returns:
+        T; not finite on a dipole.
+    """
     return jax.vmap(_field, (0, None, None))(points, positions.T, moments.T)
 
 
@@ -79,7 +88,19 @@ def pressed_field(
     nodes: int = CELL_NODES,
     traction: Float[Array, "2 n n"] | None = None,
 ) -> Float[Array, "chips 3"]:
-    """Field (uT, tool axes) of the pad's magnets at the chips under a load; arguments as for `response`."""
+    """Field of the pad's magnets at the chips under a load.
+
+    Args:
+        pad: The skin on its board.
+        pressure: Pa, on the cells of `grid`.
+        grid: Of the loads.
+        dipoles: A coarser grid of the same period, with fewer dipoles than one under each cell of `grid`.
+        nodes: Sheets of dipoles across the thickness.
+        traction: Pa, along x and y.
+
+    Returns:
+        uT, tool axes.
+    """
     dipoles = grid if dipoles is None else dipoles
     loaded = load(pad, pressure, traction, grid, dipoles)
 
@@ -93,7 +114,16 @@ def pressed_field(
 
 
 def rest_field(pad: Pad, dipoles: Grid = GRID, nodes: int = CELL_NODES) -> Float[Array, "chips 3"]:
-    """Field (uT, tool axes) of the pad's magnets at the chips when nothing touches it."""
+    """Field of the pad's magnets at the chips when nothing touches it.
+
+    Args:
+        pad: The skin on its board.
+        dipoles: Grid with one dipole under each cell.
+        nodes: Sheets of dipoles across the thickness.
+
+    Returns:
+        uT, tool axes.
+    """
 
     def sheet(magnets: tuple[Array, Array]) -> Array:
         depth, moments = magnets
@@ -105,9 +135,15 @@ def rest_field(pad: Pad, dipoles: Grid = GRID, nodes: int = CELL_NODES) -> Float
 def sheets(
     pad: Pad, dipoles: Grid = GRID, nodes: int = CELL_NODES
 ) -> tuple[Float[Array, " d"], Float[Array, "d 3 n n"]]:
-    """The dipoles at rest: depths (m) of their sheets, and moments (A m2, x, y and z) under the cell centres.
+    """The dipoles at rest. A cell of `dipoles` takes the magnetization of the map's cell in which its centre lies.
 
-    A cell of `dipoles` takes the magnetization of the map's cell in which its centre lies.
+    Args:
+        pad: The skin.
+        dipoles: Grid with one dipole under each cell.
+        nodes: Sheets of dipoles across the thickness.
+
+    Returns:
+        Depths (m) of the sheets, and moments (A m2, x, y and z) under the cell centres.
     """
     roots, weights = np.polynomial.legendre.leggauss(nodes)
     depths = pad.thickness * (0.5 + 0.5 * roots)
@@ -120,7 +156,15 @@ def sheets(
 
 
 def turn(rotation: Float[Array, "3 ..."], moments: Float[Array, "3 ..."]) -> Float[Array, "3 ..."]:
-    """Cayley's rotation of m by w: m + 4 / (4 + w.w) (w x m + w x (w x m) / 2), components first."""
+    """Cayley's rotation of m by w: m + 4 / (4 + w.w) (w x m + w x (w x m) / 2).
+
+    Args:
+        rotation: w (rad), components first.
+        moments: m, components first.
+
+    Returns:
+        The turned moments.
+    """
     first = _cross(rotation, moments)
     second = _cross(rotation, first)
     share = 4 / (4 + sum(w * w for w in rotation))
@@ -133,7 +177,14 @@ def _cross(a: Sequence[Array] | Array, b: Sequence[Array] | Array) -> tuple[Arra
 
 
 def cell_means(cells: int) -> np.ndarray:
-    """(n, n): means over cells of a smooth function, from its values at their centres; one-sided at the ends."""
+    """Weights that take a smooth function's values at cell centres to its means over the cells; one-sided at the ends.
+
+    Args:
+        cells: Their number n.
+
+    Returns:
+        (n, n).
+    """
     middle = np.clip(np.arange(cells), 1, cells - 2)[:, None] - np.arange(cells)[None, :]
     return np.eye(cells) + ((np.abs(middle) == 1) * 1 - (middle == 0) * 2) / 24
 

@@ -46,7 +46,16 @@ class Shear(NamedTuple):
 
 
 def rest(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Shear:
-    """The skin under `pressure` (Pa) without traction: as pressed without friction, or before anything touches."""
+    """The skin under a pressure without traction: as pressed without friction, or before anything touches.
+
+    Args:
+        pad: The skin.
+        pressure: Pa.
+        grid: Cells of the pad.
+
+    Returns:
+        Its state.
+    """
     none = jnp.zeros((2, grid.cells, grid.cells), pressure.dtype)
     return Shear(
         traction=none,

@@ -48,8 +48,17 @@ def cylinder_field(
     magnetization: Float[Array, ""] | float,
     nodes: int = CYLINDER_NODES,
 ) -> Float[Array, "3"]:
-    """Flux density (T) at `point` (m) of one cylinder centred at the origin, in the cylinder's own axes, inside it too;
-    not finite on its curved surface.
+    """Flux density of one cylinder centred at the origin, in the cylinder's own axes, inside it too.
+
+    Args:
+        point: m.
+        radius: m.
+        height: m.
+        magnetization: A/m, along the axis.
+        nodes: Of the integral round the cylinder.
+
+    Returns:
+        T; not finite on the curved surface.
     """
     angles = 2 * np.pi * np.arange(nodes) / nodes
     cosine, sine = np.cos(angles), np.sin(angles)
@@ -72,7 +81,16 @@ def cylinder_field(
 
 @geometry.full_precision
 def field(points: Float[Array, "m 3"], magnets: Magnets, nodes: int = CYLINDER_NODES) -> Float[Array, "m 3"]:
-    """Flux density (T, tool axes) of all magnets together at `points` (m)."""
+    """Flux density of all magnets together.
+
+    Args:
+        points: m, tool frame.
+        magnets: In the tool frame.
+        nodes: Of the integral round each magnet.
+
+    Returns:
+        T, tool axes.
+    """
 
     def one(point: Array, magnet: Magnets) -> Array:
         local = magnet.rotations.T @ (point - magnet.positions)
@@ -84,7 +102,16 @@ def field(points: Float[Array, "m 3"], magnets: Magnets, nodes: int = CYLINDER_N
 
 @geometry.full_precision
 def moved(magnets: Magnets, displacement: Float[Array, "k 3"], rotation: Float[Array, "k 3"]) -> Magnets:
-    """Each magnet displaced (m) and turned about its own centre by a rotation vector (rad) in tool axes."""
+    """Magnets after displacements and rotations, each about its own centre.
+
+    Args:
+        magnets: At rest.
+        displacement: m, tool axes.
+        rotation: Rotation vectors (rad), tool axes.
+
+    Returns:
+        The moved magnets.
+    """
     return magnets._replace(
         positions=magnets.positions + displacement,
         rotations=jax.vmap(geometry.so3_exp)(rotation) @ magnets.rotations,
@@ -98,7 +125,18 @@ def response(
     rotation: Float[Array, "k 3"],
     nodes: int = CYLINDER_NODES,
 ) -> Float[Array, " c"]:
-    """The noise-free reading (uT) of magnets moved from rest (see `moved`): the change of field at the chips."""
+    """The noise-free reading of magnets moved from rest (see `moved`): the change of field at the chips.
+
+    Args:
+        board: Whose chips read it.
+        magnets: At rest.
+        displacement: m, tool axes.
+        rotation: Rotation vectors (rad), tool axes.
+        nodes: Of the integral round each magnet.
+
+    Returns:
+        The reading (uT).
+    """
     chips = jnp.asarray(board.chips)
     change = field(chips, moved(magnets, displacement, rotation), nodes) - field(chips, magnets, nodes)
     return MICROTESLA * board.to_board(change)

@@ -222,9 +222,17 @@ def numbered_pad(number: int, *, board: Board | None = None) -> Pad:
 
 
 def sample_magnetization(key: Key[Array, ""], spread: float | Array = 1.0) -> Float[Array, "m m 3"]:
-    """A magnetization of root mean square 1 that is as uneven as real skins': patches of some 2.5 mm about a common
-    direction, stronger along some axes than others and in some places than others (some chips 100 uT, others 10 uT for
+    """A magnetization as uneven as real skins': patches of some 2.5 mm about a common direction.
+
+    It is stronger along some axes than others and at some positions than others (some chips 100 uT, others 10 uT for
     the same press). The sizes are assumptions that meet what real boards show; see `sample_pad`.
+
+    Args:
+        key: Random key.
+        spread: Of the patches' length, as a multiple of the assumed one; 0 gives 2.5 mm.
+
+    Returns:
+        The map, of root mean square 1.
     """
     key_length, key_patches, key_common, key_axes, key_places = jax.random.split(key, 5)
     length = 2.5e-3 * jnp.exp(spread * 0.2 * jax.random.normal(key_length))
@@ -235,9 +243,19 @@ def sample_magnetization(key: Key[Array, ""], spread: float | Array = 1.0) -> Fl
 
 
 def magnetization_pattern(pattern: str, cells: int = MAP_CELLS) -> Float[Array, "m m 3"]:
-    """A magnetization map in units of its strength: `poles` (4 x 4, up and down in turn, as in ReSkin's first paper),
-    `uniform` (up) or `magnets` (four upright magnets of 6 mm, up and down in turn, in a skin that is else not magnetic;
-    `i2t.skin.magnets` has their exact field). Raises ValueError for any other name.
+    """A regular magnetization map.
+
+    Args:
+        pattern: `poles` (4 x 4, up and down in turn, as in ReSkin's first paper), `uniform` (up) or `magnets` (four
+            upright magnets of 6 mm, up and down in turn, in a skin that is else not magnetic; `i2t.skin.magnets` has
+            their exact field).
+        cells: Of the map along an edge.
+
+    Returns:
+        The map, in units of its strength.
+
+    Raises:
+        ValueError: There is no such pattern.
     """
     quarter = np.arange(cells) * 4 // cells
     half = np.arange(cells) * 2 // cells
@@ -255,7 +273,16 @@ def magnetization_pattern(pattern: str, cells: int = MAP_CELLS) -> Float[Array, 
 
 
 def smooth_random(key: Key[Array, ""], length: float | Array, cells: int = MAP_CELLS) -> Float[Array, "m m 3"]:
-    """A random vector map: normal, each component of variance 1, correlated as exp(-d^2 / (2 length^2)) over d (m)."""
+    """A random vector map: normal, each component of variance 1, correlated as exp(-d^2 / (2 length^2)) over d.
+
+    Args:
+        key: Random key.
+        length: m.
+        cells: Of the map along an edge.
+
+    Returns:
+        The map.
+    """
     places = (np.arange(cells) + 0.5) / cells * PAD_WINDOW
     distance = places[:, None] - places[None, :]
     # One part in a thousand of white noise keeps the covariance safely positive in float32.
