@@ -20,10 +20,15 @@ def main(out: str = "press.png") -> np.ndarray:
     for chip, (bx, by, bz) in enumerate(np.asarray(pressed.reading).reshape(-1, 3)):
         print(f"chip {chip}: {bx:7.1f} {by:7.1f} {bz:7.1f} uT")
     # Where the ball touches, the skin's surface follows it.
-    sunk = np.clip(0.4e-3 - (x**2 + y**2) / (2 * 8e-3), 0, None)
+    indentation = np.clip(0.4e-3 - (x**2 + y**2) / (2 * 8e-3), 0, None)
     board = i2t.Board(*map(np.asarray, pad.board))
     figure = viz.plot_press(
-        np.asarray(pressed.pressure), sunk, board, np.asarray(pressed.reading), "A ball, 0.4 mm deep", simulated=True
+        np.asarray(pressed.pressure),
+        indentation,
+        board,
+        np.asarray(pressed.reading),
+        "A ball, 0.4 mm deep",
+        simulated=True,
     )
     viz.save_figure(figure, out)
     return np.asarray(pressed.reading)

@@ -186,7 +186,7 @@ class LiveEpisode:
         self.touches.append(touch)
         self.infos.append(info)
         best = np.argsort(-info.probability)[:3]
-        unknown = f"; none of these {info.unknown:.1%}" if self.recognizer.config.prior_unknown else ""
+        unknown = f"; unknown object {info.unknown:.1%}" if self.recognizer.config.prior_unknown else ""
         believed = ", ".join(f"{self.recognizer.names[i]} {info.probability[i]:.1%}" for i in best)
         print(f"  believed: {believed}{unknown}", flush=True)
 
@@ -223,7 +223,7 @@ def conclude(
     )
     write_episode_report(record, args.out / "story")
     stood = "" if true_object is None else f"; it was the {true_object} (simulated)"
-    said = "it is none of these" if info.name is None else f"it is the {info.name}"
+    said = "it is an unknown object" if info.name is None else f"it is the {info.name}"
     print(f"\n{said}, {info.confidence:.1%} sure after {len(p)} touches{stood}")
     print(f"touches/, result.json and story/ are in {args.out}")
     return result

@@ -116,37 +116,37 @@ def test_the_stated_spread_is_the_spread_of_the_errors():
     hyper = HYPER._replace(noise=jnp.array(1.0))
     K, unit = covariance(hyper, train, train, None)
     K, _ = covariance(hyper, both, both, unit)
-    channels = 400  # drawn from the process itself
+    channels = 400  # drawn from the Gaussian process itself
     signal = np.linalg.cholesky(K + 1e-6 * np.eye(120)) @ rng.normal(size=(120, channels))
     readings = 10 * (signal + rng.normal(size=signal.shape))
-    process = fit(hyper, train, jnp.float32(readings[:60]))
-    mean, std = predict(process, other)
+    fitted = fit(hyper, train, jnp.float32(readings[:60]))
+    mean, std = predict(fitted, other)
 
     def is_one_on_average(squares: np.ndarray) -> bool:
         return abs(squares.mean() - 1) < 4.5 * squares.std() / np.sqrt(channels)  # channels are independent
 
-    assert is_one_on_average((np.asarray(process.scale) / 10) ** 2)
+    assert is_one_on_average((np.asarray(fitted.scale) / 10) ** 2)
     # With the scale that is really behind the readings; the estimate of each channel scatters about it.
-    standard = np.asarray((readings[60:] - mean) / (std * 10 / process.scale[None]))
+    standard = np.asarray((readings[60:] - mean) / (std * 10 / fitted.scale[None]))
     assert is_one_on_average((standard**2).mean(0))
 
 
 def test_no_pressure_gives_no_reading():
     rng = np.random.default_rng(3)
     train = spots(rng, 10)
-    process = fit(HYPER, train, jnp.float32(rng.normal(size=(10, CHANNELS))))
-    mean, std = predict(process, ContactPressure(jnp.zeros((2, M, M)), jnp.zeros(2)))
+    fitted = fit(HYPER, train, jnp.float32(rng.normal(size=(10, CHANNELS))))
+    mean, std = predict(fitted, ContactPressure(jnp.zeros((2, M, M)), jnp.zeros(2)))
     np.testing.assert_array_equal(mean, 0)
     # Nothing but the sensor's noise is left.
-    np.testing.assert_allclose(std, np.broadcast_to(np.sqrt(0.05) * process.scale, std.shape), rtol=1e-6)
+    np.testing.assert_allclose(std, np.broadcast_to(np.sqrt(0.05) * fitted.scale, std.shape), rtol=1e-6)
 
 
 def test_prediction_of_one_does_not_depend_on_others():
     rng = np.random.default_rng(4)
-    process = fit(HYPER, spots(rng, 10), jnp.float32(rng.normal(size=(10, CHANNELS))))
+    fitted = fit(HYPER, spots(rng, 10), jnp.float32(rng.normal(size=(10, CHANNELS))))
     other = spots(rng, 5)
-    together = predict(process, other)
-    alone = predict(process, ContactPressure(other.pressure[3:4], other.load[3:4]))
+    together = predict(fitted, other)
+    alone = predict(fitted, ContactPressure(other.pressure[3:4], other.load[3:4]))
     for all_, one in zip(together, alone, strict=True):
         # Sums of a few hundred float32 terms in another order, through a solve with a condition of 10 / 0.05.
         np.testing.assert_allclose(all_[3:4], one, rtol=200 * 1e-5, atol=1e-5)

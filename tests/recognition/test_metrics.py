@@ -270,7 +270,7 @@ def test_open_set_by_hand():
     assert 0.5 * wide < half.overall.high[0] - half.overall.low[0] < wide
     closed = scores.open_set_accuracy(p, none, truth, 0.0, prior=0.5)
     np.testing.assert_allclose(closed.overall, closed.known)
-    assert closed.known.mean[0] == 1  # without none of these all three are told
+    assert closed.known.mean[0] == 1  # without the unknown class all three are recognised
     assert closed.unknown.mean[0] == 0
 
 

@@ -1,4 +1,4 @@
-"""Imagined touches against plane geometry, finite differences, statics and the process they are read from.
+"""Imagined touches against plane geometry, finite differences, statics and the Gaussian process they are read from.
 
 A travel is a difference of places of some 0.1 m in float32, wrong by up to DELTA as in `tests.test_touch`.
 """
@@ -151,27 +151,27 @@ def spots(rng: np.random.Generator, load: np.ndarray) -> ContactPressure:
 
 
 @pytest.fixture(scope="module")
-def process() -> gp.GP:
+def fitted_gp() -> gp.GP:
     rng = np.random.default_rng(3)
     readings = rng.normal(size=(30, 15)) * np.linspace(5, 40, 15)
     return jax.jit(gp.fit)(HYPER, spots(rng, rng.uniform(0.3, 3, 30)), jnp.float32(readings))
 
 
-def test_maps_give_the_mean_and_variance_of_the_process(process):
+def test_maps_give_the_mean_and_variance_of_the_gp(fitted_gp):
     rng = np.random.default_rng(4)
-    told = spots(rng, np.repeat(LOADS_N, 10))
-    mean, std = jax.jit(gp.predict)(process, told)
-    variance = np.asarray(std)[:, 0] ** 2 / process.scale[0] ** 2 - HYPER.noise
+    presses = spots(rng, np.repeat(LOADS_N, 10))
+    mean, std = jax.jit(gp.predict)(fitted_gp, presses)
+    variance = np.asarray(std)[:, 0] ** 2 / fitted_gp.scale[0] ** 2 - HYPER.noise
 
-    skin = outcomes.linear_reading_model(process, 1.7)
+    skin = outcomes.linear_reading_model(fitted_gp, 1.7)
     np.testing.assert_array_equal(skin.loads, LOAD)
-    np.testing.assert_array_equal(skin.scale, process.scale)
-    newtons = told.pressure.reshape(3, 10, -1).swapaxes(0, 1)
+    np.testing.assert_array_equal(skin.scale, fitted_gp.scale)
+    newtons = presses.pressure.reshape(3, 10, -1).swapaxes(0, 1)
     blank = jnp.zeros(10)
     imagined = PredictedContact(blank == 0, blank + 1e-3, jnp.zeros((10, 6)), jnp.ones((10, 3)) * 1e-3, newtons)
     outcome = jax.jit(jax.vmap(outcomes.predict_reading, (0, None)))(imagined, skin)
     # As in tests.test_gp: float32 solves lose a condition number of digits, at most trace K / noise.
-    trace = float(jnp.sum(process.cholesky**2))
+    trace = float(jnp.sum(fitted_gp.cholesky**2))
     loss = np.finfo(np.float32).eps * trace / float(HYPER.noise)
     assert loss < 1e-3
     mean, reading = np.asarray(mean).reshape(3, 10, 15).swapaxes(0, 1), np.asarray(outcome.reading)
@@ -180,7 +180,7 @@ def test_maps_give_the_mean_and_variance_of_the_process(process):
     variance = np.asarray(variance).reshape(3, 10).T
     assert variance.max() / variance.min() > 3
     # What is cut off below EIGENVALUE_TOLERANCE of an eigenvalue counts as lost as well.
-    own = float(jnp.max(jnp.diagonal(process.cholesky @ process.cholesky.T)))
+    own = float(jnp.max(jnp.diagonal(fitted_gp.cholesky @ fitted_gp.cholesky.T)))
     lost = outcomes.EIGENVALUE_TOLERANCE * skin.root.shape[1] * own + np.finfo(np.float32).eps * trace * own
     np.testing.assert_allclose(outcome.variance, variance, atol=lost)
     assert lost < 0.1 * variance.max()

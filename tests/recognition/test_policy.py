@@ -206,7 +206,7 @@ def test_what_is_imagined_is_what_is_expected_plus_its_noise():
     assert found.contact
     advance = 1e-3 + 15e-4 + 1e-4 * AT + AT / belief.ARM_STIFFNESS_N_PER_M + POSITION * 7
     assert float(found.advance) == pytest.approx(advance, rel=1e-5)
-    # Errors are those of the likelihood: twice the noise of 0.1, and the process's variance of 1 uT^2 times 0.02.
+    # Errors are those of the likelihood: twice the noise of 0.1, and the GP's variance of 1 uT^2 times 0.02.
     sd = 2 * np.sqrt(NOISE**2 + 0.02)
     np.testing.assert_allclose(found.reading - outcome.reading[1], sd * np.asarray(noise[:15]), atol=1e-4 * sd * 25)
     assert not imagine(outcome, 4 * off, noise, **limits).contact  # after 7 mm
