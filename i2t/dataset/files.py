@@ -33,11 +33,19 @@ _HEADER = re.compile(rb"i2t-touches ([1-9][0-9]*) sha256 ([0-9a-f]{64})\n\0+")
 
 
 def write(path: Path, fill: Callable[[h5py.File], None], small: bool = False) -> Path:
-    """Write a new HDF5 file of this schema at `path`, filled by `fill`, atomically and durably; an existing file is
-    replaced. What is `small` is made in memory first: a full disk then meets a plain write, where the HDF5 library
-    would stumble over what it cannot write any more.
+    """Write a new HDF5 file of this schema, atomically and durably; an existing file is replaced.
 
-    Raises DataError where the folder cannot be written.
+    Args:
+        path: Of the file.
+        fill: Writes the contents into the open file.
+        small: Make it in memory first: a full disk then meets a plain write, where the HDF5 library would stumble over what
+            it cannot write any more.
+
+    Returns:
+        The path.
+
+    Raises:
+        DataError: The folder cannot be written.
     """
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
@@ -75,7 +83,11 @@ def _make(where: Path | io.BytesIO, fill: Callable[[h5py.File], None]) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make a rename inside `folder` durable (where the system can synchronise folders; Windows cannot and need not)."""
+    """Make a rename durable (where the system can synchronise folders; Windows cannot and need not).
+
+    Args:
+        folder: In which something was renamed.
+    """
     if os.name == "posix":
         descriptor = os.open(folder, os.O_RDONLY)
         try:
@@ -85,8 +97,16 @@ def sync_folder(folder: Path) -> None:
 
 
 def checksum(path: Path) -> str:
-    """The SHA-256 that the header of `path` states; nothing but the header is read. Raises DataError for a file of
-    another kind.
+    """The SHA-256 that a file's header states; nothing but the header is read.
+
+    Args:
+        path: Of the file.
+
+    Returns:
+        The SHA-256.
+
+    Raises:
+        DataError: It is a file of another kind.
     """
     with path.open("rb") as raw:
         return _header(path, raw.read(HEADER_BYTES))
@@ -94,7 +114,17 @@ def checksum(path: Path) -> str:
 
 @contextmanager
 def verified(path: Path) -> Iterator[h5py.File]:
-    """Open a file of this schema for reading, after proving that no byte of it changed. Raises DataError."""
+    """Open a file of this schema for reading, after proving that no byte of it changed.
+
+    Args:
+        path: Of the file.
+
+    Yields:
+        The open file.
+
+    Raises:
+        DataError: It cannot be read, or has changed.
+    """
     try:
         with path.open("rb") as raw:
             expected = _header(path, raw.read(HEADER_BYTES))
