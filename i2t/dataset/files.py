@@ -38,8 +38,8 @@ def write(path: Path, fill: Callable[[h5py.File], None], small: bool = False) ->
     Args:
         path: Of the file.
         fill: Writes the contents into the open file.
-        small: Make it in memory first: a full disk then meets a plain write, where the HDF5 library would stumble over what
-            it cannot write any more.
+        small: Make it in memory first: a full disk then meets a plain write, where the HDF5 library would stumble over
+            what it cannot write any more.
 
     Returns:
         The path.
