@@ -176,6 +176,7 @@ def test_any_number_of_presses(n):
     assert (np.asarray(std) > 0).all()
 
 
+@pytest.mark.full
 def test_force_with_chips_beats_a_process_without_standing_field():
     rng = np.random.default_rng(6)
     known, other = presses(rng, 60, 8e-3), presses(rng, 100, 8e-3)
@@ -202,6 +203,7 @@ def test_force_with_chips_beats_a_process_without_standing_field():
     assert whole > 0.8
 
 
+@pytest.mark.full
 def test_an_earlier_session_is_the_mean():
     rng = np.random.default_rng(7)
     read, other = skin(rng, 0.0), presses(rng, 100)

@@ -23,6 +23,7 @@ def simulated(seed: int, n: int) -> tuple:
     return pad, presses, read(*presses) + jnp.float32(rng.normal(size=(n, 15)))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("tip", "deep", "board"),
     [

@@ -46,6 +46,7 @@ def lab(tmp_path_factory):
                      "--camera", "folder", "--views", str(path / "views"), "--touches", "1", *PATIENT]  # fmt: skip
 
 
+@pytest.mark.full
 def test_an_arm_by_its_address_a_skin_by_its_port_and_recorded_views(lab, capsys):
     path, options = lab
     out = path / "touched"
@@ -63,6 +64,7 @@ def test_an_arm_by_its_address_a_skin_by_its_port_and_recorded_views(lab, capsys
     assert np.abs(np.median(seen)) < 1e-3  # the view shows the site where the arm went
 
 
+@pytest.mark.full
 def test_a_recording_in_place_of_a_skin(lab, capsys):
     path, options = lab
     with ReSkin(str(path / "skin")) as skin:

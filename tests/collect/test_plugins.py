@@ -33,6 +33,7 @@ def acme(monkeypatch):
     monkeypatch.setattr(plugins, "entry_points", lambda **wanted: registered.select(**wanted))
 
 
+@pytest.mark.full
 def test_the_example_is_collected_with_by_its_classes_and_then_by_its_names(acme, tmp_path, capsys):
     """Four chips: twelve values from the device to the data set. The second command resumes the first's folder only
     under the first's names, so it has a folder of its own.

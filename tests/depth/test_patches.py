@@ -272,7 +272,7 @@ def test_the_wide_view_holds_the_patch():
     mesh, (T_w_c, T_w_t) = scene("star"), views(30.0, beside("star"))
     depth = image(mesh, T_w_c)
     small = cut(depth, CAMERA, T_w_c, T_w_t, reach=8e-3)
-    wide = cut(depth, CAMERA, T_w_c, T_w_t, WIDE_WINDOW, WIDE_PIXELS, reach=8e-3)
+    wide = cut(depth, CAMERA, T_w_c, T_w_t, window=WIDE_WINDOW, pixels=WIDE_PIXELS, reach=8e-3)
     centre = (slice((WIDE_PIXELS - PATCH_PIXELS) // 2, (WIDE_PIXELS + PATCH_PIXELS) // 2),) * 2
     assert wide.patch.nearest <= small.patch.nearest
     both = np.asarray(small.valid_mask & wide.valid_mask[centre])

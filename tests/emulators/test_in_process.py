@@ -73,6 +73,7 @@ def test_a_line_over_a_dome_is_the_physics_between_its_loads_too(scene):
         np.testing.assert_allclose(centre, 0, atol=0.1e-3)
 
 
+@pytest.mark.full
 def test_a_softer_mount_sinks_by_force_through_stiffness(scene):
     line = scene.ahead(pose(0.4, 0.0, 0.07))
     hard, scene.stiffness = scene.stiffness, 2e3

@@ -98,6 +98,7 @@ def test_what_cannot_be_calibrated_is_refused(tmp_path, capsys, n, pads, message
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.full
 def test_an_earlier_session_of_one_place_helps(tmp_path):
     for name in ("earlier", "later"):
         one = recording(120)
@@ -115,7 +116,7 @@ def test_an_earlier_session_of_one_place_helps(tmp_path):
     args += ["--out", str(tmp_path / "out"), "--preset", "debug"]
     assert calibrate.main(args) == 0
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
-    assert metrics["warnings"] == {"earlier": [], "later": []}
+    assert metrics["warnings"] == {"previous": [], "later": []}
     (r2,) = metrics["r2"].values()
     assert r2[report.SESSION[methods.PREVIOUS_MEAN]]["5"]["mean"] > 0.95
     assert r2[report.SESSION[methods.PREVIOUS_ALONE]]["5"] == r2[report.SESSION[methods.PREVIOUS_ALONE]]["20"]

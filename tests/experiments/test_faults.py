@@ -18,6 +18,7 @@ from i2t.emulators import reskin_board, ur_controller
 from i2t.types import ReturnCode
 
 
+@pytest.mark.full
 def test_the_report_of_what_costs_little(tmp_path, capsys):
     assert faults.main(["--preset", "debug", "--sections", "disk", "presses", "--out", str(tmp_path / "faults")]) == 0
     rows = json.loads((tmp_path / "faults" / "metrics.json").read_text())["rows"]
@@ -42,6 +43,7 @@ def test_sizes_shrink_to_one_of_each():
     assert worst([0.3, 0.1, 0.2]) == "median 200 ms, worst 300 ms"
 
 
+@pytest.mark.full
 def test_real_drivers_collect_with_emulators_are_killed_and_go_on(tmp_path):
     """A springy plane, and a skin that feels nothing of it: presses end by force. `kill -9` in the second touch."""
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")

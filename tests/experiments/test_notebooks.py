@@ -35,6 +35,7 @@ def _small(monkeypatch, tmp_path, request):
     monkeypatch.setitem(os.environ, "I2T_EFLESH", str(tmp_path / "none"))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", NAMES)
 def test_a_notebook_runs_and_every_figure_can_be_shown(name, tmp_path, monkeypatch, capsys):
     if name == "data_tsne":

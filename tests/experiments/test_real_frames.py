@@ -42,6 +42,7 @@ def test_it_refuses(tmp_path):
         run(RealFrames(tmp_path, tmp_path))
 
 
+@pytest.mark.full
 def test_real_run(shared_data: Path, tmp_path):
     """The camera's own step is 1 mm and its noise as much: a median difference beyond 1 mm means a wrong frame."""
     run(RealFrames(shared_data, tmp_path, sites=4, windows=(17e-3,)))

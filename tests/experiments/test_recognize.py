@@ -30,6 +30,7 @@ def finished(trained_run, tmp_path_factory):
     return out
 
 
+@pytest.mark.full
 def test_the_run_leaves_what_it_promises(finished):
     metrics = json.loads((finished / "metrics.json").read_text())
     assert metrics["source"] == "simulated"
@@ -46,6 +47,7 @@ def test_the_run_leaves_what_it_promises(finished):
     assert pictures >= {"accuracy_all.png", "reliability_all.png", "confusion_all.png", "accuracy_tools.png"}
 
 
+@pytest.mark.full
 def test_beliefs_are_probabilities_and_come_back_from_disk(finished):
     played = report.load(finished / "episodes-0.npz")
     for part in played.values():
@@ -57,6 +59,7 @@ def test_beliefs_are_probabilities_and_come_back_from_disk(finished):
     assert set(np.unique(tools.episodes.site)) <= set(range(6))  # three sites of each tool
 
 
+@pytest.mark.full
 def test_a_finished_run_is_not_overwritten(finished, trained_run, capsys):
     assert recognize.main(["--preset", "debug", "--trained-run", str(trained_run), "--out", str(finished)]) == 2
     assert "holds a finished run" in capsys.readouterr().err
@@ -170,6 +173,7 @@ def test_an_arm_touches_where_the_belief_wants_it_to(prior_unknown, trained_run,
     assert "another episode" in capsys.readouterr().err
 
 
+@pytest.mark.full
 def test_an_arm_stops_and_says_so_where_no_site_is_safe(trained_run, tmp_path, capsys, monkeypatch):
     """Other candidates are drawn first, as often as is said; then no touch is made."""
     draws = []

@@ -146,6 +146,7 @@ def test_designs_are_linear_readings_of_the_pad_itself():
     assert (log_p.argmax(1) == where.shape[40:]).mean() >= 0.7  # of ten; chance gives this with p < 0.001
 
 
+@pytest.mark.full
 def test_the_command_writes_what_it_found_and_refuses_to_lose_it(tmp_path, capsys):
     out = tmp_path / "run"
     assert shapes.main(["--preset", "debug", "--out", str(out)]) == 0
@@ -165,6 +166,7 @@ def test_the_command_writes_what_it_found_and_refuses_to_lose_it(tmp_path, capsy
     assert "finished run" in capsys.readouterr().err
 
 
+@pytest.mark.full
 def test_recorded_presses_of_which_the_arm_said_little_are_told_apart_by_readings_alone(tmp_path, capsys):
     touches = pressed().touches
     nowhere = np.full_like(touches.T_w_o, np.nan)
@@ -179,6 +181,7 @@ def test_recorded_presses_of_which_the_arm_said_little_are_told_apart_by_reading
     assert "simulated" not in capsys.readouterr().out
 
 
+@pytest.mark.full
 def test_the_map_of_touches_is_made_by_one_command(tmp_path, capsys):
     path, out = tmp_path / "presses.h5", tmp_path / "map"
     data.save_dataset(path, pressed())
