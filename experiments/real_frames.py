@@ -63,7 +63,7 @@ OBJECTS = (
 F200 = Camera(640, 480, 477.584259, 477.584167, 314.188080, 245.884354)
 
 
-RENAMED_FLAGS = {
+RENAMED_FRAME_FLAGS = {
     "--facing": "--min-cosine",
     "--hidden": "--max-occlusion-m",
     "--border": "--border-px",
@@ -102,7 +102,7 @@ class Compared(NamedTuple):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    renamed_flags(sys.argv[1:] if argv is None else argv, RENAMED_FLAGS)
+    renamed_flags(sys.argv[1:] if argv is None else argv, RENAMED_FRAME_FLAGS)
     args = tyro.cli(RealFrames, args=argv, description=__doc__, prog="python -m experiments.real_frames")
     return reported(partial(run, args))
 

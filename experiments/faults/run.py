@@ -39,7 +39,7 @@ SECTIONS: dict[Section, Callable[[Sizes], list[FaultRow]]] = {
     "volume": volume,
     "kill": kill,
 }
-PRESETS = {"paper": Sizes(), "debug": DEBUG}
+PRESETS: dict[str, Sizes] = {"paper": Sizes(), "debug": DEBUG}
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ TERMIOS_SPEEDS = {
 
 
 @dataclass(frozen=True)
-class BoardArgs:
+class EmulatedBoardArgs:
     """An emulated ReSkin or AnySkin board."""
 
     link: Path | None = None  # name the port: a symbolic link that is made and removed
@@ -203,7 +203,7 @@ def main(args: Sequence[str] | None = None) -> int:
         The exit code.
     """
     options = tyro.cli(
-        BoardArgs,
+        EmulatedBoardArgs,
         args=args,
         prog="python -m i2t.emulators.reskin_board",
         description=__doc__,
@@ -229,7 +229,7 @@ def main(args: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _serve(port: BoardPort, board: Board, options: BoardArgs) -> None:
+def _serve(port: BoardPort, board: Board, options: EmulatedBoardArgs) -> None:
     readings = Readings(options.noise, options.press, options.temperature, options.seed, board)
     rng = np.random.default_rng((options.seed, 1))
     inbox = _field_inbox() if options.field else None
@@ -258,7 +258,9 @@ def _serve(port: BoardPort, board: Board, options: BoardArgs) -> None:
         time.sleep(max(0.0, due - time.monotonic()))
 
 
-def _chunk(readings: Readings, port: BoardPort, now: float, options: BoardArgs, rng: np.random.Generator) -> bytes:
+def _chunk(
+    readings: Readings, port: BoardPort, now: float, options: EmulatedBoardArgs, rng: np.random.Generator
+) -> bytes:
     """One frame as it leaves the board, or what a wrong baud rate or a bad line makes of it."""
     frame = encode(*readings.at(now), options.format)
     if options.baud and port.baud_rate() != options.baud:

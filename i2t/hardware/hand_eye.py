@@ -42,7 +42,7 @@ PRINT_PIXELS_PER_MM = 300 / 25.4  # pixels per mm of a printed board: 300 dpi
 
 
 @dataclass(frozen=True, kw_only=True)
-class BoardArgs:
+class CharucoArgs:
     """What a ChArUco board looks like."""
 
     columns: int = 8  # of squares
@@ -53,7 +53,7 @@ class BoardArgs:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CharucoBoard(BoardArgs):
+class CharucoBoard(CharucoArgs):
     """A ChArUco board that can be drawn and found; one that cannot be is refused (ValueError)."""
 
     def __post_init__(self) -> None:
@@ -243,14 +243,14 @@ def _lens_text(camera: Camera, T: Array) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DrawArgs(BoardArgs):
+class DrawArgs(CharucoArgs):
     """Draw the board."""
 
     file: tyro.conf.Positional[Path]  # the image that is written
 
 
 @dataclass(frozen=True, kw_only=True)
-class CaptureArgs(BoardArgs):
+class CaptureArgs(CharucoArgs):
     """Take views with a RealSense and a UR arm."""
 
     folder: tyro.conf.Positional[Path]  # for the views
@@ -260,7 +260,7 @@ class CaptureArgs(BoardArgs):
 
 
 @dataclass(frozen=True, kw_only=True)
-class EstimateArgs(BoardArgs):
+class EstimateArgs(CharucoArgs):
     """Find the camera in the tool."""
 
     folder: tyro.conf.Positional[Path]  # of the views
@@ -296,7 +296,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(asked: DrawArgs | CaptureArgs | EstimateArgs) -> None:
-    board = CharucoBoard(**{each.name: getattr(asked, each.name) for each in fields(BoardArgs)})
+    board = CharucoBoard(**{each.name: getattr(asked, each.name) for each in fields(CharucoArgs)})
     match asked:
         case DrawArgs():
             _draw(asked, board)
