@@ -98,6 +98,7 @@ def test_bound_from_noise():
     assert resolvable_eigenvalue(3e-4, 1e-4, 48) == pytest.approx((6e-4 / 48e-4) ** 2)
 
 
+@pytest.mark.full
 def test_pose_is_found_again_on_waves():
     """All six directions can be told, and come back to where float32 still tells heights apart: NEAR = 1e-7 m over the
     root of the smallest eigenvalue.
@@ -149,6 +150,7 @@ def test_nothing_to_see_and_nowhere_to_start():
     np.testing.assert_array_equal(ends.T_w_t[3], start[3])
 
 
+@pytest.mark.full
 def test_steps_never_raise_the_cost_of_a_scale():
     config = PatchRegistrationConfig(initial_scale=0.5e-3, final_scale=0.5e-3)
     observed = look(WAVES, np.eye(4, dtype=np.float32))
@@ -168,6 +170,7 @@ def test_the_scale_shrinks_to_the_final_one():
     np.testing.assert_allclose(scale_schedule(config), [1, 0.5, 0.3, 0.3, 0.3, 0.3], rtol=1e-6)
 
 
+@pytest.mark.full
 def test_several_starts_find_what_one_may_miss():
     """Three millimetres of slide on waves 19 mm long: the best of several is at least as good as one, and right."""
     true = np.eye(4, dtype=np.float32)
@@ -181,6 +184,7 @@ def test_several_starts_find_what_one_may_miss():
     assert np.abs(twist_between(true, best.T_w_t[None])).max() < 1e-5
 
 
+@pytest.mark.full
 def test_the_experiment_in_small(tmp_path, capsys):
     args = experiment.RefineArgs(out=tmp_path / "run", preset="debug")
     report = experiment.run(args)

@@ -95,6 +95,7 @@ def errors(found, true) -> np.ndarray:
     return to_twist(np.linalg.inv(np.asarray(true, float)) @ np.asarray(found, float))
 
 
+@pytest.mark.full
 def test_corners_on_a_plane():
     """A tilted skin meets a plane with one corner p: the gap changes by the normal's part of t + w x p, so without
     residuals the covariance is that of a Bayesian linear regression, each row weighted as t's centre is.
@@ -127,6 +128,7 @@ def test_corners_on_a_plane():
     np.testing.assert_allclose(found.residual, 0, atol=1e-6)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("which", [0, 2])
 def test_covariance_is_calibrated(which):
     """Squared errors in units of the covariance are chi square of six degrees: over 24 runs their mean is 6 within

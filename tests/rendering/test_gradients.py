@@ -167,6 +167,7 @@ def hostile() -> dict[str, tuple[Surface, np.ndarray]]:
     }
 
 
+@pytest.mark.full
 def test_finite_whatever_the_rays_meet():
     scenes = hostile()
     surfaces = stack_surfaces([surface for surface, _ in scenes.values()])
@@ -193,6 +194,7 @@ def test_finite_whatever_the_rays_meet():
     assert all((leaf[nothing] == 0).all() for leaf in jax.tree.leaves(values))
 
 
+@pytest.mark.full
 def test_no_gradient_from_what_is_too_deep():
     """Two sheets: the far one reads the reach, and only the near one moves `nearest`."""
     near = [[-0.04, -0.04, 0.001], [0, -0.04, 0.001], [0, 0.04, 0.001]]

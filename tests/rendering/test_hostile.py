@@ -80,6 +80,7 @@ def test_what_lies_behind_the_rays_is_not_met(pyramid, patches_of):
     assert nearest[1] == np.inf
 
 
+@pytest.mark.full
 def test_compiled_once_for_all_meshes_of_a_class():
     """A batch of poses on each of many meshes: as many compilations as size classes, however the meshes differ."""
     rng = np.random.default_rng(0)

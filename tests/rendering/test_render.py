@@ -163,6 +163,7 @@ def test_dense_meshes_against_embree():
     assert_like_embree([skins, hooks], seed=200)
 
 
+@pytest.mark.full
 def test_dense_way_sees_what_the_other_sees():
     """Depths and their derivatives by the pose, in clusters of both ways, in a batch of two meshes."""
 
@@ -187,6 +188,7 @@ def cluster_size(surface: Surface) -> int:
     return len(surface.triangles) // (len(surface.boxes) * CLUSTERS_PER_GROUP)
 
 
+@pytest.mark.full
 def test_scans_against_embree(shared_data):
     files = sorted((shared_data / "ycb_meshes").glob("*.stl"))
     assert files

@@ -452,6 +452,7 @@ def slopes(surfaces: Surface, A_t_w: jnp.ndarray, half: jnp.ndarray, along: tupl
     return jax.vmap(one)(surfaces.triangles, A_t_w, half, along)
 
 
+@pytest.mark.full
 def test_derivatives_agree_with_differences_of_exact_clipping():
     rng = np.random.default_rng(8)
     scenes, faces, empty = 60, 10, 6

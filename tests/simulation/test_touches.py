@@ -314,6 +314,7 @@ def test_a_tip_alone_and_nothing_at_all():
     assert (np.asarray(patch.depth) == np.float32(REACH)).sum() == 48 * 48 - 4
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", ["grid-2x2", "grid-4x4"])
 def test_a_board_of_any_number_of_chips_is_touched_and_kept(solids, tmp_path, name):
     board = make_board(name)

@@ -321,7 +321,7 @@ def test_typical_boards_are_wrong_by_what_was_seen():
     assert set(_sizes(Faults.typical())) == {
         "softening",
         "relaxation",
-        "memory",
+        "hysteresis",
         "earth",
         "room",
         "warming",

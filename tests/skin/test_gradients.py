@@ -17,7 +17,7 @@ STEP = 1e-6  # of every input's size: too small to move the rim of the contact o
 ASKED = 1e-3
 TIP = np.minimum(((X - 1.3e-3) ** 2 + (Y + 0.7e-3) ** 2) / (2 * 5e-3) + 0.02 * (X + 10e-3), 4e-3)
 PAD, SAMPLE = nominal_pad(), sample_pad(jax.random.key(3))
-PARTS = ("thickness", "young", "poisson", "give")
+PARTS = ("thickness", "young", "poisson", "mount_compliance")
 
 
 @pytest.fixture
