@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Num
 
 from i2t.depth.camera import Camera, check_image
@@ -49,10 +50,10 @@ class DepthPatch(NamedTuple):
 
 
 def patch_from_depth(
-    depth: Num[Array, "height width"],
+    depth: Num[Array | np.ndarray, "height width"],
     camera: Camera,
-    T_w_c: Float[Array, "4 4"],
-    T_w_t: Float[Array, "4 4"],
+    T_w_c: Float[Array | np.ndarray, "4 4"],
+    T_w_t: Float[Array | np.ndarray, "4 4"],
     *,
     window: float = PATCH_WINDOW,
     pixels: int = PATCH_PIXELS,
@@ -92,6 +93,7 @@ def patch_from_depth(
         seen = i2t.patch_from_depth(image, camera, T_w_c, T_w_t)
         reading, std = predictor.predict(seen.patch.depth, force=1.0)
     """
+    depth, T_w_c, T_w_t = (jnp.asarray(value) for value in (depth, T_w_c, T_w_t))
     check_image(depth, camera)
     # Wide enough that holes at the border are filled as if there were none.
     margin = max(math.ceil(fill / window * pixels) - 1, 0)

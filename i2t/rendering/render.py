@@ -95,7 +95,7 @@ def stack_surfaces(surfaces: Sequence[Surface]) -> Surface:
 
 def render_patch(
     surface: Surface,
-    T_w_t: Float[Array, "4 4"],
+    T_w_t: Float[Array | np.ndarray, "4 4"],
     *,
     window: float = PATCH_WINDOW,
     pixels: int = PATCH_PIXELS,
@@ -123,6 +123,7 @@ def render_patch(
         patches = jax.jit(jax.vmap(functools.partial(i2t.render_patch, surface)))(T_w_ts)
     """
     _check(T_w_t, window, pixels)
+    T_w_t = jnp.asarray(T_w_t)
     if not reach > 0:
         raise ValueError(f"reach is {reach} m; give a length above 0, or infinity for no end")
     view = ToolView(T_w_t[:3, :3].T, T_w_t[:3, 3], jnp.zeros_like(T_w_t[:3, 3]))

@@ -43,7 +43,7 @@ class Press(NamedTuple):
 
 def press(
     pad: Pad,
-    height: Float[Array, "n n"],
+    height: Float[Array | np.ndarray, "n n"],
     indentation: Float[Array, ""] | float,
     grid: Grid = GRID,
     *,
@@ -67,7 +67,7 @@ def press(
         pressed = i2t.press(i2t.nominal_pad(), height, 0.4e-3)
         pressed.reading, pressed.force
     """
-    return _press(pad, solve(pad, height, indentation, grid, start=start), grid, dipoles)
+    return _press(pad, solve(pad, jnp.asarray(height), indentation, grid, start=start), grid, dipoles)
 
 
 def press_force(
