@@ -13,7 +13,8 @@ Two measurements are evidence:
                 IEEE Trans. Automatic Control 17, 1972). Without these normal distributions no particle of a few hundred
                 would survive contacts measured to 0.1 mm in a prior of 1 mm in six dimensions.
 
-A touch that meets nothing is evidence as well. A small share of touches may be anything (outliers). "None of these" is
+Whether a touch met anything is evidence as well (presence), and counts by a weight of its own, as the two do. A small
+share of touches may be anything (outliers). "None of these" is
 the sum over surrogates of unknown objects (`i2t.objects.catalogue`), which are objects like any other here. The
 sensor's bias, where it drifts, is followed by a Kalman filter on the residual of the readings.
 
@@ -65,6 +66,7 @@ class Likelihood(NamedTuple):
     outlier_rate: Float[Array, ""]  # share of touches that may be anything
     tactile_weight: Float[Array, ""]  # of the reading's evidence; 0 leaves it out
     spatial_weight: Float[Array, ""]  # of the position's evidence; 0 leaves it out
+    presence_weight: Float[Array, ""]  # of having met something, or nothing; 0 leaves it out
     stiffness: Float[Array, ""]  # N/m, of arm and mount
     drift_std: Float[Array, ""]  # uT by which the bias drifts from touch to touch; 0 where it is measured at each
 
@@ -185,6 +187,7 @@ def fit_likelihood(
         outlier_rate=number(0.01),
         tactile_weight=number(1.0),
         spatial_weight=number(1.0),
+        presence_weight=number(1.0),
         stiffness=number(stiffness),
         drift_std=number(0.0),
     )
@@ -241,7 +244,7 @@ def log_likelihood(found: Evidence, likelihood: Likelihood) -> Float[Array, "...
 
     Args:
         found: Evidence of the touch under any number of particles.
-        likelihood: Whose weights say what counts. Whether anything was met counts with the larger of the two.
+        likelihood: Whose weights say what counts: the reading, the position, and whether anything was met.
 
     Returns:
         One log density for each particle.
@@ -250,12 +253,10 @@ def log_likelihood(found: Evidence, likelihood: Likelihood) -> Float[Array, "...
     def weighted(weight: Array, density: Array) -> Array:
         return jnp.where(weight > 0, weight * density, 0.0)  # what is left out may be NaN
 
-    presence_weight = jnp.maximum(likelihood.tactile_weight, likelihood.spatial_weight)
-    presence = weighted(presence_weight, found.presence)
     return (
         weighted(likelihood.tactile_weight, found.tactile)
         + weighted(likelihood.spatial_weight, found.spatial)
-        + presence
+        + weighted(likelihood.presence_weight, found.presence)
     )
 
 

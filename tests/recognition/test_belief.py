@@ -350,8 +350,12 @@ def test_weights_leave_evidence_out():
         np.testing.assert_allclose(found.log_weight, other.log_weight, atol=1e-5)
         full, apart = update(now, at, outcome, LIKE), update(now, changed, outcome, LIKE)
         assert np.abs(full.log_weight - apart.log_weight).max() > 1
-    none = update(now, at, outcome, like(tactile_weight=0, spatial_weight=0))
-    np.testing.assert_array_equal(none.log_weight, now.log_weight)
+    air, alone = at._replace(contact=jnp.asarray(False)), like(tactile_weight=0, spatial_weight=0)
+    found, other = update(now, at, outcome, alone), update(now, air, outcome, alone)
+    assert np.abs(found.log_weight - other.log_weight).max() > 1  # presence alone
+    none = alone._replace(presence_weight=jnp.float32(0))
+    for observation in (at, air):
+        np.testing.assert_array_equal(update(now, observation, outcome, none).log_weight, now.log_weight)
 
 
 def test_what_is_left_out_may_be_nan_and_moves_nothing():
