@@ -14,7 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, MultipleLocator, PercentFormatter
 
-from i2t.recognition.metrics import Estimate, Reliability
+from i2t.recognition.intervals import Estimate
+from i2t.recognition.metrics import Reliability
 from i2t.viz.style import COLOURS, GREY, titled
 
 METHOD_MARKERS = "osD^vPX"

@@ -14,6 +14,7 @@ from i2t.objects.solids import Mesh
 from i2t.recognition import calibrated, metrics
 from i2t.recognition.belief import TEMPERATURE_SCALING, TemperatureScaling, TouchObservation
 from i2t.recognition.episodes import EVIDENCE, Episodes
+from i2t.recognition.intervals import student_interval
 from i2t.recognition.metrics import to_json
 from i2t.types import Board
 
@@ -148,7 +149,7 @@ def score_method(parts: Sequence[Results], name: str, method: str) -> dict[str, 
     return {
         "accuracy": to_json(metrics.accuracy(p, truth)),
         "mean": to_json(metrics.mean_accuracy(p, truth)),
-        "mean_over_seeds": to_json(metrics.student_interval(np.array(of_seeds))),
+        "mean_over_seeds": to_json(student_interval(np.array(of_seeds))),
         "calibration_error": [error.error for error in errors],
         "calibration_error_by_chance": [error.chance for error in errors],
         "log_loss": metrics.log_loss(p, truth).mean(0).tolist(),

@@ -7,7 +7,7 @@ import numpy as np
 
 from experiments.shapes.methods import METHODS, PAPER
 from i2t import viz
-from i2t.recognition.metrics import Estimate, student_interval, wilson_interval
+from i2t.recognition.intervals import Estimate, student_interval, wilson_interval
 
 PUBLISHED_RATES = {"T": 0.91, "circle": 0.90, "angle": 0.90, "triangle": 0.95, "cross": 0.94, "total": 0.92}
 

@@ -20,7 +20,8 @@ from i2t.dataset import Dataset
 from i2t.recognition import metrics
 from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import EpisodeConfig, Episodes, run_episodes
-from i2t.recognition.metrics import Estimate, estimate_at, to_json
+from i2t.recognition.intervals import Estimate, estimate_at
+from i2t.recognition.metrics import to_json
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.recognition.pad_model import PadModel, fit_pad_model, fit_simulated_pad_model
 from i2t.recognition.site_pool import (

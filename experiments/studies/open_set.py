@@ -20,9 +20,10 @@ from experiments.recognize import figures
 from experiments.studies.lab import EpisodePlan, StudyLab, format_estimate
 from i2t import viz
 from i2t.objects import Mesh, catalogue
-from i2t.recognition import calibrated, metrics
+from i2t.recognition import calibrated, metrics, open_set
 from i2t.recognition.episodes import posteriors
-from i2t.recognition.metrics import estimate_at, to_json
+from i2t.recognition.intervals import estimate_at
+from i2t.recognition.metrics import to_json
 from i2t.recognition.site_pool import draw_random_sites, prepare_surfaces, sample_sites
 from i2t.types import Surface
 
@@ -97,7 +98,7 @@ def evaluate_set(
     p = posteriors(jax.device_put(table), jnp.asarray(plan.chosen), observations, likelihood, particles)
     p = np.asarray(p, np.float64)
     share = (len(believed) - known) / len(believed)  # prior of the unknown class: all objects alike
-    p, p_unknown = metrics.with_unknown_prior(p[..., :known], p[..., known:].sum(-1), share, PRIOR_UNKNOWN)
+    p, p_unknown = open_set.with_unknown_prior(p[..., :known], p[..., known:].sum(-1), share, PRIOR_UNKNOWN)
     return OpenSetEpisodes(np.where(there < known, there, -1), p, p_unknown)
 
 
@@ -106,7 +107,7 @@ def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
     validation, test = (_pooled([OpenSetEpisodes(**part[name]) for part in parts]) for name in ("validation", "test"))
     scaling = calibrated.fit_platt(validation.p_unknown, validation.truth < 0)
     p, p_unknown = calibrated.apply_platt(test.p, test.p_unknown, scaling)
-    area = metrics.auroc(test.p_unknown, test.truth < 0)
+    area = open_set.auroc(test.p_unknown, test.truth < 0)
     print("AUROC after each touch: " + " ".join(f"{x:.2f}" for x in area.mean))
     print("after the last: " + format_estimate(estimate_at(area, -1)))
     result = {"episodes": len(test.truth), "auroc": to_json(area), "platt": to_json(scaling)}
@@ -122,7 +123,7 @@ def score_episodes(name: str, episodes: OpenSetEpisodes) -> dict[str, Any]:
     truth, p, p_unknown = episodes
     scores: dict[str, Any] = {"accuracy": {}}
     for share in UNKNOWN_SHARES:
-        found = metrics.open_set_accuracy(p, p_unknown, truth, share, prior=PRIOR_UNKNOWN)
+        found = open_set.open_set_accuracy(p, p_unknown, truth, share, prior=PRIOR_UNKNOWN)
         scores["accuracy"][str(share)] = to_json(found)
         known, unknown = (format_estimate(estimate_at(one, -1)) for one in (found.known, found.unknown))
         print(f"{name}, {share:.0%} unknown: accuracy on known objects {known}, on unknown ones {unknown}")

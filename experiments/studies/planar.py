@@ -21,7 +21,8 @@ from i2t import viz
 from i2t.recognition import belief, metrics, planar
 from i2t.recognition.belief import Belief, Likelihood, TouchObservation
 from i2t.recognition.episodes import Episodes
-from i2t.recognition.metrics import estimate_at, to_json
+from i2t.recognition.intervals import estimate_at
+from i2t.recognition.metrics import to_json
 from i2t.recognition.outcomes import PredictedTouch
 from i2t.recognition.planar import PlanarGrid, PlanarPose
 from i2t.recognition.site_pool import SitePool, precompute_outcomes

@@ -17,7 +17,8 @@ from experiments.recognize import figures
 from experiments.studies.lab import EpisodePlan, StudyLab, format_estimate
 from i2t import viz
 from i2t.recognition import metrics
-from i2t.recognition.metrics import Estimate, to_json
+from i2t.recognition.intervals import Estimate, wilson_interval
+from i2t.recognition.metrics import to_json
 from i2t.recognition.paper_rules import paper_rules
 from i2t.recognition.site_pool import draw_informative_sites, sample_sites
 
@@ -111,8 +112,8 @@ def compare_rules(parts: Sequence[Part]) -> tuple[dict[str, Any], dict[str, Esti
         ours, theirs = (metrics.hits(columns[f"{source}, {rule}"], truth) for source in ("I2T", "proprioception"))
         differences[rule] = metrics.compare_paired(ours, theirs).last
         entry[rule] = {
-            "I2T": to_json(metrics.wilson_interval(ours[:, -1])),
-            "proprioception": to_json(metrics.wilson_interval(theirs[:, -1])),
+            "I2T": to_json(wilson_interval(ours[:, -1])),
+            "proprioception": to_json(wilson_interval(theirs[:, -1])),
             "difference": to_json(differences[rule]),
         }
     return entry, differences

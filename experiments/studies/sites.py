@@ -13,6 +13,7 @@ from experiments.studies.lab import StudyLab, format_estimate, pool_parts
 from i2t.geometry import inverse
 from i2t.recognition import metrics
 from i2t.recognition.episodes import EVIDENCE, run_belief
+from i2t.recognition.intervals import student_interval
 from i2t.recognition.metrics import to_json
 from i2t.rendering.render import render_heights
 from i2t.types import PAD_WINDOW, Surface
@@ -56,7 +57,7 @@ def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
         result["bits"][name] = {"touches": int(rows.sum())}
         line = []
         for kind in EVIDENCE if rows.any() else ():
-            bits = metrics.student_interval(information_bits(columns[kind][rows, 0], columns["truth"][rows]))
+            bits = student_interval(information_bits(columns[kind][rows, 0], columns["truth"][rows]))
             result["bits"][name][kind] = to_json(bits)
             line.append(f"{kind} {format_estimate(bits)}")
         print(f"{name:18} {rows.sum():5d} touches, bits: " + "   ".join(line))

@@ -18,7 +18,8 @@ from scipy.special import expit, logit, logsumexp
 
 from i2t.recognition import belief
 from i2t.recognition.belief import TEMPERATURE_SCALING, TemperatureScaling
-from i2t.recognition.metrics import PROBABILITY_FLOOR, Estimate, of_truth, student_interval, wilson_interval
+from i2t.recognition.intervals import Estimate, student_interval, wilson_interval
+from i2t.recognition.metrics import PROBABILITY_FLOOR, of_truth
 from i2t.types import Array
 
 # --- temperature scaling of the objects ---

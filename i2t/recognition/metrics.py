@@ -1,122 +1,37 @@
-"""Scores of recognition: accuracy, calibration error, proper scoring rules, stopping, and unknown objects.
+"""Scores of recognition: accuracy, calibration error, proper scoring rules, and stopping.
 
 An array of beliefs p (episodes, touches, classes) holds the probabilities of the classes after each touch, `truth`
-(episodes,) the class that was there. Where an object may be unknown, `with_unknown_class` makes the unknown class the
-last one. Episodes are independent, the touches within one are not, so every interval is over episodes (or seeds) and
-covers 95 %: Wilson's for rates (JASA 22, 1927), Student's t for means, the percentile bootstrap for ratios and ranks.
-How beliefs are calibrated is in `i2t.recognition.calibrated`. NumPy, because nothing here is differentiated.
+(episodes,) the class that was there. Where an object may be unknown, `i2t.recognition.open_set.with_unknown_class`
+makes the unknown class the last one. The touches of an episode are not independent, and neither are episodes that share
+a pad, a pool of sites or an object: `clusters` names these factors, and intervals (95 %) are over them
+(`i2t.recognition.intervals`). How beliefs are calibrated is in `i2t.recognition.calibrated`.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Float, Int, Shaped
 from scipy import stats
 
-from i2t.prediction.metrics import Estimate as Estimate
-from i2t.prediction.metrics import student_interval as student_interval
+from i2t.recognition.intervals import (
+    COVERAGE,
+    RESAMPLES,
+    Clusters,
+    Estimate,
+    bootstrap_clusters,
+    mean_interval,
+    rate_interval,
+    rows_of,
+    wilson_interval,
+)
 from i2t.types import Array
 
-COVERAGE = 0.95  # of every interval
-RESAMPLES = 1000  # of a bootstrap
 TIE_TOLERANCE = 1e-6  # probabilities that differ by less are equal: sums of votes in float32
 PROBABILITY_FLOOR = 1e-6  # no logarithm of a smaller one is taken
 BINS = 15
 
 
-def estimate_at(estimates: Estimate, index: int) -> Estimate:
-    """One of several estimates.
-
-    Args:
-        estimates: Along a leading axis.
-        index: Which, for instance -1 for the last touch.
-    """
-    return Estimate(estimates.mean[index], estimates.low[index], estimates.high[index])
-
-
-# --- intervals ---
-
-
-def wilson_interval(values: Shaped[Array, "n ..."]) -> Estimate:
-    """Mean and Wilson's interval of independent values between 0 and 1.
-
-    Fractions, which shared ties give, are welcome: nothing in [0, 1] varies more than a coin of the same mean.
-
-    Args:
-        values: (n, ...) in [0, 1].
-
-    Returns:
-        Estimates of the trailing shape; NaN where n is 0.
-    """
-    values = np.asarray(values, np.float64)
-    n, z = len(values), stats.norm.ppf((1 + COVERAGE) / 2)
-    if not n:
-        nothing = np.full(values.shape[1:], np.nan)
-        return Estimate(nothing, nothing, nothing)
-    mean = values.mean(0)
-    centre = (mean + z**2 / (2 * n)) / (1 + z**2 / n)
-    half = z / (1 + z**2 / n) * np.sqrt(mean * (1 - mean) / n + z**2 / (4 * n**2))
-    return Estimate(mean, np.minimum(centre - half, mean), np.maximum(centre + half, mean))
-
-
-def to_json(values: Any) -> Any:
-    """Scores as JSON has them: fields by name, arrays as lists.
-
-    Args:
-        values: A named tuple of scores, an array or a number.
-    """
-    if hasattr(values, "_asdict"):
-        return {name: to_json(value) for name, value in values._asdict().items()}
-    return values.tolist() if isinstance(values, np.ndarray | np.generic) else values
-
-
 # --- accuracy ---
-
-
-def with_unknown_class(
-    p: Float[Array, "e t objects"], p_unknown: Float[Array, "e t"], truth: Int[Array, " e"]
-) -> tuple[Float[Array, "e t classes"], Int[Array, " e"]]:
-    """Make the unknown class the last one.
-
-    Args:
-        p: Probabilities of the known objects.
-        p_unknown: Probability of the unknown class.
-        truth: Objects that were there, -1 for unknown ones.
-
-    Returns:
-        Beliefs (e, t, objects + 1) and classes (e,).
-    """
-    joined = np.concatenate([np.asarray(p), np.asarray(p_unknown)[..., None]], axis=-1)
-    return joined, np.where(np.asarray(truth) < 0, joined.shape[-1] - 1, truth)
-
-
-def with_unknown_prior(
-    p: Float[Array, "*shape objects"], p_unknown: Float[Array, "*shape"], old: float, new: float
-) -> tuple[Float[Array, "*shape objects"], Float[Array, "*shape"]]:
-    """The same beliefs under another prior probability of unknown objects, by Bayes' rule.
-
-    Args:
-        p: Probabilities of the known objects.
-        p_unknown: Probability of the unknown class.
-        old: Prior probability of unknown objects from which these beliefs come, in (0, 1).
-        new: The prior probability they get, in [0, 1).
-
-    Returns:
-        Both under the new prior.
-
-    Raises:
-        ValueError: A prior lies outside its range.
-    """
-    if not (0 < old < 1 and 0 <= new < 1):
-        raise ValueError(f"with_unknown_prior: priors {old} and {new} must lie in (0, 1) and [0, 1)")
-    odds = new / (1 - new) * (1 - old) / old
-    joined = np.concatenate([np.asarray(p, np.float64), odds * np.asarray(p_unknown, np.float64)[..., None]], axis=-1)
-    total = joined.sum(-1, keepdims=True)
-    # A belief that had ruled out all known objects and may no longer hold them unknown becomes uniform.
-    uniform = np.append(np.full(np.shape(p)[-1], 1 / np.shape(p)[-1]), 0)
-    joined = np.where(total > 0, joined / np.where(total > 0, total, 1), uniform)
-    return joined[..., :-1], joined[..., -1]
 
 
 def restrict_to(
@@ -171,30 +86,36 @@ def hits(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, "e t
     return of_truth(decision_shares(p), truth)
 
 
-def accuracy(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Estimate:
+def accuracy(
+    p: Float[Array, "e t c"], truth: Int[Array, " e"], *, clusters: Clusters = ()
+) -> Estimate:
     """Share of right decisions after each touch.
 
     Args:
         p: Beliefs.
         truth: Classes that were there.
+        clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
 
     Returns:
         Estimates (t,).
     """
-    return wilson_interval(hits(p, truth))
+    return rate_interval(hits(p, truth), clusters)
 
 
-def mean_accuracy(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Estimate:
+def mean_accuracy(
+    p: Float[Array, "e t c"], truth: Int[Array, " e"], *, clusters: Clusters = ()
+) -> Estimate:
     """Share of right decisions, mean over touches 1 to t.
 
     Args:
         p: Beliefs.
         truth: Classes that were there.
+        clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
 
     Returns:
         One estimate.
     """
-    return student_interval(hits(p, truth).mean(1))
+    return mean_interval(hits(p, truth).mean(1), clusters)
 
 
 def confusion(p: Float[Array, "e c"], truth: Int[Array, " e"]) -> Float[Array, "c c"]:
@@ -221,12 +142,18 @@ class PairedComparison(NamedTuple):
     mean_p: float  # paired t test
 
 
-def compare_paired(hit: Shaped[Array, "e t"], other: Shaped[Array, "... t2"]) -> PairedComparison:
+def compare_paired(
+    hit: Shaped[Array, "e t"], other: Shaped[Array, "... t2"], *, clusters: Clusters = ()
+) -> PairedComparison:
     """Compare two methods on the same episodes.
 
     Args:
         hit: `hits` of the one method.
         other: `hits` of the other.
+        clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
+
+    Returns:
+        The differences; p-values take episodes as independent, intervals do not.
 
     Raises:
         ValueError: They are not of the same episodes, or of fewer than two.
@@ -235,7 +162,9 @@ def compare_paired(hit: Shaped[Array, "e t"], other: Shaped[Array, "... t2"]) ->
     if hit.shape != other.shape or len(hit) < 2:
         raise ValueError(f"compare_paired: hits {hit.shape} and {other.shape} must be of the same episodes, at least 2")
     last, mean = hit[:, -1] - other[:, -1], (hit - other).mean(1)
-    return PairedComparison(student_interval(last), sign_test(last), student_interval(mean), _t_test(mean))
+    return PairedComparison(
+        mean_interval(last, clusters), sign_test(last), mean_interval(mean, clusters), _t_test(mean)
+    )
 
 
 def sign_test(difference: Shaped[Array, " n"]) -> float:
@@ -382,13 +311,19 @@ class Stopping(NamedTuple):
     touches: Estimate
 
 
-def stopping(p: Float[Array, "e t c"], truth: Int[Array, " e"], error: float) -> Stopping:
+def stopping(
+    p: Float[Array, "e t c"], truth: Int[Array, " e"], error: float, *, clusters: Clusters = ()
+) -> Stopping:
     """Stop as soon as the most probable class has at least 1 - `error`.
 
     Args:
         p: Beliefs.
         truth: Classes that were there.
         error: Requested probability of a wrong decision.
+        clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
+
+    Returns:
+        How often it stopped, and how often it was wrong.
     """
     confidences, hit = confidence(p), hits(p, truth)
     first = confident_at(p, 1 - error)
@@ -397,12 +332,12 @@ def stopping(p: Float[Array, "e t c"], truth: Int[Array, " e"], error: float) ->
     wrong, doubt = (np.take_along_axis(1 - x, last[:, None] - 1, 1)[:, 0] for x in (hit, confidences))
     return Stopping(
         requested_error=error,
-        error=wilson_interval(wrong),
+        error=rate_interval(wrong, clusters),
         predicted_error=float(doubt.mean()),
-        stopped=wilson_interval(stopped),
-        stopped_error=wilson_interval(wrong[stopped]),
+        stopped=rate_interval(stopped, clusters),
+        stopped_error=rate_interval(wrong[stopped], rows_of(clusters, stopped)),
         stopped_predicted_error=float(doubt[stopped].mean()) if stopped.any() else float("nan"),
-        touches=student_interval(last),
+        touches=mean_interval(last, clusters),
     )
 
 
@@ -441,112 +376,53 @@ class TouchesToConfidence(NamedTuple):
     never: Estimate  # share
 
 
-def touches_to_confidence(first: Shaped[Array, " e"], touches: int) -> TouchesToConfidence:
+def touches_to_confidence(
+    first: Shaped[Array, " e"], touches: int, *, clusters: Clusters = ()
+) -> TouchesToConfidence:
     """Summarise how many touches it takes to be confident.
 
     Args:
         first: Of each episode, as `confident_at`.
         touches: How many each episode has.
+        clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
+
+    Returns:
+        Mean, median and the share that never was confident; the median's limits take episodes as independent.
     """
     first = np.asarray(first, np.float64)
     limits = stats.quantile_test(first, p=0.5).confidence_interval(COVERAGE)
     middle = np.quantile(first, 0.5, method="inverted_cdf")
     return TouchesToConfidence(
-        student_interval(np.minimum(first, touches)),
+        mean_interval(np.minimum(first, touches), clusters),
         Estimate(middle, np.asarray(limits.low), np.asarray(limits.high)),
-        wilson_interval(np.isinf(first)),
+        rate_interval(np.isinf(first), clusters),
     )
 
 
-def touches_saved(first: Shaped[Array, " e"], other: Shaped[Array, " e"], touches: int, seed: int = 0) -> Estimate:
+def touches_saved(
+    first: Shaped[Array, " e"], other: Shaped[Array, " e"], touches: int, *, clusters: Clusters = (), seed: int = 0
+) -> Estimate:
     """By what share the restricted mean number of touches until confident is less than that of another policy.
 
-    Paired bootstrap over the episodes. Episodes in which neither becomes confident count as equal, so a limit on
+    Paired bootstrap. Episodes in which neither becomes confident count as equal, so a limit on
     touches hides part of what is saved.
 
     Args:
         first: Of each episode under this policy, as `confident_at`.
         other: The same under the other policy.
         touches: How many each episode has.
+        clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
         seed: Of the bootstrap.
+
+    Returns:
+        The share.
     """
     mine, theirs = (np.minimum(x, touches).astype(np.float64) for x in (first, other))
 
-    def share_saved(a: np.ndarray, b: np.ndarray, axis: int = -1) -> Array:
-        return 1 - a.mean(axis) / b.mean(axis)
+    def share_saved(weight: np.ndarray) -> np.ndarray:
+        return np.asarray(1 - (weight @ mine) / (weight @ theirs))
 
-    return _bootstrap((mine, theirs), share_saved, paired=True, seed=seed)
-
-
-# --- unknown objects ---
-
-
-def auroc(p_unknown: Shaped[Array, "e t"], unknown: Bool[Array, " e"], seed: int = 0) -> Estimate:
-    """Area under the receiver operating characteristic of detecting unknown objects: the probability that an episode
-    with an unknown object has more in the unknown class than one without, equal ones counted half.
-
-    Args:
-        p_unknown: Probability of the unknown class.
-        unknown: Whether the object was unknown.
-        seed: Of the bootstrap, in which known and unknown episodes are resampled apart.
-
-    Returns:
-        Estimates (t,).
-
-    Raises:
-        ValueError: Episodes of one kind are missing.
-    """
-    p_unknown, unknown = np.asarray(p_unknown, np.float64), np.asarray(unknown, bool)
-    if unknown.all() or not unknown.any():
-        raise ValueError("auroc: it needs episodes with and without an unknown object")
-    areas = [_bootstrap((x[unknown], x[~unknown]), _area, paired=False, seed=seed) for x in p_unknown.T]
-    return Estimate(*(np.array(column) for column in zip(*areas, strict=True)))
-
-
-def _area(above: np.ndarray, below: np.ndarray, axis: int = -1) -> Array:
-    """Mann and Whitney's statistic, as a share of all pairs."""
-    n, m = above.shape[axis], below.shape[axis]
-    ranks = stats.rankdata(np.concatenate([above, below], axis), axis=axis)
-    return (np.take(ranks, np.arange(n), axis).sum(axis) - n * (n + 1) / 2) / (n * m)
-
-
-class OpenSetAccuracy(NamedTuple):
-    """Right decisions after each touch, (t,), where the unknown class is one of the classes."""
-
-    known: Estimate  # of episodes with a known object
-    unknown: Estimate  # of those without
-    overall: Estimate  # of a mixture with the given share of unknown objects
-
-
-def open_set_accuracy(
-    p: Float[Array, "e t objects"],
-    p_unknown: Float[Array, "e t"],
-    truth: Int[Array, " e"],
-    share: float,
-    prior: float | None = None,
-) -> OpenSetAccuracy:
-    """Decide among the known objects and the unknown class, as if a share of the episodes had an unknown object.
-
-    The overall interval combines the two others' (Zou and Donner, Statistics in Medicine 27, 2008).
-
-    Args:
-        p: Probabilities of the known objects.
-        p_unknown: Probability of the unknown class.
-        truth: Objects that were there, -1 for unknown ones.
-        share: Share of unknown objects, in [0, 1].
-        prior: Prior probability of unknown objects from which these beliefs come. Given it, beliefs get `share` as
-            their prior first.
-    """
-    truth = np.asarray(truth)
-    if prior is not None:
-        p, p_unknown = with_unknown_prior(p, p_unknown, prior, share)
-    hit = hits(*with_unknown_class(p, p_unknown, truth))
-    known, unknown = wilson_interval(hit[truth >= 0]), wilson_interval(hit[truth < 0])
-    parts = [(part, weight) for part, weight in ((known, 1 - share), (unknown, share)) if weight > 0]
-    mean = np.sum([weight * part.mean for part, weight in parts], 0)
-    below = np.sqrt(np.sum([(weight * (part.mean - part.low)) ** 2 for part, weight in parts], 0))
-    above = np.sqrt(np.sum([(weight * (part.high - part.mean)) ** 2 for part, weight in parts], 0))
-    return OpenSetAccuracy(known, unknown, Estimate(mean, mean - below, mean + above))
+    return bootstrap_clusters(share_saved, clusters, len(mine), seed=seed)
 
 
 def of_truth(values: Shaped[Array, "..."], truth: Int[Array, "..."]) -> Float[Array, "e t"]:
@@ -570,20 +446,3 @@ def of_truth(values: Shaped[Array, "..."], truth: Int[Array, "..."]) -> Float[Ar
             "add the unknown one with `with_unknown_class`"
         )
     return np.take_along_axis(values, truth[:, None, None], -1)[..., 0]
-
-
-def _bootstrap(
-    samples: tuple[np.ndarray, np.ndarray], statistic: Callable[..., Array], paired: bool, seed: int
-) -> Estimate:
-    """A statistic of two samples with its percentile interval."""
-    found = stats.bootstrap(
-        samples,
-        statistic,
-        paired=paired,
-        method="percentile",
-        n_resamples=RESAMPLES,
-        confidence_level=COVERAGE,
-        batch=100,
-        rng=np.random.default_rng(seed),
-    ).confidence_interval
-    return Estimate(statistic(*samples), np.asarray(found.low), np.asarray(found.high))

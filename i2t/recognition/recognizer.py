@@ -26,7 +26,7 @@ from jaxtyping import Array, Bool, Float, Key
 
 from i2t.geometry import from_twist
 from i2t.objects import catalogue
-from i2t.recognition import belief, calibrated, metrics, outcomes, policy
+from i2t.recognition import belief, calibrated, open_set, outcomes, policy
 from i2t.recognition.belief import Belief, TouchObservation
 from i2t.recognition.pad_model import PadModel
 from i2t.recognition.planning import choose_informative_sites, update_beliefs
@@ -334,10 +334,10 @@ class ObjectRecognizer:
         everything, prior = np.asarray(p, np.float64)[None], self.config.prior_unknown
         raw = everything[:, :known], everything[:, known:].sum(-1)
         # The scaling was fitted at another prior: there, and back.
-        _, unknown = metrics.with_unknown_prior(*raw, prior, CALIBRATION_PRIOR_UNKNOWN)
+        _, unknown = open_set.with_unknown_prior(*raw, prior, CALIBRATION_PRIOR_UNKNOWN)
         read = UNKNOWN_SCALING.apply(unknown, touches)
         shares = named[None] * (1 - read)[:, None]
-        _, unknown = metrics.with_unknown_prior(shares, read, CALIBRATION_PRIOR_UNKNOWN, prior)
+        _, unknown = open_set.with_unknown_prior(shares, read, CALIBRATION_PRIOR_UNKNOWN, prior)
         return named * (1 - float(unknown[0]))
 
 

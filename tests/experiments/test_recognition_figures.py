@@ -10,7 +10,7 @@ from PIL import Image
 from experiments.recognize import figures
 from i2t import viz
 from i2t.recognition import metrics
-from i2t.recognition.metrics import Estimate
+from i2t.recognition.intervals import Estimate
 
 
 def estimate(mean: np.ndarray, half: float = 0.05) -> Estimate:

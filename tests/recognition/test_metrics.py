@@ -5,6 +5,7 @@ import pytest
 from helpers.forecasters import calibrated_forecaster
 from scipy import stats
 
+from i2t.recognition import intervals, open_set
 from i2t.recognition import metrics as scores
 
 # --- intervals ---
@@ -13,30 +14,30 @@ from i2t.recognition import metrics as scores
 @pytest.mark.parametrize(("right", "n"), [(0, 10), (3, 10), (10, 10), (351, 400)])
 def test_wilson_as_in_scipy(right, n):
     known = stats.binomtest(right, n).proportion_ci(method="wilson")
-    found = scores.wilson_interval((np.arange(n) < right).astype(float))
+    found = intervals.wilson_interval((np.arange(n) < right).astype(float))
     np.testing.assert_allclose(found, (right / n, known.low, known.high), atol=1e-12)
 
 
 def test_wilson_keeps_the_shape_and_has_nothing_to_say_of_nothing():
-    found = scores.wilson_interval(np.ones((7, 3)))
+    found = intervals.wilson_interval(np.ones((7, 3)))
     assert found.low.shape == (3,)
     np.testing.assert_array_equal(found.high, 1)
-    assert np.isnan(scores.wilson_interval(np.ones((0, 3))).mean).all()
+    assert np.isnan(intervals.wilson_interval(np.ones((0, 3))).mean).all()
 
 
 def test_student_as_in_scipy():
     values = np.random.default_rng(0).normal(size=(6, 2))
-    found = scores.student_interval(values)
+    found = intervals.student_interval(values)
     known = stats.ttest_1samp(values, 0).confidence_interval(0.95)
     np.testing.assert_allclose(found, (values.mean(0), known.low, known.high), rtol=1e-12)
-    assert np.isnan(scores.student_interval(values[:1]).low).all()
+    assert np.isnan(intervals.student_interval(values[:1]).low).all()
 
 
 def test_scores_can_be_written():
     found = scores.to_json(scores.stopping(np.array([[[1.0, 0.0]], [[0.5, 0.5]]]), np.array([0, 0]), 0.1))
     assert found["error"]["mean"] == 0.25
     assert type(found["touches"]["high"]) is float
-    assert scores.to_json(scores.wilson_interval(np.ones((2, 2))))["mean"] == [1, 1]
+    assert scores.to_json(intervals.wilson_interval(np.ones((2, 2))))["mean"] == [1, 1]
 
 
 # --- accuracy ---
@@ -164,7 +165,7 @@ def test_losses_are_proper():
     for loss in (scores.log_loss, scores.brier):
         here = loss(p, truth)
         for other in (bold, shy):
-            assert scores.student_interval((loss(other, truth) - here).mean(1)).low > 0
+            assert intervals.student_interval((loss(other, truth) - here).mean(1)).low > 0
 
 
 # --- stopping ---
@@ -239,7 +240,7 @@ def test_the_share_of_touches_saved():
 
 def test_the_unknown_class_is_the_last():
     p = np.array([[[0.3, 0.2]], [[0.1, 0.1]]])
-    joined, truth = scores.with_unknown_class(p, np.array([[0.5], [0.8]]), np.array([0, -1]))
+    joined, truth = open_set.with_unknown_class(p, np.array([[0.5], [0.8]]), np.array([0, -1]))
     np.testing.assert_array_equal(truth, [0, 2])
     np.testing.assert_array_equal(scores.hits(joined, truth), [[0], [1]])
     with pytest.raises(ValueError, match="with_unknown_class"):
@@ -250,11 +251,11 @@ def test_the_unknown_class_is_the_last():
 
 def test_another_prior_is_bayes_rule():
     p, none = np.array([[[0.3, 0.2]]]), np.array([[0.5]])
-    q, other = scores.with_unknown_prior(p, none, 0.2, 0.5)  # odds 1/4 to 1: four times as likely
+    q, other = open_set.with_unknown_prior(p, none, 0.2, 0.5)  # odds 1/4 to 1: four times as likely
     np.testing.assert_allclose(np.append(q, other), np.array([0.3, 0.2, 2.0]) / 2.5)
-    back = scores.with_unknown_prior(q, other, 0.5, 0.2)
+    back = open_set.with_unknown_prior(q, other, 0.5, 0.2)
     np.testing.assert_allclose(np.append(*back), [0.3, 0.2, 0.5])
-    closed, nothing = scores.with_unknown_prior(np.array([[0.0, 0.0]]), np.array([1.0]), 0.5, 0.0)
+    closed, nothing = open_set.with_unknown_prior(np.array([[0.0, 0.0]]), np.array([1.0]), 0.5, 0.0)
     np.testing.assert_array_equal(np.append(closed, nothing), [0.5, 0.5, 0])
 
 
@@ -262,13 +263,13 @@ def test_open_set_by_hand():
     p = np.array([[[0.6, 0.1]], [[0.3, 0.2]], [[0.1, 0.5]], [[0.1, 0.1]], [[0.5, 0.1]]])
     none = 1 - p.sum(-1)  # .3 .5 .4 .8 .4
     truth = np.array([0, 0, 1, -1, -1])
-    half = scores.open_set_accuracy(p, none, truth, 0.5)
+    half = open_set.open_set_accuracy(p, none, truth, 0.5)
     assert (half.known.mean[0], half.unknown.mean[0]) == (2 / 3, 1 / 2)
     assert half.overall.mean[0] == pytest.approx(7 / 12)
     assert half.overall.low[0] < 7 / 12 < half.overall.high[0]
     wide = half.known.high[0] - half.known.low[0]
     assert 0.5 * wide < half.overall.high[0] - half.overall.low[0] < wide
-    closed = scores.open_set_accuracy(p, none, truth, 0.0, prior=0.5)
+    closed = open_set.open_set_accuracy(p, none, truth, 0.0, prior=0.5)
     np.testing.assert_allclose(closed.overall, closed.known)
     assert closed.known.mean[0] == 1  # without the unknown class all three are recognised
     assert closed.unknown.mean[0] == 0
@@ -279,17 +280,17 @@ def test_auroc_as_in_scikit_learn():
     rng = np.random.default_rng(10)
     unknown = rng.random(150) < 0.3
     none = np.round(rng.normal(size=(150, 2)) + unknown[:, None] * np.array([0.0, 1.5]), 1)  # with ties
-    found = scores.auroc(none, unknown)
+    found = open_set.auroc(none, unknown)
     for i in range(2):
         assert found.mean[i] == pytest.approx(metrics.roc_auc_score(unknown, none[:, i]), abs=1e-12)
 
 
 def test_auroc_by_hand_and_its_interval():
-    found = scores.auroc(np.array([[0.1], [0.4], [0.4], [0.9]]), np.array([False, False, True, True]))
+    found = open_set.auroc(np.array([[0.1], [0.4], [0.4], [0.9]]), np.array([False, False, True, True]))
     assert found.mean[0] == pytest.approx((1 + 1 + 0.5 + 1) / 4)
     rng = np.random.default_rng(11)
     unknown = np.arange(400) < 200
-    wide = scores.auroc((rng.normal(size=400) + unknown)[:, None], unknown)
+    wide = open_set.auroc((rng.normal(size=400) + unknown)[:, None], unknown)
     area = stats.norm.cdf(1 / np.sqrt(2))
     # Hanley and McNeil (Radiology 143, 1982), for exponential scores; within a fifth for normal ones.
     q1, q2 = area / (2 - area), 2 * area**2 / (1 + area)
@@ -297,4 +298,4 @@ def test_auroc_by_hand_and_its_interval():
     assert wide.low[0] < area < wide.high[0]
     assert wide.high[0] - wide.low[0] == pytest.approx(2 * 1.96 * sigma, rel=0.2)
     with pytest.raises(ValueError, match="with and without"):
-        scores.auroc(np.ones((3, 1)), np.ones(3, bool))
+        open_set.auroc(np.ones((3, 1)), np.ones(3, bool))

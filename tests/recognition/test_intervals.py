@@ -1,0 +1,115 @@
+"""Intervals over clusters: they cover what they claim where episodes of a cluster are alike."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from i2t.recognition.intervals import bootstrap_clusters, cluster_interval, wilson_interval
+
+
+def _episodes(rng, pads, pools, objects, each):
+    """Labels of episodes: pads, pools of their own, and the same objects everywhere."""
+    pad, pool, thing, _ = (label.ravel() for label in np.indices((pads, pools, objects, each)))
+    return pad, pad * pools + pool, thing
+
+
+def test_one_factor_gives_the_t_interval_of_the_clusters_means():
+    rng = np.random.default_rng(0)
+    label = np.repeat(np.arange(6), 40)
+    values = rng.normal(size=6)[label] + 0.1 * rng.normal(size=240)
+    means = values.reshape(6, 40).mean(1)
+    low, high = stats.t.interval(0.95, 5, means.mean(), stats.sem(means))
+    found = cluster_interval(values, [label], draws=20_000)
+    assert found.mean == pytest.approx(values.mean())
+    assert float(found.low) == pytest.approx(low, rel=0.03)
+    assert float(found.high) == pytest.approx(high, rel=0.03)
+
+
+def test_pools_within_pads_add_nothing_to_the_pads():
+    rng = np.random.default_rng(1)
+    pad, pool, _ = _episodes(rng, 5, 4, 1, 10)
+    values = rng.normal(size=20)[pool] + rng.normal(size=len(pad))
+    assert cluster_interval(values, [pad, pool]) == cluster_interval(values, [pad])
+    assert cluster_interval(values, [pool, pad]) == cluster_interval(values, [pad])
+
+
+def test_crossed_factors_are_wider_than_either():
+    rng = np.random.default_rng(2)
+    pad, _, thing = _episodes(rng, 8, 1, 8, 5)
+    values = rng.normal(size=8)[pad] + rng.normal(size=8)[thing]
+    width = {
+        name: float(found.high - found.low)
+        for name, found in {
+            "pad": cluster_interval(values, [pad]),
+            "object": cluster_interval(values, [thing]),
+            "both": cluster_interval(values, [pad, thing]),
+        }.items()
+    }
+    assert width["both"] > 1.05 * max(width["pad"], width["object"])
+
+
+@pytest.mark.parametrize(
+    ("name", "pads", "pools", "spread"), [("few pads", 5, 4, (0.8, 0.8, 0.0)), ("one pad", 1, 20, (0.0, 1.2, 0.0))]
+)
+def test_it_covers_clustered_rates_where_binomial_intervals_do_not(name, pads, pools, spread):
+    """Accuracies of clusters differ by a logit of `spread` (pads, pools, objects), as they do in recognition."""
+    covered, naive, trials = 0, 0, 300
+    nodes = np.random.default_rng(9).normal(size=(200_000,)) * np.hypot(*spread[:2])
+    true = float((1 / (1 + np.exp(-(1.0 + nodes)))).mean())
+    for trial in range(trials):
+        rng = np.random.default_rng(trial)
+        pad, pool, _ = _episodes(rng, pads, pools, 1, 25)
+        logit = 1.0 + spread[0] * rng.normal(size=pads)[pad] + spread[1] * rng.normal(size=pads * pools)[pool]
+        hit = (rng.random(len(pad)) < 1 / (1 + np.exp(-logit))).astype(float)
+        found = cluster_interval(hit, [pad, pool] if pads > 1 else [pool], draws=200, seed=trial)
+        covered += found.low <= true <= found.high
+        independent = wilson_interval(hit)
+        naive += independent.low <= true <= independent.high
+    assert covered / trials > 0.91, name
+    assert naive / trials < 0.75, name
+
+
+@pytest.mark.full
+def test_it_covers_crossed_pads_and_objects():
+    covered, trials = 0, 400
+    for trial in range(trials):
+        rng = np.random.default_rng(trial)
+        pad, pool, thing = _episodes(rng, 6, 3, 6, 4)
+        values = 1.0 * rng.normal(size=6)[pad] + 0.5 * rng.normal(size=18)[pool] + 1.0 * rng.normal(size=6)[thing]
+        values = values + rng.normal(size=len(pad))
+        found = cluster_interval(values, [pad, pool, thing], draws=200, seed=trial)
+        covered += found.low <= 0.0 <= found.high
+    assert 0.91 < covered / trials <= 0.995
+
+
+def test_clusters_that_are_all_right_have_an_interval_of_their_number():
+    label = np.repeat(np.arange(10), 30)
+    found = cluster_interval(np.ones(300), [label])
+    assert float(found.high) == 1.0
+    assert float(found.low) == pytest.approx(float(wilson_interval(np.ones(10)).low))
+
+
+def test_one_cluster_has_no_interval():
+    found = cluster_interval(np.array([0.0, 1.0]), [np.zeros(2, int)])
+    assert found.mean == 0.5
+    assert np.isnan(found.low)
+    assert np.isnan(found.high)
+    with pytest.raises(ValueError, match=r"3.* labels for 2"):
+        cluster_interval(np.zeros(2), [np.zeros(3, int)])
+
+
+def test_no_factor_means_independent_episodes():
+    rng = np.random.default_rng(3)
+    values = rng.normal(size=(200, 2))
+    found = cluster_interval(values, [], draws=5000)
+    half = stats.t.ppf(0.975, 199) * stats.sem(values)
+    np.testing.assert_allclose(found.high - found.mean, half, rtol=0.05)
+
+
+def test_any_statistic_of_weights():
+    """A ratio of sums, whose clusters are its rows."""
+    a, b = np.array([1.0, 2.0, 3.0, 4.0] * 10), np.array([2.0, 2.0, 4.0, 6.0] * 10)
+    found = bootstrap_clusters(lambda w: (w @ a) / (w @ b), [], 40, draws=4000)
+    residual = (a - a.sum() / b.sum() * b) / b.mean()
+    assert float(found.mean) == pytest.approx(a.sum() / b.sum())
+    assert float(found.high - found.mean) == pytest.approx(stats.t.ppf(0.975, 39) * stats.sem(residual), rel=0.1)
