@@ -21,6 +21,11 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_debug_key_reuse", True)
 
 
+MAPS = Path("/proc/self/maps")
+# Tests compile much and compute little: what the compiler spends on fast code, the fast tier never earns back.
+FAST_COMPILATION = (
+    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true --xla_cpu_parallel_codegen_split_count=1"
+)
 # Longest first, so that no worker is left with one of them at the end. They share a finished run.
 SLOW = ("test_train.py", "test_recognize.py", "test_studies.py")
 
@@ -45,6 +50,12 @@ def pytest_addoption(parser):
     parser.addoption("--full", action="store_true", help="run the full tier too: long sweeps, statistics and kills")
 
 
+def pytest_configure(config):
+    """The compiler's options, before anything is compiled here or in a command that a test starts."""
+    if not (config.option.full or config.option.markexpr):
+        os.environ.setdefault("XLA_FLAGS", FAST_COMPILATION)
+
+
 def pytest_collection_modifyitems(config, items):
     """The fast tier, unless the full one is asked for; the slow files first."""
     if not (config.option.full or config.option.markexpr or config.option.keyword or _named(config)):
@@ -62,11 +73,12 @@ def _named(config) -> bool:
 
 @pytest.fixture(scope="module", autouse=True)
 def _let_compiled_code_go():
-    """Forgets what a module compiled: kept for the whole suite, it exhausts the memory maps that one process may have,
-    and the compiler then crashes.
+    """Forgets what was compiled before it exhausts the memory maps that one process may have (65 530 on Linux), where
+    the compiler crashes. One module needs up to 15 000; until then the next module uses what this one compiled.
     """
     yield
-    jax.clear_caches()
+    if not MAPS.exists() or MAPS.read_bytes().count(b"\n") > 30_000:
+        jax.clear_caches()
 
 
 @pytest.fixture(scope="session")

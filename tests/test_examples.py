@@ -69,4 +69,4 @@ def test_an_object_is_recognised():
     from i2t.recognition.recognizer import RecognizerConfig
 
     config = RecognizerConfig(num_sites=8, num_particles=32, max_touches=6)
-    assert _load(8).main(36, config) in ("star", "cylinder", "hammer")
+    assert _load(8).main(72, config) in ("star", "cylinder", "hammer")

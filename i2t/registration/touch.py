@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from i2t.geometry import from_twist, full_precision, inverse
@@ -90,9 +91,9 @@ def contact_poses(touches: Touches) -> tuple[Float[Array, "n 4 4"], Bool[Array, 
 def register_by_touch(
     key: Key[Array, ""],
     surface: Surface,
-    T_w_o: Float[Array, "4 4"],
-    T_w_contact: Float[Array, "n 4 4"],
-    weight: Float[Array, " n"] | Bool[Array, " n"],
+    T_w_o: Float[Array | np.ndarray, "4 4"],
+    T_w_contact: Float[Array | np.ndarray, "n 4 4"],
+    weight: Float[Array | np.ndarray, " n"] | Bool[Array | np.ndarray, " n"],
     *,
     translation_std: float | Float[Array, ""],
     rotation_std: float | Float[Array, ""],
@@ -124,7 +125,7 @@ def register_by_touch(
     """
     std = [jnp.asarray(translation_std, jnp.float32)] * 3 + [jnp.asarray(rotation_std * TWIST_LEVER_M, jnp.float32)] * 3
     prior_std = jnp.stack(std)
-    weight = jnp.asarray(weight, jnp.float32)
+    T_w_o, T_w_contact, weight = (jnp.asarray(value, jnp.float32) for value in (T_w_o, T_w_contact, weight))
     T_w_t = jnp.where((weight > 0)[:, None, None], T_w_contact, jnp.eye(4)[None])
     T_t_o = jax.vmap(lambda T: inverse(T) @ T_w_o)(T_w_t)
     reach = CANDIDATE_STDS * translation_std, CANDIDATE_STDS * rotation_std
