@@ -218,9 +218,7 @@ def _resampled_variance(
     return np.nanvar(found.reshape(draws, -1), axis=0, ddof=1)
 
 
-def _within_unit(
-    found: Estimate, values: np.ndarray, clusters: Clusters, level: float
-) -> Estimate:
+def _within_unit(found: Estimate, values: np.ndarray, clusters: Clusters, level: float) -> Estimate:
     """Limits of rates: between 0 and 1, and Wilson's where clusters show no difference."""
     factors = _factors(clusters, len(values))
     if not factors:

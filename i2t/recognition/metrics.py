@@ -86,9 +86,7 @@ def hits(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, "e t
     return of_truth(decision_shares(p), truth)
 
 
-def accuracy(
-    p: Float[Array, "e t c"], truth: Int[Array, " e"], *, clusters: Clusters = ()
-) -> Estimate:
+def accuracy(p: Float[Array, "e t c"], truth: Int[Array, " e"], *, clusters: Clusters = ()) -> Estimate:
     """Share of right decisions after each touch.
 
     Args:
@@ -102,9 +100,7 @@ def accuracy(
     return rate_interval(hits(p, truth), clusters)
 
 
-def mean_accuracy(
-    p: Float[Array, "e t c"], truth: Int[Array, " e"], *, clusters: Clusters = ()
-) -> Estimate:
+def mean_accuracy(p: Float[Array, "e t c"], truth: Int[Array, " e"], *, clusters: Clusters = ()) -> Estimate:
     """Share of right decisions, mean over touches 1 to t.
 
     Args:
@@ -172,6 +168,9 @@ def sign_test(difference: Shaped[Array, " n"]) -> float:
 
     Args:
         difference: Paired differences; of right-or-wrong answers this is McNemar's test.
+
+    Returns:
+        The p-value; 1 where no difference is other than zero.
     """
     above, below = int((difference > 0).sum()), int((difference < 0).sum())
     return float(stats.binomtest(above, above + below).pvalue) if above + below else 1.0
@@ -192,6 +191,9 @@ def confidence(p: Float[Array, "*shape c"]) -> Float[Array, "*shape"]:
 
     Args:
         p: Beliefs.
+
+    Returns:
+        Greatest probability of each belief.
     """
     return np.asarray(p, np.float64).max(-1)
 
@@ -216,6 +218,9 @@ def reliability(
         hit: Whether each is right, as `hits`.
         bins: How many.
         equal_mass: Bins of equal count instead of equal width.
+
+    Returns:
+        Mean confidence and frequency of each bin, with its count and interval.
     """
     confidences, hit = np.ravel(confidences), np.ravel(hit)
     which = _bin_numbers(confidences, bins, equal_mass)
@@ -256,6 +261,9 @@ def calibration_error(
         bins: How many.
         equal_mass: Bins of equal count instead of equal width.
         seed: Of the resampling.
+
+    Returns:
+        The error, and mean and 95 % quantile of what chance gives.
     """
     confidences, hit = np.ravel(np.asarray(confidences, np.float64)), np.ravel(hit)
     which = _bin_numbers(confidences, bins, equal_mass)
@@ -281,6 +289,9 @@ def log_loss(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, 
     Args:
         p: Beliefs.
         truth: Classes that were there.
+
+    Returns:
+        The loss (nats) after each touch.
     """
     return -np.log(np.clip(of_truth(p, truth), PROBABILITY_FLOOR, 1))
 
@@ -291,6 +302,9 @@ def brier(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, "e 
     Args:
         p: Beliefs.
         truth: Classes that were there.
+
+    Returns:
+        The score after each touch.
     """
     p = np.asarray(p, np.float64)
     return (p**2).sum(-1) - 2 * of_truth(p, truth) + 1
@@ -311,9 +325,7 @@ class Stopping(NamedTuple):
     touches: Estimate
 
 
-def stopping(
-    p: Float[Array, "e t c"], truth: Int[Array, " e"], error: float, *, clusters: Clusters = ()
-) -> Stopping:
+def stopping(p: Float[Array, "e t c"], truth: Int[Array, " e"], error: float, *, clusters: Clusters = ()) -> Stopping:
     """Stop as soon as the most probable class has at least 1 - `error`.
 
     Args:
@@ -376,9 +388,7 @@ class TouchesToConfidence(NamedTuple):
     never: Estimate  # share
 
 
-def touches_to_confidence(
-    first: Shaped[Array, " e"], touches: int, *, clusters: Clusters = ()
-) -> TouchesToConfidence:
+def touches_to_confidence(first: Shaped[Array, " e"], touches: int, *, clusters: Clusters = ()) -> TouchesToConfidence:
     """Summarise how many touches it takes to be confident.
 
     Args:
@@ -431,6 +441,9 @@ def of_truth(values: Shaped[Array, "..."], truth: Int[Array, "..."]) -> Float[Ar
     Args:
         values: (episodes, touches, classes).
         truth: (episodes,) classes that were there.
+
+    Returns:
+        One value for each episode and touch.
 
     Raises:
         ValueError: Shapes do not fit, or `truth` names a class that is none.
