@@ -8,7 +8,11 @@ class I2TError(Exception):
 
 
 class DataError(I2TError, ValueError):
-    """A file or a data set that cannot be used; the message is one line that names it, what is wrong and the remedy."""
+    """A file or a data set that cannot be used; the message is one line that names it, what is wrong and the remedy.
+
+    Args:
+        message: What happened; line breaks become spaces.
+    """
 
     def __init__(self, message: str) -> None:
         super().__init__(" ".join(message.splitlines()))  # what a library reported may have several lines

@@ -1,6 +1,7 @@
 """The plan of the house: floors, circles, names that mean one thing, calls that can be read."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections import Counter, defaultdict
@@ -141,3 +142,65 @@ def test_no_call_has_six_positional_arguments():
                 if not called.startswith(ARRAY_CODE) and not name.startswith(KERNELS):
                     wrong[f"{name}:{node.lineno} {called}"] += 1
     assert not wrong
+
+
+ARGS = re.compile(r"^Args:\n((?: +.*\n?|\n)*)", re.MULTILINE)
+AS_IN = re.compile(r"as in `([\w.]+)`")
+
+
+def _described(docstring: str, docstrings: dict[str, str]) -> set[str]:
+    """Arguments that a docstring names, and "return" if it says what comes back; "as in `Class.method`" in its summary
+    stands for what that one's docstring says.
+    """
+    args = ARGS.search(docstring)
+    named = set(re.findall(r"^ {4}\**(\w+):", args[1], re.MULTILINE)) if args else set()
+    named |= {"return"} if re.search(r"^(Returns|Yields):", docstring, re.MULTILINE) else set()
+    summary = re.split(r"^(?:Args|Returns|Raises):", docstring, maxsplit=1, flags=re.MULTILINE)[0]
+    for name in AS_IN.findall(summary):
+        named |= _described(docstrings.get(name, ""), docstrings)
+    return named
+
+
+def _to_describe(function: ast.FunctionDef) -> set[str]:
+    a = function.args
+    every = [*a.posonlyargs, *a.args, *a.kwonlyargs, *(each for each in (a.vararg, a.kwarg) if each is not None)]
+    names = {each.arg for each in every} - {"self", "cls", "_"}
+    gives = function.returns is not None and ast.unparse(function.returns) != "None"
+    return names | {"return"} if names and gives else names
+
+
+def _public_functions() -> Iterator[tuple[str, str, ast.FunctionDef]]:
+    """Module, qualified name and definition of what i2t offers; overloads and the contract's own tests are no part."""
+    for module, tree in MODULES.items():
+        for node in tree.body if module.startswith("i2t") else ():
+            of_class = isinstance(node, ast.ClassDef)
+            for each in node.body if of_class else (node,):
+                if not isinstance(each, ast.FunctionDef) or node.name.startswith("_"):
+                    continue
+                decorated = " ".join(map(ast.unparse, each.decorator_list))
+                if not each.name.startswith(("_", "test_")) and not re.search("overload|register|setter", decorated):
+                    yield module, f"{node.name}.{each.name}" if of_class else each.name, each
+
+
+def test_every_public_function_says_what_it_takes_and_gives():
+    functions = list(_public_functions())
+    assert len(functions) > 800
+    docstrings = {name: ast.get_docstring(function) or "" for _, name, function in functions}
+    missing = {
+        f"{module}.{name}": sorted(_to_describe(function) - _described(ast.get_docstring(function) or "", docstrings))
+        for module, name, function in functions
+    }
+    assert not {name: what for name, what in missing.items() if what}
+
+
+def test_every_public_class_says_what_it_is_made_of():
+    missing = {}
+    for module, tree in MODULES.items():
+        for node in tree.body if module.startswith("i2t") else ():
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                for each in node.body:
+                    if isinstance(each, ast.FunctionDef) and each.name == "__init__":
+                        docstrings = (ast.get_docstring(node) or "") + "\n\n" + (ast.get_docstring(each) or "")
+                        missing[f"{module}.{node.name}"] = sorted(_to_describe(each) - _described(docstrings, {}))
+    assert len(missing) > 20
+    assert not {name: what for name, what in missing.items() if what}

@@ -66,7 +66,15 @@ class Tip(Protocol):
     """What presses: anything whose surface over the skin is known."""
 
     def height(self, position: Float[Array, "2"], grid: Grid = GRID) -> Float[Array, "n n"]:
-        """Distance (m) of the tip's surface behind its lowest point over each cell, its axis at `position` (m)."""
+        """Distance of the tip's surface behind its lowest point over each cell.
+
+        Args:
+            position: (2,) m, of the tip's axis on the skin.
+            grid: Cells of the pad.
+
+        Returns:
+            (n, n) m, row along tool y; `MAX_HEIGHT_M` where the tip is not over the cell.
+        """
         ...
 
 

@@ -34,13 +34,34 @@ class TouchLog(Protocol):
     """Who hears what is measured and what happens while a touch is made."""
 
     def samples(self, samples: Samples) -> None:
-        """Samples of the skin; the same sample may come twice."""
+        """Keep samples of the skin; the same sample may come twice.
+
+        Args:
+            samples: As the skin gave them.
+
+        Raises:
+            DeviceError: They could not be written.
+        """
 
     def state(self, state: ArmState) -> None:
-        """A state of the arm."""
+        """Keep a state of the arm.
+
+        Args:
+            state: As the arm gave it.
+
+        Raises:
+            DeviceError: It could not be written.
+        """
 
     def event(self, text: str) -> None:
-        """What happened now."""
+        """Keep what happened now.
+
+        Args:
+            text: A few words.
+
+        Raises:
+            DeviceError: It could not be written.
+        """
 
 
 class EventLog:
@@ -63,19 +84,19 @@ class EventLog:
         self._put(json.dumps({"touch": RAW_FILE_KIND, "version": 2, "chips": chips}).encode() + b"\n")
 
     def samples(self, samples: Samples) -> None:
-        """Samples of the skin; the same sample may come twice."""
+        """Keep and write samples, as in `TouchLog.samples`."""
         rows = np.column_stack([samples.number, samples.time, samples.reading, samples.temperature])
         self.readings |= {int(row[0]): row[1:] for row in rows}
         self._write(b"s", rows.astype("<f8").tobytes())
 
     def state(self, state: ArmState) -> None:
-        """A state of the arm."""
+        """Keep and write a state of the arm, as in `TouchLog.state`."""
         self.states.append(state)
         row = np.concatenate([[state.time], state.T_b_t.ravel(), state.joints, state.velocity, state.wrench])
         self._write(b"a", row.astype("<f8").tobytes())
 
     def event(self, text: str) -> None:
-        """What happened now."""
+        """Keep and write what happened now, as in `TouchLog.event`."""
         now = self._clock.now()
         self.events.append((now, text))
         self._write(b"e", json.dumps([now, text]).encode())

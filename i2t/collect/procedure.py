@@ -113,13 +113,35 @@ class TouchRecorder(Protocol):
     """Who records touches (`i2t.collect.recorder.Recorder`)."""
 
     def begin(self, site: Site, attempt: int) -> TouchLog:
-        """A touch begins; raises DeviceError where it could not be recorded."""
+        """A touch begins.
+
+        Args:
+            site: Where.
+            attempt: How often it was tried before.
+
+        Returns:
+            The log of this attempt.
+
+        Raises:
+            DeviceError: The touch could not be recorded.
+        """
 
     def save(self, touch: TouchResult) -> None:
-        """It was made; once this returns it is safe."""
+        """The touch was made; once this returns it is safe.
+
+        Args:
+            touch: The touch, with its patch and view.
+
+        Raises:
+            DeviceError: It could not be written.
+        """
 
     def abandon(self, reason: str) -> None:
-        """It was not."""
+        """The touch was not made.
+
+        Args:
+            reason: Why, as a sentence.
+        """
 
 
 class TouchFailedError(DeviceError):

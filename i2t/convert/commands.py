@@ -209,8 +209,20 @@ def to_npz(source: Source, target: Target, force: bool = False, skip_bad: bool =
 
 
 def write_npz(path: Path, dataset: Dataset) -> Path:
-    """Write every field of the touches under its name (`truth_...` for the truth), the names, board, window, reach,
-    source, and provenance as `meta_keys` and `meta_values`; atomically. Raises DataError.
+    """Write a data set as arrays, atomically.
+
+    The file holds every field of the touches under its name (`truth_...` for the truth), the names, board, window,
+    reach, source, and provenance as `meta_keys` and `meta_values`.
+
+    Args:
+        path: Of the new file; its folder is made.
+        dataset: The data set.
+
+    Returns:
+        `path`.
+
+    Raises:
+        DataError: It could not be written.
     """
     touches = dataset.touches._asdict()
     truth = touches.pop("truth")
@@ -246,7 +258,14 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code."""
+    """Run one command.
+
+    Args:
+        args: The command line without the program's name, by default this process's.
+
+    Returns:
+        The exit code: 0, or 2 where a recording cannot be read.
+    """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", BadFileWarning)
         try:

@@ -28,18 +28,36 @@ class ConversionLog:
     lines: list[str] = field(default_factory=list)
 
     def info(self, line: str) -> None:
-        """Note a sentence, once."""
+        """Note a sentence, once.
+
+        Args:
+            line: The sentence.
+        """
         if line not in self.lines:
             self.lines.append(line)
 
     def skip(self, error: DataError) -> None:
-        """Raise the error, or note what is left out for it."""
+        """Raise an error, or note what is left out for it.
+
+        Args:
+            error: What is wrong with the source.
+
+        Raises:
+            DataError: The error, unless `skip_bad`.
+        """
         if not self.skip_bad:
             raise error
         self.info(f"left out: {error}")
 
     def close(self, dataset: Dataset) -> Converted:
-        """Put the notes into the data set's provenance."""
+        """Put the notes into the data set's provenance.
+
+        Args:
+            dataset: What was converted.
+
+        Returns:
+            The data set with its notes, and the notes.
+        """
         meta = dict(dataset.meta) | {"notes": " | ".join(self.lines)}
         return Converted(replace(dataset, meta=meta), tuple(self.lines))
 

@@ -24,9 +24,19 @@ CLEARLY = 3.0  # times: how much steadier one column must be to be the temperatu
 
 
 def readings(tactile: Path, order: str, notes: ConversionLog) -> np.ndarray:
-    """Readings (n, 15) uT of one run, mean in contact minus mean ambient; NaN in a touch that is damaged.
+    """Readings of one run: mean in contact minus mean ambient.
 
-    `order` is "binary", "ascii" or "auto", which looks for the steady temperature. Raises DataError.
+    Args:
+        tactile: File of the samples in contact, with or without `.npy`; the ambient file is next to it.
+        order: Of a sample's values: "binary" (t first), "ascii" (t last), or "auto", which looks for the steady
+            temperature.
+        notes: That hears what was found and what is left out.
+
+    Returns:
+        (n, 15) uT; NaN in a touch that is damaged.
+
+    Raises:
+        DataError: A file is missing or damaged.
     """
     path = _existing(tactile)
     touches = [_samples(path, touch) for touch in _list(path)]

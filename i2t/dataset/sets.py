@@ -48,7 +48,14 @@ class Dataset:
         return len(self.touches.reading)
 
     def select(self, rows: Any) -> "Dataset":
-        """The touches that a boolean mask or an array of row numbers picks, with all names kept."""
+        """The touches of some rows, with all names kept.
+
+        Args:
+            rows: A boolean mask (n,), an array of row numbers or a slice.
+
+        Returns:
+            A data set of these touches.
+        """
         rows = np.arange(len(self))[rows]
         touches = _map(lambda _, values: _rows(values, rows), self.touches)
         return replace(self, touches=touches)

@@ -76,7 +76,7 @@ class VirtualClock:
         return self._begun + self._now
 
     def sleep(self, seconds: float) -> None:
-        """Move on."""
+        """Move on at once, as in `Clock.sleep`."""
         self._now += max(0.0, seconds)
 
 
@@ -229,7 +229,7 @@ class SimulatedSkin(_SimulatedDevice):
         super().close()
 
     def latest(self, timeout: float = 0.4) -> Samples:
-        """The newest sample, one row; raises DeviceTimeoutError if it is older than `timeout`."""
+        """The newest sample, as in `Skin.latest`."""
         self._check()
         with self.lab.lock:
             age = self.lab.clock.now() - self.lab.samples[-1][1]
@@ -238,7 +238,7 @@ class SimulatedSkin(_SimulatedDevice):
             return self.lab.rows([self.lab.samples[-1]])
 
     def read(self, count: int, timeout: float | None = None) -> Samples:
-        """The next `count` samples."""
+        """The next samples, as in `Skin.read`."""
         if not 0 < count <= QUEUE_SAMPLES:
             raise ValueError(f"{count} samples were asked for; the queue holds 1 to {QUEUE_SAMPLES}")
         self._check()
@@ -255,7 +255,7 @@ class SimulatedSkin(_SimulatedDevice):
             self.lab.clock.sleep(min((count - len(got)) * TICK_S, timeout))
 
     def since(self, number: SupportsIndex) -> Samples:
-        """Samples after sample `number` that are still queued."""
+        """Samples that are still queued, as in `Skin.since`."""
         self._check()
         with self.lab.lock:
             return self.lab.rows(self._after(int(number)))
@@ -309,7 +309,7 @@ class SimulatedArm(_SimulatedDevice):
         super().close()
 
     def state(self, timeout: float = 0.1) -> ArmState:
-        """The present state; `timeout` never passes."""
+        """The present state, as in `Arm.state`; the timeout never passes."""
         self._check()
         with self.lab.lock:
             robot = self.lab.robot
@@ -327,7 +327,7 @@ class SimulatedArm(_SimulatedDevice):
             )
 
     def move(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> Array:
-        """Start a straight motion; one under way is replaced. See `i2t.hardware.protocols.Arm.move`."""
+        """Start a straight motion, as in `Arm.move`; by default as fast as the limits allow."""
         self._check()
         speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)
         if self.lab.robot.motion is not None:
@@ -340,7 +340,7 @@ class SimulatedArm(_SimulatedDevice):
         return pose_from_vector(vector)
 
     def stop(self, timeout: float = 1.0) -> None:
-        """Brake and return when it stands; raises DeviceError where it does not in time (s)."""
+        """Brake and return when the arm stands, as in `Arm.stop`."""
         self._check()
         with self.lab.lock:
             self.lab.robot.stop(BRAKING_M_S2)
@@ -351,14 +351,14 @@ class SimulatedArm(_SimulatedDevice):
         raise DeviceError(f"{self._name} was not seen to stop within {timeout:g} s")
 
     def zero_wrench(self, timeout: float = 1.0) -> None:
-        """Take the wrench felt now as zero; raises DeviceError while it moves."""
+        """Take the wrench felt now as zero, as in `Arm.zero_wrench`; nothing takes time."""
         if self.state().moving:
             raise DeviceError("The wrench can be zeroed only while the arm stands.")
         robot = self.lab.robot
         robot.zero_wrench()
 
     def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
-        """Move straight to a pose and wait. See `i2t.hardware.protocols.GuardedArm.go`."""
+        """Move straight to a pose and wait, as in `GuardedArm.go`."""
         felt = float(np.linalg.norm(self.state().wrench[:3]))
         self.move(T_b_t, speed, acceleration)
         while True:
@@ -380,7 +380,7 @@ class SimulatedArm(_SimulatedDevice):
         torque: float = 8.0,
         acceleration: float = 0.2,
     ) -> ApproachResult:
-        """Move along tool z until something says stop. See `i2t.hardware.protocols.GuardedArm.approach`."""
+        """Move along tool z until something says stop, as in `GuardedArm.approach`."""
         self.limits.check_approach(distance, force, torque)
         start = self.state().T_b_t
         self.move(shifted_along_z(start, distance), speed, acceleration)
@@ -443,7 +443,7 @@ class SimulatedCamera(CameraBase):
         self._open = False
 
     def capture(self, timeout: float = 2.0) -> View:
-        """A view from where the tool is now; `timeout` never passes. Raises NotConnectedError."""
+        """A view from where the tool is now, as in `DepthCamera.capture`; the timeout never passes."""
         if not self._open:
             raise self._not_connected()
         self._clock.sleep(1 / self.features.rate)

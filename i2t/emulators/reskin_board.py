@@ -132,7 +132,11 @@ def corrupt(chunk: bytes, substitute: float, drop: float, rng: np.random.Generat
 
 
 class BoardPort:
-    """The board's end of a pseudo-terminal, which may be unplugged; `link` names its other end."""
+    """The board's end of a pseudo-terminal, which may be unplugged; `link` names its other end.
+
+    Args:
+        link: A path that names the other end; None for none.
+    """
 
     def __init__(self, link: Path | None) -> None:
         self._link = link
@@ -178,7 +182,14 @@ class BoardPort:
         return TERMIOS_SPEEDS.get(code, 0)
 
     def send(self, chunk: bytes) -> None:
-        """What does not fit the port's buffer is lost, and so is what is sent to the board."""
+        """Send bytes; what does not fit the port's buffer is lost, and so is what is sent to the board.
+
+        Args:
+            chunk: The bytes.
+
+        Raises:
+            OSError: The port is gone.
+        """
         assert self.master is not None
         try:
             os.write(self.master, chunk)

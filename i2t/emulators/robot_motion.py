@@ -146,12 +146,20 @@ class Robot:
         )
 
     def stop(self, deceleration: float = STOP_DECELERATION) -> None:
-        """Slow down (m/s^2) to a stand."""
+        """Slow down to a stand.
+
+        Args:
+            deceleration: m/s^2.
+        """
         if self.motion is not None:
             self.motion = ConstantTwist(np.zeros(6), deceleration)
 
     def step(self, dt: float) -> None:
-        """Advance by a time (s)."""
+        """Advance in time.
+
+        Args:
+            dt: s.
+        """
         if isinstance(self.motion, LinearMotion):
             self._step_line(self.motion, dt)
         elif isinstance(self.motion, ForceMotion):

@@ -44,7 +44,15 @@ class ContactLine(NamedTuple):
     reading: Array  # (k, 3 chips) uT, without noise
 
     def distance_along(self, position: Array, turned: Array) -> float | None:
-        """How far (m) a pose is along the line, None off it."""
+        """How far a pose is along the line.
+
+        Args:
+            position: (3,) m, of the tool in the base.
+            turned: (3, 3) rotation of the tool in the base.
+
+        Returns:
+            m from the line's beginning, negative behind it; None off the line.
+        """
         axis = self.T_b_t[:3, 2]
         away = position - self.T_b_t[:3, 3]
         along = float(away @ axis)
@@ -69,7 +77,14 @@ class ContactLine(NamedTuple):
         return begun and bool(np.isfinite(self.first) or along <= LINE_TOLERANCE_M)
 
     def contact_at(self, along: float) -> tuple[float, Array, Array]:
-        """Force (N), its centre (2,) m and the reading (3 chips,) uT, `along` metres from the line's beginning."""
+        """What the skin feels at a place of the line; beyond the last load that is known it goes on straight.
+
+        Args:
+            along: m from the line's beginning.
+
+        Returns:
+            Force (N), its centre (2,) m on the skin, and the reading (3 chips,) uT.
+        """
         past = along - self.first
         if past <= 0:
             return 0.0, np.zeros(2), np.zeros(self.reading.shape[1])
@@ -90,17 +105,35 @@ class TouchableScene(Protocol):
     errors: SimulationErrors
 
     def near(self, position: Array) -> bool:
-        """Whether anything may be within a line's reach of a place."""
+        """Whether anything may be within a line's reach of a place.
+
+        Args:
+            position: (3,) m, in the base.
+
+        Returns:
+            False only where nothing can be met.
+        """
 
     def ahead(self, T_b_t: Array) -> ContactLine:
-        """The line from a pose that the arm reports."""
+        """The line from a pose along tool z, with what the skin meets on it.
+
+        Args:
+            T_b_t: (4, 4) pose that the arm reports.
+
+        Returns:
+            The line.
+        """
 
 
 class SpringPlane:
     """A horizontal plane that pushes back like a spring: everything about it is known in closed form.
 
-    Its height is in the base (m), its stiffness in N/m with arm and mount in it, and each newton changes the readings
-    by `gain` (uT).
+    Args:
+        height: m, in the base.
+        stiffness: N/m, with arm and mount in it.
+        gain: (3 chips,) uT/N, by which each newton changes the reading.
+        errors: Of the lab.
+        board: Of the skin.
     """
 
     def __init__(self, height: float, stiffness: float, gain: Array, errors: SimulationErrors, board: Board) -> None:
@@ -108,11 +141,11 @@ class SpringPlane:
         self.errors, self.board, self.rest = errors, board, np.zeros(board.num_readings)
 
     def near(self, position: Array) -> bool:
-        """It is met above and below."""
+        """Whether it is near, from above or below, as in `TouchableScene.near`."""
         return bool(abs(position[2] - self.height) < LINE_LENGTH_M)
 
     def ahead(self, T_b_t: Array) -> ContactLine:
-        """The line to it."""
+        """The line to it, as in `TouchableScene.ahead`."""
         down = -T_b_t[2, 2]
         first = (T_b_t[2, 3] - self.height) / down if down > 0 else np.inf
         force = np.array([0.0, 1.0])
@@ -129,8 +162,13 @@ class SpringPlane:
 class ObjectScene:
     """An object that stands where it really is, not where the lab believes, and a pad that touches it.
 
-    `T_b_o` is where the lab believes it; `stiffness` (N/m) is that of arm and mount. The same seed makes the same
-    errors.
+    Args:
+        mesh: Of the object.
+        T_b_o: (4, 4) where the lab believes it.
+        pad: That touches it.
+        errors: Of the lab.
+        stiffness: N/m, of arm and mount.
+        seed: The same makes the same errors.
     """
 
     def __init__(
@@ -151,11 +189,11 @@ class ObjectScene:
         self._radius = float(np.linalg.norm(corners - self._middle, axis=1).max())
 
     def near(self, position: Array) -> bool:
-        """Whether the object may be within a line's reach of a place."""
+        """Whether the object may be near, as in `TouchableScene.near`."""
         return float(np.linalg.norm(position - self._middle)) < self._radius + LINE_LENGTH_M
 
     def ahead(self, T_b_t: Array) -> ContactLine:
-        """The line from a pose that the arm reports: the tool is off it by the arm's own errors."""
+        """The line to the object, as in `TouchableScene.ahead`; the tool is off the pose by the arm's own errors."""
         off = np.eye(4)
         off[:3, 3] = self.errors.repeatability * self._random.standard_normal(3)
         off[:3, :3] = so3_exp(self.errors.approach_angle * self._random.standard_normal(3))
@@ -199,6 +237,10 @@ class ContactModel:
 
     A line is worked out once the tool stands somewhere near the object; with `wait` False that happens in the
     background (it takes hundredths of a second), and until it is done, while it is `busy`, nothing is met.
+
+    Args:
+        scene: What is touched.
+        wait: Whether a line is worked out before the tool goes on.
     """
 
     def __init__(self, scene: TouchableScene, wait: bool = True) -> None:
@@ -226,7 +268,14 @@ class ContactModel:
         return np.concatenate([turned @ [0.0, 0.0, -force], turned @ [-force * y, force * x, 0.0]])
 
     def far(self, position: Array) -> bool:
-        """Whether the tool is at least `NEAR` from first contact, or off the line on which there is one."""
+        """Whether the tool is at least `NEAR_CONTACT_M` from first contact, or off the line on which there is one.
+
+        Args:
+            position: (3,) m, of the tool in the base.
+
+        Returns:
+            False where the motion has to be followed in small steps.
+        """
         line = self._line
         return line is None or float((position - line.T_b_t[:3, 3]) @ line.T_b_t[:3, 2]) < line.first - NEAR_CONTACT_M
 
@@ -240,7 +289,12 @@ class ContactModel:
             self.stands(position, turned)
 
     def stands(self, position: Array, turned: Array) -> None:
-        """Work out what is ahead of a tool that stands somewhere, unless that is known or nothing is near."""
+        """Work out what is ahead of a tool that stands somewhere, unless that is known or nothing is near.
+
+        Args:
+            position: (3,) m, of the tool in the base.
+            turned: (3, 3) rotation of the tool in the base.
+        """
         if not self.scene.near(position):
             return
         along = None if self._line is None else self._line.distance_along(position, turned)

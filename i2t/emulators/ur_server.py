@@ -24,7 +24,12 @@ OK, UNKNOWN = "ok", "unknown: {}"  # answers of the fault port
 
 
 class Client:
-    """One connection, with what has arrived and not been used, and what waits to be sent."""
+    """One connection, with what has arrived and not been used, and what waits to be sent.
+
+    Args:
+        connection: Accepted.
+        port: Of the server.
+    """
 
     def __init__(self, connection: socket.socket, port: int) -> None:
         self.socket, self.port, self.received, self.unsent = connection, port, b"", b""

@@ -71,7 +71,11 @@ class RecordedDepthCamera(CameraBase):
         self._names = None
 
     def capture(self, timeout: float = 2.0) -> View:
-        """The next view, at the camera's rate; raises DeviceError where there is none."""
+        """The next view, at the camera's rate, as in `DepthCamera.capture`.
+
+        Raises:
+            DeviceError: There is none left, or its file is damaged.
+        """
         names = self._names
         if names is None:
             raise self._not_connected()

@@ -15,7 +15,11 @@ class Clock(Protocol):
         """Unix time (s), as in files; a person or a time server may set it."""
 
     def sleep(self, seconds: float) -> None:
-        """Wait."""
+        """Wait.
+
+        Args:
+            seconds: s; nothing is waited for where it is 0 or less.
+        """
 
 
 class MonotonicClock:
@@ -30,5 +34,5 @@ class MonotonicClock:
         return time.time()
 
     def sleep(self, seconds: float) -> None:
-        """Wait that long."""
+        """Wait that long, as in `Clock.sleep`."""
         time.sleep(seconds)

@@ -47,13 +47,29 @@ class ArmContract(_Contract):
     stiffness: float = 5e3  # N/m, of that plane
 
     def pose(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Array:
-        """(4, 4) T_b_t next to home, m."""
+        """A pose next to home.
+
+        Args:
+            x: m from home, along the base's x axis.
+            y: m along y.
+            z: m along z.
+
+        Returns:
+            (4, 4) T_b_t.
+        """
         pose = np.array(self.home, float)
         pose[:3, 3] += x, y, z
         return pose
 
     def above_floor(self, z: float) -> Array:
-        """(4, 4) T_b_t at a height (m) above the floor; leaves the test out where there is none."""
+        """A pose above the floor; leaves the test out where there is none.
+
+        Args:
+            z: m above the floor.
+
+        Returns:
+            (4, 4) T_b_t.
+        """
         if self.floor is None:
             pytest.skip("there is nothing to touch: give the height of a floor")
         return self.pose(z=self.floor + z - self.home[2, 3])

@@ -64,13 +64,27 @@ class CharucoBoard(CharucoArgs):
             )
 
     def drawn(self, pixels_per_mm: float = PRINT_PIXELS_PER_MM) -> Array:
-        """(h, w) uint8, with a margin of a square."""
+        """The board as an image to print, with a margin of a square.
+
+        Args:
+            pixels_per_mm: Scale of the image.
+
+        Returns:
+            (h, w) uint8.
+        """
         edge = round(1e3 * self.square * pixels_per_mm)
         size = ((self.columns + 2) * edge, (self.rows + 2) * edge)
         return np.asarray(self._made()[1].generateImage(size, marginSize=edge))
 
     def find(self, image: Array) -> tuple[Array, Array]:
-        """Corners that are seen in an image (h, w, 3) uint8: (k, 3) m on the board and (k, 2) pixels; k may be 0."""
+        """The corners that are seen in an image.
+
+        Args:
+            image: (h, w, 3) uint8 RGB.
+
+        Returns:
+            (k, 3) m on the board and (k, 2) pixels; k may be 0.
+        """
         cv2, board = self._made()
         grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
         places, numbers, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
@@ -192,7 +206,7 @@ def tool_pose(host: str) -> Array:
 
         listening = rtde_receive.RTDEReceiveInterface(host, 125.0, ["timestamp", "actual_TCP_pose"])
     except ImportError as error:
-        raise DeviceError("A UR arm needs ur_rtde: pip install 'i2t[hardware]' on Python 3.10 to 3.12.") from error
+        raise DeviceError("A UR arm needs ur_rtde: pip install 'i2t[hardware]' on Python 3.11 or 3.12.") from error
     except RuntimeError as error:
         raise DeviceError(f"The controller at {host} gives no states: {error}.") from error
     try:

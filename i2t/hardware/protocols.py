@@ -99,16 +99,41 @@ class Skin(Device, Protocol):
         """So far; can be asked for at any time and never raises."""
 
     def latest(self, timeout: float = 0.4) -> Samples:
-        """The newest sample, one row, at once; raises DeviceTimeoutError if it is older than `timeout`."""
+        """The newest sample, at once.
+
+        Args:
+            timeout: s, how old it may be.
+
+        Returns:
+            One row.
+
+        Raises:
+            DeviceTimeoutError: The newest is older.
+        """
 
     def read(self, count: int, timeout: float | None = None) -> Samples:
-        """The next `count` samples, all measured after the call. By default the timeout is twice what the nominal rate
-        needs, and half a second; raises DeviceTimeoutError after it.
+        """The next samples, all measured after the call.
+
+        Args:
+            count: How many.
+            timeout: s; by default twice what the nominal rate needs, and half a second.
+
+        Returns:
+            `count` rows.
+
+        Raises:
+            ValueError: More were asked for than the queue can hold, or none.
+            DeviceTimeoutError: They did not come in time.
         """
 
     def since(self, number: SupportsIndex) -> Samples:
-        """Samples that came after sample `number` (-1 for all) and are still in the queue, without waiting; maybe
-        none.
+        """Samples that came after another and are still in the queue, without waiting.
+
+        Args:
+            number: Of that sample, as in `Samples`; -1 for all.
+
+        Returns:
+            As many rows as there are; maybe none.
         """
 
 
@@ -147,21 +172,53 @@ class Arm(Device, Protocol):
         """Known before `connect`."""
 
     def state(self, timeout: float = 0.1) -> ArmState:
-        """The newest state, at most `timeout` old; raises DeviceTimeoutError, with the arm stopped as far as it can be
-        told to."""
+        """The newest state.
+
+        Args:
+            timeout: s, how old it may be.
+
+        Returns:
+            The state.
+
+        Raises:
+            DeviceTimeoutError: The newest is older; the arm was stopped as far as it can be told to.
+        """
 
     def move(self, T_b_t: Array, speed: float, acceleration: float) -> Array:
-        """Start a straight motion of the tool, at `speed` (m/s) and `acceleration` (m/s^2); returns the target that was
-        really sent (4, 4). A motion under way is replaced.
+        """Start a straight motion of the tool and return at once; one under way is replaced.
+
+        Args:
+            T_b_t: (4, 4) goal of the tool in the base, m.
+            speed: m/s.
+            acceleration: m/s^2.
+
+        Returns:
+            (4, 4) goal that was really sent.
+
+        Raises:
+            ValueError: The goal is outside the box or too fast; nothing was sent.
+            DeviceError: The arm is lost, stopped or does not take the motion.
         """
 
     def stop(self, timeout: float = 1.0) -> None:
-        """Stop all motion and return when the arm stands still, from any thread; raises DeviceError if that could not
-        be seen in time.
+        """Stop all motion and return when the arm stands still, from any thread.
+
+        Args:
+            timeout: s, until it must have been seen to stand.
+
+        Raises:
+            DeviceError: It could not be seen to stand in time.
         """
 
     def zero_wrench(self, timeout: float = 1.0) -> None:
-        """Take the wrench felt now as zero; only with the arm standing still and touching nothing."""
+        """Take the wrench felt now as zero; only with the arm standing still and touching nothing.
+
+        Args:
+            timeout: s, until the arm must have done it.
+
+        Raises:
+            DeviceError: The arm moves, or it took longer.
+        """
 
 
 class CameraFeatures(NamedTuple):
@@ -194,7 +251,18 @@ class DepthCamera(Device, Protocol):
         """Size and lens of its depth images; raises NotConnectedError where only the device knows them."""
 
     def capture(self, timeout: float = 2.0) -> View:
-        """A view exposed after the call; raises DeviceTimeoutError after `timeout`."""
+        """A view exposed after the call.
+
+        Args:
+            timeout: s.
+
+        Returns:
+            Depth and colour.
+
+        Raises:
+            DeviceTimeoutError: None came in time.
+            NotConnectedError: The camera is not connected.
+        """
 
 
 class ApproachResult(NamedTuple):

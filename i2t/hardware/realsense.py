@@ -199,7 +199,7 @@ class RealSense(CameraBase):
                 pipe.stop()
 
     def capture(self, timeout: float = 2.0) -> View:
-        """A view exposed after the call; raises DeviceTimeoutError after `timeout`."""
+        """A view exposed after the call, as in `DepthCamera.capture`."""
         when, frames = self._fresh(timeout)
         frames = self._align.process(frames)
         depth, colour = frames.get_depth_frame(), frames.get_color_frame()
@@ -208,7 +208,17 @@ class RealSense(CameraBase):
         return View(when, metres, np.array(colour.get_data()) if colour else None)
 
     def colour(self, timeout: float = 2.0) -> ColourImage:
-        """The colour image as it was taken, after the call; raises DeviceTimeoutError after `timeout`."""
+        """The colour image as it was taken, after the call.
+
+        Args:
+            timeout: s.
+
+        Returns:
+            The image with the colour sensor's own lens.
+
+        Raises:
+            DeviceTimeoutError: None came in time.
+        """
         when, frames = self._fresh(timeout)
         assert self._colour is not None
         return ColourImage(when, np.array(frames.get_color_frame().get_data()), *self._colour)

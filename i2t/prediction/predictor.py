@@ -84,7 +84,14 @@ class GPModel(NamedTuple):
         return self.gp.scale.shape[-1]
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
-        """Readings (uT) of n touches."""
+        """Readings of touches that are seen or simulated.
+
+        Args:
+            touches: n touches.
+
+        Returns:
+            Mean and standard deviation (n, c) uT.
+        """
         mean, std = _gp_readings(self.gp, _pressure(self.pressure, touches))
         return Reading(np.asarray(mean), np.asarray(std))
 
@@ -101,7 +108,11 @@ class PressureNetwork(NamedTuple):
         return self.network.normalisation.reading.mean.shape[-1]
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
-        """Readings (uT) of n touches; raises ValueError where a condition that the network needs is unknown."""
+        """Readings of touches, as in `GPModel.predict_batch`.
+
+        Raises:
+            ValueError: A condition that the network needs is unknown.
+        """
         return _network_readings(self.network, np.asarray(_pressure(self.pressure, touches).pressure), touches)
 
 
@@ -116,7 +127,11 @@ class PatchNetwork(NamedTuple):
         return self.network.normalisation.reading.mean.shape[-1]
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
-        """Readings (uT) of n touches; raises ValueError where patches or conditions do not fit the network."""
+        """Readings of touches, as in `GPModel.predict_batch`.
+
+        Raises:
+            ValueError: Patches or conditions do not fit the network.
+        """
         return _network_readings(self.network, touches.patch, touches)
 
 

@@ -80,7 +80,14 @@ class TrainConfig:
             raise ValueError(f"train.schedule is {self.schedule!r}; choose constant or cosine.")
 
     def optimizer(self, touches: int) -> optax.GradientTransformation:
-        """AdamW for a training set of so many `touches`."""
+        """AdamW with the schedule of the learning rate.
+
+        Args:
+            touches: Of the training set, which make an epoch.
+
+        Returns:
+            The optimizer; weights decay in matrices only.
+        """
         rate: optax.ScalarOrSchedule = self.learning_rate
         if self.schedule == "cosine":
             rate = optax.cosine_decay_schedule(self.learning_rate, self.epochs * -(-touches // self.batch_size))

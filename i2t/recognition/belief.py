@@ -99,7 +99,14 @@ class TemperatureScaling(NamedTuple):
     growth: float = 0.0
 
     def temperature(self, touches: TouchCount) -> TouchCount:
-        """The temperature after a number of touches."""
+        """The temperature after a number of touches.
+
+        Args:
+            touches: Of the episode so far, 1 or more.
+
+        Returns:
+            What the log likelihoods are divided by.
+        """
         return self.initial * (1 + self.growth * (touches - 1))
 
 

@@ -55,6 +55,9 @@ def calibrated_beliefs(
     Args:
         p: Beliefs.
         temperature: As fitted.
+
+    Returns:
+        Beliefs of the same shape.
     """
     touches = np.broadcast_to(np.arange(1, p.shape[1] + 1, dtype=np.float32), p.shape[:2])
     return np.asarray(belief.apply_temperature(jnp.asarray(p), jnp.asarray(touches), temperature), np.float64)
@@ -78,6 +81,9 @@ class PlattScaling(NamedTuple):
         Args:
             p_unknown: Probability of the unknown class.
             touches: How many each belief has seen, broadcast against it.
+
+        Returns:
+            Probabilities of the same shape.
         """
         return expit(self.offset + self.slope / (1 + self.growth * (touches - 1)) * _log_odds(p_unknown))
 
@@ -88,6 +94,9 @@ def fit_platt(p_unknown: Float[Array, "e t"], unknown: Bool[Array, " e"]) -> Pla
     Args:
         p_unknown: Probability of the unknown class in validation episodes.
         unknown: Whether the object was unknown.
+
+    Returns:
+        Its parameters.
     """
     log_odds, touches = _log_odds(p_unknown), np.arange(1, np.shape(p_unknown)[1] + 1)
     sign = np.where(np.asarray(unknown, bool), 1.0, -1.0)[:, None]
@@ -157,6 +166,9 @@ def conformal_sets(
         truth: Classes that were there.
         level: Coverage asked for.
         seed: Of the randomisation.
+
+    Returns:
+        Threshold of each number of touches, coverage and mean size of the sets.
     """
     rng = np.random.default_rng(seed)
     scores = np.sort(of_truth(_cumulative_masses(p_validation, rng), truth_validation), axis=0)

@@ -40,6 +40,7 @@ class EpisodeConfig:
     errors: SimulationErrors
     limits: PressLimits
     touches: int  # of each episode
+    presses_before: int = 1000  # of the pad, before an episode: a skin that was trained with is no longer new
 
     @property
     def touch_errors(self) -> SimulationErrors:

@@ -28,30 +28,79 @@ def fusion_barrier(work: Callable[[Array], Any], i: Array, holds: Array) -> Any:
 
 
 def dynamic_slice(array: Array, start: Sequence[Any], shape: Sequence[int]) -> Array:
-    """A block of `shape` that begins at `start`."""
+    """A block of an array; its indices stay 32 bits wide.
+
+    Args:
+        array: Any.
+        start: Index of the block's first element along each axis; may be traced.
+        shape: Of the block.
+
+    Returns:
+        The block.
+    """
     return jax.lax.dynamic_slice(array, [jnp.asarray(i, jnp.int32) for i in start], shape)
 
 
 def dynamic_update(array: Array, block: Array, start: Sequence[Any]) -> Array:
-    """The array with a block in place of what begins at `start`."""
+    """An array with a block in place of what was there; its indices stay 32 bits wide.
+
+    Args:
+        array: Any.
+        block: With as many axes.
+        start: Index of the block's first element along each axis; may be traced.
+
+    Returns:
+        The new array.
+    """
     return jax.lax.dynamic_update_slice(array, block, [jnp.asarray(i, jnp.int32) for i in start])
 
 
 def element(tree: Any, i: SupportsIndex) -> Any:
-    """Element i of every array of a tree."""
+    """An element of every array of a tree.
+
+    Args:
+        tree: Of arrays with a shared first axis.
+        i: Index on it.
+
+    Returns:
+        The tree without that axis.
+    """
     return jax.tree.map(lambda leaf: leaf[i], tree)
 
 
 def indices(n: int) -> Array:
-    """0, 1, ... n - 1."""
+    """0, 1, ... n - 1 as 32 bits.
+
+    Args:
+        n: How many.
+
+    Returns:
+        (n,) int32.
+    """
     return jnp.arange(n, dtype=jnp.int32)
 
 
 def minimum(a: Any, b: Any) -> Array:
-    """Minimum of numbers that are not NaN: one instruction, where `jnp.minimum` takes several to pass NaN on."""
+    """Minimum of numbers that are not NaN: one instruction, where `jnp.minimum` takes several to pass NaN on.
+
+    Args:
+        a: Numbers of any shape.
+        b: Numbers that broadcast with them.
+
+    Returns:
+        The smaller of each two.
+    """
     return jnp.where(a < b, a, b)
 
 
 def maximum(a: Any, b: Any) -> Array:
-    """Maximum of numbers that are not NaN."""
+    """Maximum of numbers that are not NaN.
+
+    Args:
+        a: Numbers of any shape.
+        b: Numbers that broadcast with them.
+
+    Returns:
+        The larger of each two.
+    """
     return jnp.where(a > b, a, b)

@@ -48,7 +48,12 @@ class ToolView(NamedTuple):
 
 
 class PixelGrid:
-    """Pixel centres of a window, and the square tiles that they fall into (the last ones may hang over the edge)."""
+    """Pixel centres of a window, and the square tiles that they fall into (the last ones may hang over the edge).
+
+    Args:
+        window: m, edge of the square.
+        pixels: Along it.
+    """
 
     def __init__(self, window: float, pixels: int) -> None:
         self.pixels, self.half, self.pitch = pixels, window / 2, window / pixels
@@ -69,12 +74,27 @@ class PixelGrid:
         self.low, self.high = first[:, 0] - self.pitch / 20, first[:, -1] + self.pitch / 20
 
     def images(self, tiles: Array) -> Array:
-        """(poses, tiles, pixels of a tile) -> (poses, n, n)."""
+        """Put tiles together to images.
+
+        Args:
+            tiles: (p, tiles, pixels of a tile).
+
+        Returns:
+            (p, n, n).
+        """
         whole = tiles.reshape(-1, self.side, self.side, self.edge, self.edge).swapaxes(2, 3)
         return whole.reshape(len(tiles), self.side * self.edge, -1)[:, : self.pixels, : self.pixels]
 
     def columns(self, low: Float[Array, "*n"], high: Float[Array, "*n"]) -> UInt[Array, "*n"]:
-        """Bits of the columns of tiles that an interval along x touches."""
+        """Which columns of tiles an interval along x touches.
+
+        Args:
+            low: m, lower ends of the intervals.
+            high: m, upper ends.
+
+        Returns:
+            A bit for each column.
+        """
         width = self.edge * self.pitch
         first = jnp.clip(jnp.ceil((low - self.high[0]) / width), 0, self.side).astype(jnp.uint32)
         behind = jnp.clip(jnp.floor((high - self.low[0]) / width) + 1, 0, self.side).astype(jnp.uint32)
@@ -337,24 +357,58 @@ def _draw_busiest(
 
 
 def place_boxes(box: Sequence[Array] | Array, view: ToolView) -> tuple[list[Array], list[Array]]:
-    """Centres and half extents (three arrays each) in the tool frame of boxes, given as six arrays of such."""
+    """Boxes in the tool frame.
+
+    Args:
+        box: Centre x, y, z and half extents (m), six arrays of one shape.
+        view: Of the poses.
+
+    Returns:
+        Centres and half extents (m) along the tool's axes, three arrays each.
+    """
     stretch: list[Any] = [sum(jnp.abs(view.linear[i, j]) * box[3 + j] for j in range(3)) for i in range(3)]
     return to_tool(box[:3], view), stretch
 
 
 def broadcast_view(view: ToolView, axes: int) -> ToolView:
-    """The view of poses on the first of `axes` + 1 axes."""
+    """A view of poses that broadcasts with arrays of more axes.
+
+    Args:
+        view: Of p poses.
+        axes: How many axes of length 1 follow that of the poses.
+
+    Returns:
+        The same view.
+    """
     return jax.tree.map(lambda part: part.reshape(*part.shape, *(1,) * axes), view)
 
 
 def empty_buffers(poses: int, grid: PixelGrid, dtype: DTypeLike, with_faces: bool) -> Hits:
-    """Hits before anything is drawn: heights (p, tiles, pixels) and, if asked for, faces."""
+    """Hits before anything is drawn.
+
+    Args:
+        poses: How many.
+        grid: Of the pixels.
+        dtype: Of the heights.
+        with_faces: Whether the faces that are seen are asked for.
+
+    Returns:
+        Heights (p, tiles, pixels), infinite, and, if asked for, faces.
+    """
     heights = jnp.full((poses, *grid.x.shape), jnp.inf, dtype)
     return (heights, jnp.zeros(heights.shape, jnp.int32)) if with_faces else (heights,)
 
 
 def to_tool(point: Sequence[Array] | Array, view: ToolView) -> list[Array]:
-    """Coordinates (three arrays) in the tool frame; the origin is subtracted first, where it costs no digits."""
+    """Points in the tool frame; the view's origin is subtracted first, where it costs no digits.
+
+    Args:
+        point: x, y, z (m), three arrays.
+        view: Of the poses.
+
+    Returns:
+        x, y, z (m) along the tool's axes.
+    """
     local = [point[j] - view.origin[j] for j in range(3)]
     return [sum((view.linear[i, j] * local[j] for j in range(3)), view.offset[i]) for i in range(3)]
 
@@ -398,11 +452,18 @@ def _draw(
 def face_terms(
     corners: Sequence[Array], shown: Bool[Array, "..."], half: float, axis: int, holds: Bool[Array, ""]
 ) -> tuple[Array, ...]:
-    """The numbers of faces in the tool frame: A, B and C of their edges, the slopes of their planes along x and y, and
-    the heights of the plane at the origin and of the lowest corner.
+    """The numbers of faces in the tool frame with which pixels are drawn.
 
-    `corners` are x, y and z with the three corners of a face along `axis`, where A, B and C have its edges. What is not
-    `shown` has no inside. `holds` is always true (see `apart`).
+    Args:
+        corners: x, y and z (m), each with the three corners of a face along `axis`.
+        shown: Whether a face is one; what is not has no inside.
+        half: m, half the window that pixels are drawn on.
+        axis: On which the corners lie, and in A, B and C the edges.
+        holds: Always true (see `fusion_barrier`).
+
+    Returns:
+        A, B and C of the edges, the slopes of the faces' planes along x and y, and the heights of the plane at the
+        origin and of the lowest corner.
     """
     x, y, _ = corners
     (xa, xb, xc), (ya, yb, yc), (za, zb, zc) = (
@@ -429,7 +490,18 @@ def face_terms(
 
 
 def closer_hit(best: Hits, x: Array, y: Array, face: Sequence[Array], name: Array) -> Hits:
-    """The nearest hits so far and those of one face, of `TERMS` numbers, on the pixels at x and y."""
+    """The nearest of the hits so far and those of one face.
+
+    Args:
+        best: Heights (m) so far and, if they are kept, their faces.
+        x: m, of the pixels.
+        y: m, of the pixels.
+        face: Its `TERMS` numbers, as in `face_terms`.
+        name: Number of the face.
+
+    Returns:
+        Hits of the same shape.
+    """
     A0, A1, A2, B0, B1, B2, C0, C1, C2, slope_x, slope_y, base, low = face
     height = maximum(slope_x * x + (slope_y * y + base), low)
     inside = minimum(minimum(A0 * x + (B0 * y + C0), A1 * x + (B1 * y + C1)), A2 * x + (B2 * y + C2))

@@ -97,7 +97,14 @@ class SimulationErrors:
         )
 
     def scaled(self, factor: float) -> "SimulationErrors":
-        """All pose errors times a factor; camera and sensor stay."""
+        """All pose errors times a factor; camera and sensor stay.
+
+        Args:
+            factor: 0 for none.
+
+        Returns:
+            The new errors.
+        """
         names = (
             "placement",
             "placement_angle",
@@ -334,24 +341,37 @@ def _press(
 
 
 @geometry.full_precision
-def apply_sensor_model(key: Key[Array, ""], touches: Touches, pad: Pad, errors: SimulationErrors) -> Touches:
+def apply_sensor_model(
+    key: Key[Array, ""],
+    touches: Touches,
+    pad: Pad,
+    errors: SimulationErrors,
+    *,
+    presses_before: Int[Array, ""] | int = 0,
+) -> Touches:
     """Give the touches of one session readings of a real sensor instead of those of an ideal one.
 
     Args:
-        key: random key.
+        key: random key of the session; faults of the board itself are the same in all its sessions.
         touches: of one session, in the order made.
         pad: the skin.
         errors: whose noise and faults are applied.
+        presses_before: that the pad had in the sessions before, and that softened it.
 
     Returns:
         The touches with other readings.
     """
     key_faults, key_noise, key_record = jax.random.split(key, 3)
     rest = pad.board.to_board(rest_field(pad))
-    felt = faults.apply(key_faults, touches.reading, touches.T_w_t, pad.board, errors.faults, rest=rest)
+    key_board = faults.board_key(pad.gains)
+    felt = faults.apply(
+        key_faults, touches.reading, touches.T_w_t, pad.board, errors.faults,
+        key_board=key_board, rest=rest, presses_before=presses_before,
+    )  # fmt: skip
     keys = jax.random.split(key_noise, len(felt))
     read = jax.vmap(lambda key, reading: add_sensor_noise(key, reading, pad.board, errors.noise))(keys, felt)
-    return touches._replace(reading=faults.record(key_record, read, errors.faults))
+    recorded = faults.record(key_record, read, errors.faults, key_board=jax.random.clone(key_board))
+    return touches._replace(reading=recorded)
 
 
 def _along_z(distance: Float[Array, ""]) -> Float[Array, "4 4"]:
@@ -369,6 +389,7 @@ def simulate_session(
     limits: PressLimits,
     sites: touch_sites.SiteLimits,
     n: int,
+    presses_before: Int[Array, ""] | int = 0,
 ) -> Touches:
     """One session of n touches on random safe sites of one object.
 
@@ -381,6 +402,7 @@ def simulate_session(
         limits: when a press ends.
         sites: which sites are safe.
         n: touches.
+        presses_before: that the pad had in the sessions before.
 
     Returns:
         n touches; rows whose site is unsafe, because too few safe ones were found, carry the code FAILED.
@@ -395,7 +417,7 @@ def simulate_session(
 
     touches = jax.vmap(touch)(jax.random.split(key_touches, n), chosen.T_w_t)
     touches = touches._replace(code=jnp.where(chosen.safe, touches.code, ReturnCode.FAILED))
-    return apply_sensor_model(key_skin, touches, pad, errors)
+    return apply_sensor_model(key_skin, touches, pad, errors, presses_before=presses_before)
 
 
 def simulate_touches(
@@ -415,7 +437,7 @@ def simulate_touches(
     Args:
         key: random key.
         objects: surfaces, each at the world's origin.
-        pad: the skin; its board says how many values a reading has.
+        pad: the skin; its board says how many values a reading has. It softens from session to session.
         errors: of the lab; `SimulationErrors.none()` is a lab that knows everything.
         n: touches on each object, or on the i-th.
         limits: when a press ends.
@@ -440,7 +462,7 @@ def simulate_touches(
     counts = [n] * len(objects) if isinstance(n, int) else list(n)
     simulate = jax.jit(simulate_session, static_argnames=("errors", "limits", "sites", "n"))
     surfaces = stack_surfaces(objects)  # one size class for all, and so one compilation
-    parts, session = [], 0
+    parts, session, presses = [], 0, 0
     for i, count in enumerate(counts):
         surface = jax.tree.map(lambda field, i=i: field[i], surfaces)
         for start in range(0, count, touches_per_session):
@@ -454,6 +476,7 @@ def simulate_touches(
                     limits=limits,
                     sites=sites,
                     n=touches_per_session,
+                    presses_before=jnp.int32(presses),
                 )
             )
             if (part.code == ReturnCode.FAILED).any():
@@ -463,6 +486,6 @@ def simulate_touches(
             part = part._replace(object=part.object + i, session=part.session + session)
             kept = min(touches_per_session, count - start)
             parts.append(jax.tree.map(lambda array, kept=kept: array[:kept], part))
-            session += 1
+            session, presses = session + 1, presses + kept
             progress(kept)
     return jax.tree.map(lambda *arrays: jnp.concatenate(arrays), *parts)

@@ -39,15 +39,36 @@ class Noise:
         return cls(xy=0.0, z=0.0, common=0.0, step_xy=0.0, step_z=0.0, drift=0.0)
 
     def scaled(self, factor: float) -> "Noise":
-        """The same sensor with `factor` times the noise and drift, and its steps as they are."""
+        """The same sensor with more or less noise and drift; its steps stay.
+
+        Args:
+            factor: Of noise and drift.
+
+        Returns:
+            The new noise.
+        """
         return replace(self, xy=factor * self.xy, z=factor * self.z, drift=factor * self.drift)
 
     def sigma(self, chips: int) -> np.ndarray:
-        """(3 * chips,) uT: standard deviation of one sample at rest."""
+        """Standard deviation of one sample at rest.
+
+        Args:
+            chips: Of the board.
+
+        Returns:
+            (3 chips,) uT.
+        """
         return np.tile([self.xy, self.xy, self.z], chips)
 
     def steps(self, chips: int) -> np.ndarray:
-        """(3 * chips,) uT: steps of the converter."""
+        """Steps of the converter.
+
+        Args:
+            chips: Of the board.
+
+        Returns:
+            (3 chips,) uT.
+        """
         return np.tile([self.step_xy, self.step_xy, self.step_z], chips)
 
 

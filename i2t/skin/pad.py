@@ -22,6 +22,7 @@ THICKNESS_M = 2e-3
 CHIP_GAP_M = 1.5e-3  # from the layer's base to the sensing elements: half of the chip's 1 mm package, glue and film
 YOUNG_PA = 150e3  # soft silicone (Shore 00-50, about 80 kPa) stiffened by the magnetic powder
 POISSON_RATIO = 0.48
+POISSON_RATIO_RANGE = (0.475, 0.485)  # of pads, an assumption; see `sample_pad`
 FRICTION_COEFFICIENT = 0.6  # of dry silicone on plastic, between 0.4 and 1 as a rule
 MOUNT_COMPLIANCE_M_PER_N = 0.25e-3  # middling, of those that are clamped at their edge; see `sample_pad`
 EDGE_CLAMPED_FRACTION = 1 / 3  # of skins are
@@ -165,7 +166,10 @@ def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0, *, board: Board
     """A pad as different from the next as real skins are; with `spread` 0 only its magnetization is random.
 
     Thickness 2-3 mm (ReSkin's range); stiffness within 15 %, gap within 0.25 mm, gains within 5 % and friction within
-    20 % (one sigma). Poisson's ratio is the same for all pads. One skin in three is clamped at its edge instead of
+    20 % (one sigma). Poisson's ratio is 0.475-0.485, an assumption: silicone rubber is hardly compressible (0.49 and
+    more), what is between its powder is not all rubber, and nobody measured it of a skin. A wide flat press feels the
+    layer as stiff as (1 - nu) / ((1 + nu) (1 - 2 nu)), 20 % less to 26 % more than at 0.48; a small tip hardly feels
+    it. One skin in three is clamped at its edge instead of
     bonded, and its mounting compliance is MOUNT_COMPLIANCE_M_PER_N within a factor of 1.8: on one of a few real boards
     a press anywhere moved two chips by 60-100 uT. The magnetization is that of `sample_magnetization`, and its strength
     varies by 25 % from skin to skin; a skin that would bring an axis at rest near the end of its range (most would) is
@@ -193,10 +197,12 @@ def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0, *, board: Board
     strength = MAGNETIZATION_A_PER_M * jnp.exp(spread * 0.25 * jax.random.normal(keys["strength"]))
     thickness = THICKNESS_M + spread * jax.random.uniform(keys["thickness"], maxval=1e-3)
     gap = CHIP_GAP_M + spread * 0.25e-3 * jax.random.truncated_normal(keys["gap"], -2.0, 2.0)
+    low, high = POISSON_RATIO_RANGE  # drawn from a key of its own, so that what else is drawn of a key stays
+    poisson = jax.random.uniform(jax.random.fold_in(key, len(names)), minval=low, maxval=high)
     pad = Pad(
         thickness=thickness,
         young=YOUNG_PA * jnp.exp(spread * 0.15 * jax.random.normal(keys["young"])),
-        poisson=jnp.asarray(POISSON_RATIO),
+        poisson=POISSON_RATIO + spread * (poisson - POISSON_RATIO),
         magnetization=strength * sample_magnetization(keys["map"], spread),
         gains=1 + spread * 0.05 * jax.random.truncated_normal(keys["gains"], -3.0, 3.0, (board.num_readings,)),
         board=_at_depth(board, thickness + gap),

@@ -40,6 +40,9 @@ def neighbours(x: Float[np.ndarray, "n d"], k: int = NUM_NEIGHBOURS) -> Int[np.n
         x: Features of the touches.
         k: How many.
 
+    Returns:
+        Their row numbers, the nearest first.
+
     Raises:
         ValueError: There are not so many other touches.
     """
@@ -63,6 +66,9 @@ def agreement(x: Float[np.ndarray, "n a"], y: Float[np.ndarray, "n b"], k: int =
         x: Features of the one.
         y: Features of the other.
         k: Neighbours of each touch.
+
+    Returns:
+        Three measures of it, each 1 where the two have the same neighbours or the same geometry.
     """
     return _Pair(x, y, k).agree(np.arange(len(x)))
 
@@ -86,6 +92,9 @@ def permutation_test(
         seed: Of the pairings.
         groups: Of each touch, within which touches are paired anew: whether they agree beyond the group. All touches
             are one group unless given.
+
+    Returns:
+        The agreement, its mean over permutations, and p-values.
     """
     pair, rng = _Pair(x, y, k), np.random.default_rng(seed)
     observed = pair.agree(np.arange(len(x)))

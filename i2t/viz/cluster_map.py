@@ -45,6 +45,9 @@ def plot_clusters(
         board: Of c / 3 chips.
         title: What is shown.
         simulated: Whether it was simulated.
+
+    Returns:
+        The figure.
     """
     readings, label, examples = np.asarray(readings), touch_map.label, np.asarray(touch_map.examples)
     k, e = examples.shape

@@ -43,6 +43,9 @@ def views(patch: Float[np.ndarray, "n h w"], kind: Literal["mask", "depth"] = "m
     Args:
         patch: m behind the nearest surface point.
         kind: The contact mask, or depth relative to the reach.
+
+    Returns:
+        A row for each patch.
     """
     patch = np.asarray(patch, np.float64)
     near = patch <= patch.min((1, 2), keepdims=True) + CONTACT_TOLERANCE_M
@@ -56,6 +59,9 @@ def components(x: Float[np.ndarray, "n d"], most: int = NUM_COMPONENTS) -> Float
     Args:
         x: Features of the touches.
         most: How many components, at most.
+
+    Returns:
+        A row for each touch, the greatest component first.
     """
     centred = np.asarray(x, np.float64) - np.mean(x, axis=0, keepdims=True)
     u, s, _ = np.linalg.svd(centred, full_matrices=False)
@@ -67,6 +73,9 @@ def standardised(x: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
 
     Args:
         x: Features of the touches.
+
+    Returns:
+        Features of the same shape.
     """
     std = np.std(x, axis=0, keepdims=True)
     return (x - np.mean(x, axis=0, keepdims=True)) / np.where(std > 0, std, 1)
@@ -80,6 +89,9 @@ def cluster(x: Float[np.ndarray, "n d"], clusters: int = NUM_CLUSTERS, seed: int
         clusters: How many.
         seed: Of the random starts.
         starts: How many, of which the best is taken.
+
+    Returns:
+        Cluster of each touch, and the clusters' means.
 
     Raises:
         ValueError: There are fewer touches than clusters.
@@ -138,6 +150,9 @@ def map_touches(
         clusters: Of the same touches, as `cluster` gives them.
         seed: Of t-SNE.
         ranks: Which examples: 0 is the touch nearest to its cluster's mean on the map, 0.5 the median one.
+
+    Returns:
+        Places on the map, clusters, the means' places, and the examples' row numbers.
     """
     at, means = embed(x, clusters.centre, seed)
     examples = []
@@ -154,6 +169,9 @@ def rand_index(a: Int[np.ndarray, " n"], b: Int[np.ndarray, " n"]) -> float:
     Args:
         a: Cluster of each touch.
         b: The same in the other clustering.
+
+    Returns:
+        The index, at most 1.
     """
     from sklearn.metrics import adjusted_rand_score
 

@@ -111,6 +111,9 @@ def plot_episode(record: EpisodeRecord, views: Sequence[Array] = ()) -> Picture:
     Args:
         record: The episode.
         views: Pictures (rows, columns, 3) of the scene, drawn to the left.
+
+    Returns:
+        The figure.
     """
     touches = np.unique(np.linspace(0, len(record.p) - 1, MAX_ROWS).round().astype(int)).tolist()
     candidates = _shown_candidates(record.p, record.truth)

@@ -79,6 +79,9 @@ def plot_patches(
         tolerance: m behind the nearest point that counts as contact.
         window: m, edge of a patch.
         reach: m, largest depth of a patch.
+
+    Returns:
+        The figure.
     """
     depth = np.asarray(depth)
     n = len(depth)

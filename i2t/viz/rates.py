@@ -19,6 +19,9 @@ def plot_confusions(
         names: Of the classes.
         title: What is shown.
         simulated: Whether it was simulated.
+
+    Returns:
+        The figure.
     """
     n = len(counts)
     figure = Picture(figsize=(3.1 * n + 0.9, 4.2), layout="constrained")
@@ -52,6 +55,9 @@ def plot_rates(
         ylabel: What the rate is of.
         chance: Rate of guessing.
         simulated: Whether it was simulated.
+
+    Returns:
+        The figure.
     """
     methods = list(dict.fromkeys(method for values in groups.values() for method in values))
     figure = Picture(figsize=(1.2 * len(groups) + 4.2, 4.2), layout="constrained")
@@ -85,6 +91,9 @@ def plot_rates_by_size(
         xlabel: What the size is, with its unit.
         ylabel: What the rate is of.
         simulated: Whether it was simulated.
+
+    Returns:
+        The figure.
     """
     figure = Picture(figsize=(6, 4), layout="constrained")
     axes = figure.subplots()
@@ -113,6 +122,9 @@ def plot_intervals(
         title: What is shown.
         xlabel: What the score is, with its unit.
         simulated: Whether it was simulated.
+
+    Returns:
+        The figure.
     """
     figure = Picture(figsize=(6, 0.34 * len(values) + 1.2), layout="constrained")
     axes = figure.subplots()

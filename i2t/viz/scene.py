@@ -75,6 +75,9 @@ def object_plotter(
         T_o_t: Tool poses in the object's frame.
         numbers: Whether touches carry their numbers.
 
+    Returns:
+        The plotter.
+
     Raises:
         RuntimeError: No scene can be drawn here.
     """
@@ -130,6 +133,9 @@ def plot_object(
         title: What is shown.
         simulated: Whether it was simulated.
         numbers: Whether touches carry their numbers.
+
+    Returns:
+        The figure.
     """
     plotter = None if why_no_scene() else object_plotter(vertices, faces, T_o_t, numbers)
     return _still(plotter, f"{titled(title, simulated)}\nsquares: the skin, 20 mm wide, where it touched")
@@ -142,6 +148,9 @@ def skin_plotter(pressure: Float[Array, "n n"], displacement: Float[Array, "n n"
         pressure: Pa.
         displacement: m, downwards.
         exaggerate: Factor on the displacement.
+
+    Returns:
+        The plotter.
 
     Raises:
         RuntimeError: No scene can be drawn here.
@@ -179,6 +188,9 @@ def plot_skin_surface(
         title: What is shown.
         simulated: Whether it was simulated.
         exaggerate: Factor on the displacement.
+
+    Returns:
+        The figure.
     """
     plotter = None if why_no_scene() else skin_plotter(pressure, displacement, exaggerate)
     return _still(plotter, f"{titled(title, simulated)}\ndepth drawn {exaggerate:g} times as large")
@@ -191,6 +203,9 @@ def map_plotter(values: Shaped[Array, "n n"], window: float, label: str) -> Any:
         values: Row i along y, column j along x.
         window: m, edge of the square.
         label: Of the colour bar, with the unit.
+
+    Returns:
+        The plotter.
 
     Raises:
         RuntimeError: No scene can be drawn here.
@@ -216,6 +231,9 @@ def interactive(make_plotter: Callable[[], Any], still: Callable[[], Picture]) -
     Args:
         make_plotter: Gives the pyvista plotter of the scene.
         still: Gives the picture, whose title the scene takes.
+
+    Returns:
+        The scene, or the picture.
     """
     picture = still()
     if why_no_scene() or find_spec("trame_vtk") is None:
@@ -241,6 +259,9 @@ def trimmed(picture: Shaped[Array, "rows columns rgb"]) -> Array:
 
     Args:
         picture: Of 8-bit colours.
+
+    Returns:
+        The part of it that is not white.
     """
     rows, columns = np.nonzero((picture < 250).any(-1))
     return picture[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]

@@ -123,6 +123,9 @@ def plot_readings(
         title: What is shown.
         simulated: Whether it was simulated.
         columns: Panels in a row.
+
+    Returns:
+        The figure.
     """
     values = [np.asarray(part) for part in sets.values()]
     n = len(labels)
@@ -165,6 +168,9 @@ def plot_press(
         reading: (3 n,) uT.
         title: What is shown.
         simulated: Whether it was simulated.
+
+    Returns:
+        The figure.
     """
     figure = Picture(figsize=(11, 3.9), layout="constrained")
     left, middle = figure.add_subplot(1, 3, 1), figure.add_subplot(1, 3, 2)
@@ -197,6 +203,9 @@ def plot_skin_map(
         label: Of the colour bar, with the unit.
         title: What is shown.
         simulated: Whether it was simulated.
+
+    Returns:
+        The figure.
     """
     figure = Picture(figsize=(5, 4.2), layout="constrained")
     axes = figure.subplots()
@@ -213,6 +222,9 @@ def colour_range(values: Shaped[Array, "..."]) -> tuple[float, float, str]:
 
     Args:
         values: What is drawn.
+
+    Returns:
+        Lower end, upper end, and the map's name.
     """
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     if low < 0 < high:

@@ -48,5 +48,8 @@ def titled(title: str, simulated: bool) -> str:
     Args:
         title: What is shown.
         simulated: Whether any of it was simulated.
+
+    Returns:
+        The title, with "(simulated)" where it is.
     """
     return f"{title} (simulated)" if simulated else title

@@ -37,6 +37,9 @@ def plot_predicted_touches(
         simulated: Whether it was simulated.
         window: m, edge of a patch.
         reach: m, largest depth of a patch.
+
+    Returns:
+        The figure.
     """
     n = len(patches)
     figure = Picture(figsize=(2.5 * n + 0.9, 5.6), layout="constrained")
@@ -72,6 +75,9 @@ def plot_training_curves(
         title: What is shown.
         ylabel: What the values are, with their unit.
         simulated: Whether it was simulated.
+
+    Returns:
+        The figure.
     """
     figure = Picture(figsize=(5, 3.4), layout="constrained")
     axes = figure.subplots()
@@ -96,6 +102,9 @@ def plot_channel_errors(
         noise: uT, standard deviation of the sensor's noise, drawn as the floor where known.
         title: What is shown.
         simulated: Whether it was simulated.
+
+    Returns:
+        The figure.
     """
     channels = len(next(iter(errors.values())))
     figure = Picture(figsize=(max(9.0, 0.4 * channels), 3.4), layout="constrained")
@@ -127,6 +136,9 @@ def plot_predictions(
         std: uT, predicted standard deviation.
         title: What is shown.
         simulated: Whether it was simulated.
+
+    Returns:
+        The figure.
     """
     figure = Picture(figsize=(4.8, 4.4), layout="constrained")
     axes = figure.subplots()

@@ -113,7 +113,17 @@ class PlayedPort:
         return len(self._ready)
 
     def read(self, size: int) -> bytes:
-        """Up to `size` bytes; waits for the first of them as long as the timeout."""
+        """The next bytes; waits for the first of them as long as the timeout.
+
+        Args:
+            size: How many at most.
+
+        Returns:
+            The bytes; none where none came in time.
+
+        Raises:
+            EOFError: The recording is at its end.
+        """
         if not self.in_waiting:
             if self._next == len(self._chunks):
                 raise EOFError

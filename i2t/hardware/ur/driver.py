@@ -166,6 +166,9 @@ class UrArm:
         Args:
             timeout: s that it may be old; by default the state timeout.
 
+        Returns:
+            The state.
+
         Raises:
             DeviceTimeoutError: It is older; the arm has been stopped as far as it can be told to.
             DeviceError: Once, for anything else that has stopped the arm.

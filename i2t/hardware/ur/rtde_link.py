@@ -151,6 +151,9 @@ class RtdeConnection:
         Args:
             timeout: s that the state may be old, and that the first one is waited for.
 
+        Returns:
+            The state.
+
         Raises:
             NotConnectedError: There is no connection.
             DeviceTimeoutError: The state is older; the arm has been given up.
@@ -174,6 +177,9 @@ class RtdeConnection:
         Args:
             timeout: s, as in `newest`.
 
+        Returns:
+            The state.
+
         Raises:
             DeviceError: The program has ended, or something stopped the arm; and as in `newest`.
         """
@@ -194,6 +200,9 @@ class RtdeConnection:
 
         Args:
             stops: What `stops` was when the motion was asked for.
+
+        Returns:
+            The state.
 
         Raises:
             MotionStoppedError: It has been stopped by request since.
@@ -268,7 +277,7 @@ class RtdeConnection:
             raise
 
     def zero_wrench(self, timeout: float) -> None:
-        """Take the wrench felt now for zero; raises DeviceError if that takes longer than `timeout` (s)."""
+        """Take the wrench felt now for zero, as in `Arm.zero_wrench`."""
         self._wait(self._send("zero_wrench"), timeout)
 
     def end_program(self) -> None:

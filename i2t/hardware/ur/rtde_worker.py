@@ -51,7 +51,12 @@ VARIABLES = [
 
 
 class Channel:
-    """Lines of JSON over a socket, from any thread."""
+    """Lines of JSON over a socket, from any thread.
+
+    Args:
+        end: Of a pair of sockets.
+        send_timeout_s: s, for which a message may wait for the other side to read.
+    """
 
     def __init__(self, end: socket.socket, send_timeout_s: float = 1.0) -> None:
         self._out, self._in = end, end.dup()  # two objects, as each has one timeout
@@ -60,12 +65,29 @@ class Channel:
         self._rest = b""
 
     def send(self, message: Message) -> None:
-        """Send a message; raises OSError, also where the other side has not read for a second."""
+        """Send a message.
+
+        Args:
+            message: That JSON can hold.
+
+        Raises:
+            OSError: The other side is gone, or has not read for a second.
+        """
         with self._sending:
             self._out.sendall(json.dumps(message).encode() + b"\n")
 
     def receive(self, timeout_s: float) -> list[Message]:
-        """The messages that have come, at once or within the timeout; raises EOFError when the other side has ended."""
+        """The messages that have come, at once or within a time.
+
+        Args:
+            timeout_s: s.
+
+        Returns:
+            The messages, in order; maybe none.
+
+        Raises:
+            EOFError: The other side has ended.
+        """
         self._in.settimeout(timeout_s)
         try:
             chunk = self._in.recv(1 << 16)
@@ -117,7 +139,11 @@ class Worker:
             self.process(self.channel.receive(POLL_S))
 
     def process(self, messages: list[Message]) -> None:
-        """Feed the watchdog once for all heartbeats, and obey the commands."""
+        """Feed the watchdog once for all heartbeats, and obey the commands.
+
+        Args:
+            messages: In order.
+        """
         if any("heartbeat" in message for message in messages):
             self.heartbeat_time = time.monotonic()
             if self.state is not None and self.state["program"]:
@@ -127,7 +153,11 @@ class Worker:
                 self.obey(message)
 
     def obey(self, message: Message) -> None:
-        """Carry out a command and answer; the state that it leads to is sent before the answer."""
+        """Carry out a command and answer; the state that it leads to is sent before the answer.
+
+        Args:
+            message: A command with its arguments and the number of its answer.
+        """
         commands = {
             "set_watchdog": self.set_watchdog,
             "move": self.move,
@@ -159,7 +189,14 @@ class Worker:
             self.limits = None
 
     def read_state(self, clock: float) -> Message:
-        """What ur_rtde knows, as one message."""
+        """What ur_rtde knows, as one message.
+
+        Args:
+            clock: s, the controller's own time of this state.
+
+        Returns:
+            The state: metres, radians, newtons and the controller's own frame.
+        """
         receive, last = self.receive, self.state
         now = time.monotonic() if last is None or clock != last["clock"] else last["time"]
         progress = self.control.getAsyncOperationProgressEx()
@@ -188,7 +225,11 @@ class Worker:
         }
 
     def send_state(self, state: Message) -> None:
-        """Keep a state and tell the driver."""
+        """Keep a state and tell the driver.
+
+        Args:
+            state: As in `read_state`.
+        """
         self.state = state
         self.channel.send({"state": state})
 
@@ -201,7 +242,15 @@ class Worker:
     def move(
         self, motion: int, pose: list[float], speed: float, acceleration: float, force: float, torque: float
     ) -> None:
-        """Start a straight motion, with a number, that is stopped above a force (N) or torque (Nm).
+        """Start a straight motion that is stopped above a force or torque.
+
+        Args:
+            motion: Its number, by which the driver knows what stopped it.
+            pose: (x, y, z, rotation vector), m and rad, of the tool in the base.
+            speed: m/s.
+            acceleration: m/s^2.
+            force: N.
+            torque: Nm.
 
         Raises:
             RuntimeError: The watchdog would not end it, or the controller did not take it.
@@ -235,7 +284,18 @@ class Worker:
 
 
 def connect(channel: Channel, request: Message) -> Worker:
-    """Connect to the controller, set tool and payload; raises RuntimeError."""
+    """Connect to the controller, set tool and payload.
+
+    Args:
+        channel: To the driver.
+        request: Host, tool (6,) or None, payload or None, and watchdog rate (Hz).
+
+    Returns:
+        A worker that serves the driver.
+
+    Raises:
+        RuntimeError: The controller does not answer or refuses.
+    """
     import rtde_control
     import rtde_receive
 
@@ -257,7 +317,11 @@ def forbid_new_connections() -> None:
 
 
 def main(request: Message) -> None:
-    """Serve the driver at the other end of standard input; ends the process."""
+    """Serve the driver at the other end of standard input; ends the process.
+
+    Args:
+        request: As `connect` takes it.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # what Ctrl-C means is the driver's to say
     channel = Channel(socket.socket(fileno=os.dup(0)))
     worker = None
