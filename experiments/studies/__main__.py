@@ -44,7 +44,7 @@ from experiments.studies import (
     sensitivity,
     sites,
 )
-from experiments.studies.lab import StudyArgs, StudyLab, prepare_lab, report_methods
+from experiments.studies.lab import StudyArgs, StudyLab, pads_of, prepare_lab, report_methods
 from i2t.cli import renamed_flags
 
 
@@ -52,7 +52,7 @@ class StudySteps(NamedTuple):
     """What a study does with each pad and seed, and with all of them."""
 
     evaluate: Callable[[StudyLab], Part]
-    report: Callable[[Sequence[Part], Path], dict[str, Any]]
+    report: Callable[[Sequence[Part], Path, Sequence[int]], dict[str, Any]]  # of the parts and their pads
 
 
 STUDIES = {
@@ -98,13 +98,16 @@ def run(args: StudyArgs) -> dict[str, Any]:
     out = args.out or Path("runs") / args.study
     study = STUDIES[args.study]
     begin(out, args, choose_preset(PRESETS, args.preset), args.resume, args.overwrite)
+    folders = finished_runs(args.trained_run)
     parts = []
-    for i, folder in enumerate(finished_runs(args.trained_run)):
+    for i, folder in enumerate(folders):
         path = out / f"part-{i}.npz"
         if not path.exists():
             save_part(path, study.evaluate(prepare_lab(args, folder, args.seed + i)))
         parts.append(load_part(path))
-    result = {"source": "simulated", "seeds": len(parts), **study.report(parts, out)}
+    pads = pads_of(folders)
+    found = study.report(parts, out, pads)
+    result = {"source": "simulated", "pads": sorted(set(pads)), "runs": len(parts), **found}
     write_json(out / "metrics.json", result)
     print(f"\nresults and figures are in {out}")
     return result

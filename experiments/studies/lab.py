@@ -1,5 +1,6 @@
 """What all studies share: a finished run with its pad model, objects to tell apart, simulated episodes, tables."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -179,6 +180,21 @@ def prepare_lab(args: StudyArgs, folder: Path, seed: int) -> StudyLab:
 # --- reports ---
 
 
+def pads_of(folders: Sequence[Path]) -> list[int]:
+    """A number for each run: the same where it is the same pad."""
+    names = [json.loads((folder / "metrics.json").read_text())["pad"] for folder in folders]
+    return [names.index(name) for name in names]
+
+
+def clusters_of(parts: Sequence[Part], pads: Sequence[int], of: str = "truth") -> list[np.ndarray]:
+    """By what the pooled episodes are alike, for their intervals: their pad. Episodes of a single pad are told apart by
+    nothing, and their interval is for that pad only.
+    """
+    if len(set(pads)) < 2:
+        return []
+    return [np.repeat(pads, [len(part[of]) for part in parts])]
+
+
 def pool_parts(parts: Sequence[Part]) -> dict[str, np.ndarray]:
     """Arrays of several pads and seeds as one, by name."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -196,15 +212,16 @@ def report_error(name: str, unit: str, values: np.ndarray, where: str) -> dict[s
     return {"unit": unit, "of": len(values), "percentiles_25_50_75_90": percentiles.tolist()}
 
 
-def report_methods(parts: Sequence[Part], out: Path) -> dict[str, Any]:
+def report_methods(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
     """Accuracy of every method on the same episodes; methods are called "evidence, setting"."""
-    columns = pool_parts(parts)
+    columns, clusters = pool_parts(parts), clusters_of(parts, pads)
     truth = columns.pop("truth")
     result: dict[str, Any] = {"episodes": len(truth), "methods": {}}
     settings: dict[str, dict[str, Estimate]] = {}
     for name, beliefs in columns.items():
         p = beliefs.astype(np.float64)
-        accuracy, mean = metrics.accuracy(p, truth), metrics.mean_accuracy(p, truth)
+        accuracy = metrics.accuracy(p, truth, clusters=clusters)
+        mean = metrics.mean_accuracy(p, truth, clusters=clusters)
         result["methods"][name] = {
             "accuracy": to_json(accuracy), "mean": to_json(mean),
             "log_loss": metrics.log_loss(p, truth).mean(0).tolist(),

@@ -12,7 +12,7 @@ import trimesh
 
 from experiments.common.runs import Part
 from experiments.recognize import figures
-from experiments.studies.lab import EpisodePlan, StudyLab
+from experiments.studies.lab import EpisodePlan, StudyLab, clusters_of
 from i2t import viz
 from i2t.objects import Mesh, catalogue, read_mesh
 from i2t.recognition import metrics
@@ -91,14 +91,14 @@ def decimate(mesh: Mesh, faces: int = MAX_FACES) -> Mesh:
     return Mesh(np.asarray(fewer.points, np.float64), np.asarray(fewer.regular_faces, np.int32))
 
 
-def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
     """Accuracy against touches for each number of objects."""
     result: dict[str, Any] = {}
     curves = {}
     for name in parts[0]:
         p = np.concatenate([part[name]["p"] for part in parts]).astype(np.float64)
         truth = np.concatenate([part[name]["truth"] for part in parts])
-        curves[name] = metrics.accuracy(p, truth)
+        curves[name] = metrics.accuracy(p, truth, clusters=clusters_of([part[name] for part in parts], pads))
         result[name] = {"episodes": len(truth), "accuracy": to_json(curves[name])}
         print(f"{name:12} " + " ".join(f"{t + 1}: {curves[name].mean[t]:.2f}" for t in range(0, p.shape[1], 3)))
     viz.save_figure(figures.accuracy(curves, "Accuracy with more objects", True), out / "accuracy.png")

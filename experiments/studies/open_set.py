@@ -17,12 +17,12 @@ import numpy as np
 
 from experiments.common.runs import Part
 from experiments.recognize import figures
-from experiments.studies.lab import EpisodePlan, StudyLab, format_estimate
+from experiments.studies.lab import EpisodePlan, StudyLab, clusters_of, format_estimate
 from i2t import viz
 from i2t.objects import Mesh, catalogue
 from i2t.recognition import calibrated, metrics, open_set
 from i2t.recognition.episodes import posteriors
-from i2t.recognition.intervals import estimate_at
+from i2t.recognition.intervals import Clusters, estimate_at
 from i2t.recognition.metrics import to_json
 from i2t.recognition.site_pool import draw_random_sites, prepare_surfaces, sample_sites
 from i2t.types import Surface
@@ -102,28 +102,29 @@ def evaluate_set(
     return OpenSetEpisodes(np.where(there < known, there, -1), p, p_unknown)
 
 
-def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
     """How well unknown objects are distinguished from known ones, and how far the unknown class is calibrated."""
     validation, test = (_pooled([OpenSetEpisodes(**part[name]) for part in parts]) for name in ("validation", "test"))
     scaling = calibrated.fit_platt(validation.p_unknown, validation.truth < 0)
     p, p_unknown = calibrated.apply_platt(test.p, test.p_unknown, scaling)
-    area = open_set.auroc(test.p_unknown, test.truth < 0)
+    clusters = clusters_of([part["test"] for part in parts], pads)
+    area = open_set.auroc(test.p_unknown, test.truth < 0, clusters=clusters)
     print("AUROC after each touch: " + " ".join(f"{x:.2f}" for x in area.mean))
     print("after the last: " + format_estimate(estimate_at(area, -1)))
     result = {"episodes": len(test.truth), "auroc": to_json(area), "platt": to_json(scaling)}
     for name, episodes in (("uncalibrated", test), ("calibrated", OpenSetEpisodes(test.truth, p, p_unknown))):
-        result[name] = score_episodes(name, episodes)
+        result[name] = score_episodes(name, episodes, clusters)
     figure = figures.accuracy({"unknown class": area}, "Detecting unknown objects", True, ylabel="AUROC")
     viz.save_figure(figure, out / "auroc.png")
     return result
 
 
-def score_episodes(name: str, episodes: OpenSetEpisodes) -> dict[str, Any]:
+def score_episodes(name: str, episodes: OpenSetEpisodes, clusters: Clusters) -> dict[str, Any]:
     """Accuracies for several shares of unknown objects, and the calibration error of the unknown class at the end."""
     truth, p, p_unknown = episodes
     scores: dict[str, Any] = {"accuracy": {}}
     for share in UNKNOWN_SHARES:
-        found = open_set.open_set_accuracy(p, p_unknown, truth, share, prior=PRIOR_UNKNOWN)
+        found = open_set.open_set_accuracy(p, p_unknown, truth, share, prior=PRIOR_UNKNOWN, clusters=clusters)
         scores["accuracy"][str(share)] = to_json(found)
         known, unknown = (format_estimate(estimate_at(one, -1)) for one in (found.known, found.unknown))
         print(f"{name}, {share:.0%} unknown: accuracy on known objects {known}, on unknown ones {unknown}")

@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from experiments.common.runs import Part
 from experiments.recognize import figures
-from experiments.studies.lab import EpisodePlan, StudyLab, format_estimate, pool_parts, report_error
+from experiments.studies.lab import EpisodePlan, StudyLab, clusters_of, format_estimate, pool_parts, report_error
 from i2t import viz
 from i2t.recognition import belief, metrics, planar
 from i2t.recognition.belief import Belief, Likelihood, TouchObservation
@@ -140,22 +140,22 @@ def rotation_error(angle: np.ndarray, symmetry: np.ndarray) -> np.ndarray:
     return np.where(symmetry == 0, 0.0, error)
 
 
-def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
     """What not knowing the pose costs, and how well it is found."""
-    columns = pool_parts(parts)
+    columns, clusters = pool_parts(parts), clusters_of(parts, pads)
     truth = columns["truth"]
     result: dict[str, Any] = {"episodes": len(truth), "methods": {}}
     curves = {}
     for name in ("known pose", "unknown pose"):
         p = columns[name].astype(np.float64)
-        curves[name] = metrics.accuracy(p, truth)
+        curves[name] = metrics.accuracy(p, truth, clusters=clusters)
         result["methods"][name] = {
             "accuracy": to_json(curves[name]), "log_loss": metrics.log_loss(p, truth).mean(0).tolist(),
         }  # fmt: skip
         shown = sorted({min(t, p.shape[1]) for t in SHOWN_TOUCHES})
         print(f"{name:14} " + "   ".join(f"{t}: {format_estimate(estimate_at(curves[name], t - 1))}" for t in shown))
     hits = {name: metrics.hits(columns[name], truth) for name in curves}
-    lost = metrics.compare_paired(hits["known pose"], hits["unknown pose"])
+    lost = metrics.compare_paired(hits["known pose"], hits["unknown pose"], clusters=clusters)
     result["lost"] = to_json(lost)
     print(f"accuracy lost after the last touch: {format_estimate(lost.last)}")
     right, where = hits["unknown pose"][:, -1] > 0.5, "where the object is right"

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from experiments.common.runs import Part
 from experiments.recognize import figures
-from experiments.studies.lab import StudyLab, format_estimate, pool_parts
+from experiments.studies.lab import StudyLab, clusters_of, format_estimate, pool_parts
 from i2t import viz
 from i2t.recognition import belief, calibrated, metrics
 from i2t.recognition.belief import Belief, Particles
@@ -89,17 +89,18 @@ def choose_sites(
     return np.asarray(site)
 
 
-def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
     """Accuracy and touches to confidence under each policy, and what choosing by information saves."""
-    columns = pool_parts(parts)
+    columns, clusters = pool_parts(parts), clusters_of(parts, pads)
     truth = columns["truth"]
     p = {policy: calibrated.calibrated_beliefs(columns[policy]) for policy in POLICIES}
     touches = next(iter(p.values())).shape[1]
     first = {policy: metrics.confident_at(each, CONFIDENCE) for policy, each in p.items()}
-    curves = {policy: metrics.accuracy(each, truth) for policy, each in p.items()}
+    curves = {policy: metrics.accuracy(each, truth, clusters=clusters) for policy, each in p.items()}
     result: dict[str, Any] = {"episodes": len(truth), "policies": {}, "touches_saved": {}}
     for policy, each in p.items():
-        mean, needed = metrics.mean_accuracy(each, truth), metrics.touches_to_confidence(first[policy], touches)
+        mean = metrics.mean_accuracy(each, truth, clusters=clusters)
+        needed = metrics.touches_to_confidence(first[policy], touches, clusters=clusters)
         result["policies"][policy] = {
             "accuracy": to_json(curves[policy]), "mean": to_json(mean), "touches_to_95": to_json(needed),
         }  # fmt: skip
@@ -108,10 +109,12 @@ def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
             f"{CONFIDENCE:.0%} confidence (restricted to {touches}), never {float(needed.never.mean):.2f}"
         )
     for other in ("random", "heuristic"):
-        saved = metrics.touches_saved(first["information"], first[other], touches)
+        saved = metrics.touches_saved(first["information"], first[other], touches, clusters=clusters)
         result["touches_saved"][other] = to_json(saved)
         print(f"information needs {format_estimate(saved)} fewer touches than {other}")
-    waiting = {policy: metrics.not_yet_confident(values, touches) for policy, values in first.items()}
+    waiting = {
+        policy: metrics.not_yet_confident(values, touches, clusters=clusters) for policy, values in first.items()
+    }
     figure = figures.not_yet_confident(waiting, f"Touches to {CONFIDENCE:.0%} confidence", True, CONFIDENCE)
     viz.save_figure(figure, out / "touches_to_confidence.png")
     viz.save_figure(figures.accuracy(curves, "Accuracy of each policy", True), out / "accuracy.png")

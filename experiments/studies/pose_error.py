@@ -14,10 +14,10 @@ import numpy as np
 
 from experiments.common.runs import Part
 from experiments.recognize import figures
-from experiments.studies.lab import EpisodePlan, StudyLab, format_estimate
+from experiments.studies.lab import EpisodePlan, StudyLab, clusters_of, format_estimate
 from i2t import viz
 from i2t.recognition import metrics
-from i2t.recognition.intervals import Estimate, wilson_interval
+from i2t.recognition.intervals import Estimate, rate_interval
 from i2t.recognition.metrics import to_json
 from i2t.recognition.paper_rules import paper_rules
 from i2t.recognition.site_pool import draw_informative_sites, sample_sites
@@ -73,7 +73,7 @@ def evaluate_set(lab: StudyLab, key: jax.Array, name: str, names: Sequence[str])
     return found
 
 
-def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
     """Accuracy after the last touch in every world, and the pose error at which the baseline overtakes."""
     result: dict[str, Any] = {"worlds": {}}
     differences: dict[str, list[Estimate]] = {}
@@ -81,7 +81,7 @@ def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
     for number, first in parts[0].items():
         world = World(str(first["objects"]), float(first["pose_error"]), float(first["view_noise"]))
         sizes.add(world.pose_error)
-        entry, by_rule = compare_rules([part[number] for part in parts])
+        entry, by_rule = compare_rules([part[number] for part in parts], pads)
         result["worlds"][str(world)] = entry
         for rule, difference in by_rule.items() if not world.view_noise else ():
             differences.setdefault(f"{world.objects}, {rule}", []).append(difference)
@@ -102,18 +102,18 @@ def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
     return result
 
 
-def compare_rules(parts: Sequence[Part]) -> tuple[dict[str, Any], dict[str, Estimate]]:
+def compare_rules(parts: Sequence[Part], pads: Sequence[int]) -> tuple[dict[str, Any], dict[str, Estimate]]:
     """Accuracies from readings and from contact positions in one world, and their difference, by rule."""
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0] if name not in World._fields}
-    truth = columns["truth"]
+    truth, clusters = columns["truth"], clusters_of(parts, pads)
     entry: dict[str, Any] = {"episodes": len(truth)}
     differences = {}
     for rule in COMPARED_RULES:
         ours, theirs = (metrics.hits(columns[f"{source}, {rule}"], truth) for source in ("I2T", "proprioception"))
-        differences[rule] = metrics.compare_paired(ours, theirs).last
+        differences[rule] = metrics.compare_paired(ours, theirs, clusters=clusters).last
         entry[rule] = {
-            "I2T": to_json(wilson_interval(ours[:, -1])),
-            "proprioception": to_json(wilson_interval(theirs[:, -1])),
+            "I2T": to_json(rate_interval(ours[:, -1], clusters)),
+            "proprioception": to_json(rate_interval(theirs[:, -1], clusters)),
             "difference": to_json(differences[rule]),
         }
     return entry, differences

@@ -154,10 +154,10 @@ def _depth_view(
     return add_depth_noise(depth, errors, np.random.default_rng(seed))
 
 
-def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
     """What knowing the pose is worth, and how well a view finds it."""
     columns = pool_parts([{key: part[key] for key in ERRORS} for part in parts])
-    result = report_methods([{key: p for key, p in part.items() if key not in ERRORS} for part in parts], out)
+    result = report_methods([{key: p for key, p in part.items() if key not in ERRORS} for part in parts], out, pads)
     kept, where = ~columns["refused"], "as the view has the object"
     for key, unit, factor in (("position_error", "mm", 1e3), ("rotation_error", "degrees", np.degrees(1.0))):
         result[key] = report_error(key.replace("_", " "), unit, factor * columns[key][kept], where)

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.common.runs import Part
-from experiments.studies.lab import StudyLab, format_estimate, pool_parts
+from experiments.studies.lab import StudyLab, clusters_of, format_estimate, pool_parts
 from i2t.geometry import inverse
 from i2t.recognition import metrics
 from i2t.recognition.episodes import EVIDENCE, run_belief
-from i2t.recognition.intervals import student_interval
+from i2t.recognition.intervals import mean_interval, rows_of
 from i2t.recognition.metrics import to_json
 from i2t.rendering.render import render_heights
 from i2t.types import PAD_WINDOW, Surface
@@ -45,9 +45,9 @@ def pressed_share(surface: Surface, T_w_site: jax.Array) -> jax.Array:
     return jnp.mean(heights <= jnp.min(heights) + CONTACT_DEPTH_M)
 
 
-def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
     """Bits of information for each kind of site and of evidence."""
-    columns = pool_parts(parts)
+    columns, clusters = pool_parts(parts), clusters_of(parts, pads)
     contact, share = columns["contact"], columns["share"]
     kinds = {"air": ~contact} | {
         name: contact & (share >= low) & (share < high) for name, (low, high) in SHARES.items()
@@ -57,7 +57,8 @@ def report(parts: Sequence[Part], out: Path) -> dict[str, Any]:
         result["bits"][name] = {"touches": int(rows.sum())}
         line = []
         for kind in EVIDENCE if rows.any() else ():
-            bits = student_interval(information_bits(columns[kind][rows, 0], columns["truth"][rows]))
+            information = information_bits(columns[kind][rows, 0], columns["truth"][rows])
+            bits = mean_interval(information, rows_of(clusters, rows))
             result["bits"][name][kind] = to_json(bits)
             line.append(f"{kind} {format_estimate(bits)}")
         print(f"{name:18} {rows.sum():5d} touches, bits: " + "   ".join(line))

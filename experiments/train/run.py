@@ -77,6 +77,7 @@ class TrainArgs:
     dataset: Path | None = None  # a data set to train on instead of simulating one
     split: Literal["auto", "object", "session", "block", "time"] = "auto"  # what is held out of --dataset
     pad: Path | None = None  # a pad on disk (`i2t.skin.files`), say one fitted to a real skin, to simulate with
+    pads: tuple[int, ...] | None = None  # numbers of simulated pads, in place of the preset's
     seed: int = 0  # of everything random
     seeds: int | None = None  # how many seeds, from --seed on
     epochs: int | None = None  # of the networks
@@ -98,6 +99,10 @@ def run(args: TrainArgs) -> dict[str, Any]:
     if args.epochs is not None:
         cfg = replace(cfg, training=replace(cfg.training, epochs=args.epochs))
     seeds = range(args.seed, args.seed + (args.seeds or cfg.seeds))
+    if args.pads is not None:
+        cfg = replace(cfg, pads=args.pads)
+    if args.pads is not None and (args.pad or args.dataset):
+        raise ValueError("--pads are simulated pads by number; pass it without --pad and --dataset")
     if args.pad and args.dataset:
         raise ValueError("--pad is for simulated touches, and --dataset brings its own; pass one of them")
     pads: Sequence[Pad | int | None] = (None,) if args.dataset else (load_pad(args.pad),) if args.pad else cfg.pads

@@ -7,7 +7,7 @@ a pad, a pool of sites or an object: `clusters` names these factors, and interva
 (`i2t.recognition.intervals`). How beliefs are calibrated is in `i2t.recognition.calibrated`.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
@@ -29,6 +29,20 @@ from i2t.types import Array
 TIE_TOLERANCE = 1e-6  # probabilities that differ by less are equal: sums of votes in float32
 PROBABILITY_FLOOR = 1e-6  # no logarithm of a smaller one is taken
 BINS = 15
+
+
+def to_json(values: Any) -> Any:
+    """Scores as JSON has them: fields by name, arrays as lists.
+
+    Args:
+        values: A named tuple of scores, an array or a number.
+
+    Returns:
+        Dicts, lists and numbers.
+    """
+    if hasattr(values, "_asdict"):
+        return {name: to_json(value) for name, value in values._asdict().items()}
+    return values.tolist() if isinstance(values, np.ndarray | np.generic) else values
 
 
 # --- accuracy ---
@@ -367,17 +381,18 @@ def confident_at(p: Float[Array, "e t c"], level: float = 0.95) -> Float[Array, 
     return np.where(confident.any(1), confident.argmax(1) + 1.0, np.inf)
 
 
-def not_yet_confident(first: Shaped[Array, " e"], touches: int) -> Estimate:
+def not_yet_confident(first: Shaped[Array, " e"], touches: int, *, clusters: Clusters = ()) -> Estimate:
     """Share of episodes that are not yet confident after 0, 1, ... `touches` touches.
 
     Args:
         first: Of each episode, as `confident_at`.
         touches: How many each episode has.
+        clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
 
     Returns:
         Estimates (touches + 1,).
     """
-    return wilson_interval(np.asarray(first)[:, None] > np.arange(touches + 1)[None])
+    return rate_interval(np.asarray(first)[:, None] > np.arange(touches + 1)[None], clusters)
 
 
 class TouchesToConfidence(NamedTuple):
