@@ -107,6 +107,28 @@ def load(
         raise SerializationError(f"{path}: lacks {error}; it was written by another i2t, make it again") from error
 
 
+def file_kind(path: Path | str) -> str:
+    """What kind of thing a file holds.
+
+    Args:
+        path: Of a file that `save` wrote.
+
+    Returns:
+        The kind that `load` must name.
+
+    Raises:
+        SerializationError: There is no such file, or it was not written by `save`.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise SerializationError(f"{path}: there is no such file; name one that i2t wrote")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return str(json.loads(str(file[ABOUT]))["format"])
+    except Exception as error:  # as many kinds as in `load`
+        raise SerializationError(f"{path}: is damaged or was not written by i2t; name another file") from error
+
+
 def flatten(tree: Any, prefix: str = "") -> dict[str, np.ndarray]:
     """Arrays by their dotted names.
 

@@ -4,7 +4,8 @@
     python -m experiments.recognize --preset debug        a handful of episodes, too few to mean anything
     python -m experiments.recognize --trained-run runs/study    every pad and seed of a study, intervals over all
     python -m experiments.recognize --objects a.stl b.stl --unit mm      meshes of your own, simulated episodes
-    python -m experiments.recognize --dataset DIR         recorded touches, each session an episode
+    python -m experiments.recognize --dataset DIR         recorded touches, each session an episode; the pad model is of
+                                                          --trained-run, or of --pad, and of the skin that recorded
 
 The objects were not trained on. Each episode puts one of them down with the errors of the world, touches it ten times
 at random safe sites of random candidates, and asks after each touch which one it is:
@@ -30,16 +31,14 @@ import numpy as np
 
 from experiments.common.presets import choose_preset
 from experiments.common.runs import begin
+from experiments.recognize import recorded, trained_run
 from experiments.recognize import report as reporting
-from experiments.recognize import trained_run
 from experiments.recognize.config import PRESETS, PresetName, Recognition
 from experiments.recognize.trained_run import TrainedRun, finished_runs, load_meshes, meshes_by_name
 from i2t import dataset as data
-from i2t.hardware.rig import Rig
 from i2t.objects import Mesh
-from i2t.recognition import belief
 from i2t.recognition.belief import Particles
-from i2t.recognition.episodes import EpisodeConfig, episodes_from_dataset, run_belief, run_episodes
+from i2t.recognition.episodes import EpisodeConfig, run_belief, run_episodes
 from i2t.recognition.outcomes import PredictedTouch
 from i2t.recognition.pad_model import PadModel, fit_oracle_pad_model
 from i2t.recognition.paper_rules import paper_rules
@@ -62,9 +61,12 @@ class SimulateArgs:
     out: Path = Path("runs/recognize")  # folder for everything that is made
     trained_run: Path = Path("runs/train")  # a finished run of experiments.train, or a study's folder of several
     preset: PresetName = "paper"
-    objects: tuple[Path, ...] = ()  # mesh files to tell apart, in place of the catalogue's
+    objects: tuple[Path, ...] = ()  # to tell apart: names of the catalogue and mesh files
     unit: str | None = None  # of those files, for instance mm
-    dataset: Path | None = None  # recorded touches to replay; its objects are the catalogue's or those of --objects
+    dataset: Path | None = None  # recorded touches to recognise; its objects are the catalogue's or those of --objects
+    pad: Path | None = None  # with --dataset, in place of a run's: an earlier session, a pad or a pad model of the skin
+    other_skin: bool = False  # with --dataset: judge touches of another skin all the same, and say so
+    max_touches: int | None = None  # with --dataset: of each session; by default as many as all long enough ones have
     rig: Path | None = None  # of the lab that recorded them: its object_covariance says how far poses may be off
     episodes: int | None = None  # of each object, for each pad and seed
     paper_episodes: int | None = None  # the same in the paper's sets, twice as many unless given
@@ -94,16 +96,21 @@ class Predictions(NamedTuple):
 def run(args: SimulateArgs) -> dict[str, Any]:
     """Every pad and seed of the run, then the tables over them."""
     cfg = configure(args)
+    if args.dataset is not None:
+        return recorded.run(args, cfg)
+    if args.pad is not None:
+        raise ValueError(
+            "--pad is for recorded touches (--dataset); simulate with it: python -m experiments.train --pad"
+        )
     folders = finished_runs(args.trained_run)
     begin(args.out, args, cfg, args.resume, args.overwrite)
     parts = []
     for i, folder in enumerate(folders):
         path = args.out / f"episodes-{i}.npz"
         if not path.exists():
-            played = replay(args, cfg, folder) if args.dataset else play(args, cfg, folder, args.seed + i)
-            reporting.save(path, played)
+            reporting.save(path, play(args, cfg, folder, args.seed + i))
         parts.append(reporting.load(path))
-    touched = data.load_dataset(args.dataset or folders[0] / "data.h5")
+    touched = data.load_dataset(folders[0] / "data.h5")
     return report(args, parts, touched.source, touched.board)
 
 
@@ -122,7 +129,7 @@ def report(args: SimulateArgs, parts: list[reporting.Results], source: str, boar
     """Scores, figures, tables, and the report of one episode."""
     parts, temperatures = reporting.calibrate(parts)
     result = reporting.summarise(parts, temperatures, args.out, source)
-    name = next(name for name in ("all", "recorded", "your objects") if name in parts[0])
+    name = next(name for name in ("all", "your objects") if name in parts[0])
     meshes = load_meshes(args.objects, args.unit) if args.objects else meshes_by_name(parts[0][name].names)
     reporting.report_hardest_episode(parts[0][name], list(meshes.values()), args.out / "story", source, board)
     reporting.print_tables(result)
@@ -211,25 +218,3 @@ def play_set(
         believed |= {f"{kind}{label}": p for kind, p in found.items()}
     believed |= paper_rules(trained.predictor, trained.pad_model.reading_std, surfaces, episodes)
     return reporting.EpisodeResults(tuple(objects.names), truth, believed, episodes)
-
-
-def replay(args: SimulateArgs, cfg: Recognition, folder: Path) -> reporting.Results:
-    """Recorded episodes in place of simulated ones."""
-    assert args.dataset is not None
-    trained = trained_run.load_trained_run(jax.random.key(args.seed), folder, cfg.errors, cfg.limits)
-    model = trained.pad_model
-    recorded = data.load_dataset(args.dataset)
-    meshes = load_meshes(args.objects, args.unit) if args.objects else meshes_by_name(recorded.objects)
-    surfaces = prepare_surfaces(list(meshes.values()))
-    sites, episodes = episodes_from_dataset(
-        recorded, list(meshes), cfg.touches, overtravel=cfg.limits.overtravel
-    )  # fmt: skip
-    rig = Rig() if args.rig is None else Rig.read(args.rig)
-    particles = belief.sample_particles(rig.object_covariance, cfg.num_particles, args.seed)
-    (table,) = precompute_outcomes(
-        surfaces, particles.twist, sites.T_w_t, [model.reading_model],
-        overtravel=cfg.limits.overtravel, label="recorded",
-    )  # fmt: skip
-    believed = run_belief(table, episodes, model.likelihood, particles)
-    believed |= paper_rules(trained.predictor, model.reading_std, surfaces, episodes)
-    return {"recorded": reporting.EpisodeResults(tuple(meshes), episodes.truth, believed, episodes)}

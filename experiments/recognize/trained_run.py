@@ -8,6 +8,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from experiments.train import recognition_data
 from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.objects import Mesh, catalogue, read_mesh
@@ -45,7 +46,7 @@ def load_trained_run(key: jax.Array, folder: Path, errors: SimulationErrors, lim
         The run.
 
     Raises:
-        ValueError: The run was not trained on simulated touches.
+        ValueError: The run did not simulate its touches, so that there is no pad to simulate others with.
     """
     dataset, predictor, pad = _read(folder)
     rows, surfaces = _training_rows(dataset, folder), _catalogue_surfaces(dataset)
@@ -72,23 +73,49 @@ def finished_runs(folder: Path) -> list[Path]:
 
 
 def load_meshes(paths: Sequence[Path], unit: str | None) -> dict[str, Mesh]:
-    """Meshes of files.
+    """Meshes of the catalogue and of files.
 
     Args:
-        paths: Of the files, two at least.
-        unit: Of their lengths.
+        paths: Names of the catalogue or of mesh files, two at least.
+        unit: Of the files' lengths.
 
     Returns:
-        The meshes by the files' names.
+        The meshes by the objects' names: the catalogue's, or the files' stems.
 
     Raises:
-        ValueError: No unit, or a single file.
+        ValueError: Neither a name nor a file, a file without a unit, two objects of one name, or a single object.
     """
-    if unit is None:
+    if unit is None and any(not is_catalogue_name(path) for path in paths):
         raise ValueError("say in which unit the files of --objects are, for instance --unit mm")
     if len(paths) < 2:
-        raise ValueError("--objects needs at least two meshes to tell apart")
-    return {path.stem: read_mesh(path, unit)[0].mesh for path in paths}
+        raise ValueError("--objects needs at least two objects to tell apart")
+    names = [path.stem for path in paths]
+    if repeated := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(f"--objects has several objects called {', '.join(repeated)}; rename the files")
+    missing = [str(path) for path in paths if not is_catalogue_name(path) and not path.is_file()]
+    if missing:
+        raise ValueError(
+            f"--objects {missing[0]}: is neither a mesh file nor an object of the catalogue, which has "
+            f"{', '.join(catalogue.NAMES)}"
+        )
+    return {
+        path.stem: catalogue.make_object(str(path)).mesh
+        if is_catalogue_name(path)
+        else read_mesh(path, str(unit))[0].mesh
+        for path in paths
+    }
+
+
+def is_catalogue_name(path: Path) -> bool:
+    """Whether what the user named is an object of the catalogue and no file.
+
+    Args:
+        path: A name of --objects.
+
+    Returns:
+        Whether it is.
+    """
+    return str(path) in catalogue.NAMES
 
 
 def meshes_by_name(names: Sequence[str]) -> dict[str, Mesh]:
@@ -105,8 +132,14 @@ def meshes_by_name(names: Sequence[str]) -> dict[str, Mesh]:
 
 def _read(folder: Path) -> tuple[Dataset, Predictor, Pad]:
     about = json.loads((folder / "metrics.json").read_text())
-    if about.get("source") != "simulated" or not (folder / "data.h5").exists():
-        raise ValueError(f"{folder} was not trained on simulated touches; pass one that was, as --trained-run")
+    if not (folder / "data.h5").exists():
+        if (folder / recognition_data.ABOUT).exists():
+            raise ValueError(
+                f"{folder} was trained on recorded touches, and simulated episodes need a pad to simulate with; "
+                "recognise recorded touches with it (--dataset), or pass a run that simulated its touches as "
+                "--trained-run"
+            )
+        raise ValueError(f"{folder} keeps no touches; train it again: python -m experiments.train")
     number = about["pad"]
     pad = numbered_pad(number) if isinstance(number, int) else load_pad(Path(number))
     return data.load_dataset(folder / "data.h5"), load_predictor(folder), pad

@@ -8,7 +8,7 @@ pad = load_pad("pad.npz")
 """
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,14 @@ PAD_FIELDS_OF_BEFORE = {
     "magnetisation": "magnetization",
     "give": "mount_compliance",
 }  # of fields in files of earlier versions
+
+
+class PadAbout(NamedTuple):
+    """What a pad's file says of it."""
+
+    name: str  # of the skin, as data sets call it
+    made_from: str  # a phrase such as ", fitted to 100 real presses"; empty where nothing is known
+    error_std: float  # uT, root mean square of what it leaves of presses that it was not fitted to; 0 where unknown
 
 
 def save_pad(path: Path | str, pad: Pad, about: dict[str, Any] | None = None) -> None:
@@ -71,3 +79,21 @@ def load_pad(path: Path | str) -> Pad:
     if not (pad.thickness > 0 and pad.young > 0 and 0 <= pad.poisson < 0.5):
         raise SerializationError(f"{path}: thickness, stiffness or Poisson's ratio cannot be; make the pad again")
     return jax.tree.map(lambda array: jnp.asarray(array, jnp.float32), pad)
+
+
+def load_pad_about(path: Path | str) -> PadAbout:
+    """What a pad's file says of it.
+
+    Args:
+        path: of the file.
+
+    Returns:
+        Whose pad it is and how it was made; a file that names no skin is called after itself.
+
+    Raises:
+        SerializationError: the file is missing, damaged or holds no pad.
+    """
+    _, about = serialization.load(path, KIND, Pad, renamed=PAD_FIELDS_OF_BEFORE)
+    presses = f", fitted to {about['presses']} {about.get('source', '')} presses" if "presses" in about else ""
+    error_std = float(about.get("error_std_uT") or 0.0)
+    return PadAbout(str(about.get("pad") or f"simulated, {Path(path).stem}"), presses, error_std)

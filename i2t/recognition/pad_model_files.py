@@ -1,0 +1,179 @@
+"""Pad models with the skin that they are of: on disk, and refused for touches of another skin.
+
+origin = PadOrigin("skin A", "real", ("hexagon", "parallelogram"), touches=300, made_from="DATA")
+save_pad_model("pad_model.npz", KnownPad(pad_model, dataset.board, origin))
+known = load_pad_model("pad_model.npz")
+require_skin(known, ["skin A"], dataset.board, "DATA/later")
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from i2t import serialization
+from i2t.errors import DataError, SerializationError
+from i2t.recognition.belief import Likelihood
+from i2t.recognition.outcomes import LinearReadingModel
+from i2t.recognition.pad_model import PadModel
+from i2t.types import Board
+
+KIND = "i2t pad model"
+CHIP_TOLERANCE_M = 3e-3  # nominal boards and fitted pads differ by less in the depth of their chips
+ROTATION_TOLERANCE = 0.2  # of an entry of a chip's rotation
+
+
+@dataclass(frozen=True)
+class PadOrigin:
+    """Where a pad model comes from."""
+
+    pad: str  # name of the skin in the data set
+    source: str  # of the touches: real, simulated or mixed
+    objects: tuple[str, ...]  # that were touched
+    touches: int
+    made_from: str  # a run, a data set or a file
+
+
+class KnownPad(NamedTuple):
+    """A pad model and the skin that it is of."""
+
+    model: PadModel
+    board: Board
+    origin: PadOrigin
+
+
+class _Record(NamedTuple):
+    """What is on disk."""
+
+    reading_model: LinearReadingModel
+    likelihood: Likelihood
+    reading_std: np.ndarray
+    r2: np.ndarray
+    held_out_errors: np.ndarray
+    board: Board
+
+
+def save_pad_model(path: Path | str, known: KnownPad) -> None:
+    """Write one file, which appears whole or not at all.
+
+    Args:
+        path: Of the file; `.npz` by custom.
+        known: The pad model, its board and its origin.
+
+    Raises:
+        SerializationError: It cannot be written.
+    """
+    model = known.model
+    record = _Record(
+        model.reading_model, model.likelihood, model.reading_std, np.asarray(model.r2), model.held_out_errors,
+        known.board,
+    )  # fmt: skip
+    serialization.save(path, KIND, record, asdict(known.origin))
+
+
+def load_pad_model(path: Path | str) -> KnownPad:
+    """The pad model in a file.
+
+    Args:
+        path: Of a file that `save_pad_model` wrote.
+
+    Returns:
+        The pad model, its board and its origin.
+
+    Raises:
+        SerializationError: The file is missing, damaged, holds something else, or its parts do not fit each other.
+    """
+    record, about = serialization.load(path, KIND, _Record)
+    channels = 3 * len(record.board.chips)
+    loads, cells = record.reading_model.mean.shape[:2]
+    shapes = {
+        "reading_model.mean": (loads, cells, channels),
+        "reading_model.scale": (channels,),
+        "likelihood.whiten": (channels, channels),
+        "likelihood.loads": (loads,),
+        "reading_std": (channels,),
+        "board.rotations": (len(record.board.chips), 3, 3),
+    }
+    arrays = serialization.flatten(record)
+    for name, shape in shapes.items():
+        if arrays[name].shape != shape or not np.isfinite(arrays[name]).all():
+            raise SerializationError(f"{path}: {name} is not {shape} finite numbers; make the pad model again")
+    reading_model, likelihood = jax.tree.map(
+        lambda array: jnp.asarray(array, jnp.float32), (record.reading_model, record.likelihood)
+    )
+    model = PadModel(
+        reading_model, likelihood, record.reading_std, float(record.r2), record.held_out_errors
+    )  # fmt: skip
+    origin = PadOrigin(
+        pad=str(about["pad"]), source=str(about["source"]), objects=tuple(about["objects"]),
+        touches=int(about["touches"]), made_from=str(about["made_from"]),
+    )  # fmt: skip
+    return KnownPad(model, Board(*(np.asarray(part, np.float32) for part in record.board)), origin)
+
+
+def require_skin(
+    known: KnownPad, pads: Sequence[str], board: Board, whose: str, *, other_skin: bool = False
+) -> str | None:
+    """Refuse touches of another skin than a pad model's.
+
+    Args:
+        known: The pad model.
+        pads: Names of the skins that touch.
+        board: Of these skins.
+        whose: Names the touches in messages.
+        other_skin: Whether a skin of another name, on a like board, is allowed.
+
+    Returns:
+        A sentence where another skin is judged by this pad model; None where it is the same.
+
+    Raises:
+        DataError: The skin or the board is another.
+    """
+    origin = known.origin
+    if not same_board(known.board, board):
+        raise DataError(
+            f"{whose} is of a board of {_described(board)}, and the pad model of {origin.made_from} of one of "
+            f"{_described(known.board)}; use a pad model of that very skin"
+        )
+    others = sorted(set(pads) - {origin.pad})
+    if not others:
+        return None
+    told = f"{whose} is of {_quoted(others)}, and the pad model of {origin.made_from} of {_quoted([origin.pad])}"
+    if not other_skin:
+        raise DataError(f"{told}; every skin differs: use a pad model of that very skin")
+    return f"ANOTHER SKIN: {told}"
+
+
+def same_board(one: Board, other: Board) -> bool:
+    """Whether two boards have the same chips, in the same order and turned alike.
+
+    Args:
+        one: A board.
+        other: Another.
+
+    Returns:
+        Whether they are the same up to what nominal boards and fitted pads differ by.
+    """
+    if np.shape(one.chips) != np.shape(other.chips):
+        return False
+    apart = np.abs(np.asarray(one.chips, float) - np.asarray(other.chips, float)).max()
+    turned = np.abs(np.asarray(one.rotations, float) - np.asarray(other.rotations, float)).max()
+    return bool(apart < CHIP_TOLERANCE_M and turned < ROTATION_TOLERANCE)
+
+
+def _described(board: Board) -> str:
+    chips = np.asarray(board.chips, float)
+    places = ", ".join(f"({1e3 * x:.1f} {1e3 * y:.1f})" for x, y in chips[:2, :2])
+    turned = np.asarray(board.rotations, float)
+    angles = np.degrees(np.arctan2(turned[:, 1, 0], turned[:, 0, 0]))
+    return (
+        f"{len(chips)} chips, the first at {places} mm, turned by {', '.join(f'{a:.0f}' for a in angles[:5])} degrees"
+    )
+
+
+def _quoted(names: Sequence[str]) -> str:
+    return ", ".join(f'"{name}"' for name in names)
