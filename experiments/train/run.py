@@ -11,13 +11,14 @@ Hexagon and parallelogram train, one tool validates, all other primitives and to
 touches: baselines that look up or regress patches, the paper's network (contact mask or depth), and two models on
 predicted contact pressure, of which the better on the validation object is kept as the predictor. A ceiling shows what
 the same model would reach if the camera and the arm made no error. Results go to --out: metrics.json, config.json,
-figures, the data (data.h5) and checkpoint/, which `i2t.load_predictor` reads.
+figures, the data (data.h5) and checkpoint/, which `i2t.load_predictor` reads. Of --dataset the training touches are
+kept (recognition.h5, recognition.json, meshes/), so that `experiments.recognize` can make a pad model of them.
 """
 
 import json
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -31,6 +32,7 @@ import tyro
 
 from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
 from experiments.common.runs import begin, reported, slug, write_json
+from experiments.train import recognition_data
 from experiments.train.configs import PRESETS, TrainExperiment
 from experiments.train.methods import (
     adapt_network,
@@ -42,6 +44,7 @@ from experiments.train.methods import (
     train_network,
     views_of,
 )
+from experiments.train.recognition_data import MeshFile, mesh_files
 from experiments.train.reports import by_object, figures, print_table, scored, summarise
 from experiments.train.simulate import simulated_dataset
 from experiments.train.splitting import Split, conditions_of, split_dataset
@@ -61,7 +64,7 @@ from i2t.prediction.predictor import (
     std_scale,
 )
 from i2t.prediction.pressure import PressureModelConfig
-from i2t.skin.files import load_pad
+from i2t.skin.files import load_pad, load_pad_about
 from i2t.types import Pad
 
 GP_METHOD = "Gaussian process on predicted contact pressure"
@@ -75,6 +78,8 @@ class TrainArgs:
     out: Path = Path("runs/train")  # folder for everything that is made
     preset: Literal["paper", "debug", "study"] = "paper"
     dataset: Path | None = None  # a data set to train on instead of simulating one
+    objects: tuple[Path, ...] = ()  # mesh files of its objects that the catalogue does not have, for recognition
+    unit: str | None = None  # of those files, for instance mm
     split: Literal["auto", "object", "session", "block", "time"] = "auto"  # what is held out of --dataset
     pad: Path | None = None  # a pad on disk (`i2t.skin.files`), say one fitted to a real skin, to simulate with
     pads: tuple[int, ...] | None = None  # numbers of simulated pads, in place of the preset's
@@ -105,6 +110,9 @@ def run(args: TrainArgs) -> dict[str, Any]:
         raise ValueError("--pads are simulated pads by number; pass it without --pad and --dataset")
     if args.pad and args.dataset:
         raise ValueError("--pad is for simulated touches, and --dataset brings its own; pass one of them")
+    if args.objects and not args.dataset:
+        raise ValueError("--objects are meshes of the objects in --dataset; pass both, or neither")
+    meshes = mesh_files(args.objects, args.unit)
     pads: Sequence[Pad | int | None] = (None,) if args.dataset else (load_pad(args.pad),) if args.pad else cfg.pads
     begin(args.out, args, cfg, args.resume, args.overwrite)
     several = len(seeds) * len(pads) > 1
@@ -115,7 +123,7 @@ def run(args: TrainArgs) -> dict[str, Any]:
             place = args.out / f"pad-{number}-seed-{seed}" if several else args.out
             finished = place / "metrics.json"
             if not finished.exists():
-                run_one(args, cfg, seed, pad, place)
+                run_one(args, cfg, seed, pad, place, meshes)
             parts.append(json.loads(finished.read_text()))
     result = parts[0] if not several else summarise(parts, args.out)
     print_table(result)
@@ -152,11 +160,15 @@ class Evaluation(NamedTuple):
     best: str  # the method that is kept: the best on validation touches of those on predicted contact pressure
 
 
-def run_one(args: TrainArgs, cfg: TrainExperiment, seed: int, pad: Pad | int | None, out: Path) -> None:
+def run_one(
+    args: TrainArgs, cfg: TrainExperiment, seed: int, pad: Pad | int | None, out: Path, meshes: Mapping[str, MeshFile]
+) -> None:
     """One pad and seed: data, methods, scores, and what is left of them on disk."""
     started = time.perf_counter()
     out.mkdir(parents=True, exist_ok=True)
     prepared = prepare_data(args, cfg, seed, pad, out)
+    if args.dataset:
+        print(recognition_data.keep(out, prepared.dataset, prepared.split.train, meshes))
     fitted = fit_methods(prepared, cfg, seed, out)
     evaluation = evaluate(prepared, fitted)
     if prepared.dataset.touches.truth is not None:
@@ -170,7 +182,8 @@ def prepare_data(args: TrainArgs, cfg: TrainExperiment, seed: int, pad: Pad | in
     if args.dataset:
         dataset = data.load_dataset(args.dataset)
     else:
-        dataset = simulated_dataset(cfg.simulation, 0 if pad is None else pad, out / "data.h5", seed=seed)
+        name = load_pad_about(args.pad).name if args.pad else None
+        dataset = simulated_dataset(cfg.simulation, 0 if pad is None else pad, out / "data.h5", seed=seed, name=name)
     split = split_dataset(dataset, cfg, args.split, seed)
     print(
         f"{len(dataset)} touches ({dataset.source}), split by {split.how}: {split.train.sum()} train, "

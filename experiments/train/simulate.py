@@ -16,7 +16,7 @@ from i2t.skin.pad import numbered_pad
 from i2t.types import Board, Pad
 
 
-def simulated_dataset(cfg: Simulation, pad: Pad | int, path: Path, *, seed: int) -> Dataset:
+def simulated_dataset(cfg: Simulation, pad: Pad | int, path: Path, *, seed: int, name: str | None = None) -> Dataset:
     """The data set in `path`, simulated first where there is none, so that a resumed run finds the same touches.
 
     Args:
@@ -24,6 +24,7 @@ def simulated_dataset(cfg: Simulation, pad: Pad | int, path: Path, *, seed: int)
         pad: The pad, or the number of a random one.
         path: HDF5 file to keep it in.
         seed: Of sites and errors.
+        name: Of the pad in the data set; by default its number.
 
     Returns:
         The data set, which says that it is simulated.
@@ -31,7 +32,7 @@ def simulated_dataset(cfg: Simulation, pad: Pad | int, path: Path, *, seed: int)
     if path.exists():
         return data.load_dataset(path)
     surfaces = [prepare_surface(catalogue.make_object(name).mesh) for name in cfg.objects]
-    name = f"simulated pad {pad}" if isinstance(pad, int) else "pad on disk"
+    named = name or (f"simulated pad {pad}" if isinstance(pad, int) else "pad on disk")
     pad = numbered_pad(pad) if isinstance(pad, int) else pad
     with tqdm(total=cfg.touches, desc="simulating touches", unit="touch") as bar:
         touches = simulation.simulate_touches(
@@ -41,7 +42,7 @@ def simulated_dataset(cfg: Simulation, pad: Pad | int, path: Path, *, seed: int)
     dataset = Dataset(
         touches,
         cfg.objects,
-        (name,),
+        (named,),
         tuple(f"run {i:03d}" for i in range(int(touches.session.max()) + 1)),
         Board(*(np.asarray(field) for field in pad.board)),
         "simulated",
