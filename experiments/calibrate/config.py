@@ -33,7 +33,12 @@ PRESETS: dict[str, Preset] = {
 class CalibrateArgs:
     """Learning curves of calibration on real (or simulated) presses."""
 
-    dataset: Path  # a data set of one tip on one skin
+    dataset: Path | None = None  # a data set of one tip on one skin
+    save_pad: Path | None = None  # do not compare methods: fit a pad to the presses and write it, a file for --pad
+    calibration: Path | None = None  # with --save-pad: a calibration, whose presses are taken in place of --dataset
+    tip: str | None = None  # with --save-pad: sphere:RADIUS or cylinder:RADIUS in mm; by default what the data set says
+    board: str | None = None  # with --calibration: reskin, anyskin or grid-RxC; by default what its file says
+    pad_name: str | None = None  # with --save-pad: of the skin; by default what the data set says
     out: Path = Path("runs/calibrate")  # folder for everything that is made
     preset: Literal["paper", "short", "debug"] = "paper"
     load: Literal["auto", "depth", "force"] = "auto"  # what says how hard was pressed; auto: depth where measured

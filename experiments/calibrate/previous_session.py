@@ -17,6 +17,7 @@ from i2t import dataset as data
 def run(args: CalibrateArgs) -> dict[str, Any]:
     """What an earlier session is worth: R2 on the second half in time of this one, from presses of its first half."""
     assert args.previous_session is not None
+    assert args.dataset is not None
     started, cfg = time.perf_counter(), preset_of(args)
     dataset = data.load_dataset(args.dataset)
     sessions = {

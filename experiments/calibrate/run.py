@@ -5,6 +5,8 @@
     python -m experiments.calibrate --dataset DIR --preset debug   2 draws of up to 20 presses, too few to mean much
     python -m experiments.calibrate --dataset DIR --previous-session DIR    only what an earlier session is worth
     python -m experiments.calibrate --dataset DIR --presses 1000 --draws 5  one column of the table
+    python -m experiments.calibrate --dataset DIR --save-pad FILE           a pad fitted to the presses, for --pad FILE
+    python -m experiments.calibrate --calibration FILE --save-pad FILE      the same from calibration.npz
 
 DIR is any recording of one tip on one skin (see python -m i2t.convert). Held out, for all draws alike: 1000 random
 presses, and whole blocks of 6 mm; nothing is chosen by them. Random presses inside the blocks have no press near them
@@ -22,6 +24,7 @@ calibrated on all presses (of more than 1500, that many at random).
 import os
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -31,7 +34,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import tyro
 
-from experiments.calibrate import previous_session, report
+from experiments.calibrate import fitted_pad, previous_session, report
 from experiments.calibrate.config import CalibrateArgs, Preset, preset_of
 from experiments.calibrate.data import PressRecording, hold_out, read_presses, split_presses
 from experiments.calibrate.evaluate import learning_curves
@@ -53,11 +56,24 @@ def main(argv: list[str] | None = None) -> int:
     renamed_flags(sys.argv[1:] if argv is None else argv, RENAMED_FLAGS)
     answer_renamed_value(argv, "--preset", RENAMED)
     args = tyro.cli(CalibrateArgs, args=argv, description=__doc__, prog="python -m experiments.calibrate")
-    return reported(partial(previous_session.run if args.previous_session else run, args))
+    compare = previous_session.run if args.previous_session else run
+    return reported(partial(_checked, fitted_pad.run if args.save_pad else compare, args))
+
+
+def _checked(work: Callable[[CalibrateArgs], dict[str, Any]], args: CalibrateArgs) -> dict[str, Any]:
+    """The work, once the command line goes together."""
+    if args.calibration and not args.save_pad:
+        raise ValueError("--calibration is for --save-pad FILE, which says where the pad is written")
+    if (args.dataset is None) == (args.calibration is None):
+        raise ValueError(
+            "pass --dataset DIR with presses of one tip on one skin, or --calibration FILE --save-pad FILE"
+        )
+    return work(args)
 
 
 def run(args: CalibrateArgs) -> dict[str, Any]:
     """Learning curves within one session: prepare, evaluate, report."""
+    assert args.dataset is not None
     started, cfg = time.perf_counter(), preset_of(args)
     dataset = data.load_dataset(args.dataset)
     recording = read_presses(dataset, args.load)
@@ -118,5 +134,11 @@ def save_calibration(
         recording.readings[rows],
         load_kind=recording.load_kind,
         board=dataset.board if recording.by_force else None,
-        metadata={"dataset": str(args.dataset), "source": dataset.source},
+        metadata={
+            "dataset": str(args.dataset),
+            "source": dataset.source,
+            "board": fitted_pad.board_to_json(dataset.board),
+            "pad": dataset.pads[int(dataset.touches.pad[0])],
+            "tip": dataset.objects[int(dataset.touches.object[0])],
+        },
     ).save(args.out / "calibration.npz")
