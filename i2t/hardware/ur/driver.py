@@ -161,13 +161,7 @@ class UrArm:
         self.connect()
 
     def state(self, timeout: float | None = None) -> ArmState:
-        """The newest state.
-
-        Args:
-            timeout: s that it may be old; by default the state timeout.
-
-        Returns:
-            The state.
+        """The newest state, as in `Arm.state`; by default it may be as old as the state timeout.
 
         Raises:
             DeviceTimeoutError: It is older; the arm has been stopped as far as it can be told to.
@@ -176,53 +170,21 @@ class UrArm:
         return self.connection.running(self.connection.state_timeout if timeout is None else timeout).arm
 
     def stop(self, timeout: float = 1.0) -> None:
-        """Brake and return when the arm stands, from any thread.
-
-        Args:
-            timeout: s.
-
-        Raises:
-            DeviceError: It was not seen to stand in time.
-        """
+        """Brake and return when the arm stands, as in `Arm.stop`."""
         self.connection.stop(timeout)
 
     def zero_wrench(self, timeout: float = 1.0) -> None:
-        """Take the wrench felt now for zero.
-
-        Args:
-            timeout: s.
-
-        Raises:
-            DeviceError: The arm moves, or the controller does not answer in time.
-        """
+        """Take the wrench felt now for zero, as in `Arm.zero_wrench`."""
         if self.state().moving:
             raise DeviceError("The wrench can be zeroed only while the arm stands.")
         self.connection.zero_wrench(timeout)
 
     def move(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> Array:
-        """Start a straight motion and return at once, as `MotionController.move`.
-
-        Args:
-            T_b_t: (4, 4) goal of the tool in the base, m.
-            speed: m/s; by default the limit.
-            acceleration: m/s^2; by default the limit.
-
-        Returns:
-            (4, 4) goal that was sent.
-        """
+        """Start a straight motion and return at once, as in `MotionController.move`."""
         return self.motion.move(T_b_t, speed, acceleration)
 
     def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
-        """Move straight to a pose and wait for the end, as `MotionController.go`.
-
-        Args:
-            T_b_t: (4, 4) goal of the tool in the base, m.
-            speed: m/s; by default the limit.
-            acceleration: m/s^2; by default the limit.
-
-        Returns:
-            The state at rest.
-        """
+        """Move straight to a pose and wait for the end, as in `MotionController.go`."""
         return self.motion.go(T_b_t, speed, acceleration)
 
     def approach(
@@ -234,19 +196,7 @@ class UrArm:
         torque: float = 8.0,
         acceleration: float = 0.2,
     ) -> ApproachResult:
-        """Move along the tool's z axis until something says stop, as `MotionController.approach`.
-
-        Args:
-            distance: m, to stop after at the latest.
-            speed: m/s.
-            stop_condition: Called with each new state in the caller's thread; anything true stops the arm.
-            force: N, norm of the force that stops the arm.
-            torque: Nm, norm of the torque that stops the arm.
-            acceleration: m/s^2.
-
-        Returns:
-            What stopped it, and where it stands.
-        """
+        """Move along the tool's z axis until something says stop, as in `GuardedArm.approach`."""
         return self.motion.approach(
             distance, speed, stop_condition, force=force, torque=torque, acceleration=acceleration
         )

@@ -39,37 +39,17 @@ class MotionController:
         self._connection, self._limits = connection, limits
 
     def move(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> Array:
-        """Start a straight motion and return at once; one under way is stopped first.
+        """Start a straight motion and return at once, as in `Arm.move`; by default as fast as the limits allow.
 
         A force or torque above the limits stops the motion, and the next `state` says so; a motion that begins above
         them, as one that backs out of a contact, is stopped where it gets worse by a tenth.
-
-        Args:
-            T_b_t: (4, 4) goal of the tool in the base, m.
-            speed: m/s; by default the limit.
-            acceleration: m/s^2; by default the limit.
-
-        Returns:
-            (4, 4) goal that was sent.
-
-        Raises:
-            ValueError: The goal is outside the box or too fast; nothing was sent.
-            DeviceError: The arm is lost, stopped or does not take the motion.
         """
         speed, acceleration = self._limits.checked(T_b_t, speed, acceleration)
         self._start(T_b_t, speed, acceleration, self._free_guard)
         return from_ur(to_ur(T_b_t))
 
     def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
-        """Move straight to a pose and wait for the end.
-
-        Args:
-            T_b_t: (4, 4) goal of the tool in the base, m.
-            speed: m/s; by default the limit.
-            acceleration: m/s^2; by default the limit.
-
-        Returns:
-            The state at rest.
+        """Move straight to a pose and wait for the end, as in `GuardedArm.go`.
 
         Raises:
             ValueError: The goal is outside the box or too fast; nothing was sent.
@@ -91,23 +71,7 @@ class MotionController:
         torque: float = 8.0,
         acceleration: float = 0.2,
     ) -> ApproachResult:
-        """Move along the tool's z axis, out of the skin, until something says stop.
-
-        Args:
-            distance: m, to stop after at the latest.
-            speed: m/s.
-            stop_condition: Called with each new state in the caller's thread; anything true stops the arm.
-            force: N, norm of the force that stops the arm.
-            torque: Nm, norm of the torque that stops the arm.
-            acceleration: m/s^2.
-
-        Returns:
-            What stopped it, and where it stands.
-
-        Raises:
-            ValueError: It would go too far, too fast, too hard or out of the box; nothing was sent.
-            DeviceError: The arm is lost or was stopped by somebody else.
-        """
+        """Move along the tool's z axis until something says stop, as in `GuardedArm.approach`."""
         self._limits.check_approach(distance, force, torque)
         start = self._connection.running(self._connection.state_timeout).arm.T_b_t
         goal = start.copy()
