@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from i2t.collect.procedure import SeenPatch
+from i2t.collect.touch import SeenPatch
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError, NotConnectedError
 from i2t.hardware.clock import Clock

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from i2t.collect.procedure import Site
+from i2t.collect.touch import Site
 
 HEIGHT_M = 0.03
 

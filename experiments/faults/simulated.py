@@ -14,9 +14,10 @@ from experiments.faults.plane_camera import PlaneCamera, plane_patch
 from experiments.faults.plane_sites import HEIGHT_M, site
 from experiments.faults.rows import FaultRow, Sizes
 from i2t import dataset
-from i2t.collect.procedure import Procedure, Site, SiteOutcome
+from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, SessionInfo, touches_in
 from i2t.collect.settings import TouchSettings
+from i2t.collect.touch import Site, SiteOutcome
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedArm, SimulatedLab, SimulatedSkin, VirtualClock
 from i2t.emulators.scene import SpringPlane

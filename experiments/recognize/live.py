@@ -27,9 +27,9 @@ from experiments.recognize.config import Recognition
 from experiments.recognize.trained_run import TrainedRun, finished_runs, load_meshes, meshes_by_name
 from i2t.collect import session
 from i2t.collect.arguments import CollectArgs
-from i2t.collect.procedure import Site, SiteOutcome, TouchResult
 from i2t.collect.recorder import touches_in
 from i2t.collect.settings import TouchSettings
+from i2t.collect.touch import Site, SiteOutcome, TouchResult
 from i2t.hardware.rig import Rig
 from i2t.objects import catalogue
 from i2t.objects.solids import Mesh

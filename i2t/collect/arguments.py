@@ -34,7 +34,7 @@ class CollectArgs:
     views: Path | None = None
     """Folder of views to show as the camera."""
     rig: Path | None = None
-    """Calibration of the lab (python -m i2t.hardware.rig); real devices need one."""
+    """Calibration of the lab (python -m i2t.hardware.rig); a real arm needs one, others take the emulated lab's."""
     object: str = "hexagon"
     """Of the catalogue, or a mesh file."""
     unit: Literal["m", "cm", "mm", "inch"] = "mm"

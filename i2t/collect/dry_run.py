@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from i2t.collect.procedure import Procedure, Site, UnreachableError
+from i2t.collect.procedure import Procedure
 from i2t.collect.settings import TouchSettings
 from i2t.collect.site_plan import SiteSampler, draw_plan
+from i2t.collect.touch import Site, UnreachableError
 from i2t.hardware.rig import summary
 
 MAX_NOISE_UT = 15.0  # standard deviation of a channel at rest, above which a skin is not healthy
@@ -41,7 +42,7 @@ def dry_run(procedure: Procedure, sampler: SiteSampler, name: str, touches: int,
         ValueError: The settings are beyond the arm's limits.
         DeviceError: A device does not do its part.
     """
-    procedure.check_settings()
+    procedure.path.check_settings()
     sites = [sampler.site(number) for number in range(touches)]
     refused = _refused(procedure, sites)
     checks = _device_checks(procedure)
@@ -86,7 +87,7 @@ def _refused(procedure: Procedure, sites: list[Site]) -> dict[int, str]:
     refused = {}
     for site in sites:
         try:
-            procedure.check(site)
+            procedure.path.check(site)
         except UnreachableError as error:
             refused[site.number] = str(error)
     return refused

@@ -7,27 +7,37 @@
     press     on, slowly, until the skin, force, torque or the distance is enough; then the mean of some samples
     retreat   back to where it prepared; between sites the tool goes up, across and down
 
-Every motion is one of an arm that guards itself (`i2t.hardware.protocols.GuardedArm`). All goals of a touch, and the
-way across, are checked against the box before the first motion; what is outside is refused and never moved inside. A
-press that met nothing where the camera sees a surface has failed. Which site is next is asked of a plain callable,
-`choose(history) -> site`. Numbers are those of the paper and its code where it has them, except where `TouchSettings`
-says why.
+Every motion is one of an arm that guards itself (`i2t.hardware.protocols.GuardedArm`). Where it goes is
+checked before the first motion (`i2t.collect.path`). A press that met nothing where the camera sees a surface has
+failed. Which site is next is asked of a plain callable, `choose(history) -> site`. Numbers are those of the paper and
+its code where it has them, except where `TouchSettings` says why.
 
 Frames: W world, B robot base, T tool, C camera; `T_a_b` maps points in b to a. Metres, newtons, microtesla.
 """
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from i2t.collect.event_log import TouchLog
+from i2t.collect.path import TouchPath
 from i2t.collect.settings import TouchSettings
 from i2t.collect.stopping import SkinStopCondition, StopRule, onset_distance
-from i2t.depth.camera import Camera
+from i2t.collect.touch import (
+    ChooseSite,
+    ExtractPatch,
+    MissedContactError,
+    SeenPatch,
+    Site,
+    SiteOutcome,
+    TouchFailedError,
+    TouchRecorder,
+    TouchResult,
+    UnreachableError,
+)
 from i2t.errors import DeviceError, MotionStoppedError
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.limits import format_position
@@ -56,49 +66,6 @@ POSE_TOLERANCES = (1e-3, 0.01)  # m, and of a rotation's elements: so near a pos
 RETREAT_SHARES = (1.0, 0.5, 0.25, 0.1, 0.0)  # of `prepare`, that a retreat tries to go back along the tool's axis
 
 
-class Site(NamedTuple):
-    """Where to touch: the skin's pose where it would just lie on the surface."""
-
-    number: int
-    T_w_t: Float[Array, "4 4"]
-
-
-class SeenPatch(NamedTuple):
-    """What the camera saw before the skin."""
-
-    patch: Float[Array, "48 48"]  # m
-    wide: Float[Array, "72 72"]  # m
-    nearest: float  # m
-    visible_share: float  # of the patch's pixels, that were measured
-
-
-class TouchResult(NamedTuple):
-    """A touch as it was made."""
-
-    site: Site
-    attempt: int
-    code: ReturnCode
-    reason: StopReason
-    T_w_t: Float[Array, "4 4"]  # at the end of the press
-    ambient: Float[Array, " c"]  # uT
-    reading: Float[Array, " c"]  # uT, mean in contact minus ambient
-    force: float  # N, along tool z
-    depth: float  # m past first contact; NaN where nothing was met
-    seen: SeenPatch | None  # from the pose at the end; None in a history, where images would fill the memory
-    view: View | None
-    T_w_c: Float[Array, "4 4"]  # from where it was taken
-    counters: SkinCounters  # of this touch alone
-
-
-class SiteOutcome(NamedTuple):
-    """What became of a site, for whoever chooses the next."""
-
-    site: Site
-    code: ReturnCode
-    reason: str
-    touch: TouchResult | None = None
-
-
 class _Press(NamedTuple):
     """A press until it stands."""
 
@@ -106,58 +73,6 @@ class _Press(NamedTuple):
     started: float  # s
     ambient: Array  # (c,) uT
     condition: SkinStopCondition  # with what it saw
-
-
-@runtime_checkable
-class TouchRecorder(Protocol):
-    """Who records touches (`i2t.collect.recorder.Recorder`)."""
-
-    def begin(self, site: Site, attempt: int) -> TouchLog:
-        """A touch begins.
-
-        Args:
-            site: Where.
-            attempt: How often it was tried before.
-
-        Returns:
-            The log of this attempt.
-
-        Raises:
-            DeviceError: The touch could not be recorded.
-        """
-
-    def save(self, touch: TouchResult) -> None:
-        """The touch was made; once this returns it is safe.
-
-        Args:
-            touch: The touch, with its patch and view.
-
-        Raises:
-            DeviceError: It could not be written.
-        """
-
-    def abandon(self, reason: str) -> None:
-        """The touch was not made.
-
-        Args:
-            reason: Why, as a sentence.
-        """
-
-
-class TouchFailedError(DeviceError):
-    """A touch cannot be made here; another site may do."""
-
-
-class UnreachableError(TouchFailedError):
-    """The arm may not go there: trying again is no use."""
-
-
-class MissedContactError(TouchFailedError):
-    """A press met nothing where the camera sees a surface."""
-
-
-ChooseSite: TypeAlias = Callable[[Sequence[SiteOutcome]], Site | None]
-ExtractPatch: TypeAlias = Callable[[View, Camera, Array, Array], SeenPatch]  # view, camera, T_w_c, T_w_t
 
 
 @dataclass
@@ -202,7 +117,7 @@ class Procedure:
             ValueError: The settings are beyond the arm's limits; nothing has moved.
             DeviceError: A person is needed.
         """
-        self.check_settings()
+        self.path.check_settings()
         history: list[SiteOutcome] = []
         failures = 0
         self.retreat()
@@ -273,8 +188,8 @@ class Procedure:
         Raises:
             DeviceError: It failed; a TouchFailedError if the site is at fault.
         """
-        look, prepare, _, _ = self.poses(site)
-        self.check(site)
+        look, prepare, _, _ = self.path.poses(site)
+        self.path.check(site)
         counters_before = self.skin.counters
         view, T_w_c = self._look(site, look, log)
         self._prepare(prepare, log)
@@ -401,86 +316,12 @@ class Procedure:
                 "check that the arm measures force, and the camera's calibration"
             )
 
-    # Where the tool goes
+    # Between touches
 
-    def poses(self, site: Site) -> tuple[Array, Array, Array, Array]:
-        """Where the touch of a site looks, prepares, slows down and ends at the latest.
-
-        Args:
-            site: Where.
-
-        Returns:
-            Four T_b_t (4, 4), m.
-        """
-        T_w_look = np.array(site.T_w_t)
-        T_t_c = self.rig.T_tool_camera
-        axis = site.T_w_t[:3, :3] @ T_t_c[:3, 2]
-        T_w_look[:3, 3] -= self.rig.looking_distance * axis + site.T_w_t[:3, :3] @ T_t_c[:3, 3]
-        along = (-self.settings.prepare, -self.settings.near, self.settings.overtravel)
-        to_base = self.rig.T_base_world
-        prepare, near, end = (to_base @ shifted_along_z(site.T_w_t, z) for z in along)
-        return to_base @ T_w_look, prepare, near, end
-
-    def check(self, site: Site) -> None:
-        """Refuse a site before anything moves.
-
-        Args:
-            site: Where.
-
-        Raises:
-            UnreachableError: A goal of its touch, or the way there, is outside the box.
-        """
-        if site.number in self.unreachable:
-            raise UnreachableError(self.unreachable[site.number])
-        for name, goal in zip(("look", "prepare", "slow down", "end"), self.poses(site), strict=True):
-            if not self.rig.limits.contains(goal[:3, 3]):
-                raise UnreachableError(
-                    f"to {name} at site {site.number} the tool would be at {format_position(goal[:3, 3])} m, outside "
-                    "the box"
-                )
-        self.transfer_height()
-
-    def check_settings(self) -> None:
-        """Refuse settings that the arm's limits forbid, before anything moves.
-
-        Raises:
-            ValueError: A speed, force, torque or approach is beyond its limit.
-            UnreachableError: The way across the object is outside the box.
-        """
-        settings, limits = self.settings, self.rig.limits
-        for name in ("speed", "approach", "press", "retreat"):
-            if getattr(settings, name) > limits.speed:
-                raise ValueError(
-                    f"{name} is {getattr(settings, name):g} m/s, above the rig's limit, {limits.speed:g}; lower it"
-                )
-        if settings.acceleration > limits.acceleration:
-            raise ValueError(
-                f"acceleration is {settings.acceleration:g} m/s^2, above the rig's limit, {limits.acceleration:g}; "
-                "lower it"
-            )
-        for distance in (settings.prepare - settings.near, settings.near + settings.overtravel):
-            if distance > 0:
-                limits.check_approach(distance, settings.force, settings.torque)
-        self.transfer_height()
-
-    def transfer_height(self) -> float:
-        """How high the tool goes from site to site: `clearance` above the object's highest point.
-
-        Returns:
-            m, in the base.
-
-        Raises:
-            UnreachableError: The box ends below.
-        """
-        low, high = self.rig.limits.lower[2], self.rig.limits.upper[2]
-        height = self.top - self.rig.T_world_base[2, 3] + self.settings.clearance
-        if height > high:
-            raise UnreachableError(
-                f"between sites the tool would go across at {height:.3f} m in the base, "
-                f"{1e3 * self.settings.clearance:.0f} mm above the object, and the box ends at {high:.3f} m; raise the "
-                "box, or lower settings.clearance"
-            )
-        return float(max(height, low))
+    @property
+    def path(self) -> TouchPath:
+        """Where the tool goes, and whether it may."""
+        return TouchPath(self.rig, self.settings, self.top, self.unreachable)
 
     def move_above(self, goal: Array) -> None:
         """Go up, across and down to a pose, unless the tool is there.
@@ -491,7 +332,7 @@ class Procedure:
         state = self.arm.state()
         if _is_at(state, goal):
             return
-        height = max(self.transfer_height(), goal[2, 3])
+        height = max(self.path.transfer_height(), goal[2, 3])
         lifted, over = state.T_b_t.copy(), goal.copy()
         lifted[2, 3], over[2, 3] = max(height, lifted[2, 3]), max(height, lifted[2, 3])
         for T_b_t in (lifted, over, goal):
@@ -505,7 +346,7 @@ class Procedure:
             DeviceError: The tool is outside the box, or the arm fails.
         """
         T_b_t = self.arm.state().T_b_t
-        height = self.transfer_height()
+        height = self.path.transfer_height()
         if T_b_t[2, 3] >= height:
             return
         steps = (shifted_along_z(T_b_t, -share * self.settings.prepare) for share in RETREAT_SHARES)

@@ -26,7 +26,7 @@ import numpy as np
 
 from i2t import dataset
 from i2t.collect.event_log import EventLog, StorageError, storage_error
-from i2t.collect.procedure import Site, TouchResult
+from i2t.collect.touch import Site, TouchResult
 from i2t.dataset import Dataset, Image, Record, Series
 from i2t.dataset.files import sync_folder
 from i2t.depth.camera import Camera
@@ -65,7 +65,7 @@ class SessionInfo:
 
 
 class Recorder:
-    """Records the touches of one session in a folder, alone (`i2t.collect.procedure.TouchRecorder`).
+    """Records the touches of one session in a folder, alone (`i2t.collect.touch.TouchRecorder`).
 
     Args:
         folder: Of the touches; it is made if need be.

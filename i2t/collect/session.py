@@ -28,9 +28,10 @@ from i2t.collect.devices import (
     source_of,
 )
 from i2t.collect.dry_run import check_camera, dry_run
-from i2t.collect.procedure import ChooseSite, ExtractPatch, Procedure, Site, SiteOutcome, UnreachableError
+from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, SessionInfo
 from i2t.collect.site_plan import SiteSampler, patch_extractor
+from i2t.collect.touch import ChooseSite, ExtractPatch, Site, SiteOutcome, UnreachableError
 from i2t.depth.camera import Camera
 from i2t.emulators.world import (
     EmulatedArmConfig,
@@ -58,6 +59,7 @@ ENDS = {
     ReturnCode.AIR: "met air",
     ReturnCode.FAILED: "failed",
 }
+NO_RIG = "a real arm needs to know its lab; write a rig (python -m i2t.hardware.rig) and pass --rig"
 BAR_SCALE_UT = 50.0  # at the end of a bar
 
 
@@ -86,6 +88,8 @@ def collect(
     sampler = SiteSampler(target.mesh, rig.T_world_object, args.sites, args.seed, name)
     with ExitStack() as stack:
         devices = make_devices(config, rig, stack)
+        if args.rig is None and devices.arm.features.source == "real":
+            raise ValueError(NO_RIG)
         if not args.dry_run and len(done) >= args.touches:
             print(f"{len(done)} touches are there already; raise --touches for more")
             return 0
@@ -169,7 +173,7 @@ class _Session:
             site = self.sampler.next(self.tried)
             self.tried.add(site.number)
             try:
-                self.procedure.check(site)
+                self.procedure.path.check(site)
                 return site
             except UnreachableError as error:
                 self.procedure.unreachable[site.number] = str(error)
@@ -268,7 +272,7 @@ def read_rig(args: CollectArgs) -> Rig:
         ValueError: A real arm needs a rig, or the file is damaged.
     """
     if args.rig is None and args.arm == "ur":
-        raise ValueError("a real arm needs to know its lab; write a rig (python -m i2t.hardware.rig) and pass --rig")
+        raise ValueError(NO_RIG)
     rig = Rig() if args.rig is None else Rig.read(args.rig)
     if args.pose is None:
         return rig

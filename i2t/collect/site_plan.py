@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from i2t.collect.procedure import ExtractPatch, SeenPatch, Site
+from i2t.collect.touch import ExtractPatch, SeenPatch, Site
 from i2t.depth.camera import Camera
 from i2t.depth.patches import patch_from_depth
 from i2t.geometry import full_precision

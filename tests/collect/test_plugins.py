@@ -84,6 +84,18 @@ def test_what_is_missing_or_wrong_is_one_sentence(acme, monkeypatch, name, said)
     assert "\n" not in str(error.value)
 
 
+def test_a_real_arm_of_another_package_needs_a_rig(acme, monkeypatch, tmp_path, capsys):
+    import acme_devices
+
+    features = acme_devices.AcmeArm.features.fget
+    real = property(lambda arm: features(arm)._replace(source="real"))
+    monkeypatch.setattr(acme_devices.AcmeArm, "features", real)
+    monkeypatch.setattr(acme_devices.AcmeArm, "connect", lambda arm: pytest.fail("the arm was connected"))
+    classes = [f"--{kind}=acme_devices:Acme{kind.capitalize()}" for kind in plugins.GROUPS]
+    assert command.main(["--out", str(tmp_path / "set"), *classes]) == 2
+    assert "a real arm needs to know its lab" in capsys.readouterr().err
+
+
 def test_a_name_that_two_packages_register_is_refused(monkeypatch):
     both = EntryPoints(EntryPoint("acme", f"{package}:Arm", "i2t.arms") for package in ("one", "two"))
     monkeypatch.setattr(plugins, "entry_points", lambda **wanted: both.select(**wanted))

@@ -11,10 +11,10 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from i2t import dataset
-from i2t.collect.procedure import MissedContactError, SiteOutcome, TouchFailedError, UnreachableError
 from i2t.collect.recorder import Recorder
 from i2t.collect.settings import TouchSettings
 from i2t.collect.stopping import SkinStopCondition, StopRule, nonuniform_field, onset_distance
+from i2t.collect.touch import MissedContactError, SiteOutcome, TouchFailedError, UnreachableError
 from i2t.errors import DeviceError, DeviceTimeoutError
 from i2t.hardware.protocols import ArmState, Samples
 from i2t.skin import boards
@@ -143,7 +143,7 @@ def test_places_outside_the_box_are_remembered_and_cost_no_motion():
     assert "outside the box" in procedure.unreachable[7]
     assert begun < procedure.clock.now()
     with pytest.raises(UnreachableError):
-        procedure.check(site(7))
+        procedure.path.check(site(7))
 
 
 @pytest.mark.full
@@ -285,8 +285,8 @@ def test_an_object_too_high_for_the_box_is_refused_and_nothing_moves():
     with pytest.raises(UnreachableError, match="raise the box"):
         list(procedure.run(listed(site(0)), memory))
     with pytest.raises(UnreachableError, match="raise the box"):
-        procedure.check(site(0))
-    for motion in (procedure.retreat, lambda: procedure.move_above(procedure.poses(site(0))[0])):
+        procedure.path.check(site(0))
+    for motion in (procedure.retreat, lambda: procedure.move_above(procedure.path.poses(site(0))[0])):
         with pytest.raises(UnreachableError, match="raise the box"):
             motion()
     np.testing.assert_array_equal(procedure.arm.state().T_b_t, before)

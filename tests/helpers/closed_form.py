@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from i2t.collect.procedure import Procedure, SeenPatch, Site
+from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import SessionInfo
 from i2t.collect.settings import TouchSettings
+from i2t.collect.touch import SeenPatch, Site
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedArm, SimulatedLab, SimulatedSkin, VirtualClock
 from i2t.emulators.scene import SpringPlane

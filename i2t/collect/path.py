@@ -1,0 +1,111 @@
+"""Where the tool goes for a touch, and whether it may: all goals are checked against the box before the first motion.
+
+What is outside is refused and never moved inside. Frames: W world, B robot base, T tool; metres.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from i2t.collect.settings import TouchSettings
+from i2t.collect.touch import Site, UnreachableError
+from i2t.hardware.limits import format_position
+from i2t.hardware.poses import shifted_along_z
+from i2t.hardware.rig import Rig
+from i2t.types import Array
+
+
+@dataclass(frozen=True)
+class TouchPath:
+    """Goals of touches and the way between them.
+
+    Args:
+        rig: Where everything is, with the arm's limits.
+        settings: How a touch is made.
+        top: m, height of the object's highest point in W.
+        unreachable: Sites that the arm may not go to, by number, and why.
+    """
+
+    rig: Rig
+    settings: TouchSettings
+    top: float
+    unreachable: dict[int, str] = field(default_factory=dict)
+
+    def poses(self, site: Site) -> tuple[Array, Array, Array, Array]:
+        """Where the touch of a site looks, prepares, slows down and ends at the latest.
+
+        Args:
+            site: Where.
+
+        Returns:
+            Four T_b_t (4, 4), m.
+        """
+        T_w_look = np.array(site.T_w_t)
+        T_t_c = self.rig.T_tool_camera
+        axis = site.T_w_t[:3, :3] @ T_t_c[:3, 2]
+        T_w_look[:3, 3] -= self.rig.looking_distance * axis + site.T_w_t[:3, :3] @ T_t_c[:3, 3]
+        along = (-self.settings.prepare, -self.settings.near, self.settings.overtravel)
+        to_base = self.rig.T_base_world
+        prepare, near, end = (to_base @ shifted_along_z(site.T_w_t, z) for z in along)
+        return to_base @ T_w_look, prepare, near, end
+
+    def check(self, site: Site) -> None:
+        """Refuse a site before anything moves.
+
+        Args:
+            site: Where.
+
+        Raises:
+            UnreachableError: A goal of its touch, or the way there, is outside the box.
+        """
+        if site.number in self.unreachable:
+            raise UnreachableError(self.unreachable[site.number])
+        for name, goal in zip(("look", "prepare", "slow down", "end"), self.poses(site), strict=True):
+            if not self.rig.limits.contains(goal[:3, 3]):
+                raise UnreachableError(
+                    f"to {name} at site {site.number} the tool would be at {format_position(goal[:3, 3])} m, outside "
+                    "the box"
+                )
+        self.transfer_height()
+
+    def check_settings(self) -> None:
+        """Refuse settings that the arm's limits forbid, before anything moves.
+
+        Raises:
+            ValueError: A speed, force, torque or approach is beyond its limit.
+            UnreachableError: The way across the object is outside the box.
+        """
+        settings, limits = self.settings, self.rig.limits
+        for name in ("speed", "approach", "press", "retreat"):
+            if getattr(settings, name) > limits.speed:
+                raise ValueError(
+                    f"{name} is {getattr(settings, name):g} m/s, above the rig's limit, {limits.speed:g}; lower it"
+                )
+        if settings.acceleration > limits.acceleration:
+            raise ValueError(
+                f"acceleration is {settings.acceleration:g} m/s^2, above the rig's limit, {limits.acceleration:g}; "
+                "lower it"
+            )
+        for distance in (settings.prepare - settings.near, settings.near + settings.overtravel):
+            if distance > 0:
+                limits.check_approach(distance, settings.force, settings.torque)
+        self.transfer_height()
+
+    def transfer_height(self) -> float:
+        """How high the tool goes from site to site: `clearance` above the object's highest point.
+
+        Returns:
+            m, in the base.
+
+        Raises:
+            UnreachableError: The box ends below.
+        """
+        low, high = self.rig.limits.lower[2], self.rig.limits.upper[2]
+        height = self.top - self.rig.T_world_base[2, 3] + self.settings.clearance
+        if height > high:
+            raise UnreachableError(
+                f"between sites the tool would go across at {height:.3f} m in the base, "
+                f"{1e3 * self.settings.clearance:.0f} mm above the object, and the box ends at {high:.3f} m; raise the "
+                "box, or lower settings.clearance"
+            )
+        return float(max(height, low))
