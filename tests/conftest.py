@@ -22,12 +22,16 @@ jax.config.update("jax_debug_key_reuse", True)
 
 
 MAPS = Path("/proc/self/maps")
-# Tests compile much and compute little: what the compiler spends on fast code, the fast tier never earns back.
-FAST_COMPILATION = (
-    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true --xla_cpu_parallel_codegen_split_count=1"
+# Tests compile much and compute little: what the compiler spends on fast code, they do not earn back.
+FAST_COMPILATION = " ".join(
+    (
+        "--xla_backend_optimization_level=0",
+        "--xla_llvm_disable_expensive_passes=true",
+        "--xla_cpu_parallel_codegen_split_count=1",
+    )
 )
 # Longest first, so that no worker is left with one of them at the end. They share a finished run.
-SLOW = ("test_train.py", "test_recognize.py", "test_studies.py")
+SLOW = ("test_train.py", "test_recognize.py", "test_studies.py", "test_examples.py")
 
 
 class _ByFile(LoadFileScheduling):
@@ -52,8 +56,7 @@ def pytest_addoption(parser):
 
 def pytest_configure(config):
     """The compiler's options, before anything is compiled here or in a command that a test starts."""
-    if not (config.option.full or config.option.markexpr):
-        os.environ.setdefault("XLA_FLAGS", FAST_COMPILATION)
+    os.environ.setdefault("XLA_FLAGS", FAST_COMPILATION)
 
 
 def pytest_collection_modifyitems(config, items):

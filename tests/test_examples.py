@@ -25,16 +25,19 @@ def test_there_are_eight_short_ones():
         assert len(path.read_text().splitlines()) <= 55, f"{path.name} is no short program any more"
 
 
+@pytest.mark.full
 def test_a_patch_is_rendered_and_drawn(tmp_path):
     patch = _load(1).main(str(tmp_path / "patch.png"))
     assert abs(float(patch.nearest)) < 0.1e-3
     assert (tmp_path / "patch.png").stat().st_size > 1000
 
 
+@pytest.mark.full
 def test_a_depth_image_gives_the_patch_of_the_mesh():
     assert _load(2).main() < 0.05e-3
 
 
+@pytest.mark.full
 def test_a_press_is_strongest_below_the_ball(tmp_path):
     reading = _load(3).main(str(tmp_path / "press.png")).reshape(-1, 3)
     assert np.linalg.norm(reading, axis=1).argmax() in (0, 1)  # the ball is 3 mm along x: between chips 0 and 1
@@ -48,12 +51,14 @@ def test_simulated_touches_come_back_from_disk(tmp_path):
     assert dataset.source == "simulated"
 
 
+@pytest.mark.full
 def test_a_trained_run_predicts_touches(trained_run):
     reading = _load(5).main(str(trained_run))
     assert np.isfinite(reading.mean).all()
     assert (reading.std > 0).all()
 
 
+@pytest.mark.full
 def test_sixty_presses_calibrate_a_skin():
     assert _load(6).main() > 0.5
 

@@ -30,6 +30,7 @@ def test_rotation_equals_scipy(rotvec):
     np.testing.assert_allclose(geometry.so3_exp(jnp.float32(rotvec)), expected, atol=ROUNDING)
 
 
+@pytest.mark.full
 def test_rotation_gradient_is_finite_and_right_at_zero():
     jacobian = jax.jacfwd(geometry.so3_exp)(jnp.zeros(3))
     generators = np.zeros((3, 3, 3))
@@ -102,6 +103,7 @@ def test_logarithm_holds_for_batches_up_to_half_a_turn():
     np.testing.assert_allclose(geometry.so3_exp(geometry.so3_log(half)), half, atol=1e-12)
 
 
+@pytest.mark.full
 def test_logarithm_has_derivatives_at_rest():
     """There the exponential of a twist is the identity plus its generator, so the chain of both is the identity."""
     chain = jax.jit(jax.jacfwd(there_and_back))(jnp.zeros(6))
@@ -150,6 +152,7 @@ def test_contact_frame_turns_by_the_smallest_rotation():
     assert turn.magnitude() == pytest.approx(np.arccos(0.8), abs=1e-5)
 
 
+@pytest.mark.full
 def test_random_motion_has_the_stated_spread():
     keys = jax.random.split(jax.random.key(0), 4000)
     T = np.asarray(jax.vmap(lambda key: geometry.random_motion(key, 2e-3, 0.01))(keys))

@@ -37,6 +37,7 @@ def test_it_comes_back_as_it_was(calibration, tmp_path):
         load_pad(tmp_path / "skin.npz")
 
 
+@pytest.mark.full
 def test_chips_give_each_channel_its_own_amplitude(tmp_path):
     fitted = calibrate(POSITIONS, 1e3 * DEPTH, READINGS, load_kind="force", board=boards.reskin_board())
     fitted.save(tmp_path / "skin.npz")

@@ -43,6 +43,7 @@ def run(folder, rig, *more, touches=2):
     return command.main(["--out", str(folder / "set"), "--rig", str(rig), "--touches", str(touches), *more])
 
 
+@pytest.mark.full
 def test_it_collects_a_set_says_so_and_goes_on_where_it_stopped(folder, rig, capsys):
     assert run(folder, rig) == 0
     said = capsys.readouterr().out

@@ -111,6 +111,7 @@ def rms(values) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("tilt", [0.0, 30.0, 50.0])
 @pytest.mark.parametrize("name", ["hexagon", "star", "stairs", "wedge", "dome", "torus", "stamp-T", "hammer", *HAMMER])
 def test_against_direct_rendering(name, tilt):
@@ -184,6 +185,7 @@ def test_quantised_depth():
         assert rms(error[inner]) <= 0.6 * q + 1e-5
 
 
+@pytest.mark.full
 def test_flying_pixels_are_no_surface():
     """At every depth edge one pixel in between is put on either side, as cameras do."""
     mesh, (T_w_c, T_w_t) = scene("hexagon"), views(0.0, beside("hexagon"))
@@ -205,6 +207,7 @@ def test_flying_pixels_are_no_surface():
     assert not between[np.asarray(flying.valid_mask)].any()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("model", "coefficients"),
     [
@@ -268,6 +271,7 @@ def test_what_is_hidden_is_not_made_up():
     assert np.asarray(real.valid_mask)[:, np.abs(x) > 4.5e-3].all()
 
 
+@pytest.mark.full
 def test_the_wide_view_holds_the_patch():
     mesh, (T_w_c, T_w_t) = scene("star"), views(30.0, beside("star"))
     depth = image(mesh, T_w_c)
@@ -281,6 +285,7 @@ def test_the_wide_view_holds_the_patch():
     np.testing.assert_allclose(heights(small.patch)[known], heights(wide.patch)[centre][known], atol=FLAT)
 
 
+@pytest.mark.full
 def test_batches_are_their_elements():
     names = ("hexagon", "dome", "hammer")
     poses = [views(tilt, beside(name)) for tilt, name in zip((0.0, 20.0, 40.0), names, strict=True)]

@@ -84,6 +84,7 @@ def test_a_softer_mount_sinks_by_force_through_stiffness(scene):
     np.testing.assert_allclose(soft.past_contact - line.past_contact, line.force * (1 / 2e3 - 1 / hard), atol=1e-9)
 
 
+@pytest.mark.full
 def test_nothing_is_met_beside_the_object_and_off_the_line(scene):
     line = scene.ahead(pose(0.5, 0.0, 0.07))
     assert line.first == np.inf

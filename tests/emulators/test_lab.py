@@ -45,6 +45,7 @@ def touching(tmp_path_factory):
     assert not os.path.islink(link)  # the board has ended too
 
 
+@pytest.mark.full
 def test_a_press_is_felt_as_the_physics_says(touching):
     pad = jax.jit(sample_pad)(jax.random.key(DEFAULT_PAD_KEY))
     nominal = np.asarray(pad.board.to_board(rest_field(pad)), float)
@@ -80,6 +81,7 @@ def test_a_press_is_felt_as_the_physics_says(touching):
         assert np.linalg.norm(wanted) > 10  # uT, so that there is something to compare
 
 
+@pytest.mark.full
 def test_the_noise_is_the_worlds(touching):
     with ReSkin(touching[1]) as skin:
         sigma = skin.read(400, PATIENCE).reading.std(0)

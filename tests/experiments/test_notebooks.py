@@ -61,6 +61,7 @@ def stamped(folder: Path) -> Path:
     return path
 
 
+@pytest.mark.full
 def test_real_press_says_that_it_is_not_real_where_recordings_are_missing(capsys):
     source = notebooks.sources(notebooks.FOLDER / "real_press.ipynb")[0]
     exec(compile(source, "real_press, code cell 0", "exec"), {})

@@ -70,6 +70,7 @@ def test_what_is_missing_is_named(tmp_path, capsys):
     assert "python -m experiments.train --out" in capsys.readouterr().err
 
 
+@pytest.mark.full
 def test_meshes_need_a_unit(trained_run, tmp_path, capsys):
     args = [
         "--preset",
@@ -126,6 +127,7 @@ def test_a_replayed_press_ends_where_it_was_recorded(trained_run):
     np.testing.assert_allclose(found, ended, atol=1e-6)
 
 
+@pytest.mark.full
 def test_informative_sites_follow_the_heuristic():
     """Two boxes of different height side by side: no site of either faces elsewhere, so all of them are equal; the
     sites drawn are all of them in the end.

@@ -38,6 +38,7 @@ def pressed():
     return world.press_stamps(jax.random.key(0), [numbered_pad(0)], 50, CFG.pressing)
 
 
+@pytest.mark.full
 def test_a_stamp_is_met_as_the_renderer_sees_it():
     stamp = one("angle")
     T = world.pose(jnp.array([1e-3, -2e-3]), jnp.float32(0.7), stamp)
@@ -53,6 +54,7 @@ def test_a_stamp_is_met_as_the_renderer_sees_it():
     assert area == pytest.approx(51, abs=40 * 0.25)  # two bars of 10 x 3 less their corner; the outline is 40 mm
 
 
+@pytest.mark.full
 def test_rows_of_one_press_differ_in_force_alone():
     how = replace(CFG.pressing, readings=5)
     where = presses_on(world.press_stamps(jax.random.key(0), [numbered_pad(0)], 25, how), 0)
@@ -65,6 +67,7 @@ def test_rows_of_one_press_differ_in_force_alone():
         world.press_stamps(jax.random.key(0), [numbered_pad(0)], 25, replace(how, readings=3))
 
 
+@pytest.mark.full
 def test_a_press_lies_where_it_says_and_bears_its_force():
     touches = pressed().touches
     where = presses_on(pressed(), 0)
@@ -109,6 +112,7 @@ def test_folds_hold_out_what_they_say():
     assert split_folds(lost, "location", 0) is None
 
 
+@pytest.mark.full
 def test_a_classifier_learns_what_can_be_told_and_no_more():
     rng = np.random.default_rng(0)
     y = np.arange(200) % 4
@@ -132,6 +136,7 @@ def test_the_hysteresis_of_a_chip_is_found():
     np.testing.assert_allclose(found[1:], 0, atol=0.01)
 
 
+@pytest.mark.full
 def test_designs_are_linear_readings_of_the_pad_itself():
     """A skin that is known exactly reads what its designs say."""
     dataset, where = pressed(), presses_on(pressed(), 0)
@@ -199,6 +204,7 @@ def test_the_map_of_touches_is_made_by_one_command(tmp_path, capsys):
     assert "at least are needed" in capsys.readouterr().err
 
 
+@pytest.mark.full
 def test_presses_read_again_by_an_ideal_sensor_are_the_truth():
     ideal = replace(CFG.pressing.errors, noise=Noise.none(), faults=Faults())
     again = methods.read_again(pressed(), [numbered_pad(0)], ideal, 0)

@@ -76,6 +76,7 @@ def test_a_face_without_area_gives_no_normal():
         contact_pose(HEXAGON._replace(faces=flat), TOP)
 
 
+@pytest.mark.full
 def test_objects_need_no_jax():
     code = """
 import sys

@@ -101,6 +101,7 @@ def test_a_loaded_model_predicts_what_the_saved_one_does(
     )
 
 
+@pytest.mark.full
 def test_training_resumed_from_disk_is_the_uninterrupted_one(
     saved: tuple[Path, list[TrainState]], norm: Normalisation, batch: Batch, tmp_path: Path
 ) -> None:

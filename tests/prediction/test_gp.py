@@ -84,6 +84,7 @@ def test_mean_and_variance_of_a_dense_process():
     np.testing.assert_allclose(std, np.sqrt(variance)[:, None] * scale, rtol=loss / noise)
 
 
+@pytest.mark.full
 def test_maps_are_found_the_better_the_more_touches():
     rng = np.random.default_rng(1)
     cells = np.arange(M)
@@ -152,6 +153,7 @@ def test_prediction_of_one_does_not_depend_on_others():
         np.testing.assert_allclose(all_[3:4], one, rtol=200 * 1e-5, atol=1e-5)
 
 
+@pytest.mark.full
 def test_cross_validation_leaves_whole_groups_out():
     rng = np.random.default_rng(5)
     touches, groups = spots(rng, 24), np.repeat([7, 3, 9, 1], 6)
@@ -175,6 +177,7 @@ def test_the_best_of_all_steps_is_taken():
     assert abs(expected - explained[-1]) < rounding
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("bad", ["readings", "pressure"])
 def test_hyperparameters_without_any_score_are_refused(bad):
     rng = np.random.default_rng(10)
@@ -187,6 +190,7 @@ def test_hyperparameters_without_any_score_are_refused(bad):
         gp.choose_hyperparameters(touches, jnp.asarray(readings), np.arange(8) // 2, steps=2)
 
 
+@pytest.mark.full
 def test_to_condition_is_to_fit_with_the_chosen_hyperparameters():
     rng = np.random.default_rng(11)
     touches, groups = spots(rng, 12), np.arange(12) // 3
@@ -213,6 +217,7 @@ def test_errors_left_out_are_those_of_a_process_without_the_touch():
     assert np.abs(expected).max() > 10  # they are not small because nothing is left out
 
 
+@pytest.mark.full
 def test_choosing_improves_and_never_tears_groups():
     rng = np.random.default_rng(6)
     touches, groups = spots(rng, 60), np.arange(60) % 10
@@ -232,6 +237,7 @@ def test_choosing_improves_and_never_tears_groups():
     assert jnp.max(explained) < 0.1
 
 
+@pytest.mark.full
 def test_choosing_among_many_uses_a_sample():
     rng = np.random.default_rng(7)
     touches = spots(rng, 50)

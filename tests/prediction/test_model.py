@@ -147,6 +147,7 @@ def test_shapes_and_what_is_left_out(encoder: str, heteroscedastic: bool, auxili
     assert not auxiliary or got.image.shape == (20, 20)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("encoder", ["mlp", "cnn"])
 def test_examples_of_a_batch_do_not_touch_each_other(encoder: str) -> None:
     cfg = replace(SMALL, encoder=encoder)

@@ -106,6 +106,7 @@ def assert_same_predictions(one: Predictor, other: Predictor, patches: np.ndarra
     np.testing.assert_array_equal(before.std, after.std)
 
 
+@pytest.mark.full
 def test_what_is_saved_is_what_is_loaded(process, network, on_pressure, patches, tmp_path):
     given = {"force": 1.0, "nearest": -1e-4}
     for name, made in (("process", process[0]), ("network", network), ("pressure", on_pressure)):
@@ -174,6 +175,7 @@ def test_a_predictor_says_in_one_line_what_it_is(process, network):
     assert repr(network) == "Predictor(PatchNetwork, 5 chips, patch 17 mm, default force 1 N, unknown source)"
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("chips", [4, 16])
 def test_any_board_is_predicted_saved_and_loaded(chips, patches, tmp_path):
     channels = 3 * chips
@@ -222,6 +224,7 @@ def test_a_network_predicts_what_the_model_says(network, patches):
     np.testing.assert_allclose(seen.std, std, rtol=1e-5)
 
 
+@pytest.mark.full
 def test_a_mesh_and_a_pose_are_a_patch(process):
     """`predict_touch` renders just what `render_patch` does, whoever brings the mesh."""
     ball = catalogue.make_object("dome")

@@ -51,6 +51,7 @@ def test_a_symmetric_view_gives_a_symmetric_pressure():
         close(image, pressure)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("right", "down"), [(0.0, 0.0), (0.004, -0.01)])
 def test_force_control_is_the_contact_solver(right, down):
     direct = solve_force(PAD, jnp.float32(tilted(right, down, *AT)), jnp.float32(2.0), CFG.grid)
@@ -71,6 +72,7 @@ def test_a_weak_or_wrong_force_counts_as_the_floor():
     assert abs(press(CFG, X * 0, force=-0.3).sum() - CFG.floor) < 60 * np.finfo(np.float32).eps * CFG.floor
 
 
+@pytest.mark.full
 def test_cells_are_summed_to_millimetres():
     fine = press(replace(CFG, cell=0.5e-3), tilted(0.004, 0.002))
     direct = solve_force(

@@ -39,6 +39,7 @@ def test_a_gentle_plane_stays_at_the_rim():
     np.testing.assert_allclose(smooth(seen), seen, atol=1.02 * bound)
 
 
+@pytest.mark.full
 def test_noise_is_averaged_over_the_effective_number_of_pixels():
     noise = 1e-5  # m, a fiftieth of the narrowest edge: agreement weights are 1 within 0.1 %
     images = noise * jax.random.normal(jax.random.key(0), (100, N, N))

@@ -81,6 +81,7 @@ def assert_near(left: object, right: object) -> None:
         assert jnp.abs(a - b).mean() <= 0.01 * furthest
 
 
+@pytest.mark.full
 def test_a_few_touches_are_learned_by_heart() -> None:
     raw = touches(16)
     norm = training.normalisation(raw)
@@ -98,6 +99,7 @@ def test_a_few_touches_are_learned_by_heart() -> None:
     assert unexplained < 2e-3  # the same error again in physical units, of the touches' variance
 
 
+@pytest.mark.full
 def test_an_epoch_meets_every_touch_once_and_weighs_the_last_minibatch_by_its_size(case: Case) -> None:
     # A learning rate too small to move float32 parameters, so the epoch's mean is the mean over all touches.
     cfg = replace(TRAIN, learning_rate=1e-30)
@@ -112,6 +114,7 @@ def test_an_epoch_meets_every_touch_once_and_weighs_the_last_minibatch_by_its_si
     np.testing.assert_allclose(info.train.total[0, 0], expected.total, rtol=104 * EPS)
 
 
+@pytest.mark.full
 def test_seeds_trained_together_are_the_seeds_trained_alone(case: Case) -> None:
     keys = jax.random.split(jax.random.key(5), 3)
     states = jax.jit(jax.vmap(lambda key: training.init(key, MODEL, TRAIN, 40)))(keys)
@@ -126,6 +129,7 @@ def test_seeds_trained_together_are_the_seeds_trained_alone(case: Case) -> None:
         np.testing.assert_allclose(together.best_loss[i], alone.best_loss, rtol=1e-3)
 
 
+@pytest.mark.full
 def test_a_whole_training_is_a_function_of_its_seed(case: Case) -> None:
     ends = []
     for seed in (5, 6, 5):
@@ -135,6 +139,7 @@ def test_a_whole_training_is_a_function_of_its_seed(case: Case) -> None:
     assert (jnp.abs(ends[0]["reading"]["kernel"] - ends[1]["reading"]["kernel"]) > 1e-3).any()
 
 
+@pytest.mark.full
 def test_every_epoch_meets_the_touches_in_an_order_of_its_own(case: Case) -> None:
     orders = [training.minibatches(jax.random.key(0), jnp.int32(epoch), 40, 16)[0].ravel()[:40] for epoch in range(3)]
     for order in orders:
@@ -157,6 +162,7 @@ def test_a_validation_loss_that_is_never_finite_is_refused(case: Case) -> None:
     assert not saved
 
 
+@pytest.mark.full
 def test_any_number_of_readings_is_learned() -> None:
     """Four chips: 12 values."""
     model = replace(MODEL, readings=12)
@@ -175,6 +181,7 @@ def test_any_number_of_readings_is_learned() -> None:
     assert mean.shape == std.shape == (16, 12)
 
 
+@pytest.mark.full
 def test_ensemble_members_differ_and_are_what_they_would_be_alone(case: Case) -> None:
     model = replace(MODEL, members=3)
     state = begin(model, TRAIN, 40)
@@ -209,6 +216,7 @@ def test_interrupted_training_repeats_the_uninterrupted_one_exactly(case: Case) 
     assert_same([info for _, info in again], [info for _, info in heard[3:]])
 
 
+@pytest.mark.full
 def test_chunks_of_any_length_are_one_program(case: Case) -> None:
     traced = 0
 
@@ -247,6 +255,7 @@ def test_the_best_epoch_is_kept(case: Case) -> None:
     np.testing.assert_allclose(score, min(scores), rtol=104 * EPS)
 
 
+@pytest.mark.full
 def test_known_noise_is_recovered() -> None:
     model = replace(MODEL, heteroscedastic=True, auxiliary=False)
     raw = touches(2000, noise=6.0)
@@ -263,6 +272,7 @@ def test_known_noise_is_recovered() -> None:
     np.testing.assert_allclose(jnp.sqrt(jnp.mean(std**2, axis=0)), 6.0, rtol=0.1)
 
 
+@pytest.mark.full
 def test_residual_makes_the_standard_deviation_right_where_it_was_measured(case: Case) -> None:
     model = replace(MODEL, members=2)
     state = begin(model, TRAIN, 40)

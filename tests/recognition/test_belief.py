@@ -224,7 +224,7 @@ def test_extremes_stay_finite():
 # --- an episode -------------------------------------------------------------------------------------------------------
 
 OBJECTS, COUNT = 2, 256
-PLACES = belief.sample_particles(SPREAD, COUNT)
+PLACES = belief.sample_particles(SPREAD, COUNT, scales=None)
 
 
 def linear(rng: np.random.Generator) -> PredictedTouch:
@@ -237,28 +237,86 @@ def linear(rng: np.random.Generator) -> PredictedTouch:
 
 def test_particles_have_the_variance_of_the_prior():
     np.testing.assert_array_equal(PLACES.twist[0], 0)
-    many = belief.sample_particles(SPREAD, 4096, seed=3)
-    total = np.cov(np.asarray(many.twist, np.float64).T) + np.asarray(many.covariance)
+    many = belief.sample_particles(SPREAD, 4096, seed=3, scales=None)
+    np.testing.assert_array_equal(many.scale, 1)
+    total = np.cov(np.asarray(many.twist, np.float64).T) + np.asarray(many.covariance[0])
     # Quasi-random: an error of some log(n) / n, against 1 / sqrt(n) = 0.016 of random ones.
     np.testing.assert_allclose(total / np.outer(SPREAD, SPREAD), np.eye(6), atol=np.log(4096) / 4096 * 3)
     np.testing.assert_allclose(many.twist.mean(0) / SPREAD, 0, atol=np.log(4096) / 4096 * 3)
     assert belief.sample_particles(SPREAD, 5).twist.shape == (5, 6)
     assert len(np.unique(np.asarray(many.twist)[:, 0])) > 4000
-    narrow = belief.sample_particles(SPREAD, 8, std_ratio=1.0)  # all of it about the origin
+    narrow = belief.sample_particles(SPREAD, 8, std_ratio=1.0, scales=None)  # all of it about the origin
     np.testing.assert_allclose(narrow.twist, 0, atol=1e-9)
-    np.testing.assert_allclose(narrow.covariance, np.diag(SPREAD**2), rtol=1e-6)
+    np.testing.assert_allclose(narrow.covariance, np.tile(np.diag(SPREAD**2), (8, 1, 1)), rtol=1e-6)
     # A registered pose: correlated, and known exactly in one direction.
     half = np.random.default_rng(0).normal(size=(6, 5)) * 1e-3
     prior = half @ half.T
-    particles = belief.sample_particles(prior, 4096, seed=3)
-    total = np.cov(np.asarray(particles.twist, np.float64).T) + np.asarray(particles.covariance)
+    particles = belief.sample_particles(prior, 4096, seed=3, scales=None)
+    total = np.cov(np.asarray(particles.twist, np.float64).T) + np.asarray(particles.covariance[0])
     scale = np.sqrt(np.diagonal(prior))
     np.testing.assert_allclose((total - prior) / np.outer(scale, scale), 0, atol=np.log(4096) / 4096 * 10)
 
 
+def test_scales_of_the_placement_are_those_of_their_prior():
+    """Log-normal between its ends; particles of every scale have the variance of that scale."""
+    prior = belief.ScalePrior(0.7, 0.25, 4.0)
+    many = belief.sample_particles(SPREAD, 4096, seed=3, scales=prior)
+    log = np.log(np.asarray(many.scale, np.float64))[1:]
+    cut = stats.truncnorm(-np.log(4) / 0.7, np.log(4) / 0.7, scale=0.7)
+    assert stats.kstest(log, cut.cdf).statistic < np.log(4096) / 4096 * 3
+    np.testing.assert_allclose(np.exp(many.log_prior).sum(), 1, rtol=1e-4)
+    for low, high in ((0.25, 0.7), (0.7, 1.4), (1.4, 4.0)):
+        some = (many.scale >= low) & (many.scale < high)
+        unit = np.asarray(many.twist / many.scale[:, None], np.float64)[some]
+        own = np.asarray(many.covariance / many.scale[:, None, None] ** 2)[some]
+        total = np.cov(unit.T) + own.mean(0)
+        np.testing.assert_allclose(total / np.outer(SPREAD, SPREAD), np.eye(6), atol=SIGMAS / np.sqrt(some.sum()))
+    assert many.scale[0] == 1
+    np.testing.assert_allclose(prior.quantile(np.array([0.0, 0.5, 1.0])), [0.25, 1.0, 4.0])
+
+
+def test_the_scale_of_the_placement_is_inferred():
+    """Against Bayes' rule by quadrature: positions of a placement that is off three times as far as told."""
+    rng = np.random.default_rng(21)
+    places = belief.sample_particles(SPREAD, 2048, seed=1)
+    likelihood = EXACT._replace(tactile_weight=jnp.float32(0), position_std=jnp.float32([0.5e-3]))
+    now = belief.init(places, 1, channels=15)
+    told, _ = belief.scale_posterior(now, places)
+    assert float(told) == pytest.approx(1.0, abs=0.02)
+    twist = 3 * rng.choice([-1, 1], 6) * SPREAD
+    rows, rights = [], []
+    for _ in range(3):
+        outcome = outcomes(rng, 1, 1)
+        slope = np.asarray(outcome.jacobian[0, 0], np.float64)
+        end = expected(part(outcome, np.s_[:, 0]), np.array([0.9]))[0]
+        outcome = jax.tree.map(lambda x: jnp.repeat(x, 2048, 1), outcome)
+        moved = jnp.einsum("oki,ki->ok", outcome.jacobian, places.twist)
+        outcome = outcome._replace(approach_distance=outcome.approach_distance + moved)
+        error = slope @ twist + rng.normal(scale=0.5e-3)
+        now = update(now, measured(np.zeros(15), 0.9, end + error, True), outcome, likelihood)
+        rows.append(slope)
+        rights.append(error)
+    H, y = np.stack(rows), np.array(rights)
+    log = np.linspace(-np.log(4), np.log(4), 400)
+    density = np.exp(
+        [
+            stats.multivariate_normal(cov=H @ np.diag((np.exp(s) * SPREAD) ** 2) @ H.T + 0.25e-6 * np.eye(3)).logpdf(y)
+            for s in log
+        ]
+    ) * stats.norm.pdf(log, scale=0.7)
+    mean = np.sum(density * log) / density.sum()
+    sd = np.sqrt(np.sum(density * (log - mean) ** 2) / density.sum())
+    scale, spread = belief.scale_posterior(now, places)
+    few = sd / np.sqrt(effective(now)[0])
+    assert np.log(float(scale)) == pytest.approx(mean, abs=SIGMAS * few)
+    assert float(spread) == pytest.approx(sd, abs=SIGMAS * few)
+    assert mean > 0.5
+
+
+@pytest.mark.full
 def test_touches_are_a_linear_regression():
     rng = np.random.default_rng(7)
-    likelihood = EXACT._replace(tactile_weight=jnp.float32(0), position_std=jnp.float32(0.5e-3))
+    likelihood = EXACT._replace(tactile_weight=jnp.float32(0), position_std=jnp.float32([0.5e-3]))
     now = belief.init(PLACES, OBJECTS, channels=15)
     twist = rng.normal(size=6) * SPREAD
     rows, rights = [], []
@@ -362,7 +420,7 @@ def test_what_is_left_out_may_be_nan_and_moves_nothing():
     """A broken reading where only positions count, and a position where only readings do."""
     rng = np.random.default_rng(8)
     table = outcomes(rng, 2, 4)
-    begun = belief.init(belief.sample_particles(SPREAD, 4), 2, channels=15)
+    begun = belief.init(belief.sample_particles(SPREAD, 4, scales=None), 2, channels=15)
     lost = measured(np.full(15, np.nan), 0.9, -1e-3, True)
     after = update(begun, lost, table, like(tactile_weight=0.0))
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(after))
@@ -372,6 +430,7 @@ def test_what_is_left_out_may_be_nan_and_moves_nothing():
     np.testing.assert_array_equal(after.covariance, begun.covariance)
 
 
+@pytest.mark.full
 def test_a_doubtful_position_keeps_the_spread_of_the_mixture():
     """Half learned from and half not: the variance of a mixture of two normals, in double precision."""
     rng = np.random.default_rng(9)
@@ -387,6 +446,40 @@ def test_a_doubtful_position_keeps_the_spread_of_the_mixture():
         mixed = P - w * np.outer(P @ slope, P @ slope) / unsure + w * (1 - w) * np.outer(shift, shift)
         np.testing.assert_allclose(found.mean, w * shift, rtol=2e-2, atol=1e-7)
         np.testing.assert_allclose(found.covariance, mixed, rtol=2e-2, atol=2e-2 * P.max())
+
+
+def test_heavy_tails_of_a_position_are_a_mixture_of_kalman_steps():
+    """Density, mean and covariance of a mixture of normals by its components, in double precision."""
+    rng = np.random.default_rng(19)
+    outcome = host(outcomes(rng, 1), 0)
+    std, share, rate = np.array([0.05e-3, 0.2e-3, 1e-3]), np.array([0.6, 0.3, 0.1]), 0.01
+    heavy = LIKE._replace(position_std=jnp.float32(std), position_share=jnp.float32(share))
+    slope, P = np.asarray(outcome.jacobian, np.float64), np.diag(0.05 * SPREAD**2)
+    variance = slope @ P @ slope + std**2
+    for error in (0.0, 0.3e-3, 1e-3, 3e-3):
+        advance = expected(outcome, np.float64(0.9)) + error
+        found = belief.evidence(
+            measured(np.zeros(15), 0.9, advance, True), outcome, jnp.zeros(6), jnp.float32(P), heavy
+        )
+        joint = np.append((1 - rate) * share * stats.norm.pdf(error, scale=np.sqrt(variance)), rate / STRAY)
+        assert float(found.spatial) == pytest.approx(np.log(joint.sum()), abs=1e-3)
+        weight = joint / joint.sum()
+        gains = np.append(np.outer(1 / variance, P @ slope), np.zeros((1, 6)), axis=0)
+        means = gains * error
+        mean = weight @ means
+        spread = P + sum(
+            w * (np.outer(m - mean, m - mean) - np.outer(g, P @ slope))
+            for w, m, g in zip(weight, means, gains, strict=True)
+        )
+        np.testing.assert_allclose(found.mean, mean, rtol=1e-2, atol=1e-7)
+        np.testing.assert_allclose(found.covariance, spread, rtol=1e-2, atol=1e-3 * P.max())
+    # Four standard deviations of the usual error are no certain doom: the tail of one in ten bears them.
+    normal = LIKE._replace(position_std=jnp.float32([0.2e-3]), outlier_rate=jnp.float32(1e-9))
+    far = measured(np.zeros(15), 0.9, expected(outcome, np.float64(0.9)) + 2e-3, True)
+    densities = [
+        float(belief.evidence(far, outcome, jnp.zeros(6), jnp.zeros((6, 6)), some).spatial) for some in (heavy, normal)
+    ]
+    assert densities[0] > densities[1] + 15
 
 
 def test_the_zero_of_the_sensor_is_followed():
@@ -416,6 +509,7 @@ def test_the_zero_of_the_sensor_is_followed():
         assert (np.abs(now.bias - offset) < SIGMAS * sd + np.abs(offset) * (1 - gain) ** 20).all()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("chips", [4, 16])
 def test_any_board(chips):
     """Objects that only the readings of other boards tell apart."""
@@ -424,7 +518,7 @@ def test_any_board(chips):
     likelihood = belief.fit_likelihood(
         errors, jnp.full(channels, 10.0), jnp.float32(LOADS), overtravel=PAST, position_std=POSITION
     )
-    places = belief.sample_particles(SPREAD, 4)
+    places = belief.sample_particles(SPREAD, 4, scales=None)
     table = outcomes(rng, 2, 1)
     reading = rng.normal(scale=15, size=(2, 1, 1, channels)) * LOADS[:, None]
     table = table._replace(
@@ -443,8 +537,8 @@ def test_any_board(chips):
 # --- a world drawn from the model -------------------------------------------------------------------------------------
 
 KINDS, FEW, TOUCHES, EPISODES = 3, 16, 3, 1500
-TOY = like(outlier_rate=1e-9, position_std=0.5e-3)
-TOY_PLACES = belief.sample_particles(SPREAD, FEW)
+TOY = like(outlier_rate=1e-9)._replace(position_std=jnp.float32([0.5e-3]))
+TOY_PLACES = belief.sample_particles(SPREAD, FEW, scales=None)
 
 
 @jax.jit
@@ -461,6 +555,7 @@ def judge(table: PredictedTouch, site: jnp.ndarray, at: TouchObservation):
     return jax.lax.map(lambda x: episode(*x), (site, at), batch_size=50)
 
 
+@pytest.mark.full
 def test_probabilities_are_those_of_being_right():
     rng = np.random.default_rng(12)
     sites = 6
@@ -486,7 +581,7 @@ def test_probabilities_are_those_of_being_right():
         + LOADS[1] / belief.ARM_STIFFNESS_N_PER_M
         + (now.jacobian * off).sum(-1)
     )
-    advance += rng.normal(scale=float(TOY.position_std), size=shape)
+    advance += rng.normal(scale=float(TOY.position_std[0]), size=shape)
 
     at = measured(reading, np.full(shape, LOADS[1]), advance, np.ones(shape, bool))
     p = np.asarray(judge(table, jnp.asarray(site), at), np.float64)

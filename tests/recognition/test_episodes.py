@@ -48,6 +48,7 @@ def test_the_site_of_a_touch_that_met_air_lies_before_its_end():
     np.testing.assert_allclose(episodes.T_w_t[0, :, 2, 3], heights, atol=1e-8)
 
 
+@pytest.mark.full
 def test_a_true_object_that_a_press_did_not_reach_is_not_punished():
     """A press ended in the air 3 mm above the true object, and another object reaches 3 mm further up."""
     data = recorded(np.array([TOP + 3e-3]), [ReturnCode.AIR])

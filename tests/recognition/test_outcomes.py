@@ -58,6 +58,7 @@ def tilted(rng: np.random.Generator, size: float) -> np.ndarray:
     return Rotation.from_euler("xyz", [*rng.uniform(0.3, 1, 2) * size * rng.choice([-1, 1], 2), 1.0]).as_matrix() @ DOWN
 
 
+@pytest.mark.full
 def test_a_flat_top_is_met_by_the_lowest_corner_of_the_skin():
     rng = np.random.default_rng(0)
     T_w_o = pose(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-0.1, 0.1, 3))
@@ -157,6 +158,7 @@ def fitted_gp() -> gp.GP:
     return jax.jit(gp.fit)(HYPER, spots(rng, rng.uniform(0.3, 3, 30)), jnp.float32(readings))
 
 
+@pytest.mark.full
 def test_maps_give_the_mean_and_variance_of_the_gp(fitted_gp):
     rng = np.random.default_rng(4)
     presses = spots(rng, np.repeat(LOADS_N, 10))

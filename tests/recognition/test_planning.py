@@ -34,6 +34,7 @@ def world():
     return table, beliefs, likelihood
 
 
+@pytest.mark.full
 def test_nothing_is_chosen_where_nothing_is_allowed(world):
     table, beliefs, likelihood = world
     choose = planning.choose_informative_sites

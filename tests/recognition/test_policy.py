@@ -32,7 +32,7 @@ NORMAL = belief.fit_likelihood(
 )
 TACTILE = NORMAL._replace(spatial_weight=jnp.float32(0))
 SPATIAL = NORMAL._replace(tactile_weight=jnp.float32(0))
-PLACED = belief.sample_particles(SPREAD, COUNT)
+PLACED = belief.sample_particles(SPREAD, COUNT, scales=None)
 gains = jax.jit(partial(policy.expected_information_gain, num_draws=DRAWS, num_particles=PLACES))
 
 
@@ -75,6 +75,7 @@ def start(prior: float = 0.5) -> Belief:
     return now._replace(log_weight=now.log_weight + jnp.log(jnp.array([prior, 1 - prior]) * 2)[:, None])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("prior", [0.5, 0.85])
 def test_gains_are_mutual_information(prior):
     distances = np.array([0.0, 0.5, 1.0, 2.0, 4.0, 20.0])
@@ -121,6 +122,21 @@ def test_errors_are_imagined_with_the_tails_of_the_likelihood():
         assert float(found.object[i]) == pytest.approx(draws.mean(), abs=loose + 1e-4)
         if distance >= 3:
             assert gained(normal, distance).mean() > draws.mean() + loose  # else this would show nothing
+
+
+def test_positions_are_imagined_as_the_belief_expects_them():
+    """Draws of the likelihood's mixture and its outliers: their distribution, against that which beliefs are of."""
+    heavy = NORMAL._replace(
+        position_std=jnp.float32([0.1e-3, 1e-3]), position_share=jnp.float32([0.8, 0.2]), outlier_rate=jnp.float32(0.1)
+    )
+    drawn = np.asarray(policy._draw_noise(jax.random.key(8), heavy, (20_000, 16)))[:, -1]
+    half = PAST + 10e-3
+
+    def cdf(x: np.ndarray) -> np.ndarray:
+        usual = 0.8 * stats.norm.cdf(x, scale=0.1e-3) + 0.2 * stats.norm.cdf(x, scale=1e-3)
+        return 0.9 * usual + 0.1 * stats.uniform.cdf(x, -half, 2 * half)
+
+    assert stats.kstest(drawn, cdf).pvalue > RARE
 
 
 def test_information_on_the_object_and_on_the_place():
@@ -197,7 +213,7 @@ def test_a_power_law_stops_where_it_crosses():
 def test_what_is_imagined_is_what_is_expected_plus_its_noise():
     outcome = jax.tree.map(lambda x: x[0, 0, 0], touches(3.0, 1e-3))
     outcome = outcome._replace(jacobian=jnp.arange(6.0), variance=jnp.full(3, 0.02))
-    off, noise = jnp.full(6, 1e-4), jnp.arange(16.0) - 8
+    off, noise = jnp.full(6, 1e-4), (jnp.arange(16.0) - 8).at[-1].set(7 * POSITION)
     likelihood = NORMAL._replace(inflation=jnp.float32(2))
     imagine = jax.jit(policy.imagine_observation)
     limits = {"likelihood": likelihood, "skin_change": CHANGE, "force": 8.0}
@@ -210,6 +226,8 @@ def test_what_is_imagined_is_what_is_expected_plus_its_noise():
     sd = 2 * np.sqrt(NOISE**2 + 0.02)
     np.testing.assert_allclose(found.reading - outcome.reading[1], sd * np.asarray(noise[:15]), atol=1e-4 * sd * 25)
     assert not imagine(outcome, 4 * off, noise, **limits).contact  # after 7 mm
+    assert not imagine(outcome, 3.2 * off, noise, **limits).contact  # after 5.8 mm, and 0.7 mm of error
+    assert imagine(outcome, 3.2 * off, noise.at[-1].set(0.0), **limits).contact
     assert not imagine(outcome._replace(hit=jnp.array(False)), off, noise, **limits).contact
     weak = imagine(outcome, off, noise, **limits | {"force": 0.5})
     assert float(weak.force) == pytest.approx(0.5)

@@ -64,6 +64,7 @@ def touch(recognizer: ObjectRecognizer, site: ChosenSite, truth: int, key: jax.A
     return np.asarray(found.reading), float(found.force), T_w_t, bool(found.contact)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("truth", [0, 1, 2])
 def test_an_object_is_recognised_by_chosen_touches(recognizer, truth):
     state = recognizer.init()

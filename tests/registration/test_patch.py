@@ -68,6 +68,7 @@ def twist_between(T_a: np.ndarray, T_b: np.ndarray) -> np.ndarray:
     return log(np.linalg.inv(np.asarray(T_a, float)) @ np.asarray(T_b, float)) * ([1.0] * 3 + [TWIST_LEVER_M] * 3)
 
 
+@pytest.mark.full
 def test_gauss_newton_matrix_of_planes():
     """Moving the tool by t and turning it by w changes the height z over the pixel (x, y) of a plane with normal
     (-a, -b, 1) by -(normal . (t + w x p)) for the point p there.
@@ -111,6 +112,7 @@ def test_pose_is_found_again_on_waves():
     assert (np.asarray(ends.steps) < HOW.max_steps).all()
 
 
+@pytest.mark.full
 def test_outliers_do_not_pull():
     """A twentieth of the pixels is off by more than a millimetre: flying pixels of a camera."""
     true = np.eye(4, dtype=np.float32)
@@ -205,6 +207,7 @@ def test_the_experiment_in_small(tmp_path, capsys):
         experiment.run(experiment.RefineArgs(out=tmp_path / "other", preset="debug", data=tmp_path))
 
 
+@pytest.mark.full
 def test_starts_are_exactly_as_far_off_as_they_say():
     args = experiment.RefineArgs(cases=4, objects=1)
     thing = make_object("dome")

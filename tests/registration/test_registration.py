@@ -149,6 +149,7 @@ def test_covariance_is_calibrated(which):
     assert (left < 1.6 * predicted).all()  # over 24 runs an rms is known to 14 %
 
 
+@pytest.mark.full
 def test_what_is_symmetric_stays_at_the_prior():
     """Touched on its top, a prism tells height and tilts; a cylinder nowhere tells its spin."""
     _, found = runs(SURFACES[1], 5, 8)
@@ -157,6 +158,7 @@ def test_what_is_symmetric_stays_at_the_prior():
     assert np.abs(errors(found.T_w_o, np.tile(np.eye(4), (8, 1, 1)))[:, 5]).max() < 0.2 * SPREAD[5]
 
 
+@pytest.mark.full
 def test_air_tells_nothing():
     """With no touch left the answer is the prior, whatever the poses hold."""
     nowhere = jnp.full((TOUCHES, 4, 4), jnp.nan, jnp.float32)
@@ -171,6 +173,7 @@ def test_air_tells_nothing():
     assert (kept.weight[6:] == 0).all()
 
 
+@pytest.mark.full
 def test_a_wrong_touch_does_not_pull():
     """One contact 5 mm too early weighs 5 / (4 + 50^2) = 0.002 and so pulls like one of 10 um, a tenth of the noise."""
     contacts, hit = runs_of(7)

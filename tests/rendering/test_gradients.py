@@ -69,6 +69,7 @@ def look(surface: Surface, T, move):
     return both(render_patch(surface._replace(triangles=bent), T @ transform(so3_exp(move[:3]), move[3:6])))
 
 
+@pytest.mark.full
 def test_against_central_differences_by_pose_and_corners(scenes):
     """Corners that share a place move together, so the mesh stays whole."""
     with jax.enable_x64(True):

@@ -135,6 +135,7 @@ def assert_like_embree(things: list, seed: int, count: int = 50) -> None:
     assert on_edges < 7e-4 * patches.depth.size
 
 
+@pytest.mark.full
 def test_catalogue_and_hostile_shapes_against_embree():
     """Primitives, stamps, tools; slivers, a 0.1 mm wall, open blades, needles and a concave part with overhangs."""
     names = (
@@ -151,6 +152,7 @@ def test_catalogue_and_hostile_shapes_against_embree():
     assert_like_embree([*(make_object(name).mesh for name in names.split()), fan, wall, blades, needles, hook], seed=0)
 
 
+@pytest.mark.full
 def test_dense_meshes_against_embree():
     """Faces as small as pixels, which have a way of their own: two skins 50 um apart, an overhang, slivers, holes."""
     skins = [sheet(lambda x, y, gap=gap: 2e-3 * np.sin(x / 2e-3) + gap, 60, 0.02) for gap in (0, 5e-5)]
@@ -222,6 +224,7 @@ def test_tilted_plane_and_the_axes_of_the_image():
         np.testing.assert_allclose(patch.depth, np.minimum(z - z.min(), reach), rtol=0, atol=2 * tolerance)
 
 
+@pytest.mark.full
 def test_dense_sphere_lies_between_its_spheres():
     """81 920 faces in one window fill many passes; every hit lies between the balls inside and around the mesh."""
     radius = 8e-3

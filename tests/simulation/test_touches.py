@@ -117,6 +117,7 @@ def test_runs_and_objects_are_counted(touches, progress_counts):
     assert touches.T_w_o.tolist() == [np.eye(4).tolist()] * 12
 
 
+@pytest.mark.full
 def test_the_camera_sees_the_object_where_it_stands(touches, true_poses, heights):
     for i, T in enumerate(true_poses):
         z = heights(int(touches.object[i]), T)

@@ -58,6 +58,7 @@ def test_a_pad_on_any_board_is_pressed_and_kept(name, tmp_path):
     jax.tree.map(np.testing.assert_array_equal, load_pad(tmp_path / "pad.npz"), pad)
 
 
+@pytest.mark.full
 def test_a_chip_measures_the_same_whichever_board_it_is_on():
     """The field at a place does not depend on the other chips: a grid of 16 holds the readings of any four of it."""
     sixteen = make_board("grid-4x4")
@@ -67,6 +68,7 @@ def test_a_chip_measures_the_same_whichever_board_it_is_on():
     np.testing.assert_allclose(read[0].reshape(16, 3)[[0, 3, 12, 15]].ravel(), read[1], rtol=1e-4, atol=1e-3)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", NAMES)
 def test_noise_and_faults_have_the_board_s_channels(name):
     board, keys = make_board(name), jax.random.split(jax.random.key(0), 4)
@@ -77,7 +79,9 @@ def test_noise_and_faults_have_the_board_s_channels(name):
         softening=0.1, relaxation=0.05, hysteresis=0.3, ferrous=7.0, earth=48.0, room=10.0, warming=10.0, gain=0.05,
         range_xy=4915.0, range_z=7930.0, dead=2, stale=0.5,
     )  # fmt: skip
-    felt = faults.record(keys[2], faults.apply(keys[3], readings, poses, board, kind), kind)
+    key_board = jax.random.key(1)
+    felt = faults.apply(keys[3], readings, poses, board, kind, key_board=key_board)
+    felt = faults.record(keys[2], felt, kind, key_board=jax.random.clone(key_board))
     assert felt.shape == readings.shape
     assert np.isfinite(felt).all()
     assert np.all(felt == 0, axis=0).sum() == 2

@@ -55,6 +55,7 @@ def _moved(at, way, step):
     return jax.tree.map(lambda a, w: a + step * w, at, way)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("solve", "control"), [(_depth, 0.4e-3), (_force, 0.7)])
 def test_contact_follows_its_inputs(double, solve, control):
     run = jax.jit(solve)
@@ -76,6 +77,7 @@ def test_contact_follows_its_inputs(double, solve, control):
         np.testing.assert_allclose(backwards, forwards, rtol=1e-8)
 
 
+@pytest.mark.full
 def test_reading_follows_its_inputs(double):
     def read(pad, height, depth):
         return press(pad, height, depth, SMALL).reading
@@ -93,6 +95,7 @@ def test_reading_follows_its_inputs(double):
     np.testing.assert_allclose(total, weights @ difference, atol=ASKED * np.abs(weights * difference).max())
 
 
+@pytest.mark.full
 def test_derivatives_in_single_precision_and_in_batches():
     """Gradients of a batch are those of its members, finite where nothing is met or nothing touches."""
 

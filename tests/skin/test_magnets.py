@@ -68,6 +68,7 @@ def test_the_field_inside_a_magnet():
     np.testing.assert_allclose(ours, exact, atol=2e-5 * np.abs(exact).max())
 
 
+@pytest.mark.full
 def test_nodes_buy_accuracy_geometrically():
     """The rule errs as (1 + d / a)^-N: close by, 16 nodes err by about the tenth that gives and 64 by rounding."""
     radius, height = 3e-3, 2e-3
@@ -112,6 +113,7 @@ def test_gradients_are_those_of_magpylib():
         assert np.all(error < 1e-3)  # the figure asked
 
 
+@pytest.mark.full
 def test_gradients_with_respect_to_the_magnet():
     """The field is linear in the magnetisation, and homogeneous: B(s p, s a, s h) = B(p, a, h), so Euler's sum is 0."""
     point, radius, height = jnp.asarray([1e-3, 2e-3, 3e-3]), jnp.asarray(1.5e-3), jnp.asarray(2e-3)
@@ -180,6 +182,7 @@ def test_moving_everything_is_moving_the_frame():
     np.testing.assert_allclose(there, plain @ rotation.T, atol=1e-5 * np.abs(plain).max())
 
 
+@pytest.mark.full
 def test_a_field_is_the_sum_of_its_magnets():
     lattice, points = _lattice(), jnp.asarray(BOARD.chips)
     parts = [magnets.field(points, jax.tree.map(lambda leaf, i=i: leaf[i : i + 1], lattice)) for i in range(4)]

@@ -50,6 +50,7 @@ def test_ambient_is_the_same_vector_for_every_chip():
     assert np.all(np.abs(tool[0]) > 0)
 
 
+@pytest.mark.full
 def test_averaging_removes_white_noise_only():
     kind = Noise(contact_samples=40)
     keys = jax.random.split(jax.random.key(1), N)
@@ -59,6 +60,7 @@ def test_averaging_removes_white_noise_only():
     np.testing.assert_allclose(seen.mean(axis=0), 0, atol=5 * seen.std() / np.sqrt(N))
 
 
+@pytest.mark.full
 def test_an_ideal_sensor_reports_the_field():
     reading = jnp.linspace(-80.0, 60.0, 15)
     np.testing.assert_allclose(
@@ -82,6 +84,7 @@ def test_samples_are_whole_steps(shape):
     assert np.all(np.abs(rounded - values) <= Noise().steps(5) / 2 * (1 + 1e-3))
 
 
+@pytest.mark.full
 def test_drift_is_a_random_walk():
     touches = 100
     keys = jax.random.split(jax.random.key(2), 600)
@@ -100,6 +103,7 @@ def test_drift_is_a_random_walk():
     assert abs(np.mean(ratio)) < 5 * np.pi / 2 / np.sqrt(first.size)
 
 
+@pytest.mark.full
 def test_keys_of_a_batch_are_independent():
     keys = jax.random.split(jax.random.key(9), 3)
     reading = jnp.arange(15.0)

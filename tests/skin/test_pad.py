@@ -72,6 +72,7 @@ def test_readings_are_those_of_real_boards(presses):
     np.testing.assert_allclose(found.force, np.broadcast_to(forces, (200, 16)), rtol=1e-5)
 
 
+@pytest.mark.full
 def test_pads_differ(presses):
     """Real response maps: about unrelated between boards."""
     _, _, found = presses
@@ -94,7 +95,8 @@ def test_sessions_of_one_pad_are_alike():
     def sensed(key: jax.Array, readings: jax.Array, pad: Pad) -> jax.Array:
         still = jnp.broadcast_to(jnp.eye(4), (len(readings), 4, 4))
         key_faults, key_noise = jax.random.split(key)
-        felt = faults.apply(key_faults, readings, still, pad.board, errors.faults)
+        key_board = faults.board_key(pad.gains)
+        felt = faults.apply(key_faults, readings, still, pad.board, errors.faults, key_board=key_board)
         keys = jax.random.split(key_noise, len(readings))
         return jax.vmap(lambda key, reading: add_sensor_noise(key, reading, pad.board, errors.noise))(keys, felt)
 
@@ -114,18 +116,23 @@ def test_sessions_of_one_pad_are_alike():
     assert np.all(same > np.quantile(np.abs(other), 0.5))
 
 
+@pytest.mark.full
 def test_pads_stay_in_their_ranges(presses):
     samples, _, _ = presses
     assert np.all((samples.thickness >= 2e-3) & (samples.thickness <= 3e-3))
     gap = -samples.board.chips[:, :, 2] - samples.thickness[:, None]
     assert np.all((gap >= 0.99e-3) & (gap <= 2.01e-3))
     assert np.std(samples.young) > 0
+    low, high = pads.POISSON_RATIO_RANGE
+    assert np.all((samples.poisson >= low) & (samples.poisson <= high))
+    assert np.std(samples.poisson) > 0.2 * (high - low)  # 0.29 of a uniform distribution
     assert np.all(np.abs(samples.gains - 1) <= 0.15 + 1e-6)
     assert np.all((samples.friction > 0.2) & (samples.friction < 1.5))
     assert np.all(samples.mount_compliance >= 0)
     assert 0.2 < np.mean(samples.mount_compliance > 0) < 0.47  # a third of 200, four standard deviations
 
 
+@pytest.mark.full
 def test_no_axis_rests_at_the_end_of_its_range(presses):
     samples, _, _ = presses
     rest = jax.jit(jax.vmap(lambda pad: pad.board.to_board(rest_field(pad))))(samples)
@@ -140,9 +147,11 @@ def test_without_spread_only_the_magnetisation_differs():
     same = [pad._replace(magnetization=None) for pad in (one, two)]
     jax.tree.map(np.testing.assert_array_equal, *same)
     np.testing.assert_allclose(one.thickness, pads.THICKNESS_M)
+    np.testing.assert_allclose(one.poisson, pads.POISSON_RATIO)
     np.testing.assert_array_equal(one.gains, np.ones(15))
 
 
+@pytest.mark.full
 def test_keys_of_a_batch_are_independent():
     keys = jax.random.split(jax.random.key(4), 3)
     together = sample(keys)
@@ -183,6 +192,7 @@ def test_magnetisation_patterns():
         pads.magnetization_pattern("checkers")
 
 
+@pytest.mark.full
 def test_a_quarter_turn_turns_the_reading():
     """A uniform skin has the symmetry of the square: turning the object turns the field, and with it chips and axes."""
     pad = pads.nominal_pad("uniform")
@@ -197,6 +207,7 @@ def test_a_quarter_turn_turns_the_reading():
     np.testing.assert_allclose(rotated, expected, atol=1e-4 * np.abs(plain).max())  # the contact's tolerance, tenfold
 
 
+@pytest.mark.full
 def test_chips_feel_what_is_above_them():
     """Pressing above a chip of a uniformly magnetised skin changes that chip most."""
     pad = pads.nominal_pad("uniform")
@@ -205,6 +216,7 @@ def test_chips_feel_what_is_above_them():
         assert np.argmax(np.linalg.norm(field, axis=1)) == i
 
 
+@pytest.mark.full
 def test_press_and_press_force_are_inverse():
     pad, height = pads.nominal_pad(), jnp.asarray(_tip(1e-3, -3e-3))
     there = press(pad, height, 0.4e-3)
@@ -215,6 +227,7 @@ def test_press_and_press_force_are_inverse():
     assert back.converged
 
 
+@pytest.mark.full
 def test_air_gives_nothing():
     found = press(pads.nominal_pad(), jnp.full((40, 40), jnp.inf), 0.5e-3)
     assert found.force == 0

@@ -118,6 +118,7 @@ def test_an_episode_of_unequal_lengths_is_refused(meshes, tmp_path):
         viz.write_episode_report(record(meshes, readings=np.ones((2, 15))), tmp_path)
 
 
+@pytest.mark.full
 def test_a_scene_holds_the_object_and_its_touches(meshes, tmp_path):
     if scene.why_no_scene():
         pytest.skip(scene.why_no_scene())

@@ -97,6 +97,7 @@ def test_press_maps_are_in_kilopascals_and_millimetres():
     assert figure.axes[1].images[0].get_array().max() == pytest.approx(0.2)
 
 
+@pytest.mark.full
 def test_every_other_figure_can_be_written(tmp_path):
     rng = np.random.default_rng(0)
     label = np.arange(40) % 5
