@@ -52,6 +52,7 @@ def add_faults(key: Key[Array, ""], readings: Float[Array, "pads n c"]) -> Float
     poses = jnp.broadcast_to(jnp.eye(4), (readings.shape[1], 4, 4))
 
     def session(key: Array, y: Array) -> Array:
-        return faults.apply(key, y, poses, board(), faults.Faults.typical())
+        key_session, key_board = jax.random.split(key)
+        return faults.apply(key_session, y, poses, board(), faults.Faults.typical(), key_board=key_board)
 
     return jax.vmap(session)(jax.random.split(key, len(readings)), readings)

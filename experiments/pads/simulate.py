@@ -67,7 +67,8 @@ def press_skin(key: Key[Array, ""], pad: Pad, n: int) -> SkinSession:
         batch_size=PROBE_PRESS_BATCH,
     )
     upright = jnp.broadcast_to(jnp.eye(4), (n, 4, 4))
-    felt = faults.apply(key_faults, ideal, upright, pad.board, Faults.typical())
+    key_board = faults.board_key(pad.gains)
+    felt = faults.apply(key_faults, ideal, upright, pad.board, Faults.typical(), key_board=key_board)
     keys = jax.random.split(key_noise, n)
     noisy = jax.vmap(lambda key, one: add_sensor_noise(key, one, pad.board, Noise()))(keys, felt)
     return SkinSession(position, force, noisy)

@@ -257,10 +257,12 @@ def read_again(dataset: Dataset, pads: list[Pad], errors: simulation.SimulationE
     made = np.zeros_like(touches.reading)
     for session in np.unique(touches.session):
         rows = np.flatnonzero(touches.session == session)
+        before = np.int32(np.sum(touches.pad[: rows[0]] == touches.pad[rows[0]]))
         some = jax.tree.map(lambda leaf, rows=rows: jnp.asarray(leaf[rows]), touches)
         pad = pads[int(touches.pad[rows[0]])]
         key = jax.random.fold_in(jax.random.key(seed), int(session))
-        made[rows] = _apply_sensor_model(key, some._replace(reading=some.truth.reading), pad, errors).reading
+        ideal = some._replace(reading=some.truth.reading)
+        made[rows] = _apply_sensor_model(key, ideal, pad, errors, presses_before=before).reading
     return made
 
 

@@ -187,7 +187,13 @@ def _depths(stamp: Stamp, T_t_o: Array, window: float, pixels: int) -> tuple[Arr
 
 @partial(jax.jit, static_argnames=("cfg",))
 def press_session(
-    key: Key[Array, ""], drawn: Stamp, which: Int[Array, " n"], pad: Pad, cfg: StampPressConfig
+    key: Key[Array, ""],
+    drawn: Stamp,
+    which: Int[Array, " n"],
+    pad: Pad,
+    cfg: StampPressConfig,
+    *,
+    presses_before: Int[Array, ""] | int = 0,
 ) -> Touches:
     """A session: one press each of the stamps `which`, at random positions, rotations and forces, by a real sensor; of
     each press `cfg.readings` rows, which differ in their forces.
@@ -208,7 +214,8 @@ def press_session(
         return press_stamp(key, jax.tree.map(lambda leaf: leaf[stamp], drawn), pad, position, rotation, force, cfg)
 
     touches = jax.lax.map(one, (keys, which, positions, rotations, forces), batch_size=16)
-    return simulation.apply_sensor_model(key_skin, touches._replace(object=which), pad, cfg.errors)
+    touches = touches._replace(object=which)
+    return simulation.apply_sensor_model(key_skin, touches, pad, cfg.errors, presses_before=presses_before)
 
 
 def press_stamps(
@@ -233,7 +240,8 @@ def press_stamps(
             key_order, key_press = jax.random.split(jax.random.fold_in(jax.random.fold_in(key, number), start))
             first, count = start // cfg.readings, rows // cfg.readings
             shapes = jnp.arange(first, first + count, dtype=jnp.int32) % len(SHAPES)
-            part = jax.device_get(press_session(key_press, drawn, jax.random.permutation(key_order, shapes), pad, cfg))
+            which = jax.random.permutation(key_order, shapes)
+            part = jax.device_get(press_session(key_press, drawn, which, pad, cfg, presses_before=jnp.int32(start)))
             kept = min(rows, n - start)
             part = jax.tree.map(lambda leaf, kept=kept: leaf[:kept], part)
             parts.append(part._replace(pad=part.pad + number, session=part.session + session))

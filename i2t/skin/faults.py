@@ -8,8 +8,14 @@ together they compose the faults as physics does:
   the chip      warms, has gains of its own, and saturates; `i2t.skin.noise` comes next;
   the recorder  gets nothing from a dead axis, and may repeat a row.
 
-Additive fields that change slowly reach a reading only by their change since the ambient was last measured (the paper's
-data hold one ambient for each touch or one for every ten), see `subtract_ambient`.
+Additive fields that change slowly reach a reading only by their change since the ambient was last measured, see
+`subtract_ambient`. How often that is, is `Faults.ambient_every`: by default at every touch, as in the paper's procedure
+and in `i2t.collect`; data of that procedure also hold one ambient for every ten touches, and other recordings one for a
+session. An ambient of the same touch takes the uniform fields of earth and room away, as the tool does not turn after
+it, but not the drift in the seconds until the reading (`Faults.ambient_lag`).
+
+What belongs to a board and not to a session is drawn from `board_key`: the chip that remembers, the chips' own drifts,
+gains and dead axes, and the place where the board is used. Softening goes on over the sessions of a pad.
 
 Default sizes are of real boards where a recording exists, and else of the literature; each docstring says which, and
 says so where a size is an assumption. Readings are microtesla in the board's order and the chips' own axes; W is the
@@ -53,14 +59,15 @@ class Faults:
     dead: int = 0  # axes that do not answer; see `dead_axes`
     stale: float = 0.0  # probability that a row repeats the one before; see `stale_rows`
     # How the session was made, without effect while the sizes above are zero:
-    ambient_every: int = 1  # touches from one measurement of the ambient to the next
-    presses_before: int = 0  # presses of the pad before the session
+    ambient_every: int = 1  # touches from one measurement of the ambient to the next; 0: once, before the session
+    ambient_lag: float = 0.2  # of the time from touch to touch, from an ambient to its reading; see `temperature_drift`
+    presses_before: int = 0  # presses of the pad before its first session
     hold_time: float = 1.0  # s, mean time from contact to the reading
     layer_share: float = 0.2  # see `creep`
 
     @classmethod
     def typical(cls) -> "Faults":
-        """Sizes as on real boards in order, the ambient measured before every touch. Off are gains, of which simulated
+        """Sizes as on real boards in order, the ambient measured at every touch. Off are gains, of which simulated
         pads have their own (`Pad.gains`), and what only a broken set-up shows: steel tip, dead axes, stale rows.
         """
         return cls(
@@ -75,6 +82,22 @@ class Faults:
         )
 
 
+def board_key(gains: Float[Array, " c"]) -> Key[Array, ""]:
+    """The random key of all that stays with a board over its sessions.
+
+    The gains of its chips tell one board from another, and boards of equal gains are one board.
+
+    Args:
+        gains: of the board's axes (`Pad.gains`).
+
+    Returns:
+        The key; the same gains give the same key.
+    """
+    bits = jax.lax.bitcast_convert_type(gains.astype(jnp.float32), jnp.uint32)
+    places = jnp.arange(1, 2 * gains.shape[-1], 2, dtype=jnp.uint32)  # odd factors: no bit is lost, and order counts
+    return jax.random.fold_in(jax.random.key(0), jnp.sum(bits * places))
+
+
 def apply(
     key: Key[Array, ""],
     readings: Float[Array, "n c"],
@@ -82,32 +105,34 @@ def apply(
     board: Board,
     faults: Faults,
     *,
+    key_board: Key[Array, ""],
     rest: Float[Array, " c"] | None = None,
+    presses_before: Int[Array, ""] | int = 0,
 ) -> Float[Array, "n c"]:
     """The readings of one session as a faulty sensor would feel them (see the module's head).
 
     Args:
-        key: random key.
+        key: random key of the session.
         readings: uT, in the order made.
         T_w_t: poses of the tool.
         board: whose chips lie below the skin.
         faults: sizes of the faults.
+        key_board: random key of the board, the same in all its sessions; see `board_key`.
         rest: uT, what the chips measure of the pad itself when nothing touches it (`dipoles.rest_field` through
             `board.to_board`; zero if not given): saturation starts from there, and warming weakens it.
+        presses_before: that the pad had in the sessions before, in addition to `faults.presses_before`.
 
     Returns:
         Readings in uT.
     """
-    n = readings.shape[0]
-    rest = jnp.zeros(board.num_readings) if rest is None else rest
-    key_hold, key_memory, key_tip, key_place, key_warm, key_gain = jax.random.split(key, 6)
-    key_common, key_offset = jax.random.split(key_warm)
+    n, channels = readings.shape
+    rest = jnp.zeros(channels) if rest is None else rest
+    key_hold, key_tip, key_warm = jax.random.split(key, 3)
+    key_memory, key_place, key_offset, key_gain = jax.random.split(jax.random.fold_in(key_board, 0), 4)
 
-    touch = jnp.arange(n)
+    presses = faults.presses_before + presses_before + jnp.arange(n)
     seconds = 2 * faults.hold_time * jax.random.uniform(key_hold, (n,))
-    x = jax.vmap(lambda reading, i: mullins_softening(reading, faults.presses_before + i, faults.softening))(
-        readings, touch
-    )
+    x = jax.vmap(lambda reading, i: mullins_softening(reading, i, faults.softening))(readings, presses)
     x = jax.vmap(lambda reading, held: creep(reading, held, faults.relaxation, faults.layer_share))(x, seconds)
     x = apply_hysteresis(key_memory, x, faults.hysteresis)
 
@@ -115,29 +140,49 @@ def apply(
     x = jax.vmap(lambda reading: ferrous(reading, direction, board, faults.ferrous))(x)
     place = ambient_field(key_place, faults.earth, faults.room)
     seen = jax.vmap(lambda T: ambient(T, place, board))(T_w_t)
-    kelvin = temperature_drift(key_common, n, board.num_chips, faults.warming)
-    offset = jax.random.normal(key_offset, (board.num_readings,))
-    warmed, drifted = jax.vmap(lambda reading, warmer: apply_warming(reading, rest, warmer, offset))(x, kelvin)
-    x = warmed + subtract_ambient(seen + drifted, faults.ambient_every)
+    offset = jax.random.normal(key_offset, (channels,))
+    x, drifted, drifted_before = _warmed(key_warm, x, rest, offset, board.num_chips, faults)
+    x = x + subtract_ambient(seen + drifted, seen + drifted_before, faults.ambient_every)
 
-    x = gains(key_gain, board.num_readings, faults.gain)[None] * x
+    x = gains(key_gain, channels, faults.gain)[None] * x
     return jax.vmap(lambda reading: saturate(reading, rest, faults.range_xy, faults.range_z))(x)
 
 
-def record(key: Key[Array, ""], readings: Float[Array, "n c"], faults: Faults) -> Float[Array, "n c"]:
+def _warmed(
+    key: Key[Array, ""],
+    readings: Float[Array, "n c"],
+    rest: Float[Array, " c"],
+    offset: Float[Array, " c"],
+    chips: int,
+    faults: Faults,
+) -> tuple[Float[Array, "n c"], Float[Array, "n c"], Float[Array, "n c"]]:
+    """Readings in a warming skin, and the drifts of its zero at the readings and at their touches' ambients."""
+    early, late = (
+        temperature_drift(jax.random.clone(key), len(readings), chips, faults.warming, lag)
+        for lag in (0.0, faults.ambient_lag)
+    )
+    warm = jax.vmap(lambda reading, kelvin: apply_warming(reading, rest, kelvin, offset))
+    _, drifted_before = warm(readings, early)
+    return (*warm(readings, late), drifted_before)
+
+
+def record(
+    key: Key[Array, ""], readings: Float[Array, "n c"], faults: Faults, *, key_board: Key[Array, ""]
+) -> Float[Array, "n c"]:
     """What is written down of a session's readings: nothing new from dead axes, and some rows twice.
 
     Args:
-        key: Random key.
+        key: Random key of the session.
         readings: uT, of the session's touches in order.
         faults: Which faults the board has.
+        key_board: Random key of the board, the same in all its sessions; see `board_key`.
 
     Returns:
         The recorded readings (uT).
     """
-    key_dead, key_stale = jax.random.split(key)
+    key_dead = jax.random.fold_in(key_board, 1)
     answered = jnp.where(dead_axes(key_dead, readings.shape[-1], faults.dead)[None], 0.0, readings)
-    return stale_rows(key_stale, answered, faults.stale)
+    return stale_rows(key, answered, faults.stale)
 
 
 def mullins_softening(
@@ -200,14 +245,14 @@ def creep(
 
 
 def apply_hysteresis(key: Key[Array, ""], readings: Float[Array, "n c"], size: float = 0.3) -> Float[Array, "n c"]:
-    """Hysteresis: one chip, drawn for the session, adds a part of the press before to each reading.
+    """Hysteresis: one chip, drawn for the board, adds a part of the press before to each reading.
 
     On a real ReSkin board one chip was up to 35 uT off after a press, where a strong press is 107 uT (p95);
     hysteresis and slip look alike there. Negative if the ambient was measured on the memory and the press wipes
     it out.
 
     Args:
-        key: Random key.
+        key: Random key, of the board.
         readings: uT, of the session's touches in order.
         size: That part.
 
@@ -297,38 +342,44 @@ def ambient(T_w_t: Float[Array, "4 4"], field: Float[Array, "3"], board: Board) 
     return board.to_board(jnp.broadcast_to(T_w_t[:3, :3].T @ field, (board.num_chips, 3)))
 
 
-def subtract_ambient(values: Float[Array, "n c"], every: int) -> Float[Array, "n c"]:
+def subtract_ambient(values: Float[Array, "n c"], before: Float[Array, "n c"], every: int) -> Float[Array, "n c"]:
     """Slow additive terms less what they were when the ambient was last measured.
 
-    Measured at each touch, in the pose of the touch, it takes them all away.
+    Measured at each touch, in the pose of the touch, it takes all away that did not change until the reading.
 
     Args:
-        values: uT, the terms at each touch of a session.
-        every: Touches from one measurement of the ambient to the next.
+        values: uT, the terms at each touch of a session, when it is read.
+        before: uT, the terms at each touch, when its ambient is measured or would be.
+        every: touches from one measurement of the ambient to the next; 0 if only the first touch has one.
 
     Returns:
         What is left of them (uT).
     """
     touch = np.arange(values.shape[0])
-    return values - values[touch // every * every]
+    return values - before[touch // every * every if every else 0 * touch]
 
 
-def temperature_drift(key: Key[Array, ""], touches: int, chips: int, size: float = 10.0) -> Float[Array, "n chips"]:
+def temperature_drift(
+    key: Key[Array, ""], touches: int, chips: int, size: float = 10.0, lag: float = 0.0
+) -> Float[Array, "n chips"]:
     """Warming of each chip at each touch of a session that begins cold: all but a twentieth of `size` by its end.
 
-    Real boards were recorded at 22-32 C, their chips 1-2.5 K apart. Exponential in the number of the touch.
+    Real boards were recorded at 22-32 C, their chips 1-2.5 K apart. Exponential in the number of the touch. From an
+    ambient to its reading a press of 5 mm at 2 mm/s takes up to 3 s, of some 15 s from touch to touch: the lag of
+    `Faults` is 0.2.
 
     Args:
         key: Random key.
         touches: Of the session.
         chips: Of the board.
         size: K.
+        lag: Part of the time from touch to touch by which the touches are later.
 
     Returns:
         Warming (K).
     """
     uneven = WARMING_SPREAD * jax.random.uniform(key, (chips,), minval=-1.0)
-    course = 1 - jnp.exp(-3 * jnp.arange(touches) / max(touches - 1, 1))
+    course = 1 - jnp.exp(-3 * (jnp.arange(touches) + lag) / max(touches - 1, 1))
     return size * course[:, None] * (1 + uneven)[None]
 
 

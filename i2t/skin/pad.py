@@ -168,7 +168,7 @@ def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0, *, board: Board
     Thickness 2-3 mm (ReSkin's range); stiffness within 15 %, gap within 0.25 mm, gains within 5 % and friction within
     20 % (one sigma). Poisson's ratio is 0.475-0.485, an assumption: silicone rubber is hardly compressible (0.49 and
     more), what is between its powder is not all rubber, and nobody measured it of a skin. A wide flat press feels the
-    layer as stiff as (1 - nu) / ((1 + nu) (1 - 2 nu)), 20 % less to 26 % more than at 0.48; a small tip hardly feels
+    layer as stiff as (1 - nu) / ((1 + nu) (1 - 2 nu)), 19 % less to 32 % more than at 0.48; a small tip hardly feels
     it. One skin in three is clamped at its edge instead of
     bonded, and its mounting compliance is MOUNT_COMPLIANCE_M_PER_N within a factor of 1.8: on one of a few real boards
     a press anywhere moved two chips by 60-100 uT. The magnetization is that of `sample_magnetization`, and its strength
