@@ -2,15 +2,19 @@
 
     python -m experiments.recognize live                                   all simulated: see how it goes
     python -m experiments.recognize live --true-object hammer --arm emulated --skin emulated      the real drivers
-    python -m experiments.recognize live --objects a.stl b.stl --unit mm --arm emulated --skin emulated
+    python -m experiments.recognize live --objects star own.stl --unit mm --arm emulated --skin emulated
+    python -m experiments.recognize live --trained-run runs/collected --pad-name "skin A" --arm ur --host 192.168.1.10 \\
+        --skin reskin --camera realsense --rig lab.toml                    a real skin, by a run on its own touches
 
-The skin must be the one whose touches the run was trained on (--trained-run). Runs are of simulated pads so far, and
-every skin differs, so a real skin is refused. The next touch is the one that is
-expected to tell most (`i2t.recognition.recognizer`), among sites that are safe on what may be there; where ten draws of
-candidates have none, the run stops and says so. It ends when the most probable object is wrong with at most
---max-error-probability, or after --max-touches. With --prior-unknown 0.1, say, it may be none of the objects, which is
-believed as far as surrogates, objects like them, explain the touches better. All touches are kept in OUT/touches as a
-data set, under the name "unknown": an unknown object's can be replayed once there is a mesh of it (--dataset).
+Every skin differs, so the pad model must be of the skin that touches, by its name in data sets and by its board: that
+of a run (--trained-run), of an earlier session or of a file (--pad). Any other is refused before anything moves. A
+simulated or emulated skin is "simulated pad 0", that of `experiments.train`, unless --worn-pad names another; a real
+one is called --pad-name, as it was collected. The next touch is the one that is expected to tell most
+(`i2t.recognition.recognizer`), among sites that are safe on what may be there; where ten draws of candidates have none,
+the run stops and says so. It ends when the most probable object is wrong with at most --max-error-probability, or after
+--max-touches. With --prior-unknown 0.1, say, it may be none of the objects, which is believed as far as surrogates,
+objects like them, explain the touches better. All touches are kept in OUT/touches as a data set, under the name of
+--truth, or "unknown": they can be recognised again (--dataset) once there is a mesh of it.
 """
 
 from collections.abc import Sequence
@@ -22,17 +26,22 @@ import jax
 import numpy as np
 
 from experiments.common.runs import write_json
-from experiments.recognize import trained_run
+from experiments.recognize import pad_sources
 from experiments.recognize.config import Recognition
-from experiments.recognize.trained_run import TrainedRun, finished_runs, load_meshes, meshes_by_name
+from experiments.recognize.trained_run import load_meshes, meshes_by_name
 from i2t.collect import session
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.recorder import touches_in
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import Site, SiteOutcome, TouchResult
+from i2t.dataset import load_dataset
+from i2t.emulators.world import read_pad
+from i2t.errors import DeviceError
 from i2t.hardware.rig import Rig
 from i2t.objects import catalogue
 from i2t.objects.solids import Mesh
+from i2t.recognition.pad_model import PadModel
+from i2t.recognition.pad_model_files import KnownPad, require_skin
 from i2t.recognition.planning import NUM_CANDIDATES
 from i2t.recognition.recognizer import (
     MAX_EMPTY_DRAWS,
@@ -41,6 +50,7 @@ from i2t.recognition.recognizer import (
     RecognitionInfo,
     RecognizerConfig,
 )
+from i2t.skin import boards
 from i2t.types import Board, ReturnCode
 from i2t.viz import EpisodeRecord, write_episode_report
 
@@ -51,8 +61,10 @@ class LiveArgs:
 
     out: Path = Path("runs/live")  # folder of touches/, result.json and story/
     trained_run: Path = Path("runs/train")  # a finished run of experiments.train on touches of this skin
-    objects: tuple[Path, ...] = ()  # mesh files to tell apart, in place of the catalogue's
+    pad: Path | None = None  # in place of a run: a data set of an earlier session, a pad or a pad model of this skin
+    objects: tuple[Path, ...] = ()  # to tell apart: names of the catalogue and mesh files
     unit: Literal["m", "cm", "mm", "inch"] = "mm"  # of those files
+    truth: str | None = None  # name of what stands there, under which its touches are kept; "unknown" by default
     true_object: str | None = None  # what stands there if the arm is not real, any of the catalogue; drawn by default
     prior_unknown: float = 0.0  # probability beforehand that it is none of the objects
     num_surrogates: int = 16  # objects like those known, that stand for what else it might be then
@@ -62,9 +74,15 @@ class LiveArgs:
     num_particles: int = 64  # poses of each object
     arm: str = "simulated"  # ur, simulated, emulated, or another package's
     skin: str = "simulated"  # reskin, simulated, emulated, or another package's
-    camera: str = "simulated"  # realsense, simulated, or another package's
+    camera: str = "simulated"  # realsense, simulated, folder, or another package's
     host: str | None = None  # of the arm's controller
     port: str | None = None  # of the skin
+    board: str = "reskin"  # of a real skin: reskin, anyskin, or grid-RxC for R rows and C columns of chips
+    views: Path | None = None  # folder of views to show as the camera
+    state_timeout: float | None = None  # s without a state after which a UR arm is taken for lost; 0.1 by default
+    watchdog_rate: float | None = None  # Hz, how often a UR controller must hear from us; 10 by default
+    pad_name: str | None = None  # of a real skin, as it was collected; "skin" by default
+    worn_pad: Path | None = None  # a pad on disk, for simulated and emulated skins
     rig: Path | None = None  # calibration of the lab; says where the object is believed to stand, and how surely
     seed: int = 0
 
@@ -72,6 +90,13 @@ class LiveArgs:
     def real(self) -> bool:
         """Whether the arm is a real one."""
         return self.arm not in ("simulated", "emulated")
+
+    @property
+    def worn(self) -> str:
+        """Name of the skin that touches, as a collection would have it."""
+        if self.skin not in ("simulated", "emulated"):
+            return self.pad_name or "skin"
+        return self.pad_name or (f"simulated, {self.worn_pad.stem}" if self.worn_pad else "simulated pad 0")
 
 
 def run(args: LiveArgs) -> dict[str, Any]:
@@ -86,8 +111,13 @@ def run(args: LiveArgs) -> dict[str, Any]:
             f"--true-object {true_object}: choose one of {', '.join(meshes)}, or another object of the catalogue"
         )
     key_fit, key_sites, key_touches = jax.random.split(jax.random.key(args.seed), 3)
-    trained = trained_run.load_trained_run(key_fit, finished_runs(args.trained_run)[0], cfg.errors, cfg.limits)
-    recognizer = make_recognizer(args, cfg, key_sites, trained=trained, meshes=meshes, rig=rig)
+    source = pad_sources.find_pad_source(
+        pad=args.pad, run=args.trained_run, cfg=cfg, meshes=meshes, rig=rig if args.rig else None
+    )
+    require_skin(source.skin, [args.worn], worn_board(args, source.skin.board), f"--skin {args.skin}")
+    known = source.make(key_fit)
+    print(pad_sources.describe(known))
+    recognizer = make_recognizer(args, cfg, key_sites, pad_model=known.model, meshes=meshes, rig=rig)
     recognizer.warm_up()  # before there is an arm, whose watchdog does not wait for a compiler
     live = LiveEpisode(recognizer, key_touches)
     code = session.collect(
@@ -97,16 +127,25 @@ def run(args: LiveArgs) -> dict[str, Any]:
         raise ValueError(live.nothing_safe)
     if code or not live.infos:
         raise ValueError("no touch was made, so nothing is known")
-    return conclude(args, live, meshes, trained.dataset.board, None if args.real else true_object)
+    return conclude(args, live, meshes, known, None if args.real else true_object)
+
+
+def worn_board(args: LiveArgs, expected: Board) -> Board:
+    """The board that a command line names; that of another package's skin shows with its first touch."""
+    if args.skin == "simulated":
+        return Board(*(np.asarray(part) for part in read_pad(args.worn_pad).board))
+    if args.skin == "emulated":
+        return boards.reskin_board()
+    return boards.make_board(args.board) if args.skin == "reskin" else expected
 
 
 def make_recognizer(
-    args: LiveArgs, cfg: Recognition, key: jax.Array, *, trained: TrainedRun, meshes: dict[str, Mesh], rig: Rig
+    args: LiveArgs, cfg: Recognition, key: jax.Array, *, pad_model: PadModel, meshes: dict[str, Mesh], rig: Rig
 ) -> ObjectRecognizer:
     """The recogniser that the command line asks for."""
     return ObjectRecognizer(
         key,
-        trained.pad_model,
+        pad_model,
         meshes,
         T_w_o=np.asarray(rig.T_world_object),
         pose_prior=np.asarray(rig.object_covariance),
@@ -139,11 +178,17 @@ def collect_args(args: LiveArgs, cfg: Recognition, meshes: dict[str, Mesh], true
         camera=args.camera,
         host=args.host,
         port=args.port,
+        board=args.board,
+        views=args.views,
         rig=args.rig,
         object=sources.get(there, there),
         unit=args.unit,
-        name="unknown",
+        name=args.truth or "unknown",
+        pad=args.worn_pad,
+        pad_name=args.worn,
         seed=args.seed,
+        state_timeout=args.state_timeout,
+        watchdog_rate=args.watchdog_rate,
         settings=replace(TouchSettings(), skin_change=cfg.limits.skin_change, overtravel=cfg.limits.overtravel),
     )
 
@@ -177,6 +222,11 @@ class LiveEpisode:
         touch = outcome.touch
         if touch is None:
             return
+        if len(touch.reading) != self.recognizer.channels:
+            raise DeviceError(
+                f"the skin sends {len(touch.reading)} values, and the pad model has {self.recognizer.channels}; "
+                "recognise with a pad model of this skin"
+            )
         site = ChosenSite(outcome.site.number, self.recognizer.site_pose(outcome.site.number))
         contact = touch.code != ReturnCode.AIR
         observation = self.recognizer.observe(
@@ -192,34 +242,37 @@ class LiveEpisode:
 
 
 def conclude(
-    args: LiveArgs, live: LiveEpisode, meshes: dict[str, Mesh], board: Board, true_object: str | None
+    args: LiveArgs, live: LiveEpisode, meshes: dict[str, Mesh], known: KnownPad, true_object: str | None
 ) -> dict[str, Any]:
     """Write down and say what was recognised; `true_object` is None for a real arm."""
     names, info = live.recognizer.names, live.infos[-1]
     p = np.stack([each.probability for each in live.infos])
+    source = load_dataset(args.out / "touches").source
     result = {
-        "source": "real" if true_object is None else "simulated",
+        "source": source,
+        "pad_model": pad_sources.to_json(known),
+        "skin": args.worn,
         "objects": names,
         "recognised": info.name,
         "probability": info.confidence,
         "unknown": info.unknown,
-        "true_object": true_object,
+        "true_object": true_object or args.truth,
         "stopped": live.nothing_safe or live.recognizer.stop_reason(live.state),
         "sites": [touch.site.number for touch in live.touches],
         "belief": p.tolist(),
     }
     write_json(args.out / "result.json", result)
     T_o_t = np.linalg.inv(live.recognizer.T_w_o) @ np.stack([touch.T_w_t for touch in live.touches])
-    shown = true_object or info.name
+    shown = true_object or args.truth or info.name
     record = EpisodeRecord(
         meshes=list(meshes.values()),
         names=names,
         T_w_t=T_o_t,
         readings=np.stack([touch.reading for touch in live.touches]),
-        board=board,
+        board=known.board,
         p=p,
         truth=names.index(shown) if shown in names else -1,
-        simulated=true_object is not None,
+        simulated=source != "real",
     )
     write_episode_report(record, args.out / "story")
     stood = "" if true_object is None else f"; it was the {true_object} (simulated)"
@@ -230,11 +283,8 @@ def conclude(
 
 
 def _check(args: LiveArgs) -> None:
-    if args.skin not in ("simulated", "emulated"):
-        raise ValueError(
-            f"--skin {args.skin}: the pad model of {args.trained_run} is of a simulated pad and says nothing of "
-            "another skin; recognise with --skin simulated or emulated, or collect touches with python -m i2t.collect"
-        )
+    if args.worn_pad and args.skin not in ("simulated", "emulated"):
+        raise ValueError(f"--worn-pad is for simulated and emulated skins, and --skin is {args.skin}; leave it out")
     folder = args.out / "touches"
     if folder.is_dir() and touches_in(folder):
         raise ValueError(f"{args.out} holds the touches of another episode; choose another --out")

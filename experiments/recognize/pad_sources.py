@@ -3,7 +3,7 @@
 It is of one skin, which `i2t.recognition.pad_model_files.require_skin` compares with the one that touches.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -18,12 +18,13 @@ from experiments.train.configs import Simulation
 from i2t import dataset as data
 from i2t import serialization
 from i2t.dataset import Dataset
+from i2t.dataset.files import ENDING as DATASET_SUFFIX
 from i2t.hardware.rig import Rig
 from i2t.objects import Mesh, catalogue
 from i2t.prediction.predictor import Predictor, load_predictor
 from i2t.recognition import pad_model_files
 from i2t.recognition.pad_model import PadModel, fit_pad_model
-from i2t.recognition.pad_model_files import KnownPad, PadOrigin, load_pad_model
+from i2t.recognition.pad_model_files import KnownPad, PadOrigin, Skin, load_pad_model
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.simulation import touches as simulation
 from i2t.simulation.touches import SimulationErrors
@@ -34,19 +35,19 @@ TOUCHES_OF_A_FILE, TOUCHES_OF_A_FILE_DEBUG = 900, 100  # simulated with a pad on
 
 
 class PadSource(NamedTuple):
-    """A pad model and what came with it."""
+    """Where a pad model comes from, before it is made."""
 
-    known: KnownPad
+    skin: Skin
+    make: Callable[[jax.Array], KnownPad]  # with a key
     predictor: Predictor | None  # of the run, for the paper's rules
 
 
-def load_pad_source(
-    key: jax.Array, *, pad: Path | None, run: Path, cfg: Recognition, meshes: Mapping[str, Mesh], rig: Rig | None
+def find_pad_source(
+    *, pad: Path | None, run: Path, cfg: Recognition, meshes: Mapping[str, Mesh], rig: Rig | None
 ) -> PadSource:
     """The pad model that a command line names.
 
     Args:
-        key: Of its fit.
         pad: A data set of an earlier session, a pad on disk or a pad model on disk, in place of a run.
         run: A finished run of experiments.train, or a study's folder, of which the first run is taken.
         cfg: How touches were pressed, and how far objects may be from where they are believed.
@@ -54,25 +55,26 @@ def load_pad_source(
         rig: Of the lab that recorded a data set: how far its objects may be off.
 
     Returns:
-        The pad model, and the run's predictor.
+        The skin and what makes its pad model, which takes a minute where it is fitted.
 
     Raises:
         ValueError: There is none, or no pad model can be made of it; the message says why.
     """
     errors = cfg.errors if rig is None else with_placement(cfg.errors, rig)
     if pad is None:
-        return _of_run(key, trained_run.finished_runs(run)[0], cfg, errors)
+        return _of_run(trained_run.finished_runs(run)[0], cfg, errors)
     if not pad.exists():
         raise ValueError(f"--pad {pad}: there is no such file or folder")
-    if pad.is_dir() or pad.suffix == data.files.ENDING:
+    if pad.is_dir() or pad.suffix == DATASET_SUFFIX:
         recorded = data.load_dataset(pad)
         touches = recognition_data.known_touches(recorded, np.ones(len(recorded), bool), meshes, str(pad))
-        return PadSource(_fitted(key, touches, cfg, errors, str(pad)), None)
+        return _of_touches(touches, cfg, errors, str(pad), None)
     kind = serialization.file_kind(pad)
     if kind == pad_model_files.KIND:
-        return PadSource(load_pad_model(pad), None)
+        known = load_pad_model(pad)
+        return PadSource(known.skin, lambda key: known, None)
     if kind == pad_files.KIND:
-        return PadSource(_of_pad_file(key, pad, cfg), None)
+        return _of_pad_file(pad, cfg)
     raise ValueError(
         f"--pad {pad}: holds a {kind}; name a pad, a pad model or a data set (python -m experiments.calibrate "
         "--save-pad FILE makes a pad of presses, and of a calibration)"
@@ -135,61 +137,67 @@ def to_json(known: KnownPad) -> dict[str, object]:
     }
 
 
-def _of_run(key: jax.Array, folder: Path, cfg: Recognition, errors: SimulationErrors) -> PadSource:
+def _of_run(folder: Path, cfg: Recognition, errors: SimulationErrors) -> PadSource:
     if (folder / recognition_data.ABOUT).exists():
-        touches = recognition_data.read(folder)
-        return PadSource(_fitted(key, touches, cfg, errors, str(folder)), load_predictor(folder))
-    trained = trained_run.load_trained_run(key, folder, cfg.errors, cfg.limits)
-    dataset, rows = trained.dataset, trained.rows
-    origin = PadOrigin(
-        pad=dataset.pads[0], source=dataset.source,
-        objects=tuple(dataset.objects[i] for i in np.unique(dataset.touches.object[rows])),
-        touches=int(rows.sum()), made_from=str(folder),
-    )  # fmt: skip
-    return PadSource(KnownPad(trained.pad_model, dataset.board, origin), trained.predictor)
+        return _of_touches(recognition_data.read(folder), cfg, errors, str(folder), load_predictor(folder))
+    dataset, predictor, _ = trained_run.read_simulated_run(folder)
+
+    def make(key: jax.Array) -> KnownPad:
+        trained = trained_run.load_trained_run(key, folder, cfg.errors, cfg.limits)
+        names = tuple(dataset.objects[i] for i in np.unique(dataset.touches.object[trained.rows]))
+        origin = PadOrigin(dataset.pads[0], dataset.source, names, int(trained.rows.sum()), str(folder))
+        return KnownPad(trained.pad_model, dataset.board, origin)
+
+    return PadSource(Skin(dataset.pads[0], dataset.board, str(folder)), make, predictor)
 
 
-def _fitted(
-    key: jax.Array, touches: recognition_data.KnownTouches, cfg: Recognition, errors: SimulationErrors, made_from: str
-) -> KnownPad:
+def _of_touches(
+    touches: recognition_data.KnownTouches,
+    cfg: Recognition,
+    errors: SimulationErrors,
+    made_from: str,
+    predictor: Predictor | None,
+) -> PadSource:
     """A pad model fitted to recorded touches."""
     dataset, names = touches.dataset, list(touches.meshes)
-    surfaces = dict(zip(names, prepare_surfaces(list(touches.meshes.values())), strict=True))
-    rows = np.ones(len(dataset), bool)
-    model = fit_pad_model(key, dataset, rows, surfaces, errors=errors, limits=cfg.limits)
     pad = dataset.pads[int(dataset.touches.pad[0])]
-    return KnownPad(model, dataset.board, PadOrigin(pad, dataset.source, tuple(names), len(dataset), made_from))
+
+    def make(key: jax.Array) -> KnownPad:
+        surfaces = dict(zip(names, prepare_surfaces(list(touches.meshes.values())), strict=True))
+        rows = np.ones(len(dataset), bool)
+        model = fit_pad_model(key, dataset, rows, surfaces, errors=errors, limits=cfg.limits)
+        return KnownPad(model, dataset.board, PadOrigin(pad, dataset.source, tuple(names), len(dataset), made_from))
+
+    return PadSource(Skin(pad, dataset.board, made_from), make, predictor)
 
 
-def _of_pad_file(key: jax.Array, path: Path, cfg: Recognition) -> KnownPad:
+def _of_pad_file(path: Path, cfg: Recognition) -> PadSource:
     """A pad model of a pad on disk: fitted to touches that are simulated with it, as `experiments.train --pad` does.
 
     Where the file says how far the pad is off the presses that it was fitted to, errors of readings are larger by that.
     """
     pad, about = pad_files.load_pad(path), pad_files.load_pad_about(path)
-    key_touch, key_fit = jax.random.split(key)
-    names = Simulation.train
-    surfaces = prepare_surfaces([catalogue.make_object(name).mesh for name in names])
-    touches = TOUCHES_OF_A_FILE_DEBUG if cfg is PRESETS["debug"] else TOUCHES_OF_A_FILE
-    made = jax.device_get(
-        simulation.simulate_touches(
-            key_touch,
-            surfaces,
-            pad,
-            cfg.errors,
-            touches // len(names),
-            limits=cfg.limits,
+    board, names = Board(*(np.asarray(part) for part in pad.board)), Simulation.train
+    made_from = f"{path}{about.made_from}"
+
+    def make(key: jax.Array) -> KnownPad:
+        key_touch, key_fit = jax.random.split(key)
+        surfaces = prepare_surfaces([catalogue.make_object(name).mesh for name in names])
+        touches = TOUCHES_OF_A_FILE_DEBUG if cfg is PRESETS["debug"] else TOUCHES_OF_A_FILE
+        made = simulation.simulate_touches(
+            key_touch, surfaces, pad, cfg.errors, touches // len(names), limits=cfg.limits,
             touches_per_session=Simulation.touches_per_session,
-        )
-    )
-    board = Board(*(np.asarray(part) for part in pad.board))
-    sessions = tuple(f"session {i}" for i in range(int(made.session.max()) + 1))
-    dataset = Dataset(made, names, (about.name,), sessions, board, "simulated")
-    rows = np.isfinite(dataset.touches.depth)
-    known = dict(zip(names, surfaces, strict=True))
-    model = fit_pad_model(key_fit, dataset, rows, known, errors=cfg.errors, limits=cfg.limits)
-    origin = PadOrigin(about.name, "simulated", names, int(rows.sum()), f"{path}{about.made_from}")
-    return KnownPad(with_press_errors(model, about.error_std), board, origin)
+        )  # fmt: skip
+        made = jax.device_get(made)
+        sessions = tuple(f"session {i}" for i in range(int(made.session.max()) + 1))
+        dataset = Dataset(made, names, (about.name,), sessions, board, "simulated")
+        rows = np.isfinite(dataset.touches.depth)
+        known = dict(zip(names, surfaces, strict=True))
+        model = fit_pad_model(key_fit, dataset, rows, known, errors=cfg.errors, limits=cfg.limits)
+        origin = PadOrigin(about.name, "simulated", names, int(rows.sum()), made_from)
+        return KnownPad(with_press_errors(model, about.error_std), board, origin)
+
+    return PadSource(Skin(about.name, board, made_from), make, None)
 
 
 def with_press_errors(model: PadModel, error_std: float) -> PadModel:

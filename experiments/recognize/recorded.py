@@ -10,7 +10,6 @@ from experiments.common.runs import begin, write_json
 from experiments.recognize import figures, pad_sources
 from experiments.recognize import report as reporting
 from experiments.recognize.config import Recognition
-from experiments.recognize.pad_sources import PadSource
 from experiments.recognize.trained_run import load_meshes, meshes_by_name
 from i2t import dataset as data
 from i2t import viz
@@ -18,9 +17,12 @@ from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.hardware.rig import Rig
 from i2t.objects import Mesh, catalogue
+from i2t.prediction.predictor import Predictor
 from i2t.recognition import belief, metrics
+from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import episodes_from_dataset, run_belief
 from i2t.recognition.intervals import wilson_interval
+from i2t.recognition.pad_model import PadModel
 from i2t.recognition.pad_model_files import require_skin, save_pad_model
 from i2t.recognition.paper_rules import paper_rules
 from i2t.recognition.site_pool import precompute_outcomes, prepare_surfaces
@@ -73,25 +75,28 @@ def run(args: RecordedArgs, cfg: Recognition) -> dict[str, Any]:
     meshes = candidate_meshes(args, recorded)
     sessions = choose_sessions(recorded, cfg.touches, args.max_touches)
     rig = None if args.rig is None else Rig.read(args.rig)
-    key = jax.random.key(args.seed)
-    source = pad_sources.load_pad_source(key, pad=args.pad, run=args.trained_run, cfg=cfg, meshes=meshes, rig=rig)
+    source = pad_sources.find_pad_source(pad=args.pad, run=args.trained_run, cfg=cfg, meshes=meshes, rig=rig)
     used = recorded.select(np.isin(recorded.touches.session, [recorded.sessions.index(n) for n in sessions.names]))
     pads = [recorded.pads[i] for i in np.unique(used.touches.pad)]
-    warning = require_skin(source.known, pads, recorded.board, str(args.dataset), other_skin=args.other_skin)
+    warning = require_skin(source.skin, pads, recorded.board, str(args.dataset), other_skin=args.other_skin)
     if warning:
         print(warning)
-    print(pad_sources.describe(source.known))
-    print(f"{args.dataset} ({recorded.source}): {sessions.describe()}")
     begin(args.out, args, cfg, args.resume, args.overwrite)
-    save_pad_model(args.out / "pad_model.npz", source.known)
-    results = recognise(used, meshes, sessions.touches, source=source, rig=rig or Rig(), cfg=cfg, seed=args.seed)
+    known = source.make(jax.random.key(args.seed))
+    print(pad_sources.describe(known))
+    print(f"{args.dataset} ({recorded.source}): {sessions.describe()}")
+    save_pad_model(args.out / "pad_model.npz", known)
+    particles = belief.sample_particles((rig or Rig()).object_covariance, cfg.num_particles, args.seed)
+    results = recognise(
+        used, meshes, sessions.touches, model=known.model, predictor=source.predictor, particles=particles, cfg=cfg
+    )
     (scaled,), temperatures = reporting.calibrate([{"recorded": results}])
     found = scaled["recorded"]
-    trained_on = sorted(set(source.known.origin.objects) & {found.names[i] for i in found.truth})
+    trained_on = sorted(set(known.origin.objects) & {found.names[i] for i in found.truth})
     summary = {
         "source": recorded.source,
         "dataset": str(args.dataset),
-        "pad_model": pad_sources.to_json(source.known) | {"other_skin": warning},
+        "pad_model": pad_sources.to_json(known) | {"other_skin": warning},
         "touched_with": pads,
         "sessions": sessions._asdict(),
         "objects_also_trained_on": trained_on,
@@ -160,23 +165,21 @@ def recognise(
     meshes: dict[str, Mesh],
     touches: int,
     *,
-    source: PadSource,
-    rig: Rig,
+    model: PadModel,
+    predictor: Predictor | None,
+    particles: Particles,
     cfg: Recognition,
-    seed: int,
 ) -> reporting.EpisodeResults:
     """What every method believes along recorded sessions."""
-    model = source.known.model
     surfaces = prepare_surfaces(list(meshes.values()))
     sites, episodes = episodes_from_dataset(recorded, list(meshes), touches, overtravel=cfg.limits.overtravel)
-    particles = belief.sample_particles(rig.object_covariance, cfg.num_particles, seed)
     (table,) = precompute_outcomes(
         surfaces, particles.twist, sites.T_w_t, [model.reading_model],
         overtravel=cfg.limits.overtravel, label="recorded",
     )  # fmt: skip
     believed = run_belief(table, episodes, model.likelihood, particles)
-    if source.predictor is not None:
-        believed |= paper_rules(source.predictor, model.reading_std, surfaces, episodes)
+    if predictor is not None:
+        believed |= paper_rules(predictor, model.reading_std, surfaces, episodes)
     return reporting.EpisodeResults(tuple(meshes), episodes.truth, believed, episodes)
 
 

@@ -48,7 +48,7 @@ def load_trained_run(key: jax.Array, folder: Path, errors: SimulationErrors, lim
     Raises:
         ValueError: The run did not simulate its touches, so that there is no pad to simulate others with.
     """
-    dataset, predictor, pad = _read(folder)
+    dataset, predictor, pad = read_simulated_run(folder)
     rows, surfaces = _training_rows(dataset, folder), _catalogue_surfaces(dataset)
     pad_model = fit_pad_model(key, dataset, rows, surfaces, errors=errors, limits=limits)
     return TrainedRun(dataset, rows, surfaces, predictor, pad, pad_model)
@@ -70,6 +70,32 @@ def finished_runs(folder: Path) -> list[Path]:
     if not (folders[0] / "metrics.json").exists():
         raise ValueError(f"{folder} holds no finished run; make one: python -m experiments.train --out {folder}")
     return folders
+
+
+def read_simulated_run(folder: Path) -> tuple[Dataset, Predictor, Pad]:
+    """What a run that simulated its touches left.
+
+    Args:
+        folder: Of the run.
+
+    Returns:
+        Its touches, its predictor and its pad.
+
+    Raises:
+        ValueError: It trained on recorded touches, or a file is missing.
+    """
+    about = json.loads((folder / "metrics.json").read_text())
+    if not (folder / "data.h5").exists():
+        if (folder / recognition_data.ABOUT).exists():
+            raise ValueError(
+                f"{folder} was trained on recorded touches, and simulated episodes need a pad to simulate with; "
+                "recognise recorded touches with it (--dataset), or pass a run that simulated its touches as "
+                "--trained-run"
+            )
+        raise ValueError(f"{folder} keeps no touches; train it again: python -m experiments.train")
+    number = about["pad"]
+    pad = numbered_pad(number) if isinstance(number, int) else load_pad(Path(number))
+    return data.load_dataset(folder / "data.h5"), load_predictor(folder), pad
 
 
 def load_meshes(paths: Sequence[Path], unit: str | None) -> dict[str, Mesh]:
@@ -128,21 +154,6 @@ def meshes_by_name(names: Sequence[str]) -> dict[str, Mesh]:
         The meshes by name.
     """
     return {name: catalogue.make_object(name).mesh for name in names}
-
-
-def _read(folder: Path) -> tuple[Dataset, Predictor, Pad]:
-    about = json.loads((folder / "metrics.json").read_text())
-    if not (folder / "data.h5").exists():
-        if (folder / recognition_data.ABOUT).exists():
-            raise ValueError(
-                f"{folder} was trained on recorded touches, and simulated episodes need a pad to simulate with; "
-                "recognise recorded touches with it (--dataset), or pass a run that simulated its touches as "
-                "--trained-run"
-            )
-        raise ValueError(f"{folder} keeps no touches; train it again: python -m experiments.train")
-    number = about["pad"]
-    pad = numbered_pad(number) if isinstance(number, int) else load_pad(Path(number))
-    return data.load_dataset(folder / "data.h5"), load_predictor(folder), pad
 
 
 def _training_rows(dataset: Dataset, folder: Path) -> np.ndarray:

@@ -3,7 +3,7 @@
 origin = PadOrigin("skin A", "real", ("hexagon", "parallelogram"), touches=300, made_from="DATA")
 save_pad_model("pad_model.npz", KnownPad(pad_model, dataset.board, origin))
 known = load_pad_model("pad_model.npz")
-require_skin(known, ["skin A"], dataset.board, "DATA/later")
+require_skin(known.skin, ["skin A"], dataset.board, "DATA/later")
 """
 
 from collections.abc import Sequence
@@ -38,12 +38,25 @@ class PadOrigin:
     made_from: str  # a run, a data set or a file
 
 
+class Skin(NamedTuple):
+    """Which skin something is of."""
+
+    pad: str  # its name in data sets
+    board: Board
+    made_from: str  # a run, a data set or a file
+
+
 class KnownPad(NamedTuple):
     """A pad model and the skin that it is of."""
 
     model: PadModel
     board: Board
     origin: PadOrigin
+
+    @property
+    def skin(self) -> Skin:
+        """The skin that it is of."""
+        return Skin(self.origin.pad, self.board, self.origin.made_from)
 
 
 class _Record(NamedTuple):
@@ -115,13 +128,11 @@ def load_pad_model(path: Path | str) -> KnownPad:
     return KnownPad(model, Board(*(np.asarray(part, np.float32) for part in record.board)), origin)
 
 
-def require_skin(
-    known: KnownPad, pads: Sequence[str], board: Board, whose: str, *, other_skin: bool = False
-) -> str | None:
+def require_skin(skin: Skin, pads: Sequence[str], board: Board, whose: str, *, other_skin: bool = False) -> str | None:
     """Refuse touches of another skin than a pad model's.
 
     Args:
-        known: The pad model.
+        skin: That the pad model is of.
         pads: Names of the skins that touch.
         board: Of these skins.
         whose: Names the touches in messages.
@@ -133,16 +144,15 @@ def require_skin(
     Raises:
         DataError: The skin or the board is another.
     """
-    origin = known.origin
-    if not same_board(known.board, board):
+    if not same_board(skin.board, board):
         raise DataError(
-            f"{whose} is of a board of {_described(board)}, and the pad model of {origin.made_from} of one of "
-            f"{_described(known.board)}; use a pad model of that very skin"
+            f"{whose}: the board has {_described(board)}, and that of the pad model of {skin.made_from} "
+            f"{_described(skin.board)}; use a pad model of that very skin"
         )
-    others = sorted(set(pads) - {origin.pad})
+    others = sorted(set(pads) - {skin.pad})
     if not others:
         return None
-    told = f"{whose} is of {_quoted(others)}, and the pad model of {origin.made_from} of {_quoted([origin.pad])}"
+    told = f"{whose}: the skin is {_quoted(others)}, and the pad model of {skin.made_from} is of {_quoted([skin.pad])}"
     if not other_skin:
         raise DataError(f"{told}; every skin differs: use a pad model of that very skin")
     return f"ANOTHER SKIN: {told}"
