@@ -12,6 +12,7 @@ of the skin.
 """
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -70,20 +71,11 @@ def convert(
         raise DataError(f"{source}: holds no states.csv or states.csv.gz; give a session or a folder of sessions")
     notes.info(f"assumed: the tip is a sphere of radius {1e3 * radius:g} mm (not stated in the source)")
     notes.info("assumed: values are microtesla (their steps are the chip's); board order and axes as AnySkin's")
+    options = _Options(radius, window, reach, zero=zero, centre=centre, pad=pad, board=board)
     parts: list[Dataset] = []
     for session in sessions:
         try:
-            parts += _session(
-                session,
-                notes,
-                radius=radius,
-                window=window,
-                reach=reach,
-                zero=zero,
-                centre=centre,
-                pad=pad,
-                board=board,
-            )
+            parts += _session(session, options, notes)
         except DataError as error:
             notes.skip(error)
     if not parts:
@@ -92,80 +84,112 @@ def convert(
     return notes.close(concatenate(parts))
 
 
-def _session(
-    folder: Path,
-    notes: ConversionLog,
-    *,
-    radius: float,
-    window: float,
-    reach: float,
-    zero: float | None,
-    centre: tuple[float, float] | None,
-    pad: str | None,
-    board: int | None,
-) -> list[Dataset]:
-    name = folder.name
+class _Options(NamedTuple):
+    """How sessions are read, as the arguments of `convert`."""
+
+    radius: float  # m
+    window: float  # m
+    reach: float  # m
+    zero: float | None  # m
+    centre: tuple[float, float] | None  # m
+    pad: str | None
+    board: int | None
+
+
+class _Probe(NamedTuple):
+    """Where the probe was."""
+
+    x: np.ndarray  # (n,) m, on the skin
+    y: np.ndarray  # (n,) m
+    height: np.ndarray  # (n,) m above first contact; NaN where it is not recorded
+    load: np.ndarray  # (n,) N; NaN where it was not read
+
+
+def _session(folder: Path, options: _Options, notes: ConversionLog) -> list[Dataset]:
+    """A data set for each board of a session."""
     states = _table(folder, "states", (4, 5), notes)
     values = _table(folder, "sensor_post_baselines", (1 + EFLESH_READINGS, 1 + 2 * EFLESH_READINGS), notes)
     states, values = _matched(folder, states, values, notes)
     sheared = values.shape[1] > 1 + EFLESH_READINGS
-    position = 1e-3 * states[:, 1:4]
-    middle = (position.min(0) + position.max(0)) / 2
-    x, y = (position[:, :2] - (middle[:2] if centre is None else centre)).T
-    load = np.full(len(states), np.nan)
-    if sheared:
-        # The probe moves along the skins: the robot's z is the direction of shear; how deep it presses is not recorded.
-        x = x + position[:, 2] - middle[2]
-        height = np.full(len(states), np.nan)
-        notes.info(
-            f"assumed in {name}: the probe's stroke (robot z) shears along tool x, from the middle of the stroke"
-        )
-        notes.info(f"left out of {name}: the load, which is the shear force; press depth and normal force are unknown")
-    else:
-        top = position[:, 2].max() if zero is None else zero
-        height = position[:, 2] - top
-        notes.info(f"assumed in {name}: first contact at the robot's z = {1e3 * top:.3f} mm; depth counts from there")
-        if states.shape[1] == 5:
-            load = np.where(states[:, 4] == -1, np.nan, GRAM * states[:, 4])
-    inside = (np.abs(x) <= window / 2) & (np.abs(y) <= window / 2)
+    probe = (_sheared if sheared else _pressed)(folder.name, states, options, notes)
+    half = options.window / 2
+    inside = (np.abs(probe.x) <= half) & (np.abs(probe.y) <= half)
     if not inside.all():
-        notes.info(f"left out of {name}: {np.sum(~inside)} presses outside the window of {1e3 * window:g} mm")
-    n = int(inside.sum())
+        notes.info(
+            f"left out of {folder.name}: {np.sum(~inside)} presses outside the window of {1e3 * options.window:g} mm"
+        )
+    if not inside.any():
+        return []
+    session, sessions = _strokes(folder.name, states[inside])
+    touches = _touches(_Probe(*(part[inside] for part in probe)), session, options)
+    readings = values[inside, 1:].reshape(len(session), -1, EFLESH_READINGS)
+    names = [f"{folder.name}/board {i}" for i in range(2)] if sheared else [folder.name]
+    return [
+        Dataset(
+            touches=touches._replace(reading=readings[:, i]),
+            objects=("probe",),
+            pads=(options.pad or name,),
+            sessions=sessions,
+            board=boards.anyskin_board(),
+            source="real",
+            window=options.window,
+            reach=options.reach,
+            meta={"converter": "eflesh", "tip_radius_m": f"{options.radius:g}"},
+        )
+        for i, name in enumerate(names)
+        if not sheared or options.board in (None, i)
+    ]
+
+
+def _pressed(name: str, states: np.ndarray, options: _Options, notes: ConversionLog) -> _Probe:
+    """A session in which the probe presses one skin from above."""
+    position, middle = _positions(states)
+    x, y = (position[:, :2] - (middle[:2] if options.centre is None else options.centre)).T
+    top = position[:, 2].max() if options.zero is None else options.zero
+    notes.info(f"assumed in {name}: first contact at the robot's z = {1e3 * top:.3f} mm; depth counts from there")
+    load = np.full(len(states), np.nan)
+    if states.shape[1] == 5:
+        load = np.where(states[:, 4] == -1, np.nan, GRAM * states[:, 4])
+    return _Probe(x, y, position[:, 2] - top, load)
+
+
+def _sheared(name: str, states: np.ndarray, options: _Options, notes: ConversionLog) -> _Probe:
+    """A session in which the probe moves along two skins: the robot's z is the direction of shear, and how deep it
+    presses is not recorded.
+    """
+    position, middle = _positions(states)
+    x, y = (position[:, :2] - (middle[:2] if options.centre is None else options.centre)).T
+    notes.info(f"assumed in {name}: the probe's stroke (robot z) shears along tool x, from the middle of the stroke")
+    notes.info(f"left out of {name}: the load, which is the shear force; press depth and normal force are unknown")
+    unknown = np.full(len(states), np.nan)
+    return _Probe(x + position[:, 2] - middle[2], y, unknown, unknown)
+
+
+def _positions(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The probe's positions (n, 3) m, and the middle (3,) of their range."""
+    position = 1e-3 * states[:, 1:4]
+    return position, (position.min(0) + position.max(0)) / 2
+
+
+def _touches(probe: _Probe, session: np.ndarray, options: _Options) -> Touches:
+    """Touches of a probe without their readings."""
+    n = len(probe.x)
     T_w_o = np.tile(np.eye(4), (n, 1, 1))
-    T_w_o[:, :3, 3] = np.column_stack([x, y, np.nan_to_num(height)])[inside]
-    session, sessions = _strokes(name, states[inside])
-    touches = Touches(
-        patch=tip_patches(sphere(radius), x[inside], y[inside], window, reach),
+    T_w_o[:, :3, 3] = np.column_stack([probe.x, probe.y, np.nan_to_num(probe.height)])
+    return Touches(
+        patch=tip_patches(sphere(options.radius), probe.x, probe.y, options.window, options.reach),
         wide=missing_context(n),
-        nearest=height[inside],
+        nearest=probe.height,
         reading=np.empty((n, EFLESH_READINGS)),
-        force=load[inside],
-        depth=np.maximum(-height[inside], 0),
+        force=probe.load,
+        depth=np.maximum(-probe.height, 0),
         T_w_t=np.tile(np.eye(4), (n, 1, 1)),
         T_w_o=T_w_o,
         object=np.zeros(n),
         pad=np.zeros(n),
         session=session,
-        code=np.where(height[inside] > 0, ReturnCode.FREE, ReturnCode.UNDEFINED),
+        code=np.where(probe.height > 0, ReturnCode.FREE, ReturnCode.UNDEFINED),
     )
-    parts = []
-    for i in range(2 if sheared else 1):
-        if n and (not sheared or board in (None, i)):
-            reading = values[inside, 1 + EFLESH_READINGS * i : 1 + EFLESH_READINGS * (i + 1)]
-            parts.append(
-                Dataset(
-                    touches=touches._replace(reading=reading),
-                    objects=("probe",),
-                    pads=(pad or (f"{name}/board {i}" if sheared else name),),
-                    sessions=sessions,
-                    board=boards.anyskin_board(),
-                    source="real",
-                    window=window,
-                    reach=reach,
-                    meta={"converter": "eflesh", "tip_radius_m": f"{radius:g}"},
-                )
-            )
-    return parts
 
 
 def _table(folder: Path, name: str, columns: tuple[int, int], notes: ConversionLog) -> np.ndarray:

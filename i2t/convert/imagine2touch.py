@@ -78,51 +78,76 @@ def convert(
     notes.info(f"assumed: image rows along tool y, columns along tool x, after {quarter_turns} quarter turns")
     notes.info(f"assumed: forces act on the tool, in the axes of the {'tool' if tool_forces else 'robot base'}")
     notes.info("left out: colour images, masks, point clouds, joint states, temperatures; object poses are unknown")
+    options = _Options(
+        board,
+        order,
+        window=window,
+        reach=reach,
+        camera=camera,
+        quarter_turns=quarter_turns,
+        tool_forces=tool_forces,
+        pad=pad,
+    )
     parts: list[Dataset] = []
     for folder in _objects(source):
         for run in _runs(folder):
             try:
-                reading = samples.readings(folder / f"{folder.name}_tactile" / f"experiment_{run}_reskin", order, notes)
-                poses = _poses(folder / f"{folder.name}_poses" / f"experiment_{run}", len(reading), notes)
-                images = folder / f"{folder.name}_images" / "depth" / f"experiment_{run}_depth"
-                patch, closest = _patches(images, len(reading), quarter_turns, reach, notes)
-                forces = folder / f"{folder.name}_forces" / f"experiment_{run}"
-                force, code = _forces(forces, None if tool_forces else poses.T_w_t[:, :3, 2], len(reading), notes)
+                parts.append(_convert_run(folder, run, options, notes))
             except DataError as error:
                 notes.skip(error)
-                continue
-            n = len(reading)
-            touches = Touches(
-                patch=patch,
-                wide=missing_context(n),
-                nearest=closest - camera - poses.travel,
-                reading=reading,
-                force=force,
-                depth=np.full(n, np.nan),
-                T_w_t=poses.T_w_t,
-                T_w_o=np.full((n, 4, 4), np.nan),
-                object=np.zeros(n),
-                pad=np.zeros(n),
-                session=np.zeros(n),
-                code=code,
-            )
-            name = f"{folder.name}/experiment_{run}"
-            meta = {"converter": "imagine2touch", **_remarks(folder, run)}
-            part = Dataset(
-                touches=touches,
-                objects=(folder.name,),
-                pads=(pad,),
-                sessions=(name,),
-                board=board,
-                source="real",
-                window=window,
-                reach=reach,
-                meta=meta,
-            )
-            parts.append(part.select(np.isfinite(reading).all(1) & np.isfinite(closest)))
     if not sum(map(len, parts)):
         raise data_error(source, f"no touch is left to convert ({' | '.join(notes.lines[3:])})")
     return notes.close(concatenate(parts))
+
+
+class _Options(NamedTuple):
+    """How runs are read, as the arguments of `convert`."""
+
+    board: Board
+    order: str
+    window: float  # m
+    reach: float  # m
+    camera: float  # m
+    quarter_turns: int
+    tool_forces: bool
+    pad: str
+
+
+def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog) -> Dataset:
+    """One run of an object: its touches that have a reading and an image."""
+    reading = samples.readings(folder / f"{folder.name}_tactile" / f"experiment_{run}_reskin", options.order, notes)
+    n = len(reading)
+    poses = _poses(folder / f"{folder.name}_poses" / f"experiment_{run}", n, notes)
+    images = folder / f"{folder.name}_images" / "depth" / f"experiment_{run}_depth"
+    patch, closest = _patches(images, n, options.quarter_turns, options.reach, notes)
+    forces = folder / f"{folder.name}_forces" / f"experiment_{run}"
+    force, code = _forces(forces, None if options.tool_forces else poses.T_w_t[:, :3, 2], n, notes)
+    touches = Touches(
+        patch=patch,
+        wide=missing_context(n),
+        nearest=closest - options.camera - poses.travel,
+        reading=reading,
+        force=force,
+        depth=np.full(n, np.nan),
+        T_w_t=poses.T_w_t,
+        T_w_o=np.full((n, 4, 4), np.nan),
+        object=np.zeros(n),
+        pad=np.zeros(n),
+        session=np.zeros(n),
+        code=code,
+    )
+    dataset = Dataset(
+        touches=touches,
+        objects=(folder.name,),
+        pads=(options.pad,),
+        sessions=(f"{folder.name}/experiment_{run}",),
+        board=options.board,
+        source="real",
+        window=options.window,
+        reach=options.reach,
+        meta={"converter": "imagine2touch", **_remarks(folder, run)},
+    )
+    return dataset.select(np.isfinite(reading).all(1) & np.isfinite(closest))
 
 
 def _objects(source: Path) -> list[Path]:
