@@ -229,7 +229,7 @@ def _within_unit(found: Estimate, values: np.ndarray, clusters: Clusters, level:
     return Estimate(found.mean, low, np.where(alike, wilson.high, np.clip(found.high, 0, 1)))
 
 
-def _wilson(mean: np.ndarray, trials: int, level: float) -> Estimate:
+def _wilson(mean: Shaped[Array, "..."], trials: int, level: float) -> Estimate:
     z = stats.norm.ppf((1 + level) / 2)
     centre = (mean + z**2 / (2 * trials)) / (1 + z**2 / trials)
     half = z / (1 + z**2 / trials) * np.sqrt(mean * (1 - mean) / trials + z**2 / (4 * trials**2))

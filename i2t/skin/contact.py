@@ -271,13 +271,16 @@ def descend(
         reached = level(x, gap)
         target = project(x - length * (gap - reached))
         deflection = positive(jnp.max(jnp.abs(gap - offset)))
+        moved = jnp.max(jnp.abs(target - x))
+        # Where nothing may move (no friction), length times deflection may be too small a number to divide by.
+        residual = jnp.where(moved > 0, moved / jnp.where(moved > 0, length * deflection, 1), 0)
         return ContactState(
             point=x,
             gap=gap,
             level=reached,
             target=target,
             length=length,
-            residual=jnp.max(jnp.abs(target - x)) / (length * deflection),
+            residual=residual,
             steps=steps,
         )
 

@@ -34,9 +34,8 @@ def test_pools_within_pads_add_nothing_to_the_pads():
 
 
 def test_crossed_factors_are_wider_than_either():
-    rng = np.random.default_rng(2)
-    pad, _, thing = _episodes(rng, 8, 1, 8, 5)
-    values = rng.normal(size=8)[pad] + rng.normal(size=8)[thing]
+    pad, _, thing = _episodes(None, 8, 1, 8, 5)
+    values = np.arange(8.0)[pad] + np.arange(8.0)[thing]
     width = {
         name: float(found.high - found.low)
         for name, found in {
@@ -45,7 +44,7 @@ def test_crossed_factors_are_wider_than_either():
             "both": cluster_interval(values, [pad, thing]),
         }.items()
     }
-    assert width["both"] > 1.05 * max(width["pad"], width["object"])
+    assert width["both"] > 1.2 * max(width["pad"], width["object"])
 
 
 @pytest.mark.parametrize(
@@ -95,7 +94,7 @@ def test_one_cluster_has_no_interval():
     assert np.isnan(found.low)
     assert np.isnan(found.high)
     with pytest.raises(ValueError, match=r"3.* labels for 2"):
-        cluster_interval(np.zeros(2), [np.zeros(3, int)])
+        bootstrap_clusters(np.sum, [np.zeros(3, int)], 2)
 
 
 def test_no_factor_means_independent_episodes():
