@@ -1,5 +1,6 @@
 """What does it cost not to know where the object stands? It lies anywhere on a patch of table, turned in any way, and
-is pressed straight down at random points of the table (`i2t.recognition.planar`).
+is pressed straight down at random points of the table (`i2t.recognition.planar`). Where the table is, is known no
+better than a placement elsewhere: its height and its tilts err by `SimulationErrors.placement` and `placement_angle`.
 """
 
 from collections.abc import Sequence
@@ -18,14 +19,17 @@ from experiments.common.runs import Part
 from experiments.recognize import figures
 from experiments.studies.lab import EpisodePlan, StudyLab, clusters_of, format_estimate, pool_parts, report_error
 from i2t import viz
+from i2t.geometry import from_twist
 from i2t.recognition import belief, metrics, planar
-from i2t.recognition.belief import Belief, Likelihood, TouchObservation
+from i2t.recognition.belief import Belief, Likelihood, Particles, TouchObservation
 from i2t.recognition.episodes import Episodes
 from i2t.recognition.intervals import estimate_at
 from i2t.recognition.metrics import to_json
 from i2t.recognition.outcomes import PredictedTouch
 from i2t.recognition.planar import PlanarGrid, PlanarPose
 from i2t.recognition.site_pool import SitePool, precompute_outcomes
+from i2t.simulation.touches import SimulationErrors
+from i2t.types import TWIST_LEVER_M
 
 TOUCHES, DEBUG_TOUCHES = 20, 3
 DEBUG_GRID = PlanarGrid(half=5e-3, reach=5e-3, step=5e-3, turns=4)
@@ -41,6 +45,7 @@ class TablePresses(NamedTuple):
     truth: np.ndarray  # (e,)
     pose: np.ndarray  # (e, 3) m, m, rad
     site: np.ndarray  # (e, t, 2) m, on the table
+    table: np.ndarray  # (e, 6) m, twist of the object in its own frame: how the table lies otherwise than believed
 
 
 def evaluate(lab: StudyLab) -> Part:
@@ -49,6 +54,7 @@ def evaluate(lab: StudyLab) -> Part:
     presses = draw_presses(lab, grid)
     episodes = simulate_presses(lab, presses, grid)
     cells, particles = planar.pose_cells(grid)
+    particles = add_table_errors(particles, table_std(lab.cfg.errors))
     predicted = predict_touches(lab, grid)
     start = belief.init(particles, len(lab.surfaces), channels=predicted.reading.shape[-1])
     likelihood = lab.pad_model.likelihood._replace(overtravel=jnp.float32(OVERTRAVEL_M))
@@ -79,7 +85,20 @@ def draw_presses(lab: StudyLab, grid: PlanarGrid) -> TablePresses:
     radius = grid.reach * np.sqrt(rng.random((2, len(truth), touches)))[0]
     angle = rng.random((len(truth), touches))
     site = radius[..., None] * np.stack([np.cos(2 * np.pi * angle), np.sin(2 * np.pi * angle)], -1)
-    return TablePresses(truth, pose, site)
+    table = table_std(lab.cfg.errors) * rng.standard_normal((len(truth), 6))
+    return TablePresses(truth, pose, site, table)
+
+
+def table_std(errors: SimulationErrors) -> np.ndarray:
+    """Standard deviations (6,) m of the twist by which the table lies otherwise than believed: height and tilts."""
+    tilt = TWIST_LEVER_M * errors.placement_angle
+    return np.array([0.0, 0.0, errors.placement, tilt, tilt, 0.0])
+
+
+def add_table_errors(particles: Particles, std: np.ndarray) -> Particles:
+    """Particles that may also be displaced as the table is."""
+    variance = jnp.diag(jnp.float32(std**2))
+    return particles._replace(covariance=particles.covariance + jnp.broadcast_to(variance, particles.covariance.shape))
 
 
 def simulate_presses(lab: StudyLab, presses: TablePresses, grid: PlanarGrid) -> Episodes:
@@ -94,12 +113,13 @@ def simulate_presses(lab: StudyLab, presses: TablePresses, grid: PlanarGrid) -> 
 
 
 def _object_frame_sites(presses: TablePresses, grid: PlanarGrid) -> np.ndarray:
-    """Poses (e * t, 4, 4) of presses in the frames of the objects."""
+    """Poses (e * t, 4, 4) of presses in the frames of the objects, on the table as it lies."""
     to_object = jax.vmap(jax.vmap(planar.object_frame_pose, (None, 0)))
     at = np.asarray(to_object(jnp.float32(presses.pose), jnp.float32(presses.site)), float).reshape(-1, 2)
     turn = np.repeat(-presses.pose[:, 2], presses.site.shape[1])
     poses = [planar.vertical_press_pose(x, y, phi, grid.height) for (x, y), phi in zip(at, turn, strict=True)]
-    return np.stack(poses)
+    displaced = np.stack([np.linalg.inv(np.asarray(from_twist(twist))) for twist in presses.table])
+    return np.repeat(displaced, presses.site.shape[1], axis=0) @ np.stack(poses)
 
 
 def predict_touches(lab: StudyLab, grid: PlanarGrid) -> PredictedTouch:

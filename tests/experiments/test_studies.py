@@ -1,6 +1,7 @@
 """The studies of recognition on their debug presets, and the small formulas of their reports."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,9 @@ import pytest
 from experiments.studies import __main__ as studies
 from experiments.studies import object_count, planar, pose_error, sites
 from i2t.objects import Mesh
+from i2t.recognition.planar import pose_cells
+from i2t.simulation.touches import SimulationErrors
+from i2t.types import TWIST_LEVER_M
 
 pytestmark = pytest.mark.usefixtures("pad_models_fitted_once")
 
@@ -66,6 +70,29 @@ def test_a_rotation_of_a_symmetric_object_is_wrong_up_to_half_its_period_only():
     angle = np.radians([100.0, 100.0, 100.0, -350.0])
     found = planar.rotation_error(angle, np.array([4, 0, 1, 1]))
     np.testing.assert_allclose(np.degrees(found), [10, 0, 100, 10])
+
+
+def test_a_table_that_is_higher_or_tilted_is_met_elsewhere():
+    """In the object's frame the tool starts lower by the height, and lower where the table rises."""
+    up, tilted = np.zeros((2, 6))
+    up[2], tilted[3] = 1e-3, 0.01 * TWIST_LEVER_M  # about x: the table rises along y
+    grid = planar.PlanarGrid(half=10e-3, reach=10e-3, step=5e-3, turns=4)
+    site = np.array([[3e-3, 20e-3], [-5e-3, 0.0]])
+    presses = [
+        planar.TablePresses(np.zeros(1, int), np.zeros((1, 3)), site[None], t[None]) for t in (0 * up, up, tilted)
+    ]
+    level, higher, sloped = (planar._object_frame_sites(each, grid) for each in presses)
+    np.testing.assert_allclose(higher[:, :3, 3] - level[:, :3, 3], [[0, 0, -1e-3]] * 2, atol=1e-8)
+    np.testing.assert_allclose(sloped[:, 2, 3] - level[:, 2, 3], -0.01 * site[:, 1], atol=2e-6)  # of an angle's square
+    np.testing.assert_allclose(np.linalg.norm(sloped[:, :3, 2] - level[:, :3, 2], axis=1), 0.01, rtol=1e-3)
+
+
+def test_the_belief_is_told_that_the_table_may_be_higher_and_tilted():
+    std = planar.table_std(replace(SimulationErrors.none(), placement=2e-3, placement_angle=0.1))
+    np.testing.assert_allclose(std, [0, 0, 2e-3, 0.1 * TWIST_LEVER_M, 0.1 * TWIST_LEVER_M, 0])
+    _, cells = pose_cells(planar.PlanarGrid(half=5e-3, reach=5e-3, step=5e-3, turns=4))
+    added = planar.add_table_errors(cells, std).covariance - cells.covariance
+    np.testing.assert_allclose(added, np.broadcast_to(np.diag(std**2), added.shape), atol=1e-9)
 
 
 def test_lines_change_sign_where_they_meet_zero():
