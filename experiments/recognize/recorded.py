@@ -29,6 +29,7 @@ from i2t.recognition.site_pool import precompute_outcomes, prepare_surfaces
 from i2t.types import ReturnCode
 
 MIN_EPISODES = 5  # fewer say nothing about others: no interval is given
+KEPT_PREDICTOR = "the paper's rules, the run's predictor"  # whose readings the paper's rules are given
 TOO_FEW = "too few episodes for an interval"
 
 
@@ -179,7 +180,7 @@ def recognise(
     )  # fmt: skip
     believed = run_belief(table, episodes, model.likelihood, particles)
     if predictor is not None:
-        believed |= paper_rules(predictor, model.reading_std, surfaces, episodes)
+        believed |= paper_rules({KEPT_PREDICTOR: predictor}, model.reading_std, surfaces, episodes)
     return reporting.EpisodeResults(tuple(meshes), episodes.truth, believed, episodes)
 
 
@@ -227,11 +228,11 @@ def print_table(summary: dict[str, Any], warning: str | None) -> None:
         print(warning)
     if summary["objects_also_trained_on"]:
         print(f"the pad model was fitted to touches of {', '.join(summary['objects_also_trained_on'])} too")
-    print(f"{'':26}" + "".join(f"{f'after {t}':>20}" for t in columns) + f"{'mean of all':>20}{'NLL':>7}")
+    print(f"{'':48}" + "".join(f"{f'after {t}':>20}" for t in columns) + f"{'mean of all':>20}{'NLL':>7}")
     for method, values in entry["methods"].items():
         cells = [_cell({key: value and value[t - 1] for key, value in values["accuracy"].items()}) for t in columns]
         print(
-            f"{method:26}" + "".join(f"{cell:>20}" for cell in (*cells, _cell(values["mean"])))
+            f"{method:48}" + "".join(f"{cell:>20}" for cell in (*cells, _cell(values["mean"])))
             + f"{np.mean(values['log_loss']):7.3f}"
         )  # fmt: skip
 
