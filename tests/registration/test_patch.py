@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from experiments import refine as experiment
+from experiments.refine.cases import draw_cases
+from experiments.refine.config import RefineArgs
+from experiments.refine.run import run
 from i2t.geometry import log
 from i2t.objects.catalogue import make_object
 from i2t.registration import levenberg_marquardt
@@ -188,8 +190,8 @@ def test_several_starts_find_what_one_may_miss():
 
 @pytest.mark.full
 def test_the_experiment_in_small(tmp_path, capsys):
-    args = experiment.RefineArgs(out=tmp_path / "run", preset="debug")
-    report = experiment.run(args)
+    args = RefineArgs(out=tmp_path / "run", preset="debug")
+    report = run(args)
     assert json.loads((tmp_path / "run" / "metrics.json").read_text()) == report
     assert report["source"] == "simulated"
     assert report["cases"] == 6
@@ -202,17 +204,23 @@ def test_the_experiment_in_small(tmp_path, capsys):
     }
     assert "simulated cases on 3 objects" in capsys.readouterr().out
     with pytest.raises(ValueError, match="holds a finished run"):
-        experiment.run(args)
+        run(args)
     with pytest.raises(ValueError, match="no STL file"):
-        experiment.run(experiment.RefineArgs(out=tmp_path / "other", preset="debug", data=tmp_path))
+        run(RefineArgs(out=tmp_path / "other", preset="debug", data=tmp_path))
+
+
+def test_what_is_given_goes_before_the_preset():
+    assert (RefineArgs(preset="debug").sizes.cases, RefineArgs().sizes.cases) == (6, 200)
+    sizes = RefineArgs(preset="debug", cases=9).sizes
+    assert (sizes.cases, sizes.objects, sizes.starts) == (9, 3, 1)
 
 
 @pytest.mark.full
 def test_starts_are_exactly_as_far_off_as_they_say():
-    args = experiment.RefineArgs(cases=4, objects=1)
+    args = RefineArgs(cases=4, objects=1)
     thing = make_object("dome")
     surfaces = jax.tree.map(lambda a: a[None], prepare_surface(thing.mesh))
-    cases = experiment.draw_cases(jax.random.key(0), [thing], surfaces, 4, args)
+    cases = draw_cases(jax.random.key(0), [thing], surfaces, 4, args)
     moved = np.linalg.inv(cases.true.astype(float)) @ cases.start
     np.testing.assert_allclose(np.linalg.norm(moved[..., :3, 3], axis=-1), args.distance, rtol=1e-4)
     angle = Rotation.from_matrix(moved[0, :, :3, :3]).magnitude()

@@ -1,0 +1,1 @@
+"""How far one depth patch corrects a pose."""

@@ -1,0 +1,43 @@
+"""Options and presets of `experiments.refine`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from experiments.common.presets import choose_preset
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much is done."""
+
+    cases: int = 200  # shared among all objects
+    objects: int = 40  # different ones, besides those of --data
+    starts: int = 4  # of the methods with several
+
+
+PRESETS = {"paper": Sizes(), "debug": Sizes(cases=6, objects=3, starts=1)}
+
+
+@dataclass(frozen=True)
+class RefineArgs:
+    """Seek poses from single patches and say how often they are found."""
+
+    out: Path = Path("runs/refine")  # folder for what is made
+    preset: Literal["paper", "debug"] = "paper"
+    data: Path | None = None  # folder of mesh files in metres that join the objects
+    cases: int | None = None  # instead of the preset's: 200, of debug 6
+    objects: int | None = None  # instead of the preset's 40 (3) different ones; those of --data join them
+    distance: float = 2e-3  # m off at the start
+    angle: float = 4.0  # degrees off at the start
+    noise: float = 0.3e-3  # m, of a camera's depth pixel
+    close: float = 0.1e-3  # m, what counts as found
+    close_angle: float = 0.3  # degrees, likewise
+    starts: int | None = None  # instead of the preset's 4 (1) of the methods with several; 1 leaves them out
+    seed: int = 0
+    overwrite: bool = False  # replace a finished run in --out
+
+    @property
+    def sizes(self) -> Sizes:
+        """Those of the preset, but for what was given."""
+        return choose_preset(PRESETS, self.preset, cases=self.cases, objects=self.objects, starts=self.starts)
