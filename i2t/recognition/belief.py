@@ -1,7 +1,9 @@
 """Which object is there, and where: a posterior over objects and their poses from touches.
 
 Each possible object has a number of pose particles: poses drawn from what is known of its placement, the same through
-an episode. Each touch is compared with the touch that was predicted for every particle (`i2t.recognition.outcomes`).
+an episode. How far the placement may be off is itself inferred: what was told is right up to a factor, the scale, with
+a prior (`ScalePrior`); each particle belongs to one scale, and the particles' weights tell which scales are probable.
+Each touch is compared with the touch that was predicted for every particle (`i2t.recognition.outcomes`).
 Two measurements are evidence:
 
   the reading   given the force: Student's t about the predicted reading. Its scale matrix is the covariance of a
@@ -11,12 +13,14 @@ Two measurements are evidence:
                 a particle the distance to contact is linear in the pose, so each particle carries a normal distribution
                 of its remaining pose error and updates it with a Kalman filter (a Gaussian sum; Alspach and Sorenson,
                 IEEE Trans. Automatic Control 17, 1972). Without these normal distributions no particle of a few hundred
-                would survive contacts measured to 0.1 mm in a prior of 1 mm in six dimensions.
+                would survive contacts measured to 0.1 mm in a prior of 1 mm in six dimensions. Errors of positions have
+                heavy tails: they are a scale mixture of normals (Andrews and Mallows, J. R. Stat. Soc. B 36, 1974), and
+                each of its components makes a Kalman step of its own, weighted by how well it predicted the touch.
 
 Whether a touch met anything is evidence as well (presence), and counts by a weight of its own, as the two do. A small
-share of touches may be anything (outliers). "None of these" is
-the sum over surrogates of unknown objects (`i2t.objects.catalogue`), which are objects like any other here. The
-sensor's bias, where it drifts, is followed by a Kalman filter on the residual of the readings.
+share of touches may be anything (outliers). "None of these" is the sum over surrogates of unknown objects
+(`i2t.objects.catalogue`), which are objects like any other here. The sensor's bias, where it drifts, is followed by a
+Kalman filter on the residual of the readings.
 
 Pure functions on one episode: `init(...) -> Belief`, `update(belief, ...) -> Belief`, `posterior(belief)`. A reading
 has c = 3 * chips channels. Metres, newtons, microtesla.
@@ -30,15 +34,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammaln, log_ndtr, logsumexp
 from jaxtyping import Array, Bool, Float
-from scipy.stats import norm, qmc
+from scipy.stats import norm, qmc, truncnorm
 
 from i2t.recognition.outcomes import MIN_LOAD_N, PredictedTouch, interpolate_load
 from i2t.simulation.press import PressLimits
 
 TouchCount = TypeVar("TouchCount", float, np.ndarray, Array)  # number of touches so far; one number or an array
+Length = TypeVar("Length", float, Array)  # m
 
 PARTICLE_STD_RATIO = 0.5  # standard deviation of the pose about a particle, relative to that of the prior
 MIN_PROBABILITY = 1e-30  # probabilities below are treated as equal
+OUTLIER_RATE = 0.01  # share of touches that may be anything
 MIN_OUTLIER_RATE = 1e-12
 STRAY_RANGE_M = 20e-3  # added to twice the overtravel: the length over which an outlier's press may end
 ARM_STIFFNESS_N_PER_M = PressLimits.stiffness  # of arm and mount in series
@@ -53,6 +59,27 @@ class TouchObservation(NamedTuple):
     contact: Bool[Array, ""]  # whether anything was met
 
 
+class ScaleMixture(NamedTuple):
+    """A distribution with heavy tails: normal about 0, with one of several standard deviations."""
+
+    std: Float[np.ndarray, " s"]  # m
+    share: Float[np.ndarray, " s"]  # of each; they sum to 1
+
+    @classmethod
+    def normal(cls, std: float) -> "ScaleMixture":
+        """One normal distribution.
+
+        Args:
+            std: Its standard deviation (m).
+        """
+        return cls(np.array([std]), np.ones(1))
+
+    @property
+    def total_std(self) -> float:
+        """Standard deviation (m) of the whole."""
+        return float(np.sqrt(np.sum(np.asarray(self.share, float) * np.asarray(self.std, float) ** 2)))
+
+
 class Likelihood(NamedTuple):
     """How far a touch may be from the predicted one; see `fit_likelihood`, the rest chosen on validation episodes."""
 
@@ -62,7 +89,8 @@ class Likelihood(NamedTuple):
     overtravel: Float[Array, ""]  # m beyond the site after which a press gives up
     dof: Float[Array, ""]  # degrees of freedom of Student's t
     inflation: Float[Array, ""]  # of the errors' standard deviation, on objects that were not trained on
-    position_std: Float[Array, ""]  # m, standard deviation of where a press ends at a known pose
+    position_std: Float[Array, " s"]  # m, of the components of the error of where a press ends at a known pose
+    position_share: Float[Array, " s"]  # of touches that have each of these standard deviations
     outlier_rate: Float[Array, ""]  # share of touches that may be anything
     tactile_weight: Float[Array, ""]  # of the reading's evidence; 0 leaves it out
     spatial_weight: Float[Array, ""]  # of the position's evidence; 0 leaves it out
@@ -71,11 +99,36 @@ class Likelihood(NamedTuple):
     drift_std: Float[Array, ""]  # uT by which the bias drifts from touch to touch; 0 where it is measured at each
 
 
+class ScalePrior(NamedTuple):
+    """Prior of the scale of a placement's error, a multiple of what was told: log-normal, cut off on both sides."""
+
+    log_std: float = 0.7  # a factor of two
+    low: float = 0.25
+    high: float = 4.0
+
+    def quantile(self, probability: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """Scales below which the prior has given probabilities.
+
+        Args:
+            probability: From 0 to 1.
+
+        Returns:
+            The scales.
+        """
+        low, high = np.log(self.low) / self.log_std, np.log(self.high) / self.log_std
+        return np.exp(self.log_std * truncnorm.ppf(probability, low, high))
+
+
+SCALE_PRIOR = ScalePrior()
+
+
 class Particles(NamedTuple):
     """Pose particles of an object: displacements from its believed pose (`i2t.geometry.from_twist`)."""
 
     twist: Float[Array, "k 6"]  # m
-    covariance: Float[Array, "6 6"]  # m^2, about each
+    covariance: Float[Array, "k 6 6"]  # m^2, about each
+    scale: Float[Array, " k"]  # of the placement's error, relative to what was told
+    log_prior: Float[Array, " k"]  # logarithm of each particle's probability
 
 
 class Belief(NamedTuple):
@@ -129,32 +182,42 @@ def sample_particles(
     prior: Float[np.ndarray, "6"] | Float[np.ndarray, "6 6"],
     count: int,
     seed: int = 0,
+    *,
     std_ratio: float = PARTICLE_STD_RATIO,
+    scales: ScalePrior | None = SCALE_PRIOR,
 ) -> Particles:
-    """Draw pose particles from a normal prior; the first one is the believed pose itself.
+    """Draw pose particles from a normal prior of uncertain scale; the first one is the believed pose itself.
 
-    Quasi-random (scrambled Sobol sequence; Owen, J. Complexity 14, 1998), on the host. Particles and the normal
-    distributions about them together have the prior's variance.
+    Quasi-random (scrambled Sobol sequence; Owen, J. Complexity 14, 1998), on the host. Particles of one scale and the
+    normal distributions about them together have the prior's variance times the square of the scale.
 
     Args:
         prior: Covariance (m^2) of the twist, which may be singular, or the standard deviations (m) of its six parts.
         count: Number of particles.
         seed: Of the sequence.
         std_ratio: Standard deviation about each particle, relative to the prior's.
+        scales: Prior of the scale; None takes what was told as exact.
 
     Returns:
-        The particles and the covariance about each.
+        The particles, with scales, prior probabilities and the covariance about each.
     """
-    uniform = qmc.Sobol(6, seed=seed).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
+    dimensions = 6 if scales is None else 7
+    uniform = qmc.Sobol(dimensions, seed=seed).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
+    uniform = np.clip(uniform, 1e-6, 1 - 1e-6)
     prior = np.asarray(prior, np.float64)
     if prior.ndim == 1:
         root = np.diag(prior)
     else:
         values, axes = np.linalg.eigh(prior)
         root = axes * np.sqrt(np.maximum(values, 0.0))
-    twist = norm.ppf(np.clip(uniform, 1e-6, 1 - 1e-6)) * np.sqrt(1 - std_ratio**2) @ root.T
+    scale = np.ones(count) if scales is None else scales.quantile(uniform[:, 6])
+    scale[0] = 1.0
+    twist = scale[:, None] * norm.ppf(uniform[:, :6]) * np.sqrt(1 - std_ratio**2) @ root.T
     twist[0] = 0.0
-    return Particles(jnp.float32(twist), jnp.float32(std_ratio**2 * root @ root.T))
+    covariance = (std_ratio * scale[:, None, None]) ** 2 * (root @ root.T)
+    return Particles(
+        jnp.float32(twist), jnp.float32(covariance), jnp.float32(scale), jnp.full(count, -np.log(count), jnp.float32)
+    )
 
 
 def fit_likelihood(
@@ -163,7 +226,7 @@ def fit_likelihood(
     loads: Float[Array, " l"],
     *,
     overtravel: float,
-    position_std: float,
+    position_std: float | ScaleMixture,
     stiffness: float = ARM_STIFFNESS_N_PER_M,
 ) -> Likelihood:
     """Fit a likelihood to a Gaussian process's errors on held-out touches, in double precision.
@@ -173,7 +236,7 @@ def fit_likelihood(
         scale: Scale (uT) of each channel by which the process's relative variance is multiplied.
         loads: Loads (N) at which touches are predicted.
         overtravel: Distance (m) beyond the site after which a press gives up.
-        position_std: Standard deviation (m) of where a press ends at a known pose.
+        position_std: Standard deviation (m) of where a press ends at a known pose, or a mixture of several.
         stiffness: Of arm and mount in series (N/m).
 
     Returns:
@@ -183,6 +246,7 @@ def fit_likelihood(
     factor = np.linalg.inv(np.linalg.cholesky(covariance))
     growth, rotation = np.linalg.eigh(factor @ np.diag(np.asarray(scale, np.float64) ** 2) @ factor.T)
     number = partial(jnp.asarray, dtype=jnp.float32)
+    position = position_std if isinstance(position_std, ScaleMixture) else ScaleMixture.normal(position_std)
     return Likelihood(
         whiten=number(rotation.T @ factor),
         growth=number(np.maximum(growth, 0)),
@@ -190,8 +254,9 @@ def fit_likelihood(
         overtravel=number(overtravel),
         dof=number(8.0),
         inflation=number(1.0),
-        position_std=number(position_std),
-        outlier_rate=number(0.01),
+        position_std=number(position.std),
+        position_share=number(position.share),
+        outlier_rate=number(OUTLIER_RATE),
         tactile_weight=number(1.0),
         spatial_weight=number(1.0),
         presence_weight=number(1.0),
@@ -212,12 +277,12 @@ def init(
         prior: Probabilities of the objects; all equal by default.
 
     Returns:
-        The belief, with all particles of an object equally probable.
+        The belief, with the particles of each object as probable as they were drawn.
     """
     shape = (objects, len(particles.twist))
     prior = np.full(objects, 1 / objects) if prior is None else prior
     return Belief(
-        jnp.broadcast_to(jnp.log(jnp.float32(prior / shape[1]))[:, None], shape),
+        jnp.log(jnp.float32(prior))[:, None] + particles.log_prior[None],
         jnp.zeros((*shape, 6)),
         jnp.broadcast_to(particles.covariance, (*shape, 6, 6)),
         jnp.zeros(channels),
@@ -292,22 +357,21 @@ def evidence(
     indentation, reading, variance = interpolate_load(predicted, likelihood.loads, force)
     tactile = reading_log_density(observation.reading - reading, variance, likelihood)
 
-    # Where the press should have ended, and with which variance.
+    # Where the press should have ended, and with which variances.
     distance = predicted.approach_distance + jnp.dot(predicted.jacobian, mean)
     cross_covariance = jnp.matmul(covariance, predicted.jacobian, precision="highest")
     end_variance = jnp.dot(predicted.jacobian, cross_covariance) + likelihood.position_std**2
     error = observation.advance - (distance + indentation + observation.force / likelihood.stiffness)
 
-    inlier, outlier = _end_log_densities(error, end_variance, predicted, likelihood)
-    spatial = jnp.logaddexp(inlier, outlier)
+    inliers, outlier = _end_log_densities(error, end_variance, predicted, likelihood)
+    spatial = jnp.logaddexp(logsumexp(inliers), outlier)
     presence = _presence_log_probability(observation.contact, predicted, distance, end_variance, likelihood)
 
     # The pose is updated only with the probability that the position is no outlier.
     informative = observation.contact & (likelihood.spatial_weight > 0)
-    inlier_probability = jnp.where(informative, jnp.exp(inlier - spatial), 0.0)
     new_mean, new_covariance = _kalman_mixture(
         mean, covariance, error=error, cross_covariance=cross_covariance, variance=end_variance,
-        inlier_probability=inlier_probability,
+        probability=jnp.where(informative, jnp.exp(inliers - spatial), 0.0),
     )  # fmt: skip
     return Evidence(
         tactile=jnp.where(observation.contact, tactile, 0.0),
@@ -341,6 +405,15 @@ def reading_log_density(
     return level - 0.5 * jnp.sum(jnp.log(spread)) - (dof + channels) / 2 * jnp.log1p(square / dof)
 
 
+def outlier_range(overtravel: Length) -> Length:
+    """The length (m) over which an outlier's press may end.
+
+    Args:
+        overtravel: Distance (m) beyond the site after which a press gives up.
+    """
+    return 2 * overtravel + STRAY_RANGE_M
+
+
 def posterior(belief: Belief) -> Float[Array, " objects"]:
     """Probabilities of the objects, particles summed out.
 
@@ -351,6 +424,22 @@ def posterior(belief: Belief) -> Float[Array, " objects"]:
         Probabilities that sum to 1.
     """
     return jax.nn.softmax(logsumexp(belief.log_weight, axis=1))
+
+
+def scale_posterior(belief: Belief, particles: Particles) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """How far the placement's error is from what was told, all objects taken together.
+
+    Args:
+        belief: After some touches.
+        particles: The pose particles it began with.
+
+    Returns:
+        Geometric mean of the scale, a multiple of what was told, and the standard deviation of its logarithm.
+    """
+    weight = jax.nn.softmax(belief.log_weight.reshape(-1)).reshape(belief.log_weight.shape).sum(0)
+    log = jnp.log(particles.scale)
+    mean = jnp.sum(weight * log)
+    return jnp.exp(mean), jnp.sqrt(jnp.sum(weight * (log - mean) ** 2))
 
 
 def apply_temperature(
@@ -393,26 +482,29 @@ def twist_estimate(
 
 
 def _end_log_densities(
-    error: Float[Array, ""], variance: Float[Array, ""], predicted: PredictedTouch, likelihood: Likelihood
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Log densities of where a press ended: as predicted (normal), and as an outlier (uniform over its range)."""
+    error: Float[Array, ""], variance: Float[Array, " s"], predicted: PredictedTouch, likelihood: Likelihood
+) -> tuple[Float[Array, " s"], Float[Array, ""]]:
+    """Log densities of where a press ended: as predicted, with each component's variance (m^2), and as an outlier
+    (uniform over its range); shares included.
+    """
     normal = -0.5 * (error**2 / variance + jnp.log(2 * jnp.pi * variance))
     rate = jnp.maximum(likelihood.outlier_rate, MIN_OUTLIER_RATE)
-    inlier = jnp.where(predicted.hit, jnp.log1p(-rate) + normal, -jnp.inf)
-    return inlier, jnp.log(rate / (2 * likelihood.overtravel + STRAY_RANGE_M))
+    inliers = jnp.where(predicted.hit, jnp.log1p(-rate) + jnp.log(likelihood.position_share) + normal, -jnp.inf)
+    return inliers, jnp.log(rate / outlier_range(likelihood.overtravel))
 
 
 def _presence_log_probability(
     contact: Bool[Array, ""],
     predicted: PredictedTouch,
     distance: Float[Array, ""],
-    variance: Float[Array, ""],
+    variance: Float[Array, " s"],
     likelihood: Likelihood,
 ) -> Float[Array, ""]:
     """Log probability of contact (or of none) before the press gives up; either may be an outlier."""
     margin = (likelihood.overtravel - distance) / jnp.sqrt(variance)
-    met = jnp.where(predicted.hit, log_ndtr(margin), -jnp.inf)
-    missed = jnp.where(predicted.hit, log_ndtr(-margin), 0.0)
+    share = jnp.log(likelihood.position_share)
+    met = jnp.where(predicted.hit, logsumexp(share + log_ndtr(margin)), -jnp.inf)
+    missed = jnp.where(predicted.hit, logsumexp(share + log_ndtr(-margin)), 0.0)
     rate = jnp.maximum(likelihood.outlier_rate, MIN_OUTLIER_RATE)
     return jnp.logaddexp(jnp.where(contact, met, missed), jnp.log(rate))
 
@@ -423,14 +515,20 @@ def _kalman_mixture(
     *,
     error: Float[Array, ""],
     cross_covariance: Float[Array, "6"],
-    variance: Float[Array, ""],
-    inlier_probability: Float[Array, ""],
+    variance: Float[Array, " s"],
+    probability: Float[Array, " s"],
 ) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
-    """A Kalman step that holds with a probability: mean and covariance of the mixture of having made it or not."""
-    gain = cross_covariance / variance
-    w = inlier_probability
-    between = w * (1 - w) * error**2 * jnp.outer(gain, gain)
-    return mean + w * gain * error, covariance - w * jnp.outer(gain, cross_covariance) + between
+    """Kalman steps that hold with probabilities, one for each component of the error: mean and covariance of the
+    mixture of having made each, or none. All steps go along the same direction.
+    """
+    none = jnp.clip(1 - jnp.sum(probability), 0.0, 1.0)
+    gain = 1 / variance  # along the cross-covariance
+    expected = jnp.sum(probability * gain)
+    between = error**2 * (jnp.sum(probability * (gain - expected) ** 2) + none * expected**2)
+    return (
+        mean + expected * error * cross_covariance,
+        covariance + (between - expected) * jnp.outer(cross_covariance, cross_covariance),
+    )
 
 
 def _update_bias(

@@ -3,11 +3,18 @@
 Each recorded session's object is registered by its own contacts first (`i2t.registration.touch`): the contact is then
 known ten times better than from the camera's view. The contact's pressure on the nominal layer, at the measured force,
 and the reading condition a Gaussian process (`i2t.prediction.gp`); its leave-one-out errors fit the likelihood of
-`i2t.recognition.belief`. Metres, newtons, microtesla.
+`i2t.recognition.belief`.
+
+Where presses end is predicted worse than the contacts that a pose was fitted to suggest. So each session is registered
+once more from a part of its touches, and the errors of predicting where the others ended, less what the pose's own
+uncertainty makes, give the distribution of a position's error, tails included (`fit_position_errors`).
+
+Metres, newtons, microtesla.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -21,14 +28,20 @@ from i2t.prediction.gp import ContactPressure
 from i2t.prediction.predictor import predict_pressures
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.recognition import belief, outcomes
-from i2t.recognition.belief import Likelihood
-from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID, LinearReadingModel
+from i2t.recognition.belief import OUTLIER_RATE, Likelihood, ScaleMixture, outlier_range
+from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID, LinearReadingModel, PredictedContact
 from i2t.registration import touch as registration
+from i2t.registration.estimate import PoseEstimate
 from i2t.simulation import touches as simulation
 from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import SimulationErrors
 from i2t.types import WIDE_PIXELS, WIDE_WINDOW, Pad, Surface, Touches, Truth
 
+# Standard deviations of which a position's error is mixed: from the repeatability of an arm to a missed edge.
+POSITION_STDS_M = (0.05e-3, 0.1e-3, 0.2e-3, 0.4e-3, 0.8e-3, 1.6e-3)
+FOLDS = 3  # of a session's touches, each predicted from the others
+EM_STEPS = 300
+PRIOR_TOUCHES = 0.5  # of each standard deviation, as if they had been seen: no tail is impossible
 REGISTERED_TOUCHES = 36  # of a session at least, filled up with repeated ones: one compilation serves most sessions
 
 
@@ -46,7 +59,16 @@ class _Mechanics(NamedTuple):
     """What touches say of the pad's layer and of where presses end."""
 
     softness: float  # indentation over that of the nominal layer
-    position_std: float  # m
+    position: ScaleMixture  # errors of where presses end, m
+
+
+class _Positions(NamedTuple):
+    """Where left-out touches ended, of a registration from others."""
+
+    travel: Float[np.ndarray, " n"]  # m past the predicted contact, less what the arm yields
+    nominal: Float[np.ndarray, " n"]  # m, indentation of the nominal layer there
+    variance: Float[np.ndarray, " n"]  # m^2, of the predicted contact, as the pose is uncertain
+    hit: Bool[np.ndarray, " n"]  # whether the object was there at all
 
 
 def fit_pad_model(
@@ -74,21 +96,55 @@ def fit_pad_model(
     touches = dataset.touches
     pressure = np.zeros((len(dataset), PRESSURE_GRID.cells**2), np.float32)
     nominal = np.full(len(dataset), np.nan)  # m, indentation of the nominal layer
+    left_out: list[_Positions] = []
     for session in np.unique(touches.session[rows]):
         here = np.flatnonzero(rows & (touches.session == session))
         surface = surfaces[dataset.objects[int(touches.object[here[0]])]]
-        nominal[here], pressure[here] = _pressed_contacts(
-            jax.random.fold_in(key, int(session)), touches, here, surface, errors
-        )
+        key_session = jax.random.fold_in(key, int(session))
+        contacts = _session_contacts(touches, here)
+        nominal[here], pressure[here] = _pressed_contacts(key_session, contacts, surface, errors)
+        left_out.append(_left_out_positions(jax.random.clone(key_session), contacts, surface, errors, limits))
     used = np.flatnonzero(rows & np.isfinite(nominal))
     load = np.maximum(touches.force[used], MIN_LOAD_N)
     shape = (-1, PRESSURE_GRID.cells, PRESSURE_GRID.cells)
-    contacts = ContactPressure(jnp.asarray(pressure[used].reshape(shape)), jnp.asarray(load))
+    pressed = ContactPressure(jnp.asarray(pressure[used].reshape(shape)), jnp.asarray(load))
     readings = jnp.asarray(touches.reading[used])
     depth = touches.depth[used] - load / limits.stiffness
     softness = float(np.sum(nominal[used] * depth) / np.sum(nominal[used] ** 2))
-    mechanics = _Mechanics(softness, float(np.std(depth - softness * nominal[used])))
-    return _fit(contacts, readings, readings, touches.session[used], mechanics=mechanics, limits=limits)
+    positions = jax.tree.map(lambda *parts: np.concatenate(parts), *left_out)
+    mechanics = _Mechanics(softness, _position_errors(positions, softness, limits))
+    return _fit(pressed, readings, readings, touches.session[used], mechanics=mechanics, limits=limits)
+
+
+def fit_position_errors(
+    errors: Float[np.ndarray, " n"],
+    variance: Float[np.ndarray, " n"],
+    *,
+    outlier_density: float = 0.0,
+    stds: Sequence[float] = POSITION_STDS_M,
+) -> ScaleMixture:
+    """The distribution of errors, a scale mixture of normals with given standard deviations, whose shares are found by
+    expectation maximisation (Laird, JASA 73, 1978).
+
+    Args:
+        errors: Of predictions (m).
+        variance: The part of each error's variance (m^2) that is known and no part of the distribution.
+        outlier_density: Share of outliers over the length (1/m) on which they may be.
+        stds: Standard deviations (m) that are mixed.
+
+    Returns:
+        The mixture; standard deviations that no error asks for keep a small share.
+    """
+    std = np.asarray(stds, float)
+    total = std[None] ** 2 + np.asarray(variance, float)[:, None]
+    density = np.exp(-0.5 * np.asarray(errors, float)[:, None] ** 2 / total) / np.sqrt(2 * np.pi * total)
+    share = np.full(len(std), 1 / len(std))
+    for _ in range(EM_STEPS):
+        joint = share * density
+        belonging = joint / (joint.sum(1, keepdims=True) + outlier_density + np.finfo(float).tiny)
+        share = belonging.sum(0) + PRIOR_TOUCHES
+        share = share / share.sum()
+    return ScaleMixture(std, share)
 
 
 def fit_oracle_pad_model(
@@ -143,36 +199,84 @@ def fit_simulated_pad_model(
     reading_model = outcomes.linear_reading_model(process, mechanics.softness)
     likelihood = belief.fit_likelihood(
         recorded.held_out_errors, process.scale, reading_model.loads,
-        overtravel=limits.overtravel, position_std=mechanics.position_std, stiffness=limits.stiffness,
+        overtravel=limits.overtravel, position_std=mechanics.position, stiffness=limits.stiffness,
     )  # fmt: skip
     return recorded._replace(reading_model=reading_model, likelihood=likelihood, r2=float("nan"))
 
 
-def _pressed_contacts(
-    key: Array, touches: Touches, here: np.ndarray, surface: Surface, errors: SimulationErrors
-) -> tuple[np.ndarray, np.ndarray]:
-    """Register the object of one session and press the nominal layer onto it at each contact: indentations (m) and
-    newtons on each cell, of the touches `here`.
-    """
+class _SessionContacts(NamedTuple):
+    """Touches of one session, filled up with repeated ones so that one compilation serves most sessions."""
+
+    touches: Touches
+    T_w_contact: Float[Array, "m 4 4"]  # at first contact
+    met: Bool[Array, " m"]  # no repeated one
+    count: int  # of touches that are not repeated
+
+
+def _session_contacts(touches: Touches, here: np.ndarray) -> _SessionContacts:
     padded = np.resize(here, max(REGISTERED_TOUCHES, len(here)))
     some = jax.tree.map(lambda x: jnp.asarray(x[padded]), touches)
     T_w_contact, met = registration.contact_poses(some)
-    met = met & (np.arange(len(padded)) < len(here))
-    found = _register(
-        key,
-        surface,
-        some.T_w_o[0],
-        T_w_contact,
-        met,
-        translation_std=errors.placement,
-        rotation_std=errors.placement_angle,
-    )
-    T_o_t = jnp.linalg.inv(found.T_w_o)[None] @ T_w_contact
-    indentation, newtons = _press(surface, T_o_t, some.force)
-    return np.asarray(indentation)[: len(here), 0], np.asarray(newtons)[: len(here), 0]
+    return _SessionContacts(some, T_w_contact, met & (np.arange(len(padded)) < len(here)), len(here))
+
+
+def _pressed_contacts(
+    key: Array, contacts: _SessionContacts, surface: Surface, errors: SimulationErrors
+) -> tuple[np.ndarray, np.ndarray]:
+    """Register the object of one session and press the nominal layer onto it at each contact: indentations (m) and
+    newtons on each cell, of its touches.
+    """
+    found = _register_session(key, contacts, surface, errors, contacts.met)
+    T_o_t = jnp.linalg.inv(found.T_w_o)[None] @ contacts.T_w_contact
+    indentation, newtons = _press(surface, T_o_t, contacts.touches.force)
+    return np.asarray(indentation)[: contacts.count, 0], np.asarray(newtons)[: contacts.count, 0]
+
+
+def _register_session(
+    key: Array, contacts: _SessionContacts, surface: Surface, errors: SimulationErrors, weight: Array
+) -> PoseEstimate:
+    return _register(
+        key, surface, contacts.touches.T_w_o[0], contacts.T_w_contact, weight,
+        translation_std=errors.placement, rotation_std=errors.placement_angle,
+    )  # fmt: skip
+
+
+def _left_out_positions(
+    key: Array, contacts: _SessionContacts, surface: Surface, errors: SimulationErrors, limits: PressLimits
+) -> _Positions:
+    """Where the touches of one session that met something ended, each predicted from those of the other folds."""
+    fold = np.arange(len(contacts.met)) % FOLDS
+    parts = []
+    for which in range(FOLDS):
+        found = _register_session(key, contacts, surface, errors, contacts.met & (fold != which))
+        force = jnp.maximum(contacts.touches.force, MIN_LOAD_N)
+        predicted = _predict_end(surface, found, contacts.touches.T_w_t, force, overtravel=limits.overtravel)
+        # A press ends at the pose it reports, which is its site here: contact lies as far before it.
+        travel = -predicted.approach_distance - force / limits.stiffness
+        variance = jnp.einsum("ni,ij,nj->n", predicted.jacobian, found.covariance, predicted.jacobian)
+        rows = np.asarray(contacts.met) & (fold == which)
+        positions = _Positions(travel, predicted.indentation[:, 0], variance, predicted.hit)
+        parts.append(jax.tree.map(lambda x, rows=rows: np.asarray(x)[rows], positions))
+    return jax.tree.map(lambda *x: np.concatenate(x), *parts)
+
+
+def _position_errors(positions: _Positions, softness: float, limits: PressLimits) -> ScaleMixture:
+    error = positions.travel - softness * positions.nominal
+    density = OUTLIER_RATE / outlier_range(limits.overtravel)
+    return fit_position_errors(error[positions.hit], positions.variance[positions.hit], outlier_density=density)
 
 
 _register = jax.jit(registration.register_by_touch)
+
+
+@partial(jax.jit, static_argnames=("overtravel",))
+def _predict_end(
+    surface: Surface, found: PoseEstimate, T_w_t: Array, force: Array, overtravel: float
+) -> PredictedContact:
+    def one(T: Array, f: Array) -> PredictedContact:
+        return outcomes.predict_contact(surface, found.T_w_o, jnp.zeros(6), T, f[None], overtravel=overtravel)
+
+    return jax.vmap(one)(T_w_t, force)._replace(newtons=jnp.zeros(()))
 
 
 @jax.jit
@@ -189,7 +293,9 @@ def _exact_contacts(truth: Truth) -> ContactPressure:
 
 
 def _mechanics_of(pad_model: PadModel) -> _Mechanics:
-    return _Mechanics(float(pad_model.reading_model.softness), float(pad_model.likelihood.position_std))
+    likelihood = pad_model.likelihood
+    position = ScaleMixture(np.asarray(likelihood.position_std), np.asarray(likelihood.position_share))
+    return _Mechanics(float(pad_model.reading_model.softness), position)
 
 
 def _fit(
@@ -207,7 +313,7 @@ def _fit(
     reading_model = outcomes.linear_reading_model(process, mechanics.softness)
     likelihood = belief.fit_likelihood(
         errors, process.scale, reading_model.loads,
-        overtravel=limits.overtravel, position_std=mechanics.position_std, stiffness=limits.stiffness,
+        overtravel=limits.overtravel, position_std=mechanics.position, stiffness=limits.stiffness,
     )  # fmt: skip
     around = np.asarray(recorded) - np.mean(np.asarray(recorded), axis=0)
     r2 = float(1 - np.sum(errors**2) / np.sum(around**2))

@@ -116,7 +116,9 @@ def pose_cells(grid: PlanarGrid) -> tuple[Float[Array, "k 3"], Particles]:
     width = np.array([2 * grid.half / count] * 2 + [TWIST_LEVER_M * 2 * np.pi / grid.turns])
     std = np.zeros(6)
     std[[0, 1, 5]] = width / np.sqrt(12)  # of a uniform distribution
-    return jnp.float32(pose), Particles(jnp.zeros((len(pose), 6)), jnp.diag(jnp.float32(std**2)))
+    k = len(pose)
+    covariance = jnp.broadcast_to(jnp.diag(jnp.float32(std**2)), (k, 6, 6))
+    return jnp.float32(pose), Particles(jnp.zeros((k, 6)), covariance, jnp.ones(k), jnp.full(k, -np.log(k)))
 
 
 def nearest_node(

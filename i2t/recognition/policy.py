@@ -3,8 +3,9 @@
 A touch is worth what it is expected to tell: the mutual information between its outcome and the object (Lindley, Annals
 of Mathematical Statistics 27, 1956), and, for a part, between its outcome and where the object lies. It is estimated
 for every site by imagining: an object and a pose are drawn from the belief, the press ends where the skin's change or
-the force crosses its limit, errors are drawn from the likelihood, and the reading is compared with every other object
-and pose, as in `i2t.recognition.belief`. All sites see the same draws (common random numbers), so that differences
+the force crosses its limit, errors are drawn from the likelihood (heavy tails of readings and of positions, outliers of
+positions, and whether anything is met), and the outcome is compared with every other object and pose, as in
+`i2t.recognition.belief`. All sites see the same draws (common random numbers), so that differences
 between sites are less noisy than the values.
 
 Only allowed sites are chosen among: within reach, not touched yet, and safe on the objects that are still possible
@@ -22,7 +23,15 @@ import jax.numpy as jnp
 from jax.scipy.special import logsumexp, xlogy
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from i2t.recognition.belief import Belief, Likelihood, TouchObservation, evidence, log_likelihood, posterior
+from i2t.recognition.belief import (
+    Belief,
+    Likelihood,
+    TouchObservation,
+    evidence,
+    log_likelihood,
+    outlier_range,
+    posterior,
+)
 from i2t.recognition.outcomes import PredictedTouch, interpolate_load
 
 NUM_DRAWS = 24  # imagined outcomes of a site
@@ -52,7 +61,7 @@ class _Draws(NamedTuple):
     object: Int[Array, " n"]
     particle: Int[Array, " n"]  # among the compared ones
     twist: Float[Array, "n 6"]  # m, about the particle
-    noise: Float[Array, "n noise"]  # c whitened errors of the reading, then that of the position
+    noise: Float[Array, "n noise"]  # c whitened errors of the reading, then that of the position (m)
 
 
 def expected_information_gain(
@@ -118,8 +127,8 @@ def imagine_observation(
         predicted: The touch as predicted for a particle.
         twist: Displacement (m) of the object from the particle.
         noise: c + 1 numbers: whitened errors of the reading (Student's t with the likelihood's degrees of freedom) and
-            the standard normal error of the position.
-        likelihood: By whose errors the numbers are multiplied.
+            the error of the position (m).
+        likelihood: By whose errors of the reading the numbers are multiplied.
         skin_change: Change of the reading (uT) at which the press ends.
         force: Force (N) at which it ends at the latest.
 
@@ -131,8 +140,8 @@ def imagine_observation(
     spread = likelihood.inflation * jnp.sqrt(1 + likelihood.growth * variance)
     error = jnp.linalg.solve(likelihood.whiten, spread * noise[:-1])
     distance = predicted.approach_distance + jnp.dot(predicted.jacobian, twist)
-    contact = predicted.hit & (distance < likelihood.overtravel)
-    advance = distance + indentation + load / likelihood.stiffness + likelihood.position_std * noise[-1]
+    contact = predicted.hit & (distance + noise[-1] < likelihood.overtravel)
+    advance = distance + indentation + load / likelihood.stiffness + noise[-1]
     return TouchObservation(reading + error, load, advance, contact)
 
 
@@ -224,14 +233,21 @@ def _systematic_draw(key: Array, probability: Array, count: int) -> Array:
     return jnp.minimum(jnp.searchsorted(jnp.cumsum(probability), comb), len(probability) - 1)
 
 
-def _draw_noise(key: Array, likelihood: Likelihood, shape: tuple[int, int]) -> Array:
-    """Whitened errors of readings, rows of a multivariate Student's t, and in the last column normal ones of positions:
-    a t vector is a normal one over the root of one chi-square variable per degree of freedom.
+def _draw_noise(key: Key[Array, ""], likelihood: Likelihood, shape: tuple[int, int]) -> Float[Array, "n noise"]:
+    """Whitened errors of readings, rows of a multivariate Student's t, and in the last column errors of positions (m):
+    a t vector is a normal one over the root of one chi-square variable per degree of freedom; a position's error is
+    normal with the standard deviation of its component, or an outlier's.
     """
-    key_normal, key_scale = jax.random.split(key)
+    key_normal, key_scale, key_component, key_outlier = jax.random.split(key, 4)
     normal = jax.random.normal(key_normal, shape)
     scale = jnp.sqrt(likelihood.dof / jax.random.chisquare(key_scale, likelihood.dof, (shape[0], 1)))
-    return jnp.concatenate([scale * normal[:, :-1], normal[:, -1:]], axis=1)
+    component = jax.random.categorical(key_component, jnp.log(likelihood.position_share), shape=shape[:1])
+    place, which = jax.random.uniform(key_outlier, (2, shape[0]))
+    stray = (place - 0.5) * outlier_range(likelihood.overtravel)
+    position = jnp.where(
+        which < likelihood.outlier_rate, stray, likelihood.position_std[component] * normal[:, -1]
+    )  # fmt: skip
+    return jnp.concatenate([scale * normal[:, :-1], position[:, None]], axis=1)
 
 
 def _compare(

@@ -93,6 +93,7 @@ class RecognitionInfo(NamedTuple):
     unknown: float  # probability that it is none of them
     name: str | None  # the most probable object; None for an unknown one
     confidence: float  # probability of that
+    placement_scale: float  # the object's pose is so many times as far off as was told (geometric mean)
 
 
 class ObjectRecognizer:
@@ -117,7 +118,7 @@ class ObjectRecognizer:
             meshes: Of the known objects, by name.
             T_w_o: Where the object is believed to stand; the world's origin by default.
             pose_prior: Covariance (m^2), or standard deviations (m), of its twist from there; 1 mm and 1 degree about
-                each axis by default.
+                each axis by default. It is taken as right up to a factor, which the touches tell (`placement_scale`).
             sites: Candidates, T_o_site; safe random sites of every object by default.
             config: How it chooses and when it stops.
 
@@ -274,13 +275,14 @@ class ObjectRecognizer:
             state: After the touches so far.
 
         Returns:
-            Calibrated probabilities and the most probable object.
+            Calibrated probabilities, the most probable object, and how far the placement seems to be off.
         """
         p = state.probability
         best, unknown = int(p.argmax()), float(max(0.0, 1 - p.sum()))
+        scale = float(_placement_scale(state.belief, self.particles))
         if unknown > p[best]:
-            return RecognitionInfo(p, unknown, None, unknown)
-        return RecognitionInfo(p, unknown, self.names[best], float(p[best]))
+            return RecognitionInfo(p, unknown, None, unknown, scale)
+        return RecognitionInfo(p, unknown, self.names[best], float(p[best]), scale)
 
     def object_pose(self, state: RecognizerState, name: str) -> Float[np.ndarray, "4 4"]:
         """Where an object stands, if it is the one that is there.
@@ -342,3 +344,4 @@ class ObjectRecognizer:
 
 
 _apply_temperature = jax.jit(belief.apply_temperature)
+_placement_scale = jax.jit(lambda state, particles: belief.scale_posterior(state, particles)[0])

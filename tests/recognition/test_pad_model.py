@@ -1,0 +1,55 @@
+"""The error of a position as left-out touches show it, against the distribution that they were drawn from."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from i2t.recognition import pad_model
+from i2t.recognition.belief import ScaleMixture
+
+STD, SHARE = np.array([0.1e-3, 0.8e-3]), np.array([0.85, 0.15])
+
+
+def drawn(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of the mixture with known variances of their own on top."""
+    rng = np.random.default_rng(seed)
+    own = rng.uniform(0, 0.2e-3, count)
+    return rng.normal(size=count) * np.hypot(rng.choice(STD, count, p=SHARE), own), own**2
+
+
+def tail(mixture: ScaleMixture, beyond: float) -> float:
+    """Probability of an error larger than that (m)."""
+    return float(np.sum(mixture.share * 2 * stats.norm.sf(beyond, scale=mixture.std)))
+
+
+def test_a_mixture_is_found_again_without_the_variance_that_is_known():
+    errors, variance = drawn(20_000)
+    found = pad_model.fit_position_errors(errors, variance)
+    assert found.share.sum() == pytest.approx(1)
+    truth = ScaleMixture(STD, SHARE)
+    assert found.total_std == pytest.approx(truth.total_std, rel=0.03)
+    for beyond in (0.1e-3, 0.3e-3, 1e-3, 1.5e-3):
+        assert tail(found, beyond) == pytest.approx(tail(truth, beyond), abs=0.01)
+    # What is known is no part of it: taken for nothing, it widens the middle.
+    assert tail(pad_model.fit_position_errors(errors, 0 * variance), 0.1e-3) > tail(truth, 0.1e-3) + 0.05
+
+
+def test_few_touches_leave_a_tail_and_many_normal_ones_hardly_any():
+    rng = np.random.default_rng(1)
+    few, many = (
+        pad_model.fit_position_errors(rng.normal(scale=0.1e-3, size=count), np.zeros(count)) for count in (10, 5000)
+    )
+    assert tail(few, 0.5e-3) > 0.02
+    assert tail(many, 0.5e-3) < 0.005
+    assert (many.share > 0).all()
+
+
+def test_outliers_are_no_part_of_the_mixture():
+    errors, variance = drawn(5000, 2)
+    strays = np.random.default_rng(3).uniform(-16e-3, 16e-3, 50)
+    with_strays = np.append(errors, strays), np.append(variance, np.zeros(50))
+    known = pad_model.fit_position_errors(*with_strays, outlier_density=0.01 / 32e-3)
+    blamed = pad_model.fit_position_errors(*with_strays)
+    clean = pad_model.fit_position_errors(errors, variance)
+    assert known.total_std == pytest.approx(clean.total_std, rel=0.08)
+    assert blamed.total_std > 1.08 * clean.total_std
