@@ -7,7 +7,7 @@ import numpy as np
 
 import i2t
 from i2t import viz
-from i2t.skin.elasticity import GRID
+from i2t.skin.elasticity import GRID, interior, load
 
 
 def main(out: str = "press.png") -> np.ndarray:
@@ -19,12 +19,11 @@ def main(out: str = "press.png") -> np.ndarray:
     print(f"{float(pressed.force):.2f} N, {1e-3 * float(pressed.pressure.max()):.0f} kPa at most (simulated)")
     for chip, (bx, by, bz) in enumerate(np.asarray(pressed.reading).reshape(-1, 3)):
         print(f"chip {chip}: {bx:7.1f} {by:7.1f} {bz:7.1f} uT")
-    # Where the ball touches, the skin's surface follows it.
-    indentation = np.clip(0.4e-3 - (x**2 + y**2) / (2 * 8e-3), 0, None)
+    moved, _ = interior(pad, load(pad, pressed.pressure), 0.0)  # (3, n, n) m, of the skin's surface along tool x, y, z
     board = i2t.Board(*map(np.asarray, pad.board))
     figure = viz.plot_press(
         np.asarray(pressed.pressure),
-        indentation,
+        -np.asarray(moved[2]),
         board,
         np.asarray(pressed.reading),
         "A ball, 0.4 mm deep",
