@@ -2,15 +2,20 @@
 
 from collections import namedtuple
 
+import jax
 import numpy as np
 import pytest
 
 from i2t import serialization
 from i2t.calibration import Calibration, calibrate, check_presses, load_calibration
+from i2t.calibration.files import PressedSkin, calibrated_presses, fit_pressed_pad, parse_tip, save_pressed_pad
 from i2t.calibration.model import CalibrationRecord
+from i2t.calibration.physics import RoundTip
 from i2t.errors import SerializationError
 from i2t.skin import boards
-from i2t.skin.files import load_pad
+from i2t.skin.contact import GRID
+from i2t.skin.files import load_pad, load_pad_about
+from i2t.skin.pad import press_force, sample_pad
 
 rng = np.random.default_rng(0)
 POSITIONS, DEPTH = rng.uniform(-10e-3, 10e-3, (30, 2)), rng.uniform(0, 4e-3, 30)
@@ -115,3 +120,56 @@ def test_data_warnings_name_any_chip():
     readings = 1e4 * position[:, :1] * load[:, None] + rng.normal(size=(600, 48))
     readings[300:, 36:39] += 2
     assert check_presses(position, load, readings).changed_chips == (12,)
+
+
+@pytest.mark.parametrize("load_kind", ["depth", "force"])
+def test_a_calibration_holds_the_readings_that_it_was_given(load_kind, calibration):
+    """They are the product of the system's factor with its weights."""
+    board = boards.reskin_board()
+    if load_kind == "force":
+        calibration = calibrate(POSITIONS, 1e3 * DEPTH, READINGS, load_kind="force", board=board)
+    pressed = calibrated_presses(calibration, board)
+    np.testing.assert_allclose(pressed.readings, READINGS, atol=0.2)
+    np.testing.assert_allclose(pressed.position, POSITIONS, atol=1e-8)
+    np.testing.assert_allclose(pressed.load, DEPTH if load_kind == "depth" else 1e3 * DEPTH, rtol=1e-6)
+    assert pressed.by_force == (load_kind == "force")
+    with pytest.raises(ValueError, match="has 15 values a reading, and the board 48"):
+        calibrated_presses(calibration, boards.grid_board(4, 4))
+
+
+def test_tips_are_told_by_their_shape_and_radius():
+    assert parse_tip("sphere:4.0") == RoundTip("sphere", 4e-3)
+    assert parse_tip("cylinder:2") == RoundTip("cylinder", 2e-3)
+    for wrong in ("tip", "sphere", "sphere:x", "sphere:-1", "sphere:80", "cone:2", "sphere:nan"):
+        with pytest.raises(ValueError, match=f'"{wrong}" is no tip that a pad can be fitted to; pass --tip'):
+            parse_tip(wrong)
+
+
+@pytest.mark.full
+def test_a_pad_from_presses_predicts_them_and_says_how_far_it_is_off(tmp_path):
+    """Presses of a simulated pad with a ball, with 1 uT of noise: the fitted pad explains what is left out, and the
+    file says so.
+    """
+    tip, board = RoundTip("sphere", 4e-3), boards.reskin_board()
+    pad = sample_pad(jax.random.key(3), board=board)
+    draw = np.random.default_rng(1)
+    position, force = np.float32(draw.uniform(-7e-3, 7e-3, (60, 2))), np.float32(draw.uniform(0.3, 1.0, 60))
+    press = jax.jit(lambda at: press_force(pad, tip.height(at[0], GRID), at[1]).reading)
+    clean = np.asarray(jax.lax.map(press, (position, force)))
+    readings = clean + draw.normal(size=clean.shape)
+    found = fit_pressed_pad(PressedSkin(position, force, readings, board, by_force=True), tip)
+    assert found.r2 > 0.6
+    around = np.sqrt(np.mean((readings - readings.mean(0)) ** 2))
+    assert 0.9 < found.error_std < 0.65 * around
+    save_pressed_pad(tmp_path / "pad.npz", found, pad="skin A", source="simulated")
+    about = load_pad_about(tmp_path / "pad.npz")
+    assert about.name == "skin A"
+    assert about.made_from == ", fitted to 60 simulated presses"
+    assert about.error_std == pytest.approx(found.error_std)
+    assert float(load_pad(tmp_path / "pad.npz").thickness) == pytest.approx(float(found.fit.pad.thickness))
+
+
+def test_few_presses_fit_no_pad():
+    pressed = PressedSkin(POSITIONS[:3], DEPTH[:3], READINGS[:3], boards.reskin_board(), by_force=False)
+    with pytest.raises(ValueError, match="3 presses are too few to fit a pad to"):
+        fit_pressed_pad(pressed, RoundTip("sphere", 4e-3))

@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.calibrate import config, methods, report
+from experiments.calibrate import config, fitted_pad, methods, report
 from experiments.calibrate import run as calibrate
 from experiments.calibrate.data import PressRecording, hold_out, read_presses
 from experiments.calibrate.evaluate import explained
 from i2t import dataset as data
 from i2t.calibration import load_calibration
+from i2t.calibration.physics import RoundTip
 from i2t.dataset import Dataset, missing_context
 from i2t.skin import boards
 from i2t.types import ReturnCode, Touches
@@ -184,3 +185,58 @@ def test_a_flag_of_earlier_versions_is_answered_with_its_new_name(tmp_path, caps
     with pytest.raises(SystemExit):
         calibrate.main(["--dataset", str(tmp_path), "--earlier", str(tmp_path)])
     assert "--previous-session" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "pass --dataset DIR"),
+        (["--dataset", "DIR", "--calibration", "skin.npz", "--save-pad", "pad.npz"], "pass --dataset DIR"),
+        (["--calibration", "skin.npz"], "--calibration is for --save-pad FILE"),
+    ],
+)
+def test_a_pad_is_fitted_to_a_data_set_or_a_calibration(words, said, capsys):
+    assert calibrate.main(words) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_pad_file_needs_a_known_tip_and_a_name_of_its_own(tmp_path, capsys):
+    data.save_dataset(tmp_path / "set.h5", recording(60))
+    saved = tmp_path / "pad.npz"
+    assert calibrate.main(["--dataset", str(tmp_path / "set.h5"), "--save-pad", str(saved)]) == 2
+    assert '"tip" is no tip that a pad can be fitted to; pass --tip sphere:RADIUS' in capsys.readouterr().err
+    saved.write_bytes(b"")
+    assert calibrate.main(["--dataset", str(tmp_path / "set.h5"), "--save-pad", str(saved), "--tip", "sphere:4"]) == 2
+    assert "exists; choose another --save-pad" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("of", ["dataset", pytest.param("calibration", marks=pytest.mark.full)])
+def test_presses_and_the_calibration_of_them_give_the_same_pad(of, tmp_path, capsys, monkeypatch):
+    """All that differs is where the presses come from."""
+    made = recording(60)
+    made = replace(made, objects=("sphere:4.0",), touches=made.touches._replace(force=1e3 * made.touches.depth))
+    data.save_dataset(tmp_path / "set.h5", made)
+    pressed = []
+
+    def fitting(given, tip):
+        pressed.append((given, tip))
+        raise ValueError("seen enough")
+
+    monkeypatch.setattr(fitted_pad, "fit_pressed_pad", fitting)
+    words = ["--save-pad", str(tmp_path / "pad.npz")]
+    if of == "dataset":
+        words += ["--dataset", str(tmp_path / "set.h5")]
+    else:
+        cfg, given = config.preset_of(config.CalibrateArgs(preset="debug")), made
+        args = config.CalibrateArgs(dataset=tmp_path / "set.h5", out=tmp_path)
+        calibrate.save_calibration(args, cfg, given, read_presses(given, "force"), np.ones(60, bool))
+        words += ["--calibration", str(tmp_path / "calibration.npz")]
+    assert calibrate.main(words) == 2
+    assert "seen enough" in capsys.readouterr().err
+    (given, tip) = pressed[0]
+    assert tip == RoundTip("sphere", 4e-3)
+    assert given.by_force
+    order, wanted = np.argsort(given.load), np.argsort(made.touches.force)
+    np.testing.assert_allclose(given.load[order], made.touches.force[wanted], rtol=1e-6)
+    np.testing.assert_allclose(given.readings[order], made.touches.reading[wanted], atol=0.2)
+    np.testing.assert_allclose(given.board.chips, boards.anyskin_board().chips, atol=1e-7)
