@@ -109,6 +109,21 @@ def summarise(parts: list[dict[str, Any]], out: Path) -> dict[str, Any]:
             name: {field: student_interval([part["methods"][name][field] for part in of_pad]) for field in numbers}
             for name in names
         }
+    if len(pads) > 1:  # the mean over pads, each of which counts once
+        summary["over_pads"] = {
+            name: {
+                field: student_interval([float(of_pad[name][field].mean) for of_pad in summary["pads"].values()])
+                for field in numbers
+            }
+            for name in names
+        }
+        summary["by_object"] = {
+            name: {
+                method: student_interval([part["by_object"][name][method] for part in parts])
+                for method in parts[0]["by_object"][name]
+            }
+            for name in parts[0]["by_object"]
+        }
     summary["best"] = {str(pad): [part["best"] for part in parts if (part["pad"] or 0) == pad] for pad in pads}
     write_json(out / "metrics.json", summary)
     first = summary["pads"][str(pads[0])]
@@ -126,13 +141,12 @@ def print_table(result: dict[str, Any]) -> None:
     """The table a person reads."""
     kind = "" if result["source"] == "real" else f" ({result['source']})"
     if "pads" in result:
-        for pad, methods in result["pads"].items():
-            print(f"\npad {pad}{kind}: mean over seeds {result['seeds']} with 95 % interval")
-            print(f"{'':48}{'R²':>22}{'RMSE µT':>10}{'/ sigma':>9}{'cosine':>8}")
-            for name, values in methods.items():
-                mean, low, high = values["r2"]
-                rmse, sigmas, cosine = (values[field][0] for field in ("rmse", "rmse_sigma", "cosine"))
-                print(f"{name:48}{_interval(mean, low, high):>22}{rmse:10.2f}{_number(sigmas):>9}{cosine:8.2f}")
+        for pad, methods in result["pads"].items() if "over_pads" not in result else ():
+            _print_methods(f"pad {pad}{kind}: mean over seeds {result['seeds']} with 95 % interval", methods)
+        if "over_pads" in result:
+            title = f"{len(result['pads'])} pads{kind}: mean with 95 % interval over pads"
+            _print_methods(title, result["over_pads"])
+            _print_objects({name: {m: x[0] for m, x in row.items()} for name, row in result["by_object"].items()})
         return
     print(f"\ntest touches{kind}, 95 % interval over {result['groups']} groups; kept as predictor: {result['best']}")
     print(f"{'':48}{'R²':>22}{'RMSE µT':>10}{'/ sigma':>9}{'cosine':>8}{'R² x / y / z':>22}")
@@ -142,7 +156,27 @@ def print_table(result: dict[str, Any]) -> None:
         r2 = _interval(values["r2"], low, high)
         sigmas = _number(values["rmse_sigma"])
         print(f"{name:48}{r2:>22}{values['rmse']:10.2f}{sigmas:>9}{values['cosine']:8.2f}{axes:>22}")
+    _print_objects(result["by_object"])
     print(f"{result['seconds']:.0f} s")
+
+
+def _print_methods(title: str, methods: dict[str, Any]) -> None:
+    """Estimates of every method."""
+    print(f"\n{title}")
+    print(f"{'':48}{'R²':>22}{'RMSE µT':>10}{'/ sigma':>9}{'cosine':>8}")
+    for name, values in methods.items():
+        rmse, sigmas, cosine = (values[field][0] for field in ("rmse", "rmse_sigma", "cosine"))
+        r2 = _interval(*values["r2"])
+        print(f"{name:48}{r2:>22}{rmse:10.2f}{_number(sigmas):>9}{cosine:8.2f}")
+
+
+def _print_objects(scores: dict[str, dict[str, float]]) -> None:
+    """R² of every method on the touches of each object, where there are several."""
+    if len(scores) < 2:
+        return
+    print(f"\n{'R² by object':48}" + "".join(f"{name[:12]:>13}" for name in scores))
+    for method in next(iter(scores.values())):
+        print(f"{method:48}" + "".join(f"{_number(row.get(method)):>13}" for row in scores.values()))
 
 
 def _interval(mean: float, low: float | None, high: float | None) -> str:

@@ -18,11 +18,12 @@ import pytest
 import i2t
 from experiments.train import run as train
 from experiments.train import simulate
+from experiments.train.reports import print_table, summarise
 from experiments.train.splitting import Split
 from i2t import dataset
 from i2t.errors import CheckpointError
 from i2t.prediction.gp import ContactPressure
-from i2t.prediction.metrics import score
+from i2t.prediction.metrics import Score, score
 from i2t.prediction.predictor import Predictor, PressureNetwork, Reading, TouchBatch
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.skin.boards import grid_board
@@ -225,3 +226,27 @@ def test_a_pad_on_disk_takes_the_place_of_a_random_one(tmp_path, capsys, monkeyp
     assert "none.npz" in capsys.readouterr().err
     assert train.main([*arguments, str(tmp_path / "pad.npz"), "--dataset", str(tmp_path), "--overwrite"]) == 2
     assert "--pad is for simulated touches" in capsys.readouterr().err
+
+
+def test_several_pads_are_summed_up_over_pads(tmp_path, capsys):
+    score = {field: 0.0 for field in Score._fields if not field.endswith("_axis")}
+    parts = [
+        {
+            "source": "simulated", "pad": pad, "seed": seed, "best": "one",
+            "methods": {"one": {**score, "r2": 0.3 + 0.1 * pad + 0.01 * seed}},
+            "by_object": {"star": {"one": 0.1 * pad}, "hammer": {"one": 0.5}},
+        }
+        for pad in (0, 1, 2)
+        for seed in (0, 1)
+    ]  # fmt: skip
+    found = summarise(parts, tmp_path)
+    mean, low, high = found["over_pads"]["one"]["r2"]
+    assert mean == pytest.approx(0.405)
+    assert high - mean == pytest.approx(
+        4.303 * 0.1 / np.sqrt(3), rel=1e-3
+    )  # Student's t of three pads, not of six runs
+    assert mean - low == pytest.approx(high - mean)
+    print_table(found)
+    said = capsys.readouterr().out
+    assert "3 pads (simulated): mean with 95 % interval over pads" in said
+    assert "R² by object" in said

@@ -1,0 +1,94 @@
+"""Every study of the documents again, and the tables that the documents show.
+
+    python -m experiments.reproduce                         all steps, one after another (hours on two cores)
+    python -m experiments.reproduce --only study recognize  some of them
+    python -m experiments.reproduce --list                  what there is, how long it takes, and what is done
+    python -m experiments.reproduce --tables                only write the documents' tables from what was measured
+
+Each step is a command that the documents print. It is run as it is printed, in a process of its own; an unfinished one
+goes on where it stopped, a finished one is not run again. What a step measured is kept, shortened, in docs/results, and
+the tables between the marks `<!-- table: STEP NAME -->` and `<!-- end of table -->` of the documents are written from
+it.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import tyro
+
+from experiments.common.runs import reported, write_json
+from experiments.reproduce.steps import STEPS, Step
+from experiments.reproduce.tables import TABLES, shortened, write_tables
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+@dataclass(frozen=True)
+class ReproduceArgs:
+    """Run the studies of the documents again and write their tables."""
+
+    out: Path = Path("runs/reproduce")  # folder for everything that is made
+    only: tuple[str, ...] = ()  # names of steps, in place of all; what they use must be there or among them
+    list: bool = False  # say what there is, and end
+    tables: bool = False  # run nothing; write the tables from docs/results
+    docs: Path = DOCS  # folder of the documents
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    args = tyro.cli(ReproduceArgs, args=argv, description=__doc__, prog="python -m experiments.reproduce")
+    return reported(partial(run, args))
+
+
+def run(args: ReproduceArgs) -> None:
+    """The steps asked for, then the tables.
+
+    Raises:
+        ValueError: A step is unknown, one that it uses is missing, or one fails.
+    """
+    known = {step.name: step for step in STEPS}
+    if unknown := [name for name in args.only if name not in known]:
+        raise ValueError(f"there is no step {unknown[0]}; there are {', '.join(known)}")
+    steps = [known[name] for name in known if not args.only or name in args.only]
+    if args.list:
+        print("\n".join(describe(step, args.out) for step in steps))
+        return
+    if not args.tables:
+        for step in steps:
+            _run_step(step, args)
+    written = write_tables(args.docs)
+    print(f"{len(written)} tables written from {args.docs / 'results'}")
+
+
+def describe(step: Step, out: Path) -> str:
+    """One line on a step: whether it is done, how long it takes, and its command."""
+    done = "done" if (out / step.name / "metrics.json").exists() else f"{step.minutes} min"
+    return f"{step.name:14} {done:>8}   python {step.command}" + (f"   (uses {step.uses})" if step.uses else "")
+
+
+def _run_step(step: Step, args: ReproduceArgs) -> None:
+    """One command in a process of its own, unless it is done."""
+    folder = args.out / step.name
+    if step.uses and not (args.out / step.uses).exists():
+        raise ValueError(f"{step.name} uses {step.uses}, which is not there; run it first, or name both in --only")
+    if not (folder / "metrics.json").exists():
+        words = step.arguments(args.out, resume=(folder / "config.json").exists())
+        print(f"\n== {step.name}: python {' '.join(words)}", flush=True)
+        code = subprocess.run([sys.executable, *words], env=dict(os.environ), check=False).returncode
+        if code:
+            raise ValueError(f"{step.name} ended with exit code {code}; mend what it says and run this command again")
+    if step.name in TABLES:
+        results = args.docs / "results"
+        results.mkdir(exist_ok=True)
+        measured = json.loads((folder / "metrics.json").read_text())
+        write_json(results / f"{step.name}.json", shortened(step.name, measured))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,271 @@
+"""Tables of the documents, written from what the steps measured.
+
+A table stands between `<!-- table: STEP NAME -->` and `<!-- end of table -->`; STEP is a step's name, which has a file
+in docs/results, and NAME one of its tables below.
+"""
+
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+Measured = dict[str, Any]
+Table = Callable[[Measured], str]
+MARK = re.compile(r"(<!-- table: (\w+) ([^>]+?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
+KEPT_SCORES = (
+    "accuracy", "mean", "last_other_objects", "by_object", "calibration_error", "log_loss", "stopping", "touches_to_95",
+)  # fmt: skip
+DECIMALS = 4  # of the numbers in docs/results
+
+
+def write_tables(docs: Path) -> list[str]:
+    """Write every table that the documents ask for.
+
+    Args:
+        docs: Folder of the documents, with what was measured in results/.
+
+    Returns:
+        The tables that were written, as "page: STEP NAME".
+
+    Raises:
+        ValueError: A page asks for a table that there is not, or its step was not measured.
+    """
+    written = []
+    for page in sorted([*docs.glob("*.md"), docs.parent / "README.md"]):
+        before = page.read_text() if page.exists() else ""
+
+        def fill(found: re.Match[str], page: Path = page) -> str:
+            step, name = found[2], found[3]
+            written.append(f"{page.name}: {step} {name}")
+            return found[1] + table(docs, step, name, page.name) + "\n" + found[4]
+
+        after = MARK.sub(fill, before)
+        if after != before:
+            page.write_text(after)
+    return written
+
+
+def table(docs: Path, step: str, name: str, page: str = "") -> str:
+    """One table in Markdown.
+
+    Args:
+        docs: Folder of the documents.
+        step: Whose measurements are shown.
+        name: Of the table.
+        page: That asks for it, for messages.
+
+    Raises:
+        ValueError: There is no such table, or nothing was measured.
+    """
+    if name not in TABLES.get(step, {}):
+        raise ValueError(f"{page}: there is no table {name!r} of {step}; there are {', '.join(TABLES.get(step, {}))}")
+    path = docs / "results" / f"{step}.json"
+    if not path.exists():
+        raise ValueError(f"{page}: {path} is missing; run python -m experiments.reproduce --only {step}")
+    return TABLES[step][name](json.loads(path.read_text()))
+
+
+def shortened(step: str, measured: Measured) -> Measured:
+    """What of a step's metrics is kept with the documents: what tables show, with a few decimals.
+
+    Args:
+        step: Whose.
+        measured: Its metrics.json.
+    """
+    if "sets" in measured:
+        for entry in measured["sets"].values():
+            for scores in entry["methods"].values():
+                for name in [name for name in scores if name not in KEPT_SCORES]:
+                    del scores[name]
+    return {"step": step, **_rounded(measured)}
+
+
+def _rounded(node: Any) -> Any:
+    if isinstance(node, dict):
+        return {name: _rounded(value) for name, value in node.items()}
+    if isinstance(node, list):
+        return [_rounded(value) for value in node]
+    return round(node, DECIMALS) if isinstance(node, float) else node
+
+
+# --- pieces ---
+
+
+def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table.
+
+    Args:
+        head: Names of the columns.
+        rows: Cells.
+    """
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def number(value: float | None, decimals: int = 3) -> str:
+    """A number, or a dash where there is none."""
+    return "-" if value is None else f"{value:.{decimals}f}"
+
+
+def estimate(found: Any, decimals: int = 3, sign: bool = False) -> str:
+    """A mean with its interval, from a dict of mean, low and high or a list of the three."""
+    mean, low, high = found.values() if isinstance(found, dict) else found
+    plus = "+" if sign else ""
+    limits = "" if low is None or high is None else f" [{low:{plus}.{decimals}f}, {high:{plus}.{decimals}f}]"
+    return f"{mean:{plus}.{decimals}f}{limits}"
+
+
+def at(accuracy: Mapping[str, Sequence[Any]], touch: int) -> dict[str, Any]:
+    """The estimate after a number of touches, -1 for the last."""
+    index = touch - 1 if touch > 0 else touch
+    return {name: values[index] for name, values in accuracy.items()}
+
+
+# --- recognition ---
+
+
+def methods_of_set(name: str) -> Table:
+    """Accuracy of every method on a set of objects."""
+
+    def render(measured: Measured) -> str:
+        entry = measured["sets"][name]
+        rows = []
+        for method, scores in entry["methods"].items():
+            if method.endswith(", average"):
+                continue
+            accuracy = scores["accuracy"]
+            early = [number(at(accuracy, touch)["mean"]) for touch in (1, 3, 5)]
+            errors = [number(sum(scores[key]) / len(scores[key]), places) for key, places in _ERRORS]
+            rows.append([method, *early, estimate(at(accuracy, -1)), estimate(scores["mean"]), *errors])
+        return markdown(
+            ["method", "after 1", "after 3", "after 5", "after 10 [95 %]", "mean of 1 to 10 [95 %]", "ECE", "log loss"],
+            rows,
+        )
+
+    return render
+
+
+_ERRORS = (("calibration_error", 3), ("log_loss", 2))
+
+
+def other_objects(name: str) -> Table:
+    """Accuracy after the last touch, for these objects and for others like them."""
+
+    def render(measured: Measured) -> str:
+        rows = [
+            [method, estimate(at(scores["accuracy"], -1)), estimate(scores["last_other_objects"])]
+            for method, scores in measured["sets"][name]["methods"].items()
+            if not method.endswith(", average")
+        ]
+        return markdown(["method", "these objects", "objects like these"], rows)
+
+    return render
+
+
+def objects_of_set(name: str) -> Table:
+    """Accuracy after the last touch by the object that was there."""
+
+    def render(measured: Measured) -> str:
+        entry = measured["sets"][name]
+        rows = [
+            [method, *(estimate(scores["by_object"][one]["last"], 2) for one in entry["objects"])]
+            for method, scores in entry["methods"].items()
+            if not method.endswith(", average")
+        ]
+        return markdown(["method", *entry["objects"]], rows)
+
+    return render
+
+
+def differences_of_set(name: str) -> Table:
+    """Paired differences between methods."""
+
+    def render(measured: Measured) -> str:
+        rows = [
+            [pair, estimate(found["last"], sign=True), estimate(found["mean"], sign=True)]
+            for pair, found in measured["sets"][name]["paired"].items()
+        ]
+        return markdown(["one method minus another", "after the last touch", "mean over touches"], rows)
+
+    return render
+
+
+def stopping_of_set(name: str, method: str) -> Table:
+    """What the stopping rule keeps of what it was asked."""
+
+    def render(measured: Measured) -> str:
+        rows = [
+            [
+                f"{100 * found['requested_error']:.0f} %", percent(found["stopped"], 0),
+                percent(found["stopped_error"]), f"{100 * found['stopped_predicted_error']:.1f} %",
+                percent(found["error"]), f"{100 * found['predicted_error']:.1f} %", estimate(found["touches"], 1),
+            ]
+            for found in measured["sets"][name]["methods"][method]["stopping"]
+        ]  # fmt: skip
+        return markdown(
+            ["asked error", "stopped early", "of those: observed error", "reported", "all episodes: observed error",
+             "reported", "mean touches"],
+            rows,
+        )  # fmt: skip
+
+    return render
+
+
+def percent(found: Mapping[str, Any], decimals: int = 1) -> str:
+    """A rate with its interval in percent."""
+    mean, low, high = (None if value is None else 100 * value for value in found.values())
+    limits = "" if low is None or high is None else f" [{low:.{decimals}f}, {high:.{decimals}f}]"
+    return f"{mean:.{decimals}f} %{limits}"
+
+
+def means_of_sets(measured: Measured) -> str:
+    """The paper's last column: all objects of both sets."""
+    rows = [
+        [method, estimate(found)] for method, found in measured["mean of the sets"].items() if "average" not in method
+    ]
+    return markdown(["method", "after 10 [95 %]"], rows)
+
+
+# --- prediction ---
+
+
+def predictors(measured: Measured) -> str:
+    """Scores of every predictor over pads."""
+    rows = []
+    for method, scores in measured["over_pads"].items():
+        others = [number(scores[key][0], 2) for key in ("rmse", "rmse_sigma", "cosine")]
+        rows.append([method, estimate(scores["r2"], 2), *others])
+    return markdown(["method", "R² [95 % over pads]", "RMSE µT", "RMSE / sigma", "median cosine"], rows)
+
+
+def predictors_by_object(measured: Measured) -> str:
+    """R² of every predictor on each test object, mean over pads."""
+    scores = measured["by_object"]
+    rows = [
+        [method, *(number(scores[name][method][0], 2) for name in scores)] for method in next(iter(scores.values()))
+    ]
+    return markdown(["method", *scores], rows)
+
+
+TABLES: dict[str, dict[str, Table]] = {
+    "study": {"predictors": predictors, "by object": predictors_by_object},
+    "paper": {
+        "primitives": methods_of_set("primitives"),
+        "tools": methods_of_set("tools"),
+        "mean": means_of_sets,
+        "primitives differences": differences_of_set("primitives"),
+        "tools differences": differences_of_set("tools"),
+        "primitives by object": objects_of_set("primitives"),
+        "tools by object": objects_of_set("tools"),
+    },
+    "recognize": {
+        "all": methods_of_set("all"),
+        "primitives": methods_of_set("primitives"),
+        "tools": methods_of_set("tools"),
+        "all other objects": other_objects("all"),
+        "all by object": objects_of_set("all"),
+        "all differences": differences_of_set("all"),
+        "stopping": stopping_of_set("all", "fused"),
+    },
+}
