@@ -244,7 +244,7 @@ def test_several_pads_are_summed_up_over_pads(tmp_path, capsys):
     assert mean == pytest.approx(0.405)
     assert high - mean == pytest.approx(
         4.303 * 0.1 / np.sqrt(3), rel=1e-3
-    )  # Student's t of three pads, not of six runs
+    )  # over pads, not runs
     assert mean - low == pytest.approx(high - mean)
     print_table(found)
     said = capsys.readouterr().out
