@@ -416,12 +416,14 @@ def until(find):
 # The driver and a board in another process.
 
 
-def failure(skin, kind: type[DeviceError] = DeviceError) -> str:
+def failure(skin, kind: type[DeviceError] = DeviceError, words: str = "") -> str:
+    """What the skin says once it fails with these words."""
+
     def ask() -> str | None:
         try:
             skin.latest()
         except kind as error:
-            return str(error)
+            return str(error) if words in str(error) else None
         return None
 
     return until(ask)
@@ -482,12 +484,17 @@ def test_unplugging_is_noticed_and_replugging_resumes(tmp_path):
 
 def test_silence_is_noticed_and_ends():
     with started("--silent-after", "0.4", "--silent-for", "1.0") as (port, _), ReSkin(port) as skin:
-        message = failure(skin, DeviceTimeoutError)
-        assert "silent for" in message
+        assert "check its cable" in failure(skin, DeviceTimeoutError, "has been silent for")
         with pytest.raises(DeviceTimeoutError, match="samples in"):
             skin.read(4000, timeout=0.05)
         skin.read(20, PATIENCE)
         skin.latest(PATIENCE)
+
+
+def test_a_computer_that_does_not_listen_does_not_blame_the_board(monkeypatch):
+    with started() as (port, _), ReSkin(port) as skin:
+        monkeypatch.setattr(skin, "_process", lambda chunk, now: time.sleep(PATIENCE / 20))
+        assert "too busy to listen" in failure(skin, DeviceTimeoutError, "this computer")
 
 
 def test_a_board_that_never_speaks_is_given_up(monkeypatch):

@@ -82,6 +82,7 @@ class Stream(ABC):
         )
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
+        self._listened = -np.inf  # s, when the thread last came back from the port
         self._file: BinaryIO | None = None
         self._info: BoardInfo | None = None
 
@@ -260,7 +261,9 @@ class Stream(ABC):
     def _read_loop(self, port: Port, stop: threading.Event) -> None:
         try:
             while not stop.is_set():
-                self._process(port.read(max(1, port.in_waiting)), time.monotonic())
+                chunk = port.read(max(1, port.in_waiting))
+                self._listened = time.monotonic()
+                self._process(chunk, self._listened)
         except DeviceError as error:
             self._fail(error)
         except Exception as error:  # pyserial raises OSError, SerialException, TypeError and more
@@ -321,6 +324,8 @@ class Stream(ABC):
 
     def _silence(self, age: float) -> str:
         assert self._decoder is not None
+        if time.monotonic() - self._listened > age / 2:  # most of that time, so the board cannot be blamed
+            return f"this computer was too busy to listen to {self._name} for {age:.2g} s; end other programs"
         if self._decoder.gap > 3 * self._decoder.layout.binary.size:
             return f"{self._name} has sent no frame for {age:.2g} s, only bytes that are none; check its cable"
         return f"{self._name} has been silent for {age:.2g} s; check its cable and that its sketch runs"
