@@ -82,6 +82,31 @@ class Camera:
         object.__setattr__(self, "coefficients", padded[:5])
 
 
+def brown_conrady(camera: Camera, x: Any, y: Any) -> tuple[Any, Any]:
+    """Radial and tangential distortion; the modified model moves radially first and then tangentially from there.
+
+    Arithmetic alone, for arrays of NumPy and of JAX alike.
+
+    Args:
+        camera: Its model and coefficients k1, k2, p1, p2, k3.
+        x: x / z of lines of sight, or columns of the image in the same unit for the inverse model.
+        y: y / z likewise.
+
+    Returns:
+        Both after distortion.
+    """
+    k1, k2, p1, p2, k3 = camera.coefficients
+    square = x * x + y * y
+    scale = 1 + square * (k1 + square * (k2 + square * k3))
+    u, v = x * scale, y * scale
+    if camera.model == Distortion.MODIFIED_BROWN_CONRADY:
+        x, y = u, v
+    return (
+        u + 2 * p1 * x * y + p2 * (square + 2 * x * x),
+        v + 2 * p2 * x * y + p1 * (square + 2 * y * y),
+    )
+
+
 def read_depth(path: str | Path, scale: float | str, encoding: str = Encoding.PLAIN) -> np.ndarray:
     """Depth (h, w) float32 m of a 16-bit PNG or a TIF (uint16 or float), NaN where nothing was measured (0, NaN).
 

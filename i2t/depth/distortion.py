@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from i2t.depth.camera import Camera, Distortion
+from i2t.depth.camera import Camera, Distortion, brown_conrady
 
 NEWTON_STEPS = 10  # steps; a lens that is nearly straight needs four
 
@@ -88,9 +88,9 @@ def _distort(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
     """From a straight lens to this one."""
     match _model(camera):
         case Distortion.INVERSE_BROWN_CONRADY:
-            return _solve(lambda u, v: _brown_conrady(camera, u, v), x, y)
+            return _solve(lambda u, v: brown_conrady(camera, u, v), x, y)
         case Distortion.BROWN_CONRADY | Distortion.MODIFIED_BROWN_CONRADY:
-            return _brown_conrady(camera, x, y)
+            return brown_conrady(camera, x, y)
         case Distortion.FTHETA:
             w = camera.coefficients[0]
             return _radially(x, y, lambda r: jnp.arctan(2 * r * math.tan(w / 2)) / w)
@@ -103,9 +103,9 @@ def _undistort(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
     """From this lens to a straight one; NaN beyond 90 degrees from the axis."""
     match _model(camera):
         case Distortion.INVERSE_BROWN_CONRADY:
-            return _brown_conrady(camera, x, y)
+            return brown_conrady(camera, x, y)
         case Distortion.BROWN_CONRADY | Distortion.MODIFIED_BROWN_CONRADY:
-            return _solve(lambda u, v: _brown_conrady(camera, u, v), x, y)
+            return _solve(lambda u, v: brown_conrady(camera, u, v), x, y)
         case Distortion.FTHETA:
             w = camera.coefficients[0]
             return _radially(x, y, lambda r: _tan(w * r) / (2 * math.tan(w / 2)))
@@ -118,20 +118,6 @@ def _model(camera: Camera) -> str:
     """A lens without coefficients, as many cameras report it, is a pinhole."""
     curved = any(camera.coefficients) or camera.model == Distortion.KANNALA_BRANDT4
     return camera.model if curved else Distortion.NONE
-
-
-def _brown_conrady(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
-    """Radial and tangential distortion; the modified model moves radially first and then tangentially from there."""
-    k1, k2, p1, p2, k3 = camera.coefficients
-    square = x * x + y * y
-    scale = 1 + square * (k1 + square * (k2 + square * k3))
-    u, v = x * scale, y * scale
-    if camera.model == Distortion.MODIFIED_BROWN_CONRADY:
-        x, y = u, v
-    return (
-        u + 2 * p1 * x * y + p2 * (square + 2 * x * x),
-        v + 2 * p2 * x * y + p1 * (square + 2 * y * y),
-    )
 
 
 def _kannala_brandt(camera: Camera, angle: Array) -> Array:

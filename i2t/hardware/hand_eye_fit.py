@@ -18,11 +18,12 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from i2t.depth.camera import Camera, Distortion
+from i2t.depth.camera import Camera, Distortion, brown_conrady
 from i2t.types import Array
 
 MIN_VIEWS, MIN_CORNERS = 6, 6  # views, and corners of each
 MIN_TILT_RAD = math.radians(5)  # root mean square turn about a second axis, under which the problem is nearly singular
+INVERSION_STEPS = 50  # of a lens, each closer by the distortion's slope, some hundredths
 LOSS_SCALE_PX = 1.0  # from where on a corner counts less than its square
 
 
@@ -46,7 +47,7 @@ class HandEyeResult(NamedTuple):
 
 
 def pixel_rays(camera: Camera, pixels: Array) -> Array:
-    """Lines of sight of pixels; the part of `i2t.depth.distortion` that needs no JAX.
+    """Lines of sight of pixels, as `i2t.depth.distortion` has them, without JAX.
 
     Args:
         camera: Its lens.
@@ -62,22 +63,18 @@ def pixel_rays(camera: Camera, pixels: Array) -> Array:
     if not any(camera.coefficients):
         return seen
     if camera.model == Distortion.INVERSE_BROWN_CONRADY:
-        return seen + _bend(camera, seen)
+        return _bent(camera, seen)
     if camera.model in (Distortion.BROWN_CONRADY, Distortion.MODIFIED_BROWN_CONRADY):
         straight = seen
-        for _ in range(50):  # each step is closer by the distortion's slope, some hundredths
-            straight = seen - _bend(camera, straight)
+        for _ in range(INVERSION_STEPS):
+            straight = seen - (_bent(camera, straight) - straight)
         return straight
     raise ValueError(f"camera: a hand-eye calibration knows no {camera.model} lens; give images without distortion")
 
 
-def _bend(camera: Camera, at: Array) -> Array:
-    """How far a lens moves lines of sight in its direct sense."""
-    k1, k2, p1, p2, k3 = camera.coefficients
-    square = (at**2).sum(1)
-    radial = at * (square * (k1 + square * (k2 + square * k3)))[:, None]
-    x, y = (at + radial if camera.model == Distortion.MODIFIED_BROWN_CONRADY else at).T
-    return radial + np.stack([2 * p1 * x * y + p2 * (square + 2 * x**2), 2 * p2 * x * y + p1 * (square + 2 * y**2)], 1)
+def _bent(camera: Camera, rays: Array) -> Array:
+    """Lines of sight (k, 2) moved by a lens in its direct sense."""
+    return np.stack(brown_conrady(camera, *rays.T), axis=1)
 
 
 def fit(views: Sequence[BoardView], focal: float) -> HandEyeResult:
