@@ -24,7 +24,7 @@ from i2t.objects import Mesh, catalogue, read_mesh
 from i2t.types import ReturnCode
 
 TOUCHES, ABOUT, MESHES = "recognition.h5", "recognition.json", "meshes"
-MIN_TOUCHES = 20  # that a pad model can be made of
+MIN_TOUCHES, SPARE_TOUCHES = 20, 5  # that a pad model can be made of; more than a reading has values
 MIN_SESSIONS = 2  # hyperparameters are chosen on sessions left out
 
 
@@ -100,10 +100,11 @@ def known_touches(dataset: Dataset, rows: np.ndarray, meshes: Mapping[str, Mesh]
     if len(pads) > 1:
         raise DataError(f"{whose}: the touches are of several skins ({', '.join(pads)}), and a pad model is of one")
     sessions = len(np.unique(touches.session[usable]))
-    if usable.sum() < MIN_TOUCHES or sessions < MIN_SESSIONS:
+    least = max(MIN_TOUCHES, touches.reading.shape[-1] + SPARE_TOUCHES)
+    if usable.sum() < least or sessions < MIN_SESSIONS:
         raise DataError(
             f"{whose}: {usable.sum()} usable touches in {sessions} sessions are too few for a pad model, which needs "
-            f"{MIN_TOUCHES} in {MIN_SESSIONS}"
+            f"{least} in {MIN_SESSIONS}"
         )
     chosen = _seen_from_object(dataset.select(usable))
     names = [chosen.objects[i] for i in np.unique(chosen.touches.object)]

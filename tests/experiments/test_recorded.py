@@ -1,0 +1,196 @@
+"""Recorded touches as episodes: which sessions count, what few episodes say, and by which skin they are judged."""
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from helpers.random_touches import make
+
+from experiments.recognize import __main__ as recognize
+from experiments.recognize import live, pad_sources, recorded
+from experiments.recognize.config import PRESETS
+from experiments.recognize.report import EpisodeResults
+from i2t import dataset as data
+from i2t.dataset import Dataset
+from i2t.errors import DataError
+from i2t.hardware.rig import Rig
+from i2t.recognition.pad_model import PadModel
+from i2t.simulation.touches import SimulationErrors
+from i2t.skin import boards
+from i2t.skin.files import save_pad
+from i2t.skin.pad import nominal_pad
+from i2t.types import TWIST_LEVER_M, ReturnCode
+
+
+def sessions_of(lengths: tuple[int, ...]) -> Dataset:
+    """Sessions of so many usable touches, each with one that failed and one without a force."""
+    session = np.repeat(np.arange(len(lengths)), np.array(lengths) + 2)
+    n = len(session)
+    begin = np.flatnonzero(np.diff(session, prepend=-1))
+    code, force = np.full(n, ReturnCode.SKIN), np.ones(n)
+    code[begin] = ReturnCode.FAILED
+    force[begin + 1] = np.nan
+    made = make(n, pixels=8)
+    touches = made.touches._replace(session=session, code=code, force=force, pad=np.zeros(n), object=session % 3)
+    return replace(made, touches=touches, sessions=tuple(f"run {i}" for i in range(len(lengths))))
+
+
+def test_every_long_enough_session_counts_and_the_limit_is_said():
+    chosen = recorded.choose_sessions(sessions_of((36, 12, 4, 20)), 10, None)
+    assert chosen.names == ("run 0", "run 1", "run 3")
+    assert chosen.touches == 12
+    said = chosen.describe()
+    assert "3 sessions of 12 to 36 usable touches, the first 12 of each count" in said
+    assert "left out, with fewer: run 2 (4)" in said
+
+
+def test_a_user_may_count_more_touches_of_fewer_sessions():
+    dataset = sessions_of((36, 12, 4, 20))
+    chosen = recorded.choose_sessions(dataset, 10, 20)
+    assert chosen.names == ("run 0", "run 3")
+    assert chosen.touches == 20
+    with pytest.raises(DataError, match="no session has 40 touches with a measured force; the longest has 36"):
+        recorded.choose_sessions(dataset, 10, 40)
+    assert recorded.choose_sessions(sessions_of((3, 2)), 10, None).names == ("run 0",)
+    assert recorded.choose_sessions(sessions_of((10, 10)), 10, None).describe() == "2 sessions of 10 usable touches"
+
+
+def results(episodes: int) -> EpisodeResults:
+    """Episodes of three touches, of which every second one is right at the end."""
+    truth = np.arange(episodes) % 2
+    p = np.full((episodes, 3, 2), 0.5)
+    right = np.arange(episodes) % 4 < 2
+    p[:, 2] = np.where((np.eye(2)[truth] > 0) == right[:, None], 0.9, 0.1)
+    observations = SimpleNamespace(contact=np.ones((episodes, 3), bool))
+    return EpisodeResults(("star", "mug"), truth, {"fused": p}, SimpleNamespace(observations=observations))
+
+
+@pytest.mark.parametrize("episodes", [2, 8])
+def test_few_episodes_get_no_interval(episodes, capsys):
+    scores = recorded.score(results(episodes))
+    fused = scores["methods"]["fused"]
+    assert fused["accuracy"]["mean"] == [0.5, 0.5, 0.5 if episodes == 8 else 1.0]
+    assert (fused["mean"]["low"] is None) == (episodes == 2)
+    summary = {
+        "source": "real", "sessions": {"touches": 3}, "objects_also_trained_on": ["mug"], "sets": {"recorded": scores},
+    }  # fmt: skip
+    recorded.print_table(summary, "ANOTHER SKIN: so it is")
+    said = capsys.readouterr().out
+    assert (recorded.TOO_FEW in said) == (episodes == 2)
+    assert ("[" in said) == (episodes == 8)
+    assert "-3.897" not in said
+    assert "ANOTHER SKIN: so it is" in said
+    assert "fitted to touches of mug too" in said
+
+
+def test_candidates_are_those_of_the_data_set_or_of_the_user():
+    args = SimpleNamespace(objects=(), unit=None, dataset=Path("DATA"))
+    assert list(recorded.candidate_meshes(args, make(5))) == ["star", "square", "hammer"]
+    with pytest.raises(DataError, match=r"touches of mug, of which there is no mesh.*--objects star mug.stl"):
+        recorded.candidate_meshes(args, make(5, objects=("star", "mug")))
+    with pytest.raises(DataError, match="touches of star only; name the objects to tell apart"):
+        recorded.candidate_meshes(args, make(5, objects=("star",)))
+    args = SimpleNamespace(objects=(Path("star"), Path("cylinder")), unit=None, dataset=Path("DATA"))
+    assert list(recorded.candidate_meshes(args, make(5, objects=("mug",)))) == ["star", "cylinder"]
+
+
+def find(pad: Path | None, run: Path = Path("none")) -> pad_sources.PadSource:
+    return pad_sources.find_pad_source(pad=pad, run=run, cfg=PRESETS["debug"], meshes={}, rig=None)
+
+
+def test_the_skin_of_a_pad_on_disk_is_known_before_anything_is_fitted(tmp_path):
+    save_pad(tmp_path / "left.npz", nominal_pad())
+    assert find(tmp_path / "left.npz").skin.pad == "simulated, left"
+    save_pad(tmp_path / "left.npz", nominal_pad(), {"pad": "skin A", "presses": 90, "source": "real"})
+    skin = find(tmp_path / "left.npz").skin
+    assert skin.pad == "skin A"
+    assert skin.made_from.endswith("left.npz, fitted to 90 real presses")
+    assert skin.board.num_chips == 5
+
+
+def test_what_is_no_pad_is_named(tmp_path):
+    with pytest.raises(ValueError, match=r"none.npz: there is no such file"):
+        find(tmp_path / "none.npz")
+    (tmp_path / "junk.npz").write_bytes(b"junk")
+    with pytest.raises(ValueError, match="is damaged or was not written by i2t"):
+        find(tmp_path / "junk.npz")
+    with pytest.raises(ValueError, match="holds no finished run"):
+        find(None, tmp_path)
+    data.save_dataset(tmp_path / "session.h5", make(30, pixels=8))
+    with pytest.raises(DataError, match=r"session.h5: .*several skins"):
+        find(tmp_path / "session.h5")
+
+
+def test_a_rig_says_how_far_objects_may_be_off():
+    rig = replace(Rig(), object_covariance=np.diag([4e-6] * 3 + [(0.05 * TWIST_LEVER_M) ** 2] * 3))
+    errors = pad_sources.with_placement(SimulationErrors(), rig)
+    assert errors.placement == pytest.approx(2e-3)
+    assert errors.placement_angle == pytest.approx(0.05)
+    assert errors.force == SimulationErrors().force
+
+
+def test_what_a_pad_leaves_of_its_presses_makes_its_readings_less_sure():
+    likelihood = SimpleNamespace(inflation=np.float32(1.0))
+    likelihood._replace = lambda **new: SimpleNamespace(**new)
+    model = PadModel(None, likelihood, np.ones(3), 0.5, np.full((10, 3), 4.0))
+    assert pad_sources.with_press_errors(model, 3.0).likelihood.inflation == pytest.approx(1.25)
+    assert pad_sources.with_press_errors(model, 0.0).likelihood.inflation == 1.0
+
+
+def test_a_pad_is_for_recorded_touches(tmp_path, capsys):
+    assert recognize.main(["--pad", str(tmp_path / "pad.npz"), "--out", str(tmp_path / "out")]) == 2
+    assert "--pad is for recorded touches (--dataset)" in capsys.readouterr().err
+
+
+@pytest.fixture
+def pad_of_skin_a(tmp_path) -> Path:
+    save_pad(tmp_path / "a.npz", nominal_pad(), {"pad": "skin A"})
+    return tmp_path / "a.npz"
+
+
+REAL = ["live", "--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["live"], ('"simulated pad 0"', '"skin A"')),
+        (REAL, ('the skin is "skin"', '"skin A"')),
+        ([*REAL, "--pad-name", "skin B"], ('"skin B"', '"skin A"')),
+        ([*REAL, "--pad-name", "skin A", "--board", "grid-4x4"], ("16 chips", "5 chips")),
+        ([*REAL, "--worn-pad", "b.npz"], ("--worn-pad is for simulated and emulated skins",)),
+    ],
+)
+def test_another_skin_is_refused_before_anything_moves(words, said, pad_of_skin_a, tmp_path, capsys):
+    out = tmp_path / "live"
+    objects = ["--objects", "star", "hammer", "--true-object", "star"]
+    rig = tmp_path / "lab.toml"
+    Rig().write(rig)
+    assert recognize.main([*words, "--pad", str(pad_of_skin_a), *objects, "--rig", str(rig), "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    for part in said:
+        assert part in error
+    assert not out.exists()
+
+
+def test_a_live_run_collects_with_the_devices_that_were_named(tmp_path):
+    args = live.LiveArgs(
+        out=tmp_path, arm="ur", skin="reskin", camera="folder", host="h", port="p", board="anyskin",
+        views=Path("views"), state_timeout=1.0, watchdog_rate=2.0, pad_name="skin A", truth="mug",
+    )  # fmt: skip
+    mesh = SimpleNamespace(vertices=np.zeros((1, 3)))
+    collected = live.collect_args(args, PRESETS["paper"], {"star": mesh}, None)
+    named = ("board", "views", "state_timeout", "watchdog_rate", "pad_name", "name", "host", "port", "skin", "arm")
+    wanted = ("anyskin", Path("views"), 1.0, 2.0, "skin A", "mug", "h", "p", "reskin", "ur")
+    assert tuple(getattr(collected, name) for name in named) == wanted
+    assert live.collect_args(replace(args, truth=None), PRESETS["paper"], {"star": mesh}, None).name == "unknown"
+
+
+def test_the_board_of_a_live_run_is_that_of_its_skin():
+    expected = boards.grid_board(2, 2)
+    for skin, chips in (("emulated", 5), ("simulated", 5), ("acme:Skin", 4)):
+        assert live.worn_board(live.LiveArgs(skin=skin), expected).num_chips == chips
+    assert live.worn_board(live.LiveArgs(skin="reskin", board="grid-3x3"), expected).num_chips == 9
