@@ -27,6 +27,7 @@ class Step(NamedTuple):
 
 
 STEPS = (
+    Step("train", "-m experiments.train", minutes=4),
     Step("study", "-m experiments.train --preset study", minutes=30),
     Step("paper", "-m experiments.recognize --method paper", uses="study", minutes=20),
     Step("recognize", "-m experiments.recognize", uses="study", minutes=45),

@@ -239,6 +239,16 @@ def predictors(measured: Measured) -> str:
     return markdown(["method", "R² [95 % over pads]", "RMSE µT", "RMSE / sigma", "median cosine"], rows)
 
 
+def predictors_of_one_pad(measured: Measured) -> str:
+    """Scores of every predictor with one pad and seed, with intervals over sessions."""
+    rows = []
+    for method, scores in measured["methods"].items():
+        r2 = estimate([scores["r2"], *scores["r2_interval"]], 2)
+        rows.append([method, r2, *(number(scores[key], 2) for key in ("rmse", "rmse_sigma", "cosine"))])
+    head = f"on six unseen objects, {measured['source']}"
+    return markdown([head, "R² [95 % over sessions]", "RMSE µT", "RMSE / sigma", "median cosine"], rows)
+
+
 def predictors_by_object(measured: Measured) -> str:
     """R² of every predictor on each test object, mean over pads."""
     scores = measured["by_object"]
@@ -249,6 +259,7 @@ def predictors_by_object(measured: Measured) -> str:
 
 
 TABLES: dict[str, dict[str, Table]] = {
+    "train": {"predictors": predictors_of_one_pad},
     "study": {"predictors": predictors, "by object": predictors_by_object},
     "paper": {
         "primitives": methods_of_set("primitives"),

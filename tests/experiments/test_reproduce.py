@@ -103,8 +103,8 @@ def test_the_list_says_what_is_done(tmp_path, capsys):
     assert reproduce.main(_args(tmp_path, "--list")) == 0
     said = capsys.readouterr().out.splitlines()
     assert len(said) == len(STEPS)
-    assert "done" in said[0]
-    assert "min" in said[1]
+    assert "done" in said[1]
+    assert "min" in said[2]
 
 
 def test_a_page_that_asks_for_what_is_not_there_is_told(tmp_path):
