@@ -18,7 +18,7 @@ from scipy.special import expit, logit, logsumexp
 
 from i2t.recognition import belief
 from i2t.recognition.belief import TEMPERATURE_SCALING, TemperatureScaling
-from i2t.recognition.intervals import Estimate, student_interval, wilson_interval
+from i2t.recognition.intervals import Clusters, Estimate, mean_interval, rate_interval
 from i2t.recognition.metrics import PROBABILITY_FLOOR, of_truth
 from i2t.types import Array
 
@@ -152,6 +152,7 @@ def conformal_sets(
     truth: Int[Array, " e"],
     *,
     level: float = 0.9,
+    clusters: Clusters = (),
     seed: int = 0,
 ) -> ConformalSets:
     """Randomised adaptive prediction sets, with thresholds from validation episodes, judged on others.
@@ -165,6 +166,7 @@ def conformal_sets(
         p: Beliefs to make sets of.
         truth: Classes that were there.
         level: Coverage asked for.
+        clusters: Factors in which the judged episodes are alike, as of `cluster_interval`.
         seed: Of the randomisation.
 
     Returns:
@@ -175,7 +177,9 @@ def conformal_sets(
     rank = int(np.ceil((len(scores) + 1) * level))
     threshold = scores[rank - 1] if rank <= len(scores) else np.full(scores.shape[1], np.inf)
     sets = _cumulative_masses(p, rng) <= threshold[None, :, None]
-    return ConformalSets(threshold, wilson_interval(of_truth(sets, truth)), student_interval(sets.sum(-1)))
+    return ConformalSets(
+        threshold, rate_interval(of_truth(sets, truth), clusters), mean_interval(sets.sum(-1), clusters)
+    )
 
 
 def _cumulative_masses(p: Array, rng: np.random.Generator) -> np.ndarray:

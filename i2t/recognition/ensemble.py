@@ -6,9 +6,10 @@ o's model: `nearest_distance`). exp(-d_io) is the paper's likelihood. Three rule
 the share of touches that each object wins (the paper's), the mean of the touches' normalised likelihoods, and their
 product (in the published code).
 
-The position of the next touch is drawn on the object believed in, by the heuristic that the paper leaves out and the
-published code (github.com/ayadabdalla/imagine2touch) shows: where the other objects' nearest points face elsewhere, but
-not too far elsewhere.
+The position of the next touch is drawn on a hypothesis, which in the paper is sampled from the belief
+(`sample_hypothesis`) and in the published code (github.com/ayadabdalla/imagine2touch) is the most probable object
+(`choose_hypothesis`). The heuristic is the one that the paper leaves out and that code shows: where the other objects'
+nearest points face elsewhere, but not too far elsewhere.
 
 Arrays hold touches in rows and objects in columns; beliefs come after each touch and sum to 1.
 """
@@ -81,10 +82,24 @@ def _mean_so_far(each: Float[Array, "n objects"]) -> Float[Array, "n objects"]:
     return jnp.cumsum(each, axis=0) / touch[:, None]
 
 
+def sample_hypothesis(key: Key[Array, ""], belief: Float[Array, " objects"]) -> Int[Array, ""]:
+    """The object to be distinguished from the others next, as in the paper: sampled from what is believed.
+
+    Args:
+        key: Of the draw.
+        belief: Probabilities of the objects.
+
+    Returns:
+        Index of the object.
+    """
+    return jax.random.categorical(key, jnp.log(belief))
+
+
 def choose_hypothesis(
     key: Key[Array, ""], belief: Float[Array, " objects"], touches: Int[Array, ""] | int
 ) -> Int[Array, ""]:
-    """The object to be distinguished from the others next: any before the first touch, the most probable one after it.
+    """The object to be distinguished from the others next, as in the published code: any before the first touch, the
+    most probable one after it.
 
     Args:
         key: Of the first choice.

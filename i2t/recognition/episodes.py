@@ -1,14 +1,15 @@
 """Episodes of recognition: an object is put down near where it is believed, and touched a number of times.
 
 Episodes are simulated touch by touch (`EpisodeSimulator`) or at sites chosen beforehand (`run_episodes`), or taken from
-a data set (`episodes_from_dataset`); `run_belief` gives the posteriors along them. Sites are those of a pool
+a data set (`episodes_from_dataset`). `believe` predicts what was touched and gives the posteriors along episodes, a few
+of them at a time; `run_belief` does so where touches were predicted before. Sites are those of a pool
 (`i2t.recognition.site_pool`). Metres, newtons, microtesla.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -20,17 +21,37 @@ from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.recognition import belief
 from i2t.recognition.belief import Likelihood, Particles, TouchObservation
-from i2t.recognition.outcomes import PredictedTouch
-from i2t.recognition.site_pool import SitePool
+from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
+from i2t.recognition.site_pool import SitePool, predict_outcomes
 from i2t.rendering.ops import element
 from i2t.simulation import touches as simulation
-from i2t.simulation.press import PressLimits
+from i2t.simulation.press import PressLaw, PressLimits
 from i2t.simulation.touches import SessionErrors, SimulationErrors
+from i2t.skin.pad import press as press_pad
 from i2t.types import Pad, ReturnCode, Surface, Touches
 
 OBSERVED_BATCH = 40  # simulated at a time
-# Kinds of evidence: weights of readings and of positions.
-EVIDENCE = {"tactile only": (1.0, 0.0), "position only": (0.0, 1.0), "fused": (1.0, 1.0)}
+TouchNumber: TypeAlias = tuple[int, int, int]  # which touch of which episode, and its site
+
+BELIEVED_TOUCHES = 320  # predicted at a time on every object in every pose
+
+
+class EvidenceWeights(NamedTuple):
+    """Which kinds of evidence count."""
+
+    tactile: float  # readings
+    spatial: float  # positions at which presses ended
+    presence: float  # whether anything was met
+
+
+EVIDENCE = {
+    "readings": EvidenceWeights(1.0, 0.0, 0.0),
+    "presence": EvidenceWeights(0.0, 0.0, 1.0),
+    "position": EvidenceWeights(0.0, 1.0, 0.0),
+    "readings and presence": EvidenceWeights(1.0, 0.0, 1.0),
+    "position and presence": EvidenceWeights(0.0, 1.0, 1.0),
+    "fused": EvidenceWeights(1.0, 1.0, 1.0),
+}
 
 
 @dataclass(frozen=True)
@@ -40,6 +61,7 @@ class EpisodeConfig:
     errors: SimulationErrors
     limits: PressLimits
     touches: int  # of each episode
+    law: PressLaw = press_pad  # what a press of the pad gives
     presses_before: int = 1000  # of the pad, before an episode: a skin that was trained with is no longer new
 
     @property
@@ -59,6 +81,14 @@ class Episodes(NamedTuple):
     T_w_t: Float[np.ndarray, "e t 4 4"]  # where the presses ended
 
 
+class FeltTouches(NamedTuple):
+    """What was measured at n touches, and where."""
+
+    T_w_t: Float[np.ndarray, "n 4 4"]  # where the presses ended, as the arm reports
+    reading: Float[np.ndarray, "n c"]  # uT
+    force: Float[np.ndarray, " n"]  # N
+
+
 class EpisodeSimulator:
     """Simulated episodes that go on touch by touch, so that sites may be chosen by what was measured."""
 
@@ -71,6 +101,7 @@ class EpisodeSimulator:
         sites: SitePool,
         pad: Pad,
         config: EpisodeConfig,
+        made_before: dict[TouchNumber, Touches] | None = None,
     ) -> None:
         """Put an object down in every episode.
 
@@ -81,11 +112,15 @@ class EpisodeSimulator:
             sites: Which may be touched.
             pad: That touches.
             config: Errors, limits and the number of touches.
+            made_before: Touches that simulators of the same key, objects and sites made, which methods that are
+                compared share as far as they touch the same; those made here join it.
         """
+        self.made_before = made_before
         key_sessions, self.key_touch, key_reading = jax.random.split(key, 3)
         # The same keys at every touch: a sensor's errors depend on the touches before.
         self.reading_keys = np.asarray(jax.random.key_data(jax.random.split(key_reading, len(truth))))
-        self.surfaces, self.truth, self.sites, self.pad, self.config = surfaces, truth, sites, pad, config
+        self.surfaces, self.truth, self.pad, self.config = surfaces, truth, pad, config
+        self.T_w_site = np.asarray(sites.T_w_t)
         self.sessions = _sample_sessions(key_sessions, len(truth), config.errors)
         self.touches: list[Touches] = []
         self.chosen: list[np.ndarray] = []
@@ -108,9 +143,14 @@ class EpisodeSimulator:
         ).reshape(-1)
         drawn = np.asarray(jax.random.key_data(keys))  # rows of it fill up batches more than once
         episode, where = np.repeat(np.arange(episodes), n), site.reshape(-1)
-        done: list[tuple[np.ndarray, Touches]] = []
+        numbers = [(before + i % n, int(episode[i]), int(where[i])) for i in range(len(where))]
+        known = {} if self.made_before is None else self.made_before
+        missing = np.array([number not in known for number in numbers])
+        done = [(np.array([i]), jax.tree.map(lambda x: x[None], known[numbers[i]])) for i in np.flatnonzero(~missing)]
+        if bar is not None:
+            bar.update(len(done))
         for which in range(len(self.surfaces)):
-            rows = np.flatnonzero(self.truth[episode] == which)
+            rows = np.flatnonzero(missing & (self.truth[episode] == which))
             for start in range(0, len(rows), OBSERVED_BATCH):
                 some = rows[start : start + OBSERVED_BATCH]
                 done.append((some, self._touch_batch(which, drawn, episode, where, some)))
@@ -118,6 +158,8 @@ class EpisodeSimulator:
                     bar.update(len(some))
         order = np.argsort(np.concatenate([rows for rows, _ in done]))
         made = jax.tree.map(lambda *x: np.concatenate(x)[order], *[part for _, part in done])
+        if self.made_before is not None:
+            self.made_before |= {numbers[i]: jax.tree.map(lambda x, i=i: x[i], made) for i in np.flatnonzero(missing)}
         made = jax.tree.map(lambda x: x.reshape(episodes, n, *x.shape[1:]), made)
         self.touches += [jax.tree.map(lambda x, i=i: x[:, i], made) for i in range(n)]
         self.chosen += list(np.asarray(site).T)
@@ -128,8 +170,8 @@ class EpisodeSimulator:
         """Touches of one object, filled up to a batch so that one compilation serves all."""
         full = np.resize(rows, OBSERVED_BATCH)
         made = _touch_many(
-            drawn[full], self.surfaces[which], self.sites.T_w_t[where[full]], element(self.sessions, episode[full]),
-            self.pad, errors=self.config.touch_errors, limits=self.config.limits,
+            drawn[full], self.surfaces[which], self.T_w_site[where[full]], element(self.sessions, episode[full]),
+            self.pad, errors=self.config.touch_errors, limits=self.config.limits, law=self.config.law,
         )  # fmt: skip
         return jax.tree.map(lambda x: np.asarray(x[: len(rows)]), jax.device_get(made))
 
@@ -143,8 +185,9 @@ class EpisodeSimulator:
         made = jax.tree.map(lambda *x: np.stack(x, axis=1), *self.touches)
         missing = self.config.touches - len(self.touches)
         full = jax.tree.map(lambda x: np.concatenate([x, np.repeat(np.zeros_like(x[:, :1]), missing, 1)], 1), made)
-        reading = np.asarray(_add_sensor_errors(self.reading_keys, full, self.pad, self.config.touch_errors))
-        T_w_site = np.asarray(self.sites.T_w_t)[np.stack(self.chosen, 1)]
+        before, errors = self.config.presses_before, self.config.touch_errors
+        reading = np.asarray(_add_sensor_errors(self.reading_keys, full, self.pad, before, errors))
+        T_w_site = self.T_w_site[np.stack(self.chosen, 1)]
         moved = made.T_w_t[..., :3, 3] - T_w_site[..., :3, 3]
         advance = np.sum(moved * T_w_site[..., :3, 2], axis=-1)
         return TouchObservation(
@@ -153,6 +196,16 @@ class EpisodeSimulator:
             advance=jnp.asarray(advance.astype(np.float32)),
             contact=jnp.asarray(made.code != ReturnCode.AIR),
         )
+
+    def felt(self) -> FeltTouches:
+        """The last touch of each episode.
+
+        Returns:
+            What was measured, (e,).
+        """
+        made = self.observations()
+        T = np.asarray(self.touches[-1].T_w_t)
+        return FeltTouches(T, np.asarray(made.reading)[:, -1], np.asarray(made.force)[:, -1])
 
     def episodes(self) -> Episodes:
         """What happened.
@@ -214,7 +267,7 @@ def _sample_sessions(key: Array, count: int, errors: SimulationErrors) -> Sessio
     return jax.vmap(lambda k: simulation.sample_session_errors(k, errors))(jax.random.split(key, count))
 
 
-@partial(jax.jit, static_argnames=("errors", "limits"))
+@partial(jax.jit, static_argnames=("errors", "limits", "law"))
 def _touch_many(
     drawn: Array,
     surface: Surface,
@@ -223,12 +276,13 @@ def _touch_many(
     pad: Pad,
     errors: SimulationErrors,
     limits: PressLimits,
+    law: PressLaw,
 ) -> Touches:
     keys = jax.random.wrap_key_data(drawn)
 
     def one(key: Array, T: Array, session: SessionErrors) -> Touches:
         return simulation.simulate_touch(
-            key, surface, jnp.eye(4), T, session=session, pad=pad, errors=errors, limits=limits
+            key, surface, jnp.eye(4), T, session=session, pad=pad, errors=errors, limits=limits, law=law
         )
 
     made = jax.vmap(one)(keys, T, sessions)
@@ -237,9 +291,10 @@ def _touch_many(
 
 
 @partial(jax.jit, static_argnames=("errors",))
-def _add_sensor_errors(drawn: Array, touches: Touches, pad: Pad, errors: SimulationErrors) -> Array:
+def _add_sensor_errors(drawn: Array, touches: Touches, pad: Pad, before: int, errors: SimulationErrors) -> Array:
     keys = jax.random.wrap_key_data(drawn)
-    return jax.vmap(lambda key, run: simulation.apply_sensor_model(key, run, pad, errors).reading)(keys, touches)
+    read = partial(simulation.apply_sensor_model, pad=pad, errors=errors, presses_before=before)
+    return jax.vmap(lambda key, run: read(key, run).reading)(keys, touches)
 
 
 def episodes_from_dataset(
@@ -351,7 +406,77 @@ def run_belief(
     table, site = jax.device_put(table), jnp.asarray(episodes.site)
     found = {}
     for kind in kinds:
-        tactile, spatial = (jnp.float32(weight) for weight in EVIDENCE[kind])
-        weighted = likelihood._replace(tactile_weight=tactile, spatial_weight=spatial)
+        weighted = weigh_evidence(likelihood, EVIDENCE[kind])
         found[kind] = np.asarray(posteriors(table, site, episodes.observations, weighted, particles))
     return found
+
+
+def weigh_evidence(likelihood: Likelihood, weights: EvidenceWeights) -> Likelihood:
+    """A likelihood in which some kinds of evidence count.
+
+    Args:
+        likelihood: How far measurements may be from predictions.
+        weights: Of the kinds.
+
+    Returns:
+        The likelihood with these weights.
+    """
+    tactile, spatial, presence = (jnp.float32(weight) for weight in weights)
+    return likelihood._replace(tactile_weight=tactile, spatial_weight=spatial, presence_weight=presence)
+
+
+class BeliefModel(NamedTuple):
+    """What a belief knows of a pad, and from which kinds of evidence it is formed."""
+
+    reading_model: LinearReadingModel
+    likelihood: Likelihood
+    kinds: Sequence[str] = tuple(EVIDENCE)
+
+
+def believe(
+    surfaces: Sequence[Surface],
+    sites: SitePool,
+    episodes: Episodes,
+    particles: Particles,
+    models: Mapping[str, BeliefModel],
+    *,
+    overtravel: float,
+    label: str,
+) -> dict[str, Float[np.ndarray, "e t objects"]]:
+    """Posteriors over the objects along episodes whose sites are their own, with a progress bar.
+
+    Touches are predicted for a few episodes at a time, at the sites that were touched, so that memory does not grow
+    with the number of episodes.
+
+    Args:
+        surfaces: Of the objects.
+        sites: Which were touched.
+        episodes: As they went.
+        particles: Poses of each object.
+        models: Of some pads, at the same loads, by a suffix of the results' names.
+        overtravel: Distance (m) beyond a site after which a press gives up.
+        label: What the bar says the touches are for.
+
+    Returns:
+        Probabilities of the objects, by kind of evidence and suffix.
+    """
+    count, touches = episodes.site.shape
+    each = max(min(BELIEVED_TOUCHES // touches, count), 1)
+    reading_models = [model.reading_model for model in models.values()]
+    T, twist = np.asarray(sites.T_w_t), particles.twist
+    parts: list[dict[str, np.ndarray]] = []
+    total = len(surfaces) * len(twist) * -(-count // each) * each * touches
+    with tqdm(total=total, desc=f"{label}: imagining", unit="touch", unit_scale=True) as bar:
+        for start in range(0, count, each):
+            rows = np.resize(np.arange(start, min(start + each, count)), each)  # filled up: one compilation serves all
+            some: Episodes = jax.tree.map(lambda x, rows=rows: x[rows], episodes)
+            tables = predict_outcomes(
+                surfaces, twist, T[some.site.reshape(-1)], reading_models, overtravel=overtravel, bar=bar
+            )
+            some = some._replace(site=np.arange(each * touches).reshape(each, touches))
+            found: dict[str, np.ndarray] = {}
+            for (suffix, model), table in zip(models.items(), tables, strict=True):
+                believed = run_belief(table, some, model.likelihood, particles, model.kinds)
+                found |= {f"{kind}{suffix}": p[: count - start] for kind, p in believed.items()}
+            parts.append(found)
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

@@ -1,99 +1,357 @@
-"""The paper's rules (`i2t.recognition.ensemble`) over whole episodes: readings predicted at the believed pose, and the
-proprioception baseline, which knows only where contacts were.
+"""The paper's way to recognise an object: its rules (`i2t.recognition.ensemble`) over whole episodes, and its loop.
+
+At each touch every possible object, taken to stand at the world's origin, is rendered where the press ended; a
+predictor says what the skin would read there, pressed with the measured force. The distance of that from the measured
+reading, in standard deviations of the training readings, is the object's. Proprioception, the paper's baseline, takes
+the distance of the contact from the object's surface, in millimetres.
+
+`paper_rules` applies the rules to episodes as they went. `run_loop` is the paper's whole procedure: a hypothesis is
+sampled from what the method itself believes so far, the next touch is drawn on it by the paper's heuristic, and the
+method's own distances score it. A method is called Imagine2touch only if its predictor is the paper's network.
+
+Source: Ayad et al., "Imagine2touch", section II. Metres, newtons, microtesla; a reading has c = 3 * chips channels.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int, Key
 
 from i2t.geometry import inverse
-from i2t.prediction.predictor import Predictor
+from i2t.prediction.predictor import Predictor, Reading
 from i2t.recognition import ensemble
-from i2t.recognition.episodes import Episodes
+from i2t.recognition.episodes import Episodes, FeltTouches
 from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID
+from i2t.recognition.site_pool import SitePools, pool_informativeness
 from i2t.rendering.render import render_heights
 from i2t.types import PATCH_PIXELS, REACH, WIDE_PIXELS, WIDE_WINDOW, Surface
 
 BASELINE_LENGTH_M = 1e-3  # by which distances of contacts are divided before exp(-d)
 RULES = {"votes": ensemble.votes, "average": ensemble.average, "product": ensemble.product}
+PROPRIOCEPTION = "proprioception"
 MARGIN_PIXELS = (WIDE_PIXELS - PATCH_PIXELS) // 2  # of a wide view about its patch
+VIEWS = 64  # rendered and predicted at a time: one compilation serves all
+
+
+@runtime_checkable
+class ReadingPredictor(Protocol):
+    """What says what the skin would read; `i2t.prediction.predictor.Predictor` is one."""
+
+    def predict(
+        self,
+        patch: np.ndarray,
+        force: np.ndarray | None = None,
+        nearest: np.ndarray | None = None,
+        depth: np.ndarray | None = None,
+        wide: np.ndarray | None = None,
+    ) -> Reading:
+        """Readings (uT) of n touches from patches (n, 48, 48) m, as `Predictor.predict`."""
+        ...
+
+
+@dataclass(frozen=True)
+class ConstantPredictor:
+    """Says the same whatever is touched: what the paper's rules make of whether an object is there at all."""
+
+    reading: Float[np.ndarray, " c"]  # uT, say the mean of the training readings
+
+    def predict(
+        self,
+        patch: np.ndarray,
+        force: np.ndarray | None = None,
+        nearest: np.ndarray | None = None,
+        depth: np.ndarray | None = None,
+        wide: np.ndarray | None = None,
+    ) -> Reading:
+        """The reading (uT), for each of n touches.
+
+        Args:
+            patch: Of n touches (m); only their number counts, here and below.
+            force: N.
+            nearest: m.
+            depth: m.
+            wide: m.
+
+        Returns:
+            Mean and standard deviation, (n, c); the latter says nothing.
+        """
+        mean = np.tile(np.asarray(self.reading, np.float32), (len(patch), 1))
+        return Reading(mean, np.ones_like(mean))
+
+
+Scorer: TypeAlias = Callable[[FeltTouches], Float[np.ndarray, "n objects"]]  # distances of touches from objects
+
+
+# --- distances ---
+
+
+def reading_scorers(
+    predictors: Mapping[str, ReadingPredictor],
+    surfaces: Sequence[Surface],
+    reading_std: Float[np.ndarray, " c"],
+    view_noise: float = 0.0,
+) -> dict[str, Scorer]:
+    """Scorers by readings, one for each predictor.
+
+    Args:
+        predictors: Of readings, by name.
+        surfaces: Of the objects.
+        reading_std: Standard deviation (uT) of each channel in the training data.
+        view_noise: As of `reading_distances`.
+
+    Returns:
+        The scorers by the same names.
+    """
+
+    def score(name: str, touches: FeltTouches) -> Float[np.ndarray, "n objects"]:
+        return reading_distances({name: predictors[name]}, surfaces, touches, reading_std, view_noise)[name]
+
+    return {name: partial(score, name) for name in predictors}
+
+
+def reading_distances(
+    predictors: Mapping[str, ReadingPredictor],
+    surfaces: Sequence[Surface],
+    touches: FeltTouches,
+    reading_std: Float[np.ndarray, " c"],
+    view_noise: float = 0.0,
+) -> dict[str, Float[np.ndarray, "n objects"]]:
+    """Distances of readings from those predicted on each object; where nothing is seen, zero is predicted.
+
+    Args:
+        predictors: Of readings, by name; views are rendered once for all.
+        surfaces: Of the objects.
+        touches: That were made.
+        reading_std: Standard deviation (uT) of each channel in the training data.
+        view_noise: Noise (m) of every pixel of objects that are known from a depth camera only.
+
+    Returns:
+        Distances in standard deviations, by the predictors' names.
+    """
+    # Rendered views have no noise to be smoothed away.
+    ready = {name: _on_rendered_views(predictor, view_noise > 0) for name, predictor in predictors.items()}
+    rng = np.random.default_rng(0)
+    n, force = len(touches.force), np.maximum(touches.force, MIN_LOAD_N)
+    predicted = {name: np.zeros((n, len(surfaces), touches.reading.shape[-1]), np.float32) for name in predictors}
+    for start in range(0, n, VIEWS):
+        rows = np.arange(start, min(start + VIEWS, n))
+        full = np.resize(rows, VIEWS)
+        for i, surface in enumerate(surfaces):
+            wide, seen = jax.device_get(_views(surface, jnp.asarray(touches.T_w_t[full], jnp.float32)))
+            if view_noise > 0:
+                wide = _noisy(wide, view_noise, rng)
+            for name, predictor in ready.items():
+                reading = predictor.predict(
+                    _inner(wide), force=force[full], nearest=np.zeros(VIEWS, np.float32), wide=wide
+                ).mean
+                predicted[name][rows, i] = np.where(seen[:, None], reading, 0.0)[: len(rows)]
+    measured, std = jnp.float32(touches.reading), jnp.float32(reading_std)
+    return {name: np.asarray(ensemble.distances(measured, jnp.asarray(p), std)) for name, p in predicted.items()}
+
+
+def contact_distances(surfaces: Sequence[Surface], touches: FeltTouches) -> Float[np.ndarray, "n objects"]:
+    """Distances of contacts from each object's surface: proprioception.
+
+    Args:
+        surfaces: Of the objects.
+        touches: That were made.
+
+    Returns:
+        Distances in millimetres.
+    """
+    point = np.asarray(touches.T_w_t[:, :3, 3], np.float32)
+    full = jnp.asarray(np.resize(point, (-(-len(point) // VIEWS) * VIEWS, 3)))
+    distance = np.stack([np.asarray(_nearest_distances(full, surface)) for surface in surfaces], -1)
+    return distance[: len(point)] / BASELINE_LENGTH_M
+
+
+def contact_scorer(surfaces: Sequence[Surface]) -> Scorer:
+    """The scorer of proprioception.
+
+    Args:
+        surfaces: Of the objects.
+
+    Returns:
+        The scorer.
+    """
+    return partial(contact_distances, surfaces)
+
+
+# --- rules ---
+
+
+def beliefs_by_rule(distance: Float[np.ndarray, "e t objects"]) -> dict[str, Float[np.ndarray, "e t objects"]]:
+    """What each of the paper's rules makes of distances.
+
+    Args:
+        distance: Of each touch from each object.
+
+    Returns:
+        Beliefs after each touch, by rule.
+    """
+    return {name: np.asarray(_believe(rule, jnp.asarray(distance))) for name, rule in RULES.items()}
 
 
 def paper_rules(
-    predictor: Predictor,
+    predictors: Mapping[str, ReadingPredictor],
     reading_std: Float[np.ndarray, " c"],
     surfaces: Sequence[Surface],
     episodes: Episodes,
     view_noise: float = 0.0,
 ) -> dict[str, Float[np.ndarray, "e t objects"]]:
-    """Beliefs by the paper's rules, from readings ("I2T") and from contact positions ("proprioception").
-
-    Objects are taken to stand at the world's origin; each is rendered where the press ended and pressed with the
-    measured force.
+    """Beliefs by the paper's rules along episodes as they went, from readings and from contact positions.
 
     Args:
-        predictor: Of readings.
+        predictors: Of readings, by name.
         reading_std: Standard deviation (uT) of each channel in the training data.
         surfaces: Of the objects.
         episodes: As they went.
-        view_noise: Noise (m) of every pixel of objects that are known from a depth camera only.
+        view_noise: As of `reading_distances`.
 
     Returns:
-        Beliefs after each touch, by source and rule, such as "I2T, votes".
+        Beliefs after each touch, by source (the predictors' names and "proprioception") and rule, such as
+        "proprioception, votes".
     """
-    T = jnp.asarray(episodes.T_w_t.reshape(-1, 4, 4))
-    force = np.maximum(episodes.observations.force.reshape(-1), MIN_LOAD_N)
-    # Rendered views have no noise to be smoothed away.
-    predictor = predictor.with_pressure(smooth=view_noise > 0, cell=PRESSURE_GRID.spacing)
-    rng = np.random.default_rng(0)
-    predicted = [
-        _predict_at_contacts(predictor, surface, T, force, view_noise=view_noise, rng=rng) for surface in surfaces
-    ]
-    distance = [np.asarray(_nearest_distances(T[:, :3, 3], surface)) for surface in surfaces]
-    measured = jnp.asarray(np.asarray(episodes.observations.reading).reshape(len(T), -1))
-    tau = ensemble.distances(measured, jnp.float32(np.stack(predicted, 1)), jnp.asarray(reading_std, jnp.float32))
+    touches = FeltTouches(
+        np.asarray(episodes.T_w_t).reshape(-1, 4, 4),
+        np.asarray(episodes.observations.reading).reshape(episodes.site.size, -1),
+        np.asarray(episodes.observations.force).reshape(-1),
+    )
+    found = reading_distances(predictors, surfaces, touches, reading_std, view_noise)
+    found[PROPRIOCEPTION] = contact_distances(surfaces, touches)
     shape = (*episodes.site.shape, len(surfaces))
-    sources = {
-        "I2T": tau.reshape(shape),
-        "proprioception": jnp.stack(distance, -1).reshape(shape) / BASELINE_LENGTH_M,
-    }
     return {
-        f"{source}, {name}": np.asarray(jax.jit(jax.vmap(rule))(values))
-        for source, values in sources.items()
-        for name, rule in RULES.items()
+        f"{source}, {rule}": p
+        for source, distance in found.items()
+        for rule, p in beliefs_by_rule(distance.reshape(shape)).items()
     }
 
 
-def _predict_at_contacts(
-    predictor: Predictor,
-    surface: Surface,
-    T_w_t: Float[Array, "n 4 4"],
-    force: Float[np.ndarray, " n"],
+# --- the loop ---
+
+
+@runtime_checkable
+class TouchMaker(Protocol):
+    """What makes the touches of some episodes; `i2t.recognition.episodes.EpisodeSimulator` is one."""
+
+    def touch(self, site: Int[np.ndarray, "e n"]) -> None:
+        """Make the next touches, at sites of the pools that were joined."""
+        ...
+
+    def felt(self) -> FeltTouches:
+        """The last touch of each episode."""
+        ...
+
+
+class LoopResult(NamedTuple):
+    """Episodes of the paper's loop: e of them, t touches each."""
+
+    distance: Float[np.ndarray, "e t objects"]  # of each touch from each object
+    hypothesis: Int[np.ndarray, "e t"]  # the object on which each touch was drawn
+    site: Int[np.ndarray, "e t"]  # of the pools that were joined
+
+
+def run_loop(
+    key: Key[Array, ""],
+    score: Scorer,
+    touches: TouchMaker,
+    pools: SitePools,
+    pool: Int[np.ndarray, " e"],
     *,
-    view_noise: float,
-    rng: np.random.Generator,
-) -> Float[np.ndarray, "n c"]:
-    """Readings (uT) that a predictor expects where presses ended; zero where nothing is seen."""
-    wide, seen = jax.device_get(_views(surface, T_w_t))
-    inner = np.s_[:, MARGIN_PIXELS:-MARGIN_PIXELS, MARGIN_PIXELS:-MARGIN_PIXELS]
-    if view_noise > 0:
-        wide = wide + view_noise * rng.standard_normal(wide.shape, dtype=np.float32)
-        wide = np.clip(wide - wide[inner].min((1, 2), keepdims=True), 0, REACH)
-    blank = np.zeros(len(wide), np.float32)
-    reading = predictor.predict(wide[inner], force=force, nearest=blank, wide=wide).mean
-    return np.where(seen[:, None], reading, 0.0)
+    count: int,
+    rule: str = "votes",
+    progress: Callable[[int], object] | None = None,
+) -> LoopResult:
+    """The paper's loop in many episodes side by side.
+
+    Before each touch an object is sampled from the belief, which is uniform at first, and a site of that object is
+    drawn by the heuristic; equal keys draw alike for all methods as far as they believe alike.
+
+    Args:
+        key: Of hypotheses and sites.
+        score: Distances of touches from the objects: the method.
+        touches: Makes the touches.
+        pools: Of sites.
+        pool: Number of each episode's pool.
+        count: Touches of each episode.
+        rule: Which of `RULES` makes the belief that hypotheses are sampled from; the paper's is that of votes.
+        progress: Told how many touches were made.
+
+    Returns:
+        What happened.
+    """
+    weight = jnp.asarray(pool_informativeness(pools)[pool])
+    episodes, objects, each = weight.shape
+    distance = np.zeros((episodes, count, objects), np.float32)
+    hypotheses, sites = np.zeros((2, episodes, count), int)
+    for step in range(count):
+        if step:
+            belief = np.asarray(_believe(RULES[rule], jnp.asarray(distance)))[:, step - 1]
+        else:
+            belief = np.full((episodes, objects), 1 / objects, np.float32)
+        keys = jax.random.split(jax.random.fold_in(key, step), episodes)
+        hypotheses[:, step], drawn = (np.asarray(x) for x in _draw(keys, jnp.asarray(belief), weight))
+        sites[:, step] = (pool * objects + hypotheses[:, step]) * each + drawn
+        touches.touch(sites[:, step : step + 1])
+        distance[:, step] = score(touches.felt())
+        if progress is not None:
+            progress(episodes)
+    return LoopResult(distance, hypotheses, sites)
 
 
-_nearest_distances = jax.jit(jax.vmap(ensemble.nearest_distance, (0, None)))
+@jax.jit
+def _draw(keys: Array, belief: Array, weight: Array) -> tuple[Array, Array]:
+    """The hypothesis (e,) and the number (e,) of the site on it, from beliefs (e, objects) and the sites' probabilities
+    (e, objects, each).
+    """
+
+    def one(key: Array, belief: Array, weight: Array) -> tuple[Array, Array]:
+        key_object, key_site = jax.random.split(key)
+        which = ensemble.sample_hypothesis(key_object, belief)
+        return which, jax.random.categorical(key_site, jnp.log(weight[which]))
+
+    return jax.vmap(one)(keys, belief, weight)
+
+
+@partial(jax.jit, static_argnums=0)
+def _believe(rule: Callable[[Array], Array], distance: Array) -> Array:
+    return jax.vmap(rule)(distance)
+
+
+# --- views ---
+
+
+def _on_rendered_views(predictor: ReadingPredictor, smooth: bool) -> ReadingPredictor:
+    """The predictor as it sees views without a camera's noise, or with it."""
+    if isinstance(predictor, Predictor):
+        return predictor.with_pressure(smooth=smooth, cell=PRESSURE_GRID.spacing)
+    return predictor
+
+
+def _inner(wide: np.ndarray) -> np.ndarray:
+    """The patches in the middle of wide views."""
+    return wide[:, MARGIN_PIXELS:-MARGIN_PIXELS, MARGIN_PIXELS:-MARGIN_PIXELS]
+
+
+def _noisy(wide: np.ndarray, view_noise: float, rng: np.random.Generator) -> np.ndarray:
+    """Views with noise, behind their then nearest pixel."""
+    wide = wide + view_noise * rng.standard_normal(wide.shape, dtype=np.float32)
+    return np.clip(wide - _inner(wide).min((1, 2), keepdims=True), 0, REACH)
+
+
+@jax.jit
+def _nearest_distances(points: Array, surface: Surface) -> Array:
+    return jax.lax.map(lambda point: ensemble.nearest_distance(point, surface), points, batch_size=VIEWS)
 
 
 @jax.jit
 def _views(surface: Surface, T_w_t: Array) -> tuple[Array, Array]:
-    return jax.lax.map(partial(_view, surface), T_w_t, batch_size=64)
+    return jax.vmap(partial(_view, surface))(T_w_t)
 
 
 def _view(surface: Surface, T_w_t: Array) -> tuple[Array, Array]:

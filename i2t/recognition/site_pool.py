@@ -1,8 +1,10 @@
-"""Candidate sites of several objects, and what a touch of each would be like on every object.
+"""Sites of several objects: which may be touched, which are, and what a touch of each would be like on every object.
 
-Sites come from a pool, so that touches of them are predicted once, for every object in each of its possible poses
-(`precompute_outcomes`), and serve all episodes. Objects stand at the world's origin; where a pool is used on a real
-object, its poses are T_o_site.
+A pool of sites serves a recogniser that chooses among them, so that touches are predicted once for every object in each
+of its possible poses (`precompute_outcomes`). Episodes that are to be judged need sites of their own, because those
+that share sites are alike: `plan_random_touches` draws every touch's site anew; where sites are chosen, `sample_pools`
+draws a pool for every few episodes. Objects stand at the world's origin; where a pool is used on a real object, its
+poses are T_o_site.
 """
 
 from collections.abc import Sequence
@@ -25,13 +27,39 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.types import Surface
 
 BATCH_TOUCHES = 512  # predicted at a time
+DRAWN_SITES = 256  # at a time
+CANDIDATES_PER_SITE = 2  # drawn for each site that is wanted; about half of them are safe
+MIN_SAFE_SHARE = 1 / 64  # of candidates: an object on which fewer are safe has too few sites
 
 
 class SitePool(NamedTuple):
-    """Safe sites of all objects, as many of each."""
+    """Safe sites of some objects."""
 
     T_w_t: Float[Array, "sites 4 4"]  # tool poses where the skin would just lie on the surface
     owner: Int[np.ndarray, " sites"]  # index of the object on which the site was drawn
+
+
+class SitePools(NamedTuple):
+    """Several pools, as many safe sites of each object in each."""
+
+    T_w_t: Float[np.ndarray, "pools objects each 4 4"]
+
+    def joined(self) -> SitePool:
+        """All sites as one pool.
+
+        Returns:
+            The sites; site i of object o in pool p is row (p * objects + o) * each + i.
+        """
+        pools, objects, each = self.T_w_t.shape[:3]
+        return SitePool(jnp.asarray(self.T_w_t.reshape(-1, 4, 4)), np.tile(np.repeat(np.arange(objects), each), pools))
+
+
+class TouchPlan(NamedTuple):
+    """Where some episodes touch, decided beforehand."""
+
+    sites: SitePool
+    chosen: Int[np.ndarray, "e t"]  # sites of the touches
+    pool: Int[np.ndarray, " e"]  # number of the pool that an episode's sites come from: those of one pool are alike
 
 
 def prepare_surfaces(meshes: Sequence[Any]) -> list[Surface]:
@@ -125,19 +153,44 @@ def precompute_outcomes(
     Returns:
         For each pad the predicted touches, (sites, objects, k), on the host.
     """
-    count = len(twist)
-    each = max(BATCH_TOUCHES // count, 1)
-    padded = jnp.asarray(np.resize(np.asarray(T_w_site), (-(-len(T_w_site) // each) * each, 4, 4)))
-    columns = []
-    total = len(surfaces) * len(padded) * count
+    total = len(surfaces) * len(T_w_site) * len(twist)
     with tqdm(total=total, desc=f"{label}: imagining", unit="touch", unit_scale=True) as bar:
-        for surface in surfaces:
-            parts = []
-            for start in range(0, len(padded), each):
-                some = padded[start : start + each]
-                parts.append(jax.device_get(_predict(surface, twist, some, list(reading_models), overtravel)))
-                bar.update(each * count)
-            columns.append(jax.tree.map(lambda *x: np.concatenate(x)[: len(T_w_site)], *parts))
+        return predict_outcomes(surfaces, twist, T_w_site, reading_models, overtravel=overtravel, bar=bar)
+
+
+def predict_outcomes(
+    surfaces: Sequence[Surface],
+    twist: Float[Array, "k 6"],
+    T_w_site: Float[Array, "sites 4 4"],
+    reading_models: Sequence[LinearReadingModel],
+    *,
+    overtravel: float,
+    bar: tqdm | None = None,
+) -> list[PredictedTouch]:
+    """Predict a touch of every object in every pose at every site.
+
+    Args:
+        surfaces: Of the objects.
+        twist: Of the pose particles (m).
+        T_w_site: Sites.
+        reading_models: Of some pads, at the same loads.
+        overtravel: Distance (m) beyond a site after which a press gives up.
+        bar: Shows progress.
+
+    Returns:
+        For each pad the predicted touches, (sites, objects, k), on the host.
+    """
+    each = max(BATCH_TOUCHES // len(twist), 1)
+    padded = np.resize(np.asarray(T_w_site), (-(-len(T_w_site) // each) * each, 4, 4))
+    columns = []
+    for surface in surfaces:
+        parts = []
+        for start in range(0, len(padded), each):
+            some = jnp.asarray(padded[start : start + each])
+            parts.append(jax.device_get(_predict(surface, twist, some, list(reading_models), overtravel)))
+            if bar is not None:
+                bar.update(min(each, len(T_w_site) - start) * len(twist))
+        columns.append(jax.tree.map(lambda *x: np.concatenate(x)[: len(T_w_site)], *parts))
     return jax.tree.map(lambda *x: np.stack(x, axis=1), *columns)
 
 
@@ -167,37 +220,153 @@ def draw_random_sites(key: Key[Array, ""], sites: SitePool, episodes: int, touch
     return np.asarray(jax.random.randint(key, (episodes, touches), 0, len(sites.owner)))
 
 
-def draw_informative_sites(key: Key[Array, ""], sites: SitePool, episodes: int, touches: int) -> Int[np.ndarray, "e t"]:
-    """As `draw_random_sites`, but the site of a random object is drawn by the paper's heuristic
+def plan_random_touches(
+    key: Key[Array, ""],
+    surfaces: Sequence[Surface],
+    names: Sequence[str],
+    episodes: int,
+    touches: int,
+    *,
+    limits: touch_sites.SiteLimits,
+) -> TouchPlan:
+    """Draw a safe site of a random object for each touch: no two touches share one.
+
+    Args:
+        key: Of the draws.
+        surfaces: Of the objects.
+        names: Of the objects, for messages.
+        episodes: How many.
+        touches: Of each episode.
+        limits: What makes a site safe.
+
+    Returns:
+        The plan, with each episode a pool of its own.
+
+    Raises:
+        ValueError: An object has too few safe sites.
+    """
+    key_object, key_sites = jax.random.split(key)
+    owner = np.asarray(jax.random.randint(key_object, (episodes * touches,), 0, len(surfaces)))
+    T = np.zeros((len(owner), 4, 4), np.float32)
+    for i, (surface, name) in enumerate(zip(surfaces, names, strict=True)):
+        T[owner == i] = _draw_sites(jax.random.fold_in(key_sites, i), surface, int((owner == i).sum()), limits, name)
+    chosen = np.arange(len(owner)).reshape(episodes, touches)
+    return TouchPlan(SitePool(jnp.asarray(T), owner), chosen, np.arange(episodes))
+
+
+def sample_pools(
+    key: Key[Array, ""],
+    surfaces: Sequence[Surface],
+    names: Sequence[str],
+    *,
+    pools: int,
+    each: int,
+    limits: touch_sites.SiteLimits,
+) -> SitePools:
+    """Draw several pools of random safe sites.
+
+    Args:
+        key: Of the sites.
+        surfaces: Of the objects.
+        names: Of the objects, for messages.
+        pools: How many.
+        each: How many sites of each object in each pool.
+        limits: What makes a site safe.
+
+    Returns:
+        The pools.
+
+    Raises:
+        ValueError: An object has too few safe sites.
+    """
+    found = [
+        _draw_sites(jax.random.fold_in(key, i), surface, pools * each, limits, name).reshape(pools, each, 4, 4)
+        for i, (surface, name) in enumerate(zip(surfaces, names, strict=True))
+    ]
+    return SitePools(np.stack(found, axis=1))
+
+
+def plan_informative_touches(
+    key: Key[Array, ""], pools: SitePools, pool: Int[np.ndarray, " e"], touches: int
+) -> TouchPlan:
+    """Draw for each touch the site of a random object by the paper's heuristic
     (`i2t.recognition.ensemble.site_informativeness`).
 
     Args:
         key: Of the draws.
-        sites: The pool.
-        episodes: How many.
+        pools: Of sites.
+        pool: Number of each episode's pool.
         touches: Of each episode.
 
     Returns:
-        Indices of sites.
+        The plan; its sites are those touched.
     """
-    weight = own_site_informativeness(sites)
+    weight = pool_informativeness(pools)
     key_object, key_site = jax.random.split(key)
-    which = jax.random.randint(key_object, (episodes, touches), 0, len(weight))
-    return np.asarray(which * weight.shape[1] + jax.random.categorical(key_site, jnp.log(weight[which])))
+    shape = (len(pool), touches)
+    which = np.asarray(jax.random.randint(key_object, shape, 0, weight.shape[1]))
+    weights = jnp.log(weight[pool[:, None], which])
+    site = np.asarray(jax.random.categorical(key_site, weights))
+    T = pools.T_w_t[pool[:, None], which, site].reshape(-1, 4, 4)
+    return TouchPlan(SitePool(jnp.asarray(T), which.reshape(-1)), np.arange(len(T)).reshape(shape), pool)
+
+
+def pool_informativeness(pools: SitePools) -> Float[np.ndarray, "pools objects each"]:
+    """The paper's heuristic in each of some pools, all of whose sites are safe.
+
+    Args:
+        pools: Of sites.
+
+    Returns:
+        Probabilities of the sites of each object, if that one is the hypothesis.
+    """
+    return np.asarray(_informativeness_of_pools(jnp.asarray(pools.T_w_t)))
 
 
 def own_site_informativeness(sites: SitePool) -> Float[Array, "objects each"]:
     """The paper's heuristic on each object's own sites, all of which are safe.
 
     Args:
-        sites: The pool.
+        sites: The pool, with as many sites of each object, ordered by object.
 
     Returns:
         Probabilities of the sites of each object.
     """
     objects = int(sites.owner.max()) + 1
-    T = sites.T_w_t.reshape(objects, -1, 4, 4)
-    safe = jnp.ones(T.shape[:2], bool)
-    return jax.vmap(lambda o: ensemble.site_informativeness(T[..., :3, 3], -T[..., :3, 2], safe, o))(
-        jnp.arange(objects)
-    )
+    return _informativeness(sites.T_w_t.reshape(objects, -1, 4, 4))
+
+
+@jax.jit
+def _informativeness_of_pools(T_w_t: Array) -> Array:
+    return jax.lax.map(_informativeness, T_w_t)
+
+
+def _informativeness(T_w_t: Array) -> Array:
+    """The heuristic's probabilities (objects, each) of the sites (objects, each, 4, 4) of one pool."""
+    safe = jnp.ones(T_w_t.shape[:2], bool)
+    points, normals = T_w_t[..., :3, 3], -T_w_t[..., :3, 2]
+    return jax.vmap(lambda o: ensemble.site_informativeness(points, normals, safe, o))(jnp.arange(len(T_w_t)))
+
+
+def _draw_sites(
+    key: Array, surface: Surface, count: int, limits: touch_sites.SiteLimits, name: str
+) -> Float[np.ndarray, "{count} 4 4"]:
+    """Any number of random safe sites of an object; one compilation serves all objects of a size class."""
+    found: list[np.ndarray] = [np.zeros((0, 4, 4), np.float32)]
+    have = batches = 0
+    while have < count:
+        drawn = _draw_batch(jax.random.fold_in(key, batches), surface, limits)
+        found.append(np.asarray(drawn.T_w_t)[np.asarray(drawn.safe)])
+        have, batches = have + len(found[-1]), batches + 1
+        tried = batches * DRAWN_SITES * CANDIDATES_PER_SITE
+        if tried * MIN_SAFE_SHARE > have + DRAWN_SITES:
+            raise ValueError(
+                f"{name} has too few safe sites: {have} among {tried} candidates; lower min_cos or the flange's size, "
+                "or raise max_rise"
+            )
+    return np.concatenate(found)[:count]
+
+
+@partial(jax.jit, static_argnames=("limits",))
+def _draw_batch(key: Array, surface: Surface, limits: touch_sites.SiteLimits) -> touch_sites.Sites:
+    return touch_sites.sample_sites(key, surface, DRAWN_SITES, limits, CANDIDATES_PER_SITE)

@@ -7,10 +7,18 @@ import pytest
 
 from i2t.dataset import Dataset
 from i2t.errors import DataError
+from i2t.objects import catalogue
 from i2t.recognition import belief
-from i2t.recognition.episodes import EpisodeConfig, EpisodeSimulator, episodes_from_dataset
+from i2t.recognition.episodes import (
+    EVIDENCE,
+    EpisodeConfig,
+    EpisodeSimulator,
+    episodes_from_dataset,
+    weigh_evidence,
+)
 from i2t.recognition.outcomes import PredictedTouch
 from i2t.recognition.site_pool import SitePool
+from i2t.rendering.render import prepare_surface
 from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.boards import grid_board
@@ -85,3 +93,63 @@ def test_an_episode_without_a_site_is_refused():
     )  # fmt: skip
     with pytest.raises(ValueError, match="no site"):
         simulator.touch(np.array([[-1]]))
+
+
+class CountingSimulator(EpisodeSimulator):
+    """Touches are what they are asked for: the episode and the site; counts them."""
+
+    made = 0
+
+    def _touch_batch(self, which, drawn, episode, where, rows):
+        type(self).made += len(rows)
+        blank = np.zeros((len(rows), 0))
+        index = np.zeros(len(rows), np.int32)
+        T = np.tile(np.eye(4), (len(rows), 1, 1))
+        return Touches(
+            patch=blank, wide=blank, nearest=drawn[rows][:, 0].astype(float), reading=np.zeros((len(rows), CHANNELS)),
+            force=episode[rows].astype(float), depth=where[rows].astype(float), T_w_t=T, T_w_o=T,
+            object=index + which, pad=index, session=index, code=index + int(ReturnCode.SKIN),
+        )  # fmt: skip
+
+
+def test_methods_share_the_touches_that_both_make(monkeypatch):
+    """What a second method finds made is what it would have made itself, in its own order."""
+    monkeypatch.setattr(CountingSimulator, "made", 0)
+    box = prepare_surface(catalogue.make_object("square").mesh)
+    truth, sites = np.array([0, 1, 0]), SitePool(jnp.tile(jnp.eye(4), (5, 1, 1)), np.zeros(5, int))
+    config = EpisodeConfig(SimulationErrors(), PressLimits(), 2)
+    first, second = np.array([[0, 1], [2, 3], [4, 0]]), np.array([[0, 2], [2, 3], [1, 0]])
+    found, made = [], []
+    shared: dict = {}
+    for chosen, known in ((second, None), (first, shared), (second, shared)):
+        simulator = CountingSimulator(
+            jax.random.key(0), [box, box], truth, sites=sites, pad=nominal_pad(), config=config, made_before=known
+        )
+        before = CountingSimulator.made
+        for step in range(2):
+            simulator.touch(chosen[:, step : step + 1])
+        made.append(CountingSimulator.made - before)
+        found.append(jax.tree.map(lambda *x: np.stack(x, 1), *simulator.touches))
+    assert made == [6, 6, 2]  # only where the second method touches elsewhere
+    jax.tree.map(np.testing.assert_array_equal, found[0], found[2])
+    np.testing.assert_array_equal(found[2].depth, second)
+    np.testing.assert_array_equal(found[2].object[:, 0], truth)
+
+
+def test_each_kind_of_evidence_counts_by_itself_and_fused_is_all():
+    likelihood = belief.fit_likelihood(
+        np.random.default_rng(0).normal(size=(50, CHANNELS)), jnp.ones(CHANNELS), jnp.array([0.3, 0.9]),
+        overtravel=OVERTRAVEL, position_std=1e-4,
+    )  # fmt: skip
+    weights = {kind: weigh_evidence(likelihood, EVIDENCE[kind]) for kind in EVIDENCE}
+
+    def on(kind: str) -> list[bool]:
+        one = weights[kind]
+        return [bool(x > 0) for x in (one.tactile_weight, one.spatial_weight, one.presence_weight)]
+
+    assert on("readings") == [True, False, False]
+    assert on("position") == [False, True, False]
+    assert on("presence") == [False, False, True]
+    assert on("readings and presence") == [True, False, True]
+    assert on("position and presence") == [False, True, True]
+    assert on("fused") == [True, True, True]

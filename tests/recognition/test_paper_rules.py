@@ -1,17 +1,16 @@
-"""The paper's rules over a whole episode against a table worked by hand."""
+"""The paper's rules over a whole episode, and its loop, against tables worked by hand."""
 
-from unittest.mock import create_autospec
-
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from i2t.objects import catalogue
-from i2t.prediction.predictor import Predictor, Reading
+from i2t.prediction.predictor import Reading
 from i2t.recognition.belief import TouchObservation
-from i2t.recognition.episodes import Episodes
-from i2t.recognition.paper_rules import paper_rules
-from i2t.recognition.site_pool import prepare_surfaces
+from i2t.recognition.episodes import Episodes, FeltTouches
+from i2t.recognition.paper_rules import ConstantPredictor, paper_rules, run_loop
+from i2t.recognition.site_pool import SitePools, prepare_surfaces
 
 CHANNELS = 12  # of a 4-chip board
 STD = 2.0  # uT, of every channel
@@ -37,13 +36,22 @@ def beliefs() -> dict[str, np.ndarray]:
     observations = TouchObservation(
         jnp.float32(reading), jnp.full((1, 4), 0.5), jnp.zeros((1, 4)), jnp.ones((1, 4), bool)
     )
-    predictor = create_autospec(Predictor, instance=True)
-    predictor.with_pressure.return_value = predictor
-    second = np.zeros((4, CHANNELS), np.float32)
-    second[:, 0] = STD * SECOND
-    predictor.predict.side_effect = [Reading(x, np.ones_like(x)) for x in (np.zeros_like(second), second)]
     episodes = Episodes(np.zeros(1, int), np.arange(4)[None], observations, np.float32(T))
-    return paper_rules(predictor, np.full(CHANNELS, STD), surfaces, episodes)
+    predictors = {"table": Table(surfaces), "constant": ConstantPredictor(np.full(CHANNELS, STD * 0.25))}
+    return paper_rules(predictors, np.full(CHANNELS, STD), surfaces, episodes)
+
+
+class Table:
+    """Says nothing at all on the object that it is asked of first, and SECOND on the other."""
+
+    def __init__(self, surfaces: list) -> None:
+        self.asked, self.objects = 0, len(surfaces)
+
+    def predict(self, patch, force=None, nearest=None, depth=None, wide=None) -> Reading:
+        mean = np.zeros((len(patch), CHANNELS), np.float32)
+        mean[:, 0] = STD * SECOND * (self.asked % self.objects)
+        self.asked += 1
+        return Reading(mean, np.ones_like(mean))
 
 
 def normalised(likelihood: np.ndarray) -> np.ndarray:
@@ -52,7 +60,7 @@ def normalised(likelihood: np.ndarray) -> np.ndarray:
 
 def test_readings_vote(beliefs):
     np.testing.assert_allclose(
-        beliefs["I2T, votes"][0], [[1, 0], [1 / 2, 1 / 2], [2 / 3, 1 / 3], [5 / 8, 3 / 8]], atol=1e-6
+        beliefs["table, votes"][0], [[1, 0], [1 / 2, 1 / 2], [2 / 3, 1 / 3], [5 / 8, 3 / 8]], atol=1e-6
     )
 
 
@@ -62,7 +70,7 @@ def test_contacts_vote(beliefs):
     np.testing.assert_allclose(beliefs["proprioception, votes"][0], expected, atol=1e-6)
 
 
-@pytest.mark.parametrize(("source", "distance", "loose"), [("I2T", TAU, 1e-5), ("proprioception", APART, 0.05)])
+@pytest.mark.parametrize(("source", "distance", "loose"), [("table", TAU, 1e-5), ("proprioception", APART, 0.05)])
 def test_averages_and_products_of_likelihoods(beliefs, source, distance, loose):
     each = normalised(np.exp(-(distance - distance.min(1, keepdims=True))))
     expected = np.cumsum(each, 0) / np.arange(1, 5)[:, None]
@@ -74,7 +82,97 @@ def test_averages_and_products_of_likelihoods(beliefs, source, distance, loose):
 
 
 def test_every_rule_gives_probabilities(beliefs):
-    assert len(beliefs) == 6
+    sources = {name.rpartition(", ")[0] for name in beliefs}
+    assert sources == {"table", "constant", "proprioception"}
+    assert len(beliefs) == 9
     for p in beliefs.values():
         assert p.shape == (1, 4, 2)
         np.testing.assert_allclose(p.sum(-1), 1, atol=1e-5)
+
+
+def test_a_constant_reading_knows_only_where_an_object_is(beliefs):
+    # Both objects are there at the first three touches, neither at the last: no touch tells them apart.
+    np.testing.assert_allclose(beliefs["constant, votes"], 0.5, atol=1e-6)
+
+
+def facing(angle_deg: float, at: float) -> np.ndarray:
+    """A tool pose on a line, whose outward normal is turned from up."""
+    a = np.radians(angle_deg)
+    T = np.eye(4, dtype=np.float32)
+    T[:3, :3] = np.array([[np.cos(a), 0, -np.sin(a)], [0, -1, 0], [-np.sin(a), 0, -np.cos(a)]])
+    T[0, 3] = at
+    return T
+
+
+# Two pools of two objects with two sites each: in the first only the second site is worth a touch, in the second pool
+# only the first (the other faces 50 degrees from its counterpart, and the least of those that qualify has no weight).
+POOLS = SitePools(
+    np.stack(
+        [
+            np.stack([[facing(0, 0), facing(0, 1e-2)], [facing(first, 0), facing(second, 1e-2)]])
+            for first, second in ((50, 60), (60, 50))
+        ]
+    )
+)
+# Rows of the joined pools that touches must be at, by pool and hypothesis.
+WORTH = np.array([[1, 3], [4, 6]])
+POOL = np.array([0, 1, 0, 1])
+# Distances from the two objects at each of three touches, the same in all episodes: after the first touch the second
+# object has all votes, after two they are even.
+DISTANCES = np.array([[3.0, 1.0], [1.0, 2.0], [5.0, 0.0]])
+
+
+class Recorder:
+    """Makes no touch, but keeps what it was asked for."""
+
+    def __init__(self) -> None:
+        self.sites: list[np.ndarray] = []
+
+    def touch(self, site: np.ndarray) -> None:
+        self.sites.append(site)
+
+    def felt(self) -> FeltTouches:
+        step = np.full(len(POOL), len(self.sites), np.float32)
+        return FeltTouches(np.tile(np.eye(4, dtype=np.float32), (len(POOL), 1, 1)), step[:, None], step)
+
+
+def fixed_scorer(touches: FeltTouches) -> np.ndarray:
+    """The table's distances of the touch whose number is its reading."""
+    return DISTANCES[touches.reading[:, 0].astype(int) - 1]
+
+
+@pytest.fixture(scope="module")
+def loops():
+    made = []
+    for key in jax.random.split(jax.random.key(0), 30):
+        recorder = Recorder()
+        made.append((run_loop(key, fixed_scorer, recorder, POOLS, POOL, count=3), recorder))
+    return made
+
+
+def test_the_loop_samples_its_hypotheses_from_its_own_votes(loops):
+    hypotheses = np.concatenate([result.hypothesis for result, _ in loops])  # (120, 3)
+    assert 0.3 < hypotheses[:, 0].mean() < 0.7  # nothing is believed yet
+    assert (hypotheses[:, 1] == 1).all()  # all votes are for the second object
+    assert 0.3 < hypotheses[:, 2].mean() < 0.7  # one vote each: an argmax would always take the first
+
+
+def test_the_loop_touches_where_the_heuristic_says_on_the_hypothesis(loops):
+    for result, recorder in loops:
+        np.testing.assert_array_equal(result.site, WORTH[POOL[:, None], result.hypothesis])
+        np.testing.assert_array_equal(np.concatenate(recorder.sites, 1), result.site)
+
+
+def test_the_loop_is_scored_by_its_own_distances(loops):
+    for result, _ in loops:
+        np.testing.assert_allclose(result.distance, np.tile(DISTANCES, (len(POOL), 1, 1)))
+
+
+def test_hypotheses_follow_the_rule_that_is_asked_for():
+    """By the product of likelihoods the second object has e^2 / (1 + e^2) = .88 after one touch and .73 after two."""
+    shares = []
+    for key in jax.random.split(jax.random.key(1), 60):
+        shares.append(run_loop(key, fixed_scorer, Recorder(), POOLS, POOL, count=3, rule="product").hypothesis)
+    share = np.concatenate(shares).mean(0)
+    assert abs(share[1] - 0.88) < 0.08
+    assert abs(share[2] - 0.73) < 0.1

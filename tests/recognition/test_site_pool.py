@@ -1,0 +1,95 @@
+"""Sites of episodes: drawn anew for each touch, or from pools of their own; where the paper's heuristic draws."""
+
+import jax
+import numpy as np
+import pytest
+
+from i2t.objects import catalogue
+from i2t.recognition import site_pool
+from i2t.recognition.site_pool import SitePools
+from i2t.simulation import sites as touch_sites
+from i2t.simulation.sites import RECOGNITION_LIMITS
+
+NAMES = ("square", "hexagon")
+
+
+@pytest.fixture(scope="module")
+def surfaces():
+    return site_pool.prepare_surfaces([catalogue.make_object(name).mesh for name in NAMES])
+
+
+@pytest.fixture(scope="module")
+def pools(surfaces) -> SitePools:
+    return site_pool.sample_pools(jax.random.key(0), surfaces, NAMES, pools=4, each=6, limits=RECOGNITION_LIMITS)
+
+
+def facing(angle_deg: float, at: float) -> np.ndarray:
+    """A tool pose on a line, whose outward normal is turned from up."""
+    a = np.radians(angle_deg)
+    T = np.eye(4, dtype=np.float32)
+    T[:3, :3] = np.array([[np.cos(a), 0, -np.sin(a)], [0, -1, 0], [-np.sin(a), 0, -np.cos(a)]])
+    T[0, 3] = at
+    return T
+
+
+# Two pools of two objects with two sites each, a centimetre apart. In the first pool the second object faces 50 and 60
+# degrees away, so only the second site is worth a touch on either object; in the second pool it is the other way round.
+TWO = SitePools(
+    np.stack(
+        [
+            np.stack([[facing(0, 0), facing(0, 1e-2)], [facing(first, 0), facing(second, 1e-2)]])
+            for first, second in ((50, 60), (60, 50))
+        ]
+    )
+)
+
+
+def test_no_two_touches_share_a_site(surfaces):
+    plan = site_pool.plan_random_touches(jax.random.key(1), surfaces, NAMES, 30, 4, limits=RECOGNITION_LIMITS)
+    assert plan.chosen.shape == (30, 4)
+    assert sorted(plan.chosen.reshape(-1)) == list(range(120))
+    points = np.asarray(plan.sites.T_w_t)[:, :3, 3]
+    apart = np.linalg.norm(points[:, None] - points[None], axis=-1) + np.eye(120)
+    assert apart.min() > 0
+    assert len(set(plan.pool)) == 30  # each episode by itself
+    assert 0.3 < plan.sites.owner.mean() < 0.7  # both objects are hypotheses
+    check = jax.jit(jax.vmap(lambda surface, T: touch_sites.is_safe(surface, T, RECOGNITION_LIMITS), (None, 0)))
+    for i, surface in enumerate(surfaces):
+        assert np.asarray(check(surface, plan.sites.T_w_t))[plan.sites.owner == i].all()
+
+
+def test_pools_have_sites_of_their_own(pools):
+    assert pools.T_w_t.shape == (4, 2, 6, 4, 4)
+    assert len(np.unique(pools.T_w_t[:, :, :, :3, 3].reshape(-1, 3), axis=0)) == 4 * 2 * 6
+
+
+def test_joined_pools_number_their_sites_pool_by_pool(pools):
+    joined = pools.joined()
+    pool, which, site = 2, 1, 3
+    number = (pool * 2 + which) * 6 + site
+    np.testing.assert_array_equal(np.asarray(joined.T_w_t)[number], pools.T_w_t[pool, which, site])
+    assert joined.owner[number] == which
+
+
+def test_the_heuristic_is_of_each_pool_by_itself():
+    found = site_pool.pool_informativeness(TWO)
+    np.testing.assert_allclose(found[0], [[0, 1], [0, 1]], atol=1e-6)
+    np.testing.assert_allclose(found[1], [[1, 0], [1, 0]], atol=1e-6)
+    one = site_pool.SitePool(jax.numpy.asarray(TWO.T_w_t[0].reshape(-1, 4, 4)), np.repeat([0, 1], 2))
+    np.testing.assert_allclose(site_pool.own_site_informativeness(one), found[0], atol=1e-6)
+
+
+def test_touches_are_planned_in_the_episodes_own_pool():
+    plan = site_pool.plan_informative_touches(jax.random.key(0), TWO, np.array([0, 1, 1]), 20)
+    assert plan.chosen.shape == (3, 20)
+    at = np.asarray(plan.sites.T_w_t)[plan.chosen][:, :, 0, 3]
+    np.testing.assert_allclose(at, [[1e-2] * 20, [0] * 20, [0] * 20], atol=1e-8)
+    owner = plan.sites.owner[plan.chosen]
+    assert (owner.mean(1) > 0).all()
+    assert (owner.mean(1) < 1).all()
+
+
+def test_an_object_without_safe_sites_is_named(surfaces):
+    steep = touch_sites.SiteLimits(min_cos=0.9999, max_rise=-1.0)
+    with pytest.raises(ValueError, match="square has too few safe sites: 0 among"):
+        site_pool.sample_pools(jax.random.key(0), surfaces[:1], NAMES[:1], pools=1, each=1, limits=steep)
