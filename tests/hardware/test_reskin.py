@@ -215,7 +215,7 @@ def test_two_candidates_in_a_row_are_too_few_and_three_are_enough():
     for count in (1, 2, 3, 4):
         data = noise + b"".join(stream(count)) + noise
         _, found = decoded(data)
-        assert len(found) == (count if count >= FrameLimits().run_length else 0)
+        assert len(found) == (count if count >= 3 else 0)
 
 
 def test_a_lasting_jump_is_true_and_a_single_one_is_not():
