@@ -7,7 +7,8 @@ and the reading condition a Gaussian process (`i2t.prediction.gp`); its leave-on
 
 Where presses end is predicted worse than the contacts that a pose was fitted to suggest. So each session is registered
 once more from a part of its touches, and the errors of predicting where the others ended, less what the pose's own
-uncertainty makes, give the distribution of a position's error, tails included (`fit_position_errors`).
+uncertainty and that of an indentation make, give the distribution of a position's error, tails included
+(`fit_position_errors`).
 
 Metres, newtons, microtesla.
 """
@@ -28,7 +29,7 @@ from i2t.prediction.gp import ContactPressure
 from i2t.prediction.predictor import predict_pressures
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.recognition import belief, outcomes
-from i2t.recognition.belief import OUTLIER_RATE, Likelihood, ScaleMixture, outlier_range
+from i2t.recognition.belief import INDENTATION_ERROR, OUTLIER_RATE, Likelihood, ScaleMixture, outlier_range
 from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID, LinearReadingModel, PredictedContact
 from i2t.registration import touch as registration
 from i2t.registration.estimate import PoseEstimate
@@ -210,7 +211,7 @@ class _SessionContacts(NamedTuple):
     touches: Touches
     T_w_contact: Float[Array, "m 4 4"]  # at first contact
     met: Bool[Array, " m"]  # no repeated one
-    count: int  # of touches that are not repeated
+    own: int  # number of touches that are not repeated
 
 
 def _session_contacts(touches: Touches, here: np.ndarray) -> _SessionContacts:
@@ -229,7 +230,7 @@ def _pressed_contacts(
     found = _register_session(key, contacts, surface, errors, contacts.met)
     T_o_t = jnp.linalg.inv(found.T_w_o)[None] @ contacts.T_w_contact
     indentation, newtons = _press(surface, T_o_t, contacts.touches.force)
-    return np.asarray(indentation)[: contacts.count, 0], np.asarray(newtons)[: contacts.count, 0]
+    return np.asarray(indentation)[: contacts.own, 0], np.asarray(newtons)[: contacts.own, 0]
 
 
 def _register_session(
@@ -255,15 +256,17 @@ def _left_out_positions(
         travel = -predicted.approach_distance - force / limits.stiffness
         variance = jnp.einsum("ni,ij,nj->n", predicted.jacobian, found.covariance, predicted.jacobian)
         rows = np.asarray(contacts.met) & (fold == which)
-        positions = _Positions(travel, predicted.indentation[:, 0], variance, predicted.hit)
-        parts.append(jax.tree.map(lambda x, rows=rows: np.asarray(x)[rows], positions))
+        found_here = (travel, predicted.indentation[:, 0], variance, predicted.hit)
+        parts.append(_Positions(*(np.asarray(values)[rows] for values in found_here)))
     return jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
 
 def _position_errors(positions: _Positions, softness: float, limits: PressLimits) -> ScaleMixture:
-    error = positions.travel - softness * positions.nominal
+    indentation = softness * positions.nominal
+    error = positions.travel - indentation
+    variance = positions.variance + (INDENTATION_ERROR * indentation) ** 2
     density = OUTLIER_RATE / outlier_range(limits.overtravel)
-    return fit_position_errors(error[positions.hit], positions.variance[positions.hit], outlier_density=density)
+    return fit_position_errors(error[positions.hit], variance[positions.hit], outlier_density=density)
 
 
 _register = jax.jit(registration.register_by_touch)

@@ -61,7 +61,7 @@ class _Draws(NamedTuple):
     object: Int[Array, " n"]
     particle: Int[Array, " n"]  # among the compared ones
     twist: Float[Array, "n 6"]  # m, about the particle
-    noise: Float[Array, "n noise"]  # c whitened errors of the reading, then that of the position (m)
+    noise: Float[Array, "n noise"]  # c whitened errors of the reading, then those of position (m) and indentation
 
 
 def expected_information_gain(
@@ -99,7 +99,7 @@ def expected_information_gain(
     root = jnp.linalg.cholesky(compared.covariance + 1e-12 * jnp.eye(6)[None, None])
     normal = jax.random.normal(key_twist, (num_draws, 6))
     twist = compared.mean[objects, particle] + jnp.einsum("nij,nj->ni", root[objects, particle], normal)
-    noise = _draw_noise(key_noise, likelihood, (num_draws, table.reading.shape[-1] + 1))
+    noise = _draw_noise(key_noise, likelihood, (num_draws, table.reading.shape[-1] + 2))
     draws = _Draws(objects, particle, twist, noise)
     imagine = partial(imagine_observation, likelihood=likelihood, skin_change=skin_change, force=force)
 
@@ -126,9 +126,9 @@ def imagine_observation(
     Args:
         predicted: The touch as predicted for a particle.
         twist: Displacement (m) of the object from the particle.
-        noise: c + 1 numbers: whitened errors of the reading (Student's t with the likelihood's degrees of freedom) and
-            the error of the position (m).
-        likelihood: By whose errors of the reading the numbers are multiplied.
+        noise: c + 2 numbers: whitened errors of the reading (Student's t with the likelihood's degrees of freedom), the
+            error of the position (m), and the standard normal error of the indentation.
+        likelihood: By whose errors of the reading and of the indentation the numbers are multiplied.
         skin_change: Change of the reading (uT) at which the press ends.
         force: Force (N) at which it ends at the latest.
 
@@ -138,10 +138,11 @@ def imagine_observation(
     load = stop_load(predicted, likelihood.loads, skin_change=skin_change, force=force)
     indentation, reading, variance = interpolate_load(predicted, likelihood.loads, load)
     spread = likelihood.inflation * jnp.sqrt(1 + likelihood.growth * variance)
-    error = jnp.linalg.solve(likelihood.whiten, spread * noise[:-1])
+    error = jnp.linalg.solve(likelihood.whiten, spread * noise[:-2])
+    offset = noise[-2] + likelihood.indentation_error * indentation * noise[-1]
     distance = predicted.approach_distance + jnp.dot(predicted.jacobian, twist)
-    contact = predicted.hit & (distance + noise[-1] < likelihood.overtravel)
-    advance = distance + indentation + load / likelihood.stiffness + noise[-1]
+    contact = predicted.hit & (distance + offset < likelihood.overtravel)
+    advance = distance + indentation + load / likelihood.stiffness + offset
     return TouchObservation(reading + error, load, advance, contact)
 
 
@@ -234,9 +235,9 @@ def _systematic_draw(key: Array, probability: Array, count: int) -> Array:
 
 
 def _draw_noise(key: Key[Array, ""], likelihood: Likelihood, shape: tuple[int, int]) -> Float[Array, "n noise"]:
-    """Whitened errors of readings, rows of a multivariate Student's t, and in the last column errors of positions (m):
-    a t vector is a normal one over the root of one chi-square variable per degree of freedom; a position's error is
-    normal with the standard deviation of its component, or an outlier's.
+    """Whitened errors of readings, rows of a multivariate Student's t, errors of positions (m), and standard normal
+    ones of indentations: a t vector is a normal one over the root of one chi-square variable per degree of freedom; a
+    position's error is normal with the standard deviation of its component, or an outlier's.
     """
     key_normal, key_scale, key_component, key_outlier = jax.random.split(key, 4)
     normal = jax.random.normal(key_normal, shape)
@@ -245,9 +246,9 @@ def _draw_noise(key: Key[Array, ""], likelihood: Likelihood, shape: tuple[int, i
     place, which = jax.random.uniform(key_outlier, (2, shape[0]))
     stray = (place - 0.5) * outlier_range(likelihood.overtravel)
     position = jnp.where(
-        which < likelihood.outlier_rate, stray, likelihood.position_std[component] * normal[:, -1]
+        which < likelihood.outlier_rate, stray, likelihood.position_std[component] * normal[:, -2]
     )  # fmt: skip
-    return jnp.concatenate([scale * normal[:, :-1], position[:, None]], axis=1)
+    return jnp.concatenate([scale * normal[:, :-2], position[:, None], normal[:, -1:]], axis=1)
 
 
 def _compare(

@@ -9,6 +9,7 @@ Metres, newtons, microtesla.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,9 +18,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from i2t.skin.contact import GRID, Grid
+from i2t.skin.pad import Press
 from i2t.skin.pad import press as press_pad
 from i2t.types import STANDOFF, Pad, ReturnCode
 
+PressLaw = Callable[..., Press]  # (pad, height, indentation, grid) to a press, as `i2t.skin.pad.press`
 SCAN_START_FRACTION = 0.005  # of the deepest indentation, where the search begins
 
 
@@ -49,7 +52,12 @@ class PressResult(NamedTuple):
 
 
 def press_to_stop(
-    pad: Pad, height: Float[Array, "g g"], limits: PressLimits, overshoot: Float[Array, ""] | float = 0.0
+    pad: Pad,
+    height: Float[Array, "g g"],
+    limits: PressLimits,
+    overshoot: Float[Array, ""] | float = 0.0,
+    *,
+    law: PressLaw = press_pad,
 ) -> PressResult:
     """Press until the skin change or the force first crosses its limit.
 
@@ -60,6 +68,7 @@ def press_to_stop(
         height: m, the surface behind its nearest point over the pad's cells.
         limits: of skin change, force and indentation.
         overshoot: fraction by which both limits are raised.
+        law: what a press of the pad gives.
 
     Returns:
         The end of the press. Its code SKIN or WRENCH says which limit came first; UNDEFINED means that the deepest
@@ -72,7 +81,7 @@ def press_to_stop(
         """Stride towards the deepest until the excess turns positive, then close in on the root; one press for each."""
         secant = state.low - state.f_low * (state.high - state.low) / (state.f_high - state.f_low)
         x = jnp.where(state.found, secant, jnp.minimum(state.low + stride, deepest))
-        press = press_pad(pad, height, jnp.exp(x))
+        press = law(pad, height, jnp.exp(x), GRID)
         skin = jnp.linalg.norm(press.reading) / limits.skin_change
         wrench = press.force / limits.force
         f = jnp.log(jnp.maximum(jnp.maximum(skin, wrench) / (1 + overshoot), 1e-6))

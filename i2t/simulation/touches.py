@@ -30,7 +30,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from i2t import geometry
 from i2t.rendering.render import render_heights, render_patch, stack_surfaces
 from i2t.simulation import sites as touch_sites
-from i2t.simulation.press import PressLimits, press_to_stop
+from i2t.simulation.press import PressLaw, PressLimits, press_to_stop
 from i2t.skin import faults
 from i2t.skin.contact import GRID
 from i2t.skin.dipoles import rest_field
@@ -232,6 +232,7 @@ def simulate_touch(
     pad: Pad,
     errors: SimulationErrors,
     limits: PressLimits,
+    law: PressLaw = press_pad,
 ) -> Touches:
     """One touch at a site chosen on the believed object: approach along the site's z, press, look.
 
@@ -244,6 +245,7 @@ def simulate_touch(
         pad: the skin.
         errors: sizes of the errors that each touch draws anew.
         limits: when the press ends.
+        law: what a press of the pad gives; another one makes a world whose physics is another.
 
     Returns:
         One touch. Its reading is still that of an ideal sensor (see `apply_sensor_model`), and its indices are left 0
@@ -255,7 +257,10 @@ def simulate_touch(
 
     approach = _approach(key_arm, key_tilt, surface, T_o_w, T_w_site, errors=errors, limits=limits)
     overshoot = limits.overshoot * jnp.abs(overrun)
-    press = _press(surface, pad, approach, overshoot=overshoot, slant=jnp.stack(slant), errors=errors, limits=limits)
+    press = _press(
+        surface, pad, approach,
+        overshoot=overshoot, slant=jnp.stack(slant), errors=errors, limits=limits, law=law,
+    )  # fmt: skip
 
     advanced = jnp.linalg.norm(approach.T_o_t[:3, 3] - approach.start[:3, 3]) - limits.approach_distance
     end = _along_z(advanced + press.travel)
@@ -311,6 +316,7 @@ def _press(
     slant: Float[Array, "2"],
     errors: SimulationErrors,
     limits: PressLimits,
+    law: PressLaw,
 ) -> _Press:
     """Press past first contact to the limits, once more on the final grid where that is another, and with friction.
 
@@ -318,12 +324,12 @@ def _press(
     standard deviations.
     """
     met, hit = approach.met, approach.hit
-    stop = press_to_stop(pad, met.depth, limits, overshoot)
+    stop = press_to_stop(pad, met.depth, limits, overshoot, law=law)
     if limits.final != GRID:
         heights = render_heights(surface, geometry.inverse(approach.T_o_t), PAD_WINDOW, limits.final.cells)
         nearest = jnp.min(heights)
         deeper = stop.indentation + met.nearest - nearest  # the finer grid may see a nearer point
-        press = press_pad(pad, heights - nearest, deeper, limits.final)
+        press = law(pad, heights - nearest, deeper, limits.final)
         stop = stop._replace(force=press.force, reading=press.reading)
     slide = errors.slant * stop.indentation * slant
     friction = friction_response(pad, met.depth, stop.indentation, slide)

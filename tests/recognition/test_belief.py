@@ -21,7 +21,9 @@ STRAY = 2 * PAST + 20e-3  # m, over which a stray press may end
 
 ERRORS = np.random.default_rng(0).normal(size=(200, 15)) @ np.random.default_rng(1).normal(size=(15, 15))
 SCALE = np.linspace(5, 40, 15)
-LIKE = belief.fit_likelihood(ERRORS, jnp.float32(SCALE), jnp.float32(LOADS), overtravel=PAST, position_std=POSITION)
+LIKE = belief.fit_likelihood(
+    ERRORS, jnp.float32(SCALE), jnp.float32(LOADS), overtravel=PAST, position_std=POSITION
+)._replace(indentation_error=jnp.float32(0))  # of which there is a test below
 
 
 def like(**changes: float) -> Likelihood:
@@ -446,6 +448,18 @@ def test_a_doubtful_position_keeps_the_spread_of_the_mixture():
         mixed = P - w * np.outer(P @ slope, P @ slope) / unsure + w * (1 - w) * np.outer(shift, shift)
         np.testing.assert_allclose(found.mean, w * shift, rtol=2e-2, atol=1e-7)
         np.testing.assert_allclose(found.covariance, mixed, rtol=2e-2, atol=2e-2 * P.max())
+
+
+def test_a_deep_indentation_is_known_less_well():
+    """Its error adds to that of the position, as of two independent normal ones."""
+    outcome = host(outcomes(np.random.default_rng(20), 1), 0)
+    likelihood = like(indentation_error=0.3, outlier_rate=1e-12)
+    std = np.hypot(POSITION, 0.3 * float(outcome.indentation[2]))
+    error = 3 * POSITION
+    end = measured(np.zeros(15), 2.7, expected(outcome, np.float64(2.7)) + error, True)
+    found = belief.evidence(end, outcome, jnp.zeros(6), jnp.zeros((6, 6)), likelihood)
+    assert float(found.spatial) == pytest.approx(stats.norm.logpdf(error, scale=std), abs=1e-3)
+    assert std > 1.5 * POSITION
 
 
 def test_heavy_tails_of_a_position_are_a_mixture_of_kalman_steps():

@@ -28,8 +28,9 @@ POSITION = 1e-4  # m
 NORMAL = belief.fit_likelihood(
     np.eye(15), jnp.ones(15), jnp.float32(LOADS), overtravel=PAST, position_std=POSITION
 )._replace(
-    whiten=jnp.eye(15) / NOISE, growth=jnp.ones(15) / NOISE**2, dof=jnp.float32(1e4), outlier_rate=jnp.float32(1e-6)
-)
+    whiten=jnp.eye(15) / NOISE, growth=jnp.ones(15) / NOISE**2, dof=jnp.float32(1e4), outlier_rate=jnp.float32(1e-6),
+    indentation_error=jnp.float32(0),
+)  # fmt: skip
 TACTILE = NORMAL._replace(spatial_weight=jnp.float32(0))
 SPATIAL = NORMAL._replace(tactile_weight=jnp.float32(0))
 PLACED = belief.sample_particles(SPREAD, COUNT, scales=None)
@@ -129,7 +130,7 @@ def test_positions_are_imagined_as_the_belief_expects_them():
     heavy = NORMAL._replace(
         position_std=jnp.float32([0.1e-3, 1e-3]), position_share=jnp.float32([0.8, 0.2]), outlier_rate=jnp.float32(0.1)
     )
-    drawn = np.asarray(policy._draw_noise(jax.random.key(8), heavy, (20_000, 16)))[:, -1]
+    drawn = np.asarray(policy._draw_noise(jax.random.key(8), heavy, (20_000, 17)))[:, -2]
     half = PAST + 10e-3
 
     def cdf(x: np.ndarray) -> np.ndarray:
@@ -213,21 +214,21 @@ def test_a_power_law_stops_where_it_crosses():
 def test_what_is_imagined_is_what_is_expected_plus_its_noise():
     outcome = jax.tree.map(lambda x: x[0, 0, 0], touches(3.0, 1e-3))
     outcome = outcome._replace(jacobian=jnp.arange(6.0), variance=jnp.full(3, 0.02))
-    off, noise = jnp.full(6, 1e-4), (jnp.arange(16.0) - 8).at[-1].set(7 * POSITION)
-    likelihood = NORMAL._replace(inflation=jnp.float32(2))
+    off, noise = jnp.full(6, 1e-4), (jnp.arange(17.0) - 8).at[15:].set(jnp.array([7 * POSITION, -2.0]))
+    likelihood = NORMAL._replace(inflation=jnp.float32(2), indentation_error=jnp.float32(0.25))
     imagine = jax.jit(policy.imagine_observation)
     limits = {"likelihood": likelihood, "skin_change": CHANGE, "force": 8.0}
     found = imagine(outcome, off, noise, **limits)
     assert float(found.force) == pytest.approx(AT, rel=1e-5)
     assert found.contact
-    advance = 1e-3 + 15e-4 + 1e-4 * AT + AT / belief.ARM_STIFFNESS_N_PER_M + POSITION * 7
+    advance = 1e-3 + 15e-4 + 1e-4 * AT * (1 - 2 * 0.25) + AT / belief.ARM_STIFFNESS_N_PER_M + POSITION * 7
     assert float(found.advance) == pytest.approx(advance, rel=1e-5)
     # Errors are those of the likelihood: twice the noise of 0.1, and the GP's variance of 1 uT^2 times 0.02.
     sd = 2 * np.sqrt(NOISE**2 + 0.02)
     np.testing.assert_allclose(found.reading - outcome.reading[1], sd * np.asarray(noise[:15]), atol=1e-4 * sd * 25)
     assert not imagine(outcome, 4 * off, noise, **limits).contact  # after 7 mm
     assert not imagine(outcome, 3.2 * off, noise, **limits).contact  # after 5.8 mm, and 0.7 mm of error
-    assert imagine(outcome, 3.2 * off, noise.at[-1].set(0.0), **limits).contact
+    assert imagine(outcome, 3.2 * off, noise.at[15].set(0.0), **limits).contact
     assert not imagine(outcome._replace(hit=jnp.array(False)), off, noise, **limits).contact
     weak = imagine(outcome, off, noise, **limits | {"force": 0.5})
     assert float(weak.force) == pytest.approx(0.5)
