@@ -3,11 +3,12 @@
 `i2t.collect.command` is its command line.
 """
 
+import hashlib
 import json
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -60,6 +61,7 @@ ENDS = {
     ReturnCode.FAILED: "failed",
 }
 NO_RIG = "a real arm needs to know its lab; write a rig (python -m i2t.hardware.rig) and pass --rig"
+MAY_CHANGE = ("retries", "failures", "patience")  # settings that say when to give up, and nothing of a touch
 BAR_SCALE_UT = 50.0  # at the end of a bar
 
 
@@ -83,7 +85,7 @@ def collect(
     rig = read_rig(args)
     target = read_object(args.object, args.unit)
     name = args.name or (target.name if args.object == target.name else Path(args.object).stem)
-    done, notes = _resume(args, name)
+    done, notes = _resume(args, name, rig)
     config = device_config(args, begin=max(done.values(), default=0.0) + 1.0)
     sampler = SiteSampler(target.mesh, rig.T_world_object, args.sites, args.seed, name)
     with ExitStack() as stack:
@@ -96,6 +98,8 @@ def collect(
         skin = stack.enter_context(devices.skin)
         camera = stack.enter_context(devices.camera)
         extract_patch = _compiled_extractor(camera.camera, sampler)
+        serial = getattr(getattr(skin, "info", None), "serial_number", None) or ""  # a board on USB has one
+        _keep_serial(notes, serial, args.out)
         arm = stack.enter_context(devices.arm)  # last, as it must not wait for a compiler
         source = source_of(devices)
         print(_headline(args, source, name))
@@ -123,7 +127,13 @@ def collect(
             T_w_b=rig.T_world_base,
             T_w_o=rig.T_world_object,
             camera=camera.camera,
-            meta={"arm": arm.features.name, "skin": f"{skin.features.name} ({skin.features.source})"},
+            meta={
+                "arm": arm.features.name,
+                "skin": f"{skin.features.name} ({skin.features.source})",
+                "skin serial number": serial,
+                "rig": notes["rig"],
+                "settings": json.dumps(vars(args.settings)),
+            },
         )
         file_recorder = stack.enter_context(Recorder(args.out, info, devices.clock))
         file_recorder.check()
@@ -224,7 +234,7 @@ class _Session:
         return "\n".join(lines)
 
 
-def _resume(args: CollectArgs, name: str) -> tuple[dict[int, float], dict[str, Any]]:
+def _resume(args: CollectArgs, name: str, rig: Rig) -> tuple[dict[int, float], dict[str, Any]]:
     """Sites that were touched and when (Unix time), and the notes of the collection. Raises DataError."""
     files = recorder.touches_in(args.out) if args.out.is_dir() else []
     notes = recorder.read_notes(args.out)
@@ -235,6 +245,8 @@ def _resume(args: CollectArgs, name: str) -> tuple[dict[int, float], dict[str, A
         "board": args.board,
         "pose": args.pose,
         "sites": vars(args.sites),
+        "settings": {key: value for key, value in vars(args.settings).items() if key not in MAY_CHANGE},
+        "rig": _rig_hash(rig),
     }
     same = json.loads(json.dumps(same))
     if notes is None:
@@ -245,15 +257,40 @@ def _resume(args: CollectArgs, name: str) -> tuple[dict[int, float], dict[str, A
     if "run" in notes:  # as earlier versions called it
         notes["session"] = notes.pop("run")
     notes.setdefault("board", "reskin")  # earlier versions knew no other
-    different = [key for key, value in same.items() if notes.get(key) != value]
+    for key in ("settings", "rig"):
+        notes.setdefault(key, same[key])  # which earlier versions did not keep
+    before, now = _by_name(notes), _by_name(same)
+    different = [key for key, value in now.items() if before.get(key) != value]
     if different:
         raise DataError(
             f"{args.out} was begun with another {' and '.join(different)} "
-            f"({'; '.join(f'{key}: {notes.get(key)}' for key in different)}); pass that again, or another --out"
+            f"({'; '.join(f'{key}: {before.get(key)}' for key in different)}); pass that again, or another --out"
         )
     if args.session:
         notes["session"] = args.session
     return {recorder.site_number_of(file): recorder.written_at(file) for file in files}, notes
+
+
+def _rig_hash(rig: Rig) -> str:
+    """Ten hexadecimal digits that another rig, or the object elsewhere, has not."""
+    return hashlib.sha256(rig.text().encode()).hexdigest()[:10]
+
+
+def _by_name(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values by the names of the command line, those of groups as `settings.press`."""
+    named: dict[str, Any] = {}
+    for key, value in values.items():
+        named |= {f"{key}.{name}": each for name, each in value.items()} if isinstance(value, dict) else {key: value}
+    return named
+
+
+def _keep_serial(notes: dict[str, Any], serial: str, out: Path) -> None:
+    """Note the skin's serial number ("" where it has none), one for all touches of a folder. Raises DataError."""
+    before = notes.setdefault("skin_serial", serial)
+    if before and serial and before != serial:
+        raise DataError(
+            f"{out} was begun with the skin {before}, and this one is {serial}; plug that one in, or pass another --out"
+        )
 
 
 # What the command line means

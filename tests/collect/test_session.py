@@ -1,5 +1,6 @@
 """The command on its simulated defaults: it collects, resumes, checks dry, and says what is wrong."""
 
+import json
 import os
 import signal
 import subprocess
@@ -15,6 +16,7 @@ from i2t.collect import command, recorder, session
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.devices import DeviceContext, make_skin
 from i2t.emulators.world import EmulatedArmConfig, EmulatedSkinConfig
+from i2t.errors import DataError
 from i2t.hardware.camera_folder import CameraFolderConfig
 from i2t.hardware.reskin.config import ReSkinConfig
 from i2t.hardware.rig import Rig
@@ -85,6 +87,30 @@ def test_another_collection_is_not_mixed_in(folder, rig, capsys):
     (folder / "other" / recorder.touches_in(folder / "set")[0].name).write_bytes(b"")
     assert command.main(["--out", str(folder / "other")]) == 2
     assert "another making" in capsys.readouterr().err
+
+
+def test_other_settings_another_rig_and_another_skin_are_not_mixed_in(tmp_path):
+    args = CollectArgs(out=tmp_path)
+    _, notes = session._resume(args, "hexagon", Rig())
+    recorder.write_notes(tmp_path, notes)
+    harder = replace(args.settings, press=0.004, force=9.0)
+    with pytest.raises(DataError, match=r"settings\.force and settings\.press|settings\.press and settings\.force"):
+        session._resume(replace(args, settings=harder), "hexagon", Rig())
+    with pytest.raises(DataError, match="begun with another rig"):
+        session._resume(args, "hexagon", replace(Rig(), mass=Rig().mass + 0.1))
+    patient = replace(args, settings=replace(args.settings, retries=9, patience=60.0))
+    _, notes = session._resume(patient, "hexagon", Rig())
+    for serial in ("A1", "", "A1"):
+        session._keep_serial(notes, serial, tmp_path)
+    with pytest.raises(DataError, match="begun with the skin A1, and this one is B2"):
+        session._keep_serial(notes, "B2", tmp_path)
+
+
+@pytest.mark.full
+def test_a_touch_says_how_it_was_made_and_where(folder, rig):
+    meta = dataset.load_dataset(folder / "set").meta
+    assert json.loads(meta["settings"])["force"] == 8.0
+    assert meta["rig"] == session._rig_hash(Rig.read(rig))
 
 
 def test_a_dry_run_moves_nothing_and_writes_no_touch(folder, rig, capsys):
