@@ -29,8 +29,8 @@ def reported(work: Callable[[], Any], resumable: Path | None = None) -> int:
 
 
 def settings(args: Any) -> dict[str, Any]:
-    """What is run, from a dataclass, and with which versions."""
-    kept = {name: value for name, value in asdict(args).items() if name not in ("resume", "overwrite")}
+    """What is run, from a dataclass, and with which versions; where it is kept and how it goes on is no setting."""
+    kept = {name: value for name, value in asdict(args).items() if name not in ("out", "resume", "overwrite")}
     return {
         "args": {name: str(value) if isinstance(value, Path) else value for name, value in kept.items()},
         "versions": {"python": sys.version.split()[0], **{name: version(name) for name in PACKAGES}},
