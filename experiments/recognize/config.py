@@ -21,9 +21,11 @@ class Recognition:
     touches: int = 10
     episodes: int = 80  # of each object, in the set of all
     paper_episodes: int = 200  # of each object, in each of the paper's sets
-    validation_episodes: int = 40  # of each validation object, for the conformal sets
-    num_sites: int = 24  # of each object
-    num_particles: int = 512  # poses of each object
+    validation_episodes: int = 40  # of each validation object, for temperatures and conformal sets
+    num_sites: int = 24  # of each object, in a pool that a recogniser or a study chooses among
+    pool_sites: int = 100  # of each object, in each pool from which the paper's heuristic draws
+    pool_episodes: int = 5  # that share such a pool
+    num_particles: int = 128  # poses of each object
     errors: SimulationErrors = field(default_factory=SimulationErrors)
     limits: PressLimits = field(default_factory=lambda: PressLimits(final=FINE_GRID))
     site_limits: touch_sites.SiteLimits = touch_sites.RECOGNITION_LIMITS
@@ -45,6 +47,8 @@ PRESETS: dict[str, Recognition] = {
         paper_episodes=6,
         validation_episodes=6,
         num_sites=3,
+        pool_sites=10,
+        pool_episodes=2,
         num_particles=16,
         limits=PressLimits(),
     ),

@@ -1,4 +1,4 @@
-"""What `experiments.recognize` leaves behind: episodes on disk, scores over seeds with intervals, tables, figures."""
+"""What `experiments.recognize` leaves behind: episodes on disk, scores over pads with intervals, tables, figures."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -7,32 +7,41 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.common.runs import load_part, save_part, write_json
+from experiments.common.runs import Part, load_part, save_part, write_json
 from experiments.recognize import figures
 from i2t import viz
 from i2t.objects.solids import Mesh
 from i2t.recognition import calibrated, metrics
 from i2t.recognition.belief import TEMPERATURE_SCALING, TemperatureScaling, TouchObservation
 from i2t.recognition.episodes import EVIDENCE, Episodes
-from i2t.recognition.intervals import student_interval
+from i2t.recognition.intervals import bootstrap_clusters, estimate_at, rate_interval, rows_of
 from i2t.recognition.metrics import to_json
+from i2t.recognition.paper_rules import PROPRIOCEPTION
 from i2t.types import Board
 
-PUBLISHED = {
-    "primitives": {"I2T, votes": 0.50, "proprioception, votes": 0.23},
-    "tools": {"I2T, votes": 0.70, "proprioception, votes": 0.80},
-}  # the paper's accuracies
+IMAGINE2TOUCH = {
+    "Imagine2touch (paper's network, mask)": "paper's network, mask",
+    "Imagine2touch (paper's network, depth)": "paper's network, depth",
+}  # networks of experiments.train, by the rows that they make
+RULES_GP, CONSTANT = "same rules, Gaussian process", "same rules, constant reading"
+PUBLISHED_I2T = {"primitives": 0.50, "tools": 0.70, "mean": 0.58}  # the paper's accuracies, by votes
+PUBLISHED_PROPRIOCEPTION = {"primitives": 0.23, "tools": 0.80, "mean": 0.46}
 REQUESTED_ERRORS = (0.01, 0.05, 0.10)  # of the stopping rule
 NUM_BINS = 10  # of a calibration error
 COMPARED = (
-    ("I2T, votes", "proprioception, votes"),
-    ("I2T, product", "proprioception, product"),
-    ("fused", "tactile only"),
-    ("fused", "position only"),
-    ("fused", "I2T, product"),
+    *((f"{row}, votes", f"{PROPRIOCEPTION}, votes") for row in (*IMAGINE2TOUCH, RULES_GP, CONSTANT)),
+    *((f"{row}, product", f"{PROPRIOCEPTION}, product") for row in (*IMAGINE2TOUCH, RULES_GP)),
+    *((f"{row}, votes", f"{CONSTANT}, votes") for row in (*IMAGINE2TOUCH, RULES_GP)),
+    ("fused", "readings"),
+    ("fused", "readings and presence"),
+    ("fused", "position and presence"),
+    ("readings and presence", "presence"),
+    ("fused", f"{RULES_GP}, product"),
     ("fused, oracle", "fused"),
-    ("tactile only, oracle", "tactile only"),
+    ("readings and presence, oracle", "readings and presence"),
 )
+UNPRINTED = ", average"  # a rule between the other two; its scores are in metrics.json
+SHOWN_BY_OBJECT = ("fused", "readings", "presence", "votes", "product")  # ends of methods' names
 
 
 class EpisodeResults(NamedTuple):
@@ -41,7 +50,9 @@ class EpisodeResults(NamedTuple):
     names: tuple[str, ...]
     truth: np.ndarray  # (e,)
     beliefs: dict[str, np.ndarray]  # (e, t, objects) by method
-    episodes: Episodes
+    episodes: Episodes | None  # None where every method had its own
+    pad: str = ""  # that touched
+    pool: np.ndarray = np.zeros(0, str)  # (e,) names of the pools of sites: episodes of one are alike
 
 
 Results = dict[str, EpisodeResults]  # of one pad and seed, by set of objects
@@ -52,15 +63,21 @@ Results = dict[str, EpisodeResults]  # of one pad and seed, by set of objects
 def save(path: Path, results: Results) -> None:
     """Write all sets of a seed, at once or not at all."""
     about = json.dumps({name: each.names for name, each in results.items()})
-    sets = {
-        name: {
-            "site": each.episodes.site, "T_w_t": each.episodes.T_w_t, "truth": each.truth,
-            "observations": each.episodes.observations._asdict(),
-            "beliefs": {method: p.astype(np.float32) for method, p in each.beliefs.items()},
-        }
-        for name, each in results.items()
-    }  # fmt: skip
+    sets = {name: _to_part(each) for name, each in results.items()}
     save_part(path, {**sets, "about": about})
+
+
+def _to_part(each: EpisodeResults) -> Part:
+    part: Part = {
+        "truth": each.truth, "pad": each.pad, "pool": each.pool,
+        "beliefs": {method: p.astype(np.float32) for method, p in each.beliefs.items()},
+    }  # fmt: skip
+    if each.episodes is not None:
+        part |= {
+            "site": each.episodes.site, "T_w_t": each.episodes.T_w_t,
+            "observations": each.episodes.observations._asdict(),
+        }  # fmt: skip
+    return part
 
 
 def load(path: Path) -> Results:
@@ -68,26 +85,51 @@ def load(path: Path) -> Results:
     sets = load_part(path)
     results = {}
     for name, names in json.loads(str(sets["about"])).items():
-        found = sets[name]
-        observations = TouchObservation(**found["observations"])
-        episodes = Episodes(found["truth"], found["site"], observations, found["T_w_t"])
-        results[name] = EpisodeResults(tuple(names), found["truth"], found["beliefs"], episodes)
+        found, episodes = sets[name], None
+        if "observations" in found:
+            observations = TouchObservation(**found["observations"])
+            episodes = Episodes(found["truth"], found["site"], observations, found["T_w_t"])
+        results[name] = EpisodeResults(
+            tuple(names), found["truth"], found["beliefs"], episodes, str(found["pad"]), found["pool"]
+        )
     return results
+
+
+# --- what episodes have in common ---
+
+
+def pooled(parts: Sequence[Results], name: str, method: str) -> tuple[np.ndarray, np.ndarray]:
+    """Beliefs (e, t, objects) and truths (e,) of a set over all pads and seeds."""
+    p = np.concatenate([part[name].beliefs[method] for part in parts])
+    return p.astype(np.float64), np.concatenate([part[name].truth for part in parts])
+
+
+def clusters_of(parts: Sequence[Results], name: str, *, objects: bool = False) -> list[np.ndarray]:
+    """By what the pooled episodes of a set are alike: their pad, their pool of sites, and with `objects` the object
+    that was there. Without them intervals are for these very objects.
+    """
+    labels = [
+        np.concatenate([np.full(len(part[name].truth), part[name].pad) for part in parts]),
+        np.concatenate([part[name].pool for part in parts]),
+    ]
+    if objects:
+        labels.append(np.concatenate([part[name].truth for part in parts]))
+    return [np.unique(label, return_inverse=True)[1] for label in labels]
+
+
+def pads_of(parts: Sequence[Results]) -> dict[str, Any]:
+    """The pads over which intervals are, and the number of runs."""
+    pads = sorted({each.pad for part in parts for each in part.values()})
+    return {"pads": pads, "runs": len(parts), "intervals": "95 %, over pads and pools of sites, for these objects"}
 
 
 # --- calibration ---
 
 
-def pooled(parts: Sequence[Results], name: str, method: str) -> tuple[np.ndarray, np.ndarray]:
-    """Beliefs (e, t, objects) and truths (e,) of a set over all seeds."""
-    p = np.concatenate([part[name].beliefs[method] for part in parts])
-    return p.astype(np.float64), np.concatenate([part[name].truth for part in parts])
-
-
 def calibrate(parts: Sequence[Results]) -> tuple[list[Results], dict[str, TemperatureScaling]]:
     """Beliefs after temperature scaling, and the temperature of each method.
 
-    Temperatures are fitted to the validation objects of all seeds; without validation objects they are those of earlier
+    Temperatures are fitted to the validation objects of all pads; without validation objects they are those of earlier
     ones. The paper's rules stay as they are.
     """
     methods = [method for method in next(iter(parts[0].values())).beliefs if method.split(", ")[0] in EVIDENCE]
@@ -111,53 +153,77 @@ def _scaled(results: EpisodeResults, temperatures: Mapping[str, TemperatureScali
 def summarise(
     parts: Sequence[Results], temperatures: Mapping[str, TemperatureScaling], out: Path, source: str
 ) -> dict[str, Any]:
-    """Scores of every set over all seeds, written to metrics.json with figures next to it."""
+    """Scores of every set over all pads, written to metrics.json with figures next to it."""
     written = {method: to_json(temperature) for method, temperature in temperatures.items()}
-    summary: dict[str, Any] = {"source": source, "seeds": len(parts), "temperatures": written, "sets": {}}
+    summary: dict[str, Any] = {"source": source, **pads_of(parts), "temperatures": written, "sets": {}}
     for name in parts[0]:
-        summary["sets"][name] = _score_set(parts, name)
+        summary["sets"][name] = score_set(parts, name)
     if {"primitives", "all"} <= set(parts[0]):
         summary["primitives of all"] = primitives_only(parts)
     if {"validation", "all"} <= set(parts[0]) and "fused" in parts[0]["all"].beliefs:
         validation, test = pooled(parts, "validation", "fused"), pooled(parts, "all", "fused")
-        sets = calibrated.conformal_sets(*validation, *test)
+        sets = calibrated.conformal_sets(*validation, *test, clusters=clusters_of(parts, "all"))
         summary["conformal 90 %"] = {"coverage": to_json(sets.coverage), "size": to_json(sets.size)}
     write_json(out / "metrics.json", summary)
     write_figures(parts, out, source != "real")
     return summary
 
 
-def _score_set(parts: Sequence[Results], name: str) -> dict[str, Any]:
+def score_set(parts: Sequence[Results], name: str) -> dict[str, Any]:
     """Scores of every method on one set of objects."""
     first = parts[0][name]
-    contact = np.mean([np.mean(part[name].episodes.observations.contact) for part in parts])
-    return {
+    clusters = clusters_of(parts, name)
+    scores: dict[str, Any] = {
         "objects": list(first.names),
         "episodes": sum(len(part[name].truth) for part in parts),
-        "air": float(1 - contact),
+        "pools": int(clusters[1].max()) + 1,
         "methods": {method: score_method(parts, name, method) for method in first.beliefs},
         "paired": compare_methods(parts, name),
     }
+    played = [part[name].episodes for part in parts]
+    contacts = [np.mean(episodes.observations.contact) for episodes in played if episodes is not None]
+    if contacts:
+        scores["air"] = float(1 - np.mean(contacts))
+    return scores
 
 
 def score_method(parts: Sequence[Results], name: str, method: str) -> dict[str, Any]:
-    """All scores of a method on a set."""
+    """All scores of a method on a set; those of deciding when sure only where beliefs are probabilities."""
     p, truth = pooled(parts, name, method)
+    clusters = clusters_of(parts, name)
     confidence, hit = metrics.confidence(p), metrics.hits(p, truth)
-    of_seeds = [metrics.hits(part[name].beliefs[method], part[name].truth).mean() for part in parts]
     errors = [metrics.calibration_error(confidence[:, t], hit[:, t], NUM_BINS) for t in range(p.shape[1])]
-    return {
-        "accuracy": to_json(metrics.accuracy(p, truth)),
-        "mean": to_json(metrics.mean_accuracy(p, truth)),
-        "mean_over_seeds": to_json(student_interval(np.array(of_seeds))),
+    scores = {
+        "accuracy": to_json(metrics.accuracy(p, truth, clusters=clusters)),
+        "mean": to_json(metrics.mean_accuracy(p, truth, clusters=clusters)),
+        # The same for other objects, of which these are a sample: wide, as there are few.
+        "last_other_objects": to_json(rate_interval(hit[:, -1], clusters_of(parts, name, objects=True))),
+        "by_object": score_objects(parts[0][name].names, hit, truth, clusters),
         "calibration_error": [error.error for error in errors],
         "calibration_error_by_chance": [error.chance for error in errors],
         "log_loss": metrics.log_loss(p, truth).mean(0).tolist(),
         "brier": metrics.brier(p, truth).mean(0).tolist(),
-        "stopping": [to_json(metrics.stopping(p, truth, error)) for error in REQUESTED_ERRORS],
-        "touches_to_95": to_json(metrics.touches_to_confidence(metrics.confident_at(p), p.shape[1])),
         "confusion": metrics.confusion(p[:, -1], truth).tolist(),
     }
+    if method.split(", ")[0] in EVIDENCE:
+        first = metrics.confident_at(p)
+        scores["stopping"] = [
+            to_json(metrics.stopping(p, truth, error, clusters=clusters)) for error in REQUESTED_ERRORS
+        ]
+        scores["touches_to_95"] = to_json(metrics.touches_to_confidence(first, p.shape[1], clusters=clusters))
+    return scores
+
+
+def score_objects(
+    names: Sequence[str], hit: np.ndarray, truth: np.ndarray, clusters: Sequence[np.ndarray]
+) -> dict[str, Any]:
+    """How often each object is recognised when it is there, after the last touch and in the mean over touches."""
+    found = {}
+    for i, name in enumerate(names):
+        rows = truth == i
+        both = rate_interval(np.stack([hit[rows, -1], hit[rows].mean(1)], 1), rows_of(clusters, rows))
+        found[name] = {"last": to_json(estimate_at(both, 0)), "mean": to_json(estimate_at(both, 1))}
+    return found
 
 
 def primitives_only(parts: Sequence[Results]) -> dict[str, Any]:
@@ -166,8 +232,9 @@ def primitives_only(parts: Sequence[Results]) -> dict[str, Any]:
     primitives = [names.index(name) for name in parts[0]["primitives"].names]
     found = {}
     for method in parts[0]["all"].beliefs:
-        p, truth, _ = metrics.restrict_to(*pooled(parts, "all", method), primitives)
-        found[method] = to_json(metrics.accuracy(p, truth))
+        p, truth, rows = metrics.restrict_to(*pooled(parts, "all", method), primitives)
+        clusters = rows_of(clusters_of(parts, "all"), rows)
+        found[method] = to_json(metrics.accuracy(p, truth, clusters=clusters))
     return found
 
 
@@ -177,7 +244,31 @@ def compare_methods(parts: Sequence[Results], name: str) -> dict[str, Any]:
     for one, other in COMPARED:
         if {one, other} <= set(parts[0][name].beliefs):
             hits = [metrics.hits(*pooled(parts, name, method)) for method in (one, other)]
-            found[f"{one} - {other}"] = to_json(metrics.compare_paired(*hits))
+            difference = metrics.compare_paired(*hits, clusters=clusters_of(parts, name))
+            found[f"{one} - {other}"] = {"last": to_json(difference.last), "mean": to_json(difference.mean)}
+    return found
+
+
+def mean_over_objects(parts: Sequence[Results]) -> dict[str, Any]:
+    """Accuracy after the last touch over all objects of several sets, each decided among those of its set: the paper's
+    last column. Sets of one pad are independent but for the pad.
+    """
+    found = {}
+    for method in next(iter(parts[0].values())).beliefs:
+        hits, weights, pads, pools = [], [], [], []
+        for name, first in parts[0].items():
+            p, truth = pooled(parts, name, method)
+            hits.append(metrics.hits(p, truth)[:, -1])
+            weights.append(np.full(len(truth), len(first.names) / len(truth)))
+            pads += [np.full(len(part[name].truth), part[name].pad) for part in parts]
+            pools += [part[name].pool for part in parts]
+        hit, weight = np.concatenate(hits), np.concatenate(weights)
+
+        def share(count: np.ndarray, hit: np.ndarray = hit, weight: np.ndarray = weight) -> np.ndarray:
+            return np.asarray(np.sum(count * weight * hit) / np.sum(count * weight))
+
+        clusters = [np.concatenate(pads), np.concatenate(pools)]
+        found[method] = to_json(bootstrap_clusters(share, clusters, len(hit)))
     return found
 
 
@@ -185,34 +276,62 @@ def compare_methods(parts: Sequence[Results], name: str) -> dict[str, Any]:
 
 
 def print_tables(summary: dict[str, Any]) -> None:
-    """Accuracy of every method on every set, and differences between methods."""
+    """Accuracy of every method on every set, by object, and differences between methods."""
     for name, entry in summary["sets"].items():
         touches = len(next(iter(entry["methods"].values()))["log_loss"])
         columns = sorted({1, min(3, touches), min(5, touches), touches})
+        air = f", {100 * entry['air']:.0f} % of touches in air" if "air" in entry else ""
         print(
-            f"\n{name} ({summary['source']}): {', '.join(entry['objects'])}; {entry['episodes']} episodes over "
-            f"{summary['seeds']} pads and seeds, {100 * entry['air']:.0f} % of touches in air"
+            f"\n{name} ({summary['source']}): {', '.join(entry['objects'])}; {entry['episodes']} episodes, "
+            f"{entry['pools']} pools of sites, {len(summary['pads'])} pads{air}; intervals {summary['intervals']}"
         )
         head = "".join(f"{f'after {t}':>18}" for t in columns)
-        print(f"{'':26}{head}{'mean of all':>22}{'ECE':>7}{'NLL':>7}")
+        print(f"{'':48}{head}{'mean of all':>22}{'ECE':>7}{'NLL':>7}")
         for method, values in entry["methods"].items():
-            mean = values["mean"]
-            published = PUBLISHED.get(name, {}).get(method)
+            if method.endswith(UNPRINTED):
+                continue
+            mean, published = values["mean"], published_accuracy(name, method)
             print(
-                f"{method:26}{_rates(values['accuracy'], columns)}  {mean['mean']:6.3f} "
-                f"[{mean['low']:.3f}, {mean['high']:.3f}]"
+                f"{method:48}{_rates(values['accuracy'], columns)}  {_number(mean['mean'])} {_limits(mean)}"
                 f"{np.mean(values['calibration_error']):7.3f}{np.mean(values['log_loss']):7.3f}"
                 + (f"   paper: {published:.2f}" if published else "")
             )
         if name == "all" and "primitives of all" in summary:
             print("  episodes of these with a primitive, decided among the primitives only:")
             for method, accuracy in summary["primitives of all"].items():
-                print(f"  {method:24}{_rates(accuracy, columns)}")
+                if not method.endswith(UNPRINTED):
+                    print(f"  {method:46}{_rates(accuracy, columns)}")
+        print_objects(entry, touches)
         for pair, values in entry["paired"].items():
-            print(
-                f"  {pair}: after {touches} {_signed(values['last'])} (p = {values['last_p']:.2g}), "
-                f"mean {_signed(values['mean'])} (p = {values['mean_p']:.2g})"
-            )
+            print(f"  {pair}: after {touches} {_signed(values['last'])}, mean {_signed(values['mean'])}")
+
+
+def published_accuracy(name: str, method: str) -> float | None:
+    """The paper's accuracy after ten touches, of the rows that are its methods."""
+    source, _, rule = method.rpartition(", ")
+    if rule != "votes":
+        return None
+    if source in IMAGINE2TOUCH:
+        return PUBLISHED_I2T.get(name)
+    return PUBLISHED_PROPRIOCEPTION.get(name) if source == PROPRIOCEPTION else None
+
+
+def print_objects(entry: dict[str, Any], touches: int) -> None:
+    """How often each object is recognised."""
+    print(f"  {f'after {touches}, by the object that was there':46}" + "".join(f"{x:>20}" for x in entry["objects"]))
+    for method, values in entry["methods"].items():
+        if method.endswith(SHOWN_BY_OBJECT):
+            rates = [values["by_object"][name]["last"] for name in entry["objects"]]
+            print(f"  {method:46}" + "".join(f"{_number(rate['mean'])} {_limits(rate, 2)}" for rate in rates))
+
+
+def print_mean_over_objects(means: dict[str, Any]) -> None:
+    """The paper's last column."""
+    print("\nall objects, each decided among those of its set, after the last touch:")
+    for method, estimate in means.items():
+        if not method.endswith(UNPRINTED):
+            published = published_accuracy("mean", method)
+            print(f"{method:48}{_range(estimate)}" + (f"   paper: {published:.2f}" if published else ""))
 
 
 def print_calibration(summary: dict[str, Any]) -> None:
@@ -235,16 +354,31 @@ def print_calibration(summary: dict[str, Any]) -> None:
 
 
 def _rates(accuracy: dict[str, Any], columns: Sequence[int]) -> str:
+    """Accuracies after some numbers of touches, with their limits."""
     return "".join(
-        f"{accuracy['mean'][t - 1]:6.3f} [{accuracy['low'][t - 1]:.2f}, {accuracy['high'][t - 1]:.2f}]" for t in columns
+        f"{_number(accuracy['mean'][t - 1])} {_limits({limit: accuracy[limit][t - 1] for limit in ('low', 'high')}, 2)}"
+        for t in columns
     )
 
 
+def _number(value: float) -> str:
+    return f"{value:6.3f}"
+
+
+def _limits(estimate: dict[str, float], digits: int = 3) -> str:
+    """An interval; where nothing tells its clusters apart there is none."""
+    if not np.isfinite([estimate["low"], estimate["high"]]).all():
+        return "[" + " " * (digits + 1) + "none" + " " * (digits + 1) + "]"
+    return f"[{estimate['low']:.{digits}f}, {estimate['high']:.{digits}f}]"
+
+
 def _range(estimate: dict[str, float]) -> str:
-    return f"{estimate['mean']:.3f} [{estimate['low']:.3f}, {estimate['high']:.3f}]"
+    return f"{estimate['mean']:.3f} {_limits(estimate)}"
 
 
 def _signed(estimate: dict[str, float]) -> str:
+    if not np.isfinite([estimate["low"], estimate["high"]]).all():
+        return f"{estimate['mean']:+.3f}"
     return f"{estimate['mean']:+.3f} [{estimate['low']:+.3f}, {estimate['high']:+.3f}]"
 
 
@@ -255,6 +389,7 @@ def report_hardest_episode(
     results: EpisodeResults, meshes: Sequence[Mesh], out: Path, source: str, board: Board
 ) -> None:
     """Report the correct episode whose true object had the lowest posterior after one touch."""
+    assert results.episodes is not None
     p = results.beliefs["fused"].astype(np.float64)
     first = p[np.arange(len(p)), 0, results.truth]
     right = p[:, -1].argmax(-1) == results.truth
@@ -269,14 +404,15 @@ def report_hardest_episode(
 def write_figures(parts: Sequence[Results], out: Path, simulated: bool) -> None:
     """Accuracy, reliability and confusion of every set."""
     for name, first in parts[0].items():
+        clusters = clusters_of(parts, name)
         curves, reliable = {}, {}
         for method in first.beliefs:
             p, truth = pooled(parts, name, method)
-            curves[method] = metrics.accuracy(p, truth)
-            if method in EVIDENCE:
+            curves[method] = metrics.accuracy(p, truth, clusters=clusters)
+            if method in ("fused", "readings and presence", "position and presence"):
                 t = p.shape[1] // 2
                 reliable[method] = metrics.reliability(metrics.confidence(p)[:, t], metrics.hits(p, truth)[:, t])
-        shown = {k: v for k, v in curves.items() if "average" not in k and "oracle" not in k}
+        shown = {k: v for k, v in curves.items() if k in EVIDENCE or k.endswith(", votes")}
         viz.save_figure(figures.accuracy(shown, f"Accuracy, {name}", simulated), out / f"accuracy_{name}.png")
         if "fused" in first.beliefs:
             figure = figures.reliability(reliable, f"Reliability, {name}", simulated)

@@ -1,57 +1,61 @@
 """Question: which object is it, by touch, and how sure can one be?
 
     python -m experiments.recognize                       on runs/train of python -m experiments.train
+    python -m experiments.recognize --method paper        the paper's own method and loop (experiments.recognize.paper)
     python -m experiments.recognize --preset debug        a handful of episodes, too few to mean anything
-    python -m experiments.recognize --trained-run runs/study    every pad and seed of a study, intervals over all
+    python -m experiments.recognize --trained-run runs/study    every pad and seed of a study, intervals over pads
     python -m experiments.recognize --objects a.stl b.stl --unit mm      meshes of your own, simulated episodes
     python -m experiments.recognize --dataset DIR         recorded touches, each session an episode; the pad model is of
                                                           --trained-run, or of --pad, and of the skin that recorded
 
 The objects were not trained on. Each episode puts one of them down with the errors of the world, touches it ten times
-at random safe sites of random candidates, and asks after each touch which one it is:
+at random safe sites of random candidates, drawn anew for each touch, and asks after each touch which one it is:
 
-  the paper       exp(-|tau - tau~|) of the run's predictor at the believed pose; votes, their average, product;
-                  and the same with the distance from the contact to the nearest point of each model (proprioception);
   the belief      `i2t.recognition.belief` with a pad model fitted to the training touches, whose objects were
-                  registered by their contacts: from readings alone, from positions alone, and from both; next to it an
-                  oracle fitted to the same touches without any error of pose or noise.
+                  registered by their contacts: from readings, from meeting something or nothing, from positions, and
+                  from their sums; next to it an oracle fitted to the same touches without any error of pose or noise;
+  the paper       exp(-|tau - tau~|) of the paper's networks at the believed pose: votes, their average, product; and by
+                  the same rules the Gaussian process that the run kept, a constant reading, and the distance from the
+                  contact to the nearest point of each model (proprioception).
 
-The paper's two sets (three primitives, two tools) are played apart, with the paper's heuristic for the next touch, and
-all five as one set. What was fixed before testing is in docs/recognition.md. Everything is simulated unless --dataset
-says otherwise. Results go to --out: metrics.json, config.json, episodes of each seed (npz) and figures.
+The paper's two sets (three primitives, two tools) are played apart, at sites that the paper's heuristic draws on random
+candidates, so that every method judges the same episodes; all five are played as one set. What was fixed before testing
+is in docs/recognition.md. Everything is simulated unless --dataset says otherwise. Results go to --out: metrics.json
+(95 % intervals over pads and pools of sites), config.json, episodes of each pad and seed (npz) and figures.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
 
 from experiments.common.presets import choose_preset
 from experiments.common.runs import begin
-from experiments.recognize import recorded, trained_run
+from experiments.recognize import paper, recorded, trained_run
 from experiments.recognize import report as reporting
 from experiments.recognize.config import PRESETS, PresetName, Recognition
+from experiments.recognize.report import CONSTANT
 from experiments.recognize.trained_run import TrainedRun, finished_runs, load_meshes, meshes_by_name
 from i2t import dataset as data
 from i2t.objects import Mesh
 from i2t.recognition.belief import Particles
-from i2t.recognition.episodes import EpisodeConfig, run_belief, run_episodes
-from i2t.recognition.outcomes import PredictedTouch
+from i2t.recognition.episodes import BeliefModel, EpisodeConfig, believe, run_episodes
 from i2t.recognition.pad_model import PadModel, fit_oracle_pad_model
-from i2t.recognition.paper_rules import paper_rules
+from i2t.recognition.paper_rules import ConstantPredictor, ReadingPredictor, paper_rules
 from i2t.recognition.site_pool import (
-    SitePool,
-    draw_informative_sites,
-    draw_random_sites,
+    TouchPlan,
+    plan_informative_touches,
+    plan_random_touches,
     pose_particles,
-    precompute_outcomes,
     prepare_surfaces,
-    sample_sites,
+    sample_pools,
 )
 from i2t.types import Board, Surface
+
+ORACLE_EVIDENCE = ("readings and presence", "fused")
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,8 @@ class SimulateArgs:
 
     out: Path = Path("runs/recognize")  # folder for everything that is made
     trained_run: Path = Path("runs/train")  # a finished run of experiments.train, or a study's folder of several
+    pads: tuple[str, ...] = ()  # of a study in --trained-run, those that are used, by number; all unless given
+    method: Literal["all", "paper"] = "all"  # every method on the same episodes, or the paper's own loop by itself
     preset: PresetName = "paper"
     objects: tuple[Path, ...] = ()  # to tell apart: names of the catalogue and mesh files
     unit: str | None = None  # of those files, for instance mm
@@ -70,6 +76,7 @@ class SimulateArgs:
     rig: Path | None = None  # of the lab that recorded them: its object_covariance says how far poses may be off
     episodes: int | None = None  # of each object, for each pad and seed
     paper_episodes: int | None = None  # the same in the paper's sets, twice as many unless given
+    num_particles: int | None = None  # poses of each object, in place of the preset's
     seed: int = 0
     resume: bool = False  # go on with an unfinished run in --out
     overwrite: bool = False  # replace a finished or unfinished run in --out
@@ -83,27 +90,32 @@ class ObjectSet(NamedTuple):
     heuristic: bool  # whether the paper's chooses the sites
 
 
-class Predictions(NamedTuple):
-    """Objects, sites, and what each object would feel like at each site with the pad model and with the oracle."""
+class World(NamedTuple):
+    """What the sets of one pad and seed share."""
 
-    names: list[str]
-    surfaces: list[Surface]
-    sites: SitePool
+    cfg: Recognition
+    trained: TrainedRun
+    oracle: PadModel
+    predictors: dict[str, ReadingPredictor]  # to which the paper's rules are applied
     particles: Particles
-    tables: list[PredictedTouch]
+    folder: Path  # of the run
 
 
 def run(args: SimulateArgs) -> dict[str, Any]:
     """Every pad and seed of the run, then the tables over them."""
     cfg = configure(args)
+    if args.method == "paper" and (args.dataset or args.objects):
+        raise ValueError("--method paper plays the paper's own sets; pass it without --dataset and --objects")
     if args.dataset is not None:
         return recorded.run(args, cfg)
     if args.pad is not None:
         raise ValueError(
             "--pad is for recorded touches (--dataset); simulate with it: python -m experiments.train --pad"
         )
-    folders = finished_runs(args.trained_run)
+    folders = chosen_runs(args)
     begin(args.out, args, cfg, args.resume, args.overwrite)
+    if args.method == "paper":
+        return paper.run(args.out, cfg, folders, args.seed)
     parts = []
     for i, folder in enumerate(folders):
         path = args.out / f"episodes-{i}.npz"
@@ -114,6 +126,20 @@ def run(args: SimulateArgs) -> dict[str, Any]:
     return report(args, parts, touched.source, touched.board)
 
 
+def chosen_runs(args: SimulateArgs) -> list[Path]:
+    """Folders of the runs with the pads that the command line names. Raises ValueError where one is missing."""
+    folders = finished_runs(args.trained_run)
+    if not args.pads:
+        return folders
+    pads = [paper.pad_name(folder) for folder in folders]
+    missing = sorted(set(args.pads) - set(pads))
+    if missing:
+        raise ValueError(
+            f"{args.trained_run} has no run with pad {', '.join(missing)}; its pads are {', '.join(sorted(set(pads)))}"
+        )
+    return [folder for folder, pad in zip(folders, pads, strict=True) if pad in args.pads]
+
+
 def configure(args: SimulateArgs) -> Recognition:
     """The preset with the numbers of episodes that the command line asks for."""
     cfg = choose_preset(PRESETS, args.preset)
@@ -122,6 +148,8 @@ def configure(args: SimulateArgs) -> Recognition:
         cfg = replace(cfg, episodes=n, paper_episodes=2 * n, validation_episodes=n)
     if args.paper_episodes is not None:
         cfg = replace(cfg, paper_episodes=args.paper_episodes)
+    if args.num_particles is not None:
+        cfg = replace(cfg, num_particles=args.num_particles)
     return cfg
 
 
@@ -148,22 +176,26 @@ def play(args: SimulateArgs, cfg: Recognition, folder: Path, seed: int) -> repor
         "errors of pose"
     )
     done: reporting.Results = {}
+    particles = pose_particles(cfg.errors, cfg.num_particles, seed)
+    world = World(cfg, trained, oracle, rule_predictors(folder, trained), particles, folder)
     groups = object_groups(args, cfg)
     prepared = iter(prepare_surfaces([mesh for meshes, _ in groups for mesh in meshes.values()]))  # compiled for once
     for i, (meshes, sets) in enumerate(groups):
-        key_pool, key_sets = jax.random.split(jax.random.fold_in(key_groups, i))
-        surfaces = [next(prepared) for _ in meshes]
-        sites = sample_sites(key_pool, surfaces, list(meshes), cfg.num_sites, cfg.site_limits)
-        particles = pose_particles(cfg.errors, cfg.num_particles, seed)
-        tables = precompute_outcomes(
-            surfaces, particles.twist, sites.T_w_t, [trained.pad_model.reading_model, oracle.reading_model],
-            overtravel=cfg.limits.overtravel, label=", ".join(sets),
-        )  # fmt: skip
-        predictions = Predictions(list(meshes), surfaces, sites, particles, tables)
+        surfaces = {name: next(prepared) for name in meshes}
         for j, (name, objects) in enumerate(sets.items()):
-            key = jax.random.fold_in(key_sets, j)
-            done[name] = play_set(key, name, objects, predictions=predictions, cfg=cfg, trained=trained, oracle=oracle)
+            key = jax.random.fold_in(jax.random.fold_in(key_groups, i), j)
+            done[name] = play_set(key, name, objects, surfaces=[surfaces[one] for one in objects.names], world=world)
     return done
+
+
+def rule_predictors(folder: Path, trained: TrainedRun) -> dict[str, ReadingPredictor]:
+    """Predictors to which the paper's rules are applied, by the names of their rows; says what is missing."""
+    found = paper.load_paper_networks(folder)
+    if said := paper.missing_networks(folder, found):
+        print(said)
+    networks = {} if found is None else found.networks
+    mean = trained.dataset.touches.reading[trained.rows].mean(0)
+    return {**networks, **paper.kept_predictor(trained.predictor), CONSTANT: ConstantPredictor(mean)}
 
 
 def object_groups(args: SimulateArgs, cfg: Recognition) -> list[tuple[dict[str, Mesh], dict[str, ObjectSet]]]:
@@ -188,33 +220,39 @@ def object_groups(args: SimulateArgs, cfg: Recognition) -> list[tuple[dict[str, 
 
 
 def play_set(
-    key: jax.Array,
-    name: str,
-    objects: ObjectSet,
-    *,
-    predictions: Predictions,
-    cfg: Recognition,
-    trained: TrainedRun,
-    oracle: PadModel,
+    key: jax.Array, name: str, objects: ObjectSet, *, surfaces: Sequence[Surface], world: World
 ) -> reporting.EpisodeResults:
     """Simulated episodes with one set of objects, and what every method believes after each touch."""
+    cfg, trained = world.cfg, world.trained
     key_play, key_site = jax.random.split(key)
-    which = [predictions.names.index(one) for one in objects.names]
-    surfaces = [predictions.surfaces[i] for i in which]
-    rows = np.flatnonzero(np.isin(predictions.sites.owner, which))
-    sites = SitePool(predictions.sites.T_w_t[rows], np.searchsorted(which, predictions.sites.owner[rows]))
-    truth = np.repeat(np.arange(len(which)), objects.episodes)
-    draw = draw_informative_sites if objects.heuristic else draw_random_sites
-    chosen = draw(key_site, sites, len(truth), cfg.touches)
+    truth = np.arange(len(surfaces) * objects.episodes) % len(surfaces)
+    plan = plan_touches(key_site, objects, surfaces, len(truth), cfg)
     config = EpisodeConfig(cfg.errors, cfg.limits, cfg.touches)
     episodes = run_episodes(
-        key_play, surfaces, truth, chosen, sites=sites, pad=trained.pad, config=config, label=name
-    )  # fmt: skip
-    believed: dict[str, np.ndarray] = {}
-    models = (("", trained.pad_model), (", oracle", oracle))
-    for (label, model), table in zip(models, predictions.tables, strict=True):
-        some = jax.tree.map(lambda x: x[rows][:, which], table)
-        found = run_belief(some, episodes, model.likelihood, predictions.particles)
-        believed |= {f"{kind}{label}": p for kind, p in found.items()}
-    believed |= paper_rules(trained.predictor, trained.pad_model.reading_std, surfaces, episodes)
-    return reporting.EpisodeResults(tuple(objects.names), truth, believed, episodes)
+        key_play, surfaces, truth, plan.chosen, sites=plan.sites, pad=trained.pad, config=config, label=name
+    )
+    models = {
+        "": BeliefModel(trained.pad_model.reading_model, trained.pad_model.likelihood),
+        ", oracle": BeliefModel(world.oracle.reading_model, world.oracle.likelihood, ORACLE_EVIDENCE),
+    }
+    believed = believe(
+        surfaces, plan.sites, episodes, world.particles, models, overtravel=cfg.limits.overtravel, label=name
+    )
+    believed |= paper_rules(world.predictors, trained.pad_model.reading_std, surfaces, episodes)
+    pad = f"pad {paper.pad_name(world.folder)}"
+    pools = np.array([f"{world.folder.name}, {name}, pool {number}" for number in plan.pool])
+    return reporting.EpisodeResults(tuple(objects.names), truth, believed, episodes, pad, pools)
+
+
+def plan_touches(
+    key: jax.Array, objects: ObjectSet, surfaces: Sequence[Surface], episodes: int, cfg: Recognition
+) -> TouchPlan:
+    """Where episodes touch: at the heuristic's sites of random candidates, or at random ones."""
+    if not objects.heuristic:
+        return plan_random_touches(key, surfaces, objects.names, episodes, cfg.touches, limits=cfg.site_limits)
+    key_pools, key_sites = jax.random.split(key)
+    pool = np.arange(episodes) // cfg.pool_episodes
+    pools = sample_pools(
+        key_pools, surfaces, objects.names, pools=int(pool[-1]) + 1, each=cfg.pool_sites, limits=cfg.site_limits
+    )
+    return plan_informative_touches(key_sites, pools, pool, cfg.touches)

@@ -43,8 +43,9 @@ SIMULATED_TOUCHES, SIMULATED_TOUCHES_DEBUG = 900, 100  # that a pad model of ano
 DEBUG_EPISODES = 2  # of each object
 FIRST_SEED = 100  # of the studies' keys, apart from those of other experiments
 Study = Literal[
-    "policy", "open_set", "planar", "registered", "new_pad", "pose_error", "sites", "sensitivity", "object_count"
-]
+    "policy", "open_set", "planar", "registered", "new_pad", "pose_error", "sites", "sensitivity", "object_count",
+    "placement", "mismatch",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,7 @@ class StudyLab:
 
     args: StudyArgs
     cfg: Recognition
+    folder: Path  # of the run
     run: TrainedRun
     names: tuple[str, ...]
     surfaces: list[Surface]
@@ -174,7 +176,7 @@ def prepare_lab(args: StudyArgs, folder: Path, seed: int) -> StudyLab:
     run = trained_run.load_trained_run(key_fit, folder, cfg.errors, cfg.limits)
     surfaces = prepare_surfaces(list(meshes_by_name(cfg.objects).values()))
     episodes = DEBUG_EPISODES if args.debug else args.episodes
-    return StudyLab(args, cfg, run, cfg.objects, surfaces, episodes, seed, key)
+    return StudyLab(args, cfg, folder, run, cfg.objects, surfaces, episodes, seed, key)
 
 
 # --- reports ---

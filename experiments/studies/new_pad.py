@@ -35,9 +35,9 @@ def evaluate(lab: StudyLab) -> Part:
     episodes = lab.simulate(key_episodes, plan, "new pad", pad=pad)
     found: dict[str, np.ndarray] = {"truth": plan.truth}
     for (name, model), table in zip(models.items(), tables, strict=True):
-        beliefs = run_belief(table, episodes, model.likelihood, particles, ("fused", "tactile only"))
+        beliefs = run_belief(table, episodes, model.likelihood, particles, ("fused", "readings and presence"))
         found |= {f"{kind}, {name}": p for kind, p in beliefs.items()}
-    return found | run_belief(tables[0], episodes, lab.pad_model.likelihood, particles, ("position only",))
+    return found | run_belief(tables[0], episodes, lab.pad_model.likelihood, particles, ("position and presence",))
 
 
 def fit_models(lab: StudyLab, key: Array, pad: Pad) -> dict[str, PadModel]:

@@ -1,6 +1,7 @@
 """How well must a pose be known for the paper's rules, and for its baseline that only knows where contacts were?
 
-The same episodes with more and more error of the object's pose, and with noisy views of the objects.
+The same episodes with more and more error of the object's pose, and with noisy views of the objects. Readings are
+predicted by the paper's networks, where the run trained them, and by the predictor that it kept.
 """
 
 from collections.abc import Sequence
@@ -14,13 +15,14 @@ import numpy as np
 
 from experiments.common.runs import Part
 from experiments.recognize import figures
+from experiments.recognize.paper import kept_predictor, load_paper_networks
 from experiments.studies.lab import EpisodePlan, StudyLab, clusters_of, format_estimate
 from i2t import viz
 from i2t.recognition import metrics
 from i2t.recognition.intervals import Estimate, rate_interval
 from i2t.recognition.metrics import to_json
-from i2t.recognition.paper_rules import paper_rules
-from i2t.recognition.site_pool import draw_informative_sites, sample_sites
+from i2t.recognition.paper_rules import PROPRIOCEPTION, paper_rules
+from i2t.recognition.site_pool import plan_informative_touches, sample_pools
 
 COMPARED_RULES = ("votes", "product")
 NOISY_POSE_ERROR_MM = 1.0  # pose error at which noisy views are tried
@@ -55,9 +57,15 @@ def evaluate_set(lab: StudyLab, key: jax.Array, name: str, names: Sequence[str])
     view_noises = DEBUG_VIEW_NOISE_MM if lab.args.debug else lab.args.view_noise
     key_sites, key_episodes, key_chosen = jax.random.split(key, 3)
     surfaces = [lab.surfaces[lab.names.index(one)] for one in names]
-    sites = sample_sites(key_sites, surfaces, names, lab.cfg.num_sites, lab.cfg.site_limits)
-    truth = np.repeat(np.arange(len(names)), lab.episodes)
-    plan = EpisodePlan(sites, truth, draw_informative_sites(key_chosen, sites, len(truth), lab.cfg.touches))
+    truth = np.arange(lab.episodes * len(names)) % len(names)
+    pool = np.arange(len(truth)) // lab.cfg.pool_episodes
+    pools = sample_pools(
+        key_sites, surfaces, names, pools=int(pool[-1]) + 1, each=lab.cfg.pool_sites, limits=lab.cfg.site_limits
+    )
+    touches = plan_informative_touches(key_chosen, pools, pool, lab.cfg.touches)
+    plan = EpisodePlan(touches.sites, truth, touches.chosen)
+    networks = load_paper_networks(lab.folder)
+    predictors = {**({} if networks is None else networks.networks), **kept_predictor(lab.run.predictor)}
     found = {}
     for pose_error in pose_errors:
         angle = np.radians(pose_error)
@@ -67,9 +75,9 @@ def evaluate_set(lab: StudyLab, key: jax.Array, name: str, names: Sequence[str])
         )
         for noise in (0.0, *view_noises) if pose_error == NOISY_POSE_ERROR_MM else (0.0,):
             std = lab.pad_model.reading_std
-            beliefs = paper_rules(lab.run.predictor, std, surfaces, episodes, view_noise=noise * M_PER_MM)
+            beliefs = paper_rules(predictors, std, surfaces, episodes, view_noise=noise * M_PER_MM)
             kept = {rule: p for rule, p in beliefs.items() if rule.endswith(COMPARED_RULES)}
-            found[World(name, pose_error, noise)] = {"truth": truth, **kept}
+            found[World(name, pose_error, noise)] = {"truth": truth, "pool": pool, **kept}
     return found
 
 
@@ -85,12 +93,15 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, A
         result["worlds"][str(world)] = entry
         for rule, difference in by_rule.items() if not world.view_noise else ():
             differences.setdefault(f"{world.objects}, {rule}", []).append(difference)
-        line = [
-            f"{rule}: {entry[rule]['I2T']['mean']:.3f} and {entry[rule]['proprioception']['mean']:.3f}, difference "
-            f"{format_estimate(difference)}"
-            for rule, difference in by_rule.items()
-        ]
-        print(f"{world!s:32} " + "   ".join(line))
+        print(f"{world!s}, proprioception and each source less proprioception:")
+        for rule, scores in entry["rules"].items():
+            base = scores[PROPRIOCEPTION]["accuracy"]["mean"]
+            line = [
+                f"{source} {score['accuracy']['mean']:.3f} ({format_estimate(by_rule[f'{source}, {rule}'])})"
+                for source, score in scores.items()
+                if source != PROPRIOCEPTION
+            ]
+            print(f"  {rule:8} {base:.3f}   " + "   ".join(line))
     columns = {name: zip(*each, strict=True) for name, each in differences.items()}
     lines = {name: Estimate(*(np.array(x, float) for x in each)) for name, each in columns.items()}
     result["equal_at_mm"] = {name: sign_changes(sorted(sizes), line.mean) for name, line in lines.items()}
@@ -103,19 +114,31 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, A
 
 
 def compare_rules(parts: Sequence[Part], pads: Sequence[int]) -> tuple[dict[str, Any], dict[str, Estimate]]:
-    """Accuracies from readings and from contact positions in one world, and their difference, by rule."""
+    """Accuracies from each source in one world, by rule; and how much better each source of readings is than contact
+    positions, by source and rule.
+    """
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0] if name not in World._fields}
-    truth, clusters = columns["truth"], clusters_of(parts, pads)
-    entry: dict[str, Any] = {"episodes": len(truth)}
+    truth, pool = columns.pop("truth"), columns.pop("pool")
+    # Of a single pad, episodes are told apart by their pool of sites; each run has its own.
+    clusters = clusters_of(parts, pads) or [
+        pool + 10**6 * np.repeat(range(len(parts)), [len(p["pool"]) for p in parts])
+    ]
+    entry: dict[str, Any] = {"episodes": len(truth), "rules": {}}
     differences = {}
     for rule in COMPARED_RULES:
-        ours, theirs = (metrics.hits(columns[f"{source}, {rule}"], truth) for source in ("I2T", "proprioception"))
-        differences[rule] = metrics.compare_paired(ours, theirs, clusters=clusters).last
-        entry[rule] = {
-            "I2T": to_json(rate_interval(ours[:, -1], clusters)),
-            "proprioception": to_json(rate_interval(theirs[:, -1], clusters)),
-            "difference": to_json(differences[rule]),
+        hits = {
+            name.removesuffix(f", {rule}"): metrics.hits(p, truth)
+            for name, p in columns.items()
+            if name.endswith(f", {rule}")
         }
+        entry["rules"][rule] = {}
+        for source, hit in hits.items():
+            scores = {"accuracy": to_json(rate_interval(hit[:, -1], clusters))}
+            if source != PROPRIOCEPTION:
+                difference = metrics.compare_paired(hit, hits[PROPRIOCEPTION], clusters=clusters).last
+                differences[f"{source}, {rule}"] = difference
+                scores["difference"] = to_json(difference)
+            entry["rules"][rule][source] = scores
     return entry, differences
 
 

@@ -33,7 +33,7 @@ from i2t.types import Array
 TRANSLATION_STD_M, ROTATION_STD_RAD = 5e-3, math.radians(5.0)  # of the placement, along and about each axis
 SIDE_VIEW_DISTANCE_M = 0.12  # from which the camera looks, down by 45 degrees
 VIEW_HEIGHT_M = 15e-3  # above the table, of the point that it looks at
-KINDS = ("fused", "tactile only")
+KINDS = ("fused", "readings and presence")
 FOUND_BY_VIEW = "found by a view"
 ERRORS = ("position_error", "rotation_error", "refused", "others_refused")
 

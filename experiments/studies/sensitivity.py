@@ -14,7 +14,7 @@ from i2t.recognition.belief import Likelihood
 from i2t.recognition.episodes import Episodes, run_belief
 from i2t.simulation.touches import SimulationErrors
 
-KINDS = ("fused", "tactile only")
+KINDS = ("fused", "readings and presence")
 SKIN_CHANGE_UT = 25.0  # at which presses stop, unless a world says otherwise
 REFITTED_UT = (50.0, 100.0)  # at which presses stop that a pad model is fitted to, too
 MIN_PLACEMENT_M, MIN_PLACEMENT_RAD = 0.02e-3, np.radians(0.02)  # spread of pose particles where poses are exact

@@ -84,7 +84,7 @@ def mean_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Es
     return cluster_interval(values, clusters) if clusters and len(values) else student_interval(values)
 
 
-def rows_of(clusters: Clusters, rows: Shaped[Array, " ..."]) -> Clusters:
+def rows_of(clusters: Clusters, rows: Shaped[Array, "..."]) -> Sequence[Shaped[Array, " kept"]]:
     """Labels of some of the episodes.
 
     Args:

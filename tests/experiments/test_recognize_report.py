@@ -1,0 +1,133 @@
+"""Tables of recognition: by what episodes are alike, each object by itself, the paper's rows and no others."""
+
+import json
+
+import numpy as np
+import pytest
+
+from experiments.recognize import paper, report, run
+from experiments.recognize.report import IMAGINE2TOUCH, RULES_GP, EpisodeResults
+from i2t.recognition.paper_rules import PROPRIOCEPTION
+
+NAMES = ("star", "cylinder")
+MASK, DEPTH = IMAGINE2TOUCH
+METHODS = (f"{MASK}, votes", f"{RULES_GP}, votes", f"{PROPRIOCEPTION}, votes", "fused")
+
+
+def results(pad: str, run: str, hit: np.ndarray) -> EpisodeResults:
+    """Episodes (e, t) of the two objects in turn, right where `hit`, each two with a pool of their own."""
+    truth = np.arange(len(hit)) % 2
+    decided = np.where(hit, truth[:, None], 1 - truth[:, None])
+    p = np.where(decided[..., None] == np.arange(2), 0.9, 0.1).astype(np.float32)
+    pool = np.array([f"{run}, pool {i // 2}" for i in range(len(hit))])
+    return EpisodeResults(NAMES, truth, dict.fromkeys(METHODS, p), None, pad, pool)
+
+
+# The star is never recognised at the last touch by the first run, and always by the others; the cylinder always.
+FIRST = np.array([[True, False], [False, True]] * 3)
+OTHER = np.ones((6, 2), bool)
+PARTS = [
+    {"primitives": results("pad 0", "a", FIRST)},
+    {"primitives": results("pad 0", "b", OTHER)},
+    {"primitives": results("pad 1", "c", OTHER)},
+]
+
+
+@pytest.fixture(scope="module")
+def scores() -> dict:
+    return report.score_set(PARTS, "primitives")
+
+
+def test_episodes_are_alike_by_pad_and_by_pool():
+    pad, pool = report.clusters_of(PARTS, "primitives")
+    assert len(pad) == len(pool) == 18
+    assert pad.tolist() == [0] * 12 + [1] * 6  # two runs with one pad are one pad
+    assert len(np.unique(pool)) == 9  # but their pools are not the same
+    assert (pool[:2] == pool[0]).all()
+    *_, objects = report.clusters_of(PARTS, "primitives", objects=True)
+    assert objects.tolist() == [0, 1] * 9
+
+
+def test_each_object_is_scored_by_itself(scores):
+    found = scores["methods"]["fused"]["by_object"]
+    assert found["star"]["last"]["mean"] == pytest.approx(6 / 9)
+    assert found["star"]["mean"]["mean"] == pytest.approx(7.5 / 9)
+    assert found["cylinder"]["last"]["mean"] == 1
+
+
+def test_intervals_are_over_pads_and_wider_than_over_independent_episodes(scores):
+    accuracy = scores["methods"]["fused"]["accuracy"]
+    hit = np.concatenate([FIRST, OTHER, OTHER])[:, -1]
+    independent = 1.96 * hit.std() / np.sqrt(len(hit))
+    assert accuracy["mean"][-1] == pytest.approx(hit.mean())
+    assert accuracy["high"][-1] - accuracy["low"][-1] > 2 * independent
+
+
+def test_what_is_on_disk_is_what_was_made(tmp_path):
+    report.save(tmp_path / "part.npz", PARTS[0])
+    back = report.load(tmp_path / "part.npz")["primitives"]
+    assert (back.names, back.pad, back.episodes) == (NAMES, "pad 0", None)
+    np.testing.assert_array_equal(back.pool, PARTS[0]["primitives"].pool)
+    np.testing.assert_array_equal(back.truth, PARTS[0]["primitives"].truth)
+    np.testing.assert_array_equal(back.beliefs["fused"], PARTS[0]["primitives"].beliefs["fused"])
+
+
+def test_only_the_papers_methods_stand_beside_its_figures(scores, capsys):
+    summary = {
+        "source": "simulated",
+        **report.pads_of(PARTS),
+        "sets": {"primitives": scores},
+    }
+    report.print_tables(summary)
+    lines = capsys.readouterr().out.splitlines()
+    assert "2 pads" in lines[1]
+    assert "9 pools of sites" in lines[1]
+    assert "for these objects" in lines[1]
+    published = {line[:48].strip(): line.rpartition("paper: ")[2] for line in lines if "paper: " in line}
+    assert published == {f"{MASK}, votes": "0.50", f"{PROPRIOCEPTION}, votes": "0.23"}
+    assert not [line for line in lines if "I2T" in line]
+
+
+def test_the_papers_last_column_weighs_every_object_alike():
+    """Three primitives at .5 and two tools at .7 are .58, as in the paper, however many episodes there are of each."""
+    rng = np.random.default_rng(0)
+    sets = {}
+    for name, objects, episodes, share in (("primitives", 3, 60, 0.5), ("tools", 2, 200, 0.7)):
+        truth = np.arange(episodes) % objects
+        hit = np.zeros(episodes, bool)
+        for i in range(objects):
+            rows = np.flatnonzero(truth == i)
+            hit[rng.permutation(rows)[: round(share * len(rows))]] = True
+        decided = np.where(hit, truth, (truth + 1) % objects)
+        p = np.eye(objects)[decided][:, None]
+        pool = np.array([f"{name} {i}" for i in range(episodes)])
+        sets[name] = EpisodeResults(tuple("abc"[:objects]), truth, {"votes": p}, None, "pad 0", pool)
+    found = report.mean_over_objects([sets])["votes"]
+    assert found["mean"] == pytest.approx(0.58)
+    assert found["low"] < 0.58 < found["high"]
+
+
+def test_missing_networks_are_said_in_one_sentence(tmp_path):
+    assert paper.load_paper_networks(tmp_path) is None
+    said = paper.missing_networks(tmp_path, None)
+    assert "no paper's network, mask and no paper's network, depth, so these rows of Imagine2touch are left out" in said
+    short = paper.PaperNetworks(dict.fromkeys(IMAGINE2TOUCH), np.zeros(15), np.ones(15), 5)
+    assert "were trained for 5 epochs" in paper.missing_networks(tmp_path, short)
+    assert paper.missing_networks(tmp_path, short._replace(epochs=120)) == ""
+
+
+def test_pads_of_a_study_are_chosen_by_number(tmp_path):
+    for pad in (0, 1, 2):
+        folder = tmp_path / f"pad-{pad}-seed-0"
+        folder.mkdir()
+        (folder / "metrics.json").write_text(json.dumps({"pad": pad}))
+    chosen = run.chosen_runs(run.SimulateArgs(trained_run=tmp_path, pads=("0", "2")))
+    assert [folder.name for folder in chosen] == ["pad-0-seed-0", "pad-2-seed-0"]
+    assert len(run.chosen_runs(run.SimulateArgs(trained_run=tmp_path))) == 3
+    with pytest.raises(ValueError, match="has no run with pad 7; its pads are 0, 1, 2"):
+        run.chosen_runs(run.SimulateArgs(trained_run=tmp_path, pads=("7",)))
+
+
+def test_the_papers_loop_is_not_for_recorded_touches(tmp_path):
+    with pytest.raises(ValueError, match="--method paper plays the paper's own sets"):
+        run.run(run.SimulateArgs(method="paper", dataset=tmp_path))
