@@ -1,7 +1,7 @@
 """Recorded touches as episodes: each session is one, judged by a pad model of the skin that recorded it."""
 
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
@@ -28,26 +28,12 @@ from i2t.recognition.paper_rules import paper_rules
 from i2t.recognition.site_pool import precompute_outcomes, prepare_surfaces
 from i2t.types import ReturnCode
 
+if TYPE_CHECKING:
+    from experiments.recognize.run import SimulateArgs
+
 MIN_EPISODES = 5  # fewer say nothing about others: no interval is given
 KEPT_PREDICTOR = "the paper's rules, the run's predictor"  # whose readings the paper's rules are given
 TOO_FEW = "too few episodes for an interval"
-
-
-class RecordedArgs(Protocol):
-    """What of a command line says how recorded touches are recognised."""
-
-    out: Path
-    trained_run: Path
-    pad: Path | None
-    other_skin: bool
-    objects: tuple[Path, ...]
-    unit: str | None
-    dataset: Path | None
-    rig: Path | None
-    max_touches: int | None
-    seed: int
-    resume: bool
-    overwrite: bool
 
 
 class Sessions(NamedTuple):
@@ -69,7 +55,7 @@ class Sessions(NamedTuple):
         return said
 
 
-def run(args: RecordedArgs, cfg: Recognition) -> dict[str, Any]:
+def run(args: "SimulateArgs", cfg: Recognition) -> dict[str, Any]:
     """Recognise the objects of recorded sessions, and write down how often and how sure."""
     assert args.dataset is not None
     recorded = data.load_dataset(args.dataset)
@@ -112,7 +98,7 @@ def run(args: RecordedArgs, cfg: Recognition) -> dict[str, Any]:
     return summary
 
 
-def candidate_meshes(args: RecordedArgs, recorded: Dataset) -> dict[str, Mesh]:
+def candidate_meshes(args: "SimulateArgs", recorded: Dataset) -> dict[str, Mesh]:
     """The objects to tell apart: those of --objects, or those of the data set."""
     if args.objects:
         return load_meshes(args.objects, args.unit)
@@ -186,6 +172,7 @@ def recognise(
 
 def score(results: reporting.EpisodeResults) -> dict[str, Any]:
     """Accuracy of every method after each touch; sessions are independent trials, each with a placement of its own."""
+    assert results.episodes is not None
     truth = results.truth
     methods = {}
     for method, beliefs in results.beliefs.items():

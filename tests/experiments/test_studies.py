@@ -30,13 +30,16 @@ def test_studies_run(study, trained_run, tmp_path):
         assert 0 <= metrics["rotation_error"]["percentiles_25_50_75_90"][0] <= 180
     elif study == "registered":
         places = "known to 1 mm", "known to 5 mm", "found by a view"
-        assert set(metrics["methods"]) == {f"{kind}, {place}" for kind in ("fused", "tactile only") for place in places}
+        assert set(metrics["methods"]) == {
+            f"{kind}, {place}" for kind in ("fused", "readings and presence") for place in places
+        }
         assert metrics["refused"]["true_object"] == 0
         middle = metrics["position_error"]["percentiles_25_50_75_90"][1]
         assert 0 < middle < 8.0  # mm; 5 mm on each axis are believed at first
     elif study == "pose_error":
         assert len(metrics["worlds"]) == 6  # two pose errors and one noise of views, in two sets
-        rules = {f"{s}, {r}" for s in ("primitives", "tools") for r in ("votes", "product")}
+        sources = ("Imagine2touch (paper's network, depth)", "same rules, Gaussian process")
+        rules = {f"{s}, {x}, {r}" for s in ("primitives", "tools") for x in sources for r in ("votes", "product")}
         assert set(metrics["equal_at_mm"]) == rules
     elif study == "sites":
         assert sum(kind["touches"] for kind in metrics["bits"].values()) == metrics["touches"] == 8
