@@ -9,6 +9,8 @@
     python -m experiments.studies sites         how informative is a touch of a flat, an edge and a corner?
     python -m experiments.studies sensitivity   what do errors of pose, noise and harder presses do?
     python -m experiments.studies object_count  10, 25 and 50 objects, the meshes of a folder among them
+    python -m experiments.studies placement     how sure may one be where the placement's error is told wrong?
+    python -m experiments.studies mismatch      what does it cost if the world's physics is not the belief's?
     python -m experiments.studies policy --preset debug      a handful of episodes, to see it run
 
 Each takes a finished run of `experiments.train` (--trained-run, or a study's folder of several pads and seeds) and uses
@@ -34,9 +36,11 @@ from experiments.common.runs import Part, begin, load_part, reported, save_part,
 from experiments.recognize.config import PRESETS
 from experiments.recognize.trained_run import finished_runs
 from experiments.studies import (
+    mismatch,
     new_pad,
     object_count,
     open_set,
+    placement,
     planar,
     policy,
     pose_error,
@@ -65,6 +69,8 @@ STUDIES = {
     "new_pad": StudySteps(new_pad.evaluate, report_methods),
     "sensitivity": StudySteps(sensitivity.evaluate, report_methods),
     "object_count": StudySteps(object_count.evaluate, object_count.report),
+    "placement": StudySteps(placement.evaluate, placement.report),
+    "mismatch": StudySteps(mismatch.evaluate, mismatch.report),
 }
 RENAMED_STUDIES = {
     "open": "open_set",
