@@ -24,7 +24,7 @@ from i2t.objects import Mesh, catalogue
 from i2t.prediction.predictor import Predictor, load_predictor
 from i2t.recognition import pad_model_files
 from i2t.recognition.pad_model import PadModel, fit_pad_model
-from i2t.recognition.pad_model_files import KnownPad, PadOrigin, Skin, load_pad_model
+from i2t.recognition.pad_model_files import KnownPad, PadOrigin, SkinIdentity, load_pad_model
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.simulation import touches as simulation
 from i2t.simulation.touches import SimulationErrors
@@ -37,7 +37,7 @@ TOUCHES_OF_A_FILE, TOUCHES_OF_A_FILE_DEBUG = 900, 100  # simulated with a pad on
 class PadSource(NamedTuple):
     """Where a pad model comes from, before it is made."""
 
-    skin: Skin
+    skin: SkinIdentity
     make: Callable[[jax.Array], KnownPad]  # with a key
     predictor: Predictor | None  # of the run, for the paper's rules
 
@@ -70,7 +70,7 @@ def find_pad_source(
         touches = recognition_data.known_touches(recorded, np.ones(len(recorded), bool), meshes, str(pad))
         return _of_touches(touches, cfg, errors, str(pad), None)
     kind = serialization.file_kind(pad)
-    if kind == pad_model_files.KIND:
+    if kind == pad_model_files.PAD_MODEL_KIND:
         known = load_pad_model(pad)
         return PadSource(known.skin, lambda key: known, None)
     if kind == pad_files.KIND:
@@ -138,7 +138,7 @@ def to_json(known: KnownPad) -> dict[str, object]:
 
 
 def _of_run(folder: Path, cfg: Recognition, errors: SimulationErrors) -> PadSource:
-    if (folder / recognition_data.ABOUT).exists():
+    if (folder / recognition_data.RECOGNITION_ABOUT).exists():
         return _of_touches(recognition_data.read(folder), cfg, errors, str(folder), load_predictor(folder))
     dataset, predictor, _ = trained_run.read_simulated_run(folder)
 
@@ -148,7 +148,7 @@ def _of_run(folder: Path, cfg: Recognition, errors: SimulationErrors) -> PadSour
         origin = PadOrigin(dataset.pads[0], dataset.source, names, int(trained.rows.sum()), str(folder))
         return KnownPad(trained.pad_model, dataset.board, origin)
 
-    return PadSource(Skin(dataset.pads[0], dataset.board, str(folder)), make, predictor)
+    return PadSource(SkinIdentity(dataset.pads[0], dataset.board, str(folder)), make, predictor)
 
 
 def _of_touches(
@@ -168,7 +168,7 @@ def _of_touches(
         model = fit_pad_model(key, dataset, rows, surfaces, errors=errors, limits=cfg.limits)
         return KnownPad(model, dataset.board, PadOrigin(pad, dataset.source, tuple(names), len(dataset), made_from))
 
-    return PadSource(Skin(pad, dataset.board, made_from), make, predictor)
+    return PadSource(SkinIdentity(pad, dataset.board, made_from), make, predictor)
 
 
 def _of_pad_file(path: Path, cfg: Recognition) -> PadSource:
@@ -197,7 +197,7 @@ def _of_pad_file(path: Path, cfg: Recognition) -> PadSource:
         origin = PadOrigin(about.name, "simulated", names, int(rows.sum()), made_from)
         return KnownPad(with_press_errors(model, about.error_std), board, origin)
 
-    return PadSource(Skin(about.name, board, made_from), make, None)
+    return PadSource(SkinIdentity(about.name, board, made_from), make, None)
 
 
 def with_press_errors(model: PadModel, error_std: float) -> PadModel:

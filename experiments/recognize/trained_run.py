@@ -86,7 +86,7 @@ def read_simulated_run(folder: Path) -> tuple[Dataset, Predictor, Pad]:
     """
     about = json.loads((folder / "metrics.json").read_text())
     if not (folder / "data.h5").exists():
-        if (folder / recognition_data.ABOUT).exists():
+        if (folder / recognition_data.RECOGNITION_ABOUT).exists():
             raise ValueError(
                 f"{folder} was trained on recorded touches, and simulated episodes need a pad to simulate with; "
                 "recognise recorded touches with it (--dataset), or pass a run that simulated its touches as "

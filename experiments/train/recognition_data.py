@@ -23,9 +23,9 @@ from i2t.errors import DataError
 from i2t.objects import Mesh, catalogue, read_mesh
 from i2t.types import ReturnCode
 
-TOUCHES, ABOUT, MESHES = "recognition.h5", "recognition.json", "meshes"
-MIN_TOUCHES, SPARE_TOUCHES = 20, 5  # that a pad model can be made of; more than a reading has values
-MIN_SESSIONS = 2  # hyperparameters are chosen on sessions left out
+RECOGNITION_TOUCHES, RECOGNITION_ABOUT, RECOGNITION_MESHES = "recognition.h5", "recognition.json", "meshes"
+MIN_PAD_TOUCHES, SPARE_TOUCHES = 20, 5  # that a pad model can be made of; more than a reading has values
+MIN_PAD_SESSIONS = 2  # hyperparameters are chosen on sessions left out
 
 
 class MeshFile(NamedTuple):
@@ -100,11 +100,11 @@ def known_touches(dataset: Dataset, rows: np.ndarray, meshes: Mapping[str, Mesh]
     if len(pads) > 1:
         raise DataError(f"{whose}: the touches are of several skins ({', '.join(pads)}), and a pad model is of one")
     sessions = len(np.unique(touches.session[usable]))
-    least = max(MIN_TOUCHES, touches.reading.shape[-1] + SPARE_TOUCHES)
-    if usable.sum() < least or sessions < MIN_SESSIONS:
+    least = max(MIN_PAD_TOUCHES, touches.reading.shape[-1] + SPARE_TOUCHES)
+    if usable.sum() < least or sessions < MIN_PAD_SESSIONS:
         raise DataError(
             f"{whose}: {usable.sum()} usable touches in {sessions} sessions are too few for a pad model, which needs "
-            f"{least} in {MIN_SESSIONS}"
+            f"{least} in {MIN_PAD_SESSIONS}"
         )
     chosen = _seen_from_object(dataset.select(usable))
     names = [chosen.objects[i] for i in np.unique(chosen.touches.object)]
@@ -130,11 +130,11 @@ def keep(out: Path, dataset: Dataset, rows: np.ndarray, files: Mapping[str, Mesh
     try:
         known = known_touches(dataset, rows, meshes, "its training touches")
     except DataError as error:
-        write_json(out / ABOUT, {"unusable": str(error)})
+        write_json(out / RECOGNITION_ABOUT, {"unusable": str(error)})
         return f"recognition cannot use this run: {error}"
     touches = known.dataset.touches
     narrow = touches._replace(wide=missing_context(len(known.dataset), touches.wide.shape[-1]), truth=None)
-    data.save_dataset(out / TOUCHES, replace(known.dataset, touches=narrow))
+    data.save_dataset(out / RECOGNITION_TOUCHES, replace(known.dataset, touches=narrow))
     about = {
         "source": dataset.source,
         "pad": dataset.pads[int(touches.pad[0])],
@@ -142,7 +142,7 @@ def keep(out: Path, dataset: Dataset, rows: np.ndarray, files: Mapping[str, Mesh
         "touches": len(touches.force),
         "objects": {name: _kept_mesh(out, files.get(name)) for name in known.meshes},
     }
-    write_json(out / ABOUT, about)
+    write_json(out / RECOGNITION_ABOUT, about)
     return (
         f"recognition: {about['touches']} training touches of {', '.join(known.meshes)} ({dataset.source}) make a pad "
         f'model of "{about["pad"]}"'
@@ -162,23 +162,23 @@ def read(folder: Path) -> KnownTouches:
         DataError: It kept none, or what it kept has changed.
     """
     try:
-        about: dict[str, Any] = json.loads((folder / ABOUT).read_text())
+        about: dict[str, Any] = json.loads((folder / RECOGNITION_ABOUT).read_text())
     except (OSError, ValueError) as error:
-        raise DataError(f"{folder / ABOUT}: cannot be read ({error}); train the run again") from error
+        raise DataError(f"{folder / RECOGNITION_ABOUT}: cannot be read ({error}); train the run again") from error
     if "unusable" in about:
         raise DataError(f"{folder} is of no use to recognition: {about['unusable']}")
     meshes = {name: _read_kept(folder, name, kept) for name, kept in about["objects"].items()}
-    return KnownTouches(data.load_dataset(folder / TOUCHES), meshes)
+    return KnownTouches(data.load_dataset(folder / RECOGNITION_TOUCHES), meshes)
 
 
 def _kept_mesh(out: Path, file: MeshFile | None) -> dict[str, str] | str:
     """What is noted of an object's mesh, of which a file is copied."""
     if file is None:
         return "catalogue"
-    (out / MESHES).mkdir(exist_ok=True)
-    copy = out / MESHES / file.path.name
+    (out / RECOGNITION_MESHES).mkdir(exist_ok=True)
+    copy = out / RECOGNITION_MESHES / file.path.name
     shutil.copyfile(file.path, copy)
-    return {"file": f"{MESHES}/{file.path.name}", "unit": file.unit, "sha256": _digest(copy)}
+    return {"file": f"{RECOGNITION_MESHES}/{file.path.name}", "unit": file.unit, "sha256": _digest(copy)}
 
 
 def _read_kept(folder: Path, name: str, kept: dict[str, str] | str) -> Mesh:

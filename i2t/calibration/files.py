@@ -22,7 +22,7 @@ from i2t.skin.files import save_pad
 from i2t.types import Board
 
 MAX_RADIUS_MM = 50.0
-MIN_PRESSES = 5  # fewer tell next to nothing of a map
+MIN_PAD_PRESSES = 5  # fewer tell next to nothing of a map
 
 
 class PressedSkin(NamedTuple):
@@ -114,8 +114,8 @@ def fit_pressed_pad(pressed: PressedSkin, tip: RoundTip) -> PressedPad:
         ValueError: Too few presses, or the fit found no pad.
     """
     count = len(pressed.load)
-    if count < MIN_PRESSES:
-        raise ValueError(f"{count} presses are too few to fit a pad to; give at least {MIN_PRESSES}")
+    if count < MIN_PAD_PRESSES:
+        raise ValueError(f"{count} presses are too few to fit a pad to; give at least {MIN_PAD_PRESSES}")
     presses = Presses(jnp.float32(pressed.position), jnp.float32(pressed.load))
     readings, board = jnp.float32(pressed.readings), Board(*(jnp.float32(part) for part in pressed.board))
     fitted = fit_pad(presses, readings, tip=tip, board=board, by_force=pressed.by_force)

@@ -22,9 +22,9 @@ from i2t.recognition.outcomes import LinearReadingModel
 from i2t.recognition.pad_model import PadModel
 from i2t.types import Board
 
-KIND = "i2t pad model"
+PAD_MODEL_KIND = "i2t pad model"
 CHIP_TOLERANCE_M = 3e-3  # nominal boards and fitted pads differ by less in the depth of their chips
-ROTATION_TOLERANCE = 0.2  # of an entry of a chip's rotation
+CHIP_ROTATION_TOLERANCE = 0.2  # of an entry of a chip's rotation
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class PadOrigin:
     made_from: str  # a run, a data set or a file
 
 
-class Skin(NamedTuple):
+class SkinIdentity(NamedTuple):
     """Which skin something is of."""
 
     pad: str  # its name in data sets
@@ -54,9 +54,9 @@ class KnownPad(NamedTuple):
     origin: PadOrigin
 
     @property
-    def skin(self) -> Skin:
+    def skin(self) -> SkinIdentity:
         """The skin that it is of."""
-        return Skin(self.origin.pad, self.board, self.origin.made_from)
+        return SkinIdentity(self.origin.pad, self.board, self.origin.made_from)
 
 
 class _Record(NamedTuple):
@@ -82,10 +82,14 @@ def save_pad_model(path: Path | str, known: KnownPad) -> None:
     """
     model = known.model
     record = _Record(
-        model.reading_model, model.likelihood, model.reading_std, np.asarray(model.r2), model.held_out_errors,
-        known.board,
-    )  # fmt: skip
-    serialization.save(path, KIND, record, asdict(known.origin))
+        reading_model=model.reading_model,
+        likelihood=model.likelihood,
+        reading_std=model.reading_std,
+        r2=np.asarray(model.r2),
+        held_out_errors=model.held_out_errors,
+        board=known.board,
+    )
+    serialization.save(path, PAD_MODEL_KIND, record, asdict(known.origin))
 
 
 def load_pad_model(path: Path | str) -> KnownPad:
@@ -100,7 +104,7 @@ def load_pad_model(path: Path | str) -> KnownPad:
     Raises:
         SerializationError: The file is missing, damaged, holds something else, or its parts do not fit each other.
     """
-    record, about = serialization.load(path, KIND, _Record)
+    record, about = serialization.load(path, PAD_MODEL_KIND, _Record)
     channels = 3 * len(record.board.chips)
     loads, cells = record.reading_model.mean.shape[:2]
     shapes = {
@@ -128,7 +132,9 @@ def load_pad_model(path: Path | str) -> KnownPad:
     return KnownPad(model, Board(*(np.asarray(part, np.float32) for part in record.board)), origin)
 
 
-def require_skin(skin: Skin, pads: Sequence[str], board: Board, whose: str, *, other_skin: bool = False) -> str | None:
+def require_skin(
+    skin: SkinIdentity, pads: Sequence[str], board: Board, whose: str, *, other_skin: bool = False
+) -> str | None:
     """Refuse touches of another skin than a pad model's.
 
     Args:
@@ -172,7 +178,7 @@ def same_board(one: Board, other: Board) -> bool:
         return False
     apart = np.abs(np.asarray(one.chips, float) - np.asarray(other.chips, float)).max()
     turned = np.abs(np.asarray(one.rotations, float) - np.asarray(other.rotations, float)).max()
-    return bool(apart < CHIP_TOLERANCE_M and turned < ROTATION_TOLERANCE)
+    return bool(apart < CHIP_TOLERANCE_M and turned < CHIP_ROTATION_TOLERANCE)
 
 
 def _described(board: Board) -> str:

@@ -89,7 +89,7 @@ def test_training_touches_come_back_as_seen_from_the_object(tmp_path, mug):
         kept.meshes["star"].vertices, catalogue.make_object("star").mesh.vertices
     )  # fmt: skip
     np.testing.assert_allclose(np.ptp(kept.meshes["mug"].vertices, axis=0), 0.02, atol=1e-6)
-    about = json.loads((out / recognition_data.ABOUT).read_text())
+    about = json.loads((out / recognition_data.RECOGNITION_ABOUT).read_text())
     assert about["objects"]["star"] == "catalogue"
     assert about["source"] == "simulated"
 
@@ -169,7 +169,7 @@ def test_a_run_on_recorded_touches_says_why_it_simulates_no_episodes(tmp_path):
     (tmp_path / "metrics.json").write_text('{"source": "real", "pad": null}')
     with pytest.raises(ValueError, match="keeps no touches; train it again"):
         trained_run.read_simulated_run(tmp_path)
-    (tmp_path / recognition_data.ABOUT).write_text('{"unusable": "the force was not measured"}')
+    (tmp_path / recognition_data.RECOGNITION_ABOUT).write_text('{"unusable": "the force was not measured"}')
     with pytest.raises(ValueError, match="trained on recorded touches, and simulated episodes need a pad"):
         trained_run.read_simulated_run(tmp_path)
     with pytest.raises(DataError, match="is of no use to recognition: the force was not measured"):
