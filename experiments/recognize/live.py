@@ -4,7 +4,7 @@
     python -m experiments.recognize live --true-object hammer --arm emulated --skin emulated      the real drivers
     python -m experiments.recognize live --objects star own.stl --unit mm --arm emulated --skin emulated
     python -m experiments.recognize live --trained-run runs/collected --pad-name "skin A" --arm ur \\
-        --host 192.168.1.10 --skin reskin --camera realsense --rig lab.toml                    a real skin, by a run on its own touches
+        --host 192.168.1.10 --skin reskin --camera realsense --rig lab.toml     a real skin, by a run on its own touches
 
 Every skin differs, so the pad model must be of the skin that touches, by its name in data sets and by its board: that
 of a run (--trained-run), of an earlier session or of a file (--pad). Any other is refused before anything moves. A
