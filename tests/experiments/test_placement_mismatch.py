@@ -99,3 +99,53 @@ def test_stops_that_are_wrong_too_often_are_named(capsys):
     right = placement.report_condition("1 mm, told 1", p, np.zeros(40, int), np.full(40, 1.5), [])
     assert right["stopping"][0]["stopped_error"]["mean"] == 0
     assert "TOO OFTEN" not in capsys.readouterr().out
+
+
+def believed(rng: np.random.Generator, truth: np.ndarray, sure: float) -> np.ndarray:
+    """Beliefs (e, t, 3) that lean to the truth."""
+    logits = rng.normal(size=(len(truth), 4, 3)) + sure * np.eye(3)[truth][:, None] * np.arange(1, 5)[None, :, None]
+    p = np.exp(logits)
+    return p / p.sum(-1, keepdims=True)
+
+
+def test_the_placement_study_reports_each_condition_at_a_temperature_of_its_method(tmp_path, capsys):
+    rng = np.random.default_rng(0)
+    truth = np.arange(30) % 3
+    parts = []
+    for _ in range(3):
+        part = {}
+        for label in (placement.VALIDATION, placement.TEST):
+            part[f"{label}: truth"] = truth
+            for method in placement.METHODS:
+                for condition in placement.CONDITIONS[:1]:
+                    p = believed(rng, truth, 1.0)
+                    # Twice the logits: a belief that is surer than it is right.
+                    sure = p**2 / (p**2).sum(-1, keepdims=True) if method == "as told" else p
+                    part[f"{label}: {method}, {condition}"] = sure
+                    part[f"{label}: {placement.SCALE}, {method}, {condition}"] = np.full(30, 1.4)
+        parts.append(part)
+    result = placement.report(parts, tmp_path, [0, 1, 2])
+    assert result["episodes"] == 90
+    for entry in result["methods"].values():
+        assert list(entry["conditions"]) == [str(placement.CONDITIONS[0])]
+    temperatures = [result["methods"][method]["temperature"]["initial"] for method in ("as told", "inferred")]
+    assert temperatures[0] == pytest.approx(2 * temperatures[1], rel=0.25)
+    assert capsys.readouterr().out.count("mean") == 2
+
+
+def test_the_mismatch_study_compares_every_world_with_the_matched_one(tmp_path):
+    truth = np.arange(30) % 3
+    parts = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        part = {"truth": truth}
+        for kind in mismatch.KINDS:
+            part[f"{kind}, {mismatch.MATCHED}"] = believed(rng, truth, 3.0)
+            part[f"{kind}, guessing"] = believed(rng, truth, 0.0)
+        parts.append(part)
+    result = mismatch.report(parts, tmp_path, [0, 1, 2])
+    assert (tmp_path / "accuracy.png").exists()
+    for entry in result["worlds"]["guessing"].values():
+        assert entry["difference_last"]["high"] < -0.3
+        assert entry["last"]["mean"] == pytest.approx(1 / 3, abs=0.2)
+    assert result["worlds"][mismatch.MATCHED]["fused"]["difference_last"]["mean"] == 0
