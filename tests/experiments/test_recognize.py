@@ -316,10 +316,3 @@ def test_what_was_made_of_a_pad_is_kept(tmp_path):
     assert str(back["0"]["objects"]) == "tools"
     assert float(back["0"]["rough"]) == 0.3
     np.testing.assert_array_equal(back["0"]["network, votes"], part["0"]["network, votes"])
-
-
-def test_a_skin_that_the_pad_model_is_not_of_is_refused_before_anything_moves(tmp_path, capsys):
-    out = tmp_path / "live"
-    assert recognize.main(["live", "--skin", "reskin", "--arm", "ur", "--out", str(out)]) == 2
-    assert "of a simulated pad and says nothing of another skin" in capsys.readouterr().err
-    assert not out.exists()
