@@ -2,11 +2,12 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from experiments.calibrate import config, fitted_pad, methods, report
+from experiments.calibrate import config, evaluate, fitted_pad, methods, report
 from experiments.calibrate import run as calibrate
 from experiments.calibrate.data import PressRecording, hold_out, read_presses
 from experiments.calibrate.evaluate import explained
@@ -176,6 +177,10 @@ def test_the_best_method_is_chosen_by_cross_validation_on_the_presses_it_learns_
         assert np.isin(rows, known).all()
         assert np.isin(test, known).all()
         assert not np.isin(test, rows).any()
+    # And so it is where methods are evaluated: what is chosen is what is best on the known presses, not at the test.
+    predictors = SimpleNamespace(by_name=lambda: by_name, recording=recording)
+    predicted = evaluate._predictions(predictors, known, unseen)
+    np.testing.assert_array_equal(predicted[methods.BEST], predicted[methods.PERIOD])
     # Another method takes the place of the default only where the presses are sure of it.
     noisy = {name: method(0.0, 0.0) for name in (methods.HEIGHT, methods.PERIOD)}
     assert methods.select_method(noisy, recording, known) == methods.HEIGHT

@@ -105,6 +105,14 @@ def test_a_point_that_faces_too_far_from_one_other_object_does_not_qualify():
     np.testing.assert_allclose(found, [0, 0, 1], atol=1e-6)
 
 
+def test_the_limits_of_the_cosines_are_the_paper_s():
+    """0.65 for each other object and 0.2: of points just inside and just outside, those inside qualify."""
+    points = np.tile(np.stack([np.arange(4), np.zeros(4), np.zeros(4)], axis=-1) * 5e-3, (2, 1, 1))
+    normals = np.stack([_facing([0, 0, 0, 0]), _facing(np.degrees(np.arccos([0.66, 0.64, 0.21, 0.19])).tolist())])
+    found = ensemble.site_informativeness(jnp.asarray(points), jnp.asarray(normals), jnp.ones((2, 4), bool), 0)
+    np.testing.assert_allclose(found, [0, 0, 1, 0], atol=1e-6)  # of the two that qualify the lower score has no weight
+
+
 def test_the_bound_grows_with_the_number_of_objects():
     # Five objects whose counterparts all face 53 degrees away: the sum is -2.4, inside -0.65 * 4 but far outside -1.3.
     points = np.zeros((5, 2, 3))

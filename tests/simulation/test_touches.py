@@ -13,6 +13,7 @@ import pytest
 import trimesh
 from helpers.field_types import wrong_fields
 from helpers.random_touches import assert_equal
+from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from i2t import geometry
@@ -22,14 +23,17 @@ from i2t.simulation import sites
 from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import (
     CAMERA_DISTANCE_M,
+    SessionErrors,
     SimulationErrors,
     apply_camera_model,
     extract_patch,
     sample_session_errors,
+    simulate_touch,
     simulate_touches,
 )
 from i2t.skin.boards import make_board
 from i2t.skin.contact import Grid
+from i2t.skin.faults import WEAR_PRESSES, Faults
 from i2t.skin.pad import sample_pad
 from i2t.types import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW, Pad, ReturnCode, Surface, Touches
 
@@ -159,6 +163,43 @@ def test_presses_end_at_the_limit(touches, met):
     np.testing.assert_array_equal(touches.force, truth.force)
     # Without noise the sensor gives the true reading, up to the rounding of sums of ten.
     np.testing.assert_allclose(touches.reading, truth.reading, atol=1e-5 * LIMITS.skin_change)
+
+
+@pytest.mark.full
+def test_measured_force_and_travel_err_by_their_sizes_and_a_slant_is_felt(solids):
+    """Presses on the top of the box, which is met where it is believed to be, wherever the arm goes."""
+    pad, n = sample_pad(jax.random.key(3)), 48
+    T_w_site = jnp.diag(jnp.asarray([1.0, -1.0, -1.0, 1.0])).at[2, 3].set(0.06)
+    sure = SessionErrors(jnp.eye(4), jnp.eye(4))
+
+    def pressed(errors: SimulationErrors) -> Touches:
+        one = partial(simulate_touch, session=sure, pad=pad, errors=errors, limits=PressLimits(overshoot=0.0))
+        many = jax.jit(jax.vmap(lambda key: one(key, solids[1], jnp.eye(4), T_w_site)))
+        return jax.device_get(many(jax.random.split(jax.random.key(8), n)))
+
+    straight = replace(SimulationErrors.none(), force=0.2)
+    level = pressed(straight)
+    assert stats.kstest((level.force - level.truth.force) / 0.2, "norm").pvalue > 1e-6
+    travelled = level.truth.indentation + level.truth.force / PressLimits.stiffness
+    np.testing.assert_allclose(level.depth, travelled, atol=ROUNDING)
+    np.testing.assert_allclose(level.truth.reading, np.broadcast_to(level.truth.reading[:1], (n, 15)), atol=1e-3)
+
+    errors = replace(straight, slant=np.radians(2.0).item(), repeatability=0.1e-3)
+    slanted = pressed(errors)
+    travelled = slanted.truth.indentation + slanted.truth.force / PressLimits.stiffness
+    assert stats.kstest((slanted.depth - travelled) / 0.1e-3, "norm").pvalue > 1e-6
+    np.testing.assert_allclose(slanted.truth.force, level.truth.force, rtol=WITHIN)  # it ends as it would straight on
+    change = np.linalg.norm(slanted.truth.reading - level.truth.reading, axis=1)
+    assert np.median(change) > 0.01 * LIMITS.skin_change
+
+
+@pytest.mark.full
+def test_a_pad_softens_from_session_to_session(solids, pad, touches, met):
+    """Readings grow by what the presses of all sessions before them wore off, and not only those of their own."""
+    used = replace(PLACED, faults=Faults(softening=0.5))
+    worn = simulate_touches(jax.random.key(SEED), solids, pad, used, N, limits=LIMITS, touches_per_session=RUNS)
+    expected = 1 + 0.5 * (1 - np.exp(-np.arange(2 * N) / WEAR_PRESSES))
+    np.testing.assert_allclose(worn.reading[met], touches.reading[met] * expected[met, None], rtol=1e-4, atol=1e-3)
 
 
 def test_what_lies_too_low_is_air(touches, met, true_poses, solids):

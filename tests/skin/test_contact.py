@@ -369,6 +369,18 @@ def test_a_skin_held_at_its_edge_sinks_away_from_the_object(give):
     np.testing.assert_allclose(forced.indentation, depth, rtol=20 * contact.CONTACT_TOLERANCE)
 
 
+@pytest.mark.parametrize("give", [0.0, 2e-4])
+def test_the_largest_deflection_of_a_unit_pressure_is_bounded(give):
+    """By power iteration: from below by it, from above by it and what the layer alone can add."""
+    soft = contact._softness(PAD._replace(mount_compliance=jnp.asarray(give)), GRID)
+    _, bound = contact._bounds(soft, GRID)
+    pressure = np.ones((GRID.cells, GRID.cells), np.float32)
+    for _ in range(30):
+        deflected = np.asarray(contact._deflect(soft, jnp.asarray(pressure / np.linalg.norm(pressure)), GRID))
+        largest, pressure = np.linalg.norm(deflected), deflected
+    assert largest * (1 - 1e-4) <= bound <= (largest + jnp.max(soft.kernel)) * (1 + 1e-4)
+
+
 def test_a_bonded_skin_has_no_global_motion():
     pressure = solve(PAD, jnp.asarray(SHAPES["sphere"][0], jnp.float32), 0.5e-3).pressure
     assert elasticity.load(PAD, pressure).centre_sinking == 0
