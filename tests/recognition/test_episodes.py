@@ -1,5 +1,8 @@
 """Recorded sessions as episodes: where the sites of touches lie, and what a touch that met air says."""
 
+import inspect
+from unittest.mock import create_autospec
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,9 +12,12 @@ from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.objects import catalogue
 from i2t.recognition import belief
+from i2t.recognition import episodes as episodes_module
 from i2t.recognition.episodes import (
     EVIDENCE,
+    BeliefModel,
     EpisodeConfig,
+    Episodes,
     EpisodeSimulator,
     episodes_from_dataset,
     weigh_evidence,
@@ -153,3 +159,35 @@ def test_each_kind_of_evidence_counts_by_itself_and_fused_is_all():
     assert on("readings and presence") == [True, False, True]
     assert on("position and presence") == [False, True, True]
     assert on("fused") == [True, True, True]
+
+
+def test_believing_a_few_episodes_at_a_time_changes_nothing(monkeypatch):
+    """Each touch is judged by what was predicted at its own site, whichever episodes are taken together."""
+    rng = np.random.default_rng(0)
+    heights, chosen = rng.random(30).astype(np.float32), rng.permutation(30)[:21].reshape(7, 3)
+    T = np.tile(np.eye(4, dtype=np.float32), (30, 1, 1))
+    T[:, 2, 3] = heights
+    batches: list[int] = []
+
+    def predict(surfaces, twist, T_w_site, reading_models, *, overtravel, bar):
+        batches.append(len(T_w_site))
+        return [np.asarray(T_w_site)[:, 2, 3] for _ in reading_models]
+
+    def judge(table, some, likelihood, particles, kinds):
+        return {kind: np.repeat(table[some.site][..., None], 2, -1) + some.truth[:, None, None] for kind in kinds}
+
+    monkeypatch.setattr(episodes_module, "predict_outcomes", predict)
+    monkeypatch.setattr(episodes_module, "run_belief", judge)
+    monkeypatch.setattr(episodes_module, "BELIEVED_TOUCHES", 6)  # two episodes
+    observations = belief.TouchObservation(*(np.zeros((7, 3)) for _ in range(4)))
+    made = Episodes(np.arange(7), chosen, observations, np.zeros((7, 3, 4, 4), np.float32))
+    model = create_autospec(BeliefModel, instance=True, kinds=("readings", "fused"))
+    found = inspect.unwrap(episodes_module.believe)(
+        [None, None], SitePool(jnp.asarray(T), np.zeros(30, int)), made, belief.sample_particles(np.full(6, 1e-3), 1),
+        {"": model, ", oracle": model}, overtravel=OVERTRAVEL, label="test",
+    )  # fmt: skip
+    assert set(found) == {"readings", "fused", "readings, oracle", "fused, oracle"}
+    expected = np.repeat(heights[chosen][..., None], 2, -1) + np.arange(7)[:, None, None]
+    for p in found.values():
+        np.testing.assert_allclose(p, expected, rtol=1e-6)
+    assert batches == [6] * 4  # the last one is filled up
