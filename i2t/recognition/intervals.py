@@ -61,6 +61,9 @@ def wilson_interval(values: Shaped[Array, "n ..."], level: float = COVERAGE) -> 
 def rate_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Estimate:
     """Mean of values between 0 and 1: `cluster_interval`, or Wilson's where episodes are independent.
 
+    Limits stay between 0 and 1; where clusters do not differ at all, they are Wilson's for as many trials as there are
+    clusters.
+
     Args:
         values: (n, ...) in [0, 1].
         clusters: Factors in which episodes are alike, as of `cluster_interval`.
@@ -68,7 +71,9 @@ def rate_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Es
     Returns:
         Estimates of the trailing shape.
     """
-    return cluster_interval(values, clusters) if clusters and len(values) else wilson_interval(values)
+    if not clusters or not len(values):
+        return wilson_interval(values)
+    return _within_unit(cluster_interval(values, clusters), np.asarray(values, np.float64), clusters)
 
 
 def mean_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Estimate:
@@ -117,9 +122,7 @@ def cluster_interval(
         seed: Of the draws.
 
     Returns:
-        Estimates of the trailing shape. Limits are NaN where no factor has two clusters. Values that are all between
-        0 and 1 have limits there; where clusters do not differ at all, limits are Wilson's for as many trials as there
-        are clusters.
+        Estimates of the trailing shape. Limits are NaN where no factor has two clusters.
 
     Raises:
         ValueError: Labels are not as many as values.
@@ -131,8 +134,6 @@ def cluster_interval(
         return weight @ flat / weight.sum()
 
     found = bootstrap_clusters(weighted_mean, clusters, len(values), level=level, draws=draws, seed=seed)
-    if len(values) and ((flat >= 0) & (flat <= 1)).all():
-        found = _within_unit(found, flat, clusters, level)
     return Estimate(*(part.reshape(values.shape[1:]) for part in found))
 
 
@@ -218,13 +219,13 @@ def _resampled_variance(
     return np.nanvar(found.reshape(draws, -1), axis=0, ddof=1)
 
 
-def _within_unit(found: Estimate, values: np.ndarray, clusters: Clusters, level: float) -> Estimate:
+def _within_unit(found: Estimate, values: np.ndarray, clusters: Clusters) -> Estimate:
     """Limits of rates: between 0 and 1, and Wilson's where clusters show no difference."""
     factors = _factors(clusters, len(values))
     if not factors:
         return found
-    wilson = _wilson(values.mean(0), int(_cells(factors).max()) + 1, level)
-    alike = found.high - found.low < 1e-12
+    wilson = _wilson(values.mean(0), int(_cells(factors).max()) + 1, COVERAGE)
+    alike = np.asarray(found.high - found.low) < 1e-12
     low = np.where(alike, wilson.low, np.clip(found.low, 0, 1))
     return Estimate(found.mean, low, np.where(alike, wilson.high, np.clip(found.high, 0, 1)))
 

@@ -125,7 +125,8 @@ def mean_accuracy(p: Float[Array, "e t c"], truth: Int[Array, " e"], *, clusters
     Returns:
         One estimate.
     """
-    return mean_interval(hits(p, truth).mean(1), clusters)
+    hit = hits(p, truth).mean(1)
+    return rate_interval(hit, clusters) if clusters else mean_interval(hit)
 
 
 def confusion(p: Float[Array, "e c"], truth: Int[Array, " e"]) -> Float[Array, "c c"]:

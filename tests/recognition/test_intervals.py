@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from i2t.recognition.intervals import bootstrap_clusters, cluster_interval, wilson_interval
+from i2t.recognition.intervals import (
+    bootstrap_clusters,
+    cluster_interval,
+    mean_interval,
+    rate_interval,
+    wilson_interval,
+)
 
 
 def _episodes(rng, pads, pools, objects, each):
@@ -83,9 +89,15 @@ def test_it_covers_crossed_pads_and_objects():
 
 def test_clusters_that_are_all_right_have_an_interval_of_their_number():
     label = np.repeat(np.arange(10), 30)
-    found = cluster_interval(np.ones(300), [label])
+    found = rate_interval(np.ones(300), [label])
     assert float(found.high) == 1.0
     assert float(found.low) == pytest.approx(float(wilson_interval(np.ones(10)).low))
+
+
+def test_methods_that_never_differ_have_no_interval_of_a_rate():
+    label = np.repeat(np.arange(10), 30)
+    found = mean_interval(np.zeros(300), [label])
+    assert (float(found.low), float(found.mean), float(found.high)) == (0.0, 0.0, 0.0)
 
 
 def test_one_cluster_has_no_interval():
