@@ -90,7 +90,7 @@ class ObjectSet(NamedTuple):
     heuristic: bool  # whether the paper's chooses the sites
 
 
-class World(NamedTuple):
+class EpisodeWorld(NamedTuple):
     """What the sets of one pad and seed share."""
 
     cfg: Recognition
@@ -177,7 +177,7 @@ def play(args: SimulateArgs, cfg: Recognition, folder: Path, seed: int) -> repor
     )
     done: reporting.Results = {}
     particles = pose_particles(cfg.errors, cfg.num_particles, seed)
-    world = World(cfg, trained, oracle, rule_predictors(folder, trained), particles, folder)
+    world = EpisodeWorld(cfg, trained, oracle, rule_predictors(folder, trained), particles, folder)
     groups = object_groups(args, cfg)
     prepared = iter(prepare_surfaces([mesh for meshes, _ in groups for mesh in meshes.values()]))  # compiled for once
     for i, (meshes, sets) in enumerate(groups):
@@ -220,7 +220,7 @@ def object_groups(args: SimulateArgs, cfg: Recognition) -> list[tuple[dict[str, 
 
 
 def play_set(
-    key: jax.Array, name: str, objects: ObjectSet, *, surfaces: Sequence[Surface], world: World
+    key: jax.Array, name: str, objects: ObjectSet, *, surfaces: Sequence[Surface], world: EpisodeWorld
 ) -> reporting.EpisodeResults:
     """Simulated episodes with one set of objects, and what every method believes after each touch."""
     cfg, trained = world.cfg, world.trained

@@ -8,7 +8,7 @@ from experiments.common.presets import choose_preset
 
 
 @dataclass(frozen=True)
-class Sizes:
+class CaseSizes:
     """How much is done."""
 
     cases: int = 200  # shared among all objects
@@ -16,7 +16,7 @@ class Sizes:
     starts: int = 4  # of the methods with several
 
 
-PRESETS = {"paper": Sizes(), "debug": Sizes(cases=6, objects=3, starts=1)}
+PRESETS: dict[str, CaseSizes] = {"paper": CaseSizes(), "debug": CaseSizes(cases=6, objects=3, starts=1)}
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,6 @@ class RefineArgs:
     overwrite: bool = False  # replace a finished run in --out
 
     @property
-    def sizes(self) -> Sizes:
+    def sizes(self) -> CaseSizes:
         """Those of the preset, but for what was given."""
         return choose_preset(PRESETS, self.preset, cases=self.cases, objects=self.objects, starts=self.starts)

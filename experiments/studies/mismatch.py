@@ -36,7 +36,7 @@ from i2t.skin.pad import Press
 from i2t.skin.pad import press as press_pad
 from i2t.types import TWIST_LEVER_M, Board, Pad
 
-KINDS = ("fused", "readings")
+SHOWN_KINDS = ("fused", "readings")
 MATCHED = "matched"
 EDGE_RADIUS_M = 0.5e-3  # of rounded edges
 REMOUNTED_M = np.array([0.3e-3, 0.4e-3, 0.0])  # by 0.5 mm, chips against the skin
@@ -45,7 +45,7 @@ DEBUG_WORLDS = (MATCHED, "Winkler foundation", "edges rounded by 0.5 mm", "meshe
 
 
 @dataclass(frozen=True)
-class World:
+class MismatchedWorld:
     """What is different from the matched world."""
 
     pad: Callable[[Pad], Pad] = field(default=lambda pad: pad)
@@ -116,7 +116,7 @@ def _column_field(pad: Pad, sunk: Float[Array, "m m"]) -> Float[Array, "chips 3"
     moves down by that part, and turns with half the curl of that motion.
     """
     y, x = np.meshgrid(GRID.centres, GRID.centres, indexing="ij")
-    along_y, along_x = (jnp.gradient(sunk, GRID.spacing, axis=axis) for axis in (0, 1))
+    along_y, along_x = (jnp.asarray(jnp.gradient(sunk, GRID.spacing, axis=axis)) for axis in (0, 1))
 
     def sheet(magnets: tuple[Array, Array]) -> Array:
         depth, moments = magnets
@@ -144,7 +144,7 @@ def _misplaced(errors: SimulationErrors, factor: float) -> SimulationErrors:
     )  # fmt: skip
 
 
-def _faulty(errors: SimulationErrors, **faults: float) -> SimulationErrors:
+def _faulty(errors: SimulationErrors, **faults: Any) -> SimulationErrors:
     return replace(errors, faults=replace(errors.faults, **faults))
 
 
@@ -153,29 +153,31 @@ def _remounted(pad: Pad) -> Pad:
     return pad._replace(board=board)
 
 
-def worlds() -> dict[str, World]:
+def worlds() -> dict[str, MismatchedWorld]:
     """The worlds by name; the first is the one that the belief knows."""
     return {
-        MATCHED: World(),
-        "Winkler foundation": World(law=winkler_press),
-        "soft compressible layer": World(pad=lambda pad: pad._replace(young=0.6 * pad.young, poisson=jnp.float32(0.3))),
-        "worn pad": World(
+        MATCHED: MismatchedWorld(),
+        "Winkler foundation": MismatchedWorld(law=winkler_press),
+        "soft compressible layer": MismatchedWorld(
+            pad=lambda pad: pad._replace(young=0.6 * pad.young, poisson=jnp.float32(0.3))
+        ),
+        "worn pad": MismatchedWorld(
             pad=lambda pad: pad._replace(young=0.7 * pad.young, magnetization=0.9 * pad.magnetization),
             errors=partial(_faulty, relaxation=0.15),
         ),
         # A board is told from others by its gains: this one is another, whose remembering chip and drifts are others.
-        "another remembering chip": World(
+        "another remembering chip": MismatchedWorld(
             pad=lambda pad: pad._replace(gains=pad.gains * (1 + 1e-5)), errors=partial(_faulty, hysteresis=0.6)
         ),
-        "arm twice as stiff": World(limits=lambda limits: replace(limits, stiffness=2 * limits.stiffness)),
-        "arm half as stiff": World(limits=lambda limits: replace(limits, stiffness=limits.stiffness / 2)),
-        "edges rounded by 0.5 mm": World(law=rounded_press),
-        "meshes 1 % larger": World(mesh=partial(_scaled, factor=1.01)),
-        "meshes 3 % larger": World(mesh=partial(_scaled, factor=1.03)),
-        "skin remounted by 0.5 mm": World(pad=_remounted),
-        "camera biased by 1 mm and degree": World(mesh=partial(_shifted, twist=CAMERA_BIAS)),
-        "placement off twice as far as told": World(errors=partial(_misplaced, factor=2.0)),
-        "placement off half as far as told": World(errors=partial(_misplaced, factor=0.5)),
+        "arm twice as stiff": MismatchedWorld(limits=lambda limits: replace(limits, stiffness=2 * limits.stiffness)),
+        "arm half as stiff": MismatchedWorld(limits=lambda limits: replace(limits, stiffness=limits.stiffness / 2)),
+        "edges rounded by 0.5 mm": MismatchedWorld(law=rounded_press),
+        "meshes 1 % larger": MismatchedWorld(mesh=partial(_scaled, factor=1.01)),
+        "meshes 3 % larger": MismatchedWorld(mesh=partial(_scaled, factor=1.03)),
+        "skin remounted by 0.5 mm": MismatchedWorld(pad=_remounted),
+        "camera biased by 1 mm and degree": MismatchedWorld(mesh=partial(_shifted, twist=CAMERA_BIAS)),
+        "placement off twice as far as told": MismatchedWorld(errors=partial(_misplaced, factor=2.0)),
+        "placement off half as far as told": MismatchedWorld(errors=partial(_misplaced, factor=0.5)),
     }
 
 
@@ -200,7 +202,7 @@ def evaluate(lab: StudyLab) -> Part:
             jax.random.clone(key_episodes), [next(prepared) for _ in meshes], plan.truth, plan.chosen,
             sites=plan.sites, pad=world.pad(lab.run.pad), config=config, label=name,
         )  # fmt: skip
-        beliefs = run_belief(table, episodes, lab.pad_model.likelihood, particles, KINDS)
+        beliefs = run_belief(table, episodes, lab.pad_model.likelihood, particles, SHOWN_KINDS)
         found |= {f"{kind}, {name}": p for kind, p in beliefs.items()}
     return found
 
@@ -209,12 +211,12 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, A
     """Accuracy in every world, and what it lacks to the matched one, paired."""
     columns, clusters = pool_parts(parts), clusters_of(parts, pads)
     truth = columns.pop("truth")
-    names = [name.removeprefix(f"{KINDS[0]}, ") for name in columns if name.startswith(f"{KINDS[0]}, ")]
+    names = [name.removeprefix(f"{SHOWN_KINDS[0]}, ") for name in columns if name.startswith(f"{SHOWN_KINDS[0]}, ")]
     result: dict[str, Any] = {"episodes": len(truth), "worlds": {}}
     bars: dict[str, dict[str, Estimate]] = {}
     for name in names:
         entry = {}
-        for kind in KINDS:
+        for kind in SHOWN_KINDS:
             p, matched = columns[f"{kind}, {name}"], columns[f"{kind}, {MATCHED}"]
             accuracy = metrics.accuracy(p, truth, clusters=clusters)
             mean = metrics.mean_accuracy(p, truth, clusters=clusters)

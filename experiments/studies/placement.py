@@ -29,7 +29,7 @@ from i2t.simulation.touches import SimulationErrors
 
 TRUE_MM = (1.0, 2.0)  # and degrees, one standard deviation of the placement
 TOLD = {"half": 0.5, "right": 1.0, "double": 2.0}  # of it
-METHODS = {"inferred": belief.SCALE_PRIOR, "as told": None}
+TOLD_BELIEFS = {"inferred": belief.SCALE_PRIOR, "as told": None}
 ASKED_ERRORS = (0.01, 0.05, 0.1)
 ALLOWED_EXCESS = 0.015  # by which stops may be wrong more often than asked
 SCALE = "scale"  # prefix of the inferred scales in a part
@@ -86,7 +86,7 @@ def evaluate_objects(lab: StudyLab, label: str) -> dict[str, np.ndarray]:
     }
     found: dict[str, np.ndarray] = {"truth": plan.truth}
     for told_mm in sorted({condition.told_mm for condition in conditions}):
-        for method in METHODS:
+        for method in TOLD_BELIEFS:
             particles, table = predict(lab, plan, told_mm, method)
             for condition in conditions:
                 if condition.told_mm == told_mm:
@@ -104,7 +104,7 @@ def placed(lab: StudyLab, mm: float) -> SimulationErrors:
 def predict(lab: StudyLab, plan: EpisodePlan, told_mm: float, method: str) -> tuple[Particles, PredictedTouch]:
     """Pose particles for what was told, and the touches predicted for them."""
     prior = outcomes.placement_std(told_mm * 1e-3, np.radians(told_mm))
-    particles = belief.sample_particles(prior, lab.cfg.num_particles, lab.seed, scales=METHODS[method])
+    particles = belief.sample_particles(prior, lab.cfg.num_particles, lab.seed, scales=TOLD_BELIEFS[method])
     label = f"told {told_mm:g} mm, {method}"
     (table,) = lab.predict(plan.sites, particles, [lab.pad_model.reading_model], label)
     return particles, jax.device_put(table)
@@ -134,7 +134,7 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, A
     truth = {name: columns.pop(f"{name}: truth") for name in (VALIDATION, TEST)}
     clusters = clusters_of(parts, pads, f"{TEST}: truth")
     result: dict[str, Any] = {"episodes": len(truth[TEST]), "methods": {}}
-    for method in METHODS:
+    for method in TOLD_BELIEFS:
         names = [name for name in columns if name.startswith(f"{TEST}: {method}, ")]
         conditions = [name.removeprefix(f"{TEST}: {method}, ") for name in names]
         known = np.concatenate([columns[f"{VALIDATION}: {method}, {each}"] for each in conditions])

@@ -75,6 +75,9 @@ class ScaleMixture(NamedTuple):
 
         Args:
             std: Its standard deviation (m).
+
+        Returns:
+            A mixture of that one.
         """
         return cls(np.array([std]), np.ones(1))
 
@@ -434,6 +437,9 @@ def outlier_range(overtravel: Length) -> Length:
 
     Args:
         overtravel: Distance (m) beyond the site after which a press gives up.
+
+    Returns:
+        The length (m).
     """
     return 2 * overtravel + STRAY_RANGE_M
 

@@ -40,7 +40,7 @@ from i2t.types import WIDE_PIXELS, WIDE_WINDOW, Pad, Surface, Touches, Truth
 
 # Standard deviations of which a position's error is mixed: from the repeatability of an arm to a missed edge.
 POSITION_STDS_M = (0.05e-3, 0.1e-3, 0.2e-3, 0.4e-3, 0.8e-3, 1.6e-3)
-FOLDS = 3  # of a session's touches, each predicted from the others
+POSITION_FOLDS = 3  # of a session's touches, each predicted from the others
 EM_STEPS = 300
 PRIOR_TOUCHES = 0.5  # of each standard deviation, as if they had been seen: no tail is impossible
 REGISTERED_TOUCHES = 36  # of a session at least, filled up with repeated ones: one compilation serves most sessions
@@ -246,9 +246,9 @@ def _left_out_positions(
     key: Array, contacts: _SessionContacts, surface: Surface, errors: SimulationErrors, limits: PressLimits
 ) -> _Positions:
     """Where the touches of one session that met something ended, each predicted from those of the other folds."""
-    fold = np.arange(len(contacts.met)) % FOLDS
+    fold = np.arange(len(contacts.met)) % POSITION_FOLDS
     parts = []
-    for which in range(FOLDS):
+    for which in range(POSITION_FOLDS):
         found = _register_session(key, contacts, surface, errors, contacts.met & (fold != which))
         force = jnp.maximum(contacts.touches.force, MIN_LOAD_N)
         predicted = _predict_end(surface, found, contacts.touches.T_w_t, force, overtravel=limits.overtravel)

@@ -50,7 +50,7 @@ class ReadingPredictor(Protocol):
         depth: np.ndarray | None = None,
         wide: np.ndarray | None = None,
     ) -> Reading:
-        """Readings (uT) of n touches from patches (n, 48, 48) m, as `Predictor.predict`."""
+        """Readings (uT) of n touches from patches (n, 48, 48) m, as in `Predictor.predict`."""
         ...
 
 
@@ -240,7 +240,11 @@ class TouchMaker(Protocol):
     """What makes the touches of some episodes; `i2t.recognition.episodes.EpisodeSimulator` is one."""
 
     def touch(self, site: Int[np.ndarray, "e n"]) -> None:
-        """Make the next touches, at sites of the pools that were joined."""
+        """Make the next touches.
+
+        Args:
+            site: Of the pools that were joined, for each episode.
+        """
         ...
 
     def felt(self) -> FeltTouches:

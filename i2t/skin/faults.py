@@ -141,7 +141,7 @@ def apply(
     place = ambient_field(key_place, faults.earth, faults.room)
     seen = jax.vmap(lambda T: ambient(T, place, board))(T_w_t)
     offset = jax.random.normal(key_offset, (channels,))
-    x, drifted, drifted_before = _warmed(key_warm, x, rest, offset, board.num_chips, faults)
+    x, drifted, drifted_before = _warmed(key_warm, x, rest=rest, offset=offset, chips=board.num_chips, faults=faults)
     x = x + subtract_ambient(seen + drifted, seen + drifted_before, faults.ambient_every)
 
     x = gains(key_gain, channels, faults.gain)[None] * x
@@ -151,6 +151,7 @@ def apply(
 def _warmed(
     key: Key[Array, ""],
     readings: Float[Array, "n c"],
+    *,
     rest: Float[Array, " c"],
     offset: Float[Array, " c"],
     chips: int,

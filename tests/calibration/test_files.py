@@ -84,6 +84,7 @@ def as_first_version(tree):
     return namedtuple("Old", fields)(**fields)
 
 
+@pytest.mark.full
 def test_a_file_of_the_first_version_still_loads(tmp_path):
     path = tmp_path / "old.npz"
     fitted = calibrate(POSITIONS, 1e3 * DEPTH, READINGS, load_kind="force", board=boards.reskin_board())

@@ -66,6 +66,7 @@ def test_it_collects_a_set_says_so_and_goes_on_where_it_stopped(folder, rig, cap
     assert "there already" in capsys.readouterr().out
 
 
+@pytest.mark.full
 def test_what_was_collected_makes_sense(folder, rig):
     """A hexagon 30 mm high: the patch lies where the arm and the rig say, within their errors of a millimetre."""
     touches = dataset.load_dataset(folder / "set").touches
@@ -78,6 +79,7 @@ def test_what_was_collected_makes_sense(folder, rig):
     assert (touches.T_w_t[:, 2, 2] < -0.2).all()
 
 
+@pytest.mark.full
 def test_another_collection_is_not_mixed_in(folder, rig, capsys):
     assert run(folder, rig, "--object", "star") == 2
     assert "begun with another object" in capsys.readouterr().err

@@ -143,6 +143,7 @@ def roof(left: float, right: float) -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, [(0, 1, 4), (0, 4, 3), (1, 2, 5), (1, 5, 4)], process=False)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("left", "right"), [(1.0, 1.0), (0.4, 2.0)])
 def test_sharp_ridges_are_cut_off(left, right):
     """A triangle w wide across a ridge of two slopes meets its sides, not itself, and is at most (left + right) w / 4
@@ -173,6 +174,7 @@ def test_sharp_ridges_are_cut_off(left, right):
             assert error.max() == pytest.approx((left + right) / 4 * LOOKING_DISTANCE_M / CAMERA.fx, rel=0.02)
 
 
+@pytest.mark.full
 def test_quantised_depth():
     """Rounding moves a pixel by at most q / 2 along its ray, and the tilt and the slope here a little more along z."""
     mesh, (T_w_c, T_w_t) = scene("dome"), views(10.0, beside("dome"))

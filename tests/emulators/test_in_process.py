@@ -96,6 +96,7 @@ def test_nothing_is_met_beside_the_object_and_off_the_line(scene):
         assert not feeler(np.array([x, 0.0, 0.01]), DOWN).any()
 
 
+@pytest.mark.full
 def test_an_object_beyond_the_reach_of_a_line_is_met_from_where_the_tool_stands_next(scene):
     """A tool that first stands 130 mm above the object and then 40 mm: on one line, of which 120 mm are known."""
     model = ContactModel(scene)

@@ -116,7 +116,7 @@ def test_the_placement_study_reports_each_condition_at_a_temperature_of_its_meth
         part = {}
         for label in (placement.VALIDATION, placement.TEST):
             part[f"{label}: truth"] = truth
-            for method in placement.METHODS:
+            for method in placement.TOLD_BELIEFS:
                 for condition in placement.CONDITIONS[:1]:
                     p = believed(rng, truth, 1.0)
                     # Twice the logits: a belief that is surer than it is right.
@@ -139,7 +139,7 @@ def test_the_mismatch_study_compares_every_world_with_the_matched_one(tmp_path):
     for seed in range(3):
         rng = np.random.default_rng(seed)
         part = {"truth": truth}
-        for kind in mismatch.KINDS:
+        for kind in mismatch.SHOWN_KINDS:
             part[f"{kind}, {mismatch.MATCHED}"] = believed(rng, truth, 3.0)
             part[f"{kind}, guessing"] = believed(rng, truth, 0.0)
         parts.append(part)

@@ -89,6 +89,7 @@ def test_the_cross_rotated_by_a_right_angle_is_the_same():
     assert (np.isfinite(seen[0]) != np.isfinite(seen[1])).mean() < 0.005  # rounding at the edge
 
 
+@pytest.mark.full
 def test_folds_hold_out_what_they_say():
     where = presses_on(pressed(), 0)
     for split in methods.SPLITS:

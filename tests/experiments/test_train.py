@@ -242,9 +242,7 @@ def test_several_pads_are_summed_up_over_pads(tmp_path, capsys):
     found = summarise(parts, tmp_path)
     mean, low, high = found["over_pads"]["one"]["r2"]
     assert mean == pytest.approx(0.405)
-    assert high - mean == pytest.approx(
-        4.303 * 0.1 / np.sqrt(3), rel=1e-3
-    )  # over pads, not runs
+    assert high - mean == pytest.approx(4.303 * 0.1 / np.sqrt(3), rel=1e-3)  # over pads, not runs
     assert mean - low == pytest.approx(high - mean)
     print_table(found)
     said = capsys.readouterr().out

@@ -239,6 +239,7 @@ def test_a_mesh_and_a_pose_are_a_patch(process):
         np.testing.assert_allclose(process[0].predict_touch(mesh, T_w_t, force=0.7).mean, by_hand.mean, atol=1e-3)
 
 
+@pytest.mark.full
 def test_a_mesh_file_needs_its_unit(process, tmp_path):
     path = tmp_path / "dome.stl"
     dome = catalogue.make_object("dome").mesh

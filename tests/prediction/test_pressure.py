@@ -58,6 +58,7 @@ def test_force_control_is_the_contact_solver(right, down):
     close(press(CFG, tilted(right, down), force=2.0), np.asarray(direct.pressure) * 1e-6)  # Pa on 1 mm^2
 
 
+@pytest.mark.full
 def test_depth_control_is_the_contact_solver():
     height = tilted(0.004, 0.0, *AT)
     direct = solve(PAD, jnp.float32(height - height.min()), jnp.float32(50e-6), CFG.grid)

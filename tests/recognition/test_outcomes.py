@@ -78,6 +78,7 @@ def test_a_flat_top_is_met_by_the_lowest_corner_of_the_skin():
         np.testing.assert_allclose(found.jacobian[i], slope, atol=1e-4)  # q moves by DELTA, of 9 mm
 
 
+@pytest.mark.full
 def test_slopes_are_differences_of_travels():
     rng = np.random.default_rng(1)
     step = 1e-4

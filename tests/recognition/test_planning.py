@@ -63,6 +63,7 @@ def test_the_heuristic_keeps_to_sites_that_are_safe_on_the_object_believed_in(wo
         np.testing.assert_array_equal(found, [0, 1, -1])
 
 
+@pytest.mark.full
 def test_an_episode_without_a_site_keeps_its_belief(world):
     table, beliefs, likelihood = world
     touch = TouchObservation(

@@ -102,6 +102,7 @@ def test_gains_are_mutual_information(prior):
         np.testing.assert_allclose(found.both, found.object, atol=SIGMAS * 2 * bound / np.sqrt(DRAWS))
 
 
+@pytest.mark.full
 def test_errors_are_imagined_with_the_tails_of_the_likelihood():
     """Mutual information of Student's t with few degrees of freedom, by Monte Carlo; normal errors give more."""
     dof, distances = 2.0, np.array([0.0, 1.0, 2.0, 3.0, 5.0, 8.0])

@@ -88,6 +88,7 @@ def test_an_object_is_recognised_by_chosen_touches(recognizer, truth):
     assert np.linalg.norm(found[:3, 3] - recognizer.T_w_o[:3, 3]) < 5e-3
 
 
+@pytest.mark.full
 def test_no_touch_is_chosen_where_none_is_safe(recognizer):
     state = recognizer.init()
     cautious = copy(recognizer)
@@ -97,6 +98,7 @@ def test_no_touch_is_chosen_where_none_is_safe(recognizer):
     assert recognizer.choose_touch(state) is not None
 
 
+@pytest.mark.full
 def test_sites_that_were_excluded_are_not_chosen(recognizer):
     state = recognizer.init()
     for number in range(len(recognizer.sites.owner) - 1):
@@ -110,6 +112,7 @@ def test_sites_that_were_excluded_are_not_chosen(recognizer):
     assert patient.stop_reason(patient.exclude(state, len(recognizer.sites.owner) - 1)) == "every site was touched"
 
 
+@pytest.mark.full
 def test_a_prior_is_what_is_believed_at_first(recognizer):
     info = recognizer.info(recognizer.init(np.array([2.0, 1.0, 1.0])))
     np.testing.assert_allclose(info.probability, 0.9 * np.array([0.5, 0.25, 0.25]))
@@ -117,6 +120,7 @@ def test_a_prior_is_what_is_believed_at_first(recognizer):
     assert info.name == "square"
 
 
+@pytest.mark.full
 def test_sites_stand_on_the_believed_object(recognizer):
     pose = recognizer.site_pose(0)
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)

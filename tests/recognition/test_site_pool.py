@@ -71,6 +71,7 @@ def test_joined_pools_number_their_sites_pool_by_pool(pools):
     assert joined.owner[number] == which
 
 
+@pytest.mark.full
 def test_the_heuristic_is_of_each_pool_by_itself():
     found = site_pool.pool_informativeness(TWO)
     np.testing.assert_allclose(found[0], [[0, 1], [0, 1]], atol=1e-6)

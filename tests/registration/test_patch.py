@@ -129,6 +129,7 @@ def test_outliers_do_not_pull():
     assert np.abs(twist_between(true, ends.T_w_t)).max() <= 0.003 * HOW.final_scale / least**0.5
 
 
+@pytest.mark.full
 def test_what_cannot_be_told_is_left_alone():
     """On a plane height and tilts come back; slides and spin keep what they were, for nothing pushes them."""
     start = off(2)

@@ -29,6 +29,7 @@ def test_flags_become_bits():
     assert np.asarray(bitset.bitwise_or_reduce([jnp.uint32(9), jnp.uint32(3)])) == 11
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("words", [1, 2, 3, 4, 5])
 def test_every_set_bit_is_found_by_its_number(words):
     lists = jnp.asarray(WORDS[:, :words])

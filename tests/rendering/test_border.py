@@ -94,6 +94,7 @@ def test_nothing_to_stack():
         stack_surfaces([])
 
 
+@pytest.mark.full
 def test_a_corner_that_is_not_a_number_takes_its_face_away():
     """`prepare` refuses such meshes; where a surface is moved afterwards, by an optimiser that diverged, its broken
     faces are never met and its whole ones stay as they were.

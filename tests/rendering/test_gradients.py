@@ -99,6 +99,7 @@ def test_against_central_differences_by_pose_and_corners(scenes):
     np.testing.assert_allclose(slope[..., 5, :-1], 0, atol=1e-9)
 
 
+@pytest.mark.full
 def test_backwards_is_the_transpose_of_forwards(scenes):
     """Reverse mode, which trains and optimises, is the same linear map by pose and by corners."""
     rng = np.random.default_rng(2)

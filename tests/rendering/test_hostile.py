@@ -44,6 +44,7 @@ def batch(surfaces, poses):
     return jax.tree.map(lambda *leaves: np.stack(leaves), *surfaces), np.stack(poses)
 
 
+@pytest.mark.full
 def test_bad_poses_spoil_their_own_rows_only(pyramid, patches_of):
     """Numbers that are not finite give an image that is not a number; places far away see nothing."""
     poses = [looking_down() for _ in range(8)]

@@ -208,6 +208,7 @@ def test_thin_wall_is_never_missed():
         np.testing.assert_array_equal(np.asarray(patch.depth) < REACH, expected)
 
 
+@pytest.mark.full
 def test_tilted_plane_and_the_axes_of_the_image():
     """Column j lies along tool x, row i along tool y, at ((k + 0.5)/n - 0.5) window, also where n is no multiple of
     8.
@@ -303,6 +304,7 @@ def test_moving_scene_and_tool_together_changes_nothing(attitude, position):
     np.testing.assert_allclose(here.nearest, there.nearest, rtol=0, atol=2 * 4 * 1.6 * NEAR)
 
 
+@pytest.mark.full
 def test_each_of_a_batch_is_the_same_as_alone():
     """Different surfaces and poses on every row, in a larger size class than their own, against one call for each."""
     things = [make_object(name).mesh for name in ("star", "square", "spanner")]
@@ -379,6 +381,7 @@ def test_preparing_keeps_every_face_once():
     np.testing.assert_array_equal(after, before)
 
 
+@pytest.mark.full
 def test_derivatives_against_central_differences():
     """Depths and nearest as the pose moves, in float64 and where the visible face stays the same."""
     step, bend = 1e-6, 1e-10
@@ -410,6 +413,7 @@ def test_derivatives_against_central_differences():
             np.testing.assert_allclose(jacobian[same, k], quotient[same], rtol=1e-3, atol=bend / (2 * step))
 
 
+@pytest.mark.full
 def test_derivatives_are_finite_where_nothing_is_seen():
     surface = prepare_surface(soup([[[-0.04, 0, 0], [0.04, 0, 0], [0, 0, 0.04]]]))  # edge on
     slope = jax.jit(jax.grad(lambda T: jnp.sum(render_patch(surface, T).depth)))

@@ -54,6 +54,7 @@ def shapes() -> dict[str, np.ndarray]:
     }
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", shapes())
 def test_it_ends_at_the_first_crossing(name, pad, stop, sweep):
     height = jnp.float32(shapes()[name])

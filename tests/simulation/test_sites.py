@@ -396,6 +396,7 @@ def test_sites_are_uniform_in_place_and_spin():
         assert stats.kstest(values, stats.uniform(low, width).cdf).pvalue > RARE
 
 
+@pytest.mark.full
 def test_sites_of_many_objects_at_once_are_those_of_each_alone():
     surfaces = stack_surfaces([prepare_surface(make_object(name).mesh) for name in ("square", "wedge", "stairs")])
     keys = jax.random.split(jax.random.key(1), 3)

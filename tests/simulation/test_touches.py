@@ -144,6 +144,7 @@ def test_a_press_ends_past_first_contact_by_indentation_and_compliance(touches, 
         assert -ROUNDING < late < LATE
 
 
+@pytest.mark.full
 def test_the_truth_is_what_the_skin_met(touches, true_poses, met, heights):
     truth, on_pad = touches.truth, np.maximum(np.abs(X), np.abs(Y)) < PAD_WINDOW / 2
     for i in np.flatnonzero(met):

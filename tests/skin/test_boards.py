@@ -42,6 +42,7 @@ def test_an_unknown_board_is_refused(name):
         make_board(name)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", NAMES)
 def test_a_pad_on_any_board_is_pressed_and_kept(name, tmp_path):
     board = make_board(name)

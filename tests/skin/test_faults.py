@@ -91,6 +91,7 @@ def test_every_size_is_tried_alone():
     assert sorted(name for kind in ALONE for name in _sizes(kind)) == sorted(f.name for f in fields(Faults)[:12])
 
 
+@pytest.mark.full
 def test_a_used_skin_is_softer():
     reading = READINGS[0]
     np.testing.assert_array_equal(faults.mullins_softening(reading, 0, 0.1), reading)
@@ -217,6 +218,7 @@ def test_only_what_changed_since_the_ambient_is_left():
     np.testing.assert_array_equal(faults.subtract_ambient(values, before, N), values - before[:1])
 
 
+@pytest.mark.full
 def test_the_world_s_field_in_a_run():
     kind = Faults(earth=48.0, room=10.0, ambient_every=10)
     added = np.asarray(BOARD.to_tool(_apply(kind) - READINGS), float)

@@ -24,6 +24,7 @@ def _total(state, grid=GRID):
     return np.asarray(state.traction, float).sum(axis=(1, 2)) * grid.spacing**2
 
 
+@pytest.mark.full
 def test_reproduces_cattaneo_and_mindlin_where_they_hold():
     """A sphere on a layer 33 times as thick as the contact is wide, pressed without friction and then dragged."""
     grid = Grid(32, 512, 1e-3)

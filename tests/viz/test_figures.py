@@ -131,6 +131,7 @@ def test_without_gl_a_picture_says_what_to_install(monkeypatch):
     assert still._repr_png_().startswith(b"\x89PNG")
 
 
+@pytest.mark.full
 def test_a_scene_shows_the_object_and_the_skin():
     if scene.why_no_scene():
         pytest.skip(scene.why_no_scene())
