@@ -249,7 +249,8 @@ def _left_out_positions(
     fold = np.arange(len(contacts.met)) % POSITION_FOLDS
     parts = []
     for which in range(POSITION_FOLDS):
-        found = _register_session(key, contacts, surface, errors, contacts.met & (fold != which))
+        # The same starts and draws in every fold, so that they differ in their touches alone.
+        found = _register_session(jax.random.clone(key), contacts, surface, errors, contacts.met & (fold != which))
         force = jnp.maximum(contacts.touches.force, MIN_LOAD_N)
         predicted = _predict_end(surface, found, contacts.touches.T_w_t, force, overtravel=limits.overtravel)
         # A press ends at the pose it reports, which is its site here: contact lies as far before it.
