@@ -291,7 +291,9 @@ def _touch_many(
 
 
 @partial(jax.jit, static_argnames=("errors",))
-def _add_sensor_errors(drawn: Array, touches: Touches, pad: Pad, before: int, errors: SimulationErrors) -> Array:
+def _add_sensor_errors(
+    drawn: Array, touches: Touches, pad: Pad, before: Int[Array, ""] | int, errors: SimulationErrors
+) -> Array:
     keys = jax.random.wrap_key_data(drawn)
     read = partial(simulation.apply_sensor_model, pad=pad, errors=errors, presses_before=before)
     return jax.vmap(lambda key, run: read(key, run).reading)(keys, touches)
