@@ -9,7 +9,7 @@ from i2t.calibration import Presses, physics
 from i2t.calibration.physics import RoundTip
 from i2t.skin import boards
 from i2t.skin.elasticity import Grid
-from i2t.skin.pad import press, sample_pad
+from i2t.skin.pad import POISSON_RATIO, press, sample_pad
 
 COARSE = Grid(20, 32)  # a quarter of the dipoles; pads are made and fitted on the same
 TIP = RoundTip("sphere", 4e-3)
@@ -46,6 +46,7 @@ def test_the_design_gives_what_the_simulator_reads(tip, deep, board):
     pad = pad._replace(
         magnetization=jnp.float32(1e3 * np.einsum("ia,jb,cab->ijc", waves, waves, weights)),
         gains=jnp.ones(3 * len(board.chips)),
+        poisson=jnp.asarray(POISSON_RATIO),  # which the layer of the fit takes as known
     )
     position = jnp.float32([1e-3, -2e-3])
     expected = press(pad, tip.height(position, COARSE), deep, COARSE).reading
