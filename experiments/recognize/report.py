@@ -14,7 +14,7 @@ from i2t.objects.solids import Mesh
 from i2t.recognition import calibrated, metrics
 from i2t.recognition.belief import TEMPERATURE_SCALING, TemperatureScaling, TouchObservation
 from i2t.recognition.episodes import EVIDENCE, Episodes
-from i2t.recognition.intervals import bootstrap_clusters, estimate_at, rate_interval, rows_of
+from i2t.recognition.intervals import MIN_CLUSTERS, bootstrap_clusters, estimate_at, rate_interval, rows_of
 from i2t.recognition.metrics import to_json
 from i2t.recognition.paper_rules import PROPRIOCEPTION
 from i2t.types import Board
@@ -120,7 +120,9 @@ def clusters_of(parts: Sequence[Results], name: str, *, objects: bool = False) -
 def pads_of(parts: Sequence[Results]) -> dict[str, Any]:
     """The pads over which intervals are, and the number of runs."""
     pads = sorted({each.pad for part in parts for each in part.values()})
-    return {"pads": pads, "runs": len(parts), "intervals": "95 %, over pads and pools of sites, for these objects"}
+    several = "over pads and pools of sites, for these objects"
+    few = f"over pools of sites, for {'this pad' if len(pads) == 1 else 'these pads'} and these objects"
+    return {"pads": pads, "runs": len(parts), "intervals": f"95 %, {several if len(pads) >= MIN_CLUSTERS else few}"}
 
 
 # --- calibration ---

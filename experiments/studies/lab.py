@@ -21,7 +21,7 @@ from i2t.dataset import Dataset
 from i2t.recognition import metrics
 from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import EpisodeConfig, Episodes, run_episodes
-from i2t.recognition.intervals import Estimate, estimate_at
+from i2t.recognition.intervals import MIN_CLUSTERS, Estimate, estimate_at
 from i2t.recognition.metrics import to_json
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.recognition.pad_model import PadModel, fit_pad_model, fit_simulated_pad_model
@@ -189,10 +189,10 @@ def pads_of(folders: Sequence[Path]) -> list[int]:
 
 
 def clusters_of(parts: Sequence[Part], pads: Sequence[int], of: str = "truth") -> list[np.ndarray]:
-    """By what the pooled episodes are alike, for their intervals: their pad. Episodes of a single pad are told apart by
-    nothing, and their interval is for that pad only.
+    """By what the pooled episodes are alike, for their intervals: their pad. Episodes of one or two pads are told apart by
+    nothing, and their interval is for these pads only.
     """
-    if len(set(pads)) < 2:
+    if len(set(pads)) < MIN_CLUSTERS:
         return []
     return [np.repeat(pads, [len(part[of]) for part in parts])]
 

@@ -21,6 +21,7 @@ from i2t.types import Array
 
 COVERAGE = 0.95  # of every interval
 RESAMPLES = 1000  # of a bootstrap
+MIN_CLUSTERS = 3  # of a factor; fewer say nothing about others, and are taken as fixed
 
 Clusters = Sequence[Shaped[Array, " n"]]  # labels of the episodes, for each factor
 Statistic = Callable[[Float[np.ndarray, " n"]], Array]  # of the episodes' weights
@@ -116,13 +117,13 @@ def cluster_interval(
         values: (n, ...) of the episodes, for instance whether each was right after each touch.
         clusters: One label for each episode, for each factor: its pad, its pool of sites, its object. Labels of
             different pads' pools must differ. A factor left out is taken as fixed: the interval is then for these very
-            objects, say. No factor at all means independent episodes.
+            objects, say; so is one of fewer than three clusters. No factor at all means independent episodes.
         level: Coverage.
         draws: Of each bootstrap.
         seed: Of the draws.
 
     Returns:
-        Estimates of the trailing shape. Limits are NaN where no factor has two clusters.
+        Estimates of the trailing shape. Limits are NaN where no factor has three clusters.
 
     Raises:
         ValueError: Labels are not as many as values.
@@ -157,7 +158,7 @@ def bootstrap_clusters(
         seed: Of the draws.
 
     Returns:
-        Estimates of the statistic's shape; limits are NaN where no factor has two clusters.
+        Estimates of the statistic's shape; limits are NaN where no factor has three clusters.
 
     Raises:
         ValueError: Labels are not as many as episodes.
@@ -194,7 +195,7 @@ def _factors(clusters: Clusters, count: int) -> list[Int[np.ndarray, " n"]]:
     labels = [np.unique(np.asarray(label), return_inverse=True)[1] for label in clusters]
     if not labels:
         labels = [np.arange(count)]
-    several = [label for label in labels if count and label.max() > 0]
+    several = [label for label in labels if count and label.max() >= MIN_CLUSTERS - 1]
     kept: list[np.ndarray] = []
     for label in sorted(several, key=lambda label: int(label.max())):
         if not any(_cells((coarse, label)).max() == label.max() for coarse in kept):

@@ -100,6 +100,14 @@ def test_methods_that_never_differ_have_no_interval_of_a_rate():
     assert (float(found.low), float(found.mean), float(found.high)) == (0.0, 0.0, 0.0)
 
 
+def test_two_pads_are_these_two_pads():
+    """Two say nothing about others: the interval is over the pools, as if the pads were fixed."""
+    pad, pool, _ = _episodes(None, 2, 10, 1, 5)
+    values = 10.0 * pad + np.random.default_rng(4).normal(size=20)[pool]
+    found, pools = cluster_interval(values, [pad, pool]), cluster_interval(values, [pool])
+    assert found == pools
+
+
 def test_one_cluster_has_no_interval():
     found = cluster_interval(np.array([0.0, 1.0]), [np.zeros(2, int)])
     assert found.mean == 0.5
