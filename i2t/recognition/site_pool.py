@@ -134,7 +134,7 @@ def safe_sites(
 def precompute_outcomes(
     surfaces: Sequence[Surface],
     twist: Float[Array, "k 6"],
-    T_w_site: Float[Array, "sites 4 4"],
+    T_w_site: Float[Array | np.ndarray, "sites 4 4"],
     reading_models: Sequence[LinearReadingModel],
     *,
     overtravel: float,
@@ -161,7 +161,7 @@ def precompute_outcomes(
 def predict_outcomes(
     surfaces: Sequence[Surface],
     twist: Float[Array, "k 6"],
-    T_w_site: Float[Array, "sites 4 4"],
+    T_w_site: Float[Array | np.ndarray, "sites 4 4"],
     reading_models: Sequence[LinearReadingModel],
     *,
     overtravel: float,
