@@ -16,6 +16,7 @@ MARK = re.compile(r"(<!-- table: (\w+) ([^>]+?) -->\n).*?(<!-- end of table -->)
 KEPT_SCORES = (
     "accuracy", "mean", "last_other_objects", "by_object", "calibration_error", "log_loss", "stopping", "touches_to_95",
 )  # fmt: skip
+UNSHOWN = ", average"  # a rule between the other two
 DECIMALS = 4  # of the numbers in docs/results
 
 
@@ -75,6 +76,7 @@ def shortened(step: str, measured: Measured) -> Measured:
     """
     if "sets" in measured:
         for entry in measured["sets"].values():
+            entry["methods"] = {name: x for name, x in entry["methods"].items() if not name.endswith(UNSHOWN)}
             for scores in entry["methods"].values():
                 for name in [name for name in scores if name not in KEPT_SCORES]:
                     del scores[name]
@@ -132,8 +134,6 @@ def methods_of_set(name: str) -> Table:
         entry = measured["sets"][name]
         rows = []
         for method, scores in entry["methods"].items():
-            if method.endswith(", average"):
-                continue
             accuracy = scores["accuracy"]
             early = [number(at(accuracy, touch)["mean"]) for touch in (1, 3, 5)]
             errors = [number(sum(scores[key]) / len(scores[key]), places) for key, places in _ERRORS]
@@ -156,7 +156,6 @@ def other_objects(name: str) -> Table:
         rows = [
             [method, estimate(at(scores["accuracy"], -1)), estimate(scores["last_other_objects"])]
             for method, scores in measured["sets"][name]["methods"].items()
-            if not method.endswith(", average")
         ]
         return markdown(["method", "these objects", "objects like these"], rows)
 
@@ -171,7 +170,6 @@ def objects_of_set(name: str) -> Table:
         rows = [
             [method, *(estimate(scores["by_object"][one]["last"], 2) for one in entry["objects"])]
             for method, scores in entry["methods"].items()
-            if not method.endswith(", average")
         ]
         return markdown(["method", *entry["objects"]], rows)
 
