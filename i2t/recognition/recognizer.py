@@ -105,7 +105,7 @@ class ObjectRecognizer:
         pad_model: PadModel,
         meshes: Mapping[str, Any],
         *,
-        T_w_o: Float[np.ndarray, "4 4"] | None = None,
+        T_w_o: Float[Array | np.ndarray, "4 4"] | None = None,
         pose_prior: Float[np.ndarray, "6"] | Float[np.ndarray, "6 6"] | None = None,
         sites: SitePool | None = None,
         config: RecognizerConfig = RecognizerConfig(),
@@ -151,7 +151,7 @@ class ObjectRecognizer:
         """Values of a reading."""
         return self.table.reading.shape[-1]
 
-    def init(self, prior: Float[np.ndarray, " objects"] | None = None) -> RecognizerState:
+    def init(self, prior: Float[Array | np.ndarray, " objects"] | None = None) -> RecognizerState:
         """The state before the first touch.
 
         Args:
@@ -210,10 +210,10 @@ class ObjectRecognizer:
     def observe(
         self,
         site: ChosenSite,
-        reading: Float[np.ndarray, " c"],
+        reading: Float[Array | np.ndarray, " c"],
         *,
         force: float,
-        T_w_t: Float[np.ndarray, "4 4"],
+        T_w_t: Float[Array | np.ndarray, "4 4"],
         contact: bool,
     ) -> SiteObservation:
         """Put what a robot measured into the form of `update`.
@@ -228,7 +228,7 @@ class ObjectRecognizer:
         Returns:
             The observation.
         """
-        moved = np.asarray(T_w_t)[:3, 3] - site.T_w_t[:3, 3]
+        moved = np.asarray(T_w_t, float)[:3, 3] - site.T_w_t[:3, 3]
         advance = float(moved @ site.T_w_t[:3, 2])
         touch = TouchObservation(
             jnp.float32(reading), jnp.float32(max(force, 0.0)), jnp.float32(advance), jnp.asarray(bool(contact))
