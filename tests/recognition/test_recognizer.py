@@ -17,6 +17,7 @@ from i2t.recognition.pad_model import PadModel
 from i2t.recognition.recognizer import ChosenSite, ObjectRecognizer, RecognizerConfig
 
 CHANNELS = 12  # of a 4-chip board
+POSITION_STD_M = 1e-4
 NAMES = ("square", "cylinder", "hexagon")
 POSE = 2  # the particle that is true
 CONFIG = RecognizerConfig(num_sites=3, num_particles=4, max_touches=6, prior_unknown=0.1, num_surrogates=1)
@@ -39,7 +40,7 @@ def pad_model() -> PadModel:
     )  # fmt: skip
     errors = rng.normal(scale=0.5, size=(200, CHANNELS))
     likelihood = belief.fit_likelihood(
-        errors, jnp.ones(CHANNELS), jnp.float32(LOADS_N), overtravel=CONFIG.overtravel, position_std=1e-4
+        errors, jnp.ones(CHANNELS), jnp.float32(LOADS_N), overtravel=CONFIG.overtravel, position_std=POSITION_STD_M
     )
     return PadModel(model, likelihood, np.ones(CHANNELS), 1.0, errors)
 
@@ -55,10 +56,11 @@ def recognizer(pad_model) -> ObjectRecognizer:
 def touch(recognizer: ObjectRecognizer, site: ChosenSite, truth: int, key: jax.Array):
     """What a robot would measure: reading, force, end of the press and contact."""
     row = jax.tree.map(lambda x: x[site.number, truth, POSE], recognizer.table)
+    # Errors of the channels, of the position (m), and of the indentation.
+    noise = jax.random.normal(key, (CHANNELS + 2,)).at[-2].multiply(POSITION_STD_M)
     found = policy.imagine_observation(
-        row, jnp.zeros(6), jax.random.normal(key, (CHANNELS + 1,)), likelihood=recognizer.likelihood,
-        skin_change=25.0, force=8.0,
-    )  # fmt: skip
+        row, jnp.zeros(6), noise, likelihood=recognizer.likelihood, skin_change=25.0, force=8.0
+    )
     T_w_t = site.T_w_t.copy()
     T_w_t[:3, 3] += float(found.advance) * site.T_w_t[:3, 2]
     return np.asarray(found.reading), float(found.force), T_w_t, bool(found.contact)
