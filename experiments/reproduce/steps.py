@@ -29,8 +29,13 @@ class Step(NamedTuple):
 STEPS = (
     Step("train", "-m experiments.train", minutes=4),
     Step("study", "-m experiments.train --preset study", minutes=30),
-    Step("paper", "-m experiments.recognize --method paper --pads 0 1 --paper-episodes 100", uses="study", minutes=25),
-    Step("recognize", "-m experiments.recognize", uses="study", minutes=45),
+    Step(
+        "paper",
+        "-m experiments.recognize simulate --method paper --pads 0 1 --paper-episodes 100",
+        uses="study",
+        minutes=25,
+    ),
+    Step("recognize", "-m experiments.recognize simulate", uses="study", minutes=45),
     Step("policy", "-m experiments.studies policy --episodes 10", uses="study", minutes=20),
     Step("open_set", "-m experiments.studies open_set --episodes 10", uses="study", minutes=40),
     Step("new_pad", "-m experiments.studies new_pad --episodes 10", uses="study", minutes=30),
