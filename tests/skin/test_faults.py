@@ -50,7 +50,7 @@ def _recorded(key, readings, poses, board, before, kind):
 
 def _board_key() -> jax.Array:
     """Of the board of most tests."""
-    return faults.board_key(jnp.linspace(0.9, 1.1, 15))
+    return faults.board_key(jnp.asarray(np.linspace(0.9, 1.1, 15, dtype=np.float32)))  # to the bit, also inside of jit
 
 
 def _key(seed: int = 0) -> jax.Array:
