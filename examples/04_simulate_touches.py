@@ -17,9 +17,7 @@ def main(path: str = "touches.h5", n: int = 36) -> i2t.Dataset:
     pad = i2t.sample_pad(jax.random.key(0))  # every skin is different
     touches = i2t.simulate_touches(jax.random.key(1), surfaces, pad, SimulationErrors(), n)
 
-    sessions = tuple(f"session {i}" for i in range(int(touches.session.max()) + 1))  # an object is placed anew in each
-    board = i2t.Board(*map(np.asarray, pad.board))
-    i2t.save_dataset(path, i2t.Dataset(touches, names, ("pad 0",), sessions, board, "simulated"))
+    i2t.save_dataset(path, i2t.Dataset.simulated(touches, names, pad))  # in sessions, each with an object placed anew
     dataset = i2t.load_dataset(path)
     size = np.linalg.norm(dataset.touches.reading, axis=1)
     print(f"{len(dataset)} touches (simulated); a reading changes by {np.median(size):.0f} uT (norm, median)")

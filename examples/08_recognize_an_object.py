@@ -21,9 +21,7 @@ def main(training_touches: int = 72, config: RecognizerConfig | None = None) -> 
     pad, errors, limits = i2t.sample_pad(jax.random.key(0)), SimulationErrors(), PressLimits()
     hexagon = i2t.prepare_surface(i2t.make_object("hexagon").mesh)
     touches = i2t.simulate_touches(jax.random.key(1), [hexagon], pad, errors, training_touches)
-    sessions = tuple(map(str, range(int(touches.session.max()) + 1)))
-    board = i2t.Board(*map(np.asarray, pad.board))
-    dataset = i2t.Dataset(touches, ("hexagon",), ("pad",), sessions, board, "simulated")
+    dataset = i2t.Dataset.simulated(touches, ("hexagon",), pad)
     rows = np.ones(len(dataset), bool)
     model = fit_pad_model(jax.random.key(2), dataset, rows, {"hexagon": hexagon}, errors=errors, limits=limits)
 

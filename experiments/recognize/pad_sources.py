@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from experiments.recognize import trained_run
-from experiments.recognize.config import PRESETS, Recognition
+from experiments.recognize.config import Recognition
 from experiments.train import recognition_data
 from experiments.train.configs import Simulation
 from i2t import dataset as data
@@ -29,9 +29,7 @@ from i2t.recognition.site_pool import prepare_surfaces
 from i2t.simulation import touches as simulation
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin import files as pad_files
-from i2t.types import TWIST_LEVER_M, Board
-
-TOUCHES_OF_A_FILE, TOUCHES_OF_A_FILE_DEBUG = 900, 100  # simulated with a pad on disk, which a pad model is fitted to
+from i2t.types import TWIST_LEVER_M
 
 
 class PadSource(NamedTuple):
@@ -177,27 +175,24 @@ def _of_pad_file(path: Path, cfg: Recognition) -> PadSource:
     Where the file says how far the pad is off the presses that it was fitted to, errors of readings are larger by that.
     """
     pad, about = pad_files.load_pad(path), pad_files.load_pad_about(path)
-    board, names = Board(*(np.asarray(part) for part in pad.board)), Simulation.train
+    names = Simulation.train
     made_from = f"{path}{about.made_from}"
 
     def make(key: jax.Array) -> KnownPad:
         key_touch, key_fit = jax.random.split(key)
         surfaces = prepare_surfaces([catalogue.make_object(name).mesh for name in names])
-        touches = TOUCHES_OF_A_FILE_DEBUG if cfg is PRESETS["debug"] else TOUCHES_OF_A_FILE
         made = simulation.simulate_touches(
-            key_touch, surfaces, pad, cfg.errors, touches // len(names), limits=cfg.limits,
+            key_touch, surfaces, pad, cfg.errors, cfg.simulated_touches // len(names), limits=cfg.limits,
             touches_per_session=Simulation.touches_per_session,
         )  # fmt: skip
-        made = jax.device_get(made)
-        sessions = tuple(f"session {i}" for i in range(int(made.session.max()) + 1))
-        dataset = Dataset(made, names, (about.name,), sessions, board, "simulated")
+        dataset = Dataset.simulated(made, names, pad, pad_name=about.name)
         rows = np.isfinite(dataset.touches.depth)
         known = dict(zip(names, surfaces, strict=True))
         model = fit_pad_model(key_fit, dataset, rows, known, errors=cfg.errors, limits=cfg.limits)
         origin = PadOrigin(about.name, "simulated", names, int(rows.sum()), made_from)
-        return KnownPad(with_press_errors(model, about.error_std), board, origin)
+        return KnownPad(with_press_errors(model, about.error_std), dataset.board, origin)
 
-    return PadSource(SkinIdentity(about.name, board, made_from), make, None)
+    return PadSource(SkinIdentity(about.name, pad.board, made_from), make, None)
 
 
 def with_press_errors(model: PadModel, error_std: float) -> PadModel:

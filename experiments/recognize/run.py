@@ -199,7 +199,7 @@ def rule_predictors(folder: Path, trained: TrainedRun) -> dict[str, ReadingPredi
 
 
 def object_groups(args: SimulateArgs, cfg: Recognition) -> list[tuple[dict[str, Mesh], dict[str, ObjectSet]]]:
-    """Groups of meshes by name that share their sites, each with the sets that are played among them."""
+    """Groups of meshes by name, each with the sets that are played among them."""
     if args.objects:
         own = load_meshes(args.objects, args.unit)
         return [(own, {"your objects": ObjectSet(list(own), cfg.episodes, False)})]

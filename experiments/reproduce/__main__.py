@@ -22,7 +22,7 @@ from pathlib import Path
 
 import tyro
 
-from experiments.common.runs import reported, write_json
+from experiments.common.runs import reported
 from experiments.reproduce.steps import STEPS, Step
 from experiments.reproduce.tables import TABLES, shortened, write_tables
 
@@ -87,7 +87,8 @@ def _run_step(step: Step, args: ReproduceArgs) -> None:
         results = args.docs / "results"
         results.mkdir(exist_ok=True)
         measured = json.loads((folder / "metrics.json").read_text())
-        write_json(results / f"{step.name}.json", shortened(step.name, measured))
+        kept = json.dumps(shortened(step.name, measured), ensure_ascii=False, separators=(",", ":"))
+        (results / f"{step.name}.json").write_text(kept + "\n")
 
 
 if __name__ == "__main__":

@@ -13,9 +13,7 @@ from typing import Any
 Measured = dict[str, Any]
 Table = Callable[[Measured], str]
 MARK = re.compile(r"(<!-- table: (\w+) ([^>]+?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
-KEPT_SCORES = (
-    "accuracy", "mean", "last_other_objects", "by_object", "calibration_error", "log_loss", "stopping", "touches_to_95",
-)  # fmt: skip
+KEPT_SCORES = ("accuracy", "mean", "last_other_objects", "by_object", "calibration_error", "log_loss", "stopping")
 UNSHOWN = ", average"  # a rule between the other two
 DECIMALS = 4  # of the numbers in docs/results
 

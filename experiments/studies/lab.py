@@ -39,7 +39,6 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.types import Pad, Surface
 
 MAX_PARTICLES = 128  # of each object: with 64 to 512 accuracies are the same within 0.01
-SIMULATED_TOUCHES, SIMULATED_TOUCHES_DEBUG = 900, 100  # that a pad model of another pad is fitted to
 DEBUG_EPISODES = 2  # of each object
 FIRST_SEED = 100  # of the studies' keys, apart from those of other experiments
 Study = Literal[
@@ -145,9 +144,8 @@ class StudyLab:
     def fit_other_pad(self, key: Array, pad: Pad) -> PadModel:
         """The pad model of a known pad, from simulated touches of the objects that the run trained on."""
         surfaces = [self.run.surfaces[name] for name in self._trained_on()[0]]
-        touches = SIMULATED_TOUCHES_DEBUG if self.args.debug else SIMULATED_TOUCHES
         return fit_simulated_pad_model(
-            key, pad, surfaces, touches=touches, limits=self.cfg.limits, recorded=self.pad_model
+            key, pad, surfaces, touches=self.cfg.simulated_touches, limits=self.cfg.limits, recorded=self.pad_model
         )
 
     def refit(self, key: Array, limits: PressLimits) -> PadModel:
@@ -156,9 +154,7 @@ class StudyLab:
         names, counts = self._trained_on()
         surfaces, errors = [self.run.surfaces[name] for name in names], self.cfg.errors
         made = simulation.simulate_touches(key_press, surfaces, self.run.pad, errors, counts, limits=limits)
-        touches = jax.device_get(made)
-        sessions = tuple(f"session {i}" for i in range(int(touches.session.max()) + 1))
-        dataset = Dataset(touches, names, ("the pad",), sessions, self.run.dataset.board, "simulated")
+        dataset = Dataset.simulated(made, names, self.run.pad)
         rows = np.ones(len(dataset), bool)
         return fit_pad_model(key_fit, dataset, rows, self.run.surfaces, errors=errors, limits=limits)
 

@@ -138,7 +138,6 @@ def keep(out: Path, dataset: Dataset, rows: np.ndarray, files: Mapping[str, Mesh
     about = {
         "source": dataset.source,
         "pad": dataset.pads[int(touches.pad[0])],
-        "board": {name: np.asarray(part).tolist() for name, part in dataset.board._asdict().items()},
         "touches": len(touches.force),
         "objects": {name: _kept_mesh(out, files.get(name)) for name in known.meshes},
     }

@@ -126,11 +126,15 @@ def summarise(parts: list[dict[str, Any]], out: Path) -> dict[str, Any]:
         }
     summary["best"] = {str(pad): [part["best"] for part in parts if (part["pad"] or 0) == pad] for pad in pads}
     write_json(out / "metrics.json", summary)
-    first = summary["pads"][str(pads[0])]
+    over, which, unit = (
+        (summary["over_pads"], f"{len(pads)} pads", "pads")
+        if len(pads) > 1
+        else (summary["pads"][str(pads[0])], f"pad {pads[0]}", "seeds")
+    )
     figure = viz.plot_intervals(
-        {name: tuple(first[name]["r2"]) for name in names},
-        f"Explained variance, pad {pads[0]}",
-        "R² (95 % interval over seeds)",
+        {name: tuple(over[name]["r2"]) for name in names},
+        f"Explained variance, {which}",
+        f"R² (95 % interval over {unit})",
         parts[0]["source"] != "real",
     )
     viz.save_figure(figure, out / "scores.png")

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import jax
-import numpy as np
 from tqdm import tqdm
 
 from experiments.train.configs import Simulation
@@ -13,7 +12,7 @@ from i2t.objects import catalogue
 from i2t.rendering.render import prepare_surface
 from i2t.simulation import touches as simulation
 from i2t.skin.pad import numbered_pad
-from i2t.types import Board, Pad
+from i2t.types import Pad
 
 
 def simulated_dataset(cfg: Simulation, pad: Pad | int, path: Path, *, seed: int, name: str | None = None) -> Dataset:
@@ -39,14 +38,7 @@ def simulated_dataset(cfg: Simulation, pad: Pad | int, path: Path, *, seed: int,
             jax.random.key(seed), surfaces, pad, cfg.errors, cfg.counts(),
             limits=cfg.limits, touches_per_session=cfg.touches_per_session, progress=bar.update,
         )  # fmt: skip
-    dataset = Dataset(
-        touches,
-        cfg.objects,
-        (named,),
-        tuple(f"run {i:03d}" for i in range(int(touches.session.max()) + 1)),
-        Board(*(np.asarray(field) for field in pad.board)),
-        "simulated",
-        meta={"made by": f"experiments.train, seed {seed}"},
-    )
+    meta = {"made by": f"experiments.train, seed {seed}"}
+    dataset = Dataset.simulated(touches, cfg.objects, pad, pad_name=named, session="run", meta=meta)
     data.save_dataset(path, dataset)
     return dataset

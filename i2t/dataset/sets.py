@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from i2t.errors import DataError
-from i2t.types import PATCH_WINDOW, REACH, WIDE_PIXELS, Board, ReturnCode, Touches, Truth
+from i2t.types import PATCH_WINDOW, REACH, WIDE_PIXELS, Board, Pad, ReturnCode, Touches, Truth
 
 SOURCES = ("simulated", "real", "mixed")
 INDICES = ("object", "pad", "session", "code")
@@ -43,6 +43,36 @@ class Dataset:
 
         object.__setattr__(self, "touches", _map(numpy, self.touches))
         object.__setattr__(self, "board", Board(*(np.asarray(value, np.float32) for value in self.board)))
+
+    @classmethod
+    def simulated(
+        cls,
+        touches: Touches,
+        objects: Sequence[str],
+        pad: Pad,
+        *,
+        pad_name: str = "simulated pad",
+        session: str = "session",
+        meta: Mapping[str, str] | None = None,
+    ) -> "Dataset":
+        """The data set of `i2t.simulate_touches`, which says that it is simulated.
+
+        Args:
+            touches: With one pad, as simulated.
+            objects: Names of the objects, in the order in which they were given.
+            pad: That touched.
+            pad_name: Its name.
+            session: What sessions are called, before their numbers.
+            meta: Provenance, in words.
+
+        Returns:
+            The data set.
+        """
+        sessions = tuple(f"{session} {i:03d}" for i in range(int(np.max(touches.session)) + 1))
+        return cls(
+            touches, tuple(objects), pads=(pad_name,), sessions=sessions, board=pad.board,
+            source="simulated", meta=dict(meta or {}),
+        )  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.touches.reading)

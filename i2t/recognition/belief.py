@@ -81,11 +81,6 @@ class ScaleMixture(NamedTuple):
         """
         return cls(np.array([std]), np.ones(1))
 
-    @property
-    def total_std(self) -> float:
-        """Standard deviation (m) of the whole."""
-        return float(np.sqrt(np.sum(np.asarray(self.share, float) * np.asarray(self.std, float) ** 2)))
-
 
 class Likelihood(NamedTuple):
     """How far a touch may be from the predicted one; see `fit_likelihood`, the rest chosen on validation episodes."""

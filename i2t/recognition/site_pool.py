@@ -140,18 +140,10 @@ def precompute_outcomes(
     overtravel: float,
     label: str,
 ) -> list[PredictedTouch]:
-    """Predict a touch of every object in every pose at every site, with a progress bar.
+    """Predict touches as in `predict_outcomes`, with a progress bar.
 
     Args:
-        surfaces: Of the objects.
-        twist: Of the pose particles (m).
-        T_w_site: Sites.
-        reading_models: Of some pads, at the same loads.
-        overtravel: Distance (m) beyond a site after which a press gives up.
         label: What the bar says the touches are for.
-
-    Returns:
-        For each pad the predicted touches, (sites, objects, k), on the host.
     """
     total = len(surfaces) * len(T_w_site) * len(twist)
     with tqdm(total=total, desc=f"{label}: imagining", unit="touch", unit_scale=True) as bar:

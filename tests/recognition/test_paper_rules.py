@@ -4,13 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.site_poses import TWO_POOLS
 
 from i2t.objects import catalogue
 from i2t.prediction.predictor import Reading
 from i2t.recognition.belief import TouchObservation
 from i2t.recognition.episodes import Episodes, FeltTouches
 from i2t.recognition.paper_rules import ConstantPredictor, paper_rules, run_loop
-from i2t.recognition.site_pool import SitePools, prepare_surfaces
+from i2t.recognition.site_pool import prepare_surfaces
 
 CHANNELS = 12  # of a 4-chip board
 STD = 2.0  # uT, of every channel
@@ -95,25 +96,6 @@ def test_a_constant_reading_knows_only_where_an_object_is(beliefs):
     np.testing.assert_allclose(beliefs["constant, votes"], 0.5, atol=1e-6)
 
 
-def facing(angle_deg: float, at: float) -> np.ndarray:
-    """A tool pose on a line, whose outward normal is turned from up."""
-    a = np.radians(angle_deg)
-    T = np.eye(4, dtype=np.float32)
-    T[:3, :3] = np.array([[np.cos(a), 0, -np.sin(a)], [0, -1, 0], [-np.sin(a), 0, -np.cos(a)]])
-    T[0, 3] = at
-    return T
-
-
-# Two pools of two objects with two sites each: in the first only the second site is worth a touch, in the second pool
-# only the first (the other faces 50 degrees from its counterpart, and the least of those that qualify has no weight).
-POOLS = SitePools(
-    np.stack(
-        [
-            np.stack([[facing(0, 0), facing(0, 1e-2)], [facing(first, 0), facing(second, 1e-2)]])
-            for first, second in ((50, 60), (60, 50))
-        ]
-    )
-)
 # Rows of the joined pools that touches must be at, by pool and hypothesis.
 WORTH = np.array([[1, 3], [4, 6]])
 POOL = np.array([0, 1, 0, 1])
@@ -146,7 +128,7 @@ def loops():
     made = []
     for key in jax.random.split(jax.random.key(0), 30):
         recorder = Recorder()
-        made.append((run_loop(key, fixed_scorer, recorder, POOLS, POOL, count=3), recorder))
+        made.append((run_loop(key, fixed_scorer, recorder, TWO_POOLS, POOL, count=3), recorder))
     return made
 
 
@@ -172,7 +154,7 @@ def test_hypotheses_follow_the_rule_that_is_asked_for():
     """By the product of likelihoods the second object has e^2 / (1 + e^2) = .88 after one touch and .73 after two."""
     shares = []
     for key in jax.random.split(jax.random.key(1), 60):
-        shares.append(run_loop(key, fixed_scorer, Recorder(), POOLS, POOL, count=3, rule="product").hypothesis)
+        shares.append(run_loop(key, fixed_scorer, Recorder(), TWO_POOLS, POOL, count=3, rule="product").hypothesis)
     share = np.concatenate(shares).mean(0)
     assert abs(share[1] - 0.88) < 0.08
     assert abs(share[2] - 0.73) < 0.1

@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from helpers.site_poses import TWO_POOLS
 
 from i2t.objects import catalogue
 from i2t.recognition import site_pool
@@ -21,27 +22,6 @@ def surfaces():
 @pytest.fixture(scope="module")
 def pools(surfaces) -> SitePools:
     return site_pool.sample_pools(jax.random.key(0), surfaces, NAMES, pools=4, each=6, limits=RECOGNITION_LIMITS)
-
-
-def facing(angle_deg: float, at: float) -> np.ndarray:
-    """A tool pose on a line, whose outward normal is turned from up."""
-    a = np.radians(angle_deg)
-    T = np.eye(4, dtype=np.float32)
-    T[:3, :3] = np.array([[np.cos(a), 0, -np.sin(a)], [0, -1, 0], [-np.sin(a), 0, -np.cos(a)]])
-    T[0, 3] = at
-    return T
-
-
-# Two pools of two objects with two sites each, a centimetre apart. In the first pool the second object faces 50 and 60
-# degrees away, so only the second site is worth a touch on either object; in the second pool it is the other way round.
-TWO = SitePools(
-    np.stack(
-        [
-            np.stack([[facing(0, 0), facing(0, 1e-2)], [facing(first, 0), facing(second, 1e-2)]])
-            for first, second in ((50, 60), (60, 50))
-        ]
-    )
-)
 
 
 def test_no_two_touches_share_a_site(surfaces):
@@ -73,15 +53,15 @@ def test_joined_pools_number_their_sites_pool_by_pool(pools):
 
 @pytest.mark.full
 def test_the_heuristic_is_of_each_pool_by_itself():
-    found = site_pool.pool_informativeness(TWO)
+    found = site_pool.pool_informativeness(TWO_POOLS)
     np.testing.assert_allclose(found[0], [[0, 1], [0, 1]], atol=1e-6)
     np.testing.assert_allclose(found[1], [[1, 0], [1, 0]], atol=1e-6)
-    one = site_pool.SitePool(jax.numpy.asarray(TWO.T_w_t[0].reshape(-1, 4, 4)), np.repeat([0, 1], 2))
+    one = site_pool.SitePool(jax.numpy.asarray(TWO_POOLS.T_w_t[0].reshape(-1, 4, 4)), np.repeat([0, 1], 2))
     np.testing.assert_allclose(site_pool.own_site_informativeness(one), found[0], atol=1e-6)
 
 
 def test_touches_are_planned_in_the_episodes_own_pool():
-    plan = site_pool.plan_informative_touches(jax.random.key(0), TWO, np.array([0, 1, 1]), 20)
+    plan = site_pool.plan_informative_touches(jax.random.key(0), TWO_POOLS, np.array([0, 1, 1]), 20)
     assert plan.chosen.shape == (3, 20)
     at = np.asarray(plan.sites.T_w_t)[plan.chosen][:, :, 0, 3]
     np.testing.assert_allclose(at, [[1e-2] * 20, [0] * 20, [0] * 20], atol=1e-8)
