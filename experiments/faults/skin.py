@@ -11,7 +11,8 @@ from experiments.faults.rows import FaultRow, Sizes, worst
 from i2t.emulators.reskin_board import Readings, corrupt, started
 from i2t.errors import DeviceError, DeviceTimeoutError
 from i2t.hardware.reskin.driver import ReSkin
-from i2t.hardware.reskin.frames import Decoder, Format, Frame, FrameLayout, FrameLimits, decode, encode
+from i2t.hardware.reskin.frames import Decoder, Frame, FrameLimits, decode
+from i2t.hardware.reskin.layouts import Format, FrameLayout, encode
 
 LINE_ERRORS = ((0.01, 0.0, 0.98), (0.0, 0.001, 0.95))  # bytes substituted, dropped; goal for intact frames
 ERROR_SIZES_UT = (1.0, 10.0, 25.0)

@@ -1,4 +1,4 @@
-"""An emulated ReSkin or AnySkin board: a pseudo-terminal that sends its frames, well or badly.
+"""An emulated ReSkin, AnySkin or eFlesh board: a pseudo-terminal that sends its frames, well or badly.
 
     python -m i2t.emulators.reskin_board --link /tmp/skin
     python -m i2t.hardware.reskin --port /tmp/skin
@@ -30,7 +30,8 @@ import numpy as np
 import tyro
 from jaxtyping import Float
 
-from i2t.hardware.reskin.frames import Format, encode
+from i2t.hardware.reskin.layouts import Format, encode
+from i2t.hardware.reskin.quantization import CONVERTER_COUNTS
 from i2t.skin.boards import make_board
 from i2t.types import Board
 
@@ -41,6 +42,7 @@ TEMPERATURE_C, TEMPERATURE_NOISE_C, TEMPERATURE_STEP_C = 24.6, 0.1, 1 / 45.2
 TEMPERATURE_ORIGIN_C = 25.0  # from which the converter counts
 PRESS_UT = np.array([[9, 4, -38], [-14, 8, 12], [6, 20, 9], [-5, -16, 7], [11, -9, 13.0]])  # of chips, over and over
 PRESS_PERIOD_S = 4.0
+RUBBISH_BYTES = 60  # at a time, from a board that starts
 IDLE_S = 0.01  # between two looks whether somebody has opened the port
 TERMIOS_SPEEDS = {
     getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()
@@ -49,16 +51,22 @@ TERMIOS_SPEEDS = {
 
 @dataclass(frozen=True)
 class EmulatedBoardArgs:
-    """An emulated ReSkin or AnySkin board."""
+    """An emulated ReSkin, AnySkin or eFlesh board."""
 
     link: Path | None = None  # name the port: a symbolic link that is made and removed
     board: str = "reskin"  # reskin, anyskin, or grid-RxC for R rows and C columns of chips
     format: tyro.conf.EnumChoicesFromValues[Format] = Format.BINARY  # what firmware it has
     rate: float = 400.0  # frames a second
     noise: float = 1.0  # times that of real boards; 0 repeats one frame exactly
+    ambient: tuple[float, float, float] = AMBIENT_UT  # uT, field of the room in tool axes
     press: float = 0.0  # size of a press every 4 s, times 57 uT (norm on 5 chips)
     temperature: float | None = None  # of all chips, exactly; 34.513 holds CR LF in binary
     field: bool = False  # take fields (3 float32 a chip, little-endian, uT) from UDP datagrams
+    fail: tuple[int, ...] = ()  # chips that do not answer
+    fail_share: float = 0.0  # part of the samples in which a chip does not answer, each chip by itself
+    empty: int = 1  # only every Nth frame holds values: the sketch reads faster than the chips measure
+    skip: float = 0.0  # part of the frames that are lost as a whole
+    garbage_for: float = 0.0  # s of rubbish after each opening, which resets the board
     mid_frame: int = 0  # bytes missing from the first frame
     substitute: float = 0.0  # part of the bytes that are changed
     drop: float = 0.0  # part of the bytes that are lost
@@ -80,15 +88,23 @@ class Readings:
         temperature: Degrees Celsius of all chips; None for some 24.6 with noise.
         seed: Of the noise.
         board: Whose chips they are; by default ReSkin's.
+        ambient: (3,) uT, field of the room in tool axes.
     """
 
     def __init__(
-        self, noise: float, press: float, temperature: float | None, seed: int, board: Board | None = None
+        self,
+        noise: float,
+        press: float,
+        temperature: float | None,
+        seed: int,
+        board: Board | None = None,
+        *,
+        ambient: Sequence[float] = AMBIENT_UT,
     ) -> None:
         board = make_board("reskin") if board is None else board
         self.chips = len(board.chips)
         self._rng = np.random.default_rng(seed)
-        self._rest = np.asarray(board.to_board(np.tile(np.array(AMBIENT_UT), (self.chips, 1))))
+        self._rest = np.asarray(board.to_board(np.tile(np.array(ambient), (self.chips, 1))))
         self._press = press * np.resize(PRESS_UT, (self.chips, 3)).ravel()
         self._noise, self._temperature = noise, temperature
         self.field = np.zeros(3 * self.chips)  # uT, added to all else
@@ -105,12 +121,14 @@ class Readings:
         depth = max(0.0, np.sin(2 * np.pi * now / PRESS_PERIOD_S)) ** 2
         noise = self._noise * np.tile(NOISE_UT, self.chips) * self._rng.standard_normal(3 * self.chips)
         steps = np.tile(STEPS_UT, self.chips)
-        reading = np.round((self._rest + self.field + depth * self._press + noise) / steps) * steps
+        counts = np.round((self._rest + self.field + depth * self._press + noise) / steps)
+        counts = (counts + CONVERTER_COUNTS // 2) % CONVERTER_COUNTS - CONVERTER_COUNTS // 2
+        reading = counts * steps
         warmth = TEMPERATURE_C + self._noise * TEMPERATURE_NOISE_C * self._rng.standard_normal(self.chips)
-        counts = np.round((warmth - TEMPERATURE_ORIGIN_C) / TEMPERATURE_STEP_C)
+        celsius = np.round((warmth - TEMPERATURE_ORIGIN_C) / TEMPERATURE_STEP_C)
         if self._temperature is not None:
             return reading, np.full(self.chips, self._temperature)
-        return reading, TEMPERATURE_ORIGIN_C + counts * TEMPERATURE_STEP_C
+        return reading, TEMPERATURE_ORIGIN_C + celsius * TEMPERATURE_STEP_C
 
 
 def corrupt(chunk: bytes, substitute: float, drop: float, rng: np.random.Generator) -> bytes:
@@ -229,6 +247,9 @@ def main(args: Sequence[str] | None = None) -> int:
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    if options.empty < 1 or any(not 0 <= chip < board.num_chips for chip in options.fail):
+        print(f"error: the board has chips 0 to {board.num_chips - 1}, and --empty is 1 or more", file=sys.stderr)
+        return 2
     port = BoardPort(options.link)
     try:
         print(port.plug(), flush=True)
@@ -241,11 +262,14 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _serve(port: BoardPort, board: Board, options: EmulatedBoardArgs) -> None:
-    readings = Readings(options.noise, options.press, options.temperature, options.seed, board)
-    rng = np.random.default_rng((options.seed, 1))
+    readings = Readings(
+        options.noise, options.press, options.temperature, options.seed, board, ambient=options.ambient
+    )
+    line = _Line(options)
     inbox = _field_inbox() if options.field else None
     missing = options.mid_frame
     opened: float | None = None  # when the port was first opened
+    reset = -np.inf  # when it was opened last
     due = time.monotonic()
     while not (options.tethered and _has_ended(sys.stdin)):
         now = time.monotonic()
@@ -259,25 +283,45 @@ def _serve(port: BoardPort, board: Board, options: EmulatedBoardArgs) -> None:
             port.plug()
         if unplugged or not port.is_open():
             time.sleep(IDLE_S)
-            due = time.monotonic()
+            due, reset = time.monotonic(), np.inf
             continue
         opened = now if opened is None else opened
-        if not options.silent_after <= elapsed < options.silent_after + options.silent_for:
-            port.send(_chunk(readings, port, max(0.0, elapsed), options, rng)[missing:])
+        reset = min(reset, now)
+        if now - reset < options.garbage_for:
+            port.send(line.rubbish())
+        elif not options.silent_after <= elapsed < options.silent_after + options.silent_for:
+            port.send(line.frame(*readings.at(max(0.0, elapsed)), port)[missing:])
             missing = 0
         due += 1 / options.rate
         time.sleep(max(0.0, due - time.monotonic()))
 
 
-def _chunk(
-    readings: Readings, port: BoardPort, now: float, options: EmulatedBoardArgs, rng: np.random.Generator
-) -> bytes:
-    """One frame as it leaves the board, or what a wrong baud rate or a bad line makes of it."""
-    frame = encode(*readings.at(now), options.format)
-    if options.baud and port.baud_rate() != options.baud:
-        frame = rng.bytes(len(frame))
-    damaged = options.substitute or options.drop
-    return corrupt(frame, options.substitute, options.drop, rng) if damaged else frame
+class _Line:
+    """What becomes of samples on their way out of the board."""
+
+    def __init__(self, options: EmulatedBoardArgs) -> None:
+        self._options, self._count = options, -1
+        self._rng = np.random.default_rng((options.seed, 1))  # of damage
+        self._faults = np.random.default_rng((options.seed, 2))  # of chips and whole frames
+
+    def frame(self, reading: np.ndarray, temperature: np.ndarray, port: BoardPort) -> bytes:
+        """A sample as it leaves the board, or what a wrong baud rate or a bad line makes of it."""
+        options = self._options
+        self._count += 1
+        gone = self._faults.random(len(temperature)) < options.fail_share
+        gone[list(options.fail)] = True
+        gone |= self._count % options.empty != 0
+        whole = encode(np.where(np.repeat(gone, 3), 0.0, reading), temperature, options.format, self._count)
+        if self._faults.random() < options.skip:
+            return b""
+        if options.baud and port.baud_rate() != options.baud:
+            whole = self._rng.bytes(len(whole))
+        damaged = options.substitute or options.drop
+        return corrupt(whole, options.substitute, options.drop, self._rng) if damaged else whole
+
+    def rubbish(self) -> bytes:
+        """What a board sends while it starts."""
+        return self._rng.bytes(RUBBISH_BYTES)
 
 
 def _field_inbox() -> socket.socket:

@@ -63,7 +63,7 @@ class Samples(NamedTuple):
 
     number: Array  # (n,) int64, counts the samples of this device; a jump is what its queue had to let go
     time: Array  # (n,) s, monotonic and never decreasing
-    reading: Array  # (n, c) uT, c = 3 values for each chip
+    reading: Array  # (n, c) uT, c = 3 values for each chip; NaN for a chip that did not answer, in no sample for all
     temperature: Array  # (n, chips) degrees Celsius, of each chip; NaN if the skin does not tell
 
 
@@ -71,11 +71,14 @@ class SkinCounters(NamedTuple):
     """What came and what did not, since the skin was first connected. Only `rate` ever falls."""
 
     samples: int = 0  # delivered
-    lost: int = 0  # frames that were damaged, by the bytes of them that were left
+    lost: int = 0  # frames that did not come whole, by the board's own count or the bytes of them that were left
     gaps: int = 0  # places where frames are missing
     bytes: int = 0  # that came
     skipped: int = 0  # of those, in no frame
     overflowed: int = 0  # samples that left the queue before `since` had asked for them
+    empty: int = 0  # frames in which no chip answered; they are not delivered
+    missing: int = 0  # chips that did not answer, in all samples together
+    wraps: int = 0  # times that a channel went over the end of its converter
     stalls: int = 0  # times this computer read so late that the port's buffer may have overflowed
     connects: int = 0
     rate: float = 0.0  # Hz, over the last second

@@ -13,7 +13,7 @@ from i2t.hardware.contract import SkinContract
 from i2t.hardware.protocols import Skin
 from i2t.hardware.reskin import recording
 from i2t.hardware.reskin.driver import Replay, ReSkin
-from i2t.hardware.reskin.frames import encode
+from i2t.hardware.reskin.layouts import encode
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin import boards
 

@@ -20,20 +20,11 @@ from hypothesis import strategies as st
 from i2t.emulators.reskin_board import NOISE_UT, Readings, corrupt, started
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.hardware.protocols import Samples, SkinCounters
-from i2t.hardware.reskin import frames, monitor, quantization, recording
+from i2t.hardware.reskin import driver, frames, monitor, quantization, recording
 from i2t.hardware.reskin import stream as streaming
 from i2t.hardware.reskin.driver import Replay, ReSkin
-from i2t.hardware.reskin.frames import (
-    Decoder,
-    Format,
-    FrameLayout,
-    FrameLimits,
-    decode,
-    decode_any,
-    decoders,
-    diagnose,
-    encode,
-)
+from i2t.hardware.reskin.frames import Decoder, FrameLimits, decode, decode_any, decoders, diagnose
+from i2t.hardware.reskin.layouts import Format, FrameLayout, encode
 from i2t.hardware.reskin.stream import BoardInfo
 from i2t.skin.boards import make_board
 
@@ -508,6 +499,7 @@ def test_a_board_that_never_speaks_is_given_up(monkeypatch):
 
 def test_the_baud_rate_is_found_or_said_to_be_wrong(monkeypatch):
     monkeypatch.setattr(streaming, "FIRST_FRAME_S", 0.3)
+    monkeypatch.setattr(driver, "START_UP_S", 0.0)
     with started("--baud", "460800") as (port, _):
         with pytest.raises(DeviceError, match=r"at 9600 baud: .* check the baud rate"):
             ReSkin(port, 9600).connect()

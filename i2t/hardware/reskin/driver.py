@@ -1,4 +1,6 @@
-"""ReSkin and AnySkin boards on a serial port, and recordings of them: `python -m i2t.hardware.reskin` shows one live.
+"""ReSkin, AnySkin and eFlesh boards on a serial port, and recordings of them.
+
+`python -m i2t.hardware.reskin` shows one.
 
 with ReSkin("/dev/ttyACM0") as skin:
     ambient = skin.read(10).reading.mean(axis=0)
@@ -6,13 +8,16 @@ with ReSkin("/dev/ttyACM0") as skin:
 
 import errno
 import os
+import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from i2t.errors import DeviceError, DeviceTimeoutError
 from i2t.hardware.reskin import frames, recording
-from i2t.hardware.reskin.frames import DEFAULT_CHIPS, Decoder, Format, Frame, FrameLayout, FrameLimits
-from i2t.hardware.reskin.stream import BoardInfo, Port, Stream, detect_format
+from i2t.hardware.reskin.frames import Decoder, Frame, FrameLimits
+from i2t.hardware.reskin.layouts import DEFAULT_CHIPS, Format, FrameLayout
+from i2t.hardware.reskin.stream import START_UP_S, BoardInfo, Port, Stream, detect_format
 
 RATE_HZ = 400.0  # published
 BAUD_RATES = (115200, 921600, 460800, 230400, 57600, 9600)  # tried in this order; over USB any will do
@@ -67,25 +72,49 @@ class ReSkin(Stream):
 
     def _open(self) -> tuple[Port, Decoder, list[Frame], BoardInfo]:
         port = self._find()
-        heard = b""
-        for baud in (self._baud,) if self._baud else BAUD_RATES:
-            line = self._open_port(port, baud)
-            try:
-                decoder, found, heard = detect_format(line, self._limits, self._chips, self._lost)
-            except BaseException:
-                line.close()
-                raise
-            if found:
-                self._features = self._features._replace(source=_source(port))
-                known = {board.port: board for board in self.ports()}
-                info = known.get(os.path.realpath(port), BoardInfo(port, None, decoder.layout.form))
-                return line, decoder, found, info._replace(port=port, baud=baud, form=decoder.layout.form)
+        rates = (self._baud,) if self._baud else BAUD_RATES
+        line = self._open_port(port, rates[0])
+        try:
+            baud, decoder, found, heard = self._listen(line, rates)
+        except BaseException:
             line.close()
-            if not heard:
-                break  # at a wrong rate bytes are wrong, but they come
+            raise
+        if found:
+            self._features = self._features._replace(source=_source(port))
+            known = {board.port: board for board in self.ports()}
+            info = known.get(os.path.realpath(port), BoardInfo(port, None, decoder.layout.form))
+            return line, decoder, found, info._replace(port=port, baud=baud, form=decoder.layout.form)
+        line.close()
         tried = f" at {self._baud} baud" if self._baud else " at any usual baud rate" if heard else ""
         kind = DeviceError if heard else DeviceTimeoutError
         raise kind(f"no skin on {port}{tried}: {frames.diagnose(heard, self._limits, self._chips)}")
+
+    def _listen(self, line: Port, rates: Sequence[int]) -> tuple[int, Decoder, list[Frame], bytes]:
+        """The rate at which frames come, with what `detect_format` gives.
+
+        The port stays open meanwhile: opening it resets many boards, which then send rubbish for seconds. So all rates
+        are tried again until that is over.
+        """
+        end, current = time.monotonic() + START_UP_S, rates[0]
+        while True:
+            for baud in rates:
+                if baud != current:
+                    self._set_rate(line, baud)
+                    current = baud
+                decoder, found, heard = detect_format(line, self._limits, self._chips, self._lost)
+                if found or not heard:  # at a wrong rate bytes are wrong, but they come
+                    return baud, decoder, found, heard
+            if time.monotonic() > end or frames.known_trouble(heard, self._limits, self._chips):
+                return baud, decoder, found, heard
+
+    def _set_rate(self, line: Port, baud: int) -> None:
+        try:
+            line.baudrate = baud
+            line.reset_input_buffer()
+        except ValueError as error:
+            raise DeviceError(f"the skin's port cannot be set to {baud} baud; give the rate with --baud") from error
+        except OSError as error:
+            raise self._lost(error) from error
 
     def _find(self) -> str:
         """The port that was asked for, or the board that was there before, or the only likely one."""

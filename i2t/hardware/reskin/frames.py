@@ -1,90 +1,57 @@
-"""Bytes of a ReSkin or AnySkin board to frames, and back: pure functions on whatever part of the stream has come.
+"""Bytes of a board to frames: pure functions on whatever part of the stream has come.
 
-The boards' public firmware sends temperature t (degrees Celsius) and field x, y, z (uT) of n chips, five by default, in
-one of three ways:
-
-    binary       n x little-endian float32 (t, x, y, z), then CR LF: 16 n + 2 bytes
-    text         n x "x\\ty\\tz\\tt\\t", two decimals, then CR LF (ReSkin)
-    text-glued   n x "t\\tx\\ty\\tz" with nothing between chips, two decimals, then CR LF (AnySkin)
-
-There is no header, counter or checksum, CR LF also occurs within numbers (34.513 degrees is 98 0d 0a 42), and a byte
-may be changed or lost. So a *candidate* is a stretch of the right form whose 4 n values are plausible, and a candidate
-is a *frame* if
+`i2t.hardware.reskin.layouts` says how frames look. Three of the five formats have no header, counter or checksum, CR LF
+also occurs within their numbers (34.513 degrees is 98 0d 0a 42), and a byte may be changed or lost. So a *candidate* is
+a stretch of the right form whose values are plausible, and a candidate is a *frame* if
 
     it lies within `max_jump` of the last frame in every channel, or
-    it begins a run of `run_length` adjoining candidates, each within `max_jump` of the one before, that no other
-    candidate overlaps.
+    its counter goes on from the last frame's by as many frames as their bytes are apart (`framed` alone), or
+    it begins a run of `run_length` adjoining candidates (two where they have a checksum), each of which goes on from
+    the one before in one of these two ways, that no other candidate overlaps.
 
 Candidates are tried from the first byte after the last frame onwards, so a changed byte costs its own frame, a lost
-byte the frame it was in, and a sudden but lasting change of the field nothing. In the binary format values must also be
-whole numbers of the converter's steps once these are known (`i2t.hardware.reskin.quantization`), which is as good as a
-checksum. What may pass unseen is a changed value within `max_jump` of the last one, and after the first frames one that
-is a whole number of steps too. What is decided depends on the stream alone, not on how it was cut into chunks.
+byte the frame it was in, and a sudden but lasting change of the field nothing. In the binary formats values must also
+be whole numbers of the converter's steps once these are known (`i2t.hardware.reskin.quantization`), which is as good as
+a checksum. What may pass unseen is a changed value within `max_jump` of the last one, and after the first frames one
+that is a whole number of steps too; behind a checksum, two changes that cancel. A line of text has nothing of the
+kind: one that changes much more than lines usually do has to be borne out by the next, and a smaller wrong digit
+passes. What is decided depends on the stream alone, not on how it was cut into chunks.
+
+A chip that fails is missing (NaN). A frame in which every chip is missing is counted as empty and not delivered. A
+converter of 16 bits begins again at its other end; a channel that jumps so is carried on.
 """
 
 import re
-import struct
 from dataclasses import dataclass
-from enum import StrEnum
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from i2t.hardware.reskin.quantization import NO_STEPS, ConverterSteps, learn_steps
+from i2t.hardware.reskin.layouts import (
+    COUNTS,
+    DEFAULT_CHIPS,
+    HEADER,
+    LINE_END,
+    Format,
+    FrameLayout,
+    FrameValues,
+    adjoining,
+    numbers_in,
+    parse,
+    window,
+)
+from i2t.hardware.reskin.quantization import NO_STEPS, ConverterSteps, learn_steps, wrap_offsets
 from i2t.skin import boards
-
-DEFAULT_CHIPS = len(boards.reskin_board().chips)
 
 LEARNING_FRAMES = 128  # from which the converter's steps are learned
 MAX_MISFITS = 64  # candidates in a row that the steps alone exclude, after which these are not believed any more
-VALUE_TEXT_BYTES = 20  # of a number in a line with its separator; it has at most 9 characters
-LINE_END = b"\r\n"
 MIN_TEMPERATURE_SIZE = 1e-3  # degrees; the step is 1/45 and does not begin at 0, so nothing but zero lies below
-
-_NUMBER = rb"(-?\d{1,6}\.\d\d)"
-
-
-class Format(StrEnum):
-    """What a board sends."""
-
-    BINARY = "binary"
-    TEXT = "text"
-    TEXT_GLUED = "text-glued"
-
-
-class FrameLayout(NamedTuple):
-    """How the frames of a board look."""
-
-    form: Format = Format.BINARY
-    chips: int = DEFAULT_CHIPS
-
-    @property
-    def binary(self) -> struct.Struct:
-        """The values and the end of a binary frame."""
-        return _binary(self.chips)
-
-    @property
-    def line(self) -> re.Pattern[bytes]:
-        """A line of text, from the end of the line before to its own carriage return."""
-        return _line(self.form, self.chips)
-
-    @property
-    def max_line_bytes(self) -> int:
-        """No line is longer."""
-        return VALUE_TEXT_BYTES * 4 * self.chips
-
-
-@lru_cache
-def _binary(chips: int) -> struct.Struct:
-    return struct.Struct(f"<{4 * chips}f{len(LINE_END)}s")
-
-
-@lru_cache
-def _line(form: Format, chips: int) -> re.Pattern[bytes]:
-    numbers = rb"\t".join([_NUMBER] * (4 * chips)) if form == Format.TEXT else rb"\t".join([_NUMBER] * 4) * chips
-    return re.compile(rb"\n?" + numbers + rb"\t?\r?")
+CHECKED_RUN_LENGTH = 2  # candidates in a row that are believed where each has a checksum
+COUNT_SLACK = 3  # frames that may be lost as a whole while the counter is still believed
+SPIKE = 5.5  # times its usual change, beyond which a number in a line of text has to be borne out by the next line
+USUAL_FRAMES = 30  # over which the usual change is taken, about
+MIN_SPIKE = np.array([0.5, 5.0, 5.0, 5.0])  # K, uT, that a number may always change by
 
 
 @dataclass(frozen=True)
@@ -103,11 +70,11 @@ class FrameLimits:
 
 
 class Frame(NamedTuple):
-    """One sample of all chips."""
+    """One sample of all chips; NaN for a chip that is missing."""
 
     end: int  # bytes of the stream up to and with this frame
     reading: Float[np.ndarray, " c"]  # uT, in the board's order
-    temperature: Float[np.ndarray, " chips"]  # degrees Celsius
+    temperature: Float[np.ndarray, " chips"]  # degrees Celsius; NaN where the board does not tell
 
 
 class Decoder(NamedTuple):
@@ -116,16 +83,22 @@ class Decoder(NamedTuple):
     layout: FrameLayout = FrameLayout()
     limits: FrameLimits = FrameLimits()
     rest: bytes = b""  # not decided yet
-    last: np.ndarray | None = None  # (chips, 4) t, x, y, z of the last frame
+    last: np.ndarray | None = None  # (chips, 4) t, x, y, z of the last frame, or of the last where a chip was there
+    usual: np.ndarray | None = None  # (chips, 4) size of the changes from frame to frame, of late
+    count: int | None = None  # of the last frame's counter
+    wrapped: np.ndarray | None = None  # (chips, 3) uT, by which channels are beyond the converter's end
     early: tuple[np.ndarray, ...] = ()  # the first frames, until the steps are learned
     steps: ConverterSteps | None = None
     misfits: int = 0  # candidates in a row that only the steps excluded
     frames: int = 0
-    taken: int = 0  # bytes in frames
+    empty: int = 0  # besides, those without any chip
+    missing: int = 0  # chips that were missing in the others
+    wraps: int = 0  # times that a channel went over the converter's end
+    taken: int = 0  # bytes in frames and empty ones
     skipped: int = 0  # bytes in none
     gap: int = 0  # of those, since the last frame
-    gaps: int = 0  # stretches of skipped bytes between frames
-    lost: int = 0  # frames that were in them, by their length
+    gaps: int = 0  # places between frames where some are missing
+    lost: int = 0  # frames that were there, by the counter, or by the bytes that are left
 
     @property
     def bytes(self) -> int:
@@ -180,7 +153,7 @@ def decode(decoder: Decoder, chunk: bytes) -> tuple[Decoder, list[Frame]]:
     search = 0  # candidates are looked for from here
     done = 0  # bytes before are in frames or in none
     while True:
-        begin, end = _window(decoder.layout, data, search)
+        begin, end = window(decoder.layout, data, search)
         decoder, done = decoder._replace(gap=decoder.gap + begin - done), begin
         if end is None:
             break
@@ -191,33 +164,10 @@ def decode(decoder: Decoder, chunk: bytes) -> tuple[Decoder, list[Frame]]:
         if not certain or values is None:
             search = begin + 1
             continue
-        frames.append(Frame(data_start + end, values[:, 1:].ravel(), values[:, 0]))
-        decoder = _with_frame(decoder, values, end - begin)
+        decoder, frame = _with_frame(decoder, values, data_start + end, end - begin)
+        frames += [] if frame is None else [frame]
         search = done = end
     return decoder._replace(rest=data[done:], skipped=data_start + done - decoder.taken), frames
-
-
-def encode(
-    reading: Float[np.ndarray, " c"], temperature: Float[np.ndarray, " chips"], form: Format = Format.BINARY
-) -> bytes:
-    """A frame as a board sends it.
-
-    Args:
-        reading: (3 chips,) uT, in the board's order.
-        temperature: (chips,) degrees Celsius.
-        form: Which firmware the board has.
-
-    Returns:
-        The frame's bytes, with its line end.
-    """
-    field = reading.reshape(len(temperature), 3)
-    if form == Format.BINARY:
-        return _binary(len(temperature)).pack(*np.column_stack([temperature, field]).ravel(), LINE_END)
-    if form == Format.TEXT:
-        chips = np.column_stack([field, temperature])
-        return b"".join(b"%.2f\t" % value for value in chips.ravel()) + LINE_END
-    chips = np.column_stack([temperature, field])
-    return b"".join(b"\t".join(b"%.2f" % value for value in chip) for chip in chips) + LINE_END
 
 
 def diagnose(data: bytes, limits: FrameLimits | None = None, chips: int = DEFAULT_CHIPS) -> str:
@@ -231,28 +181,50 @@ def diagnose(data: bytes, limits: FrameLimits | None = None, chips: int = DEFAUL
     Returns:
         Half a sentence with the remedy.
     """
-    limits = limits or FrameLimits()
+    rubbish = f"{len(data)} bytes came that are no frames; check the baud rate and that this port is the skin's"
+    return known_trouble(data, limits or FrameLimits(), chips) or rubbish
+
+
+def known_trouble(data: bytes, limits: FrameLimits, chips: int) -> str | None:
+    """Why these bytes, which gave no frame, gave none, if they say so themselves.
+
+    Args:
+        data: What a board has sent.
+        limits: What can be true of a frame.
+        chips: How many the board is taken to have.
+
+    Returns:
+        Half a sentence with the remedy, None for rubbish.
+    """
     if not data:
         return "the board sends nothing; check its cable and that its sketch runs"
+    if any(decode(decoder, data)[0].empty for decoder in decoders(limits, chips)):
+        return "frames come, but no chip answers in any; check the cable between board and chips"
     others = [n for n in range(1, boards.MAX_CHIPS + 1) if n != chips and decode_any(decoders(limits, n), data)[1]]
     if others:
         return f"frames of {others[0]} chips come, not of {chips}; say which board it is"
-    layout = FrameLayout(Format.BINARY, chips)
+    binary, framed = FrameLayout(Format.BINARY, chips), FrameLayout(Format.FRAMED, chips)
     ends = {found.start() for found in re.finditer(LINE_END, data)}
-    first = min((end for end in ends if end + layout.binary.size in ends), default=None)
+    first = min((end for end in ends if end + binary.size in ends), default=None)
     if first is not None:  # two line ends in the distance of a frame
-        *values, _ = layout.binary.unpack_from(data, first + len(LINE_END))
-        return _why_implausible(np.array(values).reshape(chips, 4), limits)
+        stretch = data[first + len(LINE_END) : first + len(LINE_END) + binary.size]
+        return _why_implausible(parse(binary, stretch), limits)
+    heads = {found.start() for found in re.finditer(re.escape(HEADER), data)}
+    first = min((head for head in heads if head + framed.size in heads), default=None)
+    if first is not None:
+        return _why_implausible(parse(framed, data[first : first + framed.size]), limits)
     if sum(byte in b"-.0123456789\t\r\n " for byte in data) > 0.95 * len(data):
-        lines = data.split(LINE_END)[1:-1]
-        counts = [len(re.findall(_NUMBER, line)) for line in lines]
+        counts = [numbers_in(line) for line in data.split(LINE_END)[1:-1]]
         if counts:
             usual = max(set(counts), key=counts.count)
             return f"its lines hold {usual} plausible numbers, not {4 * chips} of one known order"
-    return f"{len(data)} bytes came that are no frames; check the baud rate and that this port is the skin's"
+    return None
 
 
-def _why_implausible(table: Float[np.ndarray, "chips 4"], limits: FrameLimits) -> str:
+def _why_implausible(values: FrameValues | None, limits: FrameLimits) -> str:
+    if values is None:
+        return "frames come, but their checksums do not fit; check the cable and the baud rate"
+    table = values.table
     for chip, (celsius, *field) in enumerate(table):
         if not _plausible(table[chip : chip + 1], limits):
             return (
@@ -263,86 +235,152 @@ def _why_implausible(table: Float[np.ndarray, "chips 4"], limits: FrameLimits) -
     return "frames come, but they jump or fit two alignments; keep the skin still while it connects"
 
 
-def _window(layout: FrameLayout, data: bytes, search: int) -> tuple[int, int | None]:
-    """The next stretch that may be a candidate, or where to look again when more bytes have come. A window of text
-    begins with the end of the line before it.
+def _candidate(decoder: Decoder, stretch: bytes) -> tuple[Decoder, FrameValues | None]:
+    """The values of a stretch, None if it is no candidate, and the decoder, which counts what only the converter's
+    steps exclude and gives them up after too many.
     """
-    if layout.form == Format.BINARY:
-        size = layout.binary.size
-        found = data.find(LINE_END, search + size - len(LINE_END))
-        if found < 0:
-            return max(search, len(data) - size + 1), None
-        return found + len(LINE_END) - size, found + len(LINE_END)
-    while (begin := data.find(b"\n", search)) >= 0:
-        end = data.find(b"\n", begin + 1, begin + layout.max_line_bytes)
-        if end >= 0:
-            return begin, end
-        if len(data) < begin + layout.max_line_bytes:
-            return begin, None
-        search = begin + 1
-    return len(data), None
-
-
-def _candidate(decoder: Decoder, window: bytes) -> tuple[Decoder, np.ndarray | None]:
-    """The values (chips, 4) of a window, None if it is no candidate, and the decoder, which counts what only the
-    converter's steps exclude and gives them up after too many.
-    """
-    values = _values(decoder.layout, window, decoder.limits)
-    if values is None or decoder.steps is None or decoder.steps.fit(values):
+    values = _values(decoder.layout, stretch, decoder.limits)
+    if values is None or decoder.steps is None or decoder.steps.fit(values.table):
         return decoder, values
-    misfits = decoder.misfits + _near(decoder.last, values, decoder.limits)
+    misfits = decoder.misfits + _near(decoder.last, values.table, decoder.limits, decoder.steps)
     decoder = decoder._replace(misfits=misfits)
     if misfits > MAX_MISFITS:
         return decoder._replace(steps=NO_STEPS), values
     return decoder, None
 
 
-def _is_frame(decoder: Decoder, values: np.ndarray | None, data: bytes, begin: int, end: int) -> bool | None:
+def _is_frame(decoder: Decoder, values: FrameValues | None, data: bytes, begin: int, end: int) -> bool | None:
     """Whether a candidate is a frame; None if more bytes must come."""
     if values is None:
         return False
-    if _near(decoder.last, values, decoder.limits):
+    if _near(decoder.last, values.table, decoder.limits, decoder.steps):
+        return _is_borne_out(decoder, values, data, end) if decoder.layout.is_text else True
+    if decoder.last is not None and _counts_on(decoder, values):
+        return _is_no_spike(decoder, data, end)
+    return _begins_run(decoder, data, begin, end)
+
+
+def _counts_on(decoder: Decoder, values: FrameValues) -> bool:
+    """Whether the counter goes on from the last frame's by as many frames as there are bytes between the two."""
+    if values.count is None or decoder.count is None:
+        return False
+    ahead = (values.count - decoder.count - 1 - round(decoder.gap / decoder.layout.size)) % COUNTS
+    return ahead <= COUNT_SLACK
+
+
+def _is_borne_out(decoder: Decoder, values: FrameValues, data: bytes, end: int) -> bool | None:
+    """Whether a line of text changes no more than usual, or the next line bears it out; None if more must come."""
+    if _is_usual(decoder, values.table):
         return True
-    return _begins_run(decoder.layout, data, begin, end, decoder.limits)
+    following = adjoining(decoder.layout, data, end)
+    if following is None:
+        return None
+    after = _values(decoder.layout, data[end:following], decoder.limits)
+    return after is not None and not _is_usual(decoder, after.table)
 
 
-def _with_frame(decoder: Decoder, values: np.ndarray, size: int) -> Decoder:
-    """The decoder after a frame of `size` bytes; the bytes in the gap before it become lost frames."""
-    if decoder.gap and decoder.frames:
-        lost = max(1, round(decoder.gap / size))
-        decoder = decoder._replace(gaps=decoder.gaps + 1, lost=decoder.lost + lost)
-    decoder = decoder._replace(last=values, gap=0, misfits=0, taken=decoder.taken + size, frames=decoder.frames + 1)
-    if decoder.layout.form != Format.BINARY or decoder.steps is not None:
+def _is_usual(decoder: Decoder, table: np.ndarray) -> bool:
+    """Whether no channel has changed much more than it usually does; anything is usual in the first frames."""
+    if decoder.last is None or decoder.usual is None or decoder.frames < USUAL_FRAMES:
+        return True
+    return not bool((np.abs(table - decoder.last) > np.maximum(SPIKE * decoder.usual, MIN_SPIKE)).any())
+
+
+def _is_no_spike(decoder: Decoder, data: bytes, end: int) -> bool | None:
+    """Whether the stretch behind a far-off candidate does not contradict it; None if more bytes must come. It does
+    where it lies near the last frame: then two changed bytes have cancelled in the checksum.
+    """
+    following = adjoining(decoder.layout, data, end)
+    if following is None:
+        return None
+    after = _values(decoder.layout, data[end:following], decoder.limits)
+    return after is None or not _near(decoder.last, after.table, decoder.limits, decoder.steps)
+
+
+def _with_frame(decoder: Decoder, values: FrameValues, end: int, size: int) -> tuple[Decoder, Frame | None]:
+    """The decoder after a frame of `size` bytes, and the frame, None if it is empty; what the counter or the bytes in
+    the gap before it tell becomes lost frames.
+    """
+    table = values.table
+    gone = np.isnan(table[:, 1:]).all(1)
+    lost = _lost(decoder, values.count, size) if decoder.last is not None else 0
+    offsets = np.zeros((len(table), 3)) if decoder.wrapped is None else decoder.wrapped
+    if decoder.last is not None:
+        more = wrap_offsets(decoder.last[:, 1:], table[:, 1:], decoder.steps)
+        offsets, wraps = offsets + more, int(np.count_nonzero(more))
+        known = np.where(np.isnan(table), decoder.last, table)
+    else:
+        wraps, known = 0, table
+    decoder = decoder._replace(
+        last=known,
+        usual=_usual(decoder, known) if decoder.layout.is_text else None,
+        count=values.count,
+        wrapped=offsets,
+        wraps=decoder.wraps + wraps,
+        gaps=decoder.gaps + (lost > 0),
+        lost=decoder.lost + lost,
+        gap=0,
+        misfits=0,
+        taken=decoder.taken + size,
+        frames=decoder.frames + (not gone.all()),
+        empty=decoder.empty + bool(gone.all()),
+        missing=decoder.missing + (0 if gone.all() else int(gone.sum())),
+    )
+    if gone.all():
+        return decoder, None
+    return _with_steps(decoder, table), Frame(end, (table[:, 1:] + offsets).ravel(), table[:, 0])
+
+
+def _usual(decoder: Decoder, table: np.ndarray) -> np.ndarray:
+    """The usual change with one more frame."""
+    if decoder.last is None:
+        return np.zeros(table.shape)
+    change = np.nan_to_num(np.abs(table - decoder.last))
+    frames = min(decoder.frames, USUAL_FRAMES)
+    before = change if decoder.usual is None else decoder.usual
+    return before + (change - before) / max(1, frames)
+
+
+def _lost(decoder: Decoder, count: int | None, size: int) -> int:
+    """Frames that are missing before one: by the counter, of which the bytes say how often it went round."""
+    by_bytes = max(1, round(decoder.gap / size)) if decoder.gap else 0
+    if count is None or decoder.count is None or count == decoder.count:
+        return by_bytes
+    counted = (count - decoder.count - 1) % COUNTS
+    return counted + COUNTS * max(0, round((by_bytes - counted) / COUNTS))
+
+
+def _with_steps(decoder: Decoder, table: np.ndarray) -> Decoder:
+    """The decoder, which learns the converter's steps from its first frames."""
+    if decoder.layout.is_text or decoder.steps is not None:
         return decoder
-    early = (*decoder.early, values)
+    early = (*decoder.early, table)
     if len(early) < LEARNING_FRAMES:
         return decoder._replace(early=early)
     return decoder._replace(steps=learn_steps(np.stack(early)), early=())
 
 
-def _adjoining(layout: FrameLayout, data: bytes, end: int) -> int | None:
-    """Where the window that begins at `end` ends; `end` if there is none, None if more bytes must come."""
-    if layout.form == Format.BINARY:
-        following = end + layout.binary.size
-        return following if len(data) >= following else None
-    found = data.find(b"\n", end + 1, end + layout.max_line_bytes)
-    if found >= 0:
-        return found
-    return end if len(data) >= end + layout.max_line_bytes else None
-
-
-def _begins_run(layout: FrameLayout, data: bytes, begin: int, end: int, limits: FrameLimits) -> bool | None:
+def _begins_run(decoder: Decoder, data: bytes, begin: int, end: int) -> bool | None:
     """Whether a run of candidates begins here that no other overlaps; None if more bytes must come."""
+    layout, limits = decoder.layout, decoder.limits
+    length = min(limits.run_length, CHECKED_RUN_LENGTH) if layout.checked else limits.run_length
     values, stop = _values(layout, data[begin:end], limits), end
-    for _ in range(limits.run_length - 1):
-        following = _adjoining(layout, data, stop)
+    for _ in range(length - 1):
+        following = adjoining(layout, data, stop)
         if following is None:
             return None
         after = _values(layout, data[stop:following], limits)
-        if values is None or after is None or not _near(values, after, limits):
+        if values is None or after is None or not _follows(decoder, values, after):
             return False
         values, stop = after, following
     return layout.form != Format.BINARY or not _has_rival(layout, data, begin, stop, limits)  # lines cannot overlap
+
+
+def _follows(decoder: Decoder, before: FrameValues, after: FrameValues) -> bool:
+    """Whether one candidate goes on from another that ends where it begins."""
+    if before.count is not None and after.count is not None:
+        return (after.count - before.count) % COUNTS == 1 or _near(before.table, after.table, decoder.limits, None)
+    return _near(before.table, after.table, decoder.limits, decoder.steps)
 
 
 def _has_rival(layout: FrameLayout, data: bytes, begin: int, stop: int, limits: FrameLimits) -> bool:
@@ -357,21 +395,16 @@ def _has_rival(layout: FrameLayout, data: bytes, begin: int, stop: int, limits: 
     return False
 
 
-def _values(layout: FrameLayout, window: bytes, limits: FrameLimits) -> np.ndarray | None:
-    """(chips, 4) t, x, y, z of a window, if they are plausible."""
-    if layout.form == Format.BINARY:
-        *numbers, end = layout.binary.unpack(window)
-        if end != LINE_END:
-            return None
-        table = np.array(numbers).reshape(layout.chips, 4)
-    else:
-        line = layout.line.fullmatch(window)
-        if line is None:
-            return None
-        table = np.array([float(number) for number in line.groups()]).reshape(layout.chips, 4)
-        if layout.form == Format.TEXT:
-            table = np.roll(table, 1, axis=1)
-    return table if _plausible(table, limits) else None
+def _values(layout: FrameLayout, stretch: bytes, limits: FrameLimits) -> FrameValues | None:
+    """The values of a stretch, if they are plausible; NaN for what is missing."""
+    said = parse(layout, stretch)
+    if said is None or not _plausible(said.table, limits):
+        return None
+    table = said.table
+    table[~table[:, 1:].any(1), 1:] = np.nan
+    if not layout.has_temperature:
+        table[:, 0] = np.nan
+    return said
 
 
 def _plausible(table: Float[np.ndarray, "chips 4"], limits: FrameLimits) -> bool:
@@ -385,9 +418,14 @@ def _plausible(table: Float[np.ndarray, "chips 4"], limits: FrameLimits) -> bool
     )
 
 
-def _near(last: np.ndarray | None, values: np.ndarray, limits: FrameLimits) -> bool:
-    """Whether a frame may follow another."""
+def _near(last: np.ndarray | None, table: np.ndarray, limits: FrameLimits, steps: ConverterSteps | None) -> bool:
+    """Whether a frame may follow another, in the channels that both have."""
     if last is None:
         return False
-    change = np.abs(values - last)
-    return bool(np.all(change[:, 0] <= limits.max_warming) and np.all(change[:, 1:] <= limits.max_jump))
+    change = np.abs(table - last)
+    if (change[:, 0] > limits.max_warming).any():  # NaN is not
+        return False
+    if not (change[:, 1:] > limits.max_jump).any():
+        return True
+    onwards = table[:, 1:] + wrap_offsets(last[:, 1:], table[:, 1:], steps)
+    return not bool((np.abs(onwards - last[:, 1:]) > limits.max_jump).any())

@@ -1,8 +1,12 @@
-"""The converter's steps as a checksum: a board's values are whole numbers of steps, a changed byte seldom leaves one.
+"""The converter's steps as a checksum: a board's values are whole numbers of steps, a changed byte seldom leaves one;
+and its ends, where a field that grows on begins again at the other one.
 
 The firmware multiplies the converter's 16-bit counts by one constant for each axis (and 1/45.2 K, from 25 degrees, for
 the temperature), in float32. The constants depend on gain and library, so they are learned from the first frames. At
 50 uT and steps of 0.15 uT one float32 in 6000 is a whole number of steps within three units of its last place.
+
+The counts have 16 bits: beyond 2^15 steps (7.93 mT along z at the finest) they begin again at -2^15, a jump of 15.86 mT
+between two frames. Whoever knows the steps knows that jump; without them it must be one of the steps that the chip has.
 """
 
 from typing import NamedTuple
@@ -14,6 +18,12 @@ ORIGIN = np.array([25.0, 0.0, 0.0, 0.0])  # degrees, uT: where t, x, y, z count 
 ROUNDING_ULPS = 3.0  # float32 units in the last place that the firmware's roundings may come to
 MIN_SHARE = 0.9  # of the values must be whole numbers of steps for the steps to be believed
 MIN_VALUES = 6  # different values, each seen twice, from which a step is learned
+CONVERTER_COUNTS = 2**16
+# uT, by gain 0 to 7 at the finest resolution, which may be made 2, 4 and 8 times coarser (MLX90393 data sheet)
+MLX90393_XY_STEPS_UT = (0.751, 0.601, 0.451, 0.376, 0.300, 0.250, 0.200, 0.150)
+MLX90393_Z_STEPS_UT = (1.210, 0.968, 0.726, 0.605, 0.484, 0.403, 0.323, 0.242)
+MIN_WRAP_UT = CONVERTER_COUNTS * min(MLX90393_XY_STEPS_UT) / 2  # no smaller jump is one over the converter's end
+KNOWN_EDGE, GUESSED_EDGE = 0.5, 0.8  # of the way to its end, that a channel must be on both sides of such a jump
 
 
 class ConverterSteps(NamedTuple):
@@ -28,9 +38,9 @@ class ConverterSteps(NamedTuple):
             table: t, x, y, z of each chip, degrees Celsius and uT.
 
         Returns:
-            True also for values whose step is not known.
+            True also for values whose step is not known, and for chips that are missing.
         """
-        return bool(np.all(_is_whole(table, self.size) | np.isnan(self.size)[None]))
+        return bool(np.all(_is_whole(table, self.size) | np.isnan(self.size)[None] | np.isnan(table)))
 
 
 NO_STEPS = ConverterSteps(np.full(4, np.nan))
@@ -40,12 +50,47 @@ def learn_steps(tables: Float[np.ndarray, "frames chips 4"]) -> ConverterSteps:
     """The steps of a board.
 
     Args:
-        tables: t, x, y, z of each chip in some frames, some of which may be damaged; 100 are enough.
+        tables: t, x, y, z of each chip in some frames, some of which may be damaged; 100 are enough. NaN is missing.
 
     Returns:
         Steps, NaN for a column whose values have none in common.
     """
     return ConverterSteps(np.array([_step(tables[:, :, column] - ORIGIN[column], column) for column in range(4)]))
+
+
+def wrap_offsets(
+    before: Float[np.ndarray, "chips 3"], after: Float[np.ndarray, "chips 3"], steps: ConverterSteps | None
+) -> Float[np.ndarray, "chips 3"]:
+    """What to add to a frame's channels that went over the converter's end since the frame before.
+
+    A jump is taken for one where both values lie near the two ends: half of the way at least where the steps are
+    known, four fifths for steps of the chip's data sheet. Any other jump is the field's.
+
+    Args:
+        before: uT, as the converter gave it.
+        after: uT, likewise.
+        steps: Of the converter, where they are known.
+
+    Returns:
+        uT; 0 for all other channels.
+    """
+    change, offsets = after - before, np.zeros(after.shape)
+    for chip, axis in np.argwhere(np.abs(change) > MIN_WRAP_UT):  # NaN is not
+        step = np.nan if steps is None else steps.size[1 + axis]
+        length = _wrap_length(before[chip, axis], after[chip, axis], step, axis)
+        offsets[chip, axis] = -np.sign(change[chip, axis]) * length
+    return offsets
+
+
+def _wrap_length(before: float, after: float, step: float, axis: int) -> float:
+    """uT from one end of the converter to the other, 0 if these two values are not at its ends."""
+    table = MLX90393_Z_STEPS_UT if axis == 2 else MLX90393_XY_STEPS_UT
+    guesses = [each * 2**resolution for each in table for resolution in range(4)]
+    steps, edge = (guesses, GUESSED_EDGE) if np.isnan(step) else ([step], KNOWN_EDGE)
+    low, high = sorted((abs(before), abs(after)))
+    lengths = [CONVERTER_COUNTS * each for each in steps]
+    fitting = [each for each in lengths if low >= edge * each / 2 and high <= each / 2 + steps[0]]
+    return min(fitting, key=lambda each: abs(abs(after - before) - each), default=0.0)
 
 
 def _step(offsets: Float[np.ndarray, "frames chips"], column: int) -> float:
@@ -55,6 +100,7 @@ def _step(offsets: Float[np.ndarray, "frames chips"], column: int) -> float:
     one step, about; least squares over ever larger values, whose number of steps is known well enough by then, make it
     exact.
     """
+    offsets = offsets[np.isfinite(offsets)]
     values, count = np.unique(offsets, return_counts=True)
     values = values[(count > 1) & (values != 0)]
     if len(values) < MIN_VALUES:

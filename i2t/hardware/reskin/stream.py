@@ -18,12 +18,15 @@ import numpy as np
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.hardware.protocols import Samples, SkinCounters, SkinFeatures, channel_names
 from i2t.hardware.reskin import frames, recording
-from i2t.hardware.reskin.frames import Decoder, Format, Frame, FrameLimits
+from i2t.hardware.reskin.frames import Decoder, Frame, FrameLimits
+from i2t.hardware.reskin.layouts import Format
 
 PORT_BUFFER_BYTES = 4000  # a Linux terminal holds 4095, so that a read this long may come after an overflow
 FIRST_BYTE_S = 3.0  # that a board may need to start after its port is opened
 FIRST_FRAME_S = 1.0  # from its first byte to its first frame
+START_UP_S = 6.0  # that a board may send rubbish after it was reset, which opening its port may do
 RATE_WINDOW_S = 1.0  # over which the rate is taken
+EMPTY_SHARE = 1.0  # frames without any chip, for each with one, above which the sketch reads too early
 JOIN_S = 1.0  # in which the thread ends
 
 S = TypeVar("S", bound="Stream")
@@ -37,8 +40,8 @@ class StreamRow(NamedTuple):
 
     number: int
     time: float  # s
-    reading: np.ndarray  # (c,) uT
-    temperature: np.ndarray  # (chips,) degrees Celsius
+    reading: np.ndarray  # (c,) uT, NaN for a chip that is missing
+    temperature: np.ndarray  # (chips,) degrees Celsius, NaN where the board does not tell
 
 
 class BoardInfo(NamedTuple):
@@ -314,6 +317,9 @@ class Stream(ABC):
             gaps=old.gaps + now.gaps,
             bytes=old.bytes + now.bytes,
             skipped=old.skipped + now.skipped,
+            empty=old.empty + now.empty,
+            missing=old.missing + now.missing,
+            wraps=old.wraps + now.wraps,
         )
 
     def _rate(self) -> float:
@@ -326,7 +332,12 @@ class Stream(ABC):
         assert self._decoder is not None
         if time.monotonic() - self._listened > age / 2:  # most of that time, so the board cannot be blamed
             return f"this computer was too busy to listen to {self._name} for {age:.2g} s; end other programs"
-        if self._decoder.gap > 3 * self._decoder.layout.binary.size:
+        if self._decoder.empty > EMPTY_SHARE * self._decoder.frames:
+            return (
+                f"{self._name} has sent no value for {age:.2g} s, only frames without any chip; check the cable "
+                "between board and chips, and whether the sketch reads faster than they measure"
+            )
+        if self._decoder.gap > 3 * self._decoder.layout.size:
             return f"{self._name} has sent no frame for {age:.2g} s, only bytes that are none; check its cable"
         return f"{self._name} has been silent for {age:.2g} s; check its cable and that its sketch runs"
 
