@@ -20,10 +20,11 @@ import tyro
 from experiments.common.presets import RENAMED, answer_renamed_value
 from experiments.common.runs import reported
 from experiments.recognize import live, run
+from experiments.recognize.config import SimulateArgs
 from i2t.cli import renamed_flags
 
 Command = (
-    Annotated[run.SimulateArgs, tyro.conf.subcommand("simulate", description=run.__doc__)]
+    Annotated[SimulateArgs, tyro.conf.subcommand("simulate", description=run.__doc__)]
     | Annotated[live.LiveArgs, tyro.conf.subcommand("live", description=live.__doc__)]
 )
 RENAMED_FLAGS = {

@@ -1,7 +1,7 @@
 """Recorded touches as episodes: each session is one, judged by a pad model of the skin that recorded it."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from experiments.common.runs import begin, write_json
 from experiments.recognize import figures, pad_sources
 from experiments.recognize import report as reporting
-from experiments.recognize.config import Recognition
+from experiments.recognize.config import Recognition, SimulateArgs
 from experiments.recognize.trained_run import load_meshes, meshes_by_name
 from i2t import dataset as data
 from i2t import viz
@@ -27,9 +27,6 @@ from i2t.recognition.pad_model_files import require_skin, save_pad_model
 from i2t.recognition.paper_rules import paper_rules
 from i2t.recognition.site_pool import precompute_outcomes, prepare_surfaces
 from i2t.types import ReturnCode
-
-if TYPE_CHECKING:
-    from experiments.recognize.run import SimulateArgs
 
 MIN_EPISODES = 5  # fewer say nothing about others: no interval is given
 KEPT_PREDICTOR = "the paper's rules, the run's predictor"  # whose readings the paper's rules are given
@@ -55,7 +52,7 @@ class Sessions(NamedTuple):
         return said
 
 
-def run(args: "SimulateArgs", cfg: Recognition) -> dict[str, Any]:
+def run(args: SimulateArgs, cfg: Recognition) -> dict[str, Any]:
     """Recognise the objects of recorded sessions, and write down how often and how sure."""
     assert args.dataset is not None
     recorded = data.load_dataset(args.dataset)
@@ -98,7 +95,7 @@ def run(args: "SimulateArgs", cfg: Recognition) -> dict[str, Any]:
     return summary
 
 
-def candidate_meshes(args: "SimulateArgs", recorded: Dataset) -> dict[str, Mesh]:
+def candidate_meshes(args: SimulateArgs, recorded: Dataset) -> dict[str, Mesh]:
     """The objects to tell apart: those of --objects, or those of the data set."""
     if args.objects:
         return load_meshes(args.objects, args.unit)

@@ -25,9 +25,9 @@ is in docs/recognition.md. Everything is simulated unless --dataset says otherwi
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -36,7 +36,7 @@ from experiments.common.presets import choose_preset
 from experiments.common.runs import begin
 from experiments.recognize import paper, recorded, trained_run
 from experiments.recognize import report as reporting
-from experiments.recognize.config import PRESETS, PresetName, Recognition
+from experiments.recognize.config import PRESETS, Recognition, SimulateArgs
 from experiments.recognize.report import CONSTANT
 from experiments.recognize.trained_run import TrainedRun, finished_runs, load_meshes, meshes_by_name
 from i2t import dataset as data
@@ -56,30 +56,6 @@ from i2t.recognition.site_pool import (
 from i2t.types import Board, Surface
 
 ORACLE_EVIDENCE = ("readings and presence", "fused")
-
-
-@dataclass(frozen=True)
-class SimulateArgs:
-    """Recognise objects by touch and report how often and how sure."""
-
-    out: Path = Path("runs/recognize")  # folder for everything that is made
-    trained_run: Path = Path("runs/train")  # a finished run of experiments.train, or a study's folder of several
-    pads: tuple[str, ...] = ()  # of a study in --trained-run, those that are used, by number; all unless given
-    method: Literal["all", "paper"] = "all"  # every method on the same episodes, or the paper's own loop by itself
-    preset: PresetName = "paper"
-    objects: tuple[Path, ...] = ()  # to tell apart: names of the catalogue and mesh files
-    unit: str | None = None  # of those files, for instance mm
-    dataset: Path | None = None  # recorded touches to recognise; its objects are the catalogue's or those of --objects
-    pad: Path | None = None  # with --dataset, in place of a run's: an earlier session, a pad or a pad model of the skin
-    other_skin: bool = False  # with --dataset: judge touches of another skin all the same, and say so
-    max_touches: int | None = None  # with --dataset: of each session; by default as many as all long enough ones have
-    rig: Path | None = None  # of the lab that recorded them: its object_covariance says how far poses may be off
-    episodes: int | None = None  # of each object, for each pad and seed
-    paper_episodes: int | None = None  # the same in the paper's sets, twice as many unless given
-    num_particles: int | None = None  # poses of each object, in place of the preset's
-    seed: int = 0
-    resume: bool = False  # go on with an unfinished run in --out
-    overwrite: bool = False  # replace a finished or unfinished run in --out
 
 
 class ObjectSet(NamedTuple):
