@@ -19,7 +19,8 @@ Frames: W world, C camera (z forward, x along columns, y along rows), T tool; me
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import partial
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -99,7 +100,8 @@ def patch_from_depth(
     margin = max(math.ceil(fill / window * pixels) - 1, 0)
     T_c_t = _relative(T_w_c, T_w_t)
     rigid = is_rigid(T_w_c) & is_rigid(T_w_t)
-    rays = _rays(depth, camera, jnp.where(rigid, T_c_t, jnp.eye(3, 4)), window, pixels, margin, standoff)
+    T_c_t = jnp.where(rigid, T_c_t, jnp.eye(3, 4))
+    rays = _rays(depth, camera, T_c_t, window=window, pixels=pixels, margin=margin, standoff=standoff)
     inner = (slice(margin, margin + pixels),) * 2
     met, clear = _follow(rays, _cells(depth, camera, grazing, step), camera, reach, inner)
     nearest = jnp.min(met[inner])
@@ -173,7 +175,7 @@ class _Rays(NamedTuple):
 
 
 def _rays(
-    depth: Array, camera: Camera, T_c_t: Array, window: float, pixels: int, margin: int, standoff: float
+    depth: Array, camera: Camera, T_c_t: Array, *, window: float, pixels: int, margin: int, standoff: float
 ) -> _Rays:
     """Cut (n + 2 margin)^2 rays to what lies in the camera's field of view, between its least and largest depth.
 
@@ -247,59 +249,74 @@ class _March(NamedTuple):
     hit: Array  # sample that lies behind the surface, next to a free one; 0 where there is none
 
 
+_Gap: TypeAlias = Callable[[Array], tuple[Array, Array]]  # `_gap` of some rays, a function of `part` alone
+
+
 def _follow(
     rays: _Rays, cells: Float[Array, "cells 6"], camera: Camera, reach: float, inner: tuple[slice, slice]
 ) -> tuple[Array, Array]:
-    """Tool z (m) where rays meet the surface, +inf where they do not, and to which they are known to be free."""
+    """Tool z (m) where rays meet the surface, +inf where they do not, and to which they are known to be free.
+
+    Rays are sampled from where they start until one sample is free and the next behind the surface; between the two the
+    crossing is refined.
+    """
+    gap = partial(_gap, rays, cells, camera)
     steps = jnp.maximum(rays.steps, 1)
+    end = _march(rays, gap, reach, inner)
+    part, exact = _crossing(gap, (end.hit - 1) / steps, end.hit / steps)
+    found = (end.hit > 0) & exact(_between(rays.inverse, part))
+    return jnp.where(found, _height(rays, part), jnp.inf), end.clear
 
-    def behind(part: Array) -> tuple[Array, Array]:
-        """How far rays are behind the surface, as a difference of inverse depths (1/m), and whether they are on it."""
-        pixel = project_to_pixel(camera, _between(rays.x, part), _between(rays.y, part))
-        u, v = pixel[..., 0], pixel[..., 1]
-        column = jnp.clip(jnp.floor(u), 0, camera.width - 2)
-        row = jnp.clip(jnp.floor(v), 0, camera.height - 2)
-        cell = cells[row.astype(jnp.int32) * (camera.width - 1) + column.astype(jnp.int32)]
-        a, b, c, d, upper, lower = jnp.moveaxis(cell, -1, 0)
-        across, down = u - column, v - row
-        first = across + down < 1
-        inverse = jnp.where(
-            first, a + across * (b - a) + down * (c - a), d + (1 - across) * (c - d) + (1 - down) * (b - d)
-        )
-        inside = (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
-        return inverse - _between(rays.inverse, part), inside & (jnp.where(first, upper, lower) > 0)
 
-    def height(part: Array) -> Array:
-        return _between(rays.height, part) / _between(rays.inverse, part)
+def _gap(rays: _Rays, cells: Float[Array, "cells 6"], camera: Camera, part: Array) -> tuple[Array, Array]:
+    """How far rays are behind the surface, as a difference of inverse depths (1/m), and whether they are on it.
+
+    `part` (n, n) says where on the rays, from 0 at their start to 1 at their end.
+    """
+    pixel = project_to_pixel(camera, _between(rays.x, part), _between(rays.y, part))
+    u, v = pixel[..., 0], pixel[..., 1]
+    column = jnp.clip(jnp.floor(u), 0, camera.width - 2)
+    row = jnp.clip(jnp.floor(v), 0, camera.height - 2)
+    cell = cells[row.astype(jnp.int32) * (camera.width - 1) + column.astype(jnp.int32)]
+    a, b, c, d, upper, lower = jnp.moveaxis(cell, -1, 0)
+    across, down = u - column, v - row
+    in_upper = across + down < 1  # triangle of the square of four pixels
+    inverse = jnp.where(
+        in_upper, a + across * (b - a) + down * (c - a), d + (1 - across) * (c - d) + (1 - down) * (b - d)
+    )
+    in_image = (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
+    return inverse - _between(rays.inverse, part), in_image & (jnp.where(in_upper, upper, lower) > 0)
+
+
+def _height(rays: _Rays, part: Array) -> Array:
+    """Tool z (m) at a part of the rays."""
+    return _between(rays.height, part) / _between(rays.inverse, part)
+
+
+def _march(rays: _Rays, gap: _Gap, reach: float, inner: tuple[slice, slice]) -> _March:
+    """Follow all rays sample by sample until each has met the surface, has ended, or is deeper than the patch shows."""
+    steps = jnp.maximum(rays.steps, 1)
 
     def step(state: tuple[Array, Array, _March]) -> tuple[Array, Array, _March]:
         k, last, march = state
         part = jnp.minimum(k / steps, 1)
-        gap, on = behind(part)
-        behind_now = march.going & on & (gap >= 0)
+        behind, on = gap(part)
+        behind_now = march.going & on & (behind >= 0)
         met = behind_now & march.free
-        free = on & (gap < 0)
-        clear = jnp.where(march.going & free, height(part), march.clear)
+        free = on & (behind < 0)
+        clear = jnp.where(march.going & free, _height(rays, part), march.clear)
         # Behind the deepest that the patch can show nothing more is asked.
-        last = jnp.minimum(last, jnp.min(jnp.where(met, height(part), jnp.inf)[inner]))
+        last = jnp.minimum(last, jnp.min(jnp.where(met, _height(rays, part), jnp.inf)[inner]))
         going = march.going & ~behind_now & (k < rays.steps) & (clear <= last + reach)
         return k + 1, last, _March(going, free, clear, jnp.where(met, k, march.hit))
 
     none, zero = jnp.zeros(steps.shape, bool), jnp.zeros_like(steps)
     start = _March(rays.steps > 0, none, jnp.full_like(steps, -jnp.inf), zero)
-    _, _, end = jax.lax.while_loop(
-        lambda state: jnp.any(state[2].going),
-        step,
-        (jnp.zeros((), steps.dtype), jnp.full((), jnp.inf, steps.dtype), start),
-    )
-    part, exact = _crossing(behind, (end.hit - 1) / steps, end.hit / steps)
-    found = (end.hit > 0) & exact(_between(rays.inverse, part))
-    return jnp.where(found, height(part), jnp.inf), end.clear
+    first = (jnp.zeros((), steps.dtype), jnp.full((), jnp.inf, steps.dtype), start)
+    return jax.lax.while_loop(lambda state: jnp.any(state[2].going), step, first)[2]
 
 
-def _crossing(
-    behind: Callable[[Array], tuple[Array, Array]], low: Array, high: Array
-) -> tuple[Array, Callable[[Array], Array]]:
+def _crossing(gap: _Gap, low: Array, high: Array) -> tuple[Array, Callable[[Array], Array]]:
     """Where rays go from free (`low`) to behind (`high`), by the Illinois method (Dowell and Jarratt, 1971), and a
     function that tells, from their inverse depth, whether that is on surface.
     """
@@ -311,19 +328,19 @@ def _crossing(
     def refine(_: Array, ends: tuple[Array, ...]) -> tuple[Array, ...]:
         low, high, at_low, at_high = ends
         middle = chord(ends)
-        gap, on = behind(middle)
-        free = on & (gap < 0)
+        behind, on = gap(middle)
+        free = on & (behind < 0)
         return (
             jnp.where(free, middle, low),
             jnp.where(free, high, middle),
-            jnp.where(free, gap, at_low / 2),
-            jnp.where(free, at_high / 2, jnp.where(on, gap, at_high)),
+            jnp.where(free, behind, at_low / 2),
+            jnp.where(free, at_high / 2, jnp.where(on, behind, at_high)),
         )
 
-    ends = (low, high, jnp.minimum(behind(low)[0], 0), jnp.maximum(behind(high)[0], 0))
+    ends = (low, high, jnp.minimum(gap(low)[0], 0), jnp.maximum(gap(high)[0], 0))
     part = chord(jax.lax.fori_loop(0, CROSSING_STEPS, refine, ends))
-    gap, on = behind(part)
-    return part, lambda inverse: on & (jnp.abs(gap) <= CROSSING_TOLERANCE * inverse)
+    behind, on = gap(part)
+    return part, lambda inverse: on & (jnp.abs(behind) <= CROSSING_TOLERANCE * inverse)
 
 
 def _bridge(met: Float[Array, "m m"], seen: Bool[Array, "m m"], pitch: float, fill: float) -> Float[Array, "m m"]:

@@ -49,12 +49,42 @@ GROUPS_PER_CHUNK = 8  # groups of each pose looked into together
 DENSE_FRONT_SLAB_REACHES = 1.25  # reaches behind where the first group should be met: what is drawn first
 
 
+class _Scene(NamedTuple):
+    """What does not change while a batch of poses is drawn: meshes, poses and pixels."""
+
+    boxes: Float[Array, "groups 6 clusters"]  # m, centres and half extents of clusters
+    clusters: FaceClusters
+    view: ToolView  # of each pose
+    grid: PixelGrid
+
+    @property
+    def groups_per_mesh(self) -> int:
+        """Rows of `boxes` that belong to one mesh."""
+        return self.clusters.per_mesh // CLUSTERS_PER_GROUP
+
+
+class _Slab(NamedTuple):
+    """The range of tool z (m) of each pose in which a box has to begin so that it is drawn now."""
+
+    low: Float[Array, "p 1"]  # not itself
+    high: Float[Array, "p 1"]
+
+
 class _Listed(NamedTuple):
     """The groups that a pass looks into, and in which columns and rows of tiles their clusters lie (bits)."""
 
     ids: Int[Array, "p groups"]
     columns: UInt[Array, "p groups side"]
     rows: UInt[Array, "p groups side"]
+
+
+class _Lanes(NamedTuple):
+    """The tiles of a share, side by side: whose they are, how their poses see the mesh, and their pixels."""
+
+    pose: Int[Array, "blocks lanes"]
+    tile: Int[Array, "blocks lanes"]
+    view: ToolView
+    pixels: tuple[Array, ...]  # (blocks, lanes, pixels) m, x and y in the tool frame
 
 
 class _Queue(NamedTuple):
@@ -92,7 +122,8 @@ def cast_dense(
     Returns:
         Heights (p, tiles, pixels) in metres, and the faces if asked for.
     """
-    poses, count = len(clusters.mesh), clusters.per_mesh // CLUSTERS_PER_GROUP
+    scene = _Scene(boxes, clusters, view, grid)
+    poses, count = len(clusters.mesh), scene.groups_per_mesh
     listed = min(count, listed)
     shift, stretch = place_boxes(groups.swapaxes(0, 1), broadcast_view(view, 1))
     seen = (jnp.abs(shift[0]) - stretch[0] <= grid.half) & (jnp.abs(shift[1]) - stretch[1] <= grid.half)
@@ -116,7 +147,7 @@ def cast_dense(
             left = jnp.clip(sums[:, -1] - number * listed, 0, listed)
             at, bit = select_kth_set_bit(words, sums, indices(poses)[:, None], number * listed + indices(listed)[None])
             ids = jnp.minimum(bit * row + at, count - 1)
-            return _draw(_look(ids, left, low, high, boxes, clusters, view, grid), clusters, view, grid, best)
+            return _draw(_look(ids, left, _Slab(low, high), scene), scene, best)
 
         return jax.lax.fori_loop(0, jnp.max(-(-sums[:, -1] // listed)), group_pass, best)
 
@@ -124,51 +155,57 @@ def cast_dense(
     return jax.lax.fori_loop(0, 2, layer, empty_buffers(poses, grid, dtype, with_faces))
 
 
-def _look(
-    ids: Int[Array, "p listed"],
-    left: Int[Array, " p"],
-    low: Float[Array, "p 1"],
-    high: Float[Array, "p 1"],
-    boxes: Float[Array, "groups 6 clusters"],
-    clusters: FaceClusters,
-    view: ToolView,
-    grid: PixelGrid,
-) -> _Listed:
-    """Where the clusters of the first `left` groups of each list lie whose boxes begin between `low` and `high`."""
+def _look(ids: Int[Array, "p listed"], left: Int[Array, " p"], slab: _Slab, scene: _Scene) -> _Listed:
+    """Where the clusters of the first `left` groups of each list lie whose boxes begin in the slab.
+
+    Groups are looked into in chunks, so that their boxes stay in the caches; chunks behind the longest list are not
+    looked into.
+    """
     poses, listed = ids.shape
+    side = scene.grid.side
     chunk = min(GROUPS_PER_CHUNK, listed)
     chunks = jnp.max(-(-left // chunk))
-    start = clusters.mesh[:, None] * (clusters.per_mesh // CLUSTERS_PER_GROUP)
+    start = scene.clusters.mesh[:, None] * scene.groups_per_mesh
     first = jnp.minimum(indices(-(-listed // chunk)) * chunk, listed - chunk)  # the last chunk may repeat some
 
     def look(k: Array) -> tuple[Array, Array]:
         some = dynamic_slice(ids, (0, first[k]), (poses, chunk))
-        box = boxes.at[some + start].get(mode="promise_in_bounds")
-        shift, stretch = place_boxes(jnp.moveaxis(box, 2, 0), broadcast_view(view, 2))
-        front, back = jnp.maximum(shift[2] - stretch[2], -STANDOFF), shift[2] + stretch[2]
-        met = (back >= -STANDOFF) & (front > low[..., None]) & (front <= high[..., None])
-        met &= (first[k] + indices(chunk)[None] < left[:, None])[..., None]
-        columns, rows = (grid.columns(shift[j] - stretch[j], shift[j] + stretch[j]) for j in (0, 1))
-        return jnp.where(met, columns, as_uint32(0)), rows
-
-    def transpose(words: Array) -> Array:
-        """Bits of tiles for each cluster (p, chunk, 32) to bits of clusters for each column or row of tiles."""
-        tile = jnp.arange(grid.side, dtype=jnp.uint32).reshape(1, 1, -1, 1)
-        cluster = jnp.arange(CLUSTERS_PER_GROUP, dtype=jnp.uint32).reshape(1, 1, 1, -1)
-        flags = (words[:, :, None] >> tile) & as_uint32(1)
-        return jnp.sum(flags << cluster, -1, dtype=jnp.uint32)
+        box = scene.boxes.at[some + start].get(mode="promise_in_bounds")
+        of_list = (first[k] + indices(chunk)[None] < left[:, None])[..., None]
+        return _tiles_of_boxes(box, of_list, slab, scene)
 
     def store(k: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
         found = fusion_barrier(look, k, k < chunks)
-        found = fusion_barrier(lambda _: tuple(transpose(words) for words in found), k, k < chunks)
+        found = fusion_barrier(lambda _: tuple(_clusters_of_tiles(words, side) for words in found), k, k < chunks)
         return tuple(dynamic_update(whole, part, (0, first[k], 0)) for whole, part in zip(carry, found, strict=True))
 
-    nothing = jnp.zeros((poses, listed, grid.side), jnp.uint32)
+    nothing = jnp.zeros((poses, listed, side), jnp.uint32)
     return _Listed(ids, *jax.lax.fori_loop(0, chunks, store, (nothing, nothing)))
 
 
-def _draw(found: _Listed, clusters: FaceClusters, view: ToolView, grid: PixelGrid, best: Hits) -> Hits:
+def _tiles_of_boxes(
+    boxes: Float[Array, "p chunk 6 clusters"], of_list: Bool[Array, "p chunk 1"], slab: _Slab, scene: _Scene
+) -> tuple[UInt[Array, "p chunk clusters"], UInt[Array, "p chunk clusters"]]:
+    """Which columns and which rows of tiles (bits) each box can touch; no column if it is not to be drawn now."""
+    shift, stretch = place_boxes(jnp.moveaxis(boxes, 2, 0), broadcast_view(scene.view, 2))
+    front, back = jnp.maximum(shift[2] - stretch[2], -STANDOFF), shift[2] + stretch[2]
+    wanted = (back >= -STANDOFF) & (front > slab.low[..., None]) & (front <= slab.high[..., None])
+    wanted &= of_list
+    columns, rows = (scene.grid.columns(shift[j] - stretch[j], shift[j] + stretch[j]) for j in (0, 1))
+    return jnp.where(wanted, columns, as_uint32(0)), rows
+
+
+def _clusters_of_tiles(words: UInt[Array, "p chunk clusters"], side: int) -> UInt[Array, "p chunk side"]:
+    """Bits of tiles for each cluster turned into bits of clusters for each column or row of tiles."""
+    tile = jnp.arange(side, dtype=jnp.uint32).reshape(1, 1, -1, 1)
+    cluster = jnp.arange(CLUSTERS_PER_GROUP, dtype=jnp.uint32).reshape(1, 1, 1, -1)
+    flags = (words[:, :, None] >> tile) & as_uint32(1)
+    return jnp.sum(flags << cluster, -1, dtype=jnp.uint32)
+
+
+def _draw(found: _Listed, scene: _Scene, best: Hits) -> Hits:
     """Draw what was found, the tiles that have most to draw first."""
+    grid = scene.grid
     poses, listed = found.ids.shape
     lanes = poses * grid.tiles
     blocks = min(BLOCKS_PER_SHARE, -(-lanes // LANES_PER_BLOCK))
@@ -194,13 +231,13 @@ def _draw(found: _Listed, clusters: FaceClusters, view: ToolView, grid: PixelGri
             queue = _Queue(
                 tuple(_at(part, lane) for part in full), jnp.zeros_like(lane, jnp.uint32), jnp.zeros_like(lane)
             )
-            here = jax.tree.map(lambda part: part[..., pose], view)
+            here = jax.tree.map(lambda part: part[..., pose], scene.view)
             pixels = [_at(jnp.asarray(part, best[0].dtype), tile) for part in (grid.x, grid.y)]
             return queue, here, pixels, tuple(_at(part, lane) for part in best)
 
         queue, here, pixels, mine = fusion_barrier(fetch, k, k < shares)
-        trip = partial(_trip, found, clusters, here, grid, pose, tile, pixels)
-        _, mine = jax.lax.fori_loop(0, -amount[k * share], trip, (queue, mine))
+        draw_next = partial(_draw_next, found=found, scene=scene, lanes=_Lanes(pose, tile, here, tuple(pixels)))
+        _, mine = jax.lax.fori_loop(0, -amount[k * share], draw_next, (queue, mine))
         return tuple(
             part.at[those].set(own.reshape(share, -1), mode="drop", unique_indices=True)
             for part, own in zip(best, mine, strict=True)
@@ -210,48 +247,47 @@ def _draw(found: _Listed, clusters: FaceClusters, view: ToolView, grid: PixelGri
     return jax.tree.map(lambda part: part.reshape(poses, grid.tiles, -1), best)
 
 
-def _trip(
-    found: _Listed,
-    clusters: FaceClusters,
-    view: ToolView,
-    grid: PixelGrid,
-    pose: Int[Array, "blocks lanes"],
-    tile: Int[Array, "blocks lanes"],
-    pixels: list[Array],
-    t: Int[Array, ""],
-    carry: tuple[_Queue, Hits],
+def _draw_next(
+    turn: Int[Array, ""], carry: tuple[_Queue, Hits], *, found: _Listed, scene: _Scene, lanes: _Lanes
 ) -> tuple[_Queue, Hits]:
-    """Each tile of a share pops a cluster and keeps the nearest hits."""
+    """One turn of the loop: each tile of a share pops a cluster, draws its faces, and keeps the nearest hits."""
     queue, best = carry
-    holds, size, (x, y) = t >= 0, clusters.size, pixels
-    queue, name = fusion_barrier(lambda _: _pop(queue, found, pose, tile % grid.side, tile // grid.side), t, holds)
-
-    corner, face, axis = np.mgrid[:3, :size, :3]
-    number = (face * 9 + corner * 3 + axis).ravel()  # of a coordinate in its cluster's row
-
-    def fetch(_: Array) -> Array:
-        row = jnp.maximum(name, 0) + clusters.mesh[pose] * clusters.per_mesh
-        return _at(clusters.rows, (row[:, None], jnp.asarray(number, jnp.int32)[None, :, None]))
-
-    corners = fusion_barrier(fetch, t, holds).reshape(
-        -1, 3, size, 3, LANES_PER_BLOCK
-    )  # block, corner, face, axis, lane
-
-    def place(_: Array) -> list[Array]:
-        local = [corners[:, :, :, j] - view.origin[j][:, None, None] for j in range(3)]
-        return [
-            sum((view.linear[i, j][:, None, None] * local[j] for j in range(3)), view.offset[i][:, None, None])
-            for i in range(3)
-        ]
-
-    placed = fusion_barrier(place, t, holds)
+    holds, size, side = turn >= 0, scene.clusters.size, scene.grid.side
+    x, y = lanes.pixels
+    queue, name = fusion_barrier(
+        lambda _: _pop(queue, found, lanes.pose, lanes.tile % side, lanes.tile // side), turn, holds
+    )
+    corners = fusion_barrier(lambda _: _corners_of(name, lanes.pose, scene.clusters), turn, holds)
+    corners = corners.reshape(-1, 3, size, 3, LANES_PER_BLOCK)  # block, corner, face, axis, lane
+    placed = fusion_barrier(lambda _: _to_tool(corners, lanes.view), turn, holds)
     shown = jnp.broadcast_to((name >= 0)[:, None], (len(name), size, LANES_PER_BLOCK))
-    terms = fusion_barrier(lambda _: face_terms(placed, shown, grid.half, 1, holds), t, holds)
+    terms = fusion_barrier(lambda _: face_terms(placed, shown, scene.grid.half, 1, holds), turn, holds)
     for f in range(size):
         edges = [part[:, k, f, :, None] for part in terms[:3] for k in range(3)]
         plane = [part[:, f, :, None] for part in terms[3:]]
         best = closer_hit(best, x, y, edges + plane, name[..., None] * size + f)
     return queue, best
+
+
+def _corners_of(
+    name: Int[Array, "blocks lanes"], pose: Int[Array, "blocks lanes"], clusters: FaceClusters
+) -> Float[Array, "blocks coordinates lanes"]:
+    """The corners (m, mesh frame) of a cluster for each lane: of its first corners those of all faces, each three
+    coordinates, then of its second and third.
+    """
+    corner, face, axis = np.mgrid[:3, : clusters.size, :3]
+    number = (face * 9 + corner * 3 + axis).ravel()  # of a coordinate in its cluster's row
+    row = jnp.maximum(name, 0) + clusters.mesh[pose] * clusters.per_mesh
+    return _at(clusters.rows, (row[:, None], jnp.asarray(number, jnp.int32)[None, :, None]))
+
+
+def _to_tool(corners: Float[Array, "blocks 3 faces 3 lanes"], view: ToolView) -> list[Array]:
+    """x, y and z (blocks, 3, faces, lanes) of corners in the tool frames of their lanes (m)."""
+    local = [corners[:, :, :, j] - view.origin[j][:, None, None] for j in range(3)]
+    return [
+        sum((view.linear[i, j][:, None, None] * local[j] for j in range(3)), view.offset[i][:, None, None])
+        for i in range(3)
+    ]
 
 
 def _pop(
