@@ -9,7 +9,7 @@
     python -m experiments.studies sites         how informative is a touch of a flat, an edge and a corner?
     python -m experiments.studies sensitivity   what do errors of pose, noise and harder presses do?
     python -m experiments.studies object_count  10, 25 and 50 objects, the meshes of a folder among them
-    python -m experiments.studies placement     how sure may one be where the placement's error is told wrong?
+    python -m experiments.studies placement     how sure may one be where the placement's error is stated wrong?
     python -m experiments.studies mismatch      what does it cost if the world's physics is not the belief's?
     python -m experiments.studies policy --preset debug      a handful of episodes, to see it run
 

@@ -185,7 +185,7 @@ def pads_of(folders: Sequence[Path]) -> list[int]:
 
 
 def clusters_of(parts: Sequence[Part], pads: Sequence[int], of: str = "truth") -> list[np.ndarray]:
-    """By what the pooled episodes are alike, for their intervals: their pad. Episodes of one or two pads are told apart
+    """By what the pooled episodes are alike, for their intervals: their pad. Episodes of one or two pads are distinguished
     by nothing, and their interval is for these pads only.
     """
     if len(set(pads)) < MIN_CLUSTERS:

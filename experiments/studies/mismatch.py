@@ -165,7 +165,7 @@ def worlds() -> dict[str, MismatchedWorld]:
             pad=lambda pad: pad._replace(young=0.7 * pad.young, magnetization=0.9 * pad.magnetization),
             errors=partial(_faulty, relaxation=0.15),
         ),
-        # A board is told from others by its gains: this one is another, whose remembering chip and drifts are others.
+        # A board is known by its gains: this one is another, whose remembering chip and drifts are others.
         "another remembering chip": MismatchedWorld(
             pad=lambda pad: pad._replace(gains=pad.gains * (1 + 1e-5)), errors=partial(_faulty, hysteresis=0.6)
         ),
@@ -176,8 +176,8 @@ def worlds() -> dict[str, MismatchedWorld]:
         "meshes 3 % larger": MismatchedWorld(mesh=partial(_scaled, factor=1.03)),
         "skin remounted by 0.5 mm": MismatchedWorld(pad=_remounted),
         "camera biased by 1 mm and degree": MismatchedWorld(mesh=partial(_shifted, twist=CAMERA_BIAS)),
-        "placement off twice as far as told": MismatchedWorld(errors=partial(_misplaced, factor=2.0)),
-        "placement off half as far as told": MismatchedWorld(errors=partial(_misplaced, factor=0.5)),
+        "placement off twice as far as stated": MismatchedWorld(errors=partial(_misplaced, factor=2.0)),
+        "placement off half as far as stated": MismatchedWorld(errors=partial(_misplaced, factor=0.5)),
     }
 
 

@@ -1,7 +1,7 @@
-"""How sure may one be where the placement's error was told wrong?
+"""How sure may one be where the placement's error is stated wrong?
 
-Objects stand as far off as in two worlds (1 and 2 mm and degrees), and the belief is told half of it, the truth, or
-twice as much. It infers the scale of what it was told; next to it is the belief that takes it as exact. Temperatures
+Objects stand as far off as in two worlds (1 and 2 mm and degrees), and half of it, the truth, or twice as
+much is stated to the belief. It infers the scale of what is stated; next to it is the belief that takes it as exact. Temperatures
 are fitted on the validation objects over all of these worlds together, as nobody knows which of them is the real one.
 """
 
@@ -28,8 +28,8 @@ from i2t.recognition.site_pool import prepare_surfaces
 from i2t.simulation.touches import SimulationErrors
 
 TRUE_MM = (1.0, 2.0)  # and degrees, one standard deviation of the placement
-TOLD = {"half": 0.5, "right": 1.0, "double": 2.0}  # of it
-TOLD_BELIEFS = {"inferred": belief.SCALE_PRIOR, "as told": None}
+STATED_FACTORS = {"half": 0.5, "right": 1.0, "double": 2.0}  # of it
+SCALE_PRIORS = {"inferred": belief.SCALE_PRIOR, "as stated": None}
 ASKED_ERRORS = (0.01, 0.05, 0.1)
 ALLOWED_EXCESS = 0.015  # by which stops may be wrong more often than asked
 SCALE = "scale"  # prefix of the inferred scales in a part
@@ -37,28 +37,28 @@ VALIDATION, TEST = "validation", "test"
 
 
 class Condition(NamedTuple):
-    """How far objects are off, and what the belief was told."""
+    """How far objects are off, and the error that is stated to the belief."""
 
     true_mm: float
-    told: str
+    stated: str  # a key of `STATED_FACTORS`
 
     @property
-    def told_mm(self) -> float:
-        """What the belief was told (mm and degrees)."""
-        return self.true_mm * TOLD[self.told]
+    def stated_mm(self) -> float:
+        """The placement's error that is stated (mm and degrees, one standard deviation)."""
+        return self.true_mm * STATED_FACTORS[self.stated]
 
     def __str__(self) -> str:
-        return f"{self.true_mm:g} mm, told {self.told_mm:g}"
+        return f"{self.true_mm:g} mm, stated {self.stated_mm:g}"
 
 
-CONDITIONS = tuple(Condition(true, told) for true in TRUE_MM for told in TOLD)
+CONDITIONS = tuple(Condition(true, stated) for true in TRUE_MM for stated in STATED_FACTORS)
 
 
-class Believed(NamedTuple):
+class PlacementBeliefs(NamedTuple):
     """Beliefs along episodes."""
 
     probability: np.ndarray  # (e, t, objects)
-    scale: np.ndarray  # (e,) of the placement's error after the last touch, a multiple of what was told
+    scale: np.ndarray  # (e,) of the placement's error after the last touch, a multiple of what was stated
 
 
 def evaluate(lab: StudyLab) -> Part:
@@ -85,11 +85,11 @@ def evaluate_objects(lab: StudyLab, label: str) -> dict[str, np.ndarray]:
         for true in sorted({condition.true_mm for condition in conditions})
     }
     found: dict[str, np.ndarray] = {"truth": plan.truth}
-    for told_mm in sorted({condition.told_mm for condition in conditions}):
-        for method in TOLD_BELIEFS:
-            particles, table = predict(lab, plan, told_mm, method)
+    for stated_mm in sorted({condition.stated_mm for condition in conditions}):
+        for method in SCALE_PRIORS:
+            particles, table = predict(lab, plan, stated_mm, method)
             for condition in conditions:
-                if condition.told_mm == told_mm:
+                if condition.stated_mm == stated_mm:
                     believed = believe(table, episodes[condition.true_mm], lab.pad_model.likelihood, particles)
                     found[f"{method}, {condition}"] = believed.probability
                     found[f"{SCALE}, {method}, {condition}"] = believed.scale
@@ -101,16 +101,16 @@ def placed(lab: StudyLab, mm: float) -> SimulationErrors:
     return replace(lab.cfg.errors, placement=mm * 1e-3, placement_angle=np.radians(mm))
 
 
-def predict(lab: StudyLab, plan: EpisodePlan, told_mm: float, method: str) -> tuple[Particles, PredictedTouch]:
-    """Pose particles for what was told, and the touches predicted for them."""
-    prior = outcomes.placement_std(told_mm * 1e-3, np.radians(told_mm))
-    particles = belief.sample_particles(prior, lab.cfg.num_particles, lab.seed, scales=TOLD_BELIEFS[method])
-    label = f"told {told_mm:g} mm, {method}"
+def predict(lab: StudyLab, plan: EpisodePlan, stated_mm: float, method: str) -> tuple[Particles, PredictedTouch]:
+    """Pose particles for what is stated, and the touches predicted for them."""
+    prior = outcomes.placement_std(stated_mm * 1e-3, np.radians(stated_mm))
+    particles = belief.sample_particles(prior, lab.cfg.num_particles, lab.seed, scales=SCALE_PRIORS[method])
+    label = f"stated {stated_mm:g} mm, {method}"
     (table,) = lab.predict(plan.sites, particles, [lab.pad_model.reading_model], label)
     return particles, jax.device_put(table)
 
 
-def believe(table: PredictedTouch, episodes: Episodes, likelihood: Likelihood, particles: Particles) -> Believed:
+def believe(table: PredictedTouch, episodes: Episodes, likelihood: Likelihood, particles: Particles) -> PlacementBeliefs:
     """Beliefs along episodes, and the scales of the placement inferred by their ends."""
     count, touches = episodes.site.shape
     start = belief.init(particles, table.hit.shape[1], channels=table.reading.shape[-1])
@@ -120,7 +120,7 @@ def believe(table: PredictedTouch, episodes: Episodes, likelihood: Likelihood, p
         observations = jax.tree.map(lambda x, i=i: x[:, i], episodes.observations)
         beliefs, p = update_beliefs(beliefs, jnp.asarray(episodes.site[:, i]), observations, table, likelihood)
         after.append(np.asarray(p))
-    return Believed(np.stack(after, axis=1), np.asarray(_scales(beliefs, particles)))
+    return PlacementBeliefs(np.stack(after, axis=1), np.asarray(_scales(beliefs, particles)))
 
 
 @jax.jit
@@ -134,7 +134,7 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, A
     truth = {name: columns.pop(f"{name}: truth") for name in (VALIDATION, TEST)}
     clusters = clusters_of(parts, pads, f"{TEST}: truth")
     result: dict[str, Any] = {"episodes": len(truth[TEST]), "methods": {}}
-    for method in TOLD_BELIEFS:
+    for method in SCALE_PRIORS:
         names = [name for name in columns if name.startswith(f"{TEST}: {method}, ")]
         conditions = [name.removeprefix(f"{TEST}: {method}, ") for name in names]
         known = np.concatenate([columns[f"{VALIDATION}: {method}, {each}"] for each in conditions])

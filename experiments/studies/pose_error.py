@@ -119,7 +119,7 @@ def compare_rules(parts: Sequence[Part], pads: Sequence[int]) -> tuple[dict[str,
     """
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0] if name not in World._fields}
     truth, pool = columns.pop("truth"), columns.pop("pool")
-    # Of a single pad, episodes are told apart by their pool of sites; each run has its own.
+    # Of a single pad, episodes are distinguished by their pool of sites; each run has its own.
     clusters = clusters_of(parts, pads) or [
         pool + 10**6 * np.repeat(range(len(parts)), [len(p["pool"]) for p in parts])
     ]

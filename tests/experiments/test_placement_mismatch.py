@@ -1,4 +1,4 @@
-"""Worlds of other physics against closed forms, and the two studies of what a belief is told wrong."""
+"""Worlds of other physics against closed forms, and the two studies of what is stated wrong to a belief."""
 
 import json
 
@@ -23,12 +23,12 @@ def test_studies_of_wrong_beliefs_run(study, trained_run, tmp_path):
     assert metrics["source"] == "simulated"
     assert metrics["episodes"] == 8
     if study == "placement":
-        assert set(metrics["methods"]) == {"inferred", "as told"}
+        assert set(metrics["methods"]) == {"inferred", "as stated"}
         for entry in metrics["methods"].values():
-            assert set(entry["conditions"]) == {"1 mm, told 0.5", "1 mm, told 1", "1 mm, told 2"}
+            assert set(entry["conditions"]) == {"1 mm, stated 0.5", "1 mm, stated 1", "1 mm, stated 2"}
             assert all(len(each["stopping"]) == 3 for each in entry["conditions"].values())
-        told = metrics["methods"]["as told"]["conditions"]["1 mm, told 2"]
-        np.testing.assert_allclose(told["scale_percentiles_25_50_75"], 1.0, rtol=1e-5)
+        stated = metrics["methods"]["as stated"]["conditions"]["1 mm, stated 2"]
+        np.testing.assert_allclose(stated["scale_percentiles_25_50_75"], 1.0, rtol=1e-5)
     else:
         assert set(metrics["worlds"]) == set(mismatch.DEBUG_WORLDS)
         for entry in metrics["worlds"][mismatch.MATCHED].values():
@@ -92,11 +92,11 @@ def test_stops_that_are_wrong_too_often_are_named(capsys):
     """Half of the sure decisions are wrong."""
     p = np.tile([0.995, 0.005], (40, 2, 1))
     truth = np.arange(40) % 2
-    entry = placement.report_condition("1 mm, told 1", p, truth, np.full(40, 1.5), [])
+    entry = placement.report_condition("1 mm, stated 1", p, truth, np.full(40, 1.5), [])
     assert entry["stopping"][0]["stopped_error"]["mean"] == 0.5
     assert entry["scale_percentiles_25_50_75"] == [1.5, 1.5, 1.5]
     assert capsys.readouterr().out.count("TOO OFTEN") == 3
-    right = placement.report_condition("1 mm, told 1", p, np.zeros(40, int), np.full(40, 1.5), [])
+    right = placement.report_condition("1 mm, stated 1", p, np.zeros(40, int), np.full(40, 1.5), [])
     assert right["stopping"][0]["stopped_error"]["mean"] == 0
     assert "TOO OFTEN" not in capsys.readouterr().out
 
@@ -116,11 +116,11 @@ def test_the_placement_study_reports_each_condition_at_a_temperature_of_its_meth
         part = {}
         for label in (placement.VALIDATION, placement.TEST):
             part[f"{label}: truth"] = truth
-            for method in placement.TOLD_BELIEFS:
+            for method in placement.SCALE_PRIORS:
                 for condition in placement.CONDITIONS[:1]:
                     p = believed(rng, truth, 1.0)
                     # Twice the logits: a belief that is surer than it is right.
-                    sure = p**2 / (p**2).sum(-1, keepdims=True) if method == "as told" else p
+                    sure = p**2 / (p**2).sum(-1, keepdims=True) if method == "as stated" else p
                     part[f"{label}: {method}, {condition}"] = sure
                     part[f"{label}: {placement.SCALE}, {method}, {condition}"] = np.full(30, 1.4)
         parts.append(part)
@@ -128,7 +128,7 @@ def test_the_placement_study_reports_each_condition_at_a_temperature_of_its_meth
     assert result["episodes"] == 90
     for entry in result["methods"].values():
         assert list(entry["conditions"]) == [str(placement.CONDITIONS[0])]
-    temperatures = [result["methods"][method]["temperature"]["initial"] for method in ("as told", "inferred")]
+    temperatures = [result["methods"][method]["temperature"]["initial"] for method in ("as stated", "inferred")]
     assert temperatures[0] == pytest.approx(2 * temperatures[1], rel=0.25)
     assert capsys.readouterr().out.count("mean") == 2
 

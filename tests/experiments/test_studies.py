@@ -90,7 +90,7 @@ def test_a_table_that_is_higher_or_tilted_is_met_elsewhere():
     np.testing.assert_allclose(np.linalg.norm(sloped[:, :3, 2] - level[:, :3, 2], axis=1), 0.01, rtol=1e-3)
 
 
-def test_the_belief_is_told_that_the_table_may_be_higher_and_tilted():
+def test_the_belief_allows_for_a_table_that_is_higher_and_tilted():
     std = planar.table_std(replace(SimulationErrors.none(), placement=2e-3, placement_angle=0.1))
     np.testing.assert_allclose(std, [0, 0, 2e-3, 0.1 * TWIST_LEVER_M, 0.1 * TWIST_LEVER_M, 0])
     _, cells = pose_cells(planar.PlanarGrid(half=5e-3, reach=5e-3, step=5e-3, turns=4))
