@@ -95,7 +95,10 @@ def read_simulated_run(folder: Path) -> tuple[Dataset, Predictor, Pad]:
         raise ValueError(f"{folder} keeps no touches; train it again: python -m experiments.train")
     number = about["pad"]
     pad = numbered_pad(number) if isinstance(number, int) else load_pad(Path(number))
-    return data.load_dataset(folder / "data.h5"), load_predictor(folder), pad
+    # The predictor on predicted contact pressure, where a baseline may have been kept in its place.
+    on_pressure = folder / "checkpoint" / "on_pressure"
+    predictor = load_predictor(on_pressure if on_pressure.is_dir() else folder)
+    return data.load_dataset(folder / "data.h5"), predictor, pad
 
 
 def load_meshes(paths: Sequence[Path], unit: str | None) -> dict[str, Mesh]:

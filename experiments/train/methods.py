@@ -10,12 +10,13 @@ import numpy as np
 from tqdm import tqdm
 
 from experiments.train.configs import TrainExperiment
+from experiments.train.loads import PressLoad
 from experiments.train.splitting import Split
 from i2t.dataset import Dataset
-from i2t.prediction import checkpoint, gp, training
+from i2t.prediction import baselines, checkpoint, gp, training
 from i2t.prediction.gp import GP, ContactPressure
 from i2t.prediction.model import Inputs, ModelConfig
-from i2t.prediction.predictor import TouchBatch, TrainedNetwork, predict_pressures
+from i2t.prediction.predictor import BaselineModel, Model, TouchBatch, TrainedNetwork, predict_pressures
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.prediction.training import Batch
 from i2t.types import Touches
@@ -24,10 +25,12 @@ NOISY_CURVATURE_M = 20e-6  # median second difference of pixels that a surface w
 LARGE_WINDOW_M = 25e-3  # from here on the skin is taken to be as large as the window, and cells are coarser
 
 
-def pressure_model_of(dataset: Dataset, measured: tuple[str, ...], cfg: TrainExperiment) -> PressureModelConfig:
-    """How contact pressure is predicted on this set: from the force where it was measured, else from the depth;
-    views are smoothed where they are noisy.
+def pressure_model_of(dataset: Dataset, load: PressLoad, cfg: TrainExperiment) -> PressureModelConfig | None:
+    """How contact pressure is predicted on this set: from its load, and from views that are smoothed where they are
+    noisy; None where nothing says how hard touches were pressed.
     """
+    if load.control is None:
+        return None
     patches = dataset.touches.patch
     curvature = patches[:, 2:] - 2 * patches[:, 1:-1] + patches[:, :-2]
     noisy = float(np.median(np.abs(curvature))) > NOISY_CURVATURE_M
@@ -37,7 +40,8 @@ def pressure_model_of(dataset: Dataset, measured: tuple[str, ...], cfg: TrainExp
         window=round(dataset.window * 500) / 500 if large else PressureModelConfig.window,
         smooth=noisy,
         tilt=cfg.hidden_tilt if noisy else 0.0,
-        control="force" if "force" in measured else "depth",
+        control=load.control,
+        force_sign=load.force_sign,
         cell=1e-3 if large else PressureModelConfig.cell,
     )
 
@@ -49,8 +53,10 @@ def views_of(dataset: Dataset) -> np.ndarray:
     return dataset.touches.patch if np.isnan(wide[:, centre, centre]).any() else wide
 
 
-def touch_batch(dataset: Dataset, rows: np.ndarray, pressure: ContactPressure) -> TouchBatch:
-    """The touches in `rows` (a mask), whose contact pressures were predicted before, as predictors take them."""
+def touch_batch(dataset: Dataset, rows: np.ndarray, pressure: ContactPressure | None) -> TouchBatch:
+    """The touches in `rows` (a mask), whose contact pressures may have been predicted before, as predictors take
+    them.
+    """
     touches = dataset.touches
     which = np.flatnonzero(rows)
     return TouchBatch(
@@ -60,7 +66,7 @@ def touch_batch(dataset: Dataset, rows: np.ndarray, pressure: ContactPressure) -
         force=touches.force[rows],
         nearest=touches.nearest[rows],
         depth=touches.depth[rows],
-        pressure=ContactPressure(pressure.pressure[which], pressure.load[which]),
+        pressure=None if pressure is None else ContactPressure(pressure.pressure[which], pressure.load[which]),
     )
 
 
@@ -76,12 +82,26 @@ def median_conditions(touches: Touches, rows: np.ndarray) -> tuple[float, float]
     return median(touches.force[rows], 1.0), median(touches.depth[rows], 0.3e-3)
 
 
+def fit_baseline_models(dataset: Dataset, split: Split, measured: tuple[str, ...]) -> dict[str, Model]:
+    """Mean reading, nearest patches and ridge regression of the training touches, without and with what was measured
+    at all of them.
+    """
+    touches, rows = dataset.touches, split.train
+    values = [getattr(touches, name)[rows] for name in measured]
+    stacked = np.stack(values, -1) if values else np.zeros((int(rows.sum()), 0))
+    fitted = baselines.fit_baselines(touches.patch[rows], stacked, touches.reading[rows], split.groups[rows])
+    return {
+        name: BaselineModel(baseline, measured if baselines.measured_count(baseline) else ())
+        for name, baseline in fitted.items()
+    }
+
+
 def adapt_network(
-    network: ModelConfig, dataset: Dataset, pressure: ContactPressure, measured: tuple[str, ...]
+    network: ModelConfig, dataset: Dataset, pressure: ContactPressure | None, measured: tuple[str, ...]
 ) -> tuple[ModelConfig, np.ndarray]:
     """The configuration of a network for this data set, and the images (n, p, p) that it sees of it."""
     conditions = tuple(name for name in network.conditions if name in measured)
-    images = np.asarray(pressure.pressure) if network.input == "image" else dataset.touches.patch
+    images = dataset.touches.patch if network.input != "image" or pressure is None else np.asarray(pressure.pressure)
     adapted = replace(
         network,
         pixels=images.shape[1],

@@ -153,15 +153,32 @@ def print_table(result: dict[str, Any]) -> None:
             _print_objects({name: {m: x[0] for m, x in row.items()} for name, row in result["by_object"].items()})
         return
     print(f"\ntest touches{kind}, 95 % interval over {result['groups']} groups; kept as predictor: {result['best']}")
-    print(f"{'':48}{'R²':>22}{'RMSE µT':>10}{'/ sigma':>9}{'cosine':>8}{'R² x / y / z':>22}")
+    print(f"{'':48}{'R²':>22}{'RMSE µT':>10}{'/ sigma':>9}{'cosine':>8}{'R² x / y / z':>22}{'in 90 %':>9}")
     for name, values in result["methods"].items():
-        low, high = values["r2_interval"]
-        axes = " / ".join(f"{value:.2f}" for value in values["r2_axis"])
-        r2 = _interval(values["r2"], low, high)
-        sigmas = _number(values["rmse_sigma"])
-        print(f"{name:48}{r2:>22}{values['rmse']:10.2f}{sigmas:>9}{values['cosine']:8.2f}{axes:>22}")
+        axes = " / ".join(_number(value) for value in values["r2_axis"])
+        r2 = _interval(values["r2"], *values["r2_interval"])
+        rmse, sigmas, cosine, inside = (
+            _number(values.get(field)) for field in ("rmse", "rmse_sigma", "cosine", "coverage_90")
+        )
+        print(f"{name:48}{r2:>22}{rmse:>10}{sigmas:>9}{cosine:>8}{axes:>22}{inside:>9}")
+    _print_choice(result)
     _print_objects(result["by_object"])
     print(f"{result['seconds']:.0f} s")
+
+
+def _print_choice(result: dict[str, Any]) -> None:
+    """What was kept, how sure that is, and whether its range holds what it says."""
+    best, choice = result["best"], result["choice"]
+    lead, inside = choice["over_best_baseline"], result["methods"][best]
+    said = f"kept: {best}, the best on validation touches (R² {_number(result['validation_r2'][best])})"
+    if best != choice["best_baseline"]:
+        said += f", {_interval(lead['r2'], lead['low'], lead['high'])} above {choice['best_baseline']}"
+    print(
+        f"\n{said}; its 90 % range holds {_number(inside.get('validation_coverage_90'))} of validation values and "
+        f"{_number(inside.get('coverage_90'))} of test values"
+    )
+    for note in result["notes"]:
+        print(f"note: {note}")
 
 
 def _print_methods(title: str, methods: dict[str, Any]) -> None:
@@ -169,9 +186,9 @@ def _print_methods(title: str, methods: dict[str, Any]) -> None:
     print(f"\n{title}")
     print(f"{'':48}{'R²':>22}{'RMSE µT':>10}{'/ sigma':>9}{'cosine':>8}")
     for name, values in methods.items():
-        rmse, sigmas, cosine = (values[field][0] for field in ("rmse", "rmse_sigma", "cosine"))
+        rmse, sigmas, cosine = (_number(values[field][0]) for field in ("rmse", "rmse_sigma", "cosine"))
         r2 = _interval(*values["r2"])
-        print(f"{name:48}{r2:>22}{rmse:10.2f}{_number(sigmas):>9}{cosine:8.2f}")
+        print(f"{name:48}{r2:>22}{rmse:>10}{sigmas:>9}{cosine:>8}")
 
 
 def _print_objects(scores: dict[str, dict[str, float]]) -> None:
@@ -183,8 +200,11 @@ def _print_objects(scores: dict[str, dict[str, float]]) -> None:
         print(f"{method:48}" + "".join(f"{_number(row.get(method)):>13}" for row in scores.values()))
 
 
-def _interval(mean: float, low: float | None, high: float | None) -> str:
-    return f"{mean:.3f}" if low is None or not np.isfinite(low) else f"{mean:.3f} [{low:.3f}, {high:.3f}]"
+def _interval(mean: float | None, low: float | None, high: float | None) -> str:
+    if mean is None or not np.isfinite(mean):
+        return "-"
+    known = low is not None and high is not None and np.isfinite(low) and np.isfinite(high)
+    return f"{mean:.3f} [{low:.3f}, {high:.3f}]" if known else f"{mean:.3f}"
 
 
 def _number(value: float | None) -> str:

@@ -9,8 +9,9 @@
 
 Hexagon and parallelogram train, one tool validates, all other primitives and tools test. Every method sees the same
 touches: baselines that look up or regress patches, the paper's network (contact mask or depth), and two models on
-predicted contact pressure, of which the better on the validation object is kept as the predictor. A ceiling shows what
-the same model would reach if the camera and the arm made no error. Results go to --out: metrics.json, config.json,
+predicted contact pressure. The best of all of them on the validation touches is kept as the predictor, a baseline too.
+Where a model on predicted contact pressure loses to a baseline, likely causes are tested and named. A ceiling shows
+what the same model would reach if the camera and the arm made no error. Results go to --out: metrics.json, config.json,
 figures, the data (data.h5) and checkpoint/, which `i2t.load_predictor` reads. Of --dataset the training touches are
 kept (recognition.h5, recognition.json, meshes/), so that `experiments.recognize` can make a pad model of them.
 """
@@ -31,12 +32,15 @@ import numpy as np
 import tyro
 
 from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
-from experiments.common.runs import begin, reported, slug, write_json
-from experiments.train import recognition_data
+from experiments.common.runs import begin, exit_code_of_run, slug, write_json
+from experiments.train import causes, recognition_data
+from experiments.train.choosing import Choice, choose
 from experiments.train.configs import PRESETS, TrainExperiment
+from experiments.train.loads import PressLoad, press_load, with_known_load
 from experiments.train.methods import (
     adapt_network,
     ceiling,
+    fit_baseline_models,
     fit_gp,
     median_conditions,
     pressure_model_of,
@@ -51,14 +55,14 @@ from experiments.train.splitting import Split, conditions_of, split_dataset
 from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.prediction.gp import ContactPressure
-from i2t.prediction.metrics import baselines, score
 from i2t.prediction.predictor import (
+    BaselineModel,
     GPModel,
-    Model,
     PatchNetwork,
     Predictor,
     PressureNetwork,
     Reading,
+    coverage,
     predict_pressures,
     save,
     std_scale,
@@ -69,6 +73,8 @@ from i2t.types import Pad
 
 GP_METHOD = "Gaussian process on predicted contact pressure"
 CEILING = "ceiling: GP without camera and arm errors"
+ON_PRESSURE = "on_pressure"  # folder of the best predictor on predicted contact pressure, kept or not
+LEAST_PRESSED_SHARE = 0.1  # of training touches that must have a predicted pressure
 
 
 @dataclass(frozen=True)
@@ -95,7 +101,7 @@ def main(argv: list[str] | None = None) -> int:
     answer_renamed_value(argv, "--split", {"run": "session"})
     answer_renamed_value(argv, "--preset", RENAMED)
     args = tyro.cli(TrainArgs, args=argv, description=__doc__, prog="python -m experiments.train")
-    return reported(partial(run, args), args.out)
+    return exit_code_of_run(partial(run, args), args.out)
 
 
 def run(args: TrainArgs) -> dict[str, Any]:
@@ -138,15 +144,15 @@ class PreparedData(NamedTuple):
     split: Split
     measured: tuple[str, ...]  # of force, nearest and depth, those that were measured at every touch
     noise: np.ndarray | None  # (3 chips,) uT, the sensor's own, where it is known
-    pressure_model: PressureModelConfig
-    pressure: ContactPressure  # of all touches
+    pressure_model: PressureModelConfig | None = None  # None where nothing says how hard touches were pressed
+    pressure: ContactPressure | None = None  # of all touches, likewise
+    notes: tuple[str, ...] = ()  # what is odd about the recording, a sentence each
 
 
 class FittedMethods(NamedTuple):
     """What was fitted to the training touches, each by its name."""
 
-    baselines: dict[str, np.ndarray]  # (test touches, 3 chips) uT
-    predictors: dict[str, Predictor]  # their standard deviations not yet scaled
+    predictors: dict[str, Predictor]  # baselines first; their standard deviations not yet scaled
     curves: dict[str, np.ndarray]  # (epochs,) errors of networks
 
 
@@ -155,9 +161,14 @@ class Evaluation(NamedTuple):
 
     predicted: dict[str, np.ndarray]  # (test touches, 3 chips) uT, by method
     std: dict[str, np.ndarray]  # likewise, of methods that have one
-    validation_r2: dict[str, float]
+    choice: Choice  # on validation touches
+    coverage: dict[str, float]  # share of validation values in the 90 % range, by method
     predictors: dict[str, Predictor]  # their standard deviations scaled on the validation touches
-    best: str  # the method that is kept: the best on validation touches of those on predicted contact pressure
+
+    @property
+    def best(self) -> str:
+        """The method that is kept."""
+        return self.choice.best
 
 
 def run_one(
@@ -171,9 +182,10 @@ def run_one(
         print(recognition_data.keep(out, prepared.dataset, prepared.split.train, meshes))
     fitted = fit_methods(prepared, cfg, seed, out)
     evaluation = evaluate(prepared, fitted)
-    if prepared.dataset.touches.truth is not None:
+    notes = [*prepared.notes, *explain_loss(prepared, evaluation.choice)]
+    if prepared.dataset.touches.truth is not None and prepared.pressure_model is not None:
         evaluation.predicted[CEILING] = ceiling(prepared.dataset, prepared.pressure_model, prepared.split, seed)
-    about = {"seed": seed, "pad": str(args.pad) if args.pad else pad}
+    about = {"seed": seed, "pad": str(args.pad) if args.pad else pad, "notes": notes}
     report(out, prepared, fitted, evaluation, about=about, started=started)
 
 
@@ -184,68 +196,116 @@ def prepare_data(args: TrainArgs, cfg: TrainExperiment, seed: int, pad: Pad | in
     else:
         name = load_pad_about(args.pad).name if args.pad else None
         dataset = simulated_dataset(cfg.simulation, 0 if pad is None else pad, out / "data.h5", seed=seed, name=name)
+    dataset, left_out = with_known_load(dataset)
     split = split_dataset(dataset, cfg, args.split, seed)
     print(
         f"{len(dataset)} touches ({dataset.source}), split by {split.how}: {split.train.sum()} train, "
         f"{split.validation.sum()} validate, {split.test.sum()} test"
     )
     touches = dataset.touches
-    measured = conditions_of(touches, split)
-    pressure_model = pressure_model_of(dataset, measured, cfg)
-    print("predicting contact pressures")
-    pressure = predict_pressures(pressure_model, views_of(dataset), touches.force, touches.depth)
+    load = press_load(dataset.select(split.train | split.validation | split.test).touches)
     noise = None if touches.truth is None else (touches.reading - touches.truth.reading).std(0)
-    return PreparedData(dataset, split, measured, noise, pressure_model, pressure)
+    prepared = noted(
+        PreparedData(dataset, split, conditions_of(touches, split), noise),
+        *([left_out] if left_out else []),
+        *load.notes,
+    )
+    pressure_model = pressure_model_of(dataset, load, cfg)
+    return prepared if pressure_model is None else with_pressure(prepared, pressure_model, load)
+
+
+def noted(prepared: PreparedData, *notes: str) -> PreparedData:
+    """Tell a person what is odd about the recording, and remember it."""
+    for note in notes:
+        print(f"note: {note}")
+    return prepared._replace(notes=(*prepared.notes, *notes))
+
+
+def with_pressure(prepared: PreparedData, pressure_model: PressureModelConfig, load: PressLoad) -> PreparedData:
+    """Predict the contact pressure of each touch; none where next to all predicted pressures are nil."""
+    dataset, split, touches = prepared.dataset, prepared.split, prepared.dataset.touches
+    print("predicting contact pressures")
+    if load.control == "depth" and load.nil_share > causes.NIL_SHARE:
+        height, said = causes.likely_height(dataset, split.train, split.groups, pressure_model)
+        pressure_model = replace(pressure_model, depth_offset=height)
+        prepared = noted(prepared, *([said] if said else []))
+    pressure = predict_pressures(pressure_model, views_of(dataset), touches.force, touches.depth)
+    total = np.asarray(pressure.pressure)[split.train].sum((1, 2))
+    pressed = float(np.mean(total > pressure_model.floor / 10))
+    if np.isfinite(total).all() and pressed >= LEAST_PRESSED_SHARE:
+        return prepared._replace(pressure_model=pressure_model, pressure=pressure)
+    return noted(
+        prepared,
+        f"{100 * (1 - pressed):.0f} % of the predicted contact pressures are nil or not finite: methods on them are "
+        "left out",
+    )
 
 
 def fit_methods(prepared: PreparedData, cfg: TrainExperiment, seed: int, out: Path) -> FittedMethods:
     """Fit the baselines, the networks and the Gaussian process to the training touches."""
     dataset, split, touches = prepared.dataset, prepared.split, prepared.dataset.touches
-    columns = [getattr(touches, name) for name in prepared.measured]
-    values = np.stack(columns, -1) if columns else np.zeros((len(dataset), 0))
-    looked_up = baselines(
-        touches.patch[split.train], values[split.train], touches.reading[split.train], split.groups[split.train],
-        at_patches=touches.patch[split.test], at_conditions=values[split.test],
-    )  # fmt: skip
-
-    models: dict[str, Model] = {}
+    pressure, pressure_model = prepared.pressure, prepared.pressure_model
+    models = fit_baseline_models(dataset, split, prepared.measured)
     curves: dict[str, np.ndarray] = {}
     for name, network in cfg.networks.items():
-        adapted, images = adapt_network(network, dataset, prepared.pressure, prepared.measured)
+        on_pressure = network.input == "image"
+        if on_pressure and pressure_model is None:
+            continue
+        adapted, images = adapt_network(network, dataset, pressure, prepared.measured)
         training = replace(cfg.training, seed=seed)
         folder = out / "checkpoint" / slug(name)
         trained, curve = train_network(
             name, adapted, training, images=images, touches=touches, split=split, folder=folder
         )
-        on_pressure = network.input == "image"
-        models[name] = PressureNetwork(trained, prepared.pressure_model) if on_pressure else PatchNetwork(trained)
+        seen = pressure_model if on_pressure else None
+        models[name] = PatchNetwork(trained) if seen is None else PressureNetwork(trained, seen)
         curves |= curve
-    models[GP_METHOD] = GPModel(fit_gp(prepared.pressure, touches.reading, split, seed), prepared.pressure_model)
+    if pressure is not None and pressure_model is not None:
+        models[GP_METHOD] = GPModel(fit_gp(pressure, touches.reading, split, seed), pressure_model)
 
     force, depth = median_conditions(touches, split.train)
     predictors = {name: Predictor(model, dataset.window, dataset.reach, force, depth) for name, model in models.items()}
-    return FittedMethods(looked_up, predictors, curves)
+    return FittedMethods(predictors, curves)
 
 
 def evaluate(prepared: PreparedData, fitted: FittedMethods) -> Evaluation:
     """Scale the standard deviations and choose a predictor on the validation touches; predict the test touches."""
     split, readings = prepared.split, prepared.dataset.touches.reading
     held_out = split.validation | split.test
-    tuning = split.validation[held_out]
+    tuning, truth = split.validation[held_out], readings[split.validation]
     touches = touch_batch(prepared.dataset, held_out, prepared.pressure)
-    predicted, std = dict(fitted.baselines), {}
-    validation_r2: dict[str, float] = {}
+    predicted, std, validated = {}, {}, {}
+    covered: dict[str, float] = {}
     predictors: dict[str, Predictor] = {}
     for name, predictor in fitted.predictors.items():
         reading = predictor.predict_batch(touches)
         seen = Reading(reading.mean[tuning], reading.std[tuning])
-        scale = std_scale(readings[split.validation], seen)
-        validation_r2[name] = score(readings[split.validation], seen.mean).r2
+        scale = std_scale(truth, seen)
+        validated[name] = seen.mean
+        covered[name] = coverage(truth, Reading(seen.mean, scale * seen.std))
         predicted[name], std[name] = reading.mean[~tuning], scale * reading.std[~tuning]
         predictors[name] = replace(predictor, std_scale=scale)
-    on_pressure = [name for name, predictor in predictors.items() if predictor.pressure is not None]
-    best = max(on_pressure, key=lambda name: validation_r2[name])
-    return Evaluation(predicted, std, validation_r2, predictors, best)
+    choice = choose(
+        truth,
+        validated,
+        split.groups[split.validation],
+        baselines=[name for name, each in predictors.items() if isinstance(each.model, BaselineModel)],
+        on_pressure=[name for name, each in predictors.items() if each.pressure is not None],
+    )
+    return Evaluation(predicted, std, choice, covered, predictors)
+
+
+def explain_loss(prepared: PreparedData, choice: Choice) -> list[str]:
+    """Where a method on predicted pressure loses to a baseline: a sentence with the likely causes that were tested."""
+    method, baseline = choice.best_on_pressure, choice.best_baseline
+    if method is None or not choice.pressure_loses or prepared.pressure_model is None:
+        return []
+    print(f"{method} loses to {baseline}: testing likely causes")
+    split = prepared.split
+    found = causes.find_causes(prepared.dataset, split.train, split.groups, prepared.pressure_model, prepared.pressure)
+    said = causes.loss_sentence(method, choice.r2[method], baseline, choice.r2[baseline], found)
+    print(f"note: {said}")
+    return [said]
 
 
 def report(
@@ -263,16 +323,21 @@ def report(
         "groups": len(np.unique(groups)),
         "noise_uT": None if noise is None else noise.tolist(),
         "best": evaluation.best,
-        "validation_r2": evaluation.validation_r2,
+        "validation_r2": evaluation.choice.r2,
+        "choice": evaluation.choice.to_json(),
         "methods": {
             name: scored(truth, mean, groups, noise, evaluation.std.get(name))
+            | {"validation_coverage_90": evaluation.coverage.get(name)}
             for name, mean in evaluation.predicted.items()
         },
         "by_object": by_object(dataset, split, truth, evaluation.predicted),
         "seconds": 0.0,
     }
-    metadata = {"method": evaluation.best, "source": dataset.source, "seed": about["seed"]}
-    save(out / "checkpoint" / "predictor", replace(evaluation.predictors[evaluation.best], metadata=metadata))
+    kept = {"predictor": evaluation.best, ON_PRESSURE: evaluation.choice.best_on_pressure}
+    for folder, method in kept.items():
+        if method is not None:
+            metadata = {"method": method, "source": dataset.source, "seed": about["seed"]}
+            save(out / "checkpoint" / folder, replace(evaluation.predictors[method], metadata=metadata))
     figures(
         out, dataset, split,
         predicted=evaluation.predicted, best=evaluation.best, curves=fitted.curves, noise=noise, metrics=metrics,

@@ -1,4 +1,4 @@
-"""Scores of predicted readings, their intervals, and the baselines every model has to beat.
+"""Scores of predicted readings, their intervals, and nearest neighbours.
 
 NumPy, because nothing here is differentiated.
 R2 is pooled over channels against the mean of the touches it is computed on: 1 - sum (y - f)^2 / sum (y - mean y)^2.
@@ -13,6 +13,7 @@ import numpy as np
 from scipy import stats
 
 RESAMPLES = 1000
+EQUALLY_NEAR = 1e-12  # of the squared lengths of features: what rounding makes of one distance
 
 
 class Estimate(NamedTuple):
@@ -44,7 +45,7 @@ def score(truth: np.ndarray, predicted: np.ndarray, noise: np.ndarray | None = N
         noise: (3 chips,) uT, standard deviation of the sensor's own noise where it is known.
 
     Returns:
-        All scores.
+        All scores; R2 is NaN where the truth does not vary.
     """
     truth, predicted = np.asarray(truth, np.float64), np.asarray(predicted, np.float64)
     error, spread = (predicted - truth) ** 2, (truth - truth.mean(0)) ** 2
@@ -52,14 +53,25 @@ def score(truth: np.ndarray, predicted: np.ndarray, noise: np.ndarray | None = N
     norms = np.linalg.norm(truth, axis=1) * np.linalg.norm(predicted, axis=1)
     cosines = np.sum(truth * predicted, axis=1) / np.where(norms > 0, norms, 1)
     return Score(
-        r2=1 - error.sum() / spread.sum(),
-        r2_median=float(np.median(1 - error.sum(0) / spread.sum(0))),
+        r2=_explained(error, spread),
+        r2_median=_median_explained(error.sum(0), spread.sum(0)),
         rmse=float(np.sqrt(error.mean())),
         rmse_sigma=float("nan") if noise is None else float(np.sqrt((error / np.asarray(noise) ** 2).mean())),
         cosine=float(np.median(cosines)),
-        r2_axis=_three(1 - error[:, axis].sum() / spread[:, axis].sum() for axis in by_axis),
+        r2_axis=_three(_explained(error[:, axis], spread[:, axis]) for axis in by_axis),
         rmse_axis=_three(np.sqrt(error[:, axis].mean()) for axis in by_axis),
     )
+
+
+def _explained(error: np.ndarray, spread: np.ndarray) -> float:
+    """R2; NaN where nothing varies that could be explained."""
+    return float(1 - error.sum() / spread.sum()) if spread.sum() > 0 else float("nan")
+
+
+def _median_explained(error: np.ndarray, spread: np.ndarray) -> float:
+    """Median R2 of the channels that vary."""
+    varies = spread > 0
+    return float(np.median(1 - error[varies] / spread[varies])) if varies.any() else float("nan")
 
 
 def _three(values: Iterable[float]) -> tuple[float, float, float]:
@@ -109,32 +121,8 @@ def student_interval(values: Sequence[int | float] | np.ndarray, level: float = 
     return Estimate(mean, mean - half, mean + half)
 
 
-def reduce_patches(train: np.ndarray, other: np.ndarray, components: int = 30) -> tuple[np.ndarray, np.ndarray]:
-    """Principal components of patches.
-
-    Args:
-        train: (n, h, w) patches that define the components.
-        other: (m, h, w) patches to express in them.
-        components: How many are kept, at most.
-
-    Returns:
-        Coordinates of the training patches and of the others, (n, components) and (m, components).
-    """
-    train, other = (patches.reshape(len(patches), -1).astype(np.float64) for patches in (train, other))
-    mean = train.mean(0)
-    # Eigenvectors of the smaller of the two covariance matrices.
-    basis = np.linalg.svd(train - mean, full_matrices=False)[2][:components]
-    return (train - mean) @ basis.T, (other - mean) @ basis.T
-
-
-def _standardised(train: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    mean, std = train.mean(0), train.std(0)
-    std = np.where(std > 0, std, 1)
-    return (train - mean) / std, (other - mean) / std
-
-
 def nearest_neighbours(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: int) -> np.ndarray:
-    """Mean reading of the k nearest training touches.
+    """Mean reading of the k nearest training touches, and of those as near as the k-th.
 
     Args:
         x: (n, d) features of the training touches.
@@ -145,26 +133,25 @@ def nearest_neighbours(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: int) -> 
     Returns:
         (m, 3 chips), in the unit of `y`.
     """
-    square = (at**2).sum(1)[:, None] + (x**2).sum(1) - 2 * at @ x.T
-    k = min(k, len(x))
-    return y[np.argpartition(square, k - 1, axis=1)[:, :k]].mean(1)
+    near, _ = near_rows(x, at, k)
+    return near @ y / near.sum(1, keepdims=True)
 
 
-def ridge(x: np.ndarray, y: np.ndarray, at: np.ndarray, penalty: float) -> np.ndarray:
-    """Linear regression with an intercept and a squared penalty per training touch.
+def near_rows(x: np.ndarray, at: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """Which training touches are the k nearest; equally near ones all are, so that rounding chooses none of them.
 
     Args:
         x: (n, d) features of the training touches.
-        y: (n, 3 chips) their readings.
         at: (m, d) features of the touches to predict.
-        penalty: On the squared weights, in units of the mean squared error.
+        k: Neighbours; all where there are fewer.
 
     Returns:
-        (m, 3 chips), in the unit of `y`.
+        (m, n) bool, and the squared distances (m, n).
     """
-    mean_x, mean_y = x.mean(0), y.mean(0)
-    system = (x - mean_x).T @ (x - mean_x) + penalty * len(x) * np.eye(x.shape[1])
-    return (at - mean_x) @ np.linalg.solve(system, (x - mean_x).T @ (y - mean_y)) + mean_y
+    square = (at**2).sum(1)[:, None] + (x**2).sum(1) - 2 * at @ x.T
+    farthest = np.partition(square, min(k, len(x)) - 1, axis=1)[:, [min(k, len(x)) - 1]]
+    rounding = EQUALLY_NEAR * ((at**2).sum(1)[:, None] + (x**2).sum(1).max())
+    return square <= farthest + rounding, np.maximum(square, 0)
 
 
 def tuned(
@@ -205,45 +192,3 @@ def tuned(
         for option in options
     ]
     return method(x, y, at, options[int(np.argmin(errors))])
-
-
-def baselines(
-    patches: np.ndarray,
-    conditions: np.ndarray,
-    y: np.ndarray,
-    groups: np.ndarray,
-    *,
-    at_patches: np.ndarray,
-    at_conditions: np.ndarray,
-) -> dict[str, np.ndarray]:
-    """Predictions of every baseline: from patches alone, and from patches with what was measured at contact.
-
-    The conditions weigh as much as the patch: both are scaled to unit mean square length before they are joined.
-
-    Args:
-        patches: (n, h, w) m, of the training touches.
-        conditions: (n, k) what was measured at contact, without NaN.
-        y: (n, 3 chips) uT, readings of the training touches.
-        groups: (n,) run or spatial block of each training touch, to choose the number of neighbours and the penalty.
-        at_patches: (m, h, w) m, of the touches to predict.
-        at_conditions: (m, k).
-
-    Returns:
-        Readings (m, 3 chips) uT by the baseline's name.
-    """
-    train, other = reduce_patches(patches, at_patches)
-    length = np.sqrt((train**2).sum(1).mean()) or 1.0  # all patches alike
-    train, other = train / length, other / length
-    measured, at_measured = _standardised(conditions, at_conditions)
-    weight = np.sqrt(max(measured.shape[1], 1))
-    joined, at_joined = np.c_[train, measured / weight], np.c_[other, at_measured / weight]
-    neighbours = (1, 2, 4, 8, 16, 32, 64)
-    penalties = tuple(10.0 ** np.arange(-6, 3))
-
-    return {
-        "mean reading": np.broadcast_to(y.mean(0), (len(at_patches), y.shape[1])),
-        "k nearest patches": tuned(nearest_neighbours, neighbours, train, y, groups, at=other),
-        "k nearest patches + measured": tuned(nearest_neighbours, neighbours, joined, y, groups, at=at_joined),
-        "ridge on PCA": tuned(ridge, penalties, train, y, groups, at=other),
-        "ridge on PCA + measured": tuned(ridge, penalties, joined, y, groups, at=at_joined),
-    }

@@ -1,11 +1,12 @@
 """A trained model in the hands of a user: a depth patch, or a mesh and a pose, becomes a reading in uT with its
 standard deviation.
 
-A predictor holds one of three models, all of which `python -m experiments.train` makes:
+A predictor holds one of four models, all of which `python -m experiments.train` makes:
 
   GPModel           the Gaussian process of `i2t.prediction.gp` on predicted contact pressure
   PressureNetwork   the network of `i2t.prediction.model` on predicted contact pressure
   PatchNetwork      the same network on the depth patch itself
+  BaselineModel     mean reading, nearest patches or ridge regression, of `i2t.prediction.baselines`
 
 Each is asked by `predict_batch`. Predictors are written by `save` and read by `load_predictor`; how a patch is turned
 into what the model sees is part of what is saved. A board has n chips and a reading 3 n values, whichever board the
@@ -30,7 +31,8 @@ from jaxtyping import Array, Float
 from orbax.checkpoint import v1 as ocp
 
 from i2t.errors import CheckpointError
-from i2t.prediction import checkpoint, gp, model
+from i2t.prediction import baselines, checkpoint, gp, model
+from i2t.prediction.baselines import Baseline, MeanReading, NearestPatches, RidgeOnPatches, TouchFeatures
 from i2t.prediction.gp import GP, ContactPressure, GPHyperparameters
 from i2t.prediction.model import ModelConfig, Normalisation, Params
 from i2t.prediction.pressure import PressureModelConfig, predict_pressure
@@ -39,8 +41,11 @@ from i2t.skin.pad import nominal_pad
 from i2t.types import PATCH_PIXELS, WIDE_PIXELS, Pad, Patch, Surface
 
 PREDICTOR_FORMAT = "i2t predictor"
-PREDICTOR_VERSION = 2
+PREDICTOR_VERSION = 3
+READABLE_VERSIONS = (1, 2, 3)  # version 2 knew no baselines, version 1 said the same in other words
+BASELINES = {kind.__name__: kind for kind in (MeanReading, NearestPatches, RidgeOnPatches)}  # by their names on disk
 BATCH = 64  # contact pressures computed at a time
+STDS_WITHIN_90 = 1.645  # standard deviations of a normal error that hold nine in ten
 
 Values: TypeAlias = int | float | Sequence[int | float] | np.ndarray | Array  # one for all touches, or one for each
 
@@ -135,7 +140,31 @@ class PatchNetwork(NamedTuple):
         return _network_readings(self.network, touches.patch, touches)
 
 
-Model: TypeAlias = GPModel | PressureNetwork | PatchNetwork
+class BaselineModel(NamedTuple):
+    """A baseline, kept where no model is better."""
+
+    baseline: Baseline
+    conditions: tuple[str, ...] = ()  # of force, nearest and depth, those that it is given
+
+    @property
+    def channels(self) -> int:
+        """Values of a reading."""
+        return self.baseline.spread.shape[-1]
+
+    def predict_batch(self, touches: TouchBatch) -> Reading:
+        """Readings of touches, as in `GPModel.predict_batch`.
+
+        Raises:
+            ValueError: Patches or conditions do not fit the baseline.
+        """
+        if not isinstance(self.baseline, MeanReading):
+            pixels = round(len(self.baseline.features.patch_mean) ** 0.5)
+            if touches.patch.shape[1] != pixels:
+                raise ValueError(f"patch has {touches.patch.shape[1]} pixels an edge; this model sees {pixels}")
+        return Reading(*baselines.predict(self.baseline, touches.patch, _conditions(self.conditions, touches)))
+
+
+Model: TypeAlias = GPModel | PressureNetwork | PatchNetwork | BaselineModel
 
 
 @dataclass(frozen=True, repr=False)
@@ -171,7 +200,7 @@ class Predictor:
     @property
     def pressure(self) -> PressureModelConfig | None:
         """How contact pressure is predicted; None for a model that sees patches themselves."""
-        return None if isinstance(self.model, PatchNetwork) else self.model.pressure
+        return None if isinstance(self.model, PatchNetwork | BaselineModel) else self.model.pressure
 
     def with_pressure(self, **changes: Any) -> "Predictor":
         """The same predictor with fields of its pressure model changed; a model on patches has none and stays.
@@ -182,7 +211,7 @@ class Predictor:
         Returns:
             The changed predictor.
         """
-        if isinstance(self.model, PatchNetwork):
+        if isinstance(self.model, PatchNetwork | BaselineModel):
             return self
         return replace(self, model=self.model._replace(pressure=replace(self.model.pressure, **changes)))
 
@@ -307,16 +336,22 @@ def save(directory: Path | str, predictor: Predictor) -> None:
         predictor: What to write.
     """
     kind = predictor.model
+    network, baseline = None, None
     if isinstance(kind, GPModel):
         arrays: dict[str, Any] = {"gp": kind.gp}
+    elif isinstance(kind, BaselineModel):
+        arrays = {"baseline": kind.baseline}
+        baseline = {"kind": type(kind.baseline).__name__, "conditions": list(kind.conditions)}
     else:
         arrays = {"params": kind.network.params, "normalisation": kind.network.normalisation}
+        network = asdict(kind.network.cfg)
     arrays = _plain(arrays)
     about = {
         "format": PREDICTOR_FORMAT,
         "version": PREDICTOR_VERSION,
         "pressure": None if predictor.pressure is None else asdict(predictor.pressure),
-        "network": None if isinstance(kind, GPModel) else asdict(kind.network.cfg),
+        "network": network,
+        "baseline": baseline,
         **{name: getattr(predictor, name) for name in _FIELDS},
         "shapes": jax.tree.map(lambda leaf: list(leaf.shape), arrays),
     }
@@ -346,16 +381,7 @@ def load_predictor(directory: Path | str) -> Predictor:
     directory = nested if nested.is_dir() else directory
     about = _description(directory)
     arrays = _load_arrays(directory, about)
-    pressure = None if about["pressure"] is None else PressureModelConfig(**about["pressure"])
-    if about["network"] is None:
-        assert pressure is not None
-        made: Model = GPModel(_as(GP, arrays["gp"], hyper=GPHyperparameters, touches=ContactPressure), pressure)
-    else:
-        cfg = checkpoint.config_from(ModelConfig, about["network"])
-        norm = _as(Normalisation, arrays["normalisation"], reading=model.Standard, conditions=model.Standard)
-        network = TrainedNetwork(arrays["params"], cfg, norm)
-        made = PatchNetwork(network) if pressure is None else PressureNetwork(network, pressure)
-    return Predictor(made, **{name: about[name] for name in _FIELDS})
+    return Predictor(_model_of(about, arrays), **{name: about[name] for name in _FIELDS})
 
 
 def std_scale(readings: Float[np.ndarray, "n c"], prediction: Reading) -> float:
@@ -369,6 +395,19 @@ def std_scale(readings: Float[np.ndarray, "n c"], prediction: Reading) -> float:
         Root mean square of the errors in predicted standard deviations.
     """
     return float(np.sqrt(np.mean(((readings - prediction.mean) / prediction.std) ** 2)))
+
+
+def coverage(readings: Float[np.ndarray, "n c"], prediction: Reading) -> float:
+    """The share of values in the predicted 90 % range.
+
+    Args:
+        readings: uT, of touches that the model was not trained on.
+        prediction: Of the same touches.
+
+    Returns:
+        Between 0 and 1.
+    """
+    return float(np.mean(np.abs(readings - prediction.mean) < STDS_WITHIN_90 * prediction.std))
 
 
 _FIELDS = ("window", "reach", "default_force", "default_depth", "std_scale", "metadata")  # numbers and text of a file
@@ -394,7 +433,7 @@ def _description(directory: Path) -> dict[str, Any]:
         ) from error
     if version == 1:
         about = {_NAMES_OF_VERSION_1.get(name, name): value for name, value in about.items()}
-    elif version != PREDICTOR_VERSION:
+    elif version not in READABLE_VERSIONS:
         raise CheckpointError(
             f"{directory} holds a predictor of version {version}, but this i2t reads versions up to "
             f"{PREDICTOR_VERSION}; use the i2t that wrote it, or train again"
@@ -420,6 +459,26 @@ def _load_arrays(directory: Path, about: dict[str, Any]) -> dict[str, Any]:
     return {_ARRAYS_OF_VERSION_1.get(name, name): value for name, value in arrays.items()}
 
 
+def _model_of(about: dict[str, Any], arrays: dict[str, Any]) -> Model:
+    """The model that a predictor's description and arrays are of."""
+    if about.get("baseline"):
+        kind = about["baseline"]["kind"]
+        if kind not in BASELINES:
+            raise CheckpointError(f"the predictor holds a baseline of unknown kind {kind!r}; train again")
+        nested = {} if kind == MeanReading.__name__ else {"features": TouchFeatures}
+        baseline = jax.tree.map(np.asarray, _as(BASELINES[kind], arrays["baseline"], **nested))
+        return BaselineModel(baseline, tuple(about["baseline"]["conditions"]))
+    pressure = None if about["pressure"] is None else PressureModelConfig(**about["pressure"])
+    if about["network"] is None:
+        if pressure is None:
+            raise CheckpointError("the predictor says of no model what it is; train again")
+        return GPModel(_as(GP, arrays["gp"], hyper=GPHyperparameters, touches=ContactPressure), pressure)
+    cfg = checkpoint.config_from(ModelConfig, about["network"])
+    norm = _as(Normalisation, arrays["normalisation"], reading=model.Standard, conditions=model.Standard)
+    network = TrainedNetwork(arrays["params"], cfg, norm)
+    return PatchNetwork(network) if pressure is None else PressureNetwork(network, pressure)
+
+
 def _pressure(cfg: PressureModelConfig, touches: TouchBatch) -> ContactPressure:
     """The contact pressures of touches, predicted where they were not before."""
     if touches.pressure is not None:
@@ -432,14 +491,18 @@ def _network_readings(trained: TrainedNetwork, images: np.ndarray, touches: Touc
     params, cfg, norm = trained
     if images.shape[1] != cfg.pixels:
         raise ValueError(f"patch has {images.shape[1]} pixels an edge; this model sees {cfg.pixels}")
-    missing = [name for name in cfg.conditions if not np.isfinite(getattr(touches, name)).all()]
-    if missing:
-        raise ValueError(f"this model needs {', '.join(missing)} of every touch; pass it to predict")
-    values = [getattr(touches, name) for name in cfg.conditions]
-    conditions = np.stack(values, -1) if values else np.zeros((len(images), 0))
-    inputs = model.Inputs(jnp.float32(images), jnp.float32(conditions))
+    inputs = model.Inputs(jnp.float32(images), jnp.float32(_conditions(cfg.conditions, touches)))
     mean, std = _network(cfg, params, norm, inputs)
     return Reading(np.asarray(mean), np.asarray(std))
+
+
+def _conditions(names: Sequence[str], touches: TouchBatch) -> np.ndarray:
+    """What was measured at contact (n, k), which must be known of every touch."""
+    missing = [name for name in names if not np.isfinite(getattr(touches, name)).all()]
+    if missing:
+        raise ValueError(f"this model needs {', '.join(missing)} of every touch; pass it to predict")
+    values = [getattr(touches, name) for name in names]
+    return np.stack(values, -1) if values else np.zeros((len(touches.patch), 0))
 
 
 @partial(jax.jit, static_argnums=0)

@@ -7,7 +7,9 @@ two tilts, because one degree over 20 mm is as large as a press is deep and a si
 the wrong edge. The result, a pressure map and its load, says where and how hard the skin is met; which reading that
 gives is a property of one pad's magnetisation and is learned from its touches (`i2t.prediction.gp`).
 
-Wide views are used where there are any; of a cropped one the outermost pixels are continued.
+Wide views are used where there are any; of a cropped one the outermost pixels are continued. A recording's own
+conventions, a pressing force that it counts negative and a height that its depths count from, are part of the
+configuration, so that a predictor takes the numbers that its recording has.
 """
 
 from dataclasses import dataclass
@@ -44,6 +46,8 @@ class PressureModelConfig:
     cell: float = 0.5e-3  # m, edge of a cell of the contact grid; divides 1 mm
     iterations: int = 25  # of the contact solver: a per mille of the force is far below the uncertainty of the view
     floor: float = 0.02  # N, least load, where a noisy wrench sensor says less
+    force_sign: float = 1.0  # -1 where the recording counts a pressing force negative
+    depth_offset: float = 0.0  # m, added to depths that count from a height above or below first contact
 
     def __post_init__(self) -> None:
         """Refuse cells that do not tile the skin (ValueError)."""
@@ -107,11 +111,16 @@ def predict_pressure(
         tilted = height + cfg.tilt * (tilt[0] * x + tilt[1] * y)
         tilted = tilted - jnp.min(tilted)
         if cfg.control == "force":
-            load = jnp.maximum(force, cfg.floor)
+            load = jnp.maximum(cfg.force_sign * force, cfg.floor)
             contact = solve_force(pad, tilted, load, grid, tolerance=SOLVER_TOLERANCE, max_steps=cfg.iterations)
             return contact.pressure * load / jnp.maximum(contact.force, 1e-6)
         return solve(
-            pad, tilted, jnp.maximum(depth, 0.0), grid, tolerance=SOLVER_TOLERANCE, max_steps=cfg.iterations
+            pad,
+            tilted,
+            jnp.maximum(depth + cfg.depth_offset, 0.0),
+            grid,
+            tolerance=SOLVER_TOLERANCE,
+            max_steps=cfg.iterations,
         ).pressure
 
     nodes, weights = (_NODES, _WEIGHTS) if cfg.tilt > 0 else (np.zeros((1, 2)), np.ones(1))

@@ -22,13 +22,17 @@ from experiments.train.reports import print_table, summarise
 from experiments.train.splitting import Split
 from i2t import dataset
 from i2t.errors import CheckpointError
+from i2t.prediction.baselines import MEAN, NEAREST, RIDGE, WITH_MEASURED
 from i2t.prediction.gp import ContactPressure
 from i2t.prediction.metrics import Score, score
-from i2t.prediction.predictor import Predictor, PressureNetwork, Reading, TouchBatch
+from i2t.prediction.predictor import BaselineModel, Predictor, PressureNetwork, Reading, TouchBatch
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.skin.boards import grid_board
 from i2t.skin.files import save_pad
 from i2t.skin.pad import nominal_pad, sample_pad
+from i2t.types import ReturnCode, Touches
+
+BASELINES = (MEAN, NEAREST, NEAREST + WITH_MEASURED, RIDGE, RIDGE + WITH_MEASURED)
 
 
 @pytest.fixture(scope="module")
@@ -66,13 +70,26 @@ def test_readings_explained_without_errors_are_better_explained(finished):
     assert methods[train.CEILING]["r2"] > methods[train.GP_METHOD]["r2"]
 
 
+def test_the_kept_predictor_is_the_best_of_all_on_validation_touches(finished):
+    metrics = json.loads((finished / "metrics.json").read_text())
+    r2 = metrics["validation_r2"]
+    assert set(r2) == set(metrics["methods"]) - {train.CEILING}
+    assert r2[metrics["best"]] == max(r2.values())
+    assert i2t.load_predictor(finished).metadata["method"] == metrics["best"]
+    on_pressure = i2t.load_predictor(finished / "checkpoint" / train.ON_PRESSURE)
+    assert on_pressure.metadata["method"] == metrics["choice"]["best_on_pressure"] == train.GP_METHOD
+    # The range of every method was scaled on the validation touches, and what it holds of them is stated.
+    assert all(0.5 < metrics["methods"][name]["validation_coverage_90"] <= 1 for name in r2)
+
+
 def test_reported_scores_are_the_predictors_own(finished):
     """What a user gets from load_predictor on the test touches is what the table says."""
     metrics = json.loads((finished / "metrics.json").read_text())
     touches = dataset.load_dataset(finished / "data.h5")
     rows = np.isin([touches.objects[i] for i in touches.touches.object], ["star", "hammer"])
     chosen = touches.touches
-    seen = i2t.load_predictor(finished).predict(chosen.patch[rows], force=chosen.force[rows], wide=chosen.wide[rows])
+    given = {name: getattr(chosen, name)[rows] for name in ("force", "nearest", "depth", "wide")}
+    seen = i2t.load_predictor(finished).predict(chosen.patch[rows], **given)
     truth = chosen.reading[rows]
     kept = metrics["methods"][metrics["best"]]
     sessions = chosen.session[rows]
@@ -146,13 +163,24 @@ class Foretold(PressureNetwork):
         return self.network
 
 
-def foretold(mean: np.ndarray) -> Predictor:
-    std = np.ones_like(mean)
-    return Predictor(Foretold(Reading(mean, std), PressureModelConfig(pitch=1e-3)), 17e-3, 4e-3, 1.0, 3e-4)
+class ForetoldBaseline(BaselineModel):
+    """The same of a baseline."""
+
+    def predict_batch(self, touches: TouchBatch) -> Reading:
+        return self.baseline
 
 
-def test_the_predictor_is_chosen_on_validation_touches_and_scaled_on_them():
-    """Of two, one is right about the validation touches (rows 4 to 7) and the other about the test touches."""
+def foretold(mean: np.ndarray, baseline: bool = False) -> Predictor:
+    told = Reading(mean, np.ones_like(mean))
+    model = ForetoldBaseline(told) if baseline else Foretold(told, PressureModelConfig(pitch=1e-3))
+    return Predictor(model, 17e-3, 4e-3, 1.0, 3e-4)
+
+
+@pytest.mark.parametrize("validated_is_baseline", [True, False])
+def test_the_predictor_is_chosen_on_validation_touches_and_scaled_on_them(validated_is_baseline):
+    """Of two, one is right about the validation touches (rows 4 to 7) and the other about the test touches; which of
+    them is a baseline does not matter.
+    """
     rng = np.random.default_rng(0)
     readings = rng.normal(size=(12, 6))
     blank, nothing = np.zeros((12, 4, 4)), np.zeros(12)
@@ -163,18 +191,25 @@ def test_the_predictor_is_chosen_on_validation_touches_and_scaled_on_them():
     split = Split(part == 0, part == 1, part == 2, part, "object")
     pressure = ContactPressure(blank, nothing)
     prepared = train.PreparedData(
-        SimpleNamespace(touches=touches, window=17e-3), split, (), None, PressureModelConfig(pitch=1e-3), pressure
-    )
+        SimpleNamespace(touches=touches, window=17e-3), split, (), None, PressureModelConfig(pitch=1e-3),
+        pressure=pressure,
+    )  # fmt: skip
     held_out, error = readings[4:], rng.normal(size=(4, 6))
     validated, tested = held_out.copy(), held_out.copy()
     validated[:4] += 0.1 * error
     validated[4:] += 3 * error
     tested[:4] += 3 * error
     tested[4:] += 0.1 * error
-    fitted = train.FittedMethods({}, {"validated": foretold(validated), "tested": foretold(tested)}, {})
-    evaluation = train.evaluate(prepared, fitted)
+    both = {
+        "tested": foretold(tested, baseline=not validated_is_baseline),
+        "validated": foretold(validated, baseline=validated_is_baseline),
+    }
+    evaluation = train.evaluate(prepared, train.FittedMethods(both, {}))
     assert evaluation.best == "validated"
-    assert evaluation.validation_r2["validated"] == pytest.approx(score(readings[4:8], validated[:4]).r2)
+    assert evaluation.choice.r2["validated"] == pytest.approx(score(readings[4:8], validated[:4]).r2)
+    assert evaluation.choice.pressure_loses == validated_is_baseline
+    inside = np.mean(np.abs(error) < 1.645 * np.sqrt(np.mean(error**2)))
+    assert evaluation.coverage["validated"] == pytest.approx(inside)
     np.testing.assert_array_equal(evaluation.predicted["validated"], validated[4:])
     scale = np.sqrt(np.mean((0.1 * error) ** 2))
     assert evaluation.predictors["validated"].std_scale == pytest.approx(scale)
@@ -226,6 +261,71 @@ def test_a_pad_on_disk_takes_the_place_of_a_random_one(tmp_path, capsys, monkeyp
     assert "none.npz" in capsys.readouterr().err
     assert train.main([*arguments, str(tmp_path / "pad.npz"), "--dataset", str(tmp_path), "--overwrite"]) == 2
     assert "--pad is for simulated touches" in capsys.readouterr().err
+
+
+def small_recording(**columns) -> dataset.Dataset:
+    """240 presses of a round tip on a skin, by place, in four places' worth of sessions."""
+    rng = np.random.default_rng(0)
+    n, board = 240, grid_board(2, 2)
+    place, depth = rng.uniform(-6e-3, 6e-3, (n, 2)), rng.uniform(0.3e-3, 2e-3, n)
+    at = ((np.arange(48) + 0.5) / 48 - 0.5) * 17e-3
+    r2 = (at[None, :, None] - place[:, 1, None, None]) ** 2 + (at[None, None, :] - place[:, 0, None, None]) ** 2
+    near = np.exp(-((place[:, None] - board.chips[:, :2]) ** 2).sum(-1) / 2 / 5e-3**2)
+    T_w_o = np.tile(np.eye(4), (n, 1, 1))
+    T_w_o[:, :2, 3] = place
+    made = Touches(
+        patch=np.minimum(r2 / 8e-3, 4e-3), wide=dataset.missing_context(n), nearest=-depth,
+        reading=4e4 * depth[:, None] * np.repeat(near, 3, axis=1) + rng.normal(size=(n, 12)),
+        force=np.full(n, np.nan), depth=depth, T_w_t=np.tile(np.eye(4), (n, 1, 1)), T_w_o=T_w_o,
+        object=np.zeros(n), pad=np.zeros(n), session=np.zeros(n), code=np.full(n, ReturnCode.UNDEFINED),
+    )  # fmt: skip
+    made = made._replace(**columns)
+    return dataset.Dataset(made, ("tip",), ("skin",), ("run",), board, "real")
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ({"depth": np.full(240, np.nan), "nearest": np.full(240, np.nan)}, "methods on predicted contact pressure are"),
+        ({"depth": np.zeros(240), "nearest": np.zeros(240)}, "100 % of the depths are nil"),
+        ({"force": np.linspace(-3, -6, 240)}, "negative at 100 %"),
+        ({"force": np.zeros(240), "depth": np.full(240, np.nan)}, "100 % of the forces do not push"),
+    ],
+    ids=["no force and no depth", "one height", "forces that pull", "forces that are nil"],
+)
+def test_whatever_is_wrong_with_a_load_the_run_ends_with_a_predictor_and_says_so(columns, said, tmp_path, capsys):
+    """And what it keeps is no worse than a baseline on test touches, within its interval over groups."""
+    dataset.save_dataset(tmp_path / "set.h5", small_recording(**columns))
+    arguments = ["--preset", "debug", "--dataset", str(tmp_path / "set.h5"), "--split", "block"]
+    assert train.main([*arguments, "--out", str(tmp_path / "run")]) == 0
+    assert said in capsys.readouterr().out
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert any(said in note for note in metrics["notes"])
+    methods, kept = metrics["methods"], metrics["methods"][metrics["best"]]
+    best = max((name for name in methods if name in BASELINES), key=lambda name: methods[name]["r2"])
+    assert kept["r2"] >= methods[best]["r2"] - np.ptp(methods[best]["r2_interval"])
+    reading = i2t.load_predictor(tmp_path / "run").predict(np.zeros((48, 48)), nearest=0.0)
+    assert np.isfinite(reading.mean).all()
+    assert (reading.std > 0).all()
+
+
+def test_a_table_is_printed_where_a_score_is_missing(capsys):
+    """What is not finite is null in metrics.json, and no number in the table."""
+    one = dict.fromkeys(Score._fields) | {"r2_axis": [None] * 3, "r2_interval": [None, None]}
+    lead = {"r2": 0.0, "low": None, "high": None}
+    print_table(
+        {
+            "source": "real", "groups": 3, "best": "mean reading", "seconds": 1.0, "notes": ["depths are nil"],
+            "methods": {"mean reading": one | {"r2": 0.0, "validation_coverage_90": 0.91}, "GP": one},
+            "validation_r2": {"mean reading": 0.0, "GP": None}, "by_object": {},
+            "choice": {"best_baseline": "mean reading", "over_best_baseline": lead},
+        }
+    )  # fmt: skip
+    said = capsys.readouterr().out
+    assert "kept: mean reading" in said
+    assert "0.91 of validation values" in said
+    assert "note: depths are nil" in said
 
 
 def test_several_pads_are_summed_up_over_pads(tmp_path, capsys):

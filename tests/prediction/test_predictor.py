@@ -15,8 +15,9 @@ from orbax.checkpoint import v1 as ocp
 from i2t import geometry
 from i2t.errors import CheckpointError
 from i2t.objects import catalogue
-from i2t.prediction import gp, model, predictor
+from i2t.prediction import baselines, gp, model, predictor
 from i2t.prediction.predictor import (
+    BaselineModel,
     GPModel,
     PatchNetwork,
     Predictor,
@@ -122,6 +123,50 @@ def test_a_network_without_conditions_is_saved_too(network, patches, tmp_path):
     made = replace(network, model=PatchNetwork(trained(15)))
     predictor.save(tmp_path / "alone", made)
     assert_same_predictions(predictor.load_predictor(tmp_path / "alone"), made, patches)
+
+
+@pytest.fixture(scope="module")
+def baseline_predictors():
+    """Every baseline, fitted to small patches with a force and a nearest point."""
+    rng = np.random.default_rng(3)
+    patches, measured = rng.uniform(0, REACH, (30, 8, 8)), rng.uniform(0.5, 1.5, (30, 2))
+    fitted = baselines.fit_baselines(patches, measured, rng.normal(size=(30, 6)), np.arange(30) // 3)
+    return {
+        name: Predictor(
+            BaselineModel(one, ("force", "nearest") if baselines.measured_count(one) else ()), PATCH_WINDOW, REACH,
+            1.1, 0.3e-3, std_scale=1.4, metadata={"method": name},
+        )
+        for name, one in fitted.items()
+    }  # fmt: skip
+
+
+def test_baselines_are_predictors_like_the_others(baseline_predictors, tmp_path):
+    """Saved and loaded, one touch or many, with what was not measured taken as in training."""
+    assert len(baseline_predictors) == 5
+    patches = np.random.default_rng(4).uniform(0, REACH, (7, 8, 8))
+    for i, (name, made) in enumerate(baseline_predictors.items()):
+        predictor.save(tmp_path / str(i), made)
+        loaded = predictor.load_predictor(tmp_path / str(i))
+        assert type(loaded.model.baseline) is type(made.model.baseline)
+        assert (loaded.std_scale, loaded.metadata) == (1.4, {"method": name})
+        assert loaded.pressure is None
+        assert loaded.with_pressure(smooth=True) is loaded
+        assert "2 chips" in repr(loaded)
+        assert_same_predictions(loaded, made, patches, force=0.9, nearest=1.2)
+        many = loaded.predict(patches, nearest=1.2)
+        np.testing.assert_array_equal(many.mean, loaded.predict(patches, force=1.1, nearest=1.2).mean)
+        one = loaded.predict(patches[2], nearest=1.2)
+        assert one.mean.shape == one.std.shape == (6,)
+        np.testing.assert_allclose(one.mean, many.mean[2], rtol=1e-5, atol=1e-5)
+        assert (many.std > 0).all()
+
+
+def test_a_baseline_says_what_it_lacks(baseline_predictors):
+    with_measured = baseline_predictors["ridge on PCA + measured"]
+    with pytest.raises(ValueError, match="needs nearest"):
+        with_measured.predict(np.zeros((8, 8)))
+    with pytest.raises(ValueError, match="sees 8"):
+        with_measured.predict(np.zeros((9, 9)), nearest=0.0)
 
 
 def save_as_version_1(folder: Path, made: Predictor) -> None:

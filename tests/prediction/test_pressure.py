@@ -128,3 +128,14 @@ def test_a_batch_is_its_examples():
 def test_cells_that_do_not_tile_the_skin_are_refused(cell, window):
     with pytest.raises(ValueError, match="does not divide"):
         PressureModelConfig(pitch=PITCH, cell=cell, window=window)
+
+
+def test_a_recordings_own_signs_and_heights_are_undone():
+    """A force that it counts negative, and depths from 0.3 mm too low, give the pressure of the press that it was."""
+    bowl = (X**2 + Y**2) / 40e-3
+    close(press(replace(CFG, force_sign=-1.0), bowl, force=-1.5), press(CFG, bowl, force=1.5), 1e-6)
+    by_depth = replace(CFG, control="depth")
+    moved = press(replace(by_depth, depth_offset=0.3e-3), bowl, depth=0.0)
+    assert moved.max() > 0
+    close(moved, press(by_depth, bowl, depth=0.3e-3), 1e-6)
+    assert press(by_depth, bowl, depth=0.0).max() == 0

@@ -1,0 +1,105 @@
+"""Baselines that are predictors: closed forms, what they are able to find, and ranges that hold what they say."""
+
+import numpy as np
+import pytest
+
+from i2t.prediction import baselines
+from i2t.prediction.baselines import MEAN, NEAREST, RIDGE, WITH_MEASURED, features_of, fit_baselines, predict, ridge
+from i2t.prediction.metrics import score
+from i2t.prediction.predictor import STDS_WITHIN_90
+
+
+def test_ridge_minimises_its_loss():
+    rng = np.random.default_rng(3)
+    x, y, penalty = rng.normal(size=(40, 6)) + 3, rng.normal(size=(40, 15)), 0.3
+    # The same problem as plain least squares: an unpenalised column of ones, and rows that ask for small weights.
+    tall = np.r_[np.c_[x, np.ones(40)], np.c_[np.sqrt(penalty * 40) * np.eye(6), np.zeros(6)]]
+    weights = np.linalg.lstsq(tall, np.r_[y, np.zeros((6, 15))])[0]
+    at = rng.normal(size=(5, 6))
+    np.testing.assert_allclose(ridge(x, y, at, penalty), np.c_[at, np.ones(5)] @ weights, atol=1e-10)
+    line = x @ rng.normal(size=(6, 15)) + 2
+    np.testing.assert_allclose(ridge(x, line, x, 1e-12), line, atol=1e-8)
+
+
+def test_components_keep_the_distances_of_what_they_span():
+    rng = np.random.default_rng(4)
+    basis = rng.normal(size=(3, 64))
+    train, other = (rng.normal(size=(n, 3)) @ basis + 5 for n in (20, 7))
+    none = np.zeros((20, 0))
+    features = baselines.touch_features(train.reshape(-1, 8, 8), none)
+    a, b = (features_of(features, part.reshape(-1, 8, 8), none[: len(part)]) for part in (train, other))
+    distances = np.linalg.norm(train[:, None] - other[None], axis=-1) / features.length
+    np.testing.assert_allclose(np.linalg.norm(a[:, None] - b[None], axis=-1), distances, rtol=1e-5)
+    assert (a**2).sum(1).mean() == pytest.approx(1, rel=1e-5)
+
+
+def touches(n=240, seed=6):
+    """Patches, two measured values, and readings that both make, the measured ones two thirds of them."""
+    rng = np.random.default_rng(seed)
+    patches = rng.normal(size=(n, 6, 6))
+    measured = rng.normal(size=(n, 2)) * (1, 1e-3)
+    true = np.random.default_rng(0)
+    from_patch, from_measured = true.normal(size=(36, 15)), true.normal(size=(2, 15)) * [[1], [1e3]]
+    y = patches.reshape(n, -1) @ from_patch + 6 * measured @ from_measured
+    return patches, measured, y + rng.normal(size=y.shape)
+
+
+def test_baselines_find_what_they_are_able_to():
+    patches, measured, y = touches()
+    train, test = slice(0, 200), slice(200, 240)
+    fitted = fit_baselines(patches[train], measured[train], y[train], np.arange(200) // 9)
+    assert list(fitted) == [MEAN, NEAREST, NEAREST + WITH_MEASURED, RIDGE, RIDGE + WITH_MEASURED]
+    given = {name: measured[test] if name.endswith(WITH_MEASURED) else measured[test, :0] for name in fitted}
+    r2 = {name: score(y[test], predict(one, patches[test], given[name])[0]).r2 for name, one in fitted.items()}
+    np.testing.assert_allclose(
+        predict(fitted[MEAN], patches[test], given[MEAN])[0], np.tile(y[train].mean(0), (40, 1)), rtol=1e-5
+    )
+    # The measured values carry two thirds of the variance: only a method that is given them can explain that much.
+    assert r2[MEAN] <= 0
+    assert r2[RIDGE] < 1 / 3 + 0.15
+    assert r2[RIDGE + WITH_MEASURED] > 0.8
+    assert r2[NEAREST + WITH_MEASURED] > r2[NEAREST]
+
+
+@pytest.mark.parametrize("name", [MEAN, NEAREST, NEAREST + WITH_MEASURED, RIDGE, RIDGE + WITH_MEASURED])
+def test_ranges_of_baselines_hold_what_they_say(name):
+    """Before any scaling on validation touches: 90 % of new values, or a little less, because components are of all
+    training patches, also of those that are held out.
+    """
+    patches, measured, y = touches()
+    one = fit_baselines(patches, measured, y, np.arange(240) // 4)[name]
+    new_patches, new_measured, new = touches(400, seed=7)
+    columns = new_measured if baselines.measured_count(one) else new_measured[:, :0]
+    mean, std = predict(one, new_patches, columns)
+    assert 0.82 < np.mean(np.abs(new - mean) < STDS_WITHIN_90 * std) < 0.95
+
+
+def test_the_range_grows_away_from_what_was_touched():
+    rng = np.random.default_rng(2)
+    place = rng.uniform(-1, 1, (150, 2))
+    patches = np.zeros((150, 4, 4))
+    patches[:, 0, :2] = place
+    y = np.sin(3 * place) @ rng.normal(size=(2, 6))
+    fitted = fit_baselines(patches, np.zeros((150, 0)), y, np.arange(150))
+    away = patches[:2].copy()
+    away[1, 0, :2] = 3.0
+    for name in (NEAREST, RIDGE):
+        std = predict(fitted[name], away, np.zeros((2, 0)))[1]
+        assert (std[1] > std[0]).all()
+
+
+@pytest.mark.parametrize("groups", [np.zeros(30, int), np.arange(30) // 9])
+def test_touches_that_are_all_alike_are_predicted_as_well(groups):
+    """Patches of one place, a value that never changes, a dead channel: finite readings and ranges above zero."""
+    rng = np.random.default_rng(5)
+    y = rng.normal(size=(30, 6))
+    y[:, 2] = 0
+    for one in fit_baselines(np.zeros((30, 5, 5)), np.full((30, 1), 2.0), y, groups).values():
+        mean, std = predict(one, np.zeros((3, 5, 5)), np.full((3, baselines.measured_count(one)), 2.0))
+        assert np.isfinite(mean).all()
+        assert (std > 0).all()
+
+
+def test_nothing_measured_leaves_the_baselines_of_patches():
+    patches, _, y = touches(40)
+    assert list(fit_baselines(patches, np.zeros((40, 0)), y, np.arange(40) // 5)) == [MEAN, NEAREST, RIDGE]
