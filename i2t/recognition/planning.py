@@ -1,7 +1,9 @@
 """The next touch of many episodes at once: by what it is expected to tell, or by the paper's heuristic.
 
-A site is chosen only among those that are safe on what may be there and that were not touched yet; an episode for which
-there is none gets `i2t.recognition.policy.NO_SITE` (-1), and whoever asked draws other candidates or stops.
+A site is chosen only among those that are safe and were not touched yet. `choose_informative_sites` asks that a site be
+safe on what may be there, all objects weighed by their probability; `choose_heuristic_sites`, which is for simulated
+comparisons, asks that it be safe on the one object that it takes as the hypothesis. An episode for which there is none
+gets `i2t.recognition.policy.NO_SITE` (-1), and whoever asked draws other candidates or stops.
 """
 
 import jax
@@ -114,8 +116,8 @@ def choose_heuristic_sites(
     safe: Bool[Array, "sites objects"],
     step: int | Int[Array, ""],
 ) -> Int[Array, " e"]:
-    """The paper's choice for each episode: an informative site of the object believed in, or else any site that is safe
-    on that object.
+    """The paper's choice for each episode: an informative site of the hypothesis, an object drawn by its probability,
+    or, where none is left, any other site. Either is safe on that object; whether it is on others is not asked.
 
     Args:
         keys: Of the draws.
@@ -132,9 +134,9 @@ def choose_heuristic_sites(
     def one(key: Array, state: Belief, done: Array) -> Array:
         key_object, key_site = jax.random.split(key)
         which = ensemble.choose_hypothesis(key_object, belief.posterior(state), step)
-        weight = jnp.where(done, 0.0, weights[which])
-        other = jnp.where(done | ~safe[:, which], 0.0, 1.0)
-        weight = jnp.where(jnp.sum(weight) > 0, weight, other)
+        allowed = safe[:, which] & ~done
+        weight = jnp.where(allowed, weights[which], 0.0)
+        weight = jnp.where(jnp.sum(weight) > 0, weight, allowed.astype(weight.dtype))
         drawn = jax.random.categorical(key_site, jnp.log(weight))
         return jnp.where(jnp.any(weight > 0), drawn, NO_SITE)
 

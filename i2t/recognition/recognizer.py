@@ -30,7 +30,14 @@ from i2t.recognition import belief, calibrated, open_set, outcomes, policy
 from i2t.recognition.belief import Belief, TouchObservation
 from i2t.recognition.pad_model import PadModel
 from i2t.recognition.planning import choose_informative_sites, update_beliefs
-from i2t.recognition.site_pool import SitePool, precompute_outcomes, prepare_surfaces, safe_sites, sample_sites
+from i2t.recognition.site_pool import (
+    SitePool,
+    place_surfaces,
+    precompute_outcomes,
+    prepare_surfaces,
+    safe_sites,
+    sample_sites,
+)
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.press import PressLimits
 
@@ -93,7 +100,7 @@ class RecognitionInfo(NamedTuple):
     unknown: float  # probability that it is none of them
     name: str | None  # the most probable object; None for an unknown one
     confidence: float  # probability of that
-    placement_scale: float  # the object's pose is so many times as far off as was told (geometric mean)
+    placement_scale: float  # the object's pose is so many times as far off as was assumed (geometric mean)
 
 
 class ObjectRecognizer:
@@ -116,10 +123,12 @@ class ObjectRecognizer:
             key: Of the sites.
             pad_model: Fitted to touches of the skin that will touch (`i2t.recognition.pad_model.fit_pad_model`).
             meshes: Of the known objects, by name.
-            T_w_o: Where the object is believed to stand; the world's origin by default.
+            T_w_o: Where the object is believed to stand; the world's origin by default. Sites are drawn and checked on
+                the objects there, over the table of `config.site_limits`.
             pose_prior: Covariance (m^2), or standard deviations (m), of its twist from there; 1 mm and 1 degree about
                 each axis by default. It is taken as right up to a factor, which the touches tell (`placement_scale`).
-            sites: Candidates, T_o_site; safe random sites of every object by default.
+            sites: Candidates, with poses in the object's frame; safe random sites of every object by default. One that
+                is not safe where the object is believed to stand is never chosen.
             config: How it chooses and when it stops.
 
         Raises:
@@ -133,9 +142,11 @@ class ObjectRecognizer:
         surrogates = range(config.num_surrogates if config.prior_unknown > 0 else 0)
         unknown = [catalogue.surrogate_unknown(known, i).mesh for i in surrogates]
         surfaces = prepare_surfaces(known + unknown)
+        placed = place_surfaces(surfaces, self.T_w_o)
         if sites is None:
-            sites = sample_sites(key, surfaces[: len(known)], self.names, config.num_sites, config.site_limits)
-        self.sites = sites
+            drawn = sample_sites(key, placed[: len(known)], self.names, config.num_sites, config.site_limits)
+            sites = drawn.moved(np.linalg.inv(self.T_w_o))
+        self.sites = sites  # in the object's frame, as the predicted touches are
         pose_prior = outcomes.placement_std(POSE_STD_M, POSE_STD_RAD) if pose_prior is None else pose_prior
         self.particles = belief.sample_particles(pose_prior, config.num_particles, config.seed)
         (table,) = precompute_outcomes(
@@ -143,7 +154,7 @@ class ObjectRecognizer:
             overtravel=config.overtravel, label="candidates",
         )  # fmt: skip
         self.table = jax.device_put(table)
-        self.safe = jnp.asarray(safe_sites(surfaces, sites, config.site_limits))
+        self.safe = jnp.asarray(safe_sites(placed, sites.moved(self.T_w_o), config.site_limits))
         self._objects = len(surfaces)
 
     @property

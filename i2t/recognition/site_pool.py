@@ -3,8 +3,9 @@
 A pool of sites serves a recogniser that chooses among them, so that touches are predicted once for every object in each
 of its possible poses (`precompute_outcomes`). Episodes that are to be judged need sites of their own, because those
 that share sites are alike: `plan_random_touches` draws every touch's site anew; where sites are chosen, `sample_pools`
-draws a pool for every few episodes. Objects stand at the world's origin; where a pool is used on a real object, its
-poses are T_o_site.
+draws a pool for every few episodes. Simulated objects stand at the world's origin. Where an object stands elsewhere,
+its surface is placed there (`place_surfaces`) before sites are drawn and checked, because what is safe depends on how
+it stands: on what is up, and on where the table is.
 """
 
 from collections.abc import Sequence
@@ -37,6 +38,18 @@ class SitePool(NamedTuple):
 
     T_w_t: Float[Array, "sites 4 4"]  # tool poses where the skin would just lie on the surface
     owner: Int[np.ndarray, " sites"]  # index of the object on which the site was drawn
+
+    def moved(self, T_a_w: Float[Array | np.ndarray, "4 4"]) -> "SitePool":
+        """The same sites in another frame.
+
+        Args:
+            T_a_w: The motion from the sites' frame to the other.
+
+        Returns:
+            The sites, with poses T_a_t.
+        """
+        poses = np.asarray(T_a_w, float) @ np.asarray(self.T_w_t, float)
+        return SitePool(jnp.asarray(poses, jnp.float32), self.owner)
 
 
 class SitePools(NamedTuple):
@@ -75,6 +88,27 @@ def prepare_surfaces(meshes: Sequence[Any]) -> list[Surface]:
     return [element(stacked, i) for i in range(len(meshes))]
 
 
+def place_surfaces(surfaces: Sequence[Surface], T_w_o: Float[Array | np.ndarray, "4 4"]) -> list[Surface]:
+    """The surfaces of objects where they stand, for drawing and checking sites.
+
+    Args:
+        surfaces: Each in its object's frame.
+        T_w_o: Where all of them stand.
+
+    Returns:
+        Surfaces in W, triangles alone: they are not for rendering.
+    """
+    rows = np.asarray(T_w_o, float)[:3]
+
+    def place(surface: Surface) -> Surface:
+        x, y, z = np.moveaxis(np.asarray(surface.triangles, float), -1, 0)
+        # Written out, so that the corners of a face that shrinks to a point stay equal to the last digit.
+        moved = np.stack([row[0] * x + row[1] * y + row[2] * z + row[3] for row in rows], axis=-1)
+        return Surface(jnp.asarray(moved, jnp.float32))
+
+    return [place(surface) for surface in surfaces]
+
+
 def pose_particles(errors: SimulationErrors, count: int, seed: int) -> Particles:
     """Poses in which an object may stand.
 
@@ -92,11 +126,11 @@ def pose_particles(errors: SimulationErrors, count: int, seed: int) -> Particles
 def sample_sites(
     key: Key[Array, ""], surfaces: Sequence[Surface], names: Sequence[str], each: int, limits: touch_sites.SiteLimits
 ) -> SitePool:
-    """Draw random safe sites of every object, all objects standing at the world's origin.
+    """Draw random safe sites of every object.
 
     Args:
         key: Of the sites.
-        surfaces: Of the objects.
+        surfaces: Of the objects, in the world: at its origin, or placed by `place_surfaces`.
         names: Of the objects, for messages.
         each: How many sites of each object.
         limits: What makes a site safe.
@@ -117,11 +151,11 @@ def sample_sites(
 def safe_sites(
     surfaces: Sequence[Surface], sites: SitePool, limits: touch_sites.SiteLimits
 ) -> Bool[np.ndarray, "sites objects"]:
-    """Whether each site of a pool would be safe on each object; on its own object each is.
+    """Whether each site of a pool would be safe on each object; on its own object each is that was drawn there.
 
     Args:
-        surfaces: Of the objects.
-        sites: The pool.
+        surfaces: Of the objects, in the world: at its origin, or placed by `place_surfaces`.
+        sites: The pool, in the world.
         limits: What makes a site safe.
 
     Returns:

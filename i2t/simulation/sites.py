@@ -60,10 +60,10 @@ def sample_points(
         key: Random key.
         surface: To draw from.
         n: Number of points.
-        wanted: Faces to draw from; by default all. Where it leaves none, points of an arbitrary face come back.
+        wanted: Faces to draw from; by default all.
 
     Returns:
-        Points (m) and their outward unit normals.
+        Points (m) and their outward unit normals; NaN where no face is wanted.
     """
     key_face, key_place = jax.random.split(key)
     triangles = jnp.asarray(surface.triangles)
@@ -75,10 +75,12 @@ def sample_points(
     full = jax.lax.cummax(jnp.where(weight > 0, jnp.arange(len(weight)), -1))
     face = full[jnp.minimum(drawn, len(weight) - 1)]
     face = jnp.where(face < 0, jnp.argmax(weight > 0), face)
+    nothing = jnp.where(total[-1] > 0, 0.0, jnp.nan)
     u, v = jax.random.uniform(key_place, (2, n, 1))
     root = jnp.sqrt(u)  # uniform in a triangle: Osada et al., "Shape distributions", 2002
     a, b, c = jnp.moveaxis(triangles[face], 1, 0)
-    return (1 - root) * a + root * (1 - v) * b + root * v * c, face_normals(surface)[face]
+    points = (1 - root) * a + root * (1 - v) * b + root * v * c
+    return points + nothing, face_normals(surface)[face] + nothing
 
 
 def face_normals(surface: Surface) -> Float[Array, "faces 3"]:
@@ -245,7 +247,8 @@ def sample_sites(
 ) -> Sites:
     """Draw sites uniformly over the safe part of a surface, each turned about its normal by a uniformly random angle.
 
-    The first n safe ones of `oversample` n candidates are returned; where there are fewer, unsafe ones fill up.
+    The first n safe ones of `oversample` n candidates are returned; where there are fewer, poses of NaN fill up, to
+    which no arm goes.
 
     Args:
         key: Random key.
@@ -255,7 +258,7 @@ def sample_sites(
         oversample: Candidates for each site; static.
 
     Returns:
-        The sites, with a mask of the safe ones.
+        The sites, with a mask of the safe ones, which come first.
     """
     key_points, key_spin = jax.random.split(key)
     # Faces that look away fail the first check, so leaving them out changes nothing but the yield.
@@ -266,7 +269,7 @@ def sample_sites(
     batch = math.gcd(len(frames), 64)  # bounds memory, and leaves no rest to compile apart
     safe = jax.lax.map(lambda T_w_t: is_safe(surface, T_w_t, limits), frames, batch_size=batch)
     first = jnp.argsort(~safe, stable=True)[:n]
-    return Sites(frames[first], safe[first])
+    return Sites(jnp.where(safe[first][:, None, None], frames[first], jnp.nan), safe[first])
 
 
 def collect_sites(

@@ -1,5 +1,5 @@
 """A recogniser without devices: touches are those that its own pad model predicts of one object in one pose, with
-errors.
+errors. In the fast tier they are given (`helpers.predicted_touches`), so that nothing is imagined.
 """
 
 from copy import copy
@@ -9,18 +9,30 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import predicted_touches as given
+from scipy.spatial.transform import Rotation
 
+from i2t.geometry import contact_frame
 from i2t.objects import catalogue
+from i2t.objects.solids import transform_mesh
 from i2t.recognition import belief, policy
+from i2t.recognition import recognizer as recognizer_module
 from i2t.recognition.outcomes import LOADS_N, PRESSURE_GRID, LinearReadingModel
 from i2t.recognition.pad_model import PadModel
-from i2t.recognition.recognizer import ChosenSite, ObjectRecognizer, RecognizerConfig
+from i2t.recognition.recognizer import ChosenSite, ObjectRecognizer, RecognizerConfig, SiteObservation
+from i2t.recognition.site_pool import SitePool
+from i2t.rendering.render import prepare_surface
+from i2t.simulation import sites as touch_sites
 
 CHANNELS = 12  # of a 4-chip board
 POSITION_STD_M = 1e-4
 NAMES = ("square", "cylinder", "hexagon")
 POSE = 2  # the particle that is true
 CONFIG = RecognizerConfig(num_sites=3, num_particles=4, max_touches=6, prior_unknown=0.1, num_surrogates=1)
+TILTED = np.eye(4)  # an object that leans by 30 degrees, 20 mm above the table
+TILTED[:3, :3], TILTED[:3, 3] = Rotation.from_euler("x", 30, degrees=True).as_matrix(), (0.3, 0.1, 0.02)
+# Sites on a half ball of 30 mm: how far they lean from the object's own z, and which are safe once it leans too.
+LEANING_DEG, SAFE_WHEN_TILTED = (-60, -30, 0, 40, 55), (True, True, True, False, False)
 
 
 @pytest.fixture(scope="module")
@@ -48,9 +60,30 @@ def pad_model() -> PadModel:
 @pytest.fixture(scope="module")
 def recognizer(pad_model) -> ObjectRecognizer:
     meshes = {name: catalogue.make_object(name).mesh for name in NAMES}
-    T_w_o = np.eye(4)
-    T_w_o[:3, 3] = 0.3, 0.1, 0.02
-    return ObjectRecognizer(jax.random.key(0), pad_model, meshes, T_w_o=T_w_o, config=CONFIG)
+    return ObjectRecognizer(jax.random.key(0), pad_model, meshes, T_w_o=TILTED, config=CONFIG)
+
+
+@pytest.fixture(scope="module")
+def leaning() -> ObjectRecognizer:
+    """A recogniser among two objects of one shape that lean, with five sites and touches that are given."""
+    mesh = catalogue.make_object("dome").mesh
+    angle = np.radians(LEANING_DEG)
+    normals = np.stack([0 * angle, -np.sin(angle), np.cos(angle)], axis=1).astype(np.float32)
+    poses = np.stack([np.asarray(contact_frame(30e-3 * normal, normal, np.float32(0))) for normal in normals])
+    sites = SitePool(jnp.float32(poses), np.array([0, 0, 1, 1, 1]))
+    model = PadModel(None, given.likelihood(), np.ones(CHANNELS), 1.0, np.zeros((0, CHANNELS)))
+    config = RecognizerConfig(num_particles=given.PARTICLES, max_touches=100)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recognizer_module, "precompute_outcomes", lambda *_, **__: [given.predicted_touches()])
+        return ObjectRecognizer(
+            jax.random.key(0), model, {"one": mesh, "other": mesh}, T_w_o=TILTED, sites=sites, config=config
+        )
+
+
+def is_safe_in_the_world(mesh, T_w_o, T_w_t) -> bool:
+    """By the checks themselves, on the mesh where it stands."""
+    surface = prepare_surface(transform_mesh(mesh, T_w_o))
+    return bool(touch_sites.is_safe(surface, jnp.float32(T_w_t), CONFIG.site_limits))
 
 
 def touch(recognizer: ObjectRecognizer, site: ChosenSite, truth: int, key: jax.Array):
@@ -90,14 +123,38 @@ def test_an_object_is_recognised_by_chosen_touches(recognizer, truth):
     assert np.linalg.norm(found[:3, 3] - recognizer.T_w_o[:3, 3]) < 5e-3
 
 
-@pytest.mark.full
-def test_no_touch_is_chosen_where_none_is_safe(recognizer):
-    state = recognizer.init()
-    cautious = copy(recognizer)
-    cautious.safe = jnp.zeros_like(recognizer.safe)
-    assert cautious.choose_touch(state) is None
-    assert cautious.stop_reason(state) is None  # it wants one
-    assert recognizer.choose_touch(state) is not None
+def test_only_sites_are_chosen_that_are_safe_as_the_object_stands(leaning):
+    """Three of five: where the object leans away, a site that leans with it would send the tool in from the side."""
+    mesh = catalogue.make_object("dome").mesh
+    poses = [leaning.site_pose(number) for number in range(given.SITES)]
+    assert tuple(is_safe_in_the_world(mesh, TILTED, pose) for pose in poses) == SAFE_WHEN_TILTED
+    state, chosen = leaning.init(), []
+    while (site := leaning.choose_touch(state)) is not None:
+        chosen.append(site.number)
+        np.testing.assert_array_equal(site.T_w_t, poses[site.number])
+        state = leaning.exclude(state, site.number)
+    assert sorted(chosen) == list(np.flatnonzero(SAFE_WHEN_TILTED))
+    assert leaning.stop_reason(state) is None  # it wants one more, and none is safe
+
+
+def test_no_touch_is_chosen_where_none_is_safe(leaning):
+    cautious = copy(leaning)
+    cautious.safe = jnp.zeros_like(leaning.safe)
+    assert cautious.choose_touch(leaning.init()) is None
+    assert cautious.stop_reason(leaning.init()) is None  # it wants one
+
+
+def test_a_touch_changes_what_is_believed_and_no_state(leaning):
+    state = leaning.init()
+    before = jax.tree.map(np.array, state)
+    observation = SiteObservation(2, given.measured(leaning.table, 2, 1))
+    after, info = leaning.update(state, observation)
+    jax.tree.map(np.testing.assert_array_equal, before, jax.tree.map(np.array, state))
+    assert info.name == "other"
+    assert info.confidence == info.probability[1] > 0.6  # less sure than uncalibrated
+    assert info.probability.sum() + info.unknown == pytest.approx(1)
+    assert after.touches == 1
+    np.testing.assert_array_equal(after.touched, np.arange(given.SITES) == 2)
 
 
 @pytest.mark.full
@@ -123,8 +180,11 @@ def test_a_prior_is_what_is_believed_at_first(recognizer):
 
 
 @pytest.mark.full
-def test_sites_stand_on_the_believed_object(recognizer):
+def test_sites_stand_on_the_believed_object_and_are_safe_as_it_leans(recognizer):
     pose = recognizer.site_pose(0)
+    for number, owner in enumerate(recognizer.sites.owner):
+        mesh = catalogue.make_object(NAMES[owner]).mesh
+        assert is_safe_in_the_world(mesh, TILTED, recognizer.site_pose(number))
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(np.linalg.inv(recognizer.T_w_o) @ pose, recognizer.sites.T_w_t[0], atol=1e-6)
 

@@ -417,7 +417,7 @@ def test_too_few_sites():
         collect_sites(jax.random.key(0), fallen, 20, upright, "the pyramid", rounds=2)
 
 
-def test_the_mask_tells_safe_sites_from_fillers():
+def test_what_fills_up_is_no_pose():
     # Beside the stamp's relief, 3.5 mm above its base, most of the base is unsafe; nothing else is.
     stamp, hammer = make_object("stamp-triangle").mesh, make_object("hammer").mesh
     surface = Surface(
@@ -427,10 +427,15 @@ def test_the_mask_tells_safe_sites_from_fillers():
     found = int(sites.safe.sum())
     assert 0 < found < 40
     np.testing.assert_array_equal(sites.safe, np.arange(40) < found)
-    for T, safe in zip(np.asarray(sites.T_w_t, np.float64), sites.safe, strict=True):
-        rises = [clipped_nearest(stamp, T, HALF + change, 10.0) < -3e-3 for change in (-DELTA, DELTA)]
-        if rises[0] == rises[1]:
-            assert bool(safe) is not rises[0]
+    assert np.isnan(sites.T_w_t[found:]).all()  # no arm goes there
+    for T in np.asarray(sites.T_w_t[:found], np.float64):
+        assert clipped_nearest(stamp, T, HALF - DELTA, 10.0) >= -3e-3 - DELTA
+
+
+def test_points_of_no_face_are_no_points():
+    surface = prepare_surface(make_object("square").mesh)
+    for found in points_of(jax.random.key(0), surface, 4, jnp.zeros(len(surface.triangles), bool)):
+        assert np.isnan(found).all()
 
 
 # --- derivatives ------------------------------------------------------------------------------------------------------
