@@ -22,7 +22,7 @@ import numpy as np
 import trimesh
 import tyro
 
-from experiments.common.runs import reported, settings, write_json
+from experiments.common.runs import exit_code_of_run, settings, write_json
 from i2t.objects import Mesh, catalogue
 from i2t.objects.point_clouds import suggest_radius, surface_from_points
 from i2t.rendering.ops import element
@@ -63,7 +63,7 @@ class CloudRow(NamedTuple):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     args = tyro.cli(CloudArgs, args=argv, description=__doc__, prog="python -m experiments.clouds")
-    return reported(partial(run, args))
+    return exit_code_of_run(partial(run, args))
 
 
 def run(args: CloudArgs) -> list[CloudRow]:

@@ -34,7 +34,7 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from experiments.common.runs import begin, reported, write_json
+from experiments.common.runs import begin, exit_code_of_run, write_json
 
 ROOT = Path(__file__).parents[1]
 COPIED = ("i2t", "experiments", "tests", "examples", "pyproject.toml", "README.md")  # what tests import or read
@@ -334,7 +334,7 @@ class Sandbox:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     args = tyro.cli(MutantArgs, args=argv, description=__doc__, prog="python -m experiments.mutants")
-    return reported(partial(run, args), args.out)
+    return exit_code_of_run(partial(run, args), args.out)
 
 
 def run(args: MutantArgs) -> dict[str, Any]:

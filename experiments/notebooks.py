@@ -17,7 +17,7 @@ from pathlib import Path
 
 import tyro
 
-from experiments.common.runs import reported
+from experiments.common.runs import exit_code_of_run
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
 LIMIT = 900  # s for one cell
@@ -34,7 +34,7 @@ class NotebookArgs:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    return reported(
+    return exit_code_of_run(
         partial(run, tyro.cli(NotebookArgs, args=argv, description=__doc__, prog="python -m experiments.notebooks"))
     )
 

@@ -27,7 +27,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-from experiments.common.runs import reported, settings, write_json
+from experiments.common.runs import exit_code_of_run, settings, write_json
 from i2t import viz
 from i2t.cli import renamed_flags
 from i2t.depth.camera import Camera, Encoding, read_depth
@@ -104,7 +104,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     renamed_flags(sys.argv[1:] if argv is None else argv, RENAMED_FRAME_FLAGS)
     args = tyro.cli(RealFrames, args=argv, description=__doc__, prog="python -m experiments.real_frames")
-    return reported(partial(run, args))
+    return exit_code_of_run(partial(run, args))
 
 
 def run(cfg: RealFrames) -> dict[str, Any]:

@@ -28,7 +28,7 @@ import numpy as np
 import tyro
 
 from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
-from experiments.common.runs import begin, reported, write_json
+from experiments.common.runs import begin, exit_code_of_run, write_json
 from experiments.train.configs import PRESETS as TRAININGS
 from experiments.train.configs import TrainExperiment
 from experiments.train.methods import train_network
@@ -83,7 +83,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     answer_renamed_value(argv, "--preset", RENAMED)
     args = tyro.cli(TsneArgs, args=argv, description=__doc__, prog="python -m experiments.tsne")
-    return reported(partial(run, args))
+    return exit_code_of_run(partial(run, args))
 
 
 def run(args: TsneArgs) -> dict[str, Any]:

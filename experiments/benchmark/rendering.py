@@ -22,8 +22,8 @@ from i2t.simulation import sites
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, Surface
 
 SPHERE = "sphere"
-CLOSE = 1e-5  # m
-STEADY = 0.3  # s that each caster works in each turn
+MAX_DIFFERENCE_M = 1e-5  # m
+TURN_S = 0.3  # s that each caster works in each turn
 BESIDE_AN_EDGE = 1e-4  # of all pixels may differ: rays within rounding of an edge, which either side may win
 
 
@@ -68,7 +68,7 @@ def contest(name: str, mesh: Any, batch: int, turns: int) -> list[BenchmarkRow]:
     contenders: dict[str, Callable[[], object]] = {"ours": lambda: jax.block_until_ready(render(surface, poses))}
     contenders |= {peer: lambda cast=cast: cast(rays_of(poses)) for peer, cast in casters.items()}  # type: ignore[misc]
     contenders["Open3D, rays given"] = lambda: casters["Open3D"](rays)
-    seconds = interleave(contenders, turns, STEADY)
+    seconds = interleave(contenders, turns, TURN_S)
     work = f"{name}, batch of {batch}"
     return [
         compare("rendering", work, seconds["ours"], peer, seconds[peer])._replace(unit="s a batch")
@@ -137,9 +137,11 @@ def check(name: str, peer: str, depth: np.ndarray, nearest: np.ndarray, distance
     least = heights.min((1, 2), keepdims=True)
     theirs = np.where(np.isfinite(least), np.minimum(heights - np.where(np.isfinite(least), least, 0), REACH), REACH)
     ours = np.where(np.isfinite(nearest)[:, None, None], depth, REACH)
-    different = np.mean(np.abs(theirs - ours) > CLOSE)
+    different = np.mean(np.abs(theirs - ours) > MAX_DIFFERENCE_M)
     if different > BESIDE_AN_EDGE:
-        raise ValueError(f"{name}: {different:.2%} of the pixels differ from {peer}'s by more than {CLOSE} m")
+        raise ValueError(
+            f"{name}: {different:.2%} of the pixels differ from {peer}'s by more than {MAX_DIFFERENCE_M} m"
+        )
 
 
 def memory(name: str, mesh: Any, batch: int) -> BenchmarkRow:

@@ -27,7 +27,7 @@ from experiments.benchmark.rendering import Rendering
 from experiments.benchmark.skin import SkinBenchmark
 from experiments.benchmark.timing import BenchmarkRow
 from experiments.benchmark.training import Training
-from experiments.common.runs import reported, write_json
+from experiments.common.runs import exit_code_of_run, write_json
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Benchmark:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     args = tyro.cli(Benchmark, args=argv, description=__doc__, prog="python -m experiments.benchmark")
-    return reported(partial(run, args))
+    return exit_code_of_run(partial(run, args))
 
 
 def run(cfg: Benchmark) -> list[BenchmarkRow]:

@@ -27,7 +27,7 @@ Curves: TypeAlias = dict[str, dict[int, list[float]]]  # method -> number of pre
 ErrorCurves: TypeAlias = dict[str, dict[int, list[np.ndarray]]]
 
 
-class Task(NamedTuple):
+class PredictionTask(NamedTuple):
     """Presses to learn from, in the order of one draw, and what is predicted from them."""
 
     rows: np.ndarray
@@ -66,10 +66,10 @@ def previous_session_curves(
 ) -> Scores:
     """Scores with a previous session of the same skin as the mean, from presses of the pool."""
 
-    def task(draw: int) -> Task:
+    def task(draw: int) -> PredictionTask:
         rng = np.random.default_rng((seed, draw))
         order, past = rng.permutation(pool), rng.permutation(previous_rows)[: max(counts)]
-        return Task(order, tests, _previous_mean(predictors, previous, past))
+        return PredictionTask(order, tests, _previous_mean(predictors, previous, past))
 
     tasks = ([task(draw)] for draw in tqdm(range(draws), desc="draws", unit="draw"))
     return _score(predictors, tasks, counts, list(tests))
@@ -80,11 +80,13 @@ def explained(readings: np.ndarray, error: np.ndarray) -> float:
     return float(1 - error.sum() / ((readings - readings.mean(0)) ** 2).sum())
 
 
-def _draw_tasks(predictors: Predictors, split: PressSplit, counts: Sequence[int], seed: tuple[int, int]) -> list[Task]:
+def _draw_tasks(
+    predictors: Predictors, split: PressSplit, counts: Sequence[int], seed: tuple[int, int]
+) -> list[PredictionTask]:
     rng = np.random.default_rng(seed)
     order, later, past = (rng.permutation(rows) for rows in (split.pool, split.later_pool, split.earlier_pool))
     mean = _previous_mean(predictors, predictors.recording, past[: max(counts)])
-    return [Task(order, split.tests), Task(later, {SECOND_HALF: split.later_test}, mean)]
+    return [PredictionTask(order, split.tests), PredictionTask(later, {SECOND_HALF: split.later_test}, mean)]
 
 
 def _previous_mean(predictors: Predictors, previous: PressRecording, rows: np.ndarray) -> np.ndarray:
@@ -94,7 +96,9 @@ def _previous_mean(predictors: Predictors, previous: PressRecording, rows: np.nd
     return np.asarray(predict(gp, predictors.recording.presses(every))[0], np.float64)
 
 
-def _score(predictors: Predictors, draws: Iterator[list[Task]], counts: Sequence[int], tests: Sequence[str]) -> Scores:
+def _score(
+    predictors: Predictors, draws: Iterator[list[PredictionTask]], counts: Sequence[int], tests: Sequence[str]
+) -> Scores:
     readings = predictors.recording.readings
     scores = Scores({name: {} for name in tests}, {name: {} for name in tests}, {name: {} for name in tests})
     fits = ((task, count) for tasks in draws for task in tasks for count in counts if count <= len(task.rows))

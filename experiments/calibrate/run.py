@@ -40,7 +40,7 @@ from experiments.calibrate.data import PressRecording, hold_out, read_presses, s
 from experiments.calibrate.evaluate import learning_curves
 from experiments.calibrate.methods import Predictors, pretrain_network
 from experiments.common.presets import RENAMED, answer_renamed_value
-from experiments.common.runs import begin, reported
+from experiments.common.runs import begin, exit_code_of_run
 from i2t import dataset as data
 from i2t.calibration import calibrate
 from i2t.calibration.model import hyperparameters_to_json
@@ -57,7 +57,7 @@ def main(argv: list[str] | None = None) -> int:
     answer_renamed_value(argv, "--preset", RENAMED)
     args = tyro.cli(CalibrateArgs, args=argv, description=__doc__, prog="python -m experiments.calibrate")
     compare = previous_session.run if args.previous_session else run
-    return reported(partial(_checked, fitted_pad.run if args.save_pad else compare, args))
+    return exit_code_of_run(partial(_checked, fitted_pad.run if args.save_pad else compare, args))
 
 
 def _checked(work: Callable[[CalibrateArgs], dict[str, Any]], args: CalibrateArgs) -> dict[str, Any]:

@@ -39,7 +39,7 @@ from experiments.calibrate.report import draw_curves, summarise, table_row
 from experiments.calibrate_pads import population
 from experiments.calibrate_pads.simulate import BALL_TIP, board, press_pads
 from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
-from experiments.common.runs import begin, reported, write_json
+from experiments.common.runs import begin, exit_code_of_run, write_json
 from i2t.calibration import FORCE_HYPERPARAMETERS, Presses, baseline_network, physics, structured_gp
 from i2t.calibration.baseline_network import PressFeatures
 from i2t.calibration.physics import PadFit
@@ -102,7 +102,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     answer_renamed_value(argv, "--preset", RENAMED)
     args = tyro.cli(CalibratePadsArgs, args=argv, description=__doc__, prog="python -m experiments.calibrate_pads")
-    return reported(partial(run_population if args.population else run, args))
+    return exit_code_of_run(partial(run_population if args.population else run, args))
 
 
 def run(args: CalibratePadsArgs) -> dict[str, Any]:

@@ -13,19 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from i2t.cli import ended
+from i2t.cli import exit_code_of
 from i2t.prediction.checkpoint import PACKAGES
 
 Part = dict[str, Any]  # of arrays, or of such dicts: what an experiment made of one pad and seed
 BETWEEN = "/"  # names of a part's levels on disk
 
 
-def reported(work: Callable[[], Any], resumable: Path | None = None) -> int:
+def exit_code_of_run(work: Callable[[], Any], resumable: Path | None = None) -> int:
     """The exit code of a command: what its user can mend is said in one sentence, and after Ctrl-C where a `resumable`
     run left its finished parts.
     """
     kept = "" if resumable is None else f"; finished parts are in {resumable}, go on with --resume"
-    return ended(work, f"interrupted{kept}")
+    return exit_code_of(work, f"interrupted{kept}")
 
 
 def settings(args: Any) -> dict[str, Any]:

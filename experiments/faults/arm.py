@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from experiments.faults.rows import FaultRow, Sizes, worst
+from experiments.faults.rows import FaultCounts, FaultRow, worst
 from i2t.collect.settings import TouchSettings
 from i2t.emulators import ur_controller
 from i2t.errors import DeviceError
@@ -25,7 +25,7 @@ PATIENCE_S = 10.0
 GAP_M = 0.5e-3  # before the surface where a press begins
 
 
-def arm(sizes: Sizes) -> list[FaultRow]:
+def arm(sizes: FaultCounts) -> list[FaultRow]:
     """Every fault in a motion: when it was noticed, and whether the arm stands."""
     rows = []
     for name, fault in FAULTS.items():
@@ -113,7 +113,7 @@ def _second(trials: int) -> FaultRow:
     return FaultRow("arm", "second client", f"{trials} motions", said, "all", refused == unharmed == trials)
 
 
-def force(sizes: Sizes) -> list[FaultRow]:
+def force(sizes: FaultCounts) -> list[FaultRow]:
     """How far emulated presses on soft and stiff objects run past the limit of force."""
     settings, rig = TouchSettings(), Rig()
     rng = np.random.default_rng(0)

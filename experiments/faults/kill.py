@@ -5,11 +5,12 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from experiments.faults.arm import status
-from experiments.faults.rows import FaultRow, Sizes, worst
+from experiments.faults.rows import FaultCounts, FaultRow, worst
 from experiments.faults.simulated import count
 from i2t.collect.recorder import touches_in
 from i2t.emulators import lab, ur_controller
@@ -20,60 +21,76 @@ MAX_ATTEMPTS = 5  # collections, to make the touches after the last kill
 TOUCHES_AFTER = 5  # touches that are made after the last kill
 
 
-def kill(sizes: Sizes) -> list[FaultRow]:
+class Kills(NamedTuple):
+    """What came of killing collections, one after another, that write to one folder."""
+
+    acknowledged: list[str]  # names of touches
+    stood_after: list[float]  # s on the controller's clock, after each kill
+    moving: int  # kills in the middle of a motion
+    collections: int  # that were begun, also those that ended by themselves
+
+
+class Completion(NamedTuple):
+    """How the collection after the last kill ended."""
+
+    complete: bool  # it made the touches that it was to make
+    sentence: str  # the last thing it said on the error stream
+
+
+def kill(sizes: FaultCounts) -> list[FaultRow]:
     """All of it, on emulators that run on as a lab would."""
-    rng, moving, starts = np.random.default_rng(0), 0, 0
-    acknowledged: list[str] = []
-    stood: list[float] = []
     host = ur_controller.loopback(98)
     with tempfile.TemporaryDirectory() as folder:
         out, link = Path(folder) / "data", Path(folder) / "skin"
         with lab.started("--host", host, "--link", str(link), "--exact"):
-            while len(stood) < sizes.kills and starts < 2 * sizes.kills + 3:
-                starts += 1
-                found = _killed(
-                    host, str(link), out, int(rng.integers(0, MAX_TOUCHES + 1)), float(rng.uniform(0, MAX_DELAY_S))
-                )
-                if found is None:
-                    continue
-                names, seconds, moved = found
-                acknowledged += names
-                if seconds is not None:
-                    stood.append(seconds)
-                    moving += moved
-            target = len(touches_in(out)) + TOUCHES_AFTER
-            for _ in range(MAX_ATTEMPTS):  # a busy computer may end one by itself
-                command = [*_command(host, str(link), out, target), "1"]
-                end = subprocess.run(command, capture_output=True, text=True, check=False)
-                if end.returncode == 0:
-                    break
-                time.sleep(0.5)
-        present = touches_in(out)
-        lost, unreadable = count(out, acknowledged)
+            kills = _kill_repeatedly(sizes.kills, host, str(link), out)
+            completion = _complete(host, str(link), out)
+        present = len(touches_in(out))
+        lost, unreadable = count(out, kills.acknowledged)
         aside = len(list((out / ".interrupted").glob("*"))) if out.exists() else 0
-    tried = f"{len(stood)} kills of {starts} collections"
-    files = f"{unreadable} of {len(present)} files unreadable; {aside} raw files kept aside"
-    said = f"{lost} of {len(acknowledged)} lost, {files}"
-    complete = end.returncode == 0 and len(present) == target
+    tried = f"{len(kills.stood_after)} kills of {kills.collections} collections"
+    files = f"{unreadable} of {present} files unreadable; {aside} raw files kept aside"
+    said = f"{lost} of {len(kills.acknowledged)} lost, {files}"
+    complete = "yes" if completion.complete else completion.sentence
+    moving = f"{kills.moving} of {len(kills.stood_after)} in motion"
+    stood = worst(kills.stood_after)
     return [
         FaultRow("kill", "acknowledged touches", tried, said, "0 lost, 0 unreadable", lost + unreadable == 0),
-        FaultRow(
-            "kill",
-            "resumed and completed",
-            f"{len(present)} touches",
-            "yes" if complete else end.stderr[-80:],
-            "yes",
-            complete,
-        ),
-        FaultRow(
-            "kill",
-            "arm stands after the kill",
-            f"{moving} of {len(stood)} in motion",
-            worst(stood),
-            "< 200 ms",
-            max(stood) < 0.2,
-        ),
+        FaultRow("kill", "resumed and completed", f"{present} touches", complete, "yes", completion.complete),
+        FaultRow("kill", "arm stands after the kill", moving, stood, "< 200 ms", max(kills.stood_after) < 0.2),
     ]
+
+
+def _kill_repeatedly(wanted: int, host: str, port: str, out: Path) -> Kills:
+    """Begin collections and kill each at a random moment, until enough were killed at work."""
+    rng = np.random.default_rng(0)
+    acknowledged: list[str] = []
+    stood_after: list[float] = []
+    moving = collections = 0
+    while len(stood_after) < wanted and collections < 2 * wanted + 3:
+        collections += 1
+        touches, delay = int(rng.integers(0, MAX_TOUCHES + 1)), float(rng.uniform(0, MAX_DELAY_S))
+        found = _killed(host, port, out, touches, delay)
+        if found is None:
+            continue
+        names, seconds, moved = found
+        acknowledged += names
+        if seconds is not None:
+            stood_after.append(seconds)
+            moving += moved
+    return Kills(acknowledged, stood_after, moving, collections)
+
+
+def _complete(host: str, port: str, out: Path) -> Completion:
+    """Go on with the collection that was killed, until some more touches are there."""
+    target = len(touches_in(out)) + TOUCHES_AFTER
+    for _ in range(MAX_ATTEMPTS):  # a busy computer may end one by itself
+        command = [*_command(host, port, out, target), "1"]
+        end = subprocess.run(command, capture_output=True, text=True, check=False)
+        if end.returncode == 0:
+            break
+        time.sleep(0.5)
+    return Completion(end.returncode == 0 and len(touches_in(out)) == target, end.stderr[-80:])
 
 
 def _command(host: str, port: str, out: Path, touches: int) -> list[str]:

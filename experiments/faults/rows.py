@@ -16,7 +16,7 @@ class FaultRow(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Sizes:
+class FaultCounts:
     """How often each thing is tried; the defaults are those of the report."""
 
     stream: float = 600.0  # s
@@ -29,12 +29,12 @@ class Sizes:
     disk: int = 5
     touches: int = 1000
 
-    def times(self, share: float) -> "Sizes":
+    def times(self, share: float) -> "FaultCounts":
         """As much of everything, and of each at least one."""
-        return Sizes(*(type(count)(max(1, share * count)) for count in astuple(self)))
+        return FaultCounts(*(type(count)(max(1, share * count)) for count in astuple(self)))
 
 
-DEBUG = Sizes(1.0, 600, 1, 1, 1, 1, 1, 1, 3)
+DEBUG = FaultCounts(1.0, 600, 1, 1, 1, 1, 1, 1, 3)
 
 
 def worst(seconds: list[float]) -> str:

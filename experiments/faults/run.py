@@ -20,17 +20,17 @@ from typing import Literal
 import tyro
 
 from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
-from experiments.common.runs import reported, write_json
+from experiments.common.runs import exit_code_of_run, write_json
 from experiments.faults.arm import arm, force
 from experiments.faults.kill import kill
-from experiments.faults.rows import DEBUG, FaultRow, Sizes
+from experiments.faults.rows import DEBUG, FaultCounts, FaultRow
 from experiments.faults.simulated import disk, presses
 from experiments.faults.skin import skin
 from experiments.faults.volume import volume
 from i2t.errors import DeviceError
 
 Section = Literal["disk", "presses", "arm", "skin", "force", "volume", "kill"]
-SECTIONS: dict[Section, Callable[[Sizes], list[FaultRow]]] = {
+SECTIONS: dict[Section, Callable[[FaultCounts], list[FaultRow]]] = {
     "disk": disk,
     "presses": presses,
     "arm": arm,
@@ -39,7 +39,7 @@ SECTIONS: dict[Section, Callable[[Sizes], list[FaultRow]]] = {
     "volume": volume,
     "kill": kill,
 }
-PRESETS: dict[str, Sizes] = {"paper": Sizes(), "debug": DEBUG}
+PRESETS: dict[str, FaultCounts] = {"paper": FaultCounts(), "debug": DEBUG}
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     answer_renamed_value(argv, "--preset", RENAMED)
     args = tyro.cli(FaultsArgs, args=argv, description=__doc__, prog="python -m experiments.faults")
     missed: list[FaultRow] = []
-    return reported(partial(_run, args, missed)) or int(bool(missed))
+    return exit_code_of_run(partial(_run, args, missed)) or int(bool(missed))
 
 
 def _run(args: FaultsArgs, missed: list[FaultRow]) -> None:

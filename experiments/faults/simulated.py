@@ -12,7 +12,7 @@ import numpy as np
 
 from experiments.faults.plane_camera import PlaneCamera, plane_patch
 from experiments.faults.plane_sites import HEIGHT_M, site
-from experiments.faults.rows import FaultRow, Sizes
+from experiments.faults.rows import FaultCounts, FaultRow
 from i2t import dataset
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, SessionInfo, touches_in
@@ -94,7 +94,7 @@ def make_procedure(
     return Procedure(arm, skin, eye, rig, BOARD, plane_patch, HEIGHT_M, TouchSettings(patience=1.0), clock), clock
 
 
-def presses(sizes: Sizes) -> list[FaultRow]:
+def presses(sizes: FaultCounts) -> list[FaultRow]:
     """Force on late arms, and noise alone."""
     rng, over, outside = np.random.default_rng(0), [], 0
     for number in range(sizes.presses):
@@ -130,7 +130,7 @@ def presses(sizes: Sizes) -> list[FaultRow]:
     ]
 
 
-def disk(sizes: Sizes) -> list[FaultRow]:
+def disk(sizes: FaultCounts) -> list[FaultRow]:
     """Full and read-only disks, a clock that is set, a camera that is unplugged."""
     rows = []
     for name, harm in (

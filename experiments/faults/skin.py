@@ -4,28 +4,55 @@ import struct
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from experiments.faults.rows import FaultRow, Sizes, worst
+from experiments.faults.rows import FaultCounts, FaultRow, worst
 from i2t.emulators.reskin_board import Readings, corrupt, started
 from i2t.errors import DeviceError, DeviceTimeoutError
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.reskin.frames import Decoder, Frame, FrameLimits, decode
 from i2t.hardware.reskin.layouts import Format, FrameLayout, encode
 
-LINE_ERRORS = ((0.01, 0.0, 0.98), (0.0, 0.001, 0.95))  # bytes substituted, dropped; goal for intact frames
 ERROR_SIZES_UT = (1.0, 10.0, 25.0)
 CRLF_TEMPERATURE_C = struct.unpack("<f", bytes.fromhex("980d0a42"))[0]  # holds a line's end
 PATIENCE_S = 10.0
+SKIPPED_BYTES = 40  # of the first frame, where the line is opened in the middle of it
+BYTES_AT_ONCE = 4096  # that the decoder is given
 
 
-def skin(sizes: Sizes) -> list[FaultRow]:
+class LineErrors(NamedTuple):
+    """How a bad line changes bytes, and the share of intact frames that a decoder should still deliver."""
+
+    substitute: float  # share of bytes that become others
+    drop: float  # share that is lost
+    goal: float
+
+    def __str__(self) -> str:
+        if self.substitute:
+            return f"{100 * self.substitute:g} % of bytes changed"
+        return f"{100 * self.drop:g} % of bytes lost"
+
+
+LINES = (LineErrors(substitute=0.01, drop=0.0, goal=0.98), LineErrors(substitute=0.0, drop=0.001, goal=0.95))
+
+
+class SentFrames(NamedTuple):
+    """What went into a bad line, and the bytes that came out of it."""
+
+    readings: list[np.ndarray]  # uT, of each frame
+    ends: list[int]  # byte of `data` behind each frame
+    intact: list[bool]  # whether all bytes of a frame came through
+    data: bytes
+
+
+def skin(sizes: FaultCounts) -> list[FaultRow]:
     """All of it."""
     rows = [_stream(sizes.stream)]
-    for substitute, drop, goal in LINE_ERRORS:
-        for temperature, skipped in ((None, 0), (CRLF_TEMPERATURE_C, 40)):
-            rows += _line(sizes.frames, substitute, drop, goal, temperature, skipped)
+    for line in LINES:
+        for temperature in (None, CRLF_TEMPERATURE_C):
+            rows += _line(sizes.frames, line, temperature)
     return rows + _gone(sizes.silences)
 
 
@@ -47,62 +74,59 @@ def _stream(seconds: float) -> FaultRow:
     return FaultRow("skin", "400 Hz over a pseudo-terminal", f"{seconds:g} s", said, "< 0.1 % lost", share < 1e-3)
 
 
-def _line(
-    count: int, substitute: float, drop: float, goal: float, temperature: float | None, skipped: int
-) -> list[FaultRow]:
-    """Frames through a bad line, beginning `skipped` bytes late."""
+def _line(count: int, line: LineErrors, temperature: float | None) -> list[FaultRow]:
+    """Frames through a bad line; of a board whose temperature reads as the end of a line, opened in mid-frame."""
+    sent = _send(count, line, temperature)
+    found = _received(sent.data)
+    frame_at = {end: i for i, end in enumerate(sent.ends)}  # by the byte at which it ends
+    intact = {end for end, same in zip(sent.ends, sent.intact, strict=True) if same}
+    share = len(intact & {frame.end for frame in found}) / max(1, len(intact))
+    misaligned = sum(frame.end not in frame_at for frame in found)
+    what = str(line) if temperature is None else f"{line}, from mid-frame at {temperature:.3f} C"
+    tried, delivered, goal = (
+        f"{count} frames ({len(intact)} intact)",
+        f"{100 * share:.2f} %",
+        f">= {100 * line.goal:g} %",
+    )
+    rows = [
+        FaultRow("skin", f"{what}: intact frames delivered", tried, delivered, goal, share >= line.goal),
+        FaultRow("skin", f"{what}: misaligned frames accepted", tried, str(misaligned), "0", misaligned == 0),
+    ]
+    if line.substitute:
+        pairs = [(frame, sent.readings[frame_at[frame.end]]) for frame in found if frame.end in frame_at]
+        errors = np.array([np.abs(frame.reading - reading).max() for frame, reading in pairs])
+        rates = " / ".join(f"{100 * np.mean(errors > size):.3g}" for size in ERROR_SIZES_UT)
+        sizes = " / ".join(f"{size:g}" for size in ERROR_SIZES_UT)
+        wrong = f"{what}: delivered with an error over {sizes} uT"
+        rows.append(FaultRow("skin", wrong, f"{len(found)} frames", f"{rates} %", "stated", None))
+    return rows
+
+
+def _send(count: int, line: LineErrors, temperature: float | None) -> SentFrames:
+    """Frames of an emulated board through a bad line."""
     rng, board = np.random.default_rng(0), Readings(1.0, 0.0, temperature, 0)
-    truth, ends, good, data = [], [], [], b""
+    sent = SentFrames([], [], [], b"")
+    data = bytearray()
     for i in range(count):
         reading, celsius = board.at(0.0)
         whole = encode(reading, celsius, Format.BINARY)
-        sent = corrupt(whole, substitute, drop, rng)[skipped if i == 0 else 0 :]
-        truth.append(reading)
-        good.append(sent == whole)
-        data += sent
-        ends.append(len(data))
+        skipped = SKIPPED_BYTES if i == 0 and temperature is not None else 0
+        arrived = corrupt(whole, line.substitute, line.drop, rng)[skipped:]
+        data += arrived
+        sent.readings.append(reading)
+        sent.ends.append(len(data))
+        sent.intact.append(arrived == whole)
+    return sent._replace(data=bytes(data))
+
+
+def _received(data: bytes) -> list[Frame]:
+    """What the driver's decoder makes of a stream that comes in pieces."""
     found: list[Frame] = []
     decoder = Decoder(FrameLayout(), FrameLimits())
-    for at in range(0, len(data), 4096):
-        decoder, more = decode(decoder, data[at : at + 4096])
+    for at in range(0, len(data), BYTES_AT_ONCE):
+        decoder, more = decode(decoder, data[at : at + BYTES_AT_ONCE])
         found += more
-    at_end = {end: i for i, end in enumerate(ends)}
-    intact = {end for end, same in zip(ends, good, strict=True) if same}
-    delivered = {frame.end for frame in found}
-    misaligned = sum(frame.end not in at_end for frame in found)
-    errors = np.array(
-        [np.abs(frame.reading - truth[at_end[frame.end]]).max() for frame in found if frame.end in at_end]
-    )
-    share = len(intact & delivered) / max(1, len(intact))
-    what = f"{100 * substitute:g} % of bytes changed" if substitute else f"{100 * drop:g} % of bytes lost"
-    if temperature is not None:
-        what += f", from mid-frame at {temperature:.3f} C"
-    tried = f"{count} frames ({len(intact)} intact)"
-    rows = [
-        FaultRow(
-            "skin",
-            f"{what}: intact frames delivered",
-            tried,
-            f"{100 * share:.2f} %",
-            f">= {100 * goal:g} %",
-            share >= goal,
-        ),
-        FaultRow("skin", f"{what}: misaligned frames accepted", tried, str(misaligned), "0", misaligned == 0),
-    ]
-    if substitute:
-        rates = " / ".join(f"{100 * np.mean(errors > size):.3g}" for size in ERROR_SIZES_UT)
-        sizes = " / ".join(f"{size:g}" for size in ERROR_SIZES_UT)
-        rows.append(
-            FaultRow(
-                "skin",
-                f"{what}: delivered with an error over {sizes} uT",
-                f"{len(found)} frames",
-                f"{rates} %",
-                "stated",
-                None,
-            )
-        )
-    return rows
+    return found
 
 
 def _gone(trials: int) -> list[FaultRow]:

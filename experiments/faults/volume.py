@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.faults.rows import FaultRow, Sizes
+from experiments.faults.rows import FaultCounts, FaultRow
 from i2t import dataset
 from i2t.collect.recorder import touches_in
 
@@ -17,7 +17,7 @@ WARM_TOUCHES = 20  # until everything has been compiled and allocated
 MAX_GROWTH = 0.1  # share of the memory, that may come on top
 
 
-def volume(sizes: Sizes) -> list[FaultRow]:
+def volume(sizes: FaultCounts) -> list[FaultRow]:
     """Run the command and watch it."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "data"

@@ -31,7 +31,7 @@ import tyro
 from jaxtyping import Array, Key
 
 from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
-from experiments.common.runs import begin, reported, write_json
+from experiments.common.runs import begin, exit_code_of_run, write_json
 from experiments.pads import methods
 from experiments.pads.simulate import PROBE_TIP, SkinSession, press_skin, sample_skins
 from i2t import viz
@@ -78,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     answer_renamed_value(argv, "--preset", RENAMED)
     args = tyro.cli(PadsArgs, args=argv, description=__doc__, prog="python -m experiments.pads")
-    return reported(partial(run, args))
+    return exit_code_of_run(partial(run, args))
 
 
 def run(args: PadsArgs) -> dict[str, Any]:

@@ -18,7 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import tyro
 
 from experiments.common.presets import RENAMED, answer_renamed_value
-from experiments.common.runs import reported
+from experiments.common.runs import exit_code_of_run
 from experiments.recognize import live, run
 from experiments.recognize.config import SimulateArgs
 from i2t.cli import renamed_flags
@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         words = ["simulate", *words]
     args = tyro.cli(Command, args=words, description=__doc__, prog="python -m experiments.recognize")
     work = partial(live.run, args) if isinstance(args, live.LiveArgs) else partial(run.run, args)
-    return reported(work, args.out)
+    return exit_code_of_run(work, args.out)
 
 
 if __name__ == "__main__":

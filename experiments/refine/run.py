@@ -29,7 +29,7 @@ import tyro
 from tqdm import tqdm
 
 from experiments.common.presets import RENAMED, answer_renamed_value
-from experiments.common.runs import reported, settings, write_json
+from experiments.common.runs import exit_code_of_run, settings, write_json
 from experiments.refine.cases import Cases, Views, draw_cases, draw_views, list_objects
 from experiments.refine.config import RefineArgs
 from experiments.refine.figures import BOUNDS, draw_bounds, draw_patches
@@ -59,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     answer_renamed_value(argv, "--preset", RENAMED)
     args = tyro.cli(RefineArgs, args=argv, description=__doc__, prog="python -m experiments.refine")
-    return reported(partial(run, args))
+    return exit_code_of_run(partial(run, args))
 
 
 def run(args: RefineArgs) -> dict:

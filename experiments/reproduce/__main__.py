@@ -22,7 +22,7 @@ from pathlib import Path
 
 import tyro
 
-from experiments.common.runs import reported
+from experiments.common.runs import exit_code_of_run
 from experiments.reproduce.steps import STEPS, Step
 from experiments.reproduce.tables import TABLES, shortened, write_tables
 
@@ -43,7 +43,7 @@ class ReproduceArgs:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     args = tyro.cli(ReproduceArgs, args=argv, description=__doc__, prog="python -m experiments.reproduce")
-    return reported(partial(run, args))
+    return exit_code_of_run(partial(run, args))
 
 
 def run(args: ReproduceArgs) -> None:

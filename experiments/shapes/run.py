@@ -5,7 +5,7 @@
     python -m experiments.shapes --dataset DIR       recorded presses (python -m i2t.convert; docs/data.md)
 
 The skin is held still; a stamp comes down at any position and rotation until it bears 1 to 3 N. Every split is
-five-fold: a fifth of the presses is held out, drawn at random or as squares of positions, fifths of the travel or
+five-fold: a fifth of the presses is held out, drawn at random or as squares of positions, fifths of the depth or
 sectors of the rotation, and every press is tested once. Leave-pad-out tests on a skin that only 0, 5 or 20 presses of
 each shape are known of. The paper's classifier reached 0.92 on a random fifth. Results go to --out: metrics.json,
 config.json, figures, and the presses (data.h5).
@@ -16,33 +16,54 @@ import os
 import time
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 # Factors of a few hundred rows are too small to share: waiting threads of LAPACK cost more than they give.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jax
+import numpy as np
 import tyro
 from tqdm import tqdm
 
 from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
-from experiments.common.runs import begin, reported, write_json
+from experiments.common.runs import begin, exit_code_of_run, write_json
 from experiments.shapes import report
 from experiments.shapes.config import PRESETS, ShapeExperiment, ShapesArgs
 from experiments.shapes.evaluate import limits, new_skin, other_sensors, sensor, splits
-from experiments.shapes.methods import SPLITS, make_benchmark, presses_on, read_again, shapes_of, split_folds
+from experiments.shapes.methods import (
+    SPLITS,
+    StampPresses,
+    make_benchmark,
+    presses_on,
+    read_again,
+    shapes_of,
+    split_folds,
+)
 from experiments.shapes.world import press_stamps
 from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.skin.pad import numbered_pad
 
+MIN_PRESSES_PER_SHAPE = 10
+
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     answer_renamed_value(argv, "--preset", RENAMED)
     args = tyro.cli(ShapesArgs, args=argv, description=__doc__, prog="python -m experiments.shapes")
-    return reported(partial(run, args), args.out)
+    return exit_code_of_run(partial(run, args), args.out)
+
+
+class ShapePresses(NamedTuple):
+    """The presses of all pads, and what every method is tested on."""
+
+    dataset: Dataset
+    names: tuple[str, ...]  # of the shapes
+    pads: list[StampPresses]
+    held: list[dict[str, np.ndarray]]  # of each pad and split: in which fold each press is tested
+    other_readings: dict[str, np.ndarray]  # by sensor: what it reads of the same presses
 
 
 def run(args: ShapesArgs) -> dict[str, Any]:
@@ -50,46 +71,22 @@ def run(args: ShapesArgs) -> dict[str, Any]:
     cfg = choose_preset(PRESETS, args.preset)
     begin(args.out, args, cfg, args.resume, args.overwrite)
     started = time.perf_counter()
-    dataset = data.load_dataset(args.dataset) if args.dataset else simulated(cfg, args.seed, args.out / "data.h5")
-    names = shapes_of(dataset)
-    pads = [presses_on(dataset, pad) for pad in range(len(dataset.pads))]
-    for pad, presses in enumerate(pads):
-        if len(presses.shape) < 10 * len(names):
-            raise DataError(
-                f"pad {dataset.pads[pad]!r} has {len(presses.shape)} presses of {len(names)} shapes; "
-                "ten of each at least are needed"
-            )
-    print(f"{len(dataset)} presses ({dataset.source}) of {', '.join(names)} on {len(pads)} pads")
-    sensors = other_sensors(cfg) if dataset.source == "simulated" and dataset.touches.truth is not None else {}
-    skins = [numbered_pad(number) for number in cfg.pads]
-    again = {} if args.dataset else {name: read_again(dataset, skins, e, args.seed) for name, e in sensors.items()}
-
-    held = [
-        {split: part for split in SPLITS if (part := split_folds(presses, split, args.seed)) is not None}
-        for presses in pads
-    ]
+    presses = prepare(args, cfg)
+    dataset, names = presses.dataset, presses.names
+    print(f"{len(dataset)} presses ({dataset.source}) of {', '.join(names)} on {len(presses.pads)} pads")
     parts = []
-    for pad, presses in enumerate(tqdm(pads, desc="pads", unit="pad")):
-        path = args.out / f"pad-{pad}.json"
+    for pad in tqdm(range(len(presses.pads)), desc="pads", unit="pad"):
+        path = args.out / f"pad-{pad}.json"  # a resumed run finds those that are done
         if not path.exists():
-            benchmark = make_benchmark(presses, dataset.board, names, cfg=cfg.methods, seed=args.seed)
-            found = {
-                "splits": splits(benchmark, held[pad]),
-                "new": new_skin(benchmark, pads[:pad] + pads[pad + 1 :], cfg, args.seed),
-                "sensors": {
-                    name: sensor(benchmark, presses_on(dataset, pad, values), args.seed)
-                    for name, values in again.items()
-                },
-            }
-            write_json(path, found)
+            write_json(path, evaluate_pad(presses, pad, cfg, args.seed))
         parts.append(json.loads(path.read_text()))
     result = {
         "source": dataset.source,
         "seed": args.seed,
         "shapes": list(names),
         "pads": list(dataset.pads),
-        "presses": [len(presses.shape) for presses in pads],
-        **report.summarise(parts, [presses.shape for presses in pads], held, names),
+        "presses": [len(each.shape) for each in presses.pads],
+        **report.summarise(parts, [each.shape for each in presses.pads], presses.held, names),
         "limits": limits(cfg, args.seed) if not args.dataset and cfg.more else {},
         "seconds": round(time.perf_counter() - started, 1),
     }
@@ -98,6 +95,44 @@ def run(args: ShapesArgs) -> dict[str, Any]:
     report.report(result)
     print(f"\nresults and figures are in {args.out}")
     return result
+
+
+def prepare(args: ShapesArgs, cfg: ShapeExperiment) -> ShapePresses:
+    """The presses that were recorded, or simulated ones and what other sensors would have read of them."""
+    dataset = data.load_dataset(args.dataset) if args.dataset else simulated(cfg, args.seed, args.out / "data.h5")
+    names = shapes_of(dataset)
+    pads = [presses_on(dataset, pad) for pad in range(len(dataset.pads))]
+    for name, presses in zip(dataset.pads, pads, strict=True):
+        if len(presses.shape) < MIN_PRESSES_PER_SHAPE * len(names):
+            raise DataError(
+                f"pad {name!r} has {len(presses.shape)} presses of {len(names)} shapes; ten of each at least are needed"
+            )
+    other_readings = {}
+    if not args.dataset and dataset.touches.truth is not None:
+        skins = [numbered_pad(number) for number in cfg.pads]
+        sensors = other_sensors(cfg)
+        other_readings = {name: read_again(dataset, skins, errors, args.seed) for name, errors in sensors.items()}
+    return ShapePresses(dataset, names, pads, [folds_of(presses, args.seed) for presses in pads], other_readings)
+
+
+def folds_of(presses: StampPresses, seed: int) -> dict[str, np.ndarray]:
+    """Each split that the presses of a pad allow."""
+    folds = {split: split_folds(presses, split, seed) for split in SPLITS}
+    return {split: fold for split, fold in folds.items() if fold is not None}
+
+
+def evaluate_pad(presses: ShapePresses, pad: int, cfg: ShapeExperiment, seed: int) -> dict[str, Any]:
+    """What all methods reach on one pad: on each split, as a new skin after the others, and with other sensors."""
+    own, others = presses.pads[pad], presses.pads[:pad] + presses.pads[pad + 1 :]
+    benchmark = make_benchmark(own, presses.dataset.board, presses.names, cfg=cfg.methods, seed=seed)
+    return {
+        "splits": splits(benchmark, presses.held[pad]),
+        "new": new_skin(benchmark, others, cfg, seed),
+        "sensors": {
+            name: sensor(benchmark, presses_on(presses.dataset, pad, readings), seed)
+            for name, readings in presses.other_readings.items()
+        },
+    }
 
 
 def simulated(cfg: ShapeExperiment, seed: int, path: Path) -> Dataset:

@@ -32,7 +32,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import tyro
 
 from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
-from experiments.common.runs import Part, begin, load_part, reported, save_part, write_json
+from experiments.common.runs import Part, begin, exit_code_of_run, load_part, save_part, write_json
 from experiments.recognize.config import PRESETS
 from experiments.recognize.trained_run import finished_runs
 from experiments.studies import (
@@ -96,7 +96,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"error: the study {words[0]} is called {RENAMED_STUDIES[words[0]]} now", file=sys.stderr)
         return 2
     args = tyro.cli(StudyArgs, args=words, description=__doc__, prog="python -m experiments.studies")
-    return reported(partial(run, args), args.out or Path("runs") / args.study)
+    return exit_code_of_run(partial(run, args), args.out or Path("runs") / args.study)
 
 
 def run(args: StudyArgs) -> dict[str, Any]:

@@ -26,7 +26,7 @@ POLICIES = ("random", "heuristic", "information")
 CONFIDENCE = 0.95  # that episodes are to reach
 
 
-class Choices(NamedTuple):
+class TouchOptions(NamedTuple):
     """What policies choose among, and what is known of each site."""
 
     sites: SitePool
@@ -41,7 +41,7 @@ def evaluate(lab: StudyLab) -> Part:
     sites, truth, particles = lab.sample_sites(key_sites), lab.truth(), lab.particles()
     (table,) = lab.predict(sites, particles, [lab.pad_model.reading_model], "policy")
     safe = jnp.asarray(safe_sites(lab.surfaces, sites, lab.cfg.site_limits))
-    choices = Choices(sites, jax.device_put(table), heuristic_weights(sites), safe)
+    choices = TouchOptions(sites, jax.device_put(table), heuristic_weights(sites), safe)
     found: dict[str, np.ndarray] = {"truth": truth}
     for policy in POLICIES:
         keys = jax.random.clone(key_episodes), jax.random.clone(key_choice)
@@ -50,7 +50,12 @@ def evaluate(lab: StudyLab) -> Part:
 
 
 def run_policy(
-    lab: StudyLab, policy: str, keys: tuple[Array, Array], truth: np.ndarray, particles: Particles, choices: Choices
+    lab: StudyLab,
+    policy: str,
+    keys: tuple[Array, Array],
+    truth: np.ndarray,
+    particles: Particles,
+    choices: TouchOptions,
 ) -> np.ndarray:
     """Beliefs (e, t, objects) in episodes whose next touch a policy chooses; keys of the episodes and the choices."""
     config = EpisodeConfig(lab.cfg.errors, lab.cfg.limits, lab.cfg.touches)
@@ -74,7 +79,7 @@ def run_policy(
 
 
 def choose_sites(
-    lab: StudyLab, policy: str, keys: Array, beliefs: Belief, touched: Array, choices: Choices, step: int
+    lab: StudyLab, policy: str, keys: Array, beliefs: Belief, touched: Array, choices: TouchOptions, step: int
 ) -> np.ndarray:
     """The next site of each episode, -1 where none is left."""
     if policy == "information":

@@ -30,7 +30,7 @@ M_PER_MM = 1e-3
 DEBUG_POSE_ERRORS_MM, DEBUG_VIEW_NOISE_MM = (0.0, 1.0), (0.3,)
 
 
-class World(NamedTuple):
+class PoseErrorWorld(NamedTuple):
     """A set of objects, the error of their poses, and the noise of their views."""
 
     objects: str
@@ -51,7 +51,9 @@ def evaluate(lab: StudyLab) -> Part:
     return found
 
 
-def evaluate_set(lab: StudyLab, key: jax.Array, name: str, names: Sequence[str]) -> dict[World, dict[str, np.ndarray]]:
+def evaluate_set(
+    lab: StudyLab, key: jax.Array, name: str, names: Sequence[str]
+) -> dict[PoseErrorWorld, dict[str, np.ndarray]]:
     """Truth and beliefs by the paper's rules with one set of objects, in each world."""
     pose_errors = DEBUG_POSE_ERRORS_MM if lab.args.debug else lab.args.pose_errors
     view_noises = DEBUG_VIEW_NOISE_MM if lab.args.debug else lab.args.view_noise
@@ -77,7 +79,7 @@ def evaluate_set(lab: StudyLab, key: jax.Array, name: str, names: Sequence[str])
             std = lab.pad_model.reading_std
             beliefs = paper_rules(predictors, std, surfaces, episodes, view_noise=noise * M_PER_MM)
             kept = {rule: p for rule, p in beliefs.items() if rule.endswith(COMPARED_RULES)}
-            found[World(name, pose_error, noise)] = {"truth": truth, "pool": pool, **kept}
+            found[PoseErrorWorld(name, pose_error, noise)] = {"truth": truth, "pool": pool, **kept}
     return found
 
 
@@ -87,7 +89,7 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, A
     differences: dict[str, list[Estimate]] = {}
     sizes: set[float] = set()
     for number, first in parts[0].items():
-        world = World(str(first["objects"]), float(first["pose_error"]), float(first["view_noise"]))
+        world = PoseErrorWorld(str(first["objects"]), float(first["pose_error"]), float(first["view_noise"]))
         sizes.add(world.pose_error)
         entry, by_rule = compare_rules([part[number] for part in parts], pads)
         result["worlds"][str(world)] = entry
@@ -117,7 +119,9 @@ def compare_rules(parts: Sequence[Part], pads: Sequence[int]) -> tuple[dict[str,
     """Accuracies from each source in one world, by rule; and how much better each source of readings is than contact
     positions, by source and rule.
     """
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0] if name not in World._fields}
+    columns = {
+        name: np.concatenate([part[name] for part in parts]) for name in parts[0] if name not in PoseErrorWorld._fields
+    }
     truth, pool = columns.pop("truth"), columns.pop("pool")
     # Of a single pad, episodes are distinguished by their pool of sites; each run has its own.
     clusters = clusters_of(parts, pads) or [

@@ -17,7 +17,7 @@ from typing import Any
 
 import tyro
 
-from i2t.cli import ended, renamed_flags
+from i2t.cli import exit_code_of, renamed_flags
 from i2t.collect.arguments import CollectArgs
 
 RENAMED_COLLECT_FLAGS = {
@@ -54,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     before = signal.signal(signal.SIGTERM, end_by_signal)
     try:
-        return ended(lambda: collect(args), f"stopped; everything is in {args.out}: the same command goes on")
+        return exit_code_of(lambda: collect(args), f"stopped; everything is in {args.out}: the same command goes on")
     finally:
         signal.signal(signal.SIGTERM, before)
 

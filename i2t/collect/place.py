@@ -20,7 +20,7 @@ import numpy as np
 import tyro
 from scipy.spatial.transform import Rotation
 
-from i2t.cli import ended
+from i2t.cli import exit_code_of
 from i2t.hardware.camera_folder import RecordedDepthCamera
 from i2t.hardware.hand_eye import tool_pose
 from i2t.hardware.poses import pose_from_vector
@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description=__doc__,
         config=(tyro.conf.FlagCreatePairsOff,),
     )
-    return ended(lambda: print(place(asked)))
+    return exit_code_of(lambda: print(place(asked)))
 
 
 def place(asked: PlaceArgs) -> str:

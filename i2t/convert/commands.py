@@ -59,7 +59,7 @@ def from_imagine2touch(
     pad: str = "reskin",
     window_mm: float = 1e3 * PATCH_WINDOW,
     reach_mm: float = 1e3 * REACH,
-    camera_mm: float = 1e3 * imagine2touch.CAMERA,
+    camera_mm: float = 1e3 * imagine2touch.CAMERA_OFFSET_M,
     quarter_turns: int = 0,
     tool_forces: bool = False,
     force: bool = False,
@@ -100,7 +100,7 @@ def from_imagine2touch(
 def from_eflesh(
     source: Source,
     target: Target,
-    tip_radius_mm: float = 1e3 * eflesh.RADIUS,
+    tip_radius_mm: float = 1e3 * eflesh.TIP_RADIUS_M,
     window_mm: float = 1e3 * eflesh.WINDOW,
     reach_mm: float = 1e3 * REACH,
     z0_mm: float | None = None,

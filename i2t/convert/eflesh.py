@@ -24,18 +24,20 @@ from i2t.skin import boards
 from i2t.types import REACH, ReturnCode, Touches
 
 EFLESH_READINGS = 15  # of one board, AnySkin's
-GRAM = 9.80665e-3  # N, weight of a gram
-RADIUS = 4e-3  # m, of the tip; an assumption
+NEWTONS_PER_GRAM = 9.80665e-3  # N, weight of a gram
+TIP_RADIUS_M = 4e-3  # m, of the tip; an assumption
 WINDOW = 40e-3  # m, holds the 31 x 31 mm grid of the `spatial` sessions
 SAME_ROW = 15e-3  # s: sensor and state of a row are at most 8 ms apart, and rows at least 34 ms
 MAX_RAW_VALUE = 1e10  # of any recorded number: Unix times are 1.7e9 s
-PAUSE = 0.5  # s without rows between the strokes of a `normal` or `shear` session, whose rows are 0.03 to 0.14 s apart
+STROKE_PAUSE_S = (
+    0.5  # s without rows between the strokes of a `normal` or `shear` session, whose rows are 0.03 to 0.14 s apart
+)
 
 
 def convert(
     source: Path,
     *,
-    radius: float = RADIUS,
+    radius: float = TIP_RADIUS_M,
     window: float = WINDOW,
     reach: float = REACH,
     zero: float | None = None,
@@ -149,7 +151,7 @@ def _pressed(name: str, states: np.ndarray, options: _Options, notes: Conversion
     notes.info(f"assumed in {name}: first contact at the robot's z = {1e3 * top:.3f} mm; depth counts from there")
     load = np.full(len(states), np.nan)
     if states.shape[1] == 5:
-        load = np.where(states[:, 4] == -1, np.nan, GRAM * states[:, 4])
+        load = np.where(states[:, 4] == -1, np.nan, NEWTONS_PER_GRAM * states[:, 4])
     return _Probe(x, y, position[:, 2] - top, load)
 
 
@@ -240,6 +242,6 @@ def _strokes(name: str, states: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]
         return np.zeros(len(states), np.int32), (name,)
     z = states[:, 3]
     at_top = z > z.max() - 0.1 * np.ptp(z)
-    begins = np.concatenate([[False], (np.diff(states[:, 0]) > PAUSE) & at_top[1:] & at_top[:-1]])
+    begins = np.concatenate([[False], (np.diff(states[:, 0]) > STROKE_PAUSE_S) & at_top[1:] & at_top[:-1]])
     run = np.cumsum(begins)
     return run, tuple(f"{name}/stroke {i + 1:02d}" for i in range(run[-1] + 1))

@@ -31,8 +31,8 @@ from i2t.dataset import Dataset, concatenate, missing_context
 from i2t.errors import DataError
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Board, ReturnCode, Touches
 
-CAMERA = 64e-3  # m, the camera behind the tool's origin
-LATERAL = 2e-3  # m: a look from further off the contact's axis saw another place
+CAMERA_OFFSET_M = 64e-3  # m, the camera behind the tool's origin
+MAX_LOOK_OFFSET_M = 2e-3  # m: a look from further off the contact's axis saw another place
 QUATERNION_NORM_TOLERANCE = 1e-3  # how far the norm of a quaternion may be from 1
 MAX_POSE_VALUE = 1e6  # of any recorded number, in its unit
 NOTE_LENGTH = 2000  # characters kept of a run's own notes
@@ -48,7 +48,7 @@ def convert(
     order: str = "auto",
     window: float = PATCH_WINDOW,
     reach: float = REACH,
-    camera: float = CAMERA,
+    camera: float = CAMERA_OFFSET_M,
     quarter_turns: int = 0,
     tool_forces: bool = False,
     pad: str = "reskin",
@@ -199,7 +199,7 @@ def _poses(stem: Path, n: int, notes: ConversionLog) -> _Poses:
         notes.info(
             f"{stem}: {np.sum(travel < 0)} presses go against tool z, so this may be another frame than the tool's"
         )
-    travel = np.where((aside <= LATERAL) & (travel >= 0), travel, np.nan)
+    travel = np.where((aside <= MAX_LOOK_OFFSET_M) & (travel >= 0), travel, np.nan)
     if np.isnan(travel).any():
         notes.info(f"{stem}: nearest is unknown for {np.isnan(travel).sum()} touches, not seen along their approach")
     return _Poses(T_w_t, travel)

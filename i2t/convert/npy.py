@@ -22,7 +22,7 @@ import numpy as np
 from i2t.convert.common import data_error, read_bytes
 from i2t.errors import DataError
 
-DEEPEST = 16  # nested lists: real files have five levels
+MAX_LIST_LEVELS = 16  # nested lists: real files have five levels
 OPCODES = re.compile(
     "PROTO|FRAME|STOP|MARK|POP|POP_MARK|MEMOIZE|(LONG_)?BIN(PUT|GET)|PUT|GET|NONE|NEWTRUE|NEWFALSE|(BIN)?INT[12]?"
     "|LONG[14]?|(BIN)?FLOAT|(SHORT_)?BIN(BYTES|STRING|UNICODE)8?|UNICODE|(EMPTY_)?(LIST|TUPLE|DICT)|APPENDS?|TUPLE[123]"
@@ -98,7 +98,7 @@ def _unpickled(path: Path, payload: bytes) -> Any:
             if "PUT" in opcode.name and int(argument or 0) > len(payload):
                 raise _Refused("a memo of absurd size")
         return _plain(
-            _Unpickler(io.BytesIO(payload), encoding="latin1").load(), itertools.count(-len(payload)), DEEPEST
+            _Unpickler(io.BytesIO(payload), encoding="latin1").load(), itertools.count(-len(payload)), MAX_LIST_LEVELS
         )
     except _Refused as error:
         problem = f"refused, for it asks for {error}, which no recording needs"

@@ -20,7 +20,7 @@ AUTHORS_READINGS = 3 * CHIPS
 TEMPERATURES = (-40.0, 85.0)  # C, the range of the chips
 SPREAD = 10.0  # K, standard deviation of temperature over chips and touches; chips differ by 1 to 2.5 K
 MAX_SAMPLE_VALUE = 1e6  # uT: the chips end at 1.3e5
-CLEARLY = 3.0  # times: how much steadier one column must be to be the temperature where both could be
+STEADINESS_RATIO = 3.0  # times: how much steadier one column must be to be the temperature where both could be
 
 
 def readings(tactile: Path, order: str, notes: ConversionLog) -> np.ndarray:
@@ -119,6 +119,6 @@ def _detected(path: Path, samples: np.ndarray) -> str:
         plausible = values.size and TEMPERATURES[0] <= values.min() and values.max() <= TEMPERATURES[1]
         spread[order] = float(values.std()) if plausible and values.std() < SPREAD else math.inf
     best, other = sorted(spread, key=lambda order: spread[order])
-    if not spread[best] * CLEARLY < spread[other]:
+    if not spread[best] * STEADINESS_RATIO < spread[other]:
         raise DataError(f"{path}: does not show whether temperature stands first or last; say --order binary or ascii")
     return best

@@ -31,7 +31,7 @@ import tyro
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from i2t.cli import ended
+from i2t.cli import exit_code_of
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError
 from i2t.hardware.hand_eye_fit import MIN_CORNERS, BoardView, HandEyeResult, fit, pixel_rays
@@ -306,7 +306,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description=__doc__,
         config=(tyro.conf.FlagCreatePairsOff,),
     )
-    return ended(lambda: _run(asked))
+    return exit_code_of(lambda: _run(asked))
 
 
 def _run(asked: DrawArgs | CaptureArgs | EstimateArgs) -> None:

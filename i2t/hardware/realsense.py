@@ -28,7 +28,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import tyro
 
-from i2t.cli import ended
+from i2t.cli import exit_code_of
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.hardware import camera_folder
@@ -336,7 +336,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     asked = tyro.cli(RealSenseArgs, args=arguments, prog="python -m i2t.hardware.realsense", description=__doc__)
-    return ended(lambda: _show(asked))
+    return exit_code_of(lambda: _show(asked))
 
 
 def _show(asked: RealSenseArgs) -> None:

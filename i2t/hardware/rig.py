@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import tyro
 
-from i2t.cli import ended
+from i2t.cli import exit_code_of
 from i2t.depth.camera import Camera
 from i2t.geometry import inverse
 from i2t.hardware.limits import MotionLimits, format_position
@@ -332,7 +332,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             Rig().write(asked.file)
         print(summary(Rig.read(asked.file)))
 
-    return ended(show)
+    return exit_code_of(show)
 
 
 def summary(rig: Rig) -> str:

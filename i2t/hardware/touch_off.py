@@ -32,7 +32,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from i2t.cli import ended, renamed_flags
+from i2t.cli import exit_code_of, renamed_flags
 from i2t.errors import DeviceError
 from i2t.hardware.limits import MotionLimits
 from i2t.hardware.poses import shifted_along_z
@@ -48,7 +48,7 @@ TRANSFER_SPEED_M_S, LOWERING_SPEED_M_S = 0.05, 0.02
 APPROACH_ACCELERATION_M_S2 = 0.1
 SPEED_M_S, STOP_FORCE_N = 2e-3, 2.0  # a corner gives some newtons per millimetre
 SOFT_M_PER_CUBE_ROOT_N, STIFFNESS_N_PER_M = 0.8e-3, 1e4  # m/N^(1/3), N/m: a guess of a corner, and of arm and mount
-FELT_SHARE, MIN_LOOKS = 0.2, 5  # of the last force, above which it counts as felt; looks that must feel it
+CONTACT_FORCE_SHARE, MIN_LOOKS = 0.2, 5  # of the last force, above which it counts as felt; looks that must feel it
 MAX_SHIFT_M, MAX_TILT_RAD = 5e-3, math.radians(4)  # what is further from the rig was no touch of a flat
 
 RENAMED_TOUCH_OFF_FLAGS = {"--stale": "--state-timeout", "--watchdog": "--watchdog-rate"}
@@ -89,7 +89,7 @@ def contact_onset(distance: Float[Array, " n"], force: Float[Array, " n"]) -> fl
         ValueError: The force did not rise.
     """
     distance, force = np.asarray(distance, float), np.asarray(force, float)
-    greatest, felt = force.max(), force > FELT_SHARE * force.max()
+    greatest, felt = force.max(), force > CONTACT_FORCE_SHARE * force.max()
     if felt.sum() < MIN_LOOKS or greatest <= 0 or np.ptp(distance[felt]) <= 0:
         raise ValueError(f"the force did not rise in at least {MIN_LOOKS} looks; lower the skin more slowly")
     if np.polyfit(distance[felt], force[felt], 1)[0] <= 0:
@@ -262,7 +262,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description=__doc__,
         config=(tyro.conf.FlagCreatePairsOff,),
     )
-    return ended(lambda: _touch_off(asked), "stopped; the rig is as it was")
+    return exit_code_of(lambda: _touch_off(asked), "stopped; the rig is as it was")
 
 
 def _touch_off(asked: TouchOffArgs) -> None:

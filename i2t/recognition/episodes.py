@@ -81,7 +81,7 @@ class Episodes(NamedTuple):
     T_w_t: Float[np.ndarray, "e t 4 4"]  # where the presses ended
 
 
-class FeltTouches(NamedTuple):
+class MeasuredTouches(NamedTuple):
     """What was measured at n touches, and where."""
 
     T_w_t: Float[np.ndarray, "n 4 4"]  # where the presses ended, as the arm reports
@@ -197,7 +197,7 @@ class EpisodeSimulator:
             contact=jnp.asarray(made.code != ReturnCode.AIR),
         )
 
-    def felt(self) -> FeltTouches:
+    def last_touches(self) -> MeasuredTouches:
         """The last touch of each episode.
 
         Returns:
@@ -205,7 +205,7 @@ class EpisodeSimulator:
         """
         made = self.observations()
         T = np.asarray(self.touches[-1].T_w_t)
-        return FeltTouches(T, np.asarray(made.reading)[:, -1], np.asarray(made.force)[:, -1])
+        return MeasuredTouches(T, np.asarray(made.reading)[:, -1], np.asarray(made.force)[:, -1])
 
     def episodes(self) -> Episodes:
         """What happened.

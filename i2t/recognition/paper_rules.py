@@ -25,7 +25,7 @@ from jaxtyping import Array, Float, Int, Key
 from i2t.geometry import inverse
 from i2t.prediction.predictor import Predictor, Reading
 from i2t.recognition import ensemble
-from i2t.recognition.episodes import Episodes, FeltTouches
+from i2t.recognition.episodes import Episodes, MeasuredTouches
 from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID
 from i2t.recognition.site_pool import SitePools, pool_informativeness
 from i2t.rendering.render import render_heights
@@ -84,7 +84,7 @@ class ConstantPredictor:
         return Reading(mean, np.ones_like(mean))
 
 
-Scorer: TypeAlias = Callable[[FeltTouches], Float[np.ndarray, "n objects"]]  # distances of touches from objects
+Scorer: TypeAlias = Callable[[MeasuredTouches], Float[np.ndarray, "n objects"]]  # distances of touches from objects
 
 
 # --- distances ---
@@ -108,7 +108,7 @@ def reading_scorers(
         The scorers by the same names.
     """
 
-    def score(name: str, touches: FeltTouches) -> Float[np.ndarray, "n objects"]:
+    def score(name: str, touches: MeasuredTouches) -> Float[np.ndarray, "n objects"]:
         return reading_distances({name: predictors[name]}, surfaces, touches, reading_std, view_noise)[name]
 
     return {name: partial(score, name) for name in predictors}
@@ -117,7 +117,7 @@ def reading_scorers(
 def reading_distances(
     predictors: Mapping[str, ReadingPredictor],
     surfaces: Sequence[Surface],
-    touches: FeltTouches,
+    touches: MeasuredTouches,
     reading_std: Float[np.ndarray, " c"],
     view_noise: float = 0.0,
 ) -> dict[str, Float[np.ndarray, "n objects"]]:
@@ -154,7 +154,7 @@ def reading_distances(
     return {name: np.asarray(ensemble.distances(measured, jnp.asarray(p), std)) for name, p in predicted.items()}
 
 
-def contact_distances(surfaces: Sequence[Surface], touches: FeltTouches) -> Float[np.ndarray, "n objects"]:
+def contact_distances(surfaces: Sequence[Surface], touches: MeasuredTouches) -> Float[np.ndarray, "n objects"]:
     """Distances of contacts from each object's surface: proprioception.
 
     Args:
@@ -217,7 +217,7 @@ def paper_rules(
         Beliefs after each touch, by source (the predictors' names and "proprioception") and rule, such as
         "proprioception, votes".
     """
-    touches = FeltTouches(
+    touches = MeasuredTouches(
         np.asarray(episodes.T_w_t).reshape(-1, 4, 4),
         np.asarray(episodes.observations.reading).reshape(episodes.site.size, -1),
         np.asarray(episodes.observations.force).reshape(-1),
@@ -247,7 +247,7 @@ class TouchMaker(Protocol):
         """
         ...
 
-    def felt(self) -> FeltTouches:
+    def last_touches(self) -> MeasuredTouches:
         """The last touch of each episode."""
         ...
 
@@ -302,7 +302,7 @@ def run_loop(
         hypotheses[:, step], drawn = (np.asarray(x) for x in _draw(keys, jnp.asarray(belief), weight))
         sites[:, step] = (pool * objects + hypotheses[:, step]) * each + drawn
         touches.touch(sites[:, step : step + 1])
-        distance[:, step] = score(touches.felt())
+        distance[:, step] = score(touches.last_touches())
         if progress is not None:
             progress(episodes)
     return LoopResult(distance, hypotheses, sites)

@@ -89,10 +89,10 @@ class Load(NamedTuple):
     slopes: Float[Array, "2 k k"]  # Pa/m: of the pressure along x and y
     pressure: Float[Array, "k k"]  # Pa
     centre_sinking: Float[Array, ""]  # m: by which the middle of a skin clamped at its edge sinks
-    drag: "Drag | None" = None  # no traction
+    traction_waves: "TractionWaves | None" = None  # no traction
 
 
-class Drag(NamedTuple):
+class TractionWaves(NamedTuple):
     """A traction's series, and what its waves are made of."""
 
     traction: Float[Array, "2 k k"]  # Pa
@@ -124,10 +124,12 @@ def load(
     waves = spectrum(pressure, grid, series)
     slopes = jnp.stack([_slope(waves, 1, series), _slope(waves, 0, series)])
     sinking = pad.mount_compliance * clamped_load(pressure, grid)
-    return Load(slopes, waves, sinking, None if traction is None else drag(spectrum(traction, grid, series), series))
+    return Load(
+        slopes, waves, sinking, None if traction is None else traction_waves(spectrum(traction, grid, series), series)
+    )
 
 
-def drag(traction: Float[Array, "2 k k"], grid: Grid = GRID) -> Drag:
+def traction_waves(traction: Float[Array, "2 k k"], grid: Grid = GRID) -> TractionWaves:
     """The parts of a traction's series along and across each wave.
 
     Args:
@@ -148,7 +150,7 @@ def drag(traction: Float[Array, "2 k k"], grid: Grid = GRID) -> Drag:
         inverse * (k[None, :] ** 2 * traction[0] - mixed[0]),
         inverse * (k[:, None] ** 2 * traction[1] - mixed[1]),
     ])  # fmt: skip
-    return Drag(traction, lengthwise, along_x + along_y, across_y - across_x)
+    return TractionWaves(traction, lengthwise, along_x + along_y, across_y - across_x)
 
 
 def interior(
@@ -175,17 +177,17 @@ def interior(
     along, down, turn = _under_pressure(pad, grid, depth)
     move = [along * load.slopes[0], along * load.slopes[1], down * load.pressure]
     rotate = [turn * load.slopes[1], -turn * load.slopes[0]]
-    if load.drag is not None:
+    if load.traction_waves is not None:
         lengthwise, across, down, turn, bend = _under_traction(pad, grid, depth)
-        traction, part = load.drag.traction, load.drag.lengthwise
+        traction, part = load.traction_waves.traction, load.traction_waves.lengthwise
         for i in range(2):
             move[i] = move[i] + across * (traction[i] - part[i]) + lengthwise * part[i]
-        move[2] = move[2] + down * load.drag.divergence
+        move[2] = move[2] + down * load.traction_waves.divergence
         leaning = [turn * part[i] + bend * (traction[i] - part[i]) for i in range(2)]
-        rotate = [rotate[0] - leaning[1], rotate[1] + leaning[0], across * load.drag.curl / 2]
+        rotate = [rotate[0] - leaning[1], rotate[1] + leaning[0], across * load.traction_waves.curl / 2]
     moved = evaluate(jnp.stack([*move, *rotate]), grid, coordinates)
     displacement, rotation = moved[:3], moved[3:]
-    if load.drag is None:
+    if load.traction_waves is None:
         rotation = jnp.concatenate([rotation, jnp.zeros_like(rotation[:1])])
 
     # As a thin plate: normals stay normals about the middle of its thickness.

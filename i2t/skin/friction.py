@@ -27,7 +27,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from i2t.skin.contact import MAX_STEPS, MIN_STRAIN, conjugate_gradients, descend, positive
-from i2t.skin.elasticity import GRID, Grid, drag, evaluate, spectrum, tangential_compliance, tangential_displacement
+from i2t.skin.elasticity import (
+    GRID,
+    Grid,
+    evaluate,
+    spectrum,
+    tangential_compliance,
+    tangential_displacement,
+    traction_waves,
+)
 from i2t.types import Pad
 
 FRICTION_TOLERANCE = 1e-4  # of the largest displacement: ten times what the roundings of float32 leave
@@ -127,7 +135,7 @@ def shear(
 
 def _yielding(kernels: Array, q: Array, grid: Grid) -> Array:
     """C q: displacement of the surface under a traction, both along x and y."""
-    parts = drag(spectrum(q, grid), grid)
+    parts = traction_waves(spectrum(q, grid), grid)
     return evaluate(kernels[:1] * parts.lengthwise + kernels[1:] * (parts.traction - parts.lengthwise), grid)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from experiments.faults import arm
 from experiments.faults import run as faults
-from experiments.faults.rows import DEBUG, FaultRow, Sizes, worst
+from experiments.faults.rows import DEBUG, FaultCounts, FaultRow, worst
 from i2t import dataset
 from i2t.collect.recorder import INTERRUPTED, site_number_of, touches_in
 from i2t.emulators import reskin_board, ur_controller
@@ -38,7 +38,7 @@ def test_a_goal_that_is_missed_is_the_exit_code(tmp_path, monkeypatch):
 
 
 def test_sizes_shrink_to_one_of_each():
-    assert Sizes().times(0.5).kills == 100
+    assert FaultCounts().times(0.5).kills == 100
     assert min(vars(DEBUG.times(0.01)).values()) == 1
     assert worst([0.3, 0.1, 0.2]) == "median 200 ms, worst 300 ms"
 

@@ -9,7 +9,7 @@ from helpers.site_poses import TWO_POOLS
 from i2t.objects import catalogue
 from i2t.prediction.predictor import Reading
 from i2t.recognition.belief import TouchObservation
-from i2t.recognition.episodes import Episodes, FeltTouches
+from i2t.recognition.episodes import Episodes, MeasuredTouches
 from i2t.recognition.paper_rules import ConstantPredictor, paper_rules, run_loop
 from i2t.recognition.site_pool import prepare_surfaces
 
@@ -113,12 +113,12 @@ class Recorder:
     def touch(self, site: np.ndarray) -> None:
         self.sites.append(site)
 
-    def felt(self) -> FeltTouches:
+    def last_touches(self) -> MeasuredTouches:
         step = np.full(len(POOL), len(self.sites), np.float32)
-        return FeltTouches(np.tile(np.eye(4, dtype=np.float32), (len(POOL), 1, 1)), step[:, None], step)
+        return MeasuredTouches(np.tile(np.eye(4, dtype=np.float32), (len(POOL), 1, 1)), step[:, None], step)
 
 
-def fixed_scorer(touches: FeltTouches) -> np.ndarray:
+def fixed_scorer(touches: MeasuredTouches) -> np.ndarray:
     """The table's distances of the touch whose number is its reading."""
     return DISTANCES[touches.reading[:, 0].astype(int) - 1]
 

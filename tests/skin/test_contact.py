@@ -320,7 +320,7 @@ def test_interior_ends_at_the_base_and_the_surface(smooth_load):
         dragged = jnp.zeros((2, 40, 40))
     else:
         lengthwise, across = elasticity.tangential_compliance(PAD)
-        parts = elasticity.drag(elasticity.spectrum(traction))
+        parts = elasticity.traction_waves(elasticity.spectrum(traction))
         dragged = elasticity.evaluate(
             lengthwise[None] * parts.lengthwise + across[None] * (parts.traction - parts.lengthwise)
         )

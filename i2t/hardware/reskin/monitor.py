@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from i2t.cli import ended
+from i2t.cli import exit_code_of
 from i2t.errors import DeviceError
 from i2t.hardware.protocols import Samples, SkinCounters
 from i2t.hardware.reskin.driver import Replay, ReSkin
@@ -69,7 +69,7 @@ def main(args: Sequence[str] | None = None) -> int:
             skin = Replay(asked.replay, chips=chips) if asked.replay else ReSkin(asked.port, asked.baud, chips=chips)
             _show_live(skin, asked)
 
-    return ended(show)
+    return exit_code_of(show)
 
 
 def picture(

@@ -1,0 +1,63 @@
+"""How a command ends: exit codes, and the one sentence that goes with them."""
+
+import errno
+
+import pytest
+
+from i2t.cli import FAILED, INTERRUPTED_BY_USER, WRONG_USE, exit_code_of, renamed_flags
+from i2t.errors import CheckpointError, DataError, DeviceError, DeviceTimeoutError
+
+WRONG = (
+    ValueError("--unit is no unit"),
+    DataError("set.h5: is no data set"),
+    CheckpointError("runs/train: holds no predictor"),
+    FileNotFoundError(errno.ENOENT, "No such file or directory", "pad.npz"),
+    NotADirectoryError(errno.ENOTDIR, "Not a directory", "pad.npz"),
+    PermissionError(errno.EACCES, "Permission denied", "/root"),
+)
+BROKEN = (
+    DeviceError("the skin fell silent"),
+    DeviceTimeoutError("no news from the arm"),
+    OSError(errno.ENOSPC, "No space left on device"),
+)
+
+
+def _raising(error):
+    def work():
+        raise error
+
+    return work
+
+
+@pytest.mark.parametrize(
+    ("errors", "code"), [(WRONG, 2), (BROKEN, 1)], ids=["what cannot be done as asked", "what broke on the way"]
+)
+def test_an_error_is_one_sentence_and_its_exit_code(errors, code, capsys):
+    for error in errors:
+        assert exit_code_of(_raising(error)) == code, error
+        printed = capsys.readouterr()
+        assert (printed.out, printed.err) == ("", f"error: {error}\n")
+
+
+def test_ctrl_c_says_how_things_stand(capsys):
+    assert exit_code_of(_raising(KeyboardInterrupt()), "stopped; go on with --resume") == 130
+    assert capsys.readouterr().err == "\nstopped; go on with --resume\n"
+
+
+def test_a_command_may_choose_its_exit_code():
+    assert [exit_code_of(lambda code=code: code) for code in (None, 0, 1, "a result")] == [0, 0, 1, 0]
+    assert (FAILED, WRONG_USE, INTERRUPTED_BY_USER) == (1, 2, 130)
+
+
+def test_a_defect_of_the_program_is_not_hidden():
+    with pytest.raises(ZeroDivisionError):
+        exit_code_of(_raising(ZeroDivisionError()))
+
+
+def test_a_renamed_flag_names_the_new_one(capsys):
+    renamed_flags(["--prior-unknown", "0.1", "strange"], {"--strange": "--prior-unknown"})
+    for old in ("--strange", "--strange=0.1"):
+        with pytest.raises(SystemExit) as ended:
+            renamed_flags([old], {"--strange": "--prior-unknown"})
+        assert ended.value.code == WRONG_USE
+        assert capsys.readouterr().err == "error: --strange is called --prior-unknown now\n"
