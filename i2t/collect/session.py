@@ -408,7 +408,9 @@ def _headline(args: CollectArgs, source: str, name: str) -> str:
 
 
 def _pad_name(args: CollectArgs) -> str:
-    if args.skin not in ("simulated", "emulated", "replay"):
+    if args.skin == "replay":
+        return f"replay of {args.replay.stem}" if args.replay else "replay"
+    if args.skin not in ("simulated", "emulated"):
         return "skin"
     return f"simulated, {args.pad.stem}" if args.pad else "simulated pad 0"
 
