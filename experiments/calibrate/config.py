@@ -36,6 +36,7 @@ class CalibrateArgs:
     dataset: Path | None = None  # a data set of one tip on one skin
     save_pad: Path | None = None  # do not compare methods: fit a pad to the presses and write it, a file for --pad
     calibration: Path | None = None  # with --save-pad: a calibration, whose presses are taken in place of --dataset
+    targets: tuple[str, ...] = ()  # heads of position, depth, force, shear, contact, slip (docs/fidelity.md)
     tip: str | None = None  # with --save-pad: sphere:RADIUS or cylinder:RADIUS in mm; by default what the data set says
     board: str | None = None  # with --calibration: reskin, anyskin or grid-RxC; by default what its file says
     pad_name: str | None = None  # with --save-pad: of the skin; by default what the data set says

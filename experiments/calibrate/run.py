@@ -7,6 +7,7 @@
     python -m experiments.calibrate --dataset DIR --presses 1000 --draws 5  one column of the table
     python -m experiments.calibrate --dataset DIR --save-pad FILE           a pad fitted to the presses, for --pad FILE
     python -m experiments.calibrate --calibration FILE --save-pad FILE      the same from calibration.npz
+    python -m experiments.calibrate --dataset DIR --targets position force  heads: these from readings
 
 DIR is any recording of one tip on one skin (see python -m i2t.convert). Held out, for all draws alike: 1000 random
 presses, and whole blocks of 6 mm; nothing is chosen by them. Random presses inside the blocks have no press near them
@@ -34,7 +35,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import tyro
 
-from experiments.calibrate import fitted_pad, previous_session, report
+from experiments.calibrate import fitted_pad, previous_session, report, targets
 from experiments.calibrate.config import CalibrateArgs, Preset, preset_of
 from experiments.calibrate.data import PressRecording, hold_out, read_presses, split_presses
 from experiments.calibrate.evaluate import learning_curves
@@ -56,7 +57,7 @@ def main(argv: list[str] | None = None) -> int:
     renamed_flags(sys.argv[1:] if argv is None else argv, RENAMED_FLAGS)
     answer_renamed_value(argv, "--preset", RENAMED)
     args = tyro.cli(CalibrateArgs, args=argv, description=__doc__, prog="python -m experiments.calibrate")
-    compare = previous_session.run if args.previous_session else run
+    compare = previous_session.run if args.previous_session else targets.run if args.targets else run
     return exit_code_of_run(partial(_checked, fitted_pad.run if args.save_pad else compare, args))
 
 

@@ -1,0 +1,49 @@
+"""Heads: what readings of a skin tell of their presses, tested on rows held out, and a file of each to use."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+from experiments.calibrate.config import CalibrateArgs
+from experiments.common.runs import begin, write_json
+from experiments.fidelity.config import FIDELITY_PRESETS
+from experiments.fidelity.heads import caption, table, test_heads, to_numbers, verdicts
+from experiments.fidelity.sections import print_table
+from i2t.calibration.heads import TARGETS, SkinRecording, fit_head, read_recordings
+
+
+def run(args: CalibrateArgs) -> dict[str, Any]:
+    """Test a head of each target on rows held out, then fit it to all rows and write it."""
+    assert args.dataset is not None
+    if unknown := [target for target in args.targets if target not in TARGETS]:
+        raise ValueError(f"--targets {' '.join(unknown)}: is no target; choose of {', '.join(TARGETS)}")
+    started, preset = time.perf_counter(), FIDELITY_PRESETS[args.preset]
+    recording = one_recording(args.dataset)
+    begin(args.out, args, preset, None, args.overwrite)
+    for note in recording.notes:
+        print(f"{note}")
+    metrics: dict[str, Any] = {"source": recording.source, "seed": args.seed, "rows": len(recording), "heads": {}}
+    for target in args.targets:
+        tests = test_heads(recording, target, preset.heads, share=preset.held_out_share, seed=args.seed)
+        about = {"recording": recording.name, "source": recording.source, "tests": to_numbers(tests)}
+        fit_head(recording, target, budget=preset.heads, seed=args.seed, metadata=about).save(
+            args.out / f"{target}.npz"
+        )
+        metrics["heads"][target] = to_numbers(tests)
+        print_table(caption(target), table(target, tests))
+        print("\n".join(f"  {sentence}" for sentence in verdicts(target, tests)))
+    metrics["seconds"] = round(time.perf_counter() - started, 1)
+    write_json(args.out / "metrics.json", metrics)
+    print(f"\nheads are in {args.out}: i2t.calibration.heads.load_head(FILE).predict(readings)")
+    return metrics
+
+
+def one_recording(path: Path) -> SkinRecording:
+    """The recording of one skin that a path holds."""
+    found = read_recordings(path)
+    if len(found) > 1:
+        raise ValueError(
+            f"{path} holds {len(found)} recordings ({', '.join(one.name for one in found[:3])} ...); a head is of one: "
+            "name one of them"
+        )
+    return found[0]

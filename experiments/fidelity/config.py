@@ -1,0 +1,53 @@
+"""Presets and arguments of the fidelity report."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from experiments.common.presets import choose_preset
+from i2t.calibration.heads import HeadBudget
+
+
+@dataclass(frozen=True)
+class FidelityPreset:
+    """How much is tried."""
+
+    counts: tuple[int, ...] = (5, 10, 20, 50, 100, 300)  # presses to calibrate with
+    draws: int = 10  # of them
+    method_seconds: float = 90.0  # of one method's curve, after which it gets no further draw
+    test_rows: int = 1000  # on which curves are scored
+    forward_rows: int = 1200  # of the model by which noise and memory are told from the press
+    block_mm: float = 6.0
+    held_out_share: float = 0.2  # of blocks, rows or time
+    simulated_strokes: int = 160  # of each skin, with --simulated-skins
+    heads: HeadBudget = field(default_factory=HeadBudget)
+
+
+FIDELITY_PRESETS: dict[str, FidelityPreset] = {
+    "paper": FidelityPreset(),
+    "short": FidelityPreset(
+        counts=(5, 20, 100), draws=4, method_seconds=30.0, forward_rows=600, simulated_strokes=80,
+        heads=HeadBudget(400, 1200, 0, rows=4000),
+    ),
+    "debug": FidelityPreset(
+        counts=(20,), draws=1, method_seconds=5.0, test_rows=100, forward_rows=150, simulated_strokes=8,
+        heads=HeadBudget(100, 200, 0, rows=400),
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class FidelityArgs:
+    """What recordings of a skin are worth: checks, noise, calibration curves, heads and ceilings in one report."""
+
+    dataset: tuple[Path, ...] = ()  # data sets, sessions of eFlesh as recorded, or tables; sessions of a skin together
+    simulated_skins: int = 0  # instead: judge so many simulated skins that are pressed and slid over
+    out: Path = Path("runs/fidelity")  # folder for report.html, metrics.json and config.json
+    preset: Literal["paper", "short", "debug"] = "paper"
+    seed: int = 0  # of what is held out and of the draws
+    overwrite: bool = False  # replace a run in --out
+
+
+def fidelity_preset(args: FidelityArgs) -> FidelityPreset:
+    """The preset of the arguments."""
+    return choose_preset(FIDELITY_PRESETS, args.preset)

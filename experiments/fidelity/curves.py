@@ -1,0 +1,254 @@
+"""How many presses predict all others: baselines and i2t's own calibration, on three ways of holding presses out."""
+
+import time
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.fidelity.config import FidelityPreset
+from experiments.fidelity.forward import (
+    BASELINE_METHODS,
+    SIMPLE_GP,
+    ForwardMethod,
+    PressSet,
+    choose_simple_gp,
+    explained_share,
+    predict_simple_gp,
+    press_set,
+)
+from experiments.fidelity.sections import CannotTellError, Section, cell
+from i2t.calibration import calibrate
+from i2t.calibration.heads import SkinRecording
+from i2t.prediction.metrics import student_interval
+from i2t.unknowns.alignment import align_session, aligned_prediction, fit_session_map
+from i2t.viz import style
+
+CALIBRATED = "i2t.calibrate"
+RANDOM_ROWS, WHOLE_BLOCKS, LATER_ROWS = "random presses", "whole blocks", "later in time"
+MIN_TEST_ROWS, MIN_POOL_ROWS = 5, 5
+COLOURS_OF_METHODS = (style.GREY, style.ORANGE, style.BLUE, style.GREEN, style.RED)
+
+
+def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: int, section: Section) -> None:
+    """R2 of readings by the number of presses, for each method and each way of holding out."""
+    presses = press_set(recording)
+    splits = hold_out_presses(presses, preset, seed)
+    methods = BASELINE_METHODS | {CALIBRATED: by_calibrate(recording)}
+    if presses.load_name == "none":
+        section.sentences.append("No load is known that varies: presses are told by their position alone.")
+    counts = [n for n in preset.counts if any(n <= len(pool) for pool, _ in splits.values())]
+    if not counts:
+        raise CannotTellError(f"{len(presses.load)} presses leave fewer than {min(preset.counts)} to calibrate with.")
+    section.numbers |= {"load": presses.load_name, "r2": {}, "held_out": {n: len(t) for n, (_, t) in splits.items()}}
+    seconds: dict[str, float] = dict.fromkeys(methods, 0.0)
+    for split, (pool, test) in splits.items():
+        curves = _curves(
+            presses, methods, pool, test, counts=counts, preset=preset, seed=seed, seconds=seconds, section=section
+        )
+        section.numbers["r2"][split] = curves
+        header = ["R2, mean of the draws [95 %]", *(str(n) for n in counts)]
+        section.tables[f"held out: {split} ({len(test)} presses)"] = [
+            header,
+            *([name, *(_interval_cell(by_count.get(n)) for n in counts)] for name, by_count in curves.items()),
+        ]
+        section.sentences.append(_verdict(split, curves))
+    section.figures["Calibration curves"] = _figure(section.numbers["r2"])
+
+
+def across_sessions(recordings: Sequence[SkinRecording], preset: FidelityPreset, seed: int, section: Section) -> None:
+    """What a session says of another of the same skin, as it is and with a gain and an offset for each channel."""
+    rows = [["known", "predicted", "as it is", "aligned by 20 presses", "from 20 presses of its own"]]
+    section.numbers["r2"] = {}
+    for known in recordings:
+        for other in recordings:
+            if known is not other:
+                section.part(partial(_across, known, other, preset, seed, section, rows))
+    if len(rows) == 1:
+        raise CannotTellError(" ".join(section.sentences) or "No two recordings can be compared.")
+    section.tables["R2 of one session's readings as another predicts them"] = rows
+
+
+def hold_out_presses(presses: PressSet, preset: FidelityPreset, seed: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Rows to learn from and to test on, by how they are held out; ways that leave too few are left out."""
+    n, rng, share = len(presses.load), np.random.default_rng(seed), preset.held_out_share
+    every = rng.permutation(n)
+    later = np.arange(n) >= round((1 - share) * n)
+    found = {RANDOM_ROWS: (every[round(share * n) :], every[: round(share * n)])}
+    cell_of = np.floor((presses.position - presses.position.min(0)) / (1e-3 * preset.block_mm) + 1e-9).astype(int)
+    block = np.unique(cell_of, axis=0, return_inverse=True)[1].ravel()
+    if block.max() >= 4:
+        chosen = rng.permutation(block.max() + 1)[: max(round(share * (block.max() + 1)), 1)]
+        held = np.isin(block, chosen)
+        found[WHOLE_BLOCKS] = (every[~held[every]], every[held[every]])
+    found[LATER_ROWS] = (every[~later[every]], every[later[every]])
+    usable = {
+        name: (pool, np.sort(test[: preset.test_rows]))
+        for name, (pool, test) in found.items()
+        if len(test) >= MIN_TEST_ROWS and len(pool) >= MIN_POOL_ROWS
+    }
+    if not usable:
+        raise CannotTellError(f"{n} presses are too few to calibrate with some and to test on others.")
+    return usable
+
+
+def by_calibrate(recording: SkinRecording) -> ForwardMethod:
+    """What `i2t.calibrate` makes of the known presses."""
+    board = recording.board
+    if board is not None and board.num_readings != recording.readings.shape[1]:
+        board = None
+
+    def method(presses: PressSet, known: np.ndarray, test: np.ndarray) -> np.ndarray:
+        middle = (presses.position.min(0) + presses.position.max(0)) / 2 if board is None else np.zeros(2)
+        load: np.ndarray | None = presses.load
+        if presses.load_name == "none":
+            load = None
+        elif np.mean(presses.load < 0) > 0.5:
+            load = -presses.load  # a force sensor with its axis turned, which the checks report
+        load = None if load is None else np.maximum(load, 0)
+        calibration = calibrate(
+            presses.position[known] - middle,
+            None if load is None else load[known],
+            presses.readings[known],
+            load_kind=presses.load_name,  # type: ignore[arg-type]
+            board=board,
+        )
+        told = calibration.predict(presses.position[test] - middle, None if load is None else load[test])
+        return np.asarray(told[0], np.float64)
+
+    return method
+
+
+def _curves(
+    presses: PressSet,
+    methods: dict[str, ForwardMethod],
+    pool: np.ndarray,
+    test: np.ndarray,
+    *,
+    counts: Sequence[int],
+    preset: FidelityPreset,
+    seed: int,
+    seconds: dict[str, float],
+    section: Section,
+) -> dict[str, dict[int, dict[str, float]]]:
+    """Mean R2 and its interval by method and count; a method that is over its time gets no further draw, and one that
+    fails says so.
+    """
+    values: dict[str, dict[int, list[float]]] = {name: {} for name in methods}
+    for draw in range(preset.draws):
+        order = np.random.default_rng((seed, draw)).permutation(pool)
+        for name, method in methods.items():
+            if draw and seconds[name] > preset.method_seconds:
+                continue
+            began = time.perf_counter()
+            for n in counts:
+                if n > len(order):
+                    continue
+                try:
+                    predicted = method(presses, order[:n], test)
+                except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+                    said = f"{name} cannot be fitted to {n} presses: {error}."
+                    section.sentences += [] if said in section.sentences else [said]
+                    continue
+                values[name].setdefault(n, []).append(explained_share(presses.readings[test], predicted))
+            seconds[name] += time.perf_counter() - began
+    return {
+        name: {n: {"draws": len(r2), **_summary(r2)} for n, r2 in by_count.items()} for name, by_count in values.items()
+    }
+
+
+def _summary(values: list[float]) -> dict[str, float]:
+    if len(values) < 2:
+        return {"mean": float(values[0]), "low": float("nan"), "high": float("nan")}
+    return dict(zip(("mean", "low", "high"), map(float, student_interval(values)), strict=True))
+
+
+def _interval_cell(summary: dict[str, float] | None) -> str:
+    if summary is None:
+        return "-"
+    ends = "" if np.isnan(summary["low"]) else f" [{summary['low']:.3f}, {summary['high']:.3f}]"
+    return cell(summary["mean"]) + ends
+
+
+def _verdict(split: str, curves: dict[str, dict[int, dict[str, float]]]) -> str:
+    """Whether i2t's calibration is at least as good as the best baseline, at each count."""
+    lost = []
+    if not curves[CALIBRATED]:
+        return f"Held out {split}: {CALIBRATED} predicts nothing."
+    for n, own in curves[CALIBRATED].items():
+        rivals = {
+            name: by_count[n]["mean"] for name, by_count in curves.items() if name != CALIBRATED and n in by_count
+        }
+        best = max(rivals, key=lambda name: rivals[name])
+        if own["mean"] < rivals[best] - 0.01:
+            lost.append(f"{n} presses ({own['mean']:.3f}, {best} {rivals[best]:.3f})")
+    if lost:
+        return f"Held out {split}: {CALIBRATED} loses to a baseline at {', '.join(lost)}."
+    return f"Held out {split}: {CALIBRATED} is at least as good as every baseline at every number of presses."
+
+
+def _figure(r2: dict[str, dict[str, dict[int, dict[str, float]]]]) -> Figure:
+    figure = Figure(figsize=(4.4 * len(r2), 3.6), layout="constrained")
+    panels = figure.subplots(1, len(r2), squeeze=False)[0]
+    for axes, (split, curves) in zip(panels, r2.items(), strict=True):
+        for colour, (name, by_count) in zip(COLOURS_OF_METHODS, curves.items(), strict=False):
+            counts = list(by_count)
+            axes.plot(counts, [by_count[n]["mean"] for n in counts], "o-", ms=3, color=colour, label=name)
+            low, high = ([by_count[n][end] for n in counts] for end in ("low", "high"))
+            axes.fill_between(counts, low, high, color=colour, alpha=0.2, lw=0)
+        axes.set(xscale="log", ylim=(-0.1, 1), xlabel="presses to calibrate with", title=f"held out: {split}")
+        axes.grid(alpha=0.3)
+    panels[0].set_ylabel("R² over all channels")
+    panels[0].legend(fontsize=7)
+    return figure
+
+
+def _across(
+    known: SkinRecording,
+    other: SkinRecording,
+    preset: FidelityPreset,
+    seed: int,
+    section: Section,
+    rows: list[list[str]],
+) -> None:
+    before, now = press_set(known), press_set(other)
+    if before.readings.shape[1] != now.readings.shape[1]:
+        raise CannotTellError(f"{known.name} and {other.name} have another number of channels.")
+    if before.load_name != now.load_name:
+        raise CannotTellError(f"{known.name} knows {before.load_name} as its load and {other.name} {now.load_name}.")
+    order = np.random.default_rng(seed).permutation(len(now.load))
+    own, test = order[:20], order[20 : 20 + preset.test_rows]
+    if len(test) < MIN_TEST_ROWS:
+        raise CannotTellError(f"{other.name} has too few presses to test {known.name} on.")
+    joint = PressSet(
+        position=np.concatenate([before.position, now.position]),
+        load=np.concatenate([before.load, now.load]),
+        load_name=now.load_name,
+        readings=np.concatenate([before.readings, now.readings]),
+        session=np.concatenate([before.session, now.session]),
+        time=np.concatenate([before.time, now.time]),
+        row=np.concatenate([before.row, now.row]),
+    )
+    past = np.random.default_rng(seed).permutation(len(before.load))[: preset.forward_rows]
+    settings = choose_simple_gp(joint, past)
+    shift = len(before.load)
+    told = predict_simple_gp(settings, joint, past, joint.coordinates[shift + test])
+    alignment = align_session(
+        session := fit_session_map(before.position[past], before.load[past], before.readings[past]),
+        now.position[own],
+        now.load[own],
+        now.readings[own],
+        load_known=now.load_name == "force",
+    )
+    scores = {
+        "as it is": explained_share(now.readings[test], told),
+        "aligned": explained_share(
+            now.readings[test], aligned_prediction(session, alignment, now.position[test], now.load[test])
+        ),
+        SIMPLE_GP: explained_share(now.readings[test], BASELINE_METHODS[SIMPLE_GP](now, own, test)),
+    }
+    section.numbers["r2"][f"{known.name} -> {other.name}"] = scores | {
+        "shift_m": alignment.shift.tolist(), "load_offset": alignment.load, "gain": alignment.gain.tolist(),
+    }  # fmt: skip
+    rows.append([known.name, other.name, *(cell(score) for score in scores.values())])

@@ -1,0 +1,242 @@
+"""What a recording is, and what in it contradicts a sound one."""
+
+from importlib.util import find_spec
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.fidelity.sections import CannotTellError, Section, join
+from i2t.calibration import check_presses
+from i2t.calibration.heads import TARGETS, SkinRecording
+from i2t.calibration.heads.recording import VALUES_PER_CHIP
+from i2t.viz import style
+
+# uT for each step of x and y and of z, by gain at resolution 0 (MLX90393 data sheet, sensitivity table, 0xC);
+# resolutions 1 to 3 double it each.
+CHIP_STEPS_UT = (
+    (0.751, 1.210), (0.601, 0.968), (0.451, 0.726), (0.376, 0.605),
+    (0.300, 0.484), (0.250, 0.403), (0.200, 0.323), (0.150, 0.242),
+)  # fmt: skip
+STEP_TOLERANCE = 0.02
+MICROTESLA_IN = {"uT": 1.0, "mT": 1e3, "gauss": 100.0, "nT": 1e-3}  # uT in each
+COUNTS_OF_16_BITS = 2**16
+STILL_IN_AIR = 0.1  # of the readings' size in contact, that they may keep in air
+ALIKE = 0.9999  # correlation of two channels that are one
+MIN_ALIKE_ROWS = 30
+
+
+def describe(recording: SkinRecording, section: Section) -> None:
+    """Counts, ranges, unit and rate."""
+    n, c = recording.readings.shape
+    seconds = np.diff(recording.time)
+    timed = bool(np.isfinite(seconds).any())
+    section.sentences.append(
+        f"{n} {recording.source} readings of {c // VALUES_PER_CHIP} chips ({c} channels) in "
+        f"{len(np.unique(recording.session))} strokes or sessions."
+    )
+    section.sentences += [note + "." for note in recording.notes]
+    numbers = section.numbers
+    numbers |= {"rows": n, "channels": c, "sessions": len(np.unique(recording.session)), "source": recording.source}
+    numbers["reading_uT"] = {
+        "median_length": float(np.median(np.linalg.norm(recording.readings, axis=1))),
+        "rms_by_channel": np.sqrt(np.mean(recording.readings**2, axis=0)).tolist(),
+        "largest": float(np.abs(recording.readings).max()),
+    }
+    if timed:
+        gap = float(np.nanmedian(seconds))
+        numbers["time"] = {"median_gap_s": gap, "span_s": float(np.nanmax(recording.time) - np.nanmin(recording.time))}
+        section.sentences.append(
+            f"Rows come every {gap:.3g} s (median) over {numbers['time']['span_s'] / 60:.1f} minutes."
+        )
+    else:
+        section.sentences.append("Times are not recorded, so that rates, creep and drift per hour are not told.")
+    section.tables["what is known of the rows"] = _known(recording, numbers)
+    section.sentences.append(_unit(recording, numbers))
+    section.figures["The recording"] = _overview(recording)
+
+
+def check(recording: SkinRecording, section: Section) -> None:
+    """What contradicts a sound recording; a sentence for each finding."""
+    found: list[str] = []
+    numbers = section.numbers
+    _check_channels(recording, found, numbers)
+    _check_targets(recording, found, numbers)
+    section.part(lambda: _check_presses(recording, found, numbers))
+    section.part(lambda: _check_unknowns(recording, found, numbers))
+    numbers["warnings"] = found
+    section.sentences += found if found else ["Nothing that was looked for contradicts a sound recording."]
+
+
+def one_tip(recording: SkinRecording) -> None:
+    """CannotTellError where presses are of several objects."""
+    if recording.labels is not None and len(np.unique(recording.labels)) > 1:
+        raise CannotTellError(
+            f"{len(np.unique(recording.labels))} objects touched the skin, and what a place and a load say of a "
+            "reading holds for one tip only."
+        )
+
+
+def load_of(recording: SkinRecording) -> tuple[str, np.ndarray]:
+    """Name and values (n,) of what says how hard was pressed: depth where it is known and varies, else force, else
+    nothing (one load for all).
+    """
+    for name in ("depth", "force"):
+        if recording.varies(name) and recording.known(name).mean() > 0.5:
+            return name, recording.targets[name][:, 0]
+    for name in ("force",):
+        if recording.varies(name):
+            return name, recording.targets[name][:, 0]
+    return "none", np.zeros(len(recording))
+
+
+def _known(recording: SkinRecording, numbers: dict) -> list[list[str]]:
+    rows = [["target", "rows", "from", "to", "unit"]]
+    numbers["known"] = {}
+    for name, kind in TARGETS.items():
+        known = recording.known(name)
+        if known.any():
+            values = kind.scale * recording.targets[name][known]
+            low, high = values.min(0), values.max(0)
+            numbers["known"][name] = {"rows": int(known.sum()), "low": low.tolist(), "high": high.tolist()}
+            rows.append(
+                [name, str(int(known.sum())), *(" / ".join(f"{v:.3g}" for v in end) for end in (low, high)), kind.unit]
+            )
+        else:
+            rows.append([name, "0", "-", "-", kind.unit])
+    return rows
+
+
+def _unit(recording: SkinRecording, numbers: dict) -> str:
+    """Which unit the steps of the values suggest."""
+    raw = recording.readings if recording.baseline is None else recording.readings + recording.baseline
+    steps = np.array([_step(channel) for channel in raw.T])
+    xy, z = (float(np.nanmedian(part)) if np.isfinite(part).any() else np.nan for part in (
+        np.delete(steps, np.s_[2::VALUES_PER_CHIP]), steps[2::VALUES_PER_CHIP]))  # fmt: skip
+    numbers["steps"] = {"xy": xy, "z": z}
+    if not np.isfinite([xy, z]).all():
+        return "The values have no steps (they are means or were rounded), so that their unit is taken on trust as uT."
+    for unit, factor in MICROTESLA_IN.items():
+        for gain, (of_xy, of_z) in enumerate(CHIP_STEPS_UT):
+            for resolution in range(4):
+                both = np.array([xy / of_xy, z / of_z]) * factor / 2**resolution
+                if (np.abs(both - 1) < STEP_TOLERANCE).all():
+                    numbers["unit"] = unit
+                    chip = f"an MLX90393 in {unit} (such as gain {gain} and resolution {resolution})"
+                    wrong = "" if unit == "uT" else f": multiply them by {factor:g} to have uT"
+                    return f"Values have steps of {xy:.4g} (x, y) and {z:.4g} (z), which are those of {chip}{wrong}."
+    return f"Values have steps of {xy:.4g} (x, y) and {z:.4g} (z), of no chip that is known here; taken as uT."
+
+
+def _step(values: np.ndarray) -> float:
+    """Smallest step of a channel, if nearly all values are whole numbers of it; NaN else."""
+    levels = np.unique(np.round(values, 4))
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-3]
+    if len(gaps) < 5:
+        return np.nan
+    step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
+    off = np.abs((levels - levels[0]) / step - np.round((levels - levels[0]) / step))
+    return step if np.median(off) < 0.1 and len(levels) < 0.9 * len(values) else np.nan
+
+
+def _check_channels(recording: SkinRecording, found: list[str], numbers: dict) -> None:
+    y = recording.readings
+    constant = np.flatnonzero(np.ptp(y, axis=0) == 0)
+    numbers["constant_channels"] = constant.tolist()
+    if len(constant):
+        found.append(f"Channels {join(constant.tolist())} never change: a dead axis, or a chip that does not answer.")
+    live = np.flatnonzero(np.ptp(y, axis=0) > 0)
+    if len(live) > 1 and len(y) >= MIN_ALIKE_ROWS:
+        alike = np.argwhere(np.triu(np.corrcoef(y[:, live].T) > ALIKE, 1))
+        same = [
+            (int(live[i]), int(live[j])) for i, j in alike if np.ptp(y[:, live[i]] - y[:, live[j]]) < 1e-6 * np.ptp(y)
+        ]
+        numbers["equal_channels"] = same
+        if same:
+            found.append(f"Channels {join(same)} are the same numbers: one of each pair is a copy.")
+    raw = y if recording.baseline is None else y + recording.baseline
+    step = np.array([_step(channel) for channel in raw.T])
+    jump = np.abs(np.diff(raw, axis=0))
+    wrapped = np.isfinite(step) & (np.abs(jump - COUNTS_OF_16_BITS * np.nan_to_num(step, nan=1.0)) < 0.05 * jump).any(0)
+    numbers["wrapped_channels"] = np.flatnonzero(wrapped).tolist()
+    if wrapped.any():
+        found.append(
+            f"Channels {join(np.flatnonzero(wrapped).tolist())} jump by 65 536 steps: "
+            "16-bit values ran over; unwrap them."
+        )
+
+
+def _check_targets(recording: SkinRecording, found: list[str], numbers: dict) -> None:
+    for name in ("depth", "force", "position"):
+        if recording.known(name).any() and not recording.varies(name):
+            found.append(f"All rows have one {name}, so that nothing is told of how readings change with it.")
+    if recording.known("force").any():
+        force = recording.targets["force"][recording.known("force"), 0]
+        negative = float(np.mean(force[np.abs(force) > 0.05] < 0)) if (np.abs(force) > 0.05).any() else 0.0
+        numbers["negative_force_share"] = negative
+        if negative > 0.5:
+            found.append(
+                f"{100 * negative:.0f} % of the forces are negative: they pull. The axis of the force sensor is "
+                "turned; change its sign."
+            )
+    contact = recording.targets.get("contact")
+    if contact is not None and (contact[:, 0] == 0).sum() > 5 and (contact[:, 0] == 1).sum() > 5:
+        length = np.linalg.norm(recording.readings, axis=1)
+        air, touched = (float(np.median(length[contact[:, 0] == answer])) for answer in (0, 1))
+        numbers["median_length_uT"] = {"air": air, "contact": touched}
+        if air > STILL_IN_AIR * touched:
+            found.append(
+                f"Readings in air are {air:.1f} uT long (median) where those in contact are {touched:.1f}: the ambient "
+                "is not subtracted, or the skin does not come back."
+            )
+
+
+def _check_presses(recording: SkinRecording, found: list[str], numbers: dict) -> None:
+    one_tip(recording)
+    name, load = load_of(recording)
+    rows = recording.known("position") & np.isfinite(load)
+    if rows.sum() < 2:
+        raise CannotTellError("Lags, repeated rows and changes are looked for where positions and loads are known.")
+    position = recording.targets["position"][rows]
+    warned = check_presses(position, np.abs(load[rows]), recording.readings[rows], by_force=name == "force")
+    found += [message[0].upper() + message[1:] + "." for message in warned.messages()]
+    numbers |= {
+        "repeated_rows": int(warned.repeated.sum()),
+        "label_lag_rows": warned.label_lag,
+        "change_ratio": warned.change_ratio,
+        "changed_chips": list(warned.changed_chips),
+        "ut_per_newton": warned.sensitivity_ut_per_n,
+    }
+
+
+def _check_unknowns(recording: SkinRecording, found: list[str], numbers: dict) -> None:
+    """Height zero, lag, flips and gains as `i2t.calibration.unknowns` estimates them, where it is there."""
+    if find_spec("i2t.calibration.unknowns") is None:
+        return
+
+
+def _overview(recording: SkinRecording) -> Figure:
+    """Where was pressed and what was read, in order."""
+    figure = Figure(figsize=(12, 3.4), layout="constrained")
+    place, order, load_axes = figure.subplots(1, 3)
+    length = np.linalg.norm(recording.readings, axis=1)
+    some = np.linspace(0, len(length) - 1, min(len(length), 4000)).astype(int)
+    known = recording.known("position")[some]
+    if known.any():
+        position = 1e3 * recording.targets["position"][some][known]
+        dots = place.scatter(*position.T, c=length[some][known], s=6, cmap="cividis")
+        figure.colorbar(dots, ax=place, label="length of the reading (uT)")
+        place.set(xlabel="x (mm)", ylabel="y (mm)", title="where was pressed", aspect="equal")
+    else:
+        place.set(title="positions are not known")
+        place.set_axis_off()
+    order.plot(some, recording.readings[some], lw=0.4)
+    order.set(xlabel="row", ylabel="reading (uT)", title="all channels")
+    name, load = load_of(recording)
+    if name != "none":
+        load_axes.plot(TARGETS[name].scale * load[some], length[some], ".", ms=2, color=style.BLUE)
+        load_axes.set(xlabel=f"{name} ({TARGETS[name].unit})", ylabel="length of the reading (uT)", title="load")
+    else:
+        load_axes.set(title="no load is known that varies")
+        load_axes.set_axis_off()
+    return figure

@@ -1,0 +1,168 @@
+"""From where and how hard to readings without any knowledge of skins: the baselines of calibration, and the model by
+which what repeats is told from what does not. NumPy.
+"""
+
+from collections.abc import Callable
+from itertools import product
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial import cKDTree
+
+from experiments.fidelity.describe import load_of, one_tip
+from experiments.fidelity.sections import CannotTellError
+from i2t.calibration.heads import SkinRecording
+
+MEAN_READING, NEIGHBOURS_OF_PRESSES, SIMPLE_GP = "mean reading", "k nearest presses", "plain Gaussian process"
+POSITION_LENGTHS_M = (8e-3, 4e-3, 2e-3, 16e-3, 32e-3)
+LOAD_WIDTHS = (1.0, 0.5, 2.0, 4.0)  # in standard deviations of the load
+NOISE_VARIANCES = (1e-2, 1e-3, 1e-4, 1e-1)  # of a channel's
+GP_SELECTION_ROWS = 300
+COUNTS_OF_NEIGHBOURS = (1, 2, 3, 4, 6, 8)
+SMALLEST = 1e-9
+
+ForwardMethod: TypeAlias = Callable[
+    ["PressSet", np.ndarray, np.ndarray], np.ndarray
+]  # (presses, known, test) -> (n, c)
+
+
+class PressSet(NamedTuple):
+    """Presses of one tip whose positions are known, in the order of time."""
+
+    position: np.ndarray  # (n, 2) m
+    load: np.ndarray  # (n,) m or N; zero where none is known that varies
+    load_name: str  # depth, force or none
+    readings: np.ndarray  # (n, c) uT
+    session: np.ndarray  # (n,)
+    time: np.ndarray  # (n,) s
+    row: np.ndarray  # (n,) of the recording
+
+    @property
+    def coordinates(self) -> np.ndarray:
+        """(n, 3) position in units of 1 m and load in its standard deviations."""
+        return np.column_stack([self.position, self.load / max(self.load.std(), SMALLEST)])
+
+
+def press_set(recording: SkinRecording, at_least: int = 10) -> PressSet:
+    """The presses of a recording from which readings can be predicted, or CannotTellError."""
+    one_tip(recording)
+    name, load = load_of(recording)
+    good = np.isfinite(load)
+    if recording.known("position").any():
+        good &= recording.known("position")
+        position = recording.targets["position"]
+    else:
+        position = np.zeros((len(recording), 2))
+    if name == "none" and not recording.varies("position"):
+        raise CannotTellError("Neither position nor load is known and varies, so that nothing predicts a reading.")
+    if good.sum() < at_least:
+        raise CannotTellError(f"Position and load are known of {good.sum()} rows; {at_least} are needed.")
+    y = recording.readings[good]
+    live = np.ptp(y, axis=0) > 0
+    if not live.any():
+        raise CannotTellError("No channel ever changes.")
+    return PressSet(
+        position=position[good],
+        load=load[good],
+        load_name=name,
+        readings=y,
+        session=recording.session[good],
+        time=recording.time[good],
+        row=np.flatnonzero(good),
+    )
+
+
+def mean_reading(presses: PressSet, known: np.ndarray, test: np.ndarray) -> np.ndarray:
+    """The mean of the known presses."""
+    return np.broadcast_to(presses.readings[known].mean(0), (len(test), presses.readings.shape[1]))
+
+
+def nearest_presses(presses: PressSet, known: np.ndarray, test: np.ndarray) -> np.ndarray:
+    """k nearest in standardised position and load, k by leaving one out."""
+    x = np.column_stack([presses.position / max(presses.position.std(), SMALLEST), presses.coordinates[:, 2]])
+    y, tree = presses.readings[known], cKDTree(x[known])
+    ks = [k for k in COUNTS_OF_NEIGHBOURS if k < len(known)] or [1]
+    others = tree.query(x[known], min(ks[-1] + 1, len(known)))[1].reshape(len(known), -1)[:, 1:]
+
+    def error(k: int) -> float:
+        return float(np.sum((y - y[others[:, :k]].mean(1)) ** 2))
+
+    k = min(ks, key=error) if others.shape[1] else 1
+    return y[tree.query(x[test], k)[1].reshape(len(test), k)].mean(1)
+
+
+def simple_gp(presses: PressSet, known: np.ndarray, test: np.ndarray) -> np.ndarray:
+    """A GP over position and load, squared exponential in both, its three settings by leaving one out."""
+    settings = choose_simple_gp(presses, known)
+    return predict_simple_gp(settings, presses, known, presses.coordinates[test])
+
+
+def predict_simple_gp(
+    settings: tuple[float, float, float], presses: PressSet, known: np.ndarray, coordinates: np.ndarray
+) -> np.ndarray:
+    """What the GP of given settings predicts at (n, 3) coordinates of presses."""
+    x, y = presses.coordinates[known], presses.readings[known]
+    middle = y.mean(0)
+    factor = cho_factor(_kernel(settings, x, x) + (settings[2] + SMALLEST) * np.eye(len(x)), lower=True)
+    return middle + _kernel(settings, coordinates, x) @ cho_solve(factor, y - middle)
+
+
+def choose_simple_gp(presses: PressSet, known: np.ndarray) -> tuple[float, float, float]:
+    """Length (m), load width and noise with the least leave-one-out error."""
+    some = known[:GP_SELECTION_ROWS]
+    x, y = presses.coordinates[some], presses.readings[some]
+    left = y - y.mean(0)
+
+    def error(settings: tuple[float, float, float]) -> float:
+        try:
+            factor = cho_factor(_kernel(settings, x, x) + (settings[2] + SMALLEST) * np.eye(len(x)), lower=True)
+        except np.linalg.LinAlgError:
+            return np.inf
+        precision = cho_solve(factor, np.eye(len(x)))
+        return float(np.sum((precision @ left / np.diagonal(precision)[:, None]) ** 2))
+
+    if len(some) <= GP_SELECTION_ROWS // 3:
+        return min(product(POSITION_LENGTHS_M, LOAD_WIDTHS, NOISE_VARIANCES), key=error)
+    best = (POSITION_LENGTHS_M[0], LOAD_WIDTHS[0], NOISE_VARIANCES[0])
+    for _ in range(2):
+        for i, values in enumerate((POSITION_LENGTHS_M, LOAD_WIDTHS, NOISE_VARIANCES)):
+            tries = [(*best[:i], value, *best[i + 1 :]) for value in values]
+            best = min(tries, key=error)  # type: ignore[arg-type, assignment]
+    return best
+
+
+def left_out(presses: PressSet, limit: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the set, at most so many in order of time, and their readings (n, c) as a GP of the others of them
+    predicts each.
+    """
+    rng = np.random.default_rng(seed)
+    rows = rng.permutation(len(presses.load))[:limit]
+    settings = choose_simple_gp(presses, rows)
+    rows = np.sort(rows)
+    x, y = presses.coordinates[rows], presses.readings[rows]
+    factor = cho_factor(_kernel(settings, x, x) + (settings[2] + SMALLEST) * np.eye(len(x)), lower=True)
+    precision = cho_solve(factor, np.eye(len(x)))
+    error = precision @ (y - y.mean(0)) / np.diagonal(precision)[:, None]
+    return rows, y - error
+
+
+def explained_share(readings: np.ndarray, predicted: np.ndarray) -> float:
+    """R2 over all channels against the mean of the readings."""
+    total = np.sum((readings - readings.mean(0)) ** 2)
+    return float(1 - np.sum((readings - predicted) ** 2) / total) if total > 0 else float("nan")
+
+
+BASELINE_METHODS: dict[str, ForwardMethod] = {
+    MEAN_READING: mean_reading,
+    NEIGHBOURS_OF_PRESSES: nearest_presses,
+    SIMPLE_GP: simple_gp,
+}
+
+
+def _kernel(settings: tuple[float, float, float], a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    length, width, _ = settings
+    scaled = np.array([1 / length, 1 / length, 1 / width])
+    a, b = a * scaled, b * scaled
+    square = np.maximum(np.sum(a**2, 1)[:, None] + np.sum(b**2, 1)[None] - 2 * a @ b.T, 0)
+    return np.exp(-square / 2)

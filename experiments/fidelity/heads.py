@@ -1,0 +1,227 @@
+"""Heads of a recording, tested on rows they never saw in three ways, beside the baselines and published figures."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.fidelity.sections import CannotTellError, Section, cell
+from i2t.calibration.heads import BASELINE_HEADS, TARGETS, Head, HeadBudget, HeadPrediction, SkinRecording, fit_head
+from i2t.calibration.heads.head import STDS_OF_90_PERCENT, hold_out_groups, root_mean_square, target_rows
+from i2t.viz import style
+
+PUBLISHED_FIGURES = {
+    "position": "eFlesh 0.5 mm, eflesh-touch 1.22 mm",
+    "depth": "eflesh-touch 0.39 mm",
+    "force": "eFlesh 0.27 N, eflesh-touch 0.080 N",
+    "shear": "eFlesh 0.12 N, eflesh-touch 0.055 N",
+    "slip": "eFlesh 95 %, AnySkin 92 % of slips told (with a tip of their own)",
+}
+RANDOM_SPLIT, GROUP_SPLIT, LATER_SPLIT = "random rows", "whole blocks or strokes", "later in time"
+MIN_HEAD_TEST = 5
+CALIBRATION_BINS = 10
+
+
+class HeadScore(NamedTuple):
+    """How well a head tells rows it never saw, in the unit of its target."""
+
+    rows: int
+    rmse: float  # of a probability: root of the Brier score
+    median: float  # of the length of errors; of a probability: share told right
+    r2: float  # of a probability: area under the receiver operating characteristic
+    inside_90: float  # share of values in the 90 % range; of a probability: expected calibration error
+    unfamiliar: float  # share of rows
+
+
+class HeadTest(NamedTuple):
+    """A target's heads on one way of holding out."""
+
+    method: str  # that was kept
+    history: int  # rows before a reading that it looks at
+    kept: HeadScore
+    baselines: dict[str, HeadScore]
+    validation: dict[str, float]
+    errors: np.ndarray  # (n, 2 d) truth and prediction of the test rows
+
+
+def head_sections(
+    recording: SkinRecording, targets: Sequence[str], budget: HeadBudget, share: float, seed: int, section: Section
+) -> None:
+    """Tests of all targets that a recording supports; a sentence for each other one."""
+    told = {}
+    for target in targets or TARGETS:
+        try:
+            told[target] = test_heads(recording, target, budget, share=share, seed=seed)
+        except ValueError as error:
+            section.sentences.append(f"No head for {target}: {error}.")
+    if not told:
+        raise CannotTellError("The recording supports no head.")
+    section.numbers["heads"] = {target: to_numbers(tests) for target, tests in told.items()}
+    for target, tests in told.items():
+        section.tables[caption(target)] = table(target, tests)
+        section.sentences += verdicts(target, tests)
+    section.figures["Heads on rows held out"] = _figure(told)
+
+
+def test_heads(
+    recording: SkinRecording, target: str, budget: HeadBudget, *, share: float, seed: int
+) -> dict[str, HeadTest]:
+    """Heads of a target, fitted and tested on rows held out in each way that leaves enough of them."""
+    rows = target_rows(recording, target)
+    tests, problems = {}, []
+    for name, held in held_out_rows(recording.rows(rows), share, seed).items():
+        known, other = _told_of(recording, target, rows[~held]), rows[held]
+        try:
+            head = fit_head(known, target, budget=budget, seed=seed)
+            baselines = {
+                method: fit_head(known, target, methods=(method,), budget=budget, seed=seed)
+                for method in BASELINE_HEADS[1:]
+            }
+        except ValueError as error:
+            problems.append(f"{name}: {error}")
+            continue
+        scored, both = score_head(head, recording, other)
+        tests[name] = HeadTest(
+            head.method,
+            int(head.record.history),
+            scored,
+            {method: score_head(baseline, recording, other)[0] for method, baseline in baselines.items()},
+            head.validation,
+            both,
+        )
+    if not tests:
+        raise ValueError("; ".join(problems) or f"{recording.name} has too few rows to hold some out")
+    return tests
+
+
+test_heads.__test__ = False  # type: ignore[attr-defined]  # no test, whatever its name
+
+
+def held_out_rows(recording: SkinRecording, share: float, seed: int) -> dict[str, np.ndarray]:
+    """Masks of the rows that are held out."""
+    n, rng = len(recording), np.random.default_rng(seed)
+    groups = hold_out_groups(recording)
+    chosen = rng.permutation(groups.max() + 1)[: max(round(share * (groups.max() + 1)), 1)]
+    masks = {
+        RANDOM_SPLIT: np.isin(np.arange(n), rng.permutation(n)[: round(share * n)]),
+        GROUP_SPLIT: np.isin(groups, chosen),
+        LATER_SPLIT: np.arange(n) >= round((1 - share) * n),
+    }
+    return {name: mask for name, mask in masks.items() if MIN_HEAD_TEST <= mask.sum() < n}
+
+
+def score_head(head: Head, recording: SkinRecording, rows: np.ndarray) -> tuple[HeadScore, np.ndarray]:
+    """Score on some rows of a recording, and truth beside prediction."""
+    told = HeadPrediction(*(part[rows] for part in head.predict(recording.readings, recording.session)))
+    truth = recording.targets[head.target][rows]
+    error, unfamiliar = told.mean - truth, float(np.mean(told.unfamiliar))
+    both = np.column_stack([truth, told.mean])
+    if TARGETS[head.target].yes_no:
+        yes, p = truth[:, 0] > 0.5, told.mean[:, 0]
+        right = float(np.mean((p > 0.5) == yes))
+        curve, off = area_under_curve(p, yes), calibration_error(p, yes)
+        return HeadScore(len(yes), root_mean_square(error), right, curve, off, unfamiliar), both
+    scale = TARGETS[head.target].scale
+    total = float(np.sum((truth - truth.mean(0)) ** 2))
+    inside = float(np.mean(np.abs(error) <= STDS_OF_90_PERCENT * told.std))
+    r2 = 1 - float(np.sum(error**2)) / total if total > 0 else float("nan")
+    rmse, median = scale * root_mean_square(error), scale * float(np.median(np.linalg.norm(error, axis=1)))
+    return HeadScore(len(truth), rmse, median, r2, inside, unfamiliar), both
+
+
+def _told_of(recording: SkinRecording, target: str, rows: np.ndarray) -> SkinRecording:
+    """The recording with a target known of some rows only: the others' readings stay what came before."""
+    values = np.full_like(recording.targets[target], np.nan)
+    values[rows] = recording.targets[target][rows]
+    return replace(recording, targets={**recording.targets, target: values})
+
+
+def area_under_curve(score: np.ndarray, yes: np.ndarray) -> float:
+    """Probability that a row with yes has the higher score than one without (Mann and Whitney); ties count half."""
+    from scipy.stats import rankdata
+
+    ranks, positives = rankdata(score), int(yes.sum())
+    if not 0 < positives < len(yes):
+        return float("nan")
+    return float((ranks[yes].sum() - positives * (positives + 1) / 2) / (positives * (len(yes) - positives)))
+
+
+def calibration_error(probability: np.ndarray, yes: np.ndarray) -> float:
+    """Expected calibration error: how far stated probabilities lie from what happened, over ten bins."""
+    bins = np.minimum((probability * CALIBRATION_BINS).astype(int), CALIBRATION_BINS - 1)
+    parts = [bins == i for i in range(CALIBRATION_BINS) if (bins == i).any()]
+    return float(sum(part.mean() * abs(probability[part].mean() - yes[part].mean()) for part in parts))
+
+
+def caption(target: str) -> str:
+    """Of a target's table."""
+    unit = TARGETS[target].unit
+    published = f"; published: {PUBLISHED_FIGURES[target]}" if target in PUBLISHED_FIGURES else ""
+    return f"{target} ({unit}{published})" if unit else f"{target} (probability{published})"
+
+
+def table(target: str, tests: dict[str, HeadTest]) -> list[list[str]]:
+    """A row for each way of holding out and each method."""
+    yes_no = TARGETS[target].yes_no
+    header = ["held out", "rows", "method"]
+    header += (
+        ["Brier, root", "told right", "AUROC", "calibration error"]
+        if yes_no
+        else ["RMSE", "median", "R2", "in the 90 % range"]
+    )
+    rows = [[*header, "unfamiliar"]]
+    for name, test in tests.items():
+        for method, score in {f"{test.method} (kept)": test.kept, **test.baselines}.items():
+            rows.append([name, str(score.rows), method, *(cell(value) for value in score[1:])])
+    return rows
+
+
+def verdicts(target: str, tests: dict[str, HeadTest]) -> list[str]:
+    """Where the kept head loses to a baseline on the rows held out."""
+    lost = [
+        f"{target}, {name}: the kept {test.method} ({test.kept.rmse:.3f}) loses to {method} ({score.rmse:.3f})."
+        for name, test in tests.items()
+        for method, score in test.baselines.items()
+        if score.rmse < 0.98 * test.kept.rmse
+    ]
+    return lost or [f"{target}: no baseline beats the kept head on rows held out."]
+
+
+def to_numbers(tests: dict[str, HeadTest]) -> dict[str, Any]:
+    """For metrics.json."""
+    return {
+        name: {
+            "method": test.method,
+            "history": test.history,
+            "kept": test.kept._asdict(),
+            "baselines": {method: score._asdict() for method, score in test.baselines.items()},
+            "validation": test.validation,
+        }
+        for name, test in tests.items()
+    }
+
+
+def _figure(told: dict[str, dict[str, HeadTest]]) -> Figure:
+    figure = Figure(figsize=(3.6 * len(told), 3.4), layout="constrained")
+    panels = figure.subplots(1, len(told), squeeze=False)[0]
+    for axes, (target, tests) in zip(panels, told.items(), strict=True):
+        kind = TARGETS[target]
+        test = tests.get(GROUP_SPLIT) or next(iter(tests.values()))
+        both = kind.scale * test.errors
+        d = both.shape[1] // 2
+        if kind.yes_no:
+            for answer, colour in ((0, style.GREY), (1, style.BLUE)):
+                axes.hist(both[both[:, 0].round() == answer, 1], 20, (0, 1), color=colour, alpha=0.6, label=f"{answer}")
+            axes.set(xlabel=f"probability of {target}", ylabel="rows", title=target)
+            axes.legend(title="truth")
+        else:
+            for i in range(d):
+                axes.plot(
+                    both[:, i], both[:, d + i], ".", ms=2, color=style.COLOURS[i], label="xy"[i] if d > 1 else None
+                )
+            ends = [both[:, :d].min(), both[:, :d].max()]
+            axes.plot(ends, ends, color=style.GREY, lw=0.8)
+            axes.set(xlabel=f"{target} ({kind.unit})", ylabel="told", title=f"{target}, {test.method}")
+    return figure

@@ -1,0 +1,125 @@
+"""Question: what is this recording of a skin worth, what can be told from it, and how well?
+
+    python -m experiments.fidelity --dataset A                  the report, in minutes
+    python -m experiments.fidelity --dataset A B                sessions of one skin, and what one says of the other
+    python -m experiments.fidelity --dataset A --preset debug   everything once, in seconds
+    python -m experiments.fidelity --simulated-skins 2          simulated skins that are pressed and slid over
+
+A recording is a data set of i2t (a folder or a file), a session of eFlesh as it was recorded, or a table with one row
+for each reading (docs/fidelity.md). Nothing is asked of it: a part that it cannot support says why in a sentence.
+
+Results go to --out: report.html (one file, with its pictures), metrics.json and config.json.
+"""
+
+import os
+import sys
+import time
+from functools import partial
+from typing import Any
+
+# Factors of a few hundred rows are too small to share, as in experiments.train.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import tyro
+
+from experiments.common.runs import begin, exit_code_of_run, write_json
+from experiments.fidelity import curves, describe, dynamics, heads, views
+from experiments.fidelity.config import FidelityArgs, FidelityPreset, fidelity_preset
+from experiments.fidelity.page import write_page
+from experiments.fidelity.sections import Section, print_table, written
+from i2t.calibration.heads import SkinRecording, read_recordings
+from i2t.errors import DataError
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    args = tyro.cli(FidelityArgs, args=argv, description=__doc__, prog="python -m experiments.fidelity")
+    return exit_code_of_run(partial(run, args))
+
+
+def run(args: FidelityArgs) -> dict[str, Any]:
+    """The report: read, write each part, put them together."""
+    started, preset = time.perf_counter(), fidelity_preset(args)
+    recordings = named_apart(_recordings(args, preset))
+    begin(args.out, args, preset, None, args.overwrite)
+    chapters: dict[str, list[Section]] = {}
+    for recording in recordings:
+        print(f"\n{recording.name}: {len(recording)} readings")
+        chapters[recording.name] = [
+            _said(written(title, work)) for title, work in _parts(recording, preset, args.seed).items()
+        ]
+    if len(recordings) > 1:
+        work = partial(curves.across_sessions, recordings, preset, args.seed)
+        chapters["Across sessions"] = [_said(written("What one session says of another", work))]
+    metrics = {
+        "source": sorted({recording.source for recording in recordings}),
+        "seed": args.seed,
+        "recordings": {
+            name: {
+                section.title: {"status": section.status, "sentences": section.sentences, **section.numbers}
+                for section in sections
+            }
+            for name, sections in chapters.items()
+        },
+        "seconds": round(time.perf_counter() - started, 1),
+    }
+    write_page(args.out / "report.html", "Fidelity of " + ", ".join(r.name for r in recordings), chapters)
+    write_json(args.out / "metrics.json", metrics)
+    print(f"\nthe report is {args.out / 'report.html'}, the numbers are in {args.out / 'metrics.json'}")
+    return metrics
+
+
+def named_apart(recordings: list[SkinRecording]) -> list[SkinRecording]:
+    """Recordings with a name of their own each."""
+    from collections import Counter
+    from dataclasses import replace
+
+    often, seen, result = Counter(one.name for one in recordings), Counter[str](), []
+    for one in recordings:
+        seen[one.name] += 1
+        result.append(replace(one, name=f"{one.name} #{seen[one.name]}") if often[one.name] > 1 else one)
+    return result
+
+
+def _recordings(args: FidelityArgs, preset: FidelityPreset) -> list[SkinRecording]:
+    if bool(args.dataset) == bool(args.simulated_skins):
+        raise ValueError("pass --dataset with one or more recordings, or --simulated-skins with their number")
+    if args.simulated_skins:
+        from experiments.fidelity.slides import simulated_slides
+
+        return [simulated_slides(i, preset.simulated_strokes) for i in range(args.simulated_skins)]
+    found: list[SkinRecording] = []
+    for path in args.dataset:
+        try:
+            found += read_recordings(path)
+        except DataError as error:
+            if len(args.dataset) == 1:
+                raise
+            print(f"left out: {error}", file=sys.stderr)
+    if not found:
+        raise ValueError("none of the recordings can be read")
+    return found
+
+
+def _parts(recording: SkinRecording, preset: FidelityPreset, seed: int) -> dict[str, Any]:
+    """The report's parts by their titles."""
+    return {
+        "What it is": partial(describe.describe, recording),
+        "Checks": partial(describe.check, recording),
+        "Noise and drift": partial(dynamics.noise, recording, preset),
+        "Hysteresis, creep and memory": partial(dynamics.memory, recording, preset),
+        "Ceilings": partial(dynamics.ceilings, recording, preset),
+        "Calibration curves": partial(curves.calibration_curves, recording, preset, seed),
+        "Heads": partial(heads.head_sections, recording, (), preset.heads, preset.held_out_share, seed),
+        "Readings from views": partial(views.view_section, recording, preset, seed),
+    }
+
+
+def _said(section: Section) -> Section:
+    """Print a section as a person reads it."""
+    print(f"\n{section.title}" + ("" if section.status == "told" else f" ({section.status})"))
+    for sentence in section.sentences:
+        print(f"  {sentence}")
+    for caption, rows in section.tables.items():
+        print_table(caption, rows)
+    return section

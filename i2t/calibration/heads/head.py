@@ -1,0 +1,475 @@
+"""Heads: what users want of a skin, from its readings. Position, depth, normal force and shear with their spread;
+contact and slip as probabilities.
+
+    from i2t.calibration.heads import fit_head, read_recordings
+
+    (recording,) = read_recordings("my_presses.csv")
+    head = fit_head(recording, "position")
+    told = head.predict(readings)           # (n, c) uT
+    told.mean, told.std, told.unfamiliar    # (n, 2) m, (n, 2) m, (n,)
+    head.save("position.npz")
+
+A head is one of the methods of `regression`, the one with the least error on whole blocks of the skin (or, where the
+recording knows one position only, on whole strokes or stretches of time) that it was not fitted to. The mean, a linear
+map and the k nearest readings are among them, so that nothing is kept that loses to them there.
+
+Spread: the errors on the same blocks say how far off the head is for a reading of this length, this near to what it
+knows; a factor brings nine in ten of them into the 90 % range (cross-conformal prediction; Vovk, Annals of Mathematics
+and Artificial Intelligence 74, 2015). Probabilities come from the same errors by Platt's logistic map (Platt, Advances
+in Large Margin Classifiers, 1999). A reading that lies farther from all known ones than these do from each other is
+`unfamiliar`: a skin that changed, another tip, or a magnet near by.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.optimize import minimize
+from scipy.spatial import cKDTree
+
+from i2t import serialization
+from i2t.calibration.heads.recording import MIN_CHANGE, TARGETS, SkinRecording
+from i2t.calibration.heads.regression import (
+    HEAD_METHODS,
+    MEAN_TARGET,
+    READINGS_NETWORK,
+    FeatureMap,
+    HeadBudget,
+    Regression,
+    Settings,
+    choose_settings,
+    cross_predict,
+    fit_regression,
+    make_feature_map,
+    nearest_known,
+    predict_regression,
+    some_rows,
+)
+
+FILE_KIND_OF_HEAD = "i2t head"
+FOLD_COUNT = 5
+MIN_HEAD_ROWS = 20  # of a head: fewer leave nothing to choose and to test on
+MIN_BLOCKS = 5  # of the skin, that blocks are held out of
+BLOCK_M = 6e-3
+BLOCKS_ACROSS = 4  # of a range too small for blocks of BLOCK_M
+TIME_STRETCHES = 10  # of a recording of one position
+STDS_OF_90_PERCENT = 1.645  # standard deviations of a normal error that hold nine in ten
+ALIKE_SHARE = 0.05  # of the rows, whose errors say how far off the head is for a reading like them
+ALIKE_ROWS = 30  # at least
+UNFAMILIAR_QUANTILE = 0.999  # of distances between known readings
+UNFAMILIAR_FACTOR = 2.0
+FEATURES_OF_SPREAD = 0  # index into FEATURE_KINDS
+STREAM_GAP_S = 0.5  # rows farther apart are no stream
+STREAM_HISTORY = 3  # rows: what a skin remembers, and how it moves
+
+
+class HeadPrediction(NamedTuple):
+    """What a head says of readings."""
+
+    mean: Float[np.ndarray, "n d"]  # in the library's unit, or a probability; NaN where a reading is not finite
+    std: Float[np.ndarray, "n d"]  # likewise; of a probability p the square root of p (1 - p)
+    unfamiliar: Bool[np.ndarray, " n"]  # far from every reading that the head knows
+
+
+class SpreadRecord(NamedTuple):
+    """Errors on rows that were held out, and what the readings were like."""
+
+    features: FeatureMap
+    known: Float[np.ndarray, "m k"]  # features of known readings
+    likeness: Float[np.ndarray, "m 2"]  # log length and log distance from the others, standardised
+    middle: Float[np.ndarray, " 2"]
+    width: Float[np.ndarray, " 2"]
+    square: Float[np.ndarray, "m d"]  # errors
+    factor: Float[np.ndarray, " d"]  # on the standard deviation
+    far: Float[np.ndarray, ""]  # distance from which a reading is unfamiliar
+    platt: Float[np.ndarray, " 2"]  # slope and offset of the probability's logit
+
+
+class HeadRecord(NamedTuple):
+    """What is on disk."""
+
+    regression: Regression
+    spread: SpreadRecord
+    channels: Int[np.ndarray, " used"]  # of a reading, that the head looks at
+    history: Int[np.ndarray, ""]  # rows before a reading that it looks at too
+
+
+@dataclass(frozen=True)
+class Head:
+    """Tells one target from readings; make one with `fit_head` or `load_head`.
+
+    Attributes:
+        target: its name in `TARGETS`.
+        record: arrays of it.
+        validation: error of each method on held-out blocks of the recording, by which this one was chosen: root mean
+            square in the library's unit, or root of the Brier score of a probability.
+        metadata: whatever the caller wants to remember, as JSON can hold it.
+    """
+
+    target: str
+    record: HeadRecord
+    validation: dict[str, float] = field(default_factory=dict)
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def method(self) -> str:
+        """The method that it is."""
+        return HEAD_METHODS[int(self.record.regression.method)]
+
+    def predict(
+        self, readings: Float[np.ndarray, "n c"], session: Int[np.ndarray, " n"] | None = None
+    ) -> HeadPrediction:
+        """Tell the target of readings.
+
+        Args:
+            readings: uT, all channels of the skin, in the order of time if the head looks back.
+            session: number of the stroke or session that each follows others in; by default one.
+
+        Returns:
+            Mean and spread.
+
+        Raises:
+            ValueError: the readings are not of the skin that the head was fitted to.
+        """
+        readings = np.asarray(readings, np.float64)
+        record = self.record
+        if readings.ndim != 2 or readings.shape[1] <= record.channels.max():
+            raise ValueError(f"readings {readings.shape} are not those that the head knows; give (n, channels) uT")
+        session = np.zeros(len(readings), int) if session is None else np.asarray(session)
+        looked = with_history(readings[:, record.channels], session, int(record.history))
+        good = np.isfinite(looked).all(1)
+        d = len(record.regression.centre)
+        mean, std = np.full((len(readings), d), np.nan), np.full((len(readings), d), np.nan)
+        unfamiliar = np.ones(len(readings), bool)
+        if good.any():
+            mean[good] = predict_regression(record.regression, looked[good])
+            std[good], unfamiliar[good] = _spread(record.spread, looked[good])
+        if TARGETS[self.target].yes_no:
+            mean = _logistic(record.spread.platt[0] * mean + record.spread.platt[1])
+            std = np.sqrt(mean * (1 - mean))
+        return HeadPrediction(mean, std, unfamiliar)
+
+    def save(self, path: Path | str) -> None:
+        """Write one file, which appears whole or not at all.
+
+        Args:
+            path: file to write; `.npz` by custom.
+
+        Raises:
+            SerializationError: it cannot be written.
+        """
+        about = {"target": self.target, "validation": self.validation, "about": self.metadata}
+        serialization.save(path, FILE_KIND_OF_HEAD, self.record, about)
+
+
+def load_head(path: Path | str) -> Head:
+    """Load a head from its file.
+
+    Args:
+        path: a file that `Head.save` wrote.
+
+    Returns:
+        The head.
+
+    Raises:
+        SerializationError: the file is missing, damaged or something else.
+    """
+    record, about = serialization.load(path, FILE_KIND_OF_HEAD, HeadRecord)
+    if about.get("target") not in TARGETS:
+        raise serialization.SerializationError(f"{path}: tells no target that this i2t knows; fit it again")
+    return Head(about["target"], record, about["validation"], about["about"])
+
+
+def fit_head(
+    recording: SkinRecording,
+    target: str,
+    *,
+    methods: Sequence[str] = HEAD_METHODS,
+    history: int | None = None,
+    budget: HeadBudget | None = None,
+    seed: int = 0,
+    metadata: dict[str, Any] | None = None,
+) -> Head:
+    """Fit a head to a recording, with the method that is best on blocks of it that are held out.
+
+    Args:
+        recording: of one skin.
+        target: name in `TARGETS`.
+        methods: of `regression.HEAD_METHODS` that are tried; the mean always is.
+        history: how many rows before a reading the head looks at too; by default none, and in a stream what is best.
+        budget: how much is tried.
+        seed: of the folds.
+        metadata: whatever shall be saved with it, as JSON can hold it.
+
+    Returns:
+        The head.
+
+    Raises:
+        ValueError: the recording does not know the target, or does not say enough of it; one sentence.
+    """
+    budget = HeadBudget() if budget is None else budget
+    rows = target_rows(recording, target)
+    rows = rows[some_rows(len(rows), budget.rows)]
+    channels = used_channels(recording.readings[rows])
+    if not len(channels):
+        raise ValueError(f"{recording.name}: no channel changes, so that nothing can be told of {target}")
+    values, known = recording.targets[target][rows], recording.rows(rows)
+    folds = fold_numbers(hold_out_groups(known), FOLD_COUNT, seed)
+    tried = [
+        MEAN_TARGET,
+        *(name for name in methods if name != MEAN_TARGET and (name != READINGS_NETWORK or budget.network_steps)),
+    ]
+    found: dict[str, _Trial] = {}
+    for rows_before in histories(recording) if history is None else (history,):
+        readings = with_history(recording.readings[:, channels], recording.session, rows_before)[rows]
+        for name in tried:
+            trial = _try(name, readings, values, folds, rows_before, budget=budget, yes_no=TARGETS[target].yes_no)
+            if name not in found or trial.error < found[name].error:
+                found[name] = trial
+    best = min(found, key=lambda name: found[name].error)
+    kept = found[best]
+    readings = with_history(recording.readings[:, channels], recording.session, kept.history)[rows]
+    record = HeadRecord(
+        fit_regression(best, kept.settings, readings, values, budget=budget),
+        _fit_spread(readings, kept.predicted - values, folds, kept.platt),
+        channels,
+        np.array(kept.history),
+    )
+    return Head(target, record, {name: trial.error for name, trial in found.items()}, metadata or {})
+
+
+def histories(recording: SkinRecording) -> tuple[int, ...]:
+    """How many rows before a reading a head may look at: none, and in a stream a few.
+
+    Args:
+        recording: of one skin.
+
+    Returns:
+        What is tried.
+    """
+    return (0, STREAM_HISTORY) if is_stream(recording) else (0,)
+
+
+def is_stream(recording: SkinRecording) -> bool:
+    """Whether rows follow each other quickly, as samples of one contact do.
+
+    Args:
+        recording: of one skin.
+
+    Returns:
+        False where times are not known.
+    """
+    gap = np.diff(recording.time)
+    return bool(np.isfinite(gap).any() and np.nanmedian(gap) < STREAM_GAP_S)
+
+
+def target_rows(recording: SkinRecording, target: str) -> np.ndarray:
+    """Rows that a head of a target can learn from: those where it is known and where the skin is touched.
+
+    Args:
+        recording: of one skin.
+        target: name in `TARGETS`.
+
+    Returns:
+        Row numbers.
+
+    Raises:
+        ValueError: there are too few, or they are all alike; one sentence.
+    """
+    if target not in TARGETS:
+        raise ValueError(f"{target!r} is no target; choose of {', '.join(TARGETS)}")
+    known = recording.known(target)
+    if target in ("position", "depth") and recording.known("contact").any():
+        known &= ~(recording.targets["contact"][:, 0] == 0)
+    if target in ("position", "depth") and not recording.known("depth").any() and recording.known("shear").any():
+        known &= recording.known("shear") & (np.abs(np.nan_to_num(recording.targets["shear"])).max(1) > 0)
+    if not known.any():
+        raise ValueError(f"{recording.name} does not know {target}: give it where the recording is made")
+    chosen = recording.rows(known)
+    if known.sum() < MIN_HEAD_ROWS:
+        raise ValueError(f"{recording.name} knows {target} of {known.sum()} rows: {MIN_HEAD_ROWS} are needed")
+    if not chosen.varies(target):
+        raise ValueError(f"{recording.name} has one {target} only, so that nothing can be learnt of it")
+    return np.flatnonzero(known)
+
+
+def used_channels(readings: Float[np.ndarray, "n c"]) -> np.ndarray:
+    """Channels that change.
+
+    Args:
+        readings: uT.
+
+    Returns:
+        Their numbers.
+    """
+    return np.flatnonzero(np.ptp(readings, axis=0) > 0)
+
+
+def with_history(
+    readings: Float[np.ndarray, "n c"], session: Int[np.ndarray, " n"], history: int
+) -> Float[np.ndarray, "n k"]:
+    """Readings and what they were less each of the rows before, which is zero where a session begins.
+
+    Args:
+        readings: uT, in the order of time.
+        session: in which rows follow each other.
+        history: number of rows before.
+
+    Returns:
+        (n, (1 + history) c) uT.
+    """
+    columns, last = [readings], readings
+    for _ in range(history):
+        shifted = np.concatenate([last[:1], last[:-1]])
+        begins = np.concatenate([[True], np.diff(session) != 0])
+        last = np.where(begins[:, None], last, shifted)
+        columns.append(readings - last)
+    return np.concatenate(columns, axis=1)
+
+
+def hold_out_groups(recording: SkinRecording, block_m: float = BLOCK_M) -> np.ndarray:
+    """What is held out whole: blocks of the skin where presses lie in several, else strokes, else stretches of time.
+
+    Args:
+        recording: of one skin.
+        block_m: m, edge of a block; smaller where the positions span less than four of them.
+
+    Returns:
+        (n,) number of the group of each row.
+    """
+    known = recording.known("position")
+    position = recording.targets["position"] if known.all() else np.zeros((len(recording), 2))
+    ranges = np.ptp(position, axis=0)
+    # Strokes along a line come back to the same places: there the stroke is what rows share.
+    if ranges.min() > MIN_CHANGE["position"] or (ranges.max() > MIN_CHANGE["position"] and not recording.session.any()):
+        edge = min(block_m, float(ranges.max()) / BLOCKS_ACROSS)
+        cell = np.floor((position - position.min(0)) / edge + 1e-9).astype(int)
+        return np.unique(cell, axis=0, return_inverse=True)[1].ravel()
+    if len(np.unique(recording.session)) >= MIN_BLOCKS:
+        return np.unique(recording.session, return_inverse=True)[1].ravel()
+    stretches = min(TIME_STRETCHES, len(recording))
+    return np.arange(len(recording)) * stretches // max(len(recording), 1)
+
+
+def fold_numbers(groups: Int[np.ndarray, " n"], folds: int, seed: int) -> Int[np.ndarray, " n"]:
+    """Folds of whole groups.
+
+    Args:
+        groups: of each row.
+        folds: how many, at most as many as groups.
+        seed: of the folds.
+
+    Returns:
+        (n,) number of the fold of each row.
+    """
+    _, group = np.unique(groups, return_inverse=True)
+    order = np.random.default_rng(seed).permutation(group.max() + 1)
+    return order[group.ravel()] % min(folds, group.max() + 1)
+
+
+def root_mean_square(errors: Float[np.ndarray, "n d"]) -> float:
+    """Root of the mean square length of errors.
+
+    Args:
+        errors: in any unit.
+
+    Returns:
+        In the same.
+    """
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+
+
+class _Trial(NamedTuple):
+    """A method on the rows at hand, each fold predicted from the others."""
+
+    settings: Settings
+    history: int
+    predicted: np.ndarray  # (n, d)
+    platt: np.ndarray  # (2,)
+    error: float
+
+
+def _try(
+    name: str,
+    readings: np.ndarray,
+    values: np.ndarray,
+    folds: np.ndarray,
+    history: int,
+    *,
+    budget: HeadBudget,
+    yes_no: bool,
+) -> _Trial:
+    settings = choose_settings(name, readings, values, folds, budget)
+    predicted = cross_predict(name, settings, readings, values, folds, budget=budget)
+    if not yes_no:
+        return _Trial(settings, history, predicted, np.zeros(2), root_mean_square(predicted - values))
+    platt = _platt(predicted[:, 0], values[:, 0])
+    told = _logistic(platt[0] * predicted + platt[1])
+    return _Trial(settings, history, predicted, platt, root_mean_square(told - values))
+
+
+def _fit_spread(readings: np.ndarray, errors: np.ndarray, folds: np.ndarray, platt: np.ndarray) -> SpreadRecord:
+    """What errors on held-out folds say of a reading's spread."""
+    features = make_feature_map(FEATURES_OF_SPREAD, readings)
+    x = features(readings)
+    distance = np.empty(len(x))
+    for fold in np.unique(folds):
+        out = folds == fold
+        distance[out] = nearest_known(x[~out], x[out], 1)[0][:, 0]
+    raw = _likeness(readings, distance)
+    middle, width = raw.mean(0), np.maximum(raw.std(0), 1e-6)
+    record = SpreadRecord(
+        features=features,
+        known=x[some_rows(len(x), HeadBudget().known_rows)],
+        likeness=(raw - middle) / width,
+        middle=middle,
+        width=width,
+        square=errors**2,
+        factor=np.ones(errors.shape[1]),
+        far=np.array(UNFAMILIAR_FACTOR * np.quantile(distance, UNFAMILIAR_QUANTILE)),
+        platt=platt,
+    )
+    ratio = np.abs(errors) / _alike(record, record.likeness, leave_out_itself=True)
+    level = min(0.9 * (1 + 1 / len(errors)), 1.0)
+    return record._replace(factor=np.maximum(np.quantile(ratio, level, axis=0) / STDS_OF_90_PERCENT, 1e-3))
+
+
+def _spread(record: SpreadRecord, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Standard deviations (n, d), and which readings are unfamiliar."""
+    distance = nearest_known(record.known, record.features(readings), 1)[0][:, 0]
+    likeness = (_likeness(readings, distance) - record.middle) / record.width
+    return _alike(record, likeness) * record.factor, distance > record.far
+
+
+def _likeness(readings: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    return np.column_stack([np.log(np.linalg.norm(readings, axis=1) + 1e-3), np.log(distance + 1e-6)])
+
+
+def _alike(record: SpreadRecord, likeness: np.ndarray, *, leave_out_itself: bool = False) -> np.ndarray:
+    """Root mean square error of the held-out rows that are most alike."""
+    n = len(record.likeness)
+    k = min(max(ALIKE_ROWS, round(ALIKE_SHARE * n)), n - 1)
+    near = cKDTree(record.likeness).query(likeness, k + leave_out_itself)[1].reshape(len(likeness), -1)
+    square = np.mean(record.square[near[:, int(leave_out_itself) :]], axis=1)
+    return np.sqrt(square + 1e-6 * np.mean(record.square, axis=0) + 1e-18)
+
+
+def _platt(score: np.ndarray, answer: np.ndarray) -> np.ndarray:
+    """Slope and offset of the logistic map from score to probability, with Platt's corrected targets."""
+    yes, no = np.sum(answer > 0.5), np.sum(answer <= 0.5)
+    wanted = np.where(answer > 0.5, (yes + 1) / (yes + 2), 1 / (no + 2))
+    middle, width = score.mean(), score.std() + 1e-9
+
+    def loss(ab: np.ndarray) -> float:
+        logit = ab[0] * (score - middle) / width + ab[1]
+        return float(np.mean(np.logaddexp(0, logit) - wanted * logit))
+
+    slope, offset = minimize(loss, np.array([1.0, 0.0]), method="BFGS").x
+    return np.array([slope / width, offset - slope * middle / width])
+
+
+def _logistic(logit: np.ndarray) -> np.ndarray:
+    return 1 / (1 + np.exp(-np.clip(logit, -30, 30)))

@@ -1,0 +1,454 @@
+"""What a skin read and what was known of each reading, in whatever form a lab has it.
+
+    from i2t.calibration.heads import read_recordings
+
+    (recording,) = read_recordings("eflesh/spatial/20250316_155729_probe")
+    recording.readings                # (n, c) uT
+    recording.targets["position"]     # (n, 2) m
+
+Three forms are read: a data set of i2t (a file or a folder), sessions of eFlesh as they were recorded (a folder with
+`states.csv`), and a table with one row for each reading (a `.csv` file, columns by name; `TABLE_COLUMNS`). Unlike the
+converters of `i2t.convert`, which refuse what is damaged, this reader keeps what can be kept: a row that is not finite
+is left out, what was not measured is NaN, and each such thing is said in a note. NumPy only.
+"""
+
+import csv
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from i2t.convert.common import read_text
+from i2t.convert.eflesh import EFLESH_READINGS, NEWTONS_PER_GRAM, SAME_ROW, STROKE_PAUSE_S
+from i2t.dataset import Dataset, load_dataset
+from i2t.errors import DataError
+from i2t.types import Board, ReturnCode
+
+CHIP_AXES = ("x", "y", "z")
+VALUES_PER_CHIP = 3
+MAX_VALUE = 1e9  # of any number of a table, in its unit; beyond it is damage
+TOUCHING_FORCE_N = 0.1  # from which a reading counts as one in contact
+AIR_FORCE_N = 0.02  # up to which it counts as one in air; what lies between is neither
+MIN_CHANGE = {"position": 0.2e-3, "depth": 0.1e-3, "force": 0.05, "shear": 0.05}  # m, m, N, N: less is no range
+
+
+class TargetKind(NamedTuple):
+    """What is asked of a reading."""
+
+    unit: str
+    scale: float  # from the library's unit to the unit
+    yes_no: bool = False
+
+
+TARGETS: Mapping[str, TargetKind] = {
+    "position": TargetKind("mm", 1e3),
+    "depth": TargetKind("mm", 1e3),
+    "force": TargetKind("N", 1.0),
+    "shear": TargetKind("N", 1.0),
+    "contact": TargetKind("", 1.0, yes_no=True),
+    "slip": TargetKind("", 1.0, yes_no=True),
+}
+# Columns of a table that are targets; several of one target stand next to each other.
+TABLE_COLUMNS: Mapping[str, tuple[tuple[str, float], ...]] = {
+    "position": (("x_mm", 1e-3), ("y_mm", 1e-3)),
+    "depth": (("depth_mm", 1e-3),),
+    "force": (("force_N", 1.0),),
+    "shear": (("shear_x_N", 1.0), ("shear_y_N", 1.0), ("shear_N", 1.0)),
+    "contact": (("contact", 1.0),),
+    "slip": (("slip", 1.0),),
+}
+
+
+@dataclass(frozen=True)
+class SkinRecording:
+    """Readings of one skin in the order of time, with what was known of each; NaN where it was not.
+
+    Attributes:
+        name: of the recording.
+        readings: (n, c) uT, finite; three channels for each chip.
+        targets: by its name in `TARGETS` (n, d); only those that are known somewhere.
+        session: (n,) number of the stroke, run or session, in which rows follow each other.
+        time: (n,) s; NaN where it is not known.
+        board: positions of the chips, where they are known.
+        source: real, simulated or mixed.
+        baseline: (n, c) uT that was subtracted from each reading, where it is known.
+        notes: what was assumed and left out, a sentence each.
+        patches: (n, p, p) m, what a camera saw, where the recording has views.
+        labels: (n,) index of the object that was touched, where it is known.
+        label_names: of the objects.
+    """
+
+    name: str
+    readings: Float[np.ndarray, "n c"]
+    targets: Mapping[str, Float[np.ndarray, "n d"]]
+    session: Int[np.ndarray, " n"]
+    time: Float[np.ndarray, " n"]
+    board: Board | None = None
+    source: str = "real"
+    baseline: Float[np.ndarray, "n c"] | None = None
+    notes: tuple[str, ...] = ()
+    patches: Float[np.ndarray, "n p p"] | None = None
+    labels: Int[np.ndarray, " n"] | None = None
+    label_names: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.readings)
+
+    def known(self, target: str) -> np.ndarray:
+        """Rows of which a target is known.
+
+        Args:
+            target: its name.
+
+        Returns:
+            (n,) mask; False throughout where the recording does not have it.
+        """
+        values = self.targets.get(target)
+        return np.zeros(len(self), bool) if values is None else np.isfinite(values).all(1)
+
+    def varies(self, target: str) -> bool:
+        """Whether a target has a range that anything could be learnt of.
+
+        Args:
+            target: its name.
+
+        Returns:
+            Whether it is known and differs from row to row; of a question with yes or no, whether both occur.
+        """
+        known = self.known(target)
+        if known.sum() < 2:
+            return False
+        spread = np.subtract(*np.percentile(self.targets[target][known], [99, 1], axis=0)).max()
+        return bool(spread > MIN_CHANGE.get(target, 0.5) or (TARGETS[target].yes_no and self._both(target)))
+
+    def rows(self, chosen: np.ndarray) -> "SkinRecording":
+        """Some rows.
+
+        Args:
+            chosen: a mask (n,) or row numbers.
+
+        Returns:
+            The recording of these rows.
+        """
+        pick = np.arange(len(self))[chosen]
+
+        def some(values: np.ndarray | None) -> np.ndarray | None:
+            return None if values is None else values[pick]
+
+        return replace(
+            self,
+            readings=self.readings[pick],
+            targets={name: values[pick] for name, values in self.targets.items()},
+            session=self.session[pick],
+            time=self.time[pick],
+            baseline=some(self.baseline),
+            patches=some(self.patches),
+            labels=some(self.labels),
+        )
+
+    def _both(self, target: str) -> bool:
+        return len(np.unique(self.targets[target][self.known(target)])) > 1
+
+
+def read_recordings(path: Path | str) -> list[SkinRecording]:
+    """Read what a path holds: a data set, sessions of eFlesh, or a table.
+
+    Args:
+        path: a file or a folder.
+
+    Returns:
+        A recording for each skin and, of eFlesh, for each session.
+
+    Raises:
+        DataError: there is nothing that can be read, in one sentence.
+    """
+    path = Path(path)
+    if path.is_file() and (path.suffix == ".csv" or path.name.endswith(".csv.gz")):
+        return [read_table(path)]
+    if path.is_dir() and (folders := sorted({file.parent for file in path.rglob("states.csv*")})):
+        return [read_eflesh_session(folder) for folder in folders]
+    if path.is_dir() and not any(path.rglob("*.h5")) and (tables := sorted(path.glob("*.csv*"))):
+        return [read_table(table) for table in tables]
+    return from_dataset(load_dataset(path), path.name)
+
+
+def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording]:
+    """A data set's touches as recordings, one for each skin.
+
+    Args:
+        dataset: of touches.
+        name: of the recordings; where there are several skins, each adds its own.
+
+    Returns:
+        A recording for each skin that has a touch with a finite reading.
+
+    Raises:
+        DataError: no touch has a finite reading.
+    """
+    touches, several = dataset.touches, len(np.unique(dataset.touches.pad)) > 1
+    T_t_o = np.linalg.inv(touches.T_w_t.astype(np.float64)) @ touches.T_w_o
+    free = np.isin(touches.code, [ReturnCode.FREE, ReturnCode.AIR])
+    force = touches.force.astype(np.float64)
+    contact = np.full(len(dataset), np.nan)
+    if free.any():
+        contact = np.where(free, 0.0, 1.0)
+    tool = np.where(np.isfinite(T_t_o[:, :2, 3]).all(1), 1.0, np.nan)
+    targets = {
+        "position": T_t_o[:, :2, 3] * tool[:, None],
+        "depth": np.where(free, np.nan, touches.depth.astype(np.float64))[:, None],
+        "force": force[:, None],
+        "contact": contact[:, None],
+    }
+    usable = (touches.code != ReturnCode.FAILED) & np.isfinite(touches.reading).all(1)
+    views = bool(len(dataset) and np.isfinite(touches.patch).all() and np.ptp(touches.patch) > 0)
+    found = []
+    for pad in np.unique(touches.pad[usable]):
+        rows = usable & (touches.pad == pad)
+        left = int(np.sum((touches.pad == pad) & ~usable))
+        notes = [f"left out: {left} touches that failed or whose reading is not finite"] if left else []
+        notes += [note for note in dataset.meta.get("notes", "").split(" | ") if note]
+        found.append(
+            _recording(
+                f"{name} ({dataset.pads[pad]})" if several else name,
+                touches.reading[rows].astype(np.float64),
+                {key: values[rows] for key, values in targets.items()},
+                session=touches.session[rows],
+                time=np.full(int(rows.sum()), np.nan),
+                board=dataset.board,
+                source=dataset.source,
+                notes=notes,
+                patches=touches.patch[rows] if views else None,
+                labels=touches.object[rows],
+                label_names=dataset.objects,
+            )
+        )
+    if not found:
+        raise DataError(f"{name}: no touch has a finite reading; record it again")
+    return found
+
+
+def read_table(path: Path) -> SkinRecording:
+    """Read a table with a header and one row for each reading.
+
+    Columns by name: b0x_uT, b0y_uT, b0z_uT, b1x_uT ... (any number of chips), and of `TABLE_COLUMNS`, a0x_uT ...
+    (ambient, subtracted), time_s, session what there is. Empty or unreadable cells are unknown.
+
+    Args:
+        path: of the table, plain or gzip-ed.
+
+    Returns:
+        The recording.
+
+    Raises:
+        DataError: it is no such table, or no row has a finite reading.
+    """
+    lines = list(csv.reader(read_text(path).splitlines()))
+    header = [name.strip() for name in lines[0]] if lines else []
+    columns = {name: i for i, name in enumerate(header)}
+    values = np.array([_numbers(line, len(header)) for line in lines[1:]]).reshape(-1, len(header))
+    chips = sorted({int(match[1]) for name in header if (match := re.fullmatch(r"b([0-9]+)[xyz]_uT", name))})
+    names = [f"b{chip}{axis}_uT" for chip in chips for axis in CHIP_AXES]
+    if not chips or any(name not in columns for name in names):
+        raise DataError(f"{path}: has no columns b0x_uT, b0y_uT, b0z_uT, ...; name them as in docs/data.md")
+    readings = values[:, [columns[name] for name in names]]
+    ambient = ["a" + name[1:] for name in names]
+    if all(name in columns for name in ambient):
+        readings = readings - values[:, [columns[name] for name in ambient]]
+    targets = {
+        target: np.column_stack([scale * values[:, columns[name]] for name, scale in kinds if name in columns])
+        for target, kinds in TABLE_COLUMNS.items()
+        if any(name in columns for name, _ in kinds)
+    }
+    runs = columns.get("session", columns.get("run"))
+    session = np.zeros(len(values), int)
+    if runs is not None:
+        session = np.unique([line[runs] if runs < len(line) else "" for line in lines[1:]], return_inverse=True)[1]
+    time = values[:, columns["time_s"]] if "time_s" in columns else np.full(len(values), np.nan)
+    return _finite(path.name.split(".")[0], readings, targets, session=session, time=time, notes=[], where=path)
+
+
+def read_eflesh_session(folder: Path) -> SkinRecording:
+    """Read a session of eFlesh as it was recorded: `states.csv` and `sensor_post_baselines.csv`, plain or gzip-ed.
+
+    The states are time (s), x, y, z (mm) and, where it was read, the load in grams (-1: not read). As in
+    `i2t.convert.eflesh`, a session with two boards is one in which the probe shears two skins along z, and its load is
+    the shear force; in any other it presses one skin along z, and depth counts from the highest z.
+
+    Args:
+        folder: of the session.
+
+    Returns:
+        The recording, with the channels of all boards.
+
+    Raises:
+        DataError: a table is missing, or no row has a finite reading.
+    """
+    states, values = _loose_table(folder, "states"), _loose_table(folder, "sensor_post_baselines")
+    if states.shape[1] < 4 or values.shape[1] < 1 + VALUES_PER_CHIP or (values.shape[1] - 1) % VALUES_PER_CHIP:
+        raise DataError(
+            f"{folder}: has {states.shape[1]} columns of states and {values.shape[1]} of values; give time, x, y, z "
+            "and time with three values for each chip"
+        )
+    rows, partner = _together(states[:, 0], values[:, 0])
+    if not len(rows):
+        raise DataError(f"{folder}: no state was recorded within {1e3 * SAME_ROW:g} ms of a sensor row")
+    notes = (
+        [f"left out: {len(values) - len(rows)} rows without a state at their time"] if len(rows) < len(values) else []
+    )
+    states, values = states[partner], values[rows]
+    readings, place = values[:, 1:], 1e-3 * states[:, 1:4]
+    sheared = readings.shape[1] > EFLESH_READINGS
+    middle = (np.nanmin(place, 0) + np.nanmax(place, 0)) / 2
+    load = np.full(len(states), np.nan)
+    if states.shape[1] > 4:
+        load = np.where(states[:, 4] == -1, np.nan, NEWTONS_PER_GRAM * states[:, 4])
+    targets = {"position": place[:, :2] - middle[:2]}
+    if sheared:
+        notes += ["assumed: the stroke (robot z) shears along tool x, and the load is the shear force"]
+        targets["position"] = targets["position"] + np.column_stack([place[:, 2] - middle[2], np.zeros(len(place))])
+        targets["shear"] = load[:, None]
+    else:
+        notes += [f"assumed: depth counts from the highest z, {1e3 * np.nanmax(place[:, 2]):.3f} mm"]
+        targets |= {"depth": (np.nanmax(place[:, 2]) - place[:, 2])[:, None], "force": load[:, None]}
+    loaded = states.shape[1] > 4
+    return _finite(
+        folder.name,
+        readings,
+        targets,
+        session=_strokes(states[:, 0], place[:, 2]) if loaded else np.zeros(len(states), int),
+        time=states[:, 0],
+        notes=notes,
+        where=folder,
+        baseline=_baseline(folder, values),
+    )
+
+
+def _finite(
+    name: str,
+    readings: np.ndarray,
+    targets: dict[str, np.ndarray],
+    *,
+    session: np.ndarray,
+    time: np.ndarray,
+    notes: list[str],
+    where: Path,
+    baseline: np.ndarray | None = None,
+) -> SkinRecording:
+    """A recording without the rows that are damaged; values that no sensor sends are damage too."""
+    with np.errstate(invalid="ignore"):
+        good = (np.abs(readings) < MAX_VALUE).all(1)
+        dead = ~(np.abs(readings) < MAX_VALUE).any(0)
+    if dead.any() and not dead.all():
+        readings = np.where(dead[None], 0.0, readings)
+        good = (np.abs(readings) < MAX_VALUE).all(1)
+        notes = [*notes, f"channels {', '.join(map(str, np.flatnonzero(dead)))} hold no number: taken as zero"]
+    if not good.any():
+        raise DataError(f"{where}: no row has a finite reading; record it again")
+    if not good.all():
+        notes = [*notes, f"left out: {np.sum(~good)} rows whose reading is not finite, first row {np.argmin(good) + 1}"]
+    return _recording(
+        name,
+        readings[good],
+        {key: values[good] for key, values in targets.items()},
+        session=session[good],
+        time=time[good],
+        notes=notes,
+        baseline=None if baseline is None else baseline[good],
+    )
+
+
+def _recording(
+    name: str,
+    readings: np.ndarray,
+    targets: dict[str, np.ndarray],
+    *,
+    session: np.ndarray,
+    time: np.ndarray,
+    notes: list[str],
+    board: Board | None = None,
+    source: str = "real",
+    baseline: np.ndarray | None = None,
+    patches: np.ndarray | None = None,
+    labels: np.ndarray | None = None,
+    label_names: tuple[str, ...] = (),
+) -> SkinRecording:
+    """A recording with what is known somewhere, and contact where the force tells it."""
+    clean = {key: np.where(np.abs(values) < MAX_VALUE, values, np.nan) for key, values in targets.items()}
+    if "contact" not in clean or not np.isfinite(clean["contact"]).any():
+        loads = [np.abs(clean[key]).max(1) for key in ("force", "shear") if key in clean]
+        if loads:
+            load = np.fmax.reduce(loads)
+            in_contact = np.where(load >= TOUCHING_FORCE_N, 1.0, np.nan)
+            clean["contact"] = np.where(load <= AIR_FORCE_N, 0.0, in_contact)[:, None]
+    return SkinRecording(
+        name=name,
+        readings=readings.astype(np.float64),
+        targets={key: values for key, values in clean.items() if np.isfinite(values).all(1).any()},
+        session=np.asarray(session, int),
+        time=time,
+        board=board,
+        source=source,
+        baseline=baseline,
+        notes=tuple(notes),
+        patches=patches,
+        labels=labels,
+        label_names=label_names,
+    )
+
+
+def _numbers(cells: list[str], count: int) -> list[float]:
+    """The numbers of a line; NaN for what is none."""
+
+    def number(cell: str) -> float:
+        try:
+            return float(cell)
+        except ValueError:
+            return np.nan
+
+    return [number(cell) for cell in [*cells, *[""] * count][:count]]
+
+
+def _loose_table(folder: Path, name: str) -> np.ndarray:
+    """One table of a session without its damage: rows in the order of time, unreadable cells as NaN."""
+    path = next((file for file in (folder / f"{name}.csv", folder / f"{name}.csv.gz") if file.is_file()), None)
+    if path is None:
+        raise DataError(f"{folder}: {name}.csv or {name}.csv.gz is missing")
+    lines = [line for line in csv.reader(read_text(path).splitlines()) if line]
+    width = max(map(len, lines), default=0)
+    table = np.array([_numbers(line, width) for line in lines]).reshape(-1, width)
+    table = table[np.isfinite(table[:, 0])] if width else table
+    if not len(table):
+        raise DataError(f"{path}: holds no row that begins with a time")
+    return table[np.argsort(table[:, 0], kind="stable")]
+
+
+def _together(states: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sensor rows that have a state at their time, and these states."""
+    after = np.clip(np.searchsorted(states, values), 0, len(states) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(states[before] - values) < np.abs(states[after] - values), before, after)
+    rows = np.flatnonzero(np.abs(states[nearest] - values) <= SAME_ROW)
+    return rows, nearest[rows]
+
+
+def _baseline(folder: Path, values: np.ndarray) -> np.ndarray | None:
+    """What was subtracted from each row, from the raw values beside them; None without."""
+    try:
+        raw = _loose_table(folder, "sensor")
+    except DataError:
+        return None
+    rows, partner = _together(raw[:, 0], values[:, 0])
+    if len(rows) != len(values) or raw.shape[1] != values.shape[1]:
+        return None
+    return raw[partner, 1:] - values[:, 1:]
+
+
+def _strokes(time: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Number of the stroke, down and up, that a row belongs to: strokes begin at the top, after a pause."""
+    at_top = z > np.nanmax(z) - 0.1 * (np.nanmax(z) - np.nanmin(z))
+    begins = np.concatenate([[False], (np.diff(time) > STROKE_PAUSE_S) & at_top[1:] & at_top[:-1]])
+    return np.cumsum(begins)
