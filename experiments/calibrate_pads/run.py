@@ -4,6 +4,8 @@
     python -m experiments.calibrate_pads --preset short   4 pads, 5, 20 and 100 presses, no network
     python -m experiments.calibrate_pads --preset debug   1 pad, 10 and 20 presses, too few to mean anything
     python -m experiments.calibrate_pads --population     FORCE_HYPERPARAMETERS: chosen on 24 pads, tried on 32 others
+    python -m experiments.calibrate_pads --prior          the prior over kernels, from simulated skins of many kinds
+    python -m experiments.calibrate_pads --kinds          calibration of other simulated skins of these kinds
 
 Everything is simulated: pads of `sample_pad`, a spherical tip of 4 mm pressed to 0.2 to 1 N at random positions, 0.02 N
 of error in the force, 0.05 mm in each position, and 1.5 uT of noise. Methods: k nearest presses, a plain Gaussian
@@ -11,6 +13,9 @@ process, the structured GP for forces, a network pretrained on other random pads
 a structured GP for what it leaves. All see the same presses. With --population no pad is fitted: the hyperparameters of
 the structured GP are searched, one after the other, from a guess by geometry, on boards with the faults of one in order
 (`Faults.typical`) and tried on others with and without.
+
+--prior writes prior.npz, which becomes i2t/calibration/population_gp/prior.npz; the seeds are its own. --kinds tries
+`i2t.calibrate` with it on skins of other seeds, pressed by depth, by force and by both.
 
 Results go to --out: metrics.json, config.json, curves.png, and pad.npz, the first pad as fitted to the most presses,
 which `i2t.load_pad` reads.
@@ -36,13 +41,14 @@ from experiments.calibrate.data import PressRecording
 from experiments.calibrate.evaluate import Curves
 from experiments.calibrate.methods import NEIGHBOURS, PLAIN, Predictors, fit, neighbours, predict, select
 from experiments.calibrate.report import draw_curves, summarise, table_row
-from experiments.calibrate_pads import population
+from experiments.calibrate_pads import population, prior_search, skin_kinds
 from experiments.calibrate_pads.simulate import BALL_TIP, board, press_pads
 from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
 from experiments.common.runs import begin, exit_code_of_run, write_json
 from i2t.calibration import FORCE_HYPERPARAMETERS, Presses, baseline_network, physics, structured_gp
 from i2t.calibration.baseline_network import PressFeatures
 from i2t.calibration.physics import PadFit
+from i2t.calibration.population_gp.prior import PRIOR_FILE
 from i2t.prediction.metrics import score
 from i2t.skin.files import save_pad
 from i2t.types import Pad
@@ -85,6 +91,8 @@ class CalibratePadsArgs:
     out: Path = Path("runs/calibrate_pads")  # folder for everything that is made
     preset: Literal["paper", "short", "debug"] = "paper"
     population: bool = False  # choose hyperparameters on a population of pads instead
+    prior: bool = False  # make the prior over kernels instead
+    kinds: bool = False  # calibrate simulated skins of many kinds instead
     seed: int = 0
     overwrite: bool = False  # replace a run in --out
 
@@ -102,7 +110,11 @@ def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     answer_renamed_value(argv, "--preset", RENAMED)
     args = tyro.cli(CalibratePadsArgs, args=argv, description=__doc__, prog="python -m experiments.calibrate_pads")
-    return exit_code_of_run(partial(run_population if args.population else run, args))
+    chosen = {run_population: args.population, run_prior: args.prior, run_kinds: args.kinds}
+    if sum(chosen.values()) > 1:
+        sentence = "--population, --prior and --kinds are one or the other; pass one of them"
+        return exit_code_of_run(partial(_refuse, sentence))
+    return exit_code_of_run(partial(next((each for each, asked in chosen.items() if asked), run), args))
 
 
 def run(args: CalibratePadsArgs) -> dict[str, Any]:
@@ -150,6 +162,29 @@ def run_population(args: CalibratePadsArgs) -> dict[str, Any]:
     metrics = population.evaluate(cfg, args.seed)
     population.report(metrics, args.out)
     return metrics
+
+
+def run_prior(args: CalibratePadsArgs) -> dict[str, Any]:
+    """The search for the prior over kernels."""
+    cfg = choose_preset(prior_search.PRESETS, args.preset)
+    begin(args.out, args, cfg, None, args.overwrite)
+    metrics = prior_search.make_prior(cfg, args.out)
+    write_json(args.out / "metrics.json", metrics)
+    print(f"simulated; {metrics['kept']} kernels are in {args.out / PRIOR_FILE}")
+    return metrics
+
+
+def run_kinds(args: CalibratePadsArgs) -> dict[str, Any]:
+    """Skins of many kinds, calibrated."""
+    cfg = choose_preset(skin_kinds.PRESETS, args.preset)
+    begin(args.out, args, cfg, None, args.overwrite)
+    metrics = skin_kinds.evaluate(cfg)
+    skin_kinds.report(metrics, args.out)
+    return metrics
+
+
+def _refuse(sentence: str) -> dict[str, Any]:
+    raise ValueError(sentence)
 
 
 def evaluate(

@@ -1,12 +1,14 @@
 """Calibration of one skin from a few of its presses.
 
 `calibrate` predicts all other presses of the same tip, `check_presses` finds what in recorded presses contradicts any
-sound skin. Behind them: `structured_gp` is the model and `model` what a user holds and keeps on disk; `physics` fits a
-pad to presses, `localize` says where a known tip pressed, and `baseline_network` learns from many other skins.
+sound skin, and `segment_presses` cuts presses out of a continuous recording. Behind them: `population_gp` is the model,
+`structured_gp` the same with hyperparameters that are given, and `model` what a user holds and keeps on disk; `physics`
+fits a pad to presses, `localize` says where a known tip pressed, and `baseline_network` learns from many other skins.
 """
 
 from i2t.calibration.checks import DataWarnings, check_presses
 from i2t.calibration.model import Calibration, LoadKind, calibrate, load_calibration
+from i2t.calibration.segmentation import SegmentedPresses, segment_presses
 from i2t.calibration.structured_gp import (
     DEPTH_HYPERPARAMETERS,
     FORCE_HYPERPARAMETERS,
@@ -21,8 +23,10 @@ __all__ = [
     "DataWarnings",
     "LoadKind",
     "Presses",
+    "SegmentedPresses",
     "StructuredGPHyperparameters",
     "calibrate",
     "check_presses",
     "load_calibration",
+    "segment_presses",
 ]

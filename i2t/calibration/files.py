@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from i2t.calibration.model import Calibration
 from i2t.calibration.physics import PadFit, RoundTip, fit_pad
+from i2t.calibration.population_gp import PopulationGP
 from i2t.calibration.structured_gp import Presses
 from i2t.skin.files import save_pad
 from i2t.types import Board
@@ -72,7 +73,8 @@ def parse_tip(text: str) -> RoundTip:
 def calibrated_presses(calibration: Calibration, board: Board) -> PressedSkin:
     """The presses that a calibration was fitted to.
 
-    Its weights are those of a linear system whose factor it holds, so that the readings are their product.
+    The weights of a structured Gaussian process are those of a linear system whose factor it holds, so that the
+    readings are their product; one of a population holds the readings. Of two kinds of load the force is taken.
 
     Args:
         calibration: Of one skin.
@@ -82,14 +84,21 @@ def calibrated_presses(calibration: Calibration, board: Board) -> PressedSkin:
         The presses with the readings that were given.
 
     Raises:
-        ValueError: The calibration is of another board, or of what an earlier session left of the readings.
+        ValueError: The calibration is of another board, of what an earlier session left of the readings, or of presses
+            of which nobody knows how hard they were.
     """
     gp = calibration.gp
+    if isinstance(gp, PopulationGP):
+        _check_channels(gp.readings.shape[1], board)
+        if calibration.load_kind == "none":
+            raise ValueError("the calibration knows no depth and no force; give one of presses with either")
+        by_force = calibration.load_kind in ("force", "both")
+        loads = np.asarray(gp.presses.loads)
+        return PressedSkin(np.asarray(gp.presses.position), loads[:, -1], np.asarray(gp.readings), board, by_force)
     if gp.previous_session is not None:
         raise ValueError("the calibration is of what an earlier session left of the readings; give one of readings")
     channels = gp.weights.shape[1]
-    if channels != board.num_readings:
-        raise ValueError(f"the calibration has {channels} values a reading, and the board {board.num_readings}")
+    _check_channels(channels, board)
     factor = np.asarray(gp.cholesky, np.float64)
     groups = len(factor)
     weights = np.asarray(gp.weights, np.float64).reshape(len(gp.weights), groups, -1).swapaxes(0, 1)
@@ -98,6 +107,11 @@ def calibrated_presses(calibration: Calibration, board: Board) -> PressedSkin:
     presses = gp.presses
     position, load = np.asarray(presses.position, np.float64), np.asarray(presses.load, np.float64)
     return PressedSkin(position, load, readings, board, calibration.load_kind == "force")
+
+
+def _check_channels(channels: int, board: Board) -> None:
+    if channels != board.num_readings:
+        raise ValueError(f"the calibration has {channels} values a reading, and the board {board.num_readings}")
 
 
 def fit_pressed_pad(pressed: PressedSkin, tip: RoundTip) -> PressedPad:

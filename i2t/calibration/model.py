@@ -7,11 +7,13 @@
     calibration.save("skin.npz")
     calibration = i2t.load_calibration("skin.npz")
 
-A press's load is its depth (m) or its normal force (N), one of them throughout a calibration. The model is the
-structured Gaussian process of `i2t.calibration.structured_gp`.
+A press's load is its depth (m), its normal force (N), both, or not known at all, the same throughout a calibration. The
+model is the Gaussian process of `i2t.calibration.population_gp`, whose hyperparameters are marginalised over a
+population of skins; with `hyperparameters` given it is that of `i2t.calibration.structured_gp`.
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -21,23 +23,24 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from i2t import serialization
-from i2t.calibration import structured_gp
-from i2t.calibration.structured_gp import (
-    DEPTH_HYPERPARAMETERS,
-    FORCE_HYPERPARAMETERS,
-    Presses,
-    StructuredGP,
-    StructuredGPHyperparameters,
-)
+from i2t.calibration import population_gp, structured_gp
+from i2t.calibration.population_gp import PopulationGP, PressTable, left_out
+from i2t.calibration.structured_gp import Presses, StructuredGP, StructuredGPHyperparameters
 from i2t.types import Array, Board
 
 FILE_KIND = "i2t calibration"
+POPULATION_FILE_KIND = "i2t calibrated skin"
 MAX_POSITION_M = 1.0
 MAX_LOAD = {"depth": 0.1, "force": 1e3}  # m, N
 LOAD_UNITS = {"depth": "m", "force": "N"}
 AXES_PER_CHIP = 3  # of a chip
+PREVIOUS_READING, TEMPERATURE = "previous_readings", "temperature"  # terms that act in proportion on a reading
+LINEAR_TERMS, MEAN_TEMPERATURE = "linear_terms", "mean_temperature_C"  # in the metadata
 
-LoadKind: TypeAlias = Literal["depth", "force"]
+LoadKind: TypeAlias = Literal["depth", "force", "both", "none"]
+LOAD_COLUMNS: dict[str, tuple[str, ...]] = {
+    "depth": ("depth",), "force": ("force",), "both": ("depth", "force"), "none": (),
+}  # fmt: skip
 
 # Names in files of the first version, and what they are called now.
 _OLD_NAMES = {
@@ -55,10 +58,18 @@ _interval_scaling = jax.jit(structured_gp.interval_scaling)
 
 
 class CalibrationRecord(NamedTuple):
-    """What is on disk."""
+    """What is on disk of a structured Gaussian process."""
 
     gp: StructuredGP
     interval_scaling: Array  # (c,)
+
+
+class PopulationRecord(NamedTuple):
+    """What is on disk of a Gaussian process of a population."""
+
+    gp: PopulationGP
+    interval_scaling: Array  # (c,)
+    previous: PopulationGP | None = None
 
 
 @dataclass(frozen=True)
@@ -68,21 +79,33 @@ class Calibration:
     Attributes:
         gp: The Gaussian process, conditioned on the presses.
         interval_scaling: (c,) factors on its standard deviations, so that nine in ten readings lie in the 90 % range.
-        load_kind: Whether loads are depths (m) or forces (N).
+        load_kind: Whether loads are depths (m), forces (N), both or unknown.
         metadata: Whatever the caller wants to remember, as JSON can hold it.
+        previous: An earlier session of the same skin, whose predictions are the mean of some of the mixture.
     """
 
-    gp: StructuredGP
+    gp: PopulationGP | StructuredGP
     interval_scaling: Array
     load_kind: LoadKind
     metadata: dict[str, Any] = field(default_factory=dict)
+    previous: "Calibration | None" = None
 
-    def predict(self, positions: ArrayLike, loads: ArrayLike | float) -> tuple[np.ndarray, np.ndarray]:
+    def predict(
+        self,
+        positions: ArrayLike | None,
+        loads: ArrayLike | float | None = None,
+        *,
+        previous_readings: ArrayLike | None = None,
+        temperature: ArrayLike | float | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Predict readings, with uncertainty.
 
         Args:
-            positions: (n, 2) or (2,) positions of the tip in the tool frame (m).
-            loads: (n,) or () depths (m) or forces (N).
+            positions: (n, 2) or (2,) positions of the tip in the tool frame (m); None where the calibration has none.
+            loads: (n,) or () depths (m) or forces (N), (n, 2) or (2,) of both, None of neither.
+            previous_readings: (n, c) or (c,) of the press before each (uT), where the calibration was given them; by
+                default nothing is kept from it.
+            temperature: (n,) or () degrees Celsius, where the calibration was given them; by default their mean.
 
         Returns:
             Mean and standard deviation (uT), noise included, (n, c) or (c,) each.
@@ -90,13 +113,33 @@ class Calibration:
         Raises:
             ValueError: Shapes do not belong together, or a value cannot be.
         """
-        positions, loads = np.asarray(positions, np.float64), np.asarray(loads, np.float64)
-        if positions.shape != (*loads.shape, 2) or loads.ndim > 1:
-            raise ValueError(f"positions {positions.shape} do not go with loads {loads.shape}; give (n, 2) and (n,)")
-        presses = _checked_presses(np.atleast_2d(positions), np.atleast_1d(loads), self.load_kind)
-        mean, std = (np.asarray(part) for part in _predict(self.gp, presses))
+        positions, loads, single = _as_rows(positions, loads, self.load_kind)
+        if isinstance(self.gp, StructuredGP):
+            if previous_readings is not None or temperature is not None:
+                raise ValueError("this calibration knows no previous readings and no temperature; leave them out")
+            at = _checked_presses(positions, loads[:, 0], self.load_kind)
+            mean, std = (np.asarray(part) for part in _predict(self.gp, at))
+        else:
+            _check_rows(positions, loads, self.load_kind)
+            table = PressTable(positions, loads, self._linear(len(positions), previous_readings, temperature))
+            if self.previous is not None:
+                table = table._replace(previous_mean=self.previous.predict_mean(positions, loads))
+            mean, std = population_gp.predict_population(self.gp, table, self._conditioned)
         std = std * np.asarray(self.interval_scaling)
-        return (mean[0], std[0]) if loads.ndim == 0 else (mean, std)
+        return (mean[0], std[0]) if single else (mean, std)
+
+    def predict_mean(self, positions: np.ndarray, loads: np.ndarray) -> np.ndarray:
+        """Mean readings of presses as a later session takes them for its own mean.
+
+        Args:
+            positions: (n, 2) m.
+            loads: (n, kinds) m or N.
+
+        Returns:
+            (n, c) uT.
+        """
+        given = loads if loads.shape[1] > 1 else loads[:, 0] if loads.shape[1] else None
+        return self.predict(positions, given)[0]
 
     def save(self, path: Path | str) -> None:
         """Write one file, which appears whole or not at all.
@@ -107,30 +150,60 @@ class Calibration:
         Raises:
             SerializationError: It cannot be written.
         """
-        record = CalibrationRecord(self.gp, self.interval_scaling)
         about = {"load": self.load_kind, "about": self.metadata}
-        serialization.save(path, FILE_KIND, record, about)
+        if isinstance(self.gp, StructuredGP):
+            serialization.save(path, FILE_KIND, CalibrationRecord(self.gp, self.interval_scaling), about)
+            return
+        previous = None if self.previous is None else self.previous.gp
+        assert not isinstance(previous, StructuredGP)
+        record = PopulationRecord(self.gp, self.interval_scaling, previous)
+        serialization.save(path, POPULATION_FILE_KIND, record, about)
+
+    @cached_property
+    def _conditioned(self) -> list[left_out.Conditioned]:
+        assert isinstance(self.gp, PopulationGP)
+        return population_gp.condition(self.gp)
+
+    def _linear(self, n: int, previous_readings: ArrayLike | None, temperature: ArrayLike | float | None) -> np.ndarray:
+        """What acts in proportion on each of n readings, as the calibration has it; 0 where it is not given."""
+        assert isinstance(self.gp, PopulationGP)
+        c, names = self.gp.readings.shape[1], self.metadata.get(LINEAR_TERMS, [])
+        given = {PREVIOUS_READING: previous_readings, TEMPERATURE: temperature}
+        for name, values in given.items():
+            if values is not None and name not in names:
+                raise ValueError(f"this calibration was made without {name}; calibrate with it, or leave it out")
+        mean = self.metadata.get(MEAN_TEMPERATURE, 0.0)
+        parts = [_linear_term(name, given[name], mean, (n, c)) for name in names]
+        return np.stack(parts, axis=2) if parts else np.zeros((n, c, 0))
 
 
 def calibrate(
-    positions: ArrayLike,
-    loads: ArrayLike,
+    positions: ArrayLike | None,
+    loads: ArrayLike | None,
     readings: ArrayLike,
     *,
     load_kind: LoadKind,
     board: Board | None = None,
+    previous_readings: ArrayLike | None = None,
+    temperature: ArrayLike | None = None,
+    previous_session: Calibration | None = None,
     hyperparameters: StructuredGPHyperparameters | None = None,
     metadata: dict[str, Any] | None = None,
 ) -> Calibration:
     """Calibrate one skin from n presses with one tip.
 
     Args:
-        positions: (n, 2) positions of the tip in the tool frame (m), in random order.
-        loads: (n,) depths past first contact (m) or normal forces (N).
+        positions: (n, 2) positions of the tip in the tool frame (m), in random order; None where they are not known.
+        loads: (n,) depths past first contact (m) or normal forces (N), (n, 2) of both, or None.
         readings: (n, c) readings (uT), ambient subtracted.
-        load_kind: Whether `loads` are depths or forces.
-        board: The sensor board, c / 3 chips: each channel's amplitude then falls with the distance from its chip.
-        hyperparameters: Of the Gaussian process; by default those of the kind of load.
+        load_kind: Whether `loads` are depths, forces, both (first column the depth), or not known.
+        board: The sensor board, c / 3 chips: each channel's amplitude may then fall with the distance from its chip.
+        previous_readings: (n, c) readings of the press before each (uT), for chips that remember it; rows of NaN where
+            nothing came before.
+        temperature: (n,) of the skin or board (degrees Celsius).
+        previous_session: An earlier session of the same skin, aligned with this one: the presses decide how much of its
+            predictions is kept as the mean.
+        hyperparameters: Of the structured Gaussian process, in place of a population's.
         metadata: Whatever shall be saved with it, as JSON can hold it.
 
     Returns:
@@ -142,30 +215,33 @@ def calibrate(
     Example:
         calibration = i2t.calibrate(positions, forces, readings, load_kind="force", board=i2t.reskin_board())
     """
-    if load_kind not in MAX_LOAD:
-        raise ValueError(f"{load_kind!r} is no load; choose one of {', '.join(MAX_LOAD)}")
-    positions, loads, readings = (np.asarray(part, np.float64) for part in (positions, loads, readings))
-    n = len(loads) if loads.ndim == 1 else 0
-    if n == 0 or positions.shape != (n, 2) or readings.ndim != 2 or len(readings) != n:
-        raise ValueError(
-            f"positions {positions.shape}, loads {loads.shape} and readings {readings.shape} do not belong together; "
-            "give (n, 2), (n,) and (n, channels)"
-        )
-    if not np.isfinite(readings).all():
-        raise ValueError(
-            f"{np.sum(~np.isfinite(readings).all(1))} presses have readings that are not finite; drop them"
-        )
-    if board is not None and readings.shape[1] != AXES_PER_CHIP * len(board.chips):
-        raise ValueError(
-            f"readings of {readings.shape[1]} values are not those of a board with {len(board.chips)} chips; "
-            "give the board that was pressed"
-        )
-    presses = _checked_presses(positions, loads, load_kind)
-    if hyperparameters is None:
-        hyperparameters = DEPTH_HYPERPARAMETERS if load_kind == "depth" else FORCE_HYPERPARAMETERS
-    chip_positions = None if board is None else jnp.asarray(board.chips[:, :2], jnp.float32)
-    fitted_to = (hyperparameters, presses, jnp.asarray(readings, jnp.float32), chip_positions)
-    return Calibration(_fit(*fitted_to), _interval_scaling(*fitted_to), load_kind, metadata or {})
+    positions, loads, readings = _checked(positions, loads, readings, load_kind, board)
+    n, c = readings.shape
+    chips = None if board is None else np.asarray(board.chips[:, :2], np.float64)
+    if hyperparameters is not None:
+        if load_kind not in MAX_LOAD or previous_session is not None:
+            raise ValueError("with hyperparameters given, loads are depths or forces, and no earlier session is known")
+        presses = _checked_presses(positions, loads[:, 0], load_kind)
+        fitted_to = (hyperparameters, presses, jnp.asarray(readings, jnp.float32))
+        on = None if chips is None else jnp.asarray(chips, jnp.float32)
+        return Calibration(_fit(*fitted_to, on), _interval_scaling(*fitted_to, on), load_kind, metadata or {})
+    about = dict(metadata or {})
+    given = {PREVIOUS_READING: previous_readings, TEMPERATURE: temperature}
+    names = [name for name, values in given.items() if values is not None]
+    if names:
+        about[LINEAR_TERMS] = names
+    if temperature is not None:
+        about[MEAN_TEMPERATURE] = float(np.nanmean(np.asarray(temperature, np.float64)))
+    linear = [_linear_term(name, given[name], about.get(MEAN_TEMPERATURE, 0.0), (n, c)) for name in names]
+    table = PressTable(positions, loads, np.stack(linear, axis=2) if linear else np.zeros((n, c, 0)))
+    if previous_session is not None:
+        if isinstance(previous_session.gp, StructuredGP) or previous_session.previous is not None:
+            raise ValueError("an earlier session must itself be calibrated without one and without hyperparameters")
+        if previous_session.gp.readings.shape[1] != c or previous_session.load_kind != load_kind:
+            raise ValueError("the earlier session has other channels or another kind of load; calibrate it as this one")
+        table = table._replace(previous_mean=previous_session.predict_mean(positions, loads))
+    gp = population_gp.fit_population(table, readings, load_kinds=LOAD_COLUMNS[load_kind], chip_positions=chips)
+    return Calibration(gp, population_gp.interval_scaling(gp), load_kind, about, previous_session)
 
 
 def load_calibration(path: Path | str) -> Calibration:
@@ -183,6 +259,8 @@ def load_calibration(path: Path | str) -> Calibration:
     Example:
         mean, std = i2t.load_calibration("skin.npz").predict(positions, depths)
     """
+    if serialization.file_kind(path) == POPULATION_FILE_KIND:
+        return _load_population(path)
     record, about = serialization.load(path, FILE_KIND, CalibrationRecord, renamed=_OLD_NAMES)
     record = jax.tree.map(lambda array: jnp.asarray(array, jnp.float32), record)
     gp, n = record.gp, len(record.gp.presses.load)
@@ -205,14 +283,108 @@ def hyperparameters_to_json(hyperparameters: StructuredGPHyperparameters) -> dic
     return {name: float(value) for name, value in hyperparameters._asdict().items()}
 
 
-def _checked_presses(positions: np.ndarray, loads: np.ndarray, load_kind: LoadKind) -> Presses:
-    """Presses that can be, or ValueError."""
+def _load_population(path: Path | str) -> Calibration:
+    record, about = serialization.load(path, POPULATION_FILE_KIND, PopulationRecord)
+    gp, load_kind = record.gp, about.get("load")
+    fits = load_kind in LOAD_COLUMNS and all(
+        len(part.readings) == len(part.presses.position) == len(part.extra_noise)
+        and part.weights.shape == (len(part.components.log_share), part.readings.shape[1])
+        for part in (gp, record.previous)
+        if part is not None
+    )
+    if not fits:
+        raise serialization.SerializationError(f"{path}: its parts do not fit each other; calibrate again")
+    previous = None if record.previous is None else Calibration(record.previous, np.ones(1), load_kind)
+    return Calibration(gp, record.interval_scaling, load_kind, about["about"], previous)
+
+
+def _checked(
+    positions: ArrayLike | None, loads: ArrayLike | None, readings: ArrayLike, load_kind: str, board: Board | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions (n, 2), loads (n, kinds) and readings (n, c) that can be, or ValueError."""
+    if load_kind not in LOAD_COLUMNS:
+        raise ValueError(f"{load_kind!r} is no load; choose one of {', '.join(LOAD_COLUMNS)}")
+    if positions is None and load_kind == "none":
+        raise ValueError(
+            "readings alone can be cut into presses and checked, but say nothing about another press; give positions, "
+            "depths or forces"
+        )
+    readings = np.asarray(readings, np.float64)
+    n = len(readings) if readings.ndim == 2 else 0
+    where = np.zeros((n, 2)) if positions is None else np.asarray(positions, np.float64)
+    amount = np.zeros((n, 0)) if loads is None else np.asarray(loads, np.float64)
+    shape = (n,) if load_kind in MAX_LOAD else (n, len(LOAD_COLUMNS[load_kind]))
+    if n == 0 or where.shape != (n, 2) or amount.shape != shape:
+        raise ValueError(
+            f"positions {where.shape}, loads {amount.shape} and readings {readings.shape} do not belong together; "
+            f"give (n, 2), {str(shape).replace(str(n), 'n') if n else '(n,)'} and (n, channels)"
+        )
+    if not np.isfinite(readings).all():
+        raise ValueError(
+            f"{np.sum(~np.isfinite(readings).all(1))} presses have readings that are not finite; drop them"
+        )
+    if board is not None and readings.shape[1] != AXES_PER_CHIP * len(board.chips):
+        raise ValueError(
+            f"readings of {readings.shape[1]} values are not those of a board with {len(board.chips)} chips; "
+            "give the board that was pressed"
+        )
+    amount = amount.reshape(n, -1) if amount.size else np.zeros((n, 0))
+    _check_rows(where, amount, load_kind)
+    return where, amount, readings
+
+
+def _as_rows(
+    positions: ArrayLike | None, loads: ArrayLike | float | None, load_kind: str
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Positions (n, 2) and loads (n, kinds) to be predicted, and whether a single press was asked for."""
+    kinds = len(LOAD_COLUMNS[load_kind])
+    amount = None if loads is None else np.asarray(loads, np.float64)
+    if (amount is None) != (kinds == 0):
+        raise ValueError(f"loads are missing or not known to this calibration, whose loads are: {load_kind}")
+    if positions is None:
+        assert amount is not None
+        rows = amount.shape[: amount.ndim - (kinds > 1)]
+        where = np.zeros((*rows, 2))
+    else:
+        where = np.asarray(positions, np.float64)
+    rows = where.shape[:-1]
+    expected = None if amount is None else (*rows, kinds) if kinds > 1 else rows
+    if where.shape[-1:] != (2,) or len(rows) > 1 or (amount is not None and amount.shape != expected):
+        shape = None if amount is None else amount.shape
+        raise ValueError(f"positions {where.shape} do not go with loads {shape}; give (n, 2) and (n,)")
+    n = rows[0] if rows else 1
+    return where.reshape(n, 2), np.zeros((n, 0)) if amount is None else amount.reshape(n, kinds), not rows
+
+
+def _check_rows(positions: np.ndarray, loads: np.ndarray, load_kind: str) -> None:
+    """ValueError where a position or a load cannot be."""
     if not (np.abs(positions) < MAX_POSITION_M).all():
         raise ValueError(f"positions must be finite and within {MAX_POSITION_M:g} m of the skin's centre; give metres")
-    largest = MAX_LOAD[load_kind]
-    if not ((loads >= 0) & (loads < largest)).all():
-        raise ValueError(
-            f"a {load_kind} must lie between 0 and {largest:g} {LOAD_UNITS[load_kind]}; correct it or leave the press "
-            "out"
-        )
+    for kind, amount in zip(LOAD_COLUMNS[load_kind], loads.T, strict=True):
+        largest = MAX_LOAD[kind]
+        if not ((amount >= 0) & (amount < largest)).all():
+            raise ValueError(
+                f"a {kind} must lie between 0 and {largest:g} {LOAD_UNITS[kind]}; correct it or leave the press out"
+            )
+
+
+def _linear_term(
+    name: str, values: ArrayLike | float | None, mean_temperature: float, shape: tuple[int, int]
+) -> np.ndarray:
+    """(n, c): what one term multiplies; 0 where it is not known."""
+    if values is None:
+        return np.zeros(shape)
+    given = np.asarray(values, np.float64)
+    if name == TEMPERATURE:
+        given = np.broadcast_to((given.reshape(-1, 1) if given.ndim else given) - mean_temperature, shape)
+    elif given.shape == shape[1:]:
+        given = given[None]
+    if given.shape != shape:
+        raise ValueError(f"{name} of shape {given.shape} does not go with {shape[0]} presses of {shape[1]} channels")
+    return np.where(np.isfinite(given), given, 0.0)
+
+
+def _checked_presses(positions: np.ndarray, loads: np.ndarray, load_kind: str) -> Presses:
+    """Presses that can be, or ValueError."""
+    _check_rows(positions, loads[:, None], load_kind)
     return Presses(jnp.asarray(positions, jnp.float32), jnp.asarray(loads, jnp.float32))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from i2t import serialization
-from i2t.calibration import Calibration, calibrate, check_presses, load_calibration
+from i2t.calibration import FORCE_HYPERPARAMETERS, Calibration, calibrate, check_presses, load_calibration
 from i2t.calibration.files import PressedSkin, calibrated_presses, fit_pressed_pad, parse_tip, save_pressed_pad
 from i2t.calibration.model import CalibrationRecord
 from i2t.calibration.physics import RoundTip
@@ -38,13 +38,16 @@ def test_it_comes_back_as_it_was(calibration, tmp_path):
     mean, std = again.predict(POSITIONS[0], DEPTH[0])
     assert mean.shape == std.shape == (15,)
     assert (std > 0).all()
-    with pytest.raises(SerializationError, match="holds a i2t calibration, not a i2t pad"):
+    with pytest.raises(SerializationError, match="holds a i2t calibrated skin, not a i2t pad"):
         load_pad(tmp_path / "skin.npz")
 
 
 @pytest.mark.full
-def test_chips_give_each_channel_its_own_amplitude(tmp_path):
-    fitted = calibrate(POSITIONS, 1e3 * DEPTH, READINGS, load_kind="force", board=boards.reskin_board())
+def test_given_hyperparameters_are_those_of_a_structured_process(tmp_path):
+    fitted = calibrate(
+        POSITIONS, 1e3 * DEPTH, READINGS, load_kind="force", board=boards.reskin_board(),
+        hyperparameters=FORCE_HYPERPARAMETERS,
+    )  # fmt: skip
     fitted.save(tmp_path / "skin.npz")
     again = load_calibration(tmp_path / "skin.npz")
     assert again.gp.cholesky.shape == (5, 30, 30)
@@ -84,10 +87,49 @@ def as_first_version(tree):
     return namedtuple("Old", fields)(**fields)
 
 
+def test_what_is_known_of_presses_may_be_more_or_less(tmp_path):
+    both = np.column_stack([DEPTH, 1e3 * DEPTH])
+    before = np.concatenate([np.full((1, 15), np.nan), READINGS[:-1]])
+    earlier = calibrate(POSITIONS, both, READINGS, load_kind="both")
+    fitted = calibrate(
+        POSITIONS, both, READINGS, load_kind="both", board=boards.anyskin_board(), previous_readings=before,
+        temperature=20 + DEPTH, previous_session=earlier, metadata={"skin": "A"},
+    )  # fmt: skip
+    fitted.save(tmp_path / "skin.npz")
+    again = load_calibration(tmp_path / "skin.npz")
+    assert again.metadata["skin"] == "A"
+    known = {"previous_readings": before[1:4], "temperature": 20 + DEPTH[1:4]}
+    mean, std = fitted.predict(POSITIONS[1:4], both[1:4], **known)
+    for a, b in zip((mean, std), again.predict(POSITIONS[1:4], both[1:4], **known), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-6)
+    alone = again.predict(POSITIONS[2], both[2], previous_readings=before[2], temperature=20 + DEPTH[2])
+    np.testing.assert_allclose(alone[0], mean[1], rtol=1e-6)
+    nowhere = calibrate(None, DEPTH, READINGS, load_kind="depth")
+    assert nowhere.predict(None, DEPTH[:4])[0].shape == (4, 15)
+    assert nowhere.predict(None, 1e-3)[0].shape == (15,)
+    unknown = calibrate(POSITIONS, None, READINGS, load_kind="none")
+    assert unknown.predict(POSITIONS[:4])[0].shape == (4, 15)
+    with pytest.raises(ValueError, match="say nothing about another press"):
+        calibrate(None, None, READINGS, load_kind="none")
+    with pytest.raises(ValueError, match="made without temperature"):
+        unknown.predict(POSITIONS[:4], temperature=20.0)
+    with pytest.raises(ValueError, match="loads are missing or not known"):
+        unknown.predict(POSITIONS[:4], DEPTH[:4])
+    with pytest.raises(ValueError, match="does not go with 30 presses"):
+        calibrate(POSITIONS, DEPTH, READINGS, load_kind="depth", previous_readings=before[:5])
+    with pytest.raises(ValueError, match="other channels or another kind of load"):
+        calibrate(POSITIONS, DEPTH, READINGS, load_kind="depth", previous_session=earlier)
+    with pytest.raises(ValueError, match="knows no depth and no force"):
+        calibrated_presses(unknown, boards.reskin_board())
+
+
 @pytest.mark.full
 def test_a_file_of_the_first_version_still_loads(tmp_path):
     path = tmp_path / "old.npz"
-    fitted = calibrate(POSITIONS, 1e3 * DEPTH, READINGS, load_kind="force", board=boards.reskin_board())
+    fitted = calibrate(
+        POSITIONS, 1e3 * DEPTH, READINGS, load_kind="force", board=boards.reskin_board(),
+        hyperparameters=FORCE_HYPERPARAMETERS,
+    )  # fmt: skip
     record = CalibrationRecord(fitted.gp, fitted.interval_scaling)
     serialization.save(path, "i2t calibration", as_first_version(record), {"load": "force", "about": {"skin": "old"}})
     with np.load(path) as file:
@@ -109,7 +151,7 @@ def test_a_skin_of_sixteen_chips_is_calibrated(tmp_path):
     again = load_calibration(tmp_path / "skin.npz")
     mean, std = again.predict(POSITIONS, 1e3 * DEPTH)
     assert mean.shape == std.shape == (30, 48)
-    assert again.gp.cholesky.shape == (16, 30, 30)
+    assert again.gp.chip_positions.shape == (16, 2)
     with pytest.raises(ValueError, match="16 chips"):
         calibrate(POSITIONS, 1e3 * DEPTH, READINGS, load_kind="force", board=board)
 
@@ -125,10 +167,11 @@ def test_data_warnings_name_any_chip():
 
 @pytest.mark.parametrize("load_kind", ["depth", "force"])
 def test_a_calibration_holds_the_readings_that_it_was_given(load_kind, calibration):
-    """They are the product of the system's factor with its weights."""
+    """A structured process gives them back as the product of the system's factor with its weights."""
     board = boards.reskin_board()
     if load_kind == "force":
-        calibration = calibrate(POSITIONS, 1e3 * DEPTH, READINGS, load_kind="force", board=board)
+        given = FORCE_HYPERPARAMETERS
+        calibration = calibrate(POSITIONS, 1e3 * DEPTH, READINGS, load_kind="force", board=board, hyperparameters=given)
     pressed = calibrated_presses(calibration, board)
     np.testing.assert_allclose(pressed.readings, READINGS, atol=0.2)
     np.testing.assert_allclose(pressed.position, POSITIONS, atol=1e-8)

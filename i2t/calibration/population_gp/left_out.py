@@ -1,0 +1,200 @@
+"""Each press as predicted from all others, in closed form and for many kernels at once.
+
+Rasmussen and Williams, "Gaussian Processes for Machine Learning", equations 5.10 to 5.12 for what is left out, and 2.41
+to 2.42 for terms that are linear in something known (the reading before, the temperature), whose coefficients have a
+normal prior. With A the inverse of the covariance of the readings, y - (A y) / diag A is the mean of a press left out
+and 1 / diag A its variance.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import lapack
+
+from i2t.calibration.population_gp import kernel
+from i2t.calibration.population_gp.kernel import PressGeometry, SkinKernels
+
+CHUNK_VALUES = 3_000_000  # of matrices that are held at once
+SHARED_SCALE_PRESSES = 2.0  # presses' worth of belief that all channels have one scale
+MIN_SCALE_UT = 1e-3
+FAILED_VARIANCE = 1e6  # of a matrix that is not positive definite, which rounding can bring about
+
+
+class Observed(NamedTuple):
+    """Readings that kernels explain."""
+
+    target: Float[np.ndarray, "n c"]  # uT
+    linear: Float[np.ndarray, "n c r"]  # known regressors of each reading, in units of their own typical size
+    linear_variance: Float[np.ndarray, " r"]  # of their coefficients, relative to a channel's scale; 0 switches off
+    extra_noise: Float[np.ndarray, "n groups"]  # relative variance of presses that are no good
+
+
+class LeftOutPresses(NamedTuple):
+    """n presses predicted from each other by s kernels."""
+
+    error: Float[np.ndarray, "s n c"]  # uT, reading minus mean
+    variance: Float[np.ndarray, "s n c"]  # uT^2, noise included
+    scale: Float[np.ndarray, "s c"]  # uT
+
+
+class Conditioned(NamedTuple):
+    """One kernel given n presses; groups of channels have systems of their own."""
+
+    inverse: Float[np.ndarray, "groups n n"]
+    weights: Float[np.ndarray, "n c"]
+    coefficients: Float[np.ndarray, "c r"]  # of the linear terms
+    coefficient_covariance: Float[np.ndarray, "c r r"]
+    projected: Float[np.ndarray, "n c r"]  # inverse times the regressors
+    scale: Float[np.ndarray, " c"]  # uT
+
+
+def left_out(kernels: SkinKernels, at: PressGeometry, observed: Observed) -> LeftOutPresses:
+    """Predict each press from all others with each kernel.
+
+    Args:
+        kernels: s of them.
+        at: The presses.
+        observed: Their readings.
+
+    Returns:
+        Errors, variances and scales.
+    """
+    n, c = observed.target.shape
+    s = len(kernels.load_power)
+    error, variance, scale = np.empty((s, n, c)), np.empty((s, n, c)), np.empty((s, c))
+    for i, given in enumerate(condition_all(kernels, at, observed)):
+        own = _own_precision(given, observed)
+        error[i] = given.weights / own
+        variance[i] = given.scale**2 / own
+        scale[i] = given.scale
+    return LeftOutPresses(error, variance, scale)
+
+
+def left_out_slopes(kernels: SkinKernels, at: PressGeometry, observed: Observed) -> Float[np.ndarray, "s n c"]:
+    """Slopes by the load of the means of presses left out.
+
+    Args:
+        kernels: s of them.
+        at: The presses.
+        observed: Their readings.
+
+    Returns:
+        uT for one typical load.
+    """
+    slopes = []
+    for i, given in enumerate(condition_all(kernels, at, observed)):
+        change = kernel.load_slopes(kernel.take(kernels, slice(i, i + 1)), at, at)[0]
+        groups = len(given.inverse)
+        change = np.broadcast_to(change, (groups, *change.shape[1:]))
+        weights = grouped(given.weights, groups)
+        # Weights without press i are w - A_i w_i / A_ii, A the inverse: zero at i itself.
+        own = np.einsum("gij,gji->gi", change, given.inverse)[..., None]
+        diagonal = np.diagonal(given.inverse, axis1=1, axis2=2)[..., None]
+        slopes.append(ungrouped(change @ weights - own * weights / diagonal))
+    return np.stack(slopes)
+
+
+def condition_all(kernels: SkinKernels, at: PressGeometry, observed: Observed) -> Iterator[Conditioned]:
+    """Condition kernels on the presses, one after the other.
+
+    Args:
+        kernels: s of them.
+        at: The presses.
+        observed: Their readings.
+
+    Yields:
+        Each kernel given the presses.
+    """
+    n, groups = observed.extra_noise.shape
+    for part in _chunks(len(kernels.load_power), groups * n * n):
+        some = kernel.take(kernels, part)
+        signal, noise = kernel.signal_covariances(some, at, at), kernel.noise_variances(some, at)
+        for one, own_noise in zip(signal, noise, strict=True):
+            many = max(len(one), groups)
+            noise_of = np.broadcast_to(own_noise, (many, n)) + observed.extra_noise.T
+            system = np.array(np.broadcast_to(one, (many, n, n)))
+            system[:, np.arange(n), np.arange(n)] += noise_of
+            yield _condition(system, observed)
+
+
+def grouped(values: Float[np.ndarray, "n c"], groups: int) -> Float[np.ndarray, "groups n each"]:
+    """Channels that share a system, those of one chip or all, next to each other.
+
+    Args:
+        values: Of all channels.
+        groups: Their number.
+
+    Returns:
+        The same values.
+    """
+    return np.swapaxes(values.reshape(len(values), groups, -1), 0, 1)
+
+
+def ungrouped(values: Float[np.ndarray, "groups n each"]) -> Float[np.ndarray, "n c"]:
+    """The inverse of `grouped`.
+
+    Args:
+        values: Of groups of channels.
+
+    Returns:
+        The same values.
+    """
+    return np.swapaxes(values, 0, 1).reshape(values.shape[1], -1)
+
+
+def _condition(system: np.ndarray, observed: Observed) -> Conditioned:
+    """One kernel, from the covariances (groups, n, n) of the readings."""
+    n, c = observed.target.shape
+    r = observed.linear.shape[2]
+    inverse = np.stack([_inverse(matrix) for matrix in system])
+    weights = ungrouped(inverse @ grouped(observed.target, len(inverse)))
+    if r:
+        by_group = observed.linear.reshape(n, len(inverse), -1).swapaxes(0, 1)
+        projected = (inverse @ by_group).swapaxes(0, 1).reshape(n, c, r)
+        precision = np.einsum("ncr,ncq->crq", observed.linear, projected)
+        # (I + V P)^-1 V is (V^-1 + P)^-1, and 0 where V is.
+        spread = np.diag(observed.linear_variance)[None]
+        covariance = np.linalg.solve(np.eye(r)[None] + spread @ precision, np.broadcast_to(spread, precision.shape))
+        coefficients = np.einsum("crq,ncq,nc->cr", covariance, observed.linear, weights)
+        weights = weights - np.einsum("ncr,cr->nc", projected, coefficients)
+    else:
+        projected, covariance, coefficients = np.zeros((n, c, 0)), np.zeros((c, 0, 0)), np.zeros((c, 0))
+    scale = _channel_scale(observed.target, weights)
+    return Conditioned(inverse, weights, coefficients, covariance, projected, scale)
+
+
+def _own_precision(given: Conditioned, observed: Observed) -> Float[np.ndarray, "n c"]:
+    """Diagonal of the inverse, for each channel."""
+    c = observed.target.shape[1]
+    diagonal = np.repeat(np.diagonal(given.inverse, axis1=1, axis2=2), c // len(given.inverse), axis=0).T
+    if given.projected.shape[2]:
+        diagonal = diagonal - np.einsum(
+            "ncr,crq,ncq->nc", given.projected, given.coefficient_covariance, given.projected
+        )
+    return np.maximum(diagonal, 1 / FAILED_VARIANCE)
+
+
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """Of a symmetric positive definite matrix."""
+    factor, failed = lapack.dpotrf(matrix, lower=1)
+    if not failed:
+        inverse, failed = lapack.dpotri(factor, lower=1)
+    if failed:
+        return np.eye(len(matrix)) / FAILED_VARIANCE
+    lower = np.tril(inverse)
+    return lower + np.tril(lower, -1).T
+
+
+def _channel_scale(target: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Scale of each channel: its most likely value, drawn to that of all channels."""
+    n, square = len(target), np.sum(target * weights, axis=0)
+    shrunk = (square + SHARED_SCALE_PRESSES * np.mean(square) / n) / (n + SHARED_SCALE_PRESSES)
+    return np.sqrt(np.maximum(shrunk, MIN_SCALE_UT**2))
+
+
+def _chunks(count: int, values: int) -> Iterator[slice]:
+    size = max(1, CHUNK_VALUES // max(values, 1))
+    for start in range(0, count, size):
+        yield slice(start, min(start + size, count))

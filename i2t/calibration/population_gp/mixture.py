@@ -1,0 +1,542 @@
+"""A mixture of Gaussian processes over the population of kernels, weighed by what presses left out say.
+
+Marginal likelihood misled on real presses, so a kernel's weight is its share of the population times what it is worth
+in leave-one-out prediction: its log density (Student's t, so that one bad press does not decide; pseudo-Bayesian model
+averaging, Gelfand and Dey, JRSS B 56, 1994; Yao et al., Bayesian Analysis 13, 2018) and its squared error. Both are
+tempered because presses and channels are not independent; the exponents were chosen on simulated skins. Channels may
+lean to kernels of their own (one chip may be noisier than the others).
+
+Presses that lie far outside their stated errors are given more noise (Student's t errors as a scale mixture; West,
+JRSS B 46, 1984), and local heights of the skin, common to all channels, are found from what is left along the slopes
+by the load, as in `i2t.calibration.structured_gp`.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.special import logsumexp
+from scipy.stats import t as student_t
+
+from i2t.calibration.population_gp import kernel
+from i2t.calibration.population_gp.kernel import EVERYWHERE, PressGeometry, SkinKernels, squared_distance
+from i2t.calibration.population_gp.left_out import (
+    Conditioned,
+    LeftOutPresses,
+    Observed,
+    condition_all,
+    left_out,
+    left_out_slopes,
+    ungrouped,
+)
+from i2t.calibration.population_gp.prior import KernelPrior, load_prior, with_plain
+from i2t.calibration.structured_gp import STDS_WITHIN_90_PERCENT
+
+DENSITY_EXPONENT = 0.25  # of the leave-one-out density, all channels together
+ERROR_EXPONENT = 2.0  # of the leave-one-out error, in presses' worth of one channel
+CHANNEL_EXPONENT = 0.25  # of a channel's own density, on top
+DENSITY_DOF = 5.0  # of the t that leave-one-out errors are judged by
+LINEAR_VARIANCES = (0.15**2, 0.15**2)  # of the share of the press before that stays; of a temperature's effect
+LINEAR_SHARE = 0.5  # of the prior, of kernels with linear terms where they are known
+PREVIOUS_SHARE = 0.5  # of the prior, of a previous session as the mean where there is one
+PREVIOUS_NOISE_FACTORS = (1.0, 10.0, 100.0)  # on the noise of kernels that explain what a previous session leaves
+STAGES = ((150, 10**9), (400, 40), (10**9, 10))  # presses that kernels are weighed by, and how many are weighed
+KEPT_SHARE, MAX_KEPT, MAX_KEPT_OF_MANY, MANY_PRESSES = 0.995, 48, 6, 400
+TAIL_DOF = 4.0  # of the errors' t
+TAIL_LIMIT = 9.0  # mean square of a chip's errors in standard deviations beyond which it is given more noise
+MIN_ROBUST_PRESSES = 8
+MIN_HEIGHT_PRESSES = 10
+HEIGHT_STDS = (0.02, 0.06, 0.12)  # typical loads
+HEIGHT_LENGTHS_M = (1.0e-3, 2.0e-3, 4.0e-3)
+HEIGHT_ERROR = 5e-3  # typical loads, standard deviation of what a press measures of its height, at least
+HEIGHT_ROUNDS = 2
+MIN_TYPICAL_LOAD = 1e-9
+DEFAULT_SCALING = 1.1  # of the standard deviations, on simulated skins
+SCALING_PRESSES = 10.0  # presses' worth of belief in it
+SHARED_PRESSES = 30.0  # presses' worth of belief that all channels have one
+PREDICT_ROWS = 500  # presses that are predicted at once
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """What a fit takes part in; each can be switched off to see what it is worth."""
+
+    robust: bool = True  # heavy tails
+    heights: bool = True  # local heights of the skin
+    max_kept: int = MAX_KEPT
+
+
+class PressTable(NamedTuple):
+    """Presses with everything that is known of them before they are read."""
+
+    position: Float[np.ndarray, "n 2"]  # m, tool frame; zeros where no position is known
+    loads: Float[np.ndarray, "n kinds"]  # m of depth, N of force: a column for each kind of load that is known
+    linear: Float[np.ndarray, "n c r"]  # what acts in proportion on each reading: the reading before, the temperature
+    previous_mean: Float[np.ndarray, "n c"] | None = None  # uT, as a previous session predicts
+
+
+class Components(NamedTuple):
+    """Members of the mixture."""
+
+    kernels: SkinKernels
+    load_column: Int[np.ndarray, " k"]
+    uses_linear: Bool[np.ndarray, " k"]
+    uses_previous: Bool[np.ndarray, " k"]
+    log_share: Float[np.ndarray, " k"]
+
+
+class Heights(NamedTuple):
+    """Local heights of the skin, in typical loads of the first kind."""
+
+    std: Float[np.ndarray, ""]  # 0: none
+    length: Float[np.ndarray, ""]  # m
+    measured: Float[np.ndarray, " n"]
+    variance: Float[np.ndarray, " n"]  # of what is measured
+
+
+class PopulationGP(NamedTuple):
+    """The mixture conditioned on n presses of one skin."""
+
+    presses: PressTable
+    readings: Float[np.ndarray, "n c"]  # uT
+    chip_positions: Float[np.ndarray, "chips 2"] | None  # m
+    typical_loads: Float[np.ndarray, " kinds"]  # m or N
+    typical_linear: Float[np.ndarray, "c r"]
+    extra_noise: Float[np.ndarray, "n groups"]  # relative variance of presses that are no good
+    heights: Heights
+    components: Components
+    weights: Float[np.ndarray, "k c"]
+
+
+class Weighed(NamedTuple):
+    """A mixture's prediction of presses left out."""
+
+    mean: Float[np.ndarray, "n c"]  # uT
+    variance: Float[np.ndarray, "n c"]  # uT^2
+
+
+def fit_population(
+    presses: PressTable,
+    readings: Float[np.ndarray, "n c"],
+    *,
+    load_kinds: tuple[str, ...],
+    chip_positions: Float[np.ndarray, "chips 2"] | None = None,
+    prior: KernelPrior | None = None,
+    options: FitOptions = FitOptions(),
+) -> PopulationGP:
+    """Weigh the population by the presses of one skin, and condition it on them.
+
+    Args:
+        presses: In random order, where there are more than 150.
+        readings: Their readings (uT).
+        load_kinds: "depth" or "force", of each column of the loads.
+        chip_positions: Positions of the chips (m) where they are known; channels come three for each.
+        prior: Kernels of a population; by default those of the package.
+        options: What takes part.
+
+    Returns:
+        The conditioned mixture.
+    """
+    gp = _start(presses, readings, load_kinds, chip_positions, prior or load_prior())
+    gp = _weigh_in_stages(gp, options)
+    if options.robust and len(readings) >= MIN_ROBUST_PRESSES:
+        gp = _with_heavy_tails(gp)
+    if options.heights and load_kinds and len(readings) >= MIN_HEIGHT_PRESSES:
+        gp = _with_heights(gp)
+    return gp
+
+
+def condition(gp: PopulationGP) -> list[Conditioned]:
+    """The systems of a mixture's members, which follow from what is saved.
+
+    Args:
+        gp: The mixture.
+
+    Returns:
+        One for each component.
+    """
+    found: dict[int, Conditioned] = {}
+    for rows, at, observed in _alike(gp, gp.components):
+        given = condition_all(kernel.take(gp.components.kernels, rows), at, observed)
+        found |= dict(zip(rows.tolist(), given, strict=True))
+    return [found[i] for i in range(len(found))]
+
+
+def predict_population(
+    gp: PopulationGP, presses: PressTable, conditioned: list[Conditioned] | None = None
+) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c"]]:
+    """Predict the readings of presses.
+
+    Args:
+        gp: The mixture of one skin.
+        presses: What is known of the presses.
+        conditioned: Its systems, where they are at hand.
+
+    Returns:
+        Mean and standard deviation (uT), noise included.
+    """
+    conditioned = conditioned or condition(gp)
+    height_inverse = _height_inverse(gp)
+    parts = [
+        _predict_rows(gp, _rows_of(presses, slice(start, start + PREDICT_ROWS)), conditioned, height_inverse)
+        for start in range(0, len(presses.position), PREDICT_ROWS)
+    ]
+    mean, variance = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return mean, np.sqrt(variance)
+
+
+def left_out_mixture(gp: PopulationGP) -> Weighed:
+    """Each press of a mixture as predicted from all others, with the weights that all presses gave.
+
+    Args:
+        gp: The mixture.
+
+    Returns:
+        Means and variances; of the local heights only what they explain.
+    """
+    return _mixed(gp, _left_out_all(gp, gp.components))
+
+
+def interval_scaling(gp: PopulationGP) -> Float[np.ndarray, " c"]:
+    """Factors on the standard deviations of a mixture, so that nine in ten readings lie within 1.645 of them.
+
+    From presses left out, each of which is predicted by weights that it took part in (cross-conformal prediction; Vovk,
+    Annals of Mathematics and Artificial Intelligence 74, 2015). Because a few presses say little, each channel's factor
+    is drawn to that of all channels, and that one to what was found on simulated skins.
+
+    Args:
+        gp: The mixture.
+
+    Returns:
+        A factor for each channel.
+    """
+    n, found = len(gp.readings), left_out_mixture(gp)
+    ratios = np.abs(gp.readings - found.mean) / np.sqrt(found.variance) / STDS_WITHIN_90_PERCENT
+    level = min(0.9 * (n + 1) / n, 1.0)
+    together = (n * np.quantile(ratios, level) + SCALING_PRESSES * DEFAULT_SCALING) / (n + SCALING_PRESSES)
+    each = n * np.quantile(ratios, level, axis=0) + SHARED_PRESSES * together
+    return each / (n + SHARED_PRESSES)
+
+
+# --- the mixture's members and their weights ---
+
+
+def _start(
+    presses: PressTable,
+    readings: np.ndarray,
+    load_kinds: tuple[str, ...],
+    chip_positions: np.ndarray | None,
+    prior: KernelPrior,
+) -> PopulationGP:
+    """All members, not weighed yet."""
+    n, c = readings.shape
+    loads = presses.loads if load_kinds else np.ones((n, 1))
+    typical = np.maximum(np.sqrt(np.mean(loads**2, axis=0)), MIN_TYPICAL_LOAD)
+    presses = presses._replace(loads=loads)
+    parts = []
+    for column, kind in enumerate(load_kinds or ("force",)):
+        kernels, log_share = with_plain(prior, kind, presses.position, loads[:, column] / typical[column])
+        if chip_positions is None:
+            kernels, log_share = _without_chips(kernels, log_share)
+        parts.append((kernels, log_share, np.full(len(log_share), column)))
+    kernels = kernel.join(*(part[0] for part in parts))
+    log_share, column = (np.concatenate([part[i] for part in parts]) for i in (1, 2))
+    no = np.zeros(len(log_share), bool)
+    components = Components(kernels, column, no, no, log_share)
+    if presses.linear.shape[2]:
+        components = _joined(_shared(components, 1 - LINEAR_SHARE), _shared(components, LINEAR_SHARE, uses_linear=~no))
+    if presses.previous_mean is not None:
+        components = _joined(_shared(components, 1 - PREVIOUS_SHARE), *_of_previous(components))
+    groups = c // 3 if c % 3 == 0 else 1
+    return PopulationGP(
+        presses=presses,
+        readings=readings,
+        chip_positions=chip_positions,
+        typical_loads=typical,
+        typical_linear=np.maximum(np.sqrt(np.mean(presses.linear**2, axis=0)), MIN_TYPICAL_LOAD),
+        extra_noise=np.zeros((n, groups)),
+        heights=Heights(np.zeros(()), np.ones(()), np.zeros(n), np.ones(n)),
+        components=components,
+        weights=np.ones((len(components.log_share), c)) / len(components.log_share),
+    )
+
+
+def _without_chips(kernels: SkinKernels, log_share: np.ndarray) -> tuple[SkinKernels, np.ndarray]:
+    """What the kernels are where nobody knows where the chips are."""
+    return kernels._replace(far_amplitude=np.full(len(log_share), EVERYWHERE)), log_share
+
+
+def _shared(components: Components, share: float, **changed: Any) -> Components:
+    return components._replace(log_share=components.log_share + np.log(share), **changed)
+
+
+def _of_previous(components: Components) -> Iterator[Components]:
+    """Members for what a previous session leaves of the readings, which is noise for the most part."""
+    yes = np.ones(len(components.log_share), bool)
+    for factor in PREVIOUS_NOISE_FACTORS:
+        noisier = components.kernels._replace(noise_variance=factor * components.kernels.noise_variance)
+        share = PREVIOUS_SHARE / len(PREVIOUS_NOISE_FACTORS)
+        yield _shared(components, share, kernels=noisier, uses_previous=yes)
+
+
+def _joined(*parts: Components) -> Components:
+    rest = (np.concatenate([part[i] for part in parts]) for i in range(1, len(Components._fields)))
+    return Components(kernel.join(*(part.kernels for part in parts)), *rest)
+
+
+def _taken(components: Components, which: np.ndarray) -> Components:
+    rest = (values[which] for values in components[1:])
+    return Components(kernel.take(components.kernels, which), *rest)
+
+
+def _weigh_in_stages(gp: PopulationGP, options: FitOptions) -> PopulationGP:
+    """Weights by ever more presses for ever fewer members; what hardly counts in the end is dropped."""
+    n = len(gp.readings)
+    for presses, members in STAGES:
+        if len(gp.weights) > members:
+            gp = _keep(gp, np.argsort(-gp.weights.mean(1), kind="stable")[:members])
+        some = _some_presses(gp, min(presses, n))
+        gp = gp._replace(weights=_weights(some, _left_out_all(some, gp.components)))
+        if presses >= n:
+            break
+    order = np.argsort(-gp.weights.mean(1), kind="stable")
+    enough = 1 + int(np.searchsorted(np.cumsum(gp.weights.mean(1)[order]), KEPT_SHARE))
+    most = options.max_kept if n <= MANY_PRESSES else min(options.max_kept, MAX_KEPT_OF_MANY)
+    return _keep(gp, order[: min(enough, most)])
+
+
+def _keep(gp: PopulationGP, which: np.ndarray) -> PopulationGP:
+    weights = gp.weights[which]
+    return gp._replace(components=_taken(gp.components, which), weights=weights / weights.sum(0, keepdims=True))
+
+
+def _some_presses(gp: PopulationGP, count: int) -> PopulationGP:
+    """The first presses, which come in random order."""
+    some = slice(count)
+    return gp._replace(
+        presses=_rows_of(gp.presses, some),
+        readings=gp.readings[some],
+        extra_noise=gp.extra_noise[some],
+        heights=gp.heights._replace(measured=gp.heights.measured[some], variance=gp.heights.variance[some]),
+    )
+
+
+def _rows_of(presses: PressTable, rows: slice) -> PressTable:
+    return PressTable(*(None if part is None else part[rows] for part in presses))
+
+
+def _weights(gp: PopulationGP, found: LeftOutPresses) -> np.ndarray:
+    """Weights (k, c) of the members, each channel's summing to 1."""
+    n, c = gp.readings.shape
+    std = np.sqrt(found.variance)
+    density = (student_t.logpdf(found.error / std, DENSITY_DOF) - np.log(std)).sum(1)
+    trust = np.repeat(1 / (1 + gp.extra_noise), c // gp.extra_noise.shape[1], axis=1)
+    missed = (trust[None] * found.error**2).sum((1, 2))
+    log = gp.components.log_share + DENSITY_EXPONENT * density.sum(1)
+    log = log - ERROR_EXPONENT * n / 2 * np.log(np.maximum(missed, 1e-30))
+    each = log[:, None] + CHANNEL_EXPONENT * density
+    return np.exp(each - logsumexp(each, axis=0, keepdims=True))
+
+
+def _left_out_all(gp: PopulationGP, components: Components) -> LeftOutPresses:
+    n, c = gp.readings.shape
+    k = len(components.log_share)
+    found = LeftOutPresses(np.empty((k, n, c)), np.empty((k, n, c)), np.empty((k, c)))
+    for rows, at, observed in _alike(gp, components):
+        for into, part in zip(found, left_out(kernel.take(components.kernels, rows), at, observed), strict=True):
+            into[rows] = part
+    return found
+
+
+def _alike(gp: PopulationGP, components: Components) -> Iterator[tuple[np.ndarray, PressGeometry, Observed]]:
+    """Numbers of the members that see the presses alike, and what they see."""
+    knows_chips = components.kernels.far_amplitude < EVERYWHERE
+    which = np.column_stack([components.load_column, components.uses_linear, components.uses_previous, knows_chips])
+    for combination in np.unique(which, axis=0):
+        rows = np.flatnonzero((which == combination).all(1))
+        column, linear, previous, chips = combination
+        yield rows, _geometry(gp, gp.presses, int(column), bool(chips)), _observed(gp, bool(linear), bool(previous))
+
+
+def _geometry(gp: PopulationGP, presses: PressTable, column: int, chips: bool) -> PressGeometry:
+    load = presses.loads[:, column] / gp.typical_loads[column]
+    if column == 0 and presses is gp.presses:
+        load = load + _own_heights(gp)
+    return kernel.geometry(presses.position, load, gp.chip_positions if chips else None)
+
+
+def _observed(gp: PopulationGP, linear: bool, previous: bool) -> Observed:
+    target = gp.readings
+    if previous:
+        assert gp.presses.previous_mean is not None
+        target = target - gp.presses.previous_mean
+    regressors = gp.presses.linear / gp.typical_linear[None]
+    regressors = regressors if linear else regressors[:, :, :0]
+    extra = gp.extra_noise if gp.extra_noise.any() else gp.extra_noise[:, :1]
+    return Observed(target, regressors, np.array(LINEAR_VARIANCES[: regressors.shape[2]]), extra)
+
+
+def _mixed(gp: PopulationGP, found: LeftOutPresses) -> Weighed:
+    error = np.einsum("kc,knc->nc", gp.weights, found.error)
+    spread = found.variance + (found.error - error[None]) ** 2
+    return Weighed(gp.readings - error, np.einsum("kc,knc->nc", gp.weights, spread))
+
+
+# --- heavy tails ---
+
+
+def _with_heavy_tails(gp: PopulationGP) -> PopulationGP:
+    """More noise for the chips of presses that lie far outside their stated errors; weights are found again."""
+    n, c = gp.readings.shape
+    groups = gp.extra_noise.shape[1]
+    each = c // groups
+    found = _left_out_all(gp, gp.components)
+    mixed = _mixed(gp, found)
+    square = ((gp.readings - mixed.mean) ** 2 / mixed.variance).reshape(n, groups, each).mean(2)
+    ratio = (TAIL_DOF + each * square) / (TAIL_DOF + each)
+    far = square > TAIL_LIMIT
+    if not far.any():
+        return gp
+    scale = np.einsum("kc,kc->c", gp.weights, found.scale)
+    relative = (mixed.variance / scale[None] ** 2).reshape(n, groups, each).mean(2)
+    gp = gp._replace(extra_noise=np.where(far, (ratio - 1) * relative, 0.0))
+    return gp._replace(weights=_weights(gp, _left_out_all(gp, gp.components)))
+
+
+# --- local heights of the skin ---
+
+
+def _with_heights(gp: PopulationGP) -> PopulationGP:
+    """Loads corrected by local heights, where leave-one-out errors fall by more than a standard error."""
+    for _ in range(HEIGHT_ROUNDS):
+        mean, variance, slope = _slopes(gp)
+        before = _own_heights(gp)
+        precision = 1 / variance
+        total = np.maximum(np.sum(slope**2 * precision, axis=1), 1e-12)
+        error = gp.readings - mean
+        seen = np.sum(slope * error * precision, axis=1) / total
+        noise = 1 / total + HEIGHT_ERROR**2
+        best = _best_heights(gp, seen, noise, error, slope)
+        if best is None:
+            return gp
+        std, length = best
+        gp = gp._replace(heights=Heights(np.array(std), np.array(length), before + seen, noise))
+        gp = gp._replace(weights=_weights(gp, _left_out_all(gp, gp.components)))
+    return gp
+
+
+def _slopes(gp: PopulationGP) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Left-out mean, variance and slope by the first load (n, c) of the mixture."""
+    mixed = _mixed(gp, _left_out_all(gp, gp.components))
+    slopes = np.zeros((len(gp.weights), *gp.readings.shape))
+    for rows, at, observed in _alike(gp, gp.components):
+        if gp.components.load_column[rows[0]] == 0:
+            slopes[rows] = left_out_slopes(kernel.take(gp.components.kernels, rows), at, observed)
+    return mixed.mean, mixed.variance, np.einsum("kc,knc->nc", gp.weights, slopes)
+
+
+def _best_heights(
+    gp: PopulationGP, seen: np.ndarray, noise: np.ndarray, error: np.ndarray, slope: np.ndarray
+) -> tuple[float, float] | None:
+    """Standard deviation and length of the heights that leave the least, or None where they do not surely help."""
+    square = squared_distance(gp.presses.position, gp.presses.position)
+    without = (error**2).sum(1)
+    best, least = None, 0.0
+    for length in HEIGHT_LENGTHS_M:
+        near = np.exp(-square / (2 * length**2))
+        for std in HEIGHT_STDS:
+            inverse = np.linalg.inv(std**2 * near + np.diag(noise))
+            height = seen - inverse @ seen / np.diagonal(inverse)
+            change = ((error - slope * height[:, None]) ** 2).sum(1) - without
+            sure = change.mean() + change.std() / np.sqrt(max(len(change) - 1, 1))
+            if sure < 0 and change.mean() < least:
+                best, least = (std, length), change.mean()
+    return best
+
+
+def _height_inverse(gp: PopulationGP) -> np.ndarray | None:
+    """Of the covariance of what was measured of heights."""
+    if gp.heights.std <= 0:
+        return None
+    square = squared_distance(gp.presses.position, gp.presses.position)
+    near = gp.heights.std**2 * np.exp(-square / (2 * gp.heights.length**2))
+    return np.linalg.inv(near + np.diag(gp.heights.variance))
+
+
+def _own_heights(gp: PopulationGP) -> np.ndarray:
+    """At the presses of the mixture (typical loads)."""
+    if gp.heights.std <= 0:
+        return np.zeros(len(gp.readings))
+    inverse = _height_inverse(gp)
+    assert inverse is not None
+    square = squared_distance(gp.presses.position, gp.presses.position)
+    return gp.heights.std**2 * np.exp(-square / (2 * gp.heights.length**2)) @ (inverse @ gp.heights.measured)
+
+
+# --- prediction ---
+
+
+def _predict_rows(
+    gp: PopulationGP, presses: PressTable, conditioned: list[Conditioned], height_inverse: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and variance (m, c) of a few presses."""
+    m, c = len(presses.position), gp.readings.shape[1]
+    height, height_variance = _heights_at(gp, presses, height_inverse)
+    loads = presses.loads if gp.presses.loads.shape[1] == presses.loads.shape[1] else np.ones((m, 1))
+    presses = presses._replace(loads=np.column_stack([loads[:, 0] + height * gp.typical_loads[0], loads[:, 1:]]))
+    mean, square = np.zeros((m, c)), np.zeros((m, c))
+    slope = np.zeros((m, c))
+    for i, given in enumerate(conditioned):
+        weight = gp.weights[i][None]
+        own_mean, own_variance, own_slope = _predict_one(gp, i, given, presses)
+        mean += weight * own_mean
+        square += weight * (own_variance + own_mean**2)
+        slope += weight * own_slope
+    variance = np.maximum(square - mean**2, 0) + slope**2 * height_variance[:, None]
+    return mean, np.maximum(variance, 1e-12)
+
+
+def _predict_one(
+    gp: PopulationGP, i: int, given: Conditioned, presses: PressTable
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mean, variance and slope by the first load (m, c) of one member."""
+    one = _taken(gp.components, np.array([i]))
+    column, chips = int(one.load_column[0]), bool(one.kernels.far_amplitude[0] < EVERYWHERE)
+    at, known = _geometry(gp, presses, column, chips), _geometry(gp, gp.presses, column, chips)
+    groups = len(given.inverse)
+    cross = np.broadcast_to(
+        kernel.signal_covariances(one.kernels, at, known)[0], (groups, len(at.load), len(known.load))
+    )
+    weights = given.weights.reshape(len(known.load), groups, -1).swapaxes(0, 1)
+    mean = ungrouped(cross @ weights)
+    explained = np.einsum("gmn,gmn->gm", cross @ given.inverse, cross)
+    own = kernel.signal_variances(one.kernels, at)[0] + kernel.noise_variances(one.kernels, at)[0]
+    variance = np.maximum(own - explained, kernel.noise_variances(one.kernels, at)[0])
+    variance = np.repeat(variance, mean.shape[1] // len(variance), axis=0).T
+    if one.uses_linear[0]:
+        regressors = presses.linear / gp.typical_linear[None]
+        by_group = given.projected.reshape(len(known.load), groups, -1).swapaxes(0, 1)
+        left = regressors - (cross @ by_group).swapaxes(0, 1).reshape(regressors.shape)
+        mean = mean + np.einsum("mcr,cr->mc", regressors, given.coefficients)
+        variance = variance + np.einsum("mcr,crq,mcq->mc", left, given.coefficient_covariance, left)
+    slope = np.zeros_like(mean)
+    if gp.heights.std > 0 and column == 0:
+        change = np.broadcast_to(kernel.load_slopes(one.kernels, at, known)[0], cross.shape)
+        slope = ungrouped(change @ weights)
+    if one.uses_previous[0]:
+        assert presses.previous_mean is not None
+        mean = mean + presses.previous_mean
+    return mean, variance * given.scale[None] ** 2, slope
+
+
+def _heights_at(gp: PopulationGP, presses: PressTable, inverse: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and variance of the heights at other presses (typical loads)."""
+    m = len(presses.position)
+    if inverse is None:
+        return np.zeros(m), np.zeros(m)
+    square = squared_distance(presses.position, gp.presses.position)
+    near = gp.heights.std**2 * np.exp(-square / (2 * gp.heights.length**2))
+    explained = np.einsum("mn,mn->m", near @ inverse, near)
+    return near @ (inverse @ gp.heights.measured), np.maximum(gp.heights.std**2 - explained, 0)

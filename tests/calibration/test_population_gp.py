@@ -1,0 +1,314 @@
+"""The Gaussian process of a population: its algebra against dense formulas, and what each of its parts is for."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from i2t.calibration.population_gp import (
+    FitOptions,
+    KernelPrior,
+    PressTable,
+    SkinKernels,
+    fit_population,
+    interval_scaling,
+    kernel,
+    load_prior,
+    mixture,
+    predict_population,
+    prior,
+)
+from i2t.calibration.population_gp import left_out as lo
+
+CHIPS = np.array([[0, 0], [6, 0], [-6, 0], [0, 6], [0, -6]]) * 1e-3
+CHANNELS = 15
+KINDS = SkinKernels(
+    load_power=np.array([1.7, 0.8]), load_offset=np.array([0.5, 0.2]), map_length=np.array([6e-3, 4e-3]),
+    bend_share=np.array([0.2, 0.1]), bend_length=np.array([3e-3, 2e-3]), bend_load_width=np.array([1.5, 2.0]),
+    static_variance=np.array([0.2, 0.1]), static_length=np.array([5e-3, 7e-3]),
+    constant_variance=np.array([0.1, 0.05]), noise_variance=np.array([0.02, 0.01]),
+    gain_noise_variance=np.array([0.01, 0.02]), chip_reach=np.array([7e-3, 5e-3]), far_amplitude=np.array([0.3, 1.0]),
+)  # fmt: skip
+
+
+def drawn(seed: int, n: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-8e-3, 8e-3, (n, 2)), rng.uniform(0.2, 1.8, n)
+
+
+def skin(seed: int, length: float = 5e-3, static: float = 0.0):
+    """A function from positions and loads to readings without noise."""
+    rng = np.random.default_rng(seed)
+    waves, phase = rng.normal(size=(60, 2)) / length, rng.uniform(0, 2 * np.pi, 60)
+    size, still = rng.normal(size=(2, 60, CHANNELS)) * 40 * np.sqrt(2 / 60)
+
+    def read(position: np.ndarray, load: np.ndarray) -> np.ndarray:
+        shape = np.cos(position @ waves.T + phase)
+        return (load[:, None] ** 1.5) * (shape @ size) + static * (shape @ still)
+
+    return read
+
+
+def table(position: np.ndarray, *loads: np.ndarray, linear: np.ndarray | None = None) -> PressTable:
+    n = len(position)
+    return PressTable(
+        position,
+        np.column_stack(loads) if loads else np.zeros((n, 0)),
+        np.zeros((n, CHANNELS, 0)) if linear is None else linear,
+    )
+
+
+def r2(truth: np.ndarray, mean: np.ndarray) -> float:
+    return 1 - ((truth - mean) ** 2).sum() / ((truth - truth.mean(0)) ** 2).sum()
+
+
+def dense(s: int, x: np.ndarray, d: np.ndarray, z: np.ndarray, e: np.ndarray, chip: np.ndarray | None) -> np.ndarray:
+    """The covariance of kernel s by the formula of the module, entry by entry."""
+    k = SkinKernels(*(values[s] for values in KINDS))
+
+    def amplitude(at: np.ndarray) -> float:
+        if chip is None:
+            return 1.0
+        near = np.exp(-((at - chip) ** 2).sum() / 2 / k.chip_reach**2)
+        return k.far_amplitude + (1 - k.far_amplitude) * near
+
+    def response(load: float) -> float:
+        return ((load + k.load_offset) / (1 + k.load_offset)) ** k.load_power
+
+    found = np.empty((len(x), len(z)))
+    for i in range(len(x)):
+        for j in range(len(z)):
+            square = ((x[i] - z[j]) ** 2).sum()
+            moving = (1 - k.bend_share) * np.exp(-square / 2 / k.map_length**2) + k.bend_share * np.exp(
+                -square / 2 / k.bend_length**2 - (d[i] - e[j]) ** 2 / 2 / k.bend_load_width**2
+            )
+            inner = response(d[i]) * response(e[j]) * moving
+            inner += k.static_variance * np.exp(-square / 2 / k.static_length**2)
+            found[i, j] = amplitude(x[i]) * amplitude(z[j]) * inner + k.constant_variance
+    return found
+
+
+@pytest.mark.parametrize("chips", [None, CHIPS])
+def test_the_covariance_is_that_of_its_formula(chips):
+    (x, d), (z, e) = drawn(0, 6), drawn(1, 4)
+    a, b = (kernel.geometry(*at, chips) for at in ((x, d), (z, e)))
+    found, slopes = kernel.signal_covariances(KINDS, a, b), kernel.load_slopes(KINDS, a, b)
+    own, noise = kernel.signal_variances(KINDS, a), kernel.noise_variances(KINDS, a)
+    for s in range(2):
+        for group, chip in enumerate([None] if chips is None else chips):
+            np.testing.assert_allclose(found[s, group], dense(s, x, d, z, e, chip), rtol=1e-10)
+            np.testing.assert_allclose(own[s, group], np.diag(dense(s, x, d, x, d, chip)), rtol=1e-10)
+            step = (dense(s, x, d + 1e-5, z, e, chip) - dense(s, x, d - 1e-5, z, e, chip)) / 2e-5
+            np.testing.assert_allclose(slopes[s, group], step, rtol=1e-4, atol=1e-6)
+            signal = np.diag(dense(s, x, d, x, d, chip)) - KINDS.constant_variance[s]
+            e2f2 = signal / (1 + KINDS.static_variance[s] / kernel.responses(KINDS, d)[s] ** 2)
+            expected = KINDS.noise_variance[s] + KINDS.gain_noise_variance[s] * e2f2
+            np.testing.assert_allclose(noise[s, group], expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize("chips", [None, CHIPS])
+@pytest.mark.parametrize("terms", [0, 2])
+def test_a_press_left_out_is_what_leaving_it_out_gives(chips, terms):
+    rng = np.random.default_rng(2)
+    x, d = drawn(3, 9)
+    readings, linear = rng.normal(size=(9, CHANNELS)), rng.normal(size=(9, CHANNELS, terms))
+    variance, extra = np.array([0.3, 0.0])[:terms], np.abs(rng.normal(size=(9, 5)))
+    at = kernel.geometry(x, d, chips)
+    found = lo.left_out(KINDS, at, lo.Observed(readings, linear, variance, extra))
+    for s in range(2):
+        for c in (0, 4, 14):
+            chip = None if chips is None else chips[c // 3]
+            K = dense(s, x, d, x, d, chip) + (linear[:, c] * variance) @ linear[:, c].T
+            one = kernel.take(KINDS, slice(s, s + 1))
+            noise = kernel.noise_variances(one, at)[0]
+            K_noise = K + np.diag(noise[min(c // 3, len(noise) - 1)] + extra[:, c // 3])
+            for i in (0, 5):
+                rest = np.arange(9) != i
+                solved = np.linalg.solve(K_noise[np.ix_(rest, rest)], np.column_stack([readings[rest, c], K[rest, i]]))
+                np.testing.assert_allclose(readings[i, c] - found.error[s, i, c], K[i, rest] @ solved[:, 0], rtol=1e-6)
+                relative = K_noise[i, i] - K[i, rest] @ solved[:, 1]
+                np.testing.assert_allclose(found.variance[s, i, c] / found.scale[s, c] ** 2, relative, rtol=1e-6)
+
+
+def test_slopes_left_out_are_differences_of_what_is_left_out():
+    rng = np.random.default_rng(4)
+    x, d = drawn(5, 8)
+    observed = lo.Observed(rng.normal(size=(8, CHANNELS)), np.zeros((8, CHANNELS, 0)), np.zeros(0), np.zeros((8, 1)))
+    found = lo.left_out_slopes(KINDS, kernel.geometry(x, d, None), observed)
+    i, rest = 3, np.arange(8) != 3
+    for s in range(2):
+        noise = kernel.noise_variances(KINDS, kernel.geometry(x, d, None))[s, 0]
+        K = dense(s, x, d, x, d, None) + np.diag(noise)
+        weights = np.linalg.solve(K[np.ix_(rest, rest)], observed.target[rest])
+        high, low = (dense(s, x[[i]], d[[i]] + step, x[rest], d[rest], None) @ weights for step in (1e-5, -1e-5))
+        np.testing.assert_allclose(found[s, i], (high - low)[0] / 2e-5, rtol=1e-4, atol=1e-6)
+
+
+def one_kernel(s: int = 0) -> KernelPrior:
+    return KernelPrior(kernel.take(KINDS, slice(s, s + 1)), np.zeros((2, 1)))
+
+
+def test_a_mixture_of_one_predicts_as_dense_algebra_does(monkeypatch):
+    monkeypatch.setattr(prior, "PLAIN_SHARE", 1e-300)
+    rng = np.random.default_rng(6)
+    (x, d), (z, e) = drawn(7, 12), drawn(8, 5)
+    linear, other = rng.normal(size=(12, CHANNELS, 1)), rng.normal(size=(5, CHANNELS, 1))
+    monkeypatch.setattr(mixture, "LINEAR_SHARE", 1 - 1e-15)
+    readings = rng.normal(scale=20, size=(12, CHANNELS))
+    gp = fit_population(
+        table(x, d, linear=linear), readings, load_kinds=("depth",), chip_positions=CHIPS, prior=one_kernel(),
+        options=FitOptions(robust=False, heights=False),
+    )  # fmt: skip
+    mean, std = predict_population(gp, table(z, e, linear=other))
+    unit, typical = np.sqrt(np.mean(d**2)), np.sqrt(np.mean(linear**2, axis=0))
+    for c in (0, 7):
+        chip, own = CHIPS[c // 3], np.array([mixture.LINEAR_VARIANCES[0]])
+        u, v = linear[:, c] / typical[c], other[:, c] / typical[c]
+        noise = kernel.noise_variances(one_kernel().kernels, kernel.geometry(x, d / unit, CHIPS))[0, c // 3]
+        K = dense(0, x, d / unit, x, d / unit, chip) + (u * own) @ u.T
+        k = dense(0, z, e / unit, x, d / unit, chip) + (v * own) @ u.T
+        solved = np.linalg.solve(K + np.diag(noise), np.column_stack([readings[:, c], k.T]))
+        np.testing.assert_allclose(mean[:, c], k @ solved[:, 0], rtol=1e-6)
+        noise = kernel.noise_variances(one_kernel().kernels, kernel.geometry(z, e / unit, CHIPS))[0, c // 3]
+        own_variance = np.diag(dense(0, z, e / unit, z, e / unit, chip) + (v * own) @ v.T) + noise
+        variance = own_variance - np.sum(k * solved[:, 1:].T, axis=1)
+        scale = np.sqrt(variance[0]) / std[0, c]
+        np.testing.assert_allclose(std[:, c] * scale, np.sqrt(variance), rtol=1e-6)
+
+
+def test_weights_go_to_the_kernel_that_the_presses_are_of():
+    rng = np.random.default_rng(9)
+    both = KernelPrior(KINDS._replace(far_amplitude=np.ones(2)), np.log(np.full((2, 2), 0.5)))
+    x, d = drawn(10, 80)
+    unit = np.sqrt(np.mean(d**2))
+    for s in range(2):
+        at = kernel.geometry(x, d / unit, None)
+        K = kernel.signal_covariances(both.kernels, at, at)[s, 0] + np.diag(
+            kernel.noise_variances(both.kernels, at)[s, 0]
+        )
+        readings = 30 * np.linalg.cholesky(K) @ rng.normal(size=(80, CHANNELS))
+        gp = fit_population(table(x, d), readings, load_kinds=("depth",), prior=both)
+        mine = np.isclose(gp.components.kernels.load_power, KINDS.load_power[s])
+        assert gp.weights[mine].sum(0).min() > 0.9
+
+
+def test_a_press_gone_wrong_does_little_harm():
+    read = skin(11)
+    (x, d), (z, e) = drawn(12, 40), drawn(13, 60)
+    rng = np.random.default_rng(14)
+    readings = read(x, d) + rng.normal(size=(40, CHANNELS))
+    readings[5, 3:6] += 800.0
+    found = {}
+    for robust in (True, False):
+        gp = fit_population(
+            table(x, d), readings, load_kinds=("depth",), chip_positions=CHIPS, options=FitOptions(robust=robust)
+        )
+        found[robust] = r2(read(z, e)[:, 3:6], predict_population(gp, table(z, e))[0][:, 3:6])
+        if robust:
+            assert gp.extra_noise[5, 1] == gp.extra_noise.max()
+            assert gp.extra_noise[5, 1] > 1
+    assert found[True] > 0.9
+    assert found[True] > found[False] + 0.05
+
+
+def test_what_the_press_before_left_is_taken_off():
+    read = skin(15)
+    x, d = drawn(16, 100)
+    rng = np.random.default_rng(17)
+    readings = read(x, d) + rng.normal(size=(100, CHANNELS))
+    for i in range(1, 100):
+        readings[i, 6:9] += 0.4 * readings[i - 1, 6:9]
+    before = np.concatenate([np.zeros((1, CHANNELS)), readings[:-1]])[:, :, None]
+    known, test = slice(50), slice(50, None)
+    with_, without = (
+        predict_population(
+            fit_population(table(x[known], d[known], linear=linear[known]), readings[known], load_kinds=("depth",)),
+            table(x[test], d[test], linear=linear[test]),
+        )[0]
+        for linear in (before, before[:, :, :0])
+    )
+    one = slice(6, 9)
+    assert r2(readings[test, one], with_[:, one]) > 0.95
+    assert r2(readings[test, one], without[:, one]) < 0.9
+    others = np.r_[0:6, 9:15]
+    assert r2(readings[test][:, others], with_[:, others]) > r2(readings[test][:, others], without[:, others]) - 0.01
+
+
+def test_an_earlier_session_is_kept_where_it_still_holds_and_left_where_it_does_not():
+    read, other = skin(18), skin(19)
+    (x, d), (z, e) = drawn(20, 12), drawn(21, 60)
+    readings = read(x, d) + np.random.default_rng(22).normal(size=(12, CHANNELS))
+    alone = fit_population(table(x, d), readings, load_kinds=("depth",))
+    base = r2(read(z, e), predict_population(alone, table(z, e))[0])
+    for earlier, better in ((read, True), (other, False)):
+        known, test = (table(*at)._replace(previous_mean=1.02 * earlier(*at)) for at in ((x, d), (z, e)))
+        gp = fit_population(known, readings, load_kinds=("depth",))
+        found = r2(read(z, e), predict_population(gp, test)[0])
+        assert found > (0.98 if better else base - 0.05)
+
+
+def test_both_loads_or_no_position_or_no_load():
+    read = skin(23)
+    (x, d), (z, e) = drawn(24, 60), drawn(25, 60)
+    rng = np.random.default_rng(26)
+    readings = read(x, d) + rng.normal(size=(60, CHANNELS))
+    useless = rng.uniform(0.1, 2.0, 120)
+    gp = fit_population(table(x, useless[:60], d), readings, load_kinds=("depth", "force"))
+    assert r2(read(z, e), predict_population(gp, table(z, useless[60:], e))[0]) > 0.9
+    gp = fit_population(table(x), readings, load_kinds=())
+    mean, std = predict_population(gp, table(z))
+    assert r2(read(z, e), mean) > 0.2  # where it pressed says much, how hard is not known
+    assert np.mean(np.abs(read(z, e) - mean) < 1.645 * std * interval_scaling(gp)) > 0.8
+    nowhere = np.zeros((60, 2))
+    one_place = read(np.zeros((60, 2)), d) + rng.normal(size=(60, CHANNELS))
+    gp = fit_population(table(nowhere, d), one_place, load_kinds=("force",))
+    assert r2(read(nowhere, e), predict_population(gp, table(nowhere, e))[0]) > 0.98
+
+
+@pytest.mark.parametrize("n", [1, 2, 5])
+def test_few_presses_give_finite_predictions(n):
+    read = skin(27)
+    (x, d), (z, e) = drawn(28, n), drawn(29, 10)
+    for loads in (d, np.zeros(n), np.full(n, 1e-3)):
+        gp = fit_population(table(x, loads), read(x, d), load_kinds=("depth",), chip_positions=CHIPS)
+        mean, std = predict_population(gp, table(z, e))
+        assert np.isfinite(mean).all()
+        assert (std > 0).all()
+        assert np.isfinite(interval_scaling(gp)).all()
+
+
+@pytest.mark.full
+def test_a_thousand_presses_are_fitted_in_stages():
+    read = skin(30, length=3e-3)
+    (x, d), (z, e) = drawn(31, 1000), drawn(32, 200)
+    x[:50] = x[:1]  # many at the same position are the hardest
+    readings = read(x, d) + np.random.default_rng(33).normal(size=(1000, CHANNELS))
+    gp = fit_population(table(x, d), readings, load_kinds=("depth",))
+    assert len(gp.weights) <= mixture.MAX_KEPT_OF_MANY
+    assert r2(read(z, e), predict_population(gp, table(z, e))[0]) > 0.99
+
+
+@pytest.mark.full
+def test_the_stated_range_holds_nine_in_ten():
+    inside = []
+    for seed in range(12):
+        read = skin(100 + seed, length=3e-3, static=0.3)
+        (x, d), (z, e) = drawn(200 + seed, 30), drawn(300 + seed, 100)
+        rng = np.random.default_rng(seed)
+        gp = fit_population(table(x, d), read(x, d) + 3 * rng.normal(size=(30, CHANNELS)), load_kinds=("force",))
+        mean, std = predict_population(gp, table(z, e))
+        truth = read(z, e) + 3 * rng.normal(size=mean.shape)
+        inside.append(np.mean(np.abs(truth - mean) < 1.645 * std * interval_scaling(gp)))
+    assert 0.84 < np.mean(inside) < 0.96
+
+
+def test_the_prior_of_the_package_is_small_and_whole():
+    found = load_prior()
+    path = Path(prior.__file__).parent / prior.PRIOR_FILE
+    assert path.stat().st_size < 100_000
+    count = len(found.kernels.load_power)
+    assert count >= 128
+    assert found.log_share.shape == (2, count)
+    np.testing.assert_allclose(np.exp(found.log_share).sum(1), 1, rtol=1e-4)
+    assert all(np.isfinite(values).all() for values in found.kernels)
+    assert prior.prior_about()["command"] == "python -m experiments.calibrate_pads --prior"
