@@ -2,45 +2,85 @@
 their names are those of the code.
 """
 
+import ast
 import contextlib
 import importlib
 import importlib.util
+import inspect
 import io
 import re
 import shlex
+import tomllib
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+import trimesh
+
+import i2t
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCE = re.compile(r"^```([a-z]*)\n(.*?)^```", re.M | re.S)
-SUBCOMMANDS = re.compile(r"^\s*[│|]?\s*\{([\w,-]+)\}|^[│|]\s+([a-z][\w-]+)\s", re.M)
+COMMAND = re.compile(r"python -m (?:i2t|experiments)[^`\n]*")
 
 
-def _commands(page: Path) -> list[list[str]]:
-    """The words of each `python -m` command in a page's fenced blocks."""
+def _commands(text: str) -> list[list[str]]:
+    """The words after `python -m` of each command of i2t in a page: in fenced blocks, in indented lines and
+    in the middle of a sentence.
+    """
+    shells = [block for language, block in FENCE.findall(text) if language in ("", "bash", "sh", "console")]
+    prose = FENCE.sub("", text)
+    indented = re.findall(r"^ {4,}(?:\$ )?(python -m .*)$", prose, re.M)
+    inline = [" ".join(span.split()) for span in re.findall(r"`(python -m [^`]+)`", prose)]
     found = []
-    for language, block in FENCE.findall(page.read_text()):
-        if language in ("", "bash", "sh", "console"):
-            for line in block.replace("\\\n", " ").splitlines():
-                for part in re.split(r"&&|;", line.split("  #")[0]):
-                    words = (
-                        shlex.split(part, comments=True) if "'" in part or '"' in part else part.split("#")[0].split()
-                    )
-                    if words[:2] == ["python", "-m"] and words[2].split(".")[0] in ("i2t", "experiments"):
-                        found.append(words[2:])
+    for line in "\n".join([*shells, *indented, *inline]).replace("\\\n", " ").splitlines():
+        for command in COMMAND.findall(line.split("  #")[0]):
+            words = shlex.split(re.split(r"&&|;|\|", command)[0], comments=True)
+            found.append(words[2:])
     return found
 
 
-COMMANDS = sorted({(page.name, tuple(words)) for page in PAGES for words in _commands(page)})
+COMMANDS = sorted({(page.name, tuple(words)) for page in PAGES for words in _commands(page.read_text())})
+
+
+def test_commands_are_found_wherever_they_are_printed():
+    page = """
+Say `python -m i2t.collect
+--help`, or
+
+    python -m experiments.benchmark --turns 3
+
+```
+python -m pip install -e . && python -m experiments.train --preset "debug"  # a minute
+python -m i2t.convert summary \\
+    DATA
+```
+
+```python
+python = "python -m i2t.nowhere"
+```
+"""
+    assert sorted(" ".join(words) for words in _commands(page)) == [
+        "experiments.benchmark --turns 3",
+        "experiments.train --preset debug",
+        "i2t.collect --help",
+        "i2t.convert summary DATA",
+    ]
+
+
+def _main(module: str) -> Callable[[Sequence[str]], int]:
+    """What `python -m` runs."""
+    entry = f"{module}.__main__" if importlib.util.find_spec(module).submodule_search_locations else module
+    return importlib.import_module(entry).main
 
 
 @cache
 def _help(module: str, subcommand: str | None) -> str:
-    entry = f"{module}.__main__" if importlib.util.find_spec(module).submodule_search_locations else module
-    main = importlib.import_module(entry).main
+    main = _main(module)
     out = io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out), pytest.raises(SystemExit) as ended:
         main([*([subcommand] if subcommand else []), "--help"])
@@ -60,6 +100,84 @@ def test_a_printed_command_exists_with_its_options(page, words):
             text += _help(module, args[0])
     for flag in (arg.split("=")[0] for arg in args if arg.startswith("--")):
         assert re.search(rf"(?<![\w-]){re.escape(flag)}(?![\w-])", text), f"{page}: {module} has no option {flag}"
+
+
+def test_a_printed_command_is_complete():
+    assert not [f"{page}: {' '.join(words)}" for page, words in COMMANDS if "..." in words]
+
+
+TABLE = "x_mm,y_mm,depth_mm,force_N," + ",".join(f"b{chip}{axis}_uT" for chip in range(5) for axis in "xyz")
+CHEAP = (  # in an order in which each finds what it needs; "TABLE.csv" is written by the test
+    "i2t.hardware.reskin --list",
+    "i2t.hardware.rig lab.toml --example",
+    "i2t.hardware.rig lab.toml",
+    "i2t.convert presses TABLE.csv DATA --indenter sphere:4.0",
+    "i2t.convert summary DATA",
+    "i2t.convert pack DATA PACKED",
+    "i2t.convert npz DATA DATA.npz",
+)
+
+
+def test_the_quick_commands_run_as_printed(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    rows = [f"{x},{-x},0.{x + 3},1.5," + ",".join(str(10 * x + i) for i in range(15)) for x in range(-2, 3)]
+    Path("TABLE.csv").write_text("\n".join([TABLE, *rows]) + "\n")
+    printed = {" ".join(words) for _, words in COMMANDS}
+    for command in CHEAP:
+        assert command in printed, f"no page prints {command}: take it out of the test"
+        module, *args = command.split()
+        assert _main(module)(args) == 0, f"{command}: {capsys.readouterr().err}"
+    assert np.load("DATA.npz")["reading"].shape == (5, 15)
+
+
+def _python_blocks() -> list[tuple[str, str]]:
+    found = [(page.name, block) for page in PAGES for language, block in FENCE.findall(page.read_text())
+             if language == "python"]  # fmt: skip
+    assert len(found) > 8
+    return found
+
+
+@pytest.mark.parametrize(("page", "block"), _python_blocks())
+def test_python_on_a_page_calls_what_exists_with_its_arguments(page, block):
+    tree = ast.parse(block)
+    names: dict[str, Any] = {"i2t": i2t}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            exec(compile(ast.Module([node], []), page, "exec"), names)
+    for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
+        first, *rest = ast.unparse(call.func).split(".")
+        if first not in names or not all(part.isidentifier() for part in rest):
+            continue  # a method of what the block made
+        function = names[first]
+        for part in rest:
+            assert hasattr(function, part), f"{page}: {ast.unparse(call.func)} does not exist"
+            function = getattr(function, part)
+        given = {keyword.arg: None for keyword in call.keywords}
+        with contextlib.suppress(ValueError):  # of a function of C there is no signature
+            inspect.signature(function).bind(*call.args, **given)
+
+
+@pytest.mark.full
+def test_python_of_the_readme_runs_on_a_trained_run(trained_run, tmp_path, monkeypatch):
+    """Its predictor is the debug preset's; its mug is a box."""
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.box((0.04, 0.03, 0.05)).export("mug.stl")
+    Path("runs").mkdir()
+    Path("runs/train").symlink_to(trained_run)
+    (block,) = (block for page, block in _python_blocks() if page == "README.md")
+    names: dict[str, Any] = {}
+    exec(block, names)
+    assert names["reading"].shape == names["std"].shape == (15,)
+    assert np.isfinite(names["reading"]).all()
+    assert (np.asarray(names["std"]) > 0).all()
+
+
+def test_the_version_is_one_everywhere():
+    version = i2t.__version__
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    citation = re.search(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text(), re.M)
+    newest = re.search(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), re.M)
+    assert (project["version"], citation[1], newest[1]) == (version, version, version)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -106,7 +106,7 @@ def shapes_of(dataset: Dataset) -> tuple[str, ...]:
 def split_folds(presses: StampPresses, split: str, seed: int) -> np.ndarray | None:
     """Which of `FOLDS` parts each press is tested in; None where the arm did not say what the split needs.
 
-    random: any presses. location: squares of 2 mm. depth: fifths of each shape's travel (or force). angle: sectors of
+    random: any presses. location: squares of 2 mm. depth: fifths of each shape's depth (or force). angle: sectors of
     72 degrees.
     """
     rng = np.random.default_rng(seed)
