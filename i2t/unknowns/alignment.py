@@ -1,0 +1,331 @@
+"""An earlier session of the same skin, laid over a later one: height, shift along the skin, gain of each chip.
+
+Between two sessions the skin was taken off, or the robot homed: the same press is elsewhere by a few tenths of a
+millimetre, deeper or less deep, and read larger or smaller. The earlier session is a map, reading = F(x, d); the later
+one is y = g_chip F(x + s, d + h) + noise. s, h and g are found from the presses of the later session by least squares
+with priors, so that a few presses move them little and none not at all. The same least squares asks whether chips were
+swapped or an axis flipped in between, and whether a part of the skin was magnetized anew. NumPy only.
+"""
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import cho_solve, cholesky
+from scipy.optimize import least_squares
+
+from i2t.unknowns.findings import Finding
+from i2t.unknowns.smooth import left_out, thinned
+
+ALIGNMENT = "earlier session"
+ALIGNED_CHIPS = "chips since the earlier session"
+MAP_PRESSES = 350  # of the earlier session that its map is made of
+ALIGNED_PRESSES = 120  # of the later one: more tell no more
+SHIFT_STD_M = 1e-3
+LOAD_STD = 0.3  # of the loads' range, where both sessions count them alike
+GAIN_STD = 0.15  # of the logarithm
+CHIP_GAIN_STD = 0.1  # of the logarithm of one chip's gain over all chips'
+PRIOR_PRESSES = 3.0  # presses' worth of error that the priors stand for, at least
+SWAP_ERROR_RATIO = 0.8  # of the squared error: what chips in another order must leave at most
+CHANGED_SKIN_R2 = 0.3  # below it the sessions are not of one skin
+_AXES = 3
+MAP_POWERS = (1.0, 1.5, 2.0)
+MAP_LENGTHS = (3e-3, 6e-3, 12e-3)
+MAP_NOISES = (1e-3, 1e-2, 0.1)
+
+
+class SessionMap(NamedTuple):
+    """What an earlier session says of every press."""
+
+    position: Float[np.ndarray, "m 2"]  # m
+    load: Float[np.ndarray, " m"]  # m of depth, or N
+    weights: Float[np.ndarray, "m c"]
+    unit: float  # of the loads
+    offset: float  # load below zero at which nothing is read, in units
+    power: float
+    length: float  # m
+    r2: float  # of its own presses, each predicted from the others
+
+
+class Alignment(NamedTuple):
+    """How a later session lies on an earlier one: its press (x, d) is the earlier's (x + shift, d + load)."""
+
+    shift: Float[np.ndarray, " 2"]  # m
+    load: float  # m or N
+    gain: Float[np.ndarray, " chips"]
+    shift_std: Float[np.ndarray, " 2"]
+    load_std: float
+    r2: float  # of the later presses, aligned
+    r2_unaligned: float
+
+
+def fit_session_map(
+    position: Float[np.ndarray, "n 2"], load: Float[np.ndarray, " n"], readings: Float[np.ndarray, "n c"]
+) -> SessionMap:
+    """The map of an earlier session: a Gaussian process that grows by a power of the load.
+
+    Args:
+        position: Of its presses (m).
+        load: Depths (m) or forces (N).
+        readings: Of the presses (uT).
+
+    Returns:
+        The map.
+    """
+    rows = thinned(len(load), MAP_PRESSES)
+    at, load, values = position[rows].astype(float), load[rows].astype(float), readings[rows].astype(float)
+    unit = max(float(np.quantile(np.abs(load), 0.9)), 1e-9)
+    square = ((at[:, None] - at[None]) ** 2).sum(-1)
+    best, chosen = -np.inf, (0.5, 1.5, 6e-3, 1e-2)
+    scale = max(float(np.mean(values**2)), 1e-30)
+    some = slice(200)
+    for offset in (0.1, 0.7, 1.4):
+        for power in MAP_POWERS:
+            for length in MAP_LENGTHS:
+                for noise in MAP_NOISES:
+                    covariance = _map_covariance(
+                        square[some, some], load[some], load[some], unit, (offset, power, length)
+                    )
+                    covariance = covariance + noise * np.eye(len(covariance))
+                    density = left_out(covariance, values[some] / np.sqrt(scale)).log_density
+                    if density > best:
+                        best, chosen = density, (offset, power, length, noise)
+    offset, power, length, noise = chosen
+    covariance = _map_covariance(square, load, load, unit, (offset, power, length)) + noise * np.eye(len(load))
+    error = left_out(covariance, values).error
+    r2 = 1 - float((error**2).sum() / max(((values - values.mean(0)) ** 2).sum(), 1e-30))
+    weights = cho_solve((cholesky(covariance, lower=True), True), values)
+    return SessionMap(at, load, weights, unit, offset, power, length, r2)
+
+
+def predict_session(
+    session: SessionMap, position: Float[np.ndarray, "n 2"], load: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n c"]:
+    """What the earlier session would have read.
+
+    Args:
+        session: Its map.
+        position: Of presses (m).
+        load: Their loads.
+
+    Returns:
+        Readings (uT).
+    """
+    square = ((position[:, None] - session.position[None]) ** 2).sum(-1)
+    shape = (session.offset, session.power, session.length)
+    return _map_covariance(square, load, session.load, session.unit, shape) @ session.weights
+
+
+def align_session(
+    session: SessionMap,
+    position: Float[np.ndarray, "n 2"],
+    load: Float[np.ndarray, " n"],
+    readings: Float[np.ndarray, "n c"],
+    *,
+    load_known: bool = True,
+) -> Alignment:
+    """Lay a later session on an earlier one.
+
+    Args:
+        session: The earlier one.
+        position: Of the later presses (m).
+        load: Their loads, counted as the earlier session's are as well as is known.
+        readings: Theirs (uT).
+        load_known: Whether the loads of both sessions count from about the same zero. Otherwise any load of the earlier
+            session may be meant.
+
+    Returns:
+        The alignment; without presses it is none, with the spread of the priors.
+    """
+    chips = max(readings.shape[1] // _AXES, 1)
+    load_std = session.unit * (LOAD_STD if load_known else 1.0)
+    if not len(load):
+        return Alignment(np.zeros(2), 0.0, np.ones(chips), np.full(2, SHIFT_STD_M), load_std, np.nan, np.nan)
+    rows = thinned(len(load), ALIGNED_PRESSES)
+    at, load, values = position[rows].astype(float), load[rows].astype(float), readings[rows].astype(float)
+    total = max(float(((values - values.mean(0)) ** 2).sum()), 1e-30)
+    before = predict_session(session, at, load)
+    # What an aligned map leaves is about what the map leaves of its own presses, and the priors count in these.
+    error = np.sqrt(max(1 - session.r2, 0.02) * np.mean(values**2))
+    tempered = error * np.sqrt(max(len(load) / PRIOR_PRESSES, 1.0) ** 0.5)
+
+    def residual(theta: np.ndarray) -> np.ndarray:
+        expected = predict_session(session, at + SHIFT_STD_M * theta[:2], load + load_std * theta[2])
+        gain = np.repeat(_gains(expected, values, chips, error), _AXES)
+        log_gain = np.log(np.clip(gain[::_AXES], 1e-2, 1e2)).mean() / GAIN_STD
+        return np.concatenate([((values - gain * expected) / tempered).ravel(), theta, [log_gain]])
+
+    starts = [0.0] if load_known else [-1.0, -0.5, 0.0, 0.5, 1.0]
+    found = min(
+        (least_squares(residual, [0.0, 0.0, start], method="lm", diff_step=1e-3) for start in starts),
+        key=lambda one: one.cost,
+    )
+    theta = found.x
+    spread = np.sqrt(np.diagonal(np.linalg.pinv(found.jac.T @ found.jac)))
+    expected = predict_session(session, at + SHIFT_STD_M * theta[:2], load + load_std * theta[2])
+    gain = _gains(expected, values, chips, error)
+    left = ((values - np.repeat(gain, _AXES) * expected) ** 2).sum()
+    return Alignment(
+        shift=SHIFT_STD_M * theta[:2], load=float(load_std * theta[2]), gain=gain, shift_std=SHIFT_STD_M * spread[:2],
+        load_std=float(load_std * spread[2]), r2=1 - float(left) / total,
+        r2_unaligned=1 - float(((values - before) ** 2).sum()) / total,
+    )  # fmt: skip
+
+
+def aligned_prediction(
+    session: SessionMap, alignment: Alignment, position: Float[np.ndarray, "n 2"], load: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n c"]:
+    """What the earlier session, aligned, says of later presses.
+
+    Args:
+        session: The earlier session.
+        alignment: Of the later one on it.
+        position: Of later presses (m).
+        load: Their loads.
+
+    Returns:
+        Readings (uT).
+    """
+    expected = predict_session(session, position + alignment.shift, load + alignment.load)
+    return np.repeat(alignment.gain, _AXES) * expected
+
+
+def lay_over(
+    session: SessionMap,
+    position: Float[np.ndarray, "n 2"],
+    load: Float[np.ndarray, " n"],
+    readings: Float[np.ndarray, "n c"],
+    *,
+    load_known: bool = True,
+    unit: str = "m",
+) -> tuple[Alignment, Float[np.ndarray, "n c"], list[Finding]]:
+    """Align a later session, and again with its chips put back where they were, if that explains it better.
+
+    Args:
+        session: The earlier one.
+        position: Of the later presses (m).
+        load: Their loads.
+        readings: Theirs (uT).
+        load_known: As for `align_session`.
+        unit: Of the loads: m or N.
+
+    Returns:
+        The alignment, the readings that it is of, and the findings.
+    """
+    alignment = align_session(session, position, load, readings, load_known=load_known)
+    findings = alignment_findings(session, alignment, position, load, readings, unit=unit)
+    todo = findings[-1].correction
+    if not todo:
+        return alignment, readings, findings
+    order, signs = np.asarray(todo["chip_order"]), np.asarray(todo["channel_signs"], np.float64)
+    put_back = readings.reshape(len(readings), -1, _AXES)[:, order].reshape(readings.shape) * signs
+    again = align_session(session, position, load, put_back, load_known=load_known)
+    if not again.r2 > alignment.r2:
+        return alignment, readings, findings[:1]
+    first = alignment_findings(session, again, position, load, put_back, unit=unit)[0]
+    return again, put_back, [first, findings[-1]]
+
+
+def alignment_findings(
+    session: SessionMap,
+    alignment: Alignment,
+    position: Float[np.ndarray, "n 2"],
+    load: Float[np.ndarray, " n"],
+    readings: Float[np.ndarray, "n c"],
+    *,
+    unit: str = "m",
+) -> list[Finding]:
+    """Say how a later session lies on an earlier one, and whether its chips are still where they were.
+
+    Args:
+        session: The earlier one.
+        alignment: Of the later one on it.
+        position: Of the later presses (m).
+        load: Their loads.
+        readings: Theirs (uT).
+        unit: Of the loads: m or N.
+
+    Returns:
+        A finding about the alignment, and one about the chips.
+    """
+    if not len(load):
+        return [Finding(ALIGNMENT, "The earlier session is taken as it is: there is no press to align it by.", False)]
+    factor, name, unit = (1e3, "height", "mm") if unit == "m" else (1.0, "force", "N")
+    shift, spread = 1e3 * alignment.shift, 1e3 * alignment.shift_std
+    same = alignment.r2 > CHANGED_SKIN_R2
+    evidence = {
+        "r2_as_recorded": alignment.r2_unaligned, "r2_aligned": alignment.r2, "shift_x_mm": shift[0],
+        "shift_y_mm": shift[1], f"{name}_{unit}": factor * alignment.load, "gain": float(np.mean(alignment.gain)),
+        "presses": len(load),
+    }  # fmt: skip
+    sentence = (
+        f"The earlier session lies shifted by {shift[0]:+.2f} +- {1.645 * spread[0]:.2f} mm and {shift[1]:+.2f} +- "
+        f"{1.645 * spread[1]:.2f} mm, in {name} by {factor * alignment.load:+.2f} +- "
+        f"{1.645 * factor * alignment.load_std:.2f} {unit}, with gains {np.round(alignment.gain, 2).tolist()}: it "
+        f"explains {alignment.r2:.2f} of the readings so, and {alignment.r2_unaligned:.2f} as recorded"
+    )
+    sentence += "." if same else "; that is no earlier session of this skin, or the skin has changed."
+    first = Finding(
+        ALIGNMENT, sentence, identifiable=same, wrong=not same, evidence=evidence,
+        correction={
+            "shift_m": alignment.shift.tolist(), "load": alignment.load, "gain": alignment.gain.tolist()
+        } if same else {},
+    )  # fmt: skip
+    return [first, _chips_since(aligned_prediction(session, alignment, position, load), readings)]
+
+
+def _chips_since(expected: np.ndarray, readings: np.ndarray) -> Finding:
+    """Whether chips were swapped or axes flipped since the earlier session."""
+    n, channels = readings.shape
+    chips = channels // _AXES
+    if n < 5 or chips < 2:
+        return Finding(ALIGNED_CHIPS, "Whether chips changed places is not identifiable: too few presses.", False)
+    y, e = readings.reshape(n, chips, _AXES), expected.reshape(n, chips, _AXES)
+    as_recorded = float(((y - e) ** 2).sum())
+    order, signs, least = np.arange(chips), np.ones((chips, _AXES)), as_recorded
+    for pair in combinations(range(chips), 2):
+        tried = np.arange(chips)
+        tried[list(pair)] = tried[list(pair[::-1])]
+        error = float(((y[:, tried] - e) ** 2).sum())
+        if error < least:
+            order, least = tried, error
+    swapped = least < SWAP_ERROR_RATIO * as_recorded
+    order = order if swapped else np.arange(chips)
+    aligned = (y[:, order] * e).sum(0) / np.maximum(np.sqrt((y[:, order] ** 2).sum(0) * (e**2).sum(0)), 1e-30)
+    signs[aligned < -0.5] = -1
+    flipped = bool((signs < 0).any())
+    evidence = {"error_as_recorded": as_recorded, "error_corrected": float(((y[:, order] * signs - e) ** 2).sum())}
+    said = []
+    if swapped:
+        said.append(f"chips {' and '.join(str(i) for i in np.flatnonzero(order != np.arange(chips)))} changed places")
+    if flipped:
+        said.append(
+            "these now read the other way: "
+            + ", ".join(f"{'xyz'[axis]} of chip {chip}" for chip, axis in np.argwhere(signs < 0))
+            + (", a chip or a magnet was turned over" if (signs < 0).all(1).any() else "")
+        )
+    sentence = f"Since the earlier session {' and '.join(said)}." if said else "Chips and axes are as they were."
+    correction = {"chip_order": order.tolist(), "channel_signs": signs.ravel().tolist()} if said else {}
+    return Finding(
+        ALIGNED_CHIPS, sentence, identifiable=True, wrong=bool(said), evidence=evidence, correction=correction
+    )
+
+
+def _gains(expected: np.ndarray, values: np.ndarray, chips: int, error: float) -> np.ndarray:
+    """Gain of each chip: drawn to that of all chips, and that one to 1."""
+    e, y = (part.reshape(len(part), chips, -1) for part in (expected, values))
+    both, own = (e * y).sum((0, 2)), (e * e).sum((0, 2))
+    prior = error**2 / GAIN_STD**2 * len(values) ** 0.5
+    together = (both.sum() + prior) / (own.sum() + prior)
+    chip_prior = error**2 / CHIP_GAIN_STD**2 * len(values) ** 0.5
+    return (both + chip_prior * together) / (own + chip_prior)
+
+
+def _map_covariance(
+    square: np.ndarray, a: np.ndarray, b: np.ndarray, unit: float, shape: tuple[float, float, float]
+) -> np.ndarray:
+    offset, power, length = shape
+    growth = np.outer(*(np.maximum((load / unit + offset) / (1 + offset), 0.0) ** power for load in (a, b)))
+    bent = np.exp(-square / (2 * (0.4 * length) ** 2) - (a[:, None] - b[None]) ** 2 / (2 * unit**2))
+    return growth * (np.exp(-square / (2 * length**2)) + 0.02 * bent)

@@ -1,0 +1,235 @@
+"""What labels and readings say of each other: a lag between them, the direction of the height, the sign of the force,
+the units.
+
+NumPy only. Each function judges recorded presses by one property that any sound skin has; none needs a model of one.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import rankdata
+
+from i2t.unknowns.findings import Finding, RecordedPresses
+from i2t.unknowns.smooth import smooth_r2, thinned
+
+LAG, HEIGHT_AXIS, FORCE_SIGN, UNITS = "lag of the labels", "height axis", "sign of the force", "units"
+LAG_ROWS = 300  # that are looked at
+MIN_LAG_ROWS = 20
+LAG_UNEXPLAINED = 1.5  # times: what a smooth model leaves unexplained as recorded, over what it leaves with the lag
+LAG_GAIN = 0.03  # of R2, at least
+SURE_ERRORS = 4.0  # standard errors of a rank correlation
+PUSH_SHARE = 0.9  # of the presses that must pull for the force to be turned
+MIN_PUSH_N = 0.05  # less is no press
+MAX_EXTENT_M = 0.5  # of where a skin was pressed: beyond it are millimetres
+MAX_DEPTH_M = 0.05
+MIN_NORM_UT = 2.0  # of the strongest readings: the noise alone of one reading of five chips is 12 uT
+TESLA_BELOW = 2e-3  # in the unit recorded: readings between the two are millitesla
+MAX_NORM_UT = 2e5  # chips end at 1.3e5 uT on each axis
+MAX_FORCE_N = 150.0  # beyond are grams
+MM_PER_M = 1e3
+
+
+class Scales(NamedTuple):
+    """Factors that turn what was recorded into metres, microtesla and newtons."""
+
+    length: float = 1.0
+    depth: float = 1.0
+    field: float = 1.0
+    force: float = 1.0
+
+
+def find_lag(presses: RecordedPresses, max_lag: int = 4) -> Finding:
+    """Ask whether each reading belongs to the labels of an earlier or later row.
+
+    Args:
+        presses: In the order of time.
+        max_lag: Rows by which labels may be shifted. With lag k the reading of row i belongs to the labels of row
+            i + k.
+
+    Returns:
+        The finding; the estimate is the lag (rows).
+    """
+    labels = _labels(presses)
+    n = len(labels)
+    rows = thinned(n - 2 * max_lag, LAG_ROWS) + max_lag
+    if len(rows) < MIN_LAG_ROWS:
+        return Finding(LAG, f"A lag of the labels is not identifiable: {n} presses are too few.", False)
+    r2 = {lag: smooth_r2(labels[rows + lag], presses.readings[rows]) for lag in range(-max_lag, max_lag + 1)}
+    best = max(r2, key=lambda lag: r2[lag])
+    near = [lag for lag in r2 if 0 < abs(lag - best) <= 3]
+    contrast = r2[best] - min(r2[lag] for lag in near)
+    evidence = {"r2_as_recorded": r2[0], "r2_best": r2[best], "best_lag": best, "r2_contrast": contrast}
+    if contrast < LAG_GAIN or r2[best] < 0.1:
+        why = "readings hardly depend on the labels" if r2[best] < 0.1 else "neighbouring rows are nearly alike"
+        return Finding(
+            LAG, f"A lag of the labels is not identifiable: {why} (R2 {r2[0]:.3f} as recorded, {r2[best]:.3f} at "
+            f"{best:+d} rows).", False, evidence=evidence,
+        )  # fmt: skip
+    unexplained = (1 - r2[0]) / max(1 - r2[best], 1e-6)
+    evidence["unexplained_ratio"] = unexplained
+    late = best != 0 and unexplained > LAG_UNEXPLAINED and r2[best] - r2[0] > LAG_GAIN
+    lag = best if late else 0
+    said = (
+        f"Labels are shifted by {lag:+d} rows: a smooth model explains {r2[best]:.2f} of the readings with them and "
+        f"{r2[0]:.2f} as recorded."
+        if late
+        else f"Labels and readings belong together row by row (R2 of a smooth model {r2[0]:.3f})."
+    )
+    return Finding(
+        LAG, said, identifiable=True, wrong=late, estimate=lag, low=lag, high=lag, unit="rows", evidence=evidence,
+        correction={"label_lag_rows": lag} if late else {},
+    )  # fmt: skip
+
+
+def find_height_axis(presses: RecordedPresses) -> Finding:
+    """Ask whether the height grows out of the skin or into it: readings grow with the depth.
+
+    Args:
+        presses: With heights along what is taken for the outward normal.
+
+    Returns:
+        The finding; the estimate is 1 where heights point out of the skin and -1 where they point into it.
+    """
+    if presses.height is None or not np.isfinite(presses.height).any():
+        return Finding(HEIGHT_AXIS, "The direction of the height is not identifiable: none was recorded.", False)
+    firm = np.isfinite(presses.height)
+    height, norm = presses.height[firm], np.linalg.norm(presses.readings[firm], axis=1)
+    return _sign_of(HEIGHT_AXIS, -height, norm, {"height_sign": -1.0}, (
+        "Readings grow where the height grows: the height points into the skin and is turned",
+        "Readings grow as the height falls: the height points out of the skin",
+    ))  # fmt: skip
+
+
+def find_force_sign(force: Float[np.ndarray, " n"], readings: Float[np.ndarray, "n c"] | None = None) -> Finding:
+    """Ask whether a press pushes: the force along tool z is positive when pressing.
+
+    Args:
+        force: Of presses (N); NaN where it was not read.
+        readings: Of the same presses (uT); those that read nothing are no presses.
+
+    Returns:
+        The finding; the estimate is -1 where the forces must be turned.
+    """
+    known = np.isfinite(force) & (np.abs(force) > MIN_PUSH_N)
+    if readings is not None and known.any():
+        norm = np.linalg.norm(np.nan_to_num(readings), axis=1)
+        known &= norm >= 0.2 * np.median(norm[known])
+    if known.sum() < 3:
+        return Finding(FORCE_SIGN, "The sign of the force is not identifiable: hardly any force was recorded.", False)
+    pulls = float(np.mean(force[known] < 0))
+    median = float(np.median(force[known]))
+    evidence = {"share_negative": pulls, "median_force_N": median, "presses": int(known.sum())}
+    if pulls > PUSH_SHARE:
+        return Finding(
+            FORCE_SIGN,
+            f"Forces along tool z are negative in {100 * pulls:.0f} % of the presses (median {median:.2f} N), as if "
+            "they pulled: they are turned.",
+            identifiable=True, wrong=True, estimate=-1.0, evidence=evidence, correction={"force_sign": -1.0},
+        )  # fmt: skip
+    if pulls > 1 - PUSH_SHARE:
+        return Finding(
+            FORCE_SIGN,
+            f"Forces along tool z are negative in {100 * pulls:.0f} % of the presses (median {median:.2f} N): they are "
+            "hardly along tool z; check the axes that they were recorded in.",
+            identifiable=False, evidence=evidence,
+        )  # fmt: skip
+    return Finding(
+        FORCE_SIGN, f"Presses push: the median force along tool z is {median:.2f} N.", identifiable=True, estimate=1.0,
+        evidence=evidence,
+    )  # fmt: skip
+
+
+def find_units(
+    position: Float[np.ndarray, "n d"],
+    readings: Float[np.ndarray, "n c"],
+    *,
+    depth: Float[np.ndarray, " n"] | None = None,
+    force: Float[np.ndarray, " n"] | None = None,
+) -> tuple[Finding, Scales]:
+    """Ask whether lengths are metres, fields microtesla and forces newtons, by their sizes.
+
+    Args:
+        position: Of the presses, as recorded.
+        readings: As recorded.
+        depth: As recorded, where it was.
+        force: As recorded, where it was.
+
+    Returns:
+        The finding, and the factors to metres, microtesla and newtons.
+    """
+    norm = np.linalg.norm(readings[np.isfinite(readings).all(1)], axis=1)
+    strong = float(np.quantile(norm, 0.9)) if len(norm) else np.nan
+    there = position[np.isfinite(position).all(1)]
+    extent = float(np.ptp(there, axis=0).max()) if len(there) else np.nan
+    deep = _largest(depth)
+    hard = _largest(force)
+    said, scales = [], Scales()
+    if extent > MAX_EXTENT_M:
+        said.append(f"positions range over {extent:.3g}, which can be no metres: they are read as millimetres")
+        scales = scales._replace(length=1 / MM_PER_M)
+    if deep > MAX_DEPTH_M:
+        said.append(f"depths reach {deep:.3g}, which can be no metres: they are read as millimetres")
+        scales = scales._replace(depth=1 / MM_PER_M)
+    if 0 < strong < MIN_NORM_UT:
+        unit, factor = ("tesla", 1e6) if strong < TESLA_BELOW else ("millitesla", 1e3)
+        said.append(
+            f"strong readings have the norm {strong:.2g}, less than the noise of a chip in uT: they are read as {unit}"
+        )
+        scales = scales._replace(field=factor)
+    elif strong > MAX_NORM_UT:
+        said.append(f"strong readings have the norm {strong:.2g}, beyond any chip in uT: they are read as nanotesla")
+        scales = scales._replace(field=1e-3)
+    if hard > MAX_FORCE_N:
+        said.append(f"forces reach {hard:.3g}, which no skin bears in newtons: they are read as grams")
+        scales = scales._replace(force=9.80665e-3)
+    evidence = {"extent": extent, "strong_norm": strong, "largest_depth": deep, "largest_force": hard}
+    sentence = (
+        "Units are not what was stated: " + "; ".join(said) + "."
+        if said
+        else "Lengths, fields and forces have sizes that fit metres, microtesla and newtons."
+    )
+    correction: Mapping[str, float] = {
+        f"{name}_factor": value for name, value in scales._asdict().items() if value != 1
+    }
+    identifiable = np.isfinite(strong)
+    return Finding(
+        UNITS, sentence, identifiable=bool(identifiable), wrong=bool(said), evidence=evidence, correction=correction
+    ), scales
+
+
+def _labels(presses: RecordedPresses) -> np.ndarray:
+    """Position and, where it was recorded, height or force of each press."""
+    load = presses.height if presses.height is not None and np.isfinite(presses.height).all() else presses.force
+    if load is None or not np.isfinite(load).all():
+        return presses.position
+    return np.column_stack([presses.position, load])
+
+
+def _largest(values: np.ndarray | None) -> float:
+    """The 90th percentile of the sizes, 0 where nothing was recorded."""
+    known = np.abs(values[np.isfinite(values)]) if values is not None else np.empty(0)
+    return float(np.quantile(known, 0.9)) if len(known) else 0.0
+
+
+def _sign_of(
+    name: str, depth: np.ndarray, norm: np.ndarray, correction: Mapping[str, float], said: tuple[str, str]
+) -> Finding:
+    """Whether readings grow with the depth, by their rank correlation."""
+    n = len(norm)
+    if n < MIN_LAG_ROWS or np.ptp(depth) == 0 or np.ptp(norm) == 0:
+        return Finding(name, f"The {name} is not identifiable: too few presses, or all alike.", False)
+    ranks = float(np.corrcoef(rankdata(depth), rankdata(norm))[0, 1])
+    error = 1 / np.sqrt(n - 1)
+    evidence = {"rank_correlation": ranks, "presses": n}
+    if abs(ranks) < SURE_ERRORS * error or abs(ranks) < 0.15:
+        return Finding(
+            name, f"The {name} is not identifiable: readings hardly change with it (rank correlation {ranks:+.2f}).",
+            False, evidence=evidence,
+        )  # fmt: skip
+    wrong = ranks < 0
+    return Finding(
+        name, f"{said[0] if wrong else said[1]} (rank correlation with the depth {ranks:+.2f}).", identifiable=True,
+        wrong=wrong, estimate=-1.0 if wrong else 1.0, evidence=evidence, correction=correction if wrong else {},
+    )  # fmt: skip
