@@ -14,6 +14,9 @@ Results go to --out: report.html (one file, with its pictures), metrics.json and
 import os
 import sys
 import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -45,9 +48,7 @@ def run(args: FidelityArgs) -> dict[str, Any]:
     chapters: dict[str, list[Section]] = {}
     for recording in recordings:
         print(f"\n{recording.name}: {len(recording)} readings")
-        chapters[recording.name] = [
-            _said(written(title, work)) for title, work in _parts(recording, preset, args.seed).items()
-        ]
+        chapters[recording.name] = [_said(section) for section in sections_of(recording, preset, args.seed)]
     if len(recordings) > 1:
         work = partial(curves.across_sessions, recordings, preset, args.seed)
         chapters["Across sessions"] = [_said(written("What one session says of another", work))]
@@ -71,9 +72,6 @@ def run(args: FidelityArgs) -> dict[str, Any]:
 
 def named_apart(recordings: list[SkinRecording]) -> list[SkinRecording]:
     """Recordings with a name of their own each."""
-    from collections import Counter
-    from dataclasses import replace
-
     often, seen, result = Counter(one.name for one in recordings), Counter[str](), []
     for one in recordings:
         seen[one.name] += 1
@@ -101,9 +99,9 @@ def _recordings(args: FidelityArgs, preset: FidelityPreset) -> list[SkinRecordin
     return found
 
 
-def _parts(recording: SkinRecording, preset: FidelityPreset, seed: int) -> dict[str, Any]:
-    """The report's parts by their titles."""
-    return {
+def sections_of(recording: SkinRecording, preset: FidelityPreset, seed: int) -> Iterator[Section]:
+    """The report's parts about one recording."""
+    parts: dict[str, Callable[[Section], None]] = {
         "What it is": partial(describe.describe, recording),
         "Checks": partial(describe.check, recording),
         "Noise and drift": partial(dynamics.noise, recording, preset),
@@ -113,6 +111,8 @@ def _parts(recording: SkinRecording, preset: FidelityPreset, seed: int) -> dict[
         "Heads": partial(heads.head_sections, recording, (), preset.heads, preset.held_out_share, seed),
         "Readings from views": partial(views.view_section, recording, preset, seed),
     }
+    for title, work in parts.items():
+        yield written(title, work)
 
 
 def _said(section: Section) -> Section:

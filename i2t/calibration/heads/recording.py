@@ -14,6 +14,7 @@ is left out, what was not measured is NaN, and each such thing is said in a note
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -125,11 +126,11 @@ class SkinRecording:
         spread = np.subtract(*np.percentile(self.targets[target][known], [99, 1], axis=0)).max()
         return bool(spread > MIN_CHANGE.get(target, 0.5) or (TARGETS[target].yes_no and self._both(target)))
 
-    def rows(self, chosen: np.ndarray) -> "SkinRecording":
+    def rows(self, chosen: np.ndarray | slice) -> "SkinRecording":
         """Some rows.
 
         Args:
-            chosen: a mask (n,) or row numbers.
+            chosen: a mask (n,), row numbers or a slice.
 
         Returns:
             The recording of these rows.
@@ -418,11 +419,14 @@ def _loose_table(folder: Path, name: str) -> np.ndarray:
     if path is None:
         raise DataError(f"{folder}: {name}.csv or {name}.csv.gz is missing")
     lines = [line for line in csv.reader(read_text(path).splitlines()) if line]
-    width = max(map(len, lines), default=0)
-    table = np.array([_numbers(line, width) for line in lines]).reshape(-1, width)
-    table = table[np.isfinite(table[:, 0])] if width else table
+    if not lines:
+        raise DataError(f"{path}: holds no row; restore it from the source")
+    width = Counter(map(len, lines)).most_common(1)[0][0]
+    nothing = [np.nan] * width
+    table = np.array([_numbers(line, width) if len(line) == width else nothing for line in lines])
+    table = table[np.isfinite(table[:, 0])]
     if not len(table):
-        raise DataError(f"{path}: holds no row that begins with a time")
+        raise DataError(f"{path}: holds no row that begins with a time; restore it from the source")
     return table[np.argsort(table[:, 0], kind="stable")]
 
 

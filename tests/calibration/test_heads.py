@@ -1,0 +1,297 @@
+"""Heads: what they tell, how sure they are, what they refuse, and recordings in every form and state."""
+
+import gzip
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import random_touches
+from helpers.skin_presses import presses_of_a_skin
+from scipy.stats import norm
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, DotProduct, WhiteKernel
+from sklearn.neighbors import KNeighborsRegressor
+
+from i2t import dataset as data
+from i2t.calibration.heads import (
+    BASELINE_HEADS,
+    HeadBudget,
+    SkinRecording,
+    fit_head,
+    load_head,
+    read_recordings,
+    regression,
+)
+from i2t.calibration.heads.head import fold_numbers, hold_out_groups, is_stream, with_history
+from i2t.errors import DataError, SerializationError
+from i2t.types import ReturnCode
+
+SMALL = HeadBudget(selection_rows=150, known_rows=250)
+
+
+@pytest.fixture(scope="module")
+def recording() -> SkinRecording:
+    return presses_of_a_skin(300)
+
+
+@pytest.fixture(scope="module")
+def position_head(recording):
+    return fit_head(recording.rows(slice(0, 200)), "position", budget=SMALL)
+
+
+def test_a_head_tells_positions_it_never_saw_better_than_the_baselines(recording, position_head):
+    told, truth = position_head.predict(recording.readings[200:]), recording.targets["position"][200:]
+    error = np.linalg.norm(told.mean - truth, axis=1)
+    assert np.median(error) < 0.4e-3  # the range is 20 mm
+    inside = np.mean(np.abs(told.mean - truth) < 1.645 * told.std)
+    assert 0.8 < inside <= 1.0
+    validation = position_head.validation
+    assert validation[position_head.method] == min(validation.values())
+    assert validation[position_head.method] < 0.5 * min(validation[name] for name in BASELINE_HEADS)
+    assert not told.unfamiliar.any()
+
+
+def test_where_nothing_can_be_told_the_mean_is_kept(recording):
+    rng = np.random.default_rng(1)
+    deaf = replace(recording, readings=rng.normal(size=recording.readings.shape))
+    head = fit_head(deaf, "depth", budget=SMALL)
+    truth = recording.targets["depth"]
+    assert head.validation[head.method] <= head.validation["mean"]
+    told = head.predict(rng.normal(size=(100, 15)))
+    np.testing.assert_allclose(told.mean.mean(), truth.mean(), rtol=0.15)
+    # Its spread is that of the depths themselves.
+    np.testing.assert_allclose(np.median(told.std), truth.std(), rtol=0.35)
+
+
+def test_a_changed_skin_is_unfamiliar(recording, position_head):
+    assert position_head.predict(recording.readings[200:]).unfamiliar.mean() < 0.05
+    assert position_head.predict(recording.readings[200:] + 500).unfamiliar.mean() > 0.95
+
+
+def test_a_reading_with_a_failed_chip_is_not_told(recording, position_head):
+    broken = recording.readings[200:203].copy()
+    broken[1, 3] = np.nan
+    told = position_head.predict(broken)
+    assert np.isfinite(told.mean[[0, 2]]).all()
+    assert np.isnan(told.mean[1]).all()
+    assert told.unfamiliar[1]
+
+
+def test_heads_keep_on_disk(recording, position_head, tmp_path):
+    position_head.save(tmp_path / "head.npz")
+    again = load_head(tmp_path / "head.npz")
+    for before, after in zip(position_head.predict(recording.readings), again.predict(recording.readings), strict=True):
+        np.testing.assert_array_equal(before, after)
+    assert (again.target, again.method, again.validation) == (
+        "position",
+        position_head.method,
+        position_head.validation,
+    )
+    with pytest.raises(ValueError, match="channels"):
+        again.predict(recording.readings[:, :6])
+    (tmp_path / "head.npz").write_bytes(b"x")
+    with pytest.raises(SerializationError, match="damaged"):
+        load_head(tmp_path / "head.npz")
+
+
+def test_contact_is_told_as_a_probability_that_means_what_it_says(recording):
+    rng = np.random.default_rng(0)
+    logit = 1.5 * recording.readings[:, 0] / recording.readings[:, 0].std()
+    contact = (rng.uniform(size=300) < 1 / (1 + np.exp(-logit))).astype(float)[:, None]
+    head = fit_head(replace(recording, targets={"contact": contact}), "contact", budget=SMALL)
+    told = head.predict(recording.readings).mean[:, 0]
+    assert 0 < told.min() < told.max() < 1
+    np.testing.assert_allclose(told.mean(), contact.mean(), atol=0.05)
+    # A line is the truth here, up to the logistic: the most and the least probable thirds come out as stated.
+    for third in np.array_split(np.argsort(told), 3):
+        np.testing.assert_allclose(told[third].mean(), contact[third].mean(), atol=0.12)
+
+
+def test_neighbours_and_gp_are_those_of_scikit_learn(recording):
+    x, y = recording.readings[:120], recording.targets["position"][:120]
+    at = recording.readings[200:220]
+    near = regression.fit_regression(regression.NEAREST_READINGS, (0.0, 4.0), x, y)
+    judge = KNeighborsRegressor(4, weights=lambda d: 1 / (d + 1e-6)).fit(near.features(x), y)
+    np.testing.assert_allclose(regression.predict_regression(near, at), judge.predict(near.features(at)), atol=1e-9)
+    settings = (1.0, 0.7, 1e-2, np.inf, 1.0)
+    fitted = regression.fit_regression(regression.READINGS_GP, settings, x, y)
+    kernel = RBF(0.7) + DotProduct(1e-6, "fixed") + WhiteKernel(1e-2)
+    judge = GaussianProcessRegressor(kernel, optimizer=None, normalize_y=True).fit(fitted.features(x), y)
+    np.testing.assert_allclose(
+        regression.predict_regression(fitted, at), judge.predict(fitted.features(at)), rtol=1e-5, atol=1e-8
+    )
+
+
+def test_the_error_by_which_a_gp_is_chosen_is_that_of_refitted_folds(recording):
+    x, y = recording.readings[:90], recording.targets["depth"][:90]
+    folds = np.arange(90) % 4
+    chosen = regression.choose_settings(regression.READINGS_GP, x, y, folds, SMALL)
+
+    def refitted(settings):
+        told = regression.cross_predict(regression.READINGS_GP, settings, x, y, folds)
+        return np.mean((told - y) ** 2)
+
+    worse = [(*chosen[:1], length, *chosen[2:]) for length in regression.COVARIANCE_LENGTHS]
+    # Features are scaled once where settings are chosen, and in each fold where it is refitted.
+    assert refitted(chosen) <= 1.05 * min(map(refitted, worse))
+
+
+@pytest.mark.full
+def test_a_network_tells_positions_too(recording):
+    budget = SMALL._replace(network_steps=400)
+    head = fit_head(recording.rows(slice(0, 200)), "position", methods=(regression.READINGS_NETWORK,), budget=budget)
+    assert head.method == regression.READINGS_NETWORK
+    told = head.predict(recording.readings[200:]).mean
+    assert np.median(np.linalg.norm(told - recording.targets["position"][200:], axis=1)) < 2e-3
+
+
+def test_history_is_what_came_before_in_the_same_stroke():
+    readings = np.array([[1.0], [3.0], [7.0], [20.0], [21.0]])
+    looked = with_history(readings, np.array([0, 0, 0, 1, 1]), 2)
+    np.testing.assert_array_equal(looked, [[1, 0, 0], [3, 2, 2], [7, 4, 6], [20, 0, 0], [21, 1, 1]])
+
+
+def test_blocks_are_held_out_of_the_skin_and_strokes_of_a_stream():
+    flat = presses_of_a_skin(80)
+    groups = hold_out_groups(flat)
+    assert 9 <= groups.max() + 1 <= 25
+    cell = {tuple(np.floor(place / 5e-3).astype(int)) for place in flat.targets["position"]}
+    assert len(cell) > 8
+    line = replace(
+        flat,
+        targets={"position": np.column_stack([np.linspace(0, 1e-2, 80), np.zeros(80)])},
+        session=np.arange(80) // 10,
+    )
+    np.testing.assert_array_equal(hold_out_groups(line), line.session)
+    folds = fold_numbers(hold_out_groups(line), 5, 0)
+    assert all(len(set(folds[line.session == stroke])) == 1 for stroke in range(8))
+    assert len(set(folds)) == 5
+    assert not is_stream(flat)
+    assert is_stream(replace(flat, time=0.1 * np.arange(80)))
+
+
+@pytest.mark.parametrize(
+    ("target", "change", "message"),
+    [
+        ("colour", {}, "no target"),
+        ("force", {}, "does not know force"),
+        ("depth", {"depth": np.full((300, 1), 2e-3)}, "one depth only"),
+        ("depth", {"depth": np.r_[np.arange(10.0), np.full(290, np.nan)][:, None]}, "20 are needed"),
+        ("contact", {"contact": np.ones((300, 1))}, "one contact only"),
+    ],
+)
+def test_what_cannot_be_learnt_is_refused_in_a_sentence(recording, target, change, message):
+    with pytest.raises(ValueError, match=message):
+        fit_head(replace(recording, targets={**recording.targets, **change}), target, budget=SMALL)
+
+
+def test_dead_channels_are_left_alone(recording):
+    readings = recording.readings.copy()
+    readings[:, 4] = 7.0
+    head = fit_head(replace(recording, readings=readings), "depth", methods=("linear",), budget=SMALL)
+    assert 4 not in head.record.channels
+    with pytest.raises(ValueError, match="no channel changes"):
+        fit_head(replace(recording, readings=np.ones_like(readings)), "depth", budget=SMALL)
+
+
+def _session(folder, rows=60, boards=1, load=True, seed=0):
+    """A session of eFlesh: strokes down and up at one place."""
+    rng = np.random.default_rng(seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    time = 1.7e9 + 0.05 * np.arange(rows) + 2.0 * (np.arange(rows) // 20)
+    depth = 3 * np.abs(np.sin(np.pi * (np.arange(rows) % 20) / 19))
+    grams = np.where(np.arange(rows) % 2, -1.0, 100 * depth)
+    states = np.column_stack([time, np.full(rows, 10.0), np.full(rows, -5.0), 140 - depth, *([grams] if load else [])])
+    readings = depth[:, None] * rng.normal(size=15 * boards) * 40 + rng.normal(size=(rows, 15 * boards))
+    values = np.column_stack([time + 2e-3, readings])
+    for name, table in (("states", states), ("sensor_post_baselines", values)):
+        np.savetxt(folder / f"{name}.csv", table, delimiter=",")
+    return states, values
+
+
+def test_sessions_of_eflesh_are_read_as_recorded(tmp_path):
+    states, values = _session(tmp_path / "one")
+    (found,) = read_recordings(tmp_path)
+    np.testing.assert_allclose(found.readings, values[:, 1:])
+    np.testing.assert_allclose(found.targets["depth"][:, 0], 1e-3 * (states[:, 3].max() - states[:, 3]), atol=1e-12)
+    assert found.known("force").sum() == 30
+    np.testing.assert_allclose(np.nanmax(found.targets["force"]), 9.80665e-3 * states[::2, 4].max(), rtol=1e-12)
+    assert len(np.unique(found.session)) == 3
+    assert is_stream(found)
+    assert {0.0, 1.0} <= set(found.targets["contact"][:, 0])
+
+
+def test_two_boards_are_a_session_of_shear(tmp_path):
+    _session(tmp_path / "sheared", boards=2)
+    (found,) = read_recordings(tmp_path)
+    assert found.readings.shape[1] == 30
+    assert "shear" in found.targets
+    assert "force" not in found.targets
+    assert found.varies("position")
+
+
+def test_a_damaged_session_gives_what_is_left(tmp_path):
+    _, values = _session(tmp_path / "one")
+    path = tmp_path / "one" / "sensor_post_baselines.csv"
+    lines = path.read_text().splitlines()
+    lines[3], lines[7] = lines[3].replace(",", ",nan,", 1), "what,is,this"
+    lines[11] = ",".join([lines[11].split(",")[0], "ERR", *lines[11].split(",")[2:]])
+    path.write_text("\n".join(lines[:-5]) + "\n")
+    with gzip.open(tmp_path / "one" / "states.csv.gz", "wt") as file:
+        file.write((tmp_path / "one" / "states.csv").read_text())
+    (tmp_path / "one" / "states.csv").unlink()
+    (found,) = read_recordings(tmp_path)
+    assert 50 <= len(found) <= 53
+    assert any("not finite" in note for note in found.notes)
+    known = {round(row, 9) for row in values[:, 1]}
+    assert all(round(row, 9) in known for row in found.readings[:, 0][:2])
+
+
+@pytest.mark.parametrize("broken", ["states", "sensor_post_baselines"])
+def test_a_session_without_a_table_is_refused(tmp_path, broken):
+    _session(tmp_path / "one")
+    (tmp_path / "one" / f"{broken}.csv").write_text("")
+    with pytest.raises(DataError, match="holds no row"):
+        read_recordings(tmp_path)
+
+
+def test_a_table_of_any_board_is_read(tmp_path):
+    path = tmp_path / "mine.csv"
+    path.write_text(
+        "time_s,x_mm,y_mm,force_N,slip,session,b0x_uT,b0y_uT,b0z_uT,b1x_uT,b1y_uT,b1z_uT\n"
+        "0,1,2,0.5,0,a,1,2,3,4,5,6\n0.1,1,2,,1,a,2,3,4,5,6,x\n0.2,-1,2,0.7,1,b,3,4,5,6,7,8\n"
+    )
+    (found,) = read_recordings(path)
+    np.testing.assert_array_equal(found.readings, [[1, 2, 3, 4, 5, 6], [3, 4, 5, 6, 7, 8]])
+    np.testing.assert_allclose(found.targets["position"], [[1e-3, 2e-3], [-1e-3, 2e-3]])
+    np.testing.assert_allclose(found.targets["force"][:, 0], [0.5, 0.7])
+    np.testing.assert_array_equal(found.targets["slip"][:, 0], [0, 1])
+    np.testing.assert_array_equal(found.session, [0, 1])
+    assert any("row" in note for note in found.notes)
+    path.write_text("x_mm,y_mm\n1,2\n")
+    with pytest.raises(DataError, match="b0x_uT"):
+        read_recordings(path)
+
+
+def test_a_data_set_with_several_skins_is_a_recording_for_each(tmp_path):
+    data.save_dataset(tmp_path / "set.h5", random_touches.make(40))
+    touches = data.load_dataset(tmp_path / "set.h5").touches
+    found = read_recordings(tmp_path / "set.h5")
+    assert len(found) == len(np.unique(touches.pad[touches.code != ReturnCode.FAILED])) > 1
+    assert sum(map(len, found)) == np.sum(touches.code != ReturnCode.FAILED)
+    assert found[0].board is not None
+    assert found[0].label_names == ("star", "square", "hammer")
+    free = np.isin(touches.code, [ReturnCode.FREE, ReturnCode.AIR])
+    assert sum((one.targets["contact"] == 0).sum() for one in found) == free.sum() > 0
+
+
+@pytest.mark.full
+def test_ranges_hold_on_blocks_of_a_real_skin(shared_data):
+    (recording,) = read_recordings(shared_data / "eflesh" / "spatial")
+    groups = hold_out_groups(recording)
+    held = np.isin(groups, np.random.default_rng(1).permutation(groups.max() + 1)[:8])
+    head = fit_head(recording.rows(~held), "position", budget=HeadBudget(500, 1500))
+    told, truth = head.predict(recording.readings[held]), recording.targets["position"][held]
+    error = np.linalg.norm(told.mean - truth, axis=1)
+    assert np.median(error) < 0.8e-3
+    assert 0.8 < np.mean(np.abs(told.mean - truth) < norm.ppf(0.95) * told.std) < 0.97
