@@ -31,7 +31,7 @@ from i2t.simulation.sites import collect_sites
 from i2t.types import REACH
 
 MM_PER_M = 1e3
-MAX_DEPTH_M = 3e-3  # behind the nearest point: what is deeper may leave the reach with the noise of the nearest point
+COMPARED_DEPTH_M = 3e-3  # behind the nearest point: what is deeper may leave the reach with the noise of the nearest point
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,8 @@ def sample(mesh: Mesh, spacing: float, noise: float, seed: int) -> tuple[np.ndar
 def compare(true, disks) -> tuple[float, float, float, float]:
     """Median and 95th percentile of the absolute difference of heights (mm), share of holes, share beyond edges."""
     heights, others = (patch.nearest[:, None, None] + patch.depth for patch in (true, disks))
-    solid, empty = true.depth < MAX_DEPTH_M, true.depth >= REACH
-    missing, covered = disks.depth >= REACH, disks.depth < MAX_DEPTH_M
+    solid, empty = true.depth < COMPARED_DEPTH_M, true.depth >= REACH
+    missing, covered = disks.depth >= REACH, disks.depth < COMPARED_DEPTH_M
     off = MM_PER_M * np.abs(heights - others)[solid & ~missing]
     return (
         float(np.median(off)),

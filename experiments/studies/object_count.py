@@ -20,7 +20,7 @@ from i2t.recognition.episodes import posteriors
 from i2t.recognition.metrics import to_json
 from i2t.recognition.site_pool import draw_random_sites, prepare_surfaces
 
-COUNTS, DEBUG_COUNTS = (10, 25, 50), (3,)
+OBJECT_COUNTS, DEBUG_OBJECT_COUNTS = (10, 25, 50), (3,)
 MIN_EPISODES, DEBUG_COUNT_EPISODES = 100, 4  # at least, with each number of objects
 TOUCHES, NUM_SITES, NUM_PARTICLES = 20, 8, 64
 DEBUG_TOUCHES, DEBUG_NUM_SITES, DEBUG_NUM_PARTICLES = 3, 2, 8
@@ -32,7 +32,7 @@ FIRST_RANDOM_SEED = 7000  # of the random objects
 def evaluate(lab: StudyLab) -> Part:
     """Beliefs in episodes with the first 10, 25 and 50 of the objects in random order."""
     debug = lab.args.debug
-    counts = DEBUG_COUNTS if debug else COUNTS
+    counts = DEBUG_OBJECT_COUNTS if debug else OBJECT_COUNTS
     meshes = collect_meshes(lab, max(counts))
     names = np.random.default_rng(0).permutation(list(meshes)[: max(counts)])
     cfg = replace(

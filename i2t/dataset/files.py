@@ -25,7 +25,7 @@ from i2t.errors import DataError
 
 SCHEMA = "i2t-touches"
 SCHEMA_VERSION = 2  # sessions, which version 1 called runs
-READABLE_VERSIONS = (1, 2)
+READABLE_SCHEMAS = (1, 2)
 ENDING = ".h5"
 HEADER_BYTES = 512
 
@@ -147,7 +147,7 @@ def _header(path: Path, block: bytes) -> str:
         raise DataError(
             f"{path}: not an {SCHEMA} file; move it out of the data set, or convert it with python -m i2t.convert"
         )
-    if int(match[1]) not in READABLE_VERSIONS:
+    if int(match[1]) not in READABLE_SCHEMAS:
         raise DataError(
             f"{path}: written in schema version {int(match[1])}, and this program reads {SCHEMA_VERSION}; "
             "install a newer i2t"
