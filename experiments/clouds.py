@@ -31,7 +31,7 @@ from i2t.simulation.sites import collect_sites
 from i2t.types import REACH
 
 MM_PER_M = 1e3
-COMPARED_DEPTH_M = 3e-3  # behind the nearest point: what is deeper may leave the reach with the noise of the nearest point
+COMPARED_DEPTH_M = 3e-3  # behind the nearest point; what is deeper may leave the reach with that point's noise
 
 
 @dataclass(frozen=True)
