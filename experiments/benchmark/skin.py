@@ -52,7 +52,7 @@ def benchmark_case(pad: Pad, grid: Grid, shapes: list[str], setup: SkinBenchmark
     """Contacts, and whole readings, against the peer's contacts."""
     heights, depths = _touches(grid, shapes, setup.batch)
     contact = jax.jit(jax.vmap(lambda pad, height, depth: solve(pad, height, depth, grid), (None, 0, 0)))
-    reading = jax.jit(jax.vmap(lambda pad, height, depth: press(pad, height, depth, grid).reading, (None, 0, 0)))
+    reading = jax.jit(jax.vmap(lambda pad, height, depth: press(pad, height, depth, grid=grid).reading, (None, 0, 0)))
     work = f"{shapes[0] if len(shapes) == 1 else 'all shapes'}, {grid.cells} x {grid.cells} cells"
     systems = [
         peer_contact(pad, grid, np.asarray(heights[i], float), float(depths[i])) for i in range(len(shapes))
@@ -79,7 +79,7 @@ def dipoles(pad: Pad, setup: SkinBenchmark, turns: int) -> list[BenchmarkRow]:
     heights, depths = _touches(grid, list(setup.shapes), setup.batch)
     run = jax.jit(
         jax.vmap(
-            lambda pad, height, depth, coarser: press(pad, height, depth, grid, dipoles=coarser).reading,
+            lambda pad, height, depth, coarser: press(pad, height, depth, grid=grid, dipoles=coarser).reading,
             (None, 0, 0, None),
         ),
         static_argnums=3,

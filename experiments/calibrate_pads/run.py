@@ -207,7 +207,7 @@ def evaluate(
         )
         scores.layer_errors.append(layer_errors(pad, fitted))
         if i == 0:
-            save_pad(saved, fitted.pad, {"presses": max(cfg.counts), "source": "simulated"})
+            save_pad(saved, fitted.pad, about={"presses": max(cfg.counts), "source": "simulated"})
     return scores
 
 

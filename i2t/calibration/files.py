@@ -158,4 +158,4 @@ def save_pressed_pad(path: Path | str, found: PressedPad, *, pad: str, source: s
     about = {
         "pad": pad, "source": source, "presses": found.presses, "error_std_uT": found.error_std, "r2": found.r2,
     }  # fmt: skip
-    save_pad(path, found.fit.pad, about)
+    save_pad(path, found.fit.pad, about=about)

@@ -15,7 +15,9 @@ UNIT_TOLERANCE = 1e-3  # by which the length of a normal may miss 1
 MIN_FACE_AREA_M2 = 1e-16  # a smaller face has no normal
 
 
-def contact_pose(mesh: Mesh, point: Array, normal: Array | None = None, roll: float = 0.0) -> Float[np.ndarray, "4 4"]:
+def contact_pose(
+    mesh: Mesh, point: Array, *, normal: Array | None = None, roll: float = 0.0
+) -> Float[np.ndarray, "4 4"]:
     """The pose of a tool whose skin lies on a mesh at a point: `T_o_t`, its origin there, its z into the object.
 
     Roll 0 turns the tool that points straight down (z = -z of the object, x = x of the object) by the smallest rotation

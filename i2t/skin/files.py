@@ -33,7 +33,7 @@ class PadAbout(NamedTuple):
     error_std: float  # uT, root mean square of what it leaves of presses that it was not fitted to; 0 where unknown
 
 
-def save_pad(path: Path | str, pad: Pad, about: dict[str, Any] | None = None) -> None:
+def save_pad(path: Path | str, pad: Pad, *, about: dict[str, Any] | None = None) -> None:
     """Write one pad.
 
     Args:

@@ -46,8 +46,8 @@ def press(
     pad: Pad,
     height: Float[Array | np.ndarray, "n n"],
     indentation: Float[Array, ""] | float,
-    grid: Grid = GRID,
     *,
+    grid: Grid = GRID,
     start: Float[Array, "n n"] | None = None,
     dipoles: Grid | None = None,
 ) -> Press:
@@ -130,7 +130,7 @@ def friction_response(
 
 
 def nominal_pad(
-    pattern: str = "poles", strength: float | Array = MAGNETIZATION_A_PER_M, *, board: Board | None = None
+    pattern: str = "poles", *, strength: float | Array = MAGNETIZATION_A_PER_M, board: Board | None = None
 ) -> Pad:
     """A middling ReSkin with a known magnetization: a pattern times its strength.
 
@@ -162,7 +162,7 @@ def nominal_pad(
     )
 
 
-def sample_pad(key: Key[Array, ""], spread: float | Array = 1.0, *, board: Board | None = None) -> Pad:
+def sample_pad(key: Key[Array, ""], *, spread: float | Array = 1.0, board: Board | None = None) -> Pad:
     """A pad as different from the next as real skins are; with `spread` 0 only its magnetization is random.
 
     Thickness 2-3 mm (ReSkin's range); stiffness within 15 %, gap within 0.25 mm, gains within 5 % and friction within

@@ -19,7 +19,7 @@ BOARD = boards.reskin_board()
 def simulated(seed: int, n: int) -> tuple:
     pad, rng = sample_pad(jax.random.key(seed)), np.random.default_rng(seed)
     presses = Presses(jnp.float32(rng.uniform(-7e-3, 7e-3, (n, 2))), jnp.float32(rng.uniform(0.2e-3, 0.8e-3, n)))
-    read = jax.jit(jax.vmap(lambda position, depth: press(pad, TIP.height(position, COARSE), depth, COARSE).reading))
+    read = jax.jit(jax.vmap(lambda position, depth: press(pad, TIP.height(position, COARSE), depth, grid=COARSE).reading))
     return pad, presses, read(*presses) + jnp.float32(rng.normal(size=(n, 15)))
 
 
@@ -49,7 +49,7 @@ def test_the_design_gives_what_the_simulator_reads(tip, deep, board):
         poisson=jnp.asarray(POISSON_RATIO),  # which the layer of the fit takes as known
     )
     position = jnp.float32([1e-3, -2e-3])
-    expected = press(pad, tip.height(position, COARSE), deep, COARSE).reading
+    expected = press(pad, tip.height(position, COARSE), deep, grid=COARSE).reading
     designed = physics.design_matrix(layer, pad.board, tip, position, jnp.float32(deep), by_force=False, grid=COARSE)
     got = 1e3 * np.einsum("ocab,cab->o", np.float64(designed), weights)
     # Both are differences of fields a hundred times as large, in single precision.
@@ -73,7 +73,7 @@ def test_a_pad_is_found_again():
     assert abs(fitted.layer.thickness - pad.thickness) < 4 * fitted.layer_std.thickness
     # The fitted pad, pressed by the simulator, reads what the fit says.
     again = press(fitted.pad, TIP.height(other.position[0] + fitted.layer.tip_offset, COARSE),
-                  other.load[0] - fitted.layer.contact_offset, COARSE).reading  # fmt: skip
+                  other.load[0] - fitted.layer.contact_offset, grid=COARSE).reading  # fmt: skip
     np.testing.assert_allclose(again, mean[0], atol=0.02 * np.abs(mean[0]).max())
 
 

@@ -103,7 +103,7 @@ def find(pad: Path | None, run: Path = Path("none")) -> pad_sources.PadSource:
 def test_the_skin_of_a_pad_on_disk_is_known_before_anything_is_fitted(tmp_path):
     save_pad(tmp_path / "left.npz", nominal_pad())
     assert find(tmp_path / "left.npz").skin.pad == "simulated, left"
-    save_pad(tmp_path / "left.npz", nominal_pad(), {"pad": "skin A", "presses": 90, "source": "real"})
+    save_pad(tmp_path / "left.npz", nominal_pad(), about={"pad": "skin A", "presses": 90, "source": "real"})
     skin = find(tmp_path / "left.npz").skin
     assert skin.pad == "skin A"
     assert skin.made_from.endswith("left.npz, fitted to 90 real presses")
@@ -146,7 +146,7 @@ def test_a_pad_is_for_recorded_touches(tmp_path, capsys):
 
 @pytest.fixture
 def pad_of_skin_a(tmp_path) -> Path:
-    save_pad(tmp_path / "a.npz", nominal_pad(), {"pad": "skin A"})
+    save_pad(tmp_path / "a.npz", nominal_pad(), about={"pad": "skin A"})
     return tmp_path / "a.npz"
 
 

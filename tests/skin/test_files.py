@@ -14,7 +14,7 @@ from i2t.skin.pad import nominal_pad
 
 def test_a_pad_comes_back_as_it_was(tmp_path):
     pad = nominal_pad()
-    save_pad(tmp_path / "deep" / "pad.npz", pad, {"of": "a test"})
+    save_pad(tmp_path / "deep" / "pad.npz", pad, about={"of": "a test"})
     again = load_pad(tmp_path / "deep" / "pad.npz")
     assert jax.tree.structure(pad) == jax.tree.structure(again)
     for a, b in zip(jax.tree.leaves(pad), jax.tree.leaves(again), strict=True):

@@ -80,7 +80,7 @@ def test_contact_follows_its_inputs(double, solve, control):
 @pytest.mark.full
 def test_reading_follows_its_inputs(double):
     def read(pad, height, depth):
-        return press(pad, height, depth, SMALL).reading
+        return press(pad, height, depth, grid=SMALL).reading
 
     def exact(pad, height, depth):
         return response(pad, _depth(pad, height, depth)[0], SMALL)

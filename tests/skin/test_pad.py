@@ -142,7 +142,7 @@ def test_no_axis_rests_at_the_end_of_its_range(presses):
 
 
 def test_without_spread_only_the_magnetisation_differs():
-    one, two = (pads.sample_pad(jax.random.key(seed), 0.0) for seed in (1, 2))
+    one, two = (pads.sample_pad(jax.random.key(seed), spread=0.0) for seed in (1, 2))
     assert np.abs(one.magnetization - two.magnetization).max() > pads.MAGNETIZATION_A_PER_M / 10
     same = [pad._replace(magnetization=None) for pad in (one, two)]
     jax.tree.map(np.testing.assert_array_equal, *same)
