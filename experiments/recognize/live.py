@@ -77,7 +77,7 @@ class LiveArgs:
     camera: str = "simulated"  # realsense, simulated, folder, or another package's
     host: str | None = None  # of the arm's controller
     port: str | None = None  # of the skin
-    board: str = "reskin"  # of a real skin: reskin, anyskin, or grid-RxC for R rows and C columns of chips
+    board: str | None = None  # of the skin: reskin (default), anyskin, or grid-RxC for R rows and C columns of chips
     views: Path | None = None  # folder of views to show as the camera
     state_timeout: float | None = None  # s without a state after which a UR arm is taken for lost; 0.1 by default
     watchdog_rate: float | None = None  # Hz, how often a UR controller must hear from us; 10 by default
@@ -133,10 +133,11 @@ def run(args: LiveArgs) -> dict[str, Any]:
 def worn_board(args: LiveArgs, expected: Board) -> Board:
     """The board that a command line names; that of another package's skin shows with its first touch."""
     if args.skin == "simulated":
-        return Board(*(np.asarray(part) for part in read_pad(args.worn_pad).board))
-    if args.skin == "emulated":
-        return boards.reskin_board()
-    return boards.make_board(args.board) if args.skin == "reskin" else expected
+        return Board(*(np.asarray(part) for part in read_pad(args.worn_pad, args.board).board))
+    name = args.board or boards.DEFAULT_BOARD
+    if args.skin == "emulated" and args.worn_pad:
+        return Board(*(np.asarray(part) for part in read_pad(args.worn_pad, name).board))
+    return boards.make_board(name) if args.skin in ("reskin", "emulated") else expected
 
 
 def make_recognizer(

@@ -27,8 +27,9 @@ class CollectArgs:
     """Address of the arm's controller."""
     port: str | None = None
     """Serial port of the skin; by default the one board that is plugged in."""
-    board: str = "reskin"
-    """Of a real or replayed skin: reskin, anyskin, or grid-RxC for R rows and C columns of chips."""
+    board: str | None = None
+    """Of the skin: reskin, anyskin, or grid-RxC for R rows and C columns of chips; by default reskin, and for simulated
+    skins the board of --pad. Another package's skin knows its own."""
     replay: Path | None = None
     """Recording to play as the skin."""
     views: Path | None = None

@@ -25,6 +25,7 @@ from i2t.emulators.world import (
     SimulatedSkinConfig,
     WorldConfig,
     make_scene,
+    read_pad,
 )
 from i2t.hardware.camera_folder import CameraFolderConfig
 from i2t.hardware.clock import Clock, MonotonicClock
@@ -35,6 +36,7 @@ from i2t.hardware.reskin.config import ReplayConfig, ReSkinConfig
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur.config import UrConfig
 from i2t.skin import boards
+from i2t.skin.boards import DEFAULT_BOARD
 from i2t.types import Board
 
 if TYPE_CHECKING:
@@ -77,6 +79,15 @@ class DeviceConfig:
                 )
             if isinstance(arm, EmulatedArmConfig) and bool(arm.host) != bool(skin.port):
                 raise ValueError("emulators that run already have a --host and a --port; pass both, or neither")
+            if isinstance(arm, SimulatedArmConfig) and skin.port:
+                raise ValueError(
+                    "a simulated arm starts the emulated board that shows what it feels; leave out --port, or choose "
+                    "--arm emulated"
+                )
+            if self.world.board not in (None, skin.board):
+                raise ValueError(
+                    f"the pad is on the board {self.world.board} and the emulated skin on {skin.board}; name one board"
+                )
 
 
 class DeviceContext:
@@ -102,9 +113,19 @@ class DeviceContext:
         return MonotonicClock()
 
     @cached_property
+    def world(self) -> WorldConfig:
+        """What simulated and emulated devices meet; a pad that is not on the emulated board is refused here."""
+        world, skin = self.config.world, self.config.skin
+        if not isinstance(skin, EmulatedSkinConfig):
+            return world
+        if world.pad:
+            read_pad(world.pad, skin.board)  # before a process starts
+        return replace(world, board=skin.board)
+
+    @cached_property
     def scene(self) -> "ObjectScene":
         """What simulated devices meet."""
-        return make_scene(self.config.world, self.rig)
+        return make_scene(self.world, self.rig)
 
     @cached_property
     def simulated_lab(self) -> "SimulatedLab":
@@ -126,20 +147,22 @@ class DeviceContext:
         """Port and process of a board that shows what a simulated arm feels."""
         from i2t.emulators import reskin_board
 
-        return self.stack.enter_context(reskin_board.started("--field", "--link", str(self._folder / "skin")))
+        switches = ["--field", "--link", str(self._folder / "skin"), "--board", self.world.board or DEFAULT_BOARD]
+        return self.stack.enter_context(reskin_board.started(*switches))
 
     @cached_property
     def emulated_lab(self) -> tuple[str, str]:
         """The controller's address and the skin's port of an emulated lab that is started."""
         from i2t.emulators import lab, ur_controller
 
-        world, folder = self.config.world, self._folder
+        world, folder = self.world, self._folder
         self.rig.write(folder / "rig.toml")
         host, link = ur_controller.loopback(200), folder / "skin"
         options = ["--host", host, "--link", str(link), "--object", world.object, "--unit", world.unit]
         options += ["--seed", str(world.seed), "--rig", str(folder / "rig.toml"), "--mount", str(world.stiffness)]
         options += ["--pad", str(world.pad)] if world.pad else []
-        self.stack.enter_context(lab.started(*options, *(["--exact"] if world.no_pose_error else [])))
+        options += ["--exact"] if world.no_pose_error else []
+        self.stack.enter_context(lab.started(*options, "--board", "--board", world.board or DEFAULT_BOARD))
         return host, str(link)
 
     @cached_property
@@ -159,7 +182,8 @@ def make_devices(config: DeviceConfig, rig: Rig, stack: ExitStack) -> Devices:
         The devices, not connected.
 
     Raises:
-        ValueError: A third party's device, an object or a pad cannot be used.
+        ValueError: A third party's device, an object or a pad cannot be used, or a skin sends other values than its
+            board has.
         DeviceError: A driver is not installed.
     """
     context = DeviceContext(config, rig, stack)
@@ -167,6 +191,12 @@ def make_devices(config: DeviceConfig, rig: Rig, stack: ExitStack) -> Devices:
     skin = make_skin(config.skin, context)
     camera = make_camera(config.camera, context)
     board = Board(*(np.asarray(part) for part in _board(config.skin, skin, context)))
+    values = len(skin.features.channels)
+    if values != board.num_readings:
+        raise ValueError(
+            f"{skin.features.name} sends {values} values, and a board of {board.num_chips} chips has "
+            f"{board.num_readings}; give the skin an attribute board with its own chips"
+        )
     return Devices(arm, skin, camera, context.clock, board)
 
 
@@ -174,7 +204,7 @@ def _board(config: SkinConfig, skin: Skin, context: DeviceContext) -> Board:
     """Where the chips of a skin are."""
     if isinstance(config, SimulatedSkinConfig):
         return context.scene.board
-    if isinstance(config, ReSkinConfig | ReplayConfig):
+    if isinstance(config, ReSkinConfig | ReplayConfig | EmulatedSkinConfig):
         return boards.make_board(config.board)
     return getattr(skin, "board", None) or boards.reskin_board()
 
@@ -291,7 +321,7 @@ def _(config: EmulatedSkinConfig, context: DeviceContext) -> Skin:
         port, _ = context.emulated_board  # it shows what that arm feels
     else:
         port = config.port or context.emulated_lab[1]
-    return make_skin(ReSkinConfig(port), context)
+    return make_skin(ReSkinConfig(port, config.board), context)
 
 
 @make_skin.register

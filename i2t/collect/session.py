@@ -52,6 +52,7 @@ from i2t.hardware.reskin.config import ReplayConfig, ReSkinConfig
 from i2t.hardware.reskin.monitor import bar
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur.config import UrConfig
+from i2t.skin.boards import DEFAULT_BOARD
 from i2t.types import ReturnCode
 
 ENDS = {
@@ -242,7 +243,7 @@ def _resume(args: CollectArgs, name: str, rig: Rig) -> tuple[dict[int, float], d
         "object": name,
         "seed": args.seed,
         "devices": [args.arm, args.skin, args.camera],
-        "board": args.board,
+        "board": args.board or DEFAULT_BOARD,
         "pose": args.pose,
         "sites": vars(args.sites),
         "settings": {key: value for key, value in vars(args.settings).items() if key not in MAY_CHANGE},
@@ -338,6 +339,7 @@ def device_config(args: CollectArgs, begin: float = 0.0) -> DeviceConfig:
         seed=args.seed,
         no_pose_error=args.no_pose_error,
         stiffness=args.stiffness,
+        board=args.board if args.skin in ("simulated", "emulated") else None,
     )
     return DeviceConfig(_arm_config(args), _skin_config(args), _camera_config(args), world, begin)
 
@@ -358,18 +360,22 @@ def _arm_config(args: CollectArgs) -> ArmConfig:
 
 
 def _skin_config(args: CollectArgs) -> SkinConfig:
+    board = args.board or DEFAULT_BOARD
     match args.skin:
         case "simulated":
             return SimulatedSkinConfig()
         case "emulated":
-            return EmulatedSkinConfig(args.port)
+            return EmulatedSkinConfig(args.port, board)
         case "reskin":
-            return ReSkinConfig(args.port, args.board)
+            return ReSkinConfig(args.port, board)
         case "replay" if args.replay:
-            return ReplayConfig(args.replay, args.board)
+            return ReplayConfig(args.replay, board)
         case "replay":
             raise ValueError("a replay needs a recording; pass --replay FILE")
-    return _plugin_config("skin", args.skin, args.port, "reskin, simulated, emulated, replay")
+    config = _plugin_config("skin", args.skin, args.port, "reskin, simulated, emulated, replay")
+    if args.board:
+        raise ValueError(f"--board {args.board} means nothing to --skin {args.skin}, which knows its own; leave it out")
+    return config
 
 
 def _camera_config(args: CollectArgs) -> CameraConfig:

@@ -4,7 +4,8 @@
     python -m i2t.collect --arm emulated --host 127.0.0.9 --skin emulated --port /tmp/skin --object hexagon
 
 It starts a board of `i2t.emulators.reskin_board` and is itself the controller of `i2t.emulators.ur_controller`, whose
-options it takes, faults on demand included; those after `--board` go to the board. What the skin feels goes to the
+options it takes, faults on demand included; those after `--board` go to the board, as in `--board --board grid-2x2`
+for a skin of four chips. What the skin feels goes to the
 board over UDP on this machine whenever it changes, at each tick of 2 ms; the board shows the newest with ambient field,
 noise and steps in its next frame, 2.5 ms after the last. So a reading is some 5 ms late on a machine with time to
 spare. `python -m i2t.collect --arm emulated --skin emulated` starts one by itself.
@@ -68,6 +69,7 @@ class LabArgs(ur_controller.ControllerArgs):
     link: Path  # name of the skin's port
     object: str | None = "hexagon"  # of the catalogue, or a mesh file
     skin: tyro.conf.Suppress[str | None] = None  # the board, which is started here
+    board: tyro.conf.Suppress[str | None] = None  # whose name is among its own options
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -85,8 +87,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         description=__doc__,
         config=(tyro.conf.FlagCreatePairsOff,),
     )
-    with reskin_board.started("--field", "--link", str(args.link), *words[end + 1 :]) as (_, process):
-        ur_controller.run(replace(args, skin="{}:{}".format(*board_address(process))))
+    options = words[end + 1 :]
+    board = tyro.cli(reskin_board.EmulatedBoardArgs, args=options, config=(tyro.conf.FlagCreatePairsOff,)).board
+    with reskin_board.started("--field", "--link", str(args.link), *options) as (_, process):
+        # The skin that is worn must be on that board: any other would send it what it cannot show.
+        ur_controller.run(replace(args, skin="{}:{}".format(*board_address(process)), board=board))
 
 
 if __name__ == "__main__":

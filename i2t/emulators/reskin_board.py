@@ -262,9 +262,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _serve(port: BoardPort, board: Board, options: EmulatedBoardArgs) -> None:
-    readings = Readings(
-        options.noise, options.press, options.temperature, options.seed, board, ambient=options.ambient
-    )
+    readings = Readings(options.noise, options.press, options.temperature, options.seed, board, ambient=options.ambient)
     line = _Line(options)
     inbox = _field_inbox() if options.field else None
     missing = options.mid_frame
@@ -333,12 +331,17 @@ def _field_inbox() -> socket.socket:
 
 
 def _newest_field(inbox: socket.socket, field: np.ndarray) -> np.ndarray:
-    """The newest field that was sent, or the old one; datagrams of another size are ignored."""
+    """The newest field that was sent, or the old one. That of another board ends the program, and with it the press: a
+    skin that shows nothing would be pressed on and on.
+    """
     try:
         while True:
             data = inbox.recv(4096)
-            if len(data) == 4 * len(field):
-                field = np.array(struct.unpack(f"<{len(field)}f", data))
+            if len(data) != 4 * len(field):
+                sys.exit(
+                    f"error: a field has {len(data) / 4:g} values, and this board {len(field)}; name the same --board"
+                )
+            field = np.array(struct.unpack(f"<{len(field)}f", data))
     except BlockingIOError:
         return field
 

@@ -144,6 +144,7 @@ class ControllerArgs:
     unit: str = "mm"  # of a mesh file: m, cm, mm or inch
     rig: Path | None = None  # a lab's calibration, which says where the object is
     pad: Path | None = None  # the skin that the tool wears, on disk; by default a random one
+    board: str | None = None  # that it is on: reskin, anyskin, or grid-RxC; by default the pad's own, else reskin
     seed: int = 0  # of the errors
     exact: bool = False  # the object is where it is believed to be
     mount: float = 10e3  # stiffness of arm and mount, N/m
@@ -211,6 +212,7 @@ def _contact(options: ControllerArgs) -> tuple[Contact, float]:
         seed=options.seed,
         no_pose_error=options.exact,
         stiffness=options.mount,
+        board=options.board,
     )
     contact = make_contact_model(world, options.rig, board)
     return contact, contact.scene.errors.force if options.noise is None else options.noise

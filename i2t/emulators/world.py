@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from i2t.hardware.rig import Rig
+from i2t.skin.boards import DEFAULT_BOARD, make_board, same_board
 
 if TYPE_CHECKING:
     from i2t.emulators.scene import ObjectScene
@@ -27,6 +28,7 @@ class WorldConfig:
     seed: int = 0  # of the errors
     no_pose_error: bool = False  # object and camera are where they are believed to be
     stiffness: float = 10e3  # N/m, of arm and mount
+    board: str | None = None  # that the pad is on (`i2t.skin.boards.make_board`): a pad on disk's own, else ReSkin's
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,7 @@ class EmulatedSkinConfig:
     """The driver of a ReSkin board with an emulated board, in a process of its own."""
 
     port: str | None = None  # of a board that runs; by default one is started
+    board: str = DEFAULT_BOARD  # as `i2t.skin.boards.make_board` knows it; the pad that is worn must be on the same
 
 
 def read_object(name: str, unit: str) -> "Object":
@@ -80,17 +83,18 @@ def read_object(name: str, unit: str) -> "Object":
     return make_object(name) if name in NAMES else read_mesh(name, unit)[0]
 
 
-def read_pad(path: Path | None) -> "Pad":
+def read_pad(path: Path | None, board: str | None = None) -> "Pad":
     """A pad on disk, or the random one that is worn where none is named.
 
     Args:
         path: Of the pad, or None.
+        board: Name of the board that the pad must be on; by default any, and ReSkin's for the random one.
 
     Returns:
         The pad.
 
     Raises:
-        ValueError: The file holds no pad.
+        ValueError: The file holds no pad, or one on another board.
         OSError: It cannot be read.
     """
     import jax
@@ -98,7 +102,15 @@ def read_pad(path: Path | None) -> "Pad":
     from i2t.skin.files import load_pad
     from i2t.skin.pad import sample_pad
 
-    return sample_pad(jax.random.key(DEFAULT_PAD_KEY)) if path is None else load_pad(path)
+    if path is None:
+        return sample_pad(jax.random.key(DEFAULT_PAD_KEY), board=make_board(board or DEFAULT_BOARD))
+    pad = load_pad(path)
+    if board is not None and not same_board(pad.board, make_board(board)):
+        raise ValueError(
+            f"{path}: is a pad on another board, of {pad.board.num_chips} chips, than {board}, of "
+            f"{make_board(board).num_chips}; pass the --board that it was made for, or another --pad"
+        )
+    return pad
 
 
 def make_scene(world: WorldConfig, rig: Rig) -> "ObjectScene":
@@ -121,4 +133,5 @@ def make_scene(world: WorldConfig, rig: Rig) -> "ObjectScene":
     errors = SimulationErrors().scaled(0.0) if world.no_pose_error else SimulationErrors()
     mesh = read_object(world.object, world.unit).mesh
     T_b_o = rig.T_base_world @ rig.T_world_object
-    return ObjectScene(mesh, T_b_o, read_pad(world.pad), errors, stiffness=world.stiffness, seed=world.seed)
+    pad = read_pad(world.pad, world.board)
+    return ObjectScene(mesh, T_b_o, pad, errors, stiffness=world.stiffness, seed=world.seed)

@@ -20,11 +20,10 @@ from i2t.errors import DataError, SerializationError
 from i2t.recognition.belief import Likelihood
 from i2t.recognition.outcomes import LinearReadingModel
 from i2t.recognition.pad_model import PadModel
+from i2t.skin.boards import same_board
 from i2t.types import Board
 
 PAD_MODEL_KIND = "i2t pad model"
-CHIP_TOLERANCE_M = 3e-3  # nominal boards and fitted pads differ by less in the depth of their chips
-CHIP_ROTATION_TOLERANCE = 0.2  # of an entry of a chip's rotation
 
 
 @dataclass(frozen=True)
@@ -162,23 +161,6 @@ def require_skin(
     if not other_skin:
         raise DataError(f"{told}; every skin differs: use a pad model of that very skin")
     return f"ANOTHER SKIN: {told}"
-
-
-def same_board(one: Board, other: Board) -> bool:
-    """Whether two boards have the same chips, in the same order and turned alike.
-
-    Args:
-        one: A board.
-        other: Another.
-
-    Returns:
-        Whether they are the same up to what nominal boards and fitted pads differ by.
-    """
-    if np.shape(one.chips) != np.shape(other.chips):
-        return False
-    apart = np.abs(np.asarray(one.chips, float) - np.asarray(other.chips, float)).max()
-    turned = np.abs(np.asarray(one.rotations, float) - np.asarray(other.rotations, float)).max()
-    return bool(apart < CHIP_TOLERANCE_M and turned < CHIP_ROTATION_TOLERANCE)
 
 
 def _described(board: Board) -> str:

@@ -19,6 +19,9 @@ from i2t.types import PAD_WINDOW, Board
 CHIP_PITCH_M = 7e-3  # from the centre chip to each of the others
 CHIP_DEPTH_M = 3.5e-3  # of the chips below the skin's surface: 2 mm of elastomer and 1.5 mm of package and cover
 MAX_CHIPS = 25  # of a grid by name
+CHIP_TOLERANCE_M = 3e-3  # nominal boards and fitted pads differ by less in the depth of their chips
+CHIP_ROTATION_TOLERANCE = 0.2  # of an entry of a chip's rotation
+DEFAULT_BOARD = "reskin"  # where nothing else is said
 
 _QUARTER_TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # about z, from x to y
 _GRID_NAME = re.compile(r"grid-([1-9][0-9]?)x([1-9][0-9]?)")
@@ -115,6 +118,23 @@ def make_board(name: str) -> Board:
             f"Board {name!r} is not known; choose one of {known}, or grid-RxC of {MAX_CHIPS} chips or less."
         )
     return grid_board(rows, columns)
+
+
+def same_board(one: Board, other: Board) -> bool:
+    """Whether two boards have the same chips, in the same order and turned alike.
+
+    Args:
+        one: A board.
+        other: Another.
+
+    Returns:
+        Whether they are the same up to what nominal boards and fitted pads differ by.
+    """
+    if np.shape(one.chips) != np.shape(other.chips):
+        return False
+    apart = np.abs(np.asarray(one.chips, float) - np.asarray(other.chips, float)).max()
+    turned = np.abs(np.asarray(one.rotations, float) - np.asarray(other.rotations, float)).max()
+    return bool(apart < CHIP_TOLERANCE_M and turned < CHIP_ROTATION_TOLERANCE)
 
 
 def _board(positions: np.ndarray, rotations: np.ndarray, depth: float) -> Board:

@@ -5,25 +5,40 @@ import os
 import signal
 import subprocess
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 
 from i2t import dataset
 from i2t.collect import command, recorder, session
 from i2t.collect.arguments import CollectArgs
-from i2t.collect.devices import DeviceContext, make_skin
-from i2t.emulators.world import EmulatedArmConfig, EmulatedSkinConfig
+from i2t.collect.devices import DeviceConfig, DeviceContext, make_devices, make_skin
+from i2t.emulators import lab, reskin_board
+from i2t.emulators.world import (
+    EmulatedArmConfig,
+    EmulatedSkinConfig,
+    SimulatedArmConfig,
+    SimulatedCameraConfig,
+    WorldConfig,
+    read_pad,
+)
 from i2t.errors import DataError
 from i2t.hardware.camera_folder import CameraFolderConfig
 from i2t.hardware.reskin.config import ReSkinConfig
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur.config import UrConfig
+from i2t.skin.boards import grid_board
+from i2t.skin.files import save_pad
+from i2t.skin.pad import nominal_pad
 from i2t.types import ReturnCode
 
 pytestmark = pytest.mark.xdist_group("collect")
+
+# The emulated board and the thread that hears it wait for a core longer than a lab's devices may be silent.
+PATIENT = ["--settings.silence", "2"]
 
 
 @pytest.fixture(scope="module")
@@ -185,11 +200,15 @@ def test_each_name_on_the_command_line_is_a_configuration(tmp_path):
     assert config.camera == CameraFolderConfig(tmp_path)
     emulated = session.device_config(replace(args, arm="emulated", skin="emulated"))
     assert emulated.arm == EmulatedArmConfig("10.0.0.2", watchdog_rate=5.0)
-    assert emulated.skin == EmulatedSkinConfig("/dev/skin")
+    assert emulated.skin == EmulatedSkinConfig("/dev/skin", "grid-4x4")
+    assert emulated.world.board == "grid-4x4"
+    assert config.world.board is None  # a real skin says nothing of the pad that a simulated arm would wear
     for wrong, said in (
         ({"arm": "ur", "host": None}, "pass --host"),
         ({"arm": "ur", "skin": "emulated", "port": None}, "feels nothing"),
         ({"arm": "emulated", "skin": "emulated", "port": None}, "pass both, or neither"),
+        ({"arm": "simulated", "skin": "emulated"}, "leave out --port"),
+        ({"skin": "somewhere:Skin"}, "--board grid-4x4 means nothing to --skin somewhere:Skin"),
     ):
         with pytest.raises(ValueError, match=said):
             session.device_config(replace(args, **wrong))
@@ -204,3 +223,82 @@ def test_a_skin_of_another_board_has_as_many_channels(tmp_path):
         skin = make_skin(config.skin, DeviceContext(config, Rig(), stack))
     assert len(skin.features.channels) == 48
     assert "/dev/skin" in skin.features.name
+
+
+@pytest.fixture(scope="module")
+def four_chips(folder):
+    """A pad of four chips on disk."""
+    path = folder / "four_chips.npz"
+    save_pad(path, jax.jit(lambda: nominal_pad(board=grid_board(2, 2)))())
+    return path
+
+
+def test_an_emulated_board_has_the_chips_that_were_named(monkeypatch, four_chips):
+    started = {}
+
+    def record(name):
+        def start(*options):
+            started[name] = list(options)
+            return nullcontext((name, None))
+
+        return start
+
+    monkeypatch.setattr(reskin_board, "started", record("board"))
+    monkeypatch.setattr(lab, "started", record("lab"))
+    for arm, part in ((SimulatedArmConfig(), "board"), (EmulatedArmConfig(), "lab")):
+        world = WorldConfig("hexagon", pad=four_chips)
+        config = DeviceConfig(arm, EmulatedSkinConfig(board="grid-2x2"), SimulatedCameraConfig(), world)
+        with ExitStack() as stack:
+            context = DeviceContext(config, Rig(), stack)
+            _ = context.emulated_board if part == "board" else context.emulated_lab
+        options = started[part]
+        assert options[-2:] == ["--board", "grid-2x2"]
+        if part == "lab":
+            assert options[-3] == "--board"  # the first begins the board's own options
+            assert str(four_chips) in options
+
+
+def test_a_pad_of_another_board_is_refused_before_anything_starts(monkeypatch, four_chips):
+    assert read_pad(four_chips).board.num_chips == read_pad(four_chips, "grid-2x2").board.num_chips == 4
+    for module in (reskin_board, lab):
+        monkeypatch.setattr(module, "started", lambda *_: pytest.fail("it was started"))
+    said = r"four_chips\.npz: is a pad on another board, of 4 chips, than reskin, of 5; pass the --board"
+    for arm in (SimulatedArmConfig(), EmulatedArmConfig()):
+        world = WorldConfig("hexagon", pad=four_chips)
+        config = DeviceConfig(arm, EmulatedSkinConfig(), SimulatedCameraConfig(), world)
+        with ExitStack() as stack, pytest.raises(ValueError, match=said):
+            make_devices(config, Rig(), stack)
+    with pytest.raises(ValueError, match="the pad is on the board grid-2x2 and the emulated skin on reskin"):
+        DeviceConfig(
+            SimulatedArmConfig(),
+            EmulatedSkinConfig(),
+            SimulatedCameraConfig(),
+            WorldConfig("hexagon", board="grid-2x2"),
+        )
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(("name", "chips"), [("grid-2x2", 4), ("grid-4x4", 16)])
+@pytest.mark.parametrize("skin", ["simulated", "emulated"])
+def test_a_skin_of_any_number_of_chips_is_collected_with(tmp_path, rig, skin, name, chips):
+    """What the arm presses is felt: a skin of other chips than its board's would show nothing."""
+    options = ["--rig", str(rig), "--touches", "1", "--skin", skin, "--board", name, "--no-pose-error", *PATIENT]
+    assert command.main(["--out", str(tmp_path / "set"), *options]) == 0
+    made = dataset.load_dataset(tmp_path / "set")
+    assert made.board.num_chips == chips
+    assert made.touches.reading.shape == (1, 3 * chips)
+    assert np.linalg.norm(made.touches.reading[0]) > 15
+
+
+@pytest.mark.full
+@pytest.mark.skipif(sys.platform != "linux", reason="needs the addresses 127.x.y.z")
+def test_an_emulated_arm_wears_a_pad_of_four_chips(tmp_path, rig, four_chips):
+    pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
+    options = ["--rig", str(rig), "--touches", "1", "--arm", "emulated", "--skin", "emulated", "--pad", str(four_chips)]
+    patient = ["--state-timeout", "3", "--watchdog-rate", "0.5", *PATIENT]
+    assert command.main(["--out", str(tmp_path / "other"), *options, *patient]) == 2  # of a board of five
+    assert not (tmp_path / "other").exists()
+    assert command.main(["--out", str(tmp_path / "set"), *options, *patient, "--board", "grid-2x2"]) == 0
+    made = dataset.load_dataset(tmp_path / "set")
+    assert made.touches.reading.shape == (1, 12)
+    assert np.linalg.norm(made.touches.reading[0]) > 15
