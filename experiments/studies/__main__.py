@@ -11,6 +11,7 @@
     python -m experiments.studies object_count  10, 25 and 50 objects, the meshes of a folder among them
     python -m experiments.studies placement     how sure may one be where the placement's error is stated wrong?
     python -m experiments.studies mismatch      what does it cost if the world's physics is not the belief's?
+    python -m experiments.studies constants     would another value of a constant of the belief have been better?
     python -m experiments.studies policy --preset debug      a handful of episodes, to see it run
 
 Each takes a finished run of `experiments.train` (--trained-run, or a study's folder of several pads and seeds) and uses
@@ -36,6 +37,7 @@ from experiments.common.runs import Part, begin, exit_code_of_run, load_part, sa
 from experiments.recognize.config import PRESETS
 from experiments.recognize.trained_run import finished_runs
 from experiments.studies import (
+    constants,
     mismatch,
     new_pad,
     object_count,
@@ -71,6 +73,7 @@ STUDIES = {
     "object_count": StudySteps(object_count.evaluate, object_count.report),
     "placement": StudySteps(placement.evaluate, placement.report),
     "mismatch": StudySteps(mismatch.evaluate, mismatch.report),
+    "constants": StudySteps(constants.evaluate, constants.report),
 }
 RENAMED_STUDIES = {
     "open": "open_set",

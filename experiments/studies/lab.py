@@ -43,7 +43,7 @@ DEBUG_EPISODES = 2  # of each object
 FIRST_SEED = 100  # of the studies' keys, apart from those of other experiments
 Study = Literal[
     "policy", "open_set", "planar", "registered", "new_pad", "pose_error", "sites", "sensitivity", "object_count",
-    "placement", "mismatch",
+    "placement", "mismatch", "constants",
 ]  # fmt: skip
 
 
@@ -185,8 +185,8 @@ def pads_of(folders: Sequence[Path]) -> list[int]:
 
 
 def clusters_of(parts: Sequence[Part], pads: Sequence[int], of: str = "truth") -> list[np.ndarray]:
-    """By what the pooled episodes are alike, for their intervals: their pad. Episodes of one or two pads are distinguished
-    by nothing, and their interval is for these pads only.
+    """By what the pooled episodes are alike, for their intervals: their pad. Nothing tells episodes of one or two pads
+    apart, and their interval is for these pads only.
     """
     if len(set(pads)) < MIN_CLUSTERS:
         return []

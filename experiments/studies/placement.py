@@ -1,8 +1,8 @@
 """How sure may one be where the placement's error is stated wrong?
 
-Objects stand as far off as in two worlds (1 and 2 mm and degrees), and half of it, the truth, or twice as
-much is stated to the belief. It infers the scale of what is stated; next to it is the belief that takes it as exact. Temperatures
-are fitted on the validation objects over all of these worlds together, as nobody knows which of them is the real one.
+Objects stand as far off as in two worlds (1 and 2 mm and degrees), and half of it, the truth or twice as much is stated
+to the belief. It infers the scale of what is stated; next to it is the belief that takes it as exact. Temperatures are
+fitted on the validation objects over all of these worlds together, as nobody knows which of them is the real one.
 """
 
 from collections.abc import Sequence
@@ -110,7 +110,9 @@ def predict(lab: StudyLab, plan: EpisodePlan, stated_mm: float, method: str) -> 
     return particles, jax.device_put(table)
 
 
-def believe(table: PredictedTouch, episodes: Episodes, likelihood: Likelihood, particles: Particles) -> PlacementBeliefs:
+def believe(
+    table: PredictedTouch, episodes: Episodes, likelihood: Likelihood, particles: Particles
+) -> PlacementBeliefs:
     """Beliefs along episodes, and the scales of the placement inferred by their ends."""
     count, touches = episodes.site.shape
     start = belief.init(particles, table.hit.shape[1], channels=table.reading.shape[-1])

@@ -53,22 +53,13 @@ def evaluate(lab: StudyLab) -> Part:
     grid = DEBUG_GRID if lab.args.debug else PlanarGrid()
     presses = draw_presses(lab, grid)
     episodes = simulate_presses(lab, presses, grid)
-    cells, particles = planar.pose_cells(grid)
-    particles = add_table_errors(particles, table_std(lab.cfg.errors))
-    predicted = predict_touches(lab, grid)
-    start = belief.init(particles, len(lab.surfaces), channels=predicted.reading.shape[-1])
-    likelihood = lab.pad_model.likelihood._replace(overtravel=jnp.float32(OVERTRAVEL_M))
-    cells = jnp.asarray(cells)
-    judge = jax.jit(partial(_run_belief, predicted=predicted, cells=cells, likelihood=likelihood, grid=grid))
+    judge = Judge(lab, predict_touches(lab, grid), grid)
     unknown, known, found = [], [], []
     for i in tqdm(range(len(presses.truth)), desc="planar: believing", unit="episode"):
-        observations = jax.tree.map(lambda x, i=i: x[i], episodes.observations)
-        site, pose = jnp.float32(presses.site[i]), jnp.float32(presses.pose[i])
-        p, poses = judge(start, site, observations)
-        unknown.append(np.asarray(p))
-        found.append(np.asarray(poses.pose)[presses.truth[i]])
-        conditioned = planar.condition_on_pose(start, cells, pose, jnp.float32(KNOWN_POSE_STD))
-        known.append(np.asarray(judge(conditioned, site, observations)[0]))
+        p, poses = judge.unknown(presses, episodes, i)
+        unknown.append(p)
+        found.append(poses[presses.truth[i]])
+        known.append(judge.known(presses, episodes, i))
     error = np.stack(found) - presses.pose
     symmetry = np.array([SYMMETRY.get(lab.names[i], 1) for i in presses.truth])
     return {
@@ -129,6 +120,36 @@ def predict_touches(lab: StudyLab, grid: PlanarGrid) -> PredictedTouch:
         lab.surfaces, origin, nodes, [lab.pad_model.reading_model], overtravel=OVERTRAVEL_M, label="planar"
     )
     return jax.device_put(jax.tree.map(lambda x: x[:, :, 0], found))
+
+
+class Judge:
+    """Beliefs about what lies on the table."""
+
+    def __init__(self, lab: StudyLab, predicted: PredictedTouch, grid: PlanarGrid) -> None:
+        cells, particles = planar.pose_cells(grid)
+        particles = add_table_errors(particles, table_std(lab.cfg.errors))
+        self._cells = jnp.asarray(cells)
+        self._start = belief.init(particles, len(lab.surfaces), channels=predicted.reading.shape[-1])
+        likelihood = lab.pad_model.likelihood._replace(overtravel=jnp.float32(OVERTRAVEL_M))
+        self._run = jax.jit(
+            partial(_run_belief, predicted=predicted, cells=self._cells, likelihood=likelihood, grid=grid)
+        )
+
+    def unknown(self, presses: TablePresses, episodes: Episodes, i: int) -> tuple[np.ndarray, np.ndarray]:
+        """Probabilities (t, objects) after each touch of an episode, and the most probable pose of each object."""
+        p, poses = self._run(self._start, *_touches_of(presses, episodes, i))
+        return np.asarray(p), np.asarray(poses.pose)
+
+    def known(self, presses: TablePresses, episodes: Episodes, i: int) -> np.ndarray:
+        """Probabilities (t, objects) after each touch of an episode, for somebody who knows where the object lies."""
+        pose = jnp.float32(presses.pose[i])
+        start = planar.condition_on_pose(self._start, self._cells, pose, jnp.float32(KNOWN_POSE_STD))
+        return np.asarray(self._run(start, *_touches_of(presses, episodes, i))[0])
+
+
+def _touches_of(presses: TablePresses, episodes: Episodes, i: int) -> tuple[Array, TouchObservation]:
+    """Sites and observations of one episode."""
+    return jnp.float32(presses.site[i]), jax.tree.map(lambda x: x[i], episodes.observations)
 
 
 def _run_belief(

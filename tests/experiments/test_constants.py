@@ -1,0 +1,52 @@
+"""The study of the belief's constants: what it calls better, and that it runs."""
+
+import json
+
+import numpy as np
+import pytest
+
+from experiments.studies import __main__ as studies
+from experiments.studies import constants
+
+EPISODES, TOUCHES, OBJECTS = 300, 4, 3
+RNG = np.random.default_rng(0)
+TRUTH = RNG.integers(OBJECTS, size=EPISODES)
+
+
+def beliefs(strength: float, sharpness: float = 1.0) -> np.ndarray:
+    """Beliefs (e, t, objects) from noisy evidence for the truth; sharper ones are more certain than they should be."""
+    rng = np.random.default_rng(1)
+    evidence = rng.normal(size=(EPISODES, TOUCHES, OBJECTS))
+    evidence[np.arange(EPISODES), :, TRUTH] += strength
+    logits = sharpness * strength * np.cumsum(evidence, axis=1)
+    p = np.exp(logits - logits.max(-1, keepdims=True))
+    return p / p.sum(-1, keepdims=True)
+
+
+def test_more_evidence_is_better_and_more_certainty_is_not(capsys):
+    tried = {constants.IN_USE: beliefs(1.0), "more evidence": beliefs(1.5), "overconfident": beliefs(1.0, 3.0)}
+    found = constants.report_kind("likelihood", tried, TRUTH, ())
+    assert found["more evidence"]["lower_by"]["low"] > 0.02
+    assert abs(found["overconfident"]["lower_by"]["mean"]) < 0.01  # its own temperature undoes it
+    shown = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in shown if "BETTER" in line] == ["more"]
+
+
+def test_conditions_count_alike_and_stay_with_their_episode():
+    good, bad = beliefs(1.5), beliefs(0.5)
+    both = constants.calibrated_losses(np.stack([good, bad], axis=1), TRUTH)
+    assert both.shape == (EPISODES,)
+    assert constants.calibrated_losses(good, TRUTH).mean() < both.mean()
+    alike = constants.calibrated_losses(np.stack([good, good], axis=1), TRUTH)
+    np.testing.assert_allclose(alike, constants.calibrated_losses(good, TRUTH), rtol=1e-3)
+
+
+@pytest.mark.full
+@pytest.mark.usefixtures("pad_models_fitted_once")
+def test_it_runs(trained_run, tmp_path):
+    out = tmp_path / "constants"
+    assert studies.main(["constants", "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]) == 0
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert set(metrics["constants"]) == set(constants.KINDS)
+    assert set(metrics["constants"]["planar"]) == {"in use", "inflation = 1", "inflation = 1.3", "inflation = 2.5"}
+    assert metrics["constants"]["likelihood"]["dof = 4"]["lower_by"]["mean"] != 0
