@@ -47,7 +47,7 @@ def summarise(source: Source, json: bool = False, quick: bool = False, skip_bad:
         quick: counts only, from the folder's index, without reading every touch again
         skip_bad: leave out files that cannot be used, and name them
     """
-    found = _counts(source) if quick else load_dataset(source, skip_bad).summary()
+    found = _counts(source) if quick else load_dataset(source, skip_bad=skip_bad).summary()
     print(json_text.dumps(found, indent=1, allow_nan=False) if json else _page(source, found))
 
 
@@ -187,7 +187,7 @@ def pack(source: Source, target: Target, force: bool = False, skip_bad: bool = F
         skip_bad: leave out files that cannot be used, and name them
     """
     _require_free(target, force)
-    _write(target, Converted(load_dataset(source, skip_bad), ()))
+    _write(target, Converted(load_dataset(source, skip_bad=skip_bad), ()))
 
 
 def to_npz(source: Source, target: Target, force: bool = False, skip_bad: bool = False) -> None:
@@ -203,7 +203,7 @@ def to_npz(source: Source, target: Target, force: bool = False, skip_bad: bool =
         raise DataError(f"{target}: does not end in .npz; name the file so")
     if target.exists() and not force:
         raise DataError(f"{target}: exists already; choose another name or say --force")
-    dataset = load_dataset(source, skip_bad)
+    dataset = load_dataset(source, skip_bad=skip_bad)
     write_npz(target, dataset)
     print(f"wrote {len(dataset)} touches to {target}")
 

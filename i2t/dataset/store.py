@@ -180,7 +180,7 @@ def read_touch(path: str | Path) -> Record:
     return record
 
 
-def load_dataset(path: str | Path, skip_bad: bool = False) -> Dataset:
+def load_dataset(path: str | Path, *, skip_bad: bool = False) -> Dataset:
     """Read a packed file, a recorded touch, or a folder of any of these with its subfolders.
 
     Touches come in the order of the files' names (recorded touches: of time). Hidden files (leftovers of an interrupted
