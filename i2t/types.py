@@ -55,6 +55,10 @@ class Board(NamedTuple):
 
     A board has n chips and sends readings of 3 n values. `chips[i]` is the i-th chip in the order in which the board
     sends its values, `rotations[i]` maps that chip's axes to tool axes (a reflection where a driver flips a sign).
+
+    Example:
+        board = i2t.reskin_board()
+        in_tool_axes = board.to_tool(reading)  # (15,) uT to (5, 3) uT
     """
 
     chips: Float[Any, "*batch chips 3"]  # m, in the tool frame; z is negative, below the skin's surface
@@ -95,7 +99,12 @@ class Board(NamedTuple):
 
 
 class Pad(NamedTuple):
-    """One magnetic skin: an elastic layer, bonded to its board or clamped at its edge, magnetised unevenly."""
+    """One magnetic skin: an elastic layer, bonded to its board or clamped at its edge, magnetised unevenly.
+
+    Example:
+        pad = i2t.sample_pad(jax.random.key(0), board=i2t.anyskin_board())
+        softer = pad._replace(young=0.8 * pad.young)
+    """
 
     thickness: Float[Any, "*batch"]  # m
     young: Float[Any, "*batch"]  # Pa

@@ -25,6 +25,11 @@ ROTATION_TOLERANCE = (
 class Dataset:
     """Touches with their names: `touches.object[i]` indexes `objects`, `pad` and `session` likewise; rows are in the
     order of time.
+
+    Example:
+        dataset = i2t.load_dataset("DATA")
+        train = dataset.select(dataset.touches.session > 0)  # all but the first session
+        dataset.touches.reading, dataset.objects[dataset.touches.object[0]]
     """
 
     touches: Touches

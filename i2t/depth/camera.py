@@ -46,6 +46,10 @@ class Camera:
 
     `coefficients` are in librealsense's order: k1, k2, p1, p2, k3 for the three Brown-Conrady models, the field of view
     w (rad) for F-Theta, k1 to k4 for Kannala-Brandt; what is left out is zero.
+
+    Example:
+        camera = i2t.Camera(640, 360, 322.4, 322.1, 319.5, 179.5, "brown_conrady", (0.08, -0.03))
+        seen = i2t.patch_from_depth(image, camera, T_w_c, T_w_t)
     """
 
     width: int

@@ -179,6 +179,10 @@ class Predictor:
         default_depth: m, likewise.
         std_scale: Factor on the model's standard deviations that gives the errors on validation touches unit variance.
         metadata: Provenance: how, from what and with which seed it was made.
+
+    Example:
+        predictor = i2t.load_predictor("runs/train")
+        reading, std = predictor.predict(patch.depth, force=1.0)  # (c,) uT each
     """
 
     model: Model

@@ -104,7 +104,16 @@ class RecognitionInfo(NamedTuple):
 
 
 class ObjectRecognizer:
-    """Recognises one of some objects, touch by touch; see the module's example."""
+    """Recognises one of some objects, touch by touch.
+
+    Example:
+        recognizer = i2t.ObjectRecognizer(jax.random.key(0), pad_model, {"mug": mug, "bowl": bowl})
+        state = recognizer.init()
+        while (site := recognizer.choose_touch(state)) is not None:
+            reading, force, T_w_t, contact = touch(site.T_w_t)  # by your arm
+            observation = recognizer.observe(site, reading, force=force, T_w_t=T_w_t, contact=contact)
+            state, info = recognizer.update(state, observation)
+    """
 
     def __init__(
         self,

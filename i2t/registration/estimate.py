@@ -6,7 +6,12 @@ from jaxtyping import Array, Float
 
 
 class PoseEstimate(NamedTuple):
-    """An object's pose, how well it is known, and how well it explains what was measured."""
+    """An object's pose, how well it is known, and how well it explains what was measured.
+
+    Example:
+        estimate = i2t.register_by_depth(mesh, T_w_o, depth, camera, T_w_c)
+        estimate.T_w_o, jnp.sqrt(jnp.diag(estimate.covariance))  # the pose and its standard deviations (m)
+    """
 
     T_w_o: Float[Array, "4 4"]
     covariance: Float[Array, "6 6"]  # m^2, of the twist x (`i2t.geometry.from_twist`) in T_w_o exp(x), prior included
