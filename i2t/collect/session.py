@@ -24,6 +24,7 @@ from i2t.collect.devices import (
     ArmConfig,
     CameraConfig,
     DeviceConfig,
+    Devices,
     SkinConfig,
     make_devices,
     source_of,
@@ -46,7 +47,7 @@ from i2t.emulators.world import (
 from i2t.errors import DataError, DeviceError
 from i2t.hardware.camera_folder import CameraFolderConfig
 from i2t.hardware.plugins import DeviceKind, PluginConfig, is_plugin
-from i2t.hardware.protocols import View, channel_names
+from i2t.hardware.protocols import Skin, View, channel_names
 from i2t.hardware.realsense import RealSenseConfig
 from i2t.hardware.reskin.config import ReplayConfig, ReSkinConfig
 from i2t.hardware.reskin.monitor import bar
@@ -96,51 +97,71 @@ def collect(
         if not args.dry_run and len(done) >= args.touches:
             print(f"{len(done)} touches are there already; raise --touches for more")
             return 0
-        skin = stack.enter_context(devices.skin)
-        camera = stack.enter_context(devices.camera)
-        extract_patch = _compiled_extractor(camera.camera, sampler)
-        serial = getattr(getattr(skin, "info", None), "serial_number", None) or ""  # a board on USB has one
-        _keep_serial(notes, serial, args.out)
-        arm = stack.enter_context(devices.arm)  # last, as it must not wait for a compiler
-        source = source_of(devices)
-        print(_headline(args, source, name))
-        procedure = Procedure(
-            arm,
-            skin,
-            camera,
-            rig,
-            board=devices.board,
-            extract_patch=extract_patch,
-            top=sampler.top,
-            settings=args.settings,
-            clock=devices.clock,
-            unreachable={int(number): why for number, why in notes["unreachable"].items()},
-        )
+        procedure = _connect(args, devices, rig, sampler=sampler, notes=notes, stack=stack)
+        print(_headline(args, source_of(devices), name))
         check_camera(procedure)
         if args.dry_run:
             return dry_run(procedure, sampler, name, args.touches, args.out)
-        info = SessionInfo(
-            object=name,
-            pad=args.pad_name or _pad_name(args),
-            session=notes["session"],
-            source=source,
-            board=devices.board,
-            T_w_b=rig.T_world_base,
-            T_w_o=rig.T_world_object,
-            camera=camera.camera,
-            meta={
-                "arm": arm.features.name,
-                "skin": f"{skin.features.name} ({skin.features.source})",
-                "skin serial number": serial,
-                "rig": notes["rig"],
-                "settings": json.dumps(vars(args.settings)),
-            },
-        )
+        info = _session_info(args, procedure, devices, name=name, notes=notes)
         file_recorder = stack.enter_context(Recorder(args.out, info, devices.clock))
         file_recorder.check()
         session = _Session(args, procedure, sampler, set(done))
         _run(session, choose or session.choose, file_recorder, notes, on_outcome)
     return 0
+
+
+def _connect(
+    args: CollectArgs, devices: Devices, rig: Rig, *, sampler: SiteSampler, notes: dict[str, Any], stack: ExitStack
+) -> Procedure:
+    """Connect the devices, and put them together to a procedure. The arm is connected last, as it must not wait for a
+    compiler. Raises DataError where the skin is another one than the folder's.
+    """
+    skin = stack.enter_context(devices.skin)
+    camera = stack.enter_context(devices.camera)
+    extract_patch = _compiled_extractor(camera.camera, sampler)
+    _keep_serial(notes, _serial_number(skin), args.out)
+    arm = stack.enter_context(devices.arm)
+    return Procedure(
+        arm,
+        skin,
+        camera,
+        rig,
+        board=devices.board,
+        extract_patch=extract_patch,
+        top=sampler.top,
+        settings=args.settings,
+        clock=devices.clock,
+        unreachable={int(number): why for number, why in notes["unreachable"].items()},
+    )
+
+
+def _session_info(
+    args: CollectArgs, procedure: Procedure, devices: Devices, *, name: str, notes: dict[str, Any]
+) -> SessionInfo:
+    """What the data set says of every touch of this session."""
+    arm, skin, rig = procedure.arm, procedure.skin, procedure.rig
+    return SessionInfo(
+        object=name,
+        pad=args.pad_name or _pad_name(args),
+        session=notes["session"],
+        source=source_of(devices),
+        board=devices.board,
+        T_w_b=rig.T_world_base,
+        T_w_o=rig.T_world_object,
+        camera=procedure.camera.camera,
+        meta={
+            "arm": arm.features.name,
+            "skin": f"{skin.features.name} ({skin.features.source})",
+            "skin serial number": _serial_number(skin),
+            "rig": notes["rig"],
+            "settings": json.dumps(vars(args.settings)),
+        },
+    )
+
+
+def _serial_number(skin: Skin) -> str:
+    """That of a board on USB; "" for others."""
+    return getattr(getattr(skin, "info", None), "serial_number", None) or ""
 
 
 def _run(
