@@ -137,7 +137,7 @@ class Touches(NamedTuple):
     patch: Float[Any, "*n p p"]  # m, 48 x 48, what the camera saw in the tool frame at the end of the press
     wide: Float[Any, "*n w w"]  # m, 72 x 72, the same view with its surroundings; NaN where the recording was cropped
     nearest: Float[Any, "*n"]  # m
-    reading: Float[Any, "*n c"]  # uT, mean in contact minus ambient, in the board's order and axes
+    reading: Float[Any, "*n c"]  # uT, mean in contact minus ambient, in the board's order and axes; NaN: a missing chip
     force: Float[Any, "*n"]  # N, along tool z
     depth: Float[Any, "*n"]  # m, travel past first contact
     T_w_t: Float[Any, "*n 4 4"]  # tool pose at the end of the press, as the arm reports it

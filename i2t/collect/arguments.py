@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from i2t.collect.settings import TouchSettings
+from i2t.collect.settings import AmbientSettings, TouchSettings
 from i2t.simulation.site_limits import SiteLimits
 
 
@@ -64,6 +64,7 @@ class CollectArgs:
     """Check everything and draw the plan; move nothing and write no touch."""
     settings: TouchSettings = field(default_factory=TouchSettings)
     sites: SiteLimits = field(default_factory=SiteLimits)
+    ambient: AmbientSettings = field(default_factory=AmbientSettings)
 
     def __post_init__(self) -> None:
         if self.touches < 1:

@@ -147,8 +147,8 @@ class DeviceContext:
         """Port and process of a board that shows what a simulated arm feels."""
         from i2t.emulators import reskin_board
 
-        switches = ["--field", "--link", str(self._folder / "skin"), "--board", self.world.board or DEFAULT_BOARD]
-        return self.stack.enter_context(reskin_board.started(*switches))
+        named = ("--link", str(self._folder / "skin"), "--board", self.world.board or DEFAULT_BOARD)
+        return self.stack.enter_context(reskin_board.started(*reskin_board.SHOWS_FIELDS, *named))
 
     @cached_property
     def emulated_lab(self) -> tuple[str, str]:

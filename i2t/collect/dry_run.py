@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from i2t.collect.free_poses import plan_free_poses
 from i2t.collect.procedure import Procedure
-from i2t.collect.settings import TouchSettings
+from i2t.collect.settings import AmbientSettings, TouchSettings
 from i2t.collect.site_plan import SiteSampler, draw_plan
 from i2t.collect.touch import Site, UnreachableError
 from i2t.hardware.rig import summary
@@ -25,7 +26,15 @@ class _Check(NamedTuple):
     said: str
 
 
-def dry_run(procedure: Procedure, sampler: SiteSampler, name: str, touches: int, out: Path) -> int:
+def dry_run(
+    procedure: Procedure,
+    sampler: SiteSampler,
+    name: str,
+    touches: int,
+    out: Path,
+    *,
+    ambient: AmbientSettings | None = None,
+) -> int:
     """Say what would be done with what, and whether it could.
 
     Args:
@@ -34,6 +43,7 @@ def dry_run(procedure: Procedure, sampler: SiteSampler, name: str, touches: int,
         name: Of the object.
         touches: How many there would be.
         out: Folder of the touches; the plan's picture is drawn next to it.
+        ambient: Of the free poses before it.
 
     Returns:
         The exit code.
@@ -58,6 +68,9 @@ def dry_run(procedure: Procedure, sampler: SiteSampler, name: str, touches: int,
     print(f"plan      {len(sites)} touches of {name}, about {seconds:.0f} s each; drawn in {path}")
     for number, why in list(refused.items())[:SHOWN_REFUSALS]:
         print(f"          site {number}: {why}")
+    if ambient is not None and ambient.poses:
+        heights = [pose.tilted[2, 3] for pose in plan_free_poses(procedure.path, procedure.arm.state().T_b_t, ambient)]
+        print(f"          {ambient.poses} free poses before, {min(heights):.3f} to {max(heights):.3f} m in the base")
     for check in checks:
         print(f"{'ok' if check.good else 'BAD':<9} {check.what}: {check.said}")
     print("nothing was moved" + ("" if source == "simulated" else "; the arm was taken and let go"))
@@ -97,7 +110,9 @@ def _device_checks(procedure: Procedure) -> list[_Check]:
     """What arm, skin and camera do."""
     state = procedure.arm.state()
     samples = procedure.skin.read(NOISE_SAMPLES)
-    noise = samples.reading.std(axis=0)
+    answering = np.isfinite(samples.reading).any(0)
+    noise = np.nanstd(samples.reading[:, answering], axis=0)
+    silent = sorted({f"chip {channel // 3}" for channel in np.flatnonzero(~answering)})
     span = max(samples.time[-1] - samples.time[0], 1e-9)
     view = procedure.camera.capture()
     measured = np.isfinite(view.depth)
@@ -106,7 +121,8 @@ def _device_checks(procedure: Procedure) -> list[_Check]:
         _Check(
             procedure.skin.features.name,
             bool(noise.max() < MAX_NOISE_UT),
-            f"{len(samples.time) / span:.0f} Hz, noise up to {noise.max():.1f} uT",
+            f"{len(samples.time) / span:.0f} Hz, noise up to {noise.max():.1f} uT"
+            + (f"; without {', '.join(silent)}" if silent else ""),
         ),
         _Check(
             procedure.camera.features.name,

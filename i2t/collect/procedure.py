@@ -53,6 +53,7 @@ from i2t.hardware.protocols import (
     View,
 )
 from i2t.hardware.rig import Rig
+from i2t.skin.ambient import AmbientChange, AmbientField, FreePoses, ambient_changed, mean_known, predict_ambient
 from i2t.types import Array, Board, ReturnCode
 
 RETURN_CODES: Mapping[StopReason, ReturnCode] = {
@@ -63,6 +64,8 @@ RETURN_CODES: Mapping[StopReason, ReturnCode] = {
 }
 RECONNECT_WAIT_S = 0.2  # between attempts to connect
 POSE_TOLERANCES = (1e-3, 0.01)  # m, and of a rotation's elements: so near a pose the tool is there
+FALSE_ALARM = 1e-3  # of touches, at which an ambient field that has not changed is called changed
+MIN_CHIP_SHARE = 0.5  # of the chips, that must answer for an approach
 RETREAT_SHARES = (1.0, 0.5, 0.25, 0.1, 0.0)  # of `prepare`, that a retreat tries to go back along the tool's axis
 
 
@@ -73,6 +76,8 @@ class _Press(NamedTuple):
     started: float  # s
     ambient: Array  # (c,) uT
     condition: SkinStopCondition  # with what it saw
+    expected: Array | None  # (c,) uT, the ambient by the fitted field
+    change: AmbientChange | None  # whether the ambient contradicts that field
 
 
 @dataclass
@@ -90,6 +95,7 @@ class Procedure:
         settings: How a touch is made.
         clock: That the devices share.
         unreachable: Sites that the arm may not go to, by number, and why.
+        ambient_field: Fitted from free poses; None if there is none.
     """
 
     arm: GuardedArm
@@ -102,6 +108,7 @@ class Procedure:
     settings: TouchSettings = field(default_factory=TouchSettings)
     clock: Clock = field(default_factory=MonotonicClock)
     unreachable: dict[int, str] = field(default_factory=dict)
+    ambient_field: AmbientField | None = None
 
     def run(self, choose: ChooseSite, recorder: TouchRecorder) -> Iterator[SiteOutcome]:
         """Touch what is chosen, until nothing is.
@@ -222,6 +229,8 @@ class Procedure:
             view=view,
             T_w_c=T_w_c,
             counters=_counted_since(self.skin.counters, counters_before),
+            expected_ambient=press.expected,
+            ambient_change=press.change,
         )
 
     def _look(self, site: Site, look: Array, log: TouchLog) -> tuple[View, Array]:
@@ -238,7 +247,7 @@ class Procedure:
         """Zero the wrench before the site, and go near it; raises TouchFailedError if something is met there."""
         settings = self.settings
         log.event("prepare")
-        if not _is_at(self.arm.state(), prepare):
+        if not is_at(self.arm.state(), prepare):
             self.arm.go(prepare, settings.speed, settings.acceleration)
             self.clock.sleep(settings.settle)
         self.arm.zero_wrench()
@@ -254,11 +263,23 @@ class Procedure:
         settings = self.settings
         log.event("ambient")
         ambient = self._mean_reading(log)
+        expected, change = self._compared(ambient, log)
         log.event("press")
         started = self.clock.now()
         result, condition = self._approach(settings.near + settings.overtravel, settings.press, ambient, log)
         log.event(f"stopped by {'skin' if result.reason == 'condition' else result.reason}")
-        return _Press(result, started, ambient, condition)
+        return _Press(result, started, ambient, condition, expected, change)
+
+    def _compared(self, ambient: Array, log: TouchLog) -> tuple[Array | None, AmbientChange | None]:
+        """The ambient (c,) uT that the fitted field predicts here, and whether the measured one contradicts it."""
+        if self.ambient_field is None:
+            return None, None
+        T_b_t = self.arm.state().T_b_t
+        here = FreePoses(T_b_t[None], ambient[None, None])
+        change = ambient_changed(self.ambient_field, self.board, here, false_alarm=FALSE_ALARM)
+        if change.changed:
+            log.event(change.sentence)
+        return predict_ambient(self.ambient_field, self.board, T_b_t)[0], change
 
     def _measure(self, press: _Press, log: TouchLog) -> tuple[list[ArmState], Array]:
         """States of the arm before and after the samples in contact, and the change of their mean (c,) uT."""
@@ -269,12 +290,19 @@ class Procedure:
         log.samples(contact)
         for state in states:
             log.state(state)
-        return states, contact.reading.mean(axis=0) - press.ambient
+        return states, mean_known(contact.reading, axis=0) - press.ambient
 
     def _mean_reading(self, log: TouchLog) -> Array:
         samples = self.skin.read(self.settings.ambient)
         log.samples(samples)
-        return samples.reading.mean(axis=0)
+        reading = mean_known(samples.reading, axis=0)
+        answering = int(np.isfinite(reading).sum()) // 3
+        if answering < MIN_CHIP_SHARE * self.board.num_chips:
+            raise DeviceError(
+                f"only {answering} of {self.board.num_chips} chips of {self.skin.features.name} answer, too few to "
+                "feel a press; check the board's cables"
+            )
+        return reading
 
     def _approach(
         self, distance: float, speed: float, ambient: Array, log: TouchLog
@@ -330,13 +358,13 @@ class Procedure:
             goal: (4, 4) T_b_t, m.
         """
         state = self.arm.state()
-        if _is_at(state, goal):
+        if is_at(state, goal):
             return
         height = max(self.path.transfer_height(), goal[2, 3])
         lifted, over = state.T_b_t.copy(), goal.copy()
         lifted[2, 3], over[2, 3] = max(height, lifted[2, 3]), max(height, lifted[2, 3])
         for T_b_t in (lifted, over, goal):
-            if not _is_at(state, T_b_t):
+            if not is_at(state, T_b_t):
                 state = self.arm.go(T_b_t, self.settings.speed, self.settings.acceleration)
 
     def retreat(self) -> None:
@@ -391,8 +419,16 @@ def _counted_since(now: SkinCounters, before: SkinCounters) -> SkinCounters:
     return SkinCounters(**counted, rate=now.rate)
 
 
-def _is_at(state: ArmState, goal: Array) -> bool:
-    """Whether the tool stands at a pose."""
+def is_at(state: ArmState, goal: Array) -> bool:
+    """Whether the tool stands at a pose.
+
+    Args:
+        state: Of the arm.
+        goal: (4, 4) T_b_t, m.
+
+    Returns:
+        True within a millimetre and half a degree.
+    """
     away = np.linalg.norm(state.T_b_t[:3, 3] - goal[:3, 3])
     turned = np.abs(state.T_b_t[:3, :3] - goal[:3, :3]).max()
     return bool(away < POSE_TOLERANCES[0] and turned < POSE_TOLERANCES[1])

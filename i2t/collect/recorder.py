@@ -261,14 +261,18 @@ def _images(view: View) -> dict[str, Image]:
 
 
 def _skin_series(touch: TouchResult, log: EventLog, chips: int, to_wall: float) -> dict[str, Series]:
-    """Readings, temperatures and the ambient reading."""
+    """Readings, temperatures, the ambient reading, and what the field fitted from free poses predicts in its place."""
     rows = np.array([log.readings[number] for number in sorted(log.readings)]).reshape(-1, 1 + 4 * chips)
+    begun = np.array([log.events[0][0] + to_wall])
     time, values = rows[:, 0] + to_wall, rows[:, 1:].astype(np.float32)
     channels = channel_names(chips)
+    expected = touch.expected_ambient
+    predicted = {} if expected is None else {"ambient_predicted": Series(begun, expected[None], channels, "uT")}
     return {
         "tactile": Series(time, values[:, : 3 * chips], channels, "uT"),
         "temperature": Series(time, values[:, 3 * chips :], tuple(f"chip{i}" for i in range(chips)), "degrees Celsius"),
-        "ambient": Series(np.array([log.events[0][0] + to_wall]), touch.ambient[None], channels, "uT"),
+        "ambient": Series(begun, touch.ambient[None], channels, "uT"),
+        **predicted,
     }
 
 

@@ -32,6 +32,7 @@ from i2t.collect.devices import (
 from i2t.collect.dry_run import check_camera, dry_run
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, SessionInfo
+from i2t.collect.session_ambient import fitted_ambient
 from i2t.collect.site_plan import SiteSampler, patch_extractor
 from i2t.collect.touch import ChooseSite, ExtractPatch, Site, SiteOutcome, UnreachableError
 from i2t.depth.camera import Camera
@@ -101,10 +102,11 @@ def collect(
         print(_headline(args, source_of(devices), name))
         check_camera(procedure)
         if args.dry_run:
-            return dry_run(procedure, sampler, name, args.touches, args.out)
+            return dry_run(procedure, sampler, name, args.touches, args.out, ambient=args.ambient)
         info = _session_info(args, procedure, devices, name=name, notes=notes)
         file_recorder = stack.enter_context(Recorder(args.out, info, devices.clock))
         file_recorder.check()
+        procedure.ambient_field = fitted_ambient(procedure, args.ambient, args.out, seed=args.seed)
         session = _Session(args, procedure, sampler, set(done))
         _run(session, choose or session.choose, file_recorder, notes, on_outcome)
     return 0
@@ -195,6 +197,7 @@ class _Session:
         self.codes: Counter[ReturnCode] = Counter()
         self.begun = self.since = time.monotonic()
         self.live = sys.stdout.isatty()
+        self.contradicted = False  # whether the last touch's ambient contradicted the fitted field
         self.drawn = 0
 
     def choose(self, history: Sequence[SiteOutcome]) -> Site | None:
@@ -222,7 +225,11 @@ class _Session:
             self._show([f"site {number}: failed, {outcome.reason}"], keep=True)
             return
         self.done.add(number)
-        size = float(np.linalg.norm(touch.reading))
+        change = touch.ambient_change
+        if change is not None and change.changed and not self.contradicted:
+            self._show([f"{change.sentence}; free poses now would fit it anew (--ambient.poses)"], keep=True)
+        self.contradicted = change is not None and change.changed
+        size = float(np.sqrt(np.nansum(touch.reading**2)))
         left = (self.args.touches - len(self.done)) * (now - self.begun) / max(1, len(self.done) - self.before)
         line = (
             f"touch {len(self.done)}/{self.args.touches}  site {number}  {ENDS[outcome.code]}  {size:.1f} uT  "
@@ -230,7 +237,7 @@ class _Session:
         )
         names = (name.replace("chip", "chip ").replace("_", " ") for name in channel_names(len(touch.reading) // 3))
         bars = [
-            f"  {name}  {value:+7.1f}  {bar(value / BAR_SCALE_UT)}"
+            f"  {name}  {value:+7.1f}  {bar(value / BAR_SCALE_UT)}" if np.isfinite(value) else f"  {name}  missing"
             for name, value in zip(names, touch.reading, strict=True)
         ]
         self._show([line, *bars, f"  {left / 60:.0f} min to go"] if self.live else [line])

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, fields
 
+MAX_TILT_DEG, MAX_TURN_DEG = 75.0, 90.0  # of a free pose: the flange stays above the skin, its cable untwisted
 MAY_BE_ZERO = ("nonuniform_share", "settle", "hold", "retries", "min_visible_share", "patience")
 
 
@@ -48,3 +49,30 @@ class TouchSettings:
                 raise ValueError(f"{each.name} is {value:g}; give a number above 0")
         if self.near > self.prepare:
             raise ValueError(f"near, {self.near:g} m, lies before prepare, {self.prepare:g} m; make it smaller")
+
+
+@dataclass(frozen=True)
+class AmbientSettings:
+    """Free poses before a session, for the fit of the ambient field. Raises ValueError for what makes no sense."""
+
+    poses: int = 0  # how many; a dozen is enough, 0 takes none
+    tilt: float = 45.0  # degrees, the farthest from pointing down
+    turn: float = 90.0  # degrees, the farthest about the tool's axis, either way
+    seconds: float = 2.0  # that the skin is read at each
+    clearance: float = 0.05  # m above the height at which the tool goes across
+    spread: float = 0.1  # m, edge of the cube in which the poses are
+
+    def __post_init__(self) -> None:
+        for name, least, most in (
+            ("poses", 0, 1000),
+            ("tilt", 10.0, MAX_TILT_DEG),
+            ("turn", 0.0, MAX_TURN_DEG),
+            ("seconds", 0.05, 60.0),
+            ("clearance", 0.02, 1.0),
+            ("spread", 0.0, 1.0),
+        ):
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise ValueError(f"ambient.{name} is {value:g}; give {least:g} to {most:g}")
+        if 0 < self.poses < 4:
+            raise ValueError(f"ambient.poses is {self.poses}; give 0 for none, or at least 4, better 12")

@@ -11,7 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from i2t.collect.event_log import TouchLog
+from i2t.errors import DeviceError
 from i2t.hardware.protocols import ArmState, Skin
+from i2t.skin.ambient import mean_known
 from i2t.types import Array, Board
 
 ONSET_RANGE = (0.15, 0.7)  # shares of the final change between which the line of the contact onset is fitted
@@ -57,16 +59,27 @@ class SkinStopCondition:
 
         Raises:
             DeviceTimeoutError: The skin is silent.
+            DeviceError: A chip has stopped answering.
         """
         self._hear(state)
         rule = self._rule
         if len(self._last) < rule.averaged_samples:
             return None
-        change = np.mean(self._last, axis=0) - self._ambient
-        size = float(np.linalg.norm(change))
-        nonuniform = float(np.linalg.norm(nonuniform_field(change, self._board)))
+        change = mean_known(np.array(self._last), axis=0) - self._ambient
+        self._check_chips(change)
+        size = float(np.sqrt(np.nansum(change**2)))
+        nonuniform = float(np.sqrt(np.nansum(nonuniform_field(change, self._board) ** 2)))
         enough = size > rule.skin_change and nonuniform > rule.nonuniform_share * rule.skin_change
         return size if enough else None
+
+    def _check_chips(self, change: Array) -> None:
+        """Raise DeviceError if a chip that answered before the press does not any more: what it feels is not known."""
+        lost = np.isfinite(self._ambient) & ~np.isfinite(change)
+        if lost.any():
+            raise DeviceError(
+                f"chip {int(np.argmax(lost)) // 3} of {self._skin.features.name} stopped answering during an approach; "
+                "check its cable and its solder"
+            )
 
     def _hear(self, state: ArmState) -> None:
         """Take what is new; raises DeviceTimeoutError if the skin is silent."""
@@ -105,14 +118,14 @@ def nonuniform_field(change: Float[Array, " c"], board: Board) -> Float[Array, "
     """What of a change differs between chips.
 
     Args:
-        change: (3 chips,) uT, of a reading.
+        change: (3 chips,) uT, of a reading; NaN for a chip that is missing.
         board: Whose reading it is.
 
     Returns:
-        (chips, 3) uT in tool axes, with mean zero.
+        (chips, 3) uT in tool axes, with mean zero over the chips that are there.
     """
     field = np.asarray(board.to_tool(change))
-    return field - field.mean(axis=0)
+    return field - mean_known(field, axis=0)
 
 
 def onset_distance(
@@ -124,8 +137,8 @@ def onset_distance(
     """How far a press went past first contact.
 
     A line is fitted to the samples whose change, along the final change, is 15 to 70 % of it, and extrapolated to zero
-    change. The line is that of a flat face; where force grows as indentation to the power 1.5 the result is a fifth too
-    short.
+    change; a chip that is missing is left out. The line is that of a flat face; where force grows as indentation to the
+    power 1.5 the result is a fifth too short.
 
     Args:
         readings: uT, of the press.
@@ -136,6 +149,9 @@ def onset_distance(
     Returns:
         m from first contact to the end; NaN where fewer than three samples are in that range.
     """
+    known = np.isfinite(change)
+    there = np.isfinite(readings[:, known]).all(1)
+    readings, before, ambient, change = readings[there][:, known], before[there], ambient[known], change[known]
     size = float(np.linalg.norm(change))
     share = (readings - ambient) @ change / max(size, 1e-9) ** 2
     low = share < ONSET_RANGE[0]

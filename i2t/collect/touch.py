@@ -12,6 +12,7 @@ from i2t.collect.event_log import TouchLog
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError
 from i2t.hardware.protocols import SkinCounters, StopReason, View
+from i2t.skin.ambient import AmbientChange
 from i2t.types import Array, ReturnCode
 
 
@@ -47,6 +48,8 @@ class TouchResult(NamedTuple):
     view: View | None
     T_w_c: Float[Array, "4 4"]  # from where it was taken
     counters: SkinCounters  # of this touch alone
+    expected_ambient: Float[Array, " c"] | None = None  # uT, by the field fitted from free poses
+    ambient_change: AmbientChange | None = None  # whether the ambient contradicts that field
 
 
 class SiteOutcome(NamedTuple):

@@ -109,13 +109,17 @@ class Dataset:
             "pads": _counts(touches.pad, self.pads),
             "sessions": _counts(touches.session, self.sessions),
             "codes": {code.name.lower(): int(np.sum(touches.code == code)) for code in ReturnCode},
-            "reading_uT": {axis: _statistics(by_axis[..., i].ravel()) for i, axis in enumerate(AXIS_NAMES)},
-            "reading_norm_uT": _statistics(np.linalg.norm(by_axis.reshape(-1, self.board.num_readings), axis=1)),
+            "reading_uT": {
+                axis: _statistics(known[np.isfinite(known)])
+                for axis, known in zip(AXIS_NAMES, by_axis.reshape(-1, 3).T, strict=True)
+            },
+            "reading_norm_uT": _statistics(np.sqrt(np.nansum(by_axis**2, axis=(1, 2)))),
             "force_N": _statistics(touches.force[finite["force"]].astype(np.float64)),
             "depth_m": _statistics(touches.depth[finite["depth"]].astype(np.float64)),
             "nearest_m": _statistics(touches.nearest[finite["nearest"]].astype(np.float64)),
             "missing": {
                 **{name: int(np.sum(~known)) for name, known in finite.items()},
+                "chips": int(np.isnan(touches.reading).any(1).sum()),
                 "wide": int(sum(np.isnan(view).any() for view in touches.wide)),
                 "T_w_t": int(np.isnan(touches.T_w_t).any((1, 2)).sum()),
                 "T_w_o": int(np.isnan(touches.T_w_o).any((1, 2)).sum()),
@@ -200,7 +204,8 @@ def validate(dataset: Dataset) -> None:
     """Find the first thing that no touch can be: a wrong shape, an index without a name, a patch that is not finite ...
 
     Args:
-        dataset: to check. Readings must have three values for each chip of its board.
+        dataset: to check. Readings must have three values for each chip of its board; those of a chip that did not
+            answer are NaN.
 
     Raises:
         DataError: one sentence that names the field and the first bad row.
@@ -235,7 +240,10 @@ def validate(dataset: Dataset) -> None:
         (touches.patch >= -slack).all((1, 2)) & (touches.patch <= dataset.reach + slack).all((1, 2)),
         "leaves 0 to the reach",
     )
-    _require_rows("reading", np.isfinite(touches.reading).all(1), "is not finite")
+    fields = touches.reading.reshape(n, chips, 3)
+    whole = np.isfinite(fields).all(2) | np.isnan(fields).all(2)  # a chip is there with all its axes, or missing
+    _require_rows("reading", whole.all(1), "is not finite, or a part of a chip is missing")
+    _require_rows("reading", np.isfinite(touches.reading).any(1) | (n == 0), "has no chip")
     for name in ("force", "depth"):
         _require_rows(name, ~np.isinf(getattr(touches, name)), "is infinite; unknown is NaN")
     _require_rows("nearest", touches.nearest != -np.inf, "is minus infinite; unknown is NaN")

@@ -44,7 +44,6 @@ LOOK_TICKS = 3  # between two looks at an arm that is watched
 STATE_RATE_HZ = 125.0
 NUM_JOINTS = 6
 QUEUE_SAMPLES = 4096
-EARTH_FIELD_UT = (18.0, -7.0, -41.0)  # in tool axes
 CHIP_TEMPERATURE_C, CHIP_NOISE_C = 24.6, 0.1
 FAR_TICKS = 3  # that a tool far from everything moves at once
 SLOW_FIELD_S = 1.0  # after which the slow common field is another one; an assumption
@@ -102,10 +101,8 @@ class SimulatedLab:
         self.number = 0
         self.recording = False  # whether somebody holds the skin
         self._random = np.random.default_rng((seed, 1))
-        chips = scene.board.num_chips
-        self._rest = scene.rest + scene.board.to_board(np.tile(np.array(EARTH_FIELD_UT), (chips, 1)))
         self._slow = np.zeros(3)
-        steps = self.noise.steps(chips)
+        steps = self.noise.steps(scene.board.num_chips)
         self._steps = np.where(steps > 0, steps, 1e-6)
         self._noise: list[tuple[Array, Array]] = []
 
@@ -131,7 +128,8 @@ class SimulatedLab:
         if not self._noise:
             self._noise = self._draw()
         noise, celsius = self._noise.pop()
-        reading = self._rest + self.contact_model.reading + noise
+        at_rest = self.scene.rest + self.contact_model.ambient(self.robot.position, self.robot.rotation)
+        reading = at_rest + self.contact_model.reading + noise
         return np.rint(reading / self._steps) * self._steps, celsius
 
     def _draw(self) -> list[tuple[Array, Array]]:

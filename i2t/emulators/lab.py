@@ -89,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     options = words[end + 1 :]
     board = tyro.cli(reskin_board.EmulatedBoardArgs, args=options, config=(tyro.conf.FlagCreatePairsOff,)).board
-    with reskin_board.started("--field", "--link", str(args.link), *options) as (_, process):
+    with reskin_board.started(*reskin_board.SHOWS_FIELDS, "--link", str(args.link), *options) as (_, process):
         # The skin that is worn must be on that board: any other would send it what it cannot show.
         ur_controller.run(replace(args, skin="{}:{}".format(*board_address(process)), board=board))
 

@@ -15,7 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from i2t.geometry import full_precision, so3_exp
+from i2t.emulators.room import RoomField, room_field
+from i2t.geometry import full_precision, so3_exp, transform
 from i2t.objects.solids import Mesh, transform_mesh
 from i2t.rendering.render import prepare_surface, render_patch
 from i2t.simulation.depth_camera import table_triangles
@@ -30,6 +31,7 @@ LINE_LENGTH_M = 0.12  # of a line on which the object is looked for
 TABULATED_LOADS_N = np.geomspace(0.02, 60.0, 14)
 LINE_TOLERANCE_M, LINE_TOLERANCE_RAD = 20e-6, 1e-4  # how far from its line a tool is still on it
 NEAR_CONTACT_M = 2e-3  # before first contact, from which motion is followed finely
+AMBIENT_STEP_M = 0.1e-3  # of a motion without a turn, over which the room's field is taken as the same
 STANDING_QUERIES = 3  # times that the same pose is asked for before the tool is taken to stand
 
 
@@ -102,6 +104,8 @@ class TouchableScene(Protocol):
 
     board: Board
     rest: Array  # (3 chips,) uT, the reading of the skin alone
+    gains: Array  # (3 chips,) of the chips' axes
+    room: RoomField
     errors: SimulationErrors
 
     def near(self, position: Array) -> bool:
@@ -134,11 +138,22 @@ class SpringPlane:
         gain: (3 chips,) uT/N, by which each newton changes the reading.
         errors: Of the lab.
         board: Of the skin.
+        room: Whose field the skin feels; by default that of `RoomField`.
     """
 
-    def __init__(self, height: float, stiffness: float, gain: Array, errors: SimulationErrors, board: Board) -> None:
+    def __init__(
+        self,
+        height: float,
+        stiffness: float,
+        gain: Array,
+        errors: SimulationErrors,
+        board: Board,
+        *,
+        room: RoomField | None = None,
+    ) -> None:
         self.height, self.stiffness, self.gain = height, stiffness, gain
-        self.errors, self.board, self.rest = errors, board, np.zeros(board.num_readings)
+        self.errors, self.board, self.room = errors, board, RoomField() if room is None else room
+        self.rest, self.gains = np.zeros(board.num_readings), np.ones(board.num_readings)
 
     def near(self, position: Array) -> bool:
         """Whether it is near, from above or below, as in `TouchableScene.near`."""
@@ -169,11 +184,22 @@ class ObjectScene:
         errors: Of the lab.
         stiffness: N/m, of arm and mount.
         seed: The same makes the same errors.
+        room: Whose field the skin feels; by default that of `RoomField`.
     """
 
     def __init__(
-        self, mesh: Mesh, T_b_o: Array, pad: Pad, errors: SimulationErrors, stiffness: float = 10e3, seed: int = 0
+        self,
+        mesh: Mesh,
+        T_b_o: Array,
+        pad: Pad,
+        errors: SimulationErrors,
+        stiffness: float = 10e3,
+        seed: int = 0,
+        *,
+        room: RoomField | None = None,
     ) -> None:
+        self.room = RoomField() if room is None else room
+        self.gains = np.asarray(pad.gains, float)
         run = jax.jit(lambda key: sample_session_errors(key, errors))(jax.random.key(seed))
         self.pad, self.errors, self.stiffness = pad, errors, stiffness
         self.board = Board(*(np.asarray(part, float) for part in pad.board))
@@ -251,6 +277,7 @@ class ContactModel:
         self._beside = None if wait else ThreadPoolExecutor(1, "scene")
         self._seen: tuple[Array, Array] = (np.full(3, np.inf), np.zeros((3, 3)))
         self._times = 0
+        self._ambient: tuple[Array, Array, Array] = (np.full(3, np.inf), np.zeros((3, 3)), self.reading)
 
     @property
     def busy(self) -> bool:
@@ -266,6 +293,24 @@ class ContactModel:
             return np.zeros(6)
         force, (x, y), self.reading = self._line.contact_at(along)
         return np.concatenate([turned @ [0.0, 0.0, -force], turned @ [-force * y, force * x, 0.0]])
+
+    def ambient(self, position: Array, turned: Array) -> Array:
+        """What the room makes the skin read at a pose, within `AMBIENT_STEP_M` of it (1e-3 uT of the default room).
+
+        Args:
+            position: (3,) m, of the tool in the base.
+            turned: (3, 3) rotation of the tool in the base.
+
+        Returns:
+            (3 chips,) uT.
+        """
+        at, way, known = self._ambient
+        if abs(position - at).max() < AMBIENT_STEP_M and (turned == way).all():
+            return known
+        scene, T_b_t = self.scene, transform(np.asarray(turned), np.asarray(position))
+        reading = scene.gains * np.asarray(scene.board.to_board(room_field(scene.room, scene.board, T_b_t)))
+        self._ambient = np.array(position), np.array(turned), reading
+        return reading
 
     def far(self, position: Array) -> bool:
         """Whether the tool is at least `NEAR_CONTACT_M` from first contact, or off the line on which there is one.

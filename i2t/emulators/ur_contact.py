@@ -19,8 +19,8 @@ from i2t.types import Array
 
 
 class BoardPublishingContactModel(ContactModel):
-    """A contact model that tells a board what the skin feels, by datagrams: the skin's own field at rest and what a
-    press changes. The board keeps the newest.
+    """A contact model that tells a board what the skin feels, by datagrams: the skin's own field at rest, the room's as
+    the tool is turned, and what a press changes. The board, which adds no field of its own, keeps the newest.
 
     Args:
         scene: What the tool meets.
@@ -45,11 +45,11 @@ class BoardPublishingContactModel(ContactModel):
             (6,) N and Nm, base axes.
         """
         wrench = super().__call__(position, turned)
-        if not np.array_equal(self.reading, self._told):
-            reading = self.scene.rest + self.reading
+        reading = self.scene.rest + self.ambient(position, turned) + self.reading
+        if not np.array_equal(reading, self._told):
             with contextlib.suppress(OSError):
                 self._socket.sendto(struct.pack(f"<{len(reading)}f", *reading), self._to)
-                self._told = self.reading
+                self._told = reading
         return wrench
 
 

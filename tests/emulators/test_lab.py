@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from i2t.emulators import lab, reskin_board, ur_controller
+from i2t.emulators import lab, ur_controller
+from i2t.emulators.room import RoomField, room_field
 from i2t.emulators.world import DEFAULT_PAD_KEY
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.rig import Rig
@@ -65,8 +66,8 @@ def test_a_press_is_felt_as_the_physics_says(touching):
         assert skin.counters.loss < 1e-3
     # The pad's own field at rest; the room's and a mean of noise, five sigma of it, are on top.
     noise = 5 * 4.6 / np.sqrt(SAMPLES)
-    room = reskin_board.Readings(0.0, 0.0, None, 0).at(0.0)[0]
-    np.testing.assert_allclose(ambient, nominal + room, atol=noise + 0.25)
+    room = pad.gains * pad.board.to_board(room_field(RoomField(), pad.board, down(ABOVE)))
+    np.testing.assert_allclose(ambient, nominal + np.asarray(room), atol=noise + 0.25)
     np.testing.assert_allclose(after, ambient, atol=noise * np.sqrt(2))
     pressed = jax.jit(lambda depth: press(pad, jnp.zeros((GRID.cells, GRID.cells)), depth))
     for done, change in presses:

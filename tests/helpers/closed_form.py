@@ -8,6 +8,7 @@ from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import SeenPatch, Site
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedArm, SimulatedLab, SimulatedSkin, VirtualClock
+from i2t.emulators.room import RoomField
 from i2t.emulators.scene import SpringPlane
 from i2t.errors import NotConnectedError
 from i2t.hardware.protocols import CameraFeatures, View
@@ -22,6 +23,7 @@ WALL = 1.7e9  # Unix time at which a test begins
 BOARD = boards.reskin_board()
 GAIN = np.linspace(-9, 12, BOARD.num_readings)  # uT/N
 DOWN = np.diag([1.0, -1.0, -1.0])
+ROOM = RoomField(iron_moment=(0.0, 0.0, 0.0))  # iron would change a reading by 0.03 uT in a press
 QUIET = SimulationErrors.none()
 NOISY = SimulationErrors.none().__class__(**{**vars(SimulationErrors.none()), "noise": Noise(), "force": 0.1})
 
@@ -75,7 +77,7 @@ def site(number, x=0.0, y=0.0, height=HEIGHT, turned=DOWN):
 def make(stiffness=10e3, gain=GAIN, errors=QUIET, settings=None, clock=None, latency=0.03, seed=0, board=BOARD):
     """A procedure whose devices are connected."""
     clock = clock or VirtualClock(WALL)
-    lab = SimulatedLab(SpringPlane(HEIGHT, stiffness, gain, errors, board), clock, seed=seed)
+    lab = SimulatedLab(SpringPlane(HEIGHT, stiffness, gain, errors, board, room=ROOM), clock, seed=seed)
     rig = Rig()
     arm, skin, eye = SimulatedArm(lab, rig.limits, latency), SimulatedSkin(lab), Eye(clock)
     for device in (arm, skin, eye):

@@ -217,7 +217,8 @@ def encode(
         The frame's bytes, with its line end.
     """
     chips = len(temperature)
-    field = np.nan_to_num(reading.reshape(chips, 3))
+    field = reading.reshape(chips, 3)
+    field = np.where(np.isnan(field).all(1, keepdims=True), 0.0, field)
     if form == Format.FRAMED:
         content = struct.pack(f"<B{3 * chips}f", count % COUNTS, *field.ravel())
         return HEADER + content + bytes([checksum(content)])

@@ -75,7 +75,7 @@ def wrap_offsets(
         uT; 0 for all other channels.
     """
     change, offsets = after - before, np.zeros(after.shape)
-    for chip, axis in np.argwhere(np.abs(change) > MIN_WRAP_UT):  # NaN is not
+    for chip, axis in np.argwhere(np.abs(change) > MIN_WRAP_UT).tolist():  # NaN is not
         step = np.nan if steps is None else steps.size[1 + axis]
         length = _wrap_length(before[chip, axis], after[chip, axis], step, axis)
         offsets[chip, axis] = -np.sign(change[chip, axis]) * length

@@ -1,0 +1,601 @@
+"""The ambient field of a skin on an arm: fitted from free poses, predicted at any pose, and watched for changes.
+
+A skin that touches nothing reads the Earth's field, which turns in it as the arm turns it, and a constant of each chip:
+its offset, and the field of the skin itself. The arm knows how it stands, so both can be told apart. At a pose with
+rotation R (tool axes in the base), chip i at p_i in the base reads, in tool axes,
+
+    b_i = (I + S_i) R^T (e + G (p_i - c)) + o_i + noise
+
+- e, 3 numbers: the field in the base frame at c, the middle of the chips over the fitted poses.
+- o_i, 3 for each chip: its constant offset.
+- G, 5 numbers: a gradient that iron in the room makes, symmetric and without trace, as a static field without currents
+  nearby has it (curl and divergence are zero). Its prior has a standard deviation of 20 uT/m.
+- S_i, 9 for each chip: the response of the chip and of iron that turns with the tool. Iron that the Earth magnetises
+  (an induced dipole of a mount or a screw) adds a field that is linear in the Earth's, and so does an error of a chip's
+  gain; in the calibration of magnetometers this is the soft-iron matrix (Vasconcelos et al., "Geometric approach to
+  strapdown magnetometer calibration in sensor frame", 2011). Its prior has a standard deviation of 5 % in each number.
+
+G and S are kept only where they predict poses that were left out better, by more than one standard error of the
+difference. What does not turn with the room or the tool is in no term: a skin that sags under its weight, an arm's
+motors, a second robot.
+
+Noise has two parts: one of each chip, and one that all chips share, as a slow field of the room has it (a fifth to a
+third of the variance of real boards). Both sizes are estimated from the residuals, so that the covariance of a fit and
+the test for a change need no number from elsewhere. The test compares new free readings with their prediction in both
+parts by an F statistic, each at half the false-alarm rate that is asked for.
+
+Readings are microtesla in the board's order and axes; a missing chip is NaN and is left out. NumPy only, so that
+drivers can use it; nothing is random.
+"""
+
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import stats
+
+from i2t import serialization
+from i2t.types import Array, Board
+
+FIELD_KIND = "i2t ambient field"
+BURST = 10  # samples that a touch takes before contact
+MIN_POSES = 4
+MIN_TURN = 0.1  # by how much, root mean square, poses must turn the field's weakest direction: about 6 degrees
+MIN_SPREAD_M = 0.02  # of the poses' places, below which no gradient is looked for
+GRADIENT_STD_UT_M = 20.0
+RESPONSE_STD = 0.05
+MAX_STEPS, CONVERGED = 20, 1e-8
+WEIGHT_ROUNDS = 3  # of estimating the noise and fitting with it
+LEAST_NOISE_UT = 1e-3  # below which a noise is rounding
+
+AmbientModel: TypeAlias = Literal["uniform", "gradient", "response", "both"]
+MODELS: tuple[AmbientModel, ...] = ("uniform", "gradient", "response", "both")
+
+
+class FreePoses(NamedTuple):
+    """Readings of a skin that touches nothing, at some poses of the arm."""
+
+    T_b_t: Float[Array, "p 4 4"]  # tool in base, m
+    samples: Float[Array, "p s c"]  # uT, s samples at each pose; NaN for a chip that is missing
+
+    @property
+    def reading(self) -> Float[np.ndarray, "p c"]:
+        """(p, c) uT, mean at each pose of the samples that a channel has."""
+        return mean_known(np.asarray(self.samples, float), axis=1)
+
+
+class AmbientNoise(NamedTuple):
+    """Standard deviations in tool axes, uT, of the mean of some samples about its prediction."""
+
+    chip: Float[Array, "3"]  # of each chip by itself
+    common: Float[Array, "3"]  # of the root of the number of chips times what they share
+    dof_chip: Float[Array, ""]
+    dof_common: Float[Array, ""]
+    samples: Float[Array, ""]  # of the mean
+
+
+class AmbientField(NamedTuple):
+    """A fitted ambient field. Terms that were not kept are zero."""
+
+    earth: Float[Array, "3"]  # uT, base axes
+    offset: Float[Array, "chips 3"]  # uT, tool axes; NaN for a chip that never answered
+    gradient: Float[Array, "5"]  # uT/m, base axes: xx, yy, xy, xz, yz
+    centre: Float[Array, "3"]  # m, in the base, where the field is `earth`
+    response: Float[Array, "chips 3 3"]  # S of each chip, tool axes
+    terms: Bool[Array, " k"]  # which of all parameters, in this order, were fitted
+    covariance: Float[Array, "m m"]  # of those
+    noise: AmbientNoise  # of the mean of a pose's samples
+    burst: AmbientNoise  # of the mean of a burst of samples
+    left_out: Float[Array, "4"]  # uT, root mean square error on left-out poses of each of `MODELS`; NaN: not tried
+
+    @property
+    def model(self) -> AmbientModel:
+        """Which terms were kept."""
+        gradient, response = (
+            bool(self.terms[_gradient_slice(self)].any()),
+            bool(self.terms[_response_start(self) :].any()),
+        )
+        return MODELS[gradient + 2 * response]
+
+    @property
+    def earth_std(self) -> Float[np.ndarray, "3"]:
+        """(3,) uT, standard errors of `earth`."""
+        return np.sqrt(np.diag(self.covariance)[:3])
+
+
+class AmbientChange(NamedTuple):
+    """Whether new free readings contradict a fitted field."""
+
+    changed: bool
+    field_p: float  # how often chance alone makes what all chips share as large
+    chips_p: float  # and what differs between chips
+    field: Float[np.ndarray, "3"]  # uT, base axes: mean of what all chips share beyond the prediction
+    chip: int  # with the largest residual
+    residual: float  # uT, root mean square over channels
+
+    @property
+    def sentence(self) -> str:
+        """What has changed."""
+        if not self.changed:
+            return f"the ambient field is the fitted one ({self.residual:.1f} uT off)"
+        if self.field_p <= self.chips_p:
+            size = np.linalg.norm(self.field)
+            return f"the ambient field has changed by {size:.1f} uT in all chips (p = {self.field_p:.1g})"
+        return f"the chips' offsets have changed, most of all chip {self.chip}'s (p = {self.chips_p:.1g})"
+
+
+def fit_ambient(
+    poses: FreePoses, board: Board, *, model: AmbientModel | Literal["best"] = "best", burst: int = BURST
+) -> AmbientField:
+    """Fit the ambient field.
+
+    Args:
+        poses: Free poses that turn the skin about two axes at least; a dozen is enough.
+        board: Of the skin, whose rotations are used.
+        model: Which terms; "best" keeps the richer ones only where left-out poses ask for them.
+        burst: Samples whose mean will later be compared with the field.
+
+    Returns:
+        The field with its covariance.
+
+    Raises:
+        ValueError: There are too few poses, they hardly turn, or shapes do not fit.
+    """
+    _check(poses, board)
+    if model != "best":
+        return _fit(_problem(poses, board), model, burst)
+    problem = _problem(poses, board)
+    tried: dict[AmbientModel, np.ndarray] = {}
+    chosen: AmbientModel = "uniform"
+    for name in MODELS:
+        if name in ("gradient", "both") and _spread(poses) < MIN_SPREAD_M:
+            continue
+        tried[name] = _left_out(problem, name)
+        better = tried[chosen] - tried[name]
+        if better.mean() > better.std(ddof=1) / np.sqrt(len(better)):
+            chosen = name
+    scores = [np.sqrt(tried[name].mean()) if name in tried else np.nan for name in MODELS]
+    return _fit(problem, chosen, burst)._replace(left_out=np.array(scores))
+
+
+def predict_ambient(
+    field: AmbientField, board: Board, T_b_t: Float[Array, "4 4"]
+) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, "c c"]]:
+    """What a skin reads that touches nothing.
+
+    Args:
+        field: Fitted.
+        board: Of the skin.
+        T_b_t: Tool in base, m.
+
+    Returns:
+        The reading (uT), NaN for a chip of unknown offset, and its covariance (uT^2), without the noise of samples.
+    """
+    predicted, jacobian = _prediction(field, board, np.asarray(T_b_t, float)[None])
+    chips = board.num_chips
+    turns = np.zeros((3 * chips, 3 * chips))
+    for chip, rotation in enumerate(np.asarray(board.rotations, float)):
+        turns[3 * chip : 3 * chip + 3, 3 * chip : 3 * chip + 3] = rotation.T
+    spread = turns @ jacobian[0].reshape(3 * chips, -1)
+    return np.asarray(board.to_board(predicted[0])), spread @ field.covariance @ spread.T
+
+
+def subtract_ambient(
+    field: AmbientField, board: Board, T_b_t: Float[Array, "*n 4 4"], reading: Float[Array, "*n c"]
+) -> Float[np.ndarray, "*n c"]:
+    """Readings without the ambient field.
+
+    Args:
+        field: Fitted.
+        board: Of the skin.
+        T_b_t: Tool in base at each reading, m.
+        reading: uT.
+
+    Returns:
+        uT; NaN for chips that are missing, in the reading or in the fit.
+    """
+    poses = np.asarray(T_b_t, float).reshape(-1, 4, 4)
+    predicted, _ = _prediction(field, board, poses)
+    return np.asarray(reading, float) - np.asarray(board.to_board(predicted)).reshape(np.shape(reading))
+
+
+def subtract_offsets(
+    field: AmbientField, board: Board, reading: Float[Array, " c"]
+) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, "3"]]:
+    """A reading without the chips' offsets and without what all chips share, where the arm's pose is not known.
+
+    Args:
+        field: Fitted.
+        board: Of the skin.
+        reading: uT.
+
+    Returns:
+        The reading (uT), and the shared field (3,) uT in tool axes, whose size should be that of the fitted one.
+    """
+    free = np.asarray(board.to_tool(np.asarray(reading, float))) - field.offset
+    shared = mean_known(free, axis=0)
+    return np.asarray(board.to_board(free - shared)), shared
+
+
+def ambient_changed(field: AmbientField, board: Board, poses: FreePoses, *, false_alarm: float = 0.01) -> AmbientChange:
+    """Whether new free readings contradict a fitted field.
+
+    Args:
+        field: Fitted.
+        board: Of the skin.
+        poses: New free poses, one at least. Their samples are averaged; means of fewer samples than the fit had at
+            a pose are judged by the noise of its bursts.
+        false_alarm: How often a field that has not changed may be called changed.
+
+    Returns:
+        The answer, with what changed.
+
+    Raises:
+        ValueError: No chip is known in both.
+    """
+    T_b_t = np.asarray(poses.T_b_t, float)
+    noise = field.noise if poses.samples.shape[1] >= field.noise.samples else field.burst
+    predicted, jacobian = _prediction(field, board, T_b_t)
+    residual = np.asarray(board.to_tool(poses.reading)) - predicted
+    known = np.isfinite(residual).all((0, 2))
+    if not known.any():
+        raise ValueError("no chip answers in all of these poses and in the fitted field; look at the skin")
+    common, own = _split(int(known.sum()))
+    p_values = []
+    for basis, size, dof in ((common, noise.common, noise.dof_common), (own, noise.chip, noise.dof_chip)):
+        parts = np.einsum("bi,pix->pbx", basis, residual[:, known]).ravel()
+        if not parts.size:
+            p_values.append(1.0)
+            continue
+        jacobians = np.einsum("bi,pixk->pbxk", basis, jacobian[:, known]).reshape(len(parts), -1)
+        spread = jacobians @ field.covariance @ jacobians.T
+        spread[np.diag_indices(len(parts))] += np.tile(np.maximum(size, LEAST_NOISE_UT), len(parts) // 3) ** 2
+        statistic = parts @ np.linalg.solve(spread, parts) / len(parts)
+        p_values.append(float(stats.f.sf(statistic, len(parts), max(1.0, float(dof)))))
+    shared = np.einsum("pij,pj->pi", T_b_t[:, :3, :3], residual[:, known].mean(1)).mean(0)
+    sizes = np.where(known, np.sqrt(np.mean(np.nan_to_num(residual) ** 2, axis=(0, 2))), 0.0)
+    return AmbientChange(
+        changed=min(p_values) < false_alarm / 2,
+        field_p=p_values[0],
+        chips_p=p_values[1],
+        field=shared,
+        chip=int(np.argmax(sizes)),
+        residual=float(np.sqrt(np.mean(residual[:, known] ** 2))),
+    )
+
+
+def save_ambient(path: Path | str, field: AmbientField, about: Mapping[str, str] | None = None) -> None:
+    """Write a field to a file.
+
+    Args:
+        path: Of the file, .npz; one that is there is replaced.
+        field: Fitted.
+        about: Whose it is, in words.
+
+    Raises:
+        SerializationError: The file cannot be written.
+    """
+    serialization.save(path, FIELD_KIND, field, dict(about or {}))
+
+
+def load_ambient(path: Path | str, board: Board | None = None) -> tuple[AmbientField, dict[str, str]]:
+    """Read a field.
+
+    Args:
+        path: Of a file that `save_ambient` wrote.
+        board: Of the skin it is for.
+
+    Returns:
+        The field, and whose it is.
+
+    Raises:
+        SerializationError: There is no such file, or it is damaged.
+        ValueError: The field is of a board with another number of chips.
+    """
+    field, about = serialization.load(path, FIELD_KIND, AmbientField)
+    if board is not None and len(field.offset) != board.num_chips:
+        raise ValueError(
+            f"{path}: is the ambient field of {len(field.offset)} chips, and the board has {board.num_chips}; "
+            "name the field of this skin"
+        )
+    return field, about
+
+
+def mean_known(values: Float[np.ndarray, "*n"], axis: int) -> Float[np.ndarray, "*m"]:
+    """The mean of what is not NaN.
+
+    Args:
+        values: Any numbers, some of them missing.
+        axis: Along which the mean is taken.
+
+    Returns:
+        The mean; NaN where nothing is known.
+    """
+    known = np.isfinite(values)
+    count = known.sum(axis)
+    total = np.where(known, values, 0.0).sum(axis)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def fitted_turn(T_b_t: Float[Array, "p 4 4"]) -> float:
+    """How well poses turn the field: the root mean square by which its weakest direction moves in the tool.
+
+    Args:
+        T_b_t: Tool in base.
+
+    Returns:
+        0 where they do not turn about two axes, up to 1.
+    """
+    rotations = np.asarray(T_b_t, float)[:, :3, :3]
+    moved = rotations - rotations.mean(0)
+    return float(np.sqrt(max(0.0, np.linalg.eigvalsh(np.einsum("pij,pkj->ik", moved, moved) / len(moved))[0])))
+
+
+# The least squares. Parameters are, in this order: earth 3, offsets 3n, gradient 5, responses 9n; all in tool or base
+# axes as in `AmbientField`.
+
+
+class _Problem(NamedTuple):
+    """Free poses as the fit sees them."""
+
+    T_b_t: np.ndarray  # (p, 4, 4)
+    chips: np.ndarray  # (n, 3) m, in the tool
+    samples: np.ndarray  # (p, s, n, 3) uT, tool axes
+    reading: np.ndarray  # (p, n, 3) uT, their means
+    scale: np.ndarray  # (3,) scatter of x, y and z, about 1
+    centre: np.ndarray  # (3,) m
+
+
+class _Weights(NamedTuple):
+    """Variances of a pose's mean, relative to the square of the scale."""
+
+    chip: float
+    common: float  # of the root of the number of chips times what they share
+    dof_chip: float
+    dof_common: float
+
+
+def _check(poses: FreePoses, board: Board) -> None:
+    T_b_t, samples = np.asarray(poses.T_b_t), np.asarray(poses.samples)
+    n = len(T_b_t)
+    if T_b_t.shape != (n, 4, 4) or samples.ndim != 3 or samples.shape[::2] != (n, board.num_readings):
+        raise ValueError(
+            f"free poses have shapes {T_b_t.shape} and {samples.shape}; give (p, 4, 4), and (p, s, "
+            f"{board.num_readings}) for this board"
+        )
+    if n < MIN_POSES:
+        raise ValueError(f"{n} free poses tell no ambient field; take at least {MIN_POSES}, better a dozen")
+    if not np.isfinite(T_b_t).all() or not np.isfinite(samples).any():
+        raise ValueError("free poses hold no readings, or poses that are not finite; take them again")
+    if fitted_turn(T_b_t) < MIN_TURN:
+        raise ValueError(
+            "the free poses hardly turn the skin, so the Earth's field and the chips' offsets cannot be told apart; "
+            "tilt it by 30 degrees or more about two axes"
+        )
+
+
+def _problem(poses: FreePoses, board: Board) -> _Problem:
+    samples = np.asarray(board.to_tool(np.asarray(poses.samples, float)))
+    within = samples - mean_known(samples, axis=1)[:, None]
+    scatter = np.sqrt(mean_known(within.reshape(-1, 3) ** 2, axis=0))
+    usable = samples.shape[1] > 1 and bool((scatter > LEAST_NOISE_UT).all())
+    T_b_t, chips = np.asarray(poses.T_b_t, float), np.asarray(board.chips, float)
+    return _Problem(
+        T_b_t=T_b_t,
+        chips=chips,
+        samples=samples,
+        reading=mean_known(samples, axis=1),
+        scale=scatter / scatter.mean() if usable else np.ones(3),
+        centre=_places(T_b_t, chips).mean((0, 1)),
+    )
+
+
+def _places(T_b_t: np.ndarray, chips: np.ndarray) -> np.ndarray:
+    """(p, n, 3) m, where chips are in the base."""
+    return np.einsum("pij,nj->pni", T_b_t[:, :3, :3], chips) + T_b_t[:, None, :3, 3]
+
+
+def _spread(poses: FreePoses) -> float:
+    """m, root mean square distance of the poses' places from their middle."""
+    places = np.asarray(poses.T_b_t, float)[:, :3, 3]
+    return float(np.sqrt(np.mean(np.sum((places - places.mean(0)) ** 2, axis=1))))
+
+
+def _gradient_slice(field: AmbientField) -> slice:
+    return slice(3 + field.offset.size, 8 + field.offset.size)
+
+
+def _response_start(field: AmbientField) -> int:
+    return 8 + int(field.offset.size)
+
+
+def _model_terms(chips: int, model: AmbientModel) -> np.ndarray:
+    """Which of all parameters a model has."""
+    gradient, response = model in ("gradient", "both"), model in ("response", "both")
+    return np.concatenate([np.ones(3 + 3 * chips), np.full(5, gradient), np.full(9 * chips, response)]).astype(bool)
+
+
+def _fit(problem: _Problem, model: AmbientModel, burst: int) -> AmbientField:
+    """One model, with noise and covariance."""
+    terms = _model_terms(len(problem.chips), model)
+    weights = _Weights(1.0, 1.0, 1.0, 1.0)
+    for _ in range(WEIGHT_ROUNDS):
+        theta, inverse = _solve(problem, terms, weights)
+        weights = _weights(problem, theta, terms, weights, inverse)
+    theta, inverse = _solve(problem, terms, weights)
+    chips = len(problem.chips)
+    silent = ~np.isfinite(problem.reading).any((0, 2))
+    earth, offset, gradient, response = _parts(theta, chips)
+    offset[silent] = np.nan
+    count = problem.samples.shape[1]
+    return AmbientField(
+        earth=earth,
+        offset=offset,
+        gradient=gradient,
+        centre=problem.centre,
+        response=response,
+        terms=terms,
+        covariance=inverse,
+        noise=_noise(problem, weights, 0.0, 0.0, count),
+        burst=_noise(problem, weights, *_within(problem, min(burst, count)), min(burst, count)),
+        left_out=np.full(len(MODELS), np.nan),
+    )
+
+
+def _left_out(problem: _Problem, model: AmbientModel) -> np.ndarray:
+    """(p,) uT^2, mean square error at each pose of the fit to the others."""
+    poses, chips = len(problem.T_b_t), len(problem.chips)
+    terms, errors = _model_terms(chips, model), np.empty(poses)
+    weights = _Weights(1.0, 1.0, 1.0, 1.0)
+    whole, inverse = _solve(problem, terms, weights)
+    weights = _weights(problem, whole, terms, weights, inverse)
+    for pose in range(poses):
+        others = np.arange(poses) != pose
+        left = problem._replace(T_b_t=problem.T_b_t[others], reading=problem.reading[others])
+        theta, _ = _solve(left, terms, weights, whole)
+        predicted, _ = _model(theta, problem.T_b_t[pose : pose + 1], problem.chips, problem.centre)
+        errors[pose] = np.nanmean((problem.reading[pose] - predicted[0]) ** 2)
+    return errors
+
+
+def _solve(
+    problem: _Problem, terms: np.ndarray, weights: _Weights, start: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """All parameters by Gauss-Newton, zero for terms that are not fitted, and the covariance of those that are."""
+    chips = len(problem.chips)
+    prior = np.concatenate(
+        [np.zeros(3 + 3 * chips), np.full(5, GRADIENT_STD_UT_M**-2.0), np.full(9 * chips, RESPONSE_STD**-2.0)]
+    )
+    silent = ~np.isfinite(problem.reading).any((0, 2))
+    prior[3 : 3 + 3 * chips] += np.repeat(np.where(silent, 1.0, 0.0), 3)  # keeps a chip that never answered solvable
+    theta = np.zeros(len(terms)) if start is None else start.copy()
+    for _ in range(MAX_STEPS):
+        residual, jacobian = _whitened(problem, theta, terms, weights)
+        normal = jacobian.T @ jacobian + np.diag(prior[terms])
+        step = np.linalg.solve(normal, jacobian.T @ residual - prior[terms] * theta[terms])
+        theta[terms] += step
+        if np.abs(step).max() < CONVERGED * max(1.0, np.abs(theta).max()):
+            break
+    return theta, np.linalg.inv(normal)
+
+
+def _whitened(
+    problem: _Problem, theta: np.ndarray, terms: np.ndarray, weights: _Weights
+) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (m,) of unit variance without correlation, and their Jacobian (m, k) in the parameters."""
+    predicted, jacobian = _model(theta, problem.T_b_t, problem.chips, problem.centre)
+    residual = (problem.reading - predicted) / problem.scale
+    jacobian = jacobian[..., terms] / problem.scale[:, None]
+    bases = np.zeros((len(residual), len(problem.chips), len(problem.chips)))
+    known = np.isfinite(residual).all(-1)
+    for pose, here in enumerate(known):
+        common, own = _split(int(here.sum()))
+        whitening = np.concatenate([common / np.sqrt(weights.common), own / np.sqrt(weights.chip)])
+        bases[pose][np.ix_(np.arange(len(whitening)), here)] = whitening
+    there = np.arange(known.shape[1]) < known.sum(1)[:, None]
+    rows = bases @ np.where(known[..., None], residual, 0.0)
+    columns = bases @ jacobian.reshape(len(residual), len(problem.chips), -1)
+    return rows[there].ravel(), columns.reshape(*known.shape, 3, -1)[there].reshape(rows[there].size, -1)
+
+
+def _weights(
+    problem: _Problem, theta: np.ndarray, terms: np.ndarray, before: _Weights, inverse: np.ndarray
+) -> _Weights:
+    """Variances of both parts of the noise, each from its own residuals and degrees of freedom."""
+    residual, jacobian = _whitened(problem, theta, terms, before)
+    counts = np.isfinite(problem.reading).all(-1).sum(1)
+    shared = np.concatenate([np.arange(3 * known) < 3 for known in counts])  # the rows that all chips share
+    found = []
+    for part, variance in ((~shared, before.chip), (shared, before.common)):
+        rows = int(part.sum())
+        used = float(np.sum((jacobian[part] @ inverse) * jacobian[part]))
+        dof = max(1.0, rows - used)
+        least = (LEAST_NOISE_UT / problem.scale.min()) ** 2
+        found.append((max(least, variance * float(residual[part] @ residual[part]) / dof) if rows else variance, dof))
+    (chip, dof_chip), (common, dof_common) = found
+    return _Weights(chip, max(chip, common), dof_chip, dof_common)
+
+
+def _within(problem: _Problem, burst: int) -> tuple[float, float]:
+    """Variances, relative to the scale, by which means of bursts scatter about the mean of their pose: of chips by
+    themselves, and of what they share.
+    """
+    poses, samples = problem.samples.shape[:2]
+    count = samples // burst
+    if count < 2:
+        return 0.0, 0.0
+    bursts = mean_known(problem.samples[:, : count * burst].reshape(poses, count, burst, -1, 3), axis=2)
+    parts: list[list[np.ndarray]] = [[], []]
+    for means in (bursts - mean_known(bursts, axis=1)[:, None]).reshape(poses * count, -1, 3) / problem.scale:
+        known = np.isfinite(means).all(-1)
+        for place, basis in enumerate(_split(int(known.sum()))):
+            parts[place].append((basis @ means[known]).ravel())
+    common, own = (np.concatenate(part) for part in parts)
+    return float(np.mean(own**2)) if own.size else 0.0, float(np.mean(common**2))
+
+
+def _noise(problem: _Problem, weights: _Weights, chip: float, common: float, samples: int) -> AmbientNoise:
+    return AmbientNoise(
+        chip=problem.scale * np.sqrt(weights.chip + chip),
+        common=problem.scale * np.sqrt(weights.common + common),
+        dof_chip=np.array(weights.dof_chip),
+        dof_common=np.array(weights.dof_common),
+        samples=np.array(float(samples)),
+    )
+
+
+@lru_cache
+def _split(chips: int) -> tuple[np.ndarray, np.ndarray]:
+    """Orthonormal bases over chips (Helmert): of what they share (1, n), and of what differs (n - 1, n)."""
+    if chips == 0:
+        return np.zeros((0, 0)), np.zeros((0, 0))
+    own = np.zeros((chips - 1, chips))
+    for row in range(1, chips):
+        own[row - 1, :row], own[row - 1, row] = 1.0, -row
+        own[row - 1] /= np.sqrt(row * (row + 1.0))
+    return np.full((1, chips), chips**-0.5), own
+
+
+def _parts(theta: np.ndarray, chips: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Earth (3,), offsets (n, 3), gradient (5,) and responses (n, 3, 3), as copies."""
+    earth, offset, gradient, response = np.split(theta.copy(), [3, 3 + 3 * chips, 8 + 3 * chips])
+    return earth, offset.reshape(chips, 3), gradient, response.reshape(chips, 3, 3)
+
+
+def _model(
+    theta: np.ndarray, T_b_t: np.ndarray, chips: np.ndarray, centre: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fields (p, n, 3) uT in tool axes, and their Jacobian (p, n, 3, k) in all parameters."""
+    poses, n = len(T_b_t), len(chips)
+    earth, offset, gradient, response = _parts(theta, n)
+    back = T_b_t[:, :3, :3].swapaxes(-1, -2)
+    lever = _lever(_places(T_b_t, chips) - centre)  # (p, n, 3, 5)
+    turned = np.einsum("pij,pnj->pni", back, earth + lever @ gradient)
+    seen = np.eye(3) + response
+    jacobian = np.zeros((poses, n, 3, len(theta)))
+    jacobian[..., :3] = np.einsum("nij,pjk->pnik", seen, back)
+    each = np.arange(n)
+    for axis in range(3):
+        jacobian[:, each, axis, 3 + 3 * each + axis] = 1.0
+        for other in range(3):
+            jacobian[:, each, axis, 8 + 3 * n + 9 * each + 3 * axis + other] = turned[..., other]
+    jacobian[..., 3 + 3 * n : 8 + 3 * n] = np.einsum("nij,pjk,pnkg->pnig", seen, back, lever)
+    return np.einsum("nij,pnj->pni", seen, turned) + offset, jacobian
+
+
+def _lever(away: np.ndarray) -> np.ndarray:
+    """(..., 3, 5): the field (uT) at a distance (..., 3) m from the centre, by the gradient's five numbers."""
+    x, y, z = away[..., 0], away[..., 1], away[..., 2]
+    none = np.zeros_like(x)
+    rows = [[x, none, y, z, none], [none, y, x, none, z], [-z, -z, none, x, y]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _prediction(field: AmbientField, board: Board, T_b_t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Fields (p, n, 3) uT in tool axes, and their Jacobian (p, n, 3, m) in the fitted parameters."""
+    theta = np.concatenate([field.earth, field.offset.ravel(), field.gradient, field.response.ravel()])
+    predicted, jacobian = _model(theta, T_b_t, np.asarray(board.chips, float), field.centre)
+    return predicted, jacobian[..., field.terms]
