@@ -1,9 +1,11 @@
 """`import i2t`: what it gives, what it costs, and that each name says what it takes and gives."""
 
+import ast
 import inspect
 import re
 import subprocess
 import sys
+import textwrap
 
 import pytest
 
@@ -39,7 +41,56 @@ def test_a_function_says_its_arguments_what_it_returns_and_an_example(name):
         assert re.search(rf"^\s+\*{{0,2}}{parameter}(, \w+)*:", stated, re.M), f"{name}: {parameter} is not in Args"
 
 
+# What may be given by position: the data. Everything else, how it is done, is named.
+DATA = {
+    "anyskin_board": ("depth",),
+    "calibrate": ("positions", "loads", "readings"),
+    "contact_pose": ("mesh", "point"),
+    "load_calibration": ("path",),
+    "load_dataset": ("path",),
+    "load_mesh": ("path", "unit"),
+    "load_pad": ("path",),
+    "load_predictor": ("directory",),
+    "make_object": ("name",),
+    "nominal_pad": ("pattern",),
+    "patch_from_depth": ("depth", "camera", "T_w_c", "T_w_t"),
+    "prepare_surface": ("mesh",),
+    "press": ("pad", "height", "indentation"),
+    "register_by_depth": ("mesh", "T_w_o", "depth", "camera", "T_w_c"),
+    "register_by_touch": ("key", "surface", "T_w_o", "T_w_contact", "weight"),
+    "render_patch": ("surface", "T_w_t"),
+    "reskin_board": ("depth",),
+    "sample_pad": ("key",),
+    "sample_touch_sites": ("mesh", "n"),
+    "save_dataset": ("path", "dataset"),
+    "save_pad": ("path", "pad"),
+    "simulate_touches": ("key", "objects", "pad", "errors", "n"),
+}
+
+
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_after_the_data_arguments_are_named(name):
-    kinds = [parameter.kind for parameter in inspect.signature(getattr(i2t, name)).parameters.values()]
-    assert kinds.count(inspect.Parameter.POSITIONAL_OR_KEYWORD) <= 5  # at most five of them are data
+    parameters = inspect.signature(getattr(i2t, name)).parameters
+    positional = [each for each, parameter in parameters.items() if parameter.kind is parameter.POSITIONAL_OR_KEYWORD]
+    assert tuple(positional) == DATA[name]
+
+
+CLASSES = ("Board", "Camera", "Dataset", "ObjectRecognizer", "Pad", "PoseEstimate", "Predictor")
+
+
+@pytest.mark.parametrize("name", [*FUNCTIONS, *CLASSES])
+def test_an_example_is_python_that_names_the_public_face(name):
+    text = inspect.getdoc(getattr(i2t, name)) or ""
+    assert "Example:\n" in text, f"{name} has no example"
+    code = textwrap.dedent(text.split("Example:\n", 1)[1])
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "i2t":
+            assert node.attr in i2t.__all__, f"{name}: the example uses i2t.{node.attr}"
+        called = ast.unparse(node.func).removeprefix("i2t.") if isinstance(node, ast.Call) else ""
+        if called in i2t.__all__ and not _starred(node):
+            keywords = {keyword.arg: None for keyword in node.keywords}
+            inspect.signature(getattr(i2t, called)).bind(*node.args, **keywords)
+
+
+def _starred(call: ast.Call) -> bool:
+    return any(isinstance(each, ast.Starred) for each in call.args) or any(each.arg is None for each in call.keywords)
