@@ -161,7 +161,7 @@ class DeviceContext:
         options = ["--host", host, "--link", str(link), "--object", world.object, "--unit", world.unit]
         options += ["--seed", str(world.seed), "--rig", str(folder / "rig.toml"), "--mount", str(world.stiffness)]
         options += ["--pad", str(world.pad)] if world.pad else []
-        options += ["--exact"] if world.no_pose_error else []
+        options += ["--no-pose-error"] if world.no_pose_error else []
         self.stack.enter_context(lab.started(*options, "--board", "--board", world.board or DEFAULT_BOARD))
         return host, str(link)
 

@@ -30,7 +30,7 @@ class BoardPublishingContactModel(ContactModel):
 
     def __init__(self, scene: TouchableScene, to: tuple[str, int], wait: bool = False) -> None:
         super().__init__(scene, wait)
-        self._to, self._told = to, np.full(scene.board.num_readings, np.nan)
+        self._to, self._sent = to, np.full(scene.board.num_readings, np.nan)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 
@@ -46,10 +46,10 @@ class BoardPublishingContactModel(ContactModel):
         """
         wrench = super().__call__(position, turned)
         reading = self.scene.rest + self.ambient(position, turned) + self.reading
-        if not np.array_equal(reading, self._told):
+        if not np.array_equal(reading, self._sent):
             with contextlib.suppress(OSError):
                 self._socket.sendto(struct.pack(f"<{len(reading)}f", *reading), self._to)
-                self._told = reading
+                self._sent = reading
         return wrench
 
 

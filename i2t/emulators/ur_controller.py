@@ -146,7 +146,7 @@ class ControllerArgs:
     pad: Path | None = None  # the skin that the tool wears, on disk; by default a random one
     board: str | None = None  # that it is on: reskin, anyskin, or grid-RxC; by default the pad's own, else reskin
     seed: int = 0  # of the errors
-    exact: bool = False  # the object is where it is believed to be
+    no_pose_error: bool = False  # the object is where it is believed to be
     mount: float = 10e3  # stiffness of arm and mount, N/m
     skin: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
     """An emulated board that shows what the skin feels."""
@@ -210,7 +210,7 @@ def _contact(options: ControllerArgs) -> tuple[Contact, float]:
         options.unit,
         options.pad,
         seed=options.seed,
-        no_pose_error=options.exact,
+        no_pose_error=options.no_pose_error,
         stiffness=options.mount,
         board=options.board,
     )

@@ -1,14 +1,14 @@
 """Which object is there, and where: a posterior over objects and their poses from touches.
 
 Each possible object has a number of pose particles: poses drawn from what is known of its placement, the same through
-an episode. How far the placement may be off is itself inferred: what was told is right up to a factor, the scale, with
-a prior (`ScalePrior`); each particle belongs to one scale, and the particles' weights tell which scales are probable.
+an episode. How far the placement may be off is itself inferred: the stated placement error is right up to a factor, the
+scale, with a prior (`ScalePrior`); each particle belongs to one scale, and the particles' weights tell which scales are probable.
 Each touch is compared with the touch that was predicted for every particle (`i2t.recognition.outcomes`).
 Two measurements are evidence:
 
   the reading   given the force: Student's t about the predicted reading. Its scale matrix is the covariance of a
-                Gaussian process's errors, which includes sensor noise that all chips share, plus the process's own
-                variance at that touch;
+                Gaussian process's errors, which includes sensor noise that all chips share, plus the GP's own variance
+                at that touch;
   the position  at which the press ended: distance to contact + indentation of the skin + compliance of the arm. Around
                 a particle the distance to contact is linear in the pose, so each particle carries a normal distribution
                 of its remaining pose error and updates it with a Kalman filter (a Gaussian sum; Alspach and Sorenson,
@@ -86,7 +86,7 @@ class Likelihood(NamedTuple):
     """How far a touch may be from the predicted one; see `fit_likelihood`, the rest chosen on validation episodes."""
 
     whiten: Float[Array, "c c"]  # W, with W S W' = 1 and W diag(scale^2) W' = diag(growth), S the errors' covariance
-    growth: Float[Array, " c"]  # of the whitened variance with the process's own variance
+    growth: Float[Array, " c"]  # of the whitened variance with the GP's own variance
     loads: Float[Array, " l"]  # N, of the predicted touches
     overtravel: Float[Array, ""]  # m beyond the site after which a press gives up
     dof: Float[Array, ""]  # degrees of freedom of Student's t
@@ -103,7 +103,7 @@ class Likelihood(NamedTuple):
 
 
 class ScalePrior(NamedTuple):
-    """Prior of the scale of a placement's error, a multiple of what was told: log-normal about 1, cut off at both ends.
+    """Prior of the scale of a placement's error, a multiple of the stated one: log-normal about 1, cut off at both ends.
 
     Scales are drawn wider than that, about `drawn`, and weighted back (importance sampling): poses far off need more
     particles than they are probable.
@@ -148,7 +148,7 @@ class Particles(NamedTuple):
 
     twist: Float[Array, "k 6"]  # m
     covariance: Float[Array, "k 6 6"]  # m^2, about each
-    scale: Float[Array, " k"]  # of the placement's error, relative to what was told
+    scale: Float[Array, " k"]  # of the placement's error, relative to the stated one
     log_prior: Float[Array, " k"]  # logarithm of each particle's probability
 
 
@@ -184,7 +184,7 @@ class TemperatureScaling(NamedTuple):
         return self.initial * (1 + self.growth * (touches - 1))
 
 
-# Fitted on 60 episodes with validation objects (pad 0), whose placement was told right, half and double.
+# Fitted on 60 episodes with validation objects (pad 0), whose placement error was stated right, half and double.
 TEMPERATURE_SCALING = TemperatureScaling(1.15, 0.066)
 
 
@@ -217,7 +217,7 @@ def sample_particles(
         count: Number of particles.
         seed: Of the sequence.
         std_ratio: Standard deviation about each particle, relative to the prior's.
-        scales: Prior of the scale; None takes what was told as exact.
+        scales: Prior of the scale; None takes the stated placement error as exact.
 
     Returns:
         The particles, with scales, prior probabilities and the covariance about each.
@@ -252,8 +252,8 @@ def fit_likelihood(
     """Fit a likelihood to a Gaussian process's errors on held-out touches, in double precision.
 
     Args:
-        errors: Measured minus predicted readings (uT) of touches that the process was not conditioned on.
-        scale: Scale (uT) of each channel by which the process's relative variance is multiplied.
+        errors: Measured minus predicted readings (uT) of touches that the GP was not conditioned on.
+        scale: Scale (uT) of each channel by which the GP's relative variance is multiplied.
         loads: Loads (N) at which touches are predicted.
         overtravel: Distance (m) beyond the site after which a press gives up.
         position_std: Standard deviation (m) of where a press ends at a known pose, or a mixture of several.
@@ -412,7 +412,7 @@ def reading_log_density(
 
     Args:
         error: Measured minus predicted reading (uT).
-        variance: The process's own variance at the touch, relative to its scale.
+        variance: The GP's own variance at the touch, relative to its scale.
         likelihood: Whitening, inflation and degrees of freedom.
 
     Returns:
@@ -452,14 +452,14 @@ def posterior(belief: Belief) -> Float[Array, " objects"]:
 
 
 def scale_posterior(belief: Belief, particles: Particles) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """How far the placement's error is from what was told, all objects taken together.
+    """How far the placement's error is from the stated one, all objects taken together.
 
     Args:
         belief: After some touches.
         particles: The pose particles it began with.
 
     Returns:
-        Geometric mean of the scale, a multiple of what was told, and the standard deviation of its logarithm.
+        Geometric mean of the scale, a multiple of the stated error, and the standard deviation of its logarithm.
     """
     weight = jax.nn.softmax(belief.log_weight.reshape(-1)).reshape(belief.log_weight.shape).sum(0)
     log = jnp.log(particles.scale)

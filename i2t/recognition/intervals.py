@@ -4,7 +4,7 @@ object that was there.
 `cluster_interval` resamples whole clusters. Its variance over several crossed factors is put together as Cameron,
 Gelbach and Miller do (Journal of Business and Economic Statistics 29, 2011), each part by a bootstrap of clusters;
 few clusters are allowed for by Student's t with the degrees of freedom of Satterthwaite (Biometrics Bulletin 2, 1946).
-`wilson_interval` is for rates of independent trials (Wilson, JASA 22, 1927). All cover 95 % unless told otherwise.
+`wilson_interval` is for rates of independent trials (Wilson, JASA 22, 1927). All cover 95 % unless asked otherwise.
 NumPy, because nothing here is differentiated.
 """
 

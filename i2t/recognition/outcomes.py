@@ -3,7 +3,7 @@
 An object that may lie anywhere near its believed pose is met by the flat skin at some distance along the approach
 (`i2t.simulation.sites.press_along`); there its heights over the skin are pressed with a few loads into a layer of
 nominal stiffness (`i2t.skin.contact`), and a Gaussian process conditioned on one pad's touches turns pressures into
-readings. For one load F the process of `i2t.prediction.gp` is linear in the pressure p,
+readings. For one load F the GP of `i2t.prediction.gp` is linear in the pressure p,
 
     mean = p . M_F,    variance = p' V_F p   (in units of each channel's signal),
 
@@ -12,8 +12,8 @@ readings per newton are interpolated in the logarithm of the load.
 
 `predict_contact` is geometry and mechanics, `predict_reading` one pad. Neither depends on what is measured, so touches
 can be predicted for sites, objects and pose particles once and used for any number of episodes. The approach distance
-comes with its Jacobian along the six coordinates of the object's pose, so that poses between the particles are told
-apart too (`i2t.recognition.belief`).
+comes with its Jacobian along the six coordinates of the object's pose, so that poses between the particles are
+distinguished too (`i2t.recognition.belief`).
 
 Pure functions on one example; metres, newtons, microtesla; frames as in `i2t.types`. A reading has c = 3 * chips
 channels.
@@ -37,7 +37,7 @@ from i2t.skin.contact import Grid, solve_force
 from i2t.skin.pad import nominal_pad
 from i2t.types import PAD_WINDOW, STANDOFF, TWIST_LEVER_M, Pad, Surface
 
-PRESSURE_GRID = Grid(cells=20, modes=32, window=PAD_WINDOW)  # cells of 1 mm, as the process sees pressures
+PRESSURE_GRID = Grid(cells=20, modes=32, window=PAD_WINDOW)  # cells of 1 mm, as the GP sees pressures
 LOADS_N = (0.3, 0.9, 2.7)  # most presses to 25 uT end between the outer ones
 MIN_LOAD_N = PressureModelConfig.floor  # a noisy wrench sensor says less
 EIGENVALUE_TOLERANCE = 1e-5  # of the largest eigenvalue of a variance: what is smaller is rounding

@@ -118,9 +118,9 @@ def register_by_touch(
         The estimate; its residuals, weights and cost are those of the most probable pose.
 
     Example:
-        T_w_contact, met = contact_poses(dataset.touches)
+        T_w_contact, in_contact = contact_poses(dataset.touches)
         estimate = i2t.register_by_touch(
-            key, surface, T_w_o, T_w_contact, met, translation_std=2e-3, rotation_std=0.03
+            key, surface, T_w_o, T_w_contact, in_contact, translation_std=2e-3, rotation_std=0.03
         )
     """
     std = [jnp.asarray(translation_std, jnp.float32)] * 3 + [jnp.asarray(rotation_std * TWIST_LEVER_M, jnp.float32)] * 3

@@ -42,7 +42,7 @@ def lab(tmp_path_factory):
     view = View(0.0, np.where(np.isfinite(depth), depth, np.nan).astype(np.float32), None)
     list(camera_folder.save_views(path / "views", rig.camera, [view]))
     host, link = ur_controller.loopback(202), path / "skin"
-    options = ["--object", "star", "--exact", "--rig", str(path / "lab.toml")]
+    options = ["--object", "star", "--no-pose-error", "--rig", str(path / "lab.toml")]
     with emulated_lab.started("--host", host, "--link", str(link), *options):
         yield path, ["--arm", "ur", "--host", host, "--rig", str(path / "lab.toml"), "--object", "star",
                      "--camera", "folder", "--views", str(path / "views"), "--touches", "1", *PATIENT]  # fmt: skip

@@ -195,7 +195,7 @@ def test_random_objects():
     np.testing.assert_array_equal(again.mesh.vertices, drawn[7].mesh.vertices)
 
 
-def test_decoys_are_like_what_is_known_but_none_of_it():
+def test_surrogate_unknowns_are_like_what_is_known_but_none_of_it():
     known = [make_object("square").mesh, make_object("hammer").mesh]
     drawn = [surrogate_unknown(known, seed).mesh for seed in range(60)]
     heights = np.array([size(mesh)[2] for mesh in drawn])

@@ -253,7 +253,7 @@ def test_permitted_sites_are_safe_on_what_is_possible():
     np.testing.assert_array_equal(policy.safe_sites_mask(now, safe, 0.0), [True, False, False, False, False])
 
 
-def test_the_most_telling_of_the_allowed_sites_is_chosen():
+def test_the_most_informative_of_the_allowed_sites_is_chosen():
     gain = InformationGain(jnp.array([0.3, 0.5, 0.45, 0.1]), jnp.array([0.4, 0.5, 1.5, 3.0]))
     every = jnp.ones(4, bool)
     assert policy.choose_site(gain, every) == 2  # 0.31, 0.5, 0.555, 0.39
