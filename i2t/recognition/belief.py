@@ -2,8 +2,8 @@
 
 Each possible object has a number of pose particles: poses drawn from what is known of its placement, the same through
 an episode. How far the placement may be off is itself inferred: the stated placement error is right up to a factor, the
-scale, with a prior (`ScalePrior`); each particle belongs to one scale, and the particles' weights tell which scales are probable.
-Each touch is compared with the touch that was predicted for every particle (`i2t.recognition.outcomes`).
+scale, with a prior (`ScalePrior`); each particle belongs to one scale, and the particles' weights tell which scales are
+probable. Each touch is compared with the touch that was predicted for every particle (`i2t.recognition.outcomes`).
 Two measurements are evidence:
 
   the reading   given the force: Student's t about the predicted reading. Its scale matrix is the covariance of a
@@ -103,7 +103,7 @@ class Likelihood(NamedTuple):
 
 
 class ScalePrior(NamedTuple):
-    """Prior of the scale of a placement's error, a multiple of the stated one: log-normal about 1, cut off at both ends.
+    """Prior of the scale of a placement's error, relative to the stated one: log-normal about 1, cut off at both ends.
 
     Scales are drawn wider than that, about `drawn`, and weighted back (importance sampling): poses far off need more
     particles than they are probable.
