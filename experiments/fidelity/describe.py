@@ -1,7 +1,5 @@
 """What a recording is, and what in it contradicts a sound one."""
 
-from importlib.util import find_spec
-
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -9,6 +7,8 @@ from experiments.fidelity.sections import CannotTellError, Section, join
 from i2t.calibration import check_presses
 from i2t.calibration.heads import TARGETS, SkinRecording
 from i2t.calibration.heads.recording import VALUES_PER_CHIP
+from i2t.unknowns.estimate import estimate_unknowns, metrics_of
+from i2t.unknowns.findings import RecordedPresses
 from i2t.viz import style
 
 # uT for each step of x and y and of z, by gain at resolution 0 (MLX90393 data sheet, sensitivity table, 0xC);
@@ -18,6 +18,8 @@ CHIP_STEPS_UT = (
     (0.300, 0.484), (0.250, 0.403), (0.200, 0.323), (0.150, 0.242),
 )  # fmt: skip
 STEP_TOLERANCE = 0.02
+MIN_GAPS = 20  # between values, to tell a step from
+SAME_VALUE = 1e-6  # of the largest: by less, values differ by their rounding
 MICROTESLA_IN = {"uT": 1.0, "mT": 1e3, "gauss": 100.0, "nT": 1e-3}  # uT in each
 COUNTS_OF_16_BITS = 2**16
 STILL_IN_AIR = 0.1  # of the readings' size in contact, that they may keep in air
@@ -62,9 +64,9 @@ def check(recording: SkinRecording, section: Section) -> None:
     _check_channels(recording, found, numbers)
     _check_targets(recording, found, numbers)
     section.part(lambda: _check_presses(recording, found, numbers))
-    section.part(lambda: _check_unknowns(recording, found, numbers))
+    section.part(lambda: _check_unknowns(recording, found, section))
     numbers["warnings"] = found
-    section.sentences += found if found else ["Nothing that was looked for contradicts a sound recording."]
+    section.sentences[:0] = found or ["Nothing that was looked for contradicts a sound recording."]
 
 
 def one_tip(recording: SkinRecording) -> None:
@@ -83,9 +85,8 @@ def load_of(recording: SkinRecording) -> tuple[str, np.ndarray]:
     for name in ("depth", "force"):
         if recording.varies(name) and recording.known(name).mean() > 0.5:
             return name, recording.targets[name][:, 0]
-    for name in ("force",):
-        if recording.varies(name):
-            return name, recording.targets[name][:, 0]
+    if recording.varies("force"):
+        return "force", recording.targets["force"][:, 0]
     return "none", np.zeros(len(recording))
 
 
@@ -129,14 +130,18 @@ def _unit(recording: SkinRecording, numbers: dict) -> str:
 
 def _step(values: np.ndarray) -> float:
     """Smallest step of a channel, if nearly all values are whole numbers of it; NaN else."""
-    levels = np.unique(np.round(values, 4))
+    levels = np.unique(values)
     gaps = np.diff(levels)
-    gaps = gaps[gaps > 1e-3]
-    if len(gaps) < 5:
+    gaps = gaps[gaps > SAME_VALUE * np.abs(values).max()]
+    if len(gaps) < MIN_GAPS:
         return np.nan
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
-    off = np.abs((levels - levels[0]) / step - np.round((levels - levels[0]) / step))
-    return step if np.median(off) < 0.1 and len(levels) < 0.9 * len(values) else np.nan
+    for most in (10, 100, len(levels)):  # over ever longer stretches, along which an error of the step grows
+        way = levels[:most] - levels[0]
+        counts = np.round(way / step)
+        step = float(way @ counts / max(counts @ counts, 1)) or step
+    off = np.abs(gaps / step - np.round(gaps / step))
+    return step if np.median(off) < 0.05 else np.nan
 
 
 def _check_channels(recording: SkinRecording, found: list[str], numbers: dict) -> None:
@@ -209,10 +214,26 @@ def _check_presses(recording: SkinRecording, found: list[str], numbers: dict) ->
     }
 
 
-def _check_unknowns(recording: SkinRecording, found: list[str], numbers: dict) -> None:
-    """Height zero, lag, flips and gains as `i2t.calibration.unknowns` estimates them, where it is there."""
-    if find_spec("i2t.calibration.unknowns") is None:
-        return
+def _check_unknowns(recording: SkinRecording, found: list[str], section: Section) -> None:
+    """Height zero, lag, signs, units, gains and the board's place, as `i2t.unknowns` estimates them."""
+    one_tip(recording)
+    if not recording.known("position").any():
+        raise CannotTellError("What a recording does not say of itself is estimated where positions are known.")
+    depth, force = recording.targets.get("depth"), recording.targets.get("force")
+    presses = RecordedPresses(
+        position=recording.targets["position"],
+        readings=recording.readings,
+        height=None if depth is None or not recording.varies("depth") else -depth[:, 0],
+        force=None if force is None else force[:, 0],
+        seconds=recording.time if np.isfinite(recording.time).all() else None,
+    )
+    findings = estimate_unknowns(presses, recording.board)
+    section.numbers["unknowns"] = metrics_of(findings)
+    found += [finding.sentence for finding in findings if finding.wrong]
+    told = [finding.sentence for finding in findings if finding.identifiable and not finding.wrong]
+    section.sentences += told
+    if unknown := [finding.name for finding in findings if not finding.identifiable]:
+        section.sentences.append(f"The recording cannot tell: {join(unknown)}.")
 
 
 def _overview(recording: SkinRecording) -> Figure:

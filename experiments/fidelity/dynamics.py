@@ -36,6 +36,7 @@ MIN_REPEATS = 30
 MIN_STROKE_ROWS = 12
 MIN_TURNS = 2  # strokes that go in and come out
 HELD_M, HELD_S = 0.02e-3, 0.5  # a held depth changes by less, for longer
+SMALLEST_UT = 1e-9
 SURE = 3.0  # standard errors
 SLOPE_ROWS = 200  # on which the ceiling of a location is told
 GRADIENT_STEP = 0.1e-3  # m
@@ -255,7 +256,9 @@ def _hysteresis(recording: SkinRecording, section: Section, rows: list[list[str]
         if min(deepest, len(stroke.load) - deepest) < MIN_STROKE_ROWS // 3:
             continue
         signal = _along_largest(stroke.readings)
-        height = np.ptp(signal)
+        height = float(np.ptp(signal))
+        if not height:
+            continue
         top = float(np.max(stroke.load))
         low = float(max(np.min(stroke.load[inward]), np.min(stroke.load[outward])))
         at = np.linspace(low + 0.1 * (top - low), top - 0.1 * (top - low), 20)
@@ -299,7 +302,7 @@ def _creep(recording: SkinRecording, section: Section, rows: list[list[str]]) ->
             held = np.flatnonzero((run == number) & deep)
             seconds = stroke.time[held] - stroke.time[held[0]]
             if len(held) >= 4 and np.ptp(stroke.load[held]) < HELD_M and seconds[-1] >= HELD_S:
-                signal = np.linalg.norm(stroke.readings[held], axis=1)
+                signal = np.linalg.norm(stroke.readings[held], axis=1) + SMALLEST_UT
                 growth.append(np.polyfit(np.log10(seconds + 0.1), signal / signal[0], 1)[0])
     if not growth:
         raise CannotTellError(f"No depth is held for {HELD_S:g} s, so that creep is not told.")

@@ -213,7 +213,14 @@ def _figure(told: dict[str, dict[str, HeadTest]]) -> Figure:
         d = both.shape[1] // 2
         if kind.yes_no:
             for answer, colour in ((0, style.GREY), (1, style.BLUE)):
-                axes.hist(both[both[:, 0].round() == answer, 1], 20, (0, 1), color=colour, alpha=0.6, label=f"{answer}")
+                axes.hist(
+                    both[both[:, 0].round() == answer, 1],
+                    bins=20,
+                    range=(0, 1),
+                    color=colour,
+                    alpha=0.6,
+                    label=f"{answer}",
+                )
             axes.set(xlabel=f"probability of {target}", ylabel="rows", title=target)
             axes.legend(title="truth")
         else:

@@ -34,11 +34,21 @@ class Section:
     figures: dict[str, Figure] = field(default_factory=dict)
 
     def part(self, work: Callable[[], None]) -> None:
-        """Do a part of the section; what the recording cannot support becomes a sentence."""
+        """Do a part of the section; what the recording cannot support, or what fails, becomes a sentence."""
         try:
             work()
         except CannotTellError as error:
-            self.sentences.append(str(error))
+            if str(error) not in self.sentences:
+                self.sentences.append(str(error))
+        except Exception as error:  # as in `written`
+            self.failed(error)
+
+    def failed(self, error: Exception) -> None:
+        """Say what failed, here and where programs are told of."""
+        said = f"a part failed with {type(error).__name__}: {error}"
+        self.sentences.append(said)
+        self.numbers.setdefault("failures", []).append(said)
+        traceback.print_exc(file=sys.stderr)
 
 
 def written(title: str, work: Callable[[Section], None]) -> Section:
@@ -51,8 +61,7 @@ def written(title: str, work: Callable[[Section], None]) -> Section:
         section.sentences.append(str(error))
     except Exception as error:  # the report is of recordings that nobody has seen: one part never costs the others
         section.status = "failed"
-        section.sentences.append(f"this part failed with {type(error).__name__}: {error}")
-        traceback.print_exc(file=sys.stderr)
+        section.failed(error)
     return section
 
 

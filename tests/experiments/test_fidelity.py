@@ -1,0 +1,324 @@
+"""The fidelity report on recordings of every kind and in every state: it says what it can, and never falls over."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import random_touches
+from helpers.skin_presses import presses_of_a_skin
+
+from experiments.fidelity import curves, describe, dynamics, heads, run
+from experiments.fidelity.config import FidelityPreset
+from experiments.fidelity.forward import explained_share, left_out, nearest_presses, press_set, simple_gp
+from experiments.fidelity.sections import CannotTellError, Section, written
+from i2t import dataset as data
+from i2t.calibration.heads import HeadBudget, SkinRecording, from_dataset, load_head
+
+TINY = FidelityPreset(
+    counts=(5,), draws=1, test_rows=15, forward_rows=40, heads=HeadBudget(selection_rows=40, known_rows=60, rows=80)
+)
+SKIN = presses_of_a_skin(90)
+PARTS = ("What it is", "Checks", "Noise and drift", "Hysteresis, creep and memory", "Ceilings", "Calibration curves")
+
+
+def _targets(**changed):
+    return {name: values for name, values in {**SKIN.targets, **changed}.items() if values is not None}
+
+
+def _stream(n=240, strokes=6, channels=15):
+    """Strokes in and out at one place, with a force that is read every other row."""
+    rng = np.random.default_rng(0)
+    phase = np.linspace(0, np.pi, n // strokes)
+    depth = np.tile(3e-3 * np.sin(phase) ** 2, strokes)
+    inward = np.tile(phase < np.pi / 2, strokes)
+    signal = (depth / 3e-3) ** 1.5 * np.where(inward, 1.0, 1.06)
+    readings = 200 * signal[:, None] * rng.normal(size=channels) + rng.normal(size=(n, channels))
+    force = np.where(np.arange(n) % 2, np.nan, 1e6 * depth**2)
+    force[depth < 1e-4] = 0
+    session = np.repeat(np.arange(strokes), n // strokes)
+    return SkinRecording(
+        name="stream",
+        readings=readings,
+        targets={
+            "position": np.zeros((n, 2)),
+            "depth": depth[:, None],
+            "force": force[:, None],
+            "contact": np.where(force > 0.1, 1.0, np.where(force < 0.02, 0.0, np.nan))[:, None],
+        },
+        session=session,
+        time=0.05 * np.arange(n) + 2.0 * session,
+        baseline=np.linspace(0, 30, n)[:, None] * np.ones(channels),
+    )
+
+
+def _touched_objects():
+    return from_dataset(random_touches.make(60, pixels=8), "objects")[0]
+
+
+HOSTILE = {
+    "as it is": SKIN,
+    "one height": replace(SKIN, targets=_targets(depth=np.full((90, 1), 2e-3))),
+    "nothing but positions": replace(SKIN, targets=_targets(depth=None)),
+    "force without depth": replace(SKIN, targets=_targets(depth=None, force=1e3 * SKIN.targets["depth"])),
+    "forces that pull": replace(SKIN, targets=_targets(depth=None, force=-1e3 * SKIN.targets["depth"])),
+    "nothing but readings": replace(SKIN, targets={}),
+    "no position": replace(SKIN, targets=_targets(position=None)),
+    "one chip": presses_of_a_skin(90, channels=3),
+    "two boards": presses_of_a_skin(90, channels=30),
+    "20 presses": SKIN.rows(slice(20)),
+    "one press": SKIN.rows(slice(1)),
+    "a dead channel": replace(SKIN, readings=SKIN.readings * (np.arange(15) != 4)),
+    "a dead board": replace(SKIN, readings=np.zeros_like(SKIN.readings)),
+    "rows that are one": replace(SKIN, readings=np.tile(SKIN.readings[:1], (90, 1)), targets=_targets()),
+    "the same press again and again": SKIN.rows(np.zeros(60, int)),
+    "enormous values": replace(SKIN, readings=1e7 * SKIN.readings),
+    "one value of a channel enormous": replace(SKIN, readings=SKIN.readings + 1e8 * np.eye(90, 15)),
+    "depths known of a few": replace(
+        SKIN, targets=_targets(depth=np.where(np.arange(90)[:, None] % 9 == 0, SKIN.targets["depth"], np.nan))
+    ),
+    "a line": replace(SKIN, targets=_targets(position=SKIN.targets["position"] * [1, 0])),
+    "times that stand still": replace(SKIN, time=np.zeros(90)),
+    "every row a session": replace(SKIN, session=np.arange(90)),
+    "a stream": _stream(),
+    "a stream of one chip": _stream(channels=3),
+    "a stream without air": _stream().rows(np.flatnonzero(_stream().targets["depth"][:, 0] > 1e-3)),
+    "objects with views": _touched_objects(),
+}
+FAST = ("as it is", "one height", "nothing but readings", "one press", "a dead board", "a stream")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in FAST else pytest.mark.full) for name in HOSTILE]
+)
+def test_no_part_fails_whatever_the_recording(name):
+    recording = HOSTILE[name]
+    sections = list(run.sections_of(recording, TINY, 0))
+    assert [section.title for section in sections][: len(PARTS)] == list(PARTS)
+    failed = {section.title: section.numbers.get("failures") for section in sections if section.numbers.get("failures")}
+    assert not failed
+    for section in sections:
+        assert section.status in ("told", "cannot tell")
+        assert section.sentences or section.tables
+    assert sections[0].status == "told"
+    json.dumps([section.numbers for section in sections], default=str)
+
+
+def test_what_a_recording_cannot_support_is_said(tmp_path):
+    told = {section.title: section for section in run.sections_of(HOSTILE["nothing but readings"], TINY, 0)}
+    assert told["Calibration curves"].status == told["Heads"].status == "cannot tell"
+    assert "Neither position nor load" in told["Calibration curves"].sentences[0]
+    (sentence,) = (s for s in told["Heads"].sentences if s.startswith("No head for force"))
+    assert "does not know force" in sentence
+
+
+def test_the_report_is_one_file_with_its_pictures(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(run, "fidelity_preset", lambda args: TINY)
+    table = tmp_path / "mine <b>.csv"
+    header = "x_mm,y_mm,depth_mm," + ",".join(f"b{i}{axis}_uT" for i in range(5) for axis in "xyz")
+    rows = np.column_stack([1e3 * SKIN.targets["position"], 1e3 * SKIN.targets["depth"], SKIN.readings])
+    np.savetxt(table, rows, delimiter=",", header=header, comments="")
+    other = tmp_path / "other.csv"
+    np.savetxt(other, rows[::-1], delimiter=",", header=header, comments="")
+    args = ["--dataset", str(table), str(other), "--out", str(tmp_path / "out")]
+    assert run.main(args) == 0
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert page.count("data:image/png;base64,") >= 8
+    assert 'src="http' not in page
+    assert "<b>" not in page
+    assert "mine &lt;b&gt;" in page
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["source"] == ["real"]
+    assert set(metrics["recordings"]) == {"mine <b>", "other", "Across sessions"}
+    r2 = metrics["recordings"]["mine <b>"]["Calibration curves"]["r2"]
+    assert {"random presses", "later in time"} <= set(r2)
+    assert set(r2["random presses"]) == {"mean reading", "k nearest presses", "plain Gaussian process", "i2t.calibrate"}
+    across = metrics["recordings"]["Across sessions"]["What one session says of another"]["r2"]
+    assert across["mine <b> -> other"]["as it is"] > 0.9  # they are the same presses
+    capsys.readouterr()
+    assert run.main(args) not in (0, None)
+    assert "finished run" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("args", [[], ["--dataset", "nowhere"], ["--dataset", "x", "--simulated-skins", "1"]])
+def test_a_command_line_that_names_no_recording_is_refused(args, tmp_path, capsys):
+    assert run.main([*args, "--out", str(tmp_path / "out")]) not in (0, None)
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_part_that_fails_costs_no_other(capsys):
+    def broken(section):
+        section.sentences.append("so far")
+        raise ZeroDivisionError("by nothing")
+
+    section = written("title", broken)
+    assert section.status == "failed"
+    assert section.sentences[0] == "so far"
+    assert "ZeroDivisionError: by nothing" in section.numbers["failures"][0]
+    assert "Traceback" in capsys.readouterr().err
+
+    def silent(section):
+        raise CannotTellError("There is nothing.")
+
+    assert written("title", silent).sentences == ["There is nothing."]
+
+
+def test_mistakes_that_were_put_in_are_found():
+    def found(recording):
+        section = Section("Checks")
+        describe.check(recording, section)
+        assert "failures" not in section.numbers
+        return section.numbers
+
+    sound = found(SKIN)
+    assert sound["warnings"] == []
+    dead = found(HOSTILE["a dead channel"])
+    assert dead["constant_channels"] == [4]
+    pulled = found(HOSTILE["forces that pull"])
+    assert pulled["negative_force_share"] == 1
+    assert any("sign" in sentence for sentence in pulled["warnings"])
+    copied = SKIN.readings.copy()
+    copied[:, 7] = copied[:, 2]
+    assert found(replace(SKIN, readings=copied))["equal_channels"] == [(2, 7)]
+    step = 0.3
+    steps = np.round(SKIN.readings / step)
+    steps[40:, 5] += np.where(np.arange(40, 90) % 2, 65536, 0)
+    assert found(replace(SKIN, readings=step * steps))["wrapped_channels"] == [5]
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1.0, "uT"), (1e-3, "mT"), (0.01, "gauss")])
+def test_the_unit_is_told_from_the_steps(factor, unit):
+    steps = np.tile([0.300 * 4, 0.300 * 4, 0.484 * 4], 5)
+    big = presses_of_a_skin(400)
+    section = Section("What it is")
+    values = np.round(big.readings / steps) * steps
+    describe.describe(replace(big, readings=factor * values), section)
+    if factor < 0.01:
+        assert section.numbers.get("unit") in (unit, None)
+    else:
+        assert section.numbers["unit"] == unit
+    if unit != "uT" and "unit" in section.numbers:
+        assert any("multiply" in sentence for sentence in section.sentences)
+
+
+def test_noise_and_hysteresis_are_measured_as_put_in():
+    stream = _stream(600, 6)
+    told = {section.title: section for section in run.sections_of(stream, replace(TINY, forward_rows=100), 0)}
+    noise = told["Noise and drift"].numbers
+    assert noise["noise"]["xy_uT"] == pytest.approx(1.0, abs=0.25)
+    assert noise["drift"]["median_uT"] == pytest.approx(27, abs=1.5)
+    loops = told["Hysteresis, creep and memory"].numbers["hysteresis"]["loop_share"]
+    assert len(loops) == 6
+    # Outwards it reads 1.06 times as much: over the middle of the range some 3 % of the height.
+    assert 0.015 < np.mean(loops) < 0.05
+
+
+def test_the_ceiling_is_that_of_the_noise_put_in():
+    rng = np.random.default_rng(0)
+    once = presses_of_a_skin(120, noise_ut=0)
+    twice = once.rows(np.tile(np.arange(120), 2))
+    noisy = replace(twice, readings=twice.readings + 4.0 * rng.normal(size=twice.readings.shape))
+    section = Section("Ceilings")
+    dynamics.ceilings(noisy, replace(TINY, forward_rows=200), section)
+    total = np.mean(np.sum((noisy.readings - noisy.readings.mean(0)) ** 2, axis=1))
+    assert section.numbers["r2_ceiling"] == pytest.approx(1 - 15 * 4.0**2 / total, abs=0.3 * 15 * 4.0**2 / total)
+    assert section.numbers["r2_plain_gp_leave_one_out"] < section.numbers["r2_ceiling"]
+    assert section.numbers["bounds"]["position"]["median"] > 0
+
+
+def test_one_chip_that_remembers_is_named():
+    big = presses_of_a_skin(300)
+    readings = big.readings.copy()
+    readings[1:, 6:9] += 0.3 * big.readings[:-1, 6:9]
+    section = Section("memory")
+    dynamics.memory(replace(big, readings=readings), replace(TINY, forward_rows=300), section)
+    kept = section.numbers["memory"]["by_chip"]
+    assert int(np.argmax(np.abs(kept))) == 2
+    assert kept[2] == pytest.approx(0.3, abs=0.06)
+    assert section.numbers["memory"]["beyond_chance"][2]
+
+
+def test_the_baselines_predict_a_smooth_skin():
+    presses = press_set(presses_of_a_skin(200))
+    known, test = np.arange(150), np.arange(150, 200)
+    near = explained_share(presses.readings[test], nearest_presses(presses, known, test))
+    smooth = explained_share(presses.readings[test], simple_gp(presses, known, test))
+    assert 0.5 < near < smooth
+    assert smooth > 0.97
+    rows, predicted = left_out(presses, 150)
+    assert explained_share(presses.readings[rows], predicted) > 0.95
+    np.testing.assert_allclose(presses.readings[rows], presses.readings[rows])
+
+
+def test_what_is_held_out_is_never_learnt_from():
+    presses = press_set(SKIN)
+    for pool, test in curves.hold_out_presses(presses, TINY, 0).values():
+        assert not set(pool) & set(test)
+    rows = heads.held_out_rows(SKIN, 0.2, 0)
+    assert set(rows) == {heads.RANDOM_SPLIT, heads.GROUP_SPLIT, heads.LATER_SPLIT}
+    assert rows[heads.LATER_SPLIT].tolist() == [False] * 72 + [True] * 18
+    masked = heads._told_of(SKIN, "depth", np.arange(10))
+    assert masked.known("depth").sum() == 10
+    assert SKIN.known("depth").all()
+
+
+def test_area_under_the_curve_and_calibration_error_are_those_of_scikit_learn():
+    from sklearn.metrics import roc_auc_score
+
+    rng = np.random.default_rng(0)
+    score, yes = rng.integers(0, 9, 200) / 9, rng.uniform(size=200) < 0.4
+    assert heads.area_under_curve(score, yes) == pytest.approx(roc_auc_score(yes, score))
+    assert np.isnan(heads.area_under_curve(score, np.ones(200, bool)))
+    assert heads.calibration_error(np.full(200, 0.9), np.arange(200) < 180) == pytest.approx(0)
+    assert heads.calibration_error(np.full(200, 0.9), np.arange(200) < 20) == pytest.approx(0.8)
+
+
+def test_heads_are_fitted_by_one_command(tmp_path, capsys):
+    from experiments.calibrate import run as calibrate
+
+    data.save_dataset(tmp_path / "set.h5", random_touches.make(6, pixels=8))
+    args = ["--dataset", str(tmp_path / "set.h5"), "--targets", "colour", "--out", str(tmp_path / "out")]
+    assert calibrate.main(args) not in (0, None)
+    assert "is no target" in capsys.readouterr().err
+    header = "x_mm,y_mm,depth_mm," + ",".join(f"b{i}{axis}_uT" for i in range(5) for axis in "xyz")
+    rows = np.column_stack([1e3 * SKIN.targets["position"], 1e3 * SKIN.targets["depth"], SKIN.readings])
+    np.savetxt(tmp_path / "mine.csv", rows, delimiter=",", header=header, comments="")
+    args = ["--dataset", str(tmp_path / "mine.csv"), "--targets", "position", "--preset", "debug"]
+    args += ["--out", str(tmp_path / "heads")]
+    assert calibrate.main(args) == 0
+    head = load_head(tmp_path / "heads" / "position.npz")
+    told = head.predict(SKIN.readings)
+    assert np.median(np.linalg.norm(told.mean - SKIN.targets["position"], axis=1)) < 1e-3
+    tests = json.loads((tmp_path / "heads" / "metrics.json").read_text())["heads"]["position"]
+    assert tests["random rows"]["kept"]["rmse"] < tests["random rows"]["baselines"]["linear"]["rmse"]
+
+
+@pytest.mark.full
+def test_slides_of_a_simulated_skin_have_forces_and_slip():
+    from experiments.fidelity.slides import STROKE_ROWS, simulated_slides
+
+    recording = simulated_slides(0, 8)
+    force, shear = recording.targets["force"][:, 0], np.linalg.norm(recording.targets["shear"], axis=1)
+    slip, touched = recording.targets["slip"][:, 0] == 1, force > 0
+    assert len(recording) == 8 * STROKE_ROWS
+    assert 0 < slip.sum() < len(slip)
+    # Where all of the contact slips, the force is friction times the normal one, another one for each stroke.
+    for stroke in range(8):
+        own = slip & (recording.session == stroke)
+        if own.sum() > 1:
+            ratio = shear[own] / force[own]
+            np.testing.assert_allclose(ratio, ratio[0], rtol=2e-2)
+            stuck = touched & ~slip & (recording.session == stroke)
+            assert (shear[stuck] / force[stuck] <= 1.01 * ratio[0]).all()
+    air = np.linalg.norm(recording.readings[~touched], axis=1)
+    assert np.median(np.linalg.norm(recording.readings[touched], axis=1)) > 2 * np.median(air)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("session", ["spatial", "normal", "shear"])
+def test_the_report_of_a_real_session(session, shared_data, tmp_path):
+    args = ["--dataset", str(shared_data / "eflesh" / session), "--preset", "debug", "--out", str(tmp_path / "out")]
+    assert run.main(args) == 0
+    for chapter in json.loads((tmp_path / "out" / "metrics.json").read_text())["recordings"].values():
+        assert all(section["status"] != "failed" and "failures" not in section for section in chapter.values())
