@@ -75,7 +75,7 @@ def rounded_press(
     pad: Pad, height: Float[Array, "n n"], indentation: Float[Array, ""] | float, grid: Grid = GRID
 ) -> Press:
     """A press on a surface whose edges are rounded, as if a ball of EDGE_RADIUS_M had rolled inside it everywhere."""
-    return press_pad(pad, opened_by_ball(height, EDGE_RADIUS_M, grid.spacing), indentation, grid)
+    return press_pad(pad, opened_by_ball(height, EDGE_RADIUS_M, grid.spacing), indentation, grid=grid)
 
 
 def opened_by_ball(height: Float[Array, "n n"], radius: float, spacing: float) -> Float[Array, "n n"]:

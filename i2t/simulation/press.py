@@ -22,7 +22,7 @@ from i2t.skin.pad import Press
 from i2t.skin.pad import press as press_pad
 from i2t.types import STANDOFF, Pad, ReturnCode
 
-PressLaw = Callable[..., Press]  # (pad, height, indentation, grid) to a press, as `i2t.skin.pad.press`
+PressLaw = Callable[..., Press]  # (pad, height, indentation, *, grid) to a press, as `i2t.skin.pad.press`
 SCAN_START_FRACTION = 0.005  # of the deepest indentation, where the search begins
 
 
@@ -78,48 +78,19 @@ def press_to_stop(
     stride = -math.log(SCAN_START_FRACTION) / (limits.scan - 1)
 
     def try_next(_: Int[Array, ""], state: _Bracket) -> _Bracket:
-        """Stride towards the deepest until the excess turns positive, then close in on the root; one press for each."""
-        secant = state.low - state.f_low * (state.high - state.low) / (state.f_high - state.f_low)
-        x = jnp.where(state.found, secant, jnp.minimum(state.low + stride, deepest))
-        press = law(pad, height, jnp.exp(x), GRID)
-        skin = jnp.linalg.norm(press.reading) / limits.skin_change
-        wrench = press.force / limits.force
-        f = jnp.log(jnp.maximum(jnp.maximum(skin, wrench) / (1 + overshoot), 1e-6))
-        above = f >= 0
-        # Anderson and Bjorck: shrink the value at an end that stays twice in a row, so that it cannot stay for ever.
-        shrunk = 1 - f / jnp.where(above, state.f_high, state.f_low)
-        kept = jnp.where(state.found & (above == state.above), jnp.where(shrunk > 0, shrunk, 0.5), 1.0)
-        return _Bracket(
-            low=jnp.where(above, state.low, x),
-            f_low=jnp.where(above, kept * state.f_low, f),
-            high=jnp.where(above, x, state.high),
-            f_high=jnp.where(above, f, kept * state.f_high),
-            above=above,
-            found=state.found | above,
-            stop=PressResult(
-                jnp.exp(x), press.force, press.reading, jnp.where(skin >= wrench, ReturnCode.SKIN, ReturnCode.WRENCH)
-            ),
-        )
+        """One press at the next trial."""
+        x = _next_trial(state, stride, deepest)
+        excess, stop = _try(pad, height, x, limits, overshoot=overshoot, law=law)
+        return _narrowed(state, x, excess, stop)
 
-    nothing = PressResult(
-        jnp.zeros(()), jnp.zeros(()), jnp.zeros(pad.board.num_readings), jnp.asarray(ReturnCode.UNDEFINED)
-    )
-    no = jnp.asarray(False)
-    # A crossing in the first stride is sought as if the excess grew in proportion to the indentation below it.
-    start = _Bracket(
-        low=deepest - limits.scan * stride,
-        f_low=jnp.asarray(-stride),
-        high=deepest,
-        f_high=jnp.ones(()),
-        above=no,
-        found=no,
-        stop=nothing,
-    )
+    start = _unbracketed(deepest, stride, limits.scan, pad.board.num_readings)
     end = jax.lax.fori_loop(0, limits.scan + limits.refine, try_next, start)
     return end.stop._replace(code=jnp.where(end.found, end.stop.code, ReturnCode.UNDEFINED))
 
 
 class _Bracket(NamedTuple):
+    """What is known of the crossing: two trials around it, of which the upper one is a guess until it is found."""
+
     low: Array  # log indentation below the crossing
     f_low: Array
     high: Array  # and above it, once found
@@ -127,3 +98,63 @@ class _Bracket(NamedTuple):
     above: Array  # whether the last trial was
     found: Array
     stop: PressResult  # at the last trial
+
+
+def _unbracketed(deepest: Array, stride: float, scan: int, channels: int) -> _Bracket:
+    """Before the first trial: a crossing in the first stride is sought as if the excess grew in proportion to the
+    indentation below it.
+    """
+    no = jnp.asarray(False)
+    nothing = PressResult(jnp.zeros(()), jnp.zeros(()), jnp.zeros(channels), jnp.asarray(ReturnCode.UNDEFINED))
+    return _Bracket(
+        low=deepest - scan * stride,
+        f_low=jnp.asarray(-stride),
+        high=deepest,
+        f_high=jnp.ones(()),
+        above=no,
+        found=no,
+        stop=nothing,
+    )
+
+
+def _next_trial(state: _Bracket, stride: float, deepest: Array) -> Array:
+    """The log indentation to try: a stride further until the crossing is bracketed, then where the secant is zero."""
+    secant = state.low - state.f_low * (state.high - state.low) / (state.f_high - state.f_low)
+    return jnp.where(state.found, secant, jnp.minimum(state.low + stride, deepest))
+
+
+def _try(
+    pad: Pad,
+    height: Float[Array, "g g"],
+    x: Array,
+    limits: PressLimits,
+    *,
+    overshoot: Float[Array, ""] | float,
+    law: PressLaw,
+) -> tuple[Array, PressResult]:
+    """A press at the log indentation x: its excess over the limits (a logarithm, positive beyond them), and its end."""
+    press = law(pad, height, jnp.exp(x), grid=GRID)
+    skin = jnp.linalg.norm(press.reading) / limits.skin_change
+    wrench = press.force / limits.force
+    excess = jnp.log(jnp.maximum(jnp.maximum(skin, wrench) / (1 + overshoot), 1e-6))
+    code = jnp.where(skin >= wrench, ReturnCode.SKIN, ReturnCode.WRENCH)
+    return excess, PressResult(jnp.exp(x), press.force, press.reading, code)
+
+
+def _narrowed(state: _Bracket, x: Array, f: Array, stop: PressResult) -> _Bracket:
+    """The bracket after a trial at x whose excess is f.
+
+    Anderson and Bjorck: the value at an end that stays twice in a row is shrunk, so that it cannot stay for ever.
+    """
+    above = f >= 0
+    shrunk = 1 - f / jnp.where(above, state.f_high, state.f_low)
+    kept = jnp.where(state.found & (above == state.above), jnp.where(shrunk > 0, shrunk, 0.5), 1.0)
+    return _Bracket(
+        low=jnp.where(above, state.low, x),
+        f_low=jnp.where(above, kept * state.f_low, f),
+        high=jnp.where(above, x, state.high),
+        f_high=jnp.where(above, f, kept * state.f_high),
+        above=above,
+        found=state.found | above,
+        stop=stop,
+    )

@@ -329,7 +329,7 @@ def _press(
         heights = render_heights(surface, geometry.inverse(approach.T_o_t), PAD_WINDOW, limits.final.cells)
         nearest = jnp.min(heights)
         deeper = stop.indentation + met.nearest - nearest  # the finer grid may see a nearer point
-        press = law(pad, heights - nearest, deeper, limits.final)
+        press = law(pad, heights - nearest, deeper, grid=limits.final)
         stop = stop._replace(force=press.force, reading=press.reading)
     slide = errors.slant * stop.indentation * slant
     friction = friction_response(pad, met.depth, stop.indentation, slide)
