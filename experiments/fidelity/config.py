@@ -13,8 +13,8 @@ class FidelityPreset:
     """How much is tried."""
 
     counts: tuple[int, ...] = (5, 10, 20, 50, 100, 300)  # presses to calibrate with
-    draws: int = 10  # of them
-    method_seconds: float = 90.0  # of one method's curve, after which it gets no further draw
+    draws: int = 5  # of them
+    method_seconds: float = 150.0  # of one method's curves, after which it gets no further draw
     test_rows: int = 1000  # on which curves are scored
     forward_rows: int = 1200  # of the model by which noise and memory are told from the press
     block_mm: float = 6.0

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from functools import partial
+from itertools import product
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -42,14 +43,11 @@ def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: i
     if not counts:
         raise CannotTellError(f"{len(presses.load)} presses leave fewer than {min(preset.counts)} to calibrate with.")
     section.numbers |= {"load": presses.load_name, "r2": {}, "held_out": {n: len(t) for n, (_, t) in splits.items()}}
-    seconds: dict[str, float] = dict.fromkeys(methods, 0.0)
-    for split, (pool, test) in splits.items():
-        curves = _curves(
-            presses, methods, pool, test, counts=counts, preset=preset, seed=seed, seconds=seconds, section=section
-        )
+    scores = _curves(presses, methods, splits, counts=counts, preset=preset, seed=seed, section=section)
+    for split, curves in scores.items():
         section.numbers["r2"][split] = curves
         header = ["R2, mean of the draws [95 %]", *(str(n) for n in counts)]
-        section.tables[f"held out: {split} ({len(test)} presses)"] = [
+        section.tables[f"held out: {split} ({len(splits[split][1])} presses)"] = [
             header,
             *([name, *(_interval_cell(by_count.get(n)) for n in counts)] for name, by_count in curves.items()),
         ]
@@ -123,38 +121,40 @@ def by_calibrate(recording: SkinRecording) -> ForwardMethod:
 def _curves(
     presses: PressSet,
     methods: dict[str, ForwardMethod],
-    pool: np.ndarray,
-    test: np.ndarray,
+    splits: dict[str, tuple[np.ndarray, np.ndarray]],
     *,
     counts: Sequence[int],
     preset: FidelityPreset,
     seed: int,
-    seconds: dict[str, float],
     section: Section,
-) -> dict[str, dict[int, dict[str, float]]]:
-    """Mean R2 and its interval by method and count; a method that is over its time gets no further draw, and one that
-    fails says so.
+) -> dict[str, dict[str, dict[int, dict[str, float]]]]:
+    """Mean R2 and its interval by split, method and count. A method that is over its time gets no further draw, and one
+    that fails says so.
     """
-    values: dict[str, dict[int, list[float]]] = {name: {} for name in methods}
-    for draw in range(preset.draws):
-        order = np.random.default_rng((seed, draw)).permutation(pool)
-        for name, method in methods.items():
-            if draw and seconds[name] > preset.method_seconds:
-                continue
-            began = time.perf_counter()
-            for n in counts:
-                if n > len(order):
-                    continue
+    values: dict[str, dict[str, dict[int, list[float]]]] = {s: {name: {} for name in methods} for s in splits}
+    seconds = dict.fromkeys(methods, 0.0)
+    for draw, (name, method) in product(range(preset.draws), methods.items()):
+        began = time.process_time()
+        if draw and seconds[name] > preset.method_seconds:
+            continue
+        for split, (pool, test) in splits.items():
+            order = np.random.default_rng((seed, draw)).permutation(pool)
+            for n in (count for count in counts if count <= len(order)):
                 try:
                     predicted = method(presses, order[:n], test)
                 except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
                     said = f"{name} cannot be fitted to {n} presses: {error}."
                     section.sentences += [] if said in section.sentences else [said]
                     continue
-                values[name].setdefault(n, []).append(explained_share(presses.readings[test], predicted))
-            seconds[name] += time.perf_counter() - began
+                r2 = explained_share(presses.readings[test], predicted)
+                values[split][name].setdefault(n, []).append(r2)
+        seconds[name] += time.process_time() - began
     return {
-        name: {n: {"draws": len(r2), **_summary(r2)} for n, r2 in by_count.items()} for name, by_count in values.items()
+        split: {
+            name: {n: {"draws": len(r2), **_summary(r2)} for n, r2 in by_count.items()}
+            for name, by_count in by_method.items()
+        }
+        for split, by_method in values.items()
     }
 
 
