@@ -140,6 +140,7 @@ class DeviceContext:
 
             _, process = self.emulated_board
             model = BoardPublishingContactModel(self.scene, lab.board_address(process), wait=True)
+            self.stack.callback(model.close)
         return SimulatedLab(self.scene, self.clock, seed=self.config.world.seed, contact_model=model)
 
     @cached_property

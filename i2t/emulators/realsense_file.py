@@ -9,7 +9,7 @@ What it cannot show is what only a camera does: USB, exposure, and times on the 
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -52,19 +52,8 @@ def write(
         (rs.camera_info.product_line, "D400"),
     ):
         device.register_info(info, text)
-    depth, colour = device.add_sensor("Stereo Module"), device.add_sensor("RGB Camera")
-    depth.add_read_only_option(rs.option.depth_units, unit)
-    streams = [
-        sensor.add_video_stream(_stream(rs, camera, kind, uid=uid, form=form, size=size, rate=rate), True)
-        for sensor, kind, uid, form, size in (
-            (depth, rs.stream.depth, 1, rs.format.z16, 2),
-            (colour, rs.stream.color, 2, rs.format.rgb8, 3),
-        )
-    ]
-    T = np.eye(4) if T_depth_colour is None else np.linalg.inv(T_depth_colour)
-    apart = rs.extrinsics()
-    apart.rotation, apart.translation = T[:3, :3].ravel(order="F").tolist(), T[:3, 3].tolist()
-    streams[0].register_extrinsics_to(streams[1], apart)
+    channels = _channels(rs, device, camera, unit=unit, rate=rate)
+    _register_extrinsics(rs, channels, np.eye(4) if T_depth_colour is None else T_depth_colour)
 
     recorder, queue = rs.recorder(str(path), device), rs.frame_queue(4)
     recorded = recorder.query_sensors()
@@ -72,22 +61,59 @@ def write(
         sensor.open(sensor.get_stream_profiles()[0])
         sensor.start(queue)
     for number, view in enumerate(views):
-        units = np.nan_to_num(np.round(np.asarray(view.depth, float) / unit), nan=0.0).astype(np.uint16)
-        seen = np.zeros((*units.shape, 3), np.uint8) if view.colour is None else view.colour
-        for sensor, stream, pixels in ((depth, streams[0], units), (colour, streams[1], seen)):
-            frame = rs.software_video_frame()
-            frame.pixels = np.ascontiguousarray(pixels)
-            frame.bpp = pixels.itemsize * (pixels.shape[2] if pixels.ndim == 3 else 1)
-            frame.stride = frame.bpp * camera.width
-            frame.timestamp, frame.domain = 1e3 * number / rate, rs.timestamp_domain.hardware_clock
-            frame.frame_number, frame.profile = number + 1, stream.as_video_stream_profile()
-            if sensor is depth:
+        for channel, pixels in zip(channels, _images(view, unit), strict=True):
+            frame = _frame(rs, pixels, channel.stream, number=number, rate=rate)
+            if channel is channels[0]:
                 frame.depth_units = unit
-            sensor.on_video_frame(frame)
+            channel.sensor.on_video_frame(frame)
         time.sleep(1 / rate)  # the file's own times are those of the writing
     for sensor in recorded:
         sensor.stop()
         sensor.close()
+
+
+class _Channel(NamedTuple):
+    """A sensor of the software device, and the stream of its images."""
+
+    sensor: Any
+    stream: Any
+
+
+def _channels(rs: Any, device: Any, camera: Camera, *, unit: float, rate: int) -> tuple[_Channel, _Channel]:
+    """Depth and colour."""
+    depth, colour = device.add_sensor("Stereo Module"), device.add_sensor("RGB Camera")
+    depth.add_read_only_option(rs.option.depth_units, unit)
+    depths = depth.add_video_stream(
+        _stream(rs, camera, rs.stream.depth, uid=1, form=rs.format.z16, size=2, rate=rate), True
+    )
+    colours = colour.add_video_stream(
+        _stream(rs, camera, rs.stream.color, uid=2, form=rs.format.rgb8, size=3, rate=rate), True
+    )
+    return _Channel(depth, depths), _Channel(colour, colours)
+
+
+def _register_extrinsics(rs: Any, channels: tuple[_Channel, _Channel], T_depth_colour: Array) -> None:
+    """Say where the colour camera stands in the depth camera."""
+    T, extrinsics = np.linalg.inv(T_depth_colour), rs.extrinsics()
+    extrinsics.rotation, extrinsics.translation = T[:3, :3].ravel(order="F").tolist(), T[:3, 3].tolist()
+    channels[0].stream.register_extrinsics_to(channels[1].stream, extrinsics)
+
+
+def _images(view: View, unit: float) -> tuple[np.ndarray, np.ndarray]:
+    """Depth in units, 0 where nothing was measured, and colour, black where there is none."""
+    units = np.nan_to_num(np.round(np.asarray(view.depth, float) / unit), nan=0.0).astype(np.uint16)
+    return units, np.zeros((*units.shape, 3), np.uint8) if view.colour is None else view.colour
+
+
+def _frame(rs: Any, pixels: np.ndarray, stream: Any, *, number: int, rate: int) -> Any:
+    """An image as the SDK hands it on."""
+    frame = rs.software_video_frame()
+    frame.pixels = np.ascontiguousarray(pixels)
+    frame.bpp = pixels.itemsize * (pixels.shape[2] if pixels.ndim == 3 else 1)
+    frame.stride = frame.bpp * pixels.shape[1]
+    frame.timestamp, frame.domain = 1e3 * number / rate, rs.timestamp_domain.hardware_clock
+    frame.frame_number, frame.profile = number + 1, stream.as_video_stream_profile()
+    return frame
 
 
 def _stream(rs: Any, camera: Camera, kind: Any, *, uid: int, form: Any, size: int, rate: int) -> Any:

@@ -34,6 +34,10 @@ class BoardPublishingContactModel(ContactModel):
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 
+    def close(self) -> None:
+        """Send no more."""
+        self._socket.close()
+
     def __call__(self, position: Float[Array, "3"], turned: Float[Array, "3 3"]) -> Float[Array, "6"]:
         """Wrench on the tool at a pose.
 

@@ -6,7 +6,7 @@ of them at a time; `run_belief` does so where touches were predicted before. Sit
 (`i2t.recognition.site_pool`). Metres, newtons, microtesla.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple, TypeAlias
@@ -137,40 +137,48 @@ class EpisodeSimulator:
         """
         if (np.asarray(site) < 0).any():
             raise ValueError("an episode has no site to touch: none was chosen")
-        before, n, episodes = len(self.touches), site.shape[1], len(self.truth)
-        keys = jax.vmap(lambda i: jax.random.split(jax.random.fold_in(self.key_touch, i), episodes), out_axes=1)(
-            before + jnp.arange(n)
-        ).reshape(-1)
-        drawn = np.asarray(jax.random.key_data(keys))  # rows of it fill up batches more than once
+        n, episodes = site.shape[1], len(self.truth)
+        keys = self._touch_keys(n)
         episode, where = np.repeat(np.arange(episodes), n), site.reshape(-1)
-        numbers = [(before + i % n, int(episode[i]), int(where[i])) for i in range(len(where))]
+        numbers = [(len(self.touches) + i % n, int(episode[i]), int(where[i])) for i in range(len(where))]
         known = {} if self.made_before is None else self.made_before
         missing = np.array([number not in known for number in numbers])
         done = [(np.array([i]), jax.tree.map(lambda x: x[None], known[numbers[i]])) for i in np.flatnonzero(~missing)]
         if bar is not None:
             bar.update(len(done))
-        for which in range(len(self.surfaces)):
-            rows = np.flatnonzero(missing & (self.truth[episode] == which))
-            for start in range(0, len(rows), OBSERVED_BATCH):
-                some = rows[start : start + OBSERVED_BATCH]
-                done.append((some, self._touch_batch(which, drawn, episode, where, some)))
-                if bar is not None:
-                    bar.update(len(some))
-        order = np.argsort(np.concatenate([rows for rows, _ in done]))
-        made = jax.tree.map(lambda *x: np.concatenate(x)[order], *[part for _, part in done])
+        for rows in self._batches(missing, episode):
+            done.append((rows, self._touch_batch(keys, episode, where, rows)))
+            if bar is not None:
+                bar.update(len(rows))
+        made = _in_order(done)
         if self.made_before is not None:
             self.made_before |= {numbers[i]: jax.tree.map(lambda x, i=i: x[i], made) for i in np.flatnonzero(missing)}
         made = jax.tree.map(lambda x: x.reshape(episodes, n, *x.shape[1:]), made)
         self.touches += [jax.tree.map(lambda x, i=i: x[:, i], made) for i in range(n)]
         self.chosen += list(np.asarray(site).T)
 
-    def _touch_batch(
-        self, which: int, drawn: np.ndarray, episode: np.ndarray, where: np.ndarray, rows: np.ndarray
-    ) -> Touches:
+    def _touch_keys(self, n: int) -> np.ndarray:
+        """Keys of the next n touches of every episode, in the order of episodes, as data: their rows fill up batches
+        more than once.
+        """
+        before, episodes = len(self.touches), len(self.truth)
+        keys = jax.vmap(lambda i: jax.random.split(jax.random.fold_in(self.key_touch, i), episodes), out_axes=1)(
+            before + jnp.arange(n)
+        )
+        return np.asarray(jax.random.key_data(keys.reshape(-1)))
+
+    def _batches(self, missing: np.ndarray, episode: np.ndarray) -> Iterator[np.ndarray]:
+        """Rows of the touches to be made, one object at a time and not too many."""
+        for which in range(len(self.surfaces)):
+            rows = np.flatnonzero(missing & (self.truth[episode] == which))
+            for start in range(0, len(rows), OBSERVED_BATCH):
+                yield rows[start : start + OBSERVED_BATCH]
+
+    def _touch_batch(self, keys: np.ndarray, episode: np.ndarray, where: np.ndarray, rows: np.ndarray) -> Touches:
         """Touches of one object, filled up to a batch so that one compilation serves all."""
-        full = np.resize(rows, OBSERVED_BATCH)
+        full, which = np.resize(rows, OBSERVED_BATCH), int(self.truth[episode[rows[0]]])
         made = _touch_many(
-            drawn[full], self.surfaces[which], self.T_w_site[where[full]], element(self.sessions, episode[full]),
+            keys[full], self.surfaces[which], self.T_w_site[where[full]], element(self.sessions, episode[full]),
             self.pad, errors=self.config.touch_errors, limits=self.config.limits, law=self.config.law,
         )  # fmt: skip
         return jax.tree.map(lambda x: np.asarray(x[: len(rows)]), jax.device_get(made))
@@ -215,6 +223,12 @@ class EpisodeSimulator:
         """
         T = np.stack([touches.T_w_t for touches in self.touches], axis=1)
         return Episodes(self.truth, np.stack(self.chosen, 1), self.observations(), T)
+
+
+def _in_order(parts: Sequence[tuple[np.ndarray, Touches]]) -> Touches:
+    """Touches in the order of the rows that stand beside them."""
+    order = np.argsort(np.concatenate([rows for rows, _ in parts]))
+    return jax.tree.map(lambda *x: np.concatenate(x)[order], *[part for _, part in parts])
 
 
 def run_episodes(

@@ -37,8 +37,8 @@ from i2t.types import ReturnCode
 
 pytestmark = pytest.mark.xdist_group("collect")
 
-# The emulated board and the thread that hears it wait for a core longer than a lab's devices may be silent.
-PATIENT = ["--settings.silence", "2"]
+# The emulated board and the thread that hears it may wait for a core longer than a lab's devices may be silent.
+PATIENT = ["--settings.silence", "2", "--settings.approach", "0.1", "--settings.press", "0.005"]
 
 
 @pytest.fixture(scope="module")
