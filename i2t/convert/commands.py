@@ -62,6 +62,7 @@ def from_imagine2touch(
     camera_mm: float = 1e3 * imagine2touch.CAMERA_OFFSET_M,
     quarter_turns: int = 0,
     tool_forces: bool = False,
+    as_stated: bool = False,
     force: bool = False,
     skip_bad: bool = False,
 ) -> None:
@@ -78,6 +79,7 @@ def from_imagine2touch(
         camera_mm: distance of the camera behind the tool's origin
         quarter_turns: turn images counter-clockwise, until rows run along tool y and columns along tool x
         tool_forces: forces are in the tool's axes, not in the robot base's
+        as_stated: look for no mistake (units, signs, axes) and correct none
         force: replace what an earlier conversion wrote
         skip_bad: leave out sessions and touches that are damaged, and name them
     """
@@ -92,6 +94,7 @@ def from_imagine2touch(
         quarter_turns=quarter_turns,
         tool_forces=tool_forces,
         pad=pad,
+        as_stated=as_stated,
         skip_bad=skip_bad,
     )
     _write(target, converted)
@@ -107,6 +110,7 @@ def from_eflesh(
     centre_mm: tuple[float, float] | None = None,
     pad: str | None = None,
     board: Literal[0, 1] | None = None,
+    as_stated: bool = False,
     force: bool = False,
     skip_bad: bool = False,
 ) -> None:
@@ -118,10 +122,11 @@ def from_eflesh(
         tip_radius_mm: radius of the probe's spherical tip, which the recordings do not state
         window_mm: edge of the square that a patch shows; presses outside it are left out
         reach_mm: patches are clipped to this depth behind the tip's lowest point
-        z0_mm: the robot's z at first contact; by default the session's highest z
+        z0_mm: the robot's z at first contact; by default where readings begin, or else the session's highest z
         centre_mm: the robot's x and y of the skin's centre; by default the middle of the session's range
         pad: one name for the skin of all sessions; by default each session's own
         board: of recordings with two boards, only this one; by default both, as two pads
+        as_stated: look for no mistake (units, signs, lag, height zero, chips) and correct none
         force: replace what an earlier conversion wrote
         skip_bad: leave out rows and sessions that are damaged, and name them
     """
@@ -135,6 +140,7 @@ def from_eflesh(
         centre=None if centre_mm is None else (1e-3 * centre_mm[0], 1e-3 * centre_mm[1]),
         pad=pad,
         board=board,
+        as_stated=as_stated,
         skip_bad=skip_bad,
     )
     _write(target, converted)
@@ -148,6 +154,7 @@ def from_presses(
     window_mm: float = 1e3 * PATCH_WINDOW,
     reach_mm: float = 1e3 * REACH,
     mesh_unit: str = "mm",
+    as_stated: bool = False,
     force: bool = False,
     skip_bad: bool = False,
 ) -> None:
@@ -161,6 +168,7 @@ def from_presses(
         window_mm: edge of the square that a patch shows; presses outside it are left out
         reach_mm: patches are clipped to this depth behind the indenter's lowest point
         mesh_unit: unit of the mesh file: m, cm, mm or inch
+        as_stated: look for no mistake (units, signs, lag, height zero, chips) and correct none
         force: replace what an earlier conversion wrote
         skip_bad: leave out rows that are damaged, and name them
     """
@@ -172,6 +180,7 @@ def from_presses(
         window=1e-3 * window_mm,
         reach=1e-3 * reach_mm,
         mesh_unit=mesh_unit,
+        as_stated=as_stated,
         skip_bad=skip_bad,
     )
     _write(target, converted)

@@ -7,27 +7,35 @@ of the chip in uT, so the unit is very likely uT). Rows of the two tables belong
 
 Frames: the skin is fixed, and its tool frame T is the world's: x and y are the robot's from the centre of the session's
 range, z is up, zero where the press begins. The object O is the probe: origin at the lowest point of its tip, axes as
-T. Nothing in the source states the shape of the tip (a sphere is assumed), the height of first contact, or the centre
-of the skin.
+T. Nothing in the source states the shape of the tip (a sphere is assumed), the height of first contact, how the board
+lies, or the centre of the skin. What the readings tell of these is estimated (`i2t.unknowns`): where presses lie on
+both sides of first contact, depth counts from where readings begin; where all go to one height, depth is unknown.
 """
 
+import json
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from i2t.convert.checked import SessionCheck, check_session
 from i2t.convert.common import ConversionLog, Converted, data_error, read_numbers
 from i2t.convert.presses import sphere, tip_patches
 from i2t.dataset import Dataset, concatenate, missing_context
 from i2t.errors import DataError
 from i2t.skin import boards
-from i2t.types import REACH, ReturnCode, Touches
+from i2t.types import REACH, Board, ReturnCode, Touches
+from i2t.unknowns import RecordedPresses, find_units, findings_to_meta, turn_board
 
 EFLESH_READINGS = 15  # of one board, AnySkin's
 NEWTONS_PER_GRAM = 9.80665e-3  # N, weight of a gram
 TIP_RADIUS_M = 4e-3  # m, of the tip; an assumption
 WINDOW = 40e-3  # m, holds the 31 x 31 mm grid of the `spatial` sessions
 SAME_ROW = 15e-3  # s: sensor and state of a row are at most 8 ms apart, and rows at least 34 ms
+BOARD_FROM_STAGE = ((0.0, -1.0), (1.0, 0.0))  # by what the five chips read together in the `spatial` session
+REFERENCE = "reference of "  # of the data set's meta: where a session's positions and heights count from
+ONE_HEIGHT_M = 0.1e-3  # presses whose heights differ by less go to one height
 MAX_RAW_VALUE = 1e10  # of any recorded number: Unix times are 1.7e9 s
 STROKE_PAUSE_S = (
     0.5  # s without rows between the strokes of a `normal` or `shear` session, whose rows are 0.03 to 0.14 s apart
@@ -44,6 +52,7 @@ def convert(
     centre: tuple[float, float] | None = None,
     pad: str | None = None,
     board: int | None = None,
+    as_stated: bool = False,
     skip_bad: bool = False,
 ) -> Converted:
     """Convert a session or a folder of sessions.
@@ -53,10 +62,13 @@ def convert(
         radius: m, of the probe's spherical tip, which the recordings do not state.
         window: m, edge of the square that a patch shows; presses outside it are left out.
         reach: m, patches are clipped to this depth behind the tip's lowest point.
-        zero: m, the robot's z at first contact; by default the session's highest z, so that no depth is negative.
+        zero: m, the robot's z at first contact; by default where readings begin; where no press is above that, the
+            session's highest z, so that no depth is negative; where all presses go to one height, none: depths are
+            unknown.
         centre: m, the robot's x and y of the skin's centre; by default the middle of the session's range.
         pad: one name for all pads; by default each board of each session is a pad of its own.
         board: of recordings with two boards, only this one.
+        as_stated: look for no mistake and correct none; depth counts from the session's highest z.
         skip_bad: leave out damaged rows and sessions, and note them.
 
     Returns:
@@ -72,8 +84,11 @@ def convert(
     if not sessions:
         raise DataError(f"{source}: holds no states.csv or states.csv.gz; give a session or a folder of sessions")
     notes.info(f"assumed: the tip is a sphere of radius {1e3 * radius:g} mm (not stated in the source)")
-    notes.info("assumed: values are microtesla (their steps are the chip's); board order and axes as AnySkin's")
-    options = _Options(radius, window, reach, zero=zero, centre=centre, pad=pad, board=board)
+    notes.info(
+        "assumed: values are microtesla (their steps are the chip's); board order and axes as AnySkin's, the board "
+        "turned by a quarter on the stage, as the readings of the `spatial` session show"
+    )
+    options = _Options(radius, window, reach, zero=zero, centre=centre, pad=pad, board=board, as_stated=as_stated)
     parts: list[Dataset] = []
     for session in sessions:
         try:
@@ -83,7 +98,20 @@ def convert(
     if not parts:
         left_out = " | ".join(notes.lines)
         raise DataError(f"{source}: no press is left to convert ({left_out}); widen --window-mm or restore it")
-    return notes.close(concatenate(parts))
+    return notes.close(concatenate(_of_one_board(parts, notes)))
+
+
+def _of_one_board(parts: list[Dataset], notes: ConversionLog) -> list[Dataset]:
+    """The parts, all with the board as it is described where they do not agree on how it lies."""
+    if all(np.allclose(a, b) for part in parts for a, b in zip(part.board, parts[0].board, strict=True)):
+        return parts
+    notes.info("left out: how the board lies, in which the sessions differ; it is taken as described in all of them")
+    return [replace(part, board=_board()) for part in parts]
+
+
+def _board() -> Board:
+    """AnySkin's board as it lies under the stage of these recordings."""
+    return turn_board(boards.anyskin_board(), np.array(BOARD_FROM_STAGE))
 
 
 class _Options(NamedTuple):
@@ -96,6 +124,7 @@ class _Options(NamedTuple):
     centre: tuple[float, float] | None  # m
     pad: str | None
     board: int | None
+    as_stated: bool
 
 
 class _Probe(NamedTuple):
@@ -113,7 +142,14 @@ def _session(folder: Path, options: _Options, notes: ConversionLog) -> list[Data
     values = _table(folder, "sensor_post_baselines", (1 + EFLESH_READINGS, 1 + 2 * EFLESH_READINGS), notes)
     states, values = _matched(folder, states, values, notes)
     sheared = values.shape[1] > 1 + EFLESH_READINGS
-    probe = (_sheared if sheared else _pressed)(folder.name, states, options, notes)
+    if sheared:
+        check, reference = _check_sheared(folder.name, states, values, options, notes), None
+    else:
+        check, reference = _check_pressed(folder.name, states, values, options, notes)
+    label_rows, reading_rows = check.rows(len(states))
+    states, values = states[label_rows], values[reading_rows]
+    values = np.column_stack([values[:, :1], check.fields(values[:, 1:])])
+    probe = _sheared(folder.name, states, options, notes) if reference is None else _pressed(states, reference, check)
     half = options.window / 2
     inside = (np.abs(probe.x) <= half) & (np.abs(probe.y) <= half)
     if not inside.all():
@@ -132,27 +168,99 @@ def _session(folder: Path, options: _Options, notes: ConversionLog) -> list[Data
             objects=("probe",),
             pads=(options.pad or name,),
             sessions=sessions,
-            board=boards.anyskin_board(),
+            board=check.board,
             source="real",
             window=options.window,
             reach=options.reach,
-            meta={"converter": "eflesh", "tip_radius_m": f"{options.radius:g}"},
+            meta={"converter": "eflesh", "tip_radius_m": f"{options.radius:g}"} | check.meta,
         )
         for i, name in enumerate(names)
         if not sheared or options.board in (None, i)
     ]
 
 
-def _pressed(name: str, states: np.ndarray, options: _Options, notes: ConversionLog) -> _Probe:
-    """A session in which the probe presses one skin from above."""
+class _Reference(NamedTuple):
+    """Where a session's positions and heights count from, in the robot's axes."""
+
+    centre: np.ndarray  # (2,) m
+    zero: float  # m, of first contact; NaN where it is unknown
+
+
+def _check_pressed(
+    name: str, states: np.ndarray, values: np.ndarray, options: _Options, notes: ConversionLog
+) -> tuple[SessionCheck, _Reference]:
+    """What a session of presses from above does not say."""
     position, middle = _positions(states)
-    x, y = (position[:, :2] - (middle[:2] if options.centre is None else options.centre)).T
-    top = position[:, 2].max() if options.zero is None else options.zero
-    notes.info(f"assumed in {name}: first contact at the robot's z = {1e3 * top:.3f} mm; depth counts from there")
-    load = np.full(len(states), np.nan)
-    if states.shape[1] == 5:
-        load = np.where(states[:, 4] == -1, np.nan, NEWTONS_PER_GRAM * states[:, 4])
-    return _Probe(x, y, position[:, 2] - top, load)
+    presses = RecordedPresses(
+        position[:, :2] - middle[:2], values[:, 1:], height=position[:, 2], force=_load(states), seconds=states[:, 0]
+    )
+    check = check_session(
+        name, presses, _board(), notes, stated_zero=options.zero, stated_radius=options.radius,
+        as_stated=options.as_stated,
+    )  # fmt: skip
+    heights = _heights(position, check)
+    zero = _zero(name, heights, options, check, notes)
+    scale = check.factors.get("length_factor", 1.0)
+    reference = _Reference(scale * middle[:2] if options.centre is None else np.asarray(options.centre), zero)
+    stored = {
+        "centre_m": reference.centre.tolist(),
+        "zero_m": zero if np.isfinite(zero) else None,
+        "lowest_z_m": float(heights.min()),
+    }
+    return check._replace(meta=check.meta | {REFERENCE + name: json.dumps(stored)}), reference
+
+
+def _zero(name: str, heights: np.ndarray, options: _Options, check: SessionCheck, notes: ConversionLog) -> float:
+    """Height of first contact (m): as given, as found, or else as assumed; NaN where nothing can be assumed."""
+    found = check.zero
+    if options.zero is not None:
+        notes.info(f"as given for {name}: first contact at the robot's z = {1e3 * options.zero:.3f} mm")
+        return options.zero
+    if found is not None and found.identifiable and found.estimate is not None:
+        notes.info(f"depth in {name} counts from z = {1e3 * found.estimate:.3f} mm, where readings begin")
+        return found.estimate
+    if np.ptp(heights) < ONE_HEIGHT_M and not options.as_stated:
+        notes.info(f"left out of {name}: depth, as all presses go to one height; give --z0-mm where it is known")
+        return float("nan")
+    top = float(heights.max())
+    notes.info(
+        f"assumed in {name}: first contact at the highest z = {1e3 * top:.3f} mm; depth counts from there, so that all "
+        "depths may be too small by one number"
+    )
+    return top
+
+
+def _heights(position: np.ndarray, check: SessionCheck) -> np.ndarray:
+    """(n,) m along the skin's outward normal."""
+    return check.factors.get("depth_factor", 1.0) * check.factors.get("height_sign", 1.0) * position[:, 2]
+
+
+def _check_sheared(
+    name: str, states: np.ndarray, values: np.ndarray, options: _Options, notes: ConversionLog
+) -> SessionCheck:
+    """What a session of shear does not say: only units are looked at."""
+    board = _board()
+    if options.as_stated:
+        return SessionCheck((), {}, 0, None, None, board, {})
+    found, scales = find_units(_positions(states)[0][:, :2], values[:, 1:])
+    if found.wrong:
+        notes.info(f"corrected in {name}: {found.sentence}")
+    return SessionCheck((found,), {"field_factor": scales.field}, 0, None, None, board, findings_to_meta(name, [found]))
+
+
+def _pressed(states: np.ndarray, reference: _Reference, check: SessionCheck) -> _Probe:
+    """A session in which the probe presses one skin from above."""
+    position, _ = _positions(states)
+    x, y = (check.factors.get("length_factor", 1.0) * position[:, :2] - reference.centre).T
+    load = _load(states) * check.factors.get("force_factor", 1.0) * check.factors.get("force_sign", 1.0)
+    return _Probe(x, y, _heights(position, check) - reference.zero, load)
+
+
+def _load(states: np.ndarray) -> np.ndarray:
+    """(n,) N, NaN where it was not read."""
+    if states.shape[1] != 5:
+        return np.full(len(states), np.nan)
+    return np.where(states[:, 4] == -1, np.nan, NEWTONS_PER_GRAM * states[:, 4])
 
 
 def _sheared(name: str, states: np.ndarray, options: _Options, notes: ConversionLog) -> _Probe:

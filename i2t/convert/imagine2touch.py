@@ -12,12 +12,15 @@ samples for every 10 touches), `O/O_poses/experiment_E_*` (positions in m, quate
 
 Assumed, for the recordings do not say: the tool frame is the one of the recorded poses; image rows run along tool y and
 columns along tool x; forces are in the robot base's axes and act on the tool, so that the force along tool z is minus
-their component along it. Objects' poses are unknown (NaN).
+their component along it. Objects' poses are unknown (NaN). What contradicts that is found and put right, with a
+sentence: forces that pull, or that push only in the other axes; positions in millimetres, rotations in degrees or with
+the scalar first, a tool axis that points away from the object, images in another unit, fields in millitesla.
 """
 
 import logging
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,11 +33,18 @@ from i2t.convert.common import ConversionLog, Converted, data_error
 from i2t.dataset import Dataset, concatenate, missing_context
 from i2t.errors import DataError
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Board, ReturnCode, Touches
+from i2t.unknowns import find_force_sign, find_units, findings_to_meta
 
 CAMERA_OFFSET_M = 64e-3  # m, the camera behind the tool's origin
 MAX_LOOK_OFFSET_M = 2e-3  # m: a look from further off the contact's axis saw another place
 QUATERNION_NORM_TOLERANCE = 1e-3  # how far the norm of a quaternion may be from 1
+MAX_PATCH_M = 1e3  # beyond any image, in any unit
 MAX_POSE_VALUE = 1e6  # of any recorded number, in its unit
+MAX_ARM_REACH_M = 5.0  # of a tool's position: beyond it are millimetres
+MOST_TOUCHES = 0.9  # of those that tell, for a run to be read otherwise than it is documented
+MIN_TELLING_TOUCHES = 3
+MIN_PUSHES = 8  # touches with a force, for their sign to be turned
+IMAGE_UNITS = {10.0: "0.1 mm", 100.0: "0.01 mm", 0.1: "cm", 1000.0: "um"}  # how many of a unit go into a millimetre
 NOTE_LENGTH = 2000  # characters kept of a run's own notes
 
 _TACTILE = re.compile(r"experiment_(.+)_reskin(\.npy)?")
@@ -52,6 +62,7 @@ def convert(
     quarter_turns: int = 0,
     tool_forces: bool = False,
     pad: str = "reskin",
+    as_stated: bool = False,
     skip_bad: bool = False,
 ) -> Converted:
     """Convert one object's folder or a folder of them.
@@ -66,6 +77,7 @@ def convert(
         quarter_turns: By which images are turned counter-clockwise.
         tool_forces: Whether forces are in the tool's axes.
         pad: Name of the skin.
+        as_stated: Look for no mistake and correct none.
         skip_bad: Leave out what cannot be read instead of ending.
 
     Returns:
@@ -87,17 +99,51 @@ def convert(
         quarter_turns=quarter_turns,
         tool_forces=tool_forces,
         pad=pad,
+        as_stated=as_stated,
     )
-    parts: list[Dataset] = []
+    parts: list[_Run] = []
     for folder in _objects(source):
         for run in _runs(folder):
             try:
                 parts.append(_convert_run(folder, run, options, notes))
             except DataError as error:
                 notes.skip(error)
-    if not sum(map(len, parts)):
+    if not sum(len(part.dataset) for part in parts):
         raise data_error(source, f"no touch is left to convert ({' | '.join(notes.lines[3:])})")
-    return notes.close(concatenate(parts))
+    dataset = concatenate([part.dataset for part in parts])
+    if not as_stated:
+        dataset = _pushing(dataset, np.concatenate([part.other_force for part in parts]), options, notes)
+    return notes.close(dataset)
+
+
+class _Run(NamedTuple):
+    """A run, and its forces along tool z if they were recorded in the other axes."""
+
+    dataset: Dataset
+    other_force: np.ndarray  # (n,) N
+
+
+def _pushing(dataset: Dataset, other_force: np.ndarray, options: "_Options", notes: ConversionLog) -> Dataset:
+    """The data set with forces that push and readings in microtesla, if need be turned and scaled."""
+    touches = dataset.touches
+    found, scales = find_units(np.zeros((len(dataset), 2)), touches.reading.astype(np.float64))
+    force = touches.force.astype(np.float64)
+    sign = find_force_sign(force, touches.reading)
+    other = find_force_sign(other_force, touches.reading)
+    enough = sign.evidence.get("presses", 0) >= MIN_PUSHES
+    if enough and not sign.identifiable and other.identifiable and not options.tool_forces:
+        notes.info(
+            "corrected: forces are taken in the tool's axes: along the base's they push in some touches and pull in "
+            "others, along the tool's they do not"
+        )
+        force, sign = other_force, other
+    if sign.wrong and enough:
+        force = -force
+    for finding in (found, sign):
+        if finding is found or (enough or finding.wrong is False):
+            notes.info(f"{'corrected' if finding.wrong else 'found'}: {finding.sentence}")
+    touches = touches._replace(force=force, reading=scales.field * touches.reading)
+    return replace(dataset, touches=touches, meta=dict(dataset.meta) | findings_to_meta("all runs", [found, sign]))
 
 
 class _Options(NamedTuple):
@@ -111,17 +157,22 @@ class _Options(NamedTuple):
     quarter_turns: int
     tool_forces: bool
     pad: str
+    as_stated: bool
 
 
-def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog) -> Dataset:
+def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog) -> _Run:
     """One run of an object: its touches that have a reading and an image."""
     reading = samples.readings(folder / f"{folder.name}_tactile" / f"experiment_{run}_reskin", options.order, notes)
     n = len(reading)
-    poses = _poses(folder / f"{folder.name}_poses" / f"experiment_{run}", n, notes)
+    poses = _poses(folder / f"{folder.name}_poses" / f"experiment_{run}", n, notes, as_stated=options.as_stated)
     images = folder / f"{folder.name}_images" / "depth" / f"experiment_{run}_depth"
-    patch, closest = _patches(images, n, options.quarter_turns, options.reach, notes)
+    patch, closest = _patches(images, n, options, notes)
+    if not options.as_stated:
+        unit = _image_unit(images, closest, options.camera + poses.travel, notes)
+        closest, patch = unit * closest, np.minimum(unit * patch, options.reach).astype(np.float32)
     forces = folder / f"{folder.name}_forces" / f"experiment_{run}"
-    force, code = _forces(forces, None if options.tool_forces else poses.T_w_t[:, :3, 2], n, notes)
+    along_base, along_tool, code = _forces(forces, poses.T_w_t[:, :3, 2], n, notes)
+    force, other_force = (along_tool, along_base) if options.tool_forces else (along_base, along_tool)
     touches = Touches(
         patch=patch,
         wide=missing_context(n),
@@ -147,7 +198,8 @@ def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog
         reach=options.reach,
         meta={"converter": "imagine2touch", **_remarks(folder, run)},
     )
-    return dataset.select(np.isfinite(reading).all(1) & np.isfinite(closest))
+    kept = np.isfinite(reading).all(1) & np.isfinite(closest)
+    return _Run(dataset.select(kept), other_force[kept])
 
 
 def _objects(source: Path) -> list[Path]:
@@ -180,21 +232,17 @@ class _Poses(NamedTuple):
     travel: np.ndarray  # (n,) m along tool z, from where the camera looked to the contact
 
 
-def _poses(stem: Path, n: int, notes: ConversionLog) -> _Poses:
+def _poses(stem: Path, n: int, notes: ConversionLog, *, as_stated: bool) -> _Poses:
     final, prepare = (_optional(stem, name, (n, 3), notes) for name in ("final_contact", "prepare_contact"))
-    quaternions = _optional(stem, "rotations", (n, 4), notes)
-    crooked = np.abs(np.linalg.norm(quaternions, axis=1) - 1) > QUATERNION_NORM_TOLERANCE
-    if crooked.any():
-        raise data_error(stem, f"quaternion {np.flatnonzero(crooked)[0] + 1} of its rotations is not of length 1")
+    if not as_stated:
+        final, prepare = _in_metres(stem, final, prepare, notes)
+    rotations = _rotations(stem, n, final - prepare, notes, as_stated=as_stated)
     T_w_t = np.full((n, 4, 4), np.nan)
-    posed = np.isfinite(final).all(1) & np.isfinite(quaternions).all(1)
+    posed = np.isfinite(final).all(1) & np.isfinite(rotations).all((1, 2))
     T_w_t[posed] = np.eye(4)
-    T_w_t[posed, :3, :3] = Rotation.from_quat(quaternions[posed]).as_matrix()
+    T_w_t[posed, :3, :3] = rotations[posed]
     T_w_t[posed, :3, 3] = final[posed]
-    axis = T_w_t[:, :3, 2]
-    moved = final - prepare
-    travel = np.sum(moved * axis, axis=1)
-    aside = np.linalg.norm(moved - travel[:, None] * axis, axis=1)
+    travel, aside = _along(final - prepare, T_w_t[:, :3, 2])
     if (travel < 0).any():
         notes.info(
             f"{stem}: {np.sum(travel < 0)} presses go against tool z, so this may be another frame than the tool's"
@@ -205,26 +253,128 @@ def _poses(stem: Path, n: int, notes: ConversionLog) -> _Poses:
     return _Poses(T_w_t, travel)
 
 
-def _forces(stem: Path, axis: np.ndarray | None, n: int, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray]:
-    """Force along tool z, (n,) N, from a wrench in the base's axes (with tool z as `axis`) or the tool's; return codes
-    (n,).
+def _along(moved: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far a motion (n, 3) goes along axes (n, 3), and how far aside."""
+    travel = np.sum(moved * axis, axis=1)
+    return travel, np.linalg.norm(moved - travel[:, None] * axis, axis=1)
+
+
+def _in_metres(
+    stem: Path, final: np.ndarray, prepare: np.ndarray, notes: ConversionLog
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions in metres, whichever of metres and millimetres they are in."""
+    far = np.linalg.norm(final, axis=1)
+    if not np.nanmedian(far if np.isfinite(far).any() else np.zeros(1)) > MAX_ARM_REACH_M:
+        return final, prepare
+    notes.info(
+        f"corrected: {stem}: positions are {np.nanmedian(far):.3g} from the robot, which can be no metres: they are "
+        "read as millimetres"
+    )
+    return 1e-3 * final, 1e-3 * prepare
+
+
+def _rotations(stem: Path, n: int, moved: np.ndarray, notes: ConversionLog, *, as_stated: bool) -> np.ndarray:
+    """Rotations (n, 3, 3) of the tool, NaN where unknown: from quaternions xyzw, or from angles where touches that move
+    along tool z tell how these are meant.
+    """
+    values = _optional(stem, "rotations", (n, 4), notes, other=None if as_stated else (n, 3))
+    result = np.full((n, 3, 3), np.nan)
+    known = np.isfinite(values).all(1)
+    if not known.any():
+        return result
+    if values.shape[1] == 3:
+        return _from_angles(stem, values, moved, notes)
+    crooked = np.abs(np.linalg.norm(values, axis=1) - 1) > QUATERNION_NORM_TOLERANCE
+    if crooked.any():
+        raise data_error(stem, f"quaternion {np.flatnonzero(crooked)[0] + 1} of its rotations is not of length 1")
+    result[known] = Rotation.from_quat(values[known]).as_matrix()
+    return result if as_stated else _as_approached(stem, values, result, moved, notes)
+
+
+def _share_along(moved: np.ndarray, rotations: np.ndarray) -> float:
+    """Share of the touches that move along tool z; 1 where too few move at all."""
+    far = np.isfinite(moved).all(1) & (np.linalg.norm(np.nan_to_num(moved), axis=1) > 2 * MAX_LOOK_OFFSET_M)
+    far &= np.isfinite(rotations).all((1, 2))
+    if far.sum() < MIN_TELLING_TOUCHES:
+        return 1.0
+    travel, aside = _along(moved[far], rotations[far][:, :, 2])
+    return float(np.mean((travel > 0) & (aside <= MAX_LOOK_OFFSET_M)))
+
+
+def _from_angles(stem: Path, values: np.ndarray, moved: np.ndarray, notes: ConversionLog) -> np.ndarray:
+    """Rotations (n, 3, 3) from three angles each, of the kind by which touches move along tool z."""
+    for degrees in (False, True):
+        for kind, turned in (
+            ("vectors", Rotation.from_rotvec(values, degrees=degrees)),
+            ("angles about fixed x, y and z", Rotation.from_euler("xyz", values, degrees=degrees)),
+            ("angles about moving z, y and x", Rotation.from_euler("ZYX", values, degrees=degrees)),
+        ):
+            told = np.isfinite(moved).all(1).sum() >= MIN_TELLING_TOUCHES
+            if told and _share_along(moved, turned.as_matrix()) > MOST_TOUCHES:
+                unit = "degrees" if degrees else "radians"
+                notes.info(f"corrected: {stem}: rotations are {kind} in {unit}, as touches move along tool z only so")
+                return turned.as_matrix()
+    path = npy.find(stem.with_name(f"{stem.name}_rotations")) or stem
+    raise data_error(path, f"has the shape {values.shape} where {len(values)} touches need {(len(values), 4)}")
+
+
+def _as_approached(
+    stem: Path, quaternions: np.ndarray, rotations: np.ndarray, moved: np.ndarray, notes: ConversionLog
+) -> np.ndarray:
+    """The rotations, read with the scalar first or turned over, if touches move along tool z only so."""
+    if _share_along(moved, rotations) > 1 - MOST_TOUCHES:
+        return rotations
+    known = np.isfinite(quaternions).all(1)
+    first = np.full_like(rotations, np.nan)
+    first[known] = Rotation.from_quat(np.roll(quaternions[known], -1, axis=1)).as_matrix()
+    over = np.diag([1.0, -1.0, -1.0])
+    for matrices, sign, said in (
+        (rotations, -1.0, "tool z points away from the object: the tool is turned over about its x"),
+        (first, 1.0, "quaternions have the scalar first"),
+        (first, -1.0, "quaternions have the scalar first, and tool z points away: the tool is turned over about its x"),
+    ):
+        if _share_along(moved, sign * matrices) > MOST_TOUCHES:
+            notes.info(f"corrected: {stem}: {said}, as touches move along tool z only so")
+            return matrices if sign > 0 else matrices @ over
+    return rotations
+
+
+def _forces(stem: Path, axis: np.ndarray, n: int, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Force along tool z, (n,) N, from a wrench in the base's axes, with tool z as `axis`, and from one in the tool's;
+    return codes (n,).
     """
     wrenches = _optional(stem, "forces_torques", (n, 6), notes)
-    force = -(wrenches[:, 2] if axis is None else np.sum(wrenches[:, :3] * axis, axis=1))
     codes = _optional(stem, "contact_returns", (n,), notes, unknown=float(ReturnCode.UNDEFINED))
     if not np.isin(codes, [int(code) for code in ReturnCode]).all():
         raise data_error(stem, "contact_returns hold a value that is no return code (-1 to 4)")
-    return force, codes
+    return -np.sum(wrenches[:, :3] * axis, axis=1), -wrenches[:, 2], codes
 
 
-def _patches(
-    stem: Path, n: int, quarter_turns: int, reach: float, notes: ConversionLog
-) -> tuple[np.ndarray, np.ndarray]:
-    """Patches (n, 48, 48) and the depth of their nearest pixels (n,) m, NaN where the image is damaged."""
+def _image_unit(stem: Path, closest: np.ndarray, expected: np.ndarray, notes: ConversionLog) -> float:
+    """Factor on images in another unit than millimetres: the nearest pixel is about as far as the arm travels."""
+    ratio = (closest / expected)[np.isfinite(closest) & np.isfinite(expected)]
+    if len(ratio) < MIN_TELLING_TOUCHES:
+        return 1.0
+    median = float(np.median(ratio))
+    for many, name in IMAGE_UNITS.items():
+        if many / 2 < median < many * 2 and np.mean(np.abs(np.log(ratio / median)) < math.log(2)) > MOST_TOUCHES:
+            notes.info(
+                f"corrected: {stem}: images are in units of {name}, as their nearest pixel is {median:.3g} times as "
+                "far as the arm travels to it"
+            )
+            return 1 / many
+    return 1.0
+
+
+def _patches(stem: Path, n: int, options: _Options, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray]:
+    """Patches (n, 48, 48) m, and the depth of their nearest pixels (n,) m, NaN where the image is damaged; they are not
+    yet clipped to the reach if images may be in another unit.
+    """
+    reach = options.reach if options.as_stated else MAX_PATCH_M
     patches, closest = np.zeros((n, PATCH_PIXELS, PATCH_PIXELS), np.float32), np.full(n, np.nan)
     for k in range(n):
         try:
-            depth = np.rot90(_depth_image(stem.with_name(f"{stem.name}_{k + 1}.tif"), notes), quarter_turns)
+            depth = np.rot90(_depth_image(stem.with_name(f"{stem.name}_{k + 1}.tif"), notes), options.quarter_turns)
         except DataError as error:
             notes.skip(error)
             continue
@@ -237,9 +387,15 @@ def _patches(
 
 
 def _optional(
-    stem: Path, name: str, shape: tuple[int, ...], notes: ConversionLog, unknown: float = math.nan
+    stem: Path,
+    name: str,
+    shape: tuple[int, ...],
+    notes: ConversionLog,
+    *,
+    unknown: float = math.nan,
+    other: tuple[int, ...] | None = None,
 ) -> np.ndarray:
-    """A file of numbers of this shape, or the unknown value where there is no file."""
+    """A file of numbers of this shape, or of the other, or the unknown value where there is no file."""
     wanted = stem.with_name(f"{stem.name}_{name}")
     path = npy.find(wanted)
     if path is None:
@@ -250,6 +406,8 @@ def _optional(
         numbers = np.array(values, np.float64)
     except (TypeError, ValueError) as error:
         raise data_error(path, f"does not hold numbers of the shape {shape}") from error
+    if other is not None and numbers.shape == other:
+        shape = other
     if numbers.size != math.prod(shape) or len(numbers) != shape[0]:
         raise data_error(path, f"has the shape {numbers.shape} where {shape[0]} touches need {shape}")
     if not (np.abs(numbers) < MAX_POSE_VALUE).all():

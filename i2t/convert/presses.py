@@ -19,13 +19,17 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from i2t.convert.checked import SessionCheck, check_session
 from i2t.convert.common import ConversionLog, Converted, read_text
 from i2t.dataset import Dataset, missing_context
 from i2t.errors import DataError
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Board, ReturnCode, Touches
+from i2t.unknowns import RecordedPresses
 
 PLACES = ("x_mm", "y_mm", "depth_mm")
 NAME_COLUMNS = ("pad", "session")
+MOSTLY = 0.9  # of the rows with a depth, for all to be turned
+MIN_TURNED = 5  # rows
 ROWS_AT_ONCE = 512  # bounds the memory of the intermediate arrays
 
 # A tip is a body of revolution whose axis stands on the skin: the height (m) of its surface above its lowest point at a
@@ -42,6 +46,7 @@ def convert(
     window: float = PATCH_WINDOW,
     reach: float = REACH,
     mesh_unit: str = "mm",
+    as_stated: bool = False,
     skip_bad: bool = False,
 ) -> Converted:
     """Convert a table of presses.
@@ -53,6 +58,7 @@ def convert(
         window: m, edge of the square that a patch shows; presses whose axis lies outside it are left out.
         reach: m, patches are clipped to this depth behind the indenter's lowest point.
         mesh_unit: unit of the mesh file: m, cm, mm or inch.
+        as_stated: look for no mistake and correct none.
         skip_bad: leave out damaged rows, and note them.
 
     Returns:
@@ -63,6 +69,7 @@ def convert(
     """
     notes = ConversionLog(skip_bad)
     rows = _rows(source, board.num_chips, notes)
+    rows, checks = _checked(rows, board, indenter, notes, as_stated=as_stated)
     numbers = np.array([[row[name] for name in (*PLACES, "force_N")] for row in rows])
     x, y, depth = 1e-3 * numbers[:, :3].T
     inside = (np.abs(x) <= window / 2) & (np.abs(y) <= window / 2)
@@ -89,20 +96,69 @@ def convert(
         object=np.zeros(n),
         pad=np.array([names["pad"].index(row["pad"]) for row in kept]),
         session=np.array([names["session"].index(row["session"]) for row in kept]),
-        code=np.full(n, ReturnCode.UNDEFINED),
+        code=[ReturnCode.FREE if row.get("free") else ReturnCode.UNDEFINED for row in kept],
     )
+    meta = {key: text for check in checks for key, text in check.meta.items()}
     dataset = Dataset(
         touches,
         objects=(Path(indenter.partition(":")[2]).stem if indenter.startswith("mesh:") else indenter,),
         pads=names["pad"],
         sessions=names["session"],
-        board=board,
+        board=checks[0].board if len(checks) == 1 else board,
         source="real",
         window=window,
         reach=reach,
-        meta={"converter": "presses", "file": source.name, "indenter": indenter},
+        meta={"converter": "presses", "file": source.name, "indenter": indenter} | meta,
     )
     return notes.close(dataset)
+
+
+def _checked(
+    rows: list[dict[str, Any]], board: Board, indenter: str, notes: ConversionLog, *, as_stated: bool
+) -> tuple[list[dict[str, Any]], list[SessionCheck]]:
+    """The rows with what each session contradicts put right, session by session."""
+    if as_stated:
+        return rows, []
+    kind, _, size = indenter.partition(":")
+    radius = 1e-3 * float(size) if kind == "sphere" and re.fullmatch(r"[0-9.]+", size) else None
+    kept: list[dict[str, Any]] = []
+    checks = []
+    for session in dict.fromkeys((row["pad"], row["session"]) for row in rows):
+        part = [row for row in rows if (row["pad"], row["session"]) == session]
+        numbers = np.array([[row[name] for name in (*PLACES, "force_N")] for row in part])
+        readings = np.array([row["reading"] for row in part])
+        presses = RecordedPresses(1e-3 * numbers[:, :2], readings, height=-1e-3 * numbers[:, 2], force=numbers[:, 3])
+        check = check_session(session[1], presses, board, notes, stated_zero=0.0, stated_radius=radius)
+        checks.append(check)
+        kept += _corrected(part, numbers, readings, check)
+    return kept, checks
+
+
+def _corrected(
+    part: list[dict[str, Any]], numbers: np.ndarray, readings: np.ndarray, check: SessionCheck
+) -> list[dict[str, Any]]:
+    """Rows of one session with their units, signs, lag, depths and chips put right."""
+    factors = check.factors
+    length, depth = factors.get("length_factor", 1.0), factors.get("depth_factor", 1.0)
+    force = factors.get("force_factor", 1.0) * factors.get("force_sign", 1.0)
+    numbers = numbers * [length, length, depth, force]
+    found, free = check.zero, np.zeros(len(part), bool)
+    turned = factors.get("height_sign", 1.0) < 0
+    if turned or (found is not None and found.wrong):
+        height = numbers[:, 2] if turned else -numbers[:, 2]
+        zero = float(height.max())
+        if found is not None and found.identifiable and found.estimate is not None:
+            zero = 1e3 * found.estimate
+        free = height > zero
+        numbers[:, 2] = np.maximum(zero - height, 0)
+    label_rows, reading_rows = check.rows(len(part))
+    fields = check.fields(readings)[reading_rows]
+    return [
+        part[i]
+        | dict(zip((*PLACES, "force_N"), numbers[i].tolist(), strict=True))
+        | {"reading": field, "free": bool(free[i])}
+        for i, field in zip(label_rows, fields, strict=True)
+    ]
 
 
 def sphere(radius: float) -> Profile:
@@ -197,10 +253,12 @@ def _rows(source: Path, chips: int, notes: ConversionLog) -> list[dict[str, Any]
             reading = np.array([_number(source, number, name, line[name]) for name in values])
             if has_ambient:
                 reading -= [_number(source, number, name, line[name]) for name in ambient]
-            row |= {kind: (line.get(kind) or kind).strip() for kind in NAME_COLUMNS} | {"reading": reading}
+            row |= {kind: (line.get(kind) or kind).strip() for kind in NAME_COLUMNS}
+            row |= {"reading": reading, "line": number}
             rows.append(row)
         except DataError as error:
             notes.skip(error)
+    rows = _of_positive_depth(source, rows, notes)
     if not rows:
         raise DataError(f"{source}: holds no press; give at least one row")
     return rows
@@ -213,11 +271,31 @@ def _number(source: Path, line: int, column: str, text: str) -> float:
         value = math.nan
     if not abs(value) < MAX_TABLE_VALUE:
         raise DataError(f"{source}: line {line} has {text!r} in column {column}, which is no such number; correct it")
-    if column == "depth_mm" and value < 0:
-        raise DataError(
-            f"{source}: line {line} has the negative depth {text}; depth_mm counts from first contact into the skin"
-        )
     return value
+
+
+def _of_positive_depth(source: Path, rows: list[dict[str, Any]], notes: ConversionLog) -> list[dict[str, Any]]:
+    """Rows whose depth counts into the skin: all are turned where nearly all are negative, a single one is damage."""
+    depth = np.array([row["depth_mm"] for row in rows])
+    if np.sum(depth < 0) > MOSTLY * max(np.sum(depth != 0), MIN_TURNED):
+        notes.info(
+            f"corrected: depths are negative in {np.sum(depth < 0)} of {len(depth)} rows, as heights are: they are "
+            "turned"
+        )
+        for row in rows:
+            row["depth_mm"] = -row["depth_mm"]
+    kept = []
+    for row in rows:
+        if row["depth_mm"] >= 0:
+            kept.append(row)
+            continue
+        notes.skip(
+            DataError(
+                f"{source}: line {row['line']} has the negative depth {row['depth_mm']:g}; depth_mm counts from first "
+                "contact into the skin"
+            )
+        )
+    return kept
 
 
 def _patches(

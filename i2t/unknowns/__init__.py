@@ -24,7 +24,14 @@ from i2t.unknowns.alignment import (
 )
 from i2t.unknowns.approaches import Approach, find_approaches
 from i2t.unknowns.chip_field import correct_board, find_board, turn_board
-from i2t.unknowns.estimate import corrected_presses, estimate_unknowns, growth_of, metrics_of, sentences
+from i2t.unknowns.estimate import (
+    corrected_presses,
+    estimate_unknowns,
+    growth_of,
+    lag_rows,
+    metrics_of,
+    sentences,
+)
 from i2t.unknowns.findings import Finding, RecordedPresses, find, findings_from_meta, findings_to_meta
 from i2t.unknowns.heights import find_height_drift, find_height_zero
 from i2t.unknowns.labels import Scales, find_force_sign, find_height_axis, find_lag, find_units
@@ -57,6 +64,7 @@ __all__ = [
     "findings_to_meta",
     "fit_session_map",
     "growth_of",
+    "lag_rows",
     "lay_over",
     "metrics_of",
     "predict_session",

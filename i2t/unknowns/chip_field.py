@@ -114,9 +114,9 @@ def find_board(
     r2 = _explained(recorded, values)
     likeliest = max(gains, key=lambda kind: gains[kind])
     wrong = {
-        "stage": likeliest == "stage" and stage_gain > STAGE_GAIN,
-        "swap": likeliest == "swap" and gains["swap"] > SWAP_GAIN,
-        "flip": likeliest == "flip" and gains["flip"] > FLIP_GAIN,
+        "stage": bool(likeliest == "stage" and stage_gain > STAGE_GAIN),
+        "swap": bool(likeliest == "swap" and gains["swap"] > SWAP_GAIN),
+        "flip": bool(likeliest == "flip" and gains["flip"] > FLIP_GAIN),
     }
     matrix = STAGES[best_stage] if wrong["stage"] else STAGES["as recorded"]
     others = sorted(stages.values())
@@ -352,7 +352,7 @@ def _stage_finding(
         sentence = (
             f"The board lies as it is described: any turn or mirror loses {lead:.2f} of log evidence for each value."
         )
-    known = wrong or (best == "as recorded" and lead >= TELLING_GAIN)
+    known = bool(wrong or (best == "as recorded" and lead >= TELLING_GAIN))
     correction = {"board_from_stage": STAGES[best].tolist()} if wrong else {}
     return Finding(STAGE, sentence, identifiable=known, wrong=wrong, evidence=evidence, correction=correction)
 
@@ -376,7 +376,7 @@ def _swap_finding(swap: tuple[int, int], swaps: dict[tuple[int, int], float], *,
         )
     else:
         sentence = f"The chips are in order: any swap loses {-gain:.2f} of log evidence for each value."
-    return Finding(SWAPPED, sentence, identifiable=gain <= -TELLING_GAIN, evidence=evidence)
+    return Finding(SWAPPED, sentence, identifiable=bool(gain <= -TELLING_GAIN), evidence=evidence)
 
 
 def _flip_finding(flip: tuple[int, str], flips: dict[tuple[int, str], float], *, wrong: bool) -> Finding:

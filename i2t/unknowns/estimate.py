@@ -6,7 +6,7 @@ import numpy as np
 
 from i2t.types import Board
 from i2t.unknowns.approaches import find_approaches
-from i2t.unknowns.chip_field import FLIPPED, PLACEMENT, STAGE, SWAPPED, correct_board, find_board
+from i2t.unknowns.chip_field import correct_board, find_board
 from i2t.unknowns.findings import Finding, RecordedPresses, find
 from i2t.unknowns.heights import HEIGHT_DRIFT, HEIGHT_ZERO, find_height_drift, find_height_zero
 from i2t.unknowns.labels import find_force_sign, find_height_axis, find_lag, find_units
@@ -16,6 +16,7 @@ GAIN = "gain of the chips"
 GROWTH_POWER = 1.75  # of readings with the depth, where a recording does not say
 FORCE_POWER = 1.2  # of readings with the force
 MIN_ROWS = 5
+MISSING_SHARE = 0.2  # of the rows in which a channel may be missing
 
 
 def estimate_unknowns(
@@ -28,8 +29,9 @@ def estimate_unknowns(
     """Estimate what a recording does not say, or says wrongly.
 
     Args:
-        presses: As recorded, in the order of time; rows whose position or reading is not finite are left out.
-        board: As it is described; without one nothing is said of its chips.
+        presses: As recorded, in the order of time; rows whose position or reading is not finite are left out, and so
+            are chips that are missing in many of them.
+        board: As it is described; without one, and where a chip is missing, nothing is said of its chips.
         stated_zero: Height of first contact (m) that the recording states, where it does.
         stated_radius: Radius of the tip (m) that is assumed.
 
@@ -37,9 +39,12 @@ def estimate_unknowns(
         A finding for each unknown: units, sign of the force, direction of the height, lag, height zero and its drift,
         the board's turn, order, axes and place, the tip's radius and the chips' gains.
     """
+    missing = np.isnan(presses.readings).mean(0) > MISSING_SHARE
+    if missing.any():
+        presses, board = presses._replace(readings=presses.readings[:, ~missing]), None
     finite = np.isfinite(presses.position).all(1) & np.isfinite(presses.readings).all(1)
     presses = presses.rows(finite)
-    if len(presses.readings) < MIN_ROWS:
+    if len(presses.readings) < MIN_ROWS or not presses.readings.shape[1]:
         return []
     findings: list[Finding] = []
 
@@ -98,6 +103,20 @@ def corrected_presses(presses: RecordedPresses, findings: list[Finding]) -> Reco
             nowhere = Board(np.zeros((presses.readings.shape[1] // 3, 3), np.float32), np.zeros((0, 3, 3), np.float32))
             presses, _ = correct_board(presses, nowhere, [finding])
     return presses
+
+
+def lag_rows(n: int, lag: int) -> tuple[np.ndarray, np.ndarray]:
+    """Which rows belong together where labels are shifted.
+
+    Args:
+        n: Rows of the recording.
+        lag: Rows: the reading of row i belongs to the labels of row i + lag.
+
+    Returns:
+        Rows of the labels, and rows of the readings, of one length.
+    """
+    rows = np.arange(max(0, -lag), n - max(0, lag))
+    return rows + lag, rows
 
 
 def growth_of(presses: RecordedPresses, findings: list[Finding]) -> np.ndarray | None:
@@ -169,13 +188,14 @@ def _of_approaches(zeros: np.ndarray, stated: float | None, height: np.ndarray) 
     moves = count >= 4 and abs(change) > 0.1e-3 and abs(np.corrcoef(np.arange(count), zeros)[0, 1]) > 0.7
     off = 0.0 if stated is None else zero - stated
     above = int((height > zero).sum())
+    wrong = bool(stated is not None and abs(off) > max(half, 0.1e-3))
     first = Finding(
         HEIGHT_ZERO,
         f"First contact is at {1e3 * zero:.3f} mm, the median of {count} approaches, up to {1e3 * spread:.2f} mm "
         f"off it ({above} rows are above it).",
-        identifiable=True, wrong=stated is not None and abs(off) > max(half, 0.1e-3), estimate=zero, low=zero - half,
+        identifiable=True, wrong=wrong, estimate=zero, low=zero - half,
         high=zero + half, unit="m", evidence={"approaches": count, "largest_deviation_mm": 1e3 * spread},
-        correction={"height_zero_m": zero} if stated is not None and abs(off) > max(half, 0.1e-3) else {},
+        correction={"height_zero_m": zero} if wrong else {},
     )  # fmt: skip
     said = "moves" if moves else "does not move steadily"
     second = Finding(
@@ -194,13 +214,5 @@ def _scaled(values: np.ndarray | None, factor: float) -> np.ndarray | None:
 
 def _shifted(presses: RecordedPresses, lag: int) -> RecordedPresses:
     """Readings of row i with the labels of row i + lag."""
-    n = len(presses.readings)
-    rows = np.arange(max(0, -lag), n - max(0, lag))
-    labels = presses.rows(rows + lag)
-    return labels._replace(readings=presses.readings[rows])
-
-
-__all__ = [
-    "FLIPPED", "GAIN", "PLACEMENT", "STAGE", "SWAPPED", "corrected_presses", "estimate_unknowns", "growth_of",
-    "metrics_of", "sentences",
-]  # fmt: skip
+    label_rows, reading_rows = lag_rows(len(presses.readings), lag)
+    return presses.rows(label_rows)._replace(readings=presses.readings[reading_rows])

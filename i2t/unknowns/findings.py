@@ -59,7 +59,7 @@ class Finding:
     low: float | None = None
     high: float | None = None
     unit: str = ""
-    evidence: Mapping[str, float] = field(default_factory=dict)
+    evidence: Mapping[str, float | int] = field(default_factory=dict)
     correction: Mapping[str, Any] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:

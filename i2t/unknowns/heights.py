@@ -27,7 +27,7 @@ from i2t.unknowns.smooth import left_out, thinned
 HEIGHT_ZERO = "height zero"
 HEIGHT_DRIFT = "drift of the height zero"
 MIN_HEIGHT_RANGE_M = 0.1e-3  # between the lowest and the highest tenth of the presses: less is one height
-MIN_HEIGHT_PRESSES = 15
+MIN_HEIGHT_PRESSES = 30
 HEIGHT_SUBSETS = 6  # of the presses, whose estimates differ by the statistical error
 HEIGHT_SUBSET_PRESSES = 160
 POWERS = (1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0)
@@ -143,7 +143,7 @@ def _subsets(presses: RecordedPresses) -> list[RecordedPresses]:
     """Random parts of the presses, apart from each other where there are enough."""
     n = len(presses.readings)
     order = np.random.default_rng(0).permutation(n)
-    size = min(HEIGHT_SUBSET_PRESSES, max(n // 2, MIN_HEIGHT_PRESSES))
+    size = min(HEIGHT_SUBSET_PRESSES, max(n // 2, MIN_HEIGHT_PRESSES // 2))
     apart = n >= HEIGHT_SUBSETS * size
     starts = [i * size if apart else i * max(n - size, 0) // (HEIGHT_SUBSETS - 1) for i in range(HEIGHT_SUBSETS)]
     return [presses.rows(np.sort(order[start : start + size])) for start in starts]
@@ -166,11 +166,11 @@ def _judge(fits: list[_Fit], height: np.ndarray, stated: float | None) -> Findin
     }
     r2 = evidence["r2"]
     reaches = above >= max(3, 0.01 * len(height))
-    known = reaches and half <= USABLE_ZERO_M and r2 > 0.3
+    known = bool(reaches and half <= USABLE_ZERO_M and r2 > 0.3)
     at = f"{1e3 * zero:.3f} mm (90 % interval {1e3 * (zero - half):.3f} to {1e3 * (zero + half):.3f})"
     if known:
         off = 0.0 if stated is None else zero - stated
-        wrong = stated is not None and abs(off) > max(half, 0.05e-3)
+        wrong = bool(stated is not None and abs(off) > max(half, 0.05e-3))
         said = f"; {1e3 * off:+.3f} mm from what was stated" if wrong else ""
         sentence = f"First contact is at {at}, where readings begin ({above} presses are above it){said}."
         return Finding(

@@ -24,6 +24,9 @@ PUSH_SHARE = 0.9  # of the presses that must pull for the force to be turned
 MIN_PUSH_N = 0.05  # less is no press
 MAX_EXTENT_M = 0.5  # of where a skin was pressed: beyond it are millimetres
 MAX_DEPTH_M = 0.05
+MIN_EXTENT_M = 5e-5  # of places that readings depend on: within it are metres that were taken for millimetres
+MIN_DEPTH_M = 1e-5
+PLACED_R2 = 0.3  # of readings that depend on where was pressed
 MIN_NORM_UT = 2.0  # of the strongest readings: the noise alone of one reading of five chips is 12 uT
 TESLA_BELOW = 2e-3  # in the unit recorded: readings between the two are millitesla
 MAX_NORM_UT = 2e5  # chips end at 1.3e5 uT on each axis
@@ -60,7 +63,7 @@ def find_lag(presses: RecordedPresses, max_lag: int = 4) -> Finding:
     best = max(r2, key=lambda lag: r2[lag])
     near = [lag for lag in r2 if 0 < abs(lag - best) <= 3]
     contrast = r2[best] - min(r2[lag] for lag in near)
-    evidence = {"r2_as_recorded": r2[0], "r2_best": r2[best], "best_lag": best, "r2_contrast": contrast}
+    evidence = {"r2_as_recorded": r2[0], "r2_best": r2[best], "best_lag": float(best), "r2_contrast": contrast}
     if contrast < LAG_GAIN or r2[best] < 0.1:
         why = "readings hardly depend on the labels" if r2[best] < 0.1 else "neighbouring rows are nearly alike"
         return Finding(
@@ -69,7 +72,7 @@ def find_lag(presses: RecordedPresses, max_lag: int = 4) -> Finding:
         )  # fmt: skip
     unexplained = (1 - r2[0]) / max(1 - r2[best], 1e-6)
     evidence["unexplained_ratio"] = unexplained
-    late = best != 0 and unexplained > LAG_UNEXPLAINED and r2[best] - r2[0] > LAG_GAIN
+    late = bool(best != 0 and unexplained > LAG_UNEXPLAINED and r2[best] - r2[0] > LAG_GAIN)
     lag = best if late else 0
     said = (
         f"Labels are shifted by {lag:+d} rows: a smooth model explains {r2[best]:.2f} of the readings with them and "
@@ -78,8 +81,8 @@ def find_lag(presses: RecordedPresses, max_lag: int = 4) -> Finding:
         else f"Labels and readings belong together row by row (R2 of a smooth model {r2[0]:.3f})."
     )
     return Finding(
-        LAG, said, identifiable=True, wrong=late, estimate=lag, low=lag, high=lag, unit="rows", evidence=evidence,
-        correction={"label_lag_rows": lag} if late else {},
+        LAG, said, identifiable=True, wrong=late, estimate=float(lag), low=float(lag), high=float(lag), unit="rows",
+        evidence=evidence, correction={"label_lag_rows": lag} if late else {},
     )  # fmt: skip
 
 
@@ -169,6 +172,15 @@ def find_units(
     if extent > MAX_EXTENT_M:
         said.append(f"positions range over {extent:.3g}, which can be no metres: they are read as millimetres")
         scales = scales._replace(length=1 / MM_PER_M)
+    elif 1e-6 < extent < MIN_EXTENT_M and _depends(position, readings):
+        said.append(
+            f"positions range over {extent:.3g} m only, and readings depend on them: they are read as a "
+            "thousand times that"
+        )
+        scales = scales._replace(length=MM_PER_M)
+    if 0 < deep < MIN_DEPTH_M:
+        said.append(f"depths reach {deep:.3g} m, which is no press: they are read as a thousand times that")
+        scales = scales._replace(depth=MM_PER_M)
     if deep > MAX_DEPTH_M:
         said.append(f"depths reach {deep:.3g}, which can be no metres: they are read as millimetres")
         scales = scales._replace(depth=1 / MM_PER_M)
@@ -207,6 +219,13 @@ def _labels(presses: RecordedPresses) -> np.ndarray:
     return np.column_stack([presses.position, load])
 
 
+def _depends(position: np.ndarray, readings: np.ndarray) -> bool:
+    """Whether readings depend on where was pressed."""
+    finite = np.flatnonzero(np.isfinite(position).all(1) & np.isfinite(readings).all(1))
+    rows = finite[thinned(len(finite), LAG_ROWS)]
+    return smooth_r2(position[rows], readings[rows]) > PLACED_R2
+
+
 def _largest(values: np.ndarray | None) -> float:
     """The 90th percentile of the sizes, 0 where nothing was recorded."""
     known = np.abs(values[np.isfinite(values)]) if values is not None else np.empty(0)
@@ -228,7 +247,7 @@ def _sign_of(
             name, f"The {name} is not identifiable: readings hardly change with it (rank correlation {ranks:+.2f}).",
             False, evidence=evidence,
         )  # fmt: skip
-    wrong = ranks < 0
+    wrong = bool(ranks < 0)
     return Finding(
         name, f"{said[0] if wrong else said[1]} (rank correlation with the depth {ranks:+.2f}).", identifiable=True,
         wrong=wrong, estimate=-1.0 if wrong else 1.0, evidence=evidence, correction=correction if wrong else {},

@@ -73,7 +73,7 @@ def find_tip_radius(presses: RecordedPresses, zero: float | None, stated: float 
         TIP_RADIUS,
         f"The tip's radius is about {1e3 * best:g} mm (from {1e3 * low:g} to {1e3 * high:g}).",
         identifiable=True,
-        wrong=stated is not None and not low / 1.5 <= stated <= 1.5 * high,
+        wrong=bool(stated is not None and not low / 1.5 <= stated <= 1.5 * high),
         estimate=1e3 * best,
         low=1e3 * low,
         high=1e3 * high,

@@ -466,7 +466,7 @@ def table(path):
 def test_real_spatial_presses_come_out_as_the_files_hold_them(shared_data, tmp_path):
     source = shared_data / "eflesh" / "spatial"
     folder = next(source.iterdir())
-    dataset = converted(source, tmp_path / "dst", command="eflesh")
+    dataset = converted(source, tmp_path / "dst", "--as-stated", command="eflesh")
     states, values = table(folder / "states.csv.gz"), table(folder / "sensor_post_baselines.csv.gz")
     touches = dataset.touches
     assert len(dataset) == 4805
@@ -497,7 +497,7 @@ def test_real_spatial_presses_come_out_as_the_files_hold_them(shared_data, tmp_p
 
 def test_real_normal_presses_carry_their_load_and_strokes(shared_data, tmp_path):
     source = shared_data / "eflesh" / "normal"
-    dataset = converted(source, tmp_path / "dst", "--pad", "one skin", command="eflesh")
+    dataset = converted(source, tmp_path / "dst", "--pad", "one skin", "--as-stated", command="eflesh")
     states = np.concatenate([table(folder / "states.csv.gz") for folder in sorted(source.iterdir())])
     force = [math_nan if grams == -1 else grams * 1e-3 * 9.80665 for grams in states[:, 4]]
     np.testing.assert_allclose(dataset.touches.force, force, rtol=1e-6)
@@ -507,7 +507,7 @@ def test_real_normal_presses_carry_their_load_and_strokes(shared_data, tmp_path)
     assert len(dataset.sessions) == 20
     height = states[:, 3].reshape(20, 360)
     assert (height[:, [0, -1]] > 287.9).all()  # each begins and ends at the top
-    lower = converted(source, tmp_path / "lower", "--z0-mm", 286.5, "--reach-mm", 2, command="eflesh")
+    lower = converted(source, tmp_path / "lower", "--z0-mm", 286.5, "--reach-mm", 2, "--as-stated", command="eflesh")
     np.testing.assert_array_equal(lower.touches.code == ReturnCode.FREE, states[:, 3] > 286.5)
     np.testing.assert_allclose(lower.touches.depth, np.maximum(0, 286.5 - states[:, 3]) * 1e-3, atol=1e-8)
 
