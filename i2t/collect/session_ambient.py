@@ -22,7 +22,7 @@ from i2t.skin.ambient import (
 )
 from i2t.types import Array
 
-AMBIENT_FILE = "ambient.npz"
+AMBIENT_FILE = ".ambient.npz"  # hidden, as it is no touch
 FALSE_ALARM = 0.01  # of sessions, at which a field that has not changed since the last one is called changed
 
 
