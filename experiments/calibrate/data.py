@@ -8,11 +8,14 @@ import numpy as np
 from jaxtyping import Array
 
 from i2t.calibration import LoadKind, Presses
+from i2t.calibration.population_gp import PressTable
 from i2t.dataset import Dataset
 from i2t.types import ReturnCode
 
 RANDOM, INSIDE, SECOND_HALF = "random presses", "those of them outside the blocks", "second half in time"
 MM_PER_M = 1e3
+PULLING_SHARE = 0.8  # of loads below zero, from which on the sign is taken to be the other
+LEAST_LOAD_RANGE = 1e-6  # of the largest load: less is one load
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,7 @@ class PressRecording:
     readings: np.ndarray  # (n, c) uT
     by_force: bool
     chip_positions: np.ndarray | None = None  # (chips, 2) m; given where amplitudes fall with the distance
+    notes: tuple[str, ...] = ()  # what is odd about the loads, a sentence each
 
     @property
     def load_kind(self) -> LoadKind:
@@ -38,6 +42,11 @@ class PressRecording:
     def presses(self, rows: np.ndarray) -> Presses:
         """Some of them, for the Gaussian process."""
         return Presses(jnp.float32(self.position[rows]), jnp.float32(self.load[rows]))
+
+    def press_table(self, rows: np.ndarray) -> PressTable:
+        """Some of them, for the Gaussian process of a population."""
+        nothing_linear = np.zeros((len(rows), self.readings.shape[1], 0))
+        return PressTable(self.position[rows], self.load[rows][:, None], nothing_linear)
 
     def features(self, rows: np.ndarray) -> np.ndarray:
         """Position and load in their standard deviations, for neighbours."""
@@ -74,14 +83,42 @@ def read_presses(dataset: Dataset, load: str) -> PressRecording:
     by_force = load == "force" or (load == "auto" and not np.isfinite(touches.depth[good]).all())
     amount = (touches.force if by_force else touches.depth).astype(np.float64)
     good &= np.isfinite(amount) & np.isfinite(T_t_o).all((1, 2))
+    kind = "force" if by_force else "depth"
     if not good.any():
-        raise ValueError(f"no press has a known position and {'force' if by_force else 'depth'}; choose another --load")
+        other = "depth" if by_force else "force"
+        raise ValueError(
+            f"no press has a known position and {kind}, and what a press reads cannot be told without; choose --load "
+            f"{other} if that was recorded"
+        )
     if len(np.unique(touches.pad[good])) > 1:
         raise ValueError("the data set holds several skins; calibrate them one at a time")
     if len(np.unique(touches.object[good])) > 1:
         raise ValueError("the data set holds several objects; calibration needs presses of one tip")
+    amount, pushing, notes = _pushing_loads(amount, good, kind)
+    good &= pushing
     chips = dataset.board.chips[:, :2] if by_force else None
-    return PressRecording(T_t_o[good, :2, 3], amount[good], touches.reading[good].astype(np.float64), by_force, chips)
+    readings = touches.reading[good].astype(np.float64)
+    return PressRecording(T_t_o[good, :2, 3], amount[good], readings, by_force, chips, notes=notes)
+
+
+def _pushing_loads(amount: np.ndarray, good: np.ndarray, kind: str) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Loads as presses have them, which of them push, and what was odd about them; ValueError where none pushes."""
+    negative, notes = float(np.mean(amount[good] < 0)), []
+    if negative >= PULLING_SHARE:
+        amount = -amount
+        notes.append(
+            f"{100 * negative:.0f} % of the {kind}s are negative, and a press pushes: their sign is turned; correct "
+            "the axes of the recording"
+        )
+    pushing = amount >= 0
+    if lost := int(np.sum(good & ~pushing)):
+        notes.append(f"{lost} presses with a negative {kind} are left out")
+    largest = float(amount[good & pushing].max(initial=0.0))
+    if kind == "force" and largest <= 0:
+        raise ValueError("every force is nil, so nothing says how hard was pressed; choose --load depth if it is known")
+    if float(np.ptp(amount[good & pushing])) <= LEAST_LOAD_RANGE * max(largest, 1e-9):
+        notes.append(f"all presses have one {kind}, so only what depends on the position is learned")
+    return amount, pushing, tuple(notes)
 
 
 def hold_out(

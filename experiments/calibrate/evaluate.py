@@ -14,12 +14,17 @@ from experiments.calibrate.methods import (
     PREVIOUS_ALONE,
     PREVIOUS_MEAN,
     RESIDUAL_NOISE,
+    WEIGHED,
+    WEIGHED_BLOCKS,
     Predictors,
+    block_fifths,
     interval_scaling,
     neighbours,
     predict,
+    random_fifths,
     select,
-    select_method,
+    weigh_methods,
+    weighed,
 )
 from i2t.calibration.structured_gp import STDS_WITHIN_90_PERCENT, hyperparameter_grid
 
@@ -125,10 +130,16 @@ def _append(curves: dict, method: str, count: int, value: float | np.ndarray) ->
 
 
 def _predictions(predictors: Predictors, rows: np.ndarray, test: np.ndarray) -> dict[str, np.ndarray]:
-    """Readings at the test by every method; the best is chosen on the known rows alone."""
+    """Readings at the test by every method; the best is chosen, and methods are weighed, on the known rows alone: on
+    parts of them that are spread over the skin, and on parts that lie together.
+    """
     methods = predictors.by_name()
     predicted = {name: method(rows, test) for name, method in methods.items()}
-    return predicted | {BEST: predicted[select_method(methods, predictors.recording, rows)]}
+    rules = {WEIGHED: random_fifths, WEIGHED_BLOCKS: block_fifths}
+    weights = {name: weigh_methods(methods, predictors.recording, rows, rule) for name, rule in rules.items()}
+    best = next(iter(weights[WEIGHED]))
+    mixed = {name: weighed(predicted, weights[name]) for name in rules}
+    return predicted | {BEST: predicted[best]} | mixed
 
 
 def _predictions_from_mean(

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from experiments.calibrate import plain_gp
 from experiments.calibrate.data import PressRecording
 from i2t.calibration import (
     DEPTH_HYPERPARAMETERS,
@@ -16,6 +17,7 @@ from i2t.calibration import (
     StructuredGPHyperparameters,
     baseline_network,
     lattice,
+    population_gp,
     structured_gp,
 )
 from i2t.calibration.baseline_network import PressFeatures
@@ -28,14 +30,26 @@ SELECTED = "structured GP + height, scales by cross-validation"
 PERIOD = "structured GP + height, period given"
 SCRATCH, PRETRAINED = "network from scratch", "network pretrained on generated skins"
 RESIDUAL, BEST = "pretrained network + structured GP", "best method by cross-validation"
+MEAN, POPULATION = "mean of the presses", "Gaussian process of a population"
+WEIGHED = "methods weighed by cross-validation"
+WEIGHED_BLOCKS = "methods weighed by cross-validation over blocks"
 PREVIOUS_MEAN, PREVIOUS_ALONE = "earlier half as the mean", "earlier half alone"
 
+MAX_WEIGHED_PRESSES = 100  # that methods are weighed on: the best of so many is the best of more
+# What is believed of the methods that take part before any press: chosen on simulated skins and on eFlesh's `spatial`.
+SHARES = {
+    POPULATION: 0.5, PLAIN: 0.2, HEIGHT: 0.2, NEIGHBOURS: 0.1, MEAN: 0.1, PERIOD: 0.1, PRETRAINED: 0.05, RESIDUAL: 0.05,
+}  # fmt: skip
 MAX_SELECTION_PRESSES = 300  # that hyperparameters are chosen on: the cost grows with the cube
-FOLDS = 5
+FOLDS = 5  # of cross-validation between methods
+LEAST_ERROR_UT2, LEAST_WEIGHT = 1e-9, 1e-6
+LEAST_UNIT_LOAD = 1e-6  # m or N, where all loads are nil
+CURVE_CELLS = 1024  # along each edge of the skin, a power of two
 SCALES = {"map_length": (0.7, 1.0, 1.4), "bend_variance": (0.3, 1.0, 3.0), "noise_variance": (0.3, 1.0, 3.0)}
 RESIDUAL_NOISE = {"noise_variance": (1.0, 10.0, 100.0, 1e4)}  # what a previous session leaves is mostly noise
 PRETRAINING_PRESSES = 125  # of each generated skin
 
+FoldRule: TypeAlias = Callable[[PressRecording, np.ndarray], np.ndarray]  # part of cross-validation of each known row
 Predict: TypeAlias = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (known rows, test rows) -> (n, c) uT
 
 fit, predict = jax.jit(structured_gp.fit), jax.jit(structured_gp.predict)
@@ -61,8 +75,10 @@ class Predictors:
     def by_name(self) -> dict[str, Predict]:
         """All of them."""
         methods: dict[str, Predict] = {
+            MEAN: self.mean,
             NEIGHBOURS: partial(neighbours, self.recording),
             PLAIN: self.plain,
+            POPULATION: self.population,
             SCRATCH: self.scratch,
             STRUCTURED: partial(self.structured, height_std=0.0),
             HEIGHT: self.structured,
@@ -89,12 +105,24 @@ class Predictors:
         return self.gp_mean(self.hyperparameters._replace(**changed), rows, self.recording.readings[rows], test)
 
     def plain(self, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
-        """A Gaussian process over position and load, its scales by cross-validation."""
-        readings = self.recording.readings[rows]
-        bare = Predictors(replace(self.recording, chip_positions=None))
-        centred = readings - readings.mean(0)
-        hyperparameters = select(plain_candidates(self.recording), bare.recording, rows, centred)
-        return readings.mean(0) + bare.gp_mean(hyperparameters, rows, centred, test)
+        """A Gaussian process over position and load, its scales fitted to the rows."""
+        position, load = self.recording.position, self.recording.load
+        known = position[rows], load[rows], self.recording.readings[rows]
+        return plain_gp.predict_plain(plain_gp.fit_scales(*known), known, (position[test], load[test]))
+
+    def mean(self, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
+        """The mean of the rows, wherever and however hard is pressed."""
+        return np.tile(self.recording.readings[rows].mean(0), (len(test), 1))
+
+    def population(self, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
+        """What `i2t.calibrate` predicts: hyperparameters marginalised over a population of skins."""
+        recording = self.recording
+        kind = ("force" if recording.by_force else "depth",)
+        known, asked = recording.press_table(rows), recording.press_table(test)
+        fitted = population_gp.fit_population(
+            known, recording.readings[rows], load_kinds=kind, chip_positions=recording.chip_positions
+        )
+        return population_gp.predict_population(fitted, asked)[0]
 
     def selected(self, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
         """The structured GP, its scales by cross-validation."""
@@ -112,7 +140,8 @@ class Predictors:
 
     def residual(self, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
         """The pretrained network, and a structured GP of what it leaves of rows that its head was not fitted to."""
-        left = self.recording.readings[rows] - cross_predict(self.pretrained, rows)
+        fold = random_fifths(self.recording, rows)
+        left = self.recording.readings[rows] - cross_predict(self.pretrained, rows, fold)
         return self.pretrained(rows, test) + self.gp_mean(
             self.hyperparameters._replace(height_std=0.0), rows, left, test
         )
@@ -124,7 +153,7 @@ class Predictors:
             self.recording.presses(rows),
             jnp.float32(self.recording.readings[rows]),
             max_position=jnp.float32(np.abs(self.recording.position).max()),
-            unit_load=jnp.float32(self.recording.load.max()),
+            unit_load=jnp.float32(max(self.recording.load.max(), LEAST_UNIT_LOAD)),
             steps=self.scratch_steps,
         )
         return np.asarray(_predict_network(network, head, self.recording.presses(test))[0], np.float64)
@@ -163,27 +192,29 @@ def select(
     return _select(candidates, recording.presses(rows[some]), jnp.float32(target[some]), recording.chips)
 
 
-def plain_candidates(recording: PressRecording) -> StructuredGPHyperparameters:
-    """The plain process, squared exponential over position and load: nothing but the bent part, without growth."""
-    load = float(recording.load.std())
-    plain = StructuredGPHyperparameters(
-        unit_load=load, load_offset=0.0, load_power=0.0, map_length=8e-3, map_variance=0.0, bend_variance=1.0,
-        bend_length=8e-3, bend_load_width=2 * load, static_variance=0.0, constant_variance=0.0, noise_variance=1e-2,
-        height_std=0.0, height_length=2e-3, chip_reach=1.0, far_amplitude=1.0,
-    )  # fmt: skip
-    return structured_gp.hyperparameter_grid(
-        plain,
-        {
-            "bend_length": (0.5, 0.75, 1.0, 1.5),
-            "bend_load_width": (0.5, 1.0, 2.0),
-            "noise_variance": (0.1, 1.0),
-        },
-    )
+def random_fifths(recording: PressRecording, rows: np.ndarray) -> np.ndarray:
+    """Parts of cross-validation that are spread over the skin: rows come in random order."""
+    return np.arange(len(rows)) % min(FOLDS, len(rows))
 
 
-def cross_predict(method: Predict, rows: np.ndarray) -> np.ndarray:
-    """Readings (n, c) uT of rows, each fifth predicted from the others."""
-    fold = np.arange(len(rows)) % min(FOLDS, len(rows))
+def block_fifths(recording: PressRecording, rows: np.ndarray) -> np.ndarray:
+    """Parts of cross-validation that lie together on the skin, for users who predict where they never pressed.
+
+    Positions are cut along a curve that fills the skin (Morton's), into parts of as many presses as in random fifths,
+    so that what was compiled for these serves here too.
+    """
+    position = recording.position[rows]
+    extent = max(float(np.ptp(position, axis=0).max()), 1e-9)
+    cell = ((CURVE_CELLS - 1) * (position - position.min(0)) / extent).astype(int)
+    bits = range(CURVE_CELLS.bit_length() - 1)
+    along = sum(((cell[:, axis] >> bit) & 1) << (2 * bit + axis) for bit in bits for axis in (0, 1))
+    fold = np.empty(len(rows), int)
+    fold[np.argsort(along, kind="stable")] = np.sort(random_fifths(recording, rows))
+    return fold
+
+
+def cross_predict(method: Predict, rows: np.ndarray, fold: np.ndarray) -> np.ndarray:
+    """Readings (n, c) uT of rows, each part predicted from the others."""
     parts = {i: method(rows[fold != i], rows[fold == i]) for i in range(fold.max() + 1)}
     predicted = np.empty((len(rows), parts[0].shape[1]))
     for i, part in parts.items():
@@ -191,17 +222,36 @@ def cross_predict(method: Predict, rows: np.ndarray) -> np.ndarray:
     return predicted
 
 
-def select_method(methods: Mapping[str, Predict], recording: PressRecording, rows: np.ndarray) -> str:
-    """The method with the least error on fifths of at most MAX_SELECTION_PRESSES of the rows.
+def weigh_methods(
+    methods: Mapping[str, Predict], recording: PressRecording, rows: np.ndarray, fold_of: FoldRule
+) -> dict[str, float]:
+    """How much each method counts, by its squared error on parts of the rows that are left out.
 
-    It is the structured GP with heights unless another is better by one standard error over presses.
+    A weight is the method's share before any press times error^(-n / 2), the likelihood of n presses with errors of
+    unknown size: with five presses most methods count, with fifty the best alone.
+
+    Args:
+        methods: By name; those that have a share take part.
+        recording: Of the presses.
+        rows: That are known, in random order; at most MAX_WEIGHED_PRESSES are used.
+        fold_of: Says which are left out together.
+
+    Returns:
+        Weights that sum to 1, the best method's first.
     """
-    rows = rows[:MAX_SELECTION_PRESSES]
-    errors = {
-        name: ((recording.readings[rows] - cross_predict(methods[name], rows)) ** 2).sum(1)
-        for name in (HEIGHT, PRETRAINED, RESIDUAL, PERIOD)
-        if name in methods
-    }
-    gain = {name: errors[HEIGHT] - error for name, error in errors.items()}
-    sure = {name: g.mean() for name, g in gain.items() if g.mean() > g.std() / np.sqrt(max(len(g) - 1, 1))}
-    return max(sure, key=lambda name: sure[name]) if sure else HEIGHT
+    rows = rows[:MAX_WEIGHED_PRESSES]
+    fold, known = fold_of(recording, rows), recording.readings[rows]
+    log = {}
+    for name in (name for name in SHARES if name in methods):
+        error = float(((known - cross_predict(methods[name], rows, fold)) ** 2).sum())
+        if np.isfinite(error):
+            log[name] = np.log(SHARES[name]) - len(rows) / 2 * np.log(max(error, LEAST_ERROR_UT2))
+    largest = max(log.values())
+    weight = {name: float(np.exp(value - largest)) for name, value in log.items()}
+    total = sum(weight.values())
+    return {name: weight[name] / total for name in sorted(weight, key=lambda name: -weight[name])}
+
+
+def weighed(predicted: Mapping[str, np.ndarray], weights: Mapping[str, float]) -> np.ndarray:
+    """The mean of the methods' predictions (n, c), each by its weight."""
+    return np.sum([weight * predicted[name] for name, weight in weights.items() if weight > LEAST_WEIGHT], axis=0)

@@ -13,9 +13,11 @@ from experiments.calibrate.evaluate import Curves, ErrorCurves
 from experiments.calibrate.methods import (
     BEST,
     HEIGHT,
+    MEAN,
     NEIGHBOURS,
     PERIOD,
     PLAIN,
+    POPULATION,
     PRETRAINED,
     PREVIOUS_ALONE,
     PREVIOUS_MEAN,
@@ -23,6 +25,8 @@ from experiments.calibrate.methods import (
     SCRATCH,
     SELECTED,
     STRUCTURED,
+    WEIGHED,
+    WEIGHED_BLOCKS,
 )
 from experiments.common.runs import write_json
 from i2t.calibration import DataWarnings, check_presses
@@ -34,7 +38,9 @@ STYLES: dict[str, tuple[str, str]] = {
     NEIGHBOURS: (style.GREY, "-"), PLAIN: (style.ORANGE, "-"), STRUCTURED: (style.BLUE, "-"),
     HEIGHT: (style.GREEN, "-"), SELECTED: (style.RED, ":"), PREVIOUS_MEAN: (style.BLUE, "-"),
     PREVIOUS_ALONE: (style.RED, "--"), PERIOD: (style.GREEN, ":"), SCRATCH: (style.GREY, "--"),
-    PRETRAINED: (style.ORANGE, "--"), RESIDUAL: (style.BLUE, "--"), BEST: (style.RED, "-"),
+    PRETRAINED: (style.ORANGE, "--"), RESIDUAL: (style.BLUE, "--"), BEST: (style.RED, "-."),
+    MEAN: (style.GREY, ":"), POPULATION: (style.ORANGE, ":"), WEIGHED: (style.RED, "-"),
+    WEIGHED_BLOCKS: (style.RED, "--"),
     SESSION[PREVIOUS_MEAN]: (style.BLUE, "-"), SESSION[PREVIOUS_ALONE]: (style.RED, "--"),
 }  # fmt: skip
 LABEL_WIDTH = 56
@@ -62,7 +68,7 @@ def differences(curves: Curves, reference: str = HEIGHT) -> dict[str, Any]:
 
 
 def over_blocks(readings: np.ndarray, errors: ErrorCurves, block: np.ndarray) -> dict[str, Any]:
-    """R2 of the best method, and by how much it is above each other, with 95 % intervals over whole blocks of the
+    """R2 of the weighed methods, and by how much it is above each other, with 95 % intervals over whole blocks of the
     held-out presses (cluster bootstrap of the mean over draws): what other positions on the skin would have given.
     """
     names, of = np.unique(block, return_inverse=True)
@@ -84,11 +90,11 @@ def over_blocks(readings: np.ndarray, errors: ErrorCurves, block: np.ndarray) ->
 
     return {
         "blocks": len(names),
-        "r2": {n: interval(partial(r2, error)) for n, error in missed[BEST].items()},
+        "r2": {n: interval(partial(r2, error)) for n, error in missed[WEIGHED].items()},
         "differences": {
-            f"{BEST} - {other}": {n: interval(partial(share, error - missed[BEST][n])) for n, error in by.items()}
+            f"{WEIGHED} - {other}": {n: interval(partial(share, error - missed[WEIGHED][n])) for n, error in by.items()}
             for other, by in missed.items()
-            if other != BEST
+            if other != WEIGHED
         },
     }
 
@@ -159,9 +165,9 @@ def print_tables(metrics: dict[str, Any]) -> None:
         for method, by_count in methods.items():
             print(table_row(method, by_count))
     for name, found in metrics.get("best_over_blocks", {}).items():
-        print(f"\nheld out: {name}; {BEST} and its gain, 95 % over {found['blocks']} blocks of positions")
-        for what, by_count in {BEST: found["r2"], **found["differences"]}.items():
-            print(table_row(what.removeprefix(BEST + " "), by_count))
+        print(f"\nheld out: {name}; {WEIGHED} and their gain, 95 % over {found['blocks']} blocks of positions")
+        for what, by_count in {WEIGHED: found["r2"], **found["differences"]}.items():
+            print(table_row(what.removeprefix(WEIGHED + " "), by_count))
 
 
 def write(out: Path, metrics: dict[str, Any]) -> None:

@@ -14,12 +14,13 @@ presses, and whole blocks of 6 mm; nothing is chosen by them. Random presses ins
 that methods may learn from, so those outside are also scored alone. A last part asks what an earlier session is worth:
 the first half in time predicts the second; with --previous-session a session recorded before predicts the second half
 of this one, and presses are drawn from the first half, so that one position or few are enough. Every method sees the
-same presses, so that differences are paired. Intervals are over draws; as neighbouring presses are no independent
-tests, the best method also has intervals over 6 mm blocks of what is held out. The pretrained network was trained on
-generated skins of four magnets only.
+same presses, so that differences are paired. Methods are weighed by cross-validation on the presses they learn from: on
+random fifths of them, and on fifths that lie together, as a user will predict between presses or beyond them. Intervals
+are over draws; as neighbouring presses are no independent tests, the weighed methods also have intervals over 6 mm
+blocks of what is held out. The pretrained network was trained on generated skins of four magnets only.
 
 Results go to --out: metrics.json, config.json, curves.png, and calibration.npz for `i2t.load_calibration`: the skin as
-calibrated on all presses (of more than 1500, that many at random).
+calibrated on all presses (of more than 1500, that many at random) with the best of three Gaussian processes.
 """
 
 import os
@@ -35,11 +36,24 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import tyro
 
-from experiments.calibrate import fitted_pad, previous_session, report, targets
+from experiments.calibrate import fitted_pad, plain_gp, previous_session, report, targets
 from experiments.calibrate.config import CalibrateArgs, Preset, preset_of
 from experiments.calibrate.data import PressRecording, hold_out, read_presses, split_presses
 from experiments.calibrate.evaluate import learning_curves
-from experiments.calibrate.methods import Predictors, pretrain_network
+from experiments.calibrate.methods import (
+    HEIGHT,
+    MEAN,
+    NEIGHBOURS,
+    PLAIN,
+    POPULATION,
+    Predict,
+    Predictors,
+    block_fifths,
+    neighbours,
+    pretrain_network,
+    random_fifths,
+    weigh_methods,
+)
 from experiments.common.presets import RENAMED, answer_renamed_value
 from experiments.common.runs import begin, exit_code_of_run
 from i2t import dataset as data
@@ -50,6 +64,7 @@ from i2t.dataset import Dataset
 
 RENAMED_FLAGS: dict[str, str] = {"--earlier": "--previous-session"}
 M_PER_MM = 1e-3
+KEPT = (POPULATION, HEIGHT, PLAIN)  # methods that a calibration on disk can be
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -78,25 +93,29 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
     started, cfg = time.perf_counter(), preset_of(args)
     dataset = data.load_dataset(args.dataset)
     recording = read_presses(dataset, args.load)
+    for note in recording.notes:
+        print(f"note: {note}")
     held, blocks = hold_out(recording, cfg.held_out_presses, cfg.block_mm, cfg.block_share, args.seed)
     refuse_too_few(args, cfg, held, blocks)
     begin(args.out, args, cfg, None, args.overwrite)
     warnings = report.warn(recording)
     split = split_presses(held, blocks, ~warnings.repeated, cfg.block_mm)
     predictors = Predictors(recording, args.period_mm * M_PER_MM, cfg.scratch_steps)
-    if not recording.by_force:
+    if not recording.by_force and recording.load.max() > 0:
         network = pretrain_network(recording, cfg.generated_skins, cfg.pretraining_steps)
         predictors = predictors.with_network(network)
 
     scores = learning_curves(predictors, split, counts=cfg.counts, draws=cfg.draws, seed=args.seed)
 
-    save_calibration(args, cfg, dataset, recording, ~warnings.repeated)
+    kept = save_calibration(args, cfg, dataset, recording, ~warnings.repeated)
     block = recording.blocks(cfg.block_mm)
     metrics = {
         "source": dataset.source,
         "seed": args.seed,
         "draws": cfg.draws,
         "load": recording.load_kind,
+        "notes": recording.notes,
+        "kept": kept,
         **report.warning_metrics(warnings),
         "presses": len(held),
         "hyperparameters": hyperparameters_to_json(predictors.hyperparameters),
@@ -121,25 +140,52 @@ def refuse_too_few(args: CalibrateArgs, cfg: Preset, held: np.ndarray, blocks: n
     later = np.arange(len(held)) >= len(held) // 2
     learnable = min(len(pool), 2 * int(later[pool].sum()))
     if learnable < 2 * min(cfg.counts) or min((held & ~blocks).sum(), blocks.sum(), (held & later).sum()) < 2:
-        raise ValueError(f"{args.dataset} has {len(held)} usable presses, too few to calibrate on and to hold out")
+        placed = "" if len(pool) else f", all in {cfg.block_mm:g} mm that are held out as one block"
+        raise ValueError(
+            f"{args.dataset} has {len(held)} usable presses{placed}, too few to calibrate on and to hold out"
+        )
 
 
 def save_calibration(
     args: CalibrateArgs, cfg: Preset, dataset: Dataset, recording: PressRecording, usable: np.ndarray
-) -> None:
-    """Calibrate on all presses and write calibration.npz."""
+) -> dict[str, Any]:
+    """Calibrate on all presses and write calibration.npz: with the Gaussian process that cross-validation over random
+    presses and over blocks finds best. Returns what was kept, and the weights.
+    """
     rows = np.random.default_rng(args.seed).permutation(np.flatnonzero(usable))[: cfg.saved_presses]
+    predictors = Predictors(recording)
+    candidates: dict[str, Predict] = {
+        MEAN: predictors.mean, NEIGHBOURS: partial(neighbours, recording), PLAIN: predictors.plain,
+        HEIGHT: predictors.structured, POPULATION: predictors.population,
+    }  # fmt: skip
+    rules = {"random presses": random_fifths, "blocks": block_fifths}
+    weights = {name: weigh_methods(candidates, recording, rows, rule) for name, rule in rules.items()}
+    together = {name: weights["random presses"][name] * weights["blocks"][name] for name in weights["blocks"]}
+    best = max(together, key=lambda name: together[name])
+    kept = max((name for name in together if name in KEPT), key=lambda name: together[name])
+    if best != kept:
+        print(f"note: {best} predicts better than every Gaussian process; {kept}, the best of these, is kept")
+    hyperparameters = None
+    if kept == PLAIN:
+        known = recording.position[rows], recording.load[rows], recording.readings[rows]
+        hyperparameters = plain_gp.as_structured(plain_gp.fit_scales(*known))
+    elif kept == HEIGHT:
+        hyperparameters = predictors.hyperparameters
     calibrate(
         recording.position[rows],
         recording.load[rows],
         recording.readings[rows],
         load_kind=recording.load_kind,
-        board=dataset.board if recording.by_force else None,
+        board=dataset.board if recording.by_force and kept != PLAIN else None,
+        hyperparameters=hyperparameters,
         metadata={
             "dataset": str(args.dataset),
             "source": dataset.source,
+            "method": kept,
             "board": fitted_pad.board_to_json(dataset.board),
             "pad": dataset.pads[int(dataset.touches.pad[0])],
             "tip": dataset.objects[int(dataset.touches.object[0])],
         },
     ).save(args.out / "calibration.npz")
+    print(f"kept in calibration.npz: {kept}")
+    return {"method": kept, "best": best, "weights": weights}

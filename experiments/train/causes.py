@@ -37,8 +37,8 @@ TRIED_STEPS = 20  # of the choice of hyperparameters
 LAG_TOUCHES = 1500  # in the order of their rows
 MAX_LAG = 3  # rows
 MIN_GAIN = 0.05  # of R2, from which on a change is a cause
-NIL_SHARE = 0.2  # of touches without pressure, from which on they are a cause
-PULLING_SHARE = 0.5  # of forces that do not push
+MIN_NIL_SHARE = 0.2  # of touches without pressure, from which on they are a cause
+MIN_PULLING_SHARE = 0.5  # of forces that do not push
 HEIGHTS_M = (-0.5e-3, 0.5e-3, 1e-3, 2e-3)  # added to depths
 TIP_FACTORS = (0.5, 2.0)
 SCALES = (0.1, 10.0)
@@ -137,7 +137,7 @@ def nil_pressures(total: np.ndarray, cfg: PressureModelConfig, force: np.ndarray
     if cfg.control == "force":
         nil = float(np.mean(~(cfg.force_sign * force > cfg.floor)))
         said = f"{100 * nil:.0f} % of the forces do not push, so that predicted pressures are next to nil"
-        return Finding(SIGN, nil >= NIL_SHARE, said)
+        return Finding(SIGN, nil >= MIN_NIL_SHARE, said)
     nil = float(np.mean(~(total > cfg.floor / 10)))
     same = float(np.ptp(depth)) < LEAST_DEPTH_M
     at_one = ", as all presses go to one height" if same else ""
@@ -145,7 +145,7 @@ def nil_pressures(total: np.ndarray, cfg: PressureModelConfig, force: np.ndarray
         f"{100 * nil:.0f} % of the predicted pressures are nil{at_one}: depths count from a height that is not that of "
         "first contact"
     )
-    return Finding(HEIGHT, nil >= NIL_SHARE, said)
+    return Finding(HEIGHT, nil >= MIN_NIL_SHARE, said)
 
 
 def pulling_forces(force: np.ndarray, sign: float = 1.0) -> Finding:
@@ -161,7 +161,7 @@ def pulling_forces(force: np.ndarray, sign: float = 1.0) -> Finding:
     pulling, median = float(np.mean(force < 0)), float(np.median(force))
     turned = ", which was turned here" if sign < 0 else ""
     said = f"{100 * pulling:.0f} % of the forces along the pressing axis are negative (median {median:.2f} N{turned})"
-    return Finding(SIGN, pulling >= PULLING_SHARE and sign > 0, said)
+    return Finding(SIGN, pulling >= MIN_PULLING_SHARE and sign > 0, said)
 
 
 def wrong_values(patches: np.ndarray, readings: np.ndarray, force: np.ndarray, depth: np.ndarray) -> Iterator[Finding]:

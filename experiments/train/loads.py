@@ -96,3 +96,15 @@ def with_known_load(dataset: Dataset) -> tuple[Dataset, str | None]:
     if not 0 < lost <= MAX_UNKNOWN_SHARE * len(dataset):
         return dataset, None
     return dataset.select(known[name]), f"left out: {lost} touches whose {name} is not known"
+
+
+def several_skins(dataset: Dataset) -> list[str]:
+    """A sentence where one predictor would be trained on the readings of several skins."""
+    skins = [dataset.pads[i] for i in np.unique(dataset.touches.pad)]
+    if len(skins) < 2 or dataset.source == "simulated":
+        return []
+    named = f"{', '.join(skins[:3])}{', ...' if len(skins) > 3 else ''}"
+    return [
+        f"touches of {len(skins)} skins ({named}) are predicted as if they were of one; convert them apart (--board, "
+        "--pad of the converter)"
+    ]

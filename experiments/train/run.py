@@ -36,7 +36,7 @@ from experiments.common.runs import begin, exit_code_of_run, slug, write_json
 from experiments.train import causes, recognition_data
 from experiments.train.choosing import Choice, choose
 from experiments.train.configs import PRESETS, TrainExperiment
-from experiments.train.loads import PressLoad, press_load, with_known_load
+from experiments.train.loads import PressLoad, press_load, several_skins, with_known_load
 from experiments.train.methods import (
     adapt_network,
     ceiling,
@@ -208,6 +208,7 @@ def prepare_data(args: TrainArgs, cfg: TrainExperiment, seed: int, pad: Pad | in
     prepared = noted(
         PreparedData(dataset, split, conditions_of(touches, split), noise),
         *([left_out] if left_out else []),
+        *several_skins(dataset),
         *load.notes,
     )
     pressure_model = pressure_model_of(dataset, load, cfg)
@@ -225,7 +226,7 @@ def with_pressure(prepared: PreparedData, pressure_model: PressureModelConfig, l
     """Predict the contact pressure of each touch; none where next to all predicted pressures are nil."""
     dataset, split, touches = prepared.dataset, prepared.split, prepared.dataset.touches
     print("predicting contact pressures")
-    if load.control == "depth" and load.nil_share > causes.NIL_SHARE:
+    if load.control == "depth" and load.nil_share > causes.MIN_NIL_SHARE:
         height, said = causes.likely_height(dataset, split.train, split.groups, pressure_model)
         pressure_model = replace(pressure_model, depth_offset=height)
         prepared = noted(prepared, *([said] if said else []))

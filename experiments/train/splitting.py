@@ -12,6 +12,9 @@ from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.types import ReturnCode, Touches
 
+MIN_BLOCKS, LEAST_BLOCK_M = 12, 1.5e-3  # blocks are made smaller for there to be as many, down to this edge
+MIN_SESSIONS = 5  # that can be held out where places cannot
+
 
 @dataclass(frozen=True)
 class Split:
@@ -26,14 +29,14 @@ class Split:
 
 def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -> Split:
     """Hold out objects, sessions, blocks of places or the last touches in time; presses that failed or met air are left
-    out.
+    out. What validates is held out as what tests is.
     """
     touches = dataset.touches
     usable = ~np.isin(touches.code, [ReturnCode.FAILED, ReturnCode.AIR])
     plan = cfg.simulation
     if how == "auto":
         known = set(plan.objects) <= set(dataset.objects)
-        how = "object" if known or len(dataset.objects) >= 3 else "block"
+        how = "object" if known or len(dataset.objects) >= 3 else _split_of_one_object(dataset, cfg.block)
     rng = np.random.default_rng(seed)
     groups = touches.session.copy()
     if how == "object":
@@ -43,7 +46,8 @@ def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -
         else:
             order = [names[i] for i in rng.permutation(len(names))]
             third = max(len(names) // 3, 1)
-            test, validation = tuple(order[:third]), tuple(order[third : third + 1])
+            # Of six or more that are left, two validate: one object alone is a poor judge of methods.
+            test, validation = tuple(order[:third]), tuple(order[third : third + 1 + (len(names) - third >= 6)])
         held, tuning = data.holdout_names(dataset, "object", test), data.holdout_names(dataset, "object", validation)
         if len(np.unique(groups)) < 4:  # one long run: neighbours in place stay together
             groups = data.spatial_blocks(dataset, cfg.block)
@@ -53,11 +57,13 @@ def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -
         held = data.holdout_names(dataset, "session", order[:fifth])
         tuning = data.holdout_names(dataset, "session", order[fifth : 2 * fifth])
     elif how == "block":
-        groups = data.spatial_blocks(dataset, cfg.block)
-        held = data.holdout_blocks(dataset, cfg.block, 0.2, seed)
+        edge = block_edge(dataset, cfg.block)
+        groups = data.spatial_blocks(dataset, edge)
+        held = data.holdout_blocks(dataset, edge, 0.2, seed)
         rest = np.flatnonzero(~held)
         tuning = np.zeros(len(dataset), bool)
-        tuning[rest[data.holdout_blocks(dataset.select(rest), cfg.block, 0.1, seed)]] = True
+        if len(rest):
+            tuning[rest[data.holdout_blocks(dataset.select(rest), edge, 0.1, seed)]] = True
     else:
         groups = np.arange(len(dataset)) // 20
         held = data.holdout_last(dataset, 0.2)
@@ -69,6 +75,20 @@ def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -
                 f"splitting by {how} leaves {getattr(split, part).sum()} touches to {part}; choose another --split"
             )
     return split
+
+
+def block_edge(dataset: Dataset, edge: float) -> float:
+    """The edge (m) of spatial blocks: halved where touches lie in too few to hold some out."""
+    while len(np.unique(data.spatial_blocks(dataset, edge))) < MIN_BLOCKS and edge >= 2 * LEAST_BLOCK_M:
+        edge /= 2
+    return edge
+
+
+def _split_of_one_object(dataset: Dataset, edge: float) -> str:
+    """Blocks of places; sessions or times where all touches are at a few places."""
+    if len(np.unique(data.spatial_blocks(dataset, block_edge(dataset, edge)))) >= MIN_BLOCKS:
+        return "block"
+    return "session" if len(np.unique(dataset.touches.session)) >= MIN_SESSIONS else "time"
 
 
 def conditions_of(touches: Touches, split: Split) -> tuple[str, ...]:

@@ -1,0 +1,135 @@
+"""The plain Gaussian process that every method has to beat: squared exponential over position and load, its
+hyperparameters fitted to the presses at hand.
+
+Two lengths (over position and over load), a noise and nothing else, shared by all channels, which differ in scale:
+
+  y_c = mean_c + s_c g_c(x, d) + noise,   cov(g, g') = exp(-|x - x'|^2 / 2 l^2 - (d - d')^2 / 2 w^2)
+
+Marginal likelihood (Rasmussen and Williams, "Gaussian Processes for Machine Learning", section 5.4) is maximised over
+l, w and the noise, the scales being at their best, with wide log-normal priors that keep five presses from choosing
+nonsense. NumPy, so that no number of presses compiles.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+
+from i2t.calibration import StructuredGPHyperparameters
+
+MAX_FITTED_PRESSES = 300  # that hyperparameters are fitted to: the cost grows with the cube
+PRIOR_STDS = (0.7, 0.7, 2.0)  # of the logarithms of l, w and the noise
+PRIOR_LENGTH = 0.8  # of the spread of positions, median of l; likewise of loads and w
+PRIOR_WIDTH = 1.5
+PRIOR_NOISE = 0.01  # of a channel's variance
+STARTS = ((0.0, 0.0, 0.0), (-0.7, 0.0, 1.5))  # in logarithms, from the priors' medians
+BOUNDS = ((-4.0, 4.0), (-4.0, 4.0), (-7.0, 5.0))  # likewise
+LEAST_NOISE = 1e-6
+SPREAD_FLOOR = 1e-9  # m, N
+MEAN_VARIANCE = 10.0  # of a channel's mean, relative to the signal's, where it is part of the process
+
+
+class PlainScales(NamedTuple):
+    """Hyperparameters."""
+
+    length: float  # m
+    width: float  # of the load
+    noise: float  # variance, relative to the signal's
+
+
+def fit_scales(position: np.ndarray, load: np.ndarray, readings: np.ndarray) -> PlainScales:
+    """Hyperparameters of the most likely plain process.
+
+    Args:
+        position: (n, 2) m.
+        load: (n,) m or N.
+        readings: (n, c) uT.
+
+    Returns:
+        Lengths and noise.
+    """
+    some = slice(MAX_FITTED_PRESSES)
+    position, load, readings = position[some], load[some], readings[some]
+    medians = np.array([
+        PRIOR_LENGTH * max(float(position.std(0).mean()) * 2, SPREAD_FLOOR),
+        PRIOR_WIDTH * max(float(load.std()), SPREAD_FLOOR),
+        PRIOR_NOISE,
+    ])  # fmt: skip
+    square = ((position[:, None] - position) ** 2).sum(-1), (load[:, None] - load) ** 2
+    centred = readings - readings.mean(0)
+    start = [
+        minimize(_loss, at, (medians, square, centred), jac=True, method="L-BFGS-B", bounds=BOUNDS)
+        for at in map(np.array, STARTS)
+    ]
+    best = min(start, key=lambda found: float(found.fun) if np.isfinite(found.fun) else np.inf)
+    length, width, noise = medians * np.exp(best.x)
+    return PlainScales(float(length), float(width), max(float(noise), LEAST_NOISE))
+
+
+def as_structured(scales: PlainScales) -> StructuredGPHyperparameters:
+    """The same process as a special case of the structured one, which can be kept on disk.
+
+    Args:
+        scales: Hyperparameters.
+
+    Returns:
+        Those of `i2t.calibration.structured_gp` without growth, heights or chips; the mean is a large constant.
+    """
+    return StructuredGPHyperparameters(
+        unit_load=scales.width, load_offset=0.0, load_power=0.0, map_length=scales.length, map_variance=0.0,
+        bend_variance=1.0, bend_length=scales.length, bend_load_width=scales.width, static_variance=0.0,
+        constant_variance=MEAN_VARIANCE, noise_variance=scales.noise, height_std=0.0, height_length=scales.length,
+        chip_reach=1.0, far_amplitude=1.0,
+    )  # fmt: skip
+
+
+def predict_plain(
+    scales: PlainScales,
+    known: tuple[np.ndarray, np.ndarray, np.ndarray],
+    at: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """Readings of presses.
+
+    Args:
+        scales: Hyperparameters.
+        known: Positions (n, 2), loads (n,) and readings (n, c) of the presses that are known.
+        at: Positions (m, 2) and loads (m,) of those to predict.
+
+    Returns:
+        (m, c) uT.
+    """
+    position, load, readings = known
+    mean = readings.mean(0)
+    system = _covariance(scales, position, load, position, load) + max(scales.noise, LEAST_NOISE) * np.eye(len(load))
+    weights = cho_solve(cho_factor(system, lower=True), readings - mean)
+    return mean + _covariance(scales, *at, position, load) @ weights
+
+
+def _covariance(
+    scales: PlainScales, position: np.ndarray, load: np.ndarray, others: np.ndarray, other_loads: np.ndarray
+) -> np.ndarray:
+    far = ((position[:, None] - others) ** 2).sum(-1) / scales.length**2
+    return np.exp(-(far + (load[:, None] - other_loads) ** 2 / scales.width**2) / 2)
+
+
+def _loss(
+    free: np.ndarray, medians: np.ndarray, square: tuple[np.ndarray, np.ndarray], centred: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Minus the log posterior, up to a constant, and its gradient by the logarithms of the hyperparameters."""
+    n, c = centred.shape
+    length, width, noise = medians * np.exp(free)
+    near = np.exp(-(square[0] / length**2 + square[1] / width**2) / 2)
+    try:
+        factor = cho_factor(near + (noise + LEAST_NOISE) * np.eye(n), lower=True)
+    except np.linalg.LinAlgError:
+        return 1e30, np.zeros(3)
+    inverse = cho_solve(factor, np.eye(n))
+    weights = inverse @ centred
+    scale = np.maximum((centred * weights).sum(0) / n, 1e-12)  # of each channel, at its best
+    loss = 0.5 * n * np.log(scale).sum() + c * np.log(np.diagonal(factor[0])).sum()
+    outer = (weights / scale) @ weights.T
+    change = (near * square[0] / length**2, near * square[1] / width**2, noise * np.eye(n))
+    slope = np.array([0.5 * ((c * inverse - outer) * part).sum() for part in change])
+    stds = np.array(PRIOR_STDS)
+    return float(loss + 0.5 * ((free / stds) ** 2).sum()), slope + free / stds**2
