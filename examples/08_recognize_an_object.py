@@ -3,8 +3,6 @@
 python examples/08_recognize_an_object.py
 """
 
-from functools import partial
-
 import jax
 import numpy as np
 
@@ -12,7 +10,7 @@ import i2t
 from i2t.recognition.pad_model import fit_pad_model
 from i2t.recognition.recognizer import RecognizerConfig
 from i2t.simulation.press import PressLimits
-from i2t.simulation.touches import SimulationErrors, sample_session_errors, simulate_touch
+from i2t.simulation.touches import SimulationErrors, touch_simulator
 from i2t.types import ReturnCode
 
 
@@ -21,21 +19,18 @@ def main(training_touches: int = 72, config: RecognizerConfig | None = None) -> 
     pad, errors, limits = i2t.sample_pad(jax.random.key(0)), SimulationErrors(), PressLimits()
     hexagon = i2t.prepare_surface(i2t.make_object("hexagon").mesh)
     touches = i2t.simulate_touches(jax.random.key(1), [hexagon], pad, errors, training_touches)
-    dataset = i2t.Dataset.simulated(touches, ("hexagon",), pad)
-    rows = np.ones(len(dataset), bool)
+    dataset, rows = i2t.Dataset.simulated(touches, ("hexagon",), pad), np.ones(training_touches, bool)
     model = fit_pad_model(jax.random.key(2), dataset, rows, {"hexagon": hexagon}, errors=errors, limits=limits)
 
     meshes = {name: i2t.make_object(name).mesh for name in ("star", "cylinder", "hammer")}
     recognizer = i2t.ObjectRecognizer(jax.random.key(3), model, meshes, config=config or RecognizerConfig())
     hidden = i2t.prepare_surface(meshes["cylinder"])  # your robot touches the real one
-    session = sample_session_errors(jax.random.key(4), errors)
-    touch = jax.jit(partial(simulate_touch, session=session, pad=pad, errors=errors, limits=limits))
+    touch = touch_simulator(jax.random.key(4), hidden, pad, errors=errors, limits=limits)
     state, info = recognizer.init(), None
     while (site := recognizer.choose_touch(state)) is not None:
-        met = touch(jax.random.key(state.touches), hidden, np.eye(4, dtype=np.float32), site.T_w_t.astype(np.float32))
-        observation = recognizer.observe(
-            site, met.reading, force=float(met.force), T_w_t=met.T_w_t, contact=int(met.code) != ReturnCode.AIR
-        )
+        made = touch(site.T_w_t)
+        contact = int(made.code) != ReturnCode.AIR
+        observation = recognizer.observe(site, made.reading, force=float(made.force), T_w_t=made.T_w_t, contact=contact)
         state, info = recognizer.update(state, observation)
         print(f"touch {state.touches}: {info.name} with probability {info.confidence:.2f} (simulated)")
     return info.name if info else None

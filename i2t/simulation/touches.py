@@ -18,13 +18,16 @@ Default sizes: a short-range stereo camera at 0.1 m and a calibrated UR arm; eac
 zero switches it off. Everything here is simulated, and says so where it is stored.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t import geometry
@@ -378,6 +381,41 @@ def apply_sensor_model(
     read = jax.vmap(lambda key, reading: add_sensor_noise(key, reading, pad.board, errors.noise))(keys, felt)
     recorded = faults.record(key_record, read, errors.faults, key_board=jax.random.clone(key_board))
     return touches._replace(reading=recorded)
+
+
+def touch_simulator(
+    key: Key[Array, ""],
+    surface: Surface,
+    pad: Pad,
+    *,
+    errors: SimulationErrors,
+    limits: PressLimits | None = None,
+    T_w_o: Float[Array | np.ndarray, "4 4"] | None = None,
+) -> Callable[[Float[Array | np.ndarray, "4 4"]], Touches]:
+    """A simulated robot before one object, which is put down once and touched wherever one likes.
+
+    Args:
+        key: random key of the session and of all its touches.
+        surface: of the object, in its frame.
+        pad: the skin; its readings are those of an ideal sensor (see `apply_sensor_model`).
+        errors: of the lab.
+        limits: when a press ends.
+        T_w_o: pose of the object as the lab believes it; the world's origin by default.
+
+    Returns:
+        A function that takes a contact pose T_w_t, makes the next touch there and gives it, on the host.
+    """
+    key_session, key_touches = jax.random.split(key)
+    session = sample_session_errors(key_session, errors)
+    simulate = jax.jit(partial(simulate_touch, session=session, pad=pad, errors=errors, limits=limits or PressLimits()))
+    believed = jnp.eye(4) if T_w_o is None else jnp.asarray(T_w_o, jnp.float32)
+    numbers = itertools.count()
+
+    def touch(T_w_t: Float[Array | np.ndarray, "4 4"]) -> Touches:
+        key_touch = jax.random.fold_in(key_touches, next(numbers))
+        return jax.device_get(simulate(key_touch, surface, believed, jnp.asarray(T_w_t, jnp.float32)))
+
+    return touch
 
 
 def _along_z(distance: Float[Array, ""]) -> Float[Array, "4 4"]:

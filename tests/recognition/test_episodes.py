@@ -109,12 +109,12 @@ class CountingSimulator(EpisodeSimulator):
     def _touch_batch(self, keys, episode, where, rows):
         type(self).made += len(rows)
         blank = np.zeros((len(rows), 0))
-        index = np.zeros(len(rows), np.int32)
+        index, which = np.zeros(len(rows), np.int32), self.truth[episode[rows]].astype(np.int32)
         T = np.tile(np.eye(4), (len(rows), 1, 1))
         return Touches(
             patch=blank, wide=blank, nearest=keys[rows][:, 0].astype(float), reading=np.zeros((len(rows), CHANNELS)),
             force=episode[rows].astype(float), depth=where[rows].astype(float), T_w_t=T, T_w_o=T,
-            object=index + self.truth[episode[rows]].astype(np.int32), pad=index, session=index, code=index + int(ReturnCode.SKIN),
+            object=which, pad=index, session=index, code=index + int(ReturnCode.SKIN),
         )  # fmt: skip
 
 
