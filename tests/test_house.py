@@ -18,12 +18,14 @@ FLOORS = {
     1: ("objects",),
     2: ("dataset",),
     3: ("rendering", "depth", "skin", "unknowns"),
-    4: ("simulation", "prediction", "convert", "viz", "hardware", "unknowns"),
+    4: ("simulation", "prediction", "convert", "viz", "hardware"),
     5: ("calibration", "registration", "emulators"),
     6: ("recognition", "reconstruction", "environments", "collect"),
     7: ("place",),  # the short name of a command
 }
 FLOOR_OF = {name: floor for floor, names in FLOORS.items() for name in names}
+# Called i2t.place, and parts that others start.
+UNNAMED_COMMANDS = ("i2t.collect.place", "i2t.hardware.ur.rtde_worker", "experiments.faults.worker")
 WITHOUT_JAX = ("i2t", "i2t.types", "i2t.errors", "i2t.objects", "i2t.dataset", "i2t.hardware", "i2t.skin.boards")
 
 
@@ -117,6 +119,24 @@ GRAPH = _import_graph(TREES)
 def test_every_package_has_a_floor():
     here = {name.split(".")[1] for name in MODULES if name.startswith("i2t.")}
     assert here <= FLOOR_OF.keys(), "give it a floor in tests/test_house.py and docs/architecture.md"
+
+
+def test_the_architecture_page_is_the_tree():
+    """Every package at its floor, every folder, and every command."""
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    rows = re.findall(r"^\| (\d+) \| ([^|]+) \|", page, re.M)
+    stated = {name: int(floor) for floor, names in rows for name in re.findall(r"`i2t/(\w+)(?:/|\.py)", names)}
+    assert stated == {name: FLOOR_OF[name] for name in stated}
+    here = {name.split(".")[1] for name in MODULES if name.startswith("i2t.")}
+    assert here <= stated.keys()
+    for package in (name for name in TREES if name.startswith("i2t.") and name.endswith(".")):
+        folder = package.replace(".", "/")
+        assert f"`{folder}`" in page or f"`{folder.split('/')[-2]}/`" in page, f"the page does not name {folder}"
+    for name, tree in MODULES.items():
+        if any(isinstance(node, ast.If) and "__main__" in ast.unparse(node.test) for node in tree.body):
+            command = name.removesuffix(".__main__")
+            named = re.search(rf"`(?:python -m )?{re.escape(command)}`", page)
+            assert named or command in UNNAMED_COMMANDS, f"the page does not name {command}"
 
 
 def test_a_package_imports_from_lower_floors_only():
