@@ -3,7 +3,7 @@
     python -m experiments.train                      the paper's set, simulated: 1630 touches, one pad, one seed
     python -m experiments.train --preset debug       the same in less than a minute, too small to mean anything
     python -m experiments.train --seeds 5            means and 95 % intervals over seeds
-    python -m experiments.train --preset study       3 pads x 5 seeds
+    python -m experiments.train --preset study       six pads, one seed: means and 95 % intervals over pads
     python -m experiments.train --pad FILE           a pad fitted to a real skin in place of a random one
     python -m experiments.train --dataset DIR        any recorded or converted set (see python -m i2t.convert)
 
