@@ -16,7 +16,9 @@ import numpy as np
 from i2t.cli import exit_code_of
 from i2t.prediction.checkpoint import PACKAGES
 
-Part = dict[str, Any]  # of arrays, or of such dicts: what an experiment made of one pad and seed
+# Of arrays, or of such dicts: what an experiment made of one pad and seed. Its names are the experiment's own words,
+# methods and conditions, which `i2t.serialization` cannot hold: that is for NamedTuples whose type is known.
+Part = dict[str, Any]
 BETWEEN = "/"  # names of a part's levels on disk
 
 
