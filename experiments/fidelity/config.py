@@ -21,6 +21,7 @@ class FidelityPreset:
     held_out_share: float = 0.2  # of blocks, rows or time
     simulated_strokes: int = 160  # of each skin, with --simulated-skins
     heads: HeadBudget = field(default_factory=HeadBudget)
+    heads_across: HeadBudget = field(default_factory=lambda: HeadBudget(400, 1500, rows=4000))
 
 
 FIDELITY_PRESETS: dict[str, FidelityPreset] = {
@@ -31,7 +32,7 @@ FIDELITY_PRESETS: dict[str, FidelityPreset] = {
     ),
     "debug": FidelityPreset(
         counts=(20,), draws=1, method_seconds=5.0, test_rows=100, forward_rows=150, simulated_strokes=8,
-        heads=HeadBudget(100, 200, 0, rows=400),
+        heads=HeadBudget(100, 200, 0, rows=400), heads_across=HeadBudget(100, 200, 0, rows=400),
     ),
 }  # fmt: skip
 

@@ -72,14 +72,15 @@ def hold_out_presses(presses: PressSet, preset: FidelityPreset, seed: int) -> di
     """Rows to learn from and to test on, by how they are held out; ways that leave too few are left out."""
     n, rng, share = len(presses.load), np.random.default_rng(seed), preset.held_out_share
     every = rng.permutation(n)
-    later = np.arange(n) >= round((1 - share) * n)
-    found = {RANDOM_ROWS: (every[round(share * n) :], every[: round(share * n)])}
+    held_out = max(round(share * n), min(MIN_TEST_ROWS, n // 3))
+    found = {RANDOM_ROWS: (every[held_out:], every[:held_out])}
     cell_of = np.floor((presses.position - presses.position.min(0)) / (1e-3 * preset.block_mm) + 1e-9).astype(int)
     block = np.unique(cell_of, axis=0, return_inverse=True)[1].ravel()
     if block.max() >= 4:
         chosen = rng.permutation(block.max() + 1)[: max(round(share * (block.max() + 1)), 1)]
         held = np.isin(block, chosen)
         found[WHOLE_BLOCKS] = (every[~held[every]], every[held[every]])
+    later = np.arange(n) >= n - held_out
     found[LATER_ROWS] = (every[~later[every]], every[later[every]])
     usable = {
         name: (pool, np.sort(test[: preset.test_rows]))

@@ -99,6 +99,33 @@ def test_heads(
 test_heads.__test__ = False  # type: ignore[attr-defined]  # no test, whatever its name
 
 
+def heads_across(recordings: Sequence[SkinRecording], budget: HeadBudget, seed: int, section: Section) -> None:
+    """Heads of each recording on the others, as a skin that was mounted again or worn would be read."""
+    rows = [["target", "known", "told of", "rows", "RMSE", "median", "R2", "in the 90 % range", "unfamiliar"]]
+    numbers: dict[str, Any] = {}
+    for target, kind in TARGETS.items():
+        for known in recordings:
+            try:
+                head = fit_head(known, target, budget=budget, seed=seed)
+            except ValueError:
+                continue  # the recording's own part says why
+            for other in recordings:
+                if other is known:
+                    continue
+                try:
+                    score, _ = score_head(head, other, target_rows(other, target))
+                except ValueError as error:
+                    section.sentences.append(f"{target} of {other.name} is not told by {known.name}: {error}.")
+                    continue
+                numbers[f"{target}: {known.name} -> {other.name}"] = score._asdict()
+                what = target if kind.yes_no else f"{target} ({kind.unit})"
+                rows.append([what, known.name, other.name, str(score.rows), *(cell(value) for value in score[1:])])
+    if len(rows) == 1:
+        raise CannotTellError(" ".join(section.sentences) or "No two recordings share a target that a head tells.")
+    section.numbers["heads"] = numbers
+    section.tables["Heads of one session on another, as they are"] = rows
+
+
 def held_out_rows(recording: SkinRecording, share: float, seed: int) -> dict[str, np.ndarray]:
     """Masks of the rows that are held out."""
     n, rng = len(recording), np.random.default_rng(seed)

@@ -50,8 +50,11 @@ def run(args: FidelityArgs) -> dict[str, Any]:
         print(f"\n{recording.name}: {len(recording)} readings")
         chapters[recording.name] = [_said(section) for section in sections_of(recording, preset, args.seed)]
     if len(recordings) > 1:
-        work = partial(curves.across_sessions, recordings, preset, args.seed)
-        chapters["Across sessions"] = [_said(written("What one session says of another", work))]
+        parts = {
+            "What one session says of another": partial(curves.across_sessions, recordings, preset, args.seed),
+            "Heads across sessions": partial(heads.heads_across, recordings, preset.heads_across, args.seed),
+        }
+        chapters["Across sessions"] = [_said(written(title, work)) for title, work in parts.items()]
     metrics = {
         "source": sorted({recording.source for recording in recordings}),
         "seed": args.seed,

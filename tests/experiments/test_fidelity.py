@@ -15,9 +15,8 @@ from experiments.fidelity.sections import CannotTellError, Section, written
 from i2t import dataset as data
 from i2t.calibration.heads import HeadBudget, SkinRecording, from_dataset, load_head
 
-TINY = FidelityPreset(
-    counts=(5,), draws=1, test_rows=15, forward_rows=40, heads=HeadBudget(selection_rows=40, known_rows=60, rows=80)
-)
+FEW = HeadBudget(selection_rows=40, known_rows=60, rows=80)
+TINY = FidelityPreset(counts=(5,), draws=1, test_rows=15, forward_rows=40, heads=FEW, heads_across=FEW)
 SKIN = presses_of_a_skin(90)
 PARTS = ("What it is", "Checks", "Noise and drift", "Hysteresis, creep and memory", "Ceilings", "Calibration curves")
 
@@ -142,6 +141,9 @@ def test_the_report_is_one_file_with_its_pictures(tmp_path, monkeypatch, capsys)
     assert set(r2["random presses"]) == {"mean reading", "k nearest presses", "plain Gaussian process", "i2t.calibrate"}
     across = metrics["recordings"]["Across sessions"]["What one session says of another"]["r2"]
     assert across["mine <b> -> other"]["as it is"] > 0.9  # they are the same presses
+    heads_across = metrics["recordings"]["Across sessions"]["Heads across sessions"]["heads"]
+    assert heads_across["position: mine <b> -> other"]["rows"] == 90
+    assert heads_across["position: mine <b> -> other"]["median"] < 1.0
     capsys.readouterr()
     assert run.main(args) not in (0, None)
     assert "finished run" in capsys.readouterr().err

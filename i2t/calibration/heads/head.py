@@ -282,12 +282,16 @@ def target_rows(recording: SkinRecording, target: str) -> np.ndarray:
     if target not in TARGETS:
         raise ValueError(f"{target!r} is no target; choose of {', '.join(TARGETS)}")
     known = recording.known(target)
+    if target == "position" and recording.labels is not None and len(np.unique(recording.labels)) > 1:
+        raise ValueError(
+            f"several objects touched the skin in {recording.name}, whose origins are not where they touch"
+        )
     if target in ("position", "depth") and recording.known("contact").any():
         known &= ~(recording.targets["contact"][:, 0] == 0)
     if target in ("position", "depth") and not recording.known("depth").any() and recording.known("shear").any():
         known &= recording.known("shear") & (np.abs(np.nan_to_num(recording.targets["shear"])).max(1) > 0)
     if not known.any():
-        raise ValueError(f"{recording.name} does not know {target}: give it where the recording is made")
+        raise ValueError(f"{recording.name} does not know {target}")
     chosen = recording.rows(known)
     if known.sum() < MIN_HEAD_ROWS:
         raise ValueError(f"{recording.name} knows {target} of {known.sum()} rows: {MIN_HEAD_ROWS} are needed")
@@ -331,7 +335,8 @@ def with_history(
 
 
 def hold_out_groups(recording: SkinRecording, block_m: float = BLOCK_M) -> np.ndarray:
-    """What is held out whole: blocks of the skin where presses lie in several, else strokes, else stretches of time.
+    """What is held out whole: objects where there are several, blocks of the skin where presses lie in several, else
+    strokes, else stretches of time.
 
     Args:
         recording: of one skin.
@@ -340,6 +345,8 @@ def hold_out_groups(recording: SkinRecording, block_m: float = BLOCK_M) -> np.nd
     Returns:
         (n,) number of the group of each row.
     """
+    if recording.labels is not None and len(np.unique(recording.labels)) > 1:
+        return np.unique(recording.labels, return_inverse=True)[1].ravel()
     known = recording.known("position")
     position = recording.targets["position"] if known.all() else np.zeros((len(recording), 2))
     ranges = np.ptp(position, axis=0)
