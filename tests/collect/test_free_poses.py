@@ -1,0 +1,181 @@
+"""Free poses before a session: where they may be, how the tool gets there, and what comes of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.closed_form import NOISY, ROOM, make, names, site
+
+from i2t.collect import recorder
+from i2t.collect.free_poses import gather_free_poses, plan_free_poses
+from i2t.collect.recorder import Recorder
+from i2t.collect.session_ambient import AMBIENT_FILE, fitted_ambient
+from i2t.collect.settings import AmbientSettings
+from i2t.collect.touch import UnreachableError
+from i2t.dataset import load_dataset, read_touch
+from i2t.skin.ambient import FreePoses, ambient_changed, fit_ambient, load_ambient
+
+SETTINGS = AmbientSettings(poses=8, seconds=0.1)
+
+
+def tilt_of(T_b_t):
+    """Degrees from pointing down, in a world whose z axis is the base's."""
+    return np.degrees(np.arccos(np.clip(-T_b_t[2, 2], -1.0, 1.0)))
+
+
+def limited(procedure, lower, upper):
+    rig = replace(procedure.rig, limits=replace(procedure.rig.limits, lower=lower, upper=upper))
+    return replace(procedure, rig=rig)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_every_pose_is_in_the_box_above_the_way_across_and_tilts_no_further_than_asked(seed):
+    procedure = make()
+    poses = plan_free_poses(procedure.path, procedure.arm.state().T_b_t, SETTINGS, seed)
+    assert len(poses) == 8
+    lowest = procedure.path.transfer_height() + SETTINGS.clearance
+    for pose in poses:
+        for part in pose:
+            assert procedure.rig.limits.contains(part[:3, 3])
+            assert part[2, 3] >= lowest
+        assert tilt_of(pose.upright) < 1e-6
+        assert tilt_of(pose.tilted) <= SETTINGS.tilt + 1e-6
+        np.testing.assert_array_equal(pose.upright[:3, 3], pose.tilted[:3, 3])
+    assert max(tilt_of(pose.tilted) for pose in poses) > 0.8 * SETTINGS.tilt  # they tell most at the rim
+
+
+def test_where_the_box_leaves_no_room_nothing_moves():
+    procedure = make()
+    lower, upper = procedure.rig.limits.box
+    low = limited(procedure, tuple(lower), (*upper[:2], procedure.path.transfer_height() + 0.02))
+    before = procedure.arm.state().T_b_t
+    with pytest.raises(UnreachableError, match="raise the box, or leave out the free poses"):
+        plan_free_poses(low.path, before, SETTINGS)
+    np.testing.assert_array_equal(procedure.arm.state().T_b_t, before)
+
+
+def test_a_plan_of_another_box_is_refused_before_the_first_motion():
+    procedure = make()
+    poses = plan_free_poses(procedure.path, procedure.arm.state().T_b_t, SETTINGS)
+    lower, upper = procedure.rig.limits.box
+    small = limited(procedure, tuple(lower), (*upper[:2], poses[0].tilted[2, 3] - 1e-3))
+    before = procedure.arm.state().T_b_t
+    with pytest.raises(UnreachableError, match="outside the box"):
+        gather_free_poses(
+            procedure.arm, procedure.skin, procedure.clock, small.path, poses, replace(SETTINGS, clearance=0.02)
+        )
+    np.testing.assert_array_equal(procedure.arm.state().T_b_t, before)
+
+
+class Watched:
+    """An arm of which every goal is written down."""
+
+    def __init__(self, arm):
+        self._arm, self.goals = arm, []
+
+    def __getattr__(self, name):
+        return getattr(self._arm, name)
+
+    def go(self, T_b_t, speed=None, acceleration=None):
+        self.goals.append(np.array(T_b_t))
+        return self._arm.go(T_b_t, speed, acceleration)
+
+
+def test_on_the_way_the_tool_is_never_lower_nor_tilted_further():
+    procedure = make()
+    arm, settings = Watched(procedure.arm), AmbientSettings(poses=4, seconds=0.05, spread=0.03)
+    poses = plan_free_poses(procedure.path, arm.state().T_b_t, settings)
+    free = gather_free_poses(arm, procedure.skin, procedure.clock, procedure.path, poses, settings)
+    lowest = procedure.path.transfer_height()
+    for before, after in zip(arm.goals, arm.goals[1:], strict=False):
+        assert min(before[2, 3], after[2, 3]) >= lowest
+        if np.linalg.norm(before[:3, 3] - after[:3, 3]) > 1e-6:  # it goes across upright
+            assert max(tilt_of(before), tilt_of(after)) < 1e-6
+        else:  # and is tilted and put upright where it stands
+            assert min(tilt_of(before), tilt_of(after)) < 1e-6
+    np.testing.assert_allclose(free.T_b_t, [pose.tilted for pose in poses], atol=1e-9)
+    assert free.samples.shape[::2] == (4, 15)
+    assert 20 <= free.samples.shape[1] <= 40  # 0.05 s at 400 Hz, in bursts of ten
+    assert tilt_of(arm.state().T_b_t) < 1e-6
+
+
+def test_a_skin_that_turns_reads_another_field():
+    model = make().arm.lab.contact_model
+    T_b_t = np.array([[0.0, 1, 0, 0.4], [0, 0, 1, 0], [1, 0, 0, 0.3], [0, 0, 0, 1]])
+    board = model.scene.board
+    for pose in (np.diag([1.0, -1.0, -1.0, 1.0]), T_b_t):
+        felt = board.to_tool(model.ambient(pose[:3, 3], pose[:3, :3]))
+        np.testing.assert_allclose(felt.mean(0), pose[:3, :3].T @ ROOM.earth, atol=1.0)
+
+
+@pytest.mark.full
+def test_the_simulated_skin_feels_the_room_as_the_tool_turns():
+    procedure = make()  # without noise
+    poses = plan_free_poses(procedure.path, procedure.arm.state().T_b_t, replace(SETTINGS, poses=12))
+    free = gather_free_poses(procedure.arm, procedure.skin, procedure.clock, procedure.path, poses, SETTINGS)
+    field = fit_ambient(free, procedure.board)
+    np.testing.assert_allclose(field.earth, ROOM.earth, atol=1.0)  # iron on the tool is in the response
+    assert np.ptp(free.reading, axis=0).max() > 20
+    assert field.left_out[~np.isnan(field.left_out)].min() < 0.5
+
+
+@pytest.mark.full
+def test_a_session_fits_keeps_and_compares_its_field(tmp_path, capsys):
+    procedure = make(errors=NOISY)
+    assert fitted_ambient(procedure, AmbientSettings(), tmp_path) is None
+    first = fitted_ambient(procedure, replace(SETTINGS, poses=12), tmp_path)
+    said = capsys.readouterr().out
+    assert "12 free poses" in said
+    assert "with the field subtracted" in said
+    procedure.ambient_field = first
+    kept, about = load_ambient(tmp_path / AMBIENT_FILE, procedure.board)
+    np.testing.assert_array_equal(kept.earth, first.earth)
+    assert about["source"] == "simulated"
+    with Recorder(tmp_path, names(procedure)) as file:
+        touched = procedure.touch(site(0), file.begin(site(0), 0))
+        file.save(touched)
+    assert not touched.ambient_change.changed
+    assert np.sqrt(np.mean((touched.ambient - touched.expected_ambient) ** 2)) < 8
+    series = read_touch(recorder.touches_in(tmp_path)[0]).series
+    np.testing.assert_allclose(series["ambient_predicted"].values[0], touched.expected_ambient, rtol=1e-6)
+    assert len(load_dataset(tmp_path)) == 1  # the field is no touch
+    again = fitted_ambient(procedure, AmbientSettings(), tmp_path)
+    np.testing.assert_array_equal(again.earth, first.earth)
+    fitted_ambient(procedure, replace(SETTINGS, poses=12), tmp_path, seed=1)
+    assert "since the folder was begun: the ambient field is the fitted one" in capsys.readouterr().out
+    assert len(list(tmp_path.glob(".ambient*.npz"))) == 2  # the earlier one is kept
+
+
+@pytest.mark.full
+def test_a_room_that_changed_is_noticed():
+    procedure = make(errors=NOISY)
+    plan = plan_free_poses(procedure.path, procedure.arm.state().T_b_t, replace(SETTINGS, poses=12))
+    free = gather_free_poses(procedure.arm, procedure.skin, procedure.clock, procedure.path, plan, SETTINGS)
+    field = fit_ambient(free, procedure.board)
+    turned = free.T_b_t[:4, :3, :3].swapaxes(-1, -2) @ [0.0, 25.0, 0.0]
+    more = procedure.board.to_board(np.repeat(turned[:, None], 5, axis=1))
+    other = FreePoses(free.T_b_t[:4], free.samples[:4] + np.asarray(more)[:, None])
+    assert not ambient_changed(field, procedure.board, FreePoses(free.T_b_t[:4], free.samples[:4])).changed
+    change = ambient_changed(field, procedure.board, other)
+    assert change.changed
+    np.testing.assert_allclose(change.field, [0.0, 25.0, 0.0], atol=6)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        ({"poses": 3}, "at least 4"),
+        ({"poses": 12, "tilt": 80.0}, "tilt"),
+        ({"poses": 12, "clearance": 0.0}, "clearance"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(wrong, why):
+    with pytest.raises(ValueError, match=why):
+        AmbientSettings(**wrong)
+
+
+def test_limits_bound_free_poses_too(tmp_path):
+    procedure = make()
+    slow = replace(procedure, rig=replace(procedure.rig, limits=replace(procedure.rig.limits, speed=0.01)))
+    with pytest.raises(ValueError, match="above the rig's limit"):
+        fitted_ambient(slow, SETTINGS, tmp_path)
