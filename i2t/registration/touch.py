@@ -117,43 +117,102 @@ def register_by_touch(
     Returns:
         The estimate; its residuals, weights and cost are those of the most probable pose.
 
+    Raises:
+        ValueError: There is no touch, or not one weight for each.
+
     Example:
         T_w_contact, in_contact = contact_poses(dataset.touches)
         estimate = i2t.register_by_touch(
             key, surface, T_w_o, T_w_contact, in_contact, translation_std=2e-3, rotation_std=0.03
         )
     """
-    std = [jnp.asarray(translation_std, jnp.float32)] * 3 + [jnp.asarray(rotation_std * TWIST_LEVER_M, jnp.float32)] * 3
-    prior_std = jnp.stack(std)
     T_w_o, T_w_contact, weight = (jnp.asarray(value, jnp.float32) for value in (T_w_o, T_w_contact, weight))
+    _check_contacts(T_w_contact, weight)
+    noise = jnp.asarray(contact_std, jnp.float32)
+    contacts = _contacts(
+        surface, T_w_o, T_w_contact, weight, translation_std=translation_std, rotation_std=rotation_std, config=config
+    )
+    problem = _touch_problem(contacts, config.half_edge)
+    key_starts, key_draws = jax.random.split(key)
+    mode, linearised, cost = _most_probable(key_starts, problem, contacts.prior_std, noise, config)
+    z, covariance = _moments(key_draws, problem, mode, linearised, noise=noise, config=config)
+    return PoseEstimate(
+        T_w_o=T_w_o @ from_twist(contacts.prior_std * z),
+        covariance=contacts.prior_std[:, None] * covariance * contacts.prior_std[None],
+        residual=linearised.residual,
+        weight=_t_weights(linearised.residual, weight, noise),
+        cost=cost,
+    )
+
+
+def _check_contacts(T_w_contact: Array, weight: Array) -> None:
+    """Refuse what is no list of poses with a weight for each."""
+    n = len(T_w_contact) if T_w_contact.ndim else 0
+    if n == 0 or T_w_contact.shape != (n, 4, 4) or weight.shape != (n,):
+        raise ValueError(
+            f"T_w_contact has the shape {T_w_contact.shape} and weight {weight.shape}; give n poses (n, 4, 4) and as "
+            "many weights (n,), of one touch or more"
+        )
+
+
+def _contacts(
+    surface: Surface,
+    T_w_o: Float[Array, "4 4"],
+    T_w_contact: Float[Array, "n 4 4"],
+    weight: Float[Array, " n"],
+    *,
+    translation_std: float | Array,
+    rotation_std: float | Array,
+    config: TouchRegistrationConfig,
+) -> _Contacts:
+    """The data of a registration: the believed object at each contact, and the faces that may be met there."""
+    std = [jnp.asarray(translation_std, jnp.float32)] * 3 + [jnp.asarray(rotation_std * TWIST_LEVER_M, jnp.float32)] * 3
     T_w_t = jnp.where((weight > 0)[:, None, None], T_w_contact, jnp.eye(4)[None])
     T_t_o = jax.vmap(lambda T: inverse(T) @ T_w_o)(T_w_t)
     reach = CANDIDATE_STDS * translation_std, CANDIDATE_STDS * rotation_std
     triangles = jax.vmap(lambda T: _candidates(surface, T, config, *reach))(T_t_o)
-    contacts = _Contacts(prior_std, weight, T_t_o, triangles)
-    problem = _touch_problem(contacts, config.half_edge)
+    return _Contacts(jnp.stack(std), weight, T_t_o, triangles)
 
-    noise = jnp.asarray(contact_std, jnp.float32)
+
+def _most_probable(
+    key: Key[Array, ""],
+    problem: LeastSquares,
+    prior_std: Float[Array, "6"],
+    noise: Float[Array, ""],
+    config: TouchRegistrationConfig,
+) -> tuple[Float[Array, "6"], _Linearised, Float[Array, ""]]:
+    """The best of several searches, the first from the prior's mean and the others from draws of it: z, what is left
+    there, and its cost.
+    """
     scales = _annealed(noise, jnp.hypot(prior_std[0], prior_std[3]), config)  # how far the prior may be off at the face
 
     def search(z: Float[Array, "6"]) -> tuple[Float[Array, "6"], _Linearised, Float[Array, ""]]:
         end = levenberg_marquardt(problem, z, scales, scale_free=True)
         return end.x, end.linearised, problem.cost(end.x, end.linearised, noise)
 
+    starts = jax.random.normal(key, (config.num_starts, 6)).at[0].set(0.0)
+    ends = jax.lax.map(search, starts)
+    best = jnp.argmin(ends[-1])
+    return jax.tree.map(lambda leaf: leaf[best], ends)
+
+
+def _moments(
+    key: Key[Array, ""],
+    problem: LeastSquares,
+    mode: Float[Array, "6"],
+    linearised: _Linearised,
+    *,
+    noise: Float[Array, ""],
+    config: TouchRegistrationConfig,
+) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
+    """Mean and covariance of z: those of Laplace's method at the mode, corrected by importance sampling."""
+
     def negative_log_posterior(z: Float[Array, "6"]) -> Float[Array, ""]:
         return problem.cost(z, problem.residual_and_jacobian(z), noise)
 
-    key_starts, key_draws = jax.random.split(key)
-    starts = jax.random.normal(key_starts, (config.num_starts, 6)).at[0].set(0.0)
-    *ends, costs = jax.lax.map(search, starts)
-    best = jnp.argmin(costs)
-    mode, linearised = jax.tree.map(lambda leaf: leaf[best], tuple(ends))
     information, _ = problem.normal_equations(mode, linearised, noise)
-    draws = jax.random.normal(key_draws, (config.rounds, config.draws, 6 + PROPOSAL_DOF))
-    z, covariance = importance_covariance(negative_log_posterior, mode, jnp.linalg.inv(information), draws)
-    covariance = prior_std[:, None] * covariance * prior_std[None]
-    share = _t_weights(linearised.residual, weight, noise)
-    return PoseEstimate(T_w_o @ from_twist(prior_std * z), covariance, linearised.residual, share, costs[best])
+    draws = jax.random.normal(key, (config.rounds, config.draws, 6 + PROPOSAL_DOF))
+    return importance_covariance(negative_log_posterior, mode, jnp.linalg.inv(information), draws)
 
 
 @full_precision

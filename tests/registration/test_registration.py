@@ -341,3 +341,8 @@ def test_depth_of_a_real_camera(shared_data):
             error = errors(found.T_w_o[None], T[None])[0]
             assert np.linalg.norm(error[:3]) < 2e-3
             assert np.linalg.norm(error[3:]) < math.radians(2) * TWIST_LEVER_M
+
+
+def test_no_touches_are_refused():
+    with pytest.raises(ValueError, match="give n poses"):
+        register_by_touch(jax.random.key(0), SURFACES[0], jnp.eye(4), jnp.zeros((0, 4, 4)), jnp.zeros(0), **prior)
