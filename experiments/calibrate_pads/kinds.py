@@ -20,13 +20,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from experiments.calibrate_pads.simulate import BALL_TIP, FORCE_ERROR_N, NOISE_UT, POSITION_ERROR_M
+from experiments.calibrate_pads.simulate import BALL_TIP, FORCE_ERROR_N, POSITION_ERROR_M, PRESS_NOISE_UT
 from i2t.calibration import lattice
 from i2t.skin import boards
 from i2t.skin.pad import press, sample_pad
 from i2t.types import Board, Pad
 
-KINDS = ("bonded", "loose", "uniform", "weak", "lattice", "displaced")
+SKIN_KINDS = ("bonded", "loose", "uniform", "weak", "lattice", "displaced")
 LAYER_HALF_EDGE_M, LATTICE_HALF_EDGE_M = 8e-3, 15e-3
 LAYER_DEPTHS_M, LATTICE_DEPTHS_M = (0.15e-3, 1.1e-3), (0.3e-3, 4e-3)
 DEPTH_ERROR_M = 0.02e-3
@@ -39,7 +39,7 @@ PRESS_BATCH = 8
 JUMP = 3.0  # of the force at one depth
 
 
-class SimulatedSkin(NamedTuple):
+class PressedSkinOfKind(NamedTuple):
     """One skin, its presses in the order of time, as a lab has them."""
 
     kind: str
@@ -55,7 +55,7 @@ class SimulatedSkin(NamedTuple):
         return np.concatenate([np.zeros_like(self.readings[:1]), self.readings[:-1]])
 
 
-def simulate_skins(kind: str, seed: int, skins: int, presses: int) -> list[SimulatedSkin]:
+def simulate_skins(kind: str, seed: int, skins: int, presses: int) -> list[PressedSkinOfKind]:
     """Skins of one kind; those of another seed are others.
 
     Args:
@@ -67,13 +67,13 @@ def simulate_skins(kind: str, seed: int, skins: int, presses: int) -> list[Simul
     Returns:
         The skins.
     """
-    key = jax.random.fold_in(jax.random.key(seed), KINDS.index(kind))
-    rng = np.random.default_rng((seed, KINDS.index(kind)))
+    key = jax.random.fold_in(jax.random.key(seed), SKIN_KINDS.index(kind))
+    rng = np.random.default_rng((seed, SKIN_KINDS.index(kind)))
     make = _lattices if kind == "lattice" else partial(_layers, kind)
     return make(key, rng, skins, presses)
 
 
-def _layers(kind: str, key: Key[Array, ""], rng: np.random.Generator, skins: int, n: int) -> list[SimulatedSkin]:
+def _layers(kind: str, key: Key[Array, ""], rng: np.random.Generator, skins: int, n: int) -> list[PressedSkinOfKind]:
     """Pads of an elastic layer, pressed to depths."""
     board = boards.reskin_board()
     key_pads, key_kind = jax.random.split(key)
@@ -134,13 +134,13 @@ def _sound(
     depth: np.ndarray,
     force: np.ndarray,
     readings: np.ndarray,
-) -> SimulatedSkin:
+) -> PressedSkinOfKind:
     """What a lab has of presses without faults."""
     zero = HEIGHT_ZERO_ERROR * depth.max() * rng.normal()
     believed = np.maximum(depth + zero + DEPTH_ERROR_M * rng.normal(size=depth.shape), 0)
     measured = np.maximum(force + FORCE_ERROR_N * rng.normal(size=force.shape), 0)
-    noisy = readings + NOISE_UT * rng.normal(size=readings.shape)
-    return SimulatedSkin(kind, position, believed, measured, noisy, np.asarray(board.chips[:, :2], np.float64))
+    noisy = readings + PRESS_NOISE_UT * rng.normal(size=readings.shape)
+    return PressedSkinOfKind(kind, position, believed, measured, noisy, np.asarray(board.chips[:, :2], np.float64))
 
 
 def _displaced(
@@ -151,7 +151,7 @@ def _displaced(
     depth: np.ndarray,
     force: np.ndarray,
     readings: np.ndarray,
-) -> SimulatedSkin:
+) -> PressedSkinOfKind:
     """What a lab has of a board as two real ones were described."""
     n, c = readings.shape
     rms = np.sqrt(np.mean(readings**2))
@@ -174,7 +174,7 @@ def _displaced(
     return sound._replace(depth=depth_label, readings=felt)
 
 
-def _lattices(key: Key[Array, ""], rng: np.random.Generator, skins: int, n: int) -> list[SimulatedSkin]:
+def _lattices(key: Key[Array, ""], rng: np.random.Generator, skins: int, n: int) -> list[PressedSkinOfKind]:
     """Skins of four moving magnets."""
     half = LATTICE_HALF_EDGE_M
     board = boards.anyskin_board(depth=0.0)

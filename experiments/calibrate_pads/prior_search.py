@@ -14,19 +14,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from experiments.calibrate_pads.kinds import KINDS, SimulatedSkin, simulate_skins
+from experiments.calibrate_pads.kinds import SKIN_KINDS, PressedSkinOfKind, simulate_skins
 from i2t.calibration.population_gp import KernelPrior, SkinKernels, save_prior
 from i2t.calibration.population_gp import prior as kernel_prior
 from i2t.calibration.population_gp.kernel import EVERYWHERE, geometry, join, signal_covariances, take
 from i2t.calibration.population_gp.left_out import Observed, condition_all, ungrouped
 
 POPULATION_SEED = 101  # skins of other seeds are never seen by the search
-COUNTS = (10, 30, 100)
+PRESS_COUNTS = (10, 30, 100)
 ANCHOR_SHARE = 0.15  # of the prior of each kind of load, of the candidates about what was known before
 SHARPNESS = 12.0  # by which the logarithm of an error counts as a likelihood
-EM_STEPS = 12
+PRIOR_EM_STEPS = 12
 BEST_OF_TASK = 6
-JITTER = 0.35  # standard deviation of the logarithm of each hyperparameter, about the best
+START_JITTER = 0.35  # standard deviation of the logarithm of each hyperparameter, about the best
 # (low, high, logarithmic) of a wide draw
 RANGES: dict[str, tuple[float, float, bool]] = {
     "load_power": (0.4, 2.6, False), "load_offset": (0.02, 2.0, True), "map_length": (1.5e-3, 25e-3, True),
@@ -89,7 +89,7 @@ def make_prior(cfg: PriorSearch, out: Path) -> dict[str, Any]:
     with np.errstate(divide="ignore"):
         log_share = np.log(share[:, keep] / share[:, keep].sum(1, keepdims=True))
     about = {
-        "source": "simulated", "seed": POPULATION_SEED, "kinds": list(KINDS), "skins_of_each": cfg.skins,
+        "source": "simulated", "seed": POPULATION_SEED, "kinds": list(SKIN_KINDS), "skins_of_each": cfg.skins,
         "candidates": int(share.shape[1]), "command": "python -m experiments.calibrate_pads --prior",
     }  # fmt: skip
     about["best_of_kind"] = _best_of_kind(every, error, tasks)
@@ -97,17 +97,17 @@ def make_prior(cfg: PriorSearch, out: Path) -> dict[str, Any]:
     best = error.mean(0).min(1)
     return about | {
         "kept": len(keep),
-        "r2_of_the_best_kernel": {str(n): float(1 - e) for n, e in zip(COUNTS, best, strict=True)},
+        "r2_of_the_best_kernel": {str(n): float(1 - e) for n, e in zip(PRESS_COUNTS, best, strict=True)},
         "seconds": round(time.perf_counter() - started, 1),
     }
 
 
-def population_tasks(cfg: PriorSearch) -> list[tuple[SimulatedSkin, bool]]:
+def population_tasks(cfg: PriorSearch) -> list[tuple[PressedSkinOfKind, bool]]:
     """Every skin with whether its load is the force; half of each kind is."""
-    n = max(COUNTS) + cfg.test_presses
+    n = max(PRESS_COUNTS) + cfg.test_presses
     return [
         (skin, kind == "displaced" or i % 2 == 1)
-        for kind in KINDS
+        for kind in SKIN_KINDS
         for i, skin in enumerate(simulate_skins(kind, POPULATION_SEED, cfg.skins, n))
     ]
 
@@ -128,7 +128,7 @@ def near(rng: np.random.Generator, kernels: SkinKernels, count: int) -> SkinKern
     of = np.arange(count) % len(kernels.load_power)
     moved = {}
     for name, values in take(kernels, of)._asdict().items():
-        factor = np.exp(JITTER * rng.normal(size=count) * (np.arange(count) >= len(kernels.load_power)))
+        factor = np.exp(START_JITTER * rng.normal(size=count) * (np.arange(count) >= len(kernels.load_power)))
         moved[name] = np.where(values == EVERYWHERE, values, values * factor)
     moved["bend_share"] = np.minimum(moved["bend_share"], 0.98)
     fallen = moved["far_amplitude"] != EVERYWHERE
@@ -136,14 +136,14 @@ def near(rng: np.random.Generator, kernels: SkinKernels, count: int) -> SkinKern
     return SkinKernels(**moved)
 
 
-def errors_of(kernels: SkinKernels, tasks: list[tuple[SimulatedSkin, bool]], cfg: PriorSearch) -> np.ndarray:
+def errors_of(kernels: SkinKernels, tasks: list[tuple[PressedSkinOfKind, bool]], cfg: PriorSearch) -> np.ndarray:
     """(tasks, counts, kernels): squared error of held-out presses over their variance."""
-    found = np.empty((len(tasks), len(COUNTS), len(kernels.load_power)))
+    found = np.empty((len(tasks), len(PRESS_COUNTS), len(kernels.load_power)))
     knows_chips = kernels.far_amplitude < EVERYWHERE
     for t, (skin, by_force) in enumerate(tqdm(tasks, desc="skins", unit="skin")):
         load = skin.force if by_force else skin.depth
         test = slice(len(load) - cfg.test_presses, None)
-        for i, n in enumerate(COUNTS):
+        for i, n in enumerate(PRESS_COUNTS):
             typical = np.sqrt(np.mean(load[:n] ** 2))
             for chips in (True, False):
                 rows = np.flatnonzero(knows_chips == chips)
@@ -168,7 +168,7 @@ def _errors(kernels: SkinKernels, known: np.ndarray, truth: np.ndarray, at, othe
 
 
 def _best_of_kind(
-    kernels: SkinKernels, error: np.ndarray, tasks: list[tuple[SimulatedSkin, bool]]
+    kernels: SkinKernels, error: np.ndarray, tasks: list[tuple[PressedSkinOfKind, bool]]
 ) -> dict[str, list[float]]:
     """The one kernel that is best on all skins of a kind and load, over all counts."""
     found = {}
@@ -192,7 +192,7 @@ def _shares(error: np.ndarray, own: np.ndarray, anchored: np.ndarray) -> np.ndar
     likelihood = np.exp(log_likelihood - log_likelihood.max(1, keepdims=True))
     count = np.where(own, 0.9 / max(own.sum(), 1), 0.1 / len(own))
     share = np.full(error.shape[2], 1 / error.shape[2])
-    for _ in range(EM_STEPS):
+    for _ in range(PRIOR_EM_STEPS):
         member = likelihood * share[None]
         share = (count[:, None] * member / member.sum(1, keepdims=True)).sum(0)
         share = share / share.sum()

@@ -15,7 +15,7 @@ from i2t.types import Board, Pad
 BALL_TIP = RoundTip("sphere", 4e-3)
 HALF_EDGE_M = 8e-3  # of the square of positions
 BALL_FORCES_N = (0.2, 1.0)
-FORCE_ERROR_N, POSITION_ERROR_M, NOISE_UT = 0.02, 0.05e-3, 1.5
+FORCE_ERROR_N, POSITION_ERROR_M, PRESS_NOISE_UT = 0.02, 0.05e-3, 1.5
 PAD_PRESS_BATCH = 8
 
 
@@ -43,7 +43,7 @@ def press_pads(key: Key[Array, ""], count: int, n: int) -> tuple[Pad, Presses, F
         )
 
     pads, readings = jax.lax.map(skin, (jax.random.split(keys["pads"], count), true_position, true_force))
-    return pads, Presses(position, force), readings + NOISE_UT * jax.random.normal(keys["noise"], readings.shape)
+    return pads, Presses(position, force), readings + PRESS_NOISE_UT * jax.random.normal(keys["noise"], readings.shape)
 
 
 @jax.jit

@@ -35,7 +35,7 @@ class LineErrors(NamedTuple):
         return f"{100 * self.drop:g} % of bytes lost"
 
 
-LINES = (LineErrors(substitute=0.01, drop=0.0, goal=0.98), LineErrors(substitute=0.0, drop=0.001, goal=0.95))
+BAD_LINES = (LineErrors(substitute=0.01, drop=0.0, goal=0.98), LineErrors(substitute=0.0, drop=0.001, goal=0.95))
 
 
 class SentFrames(NamedTuple):
@@ -50,7 +50,7 @@ class SentFrames(NamedTuple):
 def skin(sizes: FaultCounts) -> list[FaultRow]:
     """All of it."""
     rows = [_stream(sizes.stream)]
-    for line in LINES:
+    for line in BAD_LINES:
         for temperature in (None, CRLF_TEMPERATURE_C):
             rows += _line(sizes.frames, line, temperature)
     return rows + _gone(sizes.silences)

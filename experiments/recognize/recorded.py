@@ -28,7 +28,7 @@ from i2t.recognition.paper_rules import paper_rules
 from i2t.recognition.site_pool import precompute_outcomes, prepare_surfaces
 from i2t.types import ReturnCode
 
-MIN_EPISODES = 5  # fewer say nothing about others: no interval is given
+MIN_INTERVAL_EPISODES = 5  # fewer say nothing about others: no interval is given
 KEPT_PREDICTOR = "the paper's rules, the run's predictor"  # whose readings the paper's rules are given
 TOO_FEW = "too few episodes for an interval"
 
@@ -193,7 +193,7 @@ def score(results: reporting.EpisodeResults) -> dict[str, Any]:
 def _estimate(hit: np.ndarray) -> dict[str, Any]:
     """Mean over episodes with Wilson's interval, which few episodes do not get."""
     found = wilson_interval(hit)
-    if len(hit) < MIN_EPISODES:
+    if len(hit) < MIN_INTERVAL_EPISODES:
         return {"mean": metrics.to_json(found.mean), "low": None, "high": None}
     return metrics.to_json(found)
 
@@ -203,7 +203,7 @@ def print_table(summary: dict[str, Any], warning: str | None) -> None:
     entry = summary["sets"]["recorded"]
     touches = summary["sessions"]["touches"]
     columns = sorted({1, min(3, touches), min(5, touches), touches})
-    few = entry["episodes"] < MIN_EPISODES
+    few = entry["episodes"] < MIN_INTERVAL_EPISODES
     print(
         f"\nrecorded ({summary['source']}): {', '.join(entry['objects'])}; {entry['episodes']} episodes, "
         f"{100 * entry['air']:.0f} % of touches in air" + (f"; {TOO_FEW}" if few else "")
@@ -228,7 +228,7 @@ def _cell(estimate: dict[str, float | None]) -> str:
 
 def write_figures(results: reporting.EpisodeResults, out: Path, simulated: bool) -> None:
     """Accuracy and confusion."""
-    if len(results.truth) >= MIN_EPISODES:
+    if len(results.truth) >= MIN_INTERVAL_EPISODES:
         curves = {
             method: wilson_interval(metrics.hits(p.astype(np.float64), results.truth))
             for method, p in results.beliefs.items()

@@ -15,7 +15,7 @@ from i2t.rendering.render import render_patch
 from i2t.types import PATCH_WINDOW, REACH, Surface
 from i2t.viz import style
 
-BOUNDS = np.logspace(-5, 0, 26)
+ERROR_BINS = np.logspace(-5, 0, 26)
 MAX_SHOWN_MM = 0.3  # where the colours of a difference end
 
 
@@ -70,7 +70,7 @@ def draw_bounds(curves: dict[str, np.ndarray], bound: float) -> Figure:
     axes = figure.subplots()
     colours = (style.BLUE, style.ORANGE, style.GREEN, style.RED)
     for (name, rate), colour in zip(curves.items(), colours, strict=False):
-        axes.semilogx(BOUNDS, rate, color=colour, label=name)
+        axes.semilogx(ERROR_BINS, rate, color=colour, label=name)
     axes.axvline(bound, color=style.GREY, lw=1, ls="--", label="the bound that is used")
     axes.axhline(0.9, color=style.GREY, lw=1, ls=":")
     axes.set(

@@ -32,7 +32,7 @@ from experiments.common.presets import RENAMED, answer_renamed_value
 from experiments.common.runs import exit_code_of_run, settings, write_json
 from experiments.refine.cases import Cases, Views, draw_cases, draw_views, list_objects
 from experiments.refine.config import RefineArgs
-from experiments.refine.figures import BOUNDS, draw_bounds, draw_patches
+from experiments.refine.figures import ERROR_BINS, draw_bounds, draw_patches
 from experiments.refine.scores import MM_PER_M, judge, success, table, unobservable_motion
 from i2t import viz
 from i2t.objects import Object
@@ -94,7 +94,7 @@ def run(args: RefineArgs) -> dict:
         observable=np.asarray(observable_directions(cases.eigenvalues, bound)),
     )
     viz.save_figure(figure, args.out / "patches.png")
-    curves = {name: success(T_w_t, cases, BOUNDS, args) for name, T_w_t in found.items()}
+    curves = {name: success(T_w_t, cases, ERROR_BINS, args) for name, T_w_t in found.items()}
     viz.save_figure(draw_bounds(curves, bound), args.out / "bounds.png")
     print(table(report))
     return report

@@ -32,7 +32,7 @@ from i2t.recognition.intervals import Clusters, mean_interval
 from i2t.recognition.metrics import to_json
 from i2t.recognition.site_pool import prepare_surfaces
 
-TRUE_MM = 1.0  # and degrees, one standard deviation of the placement in every world
+PLACEMENT_MM = 1.0  # and degrees, one standard deviation of the placement in every world
 IN_USE = "in use"
 LIKELIHOOD = {
     "dof": (4.0, 16.0),
@@ -42,11 +42,11 @@ LIKELIHOOD = {
     "tactile_weight": (0.5, 0.75),
 }
 POSITION_FACTORS = (0.5, 2.0)  # of the standard deviations of positions
-NUM_PARTICLES = (32, 64, 256, 512)
+PARTICLE_COUNTS = (32, 64, 256, 512)
 STD_RATIOS = (0.35, 0.7)
 SCALE_LOG_STD = (0.35, 1.4)
 PLANAR_INFLATIONS = (1.0, 1.3, 1.7, 2.5)
-KINDS = ("likelihood", "particles", "scale", "planar")
+CONSTANT_KINDS = ("likelihood", "particles", "scale", "planar")
 
 
 class Choice(NamedTuple):
@@ -65,7 +65,7 @@ def evaluate(lab: StudyLab) -> Part:
     lab = replace(lab, names=lab.cfg.validation, surfaces=surfaces)
     key_sites, key_episodes, key_chosen = jax.random.split(lab.key, 3)
     plan = lab.plan(key_sites, key_chosen)
-    episodes = lab.simulate(key_episodes, plan, "validation", errors=placed(lab, TRUE_MM))
+    episodes = lab.simulate(key_episodes, plan, "validation", errors=placed(lab, PLACEMENT_MM))
     beliefs = partial(beliefs_with, lab, plan, episodes)
     return {
         "truth": plan.truth,
@@ -82,7 +82,7 @@ def beliefs_with(
     episodes: Episodes,
     likelihoods: dict[str, Likelihood] | None = None,
     *,
-    stated_mm: float = TRUE_MM,
+    stated_mm: float = PLACEMENT_MM,
     num_particles: int | None = None,
     std_ratio: float = belief.PARTICLE_STD_RATIO,
     scales: ScalePrior = belief.SCALE_PRIOR,
@@ -111,7 +111,7 @@ def likelihood_choices(in_use: Likelihood, beliefs: Callable[..., dict[str, np.n
 def particle_choices(beliefs: Callable[..., dict[str, np.ndarray]], *, debug: bool) -> dict[str, np.ndarray]:
     """Beliefs with more, fewer, wider and narrower particles."""
     found = {IN_USE: beliefs()[IN_USE]}
-    for count in NUM_PARTICLES[:1] if debug else NUM_PARTICLES:
+    for count in PARTICLE_COUNTS[:1] if debug else PARTICLE_COUNTS:
         found[str(Choice("num_particles", count))] = beliefs(num_particles=count)[IN_USE]
     for ratio in STD_RATIOS:
         found[str(Choice("std_ratio", ratio))] = beliefs(std_ratio=ratio)[IN_USE]
@@ -123,7 +123,7 @@ def scale_choices(beliefs: Callable[..., dict[str, np.ndarray]]) -> dict[str, np
     priors = {IN_USE: belief.SCALE_PRIOR}
     for log_std in SCALE_LOG_STD:
         priors[str(Choice("log_std", log_std))] = belief.SCALE_PRIOR._replace(log_std=log_std)
-    stated = [Condition(TRUE_MM, name).stated_mm for name in STATED_FACTORS]
+    stated = [Condition(PLACEMENT_MM, name).stated_mm for name in STATED_FACTORS]
     return {
         name: np.stack([beliefs(stated_mm=mm, scales=prior)[IN_USE] for mm in stated], axis=1)
         for name, prior in priors.items()
@@ -146,7 +146,7 @@ def planar_inflations(lab: StudyLab) -> Part:
 def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
     """Log loss of every value, and whether one beats the value in use by more than chance."""
     result: dict[str, Any] = {"episodes": sum(len(part["truth"]) for part in parts), "constants": {}}
-    for kind in KINDS:
+    for kind in CONSTANT_KINDS:
         of = "planar truth" if kind == "planar" else "truth"
         beliefs = pool_parts([part[kind] for part in parts])
         truth = np.concatenate([part[of] for part in parts])

@@ -18,7 +18,7 @@ from i2t.recognition.metrics import to_json
 from i2t.rendering.render import render_heights
 from i2t.types import PAD_WINDOW, Surface
 
-PIXELS = 20  # over the skin
+MAP_PIXELS = 20  # over the skin
 CONTACT_DEPTH_M = 1e-3  # what lies so near to a contact's nearest point is pressed
 
 # Shares of the skin under which the surface is pressed: an edge through the middle has a half, a corner a quarter.
@@ -41,7 +41,7 @@ def evaluate(lab: StudyLab) -> Part:
 
 def pressed_share(surface: Surface, T_w_site: jax.Array) -> jax.Array:
     """Share of the skin under which the surface lies within `CONTACT_DEPTH_M` of its nearest point."""
-    heights = render_heights(surface, inverse(T_w_site), PAD_WINDOW, PIXELS)
+    heights = render_heights(surface, inverse(T_w_site), PAD_WINDOW, MAP_PIXELS)
     return jnp.mean(heights <= jnp.min(heights) + CONTACT_DEPTH_M)
 
 

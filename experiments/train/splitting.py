@@ -12,7 +12,7 @@ from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.types import ReturnCode, Touches
 
-MIN_BLOCKS, LEAST_BLOCK_M = 12, 1.5e-3  # blocks are made smaller for there to be as many, down to this edge
+MIN_SPLIT_BLOCKS, LEAST_BLOCK_M = 12, 1.5e-3  # blocks are made smaller for there to be as many, down to this edge
 MIN_SESSIONS = 5  # that can be held out where places cannot
 
 
@@ -79,14 +79,14 @@ def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -
 
 def block_edge(dataset: Dataset, edge: float) -> float:
     """The edge (m) of spatial blocks: halved where touches lie in too few to hold some out."""
-    while len(np.unique(data.spatial_blocks(dataset, edge))) < MIN_BLOCKS and edge >= 2 * LEAST_BLOCK_M:
+    while len(np.unique(data.spatial_blocks(dataset, edge))) < MIN_SPLIT_BLOCKS and edge >= 2 * LEAST_BLOCK_M:
         edge /= 2
     return edge
 
 
 def _split_of_one_object(dataset: Dataset, edge: float) -> str:
     """Blocks of places; sessions or times where all touches are at a few places."""
-    if len(np.unique(data.spatial_blocks(dataset, block_edge(dataset, edge)))) >= MIN_BLOCKS:
+    if len(np.unique(data.spatial_blocks(dataset, block_edge(dataset, edge)))) >= MIN_SPLIT_BLOCKS:
         return "block"
     return "session" if len(np.unique(dataset.touches.session)) >= MIN_SESSIONS else "time"
 

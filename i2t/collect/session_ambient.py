@@ -23,7 +23,7 @@ from i2t.skin.ambient import (
 from i2t.types import Array
 
 AMBIENT_FILE = ".ambient.npz"  # hidden, as it is no touch
-FALSE_ALARM = 0.01  # of sessions, at which a field that has not changed since the last one is called changed
+AMBIENT_FALSE_ALARM = 0.01  # of sessions, at which a field that has not changed since the last one is called changed
 
 
 def fitted_ambient(procedure: Procedure, settings: AmbientSettings, out: Path, *, seed: int = 0) -> AmbientField | None:
@@ -60,7 +60,7 @@ def fitted_ambient(procedure: Procedure, settings: AmbientSettings, out: Path, *
         f"               readings change by {_turned(free):.1f} uT from pose to pose, {_rest(field, procedure, free)}"
     )
     if before is not None:
-        change = ambient_changed(before, procedure.board, free, false_alarm=FALSE_ALARM)
+        change = ambient_changed(before, procedure.board, free, false_alarm=AMBIENT_FALSE_ALARM)
         print(f"               since the folder was begun: {change.sentence}")
         path.replace(_aside(path))
     about = {"skin": procedure.skin.features.name, "source": procedure.skin.features.source}

@@ -38,7 +38,7 @@ from i2t.types import Board
 AMBIENT_UT = (18.0, -7.0, -41.0)  # in tool axes: the Earth's, about
 NOISE_UT = (3.1, 3.1, 4.6)  # standard deviation of a sample of x, y and z on real boards
 STEPS_UT = (0.150, 0.150, 0.242)  # of the converter at the paper's settings
-TEMPERATURE_C, TEMPERATURE_NOISE_C, TEMPERATURE_STEP_C = 24.6, 0.1, 1 / 45.2
+BOARD_TEMPERATURE_C, TEMPERATURE_NOISE_C, TEMPERATURE_STEP_C = 24.6, 0.1, 1 / 45.2
 TEMPERATURE_ORIGIN_C = 25.0  # from which the converter counts
 PRESS_UT = np.array([[9, 4, -38], [-14, 8, 12], [6, 20, 9], [-5, -16, 7], [11, -9, 13.0]])  # of chips, over and over
 PRESS_PERIOD_S = 4.0
@@ -125,7 +125,7 @@ class Readings:
         counts = np.round((self._rest + self.field + depth * self._press + noise) / steps)
         counts = (counts + CONVERTER_COUNTS // 2) % CONVERTER_COUNTS - CONVERTER_COUNTS // 2
         reading = counts * steps
-        warmth = TEMPERATURE_C + self._noise * TEMPERATURE_NOISE_C * self._rng.standard_normal(self.chips)
+        warmth = BOARD_TEMPERATURE_C + self._noise * TEMPERATURE_NOISE_C * self._rng.standard_normal(self.chips)
         celsius = np.round((warmth - TEMPERATURE_ORIGIN_C) / TEMPERATURE_STEP_C)
         if self._temperature is not None:
             return reading, np.full(self.chips, self._temperature)

@@ -47,7 +47,7 @@ MIN_TURN = 0.1  # by how much, root mean square, poses must turn the field's wea
 MIN_SPREAD_M = 0.02  # of the poses' places, below which no gradient is looked for
 GRADIENT_STD_UT_M = 20.0
 RESPONSE_STD = 0.05
-MAX_STEPS, CONVERGED = 20, 1e-8
+MAX_FIT_STEPS, CONVERGED = 20, 1e-8
 WEIGHT_ROUNDS = 3  # of estimating the noise and fitting with it
 LEAST_NOISE_UT = 1e-3  # below which a noise is rounding
 
@@ -472,7 +472,7 @@ def _solve(
     silent = ~np.isfinite(problem.reading).any((0, 2))
     prior[3 : 3 + 3 * chips] += np.repeat(np.where(silent, 1.0, 0.0), 3)  # keeps a chip that never answered solvable
     theta = np.zeros(len(terms)) if start is None else start.copy()
-    for _ in range(MAX_STEPS):
+    for _ in range(MAX_FIT_STEPS):
         residual, jacobian = _whitened(problem, theta, terms, weights)
         normal = jacobian.T @ jacobian + np.diag(prior[terms])
         step = np.linalg.solve(normal, jacobian.T @ residual - prior[terms] * theta[terms])

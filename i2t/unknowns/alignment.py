@@ -7,13 +7,12 @@ with priors, so that a few presses move them little and none not at all. The sam
 swapped or an axis flipped in between, and whether a part of the skin was magnetized anew. NumPy only.
 """
 
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cho_solve, cholesky
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, linear_sum_assignment
 
 from i2t.unknowns.findings import Finding
 from i2t.unknowns.smooth import left_out, thinned
@@ -24,11 +23,12 @@ MAP_PRESSES = 350  # of the earlier session that its map is made of
 ALIGNED_PRESSES = 120  # of the later one: more tell no more
 SHIFT_STD_M = 1e-3
 LOAD_STD = 0.3  # of the loads' range, where both sessions count them alike
-GAIN_STD = 0.15  # of the logarithm
+SESSION_GAIN_STD = 0.15  # of the logarithm
 CHIP_GAIN_STD = 0.1  # of the logarithm of one chip's gain over all chips'
 PRIOR_PRESSES = 3.0  # presses' worth of error that the priors stand for, at least
 SWAP_ERROR_RATIO = 0.8  # of the squared error: what chips in another order must leave at most
 CHANGED_SKIN_R2 = 0.3  # below it the sessions are not of one skin
+MIN_CHIPS_SINCE = 8  # presses
 _AXES = 3
 MAP_POWERS = (1.0, 1.5, 2.0)
 MAP_LENGTHS = (3e-3, 6e-3, 12e-3)
@@ -153,7 +153,7 @@ def align_session(
     def residual(theta: np.ndarray) -> np.ndarray:
         expected = predict_session(session, at + SHIFT_STD_M * theta[:2], load + load_std * theta[2])
         gain = np.repeat(_gains(expected, values, chips, error), _AXES)
-        log_gain = np.log(np.clip(gain[::_AXES], 1e-2, 1e2)).mean() / GAIN_STD
+        log_gain = np.log(np.clip(gain[::_AXES], 1e-2, 1e2)).mean() / SESSION_GAIN_STD
         return np.concatenate([((values - gain * expected) / tempered).ravel(), theta, [log_gain]])
 
     starts = [0.0] if load_known else [-1.0, -0.5, 0.0, 0.5, 1.0]
@@ -272,30 +272,29 @@ def alignment_findings(
             "shift_m": alignment.shift.tolist(), "load": alignment.load, "gain": alignment.gain.tolist()
         } if same else {},
     )  # fmt: skip
-    return [first, _chips_since(aligned_prediction(session, alignment, position, load), readings)]
+    expected = predict_session(session, position + alignment.shift, load + alignment.load)
+    return [first, _chips_since(expected, readings)]
 
 
 def _chips_since(expected: np.ndarray, readings: np.ndarray) -> Finding:
     """Whether chips were swapped or axes flipped since the earlier session."""
     n, channels = readings.shape
     chips = channels // _AXES
-    if n < 5 or chips < 2:
+    if n < MIN_CHIPS_SINCE or chips < 2:
         return Finding(ALIGNED_CHIPS, "Whether chips changed places is not identifiable: too few presses.", False)
     y, e = readings.reshape(n, chips, _AXES), expected.reshape(n, chips, _AXES)
-    as_recorded = float(((y - e) ** 2).sum())
-    order, signs, least = np.arange(chips), np.ones((chips, _AXES)), as_recorded
-    for pair in combinations(range(chips), 2):
-        tried = np.arange(chips)
-        tried[list(pair)] = tried[list(pair[::-1])]
-        error = float(((y[:, tried] - e) ** 2).sum())
-        if error < least:
-            order, least = tried, error
+    # What is left of recorded chip p where chip c is expected, each axis with its better sign, the chip with its gain.
+    along = np.einsum("ica,ipa->cpa", e, y)
+    left = (y**2).sum((0, 2))[None] - np.abs(along).sum(2) ** 2 / np.maximum((e**2).sum((0, 2)), 1e-30)[:, None]
+    best = linear_sum_assignment(left)[1]
+    as_recorded, least = float(np.trace(left)), float(left[np.arange(chips), best].sum())
     swapped = least < SWAP_ERROR_RATIO * as_recorded
-    order = order if swapped else np.arange(chips)
-    aligned = (y[:, order] * e).sum(0) / np.maximum(np.sqrt((y[:, order] ** 2).sum(0) * (e**2).sum(0)), 1e-30)
-    signs[aligned < -0.5] = -1
+    order = best if swapped else np.arange(chips)
+    signs = np.ones((chips, _AXES))
+    size = np.sqrt((y[:, order] ** 2).sum(0) * (e**2).sum(0))
+    signs[along[np.arange(chips), order] < -0.5 * np.maximum(size, 1e-30)] = -1
     flipped = bool((signs < 0).any())
-    evidence = {"error_as_recorded": as_recorded, "error_corrected": float(((y[:, order] * signs - e) ** 2).sum())}
+    evidence = {"error_as_recorded": as_recorded, "error_best": least}
     said = []
     if swapped:
         said.append(f"chips {' and '.join(str(i) for i in np.flatnonzero(order != np.arange(chips)))} changed places")
@@ -316,7 +315,7 @@ def _gains(expected: np.ndarray, values: np.ndarray, chips: int, error: float) -
     """Gain of each chip: drawn to that of all chips, and that one to 1."""
     e, y = (part.reshape(len(part), chips, -1) for part in (expected, values))
     both, own = (e * y).sum((0, 2)), (e * e).sum((0, 2))
-    prior = error**2 / GAIN_STD**2 * len(values) ** 0.5
+    prior = error**2 / SESSION_GAIN_STD**2 * len(values) ** 0.5
     together = (both.sum() + prior) / (own.sum() + prior)
     chip_prior = error**2 / CHIP_GAIN_STD**2 * len(values) ** 0.5
     return (both + chip_prior * together) / (own + chip_prior)

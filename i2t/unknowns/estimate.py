@@ -15,7 +15,7 @@ from i2t.unknowns.tip import find_tip_radius
 GAIN = "gain of the chips"
 GROWTH_POWER = 1.75  # of readings with the depth, where a recording does not say
 FORCE_POWER = 1.2  # of readings with the force
-MIN_ROWS = 5
+MIN_ESTIMATE_ROWS = 5
 MISSING_SHARE = 0.2  # of the rows in which a channel may be missing
 
 
@@ -44,7 +44,7 @@ def estimate_unknowns(
         presses, board = presses._replace(readings=presses.readings[:, ~missing]), None
     finite = np.isfinite(presses.position).all(1) & np.isfinite(presses.readings).all(1)
     presses = presses.rows(finite)
-    if len(presses.readings) < MIN_ROWS or not presses.readings.shape[1]:
+    if len(presses.readings) < MIN_ESTIMATE_ROWS or not presses.readings.shape[1]:
         return []
     findings: list[Finding] = []
 

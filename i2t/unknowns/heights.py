@@ -27,7 +27,7 @@ from i2t.unknowns.smooth import left_out, thinned
 HEIGHT_ZERO = "height zero"
 HEIGHT_DRIFT = "drift of the height zero"
 MIN_HEIGHT_RANGE_M = 0.1e-3  # between the lowest and the highest tenth of the presses: less is one height
-MIN_HEIGHT_PRESSES = 30
+MIN_ZERO_PRESSES = 30
 HEIGHT_SUBSETS = 6  # of the presses, whose estimates differ by the statistical error
 HEIGHT_SUBSET_PRESSES = 160
 POWERS = (1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0)
@@ -75,10 +75,10 @@ def find_height_zero(presses: RecordedPresses, stated: float | None = None) -> F
     presses = presses.rows(np.isfinite(presses.height))
     height = np.asarray(presses.height, np.float64)
     low, high = np.quantile(height, [0.05, 0.95])
-    if len(height) < MIN_HEIGHT_PRESSES or high - low < MIN_HEIGHT_RANGE_M:
+    if len(height) < MIN_ZERO_PRESSES or high - low < MIN_HEIGHT_RANGE_M:
         why = (
             f"{len(height)} presses are too few"
-            if len(height) < MIN_HEIGHT_PRESSES
+            if len(height) < MIN_ZERO_PRESSES
             else f"all presses go to one height ({1e3 * (high - low):.2g} mm between them)"
         )
         return Finding(
@@ -104,7 +104,7 @@ def find_height_drift(presses: RecordedPresses, zero: float) -> Finding:
     Returns:
         The finding; the estimate is the change from the first press to the last (mm).
     """
-    if presses.height is None or len(presses.height) < 2 * MIN_HEIGHT_PRESSES:
+    if presses.height is None or len(presses.height) < 2 * MIN_ZERO_PRESSES:
         return Finding(HEIGHT_DRIFT, "A drift of the height zero is not identifiable: too few heights.", False)
     rows = thinned(len(presses.height), 2 * HEIGHT_SUBSET_PRESSES)
     time = np.arange(len(presses.height), dtype=float) if presses.seconds is None else presses.seconds
@@ -112,7 +112,7 @@ def find_height_drift(presses: RecordedPresses, zero: float) -> Finding:
     chosen = presses.rows(rows)
     depth = zero - np.asarray(chosen.height, np.float64)
     below = depth > 0.1 * max(np.quantile(depth, 0.95), 0)
-    if below.sum() < 2 * MIN_HEIGHT_PRESSES or np.ptp(depth[below]) < MIN_HEIGHT_RANGE_M:
+    if below.sum() < 2 * MIN_ZERO_PRESSES or np.ptp(depth[below]) < MIN_HEIGHT_RANGE_M:
         return Finding(
             HEIGHT_DRIFT, "A drift of the height zero is not identifiable: all presses go to one height.", False
         )
@@ -143,7 +143,7 @@ def _subsets(presses: RecordedPresses) -> list[RecordedPresses]:
     """Random parts of the presses, apart from each other where there are enough."""
     n = len(presses.readings)
     order = np.random.default_rng(0).permutation(n)
-    size = min(HEIGHT_SUBSET_PRESSES, max(n // 2, MIN_HEIGHT_PRESSES // 2))
+    size = min(HEIGHT_SUBSET_PRESSES, max(n // 2, MIN_ZERO_PRESSES // 2))
     apart = n >= HEIGHT_SUBSETS * size
     starts = [i * size if apart else i * max(n - size, 0) // (HEIGHT_SUBSETS - 1) for i in range(HEIGHT_SUBSETS)]
     return [presses.rows(np.sort(order[start : start + size])) for start in starts]
