@@ -18,7 +18,7 @@ from tqdm import tqdm
 from experiments.calibrate.data import PressRecording
 from experiments.calibrate.methods import NEIGHBOURS, PLAIN, neighbours
 from experiments.calibrate.report import summarise, table_row
-from experiments.calibrate_pads.kinds import SimulatedSkin, simulate_skins
+from experiments.calibrate_pads.kinds import PressedSkinOfKind, simulate_skins
 from experiments.common.runs import write_json
 from i2t.calibration import calibrate
 from i2t.calibration.model import LoadKind
@@ -33,8 +33,9 @@ from i2t.types import Board
 
 POPULATION, ORACLE = "GP of a population", "oracle of its kind"
 DIFFERENCE = f"{POPULATION} - {PLAIN}"
+BLOCKS_ALONG_EDGE, HELD_OUT_BLOCKS = 3, 2  # 5.3 mm of a layer, 10 mm of a lattice
 KINDS_SEED = 202  # of the skins; the prior's are others
-LABEL_WIDTH = 44
+KIND_LABEL_WIDTH = 44
 PLAIN_STARTS = ((-0.5, 0.5, -4.0), (-1.5, 1.5, -2.0))  # log lengths in standard deviations, log noise
 
 
@@ -44,17 +45,23 @@ class Case(NamedTuple):
     kind: str
     load: LoadKind
     knows_previous: bool = False  # the reading before each press
+    blocks: bool = False  # whole blocks of the skin are held out, not presses
 
     @property
     def name(self) -> str:
         """For tables."""
-        return f"{self.kind}, {self.load}" + (", reading before" if self.knows_previous else "")
+        return (
+            f"{self.kind}, {self.load}"
+            + (", reading before" if self.knows_previous else "")
+            + (", blocks" if self.blocks else "")
+        )
 
 
 CASES = (
     Case("bonded", "depth"), Case("bonded", "force"), Case("loose", "force"), Case("loose", "both"),
     Case("uniform", "depth"), Case("weak", "force"), Case("lattice", "depth"), Case("lattice", "force"),
-    Case("displaced", "force"), Case("displaced", "force", True),
+    Case("displaced", "force"), Case("displaced", "force", True), Case("bonded", "force", blocks=True),
+    Case("lattice", "depth", blocks=True), Case("displaced", "force", blocks=True),
 )  # fmt: skip
 
 
@@ -92,8 +99,7 @@ def evaluate(cfg: KindsPreset) -> dict[str, Any]:
         tasks = [(i, draw) for i in range(cfg.skins) for draw in range(cfg.draws)]
         for i, draw in tqdm(tasks, desc=case.name, unit="draw"):
             skin = skins[case.kind][i]
-            order = np.random.default_rng((KINDS_SEED, i, draw)).permutation(cfg.pool)
-            test = np.arange(cfg.pool, cfg.pool + cfg.test_presses)
+            order, test = held_out(case, cfg, skin, np.random.default_rng((KINDS_SEED, i, draw)))
             for n in cfg.counts:
                 predicted, inside, taken = predict_all(case, skin, order[:n], test)
                 for name, mean in predicted.items():
@@ -124,9 +130,9 @@ def report(metrics: dict[str, Any], out: Path) -> None:
     for name, case in metrics["cases"].items():
         print(f"\n{name} (simulated)")
         for method, by_count in case["r2"].items():
-            print(table_row(method, by_count, LABEL_WIDTH))
-        print(table_row(DIFFERENCE, case["difference"], LABEL_WIDTH))
-        print(table_row("readings in the 90 % range", case["inside_90"], LABEL_WIDTH))
+            print(table_row(method, by_count, KIND_LABEL_WIDTH))
+        print(table_row(DIFFERENCE, case["difference"], KIND_LABEL_WIDTH))
+        print(table_row("readings in the 90 % range", case["inside_90"], KIND_LABEL_WIDTH))
     (out / "table.md").write_text(markdown(metrics))
     print(f"\nresults and the table are in {out}")
 
@@ -145,8 +151,21 @@ def markdown(metrics: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def held_out(
+    case: Case, cfg: KindsPreset, skin: PressedSkinOfKind, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Presses to learn from, in random order, and those to predict: random ones, or all of two blocks in nine."""
+    if not case.blocks:
+        return rng.permutation(cfg.pool), np.arange(cfg.pool, cfg.pool + cfg.test_presses)
+    edge = 2 * np.abs(skin.position).max() / BLOCKS_ALONG_EDGE
+    cell = np.clip(np.floor(skin.position / edge + BLOCKS_ALONG_EDGE / 2), 0, BLOCKS_ALONG_EDGE - 1).astype(int)
+    block = cell[:, 0] * BLOCKS_ALONG_EDGE + cell[:, 1]
+    inside = np.isin(block, rng.permutation(BLOCKS_ALONG_EDGE**2)[:HELD_OUT_BLOCKS])
+    return rng.permutation(np.flatnonzero(~inside)), np.flatnonzero(inside)
+
+
 def predict_all(
-    case: Case, skin: SimulatedSkin, rows: np.ndarray, test: np.ndarray
+    case: Case, skin: PressedSkinOfKind, rows: np.ndarray, test: np.ndarray
 ) -> tuple[dict[str, np.ndarray], float, float]:
     """Readings at the test by every method, the share of them in the 90 % range, and seconds of a calibration."""
     loads = loads_of(case, skin)
@@ -176,19 +195,19 @@ def predict_all(
     return predicted, inside, taken
 
 
-def loads_of(case: Case, skin: SimulatedSkin) -> np.ndarray:
+def loads_of(case: Case, skin: PressedSkinOfKind) -> np.ndarray:
     """(n,) or (n, 2): what is known of how hard was pressed."""
     each = {"depth": skin.depth, "force": skin.force}
     return np.column_stack([skin.depth, skin.force]) if case.load == "both" else each[case.load]
 
 
-def board_of(skin: SimulatedSkin) -> Board:
+def board_of(skin: PressedSkinOfKind) -> Board:
     """The board whose chips lie where the skin's do."""
     return anyskin_board() if skin.kind == "lattice" else reskin_board()
 
 
 def one_kernel(
-    kernels: SkinKernels, skin: SimulatedSkin, load: np.ndarray, rows: np.ndarray, test: np.ndarray
+    kernels: SkinKernels, skin: PressedSkinOfKind, load: np.ndarray, rows: np.ndarray, test: np.ndarray
 ) -> np.ndarray:
     """(m, c): what one kernel predicts."""
     typical = np.sqrt(np.mean(load[rows] ** 2))

@@ -193,7 +193,8 @@ def calibrate(
     """Calibrate one skin from n presses with one tip.
 
     Args:
-        positions: (n, 2) positions of the tip in the tool frame (m), in random order; None where they are not known.
+        positions: (n, 2) positions of the tip in the tool frame (m), in random order where
+            `hyperparameters` are given; None where they are not known.
         loads: (n,) depths past first contact (m) or normal forces (N), (n, 2) of both, or None.
         readings: (n, c) readings (uT), ambient subtracted.
         load_kind: Whether `loads` are depths, forces, both (first column the depth), or not known.
@@ -285,7 +286,7 @@ def hyperparameters_to_json(hyperparameters: StructuredGPHyperparameters) -> dic
 
 def _load_population(path: Path | str) -> Calibration:
     record, about = serialization.load(path, POPULATION_FILE_KIND, PopulationRecord)
-    gp, load_kind = record.gp, about.get("load")
+    gp, load_kind = record.gp, about.get("load", "")
     fits = load_kind in LOAD_COLUMNS and all(
         len(part.readings) == len(part.presses.position) == len(part.extra_noise)
         and part.weights.shape == (len(part.components.log_share), part.readings.shape[1])

@@ -103,7 +103,16 @@ def segment_presses(
     steady = [_steady(blocks[spans[i][0] : spans[i][1]] - baselines[i], unit) for i in kept]
     first, last = (start + width * np.array([part[side] for part in steady], int) for side in (0, 1))
     level = np.array([np.median(readings[a:b], axis=0) for a, b in zip(first, last, strict=True)]).reshape(-1, c)
-    return SegmentedPresses(start, end, first, last, level - base, base, time[start], time[end - 1])
+    return SegmentedPresses(
+        start=start,
+        end=end,
+        steady_start=first,
+        steady_end=last,
+        reading=level - base,
+        baseline=base,
+        start_time=time[start],
+        end_time=time[end - 1],
+    )
 
 
 def _check(time: np.ndarray, readings: np.ndarray, begin_at: float, end_at: float) -> None:

@@ -6,6 +6,7 @@ normal prior. With A the inverse of the covariance of the readings, y - (A y) / 
 and 1 / diag A its variance.
 """
 
+import contextlib
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ from scipy.linalg import lapack
 from i2t.calibration.population_gp import kernel
 from i2t.calibration.population_gp.kernel import PressGeometry, SkinKernels
 
+SMALL_SYSTEM = 40  # presses up to which all groups are inverted in one call
 CHUNK_VALUES = 3_000_000  # of matrices that are held at once
 SHARED_SCALE_PRESSES = 2.0  # presses' worth of belief that all channels have one scale
 MIN_SCALE_UT = 1e-3
@@ -148,7 +150,7 @@ def _condition(system: np.ndarray, observed: Observed) -> Conditioned:
     """One kernel, from the covariances (groups, n, n) of the readings."""
     n, c = observed.target.shape
     r = observed.linear.shape[2]
-    inverse = np.stack([_inverse(matrix) for matrix in system])
+    inverse = _inverses(system)
     weights = ungrouped(inverse @ grouped(observed.target, len(inverse)))
     if r:
         by_group = observed.linear.reshape(n, len(inverse), -1).swapaxes(0, 1)
@@ -162,7 +164,14 @@ def _condition(system: np.ndarray, observed: Observed) -> Conditioned:
     else:
         projected, covariance, coefficients = np.zeros((n, c, 0)), np.zeros((c, 0, 0)), np.zeros((c, 0))
     scale = _channel_scale(observed.target, weights)
-    return Conditioned(inverse, weights, coefficients, covariance, projected, scale)
+    return Conditioned(
+        inverse=inverse,
+        weights=weights,
+        coefficients=coefficients,
+        coefficient_covariance=covariance,
+        projected=projected,
+        scale=scale,
+    )
 
 
 def _own_precision(given: Conditioned, observed: Observed) -> Float[np.ndarray, "n c"]:
@@ -176,15 +185,24 @@ def _own_precision(given: Conditioned, observed: Observed) -> Float[np.ndarray, 
     return np.maximum(diagonal, 1 / FAILED_VARIANCE)
 
 
+def _inverses(system: np.ndarray) -> np.ndarray:
+    """Of symmetric positive definite matrices (groups, n, n)."""
+    n = system.shape[1]
+    if n <= SMALL_SYSTEM:
+        with contextlib.suppress(np.linalg.LinAlgError):
+            return np.linalg.inv(system)
+    return np.stack([_inverse(matrix) for matrix in system])
+
+
 def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Of a symmetric positive definite matrix."""
     factor, failed = lapack.dpotrf(matrix, lower=1)
     if not failed:
-        inverse, failed = lapack.dpotri(factor, lower=1)
+        inverse, failed = lapack.dpotri(factor, lower=1)  # its lower half; the upper one of the factor is zero
     if failed:
         return np.eye(len(matrix)) / FAILED_VARIANCE
-    lower = np.tril(inverse)
-    return lower + np.tril(lower, -1).T
+    whole = inverse + inverse.T
+    whole[np.diag_indices(len(matrix))] *= 0.5
+    return whole
 
 
 def _channel_scale(target: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -34,20 +34,25 @@ from i2t.calibration.population_gp.left_out import (
 from i2t.calibration.population_gp.prior import KernelPrior, load_prior, with_plain
 from i2t.calibration.structured_gp import STDS_WITHIN_90_PERCENT
 
-DENSITY_EXPONENT = 0.25  # of the leave-one-out density, all channels together
-ERROR_EXPONENT = 2.0  # of the leave-one-out error, in presses' worth of one channel
-CHANNEL_EXPONENT = 0.25  # of a channel's own density, on top
+DENSITY_EXPONENT = 0.3  # of the leave-one-out density, all channels together
+ERROR_EXPONENT = 8.0  # of the leave-one-out error, in presses' worth of one channel
+CHANNEL_EXPONENT = 0.1  # of a channel's own density, on top
+TEMPERING_PRESSES = 5.0  # beyond so many, presses add ever less to what is known of the kernel
 DENSITY_DOF = 5.0  # of the t that leave-one-out errors are judged by
 LINEAR_VARIANCES = (0.15**2, 0.15**2)  # of the share of the press before that stays; of a temperature's effect
 LINEAR_SHARE = 0.5  # of the prior, of kernels with linear terms where they are known
 PREVIOUS_SHARE = 0.5  # of the prior, of a previous session as the mean where there is one
 PREVIOUS_NOISE_FACTORS = (1.0, 10.0, 100.0)  # on the noise of kernels that explain what a previous session leaves
-STAGES = ((150, 10**9), (400, 40), (10**9, 10))  # presses that kernels are weighed by, and how many are weighed
-KEPT_SHARE, MAX_KEPT, MAX_KEPT_OF_MANY, MANY_PRESSES = 0.995, 48, 6, 400
+# Presses that kernels are weighed by, and how many kernels are weighed by them.
+STAGES = ((60, 10**9), (150, 64), (400, 24), (10**9, 8))
+KEPT_SHARE, MAX_KEPT, MAX_KEPT_OF_MANY, KEEP_FEW_BEYOND = 0.995, 48, 6, 400
 TAIL_DOF = 4.0  # of the errors' t
 TAIL_LIMIT = 9.0  # mean square of a chip's errors in standard deviations beyond which it is given more noise
 MIN_ROBUST_PRESSES = 8
-MIN_HEIGHT_PRESSES = 10
+FIRST_HEIGHT_PRESSES = 10
+HEIGHT_SHARE = 0.5  # of belief that a skin has local heights, before any press
+HEIGHT_EXPONENT = 1.0  # of the leave-one-out error
+MIN_HEIGHT_SHARE = 0.01  # of an idea of how rough a skin is, to be kept
 HEIGHT_STDS = (0.02, 0.06, 0.12)  # typical loads
 HEIGHT_LENGTHS_M = (1.0e-3, 2.0e-3, 4.0e-3)
 HEIGHT_ERROR = 5e-3  # typical loads, standard deviation of what a press measures of its height, at least
@@ -88,10 +93,11 @@ class Components(NamedTuple):
 
 
 class Heights(NamedTuple):
-    """Local heights of the skin, in typical loads of the first kind."""
+    """Local heights of the skin, in typical loads of the first kind, averaged over j ideas of how rough it is."""
 
-    std: Float[np.ndarray, ""]  # 0: none
-    length: Float[np.ndarray, ""]  # m
+    std: Float[np.ndarray, " j"]
+    length: Float[np.ndarray, " j"]  # m
+    share: Float[np.ndarray, " j"]  # of belief; what is left of 1 is for a skin without heights
     measured: Float[np.ndarray, " n"]
     variance: Float[np.ndarray, " n"]  # of what is measured
 
@@ -129,7 +135,7 @@ def fit_population(
     """Weigh the population by the presses of one skin, and condition it on them.
 
     Args:
-        presses: In random order, where there are more than 150.
+        presses: In any order.
         readings: Their readings (uT).
         load_kinds: "depth" or "force", of each column of the loads.
         chip_positions: Positions of the chips (m) where they are known; channels come three for each.
@@ -143,7 +149,7 @@ def fit_population(
     gp = _weigh_in_stages(gp, options)
     if options.robust and len(readings) >= MIN_ROBUST_PRESSES:
         gp = _with_heavy_tails(gp)
-    if options.heights and load_kinds and len(readings) >= MIN_HEIGHT_PRESSES:
+    if options.heights and load_kinds and len(readings) >= FIRST_HEIGHT_PRESSES:
         gp = _with_heights(gp)
     return gp
 
@@ -178,9 +184,9 @@ def predict_population(
         Mean and standard deviation (uT), noise included.
     """
     conditioned = conditioned or condition(gp)
-    height_inverse = _height_inverse(gp)
+    height_inverses = _height_inverses(gp)
     parts = [
-        _predict_rows(gp, _rows_of(presses, slice(start, start + PREDICT_ROWS)), conditioned, height_inverse)
+        _predict_rows(gp, _rows_of(presses, slice(start, start + PREDICT_ROWS)), conditioned, height_inverses)
         for start in range(0, len(presses.position), PREDICT_ROWS)
     ]
     mean, variance = (np.concatenate(each) for each in zip(*parts, strict=True))
@@ -240,11 +246,12 @@ def _start(
         kernels, log_share = with_plain(prior, kind, presses.position, loads[:, column] / typical[column])
         if chip_positions is None:
             kernels, log_share = _without_chips(kernels, log_share)
-        parts.append((kernels, log_share, np.full(len(log_share), column)))
+        parts.append((kernels, log_share))
     kernels = kernel.join(*(part[0] for part in parts))
-    log_share, column = (np.concatenate([part[i] for part in parts]) for i in (1, 2))
+    log_share = np.concatenate([part[1] for part in parts])
+    column_of = np.repeat(np.arange(len(parts)), [len(part[1]) for part in parts])
     no = np.zeros(len(log_share), bool)
-    components = Components(kernels, column, no, no, log_share)
+    components = Components(kernels, column_of, no, no, log_share)
     if presses.linear.shape[2]:
         components = _joined(_shared(components, 1 - LINEAR_SHARE), _shared(components, LINEAR_SHARE, uses_linear=~no))
     if presses.previous_mean is not None:
@@ -257,7 +264,7 @@ def _start(
         typical_loads=typical,
         typical_linear=np.maximum(np.sqrt(np.mean(presses.linear**2, axis=0)), MIN_TYPICAL_LOAD),
         extra_noise=np.zeros((n, groups)),
-        heights=Heights(np.zeros(()), np.ones(()), np.zeros(n), np.ones(n)),
+        heights=Heights(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(n), np.ones(n)),
         components=components,
         weights=np.ones((len(components.log_share), c)) / len(components.log_share),
     )
@@ -282,13 +289,14 @@ def _of_previous(components: Components) -> Iterator[Components]:
 
 
 def _joined(*parts: Components) -> Components:
-    rest = (np.concatenate([part[i] for part in parts]) for i in range(1, len(Components._fields)))
-    return Components(kernel.join(*(part.kernels for part in parts)), *rest)
+    names = Components._fields[1:]
+    rest = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return Components(kernels=kernel.join(*(part.kernels for part in parts)), **rest)
 
 
 def _taken(components: Components, which: np.ndarray) -> Components:
-    rest = (values[which] for values in components[1:])
-    return Components(kernel.take(components.kernels, which), *rest)
+    rest = {name: getattr(components, name)[which] for name in Components._fields[1:]}
+    return Components(kernels=kernel.take(components.kernels, which), **rest)
 
 
 def _weigh_in_stages(gp: PopulationGP, options: FitOptions) -> PopulationGP:
@@ -303,7 +311,7 @@ def _weigh_in_stages(gp: PopulationGP, options: FitOptions) -> PopulationGP:
             break
     order = np.argsort(-gp.weights.mean(1), kind="stable")
     enough = 1 + int(np.searchsorted(np.cumsum(gp.weights.mean(1)[order]), KEPT_SHARE))
-    most = options.max_kept if n <= MANY_PRESSES else min(options.max_kept, MAX_KEPT_OF_MANY)
+    most = options.max_kept if n <= KEEP_FEW_BEYOND else min(options.max_kept, MAX_KEPT_OF_MANY)
     return _keep(gp, order[: min(enough, most)])
 
 
@@ -313,8 +321,8 @@ def _keep(gp: PopulationGP, which: np.ndarray) -> PopulationGP:
 
 
 def _some_presses(gp: PopulationGP, count: int) -> PopulationGP:
-    """The first presses, which come in random order."""
-    some = slice(count)
+    """Some presses at random, whatever their order, always the same."""
+    some = np.random.default_rng(0).permutation(len(gp.readings))[:count]
     return gp._replace(
         presses=_rows_of(gp.presses, some),
         readings=gp.readings[some],
@@ -323,8 +331,11 @@ def _some_presses(gp: PopulationGP, count: int) -> PopulationGP:
     )
 
 
-def _rows_of(presses: PressTable, rows: slice) -> PressTable:
-    return PressTable(*(None if part is None else part[rows] for part in presses))
+def _rows_of(presses: PressTable, rows: slice | np.ndarray) -> PressTable:
+    mean = presses.previous_mean
+    return PressTable(
+        presses.position[rows], presses.loads[rows], presses.linear[rows], None if mean is None else mean[rows]
+    )
 
 
 def _weights(gp: PopulationGP, found: LeftOutPresses) -> np.ndarray:
@@ -334,9 +345,9 @@ def _weights(gp: PopulationGP, found: LeftOutPresses) -> np.ndarray:
     density = (student_t.logpdf(found.error / std, DENSITY_DOF) - np.log(std)).sum(1)
     trust = np.repeat(1 / (1 + gp.extra_noise), c // gp.extra_noise.shape[1], axis=1)
     missed = (trust[None] * found.error**2).sum((1, 2))
-    log = gp.components.log_share + DENSITY_EXPONENT * density.sum(1)
-    log = log - ERROR_EXPONENT * n / 2 * np.log(np.maximum(missed, 1e-30))
-    each = log[:, None] + CHANNEL_EXPONENT * density
+    worth = DENSITY_EXPONENT * density.sum(1) - ERROR_EXPONENT * n / 2 * np.log(np.maximum(missed, 1e-30))
+    tempered = 1 / (1 + n / TEMPERING_PRESSES)
+    each = (gp.components.log_share + tempered * worth)[:, None] + CHANNEL_EXPONENT * density
     return np.exp(each - logsumexp(each, axis=0, keepdims=True))
 
 
@@ -409,20 +420,21 @@ def _with_heavy_tails(gp: PopulationGP) -> PopulationGP:
 
 
 def _with_heights(gp: PopulationGP) -> PopulationGP:
-    """Loads corrected by local heights, where leave-one-out errors fall by more than a standard error."""
+    """Loads corrected by local heights, as far as they explain errors of presses left out."""
+    std, length = (
+        np.array(part) for part in zip(*((s, x) for x in HEIGHT_LENGTHS_M for s in HEIGHT_STDS), strict=True)
+    )
     for _ in range(HEIGHT_ROUNDS):
         mean, variance, slope = _slopes(gp)
-        before = _own_heights(gp)
-        precision = 1 / variance
-        total = np.maximum(np.sum(slope**2 * precision, axis=1), 1e-12)
+        total = np.maximum(np.sum(slope**2 / variance, axis=1), 1e-12)
         error = gp.readings - mean
-        seen = np.sum(slope * error * precision, axis=1) / total
-        noise = 1 / total + HEIGHT_ERROR**2
-        best = _best_heights(gp, seen, noise, error, slope)
-        if best is None:
+        seen = _own_heights(gp) + np.sum(slope * error / variance, axis=1) / total
+        tried = Heights(std, length, np.ones(len(std)), seen, 1 / total + HEIGHT_ERROR**2)
+        share = _height_shares(gp, tried, error, slope)
+        kept = share > MIN_HEIGHT_SHARE
+        if not kept.any():
             return gp
-        std, length = best
-        gp = gp._replace(heights=Heights(np.array(std), np.array(length), before + seen, noise))
+        gp = gp._replace(heights=tried._replace(std=std[kept], length=length[kept], share=share[kept]))
         gp = gp._replace(weights=_weights(gp, _left_out_all(gp, gp.components)))
     return gp
 
@@ -437,53 +449,58 @@ def _slopes(gp: PopulationGP) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return mixed.mean, mixed.variance, np.einsum("kc,knc->nc", gp.weights, slopes)
 
 
-def _best_heights(
-    gp: PopulationGP, seen: np.ndarray, noise: np.ndarray, error: np.ndarray, slope: np.ndarray
-) -> tuple[float, float] | None:
-    """Standard deviation and length of the heights that leave the least, or None where they do not surely help."""
-    square = squared_distance(gp.presses.position, gp.presses.position)
-    without = (error**2).sum(1)
-    best, least = None, 0.0
-    for length in HEIGHT_LENGTHS_M:
-        near = np.exp(-square / (2 * length**2))
-        for std in HEIGHT_STDS:
-            inverse = np.linalg.inv(std**2 * near + np.diag(noise))
-            height = seen - inverse @ seen / np.diagonal(inverse)
-            change = ((error - slope * height[:, None]) ** 2).sum(1) - without
-            sure = change.mean() + change.std() / np.sqrt(max(len(change) - 1, 1))
-            if sure < 0 and change.mean() < least:
-                best, least = (std, length), change.mean()
-    return best
+def _height_shares(gp: PopulationGP, tried: Heights, error: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Shares (j,) of belief by what is left of the errors of presses left out, heights left out too."""
+    n, square = len(error), squared_distance(gp.presses.position, gp.presses.position)
+    without = _own_heights(gp)
+    missed = [np.sum((error + slope * without[:, None]) ** 2)]
+    for std, length in zip(tried.std, tried.length, strict=True):
+        inverse = np.linalg.inv(std**2 * np.exp(-square / (2 * length**2)) + np.diag(tried.variance))
+        height = tried.measured - inverse @ tried.measured / np.diagonal(inverse)
+        missed.append(np.sum((error - slope * (height - without)[:, None]) ** 2))
+    prior = np.full(len(missed), HEIGHT_SHARE / len(tried.std))
+    prior[0] = 1 - HEIGHT_SHARE
+    log = np.log(prior) - HEIGHT_EXPONENT * n / 2 * np.log(np.maximum(missed, 1e-30))
+    return np.exp(log - logsumexp(log))[1:]
 
 
-def _height_inverse(gp: PopulationGP) -> np.ndarray | None:
-    """Of the covariance of what was measured of heights."""
-    if gp.heights.std <= 0:
-        return None
+def _height_inverses(gp: PopulationGP) -> list[np.ndarray]:
+    """Of the covariances of what was measured of heights."""
+    if not len(gp.heights.std):
+        return []
     square = squared_distance(gp.presses.position, gp.presses.position)
-    near = gp.heights.std**2 * np.exp(-square / (2 * gp.heights.length**2))
-    return np.linalg.inv(near + np.diag(gp.heights.variance))
+    noise = np.diag(gp.heights.variance)
+    pairs = zip(gp.heights.std, gp.heights.length, strict=True)
+    return [np.linalg.inv(std**2 * np.exp(-square / (2 * length**2)) + noise) for std, length in pairs]
 
 
 def _own_heights(gp: PopulationGP) -> np.ndarray:
     """At the presses of the mixture (typical loads)."""
-    if gp.heights.std <= 0:
-        return np.zeros(len(gp.readings))
-    inverse = _height_inverse(gp)
-    assert inverse is not None
-    square = squared_distance(gp.presses.position, gp.presses.position)
-    return gp.heights.std**2 * np.exp(-square / (2 * gp.heights.length**2)) @ (inverse @ gp.heights.measured)
+    return _heights_at(gp, gp.presses.position, _height_inverses(gp))[0]
+
+
+def _heights_at(gp: PopulationGP, position: np.ndarray, inverses: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and variance of the heights at positions (typical loads)."""
+    known, mean, square_mean = gp.heights, np.zeros(len(position)), np.zeros(len(position))
+    square = squared_distance(position, gp.presses.position)
+    for i, inverse in enumerate(inverses):
+        near = known.std[i] ** 2 * np.exp(-square / (2 * known.length[i] ** 2))
+        own = near @ (inverse @ known.measured)
+        left = known.std[i] ** 2 - np.einsum("mn,mn->m", near @ inverse, near)
+        mean += known.share[i] * own
+        square_mean += known.share[i] * (own**2 + np.maximum(left, 0))
+    return mean, np.maximum(square_mean - mean**2, 0)
 
 
 # --- prediction ---
 
 
 def _predict_rows(
-    gp: PopulationGP, presses: PressTable, conditioned: list[Conditioned], height_inverse: np.ndarray | None
+    gp: PopulationGP, presses: PressTable, conditioned: list[Conditioned], height_inverses: list[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean and variance (m, c) of a few presses."""
     m, c = len(presses.position), gp.readings.shape[1]
-    height, height_variance = _heights_at(gp, presses, height_inverse)
+    height, height_variance = _heights_at(gp, presses.position, height_inverses)
     loads = presses.loads if gp.presses.loads.shape[1] == presses.loads.shape[1] else np.ones((m, 1))
     presses = presses._replace(loads=np.column_stack([loads[:, 0] + height * gp.typical_loads[0], loads[:, 1:]]))
     mean, square = np.zeros((m, c)), np.zeros((m, c))
@@ -522,21 +539,10 @@ def _predict_one(
         mean = mean + np.einsum("mcr,cr->mc", regressors, given.coefficients)
         variance = variance + np.einsum("mcr,crq,mcq->mc", left, given.coefficient_covariance, left)
     slope = np.zeros_like(mean)
-    if gp.heights.std > 0 and column == 0:
+    if len(gp.heights.std) and column == 0:
         change = np.broadcast_to(kernel.load_slopes(one.kernels, at, known)[0], cross.shape)
         slope = ungrouped(change @ weights)
     if one.uses_previous[0]:
         assert presses.previous_mean is not None
         mean = mean + presses.previous_mean
     return mean, variance * given.scale[None] ** 2, slope
-
-
-def _heights_at(gp: PopulationGP, presses: PressTable, inverse: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and variance of the heights at other presses (typical loads)."""
-    m = len(presses.position)
-    if inverse is None:
-        return np.zeros(m), np.zeros(m)
-    square = squared_distance(presses.position, gp.presses.position)
-    near = gp.heights.std**2 * np.exp(-square / (2 * gp.heights.length**2))
-    explained = np.einsum("mn,mn->m", near @ inverse, near)
-    return near @ (inverse @ gp.heights.measured), np.maximum(gp.heights.std**2 - explained, 0)

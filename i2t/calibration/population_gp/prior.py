@@ -70,8 +70,8 @@ def save_prior(path: Path | str, prior: KernelPrior, about: dict[str, Any]) -> N
     Raises:
         SerializationError: It cannot be written.
     """
-    kernels = SkinKernels(*(np.float32(values) for values in prior.kernels))
-    serialization.save(path, PRIOR_KIND, KernelPrior(kernels, np.float32(prior.log_share)), about)
+    kernels = SkinKernels(*(np.asarray(values, np.float32) for values in prior.kernels))
+    serialization.save(path, PRIOR_KIND, KernelPrior(kernels, np.asarray(prior.log_share, np.float32)), about)
 
 
 def plain_kernels(position: Float[np.ndarray, "n 2"], load: Float[np.ndarray, " n"]) -> SkinKernels:
