@@ -1,9 +1,9 @@
 """Acme's devices pass the tests of all devices; one line for each."""
 
 import numpy as np
-from acme_devices import AcmeArm, AcmeSkin
+from acme_devices import AcmeArm, AcmeCamera, AcmeSkin
 
-from i2t.hardware.contract import ArmContract, SkinContract
+from i2t.hardware.contract import ArmContract, CameraContract, SkinContract
 from i2t.hardware.plugins import DeviceSetup
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.rig import Rig
@@ -20,3 +20,17 @@ class TestAcmeSkin(SkinContract):
     """Four chips at 400 Hz."""
 
     make_device = staticmethod(lambda: AcmeSkin(DeviceSetup(Rig())))
+
+
+class TestAcmeCamera(CameraContract):
+    """It looks down on the hexagon and the table, 364 mm below it, from an arm that stands."""
+
+    depth_range, min_measured_share = (0.32, 0.38), 0.5  # the table ends within its view
+
+    @staticmethod
+    def make_device() -> AcmeCamera:
+        """A camera on an arm that is connected."""
+        rig = Rig()
+        arm = AcmeArm(DeviceSetup(rig))
+        arm.connect()
+        return AcmeCamera(DeviceSetup(rig, arm=arm))

@@ -1,7 +1,10 @@
 """Devices of third parties: a complete package is collected with, and what is missing or wrong is one sentence."""
 
+import os
+import subprocess
 import sys
 import types
+from contextlib import ExitStack
 from dataclasses import replace
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
@@ -11,7 +14,9 @@ import pytest
 
 from i2t import dataset
 from i2t.collect import command
+from i2t.collect.devices import DeviceConfig, make_devices
 from i2t.depth.camera import Camera
+from i2t.emulators.world import WorldConfig
 from i2t.hardware import plugins
 from i2t.hardware.plugins import DeviceSetup, PluginConfig, is_plugin, load_plugin
 from i2t.hardware.rig import Rig
@@ -108,16 +113,34 @@ def test_an_unknown_name_on_the_command_line_is_one_sentence(tmp_path, capsys):
     assert "--arm robot is not known; give one of ur, simulated, emulated" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("kind", ["arm", "skin"])
-def test_the_example_passes_the_contract(acme, kind):
-    """Its own tests say so; here one test of each kind shows that they run."""
+@pytest.mark.full
+def test_the_example_passes_its_own_tests():
+    """Those of every arm, every skin and every camera."""
+    path = os.pathsep.join([str(ACME), os.environ.get("PYTHONPATH", "")])
+    words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", str(ACME / "test_acme_devices.py")]
+    done = subprocess.run(
+        words, env={**os.environ, "PYTHONPATH": path}, cwd=ACME.parents[1], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.parametrize("kind", ["skin", "camera"])
+def test_the_example_keeps_to_the_contract(acme, kind):
+    """Its own tests say so; here those that take no time show that they run."""
     sys.modules.pop("test_acme_devices", None)
     import test_acme_devices
 
-    tests = {"arm": test_acme_devices.TestAcmeArm, "skin": test_acme_devices.TestAcmeSkin}[kind]()
-    tests.test_features_are_known_before_connecting(tests.make_device)
-    if kind == "arm":
-        tests.test_what_is_beyond_the_limits_is_refused_before_anything_moves(tests.make_device)
-        tests.test_an_approach_beyond_the_limits_is_refused_before_anything_moves(tests.make_device)
-    else:
-        tests.test_samples_are_whole_plausible_and_in_order(tests.make_device)
+    contract = {"skin": test_acme_devices.TestAcmeSkin, "camera": test_acme_devices.TestAcmeCamera}[kind]()
+    contract.test_features_are_known_before_connecting(contract.make_device)
+    if kind == "skin":
+        contract.test_samples_are_whole_plausible_and_in_order(contract.make_device)
+
+
+def test_a_skin_that_does_not_know_its_board_is_refused(acme, monkeypatch):
+    """Twelve values are not taken for those of ReSkin's five chips."""
+    import acme_devices
+
+    monkeypatch.delattr(acme_devices.AcmeSkin, "board")
+    config = DeviceConfig(PluginConfig("acme"), PluginConfig("acme"), PluginConfig("acme"), WorldConfig("hexagon"))
+    with ExitStack() as stack, pytest.raises(ValueError, match="Acme's skin sends 12 values, and a board of 5 chips"):
+        make_devices(config, Rig(), stack)
