@@ -21,7 +21,7 @@ from i2t.calibration.population_gp.kernel import EVERYWHERE, geometry, join, sig
 from i2t.calibration.population_gp.left_out import Observed, condition_all, ungrouped
 
 POPULATION_SEED = 101  # skins of other seeds are never seen by the search
-PRESS_COUNTS = (10, 30, 100)
+SEARCH_PRESS_COUNTS = (10, 30, 100)
 ANCHOR_SHARE = 0.15  # of the prior of each kind of load, of the candidates about what was known before
 SHARPNESS = 12.0  # by which the logarithm of an error counts as a likelihood
 PRIOR_EM_STEPS = 12
@@ -97,14 +97,14 @@ def make_prior(cfg: PriorSearch, out: Path) -> dict[str, Any]:
     best = error.mean(0).min(1)
     return about | {
         "kept": len(keep),
-        "r2_of_the_best_kernel": {str(n): float(1 - e) for n, e in zip(PRESS_COUNTS, best, strict=True)},
+        "r2_of_the_best_kernel": {str(n): float(1 - e) for n, e in zip(SEARCH_PRESS_COUNTS, best, strict=True)},
         "seconds": round(time.perf_counter() - started, 1),
     }
 
 
 def population_tasks(cfg: PriorSearch) -> list[tuple[PressedSkinOfKind, bool]]:
     """Every skin with whether its load is the force; half of each kind is."""
-    n = max(PRESS_COUNTS) + cfg.test_presses
+    n = max(SEARCH_PRESS_COUNTS) + cfg.test_presses
     return [
         (skin, kind == "displaced" or i % 2 == 1)
         for kind in SKIN_KINDS
@@ -138,12 +138,12 @@ def near(rng: np.random.Generator, kernels: SkinKernels, count: int) -> SkinKern
 
 def errors_of(kernels: SkinKernels, tasks: list[tuple[PressedSkinOfKind, bool]], cfg: PriorSearch) -> np.ndarray:
     """(tasks, counts, kernels): squared error of held-out presses over their variance."""
-    found = np.empty((len(tasks), len(PRESS_COUNTS), len(kernels.load_power)))
+    found = np.empty((len(tasks), len(SEARCH_PRESS_COUNTS), len(kernels.load_power)))
     knows_chips = kernels.far_amplitude < EVERYWHERE
     for t, (skin, by_force) in enumerate(tqdm(tasks, desc="skins", unit="skin")):
         load = skin.force if by_force else skin.depth
         test = slice(len(load) - cfg.test_presses, None)
-        for i, n in enumerate(PRESS_COUNTS):
+        for i, n in enumerate(SEARCH_PRESS_COUNTS):
             typical = np.sqrt(np.mean(load[:n] ** 2))
             for chips in (True, False):
                 rows = np.flatnonzero(knows_chips == chips)

@@ -49,7 +49,7 @@ PLANAR_INFLATIONS = (1.0, 1.3, 1.7, 2.5)
 CONSTANT_KINDS = ("likelihood", "particles", "scale", "planar")
 
 
-class Choice(NamedTuple):
+class ConstantChoice(NamedTuple):
     """One constant with another value than the one in use."""
 
     constant: str
@@ -102,9 +102,9 @@ def likelihood_choices(in_use: Likelihood, beliefs: Callable[..., dict[str, np.n
     tried = {IN_USE: in_use}
     for constant, values in LIKELIHOOD.items():
         for value in values:
-            tried[str(Choice(constant, value))] = in_use._replace(**{constant: jnp.float32(value)})
+            tried[str(ConstantChoice(constant, value))] = in_use._replace(**{constant: jnp.float32(value)})
     for factor in POSITION_FACTORS:
-        tried[str(Choice("position_std, times", factor))] = in_use._replace(position_std=factor * in_use.position_std)
+        tried[str(ConstantChoice("position_std, times", factor))] = in_use._replace(position_std=factor * in_use.position_std)
     return beliefs(tried)
 
 
@@ -112,9 +112,9 @@ def particle_choices(beliefs: Callable[..., dict[str, np.ndarray]], *, debug: bo
     """Beliefs with more, fewer, wider and narrower particles."""
     found = {IN_USE: beliefs()[IN_USE]}
     for count in PARTICLE_COUNTS[:1] if debug else PARTICLE_COUNTS:
-        found[str(Choice("num_particles", count))] = beliefs(num_particles=count)[IN_USE]
+        found[str(ConstantChoice("num_particles", count))] = beliefs(num_particles=count)[IN_USE]
     for ratio in STD_RATIOS:
-        found[str(Choice("std_ratio", ratio))] = beliefs(std_ratio=ratio)[IN_USE]
+        found[str(ConstantChoice("std_ratio", ratio))] = beliefs(std_ratio=ratio)[IN_USE]
     return found
 
 
@@ -122,7 +122,7 @@ def scale_choices(beliefs: Callable[..., dict[str, np.ndarray]]) -> dict[str, np
     """Beliefs (e, conditions, t, objects) with narrower and wider priors of the placement's scale."""
     priors = {IN_USE: belief.SCALE_PRIOR}
     for log_std in SCALE_LOG_STD:
-        priors[str(Choice("log_std", log_std))] = belief.SCALE_PRIOR._replace(log_std=log_std)
+        priors[str(ConstantChoice("log_std", log_std))] = belief.SCALE_PRIOR._replace(log_std=log_std)
     stated = [Condition(PLACEMENT_MM, name).stated_mm for name in STATED_FACTORS]
     return {
         name: np.stack([beliefs(stated_mm=mm, scales=prior)[IN_USE] for mm in stated], axis=1)
@@ -137,7 +137,7 @@ def planar_inflations(lab: StudyLab) -> Part:
     episodes, predicted = planar.simulate_presses(lab, presses, grid), planar.predict_touches(lab, grid)
     found = {}
     for value in PLANAR_INFLATIONS:
-        name = IN_USE if value == grid.inflation else str(Choice("inflation", value))
+        name = IN_USE if value == grid.inflation else str(ConstantChoice("inflation", value))
         judge = planar.Judge(lab, predicted, replace(grid, inflation=value))
         found[name] = np.stack([judge.unknown(presses, episodes, i)[0] for i in range(len(presses.truth))])
     return {"planar truth": presses.truth, "planar": found}

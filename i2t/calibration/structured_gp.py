@@ -29,7 +29,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 JITTER = 1e-5  # of the signal's variance: float32 factors of 1000 presses stay real
-HEIGHT_ROUNDS = 3  # fits, each with the heights that the one before found; more change nothing
+HEIGHT_FITS = 3  # fits, each with the heights that the one before found; more change nothing
 HEIGHT_ERROR_UNIT_LOADS = 5e-3  # standard deviation of what one press measures of its height, at least
 STDS_WITHIN_90_PERCENT = 1.645  # standard deviations of a normal error that hold nine in ten
 CONFORMAL_FOLDS = 10  # of cross-validation, up to MANY_PRESSES
@@ -192,7 +192,7 @@ def fit(
     target = readings if previous_session is None else readings - predict(previous_session, presses)[0]
     unit_load, corrected = hyperparameters.unit_load, presses
     spread = _height_covariance(hyperparameters, presses, presses)
-    for _ in range(HEIGHT_ROUNDS):
+    for _ in range(HEIGHT_FITS):
         known = (corrected.load - presses.load) / unit_load
         seen, variance = _measured_heights(leave_one_out(hyperparameters, corrected, target, chip_positions), target)
         height_cholesky = jnp.linalg.cholesky(spread + jnp.diag(variance))

@@ -80,8 +80,8 @@ def gather_free_poses(
     clock: Clock,
     path: TouchPath,
     poses: Sequence[FreePose],
-    settings: AmbientSettings,
     *,
+    settings: AmbientSettings,
     on_pose: Callable[[int], None] | None = None,
 ) -> FreePoses:
     """Take the poses, with the skin read at each; the tool ends upright, above everything.

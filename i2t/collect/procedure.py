@@ -268,7 +268,7 @@ class Procedure:
         started = self.clock.now()
         result, condition = self._approach(settings.near + settings.overtravel, settings.press, ambient, log)
         log.event(f"stopped by {'skin' if result.reason == 'condition' else result.reason}")
-        return _Press(result, started, ambient, condition, expected, change)
+        return _Press(result, started, ambient, condition, expected=expected, change=change)
 
     def _compared(self, ambient: Array, log: TouchLog) -> tuple[Array | None, AmbientChange | None]:
         """The ambient (c,) uT that the fitted field predicts here, and whether the measured one contradicts it."""

@@ -96,7 +96,7 @@ def fit_session_map(
     error = left_out(covariance, values).error
     r2 = 1 - float((error**2).sum() / max(((values - values.mean(0)) ** 2).sum(), 1e-30))
     weights = cho_solve((cholesky(covariance, lower=True), True), values)
-    return SessionMap(at, load, weights, unit, offset, power, length, r2)
+    return SessionMap(at, load, weights, unit=unit, offset=offset, power=power, length=length, r2=r2)
 
 
 def predict_session(
@@ -141,7 +141,10 @@ def align_session(
     chips = max(readings.shape[1] // _AXES, 1)
     load_std = session.unit * (LOAD_STD if load_known else 1.0)
     if not len(load):
-        return Alignment(np.zeros(2), 0.0, np.ones(chips), np.full(2, SHIFT_STD_M), load_std, np.nan, np.nan)
+        shift_std = np.full(2, SHIFT_STD_M)
+        return Alignment(
+            np.zeros(2), 0.0, np.ones(chips), shift_std=shift_std, load_std=load_std, r2=np.nan, r2_unaligned=np.nan
+        )
     rows = thinned(len(load), ALIGNED_PRESSES)
     at, load, values = position[rows].astype(float), load[rows].astype(float), readings[rows].astype(float)
     total = max(float(((values - values.mean(0)) ** 2).sum()), 1e-30)
