@@ -104,7 +104,9 @@ def likelihood_choices(in_use: Likelihood, beliefs: Callable[..., dict[str, np.n
         for value in values:
             tried[str(ConstantChoice(constant, value))] = in_use._replace(**{constant: jnp.float32(value)})
     for factor in POSITION_FACTORS:
-        tried[str(ConstantChoice("position_std, times", factor))] = in_use._replace(position_std=factor * in_use.position_std)
+        tried[str(ConstantChoice("position_std, times", factor))] = in_use._replace(
+            position_std=factor * in_use.position_std
+        )
     return beliefs(tried)
 
 

@@ -53,9 +53,7 @@ def fitted_ambient(procedure: Procedure, settings: AmbientSettings, out: Path, *
     poses = plan_free_poses(procedure.path, procedure.arm.state().T_b_t, settings, seed)
     procedure.retreat()
     print(f"{len(poses)} free poses ...", flush=True)
-    free = gather_free_poses(
-        procedure.arm, procedure.skin, procedure.clock, procedure.path, poses, settings=settings
-    )
+    free = gather_free_poses(procedure.arm, procedure.skin, procedure.clock, procedure.path, poses, settings=settings)
     field = fit_ambient(free, procedure.board, burst=procedure.settings.ambient)
     print(f"ambient field: {_said(field)}")
     print(

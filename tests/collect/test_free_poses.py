@@ -62,7 +62,12 @@ def test_a_plan_of_another_box_is_refused_before_the_first_motion():
     before = procedure.arm.state().T_b_t
     with pytest.raises(UnreachableError, match="outside the box"):
         gather_free_poses(
-            procedure.arm, procedure.skin, procedure.clock, small.path, poses, replace(SETTINGS, clearance=0.02)
+            procedure.arm,
+            procedure.skin,
+            procedure.clock,
+            small.path,
+            poses,
+            settings=replace(SETTINGS, clearance=0.02),
         )
     np.testing.assert_array_equal(procedure.arm.state().T_b_t, before)
 
@@ -85,7 +90,7 @@ def test_on_the_way_the_tool_is_never_lower_nor_tilted_further():
     procedure = make()
     arm, settings = Watched(procedure.arm), AmbientSettings(poses=4, seconds=0.05, spread=0.03)
     poses = plan_free_poses(procedure.path, arm.state().T_b_t, settings)
-    free = gather_free_poses(arm, procedure.skin, procedure.clock, procedure.path, poses, settings)
+    free = gather_free_poses(arm, procedure.skin, procedure.clock, procedure.path, poses, settings=settings)
     lowest = procedure.path.transfer_height()
     for before, after in zip(arm.goals, arm.goals[1:], strict=False):
         assert min(before[2, 3], after[2, 3]) >= lowest
@@ -112,7 +117,7 @@ def test_a_skin_that_turns_reads_another_field():
 def test_the_simulated_skin_feels_the_room_as_the_tool_turns():
     procedure = make()  # without noise
     poses = plan_free_poses(procedure.path, procedure.arm.state().T_b_t, replace(SETTINGS, poses=12))
-    free = gather_free_poses(procedure.arm, procedure.skin, procedure.clock, procedure.path, poses, SETTINGS)
+    free = gather_free_poses(procedure.arm, procedure.skin, procedure.clock, procedure.path, poses, settings=SETTINGS)
     field = fit_ambient(free, procedure.board)
     np.testing.assert_allclose(field.earth, ROOM.earth, atol=1.0)  # iron on the tool is in the response
     assert np.ptp(free.reading, axis=0).max() > 20
@@ -150,7 +155,7 @@ def test_a_session_fits_keeps_and_compares_its_field(tmp_path, capsys):
 def test_a_room_that_changed_is_noticed():
     procedure = make(errors=NOISY)
     plan = plan_free_poses(procedure.path, procedure.arm.state().T_b_t, replace(SETTINGS, poses=12))
-    free = gather_free_poses(procedure.arm, procedure.skin, procedure.clock, procedure.path, plan, SETTINGS)
+    free = gather_free_poses(procedure.arm, procedure.skin, procedure.clock, procedure.path, plan, settings=SETTINGS)
     field = fit_ambient(free, procedure.board)
     turned = free.T_b_t[:4, :3, :3].swapaxes(-1, -2) @ [0.0, 25.0, 0.0]
     more = procedure.board.to_board(np.repeat(turned[:, None], 5, axis=1))
