@@ -275,6 +275,7 @@ def _crowded_calls(name: str, tree: ast.Module) -> list[str]:
         if isinstance(node, ast.Call) and len(node.args) >= 6
         for called in [ast.unparse(node.func)]
         if called not in KERNELS.get(name, ()) and ("(" in called or not called.startswith(ARRAY_CODE))
+        if not called.endswith(".reshape")
     ]
 
 
