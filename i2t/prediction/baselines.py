@@ -27,7 +27,7 @@ from i2t.prediction.metrics import near_rows, nearest_neighbours
 
 MEAN, NEAREST, RIDGE, WITH_MEASURED = "mean reading", "k nearest patches", "ridge on PCA", " + measured"
 COMPONENTS = 30  # of patches, at most
-NEIGHBOURS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+BASELINE_NEIGHBOUR_COUNTS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 PENALTIES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0)
 FOLDS = 5
 MIN_VARIANCE_SHARE = 0.05  # of the mean held-out variance, however near a neighbour is
@@ -266,7 +266,7 @@ def _fit_nearest(features: TouchFeatures, points: np.ndarray, readings: np.ndarr
     def mean(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: float) -> np.ndarray:
         return nearest_neighbours(x, y, at, int(k))
 
-    k, error = _best_option(mean, NEIGHBOURS, x, readings, fold)
+    k, error = _best_option(mean, BASELINE_NEIGHBOUR_COUNTS, x, readings, fold)
     spread = _floored(np.sqrt((error**2).mean(0)))
     away = np.empty(len(x))
     for i in np.unique(fold):
