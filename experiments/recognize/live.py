@@ -228,6 +228,9 @@ class LiveEpisode:
                 f"the skin sends {len(touch.reading)} values, and the pad model has {self.recognizer.channels}; "
                 "recognise with a pad model of this skin"
             )
+        if not np.isfinite(touch.reading).all():
+            print("  chips of the skin did not answer: this touch is kept, but nothing is learned from it", flush=True)
+            return
         site = ChosenSite(outcome.site.number, self.recognizer.site_pose(outcome.site.number))
         contact = touch.code != ReturnCode.AIR
         observation = self.recognizer.observe(
@@ -248,7 +251,7 @@ def conclude(
     """Write down and say what was recognised; `true_object` is None for a real arm."""
     names, info = live.recognizer.names, live.infos[-1]
     p = np.stack([each.probability for each in live.infos])
-    source = load_dataset(args.out / "touches").source
+    source = load_dataset(args.out / "touches", missing_chips=True).source
     result = {
         "source": source,
         "pad_model": pad_sources.to_json(known),

@@ -45,9 +45,9 @@ def summarise(source: Source, json: bool = False, quick: bool = False, skip_bad:
         source: folder or file of touches
         json: print one JSON object, for a program
         quick: counts only, from the folder's index, without reading every touch again
-        skip_bad: leave out files that cannot be used, and name them
+        skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them
     """
-    found = _counts(source) if quick else load_dataset(source, skip_bad=skip_bad).summary()
+    found = _counts(source) if quick else load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad).summary()
     print(json_text.dumps(found, indent=1, allow_nan=False) if json else _page(source, found))
 
 
@@ -193,10 +193,10 @@ def pack(source: Source, target: Target, force: bool = False, skip_bad: bool = F
         source: folder of recorded touches
         target: folder to write
         force: replace what an earlier conversion wrote
-        skip_bad: leave out files that cannot be used, and name them
+        skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them
     """
     _require_free(target, force)
-    _write(target, Converted(load_dataset(source, skip_bad=skip_bad), ()))
+    _write(target, Converted(load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad), ()))
 
 
 def to_npz(source: Source, target: Target, force: bool = False, skip_bad: bool = False) -> None:
@@ -206,13 +206,13 @@ def to_npz(source: Source, target: Target, force: bool = False, skip_bad: bool =
         source: folder or file of touches
         target: file to write, ending in .npz
         force: replace an existing file
-        skip_bad: leave out files that cannot be used, and name them
+        skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them
     """
     if target.suffix != ".npz":
         raise DataError(f"{target}: does not end in .npz; name the file so")
     if target.exists() and not force:
         raise DataError(f"{target}: exists already; choose another name or say --force")
-    dataset = load_dataset(source, skip_bad=skip_bad)
+    dataset = load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad)
     write_npz(target, dataset)
     print(f"wrote {len(dataset)} touches to {target}")
 

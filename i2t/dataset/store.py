@@ -180,7 +180,7 @@ def read_touch(path: str | Path) -> Record:
     return record
 
 
-def load_dataset(path: str | Path, *, skip_bad: bool = False) -> Dataset:
+def load_dataset(path: str | Path, *, skip_bad: bool = False, missing_chips: bool = False) -> Dataset:
     """Read a packed file, a recorded touch, or a folder of any of these with its subfolders.
 
     Touches come in the order of the files' names (recorded touches: of time). Hidden files (leftovers of an interrupted
@@ -188,14 +188,16 @@ def load_dataset(path: str | Path, *, skip_bad: bool = False) -> Dataset:
 
     Args:
         path: a file or a folder.
-        skip_bad: leave out files that cannot be used, and name them in a BadFileWarning.
+        skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them in a
+            BadFileWarning.
+        missing_chips: keep touches in which a chip did not answer; its values are NaN, which the caller has to mind.
 
     Returns:
         One data set of all touches.
 
     Raises:
-        DataError: files cannot be used and `skip_bad` is not set (one sentence names them all), none is left, or they
-            do not fit together (another board, another window or reach).
+        DataError: files cannot be used and `skip_bad` is not set (one sentence names them all), none is left, chips are
+            missing and neither switch is set, or files do not fit together (another board, another window or reach).
 
     Example:
         touches = i2t.load_dataset("data/mug").touches
@@ -226,9 +228,27 @@ def load_dataset(path: str | Path, *, skip_bad: bool = False) -> Dataset:
         message = f"{len(bad)} of {len(files)} files of {path} were left out: {' | '.join(bad)}"
         warnings.warn(message, BadFileWarning, stacklevel=2)
     try:
-        return concatenate(good)
+        whole = concatenate(good)
     except DataError as error:
         raise DataError(f"{path}: {error}") from error
+    return whole if missing_chips else _with_all_chips(path, whole, skip_bad)
+
+
+def _with_all_chips(path: Path, dataset: Dataset, skip_bad: bool) -> Dataset:
+    """The touches in which every chip answered; DataError where that are not all, unless they are to be left out."""
+    fields = dataset.touches.reading.reshape(len(dataset), -1, 3)
+    silent = np.isnan(fields).any(2)
+    gone = silent.any(1)
+    if not gone.any():
+        return dataset
+    counts = ", ".join(f"chip {chip} in {count}" for chip, count in enumerate(silent.sum(0)) if count)
+    said = f"{path}: chips did not answer in {gone.sum()} of {len(dataset)} touches ({counts})"
+    if not skip_bad or gone.all():
+        raise DataError(
+            f"{said}, and a method needs them all; python -m i2t.convert pack --skip-bad leaves such touches out"
+        )
+    warnings.warn(f"{said}; these touches were left out", BadFileWarning, stacklevel=3)
+    return dataset.select(~gone)
 
 
 def index(folder: str | Path) -> dict[str, dict[str, Any]]:

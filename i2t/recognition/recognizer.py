@@ -264,7 +264,15 @@ class ObjectRecognizer:
 
         Returns:
             The state after it, and what is believed.
+
+        Raises:
+            ValueError: A chip of the skin did not answer in this touch.
         """
+        if not np.isfinite(np.asarray(observation.touch.reading)).all():
+            raise ValueError(
+                f"the touch at site {observation.number} lacks chips of the skin, and the pad model needs them all; "
+                "exclude the site, and check the skin's cables"
+            )
         one = jax.tree.map(lambda x: jnp.asarray(x)[None], (state.belief, observation.touch))
         after, p = update_beliefs(one[0], jnp.asarray([observation.number]), one[1], self.table, self.likelihood)
         touches = state.touches + 1

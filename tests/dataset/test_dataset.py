@@ -511,3 +511,30 @@ def test_known_boards_turn_a_uniform_field_as_recorded():
     seen = boards.reskin_board().to_board(field).reshape(5, 3)
     np.testing.assert_array_equal(seen, [[1, 2, 3], [2, -1, 3], [1, 2, 3], [-2, 1, 3], [-1, -2, 3]])
     np.testing.assert_allclose(np.linalg.norm(boards.reskin_board().chips[1:, :2], axis=1), 7e-3, rtol=1e-6)
+
+
+def test_touches_without_a_chip_are_kept_only_on_request(tmp_path):
+    dataset = make(6)
+    reading = dataset.touches.reading.copy()
+    reading[2, 3:6] = reading[4, 3:6] = reading[4, 12:] = np.nan
+    path = save_dataset(tmp_path / "set.h5", replace(dataset, touches=dataset.touches._replace(reading=reading)))
+    kept = load_dataset(path, missing_chips=True)
+    np.testing.assert_array_equal(kept.touches.reading, reading)
+    assert kept.summary()["missing"]["chips"] == 2
+    assert np.isfinite(kept.summary()["reading_norm_uT"]["mean"])
+    with pytest.raises(DataError, match=r"in 2 of 6 touches \(chip 1 in 2, chip 4 in 1\).*leaves such touches out"):
+        load_dataset(path)
+    with pytest.warns(BadFileWarning, match="these touches were left out"):
+        left = load_dataset(path, skip_bad=True)
+    np.testing.assert_array_equal(left.touches.reading, reading[[0, 1, 3, 5]])
+
+
+@pytest.mark.parametrize(
+    ("part", "why"), [(np.s_[1, 4:5], "a part of a chip is missing"), (np.s_[1, :], "has no chip")]
+)
+def test_a_chip_is_there_with_all_its_axes_or_missing(part, why):
+    dataset = make(3)
+    reading = dataset.touches.reading.copy()
+    reading[part] = np.nan
+    with pytest.raises(DataError, match=why):
+        validate(replace(dataset, touches=dataset.touches._replace(reading=reading)))
