@@ -1,0 +1,236 @@
+"""What is wrong with a recording is found, what it cannot tell is said, and sound recordings raise no alarm."""
+
+import gzip
+
+import numpy as np
+import pytest
+from helpers.damage import VARIANTS, Recorded, press, scaled, swapped
+
+from i2t import unknowns
+from i2t.skin.boards import anyskin_board, reskin_board
+from i2t.unknowns import Finding, RecordedPresses
+from i2t.unknowns.chip_field import STAGES
+from i2t.unknowns.heights import HEIGHT_ZERO
+from i2t.unknowns.labels import FORCE_SIGN, HEIGHT_AXIS, LAG, UNITS
+
+
+def presses(recorded: Recorded) -> RecordedPresses:
+    return RecordedPresses(recorded.position, recorded.readings, height=recorded.height, force=recorded.force)
+
+
+def damaged(name: str, seed: int = 0, n: int = 140) -> RecordedPresses:
+    return presses(VARIANTS[name](press(seed, n)))
+
+
+@pytest.mark.parametrize("rows", [-3, -1, 0, 1, 2])
+def test_a_lag_of_a_few_rows_is_found_and_put_right(rows):
+    one = presses(press(1, 90))
+    late = RecordedPresses(np.roll(one.position, rows, 0), one.readings, height=np.roll(one.height, rows))
+    found = unknowns.find_lag(late)
+    assert found.identifiable
+    assert found.estimate == rows
+    assert found.wrong == (rows != 0)
+    put_right = unknowns.corrected_presses(late, [found])
+    inner = slice(4, len(put_right.readings) - 4)
+    at = np.abs(put_right.position[inner][:, None] - one.position[None]).sum(-1).argmin(1)
+    np.testing.assert_array_equal(put_right.readings[inner], one.readings[at])
+
+
+def test_rows_that_are_alike_tell_no_lag():
+    height = 1e-3 * np.cos(np.linspace(0, 6 * np.pi, 600))
+    readings = np.outer(np.maximum(-height, 0) ** 1.5, np.linspace(-3e6, 3e6, 15))
+    found = unknowns.find_lag(RecordedPresses(np.zeros((600, 2)), readings, height=height))
+    assert not found.identifiable
+    assert not found.wrong
+    assert "nearly alike" in found.sentence
+
+
+def test_signs_and_units_are_found_and_sound_ones_stay():
+    sound = damaged("sound")
+    assert not unknowns.find_height_axis(sound).wrong
+    assert not unknowns.find_force_sign(sound.force, sound.readings).wrong
+    assert not unknowns.find_units(sound.position, sound.readings)[0].wrong
+    turned = damaged("height into the skin")
+    found = unknowns.find_height_axis(turned)
+    assert found.wrong
+    np.testing.assert_array_equal(unknowns.corrected_presses(turned, [found]).height, sound.height)
+    pulling = damaged("force that pulls")
+    found = unknowns.find_force_sign(pulling.force, pulling.readings)
+    assert found.wrong
+    np.testing.assert_array_equal(unknowns.corrected_presses(pulling, [found]).force, sound.force)
+    for name, field in (("positions in millimetres", "position"), ("readings in millitesla", "readings")):
+        other = damaged(name)
+        found, scales = unknowns.find_units(other.position, other.readings)
+        assert found.wrong, name
+        assert scales != unknowns.Scales()
+        np.testing.assert_allclose(
+            getattr(unknowns.corrected_presses(other, [found]), field), getattr(sound, field), rtol=1e-12
+        )
+
+
+def test_forces_that_push_and_pull_are_not_turned_but_named():
+    rng = np.random.default_rng(0)
+    found = unknowns.find_force_sign(rng.normal(size=100))
+    assert not found.wrong
+    assert not found.identifiable
+    assert "axes" in found.sentence
+
+
+def test_presses_to_one_height_tell_no_height_zero():
+    one = damaged("one height", n=900)
+    found = unknowns.find_height_zero(one)
+    assert not found.identifiable
+    assert found.estimate is None
+    assert "one height" in found.sentence
+
+
+def test_an_approach_tells_where_the_readings_begin():
+    rng = np.random.default_rng(2)
+    down = np.concatenate([np.full(20, 2e-3), np.linspace(2e-3, -3e-3, 120)])
+    height = np.concatenate([down, down[::-1]] * 3) + 0.25
+    pattern = rng.normal(0, 100, 15)
+    readings = np.outer((np.maximum(0.2504 - height, 0) / 1e-3) ** 1.5, pattern) + rng.normal(0, 2, (len(height), 15))
+    approaches = unknowns.find_approaches(height, readings)
+    assert len(approaches) == 3
+    np.testing.assert_allclose([one.zero for one in approaches], 0.2504, atol=0.1e-3)
+    assert unknowns.find_approaches(rng.permutation(height), readings) == []
+
+
+def test_findings_travel_with_a_data_set():
+    found = [
+        Finding("units", "All is well.", True, evidence={"norm": 3.5, "none": float("nan")}),
+        Finding("order of the chips", "Two are swapped.", True, wrong=True, correction={"chip_order": [1, 0]}),
+    ]
+    meta = unknowns.findings_to_meta("monday", found) | {"converter": "eflesh", "unknowns of friday": "damaged"}
+    read = unknowns.findings_from_meta(meta)
+    assert list(read) == ["monday"]
+    assert read["monday"][1] == found[1]
+    assert read["monday"][0].evidence == {"norm": 3.5, "none": None}
+
+
+def test_a_turned_board_keeps_what_its_chips_read_of_one_field():
+    board = reskin_board()
+    for matrix in STAGES.values():
+        turned = unknowns.turn_board(board, matrix.astype(float))
+        # In the stage's axes a chip lies where the matrix maps to its place on the board.
+        np.testing.assert_allclose(turned.chips[:, :2] @ matrix.T, board.chips[:, :2], atol=1e-9)
+        np.testing.assert_allclose(np.abs(np.linalg.det(turned.rotations)), 1, atol=1e-6)
+    twice = unknowns.turn_board(unknowns.turn_board(board, -np.eye(2)), -np.eye(2))
+    np.testing.assert_allclose(twice.rotations, board.rotations, atol=1e-6)
+
+
+def test_an_earlier_session_is_laid_over_a_later_one():
+    whole = press(3, 260, free=0.0)
+    before, after = presses(whole).rows(slice(160)), presses(whole).rows(slice(160, None))
+    session = unknowns.fit_session_map(before.position, -before.height, before.readings)
+    shift, raised, gain = np.array([0.8e-3, -0.6e-3]), 0.3e-3, 1.2
+    position, load, readings = after.position - shift, -after.height - raised, gain * after.readings
+    rows = slice(12)
+    found = unknowns.align_session(session, position[rows], load[rows], readings[rows])
+    np.testing.assert_allclose(found.shift, shift, atol=0.5e-3)
+    assert found.r2 > found.r2_unaligned
+
+    def error(expected):
+        return np.sum((readings[rows.stop :] - expected) ** 2)
+
+    aligned = unknowns.aligned_prediction(session, found, position[rows.stop :], load[rows.stop :])
+    unaligned = unknowns.predict_session(session, position[rows.stop :], load[rows.stop :])
+    assert error(aligned) < 0.35 * error(unaligned)
+
+
+def test_chips_that_changed_since_an_earlier_session_are_found():
+    whole = press(4, 240, free=0.0)
+    later = swapped(Recorded(*(part[160:] for part in whole)), 1, 4)
+    session = unknowns.fit_session_map(whole.position[:160], -whole.height[:160], whole.readings[:160])
+    signs = np.ones(15)
+    signs[8] = -1
+    alignment, put_back, findings = unknowns.lay_over(
+        session, later.position, -later.height, signs * later.readings, load_known=True
+    )
+    assert findings[-1].wrong
+    assert findings[-1].correction["chip_order"] == [0, 4, 2, 3, 1]
+    np.testing.assert_array_equal(put_back, whole.readings[160:])
+    assert alignment.r2 > 0.9
+    sound = unknowns.lay_over(session, whole.position[160:], -whole.height[160:], whole.readings[160:])[2]
+    assert not sound[-1].wrong
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("seed", range(4))
+def test_height_zero_is_found_where_presses_lie_on_both_sides_of_it(seed):
+    one = damaged("another height zero", seed, 320)
+    found = unknowns.find_height_zero(one, stated=0.1430)
+    assert found.identifiable
+    assert found.wrong
+    assert abs(found.estimate - 0.1426) < 0.05e-3
+    below = one.rows(one.height < 0.1426)
+    assert not unknowns.find_height_zero(below).identifiable
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", ["x mirrored", "x and y exchanged"])
+def test_a_mirrored_stage_is_found(name):
+    found = unknowns.find_board(damaged(name), reskin_board(), growth=None)[0]
+    assert found.wrong
+    np.testing.assert_array_equal(found.correction["board_from_stage"], STAGES[name])
+
+
+@pytest.mark.full
+def test_swapped_chips_are_found_and_put_back():
+    sound, one = damaged("sound"), damaged("chips 1 and 3 swapped")
+    findings = unknowns.find_board(one, anyskin_like(), growth=growth(one))
+    assert findings[1].wrong
+    put_back, _ = unknowns.correct_board(one, anyskin_like(), findings)
+    np.testing.assert_array_equal(put_back.readings, sound.readings)
+    assert not any(finding.wrong for finding in unknowns.find_board(sound, anyskin_like(), growth=growth(sound)))
+
+
+def growth(one: RecordedPresses) -> np.ndarray:
+    return np.maximum(-one.height, 0) ** 1.75
+
+
+def anyskin_like():
+    """The board of the helper's skin: ReSkin's places, axes as the tool's."""
+    board = reskin_board()
+    return board._replace(rotations=np.tile(np.eye(3, dtype=np.float32), (5, 1, 1)))
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", VARIANTS)
+def test_every_damaged_variant_is_judged_without_falling_over(name):
+    findings = unknowns.estimate_unknowns(damaged(name, n=200), anyskin_like(), stated_radius=4e-3)
+    expected = {
+        "height into the skin": {HEIGHT_AXIS}, "force that pulls": {FORCE_SIGN}, "labels a row late": {LAG},
+        "labels two rows early": {LAG}, "positions in millimetres": {UNITS}, "readings in millitesla": {UNITS},
+    }.get(name, set())  # fmt: skip
+    wrong = {finding.name for finding in findings if finding.wrong}
+    assert expected <= wrong
+    if name in ("sound", "gains of 0.7 to 1.3", "five heights", "one height", "force with 0.1 N of noise"):
+        assert wrong <= {HEIGHT_ZERO}
+    assert all(finding.sentence.endswith((".", "turned).")) or ")" in finding.sentence for finding in findings)
+    assert len(unknowns.metrics_of(findings)) == len(findings)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("kind", ["spatial", "normal"])
+def test_sound_real_recordings_raise_no_alarm(shared_data, kind):
+    for folder in sorted((shared_data / "eflesh" / kind).iterdir()):
+        states, values = (
+            np.loadtxt(gzip.decompress((folder / f"{name}.csv.gz").read_bytes()).decode().splitlines(), delimiter=",")
+            for name in ("states", "sensor_post_baselines")
+        )
+        at = 1e-3 * states[:, 1:4]
+        middle = (at.min(0) + at.max(0)) / 2
+        one = RecordedPresses(at[:, :2] - middle[:2], values[:, 1:16], height=at[:, 2])
+        board = unknowns.turn_board(anyskin_board(), STAGES["turned by +90 degrees"].astype(float))
+        findings = unknowns.estimate_unknowns(one, board, stated_radius=4e-3)
+        assert not [finding.sentence for finding in findings if finding.wrong]
+
+
+def test_gains_of_chips_are_found_from_an_earlier_session():
+    whole = press(5, 260, free=0.0)
+    gains = np.array([1.0, 0.8, 1.25, 1.1, 0.9])
+    later = scaled(Recorded(*(part[160:] for part in whole)), gains)
+    session = unknowns.fit_session_map(whole.position[:160], -whole.height[:160], whole.readings[:160])
+    found = unknowns.align_session(session, later.position, -later.height, later.readings)
+    np.testing.assert_allclose(found.gain / found.gain.mean(), gains / gains.mean(), atol=0.06)
