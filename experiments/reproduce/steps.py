@@ -31,7 +31,7 @@ STEPS = (
     Step("study", "-m experiments.train --preset study", minutes=30),
     Step(
         "paper",
-        "-m experiments.recognize simulate --method paper --pads 0 1 --paper-episodes 100",
+        "-m experiments.recognize simulate --method paper --paper-episodes 100",
         uses="study",
         minutes=25,
     ),
