@@ -49,12 +49,13 @@ NEAR_CHIP_M = 6e-3  # over which a chip's answer falls
 MIN_ALIGNMENT = 0.2  # correlation of chips' answers with their nearness, and how much more of it a flip must give
 
 
-class Finding(NamedTuple):
+class CauseFound(NamedTuple):
     """What was tested and what came of it."""
 
     cause: str  # one of CAUSES
     found: bool
     evidence: str  # a clause
+    matters: bool = True  # to methods on predicted pressure
 
 
 class Tried(NamedTuple):
@@ -67,36 +68,32 @@ class Tried(NamedTuple):
     groups: np.ndarray  # (n,)
 
 
-def find_causes(
-    dataset: Dataset, rows: np.ndarray, groups: np.ndarray, cfg: PressureModelConfig, pressure: ContactPressure | None
-) -> list[Finding]:
-    """Test every cause.
+def seen_in_numbers(
+    dataset: Dataset, rows: np.ndarray, cfg: PressureModelConfig | None, pressure: ContactPressure | None
+) -> list[CauseFound]:
+    """Causes that show without anything being tried: values, nil pressures, signs, lag, and how the board lies.
 
     Args:
         dataset: Of n touches.
-        rows: (n,) bool, those that methods learned from.
-        groups: (n,) which cross-validation leaves whole.
-        cfg: How contact pressure was predicted.
-        pressure: The n predicted contact pressures; None where there were none.
+        rows: (n,) bool, those that methods learn from.
+        cfg: How contact pressure was predicted; None where it was not.
+        pressure: The n predicted contact pressures, likewise.
 
     Returns:
         A finding for each cause that can be tested on this recording.
     """
     touches = dataset.touches
     found = [*wrong_values(touches.patch[rows], touches.reading[rows], touches.force[rows], touches.depth[rows])]
-    if pressure is not None:
+    if cfg is not None and pressure is not None:
         known = np.asarray(pressure.pressure)[rows]
         found.append(nil_pressures(known.sum((1, 2)), cfg, touches.force[rows], touches.depth[rows]))
         found += flipped_board(known, touches.reading[rows], dataset.board)
-    if cfg.control == "force":
-        found.append(pulling_forces(touches.force[rows], cfg.force_sign))
-    found += late_rows(dataset, rows)
-    if pressure is not None:
-        found += tried_changes(dataset, rows, groups, cfg)
-    return found
+        if cfg.control == "force":
+            found.append(pulling_forces(touches.force[rows], cfg.force_sign))
+    return [*found, *late_rows(dataset, rows)]
 
 
-def loss_sentence(method: str, r2: float, baseline: str, baseline_r2: float, found: Sequence[Finding]) -> str:
+def loss_sentence(method: str, r2: float, baseline: str, baseline_r2: float, found: Sequence[CauseFound]) -> str:
     """What a person is told of a method on predicted pressure that loses.
 
     Args:
@@ -109,10 +106,11 @@ def loss_sentence(method: str, r2: float, baseline: str, baseline_r2: float, fou
     Returns:
         One sentence.
     """
-    causes = [finding.evidence for finding in found if finding.found]
-    sound = [cause for cause in CAUSES if any(f.cause == cause for f in found)]
-    sound = [cause for cause in sound if not any(f.found and f.cause == cause for f in found)]
-    untested = [cause for cause in CAUSES if not any(f.cause == cause for f in found)]
+    causes = [finding.evidence for finding in found if finding.found and finding.matters]
+    tested = {finding.cause for finding in found if finding.matters}
+    guilty = {finding.cause for finding in found if finding.found and finding.matters}
+    sound = [cause for cause in CAUSES if cause in tested - guilty]
+    untested = [cause for cause in CAUSES if cause not in tested]
     likely = f"likely because {'; '.join(causes)}" if causes else "and no cause that was tested explains it"
     parts = [f"{method} loses to {baseline} on validation touches (R2 {r2:.2f} and {baseline_r2:.2f}), {likely}"]
     if sound:
@@ -122,7 +120,7 @@ def loss_sentence(method: str, r2: float, baseline: str, baseline_r2: float, fou
     return "; ".join(parts)
 
 
-def nil_pressures(total: np.ndarray, cfg: PressureModelConfig, force: np.ndarray, depth: np.ndarray) -> Finding:
+def nil_pressures(total: np.ndarray, cfg: PressureModelConfig, force: np.ndarray, depth: np.ndarray) -> CauseFound:
     """Height zero: whether predicted pressures are nil or as good as nil.
 
     Args:
@@ -137,7 +135,7 @@ def nil_pressures(total: np.ndarray, cfg: PressureModelConfig, force: np.ndarray
     if cfg.control == "force":
         nil = float(np.mean(~(cfg.force_sign * force > cfg.floor)))
         said = f"{100 * nil:.0f} % of the forces do not push, so that predicted pressures are next to nil"
-        return Finding(SIGN, nil >= MIN_NIL_SHARE, said)
+        return CauseFound(SIGN, nil >= MIN_NIL_SHARE, said)
     nil = float(np.mean(~(total > cfg.floor / 10)))
     same = float(np.ptp(depth)) < LEAST_DEPTH_M
     at_one = ", as all presses go to one height" if same else ""
@@ -145,10 +143,10 @@ def nil_pressures(total: np.ndarray, cfg: PressureModelConfig, force: np.ndarray
         f"{100 * nil:.0f} % of the predicted pressures are nil{at_one}: depths count from a height that is not that of "
         "first contact"
     )
-    return Finding(HEIGHT, nil >= MIN_NIL_SHARE, said)
+    return CauseFound(HEIGHT, nil >= MIN_NIL_SHARE, said)
 
 
-def pulling_forces(force: np.ndarray, sign: float = 1.0) -> Finding:
+def pulling_forces(force: np.ndarray, sign: float = 1.0) -> CauseFound:
     """Force sign: whether a press pushes.
 
     Args:
@@ -161,10 +159,10 @@ def pulling_forces(force: np.ndarray, sign: float = 1.0) -> Finding:
     pulling, median = float(np.mean(force < 0)), float(np.median(force))
     turned = ", which was turned here" if sign < 0 else ""
     said = f"{100 * pulling:.0f} % of the forces along the pressing axis are negative (median {median:.2f} N{turned})"
-    return Finding(SIGN, pulling >= MIN_PULLING_SHARE and sign > 0, said)
+    return CauseFound(SIGN, pulling >= MIN_PULLING_SHARE and sign > 0, said)
 
 
-def wrong_values(patches: np.ndarray, readings: np.ndarray, force: np.ndarray, depth: np.ndarray) -> Iterator[Finding]:
+def wrong_values(patches: np.ndarray, readings: np.ndarray, force: np.ndarray, depth: np.ndarray) -> Iterator[CauseFound]:
     """Units: whether any quantity has values that no press has.
 
     Args:
@@ -189,10 +187,10 @@ def wrong_values(patches: np.ndarray, readings: np.ndarray, force: np.ndarray, d
     norm = float(np.median(np.linalg.norm(readings, axis=1)))
     if not SMALLEST_READING_UT <= norm <= LARGEST_READING_UT:
         wrong.append(f"the median reading is {norm:.3g} uT: its unit is another, or the skin was not touched")
-    yield Finding(UNITS, bool(wrong), "; ".join(wrong) or "values are those of presses")
+    yield CauseFound(UNITS, bool(wrong), "; ".join(wrong) or "values are those of presses")
 
 
-def flipped_board(pressure: np.ndarray, readings: np.ndarray, board: Board) -> Iterator[Finding]:
+def flipped_board(pressure: np.ndarray, readings: np.ndarray, board: Board) -> Iterator[CauseFound]:
     """Axes: whether chips near the contact answer more than others, or would if the patch were flipped or turned.
 
     Args:
@@ -210,9 +208,10 @@ def flipped_board(pressure: np.ndarray, readings: np.ndarray, board: Board) -> I
     flipped = found[best] > max(as_is, 0.0) + MIN_ALIGNMENT and found[best] > MIN_ALIGNMENT
     said = (
         f"chips near the contact answer most with the patch {best} (correlation {found[best]:.2f}, {as_is:.2f} as "
-        "recorded): its axes are not the board's"
+        "recorded): its axes are not the board's, which matters where chips' places do, and not to predictors of "
+        "this command"
     )
-    yield Finding(AXES, flipped, said)
+    yield CauseFound(AXES, flipped, said, matters=False)
 
 
 def alignments(pressure: np.ndarray, readings: np.ndarray, board: Board) -> dict[str, float] | None:
@@ -251,7 +250,7 @@ def alignments(pressure: np.ndarray, readings: np.ndarray, board: Board) -> dict
     return found
 
 
-def late_rows(dataset: Dataset, rows: np.ndarray) -> Iterator[Finding]:
+def late_rows(dataset: Dataset, rows: np.ndarray) -> Iterator[CauseFound]:
     """Lag: whether readings agree better with what was seen some rows before or after.
 
     Args:
@@ -274,10 +273,10 @@ def late_rows(dataset: Dataset, rows: np.ndarray) -> Iterator[Finding]:
         f"readings agree best with labels of {best:+d} rows (R2 of neighbours {r2[best]:.2f}, {r2[0]:.2f} as recorded)"
     )
     # A press that follows another closely agrees with it too: only a clear gain over no lag counts.
-    yield Finding(LAG, best != 0 and r2[best] > r2[0] + MIN_GAIN, said)
+    yield CauseFound(LAG, best != 0 and r2[best] > r2[0] + MIN_GAIN, said)
 
 
-def tried_changes(dataset: Dataset, rows: np.ndarray, groups: np.ndarray, cfg: PressureModelConfig) -> list[Finding]:
+def tried_changes(dataset: Dataset, rows: np.ndarray, groups: np.ndarray, cfg: PressureModelConfig) -> list[CauseFound]:
     """Height zero, force sign, tip radius, the view's direction and units: each is changed, and the Gaussian process on
     predicted pressures is scored again.
 
@@ -299,7 +298,7 @@ def tried_changes(dataset: Dataset, rows: np.ndarray, groups: np.ndarray, cfg: P
         if r2 > best.get(cause, (-np.inf, ""))[0]:
             best[cause] = r2, said
     return [
-        Finding(
+        CauseFound(
             cause,
             r2 > max(as_is, 0.0) + MIN_GAIN,
             f"with {said} predicted pressures explain {r2:.2f} of held-out training touches instead of "

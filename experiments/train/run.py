@@ -147,6 +147,7 @@ class PreparedData(NamedTuple):
     pressure_model: PressureModelConfig | None = None  # None where nothing says how hard touches were pressed
     pressure: ContactPressure | None = None  # of all touches, likewise
     notes: tuple[str, ...] = ()  # what is odd about the recording, a sentence each
+    findings: tuple[causes.CauseFound, ...] = ()  # what its numbers were tested for
 
 
 class FittedMethods(NamedTuple):
@@ -212,7 +213,8 @@ def prepare_data(args: TrainArgs, cfg: TrainExperiment, seed: int, pad: Pad | in
         *load.notes,
     )
     pressure_model = pressure_model_of(dataset, load, cfg)
-    return prepared if pressure_model is None else with_pressure(prepared, pressure_model, load)
+    prepared = prepared if pressure_model is None else with_pressure(prepared, pressure_model, load)
+    return check_numbers(prepared) if args.dataset else prepared
 
 
 def noted(prepared: PreparedData, *notes: str) -> PreparedData:
@@ -296,14 +298,20 @@ def evaluate(prepared: PreparedData, fitted: FittedMethods) -> Evaluation:
     return Evaluation(predicted, std, choice, covered, predictors)
 
 
+def check_numbers(prepared: PreparedData) -> PreparedData:
+    """Tell a person what is wrong with the recording's own numbers."""
+    found = causes.seen_in_numbers(prepared.dataset, prepared.split.train, prepared.pressure_model, prepared.pressure)
+    return noted(prepared._replace(findings=tuple(found)), *(each.evidence for each in found if each.found))
+
+
 def explain_loss(prepared: PreparedData, choice: Choice) -> list[str]:
     """Where a method on predicted pressure loses to a baseline: a sentence with the likely causes that were tested."""
-    method, baseline = choice.best_on_pressure, choice.best_baseline
-    if method is None or not choice.pressure_loses or prepared.pressure_model is None:
+    method, baseline, cfg = choice.best_on_pressure, choice.best_baseline, prepared.pressure_model
+    if method is None or not choice.pressure_loses or cfg is None:
         return []
     print(f"{method} loses to {baseline}: testing likely causes")
     split = prepared.split
-    found = causes.find_causes(prepared.dataset, split.train, split.groups, prepared.pressure_model, prepared.pressure)
+    found = [*prepared.findings, *causes.tried_changes(prepared.dataset, split.train, split.groups, cfg)]
     said = causes.loss_sentence(method, choice.r2[method], baseline, choice.r2[baseline], found)
     print(f"note: {said}")
     return [said]

@@ -99,10 +99,11 @@ def fit_baselines(
     fold = fold_of(groups)
     found: dict[str, Baseline] = {MEAN: MeanReading(_plain(readings.mean(0)), _floored(readings.std(0)))}
     variants = {"": measured[:, :0], WITH_MEASURED: measured}
+    of_patches = touch_features(patches, measured[:, :0])
     for suffix, columns in variants.items():
         if suffix and not measured.shape[1]:
             continue
-        features = touch_features(patches, columns)
+        features = _with_measured(of_patches, columns)
         points = _plain(features_of(features, patches, columns))
         found[NEAREST + suffix] = _fit_nearest(features, points, readings, fold)
         found[RIDGE + suffix] = _fit_ridge(features, points, readings, fold)
@@ -165,9 +166,18 @@ def touch_features(patches: Float[np.ndarray, "n h w"], measured: Float[np.ndarr
     # Eigenvectors of the smaller of the two covariance matrices.
     basis = np.linalg.svd(flat - mean, full_matrices=False)[2][:COMPONENTS]
     length = np.sqrt((((flat - mean) @ basis.T) ** 2).sum(1).mean()) or 1.0  # all patches alike
+    nothing = np.zeros(0, np.float32)
+    seen = TouchFeatures(
+        _plain(mean), _plain(basis), _plain(np.asarray(length)), measured_mean=nothing, measured_std=nothing
+    )
+    return _with_measured(seen, measured)
+
+
+def _with_measured(features: TouchFeatures, measured: np.ndarray) -> TouchFeatures:
+    """The same components, with scales of what was measured."""
     std = measured.astype(np.float64).std(0)
-    scale = np.where(std > 0, std, 1)
-    return TouchFeatures(*(_plain(value) for value in (mean, basis, np.asarray(length), measured.mean(0), scale)))
+    scale = _plain(np.where(std > 0, std, 1))
+    return features._replace(measured_mean=_plain(measured.mean(0)), measured_std=scale)
 
 
 def features_of(
