@@ -82,7 +82,7 @@ def check_session(
         What to apply; nothing where all is as it was stated.
     """
     if as_stated:
-        return SessionCheck((), {}, 0, None, None, board, {})
+        return SessionCheck((), {}, lag=0, order=None, signs=None, board=board, meta={})
     findings = estimate_unknowns(presses, board, stated_zero=stated_zero, stated_radius=stated_radius)
     for finding in sorted(findings, key=lambda one: not one.wrong):
         notes.info(f"{'corrected' if finding.wrong else 'found'} in {name}: {finding.sentence}")
@@ -96,4 +96,5 @@ def check_session(
         signs = np.asarray(todo["channel_signs"], np.float64) if "channel_signs" in todo else signs
         if "board_from_stage" in todo:
             board = turn_board(board, np.asarray(todo["board_from_stage"], np.float64))
-    return SessionCheck(tuple(findings), factors, lag, order, signs, board, findings_to_meta(name, findings))
+    meta = findings_to_meta(name, findings)
+    return SessionCheck(tuple(findings), factors, lag=lag, order=order, signs=signs, board=board, meta=meta)

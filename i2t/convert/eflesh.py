@@ -241,11 +241,12 @@ def _check_sheared(
     """What a session of shear does not say: only units are looked at."""
     board = _board()
     if options.as_stated:
-        return SessionCheck((), {}, 0, None, None, board, {})
+        return SessionCheck((), {}, lag=0, order=None, signs=None, board=board, meta={})
     found, scales = find_units(_positions(states)[0][:, :2], values[:, 1:])
     if found.wrong:
         notes.info(f"corrected in {name}: {found.sentence}")
-    return SessionCheck((found,), {"field_factor": scales.field}, 0, None, None, board, findings_to_meta(name, [found]))
+    factors, meta = {"field_factor": scales.field}, findings_to_meta(name, [found])
+    return SessionCheck((found,), factors, lag=0, order=None, signs=None, board=board, meta=meta)
 
 
 def _pressed(states: np.ndarray, reference: _Reference, check: SessionCheck) -> _Probe:
