@@ -9,9 +9,10 @@ contact and slip as probabilities.
     told.mean, told.std, told.unfamiliar    # (n, 2) m, (n, 2) m, (n,)
     head.save("position.npz")
 
-A head is one of the methods of `regression`, the one with the least error on whole blocks of the skin (or, where the
-recording knows one position only, on whole strokes or stretches of time) that it was not fitted to. The mean, a linear
-map and the k nearest readings are among them, so that nothing is kept that loses to them there.
+A head is one of the methods of `regression`, or a weighted sum of them (stacked regression; Breiman, Machine Learning
+24, 1996): what has the least error on whole blocks of the skin and on single presses that it was not fitted to; in a
+stream, or where one position is known only, on whole strokes or stretches of time. The mean, a linear map and the k
+nearest readings are among the methods, so that nothing is kept that loses to them there.
 
 Spread: the errors on the same blocks say how far off the head is for a reading of this length, this near to what it
 knows; a factor brings nine in ten of them into the 90 % range (cross-conformal prediction; Vovk, Annals of Mathematics
@@ -27,7 +28,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.optimize import minimize
+from scipy.optimize import minimize, nnls
 from scipy.spatial import cKDTree
 
 from i2t import serialization
@@ -50,6 +51,8 @@ from i2t.calibration.heads.regression import (
 )
 
 FILE_KIND_OF_HEAD = "i2t head"
+STACKED_METHODS = "weighted methods"
+MIN_WEIGHT = 0.02  # of a method in a sum
 FOLD_COUNT = 5
 MIN_HEAD_ROWS = 20  # of a head: fewer leave nothing to choose and to test on
 MIN_BLOCKS = 5  # of the skin, that blocks are held out of
@@ -75,7 +78,7 @@ class HeadPrediction(NamedTuple):
 
 
 class SpreadRecord(NamedTuple):
-    """Errors on rows that were held out, and what the readings were like."""
+    """Errors on rows that were held out in one way and another, and what the readings were like."""
 
     features: FeatureMap
     known: Float[np.ndarray, "m k"]  # features of known readings
@@ -88,13 +91,32 @@ class SpreadRecord(NamedTuple):
     platt: Float[np.ndarray, " 2"]  # slope and offset of the probability's logit
 
 
+class StackRecord(NamedTuple):
+    """A weighted sum of methods about the mean, m + sum w_i (f_i - m); None for a method without weight."""
+
+    centre: Float[np.ndarray, " d"]  # m, of the targets
+    weights: Float[np.ndarray, " methods"]  # in the order of HEAD_METHODS
+    histories: Int[np.ndarray, " methods"]  # rows before a reading that each looks at
+    mean: Regression | None = None
+    linear: Regression | None = None
+    nearest: Regression | None = None
+    gaussian_process: Regression | None = None
+    network: Regression | None = None
+
+    @property
+    def parts(self) -> dict[str, Regression]:
+        """Methods that have a weight."""
+        every = (self.mean, self.linear, self.nearest, self.gaussian_process, self.network)
+        return {name: part for name, part in zip(HEAD_METHODS, every, strict=True) if part is not None}
+
+
 class HeadRecord(NamedTuple):
     """What is on disk."""
 
-    regression: Regression
+    stack: StackRecord
     spread: SpreadRecord
     channels: Int[np.ndarray, " used"]  # of a reading, that the head looks at
-    history: Int[np.ndarray, ""]  # rows before a reading that it looks at too
+    history: Int[np.ndarray, ""]  # rows before a reading that any of it looks at
 
 
 @dataclass(frozen=True)
@@ -116,8 +138,15 @@ class Head:
 
     @property
     def method(self) -> str:
-        """The method that it is."""
-        return HEAD_METHODS[int(self.record.regression.method)]
+        """The method that it is, or that it is a weighted sum of several."""
+        parts = self.record.stack.parts
+        return STACKED_METHODS if len(parts) > 1 else next(iter(parts))
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Weight of each of its methods."""
+        weights = dict(zip(HEAD_METHODS, map(float, self.record.stack.weights), strict=True))
+        return {name: weights[name] for name in self.record.stack.parts}
 
     def predict(
         self, readings: Float[np.ndarray, "n c"], session: Int[np.ndarray, " n"] | None = None
@@ -141,12 +170,12 @@ class Head:
         session = np.zeros(len(readings), int) if session is None else np.asarray(session)
         looked = with_history(readings[:, record.channels], session, int(record.history))
         good = np.isfinite(looked).all(1)
-        d = len(record.regression.centre)
+        d = len(record.stack.centre)
         mean, std = np.full((len(readings), d), np.nan), np.full((len(readings), d), np.nan)
         unfamiliar = np.ones(len(readings), bool)
         if good.any():
-            mean[good] = predict_regression(record.regression, looked[good])
-            std[good], unfamiliar[good] = _spread(record.spread, looked[good])
+            mean[good] = _predict_stack(record.stack, looked[good])
+            std[good], unfamiliar[good] = _spread(record.spread, looked[good][:, : len(record.channels)])
         if TARGETS[self.target].yes_no:
             mean = _logistic(record.spread.platt[0] * mean + record.spread.platt[1])
             std = np.sqrt(mean * (1 - mean))
@@ -217,7 +246,7 @@ def fit_head(
     if not len(channels):
         raise ValueError(f"{recording.name}: no channel changes, so that nothing can be told of {target}")
     values, known = recording.targets[target][rows], recording.rows(rows)
-    folds = fold_numbers(hold_out_groups(known), FOLD_COUNT, seed)
+    folds = _ways_of_folding(known, seed)
     tried = [
         MEAN_TARGET,
         *(name for name in methods if name != MEAN_TARGET and (name != READINGS_NETWORK or budget.network_steps)),
@@ -229,16 +258,17 @@ def fit_head(
             trial = _try(name, readings, values, folds, rows_before, budget=budget, yes_no=TARGETS[target].yes_no)
             if name not in found or trial.error < found[name].error:
                 found[name] = trial
-    best = min(found, key=lambda name: found[name].error)
-    kept = found[best]
-    readings = with_history(recording.readings[:, channels], recording.session, kept.history)[rows]
+    best, weights = _choose(found, values, folds)
+    history = max(found[name].history for name in weights)
+    readings = with_history(recording.readings[:, channels], recording.session, history)[rows]
     record = HeadRecord(
-        fit_regression(best, kept.settings, readings, values, budget=budget),
-        _fit_spread(readings, kept.predicted - values, folds, kept.platt),
+        _fit_stack({name: found[name] for name in weights}, weights, readings, values, budget=budget),
+        _fit_spread(readings[:, : len(channels)], best.predicted - values, folds, best.platt),
         channels,
-        np.array(kept.history),
+        np.array(history),
     )
-    return Head(target, record, {name: trial.error for name, trial in found.items()}, metadata or {})
+    validation = {name: trial.error for name, trial in found.items()} | {STACKED_METHODS: best.error}
+    return Head(target, record, validation if len(weights) > 1 else dict(list(validation.items())[:-1]), metadata or {})
 
 
 def histories(recording: SkinRecording) -> tuple[int, ...]:
@@ -377,7 +407,7 @@ def fold_numbers(groups: Int[np.ndarray, " n"], folds: int, seed: int) -> Int[np
     return order[group.ravel()] % min(folds, group.max() + 1)
 
 
-def root_mean_square(errors: Float[np.ndarray, "n d"]) -> float:
+def root_mean_square(errors: Float[np.ndarray, "*n d"]) -> float:
     """Root of the mean square length of errors.
 
     Args:
@@ -386,7 +416,17 @@ def root_mean_square(errors: Float[np.ndarray, "n d"]) -> float:
     Returns:
         In the same.
     """
-    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1))))
+
+
+def _ways_of_folding(recording: SkinRecording, seed: int) -> np.ndarray:
+    """(ways, n) folds: of whole groups, for what lies between known places, and of single presses, for what lies among
+    them; rows of a stroke are no presses of their own.
+    """
+    groups = fold_numbers(hold_out_groups(recording), FOLD_COUNT, seed)
+    if is_stream(recording) or not recording.varies("position"):
+        return groups[None]
+    return np.stack([groups, fold_numbers(np.arange(len(recording)), FOLD_COUNT, seed)])
 
 
 class _Trial(NamedTuple):
@@ -394,7 +434,7 @@ class _Trial(NamedTuple):
 
     settings: Settings
     history: int
-    predicted: np.ndarray  # (n, d)
+    predicted: np.ndarray  # (ways, n, d)
     platt: np.ndarray  # (2,)
     error: float
 
@@ -411,22 +451,88 @@ def _try(
 ) -> _Trial:
     settings = choose_settings(name, readings, values, folds, budget)
     predicted = cross_predict(name, settings, readings, values, folds, budget=budget)
+    return _judged(settings, history, predicted, values, yes_no=yes_no)
+
+
+def _judged(settings: Settings, history: int, predicted: np.ndarray, values: np.ndarray, *, yes_no: bool) -> _Trial:
     if not yes_no:
         return _Trial(settings, history, predicted, np.zeros(2), root_mean_square(predicted - values))
-    platt = _platt(predicted[:, 0], values[:, 0])
+    platt = _platt(predicted[..., 0], np.broadcast_to(values[:, 0], predicted.shape[:2]))
     told = _logistic(platt[0] * predicted + platt[1])
     return _Trial(settings, history, predicted, platt, root_mean_square(told - values))
+
+
+def _choose(found: dict[str, _Trial], values: np.ndarray, folds: np.ndarray) -> tuple[_Trial, dict[str, float]]:
+    """The best method, or the weighted sum of methods where that has the less error, and the weights. Weights of a fold
+    come from the others.
+    """
+    names, yes_no = list(found), bool(any(trial.platt.any() for trial in found.values()))
+    predicted = np.stack([trial.predicted for trial in found.values()])
+    summed = np.empty(predicted.shape[1:])
+    for fold in np.unique(folds[0]):
+        out = folds[0] == fold
+        shares, centre = _stack_weights(predicted[:, :, ~out], values[~out])
+        summed[:, out] = centre + np.tensordot(shares, predicted[:, :, out] - centre, 1)
+    stacked = _judged((), 0, summed, values, yes_no=yes_no)
+    best = min(names, key=lambda name: found[name].error)
+    shares = _stack_weights(predicted, values)[0]
+    weights = {name: float(share) for name, share in zip(names, shares, strict=True) if share > MIN_WEIGHT}
+    if len(weights) > 1 and stacked.error < found[best].error:
+        return stacked, weights
+    return found[best], {best: 1.0}
+
+
+def _stack_weights(predicted: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weights >= 0 with the least squared error of the sum about the mean of the values (d,)."""
+    centre, scale = values.mean(0), np.maximum(values.std(0), 1e-12)
+    columns = ((predicted - centre) / scale).reshape(len(predicted), -1).T
+    wanted = np.broadcast_to((values - centre) / scale, predicted.shape[1:])
+    return nnls(columns, wanted.ravel())[0], centre
+
+
+def _fit_stack(
+    found: dict[str, _Trial],
+    weights: dict[str, float],
+    readings: np.ndarray,
+    values: np.ndarray,
+    *,
+    budget: HeadBudget,
+) -> StackRecord:
+    """Fit each method that has a weight to all rows; `readings` hold as much history as any of them looks at."""
+    fields = dict(zip(HEAD_METHODS, StackRecord._fields[-len(HEAD_METHODS) :], strict=True))
+    longest = max(trial.history for trial in found.values())
+    parts = {}
+    for name, trial in found.items():
+        looked = readings[:, : readings.shape[1] * (1 + trial.history) // (1 + longest)]
+        parts[fields[name]] = fit_regression(name, trial.settings, looked, values, budget=budget)
+    return StackRecord(
+        centre=values.mean(0),
+        weights=np.array([weights.get(name, 0.0) for name in HEAD_METHODS]),
+        histories=np.array([found[name].history if name in found else 0 for name in HEAD_METHODS]),
+        **parts,
+    )
+
+
+def _predict_stack(stack: StackRecord, readings: np.ndarray) -> np.ndarray:
+    longest, told = int(stack.histories.max()), np.zeros((len(readings), len(stack.centre)))
+    for name, part in stack.parts.items():
+        i = HEAD_METHODS.index(name)
+        looked = readings[:, : readings.shape[1] * (1 + int(stack.histories[i])) // (1 + longest)]
+        told += stack.weights[i] * (predict_regression(part, looked) - stack.centre)
+    return stack.centre + told
 
 
 def _fit_spread(readings: np.ndarray, errors: np.ndarray, folds: np.ndarray, platt: np.ndarray) -> SpreadRecord:
     """What errors on held-out folds say of a reading's spread."""
     features = make_feature_map(FEATURES_OF_SPREAD, readings)
     x = features(readings)
-    distance = np.empty(len(x))
-    for fold in np.unique(folds):
-        out = folds == fold
-        distance[out] = nearest_known(x[~out], x[out], 1)[0][:, 0]
-    raw = _likeness(readings, distance)
+    distance = np.empty(folds.shape)
+    for way, of in enumerate(folds):
+        for fold in np.unique(of):
+            out = of == fold
+            distance[way, out] = nearest_known(x[~out], x[out], 1)[0][:, 0]
+    raw = np.concatenate([_likeness(readings, way) for way in distance])
+    errors = errors.reshape(-1, errors.shape[-1])
     middle, width = raw.mean(0), np.maximum(raw.std(0), 1e-6)
     record = SpreadRecord(
         features=features,

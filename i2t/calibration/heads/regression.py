@@ -32,7 +32,7 @@ PLAIN_FEATURES, COMPRESSED_FEATURES, DIRECTION_FEATURES = (
 LINEAR_PENALTIES = tuple(10.0 ** np.arange(-6.0, 2.0))
 READING_NEIGHBOURS = (1.0, 2.0, 4.0, 8.0, 16.0)
 COVARIANCE_LENGTHS = (1.0, 0.5, 0.25, 2.0, 4.0, 8.0)  # of the covariance; features have mean square length 1
-HEAD_NOISES = (1e-3, 1e-4, 1e-2, 1e-1)  # variance, of a target's
+HEAD_NOISES = (1e-3, 1e-4, 1e-2, 3e-2, 1e-1)  # variance, of a target's
 COVARIANCE_SHAPES = (2.0, 0.5, np.inf)  # of the rational quadratic; infinite is the squared exponential
 LINEAR_PARTS = (1.0, 0.0)  # variance of the linear part, of a target's
 COMPRESSION = 0.3  # of the readings' root mean square, where the inverse hyperbolic sine turns from linear to log
@@ -49,7 +49,7 @@ class HeadBudget(NamedTuple):
     """How much is tried."""
 
     selection_rows: int = 700  # on which settings are chosen: the cost grows with the cube
-    known_rows: int = 4000  # of a GP and of a network
+    known_rows: int = 2500  # of a GP and of a network
     network_steps: int = 0  # 0: no network, which takes a hundred times as long as all else
     rows: int = 12000  # of a recording that are looked at
 
@@ -124,7 +124,7 @@ def choose_settings(
     method: str,
     readings: Float[np.ndarray, "n c"],
     targets: Float[np.ndarray, "n d"],
-    folds: Int[np.ndarray, " n"],
+    folds: Int[np.ndarray, "ways n"],
     budget: HeadBudget,
 ) -> Settings:
     """The settings of a method with the least squared error on whole folds.
@@ -133,14 +133,14 @@ def choose_settings(
         method: one of HEAD_METHODS.
         readings: uT.
         targets: in any unit.
-        folds: number of the fold of each row.
+        folds: number of the fold of each row, in each way of holding out.
         budget: how many rows it may take.
 
     Returns:
         The settings: index of the features first, then those of the method.
     """
     rows = some_rows(len(readings), budget.selection_rows)
-    readings, targets, folds = readings[rows], targets[rows], folds[rows]
+    readings, targets, folds = readings[rows], targets[rows], folds[:, rows]
     if method == READINGS_GP:
         return _choose_gp(readings, targets, folds)
     error: Callable[[Settings], float] = partial(_fold_error, method, readings, targets, folds)
@@ -227,10 +227,10 @@ def cross_predict(
     settings: Settings,
     readings: Float[np.ndarray, "n c"],
     targets: Float[np.ndarray, "n d"],
-    folds: Int[np.ndarray, " n"],
+    folds: Int[np.ndarray, "ways n"],
     *,
     budget: HeadBudget | None = None,
-) -> Float[np.ndarray, "n d"]:
+) -> Float[np.ndarray, "ways n d"]:
     """Each fold as predicted from all others.
 
     Args:
@@ -238,17 +238,18 @@ def cross_predict(
         settings: of it.
         readings: uT.
         targets: in any unit.
-        folds: number of the fold of each row.
+        folds: number of the fold of each row, in each way of holding out.
         budget: as in `fit_regression`.
 
     Returns:
-        The targets, in their unit.
+        The targets, in their unit, by each way.
     """
-    predicted = np.empty_like(targets, dtype=np.float64)
-    for fold in np.unique(folds):
-        out = folds == fold
-        fitted = fit_regression(method, settings, readings[~out], targets[~out], budget=budget)
-        predicted[out] = predict_regression(fitted, readings[out])
+    predicted = np.empty((len(folds), *targets.shape))
+    for way, of in enumerate(folds):
+        for fold in np.unique(of):
+            out = of == fold
+            fitted = fit_regression(method, settings, readings[~out], targets[~out], budget=budget)
+            predicted[way, out] = predict_regression(fitted, readings[out])
     return predicted
 
 
@@ -318,7 +319,7 @@ def _choose_gp(readings: np.ndarray, targets: np.ndarray, folds: np.ndarray) -> 
     """One setting after the other, the others as they are; the error of whole folds in closed form."""
     y = (targets - targets.mean(0)) / np.maximum(targets.std(0), 1e-12)
     features = [make_feature_map(kind, readings)(readings) for kind in range(len(FEATURE_KINDS))]
-    blocks = [np.flatnonzero(folds == fold) for fold in np.unique(folds)]
+    blocks = [np.flatnonzero(of == fold) for of in folds for fold in np.unique(of)]
 
     def error(settings: Settings) -> float:
         x = features[int(settings[0])]
