@@ -28,13 +28,14 @@ class FaultCounts:
     kills: int = 200
     disk: int = 5
     touches: int = 1000
+    rooms: int = 20
 
     def times(self, share: float) -> "FaultCounts":
         """As much of everything, and of each at least one."""
         return FaultCounts(*(type(count)(max(1, share * count)) for count in astuple(self)))
 
 
-DEBUG = FaultCounts(1.0, 600, 1, 1, 1, 1, 1, 1, 3)
+DEBUG = FaultCounts(1.0, 600, 1, 1, 1, 1, 1, 1, 3, 2)
 
 
 def worst(seconds: list[float]) -> str:

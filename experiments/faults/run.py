@@ -21,18 +21,22 @@ import tyro
 
 from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
 from experiments.common.runs import exit_code_of_run, write_json
+from experiments.faults.ambient import ambient
 from experiments.faults.arm import arm, force
 from experiments.faults.kill import kill
 from experiments.faults.rows import DEBUG, FaultCounts, FaultRow
 from experiments.faults.simulated import disk, presses
 from experiments.faults.skin import skin
 from experiments.faults.volume import volume
+from experiments.faults.wire import wire
 from i2t.errors import DeviceError
 
-Section = Literal["disk", "presses", "arm", "skin", "force", "volume", "kill"]
+Section = Literal["disk", "presses", "ambient", "wire", "arm", "skin", "force", "volume", "kill"]
 SECTIONS: dict[Section, Callable[[FaultCounts], list[FaultRow]]] = {
     "disk": disk,
     "presses": presses,
+    "ambient": ambient,
+    "wire": wire,
     "arm": arm,
     "skin": skin,
     "force": force,
