@@ -162,7 +162,9 @@ def pulling_forces(force: np.ndarray, sign: float = 1.0) -> CauseFound:
     return CauseFound(SIGN, pulling >= MIN_PULLING_SHARE and sign > 0, said)
 
 
-def wrong_values(patches: np.ndarray, readings: np.ndarray, force: np.ndarray, depth: np.ndarray) -> Iterator[CauseFound]:
+def wrong_values(
+    patches: np.ndarray, readings: np.ndarray, force: np.ndarray, depth: np.ndarray
+) -> Iterator[CauseFound]:
     """Units: whether any quantity has values that no press has.
 
     Args:

@@ -220,7 +220,11 @@ def test_numbers_are_checked_whatever_is_measured():
 
 
 def test_a_loss_is_one_sentence_with_what_was_tested():
-    found = [CauseFound(SIGN, True, "95 % of the forces pull"), CauseFound(UNITS, False, "x"), CauseFound(HEIGHT, False, "y")]
+    found = [
+        CauseFound(SIGN, True, "95 % of the forces pull"),
+        CauseFound(UNITS, False, "x"),
+        CauseFound(HEIGHT, False, "y"),
+    ]
     said = causes.loss_sentence("GP", 0.0, NEAREST, 0.19, found)
     assert said == (
         "GP loses to k nearest patches on validation touches (R2 0.00 and 0.19), likely because 95 % of the forces "
