@@ -15,6 +15,7 @@ from i2t.types import ReturnCode
 RANDOM, INSIDE, SECOND_HALF = "random presses", "those of them outside the blocks", "second half in time"
 MM_PER_M = 1e3
 PULLING_SHARE = 0.8  # of loads below zero, from which on the sign is taken to be the other
+DEPTH_OF_UNKNOWN_M = 2e-3  # of every press, where neither depth nor force is known
 LEAST_LOAD_RANGE = 1e-6  # of the largest load: less is one load
 
 
@@ -82,6 +83,9 @@ def read_presses(dataset: Dataset, load: str) -> PressRecording:
     good = ~np.isin(touches.code, [ReturnCode.FAILED, ReturnCode.AIR, ReturnCode.FREE])
     by_force = load == "force" or (load == "auto" and not np.isfinite(touches.depth[good]).all())
     amount = (touches.force if by_force else touches.depth).astype(np.float64)
+    unknown = load == "auto" and not np.isfinite(amount[good]).any()
+    if unknown:  # as where all presses go to one height, whose depth nothing tells
+        by_force, amount = False, np.full(len(amount), DEPTH_OF_UNKNOWN_M)
     good &= np.isfinite(amount) & np.isfinite(T_t_o).all((1, 2))
     kind = "force" if by_force else "depth"
     if not good.any():
@@ -95,6 +99,8 @@ def read_presses(dataset: Dataset, load: str) -> PressRecording:
     if len(np.unique(touches.object[good])) > 1:
         raise ValueError("the data set holds several objects; calibration needs presses of one tip")
     amount, pushing, notes = _pushing_loads(amount, good, kind)
+    if unknown:
+        notes = ("neither depth nor force is known: all presses are taken to go to one depth",)
     good &= pushing
     chips = dataset.board.chips[:, :2] if by_force else None
     readings = touches.reading[good].astype(np.float64)

@@ -58,28 +58,6 @@ def learning_curves(
     return _score(predictors, tasks, counts, [*split.tests, SECOND_HALF])
 
 
-def previous_session_curves(
-    predictors: Predictors,
-    previous: PressRecording,
-    previous_rows: np.ndarray,
-    pool: np.ndarray,
-    tests: dict[str, np.ndarray],
-    *,
-    counts: Sequence[int],
-    draws: int,
-    seed: int,
-) -> Scores:
-    """Scores with a previous session of the same skin as the mean, from presses of the pool."""
-
-    def task(draw: int) -> PredictionTask:
-        rng = np.random.default_rng((seed, draw))
-        order, past = rng.permutation(pool), rng.permutation(previous_rows)[: max(counts)]
-        return PredictionTask(order, tests, _previous_mean(predictors, previous, past))
-
-    tasks = ([task(draw)] for draw in tqdm(range(draws), desc="draws", unit="draw"))
-    return _score(predictors, tasks, counts, list(tests))
-
-
 def explained(readings: np.ndarray, error: np.ndarray) -> float:
     """R2 over all channels from readings (n, c) and squared errors (n,)."""
     return float(1 - error.sum() / ((readings - readings.mean(0)) ** 2).sum())

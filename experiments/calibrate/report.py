@@ -30,10 +30,13 @@ from experiments.calibrate.methods import (
 )
 from experiments.common.runs import write_json
 from i2t.calibration import DataWarnings, check_presses
+from i2t.dataset import Dataset
 from i2t.prediction.metrics import grouped_interval, student_interval
+from i2t.unknowns import RecordedPresses, estimate_labels, findings_from_meta, metrics_of
 from i2t.viz import style
 
 SESSION = {PREVIOUS_MEAN: "previous session as the mean", PREVIOUS_ALONE: "previous session alone"}
+ALIGNED_ALONE = "previous session alone, aligned"
 STYLES: dict[str, tuple[str, str]] = {
     NEIGHBOURS: (style.GREY, "-"), PLAIN: (style.ORANGE, "-"), STRUCTURED: (style.BLUE, "-"),
     HEIGHT: (style.GREEN, "-"), SELECTED: (style.RED, ":"), PREVIOUS_MEAN: (style.BLUE, "-"),
@@ -42,6 +45,7 @@ STYLES: dict[str, tuple[str, str]] = {
     MEAN: (style.GREY, ":"), POPULATION: (style.ORANGE, ":"), WEIGHED: (style.RED, "-"),
     WEIGHED_BLOCKS: (style.RED, "--"),
     SESSION[PREVIOUS_MEAN]: (style.BLUE, "-"), SESSION[PREVIOUS_ALONE]: (style.RED, "--"),
+    ALIGNED_ALONE: (style.ORANGE, "-"),
 }  # fmt: skip
 LABEL_WIDTH = 56
 _INTERVAL = ("mean", "low", "high")
@@ -184,6 +188,22 @@ def warn(recording: PressRecording, which: str = "") -> DataWarnings:
     for message in found.messages():
         print(f"warning{which}: {message}")
     return found
+
+
+def unknowns_of(dataset: Dataset, recording: PressRecording) -> dict[str, Any]:
+    """What was found of the recording's unknowns: what its converter kept with it, or else what labels and readings
+    tell of each other; what is wrong is printed.
+    """
+    found = findings_from_meta(dataset.meta)
+    if not found:
+        load = {"force": recording.load} if recording.by_force else {"height": -recording.load}
+        presses = RecordedPresses(recording.position, recording.readings, **load)
+        found = {"this recording": estimate_labels(presses)}
+    for session, findings in found.items():
+        for finding in findings:
+            if finding.wrong:
+                print(f"unknowns of {session}: {finding.sentence}")
+    return {session: metrics_of(findings) for session, findings in found.items()}
 
 
 def warning_metrics(found: DataWarnings) -> dict[str, Any]:

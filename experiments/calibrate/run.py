@@ -99,6 +99,7 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
     refuse_too_few(args, cfg, held, blocks)
     begin(args.out, args, cfg, None, args.overwrite)
     warnings = report.warn(recording)
+    unknowns = report.unknowns_of(dataset, recording)
     split = split_presses(held, blocks, ~warnings.repeated, cfg.block_mm)
     predictors = Predictors(recording, args.period_mm * M_PER_MM, cfg.scratch_steps)
     if not recording.by_force and recording.load.max() > 0:
@@ -117,6 +118,7 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
         "notes": recording.notes,
         "kept": kept,
         **report.warning_metrics(warnings),
+        "unknowns": unknowns,
         "presses": len(held),
         "hyperparameters": hyperparameters_to_json(predictors.hyperparameters),
         "held_out": split.sizes,

@@ -48,6 +48,7 @@ class PressedSkinOfKind(NamedTuple):
     force: np.ndarray  # (n,) N
     readings: np.ndarray  # (n, c) uT
     chip_positions: np.ndarray  # (chips, 2) m
+    zero: float = 0.0  # m, by which the depths are believed too large: what nobody knows of a real skin
 
     @property
     def previous_readings(self) -> np.ndarray:
@@ -140,7 +141,9 @@ def _sound(
     believed = np.maximum(depth + zero + DEPTH_ERROR_M * rng.normal(size=depth.shape), 0)
     measured = np.maximum(force + FORCE_ERROR_N * rng.normal(size=force.shape), 0)
     noisy = readings + PRESS_NOISE_UT * rng.normal(size=readings.shape)
-    return PressedSkinOfKind(kind, position, believed, measured, noisy, np.asarray(board.chips[:, :2], np.float64))
+    return PressedSkinOfKind(
+        kind, position, believed, measured, noisy, np.asarray(board.chips[:, :2], np.float64), zero
+    )
 
 
 def _displaced(

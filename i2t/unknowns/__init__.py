@@ -26,6 +26,7 @@ from i2t.unknowns.approaches import Approach, find_approaches
 from i2t.unknowns.chip_field import correct_board, find_board, turn_board
 from i2t.unknowns.estimate import (
     corrected_presses,
+    estimate_labels,
     estimate_unknowns,
     growth_of,
     lag_rows,
@@ -49,6 +50,7 @@ __all__ = [
     "alignment_findings",
     "correct_board",
     "corrected_presses",
+    "estimate_labels",
     "estimate_unknowns",
     "find",
     "find_approaches",

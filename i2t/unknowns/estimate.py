@@ -46,20 +46,8 @@ def estimate_unknowns(
     presses = presses.rows(finite)
     if len(presses.readings) < MIN_ESTIMATE_ROWS or not presses.readings.shape[1]:
         return []
-    findings: list[Finding] = []
-
-    def add(finding: Finding) -> None:
-        nonlocal presses
-        findings.append(finding)
-        presses = corrected_presses(presses, [finding])
-
-    depth = None if presses.height is None else np.abs(presses.height - np.nanmax(presses.height))
-    add(find_units(presses.position, presses.readings, depth=depth, force=presses.force)[0])
-    if presses.force is not None:
-        add(find_force_sign(presses.force, presses.readings))
-    if presses.height is not None:
-        add(find_height_axis(presses))
-    add(find_lag(presses))
+    findings = estimate_labels(presses)
+    presses = corrected_presses(presses, findings)
     findings += _heights(presses, stated_zero)
     if board is not None:
         findings += find_board(presses, board, growth=growth_of(presses, findings))
@@ -73,6 +61,33 @@ def estimate_unknowns(
             False,
         )
     )
+    return findings
+
+
+def estimate_labels(presses: RecordedPresses) -> list[Finding]:
+    """The part of `estimate_unknowns` that takes a moment: units, signs and lag.
+
+    Args:
+        presses: As recorded, in the order of time, all finite.
+
+    Returns:
+        The findings.
+    """
+    findings: list[Finding] = []
+
+    def add(finding: Finding) -> None:
+        nonlocal presses
+        findings.append(finding)
+        presses = corrected_presses(presses, [finding])
+
+    known = presses.height is not None and np.isfinite(presses.height).any()
+    depth = np.abs(presses.height - np.nanmax(presses.height)) if presses.height is not None and known else None
+    add(find_units(presses.position, presses.readings, depth=depth, force=presses.force)[0])
+    if presses.force is not None:
+        add(find_force_sign(presses.force, presses.readings))
+    if presses.height is not None:
+        add(find_height_axis(presses))
+    add(find_lag(presses))
     return findings
 
 
