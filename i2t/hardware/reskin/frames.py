@@ -85,7 +85,7 @@ class Decoder(NamedTuple):
     rest: bytes = b""  # not decided yet
     last: np.ndarray | None = None  # (chips, 4) t, x, y, z of the last frame, or of the last where a chip was there
     usual: np.ndarray | None = None  # (chips, 4) size of the changes from frame to frame, of late
-    count: int | None = None  # of the last frame's counter
+    sequence: int | None = None  # of the last frame's counter
     wrapped: np.ndarray | None = None  # (chips, 3) uT, by which channels are beyond the converter's end
     early: tuple[np.ndarray, ...] = ()  # the first frames, until the steps are learned
     steps: ConverterSteps | None = None
@@ -262,9 +262,9 @@ def _is_frame(decoder: Decoder, values: FrameValues | None, data: bytes, begin: 
 
 def _counts_on(decoder: Decoder, values: FrameValues) -> bool:
     """Whether the counter goes on from the last frame's by as many frames as there are bytes between the two."""
-    if values.count is None or decoder.count is None:
+    if values.sequence is None or decoder.sequence is None:
         return False
-    ahead = (values.count - decoder.count - 1 - round(decoder.gap / decoder.layout.size)) % COUNTS
+    ahead = (values.sequence - decoder.sequence - 1 - round(decoder.gap / decoder.layout.size)) % COUNTS
     return ahead <= COUNT_SLACK
 
 
@@ -303,7 +303,7 @@ def _with_frame(decoder: Decoder, values: FrameValues, end: int, size: int) -> t
     """
     table = values.table
     gone = np.isnan(table[:, 1:]).all(1)
-    lost = _lost(decoder, values.count, size) if decoder.last is not None else 0
+    lost = _lost(decoder, values.sequence, size) if decoder.last is not None else 0
     offsets = np.zeros((len(table), 3)) if decoder.wrapped is None else decoder.wrapped
     if decoder.last is not None:
         more = wrap_offsets(decoder.last[:, 1:], table[:, 1:], decoder.steps)
@@ -314,7 +314,7 @@ def _with_frame(decoder: Decoder, values: FrameValues, end: int, size: int) -> t
     decoder = decoder._replace(
         last=known,
         usual=_usual(decoder, known) if decoder.layout.is_text else None,
-        count=values.count,
+        sequence=values.sequence,
         wrapped=offsets,
         wraps=decoder.wraps + wraps,
         gaps=decoder.gaps + (lost > 0),
@@ -344,9 +344,9 @@ def _usual(decoder: Decoder, table: np.ndarray) -> np.ndarray:
 def _lost(decoder: Decoder, count: int | None, size: int) -> int:
     """Frames that are missing before one: by the counter, of which the bytes say how often it went round."""
     by_bytes = max(1, round(decoder.gap / size)) if decoder.gap else 0
-    if count is None or decoder.count is None or count == decoder.count:
+    if count is None or decoder.sequence is None or count == decoder.sequence:
         return by_bytes
-    counted = (count - decoder.count - 1) % COUNTS
+    counted = (count - decoder.sequence - 1) % COUNTS
     return counted + COUNTS * max(0, round((by_bytes - counted) / COUNTS))
 
 
@@ -378,8 +378,10 @@ def _begins_run(decoder: Decoder, data: bytes, begin: int, end: int) -> bool | N
 
 def _follows(decoder: Decoder, before: FrameValues, after: FrameValues) -> bool:
     """Whether one candidate goes on from another that ends where it begins."""
-    if before.count is not None and after.count is not None:
-        return (after.count - before.count) % COUNTS == 1 or _near(before.table, after.table, decoder.limits, None)
+    if before.sequence is not None and after.sequence is not None:
+        return (after.sequence - before.sequence) % COUNTS == 1 or _near(
+            before.table, after.table, decoder.limits, None
+        )
     return _near(before.table, after.table, decoder.limits, decoder.steps)
 
 

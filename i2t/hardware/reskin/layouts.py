@@ -53,7 +53,7 @@ class FrameValues(NamedTuple):
     """What a stretch of bytes says."""
 
     table: Float[np.ndarray, "chips 4"]  # t, x, y, z: degrees Celsius and uT; 0 where there is none
-    count: int | None = None  # of the frame's counter
+    sequence: int | None = None  # of the frame's counter
 
 
 class FrameLayout(NamedTuple):
