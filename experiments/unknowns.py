@@ -38,7 +38,7 @@ from scipy.stats import beta
 from tqdm import tqdm
 
 from experiments.calibrate_pads.kinds import PressedSkinOfKind, simulate_skins
-from experiments.common.runs import begin, reported, write_json
+from experiments.common.runs import begin, exit_code_of_run, write_json
 from i2t import unknowns
 from i2t.skin.boards import anyskin_board, reskin_board
 from i2t.types import Board
@@ -80,7 +80,7 @@ class Answer(NamedTuple):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     args = tyro.cli(UnknownsArgs, args=argv, description=__doc__, prog="python -m experiments.unknowns")
-    return reported(partial(run, args))
+    return exit_code_of_run(partial(run, args))
 
 
 def run(args: UnknownsArgs) -> dict[str, Any]:
