@@ -66,8 +66,8 @@ def solids() -> list[Surface]:
 
 @pytest.fixture(scope="module")
 def pad() -> Pad:
-    """Without friction, which the rule that ends a press does not know."""
-    return sample_pad(jax.random.key(3))._replace(friction=jnp.zeros(()))
+    """Of four chips, as any board will do, and without friction, which the rule that ends a press does not know."""
+    return sample_pad(jax.random.key(3), board=make_board("grid-2x2"))._replace(friction=jnp.zeros(()))
 
 
 @pytest.fixture(scope="module")
