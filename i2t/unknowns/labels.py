@@ -19,6 +19,7 @@ LAG_ROWS = 300  # that are looked at
 MIN_LAG_ROWS = 20
 LAG_UNEXPLAINED = 1.5  # times: what a smooth model leaves unexplained as recorded, over what it leaves with the lag
 LAG_GAIN = 0.03  # of R2, at least
+LAG_SHARE = 0.5  # of the R2 that is explained with the lag, which is lost without: where noise hides the rest
 SURE_ERRORS = 4.0  # standard errors of a rank correlation
 PUSH_SHARE = 0.9  # of the presses that must pull for the force to be turned
 MIN_PUSH_N = 0.05  # less is no press
@@ -72,7 +73,8 @@ def find_lag(presses: RecordedPresses, max_lag: int = 4) -> Finding:
         )  # fmt: skip
     unexplained = (1 - r2[0]) / max(1 - r2[best], 1e-6)
     evidence["unexplained_ratio"] = unexplained
-    late = bool(best != 0 and unexplained > LAG_UNEXPLAINED and r2[best] - r2[0] > LAG_GAIN)
+    gain = r2[best] - r2[0]
+    late = bool(best != 0 and gain > LAG_GAIN and (unexplained > LAG_UNEXPLAINED or gain > LAG_SHARE * r2[best]))
     lag = best if late else 0
     said = (
         f"Labels are shifted by {lag:+d} rows: a smooth model explains {r2[best]:.2f} of the readings with them and "
