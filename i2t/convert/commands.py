@@ -7,6 +7,7 @@ Examples:
     python -m i2t.convert eflesh RECORDINGS DATA --tip-radius-mm 4
     python -m i2t.convert presses TABLE.csv DATA --indenter sphere:4.0
     python -m i2t.convert pack DATA PACKED
+    python -m i2t.convert ambient DATA CORRECTED --field .ambient.npz
     python -m i2t.convert npz DATA DATA.npz
 
 DATA is a folder; converters write one packed file in it and refuse a folder that holds anything, except with --force.
@@ -26,9 +27,11 @@ import numpy as np
 import tyro
 
 from i2t.convert import Converted, eflesh, imagine2touch, presses
+from i2t.convert.ambient import without_ambient
 from i2t.dataset import BadFileWarning, Dataset, index, load_dataset, save_dataset
 from i2t.dataset.store import INDEX
-from i2t.errors import DataError
+from i2t.errors import DataError, SerializationError
+from i2t.skin.ambient import load_ambient
 from i2t.skin.boards import make_board
 from i2t.types import PATCH_WINDOW, REACH, Board
 
@@ -199,6 +202,33 @@ def pack(source: Source, target: Target, force: bool = False, skip_bad: bool = F
     _write(target, Converted(load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad), ()))
 
 
+def subtract_ambient_field(
+    source: Source,
+    target: Target,
+    field: Path,
+    base_turn: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="RX RY RZ")] = (0.0, 0.0, 0.0),
+    force: bool = False,
+    skip_bad: bool = False,
+) -> None:
+    """Take a fitted ambient field out of readings that were zeroed once, while the tool turned.
+
+    Args:
+        source: folder or file of touches, with the tool's poses
+        target: folder to write
+        field: the field, as i2t.collect --ambient.poses fits it (.ambient.npz)
+        base_turn: rotation vector of the robot's base in the data set's world, rad
+        force: replace what an earlier conversion wrote
+        skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them
+    """
+    _require_free(target, force)
+    dataset = load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad)
+    try:
+        fitted, _ = load_ambient(field)
+    except SerializationError as error:
+        raise DataError(str(error)) from error
+    _write(target, without_ambient(dataset, fitted, str(field), base_turn=base_turn))
+
+
 def to_npz(source: Source, target: Target, force: bool = False, skip_bad: bool = False) -> None:
     """Write a data set as plain NumPy arrays, without pickles: all fields, names, board and provenance.
 
@@ -262,6 +292,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "eflesh": from_eflesh,
     "presses": from_presses,
     "pack": pack,
+    "ambient": subtract_ambient_field,
     "npz": to_npz,
 }
 
