@@ -89,6 +89,8 @@ def test_heads_keep_on_disk(recording, position_head, tmp_path):
     )
     with pytest.raises(ValueError, match="channels"):
         again.predict(recording.readings[:, :6])
+    with pytest.raises(ValueError, match="channels"):
+        again.predict(np.tile(recording.readings, 2))
     (tmp_path / "head.npz").write_bytes(b"x")
     with pytest.raises(SerializationError, match="damaged"):
         load_head(tmp_path / "head.npz")

@@ -115,6 +115,7 @@ class HeadRecord(NamedTuple):
 
     stack: StackRecord
     spread: SpreadRecord
+    values: Int[np.ndarray, ""]  # of a reading of the skin
     channels: Int[np.ndarray, " used"]  # of a reading, that the head looks at
     history: Int[np.ndarray, ""]  # rows before a reading that any of it looks at
 
@@ -165,8 +166,8 @@ class Head:
         """
         readings = np.asarray(readings, np.float64)
         record = self.record
-        if readings.ndim != 2 or readings.shape[1] <= record.channels.max():
-            raise ValueError(f"readings {readings.shape} are not those that the head knows; give (n, channels) uT")
+        if readings.ndim != 2 or readings.shape[1] != record.values:
+            raise ValueError(f"readings {readings.shape} are not of the {record.values} channels that the head knows")
         session = np.zeros(len(readings), int) if session is None else np.asarray(session)
         looked = with_history(readings[:, record.channels], session, int(record.history))
         good = np.isfinite(looked).all(1)
@@ -264,6 +265,7 @@ def fit_head(
     record = HeadRecord(
         _fit_stack({name: found[name] for name in weights}, weights, readings, values, budget=budget),
         _fit_spread(readings[:, : len(channels)], best.predicted - values, folds, best.platt),
+        np.array(recording.readings.shape[1]),
         channels,
         np.array(history),
     )
