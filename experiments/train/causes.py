@@ -86,9 +86,11 @@ def seen_in_numbers(
     found = [*wrong_values(touches.patch[rows], touches.reading[rows], touches.force[rows], touches.depth[rows])]
     if cfg is not None and pressure is not None:
         known = np.asarray(pressure.pressure)[rows]
-        found.append(nil_pressures(known.sum((1, 2)), cfg, touches.force[rows], touches.depth[rows]))
         found += flipped_board(known, touches.reading[rows], dataset.board)
-        if cfg.control == "force":
+        load_known = bool(np.isfinite(getattr(touches, cfg.control)[rows]).all())
+        if load_known:
+            found.append(nil_pressures(known.sum((1, 2)), cfg, touches.force[rows], touches.depth[rows]))
+        if load_known and cfg.control == "force":
             found.append(pulling_forces(touches.force[rows], cfg.force_sign))
     return [*found, *late_rows(dataset, rows)]
 

@@ -13,6 +13,7 @@ from i2t.types import Touches
 MAX_UNKNOWN_SHARE = 0.1  # of touches that are left out because neither force nor depth is known of them
 PULLING_SHARE = 0.8  # of touches with a force below zero, from which on the sign is taken to be the other
 NIL_SHARE = 0.5  # of touches without a load, from which on it says nothing
+ALIKE_FORCE_N = 1.0  # as `median_conditions` has it where no force was measured
 LEAST_DEPTH_M = 10e-6  # that counts as a press
 
 
@@ -23,6 +24,7 @@ class PressLoad(NamedTuple):
     force_sign: float  # -1 where a pressing force is counted negative
     nil_share: float  # of touches that this load says were not pressed at all
     notes: tuple[str, ...]  # what a person is told, a sentence each
+    constant: bool = False  # nothing is known, and all touches are taken to be pressed alike
 
 
 def press_load(touches: Touches) -> PressLoad:
@@ -43,6 +45,9 @@ def press_load(touches: Touches) -> PressLoad:
         return other._replace(notes=(*found.notes, *other.notes))
     if len(depth) and np.isfinite(depth).all():
         return _deep(depth)
+    if not np.isfinite(force).any() and not np.isfinite(depth).any():
+        said = "neither force nor depth is known: contact pressure is predicted as if all touches were pressed with"
+        return PressLoad("force", 1.0, 0.0, (f"{said} {ALIKE_FORCE_N:g} N",), constant=True)
     missing = f"force is missing at {np.sum(~np.isfinite(force))} and depth at {np.sum(~np.isfinite(depth))}"
     return PressLoad(
         None, 1.0, 1.0, (f"{missing} of {len(force)} touches: methods on predicted contact pressure are left out",)

@@ -10,7 +10,7 @@ import numpy as np
 from tqdm import tqdm
 
 from experiments.train.configs import TrainExperiment
-from experiments.train.loads import PressLoad
+from experiments.train.loads import ALIKE_FORCE_N, PressLoad
 from experiments.train.splitting import Split
 from i2t.dataset import Dataset
 from i2t.prediction import baselines, checkpoint, gp, training
@@ -79,7 +79,7 @@ def median_conditions(touches: Touches, rows: np.ndarray) -> tuple[float, float]
         known = values[np.isfinite(values)]
         return float(np.median(known)) if len(known) else default
 
-    return median(touches.force[rows], 1.0), median(touches.depth[rows], 0.3e-3)
+    return median(touches.force[rows], ALIKE_FORCE_N), median(touches.depth[rows], 0.3e-3)
 
 
 def fit_baseline_models(dataset: Dataset, split: Split, measured: tuple[str, ...]) -> dict[str, Model]:

@@ -36,7 +36,7 @@ from experiments.common.runs import begin, exit_code_of_run, slug, write_json
 from experiments.train import causes, recognition_data
 from experiments.train.choosing import Choice, choose
 from experiments.train.configs import PRESETS, TrainExperiment
-from experiments.train.loads import PressLoad, press_load, several_skins, with_known_load
+from experiments.train.loads import ALIKE_FORCE_N, PressLoad, press_load, several_skins, with_known_load
 from experiments.train.methods import (
     adapt_network,
     ceiling,
@@ -232,7 +232,8 @@ def with_pressure(prepared: PreparedData, pressure_model: PressureModelConfig, l
         height, said = causes.likely_height(dataset, split.train, split.groups, pressure_model)
         pressure_model = replace(pressure_model, depth_offset=height)
         prepared = noted(prepared, *([said] if said else []))
-    pressure = predict_pressures(pressure_model, views_of(dataset), touches.force, touches.depth)
+    force = np.full(len(dataset), ALIKE_FORCE_N, np.float32) if load.constant else touches.force
+    pressure = predict_pressures(pressure_model, views_of(dataset), force, touches.depth)
     total = np.asarray(pressure.pressure)[split.train].sum((1, 2))
     pressed = float(np.mean(total > pressure_model.floor / 10))
     if np.isfinite(total).all() and pressed >= LEAST_PRESSED_SHARE:
@@ -304,11 +305,13 @@ def check_numbers(prepared: PreparedData) -> PreparedData:
     return noted(prepared._replace(findings=tuple(found)), *(each.evidence for each in found if each.found))
 
 
-def explain_loss(prepared: PreparedData, choice: Choice) -> list[str]:
+def explain_loss(prepared: PreparedData, choice: Choice) -> Sequence[str]:
     """Where a method on predicted pressure loses to a baseline: a sentence with the likely causes that were tested."""
     method, baseline, cfg = choice.best_on_pressure, choice.best_baseline, prepared.pressure_model
     if method is None or not choice.pressure_loses or cfg is None:
         return []
+    if not np.isfinite(getattr(prepared.dataset.touches, cfg.control)[prepared.split.train]).all():
+        return noted(prepared, f"{method} loses to {baseline}: how hard was pressed is not known").notes[-1:]
     print(f"{method} loses to {baseline}: testing likely causes")
     split = prepared.split
     found = [*prepared.findings, *causes.tried_changes(prepared.dataset, split.train, split.groups, cfg)]

@@ -107,7 +107,7 @@ def test_a_pulling_force_is_turned_and_said():
     pulled = press_load(recording(force=-np.linspace(4, 8, 200)).touches)
     assert (pulled.control, pulled.force_sign, pulled.nil_share) == ("force", -1.0, 0.0)
     assert "negative at 100 %" in pulled.notes[0]
-    assert press_load(recording().touches) == ("force", 1.0, 0.0, ())
+    assert press_load(recording().touches) == ("force", 1.0, 0.0, (), False)
 
 
 def test_forces_that_say_nothing_leave_the_depth():
@@ -124,9 +124,15 @@ def test_forces_that_say_nothing_leave_the_depth():
 def test_without_force_and_depth_it_is_said_before_anything_is_computed():
     unknown = np.full(200, np.nan)
     found = press_load(recording(force=unknown, depth=unknown).touches)
+    assert found.constant
+    assert found.notes == (
+        "neither force nor depth is known: contact pressure is predicted as if all touches were pressed with 1 N",
+    )
+    half = np.where(np.arange(200) % 2, 1.0, np.nan)
+    found = press_load(recording(force=half, depth=unknown).touches)
     assert found.control is None
     assert found.notes == (
-        "force is missing at 200 and depth at 200 of 200 touches: methods on predicted contact pressure are left out",
+        "force is missing at 100 and depth at 200 of 200 touches: methods on predicted contact pressure are left out",
     )
 
 

@@ -287,7 +287,7 @@ def small_recording(**columns) -> dataset.Dataset:
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
-        ({"depth": np.full(240, np.nan), "nearest": np.full(240, np.nan)}, "methods on predicted contact pressure are"),
+        ({"depth": np.full(240, np.nan), "nearest": np.full(240, np.nan)}, "as if all touches were pressed"),
         ({"depth": np.zeros(240), "nearest": np.zeros(240)}, "100 % of the depths are nil"),
         ({"force": np.linspace(-3, -6, 240)}, "negative at 100 %"),
         ({"force": np.zeros(240), "depth": np.full(240, np.nan)}, "100 % of the forces do not push"),
