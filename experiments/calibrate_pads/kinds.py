@@ -60,7 +60,7 @@ def simulate_skins(kind: str, seed: int, skins: int, presses: int) -> list[Press
     """Skins of one kind; those of another seed are others.
 
     Args:
-        kind: One of `KINDS`.
+        kind: One of `SKIN_KINDS`.
         seed: Of all that is random.
         skins: How many.
         presses: Of each.

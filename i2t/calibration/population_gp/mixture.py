@@ -56,7 +56,7 @@ MIN_HEIGHT_SHARE = 0.01  # of an idea of how rough a skin is, to be kept
 HEIGHT_STDS = (0.02, 0.06, 0.12)  # typical loads
 HEIGHT_LENGTHS_M = (1.0e-3, 2.0e-3, 4.0e-3)
 HEIGHT_ERROR = 5e-3  # typical loads, standard deviation of what a press measures of its height, at least
-HEIGHT_ROUNDS = 2
+HEIGHT_PASSES = 2
 MIN_TYPICAL_LOAD = 1e-9
 DEFAULT_SCALING = 1.1  # of the standard deviations, on simulated skins
 SCALING_PRESSES = 10.0  # presses' worth of belief in it
@@ -424,7 +424,7 @@ def _with_heights(gp: PopulationGP) -> PopulationGP:
     std, length = (
         np.array(part) for part in zip(*((s, x) for x in HEIGHT_LENGTHS_M for s in HEIGHT_STDS), strict=True)
     )
-    for _ in range(HEIGHT_ROUNDS):
+    for _ in range(HEIGHT_PASSES):
         mean, variance, slope = _slopes(gp)
         total = np.maximum(np.sum(slope**2 / variance, axis=1), 1e-12)
         error = gp.readings - mean
