@@ -322,7 +322,7 @@ def _as_approached(
     stem: Path, quaternions: np.ndarray, rotations: np.ndarray, moved: np.ndarray, notes: ConversionLog
 ) -> np.ndarray:
     """The rotations, read with the scalar first or turned over, if touches move along tool z only so."""
-    if _share_along(moved, rotations) > 1 - MOST_TOUCHES:
+    if _share_along(moved, rotations) > MOST_TOUCHES:
         return rotations
     known = np.isfinite(quaternions).all(1)
     first = np.full_like(rotations, np.nan)

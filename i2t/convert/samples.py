@@ -18,6 +18,7 @@ from i2t.errors import DataError
 CHIPS = 5  # of the boards that this layout is of
 AUTHORS_READINGS = 3 * CHIPS
 TEMPERATURES = (-40.0, 85.0)  # C, the range of the chips
+ROOM_TEMPERATURES = (5.0, 60.0)  # C, their mean: small numbers about zero are a field in millitesla
 SPREAD = 10.0  # K, standard deviation of temperature over chips and touches; chips differ by 1 to 2.5 K
 MAX_SAMPLE_VALUE = 1e6  # uT: the chips end at 1.3e5
 STEADINESS_RATIO = 3.0  # times: how much steadier one column must be to be the temperature where both could be
@@ -116,7 +117,12 @@ def _detected(path: Path, samples: np.ndarray) -> str:
     for order, column in (("binary", 0), ("ascii", 3)):
         values = samples.reshape(-1, CHIPS, 4)[..., column]
         values = values[(np.abs(values) < MAX_SAMPLE_VALUE).all(1)]
-        plausible = values.size and TEMPERATURES[0] <= values.min() and values.max() <= TEMPERATURES[1]
+        plausible = (
+            values.size
+            and TEMPERATURES[0] <= values.min()
+            and values.max() <= TEMPERATURES[1]
+            and ROOM_TEMPERATURES[0] <= values.mean() <= ROOM_TEMPERATURES[1]
+        )
         spread[order] = float(values.std()) if plausible and values.std() < SPREAD else math.inf
     best, other = sorted(spread, key=lambda order: spread[order])
     if not spread[best] * STEADINESS_RATIO < spread[other]:

@@ -1,0 +1,1 @@
+"""A world of other physics, in the layout of the authors' recordings."""
