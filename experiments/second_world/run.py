@@ -96,7 +96,7 @@ def train_in(folder: Path, args: SecondWorldArgs, errors: WorldErrors) -> dict[s
     """What `experiments.train` measures on touches of a world."""
     recordings, converted = folder / "recordings", folder / "data"
     write_recordings(recordings, args, errors)
-    _must(convert, "imagine2touch", str(recordings), str(converted), "--overwrite")
+    _must(convert, "imagine2touch", str(recordings), str(converted), "--force")
     words = ["--dataset", str(converted), "--out", str(folder / "train"), "--seeds", "1", "--overwrite"]
     _must(train.main, *words, *(["--preset", "debug"] if args.preset == "debug" else []))
     found = _finished(folder / "train")
