@@ -15,7 +15,7 @@ import math
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -213,15 +213,43 @@ def tip_patches(profile: Profile, x: np.ndarray, y: np.ndarray, window: float, r
     return result
 
 
+class _Columns(NamedTuple):
+    """Names of the columns that hold a board's values."""
+
+    values: tuple[str, ...]
+    ambient: tuple[str, ...]  # empty where the table has none
+
+
 def _rows(source: Path, chips: int, notes: ConversionLog) -> list[dict[str, Any]]:
-    values, ambient = (tuple(f"{kind}{chip}{axis}_uT" for chip in range(chips) for axis in "xyz") for kind in "ba")
+    """The table's presses; damaged rows are refused or left out as `notes` has it."""
+    header, lines = _read_table(source)
+    columns = _check_header(source, header, chips, notes)
+    rows: list[dict[str, Any]] = []
+    for number, line in lines:
+        try:
+            rows.append(_row(source, number, line, columns))
+        except DataError as error:
+            notes.skip(error)
+    rows = _of_positive_depth(source, rows, notes)
+    if not rows:
+        raise DataError(f"{source}: holds no press; give at least one row")
+    return rows
+
+
+def _read_table(source: Path) -> tuple[list[str], list[tuple[int, dict[str, Any]]]]:
+    """Names of the columns, and the rows with their numbers in the file."""
     try:
         table = csv.DictReader(read_text(source).splitlines(), strict=True)
         header = ["session" if name.strip() == "run" else name.strip() for name in table.fieldnames or ()]
         table.fieldnames = header
-        lines = [(table.line_num, line) for line in table]
+        return header, [(table.line_num, line) for line in table]
     except csv.Error as error:
         raise DataError(f"{source}: is no comma-separated table ({error}); save it as CSV") from error
+
+
+def _check_header(source: Path, header: list[str], chips: int, notes: ConversionLog) -> _Columns:
+    """The columns of a board's values; a table that lacks some, or has those of another board, is refused."""
+    values, ambient = (tuple(f"{kind}{chip}{axis}_uT" for chip in range(chips) for axis in "xyz") for kind in "ba")
     missing = [name for name in PLACES + values if name not in header]
     if missing:
         raise DataError(f"{source}: column {', '.join(missing)} is missing; name columns as in docs/data.md")
@@ -241,27 +269,23 @@ def _rows(source: Path, chips: int, notes: ConversionLog) -> list[dict[str, Any]
     unknown = [name for name in header if name not in known]
     if unknown:
         notes.info(f"left out: columns {', '.join(unknown)}, which have no meaning here")
-    rows: list[dict[str, Any]] = []
-    for number, line in lines:
-        try:
-            if None in line or None in line.values():
-                raise DataError(f"{source}: line {number} has not {len(header)} fields; give one for each column")
-            row: dict[str, Any] = {name: _number(source, number, name, line[name]) for name in PLACES}
-            row["force_N"] = (
-                _number(source, number, "force_N", line["force_N"]) if line.get("force_N", "").strip() else math.nan
-            )
-            reading = np.array([_number(source, number, name, line[name]) for name in values])
-            if has_ambient:
-                reading -= [_number(source, number, name, line[name]) for name in ambient]
-            row |= {kind: (line.get(kind) or kind).strip() for kind in NAME_COLUMNS}
-            row |= {"reading": reading, "line": number}
-            rows.append(row)
-        except DataError as error:
-            notes.skip(error)
-    rows = _of_positive_depth(source, rows, notes)
-    if not rows:
-        raise DataError(f"{source}: holds no press; give at least one row")
-    return rows
+    return _Columns(values, ambient if has_ambient else ())
+
+
+def _row(source: Path, number: int, line: dict[str, Any], columns: _Columns) -> dict[str, Any]:
+    """One press: numbers by the names of their columns, names, its reading (uT), and its line in the file."""
+    if None in line or None in line.values():
+        fields = sum(name is not None for name in line)
+        raise DataError(f"{source}: line {number} has not {fields} fields; give one for each column")
+    row: dict[str, Any] = {name: _number(source, number, name, line[name]) for name in PLACES}
+    row["force_N"] = (
+        _number(source, number, "force_N", line["force_N"]) if line.get("force_N", "").strip() else math.nan
+    )
+    reading = np.array([_number(source, number, name, line[name]) for name in columns.values])
+    if columns.ambient:
+        reading -= [_number(source, number, name, line[name]) for name in columns.ambient]
+    row |= {kind: (line.get(kind) or kind).strip() for kind in NAME_COLUMNS}
+    return row | {"reading": reading, "line": number}
 
 
 def _number(source: Path, line: int, column: str, text: str) -> float:
