@@ -1,9 +1,9 @@
 """How a command ends: its exit code, and the sentence that goes with it.
 
-    0    it did what was asked
-    1    it began and failed: a device, the disk, or a goal that was missed
-    2    it was used wrongly: options, files or folders with which it cannot do what was asked
-    130  Ctrl-C
+0    it did what was asked
+1    it began and failed: a device, the disk, or a goal that was missed
+2    it was used wrongly: options, files or folders with which it cannot do what was asked
+130  Ctrl-C
 """
 
 import sys
