@@ -27,7 +27,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 # Factors of a few hundred rows are too small to share, as in experiments.train.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -45,7 +45,8 @@ from i2t.types import Board
 from i2t.unknowns import RecordedPresses
 from i2t.unknowns.chip_field import STAGES
 
-QUESTIONS = ("lag", "height", "swap", "stage", "flip", "since")
+Question = Literal["lag", "height", "swap", "stage", "flip", "since"]
+QUESTIONS: tuple[Question, ...] = get_args(Question)
 UNKNOWNS_KINDS = ("bonded", "loose", "uniform", "weak", "lattice")
 NOT_ASKED = (("height", "lattice"),)  # its readings jump at first contact, as no skin's do
 UNKNOWNS_SEED = 316  # of the skins
@@ -64,7 +65,7 @@ class UnknownsArgs:
     cases: int = 10  # skins of each kind
     presses: int = 160  # of each skin
     kinds: tuple[str, ...] = UNKNOWNS_KINDS
-    questions: tuple[Literal["lag", "height", "swap", "stage", "flip", "since"], ...] = QUESTIONS
+    questions: tuple[Question, ...] = QUESTIONS
     overwrite: bool = False
 
 

@@ -77,7 +77,7 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
     curves = _curves(pair, pool, test, cfg.counts, [(args.seed, draw) for draw in range(cfg.draws)])
 
     by_session = {name: report.warning_metrics(found) for name, found in warnings.items()}
-    metrics = {
+    metrics: dict[str, Any] = {
         "source": datasets["later"].source,
         "seed": args.seed,
         "draws": cfg.draws,

@@ -19,7 +19,11 @@ BOARD = boards.reskin_board()
 def simulated(seed: int, n: int) -> tuple:
     pad, rng = sample_pad(jax.random.key(seed)), np.random.default_rng(seed)
     presses = Presses(jnp.float32(rng.uniform(-7e-3, 7e-3, (n, 2))), jnp.float32(rng.uniform(0.2e-3, 0.8e-3, n)))
-    read = jax.jit(jax.vmap(lambda position, depth: press(pad, TIP.height(position, COARSE), depth, grid=COARSE).reading))
+
+    def reading(position: jax.Array, depth: jax.Array) -> jax.Array:
+        return press(pad, TIP.height(position, COARSE), depth, grid=COARSE).reading
+
+    read = jax.jit(jax.vmap(reading))
     return pad, presses, read(*presses) + jnp.float32(rng.normal(size=(n, 15)))
 
 
