@@ -236,7 +236,7 @@ def load_dataset(path: str | Path, *, skip_bad: bool = False, missing_chips: boo
 
 def _with_all_chips(path: Path, dataset: Dataset, skip_bad: bool) -> Dataset:
     """The touches in which every chip answered; DataError where that are not all, unless they are to be left out."""
-    fields = dataset.touches.reading.reshape(len(dataset), -1, 3)
+    fields = dataset.touches.reading.reshape(len(dataset), len(dataset.board.chips), 3)
     silent = np.isnan(fields).any(2)
     gone = silent.any(1)
     if not gone.any():

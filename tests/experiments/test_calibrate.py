@@ -305,7 +305,7 @@ def test_what_is_odd_about_loads_is_said_before_anything_is_computed(change, sai
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"depth": np.full(60, np.nan)}, "no press has a known position and force"),
+        ({"T_w_t": np.full((60, 4, 4), np.nan)}, "no press has a known position and depth"),
         ({"force": np.zeros(60), "depth": np.full(60, np.nan)}, "every force is nil"),
     ],
 )

@@ -772,7 +772,7 @@ def test_the_monitor_runs(capsys, monkeypatch, tmp_path):
     shown = capsys.readouterr().out
     assert "replay" in shown
     assert "\x1b[21F\x1b[J" in shown  # drawn over the last picture
-    assert monitor.main(["--port", str(tmp_path / "nowhere")]) == 2
+    assert monitor.main(["--port", str(tmp_path / "nowhere")]) == 1
     assert capsys.readouterr().err.startswith("error: there is no port")
     assert monitor.main(["--list"]) == 0
 
