@@ -105,6 +105,7 @@ def test_slopes_are_differences_of_travels():
         assert np.abs(found.jacobian).max() > 0.5
 
 
+@pytest.mark.full
 def test_a_miss_is_all_zeros_and_no_nan():
     aside = pose(DOWN, [60e-3, 0, TOP])
     far = pose(DOWN, [0, 0, TOP + PAST + 4 * DELTA])

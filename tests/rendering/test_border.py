@@ -16,6 +16,7 @@ DOWN = np.diag([1.0, -1.0, -1.0, 1.0]).astype(np.float32)
 unchecked = getattr(render_patch, "__wrapped__", render_patch)  # without the tests' own check of shapes
 
 
+@pytest.mark.full
 def test_poses_that_are_not_rigid_give_no_image():
     """Scaled, singular, mirrored, sheared and transposed ones, and those with a number that is none, in one batch."""
     good = DOWN.copy()

@@ -112,6 +112,7 @@ def behind(z: np.ndarray, nearest: float) -> np.ndarray:
     return np.clip(np.where(np.isfinite(z), z, 1.0) - nearest, 0, REACH)
 
 
+@pytest.mark.full
 def test_runs_and_objects_are_counted(touches, progress_counts):
     assert touches.object.tolist() == [0] * 6 + [1] * 6
     assert touches.session.tolist() == [0, 0, 0, 0, 1, 1, 2, 2, 2, 2, 3, 3]
@@ -132,6 +133,7 @@ def test_the_camera_sees_the_object_where_it_stands(touches, true_poses, heights
         assert -ROUNDING < touches.nearest[i] - z[PATCH, PATCH].min() < 2 * 2 * PITCH
 
 
+@pytest.mark.full
 def test_a_press_ends_past_first_contact_by_indentation_and_compliance(touches, true_poses, met, solids):
     first = jax.jit(lambda surface, T: sites.press_along(surface, T, T[:3, 2]))
     for i in np.flatnonzero(met):
@@ -156,6 +158,7 @@ def test_the_truth_is_what_the_skin_met(touches, true_poses, met, heights):
         assert abs(truth.nearest[i] + truth.indentation[i]) < LATE
 
 
+@pytest.mark.full
 def test_presses_end_at_the_limit(touches, met):
     truth = touches.truth
     assert (touches.code[met] == ReturnCode.SKIN).all()
@@ -203,6 +206,7 @@ def test_a_pad_softens_from_session_to_session(solids, pad, touches, met):
     np.testing.assert_allclose(worn.reading[met], touches.reading[met] * expected[met, None], rtol=1e-4, atol=1e-3)
 
 
+@pytest.mark.full
 def test_what_lies_too_low_is_air(touches, met, true_poses, solids):
     air = np.flatnonzero(~met)
     assert len(air)
@@ -232,6 +236,7 @@ def test_a_dull_pad_stops_by_force_and_a_senseless_one_at_the_deepest(solids, pa
     np.testing.assert_allclose(touches.truth.indentation[ball], LIMITS.indentation * pad.thickness, rtol=1e-5)
 
 
+@pytest.mark.full
 def test_the_key_is_all_there_is_to_chance(touches, solids, pad):
     few = many(jax.random.key(SEED), solids[:1], pad, n=[3])  # and fewer touches are the first ones
     for name in ("patch", "reading", "force", "depth", "T_w_t", "code"):
