@@ -94,12 +94,11 @@ def test_presses_saved_are_read_off_the_curves():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(
-    "depth", [np.zeros(400), np.resize([0.5e-3, 1e-3, 2e-3, 3e-3, 4e-3], 400)], ids=["one", "five"]
-)
-def test_presses_at_few_depths_are_calibrated_as_well(depth, tmp_path, capsys):
+@pytest.mark.parametrize("step", [np.inf, 1e-3], ids=["one", "five"])
+def test_presses_at_few_depths_are_calibrated_as_well(step, tmp_path, capsys):
     """And what cross-validation makes of the methods is no worse than the plain process or neighbours, within 0.03."""
     made = recording(400)
+    depth = step * np.round(made.touches.depth / step) if np.isfinite(step) else np.zeros(400)
     data.save_dataset(tmp_path / "set.h5", replace(made, touches=made.touches._replace(depth=depth, nearest=-depth)))
     args = ["--dataset", str(tmp_path / "set.h5"), "--out", str(tmp_path / "out"), "--preset", "debug"]
     assert calibrate.main(args) == 0
