@@ -8,8 +8,9 @@ iterations stopped early, so that they stay wide.
 """
 
 import time
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -47,7 +48,8 @@ ANCHORS: dict[str, SkinKernels] = {
 }  # fmt: skip
 
 
-class PriorSearch(NamedTuple):
+@dataclass(frozen=True)
+class PriorSearch:
     """How much is tried."""
 
     skins: int = 8  # of each kind

@@ -107,7 +107,9 @@ def find_height_drift(presses: RecordedPresses, zero: float) -> Finding:
     if presses.height is None or len(presses.height) < 2 * MIN_ZERO_PRESSES:
         return Finding(HEIGHT_DRIFT, "A drift of the height zero is not identifiable: too few heights.", False)
     rows = thinned(len(presses.height), 2 * HEIGHT_SUBSET_PRESSES)
-    time = np.arange(len(presses.height), dtype=float) if presses.seconds is None else presses.seconds
+    time = np.arange(len(presses.height), dtype=float)
+    if presses.seconds is not None and float(np.ptp(presses.seconds)) > 0:  # else a clock that stands still
+        time = np.asarray(presses.seconds, np.float64)
     span = max(float(time[-1] - time[0]), 1e-9)
     chosen = presses.rows(rows)
     depth = zero - np.asarray(chosen.height, np.float64)
