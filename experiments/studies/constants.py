@@ -45,7 +45,7 @@ POSITION_FACTORS = (0.5, 2.0)  # of the standard deviations of positions
 PARTICLE_COUNTS = (32, 64, 256, 512)
 STD_RATIOS = (0.35, 0.7)
 SCALE_LOG_STD = (0.35, 1.4)
-PLANAR_INFLATIONS = (1.0, 1.3, 1.7, 2.5)
+PLANAR_INFLATIONS, DEBUG_INFLATIONS = (1.0, 1.3, 1.7, 2.5), (1.0, 1.7)
 CONSTANT_KINDS = ("likelihood", "particles", "scale", "planar")
 
 
@@ -63,7 +63,7 @@ def evaluate(lab: StudyLab) -> Part:
     """Beliefs on the validation objects with every value of every constant."""
     surfaces = prepare_surfaces(list(meshes_by_name(lab.cfg.validation).values()))
     lab = replace(lab, names=lab.cfg.validation, surfaces=surfaces)
-    key_sites, key_episodes, key_chosen = jax.random.split(lab.key, 3)
+    key_sites, key_episodes, key_chosen, key_planar = jax.random.split(lab.key, 4)
     plan = lab.plan(key_sites, key_chosen)
     episodes = lab.simulate(key_episodes, plan, "validation", errors=placed(lab, PLACEMENT_MM))
     beliefs = partial(beliefs_with, lab, plan, episodes)
@@ -71,8 +71,8 @@ def evaluate(lab: StudyLab) -> Part:
         "truth": plan.truth,
         "likelihood": likelihood_choices(lab.pad_model.likelihood, beliefs),
         "particles": particle_choices(beliefs, debug=lab.args.debug),
-        "scale": scale_choices(beliefs),
-        **planar_inflations(lab),
+        "scale": scale_choices(beliefs, debug=lab.args.debug),
+        **planar_inflations(replace(lab, key=key_planar)),
     }
 
 
@@ -115,15 +115,15 @@ def particle_choices(beliefs: Callable[..., dict[str, np.ndarray]], *, debug: bo
     found = {IN_USE: beliefs()[IN_USE]}
     for count in PARTICLE_COUNTS[:1] if debug else PARTICLE_COUNTS:
         found[str(ConstantChoice("num_particles", count))] = beliefs(num_particles=count)[IN_USE]
-    for ratio in STD_RATIOS:
+    for ratio in STD_RATIOS[:1] if debug else STD_RATIOS:
         found[str(ConstantChoice("std_ratio", ratio))] = beliefs(std_ratio=ratio)[IN_USE]
     return found
 
 
-def scale_choices(beliefs: Callable[..., dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+def scale_choices(beliefs: Callable[..., dict[str, np.ndarray]], *, debug: bool) -> dict[str, np.ndarray]:
     """Beliefs (e, conditions, t, objects) with narrower and wider priors of the placement's scale."""
     priors = {IN_USE: belief.SCALE_PRIOR}
-    for log_std in SCALE_LOG_STD:
+    for log_std in SCALE_LOG_STD[:1] if debug else SCALE_LOG_STD:
         priors[str(ConstantChoice("log_std", log_std))] = belief.SCALE_PRIOR._replace(log_std=log_std)
     stated = [Condition(PLACEMENT_MM, name).stated_mm for name in STATED_FACTORS]
     return {
@@ -138,7 +138,7 @@ def planar_inflations(lab: StudyLab) -> Part:
     presses = planar.draw_presses(lab, grid)
     episodes, predicted = planar.simulate_presses(lab, presses, grid), planar.predict_touches(lab, grid)
     found = {}
-    for value in PLANAR_INFLATIONS:
+    for value in DEBUG_INFLATIONS if lab.args.debug else PLANAR_INFLATIONS:
         name = IN_USE if value == grid.inflation else str(ConstantChoice("inflation", value))
         judge = planar.Judge(lab, predicted, replace(grid, inflation=value))
         found[name] = np.stack([judge.unknown(presses, episodes, i)[0] for i in range(len(presses.truth))])
