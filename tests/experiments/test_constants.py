@@ -1,11 +1,7 @@
-"""The study of the belief's constants: what it calls better, and that it runs."""
-
-import json
+"""The study of the belief's constants: what it calls better."""
 
 import numpy as np
-import pytest
 
-from experiments.studies import __main__ as studies
 from experiments.studies import constants
 
 EPISODES, TOUCHES, OBJECTS = 300, 4, 3
@@ -39,14 +35,3 @@ def test_conditions_count_alike_and_stay_with_their_episode():
     assert constants.calibrated_losses(good, TRUTH).mean() < both.mean()
     alike = constants.calibrated_losses(np.stack([good, good], axis=1), TRUTH)
     np.testing.assert_allclose(alike, constants.calibrated_losses(good, TRUTH), rtol=1e-3)
-
-
-@pytest.mark.full
-@pytest.mark.usefixtures("pad_models_fitted_once")
-def test_it_runs(trained_run, tmp_path):
-    out = tmp_path / "constants"
-    assert studies.main(["constants", "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]) == 0
-    metrics = json.loads((out / "metrics.json").read_text())
-    assert set(metrics["constants"]) == set(constants.CONSTANT_KINDS)
-    assert set(metrics["constants"]["planar"]) == {"in use", "inflation = 1"}
-    assert metrics["constants"]["likelihood"]["dof = 4"]["lower_by"]["mean"] != 0
