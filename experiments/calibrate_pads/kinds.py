@@ -24,7 +24,7 @@ from experiments.calibrate_pads.simulate import BALL_TIP, FORCE_ERROR_N, POSITIO
 from i2t.calibration import lattice
 from i2t.skin import boards
 from i2t.skin.pad import press, sample_pad
-from i2t.types import Board, Pad
+from i2t.types import Pad
 
 SKIN_KINDS = ("bonded", "loose", "uniform", "weak", "lattice", "displaced")
 LAYER_HALF_EDGE_M, LATTICE_HALF_EDGE_M = 8e-3, 15e-3
@@ -84,8 +84,10 @@ def _layers(kind: str, key: Key[Array, ""], rng: np.random.Generator, skins: int
     shifted = jnp.float32(position + POSITION_ERROR_M * rng.normal(size=position.shape))
     found = _press_pads(pads, shifted, jnp.float32(depth))
     readings, force = (np.asarray(part, np.float64) for part in found)
-    finish = _displaced if kind == "displaced" else _sound
-    return [finish(kind, rng, board, *one) for one in zip(position, depth, force, readings, strict=True)]
+    finish = _displaced if kind == "displaced" else _measured
+    chips = np.asarray(board.chips[:, :2], np.float64)
+    pressed = zip(position, depth, force, readings, strict=True)
+    return [finish(rng, PressedSkinOfKind(kind, *one, chips)) for one in pressed]
 
 
 @partial(jax.jit, static_argnums=1)
@@ -127,60 +129,42 @@ def _press_pads(
     return jax.lax.map(skin, (pads, position, depth))
 
 
-def _sound(
-    kind: str,
-    rng: np.random.Generator,
-    board: Board,
-    position: np.ndarray,
-    depth: np.ndarray,
-    force: np.ndarray,
-    readings: np.ndarray,
-) -> PressedSkinOfKind:
-    """What a lab has of presses without faults."""
-    zero = HEIGHT_ZERO_ERROR * depth.max() * rng.normal()
-    believed = np.maximum(depth + zero + DEPTH_ERROR_M * rng.normal(size=depth.shape), 0)
-    measured = np.maximum(force + FORCE_ERROR_N * rng.normal(size=force.shape), 0)
-    noisy = readings + PRESS_NOISE_UT * rng.normal(size=readings.shape)
-    return PressedSkinOfKind(
-        kind, position, believed, measured, noisy, np.asarray(board.chips[:, :2], np.float64), zero
-    )
+def _measured(rng: np.random.Generator, skin: PressedSkinOfKind) -> PressedSkinOfKind:
+    """What a lab has of exact presses."""
+    zero = HEIGHT_ZERO_ERROR * skin.depth.max() * rng.normal()
+    depth = np.maximum(skin.depth + zero + DEPTH_ERROR_M * rng.normal(size=skin.depth.shape), 0)
+    force = np.maximum(skin.force + FORCE_ERROR_N * rng.normal(size=skin.force.shape), 0)
+    readings = skin.readings + PRESS_NOISE_UT * rng.normal(size=skin.readings.shape)
+    return skin._replace(depth=depth, force=force, readings=readings, zero=zero)
 
 
-def _displaced(
-    kind: str,
-    rng: np.random.Generator,
-    board: Board,
-    position: np.ndarray,
-    depth: np.ndarray,
-    force: np.ndarray,
-    readings: np.ndarray,
-) -> PressedSkinOfKind:
+def _displaced(rng: np.random.Generator, skin: PressedSkinOfKind) -> PressedSkinOfKind:
     """What a lab has of a board as two real ones were described."""
-    n, c = readings.shape
-    rms = np.sqrt(np.mean(readings**2))
-    sound = _sound(kind, rng, board, position, depth, force, readings)
+    n, c = skin.readings.shape
+    rms = np.sqrt(np.mean(skin.readings**2))
+    measured = _measured(rng, skin)
     # Friction and a skin that lifts: what is pressed at one depth jumps within the session, and the reading follows
     # the force.
     state = np.cumsum(rng.random(n) < 0.05) % 2
-    depth_label = sound.depth * np.where(state, JUMP ** (-2 / 3), 1.0)
+    depth = measured.depth * np.where(state, JUMP ** (-2 / 3), 1.0)
     amount, length = rng.uniform(0.2, 0.7) * rms, rng.uniform(2.5e-3, 7e-3)
-    still = amount * _smooth_field(rng, position, length, c)
+    still = amount * _smooth_field(rng, skin.position, length, c)
     constant = rng.uniform(0.05, 0.4) * rms * rng.normal(size=c)
     unexplained = 1 + 0.2 * rng.normal(size=(n, 1)) + 0.1 * rng.normal(size=(n, c))
-    felt = unexplained * (sound.readings + still) + constant
+    felt = unexplained * (measured.readings + still) + constant
     chip = rng.integers(c // 3)
     own = slice(3 * chip, 3 * chip + 3)
     slipped = 35 * np.clip(rng.standard_t(3, size=(n, 3)) / 2, -1, 1) * (rng.random((n, 1)) < 0.5)
     for i in range(1, n):
         felt[i, own] += rng.uniform(0.2, 0.4) * felt[i - 1, own]
     felt[:, own] += slipped
-    return sound._replace(depth=depth_label, readings=felt)
+    return measured._replace(depth=depth, readings=felt)
 
 
 def _lattices(key: Key[Array, ""], rng: np.random.Generator, skins: int, n: int) -> list[PressedSkinOfKind]:
     """Skins of four moving magnets."""
     half = LATTICE_HALF_EDGE_M
-    board = boards.anyskin_board(depth=0.0)
+    chips = np.asarray(boards.anyskin_board(depth=0.0).chips[:, :2], np.float64)
     position = rng.uniform(-half, half, (skins, n, 2))
     depth = rng.uniform(*LATTICE_DEPTHS_M, (skins, n))
     found = []
@@ -193,7 +177,7 @@ def _lattices(key: Key[Array, ""], rng: np.random.Generator, skins: int, n: int)
         stiffness = LATTICE_NEWTON_PER_M * np.exp(0.3 * rng.normal())
         force = stiffness * true * (true / 2e-3) ** rng.uniform(0.0, 0.6)
         readings = rng.uniform(*LATTICE_RMS_UT) * felt * (1 + 0.03 * rng.normal(size=felt.shape))
-        found.append(_sound("lattice", rng, board, at, d, force, readings))
+        found.append(_measured(rng, PressedSkinOfKind("lattice", at, d, force, readings, chips)))
     return found
 
 

@@ -28,7 +28,6 @@ from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise
 from i2t.viz import style
 
-STDS_OF_MAD = 1.4826  # standard deviations of a normal distribution in its median absolute deviation
 MIN_STILL_ROWS = 20
 REPEAT_DISTANCE_M = 0.15e-3  # of presses that count as repeated
 REPEAT_LOAD_SHARE = 0.04  # of the load's range

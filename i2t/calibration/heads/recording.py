@@ -247,7 +247,7 @@ def read_table(path: Path) -> SkinRecording:
     Raises:
         DataError: it is no such table, or no row has a finite reading.
     """
-    lines = list(csv.reader(read_text(path).splitlines()))
+    lines = _lines(path)
     header = [name.strip() for name in lines[0]] if lines else []
     columns = {name: i for i, name in enumerate(header)}
     values = np.array([_numbers(line, len(header)) for line in lines[1:]]).reshape(-1, len(header))
@@ -269,7 +269,8 @@ def read_table(path: Path) -> SkinRecording:
     if runs is not None:
         session = np.unique([line[runs] if runs < len(line) else "" for line in lines[1:]], return_inverse=True)[1]
     time = values[:, columns["time_s"]] if "time_s" in columns else np.full(len(values), np.nan)
-    return _finite(path.name.split(".")[0], readings, targets, session=session, time=time, notes=[], where=path)
+    recording = _recording(path.name.split(".")[0], readings, targets, session=session, time=time, notes=[])
+    return _finite(recording, path)
 
 
 def read_eflesh_session(folder: Path) -> SkinRecording:
@@ -316,50 +317,35 @@ def read_eflesh_session(folder: Path) -> SkinRecording:
         notes += [f"assumed: depth counts from the highest z, {1e3 * np.nanmax(place[:, 2]):.3f} mm"]
         targets |= {"depth": (np.nanmax(place[:, 2]) - place[:, 2])[:, None], "force": load[:, None]}
     loaded = states.shape[1] > 4
-    return _finite(
+    recording = _recording(
         folder.name,
         readings,
         targets,
         session=_strokes(states[:, 0], place[:, 2]) if loaded else np.zeros(len(states), int),
         time=states[:, 0],
         notes=notes,
-        where=folder,
         baseline=_baseline(folder, values),
     )
+    return _finite(recording, folder)
 
 
-def _finite(
-    name: str,
-    readings: np.ndarray,
-    targets: dict[str, np.ndarray],
-    *,
-    session: np.ndarray,
-    time: np.ndarray,
-    notes: list[str],
-    where: Path,
-    baseline: np.ndarray | None = None,
-) -> SkinRecording:
+def _finite(recording: SkinRecording, where: Path) -> SkinRecording:
     """A recording without the rows that are damaged; values that no sensor sends are damage too."""
+    readings, notes = recording.readings, recording.notes
     with np.errstate(invalid="ignore"):
-        good = (np.abs(readings) < MAX_VALUE).all(1)
-        dead = ~(np.abs(readings) < MAX_VALUE).any(0)
+        sent = np.abs(readings) < MAX_VALUE
+    dead = ~sent.any(0)
     if dead.any() and not dead.all():
         readings = np.where(dead[None], 0.0, readings)
-        good = (np.abs(readings) < MAX_VALUE).all(1)
-        notes = [*notes, f"channels {', '.join(map(str, np.flatnonzero(dead)))} hold no number: taken as zero"]
+        sent = sent | dead[None]
+        notes = (*notes, f"channels {', '.join(map(str, np.flatnonzero(dead)))} hold no number: taken as zero")
+    good = sent.all(1)
     if not good.any():
         raise DataError(f"{where}: no row has a finite reading; record it again")
     if not good.all():
-        notes = [*notes, f"left out: {np.sum(~good)} rows whose reading is not finite, first row {np.argmin(good) + 1}"]
-    return _recording(
-        name,
-        readings[good],
-        {key: values[good] for key, values in targets.items()},
-        session=session[good],
-        time=time[good],
-        notes=notes,
-        baseline=None if baseline is None else baseline[good],
-    )
+        notes = (*notes, f"left out: {np.sum(~good)} rows whose reading is not finite, first row {np.argmin(good) + 1}")
+    kept = replace(recording, readings=readings, notes=notes).rows(good)
+    return replace(kept, targets={name: values for name, values in kept.targets.items() if kept.known(name).any()})
 
 
 def _recording(
@@ -401,6 +387,14 @@ def _recording(
     )
 
 
+def _lines(path: Path) -> list[list[str]]:
+    """The cells of a table's lines."""
+    try:
+        return list(csv.reader(read_text(path).splitlines()))
+    except csv.Error as error:
+        raise DataError(f"{path}: is no comma-separated table ({error}); save it as CSV") from error
+
+
 def _numbers(cells: list[str], count: int) -> list[float]:
     """The numbers of a line; NaN for what is none."""
 
@@ -418,7 +412,7 @@ def _loose_table(folder: Path, name: str) -> np.ndarray:
     path = next((file for file in (folder / f"{name}.csv", folder / f"{name}.csv.gz") if file.is_file()), None)
     if path is None:
         raise DataError(f"{folder}: {name}.csv or {name}.csv.gz is missing")
-    lines = [line for line in csv.reader(read_text(path).splitlines()) if line]
+    lines = [line for line in _lines(path) if line]
     if not lines:
         raise DataError(f"{path}: holds no row; restore it from the source")
     width = Counter(map(len, lines)).most_common(1)[0][0]
