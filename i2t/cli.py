@@ -1,19 +1,135 @@
-"""How a command ends: its exit code, and the sentence that goes with it.
+"""How a command begins and ends: what its options allow, its exit code, and the sentence that goes with it.
 
 0    it did what was asked
 1    it began and failed: a device, the disk, or a goal that was missed
 2    it was used wrongly: options, files or folders with which it cannot do what was asked
 130  Ctrl-C
+
+Options are fields of a dataclass. What numbers a field allows is part of its type (`Count`, `Seed`, `Probability` or
+`Annotated[float, Limits(...)]`), so that `check_options` can refuse others before anything large is imported.
 """
 
+import ast
+import importlib.util
+import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+import typing
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
 
 from i2t.errors import DeviceError
 
 FAILED, WRONG_USE, INTERRUPTED_BY_USER = 1, 2, 130  # exit codes
 NAMED_WRONGLY = (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Numbers that an option allows, part of its type."""
+
+    least: int | float = -math.inf
+    most: int | float = math.inf
+    above: bool = False  # whether the least itself is too small
+
+    def allow(self, value: int | float) -> bool:
+        """Whether a number is within the limits.
+
+        Args:
+            value: Any number.
+
+        Returns:
+            Whether it is; NaN never is.
+        """
+        return (value > self.least if self.above else value >= self.least) and value <= self.most
+
+    def __str__(self) -> str:
+        if self.most < math.inf:
+            return (
+                f"more than {self.least:g} and at most {self.most:.10g}"
+                if self.above
+                else f"{self.least:g} to {self.most:.10g}"
+            )
+        return f"more than {self.least:g}" if self.above else f"at least {self.least:g}"
+
+
+Count: TypeAlias = Annotated[int, Limits(1)]
+Seed: TypeAlias = Annotated[int, Limits(0, 2**31 - 1)]
+Positive: TypeAlias = Annotated[float, Limits(0, above=True)]
+NotNegative: TypeAlias = Annotated[float, Limits(0)]
+Probability: TypeAlias = Annotated[float, Limits(0, 1)]
+
+
+def check_options(options: Any, given: Sequence[str] = ()) -> None:
+    """Refuse numbers outside their limits, and lists that were named and left empty.
+
+    Args:
+        options: A dataclass as a command line was read into it; groups of options are dataclasses in it.
+        given: The words of the command line.
+
+    Raises:
+        ValueError: A number, NaN or an empty list; the message names its flag.
+    """
+    for flag, hint, value in _options(options):
+        limits = _limits(hint)
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, bool) or not isinstance(number, int | float):
+                continue
+            if limits is not None and not limits.allow(number):
+                raise ValueError(f"--{flag} is {number:.10g}; give {limits}")
+            if math.isnan(number):
+                raise ValueError(f"--{flag} is not a number; give one")
+        if value == () and any(word.replace("_", "-") == f"--{flag}" for word in given):
+            raise ValueError(f"--{flag} names nothing; give one value at least, or leave it out")
+
+
+def require_path(flag: str, path: Path | None, what: str = "file or folder") -> None:
+    """Refuse a path that does not exist.
+
+    Args:
+        flag: The option that names it, such as `--pad`.
+        path: As given; None where the option was left out.
+        what: What should be there.
+
+    Raises:
+        ValueError: Nothing is there.
+    """
+    if path is not None and not path.exists():
+        raise ValueError(f"{flag} {path}: there is no such {what}; check the name")
+
+
+def require_with(flag: str, given: bool, needed: str, holds: bool) -> None:
+    """Refuse an option that has no effect without another.
+
+    Args:
+        flag: The option.
+        given: Whether it was given.
+        needed: The option without which it has no effect, as a user types it.
+        holds: Whether that was given.
+
+    Raises:
+        ValueError: The option has no effect.
+    """
+    if given and not holds:
+        raise ValueError(f"{flag} has no effect without {needed}; pass both, or leave {flag} out")
+
+
+@cache
+def docstring_of(module: str) -> str:
+    """The docstring of a module that is not imported.
+
+    Args:
+        module: Its name.
+
+    Returns:
+        The text, "" where it has none.
+    """
+    spec = importlib.util.find_spec(module)
+    if spec is None or spec.origin is None:
+        return ""
+    return ast.get_docstring(ast.parse(Path(spec.origin).read_text())) or ""
 
 
 def exit_code_of(work: Callable[[], Any], interrupted: str = "interrupted") -> int:
@@ -38,6 +154,9 @@ def exit_code_of(work: Callable[[], Any], interrupted: str = "interrupted") -> i
     except KeyboardInterrupt:
         print(f"\n{interrupted}", file=sys.stderr)
         return INTERRUPTED_BY_USER
+    except MemoryError:
+        print("error: the memory of this machine is used up; ask for less at a time", file=sys.stderr)
+        return FAILED
     return code if isinstance(code, int) else 0
 
 
@@ -56,3 +175,23 @@ def renamed_flags(args: Sequence[str], renamed: Mapping[str, str]) -> None:
         if flag in renamed:
             print(f"error: {flag} is called {renamed[flag]} now", file=sys.stderr)
             raise SystemExit(WRONG_USE)
+
+
+def _options(options: Any, group: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Flag, type and value of every option, those of groups as `settings.press`."""
+    hints = typing.get_type_hints(type(options), include_extras=True)
+    for each in fields(options):
+        value = getattr(options, each.name)
+        flag = group + each.name.replace("_", "-")
+        if is_dataclass(value):
+            yield from _options(value, f"{flag}.")
+        else:
+            yield flag, hints[each.name], value
+
+
+def _limits(hint: Any) -> Limits | None:
+    """The limits in a type, or in one that it is made of."""
+    for note in getattr(hint, "__metadata__", ()):
+        if isinstance(note, Limits):
+            return note
+    return next((found for part in typing.get_args(hint) if (found := _limits(part)) is not None), None)

@@ -25,7 +25,28 @@ REACH = 4e-3  # m, depth of a patch behind the nearest surface point
 STANDOFF = 40e-3  # m, rays start this far behind the tool origin
 PAD_WINDOW = 20e-3  # m, edge of the skin
 RIGID = 1e-3  # by which products of a rotation's columns may miss 1 and 0: 4 um at the rim of a patch
-NO_OBJECT = -1  # index of an unknown object, pad or session
+
+
+def one_line(values: tuple) -> str:
+    """A named tuple of arrays as people want to see it: shapes and types in place of numbers.
+
+    Args:
+        values: The named tuple.
+
+    Returns:
+        One line.
+    """
+    parts = []
+    for name, value in zip(values._fields, values, strict=True):  # type: ignore[attr-defined]  # a named tuple's
+        shape = getattr(value, "shape", None)
+        if shape is None:
+            text = repr(value)
+        elif shape == () and hasattr(value, "item") and "Tracer" not in type(value).__name__:
+            text = f"{value.item():.6g}" if hasattr(value, "dtype") and value.dtype.kind in "fiu" else str(value)
+        else:
+            text = f"{'x'.join(map(str, shape)) or 'scalar'} {getattr(value, 'dtype', '')}".rstrip()
+        parts.append(f"{name}={text}")
+    return f"{type(values).__name__}({', '.join(parts)})"
 
 
 class Surface(NamedTuple):
@@ -40,6 +61,9 @@ class Surface(NamedTuple):
     boxes: Float[Any, "*batch groups 6 32"] | None = None  # m, of 32 clusters
     groups: Float[Any, "*batch 6 words"] | None = None  # m; groups rounded up to whole words of 32
 
+    def __repr__(self) -> str:
+        return one_line(self)
+
 
 class Patch(NamedTuple):
     """What lies in front of the skin, seen along tool z: row i along tool y, column j along tool x, pixel centres at
@@ -48,6 +72,9 @@ class Patch(NamedTuple):
 
     depth: Float[Any, "*batch n n"]  # m behind the nearest surface point, clipped to the reach; no surface = reach
     nearest: Float[Any, "*batch"]  # m, signed distance of that point from the tool origin along tool z; +inf for none
+
+    def __repr__(self) -> str:
+        return one_line(self)
 
 
 class Board(NamedTuple):
@@ -63,6 +90,9 @@ class Board(NamedTuple):
 
     chips: Float[Any, "*batch chips 3"]  # m, in the tool frame; z is negative, below the skin's surface
     rotations: Float[Any, "*batch chips 3 3"]
+
+    def __repr__(self) -> str:
+        return one_line(self)
 
     @property
     def num_chips(self) -> int:
@@ -116,6 +146,9 @@ class Pad(NamedTuple):
     friction: Float[Any, "*batch"]  # coefficient of Coulomb friction of the skin; 0 is frictionless
     mount_compliance: Float[Any, "*batch"]  # m/N by which the middle of a skin clamped at its edge sinks; 0 is bonded
 
+    def __repr__(self) -> str:
+        return one_line(self)
+
 
 class Truth(NamedTuple):
     """What only a simulation knows of a touch: the ceiling that an ideal observer would reach."""
@@ -125,6 +158,9 @@ class Truth(NamedTuple):
     force: Float[Any, "*n"]  # N
     indentation: Float[Any, "*n"]  # m, of the skin
     reading: Float[Any, "*n c"]  # uT, without noise or ambient
+
+    def __repr__(self) -> str:
+        return one_line(self)
 
 
 class Touches(NamedTuple):
@@ -147,6 +183,9 @@ class Touches(NamedTuple):
     session: Int[Any, "*n"]  # index into its session names (a session: a recording with one placement of an object)
     code: Int[Any, "*n"]  # a `ReturnCode`
     truth: Truth | None = None
+
+    def __repr__(self) -> str:
+        return one_line(self)
 
 
 class ReturnCode(IntEnum):

@@ -23,7 +23,8 @@ jax.config.update("jax_debug_key_reuse", True)
 
 MAPS = Path("/proc/self/maps")
 # The fast tier compiles much and computes little: what the compiler spends on fast code, it does not earn back. The
-# full tier computes more, and some of its sums in single precision are right only in the compiler's usual order.
+# full tier computes more, and some of its sums in single precision are right only in the compiler's usual order; but
+# where its tests run whole commands on debug presets, or devices, they too compile more than they compute.
 FAST_COMPILATION = " ".join(
     (
         "--xla_backend_optimization_level=0",
@@ -31,6 +32,7 @@ FAST_COMPILATION = " ".join(
         "--xla_cpu_parallel_codegen_split_count=1",
     )
 )
+COMMANDS = ("collect", "contract", "convert", "emulators", "experiments", "hardware", "test_docs.py", "test_examples.py")
 # Longest first, so that no worker is left with one of them at the end. They share a finished run.
 SLOW = ("test_train.py", "test_recognize.py", "test_studies.py", "test_examples.py")
 
@@ -74,6 +76,14 @@ def pytest_collection_modifyitems(config, items):
 def _named(config) -> bool:
     """Whether single tests were asked for by their names."""
     return any("::" in arg for arg in config.args)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    """Without most of the compiler's optimisations, here and in commands that a test starts, where commands run."""
+    cheap = item.path.relative_to(Path(__file__).parent).parts[0] in COMMANDS
+    jax.config.update("jax_disable_most_optimizations", cheap)
+    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(int(cheap))
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import i2t
-from experiments.train import run as train
+from experiments.train import __main__ as train
 from i2t.skin.boards import grid_board, same_board
 from i2t.skin.elasticity import GRID
 

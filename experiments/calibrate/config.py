@@ -2,9 +2,14 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal, TypeAlias
 
+from experiments.common.checks import require_dataset
 from experiments.common.presets import choose_preset
+from i2t.cli import Count, Limits, NotNegative, Seed, require_path, require_with
+
+TARGET_NAMES = ("position", "depth", "force", "shear", "contact", "slip")  # as `i2t.calibration.heads` has them
+PressCount: TypeAlias = Annotated[int, Limits(2)]
 
 
 @dataclass(frozen=True)
@@ -44,17 +49,51 @@ class CalibrateArgs:
     preset: Literal["paper", "short", "debug"] = "paper"
     load: Literal["auto", "depth", "force"] = "auto"  # what says how hard was pressed; auto: depth where measured
     previous_session: Path | None = None  # a data set of an earlier session of the same skin with the same tip
-    presses: tuple[int, ...] = ()  # how many to calibrate with; by default what the preset says
-    draws: int = 0  # of the presses to calibrate with; 0: what the preset says
-    period_mm: float = 0.0  # of a lattice along x and y, where it is known: another row of the table; 0: none
-    seed: int = 0  # of what is held out and of the draws
+    presses: tuple[PressCount, ...] = ()  # how many to calibrate with; by default what the preset says
+    draws: Count | None = None  # of the presses to calibrate with, in place of the preset's
+    period_mm: NotNegative = 0.0  # of a lattice along x and y, where it is known: another row of the table; 0: none
+    seed: Seed = 0  # of what is held out and of the draws
     overwrite: bool = False  # replace a run in --out
+
+    @property
+    def folder(self) -> Path | None:
+        """For everything that is made; none where a pad is written to a file."""
+        return None if self.save_pad else self.out
+
+    def check(self) -> None:
+        """Refuse what does not go together, and files that are not there."""
+        if self.calibration and not self.save_pad:
+            raise ValueError("--calibration is for --save-pad FILE, which says where the pad is written")
+        if (self.dataset is None) == (self.calibration is None):
+            raise ValueError(
+                "pass --dataset DIR with presses of one tip on one skin, or --calibration FILE --save-pad FILE"
+            )
+        require_with("--tip", self.tip is not None, "--save-pad", self.save_pad is not None)
+        require_with("--pad-name", self.pad_name is not None, "--save-pad", self.save_pad is not None)
+        require_with("--board", self.board is not None, "--calibration", self.calibration is not None)
+        asked = {
+            "--save-pad": self.save_pad is not None,
+            "--previous-session": self.previous_session is not None,
+            "--targets": bool(self.targets),
+        }
+        if sum(asked.values()) > 1:
+            raise ValueError(
+                f"{' and '.join(flag for flag in asked if asked[flag])} ask for different things; pass one"
+            )
+        for flag, given in (("--presses", self.presses), ("--draws", self.draws), ("--period-mm", self.period_mm)):
+            if given and (self.save_pad or self.targets):
+                other = "--save-pad" if self.save_pad else "--targets"
+                raise ValueError(f"{flag} is for comparing methods, and {other} compares none; leave it out")
+        if unknown := [target for target in self.targets if target not in TARGET_NAMES]:
+            raise ValueError(f"--targets {' '.join(unknown)}: is no target; choose of {', '.join(TARGET_NAMES)}")
+        require_dataset("--dataset", self.dataset)
+        require_dataset("--previous-session", self.previous_session)
+        require_path("--calibration", self.calibration, "file")
+        if self.save_pad is not None and self.save_pad.is_dir():
+            raise ValueError(f"--save-pad {self.save_pad}: is a folder; name a file, such as pad.npz")
 
 
 def preset_of(args: CalibrateArgs) -> Preset:
     """The preset, with what is given instead."""
-    cfg = choose_preset(PRESETS, args.preset)
-    cfg = replace(cfg, draws=args.draws or cfg.draws, counts=tuple(sorted(set(args.presses))) or cfg.counts)
-    if cfg.draws < 1 or min(cfg.counts) < 2:
-        raise ValueError("--draws must be at least 1 and --presses at least 2")
-    return cfg
+    cfg = choose_preset(PRESETS, args.preset, draws=args.draws)
+    return replace(cfg, counts=tuple(sorted(set(args.presses))) or cfg.counts)

@@ -24,9 +24,7 @@ calibrated on all presses (of more than 1500, that many at random) with the best
 """
 
 import os
-import sys
 import time
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -34,7 +32,6 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-import tyro
 
 from experiments.calibrate import fitted_pad, plain_gp, previous_session, report, targets
 from experiments.calibrate.config import CalibrateArgs, Preset, preset_of
@@ -54,40 +51,24 @@ from experiments.calibrate.methods import (
     random_fifths,
     weigh_methods,
 )
-from experiments.common.presets import RENAMED, answer_renamed_value
-from experiments.common.runs import begin, exit_code_of_run
+from experiments.common.runs import begin
 from i2t import dataset as data
 from i2t.calibration import calibrate
 from i2t.calibration.model import hyperparameters_to_json
-from i2t.cli import renamed_flags
 from i2t.dataset import Dataset
 
-RENAMED_FLAGS: dict[str, str] = {"--earlier": "--previous-session"}
 M_PER_MM = 1e-3
 KEPT = (POPULATION, HEIGHT, PLAIN)  # methods that a calibration on disk can be
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    renamed_flags(sys.argv[1:] if argv is None else argv, RENAMED_FLAGS)
-    answer_renamed_value(argv, "--preset", RENAMED)
-    args = tyro.cli(CalibrateArgs, args=argv, description=__doc__, prog="python -m experiments.calibrate")
-    compare = previous_session.run if args.previous_session else targets.run if args.targets else run
-    return exit_code_of_run(partial(_checked, fitted_pad.run if args.save_pad else compare, args))
-
-
-def _checked(work: Callable[[CalibrateArgs], dict[str, Any]], args: CalibrateArgs) -> dict[str, Any]:
-    """The work, once the command line goes together."""
-    if args.calibration and not args.save_pad:
-        raise ValueError("--calibration is for --save-pad FILE, which says where the pad is written")
-    if (args.dataset is None) == (args.calibration is None):
-        raise ValueError(
-            "pass --dataset DIR with presses of one tip on one skin, or --calibration FILE --save-pad FILE"
-        )
-    return work(args)
-
-
 def run(args: CalibrateArgs) -> dict[str, Any]:
+    """What the options ask for: methods compared, an earlier session's worth, heads, or a pad."""
+    if args.save_pad:
+        return fitted_pad.run(args)
+    return (previous_session.run if args.previous_session else targets.run if args.targets else compare)(args)
+
+
+def compare(args: CalibrateArgs) -> dict[str, Any]:
     """Learning curves within one session: prepare, evaluate, report."""
     assert args.dataset is not None
     started, cfg = time.perf_counter(), preset_of(args)

@@ -24,16 +24,14 @@ which `i2t.load_pad` reads.
 import os
 import time
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
@@ -42,9 +40,10 @@ from experiments.calibrate.evaluate import Curves
 from experiments.calibrate.methods import NEIGHBOURS, PLAIN, Predictors, fit, neighbours, predict, select
 from experiments.calibrate.report import draw_curves, summarise, table_row
 from experiments.calibrate_pads import population, prior_search, skin_kinds
+from experiments.calibrate_pads.arguments import CalibratePadsArgs
 from experiments.calibrate_pads.simulate import BALL_TIP, board, press_pads
-from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
-from experiments.common.runs import begin, exit_code_of_run, write_json
+from experiments.common.presets import choose_preset
+from experiments.common.runs import begin, write_json
 from i2t.calibration import FORCE_HYPERPARAMETERS, Presses, baseline_network, physics, structured_gp
 from i2t.calibration.baseline_network import PressFeatures
 from i2t.calibration.physics import PadFit
@@ -84,19 +83,6 @@ PRESETS: dict[str, PadsPreset] = {
 }
 
 
-@dataclass(frozen=True)
-class CalibratePadsArgs:
-    """Calibration of simulated pads by force."""
-
-    out: Path = Path("runs/calibrate_pads")  # folder for everything that is made
-    preset: Literal["paper", "short", "debug"] = "paper"
-    population: bool = False  # choose hyperparameters on a population of pads instead
-    prior: bool = False  # make the prior over kernels instead
-    kinds: bool = False  # calibrate simulated skins of many kinds instead
-    seed: int = 0
-    overwrite: bool = False  # replace a run in --out
-
-
 class PadScores(NamedTuple):
     """What is measured over pads."""
 
@@ -106,18 +92,13 @@ class PadScores(NamedTuple):
     layer_errors: list[dict[str, float]]  # of each pad, in the fit's standard deviations
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    answer_renamed_value(argv, "--preset", RENAMED)
-    args = tyro.cli(CalibratePadsArgs, args=argv, description=__doc__, prog="python -m experiments.calibrate_pads")
-    chosen = {run_population: args.population, run_prior: args.prior, run_kinds: args.kinds}
-    if sum(chosen.values()) > 1:
-        sentence = "--population, --prior and --kinds are one or the other; pass one of them"
-        return exit_code_of_run(partial(_refuse, sentence))
-    return exit_code_of_run(partial(next((each for each, asked in chosen.items() if asked), run), args))
-
-
 def run(args: CalibratePadsArgs) -> dict[str, Any]:
+    """What the options ask for: pads compared, hyperparameters, the prior over kernels, or kinds of skins."""
+    others = {run_population: args.population, run_prior: args.prior, run_kinds: args.kinds}
+    return next((each for each, asked in others.items() if asked), run_pads)(args)
+
+
+def run_pads(args: CalibratePadsArgs) -> dict[str, Any]:
     """The experiment: prepare, evaluate, report."""
     started, cfg = time.perf_counter(), choose_preset(PRESETS, args.preset)
     begin(args.out, args, cfg, None, args.overwrite)
@@ -181,10 +162,6 @@ def run_kinds(args: CalibratePadsArgs) -> dict[str, Any]:
     metrics = skin_kinds.evaluate(cfg)
     skin_kinds.report(metrics, args.out)
     return metrics
-
-
-def _refuse(sentence: str) -> dict[str, Any]:
-    raise ValueError(sentence)
 
 
 def evaluate(

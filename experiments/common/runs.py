@@ -2,7 +2,9 @@
 appear whole or not at all.
 """
 
+import atexit
 import json
+import math
 import shutil
 import sys
 from collections.abc import Callable
@@ -11,11 +13,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from i2t.cli import exit_code_of
-from i2t.prediction.checkpoint import PACKAGES
 
+CONFIG, METRICS = "config.json", "metrics.json"
+CONFIG_KEYS = {"args", "versions", "experiment"}  # by which a config.json is known to be ours
 # Of arrays, or of such dicts: what an experiment made of one pad and seed. Its names are the experiment's own words,
 # methods and conditions, which `i2t.serialization` cannot hold: that is for NamedTuples whose type is known.
 Part = dict[str, Any]
@@ -24,14 +25,19 @@ BETWEEN = "/"  # names of a part's levels on disk
 
 def exit_code_of_run(work: Callable[[], Any], resumable: Path | None = None) -> int:
     """The exit code of a command: what its user can mend is said in one sentence, and after Ctrl-C where a `resumable`
-    run left its finished parts.
+    run left its finished parts. A run that made nothing leaves nothing behind, nor does it take an earlier one's place.
     """
     kept = "" if resumable is None else f"; finished parts are in {resumable}, go on with --resume"
-    return exit_code_of(work, f"interrupted{kept}")
+    try:
+        return exit_code_of(work, f"interrupted{kept}")
+    finally:
+        settle_begun()
 
 
 def settings(args: Any) -> dict[str, Any]:
     """What is run, from a dataclass, and with which versions; where it is kept and how it goes on is no setting."""
+    from i2t.prediction.checkpoint import PACKAGES  # not above: JAX takes seconds, which a refusal need not wait for
+
     kept = {name: value for name, value in asdict(args).items() if name not in ("out", "resume", "overwrite")}
     return {
         "args": {name: str(value) if isinstance(value, Path) else value for name, value in kept.items()},
@@ -43,26 +49,86 @@ def begin(out: Path, args: Any, experiment: Any, resume: bool | None, overwrite:
     """Make the folder of a run, or refuse one that is in use (ValueError); note what is run and with which versions.
 
     `args` and `experiment` are dataclasses. An unfinished run of the same settings goes on with `resume` (None: this
-    experiment cannot); what is there is removed with `overwrite`.
+    experiment cannot); what is there is replaced with `overwrite`, once this run has made something.
     """
     config = settings(args) | {"experiment": asdict(experiment)}
-    path = out / "config.json"
-    if path.exists() and overwrite:
-        shutil.rmtree(out)
-    if (out / "metrics.json").exists():
-        raise ValueError(f"{out} holds a finished run; choose another --out, or pass --overwrite")
-    if path.exists():
-        if not resume:
-            remedy = "pass --overwrite" if resume is None else "pass --resume to go on with it, or --overwrite"
-            raise ValueError(f"{out} holds an unfinished run; {remedy}")
+    path = out / CONFIG
+    check_out(out, resume, overwrite, kind=type(args).__name__)
+    config["kind"] = type(args).__name__
+    if path.exists() and not overwrite:
         before = json.loads(path.read_text())
-        same = json.loads(json.dumps(config))
-        if {**before, "versions": None} != {**same, "versions": None}:
+        same = json.loads(json.dumps(config, default=str))
+        if {**before, "versions": None, "kind": None} != {**same, "versions": None, "kind": None}:
             raise ValueError(f"{out} was begun with other settings ({path}); pass those, or --overwrite")
-    elif out.exists() and any(out.iterdir()):
-        raise ValueError(f"{out} is not empty and holds no run of this experiment; choose another --out")
-    out.mkdir(parents=True, exist_ok=True)
+    place = out.resolve()
+    if path.exists() and overwrite:
+        shutil.rmtree(_aside(place), ignore_errors=True)
+        place.rename(_aside(place))
+    _BEGUN.add(place)
+    place.mkdir(parents=True, exist_ok=True)
     write_json(path, config)
+
+
+def check_out(out: Path, resume: bool | None, overwrite: bool, kind: str = "") -> None:
+    """Refuse a folder that a run may not use (ValueError); makes nothing, and imports nothing large.
+
+    `kind` is the name of the experiment's options, which a run notes, so that none replaces another's.
+    """
+    check_folder(out)
+    path = out / CONFIG
+    if (path.exists() and not _is_ours(path, kind)) or (not path.exists() and out.exists() and any(out.iterdir())):
+        raise ValueError(f"{out} is not empty and holds no run of this experiment; choose another --out")
+    if not path.exists():
+        return
+    if overwrite:
+        if Path.cwd().is_relative_to(out.resolve()):
+            raise ValueError(f"{out} is the folder in which this command runs; --overwrite does not replace it")
+        return
+    if (out / METRICS).exists():
+        raise ValueError(f"{out} holds a finished run; choose another --out, or pass --overwrite")
+    if not resume:
+        remedy = "pass --overwrite" if resume is None else "pass --resume to go on with it, or --overwrite"
+        raise ValueError(f"{out} holds an unfinished run; {remedy}")
+
+
+def check_folder(out: Path) -> None:
+    """Refuse a folder for results that is a file, or is below one (ValueError)."""
+    taken = next((path for path in (out, *out.parents) if path.exists()), None)
+    if taken is not None and not taken.is_dir():
+        raise ValueError(f"--out {out}: {taken} is a file; name a folder")
+
+
+def settle_begun() -> None:
+    """Take back folders that runs of this process began and made nothing in, and put what they were to replace in its
+    place again; remove what was replaced for good.
+    """
+    while _BEGUN:
+        out = _BEGUN.pop()
+        aside = _aside(out)
+        if out.is_dir() and not any(path.is_file() and path != out / CONFIG for path in out.rglob("*")):
+            shutil.rmtree(out)
+            if aside.exists():
+                aside.rename(out)
+        elif aside.exists():
+            shutil.rmtree(aside)
+
+
+_BEGUN: set[Path] = set()  # folders that this process writes runs into
+atexit.register(settle_begun)  # for runs that no command line began
+
+
+def _aside(out: Path) -> Path:
+    """Where a run waits until another has taken its place."""
+    return out.with_name(f".{out.name}.replaced")
+
+
+def _is_ours(config: Path, kind: str) -> bool:
+    """Whether a config.json was written by `begin` for options of this kind; early versions did not note the kind."""
+    try:
+        about = json.loads(config.read_text())
+    except (OSError, ValueError):
+        return False
+    return isinstance(about, dict) and about.keys() >= CONFIG_KEYS and (not kind or about.get("kind", kind) == kind)
 
 
 def write_json(path: Path, values: dict[str, Any]) -> None:
@@ -73,7 +139,7 @@ def write_json(path: Path, values: dict[str, Any]) -> None:
             return {str(key): clean(value) for key, value in node.items()}
         if isinstance(node, list | tuple):
             return [clean(value) for value in node]
-        return None if isinstance(node, float) and not np.isfinite(node) else node
+        return None if isinstance(node, float) and not math.isfinite(node) else node
 
     part = path.with_suffix(".part")
     part.write_text(json.dumps(clean(values), indent=1, default=str) + "\n")
@@ -95,6 +161,8 @@ def save_part(path: Path, part: Part) -> None:
     Raises:
         OSError: It cannot be written.
     """
+    import numpy as np
+
     partial = path.with_suffix(".part.npz")
     np.savez_compressed(partial, allow_pickle=False, **_flat(part))
     partial.replace(path)
@@ -109,6 +177,8 @@ def load_part(path: Path) -> Part:
     Returns:
         The same nested dicts.
     """
+    import numpy as np
+
     part: Part = {}
     with np.load(path) as file:
         for key, array in file.items():
@@ -120,12 +190,12 @@ def load_part(path: Path) -> Part:
     return part
 
 
-def _flat(part: Part, prefix: str = "") -> dict[str, np.ndarray]:
+def _flat(part: Part, prefix: str = "") -> dict[str, Any]:
     """Arrays by their levels' names, joined."""
-    arrays: dict[str, np.ndarray] = {}
+    arrays: dict[str, Any] = {}
     for name, value in part.items():
         if isinstance(value, dict):
             arrays |= _flat(value, f"{prefix}{name}{BETWEEN}")
         else:
-            arrays[prefix + name] = np.asarray(value)
+            arrays[prefix + name] = value
     return arrays

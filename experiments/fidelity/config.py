@@ -1,10 +1,9 @@
-"""Presets and arguments of the fidelity report."""
+"""Presets of the fidelity report."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Literal
 
 from experiments.common.presets import choose_preset
+from experiments.fidelity.arguments import FidelityArgs
 from i2t.calibration.heads import HeadBudget
 
 
@@ -35,18 +34,6 @@ FIDELITY_PRESETS: dict[str, FidelityPreset] = {
         heads=HeadBudget(100, 200, 0, rows=400), heads_across=HeadBudget(100, 200, 0, rows=400),
     ),
 }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class FidelityArgs:
-    """What recordings of a skin are worth: checks, noise, calibration curves, heads and ceilings in one report."""
-
-    dataset: tuple[Path, ...] = ()  # data sets, sessions of eFlesh as recorded, or tables; sessions of a skin together
-    simulated_skins: int = 0  # instead: judge so many simulated skins that are pressed and slid over
-    out: Path = Path("runs/fidelity")  # folder for report.html, metrics.json and config.json
-    preset: Literal["paper", "short", "debug"] = "paper"
-    seed: int = 0  # of what is held out and of the draws
-    overwrite: bool = False  # replace a run in --out
 
 
 def fidelity_preset(args: FidelityArgs) -> FidelityPreset:

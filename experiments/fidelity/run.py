@@ -23,21 +23,14 @@ from typing import Any
 # Factors of a few hundred rows are too small to share, as in experiments.train.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import tyro
-
-from experiments.common.runs import begin, exit_code_of_run, write_json
+from experiments.common.runs import begin, write_json
 from experiments.fidelity import curves, describe, dynamics, heads, views
-from experiments.fidelity.config import FidelityArgs, FidelityPreset, fidelity_preset
+from experiments.fidelity.arguments import FidelityArgs
+from experiments.fidelity.config import FidelityPreset, fidelity_preset
 from experiments.fidelity.page import write_page
 from experiments.fidelity.sections import Section, print_table, written
 from i2t.calibration.heads import SkinRecording, read_recordings
 from i2t.errors import DataError
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    args = tyro.cli(FidelityArgs, args=argv, description=__doc__, prog="python -m experiments.fidelity")
-    return exit_code_of_run(partial(run, args))
 
 
 def run(args: FidelityArgs) -> dict[str, Any]:
@@ -83,8 +76,6 @@ def named_apart(recordings: list[SkinRecording]) -> list[SkinRecording]:
 
 
 def _recordings(args: FidelityArgs, preset: FidelityPreset) -> list[SkinRecording]:
-    if bool(args.dataset) == bool(args.simulated_skins):
-        raise ValueError("pass --dataset with one or more recordings, or --simulated-skins with their number")
     if args.simulated_skins:
         from experiments.fidelity.slides import simulated_slides
 

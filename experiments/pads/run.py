@@ -17,9 +17,8 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 # Factors of a few hundred rows are too small to share, as in experiments.train.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -27,12 +26,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 from jaxtyping import Array, Key
 
-from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
-from experiments.common.runs import begin, exit_code_of_run, write_json
+from experiments.common.presets import choose_preset
+from experiments.common.runs import begin, write_json
 from experiments.pads import methods
+from experiments.pads.arguments import PadsArgs
 from experiments.pads.simulate import PROBE_TIP, SkinSession, press_skin, sample_skins
 from i2t import viz
 from i2t.calibration.localize import GRID_SPACING_M
@@ -63,30 +62,10 @@ PRESETS: dict[str, LocalizationStudy] = {
 DEFAULT_SKINS = {"study": 18, "debug": 2}
 
 
-@dataclass(frozen=True)
-class PadsArgs:
-    """Locate presses on pads that were never seen."""
-
-    out: Path = Path("runs/pads")
-    preset: Literal["study", "debug"] = "study"
-    skins: int | None = None  # 18 in the study, 2 in debug; a multiple of the boards is best
-    seed: int = 0
-    overwrite: bool = False
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    answer_renamed_value(argv, "--preset", RENAMED)
-    args = tyro.cli(PadsArgs, args=argv, description=__doc__, prog="python -m experiments.pads")
-    return exit_code_of_run(partial(run, args))
-
-
 def run(args: PadsArgs) -> dict[str, Any]:
     """The experiment: prepare, evaluate, report."""
     study = choose_preset(PRESETS, args.preset)
     skins = DEFAULT_SKINS[args.preset] if args.skins is None else args.skins
-    if skins < 2:
-        raise ValueError(f"--skins {skins} leaves no other skin to learn from; 2 are needed")
     begin(args.out, args, study, None, args.overwrite)
     key = jax.random.key(args.seed)
     sessions = simulate_sessions(key, skins, study)

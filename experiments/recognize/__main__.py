@@ -9,23 +9,21 @@ Each has its own --help: python -m experiments.recognize simulate --help. Withou
 import os
 import sys
 from collections.abc import Sequence
-from functools import partial
-from typing import Annotated
+from typing import Annotated, Any
 
 # Factors of a few hundred rows are too small to share, as in experiments.train.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import tyro
 
+from experiments.common.commands import carry_out
 from experiments.common.presets import RENAMED, answer_renamed_value
-from experiments.common.runs import exit_code_of_run
-from experiments.recognize import live, run
-from experiments.recognize.config import SimulateArgs
-from i2t.cli import renamed_flags
+from experiments.recognize.arguments import LiveArgs, SimulateArgs
+from i2t.cli import docstring_of, renamed_flags
 
 Command = (
-    Annotated[SimulateArgs, tyro.conf.subcommand("simulate", description=run.__doc__)]
-    | Annotated[live.LiveArgs, tyro.conf.subcommand("live", description=live.__doc__)]
+    Annotated[SimulateArgs, tyro.conf.subcommand("simulate", description=docstring_of("experiments.recognize.run"))]
+    | Annotated[LiveArgs, tyro.conf.subcommand("live", description=docstring_of("experiments.recognize.live"))]
 )
 RENAMED_FLAGS = {
     "--live": "the subcommand live (python -m experiments.recognize live ...)",
@@ -50,8 +48,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     if words[:1] not in (["simulate"], ["live"], ["--help"], ["-h"]):
         words = ["simulate", *words]
     args = tyro.cli(Command, args=words, description=__doc__, prog="python -m experiments.recognize")
-    work = partial(live.run, args) if isinstance(args, live.LiveArgs) else partial(run.run, args)
-    return exit_code_of_run(work, args.out)
+    return carry_out(args, words, _run)
+
+
+def _run(args: SimulateArgs | LiveArgs) -> Any:
+    """Do the work; what it needs is imported once the command line is known to make sense."""
+    if isinstance(args, LiveArgs):
+        from experiments.recognize import live
+
+        return live.run(args)
+    from experiments.recognize import run
+
+    return run.run(args)
 
 
 if __name__ == "__main__":

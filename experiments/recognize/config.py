@@ -1,15 +1,11 @@
 """How much of everything the recognition experiments have; what was fixed before testing."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Literal
 
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.contact import FINE_GRID
-
-PresetName = Literal["paper", "debug"]
 
 
 @dataclass(frozen=True)
@@ -56,27 +52,3 @@ PRESETS: dict[str, Recognition] = {
         limits=PressLimits(),
     ),
 }
-
-
-@dataclass(frozen=True)
-class SimulateArgs:
-    """Recognise objects by touch and report how often and how sure."""
-
-    out: Path = Path("runs/recognize")  # folder for everything that is made
-    trained_run: Path = Path("runs/train")  # a finished run of experiments.train, or a study's folder of several
-    pads: tuple[str, ...] = ()  # of a study in --trained-run, those that are used, by number; all unless given
-    method: Literal["all", "paper"] = "all"  # every method on the same episodes, or the paper's own loop by itself
-    preset: PresetName = "paper"
-    objects: tuple[Path, ...] = ()  # to tell apart: names of the catalogue and mesh files
-    unit: str | None = None  # of those files, for instance mm
-    dataset: Path | None = None  # recorded touches to recognise; its objects are the catalogue's or those of --objects
-    pad: Path | None = None  # with --dataset, in place of a run's: an earlier session, a pad or a pad model of the skin
-    other_skin: bool = False  # with --dataset: judge touches of another skin all the same, and say so
-    max_touches: int | None = None  # with --dataset: of each session; by default as many as all long enough ones have
-    rig: Path | None = None  # of the lab that recorded them: its object_covariance says how far poses may be off
-    episodes: int | None = None  # of each object, for each pad and seed
-    paper_episodes: int | None = None  # the same in the paper's sets, twice as many unless given
-    num_particles: int | None = None  # poses of each object, in place of the preset's
-    seed: int = 0
-    resume: bool = False  # go on with an unfinished run in --out
-    overwrite: bool = False  # replace a finished or unfinished run in --out

@@ -18,15 +18,16 @@ objects like them, explain the touches better. All touches are kept in OUT/touch
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import numpy as np
 
 from experiments.common.runs import write_json
 from experiments.recognize import pad_sources
+from experiments.recognize.arguments import LiveArgs
 from experiments.recognize.config import Recognition
 from experiments.recognize.trained_run import load_meshes, meshes_by_name
 from i2t.collect import session
@@ -38,7 +39,6 @@ from i2t.dataset import load_dataset
 from i2t.emulators.world import read_pad
 from i2t.errors import DeviceError
 from i2t.hardware.rig import Rig
-from i2t.objects import catalogue
 from i2t.objects.solids import Mesh
 from i2t.recognition.pad_model import PadModel
 from i2t.recognition.pad_model_files import KnownPad, require_skin
@@ -55,61 +55,13 @@ from i2t.types import Board, ReturnCode
 from i2t.viz import EpisodeRecord, write_episode_report
 
 
-@dataclass(frozen=True)
-class LiveArgs:
-    """Recognise an object with an arm."""
-
-    out: Path = Path("runs/live")  # folder of touches/, result.json and story/
-    trained_run: Path = Path("runs/train")  # a finished run of experiments.train on touches of this skin
-    pad: Path | None = None  # in place of a run: a data set of an earlier session, a pad or a pad model of this skin
-    objects: tuple[Path, ...] = ()  # to tell apart: names of the catalogue and mesh files
-    unit: Literal["m", "cm", "mm", "inch"] = "mm"  # of those files
-    truth: str | None = None  # name of what stands there, under which its touches are kept; "unknown" by default
-    true_object: str | None = None  # what stands there if the arm is not real, any of the catalogue; drawn by default
-    prior_unknown: float = 0.0  # probability beforehand that it is none of the objects
-    num_surrogates: int = 16  # objects like those known, that stand for what else it might be then
-    max_touches: int = 10
-    max_error_probability: float = 0.05  # ends when the most probable object is wrong with at most this probability
-    num_sites: int = 24  # of each object, to choose among
-    num_particles: int = 64  # poses of each object
-    arm: str = "simulated"  # ur, simulated, emulated, or another package's
-    skin: str = "simulated"  # reskin, simulated, emulated, or another package's
-    camera: str = "simulated"  # realsense, simulated, folder, or another package's
-    host: str | None = None  # of the arm's controller
-    port: str | None = None  # of the skin
-    board: str | None = None  # of the skin: reskin (default), anyskin, or grid-RxC for R rows and C columns of chips
-    views: Path | None = None  # folder of views to show as the camera
-    state_timeout: float | None = None  # s without a state after which a UR arm is taken for lost; 0.1 by default
-    watchdog_rate: float | None = None  # Hz, how often a UR controller must hear from us; 10 by default
-    pad_name: str | None = None  # of a real skin, as it was collected; "skin" by default
-    worn_pad: Path | None = None  # a pad on disk, for simulated and emulated skins
-    rig: Path | None = None  # calibration of the lab; says where the object is believed to stand, and how surely
-    seed: int = 0
-
-    @property
-    def real(self) -> bool:
-        """Whether the arm is a real one."""
-        return self.arm not in ("simulated", "emulated")
-
-    @property
-    def worn(self) -> str:
-        """Name of the skin that touches, as a collection would have it."""
-        if self.skin not in ("simulated", "emulated"):
-            return self.pad_name or "skin"
-        return self.pad_name or (f"simulated, {self.worn_pad.stem}" if self.worn_pad else "simulated pad 0")
-
-
 def run(args: LiveArgs) -> dict[str, Any]:
     """Fit the pad model, predict touches, touch."""
-    _check(args)
+    refuse_used(args.out)
     rig = Rig() if args.rig is None else Rig.read(args.rig)
     cfg = Recognition()
     meshes = load_meshes(args.objects, args.unit) if args.objects else meshes_by_name(cfg.objects)
     true_object = args.true_object or str(np.random.default_rng(args.seed).choice(list(meshes)))
-    if true_object not in meshes and true_object not in catalogue.NAMES:
-        raise ValueError(
-            f"--true-object {true_object}: choose one of {', '.join(meshes)}, or another object of the catalogue"
-        )
     key_fit, key_sites, key_touches = jax.random.split(jax.random.key(args.seed), 3)
     source = pad_sources.find_pad_source(
         pad=args.pad, run=args.trained_run, cfg=cfg, meshes=meshes, rig=rig if args.rig else None
@@ -183,7 +135,7 @@ def collect_args(args: LiveArgs, cfg: Recognition, meshes: dict[str, Mesh], true
         views=args.views,
         rig=args.rig,
         object=sources.get(there, there),
-        unit=args.unit,
+        unit=args.unit or "mm",
         name=args.truth or "unknown",
         pad=args.worn_pad,
         pad_name=args.worn,
@@ -286,13 +238,8 @@ def conclude(
     return result
 
 
-def _check(args: LiveArgs) -> None:
-    if args.worn_pad and args.skin not in ("simulated", "emulated"):
-        raise ValueError(f"--worn-pad is for simulated and emulated skins, and --skin is {args.skin}; leave it out")
-    folder = args.out / "touches"
+def refuse_used(out: Path) -> None:
+    """Refuse a folder that holds the touches of another episode (ValueError)."""
+    folder = out / "touches"
     if folder.is_dir() and touches_in(folder):
-        raise ValueError(f"{args.out} holds the touches of another episode; choose another --out")
-    if not 0 <= args.prior_unknown < 1:
-        raise ValueError(f"--prior-unknown {args.prior_unknown:g}: give a probability, from 0 to below 1")
-    if args.prior_unknown > 0 and args.num_surrogates < 1:
-        raise ValueError(f"--num-surrogates {args.num_surrogates}: --prior-unknown needs surrogates, 16 say")
+        raise ValueError(f"{out} holds the touches of another episode; choose another --out")

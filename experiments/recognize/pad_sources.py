@@ -11,6 +11,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from experiments.common.checks import finished_runs
 from experiments.recognize import trained_run
 from experiments.recognize.config import Recognition
 from experiments.train import recognition_data
@@ -60,7 +61,7 @@ def find_pad_source(
     """
     errors = cfg.errors if rig is None else with_placement(cfg.errors, rig)
     if pad is None:
-        return _of_run(trained_run.finished_runs(run)[0], cfg, errors)
+        return _of_run(finished_runs(run)[0], cfg, errors)
     if not pad.exists():
         raise ValueError(f"--pad {pad}: there is no such file or folder")
     if pad.is_dir() or pad.suffix == DATASET_SUFFIX:

@@ -9,7 +9,8 @@ import numpy as np
 from experiments.common.runs import begin, write_json
 from experiments.recognize import figures, pad_sources
 from experiments.recognize import report as reporting
-from experiments.recognize.config import Recognition, SimulateArgs
+from experiments.recognize.arguments import SimulateArgs
+from experiments.recognize.config import Recognition
 from experiments.recognize.trained_run import load_meshes, meshes_by_name
 from i2t import dataset as data
 from i2t import viz

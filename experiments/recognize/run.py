@@ -32,13 +32,15 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from experiments.common.checks import finished_runs
 from experiments.common.presets import choose_preset
 from experiments.common.runs import begin
 from experiments.recognize import paper, recorded, trained_run
 from experiments.recognize import report as reporting
-from experiments.recognize.config import PRESETS, Recognition, SimulateArgs
+from experiments.recognize.arguments import SimulateArgs
+from experiments.recognize.config import PRESETS, Recognition
 from experiments.recognize.report import CONSTANT
-from experiments.recognize.trained_run import TrainedRun, finished_runs, load_meshes, meshes_by_name
+from experiments.recognize.trained_run import TrainedRun, load_meshes, meshes_by_name
 from i2t import dataset as data
 from i2t.objects import Mesh
 from i2t.recognition.belief import Particles
@@ -80,14 +82,8 @@ class EpisodeWorld(NamedTuple):
 def run(args: SimulateArgs) -> dict[str, Any]:
     """Every pad and seed of the run, then the tables over them."""
     cfg = configure(args)
-    if args.method == "paper" and (args.dataset or args.objects):
-        raise ValueError("--method paper plays the paper's own sets; pass it without --dataset and --objects")
     if args.dataset is not None:
         return recorded.run(args, cfg)
-    if args.pad is not None:
-        raise ValueError(
-            "--pad is for recorded touches (--dataset); simulate with it: python -m experiments.train --pad"
-        )
     folders = chosen_runs(args)
     begin(args.out, args, cfg, args.resume, args.overwrite)
     if args.method == "paper":

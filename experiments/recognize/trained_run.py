@@ -8,6 +8,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from experiments.common.checks import require_objects
 from experiments.train import recognition_data
 from i2t import dataset as data
 from i2t.dataset import Dataset
@@ -54,24 +55,6 @@ def load_trained_run(key: jax.Array, folder: Path, errors: SimulationErrors, lim
     return TrainedRun(dataset, rows, surfaces, predictor, pad, pad_model)
 
 
-def finished_runs(folder: Path) -> list[Path]:
-    """The folder of a run, or those of a study's pads and seeds.
-
-    Args:
-        folder: Named by the user.
-
-    Returns:
-        Folders of finished runs.
-
-    Raises:
-        ValueError: There is none.
-    """
-    folders = sorted(path.parent for path in folder.glob("pad-*-seed-*/metrics.json")) or [folder]
-    if not (folders[0] / "metrics.json").exists():
-        raise ValueError(f"{folder} holds no finished run; make one: python -m experiments.train --out {folder}")
-    return folders
-
-
 def read_simulated_run(folder: Path) -> tuple[Dataset, Predictor, Pad]:
     """What a run that simulated its touches left.
 
@@ -114,19 +97,7 @@ def load_meshes(paths: Sequence[Path], unit: str | None) -> dict[str, Mesh]:
     Raises:
         ValueError: Neither a name nor a file, a file without a unit, two objects of one name, or a single object.
     """
-    if unit is None and any(not is_catalogue_name(path) for path in paths):
-        raise ValueError("say in which unit the files of --objects are, for instance --unit mm")
-    if len(paths) < 2:
-        raise ValueError("--objects needs at least two objects to tell apart")
-    names = [path.stem for path in paths]
-    if repeated := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(f"--objects has several objects called {', '.join(repeated)}; rename the files")
-    missing = [str(path) for path in paths if not is_catalogue_name(path) and not path.is_file()]
-    if missing:
-        raise ValueError(
-            f"--objects {missing[0]}: is neither a mesh file nor an object of the catalogue, which has "
-            f"{', '.join(catalogue.NAMES)}"
-        )
+    require_objects(paths, unit)
     return {
         path.stem: catalogue.make_object(str(path)).mesh
         if is_catalogue_name(path)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.refine.config import RefineArgs
+from experiments.refine.arguments import RefineArgs
 from i2t.geometry import so3_exp
 from i2t.objects import Object, catalogue, read_mesh
 from i2t.registration.patch import pose_information

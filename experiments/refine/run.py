@@ -25,13 +25,11 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-import tyro
 from tqdm import tqdm
 
-from experiments.common.presets import RENAMED, answer_renamed_value
-from experiments.common.runs import exit_code_of_run, settings, write_json
+from experiments.common.runs import check_out, settings, write_json
+from experiments.refine.arguments import RefineArgs
 from experiments.refine.cases import Cases, Views, draw_cases, draw_views, list_objects
-from experiments.refine.config import RefineArgs
 from experiments.refine.figures import ERROR_BINS, draw_bounds, draw_patches
 from experiments.refine.scores import MM_PER_M, judge, success, table, unobservable_motion
 from i2t import viz
@@ -55,17 +53,9 @@ class Method(NamedTuple):
     noisy: bool  # whether it is given what a camera sees
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    answer_renamed_value(argv, "--preset", RENAMED)
-    args = tyro.cli(RefineArgs, args=argv, description=__doc__, prog="python -m experiments.refine")
-    return exit_code_of_run(partial(run, args))
-
-
 def run(args: RefineArgs) -> dict:
     """Run every method on the same cases; print the table, write metrics.json, config.json and figures."""
-    if (args.out / "metrics.json").exists() and not args.overwrite:
-        raise ValueError(f"{args.out} holds a finished run; choose another --out, or pass --overwrite")
+    check_out(args.out, None, args.overwrite)
     sizes = args.sizes
     objects = list_objects(args)
     key_sites, key_noise, key_search = jax.random.split(jax.random.key(args.seed), 3)

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import binomtest
 
+from experiments.refine.arguments import RefineArgs
 from experiments.refine.cases import Cases
-from experiments.refine.config import RefineArgs
 from i2t.geometry import log
 from i2t.objects import Object
 from i2t.types import TWIST_LEVER_M

@@ -13,20 +13,18 @@ go to --out.
 """
 
 import json
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import tifffile
-import tyro
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
-from experiments.common.runs import begin, exit_code_of_run, write_json
+from experiments.common.runs import begin, write_json
+from experiments.second_world.arguments import Mistake, SecondWorldArgs
 from experiments.second_world.world import (
     LOOK_M,
     WorldErrors,
@@ -35,27 +33,12 @@ from experiments.second_world.world import (
     make_skin,
     simulate_session,
 )
-from experiments.train import run as train
+from experiments.train.__main__ import main as train
 from i2t.convert.__main__ import main as convert
 
-Mistake = Literal["none", "force_sign", "millimetres", "millitesla", "scalar_first", "degrees"]
 PRESSURE = ("network on predicted contact pressure", "Gaussian process on predicted contact pressure")
 BASELINES = ("k nearest patches", "k nearest patches + measured", "ridge on PCA", "ridge on PCA + measured")
 TEMPERATURE_C = 27.0
-
-
-@dataclass(frozen=True)
-class SecondWorldArgs:
-    """Train in a world of other physics."""
-
-    out: Path = Path("runs/second-world")
-    preset: Literal["paper", "debug"] = "paper"  # debug: a few touches, too few to mean anything
-    sessions: int = 3  # of each object
-    touches: int = 24  # of a session
-    mistake: Mistake = "none"  # that is made on purpose in the files
-    seed: int = 0
-    resume: bool = False  # go on with an unfinished run in --out
-    overwrite: bool = False  # replace a finished or unfinished one
 
 
 @dataclass(frozen=True)
@@ -69,17 +52,11 @@ class Worlds:
 NAMES = {"lab": "as a lab has it", "ideal": "without errors of camera and arm"}
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    words = list(sys.argv[1:] if argv is None else argv)
-    args = tyro.cli(SecondWorldArgs, args=words, description=__doc__, prog="python -m experiments.second_world")
-    return exit_code_of_run(partial(run, args), args.out)
-
-
 def run(args: SecondWorldArgs) -> dict[str, Any]:
     """Both worlds: write, convert, train, compare."""
     if args.preset == "debug":
-        args = replace(args, sessions=2, touches=6)
+        args = replace(args, sessions=args.sessions or 2, touches=args.touches or 6)
+    args = replace(args, sessions=args.sessions or 3, touches=args.touches or 24)
     worlds = Worlds()
     begin(args.out, args, worlds, args.resume, args.overwrite)
     result: dict[str, Any] = {"source": "simulated, in a second world", "mistake": args.mistake, "worlds": {}}
@@ -96,9 +73,9 @@ def train_in(folder: Path, args: SecondWorldArgs, errors: WorldErrors) -> dict[s
     """What `experiments.train` measures on touches of a world."""
     recordings, converted = folder / "recordings", folder / "data"
     write_recordings(recordings, args, errors)
-    _must(convert, "imagine2touch", str(recordings), str(converted), "--force")
+    _must(convert, "imagine2touch", str(recordings), str(converted), "--overwrite")
     words = ["--dataset", str(converted), "--out", str(folder / "train"), "--seeds", "1", "--overwrite"]
-    _must(train.main, *words, *(["--preset", "debug"] if args.preset == "debug" else []))
+    _must(train, *words, *(["--preset", "debug"] if args.preset == "debug" else []))
     found = _finished(folder / "train")
     assert found is not None
     return found

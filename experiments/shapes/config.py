@@ -1,8 +1,6 @@
-"""Presets and arguments of the stamp experiment."""
+"""Presets of the stamp experiment."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Literal
 
 from experiments.shapes.methods import Methods
 from experiments.shapes.networks import Classifier
@@ -39,15 +37,3 @@ PRESETS: dict[str, ShapeExperiment] = {
         more=0,
     ),
 }
-
-
-@dataclass(frozen=True)
-class ShapesArgs:
-    """Tell stamps apart by touch, on new positions, depths, rotations and skins."""
-
-    out: Path = Path("runs/shapes")  # folder for everything that is made
-    preset: Literal["paper", "debug"] = "paper"
-    dataset: Path | None = None  # recorded presses in place of simulated ones; its objects are the shapes
-    seed: int = 0
-    resume: bool = False  # go on with an unfinished run in --out
-    overwrite: bool = False

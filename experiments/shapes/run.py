@@ -14,7 +14,6 @@ config.json, figures, and the presses (data.h5).
 import json
 import os
 import time
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,13 +22,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jax
 import numpy as np
-import tyro
 from tqdm import tqdm
 
-from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
-from experiments.common.runs import begin, exit_code_of_run, write_json
+from experiments.common.presets import choose_preset
+from experiments.common.runs import begin, write_json
 from experiments.shapes import report
-from experiments.shapes.config import PRESETS, ShapeExperiment, ShapesArgs
+from experiments.shapes.arguments import ShapesArgs
+from experiments.shapes.config import PRESETS, ShapeExperiment
 from experiments.shapes.evaluate import limits, new_skin, other_sensors, sensor, splits
 from experiments.shapes.methods import (
     SPLITS,
@@ -47,13 +46,6 @@ from i2t.errors import DataError
 from i2t.skin.pad import numbered_pad
 
 MIN_PRESSES_PER_SHAPE = 10
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    answer_renamed_value(argv, "--preset", RENAMED)
-    args = tyro.cli(ShapesArgs, args=argv, description=__doc__, prog="python -m experiments.shapes")
-    return exit_code_of_run(partial(run, args), args.out)
 
 
 class ShapePresses(NamedTuple):

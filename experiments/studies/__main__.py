@@ -1,80 +1,11 @@
-"""Questions about recognition by touch beyond `experiments.recognize`, each a study of its own:
+"""`python -m experiments.studies --help`."""
 
-    python -m experiments.studies policy        which next touch makes one confident soonest?
-    python -m experiments.studies open_set      is the object an unknown one?
-    python -m experiments.studies planar        what does it cost not to know where the object stands?
-    python -m experiments.studies registered    what is a view worth that finds an object known to 5 mm only?
-    python -m experiments.studies new_pad       how many presses does a pad need that was never recorded?
-    python -m experiments.studies pose_error    how well must poses be known for the paper's rules, and its baseline?
-    python -m experiments.studies sites         how informative is a touch of a flat, an edge and a corner?
-    python -m experiments.studies sensitivity   what do errors of pose, noise and harder presses do?
-    python -m experiments.studies object_count  10, 25 and 50 objects, the meshes of a folder among them
-    python -m experiments.studies placement     how sure may one be where the placement's error is stated wrong?
-    python -m experiments.studies mismatch      what does it cost if the world's physics is not the belief's?
-    python -m experiments.studies constants     would another value of a constant of the belief have been better?
-    python -m experiments.studies policy --preset debug      a handful of episodes, to see it run
-
-Each takes a finished run of `experiments.train` (--trained-run, or a study's folder of several pads and seeds) and uses
-the catalogue's test objects and the worlds of `experiments.recognize`; what was fixed before testing is in
-docs/recognition.md. Everything is simulated. Results go to --out: metrics.json, config.json, figures, and what was
-made of each pad and seed (npz), where --resume goes on.
-"""
-
-import os
 import sys
-from collections.abc import Callable, Sequence
-from functools import partial
-from pathlib import Path
-from typing import Any, NamedTuple
+from collections.abc import Sequence
 
-# Factors of a few hundred rows are too small to share, as in experiments.train.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from experiments.common.commands import run_command
+from experiments.studies.arguments import StudyArgs
 
-import tyro
-
-from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
-from experiments.common.runs import Part, begin, exit_code_of_run, load_part, save_part, write_json
-from experiments.recognize.config import PRESETS
-from experiments.recognize.trained_run import finished_runs
-from experiments.studies import (
-    constants,
-    mismatch,
-    new_pad,
-    object_count,
-    open_set,
-    placement,
-    planar,
-    policy,
-    pose_error,
-    registered,
-    sensitivity,
-    sites,
-)
-from experiments.studies.lab import StudyArgs, StudyLab, pads_of, prepare_lab, report_methods
-from i2t.cli import renamed_flags
-
-
-class StudySteps(NamedTuple):
-    """What a study does with each pad and seed, and with all of them."""
-
-    evaluate: Callable[[StudyLab], Part]
-    report: Callable[[Sequence[Part], Path, Sequence[int]], dict[str, Any]]  # of the parts and their pads
-
-
-STUDIES = {
-    "policy": StudySteps(policy.evaluate, policy.report),
-    "open_set": StudySteps(open_set.evaluate, open_set.report),
-    "planar": StudySteps(planar.evaluate, planar.report),
-    "registered": StudySteps(registered.evaluate, registered.report),
-    "pose_error": StudySteps(pose_error.evaluate, pose_error.report),
-    "sites": StudySteps(sites.evaluate, sites.report),
-    "new_pad": StudySteps(new_pad.evaluate, report_methods),
-    "sensitivity": StudySteps(sensitivity.evaluate, report_methods),
-    "object_count": StudySteps(object_count.evaluate, object_count.report),
-    "placement": StudySteps(placement.evaluate, placement.report),
-    "mismatch": StudySteps(mismatch.evaluate, mismatch.report),
-    "constants": StudySteps(constants.evaluate, constants.report),
-}
 RENAMED_STUDIES = {
     "open": "open_set",
     "strangers": "open_set",
@@ -93,33 +24,10 @@ RENAMED_STUDY_FLAGS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
-    answer_renamed_value(words, "--preset", RENAMED)
-    renamed_flags(words, RENAMED_STUDY_FLAGS)
     if words and words[0] in RENAMED_STUDIES:
         print(f"error: the study {words[0]} is called {RENAMED_STUDIES[words[0]]} now", file=sys.stderr)
         return 2
-    args = tyro.cli(StudyArgs, args=words, description=__doc__, prog="python -m experiments.studies")
-    return exit_code_of_run(partial(run, args), args.out or Path("runs") / args.study)
-
-
-def run(args: StudyArgs) -> dict[str, Any]:
-    """A study on every pad and seed, pooled."""
-    out = args.out or Path("runs") / args.study
-    study = STUDIES[args.study]
-    begin(out, args, choose_preset(PRESETS, args.preset), args.resume, args.overwrite)
-    folders = finished_runs(args.trained_run)
-    parts = []
-    for i, folder in enumerate(folders):
-        path = out / f"part-{i}.npz"
-        if not path.exists():
-            save_part(path, study.evaluate(prepare_lab(args, folder, args.seed + i)))
-        parts.append(load_part(path))
-    pads = pads_of(folders)
-    found = study.report(parts, out, pads)
-    result = {"source": "simulated", "pads": sorted(set(pads)), "runs": len(parts), **found}
-    write_json(out / "metrics.json", result)
-    print(f"\nresults and figures are in {out}")
-    return result
+    return run_command(StudyArgs, words, "experiments.studies.run", renamed=RENAMED_STUDY_FLAGS)
 
 
 if __name__ == "__main__":

@@ -4,18 +4,18 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-import tyro
 from jaxtyping import Array
 
 from experiments.common.presets import choose_preset
 from experiments.common.runs import Part
 from experiments.recognize import figures, trained_run
-from experiments.recognize.config import PRESETS, PresetName, Recognition
+from experiments.recognize.config import PRESETS, Recognition
 from experiments.recognize.trained_run import TrainedRun, meshes_by_name
+from experiments.studies.arguments import StudyArgs
 from i2t import viz
 from i2t.dataset import Dataset
 from i2t.recognition import metrics
@@ -41,32 +41,6 @@ from i2t.types import Pad, Surface
 MAX_PARTICLES = 128  # of each object: with 64 to 512 accuracies are the same within 0.01
 DEBUG_EPISODES = 2  # of each object
 FIRST_SEED = 100  # of the studies' keys, apart from those of other experiments
-Study = Literal[
-    "policy", "open_set", "planar", "registered", "new_pad", "pose_error", "sites", "sensitivity", "object_count",
-    "placement", "mismatch", "constants",
-]  # fmt: skip
-
-
-@dataclass(frozen=True)
-class StudyArgs:
-    """Study recognition by touch."""
-
-    study: tyro.conf.Positional[Study]
-    out: Path | None = None  # folder for everything that is made; runs/STUDY unless given
-    trained_run: Path = Path("runs/train")  # a finished run of experiments.train, or a study's folder of several
-    preset: PresetName = "paper"
-    episodes: int = 20  # of each object and setting, for each pad and seed
-    meshes: Path | None = None  # a folder of STL files in metres that join the objects of `object_count`
-    pose_errors: tuple[float, ...] = (0.0, 0.1, 0.3, 1.0, 2.0, 4.0)  # of `pose_error`: mm and degrees, one sigma
-    view_noise: tuple[float, ...] = (0.3, 1.0)  # of `pose_error`: mm on every pixel of views, at a pose error of 1 mm
-    seed: int = 0
-    resume: bool = False  # go on with an unfinished study in --out
-    overwrite: bool = False  # replace a finished or unfinished one
-
-    @property
-    def debug(self) -> bool:
-        """Whether this is a small run, too small to mean anything."""
-        return self.preset == "debug"
 
 
 class EpisodePlan(NamedTuple):

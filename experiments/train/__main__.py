@@ -1,8 +1,18 @@
 """`python -m experiments.train --help`."""
 
 import sys
+from collections.abc import Sequence
 
-from experiments.train.run import main
+from experiments.common.commands import run_command
+from experiments.common.presets import answer_renamed_value
+from experiments.train.arguments import TrainArgs
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    answer_renamed_value(argv, "--split", {"run": "session"})
+    return run_command(TrainArgs, argv, "experiments.train.run")
+
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -20,20 +20,19 @@ import json
 import os
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 # Factors of a few hundred rows are too small to share: waiting threads of LAPACK cost more than they give.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-import tyro
 
-from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
-from experiments.common.runs import begin, exit_code_of_run, slug, write_json
+from experiments.common.presets import choose_preset
+from experiments.common.runs import begin, slug, write_json
 from experiments.train import causes, recognition_data
+from experiments.train.arguments import TrainArgs
 from experiments.train.choosing import Choice, choose
 from experiments.train.configs import PRESETS, TrainExperiment
 from experiments.train.loads import ALIKE_FORCE_N, PressLoad, press_load, several_skins, with_known_load
@@ -77,33 +76,6 @@ ON_PRESSURE = "on_pressure"  # folder of the best predictor on predicted contact
 LEAST_PRESSED_SHARE = 0.1  # of training touches that must have a predicted pressure
 
 
-@dataclass(frozen=True)
-class TrainArgs:
-    """Train a touch predictor and report how well it does on unseen objects (or unseen places)."""
-
-    out: Path = Path("runs/train")  # folder for everything that is made
-    preset: Literal["paper", "debug", "study"] = "paper"
-    dataset: Path | None = None  # a data set to train on instead of simulating one
-    objects: tuple[Path, ...] = ()  # mesh files of its objects that the catalogue does not have, for recognition
-    unit: str | None = None  # of those files, for instance mm
-    split: Literal["auto", "object", "session", "block", "time"] = "auto"  # what is held out of --dataset
-    pad: Path | None = None  # a pad on disk (`i2t.skin.files`), say one fitted to a real skin, to simulate with
-    pads: tuple[int, ...] | None = None  # numbers of simulated pads, in place of the preset's
-    seed: int = 0  # of everything random
-    seeds: int | None = None  # how many seeds, from --seed on
-    epochs: int | None = None  # of the networks
-    resume: bool = False  # go on with an unfinished run in --out
-    overwrite: bool = False  # replace a finished or unfinished run in --out
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    answer_renamed_value(argv, "--split", {"run": "session"})
-    answer_renamed_value(argv, "--preset", RENAMED)
-    args = tyro.cli(TrainArgs, args=argv, description=__doc__, prog="python -m experiments.train")
-    return exit_code_of_run(partial(run, args), args.out)
-
-
 def run(args: TrainArgs) -> dict[str, Any]:
     """The experiment: every pad and seed, then the table over them."""
     cfg = choose_preset(PRESETS, args.preset)
@@ -112,12 +84,6 @@ def run(args: TrainArgs) -> dict[str, Any]:
     seeds = range(args.seed, args.seed + (args.seeds or cfg.seeds))
     if args.pads is not None:
         cfg = replace(cfg, pads=args.pads)
-    if args.pads is not None and (args.pad or args.dataset):
-        raise ValueError("--pads are simulated pads by number; pass it without --pad and --dataset")
-    if args.pad and args.dataset:
-        raise ValueError("--pad is for simulated touches, and --dataset brings its own; pass one of them")
-    if args.objects and not args.dataset:
-        raise ValueError("--objects are meshes of the objects in --dataset; pass both, or neither")
     meshes = mesh_files(args.objects, args.unit)
     pads: Sequence[Pad | int | None] = (None,) if args.dataset else (load_pad(args.pad),) if args.pad else cfg.pads
     begin(args.out, args, cfg, args.resume, args.overwrite)

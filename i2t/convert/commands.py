@@ -10,9 +10,9 @@ Examples:
     python -m i2t.convert ambient DATA CORRECTED --field .ambient.npz
     python -m i2t.convert npz DATA DATA.npz
 
-DATA is a folder; converters write one packed file in it and refuse a folder that holds anything, except with --force.
-What cannot be used is refused with one sentence on the error stream and the exit code 2; with --skip-bad it is left
-out and named. The formats are described in docs/data.md.
+DATA is a folder; converters write one packed file in it and refuse a folder that holds anything; --overwrite replaces
+an earlier conversion. What cannot be used is refused with one sentence on the error stream and the exit code 2; with
+--skip-bad it is left out and named. The formats are described in docs/data.md.
 """
 
 import json as json_text
@@ -26,6 +26,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
+from i2t.cli import NAMED_WRONGLY, exit_code_of, renamed_flags
 from i2t.convert import Converted, eflesh, imagine2touch, presses
 from i2t.convert.ambient import without_ambient
 from i2t.dataset import BadFileWarning, Dataset, index, load_dataset, save_dataset
@@ -66,7 +67,7 @@ def from_imagine2touch(
     quarter_turns: int = 0,
     tool_forces: bool = False,
     as_stated: bool = False,
-    force: bool = False,
+    overwrite: bool = False,
     skip_bad: bool = False,
 ) -> None:
     """Convert recordings in the layout of the Imagine2touch code. Pickles inside them are read, never executed.
@@ -83,10 +84,10 @@ def from_imagine2touch(
         quarter_turns: turn images counter-clockwise, until rows run along tool y and columns along tool x
         tool_forces: forces are in the tool's axes, not in the robot base's
         as_stated: look for no mistake (units, signs, axes) and correct none
-        force: replace what an earlier conversion wrote
+        overwrite: replace what an earlier conversion wrote
         skip_bad: leave out sessions and touches that are damaged, and name them
     """
-    _require_free(target, force)
+    _require_free(target, overwrite)
     converted = imagine2touch.convert(
         source,
         board=make_board(board),
@@ -114,7 +115,7 @@ def from_eflesh(
     pad: str | None = None,
     board: Literal[0, 1] | None = None,
     as_stated: bool = False,
-    force: bool = False,
+    overwrite: bool = False,
     skip_bad: bool = False,
 ) -> None:
     """Convert recordings of eFlesh (characterization/datasets), plain or gzip-ed.
@@ -130,10 +131,10 @@ def from_eflesh(
         pad: one name for the skin of all sessions; by default each session's own
         board: of recordings with two boards, only this one; by default both, as two pads
         as_stated: look for no mistake (units, signs, lag, height zero, chips) and correct none
-        force: replace what an earlier conversion wrote
+        overwrite: replace what an earlier conversion wrote
         skip_bad: leave out rows and sessions that are damaged, and name them
     """
-    _require_free(target, force)
+    _require_free(target, overwrite)
     converted = eflesh.convert(
         source,
         radius=1e-3 * tip_radius_mm,
@@ -156,9 +157,9 @@ def from_presses(
     board: str = "reskin",
     window_mm: float = 1e3 * PATCH_WINDOW,
     reach_mm: float = 1e3 * REACH,
-    mesh_unit: str = "mm",
+    unit: Literal["m", "cm", "mm", "inch"] | None = None,
     as_stated: bool = False,
-    force: bool = False,
+    overwrite: bool = False,
     skip_bad: bool = False,
 ) -> None:
     """Convert a table of presses of one indenter, as docs/data.md describes it.
@@ -170,35 +171,35 @@ def from_presses(
         board: number, order and rotation of the chips: reskin, anyskin, or grid-RxC for R rows of C chips
         window_mm: edge of the square that a patch shows; presses outside it are left out
         reach_mm: patches are clipped to this depth behind the indenter's lowest point
-        mesh_unit: unit of the mesh file: m, cm, mm or inch
+        unit: of the mesh file of mesh:FILE, which does not say it itself
         as_stated: look for no mistake (units, signs, lag, height zero, chips) and correct none
-        force: replace what an earlier conversion wrote
+        overwrite: replace what an earlier conversion wrote
         skip_bad: leave out rows that are damaged, and name them
     """
-    _require_free(target, force)
+    _require_free(target, overwrite)
     converted = presses.convert(
         source,
         indenter=indenter,
         board=_board(board),
         window=1e-3 * window_mm,
         reach=1e-3 * reach_mm,
-        mesh_unit=mesh_unit,
+        unit=unit,
         as_stated=as_stated,
         skip_bad=skip_bad,
     )
     _write(target, converted)
 
 
-def pack(source: Source, target: Target, force: bool = False, skip_bad: bool = False) -> None:
+def pack(source: Source, target: Target, overwrite: bool = False, skip_bad: bool = False) -> None:
     """Pack all touches of a folder into one file, which loads faster; images and time series of touches stay behind.
 
     Args:
         source: folder of recorded touches
         target: folder to write
-        force: replace what an earlier conversion wrote
+        overwrite: replace what an earlier conversion wrote
         skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them
     """
-    _require_free(target, force)
+    _require_free(target, overwrite)
     _write(target, Converted(load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad), ()))
 
 
@@ -207,7 +208,7 @@ def subtract_ambient_field(
     target: Target,
     field: Path,
     base_turn: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="RX RY RZ")] = (0.0, 0.0, 0.0),
-    force: bool = False,
+    overwrite: bool = False,
     skip_bad: bool = False,
 ) -> None:
     """Take a fitted ambient field out of readings that were zeroed once, while the tool turned.
@@ -217,10 +218,10 @@ def subtract_ambient_field(
         target: folder to write
         field: the field, as i2t.collect --ambient.poses fits it (.ambient.npz)
         base_turn: rotation vector of the robot's base in the data set's world, rad
-        force: replace what an earlier conversion wrote
+        overwrite: replace what an earlier conversion wrote
         skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them
     """
-    _require_free(target, force)
+    _require_free(target, overwrite)
     dataset = load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad)
     try:
         fitted, _ = load_ambient(field)
@@ -229,19 +230,19 @@ def subtract_ambient_field(
     _write(target, without_ambient(dataset, fitted, str(field), base_turn=base_turn))
 
 
-def to_npz(source: Source, target: Target, force: bool = False, skip_bad: bool = False) -> None:
+def to_npz(source: Source, target: Target, overwrite: bool = False, skip_bad: bool = False) -> None:
     """Write a data set as plain NumPy arrays, without pickles: all fields, names, board and provenance.
 
     Args:
         source: folder or file of touches
         target: file to write, ending in .npz
-        force: replace an existing file
+        overwrite: replace an existing file
         skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them
     """
     if target.suffix != ".npz":
         raise DataError(f"{target}: does not end in .npz; name the file so")
-    if target.exists() and not force:
-        raise DataError(f"{target}: exists already; choose another name or say --force")
+    if target.exists() and not overwrite:
+        raise DataError(f"{target}: exists already; choose another name or pass --overwrite")
     dataset = load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad)
     write_npz(target, dataset)
     print(f"wrote {len(dataset)} touches to {target}")
@@ -261,7 +262,8 @@ def write_npz(path: Path, dataset: Dataset) -> Path:
         `path`.
 
     Raises:
-        DataError: It could not be written.
+        DataError: Its folder cannot be written to.
+        OSError: The disk is full, or failed.
     """
     touches = dataset.touches._asdict()
     truth = touches.pop("truth")
@@ -281,7 +283,7 @@ def write_npz(path: Path, dataset: Dataset) -> Path:
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
-    except OSError as error:
+    except NAMED_WRONGLY as error:
         raise DataError(f"{path}: cannot be written ({error.strerror}); choose a folder you may write to") from error
     return path
 
@@ -297,6 +299,10 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 }
 
 
+RENAMED_CONVERT_FLAGS = {"--force": "--overwrite", "--mesh-unit": "--unit"}
+INTERRUPTED = "interrupted; nothing was written"
+
+
 def main(args: Sequence[str] | None = None) -> int:
     """Run one command.
 
@@ -304,27 +310,31 @@ def main(args: Sequence[str] | None = None) -> int:
         args: The command line without the program's name, by default this process's.
 
     Returns:
-        The exit code: 0, or 2 where a recording cannot be read.
+        The exit code, as `i2t.cli` has them: 2 where a recording cannot be used.
     """
+    words = list(sys.argv[1:] if args is None else args)
+    renamed_flags(words, RENAMED_CONVERT_FLAGS)
+    return exit_code_of(lambda: _run(words), INTERRUPTED)
+
+
+def _run(words: Sequence[str]) -> None:
+    """One command, and after it what was left out."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", BadFileWarning)
         try:
             tyro.extras.subcommand_cli_from_dict(
                 COMMANDS,
-                args=args,
+                args=words,
                 prog="python -m i2t.convert",
                 description=__doc__,
                 config=(tyro.conf.FlagCreatePairsOff,),
             )
-        except DataError as error:
-            print(error, file=sys.stderr)
-            return 2
-    for warning in caught:
-        print(warning.message, file=sys.stderr)
-    return 0
+        finally:
+            for warning in caught:
+                print(warning.message, file=sys.stderr)
 
 
-def _require_free(target: Path, force: bool) -> None:
+def _require_free(target: Path, overwrite: bool) -> None:
     """Refuse to mix a conversion with other files, and to replace an earlier one unasked."""
     if target.exists() and not target.is_dir():
         raise DataError(f"{target}: is a file; give a folder to write")
@@ -332,8 +342,8 @@ def _require_free(target: Path, force: bool) -> None:
     others = [name for name in found if name not in (PACKED, INDEX)]
     if others:
         raise DataError(f"{target}: holds {others[0]}, which no conversion wrote; give another folder")
-    if found and not force:
-        raise DataError(f"{target}: holds a data set already; give another folder or say --force")
+    if found and not overwrite:
+        raise DataError(f"{target}: holds a data set already; give another folder or pass --overwrite")
 
 
 def _board(name: str) -> Board:

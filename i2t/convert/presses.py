@@ -28,6 +28,12 @@ from i2t.unknowns import RecordedPresses
 
 PLACES = ("x_mm", "y_mm", "depth_mm")
 NAME_COLUMNS = ("pad", "session")
+QUANTITY_OF = {"x": "length", "y": "length", "depth": "length", "b": "field", "force": "force"}  # by a column's stem
+UNITS: dict[str, tuple[str, dict[str, float]]] = {  # of each quantity: ours, and others with their factors
+    "length": ("mm", {"m": 1e3, "cm": 10.0, "um": 1e-3}),
+    "field": ("uT", {"T": 1e6, "mT": 1e3, "nT": 1e-3, "G": 100.0}),
+    "force": ("N", {"mN": 1e-3, "kN": 1e3}),
+}
 MOSTLY = 0.9  # of the rows with a depth, for all to be turned
 MIN_TURNED = 5  # rows
 ROWS_AT_ONCE = 512  # bounds the memory of the intermediate arrays
@@ -45,7 +51,7 @@ def convert(
     board: Board,
     window: float = PATCH_WINDOW,
     reach: float = REACH,
-    mesh_unit: str = "mm",
+    unit: str | None = None,
     as_stated: bool = False,
     skip_bad: bool = False,
 ) -> Converted:
@@ -53,11 +59,11 @@ def convert(
 
     Args:
         source: the table.
-        indenter: `sphere:RADIUS` or `cylinder:RADIUS` with the radius in mm, or `mesh:FILE` in `mesh_unit`.
+        indenter: `sphere:RADIUS` or `cylinder:RADIUS` with the radius in mm, or `mesh:FILE` in `unit`.
         board: which the values are of; the table has three columns for each of its chips.
         window: m, edge of the square that a patch shows; presses whose axis lies outside it are left out.
         reach: m, patches are clipped to this depth behind the indenter's lowest point.
-        mesh_unit: unit of the mesh file: m, cm, mm or inch.
+        unit: of the mesh file: m, cm, mm or inch.
         as_stated: look for no mistake and correct none.
         skip_bad: leave out damaged rows, and note them.
 
@@ -79,7 +85,7 @@ def convert(
         raise DataError(f"{source}: no press lies inside the window of {1e3 * window:g} mm; widen --window-mm")
     kept = [row for row, keep in zip(rows, inside, strict=True) if keep]
     x, y, depth = x[inside], y[inside], depth[inside]
-    patch, lowest = _patches(indenter, mesh_unit, x, y, window=window, reach=reach, notes=notes)
+    patch, lowest = _patches(indenter, unit, x, y, window=window, reach=reach, notes=notes)
     n = len(x)
     T_w_o = np.tile(np.eye(4), (n, 1, 1))
     T_w_o[:, :3, 3] = np.column_stack([x, y, -depth - lowest])
@@ -222,7 +228,7 @@ class _Columns(NamedTuple):
 
 def _rows(source: Path, chips: int, notes: ConversionLog) -> list[dict[str, Any]]:
     """The table's presses; damaged rows are refused or left out as `notes` has it."""
-    header, lines = _read_table(source)
+    header, lines = _read_table(source, notes)
     columns = _check_header(source, header, chips, notes)
     rows: list[dict[str, Any]] = []
     for number, line in lines:
@@ -236,15 +242,65 @@ def _rows(source: Path, chips: int, notes: ConversionLog) -> list[dict[str, Any]
     return rows
 
 
-def _read_table(source: Path) -> tuple[list[str], list[tuple[int, dict[str, Any]]]]:
-    """Names of the columns, and the rows with their numbers in the file."""
+def _read_table(source: Path, notes: ConversionLog) -> tuple[list[str], list[tuple[int, dict[str, Any]]]]:
+    """Names of the columns, and the rows with their numbers in the file: fields between semicolons or tabs, decimal
+    commas and columns in other units are turned into what the rest of this module reads.
+    """
+    lines = read_text(source).splitlines()
+    first = lines[0] if lines else ""
+    delimiter = next((each for each in (";", "\t") if each in first and "," not in first), ",")
     try:
-        table = csv.DictReader(read_text(source).splitlines(), strict=True)
-        header = ["session" if name.strip() == "run" else name.strip() for name in table.fieldnames or ()]
+        table = csv.DictReader(lines, delimiter=delimiter, strict=True)
+        stated = ["session" if name.strip() == "run" else name.strip() for name in table.fieldnames or ()]
+        header, factors = _in_our_units(stated)
         table.fieldnames = header
-        return header, [(table.line_num, line) for line in table]
+        rows = [(table.line_num, line) for line in table]
     except csv.Error as error:
         raise DataError(f"{source}: is no comma-separated table ({error}); save it as CSV") from error
+    if delimiter != ",":
+        notes.info(f"fields are separated by {'semicolons' if delimiter == ';' else 'tabs'}, and commas are decimal")
+        rows = [(number, _each(line, _with_point)) for number, line in rows]
+    if factors:
+        units = ", ".join(old for old, new in zip(stated, header, strict=True) if old != new)
+        notes.info(f"columns {units} are in other units than mm, uT and N, and were turned into these")
+        rows = [(number, _scaled(line, factors)) for number, line in rows]
+    return header, rows
+
+
+def _in_our_units(header: list[str]) -> tuple[list[str], dict[str, float]]:
+    """Names of columns with the units of this module, and the factors by which such columns grow."""
+    names, factors = [], {}
+    for name in header:
+        stem, _, unit = name.rpartition("_")
+        quantity = QUANTITY_OF.get(re.sub("[ab][0-9]+[xyz]", "b", stem), "")
+        ours, units = UNITS.get(quantity, ("", {}))
+        if unit in units:
+            name = f"{stem}_{ours}"
+            factors[name] = units[unit]
+        names.append(name)
+    return names, factors
+
+
+def _each(line: dict[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
+    """A row with each of its texts changed."""
+    return {name: change(text) if isinstance(text, str) else text for name, text in line.items()}
+
+
+def _with_point(text: str) -> str:
+    """A number with a decimal point in place of a comma."""
+    return text.replace(",", ".") if re.fullmatch(r"\s*[-+]?[0-9]*,[0-9]+([eE][-+]?[0-9]+)?\s*", text) else text
+
+
+def _scaled(line: dict[str, Any], factors: dict[str, float]) -> dict[str, Any]:
+    """A row whose numbers are in the units of this module; what is no number stays, and is refused later."""
+
+    def scaled(name: str, text: Any) -> Any:
+        try:
+            return repr(factors[name] * float(text))
+        except (KeyError, TypeError, ValueError):
+            return text
+
+    return {name: scaled(name, text) for name, text in line.items()}
 
 
 def _check_header(source: Path, header: list[str], chips: int, notes: ConversionLog) -> _Columns:
@@ -323,12 +379,12 @@ def _of_positive_depth(source: Path, rows: list[dict[str, Any]], notes: Conversi
 
 
 def _patches(
-    indenter: str, mesh_unit: str, x: np.ndarray, y: np.ndarray, *, window: float, reach: float, notes: ConversionLog
+    indenter: str, unit: str | None, x: np.ndarray, y: np.ndarray, *, window: float, reach: float, notes: ConversionLog
 ) -> tuple[np.ndarray, float]:
     """Patches (n, 48, 48) m and the z of the indenter's lowest point in its own frame (m)."""
     kind, _, value = indenter.partition(":")
     if kind == "mesh" and value:
-        return _mesh_patches(Path(value), mesh_unit, x, y, window=window, reach=reach, notes=notes)
+        return _mesh_patches(Path(value), unit, x, y, window=window, reach=reach, notes=notes)
     try:
         radius = 1e-3 * float(value)
     except ValueError:
@@ -339,7 +395,7 @@ def _patches(
 
 
 def _mesh_patches(
-    file: Path, unit: str, x: np.ndarray, y: np.ndarray, *, window: float, reach: float, notes: ConversionLog
+    file: Path, unit: str | None, x: np.ndarray, y: np.ndarray, *, window: float, reach: float, notes: ConversionLog
 ) -> tuple[np.ndarray, float]:
     import jax.numpy as jnp
     from jax import jit
@@ -347,6 +403,8 @@ def _mesh_patches(
     from i2t.objects import read_mesh
     from i2t.rendering import render
 
+    if unit is None:
+        raise DataError(f"--indenter mesh:{file}: say in which unit the file is, for instance --unit mm")
     try:
         (_, mesh, _), report = read_mesh(file, unit, table=False)
     except (ValueError, OSError) as error:

@@ -21,7 +21,7 @@ ROTATION_TOLERANCE = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Dataset:
     """Touches with their names: `touches.object[i]` indexes `objects`, `pad` and `session` likewise; rows are in the
     order of time.
@@ -41,6 +41,12 @@ class Dataset:
     window: float = PATCH_WINDOW  # m, edge of the square that a patch covers
     reach: float = REACH  # m, a patch is clipped to it
     meta: Mapping[str, str] = field(default_factory=dict)  # provenance, in words
+
+    def __repr__(self) -> str:
+        return (
+            f"Dataset({len(self)} touches, {self.source}, {len(self.objects)} objects, {len(self.pads)} pads, "
+            f"{len(self.sessions)} sessions, {self.board.num_chips} chips)"
+        )
 
     def __post_init__(self) -> None:
         def numpy(name: str, values: Any) -> np.ndarray:

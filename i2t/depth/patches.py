@@ -30,7 +30,7 @@ from jaxtyping import Array, Bool, Float, Num
 from i2t.depth.camera import Camera, check_image
 from i2t.depth.distortion import pixel_rays, project_to_pixel
 from i2t.geometry import is_rigid
-from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, Patch
+from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, Patch, one_line
 
 LOOKING_DISTANCE_M = 104e-3  # m, from the camera to the tool's origin when the paper's arm looks
 GRAZING_ANGLE_RAD = math.radians(10)  # rad, between a triangle and the line of sight to it
@@ -48,6 +48,9 @@ class DepthPatch(NamedTuple):
     patch: Patch
     valid_mask: Bool[Array, "n n"]  # measured on the pixel's ray
     inpainted_mask: Bool[Array, "n n"]  # interpolated; valid and inpainted exclude each other
+
+    def __repr__(self) -> str:
+        return one_line(self)
 
 
 def patch_from_depth(

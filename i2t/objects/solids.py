@@ -15,6 +15,8 @@ import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
 from numpy.typing import NDArray
 
+from i2t.types import one_line
+
 Real: TypeAlias = float | int  # of a drawing
 
 SAGITTA_MM = 0.03  # between a chord and its arc
@@ -27,6 +29,9 @@ class Mesh(NamedTuple):
 
     vertices: NDArray[np.float64]  # (vertices, 3) m
     faces: NDArray[np.int32]  # (faces, 3) rows of `vertices`
+
+    def __repr__(self) -> str:
+        return one_line(self)
 
 
 class Object(NamedTuple):

@@ -27,18 +27,18 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from orbax.checkpoint import v1 as ocp
 
 from i2t.errors import CheckpointError
-from i2t.prediction import baselines, checkpoint, gp, model
+from i2t.prediction import baselines, checkpoint, gp, model, user_input
 from i2t.prediction.baselines import Baseline, MeanReading, NearestPatches, RidgeOnPatches, TouchFeatures
 from i2t.prediction.gp import GP, ContactPressure, GPHyperparameters
 from i2t.prediction.model import ModelConfig, Normalisation, Params
 from i2t.prediction.pressure import PressureModelConfig, predict_pressure
 from i2t.rendering.render import prepare_surface, render_patch
 from i2t.skin.pad import nominal_pad
-from i2t.types import PATCH_PIXELS, WIDE_PIXELS, Pad, Patch, Surface
+from i2t.types import PATCH_PIXELS, WIDE_PIXELS, Pad, Patch, Surface, one_line
 
 PREDICTOR_FORMAT = "i2t predictor"
 PREDICTOR_VERSION = 3
@@ -55,6 +55,9 @@ class Reading(NamedTuple):
 
     mean: np.ndarray  # (3 chips,) or (n, 3 chips) uT
     std: np.ndarray  # as mean: standard deviation of the sensor's reading about the mean, its noise included
+
+    def __repr__(self) -> str:
+        return one_line(self)
 
 
 class TouchBatch(NamedTuple):
@@ -226,6 +229,8 @@ class Predictor:
         nearest: Values | None = None,
         depth: Values | None = None,
         wide: Float[Array, "*batch w w"] | np.ndarray | None = None,
+        *,
+        valid: Bool[Array, "*batch n n"] | np.ndarray | None = None,
     ) -> Reading:
         """The reading of one touch, or of many on axis 0.
 
@@ -236,66 +241,133 @@ class Predictor:
             depth: m, travel past first contact; left out, the median of the training touches is taken.
             wide: The same view with its surroundings, pixels of the same size, which makes the prediction better at
                 the rim of the skin.
+            valid: (48, 48) or (n, 48, 48), pixels that were seen (`valid_mask` of `i2t.patch_from_depth`). The others
+                are predicted as if nothing were there and as if the surface went on; the difference widens the
+                standard deviation.
 
         Returns:
             Mean and standard deviation, (3 chips,) or (n, 3 chips) uT.
 
         Raises:
-            ValueError: Shapes or values do not fit.
+            ValueError: Shapes or values do not fit, or are none of a touch: a patch that is not in metres or shows no
+                surface, a force that pulls or breaks the skin.
         """
-        patch = np.asarray(patch, np.float32)
-        patches = patch[None] if patch.ndim == 2 else patch
+        patches = user_input.checked_patches(patch, self.reach)
         n = len(patches)
-        if patches.ndim != 3 or patches.shape[1] != patches.shape[2]:
-            raise ValueError(f"patch has shape {patch.shape}; give (n, n) or (touches, n, n)")
-        if not np.isfinite(patches).all():
-            raise ValueError("patch holds NaN or infinity; pixels without a surface are `reach`")
-        views = patches if wide is None else np.asarray(wide, np.float32).reshape(n, *np.shape(wide)[-2:])
-        touches = TouchBatch(
-            patches,
-            views,
-            self.window / patches.shape[1],
-            force=_column("force", force, n, self.default_force),
-            nearest=_column("nearest", nearest, n, None),
-            depth=_column("depth", depth, n, self.default_depth),
+        values = {
+            "force": user_input.checked_column("force", force, n, self.default_force),
+            "nearest": user_input.checked_column("nearest", nearest, n, None),
+            "depth": user_input.checked_column("depth", depth, n, self.default_depth),
+        }
+        sign = -1.0 if self.default_force < 0 else 1.0
+        user_input.check_press(**values, usual_force=self.default_force, force_sign=sign)
+        views = None if wide is None else user_input.checked_wide(wide, patches, self.reach)
+        if valid is None or np.asarray(valid).all():
+            reading = self._predict_classes(patches, views, values)
+        else:
+            reading = self._predict_unseen(patches, views, values, valid)
+        return Reading(reading.mean[0], reading.std[0]) if np.ndim(patch) == 2 else reading
+
+    def predict_views(
+        self,
+        patch: np.ndarray,
+        *,
+        force: np.ndarray,
+        nearest: np.ndarray,
+        depth: np.ndarray | None = None,
+        wide: np.ndarray | None = None,
+    ) -> Reading:
+        """Readings of views that i2t rendered, which are not judged again: for experiments.
+
+        Args:
+            patch: (n, p, p) m.
+            force: (n,) N along tool z.
+            nearest: (n,) m.
+            depth: (n,) m, past first contact; left out, the median of the training touches is taken.
+            wide: (n, w, w) m, the patches with their surroundings; left out, the patches.
+
+        Returns:
+            Mean and standard deviation, (n, 3 chips) uT.
+
+        Raises:
+            ValueError: Patches or conditions do not fit the model.
+        """
+        patches = np.asarray(patch, np.float32)
+        travel = np.full(len(patches), self.default_depth, np.float32) if depth is None else depth
+        return self.predict_batch(
+            TouchBatch(
+                patches,
+                patches if wide is None else np.asarray(wide, np.float32),
+                self.window / patches.shape[1],
+                force=np.asarray(force, np.float32),
+                nearest=np.asarray(nearest, np.float32),
+                depth=np.asarray(travel, np.float32),
+            )
         )
-        reading = self.predict_batch(touches)
-        return Reading(reading.mean[0], reading.std[0]) if patch.ndim == 2 else reading
 
     def predict_touch(
         self,
         mesh: Any,
-        T_w_t: Float[Array, "4 4"] | np.ndarray,
-        force: float | None = None,
+        T_w_t: Float[Array, "*batch 4 4"] | np.ndarray,
+        force: Values | None = None,
         unit: str | None = None,
     ) -> Reading:
-        """The reading of the skin pressed on a mesh.
+        """The reading of the skin pressed on a mesh, at one pose or at many.
 
         Args:
-            mesh: In W: a file (then `unit` is required), an `i2t.objects.Object`, anything with `vertices`
-                and `faces` (m), or a prepared `Surface`.
-            T_w_t: (4, 4) pose of the tool frame at the contact.
-            force: N along tool z; left out, the median of the training touches is taken.
+            mesh: In W: a file (then `unit` is required), which is read as `i2t.load_mesh` does, box centred in x and y
+                and lowest point on z = 0; an `i2t.objects.Object`; anything with `vertices` and `faces` (m), such as a
+                mesh of trimesh, or with `vertices` and `triangles`, such as one of Open3D; or a prepared `Surface`.
+            T_w_t: (4, 4) pose of the tool frame at the contact, or (n, 4, 4).
+            force: N along tool z, one for all or one for each; left out, the median of the training touches is taken.
             unit: Of a file's coordinates, such as "mm".
 
         Returns:
-            Mean and standard deviation, (3 chips,) uT.
+            Mean and standard deviation, (3 chips,) or (n, 3 chips) uT.
 
         Raises:
-            ValueError: The pose is no transform, or nothing lies in front of the skin.
+            ValueError: The pose is no rigid transform, or the skin does not lie on the surface there.
+
+        Example:
+            T_o_t = i2t.contact_pose(mesh, mesh.vertices[0])
+            reading, std = predictor.predict_touch(mesh, T_o_t, force=1.0)
         """
-        surface = _surface_of(mesh, unit)
-        T = jnp.asarray(T_w_t, jnp.float32)
-        if T.shape != (4, 4) or not bool(jnp.all(jnp.isfinite(T))):
-            raise ValueError(f"T_w_t must be a finite (4, 4) transform, got shape {T.shape}")
+        surface, poses = _surface_of(mesh, unit), user_input.checked_poses(T_w_t)
         pitch = self.window / PATCH_PIXELS
-        patch = _render(surface, T, self.window, PATCH_PIXELS, self.reach)
-        if not bool(jnp.isfinite(patch.nearest)):
-            raise ValueError("nothing lies in front of the skin at this pose; move T_w_t towards the surface")
-        wide = _render(surface, T, pitch * WIDE_PIXELS, WIDE_PIXELS, self.reach)
-        # Both views count from the patch's nearest point, as the camera's do.
-        around = np.clip(np.asarray(wide.depth) + float(wide.nearest - patch.nearest), 0, self.reach)
-        return self.predict(np.asarray(patch.depth), force=force, nearest=float(patch.nearest), wide=around)
+        patches, wides, nearest = [], [], []
+        for pose in poses:
+            patch = _render(surface, jnp.asarray(pose), self.window, PATCH_PIXELS, self.reach)
+            user_input.check_in_front(surface, pose, patch, self.window)
+            wide = _render(surface, jnp.asarray(pose), pitch * WIDE_PIXELS, WIDE_PIXELS, self.reach)
+            # Both views count from the patch's nearest point, as the camera's do.
+            wides.append(np.clip(np.asarray(wide.depth) + float(wide.nearest - patch.nearest), 0, self.reach))
+            patches.append(np.asarray(patch.depth))
+            nearest.append(float(patch.nearest))
+        reading = self.predict(np.stack(patches), force=force, nearest=np.array(nearest), wide=np.stack(wides))
+        return Reading(reading.mean[0], reading.std[0]) if np.ndim(T_w_t) == 2 else reading
+
+    def _predict_classes(self, patches: np.ndarray, views: np.ndarray | None, values: dict[str, np.ndarray]) -> Reading:
+        """Readings of touches in batches of few sizes, so that a new number of touches compiles nothing."""
+        parts = []
+        for rows, wanted in user_input.size_classes(len(patches)):
+            chosen = {name: column[rows] for name, column in values.items()}
+            part = self.predict_views(patches[rows], wide=None if views is None else views[rows], **chosen)
+            parts.append(Reading(part.mean[:wanted], part.std[:wanted]))
+        return Reading(*(np.concatenate([part[i] for part in parts]) for i in range(2)))
+
+    def _predict_unseen(
+        self, patches: np.ndarray, views: np.ndarray | None, values: dict[str, np.ndarray], valid: Any
+    ) -> Reading:
+        """Readings of touches of which pixels were not seen: between those of nothing there and of the surface that
+        goes on, and as uncertain as these differ.
+        """
+        empty, continued = (
+            self._predict_classes(filled, None if views is None else user_input.in_middle(views, filled), values)
+            for filled in user_input.fill_unseen(patches, valid, self.reach)
+        )
+        half = (empty.mean - continued.mean) / 2
+        variance = np.maximum(empty.std, continued.std) ** 2 + half**2
+        return Reading(continued.mean + half, np.sqrt(variance))
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
         """The model's readings of n touches, their standard deviations scaled.
@@ -531,24 +603,19 @@ def _render(surface: Surface, T_w_t: Array, window: float, pixels: int, reach: f
 
 def _surface_of(mesh: Any, unit: str | None) -> Surface:
     """A surface to render, from whatever a user has."""
+    if isinstance(mesh, Surface):
+        return mesh
     if isinstance(mesh, str | Path):
-        from i2t.objects import read_mesh
+        from i2t.objects import load_mesh
 
         if unit is None:
             raise ValueError(f"{mesh}: say in which unit the file is, for instance unit='mm'")
-        mesh = read_mesh(mesh, unit, table=False)[0]
-    return mesh if isinstance(mesh, Surface) else prepare_surface(getattr(mesh, "mesh", mesh))
-
-
-def _column(name: str, values: Values | None, n: int, default: float | None) -> np.ndarray:
-    """A value for each of n touches (n,); NaN where there is neither a value nor a default."""
-    if values is None:
-        return np.full(n, np.nan if default is None else default, np.float32)
-    given = np.asarray(values, np.float32)
-    column = np.full(n, given) if given.ndim == 0 else given
-    if column.shape != (n,) or not np.isfinite(column).all():
-        raise ValueError(f"{name} must be finite, one for all touches or one for each of {n}")
-    return column
+        mesh = load_mesh(mesh, unit)
+    elif unit is not None:
+        raise ValueError("unit is of a file's coordinates; vertices of a mesh are metres: scale them, and leave it out")
+    mesh = getattr(mesh, "mesh", mesh)
+    user_input.check_size(mesh)
+    return prepare_surface(mesh)
 
 
 def _plain(node: Any) -> Any:

@@ -42,15 +42,16 @@ VIEWS = 64  # rendered and predicted at a time: one compilation serves all
 class ReadingPredictor(Protocol):
     """What says what the skin would read; `i2t.prediction.predictor.Predictor` is one."""
 
-    def predict(
+    def predict_views(
         self,
         patch: np.ndarray,
-        force: np.ndarray | None = None,
-        nearest: np.ndarray | None = None,
+        *,
+        force: np.ndarray,
+        nearest: np.ndarray,
         depth: np.ndarray | None = None,
         wide: np.ndarray | None = None,
     ) -> Reading:
-        """Readings (uT) of n touches from patches (n, 48, 48) m, as in `Predictor.predict`."""
+        """Readings (uT) of n touches from patches (n, 48, 48) m, as in `Predictor.predict_views`."""
         ...
 
 
@@ -60,11 +61,12 @@ class ConstantPredictor:
 
     reading: Float[np.ndarray, " c"]  # uT, say the mean of the training readings
 
-    def predict(
+    def predict_views(
         self,
         patch: np.ndarray,
-        force: np.ndarray | None = None,
-        nearest: np.ndarray | None = None,
+        *,
+        force: np.ndarray,
+        nearest: np.ndarray,
         depth: np.ndarray | None = None,
         wide: np.ndarray | None = None,
     ) -> Reading:
@@ -146,7 +148,7 @@ def reading_distances(
             if view_noise > 0:
                 wide = _noisy(wide, view_noise, rng)
             for name, predictor in ready.items():
-                reading = predictor.predict(
+                reading = predictor.predict_views(
                     _inner(wide), force=force[full], nearest=np.zeros(VIEWS, np.float32), wide=wide
                 ).mean
                 predicted[name][rows, i] = np.where(seen[:, None], reading, 0.0)[: len(rows)]

@@ -166,6 +166,12 @@ class ObjectRecognizer:
         self.safe = jnp.asarray(safe_sites(placed, sites.moved(self.T_w_o), config.site_limits))
         self._objects = len(surfaces)
 
+    def __repr__(self) -> str:
+        """One line: among what it chooses."""
+        return (
+            f"ObjectRecognizer({len(self.names)} objects: {', '.join(self.names[:5])}{', ...' * (len(self.names) > 5)})"
+        )
+
     @property
     def channels(self) -> int:
         """Values of a reading."""

@@ -33,7 +33,8 @@ def prepare_surface(mesh: Any) -> Surface:
 
     Args:
         mesh: Anything with `vertices` (v, 3) in metres and `faces` (f, 3) of indices, such as an `i2t.objects.Mesh` or
-            a `trimesh.Trimesh`. Open meshes and any winding are welcome.
+            a `trimesh.Trimesh`, or with `vertices` and `triangles`, such as a mesh of Open3D. Open meshes and any
+            winding are welcome.
 
     Returns:
         The surface, for `render_patch` and all that touches it.
@@ -44,9 +45,10 @@ def prepare_surface(mesh: Any) -> Surface:
     Example:
         surface = i2t.prepare_surface(i2t.load_mesh("mug.stl", "mm"))
     """
-    if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
+    corners = getattr(mesh, "faces", getattr(mesh, "triangles", None))  # as Open3D calls them
+    if not hasattr(mesh, "vertices") or corners is None:
         raise ValueError(f"mesh: a {type(mesh).__name__} has no vertices and faces; give an i2t.objects.Mesh")
-    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(corners)
     if vertices.dtype.kind not in "iuf" or faces.dtype.kind not in "iu":
         raise ValueError(
             f"mesh: vertices of {vertices.dtype} and faces of {faces.dtype} must be reals and integers; convert them"

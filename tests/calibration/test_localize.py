@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from experiments.pads import run as pads
+from experiments.pads import __main__ as pads
 from experiments.pads.simulate import sample_skins
 from i2t.calibration import localize
 from i2t.calibration.localize import PressLibrary, WeightPosterior

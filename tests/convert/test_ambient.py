@@ -51,7 +51,7 @@ def test_the_turn_of_the_field_is_subtracted_and_stated(recorded, tmp_path, caps
     again = load_dataset(tmp_path / "out")
     np.testing.assert_allclose(again.touches.reading, truth, atol=1e-3)
     assert "was subtracted" in again.meta["ambient field"]
-    assert main([*words, "--force"]) == 0
+    assert main([*words, "--overwrite"]) == 0
 
 
 def test_a_missing_chip_stays_missing(recorded):

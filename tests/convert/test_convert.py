@@ -718,7 +718,13 @@ def test_a_mesh_is_pressed_with_its_lowest_point_first(tmp_path):
     for name in READING_NAMES:
         columns[name] = columns[name][:3]
     dataset = converted(
-        tmp_path / "table.csv", tmp_path / "dst", "--indenter", f"mesh:{tmp_path / 'tip.stl'}", command="presses"
+        tmp_path / "table.csv",
+        tmp_path / "dst",
+        "--indenter",
+        f"mesh:{tmp_path / 'tip.stl'}",
+        "--unit",
+        "mm",
+        command="presses",
     )
     centres = ((np.arange(48) + 0.5) / 48 - 0.5) * 17e-3
     for k, (x, y) in enumerate(((0, 0), (1e-3, 2e-3), (-2e-3, 1e-3))):
@@ -869,15 +875,15 @@ def test_nothing_is_overwritten_or_mixed_unasked(tmp_path, capsys):
     args = ("imagine2touch", tmp_path / "src", tmp_path / "dst")
     assert run(*args) == 0
     before = (tmp_path / "dst/touches.h5").read_bytes()
-    assert "say --force" in refused(capsys, *args)
+    assert "pass --overwrite" in refused(capsys, *args)
     assert (tmp_path / "dst/touches.h5").read_bytes() == before
-    assert run(*args, "--force") == 0
+    assert run(*args, "--overwrite") == 0
     assert (tmp_path / "dst/touches.h5").read_bytes() != before  # its time of creation
     (tmp_path / "dst/mine.txt").write_text("mine")
-    assert "holds mine.txt" in refused(capsys, *args, "--force")
+    assert "holds mine.txt" in refused(capsys, *args, "--overwrite")
     assert "is a file" in refused(capsys, *args[:2], tmp_path / "dst/mine.txt")
     assert run("npz", tmp_path / "dst/touches.h5", tmp_path / "set.npz") == 0
-    assert "say --force" in refused(capsys, "npz", tmp_path / "dst/touches.h5", tmp_path / "set.npz")
+    assert "pass --overwrite" in refused(capsys, "npz", tmp_path / "dst/touches.h5", tmp_path / "set.npz")
     assert ".npz; name the file so" in refused(capsys, "npz", tmp_path / "dst/touches.h5", tmp_path / "set")
     assert "is missing" not in refused(capsys, "imagine2touch", tmp_path / "nowhere", tmp_path / "new")
     assert "states.csv" in refused(capsys, "eflesh", tmp_path / "nowhere", tmp_path / "new")
@@ -889,4 +895,4 @@ def test_the_module_runs_as_a_command():
     helped = subprocess.run([*command, "--help"], cwd=ROOT, capture_output=True, text=True, check=True)
     assert "python -m i2t.convert presses TABLE.csv DATA --indenter sphere:4.0" in helped.stdout
     failed = subprocess.run([*command, "summary", "nowhere"], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert (failed.returncode, failed.stderr) == (2, "nowhere: no such file or folder; check the path\n")
+    assert (failed.returncode, failed.stderr) == (2, "error: nowhere: no such file or folder; check the path\n")

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from experiments.calibrate import __main__ as command
 from experiments.calibrate import config, evaluate, fitted_pad, methods, plain_gp, report
 from experiments.calibrate import run as calibrate
 from experiments.calibrate.data import PressRecording, hold_out, read_presses
@@ -49,7 +50,7 @@ def recording(n: int, pads: int = 1) -> Dataset:
 def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
     data.save_dataset(tmp_path / "set.h5", recording(400))
     args = ["--dataset", str(tmp_path / "set.h5"), "--out", str(tmp_path / "out"), "--preset", "debug"]
-    assert calibrate.main(args) == 0
+    assert command.main(args) == 0
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert metrics["source"] == "simulated"
     assert metrics["warnings"] == []
@@ -70,7 +71,7 @@ def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
     needed = metrics["presses_for_the_same_r2"]["random presses"][methods.STRUCTURED]["5"]
     assert needed[methods.PLAIN] > 5
     capsys.readouterr()
-    assert calibrate.main(args) == 2
+    assert command.main(args) == 2
     assert "finished run" in capsys.readouterr().err
 
 
@@ -101,7 +102,7 @@ def test_presses_at_few_depths_are_calibrated_as_well(step, tmp_path, capsys):
     depth = step * np.round(made.touches.depth / step) if np.isfinite(step) else np.zeros(400)
     data.save_dataset(tmp_path / "set.h5", replace(made, touches=made.touches._replace(depth=depth, nearest=-depth)))
     args = ["--dataset", str(tmp_path / "set.h5"), "--out", str(tmp_path / "out"), "--preset", "debug"]
-    assert calibrate.main(args) == 0
+    assert command.main(args) == 0
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     r2 = {name: by_count["20"]["mean"] for name, by_count in metrics["r2"]["random presses"].items()}
     assert r2[methods.WEIGHED] > max(r2[methods.PLAIN], r2[methods.NEIGHBOURS]) - 0.03
@@ -114,7 +115,7 @@ def test_presses_at_few_depths_are_calibrated_as_well(step, tmp_path, capsys):
 def test_what_cannot_be_calibrated_is_refused(tmp_path, capsys, n, pads, message):
     data.save_dataset(tmp_path / "set.h5", recording(n, pads))
     args = ["--dataset", str(tmp_path / "set.h5"), "--out", str(tmp_path / "out"), "--preset", "debug"]
-    assert calibrate.main(args) == 2
+    assert command.main(args) == 2
     assert message in capsys.readouterr().err
 
 
@@ -134,7 +135,7 @@ def test_an_earlier_session_of_one_place_helps(tmp_path):
         )
     args = ["--dataset", str(tmp_path / "later.h5"), "--previous-session", str(tmp_path / "earlier.h5")]
     args += ["--out", str(tmp_path / "out"), "--preset", "debug"]
-    assert calibrate.main(args) == 0
+    assert command.main(args) == 0
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert metrics["warnings"] == {"previous": [], "later": []}
     (r2,) = metrics["r2"].values()
@@ -146,7 +147,7 @@ def test_presses_and_draws_given_replace_those_of_the_preset(tmp_path, capsys):
     args = config.CalibrateArgs(tmp_path, preset="short", presses=(1000, 20), draws=5)
     assert config.preset_of(args) == replace(config.PRESETS["short"], counts=(20, 1000), draws=5)
     assert config.preset_of(config.CalibrateArgs(tmp_path)) == config.PRESETS["paper"]
-    assert calibrate.main(["--dataset", str(tmp_path), "--presses", "1"]) == 2
+    assert command.main(["--dataset", str(tmp_path), "--presses", "1"]) == 2
     assert "at least 2" in capsys.readouterr().err
 
 
@@ -316,7 +317,7 @@ def test_loads_that_say_nothing_are_refused_at_once(change, said):
 
 def test_a_flag_of_earlier_versions_is_answered_with_its_new_name(tmp_path, capsys):
     with pytest.raises(SystemExit):
-        calibrate.main(["--dataset", str(tmp_path), "--earlier", str(tmp_path)])
+        command.main(["--dataset", str(tmp_path), "--earlier", str(tmp_path)])
     assert "--previous-session" in capsys.readouterr().err
 
 
@@ -329,17 +330,17 @@ def test_a_flag_of_earlier_versions_is_answered_with_its_new_name(tmp_path, caps
     ],
 )
 def test_a_pad_is_fitted_to_a_data_set_or_a_calibration(words, said, capsys):
-    assert calibrate.main(words) == 2
+    assert command.main(words) == 2
     assert said in capsys.readouterr().err
 
 
 def test_a_pad_file_needs_a_known_tip_and_a_name_of_its_own(tmp_path, capsys):
     data.save_dataset(tmp_path / "set.h5", recording(60))
     saved = tmp_path / "pad.npz"
-    assert calibrate.main(["--dataset", str(tmp_path / "set.h5"), "--save-pad", str(saved)]) == 2
+    assert command.main(["--dataset", str(tmp_path / "set.h5"), "--save-pad", str(saved)]) == 2
     assert '"tip" is no tip that a pad can be fitted to; pass --tip sphere:RADIUS' in capsys.readouterr().err
     saved.write_bytes(b"")
-    assert calibrate.main(["--dataset", str(tmp_path / "set.h5"), "--save-pad", str(saved), "--tip", "sphere:4"]) == 2
+    assert command.main(["--dataset", str(tmp_path / "set.h5"), "--save-pad", str(saved), "--tip", "sphere:4"]) == 2
     assert "exists; choose another --save-pad" in capsys.readouterr().err
 
 
@@ -364,7 +365,7 @@ def test_presses_and_the_calibration_of_them_give_the_same_pad(of, tmp_path, cap
         args = config.CalibrateArgs(dataset=tmp_path / "set.h5", out=tmp_path)
         calibrate.save_calibration(args, cfg, given, read_presses(given, "force"), np.ones(60, bool))
         words += ["--calibration", str(tmp_path / "calibration.npz")]
-    assert calibrate.main(words) == 2
+    assert command.main(words) == 2
     assert "seen enough" in capsys.readouterr().err
     (given, tip) = pressed[0]
     assert tip == RoundTip("sphere", 4e-3)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from experiments.calibrate_pads import kinds, prior_search, run, skin_kinds
+from experiments.calibrate_pads import __main__ as command
+from experiments.calibrate_pads import kinds, prior_search, skin_kinds
 from i2t.calibration.population_gp import kernel, load_prior
 from i2t.calibration.population_gp.prior import prior_about
 
@@ -76,7 +77,7 @@ def test_blocks_held_out_share_no_place_with_what_is_learnt():
 
 
 def test_one_thing_at_a_time(tmp_path, capsys):
-    assert run.main(["--prior", "--kinds", "--out", str(tmp_path / "x")]) != 0
+    assert command.main(["--prior", "--kinds", "--out", str(tmp_path / "x")]) != 0
     assert "pass one of them" in "".join(capsys.readouterr())
 
 
@@ -101,7 +102,7 @@ def test_every_kind_is_pressed_as_it_says():
 @pytest.mark.full
 @pytest.mark.parametrize("what", ["prior", "kinds"])
 def test_a_debug_run_ends_with_its_results(what, tmp_path):
-    assert run.main([f"--{what}", "--preset", "debug", "--out", str(tmp_path)]) == 0
+    assert command.main([f"--{what}", "--preset", "debug", "--out", str(tmp_path)]) == 0
     assert (tmp_path / "metrics.json").is_file()
     if what == "prior":
         assert (tmp_path / "prior.npz").stat().st_size < 100_000

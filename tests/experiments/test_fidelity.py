@@ -8,6 +8,7 @@ import pytest
 from helpers import random_touches
 from helpers.skin_presses import presses_of_a_skin
 
+from experiments.fidelity import __main__ as fidelity
 from experiments.fidelity import curves, describe, dynamics, heads, run
 from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.forward import explained_share, left_out, nearest_presses, press_set, simple_gp
@@ -127,7 +128,7 @@ def test_the_report_is_one_file_with_its_pictures(tmp_path, monkeypatch, capsys)
     other = tmp_path / "other.csv"
     np.savetxt(other, rows[::-1], delimiter=",", header=header, comments="")
     args = ["--dataset", str(table), str(other), "--out", str(tmp_path / "out")]
-    assert run.main(args) == 0
+    assert fidelity.main(args) == 0
     page = (tmp_path / "out" / "report.html").read_text()
     assert page.count("data:image/png;base64,") >= 6
     assert 'src="http' not in page
@@ -145,13 +146,13 @@ def test_the_report_is_one_file_with_its_pictures(tmp_path, monkeypatch, capsys)
     assert heads_across["position: mine <b> -> other"]["rows"] == 90
     assert heads_across["position: mine <b> -> other"]["median"] < 1.0
     capsys.readouterr()
-    assert run.main(args) not in (0, None)
+    assert fidelity.main(args) not in (0, None)
     assert "finished run" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("args", [[], ["--dataset", "nowhere"], ["--dataset", "x", "--simulated-skins", "1"]])
 def test_a_command_line_that_names_no_recording_is_refused(args, tmp_path, capsys):
-    assert run.main([*args, "--out", str(tmp_path / "out")]) not in (0, None)
+    assert fidelity.main([*args, "--out", str(tmp_path / "out")]) not in (0, None)
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists()
 
@@ -284,7 +285,7 @@ def test_area_under_the_curve_and_calibration_error_by_counting():
 
 
 def test_heads_are_fitted_by_one_command(tmp_path, capsys):
-    from experiments.calibrate import run as calibrate
+    from experiments.calibrate import __main__ as calibrate
 
     data.save_dataset(tmp_path / "set.h5", random_touches.make(6, pixels=8))
     args = ["--dataset", str(tmp_path / "set.h5"), "--targets", "colour", "--out", str(tmp_path / "out")]
@@ -337,6 +338,6 @@ def test_slides_of_a_simulated_skin_have_forces_and_slip():
 @pytest.mark.parametrize("session", ["spatial", "normal", "shear"])
 def test_the_report_of_a_real_session(session, shared_data, tmp_path):
     args = ["--dataset", str(shared_data / "eflesh" / session), "--preset", "debug", "--out", str(tmp_path / "out")]
-    assert run.main(args) == 0
+    assert fidelity.main(args) == 0
     for chapter in json.loads((tmp_path / "out" / "metrics.json").read_text())["recordings"].values():
         assert all(section["status"] != "failed" and "failures" not in section for section in chapter.values())

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.real_frames import Compared, RealFrames, run, summary
+from experiments.real_frames.arguments import RealFrames
+from experiments.real_frames.run import Compared, run, summary
 from i2t.depth.patches import DepthPatch
 from i2t.types import Patch
 

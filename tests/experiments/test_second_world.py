@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from experiments.second_world import __main__ as command
 from experiments.second_world import run, world
 from i2t.convert.__main__ import main as convert
 from i2t.dataset import load_dataset
@@ -114,7 +115,7 @@ def test_the_report_compares_the_best_of_both_kinds(capsys):
 @pytest.mark.full
 def test_it_runs(tmp_path):
     out = tmp_path / "world"
-    assert run.main(["--preset", "debug", "--out", str(out)]) == 0
+    assert command.main(["--preset", "debug", "--out", str(out)]) == 0
     found = json.loads((out / "metrics.json").read_text())
     assert set(found["worlds"]) == {"lab", "ideal"}
     assert all(np.isfinite(each["lead"]) for each in found["worlds"].values())

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments import tsne
+from experiments.shapes import __main__ as command
 from experiments.shapes import methods, networks, pad, world
-from experiments.shapes import run as shapes
 from experiments.shapes.config import PRESETS
 from experiments.shapes.methods import FOLDS, make_benchmark, presses_on, split_folds
+from experiments.tsne import __main__ as tsne
 from i2t import dataset as data
 from i2t.errors import DataError
 from i2t.geometry import random_motion
@@ -155,7 +155,7 @@ def test_designs_are_linear_readings_of_the_pad_itself():
 @pytest.mark.full
 def test_the_command_writes_what_it_found_and_refuses_to_lose_it(tmp_path, capsys):
     out = tmp_path / "run"
-    assert shapes.main(["--preset", "debug", "--out", str(out)]) == 0
+    assert command.main(["--preset", "debug", "--out", str(out)]) == 0
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["source"] == "simulated"
     assert set(metrics["splits"]) == set(methods.SPLITS)
@@ -168,7 +168,7 @@ def test_the_command_writes_what_it_found_and_refuses_to_lose_it(tmp_path, capsy
     assert set(metrics["new"]) == {"0", "2"}
     assert {"confusion.png", "rates.png"} <= {path.name for path in out.iterdir()}
     assert "(simulated)" in capsys.readouterr().out
-    assert shapes.main(["--preset", "debug", "--out", str(out)]) == 2
+    assert command.main(["--preset", "debug", "--out", str(out)]) == 2
     assert "finished run" in capsys.readouterr().err
 
 
@@ -179,7 +179,7 @@ def test_recorded_presses_of_which_the_arm_said_little_are_told_apart_by_reading
     touches = touches._replace(T_w_o=nowhere, force=np.full_like(touches.force, np.nan), truth=None)
     path, out = tmp_path / "presses.h5", tmp_path / "run"
     data.save_dataset(path, replace(pressed(), touches=touches, source="real"))
-    assert shapes.main(["--preset", "debug", "--dataset", str(path), "--out", str(out)]) == 0
+    assert command.main(["--preset", "debug", "--dataset", str(path), "--out", str(out)]) == 0
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["source"] == "real"
     assert set(metrics["splits"]) == {"random", "depth"}

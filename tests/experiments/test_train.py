@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import i2t
+from experiments.train import __main__ as command
 from experiments.train import run as train
 from experiments.train import simulate
 from experiments.train.reports import print_table, summarise
@@ -104,7 +105,7 @@ def test_reported_scores_are_the_predictors_own(finished):
 
 def test_a_finished_run_is_not_overwritten(finished, capsys):
     before = (finished / "metrics.json").read_bytes()
-    assert train.main(["--preset", "debug", "--out", str(finished)]) == 2
+    assert command.main(["--preset", "debug", "--out", str(finished)]) == 2
     assert "pass --overwrite" in capsys.readouterr().err
     assert (finished / "metrics.json").read_bytes() == before
 
@@ -122,11 +123,11 @@ def test_killed_and_resumed_equals_uninterrupted(finished, tmp_path, capsys):
     process.wait()
     assert not (out / "metrics.json").exists()
 
-    assert train.main(["--preset", "debug", "--out", str(out)]) == 2
+    assert command.main(["--preset", "debug", "--out", str(out)]) == 2
     assert "pass --resume" in capsys.readouterr().err
-    assert train.main(["--preset", "debug", "--seed", "1", "--out", str(out), "--resume"]) == 2
+    assert command.main(["--preset", "debug", "--seed", "1", "--out", str(out), "--resume"]) == 2
     assert "other settings" in capsys.readouterr().err
-    assert train.main(["--preset", "debug", "--out", str(out), "--resume"]) == 0
+    assert command.main(["--preset", "debug", "--out", str(out), "--resume"]) == 0
     assert numbers(out) == numbers(finished)
 
 
@@ -135,7 +136,7 @@ def test_a_data_set_trains_as_well(finished, tmp_path):
     """The set that the first run simulated, given back as --dataset, split by session this time."""
     out = tmp_path / "again"
     arguments = ["--preset", "debug", "--dataset", str(finished / "data.h5"), "--split", "session", "--out", str(out)]
-    assert train.main(arguments) == 0
+    assert command.main(arguments) == 0
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["split"] == "session"
     assert metrics["source"] == "simulated"
@@ -145,7 +146,7 @@ def test_a_data_set_trains_as_well(finished, tmp_path):
     ("arguments", "words"), [(["--dataset", "/nowhere"], "nowhere"), (["--epochs", "0"], "epochs")]
 )
 def test_wrong_arguments_get_one_sentence(arguments, words, tmp_path, capsys):
-    assert train.main(["--preset", "debug", "--out", str(tmp_path / "x"), *arguments]) == 2
+    assert command.main(["--preset", "debug", "--out", str(tmp_path / "x"), *arguments]) == 2
     message = capsys.readouterr().err
     assert words in message
     assert len(message.strip().splitlines()) == 1
@@ -218,7 +219,7 @@ def test_the_predictor_is_chosen_on_validation_touches_and_scaled_on_them(valida
 
 def test_a_split_that_was_renamed_says_so(capsys, tmp_path):
     with pytest.raises(SystemExit) as end:
-        train.main(["--split", "run", "--out", str(tmp_path / "x")])
+        command.main(["--split", "run", "--out", str(tmp_path / "x")])
     assert end.value.code == 2
     assert "--split run is called --split session now" in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
@@ -230,7 +231,7 @@ def test_a_board_of_sixteen_chips_from_simulation_to_a_predictor_on_disk(tmp_pat
     save_pad(tmp_path / "pad.npz", pad)
     out = tmp_path / "run"
     arguments = ["--preset", "debug", "--epochs", "2", "--pad", str(tmp_path / "pad.npz"), "--out", str(out)]
-    assert train.main(arguments) == 0
+    assert command.main(arguments) == 0
     touches = dataset.load_dataset(out / "data.h5")
     assert touches.touches.reading.shape == (60, 48)
     assert touches.board.chips.shape == (16, 3)
@@ -254,12 +255,12 @@ def test_a_pad_on_disk_takes_the_place_of_a_random_one(tmp_path, capsys, monkeyp
 
     monkeypatch.setattr(simulate.simulation, "simulate_touches", pressing)
     arguments = ["--preset", "debug", "--out", str(tmp_path / "run"), "--pad"]
-    assert train.main([*arguments, str(tmp_path / "pad.npz")]) == 2
+    assert command.main([*arguments, str(tmp_path / "pad.npz")]) == 2
     jax.tree.map(np.testing.assert_allclose, pressed[0], kept)
     assert "seen enough" in capsys.readouterr().err
-    assert train.main([*arguments, str(tmp_path / "none.npz"), "--overwrite"]) == 2
+    assert command.main([*arguments, str(tmp_path / "none.npz"), "--overwrite"]) == 2
     assert "none.npz" in capsys.readouterr().err
-    assert train.main([*arguments, str(tmp_path / "pad.npz"), "--dataset", str(tmp_path), "--overwrite"]) == 2
+    assert command.main([*arguments, str(tmp_path / "pad.npz"), "--dataset", str(tmp_path), "--overwrite"]) == 2
     assert "--pad is for simulated touches" in capsys.readouterr().err
 
 
@@ -298,7 +299,7 @@ def test_whatever_is_wrong_with_a_load_the_run_ends_with_a_predictor_and_says_so
     """And what it keeps is no worse than a baseline on test touches, within its interval over groups."""
     dataset.save_dataset(tmp_path / "set.h5", small_recording(**columns))
     arguments = ["--preset", "debug", "--dataset", str(tmp_path / "set.h5"), "--split", "block"]
-    assert train.main([*arguments, "--out", str(tmp_path / "run")]) == 0
+    assert command.main([*arguments, "--out", str(tmp_path / "run")]) == 0
     assert said in capsys.readouterr().out
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert any(said in note for note in metrics["notes"])

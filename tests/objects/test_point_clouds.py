@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from experiments import clouds as experiment
+from experiments.clouds import run as experiment
 from i2t.objects import load_point_cloud, make_object, surface_from_points
 from i2t.objects.point_clouds import suggest_radius
 

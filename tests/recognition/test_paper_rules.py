@@ -48,7 +48,7 @@ class Table:
     def __init__(self, surfaces: list) -> None:
         self.asked, self.objects = 0, len(surfaces)
 
-    def predict(self, patch, force=None, nearest=None, depth=None, wide=None) -> Reading:
+    def predict_views(self, patch, *, force=None, nearest=None, depth=None, wide=None) -> Reading:
         mean = np.zeros((len(patch), CHANNELS), np.float32)
         mean[:, 0] = STD * SECOND * (self.asked % self.objects)
         self.asked += 1

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from experiments.refine.cases import draw_cases
-from experiments.refine.config import RefineArgs
+from experiments.refine.arguments import RefineArgs
 from experiments.refine.run import run
 from i2t.geometry import log
 from i2t.objects.catalogue import make_object

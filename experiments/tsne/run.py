@@ -13,27 +13,24 @@ touches that it was not trained on. Results go to --out: tsne.png, metrics.json,
 """
 
 import os
-import sys
 import time
 from dataclasses import dataclass, field, replace
-from functools import partial
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 
-from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
-from experiments.common.runs import begin, exit_code_of_run, write_json
+from experiments.common.presets import choose_preset
+from experiments.common.runs import begin, write_json
 from experiments.train.configs import PRESETS as TRAININGS
 from experiments.train.configs import TrainExperiment
 from experiments.train.methods import train_network
 from experiments.train.simulate import simulated_dataset
 from experiments.train.splitting import split_dataset
+from experiments.tsne.arguments import TsneArgs
 from i2t import dataset as data
 from i2t import viz
 from i2t.dataset import Dataset
@@ -64,26 +61,6 @@ PRESETS = {
     "paper": Plan(),
     "debug": Plan(replace(TRAININGS["debug"], training=replace(TRAININGS["debug"].training, epochs=2)), 3, 2, 99),
 }
-
-
-@dataclass(frozen=True)
-class TsneArgs:
-    """A map of touches, their clusters, and how far views and readings agree."""
-
-    out: Path = Path("runs/tsne")  # folder for everything that is made
-    preset: Literal["paper", "debug"] = "paper"
-    dataset: Path | None = None  # touches in place of simulated ones
-    kind: Literal["mask", "depth"] = "mask"  # what a view is
-    seed: int = 0
-    network: bool = True  # train the paper's network, for its bottleneck
-    overwrite: bool = False
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    answer_renamed_value(argv, "--preset", RENAMED)
-    args = tyro.cli(TsneArgs, args=argv, description=__doc__, prog="python -m experiments.tsne")
-    return exit_code_of_run(partial(run, args))
 
 
 def run(args: TsneArgs) -> dict[str, Any]:
@@ -213,7 +190,3 @@ def report(result: dict[str, Any]) -> None:
 def _mean_and_least(values: np.ndarray) -> list[float]:
     """Mean and least."""
     return [float(values.mean()), float(values.min())] if len(values) else [float("nan")] * 2
-
-
-if __name__ == "__main__":
-    sys.exit(main())

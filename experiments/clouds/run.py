@@ -10,19 +10,14 @@ percentile of the absolute difference of heights, and `beyond` is the share of p
 on the disks, which reach over edges by up to their radius. Simulated; about half a minute on two cores.
 """
 
-import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
 import numpy as np
 import trimesh
-import tyro
 
-from experiments.common.runs import exit_code_of_run, settings, write_json
+from experiments.clouds.arguments import CloudArgs
+from experiments.common.runs import settings, write_json
 from i2t.objects import Mesh, catalogue
 from i2t.objects.point_clouds import suggest_radius, surface_from_points
 from i2t.rendering.ops import element
@@ -32,18 +27,6 @@ from i2t.types import REACH
 
 MM_PER_M = 1e3
 COMPARED_DEPTH_M = 3e-3  # behind the nearest point; what is deeper may leave the reach with that point's noise
-
-
-@dataclass(frozen=True)
-class CloudArgs:
-    """Compare disks on sampled points with the mesh they were sampled from."""
-
-    out: Path | None = None  # folder for clouds.json
-    shapes: tuple[str, ...] = ("dome", "stairs", "screwdriver")
-    spacings: tuple[float, ...] = (0.5e-3, 1e-3, 2e-3)  # m, mean distance of neighbours: area = points x spacing^2
-    noises: tuple[float, ...] = (0.0, 0.3e-3)  # m, standard deviation along the normal
-    sites: int = 40  # on each shape
-    seed: int = 0
 
 
 class CloudRow(NamedTuple):
@@ -58,12 +41,6 @@ class CloudRow(NamedTuple):
     p95: float
     holes: float
     beyond: float
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    args = tyro.cli(CloudArgs, args=argv, description=__doc__, prog="python -m experiments.clouds")
-    return exit_code_of_run(partial(run, args))
 
 
 def run(args: CloudArgs) -> list[CloudRow]:
@@ -123,7 +100,3 @@ def table(rows: list[CloudRow]) -> str:
         for row in rows
     ]
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

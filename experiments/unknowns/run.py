@@ -21,33 +21,27 @@ metrics.json with counts and exact 95 % intervals.
 """
 
 import os
-import sys
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import partial
-from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 # Factors of a few hundred rows are too small to share, as in experiments.train.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-import tyro
 from scipy.stats import beta
 from tqdm import tqdm
 
 from experiments.calibrate_pads.kinds import PressedSkinOfKind, simulate_skins
-from experiments.common.runs import begin, exit_code_of_run, write_json
+from experiments.common.runs import begin, write_json
+from experiments.unknowns.arguments import QUESTIONS, UnknownsArgs
 from i2t import unknowns
 from i2t.skin.boards import anyskin_board, reskin_board
 from i2t.types import Board
 from i2t.unknowns import RecordedPresses
 from i2t.unknowns.chip_field import STAGES
 
-Question = Literal["lag", "height", "swap", "stage", "flip", "since"]
-QUESTIONS: tuple[Question, ...] = get_args(Question)
-UNKNOWNS_KINDS = ("bonded", "loose", "uniform", "weak", "lattice")
 NOT_ASKED = (("height", "lattice"),)  # its readings jump at first contact, as no skin's do
 UNKNOWNS_SEED = 316  # of the skins
 FREE_SHARE = 0.15  # of presses above first contact
@@ -55,18 +49,6 @@ HEIGHT_TOLERANCE_M = 0.05e-3
 NOISE_OF_FREE_UT = 2.0
 SINCE_PRESSES = 20
 GROWTH = 1.6  # power of the depth by which readings are taken to grow
-
-
-@dataclass(frozen=True)
-class UnknownsArgs:
-    """Mistakes put into simulated recordings, and which are found."""
-
-    out: Path = Path("runs/unknowns")
-    cases: int = 10  # skins of each kind
-    presses: int = 160  # of each skin
-    kinds: tuple[str, ...] = UNKNOWNS_KINDS
-    questions: tuple[Question, ...] = QUESTIONS
-    overwrite: bool = False
 
 
 class Answer(NamedTuple):
@@ -78,20 +60,8 @@ class Answer(NamedTuple):
     error: float = float("nan")  # of the estimate, where it is a number
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    args = tyro.cli(UnknownsArgs, args=argv, description=__doc__, prog="python -m experiments.unknowns")
-    return exit_code_of_run(partial(run, args))
-
-
 def run(args: UnknownsArgs) -> dict[str, Any]:
     """The experiment: prepare, evaluate, report."""
-    if args.cases < 1 or args.presses < 60:
-        raise ValueError("--cases must be at least 1 and --presses at least 60")
-    if unknown := set(args.kinds) - set(UNKNOWNS_KINDS):
-        raise ValueError(
-            f"--kinds {', '.join(sorted(unknown))} are not simulated; choose of {', '.join(UNKNOWNS_KINDS)}"
-        )
     begin(args.out, args, args, None, args.overwrite)
     started = time.perf_counter()
     answers: dict[str, dict[str, list[Answer]]] = {question: {} for question in args.questions}
@@ -230,7 +200,3 @@ def print_table(metrics: dict[str, Any]) -> None:
         for kind, one in by_kind.items():
             cells = [f"{one[name]['count']} of {one['cases']}" for name in ("found", "known", "accused")]
             print(f"{question:10s}{kind:10s}{cells[0]:>12s}{cells[1]:>12s}{cells[2]:>14s}")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

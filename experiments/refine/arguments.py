@@ -1,10 +1,11 @@
-"""Options and presets of `experiments.refine`."""
+"""The options and presets of `python -m experiments.refine`, without JAX."""
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from experiments.common.presets import choose_preset
+from i2t.cli import Count, NotNegative, Positive, Seed, require_path
 
 
 @dataclass(frozen=True)
@@ -26,16 +27,20 @@ class RefineArgs:
     out: Path = Path("runs/refine")  # folder for what is made
     preset: Literal["paper", "debug"] = "paper"
     data: Path | None = None  # folder of mesh files in metres that join the objects
-    cases: int | None = None  # instead of the preset's: 200, of debug 6
-    objects: int | None = None  # instead of the preset's 40 (3) different ones; those of --data join them
-    distance: float = 2e-3  # m off at the start
-    angle: float = 4.0  # degrees off at the start
-    noise: float = 0.3e-3  # m, of a camera's depth pixel
-    close: float = 0.1e-3  # m, what counts as found
-    close_angle: float = 0.3  # degrees, likewise
-    starts: int | None = None  # instead of the preset's 4 (1) of the methods with several; 1 leaves them out
-    seed: int = 0
+    cases: Count | None = None  # instead of the preset's: 200, of debug 6
+    objects: Count | None = None  # instead of the preset's 40 (3) different ones; those of --data join them
+    distance: NotNegative = 2e-3  # m off at the start
+    angle: NotNegative = 4.0  # degrees off at the start
+    noise: NotNegative = 0.3e-3  # m, of a camera's depth pixel
+    close: Positive = 0.1e-3  # m, what counts as found
+    close_angle: Positive = 0.3  # degrees, likewise
+    starts: Count | None = None  # instead of the preset's 4 (1) of the methods with several; 1 leaves them out
+    seed: Seed = 0
     overwrite: bool = False  # replace a finished run in --out
+
+    def check(self) -> None:
+        """Refuse a folder that is not there."""
+        require_path("--data", self.data, "folder")
 
     @property
     def sizes(self) -> CaseSizes:

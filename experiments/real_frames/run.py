@@ -11,8 +11,6 @@ two cores; the camera's own step is 1 mm and its noise about as much, so a media
 expected. Results go to --out: metrics.json, config.json and figures.
 """
 
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -22,14 +20,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import trimesh
-import tyro
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-from experiments.common.runs import exit_code_of_run, settings, write_json
+from experiments.common.runs import settings, write_json
+from experiments.real_frames.arguments import RealFrames
 from i2t import viz
-from i2t.cli import renamed_flags
 from i2t.depth.camera import Camera, Encoding, read_depth
 from i2t.depth.distortion import pixel_rays
 from i2t.depth.patches import DepthPatch, patch_from_depth
@@ -38,7 +35,7 @@ from i2t.objects import read_mesh
 from i2t.objects.solids import Mesh
 from i2t.prediction.metrics import grouped_interval
 from i2t.rendering.render import prepare_surface, render_patch
-from i2t.types import PATCH_WINDOW, REACH, STANDOFF, Patch, Surface
+from i2t.types import PATCH_WINDOW, REACH, Patch, Surface
 from i2t.viz import style
 
 FRAMES = ("000001", "000002", "000003", "000004", "000005")
@@ -63,34 +60,6 @@ OBJECTS = (
 F200 = Camera(640, 480, 477.584259, 477.584167, 314.188080, 245.884354)
 
 
-RENAMED_FRAME_FLAGS = {
-    "--facing": "--min-cosine",
-    "--hidden": "--max-occlusion-m",
-    "--border": "--border-px",
-    "--slack": "--extra-reach-m",
-    "--least": "--min-share",
-    "--f200-fill": "--f200-fill-m",
-}
-
-
-@dataclass(frozen=True)
-class RealFrames:
-    """Compare imagined patches with those of real depth cameras."""
-
-    data: Path  # folder with ycbvideo, ycb_meshes and apc_depth
-    out: Path = Path("runs/real_frames")
-    sites: int = 40  # on each object
-    windows: tuple[float, ...] = (PATCH_WINDOW, 30e-3, 50e-3)  # m
-    seed: int = 0
-    min_cosine: float = 0.5  # least cosine between a site's normal and the line of sight
-    max_occlusion_m: float = 8e-3  # where the image is further than this from the mesh, something else is in front
-    border_px: int = 3  # from a site to the border of the object's label
-    # How much further than the reach a real patch is read, so that neither noise nor something in front clips it
-    extra_reach_m: float = STANDOFF
-    min_share: float = 0.1  # share of a patch's pixels that must be comparable
-    f200_fill_m: float = 4e-3  # every fifth row and column of the F200's frames is empty, 1 to 1.6 mm wide
-
-
 class Compared(NamedTuple):
     """Patches of one object at one window: (frames, sites) and their pixels."""
 
@@ -100,20 +69,9 @@ class Compared(NamedTuple):
     bias: np.ndarray  # (frames, sites) m, median of the differences; NaN where there are too few
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    renamed_flags(sys.argv[1:] if argv is None else argv, RENAMED_FRAME_FLAGS)
-    args = tyro.cli(RealFrames, args=argv, description=__doc__, prog="python -m experiments.real_frames")
-    return exit_code_of_run(partial(run, args))
-
-
 def run(cfg: RealFrames) -> dict[str, Any]:
     """Run the comparison, print its table and write metrics and figures."""
-    for folder in ("ycbvideo", "ycb_meshes", "apc_depth"):
-        if not (cfg.data / folder).is_dir():
-            raise ValueError(f"{cfg.data / folder} is missing; give --data a folder that holds it")
-    if (cfg.out / "metrics.json").exists():
-        raise ValueError(f"{cfg.out} holds a finished run; choose another --out")
+    cfg.check()
     cfg.out.mkdir(parents=True, exist_ok=True)
     objects: dict[str, Any] = {}
     for item in OBJECTS:
@@ -366,7 +324,3 @@ def report(metrics: dict[str, Any]) -> None:
     for name, values in metrics["f200"].items():
         seen = ", ".join(f"{100 * share:.0f}" for share in values["seen"])
         print(f"F200 {name}: {100 * values['measured']:.0f} % of the image measured; seen of the patches: {seen} %")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

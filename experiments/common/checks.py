@@ -1,0 +1,81 @@
+"""What several commands check before they import anything large: runs, data sets, and objects to tell apart."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from experiments.common.runs import METRICS
+
+DATASET_SUFFIX = ".h5"
+
+
+def finished_runs(folder: Path) -> list[Path]:
+    """The folder of a run of `experiments.train`, or those of a study's pads and seeds.
+
+    Args:
+        folder: Named by the user.
+
+    Returns:
+        Folders of finished runs.
+
+    Raises:
+        ValueError: There is none.
+    """
+    folders = sorted(path.parent for path in folder.glob(f"pad-*-seed-*/{METRICS}")) or [folder]
+    if not (folders[0] / METRICS).exists():
+        raise ValueError(f"{folder} holds no finished run; make one: python -m experiments.train --out {folder}")
+    return folders
+
+
+def require_dataset(flag: str, path: Path | None) -> None:
+    """Refuse a data set that is not there; what is in it, `i2t.load_dataset` judges.
+
+    Args:
+        flag: The option that names it.
+        path: A folder or a file; None where the option was left out.
+
+    Raises:
+        ValueError: There is nothing, or an empty folder.
+    """
+    if path is None:
+        return
+    if not path.exists():
+        raise ValueError(f"{flag} {path}: there is no such data set; check the name")
+    if path.is_dir() and not any(path.iterdir()):
+        raise ValueError(f"{flag} {path}: is an empty folder; name one that holds touches")
+
+
+def require_objects(paths: Sequence[Path], unit: str | None, *, least: int = 2, catalogue: bool = True) -> None:
+    """Refuse objects that are not there, that share a name, or that are too few.
+
+    Args:
+        paths: Of --objects: names of the catalogue or mesh files; none where the option was left out.
+        unit: Of the files' lengths.
+        least: How many there must be.
+        catalogue: Whether names of the catalogue are welcome.
+
+    Raises:
+        ValueError: Any of these, or a file without a unit.
+    """
+    if not paths:
+        if unit is not None:
+            raise ValueError("--unit is of the mesh files of --objects; pass both, or leave --unit out")
+        return
+    from i2t.objects.catalogue import NAMES
+
+    files = [path for path in paths if not (catalogue and str(path) in NAMES)]
+    for path in files:
+        if not path.is_file():
+            known = f" nor an object of the catalogue, which has {', '.join(NAMES)}" if catalogue else ""
+            raise ValueError(f"--objects {path}: is {'neither' if catalogue else 'not'} a mesh file{known}")
+    if files and unit is None:
+        raise ValueError("say in which unit the files of --objects are, for instance --unit mm")
+    if len(paths) < least:
+        raise ValueError("--objects needs at least two objects to tell apart")
+    seen: dict[str, Path] = {}
+    for path in paths:
+        if path.stem in seen:
+            raise ValueError(
+                f"--objects: {seen[path.stem]} and {path} are both called {path.stem}, and objects are told apart by "
+                "name; rename one of them"
+            )
+        seen[path.stem] = path

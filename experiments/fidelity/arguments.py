@@ -1,0 +1,27 @@
+"""The options of `python -m experiments.fidelity`, without JAX, so that its help and its refusals are there at once."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from experiments.common.checks import require_dataset
+from i2t.cli import Limits, Seed
+
+
+@dataclass(frozen=True)
+class FidelityArgs:
+    """What recordings of a skin are worth: checks, noise, calibration curves, heads and ceilings in one report."""
+
+    dataset: tuple[Path, ...] = ()  # data sets, sessions of eFlesh as recorded, or tables; sessions of a skin together
+    simulated_skins: Annotated[int, Limits(0)] = 0  # instead: judge so many simulated skins, pressed and slid over
+    out: Path = Path("runs/fidelity")  # folder for report.html, metrics.json and config.json
+    preset: Literal["paper", "short", "debug"] = "paper"
+    seed: Seed = 0  # of what is held out and of the draws
+    overwrite: bool = False  # replace a run in --out
+
+    def check(self) -> None:
+        """Refuse what does not go together, and recordings that are not there."""
+        if bool(self.dataset) == bool(self.simulated_skins):
+            raise ValueError("pass --dataset with one or more recordings, or --simulated-skins with their number")
+        if len(self.dataset) == 1:  # of several, those that cannot be read are left out and named
+            require_dataset("--dataset", self.dataset[0])

@@ -1,0 +1,1 @@
+"""How far are imagined patches from those of real depth cameras?"""

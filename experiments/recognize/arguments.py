@@ -1,0 +1,143 @@
+"""The options of `python -m experiments.recognize`, without JAX, so that help and refusals are there at once."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from experiments.common.checks import finished_runs, require_dataset, require_objects
+from i2t.cli import Count, Positive, Probability, Seed, require_path, require_with
+
+PresetName = Literal["paper", "debug"]
+UnitName = Literal["m", "cm", "mm", "inch"]
+NOT_REAL = ("simulated", "emulated")
+
+
+@dataclass(frozen=True)
+class SimulateArgs:
+    """Recognise objects by touch and report how often and how sure."""
+
+    out: Path = Path("runs/recognize")  # folder for everything that is made
+    trained_run: Path = Path("runs/train")  # a finished run of experiments.train, or a study's folder of several
+    pads: tuple[str, ...] = ()  # of a study in --trained-run, those that are used, by number; all unless given
+    method: Literal["all", "paper"] = "all"  # every method on the same episodes, or the paper's own loop by itself
+    preset: PresetName = "paper"
+    objects: tuple[Path, ...] = ()  # to tell apart: names of the catalogue and mesh files
+    unit: UnitName | None = None  # of those files
+    dataset: Path | None = None  # recorded touches to recognise; its objects are the catalogue's or those of --objects
+    pad: Path | None = None  # with --dataset, in place of a run's: an earlier session, a pad or a pad model of the skin
+    other_skin: bool = False  # with --dataset: judge touches of another skin all the same, and say so
+    max_touches: Count | None = None  # with --dataset: of each session; by default as many as all long enough ones have
+    rig: Path | None = None  # of the lab that recorded them: its object_covariance says how far poses may be off
+    episodes: Count | None = None  # of each object, for each pad and seed
+    paper_episodes: Count | None = None  # the same in the paper's sets, twice as many unless given
+    num_particles: Count | None = None  # poses of each object, in place of the preset's
+    seed: Seed = 0
+    resume: bool = False  # go on with an unfinished run in --out
+    overwrite: bool = False  # replace a finished or unfinished run in --out
+
+    def check(self) -> None:
+        """Refuse what does not go together, and files that are not there."""
+        recorded = self.dataset is not None
+        if self.method == "paper" and (recorded or self.objects):
+            raise ValueError("--method paper plays the paper's own sets; pass it without --dataset and --objects")
+        if self.pad is not None and not recorded:
+            raise ValueError(
+                "--pad is for recorded touches (--dataset); simulate with it: python -m experiments.train --pad"
+            )
+        for flag, given in (
+            ("--other-skin", self.other_skin),
+            ("--max-touches", self.max_touches is not None),
+            ("--rig", self.rig is not None),
+        ):
+            require_with(flag, given, "--dataset", recorded)
+        simulated = (("--episodes", self.episodes), ("--paper-episodes", self.paper_episodes), ("--pads", self.pads))
+        for flag, value in simulated:
+            if recorded and value:
+                raise ValueError(f"{flag} is for simulated episodes, and --dataset brings its own; leave it out")
+        if self.objects and self.paper_episodes is not None:
+            raise ValueError("--paper-episodes is for the paper's sets, and --objects are others; pass --episodes")
+        require_objects(self.objects, self.unit)
+        require_dataset("--dataset", self.dataset)
+        require_path("--pad", self.pad)
+        require_path("--rig", self.rig, "file")
+        if self.pad is None:
+            finished_runs(self.trained_run)
+
+
+@dataclass(frozen=True)
+class LiveArgs:
+    """Recognise an object with an arm."""
+
+    out: Path = Path("runs/live")  # folder of touches/, result.json and story/
+    trained_run: Path = Path("runs/train")  # a finished run of experiments.train on touches of this skin
+    pad: Path | None = None  # in place of a run: a data set of an earlier session, a pad or a pad model of this skin
+    objects: tuple[Path, ...] = ()  # to tell apart: names of the catalogue and mesh files
+    unit: UnitName | None = None  # of those files
+    truth: str | None = None  # name of what stands there, under which its touches are kept; "unknown" by default
+    true_object: str | None = None  # what stands there if the arm is not real, any of the catalogue; drawn by default
+    prior_unknown: float = 0.0  # probability beforehand that it is none of the objects
+    num_surrogates: int = 16  # objects like those known, that stand for what else it might be then
+    max_touches: Count = 10
+    max_error_probability: Probability = 0.05  # ends when the most probable object is wrong with at most this
+    num_sites: Count = 24  # of each object, to choose among
+    num_particles: Count = 64  # poses of each object
+    arm: str = "simulated"  # ur, simulated, emulated, or another package's
+    skin: str = "simulated"  # reskin, simulated, emulated, or another package's
+    camera: str = "simulated"  # realsense, simulated, folder, or another package's
+    host: str | None = None  # of the arm's controller
+    port: str | None = None  # of the skin
+    board: str | None = None  # of the skin: reskin (default), anyskin, or grid-RxC for R rows and C columns of chips
+    views: Path | None = None  # folder of views to show as the camera
+    state_timeout: Positive | None = None  # s without a state after which a UR arm is taken for lost; 0.1 by default
+    watchdog_rate: Positive | None = None  # Hz, how often a UR controller must hear from us; 10 by default
+    pad_name: str | None = None  # of a real skin, as it was collected; "skin" by default
+    worn_pad: Path | None = None  # a pad on disk, for simulated and emulated skins
+    rig: Path | None = None  # calibration of the lab; says where the object is believed to stand, and how surely
+    seed: Seed = 0
+
+    @property
+    def real(self) -> bool:
+        """Whether the arm is a real one."""
+        return self.arm not in NOT_REAL
+
+    @property
+    def worn(self) -> str:
+        """Name of the skin that touches, as a collection would have it."""
+        if self.skin not in NOT_REAL:
+            return self.pad_name or "skin"
+        return self.pad_name or (f"simulated, {self.worn_pad.stem}" if self.worn_pad else "simulated pad 0")
+
+    def check(self) -> None:
+        """Refuse what does not go together, and files that are not there."""
+        if self.worn_pad and self.skin not in NOT_REAL:
+            raise ValueError(f"--worn-pad is for simulated and emulated skins, and --skin is {self.skin}; leave it out")
+        if self.true_object and self.real:
+            raise ValueError(f"--true-object is for arms that are not real, and --arm is {self.arm}; pass --truth")
+        if not 0 <= self.prior_unknown < 1:
+            raise ValueError(f"--prior-unknown {self.prior_unknown:g}: give a probability, from 0 to below 1")
+        if self.prior_unknown > 0 and self.num_surrogates < 1:
+            raise ValueError(f"--num-surrogates {self.num_surrogates}: --prior-unknown needs surrogates, 16 say")
+        require_with("--views", self.views is not None, "--camera folder", self.camera == "folder")
+        if self.host and self.arm == "simulated":
+            raise ValueError("--host is the address of a controller, and --arm is simulated; leave it out")
+        if self.port and self.skin == "simulated":
+            raise ValueError("--port is of a board, and --skin is simulated; leave it out")
+        require_objects(self.objects, self.unit)
+        for flag, path in (("--pad", self.pad), ("--worn-pad", self.worn_pad), ("--views", self.views)):
+            require_path(flag, path)
+        require_path("--rig", self.rig, "file")
+        self._check_true_object()
+        if self.pad is None:
+            finished_runs(self.trained_run)
+
+    def _check_true_object(self) -> None:
+        if self.true_object is None:
+            return
+        from i2t.objects.catalogue import NAMES
+
+        names = [path.stem for path in self.objects]
+        if self.true_object not in (*NAMES, *names):
+            known = ", ".join(names) or "the objects of the preset"
+            raise ValueError(
+                f"--true-object {self.true_object}: choose one of {known}, or another object of the catalogue"
+            )

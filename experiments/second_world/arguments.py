@@ -1,0 +1,26 @@
+"""The options of `python -m experiments.second_world`, without JAX."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from i2t.cli import Count, Seed
+
+Mistake = Literal["none", "force_sign", "millimetres", "millitesla", "scalar_first", "degrees"]
+
+
+@dataclass(frozen=True)
+class SecondWorldArgs:
+    """Train in a world of other physics."""
+
+    out: Path = Path("runs/second-world")
+    preset: Literal["paper", "debug"] = "paper"  # debug: a few touches, too few to mean anything
+    sessions: Count | None = None  # of each object; 3 unless given, of debug 2
+    touches: Count | None = None  # of a session; 24 unless given, of debug 6
+    mistake: Mistake = "none"  # that is made on purpose in the files
+    seed: Seed = 0
+    resume: bool = False  # go on with an unfinished run in --out
+    overwrite: bool = False  # replace a finished or unfinished one
+
+    def check(self) -> None:
+        """All options go together."""

@@ -1,0 +1,40 @@
+"""The options of `python -m experiments.train`, without JAX, so that its help and its refusals are there at once."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from experiments.common.checks import require_dataset, require_objects
+from i2t.cli import Count, Seed, require_path, require_with
+
+
+@dataclass(frozen=True)
+class TrainArgs:
+    """Train a touch predictor and report how well it does on unseen objects (or unseen places)."""
+
+    out: Path = Path("runs/train")  # folder for everything that is made
+    preset: Literal["paper", "debug", "study"] = "paper"
+    dataset: Path | None = None  # a data set to train on instead of simulating one
+    objects: tuple[Path, ...] = ()  # mesh files of its objects that the catalogue does not have, for recognition
+    unit: Literal["m", "cm", "mm", "inch"] | None = None  # of those files
+    split: Literal["auto", "object", "session", "block", "time"] = "auto"  # what is held out of --dataset
+    pad: Path | None = None  # a pad on disk (`i2t.skin.files`), say one fitted to a real skin, to simulate with
+    pads: tuple[Seed, ...] | None = None  # numbers of simulated pads, in place of the preset's
+    seed: Seed = 0  # of everything random
+    seeds: Count | None = None  # how many seeds, from --seed on; one unless given
+    epochs: Count | None = None  # of the networks, in place of the preset's
+    resume: bool = False  # go on with an unfinished run in --out
+    overwrite: bool = False  # replace a finished or unfinished run in --out
+
+    def check(self) -> None:
+        """Refuse what does not go together, and files that are not there."""
+        if self.pads is not None and (self.pad or self.dataset):
+            raise ValueError("--pads are simulated pads by number; pass it without --pad and --dataset")
+        if self.pad and self.dataset:
+            raise ValueError("--pad is for simulated touches, and --dataset brings its own; pass one of them")
+        if self.objects and not self.dataset:
+            raise ValueError("--objects are meshes of the objects in --dataset; pass both, or neither")
+        require_with(f"--split {self.split}", self.split != "auto", "--dataset", self.dataset is not None)
+        require_dataset("--dataset", self.dataset)
+        require_path("--pad", self.pad, "file")
+        require_objects(self.objects, self.unit, least=1, catalogue=False)

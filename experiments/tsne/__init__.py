@@ -1,0 +1,1 @@
+"""Do views and readings of touches sort themselves alike?"""

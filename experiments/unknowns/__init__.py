@@ -1,0 +1,1 @@
+"""How well is what a recording does not say found in it?"""

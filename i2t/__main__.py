@@ -1,0 +1,75 @@
+"""What there is to run: `python -m i2t` lists the commands.
+
+Those of the experiments are listed where the checkout is at hand; they are not installed.
+"""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from i2t._version import __version__
+from i2t.cli import WRONG_USE
+
+COMMANDS = {
+    "i2t.collect": "collect touches, simulated or real",
+    "i2t.convert": "recordings into data sets, and back",
+    "i2t.place": "find where an object stands, by a camera",
+    "i2t.hardware.reskin": "show, record and replay a skin",
+    "i2t.hardware.rig": "write and check the file of a lab",
+    "i2t.hardware.hand_eye": "find where the camera sits on the arm",
+    "i2t.hardware.touch_off": "find where the skin sits on the arm",
+    "i2t.hardware.realsense": "show a depth camera",
+    "i2t.emulators.lab": "speak the protocols of an arm and a skin",
+}
+EXPERIMENTS = {
+    "experiments.train": "train a predictor of touches",
+    "experiments.recognize": "which object is it, by touch?",
+    "experiments.studies": "what makes recognition better or worse?",
+    "experiments.calibrate": "how many presses tell one skin?",
+    "experiments.fidelity": "what is a recording of a skin worth?",
+    "experiments.shapes": "which of five stamps was pressed?",
+    "experiments.pads": "where was a skin pressed that is new?",
+    "experiments.calibrate_pads": "calibration of simulated skins",
+    "experiments.unknowns": "are a recording's mistakes found?",
+    "experiments.second_world": "the same in a world of other physics",
+    "experiments.tsne": "do views and readings sort alike?",
+    "experiments.refine": "poses found from single patches",
+    "experiments.clouds": "point clouds as surfaces",
+    "experiments.real_frames": "patches of real depth images",
+    "experiments.notebooks": "notebooks as HTML",
+    "experiments.benchmark": "speeds, next to a peer's",
+    "experiments.faults": "what is lost when something breaks?",
+    "experiments.mutants": "which changes does no test notice?",
+    "experiments.reproduce": "the documents' studies and tables again",
+}
+NAME_WIDTH = 38
+USAGE = "python -m i2t lists the commands, and each has its own --help"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """List the commands.
+
+    Args:
+        argv: The command line without the program's name; only --help is known.
+
+    Returns:
+        The exit code.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    if words not in ([], ["--help"], ["-h"]):
+        print(f"error: {' '.join(words)} is no command; {USAGE}", file=sys.stderr)
+        return WRONG_USE
+    print(f"i2t {__version__}: imagine a touch before making it\n\n{_table(COMMANDS)}")
+    if (Path(__file__).parents[1] / "experiments").is_dir():
+        print(f"\nfrom the folder of the checkout:\n\n{_table(EXPERIMENTS)}")
+    print("\nEach has its own --help. Try python -m i2t.collect first: it simulates all.")
+    return 0
+
+
+def _table(commands: dict[str, str]) -> str:
+    """A line for each command."""
+    return "\n".join(f"python -m {name}".ljust(NAME_WIDTH) + said for name, said in commands.items())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

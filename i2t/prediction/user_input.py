@@ -1,0 +1,351 @@
+"""What a user gives to a predictor, judged before it is believed.
+
+A model answers whatever numbers it is given: a patch in millimetres, a pose inside the object, a million newtons. Each
+is refused here in one sentence, or warned of where it may be meant. Pixels that nobody saw are filled in two ways, as
+if nothing were there and as if the surface went on, so that a prediction can say by how much they matter.
+"""
+
+import math
+import warnings
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import ndimage
+
+from i2t.geometry import is_rigid
+from i2t.objects.mesh_files import MAX_SIZE_M
+from i2t.types import STANDOFF, Patch, Surface
+
+MAX_FORCE_N = 100.0  # more breaks a skin
+UNUSUAL_FORCE_RATIO = 10.0  # to the median of the training touches: beyond it nothing is known
+MAX_DEPTH_M = 20e-3  # m past first contact; a skin is 2 to 20 mm thick
+MAX_NEAREST_M = 0.1  # m, signed distance of a surface that a skin is about to meet
+MAX_GAP_M = 10e-3  # m between the skin and the surface at a pose where they are said to touch
+MAX_LEAST_PIXEL_M = 1e-3  # m, nearest pixel of a patch, whose values count from that pixel
+MAX_CENTRE_STEP_M = 0.5e-3  # m, median by which a patch may differ from the middle of its wide view
+LEAST_SEEN_SHARE = 0.5  # of a patch's pixels; with fewer there is a warning
+TOLERANCE_M = 1e-6  # m, of single precision
+CLASSES = (64, 8, 1)  # touches that are predicted together, so that a new number of them compiles nothing
+
+
+class Rows(NamedTuple):
+    """Some of n touches, filled up with repeated ones to a size class."""
+
+    touches: np.ndarray  # indices, as many as the class has
+    wanted: int  # of them, the first; the others repeat the last
+
+
+def size_classes(n: int) -> Iterator[Rows]:
+    """Share n touches out to batches of few sizes.
+
+    Args:
+        n: Number of touches, at least 1.
+
+    Yields:
+        Rows whose first `wanted` together are 0 to n - 1.
+    """
+    start = 0
+    while start < n:
+        left = n - start
+        size = next(size for size in CLASSES if size <= left)
+        if size == 1 and left > 1:
+            size = CLASSES[-2]
+        index = np.minimum(np.arange(start, start + size), n - 1)
+        yield Rows(index, min(size, left))
+        start += size
+
+
+def checked_patches(patch: Any, reach: float) -> Float[np.ndarray, "n p p"]:
+    """The depth patches that a user gave.
+
+    Args:
+        patch: (p, p) or (n, p, p) m behind the nearest point.
+        reach: m, at which patches are clipped.
+
+    Returns:
+        The patches, touches on axis 0.
+
+    Raises:
+        ValueError: Shape or values are no depth patch's.
+    """
+    given = np.asarray(patch, np.float32)
+    patches = given[None] if given.ndim == 2 else given
+    if patches.ndim != 3 or patches.shape[1] != patches.shape[2] or not patches.size:
+        raise ValueError(f"patch has shape {given.shape}; give (n, n) or (touches, n, n)")
+    if not np.isfinite(patches).all():
+        raise ValueError(
+            "patch holds NaN or infinity; pixels without a surface are `reach`, and valid= says which were not seen"
+        )
+    least, most = patches.min((1, 2)), patches.max((1, 2))
+    if least.min() < -TOLERANCE_M:
+        raise ValueError(
+            f"patch has negative pixels, down to {least.min():.3g}; it is metres behind the nearest point, so heights "
+            "h above a plane are h.max() - h"
+        )
+    if most.max() > reach + max(TOLERANCE_M, 1e-3 * reach):
+        in_mm = most.max() <= 1e3 * reach * 1.001
+        raise ValueError(
+            f"patch has pixels of {most.max():.3g}, and it is metres behind the nearest point, at most {reach:g}; "
+            + ("divide millimetres by 1000" if in_mm else "clip it there")
+        )
+    if (least >= reach - TOLERANCE_M).any():
+        raise ValueError(
+            f"patch shows no surface{_which(least >= reach - TOLERANCE_M)}: all pixels are at the reach; nothing would "
+            "be felt there"
+        )
+    if least.max() > MAX_LEAST_PIXEL_M:
+        raise ValueError(
+            f"patch begins {1e3 * least.max():.3g} mm behind its nearest point{_which(least > MAX_LEAST_PIXEL_M)}; it "
+            "counts from that point: subtract patch.min(), or turn heights over: h.max() - h"
+        )
+    return patches
+
+
+def checked_wide(wide: Any, patches: Float[np.ndarray, "n p p"], reach: float) -> Float[np.ndarray, "n w w"]:
+    """The views with their surroundings that a user gave with patches.
+
+    Args:
+        wide: (w, w) or (n, w, w) m, pixels of the patches' size; NaN where nothing is known at the rim.
+        patches: The patches, each the middle of its view.
+        reach: m, at which they are clipped.
+
+    Returns:
+        The views.
+
+    Raises:
+        ValueError: Shape or values do not fit the patches.
+    """
+    n, pixels = patches.shape[:2]
+    views = np.asarray(wide, np.float32)
+    views = views[None] if views.ndim == 2 else views
+    if views.ndim != 3 or len(views) != n or views.shape[1] != views.shape[2] or views.shape[1] < pixels:
+        raise ValueError(
+            f"wide has shape {np.shape(wide)}; give ({n}, w, w) with w at least the {pixels} pixels of a patch"
+        )
+    border = (views.shape[1] - pixels) // 2
+    middle = views[:, border : border + pixels, border : border + pixels]
+    if not np.isfinite(middle).all():
+        raise ValueError("wide is NaN or infinite where the patch is; give what the camera saw there, or leave it out")
+    if np.nanmax(views) > reach + max(TOLERANCE_M, 1e-3 * reach) or np.isinf(views).any():
+        raise ValueError(
+            f"wide has pixels of {np.nanmax(views):.3g}, and it is metres behind the patch's nearest point, at most "
+            f"{reach:g}; clip it there, or divide millimetres by 1000"
+        )
+    if np.median(np.abs(np.clip(middle, 0, reach) - patches)) > MAX_CENTRE_STEP_M:
+        raise ValueError(
+            "wide is another view than the patch, or has pixels of another size; its middle must be the patch"
+        )
+    return views
+
+
+def checked_column(name: str, values: Any, n: int, default: float | None) -> Float[np.ndarray, " n"]:
+    """A value for each of n touches.
+
+    Args:
+        name: Of the value, for the message.
+        values: One for all, or one for each; None where it was left out.
+        n: Number of touches.
+        default: Taken where it was left out; None where there is none.
+
+    Returns:
+        The values; NaN where there is neither a value nor a default.
+
+    Raises:
+        ValueError: They are not finite, or not as many.
+    """
+    if values is None:
+        return np.full(n, np.nan if default is None else default, np.float32)
+    given = np.asarray(values, np.float32)
+    column = np.full(n, given) if given.ndim == 0 else given
+    if column.shape != (n,) or not np.isfinite(column).all():
+        raise ValueError(f"{name} must be finite, one for all touches or one for each of {n}")
+    return column
+
+
+def check_press(
+    force: Float[np.ndarray, " n"],
+    nearest: Float[np.ndarray, " n"],
+    depth: Float[np.ndarray, " n"],
+    *,
+    usual_force: float,
+    force_sign: float,
+) -> None:
+    """Refuse presses that no skin makes, and warn of those beyond what a model was trained on.
+
+    Args:
+        force: N, along tool z.
+        nearest: m, signed distance of the nearest point; NaN where it was left out.
+        depth: m, past first contact.
+        usual_force: N, the median of the training touches.
+        force_sign: -1 where the recording counts a pressing force negative.
+
+    Raises:
+        ValueError: A force pulls or breaks a skin, or a length is none in metres.
+    """
+    pressing = force_sign * force
+    if pressing.min() < 0:
+        sign = "" if force_sign > 0 else ", which this model's recording counts negative"
+        raise ValueError(f"force is {force[pressing.argmin()]:g} N; a skin is pressed{sign}, not pulled")
+    if pressing.max() > MAX_FORCE_N:
+        raise ValueError(f"force is {pressing.max():g} N; a skin bears at most {MAX_FORCE_N:g} N")
+    if usual_force and pressing.max() > UNUSUAL_FORCE_RATIO * abs(usual_force):
+        warnings.warn(
+            f"force is {pressing.max():g} N, and the model was trained at about {abs(usual_force):.2g} N: what it says "
+            "of so hard a press is no more than a guess",
+            stacklevel=3,
+        )
+    for name, values, most in (("nearest", nearest, MAX_NEAREST_M), ("depth", depth, MAX_DEPTH_M)):
+        largest = np.max(np.abs(values), initial=0.0, where=np.isfinite(values))
+        if largest > most:
+            raise ValueError(f"{name} is {largest:g} m, more than {most:g}; give metres")
+
+
+def fill_unseen(
+    patches: Float[np.ndarray, "n p p"], valid: Any, reach: float
+) -> tuple[Float[np.ndarray, "n p p"], Float[np.ndarray, "n p p"]]:
+    """Patches whose unseen pixels are empty, and whose unseen pixels go on as the nearest seen one.
+
+    Args:
+        patches: m.
+        valid: (p, p) or (n, p, p) bool, pixels that were seen.
+        reach: m, of a pixel without a surface.
+
+    Returns:
+        Both.
+
+    Raises:
+        ValueError: The mask does not fit the patches, or nothing was seen.
+    """
+    mask = np.asarray(valid)
+    mask = np.broadcast_to(mask, patches.shape) if mask.ndim == 2 and mask.shape == patches.shape[1:] else mask
+    if mask.dtype != np.bool_ or mask.shape != patches.shape:
+        raise ValueError(f"valid is {mask.dtype} {np.shape(valid)}; give booleans, one for each pixel of the patch")
+    share = mask.mean((1, 2))
+    if not share.all():
+        raise ValueError(f"valid says that no pixel of the patch was seen{_which(share == 0)}; look again")
+    if share.min() < LEAST_SEEN_SHARE:
+        warnings.warn(
+            f"only {100 * share.min():.0f} % of the patch was seen; what lies on the rest is a guess", stacklevel=3
+        )
+    nearest = [ndimage.distance_transform_edt(~one, return_distances=False, return_indices=True) for one in mask]
+    continued = np.stack([patch[tuple(index)] for patch, index in zip(patches, nearest, strict=True)])
+    return np.where(mask, patches, np.float32(reach)), continued
+
+
+def in_middle(views: Float[np.ndarray, "n w w"], patches: Float[np.ndarray, "n p p"]) -> Float[np.ndarray, "n w w"]:
+    """Views with patches in their middles.
+
+    Args:
+        views: m.
+        patches: m, with pixels of the same size.
+
+    Returns:
+        The views.
+    """
+    border, pixels = (views.shape[1] - patches.shape[1]) // 2, patches.shape[1]
+    changed = views.copy()
+    changed[:, border : border + pixels, border : border + pixels] = patches
+    return changed
+
+
+def checked_poses(T_w_t: Any) -> Float[np.ndarray, "n 4 4"]:
+    """The tool poses that a user gave.
+
+    Args:
+        T_w_t: (4, 4) or (n, 4, 4).
+
+    Returns:
+        The poses, on axis 0.
+
+    Raises:
+        ValueError: They are no rigid transforms.
+    """
+    given = np.asarray(T_w_t, np.float32)
+    poses = given[None] if given.ndim == 2 else given
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses) or not np.isfinite(poses).all():
+        raise ValueError(f"T_w_t must be a finite (4, 4) transform, or (n, 4, 4) of them; got shape {given.shape}")
+    if not all(bool(is_rigid(pose)) for pose in poses):
+        raise ValueError("T_w_t is no rigid transform: its rotation is scaled, mirrored or bent; make it orthonormal")
+    return poses
+
+
+def check_size(mesh: Any) -> None:
+    """Refuse a mesh that is too large to be in metres.
+
+    Args:
+        mesh: Anything with vertices.
+
+    Raises:
+        ValueError: It is larger than what a tool touches.
+    """
+    vertices = np.asarray(getattr(mesh, "vertices", np.zeros((1, 3))), np.float64).reshape(-1, 3)
+    size = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 0.0
+    if size > MAX_SIZE_M:
+        raise ValueError(
+            f"mesh is {size:.3g} m across; its vertices are taken for metres: i2t.load_mesh(file, 'mm') converts a "
+            "file, and scaling by 1e-3 a mesh"
+        )
+
+
+def check_in_front(surface: Surface, T_w_t: Float[np.ndarray, "4 4"], patch: Patch, window: float) -> None:
+    """Refuse a pose at which the skin does not lie on the surface.
+
+    Args:
+        surface: That is touched, in W.
+        T_w_t: Pose of the tool.
+        patch: What lies in front of it.
+        window: m, edge of the patch.
+
+    Raises:
+        ValueError: Nothing is in front of the skin, it is away from the surface or inside the object, or its z points
+            away from it.
+    """
+    nearest = float(patch.nearest)
+    if not math.isfinite(nearest):
+        raise ValueError("nothing lies in front of the skin at this pose; move T_w_t towards the surface")
+    if nearest > MAX_GAP_M:
+        raise ValueError(
+            f"the surface begins {1e3 * nearest:.3g} mm in front of the skin at this pose; move T_w_t onto it "
+            "(i2t.contact_pose)"
+        )
+    if nearest < -MAX_GAP_M:
+        raise ValueError(
+            f"the surface begins {-1e3 * nearest:.3g} mm behind the skin at this pose: it lies inside the object, or "
+            "tool z, which points into the object, points away from it (i2t.contact_pose)"
+        )
+    depth = np.asarray(patch.depth)
+    row, column = np.unravel_index(int(depth.argmin()), depth.shape)
+    x, y = (((np.array([column, row]) + 0.5) / len(depth)) - 0.5) * window
+    if _starts_inside(np.asarray(surface.triangles, np.float64), T_w_t, float(x), float(y)):
+        raise ValueError(
+            "the skin would meet the surface from inside the object at this pose: tool z points out of the object; "
+            "turn T_w_t, or make it by i2t.contact_pose"
+        )
+
+
+def _starts_inside(triangles: np.ndarray, T_w_t: np.ndarray, x: float, y: float) -> bool:
+    """Whether a ray along tool z starts inside a surface that is closed and faces outward along the whole line; never
+    for other surfaces, of which nobody knows.
+    """
+    rotation, origin = T_w_t[:3, :3].astype(np.float64), T_w_t[:3, 3].astype(np.float64)
+    a, b, c = np.moveaxis((triangles - origin) @ rotation - np.array([x, y, 0.0]), 1, 0)
+
+    def twice_area(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+        return p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
+
+    parts = np.stack([twice_area(b, c), twice_area(c, a), twice_area(a, b)])
+    whole = parts.sum(0)
+    met = ((parts > 0).all(0) | (parts < 0).all(0)) & (whole != 0)
+    height = (parts * np.stack([a, b, c])[:, :, 2]).sum(0)[met] / whole[met]
+    leaves = (whole[met] > 0)[np.argsort(height)]  # whether the line leaves the object through the face
+    height = np.sort(height)
+    alternate = len(leaves) % 2 == 0 and not leaves[::2].any() and leaves[1::2].all()
+    ahead = leaves[height > -STANDOFF]
+    return bool(alternate and len(ahead) and ahead[0])
+
+
+def _which(touches: Bool[np.ndarray, " n"]) -> str:
+    """Which of several touches a message is about."""
+    return "" if len(touches) == 1 else f" (touch {int(np.flatnonzero(touches)[0])})"
