@@ -22,5 +22,11 @@ class SecondWorldArgs:
     resume: bool = False  # go on with an unfinished run in --out
     overwrite: bool = False  # replace a finished or unfinished one
 
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Sessions of each object, and touches of a session."""
+        sessions, touches = (2, 6) if self.preset == "debug" else (3, 24)
+        return self.sessions or sessions, self.touches or touches
+
     def check(self) -> None:
         """All options go together."""

@@ -14,7 +14,7 @@ go to --out.
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -54,9 +54,6 @@ NAMES = {"lab": "as a lab has it", "ideal": "without errors of camera and arm"}
 
 def run(args: SecondWorldArgs) -> dict[str, Any]:
     """Both worlds: write, convert, train, compare."""
-    if args.preset == "debug":
-        args = replace(args, sessions=args.sessions or 2, touches=args.touches or 6)
-    args = replace(args, sessions=args.sessions or 3, touches=args.touches or 24)
     worlds = Worlds()
     begin(args.out, args, worlds, args.resume, args.overwrite)
     result: dict[str, Any] = {"source": "simulated, in a second world", "mistake": args.mistake, "worlds": {}}
@@ -116,10 +113,11 @@ def write_recordings(folder: Path, args: SecondWorldArgs, errors: WorldErrors) -
     """Sessions of all objects in the layout of the authors, with the mistake that was asked for."""
     rng = np.random.default_rng(args.seed)
     skin, objects = make_skin(rng), make_objects()
-    with tqdm(total=len(objects) * args.sessions, desc="second world", unit="session", disable=None) as bar:
+    sessions, touches_of_each = args.sizes
+    with tqdm(total=len(objects) * sessions, desc="second world", unit="session", disable=None) as bar:
         for name, mesh in objects.items():
-            for session in range(args.sessions):
-                touches = simulate_session(rng, mesh, skin, errors, args.touches)
+            for session in range(sessions):
+                touches = simulate_session(rng, mesh, skin, errors, touches_of_each)
                 write_session(rng, folder / name, str(session + 1), touches, args.mistake)
                 bar.update()
 

@@ -10,6 +10,7 @@ import pytest
 from experiments.common.runs import load_part, save_part
 from experiments.recognize import __main__ as recognize
 from experiments.recognize import live, paper, report
+from experiments.recognize import run as simulated
 from experiments.recognize.config import PRESETS
 from i2t import dataset
 from i2t.errors import DataError
@@ -282,14 +283,16 @@ def test_flags_of_before_answer_with_their_new_name(old, new, capsys):
     assert error.count("\n") == 1
 
 
-def test_both_commands_read_their_own_flags(monkeypatch):
+def test_both_commands_read_their_own_flags(monkeypatch, tmp_path):
     """Without a subcommand episodes are simulated."""
     seen = []
-    monkeypatch.setattr(recognize.run, "run", seen.append)
+    (tmp_path / "metrics.json").write_text("{}")  # of a finished run
+    run, out = ["--trained-run", str(tmp_path)], ["--out", str(tmp_path / "out")]
+    monkeypatch.setattr(simulated, "run", seen.append)
     monkeypatch.setattr(live, "run", seen.append)
-    assert recognize.main(["--preset", "debug", "--episodes", "4"]) == 0
-    assert recognize.main(["simulate", "--preset", "debug"]) == 0
-    assert recognize.main(["live", "--max-touches", "7", "--max-error-probability", "0.2"]) == 0
+    assert recognize.main(["--preset", "debug", "--episodes", "4", *run, *out]) == 0
+    assert recognize.main(["simulate", "--preset", "debug", *run, *out]) == 0
+    assert recognize.main(["live", "--max-touches", "7", "--max-error-probability", "0.2", *run, *out]) == 0
     assert [type(args).__name__ for args in seen] == ["SimulateArgs", "SimulateArgs", "LiveArgs"]
     assert seen[0].episodes == 4
     assert (seen[2].max_touches, seen[2].max_error_probability) == (7, 0.2)

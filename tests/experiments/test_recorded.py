@@ -165,7 +165,7 @@ REAL = ["live", "--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"]
 )
 def test_another_skin_is_refused_before_anything_moves(words, said, pad_of_skin_a, tmp_path, capsys):
     out = tmp_path / "live"
-    objects = ["--objects", "star", "hammer", "--true-object", "star"]
+    objects = ["--objects", "star", "hammer"]
     rig = tmp_path / "lab.toml"
     Rig().write(rig)
     assert recognize.main([*words, "--pad", str(pad_of_skin_a), *objects, "--rig", str(rig), "--out", str(out)]) == 2
