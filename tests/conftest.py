@@ -32,7 +32,7 @@ FAST_COMPILATION = " ".join(
         "--xla_cpu_parallel_codegen_split_count=1",
     )
 )
-COMMANDS = ("collect", "contract", "convert", "emulators", "experiments", "hardware", "test_docs.py", "test_examples.py")
+COMMANDS = ("collect", "contract", "convert", "emulators", "experiments", "hardware", "test_docs", "test_examples")
 # Longest first, so that no worker is left with one of them at the end. They share a finished run.
 SLOW = ("test_train.py", "test_recognize.py", "test_studies.py", "test_examples.py")
 
@@ -81,7 +81,7 @@ def _named(config) -> bool:
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item):
     """Without most of the compiler's optimisations, here and in commands that a test starts, where commands run."""
-    cheap = item.path.relative_to(Path(__file__).parent).parts[0] in COMMANDS
+    cheap = item.path.relative_to(Path(__file__).parent).with_suffix("").parts[0] in COMMANDS
     jax.config.update("jax_disable_most_optimizations", cheap)
     os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(int(cheap))
 
@@ -99,7 +99,7 @@ def _let_compiled_code_go():
 @pytest.fixture(scope="session")
 def trained_run(tmp_path_factory) -> Path:
     """A finished run of `experiments.train` on its debug preset."""
-    from experiments.train import run as train
+    from experiments.train import __main__ as train
 
     out = tmp_path_factory.mktemp("runs") / "debug"
     assert train.main(["--preset", "debug", "--out", str(out)]) == 0

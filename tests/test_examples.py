@@ -36,6 +36,7 @@ def test_a_depth_image_gives_the_patch_of_the_mesh():
     assert _load(2).main() < 0.05e-3
 
 
+@pytest.mark.full
 def test_a_press_is_strongest_below_the_ball(tmp_path):
     reading = _load(3).main(str(tmp_path / "press.png")).reshape(-1, 3)
     assert np.linalg.norm(reading, axis=1).argmax() in (0, 1)  # the ball is 3 mm along x: between chips 0 and 1

@@ -52,6 +52,7 @@ def dense(h: StructuredGPHyperparameters, a: Presses, b: Presses, chip: np.ndarr
     return K
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("chips", [None, CHIPS])
 def test_mean_and_spread_of_a_dense_process(chips):
     rng = np.random.default_rng(0)
@@ -77,6 +78,7 @@ def test_mean_and_spread_of_a_dense_process(chips):
     np.testing.assert_allclose(process.scale, np.sqrt(shrunk), rtol=1e-3)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("chips", [None, CHIPS])
 def test_left_out_is_what_leaving_out_gives(chips):
     rng = np.random.default_rng(1)
@@ -146,6 +148,7 @@ def test_heights_help_where_there_are_any_and_do_no_harm_where_there_are_none(ro
         assert with_ > without - 5e-3
 
 
+@pytest.mark.full
 def test_the_stated_spread_is_the_spread_of_the_errors():
     rng = np.random.default_rng(4)
     known, other = presses(rng, 40), presses(rng, 40)
@@ -164,6 +167,7 @@ def test_the_stated_spread_is_the_spread_of_the_errors():
     assert is_one_on_average((((readings[40:] - mean) / true) ** 2).mean(0))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("n", [1, 2, 1000])
 def test_any_number_of_presses(n):
     rng = np.random.default_rng(5)
@@ -223,6 +227,7 @@ def test_an_earlier_session_is_the_mean():
     np.testing.assert_allclose(predict(same, other)[0], predict(earlier, other)[0], atol=rounding)
 
 
+@pytest.mark.full
 def test_cross_validation_moves_the_defaults_only_when_sure():
     rng = np.random.default_rng(8)
     stacked = structured_gp.hyperparameter_grid(FLAT, {"map_length": (0.3, 1.0), "noise_variance": (1.0, 10.0)})
@@ -240,6 +245,7 @@ def test_cross_validation_moves_the_defaults_only_when_sure():
     assert float(choose(stacked, one, jnp.float32(readings[:1])).map_length) == pytest.approx(FLAT.map_length)
 
 
+@pytest.mark.full
 def test_errors_are_those_of_left_out_presses():
     rng = np.random.default_rng(9)
     known = presses(rng, 30)

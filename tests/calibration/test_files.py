@@ -87,6 +87,7 @@ def as_first_version(tree):
     return namedtuple("Old", fields)(**fields)
 
 
+@pytest.mark.full
 def test_what_is_known_of_presses_may_be_more_or_less(tmp_path):
     both = np.column_stack([DEPTH, 1e3 * DEPTH])
     before = np.concatenate([np.full((1, 15), np.nan), READINGS[:-1]])
@@ -165,6 +166,7 @@ def test_data_warnings_name_any_chip():
     assert check_presses(position, load, readings).changed_chips == (12,)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("load_kind", ["depth", "force"])
 def test_a_calibration_holds_the_readings_that_it_was_given(load_kind, calibration):
     """A structured process gives them back as the product of the system's factor with its weights."""

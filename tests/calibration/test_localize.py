@@ -65,6 +65,7 @@ def test_a_known_skin_tells_the_place_and_how_sure_it_is():
     assert abs(right.mean() - np.mean(sure)) < 3 * np.sqrt(0.25 / 300)
 
 
+@pytest.mark.full
 def test_a_skin_is_fitted_to_readings_without_positions():
     """Better than nothing by far, and nearly as good as the skin itself."""
     library = _library()

@@ -708,6 +708,7 @@ def test_a_cylinder_leaves_its_disk(tmp_path):
         assert abs((image.sum(1) @ centres) / image.sum() - y) < pixel / 2
 
 
+@pytest.mark.full
 def test_a_mesh_is_pressed_with_its_lowest_point_first(tmp_path):
     """A cone frustum on its small end, 2 mm below its frame's origin: a flat disk in a slope of 45 degrees."""
     mesh = trimesh.creation.revolve([(0, -2), (2, -2), (5, 1), (0, 1)], sections=256)

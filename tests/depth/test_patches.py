@@ -233,6 +233,7 @@ def plane(depth: float = LOOKING_DISTANCE_M) -> np.ndarray:
     return np.full((CAMERA.height, CAMERA.width), depth, np.float32)
 
 
+@pytest.mark.full
 def test_holes():
     """Small ones are bridged, large ones marked, and both are told apart from what was seen."""
     T_w_t = pose(np.eye(3), [0, 0, LOOKING_DISTANCE_M])
@@ -359,6 +360,7 @@ def test_the_authors_crop():
         crop(np.ones((360, 640), np.uint8), CAMERA)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("tolerance", [1e-3, 2e-3])
 def test_contact_masks_agree(tolerance):
     """The authors' rule, pixels within 1 to 2 mm of the nearest, says the same of both patches away from edges."""

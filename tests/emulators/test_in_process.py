@@ -106,6 +106,7 @@ def test_an_object_beyond_the_reach_of_a_line_is_met_from_where_the_tool_stands_
     assert model(np.array([0.4, 0.0, 0.0297]), DOWN)[2] > 0.3
 
 
+@pytest.mark.full
 def test_a_tool_that_goes_back_behind_the_beginning_of_a_line_meets_what_is_there(scene):
     """Sideways, 10 mm above the table: first past the object, then in front of it, on the same line."""
     model = ContactModel(scene)

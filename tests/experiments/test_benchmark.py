@@ -62,6 +62,7 @@ def test_unequal_work_is_not_compared() -> None:
     assert abs(again.epochs()[0] / before[0] - 1) > 1e-2  # ten times what the section lets pass
 
 
+@pytest.mark.full
 def test_a_missing_peer_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(MissingPeerError, match=r"PyTorch, which is not installed; run pip install 'i2t\[bench\]'"):

@@ -280,6 +280,7 @@ def test_scales_of_the_placement_are_those_of_their_prior():
     np.testing.assert_allclose(prior.draw(np.array([0.0, 1.0])), [0.25, 4.0])
 
 
+@pytest.mark.full
 def test_the_scale_of_the_placement_is_inferred():
     """Against Bayes' rule by quadrature: positions of a placement that is off three times as far as told."""
     rng = np.random.default_rng(21)
@@ -364,6 +365,7 @@ def some_belief(rng: np.random.Generator) -> tuple[Belief, TouchObservation, Pre
     return now, measured(reading, 0.9, -1e-3, True), outcome
 
 
+@pytest.mark.full
 def test_probabilities_add_up_and_follow_a_permutation():
     rng = np.random.default_rng(8)
     now, at, outcome = some_belief(rng)
@@ -451,6 +453,7 @@ def test_a_doubtful_position_keeps_the_spread_of_the_mixture():
         np.testing.assert_allclose(found.covariance, mixed, rtol=2e-2, atol=2e-2 * P.max())
 
 
+@pytest.mark.full
 def test_a_deep_indentation_is_known_less_well():
     """Its error adds to that of the position, as of two independent normal ones."""
     outcome = host(outcomes(np.random.default_rng(20), 1), 0)
@@ -497,6 +500,7 @@ def test_heavy_tails_of_a_position_are_a_mixture_of_kalman_steps():
     assert densities[0] > densities[1] + 15
 
 
+@pytest.mark.full
 def test_the_zero_of_the_sensor_is_followed():
     rng = np.random.default_rng(11)
     offset = rng.normal(scale=20, size=15)

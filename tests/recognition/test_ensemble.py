@@ -59,6 +59,7 @@ def _facing(angles_deg: list[float]) -> np.ndarray:
     return np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=-1)
 
 
+@pytest.mark.full
 def test_the_next_touch_is_where_other_objects_face_elsewhere():
     # Two objects, four points on a line. Cosines with the nearest counterparts: 1, cos 50, cos 60, cos 80.
     points = np.tile(np.stack([np.arange(4), np.zeros(4), np.zeros(4)], axis=-1) * 5e-3, (2, 1, 1))

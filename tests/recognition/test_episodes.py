@@ -118,6 +118,7 @@ class CountingSimulator(EpisodeSimulator):
         )  # fmt: skip
 
 
+@pytest.mark.full
 def test_methods_share_the_touches_that_both_make(monkeypatch):
     """What a second method finds made is what it would have made itself, in its own order."""
     monkeypatch.setattr(CountingSimulator, "made", 0)

@@ -132,6 +132,7 @@ def loops():
     return made
 
 
+@pytest.mark.full
 def test_the_loop_samples_its_hypotheses_from_its_own_votes(loops):
     hypotheses = np.concatenate([result.hypothesis for result, _ in loops])  # (120, 3)
     assert 0.3 < hypotheses[:, 0].mean() < 0.7  # nothing is believed yet

@@ -120,6 +120,7 @@ def test_landscapes_are_found_wherever_they_stand(both):
     assert np.degrees(np.abs(off)[:, 2]).max() < 4
 
 
+@pytest.mark.full
 def test_knowing_the_pose_keeps_the_prior_of_the_objects():
     cells, places = planar.pose_cells(TABLE)
     start = belief.init(places, 3, channels=15)

@@ -126,6 +126,7 @@ def test_errors_are_imagined_with_the_tails_of_the_likelihood():
             assert gained(normal, distance).mean() > draws.mean() + loose  # else this would show nothing
 
 
+@pytest.mark.full
 def test_positions_are_imagined_as_the_belief_expects_them():
     """Draws of the likelihood's mixture and its outliers: their distribution, against that which beliefs are of."""
     heavy = NORMAL._replace(

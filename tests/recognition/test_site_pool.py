@@ -24,6 +24,7 @@ def pools(surfaces) -> SitePools:
     return site_pool.sample_pools(jax.random.key(0), surfaces, NAMES, pools=4, each=6, limits=RECOGNITION_LIMITS)
 
 
+@pytest.mark.full
 def test_no_two_touches_share_a_site(surfaces):
     plan = site_pool.plan_random_touches(jax.random.key(1), surfaces, NAMES, 30, 4, limits=RECOGNITION_LIMITS)
     assert plan.chosen.shape == (30, 4)

@@ -326,6 +326,7 @@ def test_depth_refuses():
         register_by_depth(mesh, far, depth[:-1], CAMERA, T_w_c)
 
 
+@pytest.mark.full
 def test_depth_of_a_real_camera(shared_data):
     """YCB-Video's own poses, fitted by others to the same Xtion, whose step is 1 mm: found again within 2 mm and 2
     degrees from 7 mm and 5 degrees off, among what else is in the image.

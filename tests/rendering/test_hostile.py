@@ -73,6 +73,7 @@ def test_singular_maps_flatten_the_surface(pyramid):
     assert np.isnan(heights(pyramid, np.full((4, 4), np.nan, np.float32))).all()
 
 
+@pytest.mark.full
 def test_what_lies_behind_the_rays_is_not_met(pyramid, patches_of):
     """Under the table, or with the pyramid more than the standoff behind: nothing."""
     poses = [looking_down(z=-1e-3), looking_down(z=-STANDOFF - 1e-3)]

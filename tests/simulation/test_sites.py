@@ -362,6 +362,7 @@ def test_flange_and_mount_above_the_table(seed):
     assert bool(touch_sites.is_above_table(T, limits)) is bool(lowest >= -8e-3)
 
 
+@pytest.mark.full
 def test_sites_pass_an_independent_check():
     thing = make_object("hammer").mesh
     rays = trimesh.ray.ray_pyembree.RayMeshIntersector(trimesh.Trimesh(thing.vertices, thing.faces, process=False))

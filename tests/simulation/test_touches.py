@@ -223,6 +223,7 @@ def test_what_lies_too_low_is_air(touches, met, true_poses, solids):
         assert touches.force[i] == touches.truth.indentation[i] == 0
 
 
+@pytest.mark.full
 def test_a_dull_pad_stops_by_force_and_a_senseless_one_at_the_deepest(solids, pad, met):
     ball = met[:N]
     dull = pad._replace(magnetization=1e-3 * pad.magnetization, young=4 * pad.young)

@@ -94,6 +94,7 @@ def test_a_pressed_layer_agrees_with_magpylib(held):
     np.testing.assert_allclose(pressed(pad, pressure, traction=traction), exact, atol=1e-5 * np.abs(exact).max())
 
 
+@pytest.mark.full
 def test_a_skin_held_at_its_edge_moves_at_all_its_chips():
     """Also at those 9 mm and more from the load, and in proportion to the load and to how far it gives."""
     x, y = -4e-3, 4e-3
@@ -211,6 +212,7 @@ def test_fine_reading_has_converged_for_stamps(pads):
     )
 
 
+@pytest.mark.full
 def test_fewer_dipoles_suffice_for_a_fine_contact(pads):
     pad = jax.tree.map(lambda leaf: leaf[1], pads)
     y, x = np.meshgrid(FINE_GRID.centres, FINE_GRID.centres, indexing="ij")

@@ -247,6 +247,7 @@ def test_chips_warm_unevenly():
     np.testing.assert_allclose(later[:-1], kelvin[1:], rtol=ROUNDING)  # a touch later
 
 
+@pytest.mark.full
 def test_warm_magnets_are_weaker():
     kelvin, offset = jnp.asarray([0.0, 1, 2, 5, 10]), jnp.linspace(-1.0, 1, 15)
     reading, drift = faults.apply_warming(READINGS[0], REST, kelvin, offset, gain=-1.2e-3, drift=0.2)

@@ -77,6 +77,7 @@ def test_meets_the_conditions_of_friction(height, depth, slide):
         np.testing.assert_allclose(_total(state), [force, 0], atol=5e-3 * force)
 
 
+@pytest.mark.full
 def test_no_friction_no_traction():
     pressure = solve(PAD, TIP, 0.4e-3).pressure
     pad = PAD._replace(friction=jnp.zeros(()))
@@ -104,6 +105,7 @@ def test_what_sticks_does_not_depend_on_the_path_and_what_slips_does():
     np.testing.assert_allclose(_total(released), 0.5 * _total(slid), atol=0.05 * _total(slid)[0])
 
 
+@pytest.mark.full
 def test_a_slanted_approach_leaves_its_mark_on_the_reading():
     """Pressed in ten steps straight down and along two slants that mirror each other."""
     depths = np.linspace(0.04e-3, 0.4e-3, 10)
