@@ -1,0 +1,293 @@
+"""Whether a skin at rest is healthy: dead, frozen and saturated chips, noise, steps, temperature; and whether it feels.
+
+A pure judgement of samples that a skin sent while it touched nothing, and of the change that a light press made. Each
+defect is one sentence that names chip and axis. What makes readings a lie stops a session (`stops`); what makes them
+worse is said. A chip that does not answer is missing (NaN), which readings say themselves: it is named, and stops a
+session where less than half of the chips are left.
+
+Which noise is to be expected is the board's own: the median over its chips of the same axis, but at least half of that
+of real ReSkin boards at the paper's settings (3.1 uT along x and y, 4.6 uT along z, recorded at rest). A channel is too
+noisy above three times that, or above 15 uT. Noise is measured from the differences of successive samples without their
+largest hundredth, so that a slow field or a step is no noise. An axis is frozen that did not change once, where the
+same axis of other chips would have done so with a probability of one in a million at the most. It is saturated where
+it stays at its greatest value, beyond the least end of the converter's range (MLX90393 data sheet: 2^15 steps of 0.150
+uT along x and y and 0.242 uT along z at the finest settings).
+
+Microtesla, board axes. NumPy only.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from i2t.errors import DeviceError
+from i2t.hardware.clock import Clock, MonotonicClock
+from i2t.hardware.protocols import Samples, Skin
+from i2t.skin.ambient import mean_known
+from i2t.types import Array
+
+REST_S, REST_SAMPLES = 0.5, 200  # whichever of both comes first, after the least number
+MIN_REST_SAMPLES = 24
+READ_AT_ONCE, READ_TIMEOUT_S = 8, 3.0  # so that a board of some hertz is judged too
+TYPICAL_NOISE_UT = (3.1, 3.1, 4.6)  # of one sample of a real ReSkin board at rest, x, y, z
+NOISE_FACTOR, MAX_NOISE_UT = 3.0, 15.0
+GLITCH_SHARE = 0.01  # of the largest differences, that are steps or glitches and no noise
+STEP_UT, STEP_SIGMAS = 10.0, 6.0  # of the means of two blocks, above which the field has made a step
+BLOCK = 8  # samples of a block, at least; ten blocks where there are more
+FROZEN_CHANCE = 1e-6
+CONVERTER_END_UT = (4915.0, 4915.0, 7930.0)  # least range of a converter, either way
+END_SHARE, CLIPPED_SHARE = 0.98, 0.3  # of that range; of the samples that are at the greatest value
+TEMPERATURE_RANGE_C, MAX_TEMPERATURE_GAP_C = (0.0, 60.0), 10.0  # of a lab's chips; from one chip to the others
+MIN_CHIP_SHARE = 0.5  # of the chips, that must answer
+LEAST_RESPONSE_UT = 10.0  # of a reading, to a press of the least force; noise alone is below
+LEAST_PRESS_N = 1.5
+
+
+class SkinDefect(NamedTuple):
+    """One thing that is wrong with a skin."""
+
+    sentence: str
+    stops: bool  # no session may start on it
+
+
+class SkinHealth(NamedTuple):
+    """What samples at rest tell of a skin."""
+
+    rate: float  # Hz
+    noise: Float[np.ndarray, " c"]  # uT, standard deviation of one sample; NaN for a chip that is missing
+    temperature: Float[np.ndarray, " chips"]  # degrees Celsius; NaN where the skin does not tell
+    missing: tuple[int, ...]  # chips that did not answer
+    defects: tuple[SkinDefect, ...]
+
+    @property
+    def summary(self) -> str:
+        """Rate, noise, temperature and missing chips, for a person."""
+        known = self.noise[np.isfinite(self.noise)]
+        parts = [f"{self.rate:.0f} Hz", f"noise up to {known.max():.1f} uT" if len(known) else "no chip answers"]
+        warmth = self.temperature[np.isfinite(self.temperature)]
+        parts += [f"{warmth.min():.1f} to {warmth.max():.1f} C"] if len(warmth) else []
+        return ", ".join(parts) + (f"; without {_chips(self.missing)}" if self.missing else "")
+
+
+def rest_samples(skin: Skin, clock: Clock | None = None) -> Samples:
+    """Samples of a skin that touches nothing, for half a second, or until a slow board has sent enough.
+
+    Args:
+        skin: Connected.
+        clock: In whose time it lives; by default this machine's.
+
+    Returns:
+        At least 24 rows.
+
+    Raises:
+        DeviceError: It is silent.
+    """
+    clock = MonotonicClock() if clock is None else clock
+    parts, begun = [skin.read(READ_AT_ONCE, READ_TIMEOUT_S)], clock.now()
+    count = READ_AT_ONCE
+    while count < MIN_REST_SAMPLES or (count < REST_SAMPLES and clock.now() - begun < REST_S):
+        parts.append(skin.read(READ_AT_ONCE, READ_TIMEOUT_S))
+        count += READ_AT_ONCE
+    return Samples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def check_skin(samples: Samples) -> SkinHealth:
+    """Judge samples of a skin that touched nothing.
+
+    Args:
+        samples: As of `rest_samples`: 24 rows or more.
+
+    Returns:
+        What they tell.
+    """
+    reading = np.asarray(samples.reading, float)
+    chips = reading.shape[1] // 3
+    by_chip = reading.reshape(len(reading), chips, 3)
+    missing = tuple(int(chip) for chip in np.flatnonzero(~np.isfinite(by_chip).all(2).any(0)))
+    noise, temperature = _white_noise(by_chip), mean_known(np.asarray(samples.temperature, float), axis=0)
+    dead = _dead(by_chip)
+    saturated = _saturated(by_chip) & ~dead[:, None]
+    frozen = _frozen(by_chip) & ~dead[:, None] & ~saturated
+    silent = ~np.isfinite(noise) | dead[:, None] | saturated | frozen
+    defects = [
+        *_missing_defects(missing, chips),
+        *_chip_defects(dead, "sends zeros and nothing else: it does not answer; check its cable and its solder"),
+        *_axis_defects(by_chip, saturated, "is at the end of its range", "take the magnet away, or lower the gain"),
+        *_axis_defects(by_chip, frozen, "stands still", "check its cable and its solder, and reset the board"),
+        *_noise_defects(np.where(silent, np.nan, noise)),
+        *_step_defects(by_chip, np.where(silent, np.nan, noise)),
+        *_temperature_defects(temperature),
+    ]
+    span = float(samples.time[-1] - samples.time[0])
+    rate = (len(reading) - 1) / span if span > 0 else float("nan")
+    return SkinHealth(rate, noise.ravel(), temperature, missing, tuple(defects))
+
+
+def require_healthy(health: SkinHealth, name: str) -> None:
+    """Refuse a skin that no session may start on.
+
+    Args:
+        health: Of the skin.
+        name: Of the skin.
+
+    Raises:
+        DeviceError: It is dead, frozen or saturated; one sentence names chip and axis.
+    """
+    stopping = [defect.sentence for defect in health.defects if defect.stops]
+    if stopping:
+        more = f" (and {len(stopping) - 1} more)" if len(stopping) > 1 else ""
+        raise DeviceError(f"{name} cannot be used: {stopping[0]}{more}")
+
+
+def press_defect(change: Float[Array, " c"], force: float) -> str:
+    """Judge what a light press did to a reading.
+
+    Args:
+        change: (c,) uT, of the reading; NaN for a chip that is missing.
+        force: N, of the press.
+
+    Returns:
+        A sentence if the skin felt nothing of it, else "".
+    """
+    size = float(np.sqrt(np.nansum(np.asarray(change, float) ** 2)))
+    if force < LEAST_PRESS_N or size >= LEAST_RESPONSE_UT:
+        return ""
+    return (
+        f"a press of {force:.1f} N changed its reading by {size:.1f} uT, less than {LEAST_RESPONSE_UT:g}: the "
+        "elastomer is missing or not magnetised, or something else than the skin was pressed"
+    )
+
+
+def _white_noise(by_chip: Array) -> np.ndarray:
+    """(chips, 3) uT, of one sample, without slow changes; NaN for a chip that is missing."""
+    change = np.abs(np.diff(by_chip, axis=0))
+    noise = np.full(by_chip.shape[1:], np.nan)
+    for chip, axis in np.ndindex(*noise.shape):
+        known = np.sort(change[:, chip, axis][np.isfinite(change[:, chip, axis])])
+        kept = known[: len(known) - int(np.ceil(GLITCH_SHARE * len(known)))]
+        if len(kept) >= MIN_REST_SAMPLES // 2:
+            noise[chip, axis] = np.sqrt(np.mean(kept**2) / 2)
+    return noise
+
+
+def _dead(by_chip: Array) -> np.ndarray:
+    """(chips,) which chips send zeros most of the time: no field is zero along three axes at once."""
+    return (by_chip == 0).all(2).mean(0) > 0.5
+
+
+def _saturated(by_chip: Array) -> np.ndarray:
+    """(chips, 3) which axes stay at their greatest value, near or beyond the least end of a converter's range."""
+    size = np.abs(np.where(np.isfinite(by_chip), by_chip, 0.0))
+    greatest = size.max(0)
+    clipped = (size == greatest).mean(0) > CLIPPED_SHARE
+    return clipped & (greatest >= END_SHARE * np.array(CONVERTER_END_UT))
+
+
+def _frozen(by_chip: Array) -> np.ndarray:
+    """(chips, 3) which axes did not change once, though the other chips' say that they should have."""
+    change = np.diff(by_chip, axis=0)
+    known = np.isfinite(change).sum(0)
+    still = (known >= MIN_REST_SAMPLES // 2) & (np.nan_to_num(np.abs(change)).sum(0) == 0)
+    if still[known > 0].all():
+        return still  # of the whole board
+    frozen = np.zeros_like(still)
+    moves = np.where(known > 0, ((change != 0) & np.isfinite(change)).sum(0) / np.maximum(known, 1), np.nan)
+    for chip, axis in np.argwhere(still):
+        others = moves[~still & np.isfinite(moves)] if still[:, axis].all() else moves[~still[:, axis], axis]
+        share = float(np.nanmedian(others))
+        frozen[chip, axis] = (1 - share) ** known[chip, axis] < FROZEN_CHANCE
+    return frozen
+
+
+def _missing_defects(missing: tuple[int, ...], chips: int) -> list[SkinDefect]:
+    left = chips - len(missing)
+    if left >= MIN_CHIP_SHARE * chips:
+        return []
+    return [SkinDefect(f"only {left} of {chips} chips answer, without {_chips(missing)}; check the cables", True)]
+
+
+def _chip_defects(wrong: np.ndarray, what: str) -> list[SkinDefect]:
+    if len(wrong) > 1 and wrong.all():
+        return [SkinDefect(f"every chip {what}", True)]
+    return [SkinDefect(f"chip {chip} {what}", True) for chip in np.flatnonzero(wrong)]
+
+
+def _axis_defects(by_chip: Array, wrong: np.ndarray, what: str, remedy: str) -> list[SkinDefect]:
+    """Sentences on axes: of the whole board, of whole chips, or of single axes."""
+    known = np.isfinite(by_chip).any(0)
+    if wrong.any() and wrong[known].all() and len(wrong) > 1:
+        return [SkinDefect(f"every axis of every chip {what}; {remedy}", True)]
+    last = np.nan_to_num(mean_known(by_chip, axis=0))
+    defects = []
+    for chip in np.flatnonzero(wrong.any(1)):
+        axes = [axis for axis in range(3) if wrong[chip, axis]]
+        at = ", ".join(f"{last[chip, axis]:.1f}" for axis in axes)
+        named = " and ".join("xyz"[axis] for axis in axes) if len(axes) < 3 else "x, y and z"
+        verb = (
+            what
+            if len(axes) == 1
+            else what.replace("is at the end of its", "are at the end of their").replace("stands", "stand")
+        )
+        defects.append(SkinDefect(f"chip {chip}'s {named} {verb}, at {at} uT; {remedy}", True))
+    return defects
+
+
+def _noise_defects(noise: np.ndarray) -> list[SkinDefect]:
+    typical = np.array(TYPICAL_NOISE_UT)
+    own = np.array([np.nanmedian(column) if np.isfinite(column).any() else 0.0 for column in noise.T])
+    limit = np.minimum(MAX_NOISE_UT, NOISE_FACTOR * np.maximum(own, typical / 2))
+    return [
+        SkinDefect(
+            f"chip {chip}'s {'xyz'[axis]} has {noise[chip, axis]:.1f} uT of noise, above {limit[axis]:.1f}; look for a "
+            "loose cable, or a motor near it",
+            False,
+        )
+        for chip, axis in np.argwhere(noise > limit)
+    ]
+
+
+def _step_defects(by_chip: Array, noise: np.ndarray) -> list[SkinDefect]:
+    """Steps of the field at rest: of one chip, or of the room where most chips made one."""
+    size = max(BLOCK, len(by_chip) // 10)
+    blocks = [mean_known(by_chip[at : at + size], axis=0) for at in range(0, len(by_chip) - size + 1, size)]
+    if len(blocks) < 2:
+        return []
+    jumps = np.abs(np.diff(np.array(blocks), axis=0)).max(0)
+    limit = np.maximum(STEP_UT, STEP_SIGMAS * noise * np.sqrt(2 / size))
+    stepped = jumps > limit  # False where either is NaN
+    if stepped.any(1).sum() > max(1, len(jumps) / 2):
+        most = float(np.nanmax(jumps))
+        return [SkinDefect(f"the field of most chips made a step of {most:.0f} uT: something magnetic moved", False)]
+    return [
+        SkinDefect(
+            f"chip {chip}'s {'xyz'[axis]} made a step of {jumps[chip, axis]:.0f} uT at rest; check its cable and its "
+            "solder",
+            False,
+        )
+        for chip, axis in np.argwhere(stepped)
+    ]
+
+
+def _temperature_defects(temperature: np.ndarray) -> list[SkinDefect]:
+    low, high = TEMPERATURE_RANGE_C
+    known = np.isfinite(temperature)
+    if not known.any():
+        return []
+    middle = float(np.median(temperature[known]))
+    defects = []
+    for chip in np.flatnonzero(known):
+        celsius = float(temperature[chip])
+        if not low <= celsius <= high:
+            defects.append(
+                SkinDefect(f"chip {chip} says {celsius:.0f} C, outside {low:g} to {high:g}; let it warm or cool", False)
+            )
+        elif abs(celsius - middle) > MAX_TEMPERATURE_GAP_C:
+            defects.append(
+                SkinDefect(f"chip {chip} says {celsius:.0f} C where the others say {middle:.0f}; is it damaged?", False)
+            )
+    return defects
+
+
+def _chips(numbers: tuple[int, ...]) -> str:
+    return ", ".join(f"chip {number}" for number in numbers)
