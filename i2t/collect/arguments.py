@@ -5,7 +5,15 @@ from pathlib import Path
 from typing import Literal
 
 from i2t.collect.settings import AmbientSettings, TouchSettings
-from i2t.simulation.site_limits import SiteLimits
+from i2t.hardware.ur.config import check_watch
+from i2t.simulation.site_limits import SiteLimits, check_site_limits
+
+OPTION_RANGES = {  # the least and the greatest of each that make sense, and the unit
+    "touches": (1, 1_000_000, "touches"),
+    "seed": (0, 2**31 - 1, ""),
+    "stiffness": (100.0, 1e6, "N/m"),
+}
+MAX_OBJECT_M = 3.0  # of an object's pose in the world
 
 
 @dataclass(frozen=True)
@@ -38,8 +46,8 @@ class CollectArgs:
     """Calibration of the lab (python -m i2t.hardware.rig); a real arm needs one, others take the emulated lab's."""
     object: str = "hexagon"
     """Of the catalogue, or a mesh file."""
-    unit: Literal["m", "cm", "mm", "inch"] = "mm"
-    """Of a mesh file."""
+    unit: Literal["m", "cm", "mm", "inch"] | None = None
+    """Of a mesh file, which does not say it itself; so there is no default."""
     pose: tuple[float, float, float, float, float, float] | None = None
     """Of the object in the world: x y z in m, then turns about x y z in degrees; by default that of the rig."""
     name: str | None = None
@@ -62,10 +70,26 @@ class CollectArgs:
     """Hz, how often a UR controller must hear from us, real or emulated: 10 by default."""
     dry_run: bool = False
     """Check everything and draw the plan; move nothing and write no touch."""
+    skip_first_touch: bool = False
+    """Leave out the slow touch before the first one, which must meet the object where the rig has it."""
+    trust_rig: bool = False
+    """Go on although the rig looks wrong: it is not, only unusual."""
     settings: TouchSettings = field(default_factory=TouchSettings)
     sites: SiteLimits = field(default_factory=SiteLimits)
     ambient: AmbientSettings = field(default_factory=AmbientSettings)
 
     def __post_init__(self) -> None:
-        if self.touches < 1:
-            raise ValueError(f"--touches is {self.touches}; give at least 1")
+        for name, (least, most, unit) in OPTION_RANGES.items():
+            value = getattr(self, name)
+            if value is not None and not least <= value <= most:
+                between = f"{least:g} to {most:g} {unit}".strip()
+                raise ValueError(f"--{name.replace('_', '-')} is {value:g}; give {between}")
+        check_watch(self.state_timeout, self.watchdog_rate)
+        check_site_limits(self.sites)
+        if self.pose is not None:
+            at, turns = self.pose[:3], self.pose[3:]
+            if not all(abs(value) <= MAX_OBJECT_M for value in at) or not all(abs(value) <= 360 for value in turns):
+                raise ValueError(
+                    f"--pose is {' '.join(f'{value:g}' for value in self.pose)}; give x y z in m, each within "
+                    f"{MAX_OBJECT_M:g} m, and turns about x y z in degrees, each within 360"
+                )

@@ -102,7 +102,7 @@ def gather_free_poses(
         UnreachableError: The tool stands where it may not be lifted from; nothing has moved.
         DeviceError: The arm met something or stopped, or the skin fell silent.
     """
-    speed, acceleration = path.settings.speed, path.settings.acceleration
+    speed, acceleration = path.free_speed, path.settings.acceleration
     low = _free_box(path, settings)[0][2]
     start = np.array(arm.state().T_b_t)
     lifted = np.array(start)

@@ -4,15 +4,25 @@ What is outside is refused and never moved inside. Frames: W world, B robot base
 """
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import Site, UnreachableError
-from i2t.hardware.limits import format_position
+from i2t.hardware.collision import REACTION_S, fastest_speed, overrun_force
+from i2t.hardware.limits import BRAKING_M_S2, format_position
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.rig import Rig
 from i2t.types import Array
+
+
+class PressBounds(NamedTuple):
+    """What a press ends at, at the most (N)."""
+
+    force: float  # whatever the skin does: force told it to stop
+    stall: float  # what comes while the computer stalls, until the arm stops by itself
+    silence: float  # what comes until a skin that fell silent has stopped the press
 
 
 @dataclass(frozen=True)
@@ -89,7 +99,48 @@ class TouchPath:
         for distance in (settings.prepare - settings.near, settings.near + settings.overtravel):
             if distance > 0:
                 limits.check_approach(distance, settings.force, settings.torque)
+        for name in ("approach", "press"):
+            self._check_stops(name, getattr(settings, name))
         self.transfer_height()
+
+    def _check_stops(self, name: str, speed: float) -> None:
+        """Refuse a guarded motion that runs past the rig's limit once the settings' force has told it to stop."""
+        limits, force = self.rig.limits, self.settings.force
+        ends = limits.collision_force(speed, force)
+        if ends > limits.force:
+            allowed = fastest_speed(limits.force - force, limits.stiffness, braking=BRAKING_M_S2)
+            raise ValueError(
+                f"{name} is {speed:g} m/s: told to stop at {force:g} N it would end at {ends:.0f} N, at "
+                f"{limits.stiffness / 1e3:g} N/mm, above the rig's limit, {limits.force:g} N; give {allowed:.2g} m/s "
+                "or less, or lower settings.force"
+            )
+
+    @property
+    def free_speed(self) -> float:
+        """m/s, of motions in the air: as asked, but no faster than what can be stopped within the force limit."""
+        return min(self.settings.speed, self.rig.limits.free_speed)
+
+    @property
+    def retreat_speed(self) -> float:
+        """m/s, of retreats, bounded likewise."""
+        return min(self.settings.retreat, self.rig.limits.free_speed)
+
+    def press_bounds(self, watch_s: float) -> PressBounds:
+        """What a press ends at, at the most, by the formula of `i2t.hardware.collision`.
+
+        Args:
+            watch_s: s, after which an arm whose computer stalls stops by itself.
+
+        Returns:
+            The bounds.
+        """
+        settings, limits = self.settings, self.rig.limits
+
+        def more(late: float) -> float:
+            delay = REACTION_S + late
+            return overrun_force(settings.press, limits.stiffness, braking=BRAKING_M_S2, delay=delay)
+
+        return PressBounds(settings.force + more(0.0), more(watch_s), more(settings.silence))
 
     def transfer_height(self) -> float:
         """How high the tool goes from site to site: `clearance` above the object's highest point.

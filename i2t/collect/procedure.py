@@ -204,7 +204,7 @@ class Procedure:
         states, reading = self._measure(press, log)
 
         log.event("retreat")
-        self.arm.go(prepare, self.settings.retreat, self.settings.acceleration)
+        self.arm.go(prepare, self.path.retreat_speed, self.settings.acceleration)
         T_b_t = states[-1].T_b_t
         T_w_t = self.rig.T_world_base @ T_b_t
         reason = press.result.reason
@@ -248,7 +248,7 @@ class Procedure:
         settings = self.settings
         log.event("prepare")
         if not is_at(self.arm.state(), prepare):
-            self.arm.go(prepare, settings.speed, settings.acceleration)
+            self.arm.go(prepare, self.path.free_speed, settings.acceleration)
             self.clock.sleep(settings.settle)
         self.arm.zero_wrench()
         distance = settings.prepare - settings.near
@@ -365,7 +365,7 @@ class Procedure:
         lifted[2, 3], over[2, 3] = max(height, lifted[2, 3]), max(height, lifted[2, 3])
         for T_b_t in (lifted, over, goal):
             if not is_at(state, T_b_t):
-                state = self.arm.go(T_b_t, self.settings.speed, self.settings.acceleration)
+                state = self.arm.go(T_b_t, self.path.free_speed, self.settings.acceleration)
 
     def retreat(self) -> None:
         """Away from whatever the tool may touch: back along its axis, as far as the box allows, then up.
@@ -383,9 +383,9 @@ class Procedure:
             raise DeviceError(
                 f"the tool at {format_position(T_b_t[:3, 3])} m is outside its box: bring it back with the pendant"
             )
-        self.arm.go(back, self.settings.retreat, self.settings.acceleration)
+        self.arm.go(back, self.path.retreat_speed, self.settings.acceleration)
         back[2, 3] = max(height, back[2, 3])
-        self.arm.go(back, self.settings.speed, self.settings.acceleration)
+        self.arm.go(back, self.path.free_speed, self.settings.acceleration)
 
     def recover(self) -> None:
         """After a failure: stand, retreat, and have skin and camera speak again.

@@ -1,10 +1,35 @@
 """How a touch is made: the numbers of the procedure, without NumPy, so that a command line shows them at once."""
 
-import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 MAX_TILT_DEG, MAX_TURN_DEG = 75.0, 90.0  # of a free pose: the flange stays above the skin, its cable untwisted
-MAY_BE_ZERO = ("nonuniform_share", "settle", "hold", "retries", "min_visible_share", "patience")
+SETTING_RANGES = {  # the least and the greatest of each that make sense, and the unit
+    "prepare": (2e-3, 0.3, "m"),
+    "near": (2e-4, 0.05, "m"),
+    "overtravel": (1e-4, 0.03, "m"),
+    "skin_change": (1.0, 1e4, "uT"),
+    "nonuniform_share": (0.0, 1.0, ""),
+    "averaged_samples": (1, 1000, "samples"),
+    "force": (0.2, 150.0, "N"),
+    "torque": (0.05, 50.0, "Nm"),
+    "ambient": (1, 1000, "samples"),
+    "contact": (1, 1000, "samples"),
+    "speed": (1e-3, 1.0, "m/s"),
+    "approach": (1e-4, 0.2, "m/s"),
+    "press": (1e-4, 0.05, "m/s"),
+    "retreat": (1e-3, 1.0, "m/s"),
+    "acceleration": (0.01, 5.0, "m/s^2"),
+    "settle": (0.0, 10.0, "s"),
+    "hold": (0.0, 10.0, "s"),
+    "clearance": (5e-3, 1.0, "m"),
+    "min_visible_share": (0.0, 1.0, ""),
+    "surface_tolerance": (5e-4, 0.05, "m"),
+    "air_tolerance": (5e-4, 0.05, "m"),
+    "silence": (0.02, 5.0, "s"),
+    "retries": (0, 100, "attempts"),
+    "failures": (1, 1000, "sites"),
+    "patience": (0.0, 600.0, "s"),
+}
 
 
 @dataclass(frozen=True)
@@ -26,10 +51,10 @@ class TouchSettings:
     torque: float = 8.0  # Nm
     ambient: int = 10  # samples
     contact: int = 10  # samples
-    speed: float = 0.15  # m/s in the air
+    speed: float = 0.15  # m/s in the air, at the most: what the force limit allows may be less
     approach: float = 0.02  # m/s
     press: float = 0.002  # m/s
-    retreat: float = 0.05  # m/s
+    retreat: float = 0.05  # m/s, at the most, as in the air
     acceleration: float = 0.3  # m/s^2
     settle: float = 0.2  # s that the arm swings, before it looks or zeroes
     hold: float = 0.05  # s from the stop to the samples in contact
@@ -43,12 +68,15 @@ class TouchSettings:
     patience: float = 10.0  # s, for a device that has to be connected again
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            value = getattr(self, each.name)
-            if not math.isfinite(value) or value < 0 or (value == 0 and each.name not in MAY_BE_ZERO):
-                raise ValueError(f"{each.name} is {value:g}; give a number above 0")
+        for name, (least, most, unit) in SETTING_RANGES.items():
+            value = getattr(self, name)
+            if not least <= value <= most:
+                between = f"{least:g} to {most:g} {unit}".strip()
+                raise ValueError(f"settings.{name} is {value:g}; give {between}")
         if self.near > self.prepare:
-            raise ValueError(f"near, {self.near:g} m, lies before prepare, {self.prepare:g} m; make it smaller")
+            raise ValueError(
+                f"settings.near, {self.near:g} m, lies before prepare, {self.prepare:g} m; make it smaller"
+            )
 
 
 @dataclass(frozen=True)

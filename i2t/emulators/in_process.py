@@ -365,7 +365,7 @@ class SimulatedArm(_SimulatedDevice):
             force = float(np.linalg.norm(state.wrench[:3]))
             if not state.moving:
                 return state
-            if force > max(self.limits.force, 1.1 * felt):
+            if force > max(self.limits.trip_force, 1.1 * felt):
                 self.stop()
                 raise DeviceError(f"The arm met something on its way ({force:.1f} N) and was stopped.")
 

@@ -10,17 +10,20 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from i2t.hardware.collision import fastest_speed, overrun_force
 from i2t.types import Array
 
-LARGEST_LIMITS = {  # the greatest that makes sense of an arm that carries a skin, and its unit
-    "speed": (1.0, "m/s"),
-    "acceleration": (5.0, "m/s^2"),
-    "force": (150.0, "N"),
-    "torque": (50.0, "Nm"),
-    "travel": (0.5, "m"),
+LIMIT_RANGES = {  # the least and the greatest that make sense of an arm that carries a skin, and their unit
+    "speed": (1e-4, 1.0, "m/s"),
+    "acceleration": (1e-3, 5.0, "m/s^2"),
+    "force": (1.0, 150.0, "N"),
+    "torque": (0.05, 50.0, "Nm"),
+    "travel": (1e-3, 0.5, "m"),
+    "stiffness": (500.0, 1e6, "N/m"),
 }
 MAX_REACH_M = 3.0  # no arm that this is for reaches further
 BRAKING_M_S2 = 2.0  # deceleration of a stop that is not an emergency's
+FREE_TRIP_SHARE = 1 / 3  # of the force limit, at which a free motion is stopped: of 30 N twice what a UR's sensor errs
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,7 @@ class MotionLimits:
     force: float = 30.0  # N, on any motion; an approach has its own, lower one
     torque: float = 10.0  # Nm
     travel: float = 0.1  # m, the longest approach
+    stiffness: float = 10e3  # N/m, of skin, arm and mount in series: what a collision is reckoned with
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper"):
@@ -45,15 +49,37 @@ class MotionLimits:
             raise ValueError(
                 f"lower, {self.lower}, must lie below upper, {self.upper}, in x, y and z; move the corners"
             )
-        for name, (largest, unit) in LARGEST_LIMITS.items():
+        for name, (least, most, unit) in LIMIT_RANGES.items():
             given = getattr(self, name)
-            if not 0 < given <= largest:
-                raise ValueError(f"{name} is {given:g}; give {unit}, above 0 and at most {largest:g}")
+            if not least <= given <= most:
+                raise ValueError(f"{name} is {given:g}; give {unit}, from {least:g} to {most:g}")
 
     @property
     def box(self) -> Float[Array, "2 3"]:
         """(2, 3) m, lower and upper corner in the base."""
         return np.array([self.lower, self.upper], float)
+
+    @property
+    def trip_force(self) -> float:
+        """N, at which a free motion is stopped, so that with what comes until it stands it stays within the limit."""
+        return FREE_TRIP_SHARE * self.force
+
+    @property
+    def free_speed(self) -> float:
+        """m/s, the fastest free motion whose collision ends within the force limit (`i2t.hardware.collision`)."""
+        return min(self.speed, fastest_speed(self.force - self.trip_force, self.stiffness, braking=BRAKING_M_S2))
+
+    def collision_force(self, speed: float, trip: float) -> float:
+        """Where a collision ends at the most.
+
+        Args:
+            speed: m/s.
+            trip: N, at which the motion is stopped.
+
+        Returns:
+            N.
+        """
+        return trip + overrun_force(speed, self.stiffness, braking=BRAKING_M_S2)
 
     def check(self, goal: Array, speed: float, acceleration: float) -> None:
         """Refuse a goal that is no pose or lies outside the box, and what is too fast.
@@ -86,7 +112,7 @@ class MotionLimits:
 
         Args:
             goal: (4, 4) T_b_t in m.
-            speed: m/s, or None for the limit.
+            speed: m/s, or None for `free_speed`.
             acceleration: m/s^2, or None for the limit.
 
         Returns:
@@ -95,7 +121,7 @@ class MotionLimits:
         Raises:
             ValueError: As `check`.
         """
-        speed = self.speed if speed is None else speed
+        speed = self.free_speed if speed is None else speed
         acceleration = self.acceleration if acceleration is None else acceleration
         self.check(goal, speed, acceleration)
         return speed, acceleration

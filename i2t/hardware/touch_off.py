@@ -190,13 +190,13 @@ def touch_off(
     for side, start in zip(CORNER_SIGNS, starts, strict=True):
         above = start.copy()
         above[2, 3] = top
-        arm.go(above, min(TRANSFER_SPEED_M_S, limits.speed))
-        arm.go(start, min(LOWERING_SPEED_M_S, limits.speed))
+        arm.go(above, min(TRANSFER_SPEED_M_S, limits.free_speed))
+        arm.go(start, min(LOWERING_SPEED_M_S, limits.free_speed))
         onset = _touch_corner(arm, side, start)
         touches.append(shifted_along_z(start, onset))
         report(f"corner {side}: touched after {1e3 * onset:.2f} mm")
-        arm.go(start, min(LOWERING_SPEED_M_S, limits.speed))
-        arm.go(above, min(TRANSFER_SPEED_M_S, limits.speed))
+        arm.go(start, min(LOWERING_SPEED_M_S, limits.free_speed))
+        arm.go(above, min(TRANSFER_SPEED_M_S, limits.free_speed))
     return fit_plane(touches, height)
 
 

@@ -4,6 +4,18 @@ from dataclasses import dataclass
 
 from i2t.types import PAD_WINDOW
 
+SITE_RANGES = {  # the least and the greatest of each that make sense, and the unit
+    "min_cos": (-1.0, 1.0, ""),
+    "max_rise": (0.0, 0.1, "m"),
+    "half": (1e-3, 0.1, "m"),
+    "mount": (0.0, 0.5, "m"),
+    "flange": (0.0, 0.5, "m"),
+    "flange_near": (0.0, 0.5, "m"),
+    "flange_far": (0.0, 0.5, "m"),
+    "table": (-1.0, 1.0, "m"),
+    "clearance": (0.0, 0.1, "m"),
+}
+
 
 @dataclass(frozen=True)
 class SiteLimits:
@@ -18,3 +30,20 @@ class SiteLimits:
     flange_far: float = 100e-3  # m, and where it ends
     table: float = 0.0  # m, height of the table in W
     clearance: float = 1e-3  # m, that mount and flange keep above the table
+
+
+def check_site_limits(limits: SiteLimits) -> None:
+    """Refuse limits that make no sense of a lab.
+
+    Args:
+        limits: As given.
+
+    Raises:
+        ValueError: One of them is out of its range.
+    """
+    for name, (least, most, unit) in SITE_RANGES.items():
+        value = getattr(limits, name)
+        if not least <= value <= most:
+            raise ValueError(f"sites.{name} is {value:g}; give {f'{least:g} to {most:g} {unit}'.strip()}")
+    if limits.flange_far < limits.flange_near:
+        raise ValueError(f"sites.flange_far, {limits.flange_far:g} m, lies before sites.flange_near; make it larger")

@@ -22,7 +22,7 @@ from i2t.hardware.plugins import DeviceSetup, PluginConfig, is_plugin, load_plug
 from i2t.hardware.rig import Rig
 
 ACME = Path(__file__).parents[2] / "examples" / "acme_devices"
-QUICK = ["--settings.approach", "0.1", "--settings.press", "0.005", "--settings.settle", "0.02"]
+QUICK = ["--settings.approach", "0.04", "--settings.press", "0.005", "--settings.settle", "0.02"]
 
 pytestmark = pytest.mark.xdist_group("collect")
 

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from i2t import dataset
 from i2t.collect.recorder import Recorder
-from i2t.collect.settings import TouchSettings
+from i2t.collect.settings import SETTING_RANGES, TouchSettings
 from i2t.collect.stopping import SkinStopCondition, StopRule, nonuniform_field, onset_distance
 from i2t.collect.touch import MissedContactError, SiteOutcome, TouchFailedError, UnreachableError
 from i2t.errors import DeviceError, DeviceTimeoutError
@@ -60,6 +61,7 @@ def overshoot(settings, stiffness, latency=0.03, brake=2.0):
     return stiffness * (settings.press * late + settings.press**2 / 2 / brake)
 
 
+@pytest.mark.full
 def test_a_press_stops_by_the_skin_and_measures_the_spring():
     procedure, memory = make(), Memory()
     settings = procedure.settings
@@ -78,6 +80,7 @@ def test_a_press_stops_by_the_skin_and_measures_the_spring():
     assert len(numbers) > 400 * settings.near / settings.press  # the whole press, at 400 Hz
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("stiffness", "press"), [(2e3, 2e-3), (10e3, 2e-3), (10e3, 4e-3), (20e3, 1e-3)])
 def test_a_skin_that_feels_nothing_leaves_it_to_the_force(stiffness, press):
     settings = TouchSettings(press=press)
@@ -92,6 +95,7 @@ def test_defaults_keep_within_two_newtons_of_the_limit():
     assert overshoot(TouchSettings(), 10e3) < 2.0
 
 
+@pytest.mark.full
 def test_air_is_met_where_nothing_is():
     procedure, memory = make(), Memory()
     (outcome,) = procedure.run(listed(site(0, height=HEIGHT + 0.02)), memory)
@@ -133,6 +137,7 @@ def test_the_camera_can_refuse_a_site():
             procedure.touch(site(0), memory)
 
 
+@pytest.mark.full
 def test_places_outside_the_box_are_remembered_and_cost_no_motion():
     procedure, memory = make(), Memory()
     procedure.settings = TouchSettings(failures=1)
@@ -263,6 +268,7 @@ def test_the_stop_condition_stops_on_what_differs_and_not_on_what_all_chips_see(
     assert not stops(rest + 0.5 * contact, board, ambient)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("board", [boards.grid_board(2, 2), boards.grid_board(4, 4)])
 def test_any_board_presses_and_is_written_and_read_back(tmp_path, board):
     procedure = make(gain=np.linspace(-9, 12, board.num_readings), board=board)
@@ -306,7 +312,7 @@ def test_the_way_across_is_never_lower_than_the_clearance():
 
 @pytest.mark.parametrize(
     "bad",
-    [{"press": 0.26}, {"retreat": 0.3}, {"acceleration": 0.6}, {"force": 31.0}, {"torque": 11.0}, {"prepare": 0.2}],
+    [{"speed": 0.26}, {"retreat": 0.3}, {"acceleration": 0.6}, {"force": 31.0}, {"torque": 11.0}, {"prepare": 0.2}],
 )
 def test_settings_beyond_the_limits_are_refused_before_anything_moves(bad):
     procedure, memory = make(settings=TouchSettings(**bad)), Memory()
@@ -364,6 +370,7 @@ def test_noise_of_real_size_leaves_depth_within_a_twentieth_of_a_millimetre():
     assert np.sqrt(np.mean(np.square(depths))) < 0.05e-3
 
 
+@pytest.mark.full
 def test_history_tells_the_chooser_all_but_images():
     procedure, memory = make(), Memory()
     histories = []
@@ -380,12 +387,23 @@ def test_history_tells_the_chooser_all_but_images():
     np.testing.assert_array_equal(last.touch.reading, memory.saved[0].reading)
 
 
-@pytest.mark.parametrize("bad", [{"press": 0.0}, {"near": 0.05}, {"force": float("nan")}, {"retries": -1}])
-def test_settings_that_make_no_sense_are_refused(bad):
-    with pytest.raises(ValueError, match=next(iter(bad))):
-        TouchSettings(**bad)
+@pytest.mark.parametrize("name", SETTING_RANGES)
+def test_a_setting_that_makes_no_sense_is_refused(name):
+    least, most, _ = SETTING_RANGES[name]
+    kind = type(getattr(TouchSettings, name))
+    for bad in (-5, least - 1, 2 * most + 1, 1000 * most, *([] if kind is int else [float("nan"), float("inf")])):
+        with pytest.raises(ValueError, match=rf"settings\.{name} is "):
+            TouchSettings(**{name: kind(bad)})
+    TouchSettings(**{name: getattr(TouchSettings, name)})
 
 
+def test_every_setting_has_a_range_and_some_exclude_each_other():
+    assert set(SETTING_RANGES) == {each.name for each in fields(TouchSettings)}
+    with pytest.raises(ValueError, match=r"settings\.near"):
+        TouchSettings(near=0.05, prepare=0.04)
+
+
+@pytest.mark.full
 def test_the_procedure_and_the_recorder_need_no_jax():
     code = "import sys, i2t.collect.procedure, i2t.collect.recorder\nassert 'jax' not in sys.modules"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

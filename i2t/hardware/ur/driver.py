@@ -34,13 +34,11 @@ from i2t.errors import DeviceError
 from i2t.hardware.limits import MotionLimits
 from i2t.hardware.protocols import ApproachResult, ArmFeatures, ArmState
 from i2t.hardware.ur.access import check_controller, release_protective_stop, take_lock
+from i2t.hardware.ur.config import check_watch
 from i2t.hardware.ur.motion import MotionController
 from i2t.hardware.ur.rtde_link import RtdeConnection
 from i2t.hardware.ur.rtde_worker import STATE_RATE_HZ
 from i2t.types import Array
-
-STATE_TIMEOUT_RANGE_S = (0.02, 5.0)
-WATCHDOG_RATE_RANGE_HZ = (0.25, 50.0)  # 4 s, in which an arm at 0.25 m/s goes 1 m, to 20 ms
 
 
 class UrArm:
@@ -71,8 +69,7 @@ class UrArm:
         watchdog_rate: float = 10.0,
         source: Literal["real", "emulated"] | None = None,
     ) -> None:
-        _check_within("state timeout", state_timeout, STATE_TIMEOUT_RANGE_S, "s")
-        _check_within("watchdog rate", watchdog_rate, WATCHDOG_RATE_RANGE_HZ, "Hz")
+        check_watch(state_timeout, watchdog_rate)
         if any(importlib.util.find_spec(module) is None for module in ("rtde_control", "rtde_receive")):
             raise DeviceError("A UR arm needs ur_rtde: pip install 'i2t[hardware]' on Python 3.11 or 3.12.")
         self.host, self.limits, self.tool, self.payload = host, limits, tool, payload
@@ -200,8 +197,3 @@ class UrArm:
         return self.motion.approach(
             distance, speed, stop_condition, force=force, torque=torque, acceleration=acceleration
         )
-
-
-def _check_within(name: str, value: float, between: tuple[float, float], unit: str) -> None:
-    if not between[0] <= value <= between[1]:
-        raise ValueError(f"The {name} {value:g} {unit} is outside {between[0]:g} to {between[1]:g} {unit}.")

@@ -39,10 +39,11 @@ class MotionController:
         self._connection, self._limits = connection, limits
 
     def move(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> Array:
-        """Start a straight motion and return at once, as in `Arm.move`; by default as fast as the limits allow.
+        """Start a straight motion and return at once, as in `Arm.move`; by default as fast as it can be stopped in.
 
-        A force or torque above the limits stops the motion, and the next `state` says so; a motion that begins above
-        them, as one that backs out of a contact, is stopped where it gets worse by a tenth.
+        A force above a third of the limit (`MotionLimits.trip_force`) or a torque above its own stops the motion, and
+        the next `state` says so; a motion that begins above them, as one that backs out of a contact, is stopped where
+        it gets worse by a tenth.
         """
         speed, acceleration = self._limits.checked(T_b_t, speed, acceleration)
         self._start(T_b_t, speed, acceleration, self._free_guard)
@@ -128,7 +129,7 @@ class MotionController:
 
     @property
     def _free_guard(self) -> MotionGuard:
-        return MotionGuard(self._limits.force, self._limits.torque, attended=False)
+        return MotionGuard(self._limits.trip_force, self._limits.torque, attended=False)
 
     def _start(self, goal: Array, speed: float, acceleration: float, guard: MotionGuard) -> tuple[float, int]:
         """Start a motion; returns how long it may take at full speed (s), and the number of stops so far."""
