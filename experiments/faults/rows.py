@@ -29,13 +29,17 @@ class FaultCounts:
     disk: int = 5
     touches: int = 1000
     rooms: int = 20
+    mistakes: int = 1000  # of all that are listed
+    sites: int = 500
+    links: int = 200
+    stalls: int = 100
 
     def times(self, share: float) -> "FaultCounts":
         """As much of everything, and of each at least one."""
         return FaultCounts(*(type(count)(max(1, share * count)) for count in astuple(self)))
 
 
-DEBUG = FaultCounts(1.0, 600, 1, 1, 1, 1, 1, 1, 3, 2)
+DEBUG = FaultCounts(1.0, 600, 1, 1, 1, 1, 1, 1, 3, 2, 3, 2, 1, 1)
 
 
 def worst(seconds: list[float]) -> str:

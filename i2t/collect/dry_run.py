@@ -7,14 +7,16 @@ from typing import NamedTuple
 import numpy as np
 
 from i2t.collect.free_poses import plan_free_poses
+from i2t.collect.path import TouchPath
 from i2t.collect.procedure import Procedure
-from i2t.collect.settings import AmbientSettings, TouchSettings
-from i2t.collect.site_plan import SiteSampler, draw_plan
+from i2t.collect.settings import AmbientSettings
+from i2t.collect.site_plan import SiteSampler, draw_plan, draw_rig
 from i2t.collect.touch import Site, UnreachableError
 from i2t.hardware.rig import summary
+from i2t.hardware.rig_checks import implausible, other_lens
+from i2t.hardware.skin_health import check_skin, rest_samples
+from i2t.hardware.ur.config import UrConfig
 
-MAX_NOISE_UT = 15.0  # standard deviation of a channel at rest, above which a skin is not healthy
-NOISE_SAMPLES = 200
 MIN_MEASURED_SHARE = 0.1  # of a view's pixels
 TRANSFER_M = 0.1  # a guess of each of the three ways between sites, for the time of a touch
 SHOWN_REFUSALS = 5
@@ -34,6 +36,7 @@ def dry_run(
     out: Path,
     *,
     ambient: AmbientSettings | None = None,
+    watch_s: float = 1 / UrConfig.watchdog_rate,
 ) -> int:
     """Say what would be done with what, and whether it could.
 
@@ -44,6 +47,7 @@ def dry_run(
         touches: How many there would be.
         out: Folder of the touches; the plan's picture is drawn next to it.
         ambient: Of the free poses before it.
+        watch_s: s, after which an arm whose computer stalls stops by itself.
 
     Returns:
         The exit code.
@@ -55,7 +59,9 @@ def dry_run(
     procedure.path.check_settings()
     sites = [sampler.site(number) for number in range(touches)]
     refused = _refused(procedure, sites)
+    mesh = sampler.mesh
     checks = _device_checks(procedure)
+    checks += [_Check("rig", False, doubt) for doubt in implausible(procedure.rig, mesh.vertices)]
     checks.append(_Check("sites", len(refused) < len(sites) / 2, f"{len(refused)} of {len(sites)} cannot be reached"))
     source = procedure.arm.features.source
     box = procedure.rig.limits.box + procedure.rig.T_world_base[:3, 3]
@@ -63,8 +69,12 @@ def dry_run(
     path.parent.mkdir(parents=True, exist_ok=True)
     title = f"{name}: {len(sites)} sites ({source} arm)"
     draw_plan(sampler, sites, set(refused), box=box, path=path, title=title)
+    picture = out.with_name(f"{out.name}-rig.png")
+    draw_rig(procedure.rig, mesh.vertices, mesh.faces, sites[0].T_w_t, path=picture, title=title)
     print(summary(procedure.rig))
-    seconds = touch_seconds(procedure.settings)
+    print("\n".join(energy_lines(procedure.path, watch_s)))
+    print(f"picture   the rig with object, tool and camera is drawn in {picture}: does it look like the lab?")
+    seconds = touch_seconds(procedure.path)
     print(f"plan      {len(sites)} touches of {name}, about {seconds:.0f} s each; drawn in {path}")
     for number, why in list(refused.items())[:SHOWN_REFUSALS]:
         print(f"          site {number}: {why}")
@@ -77,22 +87,45 @@ def dry_run(
     return 0 if all(check.good for check in checks) else 1
 
 
-def touch_seconds(settings: TouchSettings) -> float:
+def touch_seconds(path: TouchPath) -> float:
     """About how long a touch takes.
 
     Args:
-        settings: How it is made.
+        path: How fast it is made.
 
     Returns:
         s.
     """
+    settings = path.settings
     return (
         4 * settings.settle
         + (settings.prepare - settings.near) / settings.approach
         + settings.near / settings.press
-        + settings.prepare / settings.retreat
-        + 3 * TRANSFER_M / settings.speed
+        + settings.prepare / path.retreat_speed
+        + 3 * TRANSFER_M / path.free_speed
     )
+
+
+def energy_lines(path: TouchPath, watch_s: float) -> list[str]:
+    """How hard a collision and a press can become, for a person.
+
+    Args:
+        path: Of the touches.
+        watch_s: s, after which an arm whose computer stalls stops by itself.
+
+    Returns:
+        Lines.
+    """
+    limits, settings, bounds = path.rig.limits, path.settings, path.press_bounds(watch_s)
+    stiff = f"at {limits.stiffness / 1e3:g} N/mm"
+    asked = f" ({1e3 * settings.speed:.0f} asked)" if path.free_speed < settings.speed else ""
+    hit = limits.collision_force(path.free_speed, limits.trip_force)
+    return [
+        f"free      {1e3 * path.free_speed:.0f} mm/s{asked}: stopped at {limits.trip_force:.0f} N, a collision {stiff} "
+        f"ends at {hit:.0f} N at the most, of {limits.force:g} N allowed",
+        f"press     {1e3 * settings.press:g} mm/s: ends at {bounds.force:.1f} N at the most, {stiff}; a stall of this "
+        f"computer adds {bounds.stall:.1f} N, a skin that falls silent {bounds.silence:.1f} N, and no more than that",
+    ]
 
 
 def _refused(procedure: Procedure, sites: list[Site]) -> dict[int, str]:
@@ -109,21 +142,13 @@ def _refused(procedure: Procedure, sites: list[Site]) -> dict[int, str]:
 def _device_checks(procedure: Procedure) -> list[_Check]:
     """What arm, skin and camera do."""
     state = procedure.arm.state()
-    samples = procedure.skin.read(NOISE_SAMPLES)
-    answering = np.isfinite(samples.reading).any(0)
-    noise = np.nanstd(samples.reading[:, answering], axis=0)
-    silent = sorted({f"chip {channel // 3}" for channel in np.flatnonzero(~answering)})
-    span = max(samples.time[-1] - samples.time[0], 1e-9)
+    health = check_skin(rest_samples(procedure.skin, procedure.clock))
     view = procedure.camera.capture()
     measured = np.isfinite(view.depth)
     return [
         _Check(procedure.arm.features.name, state.safe, f"tool at {np.round(state.T_b_t[:3, 3], 3).tolist()} m"),
-        _Check(
-            procedure.skin.features.name,
-            bool(noise.max() < MAX_NOISE_UT),
-            f"{len(samples.time) / span:.0f} Hz, noise up to {noise.max():.1f} uT"
-            + (f"; without {', '.join(silent)}" if silent else ""),
-        ),
+        _Check(procedure.skin.features.name, not health.defects, health.summary),
+        *(_Check(procedure.skin.features.name, False, defect.sentence) for defect in health.defects),
         _Check(
             procedure.camera.features.name,
             bool(measured.mean() > MIN_MEASURED_SHARE),
@@ -134,13 +159,13 @@ def _device_checks(procedure: Procedure) -> list[_Check]:
 
 
 def check_camera(procedure: Procedure) -> None:
-    """Refuse a camera that cannot see as near as the rig looks.
+    """Refuse a camera that cannot see as near as the rig looks, or has another lens than the rig says.
 
     Args:
         procedure: Its camera is connected.
 
     Raises:
-        ValueError: The camera measures nothing so near.
+        ValueError: The camera measures nothing so near, or its lens is another.
     """
     camera, distance = procedure.camera.features, procedure.rig.looking_distance
     if math.isfinite(camera.nearest) and camera.nearest > distance:
@@ -148,3 +173,6 @@ def check_camera(procedure: Procedure) -> None:
             f"{camera.name} measures nothing nearer than {1e3 * camera.nearest:.0f} mm, and the rig looks from "
             f"{1e3 * distance:.0f} mm; raise looking_distance or take another camera"
         )
+    different = other_lens(procedure.rig.camera, procedure.camera.camera)
+    if different and procedure.camera.features.source != "folder":
+        raise ValueError(different)

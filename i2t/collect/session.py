@@ -30,6 +30,7 @@ from i2t.collect.devices import (
     source_of,
 )
 from i2t.collect.dry_run import check_camera, dry_run
+from i2t.collect.first_touch import first_touch
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, SessionInfo
 from i2t.collect.session_ambient import fitted_ambient
@@ -53,6 +54,8 @@ from i2t.hardware.realsense import RealSenseConfig
 from i2t.hardware.reskin.config import ReplayConfig, ReSkinConfig
 from i2t.hardware.reskin.monitor import bar
 from i2t.hardware.rig import Rig
+from i2t.hardware.rig_checks import require_plausible
+from i2t.hardware.skin_health import check_skin, require_healthy, rest_samples
 from i2t.hardware.ur.config import UrConfig
 from i2t.skin.boards import DEFAULT_BOARD
 from i2t.types import ReturnCode
@@ -91,6 +94,8 @@ def collect(
     done, notes = _resume(args, name, rig)
     config = device_config(args, begin=max(done.values(), default=0.0) + 1.0)
     sampler = SiteSampler(target.mesh, rig.T_world_object, args.sites, args.seed, name)
+    if not args.trust_rig and not args.dry_run:
+        require_plausible(rig, target.mesh.vertices)
     with ExitStack() as stack:
         devices = make_devices(config, rig, stack)
         if args.rig is None and devices.arm.features.source == "real":
@@ -102,10 +107,14 @@ def collect(
         print(_headline(args, source_of(devices), name))
         check_camera(procedure)
         if args.dry_run:
-            return dry_run(procedure, sampler, name, args.touches, args.out, ambient=args.ambient)
+            watch_s = 1 / (args.watchdog_rate or UrConfig.watchdog_rate)
+            return dry_run(procedure, sampler, name, args.touches, args.out, ambient=args.ambient, watch_s=watch_s)
+        _check_health(procedure)
         info = _session_info(args, procedure, devices, name=name, notes=notes)
         file_recorder = stack.enter_context(Recorder(args.out, info, devices.clock))
         file_recorder.check()
+        if not args.skip_first_touch:
+            first_touch(procedure, sampler)
         procedure.ambient_field = fitted_ambient(procedure, args.ambient, args.out, seed=args.seed)
         session = _Session(args, procedure, sampler, set(done))
         _run(session, choose or session.choose, file_recorder, notes, on_outcome)
@@ -135,6 +144,15 @@ def _connect(
         clock=devices.clock,
         unreachable={int(number): why for number, why in notes["unreachable"].items()},
     )
+
+
+def _check_health(procedure: Procedure) -> None:
+    """Refuse a skin that is dead, frozen or saturated, and say what else is wrong with it; nothing moves."""
+    health = check_skin(rest_samples(procedure.skin, procedure.clock))
+    require_healthy(health, procedure.skin.features.name)
+    print(f"skin at rest: {health.summary}")
+    for defect in health.defects:
+        print(f"              {defect.sentence}")
 
 
 def _session_info(
@@ -283,6 +301,9 @@ def _resume(args: CollectArgs, name: str, rig: Rig) -> tuple[dict[int, float], d
             raise DataError(f"{args.out} holds touches of another making; choose another --out")
         session = args.session or f"{name}, {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"
         return {}, {**same, "session": session, "unreachable": {}}
+    if "unreachable" not in notes or not {"session", "run"} & notes.keys():
+        file = args.out / recorder.NOTES
+        raise DataError(f"{file}: is damaged (it names no session); restore it from a copy, or pass another --out")
     if "run" in notes:  # as earlier versions called it
         notes["session"] = notes.pop("run")
     notes.setdefault("board", "reskin")  # earlier versions knew no other
@@ -362,7 +383,7 @@ def device_config(args: CollectArgs, begin: float = 0.0) -> DeviceConfig:
     """
     world = WorldConfig(
         args.object,
-        args.unit,
+        args.unit or "mm",  # an object of the catalogue has none
         args.pad,
         seed=args.seed,
         no_pose_error=args.no_pose_error,

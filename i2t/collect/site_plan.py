@@ -11,13 +11,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from i2t.collect.touch import ExtractPatch, SeenPatch, Site
 from i2t.depth.camera import Camera
 from i2t.depth.patches import patch_from_depth
-from i2t.geometry import full_precision
+from i2t.geometry import full_precision, inverse
 from i2t.hardware.protocols import View
+from i2t.hardware.rig import Rig
 from i2t.objects.solids import Mesh, transform_mesh
 from i2t.rendering.render import prepare_surface
 from i2t.simulation import touches
@@ -42,6 +43,7 @@ class SiteSampler:
     """
 
     def __init__(self, mesh: Mesh, T_w_o: Float[Array, "4 4"], limits: SiteLimits, seed: int, name: str) -> None:
+        self.mesh = mesh
         self.placed = transform_mesh(mesh, np.asarray(T_w_o))
         self.top = float(self.placed.vertices[:, 2].max())  # m, in W
         self._surface = prepare_surface(self.placed)
@@ -199,6 +201,43 @@ def _draw_projection(
     least, most = drawn.min(0) - 5, drawn.max(0) + 5
     axes.set(xlim=(least[0], most[0]), ylim=(least[1], most[1]), aspect="equal")
     axes.set(xlabel=f"{names[0]} in the world (mm)", ylabel=f"{names[1]} (mm)")
+
+
+def draw_rig(
+    rig: Rig,
+    vertices: Float[Array, "v 3"],
+    faces: Int[Array, "f 3"],
+    T_w_t: Float[Array, "4 4"],
+    *,
+    path: Path,
+    title: str,
+) -> None:
+    """Draw a rig: base, box, object, and the tool with its camera at a site, for a person to compare with the lab.
+
+    Args:
+        rig: The lab's calibration.
+        vertices: m, of the object in its own frame.
+        faces: Vertex numbers.
+        T_w_t: Where the tool is drawn.
+        path: Of the picture.
+        title: Above it.
+    """
+    from i2t.viz.rig_scene import RigScene, plot_rig
+    from i2t.viz.style import save_figure
+
+    T_w_o = rig.T_world_object
+    scene = RigScene(
+        vertices=np.asarray(vertices) @ T_w_o[:3, :3].T + T_w_o[:3, 3],
+        faces=np.asarray(faces),
+        T_w_b=rig.T_world_base,
+        T_w_t=np.asarray(T_w_t),
+        T_t_f=inverse(rig.T_flange_tool),
+        T_t_c=rig.T_tool_camera,
+        box=rig.limits.box,
+        looking_distance=rig.looking_distance,
+        view_edges=(rig.camera.width / rig.camera.fx, rig.camera.height / rig.camera.fy),
+    )
+    save_figure(plot_rig(scene, title), path)
 
 
 def orthonormal(pose: Float[Array, "4 4"]) -> Float[Array, "4 4"]:

@@ -29,6 +29,7 @@ Faults on demand. A fourth port, 30100, takes a line and answers one, for instan
     local | remote        control is refused: local mode, scripts are ignored | and allowed again
     wrench X Y Z A B C    a constant force (N) and torque (Nm) on the tool, base axes, besides the plane's
     plane Z STIFFNESS     move the plane: height in metres, newtons per metre; stiffness 0 removes it
+    tcp X Y Z RX RY RZ    the TCP on the pendant (m, rotation vector), with which a program begins
     speed FRACTION        the speed slider on the pendant
     status                a JSON object: pose, twist, force, program, how often it was
                           uploaded, commands taken, greatest speed so far, since when

@@ -75,6 +75,7 @@ class Controller:
         self.finished: Finished | None = None  # of the command that is being carried out
         self.asynchronous, self.operation, self.changes = False, 0, 0  # motion under way, its number, state changes
         self.payload, self.payload_centre, self.tcp_offset = 0.0, [0.0] * 3, [0.0] * 6
+        self.pendant_tcp = [0.0] * 6  # that a program begins with
         self.commands: list[int] = []
         self.uploads = 0
         self.outputs: dict[str, rtde_protocol.Value] = {}
@@ -84,6 +85,7 @@ class Controller:
         if self.local or self.protective:
             return
         self.uploads += 1
+        self.tcp_offset = list(self.pendant_tcp)
         self.robot.stop()
         self.runtime, self.start_clock, self.watchdog, self.finished = PLAYING, self.clock, None, None
         self.out_ints[:2] = [READY, 0]

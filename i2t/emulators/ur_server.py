@@ -272,6 +272,8 @@ class Server:
                     robot.external_wrench = np.array([float(number) for number in numbers]).reshape(6)
                 case ["plane", height, stiffness]:
                     robot.contact = plane(float(height), float(stiffness))
+                case ["tcp", *numbers] if len(numbers) == 6:
+                    controller.pendant_tcp = [float(number) for number in numbers]
                 case ["speed", fraction]:
                     robot.speed_fraction = min(1.0, max(0.0, float(fraction)))
                 case ["status"]:

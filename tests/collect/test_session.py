@@ -17,6 +17,7 @@ from i2t.collect import command, recorder, session
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.devices import DeviceConfig, DeviceContext, make_devices, make_skin
 from i2t.emulators import lab, reskin_board
+from i2t.emulators.in_process import SimulatedSkin
 from i2t.emulators.world import (
     EmulatedArmConfig,
     EmulatedSkinConfig,
@@ -38,7 +39,7 @@ from i2t.types import ReturnCode
 pytestmark = pytest.mark.xdist_group("collect")
 
 # The emulated board and the thread that hears it may wait for a core longer than a lab's devices may be silent.
-PATIENT = ["--settings.silence", "2", "--settings.approach", "0.1", "--settings.press", "0.005"]
+PATIENT = ["--settings.silence", "2", "--settings.approach", "0.04", "--settings.press", "0.005"]
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +96,43 @@ def test_what_was_collected_makes_sense(folder, rig):
 
 
 @pytest.mark.full
+def test_the_first_touch_of_a_session_is_slow_and_agrees_with_the_rig(folder, rig, capsys):
+    assert command.main(["--out", str(folder / "first"), "--rig", str(rig), "--touches", "1"]) == 0
+    said = capsys.readouterr().out
+    assert "skin at rest: 400 Hz" in said
+    assert "first touch: met the object" in said
+    wrong = replace(Rig.read(rig), T_world_object=_lifted(0.01))
+    wrong.write(folder / "wrong.toml")
+    host = ["--out", str(folder / "wrong"), "--rig", str(folder / "wrong.toml"), "--trust-rig"]
+    assert command.main([*host, "--touches", "1"]) == 0  # simulated, the object is where the rig has it
+
+
+def _lifted(height):
+    T = np.eye(4)
+    T[2, 3] = height
+    return T
+
+
+@pytest.mark.parametrize("harm", ["dead", "frozen", "saturated"])
+def test_no_session_starts_and_no_dry_run_passes_on_a_skin_that_lies(folder, rig, capsys, monkeypatch, harm):
+    read = SimulatedSkin.read
+
+    def lie(self, count, timeout=None):
+        samples = read(self, count, timeout)
+        by_chip = samples.reading.reshape(count, -1, 3)
+        by_chip[:, 2] = {"dead": 0.0, "frozen": 12.3, "saturated": 7930.0}[harm]
+        return samples
+
+    monkeypatch.setattr(SimulatedSkin, "read", lie)
+    options = ["--out", str(folder / harm), "--rig", str(rig), "--touches", "1"]
+    assert command.main(options) == 1
+    assert "the simulated skin cannot be used: chip 2" in capsys.readouterr().err
+    assert not recorder.touches_in(folder / harm) if (folder / harm).exists() else True
+    assert command.main([*options, "--dry-run"]) == 1
+    assert "BAD       the simulated skin: chip 2" in capsys.readouterr().out
+
+
+@pytest.mark.full
 def test_another_collection_is_not_mixed_in(folder, rig, capsys):
     assert run(folder, rig, "--object", "star") == 2
     assert "begun with another object" in capsys.readouterr().err
@@ -136,14 +174,18 @@ def test_a_dry_run_moves_nothing_and_writes_no_touch(folder, rig, capsys):
     assert "nothing was moved" in said
     assert "0 of 5 cannot be reached" in said
     assert (folder / "dry-plan.png").stat().st_size > 1000
+    assert (folder / "dry-rig.png").stat().st_size > 10_000
+    assert "a collision at 10 N/mm ends at 30 N at the most" in said
+    assert "BAD" not in said
     assert not (folder / "dry").exists()
 
 
+@pytest.mark.full
 def test_sigterm_stops_it_and_keeps_everything(folder, rig, capsys):
     def stop(outcome):
         os.kill(os.getpid(), signal.SIGTERM)
 
-    args = CollectArgs(out=folder / "stopped", rig=rig, touches=5)
+    args = CollectArgs(out=folder / "stopped", rig=rig, touches=5, skip_first_touch=True)
     before = signal.signal(signal.SIGTERM, command.end_by_signal)
     try:
         with pytest.raises(SystemExit) as ended:
@@ -164,6 +206,17 @@ def test_sigterm_stops_it_and_keeps_everything(folder, rig, capsys):
         (["--arm", "emulated"], "a simulated skin feels only"),
         (["--object", "no such thing"], "no such"),
         (["--settings.press", "0"], "press is 0"),
+        (["--settings.press", "0.25"], "press is 0.25; give 0.0001 to 0.05 m/s"),
+        (["--settings.force", "1000"], "force is 1000; give 0.2 to 150 N"),
+        (["--touches", "-5"], "touches is -5"),
+        (["--stiffness", "-1"], "stiffness is -1"),
+        (["--seed", "-1"], "seed is -1"),
+        (["--watchdog-rate", "0.01"], "watchdog rate 0.01 Hz is outside"),
+        (["--state-timeout", "60"], "state timeout 60 s is outside"),
+        (["--sites.min-cos", "7"], "sites.min_cos is 7"),
+        (["--ambient.seconds", "1e9"], "ambient.seconds is 1e+09"),
+        (["--pose", "30", "0", "0", "0", "0", "0"], "--pose is 30 0 0"),
+        (["--pose", "0", "0", "0.2", "0", "0", "0"], "on nothing"),
     ],
 )
 def test_what_does_not_go_together_is_said_in_a_sentence(tmp_path, capsys, wrong, said):

@@ -24,6 +24,7 @@ import numpy as np
 
 from i2t.errors import DeviceError, DeviceTimeoutError, MotionStoppedError, NotConnectedError
 from i2t.hardware.protocols import ArmState, StopReason
+from i2t.hardware.rig_checks import other_tool
 from i2t.hardware.ur import rtde_worker
 from i2t.hardware.ur.access import ask_dashboard
 from i2t.hardware.ur.poses import from_ur, to_ur
@@ -115,7 +116,7 @@ class RtdeConnection:
             payload: kg and centre (3,) in m in the flange; None keeps what is set.
 
         Raises:
-            DeviceError: The controller cannot be controlled.
+            DeviceError: The controller cannot be controlled, or was told another TCP on its pendant.
         """
         self._reset()
         request = {
@@ -128,6 +129,9 @@ class RtdeConnection:
         reply = self._first_message(self._channel)
         if "ready" not in reply:
             raise DeviceError(f"The controller at {self.host} cannot be controlled: {reply['error']}.")
+        different = "" if tool is None else other_tool(tool, from_ur(reply["pendant_tcp"]))
+        if different:
+            raise DeviceError(f"The controller at {self.host} has another tool: {different}.")
         self._thread = threading.Thread(target=self._read_loop, args=(self._channel,), name=f"UR {self.host}")
         self._thread.daemon = True
         self._thread.start()

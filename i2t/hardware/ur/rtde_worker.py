@@ -122,6 +122,7 @@ class Worker:
         self.channel, self.control, self.receive = channel, control, receive
         self.watchdog_rate = watchdog_rate
         self.watchdog_set = False
+        self.pendant_tcp = [0.0] * 6  # m, rad: the TCP that the controller had before it was told another
         self.heartbeat_time = -math.inf
         self.state: Message | None = None
         self.motion = 0  # the driver's number of the newest motion
@@ -301,11 +302,15 @@ def connect(channel: Channel, request: Message) -> Worker:
 
     receive = rtde_receive.RTDEReceiveInterface(request["host"], STATE_RATE_HZ, VARIABLES)
     control = rtde_control.RTDEControlInterface(request["host"])
+    pendant_tcp = [0.0] * 6
     if request["tool"] is not None:
+        pendant_tcp = list(control.getTCPOffset())  # what it was told before
         control.setTcp(request["tool"])
     if request["payload"] is not None:
         control.setPayload(*request["payload"])
-    return Worker(channel, control, receive, request["watchdog_rate"])
+    worker = Worker(channel, control, receive, request["watchdog_rate"])
+    worker.pendant_tcp = pendant_tcp
+    return worker
 
 
 def forbid_new_connections() -> None:
@@ -328,7 +333,7 @@ def main(request: Message) -> None:
     try:
         worker = connect(channel, request)
         forbid_new_connections()
-        channel.send({"ready": True})
+        channel.send({"ready": True, "pendant_tcp": worker.pendant_tcp})
         worker.serve()
     except (EOFError, BrokenPipeError):
         with contextlib.suppress(Exception):

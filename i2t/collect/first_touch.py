@@ -1,0 +1,301 @@
+"""Before the first touch of a session: does the rig agree with what camera, arm and skin say?
+
+    air       what the arm feels while it touches nothing and nothing has been zeroed: a payload that is wrong
+    looks     the camera over some sites; near each the depth must be that of the mesh where the rig has it
+    touch     a slow press of the site that points up most, guarded all the way down from the way across: the tool must
+              meet the object where the rig has it, and the skin must feel it
+
+What contradicts the rig is one sentence, and nothing else is touched. A camera that shows recorded views, or a skin
+that plays a recording, is not asked.
+
+Frames: W world, B robot base, T tool, C camera; metres, newtons, microtesla.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from i2t.collect.procedure import Procedure
+from i2t.collect.stopping import SkinStopCondition, StopRule
+from i2t.collect.touch import Site, UnreachableError
+from i2t.depth.camera import Camera, Distortion
+from i2t.errors import DeviceError
+from i2t.hardware.poses import shifted_along_z
+from i2t.hardware.protocols import ArmState, Samples
+from i2t.hardware.skin_health import press_defect
+from i2t.objects.solids import Mesh
+from i2t.simulation.depth_camera import render_view
+from i2t.skin.ambient import mean_known
+from i2t.types import Array
+
+CANDIDATES, LOOKS = 32, 3  # sites among which those are chosen, and how many are looked at
+LOOK_RADIUS_M = 40e-3  # around a site, in which depth is compared
+DEPTH_TOLERANCE_M = 6e-3  # of a pixel's depth: placement and camera 1 mm and a degree off, and a sloping surface
+EDGE_M = 3e-3  # from an edge of the object, in which depth is not compared: it is seen as far aside
+MAX_WRONG_SHARE, CLEARLY_WRONG_SHARE = 0.3, 0.6  # of the pixels of all looks; of a single look, at once
+MIN_SEEN_SHARE = 0.3  # of the object's pixels, that must have been measured
+TOUCH_TOLERANCE_M = 4e-3  # of where the object is met; with a placement that is stated worse, three times its error
+LIGHT_FORCE_N = 3.0  # that ends the first touch: above what a UR's sensor errs in motion
+SLOW_M_S = 5e-3
+MAX_AIR_FORCE_N = 6.0  # felt in the air before anything is zeroed: more is a payload off by 0.6 kg
+
+CHECK_CAMERA = "check T_tool_camera, T_flange_tool and the camera's lens, and register the object (python -m i2t.place)"
+
+
+class RigContradictedError(DeviceError):
+    """Camera, arm or skin contradict the rig."""
+
+
+@runtime_checkable
+class SitedObject(Protocol):
+    """An object where the rig has it, and its sites (`i2t.collect.site_plan.SiteSampler`)."""
+
+    placed: Mesh  # m, in W
+
+    def site(self, number: int) -> Site:
+        """A site by its number.
+
+        Args:
+            number: From 0.
+
+        Returns:
+            The site.
+        """
+
+
+class FirstTouchPlan(NamedTuple):
+    """What is looked at and touched."""
+
+    looks: tuple[Site, ...]
+    touch: Site
+
+
+def plan_first_touch(procedure: Procedure, sampler: SitedObject) -> FirstTouchPlan:
+    """Choose a site that points up, and others far from it; nothing moves.
+
+    Args:
+        procedure: Its path says which sites can be reached.
+        sampler: Of the sites.
+
+    Returns:
+        The plan.
+
+    Raises:
+        UnreachableError: No site can be reached.
+    """
+    sites = []
+    for number in range(CANDIDATES):
+        site = sampler.site(number)
+        try:
+            procedure.path.check(site)
+            sites.append(site)
+        except UnreachableError as error:
+            refused = error
+    if not sites:
+        raise UnreachableError(f"none of {CANDIDATES} sites can be reached, the last not because {refused}")
+    places = np.array([site.T_w_t[:3, 3] for site in sites])
+    up = np.array([-site.T_w_t[2, 2] for site in sites])
+    middle = places[:, :2].mean(0)
+    first = int(np.argmax(np.round(up, 2) - np.linalg.norm(places[:, :2] - middle, axis=1)))
+    chosen = [first]
+    while len(chosen) < min(LOOKS, len(sites)):
+        away = np.linalg.norm(places[:, None] - places[chosen], axis=2).min(1)
+        chosen.append(int(np.argmax(away)))
+    return FirstTouchPlan(tuple(sites[i] for i in chosen), sites[first])
+
+
+def first_touch(procedure: Procedure, sampler: SitedObject, report: Callable[[str], None] = print) -> None:
+    """Look at some sites and touch one slowly; the tool ends above everything.
+
+    Args:
+        procedure: Its devices are connected.
+        sampler: Of the sites.
+        report: Hears what was found.
+
+    Raises:
+        RigContradictedError: Camera, arm or skin contradict the rig, or the skin feels nothing.
+        DeviceError: A device fails.
+        ValueError: The settings are beyond the arm's limits; nothing has moved.
+    """
+    procedure.path.check_settings()
+    plan = plan_first_touch(procedure, sampler)
+    _check_air(procedure)
+    procedure.retreat()
+    if procedure.camera.features.source != "folder":
+        share = float(np.mean([_look(procedure, sampler, site) for site in plan.looks]))
+        if share > MAX_WRONG_SHARE:
+            raise _seen_elsewhere("in the first looks", share)
+        report(f"first looks: {100 * share:.0f} % of the object's pixels are not where the rig has them")
+    try:
+        report(_touch(procedure, plan.touch))
+    except RigContradictedError:
+        procedure.retreat()
+        raise
+    procedure.retreat()
+
+
+def depth_contradiction(depth: Array, expected: Array, on_object: Array) -> tuple[float, float]:
+    """How much of an object is not seen where it should be.
+
+    Args:
+        depth: (h, w) m, as measured; NaN where nothing was.
+        expected: (h, w) m, of the mesh where the rig has it.
+        on_object: (h, w) which pixels show the object.
+
+    Returns:
+        The share of the object's pixels that were measured, and of those the share that is further off than the
+        tolerance.
+    """
+    measured = on_object & np.isfinite(depth)
+    if not measured.any():
+        return 0.0, 1.0
+    wrong = np.abs(depth[measured] - expected[measured]) > DEPTH_TOLERANCE_M
+    return float(measured.sum() / on_object.sum()), float(wrong.mean())
+
+
+def expected_view(triangles: Array, site: Array, T_w_c: Array, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """What the camera should see of an object around a site.
+
+    Args:
+        triangles: (n, 3 corners, 3) m, of the object in W.
+        site: (3,) m, in W.
+        T_w_c: (4, 4) of the camera.
+        camera: Its size and lens, whose distortion is left out.
+
+    Returns:
+        Depth (h, w) m, and which pixels (h, w) show the object within 40 mm of the site, and not near its edges.
+    """
+    pinhole = replace(camera, model=Distortion.NONE, coefficients=())
+    depth, which = render_view(triangles, T_w_c, pinhole)
+    x = (np.arange(camera.width) - camera.cx) / camera.fx
+    y = (np.arange(camera.height) - camera.cy) / camera.fy
+    with np.errstate(invalid="ignore"):
+        points = depth[..., None] * np.stack([*np.meshgrid(x, y), np.ones(depth.shape)], axis=-1)
+        near = np.linalg.norm(points - (site - T_w_c[:3, 3]) @ T_w_c[:3, :3], axis=-1) < LOOK_RADIUS_M
+    on_object = near & (which >= 0)
+    far_from_edges = on_object & ~_edges(depth, site, T_w_c, camera)
+    return depth, far_from_edges if far_from_edges.any() else on_object
+
+
+def _edges(depth: Array, site: Array, T_w_c: Array, camera: Camera) -> np.ndarray:
+    """(h, w) which pixels are so near an edge that they may show what is beside it."""
+    away = max(float((site - T_w_c[:3, 3]) @ T_w_c[:3, 2]), 1e-3)
+    size = 2 * max(1, round(camera.fx * EDGE_M / away)) + 1
+    known = np.where(np.isfinite(depth), depth, 10.0)
+    return np.asarray(maximum_filter(known, size) - minimum_filter(known, size) > DEPTH_TOLERANCE_M)
+
+
+def _check_air(procedure: Procedure) -> None:
+    state = procedure.arm.state()
+    force = float(np.linalg.norm(state.wrench[:3]))
+    if not state.moving and force > MAX_AIR_FORCE_N:
+        raise RigContradictedError(
+            f"the arm feels {force:.1f} N before anything is touched, as if {force / 9.81:.1f} kg were wrong: check "
+            "tool.mass and tool.centre of the rig, or free the tool"
+        )
+
+
+def _look(procedure: Procedure, sampler: SitedObject, site: Site) -> float:
+    """Share of the object's pixels that contradict the rig; raises RigContradictedError."""
+    procedure.move_above(procedure.path.poses(site)[0])
+    procedure.clock.sleep(procedure.settings.settle)
+    T_w_c = procedure.rig.T_world_base @ procedure.arm.state().T_b_t @ procedure.rig.T_tool_camera
+    view, camera = procedure.camera.capture(), procedure.camera.camera
+    mesh = sampler.placed
+    expected, on_object = expected_view(mesh.vertices[mesh.faces], site.T_w_t[:3, 3], T_w_c, camera)
+    if not on_object.any():
+        raise RigContradictedError(f"the camera would not see site {site.number} at all; {CHECK_CAMERA}")
+    seen, wrong = depth_contradiction(np.asarray(view.depth, float), expected, on_object)
+    if seen < MIN_SEEN_SHARE:
+        raise RigContradictedError(
+            f"the camera measured {100 * seen:.0f} % of the pixels in which site {site.number} should be; is it "
+            f"covered, shiny or too near? Else {CHECK_CAMERA}"
+        )
+    if wrong > CLEARLY_WRONG_SHARE:
+        raise _seen_elsewhere(f"at site {site.number}", wrong)
+    return wrong
+
+
+def _seen_elsewhere(where: str, share: float) -> RigContradictedError:
+    return RigContradictedError(
+        f"{where} {100 * share:.0f} % of the object is seen more than {1e3 * DEPTH_TOLERANCE_M:g} mm from where the "
+        f"rig has it; {CHECK_CAMERA}"
+    )
+
+
+def _touch(procedure: Procedure, site: Site) -> str:
+    """Touch a site slowly; says where it was met, or raises RigContradictedError."""
+    path, settings, limits = procedure.path, procedure.settings, procedure.rig.limits
+    prepare = path.poses(site)[1]
+    up = max(-float(prepare[2, 2]), 0.1)  # cosine of the tool's tilt
+    room = min((path.transfer_height() - prepare[2, 3]) / up, limits.travel)
+    above = next(
+        pose for part in (1.0, 0.5, 0.0) if limits.contains((pose := shifted_along_z(prepare, -part * room))[:3, 3])
+    )
+    procedure.move_above(above)
+    procedure.clock.sleep(settings.settle)
+    procedure.arm.zero_wrench()
+    far = float((prepare[:3, 3] - above[:3, 3]) @ prepare[:3, 2])
+    tolerance = max(TOUCH_TOLERANCE_M, 3 * float(np.sqrt(np.diagonal(procedure.rig.object_covariance)[:3].max())))
+    ambient = _mean_reading(procedure)
+    rule = StopRule(settings.skin_change, settings.nonuniform_share, settings.averaged_samples, settings.silence)
+    expected, gone = far + settings.prepare, 0.0
+    for distance, speed in ((far, settings.approach), (settings.prepare + tolerance, min(SLOW_M_S, settings.approach))):
+        if distance <= 1e-4:
+            continue
+        met = procedure.arm.approach(
+            distance,
+            speed,
+            SkinStopCondition(procedure.skin, procedure.board, rule, ambient, _NoLog()),
+            force=LIGHT_FORCE_N,
+            torque=settings.torque,
+            acceleration=settings.acceleration,
+        )
+        gone += met.distance
+        if met.reason != "distance":
+            break
+    remedy = "check T_flange_tool, T_world_base and T_world_object"
+    if met.reason == "distance":
+        raise RigContradictedError(
+            f"the first slow touch met nothing up to {1e3 * tolerance:.0f} mm past where the rig has the object; "
+            f"{remedy}"
+        )
+    if abs(gone - expected) > tolerance:
+        raise RigContradictedError(
+            f"the first slow touch met something {1e3 * (expected - gone):.0f} mm before the object should begin; "
+            f"{remedy}, and look what is in the way"
+        )
+    return _felt(procedure, ambient, 1e3 * (gone - expected))
+
+
+def _felt(procedure: Procedure, ambient: Array, late_mm: float) -> str:
+    """What the skin says of the first touch; raises RigContradictedError."""
+    procedure.clock.sleep(procedure.settings.hold)
+    change = _mean_reading(procedure) - ambient
+    force = -float(procedure.arm.state().wrench[2])
+    size = float(np.sqrt(np.nansum(change**2)))
+    if procedure.skin.features.source != "replay":
+        defect = press_defect(change, force)
+        if defect:
+            raise RigContradictedError(f"{procedure.skin.features.name}: {defect}")
+    return f"first touch: met the object {late_mm:+.1f} mm from where the rig has it, {force:.1f} N, {size:.0f} uT"
+
+
+class _NoLog:
+    """Hears of samples and states, and keeps none: the first touch is no touch of the set."""
+
+    def samples(self, samples: Samples) -> None:
+        """Of the skin."""
+
+    def state(self, state: ArmState) -> None:
+        """Of the arm."""
+
+    def event(self, text: str) -> None:
+        """What happened."""
+
+
+def _mean_reading(procedure: Procedure) -> Array:
+    return mean_known(procedure.skin.read(procedure.settings.ambient).reading, axis=0)

@@ -1,0 +1,140 @@
+"""A picture of a lab's rig: base, box, table and object, and the tool with its camera where it looks and where it
+presses.
+
+What is wrong in a calibration file is hard to see in matrices and easy to see in a picture: a tool that points up, a
+camera that looks elsewhere, an object below its table. Drawn by matplotlib alone, so that no display and no GL is
+needed. Frames: W world (z up, the table at z = 0), B robot base, F flange, T tool, C camera; drawn in millimetres.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+
+from i2t.types import PAD_WINDOW, Array
+from i2t.viz.style import BLUE, GREEN, GREY, MM_PER_M, ORANGE, RED, Picture
+
+CLOSE_UP_M = 0.13  # half the edge of the close-up around the site
+AXIS_M = 0.05  # length of a frame's drawn axes
+TABLE_COLOUR = "#f3ead8"
+EDGES_OF_A_BOX = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
+
+
+class RigScene(NamedTuple):
+    """What is drawn."""
+
+    vertices: Float[Array, "v 3"]  # m, of the object in W
+    faces: Int[Array, "f 3"]
+    T_w_b: Float[Array, "4 4"]
+    T_w_t: Float[Array, "4 4"]  # at a site
+    T_t_f: Float[Array, "4 4"]
+    T_t_c: Float[Array, "4 4"]
+    box: Float[Array, "2 3"]  # m, in B, for the tool's origin
+    looking_distance: float  # m
+    view_edges: tuple[float, float]  # of the image, at a distance of 1
+
+
+def plot_rig(scene: RigScene, title: str) -> Picture:
+    """Draw a rig: the whole lab, and a close-up of the tool that presses and of the camera that looks.
+
+    Args:
+        scene: What is drawn.
+        title: Above it.
+
+    Returns:
+        The figure.
+    """
+    figure = Picture(figsize=(13, 6.5), layout="constrained")
+    lab, close = (figure.add_subplot(1, 2, i + 1, projection="3d") for i in range(2))
+    _draw_lab(lab, scene)
+    _draw_close_up(close, scene)
+    figure.suptitle(title)
+    return figure
+
+
+def look_pose(scene: RigScene) -> np.ndarray:
+    """Where the tool is when its camera looks at the site.
+
+    Args:
+        scene: What is drawn.
+
+    Returns:
+        T_w_t (4, 4), m.
+    """
+    T_w_look = np.array(scene.T_w_t, float)
+    axis, place = scene.T_t_c[:3, 2], scene.T_t_c[:3, 3]
+    T_w_look[:3, 3] -= scene.T_w_t[:3, :3] @ (scene.looking_distance * axis + place)
+    return T_w_look
+
+
+def _draw_lab(axes: Any, scene: RigScene) -> None:
+    corners = np.array([[x, y, z] for x in scene.box[:, 0] for y in scene.box[:, 1] for z in scene.box[:, 2]])
+    corners = corners @ scene.T_w_b[:3, :3].T + scene.T_w_b[:3, 3]
+    _lines(axes, [corners[list(edge)] for edge in EDGES_OF_A_BOX], RED, "the box of the tool")
+    _frame(axes, scene.T_w_b, "robot base", 2 * AXIS_M)
+    _frame(axes, np.eye(4), "world", 2 * AXIS_M)
+    _object(axes, scene)
+    T_w_look = look_pose(scene)
+    _tool(axes, scene, T_w_look, BLUE, "tool where its camera looks")
+    everything = np.concatenate([corners, scene.vertices, scene.T_w_b[None, :3, 3], T_w_look[None, :3, 3]])
+    _frame_view(axes, (everything.min(0) + everything.max(0)) / 2, float(np.ptp(everything, axis=0).max()) / 2)
+    axes.set_title("the lab")
+
+
+def _draw_close_up(axes: Any, scene: RigScene) -> None:
+    _object(axes, scene)
+    T_w_look = look_pose(scene)
+    _tool(axes, scene, T_w_look, BLUE, "tool where its camera looks")
+    _tool(axes, scene, scene.T_w_t, GREEN, "tool that presses")
+    T_w_c = T_w_look @ scene.T_t_c
+    x, y = (scene.looking_distance * edge / 2 for edge in scene.view_edges)
+    ends = np.array([[s * x, t * y, scene.looking_distance] for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    ends = ends @ T_w_c[:3, :3].T + T_w_c[:3, 3]
+    cone = [np.array([T_w_c[:3, 3], end]) for end in ends]
+    _lines(axes, [*cone, np.concatenate([ends, ends[:1]])], ORANGE, "what the camera sees")
+    middle = (scene.T_w_t[:3, 3] + T_w_look[:3, 3]) / 2
+    _frame_view(axes, middle, CLOSE_UP_M)
+    axes.set_title("a site")
+
+
+def _object(axes: Any, scene: RigScene) -> None:
+    triangles = MM_PER_M * scene.vertices[scene.faces]
+    axes.add_collection3d(Poly3DCollection(triangles, facecolor="0.8", edgecolor="0.55", linewidth=0.2, alpha=0.9))
+    low, high = scene.vertices.min(0)[:2] - 0.03, scene.vertices.max(0)[:2] + 0.03
+    table = [[(low[0], low[1], 0.0), (high[0], low[1], 0.0), (high[0], high[1], 0.0), (low[0], high[1], 0.0)]]
+    axes.add_collection3d(Poly3DCollection(MM_PER_M * np.array(table), facecolor=TABLE_COLOUR, alpha=0.5))
+
+
+def _tool(axes: Any, scene: RigScene, T_w_t: np.ndarray, colour: str, label: str) -> None:
+    """The skin's square, the way from it to the flange, and the camera."""
+    half = PAD_WINDOW / 2
+    square = np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0], [-half, -half, 0.0]])
+    flange, camera = scene.T_t_f[:3, 3], scene.T_t_c[:3, 3]
+    parts = [square, np.array([np.zeros(3), flange]), np.array([np.zeros(3), camera])]
+    _lines(axes, [part @ T_w_t[:3, :3].T + T_w_t[:3, 3] for part in parts], colour, label)
+    _frame(axes, T_w_t @ scene.T_t_f, "flange", AXIS_M / 2)
+    _frame(axes, T_w_t @ scene.T_t_c, "camera", AXIS_M / 2)
+    out = np.array([np.zeros(3), [0.0, 0.0, AXIS_M / 2]]) @ T_w_t[:3, :3].T + T_w_t[:3, 3]
+    _lines(axes, [out], colour, "")
+
+
+def _frame(axes: Any, T_w: np.ndarray, name: str, length: float) -> None:
+    for axis, colour in enumerate((RED, GREEN, BLUE)):
+        _lines(axes, [np.array([T_w[:3, 3], T_w[:3, 3] + length * T_w[:3, axis]])], colour, "")
+    axes.text(*(MM_PER_M * T_w[:3, 3]), name, fontsize=7, color=GREY)
+
+
+def _lines(axes: Any, lines: list[np.ndarray], colour: str, label: str) -> None:
+    shown = [MM_PER_M * np.asarray(line) for line in lines]
+    axes.add_collection3d(Line3DCollection(shown, colors=colour, linewidths=1.2, label=label or None))
+
+
+def _frame_view(axes: Any, middle: np.ndarray, half: float) -> None:
+    for axis, name in enumerate("xyz"):
+        limits = MM_PER_M * (middle[axis] + half * np.array([-1, 1]))
+        getattr(axes, f"set_{name}lim")(*limits)
+        getattr(axes, f"set_{name}label")(f"{name} in the world (mm)")
+    axes.set_box_aspect((1, 1, 1))
+    axes.view_init(elev=20, azim=-60)
+    axes.legend(loc="upper left", fontsize=7)

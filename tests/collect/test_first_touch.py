@@ -1,0 +1,126 @@
+"""The first looks and the first slow touch: a right rig passes, and what contradicts it is one sentence."""
+
+import numpy as np
+import pytest
+from helpers.closed_form import GAIN, HEIGHT, make, site
+
+from experiments.faults.rig import OBJECTS, try_mistake, try_rig
+from experiments.faults.rig_mistakes import MISTAKES, right_rig
+from i2t.collect import first_touch as module
+from i2t.collect.first_touch import RigContradictedError, depth_contradiction, expected_view, first_touch
+from i2t.collect.settings import TouchSettings
+from i2t.collect.touch import UnreachableError
+from i2t.objects.solids import Mesh
+
+QUICK = TouchSettings(prepare=0.015, clearance=0.03, approach=0.04, settle=0.02)
+
+
+class Block:
+    """A sampler of sites on a block that is as high as the plane."""
+
+    def __init__(self, height=HEIGHT):
+        self.placed, self.top, self.height = _block(height), height, height
+
+    def site(self, number):
+        return site(number, x=2e-3 * (number % 5 - 2), y=2e-3 * (number // 5 % 5 - 2), height=self.height)
+
+
+def _block(height):
+    x, y, z = 0.03, 0.03, height
+    corners = np.array([[a, b, c] for a in (-x, x) for b in (-y, y) for c in (0.0, z)])
+    faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6],
+             [0, 6, 4], [1, 5, 7], [1, 7, 3]]  # fmt: skip
+    return Mesh(corners, np.array(faces))
+
+
+def test_a_right_rig_passes_and_says_what_it_found():
+    procedure, said = make(settings=QUICK), []
+    first_touch(procedure, Block(), said.append)
+    assert "0 % of the object's pixels" in said[0]
+    assert "met the object" in said[1]
+    assert procedure.arm.state().T_b_t[2, 3] > HEIGHT + 0.029  # it has retreated
+
+
+@pytest.mark.parametrize(
+    ("height", "sentence"),
+    [
+        (HEIGHT + 0.010, "is seen more than 6 mm from where the rig has it"),
+        (HEIGHT - 0.010, "is seen more than 6 mm from where the rig has it"),
+    ],
+)
+def test_a_camera_that_sees_it_elsewhere_stops_before_anything_is_touched(height, sentence):
+    procedure = make(settings=QUICK)
+    # The eye always sees something at 104 mm, so that the view is judged where the rig looks from.
+    procedure.rig.__dict__["looking_distance"] = 0.104 + height - HEIGHT
+    sampler = Block(height)
+    with pytest.raises(RigContradictedError, match=sentence):
+        first_touch(procedure, sampler)
+
+
+@pytest.mark.parametrize(
+    ("height", "sentence"),
+    [
+        (HEIGHT + 0.010, "met nothing up to 4 mm past"),
+        (HEIGHT - 0.010, "met something 10 mm before"),
+        (HEIGHT - 0.018, "met something 16 mm before"),
+    ],
+)
+def test_an_object_that_is_met_elsewhere_is_said_and_the_tool_retreats(monkeypatch, height, sentence):
+    procedure = make(settings=QUICK)
+    monkeypatch.setattr(module, "_look", lambda *_: 0.0)
+    sampler = Block(HEIGHT)
+    sampler.height = height
+    with pytest.raises(RigContradictedError, match=sentence):
+        first_touch(procedure, sampler, lambda line: None)
+    assert procedure.arm.state().T_b_t[2, 3] > HEIGHT + 0.029
+
+
+def test_a_skin_that_feels_nothing_is_said():
+    procedure = make(gain=np.zeros(len(GAIN)), settings=QUICK)
+    with pytest.raises(RigContradictedError, match=r"a press of \d\.\d N changed its reading by 0\.0 uT"):
+        first_touch(procedure, Block(), lambda line: None)
+
+
+def test_a_wrong_payload_is_felt_before_anything_moves():
+    procedure = make(settings=QUICK)
+    procedure.arm.lab.robot.external_wrench = np.array([0.0, 0.0, -9.81, 0.0, 0.0, 0.0])
+    begun = procedure.clock.now()
+    with pytest.raises(RigContradictedError, match=r"9\.8 N before anything is touched, as if 1\.0 kg"):
+        first_touch(procedure, Block())
+    assert procedure.clock.now() == begun
+
+
+def test_where_no_site_can_be_reached_nothing_moves():
+    procedure, sampler = make(settings=QUICK), Block()
+    sampler.height = 2.0
+    begun = procedure.clock.now()
+    with pytest.raises(UnreachableError, match="none of 32 sites"):
+        first_touch(procedure, sampler)
+    assert procedure.clock.now() == begun
+
+
+def test_the_expected_view_is_the_block_s_top():
+    mesh, camera = _block(HEIGHT), right_rig().camera
+    T_w_c = np.diag([1.0, -1.0, -1.0, 1.0])
+    T_w_c[2, 3] = HEIGHT + 0.1
+    depth, on_object = expected_view(mesh.vertices[mesh.faces], np.array([0.0, 0.0, HEIGHT]), T_w_c, camera)
+    np.testing.assert_allclose(depth[on_object], 0.1)
+    radius = np.sqrt(on_object.sum() * 0.1**2 / camera.fx / camera.fy)
+    assert 0.05 < radius < 0.061  # a square of 60 mm without its corners, which are 42 mm away
+    assert depth_contradiction(depth, depth, on_object) == (1.0, 0.0)
+    assert depth_contradiction(np.full_like(depth, np.nan), depth, on_object) == (0.0, 1.0)
+    assert depth_contradiction(depth + 0.01, depth, on_object) == (1.0, 1.0)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", OBJECTS)
+def test_nine_of_ten_plausible_mistakes_are_refused_or_shown(name):
+    accepted = [mistake.name for mistake in MISTAKES if try_mistake(mistake, name).where == "accepted"]
+    assert len(accepted) <= len(MISTAKES) * 5 / 53
+    assert "TCP 50 mm too long" not in accepted
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", OBJECTS)
+def test_right_rigs_pass_in_labs_with_usual_errors(name):
+    assert [try_rig(right_rig(), name, seed).where for seed in range(5)] == 5 * ["accepted"]

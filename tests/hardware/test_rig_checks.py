@@ -1,0 +1,77 @@
+"""Rigs that are nearly always a mistake: the list of mistakes, as far as a file alone shows them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.faults.rig_mistakes import MISTAKES, right_rig
+from i2t.hardware.rig import Rig
+from i2t.hardware.rig_checks import implausible, other_lens, other_tool, require_plausible
+from i2t.objects.catalogue import make_object
+
+# What a file does not show, and only camera, arm and skin can contradict (tests/collect/test_first_touch.py).
+LEFT_TO_THE_FIRST_TOUCH = {
+    "TCP 50 mm too long", "TCP 50 mm too short", "TCP 10 mm too long", "TCP 10 mm too short", "TCP 50 mm aside",
+    "TCP 20 mm aside", "TCP transposed", "TCP: degrees for radians", "TCP turned by half a turn about z",
+    "TCP tilted by 15 degrees", "payload a kilogram too much", "hand-eye transposed",
+    "camera turned by a quarter about its axis", "camera mounted the other way round",
+    "hand-eye: degrees for radians", "hand-eye: radians for degrees", "camera 50 mm too far back",
+    "camera 20 mm aside", "fx and fy swapped", "base 20 mm too low", "base 100 mm aside", "object on its head",
+    "object 100 mm off along x", "object 100 mm off along y", "object 30 mm aside", "object 10 mm too high",
+    "object inverted",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def vertices():
+    return make_object("star").mesh.vertices
+
+
+def test_there_are_enough_mistakes_and_each_has_a_name_of_its_own():
+    names = [mistake.name for mistake in MISTAKES]
+    assert len(names) == len(set(names)) >= 53
+    assert set(names) >= LEFT_TO_THE_FIRST_TOUCH
+
+
+def test_right_rigs_are_plausible(vertices):
+    for rig in (Rig(), right_rig()):
+        assert implausible(rig) == implausible(rig, vertices) == []
+        require_plausible(rig, vertices)
+        assert other_lens(rig.camera, rig.camera) == ""
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.name)
+def test_a_mistake_is_refused_in_one_sentence_or_left_to_the_first_touch(mistake, vertices):
+    right = right_rig()
+    try:
+        wrong = mistake.make(right)
+        found = implausible(wrong, vertices)
+        lens = other_lens(wrong.camera, right.camera)
+        found = [*found, *([lens] if lens else [])]
+    except ValueError as error:
+        found = [str(error)]
+    assert bool(found) != (mistake.name in LEFT_TO_THE_FIRST_TOUCH)
+    for sentence in found:
+        assert "\n" not in sentence
+        assert 25 < len(sentence) < 260
+
+
+def test_a_doubt_is_refused_with_the_way_round_it(vertices):
+    wrong = replace(Rig(), T_world_object=np.diag([1.0, -1.0, -1.0, 1.0]))
+    with pytest.raises(ValueError, match=r"below the table: is it upside down.*--trust-rig"):
+        require_plausible(wrong, vertices)
+
+
+def test_a_mesh_in_another_unit_is_noticed(vertices):
+    (found,) = implausible(Rig(), 1e-3 * vertices)
+    assert "check --unit" in found
+
+
+def test_the_pendant_s_tool_is_compared_where_it_has_one():
+    rig = right_rig()
+    assert other_tool(rig.T_flange_tool, np.eye(4)) == ""
+    assert other_tool(rig.T_flange_tool, rig.T_flange_tool) == ""
+    shifted = np.array(rig.T_flange_tool)
+    shifted[2, 3] += 0.05
+    assert "50 mm and 0 degrees" in other_tool(rig.T_flange_tool, shifted)
