@@ -12,13 +12,15 @@ import secrets
 import types
 import typing
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from i2t.errors import SerializationError
+from i2t import files
+from i2t.errors import DataError, SerializationError
 
 TREE_VERSION = 1
 ABOUT = "about"
@@ -78,10 +80,15 @@ def load(
     if not path.is_file():
         raise SerializationError(f"{path}: there is no such file; name a {kind} file that i2t wrote")
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
+        data = _bytes_of_archive(path)
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         header = json.loads(str(arrays.pop(ABOUT)))
+        if any(array.dtype.kind not in "biufU" for array in arrays.values()):
+            raise ValueError("neither numbers nor text")
         found, version, digest = header["format"], header["version"], header["sha256"]
+    except DataError as error:  # says itself what it is
+        raise SerializationError(str(error)) from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
         raise SerializationError(
             f"{path}: is damaged or was not written by i2t; restore a copy or make it again"
@@ -123,10 +130,36 @@ def file_kind(path: Path | str) -> str:
     if not path.is_file():
         raise SerializationError(f"{path}: there is no such file; name one that i2t wrote")
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with np.load(io.BytesIO(_bytes_of_archive(path)), allow_pickle=False) as file:
             return str(json.loads(str(file[ABOUT]))["format"])
+    except DataError as error:
+        raise SerializationError(str(error)) from error
     except Exception as error:  # as many kinds as in `load`
         raise SerializationError(f"{path}: is damaged or was not written by i2t; name another file") from error
+
+
+@contextmanager
+def fitting(path: Path | str) -> Iterator[None]:
+    """Whoever puts together in this block what `load` read names the file where its parts do not fit each other.
+
+    Args:
+        path: Of the file.
+
+    Yields:
+        Nothing.
+
+    Raises:
+        SerializationError: A part is missing, of another shape or of another type.
+    """
+    try:
+        yield
+    except SerializationError:
+        raise
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        reason = " ".join(str(error).split())[:100]
+        raise SerializationError(
+            f"{path}: its parts do not fit each other ({reason}); restore a copy or make it again"
+        ) from error
 
 
 def flatten(tree: Any, prefix: str = "") -> dict[str, np.ndarray]:
@@ -163,6 +196,12 @@ def _build(form: Any, arrays: dict[str, np.ndarray], prefix: str) -> Any:
         else:
             values[name] = arrays[prefix + name]
     return form(**values)
+
+
+def _bytes_of_archive(path: Path) -> bytes:
+    data = files.read_bytes(path)
+    files.check_archive(path, data)
+    return data
 
 
 def _digest(arrays: dict[str, np.ndarray]) -> str:

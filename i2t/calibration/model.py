@@ -72,7 +72,7 @@ class PopulationRecord(NamedTuple):
     previous: PopulationGP | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Calibration:
     """Predicts the readings of presses of one tip on one skin; make one with `calibrate` or `load_calibration`.
 
@@ -89,6 +89,10 @@ class Calibration:
     load_kind: LoadKind
     metadata: dict[str, Any] = field(default_factory=dict)
     previous: "Calibration | None" = None
+
+    def __repr__(self) -> str:
+        chips, earlier = len(self.interval_scaling) // 3, "" if self.previous is None else ", on an earlier session"
+        return f"Calibration({type(self.gp).__name__}, {chips} chips, loads are {self.load_kind}{earlier})"
 
     def predict(
         self,
@@ -263,6 +267,12 @@ def load_calibration(path: Path | str) -> Calibration:
     if serialization.file_kind(path) == POPULATION_FILE_KIND:
         return _load_population(path)
     record, about = serialization.load(path, FILE_KIND, CalibrationRecord, renamed=_OLD_NAMES)
+    with serialization.fitting(path):
+        return _calibration(path, record, about)
+
+
+def _calibration(path: Path | str, record: CalibrationRecord, about: dict[str, Any]) -> Calibration:
+    """A calibration from what is on disk, if its parts fit."""
     record = jax.tree.map(lambda array: jnp.asarray(array, jnp.float32), record)
     gp, n = record.gp, len(record.gp.presses.load)
     whole = gp.weights.shape[0] == n and gp.cholesky.shape[-2:] == (n, n)
@@ -286,6 +296,12 @@ def hyperparameters_to_json(hyperparameters: StructuredGPHyperparameters) -> dic
 
 def _load_population(path: Path | str) -> Calibration:
     record, about = serialization.load(path, POPULATION_FILE_KIND, PopulationRecord)
+    with serialization.fitting(path):
+        return _population_calibration(path, record, about)
+
+
+def _population_calibration(path: Path | str, record: PopulationRecord, about: dict[str, Any]) -> Calibration:
+    """A calibration by the population from what is on disk, if its parts fit."""
     gp, load_kind = record.gp, about.get("load", "")
     fits = load_kind in LOAD_COLUMNS and all(
         len(part.readings) == len(part.presses.position) == len(part.extra_noise)

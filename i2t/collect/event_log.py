@@ -16,8 +16,10 @@ import numpy as np
 from jaxtyping import Float
 
 from i2t.errors import DataError, DeviceError
+from i2t.files import read_bytes
 from i2t.hardware.clock import Clock
 from i2t.hardware.protocols import ArmState, Samples
+from i2t.skin.boards import MAX_CHIPS
 from i2t.types import Array
 
 RAW_FILE_KIND = "i2t raw"
@@ -124,7 +126,7 @@ def read_raw(path: str | Path) -> Iterator[tuple[str, Any]]:
     Raises:
         DataError: The file is of another kind.
     """
-    data = Path(path).read_bytes()
+    data = read_bytes(path)
     header, _, _ = data.partition(b"\n")
     chips = _chips(Path(path), header)
     at = len(header) + 1
@@ -135,12 +137,23 @@ def read_raw(path: str | Path) -> Iterator[tuple[str, Any]]:
             return
         payload = data[at : at + size]
         at += size
-        if kind == b"e":
-            yield "event", json.loads(payload)
-        elif kind == b"s":
-            yield "skin", np.frombuffer(payload, "<f8").reshape(-1, 2 + 4 * chips)
-        elif kind == b"a":
-            yield "arm", np.frombuffer(payload, "<f8")
+        try:
+            yield _entry(kind, payload, chips)
+        except (ValueError, LookupError, TypeError, RecursionError) as error:
+            raise DataError(
+                f"{path}: its entry before byte {at} is damaged ({error}); what was read before is whole"
+            ) from error
+
+
+def _entry(kind: bytes, payload: bytes, chips: int) -> tuple[str, Any]:
+    if kind == b"e":
+        when, text = json.loads(payload)
+        return "event", [float(when), str(text)]
+    if kind == b"s":
+        return "skin", np.frombuffer(payload, "<f8").reshape(-1, 2 + 4 * chips)
+    if kind == b"a":
+        return "arm", np.frombuffer(payload, "<f8")
+    raise ValueError(f"of the unknown kind {kind!r}")
 
 
 def _chips(path: Path, header: bytes) -> int:
@@ -148,8 +161,10 @@ def _chips(path: Path, header: bytes) -> int:
     try:
         about = json.loads(header)
         if about["touch"] == RAW_FILE_KIND:
-            return int(about["chips"]) if about["version"] > 1 else CHIPS_OF_VERSION_1
-    except (ValueError, KeyError, TypeError):
+            chips = int(about["chips"]) if about["version"] > 1 else CHIPS_OF_VERSION_1
+            if 1 <= chips <= MAX_CHIPS:
+                return chips
+    except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
         pass
     raise DataError(f"{path}: is no raw file of a touch; give one from .interrupted")
 

@@ -31,6 +31,7 @@ from i2t.dataset import Dataset, Image, Record, Series
 from i2t.dataset.files import sync_folder
 from i2t.depth.camera import Camera
 from i2t.errors import DataError
+from i2t.files import not_through_links, read_json
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.protocols import ArmState, View, channel_names
 from i2t.types import PATCH_WINDOW, REACH, Array, Board, Touches
@@ -43,6 +44,12 @@ except ImportError:  # Windows
 UNDER_WAY, INTERRUPTED, NOTES = ".under-way", ".interrupted", ".collection.json"
 RESERVE_BYTES = 50 * 2**20  # that must be free before a touch begins: a hundred touches
 CLOCK_JUMP_S = 0.5  # by which the clocks may drift apart during a touch
+MAX_NOTES_BYTES = 2**26  # of a folder's notes: a line for each site that cannot be reached
+NOTE_KINDS: dict[str, Any] = {
+    **dict.fromkeys(("object", "board", "session", "run", "rig", "skin_serial"), str),
+    **dict.fromkeys(("sites", "settings", "unreachable"), dict),
+    **{"seed": int, "devices": list, "pose": (list, type(None))},
+}
 MIN_TIME_STEP_S = 1e-6  # between the names of two touches
 DEPTH_SCALE_M = 1e-4  # of a unit in depth images
 POSE_CHANNELS = tuple(f"T_w_t[{i},{j}]" for i in range(4) for j in range(4))
@@ -90,7 +97,7 @@ class Recorder:
         self.bytes = 0
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            self._lock = (self.folder / ".lock").open("w")
+            self._lock = open(self.folder / ".lock", "a", opener=not_through_links)  # noqa: SIM115
         except OSError as error:
             raise storage_error(self.folder, error) from error
         try:
@@ -152,7 +159,7 @@ class Recorder:
         self._offset = self._clock.wall() - self._clock.now()
         path = self.folder / UNDER_WAY
         try:
-            self._raw = open(path, "wb", buffering=0)  # noqa: SIM115, closed when the touch ends
+            self._raw = open(path, "wb", buffering=0, opener=not_through_links)  # noqa: SIM115, closed when the touch ends
         except OSError as error:
             raise storage_error(path, error) from error
         self._log = EventLog(self._raw, self._clock, self.info.board.num_chips)
@@ -385,7 +392,7 @@ def write_notes(folder: Path, notes: Mapping[str, Any]) -> None:
     """
     temporary = folder / f"{NOTES}.tmp"
     try:
-        with temporary.open("w") as file:
+        with open(temporary, "w", opener=not_through_links) as file:
             json.dump(notes, file, indent=1)
             file.flush()
             os.fsync(file.fileno())
@@ -408,8 +415,26 @@ def read_notes(folder: Path) -> dict[str, Any] | None:
         DataError: They are damaged.
     """
     try:
-        return dict(json.loads((folder / NOTES).read_text()))
+        notes = read_json(folder / NOTES, MAX_NOTES_BYTES)
+        problem = _what_is_wrong(notes)
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, TypeError) as error:
-        raise DataError(f"{folder / NOTES}: cannot be read ({error}); choose another folder") from error
+    except (OSError, ValueError) as error:
+        reason = str(error).removeprefix(f"{folder / NOTES}: ")
+        raise DataError(f"{folder / NOTES}: cannot be read ({reason}); choose another folder") from error
+    if problem:
+        raise DataError(f"{folder / NOTES}: is damaged ({problem}); restore it from a copy, or choose another folder")
+    return dict(notes)
+
+
+def _what_is_wrong(notes: Any) -> str:
+    """What in a folder's notes no session can have written; "" where nothing is."""
+    if not isinstance(notes, dict):
+        return "it holds no table"
+    for name, kinds in NOTE_KINDS.items():
+        if name in notes and not isinstance(notes[name], kinds):
+            return f"{name} is {str(notes[name])[:40]!r}"
+    unreachable = notes.get("unreachable", {})
+    if not all(number.isdecimal() and len(number) < 10 and isinstance(why, str) for number, why in unreachable.items()):
+        return "unreachable names no sites"
+    return ""

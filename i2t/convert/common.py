@@ -1,14 +1,13 @@
 """What all converters share: their result, how damage is treated, and reading text and tables of numbers."""
 
-import gzip
 import io
-import zlib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from i2t import files
 from i2t.dataset import Dataset
 from i2t.errors import DataError
 
@@ -88,11 +87,10 @@ def read_bytes(path: Path) -> bytes:
         DataError: It cannot be read.
     """
     try:
-        raw = path.read_bytes()
-        return gzip.decompress(raw) if path.suffix == ".gz" else raw
-    except (OSError, EOFError, zlib.error) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise data_error(path, f"cannot be read ({reason})") from error
+        raw = files.read_bytes(path)
+    except OSError as error:
+        raise data_error(path, f"cannot be read ({error.strerror or error})") from error
+    return files.unpacked(path, raw) if path.suffix == ".gz" else raw
 
 
 def read_text(path: Path) -> str:
@@ -131,8 +129,8 @@ def read_numbers(path: Path, columns: tuple[int, ...]) -> np.ndarray:
         raise data_error(path, "is empty")
     try:
         table = np.loadtxt(io.StringIO(text), delimiter=",", ndmin=2)
-    except ValueError as error:
-        raise data_error(path, f"is no table of numbers ({error})") from error
+    except (ValueError, OverflowError) as error:
+        raise data_error(path, f"is no table of numbers ({repr(str(error))[:200]})") from error
     if table.shape[1] not in columns:
         expected = " or ".join(map(str, columns))
         raise data_error(path, f"has {table.shape[1]} columns, not {expected}")

@@ -17,7 +17,6 @@ sentence: forces that pull, or that push only in the other axes; positions in mi
 the scalar first, a tool axis that points away from the object, images in another unit, fields in millitesla.
 """
 
-import logging
 import math
 import re
 from dataclasses import replace
@@ -25,17 +24,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import tifffile
 from scipy.spatial.transform import Rotation
 
-from i2t.convert import npy, samples
+from i2t.convert import CAMERA_OFFSET_M, npy, samples
 from i2t.convert.common import ConversionLog, Converted, data_error
 from i2t.dataset import Dataset, concatenate, missing_context
+from i2t.depth.camera import read_tif
 from i2t.errors import DataError
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Board, ReturnCode, Touches
 from i2t.unknowns import find_force_sign, find_units, findings_to_meta
 
-CAMERA_OFFSET_M = 64e-3  # m, the camera behind the tool's origin
 MAX_LOOK_OFFSET_M = 2e-3  # m: a look from further off the contact's axis saw another place
 QUATERNION_NORM_TOLERANCE = 1e-3  # how far the norm of a quaternion may be from 1
 MAX_PATCH_M = 1e3  # beyond any image, in any unit
@@ -223,7 +221,10 @@ def _runs(folder: Path) -> list[str]:
 
 def _remarks(folder: Path, run: str) -> dict[str, str]:
     text = folder / "meta_data" / f"{folder.name}_experiment_{run}.txt"
-    words = text.read_text(errors="replace")[:NOTE_LENGTH].strip() if text.is_file() else ""
+    if not text.is_file():
+        return {}
+    with text.open(errors="replace") as file:
+        words = file.read(NOTE_LENGTH).strip()
     return {f"remarks on {folder.name} {run}": words} if words else {}
 
 
@@ -422,15 +423,13 @@ def _depth_image(path: Path, notes: ConversionLog) -> np.ndarray:
     if not path.is_file():
         raise data_error(path, "is missing")
     try:
-        with tifffile.TiffFile(path) as file:
-            shape, kind = file.pages.first.shape, file.pages.first.dtype
-            if len(shape) != 2 or kind != np.uint16 or not 8 <= max(shape) <= 1024:
-                raise data_error(path, f"is an image {shape} of {kind} where a crop of uint16 should be")
-            image = file.pages.first.asarray()
+        image = read_tif(path)
     except DataError:
         raise
-    except Exception as error:  # a damaged image can make its decoder fail in any way
-        raise data_error(path, f"is no readable TIF ({error})") from error
+    except (OSError, ValueError) as error:
+        raise data_error(path, f"is no readable TIF ({str(error).removeprefix(f'{path}: ')})") from error
+    if image.dtype != np.uint16 or not 8 <= max(image.shape) <= 1024:
+        raise data_error(path, f"is an image {image.shape} of {image.dtype} where a crop of uint16 should be")
     rows, columns = image.shape
     if rows != columns:
         raise data_error(path, f"is {rows} x {columns} pixels where the crop should be square")
@@ -441,6 +440,3 @@ def _depth_image(path: Path, notes: ConversionLog) -> np.ndarray:
     if not image.any():
         raise data_error(path, "holds no measured pixel")
     return np.where(image == 0, np.inf, 1e-3 * image)
-
-
-logging.getLogger("tifffile").addHandler(logging.NullHandler())  # its complaints become our sentence

@@ -5,9 +5,12 @@ The first 512 bytes (an HDF5 user block, which every HDF5 reader skips) hold one
     i2t-touches <schema version> sha256 <64 hexadecimal digits>
 
 filled up with zeros; the digest covers every byte after them, and the line must be exactly this, so that any changed,
-missing or added byte is found before the HDF5 library sees it. A file is written under a hidden temporary name in the
-same folder, synchronised to the disk, renamed, and the folder synchronised: a process killed at any moment leaves a
-hidden leftover at worst, never a half-written touch.
+missing or added byte is found before the HDF5 library sees it. Anybody can write such a line, so what a file holds is
+looked over as well before anything of it is read: groups and arrays in the file itself, packed by gzip at most, that
+unpack to what the file's size allows; no links to elsewhere, no arrays kept in other files.
+
+A file is written under a hidden temporary name in the same folder, synchronised to the disk, renamed, and the folder
+synchronised: a process killed at any moment leaves a hidden leftover at worst, never a half-written touch.
 """
 
 import hashlib
@@ -18,16 +21,24 @@ import secrets
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import h5py
+import numpy as np
 
 from i2t.errors import DataError
+from i2t.files import SPARE_BYTES
 
 SCHEMA = "i2t-touches"
 SCHEMA_VERSION = 2  # sessions, which version 1 called runs
 READABLE_SCHEMAS = (1, 2)
 ENDING = ".h5"
 HEADER_BYTES = 512
+MAX_OBJECTS = 4096  # groups and arrays in a file; a touch has 60
+MAX_LEVELS = 6  # of groups in groups; a touch has 3
+MAX_H5_GROWTH = 200  # times its size, that a file may unpack to: patches of a flat object pack well
+MAX_TEXT_GROWTH_BYTES = 2**28  # that texts which share their characters may come to
+PLAIN_FILTERS = (h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32)
 
 _HEADER = re.compile(rb"i2t-touches ([1-9][0-9]*) sha256 ([0-9a-f]{64})\n\0+")
 
@@ -108,8 +119,15 @@ def checksum(path: Path) -> str:
     Raises:
         DataError: It is a file of another kind.
     """
+    _require_file(path)
     with path.open("rb") as raw:
         return _header(path, raw.read(HEADER_BYTES))
+
+
+def _require_file(path: Path) -> None:
+    """Refuse a pipe, which would be waited for, and a device, which may never end."""
+    if path.exists() and not path.is_file():
+        raise DataError(f"{path}: is no file of its own but a folder, a pipe or a device; name the file itself")
 
 
 @contextmanager
@@ -125,6 +143,7 @@ def verified(path: Path) -> Iterator[h5py.File]:
     Raises:
         DataError: It cannot be read, or has changed.
     """
+    _require_file(path)
     try:
         with path.open("rb") as raw:
             expected = _header(path, raw.read(HEADER_BYTES))
@@ -138,7 +157,84 @@ def verified(path: Path) -> Iterator[h5py.File]:
             f"{path}: cannot be read ({error.strerror or error}); check the path and its permissions"
         ) from error
     with file:
+        try:
+            _Inspection(path.stat().st_size).group(file, 0)
+        except DataError as error:
+            raise DataError(f"{path}: {error}; write it with i2t.dataset.save_dataset") from None
+        except (RuntimeError, OSError, ValueError, KeyError, TypeError) as error:
+            raise DataError(f"{path}: is no HDF5 file that can be read ({error}); restore it from a copy") from error
         yield file
+
+
+class _Inspection:
+    """Looks over a file before anything of it is read: whether all is in the file itself, and how large it is.
+
+    Args:
+        size: Of the file, in bytes.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._size, self._left = size, SPARE_BYTES + MAX_H5_GROWTH * size
+        self._objects = 0
+
+    def group(self, group: h5py.Group, level: int) -> None:
+        """Raise DataError, without the file's name, for what no file of this schema holds."""
+        if level > MAX_LEVELS:
+            raise DataError("its groups are nested too deep")
+        self._attributes(group)
+        for name in group:
+            self._objects += 1
+            if self._objects > MAX_OBJECTS:
+                raise DataError(f"holds more than {MAX_OBJECTS} groups and arrays")
+            link = group.get(name, getlink=True)
+            if not isinstance(link, h5py.HardLink):
+                kind = "another file" if isinstance(link, h5py.ExternalLink) else "another place"
+                raise DataError(f"{name!r} is a link to {kind}, which is not followed")
+            found = group[name]
+            if isinstance(found, h5py.Group):
+                self.group(found, level + 1)
+            elif isinstance(found, h5py.Dataset):
+                self._attributes(found)
+                self._array(name, found)
+            else:
+                raise DataError(f"{name!r} is neither a group nor an array")
+
+    def _array(self, name: str, array: h5py.Dataset) -> None:
+        if array.external or array.is_virtual:
+            raise DataError(f"the values of {name!r} lie in another file, which is not read")
+        layout = array.id.get_create_plist()
+        filters = [layout.get_filter(i)[0] for i in range(layout.get_nfilters())]
+        if not set(filters) <= set(PLAIN_FILTERS):
+            raise DataError(f"{name!r} is packed in a way that i2t does not use")
+        if array.dtype.hasobject and h5py.check_string_dtype(array.dtype) is None:
+            raise DataError(f"{name!r} holds neither numbers nor text")
+        chunk = int(np.prod(array.chunks or (1,), dtype=object)) * array.dtype.itemsize
+        whole = int(np.prod(array.shape or (), dtype=object)) * array.dtype.itemsize
+        self._left -= max(whole, chunk)
+        if self._left < 0:
+            raise DataError(f"{name!r} says that it holds {whole} bytes, more than a file of {self._size} can")
+        if array.dtype.hasobject and array.size:
+            self._texts(name, array)
+
+    def _texts(self, name: str, array: h5py.Dataset) -> None:
+        """Texts may share their characters, so that a small file holds many long ones: a few at a time are counted."""
+        flat, total = int(array.size), 0
+        if array.ndim > 1:
+            raise DataError(f"{name!r} is a table of texts, which no file of this schema holds")
+        step = max(1, MAX_TEXT_GROWTH_BYTES // max(self._size, 1))
+        for start in range(0, flat, step):
+            some: Any = array[start : start + step] if array.ndim else [array[()]]
+            total += sum(len(text) for text in some)
+            if total > MAX_TEXT_GROWTH_BYTES:
+                raise DataError(f"the texts of {name!r} are longer than a file of {self._size} bytes can hold")
+
+    def _attributes(self, item: h5py.Group | h5py.Dataset) -> None:
+        for name in item.attrs:
+            about = item.attrs.get_id(name)
+            count = int(np.prod(about.shape or (), dtype=object))
+            shared = about.dtype.hasobject and count > 1 and count * self._size > 8 * MAX_TEXT_GROWTH_BYTES
+            if shared or count * about.dtype.itemsize > SPARE_BYTES:
+                raise DataError(f"the attribute {name!r} says that it holds {count} values, more than any does")
 
 
 def _header(path: Path, block: bytes) -> str:

@@ -22,10 +22,12 @@ from i2t._version import __version__
 from i2t.dataset.files import ENDING, checksum, sync_folder, verified, write
 from i2t.dataset.sets import Dataset, concatenate, missing_context, validate
 from i2t.errors import DataError
+from i2t.files import read_json
 from i2t.types import Board, Touches, Truth
 
 INDEX = "index.json"
 INDEX_VERSION = 2
+MAX_INDEX_BYTES = 2**28
 ROWS_PER_CHUNK = 64
 FIELDS_OF_VERSION_1 = {"session": "run", "sessions": "runs"}  # as files of schema version 1 call them
 
@@ -268,14 +270,7 @@ def index(folder: str | Path) -> dict[str, dict[str, Any]]:
         DataError: files cannot be read; one sentence names them all.
     """
     folder = Path(folder)
-    try:
-        cache = json.loads((folder / INDEX).read_text())
-        known = cache["files"] if cache["version"] == INDEX_VERSION else {}
-        known = {
-            name: entry for name, entry in known.items() if {"bytes", "changed_ns", "sha256", "touches"} <= entry.keys()
-        }
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
-        known = {}
+    known = _known_entries(folder / INDEX)
     entries: dict[str, dict[str, Any]] = {}
     bad: list[str] = []
     for file in _files(folder):
@@ -303,6 +298,23 @@ def index(folder: str | Path) -> dict[str, dict[str, Any]]:
         except OSError:
             temporary.unlink(missing_ok=True)
     return entries
+
+
+def _known_entries(path: Path) -> dict[str, dict[str, Any]]:
+    """Entries of an index, as far as they are whole; none of an index that is missing, stale or damaged."""
+    try:
+        cache = read_json(path, MAX_INDEX_BYTES)
+        found = cache["files"] if cache["version"] == INDEX_VERSION else {}
+        return {name: entry for name, entry in found.items() if _is_entry(entry)}
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return {}
+
+
+def _is_entry(entry: Any) -> bool:
+    counts = [entry[name] for name in ("objects", "pads", "sessions")]
+    numbers = [entry[name] for name in ("bytes", "changed_ns", "touches")]
+    numbers += [count for counted in counts for count in counted.values()]
+    return all(type(number) is int for number in numbers) and isinstance(entry["source"], str)
 
 
 def _files(path: Path) -> list[Path]:
@@ -336,7 +348,9 @@ def _read(path: Path, get: Callable[[h5py.File], T]) -> T:
     with verified(path) as file:
         try:
             return get(file)
-        except (KeyError, AttributeError, ValueError, TypeError, OSError) as error:
+        except DataError:
+            raise
+        except (LookupError, AttributeError, ValueError, TypeError, OSError, RuntimeError, ArithmeticError) as error:
             reason = error.args[0] if error.args else type(error).__name__
             raise DataError(
                 f"{path}: does not follow the schema ({reason}); write it with i2t.dataset.save_dataset"

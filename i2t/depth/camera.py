@@ -5,7 +5,11 @@ coordinates, (0, 0) in the upper left. Depth is z in metres, not the distance al
 is a hole, NaN in an image from `read_depth`.
 """
 
+import io
+import logging
 import math
+import zlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -13,13 +17,21 @@ from typing import Any
 
 import numpy as np
 import tifffile
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
+from i2t import files
+from i2t.errors import DataError
 from i2t.types import RIGID
 
 METRES_PER_DEPTH_UNIT = {"m": 1.0, "mm": 1e-3}  # m
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff")
 MAX_IMAGE_PIXELS = 16384  # pixels, edge of an image
+MAX_PIXELS_IN_ALL = 2**25  # of an image: no depth camera has so many
+MAX_IMAGE_BYTES = 2**28  # of an image file
+TIF_DEFLATE = (tifffile.COMPRESSION.ADOBE_DEFLATE, tifffile.COMPRESSION.DEFLATE)
+TIF_PACKINGS = (
+    tifffile.COMPRESSION.NONE, tifffile.COMPRESSION.LZW, tifffile.COMPRESSION.PACKBITS, *TIF_DEFLATE,
+)  # fmt: skip
 
 
 class Distortion(StrEnum):
@@ -203,22 +215,120 @@ def check_image(depth: Any, camera: Camera) -> None:
         )
 
 
+def read_png(
+    path: str | Path, *, shape: tuple[int, int] | None = None, said_by: str = "the camera", mode: str = ""
+) -> tuple[str, np.ndarray]:
+    """The pixels of a PNG, whose size is looked at before they are unpacked.
+
+    Args:
+        path: The file.
+        shape: Rows and columns that it must have, if they are known.
+        said_by: What says so, for the message.
+        mode: Of Pillow, such as RGB, that pixels are turned into; by default they stay as they are.
+
+    Returns:
+        The mode of the file, and the pixels.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is damaged, no PNG, or of another size.
+    """
+    try:
+        with Image.open(io.BytesIO(files.read_bytes(path, MAX_IMAGE_BYTES)), formats=["PNG"]) as image:
+            found = image.height, image.width
+            if shape is not None and found != shape:
+                raise DataError(
+                    f"{path}: has {found[1]} x {found[0]} pixels where {said_by} says {shape[1]} x {shape[0]}; give "
+                    "images of one size, aligned to each other"
+                )
+            _check_pixels(path, found)
+            return image.mode, np.asarray(image.convert(mode) if mode else image)
+    except UnidentifiedImageError as error:
+        raise ValueError(f"{path}: cannot be read (it is no PNG); save or copy it again") from error
+    except (OSError, DataError) as error:
+        if isinstance(error, DataError) or error.errno is not None:
+            raise
+        raise ValueError(_unreadable(path, error)) from error
+    except Exception as error:  # a damaged image can make its decoder fail in any way
+        raise ValueError(_unreadable(path, error)) from error
+
+
+def read_tif(path: str | Path) -> np.ndarray:
+    """The pixels of a TIF of one image with one channel, whose size is looked at before they are unpacked.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The pixels (h, w) as they are stored.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is damaged, no TIF, or another image.
+    """
+    try:
+        data = files.read_bytes(path, MAX_IMAGE_BYTES)
+        with tifffile.TiffFile(io.BytesIO(data)) as file:
+            page = file.pages.first
+            if len(page.shape) != 2:
+                raise DataError(f"{path}: is an image of shape {page.shape}; give one with a single channel of depth")
+            _check_pixels(path, page.shape)
+            if _has_another(file):
+                raise DataError(f"{path}: holds several images; give one with a single channel of depth")
+            if page.compression not in TIF_PACKINGS:
+                raise DataError(f"{path}: is packed as {page.compression!r}; save it plainly, or with deflate")
+            if page.compression in TIF_DEFLATE:
+                parts = zip(page.dataoffsets, page.databytecounts, strict=True)
+                _check_growth(path, (data[begin : begin + size] for begin, size in parts), page.nbytes)
+            return np.asarray(page.asarray())
+    except (OSError, DataError):
+        raise
+    except Exception as error:  # as above
+        raise ValueError(_unreadable(path, error)) from error
+
+
+def _has_another(file: tifffile.TiffFile) -> bool:
+    """Whether there is a second image; the list of all may be endless."""
+    try:
+        return file.pages[1] is not None
+    except IndexError:
+        return False
+
+
+def _check_growth(path: str | Path, parts: Iterable[bytes], whole: int) -> None:
+    """Refuse packed parts of an image that unpack to much more than it: tifffile unpacks them whatever comes."""
+    left = 2 * whole + files.SPARE_BYTES
+    for part in parts:
+        left -= len(zlib.decompressobj().decompress(part, left + 1))
+        if left < 0:
+            raise DataError(f"{path}: unpacks to more than the {whole} bytes that it announces; save it again")
+
+
+def _check_pixels(path: str | Path, shape: tuple[int, ...]) -> None:
+    if max(shape) > MAX_IMAGE_PIXELS:
+        raise DataError(f"{path}: is {shape} pixels; an edge must have from 2 to {MAX_IMAGE_PIXELS}")
+    if math.prod(shape) > MAX_PIXELS_IN_ALL:
+        raise DataError(f"{path}: has {math.prod(shape)} pixels; at most {MAX_PIXELS_IN_ALL} are read")
+
+
+def _unreadable(path: str | Path, error: Exception) -> str:
+    return f"{path}: cannot be read ({' '.join(str(error).split())}); save or copy it again"
+
+
 def _pixels(path: Path) -> np.ndarray:
     """A file's numbers as they are stored."""
     if path.suffix.lower() not in IMAGE_SUFFIXES:
         raise ValueError(f"{path}: is no PNG or TIF; save depth as 16-bit PNG, or TIF")
     if not path.is_file():
         raise FileNotFoundError(f"{path}: there is no such file; check the path")
-    try:
-        if path.suffix.lower() != ".png":
-            return np.asarray(tifffile.imread(path))
-        with Image.open(path, formats=["PNG"]) as image:
-            mode, values = image.mode, np.asarray(image)
-    except Exception as error:  # a damaged image can make its decoder fail in any way
-        reason = " ".join(str(error).split())
-        raise ValueError(f"{path}: cannot be read ({reason}); save or copy it again") from error
+    if path.suffix.lower() != ".png":
+        return read_tif(path)
+    mode, values = read_png(path)
     if not mode.startswith("I"):
         raise ValueError(
             f"{path}: is a PNG of mode {mode} where depth needs 16 bits in one channel; save the raw depth"
         )
     return values.astype(np.uint16)  # older releases of Pillow widen 16-bit pixels
+
+
+logging.getLogger("tifffile").addHandler(logging.NullHandler())  # its complaints become our sentence

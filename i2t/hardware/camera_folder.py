@@ -10,7 +10,6 @@ Views come in the order of their names. Once all were given, or a file is missin
 """
 
 import time
-import tomllib
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -19,8 +18,9 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from i2t.depth.camera import IMAGE_SUFFIXES, Camera, Encoding, check_image, read_depth
+from i2t.depth.camera import IMAGE_SUFFIXES, Camera, Encoding, check_image, read_depth, read_png
 from i2t.errors import DeviceError, DeviceTimeoutError
+from i2t.files import read_toml
 from i2t.hardware.base import CameraBase
 from i2t.hardware.protocols import CameraFeatures, View
 from i2t.types import Array
@@ -103,13 +103,10 @@ class RecordedDepthCamera(CameraBase):
             if not colours.is_dir():
                 return depth, None
             path = (colours / name).with_suffix(".png")
-            with Image.open(path) as image:
-                colour = np.asarray(image.convert("RGB"))
+            _, colour = read_png(path, shape=(self.camera.height, self.camera.width), said_by="its depth", mode="RGB")
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error).removeprefix(f"{path}: ")
             raise DeviceError(f"{self._name} cannot give {path.name}: {reason}; restore {path}") from error
-        if colour.shape[:2] != depth.shape:
-            raise DeviceError(f"{path} has {colour.shape[:2]} pixels where depth has {depth.shape}; align it to depth")
         return depth, colour
 
 
@@ -127,11 +124,11 @@ def read_description(path: str | Path) -> tuple[Camera, float | str, str, float]
     """
     file = Path(path) / DESCRIPTION
     try:
-        table = tomllib.loads(file.read_text("utf-8"))
+        table = read_toml(file)
     except OSError as error:
         raise DeviceError(f"{file} cannot be read ({error.strerror}); name a folder of views") from error
     except ValueError as error:
-        raise DeviceError(f"{file} is not TOML ({error}); correct it there") from error
+        raise DeviceError(str(error)) from error
     try:
         extra = table.pop("scale"), table.pop("encoding", str(Encoding.PLAIN)), float(table.pop("nearest", 0.0))
         names = {each.name for each in fields(Camera)}
@@ -140,7 +137,7 @@ def read_description(path: str | Path) -> tuple[Camera, float | str, str, float]
         lens: Any = {key: float(table.pop(key)) for key in ("fx", "fy", "cx", "cy")}
         coefficients = tuple(float(each) for each in table.pop("coefficients", ()))
         return Camera(**table, **lens, coefficients=coefficients), *extra
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         reason = f"{error} is missing" if isinstance(error, KeyError) else " ".join(str(error).split())
         raise DeviceError(f"{file}: {reason}; see i2t.hardware.camera_folder for what it holds") from error
 

@@ -20,7 +20,6 @@ that it states means is in `i2t.hardware.hand_eye_fit`.
 import csv
 import math
 import sys
-import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -32,8 +31,9 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from i2t.cli import exit_code_of
-from i2t.depth.camera import Camera
-from i2t.errors import DeviceError
+from i2t.depth.camera import Camera, read_png
+from i2t.errors import DataError, DeviceError
+from i2t.files import file_in, read_text, read_toml
 from i2t.hardware.hand_eye_fit import MIN_CORNERS, BoardView, HandEyeResult, fit, pixel_rays
 from i2t.hardware.rig import Rig
 from i2t.types import Array
@@ -126,19 +126,13 @@ def estimate(path: Path, board: CharucoBoard) -> tuple[HandEyeResult, Array, lis
     camera, T_c_image = _lens(path / "camera.toml")
     views, names = [], []
     for name, T_b_t in _poses(path / "poses.csv"):
-        file = path / "images" / name
+        file = file_in(path / "images", name, path / "poses.csv")
         try:
-            with Image.open(file) as opened:
-                image = np.asarray(opened.convert("RGB"))
+            _, image = read_png(file, shape=(camera.height, camera.width), said_by="camera.toml", mode="RGB")
         except OSError as error:
             raise ValueError(
                 f"{file}: cannot be read ({error.strerror or error}); restore it, or leave out its pose"
             ) from error
-        if image.shape[:2] != (camera.height, camera.width):
-            raise ValueError(
-                f"{file}: has {image.shape[1]} x {image.shape[0]} pixels where camera.toml says {camera.width} x "
-                f"{camera.height}; give the lens of these images"
-            )
         corners, pixels = board.find(image)
         if len(corners) >= MIN_CORNERS:
             views.append(BoardView(T_b_t, corners, pixel_rays(camera, pixels)))
@@ -217,9 +211,11 @@ def tool_pose(host: str) -> Array:
 
 def _poses(path: Path) -> Iterator[tuple[str, Array]]:
     try:
-        rows = [row for row in csv.reader(path.read_text("utf-8").splitlines()) if row]
+        rows = [row for row in csv.reader(read_text(path).splitlines()) if row]
     except OSError as error:
         raise ValueError(f"{path}: cannot be read ({error.strerror}); it holds one line for each image") from error
+    except csv.Error as error:
+        raise ValueError(f"{path}: is no comma-separated table ({error}); it holds one line for each image") from error
     for row in rows:
         try:
             numbers = [float(x) for x in row[1:]]
@@ -236,7 +232,7 @@ def _poses(path: Path) -> Iterator[tuple[str, Array]]:
 
 def _lens(path: Path) -> tuple[Camera, Array]:
     try:
-        table = tomllib.loads(path.read_text("utf-8"))
+        table = read_toml(path)
         T = np.array(table.pop("T_camera_image", np.eye(4)), float)
         lens: Any = {key: float(table.pop(key)) for key in ("fx", "fy", "cx", "cy")}
         bent = tuple(float(each) for each in table.pop("coefficients", ()))
@@ -246,7 +242,9 @@ def _lens(path: Path) -> tuple[Camera, Array]:
         return Camera(**table, **lens, coefficients=bent), T
     except OSError as error:
         raise ValueError(f"{path}: cannot be read ({error.strerror}); it holds the images' lens") from error
-    except (KeyError, TypeError, ValueError) as error:
+    except DataError:
+        raise
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{path}: is no lens ({' '.join(str(error).split())}); see i2t.hardware.hand_eye") from error
 
 

@@ -17,10 +17,14 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from i2t import files
+from i2t.errors import DataError
+from i2t.objects.mesh_bytes import geometry_of
 from i2t.objects.solids import Mesh, Object, place_on_table, transform_mesh
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 25.4e-3}  # m
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb")
+MAX_MESH_BYTES = 2**28  # of a file
 MIN_SIZE_M, MAX_SIZE_M = 2e-3, 2.0  # m, longest side of something to touch
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # from a frame whose y is up
 
@@ -96,8 +100,11 @@ def read_mesh(
         raise ValueError(f"{path}: up={up!r} is not known; say up='z' or up='y'")
     _check_whole(path, data)
     try:
-        raw = trimesh.load_scene(io.BytesIO(data), file_type=path.suffix[1:].lower(), process=False).to_mesh()
+        plain = geometry_of(path, data)
+        raw = trimesh.load_scene(io.BytesIO(plain), file_type=path.suffix[1:].lower(), process=False).to_mesh()
         vertices, faces = np.asarray(raw.vertices, np.float64) * scale, np.asarray(raw.faces, np.int64)
+    except DataError:
+        raise
     except Exception as error:  # whatever a parser trips over, the file is at fault
         kind, reason = path.suffix[1:].upper(), " ".join(f"{type(error).__name__} {error}".split())
         raise ValueError(
@@ -222,9 +229,9 @@ def read_bytes(path: Path, suffixes: tuple[str, ...]) -> bytes:
         )
     if not path.exists():
         raise FileNotFoundError(f"{path}: there is no such file; check the name")
-    if not path.is_file():
+    if path.is_dir():
         raise ValueError(f"{path}: is a folder; name a file in it")
-    data = path.read_bytes()
+    data = files.read_bytes(path, MAX_MESH_BYTES)
     if not data:
         raise ValueError(f"{path}: is empty; export it again")
     return data

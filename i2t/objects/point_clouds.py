@@ -47,7 +47,7 @@ def load_point_cloud(path: str | Path, unit: str) -> tuple[NDArray[np.float64], 
     parse = _ply if path.suffix.lower() == ".ply" else _pcd
     try:
         table = parse(data)
-    except (ValueError, IndexError, KeyError, UnicodeDecodeError) as error:
+    except (ValueError, LookupError, StopIteration, TypeError, ArithmeticError, MemoryError) as error:
         reason = f"misses {error}" if isinstance(error, KeyError) else " ".join(str(error).split())
         raise ValueError(f"{path}: cannot be read as {path.suffix[1:].upper()} ({reason}); export it again") from error
     if not {"x", "y", "z"} <= set(table):
@@ -162,7 +162,7 @@ def _ply(data: bytes) -> dict[str, NDArray]:
         raise ValueError("it has no PLY header")
     lines = [line.split() for line in data[:end].decode("ascii").splitlines()]
     body = data[data.index(b"\n", end) + 1 :]
-    form = next(line[1] for line in lines if line[:1] == ["format"])
+    form = next((line[1] for line in lines if line[:1] == ["format"]), "none")
     first = next((line for line in lines if line[:1] == ["element"]), [])
     if first[:2] != ["element", "vertex"]:
         raise ValueError("its first element is not the vertices")
@@ -199,6 +199,8 @@ def _pcd(data: bytes) -> dict[str, NDArray]:
 def _table(body: bytes, fields: list[tuple[str, str, int]], count: int, order: str) -> dict[str, NDArray]:
     """Columns of `count` rows, ASCII where the byte order is "", else binary; columns of several values are skipped."""
     widths = [width for _, _, width in fields]
+    if count < 0:
+        raise ValueError(f"it announces {count} points")
     if order:
         names = [f"{i}" for i in range(len(fields))]
         row = np.dtype([(n, order + kind, (width,)) for n, (_, kind, width) in zip(names, fields, strict=True)])

@@ -7,7 +7,7 @@ as JSON, both configurations, the versions of the packages that wrote it, and wh
 (object names, seeds, provenance).
 """
 
-import json
+import math
 from dataclasses import asdict, is_dataclass
 from functools import partial
 from importlib.metadata import version
@@ -21,12 +21,15 @@ from orbax.checkpoint import v1 as ocp
 
 from i2t._version import __version__
 from i2t.errors import CheckpointError
+from i2t.files import may_grow_to, read_json
 from i2t.prediction import training
 from i2t.prediction.model import ModelConfig, Normalisation, Params, Standard
 from i2t.prediction.training import TrainConfig, TrainState
 
 CHECKPOINT_FORMAT = "i2t checkpoint"
 CHECKPOINT_VERSION = 1
+MAX_DESCRIPTION_BYTES = 2**26
+MAX_LIST = 100  # values of a list in a configuration, such as layers
 PACKAGES = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")
 
 Config = TypeVar("Config")
@@ -146,7 +149,7 @@ def _describe(directory: Path | str) -> tuple[Description, Path]:
         )
     epoch, step = steps[-1]
     try:
-        about = json.loads((step / "_CHECKPOINT_METADATA").read_text())["custom_metadata"]
+        about = read_description(step)
         if about["format"] != CHECKPOINT_FORMAT:
             raise KeyError(about["format"])
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -156,29 +159,71 @@ def _describe(directory: Path | str) -> tuple[Description, Path]:
     if about["version"] != CHECKPOINT_VERSION:
         raise CheckpointError(
             f"{step} has checkpoint version {about['version']}, but this i2t reads version {CHECKPOINT_VERSION}; use "
-            f"the i2t that wrote it ({about['packages']['i2t']}) or train again."
+            "the i2t that wrote it or train again."
         )
     try:
         # Earlier versions could train several seeds together and said so; one seed is what is trained now.
         training_said = {name: value for name, value in about["train"].items() if (name, value) != ("seeds", 1)}
         model, train = config_from(ModelConfig, about["model"]), config_from(TrainConfig, training_said)
-    except (TypeError, ValueError) as error:
+        touches = int(about["touches"])
+    except (TypeError, ValueError, LookupError, AttributeError) as error:
+        written_by = about.get("packages", {}) if isinstance(about.get("packages"), dict) else {}
         raise CheckpointError(
             f"{step} has a configuration that this i2t does not know ({error}); use the i2t that wrote it "
-            f"({about['packages']['i2t']}) or train again."
+            f"({written_by.get('i2t', 'unknown')}) or train again."
         ) from error
     return Description(
         model=model,
         train=train,
-        touches=about["touches"],
+        touches=touches,
         epoch=epoch,
-        packages=about["packages"],
-        extra=about["extra"],
+        packages=dict(about["packages"]),
+        extra=dict(about.get("extra") or {}),
     ), step
+
+
+def read_description(folder: Path) -> dict[str, Any]:
+    """What the writer of a checkpoint said of it.
+
+    Args:
+        folder: Of one checkpoint.
+
+    Returns:
+        The description.
+
+    Raises:
+        ValueError: It is damaged.
+        KeyError: It says nothing.
+        OSError: It is missing.
+    """
+    about = read_json(folder / "_CHECKPOINT_METADATA", MAX_DESCRIPTION_BYTES)["custom_metadata"]
+    if not isinstance(about, dict):
+        raise TypeError("no table")
+    return about
+
+
+def check_size(folder: Path, shapes: PyTree) -> None:
+    """Refuse arrays that are said to be larger than a folder can hold: what was never written is read as zeros.
+
+    Args:
+        folder: Of one checkpoint.
+        shapes: Arrays of 4 bytes a value, or what tells their shapes.
+
+    Raises:
+        CheckpointError: They are.
+    """
+    said = 4 * sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(shapes))
+    held = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+    if said > may_grow_to(held):
+        raise CheckpointError(
+            f"{folder} says that it holds {said} bytes of numbers, more than its {held} bytes can; train again, or "
+            "restore a copy."
+        )
 
 
 def _arrays(step: Path, abstract: dict[str, Any]) -> dict[str, Any]:
     """Load what `abstract` describes, to the default device."""
+    check_size(step, abstract)
 
     def shapes(tree: Any) -> Any:
         return jax.tree.map(lambda leaf: tuple(leaf.shape), tree)
@@ -204,7 +249,12 @@ def _arrays(step: Path, abstract: dict[str, Any]) -> dict[str, Any]:
 
 def _abstract(about: Description) -> tuple[PyTree, Normalisation, TrainState]:
     """Shapes and types of what a checkpoint holds: best parameters, normalisation, and the rest of the state."""
-    state = jax.eval_shape(partial(training.start, about.model, about.train, about.touches))
+    try:
+        state = jax.eval_shape(partial(training.start, about.model, about.train, about.touches))
+    except (TypeError, ValueError, ArithmeticError, LookupError) as error:
+        raise CheckpointError(
+            f"no network is as the checkpoint says ({error}); train again, or restore a copy."
+        ) from error
 
     def normalisation() -> Normalisation:
         reading, conditions = jnp.zeros(about.model.readings), jnp.zeros(len(about.model.conditions))
@@ -234,6 +284,8 @@ def config_from(kind: type[Config], values: dict[str, Any]) -> Config:
     def convert(name: str) -> Any:
         if is_dataclass(hints[name]):
             return config_from(hints[name], values[name])
+        if isinstance(values[name], list) and len(values[name]) > MAX_LIST:
+            raise ValueError(f"{len(values[name])} values of {name}")
         return tuple(values[name]) if isinstance(values[name], list) else values[name]
 
     return kind(**{name: convert(name) for name in values})

@@ -456,8 +456,16 @@ def load_predictor(directory: Path | str) -> Predictor:
     nested = directory / "checkpoint" / "predictor"
     directory = nested if nested.is_dir() else directory
     about = _description(directory)
-    arrays = _load_arrays(directory, about)
-    return Predictor(_model_of(about, arrays), **{name: about[name] for name in _FIELDS})
+    try:
+        arrays = _load_arrays(directory, about)
+        return Predictor(_model_of(about, arrays), **{name: about[name] for name in _FIELDS})
+    except CheckpointError:
+        raise
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        reason = " ".join(str(error).split())[:100]
+        raise CheckpointError(
+            f"the predictor in {directory} is damaged ({reason}); train again, or restore a copy"
+        ) from error
 
 
 def std_scale(readings: Float[np.ndarray, "n c"], prediction: Reading) -> float:
@@ -499,7 +507,7 @@ _ARRAYS_OF_VERSION_1 = {"process": "gp"}
 def _description(directory: Path) -> dict[str, Any]:
     """What a predictor on disk says of itself, in this version's words; `stored` keeps its arrays' names."""
     try:
-        about = json.loads((directory / "_CHECKPOINT_METADATA").read_text())["custom_metadata"]
+        about = checkpoint.read_description(directory)
         if about["format"] != PREDICTOR_FORMAT:
             raise KeyError(about["format"])
         version, shapes = about["version"], about["shapes"]
@@ -528,6 +536,7 @@ def _load_arrays(directory: Path, about: dict[str, Any]) -> dict[str, Any]:
         about["shapes"],
         is_leaf=lambda node: isinstance(node, list),
     )
+    checkpoint.check_size(directory, abstract)
     try:
         arrays = ocp.load_checkpointables(directory, abstract)
     except Exception as error:  # orbax raises many kinds, down to bare ones of its storage library

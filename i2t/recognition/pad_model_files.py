@@ -9,7 +9,7 @@ require_skin(known.skin, ["skin A"], dataset.board, "DATA/later")
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -104,6 +104,12 @@ def load_pad_model(path: Path | str) -> KnownPad:
         SerializationError: The file is missing, damaged, holds something else, or its parts do not fit each other.
     """
     record, about = serialization.load(path, PAD_MODEL_KIND, _Record)
+    with serialization.fitting(path):
+        return _known_pad(path, record, about)
+
+
+def _known_pad(path: Path | str, record: _Record, about: dict[str, Any]) -> KnownPad:
+    """A pad model from what is on disk, if its parts fit."""
     channels = 3 * len(record.board.chips)
     loads, cells = record.reading_model.mean.shape[:2]
     shapes = {

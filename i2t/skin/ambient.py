@@ -296,9 +296,16 @@ def load_ambient(path: Path | str, board: Board | None = None) -> tuple[AmbientF
         ValueError: The field is of a board with another number of chips.
     """
     field, about = serialization.load(path, FIELD_KIND, AmbientField)
-    if board is not None and len(field.offset) != board.num_chips:
+    with serialization.fitting(path):
+        chips = len(field.offset)
+        shapes = {"earth": (3,), "offset": (chips, 3), "gradient": (5,), "centre": (3,), "response": (chips, 3, 3)}
+        for name, shape in shapes.items():
+            values = np.asarray(getattr(field, name), float)
+            if values.shape != shape or (name != "offset" and not np.isfinite(values).all()):
+                raise ValueError(f"{name} is not {shape} finite numbers")
+    if board is not None and chips != board.num_chips:
         raise ValueError(
-            f"{path}: is the ambient field of {len(field.offset)} chips, and the board has {board.num_chips}; "
+            f"{path}: is the ambient field of {chips} chips, and the board has {board.num_chips}; "
             "name the field of this skin"
         )
     return field, about

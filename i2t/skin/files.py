@@ -66,6 +66,12 @@ def load_pad(path: Path | str) -> Pad:
         pad = i2t.load_pad("pad.npz")
     """
     pad, _ = serialization.load(path, KIND, Pad, renamed=PAD_FIELDS_OF_BEFORE)
+    with serialization.fitting(path):
+        return _checked(path, pad)
+
+
+def _checked(path: Path | str, pad: Pad) -> Pad:
+    """The pad in float32, if its parts can be."""
     side = pad.magnetization.shape[0] if pad.magnetization.ndim else 0
     chips = pad.board.chips.shape[0] if pad.board.chips.ndim else 0
     shapes = {
@@ -94,6 +100,7 @@ def load_pad_about(path: Path | str) -> PadAbout:
         SerializationError: the file is missing, damaged or holds no pad.
     """
     _, about = serialization.load(path, KIND, Pad, renamed=PAD_FIELDS_OF_BEFORE)
-    presses = f", fitted to {about['presses']} {about.get('source', '')} presses" if "presses" in about else ""
-    error_std = float(about.get("error_std_uT") or 0.0)
-    return PadAbout(str(about.get("pad") or f"simulated, {Path(path).stem}"), presses, error_std)
+    with serialization.fitting(path):
+        presses = f", fitted to {about['presses']} {about.get('source', '')} presses" if "presses" in about else ""
+        error_std = float(about.get("error_std_uT") or 0.0)
+        return PadAbout(str(about.get("pad") or f"simulated, {Path(path).stem}"), presses, error_std)

@@ -208,9 +208,10 @@ def load_head(path: Path | str) -> Head:
         SerializationError: the file is missing, damaged or something else.
     """
     record, about = serialization.load(path, FILE_KIND_OF_HEAD, HeadRecord)
-    if about.get("target") not in TARGETS:
-        raise serialization.SerializationError(f"{path}: tells no target that this i2t knows; fit it again")
-    return Head(about["target"], record, about["validation"], about["about"])
+    with serialization.fitting(path):
+        if about.get("target") not in TARGETS:
+            raise serialization.SerializationError(f"{path}: tells no target that this i2t knows; fit it again")
+        return Head(about["target"], record, about["validation"], about["about"])
 
 
 def fit_head(

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from i2t.errors import DeviceError, DeviceTimeoutError
+from i2t.errors import DataError, DeviceError, DeviceTimeoutError
 from i2t.hardware.reskin import frames, recording
 from i2t.hardware.reskin.frames import Decoder, Frame, FrameLimits
 from i2t.hardware.reskin.layouts import DEFAULT_CHIPS, Format, FrameLayout
@@ -197,6 +197,8 @@ class Replay(Stream):
             port = recording.PlayedPort(self._path, self._speed, self._byte_rate, READ_TIMEOUT_S)
         except OSError as error:
             raise DeviceError(f"{self._path} cannot be read ({error.strerror}); name a recording") from error
+        except DataError as error:
+            raise DeviceError(str(error)) from error
         decoder, found, heard = detect_format(port, self._limits, self._chips, self._lost)
         if not found:
             raise DeviceError(f"no skin in {self._path}: {frames.diagnose(heard, self._limits, self._chips)}")

@@ -12,8 +12,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from i2t.errors import DataError
+from i2t.files import read_bytes
+
 RECORDING_HEADER = json.dumps({"stream": "i2t raw bytes", "version": 1}).encode() + b"\n"
 CHUNK = struct.Struct("<dI")
+MAX_RECORDING_S = 1e7  # four months
 CHUNK_S = 5e-3  # between the chunks that bare bytes are played in
 
 
@@ -66,8 +70,9 @@ def chunks(path: str | Path, byte_rate: float) -> Iterator[tuple[float, bytes]]:
 
     Raises:
         OSError: The file cannot be read.
+        DataError: It is no regular file, or its times cannot be.
     """
-    data = Path(path).read_bytes()
+    data = read_bytes(path)
     if not data.startswith(RECORDING_HEADER):
         piece = max(1, round(byte_rate * CHUNK_S))
         for i in range(0, len(data), piece):
@@ -80,6 +85,11 @@ def chunks(path: str | Path, byte_rate: float) -> Iterator[tuple[float, bytes]]:
         if at + size > len(data):
             return
         first = when if first is None else first
+        if not 0 <= when - first <= MAX_RECORDING_S:
+            raise DataError(
+                f"{path}: says that its bytes before {at + size} came {when - first:.3g} s after the first; "
+                "record it again"
+            )
         yield when - first, data[at : at + size]
         at += size
 

@@ -1,0 +1,116 @@
+"""Files made to mislead: each is answered with one sentence that names it, in bounded memory and time."""
+
+import gzip
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+from helpers import hostile_files
+from helpers.hostile_files import GIB, HOSTILE, READERS
+
+from i2t import files
+from i2t.errors import DataError, DeviceError
+
+ROOT = Path(__file__).parents[1]
+MAX_SECONDS = 5.0
+CHEAP = ("rig", "raw", "session", "depth", "dataset", "touch")
+COSTLY = ("20_000", "3000", "gigabytes", "megabytes", "pipe_for_a_rig")
+
+
+def refusal(name, reader, path, answer):
+    """What is wrong with how a file was answered; "" where nothing is."""
+    said = answer["said"]
+    if not answer["user"]:
+        return f"{name}: {answer['kind']} {said[:200]}"
+    if path.name not in said and path.parent.name not in said:
+        return f"{name}: does not name its file: {said[:200]}"
+    if "\n" in said or len(said) > 800:
+        return f"{name}: is no sentence: {said[:900]}"
+    if answer["seconds"] > MAX_SECONDS or answer["grown"] > GIB:
+        return f"{name}: took {answer['seconds']:.1f} s and {answer['grown'] / 2**20:.0f} MiB"
+    return ""
+
+
+@pytest.mark.full
+def test_every_hostile_file_is_refused_in_one_sentence_in_5_s_and_1_gib(tmp_path, capsys):
+    made = {name: make(tmp_path / name) for name, make in HOSTILE.items()}
+    assert len(made) >= 100
+    assert {reader for reader, _ in made.values()} == set(READERS)
+    assert max(path.stat().st_size for _, path in made.values() if path.is_file()) < 12 * 2**20
+    lines = "".join(f"{reader}\t{path}\n" for reader, path in made.values())
+    run = subprocess.run(
+        [sys.executable, hostile_files.__file__],
+        input=lines, capture_output=True, text=True, timeout=1500, cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])},
+    )  # fmt: skip
+    answers = [json.loads(line) for line in run.stdout.splitlines()]
+    assert len(answers) == len(made), run.stderr[-2000:]
+    wrong = [refusal(name, *made[name], answer) for name, answer in zip(made, answers, strict=True)]
+    with capsys.disabled():
+        seconds, grown = max(each["seconds"] for each in answers), max(each["grown"] for each in answers)
+        print(f"\n{len(made)} hostile files, {sum(map(bool, wrong))} not refused as they should be; at most "
+              f"{seconds:.1f} s and {grown / 2**20:.0f} MiB")  # fmt: skip
+    assert not list(filter(None, wrong))
+    assert not list(tmp_path.rglob("i2t-was-here"))  # which a pickle would have made
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in HOSTILE if not any(word in name for word in COSTLY)], ids=lambda name: name
+)
+def test_a_hostile_file_is_refused_by_its_name(name, tmp_path):
+    reader, path = HOSTILE[name](tmp_path / name)
+    if reader not in CHEAP:
+        pytest.skip("in the full tier")
+    with pytest.raises((ValueError, DeviceError, FileNotFoundError)) as raised:
+        READERS[reader](path)
+    said = str(raised.value)
+    assert refusal(name, reader, path, {"said": said, "user": True, "seconds": 0, "grown": 0}) == ""
+
+
+def test_what_is_packed_unpacks_to_what_its_size_allows(tmp_path):
+    data = bytes(range(256)) * 100
+    assert files.unpacked("a.gz", gzip.compress(data)) == data
+    with pytest.raises(DataError, match=r"a\.gz: unpacks to more than 1"):
+        files.unpacked("a.gz", gzip.compress(bytes(20 * 2**20), 1))
+    with pytest.raises(DataError, match=r"a\.gz: cannot be unpacked"):
+        files.unpacked("a.gz", gzip.compress(data)[:-3])
+    path = tmp_path / "a.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("a.npy", data)
+    files.check_archive(path, path.read_bytes())
+
+
+def test_a_file_is_read_to_its_bound_and_no_device_is(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_bytes("grün".encode())
+    assert files.read_text(path, 5) == "grün"
+    with pytest.raises(DataError, match="has 5 bytes where at most 4 bytes are read"):
+        files.read_bytes(path, 4)
+    os.mkfifo(tmp_path / "pipe")
+    for name in ("pipe", ".", "/dev/zero"):
+        with pytest.raises((DataError, IsADirectoryError)):
+            files.read_bytes(tmp_path / name)
+
+
+def test_a_list_names_files_of_its_folder_only(tmp_path):
+    folder = tmp_path / "images"
+    folder.mkdir()
+    assert files.file_in(folder, "a b.png", "list") == folder / "a b.png"
+    (folder / "near.png").symlink_to(folder / "a.png")
+    assert files.file_in(folder, "near.png", "list") == folder / "near.png"
+    (folder / "far.png").symlink_to("/etc/passwd")
+    for name in ("../a.png", "/etc/passwd", "..", "", "a\\b.png", "sub/a.png", "far.png"):
+        with pytest.raises(DataError, match="list: names .* lies outside"):
+            files.file_in(folder, name, "list")
+
+
+def test_a_file_of_ones_own_is_not_written_through_a_link(tmp_path):
+    (tmp_path / "theirs").write_text("precious")
+    (tmp_path / "mine").symlink_to(tmp_path / "theirs")
+    with pytest.raises(OSError, match="symbolic link|symlink|loop"):
+        open(tmp_path / "mine", "w", opener=files.not_through_links)
+    assert (tmp_path / "theirs").read_text() == "precious"
