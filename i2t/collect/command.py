@@ -3,7 +3,7 @@
     python -m i2t.collect                                        all simulated: see how it goes
     python -m i2t.collect --arm emulated --skin emulated         the real drivers with emulators, in a lab's time
     python -m i2t.collect --arm ur --host 192.168.1.10 --skin reskin --camera realsense --rig lab.toml \\
-        --object mug.stl --out DATA/mug --dry-run                checks everything, moves nothing
+        --object mug.stl --unit mm --out DATA/mug --dry-run                checks everything, moves nothing
     python -m i2t.collect --arm acme_devices:AcmeArm ...         a device of another package
 
 The same command again goes on where it stopped. Ctrl-C or SIGTERM stops the arm and keeps everything. What it writes is
@@ -19,6 +19,7 @@ import tyro
 
 from i2t.cli import exit_code_of, renamed_flags
 from i2t.collect.arguments import CollectArgs
+from i2t.collect.checks import check_collect_args
 
 RENAMED_COLLECT_FLAGS = {
     "--run": "--session",
@@ -50,11 +51,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         prog="python -m i2t.collect",
         config=(tyro.conf.FlagCreatePairsOff,),
     )
-    from i2t.collect.session import collect  # not above: JAX takes seconds, which --help need not wait for
+
+    def work() -> int:
+        check_collect_args(args)
+        from i2t.collect.session import collect  # not above: JAX takes seconds, which a refusal need not wait for
+
+        return collect(args)
 
     before = signal.signal(signal.SIGTERM, end_by_signal)
     try:
-        return exit_code_of(lambda: collect(args), f"stopped; everything is in {args.out}: the same command goes on")
+        return exit_code_of(work, f"stopped; everything is in {args.out}: the same command goes on")
     finally:
         signal.signal(signal.SIGTERM, before)
 

@@ -1,7 +1,7 @@
 """Where an object stands, from a depth view of it: the pose goes into the lab's calibration file.
 
-    python -m i2t.place lab.toml --object mug.stl --host 192.168.0.2 --write    # a RealSense, from where the arm is
-    python -m i2t.place lab.toml --object mug.stl --views DIR --tool 0.41 -0.12 0.25 2.5 0 0 --write
+    python -m i2t.place lab.toml --object mug.stl --unit mm --host 192.168.0.2 --write    # a RealSense on the arm
+    python -m i2t.place lab.toml --object mug.stl --unit mm --views DIR --tool 0.41 -0.12 0.25 2.5 0 0 --write
 
 Look at it obliquely, 25 to 55 degrees from the vertical: from above, a flat top shows nothing sideways. The rig's own
 T_world_object is where the search begins, within centimetres and some degrees; the camera must be calibrated
@@ -14,13 +14,14 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import tyro
 from scipy.spatial.transform import Rotation
 
-from i2t.cli import exit_code_of
+from i2t.cli import exit_code_of, require_path
+from i2t.collect.checks import require_object
 from i2t.hardware.camera_folder import RecordedDepthCamera
 from i2t.hardware.hand_eye import tool_pose
 from i2t.hardware.poses import pose_from_vector
@@ -37,7 +38,7 @@ class PlaceArgs:
 
     rig: tyro.conf.Positional[Path]  # the lab's calibration
     object: str  # a name of the catalogue, or a mesh file
-    unit: str = "mm"  # of a mesh file: m, cm, mm or inch
+    unit: Literal["m", "cm", "mm", "inch"] | None = None  # of a mesh file; no default
     host: str | None = None  # address of the arm, which is asked where it stands and not moved
     tool: Annotated[PoseVector | None, tyro.conf.arg(metavar="X Y Z RX RY RZ")] = None  # or where the tool was: m, rad
     views: Path | None = None  # a folder of views, of which the first is taken; else a RealSense
@@ -82,6 +83,8 @@ def place(asked: PlaceArgs) -> str:
         OSError: A file cannot be read or written.
         DeviceError: Camera or arm do not answer.
     """
+    require_object("--object", asked.object, asked.unit)
+    require_path("--views", asked.views, "folder")
     # Not above: JAX takes seconds, which --help need not wait for.
     from i2t.collect.site_plan import orthonormal
     from i2t.emulators.world import read_object

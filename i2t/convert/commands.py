@@ -16,25 +16,24 @@ an earlier conversion. What cannot be used is refused with one sentence on the e
 """
 
 import json as json_text
+import math
 import secrets
 import sys
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
 import tyro
 
 from i2t.cli import NAMED_WRONGLY, exit_code_of, renamed_flags
-from i2t.convert import Converted, eflesh, imagine2touch, presses
-from i2t.convert.ambient import without_ambient
-from i2t.dataset import BadFileWarning, Dataset, index, load_dataset, save_dataset
-from i2t.dataset.store import INDEX
+from i2t.convert import CAMERA_OFFSET_M, EFLESH_WINDOW_M, TIP_RADIUS_M
 from i2t.errors import DataError, SerializationError
-from i2t.skin.ambient import load_ambient
-from i2t.skin.boards import make_board
 from i2t.types import PATCH_WINDOW, REACH, Board
+
+if TYPE_CHECKING:
+    from i2t.convert.common import Converted
+    from i2t.dataset import Dataset
 
 PACKED = "touches.h5"
 
@@ -51,6 +50,9 @@ def summarise(source: Source, json: bool = False, quick: bool = False, skip_bad:
         quick: counts only, from the folder's index, without reading every touch again
         skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them
     """
+    _require_source(source)
+    from i2t.dataset import load_dataset
+
     found = _counts(source) if quick else load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad).summary()
     print(json_text.dumps(found, indent=1, allow_nan=False) if json else _page(source, found))
 
@@ -63,7 +65,7 @@ def from_imagine2touch(
     pad: str = "reskin",
     window_mm: float = 1e3 * PATCH_WINDOW,
     reach_mm: float = 1e3 * REACH,
-    camera_mm: float = 1e3 * imagine2touch.CAMERA_OFFSET_M,
+    camera_mm: float = 1e3 * CAMERA_OFFSET_M,
     quarter_turns: int = 0,
     tool_forces: bool = False,
     as_stated: bool = False,
@@ -87,7 +89,10 @@ def from_imagine2touch(
         overwrite: replace what an earlier conversion wrote
         skip_bad: leave out sessions and touches that are damaged, and name them
     """
-    _require_free(target, overwrite)
+    _require(source, target, overwrite, {"--window-mm": window_mm, "--reach-mm": reach_mm, "--camera-mm": camera_mm})
+    from i2t.convert import imagine2touch
+    from i2t.skin.boards import make_board
+
     converted = imagine2touch.convert(
         source,
         board=make_board(board),
@@ -107,8 +112,8 @@ def from_imagine2touch(
 def from_eflesh(
     source: Source,
     target: Target,
-    tip_radius_mm: float = 1e3 * eflesh.TIP_RADIUS_M,
-    window_mm: float = 1e3 * eflesh.WINDOW,
+    tip_radius_mm: float = 1e3 * TIP_RADIUS_M,
+    window_mm: float = 1e3 * EFLESH_WINDOW_M,
     reach_mm: float = 1e3 * REACH,
     z0_mm: float | None = None,
     centre_mm: tuple[float, float] | None = None,
@@ -134,7 +139,10 @@ def from_eflesh(
         overwrite: replace what an earlier conversion wrote
         skip_bad: leave out rows and sessions that are damaged, and name them
     """
-    _require_free(target, overwrite)
+    lengths = {"--tip-radius-mm": tip_radius_mm, "--window-mm": window_mm, "--reach-mm": reach_mm}
+    _require(source, target, overwrite, lengths)
+    from i2t.convert import eflesh
+
     converted = eflesh.convert(
         source,
         radius=1e-3 * tip_radius_mm,
@@ -176,7 +184,11 @@ def from_presses(
         overwrite: replace what an earlier conversion wrote
         skip_bad: leave out rows that are damaged, and name them
     """
-    _require_free(target, overwrite)
+    _require(source, target, overwrite, {"--window-mm": window_mm, "--reach-mm": reach_mm})
+    if unit is not None and not indenter.startswith("mesh:"):
+        raise DataError("--unit is of the file of --indenter mesh:FILE; leave it out: radii are in mm")
+    from i2t.convert import presses
+
     converted = presses.convert(
         source,
         indenter=indenter,
@@ -199,7 +211,10 @@ def pack(source: Source, target: Target, overwrite: bool = False, skip_bad: bool
         overwrite: replace what an earlier conversion wrote
         skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them
     """
-    _require_free(target, overwrite)
+    _require(source, target, overwrite)
+    from i2t.convert.common import Converted
+    from i2t.dataset import load_dataset
+
     _write(target, Converted(load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad), ()))
 
 
@@ -221,7 +236,13 @@ def subtract_ambient_field(
         overwrite: replace what an earlier conversion wrote
         skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them
     """
-    _require_free(target, overwrite)
+    _require(source, target, overwrite)
+    if not field.is_file():
+        raise DataError(f"--field {field}: there is no such file; check the name")
+    from i2t.convert.ambient import without_ambient
+    from i2t.dataset import load_dataset
+    from i2t.skin.ambient import load_ambient
+
     dataset = load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad)
     try:
         fitted, _ = load_ambient(field)
@@ -243,12 +264,15 @@ def to_npz(source: Source, target: Target, overwrite: bool = False, skip_bad: bo
         raise DataError(f"{target}: does not end in .npz; name the file so")
     if target.exists() and not overwrite:
         raise DataError(f"{target}: exists already; choose another name or pass --overwrite")
+    _require_source(source)
+    from i2t.dataset import load_dataset
+
     dataset = load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad)
     write_npz(target, dataset)
     print(f"wrote {len(dataset)} touches to {target}")
 
 
-def write_npz(path: Path, dataset: Dataset) -> Path:
+def write_npz(path: Path, dataset: "Dataset") -> Path:
     """Write a data set as arrays, atomically.
 
     The file holds every field of the touches under its name (`truth_...` for the truth), the names, board, window,
@@ -265,6 +289,8 @@ def write_npz(path: Path, dataset: Dataset) -> Path:
         DataError: Its folder cannot be written to.
         OSError: The disk is full, or failed.
     """
+    import numpy as np
+
     touches = dataset.touches._asdict()
     truth = touches.pop("truth")
     arrays: dict[str, Any] = touches
@@ -320,7 +346,7 @@ def main(args: Sequence[str] | None = None) -> int:
 def _run(words: Sequence[str]) -> None:
     """One command, and after it what was left out."""
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", BadFileWarning)
+        warnings.simplefilter("always", UserWarning)  # `BadFileWarning` is one
         try:
             tyro.extras.subcommand_cli_from_dict(
                 COMMANDS,
@@ -334,26 +360,50 @@ def _run(words: Sequence[str]) -> None:
                 print(warning.message, file=sys.stderr)
 
 
+def _require(source: Path, target: Path, overwrite: bool, lengths: dict[str, float] | None = None) -> None:
+    """Refuse what is not there, what is taken, and lengths (mm) that are none, before anything large is imported."""
+    _require_source(source)
+    for flag, length in (lengths or {}).items():
+        if not 0 <= length < math.inf or (length == 0 and flag != "--camera-mm"):
+            raise DataError(f"{flag} is {length:g}; give millimetres, more than 0")
+    _require_free(target, overwrite)
+    if target.resolve() == source.resolve():
+        raise DataError(f"{target}: is what is read; give another folder to write")
+
+
+def _require_source(source: Path) -> None:
+    if not source.exists():
+        raise DataError(f"{source}: no such file or folder; check the path")
+
+
 def _require_free(target: Path, overwrite: bool) -> None:
     """Refuse to mix a conversion with other files, and to replace an earlier one unasked."""
     if target.exists() and not target.is_dir():
         raise DataError(f"{target}: is a file; give a folder to write")
     found = sorted(file.name for file in target.iterdir()) if target.is_dir() else []
+    if not found:
+        return
+    from i2t.dataset.store import INDEX
+
     others = [name for name in found if name not in (PACKED, INDEX)]
     if others:
         raise DataError(f"{target}: holds {others[0]}, which no conversion wrote; give another folder")
-    if found and not overwrite:
+    if not overwrite:
         raise DataError(f"{target}: holds a data set already; give another folder or pass --overwrite")
 
 
 def _board(name: str) -> Board:
+    from i2t.skin.boards import make_board
+
     try:
         return make_board(name)
     except ValueError as error:
         raise DataError(f"--board {name}: {error}") from error
 
 
-def _write(target: Path, converted: Converted) -> None:
+def _write(target: Path, converted: "Converted") -> None:
+    from i2t.dataset import save_dataset
+
     path = save_dataset(target / PACKED, converted.dataset)
     for note in converted.notes:
         print(note)
@@ -361,6 +411,8 @@ def _write(target: Path, converted: Converted) -> None:
 
 
 def _counts(folder: Path) -> dict[str, Any]:
+    from i2t.dataset import index
+
     entries = index(folder).values()
     sources = {entry["source"] for entry in entries}
     found: dict[str, Any] = {

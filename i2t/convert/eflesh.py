@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from i2t.convert import EFLESH_WINDOW_M, TIP_RADIUS_M
 from i2t.convert.checked import SessionCheck, check_session
 from i2t.convert.common import ConversionLog, Converted, data_error, read_numbers
 from i2t.convert.presses import sphere, tip_patches
@@ -30,8 +31,6 @@ from i2t.unknowns import RecordedPresses, find_units, findings_to_meta, turn_boa
 
 EFLESH_READINGS = 15  # of one board, AnySkin's
 NEWTONS_PER_GRAM = 9.80665e-3  # N, weight of a gram
-TIP_RADIUS_M = 4e-3  # m, of the tip; an assumption
-WINDOW = 40e-3  # m, holds the 31 x 31 mm grid of the `spatial` sessions
 SAME_ROW = 15e-3  # s: sensor and state of a row are at most 8 ms apart, and rows at least 34 ms
 BOARD_FROM_STAGE = ((0.0, -1.0), (1.0, 0.0))  # by what the five chips read together in the `spatial` session
 REFERENCE = "reference of "  # of the data set's meta: where a session's positions and heights count from
@@ -46,7 +45,7 @@ def convert(
     source: Path,
     *,
     radius: float = TIP_RADIUS_M,
-    window: float = WINDOW,
+    window: float = EFLESH_WINDOW_M,
     reach: float = REACH,
     zero: float | None = None,
     centre: tuple[float, float] | None = None,

@@ -63,12 +63,12 @@ class EmulatedSkinConfig:
     board: str = DEFAULT_BOARD  # as `i2t.skin.boards.make_board` knows it; the pad that is worn must be on the same
 
 
-def read_object(name: str, unit: str) -> "Object":
+def read_object(name: str, unit: str | None) -> "Object":
     """An object by its name or file.
 
     Args:
         name: Of the catalogue, or a mesh file.
-        unit: Of a mesh file: m, cm, mm or inch.
+        unit: Of a mesh file: m, cm, mm or inch; None for an object of the catalogue.
 
     Returns:
         The object.
@@ -80,7 +80,11 @@ def read_object(name: str, unit: str) -> "Object":
     from i2t.objects.catalogue import NAMES, make_object
     from i2t.objects.mesh_files import read_mesh
 
-    return make_object(name) if name in NAMES else read_mesh(name, unit)[0]
+    if name in NAMES:
+        return make_object(name)
+    if unit is None:
+        raise ValueError(f"{name}: say in which unit the file is, for instance --unit mm")
+    return read_mesh(name, unit)[0]
 
 
 def read_pad(path: Path | None, board: str | None = None) -> "Pad":

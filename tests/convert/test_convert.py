@@ -748,7 +748,7 @@ PRESSES_DAMAGE = {
     "only names": (lambda path: path.write_text(path.read_text().splitlines()[0]), "holds no press"),
     "empty": (contents(b""), "is missing"),
     "no text": (contents(b"\xff\xfe\x00"), "is no text"),
-    "missing file": (Path.unlink, "cannot be read"),
+    "missing file": (Path.unlink, "no such file"),
 }
 
 
@@ -887,7 +887,7 @@ def test_nothing_is_overwritten_or_mixed_unasked(tmp_path, capsys):
     assert "pass --overwrite" in refused(capsys, "npz", tmp_path / "dst/touches.h5", tmp_path / "set.npz")
     assert ".npz; name the file so" in refused(capsys, "npz", tmp_path / "dst/touches.h5", tmp_path / "set")
     assert "is missing" not in refused(capsys, "imagine2touch", tmp_path / "nowhere", tmp_path / "new")
-    assert "states.csv" in refused(capsys, "eflesh", tmp_path / "nowhere", tmp_path / "new")
+    assert "no such file" in refused(capsys, "eflesh", tmp_path / "nowhere", tmp_path / "new")
     assert not (tmp_path / "new").exists()
 
 

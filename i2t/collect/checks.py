@@ -1,0 +1,63 @@
+"""What a collection's command line is checked for before anything large is imported: files, names, and options that
+would have no effect.
+"""
+
+from pathlib import Path
+
+from i2t.cli import require_path, require_with
+from i2t.collect.arguments import CollectArgs
+
+SIMULATED, NOT_REAL = "simulated", ("simulated", "emulated")
+
+
+def check_collect_args(args: CollectArgs) -> None:
+    """Refuse what is not there, and what does not go together.
+
+    Args:
+        args: The options of the command.
+
+    Raises:
+        ValueError: A file or an object is missing, or an option has no effect; the message names its flag.
+    """
+    if args.out.exists() and not args.out.is_dir():
+        raise ValueError(f"--out {args.out}: is a file; name a folder")
+    for flag, path in (("--rig", args.rig), ("--pad", args.pad), ("--views", args.views), ("--replay", args.replay)):
+        require_path(flag, path, "file or folder")
+    require_with("--replay", args.replay is not None, "--skin replay", args.skin == "replay")
+    if args.skin == "replay" and args.replay is None:
+        raise ValueError("--skin replay needs a recording to play: pass --replay FILE")
+    require_with("--views", args.views is not None, "--camera folder", args.camera == "folder")
+    if args.camera == "folder" and args.views is None:
+        raise ValueError("--camera folder needs a folder of views to show: pass --views DIR")
+    if args.host and args.arm == SIMULATED:
+        raise ValueError(
+            "--host is the address of a controller, and --arm is simulated; leave it out, or pass --arm ur"
+        )
+    if args.port and args.skin in (SIMULATED, "replay"):
+        raise ValueError(f"--port is of a board, and --skin is {args.skin}; leave it out, or pass --skin reskin")
+    if args.pad and args.skin not in NOT_REAL:
+        raise ValueError(f"--pad is of simulated skins, and --skin is {args.skin}; leave it out")
+    require_object("--object", args.object, args.unit)
+
+
+def require_object(flag: str, name: str, unit: str | None) -> None:
+    """Refuse what is neither an object of the catalogue nor a mesh file with its unit.
+
+    Args:
+        flag: The option that names it.
+        name: Of the catalogue, or a mesh file.
+        unit: Of the file.
+
+    Raises:
+        ValueError: It is neither.
+    """
+    from i2t.objects.catalogue import NAMES
+
+    if name in NAMES:
+        return
+    if not Path(name).is_file():
+        raise ValueError(
+            f"{flag} {name}: is neither a mesh file nor an object of the catalogue, which has {', '.join(NAMES)}"
+        )
+    if unit is None:
+        raise ValueError(f"{flag} {name}: say in which unit the file is, for instance --unit mm")
