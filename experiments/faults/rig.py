@@ -15,6 +15,7 @@ import numpy as np
 
 from experiments.faults.rig_mistakes import MISTAKES, RigMistake, right_rig
 from experiments.faults.rows import FaultCounts, FaultRow
+from experiments.faults.trials import Trial, TrialStore
 from i2t.collect.first_touch import RigContradictedError, first_touch
 from i2t.collect.procedure import Procedure
 from i2t.collect.site_plan import SiteSampler, patch_extractor
@@ -86,35 +87,43 @@ class MistakenArm(SimulatedArm):
         return T_b_t
 
 
-def rig(sizes: FaultCounts) -> list[FaultRow]:
+def rig(sizes: FaultCounts, trials: TrialStore) -> list[FaultRow]:
     """All mistakes with each object, and the right rig in labs of many seeds."""
-    rows = []
     mistakes = MISTAKES[: sizes.mistakes]
-    for name in OBJECTS:
-        found = {mistake.name: try_mistake(mistake, name) for mistake in mistakes}
-        accepted = [what for what, each in found.items() if each.where == "accepted"]
-        counts = Counter(each.where for each in found.values())
-        caught = len(found) - len(accepted)
-        said = ", ".join(f"{count} {where}" for where, count in counts.most_common())
-        rows.append(
-            FaultRow(
-                "rig",
-                f"mistakes refused or shown, {name}",
-                f"{len(found)} mistakes",
-                f"{caught} ({said})" + (f"; accepted: {'; '.join(accepted)}" if accepted else ""),
-                f"{100 * GOAL_SHARE:.0f} %",
-                caught >= GOAL_SHARE * len(found),
-            )
-        )
-    seeds = max(1, round(RIGHT_SEEDS * min(1.0, sizes.mistakes / len(MISTAKES))))
-    refused = {
-        f"{name} {seed}: {found.sentence}"
-        for name in OBJECTS
-        for seed in range(seeds)
-        if (found := try_rig(right_rig(), name, seed)).where != "accepted"
-    }
+    seeds = max(1, round(RIGHT_SEEDS * len(mistakes) / len(MISTAKES)))
+    tries: list[tuple[str, RigMistake | None, int]] = [(name, mistake, 0) for name in OBJECTS for mistake in mistakes]
+    tries += [(name, None, seed) for name in OBJECTS for seed in range(seeds)]
+
+    def trial(number: int) -> Trial:
+        name, mistake, seed = tries[number]
+        found = try_rig(right_rig(), name, seed) if mistake is None else try_mistake(mistake, name, seed)
+        return {"object": name, "mistake": mistake and mistake.name, "seed": seed, **found._asdict()}
+
+    made = trials.run(len(tries), trial)
+    wrong = [[each for each in made if each["mistake"] and each["object"] == name] for name in OBJECTS]
+    right = [each for each in made if not each["mistake"]]
+    refused = [f"{each['object']} {each['seed']}: {each['sentence']}" for each in right if each["where"] != "accepted"]
     said = f"{len(refused)}" + (f" ({min(refused)})" if refused else "")
-    return [*rows, FaultRow("rig", "right rigs refused", f"{seeds * len(OBJECTS)} labs", said, "0", not refused)]
+    return [
+        *(_mistakes_row(each) for each in wrong),
+        FaultRow("rig", "right rigs refused", f"{len(right)} labs", said, "0", not refused),
+    ]
+
+
+def _mistakes_row(made: list[Trial]) -> FaultRow:
+    """How many mistakes were caught with one object, and where."""
+    accepted = [each["mistake"] for each in made if each["where"] == "accepted"]
+    counts = Counter(each["where"] for each in made)
+    caught = len(made) - len(accepted)
+    said = ", ".join(f"{count} {where}" for where, count in counts.most_common())
+    return FaultRow(
+        "rig",
+        f"mistakes refused or shown, {made[0]['object']}",
+        f"{len(made)} mistakes",
+        f"{caught} ({said})" + (f"; accepted: {'; '.join(accepted)}" if accepted else ""),
+        f"{100 * GOAL_SHARE:.0f} %",
+        caught >= GOAL_SHARE * len(made),
+    )
 
 
 def try_mistake(mistake: RigMistake, name: str, seed: int = 0) -> Found:
@@ -167,9 +176,10 @@ def _procedure(right: Rig, wrong: Rig, mesh: Mesh, sampler: SiteSampler, *, seed
     """A procedure that believes the wrong rig, in a lab that is as the right one says; its devices are connected."""
     clock = VirtualClock(WALL_TIME_S)
     T_b_o = right.T_base_world @ right.T_world_object
-    lab = SimulatedLab(ObjectScene(mesh, T_b_o, _pad(), SimulationErrors(), seed=seed), clock, seed=seed)
+    scene = ObjectScene(mesh, T_b_o, _pad(), SimulationErrors(), seed=seed)
+    lab = SimulatedLab(scene, clock, seed=seed)
     arm, skin = MistakenArm(lab, right, wrong), SimulatedSkin(lab)
-    eye: Any = SimulatedCamera(lab.scene, right.camera, right.T_tool_camera, lambda: arm.tool, clock, seed=seed)
+    eye: Any = SimulatedCamera(scene, right.camera, right.T_tool_camera, lambda: arm.tool, clock, seed=seed)
     for device in (arm, skin, eye):
         device.connect()
     return Procedure(arm, skin, eye, wrong, skin.board, patch_extractor(), sampler.top, clock=clock)

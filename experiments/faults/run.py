@@ -4,12 +4,16 @@
     python -m experiments.faults --sections skin disk    some of it
     python -m experiments.faults --preset debug          everything once or twice, in a minute
 
+The same command goes on where it was stopped: sections that are done are kept, and of the sections rig, sites, links
+and stalls every trial is kept as it is made. `--again` begins anew.
+
 Real drivers talk to emulators of a skin and a UR controller (whose watchdog and protective stop follow Universal
 Robots' documents and were compared with no real controller), and simulated devices fill disks and press a thousand
 times. Every figure says how often it was tried. Results go to --out: report.md and metrics.json. Exit code 1 if a goal
 was missed.
 """
 
+import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -24,14 +28,21 @@ from experiments.common.runs import exit_code_of_run, write_json
 from experiments.faults.ambient import ambient
 from experiments.faults.arm import arm, force
 from experiments.faults.kill import kill
+from experiments.faults.links import links
+from experiments.faults.rig import rig
 from experiments.faults.rows import DEBUG, FaultCounts, FaultRow
 from experiments.faults.simulated import disk, presses
+from experiments.faults.sites import sites
 from experiments.faults.skin import skin
+from experiments.faults.stalls import stalls
+from experiments.faults.trials import TrialStore
 from experiments.faults.volume import volume
 from experiments.faults.wire import wire
 from i2t.errors import DeviceError
 
-Section = Literal["disk", "presses", "ambient", "wire", "arm", "skin", "force", "volume", "kill"]
+Section = Literal[
+    "disk", "presses", "ambient", "wire", "arm", "skin", "force", "volume", "rig", "sites", "links", "stalls", "kill"
+]
 SECTIONS: dict[Section, Callable[[FaultCounts], list[FaultRow]]] = {
     "disk": disk,
     "presses": presses,
@@ -43,6 +54,13 @@ SECTIONS: dict[Section, Callable[[FaultCounts], list[FaultRow]]] = {
     "volume": volume,
     "kill": kill,
 }
+TRIAL_SECTIONS: dict[Section, Callable[[FaultCounts, TrialStore], list[FaultRow]]] = {
+    "rig": rig,
+    "sites": sites,
+    "links": links,
+    "stalls": stalls,
+}
+ALL_SECTIONS: tuple[Section, ...] = (*(name for name in SECTIONS if name != "kill"), *TRIAL_SECTIONS, "kill")
 PRESETS: dict[str, FaultCounts] = {"paper": FaultCounts(), "debug": DEBUG}
 
 
@@ -51,15 +69,22 @@ class FaultsArgs:
     """Break things while touches are collected, and count what is lost."""
 
     out: Path = Path("runs/faults")  # folder for the report
-    sections: tuple[Section, ...] = tuple(SECTIONS)  # which
+    sections: tuple[Section, ...] = ALL_SECTIONS  # which
     preset: Literal["paper", "debug"] = "paper"  # how often
     share: float = 1.0  # of that
+    again: bool = False  # begin anew, whatever is kept in the folder
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     answer_renamed_value(argv, "--preset", RENAMED)
-    args = tyro.cli(FaultsArgs, args=argv, description=__doc__, prog="python -m experiments.faults")
+    args = tyro.cli(
+        FaultsArgs,
+        args=argv,
+        description=__doc__,
+        prog="python -m experiments.faults",
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
     missed: list[FaultRow] = []
     return exit_code_of_run(partial(_run, args, missed)) or int(bool(missed))
 
@@ -71,16 +96,32 @@ def _run(args: FaultsArgs, missed: list[FaultRow]) -> None:
     for name in args.sections:
         print(f"{name} ...", flush=True)
         begun = time.monotonic()
-        try:
-            found = SECTIONS[name](sizes)
-        except DeviceError as error:
-            found = [FaultRow(name, "the section", "-", f"ended early: {error}", "", False)]
+        found = _section(name, args, sizes)
         rows += found
         print(table(found), f"({time.monotonic() - begun:.0f} s)\n", sep="\n", flush=True)
         (args.out / "report.md").write_text(table(rows) + "\n")
         write_json(args.out / "metrics.json", {"sizes": asdict(sizes), "rows": [row._asdict() for row in rows]})
     missed += [row for row in rows if row.met is False]
     print(f"{len(rows)} figures, {len(missed)} goals missed; the report is {args.out / 'report.md'}")
+
+
+def _section(name: Section, args: FaultsArgs, sizes: FaultCounts) -> list[FaultRow]:
+    """The figures of a section, of an earlier run where they are kept."""
+    kept, trials = args.out / "sections" / f"{name}.json", args.out / "trials" / f"{name}.jsonl"
+    if args.again:
+        kept.unlink(missing_ok=True)
+        trials.unlink(missing_ok=True)
+    if kept.exists():
+        before = json.loads(kept.read_text())
+        if before["sizes"] == asdict(sizes):
+            return [FaultRow(**row) for row in before["rows"]]
+    try:
+        found = SECTIONS[name](sizes) if name in SECTIONS else TRIAL_SECTIONS[name](sizes, TrialStore(trials))
+    except DeviceError as error:
+        return [FaultRow(name, "the section", "-", f"ended early: {error}", "", False)]
+    kept.parent.mkdir(exist_ok=True)
+    write_json(kept, {"sizes": asdict(sizes), "rows": [row._asdict() for row in found]})
+    return found
 
 
 def table(rows: Sequence[FaultRow]) -> str:

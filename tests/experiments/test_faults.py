@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from experiments.faults import arm
+from experiments.faults import arm, links, sites, stalls
 from experiments.faults import run as faults
 from experiments.faults.rows import DEBUG, FaultCounts, FaultRow, worst
 from i2t import dataset
@@ -35,6 +35,56 @@ def test_a_goal_that_is_missed_is_the_exit_code(tmp_path, monkeypatch):
     monkeypatch.setitem(faults.SECTIONS, "disk", lambda sizes: missed)
     assert faults.main(["--sections", "disk", "--out", str(tmp_path / "faults")]) == 1
     assert "MISSED" in (tmp_path / "faults" / "report.md").read_text()
+
+
+def test_a_run_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
+    made = []
+
+    def section(sizes, trials):
+        def trial(number):
+            made.append(number)
+            if len(made) == 3:
+                raise KeyboardInterrupt
+            return None if number == 1 else {"value": number}
+
+        return [FaultRow("rig", "what", str(len(trials.run(4, trial))), "", "", True)]
+
+    monkeypatch.setitem(faults.TRIAL_SECTIONS, "rig", section)
+    command = ["--sections", "rig", "--out", str(tmp_path)]
+    assert faults.main(command) == 130
+    with (tmp_path / "trials" / "rig.jsonl").open("a") as file:
+        file.write('{"number": 9')  # as a kill leaves it
+    assert faults.main(command) == 0
+    assert made == [0, 1, 2, 1, 2, 3]  # what could not be made is tried again, what is kept is not
+    assert faults.main(command) == 0
+    assert len(made) == 6
+    assert faults.main([*command, "--again"]) == 0
+    assert made[6:] == [0, 1, 2, 3]
+
+
+@pytest.mark.full
+def test_links_and_stalls_of_a_debug_run(tmp_path):
+    pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
+    (kind,) = {links._trial(0, "lost control connection")["moved"]}
+    assert kind is False
+    stalled = stalls._stall(1)
+    if stalled["pressed"]:  # a busy machine may end the press before
+        assert not stalled["moved"]
+    died, ended = stalls._dying_skin(0)
+    assert 1.0 <= died < ended < died + 3.9
+
+
+@pytest.mark.full
+def test_presses_from_all_sides_are_judged_by_embree():
+    scene = sites._lab("hexagon", 0)[1]
+    T_b_t = scene.T_b_o @ np.diag([1.0, -1.0, -1.0, 1.0])
+    top = sites._mesh("hexagon").vertices[:, 2].max()
+    for away in (0.001, 0.0, -0.002):
+        pose = T_b_t.copy()
+        pose[:3, 3] = scene.T_b_o[:3, 3] + (top + away) * scene.T_b_o[:3, 2]
+        assert abs(sites._through("hexagon", scene.T_b_o, pose) + away) < 1e-6
+    pose[:3, 3] += 0.2 * scene.T_b_o[:3, 0]
+    assert sites._through("hexagon", scene.T_b_o, pose) == -1.0
 
 
 def test_sizes_shrink_to_one_of_each():
