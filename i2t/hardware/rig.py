@@ -12,7 +12,6 @@ import difflib
 import math
 import os
 import sys
-import tomllib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -23,8 +22,10 @@ import tyro
 
 from i2t.cli import exit_code_of
 from i2t.depth.camera import Camera
+from i2t.files import read_toml
 from i2t.geometry import inverse
 from i2t.hardware.limits import MotionLimits, format_position
+from i2t.hardware.rig_checks import implausible
 from i2t.types import RIGID, TWIST_LEVER_M, Array
 
 OBJECT_SOURCES = ("given", "registration")  # how an object's pose is known
@@ -43,7 +44,8 @@ COMMENTS = {
     "camera": "the camera in the tool, how far from a surface it looks (m), and its depth image's lens (pixels)",
     "world": "the robot's base and the object in the world (m); object_from: given or registration; how far the object "
     "may be off along and about its own axes: object_covariance (m^2, turns in radians times 8.5 mm)",
-    "limits": "box for the tool's origin in the base (m), m/s, m/s^2, N, Nm, and the longest approach (m)",
+    "limits": "box for the tool's origin in the base (m), m/s, m/s^2, N, Nm, the longest approach (m), and the "
+    "stiffness of skin, arm and mount in series (N/m), with which collisions are reckoned",
 }
 
 
@@ -126,7 +128,7 @@ class Rig:
         """
         path = Path(path)
         try:
-            tables = tomllib.loads(path.read_text("utf-8"))
+            tables = read_toml(path)
         except FileNotFoundError:
             raise FileNotFoundError(
                 f"{path}: there is no such file; write one to start from with python -m i2t.hardware.rig {path} "
@@ -136,10 +138,6 @@ class Rig:
             raise ValueError(
                 f"{path}: cannot be read ({error.strerror}); check the path and its permissions"
             ) from error
-        except UnicodeDecodeError as error:
-            raise ValueError(f"{path}: is not text in UTF-8; give the rig's TOML file") from error
-        except tomllib.TOMLDecodeError as error:
-            raise ValueError(f"{path}: is not TOML ({error}); correct it there") from error
         try:
             return _parsed(tables)
         except ValueError as error:
@@ -325,12 +323,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         config=(tyro.conf.FlagCreatePairsOff,),
     )
 
-    def show() -> None:
+    def show() -> int:
         if asked.example and asked.file.exists():
             raise FileExistsError(f"{asked.file}: exists already; give another name")
         if asked.example:
             Rig().write(asked.file)
-        print(summary(Rig.read(asked.file)))
+        rig = Rig.read(asked.file)
+        print(summary(rig))
+        doubts = implausible(rig)
+        for doubt in doubts:
+            print(f"DOUBT     {doubt}")
+        return int(bool(doubts))
 
     return exit_code_of(show)
 
@@ -359,7 +362,8 @@ def summary(rig: Rig) -> str:
             + ("" if in_box else "; OUTSIDE the box: nothing on it may be reachable"),
             f"box       {format_position(limits.lower)} to {format_position(limits.upper)} m in the base",
             f"limits    {limits.speed:g} m/s, {limits.acceleration:g} m/s^2, {limits.force:g} N, {limits.torque:g} Nm, "
-            f"approaches of {1e3 * limits.travel:g} mm",
+            f"approaches of {1e3 * limits.travel:g} mm; free motion at {1e3 * limits.free_speed:.0f} mm/s at the most, "
+            f"which a collision at {limits.stiffness / 1e3:g} N/mm allows",
         ]
     )
 

@@ -74,7 +74,9 @@ def test_what_may_be_left_out_is(tmp_path):
     kept = [
         line
         for line in Rig().text().splitlines()
-        if not line.startswith(("speed", "acceleration", "force", "torque", "travel", "model", "coeff", "object_from"))
+        if not line.startswith(
+            ("speed", "acceleration", "force", "torque", "travel", "stiffness", "model", "coeff", "object_from")
+        )
     ]
     path.write_text("\n".join(kept))
     same(Rig.read(path), Rig())
@@ -111,7 +113,7 @@ TOOL, CAMERA = IDENTITY + "0.05]", IDENTITY + "-0.064]"
         ("object_covariance = [\n  [1e-06, 0.0", "object_covariance = [\n  [1e-06, 1e-7", r"is not symmetric"),
         ("object_covariance = [\n  [1e-06", "object_covariance = [\n  [1.0", r"says 1 m; give variances in m"),
         ("[world]", "[globe]", r"'globe' is no table; known are tool, camera, world, limits"),
-        ("speed = 0.25", "speed = 250", r"limits.speed is 250; give m/s, above 0 and at most 1"),
+        ("speed = 0.25", "speed = 250", r"limits.speed is 250; give m/s, from 0.0001 to 1"),
         ("speed = 0.25", "speed = nan", r"limits.speed holds NaN"),
         ("lower = [0.25", "lower = [0.75", r"limits.lower, .*, must lie below upper"),
         ("lower = [0.25, ", "lower = [", r"limits.lower is 2; give 3 numbers"),
@@ -149,9 +151,18 @@ def test_the_summary_warns_of_an_object_outside_the_box(capsys, tmp_path):
     assert "looks from 104 mm" in shown
     assert "(given), within 1.0 mm and 1.0 degrees" in shown
     assert "OUTSIDE" not in shown
+    assert "free motion at 40 mm/s at the most" in shown
+    assert "DOUBT" not in shown
     assert "OUTSIDE" in rigs.summary(Rig(T_world_object=pose([0, 0, 0], [1, 0, 0])))
 
 
+def test_what_is_nearly_always_a_mistake_is_doubted(capsys, tmp_path):
+    dataclasses.replace(Rig(), T_flange_tool=np.eye(4)).write(tmp_path / "lab.toml")
+    assert rigs.main([str(tmp_path / "lab.toml")]) == 1
+    assert "DOUBT     tool.T_flange_tool puts the skin 0 mm from the flange" in capsys.readouterr().out
+
+
+@pytest.mark.full
 def test_the_hardware_layer_needs_no_jax_and_no_sdk():
     names = sorted(path.stem for path in Path(rigs.__file__).parent.glob("*.py") if path.stem != "__init__")
     code = "import sys, " + ", ".join(f"i2t.hardware.{name}" for name in names) + "\n"
