@@ -26,6 +26,7 @@ MAX_GAP_M = 10e-3  # m between the skin and the surface at a pose where they are
 MAX_LEAST_PIXEL_M = 1e-3  # m, nearest pixel of a patch, whose values count from that pixel
 MAX_CENTRE_STEP_M = 0.5e-3  # m, median by which a patch may differ from the middle of its wide view
 LEAST_SEEN_SHARE = 0.5  # of a patch's pixels; with fewer there is a warning
+BESIDE_CENTRE = np.array([0.537, 0.471])  # pixels; a ray through a pixel's centre meets edges of symmetric meshes
 TOLERANCE_M = 1e-6  # m, of single precision
 CLASSES = (64, 8, 1)  # touches that are predicted together, so that a new number of them compiles nothing
 
@@ -317,11 +318,11 @@ def check_in_front(surface: Surface, T_w_t: Float[np.ndarray, "4 4"], patch: Pat
         )
     depth = np.asarray(patch.depth)
     row, column = np.unravel_index(int(depth.argmin()), depth.shape)
-    x, y = (((np.array([column, row]) + 0.5) / len(depth)) - 0.5) * window
+    x, y = ((np.array([column, row]) + BESIDE_CENTRE) / len(depth) - 0.5) * window
     if _starts_inside(np.asarray(surface.triangles, np.float64), T_w_t, float(x), float(y)):
         raise ValueError(
-            "the skin would meet the surface from inside the object at this pose: tool z points out of the object; "
-            "turn T_w_t, or make it by i2t.contact_pose"
+            "the skin would meet the surface from inside the object at this pose: it lies in the object, or tool z "
+            "points out of it; make T_w_t by i2t.contact_pose"
         )
 
 

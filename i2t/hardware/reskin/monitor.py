@@ -12,12 +12,14 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from i2t.cli import exit_code_of
-from i2t.errors import DeviceError
+from i2t.cli import Count, Positive, check_options, exit_code_of, require_path
+from i2t.errors import DataError, DeviceError
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.protocols import Samples, SkinCounters
-from i2t.hardware.reskin.driver import Replay, ReSkin
+from i2t.hardware.reskin.driver import RATE_HZ, Replay, ReSkin
+from i2t.hardware.reskin.keys import pressed_keys
 from i2t.hardware.reskin.stream import BoardInfo, Stream
+from i2t.hardware.reskin.tables import is_table, samples_of, write_table
 from i2t.skin.ambient import load_ambient, mean_known, predict_ambient, subtract_offsets
 from i2t.skin.boards import make_board
 from i2t.types import Board
@@ -27,35 +29,40 @@ LINE_RATE_HZ = 1  # of lines where the output is no terminal
 SHOWN_SAMPLES = 20  # that a drawn value is the mean of
 REST_SAMPLES = 100  # that the rest is the mean of
 HALF_BAR_WIDTH = 16  # characters
+MAP_CELL_WIDTH = 12  # characters
+THIN_ARROWS, DOUBLE_ARROWS = "→↗↑↖←↙↓↘", "⇒⇗⇑⇖⇐⇙⇓⇘"  # every eighth of a turn, from x on
 POSE_S = 1.0  # between two questions after an arm's pose
 RECONNECT_S = 1.0  # between attempts to connect
 
 
 @dataclass(frozen=True)
 class Options:
-    """Show a ReSkin, AnySkin or eFlesh board live: readings less those at the start, or less a fitted ambient field,
-    rate and losses. Ctrl-C ends it.
+    """Show ReSkin, AnySkin or eFlesh boards live: readings less those at the start, or less a fitted ambient field,
+    rate and losses. Keys: z zeroes again, m shows a map of the chips, q or Ctrl-C ends it.
     """
 
-    port: str | None = None
-    """Serial port; by default the one board that is plugged in."""
-    baud: int | None = None
+    port: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Serial port, repeated for several boards; by default the one board that is plugged in."""
+    baud: Count | None = None
     """Baud rate; by default the usual ones are tried."""
     replay: Path | None = None
     """Show this recording instead of a board."""
     board: str = "reskin"
     """Which board it is: reskin, anyskin, or grid-RxC for R rows and C columns of chips."""
     record: Path | None = None
-    """Write every byte to this new file."""
+    """Write every byte to this new file, which can be replayed; one ending in .csv or .npz is a table of samples. Of
+    several boards each has a file, numbered after the first. With --replay a table is made of the recording at once."""
+    map: bool = False
+    """Begin with the map of the chips."""
     ambient: Path | None = None
     """Subtract this ambient field in place of the readings at the start (.ambient.npz in a folder of i2t.collect)."""
     host: str | None = None
     """Address of the UR controller whose arm carries the skin: its pose turns the ambient field."""
     turn: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="RX RY RZ")] = None
     """In place of --host, how the tool stands in the base for good: a rotation vector, rad."""
-    seconds: float = float("inf")
+    seconds: Positive = float("inf")
     """End after this long."""
-    scale: float = 100.0
+    scale: Positive = 100.0
     """Microtesla at the end of a bar."""
     list_ports: Annotated[bool, tyro.conf.arg(name="list")] = False
     """List the USB serial ports and end."""
@@ -73,6 +80,9 @@ def main(args: Sequence[str] | None = None) -> int:
     asked = tyro.cli(Options, args=args, prog="python -m i2t.hardware.reskin", config=(tyro.conf.FlagCreatePairsOff,))
 
     def show() -> None:
+        check_options(asked)
+        require_path("--replay", asked.replay, "recording")
+        require_path("--ambient", asked.ambient, "file")
         if asked.ambient is None and (asked.host or asked.turn):
             raise ValueError("--host and --turn say how an ambient field lies in the skin; pass --ambient FILE too")
         if asked.host and asked.turn:
@@ -81,11 +91,13 @@ def main(args: Sequence[str] | None = None) -> int:
             boards = ReSkin().ports()
             print("\n".join(f"{board.port}  {board.usb}  {board.description}" for board in boards) or "none")
             return
+        _check_recording(asked)
+        if asked.replay and asked.record and is_table(asked.record):
+            samples = samples_of(asked.replay, make_board(asked.board).num_chips, RATE_HZ)
+            print(f"wrote {len(samples.number)} samples to {write_table(asked.record, samples)}")
+            return
         with contextlib.suppress(KeyboardInterrupt):  # which is how it ends
-            chips = make_board(asked.board).num_chips
-            rest = _rest(asked)
-            skin = Replay(asked.replay, chips=chips) if asked.replay else ReSkin(asked.port, asked.baud, chips=chips)
-            _show_live(skin, asked, rest)
+            _show_live(_views(asked), asked)
 
     return exit_code_of(show)
 
@@ -155,11 +167,44 @@ def bar(part: float) -> str:
     return f"{left:>{HALF_BAR_WIDTH}}|{right:<{HALF_BAR_WIDTH}}"
 
 
+def map_picture(board: Board, change: np.ndarray, *, scale: float) -> list[str]:
+    """The chips where they lie under the skin, seen from outside, each with its change of field.
+
+    Args:
+        board: Of n chips.
+        change: (3 n,) uT, in the board's order and the chips' own axes; NaN for a chip that is missing.
+        scale: uT that are an arrow's full length.
+
+    Returns:
+        Lines: an arrow for the part along the skin (by its size `.`, a thin or a double one), and the part out of it.
+    """
+    places = np.asarray(board.chips, float)[:, :2]
+    fields = np.asarray(board.to_tool(np.asarray(change, float)))
+    across = np.unique(np.round(places[:, 0], 4))
+    down = np.unique(np.round(places[:, 1], 4))[::-1]
+    cells = {(round(x, 4), round(y, 4)): _map_cell(field, scale) for (x, y), field in zip(places, fields, strict=True)}
+    lines = ["".join(cells.get((x, y), "").center(MAP_CELL_WIDTH) for x in across).rstrip() for y in down]
+    return [line for pair in zip(lines, [""] * len(lines), strict=True) for line in pair][:-1]
+
+
+def _map_cell(field: np.ndarray, scale: float) -> str:
+    if not np.isfinite(field).all():
+        return "missing"
+    size = float(np.hypot(field[0], field[1]))
+    arrows = THIN_ARROWS if size < scale / 2 else DOUBLE_ARROWS
+    turn = round(float(np.arctan2(field[1], field[0])) / (np.pi / 4)) % 8
+    return f"{'.' if size < scale / 10 else arrows[turn]} {field[2]:+.0f}"
+
+
 class _EarlyRest:
     """The mean of the first samples, which is subtracted from all others."""
 
     def __init__(self) -> None:
         self._early: list[np.ndarray] = []
+
+    def again(self) -> None:
+        """Begin anew with the next samples."""
+        self._early = []
 
     def __call__(self, samples: Samples) -> tuple[np.ndarray, str]:
         """(c,) uT to subtract from samples, and what there is to say of it."""
@@ -174,6 +219,9 @@ class _AmbientRest:
 
     def __init__(self, path: Path, board: Board, pose: Callable[[], tuple[np.ndarray, str]] | None) -> None:
         self._field, self._board, self._pose = load_ambient(path, board)[0], board, pose
+
+    def again(self) -> None:
+        """A fitted field needs no zero."""
 
     def __call__(self, samples: Samples) -> tuple[np.ndarray, str]:
         """(c,) uT to subtract from samples, and what there is to say of it."""
@@ -206,7 +254,7 @@ class _ToolPose:
         return self._pose, ""
 
 
-def _rest(asked: Options) -> Callable[[Samples], tuple[np.ndarray, str]]:
+def _rest(asked: Options) -> "_EarlyRest | _AmbientRest":
     """What is subtracted from samples."""
     if asked.ambient is None:
         return _EarlyRest()
@@ -217,35 +265,134 @@ def _rest(asked: Options) -> Callable[[Samples], tuple[np.ndarray, str]]:
     return _AmbientRest(asked.ambient, board, _ToolPose(asked.host) if asked.host else None)
 
 
-def _show_live(skin: Stream, asked: Options, subtract: Callable[[Samples], tuple[np.ndarray, str]]) -> None:
-    live, end = sys.stdout.isatty(), time.monotonic() + asked.seconds
+@dataclass
+class _View:
+    """One board as it is shown."""
+
+    skin: Stream
+    board: Board
+    subtract: "_EarlyRest | _AmbientRest"
+    record: Path | None  # recording of bytes, or the table that is made of it in the end
+    lasting: bool  # whether a board that is gone ends the program: a recording is not taken up again in silence
+    began: float = 0.0  # Unix time in s
+    shown: Samples | None = None
+    rest: np.ndarray | None = None
+    said: str = ""
+    trouble: str = ""
+
+    @property
+    def bytes_file(self) -> Path | None:
+        """Where the bytes go."""
+        table = self.record is not None and is_table(self.record)
+        return self.record.with_name(f"{self.record.name}.bytes") if self.record and table else self.record
+
+    def start(self) -> None:
+        """Connect, and begin to record."""
+        self.skin.connect()
+        if self.bytes_file is not None:
+            self.began = time.time()
+            self.skin.record(self.bytes_file)
+
+    def look(self) -> None:
+        """Take the newest samples."""
+        try:
+            newest = int(self.skin.latest().number[-1])
+            self.shown = self.skin.since(newest - SHOWN_SAMPLES)
+            self.rest, self.said = self.subtract(self.shown)
+            self.trouble = ""
+        except DeviceError as error:
+            if self.lasting:
+                raise
+            self.trouble = _try_again(self.skin, error)
+
+    def picture(self, scale: float, as_map: bool) -> list[str]:
+        """Its lines; the second is its head, the last but one its sum."""
+        if self.shown is None or self.rest is None:
+            return ["", "", "", self.trouble]
+        skin = self.skin
+        lines = picture(skin.info, skin.features.source, skin.counters, self.shown, self.rest, scale=scale)
+        if as_map:
+            change = mean_known(self.shown.reading, axis=0) - self.rest
+            lines = [*lines[:3], *map_picture(self.board, change, scale=scale), lines[-1]]
+        return [*lines[:-1], lines[-1] + self.said, self.trouble]
+
+    def finish(self) -> str:
+        """Let the board go, and make the table; returns what to say of it."""
+        self.skin.close()
+        file = self.bytes_file
+        if self.record is None or file is None or file == self.record or not file.exists():
+            return ""
+        try:
+            samples = samples_of(file, self.board.num_chips, RATE_HZ)
+            write_table(self.record, samples, self.began)
+        except (DeviceError, DataError, OSError) as error:
+            return f"no table was made, and the bytes are kept in {file}: {error}"
+        file.unlink()
+        return f"wrote {len(samples.number)} samples to {self.record}"
+
+
+def _views(asked: Options) -> list[_View]:
+    board = make_board(asked.board)
+    lasting = bool(asked.replay or asked.record)
+    views: list[_View] = []
+    for number, port in enumerate(asked.port or (None,)):
+        skin = (
+            Replay(asked.replay, chips=board.num_chips)
+            if asked.replay
+            else ReSkin(port, asked.baud, chips=board.num_chips)
+        )
+        views.append(_View(skin, board, _rest(asked), _numbered(asked.record, number), lasting))
+    return views
+
+
+def _numbered(path: Path | None, number: int) -> Path | None:
+    """The file of the board of this number."""
+    return path if path is None or number == 0 else path.with_name(f"{path.stem}-{number + 1}{path.suffix}")
+
+
+def _check_recording(asked: Options) -> None:
+    """Refuse what would be found out at the end only."""
+    if asked.replay and len(asked.port) > 0:
+        raise ValueError("--replay and --port both say what to show; pass one of them")
+    if len(set(asked.port)) < len(asked.port):
+        raise ValueError("--port names one board twice; name each once")
+    for number in range(max(1, len(asked.port))):
+        file = _numbered(asked.record, number)
+        if file is not None and is_table(file):
+            for taken in (file, file.with_name(f"{file.name}.bytes")):
+                if taken.exists():
+                    raise FileExistsError(f"{taken}: exists already; give the recording a new name")
+
+
+def _show_live(views: list[_View], asked: Options) -> None:
+    live, end, as_map, drawn = sys.stdout.isatty(), time.monotonic() + asked.seconds, asked.map, 0
     try:
-        skin.connect()
-        if asked.record:
-            skin.record(asked.record)
-        trouble = ""
-        drawn = 0
-        while time.monotonic() < end:
-            try:
-                newest = int(skin.latest().number[-1])
-                shown = skin.since(newest - SHOWN_SAMPLES)
-                rest, said = subtract(shown)
-                trouble = ""
-            except DeviceError as error:
-                if asked.replay or asked.record:  # a recording must not be taken up again in silence
-                    raise
-                trouble = _try_again(skin, error)
-            lines = picture(skin.info, skin.features.source, skin.counters, shown, rest, scale=asked.scale)
-            lines = [*lines[:-1], lines[-1] + said, trouble]
-            if live:
-                print(f"\x1b[{drawn}F\x1b[J" if drawn else "", "\n".join(lines), sep="")
-                drawn = len(lines)
-                time.sleep(1 / FRAME_RATE_HZ)
-            else:
-                print(lines[1], lines[-2], trouble, sep="  ", flush=True)
-                time.sleep(1 / LINE_RATE_HZ)
+        for view in views:
+            view.start()
+        with pressed_keys() as keys:
+            while time.monotonic() < end:
+                for key in keys.newest():
+                    as_map ^= key == "m"
+                    end = time.monotonic() if key == "q" else end
+                    for view in views if key == "z" else ():
+                        view.subtract.again()
+                for view in views:
+                    view.look()
+                pictures = [view.picture(asked.scale, as_map) for view in views]
+                if live:
+                    lines = [line for each in pictures for line in each]
+                    print(f"\x1b[{drawn}F\x1b[J" if drawn else "", "\n".join(lines), sep="")
+                    drawn = len(lines)
+                    time.sleep(1 / FRAME_RATE_HZ)
+                else:
+                    for each in pictures:
+                        print(each[1], each[-2], each[-1], sep="  ", flush=True)
+                    time.sleep(1 / LINE_RATE_HZ)
     finally:
-        skin.close()
+        for view in views:
+            said = view.finish()
+            if said:
+                print(said)
 
 
 def _try_again(skin: Stream, error: DeviceError) -> str:

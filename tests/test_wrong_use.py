@@ -1,0 +1,419 @@
+"""What a newcomer does wrong with commands and functions is answered in one sentence, at once, and leaves nothing.
+
+`COMMANDS` and `CALLS` are the list. Commands run in this process in a folder of their own; a few of them run as
+processes too, in the full tier, where they are timed.
+"""
+
+import re
+from collections.abc import Callable
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+
+import i2t
+from i2t import geometry
+from i2t.objects import catalogue
+from i2t.prediction import user_input
+from i2t.prediction.baselines import MeanReading
+from i2t.prediction.predictor import BaselineModel, Predictor, Reading
+from i2t.types import REACH, Patch, Surface
+
+ROOT = Path(__file__).parents[1]
+DATA = "a.h5"  # where only a name is asked for
+# What is typed after `python -m`, and a word of the answer. Files that exist: mesh.stl (mm), other/mesh.stl, table.csv,
+# text.txt, empty/ (a folder).
+COMMANDS = [
+    ("i2t nonsense", "is no command"),
+    ("i2t.collect --touches -5", "--touches"),
+    ("i2t.collect --touches 0", "--touches"),
+    ("i2t.collect --seed -1", "--seed"),
+    ("i2t.collect --stiffness 0", "--stiffness"),
+    ("i2t.collect --settings.force 1000", "force"),
+    ("i2t.collect --settings.press -1", "press"),
+    ("i2t.collect --settings.force nan", "force"),
+    ("i2t.collect --object nothing.stl", "neither a mesh file nor an object"),
+    ("i2t.collect --object mesh.stl", "unit"),
+    ("i2t.collect --object hexagn", "neither a mesh file nor an object"),
+    ("i2t.collect --replay nothing.bytes", "there is no such"),
+    ("i2t.collect --replay text.txt", "no effect without --skin replay"),
+    ("i2t.collect --skin replay", "pass --replay"),
+    ("i2t.collect --camera folder", "pass --views"),
+    ("i2t.collect --views empty", "no effect without --camera folder"),
+    ("i2t.collect --rig nothing.toml", "there is no such"),
+    ("i2t.collect --pad nothing.npz", "there is no such"),
+    ("i2t.collect --host 192.168.0.2", "--host"),
+    ("i2t.collect --port /dev/ttyUSB0", "--port"),
+    ("i2t.collect --out text.txt", "is a file"),
+    ("i2t.collect --force", "--force"),
+    ("i2t.place lab.toml --object nothing.stl --host h", "neither a mesh file nor an object"),
+    ("i2t.hardware.reskin --replay nothing.raw", "there is no such"),
+    ("i2t.hardware.reskin --host 192.168.0.2", "--ambient"),
+    ("i2t.hardware.reskin --seconds -1", "--seconds"),
+    ("i2t.hardware.reskin --scale 0", "--scale"),
+    ("i2t.convert summary nowhere", "no such file or folder"),
+    ("i2t.convert summary empty", "empty"),
+    ("i2t.convert presses nowhere.csv DATA --indenter sphere:4", "no such file or folder"),
+    ("i2t.convert presses table.csv DATA --indenter ball:4", "give sphere:RADIUS"),
+    ("i2t.convert presses table.csv DATA --indenter sphere:-4", "give sphere:RADIUS"),
+    ("i2t.convert presses table.csv DATA --indenter mesh:mesh.stl", "unit"),
+    ("i2t.convert presses table.csv DATA --indenter sphere:4 --unit mm", "--unit"),
+    ("i2t.convert presses table.csv DATA --indenter sphere:4 --window-mm -3", "--window-mm"),
+    ("i2t.convert presses table.csv DATA --indenter sphere:4 --board five", "--board five"),
+    ("i2t.convert presses text.txt DATA --indenter sphere:4", "is missing"),
+    ("i2t.convert presses table.csv . --indenter sphere:4", "which no conversion wrote"),
+    ("i2t.convert npz table.csv out.npy", ".npz"),
+    ("i2t.convert pack nowhere OUT", "no such file or folder"),
+    ("i2t.convert ambient table.csv OUT --field nothing.npz", "there is no such file"),
+    ("i2t.convert eflesh nowhere OUT", "no such file or folder"),
+    ("i2t.convert presses table.csv DATA --indenter sphere:4 --force", "--overwrite"),
+    ("experiments.train --seeds 0", "--seeds is 0"),
+    ("experiments.train --epochs 0", "--epochs is 0"),
+    ("experiments.train --seed -1", "--seed is -1"),
+    ("experiments.train --pads", "--pads names nothing"),
+    ("experiments.train --dataset nowhere", "no such data set"),
+    ("experiments.train --dataset empty", "is an empty folder"),
+    ("experiments.train --pad nothing.npz", "there is no such file"),
+    ("experiments.train --pad text.txt --dataset empty", "pass one of them"),
+    ("experiments.train --objects mesh.stl --unit mm", "pass both, or neither"),
+    ("experiments.train --unit mm", "pass both"),
+    ("experiments.train --split time", "no effect without --dataset"),
+    ("experiments.train --out text.txt", "is a file"),
+    ("experiments.train --out .", "holds no run"),
+    ("experiments.train --out . --overwrite", "holds no run"),
+    ("experiments.recognize", "holds no finished run"),
+    ("experiments.recognize --trained-run nowhere", "holds no finished run"),
+    ("experiments.recognize --objects", "--objects names nothing"),
+    ("experiments.recognize --objects star", "two objects"),
+    ("experiments.recognize --objects star nothing.stl --unit mm", "neither a mesh file"),
+    ("experiments.recognize --objects star mesh.stl", "unit"),
+    ("experiments.recognize --objects mesh.stl other/mesh.stl --unit mm", "both called mesh"),
+    ("experiments.recognize --episodes 0", "--episodes is 0"),
+    ("experiments.recognize --num-particles -3", "--num-particles is -3"),
+    ("experiments.recognize --max-touches 3", "no effect without --dataset"),
+    ("experiments.recognize --other-skin", "no effect without --dataset"),
+    ("experiments.recognize --method paper --objects star hammer", "--method paper"),
+    ("experiments.recognize --pad text.txt", "--pad is for recorded touches"),
+    ("experiments.recognize live --objects star nothing.stl --unit mm", "neither a mesh file"),
+    ("experiments.recognize live --prior-unknown 2", "give a probability"),
+    ("experiments.recognize live --max-error-probability 5", "give 0 to 1"),
+    ("experiments.recognize live --true-object nothing", "choose one of"),
+    ("experiments.recognize live --views empty", "no effect without --camera folder"),
+    ("experiments.studies", "study"),
+    ("experiments.studies nothing", "nothing"),
+    ("experiments.studies policy", "holds no finished run"),
+    ("experiments.studies policy --episodes 0", "--episodes is 0"),
+    ("experiments.studies policy --meshes empty", "is for the study object_count"),
+    ("experiments.studies object_count --meshes empty", "holds no STL file"),
+    ("experiments.studies pose_error --pose-errors -1", "--pose-errors is -1"),
+    ("experiments.calibrate", "pass --dataset"),
+    ("experiments.calibrate --dataset nowhere", "no such data set"),
+    ("experiments.calibrate --dataset table.csv --presses 1", "--presses is 1"),
+    ("experiments.calibrate --dataset table.csv --draws 0", "--draws is 0"),
+    ("experiments.calibrate --dataset table.csv --period-mm -2", "--period-mm is -2"),
+    ("experiments.calibrate --dataset table.csv --targets weight", "is no target"),
+    ("experiments.calibrate --dataset table.csv --tip sphere:4", "no effect without --save-pad"),
+    ("experiments.calibrate --calibration nothing.npz --save-pad x.npz", "there is no such file"),
+    ("experiments.calibrate --dataset table.csv --save-pad empty", "is a folder"),
+    ("experiments.fidelity", "pass --dataset"),
+    ("experiments.fidelity --dataset nowhere", "no such data set"),
+    ("experiments.fidelity --simulated-skins -2", "--simulated-skins is -2"),
+    ("experiments.unknowns --cases 0", "--cases is 0"),
+    ("experiments.unknowns --kinds soft", "not simulated"),
+    ("experiments.unknowns --questions why", "why"),
+    ("experiments.calibrate_pads --prior --kinds", "pass one of them"),
+    ("experiments.calibrate_pads --prior --seed 3", "--seed has no effect"),
+    ("experiments.second_world --touches -1", "--touches is -1"),
+    ("experiments.pads --skins 1", "--skins is 1"),
+    ("experiments.refine --noise -1", "--noise is -1"),
+    ("experiments.refine --data nowhere", "there is no such folder"),
+    ("experiments.shapes --dataset nowhere", "no such data set"),
+    ("experiments.tsne --dataset nowhere", "no such data set"),
+    ("experiments.clouds --shapes cloud", "is no object of the catalogue"),
+    ("experiments.real_frames --data empty", "is missing"),
+    ("experiments.benchmark --sections speed", "choose"),
+    ("experiments.reproduce --only nothing", "there is no step nothing"),
+    ("experiments.notebooks nothing", "no notebook is called nothing"),
+]  # fmt: skip
+
+
+def main_of(module: str) -> Callable[[list[str]], int]:
+    """What `python -m` runs."""
+    spec = find_spec(module)
+    assert spec is not None
+    return import_module(f"{module}.__main__" if spec.submodule_search_locations else module).main
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A working folder with the files that the list names."""
+    here = tmp_path_factory.mktemp("here")
+    box = trimesh.creation.box((30, 30, 30))
+    (here / "other").mkdir()
+    (here / "empty").mkdir()
+    box.export(here / "mesh.stl")
+    box.export(here / "other" / "mesh.stl")
+    names = "x_mm,y_mm,depth_mm," + ",".join(f"b{chip}{axis}_uT" for chip in range(5) for axis in "xyz")
+    rows = [f"{x},{-x},0.{x + 3}," + ",".join(str(10 * x + i) for i in range(15)) for x in range(-2, 3)]
+    (here / "table.csv").write_text("\n".join([names, *rows]) + "\n")
+    (here / "text.txt").write_text("no data at all\n")
+    return here
+
+
+def contents(here: Path) -> set[str]:
+    return {str(path.relative_to(here)) for path in here.rglob("*")}
+
+
+def test_the_list_is_long_enough():
+    assert len(COMMANDS) + len(PATCHES) + len(POSES) >= 130
+    assert len({words for words, _ in COMMANDS}) == len(COMMANDS)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(("words", "said"), COMMANDS, ids=[words for words, _ in COMMANDS])
+def test_a_wrong_command_is_answered_in_one_sentence_and_leaves_nothing(words, said, folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    refuse(words, said, folder, capsys)
+
+
+def test_some_wrong_commands_are_answered_in_one_sentence_and_leave_nothing(folder, monkeypatch, capsys):
+    """Those of the list that import least; the full tier has all."""
+    monkeypatch.chdir(folder)
+    some = [each for each in COMMANDS if each[0].startswith(("experiments.train ", "experiments.studies "))]
+    assert len(some) > 15
+    for words, said in some:
+        refuse(words, said, folder, capsys)
+
+
+def refuse(words: str, said: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Runs a command that is wrong, and judges the answer."""
+    before = contents(folder)
+    module, *args = words.split()
+    try:
+        code = main_of(module)(args)
+    except SystemExit as ended:  # the parser of options
+        code = ended.code
+    printed = capsys.readouterr().err
+    assert code == 2
+    assert said in " ".join(re.sub("[│╭╮╰╯─]", " ", printed).split())
+    assert "Traceback" not in printed
+    if printed.startswith("error: "):
+        assert printed.count("\n") == 1
+    else:
+        assert printed.count("\n") <= 16  # the parser's box, which names the option and what comes near it
+    assert contents(folder) == before
+
+
+# --- functions ---
+
+
+WIDE = np.zeros((72, 72), np.float32)
+FLAT = np.zeros((48, 48), np.float32)
+
+
+@pytest.fixture(scope="module")
+def predictor() -> Predictor:
+    """The simplest there is: what is refused does not depend on the model."""
+    baseline = MeanReading(jnp.arange(15.0), jnp.ones(15))
+    return Predictor(BaselineModel(baseline), 17e-3, REACH, default_force=1.0, default_depth=0.3e-3)
+
+
+@pytest.fixture(scope="module")
+def box() -> i2t.Mesh:
+    """60 mm in each direction, standing on z = 0."""
+    solid = trimesh.creation.box((60e-3, 60e-3, 60e-3))
+    return i2t.Mesh(np.asarray(solid.vertices) + np.array([0, 0, 30e-3]), np.asarray(solid.faces, np.int32))
+
+
+def on_top(height: float = 0.0, up: bool = False) -> np.ndarray:
+    """The tool on the middle of the box's top, so far above it, looking down or up."""
+    at = np.array([0.0, 0, 60e-3 + height])
+    return np.asarray(geometry.contact_frame(at, np.array([0.0, 0, -1.0 if up else 1.0])), np.float32)
+
+
+PATCHES: list[tuple[dict[str, Any], str]] = [
+    ({"patch": np.full((48, 48), REACH)}, "shows no surface"),
+    ({"patch": np.stack([FLAT, np.full((48, 48), REACH)])}, "touch 1"),
+    ({"patch": np.linspace(0, 4, 48 * 48).reshape(48, 48)}, "divide millimetres by 1000"),
+    ({"patch": -np.linspace(0, 4e-3, 48 * 48).reshape(48, 48)}, "negative"),
+    ({"patch": np.linspace(2e-3, 4e-3, 48 * 48).reshape(48, 48)}, "counts from that point"),
+    ({"patch": np.full((48, 48), np.nan)}, "NaN"),
+    ({"patch": np.zeros((48, 47))}, "shape"),
+    ({"patch": np.zeros((0, 48, 48))}, "shape"),
+    ({"patch": FLAT, "force": 1e6}, "bears at most"),
+    ({"patch": FLAT, "force": -1.0}, "not pulled"),
+    ({"patch": FLAT, "force": np.nan}, "finite"),
+    ({"patch": FLAT, "force": [1.0, 2.0]}, "one for each of 1"),
+    ({"patch": FLAT, "nearest": -0.3}, "give metres"),
+    ({"patch": FLAT, "depth": 0.5}, "give metres"),
+    ({"patch": FLAT, "wide": np.full((72, 72), np.nan)}, "NaN or infinite where the patch is"),
+    ({"patch": FLAT, "wide": np.zeros((72, 71))}, "wide has shape"),
+    ({"patch": FLAT, "wide": np.zeros((3, 72, 72))}, "wide has shape"),
+    ({"patch": FLAT, "wide": np.zeros((20, 20))}, "wide has shape"),
+    ({"patch": FLAT, "wide": WIDE + 2.0}, "metres behind"),
+    ({"patch": FLAT, "wide": WIDE + 2e-3}, "another view"),
+    ({"patch": FLAT, "valid": np.zeros((48, 48), bool)}, "no pixel of the patch was seen"),
+    ({"patch": FLAT, "valid": np.zeros((48, 48))}, "give booleans"),
+    ({"patch": FLAT, "valid": np.zeros((3, 3), bool)}, "give booleans"),
+]  # fmt: skip
+POSES: list[tuple[Any, str]] = [
+    (on_top(0.5), "500 mm in front"),
+    (on_top(-20e-3), "20 mm behind"),
+    (on_top(0.0, up=True), "from inside the object"),
+    (on_top(-30e-3, up=True), "30 mm behind"),
+    (on_top(-60e-3), "from inside the object"),
+    (np.diag([2.0, 2, 2, 1]), "no rigid transform"),
+    (np.full((4, 4), np.nan), "finite"),
+    (np.eye(3), "shape"),
+    (on_top() + np.array([[0, 0, 0, 1.0], *np.zeros((3, 4))]), "nothing lies in front"),
+]
+
+
+@pytest.mark.parametrize(("given", "said"), PATCHES, ids=[f"{i}: {said}" for i, (_, said) in enumerate(PATCHES)])
+def test_a_patch_that_is_none_is_refused_in_one_sentence(predictor, given, said):
+    with pytest.raises(ValueError, match=re.escape(said)) as refused:
+        predictor.predict(**given)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(("pose", "said"), POSES, ids=[f"{i}: {said}" for i, (_, said) in enumerate(POSES)])
+def test_a_pose_without_contact_is_refused_in_one_sentence(predictor, box, pose, said):
+    with pytest.raises(ValueError, match=said) as refused:
+        predictor.predict_touch(box, pose, force=1.0)
+    assert "\n" not in str(refused.value)
+
+
+def seen(height: float) -> Patch:
+    """A flat at a height above the tool's origin (m, along tool z)."""
+    return Patch(FLAT, np.float32(height))
+
+
+def test_where_the_skin_lies_is_judged_by_the_faces_before_and_behind_it(box):
+    corners = Surface(np.asarray(box.vertices)[box.faces])
+    for pose, height in ((on_top(), 0.0), (on_top(3e-3), 3e-3), (on_top(-3e-3), -3e-3)):
+        user_input.check_in_front(corners, pose, seen(height), 17e-3)
+    for pose, height, said in (
+        (on_top(0.5), 0.5, "500 mm in front"),
+        (on_top(-20e-3), -20e-3, "20 mm behind"),
+        (on_top(up=True), 0.0, "from inside the object"),
+        (on_top(-60e-3), 0.0, "from inside the object"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            user_input.check_in_front(corners, pose, seen(height), 17e-3)
+    inverted = Surface(corners.triangles[:, ::-1])
+    user_input.check_in_front(inverted, on_top(), seen(0.0), 17e-3)  # of a mesh turned inside out nobody knows
+    half = Surface(corners.triangles[:6])
+    user_input.check_in_front(half, on_top(up=True), seen(0.0), 17e-3)
+
+
+@pytest.mark.full
+def test_a_pose_on_the_surface_is_not_refused(predictor, box):
+    """One or many, a little in the air or in the object; an inverted or open mesh says nothing of inside."""
+    for height in (0.0, 3e-3, -3e-3):
+        assert predictor.predict_touch(box, on_top(height)).mean.shape == (15,)
+    many = predictor.predict_touch(box, np.stack([on_top(), on_top(1e-3), on_top()]), force=[1.0, 2.0, 3.0])
+    assert many.mean.shape == many.std.shape == (3, 15)
+    inverted = box._replace(faces=box.faces[:, ::-1])
+    assert predictor.predict_touch(inverted, on_top()).mean.shape == (15,)
+
+
+def test_a_force_far_beyond_training_is_warned_of(predictor):
+    with pytest.warns(UserWarning, match="no more than a guess"):
+        predictor.predict(FLAT, force=30.0)
+
+
+class MeshOfOpen3D:
+    """What such a mesh looks like from outside."""
+
+    def __init__(self, mesh: i2t.Mesh) -> None:
+        self.vertices, self.triangles = list(mesh.vertices), list(mesh.faces)
+
+
+@pytest.mark.full
+def test_any_mesh_is_taken_and_a_file_is_where_load_mesh_puts_it(predictor, box, tmp_path):
+    solid = trimesh.Trimesh(1e3 * (box.vertices + np.array([0.5, 0.2, 0.1])), box.faces)
+    solid.export(tmp_path / "box.stl")
+    loaded = i2t.load_mesh(tmp_path / "box.stl", "mm")
+    np.testing.assert_allclose(np.ptp(loaded.vertices, axis=0), 60e-3, rtol=1e-6)
+    for mesh in (loaded, trimesh.Trimesh(box.vertices, box.faces), MeshOfOpen3D(box), tmp_path / "box.stl"):
+        unit = "mm" if isinstance(mesh, Path) else None
+        assert predictor.predict_touch(mesh, on_top(), unit=unit).mean.shape == (15,)
+    with pytest.raises(ValueError, match="metres"):
+        predictor.predict_touch(trimesh.Trimesh(1e3 * box.vertices, box.faces), on_top())
+    with pytest.raises(ValueError, match="unit is of a file"):
+        predictor.predict_touch(box, on_top(), unit="mm")
+    with pytest.raises(ValueError, match="say in which unit"):
+        predictor.predict_touch(tmp_path / "box.stl", on_top())
+
+
+@pytest.mark.full
+def test_two_bodies_in_a_file_are_not_dropped_silently(predictor, tmp_path):
+    bodies = [trimesh.creation.box((30, 30, 30)), trimesh.creation.box((30, 30, 29))]
+    bodies[1].apply_translation((60, 0, 0))
+    trimesh.util.concatenate(bodies).export(tmp_path / "two.stl")
+    with pytest.warns(UserWarning, match="loose pieces with 49 % of the area"):
+        predictor.predict_touch(tmp_path / "two.stl", on_top(-30e-3), unit="mm")
+    with pytest.warns(UserWarning, match="loose pieces"):
+        i2t.load_mesh(tmp_path / "two.stl", "mm")
+
+
+@pytest.mark.full
+def test_every_value_of_the_public_face_shows_itself_in_one_line(predictor, box):
+    surface = i2t.prepare_surface(box)
+    shown = [
+        box, surface, i2t.render_patch(surface, jnp.asarray(on_top())), i2t.reskin_board(), i2t.nominal_pad(),
+        predictor, predictor.predict(FLAT), catalogue.make_object("dome"),
+    ]  # fmt: skip
+    for value in shown:
+        assert "\n" not in repr(value), repr(value)
+        assert len(repr(value)) < 500
+    assert repr(box) == "Mesh(vertices=8x3 float64, faces=12x3 int32)"
+
+
+def test_a_new_number_of_touches_asks_the_model_for_one_of_three_sizes(predictor, monkeypatch):
+    asked = []
+    ask = Predictor.predict_batch
+    monkeypatch.setattr(
+        Predictor, "predict_batch", lambda self, batch: asked.append(len(batch.patch)) or ask(self, batch)
+    )
+    force = np.linspace(0.5, 1.5, 100)
+    for n in (1, 2, 5, 8, 9, 63, 64, 100):
+        seen = predictor.predict(np.repeat(FLAT[None], n, 0), force=force[:n])
+        assert seen.mean.shape == seen.std.shape == (n, 15)
+    assert set(asked) == {1, 8, 64}
+
+
+def test_rows_of_a_batch_are_those_of_the_touches():
+    """Whatever their number, each touch is asked for once, in its place."""
+    for n in range(1, 150):
+        rows = np.concatenate([part.touches[: part.wanted] for part in user_input.size_classes(n)])
+        np.testing.assert_array_equal(rows, np.arange(n))
+
+
+def test_pixels_that_nobody_saw_widen_the_spread(monkeypatch, predictor):
+    """As much as it matters whether something is there."""
+    patch = np.linspace(0, 3e-3, 48 * 48, dtype=np.float32).reshape(48, 48)
+    mask = np.ones((48, 48), bool)
+    mask[30:] = False
+
+    def by_mean_depth(self, batch):
+        mean = np.tile(1e4 * batch.patch.mean((1, 2))[:, None], (1, 15))
+        return Reading(mean, np.ones_like(mean))
+
+    monkeypatch.setattr(Predictor, "predict_batch", by_mean_depth)
+    whole, part = predictor.predict(patch), predictor.predict(patch, valid=mask)
+    empty, continued = (1e4 * one.mean() for one in user_input.fill_unseen(patch[None], mask, REACH))
+    assert empty > continued > 0
+    np.testing.assert_allclose(whole.std, 1.0)
+    np.testing.assert_allclose(part.std, np.hypot(1.0, (empty - continued) / 2), rtol=1e-5)
+    np.testing.assert_allclose(part.mean, (empty + continued) / 2, rtol=1e-5)
+    np.testing.assert_array_equal(predictor.predict(patch, valid=np.ones((48, 48), bool)).mean, whole.mean)
+    mask[8:] = False
+    with pytest.warns(UserWarning, match="only 17 % of the patch was seen"):
+        predictor.predict(patch, valid=mask)
