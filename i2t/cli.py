@@ -132,12 +132,12 @@ def docstring_of(module: str) -> str:
     return ast.get_docstring(ast.parse(Path(spec.origin).read_text())) or ""
 
 
-def exit_code_of(work: Callable[[], Any], interrupted: str = "interrupted") -> int:
+def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] = "interrupted") -> int:
     """Do a command's work and say how it ended: what its user can mend in one sentence, after Ctrl-C how things stand.
 
     Args:
         work: Of the command; an int that it returns is the exit code.
-        interrupted: The sentence after Ctrl-C.
+        interrupted: The sentence after Ctrl-C, or what makes it then.
 
     Returns:
         The exit code: that of `work` or 0; 2 if what was asked for cannot be done (a ValueError, or a file or folder
@@ -152,7 +152,7 @@ def exit_code_of(work: Callable[[], Any], interrupted: str = "interrupted") -> i
         print(f"error: {error}", file=sys.stderr)
         return FAILED
     except KeyboardInterrupt:
-        print(f"\n{interrupted}", file=sys.stderr)
+        print(f"\n{interrupted() if callable(interrupted) else interrupted}", file=sys.stderr)
         return INTERRUPTED_BY_USER
     except MemoryError:
         print("error: the memory of this machine is used up; ask for less at a time", file=sys.stderr)

@@ -27,11 +27,19 @@ def exit_code_of_run(work: Callable[[], Any], resumable: Path | None = None) -> 
     """The exit code of a command: what its user can mend is said in one sentence, and after Ctrl-C where a `resumable`
     run left its finished parts. A run that made nothing leaves nothing behind, nor does it take an earlier one's place.
     """
-    kept = "" if resumable is None else f"; finished parts are in {resumable}, go on with --resume"
     try:
-        return exit_code_of(work, f"interrupted{kept}")
+        return exit_code_of(work, lambda: _interrupted(resumable))
     finally:
         settle_begun()
+
+
+def _interrupted(resumable: Path | None) -> str:
+    """How things stand after Ctrl-C."""
+    if not any(_made_something(out) for out in _BEGUN):
+        return "interrupted; nothing was made"
+    if resumable is None:
+        return "interrupted; what was made is no complete run: the same command with --overwrite begins again"
+    return f"interrupted; finished parts are in {resumable}, go on with --resume"
 
 
 def settings(args: Any) -> dict[str, Any]:
@@ -105,12 +113,17 @@ def settle_begun() -> None:
     while _BEGUN:
         out = _BEGUN.pop()
         aside = _aside(out)
-        if out.is_dir() and not any(path.is_file() and path != out / CONFIG for path in out.rglob("*")):
-            shutil.rmtree(out)
+        if not _made_something(out):
+            shutil.rmtree(out, ignore_errors=True)
             if aside.exists():
                 aside.rename(out)
         elif aside.exists():
             shutil.rmtree(aside)
+
+
+def _made_something(out: Path) -> bool:
+    """Whether a folder that was begun holds more than the note of its beginning."""
+    return any(path.is_file() and path != out / CONFIG for path in out.rglob("*"))
 
 
 _BEGUN: set[Path] = set()  # folders that this process writes runs into
