@@ -16,6 +16,7 @@ from typing import Any
 from i2t.cli import exit_code_of
 
 CONFIG, METRICS = "config.json", "metrics.json"
+MAX_PICTURES_NAMED = 6
 CONFIG_KEYS = {"args", "versions", "experiment"}  # by which a config.json is known to be ours
 # Of arrays, or of such dicts: what an experiment made of one pad and seed. Its names are the experiment's own words,
 # methods and conditions, which `i2t.serialization` cannot hold: that is for NamedTuples whose type is known.
@@ -157,6 +158,12 @@ def write_json(path: Path, values: dict[str, Any]) -> None:
     part = path.with_suffix(".part")
     part.write_text(json.dumps(clean(values), indent=1, default=str) + "\n")
     part.replace(path)
+
+
+def pictures_in(out: Path) -> str:
+    """Names of a run's figures, the first few."""
+    names = sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.suffix in (".png", ".html", ".svg"))
+    return ", ".join(names[:MAX_PICTURES_NAMED]) + (" ..." if len(names) > MAX_PICTURES_NAMED else "")
 
 
 def slug(name: str) -> str:

@@ -30,7 +30,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from experiments.common.checks import finished_runs
 from experiments.common.presets import choose_preset
-from experiments.common.runs import Part, begin, load_part, save_part, write_json
+from experiments.common.runs import Part, begin, load_part, pictures_in, save_part, write_json
 from experiments.recognize.config import PRESETS
 from experiments.studies import (
     constants,
@@ -89,5 +89,5 @@ def run(args: StudyArgs) -> dict[str, Any]:
     found = study.report(parts, out, pads)
     result = {"source": "simulated", "pads": sorted(set(pads)), "runs": len(parts), **found}
     write_json(out / "metrics.json", result)
-    print(f"\nresults and figures are in {out}")
+    print(f"\nresults and figures ({pictures_in(out)}) are in {out}")
     return result

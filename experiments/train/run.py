@@ -18,6 +18,7 @@ kept (recognition.h5, recognition.json, meshes/), so that `experiments.recognize
 
 import json
 import os
+import shutil
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -30,7 +31,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from experiments.common.presets import choose_preset
-from experiments.common.runs import begin, slug, write_json
+from experiments.common.runs import begin, pictures_in, slug, write_json
 from experiments.train import causes, recognition_data
 from experiments.train.arguments import TrainArgs
 from experiments.train.choosing import Choice, choose
@@ -53,7 +54,9 @@ from experiments.train.simulate import simulated_dataset
 from experiments.train.splitting import Split, conditions_of, split_dataset
 from i2t import dataset as data
 from i2t.dataset import Dataset
+from i2t.prediction import checkpoint
 from i2t.prediction.gp import ContactPressure
+from i2t.prediction.model import ModelConfig
 from i2t.prediction.predictor import (
     BaselineModel,
     GPModel,
@@ -99,8 +102,15 @@ def run(args: TrainArgs) -> dict[str, Any]:
             parts.append(json.loads(finished.read_text()))
     result = parts[0] if not several else summarise(parts, args.out)
     print_table(result)
-    print(f"\nresults, figures and the predictor are in {args.out}")
+    print(f"\nresults, the predictor and the figures ({pictures_in(args.out)}) are in {args.out}")
+    print(f"next: {next_command(args)}")
     return result
+
+
+def next_command(args: TrainArgs) -> str:
+    """What to try with a finished run."""
+    asked = "" if args.dataset is None else f" --dataset {args.dataset}"
+    return f"python -m experiments.recognize --trained-run {args.out}{asked}"
 
 
 class PreparedData(NamedTuple):
@@ -154,6 +164,7 @@ def run_one(
         evaluation.predicted[CEILING] = ceiling(prepared.dataset, prepared.pressure_model, prepared.split, seed)
     about = {"seed": seed, "pad": str(args.pad) if args.pad else pad, "notes": notes}
     report(out, prepared, fitted, evaluation, about=about, started=started)
+    keep_what_is_needed(out, cfg.networks)
 
 
 def prepare_data(args: TrainArgs, cfg: TrainExperiment, seed: int, pad: Pad | int | None, out: Path) -> PreparedData:
@@ -322,3 +333,15 @@ def report(
     )  # fmt: skip
     metrics["seconds"] = round(time.perf_counter() - started, 1)
     write_json(out / "metrics.json", metrics)
+
+
+def keep_what_is_needed(out: Path, networks: Mapping[str, ModelConfig]) -> None:
+    """Of the networks of a finished run: the parameters of those that see patches, which `experiments.recognize` asks
+    for the paper's rules. The others are kept as a predictor, if they are kept.
+    """
+    for name, network in networks.items():
+        folder = out / "checkpoint" / slug(name)
+        if network.input == "image":
+            shutil.rmtree(folder, ignore_errors=True)
+        elif checkpoint.exists(folder):
+            checkpoint.drop_state(folder)

@@ -213,3 +213,22 @@ def test_only_a_finished_save_exists(tmp_path):
     assert not checkpoint.exists(tmp_path)
     (tmp_path / "12").mkdir()
     assert checkpoint.exists(tmp_path)
+
+
+@pytest.mark.full
+def test_a_finished_training_is_kept_without_what_going_on_needs(saved, tmp_path, batch):
+    """The same predictions from less than half of the bytes."""
+    directory, _ = saved
+    shutil.copytree(directory, tmp_path / "kept")
+    checkpoint.drop_state(tmp_path / "kept")
+
+    def size(folder: Path) -> int:
+        return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+
+    assert size(tmp_path / "kept") < 0.5 * size(directory)
+    before, after = checkpoint.load(directory), checkpoint.load(tmp_path / "kept")
+    jax.tree.map(np.testing.assert_array_equal, before[:2], after[:2])
+    assert before[2] == after[2]
+    assert checkpoint.exists(tmp_path / "kept")
+    with pytest.raises(CheckpointError, match="damaged"):
+        checkpoint.restore(tmp_path / "kept")
