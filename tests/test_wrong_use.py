@@ -4,7 +4,13 @@
 processes too, in the full tier, where they are timed.
 """
 
+import os
 import re
+import resource
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
@@ -417,3 +423,98 @@ def test_pixels_that_nobody_saw_widen_the_spread(monkeypatch, predictor):
     mask[8:] = False
     with pytest.warns(UserWarning, match="only 17 % of the patch was seen"):
         predictor.predict(patch, valid=mask)
+
+
+# --- processes ---
+
+
+SLOW_TO_IMPORT = ("i2t.hardware.reskin", "i2t.place", "experiments.benchmark")  # libraries that their options need
+MAX_CPU_S = 3.0  # of a refusal: processor time, which other work beside it does not change
+
+
+def cpu_seconds() -> float:
+    """Of all processes that this one has started and waited for."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+@pytest.mark.full
+def test_wrong_commands_are_answered_at_once(folder):
+    """As a user types them; `pytest -m full -k at_once -s` prints how long they took."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    took: dict[str, float] = {}
+    for words, said in COMMANDS:
+        before = cpu_seconds()
+        command = [sys.executable, "-m", *words.split()]
+        ended = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+        took[words] = cpu_seconds() - before
+        assert ended.returncode == 2, f"{words}: {ended.stderr[-500:]}"
+        assert said in " ".join(re.sub("[│╭╮╰╯─]", " ", ended.stderr).split())
+        assert "Traceback" not in ended.stderr
+    ordered = sorted(took.values())
+    slowest = max(took, key=lambda words: took[words])
+    print(f"\n{len(took)} wrong commands: median {ordered[len(took) // 2]:.2f} s, slowest {took[slowest]:.2f} s:", slowest)
+    light = {words: s for words, s in took.items() if not words.startswith(SLOW_TO_IMPORT)}
+    assert not {words: s for words, s in light.items() if s > MAX_CPU_S}
+
+
+HELPED = ("i2t", "i2t.collect", "i2t.convert", "experiments.train", "experiments.recognize", "experiments.studies",
+          "experiments.calibrate", "experiments.fidelity", "experiments.unknowns", "experiments.tsne")  # fmt: skip
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("module", HELPED)
+def test_help_imports_neither_jax_nor_numpy(module):
+    """So it is there at once."""
+    program = (
+        "import runpy, sys\n"
+        f"sys.argv = [{module!r}, '--help']\n"
+        f"try:\n    runpy.run_module({module!r}, run_name='__main__', alter_sys=True)\n"
+        "except SystemExit as ended:\n    assert not ended.code, ended.code\n"
+        "print([name for name in ('jax', 'numpy', 'scipy', 'trimesh') if name in sys.modules], file=sys.stderr)\n"
+    )
+    before = cpu_seconds()
+    ended = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert ended.stderr.strip().splitlines()[-1] == "[]"
+    assert len(ended.stdout) > 300
+    assert cpu_seconds() - before < 1.5
+
+
+FULL_DISK = """
+import resource, signal, sys
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (512, 512))
+from i2t.convert.commands import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.full
+def test_a_conversion_to_a_full_disk_ends_in_one_sentence(folder, tmp_path):
+    """No file may grow past 512 bytes here."""
+    words = ["presses", str(folder / "table.csv"), str(tmp_path / "out"), "--indenter", "sphere:4"]
+    command = [sys.executable, "-c", FULL_DISK, *words]
+    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert "Traceback" not in ended.stderr
+    assert ended.returncode == 1, ended.stderr
+    assert ended.stderr.count("\n") == 1
+    assert not [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
+    assert main_of("i2t.convert")(words) == 0  # the next attempt is not in its way
+
+
+@pytest.mark.full
+def test_ctrl_c_ends_a_run_in_one_sentence(tmp_path):
+    """Whenever it comes once the command has begun."""
+    command = [sys.executable, "-m", "experiments.train", "--preset", "debug", "--out", str(tmp_path / "run")]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    for seconds in (3.0, 12.0):
+        with subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True) as process:
+            time.sleep(seconds)
+            process.send_signal(signal.SIGINT)
+            _, printed = process.communicate(timeout=120)
+        assert process.returncode == 130, printed
+        assert "Traceback" not in printed
+        assert "interrupted" in printed.splitlines()[-1]
+        if (tmp_path / "run").exists():
+            assert "--resume" in printed
+            command.append("--resume")

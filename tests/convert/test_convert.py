@@ -649,6 +649,31 @@ def test_a_table_of_presses_comes_out_as_written(tmp_path, capsys):
     assert "humidity" in capsys.readouterr().out
 
 
+def rewritten(path, columns, *, delimiter, decimal, units):
+    """The same table as other programs write it."""
+    names = {name: name.rpartition("_")[0] + "_" + units[name][0] if name in units else name for name in columns}
+    factors = {name: units[name][1] if name in units else 1.0 for name in columns}
+    rows = zip(*(values * factors[name] for name, values in columns.items()), strict=True)
+    lines = [delimiter.join(names.values())]
+    lines += [delimiter.join(repr(float(value)).replace(".", decimal) for value in row) for row in rows]
+    path.write_text("\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize(("delimiter", "decimal", "said"), [(";", ",", "semicolons"), ("\t", ".", "tabs")])
+def test_a_table_of_other_separators_and_units_is_the_same_table(tmp_path, capsys, delimiter, decimal, said):
+    options = ("--indenter", "sphere:4.0", "--as-stated")
+    columns = presses_table(tmp_path / "table.csv")
+    plain = converted(tmp_path / "table.csv", tmp_path / "plain", *options, command="presses")
+    units = {"x_mm": ("m", 1e-3), "depth_mm": ("um", 1e3), **dict.fromkeys(READING_NAMES, ("mT", 0.001))}
+    rewritten(tmp_path / "other.csv", columns, delimiter=delimiter, decimal=decimal, units=units)
+    other = converted(tmp_path / "other.csv", tmp_path / "other", *options, command="presses")
+    for one, two in zip(plain.touches[:6], other.touches[:6], strict=True):
+        np.testing.assert_allclose(one, two, rtol=1e-6, atol=1e-9)
+    printed = capsys.readouterr().out
+    assert said in printed
+    assert "x_m, depth_um, b0x_mT" in printed
+
+
 @pytest.mark.parametrize(("board", "chips"), [("grid-2x2", 4), ("grid-4x4", 16), ("grid-1x1", 1)])
 def test_a_table_of_any_board_comes_out_as_written(tmp_path, capsys, board, chips):
     columns = presses_table(tmp_path / "table.csv", chips=chips, more={"session": list("aabbcc")})
