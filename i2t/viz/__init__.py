@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from i2t.viz.rates import plot_rates_by_size as plot_rates_by_size
     from i2t.viz.scene import interactive as interactive
     from i2t.viz.scene import map_plotter as map_plotter
+    from i2t.viz.scene import object_image as object_image
     from i2t.viz.scene import object_plotter as object_plotter
     from i2t.viz.scene import plot_object as plot_object
     from i2t.viz.scene import plot_skin_surface as plot_skin_surface
@@ -47,7 +48,15 @@ _MODULES = {
     "style": ("save_figure",),
     "patches": ("draw_map", "draw_patch", "plot_patches"),
     "rates": ("plot_confusions", "plot_intervals", "plot_rates", "plot_rates_by_size"),
-    "scene": ("interactive", "map_plotter", "object_plotter", "plot_object", "plot_skin_surface", "skin_plotter"),
+    "scene": (
+        "interactive",
+        "map_plotter",
+        "object_image",
+        "object_plotter",
+        "plot_object",
+        "plot_skin_surface",
+        "skin_plotter",
+    ),
     "skins": ("draw_field", "draw_reading", "draw_skin", "plot_press", "plot_readings", "plot_skin_map"),
     "training": ("plot_channel_errors", "plot_predicted_touches", "plot_predictions", "plot_training_curves"),
 }

@@ -141,6 +141,20 @@ def plot_object(
     return _still(plotter, f"{titled(title, simulated)}\nsquares: the skin, 20 mm wide, where it touched")
 
 
+def object_image(vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], T_o_t: Float[Array, "n 4 4"]) -> Array | None:
+    """The pixels of `plot_object`, without margins, to be drawn beside something else.
+
+    Args:
+        vertices: m, of the object.
+        faces: Vertex numbers.
+        T_o_t: Tool poses in the object's frame; there may be none.
+
+    Returns:
+        Colours (rows, columns, 3) of 8 bits; None where no scene can be drawn.
+    """
+    return None if why_no_scene() else _image(object_plotter(vertices, faces, T_o_t, numbers=False))
+
+
 def skin_plotter(pressure: Float[Array, "n n"], displacement: Float[Array, "n n"], exaggerate: float = 5.0) -> Any:
     """A pyvista plotter with the skin's surface as it is pushed in, coloured by pressure.
 
@@ -289,7 +303,13 @@ def _still(plotter: Any, title: str) -> Picture:
     if plotter is None:
         axes.text(0.5, 0.5, why_no_scene(), ha="center", va="center", wrap=True, transform=axes.transAxes)
     else:
-        axes.imshow(trimmed(np.asarray(plotter.screenshot(return_img=True))))
-        plotter.close()
+        axes.imshow(_image(plotter))
     figure.suptitle(title, fontsize=11)
     return figure
+
+
+def _image(plotter: Any) -> Array:
+    """What a plotter shows, without margins; it is closed."""
+    picture = trimmed(np.asarray(plotter.screenshot(return_img=True)))
+    plotter.close()
+    return picture

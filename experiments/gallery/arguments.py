@@ -1,0 +1,27 @@
+"""The options of `python -m experiments.gallery`, without JAX."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+FigureName = Literal[
+    "overview", "objects", "patches", "press", "press_curve", "felt_and_imagined", "episode", "touched_object",
+    "calibration_curve", "predictors",
+]  # fmt: skip
+NAMES: tuple[FigureName, ...] = get_args(FigureName)
+
+
+@dataclass(frozen=True)
+class GalleryArgs:
+    """Draw the figures of the documents."""
+
+    out: Path = Path("runs/gallery")  # folder for the figures
+    trained_run: Path = Path("runs/train")  # a finished run of experiments.train that simulated its touches
+    only: tuple[FigureName, ...] = ()  # some of the figures, by name
+
+    def check(self) -> None:
+        """Refuse a run that is not there."""
+        if not (self.trained_run / "metrics.json").is_file():
+            raise ValueError(
+                f"--trained-run {self.trained_run}: no finished run; python -m experiments.train makes one"
+            )

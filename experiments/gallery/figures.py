@@ -1,0 +1,303 @@
+"""One function for each figure of the documents; all of them are simulated."""
+
+import json
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import i2t
+from experiments.gallery.arguments import FigureName
+from experiments.recognize.config import PRESETS, Recognition
+from experiments.recognize.trained_run import TrainedRun, load_trained_run, meshes_by_name
+from i2t import viz
+from i2t.prediction.metrics import score
+from i2t.prediction.predictor import Reading
+from i2t.recognition.recognizer import RecognizerConfig
+from i2t.rendering.render import contact_mask
+from i2t.simulation.touches import touch_simulator
+from i2t.skin.elasticity import GRID, interior, load
+from i2t.skin.pad import Press
+from i2t.types import PATCH_WINDOW, ReturnCode, Touches
+from i2t.viz.episode_report import EpisodeRecord
+from i2t.viz.style import BLUE, GREY, ORANGE, titled
+
+HIDDEN = "hammer"  # what stands there in the overview and in the episode
+OTHERS = ("star", "square", "cylinder", "screwdriver")  # that might stand there as well
+EPISODE = RecognizerConfig(num_sites=24, num_particles=64, max_touches=5)
+SHOWN = ("hexagon", "star", "pyramid", "cylinder", "screwdriver", "hammer")
+MM, UM = 1e3, 1e6
+TIP_RADIUS_M = 4e-3
+COUNTS = (5, 10, 20, 50, 100)  # presses of the calibration curve
+HELD_OUT = 200
+NAMED_PROBABILITY = 0.04  # from which an object's name has room beside its curve
+Draw = Callable[["Story"], Figure]
+
+
+class Story:
+    """What several figures share: a finished run, its predictions, and one episode of recognition."""
+
+    def __init__(
+        self, folder: Path, *, world: Recognition = PRESETS["paper"], config: RecognizerConfig = EPISODE
+    ) -> None:
+        self.folder, self.world, self.config = folder, world, config
+
+    @cached_property
+    def run(self) -> TrainedRun:
+        """The run with its pad model."""
+        return load_trained_run(jax.random.key(0), self.folder, self.world.errors, self.world.limits)
+
+    @cached_property
+    def unseen(self) -> Touches:
+        """Touches of the hidden object, on which the predictor was not trained."""
+        dataset = self.run.dataset
+        rows = dataset.touches.object == dataset.objects.index(HIDDEN)
+        return dataset.select(rows & (dataset.touches.code != ReturnCode.AIR)).touches
+
+    @cached_property
+    def imagined(self) -> Reading:
+        """The predictor's readings of these."""
+        seen = self.unseen
+        given = {"force": seen.force, "nearest": seen.nearest, "depth": seen.depth, "wide": seen.wide}
+        return self.run.predictor.predict(seen.patch, **given)
+
+    @cached_property
+    def ranked(self) -> np.ndarray:
+        """These touches from the smallest to the largest error of their prediction."""
+        return np.argsort(np.square(self.imagined.mean - self.unseen.reading).mean(1))
+
+    @cached_property
+    def episode(self) -> EpisodeRecord:
+        """The hidden object among five, touched where the belief expects to learn most."""
+        world, meshes = self.world, meshes_by_name((*OTHERS, HIDDEN))
+        recognizer = i2t.ObjectRecognizer(jax.random.key(1), self.run.pad_model, meshes, config=self.config)
+        hidden = i2t.prepare_surface(meshes[HIDDEN])
+        touch = touch_simulator(jax.random.key(2), hidden, self.run.pad, errors=world.errors, limits=world.limits)
+        state, poses, readings, beliefs = recognizer.init(), [], [], []
+        while (site := recognizer.choose_touch(state)) is not None:
+            made = touch(site.T_w_t)
+            contact = int(made.code) != ReturnCode.AIR
+            seen = recognizer.observe(site, made.reading, force=float(made.force), T_w_t=made.T_w_t, contact=contact)
+            state, info = recognizer.update(state, seen)
+            poses.append(made.T_w_t)
+            readings.append(made.reading)
+            beliefs.append(info.probability)
+        names = list(meshes)
+        return EpisodeRecord(
+            list(meshes.values()), names, np.stack(poses), np.stack(readings), self.run.dataset.board,
+            np.stack(beliefs), names.index(HIDDEN), True,
+        )  # fmt: skip
+
+
+def overview(story: Story) -> Figure:
+    """From an object to a belief: patch, imagined and felt reading, and which object it is after each touch."""
+    record, touches = story.episode, story.unseen
+    row = story.ranked[len(story.ranked) // 2]  # the touch of median error
+    figure = Figure(figsize=(14, 3.9), layout="constrained")
+    figure.suptitle(titled("i2t: imagine a touch before making it", True), fontsize=13)
+    parts = figure.subplots(1, 4, width_ratios=(1.15, 1, 1, 1.1))
+    mesh = record.meshes[record.truth]
+    _draw_scene(parts[0], mesh, np.linalg.inv(touches.T_w_o[row]) @ touches.T_w_t[row])
+    parts[0].set_title(f"1  an object never touched: {HIDDEN}", fontsize=10)
+    image = viz.draw_patch(parts[1], touches.patch[row])
+    figure.colorbar(image, ax=parts[1], label="mm behind the nearest point", shrink=0.8)
+    _outline(parts[1], np.asarray(contact_mask(jnp.asarray(touches.patch[row]))))
+    parts[1].set_title("2  the patch that the camera sees", fontsize=10)
+    _draw_both(parts[2], story, int(row))
+    parts[2].set_title("3  the reading, imagined and felt", fontsize=10)
+    _draw_beliefs(parts[3], record)
+    parts[3].set_title("4  which object is it?", fontsize=10)
+    return figure
+
+
+def objects(story: Story) -> Figure:
+    """Objects of the catalogue."""
+    figure = Figure(figsize=(12, 6.4), layout="constrained")
+    figure.suptitle("Some objects of the catalogue (i2t.make_object)")
+    for axes, name in zip(figure.subplots(2, 3).flat, SHOWN, strict=True):
+        _draw_scene(axes, i2t.make_object(name).mesh, None)
+        axes.set_title(name)
+    return figure
+
+
+def patches(story: Story) -> Figure:
+    """Patches of five objects, and where a skin would touch them."""
+    depth, chosen = [], SHOWN[1:]
+    for number, name in enumerate(chosen):
+        mesh = i2t.make_object(name).mesh
+        T_o_t = i2t.sample_touch_sites(mesh, 1, seed=number).T_o_t[0]
+        depth.append(i2t.render_patch(i2t.prepare_surface(mesh), T_o_t).depth)
+    return viz.plot_patches(np.stack(depth), chosen, "Patches at random safe sites", True)
+
+
+def press(story: Story) -> Figure:
+    """A ball pressed into the skin: pressure, displacement, reading."""
+    pad = i2t.nominal_pad()
+    pressed = _press_ball(3e-3, 0.0, 0.4e-3)
+    moved, _ = interior(pad, load(pad, pressed.pressure), 0.0)
+    return viz.plot_press(
+        np.asarray(pressed.pressure), -np.asarray(moved[2]), _host(pad.board), np.asarray(pressed.reading),
+        "A ball of 4 mm radius, 0.4 mm deep", True,
+    )  # fmt: skip
+
+
+def press_curve(story: Story) -> Figure:
+    """Force and reading of a ball that goes deeper."""
+    depths = np.linspace(0.02e-3, 0.8e-3, 14)
+    pressed = jax.lax.map(lambda d: _press_ball(1e-3, 0.0, d), jnp.asarray(depths, jnp.float32))
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    left = figure.subplots()
+    left.plot(UM * depths, pressed.force, color=BLUE, marker="o", ms=3)
+    left.set_xlabel("indentation (µm)")
+    left.set_ylabel("force (N)", color=BLUE)
+    right = left.twinx()
+    right.plot(UM * depths, np.linalg.norm(pressed.reading, axis=1), color=ORANGE, marker="s", ms=3)
+    right.set_ylabel("norm of the reading (µT)", color=ORANGE)
+    left.set_title(titled("A press curve: force and reading against depth", True))
+    return figure
+
+
+def felt_and_imagined(story: Story) -> Figure:
+    """Touches of an unseen object, from the best to the worst predicted."""
+    quantiles = (0.05, 0.25, 0.5, 0.75, 0.95)
+    rows = story.ranked[[int(q * (len(story.ranked) - 1)) for q in quantiles]]
+    sets = {"felt": story.unseen.reading[rows], "imagined": story.imagined.mean[rows]}
+    labels = [f"error at {q:.0%}" for q in quantiles]
+    return viz.plot_predicted_touches(
+        story.unseen.patch[rows],
+        sets,
+        labels,
+        story.run.dataset.board,
+        f"Touches of the {HIDDEN}, never trained on",
+        True,
+    )
+
+
+def episode(story: Story) -> Figure:
+    """An episode of recognition: each touch, what each candidate would show there, and the belief."""
+    return viz.plot_episode(story.episode)
+
+
+def touched_object(story: Story) -> Figure:
+    """An object with its touches."""
+    record = story.episode
+    mesh = record.meshes[record.truth]
+    return viz.plot_object(mesh.vertices, mesh.faces, record.T_w_t, f"The touches of one episode: {HIDDEN}", True)
+
+
+def calibration_curve(story: Story) -> Figure:
+    """How many presses of a skin predict all others."""
+    pad, rng = i2t.sample_pad(jax.random.key(2)), np.random.default_rng(0)
+    n = COUNTS[-1] + HELD_OUT
+    position, depth = rng.uniform(-6e-3, 6e-3, (n, 2)), rng.uniform(0.1e-3, 0.5e-3, n)
+    pressed = jax.lax.map(
+        lambda at: _press_ball(at[0], at[1], at[2], pad),
+        jnp.asarray(np.column_stack([position, depth]), jnp.float32),
+        batch_size=16,
+    )
+    reading = np.asarray(pressed.reading) + rng.normal(0, 1.0, pressed.reading.shape)
+    out = slice(COUNTS[-1], None)
+    r2 = []
+    for count in COUNTS:
+        known = slice(None, count)
+        model = i2t.calibrate(
+            position[known],
+            depth[known],
+            reading[known],
+            load_kind="depth",
+            board=i2t.Board(*map(np.asarray, pad.board)),
+        )
+        r2.append(score(reading[out], model.predict(position[out], depth[out])[0]).r2)
+    figure = Figure(figsize=(6.5, 4), layout="constrained")
+    axes = figure.subplots()
+    axes.semilogx(COUNTS, r2, color=BLUE, marker="o")
+    axes.set_xticks(COUNTS, [str(count) for count in COUNTS])
+    axes.set(xlabel="presses that it learns from", ylabel=f"R² on {HELD_OUT} others", ylim=(min(0, *r2) - 0.05, 1))
+    axes.axhline(0, color="black", lw=0.8)
+    axes.set_title(titled("A skin from a few presses (i2t.calibrate, one pad)", True))
+    return figure
+
+
+def predictors(story: Story) -> Figure:
+    """Every predictor of the run on unseen objects."""
+    methods = json.loads((story.folder / "metrics.json").read_text())["methods"]
+    names = list(methods)
+    r2 = np.array([methods[name]["r2"] for name in names])
+    low, high = np.array([methods[name]["r2_interval"] for name in names]).T
+    figure = Figure(figsize=(8, 4.2), layout="constrained")
+    axes = figure.subplots()
+    colours = [BLUE if "predicted contact pressure" in name else GREY for name in names]
+    axes.barh(names, r2, xerr=[np.maximum(r2 - low, 0), np.maximum(high - r2, 0)], color=colours, capsize=2)
+    axes.invert_yaxis()
+    axes.axvline(0, color="black", lw=0.8)
+    axes.set_xlabel("R² on unseen objects, 95 % over sessions")
+    axes.set_title(titled("Predictors", True))
+    return figure
+
+
+# --- pieces ---
+
+
+def _press_ball(
+    x: float | jax.Array, y: float | jax.Array, depth: float | jax.Array, pad: i2t.Pad | None = None
+) -> Press:
+    """A ball pressed into a pad, at a place (m) off its centre."""
+    squared = (GRID.centres[None, :] - x) ** 2 + (GRID.centres[:, None] - y) ** 2
+    return i2t.press(pad or i2t.nominal_pad(), squared / (2 * TIP_RADIUS_M), depth)
+
+
+def _host(board: i2t.Board) -> i2t.Board:
+    return i2t.Board(*map(np.asarray, board))
+
+
+def _draw_scene(axes: Axes, mesh: i2t.Mesh, T_o_t: np.ndarray | None) -> None:
+    """An object in three dimensions, with the skin where it touches; empty where nothing can be drawn."""
+    axes.set_axis_off()
+    poses = np.zeros((0, 4, 4)) if T_o_t is None else T_o_t[None]
+    picture = viz.object_image(mesh.vertices, mesh.faces, poses)
+    if picture is not None:
+        axes.imshow(picture)
+
+
+def _outline(axes: Axes, mask: np.ndarray) -> None:
+    half = MM * PATCH_WINDOW / 2
+    at = np.linspace(-half, half, len(mask))
+    axes.contour(at, at, mask, levels=[0.5], colors="white", linewidths=1.2)
+
+
+def _draw_both(axes: Axes, story: Story, row: int) -> None:
+    """What was imagined of a touch and what was felt, as the field's change at each chip."""
+    board, felt, imagined = story.run.dataset.board, story.unseen.reading[row], story.imagined.mean[row]
+    scale = float(np.abs(np.stack([felt, imagined])).max())
+    viz.draw_skin(axes)
+    viz.draw_reading(axes, board, felt, scale, colour=ORANGE, label="felt")
+    viz.draw_reading(axes, board, imagined, scale, colour=BLUE, label="imagined", width=0.006)
+    axes.set(xlabel="x (mm)", ylabel="y (mm)")
+    axes.legend(loc="upper right", fontsize=8)
+
+
+def _draw_beliefs(axes: Axes, record: EpisodeRecord) -> None:
+    """Each object's probability after each touch."""
+    n = len(record.names)
+    p = np.vstack([np.full(n, 1 / n), record.p])
+    for i in np.argsort(np.arange(n) == record.truth):
+        there = i == record.truth
+        axes.plot(p[:, i], color=BLUE if there else GREY, lw=2.5 if there else 1, marker="o" if there else "")
+    likely = [i for i in range(n) if p[-1, i] > NAMED_PROBABILITY]
+    ends = [(record.names[i], p[-1, i]) for i in likely]
+    for name, end in ends if len(likely) == n else [*ends, (f"{n - len(likely)} others", 0.0)]:
+        axes.annotate(name, (len(p) - 1, end), xytext=(7, 0), textcoords="offset points", fontsize=9, va="center")
+    axes.set(xlabel="touches", ylabel="probability", ylim=(-0.02, 1.05), xticks=range(len(p)))
+    axes.set_xlim(0, len(p) - 1 + 0.35 * len(p))
+
+
+FIGURES: dict[FigureName, Draw] = {
+    "overview": overview, "objects": objects, "patches": patches, "press": press, "press_curve": press_curve,
+    "felt_and_imagined": felt_and_imagined, "episode": episode, "touched_object": touched_object,
+    "calibration_curve": calibration_curve, "predictors": predictors,
+}  # fmt: skip

@@ -1,0 +1,27 @@
+"""The figures of the documents.
+
+    python -m experiments.train                        a pad, touches, a predictor
+    python -m experiments.gallery                      all figures, a few minutes
+    python -m experiments.gallery --only press patches some of them
+
+Each figure is one function of `experiments.gallery.figures`, which shows how it is made; docs/gallery.md explains them.
+Results go to --out, a PNG for each figure.
+"""
+
+from PIL import Image
+
+from experiments.gallery.arguments import NAMES, GalleryArgs
+from experiments.gallery.figures import FIGURES, Story
+from i2t import viz
+
+COLOURS = 256  # of a picture, which keeps it small
+
+
+def run(args: GalleryArgs) -> None:
+    """Draw the figures asked for."""
+    args.out.mkdir(parents=True, exist_ok=True)
+    story = Story(args.trained_run)
+    for name in args.only or NAMES:
+        path = viz.save_figure(FIGURES[name](story), args.out / f"{name}.png")
+        Image.open(path).convert("RGB").quantize(COLOURS).save(path, optimize=True)
+        print(f"{path}: {FIGURES[name].__doc__}")
