@@ -14,6 +14,7 @@ import importlib.util
 import math
 import sys
 import typing
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
@@ -143,6 +144,7 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
         The exit code: that of `work` or 0; 2 if what was asked for cannot be done (a ValueError, or a file or folder
         that is not as the command line has it), 1 if a device or the disk failed, 130 after Ctrl-C.
     """
+    shown, warnings.showwarning = warnings.showwarning, _show_warning
     try:
         code = work()
     except (ValueError, *NAMED_WRONGLY) as error:  # DataError is a ValueError
@@ -157,6 +159,8 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
     except MemoryError:
         print("error: the memory of this machine is used up; ask for less at a time", file=sys.stderr)
         return FAILED
+    finally:
+        warnings.showwarning = shown
     return code if isinstance(code, int) else 0
 
 
@@ -175,6 +179,14 @@ def renamed_flags(args: Sequence[str], renamed: Mapping[str, str]) -> None:
         if flag in renamed:
             print(f"error: {flag} is called {renamed[flag]} now", file=sys.stderr)
             raise SystemExit(WRONG_USE)
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **_: Any) -> None:
+    """What a person should know, in one line; other libraries' warnings keep where they are from."""
+    if issubclass(category, UserWarning):
+        print(f"warning: {message}", file=sys.stderr)
+    else:
+        print(warnings.formatwarning(message, category, *where[:2]), end="", file=sys.stderr)
 
 
 def _options(options: Any, group: str = "") -> Iterator[tuple[str, Any, Any]]:

@@ -12,7 +12,7 @@ from experiments.common.checks import require_objects
 from experiments.train import recognition_data
 from i2t import dataset as data
 from i2t.dataset import Dataset
-from i2t.objects import Mesh, catalogue, read_mesh
+from i2t.objects import Mesh, catalogue, load_object
 from i2t.prediction.predictor import Predictor, load_predictor
 from i2t.recognition.pad_model import PadModel, fit_pad_model
 from i2t.recognition.site_pool import prepare_surfaces
@@ -101,7 +101,7 @@ def load_meshes(paths: Sequence[Path], unit: str | None) -> dict[str, Mesh]:
     return {
         path.stem: catalogue.make_object(str(path)).mesh
         if is_catalogue_name(path)
-        else read_mesh(path, str(unit))[0].mesh
+        else load_object(path, str(unit)).mesh
         for path in paths
     }
 

@@ -20,7 +20,7 @@ from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.dataset.sets import missing_context
 from i2t.errors import DataError
-from i2t.objects import Mesh, catalogue, read_mesh
+from i2t.objects import Mesh, catalogue, load_object
 from i2t.types import ReturnCode
 
 RECOGNITION_TOUCHES, RECOGNITION_ABOUT, RECOGNITION_MESHES = "recognition.h5", "recognition.json", "meshes"
@@ -126,7 +126,7 @@ def keep(out: Path, dataset: Dataset, rows: np.ndarray, files: Mapping[str, Mesh
     Raises:
         DataError: A mesh cannot be read.
     """
-    meshes = {name: read_mesh(file.path, file.unit)[0].mesh for name, file in files.items()}
+    meshes = {name: load_object(file.path, file.unit).mesh for name, file in files.items()}
     try:
         known = known_touches(dataset, rows, meshes, "its training touches")
     except DataError as error:
@@ -186,7 +186,7 @@ def _read_kept(folder: Path, name: str, kept: dict[str, str] | str) -> Mesh:
     path = folder / kept["file"]
     if not path.is_file() or _digest(path) != kept["sha256"]:
         raise DataError(f"{path}: is not the mesh that the run kept of {name}; restore it, or train the run again")
-    return read_mesh(path, kept["unit"])[0].mesh
+    return load_object(path, kept["unit"]).mesh
 
 
 def _digest(path: Path) -> str:

@@ -57,6 +57,7 @@ from i2t.hardware.rig import Rig
 from i2t.hardware.rig_checks import require_plausible
 from i2t.hardware.skin_health import check_skin, require_healthy, rest_samples
 from i2t.hardware.ur.config import UrConfig
+from i2t.objects.solids import Mesh
 from i2t.skin.boards import DEFAULT_BOARD
 from i2t.types import ReturnCode
 
@@ -91,11 +92,11 @@ def collect(
     rig = read_rig(args)
     target = read_object(args.object, args.unit)
     name = args.name or (target.name if args.object == target.name else Path(args.object).stem)
-    done, notes = _resume(args, name, rig)
-    config = device_config(args, begin=max(done.values(), default=0.0) + 1.0)
-    sampler = SiteSampler(target.mesh, rig.T_world_object, args.sites, args.seed, name)
     if not args.trust_rig and not args.dry_run:
         require_plausible(rig, target.mesh.vertices)
+    done, notes = _resume(args, name, rig, target.mesh)
+    config = device_config(args, begin=max(done.values(), default=0.0) + 1.0)
+    sampler = SiteSampler(target.mesh, rig.T_world_object, args.sites, args.seed, name)
     with ExitStack() as stack:
         devices = make_devices(config, rig, stack)
         if args.rig is None and devices.arm.features.source == "real":
@@ -281,7 +282,7 @@ class _Session:
         return "\n".join(lines)
 
 
-def _resume(args: CollectArgs, name: str, rig: Rig) -> tuple[dict[int, float], dict[str, Any]]:
+def _resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[int, float], dict[str, Any]]:
     """Sites that were touched and when (Unix time), and the notes of the collection. Raises DataError."""
     files = recorder.touches_in(args.out) if args.out.is_dir() else []
     notes = recorder.read_notes(args.out)
@@ -294,6 +295,7 @@ def _resume(args: CollectArgs, name: str, rig: Rig) -> tuple[dict[int, float], d
         "sites": vars(args.sites),
         "settings": {key: value for key, value in vars(args.settings).items() if key not in MAY_CHANGE},
         "rig": _rig_hash(rig),
+        "mesh": _mesh_hash(mesh),
     }
     same = json.loads(json.dumps(same))
     if notes is None:
@@ -307,7 +309,7 @@ def _resume(args: CollectArgs, name: str, rig: Rig) -> tuple[dict[int, float], d
     if "run" in notes:  # as earlier versions called it
         notes["session"] = notes.pop("run")
     notes.setdefault("board", "reskin")  # earlier versions knew no other
-    for key in ("settings", "rig"):
+    for key in ("settings", "rig", "mesh"):
         notes.setdefault(key, same[key])  # which earlier versions did not keep
     before, now = _by_name(notes), _by_name(same)
     different = [key for key, value in now.items() if before.get(key) != value]
@@ -319,6 +321,12 @@ def _resume(args: CollectArgs, name: str, rig: Rig) -> tuple[dict[int, float], d
     if args.session:
         notes["session"] = args.session
     return {recorder.site_number_of(file): recorder.written_at(file) for file in files}, notes
+
+
+def _mesh_hash(mesh: Mesh) -> str:
+    """Ten hexadecimal digits that another mesh of the same name has not."""
+    corners = np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)]
+    return hashlib.sha256(corners.round(7).tobytes()).hexdigest()[:10]
 
 
 def _rig_hash(rig: Rig) -> str:
@@ -432,7 +440,7 @@ def _camera_config(args: CollectArgs) -> CameraConfig:
         case "simulated":
             return SimulatedCameraConfig()
         case "realsense":
-            return RealSenseConfig()
+            return RealSenseConfig(args.camera_serial)
         case "folder" if args.views:
             return CameraFolderConfig(args.views)
         case "folder":

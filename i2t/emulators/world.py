@@ -78,13 +78,13 @@ def read_object(name: str, unit: str | None) -> "Object":
         FileNotFoundError: There is no such file.
     """
     from i2t.objects.catalogue import NAMES, make_object
-    from i2t.objects.mesh_files import read_mesh
+    from i2t.objects.mesh_files import load_object
 
     if name in NAMES:
         return make_object(name)
     if unit is None:
         raise ValueError(f"{name}: say in which unit the file is, for instance --unit mm")
-    return read_mesh(name, unit)[0]
+    return load_object(name, unit)
 
 
 def read_pad(path: Path | None, board: str | None = None) -> "Pad":

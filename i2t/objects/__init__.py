@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from i2t.objects.mesh_files import CleaningReport as CleaningReport
     from i2t.objects.mesh_files import clean_mesh as clean_mesh
     from i2t.objects.mesh_files import load_mesh as load_mesh
+    from i2t.objects.mesh_files import load_object as load_object
     from i2t.objects.mesh_files import read_mesh as read_mesh
     from i2t.objects.point_clouds import load_point_cloud as load_point_cloud
     from i2t.objects.point_clouds import suggest_radius as suggest_radius
@@ -32,7 +33,7 @@ _HOMES = {
     "catalogue": (
         "NAMES", "PRIMITIVES", "STAMPS", "TOOLS", "make_object", "random_object", "surrogate_unknown",
     ),
-    "mesh_files": ("CleaningReport", "clean_mesh", "load_mesh", "read_mesh"),
+    "mesh_files": ("CleaningReport", "clean_mesh", "load_mesh", "load_object", "read_mesh"),
     "point_clouds": ("load_point_cloud", "suggest_radius", "surface_from_points"),
     "poses": ("contact_pose",),
     "solids": ("Mesh", "Object", "place_on_table", "transform_mesh"),
@@ -41,8 +42,8 @@ _HOME_OF = {name: f"i2t.objects.{module}" for module, names in _HOMES.items() fo
 
 __all__ = [
     "NAMES", "PRIMITIVES", "STAMPS", "TOOLS", "CleaningReport", "Mesh", "Object", "clean_mesh", "contact_pose",
-    "load_mesh", "load_point_cloud", "make_object", "place_on_table", "random_object", "read_mesh", "suggest_radius",
-    "surface_from_points", "surrogate_unknown", "transform_mesh",
+    "load_mesh", "load_object", "load_point_cloud", "make_object", "place_on_table", "random_object", "read_mesh",
+    "suggest_radius", "surface_from_points", "surrogate_unknown", "transform_mesh",
 ]  # fmt: skip
 
 

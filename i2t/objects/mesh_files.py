@@ -25,6 +25,7 @@ from i2t.objects.solids import Mesh, Object, place_on_table, transform_mesh
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 25.4e-3}  # m
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb")
 MAX_MESH_BYTES = 2**28  # of a file
+STRAY_AREA = 1e-3  # share of the area, up to which loose pieces are stray facets of a scan
 MIN_SIZE_M, MAX_SIZE_M = 2e-3, 2.0  # m, longest side of something to touch
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # from a frame whose y is up
 
@@ -150,6 +151,26 @@ def load_mesh(path: str | Path, unit: str, *, table: bool = True, largest: bool 
     if report.pieces_dropped:
         warnings.warn(f"{report}; largest=False keeps all of it", stacklevel=2)
     return mesh
+
+
+def load_object(path: str | Path, unit: str) -> Object:
+    """The object in a mesh file, standing on the table, with a warning where a body of it is left out.
+
+    Args:
+        path: An STL, OBJ, PLY or GLB file.
+        unit: Of its coordinates: m, cm, mm or inch.
+
+    Returns:
+        The object, named by the file, in metres; its largest connected piece.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It cannot be read, or is not something to touch; one sentence that names the file and a remedy.
+    """
+    found, report = read_mesh(path, unit)
+    if report.area_dropped > STRAY_AREA:
+        warnings.warn(f"{report}; only the largest piece is touched: join the bodies, or touch each", stacklevel=2)
+    return found
 
 
 def clean_mesh(mesh: Mesh, path: str = "mesh", largest: bool = True) -> tuple[Mesh, CleaningReport]:

@@ -31,6 +31,7 @@ from i2t.hardware.camera_folder import CameraFolderConfig
 from i2t.hardware.reskin.config import ReSkinConfig
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur.config import UrConfig
+from i2t.objects.solids import Mesh
 from i2t.skin.boards import grid_board
 from i2t.skin.files import save_pad
 from i2t.skin.pad import nominal_pad
@@ -144,17 +145,22 @@ def test_another_collection_is_not_mixed_in(folder, rig, capsys):
     assert "another making" in capsys.readouterr().err
 
 
+BOX = Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))  # any mesh
+
+
 def test_other_settings_another_rig_and_another_skin_are_not_mixed_in(tmp_path):
     args = CollectArgs(out=tmp_path)
-    _, notes = session._resume(args, "hexagon", Rig())
+    _, notes = session._resume(args, "hexagon", Rig(), BOX)
     recorder.write_notes(tmp_path, notes)
     harder = replace(args.settings, press=0.004, force=9.0)
     with pytest.raises(DataError, match=r"settings\.force and settings\.press|settings\.press and settings\.force"):
-        session._resume(replace(args, settings=harder), "hexagon", Rig())
+        session._resume(replace(args, settings=harder), "hexagon", Rig(), BOX)
     with pytest.raises(DataError, match="begun with another rig"):
-        session._resume(args, "hexagon", replace(Rig(), mass=Rig().mass + 0.1))
+        session._resume(args, "hexagon", replace(Rig(), mass=Rig().mass + 0.1), BOX)
+    with pytest.raises(DataError, match="begun with another mesh"):  # of the same name, in another folder
+        session._resume(args, "hexagon", Rig(), BOX._replace(vertices=1.1 * BOX.vertices))
     patient = replace(args, settings=replace(args.settings, retries=9, patience=60.0))
-    _, notes = session._resume(patient, "hexagon", Rig())
+    _, notes = session._resume(patient, "hexagon", Rig(), BOX)
     for serial in ("A1", "", "A1"):
         session._keep_serial(notes, serial, tmp_path)
     with pytest.raises(DataError, match="begun with the skin A1, and this one is B2"):
@@ -205,6 +211,7 @@ def test_sigterm_stops_it_and_keeps_everything(folder, rig, capsys):
         (["--camera", "folder"], "pass --views"),
         (["--arm", "emulated"], "a simulated skin feels only"),
         (["--object", "no such thing"], "no such"),
+        (["--camera-serial", "123"], "--camera-serial has no effect without --camera realsense"),
         (["--settings.press", "0"], "press is 0"),
         (["--settings.press", "0.25"], "press is 0.25; give 0.0001 to 0.05 m/s"),
         (["--settings.force", "1000"], "force is 1000; give 0.2 to 150 N"),

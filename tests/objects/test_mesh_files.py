@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from i2t.objects import clean_mesh, make_object, read_mesh
+from i2t.objects import clean_mesh, load_object, make_object, read_mesh
 from i2t.objects.mesh_files import METRES_PER_UNIT
 from i2t.objects.solids import Mesh
 
@@ -202,3 +202,14 @@ def test_missing_files_and_folders(tmp_path):
     (tmp_path / "d.obj").write_text("v 0 0 0\n")
     with pytest.raises(ValueError, match="up='x'"):
         read_mesh(tmp_path / "d.obj", "m", up="x")
+
+
+def test_a_second_body_is_not_left_out_silently_but_a_stray_facet_is(tmp_path):
+    body, other = trimesh.creation.box((30, 30, 30)), trimesh.creation.box((30, 30, 29))
+    facet = trimesh.Trimesh([[0, 0, 50], [0.1, 0, 50], [0, 0.1, 50]], [[0, 1, 2]])
+    other.apply_translation((60, 0, 0))
+    trimesh.util.concatenate([body, facet]).export(tmp_path / "scan.stl")
+    trimesh.util.concatenate([body, other]).export(tmp_path / "two.stl")
+    assert load_object(tmp_path / "scan.stl", "mm").name == "scan"
+    with pytest.warns(UserWarning, match="only the largest piece is touched"):
+        load_object(tmp_path / "two.stl", "mm")
