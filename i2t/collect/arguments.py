@@ -42,6 +42,8 @@ class CollectArgs:
     """Recording to play as the skin."""
     views: Path | None = None
     """Folder of views to show as the camera."""
+    camera_serial: str | None = None
+    """Serial number of a RealSense, where several are plugged in."""
     rig: Path | None = None
     """Calibration of the lab (python -m i2t.hardware.rig); a real arm needs one, others take the emulated lab's."""
     object: str = "hexagon"

@@ -29,6 +29,7 @@ def check_collect_args(args: CollectArgs) -> None:
     require_with("--views", args.views is not None, "--camera folder", args.camera == "folder")
     if args.camera == "folder" and args.views is None:
         raise ValueError("--camera folder needs a folder of views to show: pass --views DIR")
+    require_with("--camera-serial", args.camera_serial is not None, "--camera realsense", args.camera == "realsense")
     if args.host and args.arm == SIMULATED:
         raise ValueError(
             "--host is the address of a controller, and --arm is simulated; leave it out, or pass --arm ur"

@@ -6,8 +6,8 @@
         --object mug.stl --unit mm --out DATA/mug --dry-run                checks everything, moves nothing
     python -m i2t.collect --arm acme_devices:AcmeArm ...         a device of another package
 
-The same command again goes on where it stopped. Ctrl-C or SIGTERM stops the arm and keeps everything. What it writes is
-a data set: `python -m experiments.train --dataset DATA`.
+The same command again goes on where it stopped. Ctrl-C, SIGTERM or a closed terminal stops the arm and keeps
+everything. What it writes is a data set: `python -m experiments.train --dataset DATA`.
 """
 
 import signal
@@ -21,6 +21,8 @@ from i2t.cli import exit_code_of, renamed_flags
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.checks import check_collect_args
 
+# A terminal that is closed ends its programs by SIGHUP, which Windows does not have.
+ENDING_SIGNALS = [signal.Signals[name] for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 RENAMED_COLLECT_FLAGS = {
     "--run": "--session",
     "--exact": "--no-pose-error",
@@ -58,13 +60,19 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         return collect(args)
 
-    before = signal.signal(signal.SIGTERM, end_by_signal)
+    before = {number: signal.signal(number, end_by_signal) for number in ENDING_SIGNALS}
     try:
         return exit_code_of(work, f"stopped; everything is in {args.out}: the same command goes on")
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
-def end_by_signal(*_: Any) -> None:
-    """Leave the program as SIGTERM does, but through every `finally`."""
-    sys.exit(128 + signal.SIGTERM)
+def end_by_signal(number: int, *_: Any) -> None:
+    """Leave the program as the signal does, but through every `finally`.
+
+    Args:
+        number: Of the signal.
+        *_: The frame in which it came.
+    """
+    sys.exit(128 + number)

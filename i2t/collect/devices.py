@@ -363,7 +363,7 @@ def _(config: RealSenseConfig, context: DeviceContext) -> Any:
     from i2t.hardware.realsense import RealSense
 
     lens = context.rig.camera
-    return RealSense(size=(lens.width, lens.height), distance=context.rig.looking_distance)
+    return RealSense(config.serial, (lens.width, lens.height), distance=context.rig.looking_distance)
 
 
 @make_camera.register

@@ -31,6 +31,7 @@ from i2t.simulation.depth_camera import render_view
 from i2t.skin.ambient import mean_known
 from i2t.types import Array
 
+RECORDED = ("folder", "replay")  # sources of views that are not of this lab
 CANDIDATES, LOOKS = 32, 3  # sites among which those are chosen, and how many are looked at
 LOOK_RADIUS_M = 40e-3  # around a site, in which depth is compared
 DEPTH_TOLERANCE_M = 6e-3  # of a pixel's depth: placement and camera 1 mm and a degree off, and a sloping surface
@@ -124,7 +125,7 @@ def first_touch(procedure: Procedure, sampler: SitedObject, report: Callable[[st
     plan = plan_first_touch(procedure, sampler)
     _check_air(procedure)
     procedure.retreat()
-    if procedure.camera.features.source != "folder":
+    if procedure.camera.features.source not in RECORDED:
         share = float(np.mean([_look(procedure, sampler, site) for site in plan.looks]))
         if share > MAX_WRONG_SHARE:
             raise _seen_elsewhere("in the first looks", share)

@@ -51,7 +51,9 @@ UNDERWAY_FRAMES = 2  # frames that may have been exposed before they were asked 
 
 @dataclass(frozen=True)
 class RealSenseConfig:
-    """The RealSense that is plugged in, at the size and the distance of the rig; see `RealSense`."""
+    """A RealSense, at the size and the distance of the rig; see `RealSense`."""
+
+    serial: str | None = None  # which camera, if there are several
 
 
 class ColourImage(NamedTuple):

@@ -8,8 +8,10 @@ import pytest
 from helpers.closed_form import make
 from scipy.signal import lfilter
 
+from i2t.emulators import reskin_board
 from i2t.errors import DeviceError
 from i2t.hardware.protocols import Samples
+from i2t.hardware.reskin import monitor
 from i2t.hardware.skin_health import (
     CONVERTER_END_UT,
     check_skin,
@@ -194,6 +196,16 @@ def test_a_slow_board_is_read_until_there_is_enough():
     samples = rest_samples(skin, clock)
     assert len(samples.number) == 24
     assert check_skin(samples).rate == pytest.approx(10.0)
+
+
+@pytest.mark.full
+def test_the_monitor_says_what_is_wrong(capsys):
+    with reskin_board.started("--noise", "3") as (port, _):
+        assert monitor.main(["--port", port, "--seconds", "2.5"]) == 0
+    assert "healthy at rest" in capsys.readouterr().out
+    with reskin_board.started("--noise", "0") as (port, _):
+        assert monitor.main(["--port", port, "--seconds", "2.5"]) == 0
+    assert "UNHEALTHY: every axis of every chip stands still" in capsys.readouterr().out
 
 
 def test_the_check_needs_no_jax():

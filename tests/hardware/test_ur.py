@@ -673,7 +673,9 @@ with UrArm(sys.argv[1], {LIMITS!r}, state_timeout=2.0, watchdog_rate={WATCHDOG_R
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=lambda number: number.name)
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL], ids=lambda number: number.name
+)
 def test_the_arm_stands_when_its_process_is_ended(start, number):
     host = start()
     with subprocess.Popen(
@@ -684,7 +686,10 @@ def test_the_arm_stands_when_its_process_is_ended(start, number):
         assert status(host)["moving"]
         child.send_signal(number)
         child.wait(20)
-    assert child.returncode in {signal.SIGINT: (-2, 130), signal.SIGTERM: (143,), signal.SIGKILL: (-9,)}[number]
+    assert (
+        child.returncode
+        in {signal.SIGINT: (-2, 130), signal.SIGTERM: (143,), signal.SIGHUP: (129,), signal.SIGKILL: (-9,)}[number]
+    )
     eventually(lambda: not status(host)["moving"])
     stood = status(host)
     assert 0 < stood["pose"][1] < 0.2

@@ -20,6 +20,7 @@ from i2t.hardware.reskin.driver import RATE_HZ, Replay, ReSkin
 from i2t.hardware.reskin.keys import pressed_keys
 from i2t.hardware.reskin.stream import BoardInfo, Stream
 from i2t.hardware.reskin.tables import is_table, samples_of, write_table
+from i2t.hardware.skin_health import check_skin
 from i2t.skin.ambient import load_ambient, mean_known, predict_ambient, subtract_offsets
 from i2t.skin.boards import make_board
 from i2t.types import Board
@@ -28,6 +29,7 @@ FRAME_RATE_HZ = 10  # of pictures
 LINE_RATE_HZ = 1  # of lines where the output is no terminal
 SHOWN_SAMPLES = 20  # that a drawn value is the mean of
 REST_SAMPLES = 100  # that the rest is the mean of
+HEALTHY = "healthy at rest"
 HALF_BAR_WIDTH = 16  # characters
 MAP_CELL_WIDTH = 12  # characters
 THIN_ARROWS, DOUBLE_ARROWS = "→↗↑↖←↙↓↘", "⇒⇗⇑⇖⇐⇙⇓⇘"  # every eighth of a turn, from x on
@@ -279,6 +281,8 @@ class _View:
     rest: np.ndarray | None = None
     said: str = ""
     trouble: str = ""
+    first: int = -1  # number of the first sample that was shown, until its health has been judged
+    health: str = ""  # what is wrong with the skin as it was at the start
 
     @property
     def bytes_file(self) -> Path | None:
@@ -300,10 +304,20 @@ class _View:
             self.shown = self.skin.since(newest - SHOWN_SAMPLES)
             self.rest, self.said = self.subtract(self.shown)
             self.trouble = ""
+            self._judge(newest)
         except DeviceError as error:
             if self.lasting:
                 raise
             self.trouble = _try_again(self.skin, error)
+
+    def _judge(self, newest: int) -> None:
+        """Judge the skin's health once enough samples have come; it should touch nothing then."""
+        if self.health:
+            return
+        self.first = newest if self.first < 0 else self.first
+        if newest - self.first >= REST_SAMPLES:
+            found = check_skin(self.skin.since(self.first)).defects
+            self.health = "; ".join(f"UNHEALTHY: {each.sentence}" for each in found) or HEALTHY
 
     def picture(self, scale: float, as_map: bool) -> list[str]:
         """Its lines; the second is its head, the last but one its sum."""
@@ -314,7 +328,7 @@ class _View:
         if as_map:
             change = mean_known(self.shown.reading, axis=0) - self.rest
             lines = [*lines[:3], *map_picture(self.board, change, scale=scale), lines[-1]]
-        return [*lines[:-1], lines[-1] + self.said, self.trouble]
+        return [*lines[:-1], lines[-1] + self.said, self.trouble or self.health]
 
     def finish(self) -> str:
         """Let the board go, and make the table; returns what to say of it."""

@@ -14,7 +14,8 @@ What stops the arm, besides `stop` and the limits of a motion:
   nothing connects again before `connect` is called.
 - Nobody watches: an approach whose caller has not looked for `state_timeout` seconds, as when its stop condition hangs.
 - This process dies or hangs, even by kill -9: the watchdog runs dry (`watchdog_rate` Hz; 0.1 s by default) and the
-  controller ends the program. Ctrl-C and SIGTERM brake at once, inside a `with` block on the main thread.
+  controller ends the program. Ctrl-C, SIGTERM and SIGHUP (a terminal that is closed) brake at once, inside a `with`
+  block on the main thread.
 
 Poses are (4, 4) T_b_t in metres, tool in robot base; forces act on the tool, in the tool's axes. The box holds the
 tool's origin: flange, elbow and cable are not watched here, so set the robot's own safety limits on the pendant too.
@@ -39,6 +40,9 @@ from i2t.hardware.ur.motion import MotionController
 from i2t.hardware.ur.rtde_link import RtdeConnection
 from i2t.hardware.ur.rtde_worker import STATE_RATE_HZ
 from i2t.types import Array
+
+# Windows has no SIGHUP.
+BRAKING_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 class UrArm:
@@ -96,7 +100,7 @@ class UrArm:
     def __enter__(self) -> "UrArm":
         self.connect()
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
+            for number in BRAKING_SIGNALS:
                 self._handlers[number] = signal.signal(number, self._interrupted)
         return self
 
