@@ -237,7 +237,7 @@ def test_a_lasting_jump_is_true_and_a_single_one_is_not():
     assert [frame.end // SIZE - 1 for frame in found] == [i for i in range(20) if i != 8]
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, 6e4, 1e-3])
+@pytest.mark.parametrize("value", [np.nan, np.inf, 6e4, 1e-6])
 def test_one_impossible_value_condemns_its_frame(value):
     readings, celsius = rest(10)
     readings[5, 7] = value
@@ -276,8 +276,10 @@ def test_real_boards_send_whole_numbers_of_steps(shared_data):
     assert all(found.fit(table) for table in recorded)
     # And what was recorded comes back through the decoder.
     data = b"".join(encode(field.ravel(), np.full(5, 24.0)) for field in fields)
-    _, frames_found = decoded(data, limits=FrameLimits(max_jump=20e3))
-    np.testing.assert_array_equal([frame.reading for frame in frames_found], fields.reshape(-1, 15))
+    _, frames_found = decoded(data)
+    assert len(frames_found) >= 0.999 * len(fields)  # a value that is off alone, and for one frame, may be damage
+    sent = fields.reshape(-1, 15)[[frame.end // SIZE - 1 for frame in frames_found]]
+    np.testing.assert_array_equal([frame.reading for frame in frames_found], sent)
 
 
 def test_what_has_no_steps_is_not_judged_by_any():
@@ -338,6 +340,7 @@ def test_frames_of_any_board_are_read(form, chips):
     assert f"frames of {chips} chips come, not of 7" in diagnose(data, chips=7)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("name", "chips"), [("grid-2x2", 4), ("grid-4x4", 16)])
 def test_an_emulated_board_of_any_size_is_read_end_to_end(name, chips):
     with started("--board", name, "--field", "--noise", "0") as (port, process):
@@ -356,6 +359,7 @@ def test_an_emulated_board_of_any_size_is_read_end_to_end(name, chips):
             np.testing.assert_allclose(felt, sent, atol=0.25)
 
 
+@pytest.mark.full
 def test_the_monitor_draws_every_chip_of_a_board(capsys):
     with started("--board", "grid-2x2") as (port, _):
         assert monitor.main(["--port", port, "--board", "grid-2x2", "--seconds", "1"]) == 0
@@ -512,6 +516,7 @@ def test_a_computer_that_does_not_listen_does_not_blame_the_board(monkeypatch):
         assert "too busy to listen" in failure(skin, DeviceTimeoutError, "this computer")
 
 
+@pytest.mark.full
 def test_a_board_that_never_speaks_is_given_up(monkeypatch):
     monkeypatch.setattr(streaming, "FIRST_BYTE_S", 0.3)
     with (
@@ -521,6 +526,7 @@ def test_a_board_that_never_speaks_is_given_up(monkeypatch):
         ReSkin(port).connect()
 
 
+@pytest.mark.full
 def test_the_baud_rate_is_found_or_said_to_be_wrong(monkeypatch):
     monkeypatch.setattr(streaming, "FIRST_FRAME_S", 0.3)
     monkeypatch.setattr(driver, "START_UP_S", 0.0)
@@ -726,6 +732,7 @@ def test_the_board_ends_with_the_program_that_started_it():
     assert not os.path.exists(port) or port.startswith("/dev/pts/")
 
 
+@pytest.mark.full
 def test_the_driver_needs_no_jax_and_no_sdk_to_be_imported():
     code = (
         "import sys, i2t.hardware.reskin.driver, i2t.hardware.reskin.monitor, i2t.emulators.reskin_board as board\n"

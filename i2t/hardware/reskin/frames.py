@@ -4,18 +4,20 @@
 also occurs within their numbers (34.513 degrees is 98 0d 0a 42), and a byte may be changed or lost. So a *candidate* is
 a stretch of the right form whose values are plausible, and a candidate is a *frame* if
 
+    its values are as usual, by what the board itself has sent so far (`i2t.hardware.reskin.expectation`), or
+    the next candidate bears out what is unusual in it, or
+    it begins a run of `run_length` adjoining candidates that no other candidate overlaps,
+
+and with a counter and a checksum (`framed` alone)
+
     it lies within `max_jump` of the last frame in every channel, or
-    its counter goes on from the last frame's by as many frames as their bytes are apart (`framed` alone), or
-    it begins a run of `run_length` adjoining candidates (two where they have a checksum), each of which goes on from
-    the one before in one of these two ways, that no other candidate overlaps.
+    its counter goes on from the last frame's by as many frames as their bytes are apart, or it begins a run.
 
 Candidates are tried from the first byte after the last frame onwards, so a changed byte costs its own frame, a lost
-byte the frame it was in, and a sudden but lasting change of the field nothing. In the binary formats values must also
-be whole numbers of the converter's steps once these are known (`i2t.hardware.reskin.quantization`), which is as good as
-a checksum. What may pass unseen is a changed value within `max_jump` of the last one, and after the first frames one
-that is a whole number of steps too; behind a checksum, two changes that cancel. A line of text has nothing of the
-kind: one that changes much more than lines usually do has to be borne out by the next, and a smaller wrong digit
-passes. What is decided depends on the stream alone, not on how it was cut into chunks.
+byte the frame it was in, and a field that changes fast or for good nothing. In the binary formats values must also be
+whole numbers of the converter's steps, from wherever they count, once these are known
+(`i2t.hardware.reskin.quantization`). What may pass unseen is a changed value that lies within the noise; behind a
+checksum, two changes that cancel. What is decided depends on the stream alone, not on how it was cut into chunks.
 
 A chip that fails is missing (NaN). A frame in which every chip is missing is counted as empty and not delivered. A
 converter of 16 bits begins again at its other end; a channel that jumps so is carried on.
@@ -28,6 +30,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from i2t.hardware.reskin.expectation import Expectation, doubt, is_borne_out, learn
+from i2t.hardware.reskin.expectation import begin as begin_expecting
 from i2t.hardware.reskin.layouts import (
     COUNTS,
     DEFAULT_CHIPS,
@@ -41,17 +45,16 @@ from i2t.hardware.reskin.layouts import (
     parse,
     window,
 )
-from i2t.hardware.reskin.quantization import NO_STEPS, ConverterSteps, learn_steps, wrap_offsets
+from i2t.hardware.reskin.quantization import ConverterSteps, learn_steps, wrap_offsets
 from i2t.skin import boards
 
 LEARNING_FRAMES = 128  # from which the converter's steps are learned
-MAX_MISFITS = 64  # candidates in a row that the steps alone exclude, after which these are not believed any more
+MAX_MISFITS = 64  # candidates in a row that the steps alone exclude, after which these are learned anew
+TEXT_ROUNDING = 0.011  # uT, of two decimals, and of an origin that is known as well as that
 MIN_TEMPERATURE_SIZE = 1e-3  # degrees; the step is 1/45 and does not begin at 0, so nothing but zero lies below
-CHECKED_RUN_LENGTH = 2  # candidates in a row that are believed where each has a checksum
 COUNT_SLACK = 3  # frames that may be lost as a whole while the counter is still believed
-SPIKE = 5.5  # times its usual change, beyond which a number in a line of text has to be borne out by the next line
-USUAL_FRAMES = 30  # over which the usual change is taken, about
-MIN_SPIKE = np.array([0.5, 5.0, 5.0, 5.0])  # K, uT, that a number may always change by
+MAX_DAMAGED_VALUES = 2  # of a frame: a field moves more of them at once
+NEXT_FRAMES = 6  # in which the next candidate must lie to bear out the one before
 
 
 @dataclass(frozen=True)
@@ -63,8 +66,8 @@ class FrameLimits:
     min_temperature: float = -40.0  # degrees Celsius
     max_temperature: float = 85.0
     full_scale: float = 50e3  # uT
-    min_field: float = 0.1  # uT; the finest step is 0.15, so nothing but zero lies below
-    max_jump: float = 100.0  # uT, from one frame to the next, in each channel: 15 standard deviations at rest
+    min_field: float = 1e-5  # uT; firmware that averages or zeroes sends less than a step, but nothing below
+    max_jump: float = 100.0  # uT, from one frame to the next, that says nothing behind a checksum
     max_warming: float = 2.0  # K, from one frame to the next
     run_length: int = 3  # candidates in a row that are believed without a frame before them
 
@@ -84,7 +87,7 @@ class Decoder(NamedTuple):
     limits: FrameLimits = FrameLimits()
     rest: bytes = b""  # not decided yet
     last: np.ndarray | None = None  # (chips, 4) t, x, y, z of the last frame, or of the last where a chip was there
-    usual: np.ndarray | None = None  # (chips, 4) size of the changes from frame to frame, of late
+    expected: Expectation | None = None  # of the next frame, where there is no checksum
     sequence: int | None = None  # of the last frame's counter
     wrapped: np.ndarray | None = None  # (chips, 3) uT, by which channels are beyond the converter's end
     early: tuple[np.ndarray, ...] = ()  # the first frames, until the steps are learned
@@ -237,26 +240,29 @@ def _why_implausible(values: FrameValues | None, limits: FrameLimits) -> str:
 
 def _candidate(decoder: Decoder, stretch: bytes) -> tuple[Decoder, FrameValues | None]:
     """The values of a stretch, None if it is no candidate, and the decoder, which counts what only the converter's
-    steps exclude and gives them up after too many.
+    steps exclude and forgets them after too many.
     """
     values = _values(decoder.layout, stretch, decoder.limits)
     if values is None or decoder.steps is None or decoder.steps.fit(values.table):
         return decoder, values
-    misfits = decoder.misfits + _near(decoder.last, values.table, decoder.limits, decoder.steps)
-    decoder = decoder._replace(misfits=misfits)
-    if misfits > MAX_MISFITS:
-        return decoder._replace(steps=NO_STEPS), values
-    return decoder, None
+    misfits = decoder.misfits + 1
+    if misfits > MAX_MISFITS:  # the board was zeroed anew, for instance
+        return decoder._replace(steps=None, early=(), misfits=0), values
+    return decoder._replace(misfits=misfits), None
 
 
 def _is_frame(decoder: Decoder, values: FrameValues | None, data: bytes, begin: int, end: int) -> bool | None:
     """Whether a candidate is a frame; None if more bytes must come."""
     if values is None:
         return False
+    if decoder.last is None:
+        return _begins_run(decoder, data, begin, end)
+    if not decoder.layout.checked:
+        return _is_expected(decoder, values.table, data, end)
     if _near(decoder.last, values.table, decoder.limits, decoder.steps):
-        return _is_borne_out(decoder, values, data, end) if decoder.layout.is_text else True
-    if decoder.last is not None and _counts_on(decoder, values):
-        return _is_no_spike(decoder, data, end)
+        return True
+    if _counts_on(decoder, values):
+        return _is_no_spike(decoder, values.table, data, end)
     return _begins_run(decoder, data, begin, end)
 
 
@@ -268,28 +274,57 @@ def _counts_on(decoder: Decoder, values: FrameValues) -> bool:
     return ahead <= COUNT_SLACK
 
 
-def _is_borne_out(decoder: Decoder, values: FrameValues, data: bytes, end: int) -> bool | None:
-    """Whether a line of text changes no more than usual, or the next line bears it out; None if more must come."""
-    if _is_usual(decoder, values.table):
+def _is_expected(decoder: Decoder, table: np.ndarray, data: bytes, end: int) -> bool | None:
+    """Whether values are as usual, or the next candidate bears out what is unusual; None if more bytes must come."""
+    expected, limits = decoder.expected, decoder.limits
+    assert expected is not None
+    found = doubt(expected, _carried(decoder, table), _gap_frames(decoder, decoder.gap))
+    if not found:
         return True
-    following = adjoining(decoder.layout, data, end)
-    if following is None:
-        return None
-    after = _values(decoder.layout, data[end:following], decoder.limits)
-    return after is not None and not _is_usual(decoder, after.table)
+    # Before it is known how the field moves, one that moves many channels is true, unless it is back at once.
+    moves = not expected.fitted and np.sum(found.values[:, 1:]) > MAX_DAMAGED_VALUES
+    search, stop = end, end + NEXT_FRAMES * _longest(decoder.layout)
+    while True:
+        begin, following = window(decoder.layout, data, search)
+        if following is None:
+            return False if len(data) >= stop else None
+        if following > stop:
+            return False
+        after = _values(decoder.layout, data[begin:following], limits)
+        if after is not None:
+            gap = _gap_frames(decoder, decoder.gap + begin - end) + 1
+            later = _carried(decoder, after.table)
+            return is_borne_out(expected, found, later, gap) or bool(moves and doubt(expected, later, gap))
+        search = begin + 1
 
 
-def _is_usual(decoder: Decoder, table: np.ndarray) -> bool:
-    """Whether no channel has changed much more than it usually does; anything is usual in the first frames."""
-    if decoder.last is None or decoder.usual is None or decoder.frames < USUAL_FRAMES:
-        return True
-    return not bool((np.abs(table - decoder.last) > np.maximum(SPIKE * decoder.usual, MIN_SPIKE)).any())
+def _carried(decoder: Decoder, table: np.ndarray) -> np.ndarray:
+    """A frame's values, beyond the converter's end where it follows the last frame there."""
+    assert decoder.last is not None
+    wrapped = np.zeros((len(table), 3)) if decoder.wrapped is None else decoder.wrapped
+    onwards = table.copy()
+    onwards[:, 1:] += wrapped + wrap_offsets(decoder.last[:, 1:], table[:, 1:], decoder.steps)
+    return onwards
 
 
-def _is_no_spike(decoder: Decoder, data: bytes, end: int) -> bool | None:
+def _gap_frames(decoder: Decoder, gap: int) -> int:
+    """Frames in so many bytes."""
+    whole = decoder.frames + decoder.empty
+    usual = decoder.taken / whole if whole else decoder.layout.size
+    return max(1, round(gap / usual)) if gap > 0 else 0
+
+
+def _longest(layout: FrameLayout) -> int:
+    return layout.max_line_bytes if layout.is_text else layout.size
+
+
+def _is_no_spike(decoder: Decoder, table: np.ndarray, data: bytes, end: int) -> bool | None:
     """Whether the stretch behind a far-off candidate does not contradict it; None if more bytes must come. It does
-    where it lies near the last frame: then two changed bytes have cancelled in the checksum.
+    where it lies near the last frame and few values are far off: then changed bytes have cancelled in the checksum.
     """
+    assert decoder.last is not None
+    if np.sum(np.abs(table - decoder.last)[:, 1:] > decoder.limits.max_jump) > MAX_DAMAGED_VALUES:
+        return True
     following = adjoining(decoder.layout, data, end)
     if following is None:
         return None
@@ -313,7 +348,7 @@ def _with_frame(decoder: Decoder, values: FrameValues, end: int, size: int) -> t
         wraps, known = 0, table
     decoder = decoder._replace(
         last=known,
-        usual=_usual(decoder, known) if decoder.layout.is_text else None,
+        expected=_learned(decoder, table, offsets),
         sequence=values.sequence,
         wrapped=offsets,
         wraps=decoder.wraps + wraps,
@@ -331,14 +366,17 @@ def _with_frame(decoder: Decoder, values: FrameValues, end: int, size: int) -> t
     return _with_steps(decoder, table), Frame(end, (table[:, 1:] + offsets).ravel(), table[:, 0])
 
 
-def _usual(decoder: Decoder, table: np.ndarray) -> np.ndarray:
-    """The usual change with one more frame."""
-    if decoder.last is None:
-        return np.zeros(table.shape)
-    change = np.nan_to_num(np.abs(table - decoder.last))
-    frames = min(decoder.frames, USUAL_FRAMES)
-    before = change if decoder.usual is None else decoder.usual
-    return before + (change - before) / max(1, frames)
+def _learned(decoder: Decoder, table: np.ndarray, offsets: np.ndarray) -> Expectation | None:
+    """What is expected after one more frame, of a format without a checksum."""
+    if decoder.layout.checked:
+        return None
+    carried = table.copy()
+    carried[:, 1:] += offsets
+    return (
+        begin_expecting(carried)
+        if decoder.expected is None
+        else learn(decoder.expected, carried, _gap_frames(decoder, decoder.gap))
+    )
 
 
 def _lost(decoder: Decoder, count: int | None, size: int) -> int:
@@ -352,20 +390,20 @@ def _lost(decoder: Decoder, count: int | None, size: int) -> int:
 
 def _with_steps(decoder: Decoder, table: np.ndarray) -> Decoder:
     """The decoder, which learns the converter's steps from its first frames."""
-    if decoder.layout.is_text or decoder.steps is not None:
+    if decoder.steps is not None or decoder.layout.form == Format.FRAMED_TEXT:  # whose last digit is nearly a step
         return decoder
     early = (*decoder.early, table)
     if len(early) < LEARNING_FRAMES:
         return decoder._replace(early=early)
-    return decoder._replace(steps=learn_steps(np.stack(early)), early=())
+    rounding = TEXT_ROUNDING if decoder.layout.is_text else 0.0
+    return decoder._replace(steps=learn_steps(np.stack(early), rounding), early=())
 
 
 def _begins_run(decoder: Decoder, data: bytes, begin: int, end: int) -> bool | None:
     """Whether a run of candidates begins here that no other overlaps; None if more bytes must come."""
     layout, limits = decoder.layout, decoder.limits
-    length = min(limits.run_length, CHECKED_RUN_LENGTH) if layout.checked else limits.run_length
     values, stop = _values(layout, data[begin:end], limits), end
-    for _ in range(length - 1):
+    for _ in range(limits.run_length - 1):
         following = adjoining(layout, data, stop)
         if following is None:
             return None
@@ -377,12 +415,16 @@ def _begins_run(decoder: Decoder, data: bytes, begin: int, end: int) -> bool | N
 
 
 def _follows(decoder: Decoder, before: FrameValues, after: FrameValues) -> bool:
-    """Whether one candidate goes on from another that ends where it begins."""
-    if before.sequence is not None and after.sequence is not None:
-        return (after.sequence - before.sequence) % COUNTS == 1 or _near(
-            before.table, after.table, decoder.limits, None
-        )
-    return _near(before.table, after.table, decoder.limits, decoder.steps)
+    """Whether one candidate goes on from another that ends where it begins: few values that jump are damage."""
+    if before.sequence is not None and after.sequence is not None and (after.sequence - before.sequence) % COUNTS == 1:
+        return True
+    if _near(before.table, after.table, decoder.limits, None if decoder.layout.checked else decoder.steps):
+        return True
+    jumps = np.abs(after.table - before.table) > decoder.limits.max_jump
+    return (
+        int(np.sum(jumps[:, 1:])) > MAX_DAMAGED_VALUES
+        and not (np.abs(after.table - before.table)[:, 0] > decoder.limits.max_warming).any()
+    )
 
 
 def _has_rival(layout: FrameLayout, data: bytes, begin: int, stop: int, limits: FrameLimits) -> bool:

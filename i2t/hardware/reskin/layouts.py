@@ -37,6 +37,7 @@ COUNTS = 256  # of the counter of framed bytes
 
 _NUMBER = rb"(-?\d{1,6}\.\d\d)"
 _TENTHS = rb"-?\d{1,6}\.\d"
+_LINE_BEGIN = rb"(?:\n|\r[^\r\n0-9.\-]?)?"  # the end of the line before, of which the line feed may be lost or changed
 
 
 class Format(StrEnum):
@@ -129,7 +130,8 @@ def window(layout: FrameLayout, data: bytes, search: int) -> tuple[int, int | No
     while (begin := data.find(b"\n", search)) >= 0:
         end = data.find(b"\n", begin + 1, begin + layout.max_line_bytes)
         if end >= 0:
-            return begin, end
+            # Where a line feed was lost, the carriage return before it is still there.
+            return max(begin, data.rfind(b"\r", begin, end - 1)), end
         if len(data) < begin + layout.max_line_bytes:
             return begin, None
         search = begin + 1
@@ -259,9 +261,9 @@ def _framed(chips: int) -> struct.Struct:
 def _line(form: Format, chips: int) -> re.Pattern[bytes]:
     if form == Format.FRAMED_TEXT:
         each = [rb"\[S%d:(%b|ERR)\]" % (i + 1, b",".join([_TENTHS] * 3)) for i in range(chips)]
-        return re.compile(rb"\n?FRAME: " + b" ".join(each) + rb" ?\r?")
+        return re.compile(_LINE_BEGIN + rb"FRAME: " + b" ".join(each) + rb" ?\r?")
     numbers = rb"\t".join([_NUMBER] * (4 * chips)) if form == Format.TEXT else rb"\t".join([_NUMBER] * 4) * chips
-    return re.compile(rb"\n?" + numbers + rb"\t?\r?")
+    return re.compile(_LINE_BEGIN + numbers + rb"\t?\r?")
 
 
 def _without_temperature(fields: Float[np.ndarray, " c"]) -> Float[np.ndarray, "chips 4"]:

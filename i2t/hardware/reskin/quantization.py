@@ -17,7 +17,11 @@ from jaxtyping import Bool, Float
 ORIGIN = np.array([25.0, 0.0, 0.0, 0.0])  # degrees, uT: where t, x, y, z count from
 ROUNDING_ULPS = 3.0  # float32 units in the last place that the firmware's roundings may come to
 MIN_SHARE = 0.9  # of the values must be whole numbers of steps for the steps to be believed
+MIN_TEXT_SHARE = 0.97  # likewise, of values that are rounded, of which more fit by chance
 MIN_VALUES = 6  # different values, each seen twice, from which a step is learned
+AVERAGED_SAMPLES = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 25, 32)  # that firmware may average
+ZEROED_ROUNDING_UT = 5e-5  # of a value from which a baseline was subtracted, that may be larger
+LEAST_STEP_IN_ROUNDINGS = 10.0  # smaller steps tell nothing
 CONVERTER_COUNTS = 2**16
 # uT, by gain 0 to 7 at the finest resolution, which may be made 2, 4 and 8 times coarser (MLX90393 data sheet)
 MLX90393_XY_STEPS_UT = (0.751, 0.601, 0.451, 0.376, 0.300, 0.250, 0.200, 0.150)
@@ -30,6 +34,8 @@ class ConverterSteps(NamedTuple):
     """Steps of t, x, y and z; NaN where none was found."""
 
     size: Float[np.ndarray, " 4"]  # K, uT
+    origin: Float[np.ndarray, "*chips 4"] = ORIGIN  # degrees, uT, from which each value counts
+    rounding: float = 0.0  # degrees, uT, of the board's own, besides that of its numbers
 
     def fit(self, table: Float[np.ndarray, "chips 4"]) -> bool:
         """Whether every value is a whole number of its steps.
@@ -40,22 +46,59 @@ class ConverterSteps(NamedTuple):
         Returns:
             True also for values whose step is not known, and for chips that are missing.
         """
-        return bool(np.all(_is_whole(table, self.size) | np.isnan(self.size)[None] | np.isnan(table)))
+        whole = _is_whole(table, self.size, self.origin, self.rounding)
+        return bool(np.all(whole | np.isnan(self.size)[None] | np.isnan(table)))
 
 
 NO_STEPS = ConverterSteps(np.full(4, np.nan))
 
 
-def learn_steps(tables: Float[np.ndarray, "frames chips 4"]) -> ConverterSteps:
+def learn_steps(tables: Float[np.ndarray, "frames chips 4"], rounding: float = 0.0) -> ConverterSteps:
     """The steps of a board.
+
+    Firmware that zeroes or averages counts from elsewhere, and in parts of a step: such steps are looked for among
+    those of the data sheet.
 
     Args:
         tables: t, x, y, z of each chip in some frames, some of which may be damaged; 100 are enough. NaN is missing.
+        rounding: Degrees or uT, half of the last digit that the board writes; 0 where it sends numbers.
 
     Returns:
         Steps, NaN for a column whose values have none in common.
     """
-    return ConverterSteps(np.array([_step(tables[:, :, column] - ORIGIN[column], column) for column in range(4)]))
+    if not rounding:
+        plain = ConverterSteps(np.array([_step(tables[:, :, column] - ORIGIN[column], column) for column in range(4)]))
+        if not np.isnan(plain.size[1:]).any():
+            return plain
+    size, origin = np.full(4, np.nan), np.tile(ORIGIN, (tables.shape[1], 1))
+    for column in (1, 2, 3):
+        size[column], origin[:, column] = _lattice(tables[:, :, column], column, rounding)
+    return ConverterSteps(size, origin, max(rounding, ZEROED_ROUNDING_UT))
+
+
+def _lattice(
+    values: Float[np.ndarray, "frames chips"], column: int, rounding: float
+) -> tuple[float, Float[np.ndarray, " chips"]]:
+    """The largest step of the data sheet, or part of one, that nearly all values are whole numbers of, each chip
+    counting from its own origin; NaN and zeros if there is none.
+    """
+    known = values[np.isfinite(values).all(1)]
+    table = MLX90393_Z_STEPS_UT if column == 3 else MLX90393_XY_STEPS_UT
+    steps = np.unique([each * 2.0**resolution for each in table for resolution in range(4)])
+    if not rounding:
+        steps = np.unique(steps[:, None] / np.array(AVERAGED_SAMPLES))
+    nearest = max(rounding, ZEROED_ROUNDING_UT)
+    for step in steps[steps > LEAST_STEP_IN_ROUNDINGS * nearest][::-1] if len(known) else ():
+        origin = np.angle(np.exp(2j * np.pi * known / step).mean(0)) * step / (2 * np.pi)
+        left = known - origin
+        left -= step * np.round(left / step)
+        origin = origin + np.median(left, 0)
+        left = known - origin
+        left -= step * np.round(left / step)
+        share = MIN_TEXT_SHARE if rounding else MIN_SHARE
+        if np.mean(np.abs(left) <= nearest + 1e-9) >= share and np.ptp(known, 0).max() > MIN_VALUES * step:
+            return float(step), origin
+    return np.nan, np.zeros(values.shape[1])
 
 
 def wrap_offsets(
@@ -121,7 +164,12 @@ def _step(offsets: Float[np.ndarray, "frames chips"], column: int) -> float:
     return step if whole.mean() >= MIN_SHARE else np.nan
 
 
-def _is_whole(table: Float[np.ndarray, "*n 4"], step: Float[np.ndarray, " 4"]) -> Bool[np.ndarray, "*n 4"]:
-    offset = table - ORIGIN
+def _is_whole(
+    table: Float[np.ndarray, "*n 4"],
+    step: Float[np.ndarray, " 4"],
+    origin: Float[np.ndarray, "*chips 4"] = ORIGIN,
+    rounding: float = 0.0,
+) -> Bool[np.ndarray, "*n 4"]:
+    offset = table - origin
     size = np.maximum(np.abs(table), ORIGIN).astype(np.float32)
-    return np.abs(offset - np.round(offset / step) * step) <= ROUNDING_ULPS * np.spacing(size)
+    return np.abs(offset - np.round(offset / step) * step) <= ROUNDING_ULPS * np.spacing(size) + rounding + 1e-9

@@ -23,7 +23,8 @@ from i2t.hardware.reskin.layouts import Format
 
 PORT_BUFFER_BYTES = 4000  # a Linux terminal holds 4095, so that a read this long may come after an overflow
 FIRST_BYTE_S = 3.0  # that a board may need to start after its port is opened
-FIRST_FRAME_S = 1.0  # from its first byte to its first frame
+FIRST_FRAME_S = 1.0  # from its first byte to its first frame, of a board that sends much
+SLOW_FRAMES_S = 6.0  # likewise, of one that sends so little that few frames can have come
 START_UP_S = 6.0  # that a board may send rubbish after it was reset, which opening its port may do
 RATE_WINDOW_S = 1.0  # over which the rate is taken
 EMPTY_SHARE = 1.0  # frames without any chip, for each with one, above which the sketch reads too early
@@ -170,7 +171,8 @@ class Stream(ABC):
 
         Args:
             count: How many, at most what the queue holds.
-            timeout: s; by default twice what the nominal rate needs, and half a second.
+            timeout: s; by default twice what the nominal rate needs, or the measured one where that is lower, and half
+                a second.
 
         Returns:
             `count` rows.
@@ -181,6 +183,7 @@ class Stream(ABC):
         """
         if not 0 < count <= (self._queue.maxlen or 0):
             raise ValueError(f"{count} samples were asked for; the queue holds 1 to {self._queue.maxlen}")
+        slow = timeout is None
         timeout = 2 * count / self._features.rate + 0.5 if timeout is None else timeout
         called = time.monotonic()
         with self._changed:
@@ -191,6 +194,13 @@ class Stream(ABC):
 
             self._changed.wait_for(lambda: self._failure is not None or len(fresh()) == count, timeout)
             got = fresh()
+            between = (got[-1].time - called) / len(got) if got else 0.0
+            if slow and len(got) < count and time.monotonic() - called < between * (len(got) + 2):
+                # They come still, only more slowly than is nominal; a board that fell silent is not waited for.
+                timeout = 2 * count * between + 0.5
+                left = called + timeout - time.monotonic()
+                self._changed.wait_for(lambda: self._failure is not None or len(fresh()) == count, left)
+                got = fresh()
             if len(got) == count:
                 return self._samples(got)
             self._check()
@@ -382,9 +392,9 @@ def detect_format(
     Raises:
         DeviceError: `lost` of what went wrong.
     """
-    candidates, heard = frames.decoders(limits, chips), b""
-    end = time.monotonic() + FIRST_BYTE_S
-    while time.monotonic() < end:
+    candidates, heard, received = frames.decoders(limits, chips), b"", 0
+    end = slow_end = time.monotonic() + FIRST_BYTE_S
+    while time.monotonic() < end or (0 < received < PORT_BUFFER_BYTES and time.monotonic() < slow_end):
         try:
             chunk = port.read(max(1, port.in_waiting))
         except EOFError:
@@ -392,7 +402,8 @@ def detect_format(
         except Exception as error:
             raise lost(error) from error
         if chunk and not heard:
-            end = time.monotonic() + FIRST_FRAME_S
+            end, slow_end = time.monotonic() + FIRST_FRAME_S, time.monotonic() + SLOW_FRAMES_S
+        received += len(chunk)
         heard = (heard + chunk)[-PORT_BUFFER_BYTES:]
         candidates, found = frames.decode_any(candidates, chunk)
         if found:
