@@ -1,0 +1,8 @@
+"""`python -m i2t.view`."""
+
+import sys
+
+from i2t.view.command import main
+
+if __name__ == "__main__":
+    sys.exit(main())

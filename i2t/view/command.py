@@ -1,0 +1,69 @@
+"""The command line of `python -m i2t.view`."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from i2t.cli import exit_code_of
+from i2t.view.contents import read_contents
+from i2t.view.rerun_file import why_no_recording, write_recording
+
+
+@dataclass(frozen=True)
+class ViewArgs:
+    """Write a session or data set as a Rerun recording (.rrd) and as a page (.html) to look at."""
+
+    path: tyro.conf.Positional[Path]
+    """Folder of recorded touches, or a data set."""
+    out: Path = Path("runs/view")
+    """Folder for the files, which are named as what they show."""
+    mesh: str | None = None
+    """The object: a name of the catalogue, or a mesh file; by default by its name in the touches."""
+    unit: Literal["m", "cm", "mm", "inch"] = "mm"
+    """Of a mesh file."""
+    belief: Path | None = None
+    """JSON file with names of candidates and p, their probabilities after each touch."""
+    touches: int | None = None
+    """Look at so many at most, the first ones."""
+    html: bool = False
+    """Write the page alone."""
+    overwrite: bool = False
+    """Replace files that are there."""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        args: Without the program's name; by default those of this process.
+
+    Returns:
+        The exit code.
+    """
+    asked = tyro.cli(ViewArgs, args=args, prog="python -m i2t.view", config=(tyro.conf.FlagCreatePairsOff,))
+    return exit_code_of(lambda: _write(asked))
+
+
+def _write(asked: ViewArgs) -> None:
+    from i2t.view.page import write_page
+
+    if asked.touches is not None and asked.touches < 1:
+        raise ValueError(f"--touches {asked.touches}: there is nothing to look at; give 1 or more")
+    page, recording = (asked.out / f"{asked.path.resolve().stem or 'view'}{ending}" for ending in (".html", ".rrd"))
+    for path in (page, recording):
+        if path.exists() and not asked.overwrite:
+            raise FileExistsError(f"{path}: exists already; pass --overwrite to replace it, or another --out")
+    contents = read_contents(asked.path, mesh=asked.mesh, unit=asked.unit, belief=asked.belief, most=asked.touches)
+    asked.out.mkdir(parents=True, exist_ok=True)
+    print(f"wrote {write_page(contents, page)}")
+    if asked.html:
+        return
+    missing = why_no_recording()
+    if missing:
+        print(missing, file=sys.stderr)
+        return
+    print(f"wrote {write_recording(contents, recording)}; look at it with: rerun {recording}")

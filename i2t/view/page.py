@@ -1,0 +1,143 @@
+"""A page of a session or data set that any browser shows: one HTML file with its pictures in it, and no scripts."""
+
+import base64
+import html
+import io
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from i2t.dataset import Record
+from i2t.types import ReturnCode
+from i2t.view.contents import Contents
+from i2t.viz.patches import plot_patches
+from i2t.viz.skins import plot_readings
+from i2t.viz.style import COLOURS, Picture, titled
+
+SHOWN_TOUCHES = 10  # with pictures of their own
+TABLE_ROWS = 1000
+STYLE = (
+    "body{font-family:sans-serif;max-width:70em;margin:2em auto;color:#222}img{max-width:100%}"
+    "table{border-collapse:collapse;font-size:.85em}td,th{padding:.15em .6em;text-align:right;"
+    "border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}"
+)
+
+
+def write_page(contents: Contents, path: Path) -> Path:
+    """Write the page.
+
+    Args:
+        contents: Of a session or data set.
+        path: Of the file, .html.
+
+    Returns:
+        The file.
+    """
+    dataset = contents.dataset
+    shown = _shown(len(dataset))
+    names = [f"touch {row + 1}\n{dataset.objects[dataset.touches.object[row]]}" for row in shown]
+    some = dataset.touches
+    pictures = [
+        ("Readings", plot_readings(dataset.board, {"measured": np.nan_to_num(some.reading[shown])}, names,
+                                   "Readings", contents.simulated)),
+        ("Patches", plot_patches(some.patch[shown], names, "Depth patches", contents.simulated,
+                                 window=dataset.window, reach=dataset.reach)),
+        *((f"Touch {row + 1}", figure) for row, figure in _courses(contents, shown)),
+    ]  # fmt: skip
+    if contents.belief is not None:
+        pictures.append(("Belief", _belief(contents)))
+    about = {"touches": str(len(dataset)), "source": dataset.source, **dataset.meta}
+    body = [
+        f"<h1>{html.escape(titled(str(contents.path.name), contents.simulated))}</h1>",
+        _table([("", ""), *about.items()]),
+        *(f"<h2>{html.escape(title)}</h2>{_image(figure)}" for title, figure in pictures),
+        "<h2>All touches</h2>",
+        _table(_rows(contents)),
+    ]
+    page = f"<!doctype html><meta charset=utf-8><title>{html.escape(contents.path.name)}</title><style>{STYLE}</style>"
+    path.write_text(page + "\n".join(body), "utf-8")
+    return path
+
+
+def _shown(touches: int) -> np.ndarray:
+    """Touches with pictures, spread over all."""
+    return np.unique(np.linspace(0, touches - 1, min(touches, SHOWN_TOUCHES)).round().astype(int))
+
+
+def _courses(contents: Contents, shown: np.ndarray) -> list[tuple[int, Figure]]:
+    """How touches went in time, where that was recorded."""
+    wanted = set(shown.tolist())
+    return [
+        (row, _course(record, contents.simulated, row))
+        for row, record in enumerate(contents.records())
+        if row in wanted and "tactile" in record.series
+    ]
+
+
+def _course(record: Record, simulated: bool, row: int) -> Figure:
+    tactile, wrench = record.series["tactile"], record.series.get("wrench")
+    figure = Picture(figsize=(9, 3.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    begun = tactile.time[0] if len(tactile.time) else 0.0
+    ambient = record.series["ambient"].values[0] if "ambient" in record.series else 0.0
+    left.plot(tactile.time - begun, tactile.values - ambient, lw=0.7)
+    left.set(xlabel="time (s)", ylabel="change of field (µT)")
+    if wrench is not None and len(wrench.time):
+        for i, axis in enumerate("xyz"):
+            right.plot(wrench.time - begun, wrench.values[:, i], color=COLOURS[i], label=axis, lw=1)
+        right.legend(fontsize=8)
+    right.set(xlabel="time (s)", ylabel="force on the tool (N)")
+    events = "; ".join(f"{when - begun:.2f} s {text}" for when, text in record.events)
+    figure.suptitle(f"{titled(f'Touch {row + 1}', simulated)}\n{events[:200]}", fontsize=9)
+    return figure
+
+
+def _belief(contents: Contents) -> Figure:
+    belief = contents.belief
+    assert belief is not None
+    figure = Picture(figsize=(7, 3.5), layout="constrained")
+    axes = figure.subplots()
+    for i, name in enumerate(belief.names):
+        axes.plot(np.arange(1, len(belief.p) + 1), belief.p[:, i], "o-", color=COLOURS[i % len(COLOURS)], label=name)
+    axes.set(xlabel="touch", ylabel="probability", ylim=(0, 1))
+    axes.legend(fontsize=8)
+    figure.suptitle(titled("Belief after each touch", contents.simulated))
+    return figure
+
+
+def _rows(contents: Contents) -> list[tuple[str, ...]]:
+    dataset = contents.dataset
+    touches = dataset.touches
+    head = ("file", "object", "session", "end", "norm (µT)", "force (N)", "depth (mm)", "nearest (mm)")
+    rows: list[tuple[str, ...]] = [head]
+    for row in range(min(len(dataset), TABLE_ROWS)):
+        numbers = (
+            float(np.sqrt(np.nansum(touches.reading[row].astype(float) ** 2))), float(touches.force[row]),
+            1e3 * float(touches.depth[row]), 1e3 * float(touches.nearest[row]),
+        )  # fmt: skip
+        rows.append(
+            (
+                contents.files[row].name if contents.files else str(row + 1),
+                dataset.objects[touches.object[row]],
+                dataset.sessions[touches.session[row]],
+                ReturnCode(int(touches.code[row])).name.lower(),
+                *(f"{number:.2f}" if np.isfinite(number) else "" for number in numbers),
+            )
+        )
+    if len(dataset) > TABLE_ROWS:
+        rows.append((f"and {len(dataset) - TABLE_ROWS} more", *[""] * (len(head) - 1)))
+    return rows
+
+
+def _table(rows: list[tuple[str, ...]]) -> str:
+    head, *rest = rows
+    lines = ["<tr>" + "".join(f"<th>{html.escape(cell)}</th>" for cell in head) + "</tr>"] if any(head) else []
+    lines += ["<tr>" + "".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rest]
+    return "<table>" + "".join(lines) + "</table>"
+
+
+def _image(figure: Figure) -> str:
+    png = io.BytesIO()
+    figure.savefig(png, format="png", dpi=90, bbox_inches="tight")
+    return f'<img alt="" src="data:image/png;base64,{base64.b64encode(png.getvalue()).decode()}">'

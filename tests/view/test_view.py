@@ -1,0 +1,172 @@
+"""A session as a Rerun recording and as a page: what was recorded is in both, and reads back."""
+
+import json
+import re
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.random_touches import make
+from scipy.spatial.transform import Rotation
+
+from i2t.collect.recorder import POSE_CHANNELS, WRENCH_CHANNELS
+from i2t.dataset import Image, Record, Series, load_dataset, save_dataset, write_touch
+from i2t.errors import DataError
+from i2t.hardware.protocols import channel_names
+from i2t.view import command, rerun_file
+from i2t.view.contents import read_belief, read_contents
+
+LENS = {"width": 32, "height": 24, "fx": 30.0, "fy": 30.0, "cx": 15.5, "cy": 11.5}
+BEGUN = 1.7e9
+SAMPLES = 60
+
+
+def touch(number, rng):
+    """A recorded touch of the hexagon, with everything that `i2t.collect` keeps."""
+    dataset = make(1, seed=number, objects=("hexagon",))
+    dataset = replace(
+        dataset,
+        touches=dataset.touches._replace(T_w_o=np.eye(4)[None]),
+        meta={"camera": json.dumps({**LENS, "model": "none", "coefficients": []} | {"coefficients": [0.0] * 5})},
+    )
+    time = BEGUN + 10 * number + np.arange(SAMPLES) / 100
+    poses = np.tile(np.eye(4), (SAMPLES, 1, 1))
+    poses[:, :3, :3], poses[:, 2, 3] = Rotation.from_euler("x", 180, degrees=True).as_matrix(), 0.05
+    T_w_c = np.diag([1.0, -1.0, -1.0, 1.0])
+    T_w_c[2, 3] = 0.1
+    return Record(
+        dataset,
+        images={"depth": Image(np.full((24, 32), 1000, np.uint16), 1e-4, "m")},
+        series={
+            "tactile": Series(time, rng.normal(size=(SAMPLES, 15)) + 30, channel_names(5), "uT"),
+            "ambient": Series(time[:1], np.full((1, 15), 30.0), channel_names(5), "uT"),
+            "temperature": Series(time, np.full((SAMPLES, 5), 24.0), tuple("abcde"), "degrees Celsius"),
+            "wrench": Series(time, rng.normal(size=(SAMPLES, 6)), WRENCH_CHANNELS, "N, Nm"),
+            "pose": Series(time, poses.reshape(-1, 16), POSE_CHANNELS, "1, m"),
+            "camera": Series(time[:1], T_w_c.reshape(1, 16), POSE_CHANNELS, "1, m"),
+        },
+        events=((float(time[3]), f"contact of touch {number}"),),
+    )
+
+
+@pytest.fixture
+def session(tmp_path):
+    rng = np.random.default_rng(0)
+    for number in range(2):
+        write_touch(tmp_path / "session", touch(number, rng), at=BEGUN + 10 * number)
+    return tmp_path / "session"
+
+
+def chunks_of(path):
+    """Rows of each component in a recording, by entity."""
+    chunk = pytest.importorskip("rerun.chunk", reason="rerun-sdk is not installed")
+    found: dict[str, list] = {}
+    for part in chunk.RrdReader(path).stream():
+        found.setdefault(part.entity_path, []).append(part)
+    return found
+
+
+@pytest.mark.full
+def test_a_session_reads_back_from_its_recording(session, tmp_path):
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    belief = tmp_path / "belief.json"
+    belief.write_text(json.dumps({"names": ["hexagon", "star"], "p": [[0.6, 0.4], [0.9, 0.1]]}))
+    out = tmp_path / "out"
+    assert command.main([str(session), "--out", str(out), "--belief", str(belief)]) == 0
+    found = chunks_of(out / "session.rrd")
+    scalars = column(found, "/readings/chip0/x", "Scalars:scalars")
+    expected = [read.series["tactile"].values[:, 0] - 30 for read in map(read_touch_of(session), range(2))]
+    np.testing.assert_allclose(np.sort(scalars), np.sort(np.concatenate(expected)))
+    assert len(column(found, "/force/z", "Scalars:scalars")) == 2 * SAMPLES
+    assert sorted(column(found, "/belief/hexagon", "Scalars:scalars")) == [0.6, 0.9]
+    assert {"contact of touch 0", "contact of touch 1"} <= set(column(found, "/events", "TextLog:text"))
+    points = np.array(column(found, "/world/cloud", "Points3D:positions")).reshape(-1, 3)
+    np.testing.assert_allclose(points[:, 2], 0.0, atol=1e-6)  # the camera looks down on the table, 0.1 m away
+    assert len(points) == 2 * 8 * 11
+    vertices = np.array(column(found, "/world/object", "Mesh3D:vertex_positions")).reshape(-1, 3)
+    np.testing.assert_allclose(np.ptp(vertices, 0), np.ptp(read_contents(session).mesh.vertices, 0), rtol=1e-5)
+    for entity in (
+        "/world/tool",
+        "/world/tool/chips/field",
+        "/world/camera",
+        "/world/camera/image",
+        "/patch",
+        "/about",
+    ):
+        assert entity in found
+
+
+def read_touch_of(session):
+    from i2t.dataset import read_touch
+
+    return lambda number: read_touch(sorted(session.glob("touch-*.h5"))[number])
+
+
+def column(found, entity, component):
+    """Values of a component, all rows after each other."""
+    values = []
+    for part in found[entity]:
+        batch = part.to_record_batch()
+        for name in batch.schema.names:
+            if name == component:
+                values += [value for row in batch.column(name).to_pylist() for value in row or ()]
+    return values
+
+
+@pytest.mark.full
+def test_a_page_holds_its_pictures_and_no_script(session, tmp_path, capsys):
+    assert command.main([str(session), "--out", str(tmp_path / "out"), "--html"]) == 0
+    page = (tmp_path / "out" / "session.html").read_text()
+    assert page.count("<img") == 4  # readings, patches and two touches
+    assert "simulated" in page
+    assert "<script" not in page
+    assert set(re.findall(r'src="(.{5})', page)) == {"data:"}
+    assert not re.findall(r"https?://", page)
+    for file in session.glob("touch-*.h5"):
+        assert file.name in page
+    assert command.main([str(session), "--out", str(tmp_path / "out"), "--html"]) == 2
+    assert "exists already; pass --overwrite" in capsys.readouterr().err
+
+
+def test_a_data_set_without_series_is_shown_too(tmp_path):
+    dataset = make(3)
+    save_dataset(tmp_path / "set.h5", dataset)
+    contents = read_contents(tmp_path / "set.h5", most=2)
+    assert (len(contents.dataset), contents.files, contents.mesh) == (2, (), None)
+    assert [len(record.touch) for record in contents.records()] == [1, 1]
+
+
+@pytest.mark.full
+def test_a_page_of_a_data_set_has_a_row_for_each_touch(tmp_path):
+    save_dataset(tmp_path / "set.h5", make(3))
+    assert command.main([str(tmp_path / "set.h5"), "--out", str(tmp_path), "--html", "--touches", "2"]) == 0
+    page = (tmp_path / "set.html").read_text()
+    assert page.count("<img") == 2
+    assert "<td>2</td>" in page
+    assert "<td>3</td>" not in page
+
+
+@pytest.mark.full
+def test_without_rerun_one_sentence_says_what_to_install(session, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    assert "pip install 'i2t[view]'" in rerun_file.why_no_recording()
+    assert command.main([str(session), "--out", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().err.strip() == rerun_file.NO_RERUN
+    assert (tmp_path / "out" / "session.html").exists()
+
+
+def test_what_cannot_be_looked_at_is_said(session, tmp_path, capsys):
+    wrong = tmp_path / "belief.json"
+    for text, why in (('{"names": ["a"], "p": [[1.0]]}', "give 2 rows of 1"), ('["a"]', "holds no belief")):
+        wrong.write_text(text)
+        with pytest.raises(DataError, match=why):
+            read_belief(wrong, 2)
+    for options, why in (
+        ([str(tmp_path / "none")], "no such file or folder"),
+        ([str(session), "--mesh", "nothing.stl"], "no such file"),
+        ([str(session), "--touches", "0"], "give 1 or more"),
+    ):
+        assert command.main([*options, "--out", str(tmp_path / "out")]) == 2
+        assert why in capsys.readouterr().err
+    assert len(load_dataset(session)) == 2
