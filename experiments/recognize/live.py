@@ -142,6 +142,7 @@ def collect_args(args: LiveArgs, cfg: Recognition, meshes: dict[str, Mesh], true
         seed=args.seed,
         state_timeout=args.state_timeout,
         watchdog_rate=args.watchdog_rate,
+        skip_first_touch=True,  # nobody knows what stands there, so that it would contradict any mesh
         settings=replace(TouchSettings(), skin_change=cfg.limits.skin_change, overtravel=cfg.limits.overtravel),
     )
 

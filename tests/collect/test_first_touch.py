@@ -10,6 +10,7 @@ from i2t.collect import first_touch as module
 from i2t.collect.first_touch import RigContradictedError, depth_contradiction, expected_view, first_touch
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import UnreachableError
+from i2t.objects.catalogue import make_object
 from i2t.objects.solids import Mesh
 
 QUICK = TouchSettings(prepare=0.015, clearance=0.03, approach=0.04, settle=0.02)
@@ -110,6 +111,17 @@ def test_the_expected_view_is_the_block_s_top():
     assert depth_contradiction(depth, depth, on_object) == (1.0, 0.0)
     assert depth_contradiction(np.full_like(depth, np.nan), depth, on_object) == (0.0, 1.0)
     assert depth_contradiction(depth + 0.01, depth, on_object) == (1.0, 1.0)
+
+
+@pytest.mark.full
+def test_a_live_recognition_makes_no_first_touch():
+    """Nobody knows what stands there."""
+    from experiments.recognize.arguments import LiveArgs
+    from experiments.recognize.config import Recognition
+    from experiments.recognize.live import collect_args
+
+    asked = collect_args(LiveArgs(), Recognition(), {"star": make_object("star").mesh}, None)
+    assert asked.skip_first_touch
 
 
 @pytest.mark.full
