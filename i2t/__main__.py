@@ -13,6 +13,7 @@ from i2t.cli import WRONG_USE
 COMMANDS = {
     "i2t.collect": "collect touches, simulated or real",
     "i2t.convert": "recordings into data sets, and back",
+    "i2t.view": "look at what was recorded",
     "i2t.place": "find where an object stands, by a camera",
     "i2t.hardware.reskin": "show, record and replay a skin",
     "i2t.hardware.rig": "write and check the file of a lab",

@@ -19,7 +19,7 @@ FLOORS = {
     2: ("dataset",),
     3: ("rendering", "depth", "skin", "unknowns"),
     4: ("simulation", "prediction", "convert", "viz", "hardware"),
-    5: ("calibration", "registration", "emulators"),
+    5: ("calibration", "registration", "emulators", "view"),
     6: ("recognition", "reconstruction", "environments", "collect"),
     7: ("place", "__main__"),  # the short name of a command, and the list of all
 }
