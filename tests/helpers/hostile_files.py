@@ -645,8 +645,9 @@ def _session(path: Path) -> None:
     from i2t.collect.arguments import CollectArgs
     from i2t.collect.session import _resume
     from i2t.hardware.rig import Rig
+    from i2t.objects.catalogue import make_object
 
-    _resume(CollectArgs(out=path.parent), "cube", Rig())
+    _resume(CollectArgs(out=path.parent), "star", Rig(), make_object("star").mesh)
 
 
 def _views(path: Path) -> None:
