@@ -429,7 +429,7 @@ def test_pixels_that_nobody_saw_widen_the_spread(monkeypatch, predictor):
 
 
 SLOW_TO_IMPORT = ("i2t.hardware.reskin", "i2t.place", "experiments.benchmark")  # libraries that their options need
-MAX_CPU_S = 3.0  # of a refusal: processor time, which other work beside it does not change
+MAX_CPU_S = 4.0  # of a refusal: processor time, which other work beside it does not change
 
 
 def cpu_seconds() -> float:
@@ -453,7 +453,9 @@ def test_wrong_commands_are_answered_at_once(folder):
         assert "Traceback" not in ended.stderr
     ordered = sorted(took.values())
     slowest = max(took, key=lambda words: took[words])
-    print(f"\n{len(took)} wrong commands: median {ordered[len(took) // 2]:.2f} s, slowest {took[slowest]:.2f} s:", slowest)
+    print(
+        f"\n{len(took)} wrong commands: median {ordered[len(took) // 2]:.2f} s, slowest {took[slowest]:.2f} s", slowest
+    )
     light = {words: s for words, s in took.items() if not words.startswith(SLOW_TO_IMPORT)}
     assert not {words: s for words, s in light.items() if s > MAX_CPU_S}
 

@@ -22,14 +22,14 @@ from i2t.cli import check_options, docstring_of, renamed_flags
 LOG_INTERVAL_S, LOG_COLUMNS = "30", "79"  # of bars where the output is no terminal, read by tqdm when it is imported
 
 
-class Options(Protocol):
+class CheckedOptions(Protocol):
     """A dataclass of options that knows what does not go together."""
 
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there (ValueError); imports nothing large."""
 
 
-Checked = TypeVar("Checked", bound=Options)
+Checked = TypeVar("Checked", bound=CheckedOptions)
 
 
 def run_command(

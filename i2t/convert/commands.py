@@ -185,14 +185,14 @@ def from_presses(
         skip_bad: leave out rows that are damaged, and name them
     """
     _require(source, target, overwrite, {"--window-mm": window_mm, "--reach-mm": reach_mm})
-    if unit is not None and not indenter.startswith("mesh:"):
-        raise DataError("--unit is of the file of --indenter mesh:FILE; leave it out: radii are in mm")
+    _require_indenter(indenter, unit)
+    described = _board(board)
     from i2t.convert import presses
 
     converted = presses.convert(
         source,
         indenter=indenter,
-        board=_board(board),
+        board=described,
         window=1e-3 * window_mm,
         reach=1e-3 * reach_mm,
         unit=unit,
@@ -369,6 +369,17 @@ def _require(source: Path, target: Path, overwrite: bool, lengths: dict[str, flo
     _require_free(target, overwrite)
     if target.resolve() == source.resolve():
         raise DataError(f"{target}: is what is read; give another folder to write")
+
+
+def _require_indenter(indenter: str, unit: str | None) -> None:
+    """Refuse an unknown kind of indenter, and a mesh without its unit; a radius is judged where it is used."""
+    kind, _, value = indenter.partition(":")
+    if kind not in ("sphere", "cylinder", "mesh") or not value:
+        raise DataError(f"--indenter {indenter}: is unknown; give sphere:RADIUS or cylinder:RADIUS in mm, or mesh:FILE")
+    if kind != "mesh" and unit is not None:
+        raise DataError("--unit is of the file of --indenter mesh:FILE; leave it out: radii are in mm")
+    if kind == "mesh" and unit is None:
+        raise DataError(f"--indenter {indenter}: say in which unit the file is, for instance --unit mm")
 
 
 def _require_source(source: Path) -> None:

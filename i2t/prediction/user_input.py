@@ -18,16 +18,16 @@ from i2t.geometry import is_rigid
 from i2t.objects.mesh_files import MAX_SIZE_M
 from i2t.types import STANDOFF, Patch, Surface
 
-MAX_FORCE_N = 100.0  # more breaks a skin
+MAX_SKIN_FORCE_N = 100.0  # more breaks a skin
 UNUSUAL_FORCE_RATIO = 10.0  # to the median of the training touches: beyond it nothing is known
-MAX_DEPTH_M = 20e-3  # m past first contact; a skin is 2 to 20 mm thick
+MAX_TRAVEL_M = 20e-3  # m past first contact; a skin is 2 to 20 mm thick
 MAX_NEAREST_M = 0.1  # m, signed distance of a surface that a skin is about to meet
 MAX_GAP_M = 10e-3  # m between the skin and the surface at a pose where they are said to touch
 MAX_LEAST_PIXEL_M = 1e-3  # m, nearest pixel of a patch, whose values count from that pixel
 MAX_CENTRE_STEP_M = 0.5e-3  # m, median by which a patch may differ from the middle of its wide view
 LEAST_SEEN_SHARE = 0.5  # of a patch's pixels; with fewer there is a warning
 BESIDE_CENTRE = np.array([0.537, 0.471])  # pixels; a ray through a pixel's centre meets edges of symmetric meshes
-TOLERANCE_M = 1e-6  # m, of single precision
+PIXEL_TOLERANCE_M = 1e-6  # m, of single precision
 CLASSES = (64, 8, 1)  # touches that are predicted together, so that a new number of them compiles nothing
 
 
@@ -80,21 +80,21 @@ def checked_patches(patch: Any, reach: float) -> Float[np.ndarray, "n p p"]:
             "patch holds NaN or infinity; pixels without a surface are `reach`, and valid= says which were not seen"
         )
     least, most = patches.min((1, 2)), patches.max((1, 2))
-    if least.min() < -TOLERANCE_M:
+    if least.min() < -PIXEL_TOLERANCE_M:
         raise ValueError(
             f"patch has negative pixels, down to {least.min():.3g}; it is metres behind the nearest point, so heights "
             "h above a plane are h.max() - h"
         )
-    if most.max() > reach + max(TOLERANCE_M, 1e-3 * reach):
+    if most.max() > reach + max(PIXEL_TOLERANCE_M, 1e-3 * reach):
         in_mm = most.max() <= 1e3 * reach * 1.001
         raise ValueError(
             f"patch has pixels of {most.max():.3g}, and it is metres behind the nearest point, at most {reach:g}; "
             + ("divide millimetres by 1000" if in_mm else "clip it there")
         )
-    if (least >= reach - TOLERANCE_M).any():
+    empty = least >= reach - PIXEL_TOLERANCE_M
+    if empty.any():
         raise ValueError(
-            f"patch shows no surface{_which(least >= reach - TOLERANCE_M)}: all pixels are at the reach; nothing would "
-            "be felt there"
+            f"patch shows no surface{_which(empty)}: all pixels are at the reach; nothing would be felt there"
         )
     if least.max() > MAX_LEAST_PIXEL_M:
         raise ValueError(
@@ -129,7 +129,7 @@ def checked_wide(wide: Any, patches: Float[np.ndarray, "n p p"], reach: float) -
     middle = views[:, border : border + pixels, border : border + pixels]
     if not np.isfinite(middle).all():
         raise ValueError("wide is NaN or infinite where the patch is; give what the camera saw there, or leave it out")
-    if np.nanmax(views) > reach + max(TOLERANCE_M, 1e-3 * reach) or np.isinf(views).any():
+    if np.nanmax(views) > reach + max(PIXEL_TOLERANCE_M, 1e-3 * reach) or np.isinf(views).any():
         raise ValueError(
             f"wide has pixels of {np.nanmax(views):.3g}, and it is metres behind the patch's nearest point, at most "
             f"{reach:g}; clip it there, or divide millimetres by 1000"
@@ -189,15 +189,15 @@ def check_press(
     if pressing.min() < 0:
         sign = "" if force_sign > 0 else ", which this model's recording counts negative"
         raise ValueError(f"force is {force[pressing.argmin()]:g} N; a skin is pressed{sign}, not pulled")
-    if pressing.max() > MAX_FORCE_N:
-        raise ValueError(f"force is {pressing.max():g} N; a skin bears at most {MAX_FORCE_N:g} N")
+    if pressing.max() > MAX_SKIN_FORCE_N:
+        raise ValueError(f"force is {pressing.max():g} N; a skin bears at most {MAX_SKIN_FORCE_N:g} N")
     if usual_force and pressing.max() > UNUSUAL_FORCE_RATIO * abs(usual_force):
         warnings.warn(
             f"force is {pressing.max():g} N, and the model was trained at about {abs(usual_force):.2g} N: what it says "
             "of so hard a press is no more than a guess",
             stacklevel=3,
         )
-    for name, values, most in (("nearest", nearest, MAX_NEAREST_M), ("depth", depth, MAX_DEPTH_M)):
+    for name, values, most in (("nearest", nearest, MAX_NEAREST_M), ("depth", depth, MAX_TRAVEL_M)):
         largest = np.max(np.abs(values), initial=0.0, where=np.isfinite(values))
         if largest > most:
             raise ValueError(f"{name} is {largest:g} m, more than {most:g}; give metres")

@@ -818,7 +818,8 @@ def test_an_unreadable_mesh_is_one_sentence(tmp_path, capsys, contents):
     if contents is not None:
         (tmp_path / "tip.stl").write_bytes(contents)
     indenter = f"mesh:{tmp_path / 'tip.stl'}"
-    assert "tip.stl" in refused(capsys, "presses", tmp_path / "table.csv", tmp_path / "dst", "--indenter", indenter)
+    options = ("--indenter", indenter, "--unit", "mm")
+    assert "tip.stl" in refused(capsys, "presses", tmp_path / "table.csv", tmp_path / "dst", *options)
 
 
 @pytest.mark.parametrize(
