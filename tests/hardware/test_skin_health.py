@@ -201,10 +201,10 @@ def test_a_slow_board_is_read_until_there_is_enough():
 @pytest.mark.full
 def test_the_monitor_says_what_is_wrong(capsys):
     with reskin_board.started("--noise", "3") as (port, _):
-        assert monitor.main(["--port", port, "--seconds", "2.5"]) == 0
+        assert monitor.main(["--port", port, "--seconds", "5"]) == 0
     assert "healthy at rest" in capsys.readouterr().out
     with reskin_board.started("--noise", "0") as (port, _):
-        assert monitor.main(["--port", port, "--seconds", "2.5"]) == 0
+        assert monitor.main(["--port", port, "--seconds", "5"]) == 0
     assert "UNHEALTHY: every axis of every chip stands still" in capsys.readouterr().out
 
 
