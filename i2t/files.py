@@ -23,7 +23,7 @@ MAX_BYTES = 2 * 2**30  # of any file that is read as a whole
 MAX_TEXT_BYTES = 2**20  # of a settings file: real ones have a few kilobytes
 MAX_TOML_LINE_BYTES = 4096  # a matrix of 6 x 6 numbers in one line has 900
 SPARE_BYTES = 16 * 2**20  # that a small archive may unpack to, however small it is
-MAX_GROWTH = 40  # times its size, that an archive may unpack to beyond that: numbers as text reach 10
+MAX_INFLATION = 40  # times its size, that an archive may unpack to beyond that: numbers as text reach 10
 MAX_ARCHIVE_ENTRIES = 4096
 ARCHIVE_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
@@ -174,7 +174,7 @@ def may_grow_to(size: int) -> int:
     Returns:
         A bound that recordings and models stay far below.
     """
-    return SPARE_BYTES + MAX_GROWTH * size
+    return SPARE_BYTES + MAX_INFLATION * size
 
 
 def check_archive(path: str | Path, data: bytes) -> None:

@@ -34,7 +34,7 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.skin.pad import sample_pad
 from i2t.types import Array
 
-OBJECTS = ("star", "hammer")  # a prism, and a tool that is another one upside down
+RIG_OBJECTS = ("star", "hammer")  # a prism, and a tool that is another one upside down
 GOAL_SHARE = 48 / 53
 GRAVITY_M_S2 = 9.81
 WALL_TIME_S = 1.8e9  # Unix time at which simulated time begins
@@ -91,8 +91,10 @@ def rig(sizes: FaultCounts, trials: TrialStore) -> list[FaultRow]:
     """All mistakes with each object, and the right rig in labs of many seeds."""
     mistakes = MISTAKES[: sizes.mistakes]
     seeds = max(1, round(RIGHT_SEEDS * len(mistakes) / len(MISTAKES)))
-    tries: list[tuple[str, RigMistake | None, int]] = [(name, mistake, 0) for name in OBJECTS for mistake in mistakes]
-    tries += [(name, None, seed) for name in OBJECTS for seed in range(seeds)]
+    tries: list[tuple[str, RigMistake | None, int]] = [
+        (name, mistake, 0) for name in RIG_OBJECTS for mistake in mistakes
+    ]
+    tries += [(name, None, seed) for name in RIG_OBJECTS for seed in range(seeds)]
 
     def trial(number: int) -> Trial:
         name, mistake, seed = tries[number]
@@ -100,7 +102,7 @@ def rig(sizes: FaultCounts, trials: TrialStore) -> list[FaultRow]:
         return {"object": name, "mistake": mistake and mistake.name, "seed": seed, **found._asdict()}
 
     made = trials.run(len(tries), trial)
-    wrong = [[each for each in made if each["mistake"] and each["object"] == name] for name in OBJECTS]
+    wrong = [[each for each in made if each["mistake"] and each["object"] == name] for name in RIG_OBJECTS]
     right = [each for each in made if not each["mistake"]]
     refused = [f"{each['object']} {each['seed']}: {each['sentence']}" for each in right if each["where"] != "accepted"]
     said = f"{len(refused)}" + (f" ({min(refused)})" if refused else "")

@@ -31,7 +31,7 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.skin.pad import sample_pad
 from i2t.types import PAD_WINDOW, Array, ReturnCode
 
-OBJECTS = ("hexagon", "star", "square", "cylinder", "parallelogram", "flower", "screwdriver", "hammer")
+PRESSED_OBJECTS = ("hexagon", "star", "square", "cylinder", "parallelogram", "flower", "screwdriver", "hammer")
 TALL = {"tall star": ("star", (0.5, 0.5, 2.2)), "tall cylinder": ("cylinder", (0.4, 0.4, 2.5))}
 LEAST_UP = -0.1  # cosine between a normal and up
 RAYS = 41  # along an edge of the skin
@@ -58,7 +58,7 @@ def sites(sizes: FaultCounts, trials: TrialStore) -> list[FaultRow]:
 
 
 def _press(number: int) -> Trial | None:
-    names = (*OBJECTS, *TALL)
+    names = (*PRESSED_OBJECTS, *TALL)
     name, rng = names[number % len(names)], np.random.default_rng((number, 5))
     procedure, scene = _lab(name, number)
     site = _drawn_site(procedure, name, number, rng)

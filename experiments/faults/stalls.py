@@ -30,7 +30,7 @@ from i2t.hardware.ur.config import UrConfig
 PLANE_M, STIFFNESS_N_M = 0.298, 10e3  # of the emulated plane, 2 mm below the tool's first pose
 STALL_S = (1.0, 5.0)
 PRESSED_N = 1.0
-POLL_S = 5e-3
+STALL_POLL_S = 5e-3
 
 PRESSER = f"""
 import sys
@@ -116,7 +116,7 @@ def _stall(number: int) -> Trial | None:
         peak, end = force, time.monotonic() + float(rng.uniform(*STALL_S))
         while pressed and time.monotonic() < end:
             peak = max(peak, _pushed(host))
-            time.sleep(POLL_S)
+            time.sleep(STALL_POLL_S)
         before = status(host)
         for pid in stopped:
             with contextlib.suppress(ProcessLookupError):

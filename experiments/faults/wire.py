@@ -31,7 +31,7 @@ ROUNDING_UT = {Format.FRAMED_TEXT: 0.051, Format.TEXT: 0.0051, Format.TEXT_GLUED
 PLAIN_ROUNDING_UT = 1e-3
 CHUNK_BYTES = 4096
 FAST_HZ, FAST_UT = 60.0, 400.0
-PRESS_HZ, PRESS_UT = 0.7, 150.0
+PRESS_HZ, STRONG_PRESS_UT = 0.7, 150.0
 AVERAGED, FILTERED = 8, 0.3  # samples that one firmware averages; share of the new sample in another's filter
 
 
@@ -54,7 +54,7 @@ def _field(shape: Callable[[np.ndarray], np.ndarray], count: int, rate: float, s
 
 
 def _press(t: np.ndarray) -> np.ndarray:
-    return PRESS_UT * np.maximum(0.0, np.sin(2 * np.pi * PRESS_HZ * t)) ** 2
+    return STRONG_PRESS_UT * np.maximum(0.0, np.sin(2 * np.pi * PRESS_HZ * t)) ** 2
 
 
 def _fast(t: np.ndarray) -> np.ndarray:

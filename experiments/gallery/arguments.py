@@ -8,7 +8,7 @@ FigureName = Literal[
     "overview", "objects", "patches", "press", "press_curve", "felt_and_imagined", "episode", "touched_object",
     "calibration_curve", "predictors",
 ]  # fmt: skip
-NAMES: tuple[FigureName, ...] = get_args(FigureName)
+FIGURE_NAMES: tuple[FigureName, ...] = get_args(FigureName)
 
 
 @dataclass(frozen=True)

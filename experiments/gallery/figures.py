@@ -27,13 +27,13 @@ from i2t.types import PATCH_WINDOW, ReturnCode, Touches
 from i2t.viz.episode_report import EpisodeRecord
 from i2t.viz.style import BLUE, GREY, ORANGE, titled
 
-HIDDEN = "hammer"  # what stands there in the overview and in the episode
+HIDDEN_OBJECT = "hammer"  # what stands there in the overview and in the episode
 OTHERS = ("star", "square", "cylinder", "screwdriver")  # that might stand there as well
 EPISODE = RecognizerConfig(num_sites=24, num_particles=64, max_touches=5)
 SHOWN = ("hexagon", "star", "pyramid", "cylinder", "screwdriver", "hammer")
 MM, UM = 1e3, 1e6
 TIP_RADIUS_M = 4e-3
-COUNTS = (5, 10, 20, 50, 100)  # presses of the calibration curve
+CURVE_COUNTS = (5, 10, 20, 50, 100)  # presses of the calibration curve
 HELD_OUT = 200
 NAMED_PROBABILITY = 0.04  # from which an object's name has room beside its curve
 Draw = Callable[["Story"], Figure]
@@ -56,7 +56,7 @@ class Story:
     def unseen(self) -> Touches:
         """Touches of the hidden object, on which the predictor was not trained."""
         dataset = self.run.dataset
-        rows = dataset.touches.object == dataset.objects.index(HIDDEN)
+        rows = dataset.touches.object == dataset.objects.index(HIDDEN_OBJECT)
         return dataset.select(rows & (dataset.touches.code != ReturnCode.AIR)).touches
 
     @cached_property
@@ -74,9 +74,9 @@ class Story:
     @cached_property
     def episode(self) -> EpisodeRecord:
         """The hidden object among five, touched where the belief expects to learn most."""
-        world, meshes = self.world, meshes_by_name((*OTHERS, HIDDEN))
+        world, meshes = self.world, meshes_by_name((*OTHERS, HIDDEN_OBJECT))
         recognizer = i2t.ObjectRecognizer(jax.random.key(1), self.run.pad_model, meshes, config=self.config)
-        hidden = i2t.prepare_surface(meshes[HIDDEN])
+        hidden = i2t.prepare_surface(meshes[HIDDEN_OBJECT])
         touch = touch_simulator(jax.random.key(2), hidden, self.run.pad, errors=world.errors, limits=world.limits)
         state, poses, readings, beliefs = recognizer.init(), [], [], []
         while (site := recognizer.choose_touch(state)) is not None:
@@ -90,7 +90,7 @@ class Story:
         names = list(meshes)
         return EpisodeRecord(
             list(meshes.values()), names, np.stack(poses), np.stack(readings), self.run.dataset.board,
-            np.stack(beliefs), names.index(HIDDEN), True,
+            np.stack(beliefs), names.index(HIDDEN_OBJECT), True,
         )  # fmt: skip
 
 
@@ -103,7 +103,7 @@ def overview(story: Story) -> Figure:
     parts = figure.subplots(1, 4, width_ratios=(1.15, 1, 1, 1.1))
     mesh = record.meshes[record.truth]
     _draw_scene(parts[0], mesh, np.linalg.inv(touches.T_w_o[row]) @ touches.T_w_t[row])
-    parts[0].set_title(f"1  an object never touched: {HIDDEN}", fontsize=10)
+    parts[0].set_title(f"1  an object never touched: {HIDDEN_OBJECT}", fontsize=10)
     image = viz.draw_patch(parts[1], touches.patch[row])
     figure.colorbar(image, ax=parts[1], label="mm behind the nearest point", shrink=0.8)
     _outline(parts[1], np.asarray(contact_mask(jnp.asarray(touches.patch[row]))))
@@ -173,7 +173,7 @@ def felt_and_imagined(story: Story) -> Figure:
         sets,
         labels,
         story.run.dataset.board,
-        f"Touches of the {HIDDEN}, never trained on",
+        f"Touches of the {HIDDEN_OBJECT}, never trained on",
         True,
     )
 
@@ -187,13 +187,15 @@ def touched_object(story: Story) -> Figure:
     """An object with its touches."""
     record = story.episode
     mesh = record.meshes[record.truth]
-    return viz.plot_object(mesh.vertices, mesh.faces, record.T_w_t, f"The touches of one episode: {HIDDEN}", True)
+    return viz.plot_object(
+        mesh.vertices, mesh.faces, record.T_w_t, f"The touches of one episode: {HIDDEN_OBJECT}", True
+    )
 
 
 def calibration_curve(story: Story) -> Figure:
     """How many presses of a skin predict all others."""
     pad, rng = i2t.sample_pad(jax.random.key(2)), np.random.default_rng(0)
-    n = COUNTS[-1] + HELD_OUT
+    n = CURVE_COUNTS[-1] + HELD_OUT
     position, depth = rng.uniform(-6e-3, 6e-3, (n, 2)), rng.uniform(0.1e-3, 0.5e-3, n)
     pressed = jax.lax.map(
         lambda at: _press_ball(at[0], at[1], at[2], pad),
@@ -201,9 +203,9 @@ def calibration_curve(story: Story) -> Figure:
         batch_size=16,
     )
     reading = np.asarray(pressed.reading) + rng.normal(0, 1.0, pressed.reading.shape)
-    out = slice(COUNTS[-1], None)
+    out = slice(CURVE_COUNTS[-1], None)
     r2 = []
-    for count in COUNTS:
+    for count in CURVE_COUNTS:
         known = slice(None, count)
         model = i2t.calibrate(
             position[known],
@@ -215,8 +217,8 @@ def calibration_curve(story: Story) -> Figure:
         r2.append(score(reading[out], model.predict(position[out], depth[out])[0]).r2)
     figure = Figure(figsize=(6.5, 4), layout="constrained")
     axes = figure.subplots()
-    axes.semilogx(COUNTS, r2, color=BLUE, marker="o")
-    axes.set_xticks(COUNTS, [str(count) for count in COUNTS])
+    axes.semilogx(CURVE_COUNTS, r2, color=BLUE, marker="o")
+    axes.set_xticks(CURVE_COUNTS, [str(count) for count in CURVE_COUNTS])
     axes.set(xlabel="presses that it learns from", ylabel=f"R² on {HELD_OUT} others", ylim=(min(0, *r2) - 0.05, 1))
     axes.axhline(0, color="black", lw=0.8)
     axes.set_title(titled("A skin from a few presses (i2t.calibrate, one pad)", True))

@@ -10,18 +10,18 @@ Results go to --out, a PNG for each figure.
 
 from PIL import Image
 
-from experiments.gallery.arguments import NAMES, GalleryArgs
+from experiments.gallery.arguments import FIGURE_NAMES, GalleryArgs
 from experiments.gallery.figures import FIGURES, Story
 from i2t import viz
 
-COLOURS = 256  # of a picture, which keeps it small
+PALETTE_SIZE = 256  # of a picture, which keeps it small
 
 
 def run(args: GalleryArgs) -> None:
     """Draw the figures asked for."""
     args.out.mkdir(parents=True, exist_ok=True)
     story = Story(args.trained_run)
-    for name in args.only or NAMES:
+    for name in args.only or FIGURE_NAMES:
         path = viz.save_figure(FIGURES[name](story), args.out / f"{name}.png")
-        Image.open(path).convert("RGB").quantize(COLOURS).save(path, optimize=True)
+        Image.open(path).convert("RGB").quantize(PALETTE_SIZE).save(path, optimize=True)
         print(f"{path}: {FIGURES[name].__doc__}")

@@ -223,6 +223,46 @@ def means_of_sets(measured: Measured) -> str:
     return markdown(["method", "after 10 [95 %]"], rows)
 
 
+# --- studies of recognition ---
+
+
+def placements(measured: Measured) -> str:
+    """Accuracy, calibration and errors of those that stopped, by what the belief is told of the placement's error."""
+    rows = []
+    for method, entry in measured["methods"].items():
+        for condition, scores in entry["conditions"].items():
+            wrong = [percent(stop["stopped_error"]) for stop in scores["stopping"]]
+            last = estimate(at(scores["accuracy"], -1))
+            rows.append([method, condition, last, estimate(scores["mean"]), number(scores["ece"]), *wrong])
+    stops = next(iter(next(iter(measured["methods"].values()))["conditions"].values()))["stopping"]
+    asked = [f"wrong of those that stopped, {100 * stop['requested_error']:.0f} % asked" for stop in stops]
+    return markdown(["scale", "placement", "after 10 [95 %]", "mean of 1 to 10 [95 %]", "ECE", *asked], rows)
+
+
+def worlds(measured: Measured) -> str:
+    """Accuracy in worlds of which the belief knows nothing, and what is lost by it."""
+    rows = []
+    for world, kinds in measured["worlds"].items():
+        for kind, scores in kinds.items():
+            lost = [estimate(scores[name], sign=True) for name in ("difference_last", "difference_mean")]
+            rows.append([world, kind, estimate(scores["last"]), lost[0], estimate(scores["mean"]), lost[1]])
+    return markdown(
+        ["world", "evidence", "after 10 [95 %]", "minus matched world", "mean of 1 to 10 [95 %]", "minus matched"], rows
+    )
+
+
+def policies(measured: Measured) -> str:
+    """Accuracy of each way to choose the next touch, and how many it needs."""
+    rows = [
+        [
+            policy, estimate(scores["mean"]), estimate(scores["touches_to_95"]["mean"], 2),
+            percent(scores["touches_to_95"]["never"], 0),
+        ]
+        for policy, scores in measured["policies"].items()
+    ]  # fmt: skip
+    return markdown(["policy", "mean accuracy over touches", "touches until 95 % sure, at most 10", "never sure"], rows)
+
+
 # --- prediction ---
 
 
@@ -275,4 +315,7 @@ TABLES: dict[str, dict[str, Table]] = {
         "all differences": differences_of_set("all"),
         "stopping": stopping_of_set("all", "fused"),
     },
+    "placement": {"conditions": placements},
+    "mismatch": {"worlds": worlds},
+    "policy": {"policies": policies},
 }

@@ -32,10 +32,10 @@ from i2t.skin.ambient import mean_known
 from i2t.types import Array
 
 RECORDED = ("folder", "replay")  # sources of views that are not of this lab
-CANDIDATES, LOOKS = 32, 3  # sites among which those are chosen, and how many are looked at
+FIRST_SITES, FIRST_LOOKS = 32, 3  # sites among which those are chosen, and how many are looked at
 LOOK_RADIUS_M = 40e-3  # around a site, in which depth is compared
 DEPTH_TOLERANCE_M = 6e-3  # of a pixel's depth: placement and camera 1 mm and a degree off, and a sloping surface
-EDGE_M = 3e-3  # from an edge of the object, in which depth is not compared: it is seen as far aside
+FIRST_EDGE_M = 3e-3  # from an edge of the object, in which depth is not compared: it is seen as far aside
 MAX_WRONG_SHARE, CLEARLY_WRONG_SHARE = 0.3, 0.6  # of the pixels of all looks; of a single look, at once
 MIN_SEEN_SHARE = 0.3  # of the object's pixels, that must have been measured
 TOUCH_TOLERANCE_M = 4e-3  # of where the object is met; with a placement that is stated worse, three times its error
@@ -88,7 +88,7 @@ def plan_first_touch(procedure: Procedure, sampler: SitedObject) -> FirstTouchPl
         UnreachableError: No site can be reached.
     """
     sites = []
-    for number in range(CANDIDATES):
+    for number in range(FIRST_SITES):
         site = sampler.site(number)
         try:
             procedure.path.check(site)
@@ -96,13 +96,13 @@ def plan_first_touch(procedure: Procedure, sampler: SitedObject) -> FirstTouchPl
         except UnreachableError as error:
             refused = error
     if not sites:
-        raise UnreachableError(f"none of {CANDIDATES} sites can be reached, the last not because {refused}")
+        raise UnreachableError(f"none of {FIRST_SITES} sites can be reached, the last not because {refused}")
     places = np.array([site.T_w_t[:3, 3] for site in sites])
     up = np.array([-site.T_w_t[2, 2] for site in sites])
     middle = places[:, :2].mean(0)
     first = int(np.argmax(np.round(up, 2) - np.linalg.norm(places[:, :2] - middle, axis=1)))
     chosen = [first]
-    while len(chosen) < min(LOOKS, len(sites)):
+    while len(chosen) < min(FIRST_LOOKS, len(sites)):
         away = np.linalg.norm(places[:, None] - places[chosen], axis=2).min(1)
         chosen.append(int(np.argmax(away)))
     return FirstTouchPlan(tuple(sites[i] for i in chosen), sites[first])
@@ -184,7 +184,7 @@ def expected_view(triangles: Array, site: Array, T_w_c: Array, camera: Camera) -
 def _edges(depth: Array, site: Array, T_w_c: Array, camera: Camera) -> np.ndarray:
     """(h, w) which pixels are so near an edge that they may show what is beside it."""
     away = max(float((site - T_w_c[:3, 3]) @ T_w_c[:3, 2]), 1e-3)
-    size = 2 * max(1, round(camera.fx * EDGE_M / away)) + 1
+    size = 2 * max(1, round(camera.fx * FIRST_EDGE_M / away)) + 1
     known = np.where(np.isfinite(depth), depth, 10.0)
     return np.asarray(maximum_filter(known, size) - minimum_filter(known, size) > DEPTH_TOLERANCE_M)
 

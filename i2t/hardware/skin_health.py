@@ -27,9 +27,9 @@ from i2t.hardware.protocols import Samples, Skin
 from i2t.skin.ambient import mean_known
 from i2t.types import Array
 
-REST_S, REST_SAMPLES = 0.5, 200  # whichever of both comes first, after the least number
+HEALTH_REST_S, HEALTH_SAMPLES = 0.5, 200  # whichever of both comes first, after the least number
 MIN_REST_SAMPLES = 24
-READ_AT_ONCE, READ_TIMEOUT_S = 8, 3.0  # so that a board of some hertz is judged too
+READ_AT_ONCE, LISTEN_TIMEOUT_S = 8, 3.0  # so that a board of some hertz is judged too
 TYPICAL_NOISE_UT = (3.1, 3.1, 4.6)  # of one sample of a real ReSkin board at rest, x, y, z
 NOISE_FACTOR, MAX_NOISE_UT = 3.0, 15.0
 GLITCH_SHARE = 0.01  # of the largest differences, that are steps or glitches and no noise
@@ -84,10 +84,10 @@ def rest_samples(skin: Skin, clock: Clock | None = None) -> Samples:
         DeviceError: It is silent.
     """
     clock = MonotonicClock() if clock is None else clock
-    parts, begun = [skin.read(READ_AT_ONCE, READ_TIMEOUT_S)], clock.now()
+    parts, begun = [skin.read(READ_AT_ONCE, LISTEN_TIMEOUT_S)], clock.now()
     count = READ_AT_ONCE
-    while count < MIN_REST_SAMPLES or (count < REST_SAMPLES and clock.now() - begun < REST_S):
-        parts.append(skin.read(READ_AT_ONCE, READ_TIMEOUT_S))
+    while count < MIN_REST_SAMPLES or (count < HEALTH_SAMPLES and clock.now() - begun < HEALTH_REST_S):
+        parts.append(skin.read(READ_AT_ONCE, LISTEN_TIMEOUT_S))
         count += READ_AT_ONCE
     return Samples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 

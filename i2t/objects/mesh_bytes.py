@@ -15,7 +15,7 @@ from i2t.errors import DataError
 from i2t.files import parse_json
 
 MAX_NODES = 1000  # of a scene, and meshes and parts of meshes in it
-MAX_FACES = 4_000_000  # of all nodes of a scene together
+MAX_FILE_FACES = 4_000_000  # of all nodes of a scene together
 GLB_HEADER, GLB_CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 # Parts of a scene that say nothing of its shape, some of which would be unpacked.
 LOOKS = ("materials", "textures", "images", "samplers", "animations", "skins", "cameras", "extras")
@@ -56,8 +56,8 @@ def _obj(path: Path, data: bytes) -> bytes:
         elif words and words[0] == b"f":
             corners = [word.partition(b"/")[0] for word in words[1:]]
             faces += max(0, len(corners) - 2)
-            if faces > MAX_FACES:
-                raise DataError(f"{path}: has more than {MAX_FACES} faces; export it with fewer")
+            if faces > MAX_FILE_FACES:
+                raise DataError(f"{path}: has more than {MAX_FILE_FACES} faces; export it with fewer")
             kept += [b"f %b %b %b" % (corners[0], *corners[i : i + 2]) for i in range(1, len(corners) - 1)]
     return b"\n".join(kept) + b"\n"
 
@@ -104,8 +104,8 @@ def _check_scene(path: Path, scene: dict[str, Any], size: int) -> None:
     if any("mesh" in node and not 0 <= node["mesh"] < len(meshes) for node in nodes):
         raise DataError(f"{path}: a node refers to a mesh that is not there; export it again")
     faces = sum(corners[node["mesh"]] for node in nodes if "mesh" in node) // 3
-    if faces > MAX_FACES:
-        raise DataError(f"{path}: has {faces} faces, and at most {MAX_FACES} are read; export it with fewer")
+    if faces > MAX_FILE_FACES:
+        raise DataError(f"{path}: has {faces} faces, and at most {MAX_FILE_FACES} are read; export it with fewer")
 
 
 def _corners(primitive: dict[str, Any], counts: list[int]) -> int:

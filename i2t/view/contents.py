@@ -20,7 +20,7 @@ from i2t.objects.solids import Mesh
 TOUCH_FILES = "touch-*.h5"
 
 
-class Belief(NamedTuple):
+class BeliefHistory(NamedTuple):
     """What was believed after each touch."""
 
     names: tuple[str, ...]  # of the candidates
@@ -35,7 +35,7 @@ class Contents:
     dataset: Dataset  # of all touches, chips that did not answer as NaN
     files: tuple[Path, ...]  # of recorded touches, in the order of the data set; empty for other data sets
     mesh: Mesh | None  # of the object, in its own frame
-    belief: Belief | None
+    belief: BeliefHistory | None
 
     @property
     def simulated(self) -> bool:
@@ -89,7 +89,7 @@ def _mesh(name: str | None, unit: str, dataset: Dataset) -> Mesh | None:
     return make_object(name).mesh if name in NAMES else read_mesh(name, unit)[0].mesh
 
 
-def read_belief(path: Path, touches: int) -> Belief:
+def read_belief(path: Path, touches: int) -> BeliefHistory:
     """What was believed after each touch.
 
     Args:
@@ -110,7 +110,7 @@ def read_belief(path: Path, touches: int) -> Belief:
         raise DataError(f"{path}: holds no belief ({error}); give names, and p of each after every touch") from error
     if p.shape != (touches, len(names)) or not ((p >= 0) & (p <= 1)).all():
         raise DataError(f"{path}: p has the shape {p.shape}; give {touches} rows of {len(names)} probabilities")
-    return Belief(names, p)
+    return BeliefHistory(names, p)
 
 
 def camera_of(dataset: Dataset) -> Camera | None:

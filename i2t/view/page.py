@@ -15,7 +15,7 @@ from i2t.viz.patches import plot_patches
 from i2t.viz.skins import plot_readings
 from i2t.viz.style import COLOURS, Picture, titled
 
-SHOWN_TOUCHES = 10  # with pictures of their own
+PAGE_TOUCHES = 10  # with pictures of their own
 TABLE_ROWS = 1000
 STYLE = (
     "body{font-family:sans-serif;max-width:70em;margin:2em auto;color:#222}img{max-width:100%}"
@@ -62,7 +62,7 @@ def write_page(contents: Contents, path: Path) -> Path:
 
 def _shown(touches: int) -> np.ndarray:
     """Touches with pictures, spread over all."""
-    return np.unique(np.linspace(0, touches - 1, min(touches, SHOWN_TOUCHES)).round().astype(int))
+    return np.unique(np.linspace(0, touches - 1, min(touches, PAGE_TOUCHES)).round().astype(int))
 
 
 def _courses(contents: Contents, shown: np.ndarray) -> list[tuple[int, Figure]]:

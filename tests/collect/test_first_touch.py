@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers.closed_form import GAIN, HEIGHT, make, site
 
-from experiments.faults.rig import OBJECTS, try_mistake, try_rig
+from experiments.faults.rig import RIG_OBJECTS, try_mistake, try_rig
 from experiments.faults.rig_mistakes import MISTAKES, right_rig
 from i2t.collect import first_touch as module
 from i2t.collect.first_touch import RigContradictedError, depth_contradiction, expected_view, first_touch
@@ -125,7 +125,7 @@ def test_a_live_recognition_makes_no_first_touch():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("name", OBJECTS)
+@pytest.mark.parametrize("name", RIG_OBJECTS)
 def test_nine_of_ten_plausible_mistakes_are_refused_or_shown(name):
     accepted = [mistake.name for mistake in MISTAKES if try_mistake(mistake, name).where == "accepted"]
     assert len(accepted) <= len(MISTAKES) * 5 / 53
@@ -133,6 +133,6 @@ def test_nine_of_ten_plausible_mistakes_are_refused_or_shown(name):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("name", OBJECTS)
+@pytest.mark.parametrize("name", RIG_OBJECTS)
 def test_right_rigs_pass_in_labs_with_usual_errors(name):
     assert [try_rig(right_rig(), name, seed).where for seed in range(5)] == 5 * ["accepted"]

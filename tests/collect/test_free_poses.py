@@ -86,6 +86,7 @@ class Watched:
         return self._arm.go(T_b_t, speed, acceleration)
 
 
+@pytest.mark.full
 def test_on_the_way_the_tool_is_never_lower_nor_tilted_further():
     procedure = make()
     arm, settings = Watched(procedure.arm), AmbientSettings(poses=4, seconds=0.05, spread=0.03)

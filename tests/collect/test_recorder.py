@@ -82,6 +82,7 @@ def test_series_hold_the_whole_press_in_unix_time(tmp_path):
     np.testing.assert_allclose(-wrench.values[:, 2], at, atol=0.05)
 
 
+@pytest.mark.full
 def test_a_folder_of_touches_is_a_data_set_in_the_order_of_time(tmp_path):
     collected(tmp_path, *range(4))
     data = dataset.load_dataset(tmp_path)

@@ -119,6 +119,7 @@ def test_what_a_recording_cannot_support_is_said(tmp_path):
     assert "does not know force" in sentence
 
 
+@pytest.mark.full
 def test_the_report_is_one_file_with_its_pictures(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(run, "fidelity_preset", lambda args: TINY)
     table = tmp_path / "mine <b>.csv"

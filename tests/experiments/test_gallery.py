@@ -7,7 +7,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from experiments.gallery import __main__ as gallery
-from experiments.gallery.arguments import NAMES
+from experiments.gallery.arguments import FIGURE_NAMES
 from experiments.gallery.figures import FIGURES, Story
 from experiments.recognize.config import PRESETS
 from i2t.recognition.recognizer import RecognizerConfig
@@ -22,7 +22,7 @@ def story(trained_run):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", FIGURE_NAMES)
 def test_a_figure_is_drawn(name, story):
     canvas = FigureCanvasAgg(FIGURES[name](story))
     canvas.draw()
@@ -32,7 +32,7 @@ def test_a_figure_is_drawn(name, story):
 
 def test_the_page_shows_every_figure_with_words_for_who_cannot_see_it():
     text = PAGE.read_text()
-    for name in NAMES:
+    for name in FIGURE_NAMES:
         before, found, _ = text.partition(f"](figures/{name}.png)")
         assert found, f"{name} is not on the page"
         assert len(before.rpartition("![")[2]) > 40

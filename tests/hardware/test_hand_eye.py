@@ -78,6 +78,7 @@ def test_without_noise_it_is_exact():
     assert found.rms < 1e-4
 
 
+@pytest.mark.full
 def test_the_error_it_states_is_the_error_it_makes():
     """Over 12 calibrations: the stated standard error is a root mean square, so are the errors made. A mean of 12
     squares of three independent parts each scatters by sqrt(2 / 36) = 24 %, by 41 % where one part rules, so its root

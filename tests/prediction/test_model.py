@@ -173,6 +173,7 @@ def test_prepared_inputs() -> None:
     np.testing.assert_array_equal(prepare(replace(cfg, input="image"), norm, inputs).image, depth)
 
 
+@pytest.mark.full
 def test_mixture_has_the_moments_worked_out_by_hand() -> None:
     cfg = replace(SMALL, heteroscedastic=True, members=2)
     params = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), start(cfg))

@@ -81,6 +81,7 @@ def on_pressure():
     return Predictor(PressureNetwork(seen, PRESSURE), PATCH_WINDOW, REACH, 1.0, 0.3e-3, 0.5)
 
 
+@pytest.mark.full
 def test_a_process_reproduces_what_it_was_conditioned_on(process, patches):
     """With little noise its mean comes back to the readings."""
     fitted, readings = process
@@ -119,6 +120,7 @@ def test_what_is_saved_is_what_is_loaded(process, network, on_pressure, patches,
         assert_same_predictions(loaded, made, patches, **given)
 
 
+@pytest.mark.full
 def test_a_network_without_conditions_is_saved_too(network, patches, tmp_path):
     made = replace(network, model=PatchNetwork(trained(15)))
     predictor.save(tmp_path / "alone", made)
@@ -187,6 +189,7 @@ def save_as_version_1(folder: Path, made: Predictor) -> None:
     ocp.save_checkpointables(folder, arrays, custom_metadata=about, overwrite=True)
 
 
+@pytest.mark.full
 def test_predictors_from_before_are_read(process, network, on_pressure, patches, tmp_path):
     for name, made in (("process", process[0]), ("network", network), ("pressure", on_pressure)):
         save_as_version_1(tmp_path / name, made)

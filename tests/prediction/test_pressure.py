@@ -130,6 +130,7 @@ def test_cells_that_do_not_tile_the_skin_are_refused(cell, window):
         PressureModelConfig(pitch=PITCH, cell=cell, window=window)
 
 
+@pytest.mark.full
 def test_a_recordings_own_signs_and_heights_are_undone():
     """A force that it counts negative, and depths from 0.3 mm too low, give the pressure of the press that it was."""
     bowl = (X**2 + Y**2) / 40e-3

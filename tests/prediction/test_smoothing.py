@@ -80,6 +80,7 @@ def test_fill_keeps_what_is_known_and_continues_its_edge():
     np.testing.assert_array_equal(jax.jit(fill)(jnp.asarray(known)), known)
 
 
+@pytest.mark.full
 def test_a_batch_is_its_examples():
     views = np.random.default_rng(4).normal(scale=3e-4, size=(3, N, N)).astype(np.float32)
     views[1, :5] = np.nan

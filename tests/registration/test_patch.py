@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from experiments.refine.cases import draw_cases
 from experiments.refine.arguments import RefineArgs
+from experiments.refine.cases import draw_cases
 from experiments.refine.run import run
 from i2t.geometry import log
 from i2t.objects.catalogue import make_object

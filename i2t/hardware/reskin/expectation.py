@@ -17,9 +17,9 @@ ORDER = 4  # values of a channel that the next is predicted from
 KEPT_FRAMES = 128  # that the weights are fitted to
 MIN_FITTED_FRAMES = 32
 REFIT_FRAMES = 8  # between two fits
-MIN_ROWS = 12  # received frames that a fit needs
+LEAST_FRAMES = 12  # received frames that a fit needs
 MAX_GAP_FRAMES = 8  # that were lost and are filled in; behind a longer gap the last value is what is known
-RIDGE = 1e-3  # of the mean square of a channel, added so that a constant one can be fitted
+FORECAST_RIDGE = 1e-3  # of the mean square of a channel, added so that a constant one can be fitted
 COMMON = 2  # directions in which the channels' errors go together
 FEW_ROWS = 10.0  # of which a fit explains more than of others: it grants more where it has few
 LEAST_OWN, LEAST_SHARE = 0.3, 0.8  # of what is usual on the same axis of all chips: variance, standard deviation
@@ -68,13 +68,13 @@ def begin(table: Float[np.ndarray, "chips 4"]) -> Expectation:
     weights = np.zeros((*known.shape, ORDER))
     weights[..., 0] = 1.0
     return Expectation(
-        known[None],
-        np.ones(1, bool),
-        np.zeros(known.shape),
-        weights,
-        np.eye(known.size),
-        np.tile(EARLY_CHANGE, (len(known), 1)),
-        1,
+        history=known[None],
+        came=np.ones(1, bool),
+        middle=np.zeros(known.shape),
+        weights=weights,
+        precision=np.eye(known.size),
+        spread=np.tile(EARLY_CHANGE, (len(known), 1)),
+        frames=1,
     )
 
 
@@ -175,7 +175,7 @@ def _fit(expected: Expectation) -> Expectation:
     centred = history - middle
     past = np.stack([centred[ORDER - k : len(centred) - k] for k in range(1, ORDER + 1)], -1)  # (n, chips, 4, k)
     past, target = past[came[ORDER:]], centred[ORDER:][came[ORDER:]]
-    if len(target) < MIN_ROWS:
+    if len(target) < LEAST_FRAMES:
         return expected._replace(history=history, came=came, since_fit=0)
     share = np.ones(target.shape)
     for _ in range(2):
@@ -183,7 +183,7 @@ def _fit(expected: Expectation) -> Expectation:
         square, moment = np.einsum("nijk,nijl->jkl", weighted, past), np.einsum("nijk,nij->jk", weighted, target)
         # The axes of all chips swing together, and share their weights; temperatures have their own.
         square, moment = (np.stack([sums[0], *[sums[1:].sum(0)] * 3]) for sums in (square, moment))
-        ridge = RIDGE * np.einsum("jkk->j", square) / ORDER + 1e-9
+        ridge = FORECAST_RIDGE * np.einsum("jkk->j", square) / ORDER + 1e-9
         weights = np.linalg.solve(square + ridge[:, None, None] * np.eye(ORDER), moment[..., None])[..., 0]
         weights = np.broadcast_to(weights, (history.shape[1], *weights.shape))
         error = target - np.einsum("nijk,ijk->nij", past, weights)

@@ -20,7 +20,7 @@ from i2t.hardware.reskin.layouts import FrameLayout
 
 TABLE_ENDINGS = (".csv", ".npz")
 HEARD_BYTES = 4000  # of bytes that are no frames, to say why
-DECIMALS = 6  # of times and values in a CSV file: more than the converter has
+TABLE_DECIMALS = 6  # of times and values in a CSV file: more than the converter has
 
 
 def is_table(path: Path) -> bool:
@@ -93,7 +93,9 @@ def write_table(path: Path, samples: Samples, began: float | None = None) -> Pat
                 with temporary.open("w", newline="") as file:
                     rows = csv.writer(file)
                     rows.writerow(names)
-                    rows.writerows([f"{x:.{DECIMALS}f}" if np.isfinite(x) else "" for x in row] for row in columns)
+                    rows.writerows(
+                        [f"{x:.{TABLE_DECIMALS}f}" if np.isfinite(x) else "" for x in row] for row in columns
+                    )
             else:
                 arrays = {"time_s": samples.time, "reading_uT": samples.reading, "temperature_C": samples.temperature}
                 np.savez_compressed(
