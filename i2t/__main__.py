@@ -37,6 +37,7 @@ EXPERIMENTS = {
     "experiments.refine": "poses found from single patches",
     "experiments.clouds": "point clouds as surfaces",
     "experiments.real_frames": "patches of real depth images",
+    "experiments.gallery": "the pictures of the documents",
     "experiments.notebooks": "notebooks as HTML",
     "experiments.benchmark": "speeds, next to a peer's",
     "experiments.faults": "what is lost when something breaks?",
@@ -55,15 +56,21 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns:
         The exit code.
+
+    Raises:
+        SystemExit: It was asked for help, and gave it.
     """
     words = list(sys.argv[1:] if argv is None else argv)
-    if words not in ([], ["--help"], ["-h"]):
+    asked = words in (["--help"], ["-h"])
+    if words and not asked:
         print(f"error: {' '.join(words)} is no command; {USAGE}", file=sys.stderr)
         return WRONG_USE
     print(f"i2t {__version__}: imagine a touch before making it\n\n{_table(COMMANDS)}")
     if (Path(__file__).parents[1] / "experiments").is_dir():
         print(f"\nfrom the folder of the checkout:\n\n{_table(EXPERIMENTS)}")
     print("\nEach has its own --help. Try python -m i2t.collect first: it simulates all.")
+    if asked:
+        raise SystemExit(0)  # as every other command ends that is asked for help
     return 0
 
 
