@@ -10,7 +10,7 @@ PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text
 
 
 def test_the_commands_are_these():
-    assert list(PROJECT["scripts"]) == ["i2t-collect", "i2t-convert", "i2t-reskin"]
+    assert list(PROJECT["scripts"]) == ["i2t-collect", "i2t-convert", "i2t-reskin", "i2t-view"]
 
 
 @pytest.mark.parametrize("name", PROJECT["scripts"])

@@ -352,7 +352,7 @@ DAMAGE = {
     "empty image": (IMAGE, contents(b""), "no readable TIF"),
     "text for an image": (IMAGE, contents(b"hello"), "no readable TIF"),
     "image of floats": (IMAGE, image(np.ones((48, 48), np.float32)), "crop of uint16"),
-    "colour image": (IMAGE, image(np.ones((48, 48, 3), np.uint16)), "crop of uint16"),
+    "colour image": (IMAGE, image(np.ones((48, 48, 3), np.uint16)), "with a single channel of depth"),
     "oblong image": (IMAGE, image(np.ones((48, 40), np.uint16)), "should be square"),
     "tiny image": (IMAGE, image(np.ones((2, 2), np.uint16)), "crop of uint16"),
     "huge image": (IMAGE, image(np.ones((2000, 2000), np.uint16)), "crop of uint16"),

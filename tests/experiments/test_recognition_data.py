@@ -157,7 +157,7 @@ def test_names_of_the_catalogue_and_mesh_files_mix(tmp_path, mug):
     star.write_text(TETRAHEDRON)
     for names, unit, said in (
         (["star", str(mug)], None, "--unit mm"),
-        (["star", str(star)], "mm", "several objects called star"),
+        (["star", str(star)], "mm", "are both called star"),
         (["star"], None, "at least two"),
         (["star", "cup"], "mm", "cup: is neither a mesh file nor an object of the catalogue"),
     ):

@@ -130,4 +130,4 @@ def test_pads_of_a_study_are_chosen_by_number(tmp_path):
 
 def test_the_papers_loop_is_not_for_recorded_touches(tmp_path):
     with pytest.raises(ValueError, match="--method paper plays the paper's own sets"):
-        run.run(run.SimulateArgs(method="paper", dataset=tmp_path))
+        run.SimulateArgs(method="paper", dataset=tmp_path).check()
