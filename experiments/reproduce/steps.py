@@ -35,7 +35,12 @@ STEPS = (
         uses="study",
         minutes=25,
     ),
-    Step("recognize", "-m experiments.recognize simulate --episodes 20 --paper-episodes 20", uses="study", minutes=60),
+    Step(
+        "recognize",
+        "-m experiments.recognize simulate --pads 0 1 2 3 4 --episodes 20 --paper-episodes 20",
+        uses="study",
+        minutes=60,
+    ),
     Step("policy", "-m experiments.studies policy --episodes 10", uses="study", minutes=20),
     Step("open_set", "-m experiments.studies open_set --episodes 10", uses="study", minutes=40),
     Step("new_pad", "-m experiments.studies new_pad --episodes 10", uses="study", minutes=30),
