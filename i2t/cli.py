@@ -12,19 +12,22 @@ Options are fields of a dataclass. What numbers a field allows is part of its ty
 import ast
 import importlib.util
 import math
+import signal
 import sys
+import threading
 import typing
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
-from i2t.errors import DeviceError
+from i2t.errors import NAMED_WRONGLY, DeviceError, FullDiskError
 
 FAILED, WRONG_USE, INTERRUPTED_BY_USER = 1, 2, 130  # exit codes
-NAMED_WRONGLY = (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError)
+SENT_AGAIN_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -146,7 +149,11 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
     """
     shown, warnings.showwarning = warnings.showwarning, _show_warning
     try:
-        code = work()
+        with _swallowed_interrupts_sent_again():
+            code = work()
+    except FullDiskError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return FAILED
     except (ValueError, *NAMED_WRONGLY) as error:  # DataError is a ValueError
         print(f"error: {error}", file=sys.stderr)
         return WRONG_USE
@@ -162,6 +169,28 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
     finally:
         warnings.showwarning = shown
     return code if isinstance(code, int) else 0
+
+
+@contextmanager
+def _swallowed_interrupts_sent_again() -> Iterator[None]:
+    """Python drops what is raised in a callback of its garbage collector, and JAX has one: a Ctrl-C that comes just
+    then would be lost.
+    """
+    before = sys.unraisablehook
+
+    def hook(unraisable: "sys.UnraisableHookArgs") -> None:
+        if issubclass(unraisable.exc_type, KeyboardInterrupt):
+            timer = threading.Timer(SENT_AGAIN_S, signal.raise_signal, (signal.SIGINT,))
+            timer.daemon = True
+            timer.start()
+        else:
+            before(unraisable)
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
 
 
 def renamed_flags(args: Sequence[str], renamed: Mapping[str, str]) -> None:

@@ -2,6 +2,8 @@
 remedy.
 """
 
+NAMED_WRONGLY = (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError)
+
 
 class I2TError(Exception):
     """What went wrong can be mended by whoever reads the message."""
@@ -20,6 +22,10 @@ class DataError(I2TError, ValueError):
 
 class SerializationError(I2TError, ValueError):
     """A file of arrays that is damaged, or that holds something else than is asked of it."""
+
+
+class FullDiskError(DataError, SerializationError):
+    """A file could not be kept, for no fault of its name: the disk is full, or failed."""
 
 
 class CheckpointError(I2TError, ValueError):

@@ -10,6 +10,7 @@ import gzip
 import io
 import json
 import os
+import re
 import stat
 import tomllib
 import zipfile
@@ -17,7 +18,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-from i2t.errors import DataError
+from i2t.errors import NAMED_WRONGLY, DataError, FullDiskError
 
 MAX_BYTES = 2 * 2**30  # of any file that is read as a whole
 MAX_TEXT_BYTES = 2**20  # of a settings file: real ones have a few kilobytes
@@ -26,6 +27,23 @@ SPARE_BYTES = 16 * 2**20  # that a small archive may unpack to, however small it
 MAX_INFLATION = 40  # times its size, that an archive may unpack to beyond that: numbers as text reach 10
 MAX_ARCHIVE_ENTRIES = 4096
 ARCHIVE_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
+
+def unwritable(path: str | Path, error: OSError) -> DataError:
+    """What to raise where a file could not be written.
+
+    Args:
+        path: Of the file.
+        error: Of the system, or of the HDF5 library.
+
+    Returns:
+        A FullDiskError, unless the folder is to blame.
+    """
+    inner = re.search("error message = '([^']*)'", str(error))  # as HDF5 words it
+    why = error.strerror or (inner[1] if inner else str(error))
+    if isinstance(error, NAMED_WRONGLY):
+        return DataError(f"{path}: cannot be written ({why}); choose a folder you may write to")
+    return FullDiskError(f"{path}: cannot be written ({why}); make room on its disk, or choose another")
 
 
 def read_bytes(path: str | Path, most: int = MAX_BYTES) -> bytes:

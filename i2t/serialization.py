@@ -54,9 +54,8 @@ def save(path: Path | str, kind: str, tree: Any, about: dict[str, Any] | None = 
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:
-        raise SerializationError(
-            f"{path}: cannot be written ({error.strerror}); choose a folder you may write to"
-        ) from error
+        reason = files.unwritable(path, error)
+        raise (reason if isinstance(reason, SerializationError) else SerializationError(str(reason))) from error
 
 
 def load(

@@ -14,17 +14,38 @@ from typing import Any, NamedTuple, TypeAlias
 
 from jaxtyping import Float, Int
 
-Array: TypeAlias = Any  # a NumPy or a JAX array
+from i2t.windows import (
+    CONTACT_TOLERANCE_M as CONTACT_TOLERANCE_M,
+)
+from i2t.windows import (
+    PAD_WINDOW as PAD_WINDOW,
+)
+from i2t.windows import (
+    PATCH_PIXELS as PATCH_PIXELS,
+)
+from i2t.windows import (
+    PATCH_WINDOW as PATCH_WINDOW,
+)
+from i2t.windows import (
+    REACH as REACH,
+)
+from i2t.windows import (
+    RIGID as RIGID,
+)
+from i2t.windows import (
+    STANDOFF as STANDOFF,
+)
+from i2t.windows import (
+    TWIST_LEVER_M as TWIST_LEVER_M,
+)
+from i2t.windows import (
+    WIDE_PIXELS as WIDE_PIXELS,
+)
+from i2t.windows import (
+    WIDE_WINDOW as WIDE_WINDOW,
+)
 
-PATCH_PIXELS = 48
-PATCH_WINDOW = 17e-3  # m, edge of the square the paper cuts around the tool axis
-WIDE_PIXELS = 72
-WIDE_WINDOW = PATCH_WINDOW * WIDE_PIXELS / PATCH_PIXELS  # 25.5 mm: same pixels, and the patch is its central 48 x 48
-TWIST_LEVER_M = PATCH_WINDOW / 2  # m, at which a rotation is measured in a twist
-REACH = 4e-3  # m, depth of a patch behind the nearest surface point
-STANDOFF = 40e-3  # m, rays start this far behind the tool origin
-PAD_WINDOW = 20e-3  # m, edge of the skin
-RIGID = 1e-3  # by which products of a rotation's columns may miss 1 and 0: 4 um at the rim of a patch
+Array: TypeAlias = Any  # a NumPy or a JAX array
 
 
 def one_line(values: tuple) -> str:

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 
 # A package imports from lower floors only. Calibration stands above prediction, whose small network it uses.
 FLOORS = {
-    0: ("_version", "errors", "types", "geometry", "serialization", "files", "cli"),
+    0: ("_version", "errors", "windows", "types", "geometry", "serialization", "files", "cli"),
     1: ("objects",),
     2: ("dataset",),
     3: ("rendering", "depth", "skin", "unknowns"),

@@ -141,7 +141,7 @@ def press(story: Story) -> Figure:
     pressed = _press_ball(3e-3, 0.0, 0.4e-3)
     moved, _ = interior(pad, load(pad, pressed.pressure), 0.0)
     return viz.plot_press(
-        np.asarray(pressed.pressure), -np.asarray(moved[2]), _host(pad.board), np.asarray(pressed.reading),
+        np.asarray(pressed.pressure), -np.asarray(moved[2]), pad.board, np.asarray(pressed.reading),
         "A ball of 4 mm radius, 0.4 mm deep", True,
     )  # fmt: skip
 
@@ -253,16 +253,14 @@ def _press_ball(
     return i2t.press(pad or i2t.nominal_pad(), squared / (2 * TIP_RADIUS_M), depth)
 
 
-def _host(board: i2t.Board) -> i2t.Board:
-    return i2t.Board(*map(np.asarray, board))
-
-
 def _draw_scene(axes: Axes, mesh: i2t.Mesh, T_o_t: np.ndarray | None) -> None:
-    """An object in three dimensions, with the skin where it touches; empty where nothing can be drawn."""
+    """An object in three dimensions, with the skin where it touches, or why it cannot be drawn."""
     axes.set_axis_off()
     poses = np.zeros((0, 4, 4)) if T_o_t is None else T_o_t[None]
     picture = viz.object_image(mesh.vertices, mesh.faces, poses)
-    if picture is not None:
+    if picture is None:
+        axes.text(0.5, 0.5, viz.why_no_scene(), ha="center", va="center", wrap=True, fontsize=8)
+    else:
         axes.imshow(picture)
 
 
@@ -277,8 +275,8 @@ def _draw_both(axes: Axes, story: Story, row: int) -> None:
     board, felt, imagined = story.run.dataset.board, story.unseen.reading[row], story.imagined.mean[row]
     scale = float(np.abs(np.stack([felt, imagined])).max())
     viz.draw_skin(axes)
-    viz.draw_reading(axes, board, felt, scale, colour=ORANGE, label="felt")
-    viz.draw_reading(axes, board, imagined, scale, colour=BLUE, label="imagined", width=0.006)
+    viz.draw_reading(axes, board, felt, scale, colour=BLUE, label="felt")
+    viz.draw_reading(axes, board, imagined, scale, colour=ORANGE, label="imagined", width=0.006)
     axes.set(xlabel="x (mm)", ylabel="y (mm)")
     axes.legend(loc="upper right", fontsize=8)
 

@@ -19,6 +19,7 @@ class RealFrames:
     sites: Count = 40  # on each object
     windows: tuple[Positive, ...] = (PATCH_WINDOW, 30e-3, 50e-3)  # m
     seed: Seed = 0
+    overwrite: bool = False  # replace a finished run in --out
     min_cosine: Probability = 0.5  # least cosine between a site's normal and the line of sight
     max_occlusion_m: Positive = 8e-3  # where the image is further than this from the mesh, something else is in front
     border_px: Annotated[int, Limits(0)] = 3  # from a site to the border of the object's label
@@ -28,9 +29,7 @@ class RealFrames:
     f200_fill_m: NotNegative = 4e-3  # every fifth row and column of the F200's frames is empty, 1 to 1.6 mm wide
 
     def check(self) -> None:
-        """Refuse a folder without the recordings, and one that holds a finished run."""
+        """Refuse a folder without the recordings."""
         for folder in FRAME_FOLDERS:
             if not (self.data / folder).is_dir():
                 raise ValueError(f"{self.data / folder} is missing; give --data a folder that holds it")
-        if (self.out / "metrics.json").exists():
-            raise ValueError(f"{self.out} holds a finished run; choose another --out")

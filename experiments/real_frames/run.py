@@ -24,7 +24,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-from experiments.common.runs import settings, write_json
+from experiments.common.runs import begin, write_json
 from experiments.real_frames.arguments import RealFrames
 from i2t import viz
 from i2t.depth.camera import Camera, Encoding, read_depth
@@ -72,7 +72,7 @@ class Compared(NamedTuple):
 def run(cfg: RealFrames) -> dict[str, Any]:
     """Run the comparison, print its table and write metrics and figures."""
     cfg.check()
-    cfg.out.mkdir(parents=True, exist_ok=True)
+    begin(cfg.out, cfg, cfg, None, cfg.overwrite)
     objects: dict[str, Any] = {}
     for item in OBJECTS:
         mesh = read_mesh(cfg.data / "ycb_meshes" / f"{item.name}.stl", "m", table=False)[0].mesh
@@ -89,7 +89,6 @@ def run(cfg: RealFrames) -> dict[str, Any]:
         "objects": objects,
         "f200": {name: show_f200(cfg, name) for name in ("frame-000000", "frame-000007")},
     }
-    write_json(cfg.out / "config.json", settings(cfg))
     write_json(cfg.out / "metrics.json", metrics)
     report(metrics)
     return metrics

@@ -19,7 +19,7 @@ on them; a case succeeds with at most 0.1 mm and 0.3 degrees of it. Two to three
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -27,7 +27,7 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
-from experiments.common.runs import check_out, settings, write_json
+from experiments.common.runs import begin, write_json
 from experiments.refine.arguments import RefineArgs
 from experiments.refine.cases import Cases, Views, draw_cases, draw_views, list_objects
 from experiments.refine.figures import ERROR_BINS, draw_bounds, draw_patches
@@ -55,8 +55,8 @@ class Method(NamedTuple):
 
 def run(args: RefineArgs) -> dict:
     """Run every method on the same cases; print the table, write metrics.json, config.json and figures."""
-    check_out(args.out, None, args.overwrite)
     sizes = args.sizes
+    begin(args.out, args, sizes, None, args.overwrite)
     objects = list_objects(args)
     key_sites, key_noise, key_search = jax.random.split(jax.random.key(args.seed), 3)
     surfaces = stack_surfaces([prepare_surface(item.mesh) for item in objects])
@@ -72,8 +72,6 @@ def run(args: RefineArgs) -> dict:
         args.noise, min(args.close, np.radians(args.close_angle) * TWIST_LEVER_M), PATCH_PIXELS
     )
     report = evaluate(found, cases, bound, objects, args)
-    args.out.mkdir(parents=True, exist_ok=True)
-    write_json(args.out / "config.json", settings(replace(args, **asdict(sizes))))
     write_json(args.out / "metrics.json", report)
     figure = draw_patches(
         objects,

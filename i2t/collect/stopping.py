@@ -18,6 +18,7 @@ from i2t.types import Array, Board
 
 ONSET_RANGE = (0.15, 0.7)  # shares of the final change between which the line of the contact onset is fitted
 MIN_ONSET_SAMPLES = 3
+AT_REST_SILENCE_S = 0.4  # that a skin may be silent while the arm still stands
 
 
 class StopRule(NamedTuple):
@@ -42,7 +43,7 @@ class SkinStopCondition:
 
     def __init__(self, skin: Skin, board: Board, rule: StopRule, ambient: Float[Array, " c"], log: TouchLog) -> None:
         self._skin, self._board, self._rule, self._ambient, self._log = skin, board, rule, ambient, log
-        self._number = int(skin.latest().number[-1])
+        self._number = int(skin.latest(max(rule.silence, AT_REST_SILENCE_S)).number[-1])
         self._last: list[Array] = []
         self._times: list[Array] = []
         self._readings: list[Array] = []

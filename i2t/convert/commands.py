@@ -26,14 +26,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from i2t.cli import NAMED_WRONGLY, exit_code_of, renamed_flags
+from i2t import files
+from i2t.cli import exit_code_of, renamed_flags
 from i2t.convert import CAMERA_OFFSET_M, EFLESH_WINDOW_M, TIP_RADIUS_M
 from i2t.errors import DataError, SerializationError
-from i2t.types import PATCH_WINDOW, REACH, Board
+from i2t.windows import PATCH_WINDOW, REACH
 
 if TYPE_CHECKING:
     from i2t.convert.common import Converted
     from i2t.dataset import Dataset
+    from i2t.types import Board
 
 PACKED = "touches.h5"
 
@@ -286,8 +288,7 @@ def write_npz(path: Path, dataset: "Dataset") -> Path:
         `path`.
 
     Raises:
-        DataError: Its folder cannot be written to.
-        OSError: The disk is full, or failed.
+        DataError: Its folder cannot be written to; FullDiskError if the disk is full, or failed.
     """
     import numpy as np
 
@@ -309,8 +310,8 @@ def write_npz(path: Path, dataset: "Dataset") -> Path:
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
-    except NAMED_WRONGLY as error:
-        raise DataError(f"{path}: cannot be written ({error.strerror}); choose a folder you may write to") from error
+    except OSError as error:
+        raise files.unwritable(path, error) from error
     return path
 
 
@@ -403,7 +404,7 @@ def _require_free(target: Path, overwrite: bool) -> None:
         raise DataError(f"{target}: holds a data set already; give another folder or pass --overwrite")
 
 
-def _board(name: str) -> Board:
+def _board(name: str) -> "Board":
     from i2t.skin.boards import make_board
 
     try:

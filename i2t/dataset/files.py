@@ -27,7 +27,7 @@ import h5py
 import numpy as np
 
 from i2t.errors import DataError
-from i2t.files import SPARE_BYTES
+from i2t.files import SPARE_BYTES, unwritable
 
 SCHEMA = "i2t-touches"
 SCHEMA_VERSION = 2  # sessions, which version 1 called runs
@@ -56,7 +56,7 @@ def write(path: Path, fill: Callable[[h5py.File], None], small: bool = False) ->
         The path.
 
     Raises:
-        DataError: The folder cannot be written.
+        DataError: The folder cannot be written; FullDiskError if the disk is full, or failed.
     """
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
@@ -80,9 +80,7 @@ def write(path: Path, fill: Callable[[h5py.File], None], small: bool = False) ->
             temporary.unlink(missing_ok=True)
         sync_folder(path.parent)
     except OSError as error:
-        raise DataError(
-            f"{path}: cannot be written ({error.strerror or error}); choose a folder you may write to"
-        ) from error
+        raise unwritable(path, error) from error
     return path
 
 

@@ -25,6 +25,7 @@ from i2t.hardware.clock import Clock
 from i2t.hardware.limits import BRAKING_M_S2, MotionLimits
 from i2t.hardware.poses import pose_from_vector, pose_to_vector, shifted_along_z
 from i2t.hardware.protocols import (
+    READ_SPARE_S,
     ApproachResult,
     ArmFeatures,
     ArmState,
@@ -241,7 +242,7 @@ class SimulatedSkin(_SimulatedDevice):
             raise ValueError(f"{count} samples were asked for; the queue holds 1 to {QUEUE_SAMPLES}")
         self._check()
         called, before = self.lab.clock.now(), self.lab.number - 1
-        timeout = 2 * count * TICK_S + 0.5 if timeout is None else timeout
+        timeout = 2 * count * TICK_S + READ_SPARE_S if timeout is None else timeout
         while True:
             self._check()
             with self.lab.lock:

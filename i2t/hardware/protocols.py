@@ -16,6 +16,8 @@ from typing import Any, Literal, NamedTuple, Protocol, SupportsIndex, TypeAlias,
 from i2t.depth.camera import Camera
 from i2t.types import Array
 
+READ_SPARE_S = 2.0  # that samples may come late by: a busy computer's pauses, and the arm stands still meanwhile
+
 T = TypeVar("T")
 StopReason: TypeAlias = Literal["condition", "force", "torque", "distance"]
 
@@ -119,7 +121,7 @@ class Skin(Device, Protocol):
 
         Args:
             count: How many.
-            timeout: s; by default twice what the nominal rate needs, and half a second.
+            timeout: s; by default twice what the nominal rate needs, and `READ_SPARE_S`.
 
         Returns:
             `count` rows.

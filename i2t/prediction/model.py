@@ -28,7 +28,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from i2t.rendering.render import contact_mask
-from i2t.types import PATCH_PIXELS, REACH
+from i2t.types import CONTACT_TOLERANCE_M, PATCH_PIXELS, REACH
 
 Params: TypeAlias = dict[str, dict[str, Array]]  # {layer: {"kernel": ..., "bias": ...}}
 ImageKind: TypeAlias = Literal["depth", "mask", "image"]
@@ -76,7 +76,7 @@ class ModelConfig:
     readings: int = 15  # values of a reading, 3 for each chip of the board
     input: ImageKind = "depth"
     reach: float = REACH  # m, depth that becomes 1
-    tolerance: float = 1.5e-3  # m behind the nearest point that still counts as contact in a mask
+    tolerance: float = CONTACT_TOLERANCE_M  # m behind the nearest point that still counts as contact in a mask
     encoder: Literal["mlp", "cnn"] = "mlp"
     channels: tuple[int, ...] = (8, 16, 16)  # of the convolutions, each of stride 2
     encoder_width: int = 200

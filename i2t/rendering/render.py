@@ -23,7 +23,7 @@ from i2t.geometry import is_rigid
 from i2t.rendering.bvh import build_bvh, pad_to_same_size
 from i2t.rendering.raycast import first_hit
 from i2t.rendering.tiles import ToolView
-from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Patch, Surface
+from i2t.types import CONTACT_TOLERANCE_M, PATCH_PIXELS, PATCH_WINDOW, REACH, Patch, Surface
 
 MAX_COORDINATE_M = 100.0  # m, where one step of float32 is 8 um
 
@@ -158,7 +158,7 @@ def render_heights(
     return first_hit(_prepared(surface), view, window, pixels, math.inf)
 
 
-def contact_mask(depth: Float[Array, "n n"], tolerance: float = 1e-3) -> Float[Array, "n n"]:
+def contact_mask(depth: Float[Array, "n n"], tolerance: float = CONTACT_TOLERANCE_M) -> Float[Array, "n n"]:
     """The paper's binary image.
 
     Args:

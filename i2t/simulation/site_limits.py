@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from i2t.types import PAD_WINDOW
+from i2t.windows import PAD_WINDOW
 
 SITE_RANGES = {  # the least and the greatest of each that make sense, and the unit
     "min_cos": (-1.0, 1.0, ""),

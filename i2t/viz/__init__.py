@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from i2t.viz.scene import plot_object as plot_object
     from i2t.viz.scene import plot_skin_surface as plot_skin_surface
     from i2t.viz.scene import skin_plotter as skin_plotter
+    from i2t.viz.scene import why_no_scene as why_no_scene
     from i2t.viz.skins import draw_field as draw_field
     from i2t.viz.skins import draw_reading as draw_reading
     from i2t.viz.skins import draw_skin as draw_skin
@@ -52,6 +53,7 @@ _MODULES = {
         "interactive",
         "map_plotter",
         "object_image",
+        "why_no_scene",
         "object_plotter",
         "plot_object",
         "plot_skin_surface",

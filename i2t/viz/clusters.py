@@ -13,12 +13,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from i2t.types import REACH
+from i2t.types import CONTACT_TOLERANCE_M, REACH
 
 NUM_CLUSTERS = 5  # the paper's
 NUM_COMPONENTS = 50  # of the views
 PERPLEXITY = 30.0
-CONTACT_TOLERANCE_M = 1.5e-3  # behind the nearest point: as in `i2t.prediction.model.ModelConfig`
 
 
 class Clusters(NamedTuple):

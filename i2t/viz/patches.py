@@ -7,10 +7,8 @@ from jaxtyping import Float, Shaped
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 
-from i2t.types import PATCH_WINDOW, REACH, Array
+from i2t.types import CONTACT_TOLERANCE_M, PATCH_WINDOW, REACH, Array
 from i2t.viz.style import MM_PER_M, Picture, titled
-
-CONTACT_TOLERANCE_M = 1.5e-3  # behind the nearest point: as in `i2t.prediction.model.ModelConfig`
 
 
 def draw_map(

@@ -14,6 +14,7 @@ from i2t.emulators import lab as emulated_lab
 from i2t.emulators import ur_controller
 from i2t.hardware import camera_folder
 from i2t.hardware.protocols import View
+from i2t.hardware.reskin import recording
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.rig import Rig
 from i2t.objects import catalogue
@@ -25,7 +26,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs the addre
 
 # The emulated board, the thread that hears it and the arm's process share the machine with the other tests: each may
 # wait for a core longer than a lab's devices may be silent (0.1 s, 10 Hz and 0.15 s), which no claim here is about.
-PATIENT = ["--state-timeout", "3", "--watchdog-rate", "0.5", "--settings.silence", "2"]
+PATIENT = ["--state-timeout", "3", "--watchdog-rate", "0.5", "--settings.silence", "2", "--settings.hold", "2"]
 
 
 @pytest.fixture(scope="module")
@@ -71,9 +72,12 @@ def test_a_recording_in_place_of_a_skin(lab, capsys):
     path, options = lab
     with ReSkin(str(path / "skin")) as skin:
         skin.record(path / "rest.raw")
-        skin.read(4000, 30.0)
+        skin.read(4000, 60.0)
+    # As bare bytes, as `cat` records them: again and again, so that it outlasts the session on a slow machine.
+    heard = b"".join(chunk for _, chunk in recording.chunks(path / "rest.raw", 1.0))
+    (path / "rest.bin").write_bytes(heard * 12)
     out = path / "replayed"
-    assert command.main(["--out", str(out), "--skin", "replay", "--replay", str(path / "rest.raw"), *options]) == 0
+    assert command.main(["--out", str(out), "--skin", "replay", "--replay", str(path / "rest.bin"), *options]) == 0
     made = dataset.load_dataset(out)
     assert made.source == "mixed"
     assert made.touches.code[0] == ReturnCode.WRENCH  # a recording of a skin at rest feels nothing; force stops it

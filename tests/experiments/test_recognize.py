@@ -147,17 +147,11 @@ def test_what_is_missing_is_named(tmp_path, capsys):
 
 @pytest.mark.full
 def test_meshes_need_a_unit(trained_run, tmp_path, capsys):
-    args = [
-        "--preset",
-        "debug",
-        "--trained-run",
-        str(trained_run),
-        "--objects",
-        "a.stl",
-        "b.stl",
-        "--out",
-        str(tmp_path / "o"),
-    ]
+    meshes = [tmp_path / "a.stl", tmp_path / "b.stl"]
+    for path in meshes:
+        path.write_text("solid\nendsolid\n")
+    args = ["--preset", "debug", "--trained-run", str(trained_run), "--out", str(tmp_path / "o"), "--objects"]
+    args += map(str, meshes)
     assert recognize.main(args) == 2
     assert "--unit mm" in capsys.readouterr().err
 

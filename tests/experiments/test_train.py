@@ -113,9 +113,9 @@ def test_a_finished_run_is_not_overwritten(finished, capsys):
 @pytest.mark.full
 def test_killed_and_resumed_equals_uninterrupted(finished, tmp_path, capsys):
     out = tmp_path / "killed"
-    command = [sys.executable, "-m", "experiments.train", "--preset", "debug", "--out", str(out)]
+    words = [sys.executable, "-m", "experiments.train", "--preset", "debug", "--out", str(out)]
     process = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ, "MPLBACKEND": "agg"}
+        words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ, "MPLBACKEND": "agg"}
     )
     while process.poll() is None and not (out / "checkpoint").exists():
         time.sleep(0.02)

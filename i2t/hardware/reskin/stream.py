@@ -16,7 +16,7 @@ from typing import Any, BinaryIO, NamedTuple, SupportsIndex, TypeAlias, TypeVar
 import numpy as np
 
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
-from i2t.hardware.protocols import Samples, SkinCounters, SkinFeatures, channel_names
+from i2t.hardware.protocols import READ_SPARE_S, Samples, SkinCounters, SkinFeatures, channel_names
 from i2t.hardware.reskin import frames, recording
 from i2t.hardware.reskin.frames import Decoder, Frame, FrameLimits
 from i2t.hardware.reskin.layouts import Format
@@ -171,8 +171,8 @@ class Stream(ABC):
 
         Args:
             count: How many, at most what the queue holds.
-            timeout: s; by default twice what the nominal rate needs, or the measured one where that is lower, and half
-                a second.
+            timeout: s; by default twice what the nominal rate needs, or the measured one where that is lower, and
+                `READ_SPARE_S`.
 
         Returns:
             `count` rows.
@@ -184,7 +184,7 @@ class Stream(ABC):
         if not 0 < count <= (self._queue.maxlen or 0):
             raise ValueError(f"{count} samples were asked for; the queue holds 1 to {self._queue.maxlen}")
         slow = timeout is None
-        timeout = 2 * count / self._features.rate + 0.5 if timeout is None else timeout
+        timeout = 2 * count / self._features.rate + READ_SPARE_S if timeout is None else timeout
         called = time.monotonic()
         with self._changed:
             newest = self._queue[-1].number if self._queue else -1
@@ -197,7 +197,7 @@ class Stream(ABC):
             between = (got[-1].time - called) / len(got) if got else 0.0
             if slow and len(got) < count and time.monotonic() - called < between * (len(got) + 2):
                 # They come still, only more slowly than is nominal; a board that fell silent is not waited for.
-                timeout = 2 * count * between + 0.5
+                timeout = 2 * count * between + READ_SPARE_S
                 left = called + timeout - time.monotonic()
                 self._changed.wait_for(lambda: self._failure is not None or len(fresh()) == count, left)
                 got = fresh()

@@ -1,0 +1,12 @@
+"""Lengths of patches and skins, for whoever needs no array: reading them imports nothing."""
+
+PATCH_PIXELS = 48
+PATCH_WINDOW = 17e-3  # m, edge of the square the paper cuts around the tool axis
+WIDE_PIXELS = 72
+WIDE_WINDOW = PATCH_WINDOW * WIDE_PIXELS / PATCH_PIXELS  # 25.5 mm: same pixels, and the patch is its central 48 x 48
+TWIST_LEVER_M = PATCH_WINDOW / 2  # m, at which a rotation is measured in a twist
+REACH = 4e-3  # m, depth of a patch behind the nearest surface point
+STANDOFF = 40e-3  # m, rays start this far behind the tool origin
+PAD_WINDOW = 20e-3  # m, edge of the skin
+CONTACT_TOLERANCE_M = 1.5e-3  # behind the nearest point, that counts as contact in a mask
+RIGID = 1e-3  # by which products of a rotation's columns may miss 1 and 0: 4 um at the rim of a patch
