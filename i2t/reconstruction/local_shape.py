@@ -1,0 +1,356 @@
+"""What the skin met, from one press: a posterior over local surfaces, by imagination.
+
+A library holds patches of many shapes (`i2t.reconstruction.library`), and a `PressModel` what one pad would read at each
+of them under a few loads. A press is one or more stops, each with a reading (uT), a force (N) and a travel past first
+contact (m); two stops of one press, at 25 and at 100 uT say, are a press curve. Each patch i of the library is weighted
+by how well it explains all of the press,
+
+    y = r_i(F) + U_i a + e,    a ~ N(0, I),    e ~ Student's t with the scale D,
+
+where r_i is interpolated at the measured force and the columns of U_i are nuisances that are integrated out: the slant
+of the press along two axes (friction, the same at all its stops), the error of each force, and that of first contact.
+With z = D^-1/2 (y - r_i), V = D^-1/2 U_i and A = I + V'V,
+
+    log w_i = T [ -1/2 log |A| - (k + m)/2 log(1 + (z'z - z'V A^-1 V'z) / k) ]
+
+with k degrees of freedom, m measured values, and T a temperature: patches of a library are not the truth, and what a
+model errs is alike in all channels. A share of the prior stays mixed in, so that no touch is certain. Posterior samples
+are drawn from the weights systematically and are alike in weight.
+
+Frames and units as in `i2t.types`. A patch is what lies in front of the skin at first contact: metres along tool z
+beyond the plane of first contact, cut at the reach. Pure functions on one press; compile them at the edge:
+
+    infer = jax.jit(infer_patch, static_argnames=("samples",))
+    posterior = infer(reading, force, travel, model=model, library=library)
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from i2t.types import CONTACT_TOLERANCE_M
+
+CONTACT_CLASSES = ("smooth", "edge", "corner")  # within the window: no step, one straight step, others
+SAMPLES = 256
+SMALLEST_FORCE_N = 0.02  # a noisy wrench sensor says less
+CONTACT_NEWTONS = 1e-3  # on a cell of 1 mm (1 kPa), above which it counts as contact
+
+
+class PatchLibrary(NamedTuple):
+    """Patches of many shapes, and how a pad of nominal stiffness meets them; the same for every pad."""
+
+    patch: Float[Array, "n p p"]  # m beyond the plane of first contact, cut at the reach
+    height: Float[Array, "n g g"]  # m, the same over the cells of the pad, uncut (nothing there is infinite)
+    object: Int[Array, " n"]  # which shape each is from
+    loads: Float[Array, " l"]  # N, ascending
+    newtons: Float[Array, "n l cells"]  # on each cell of 1 mm, row along tool y
+    indentation: Float[Array, "n l"]  # m past first contact, of the nominal layer
+    centre: Float[Array, "n l 2"]  # m, centre of pressure (x, y)
+    edge: Float[Array, "n 4"]  # cosine and sine of twice its direction, times how straight it is; a point on it (m)
+    kind: Int[Array, " n"]  # index into CONTACT_CLASSES
+
+
+class PatchLikelihood(NamedTuple):
+    """How far a press may differ from what is imagined of it; chosen on validation objects."""
+
+    slant_std: Float[Array, ""] | float = 0.01745  # m/m, of the press's motion along x and y (1 degree)
+    force_std: Float[Array, ""] | float = 0.1  # N, of each stop
+    travel_std: Float[Array, ""] | float = 0.07e-3  # m, of each stop
+    contact_std: Float[Array, ""] | float = 0.1e-3  # m, of first contact, the same at all stops of a press
+    relative_error: Float[Array, ""] | float = 0.1  # of the reading's norm, by which imagined readings err
+    dof: Float[Array, ""] | float = 6.0  # of Student's t
+    temperature: Float[Array, ""] | float = 1.0
+    prior_share: Float[Array, ""] | float = 0.02  # of the prior in the weights
+    blur: Float[Array, ""] | float = 1.0  # pixels, by which probabilities of masks are smoothed
+
+
+class PressModel(NamedTuple):
+    """What one pad reads at each patch of a library under each of its loads.
+
+    Readings are turned to the axes in which the sensor's noise is independent; those axes come first in memory, and
+    patches last, as every touch needs all of them.
+    """
+
+    loads: Float[Array, " l"]  # N
+    reading: Float[Array, "l c n"]  # uT
+    sliding: Float[Array, "l 2 c n"]  # uT for a slant of 1 m/m along x and y
+    travel: Float[Array, "l n"]  # m past first contact, with what arm and mount yield
+    axes: Float[Array, "c c"]  # turns a reading to those axes: axes @ reading
+    noise: Float[Array, " c"]  # uT^2, variance along each axis
+    likelihood: PatchLikelihood
+
+
+class PatchPosterior(NamedTuple):
+    """What the skin may have met. Samples (k) are alike in weight; `weight` is of every patch of the library."""
+
+    weight: Float[Array, " n"]  # of the library's patches; sums to 1
+    index: Int[Array, " k"]  # of the samples in the library
+    patch: Float[Array, "k p p"]  # m beyond the plane of first contact
+    mean: Float[Array, "p p"]  # m
+    mask_probability: Float[Array, "p p"]  # of a surface within 1.5 mm of that plane (the paper's mask)
+    contact_probability: Float[Array, "g g"]  # of pressure on each cell of 1 mm at the last stop
+    centre: Float[Array, "2"]  # m, centre of pressure (x, y) at the last stop
+    centre_covariance: Float[Array, "2 2"]  # m^2
+    edge_direction: Float[Array, ""]  # rad from tool x, in [0, pi)
+    edge_direction_std: Float[Array, ""]  # rad
+    edge_offset: Float[Array, ""]  # m of the edge from the tool axis, along its normal (-sin, cos)
+    edge_offset_std: Float[Array, ""]  # m
+    class_probability: Float[Array, "classes"]  # of CONTACT_CLASSES
+    bits: Float[Array, ""]  # by which the weights differ from those before the touch (Kullback-Leibler)
+
+    def quantiles(self, levels: Sequence[float] = (0.05, 0.5, 0.95)) -> Float[Array, "q p p"]:
+        """Quantiles of each pixel's depth.
+
+        Args:
+            levels: Between 0 and 1.
+
+        Returns:
+            m beyond the plane of first contact, one map for each level.
+        """
+        return jnp.quantile(self.patch.astype(jnp.float32), jnp.asarray(levels), axis=0)
+
+
+def infer_patch(
+    reading: Float[Array | np.ndarray, "*s c"],
+    force: Float[Array | np.ndarray, "*s"] | float,
+    travel: Float[Array | np.ndarray, "*s"] | float = jnp.nan,
+    *,
+    model: PressModel,
+    library: PatchLibrary,
+    samples: int = SAMPLES,
+) -> PatchPosterior:
+    """The posterior over local surfaces after one press.
+
+    Args:
+        reading: uT, at the one stop of a press (c,) or at several (s, c), in the board's order and axes.
+        force: N, at each.
+        travel: m past first contact, at each; NaN where it was not measured.
+        model: What the pad reads at the library's patches.
+        library: The patches.
+        samples: How many are drawn; static.
+
+    Returns:
+        The posterior.
+
+    Example:
+        infer = jax.jit(infer_patch, static_argnames=("samples",))
+        posterior = infer(touch.reading, touch.force, touch.depth, model=model, library=library)
+        posterior.mean, posterior.mask_probability, posterior.quantiles()
+    """
+    reading = jnp.atleast_2d(jnp.asarray(reading))
+    force = jnp.maximum(jnp.atleast_1d(jnp.asarray(force)), SMALLEST_FORCE_N)
+    travel = jnp.broadcast_to(jnp.asarray(travel, reading.dtype), force.shape)
+    weight = posterior_weights(log_likelihood(reading, force, travel, model=model), model.likelihood)
+    return summarize(weight, force[-1], library=library, blur=model.likelihood.blur, samples=samples)
+
+
+def log_likelihood(
+    reading: Float[Array, "s c"], force: Float[Array, " s"], travel: Float[Array, " s"], *, model: PressModel
+) -> Float[Array, " n"]:
+    """How well each patch of the library explains a press, up to a constant.
+
+    Args:
+        reading: uT, at each stop.
+        force: N, at each, above 0.
+        travel: m past first contact; NaN where it was not measured.
+        model: What the pad reads at the library's patches.
+
+    Returns:
+        Logarithms of the likelihood, neither tempered nor normalised.
+    """
+    what, stops, channels = model.likelihood, *reading.shape
+    turned = reading @ model.axes.T
+    columns = _Columns([], [], [[] for _ in range(stops)], [[] for _ in range(stops)])
+    for s in range(stops):
+        error = what.relative_error**2 * jnp.mean(reading[s] ** 2)
+        scale = 1 / jnp.sqrt(model.noise + error)[:, None]
+        at, slope = _at_force(model.reading, model.loads, force[s])
+        columns.residual.append(scale * (turned[s][:, None] - at))
+        columns.sliding.append(what.slant_std * scale * _at_force(model.sliding, model.loads, force[s])[0])
+        columns.by_force[s].append(what.force_std * scale * slope)
+        known = jnp.isfinite(travel[s]) / what.travel_std
+        at, slope = _at_force(model.travel, model.loads, force[s], proportional=False)
+        columns.residual.append(known * (jnp.where(jnp.isfinite(travel[s]), travel[s], 0) - at)[None])
+        columns.by_force[s].append(known * what.force_std * slope[None])
+        columns.contact[s].append(known * what.contact_std)
+    measured = stops * channels + jnp.sum(jnp.isfinite(travel))
+    distance, log_det = _marginal(columns)
+    return -0.5 * log_det - 0.5 * (what.dof + measured) * jnp.log1p(distance / what.dof)
+
+
+def posterior_weights(log_likelihood: Float[Array, " n"], likelihood: PatchLikelihood) -> Float[Array, " n"]:
+    """Weights of the library's patches, tempered, with a share of the prior.
+
+    Args:
+        log_likelihood: Of each.
+        likelihood: Says temperature and share.
+
+    Returns:
+        Weights that sum to 1.
+    """
+    weight = jax.nn.softmax(likelihood.temperature * log_likelihood)
+    return (1 - likelihood.prior_share) * weight + likelihood.prior_share / len(weight)
+
+
+def summarize(
+    weight: Float[Array, " n"],
+    force: Float[Array, ""],
+    *,
+    library: PatchLibrary,
+    blur: Float[Array, ""] | float = 0.0,
+    samples: int = SAMPLES,
+) -> PatchPosterior:
+    """What weights of the library's patches say of the surface.
+
+    Args:
+        weight: Of the patches; sums to 1.
+        force: N, of the last stop, to whose load contacts belong.
+        library: The patches.
+        blur: Pixels, by which probabilities of masks are smoothed.
+        samples: How many are drawn; static.
+
+    Returns:
+        The posterior.
+    """
+    index = systematic_samples(weight, samples)
+    patch = library.patch[index]
+    load = jnp.argmin(jnp.abs(jnp.log(library.loads) - jnp.log(force)))
+    cells = round(library.newtons.shape[-1] ** 0.5)
+    pressed = library.newtons[index, load] > CONTACT_NEWTONS
+    centre = library.centre[index, load]
+    middle = jnp.mean(centre, axis=0)
+    direction, direction_std, offset, offset_std = _edge(library.edge[index])
+    mask = jnp.mean(patch <= CONTACT_TOLERANCE_M, axis=0, dtype=jnp.float32)
+    contact = jnp.mean(pressed, axis=0, dtype=jnp.float32).reshape(cells, cells)
+    kinds = jnp.arange(len(CONTACT_CLASSES))
+    return PatchPosterior(
+        weight=weight,
+        index=index,
+        patch=patch,
+        mean=jnp.mean(patch, axis=0, dtype=jnp.float32),
+        mask_probability=_blurred(mask, blur),
+        contact_probability=_blurred(contact, blur * cells / patch.shape[-1]),
+        centre=middle,
+        centre_covariance=(centre - middle).T @ (centre - middle) / samples,
+        edge_direction=direction,
+        edge_direction_std=direction_std,
+        edge_offset=offset,
+        edge_offset_std=offset_std,
+        class_probability=jnp.mean(library.kind[index][:, None] == kinds, axis=0),
+        bits=jnp.sum(jax.scipy.special.xlogy(weight, weight * len(weight))) / jnp.log(2.0),
+    )
+
+
+def systematic_samples(weight: Float[Array, " n"], samples: int) -> Int[Array, "{samples}"]:
+    """Indices drawn in proportion to weights, as evenly as can be (Kitagawa, J. Comput. Graph. Stat. 5, 1996), without
+    chance.
+
+    Args:
+        weight: Sums to 1.
+        samples: How many; static.
+
+    Returns:
+        Ascending indices; where a weight is large, the same one often.
+    """
+    total = jnp.cumsum(weight)
+    wanted = (jnp.arange(samples) + 0.5) / samples * total[-1]
+    return jnp.minimum(jnp.searchsorted(total, wanted), len(weight) - 1)
+
+
+class _Columns(NamedTuple):
+    """Residuals and nuisances of a press, in standard deviations, a list of rows of stops by patches (n)."""
+
+    residual: list[Array]  # readings (c, n) and travel (1, n) of each stop in turn
+    sliding: list[Array]  # (2, c, n) of each stop
+    by_force: list[list[Array]]  # of each stop: readings (c, n), travel (1, n)
+    contact: list[list[Array]]  # of each stop: travel, a number
+
+
+def _at_force(
+    curves: Array, loads: Array, force: Array, *, proportional: bool = True
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """Curves over loads (l, ...) at a force, and their derivative by it: linear in the logarithm of the load, what is
+    proportional to it as its value per newton; at most one step beyond the outer loads.
+    """
+    knots = jnp.log(loads)
+    low = jnp.clip(jnp.searchsorted(knots, jnp.log(force)) - 1, 0, len(loads) - 2)
+    gap = knots[low + 1] - knots[low]
+    step = jnp.clip((jnp.log(force) - knots[low]) / gap, -1.0, 2.0)
+    first = jax.lax.dynamic_index_in_dim(curves, low, keepdims=False)
+    second = jax.lax.dynamic_index_in_dim(curves, low + 1, keepdims=False)
+    if proportional:
+        first, second = first / loads[low], second / loads[low + 1]
+    at, slope = first + step * (second - first), (second - first) / gap
+    return (at * force, at + slope) if proportional else (at, slope / force)
+
+
+def _marginal(columns: _Columns) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """z'z - z'V A^-1 V'z and log |A| of every patch, by a Cholesky factorisation written out over the few nuisances."""
+    stops = len(columns.sliding)
+    readings, travels = columns.residual[0::2], columns.residual[1::2]
+
+    def dot(a: Array, b: Array) -> Array:
+        return jnp.sum(a * b, axis=0)
+
+    # Nuisances in order: slant along x and y, the force of each stop, first contact.
+    count = 3 + stops
+    gram: list[list[Array | float]] = [[0.0] * count for _ in range(count)]
+    against: list[Array] = []
+    for i in range(2):
+        for j in range(i + 1):
+            gram[i][j] = sum(dot(slide[i], slide[j]) for slide in columns.sliding)
+        against.append(sum(dot(slide[i], z) for slide, z in zip(columns.sliding, readings, strict=True)))
+    for s, (by_force, travel_by_force) in enumerate(columns.by_force):
+        gram[2 + s][0], gram[2 + s][1] = (dot(by_force, columns.sliding[s][i]) for i in range(2))
+        gram[2 + s][2 + s] = dot(by_force, by_force) + travel_by_force[0] ** 2
+        gram[count - 1][2 + s] = columns.contact[s][0] * travel_by_force[0]
+        against.append(dot(by_force, readings[s]) + travel_by_force[0] * travels[s][0])
+    contacts = [each[0] for each in columns.contact]
+    gram[-1][-1] = sum(each**2 for each in contacts)
+    against.append(sum(each * z[0] for each, z in zip(contacts, travels, strict=True)))
+    explained, log_det = _eliminate(gram, against)
+    return sum(dot(z, z) for z in columns.residual) - explained, log_det
+
+
+def _eliminate(gram: list[list[Array | float]], against: list[Array]) -> tuple[Array, Array]:
+    """b' (I + G)^-1 b and log |I + G| for a symmetric G whose lower triangle is given entry by entry."""
+    factor: list[list[Array]] = []
+    solved: list[Array] = []
+    explained, log_det = jnp.zeros(()), jnp.zeros(())
+    for i in range(len(against)):
+        row: list[Array] = []
+        for j in range(i):
+            row.append((gram[i][j] - sum(row[k] * factor[j][k] for k in range(j))) / factor[j][j])
+        pivot = jnp.sqrt(1 + gram[i][i] - sum(each * each for each in row))
+        solved.append((against[i] - sum(row[k] * solved[k] for k in range(i))) / pivot)
+        factor.append([*row, pivot])
+        explained, log_det = explained + solved[-1] ** 2, log_det + 2 * jnp.log(pivot)
+    return explained, log_det
+
+
+def _edge(edge: Float[Array, "k 4"]) -> tuple[Array, Array, Array, Array]:
+    """Direction and offset of the edges of samples, each with its standard deviation; straighter ones count more."""
+    double = jnp.mean(edge[:, :2], axis=0)
+    straight = jnp.linalg.norm(edge[:, :2], axis=-1)
+    share = straight / jnp.maximum(jnp.sum(straight), 1e-9)
+    length = jnp.linalg.norm(double) / jnp.maximum(jnp.mean(straight), 1e-9)
+    direction = jnp.mod(0.5 * jnp.arctan2(double[1], double[0]), jnp.pi)
+    # Of directions, which are the same after half a turn (Mardia and Jupp, Directional Statistics, 2000, section 3.4).
+    direction_std = 0.5 * jnp.sqrt(-2 * jnp.log(jnp.clip(length, 1e-6, 1.0)))
+    normal = jnp.stack([-jnp.sin(direction), jnp.cos(direction)])
+    offsets = edge[:, 2:] @ normal
+    offset = jnp.sum(share * offsets)
+    return direction, direction_std, offset, jnp.sqrt(jnp.sum(share * (offsets - offset) ** 2))
+
+
+def _blurred(image: Float[Array, "m m"], std: Float[Array, ""] | float) -> Float[Array, "m m"]:
+    """Smoothed by a Gaussian of a standard deviation in pixels, as if the outermost ones went on."""
+    at = np.arange(image.shape[0])
+    distance = (at[:, None] - at[None, :]) ** 2
+    kernel = jnp.exp(-0.5 * distance / jnp.maximum(std, 1e-3) ** 2)
+    kernel = kernel / jnp.sum(kernel, axis=1, keepdims=True)
+    return kernel @ image @ kernel.T
