@@ -287,6 +287,8 @@ def explain_loss(prepared: PreparedData, choice: Choice) -> Sequence[str]:
     method, baseline, cfg = choice.best_on_pressure, choice.best_baseline, prepared.pressure_model
     if method is None or not choice.pressure_loses or cfg is None:
         return []
+    if prepared.dataset.touches.truth is not None:  # the simulation makes none of the mistakes that are looked for
+        return noted(prepared, f"{method} loses to {baseline} on validation touches").notes[-1:]
     if not np.isfinite(getattr(prepared.dataset.touches, cfg.control)[prepared.split.train]).all():
         return noted(prepared, f"{method} loses to {baseline}: how hard was pressed is not known").notes[-1:]
     print(f"{method} loses to {baseline}: testing likely causes")

@@ -172,6 +172,7 @@ def test_recorded_touches_are_replayed(trained_run, tmp_path):
     assert recorded["methods"]["fused"]["accuracy"]["mean"][-1] > 1 / len(recorded["objects"])
 
 
+@pytest.mark.full
 def test_replay_says_what_it_cannot_use(trained_run):
     recorded = dataset.load_dataset(trained_run / "data.h5")
     with pytest.raises(DataError, match="of which there is no mesh"):
@@ -180,6 +181,7 @@ def test_replay_says_what_it_cannot_use(trained_run):
         episodes_from_dataset(recorded, list(recorded.objects), 100)
 
 
+@pytest.mark.full
 def test_a_replayed_press_ends_where_it_was_recorded(trained_run):
     """Sites are where presses ended, so that the advance beyond them is nothing, but for touches that met air."""
     recorded = dataset.load_dataset(trained_run / "data.h5")

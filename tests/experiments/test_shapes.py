@@ -214,6 +214,7 @@ def test_presses_read_again_by_an_ideal_sensor_are_the_truth():
 
 
 @pytest.mark.full
+@pytest.mark.full
 def test_a_data_set_of_one_shape_is_refused():
     dataset = pressed()
     with pytest.raises(DataError, match="two at least"):

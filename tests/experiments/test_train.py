@@ -46,6 +46,7 @@ def numbers(out):
     return {**metrics, "seconds": None}
 
 
+@pytest.mark.full
 def test_the_run_leaves_what_it_promises(finished):
     metrics = json.loads((finished / "metrics.json").read_text())
     assert metrics["source"] == "simulated"
@@ -64,6 +65,7 @@ def test_the_run_leaves_what_it_promises(finished):
     assert pictures >= {"scores.png", "training.png", "error_per_axis.png", "touches_typical.png", "touches_worst.png"}
 
 
+@pytest.mark.full
 def test_readings_explained_without_errors_are_better_explained(finished):
     """The ceiling knows the contact; a camera with noise cannot beat it by more than the scatter of 16 touches."""
     methods = json.loads((finished / "metrics.json").read_text())["methods"]
@@ -71,6 +73,7 @@ def test_readings_explained_without_errors_are_better_explained(finished):
     assert methods[train.CEILING]["r2"] > methods[train.GP_METHOD]["r2"]
 
 
+@pytest.mark.full
 def test_the_kept_predictor_is_the_best_of_all_on_validation_touches(finished):
     metrics = json.loads((finished / "metrics.json").read_text())
     r2 = metrics["validation_r2"]
@@ -83,6 +86,7 @@ def test_the_kept_predictor_is_the_best_of_all_on_validation_touches(finished):
     assert all(0.5 < metrics["methods"][name]["validation_coverage_90"] <= 1 for name in r2)
 
 
+@pytest.mark.full
 def test_reported_scores_are_the_predictors_own(finished):
     """What a user gets from load_predictor on the test touches is what the table says."""
     metrics = json.loads((finished / "metrics.json").read_text())
@@ -103,6 +107,7 @@ def test_reported_scores_are_the_predictors_own(finished):
     assert seen.std.min() > 0
 
 
+@pytest.mark.full
 def test_a_finished_run_is_not_overwritten(finished, capsys):
     before = (finished / "metrics.json").read_bytes()
     assert command.main(["--preset", "debug", "--out", str(finished)]) == 2
