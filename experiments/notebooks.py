@@ -3,7 +3,8 @@
     python -m experiments.notebooks                          all four, to runs/notebooks
     python -m experiments.notebooks skin_physics --debug     one, at the size of the tests
 
-Needs `pip install "i2t[notebooks]"`. The notebooks themselves are stored without outputs, and are not changed.
+Needs `pip install "imagine2touch[notebooks]"`. The notebooks themselves are stored without outputs, and are not
+changed.
 """
 
 import json
@@ -46,7 +47,7 @@ def run(args: NotebookArgs) -> list[Path]:
     if unknown or not known:
         raise ValueError(f"no notebook is called {', '.join(unknown)}; {FOLDER} has {', '.join(known) or 'none'}")
     if find_spec("nbconvert") is None or find_spec("ipykernel") is None:
-        raise ValueError('Jupyter is missing; pip install "i2t[notebooks]"')
+        raise ValueError('Jupyter is missing; pip install "imagine2touch[notebooks]"')
     args.out.mkdir(parents=True, exist_ok=True)
     return [render(name, args.out, args.debug) for name in args.names or known]
 

@@ -102,8 +102,8 @@ def open3d_caster(mesh: Any) -> Callable[[np.ndarray], np.ndarray]:
         import open3d
     except (ImportError, OSError) as error:
         raise MissingPeerError(
-            "Section rendering compares with Open3D, which cannot be loaded; run pip install 'i2t[bench]', and install "
-            "the system packages libusb-1.0-0 and libgl1."
+            "Section rendering compares with Open3D, which cannot be loaded; run pip install 'imagine2touch[bench]', "
+            "and install the system packages libusb-1.0-0 and libgl1."
         ) from error
     scene = open3d.t.geometry.RaycastingScene()
     tensor: Any = open3d.core.Tensor
@@ -119,7 +119,7 @@ def embreex_caster(mesh: Any) -> Callable[[np.ndarray], np.ndarray]:
         from embreex.mesh_construction import TriangleMesh
     except ImportError as error:
         raise MissingPeerError(
-            "Section rendering compares with embreex, which is not installed; run pip install 'i2t[bench]'."
+            "Section rendering compares with embreex, which is not installed; run pip install 'imagine2touch[bench]'."
         ) from error
     scene = rtcore_scene.EmbreeScene()
     TriangleMesh(scene, np.asarray(mesh.vertices, np.float32)[np.asarray(mesh.faces)])

@@ -113,7 +113,8 @@ def peer_contact(pad: Pad, grid: Grid, height: np.ndarray, depth: float) -> Call
             from SurfaceTopography import Topography
     except ImportError as error:
         raise MissingPeerError(
-            "Section skin compares with ContactMechanics, which is not installed; run pip install 'i2t[bench]'."
+            "Section skin compares with ContactMechanics, which is not installed; "
+            "run pip install 'imagine2touch[bench]'."
         ) from error
     period, modes = grid.modes * grid.spacing, (grid.modes, grid.modes)
     elastic = PeriodicFFTElasticHalfSpace(

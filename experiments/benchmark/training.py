@@ -70,7 +70,8 @@ class TorchTraining:
             import torch
         except ImportError as error:
             raise MissingPeerError(
-                "Section training compares with PyTorch, which is not installed; run pip install 'i2t[bench]'."
+                "Section training compares with PyTorch, which is not installed; "
+                "run pip install 'imagine2touch[bench]'."
             ) from error
         if setup.model != ModelConfig(pixels=setup.model.pixels):
             raise ValueError("Section training compares the paper's network only; leave --training.model as it is.")

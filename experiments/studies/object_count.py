@@ -86,7 +86,9 @@ def decimate(mesh: Mesh, faces: int = MAX_FACES) -> Mesh:
     try:
         import pyvista as pv
     except ImportError as error:
-        raise ValueError("scanned meshes are simplified with pyvista; run pip install 'i2t[notebooks]'") from error
+        raise ValueError(
+            "scanned meshes are simplified with pyvista; run pip install 'imagine2touch[notebooks]'"
+        ) from error
     fewer = pv.wrap(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)).decimate(1 - faces / len(mesh.faces))
     return Mesh(np.asarray(fewer.points, np.float64), np.asarray(fewer.regular_faces, np.int32))
 

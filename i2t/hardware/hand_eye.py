@@ -98,7 +98,7 @@ class CharucoBoard(CharucoArgs):
         try:
             import cv2
         except ImportError as error:
-            raise DeviceError("boards are found by OpenCV: pip install 'i2t[hardware]'") from error
+            raise DeviceError("boards are found by OpenCV: pip install 'imagine2touch[hardware]'") from error
         if not hasattr(cv2, "aruco") or not hasattr(cv2.aruco, "CharucoDetector"):
             raise DeviceError(
                 f"OpenCV {cv2.__version__} finds no ChArUco boards: pip install -U 'opencv-python-headless>=4.8'"
@@ -200,7 +200,9 @@ def tool_pose(host: str) -> Array:
 
         listening = rtde_receive.RTDEReceiveInterface(host, 125.0, ["timestamp", "actual_TCP_pose"])
     except ImportError as error:
-        raise DeviceError("A UR arm needs ur_rtde: pip install 'i2t[hardware]' on Python 3.11 or 3.12.") from error
+        raise DeviceError(
+            "a UR arm needs ur_rtde: pip install 'imagine2touch[hardware]' on Python 3.11 or 3.12"
+        ) from error
     except RuntimeError as error:
         raise DeviceError(f"The controller at {host} gives no states: {error}.") from error
     try:

@@ -132,7 +132,7 @@ class RealSense(CameraBase):
         try:
             import pyrealsense2
         except ImportError as error:
-            raise DeviceError("a RealSense needs pyrealsense2: pip install 'i2t[hardware]'") from error
+            raise DeviceError("a RealSense needs pyrealsense2: pip install 'imagine2touch[hardware]'") from error
         self._rs: Any = pyrealsense2
         self._serial, self._size, self._rate, self._distance = serial, size, rate, distance
         self._file = Path(file) if file is not None else None

@@ -25,7 +25,7 @@ from i2t.types import PAD_WINDOW
 from i2t.view.contents import Contents, camera_of
 
 APPLICATION = "i2t"
-NO_RERUN = "a Rerun recording needs rerun-sdk: pip install 'i2t[view]', or pass --html alone"
+NO_RERUN = "a Rerun recording needs rerun-sdk: pip install 'imagine2touch[view]', or pass --html alone"
 VECTOR_M_PER_UT = 1e-4  # length of a field vector: 50 uT are 5 mm
 VECTOR_RATE_HZ = 30.0  # at which field vectors are drawn; series have every sample
 SKIN_THICKNESS_M = 2e-3

@@ -6,7 +6,7 @@ shown there, and what was believed after each touch.
 
 writes `story.png`, a page with a row per touch, and, where the machine can draw in three dimensions off screen,
 `scene.png` and `scene.gltf`, the object with its touches (glTF opens in Blender and in viewers that run in a browser).
-The scene needs pyvista (`pip install "i2t[notebooks]"`).
+The scene needs pyvista (`pip install "imagine2touch[notebooks]"`).
 """
 
 import sys

@@ -1,7 +1,7 @@
 """Scenes in three dimensions: objects with their touches, the skin's surface, maps as landscapes.
 
-Scenes need pyvista (`pip install "i2t[notebooks]"`) and a machine that can draw off screen. That is tried out first in
-a process of its own, because without EGL or OSMesa VTK ends with a segmentation fault.
+Scenes need pyvista (`pip install "imagine2touch[notebooks]"`) and a machine that can draw off screen. That is tried out first
+in a process of its own, because without EGL or OSMesa VTK ends with a segmentation fault.
 """
 
 import html
@@ -26,7 +26,7 @@ LANDSCAPE_HEIGHT = 0.3  # of a map's largest value, relative to the map's width
 VIEW_DIRECTION = (-0.6, -1.0, 1.0)
 PROBE = "import pyvista as pv; p = pv.Plotter(off_screen=True, window_size=(64, 64)); p.add_mesh(pv.Cube()); p.show()"
 PROBE_TIMEOUT_S = 120
-NO_PYVISTA = 'There is no 3-D picture, because pyvista is missing: pip install "i2t[notebooks]".'
+NO_PYVISTA = 'There is no 3-D picture, because pyvista is missing: pip install "imagine2touch[notebooks]".'
 NO_GL = (
     "There is no 3-D picture, because this machine cannot draw off screen: install the system package libegl1 "
     "(apt-get install libegl1) or libosmesa6."

@@ -150,7 +150,7 @@ def test_a_page_of_a_data_set_has_a_row_for_each_touch(tmp_path):
 @pytest.mark.full
 def test_without_rerun_one_sentence_says_what_to_install(session, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
-    assert "pip install 'i2t[view]'" in rerun_file.why_no_recording()
+    assert "pip install 'imagine2touch[view]'" in rerun_file.why_no_recording()
     assert command.main([str(session), "--out", str(tmp_path / "out")]) == 0
     assert capsys.readouterr().err.strip() == rerun_file.NO_RERUN
     assert (tmp_path / "out" / "session.html").exists()

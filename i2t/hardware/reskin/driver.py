@@ -59,7 +59,7 @@ class ReSkin(Stream):
             import serial
             from serial.tools import list_ports
         except ImportError as error:
-            raise DeviceError("pyserial is missing; install it with: pip install 'i2t[hardware]'") from error
+            raise DeviceError("pyserial is missing; install it with: pip install 'imagine2touch[hardware]'") from error
         self._serial, self._comports = serial.Serial, list_ports.comports
         self._asked_port, self._baud = port, baud
         name = f"the skin on {port}" if port else "the skin"

@@ -75,7 +75,7 @@ class UrArm:
     ) -> None:
         check_watch(state_timeout, watchdog_rate)
         if any(importlib.util.find_spec(module) is None for module in ("rtde_control", "rtde_receive")):
-            raise DeviceError("A UR arm needs ur_rtde: pip install 'i2t[hardware]' on Python 3.11 or 3.12.")
+            raise DeviceError("a UR arm needs ur_rtde: pip install 'imagine2touch[hardware]' on Python 3.11 or 3.12")
         self.host, self.limits, self.tool, self.payload = host, limits, tool, payload
         self.source = source or ("emulated" if host == "localhost" or host.startswith("127.") else "real")
         self.connection = RtdeConnection(host, state_timeout, watchdog_rate)
