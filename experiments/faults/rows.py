@@ -39,9 +39,6 @@ class FaultCounts:
         return FaultCounts(*(type(count)(max(1, share * count)) for count in astuple(self)))
 
 
-DEBUG = FaultCounts(1.0, 600, 1, 1, 1, 1, 1, 1, 3, 2, 3, 2, 1, 1)
-
-
 def worst(seconds: list[float]) -> str:
     """Median and worst of some times."""
     ordered = sorted(seconds)

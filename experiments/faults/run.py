@@ -16,21 +16,17 @@ was missed.
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from functools import partial
-from pathlib import Path
-from typing import Literal
+from dataclasses import asdict
 
-import tyro
-
-from experiments.common.presets import RENAMED, answer_renamed_value, choose_preset
-from experiments.common.runs import exit_code_of_run, write_json
+from experiments.common.presets import choose_preset
+from experiments.common.runs import write_json
 from experiments.faults.ambient import ambient
+from experiments.faults.arguments import PRESETS, FaultsArgs, FaultSection
 from experiments.faults.arm import arm, force
 from experiments.faults.kill import kill
 from experiments.faults.links import links
 from experiments.faults.rig import rig
-from experiments.faults.rows import DEBUG, FaultCounts, FaultRow
+from experiments.faults.rows import FaultCounts, FaultRow
 from experiments.faults.simulated import disk, presses
 from experiments.faults.sites import sites
 from experiments.faults.skin import skin
@@ -40,10 +36,7 @@ from experiments.faults.volume import volume
 from experiments.faults.wire import wire
 from i2t.errors import DeviceError
 
-Section = Literal[
-    "disk", "presses", "ambient", "wire", "arm", "skin", "force", "volume", "rig", "sites", "links", "stalls", "kill"
-]
-SECTIONS: dict[Section, Callable[[FaultCounts], list[FaultRow]]] = {
+SECTIONS: dict[FaultSection, Callable[[FaultCounts], list[FaultRow]]] = {
     "disk": disk,
     "presses": presses,
     "ambient": ambient,
@@ -54,42 +47,20 @@ SECTIONS: dict[Section, Callable[[FaultCounts], list[FaultRow]]] = {
     "volume": volume,
     "kill": kill,
 }
-TRIAL_SECTIONS: dict[Section, Callable[[FaultCounts, TrialStore], list[FaultRow]]] = {
+TRIAL_SECTIONS: dict[FaultSection, Callable[[FaultCounts, TrialStore], list[FaultRow]]] = {
     "rig": rig,
     "sites": sites,
     "links": links,
     "stalls": stalls,
 }
-ALL_SECTIONS: tuple[Section, ...] = (*(name for name in SECTIONS if name != "kill"), *TRIAL_SECTIONS, "kill")
-PRESETS: dict[str, FaultCounts] = {"paper": FaultCounts(), "debug": DEBUG}
 
 
-@dataclass(frozen=True)
-class FaultsArgs:
-    """Break things while touches are collected, and count what is lost."""
+def run(args: FaultsArgs) -> int:
+    """Every section that was asked for, and the report after each.
 
-    out: Path = Path("runs/faults")  # folder for the report
-    sections: tuple[Section, ...] = ALL_SECTIONS  # which
-    preset: Literal["paper", "debug"] = "paper"  # how often
-    share: float = 1.0  # of that
-    again: bool = False  # begin anew, whatever is kept in the folder
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    answer_renamed_value(argv, "--preset", RENAMED)
-    args = tyro.cli(
-        FaultsArgs,
-        args=argv,
-        description=__doc__,
-        prog="python -m experiments.faults",
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
-    missed: list[FaultRow] = []
-    return exit_code_of_run(partial(_run, args, missed)) or int(bool(missed))
-
-
-def _run(args: FaultsArgs, missed: list[FaultRow]) -> None:
+    Returns:
+        1 if a goal was missed, else 0.
+    """
     rows: list[FaultRow] = []
     sizes = choose_preset(PRESETS, args.preset).times(args.share)
     args.out.mkdir(parents=True, exist_ok=True)
@@ -101,11 +72,12 @@ def _run(args: FaultsArgs, missed: list[FaultRow]) -> None:
         print(table(found), f"({time.monotonic() - begun:.0f} s)\n", sep="\n", flush=True)
         (args.out / "report.md").write_text(table(rows) + "\n")
         write_json(args.out / "metrics.json", {"sizes": asdict(sizes), "rows": [row._asdict() for row in rows]})
-    missed += [row for row in rows if row.met is False]
-    print(f"{len(rows)} figures, {len(missed)} goals missed; the report is {args.out / 'report.md'}")
+    missed = sum(row.met is False for row in rows)
+    print(f"{len(rows)} figures, {missed} goals missed; the report is {args.out / 'report.md'}")
+    return int(bool(missed))
 
 
-def _section(name: Section, args: FaultsArgs, sizes: FaultCounts) -> list[FaultRow]:
+def _section(name: FaultSection, args: FaultsArgs, sizes: FaultCounts) -> list[FaultRow]:
     """The figures of a section, of an earlier run where they are kept."""
     kept, trials = args.out / "sections" / f"{name}.json", args.out / "trials" / f"{name}.jsonl"
     if args.again:

@@ -8,9 +8,7 @@ from typing import Literal
 
 import tyro
 
-from i2t.cli import exit_code_of
-from i2t.view.contents import read_contents
-from i2t.view.rerun_file import why_no_recording, write_recording
+from i2t.cli import Count, check_options, exit_code_of
 
 
 @dataclass(frozen=True)
@@ -27,7 +25,7 @@ class ViewArgs:
     """Of a mesh file."""
     belief: Path | None = None
     """JSON file with names of candidates and p, their probabilities after each touch."""
-    touches: int | None = None
+    touches: Count | None = None
     """Look at so many at most, the first ones."""
     html: bool = False
     """Write the page alone."""
@@ -49,14 +47,17 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _write(asked: ViewArgs) -> None:
-    from i2t.view.page import write_page
-
-    if asked.touches is not None and asked.touches < 1:
-        raise ValueError(f"--touches {asked.touches}: there is nothing to look at; give 1 or more")
+    check_options(asked)
     page, recording = (asked.out / f"{asked.path.resolve().stem or 'view'}{ending}" for ending in (".html", ".rrd"))
     for path in (page, recording):
         if path.exists() and not asked.overwrite:
             raise FileExistsError(f"{path}: exists already; pass --overwrite to replace it, or another --out")
+    from i2t.view.contents import (
+        read_contents,  # not above: NumPy and HDF5, which --help and a refusal need not wait for
+    )
+    from i2t.view.page import write_page
+    from i2t.view.rerun_file import why_no_recording, write_recording
+
     contents = read_contents(asked.path, mesh=asked.mesh, unit=asked.unit, belief=asked.belief, most=asked.touches)
     asked.out.mkdir(parents=True, exist_ok=True)
     print(f"wrote {write_page(contents, page)}")

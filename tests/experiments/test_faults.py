@@ -9,9 +9,11 @@ import time
 import numpy as np
 import pytest
 
+from experiments.faults import __main__ as command_line
 from experiments.faults import arm, links, sites, stalls
 from experiments.faults import run as faults
-from experiments.faults.rows import DEBUG, FaultCounts, FaultRow, worst
+from experiments.faults.arguments import DEBUG_COUNTS
+from experiments.faults.rows import FaultCounts, FaultRow, worst
 from i2t import dataset
 from i2t.collect.recorder import INTERRUPTED, site_number_of, touches_in
 from i2t.emulators import reskin_board, ur_controller
@@ -20,7 +22,10 @@ from i2t.types import ReturnCode
 
 @pytest.mark.full
 def test_the_report_of_what_costs_little(tmp_path, capsys):
-    assert faults.main(["--preset", "debug", "--sections", "disk", "presses", "--out", str(tmp_path / "faults")]) == 0
+    assert (
+        command_line.main(["--preset", "debug", "--sections", "disk", "presses", "--out", str(tmp_path / "faults")])
+        == 0
+    )
     rows = json.loads((tmp_path / "faults" / "metrics.json").read_text())["rows"]
     assert [row["section"] for row in rows] == 4 * ["disk"] + 2 * ["force"]
     assert all(row["met"] in (True, None) for row in rows)
@@ -33,7 +38,7 @@ def test_the_report_of_what_costs_little(tmp_path, capsys):
 def test_a_goal_that_is_missed_is_the_exit_code(tmp_path, monkeypatch):
     missed = [FaultRow("disk", "what", "once", "3 lost", "0 lost", False)]
     monkeypatch.setitem(faults.SECTIONS, "disk", lambda sizes: missed)
-    assert faults.main(["--sections", "disk", "--out", str(tmp_path / "faults")]) == 1
+    assert command_line.main(["--sections", "disk", "--out", str(tmp_path / "faults")]) == 1
     assert "MISSED" in (tmp_path / "faults" / "report.md").read_text()
 
 
@@ -51,14 +56,14 @@ def test_a_run_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
 
     monkeypatch.setitem(faults.TRIAL_SECTIONS, "rig", section)
     command = ["--sections", "rig", "--out", str(tmp_path)]
-    assert faults.main(command) == 130
+    assert command_line.main(command) == 130
     with (tmp_path / "trials" / "rig.jsonl").open("a") as file:
         file.write('{"number": 9')  # as a kill leaves it
-    assert faults.main(command) == 0
+    assert command_line.main(command) == 0
     assert made == [0, 1, 2, 1, 2, 3]  # what could not be made is tried again, what is kept is not
-    assert faults.main(command) == 0
+    assert command_line.main(command) == 0
     assert len(made) == 6
-    assert faults.main([*command, "--again"]) == 0
+    assert command_line.main([*command, "--again"]) == 0
     assert made[6:] == [0, 1, 2, 3]
 
 
@@ -89,7 +94,7 @@ def test_presses_from_all_sides_are_judged_by_embree():
 
 def test_sizes_shrink_to_one_of_each():
     assert FaultCounts().times(0.5).kills == 100
-    assert min(vars(DEBUG.times(0.01)).values()) == 1
+    assert min(vars(DEBUG_COUNTS.times(0.01)).values()) == 1
     assert worst([0.3, 0.1, 0.2]) == "median 200 ms, worst 300 ms"
 
 

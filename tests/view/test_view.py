@@ -165,7 +165,7 @@ def test_what_cannot_be_looked_at_is_said(session, tmp_path, capsys):
     for options, why in (
         ([str(tmp_path / "none")], "no such file or folder"),
         ([str(session), "--mesh", "nothing.stl"], "no such file"),
-        ([str(session), "--touches", "0"], "give 1 or more"),
+        ([str(session), "--touches", "0"], "give at least 1"),
     ):
         assert command.main([*options, "--out", str(tmp_path / "out")]) == 2
         assert why in capsys.readouterr().err
