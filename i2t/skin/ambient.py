@@ -35,7 +35,7 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy import stats
+from scipy import special
 
 from i2t import serialization
 from i2t.types import Array, Board
@@ -254,7 +254,7 @@ def ambient_changed(field: AmbientField, board: Board, poses: FreePoses, *, fals
         spread = jacobians @ field.covariance @ jacobians.T
         spread[np.diag_indices(len(parts))] += np.tile(np.maximum(size, LEAST_NOISE_UT), len(parts) // 3) ** 2
         statistic = parts @ np.linalg.solve(spread, parts) / len(parts)
-        p_values.append(float(stats.f.sf(statistic, len(parts), max(1.0, float(dof)))))
+        p_values.append(float(special.fdtrc(len(parts), max(1.0, float(dof)), statistic)))
     shared = np.einsum("pij,pj->pi", T_b_t[:, :3, :3], residual[:, known].mean(1)).mean(0)
     sizes = np.where(known, np.sqrt(np.mean(np.nan_to_num(residual) ** 2, axis=(0, 2))), 0.0)
     return AmbientChange(
