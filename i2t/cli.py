@@ -24,6 +24,7 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
+from i2t.compile_cache import use_compile_cache
 from i2t.errors import NAMED_WRONGLY, DeviceError, FullDiskError
 
 FAILED, WRONG_USE, INTERRUPTED_BY_USER = 1, 2, 130  # exit codes
@@ -147,6 +148,7 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
         The exit code: that of `work` or 0; 2 if what was asked for cannot be done (a ValueError, or a file or folder
         that is not as the command line has it), 1 if a device or the disk failed, 130 after Ctrl-C.
     """
+    use_compile_cache()
     shown, warnings.showwarning = warnings.showwarning, _show_warning
     try:
         with _swallowed_interrupts_sent_again():
