@@ -1,6 +1,6 @@
 """What the skin met, from one press: a posterior over local surfaces, by imagination.
 
-A library holds patches of many shapes (`i2t.reconstruction.library`), and a `PressModel` what one pad would read at each
+A library holds patches of many shapes (`i2t.reconstruction.library`), a `PressModel` what one pad would read at each
 of them under a few loads. A press is one or more stops, each with a reading (uT), a force (N) and a travel past first
 contact (m); two stops of one press, at 25 and at 100 uT say, are a press curve. Each patch i of the library is weighted
 by how well it explains all of the press,
@@ -99,7 +99,7 @@ class PatchPosterior(NamedTuple):
     edge_direction_std: Float[Array, ""]  # rad
     edge_offset: Float[Array, ""]  # m of the edge from the tool axis, along its normal (-sin, cos)
     edge_offset_std: Float[Array, ""]  # m
-    class_probability: Float[Array, "classes"]  # of CONTACT_CLASSES
+    class_probability: Float[Array, " classes"]  # of CONTACT_CLASSES
     bits: Float[Array, ""]  # by which the weights differ from those before the touch (Kullback-Leibler)
 
     def quantiles(self, levels: Sequence[float] = (0.05, 0.5, 0.95)) -> Float[Array, "q p p"]:
@@ -126,7 +126,8 @@ def infer_patch(
     """The posterior over local surfaces after one press.
 
     Args:
-        reading: uT, at the one stop of a press (c,) or at several (s, c), in the board's order and axes.
+        reading: uT, at the one stop of a press (c,) or at several (s, c), in the board's order and axes; a stop with
+            a NaN counts as not made.
         force: N, at each.
         travel: m past first contact, at each; NaN where it was not measured.
         model: What the pad reads at the library's patches.
@@ -144,8 +145,12 @@ def infer_patch(
     reading = jnp.atleast_2d(jnp.asarray(reading))
     force = jnp.maximum(jnp.atleast_1d(jnp.asarray(force)), SMALLEST_FORCE_N)
     travel = jnp.broadcast_to(jnp.asarray(travel, reading.dtype), force.shape)
+    last = force[-1]
+    if len(reading) == 1:  # a loop of one step is none to the compiler, see `log_likelihood`
+        reading = jnp.concatenate([reading, jnp.full_like(reading, jnp.nan)])
+        force, travel = jnp.tile(force, 2), jnp.tile(travel, 2)
     weight = posterior_weights(log_likelihood(reading, force, travel, model=model), model.likelihood)
-    return summarize(weight, force[-1], library=library, blur=model.likelihood.blur, samples=samples)
+    return summarize(weight, last, library=library, blur=model.likelihood.blur, samples=samples)
 
 
 def log_likelihood(
@@ -154,7 +159,7 @@ def log_likelihood(
     """How well each patch of the library explains a press, up to a constant.
 
     Args:
-        reading: uT, at each stop.
+        reading: uT, at each stop; one with a NaN counts as not made.
         force: N, at each, above 0.
         travel: m past first contact; NaN where it was not measured.
         model: What the pad reads at the library's patches.
@@ -162,23 +167,29 @@ def log_likelihood(
     Returns:
         Logarithms of the likelihood, neither tempered nor normalised.
     """
-    what, stops, channels = model.likelihood, *reading.shape
-    turned = reading @ model.axes.T
-    columns = _Columns([], [], [[] for _ in range(stops)], [[] for _ in range(stops)])
-    for s in range(stops):
-        error = what.relative_error**2 * jnp.mean(reading[s] ** 2)
-        scale = 1 / jnp.sqrt(model.noise + error)[:, None]
-        at, slope = _at_force(model.reading, model.loads, force[s])
-        columns.residual.append(scale * (turned[s][:, None] - at))
-        columns.sliding.append(what.slant_std * scale * _at_force(model.sliding, model.loads, force[s])[0])
-        columns.by_force[s].append(what.force_std * scale * slope)
-        known = jnp.isfinite(travel[s]) / what.travel_std
-        at, slope = _at_force(model.travel, model.loads, force[s], proportional=False)
-        columns.residual.append(known * (jnp.where(jnp.isfinite(travel[s]), travel[s], 0) - at)[None])
-        columns.by_force[s].append(known * what.force_std * slope[None])
-        columns.contact[s].append(known * what.contact_std)
-    measured = stops * channels + jnp.sum(jnp.isfinite(travel))
-    distance, log_det = _marginal(columns)
+    what = model.likelihood
+    made = jnp.all(jnp.isfinite(reading), axis=1)
+    turned = jnp.where(made[:, None], reading, 0) @ model.axes.T
+
+    def compare(stop: tuple[Array, Array, Array, Array]) -> _Differences:
+        reading, force, travel, made = stop
+        error = what.relative_error**2 * jnp.mean(reading**2)
+        scale = made / jnp.sqrt(model.noise + error)[:, None]
+        at, slope = _at_force(model.reading, model.loads, force)
+        known = (made & jnp.isfinite(travel)) / what.travel_std
+        travelled, travel_slope = _at_force(model.travel, model.loads, force, proportional=False)
+        return _Differences(
+            reading=scale * (reading[:, None] - at),
+            travel=known * (jnp.where(known > 0, travel, 0) - travelled),
+            sliding=what.slant_std * scale * _at_force(model.sliding, model.loads, force)[0],
+            by_force=what.force_std * scale * slope,
+            travel_by_force=known * what.force_std * travel_slope,
+            contact=known * what.contact_std,
+        )
+
+    # One stop after the other: fused with what follows, each sum there would interpolate again.
+    distance, log_det = _marginal(jax.lax.map(compare, (turned, force, travel, made)))
+    measured = jnp.sum(made * (reading.shape[1] + jnp.isfinite(travel)))
     return -0.5 * log_det - 0.5 * (what.dof + measured) * jnp.log1p(distance / what.dof)
 
 
@@ -245,7 +256,7 @@ def summarize(
     )
 
 
-def systematic_samples(weight: Float[Array, " n"], samples: int) -> Int[Array, "{samples}"]:
+def systematic_samples(weight: Float[Array, " n"], samples: int) -> Int[Array, " k"]:
     """Indices drawn in proportion to weights, as evenly as can be (Kitagawa, J. Comput. Graph. Stat. 5, 1996), without
     chance.
 
@@ -261,13 +272,15 @@ def systematic_samples(weight: Float[Array, " n"], samples: int) -> Int[Array, "
     return jnp.minimum(jnp.searchsorted(total, wanted), len(weight) - 1)
 
 
-class _Columns(NamedTuple):
-    """Residuals and nuisances of a press, in standard deviations, a list of rows of stops by patches (n)."""
+class _Differences(NamedTuple):
+    """A press less what is imagined of each patch, and what nuisances add, all in standard deviations."""
 
-    residual: list[Array]  # readings (c, n) and travel (1, n) of each stop in turn
-    sliding: list[Array]  # (2, c, n) of each stop
-    by_force: list[list[Array]]  # of each stop: readings (c, n), travel (1, n)
-    contact: list[list[Array]]  # of each stop: travel, a number
+    reading: Float[Array, "s c n"]
+    travel: Float[Array, "s n"]
+    sliding: Float[Array, "s 2 c n"]  # readings, for a slant of one standard deviation
+    by_force: Float[Array, "s c n"]  # readings, for an error of the force
+    travel_by_force: Float[Array, "s n"]
+    contact: Float[Array, " s"]  # travel, for an error of first contact
 
 
 def _at_force(
@@ -288,45 +301,48 @@ def _at_force(
     return (at * force, at + slope) if proportional else (at, slope / force)
 
 
-def _marginal(columns: _Columns) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+def _marginal(press: _Differences) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     """z'z - z'V A^-1 V'z and log |A| of every patch, by a Cholesky factorisation written out over the few nuisances."""
-    stops = len(columns.sliding)
-    readings, travels = columns.residual[0::2], columns.residual[1::2]
-
-    def dot(a: Array, b: Array) -> Array:
-        return jnp.sum(a * b, axis=0)
-
-    # Nuisances in order: slant along x and y, the force of each stop, first contact.
-    count = 3 + stops
+    stops = range(len(press.contact))
+    # Nuisances in order: slant along x and y, the force of each stop, first contact. The slant and first contact are
+    # the same at all stops, and a force's error is that of its own stop.
+    count = 3 + len(stops)
     gram: list[list[Array | float]] = [[0.0] * count for _ in range(count)]
-    against: list[Array] = []
+    along: list[Array] = []
     for i in range(2):
         for j in range(i + 1):
-            gram[i][j] = sum(dot(slide[i], slide[j]) for slide in columns.sliding)
-        against.append(sum(dot(slide[i], z) for slide, z in zip(columns.sliding, readings, strict=True)))
-    for s, (by_force, travel_by_force) in enumerate(columns.by_force):
-        gram[2 + s][0], gram[2 + s][1] = (dot(by_force, columns.sliding[s][i]) for i in range(2))
-        gram[2 + s][2 + s] = dot(by_force, by_force) + travel_by_force[0] ** 2
-        gram[count - 1][2 + s] = columns.contact[s][0] * travel_by_force[0]
-        against.append(dot(by_force, readings[s]) + travel_by_force[0] * travels[s][0])
-    contacts = [each[0] for each in columns.contact]
-    gram[-1][-1] = sum(each**2 for each in contacts)
-    against.append(sum(each * z[0] for each, z in zip(contacts, travels, strict=True)))
-    explained, log_det = _eliminate(gram, against)
-    return sum(dot(z, z) for z in columns.residual) - explained, log_det
+            gram[i][j] = sum(_dot(press.sliding[s, i], press.sliding[s, j]) for s in stops)
+        along.append(sum(_dot(press.sliding[s, i], press.reading[s]) for s in stops))
+    for s in stops:
+        gram[2 + s][0], gram[2 + s][1] = (_dot(press.by_force[s], press.sliding[s, i]) for i in range(2))
+        gram[2 + s][2 + s] = _dot(press.by_force[s], press.by_force[s]) + press.travel_by_force[s] ** 2
+        gram[count - 1][2 + s] = press.contact[s] * press.travel_by_force[s]
+        along.append(_dot(press.by_force[s], press.reading[s]) + press.travel_by_force[s] * press.travel[s])
+    gram[-1][-1] = jnp.sum(press.contact**2)
+    along.append(sum(press.contact[s] * press.travel[s] for s in stops))
+    distance = sum(_dot(press.reading[s], press.reading[s]) + press.travel[s] ** 2 for s in stops)
+    explained, log_det = _eliminate(gram, along)
+    return distance - explained, log_det
 
 
-def _eliminate(gram: list[list[Array | float]], against: list[Array]) -> tuple[Array, Array]:
+def _dot(a: Float[Array, "m n"], b: Float[Array, "m n"]) -> Float[Array, " n"]:
+    """Sum of products over the first axis, written out: a CPU takes a chain of sums of long rows several times faster
+    than a reduction across them.
+    """
+    return sum((a[k] * b[k] for k in range(1, len(a))), a[0] * b[0])
+
+
+def _eliminate(gram: list[list[Array | float]], along: list[Array]) -> tuple[Array, Array]:
     """b' (I + G)^-1 b and log |I + G| for a symmetric G whose lower triangle is given entry by entry."""
     factor: list[list[Array]] = []
     solved: list[Array] = []
     explained, log_det = jnp.zeros(()), jnp.zeros(())
-    for i in range(len(against)):
+    for i in range(len(along)):
         row: list[Array] = []
         for j in range(i):
             row.append((gram[i][j] - sum(row[k] * factor[j][k] for k in range(j))) / factor[j][j])
         pivot = jnp.sqrt(1 + gram[i][i] - sum(each * each for each in row))
-        solved.append((against[i] - sum(row[k] * solved[k] for k in range(i))) / pivot)
+        solved.append((along[i] - sum(row[k] * solved[k] for k in range(i))) / pivot)
         factor.append([*row, pivot])
         explained, log_det = explained + solved[-1] ** 2, log_det + 2 * jnp.log(pivot)
     return explained, log_det
