@@ -1,0 +1,162 @@
+"""One touch of an environment: approach, contact and the end of the press, at cells of 1 mm.
+
+The physics is that of `i2t.simulation.touches`, made quick enough to be learned in. Contacts are solved on cells of
+1 mm; the reading is linear in the pressure (`response_map`, one product instead of a field of displaced dipoles), which
+holds while the skin moves little next to its distance from the chips; and the end of the press is sought by secants
+whose contacts begin from the one before, where `i2t.simulation.press` scans. There is no camera, no friction and no
+memory of the skin. Against the whole physics, tests/environments/test_press.py measures how much that changes.
+
+Metres, newtons, microtesla; frames as in `i2t.types`.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Key
+
+from i2t.geometry import full_precision, inverse, random_motion
+from i2t.rendering.render import render_heights
+from i2t.simulation.press import PressLimits
+from i2t.simulation.sites import press_along
+from i2t.simulation.touches import SimulationErrors
+from i2t.skin.contact import solve
+from i2t.skin.dipoles import response
+from i2t.skin.elasticity import Grid
+from i2t.types import PAD_WINDOW, Pad, Surface
+
+TOUCH_GRID = Grid(cells=20, modes=32)  # cells of 1 mm
+SHALLOWEST_FRACTION = 1e-3  # of the deepest indentation, at which no press ends sooner
+TRIALS = 6  # presses by which the end is sought
+EXPECTED_SLOPE = 1.3  # of the logarithms of reading and force by that of the indentation, before two trials tell
+SLOPES = (0.6, 4.0)  # that a contact may have
+TOUCH_TOLERANCE = 1e-3  # of the deepest deflection
+
+
+class TouchOutcome(NamedTuple):
+    """How a touch ends, before the sensors are read."""
+
+    reading: Float[Array, "*batch c"]  # uT, noise free; 0 where nothing was met
+    force: Float[Array, "*batch"]  # N
+    advance: Float[Array, "*batch"]  # m, of the arm from the site to the press's end, along the approach
+    contact: Bool[Array, "*batch"]  # whether anything was met
+
+
+class TouchGeometry(NamedTuple):
+    """Where the skin meets a surface; the same for every pad."""
+
+    height: Float[Array, "n n"]  # m, behind the nearest point, over the pad's cells
+    nearest: Float[Array, ""]  # m, of that point along the approach, from the site
+    contact: Bool[Array, ""]
+
+
+def response_map(pad: Pad) -> Float[Array, "c n n"]:
+    """What a pressure on each cell of 1 mm adds to a reading, as long as the skin moves little.
+
+    Args:
+        pad: the skin.
+
+    Returns:
+        uT per Pa.
+    """
+    still = jnp.zeros((TOUCH_GRID.cells, TOUCH_GRID.cells))
+    return jax.jacrev(lambda pressure: response(pad, pressure, TOUCH_GRID))(still)
+
+
+@full_precision
+def meet(
+    key: Key[Array, ""],
+    surface: Surface,
+    T_w_o: Float[Array, "4 4"],
+    T_w_site: Float[Array, "4 4"],
+    *,
+    errors: SimulationErrors,
+    limits: PressLimits,
+) -> TouchGeometry:
+    """Approach along the site's z, with the arm's errors, until the skin meets the surface.
+
+    Args:
+        key: random key of the arm's errors.
+        surface: of the object, in its frame.
+        T_w_o: where the object really is.
+        T_w_site: contact pose of the tool, as the lab believes it.
+        errors: of the arm: repeatability and angle of approach.
+        limits: where the approach starts and gives up.
+
+    Returns:
+        The contact.
+    """
+    arm = random_motion(key, errors.repeatability, errors.approach_angle)
+    start = inverse(T_w_o) @ T_w_site @ arm @ jnp.eye(4).at[2, 3].set(-limits.approach_distance)
+    T_o_t, hit = press_along(surface, start, start[:3, 2], travel=limits.approach_distance + limits.overtravel)
+    heights = render_heights(surface, inverse(T_o_t), PAD_WINDOW, TOUCH_GRID.cells)
+    nearest = jnp.min(heights)
+    contact = hit & jnp.isfinite(nearest)
+    nearest = jnp.where(contact, nearest, 0.0)
+    advanced = jnp.dot(T_o_t[:3, 3] - start[:3, 3], start[:3, 2]) - limits.approach_distance
+    return TouchGeometry(jnp.where(contact, heights - nearest, 0.0), advanced + nearest, contact)
+
+
+@full_precision
+def press(
+    pad: Pad,
+    response_of_pad: Float[Array, "c n n"],
+    geometry: TouchGeometry,
+    overshoot: Float[Array, ""] | float,
+    limits: PressLimits,
+) -> TouchOutcome:
+    """Press a pad onto what it met until the skin change or the force crosses its limit.
+
+    Args:
+        pad: the skin.
+        response_of_pad: its `response_map`.
+        geometry: what it met.
+        overshoot: fraction by which both limits are raised.
+        limits: of skin change, force and indentation.
+
+    Returns:
+        The end of the press; where neither limit is met it ends at the deepest allowed indentation.
+    """
+    deepest = jnp.log(limits.indentation * pad.thickness)
+    shallowest = deepest + jnp.log(SHALLOWEST_FRACTION)
+
+    def trial(at: Array, start: Array | None) -> tuple[Array, Array, Array, Array]:
+        """Excess over the limits (a logarithm), force, reading and pressure of a press at a log indentation."""
+        found = solve(pad, geometry.height, jnp.exp(at), TOUCH_GRID, start=start, tolerance=TOUCH_TOLERANCE)
+        reading = jnp.einsum("cij,ij->c", response_of_pad, found.pressure)
+        size = jnp.maximum(jnp.linalg.norm(reading) / limits.skin_change, found.force / limits.force)
+        return jnp.log(jnp.maximum(size / (1 + overshoot), 1e-6)), found.force, reading, found.pressure
+
+    def step(_: Array, state: "_Search") -> "_Search":
+        run = state.at - state.before
+        slope = jnp.where(jnp.abs(run) > 1e-4, (state.excess - state.excess_before) / run, state.slope)
+        slope = jnp.clip(slope, *SLOPES)
+        at = jnp.clip(state.at - state.excess / slope, shallowest, deepest)
+        start = state.pressure * jnp.exp(at - state.at)
+        excess, force, reading, pressure = trial(at, start)
+        return _Search(at, excess, state.at, state.excess, slope, force, reading, pressure)
+
+    middle = 0.5 * (shallowest + deepest)
+    excess, force, reading, pressure = trial(middle, None)
+    first = _Search(middle, excess, middle, excess, jnp.asarray(EXPECTED_SLOPE), force, reading, pressure)
+    end = jax.lax.fori_loop(0, TRIALS - 1, step, first)
+    travel = geometry.nearest + jnp.exp(end.at) + end.force / limits.stiffness
+    return TouchOutcome(
+        reading=jnp.where(geometry.contact, end.reading, 0.0),
+        force=jnp.where(geometry.contact, end.force, 0.0),
+        advance=jnp.where(geometry.contact, travel, limits.overtravel),
+        contact=geometry.contact,
+    )
+
+
+class _Search(NamedTuple):
+    """The last trial and the one before."""
+
+    at: Array  # log indentation
+    excess: Array
+    before: Array
+    excess_before: Array
+    slope: Array
+    force: Array
+    reading: Array
+    pressure: Array
