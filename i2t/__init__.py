@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from i2t.prediction.predictor import Predictor as Predictor
     from i2t.prediction.predictor import Reading as Reading
     from i2t.prediction.predictor import load_predictor as load_predictor
+    from i2t.recognition.pad_model_files import load_pad_model as load_pad_model
     from i2t.recognition.recognizer import ObjectRecognizer as ObjectRecognizer
     from i2t.registration.depth import register_by_depth as register_by_depth
     from i2t.registration.estimate import PoseEstimate as PoseEstimate
@@ -70,6 +71,7 @@ _HOMES = {
     "objects.mesh_files": ("load_mesh",),
     "objects.solids": ("Mesh",),
     "prediction.predictor": ("Predictor", "Reading", "load_predictor"),
+    "recognition.pad_model_files": ("load_pad_model",),
     "recognition.recognizer": ("ObjectRecognizer",),
     "registration.depth": ("register_by_depth",),
     "registration.estimate": ("PoseEstimate",),
@@ -87,9 +89,9 @@ _HOME_OF = {name: f"i2t.{module}" for module, names in _HOMES.items() for name i
 __all__ = [
     "Board", "Camera", "DataError", "Dataset", "DeviceError", "I2TError", "Mesh", "ObjectRecognizer", "Pad", "Patch",
     "PoseEstimate", "Predictor", "Reading", "Surface", "Touches", "anyskin_board", "calibrate", "contact_pose",
-    "load_calibration", "load_dataset", "load_mesh", "load_pad", "load_predictor", "make_object", "nominal_pad",
-    "patch_from_depth", "prepare_surface", "press", "register_by_depth", "register_by_touch", "render_patch",
-    "reskin_board", "sample_pad", "sample_touch_sites", "save_dataset", "save_pad", "simulate_touches",
+    "load_calibration", "load_dataset", "load_mesh", "load_pad", "load_pad_model", "load_predictor", "make_object",
+    "nominal_pad", "patch_from_depth", "prepare_surface", "press", "register_by_depth", "register_by_touch",
+    "render_patch", "reskin_board", "sample_pad", "sample_touch_sites", "save_dataset", "save_pad", "simulate_touches",
 ]  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from i2t._version import __version__
 from i2t.cli import WRONG_USE
 
 COMMANDS = {
+    "i2t.imagine": "draw what a skin would feel of an object",
     "i2t.collect": "collect touches, simulated or real",
     "i2t.convert": "recordings into data sets, and back",
     "i2t.view": "look at what was recorded",
@@ -38,6 +39,7 @@ EXPERIMENTS = {
     "experiments.clouds": "point clouds as surfaces",
     "experiments.real_frames": "patches of real depth images",
     "experiments.gallery": "the pictures of the documents",
+    "experiments.ready_models": "the models that come with the package",
     "experiments.notebooks": "notebooks as HTML",
     "experiments.benchmark": "speeds, next to a peer's",
     "experiments.faults": "what is lost when something breaks?",

@@ -50,6 +50,7 @@ DATA = {
     "load_dataset": ("path",),
     "load_mesh": ("path", "unit"),
     "load_pad": ("path",),
+    "load_pad_model": ("path",),
     "load_predictor": ("directory",),
     "make_object": ("name",),
     "nominal_pad": ("pattern",),

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from experiments.common.runs import METRICS
+from i2t.cli import require_path
+from i2t.models import READY_MODELS
 
 DATASET_SUFFIX = ".h5"
 
@@ -42,6 +44,19 @@ def require_dataset(flag: str, path: Path | None) -> None:
         raise ValueError(f"{flag} {path}: there is no such data set; check the name")
     if path.is_dir() and not any(path.iterdir()):
         raise ValueError(f"{flag} {path}: is an empty folder; name one that holds touches")
+
+
+def require_pad(path: Path | None) -> None:
+    """Refuse what --pad names where it is neither there nor the name of a ready model.
+
+    Args:
+        path: As given; None where the option was left out.
+
+    Raises:
+        ValueError: Nothing is there.
+    """
+    if path is not None and str(path) not in READY_MODELS:
+        require_path("--pad", path)
 
 
 def require_objects(paths: Sequence[Path], unit: str | None, *, least: int = 2, catalogue: bool = True) -> None:

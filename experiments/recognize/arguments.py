@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from experiments.common.checks import finished_runs, require_dataset, require_objects
+from experiments.common.checks import finished_runs, require_dataset, require_objects, require_pad
 from i2t.cli import Count, Positive, Probability, Seed, require_path, require_with
 
 PresetName = Literal["paper", "debug"]
@@ -24,7 +24,7 @@ class SimulateArgs:
     objects: tuple[Path, ...] = ()  # to tell apart: names of the catalogue and mesh files
     unit: UnitName | None = None  # of those files
     dataset: Path | None = None  # recorded touches to recognise; its objects are the catalogue's or those of --objects
-    pad: Path | None = None  # with --dataset, in place of a run's: an earlier session, a pad or a pad model of the skin
+    pad: Path | None = None  # with --dataset: an earlier session, a pad or pad model of the skin, or nominal, ready
     other_skin: bool = False  # with --dataset: judge touches of another skin all the same, and say so
     max_touches: Count | None = None  # with --dataset: of each session; by default as many as all long enough ones have
     rig: Path | None = None  # of the lab that recorded them: its object_covariance says how far poses may be off
@@ -58,7 +58,7 @@ class SimulateArgs:
             raise ValueError("--paper-episodes is for the paper's sets, and --objects are others; pass --episodes")
         require_objects(self.objects, self.unit)
         require_dataset("--dataset", self.dataset)
-        require_path("--pad", self.pad)
+        require_pad(self.pad)
         require_path("--rig", self.rig, "file")
         if self.pad is None:
             finished_runs(self.trained_run)
@@ -70,7 +70,7 @@ class LiveArgs:
 
     out: Path = Path("runs/live")  # folder of touches/, result.json and story/
     trained_run: Path = Path("runs/train")  # a finished run of experiments.train on touches of this skin
-    pad: Path | None = None  # in place of a run: a data set of an earlier session, a pad or a pad model of this skin
+    pad: Path | None = None  # in place of a run: an earlier session, a pad or pad model of this skin; or nominal, ready
     objects: tuple[Path, ...] = ()  # to tell apart: names of the catalogue and mesh files
     unit: UnitName | None = None  # of those files
     truth: str | None = None  # name of what stands there, under which its touches are kept; "unknown" by default
@@ -123,7 +123,8 @@ class LiveArgs:
         if self.port and self.skin == "simulated":
             raise ValueError("--port is of a board, and --skin is simulated; leave it out")
         require_objects(self.objects, self.unit)
-        for flag, path in (("--pad", self.pad), ("--worn-pad", self.worn_pad), ("--views", self.views)):
+        require_pad(self.pad)
+        for flag, path in (("--worn-pad", self.worn_pad), ("--views", self.views)):
             require_path(flag, path)
         require_path("--rig", self.rig, "file")
         self._check_true_object()

@@ -21,6 +21,7 @@ from i2t import serialization
 from i2t.dataset import Dataset
 from i2t.dataset.files import ENDING as DATASET_SUFFIX
 from i2t.hardware.rig import Rig
+from i2t.models import ready_path
 from i2t.objects import Mesh, catalogue
 from i2t.prediction.predictor import Predictor, load_predictor
 from i2t.recognition import pad_model_files
@@ -47,7 +48,8 @@ def find_pad_source(
     """The pad model that a command line names.
 
     Args:
-        pad: A data set of an earlier session, a pad on disk or a pad model on disk, in place of a run.
+        pad: A data set of an earlier session, a pad on disk, a pad model on disk or the name of a ready one, in place
+            of a run.
         run: A finished run of experiments.train, or a study's folder, of which the first run is taken.
         cfg: How touches were pressed, and how far objects may be from where they are believed.
         meshes: Of objects in a data set that are not of the catalogue.
@@ -62,15 +64,16 @@ def find_pad_source(
     errors = cfg.errors if rig is None else with_placement(cfg.errors, rig)
     if pad is None:
         return _of_run(finished_runs(run)[0], cfg, errors)
-    if not pad.exists():
+    ready = ready_path(str(pad), "pad_model.npz")
+    if not ready.exists():
         raise ValueError(f"--pad {pad}: there is no such file or folder")
     if pad.is_dir() or pad.suffix == DATASET_SUFFIX:
         recorded = data.load_dataset(pad)
         touches = recognition_data.known_touches(recorded, np.ones(len(recorded), bool), meshes, str(pad))
         return _of_touches(touches, cfg, errors, str(pad), None)
-    kind = serialization.file_kind(pad)
+    kind = serialization.file_kind(ready)
     if kind == pad_model_files.PAD_MODEL_KIND:
-        known = load_pad_model(pad)
+        known = load_pad_model(ready)
         return PadSource(known.skin, lambda key: known, None)
     if kind == pad_files.KIND:
         return _of_pad_file(pad, cfg)

@@ -31,6 +31,7 @@ from jaxtyping import Array, Bool, Float
 from orbax.checkpoint import v1 as ocp
 
 from i2t.errors import CheckpointError
+from i2t.models import ready_path
 from i2t.prediction import baselines, checkpoint, gp, model, user_input
 from i2t.prediction.baselines import Baseline, MeanReading, NearestPatches, RidgeOnPatches, TouchFeatures
 from i2t.prediction.gp import GP, ContactPressure, GPHyperparameters
@@ -332,6 +333,26 @@ class Predictor:
             T_o_t = i2t.contact_pose(mesh, mesh.vertices[0])
             reading, std = predictor.predict_touch(mesh, T_o_t, force=1.0)
         """
+        seen = self.render_touches(mesh, T_w_t, unit)
+        reading = self.predict(seen.patch, force=force, nearest=seen.nearest, wide=seen.view)
+        return Reading(reading.mean[0], reading.std[0]) if np.ndim(T_w_t) == 2 else reading
+
+    def render_touches(
+        self, mesh: Any, T_w_t: Float[Array, "*batch 4 4"] | np.ndarray, unit: str | None = None
+    ) -> TouchBatch:
+        """What lies in front of the skin at poses on a mesh, as `predict_touch` sees it.
+
+        Args:
+            mesh: As for `predict_touch`.
+            T_w_t: (4, 4) pose of the tool frame at the contact, or (n, 4, 4).
+            unit: Of a file's coordinates, such as "mm".
+
+        Returns:
+            Patches, views with their surroundings, and signed distances, n on axis 0; force and depth are unknown.
+
+        Raises:
+            ValueError: The pose is no rigid transform, or the skin does not lie on the surface there.
+        """
         surface, poses = _surface_of(mesh, unit), user_input.checked_poses(T_w_t)
         pitch = self.window / PATCH_PIXELS
         patches, wides, nearest = [], [], []
@@ -343,8 +364,10 @@ class Predictor:
             wides.append(np.clip(np.asarray(wide.depth) + float(wide.nearest - patch.nearest), 0, self.reach))
             patches.append(np.asarray(patch.depth))
             nearest.append(float(patch.nearest))
-        reading = self.predict(np.stack(patches), force=force, nearest=np.array(nearest), wide=np.stack(wides))
-        return Reading(reading.mean[0], reading.std[0]) if np.ndim(T_w_t) == 2 else reading
+        unknown = np.full(len(patches), np.nan, np.float32)
+        return TouchBatch(
+            np.stack(patches), np.stack(wides), pitch, force=unknown, nearest=np.array(nearest), depth=unknown
+        )
 
     def _predict_classes(self, patches: np.ndarray, views: np.ndarray | None, values: dict[str, np.ndarray]) -> Reading:
         """Readings of touches in batches of few sizes, so that a new number of touches compiles nothing."""
@@ -437,10 +460,11 @@ def save(directory: Path | str, predictor: Predictor) -> None:
 
 
 def load_predictor(directory: Path | str) -> Predictor:
-    """The predictor in a run's folder.
+    """The predictor in a run's folder, or the ready one that comes with i2t.
 
     Args:
-        directory: A folder that `python -m experiments.train` wrote, or the `checkpoint/predictor` in it.
+        directory: A folder that `python -m experiments.train` wrote, or the `checkpoint/predictor` in it; or the name
+            of a ready model, "nominal" (`i2t.models`), of one simulated pad.
 
     Returns:
         The predictor; those of earlier versions of this package are read too.
@@ -449,10 +473,10 @@ def load_predictor(directory: Path | str) -> Predictor:
         CheckpointError: There is none, or it cannot be read.
 
     Example:
-        predictor = i2t.load_predictor("runs/train")
+        predictor = i2t.load_predictor("nominal")
         reading, std = predictor.predict(patch.depth, force=1.0)
     """
-    directory = Path(directory).absolute()
+    directory = ready_path(directory, "predictor").absolute()
     nested = directory / "checkpoint" / "predictor"
     directory = nested if nested.is_dir() else directory
     about = _description(directory)

@@ -17,6 +17,7 @@ import numpy as np
 
 from i2t import serialization
 from i2t.errors import DataError, SerializationError
+from i2t.models import ready_path
 from i2t.recognition.belief import Likelihood
 from i2t.recognition.outcomes import LinearReadingModel
 from i2t.recognition.pad_model import PadModel
@@ -92,17 +93,23 @@ def save_pad_model(path: Path | str, known: KnownPad) -> None:
 
 
 def load_pad_model(path: Path | str) -> KnownPad:
-    """The pad model in a file.
+    """The pad model in a file, or the ready one that comes with i2t.
 
     Args:
-        path: Of a file that `save_pad_model` wrote.
+        path: Of a file that `save_pad_model` wrote; or the name of a ready model, "nominal" (`i2t.models`), of one
+            simulated pad.
 
     Returns:
         The pad model, its board and its origin.
 
     Raises:
         SerializationError: The file is missing, damaged, holds something else, or its parts do not fit each other.
+
+    Example:
+        known = i2t.load_pad_model("nominal")
+        recognizer = i2t.ObjectRecognizer(jax.random.key(0), known.model, {"mug": mug, "bowl": bowl})
     """
+    path = ready_path(path, "pad_model.npz")
     record, about = serialization.load(path, PAD_MODEL_KIND, _Record)
     with serialization.fitting(path):
         return _known_pad(path, record, about)

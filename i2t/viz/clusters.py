@@ -4,8 +4,8 @@ A view is what the model sees of a patch, by default the paper's binary contact 
 those of principal components, which keep nearly all of the variance and make them quick.
 
 Sources: t-SNE, van der Maaten and Hinton (JMLR 9, 2008); adjusted Rand index, Hubert and Arabie (J. Classif. 2, 1985).
-NumPy, and scikit-learn (`pip install "imagine2touch[notebooks]"`) on one thread: a few thousand touches gain nothing from
-more.
+NumPy, and scikit-learn (`pip install "imagine2touch[notebooks]"`) on one thread: a few thousand touches gain nothing
+from more.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """Scenes in three dimensions: objects with their touches, the skin's surface, maps as landscapes.
 
-Scenes need pyvista (`pip install "imagine2touch[notebooks]"`) and a machine that can draw off screen. That is tried out first
-in a process of its own, because without EGL or OSMesa VTK ends with a segmentation fault.
+Scenes need pyvista (`pip install "imagine2touch[notebooks]"`) and a machine that can draw off screen. That is tried out
+first in a process of its own, because without EGL or OSMesa VTK ends with a segmentation fault.
 """
 
 import html

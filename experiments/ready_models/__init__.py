@@ -1,0 +1,1 @@
+"""Ready models for the package, from a finished run."""

@@ -1,0 +1,112 @@
+"""Imagine touches: `python -m i2t.imagine` draws what a skin would read where it touches an object.
+
+    python -m i2t.imagine                                the hammer of the catalogue, by the ready model
+    python -m i2t.imagine mug.stl --unit mm              an object of your own
+    python -m i2t.imagine star --model runs/train        a predictor of your own
+
+Safe sites of the object are drawn at random, the patch in front of the skin is rendered there, and a trained predictor
+turns patch and force into readings with their standard deviations. The ready model is of one simulated pad
+(docs/model_card.md): it shows what a touch looks like, and no real skin reads as it does.
+"""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import tyro
+
+from i2t.cli import Count, Positive, Seed, check_options, docstring_of, exit_code_of
+from i2t.models import READY_MODELS
+
+if TYPE_CHECKING:
+    from i2t.objects import Object
+
+
+@dataclass(frozen=True)
+class ImagineArgs:
+    """Draw what a skin would read where it touches an object."""
+
+    object: tyro.conf.Positional[str] = "hammer"
+    """A name of the catalogue, or a mesh file."""
+    unit: Literal["m", "cm", "mm", "inch"] | None = None
+    """Of a mesh file."""
+    model: str = "nominal"
+    """The ready model, or a finished run of experiments.train."""
+    board: str = "reskin"
+    """Of the skin: reskin, anyskin, or grid-RxC for R rows and C columns of chips."""
+    force: Positive = 1.0
+    """N along the tool's z axis."""
+    sites: Count = 4
+    """Touches to imagine."""
+    seed: Seed = 0
+    """Of the sites."""
+    out: Path = Path("runs/imagine.png")
+    """The picture; a file there is replaced."""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        args: Without the program's name; by default those of this process.
+
+    Returns:
+        The exit code.
+    """
+    asked = tyro.cli(ImagineArgs, args=args, prog="python -m i2t.imagine", description=docstring_of("i2t.imagine"))
+    return exit_code_of(lambda: _imagine(asked))
+
+
+def _imagine(asked: ImagineArgs) -> None:
+    check_options(asked)
+    thing = _object(asked)
+    from i2t import viz
+    from i2t.prediction.predictor import load_predictor
+    from i2t.rendering.render import prepare_surface
+    from i2t.simulation.sites import sample_touch_sites
+    from i2t.skin.boards import make_board
+
+    predictor, board = load_predictor(asked.model), make_board(asked.board)
+    if predictor.model.channels != board.num_readings:
+        raise ValueError(
+            f"--board {asked.board} has {board.num_readings} values, and the predictor of {asked.model} has "
+            f"{predictor.model.channels}; name the board that it was trained on"
+        )
+    surface = prepare_surface(thing.mesh)
+    sites = sample_touch_sites(surface, asked.sites, seed=asked.seed, name=thing.name)
+    seen = predictor.render_touches(surface, sites.T_o_t)
+    readings = predictor.predict(seen.patch, force=asked.force, nearest=seen.nearest, wide=seen.view)
+    for number, (mean, std) in enumerate(zip(readings.mean, readings.std, strict=True), 1):
+        chip, axis = divmod(int(abs(mean).argmax()), 3)
+        strongest = f"{mean[3 * chip + axis]:.1f} +- {std[3 * chip + axis]:.1f} uT"
+        print(f"touch {number}: chip {chip} {'xyz'[axis]} changes most, by {strongest}")
+    simulated = asked.model in READY_MODELS or (predictor.metadata or {}).get("source") != "real"
+    figure = viz.plot_predicted_touches(
+        seen.patch, {"imagined": readings.mean}, [f"touch {i + 1}" for i in range(asked.sites)], board,
+        f"{thing.name}, pressed with {asked.force:g} N", simulated,
+    )  # fmt: skip
+    print(f"wrote {viz.save_figure(figure, asked.out)}")
+
+
+def _object(asked: ImagineArgs) -> "Object":
+    """What is touched, by its name or from its file."""
+    from i2t.objects import load_object, make_object
+    from i2t.objects.catalogue import NAMES
+
+    if asked.object in NAMES:
+        if asked.unit is not None:
+            raise ValueError("--unit is of a mesh file, and an object of the catalogue needs none; leave it out")
+        return make_object(asked.object)
+    if not Path(asked.object).is_file():
+        raise ValueError(
+            f"{asked.object}: is neither a mesh file nor an object of the catalogue, which has {', '.join(NAMES)}"
+        )
+    if asked.unit is None:
+        raise ValueError(f"{asked.object}: say in which unit the file is, for instance --unit mm")
+    return load_object(asked.object, asked.unit)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

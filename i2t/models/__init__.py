@@ -1,0 +1,53 @@
+"""Ready models, which come with the package: a predictor of touches and a pad model, to start from in seconds.
+
+    predictor = i2t.load_predictor("nominal")
+    known = i2t.load_pad_model("nominal")
+
+"nominal" is one simulated pad, number 0 of `i2t.skin.pad.numbered_pad`: a layer drawn about the nominal one, with an
+uneven magnetisation of its own. No real skin was touched for it, and no real skin reads as it does: take a model of
+your own skin for real touches. Figures and limits are in docs/model_card.md, made by
+`python -m experiments.ready_models`.
+"""
+
+import os
+from pathlib import Path
+from typing import Any, Literal
+
+from i2t.files import read_json
+
+READY_MODELS = ("nominal",)
+MAX_CARD_BYTES = 2**16
+Part = Literal["predictor", "pad_model.npz", "metrics.json"]
+
+
+def ready_path(name: str | os.PathLike[str], part: Part) -> Path:
+    """Where a part of a ready model is, or the path that was meant otherwise.
+
+    Args:
+        name: Of a ready model, or a path; where a file or folder of that name is at hand, it is meant.
+        part: Of the model.
+
+    Returns:
+        The part's path, or `name` as a path.
+    """
+    path = Path(name)
+    if isinstance(name, str) and name in READY_MODELS and not path.exists():
+        return Path(__file__).parent / name / part
+    return path
+
+
+def model_card(name: str) -> dict[str, Any]:
+    """What was measured of a ready model.
+
+    Args:
+        name: Of the model.
+
+    Returns:
+        Its source, data and figures, as docs/model_card.md gives them.
+
+    Raises:
+        ValueError: There is no model of this name.
+    """
+    if name not in READY_MODELS:
+        raise ValueError(f"{name} is no ready model; there is {', '.join(READY_MODELS)}")
+    return read_json(Path(__file__).parent / name / "metrics.json", MAX_CARD_BYTES)
