@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     from i2t.viz.skins import plot_readings as plot_readings
     from i2t.viz.skins import plot_skin_map as plot_skin_map
     from i2t.viz.style import save_figure as save_figure
+    from i2t.viz.surfaces import ShownSurface as ShownSurface
+    from i2t.viz.surfaces import plot_growing_surface as plot_growing_surface
+    from i2t.viz.surfaces import write_surface_gltf as write_surface_gltf
     from i2t.viz.training import plot_channel_errors as plot_channel_errors
     from i2t.viz.training import plot_predicted_touches as plot_predicted_touches
     from i2t.viz.training import plot_predictions as plot_predictions
@@ -60,6 +63,7 @@ _MODULES = {
         "skin_plotter",
     ),
     "skins": ("draw_field", "draw_reading", "draw_skin", "plot_press", "plot_readings", "plot_skin_map"),
+    "surfaces": ("ShownSurface", "plot_growing_surface", "write_surface_gltf"),
     "training": ("plot_channel_errors", "plot_predicted_touches", "plot_predictions", "plot_training_curves"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

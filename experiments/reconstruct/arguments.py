@@ -1,0 +1,96 @@
+"""The options and presets of `python -m experiments.reconstruct`, without JAX."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from experiments.common.presets import choose_preset
+from i2t.cli import Count, Positive, Seed, require_path
+
+MESH_ENDINGS = (".obj", ".stl", ".ply", ".glb")
+
+
+@dataclass(frozen=True)
+class ReconstructSizes:
+    """How much is done."""
+
+    train: int = 80  # shapes of the library
+    validation: int = 4  # objects, in neither, on which the width of the bands is chosen
+    test: int = 6  # unseen objects
+    touches: int = 20  # on each
+    pads: int = 3  # simulated skins, in turn
+    seeds: int = 1  # episodes of each object and condition
+    patches: int = 800  # of the library of local surfaces
+    oracle_touches: int = 5  # of the greedy oracle, which is slow
+    oracle_sites: int = 8  # among which it looks ahead
+    samples: int = 20000  # points of a surface, by which distances between surfaces are measured
+
+
+PRESETS: dict[str, ReconstructSizes] = {
+    "paper": ReconstructSizes(),
+    "debug": ReconstructSizes(
+        train=4, validation=1, test=2, touches=2, pads=1, patches=48, oracle_touches=1, oracle_sites=2, samples=2000
+    ),
+    "study": ReconstructSizes(train=300, validation=8, test=24, seeds=1, patches=2000),
+}
+
+
+@dataclass(frozen=True)
+class ReconstructArgs:
+    """Reconstruct unseen objects from simulated touches, and say how good and how sure the surface is."""
+
+    out: Path = Path("runs/reconstruct")  # folder for what is made
+    preset: Literal["paper", "debug", "study"] = "paper"
+    meshes: Path | None = None  # folder of mesh files; without it random objects of the catalogue
+    unit: Literal["m", "cm", "mm", "inch"] = "mm"  # of --meshes; each is scaled to a largest side of --side
+    side: tuple[Positive, Positive] = (60e-3, 90e-3)  # m, drawn between these for each mesh
+    reach: Literal["around", "table"] = "around"  # held, so that all sides are reached; or as in the paper's collection
+    train: Count | None = None  # shapes of the library, instead of the preset's 80
+    test: Count | None = None  # unseen objects, instead of the preset's 6
+    touches: Count | None = None  # on each, instead of the preset's 20
+    pads: Count | None = None  # simulated skins, instead of the preset's 3
+    seeds: Count | None = None  # episodes of each object, instead of the preset's 1
+    conditions: tuple[str, ...] = ()  # the names of those to run; all without it
+    seed: Seed = 0
+    overwrite: bool = False  # replace a finished run in --out
+
+    def check(self) -> None:
+        """Refuse a folder that is not there, sides in the wrong order, and conditions that there are not."""
+        from importlib.util import find_spec
+
+        require_path("--meshes", self.meshes, "folder")
+        if self.side[0] > self.side[1]:
+            raise ValueError(f"--side {self.side[0]:g} {self.side[1]:g}: give the smaller one first")
+        if unknown := sorted(set(self.conditions) - set(CONDITIONS)):
+            raise ValueError(f"--conditions {unknown[0]}: is none of {', '.join(CONDITIONS)}")
+        if find_spec("skimage") is None:
+            raise ValueError("surfaces are made by scikit-image, which is not installed: pip install scikit-image")
+
+    @property
+    def sizes(self) -> ReconstructSizes:
+        """Those of the preset, but for what was given."""
+        given = {name: getattr(self, name) for name in ("train", "test", "touches", "pads", "seeds")}
+        return choose_preset(PRESETS, self.preset, **given)
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One way to explore and to read touches."""
+
+    policy: str = "reduction"  # of `i2t.reconstruction.exploration`, or "oracle"
+    evidence: Literal["contact", "reading", "image"] = "reading"  # what a touch says besides where it was
+    library: bool = True  # whether shapes of the same family are known
+    view: bool = False  # whether one depth view comes first
+
+
+CONDITIONS: dict[str, Condition] = {
+    "random": Condition("random"),
+    "even": Condition("even"),
+    "uncertainty": Condition("uncertainty"),
+    "reduction": Condition("reduction"),
+    "oracle": Condition("oracle"),
+    "contact pose only": Condition(evidence="contact"),
+    "perfect tactile image": Condition(evidence="image"),
+    "smoothness alone": Condition(library=False),
+    "one view first": Condition(view=True),
+}

@@ -1,0 +1,249 @@
+"""Where to touch an unknown object next.
+
+Sites are proposed on the surface as it is estimated now, each with the tool along the estimated normal; those that the
+limits of `i2t.simulation.site_limits` forbid are struck out, judged on the estimate and its uncertainty, since nothing
+else is known. A policy chooses among the rest; where nothing is left, nothing is chosen and the caller stops.
+
+  random       any of them
+  even         the one farthest from all touches before
+  uncertainty  the one whose surface is least certain
+  reduction    the one whose measurement is expected to take most off the error of the surface: with cov the posterior
+               covariance and q(x) the density of the surface at x, sum_x q(x) cov(x, c)^2 / (cov(c, c) + noise^2),
+               which is exact for a regression whose mean does not move (Krause et al., JMLR 9, 2008)
+"""
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Literal, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from i2t.geometry import contact_frame
+from i2t.reconstruction.signed_distances import VoxelGrid, interpolate
+from i2t.reconstruction.surface import (
+    SurfaceEstimate,
+    SurfaceModel,
+    SurfaceState,
+    estimate_surface,
+    posterior_covariance,
+    predict,
+    regress,
+)
+from i2t.simulation.site_limits import SiteLimits
+from i2t.simulation.sites import is_above_table, is_upward
+
+PolicyName = Literal["random", "even", "uncertainty", "reduction"]
+POLICIES: tuple[PolicyName, ...] = ("random", "even", "uncertainty", "reduction")
+# An object held so that the tool reaches it from everywhere: no table, no flange, any direction.
+AROUND_LIMITS = SiteLimits(min_cos=-1.0, table=-1.0)
+
+
+@dataclass(frozen=True)
+class ExplorationConfig:
+    """How sites are proposed and approached."""
+
+    policy: PolicyName = "reduction"
+    limits: SiteLimits = field(default_factory=SiteLimits)  # of what is safe; the paper's collection on a table
+    candidates: int = 48  # sites proposed at a time
+    stride: int = 2  # of the grid on which they are sought
+    approach: float = 0.1  # m of straight way before a site
+    overtravel: float = 10e-3  # m beyond it, before a touch counts as one of air
+    noise: float = 2e-3  # m, of the measurement that is expected
+    probes: int = 400  # points of the surface whose error counts
+
+
+class SiteProposals(NamedTuple):
+    """Sites on the estimated surface."""
+
+    T_o_t: Float[np.ndarray, "n 4 4"]  # poses of the tool at contact, its z into the object
+    std: Float[np.ndarray, " n"]  # m, of the surface there
+    safe: Bool[np.ndarray, " n"]
+
+
+class ChosenSite(NamedTuple):
+    """Where to touch next, and among what it was chosen."""
+
+    T_o_t: Float[np.ndarray, "4 4"] | None  # None: nothing is safe
+    score: float  # of the policy; NaN where nothing was chosen
+    proposals: SiteProposals
+
+
+def choose_touch(
+    model: SurfaceModel,
+    state: SurfaceState,
+    *,
+    config: ExplorationConfig | None = None,
+    seed: int = 0,
+    estimate: SurfaceEstimate | None = None,
+) -> ChosenSite:
+    """Where to touch next.
+
+    Args:
+        model: What was known before.
+        state: What the touches say.
+        config: The policy, what is safe, how sites are proposed.
+        seed: The same seed gives the same proposals.
+        estimate: The surface of this state, where it is at hand.
+
+    Returns:
+        The site; none where nothing is safe.
+    """
+    config = config or ExplorationConfig()
+    rng = np.random.default_rng(seed)
+    estimate = estimate or estimate_surface(model, state, stride=config.stride)
+    proposals = propose_sites(estimate, rng, config=config)
+    if not proposals.safe.any():
+        return ChosenSite(None, float("nan"), proposals)
+    scores = np.where(proposals.safe, _scores(model, state, estimate, proposals, rng=rng, config=config), -np.inf)
+    best = int(scores.argmax())
+    return ChosenSite(proposals.T_o_t[best], float(scores[best]), proposals)
+
+
+def propose_sites(estimate: SurfaceEstimate, rng: np.random.Generator, *, config: ExplorationConfig) -> SiteProposals:
+    """Sites drawn over the estimated surface.
+
+    Args:
+        estimate: Of the surface.
+        rng: Random numbers.
+        config: How many, and what is safe.
+
+    Returns:
+        Sites, as many as wanted or as the surface has.
+    """
+    points, normals, std = surface_points(estimate)
+    kept = rng.permutation(len(points))[: config.candidates]
+    rolls = rng.uniform(0, 2 * np.pi, len(kept))
+    if not len(kept):
+        return SiteProposals(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, bool))
+    frames = np.stack([contact_frame(p, n, r) for p, n, r in zip(points[kept], normals[kept], rolls, strict=True)])
+    return SiteProposals(frames, std[kept], safe_sites(estimate, frames, config=config))
+
+
+def surface_points(
+    estimate: SurfaceEstimate,
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """Points of the estimated surface, about one for each cell of the grid that it passes.
+
+    Args:
+        estimate: Of the surface.
+
+    Returns:
+        Points (m), outward unit normals, and the standard deviation of the surface (m) at each.
+    """
+    grid = estimate.grid
+    field_ = estimate.distance.reshape(grid.shape)
+    slopes = np.stack(np.gradient(field_, grid.spacing), -1).reshape(-1, 3)
+    steep = np.linalg.norm(slopes, axis=-1)
+    near = np.flatnonzero((np.abs(estimate.distance) < 0.5 * grid.spacing * np.maximum(steep, 0.3)) & (steep > 0.1))
+    normals = slopes[near] / steep[near, None]
+    points = grid.points()[near] - (estimate.distance[near] / steep[near])[:, None] * normals
+    return points.astype(np.float64), normals.astype(np.float64), estimate.std[near].astype(np.float64)
+
+
+def safe_sites(
+    estimate: SurfaceEstimate, T_o_t: Float[np.ndarray, "n 4 4"], *, config: ExplorationConfig
+) -> Bool[np.ndarray, " n"]:
+    """Which sites the limits allow, as far as the estimate knows: tilt, room for mount and flange down to the end of
+    the overtravel, and nothing of the estimated surface above the contact plane in the sensor's square.
+
+    Args:
+        estimate: Of the surface.
+        T_o_t: Poses of the tool at the sites.
+        config: The limits and the overtravel.
+
+    Returns:
+        Whether each is safe.
+    """
+    limits = config.limits
+    deepest = T_o_t.copy()
+    deepest[:, :3, 3] += config.overtravel * T_o_t[:, :3, 2]
+
+    clear = np.asarray(_stand_clear(T_o_t.astype(np.float32), deepest.astype(np.float32), limits))
+    return clear & _unoccluded(estimate, T_o_t, limits)
+
+
+@partial(jax.jit, static_argnums=2)
+def _stand_clear(here: jax.Array, end: jax.Array, limits: SiteLimits) -> jax.Array:
+    """Whether tilt, mount and flange are within the limits at contact and at the end of the overtravel."""
+
+    def one(here: jax.Array, end: jax.Array) -> jax.Array:
+        return is_upward(here, limits) & is_above_table(here, limits) & is_above_table(end, limits)
+
+    return jax.vmap(one)(here, end)
+
+
+def _unoccluded(estimate: SurfaceEstimate, T_o_t: np.ndarray, limits: SiteLimits) -> np.ndarray:
+    """Whether the estimated object leaves the room above the contact plane free, `max_rise` aside."""
+    edge = np.linspace(-limits.half, limits.half, 5)
+    x, y, z = (e.ravel() for e in np.meshgrid(edge, edge, -(limits.max_rise + np.linspace(0, 60e-3, 13))))
+    local = np.stack([x, y, z], -1)
+    places = np.einsum("nij,kj->nki", T_o_t[:, :3, :3], local) + T_o_t[:, None, :3, 3]
+    found = interpolate(estimate.grid, estimate.distance, places.reshape(-1, 3)).reshape(len(T_o_t), -1)
+    inside = (found < 0) & _within(estimate.grid, places)
+    return np.asarray(~inside.any(-1))
+
+
+def _within(grid: VoxelGrid, points: np.ndarray) -> np.ndarray:
+    high = np.array(grid.low) + grid.spacing * (np.array(grid.shape) - 1)
+    return np.asarray((points >= grid.low) & (points <= high)).all(-1)
+
+
+def _scores(
+    model: SurfaceModel,
+    state: SurfaceState,
+    estimate: SurfaceEstimate,
+    proposals: SiteProposals,
+    *,
+    rng: np.random.Generator,
+    config: ExplorationConfig,
+) -> np.ndarray:
+    """The policy's score of each proposal; the greatest is chosen."""
+    count = len(proposals.std)
+    if config.policy == "random":
+        return rng.random(count)
+    places = proposals.T_o_t[:, :3, 3]
+    if config.policy == "even":
+        before = np.array([touch.T_o_t[:3, 3] for touch in state.touches])
+        if not len(before):
+            return rng.random(count)
+        return np.linalg.norm(places[:, None] - before, axis=-1).min(-1)
+    if config.policy == "uncertainty":
+        return proposals.std
+    return expected_reduction(model, state, estimate, places, rng=rng, config=config)
+
+
+def expected_reduction(
+    model: SurfaceModel,
+    state: SurfaceState,
+    estimate: SurfaceEstimate,
+    places: Float[np.ndarray, "n 3"],
+    *,
+    rng: np.random.Generator,
+    config: ExplorationConfig,
+) -> Float[np.ndarray, " n"]:
+    """How much a measurement at each place is expected to take off the surface's variance, summed over where the
+    surface may be.
+
+    Args:
+        model: What was known before.
+        state: What the touches say.
+        estimate: The surface of this state.
+        places: m, on the estimated surface.
+        rng: Random numbers, which choose the points that are summed over.
+        config: Noise of the measurement, number of points.
+
+    Returns:
+        m^2, relative to one another.
+    """
+    std = estimate.std.astype(np.float64)
+    density = np.exp(-0.5 * (estimate.distance / std) ** 2) / std
+    total = density.sum()
+    if not total > 0:
+        return rng.random(len(places))
+    drawn = rng.choice(len(density), config.probes, p=density / total)
+    posterior = regress(model, state)
+    cov = posterior_covariance(model, posterior, estimate.grid.points()[drawn], places)
+    _, own = predict(model, posterior, places)
+    return (cov**2).sum(0) / (own**2 + config.noise**2)

@@ -1,0 +1,210 @@
+"""Signed distance of a mesh on a grid, and the mesh of a signed distance.
+
+A signed distance is negative inside a solid and positive outside, in metres. Its sign is the winding number along a
+line through each column of the grid, so bodies may overlap; its size is the exact distance to the nearest of a few
+triangles near the surface, and the distance to a dense sample of the surface farther away. The way back is marching
+cubes (Lewiner et al., Journal of Graphics Tools 8, 2003) as scikit-image has it, which is the optional extra
+`reconstruct`.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from i2t.objects.solids import Mesh
+
+SAMPLES = 6000  # points of a surface, at least, among which the nearest are sought
+SAMPLES_PER_FACE = 2  # at least, on average
+NEIGHBOURS = 6  # nearest samples whose triangles are looked at exactly
+EXACT_WITHIN_M = 8e-3  # of the surface distances are exact; farther off they are those to the samples
+COLUMN_SHIFT = 1.7e-7  # m, by which columns miss vertices and edges that lie on the grid
+NO_MARCHING_CUBES = "scikit-image makes meshes of signed distances and is not installed: pip install scikit-image"
+
+
+class VoxelGrid(NamedTuple):
+    """Points in a box, in the object's frame: point (i, j, k) is `low + spacing * (i, j, k)`."""
+
+    low: tuple[float, float, float]  # m
+    spacing: float  # m
+    shape: tuple[int, int, int]
+
+    def points(self) -> Float[np.ndarray, "g 3"]:
+        """All points (m), the last axis fastest."""
+        axes = [self.low[i] + self.spacing * np.arange(self.shape[i]) for i in range(3)]
+        return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3).astype(np.float32)
+
+
+def grid_around(low: NDArray, high: NDArray, *, across: int, margin: float) -> VoxelGrid:
+    """A grid over a box, square from above and centred on the z axis, so that quarter turns map it to itself.
+
+    Args:
+        low: (3,) m, lowest corner of what it must hold.
+        high: (3,) m, its highest corner.
+        across: Points along x, and along y.
+        margin: m, added on all sides.
+
+    Returns:
+        The grid.
+    """
+    half = float(np.abs(np.stack([low[:2], high[:2]])).max()) + margin
+    spacing = 2 * half / (across - 1)
+    levels = int(np.ceil((high[2] - low[2] + 2 * margin) / spacing)) + 1
+    return VoxelGrid((-half, -half, float(low[2]) - margin), spacing, (across, across, levels))
+
+
+def corners_of(grid: VoxelGrid, points: Float[np.ndarray, "n 3"]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """The eight grid points around each point, and their weights in trilinear interpolation.
+
+    Args:
+        grid: To interpolate on.
+        points: m; those outside are moved to the grid's nearest face.
+
+    Returns:
+        (n, 8) indices into the flat grid, and (n, 8) weights that add to 1.
+    """
+    last = np.array(grid.shape) - 1
+    place = np.clip((np.asarray(points) - grid.low) / grid.spacing, 0, last)
+    base = np.minimum(place.astype(np.int64), last - 1)
+    part = place - base
+    step = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    index = np.ravel_multi_index(tuple(np.moveaxis(base[:, None] + step, -1, 0)), grid.shape)
+    weight = np.where(step, part[:, None], 1 - part[:, None]).prod(-1)
+    return index, weight.astype(np.float32)
+
+
+def interpolate(grid: VoxelGrid, values: Float[np.ndarray, " g"], points: Float[np.ndarray, "n 3"]) -> NDArray:
+    """Values at any points, by trilinear interpolation.
+
+    Args:
+        grid: On which the values are.
+        values: One for each point of the grid.
+        points: m; those outside take the value of the nearest face.
+
+    Returns:
+        (n,) values.
+    """
+    index, weight = corners_of(grid, points)
+    return (values[index] * weight).sum(-1)
+
+
+def signed_distance_grid(mesh: Mesh, grid: VoxelGrid) -> Float[np.ndarray, " g"]:
+    """Signed distance of a closed mesh at the points of a grid.
+
+    Args:
+        mesh: Closed, faces turned outward; bodies may overlap.
+        grid: Where.
+
+    Returns:
+        m, negative inside.
+    """
+    triangles = np.asarray(mesh.vertices, np.float64)[mesh.faces]
+    points = grid.points().astype(np.float64)
+    samples, faces = sample_surface(mesh, max(SAMPLES, SAMPLES_PER_FACE * len(mesh.faces)))
+    distance, nearest = cKDTree(samples).query(points, k=NEIGHBOURS, workers=-1)
+    near = np.flatnonzero(distance[:, 0] < EXACT_WITHIN_M)
+    tried = faces[nearest[near]].reshape(-1)
+    wanted = np.repeat(points[near], NEIGHBOURS, axis=0)
+    found = trimesh.triangles.closest_point(triangles[tried], wanted)
+    exact = np.linalg.norm(found - wanted, axis=-1).reshape(-1, NEIGHBOURS).min(-1)
+    size = distance[:, 0]
+    size[near] = exact
+    return np.where(_inside(triangles, grid), -size, size).astype(np.float32)
+
+
+def sample_surface(mesh: Mesh, count: int, seed: int = 0) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Points drawn evenly over a surface.
+
+    Args:
+        mesh: Any mesh with area.
+        count: Of points.
+        seed: The same seed gives the same points.
+
+    Returns:
+        (count, 3) points (m), and the face of each.
+    """
+    rng = np.random.default_rng(seed)
+    a, b, c = np.moveaxis(np.asarray(mesh.vertices, np.float64)[mesh.faces], 1, 0)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=-1)
+    places = (np.arange(count) + rng.random(count)) / count  # stratified: gaps are smaller than of independent draws
+    face = np.searchsorted(np.cumsum(area) / area.sum(), places).clip(max=len(area) - 1)
+    root, v = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
+    return (1 - root) * a[face] + root * (1 - v) * b[face] + root * v * c[face], face
+
+
+def join_bodies(mesh: Mesh) -> Mesh:
+    """The outer surface of bodies that overlap; a mesh of one body, or one that is not closed, stays as it is.
+
+    Args:
+        mesh: Of one body or several.
+
+    Returns:
+        Their union.
+    """
+    bodies = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).split(only_watertight=False)
+    if len(bodies) < 2 or not all(body.is_watertight for body in bodies):
+        return mesh
+    joined = trimesh.boolean.union(list(bodies), engine="manifold")
+    return Mesh(np.asarray(joined.vertices, np.float64), np.asarray(joined.faces, np.int32))
+
+
+def extract_mesh(grid: VoxelGrid, distance: Float[np.ndarray, " g"]) -> Mesh:
+    """The surface on which a signed distance is zero, closed where it leaves the grid.
+
+    Args:
+        grid: On which it is given.
+        distance: m, negative inside.
+
+    Returns:
+        Its mesh in metres, faces turned outward; without faces where nothing is inside.
+
+    Raises:
+        ModuleNotFoundError: scikit-image is not installed.
+    """
+    measure = marching_cubes()
+    field = np.pad(distance.reshape(grid.shape), 1, constant_values=grid.spacing)
+    if field.min() >= 0 or field.max() <= 0:
+        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    vertices, faces, _, _ = measure(field, level=0.0, spacing=(grid.spacing,) * 3, gradient_direction="descent")
+    return Mesh(vertices.astype(np.float64) - grid.spacing + grid.low, faces.astype(np.int32))
+
+
+def marching_cubes() -> Any:
+    """The function of scikit-image.
+
+    Returns:
+        `skimage.measure.marching_cubes`.
+
+    Raises:
+        ModuleNotFoundError: It is not installed; one sentence says how to get it.
+    """
+    try:
+        from skimage.measure import marching_cubes as found
+    except ImportError as error:
+        raise ModuleNotFoundError(NO_MARCHING_CUBES) from error
+    return found
+
+
+def _inside(triangles: NDArray, grid: VoxelGrid) -> NDArray[np.bool_]:
+    """Whether each point of a grid is inside, by the winding number along its column of the grid."""
+    xy = grid.points().reshape(*grid.shape, 3)[:, :, 0, :2].reshape(-1, 2).astype(np.float64) + COLUMN_SHIFT
+    levels = grid.low[2] + grid.spacing * np.arange(grid.shape[2])
+    winding = np.zeros((len(xy), grid.shape[2]), np.int32)
+    low, high = triangles[..., :2].min(1), triangles[..., :2].max(1)
+    for corner, least, most in zip(triangles, low, high, strict=True):
+        a, b, c = corner[:, :2]
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        columns = np.flatnonzero(((xy >= least) & (xy <= most)).all(-1)) if area else np.zeros(0, int)
+        if not len(columns):
+            continue
+        p = xy[columns] - a
+        v = (p[:, 0] * (c[1] - a[1]) - p[:, 1] * (c[0] - a[0])) / area
+        w = ((b[0] - a[0]) * p[:, 1] - (b[1] - a[1]) * p[:, 0]) / area
+        met = (v >= 0) & (w >= 0) & (v + w <= 1)
+        z = corner[0, 2] + v * (corner[1, 2] - corner[0, 2]) + w * (corner[2, 2] - corner[0, 2])
+        above = z[met][:, None] > levels
+        winding[columns[met]] += np.where(above, np.sign(area).astype(np.int32), 0)
+    return (winding > 0).reshape(-1)

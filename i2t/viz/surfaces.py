@@ -1,0 +1,117 @@
+"""Reconstructed surfaces, coloured by how uncertain every part of them is; stills, and glTF files to turn.
+
+Scenes are drawn as `i2t.viz.scene` draws them, with pyvista off screen; where that cannot be, a figure says why.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from matplotlib import colormaps
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+
+from i2t.types import PAD_WINDOW, Array
+from i2t.viz.scene import VIEW_DIRECTION, trimmed, why_no_scene
+from i2t.viz.style import MM_PER_M, Picture, titled
+
+COLOURS_OF_STD = "plasma"
+WINDOW_PIXELS = (520, 440)
+
+
+class ShownSurface(NamedTuple):
+    """One stage of a surface."""
+
+    label: str
+    vertices: Float[Array, "v 3"]  # m
+    faces: Int[Array, "f 3"]
+    std: Float[Array, " v"]  # m, of the surface at each vertex
+    T_o_t: Float[Array, "n 4 4"]  # touches made so far
+
+
+def plot_growing_surface(
+    stages: Sequence[ShownSurface], truth: tuple[Array, Array] | None, title: str, simulated: bool
+) -> Picture:
+    """Stages of a surface side by side, coloured by its standard deviation, with the touches, and the truth at the end.
+
+    Args:
+        stages: In the order in which they were made.
+        truth: Vertices (m) and faces of the true object; None where it is not known.
+        title: What is shown.
+        simulated: Whether it was simulated.
+
+    Returns:
+        The figure; where no scene can be drawn it says why.
+    """
+    figure = Picture(figsize=(2.5 * (len(stages) + (truth is not None)), 2.9), layout="constrained")
+    figure.suptitle(titled(title, simulated), fontsize=11)
+    if why_no_scene():
+        figure.text(0.5, 0.5, why_no_scene(), ha="center", va="center", wrap=True)
+        return figure
+    high = max((float(np.quantile(stage.std, 0.98)) for stage in stages if len(stage.std)), default=1e-3)
+    panels = figure.subplots(1, len(stages) + (truth is not None), squeeze=False)[0]
+    for axes, stage in zip(panels, stages, strict=False):
+        _show(axes, _plotter(stage, high), stage.label)
+    if truth is not None:
+        none = np.zeros((0, 4, 4))
+        _show(panels[-1], _plotter(ShownSurface("truth", *truth, np.zeros(0), none), high), "truth")
+    scale = ScalarMappable(Normalize(0, MM_PER_M * high), COLOURS_OF_STD)
+    figure.colorbar(scale, ax=list(panels), label="standard deviation, mm", shrink=0.75, aspect=15)
+    return figure
+
+
+def write_surface_gltf(stage: ShownSurface, path: Path | str) -> str:
+    """Write a surface with its colours as glTF, which viewers and browsers' extensions turn.
+
+    Args:
+        stage: The surface.
+        path: The file, ending in .gltf.
+
+    Returns:
+        Why nothing was written, in one sentence; empty where the file is there.
+    """
+    if reason := why_no_scene():
+        return reason
+    high = float(np.quantile(stage.std, 0.98)) if len(stage.std) else 1e-3
+    plotter = _plotter(stage, high)
+    plotter.export_gltf(str(path))
+    plotter.close()
+    return ""
+
+
+def _plotter(stage: ShownSurface, high: float) -> Any:
+    import pyvista as pv
+
+    with pv.vtk_verbosity("error"):  # VTK warns of the missing display before it goes on without
+        plotter: Any = pv.Plotter(off_screen=True, window_size=list(WINDOW_PIXELS), lighting="three lights")
+        if len(stage.faces):
+            corners = np.column_stack([np.full(len(stage.faces), 3), stage.faces]).ravel()
+            body = pv.PolyData(np.asarray(stage.vertices, np.float64) * MM_PER_M, corners)
+            if len(stage.std):
+                colours = colormaps[COLOURS_OF_STD](np.clip(np.asarray(stage.std) / high, 0, 1))[:, :3]
+                body["colours"] = (255 * colours).astype(np.uint8)
+                plotter.add_mesh(body, scalars="colours", rgb=True, smooth_shading=True)
+            else:
+                plotter.add_mesh(body, color="#d9d9d9", split_sharp_edges=True, smooth_shading=True)
+        for T in np.asarray(stage.T_o_t, np.float64):
+            _add_square(pv, plotter, T)
+        plotter.enable_parallel_projection()
+        plotter.view_vector(VIEW_DIRECTION, viewup=(0, 0, 1))
+    return plotter
+
+
+def _add_square(pv: Any, plotter: Any, T_o_t: np.ndarray) -> None:
+    """The outline of the skin at a touch."""
+    half = PAD_WINDOW * MM_PER_M / 2
+    corners = np.array([[-half, -half, 0.0], [half, -half, 0.0], [half, half, 0.0], [-half, half, 0.0]])
+    square = pv.PolyData(corners @ T_o_t[:3, :3].T + T_o_t[:3, 3] * MM_PER_M, [4, 0, 1, 2, 3])
+    plotter.add_mesh(square.extract_feature_edges(), color="#009E73", line_width=2)
+
+
+def _show(axes: Any, plotter: Any, label: str) -> None:
+    axes.imshow(trimmed(np.asarray(plotter.screenshot(return_img=True))))
+    plotter.close()
+    axes.set_axis_off()
+    axes.set_title(label, fontsize=10)
