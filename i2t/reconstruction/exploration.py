@@ -36,6 +36,7 @@ from i2t.simulation.sites import is_above_table, is_upward
 
 PolicyName = Literal["random", "even", "uncertainty", "reduction"]
 POLICIES: tuple[PolicyName, ...] = ("random", "even", "uncertainty", "reduction")
+BATCH = 16  # sites whose limits are checked at a time
 # An object held so that the tool reaches it from everywhere: no table, no flange, any direction.
 AROUND_LIMITS = SiteLimits(min_cos=-1.0, table=-1.0)
 
@@ -157,10 +158,10 @@ def safe_sites(
         Whether each is safe.
     """
     limits = config.limits
-    deepest = T_o_t.copy()
-    deepest[:, :3, 3] += config.overtravel * T_o_t[:, :3, 2]
-
-    clear = np.asarray(_stand_clear(T_o_t.astype(np.float32), deepest.astype(np.float32), limits))
+    here = np.resize(T_o_t, (-(-len(T_o_t) // BATCH) * BATCH, 4, 4)).astype(np.float32)  # few sizes, few compilations
+    deepest = here.copy()
+    deepest[:, :3, 3] += np.float32(config.overtravel) * here[:, :3, 2]
+    clear = np.asarray(_stand_clear(here, deepest, limits))[: len(T_o_t)]
     return clear & _unoccluded(estimate, T_o_t, limits)
 
 
@@ -187,7 +188,7 @@ def _unoccluded(estimate: SurfaceEstimate, T_o_t: np.ndarray, limits: SiteLimits
 
 def _within(grid: VoxelGrid, points: np.ndarray) -> np.ndarray:
     high = np.array(grid.low) + grid.spacing * (np.array(grid.shape) - 1)
-    return np.asarray((points >= grid.low) & (points <= high)).all(-1)
+    return np.asarray(((points >= grid.low) & (points <= high)).all(-1))
 
 
 def _scores(

@@ -1,0 +1,137 @@
+"""Where to touch next: only what is safe, and what each policy says it prefers."""
+
+import numpy as np
+import pytest
+
+from i2t.reconstruction import exploration
+from i2t.reconstruction.exploration import AROUND_LIMITS, POLICIES, ExplorationConfig, choose_touch
+from i2t.reconstruction.signed_distances import grid_around
+from i2t.reconstruction.surface import (
+    SurfaceConfig,
+    SurfaceEstimate,
+    SurfaceModel,
+    contact_evidence,
+    estimate_surface,
+    init,
+    posterior_covariance,
+    predict,
+    regress,
+    update,
+)
+from i2t.simulation.site_limits import SiteLimits
+
+LOW, HIGH = np.array([-32e-3, -32e-3, 0.0]), np.array([32e-3, 32e-3, 60e-3])
+GRID = grid_around(LOW, HIGH, across=16, margin=4e-3)
+RADII = np.linspace(20e-3, 30e-3, 6)
+CENTRE = np.array([0, 0, 30e-3])
+
+
+def _balls(**changes):
+    """A model whose library are balls around a point above the table."""
+    points = GRID.points()
+    library = (np.linalg.norm(points - CENTRE, axis=-1)[:, None] - RADII).astype(np.float16)
+    return SurfaceModel(GRID, points, library, SurfaceConfig(**changes))
+
+
+def _from_above(z):
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[2, 3] = z
+    return T
+
+
+def _config(**changes):
+    return ExplorationConfig(stride=1, candidates=16, probes=60, **changes)
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_where_nothing_is_safe_nothing_is_chosen(policy):
+    model = _balls()
+    state, _ = init(model)
+    chosen = choose_touch(model, state, config=_config(policy=policy, limits=SiteLimits(min_cos=1.0)))
+    assert chosen.T_o_t is None
+    assert not chosen.proposals.safe.any()
+
+
+def test_where_no_surface_is_left_nothing_is_chosen():
+    model = _balls()
+    empty = SurfaceEstimate(GRID, np.ones(len(model.points), np.float32), np.ones(len(model.points), np.float32))
+    assert choose_touch(model, init(model)[0], config=_config(), estimate=empty).T_o_t is None
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_a_site_that_is_not_safe_is_never_chosen(policy):
+    model = _balls()
+    state, _ = update(model, init(model)[0], contact_evidence(_from_above(55e-3)))
+    estimate = estimate_surface(model, state)
+    limits = SiteLimits(min_cos=0.5)
+    for seed in range(6):
+        chosen = choose_touch(model, state, config=_config(policy=policy, limits=limits), seed=seed, estimate=estimate)
+        safe = chosen.proposals.T_o_t[chosen.proposals.safe]
+        if chosen.T_o_t is None:
+            assert not len(safe)
+            continue
+        assert (np.abs(safe - chosen.T_o_t).max((1, 2)) == 0).any()
+        assert -chosen.T_o_t[2, 2] > 0.5
+
+
+def test_sites_lie_on_the_surface_and_look_into_it():
+    model = _balls()
+    estimate = estimate_surface(model, init(model)[0])
+    found = exploration.propose_sites(estimate, np.random.default_rng(0), config=_config(limits=AROUND_LIMITS))
+    offset = found.T_o_t[:, :3, 3] - CENTRE
+    away = offset / np.linalg.norm(offset, axis=-1, keepdims=True)
+    np.testing.assert_allclose(np.linalg.norm(offset, axis=-1), RADII.mean(), atol=1e-3)
+    assert ((found.T_o_t[:, :3, 2] * away).sum(-1) < -0.97).all()
+    assert found.safe.all()
+
+
+def test_a_site_below_an_overhang_is_not_safe():
+    x, _, z = GRID.points().T
+    block = np.maximum(np.abs(x) - 25e-3, np.abs(z - 20e-3) - 15e-3)
+    slot = np.maximum(-x, np.abs(z - 20e-3) - 5e-3)  # open to the side: its floor looks at its ceiling
+    estimate = SurfaceEstimate(GRID, np.maximum(block, -slot).astype(np.float32), np.ones(len(block), np.float32))
+    on_floor, on_top = _from_above(15e-3), _from_above(35e-3)
+    on_floor[0, 3] = on_top[0, 3] = 15e-3
+    safe = exploration.safe_sites(estimate, np.stack([on_floor, on_top]), config=_config(limits=AROUND_LIMITS))
+    assert safe.tolist() == [False, True]
+
+
+def test_the_overtravel_too_stays_above_the_table():
+    model = _balls()
+    estimate = estimate_surface(model, init(model)[0])
+    low = np.stack([_from_above(5e-3)])
+    short, far = (_config(limits=SiteLimits(), overtravel=length) for length in (2e-3, 10e-3))
+    empty = estimate._replace(distance=np.ones_like(estimate.distance))
+    assert exploration.safe_sites(empty, low, config=short).tolist() == [True]
+    assert exploration.safe_sites(empty, low, config=far).tolist() == [False]
+
+
+def test_even_goes_far_and_uncertainty_goes_where_it_is_greatest():
+    model = _balls()
+    state, _ = update(model, init(model)[0], contact_evidence(_from_above(55e-3)))
+    estimate = estimate_surface(model, state)
+    chosen = choose_touch(model, state, config=_config(policy="even", limits=AROUND_LIMITS), estimate=estimate)
+    far = np.linalg.norm(chosen.proposals.T_o_t[:, :3, 3] - [0, 0, 55e-3], axis=-1)
+    assert chosen.score == pytest.approx(far.max())
+    chosen = choose_touch(model, state, config=_config(policy="uncertainty", limits=AROUND_LIMITS), estimate=estimate)
+    assert chosen.score == pytest.approx(chosen.proposals.std.max())
+
+
+def test_the_expected_reduction_is_what_a_measurement_takes_off_the_variance():
+    """Against a measurement that is made: the regression with one more point."""
+    model = _balls(free_tolerance=1.0, inside_std=1e9)
+    state, _ = init(model)
+    seen = CENTRE + 25e-3 * np.array([[0, 0, 1.0], [1.0, 0, 0]])
+    state = state._replace(points=seen, point_std=np.full(2, 1e-3))
+    places = CENTRE + 25e-3 * np.array([[0, 1.0, 0], [0.1, 0, 0.995], [-1.0, 0, 0]])
+    probes = CENTRE + 25e-3 * np.array([[0, 0.8, 0.6], [-0.6, 0.8, 0], [0.6, 0, 0.8]])
+    posterior = regress(model, state)
+    before = predict(model, posterior, probes)[1] ** 2
+    cov = posterior_covariance(model, posterior, probes, places)
+    own = predict(model, posterior, places)[1] ** 2
+    for i, place in enumerate(places):
+        more = state._replace(points=np.concatenate([seen, place[None]]), point_std=np.array([1e-3, 1e-3, 2e-3]))
+        # The library's weights depend on evidence of touches, which this state has none of: only the points are new.
+        after = predict(model, regress(model, more), probes)[1] ** 2
+        expected = cov[:, i] ** 2 / (own[i] + 2e-3**2)
+        np.testing.assert_allclose(before - after, expected, rtol=0.02, atol=1e-9)
