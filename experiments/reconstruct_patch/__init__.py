@@ -1,0 +1,1 @@
+"""From one press to the local surface: how well, and how honestly."""

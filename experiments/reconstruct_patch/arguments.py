@@ -1,0 +1,50 @@
+"""The options and presets of `python -m experiments.reconstruct_patch`, without JAX."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from experiments.common.presets import choose_preset
+from i2t.cli import Count, Limits, Seed, require_path
+
+
+@dataclass(frozen=True)
+class PatchSizes:
+    """How much is done."""
+
+    patches: int = 12_000  # of the library
+    shapes: int = 240  # drawn ones to train on, besides those of the catalogue; of validation and test a fifth each
+    test: int = 160  # contacts with test objects, pressed with every pad
+    validation: int = 64  # contacts with validation objects, likewise
+    pads: int = 3
+    steps: int = 3000  # of the network's training
+
+
+PRESETS: dict[str, PatchSizes] = {
+    "paper": PatchSizes(),
+    "short": PatchSizes(patches=3000, shapes=120, test=80, validation=32, steps=1000),
+    "debug": PatchSizes(patches=120, shapes=6, test=8, validation=4, pads=1, steps=20),
+}
+
+
+@dataclass(frozen=True)
+class PatchArgs:
+    """Infer what a skin met at single presses, and say how far that is right."""
+
+    out: Path = Path("runs/reconstruct_patch")  # folder for what is made
+    preset: Literal["paper", "short", "debug"] = "paper"
+    meshes: Path | None = None  # folder of mesh files in metres that take the place of the drawn shapes
+    patches: Annotated[int, Limits(64)] | None = None  # of the library, instead of the preset's
+    test: Count | None = None  # contacts with test objects, instead of the preset's
+    pads: Count | None = None  # instead of the preset's
+    seed: Seed = 0
+    overwrite: bool = False  # replace a finished run in --out
+
+    def check(self) -> None:
+        """Refuse a folder that is not there."""
+        require_path("--meshes", self.meshes, "folder")
+
+    @property
+    def sizes(self) -> PatchSizes:
+        """Those of the preset, but for what was given."""
+        return choose_preset(PRESETS, self.preset, patches=self.patches, test=self.test, pads=self.pads)

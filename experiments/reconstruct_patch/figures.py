@@ -1,0 +1,60 @@
+"""Figures of `experiments.reconstruct_patch`."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.reconstruct_patch.scores import LEVELS
+from i2t import viz
+from i2t.reconstruction.local_shape import PatchPosterior
+from i2t.reconstruction.press_curves import PressCurve
+from i2t.types import CONTACT_TOLERANCE_M, PATCH_WINDOW, REACH
+from i2t.viz import style
+
+
+def draw_posteriors(presses: Sequence[PressCurve], found: Sequence[PatchPosterior], true: np.ndarray) -> Figure:
+    """Of each press: its readings, what was met, the posterior's mean, two samples, and the mask's probability."""
+    titles = ("readings (uT)", "met", "mean", "a sample", "another", "mask probability")
+    figure = Figure(figsize=(11.5, 1.85 * len(presses) + 0.9), layout="constrained")
+    axes = figure.subplots(len(presses), len(titles), squeeze=False)
+    for row, press, posterior, patch in zip(axes, presses, found, true, strict=True):
+        channels = np.arange(press.reading.shape[-1])
+        for stop, colour in zip(press.reading, (style.BLUE, style.ORANGE), strict=False):
+            row[0].plot(channels, stop, color=colour, lw=1, marker=".", ms=4)
+        row[0].set_xticks([])
+        row[0].tick_params(labelsize=7)
+        some = np.asarray(posterior.patch, np.float32)[[len(posterior.patch) // 3, 2 * len(posterior.patch) // 3]]
+        for axis, depth in zip(row[1:5], (patch, posterior.mean, *some), strict=True):
+            image = viz.draw_patch(axis, np.asarray(depth, np.float32), PATCH_WINDOW, REACH)
+        extent = image.get_extent()
+        mask = row[5].imshow(posterior.mask_probability, origin="lower", extent=extent, cmap="Greys", vmin=0, vmax=1)
+        at = np.linspace(extent[0], extent[1], len(patch))
+        if (patch <= CONTACT_TOLERANCE_M).any() and not (patch <= CONTACT_TOLERANCE_M).all():
+            row[5].contour(at, at, patch, levels=[CONTACT_TOLERANCE_M], colors=style.RED, linewidths=1)
+        for axis in row[1:]:
+            axis.set(xticks=[], yticks=[], xlabel="", ylabel="")
+    for axis, title in zip(axes[0], titles, strict=True):
+        axis.set_title(title, fontsize=10)
+    figure.colorbar(image, ax=axes[:, 1:5], label="depth beyond first contact (mm)", location="bottom", aspect=60)
+    figure.colorbar(mask, ax=axes[:, 5], label="red: true outline", location="bottom", aspect=14)
+    figure.suptitle("What one press says of the surface: 17 x 17 mm, objects never seen (simulated)")
+    return figure
+
+
+def draw_reliability(found: dict[str, Any], names: Sequence[str]) -> Figure:
+    """Share of the pixels in contact that lie in intervals of the posterior, by what the intervals promise."""
+    figure = Figure(figsize=(4.6, 3.8), layout="constrained")
+    axes = figure.subplots()
+    axes.plot([0.4, 1], [0.4, 1], color=style.GREY, lw=1, ls="--", label="as promised")
+    for name, colour in zip(names, (style.BLUE, style.ORANGE, style.GREEN, style.RED), strict=False):
+        values = np.array([found[name][f"coverage_{round(100 * level)}"] for level in LEVELS])
+        axes.errorbar(
+            LEVELS, values[:, 0], np.abs(values[:, 1:] - values[:, :1]).T, color=colour, marker="o", ms=4, lw=1.2,
+            capsize=2, label=name,
+        )  # fmt: skip
+    axes.set(xlim=(0.45, 0.95), ylim=(0.3, 1.02), xlabel="promised share", ylabel="share of pixels in contact")
+    axes.set_title("Intervals of a pixel's depth (simulated)", fontsize=11)
+    axes.legend(fontsize=7, loc="lower right")
+    return figure

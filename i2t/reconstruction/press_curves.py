@@ -1,0 +1,94 @@
+"""Simulated presses with several stops, by the full physics: what an inference of the local shape is tried on.
+
+One press runs past a first change of the reading (25 uT) to a second one (100 uT), or to the greatest force; it slants
+by the same slope all the way, and each stop is read and weighed by sensors with the errors of `SimulationErrors`.
+Contacts are solved on cells of half a millimetre and friction to its default tolerance, finer than what a library
+imagines.
+
+Metres, newtons, microtesla; one press, lifted by `vmap`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Key
+
+from i2t.reconstruction.library import CELL_GRID
+from i2t.reconstruction.local_shape import CONTACT_NEWTONS
+from i2t.simulation.press import PressLimits, press_to_stop
+from i2t.simulation.touches import SimulationErrors
+from i2t.skin.contact import GRID, solve
+from i2t.skin.noise import add_sensor_noise
+from i2t.skin.pad import friction_response
+from i2t.types import Pad
+
+SKIN_CHANGES_UT = (25.0, 100.0)  # at which a press stops, the paper's and four times it
+
+
+class PressCurve(NamedTuple):
+    """Stops of one press: what was measured, and what only a simulation knows."""
+
+    reading: Float[Array, "s c"]  # uT
+    force: Float[Array, " s"]  # N
+    travel: Float[Array, " s"]  # m past first contact, what arm and mount yield included
+    newtons: Float[Array, "s cells"]  # truth, on each cell of 1 mm
+    centre: Float[Array, "s 2"]  # m, truth, centre of pressure (x, y)
+
+    @property
+    def contact(self) -> Bool[Array, "s cells"]:
+        """Cells that truly bear pressure."""
+        return self.newtons > CONTACT_NEWTONS
+
+
+def simulate_press_curve(
+    key: Key[Array, ""],
+    pad: Pad,
+    heights: Float[Array, "g g"],
+    *,
+    errors: SimulationErrors,
+    limits: PressLimits,
+    skin_changes: Sequence[float] = SKIN_CHANGES_UT,
+) -> PressCurve:
+    """Press a pad onto a surface, past several changes of its reading.
+
+    Args:
+        key: Random key.
+        pad: The skin.
+        heights: m, of the surface beyond the plane of first contact, over the cells of `i2t.skin.contact.GRID`.
+        errors: Of slant, force, travel and sensor.
+        limits: Of the press, all but its skin change.
+        skin_changes: uT, ascending: at each of them the press stops.
+
+    Returns:
+        The stops.
+    """
+    key_slant, key_force, key_travel, key_sensor = jax.random.split(key, 4)
+    stops = len(skin_changes)
+    nearest = jnp.min(heights)
+    height = heights - nearest
+    slant = errors.slant * jax.random.normal(key_slant, (2,))
+    force_error = errors.force * jax.random.normal(key_force, (stops,))
+    # First contact is missed by the arm's repeatability once, each stop by it again.
+    missed = errors.repeatability * jax.random.normal(key_travel, (stops + 1,))
+
+    def stop(skin_change: Array, key: Array) -> tuple[Array, ...]:
+        end = press_to_stop(pad, height, replace(limits, skin_change=skin_change))
+        friction = friction_response(pad, height, end.indentation, slant * end.indentation)
+        read = add_sensor_noise(key, end.reading + friction, pad.board, errors.noise)
+        pressure = solve(pad, height, end.indentation, GRID).pressure * GRID.spacing**2
+        cells = pressure.reshape(CELL_GRID.cells, 2, CELL_GRID.cells, 2).sum((1, 3))
+        x, y = jnp.sum(pressure, axis=0) @ GRID.centres, jnp.sum(pressure, axis=1) @ GRID.centres
+        centre = jnp.stack([x, y]) / jnp.maximum(jnp.sum(pressure), 1e-9)
+        travel = nearest + end.indentation + end.force / limits.stiffness
+        return read, end.force, travel, cells.reshape(-1), centre
+
+    keys = jax.random.split(key_sensor, stops)
+    # One stop after the other, so that one of them is compiled.
+    reading, force, travel, newtons, centre = jax.lax.map(
+        lambda each: stop(*each), (jnp.asarray(skin_changes, jnp.float32), keys)
+    )
+    measured = jnp.maximum(force + force_error, 0)
+    return PressCurve(reading, measured, travel + missed[0] + missed[1:], newtons, centre)
