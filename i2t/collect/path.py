@@ -3,6 +3,7 @@
 What is outside is refused and never moved inside. Frames: W world, B robot base, T tool; metres.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -10,7 +11,9 @@ import numpy as np
 
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import Site, UnreachableError
+from i2t.geometry import inverse
 from i2t.hardware.collision import REACTION_S, fastest_speed, overrun_force
+from i2t.hardware.kinematics import arms, plan
 from i2t.hardware.limits import BRAKING_M_S2, format_position
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.rig import Rig
@@ -34,12 +37,14 @@ class TouchPath:
         settings: How a touch is made.
         top: m, height of the object's highest point in W.
         unreachable: Sites that the arm may not go to, by number, and why.
+        why_unreachable: The arm's own answer (`i2t.hardware.protocols.PlanningArm`), which goes before the rig's.
     """
 
     rig: Rig
     settings: TouchSettings
     top: float
     unreachable: dict[int, str] = field(default_factory=dict)
+    why_unreachable: Callable[[Sequence[Array]], str] | None = None
 
     def poses(self, site: Site) -> tuple[Array, Array, Array, Array]:
         """Where the touch of a site looks, prepares, slows down and ends at the latest.
@@ -76,7 +81,24 @@ class TouchPath:
                     f"to {name} at site {site.number} the tool would be at {format_position(goal[:3, 3])} m, outside "
                     "the box"
                 )
-        self.transfer_height()
+        height = self.transfer_height()
+        if self.why_unreachable is not None or self.rig.arm:
+            self._check_reach(site, height)
+
+    def _check_reach(self, site: Site, height: float) -> None:
+        """Refuse a touch whose lines the arm cannot follow: down to look, up, across, down to prepare, to the end."""
+        look, prepare, _, end = self.poses(site)
+        above_look, above = (_at_height(pose, height) for pose in (look, prepare))
+        goals = (above_look, look, above_look, above, prepare, end)
+        refused = self.why_unreachable(goals) if self.why_unreachable is not None else self._unplanned(goals)
+        if refused:
+            raise UnreachableError(f"site {site.number}: {refused}")
+
+    def _unplanned(self, goals: Sequence[Array]) -> str:
+        """Why the arm that the rig names cannot follow a line; empty where it can."""
+        T_tool_flange = inverse(self.rig.T_flange_tool)
+        way = plan(arms()[self.rig.arm], [pose @ T_tool_flange for pose in goals])
+        return way if isinstance(way, str) else ""
 
     def check_settings(self) -> None:
         """Refuse settings that the arm's limits forbid, before anything moves.
@@ -160,3 +182,10 @@ class TouchPath:
                 "box, or lower settings.clearance"
             )
         return float(max(height, low))
+
+
+def _at_height(T_b_t: Array, height: float) -> Array:
+    """The pose straight above, at the height of the way across (m in the base) or where it is if that is higher."""
+    raised = np.array(T_b_t)
+    raised[2, 3] = max(raised[2, 3], height)
+    return raised

@@ -47,6 +47,7 @@ from i2t.hardware.protocols import (
     ArmState,
     DepthCamera,
     GuardedArm,
+    PlanningArm,
     Skin,
     SkinCounters,
     StopReason,
@@ -349,7 +350,8 @@ class Procedure:
     @property
     def path(self) -> TouchPath:
         """Where the tool goes, and whether it may."""
-        return TouchPath(self.rig, self.settings, self.top, self.unreachable)
+        planned = self.arm.why_unreachable if isinstance(self.arm, PlanningArm) else None
+        return TouchPath(self.rig, self.settings, self.top, self.unreachable, planned)
 
     def move_above(self, goal: Array) -> None:
         """Go up, across and down to a pose, unless the tool is there.

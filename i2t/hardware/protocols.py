@@ -10,7 +10,7 @@ Real drivers, emulated devices (real drivers talking to `i2t.emulators`), simula
 protocols and pass the same tests (`i2t.hardware.contract`).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple, Protocol, SupportsIndex, TypeAlias, TypeVar, runtime_checkable
 
 from i2t.depth.camera import Camera
@@ -223,6 +223,21 @@ class Arm(Device, Protocol):
 
         Raises:
             DeviceError: The arm moves, or it took longer.
+        """
+
+
+@runtime_checkable
+class PlanningArm(Protocol):
+    """An arm that knows where it can go; others are planned with the arm that the rig names, if it names one."""
+
+    def why_unreachable(self, goals: Sequence[Array]) -> str:
+        """Whether it can follow straight lines from pose to pose, asked before anything moves.
+
+        Args:
+            goals: Poses T_b_t (4, 4) of the tool, m.
+
+        Returns:
+            One sentence why not; empty where it can.
         """
 
 

@@ -24,6 +24,7 @@ from i2t.cli import exit_code_of
 from i2t.depth.camera import Camera
 from i2t.files import read_toml
 from i2t.geometry import inverse
+from i2t.hardware.kinematics import arms
 from i2t.hardware.limits import MotionLimits, format_position
 from i2t.hardware.rig_checks import implausible
 from i2t.types import RIGID, TWIST_LEVER_M, Array
@@ -75,6 +76,7 @@ class Rig:
     object_covariance: Array = field(
         default_factory=lambda: np.diag(DEFAULT_OBJECT_STD_M) ** 2
     )  # (6, 6) m^2 (`i2t.registration.touch`)
+    arm: str = ""  # a name of `i2t.hardware.kinematics.arms`, whose reach is then planned with; empty: it is not known
 
     def __post_init__(self) -> None:
         for name, far in (
@@ -99,6 +101,8 @@ class Rig:
                 raise ValueError(f"{_key(name)} is {value:g}; give {unit}, from {least:g} to {most:g}")
             object.__setattr__(self, name, value)
         object.__setattr__(self, "object_covariance", _covariance("world.object_covariance", self.object_covariance))
+        if self.arm and self.arm not in arms():
+            raise ValueError(f"tool.arm is {self.arm!r}; give one of {', '.join(arms())}, or leave it out")
         if self.object_from not in OBJECT_SOURCES:
             raise ValueError(f"world.object_from is {self.object_from!r}; give one of {', '.join(OBJECT_SOURCES)}")
         if self.T_tool_camera[2, 2] < math.cos(MAX_CAMERA_TILT_RAD):
@@ -169,7 +173,7 @@ class Rig:
         for table, keys in _tables().items():
             lines += ["", f"# {COMMENTS[table]}", f"[{table}]"]
             values = self._values(table)
-            lines += [f"{key} = {_toml(values[key])}" for key in keys]
+            lines += [f"{key} = {_toml(values[key])}" for key in keys if key != "arm" or self.arm]
         return "\n".join(lines) + "\n"
 
     def _values(self, table: str) -> dict[str, Any]:
@@ -182,7 +186,7 @@ class Rig:
 def _tables() -> dict[str, list[str]]:
     """The keys of each table of a file, in order."""
     return {
-        "tool": ["T_flange_tool", "mass", "centre"],
+        "tool": ["T_flange_tool", "mass", "centre", "arm"],
         "camera": ["T_tool_camera", "looking_distance", *(each.name for each in fields(Camera))],
         "world": ["T_world_base", "T_world_object", "object_from", "object_covariance"],
         "limits": [each.name for each in fields(MotionLimits)],
@@ -200,7 +204,7 @@ def _parsed(tables: dict[str, Any]) -> Rig:
         if not isinstance(tables.get(table), dict):
             raise ValueError(f"[{table}] is missing; add that table, with {COMMENTS[table]}")
         _known(f"key of [{table}]", tables[table], keys)
-        own = {"model", "coefficients", "object_from", "object_covariance"}
+        own = {"arm", "model", "coefficients", "object_from", "object_covariance"}
         optional = {each.name for each in fields(MotionLimits)[2:]} | own
         missing = [key for key in keys if key not in tables[table] and key not in optional]
         if missing:
@@ -217,7 +221,7 @@ def _parsed(tables: dict[str, Any]) -> Rig:
 def _value(key: str, value: Any) -> Any:
     """What a key of a file holds, as the type that it must be."""
     name = key.split(".")[1]
-    if name in ("model", "object_from"):
+    if name in ("arm", "model", "object_from"):
         if not isinstance(value, str):
             raise ValueError(f"{key} is {value!r}; give a word in quotes")
         return value

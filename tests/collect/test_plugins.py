@@ -18,6 +18,7 @@ from i2t.collect.devices import DeviceConfig, make_devices
 from i2t.depth.camera import Camera
 from i2t.emulators.world import WorldConfig
 from i2t.hardware import plugins
+from i2t.hardware.kinematics import arms
 from i2t.hardware.plugins import DeviceSetup, PluginConfig, is_plugin, load_plugin
 from i2t.hardware.rig import Rig
 
@@ -31,7 +32,8 @@ pytestmark = pytest.mark.xdist_group("collect")
 def acme(monkeypatch):
     """The example's folder on the path, and its names as an installed package would register them."""
     monkeypatch.syspath_prepend(str(ACME))
-    monkeypatch.delitem(sys.modules, "acme_devices", raising=False)
+    for module in ("acme_devices", "franka_arm"):
+        monkeypatch.delitem(sys.modules, module, raising=False)
     registered = EntryPoints(
         EntryPoint("acme", f"acme_devices:Acme{kind.capitalize()}", group) for kind, group in plugins.GROUPS.items()
     )
@@ -58,6 +60,30 @@ def test_the_example_is_collected_with_by_its_classes_and_then_by_its_names(acme
     assert command.main(["--out", str(tmp_path / "dry"), "--touches", "2", "--dry-run", *names, *shared]) == 0
     said = capsys.readouterr().out
     assert all(f"ok        Acme's {kind}" in said for kind in plugins.GROUPS)
+
+
+@pytest.mark.full
+def test_an_arm_of_seven_joints_plans_its_touches_and_keeps_its_joints(acme, tmp_path, capsys):
+    """The table stands 0.4 m before the arm; 0.5 m further on nothing is within its reach, and nothing is touched."""
+    camera = Camera(160, 90, 161.2, 161.0, 79.5, 44.5)
+    replace(Rig(), camera=camera).write(tmp_path / "rig.toml")
+    devices = ["--arm=franka_arm:FrankaArm", "--skin=acme", "--camera=acme", "--no-pose-error", *QUICK]
+    made = ["--out", str(tmp_path / "set"), "--touches", "1", "--rig", str(tmp_path / "rig.toml"), *devices]
+    assert command.main(made) == 0
+    (file,) = (tmp_path / "set").glob("touch-*.h5")
+    joints = dataset.read_touch(file).series["joints"]
+    assert joints.values.shape[1] == 7
+    assert np.ptp(joints.values, axis=0).max() > 1e-3
+    low, high = arms()["panda"].low, arms()["panda"].high
+    assert ((joints.values > low) & (joints.values < high)).all()
+
+    setup = DeviceSetup(Rig())
+    arm = load_plugin("arm", PluginConfig("franka_arm:FrankaArm"), setup)
+    down = np.diag([1.0, -1.0, -1.0, 1.0])
+    near, far = down.copy(), down.copy()
+    near[:3, 3], far[:3, 3] = (0.4, 0.0, 0.1), (0.95, 0.0, 0.1)
+    assert arm.why_unreachable([near]) == ""
+    assert "panda cannot reach it" in arm.why_unreachable([far])
 
 
 def test_a_name_means_what_a_package_registers(acme):

@@ -1,0 +1,348 @@
+"""Which poses an arm of revolute joints reaches, how near to its joint limits and singularities, and along which way.
+
+An arm is a chain of fixed motions with a rotation about z between each two, which describes any arm of revolute joints;
+`from_dh` and `from_modified_dh` make it of the makers' tables. Poses are solved for joints by damped least squares from
+many starts at once (Sugihara, Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method, IEEE
+Transactions on Robotics 27(5), 2011), lines are followed in small steps from there. The makers' tables are nominal: a
+real arm's own calibration moves its flange by a millimetre or so, and its reach as little.
+
+Frames: B robot base, F flange; metres and radians. NumPy only.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from jaxtyping import Float
+
+from i2t.types import Array
+
+STARTS, ITERATIONS = 48, 80
+MAX_WAYS = 6  # to stand at a first pose, the most dexterous ones, from which lines are followed
+SOLVED_M, SOLVED_RAD = 1e-5, 1e-4
+CONVERGED, STALLED_RAD = 1e-13, 1e-9
+STEP_M, STEP_RAD = 0.02, 0.1  # along a line, at the most
+JUMP_RAD = 0.5  # of a joint within one step, above which the arm would have to fold over
+MIN_MARGIN_RAD = np.radians(3.0)  # from a joint's limit
+MIN_DEXTERITY = 0.03  # least singular value of the Jacobian, lengths as shares of the reach; zero in a singularity
+
+
+@dataclass(frozen=True)
+class SerialArm:
+    """A chain of revolute joints; T_B_F(q) = fixed[0] Rz(q_0) fixed[1] Rz(q_1) ... fixed[n]."""
+
+    name: str
+    fixed: Float[np.ndarray, "n_plus_1 4 4"]
+    low: Float[np.ndarray, " n"]  # rad
+    high: Float[np.ndarray, " n"]  # rad
+
+    @property
+    def reach(self) -> float:
+        """m, the length of the stretched chain."""
+        return float(np.linalg.norm(self.fixed[:, :3, 3], axis=1).sum())
+
+
+@dataclass(frozen=True)
+class JointPath:
+    """How an arm follows a line of poses."""
+
+    joints: Float[np.ndarray, "k n"]  # rad, at each of the poses
+    margin: float  # rad, least distance of a joint from its limit on the way
+    dexterity: float  # least singular value of the Jacobian on the way, lengths as shares of the reach
+
+
+def from_dh(
+    name: str, a: Sequence[float], d: Sequence[float], alpha: Sequence[float], low: Array, high: Array
+) -> SerialArm:
+    """An arm from Denavit and Hartenberg's parameters: each link is Rz(q) Tz(d) Tx(a) Rx(alpha).
+
+    Args:
+        name: Of the arm.
+        a: m, of each link.
+        d: m, likewise.
+        alpha: rad, likewise.
+        low: rad, least of each joint.
+        high: rad, greatest of each joint.
+
+    Returns:
+        The arm.
+    """
+    links = [_along(a_i, 0, d_i) @ _about_x(alpha_i) for a_i, d_i, alpha_i in zip(a, d, alpha, strict=True)]
+    return _arm(name, [np.eye(4), *links], low, high)
+
+
+def from_modified_dh(
+    name: str,
+    a: Sequence[float],
+    d: Sequence[float],
+    alpha: Sequence[float],
+    *,
+    flange: float,
+    low: Array,
+    high: Array,
+) -> SerialArm:
+    """An arm from Craig's parameters: each link is Rx(alpha) Tx(a) Rz(q) Tz(d).
+
+    Args:
+        name: Of the arm.
+        a: m, of each link.
+        d: m, likewise.
+        alpha: rad, likewise.
+        flange: m, along the last axis beyond the last link.
+        low: rad, least of each joint.
+        high: rad, greatest of each joint.
+
+    Returns:
+        The arm.
+    """
+    before = [_about_x(alpha_i) @ _along(a_i, 0, 0) for a_i, alpha_i in zip(a, alpha, strict=True)]
+    after = [_along(0, 0, d_i) for d_i in d]
+    inner = [after[i] @ before[i + 1] for i in range(len(a) - 1)]
+    return _arm(name, [before[0], *inner, after[-1] @ _along(0, 0, flange)], low, high)
+
+
+def forward(arm: SerialArm, joints: Float[Array, "*batch n"]) -> Float[np.ndarray, "*batch 4 4"]:
+    """Where the flange is.
+
+    Args:
+        arm: Any.
+        joints: (..., n) rad.
+
+    Returns:
+        (..., 4, 4) T_B_F.
+    """
+    return _chain(arm, np.asarray(joints, float))[0]
+
+
+def solve(
+    arm: SerialArm, T_b_f: Float[Array, "4 4"], *, near: Float[Array, " n"] | None = None, seed: int = 0
+) -> Float[np.ndarray, "k n"]:
+    """Joints that bring the flange to a pose.
+
+    Args:
+        arm: Any.
+        T_b_f: The pose, m.
+        near: rad, joints to start from; by default many starts, drawn between the limits.
+        seed: Of those.
+
+    Returns:
+        (k, n) rad within the limits, the most dexterous first; none where the pose is out of reach.
+    """
+    limits = np.clip(arm.low, -np.pi, None), np.clip(arm.high, None, np.pi)
+    rng = np.random.default_rng(seed)
+    starts = rng.uniform(*limits, (STARTS, len(arm.low))) if near is None else np.asarray(near, float)[None]
+    q, solved = _descend(arm, starts, np.asarray(T_b_f, float))
+    found = q[solved]
+    return found[np.argsort(-_dexterity(arm, found), kind="stable")] if len(found) else found
+
+
+def dexterity(arm: SerialArm, joints: Float[Array, " n"]) -> float:
+    """How far from a singularity an arm is.
+
+    Args:
+        arm: Any.
+        joints: (n,) rad.
+
+    Returns:
+        The least singular value of its Jacobian, lengths as shares of the reach.
+    """
+    return float(_dexterity(arm, np.asarray(joints, float)[None])[0])
+
+
+def follow(arm: SerialArm, goals: Sequence[Float[Array, "4 4"]], starts: Float[Array, "w n"]) -> list[JointPath | str]:
+    """Follow straight lines of the flange from pose to pose, from several ways to stand at the first.
+
+    Args:
+        arm: Any.
+        goals: Poses T_B_F, m; the first is that of `starts`.
+        starts: (w, n) rad.
+
+    Returns:
+        For each start the joints on the way, or one sentence why it cannot be followed.
+    """
+    q = np.asarray(starts, float)
+    way, ended = [q], [""] * len(q)
+    for number, (one, other) in enumerate(itertools.pairwise(goals), 2):
+        for pose in _between(np.asarray(one, float), np.asarray(other, float)):
+            live = np.array([not why for why in ended])
+            moved, solved = _descend(arm, q[live], pose)
+            folded = np.abs(moved - q[live]).max(1) > JUMP_RAD
+            for i, there, over in zip(np.flatnonzero(live), solved, folded, strict=True):
+                if not there or over:
+                    why = "would have to fold over" if there else "meets the end of a joint or of its reach"
+                    ended[i] = f"{arm.name} {why} on the line to pose {number}"
+            q = q.copy()
+            q[live] = moved
+            way.append(q)
+            if all(ended):
+                return list(ended)
+    joints = np.stack(way, 1)
+    margin = np.minimum(joints - arm.low, arm.high - joints).min((1, 2))
+    least = np.stack([_dexterity(arm, each) for each in way]).min(0)
+    return [ended[i] or JointPath(joints[i], float(margin[i]), float(least[i])) for i in range(len(q))]
+
+
+def plan(arm: SerialArm, goals: Sequence[Float[Array, "4 4"]]) -> JointPath | str:
+    """The best way to follow straight lines from pose to pose, of all ways to stand at the first.
+
+    Args:
+        arm: Any.
+        goals: Poses T_B_F, m.
+
+    Returns:
+        The way that keeps furthest from singularities among those that keep clear of joint limits, or one sentence why
+        there is none.
+    """
+    starts = _distinct(solve(arm, goals[0]))[:MAX_WAYS]
+    if not len(starts):
+        apart = float(np.linalg.norm(np.asarray(goals[0])[:3, 3]))
+        return f"{arm.name} cannot reach it: {apart:.2f} m from its base, in that direction of the tool"
+    ways = follow(arm, goals, np.stack(starts))
+    whole = [way for way in ways if isinstance(way, JointPath)]
+    if not whole:
+        return next(way for way in ways if isinstance(way, str))
+    best = max(whole, key=lambda way: (way.margin >= MIN_MARGIN_RAD, way.dexterity))
+    if best.margin < MIN_MARGIN_RAD:
+        return f"{arm.name} reaches it only {np.degrees(best.margin):.1f} degrees from a joint's limit"
+    if best.dexterity < MIN_DEXTERITY:
+        return f"{arm.name} comes too near to a singularity (least singular value {best.dexterity:.3f})"
+    return best
+
+
+@cache
+def arms() -> dict[str, SerialArm]:
+    """Arms by name, with their makers' published tables.
+
+    Returns:
+        Universal Robots (its page on DH parameters for kinematics and dynamics) and Franka Emika (its documentation of
+        the control parameters).
+    """
+    half = np.pi / 2
+    turn = np.array([2, 2, 1, 2, 2, 2]) * np.pi  # an elbow turns by half a turn each way
+    tables = {
+        "ur3": ((-0.24365, -0.21325), (0.1519, 0.11235, 0.08535, 0.0819)),
+        "ur5": ((-0.425, -0.39225), (0.089159, 0.10915, 0.09465, 0.0823)),
+        "ur10": ((-0.612, -0.5723), (0.1273, 0.163941, 0.1157, 0.0922)),
+        "ur3e": ((-0.24355, -0.2132), (0.15185, 0.13105, 0.08535, 0.0921)),
+        "ur5e": ((-0.425, -0.3922), (0.1625, 0.1333, 0.0997, 0.0996)),
+        "ur10e": ((-0.6127, -0.57155), (0.1807, 0.17415, 0.11985, 0.11655)),
+        "ur16e": ((-0.4784, -0.36), (0.1807, 0.17415, 0.11985, 0.11655)),
+    }
+    known = {
+        name: from_dh(
+            name, (0.0, *a, 0.0, 0.0, 0.0), (d[0], 0.0, 0.0, *d[1:]), (half, 0.0, 0.0, half, -half, 0.0), -turn, turn
+        )
+        for name, (a, d) in tables.items()
+    }
+    known["panda"] = from_modified_dh(
+        "panda",
+        (0.0, 0.0, 0.0, 0.0825, -0.0825, 0.0, 0.088),
+        (0.333, 0.0, 0.316, 0.0, 0.384, 0.0, 0.0),
+        (0.0, -half, half, half, -half, half, half),
+        flange=0.107,
+        low=np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973]),
+        high=np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973]),
+    )
+    return known
+
+
+def _arm(name: str, fixed: list[np.ndarray], low: Array, high: Array) -> SerialArm:
+    return SerialArm(name, np.stack(fixed), np.asarray(low, float), np.asarray(high, float))
+
+
+def _along(x: int | float, y: int | float, z: int | float) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, 3] = x, y, z
+    return T
+
+
+def _about_x(angle: int | float) -> np.ndarray:
+    T, c, s = np.eye(4), np.cos(angle), np.sin(angle)
+    T[1:3, 1:3] = [[c, -s], [s, c]]
+    return T
+
+
+def _chain(arm: SerialArm, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(..., 4, 4) the flange and (..., 6, n) its Jacobian: m and rad of each radian, along the base's axes."""
+    T = np.broadcast_to(arm.fixed[0], (*q.shape[:-1], 4, 4))
+    axes, points = [], []
+    for i in range(q.shape[-1]):
+        axes.append(T[..., :3, 2])
+        points.append(T[..., :3, 3])
+        turn = np.zeros((*q.shape[:-1], 4, 4))
+        c, s = np.cos(q[..., i]), np.sin(q[..., i])
+        turn[..., 0, 0], turn[..., 0, 1], turn[..., 1, 0], turn[..., 1, 1] = c, -s, s, c
+        turn[..., 2, 2] = turn[..., 3, 3] = 1.0
+        T = T @ turn @ arm.fixed[i + 1]
+    axis = np.stack(axes, -1)
+    moved = np.cross(axis, T[..., :3, 3, None] - np.stack(points, -1), axis=-2)
+    return T, np.concatenate([moved, axis], -2)
+
+
+def _scaled(arm: SerialArm, J: np.ndarray) -> np.ndarray:
+    """The Jacobian with lengths as shares of the reach."""
+    return J / np.repeat([arm.reach, 1.0], 3)[:, None]
+
+
+def _dexterity(arm: SerialArm, q: np.ndarray) -> np.ndarray:
+    return np.linalg.svd(_scaled(arm, _chain(arm, q)[1]), compute_uv=False)[..., -1]
+
+
+def _descend(arm: SerialArm, q: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(k, n) joints within the limits, from others towards a pose of the flange, and (k,) whether they got there."""
+    for _ in range(ITERATIONS):
+        T, J = _chain(arm, q)
+        error = _error(T, goal, arm.reach)
+        size = 0.5 * (error**2).sum(1)
+        if (size < CONVERGED).all():
+            break
+        J, damping = _scaled(arm, J), (size[:, None, None] + 1e-9) * np.eye(q.shape[1])
+        turned = np.swapaxes(J, 1, 2)
+        step = np.linalg.solve(turned @ J + damping, turned @ error[..., None])[..., 0]
+        moved = np.clip(q + np.clip(step, -JUMP_RAD, JUMP_RAD), arm.low, arm.high)
+        if np.abs(moved - q).max() < STALLED_RAD:
+            break
+        q = moved
+    T = _chain(arm, q)[0]
+    apart = np.linalg.norm(T[:, :3, 3] - goal[:3, 3], axis=1)
+    askew = np.linalg.norm(_error(T, goal, 1.0)[:, 3:], axis=1)
+    return q, (apart < SOLVED_M) & (askew < SOLVED_RAD)
+
+
+def _error(T: np.ndarray, goal: np.ndarray, length: float) -> np.ndarray:
+    """(k, 6) what is missing to the goal: position as a share of a length, and the rotation vector, base axes."""
+    apart = (goal[:3, 3] - T[:, :3, 3]) / length
+    R = goal[:3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2)
+    axis = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], 1) / 2
+    sine, cosine = np.linalg.norm(axis, axis=1), (np.trace(R, axis1=1, axis2=2) - 1) / 2
+    angle = np.arctan2(sine, cosine)
+    # Near half a turn the axis is lost in the differences; any axis that moves on will do there.
+    away = np.where(sine[:, None] > 1e-6, axis, np.array([1.0, 0.5, 0.25]))
+    scale = np.where(sine > 1e-6, angle / np.maximum(sine, 1e-12), np.where(cosine > 0, 0.0, 1.0))
+    return np.concatenate([apart, away * scale[:, None]], 1)
+
+
+def _between(one: np.ndarray, other: np.ndarray) -> list[np.ndarray]:
+    """Poses on the straight line between two, without the first."""
+    from scipy.spatial.transform import Rotation, Slerp
+
+    turn = Rotation.from_matrix(np.stack([one[:3, :3], other[:3, :3]]))
+    angle = (turn[0].inv() * turn[1]).magnitude()
+    apart = np.linalg.norm(other[:3, 3] - one[:3, 3])
+    steps = max(1, int(np.ceil(max(apart / STEP_M, angle / STEP_RAD))))
+    shares = np.linspace(0, 1, steps + 1)[1:]
+    poses = np.tile(np.eye(4), (steps, 1, 1))
+    poses[:, :3, :3] = Slerp([0, 1], turn)(shares).as_matrix()
+    poses[:, :3, 3] = one[:3, 3] + shares[:, None] * (other[:3, 3] - one[:3, 3])
+    return list(poses)
+
+
+def _distinct(joints: np.ndarray) -> list[np.ndarray]:
+    """Those that differ by more than a tenth of a radian somewhere, in their order."""
+    kept: list[np.ndarray] = []
+    for each in joints:
+        if all(np.abs(each - one).max() > 0.1 for one in kept):
+            kept.append(each)
+    return kept
