@@ -115,6 +115,8 @@ CHEAP = (  # in an order in which each finds what it needs; "TABLE.csv" is writt
     "i2t.convert summary DATA",
     "i2t.convert pack DATA PACKED",
     "i2t.convert npz DATA DATA.npz",
+    "i2t.convert robomimic DATA DATA.hdf5",
+    "i2t.convert csv DATA TABLE",
 )
 
 

@@ -9,7 +9,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -36,6 +36,8 @@ from i2t.collect.recorder import Recorder, SessionInfo
 from i2t.collect.session_ambient import fitted_ambient
 from i2t.collect.site_plan import SiteSampler, patch_extractor
 from i2t.collect.touch import ChooseSite, ExtractPatch, Site, SiteOutcome, UnreachableError
+from i2t.dataset import load_dataset
+from i2t.dataset.card import write_card
 from i2t.depth.camera import Camera
 from i2t.emulators.world import (
     EmulatedArmConfig,
@@ -203,6 +205,8 @@ def _run(
     finally:
         notes["unreachable"] = {str(number): why for number, why in procedure.unreachable.items()}
         recorder.write_notes(out, notes)
+        with suppress(DataError):  # nothing is lost with a card, and touches that cannot be read say so where they are
+            write_card(out, load_dataset(out, missing_chips=True))
         print(session.summary(file_recorder))
 
 

@@ -9,6 +9,9 @@ Examples:
     python -m i2t.convert pack DATA PACKED
     python -m i2t.convert ambient DATA CORRECTED --field .ambient.npz
     python -m i2t.convert npz DATA DATA.npz
+    python -m i2t.convert lerobot DATA LEROBOT            and back: lerobot LEROBOT DATA
+    python -m i2t.convert robomimic DATA DATA.hdf5        and back: robomimic DATA.hdf5 DATA
+    python -m i2t.convert csv DATA TABLE                  and back: csv TABLE DATA
 
 DATA is a folder; converters write one packed file in it and refuse a folder that holds anything; --overwrite replaces
 an earlier conversion. What cannot be used is refused with one sentence on the error stream and the exit code 2; with
@@ -262,16 +265,79 @@ def to_npz(source: Source, target: Target, overwrite: bool = False, skip_bad: bo
         overwrite: replace an existing file
         skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them
     """
-    if target.suffix != ".npz":
-        raise DataError(f"{target}: does not end in .npz; name the file so")
-    if target.exists() and not overwrite:
-        raise DataError(f"{target}: exists already; choose another name or pass --overwrite")
+    _require_free_file(target, ".npz", overwrite)
     _require_source(source)
-    from i2t.dataset import load_dataset
+    dataset = _load(source, skip_bad)
+    print(_exported(dataset, write_npz(target, dataset)))
 
-    dataset = load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad)
-    write_npz(target, dataset)
-    print(f"wrote {len(dataset)} touches to {target}")
+
+def lerobot(source: Source, target: Target, overwrite: bool = False, skip_bad: bool = False) -> None:
+    """Write a data set as a LeRobotDataset v3.0, or read one back that was written so. Needs pyarrow.
+
+    Args:
+        source: folder or file of touches; or the folder of a LeRobotDataset, which is read back
+        target: folder to write
+        overwrite: replace what an earlier conversion wrote
+        skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them
+    """
+    _require_source(source)
+    if (source / "meta" / "info.json").is_file():
+        _require(source, target, overwrite)
+        from i2t.convert.lerobot import read_lerobot
+
+        _write_back(target, read_lerobot(source))
+        return
+    _require_free_export(target, "meta/i2t.json", overwrite)
+    from i2t.convert.lerobot import write_lerobot
+
+    dataset = _load(source, skip_bad)
+    print(_exported(dataset, write_lerobot(target, dataset, overwrite=overwrite)))
+
+
+def robomimic(source: Source, target: Target, overwrite: bool = False, skip_bad: bool = False) -> None:
+    """Write a data set as an HDF5 file of robomimic, or read one back that was written so.
+
+    Args:
+        source: folder or file of touches; or a file that ends in .hdf5, which is read back
+        target: file to write, ending in .hdf5; or the folder to write what is read back
+        overwrite: replace what an earlier conversion wrote
+        skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them
+    """
+    _require_source(source)
+    if source.suffix == ".hdf5":
+        _require(source, target, overwrite)
+        from i2t.convert.robomimic import read_robomimic
+
+        _write_back(target, read_robomimic(source))
+        return
+    _require_free_file(target, ".hdf5", overwrite)
+    from i2t.convert.robomimic import write_robomimic
+
+    dataset = _load(source, skip_bad)
+    print(_exported(dataset, write_robomimic(target, dataset)))
+
+
+def table(source: Source, target: Target, overwrite: bool = False, skip_bad: bool = False) -> None:
+    """Write a data set as a comma-separated table with its pictures beside it, or read one back that was written so.
+
+    Args:
+        source: folder or file of touches; or a folder with touches.csv, which is read back
+        target: folder to write
+        overwrite: replace what an earlier conversion wrote
+        skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them
+    """
+    _require_source(source)
+    if (source / "touches.csv").is_file():
+        _require(source, target, overwrite)
+        from i2t.convert.touch_table import read_table
+
+        _write_back(target, read_table(source))
+        return
+    _require_free_export(target, "set.json", overwrite)
+    from i2t.convert.touch_table import write_table
+
+    dataset = _load(source, skip_bad)
+    print(_exported(dataset, write_table(target, dataset, overwrite=overwrite)))
 
 
 def write_npz(path: Path, dataset: "Dataset") -> Path:
@@ -323,6 +389,9 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "pack": pack,
     "ambient": subtract_ambient_field,
     "npz": to_npz,
+    "lerobot": lerobot,
+    "robomimic": robomimic,
+    "csv": table,
 }
 
 
@@ -395,13 +464,48 @@ def _require_free(target: Path, overwrite: bool) -> None:
     found = sorted(file.name for file in target.iterdir()) if target.is_dir() else []
     if not found:
         return
+    from i2t.dataset.card import CARD
     from i2t.dataset.store import INDEX
 
-    others = [name for name in found if name not in (PACKED, INDEX)]
+    others = [name for name in found if name not in (PACKED, INDEX, CARD)]
     if others:
         raise DataError(f"{target}: holds {others[0]}, which no conversion wrote; give another folder")
     if not overwrite:
         raise DataError(f"{target}: holds a data set already; give another folder or pass --overwrite")
+
+
+def _require_free_file(target: Path, ending: str, overwrite: bool) -> None:
+    """Refuse a name without the format's ending, and to replace a file unasked."""
+    if target.suffix != ending:
+        raise DataError(f"{target}: does not end in {ending}; name the file so")
+    if target.is_dir():
+        raise DataError(f"{target}: is a folder; give a file to write")
+    if target.exists() and not overwrite:
+        raise DataError(f"{target}: exists already; choose another name or pass --overwrite")
+
+
+def _require_free_export(target: Path, mark: str, overwrite: bool) -> None:
+    """Refuse a folder that no export of this format may be written to, before anything is read."""
+    from i2t.convert.exchange import require_free_folder
+
+    require_free_folder(target, mark, overwrite=overwrite)
+
+
+def _load(source: Path, skip_bad: bool) -> "Dataset":
+    """A data set to be written in another format, which may know chips that did not answer."""
+    from i2t.dataset import load_dataset
+
+    return load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad)
+
+
+def _exported(dataset: "Dataset", target: Path) -> str:
+    return f"wrote {len(dataset)} touches to {target}"
+
+
+def _write_back(target: Path, dataset: "Dataset") -> None:
+    from i2t.convert.common import Converted
+
+    _write(target, Converted(dataset, ()))
 
 
 def _board(name: str) -> "Board":
@@ -415,8 +519,10 @@ def _board(name: str) -> "Board":
 
 def _write(target: Path, converted: "Converted") -> None:
     from i2t.dataset import save_dataset
+    from i2t.dataset.card import write_card
 
     path = save_dataset(target / PACKED, converted.dataset)
+    write_card(target, converted.dataset)
     for note in converted.notes:
         print(note)
     print(f"wrote {len(converted.dataset)} touches to {path}")

@@ -164,16 +164,31 @@ def verified(path: Path) -> Iterator[h5py.File]:
         yield file
 
 
+def inspect_file(file: h5py.File, size: int, *, objects: int = MAX_OBJECTS) -> None:
+    """Look over a file before anything of it is read: whether all is in the file itself, and how large it is.
+
+    Args:
+        file: The open file.
+        size: Of it, in bytes.
+        objects: Groups and arrays that it may have.
+
+    Raises:
+        DataError: It holds what no file of i2t does; without the file's name.
+    """
+    _Inspection(size, objects).group(file, 0)
+
+
 class _Inspection:
     """Looks over a file before anything of it is read: whether all is in the file itself, and how large it is.
 
     Args:
         size: Of the file, in bytes.
+        objects: Groups and arrays that it may have.
     """
 
-    def __init__(self, size: int) -> None:
+    def __init__(self, size: int, objects: int = MAX_OBJECTS) -> None:
         self._size, self._left = size, SPARE_BYTES + MAX_H5_GROWTH * size
-        self._objects = 0
+        self._objects, self._most = 0, objects
 
     def group(self, group: h5py.Group, level: int) -> None:
         """Raise DataError, without the file's name, for what no file of this schema holds."""
@@ -182,8 +197,8 @@ class _Inspection:
         self._attributes(group)
         for name in group:
             self._objects += 1
-            if self._objects > MAX_OBJECTS:
-                raise DataError(f"holds more than {MAX_OBJECTS} groups and arrays")
+            if self._objects > self._most:
+                raise DataError(f"holds more than {self._most} groups and arrays")
             link = group.get(name, getlink=True)
             if not isinstance(link, h5py.HardLink):
                 kind = "another file" if isinstance(link, h5py.ExternalLink) else "another place"

@@ -19,6 +19,7 @@ import h5py
 import numpy as np
 
 from i2t._version import __version__
+from i2t.dataset.card import CARD
 from i2t.dataset.files import ENDING, checksum, sync_folder, verified, write
 from i2t.dataset.sets import Dataset, concatenate, missing_context, validate
 from i2t.errors import DataError
@@ -186,7 +187,7 @@ def load_dataset(path: str | Path, *, skip_bad: bool = False, missing_chips: boo
     """Read a packed file, a recorded touch, or a folder of any of these with its subfolders.
 
     Touches come in the order of the files' names (recorded touches: of time). Hidden files (leftovers of an interrupted
-    writer among them) and index.json are no part of a data set.
+    writer among them), index.json and the card README.md are no part of a data set.
 
     Args:
         path: a file or a folder.
@@ -326,7 +327,7 @@ def _files(path: Path) -> list[Path]:
         file
         for file in sorted(path.rglob("*"))
         if file.is_file()
-        and file.name != INDEX
+        and file.name not in (INDEX, CARD)
         and not any(part.startswith(".") for part in file.relative_to(path).parts)
     ]
     if not files:
