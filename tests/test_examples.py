@@ -7,7 +7,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("0*.py"))
+EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("[0-9][0-9]_*.py"))
 
 
 def _load(number: int) -> ModuleType:
@@ -19,8 +19,8 @@ def _load(number: int) -> ModuleType:
     return module
 
 
-def test_there_are_eight_of_20_to_40_lines():
-    assert [int(path.name[:2]) for path in EXAMPLES] == list(range(1, 9))
+def test_they_are_numbered_and_of_20_to_40_lines():
+    assert [int(path.name[:2]) for path in EXAMPLES] == list(range(1, len(EXAMPLES) + 1))
     for path in EXAMPLES:
         assert 20 <= len(path.read_text().splitlines()) <= 40, f"{path.name} is no short program any more"
 
@@ -74,3 +74,15 @@ def test_an_object_is_recognised():
 
     config = RecognizerConfig(num_sites=8, num_particles=32, max_touches=6)
     assert _load(8).main(72, config) in ("star", "cylinder", "hammer")
+
+
+@pytest.mark.full
+def test_a_surface_grows_under_touches():
+    mesh = _load(10).main(touches=3, known=4, across=20)
+    assert np.ptp(mesh.vertices, axis=0) == pytest.approx([64e-3, 64e-3, 25e-3], abs=12e-3)
+
+
+@pytest.mark.full
+def test_a_press_tells_of_the_surface():
+    after, before = _load(9).main(96)
+    assert after < before

@@ -22,7 +22,7 @@ class PatchSizes:
 
 PRESETS: dict[str, PatchSizes] = {
     "paper": PatchSizes(),
-    "short": PatchSizes(patches=3000, shapes=120, test=80, validation=32, steps=1000),
+    "short": PatchSizes(patches=4000, shapes=150, test=100, validation=40, steps=800),
     "debug": PatchSizes(patches=120, shapes=6, test=8, validation=4, pads=1, steps=20),
 }
 

@@ -24,7 +24,7 @@ from i2t.reconstruction.press_models import model_presses
 from i2t.types import CONTACT_TOLERANCE_M, Board
 
 FORCES_N = np.geomspace(0.05, 8.0, 24)  # at which imagined presses may stop
-GP_PATCHES = 75  # touches of a pad from which a forward model is learned, each at the library's four loads
+GP_PATCHES = 50  # touches of a pad from which a forward model is learned, each at the library's four loads
 HIDDEN = 128
 BATCH = 128
 CANDIDATES = 100
@@ -94,7 +94,7 @@ def learned_model(key: Array, model: PressModel, library: PatchLibrary, board: B
     """The forward model that a Gaussian process learns from noisy touches of some of the library's patches."""
     rows = np.random.default_rng(1).permutation(len(library.patch))[:GP_PATCHES]
     readings = jnp.einsum("dc,ldn->nlc", model.axes, model.reading[:, :, rows])
-    noise = jnp.sqrt(model.noise) * jax.random.normal(key, readings.shape) @ model.axes
+    noise = (jnp.sqrt(model.noise)[None, None] * jax.random.normal(key, readings.shape)) @ model.axes
     side = round(library.newtons.shape[-1] ** 0.5)
     pressure = jnp.asarray(library.newtons[rows], jnp.float32).reshape(-1, side, side)
     contacts = ContactPressure(pressure, jnp.tile(jnp.asarray(library.loads), len(rows)))
@@ -128,10 +128,10 @@ def features(press: PressCurve) -> Array:
     return jnp.concatenate(rows, -1)
 
 
-def neighbour_weights(press: PressCurve, seen: Array, scale: Array, count: int) -> Array:
+def neighbour_weights(press: PressCurve, seen: Array, scale: Array, count: Array) -> Array:
     """Alike for the patches of the nearest imagined presses (n, features), in units of `scale`."""
-    distance = jnp.sum(((features(press) - seen) / scale) ** 2, axis=-1)
-    bound = -jax.lax.top_k(-distance, count)[0][-1]
+    distance = jnp.sum(((features(press)[None] - seen) / scale[None]) ** 2, axis=-1)
+    bound = jnp.sort(distance)[jnp.minimum(count, len(distance)) - 1]
     near = (distance <= bound).astype(jnp.float32)
     return near / jnp.sum(near)
 
@@ -146,7 +146,7 @@ def image_weights(press: PressCurve, library: PatchLibrary, width: Array) -> Arr
         step = jnp.clip((jnp.log(total) - knots[low]) / (knots[low + 1] - knots[low]), 0, 1)
         first, second = (library.newtons[:, i].astype(jnp.float32) / library.loads[i] for i in (low, low + 1))
         wanted = press.newtons[s] / total
-        apart = jnp.sum((first + step * (second - first) - wanted) ** 2, axis=-1)
+        apart = jnp.sum((first + step * (second - first) - wanted[None]) ** 2, axis=-1)
         distance = distance + apart / jnp.sum(wanted**2)
     return jax.nn.softmax(-0.5 * distance / (width**2 * press.force.shape[0]))
 
@@ -155,7 +155,7 @@ def train_network(key: Array, presses: PressCurve, library: PatchLibrary, steps:
     """A small network from what presses of the library's patches measured to mask, contact and depth of each pixel."""
     inputs = features(presses)
     mean, std = jnp.mean(inputs, axis=0), jnp.std(inputs, axis=0) + 1e-6
-    inputs = (inputs - mean) / std
+    inputs = (inputs - mean[None]) / std[None]
     patch = 1e3 * jnp.asarray(library.patch[:, ::COARSE, ::COARSE], jnp.float32).reshape(len(inputs), -1)
     key_init, key_steps = jax.random.split(key)
     outputs = 3 * patch.shape[1]

@@ -1,7 +1,7 @@
 """Question: what does one press of a skin with five chips say of the surface that it met, and is its doubt honest?
 
     python -m experiments.reconstruct_patch                      12 000 patches, 160 contacts of unseen objects, 3 pads
-    python -m experiments.reconstruct_patch --preset short       a quarter of that
+    python -m experiments.reconstruct_patch --preset short       a third of that
     python -m experiments.reconstruct_patch --meshes FOLDER      the meshes (OBJ, PLY, STL; metres) of a folder
     python -m experiments.reconstruct_patch --preset debug       too few to mean anything
 
@@ -17,7 +17,7 @@ About ten minutes on one core. Expect the press curve to beat the first stop, an
 
 import sys
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache
 from typing import Any, NamedTuple
 
 import jax
@@ -32,7 +32,7 @@ from experiments.reconstruct_patch import methods, scores
 from experiments.reconstruct_patch.arguments import PatchArgs
 from experiments.reconstruct_patch.figures import draw_posteriors, draw_reliability
 from experiments.reconstruct_patch.scores import Truth
-from experiments.reconstruct_patch.world import Part, make_part, press_all, truth_of
+from experiments.reconstruct_patch.world import Part, make_parts, press_all, truth_of
 from i2t import viz
 from i2t.recognition.intervals import cluster_interval
 from i2t.reconstruction.local_shape import (
@@ -78,9 +78,8 @@ def run(args: PatchArgs) -> dict[str, Any]:
     """Run every method on the same presses; print the table, write metrics.json, config.json and figures."""
     sizes = args.sizes
     begin(args.out, args, sizes, None, args.overwrite)
-    *keys, key_presses, key_methods = jax.random.split(jax.random.key(args.seed), 5)
-    counts = {"train": sizes.patches, "validation": sizes.validation, "test": sizes.test}
-    parts = {name: make_part(key, name, count, args) for key, (name, count) in zip(keys, counts.items(), strict=True)}
+    key_parts, key_presses, key_methods = jax.random.split(jax.random.key(args.seed), 3)
+    parts = make_parts(key_parts, args)
     library = jax.tree.map(jnp.asarray, parts["train"].library)
     trials = press_parts(key_presses, parts, library, sizes.pads)
     chosen = choose_likelihood(trials["validation"], library)
@@ -157,10 +156,10 @@ def list_methods(
         BAYES[0]: {"": Method(_bayes_first, models)},
         BAYES[1]: {"": Method(_bayes_curve, models)},
         LEARNED: {"": Method(_bayes_curve, learned)},
-        NEIGHBOURS: {str(k): Method(partial(_neighbours, count=k), seen) for k in NEIGHBOUR_COUNTS if k < len(rows)},
+        NEIGHBOURS: {str(k): Method(_neighbours, [(*own, k) for own in seen]) for k in NEIGHBOUR_COUNTS},
         NETWORK: {"": Method(_network, networks)},
-        IMAGES[0]: {str(w): Method(partial(_image_first, width=w), models) for w in WIDTHS},
-        IMAGES[1]: {str(w): Method(partial(_image_curve, width=w), models) for w in WIDTHS},
+        IMAGES[0]: {str(w): Method(_image_first, [w] * len(models)) for w in WIDTHS},
+        IMAGES[1]: {str(w): Method(_image_curve, [w] * len(models)) for w in WIDTHS},
     }
 
 
@@ -275,6 +274,7 @@ def _clusters(trials: Sequence[Trial], part: Part) -> list[np.ndarray]:
     return [np.tile(part.library.object, len(trials)), np.repeat(np.arange(len(trials)), len(part.library.object))]
 
 
+@cache
 def _scorer(score: Callable[..., dict[str, Array]]) -> Callable[..., dict[str, Array]]:
     """All touches of one pad, one after the other, compiled."""
 
@@ -315,23 +315,19 @@ def _bayes_first(press: PressCurve, truth: Truth, model: PressModel, library: Pa
 
 
 def _neighbours(
-    press: PressCurve, truth: Truth, seen: tuple[Array, Array], library: PatchLibrary, *, count: int
+    press: PressCurve, truth: Truth, seen: tuple[Array, Array, Array], library: PatchLibrary
 ) -> dict[str, Array]:
-    return _weighed(methods.neighbour_weights(press, *seen, count=count), press, truth, 1.0, library)
+    return _weighed(methods.neighbour_weights(press, *seen), press, truth, 1.0, library)
 
 
 def _network(press: PressCurve, truth: Truth, network: methods.Network, library: PatchLibrary) -> dict[str, Array]:
     return scores.score_pixels(*methods.network_pixels(network, press), truth)
 
 
-def _image_curve(
-    press: PressCurve, truth: Truth, model: PressModel, library: PatchLibrary, *, width: float
-) -> dict[str, Array]:
+def _image_curve(press: PressCurve, truth: Truth, width: Array, library: PatchLibrary) -> dict[str, Array]:
     return _weighed(methods.image_weights(press, library, width), press, truth, 0.0, library)
 
 
-def _image_first(
-    press: PressCurve, truth: Truth, model: PressModel, library: PatchLibrary, *, width: float
-) -> dict[str, Array]:
+def _image_first(press: PressCurve, truth: Truth, width: Array, library: PatchLibrary) -> dict[str, Array]:
     weight = methods.image_weights(methods.first_stop(press), library, width)
     return _weighed(weight, press, truth, 0.0, library)

@@ -36,7 +36,7 @@ def score_weights(weight: Array, force: Array, truth: Truth, library: PatchLibra
     true = truth.patch[::COARSE, ::COARSE]
     rank = 2 * jnp.arange(DRAWS) - DRAWS + 1
     spread = jnp.einsum("k,kij->ij", rank.astype(jnp.float32), draws) / DRAWS**2
-    crps = jnp.mean(jnp.abs(draws - true), axis=0) - spread
+    crps = jnp.mean(jnp.abs(draws - true[None]), axis=0) - spread
     ends = [round((1 - level) / 2 * (DRAWS - 1)) for level in LEVELS]
     inside = jnp.stack([(draws[e] - 1e-5 <= true) & (true <= draws[DRAWS - 1 - e] + 1e-5) for e in ends])
     turn = jnp.abs(found.edge_direction - 0.5 * jnp.mod(jnp.arctan2(truth.edge[1], truth.edge[0]), 2 * jnp.pi))

@@ -9,17 +9,15 @@ from jaxtyping import Array
 from experiments.reconstruct_patch.arguments import PatchArgs
 from experiments.reconstruct_patch.scores import Truth
 from experiments.reconstruct_patch.shapes import list_shapes
-from i2t.reconstruction.library import library_of, sample_contacts
+from i2t.reconstruction.library import library_of, sample_contacts, to_few_sizes
 from i2t.reconstruction.local_shape import PatchLibrary
 from i2t.reconstruction.press_curves import PressCurve, simulate_press_curve
-from i2t.rendering.render import prepare_surface, render_heights
+from i2t.rendering.render import prepare_surface
 from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import SimulationErrors
-from i2t.skin.contact import GRID
-from i2t.types import PAD_WINDOW, Pad, Surface
+from i2t.types import Pad
 
 BATCH = 16
-UNDER_PADS = GRID.cells  # cells along an edge of the heights that are pressed
 
 
 class Part(NamedTuple):
@@ -30,20 +28,19 @@ class Part(NamedTuple):
     named: np.ndarray  # (n,) whether each contact is with an object of the catalogue
 
 
-def make_part(key: Array, part: str, count: int, args: PatchArgs) -> Part:
-    """Shapes of a part, met at random safe sites."""
-    shapes = list_shapes(part, args.sizes.shapes, args.meshes)
-    surfaces = [prepare_surface(mesh) for mesh in shapes.meshes]
-    contacts, objects = sample_contacts(key, surfaces, count)
-    heights = np.zeros((0, UNDER_PADS, UNDER_PADS))
-    if part != "train":
-        heights = np.stack([_heights(surfaces[i], T) for i, T in zip(objects, contacts.T_o_t, strict=True)])
-    return Part(library_of(contacts, objects), heights, objects < shapes.named)
-
-
-@jax.jit
-def _heights(surface: Surface, T_o_t: Array) -> Array:
-    return render_heights(surface, jax.numpy.linalg.inv(T_o_t), PAD_WINDOW, UNDER_PADS)
+def make_parts(key: Array, args: PatchArgs) -> dict[str, Part]:
+    """Shapes of each part, met at random safe sites."""
+    sizes = args.sizes
+    counts = {"train": sizes.patches, "validation": sizes.validation, "test": sizes.test}
+    shapes = {part: list_shapes(part, sizes.shapes, args.meshes) for part in counts}
+    sized = iter(to_few_sizes([prepare_surface(mesh) for some in shapes.values() for mesh in some.meshes]))
+    parts = {}
+    for number, (part, count) in enumerate(counts.items()):
+        surfaces = [next(sized) for _ in shapes[part].meshes]
+        contacts, objects = sample_contacts(jax.random.fold_in(key, number), surfaces, count)
+        heights = contacts.height[: 0 if part == "train" else None]
+        parts[part] = Part(library_of(contacts, objects), heights, objects < shapes[part].named)
+    return parts
 
 
 @jax.jit

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from i2t.reconstruction.library import build_library as build_library
     from i2t.reconstruction.library import load_library as load_library
+    from i2t.reconstruction.library import sample_contacts as sample_contacts
     from i2t.reconstruction.library import save_library as save_library
     from i2t.reconstruction.local_shape import CONTACT_CLASSES as CONTACT_CLASSES
     from i2t.reconstruction.local_shape import PatchLibrary as PatchLibrary
@@ -16,10 +17,12 @@ if TYPE_CHECKING:
     from i2t.reconstruction.local_shape import PatchPosterior as PatchPosterior
     from i2t.reconstruction.local_shape import PressModel as PressModel
     from i2t.reconstruction.local_shape import infer_patch as infer_patch
+    from i2t.reconstruction.press_curves import simulate_press_curve as simulate_press_curve
     from i2t.reconstruction.press_models import imagine_presses as imagine_presses
+    from i2t.reconstruction.press_models import model_presses as model_presses
 
 _MODULES = {
-    "library": ("build_library", "load_library", "save_library"),
+    "library": ("build_library", "load_library", "sample_contacts", "save_library"),
     "local_shape": (
         "CONTACT_CLASSES",
         "PatchLibrary",
@@ -28,7 +31,8 @@ _MODULES = {
         "PressModel",
         "infer_patch",
     ),
-    "press_models": ("imagine_presses",),
+    "press_curves": ("simulate_press_curve",),
+    "press_models": ("imagine_presses", "model_presses"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = sorted(_MODULE_OF)

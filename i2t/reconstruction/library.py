@@ -31,7 +31,7 @@ from i2t.reconstruction.local_shape import CONTACT_CLASSES, PatchLibrary
 from i2t.rendering.render import render_heights, stack_surfaces
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.site_limits import SiteLimits
-from i2t.skin.contact import Grid, solve_force
+from i2t.skin.contact import GRID, Grid, solve_force
 from i2t.skin.pad import nominal_pad
 from i2t.types import (
     CONTACT_TOLERANCE_M,
@@ -53,6 +53,7 @@ CHAIN_STEPS = 40
 BATCH = 64
 FEW_FACES = 256  # shapes of no more are stacked apart from larger ones, which would slow them down
 CANDIDATES = 4  # for each safe site
+SITES = 16  # of a shape at a time, so that any number of them compiles once
 STEP_SLOPE = 0.7  # m/m: what falls off more steeply (35 degrees) is an edge
 FEWEST_STEPS = 8  # pixels of steps within the window, below which it has no edge (3 mm)
 STRAIGHT = 0.6  # coherence of an edge above which it counts as one straight line
@@ -71,7 +72,8 @@ class Contacts(NamedTuple):
 
     T_o_t: Float[Array, "n 4 4"]  # tool pose at first contact
     patch: Float[Array, "n p p"]  # m beyond the plane of contact, cut at the reach
-    height: Float[Array, "n g g"]  # m, over the cells of the pad
+    height: Float[Array, "n g g"]  # m, over the cells of `i2t.skin.contact.GRID`, uncut
+    coarse: Float[Array, "n h h"]  # m, over cells of 1 mm
     met: Bool[Array, " n"]  # false where the way met nothing, or too few sites are safe
 
 
@@ -132,8 +134,13 @@ def sample_contacts(
     sampling = sampling or ContactSampling()
     each = -(-count // len(surfaces))
     parts, objects = [], []
-    for i, surface in enumerate(_of_few_sizes(surfaces)):
-        drawn = jax.device_get(_meet(jax.random.fold_in(key, i), surface, each, sampling))
+    for i, surface in enumerate(to_few_sizes(surfaces)):
+        key_shape = jax.random.fold_in(key, i)
+        rounds = [
+            jax.device_get(_meet(jax.random.fold_in(key_shape, start), surface, sampling))
+            for start in range(0, each, SITES)
+        ]
+        drawn = jax.tree.map(lambda *fields: np.concatenate(fields)[:each], *rounds)
         parts.append(jax.tree.map(lambda field, met=drawn.met: field[met], drawn))
         objects.append(np.full(len(parts[-1].met), i, np.int32))
         progress(len(parts[-1].met))
@@ -156,7 +163,7 @@ def library_of(contacts: Contacts, objects: np.ndarray, *, loads: Sequence[float
     Returns:
         The library, on the host.
     """
-    height = jnp.asarray(contacts.height, jnp.float32)
+    height = jnp.asarray(contacts.coarse, jnp.float32)
     pressure, indentation = _pressures(nominal_pad(), height, jnp.asarray(loads, jnp.float32))
     newtons = np.asarray(pressure).reshape(*pressure.shape[:2], -1) * CELL_GRID.spacing**2
     total = np.maximum(newtons.sum(-1, keepdims=True), 1e-9)
@@ -165,7 +172,7 @@ def library_of(contacts: Contacts, objects: np.ndarray, *, loads: Sequence[float
     edge, kind = _edges(jnp.asarray(contacts.patch, jnp.float32))
     return PatchLibrary(
         patch=np.asarray(contacts.patch, np.float16),
-        height=np.asarray(contacts.height, np.float32),
+        height=np.asarray(contacts.coarse, np.float32),
         object=np.asarray(objects, np.int32),
         loads=np.asarray(loads, np.float32),
         newtons=newtons.astype(np.float16),
@@ -241,8 +248,15 @@ def load_library(path: Path | str) -> PatchLibrary:
     return library
 
 
-def _of_few_sizes(surfaces: Sequence[Surface]) -> list[Surface]:
-    """The surfaces brought to two size classes, and so to two compilations."""
+def to_few_sizes(surfaces: Sequence[Surface]) -> list[Surface]:
+    """Bring surfaces to two size classes, and so to two compilations.
+
+    Args:
+        surfaces: Prepared surfaces of any sizes.
+
+    Returns:
+        The same, those of few faces alike in size and those of many.
+    """
     small = [len(surface.triangles) <= FEW_FACES for surface in surfaces]
     sized: list[Surface] = list(surfaces)
     for group in ([i for i, is_small in enumerate(small) if is_small == wanted] for wanted in (True, False)):
@@ -253,9 +267,10 @@ def _of_few_sizes(surfaces: Sequence[Surface]) -> list[Surface]:
     return sized
 
 
-@partial(jax.jit, static_argnames=("count", "sampling"))
-def _meet(key: Array, surface: Surface, count: int, sampling: ContactSampling) -> Contacts:
-    """Sites of one surface, approached at a tilt."""
+@partial(jax.jit, static_argnames=("sampling",))
+def _meet(key: Array, surface: Surface, sampling: ContactSampling) -> Contacts:
+    """A few sites of one surface, approached at a tilt."""
+    count = SITES
     key_sites, key_tilt, key_about = jax.random.split(key, 3)
     if sampling.limits is None:
         key_points, key_spin = jax.random.split(key_sites)
@@ -274,10 +289,11 @@ def _meet(key: Array, surface: Surface, count: int, sampling: ContactSampling) -
         T_o_t, hit = touch_sites.press_along(surface, start, start[:3, 2])
         T_t_o = inverse(T_o_t)
         patch = render_heights(surface, T_t_o, PATCH_WINDOW, PATCH_PIXELS)
-        height = render_heights(surface, T_t_o, PAD_WINDOW, CELL_GRID.cells)
-        return Contacts(T_o_t, jnp.clip(patch, 0, REACH), height, hit & jnp.isfinite(jnp.min(height)))
+        height = render_heights(surface, T_t_o, PAD_WINDOW, GRID.cells)
+        coarse = render_heights(surface, T_t_o, PAD_WINDOW, CELL_GRID.cells)
+        return Contacts(T_o_t, jnp.clip(patch, 0, REACH), height, coarse, hit & jnp.isfinite(jnp.min(coarse)))
 
-    contacts = jax.lax.map(lambda each: meet(*each), (frames, angle, about), batch_size=math.gcd(count, BATCH))
+    contacts = jax.lax.map(lambda each: meet(*each), (frames, angle, about), batch_size=count)
     return contacts._replace(met=contacts.met & safe)
 
 

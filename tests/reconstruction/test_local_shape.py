@@ -1,0 +1,182 @@
+"""One press, and what it says of the surface: closed forms, dense linear algebra, small runs of the full physics."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from i2t.errors import SerializationError
+from i2t.reconstruction import infer_patch, load_library, save_library
+from i2t.reconstruction.library import describe_edge
+from i2t.reconstruction.local_shape import log_likelihood, posterior_weights, systematic_samples
+from i2t.types import PATCH_WINDOW
+
+TRUE = 7
+INFER = jax.jit(infer_patch, static_argnames=("samples",))
+EDGE = jax.jit(describe_edge)
+FORCES = jnp.array([0.6, 2.0])
+
+
+@pytest.fixture(scope="module")
+def press(model):
+    """What the pad reads at patch TRUE under two forces, both between the loads, without any error."""
+    reading = FORCES[:, None] * model.reading[0, :, TRUE][None] / model.loads[0]
+    knots = jnp.log(model.loads)
+    travel = jnp.interp(jnp.log(FORCES), knots, model.travel[:, TRUE])
+    return reading, FORCES, travel
+
+
+def test_the_library_holds_the_truth_and_the_press_finds_it(press, model, library):
+    posterior = INFER(*press, model=model, library=library, samples=64)
+    assert int(jnp.argmax(posterior.weight)) == TRUE
+    assert float(posterior.weight[TRUE]) > 0.99
+    assert float(posterior.bits) == pytest.approx(np.log2(24), abs=0.1)
+    np.testing.assert_allclose(posterior.mean, library.patch[TRUE], atol=1e-5)
+    np.testing.assert_allclose(posterior.centre, library.centre[TRUE, 2], atol=1e-6)
+    assert int(jnp.argmax(posterior.class_probability)) == TRUE % 3
+
+
+@pytest.mark.full
+def test_the_marginal_likelihood_is_that_of_dense_matrices(press, model):
+    """Nuisances are integrated out as a covariance that is written down whole and inverted."""
+    reading, force, travel = press
+    reading, travel = reading + 3.0, travel + 2e-5
+    found = jax.jit(log_likelihood)(reading, force, travel, model=model)
+    what, loads = model.likelihood, np.asarray(model.loads)
+    expected = []
+    for i in range(model.reading.shape[-1]):
+        residual, scale, columns = [], [], np.zeros((0, 5))
+        for s, F in enumerate(np.asarray(force)):
+            at = F * np.asarray(model.reading[0, :, i]) / loads[0]
+            slope = at / F
+            sliding = F * np.asarray(model.sliding[0, :, :, i]) / loads[0]
+            error = what.relative_error**2 * np.mean(np.asarray(reading[s]) ** 2)
+            knots = np.log(loads)
+            low = np.searchsorted(knots, np.log(F)) - 1
+            rate = (model.travel[low + 1, i] - model.travel[low, i]) / (knots[low + 1] - knots[low])
+            travelled = model.travel[low, i] + rate * (np.log(F) - knots[low])
+            residual += [*(np.asarray(reading[s]) - at), float(travel[s] - travelled)]
+            scale += [*np.sqrt(np.asarray(model.noise) + error), what.travel_std]
+            own = np.zeros((len(at) + 1, 5))
+            own[:-1, :2] = what.slant_std * sliding.T
+            own[:-1, 2 + s], own[-1, 2 + s] = what.force_std * slope, what.force_std * float(rate) / F
+            own[-1, 4] = what.contact_std
+            columns = np.concatenate([columns, own])
+        residual, scale = np.array(residual), np.array(scale)
+        covariance = np.diag(scale**2) + columns @ columns.T
+        distance = residual @ np.linalg.solve(covariance, residual)
+        log_det = np.linalg.slogdet(covariance)[1] - 2 * np.log(scale).sum()
+        freedom = what.dof + len(residual)
+        expected.append(-0.5 * log_det - 0.5 * freedom * np.log1p(distance / what.dof))
+    np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2e-3)
+
+
+@pytest.mark.full
+def test_a_slant_is_no_evidence_against_a_patch(press, model):
+    """What friction adds to a slanted press costs far less where the slant is a nuisance than where it is an error."""
+    reading, force, travel = press
+    slanted = reading + 0.0175 * force[:, None] * model.sliding[0, 0, :, TRUE][None] / model.loads[0]
+    blind = model._replace(likelihood=model.likelihood._replace(slant_std=1e-6))
+    judge = jax.jit(log_likelihood)
+    lost = [
+        float((judge(reading, force, travel, model=m) - judge(slanted, force, travel, model=m))[TRUE])
+        for m in (model, blind)
+    ]
+    assert 0 < lost[0] < 0.5 * lost[1]
+
+
+@pytest.mark.full
+def test_what_was_not_measured_counts_as_not_made(press, model, library):
+    reading, force, travel = press
+    once = INFER(reading[0], force[0], travel[0], model=model, library=library, samples=16)
+    broken = (reading.at[1, 0].set(jnp.nan), force, travel)
+    np.testing.assert_allclose(INFER(*broken, model=model, library=library, samples=16).weight, once.weight, atol=1e-5)
+    blind = INFER(reading, force, model=model, library=library, samples=16)
+    assert np.isfinite(blind.weight).all()
+    assert float(blind.weight.sum()) == pytest.approx(1, abs=1e-5)
+
+
+def test_no_touch_is_certain_while_the_prior_has_a_share(model):
+    weight = posterior_weights(jnp.array([0.0, -1e4, -1e4, -1e4]), model.likelihood._replace(prior_share=0.04))
+    np.testing.assert_allclose(weight, [0.97, 0.01, 0.01, 0.01], atol=1e-6)
+
+
+@pytest.mark.full
+def test_samples_come_in_proportion_to_weights():
+    drawn = np.asarray(systematic_samples(jnp.array([0.1, 0.6, 0.0, 0.3]), 100))
+    np.testing.assert_allclose(np.bincount(drawn, minlength=4), [10, 60, 0, 30], atol=1)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("angle", [0.0, 0.6, 1.3, 2.4])
+def test_an_edge_is_found_where_it_is(angle):
+    """Of a step of 3 mm along a line at some angle, 2 mm from the tool axis."""
+    at = ((np.arange(48) + 0.5) / 48 - 0.5) * PATCH_WINDOW
+    normal = np.array([-np.sin(angle), np.cos(angle)])
+    across = normal[0] * at[None, :] + normal[1] * at[:, None]
+    edge, kind = EDGE(jnp.asarray(np.where(across < 2e-3, 0.0, 3e-3), jnp.float32))
+    found = 0.5 * np.arctan2(edge[1], edge[0]) % np.pi
+    assert abs((found - angle + np.pi / 2) % np.pi - np.pi / 2) < np.radians(3)
+    assert abs(normal @ np.asarray(edge[2:]) - 2e-3) < 0.3e-3
+    assert int(kind) == 1
+
+
+@pytest.mark.full
+def test_a_slope_is_no_edge():
+    at = np.arange(48) / 48 * PATCH_WINDOW
+    edge, kind = EDGE(jnp.asarray(np.tile(0.2 * at, (48, 1)), jnp.float32))
+    assert int(kind) == 0
+    assert not np.asarray(edge).any()
+
+
+def test_a_library_comes_back_from_disk(library, tmp_path):
+    save_library(tmp_path / "patches.npz", library, about={"shapes": ["plane"]})
+    for kept, read in zip(library, load_library(tmp_path / "patches.npz"), strict=True):
+        np.testing.assert_array_equal(kept, read)
+    save_library(tmp_path / "cut.npz", library._replace(newtons=library.newtons[:-1]))
+    with pytest.raises(SerializationError, match="do not fit"):
+        load_library(tmp_path / "cut.npz")
+
+
+@pytest.mark.full
+def test_imagined_readings_are_those_of_the_full_physics():
+    """On cells of 1 mm and with loose tolerances, within a few percent of presses on cells of half a millimetre."""
+    import i2t
+    from i2t.reconstruction.library import library_of, sample_contacts
+    from i2t.reconstruction.local_shape import _at_force
+    from i2t.reconstruction.press_curves import simulate_press_curve
+    from i2t.reconstruction.press_models import imagine_presses
+    from i2t.rendering.render import render_heights
+    from i2t.simulation.press import PressLimits
+    from i2t.simulation.touches import SimulationErrors
+    from i2t.types import PAD_WINDOW
+
+    surface = i2t.prepare_surface(i2t.make_object("stamp-cross").mesh)
+    contacts, objects = sample_contacts(jax.random.key(0), [surface], 6)
+    pad = i2t.sample_pad(jax.random.key(1))
+    model = imagine_presses(pad, library_of(contacts, objects))
+
+    def press(T):
+        heights = render_heights(surface, jnp.linalg.inv(T), PAD_WINDOW, 40)
+        errors, limits = SimulationErrors.none(), PressLimits()
+        return simulate_press_curve(jax.random.key(2), pad, heights, errors=errors, limits=limits)
+
+    presses = jax.jit(lambda T: jax.lax.map(press, T))(contacts.T_o_t)
+    for i in range(len(objects)):
+        for s in range(2):
+            reading, force = presses.reading[i, s], presses.force[i, s]
+            imagined = model.axes.T @ _at_force(model.reading, model.loads, force)[0][:, i]
+            assert np.linalg.norm(imagined - reading) < 0.12 * np.linalg.norm(reading)
+
+
+@pytest.mark.full
+def test_the_command_runs_on_its_smallest_preset(tmp_path):
+    import json
+
+    from experiments.reconstruct_patch.__main__ import main
+
+    assert main(["--preset", "debug", "--out", str(tmp_path / "run")]) == 0
+    report = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert report["source"] == "simulated"
+    assert set(report["methods"]) >= {"prior", "by imagination, press curve"}
+    assert (tmp_path / "run" / "posteriors.png").stat().st_size > 1000
