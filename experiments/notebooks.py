@@ -1,6 +1,6 @@
 """Notebooks as HTML: every notebook, or those named, run from top to bottom and written with its figures.
 
-    python -m experiments.notebooks                          all four, to runs/notebooks
+    python -m experiments.notebooks                          all of them, to runs/notebooks
     python -m experiments.notebooks skin_physics --debug     one, at the size of the tests
 
 Needs `pip install "imagine2touch[notebooks]"`. The notebooks themselves are stored without outputs, and are not

@@ -25,6 +25,7 @@ from i2t.reconstruction.signed_distances import VoxelGrid, interpolate
 from i2t.reconstruction.surface import (
     SurfaceEstimate,
     SurfaceModel,
+    SurfacePosterior,
     SurfaceState,
     estimate_surface,
     posterior_covariance,
@@ -93,11 +94,13 @@ def choose_touch(
     """
     config = config or ExplorationConfig()
     rng = np.random.default_rng(seed)
-    estimate = estimate or estimate_surface(model, state, stride=config.stride)
+    posterior = regress(model, state)
+    estimate = estimate or estimate_surface(model, state, stride=config.stride, posterior=posterior)
     proposals = propose_sites(estimate, rng, config=config)
     if not proposals.safe.any():
         return ChosenSite(None, float("nan"), proposals)
-    scores = np.where(proposals.safe, _scores(model, state, estimate, proposals, rng=rng, config=config), -np.inf)
+    scores = _scores(model, state, estimate, proposals, posterior=posterior, rng=rng, config=config)
+    scores = np.where(proposals.safe, scores, -np.inf)
     best = int(scores.argmax())
     return ChosenSite(proposals.T_o_t[best], float(scores[best]), proposals)
 
@@ -197,6 +200,7 @@ def _scores(
     estimate: SurfaceEstimate,
     proposals: SiteProposals,
     *,
+    posterior: SurfacePosterior,
     rng: np.random.Generator,
     config: ExplorationConfig,
 ) -> np.ndarray:
@@ -212,12 +216,12 @@ def _scores(
         return np.linalg.norm(places[:, None] - before, axis=-1).min(-1)
     if config.policy == "uncertainty":
         return proposals.std
-    return expected_reduction(model, state, estimate, places, rng=rng, config=config)
+    return expected_reduction(model, posterior, estimate, places, rng=rng, config=config)
 
 
 def expected_reduction(
     model: SurfaceModel,
-    state: SurfaceState,
+    posterior: SurfacePosterior,
     estimate: SurfaceEstimate,
     places: Float[np.ndarray, "n 3"],
     *,
@@ -229,8 +233,8 @@ def expected_reduction(
 
     Args:
         model: What was known before.
-        state: What the touches say.
-        estimate: The surface of this state.
+        posterior: By `i2t.reconstruction.surface.regress`.
+        estimate: The surface of the same state.
         places: m, on the estimated surface.
         rng: Random numbers, which choose the points that are summed over.
         config: Noise of the measurement, number of points.
@@ -244,7 +248,6 @@ def expected_reduction(
     if not total > 0:
         return rng.random(len(places))
     drawn = rng.choice(len(density), config.probes, p=density / total)
-    posterior = regress(model, state)
     cov = posterior_covariance(model, posterior, estimate.grid.points()[drawn], places)
     _, own = predict(model, posterior, places)
     return (cov**2).sum(0) / (own**2 + config.noise**2)

@@ -44,7 +44,7 @@ from i2t.reconstruction.signed_distances import (
 )
 from i2t.types import PAD_WINDOW, PATCH_WINDOW, REACH, STANDOFF, Array
 
-LATTICE = 6  # heights of a touch along each edge of the patch's window
+LATTICE = 5  # heights of a touch along each edge of the patch's window
 RIM = 7  # points of the pad's square along each edge, among which the lowest is sought
 SWEPT_DEPTHS_M = (0.5e-3, 3e-3, 8e-3, 16e-3, 28e-3)  # behind the pad's plane, where space is looked at
 Z_90 = 1.645  # standard deviations of a band of 90 %
@@ -69,13 +69,14 @@ class SurfaceConfig:
     smooth_residual: float = 15e-3  # m, the same where there is no library
     smooth_length: float = 25e-3  # m
     radius: float = 30e-3  # m, of the ball that stands for a library of none
+    useful_std: float = 2.5e-3  # m, of a height; one that is less certain says too little for its cost
     pose_std: float = 1e-3  # m, of a point of contact, from what the tool's pose is uncertain by
     contact_std: float = 2e-3  # m, more, where the point of contact in the pad's square is a guess
     inside_depth: float = 3e-3  # m behind a contact where the object is expected to be solid
     inside_std: float = 2e-3  # m
     free_tolerance: float = 0.5e-3  # m by which the mean may break into free space
     free_std: float = 1e-3  # m
-    free_points: int = 6  # of a touch, at most, that hold the mean out of free space
+    free_points: int = 4  # of a touch, at most, that hold the mean out of free space
     band_scale: float = 1.0  # of all standard deviations, chosen on other objects
 
 
@@ -94,9 +95,9 @@ class TouchEvidence(NamedTuple):
     T_o_t: Float[np.ndarray, "4 4"]  # pose of the tool at first contact, or where the way through air ended
     hit: bool  # whether there was a contact
     swept: float  # m of the straight way behind that pose
-    height: Float[np.ndarray, "6 6"]  # m, of the surface beyond the pad's plane on a lattice over the patch's window
-    std: Float[np.ndarray, "6 6"]  # m, of each height; inf where nothing is known of it
-    free: Float[np.ndarray, "6 6"]  # m beyond the plane that are known to be free
+    height: Float[np.ndarray, "5 5"]  # m, of the surface beyond the pad's plane on a lattice over the patch's window
+    std: Float[np.ndarray, "5 5"]  # m, of each height; inf where nothing is known of it
+    free: Float[np.ndarray, "5 5"]  # m beyond the plane that are known to be free
 
 
 class SurfaceState(NamedTuple):
@@ -384,19 +385,22 @@ def posterior_covariance(
     return found * model.config.band_scale**2
 
 
-def estimate_surface(model: SurfaceModel, state: SurfaceState, *, stride: int = 1) -> SurfaceEstimate:
+def estimate_surface(
+    model: SurfaceModel, state: SurfaceState, *, stride: int = 1, posterior: SurfacePosterior | None = None
+) -> SurfaceEstimate:
     """The signed distance on the grid, carved by what was swept.
 
     Args:
         model: What was known before.
         state: What the touches say.
         stride: Every so many points of the grid along each axis.
+        posterior: By `regress`, where it is at hand.
 
     Returns:
         Its mean and standard deviation.
     """
     grid, rows = coarse_grid(model, stride)
-    mean, std = predict(model, regress(model, state), rows)
+    mean, std = predict(model, posterior or regress(model, state), rows)
     bound = swept_distance(state, model.points[rows])
     return SurfaceEstimate(grid, np.maximum(mean, bound).astype(np.float32), std.astype(np.float32))
 
@@ -641,6 +645,7 @@ def _surface_points(
         if not touch.hit:
             continue
         on, spread = _felt(touch)
+        on, spread = on[spread < config.useful_std], spread[spread < config.useful_std]
         spread = np.hypot(spread, config.pose_std)
         if not len(on):  # nothing is known of where in its square the pad met the surface: where it is expected
             square = _square(touch)

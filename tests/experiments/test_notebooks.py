@@ -9,7 +9,7 @@ import pytest
 
 from experiments import notebooks
 
-NAMES = ("skin_physics", "recognition", "data_tsne", "real_press")
+NAMES = ("skin_physics", "recognition", "reconstruction", "data_tsne", "real_press")
 pytestmark = pytest.mark.xdist_group("notebooks")
 
 

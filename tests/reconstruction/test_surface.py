@@ -198,7 +198,7 @@ def test_heights_of_a_tactile_image_are_points_of_the_surface():
 
 def test_a_posterior_of_patches_knows_nothing_where_its_samples_reach_no_surface():
     patches = np.full((20, 48, 48), 1e-3)
-    patches[:10, :, 24:] = 4e-3
+    patches[:10, :, 30:] = 4e-3
     found = posterior_evidence(np.eye(4), patches)
     assert np.isfinite(found.std[:, :3]).all()
     assert np.isinf(found.std[:, 3:]).all()
