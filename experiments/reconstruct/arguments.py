@@ -15,15 +15,15 @@ class ReconstructSizes:
     """How much is done."""
 
     train: int = 80  # shapes of the library
-    validation: int = 4  # objects, in neither, on which the width of the bands is chosen
-    test: int = 6  # unseen objects
+    validation: int = 2  # objects, in neither, on which the width of the bands is chosen
+    test: int = 4  # unseen objects
     touches: int = 20  # on each
     pads: int = 3  # simulated skins, in turn
     seeds: int = 1  # episodes of each object and condition
-    patches: int = 800  # of the library of local surfaces
+    patches: int = 600  # of the library of local surfaces
     oracle_touches: int = 5  # of the greedy oracle, which is slow
-    oracle_sites: int = 8  # among which it looks ahead
-    samples: int = 20000  # points of a surface, by which distances between surfaces are measured
+    oracle_sites: int = 4  # among which it looks ahead
+    samples: int = 8000  # points of a surface, by which distances between surfaces are measured
 
 
 PRESETS: dict[str, ReconstructSizes] = {
@@ -31,7 +31,7 @@ PRESETS: dict[str, ReconstructSizes] = {
     "debug": ReconstructSizes(
         train=4, validation=1, test=2, touches=2, pads=1, patches=48, oracle_touches=1, oracle_sites=2, samples=2000
     ),
-    "study": ReconstructSizes(train=300, validation=8, test=24, seeds=1, patches=2000),
+    "study": ReconstructSizes(train=300, validation=8, test=24, patches=2000, oracle_sites=8, samples=20000),
 }
 
 
@@ -46,7 +46,7 @@ class ReconstructArgs:
     side: tuple[Positive, Positive] = (60e-3, 90e-3)  # m, drawn between these for each mesh
     reach: Literal["around", "table"] = "around"  # held, so that all sides are reached; or as in the paper's collection
     train: Count | None = None  # shapes of the library, instead of the preset's 80
-    test: Count | None = None  # unseen objects, instead of the preset's 6
+    test: Count | None = None  # unseen objects, instead of the preset's 4
     touches: Count | None = None  # on each, instead of the preset's 20
     pads: Count | None = None  # simulated skins, instead of the preset's 3
     seeds: Count | None = None  # episodes of each object, instead of the preset's 1

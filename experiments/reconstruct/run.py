@@ -55,16 +55,17 @@ def run(args: ReconstructArgs) -> dict:
         limits=site_limits(args),
     )
     unseen = range(len(split.validation), len(explorer.shapes))
-    scales = choose_bands(explorer, range(len(split.validation)))
-    test = replace(explorer, models={known: scaled(model, scales[known]) for known, model in models.items()})
-    names = args.conditions or tuple(CONDITIONS)
-    episodes = explore_all(test, {name: CONDITIONS[name] for name in names}, unseen)
+    chosen = {name: CONDITIONS[name] for name in args.conditions or CONDITIONS}
+    libraries = {condition.library for condition in chosen.values()}
+    scales = {known: choose_band(explorer, range(len(split.validation)), known) for known in libraries}
+    test = replace(explorer, models={known: scaled(models[known], scales[known]) for known in libraries})
+    episodes = explore_all(test, chosen, unseen)
     report = summarize(episodes, test, sizes) | {
         "preset": args.preset,
         "reach": args.reach,
         "objects": {part: [item.name for item in getattr(split, part)] for part in ("validation", "test")},
         "library": {"shapes": len(split.train), "patches": len(skins.library.object)},
-        "band_scale": {"library": scales[True], "smoothness alone": scales[False]},
+        "band_scale": {"library" if known else "smoothness alone": scale for known, scale in scales.items()},
         "grid_points": list(models[True].grid.shape),
         "grid_spacing_mm": 1e3 * models[True].grid.spacing,
         "seconds": {"preparing": prepared, "all": time.monotonic() - started},
@@ -91,15 +92,11 @@ def scaled(model: SurfaceModel, scale: float) -> SurfaceModel:
     return model._replace(config=replace(model.config, band_scale=scale))
 
 
-def choose_bands(explorer: Explorer, numbers: Sequence[int]) -> dict[bool, float]:
+def choose_band(explorer: Explorer, numbers: Sequence[int], known: bool) -> float:
     """The factor on standard deviations with which bands hold 90 % of validation objects' surfaces."""
-    scales = {}
-    for known in (True, False):
-        condition = Condition(library=known)
-        found = [explore(explorer, number, condition, seed=0) for number in numbers]
-        misses = np.concatenate([miss for each in found for count, miss in each.misses.items() if count > 0])
-        scales[known] = float(np.quantile(misses, BAND) / Z_90)
-    return scales
+    found = [explore(explorer, number, Condition(library=known), seed=0) for number in numbers]
+    misses = np.concatenate([miss for each in found for count, miss in each.misses.items() if count > 0])
+    return float(np.quantile(misses, BAND) / Z_90)
 
 
 def explore_all(explorer: Explorer, conditions: dict[str, Condition], numbers: Sequence[int]) -> Episodes:
