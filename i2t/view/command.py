@@ -13,7 +13,7 @@ from i2t.cli import Count, check_options, exit_code_of
 
 @dataclass(frozen=True)
 class ViewArgs:
-    """Write a session or data set as a Rerun recording (.rrd) and as a page (.html) to look at."""
+    """Write a session or data set as a Rerun recording (.rrd) and as a page (.html) to look at, or as MCAP."""
 
     path: tyro.conf.Positional[Path]
     """Folder of recorded touches, or a data set."""
@@ -29,6 +29,8 @@ class ViewArgs:
     """Look at so many at most, the first ones."""
     html: bool = False
     """Write the page alone."""
+    mcap: bool = False
+    """Write an MCAP file (.mcap) too, for Foxglove and ROS 2 tools."""
     overwrite: bool = False
     """Replace files that are there."""
 
@@ -48,19 +50,22 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def _write(asked: ViewArgs) -> None:
     check_options(asked)
-    page, recording = (asked.out / f"{asked.path.resolve().stem or 'view'}{ending}" for ending in (".html", ".rrd"))
-    for path in (page, recording):
+    name = asked.path.resolve().stem or "view"
+    page, recording, messages = (asked.out / f"{name}{ending}" for ending in (".html", ".rrd", ".mcap"))
+    for path in (page, recording, *([messages] if asked.mcap else [])):
         if path.exists() and not asked.overwrite:
             raise FileExistsError(f"{path}: exists already; pass --overwrite to replace it, or another --out")
-    from i2t.view.contents import (
-        read_contents,  # not above: NumPy and HDF5, which --help and a refusal need not wait for
-    )
+    # Not above: NumPy and HDF5, which --help and a refusal need not wait for.
+    from i2t.view.contents import read_contents
+    from i2t.view.mcap_file import write_mcap
     from i2t.view.page import write_page
     from i2t.view.rerun_file import why_no_recording, write_recording
 
     contents = read_contents(asked.path, mesh=asked.mesh, unit=asked.unit, belief=asked.belief, most=asked.touches)
     asked.out.mkdir(parents=True, exist_ok=True)
     print(f"wrote {write_page(contents, page)}")
+    if asked.mcap:
+        print(f"wrote {write_mcap(contents, messages)}")
     if asked.html:
         return
     missing = why_no_recording()

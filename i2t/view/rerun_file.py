@@ -100,8 +100,8 @@ class _Writer:
     def touch(self, number: int, record: Record) -> None:
         """One touch."""
         rr, touches = self._rr, record.touch.touches
-        begun = _begun(number, record)
-        self._at(begun, number)
+        start = begun(number, record)
+        self._at(start, number)
         self._pose("world/object", touches.T_w_o[0])
         self._pose("world/tool", touches.T_w_t[0])
         self._put("patch", rr.DepthImage(np.asarray(touches.patch[0], np.float32), meter=1.0))
@@ -115,8 +115,8 @@ class _Writer:
             self._at(when, number)
             self._put("events", rr.TextLog(text))
         if not record.series:
-            self._scalars("readings", touches.reading, _names(self._board.num_chips), np.array([begun]))
-            self._scalars("force", touches.force[:, None], ("normal",), np.array([begun]))
+            self._scalars("readings", touches.reading, _names(self._board.num_chips), np.array([start]))
+            self._scalars("force", touches.force[:, None], ("normal",), np.array([start]))
         else:  # at the end of the press
             self._at(max(float(series.time[-1]) for series in record.series.values() if len(series.time)), number)
             self._pose("world/tool", touches.T_w_t[0])
@@ -164,7 +164,7 @@ class _Writer:
             ambient = series["ambient"].values[0] if "ambient" in series and len(series["ambient"].values) else 0.0
             readings = tactile.values - ambient
             self._scalars("readings", readings, _names(chips), tactile.time)
-            for row in _thinned(tactile.time, VECTOR_RATE_HZ):
+            for row in thinned(tactile.time, VECTOR_RATE_HZ):
                 self._at(float(tactile.time[row]), number)
                 self._field(readings[row])
         if "temperature" in series:
@@ -177,7 +177,7 @@ class _Writer:
             self._poses(series["pose"])
 
     def _poses(self, series: Series) -> None:
-        for row in _thinned(series.time, VECTOR_RATE_HZ):
+        for row in thinned(series.time, VECTOR_RATE_HZ):
             self._stream.set_time("time", timestamp=float(series.time[row]))
             self._pose("world/tool", series.values[row].reshape(4, 4))
 
@@ -218,15 +218,31 @@ def _names(chips: int) -> tuple[str, ...]:
     return tuple(f"chip{chip}/{axis}" for chip in range(chips) for axis in "xyz")
 
 
-def _begun(number: int, record: Record) -> float:
-    """Unix time in s at which a touch began; its number where nobody kept the time."""
+def begun(number: int, record: Record) -> float:
+    """When a touch began.
+
+    Args:
+        number: Of the touch.
+        record: Of the touch.
+
+    Returns:
+        Unix time in s; from its number where nobody kept the time.
+    """
     times = [float(series.time[0]) for series in record.series.values() if len(series.time)]
     times += [when for when, _ in record.events]
     return min(times) if times else SECONDS_A_TOUCH * number
 
 
-def _thinned(time: np.ndarray, rate: float) -> np.ndarray:
-    """Rows of a series at about this rate."""
+def thinned(time: np.ndarray, rate: float) -> np.ndarray:
+    """Rows of a series at about a rate.
+
+    Args:
+        time: s, of its rows.
+        rate: Hz.
+
+    Returns:
+        Numbers of the rows.
+    """
     if not len(time):
         return np.zeros(0, np.int64)
     slots = np.floor((time - time[0]) * rate).astype(np.int64)

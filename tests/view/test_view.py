@@ -1,5 +1,6 @@
 """A session as a Rerun recording and as a page: what was recorded is in both, and reads back."""
 
+import base64
 import json
 import re
 import sys
@@ -170,3 +171,38 @@ def test_what_cannot_be_looked_at_is_said(session, tmp_path, capsys):
         assert command.main([*options, "--out", str(tmp_path / "out")]) == 2
         assert why in capsys.readouterr().err
     assert len(load_dataset(session)) == 2
+
+
+@pytest.mark.full
+def test_a_session_reads_back_from_its_messages(session, tmp_path, capsys):
+    """By the format's own reader: every sample with its time, poses, images and events."""
+    reader = pytest.importorskip("mcap.reader")
+    assert command.main([str(session), "--html", "--mcap", "--out", str(tmp_path / "out")]) == 0
+    assert "session.mcap" in capsys.readouterr().out
+    topics: dict[str, list] = {}
+    with (tmp_path / "out" / "session.mcap").open("rb") as file:
+        for schema, channel, message in reader.make_reader(file).iter_messages():
+            topics.setdefault(channel.topic, []).append((schema.name, message.log_time, json.loads(message.data)))
+    record = read_contents(session).records()
+    first = next(iter(record))
+    tactile = first.series["tactile"]
+    readings = topics["/readings"]
+    assert len(readings) == 2 * SAMPLES
+    told = np.array(
+        [[chip[axis] for chip in message["chips"] for axis in "xyz"] for _, _, message in readings[:SAMPLES]]
+    )
+    np.testing.assert_allclose(told, tactile.values - 30.0)
+    np.testing.assert_allclose([at / 1e9 for _, at, _ in readings[:SAMPLES]], tactile.time, atol=1e-6)
+    assert readings[0][2]["chips"][0]["temperature"] == 24.0
+    assert len(topics["/wrench"]) == 2 * SAMPLES
+    assert [message["message"] for _, _, message in topics["/events"]] == ["contact of touch 0", "contact of touch 1"]
+    name, _, depth = topics["/depth"][0]
+    assert name == "foxglove.RawImage"
+    metres = np.frombuffer(base64.b64decode(depth["data"]), "<f4").reshape(depth["height"], depth["width"])
+    np.testing.assert_allclose(metres, 0.1)
+    assert {each["child_frame_id"] for _, _, message in topics["/tf"] for each in message["transforms"]} == {
+        *("tool", "object", "camera")
+    }
+    arrows = topics["/field"][0][2]["entities"][0]["arrows"]
+    assert len(arrows) == 5
+    assert topics["/object"][0][2]["entities"][0]["triangles"][0]["indices"]
