@@ -1,6 +1,8 @@
 """Imagine a touch: a trained predictor, a mesh and a pose become a reading with its uncertainty.
 
-python -m experiments.train && python examples/05_predict_a_touch.py
+python examples/05_predict_a_touch.py
+
+The ready model is of one simulated pad; give main "runs/train" for a run of your own.
 """
 
 import numpy as np
@@ -8,7 +10,7 @@ import numpy as np
 import i2t
 
 
-def main(run: str = "runs/train") -> i2t.Reading:
+def main(run: str = "nominal") -> i2t.Reading:
     """Predict the reading of a press on the screwdriver with 1 N, and return it."""
     predictor = i2t.load_predictor(run)
     mesh = i2t.make_object("screwdriver").mesh  # an object that training has not seen

@@ -39,14 +39,16 @@ EXPERIMENTS = {
     "experiments.clouds": "point clouds as surfaces",
     "experiments.real_frames": "patches of real depth images",
     "experiments.gallery": "the pictures of the documents",
+    "experiments.licences": "the licences of the dependencies",
     "experiments.ready_models": "the models that come with the package",
     "experiments.notebooks": "notebooks as HTML",
+    "experiments.reconstruct_patch": "what surface did one press meet?",
     "experiments.benchmark": "speeds, next to a peer's",
     "experiments.faults": "what is lost when something breaks?",
     "experiments.mutants": "which changes does no test notice?",
     "experiments.reproduce": "the documents' studies and tables again",
 }
-NAME_WIDTH = 38
+NAME_WIDTH = 40
 USAGE = "python -m i2t lists the commands, and each has its own --help"
 
 

@@ -50,7 +50,7 @@ def is_plugin(kind: DeviceKind, name: str) -> bool:
         name: As on the command line.
 
     Returns:
-        True for `package.module:Class`, and for a name that a package registers.
+        True for the full name of a class, and for a name that a package registers.
     """
     return ":" in name or bool(_registered(kind, name))
 

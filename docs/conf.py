@@ -1,0 +1,139 @@
+"""The site: python -m sphinx -W --keep-going docs build/site (pip install "imagine2touch[docs]"), without a network.
+
+Pages are the Markdown files of this folder. Two are made while the site is built: every command with its options, from
+the commands' own help, and the library's public names, from their docstrings.
+"""
+
+import contextlib
+import importlib
+import importlib.util
+import io
+import os
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+DOCS = Path(__file__).parent
+sys.path.insert(0, str(DOCS.parent))
+os.environ["COLUMNS"] = "110"  # of the help of commands
+
+import i2t
+from i2t.__main__ import COMMANDS, EXPERIMENTS
+
+project = "i2t"
+author = "The i2t maintainers"
+release = version = i2t.__version__
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+html_theme = "furo"
+html_title = f"i2t {release}"
+html_show_sphinx = False
+html_copy_source = False
+exclude_patterns = ["figures", "results"]
+myst_heading_anchors = 4
+myst_enable_extensions = ["colon_fence"]
+nb_execution_mode = "off"
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # docstrings give shapes and units, which annotations repeat at length
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+# A page that no list names is no defect of the others.
+suppress_warnings = ["toc.not_included"]
+
+SECOND_TIER = ("i2t.recognition.recognizer", "i2t.recognition.pad_model", "i2t.calibration.model", "i2t.models",
+               "i2t.hardware.protocols", "i2t.hardware.plugins", "i2t.dataset.store", "i2t.dataset.splits")  # fmt: skip
+GENERATED = {"reference_commands.md": "commands_page", "reference_api.md": "api_page"}
+
+
+def help_of(command: str) -> str:
+    """What a command answers to --help, with the help of its sub-commands below."""
+    words = ["convert"] if command == "i2t.convert" else []
+    texts = [_help(command)]
+    if words:
+        from i2t.convert.commands import COMMANDS as SUBCOMMANDS
+
+        texts += [_help(command, name) for name in SUBCOMMANDS]
+    if command == "experiments.recognize":
+        texts += [_help(command, name) for name in ("simulate", "live")]
+    return "\n".join(texts)
+
+
+def _help(command: str, *words: str) -> str:
+    package = importlib.util.find_spec(command).submodule_search_locations
+    main = importlib.import_module(f"{command}.__main__" if package else command).main
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out), contextlib.suppress(SystemExit):
+        main([*words, "--help"])
+    return out.getvalue()
+
+
+def commands_page() -> str:
+    """Every command with its options."""
+    lines = ["# Commands and their options", "", "What each command says to `--help`."]
+    for title, commands in (("The library", COMMANDS), ("The experiments", EXPERIMENTS)):
+        lines += ["", f"## {title}"]
+        for command, said in commands.items():
+            lines += ["", f"### python -m {command}", "", f"{said[0].upper()}{said[1:]}.", ""]
+            lines += ["````text", help_of(command).rstrip(), "````"]
+    return "\n".join(lines) + "\n"
+
+
+def api_page() -> str:
+    """The public names, and the modules of the second tier."""
+    lines = ["# Names of the library", "", "`import i2t` gives these; arguments say their shapes and units.", ""]
+    for name in i2t.__all__:
+        found = getattr(i2t, name)
+        kind = "autofunction" if not isinstance(found, type) else "autoclass"
+        lines += [f"## {name}", "", "```{eval-rst}", f".. {kind}:: {found.__module__}.{found.__qualname__}"]
+        lines += ["   :members:"] * (kind == "autoclass" and not issubclass(found, Exception))
+        lines += ["```", ""]
+    for module in SECOND_TIER:
+        lines += [f"## {module}", "", "```{eval-rst}", f".. automodule:: {module}", "   :members:", "   :no-index:"]
+        lines += ["```", ""]
+    return "\n".join(lines)
+
+
+def setup(app: Any) -> None:
+    """Make pages while they are read, without writing into the checkout, and docstrings ready for Sphinx."""
+    pages: dict[str, str] = {}
+
+    def found(app: Any, env: Any, added: set[str], changed: set[str], removed: set[str]) -> list[str]:
+        return [name.removesuffix(".md") for name in GENERATED]
+
+    def read(app: Any, docname: str, content: list[str]) -> None:
+        name = f"{docname}.md"
+        if name in GENERATED and name not in pages:
+            pages[name] = globals()[GENERATED[name]]()
+        text = pages.get(name, content[0])
+        # Markdown outside of this folder is no page of the site.
+        text = re.sub(r"\[([^\]]+)\]\(\.\./([^)#]+\.md)[^)]*\)", r"\1 (`\2`)", text)
+        content[0] = re.sub(r"^\w+\*\n", lambda line: line[0] if _matched(line[0].strip()) else "", text, flags=re.M)
+
+    app.connect("env-get-outdated", found)
+    app.connect("source-read", read)
+    app.connect("autodoc-process-docstring", literal_code, priority=100)  # before napoleon
+
+
+def _matched(pattern: str) -> bool:
+    """Whether there is a page for a line of a list of pages: some are written later."""
+    return any(DOCS.glob(f"{pattern}.md"))
+
+
+def literal_code(app: Any, what: str, name: str, found: Any, options: Any, lines: list[str]) -> None:
+    """Show examples, and indented blocks of a module's page, as the code that they are."""
+    made: list[str] = []
+    inside = False
+    for number, line in enumerate(lines):
+        if line.strip() == "Example:":
+            made += ["", ".. rubric:: Example", "", "::", ""]
+            inside = True
+            continue
+        begins = line.startswith("    ") and number > 0 and not lines[number - 1].strip()
+        if what == "module" and begins and not inside:
+            made += ["::", ""]
+            inside = True
+        elif inside and line.strip() and not line.startswith("    "):
+            inside = False
+            made.append("")
+        made.append(line)
+    lines[:] = made

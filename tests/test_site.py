@@ -1,0 +1,73 @@
+"""The site is built from the pages without a warning, every page is in it, and its code is of this checkout."""
+
+import importlib.util
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from experiments.licences import Dependency, dependencies, page_of
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+FIGURE = re.compile(r"!\[([^\]]*)\]\(([^)]+)\)")
+
+
+def test_every_page_is_in_the_list_of_pages():
+    listed = set(re.findall(r"^([\w*]+)$", (DOCS / "index.md").read_text(), re.M))
+    patterns = [re.compile(line.replace("*", r"\w*") + "$") for line in listed]
+    missing = [page.stem for page in DOCS.glob("*.md") if not any(p.match(page.stem) for p in patterns)]
+    assert missing in ([], ["index"])
+    assert all("*" in name or (DOCS / f"{name}.md").is_file() for name in listed)
+
+
+def test_every_figure_has_a_text_for_those_who_cannot_see_it():
+    for page in DOCS.glob("*.md"):
+        for text, path in FIGURE.findall(page.read_text()):
+            assert len(text) > 20, f"{page.name}: {path} has no text"
+
+
+def test_the_readme_names_the_command_of_the_site():
+    command = "python -m sphinx -W --keep-going docs build/site"
+    assert command in (ROOT / "README.md").read_text()
+    assert command in (DOCS / "conf.py").read_text()
+
+
+def test_the_page_of_licences_names_every_dependency():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    found = dependencies(project)
+    page = (DOCS / "licences.md").read_text()
+    assert [each.name for each in found if f"| {each.name} | {each.needed_by} |" not in page] == []
+    assert {each.licence for each in found if each.name == "numpy"} != {""}
+    assert page_of([Dependency("numpy", "i2t", "BSD")]).endswith("| numpy | i2t | BSD |\n")
+
+
+def test_advice_to_install_names_the_distribution():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert project["name"] == "imagine2touch"
+    advice = re.compile(r"""pip install -?e? ?["'](\.|[\w.-]+)\[([\w,]+)\]""")
+    pages = [*ROOT.glob("*.md"), *DOCS.glob("*.md")]
+    code = [path for folder in ("i2t", "experiments") for path in (ROOT / folder).rglob("*.py")]
+    found = [(path, *match) for path in [*pages, *code] for match in advice.findall(path.read_text())]
+    assert len(found) > 10
+    for path, name, extras in found:
+        assert name in (".", "imagine2touch"), f"{path} advises {name}"
+        assert set(extras.split(",")) <= project["optional-dependencies"].keys(), f"{path}: {extras}"
+
+
+@pytest.mark.full
+@pytest.mark.skipif(
+    any(importlib.util.find_spec(name) is None for name in ("sphinx", "furo", "myst_nb")), reason="the extra docs"
+)
+def test_the_site_is_built_without_a_warning(tmp_path):
+    words = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "docs", str(tmp_path / "site")]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=600, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    made = {name: (tmp_path / "site" / f"{name}.html").read_text() for name in ("reference_api", "reference_commands")}
+    assert "load_predictor" in made["reference_api"]
+    assert "Signed" in made["reference_api"] or "signed" in made["reference_api"]
+    assert "--max-touches" in made["reference_commands"]
+    assert 'src="_images/overview.png"' in (tmp_path / "site" / "index.html").read_text()
