@@ -93,7 +93,8 @@ def read_belief(path: Path, touches: int) -> BeliefHistory:
     """What was believed after each touch.
 
     Args:
-        path: A JSON file with `names` and `p`.
+        path: A JSON file with `names` and `p`, or the `result.json` of `experiments.recognize live`, which calls them
+            `objects` and `belief`.
         touches: How many there are.
 
     Returns:
@@ -105,7 +106,8 @@ def read_belief(path: Path, touches: int) -> BeliefHistory:
     """
     found = read_json(path)
     try:
-        names, p = tuple(str(name) for name in found["names"]), np.array(found["p"], np.float64)
+        keys = ("objects", "belief") if "belief" in found else ("names", "p")
+        names, p = tuple(str(name) for name in found[keys[0]]), np.array(found[keys[1]], np.float64)
     except (LookupError, TypeError, ValueError) as error:
         raise DataError(f"{path}: holds no belief ({error}); give names, and p of each after every touch") from error
     if p.shape != (touches, len(names)) or not ((p >= 0) & (p <= 1)).all():

@@ -24,6 +24,7 @@ from i2t.recognition.recognizer import MAX_EMPTY_DRAWS, ObjectRecognizer
 from i2t.simulation.press import PressLimits
 from i2t.skin.pad import numbered_pad
 from i2t.types import ReturnCode
+from i2t.view.contents import read_belief
 
 pytestmark = pytest.mark.usefixtures("pad_models_fitted_once")
 
@@ -225,6 +226,9 @@ def test_an_arm_touches_where_the_belief_wants_it_to(prior_unknown, trained_run,
     assert kept.objects == ("unknown",)
     # What the belief heard of is what was kept.
     assert (kept.touches.code != ReturnCode.FAILED).all()
+    assert read_belief(out / "result.json", len(belief)).names == tuple(
+        result["objects"]
+    )  # python -m i2t.view --belief
     assert recognize.main(args) == 2
     assert "another episode" in capsys.readouterr().err
 

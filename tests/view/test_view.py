@@ -163,6 +163,10 @@ def test_what_cannot_be_looked_at_is_said(session, tmp_path, capsys):
         wrong.write_text(text)
         with pytest.raises(DataError, match=why):
             read_belief(wrong, 2)
+    wrong.write_text(
+        '{"objects": ["a", "b"], "belief": [[0.5, 0.5], [0.9, 0.1]], "sites": [3, 4]}'
+    )  # of a live episode
+    assert read_belief(wrong, 2).names == ("a", "b")
     for options, why in (
         ([str(tmp_path / "none")], "no such file or folder"),
         ([str(session), "--mesh", "nothing.stl"], "no such file"),
