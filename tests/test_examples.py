@@ -86,3 +86,8 @@ def test_a_surface_grows_under_touches():
 def test_a_press_tells_of_the_surface():
     after, before = _load(9).main(96)
     assert after < before
+
+
+@pytest.mark.full
+def test_an_episode_of_an_environment_is_played():
+    np.testing.assert_allclose(_load(11).main(), -np.log(2) * np.ones(4), rtol=1e-5)

@@ -4,8 +4,9 @@
 
 Every section interleaves our work and its peer's in one run, on the same machine with the same inputs, after
 checking that both compute the same thing; the table gives the median of each and the median of the turns' ratios (above
-1: we are faster). Each section takes three to five minutes on a quiet machine of two cores; all but `policy`
-need the extra `bench`.
+1: we are faster). Each section takes three to five minutes on a quiet machine of two cores; `training`, `rendering` and
+`skin` need the extra `bench`. Two more sections are run where they are named: `environment`, steps of the environments
+of active touch, and `startup`, a command's second run next to its first.
 """
 
 import os
@@ -18,13 +19,17 @@ from pathlib import Path
 import jax
 import tyro
 
+from experiments.benchmark import environment as benchmark_environment
 from experiments.benchmark import policy as benchmark_policy
 from experiments.benchmark import rendering as benchmark_rendering
 from experiments.benchmark import skin as benchmark_skin
+from experiments.benchmark import startup as benchmark_startup
 from experiments.benchmark import training as benchmark_training
+from experiments.benchmark.environment import EnvironmentBenchmark
 from experiments.benchmark.policy import Policy
 from experiments.benchmark.rendering import Rendering
 from experiments.benchmark.skin import SkinBenchmark
+from experiments.benchmark.startup import Startup
 from experiments.benchmark.timing import BenchmarkRow
 from experiments.benchmark.training import Training
 from experiments.common.runs import exit_code_of_run, write_json
@@ -41,6 +46,8 @@ class Benchmark:
     rendering: Rendering = field(default_factory=Rendering)
     skin: SkinBenchmark = field(default_factory=SkinBenchmark)
     policy: Policy = field(default_factory=Policy)
+    environment: EnvironmentBenchmark = field(default_factory=EnvironmentBenchmark)
+    startup: Startup = field(default_factory=Startup)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -86,4 +93,6 @@ SECTIONS: dict[str, Callable[[Benchmark], list[BenchmarkRow]]] = {
     "rendering": lambda cfg: benchmark_rendering.section(cfg.rendering, cfg.turns),
     "skin": lambda cfg: benchmark_skin.section(cfg.skin, cfg.turns),
     "policy": lambda cfg: benchmark_policy.section(cfg.policy, cfg.turns),
+    "environment": lambda cfg: benchmark_environment.section(cfg.environment, cfg.turns),
+    "startup": lambda cfg: benchmark_startup.section(cfg.startup),
 }

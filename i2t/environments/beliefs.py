@@ -43,11 +43,12 @@ def with_beliefs(
         The parameters with `beliefs`.
     """
     config = environment.config
-    calibration = tabulate(key, environment, params, CALIBRATION_PLACEMENTS).table
+    key_touch, key_noise = jax.random.split(key)
+    calibration = tabulate(key_touch, environment, params, CALIBRATION_PLACEMENTS).table
     assert calibration is not None
     models = [_reading_model(response) for response in np.asarray(params.response)]
     there = _predict(params, to_twist(calibration.T_w_o), models, config.limits.overtravel)
-    errors, ends, indentation = _errors(jax.random.fold_in(key, 1), environment, params, calibration.outcome, there)
+    errors, ends, indentation = _errors(key_noise, environment, params, calibration.outcome, there)
     softness = np.sum(ends * indentation) / np.sum(indentation**2)
     density = OUTLIER_RATE / outlier_range(config.limits.overtravel)
     position = fit_position_errors(

@@ -405,8 +405,8 @@ def is_safe_everywhere(
     """
 
     def safe(surface: Surface, T_w_o: Array) -> Array:
-        corners = jnp.einsum("ij,fkj->fki", T_w_o[:3, :3], surface.triangles, precision="highest") + T_w_o[:3, 3]
-        return is_safe(Surface(corners), T_w_site, config.safety)
+        turned = jnp.einsum("ij,fkj->fki", T_w_o[:3, :3], surface.triangles, precision="highest")
+        return is_safe(Surface(turned + T_w_o[None, None, :3, 3]), T_w_site, config.safety)
 
     over_all = jax.vmap(lambda T: jax.vmap(lambda surface: safe(surface, T))(params.surfaces))(params.hypotheses)
     end = T_w_site @ jnp.eye(4).at[2, 3].set(config.limits.overtravel)

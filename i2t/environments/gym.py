@@ -27,7 +27,7 @@ try:
     from gymnasium import spaces
     from gymnasium.vector.utils import batch_space
 except ImportError as error:
-    raise ImportError("i2t.environments.gym needs Gymnasium; run pip install 'i2t[environments]'") from error
+    raise ImportError("i2t.environments.gym needs Gymnasium; run pip install 'imagine2touch[environments]'") from error
 
 DEFAULT_OBJECTS = ("star", "hexagon", "cylinder", "cross", "square", "triangle")
 NAMESPACE = "i2t"
@@ -73,7 +73,7 @@ class TouchVectorEnv(gymnasium.vector.VectorEnv):
             Observations, and nothing else.
         """
         seeds = list(seed) if isinstance(seed, list | tuple) else None
-        super().reset(seed=seeds[0] if seeds else seed)
+        super().reset(seed=seeds[0] if seeds else None if isinstance(seed, list) else seed)
         first = int(self.np_random.integers(2**31))
         self._key, key = jax.random.split(jax.random.key(first))
         keys = jax.random.split(key, self.num_envs)
@@ -191,7 +191,7 @@ def observation_space(params: EnvironmentParams) -> gymnasium.Space:
     )
 
 
-def action_space(environment: TouchEnvironment, params: EnvironmentParams) -> gymnasium.Space:
+def action_space(environment: TouchEnvironment, params: EnvironmentParams) -> Any:
     """What actions may be.
 
     Args:
@@ -232,11 +232,12 @@ def _active_env(**making: Any) -> Any:
     class ActiveTouchEnv(ap_gym.ActiveClassificationEnv):
         """The same touches, with the truth as prediction target."""
 
-        metadata = {"render_modes": []}  # noqa: RUF012
+        metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
 
         def __init__(self) -> None:
             self.inner = SingleTouchEnv(**making)
-            super().__init__(self.inner.params.objects, self.inner.action_space["action"])
+            inner_space = action_space(self.inner.environment, self.inner.params).spaces["action"]
+            super().__init__(self.inner.params.objects, inner_space)
             self.observation_space = self.inner.observation_space
 
         def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict]:
@@ -244,16 +245,16 @@ def _active_env(**making: Any) -> Any:
             super().reset(seed=seed)
             return self.inner.reset(seed=seed)
 
-        def _step(self, action: Any, prediction: Any) -> tuple[Any, float, bool, bool, dict[str, Any], int]:
+        def _step(self, action: Any, prediction: Any) -> tuple[Any, float, bool, bool, dict[str, Any], Any]:
             said = {"action": action, "prediction": np.zeros_like(prediction)}
             truth = self._truth()
             obs, _, terminated, truncated, info = self.inner.step(said)
             cost = self.inner.environment.config.refusal_cost * float(info["refused"])
             return obs, -cost, terminated, truncated, info, truth
 
-        def _truth(self) -> int:
+        def _truth(self) -> np.int64:
             assert self.inner._state is not None
-            return int(self.inner._state.object)
+            return np.int64(self.inner._state.object)
 
     return ActiveTouchEnv()
 

@@ -22,9 +22,9 @@ import optax
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t.environments.core import EnvironmentParams, EnvironmentState, TouchAction, TouchEnvironment, features
-from i2t.recognition import belief
 
 NEVER = -1e9  # logit of a site that may not be touched
+LEAST_PREDICTED = 1e-2  # probability of an object, where the posterior is the prediction: no single loss outweighs all
 STANDARDISED = 1e-6  # added to the deviation of advantages
 
 
@@ -123,7 +123,7 @@ def train_policy(
         optax.adam(optax.linear_schedule(config.learning_rate, 0.0, steps)),
     )
 
-    def iterate(state: tuple, key: Array) -> tuple:
+    def iterate(state: tuple, key: Array) -> tuple[Any, Any]:
         key_play, key_learn = jax.random.split(key)
         played, target, _ = _play(key_play, state[0], network, environment, params, config.episodes)
         state = _learn(key_learn, state, played, target, network, environment, optimizer, config)
@@ -182,17 +182,17 @@ def _play(
     obs, state = jax.vmap(lambda k: environment.reset(k, params))(jax.random.split(key_reset, episodes))
     target = jax.vmap(lambda s: environment.task.target(s.object, s.T_w_o, params.objects))(state)
     judge = jax.vmap(environment.task.loss)
-    forward = jax.vmap(partial(network.apply, weights))
+    forward: Callable[..., Any] = jax.vmap(partial(network.apply, weights))
 
-    def say(obs: Any, last: Array, touched: Array, memory: Array) -> tuple:
+    def say(obs: Any, last: Array, touched: Array, memory: Array) -> tuple[Array, ...]:
         seen = jax.vmap(features)(obs)
         inputs = jnp.concatenate([seen, jax.nn.one_hot(last, params.sites), touched.astype(jnp.float32)], axis=1)
         memory, logits, prediction, value = forward(memory, inputs)
         if params.beliefs is not None:
-            prediction = jnp.log(jnp.maximum(obs.posterior, belief.MIN_PROBABILITY))
+            prediction = jnp.log(jnp.maximum(obs.posterior, LEAST_PREDICTED))
         return memory, inputs, logits, prediction, value
 
-    def step(carry: tuple, key: Array) -> tuple:
+    def step(carry: tuple, key: Array) -> tuple[Any, Any]:
         obs, state, last, touched, memory = carry
         key_site, key_touch = jax.random.split(key)
         memory, inputs, logits, prediction, value = say(obs, last, touched, memory)
@@ -203,7 +203,7 @@ def _play(
         touch = jax.vmap(lambda k, s, a: environment.step_env(k, s, a, params))
         obs, state, _, _, info = touch(keys, state, TouchAction(site, prediction))
         row = _Played(inputs, touched, site, chance, value, prediction, judge(prediction, target))
-        touched = touched | (jnp.arange(params.sites) == site[:, None])
+        touched = touched | (jnp.arange(params.sites)[None] == site[:, None])
         return (obs, state, site, touched, memory), (row, info["refused"])
 
     nowhere = jnp.full(episodes, -1), jnp.zeros((episodes, params.sites), bool)
@@ -220,20 +220,20 @@ def _play(
 
 def _masked(logits: Array, touched: Array, params: EnvironmentParams) -> Array:
     """Logits of the sites that may be touched; where none is left, of all, which the environment judges."""
-    may = params.allowed & ~touched
+    may = params.allowed[None] & ~touched
     return jnp.where(may | ~jnp.any(may, axis=-1, keepdims=True), logits, NEVER)
 
 
 def _learn(
     key: Array, state: tuple, played: _Played, target: Array, network: TouchNetwork, environment: TouchEnvironment,
     optimizer: optax.GradientTransformation, config: LearnerConfig,
-) -> tuple:  # fmt: skip
+) -> tuple[Any, Any]:  # fmt: skip
     """Some passes over the episodes of an iteration."""
     advantage = _advantages(-played.loss[1:], played.value, config)
     goal = advantage + played.value[:-1]
     episodes = target.shape[0]
 
-    def batch(state: tuple, rows: Array) -> tuple:
+    def batch(state: tuple, rows: Array) -> tuple[Any, Any]:
         weights, moments = state
         some = jax.tree.map(lambda x: x[:, rows], played)
         loss = _objective(network, environment, config)
@@ -251,9 +251,9 @@ def _objective(network: TouchNetwork, environment: TouchEnvironment, config: Lea
 
     def loss(weights: Any, played: _Played, target: Array, advantage: Array, goal: Array) -> Array:
         memory = jnp.zeros((target.shape[0], network.hidden))
-        forward = jax.vmap(partial(network.apply, weights))
+        forward: Callable[..., Any] = jax.vmap(partial(network.apply, weights))
 
-        def step(memory: Array, inputs: Array) -> tuple:
+        def step(memory: Array, inputs: Array) -> tuple[Any, Any]:
             memory, *said = forward(memory, inputs)
             return memory, said
 
@@ -276,7 +276,7 @@ def _objective(network: TouchNetwork, environment: TouchEnvironment, config: Lea
 def _advantages(reward: Array, value: Array, config: LearnerConfig) -> Array:
     """Generalised advantages (t, e); `value` has one step more, 0."""
 
-    def back(after: Array, at: tuple) -> tuple:
+    def back(after: Array, at: tuple) -> tuple[Any, Any]:
         reward, value, following = at
         found = reward + config.discount * following - value + config.discount * config.trace * after
         return found, found

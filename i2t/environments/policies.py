@@ -7,7 +7,7 @@ here never choose a site that is not allowed or was touched: where none is left 
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -67,8 +67,8 @@ def heuristic_site(
     """
     key_object, key_site = jax.random.split(key)
     which = ensemble.choose_hypothesis(key_object, belief.posterior(_belief(state)), state.touches)
-    own = params.owner == jnp.arange(params.objects)[:, None]
-    everywhere = jnp.broadcast_to(params.T_w_site, (params.objects, *params.T_w_site.shape))
+    own = params.owner[None] == jnp.arange(params.objects)[:, None]
+    everywhere = jnp.broadcast_to(params.T_w_site[None], (params.objects, *params.T_w_site.shape))
     weight = ensemble.site_informativeness(everywhere[..., :3, 3], -everywhere[..., :3, 2], own, which)
     return _draw(key_site, weight, params.allowed & ~touched)
 
@@ -125,15 +125,18 @@ def run_policy(
     key_reset, key_steps = jax.random.split(key)
     _, state = jax.vmap(lambda k: environment.reset(k, params))(jax.random.split(key_reset, episodes))
 
-    def step(carry: tuple, key: Array) -> tuple:
+    def step(carry: tuple, key: Array) -> tuple[Any, Any]:
         state, touched = carry
         key_policy, key_touch = jax.random.split(key)
-        choose = lambda at: policy(*at, params)  # noqa: E731
+
+        def choose(at: tuple[Array, EnvironmentState, Array]) -> Array:
+            return policy(at[0], at[1], at[2], params)
+
         site = jax.lax.map(choose, (jax.random.split(key_policy, episodes), state, touched), batch_size=POLICY_BATCH)
         make = partial(environment.step_env, params=params)
         keys = jax.random.split(key_touch, episodes)
         _, after, _, _, info = jax.vmap(lambda k, s, a: make(k, s, TouchAction(a)))(keys, state, site)
-        touched = touched | (jnp.arange(params.sites) == site[:, None])
+        touched = touched | (jnp.arange(params.sites)[None] == site[:, None])
         return (after, touched), (jax.vmap(belief.posterior)(_belief(after)), site, info["refused"])
 
     start = state, jnp.zeros((episodes, params.sites), bool)

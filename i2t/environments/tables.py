@@ -160,7 +160,7 @@ def _safe_sites(
     # In turns: the first of each object, then the second, until there are enough.
     rank = np.array([np.sum(pool.owner[good][:i] == owner) for i, owner in enumerate(pool.owner[good])])
     chosen = np.sort(good[np.lexsort((pool.owner[good], rank))[:count]])
-    return SitePool(np.asarray(pool.T_w_t)[chosen], pool.owner[chosen])
+    return SitePool(pool.T_w_t[chosen], pool.owner[chosen])
 
 
 def count_touches(params: EnvironmentParams, placements: int) -> int:

@@ -10,10 +10,8 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402
 
 from i2t.environments import gym  # noqa: E402
 
-MESSAGES = ("ignore:.*", UserWarning)  # of the checker: infinite bounds of an observation are meant
 
-
-@pytest.mark.filterwarnings("ignore")
+@pytest.mark.filterwarnings("ignore")  # of infinite bounds, which are meant
 def test_gymnasium_finds_nothing_wrong_with_one_environment():
     check_env(gym.SingleTouchEnv(*random_environment()), skip_render_check=True)
 
@@ -51,6 +49,7 @@ def test_a_step_needs_a_reset():
         env.step(env.action_space.sample())
 
 
+@pytest.mark.full
 @pytest.mark.filterwarnings("ignore")
 def test_ap_gym_plays_it(monkeypatch):
     ap_gym = pytest.importorskip("ap_gym")

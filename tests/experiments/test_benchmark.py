@@ -11,10 +11,12 @@ import trimesh
 from experiments.benchmark import rendering, skin, timing
 from experiments.benchmark import run as benchmark
 from experiments.benchmark import training as benchmark_training
+from experiments.benchmark.environment import EnvironmentBenchmark
 from experiments.benchmark.policy import Policy
 from experiments.benchmark.rendering import Rendering
 from experiments.benchmark.run import Benchmark
 from experiments.benchmark.skin import SkinBenchmark
+from experiments.benchmark.startup import Startup
 from experiments.benchmark.timing import BenchmarkRow, MissingPeerError
 from experiments.benchmark.training import Training
 from i2t.prediction import training
@@ -48,6 +50,21 @@ def test_policy_section_times_decisions() -> None:
     assert [row.work for row in rows] == ["a decision, 2 objects, 3 sites", "a decision, 2 objects, 3 sites, cold"]
     assert all(row.ours > 0 for row in rows)
     assert rows[0].peer > rows[0].ours  # imagining comes on top of deciding
+
+
+@pytest.mark.full
+def test_environment_section_times_steps() -> None:
+    tiny = EnvironmentBenchmark(
+        objects=("star", "hexagon"), sites=2, pads=1, placements=1, episodes=2, steps=2, exact_steps=2, touches=2
+    )
+    rows = benchmark.run(Benchmark(sections=("environment",), turns=1, environment=tiny))
+    assert [row.peer_name for row in rows] == ["exact physics", "simulate_touches"]
+    assert rows[1].ratio > 1
+
+
+def test_startup_section_says_why_a_command_failed() -> None:
+    with pytest.raises(ValueError, match="--preset"):
+        benchmark.run(Benchmark(sections=("startup",), startup=Startup(("experiments.train", "--preset", "none"))))
 
 
 def test_unequal_work_is_not_compared() -> None:
