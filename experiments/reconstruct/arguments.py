@@ -74,7 +74,7 @@ class ReconstructArgs:
 
 
 @dataclass(frozen=True)
-class Condition:
+class ExplorationCondition:
     """One way to explore and to read touches."""
 
     policy: str = "reduction"  # of `i2t.reconstruction.exploration`, or "oracle"
@@ -83,14 +83,14 @@ class Condition:
     view: bool = False  # whether one depth view comes first
 
 
-CONDITIONS: dict[str, Condition] = {
-    "random": Condition("random"),
-    "even": Condition("even"),
-    "uncertainty": Condition("uncertainty"),
-    "reduction": Condition("reduction"),
-    "oracle": Condition("oracle"),
-    "contact pose only": Condition(evidence="contact"),
-    "perfect tactile image": Condition(evidence="image"),
-    "smoothness alone": Condition(library=False),
-    "one view first": Condition(view=True),
+CONDITIONS: dict[str, ExplorationCondition] = {
+    "random": ExplorationCondition("random"),
+    "even": ExplorationCondition("even"),
+    "uncertainty": ExplorationCondition("uncertainty"),
+    "reduction": ExplorationCondition("reduction"),
+    "oracle": ExplorationCondition("oracle"),
+    "contact pose only": ExplorationCondition(evidence="contact"),
+    "perfect tactile image": ExplorationCondition(evidence="image"),
+    "smoothness alone": ExplorationCondition(library=False),
+    "one view first": ExplorationCondition(view=True),
 }

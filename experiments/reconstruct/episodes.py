@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from experiments.reconstruct.arguments import Condition, ReconstructArgs, ReconstructSizes
+from experiments.reconstruct.arguments import ExplorationCondition, ReconstructArgs, ReconstructSizes
 from experiments.reconstruct.scores import TrueShape, hidden_points, judge, standard_errors
-from experiments.reconstruct.world import APPROACH_M, OVERTRAVEL_M, Reality, Session, begin_session
+from experiments.reconstruct.world import APPROACH_M, EXPLORING_OVERTRAVEL_M, Reality, Session, begin_session
 from i2t.reconstruction.exploration import (
     AROUND_LIMITS,
-    POLICIES,
+    POLICY_NAMES,
     ExplorationConfig,
     PolicyName,
     choose_touch,
@@ -64,7 +64,7 @@ def reported(touches: int) -> tuple[int, ...]:
     return tuple(sorted({count for count in REPORTED if count <= touches} | {touches}))
 
 
-def explore(explorer: Explorer, number: int, condition: Condition, *, seed: int) -> Episode:
+def explore(explorer: Explorer, number: int, condition: ExplorationCondition, *, seed: int) -> Episode:
     """Touch one object, whose errors of the lab depend on object and seed only: conditions share them."""
     model = explorer.models[condition.library]
     session = begin_session(explorer.reality, number, seed=1000 * explorer.seed + seed)
@@ -77,9 +77,9 @@ def explore(explorer: Explorer, number: int, condition: Condition, *, seed: int)
     oracle = condition.policy == "oracle"
     touches = min(explorer.sizes.touches, explorer.sizes.oracle_touches) if oracle else explorer.sizes.touches
     policy: PolicyName = next(
-        (name for name in POLICIES if name == condition.policy), "random"
+        (name for name in POLICY_NAMES if name == condition.policy), "random"
     )  # the oracle chooses by itself
-    config = ExplorationConfig(policy, limits=explorer.limits, approach=APPROACH_M, overtravel=OVERTRAVEL_M)
+    config = ExplorationConfig(policy, limits=explorer.limits, approach=APPROACH_M, overtravel=EXPLORING_OVERTRAVEL_M)
     episode = Episode({}, {}, {}, state, False)
     for done in range(touches + 1):
         if done in reported(touches):
@@ -112,7 +112,7 @@ def _best_outcome(
     explorer: Explorer,
     number: int,
     state: SurfaceState,
-    condition: Condition,
+    condition: ExplorationCondition,
     *,
     config: ExplorationConfig,
     session: Session,

@@ -13,7 +13,7 @@ from i2t.reconstruction.signed_distances import interpolate
 from i2t.reconstruction.surface import Z_90
 from i2t.viz.style import COLOURS, GREY, Picture, titled
 
-LEVELS = np.linspace(0.1, 0.95, 18)  # nominal coverages
+BAND_LEVELS = np.linspace(0.1, 0.95, 18)  # nominal coverages
 
 
 def draw_all(out: Path, report: dict[str, Any], episodes: Episodes, explorer: Explorer) -> None:
@@ -76,8 +76,8 @@ def draw_reliability(episodes: Episodes) -> Picture:
         parts = [miss for each in episodes[name].values() for count, miss in each.misses.items() if count > 0]
         if parts:
             misses = np.concatenate(parts)
-            found = [(misses < norm.ppf(0.5 + level / 2)).mean() for level in LEVELS]
-            axes.plot(LEVELS, found, color=colour, label=name)
+            found = [(misses < norm.ppf(0.5 + level / 2)).mean() for level in BAND_LEVELS]
+            axes.plot(BAND_LEVELS, found, color=colour, label=name)
     axes.axvline(2 * norm.cdf(Z_90) - 1, color=GREY, lw=0.6)
     axes.set(xlabel="nominal coverage of the band", ylabel="share of the true surface in it", xlim=(0, 1), ylim=(0, 1))
     axes.legend(fontsize=8)

@@ -25,12 +25,12 @@ import numpy as np
 from tqdm import tqdm
 
 from experiments.common.runs import begin, write_json
-from experiments.reconstruct.arguments import CONDITIONS, Condition, ReconstructArgs
+from experiments.reconstruct.arguments import CONDITIONS, ExplorationCondition, ReconstructArgs
 from experiments.reconstruct.episodes import Explorer, explore, site_limits
 from experiments.reconstruct.figures import draw_all
 from experiments.reconstruct.report import Episodes, summarize, table
 from experiments.reconstruct.scores import true_shape
-from experiments.reconstruct.world import Split, make_reality, make_skins, split_objects
+from experiments.reconstruct.world import ObjectSplit, make_reality, make_skins, split_objects
 from i2t.reconstruction.surface import Z_90, SurfaceModel, surface_model
 
 BAND = 0.9  # that a band should hold of the surface
@@ -79,7 +79,7 @@ def run(args: ReconstructArgs) -> dict:
     return report
 
 
-def make_models(split: Split) -> dict[bool, SurfaceModel]:
+def make_models(split: ObjectSplit) -> dict[bool, SurfaceModel]:
     """The library of the training objects, and a prior of smoothness alone on the same grid."""
     with tqdm(total=len(split.train), desc="library of shapes", file=sys.stderr) as bar:
         meshes = [item.mesh for item in split.train]
@@ -94,12 +94,12 @@ def scaled(model: SurfaceModel, scale: float) -> SurfaceModel:
 
 def choose_band(explorer: Explorer, numbers: Sequence[int], known: bool) -> float:
     """The factor on standard deviations with which bands hold 90 % of validation objects' surfaces."""
-    found = [explore(explorer, number, Condition(library=known), seed=0) for number in numbers]
+    found = [explore(explorer, number, ExplorationCondition(library=known), seed=0) for number in numbers]
     misses = np.concatenate([miss for each in found for count, miss in each.misses.items() if count > 0])
     return float(np.quantile(misses, BAND) / Z_90)
 
 
-def explore_all(explorer: Explorer, conditions: dict[str, Condition], numbers: Sequence[int]) -> Episodes:
+def explore_all(explorer: Explorer, conditions: dict[str, ExplorationCondition], numbers: Sequence[int]) -> Episodes:
     """Every condition on every object and seed."""
     places = [(number, seed) for number in numbers for seed in range(explorer.sizes.seeds)]
     found: Episodes = {}

@@ -29,16 +29,16 @@ from i2t.skin.noise import add_sensor_noise
 from i2t.skin.pad import numbered_pad
 from i2t.types import Pad, ReturnCode, Surface
 
-APPROACH_M, OVERTRAVEL_M = 0.1, 10e-3  # straight way before a site, and beyond it
+APPROACH_M, EXPLORING_OVERTRAVEL_M = 0.1, 10e-3  # straight way before a site, and beyond it
 IMAGE_DEPTH_M = 1e-3  # to which a perfect tactile image sees
 IMAGE_STD_M = 0.1e-3
 VIEW_WINDOW_M, VIEW_PIXELS, VIEW_DISTANCE_M, VIEW_NOISE_M = 0.14, 56, 0.3, 0.3e-3
-VIEW_DIRECTION = (-0.5, 0.6, -0.62)  # in which the camera looks
+CAMERA_DIRECTION = (-0.5, 0.6, -0.62)  # in which the camera looks
 PATCH_SHAPES = 40  # of which the library of local surfaces is made
 PATCH_TILT_RAD = (0.0, 0.35)  # an estimated surface lies up to so far from the true one
 
 
-class Split(NamedTuple):
+class ObjectSplit(NamedTuple):
     """Objects, none of which is in two of these."""
 
     train: list[Object]
@@ -71,7 +71,7 @@ class Session(NamedTuple):
     view: Callable[[], tuple[np.ndarray, np.ndarray]]  # points of the surface that a camera sees, and its place
 
 
-def split_objects(args: ReconstructArgs, sizes: ReconstructSizes) -> Split:
+def split_objects(args: ReconstructArgs, sizes: ReconstructSizes) -> ObjectSplit:
     """Random objects of the catalogue, or the meshes of a folder: those whose folder or name ends in 0 are unseen."""
     if args.meshes is None:
         first = 100_000 * args.seed
@@ -79,7 +79,7 @@ def split_objects(args: ReconstructArgs, sizes: ReconstructSizes) -> Split:
         test, validation, train = (
             [random_object(first + i) for i in range(low, high)] for low, high in pairwise(counts)
         )
-        return Split(train, validation, test)
+        return ObjectSplit(train, validation, test)
     paths = sorted(path for path in args.meshes.rglob("*") if path.suffix.lower() in MESH_ENDINGS)
     unseen = [path for path in paths if ends_in_zero(path, args.meshes)]
     known = [path for path in paths if path not in set(unseen)]
@@ -94,7 +94,9 @@ def split_objects(args: ReconstructArgs, sizes: ReconstructSizes) -> Split:
     unseen = [unseen[i] for i in np.sort(rng.permutation(len(unseen))[: sizes.test])]
     shapes = [load_scaled(path, args, i) for i, path in enumerate(known)]
     held = max(1, min(sizes.validation, len(shapes) - 1))
-    return Split(shapes[held:], shapes[:held], [load_scaled(path, args, 10_000 + i) for i, path in enumerate(unseen)])
+    return ObjectSplit(
+        shapes[held:], shapes[:held], [load_scaled(path, args, 10_000 + i) for i, path in enumerate(unseen)]
+    )
 
 
 def ends_in_zero(path: Path, root: Path) -> bool:
@@ -128,7 +130,7 @@ def make_reality(objects: list[Object], skins: Skins) -> Reality:
 @partial(jax.jit, static_argnames=("errors",))
 def _touch(key: Any, surface: Surface, site: Any, session: Any, pad: Pad, *, errors: SimulationErrors) -> Any:
     key_touch, key_noise = jax.random.split(key)
-    limits = PressLimits(approach_distance=APPROACH_M, overtravel=OVERTRAVEL_M)
+    limits = PressLimits(approach_distance=APPROACH_M, overtravel=EXPLORING_OVERTRAVEL_M)
     touch = simulate_touch(key_touch, surface, jnp.eye(4), site, session=session, pad=pad, errors=errors, limits=limits)
     return touch._replace(reading=add_sensor_noise(key_noise, touch.reading, pad.board, errors.noise))
 
@@ -179,7 +181,7 @@ def evidence_of(touch: Any, kind: str, model: PressModel, library: PatchLibrary)
 
 def see(key: jax.Array, surface: Surface, T_o_placed: Any) -> tuple[np.ndarray, np.ndarray]:
     """One depth view from above and aside, where the object is believed: points, and the camera's place."""
-    z = np.array(VIEW_DIRECTION) / np.linalg.norm(VIEW_DIRECTION)
+    z = np.array(CAMERA_DIRECTION) / np.linalg.norm(CAMERA_DIRECTION)
     x = np.cross([0.0, 0.0, 1.0], z)
     x /= np.linalg.norm(x)
     T_o_c = np.eye(4)

@@ -36,8 +36,8 @@ from i2t.simulation.site_limits import SiteLimits
 from i2t.simulation.sites import is_above_table, is_upward
 
 PolicyName = Literal["random", "even", "uncertainty", "reduction"]
-POLICIES: tuple[PolicyName, ...] = ("random", "even", "uncertainty", "reduction")
-BATCH = 16  # sites whose limits are checked at a time
+POLICY_NAMES: tuple[PolicyName, ...] = ("random", "even", "uncertainty", "reduction")
+SITES_AT_A_TIME = 16  # sites whose limits are checked at a time
 # An object held so that the tool reaches it from everywhere: no table, no flange, any direction.
 AROUND_LIMITS = SiteLimits(min_cos=-1.0, table=-1.0)
 
@@ -64,7 +64,7 @@ class SiteProposals(NamedTuple):
     safe: Bool[np.ndarray, " n"]
 
 
-class ChosenSite(NamedTuple):
+class TouchChoice(NamedTuple):
     """Where to touch next, and among what it was chosen."""
 
     T_o_t: Float[np.ndarray, "4 4"] | None  # None: nothing is safe
@@ -79,7 +79,7 @@ def choose_touch(
     config: ExplorationConfig | None = None,
     seed: int = 0,
     estimate: SurfaceEstimate | None = None,
-) -> ChosenSite:
+) -> TouchChoice:
     """Where to touch next.
 
     Args:
@@ -98,11 +98,11 @@ def choose_touch(
     estimate = estimate or estimate_surface(model, state, stride=config.stride, posterior=posterior)
     proposals = propose_sites(estimate, rng, config=config)
     if not proposals.safe.any():
-        return ChosenSite(None, float("nan"), proposals)
+        return TouchChoice(None, float("nan"), proposals)
     scores = _scores(model, state, estimate, proposals, posterior=posterior, rng=rng, config=config)
     scores = np.where(proposals.safe, scores, -np.inf)
     best = int(scores.argmax())
-    return ChosenSite(proposals.T_o_t[best], float(scores[best]), proposals)
+    return TouchChoice(proposals.T_o_t[best], float(scores[best]), proposals)
 
 
 def propose_sites(estimate: SurfaceEstimate, rng: np.random.Generator, *, config: ExplorationConfig) -> SiteProposals:
@@ -161,7 +161,9 @@ def safe_sites(
         Whether each is safe.
     """
     limits = config.limits
-    here = np.resize(T_o_t, (-(-len(T_o_t) // BATCH) * BATCH, 4, 4)).astype(np.float32)  # few sizes, few compilations
+    here = np.resize(T_o_t, (-(-len(T_o_t) // SITES_AT_A_TIME) * SITES_AT_A_TIME, 4, 4)).astype(
+        np.float32
+    )  # few sizes, few compilations
     deepest = here.copy()
     deepest[:, :3, 3] += np.float32(config.overtravel) * here[:, :3, 2]
     clear = np.asarray(_stand_clear(here, deepest, limits))[: len(T_o_t)]

@@ -17,9 +17,9 @@ from scipy.spatial import cKDTree
 
 from i2t.objects.solids import Mesh
 
-SAMPLES = 6000  # points of a surface, at least, among which the nearest are sought
+LEAST_SAMPLES = 6000  # points of a surface, at least, among which the nearest are sought
 SAMPLES_PER_FACE = 2  # at least, on average
-NEIGHBOURS = 6  # nearest samples whose triangles are looked at exactly
+NEAR_SAMPLES = 6  # nearest samples whose triangles are looked at exactly
 EXACT_WITHIN_M = 8e-3  # of the surface distances are exact; farther off they are those to the samples
 COLUMN_SHIFT = (1.7e-7, 1.1e-7)  # m, by which columns miss vertices and edges that lie on the grid
 NO_MARCHING_CUBES = "scikit-image makes meshes of signed distances and is not installed: pip install scikit-image"
@@ -103,13 +103,13 @@ def signed_distance_grid(mesh: Mesh, grid: VoxelGrid) -> Float[np.ndarray, " g"]
     """
     triangles = np.asarray(mesh.vertices, np.float64)[mesh.faces]
     points = grid.points().astype(np.float64)
-    samples, faces = sample_surface(mesh, max(SAMPLES, SAMPLES_PER_FACE * len(mesh.faces)))
-    distance, nearest = cKDTree(samples).query(points, k=NEIGHBOURS, workers=-1)
+    samples, faces = sample_surface(mesh, max(LEAST_SAMPLES, SAMPLES_PER_FACE * len(mesh.faces)))
+    distance, nearest = cKDTree(samples).query(points, k=NEAR_SAMPLES, workers=-1)
     near = np.flatnonzero(distance[:, 0] < EXACT_WITHIN_M)
     tried = faces[nearest[near]].reshape(-1)
-    wanted = np.repeat(points[near], NEIGHBOURS, axis=0)
+    wanted = np.repeat(points[near], NEAR_SAMPLES, axis=0)
     found = trimesh.triangles.closest_point(triangles[tried], wanted)
-    exact = np.linalg.norm(found - wanted, axis=-1).reshape(-1, NEIGHBOURS).min(-1)
+    exact = np.linalg.norm(found - wanted, axis=-1).reshape(-1, NEAR_SAMPLES).min(-1)
     size = distance[:, 0]
     size[near] = exact
     return np.where(_inside(triangles, grid), -size, size).astype(np.float32)

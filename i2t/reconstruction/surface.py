@@ -271,19 +271,19 @@ def contact_evidence(
         The evidence, on the lattice that an update reads.
     """
     nothing = np.zeros((LATTICE, LATTICE))
-    if height is None or std is None or not hit:
-        return TouchEvidence(np.asarray(T_o_t, np.float64), bool(hit), float(swept), nothing, nothing + np.inf, nothing)
-    place = ((np.arange(LATTICE) + 0.5) / LATTICE * np.shape(height)[0]).astype(int)
-    pick = np.ix_(place, place)
-    beyond = nothing if free is None else np.asarray(free, np.float64)[pick]
-    return TouchEvidence(
-        np.asarray(T_o_t, np.float64),
-        True,
-        float(swept),
-        np.asarray(height, np.float64)[pick],
-        np.asarray(std, np.float64)[pick],
-        beyond,
+    bare = TouchEvidence(
+        T_o_t=np.asarray(T_o_t, np.float64),
+        hit=bool(hit),
+        swept=float(swept),
+        height=nothing,
+        std=nothing + np.inf,
+        free=nothing,
     )
+    if height is None or std is None or not hit:
+        return bare
+    place = ((np.arange(LATTICE) + 0.5) / LATTICE * np.shape(height)[0]).astype(int)
+    image = [nothing if each is None else np.asarray(each, np.float64)[np.ix_(place, place)] for each in (height, free)]
+    return bare._replace(height=image[0], free=image[1], std=np.asarray(std, np.float64)[np.ix_(place, place)])
 
 
 def posterior_evidence(
@@ -305,7 +305,7 @@ def posterior_evidence(
     mean, low, high = samples.mean(0), np.quantile(samples, 0.05, 0), np.quantile(samples, 0.9, 0)
     # Errors of neighbouring heights come together, so each counts for less than its spread says.
     std = np.where(high < 0.95 * REACH, CORRELATED * samples.std(0) + LEAST_STD_M, np.inf)
-    return TouchEvidence(np.asarray(T_o_t, np.float64), True, float(swept), mean, std, 0.8 * low)
+    return contact_evidence(T_o_t, swept=swept)._replace(height=mean, std=std, free=0.8 * low)
 
 
 def regress(model: SurfaceModel, state: SurfaceState) -> SurfacePosterior:
@@ -632,7 +632,14 @@ def _condition(
     factor = cho_factor(cov, lower=True, check_finite=False) if len(points) else (np.zeros((0, 0)), True)
     residual = cho_solve(factor, values - prior, check_finite=False) if len(points) else np.zeros(0)
     narrow = factor[0].astype(np.float32), True
-    return SurfacePosterior(weights, shapes, points, deviations, narrow, residual.astype(np.float32))
+    return SurfacePosterior(
+        weights=weights,
+        shapes=shapes,
+        points=points,
+        deviations=deviations,
+        factor=narrow,
+        residual=residual.astype(np.float32),
+    )
 
 
 def _surface_points(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from i2t.reconstruction import exploration
-from i2t.reconstruction.exploration import AROUND_LIMITS, POLICIES, ExplorationConfig, choose_touch
+from i2t.reconstruction.exploration import AROUND_LIMITS, POLICY_NAMES, ExplorationConfig, choose_touch
 from i2t.reconstruction.signed_distances import grid_around
 from i2t.reconstruction.surface import (
     SurfaceConfig,
@@ -43,7 +43,7 @@ def _config(**changes):
     return ExplorationConfig(stride=1, candidates=16, probes=60, **changes)
 
 
-@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("policy", POLICY_NAMES)
 def test_where_nothing_is_safe_nothing_is_chosen(policy):
     model = _balls()
     state, _ = init(model)
@@ -58,7 +58,7 @@ def test_where_no_surface_is_left_nothing_is_chosen():
     assert choose_touch(model, init(model)[0], config=_config(), estimate=empty).T_o_t is None
 
 
-@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("policy", POLICY_NAMES)
 def test_a_site_that_is_not_safe_is_never_chosen(policy):
     model = _balls()
     state, _ = update(model, init(model)[0], contact_evidence(_from_above(55e-3)))
