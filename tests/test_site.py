@@ -6,10 +6,15 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+import trimesh
 
+import i2t
 from experiments.licences import Dependency, dependencies, page_of
+from i2t.convert.commands import main as convert
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -71,3 +76,35 @@ def test_the_site_is_built_without_a_warning(tmp_path):
     assert "Signed" in made["reference_api"] or "signed" in made["reference_api"]
     assert "--max-touches" in made["reference_commands"]
     assert 'src="_images/overview.png"' in (tmp_path / "site" / "index.html").read_text()
+
+
+def _presses(path: Path, n: int = 20) -> None:
+    """A table of presses of a skin whose field falls off from where it is pressed."""
+    random = np.random.default_rng(0)
+    chips = np.asarray(i2t.reskin_board().chips)
+    names = [f"b{chip}{axis}_uT" for chip in range(5) for axis in "xyz"]
+    rows = [",".join(("x_mm", "y_mm", "depth_mm", *names))]
+    for x, y, depth in zip(*random.uniform(-6, 6, (2, n)), random.uniform(0.2, 0.6, n), strict=True):
+        offset = np.stack([x - 1e3 * chips[:, 0], y - 1e3 * chips[:, 1], np.full(5, 6.0)], 1)
+        field = 400 * depth * offset / np.linalg.norm(offset, axis=1, keepdims=True) ** 2
+        rows.append(",".join(map(str, (x, y, depth, *np.round(field.ravel(), 2)))))
+    path.write_text("\n".join(rows) + "\n")
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("page", ["own_object", "own_skin", "own_camera", "recognise"])
+def test_python_of_a_tutorial_runs_as_printed(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.box((0.04, 0.03, 0.05)).apply_scale(1e3).export("mug.stl")  # in millimetres
+    if page == "own_skin":
+        _presses(Path("TABLE.csv"))
+        assert convert(["presses", "TABLE.csv", "DATA", "--indenter", "sphere:4.0"]) == 0
+    (block,) = re.findall(r"^```python\n(.*?)^```", (DOCS / f"tutorial_{page}.md").read_text(), re.M | re.S)
+    names: dict[str, Any] = {}
+    exec(block, names)
+    if page == "recognise":
+        assert names["site"].T_w_t.shape == (4, 4)
+    else:
+        reading = np.asarray(names.get("reading", names.get("mean")))
+        assert reading.shape[-1] == 15
+        assert np.isfinite(reading).all()

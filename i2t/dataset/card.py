@@ -25,7 +25,7 @@ def card_of(dataset: Dataset) -> str:
     """
     said = dataset.summary()
     chips = ", ".join(f"({1e3 * x:.1f}, {1e3 * y:.1f})" for x, y in np.asarray(dataset.board.chips)[:, :2])
-    known = [name for name, missing in said["missing"].items() if missing < len(dataset) or not len(dataset)]
+    known = [name for name, missing in said["missing"].items() if name != "chips" and missing < len(dataset)]
     lines = [
         f"# {len(dataset)} touches, {dataset.source}",
         "",
