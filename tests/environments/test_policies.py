@@ -34,8 +34,9 @@ def test_random_sites_are_allowed_and_new_until_none_is_left():
 
 
 def _with_predictions(params):
-    """The table's own first placement as the prediction of every particle."""
-    made = params.table.outcome
+    """The table's first placement in place of all, and as the prediction of every particle."""
+    made = jax.tree.map(lambda x: jnp.repeat(x[:, :, :1], x.shape[2], axis=2), params.table.outcome)
+    params = params._replace(table=params.table._replace(outcome=made))
     first = jax.tree.map(lambda x: jnp.moveaxis(x[:, :, 0], 1, 2), made)  # pads, sites, objects, ...
     spread = jax.tree.map(lambda x: jnp.repeat(x[:, :, :, None], K, 3), first)
     loads = jnp.float32([0.5, 1.0, 2.0])
