@@ -38,7 +38,7 @@ def draw_posteriors(presses: Sequence[PressCurve], found: Sequence[PatchPosterio
     for axis, title in zip(axes[0], titles, strict=True):
         axis.set_title(title, fontsize=10)
     figure.colorbar(image, ax=axes[:, 1:5], label="depth beyond first contact (mm)", location="bottom", aspect=60)
-    figure.colorbar(mask, ax=axes[:, 5], label="red: true outline", location="bottom", aspect=14)
+    figure.colorbar(mask, ax=axes[:, 5], label="line: true outline", location="bottom", aspect=14)
     figure.suptitle("What one press says of the surface: 17 x 17 mm, objects never seen (simulated)")
     return figure
 

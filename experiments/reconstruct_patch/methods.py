@@ -25,13 +25,13 @@ from i2t.types import CONTACT_TOLERANCE_M, Board
 
 FORCES_N = np.geomspace(0.05, 8.0, 24)  # at which imagined presses may stop
 GP_PATCHES = 50  # touches of a pad from which a forward model is learned, each at the library's four loads
-HIDDEN = 128
-BATCH = 128
-CANDIDATES = 100
+HIDDEN_UNITS = 128
+PRESSES_A_STEP = 128
+RIVALS = 100
 COARSE = 2  # pixels of a patch to one of the network's
 
 
-class Network(NamedTuple):
+class PixelNetwork(NamedTuple):
     """A network from readings to pixels, and what its inputs are scaled by."""
 
     layers: mlp.Layers
@@ -151,7 +151,7 @@ def image_weights(press: PressCurve, library: PatchLibrary, width: Array) -> Arr
     return jax.nn.softmax(-0.5 * distance / (width**2 * press.force.shape[0]))
 
 
-def train_network(key: Array, presses: PressCurve, library: PatchLibrary, steps: int) -> Network:
+def train_network(key: Array, presses: PressCurve, library: PatchLibrary, steps: int) -> PixelNetwork:
     """A small network from what presses of the library's patches measured to mask, contact and depth of each pixel."""
     inputs = features(presses)
     mean, std = jnp.mean(inputs, axis=0), jnp.std(inputs, axis=0) + 1e-6
@@ -159,10 +159,10 @@ def train_network(key: Array, presses: PressCurve, library: PatchLibrary, steps:
     patch = 1e3 * jnp.asarray(library.patch[:, ::COARSE, ::COARSE], jnp.float32).reshape(len(inputs), -1)
     key_init, key_steps = jax.random.split(key)
     outputs = 3 * patch.shape[1]
-    layers = mlp.init(key_init, (inputs.shape[1], HIDDEN, HIDDEN, outputs))
+    layers = mlp.init(key_init, (inputs.shape[1], HIDDEN_UNITS, HIDDEN_UNITS, outputs))
 
     def loss(layers: mlp.Layers, key: Array) -> Array:
-        rows = jax.random.randint(key, (BATCH,), 0, len(inputs))
+        rows = jax.random.randint(key, (PRESSES_A_STEP,), 0, len(inputs))
         mask, depth, log_std = _pixels(jax.vmap(partial(mlp.apply, layers))(inputs[rows]))
         target = patch[rows]
         near = target <= 1e3 * CONTACT_TOLERANCE_M
@@ -172,10 +172,10 @@ def train_network(key: Array, presses: PressCurve, library: PatchLibrary, steps:
     fit = jax.jit(
         lambda layers, keys: mlp.fit(layers, loss, optax.adam(optax.cosine_decay_schedule(2e-3, steps)), keys)
     )
-    return Network(fit(layers, jax.random.split(key_steps, steps))[0], mean, std)
+    return PixelNetwork(fit(layers, jax.random.split(key_steps, steps))[0], mean, std)
 
 
-def network_pixels(network: Network, press: PressCurve) -> tuple[Array, Array, Array]:
+def network_pixels(network: PixelNetwork, press: PressCurve) -> tuple[Array, Array, Array]:
     """Mask probability, depth (m) and its standard deviation (m) of the network's coarse pixels (q, q)."""
     values = mlp.apply(network.layers, (features(press) - network.mean) / network.std)
     mask, depth, log_std = _pixels(values)

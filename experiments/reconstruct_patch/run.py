@@ -31,7 +31,7 @@ from experiments.common.runs import begin, write_json
 from experiments.reconstruct_patch import methods, scores
 from experiments.reconstruct_patch.arguments import PatchArgs
 from experiments.reconstruct_patch.figures import draw_posteriors, draw_reliability
-from experiments.reconstruct_patch.scores import Truth
+from experiments.reconstruct_patch.scores import MetSurface
 from experiments.reconstruct_patch.world import Part, make_parts, press_all, truth_of
 from i2t import viz
 from i2t.recognition.intervals import cluster_interval
@@ -53,9 +53,9 @@ PRIOR, LEARNED = "prior", "by imagination, learned forward model, press curve"
 BAYES = ("by imagination, 25 uT", "by imagination, press curve")
 IMAGES = ("perfect tactile image, 25 uT", "perfect tactile image, press curve")
 NEIGHBOURS, NETWORK = "nearest neighbours, press curve", "network, press curve"
-RELATIVE_ERRORS, TEMPERATURES = (0.04, 0.08, 0.15), (0.25, 0.5, 1.0)  # what is chosen among
+RELATIVE_ERRORS, TEMPERINGS = (0.04, 0.08, 0.15), (0.25, 0.5, 1.0)  # what is chosen among
 DOFS, BLURS = (3.0, 8.0, 30.0), (0.0, 1.0, 2.0)
-NEIGHBOUR_COUNTS, WIDTHS = (8, 24, 72), (0.1, 0.2, 0.3, 0.5)
+NEIGHBOURS_TRIED, IMAGE_WIDTHS = (8, 24, 72), (0.1, 0.2, 0.3, 0.5)
 
 
 class Trial(NamedTuple):
@@ -64,10 +64,10 @@ class Trial(NamedTuple):
     pad: Pad
     model: PressModel
     presses: PressCurve
-    truth: Truth
+    truth: MetSurface
 
 
-class Method(NamedTuple):
+class ShapeMethod(NamedTuple):
     """How a touch is scored: `score(press, truth, fitted, library)`, and what is fitted to each pad."""
 
     score: Callable[..., dict[str, Array]]
@@ -129,7 +129,7 @@ def choose_likelihood(trials: Sequence[Trial], library: PatchLibrary) -> PatchLi
         return min(options, key=lambda each: float(np.mean(scored(each)["crps_mm"])))
 
     start = PatchLikelihood()
-    start = best([start._replace(relative_error=e, temperature=t) for e in RELATIVE_ERRORS for t in TEMPERATURES])
+    start = best([start._replace(relative_error=e, temperature=t) for e in RELATIVE_ERRORS for t in TEMPERINGS])
     start = best([start._replace(dof=dof) for dof in DOFS])
     masks = {blur: scored(start._replace(blur=blur))["mask"].mean(0).max() for blur in BLURS}
     return start._replace(blur=max(masks, key=lambda blur: masks[blur]))
@@ -137,7 +137,7 @@ def choose_likelihood(trials: Sequence[Trial], library: PatchLibrary) -> PatchLi
 
 def list_methods(
     key: Array, trials: Sequence[Trial], library: PatchLibrary, steps: int
-) -> dict[str, dict[str, Method]]:
+) -> dict[str, dict[str, ShapeMethod]]:
     """Every method, as one or several options of which validation objects choose."""
     models = [trial.model for trial in trials]
     key_learned, key_presses, key_network = jax.random.split(key, 3)
@@ -152,19 +152,19 @@ def list_methods(
         seen.append((inputs, jnp.std(inputs, axis=0) + 1e-6))
         networks.append(methods.train_network(key_layers, presses, library, steps))
     return {
-        PRIOR: {"": Method(_prior, models)},
-        BAYES[0]: {"": Method(_bayes_first, models)},
-        BAYES[1]: {"": Method(_bayes_curve, models)},
-        LEARNED: {"": Method(_bayes_curve, learned)},
-        NEIGHBOURS: {str(k): Method(_neighbours, [(*own, k) for own in seen]) for k in NEIGHBOUR_COUNTS},
-        NETWORK: {"": Method(_network, networks)},
-        IMAGES[0]: {str(w): Method(_image_first, [w] * len(models)) for w in WIDTHS},
-        IMAGES[1]: {str(w): Method(_image_curve, [w] * len(models)) for w in WIDTHS},
+        PRIOR: {"": ShapeMethod(_prior, models)},
+        BAYES[0]: {"": ShapeMethod(_bayes_first, models)},
+        BAYES[1]: {"": ShapeMethod(_bayes_curve, models)},
+        LEARNED: {"": ShapeMethod(_bayes_curve, learned)},
+        NEIGHBOURS: {str(k): ShapeMethod(_neighbours, [(*own, k) for own in seen]) for k in NEIGHBOURS_TRIED},
+        NETWORK: {"": ShapeMethod(_network, networks)},
+        IMAGES[0]: {str(w): ShapeMethod(_image_first, [w] * len(models)) for w in IMAGE_WIDTHS},
+        IMAGES[1]: {str(w): ShapeMethod(_image_curve, [w] * len(models)) for w in IMAGE_WIDTHS},
     }
 
 
 def try_method(
-    name: str, options: dict[str, Method], trials: dict[str, list[Trial]], library: PatchLibrary
+    name: str, options: dict[str, ShapeMethod], trials: dict[str, list[Trial]], library: PatchLibrary
 ) -> tuple[Scores, dict[str, Any]]:
     """Scores on test objects of the option that validation objects choose, and what they chose."""
     scorers = {option: _scorer(method.score) for option, method in options.items()}
@@ -213,7 +213,7 @@ def judge_candidates(trials: Sequence[Trial], part: Part) -> dict[str, Any]:
     count = len(candidates.patch)
     rng = np.random.default_rng(0)
     true = np.arange(count)
-    others = np.stack([rng.permutation(np.delete(true, i))[: methods.CANDIDATES - 1] for i in true])
+    others = np.stack([rng.permutation(np.delete(true, i))[: methods.RIVALS - 1] for i in true])
     results = {}
     for name, cut in ((BAYES[0], methods.first_stop), (BAYES[1], lambda presses: presses)):
         parts = []
@@ -227,7 +227,7 @@ def judge_candidates(trials: Sequence[Trial], part: Part) -> dict[str, Any]:
             "recall_1": scores.numbers(cluster_interval(rank < 1, clusters)),
             "recall_5": scores.numbers(cluster_interval(rank < 5, clusters)),
             "bits": scores.numbers(cluster_interval(bits, clusters)),
-            "candidates": min(methods.CANDIDATES, count),
+            "candidates": min(methods.RIVALS, count),
         }
     return results
 
@@ -279,7 +279,7 @@ def _scorer(score: Callable[..., dict[str, Array]]) -> Callable[..., dict[str, A
     """All touches of one pad, one after the other, compiled."""
 
     @jax.jit
-    def scored(presses: PressCurve, truth: Truth, fitted: Any, library: PatchLibrary) -> dict[str, Array]:
+    def scored(presses: PressCurve, truth: MetSurface, fitted: Any, library: PatchLibrary) -> dict[str, Array]:
         return jax.lax.map(lambda each: score(*each, fitted, library), (presses, truth))
 
     return scored
@@ -296,38 +296,40 @@ def _over(
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _weighed(weight: Array, press: PressCurve, truth: Truth, model_blur: Any, library: PatchLibrary) -> dict:
+def _weighed(weight: Array, press: PressCurve, truth: MetSurface, model_blur: Any, library: PatchLibrary) -> dict:
     return scores.score_weights(weight, press.force[-1], truth, library, model_blur)
 
 
-def _prior(press: PressCurve, truth: Truth, model: PressModel, library: PatchLibrary) -> dict[str, Array]:
+def _prior(press: PressCurve, truth: MetSurface, model: PressModel, library: PatchLibrary) -> dict[str, Array]:
     count = len(library.patch)
     return _weighed(jnp.full(count, 1 / count), press, truth, 0.0, library)
 
 
-def _bayes_curve(press: PressCurve, truth: Truth, model: PressModel, library: PatchLibrary) -> dict[str, Array]:
+def _bayes_curve(press: PressCurve, truth: MetSurface, model: PressModel, library: PatchLibrary) -> dict[str, Array]:
     return _weighed(methods.bayes_weights(press, model, library), press, truth, model.likelihood.blur, library)
 
 
-def _bayes_first(press: PressCurve, truth: Truth, model: PressModel, library: PatchLibrary) -> dict[str, Array]:
+def _bayes_first(press: PressCurve, truth: MetSurface, model: PressModel, library: PatchLibrary) -> dict[str, Array]:
     weight = methods.bayes_weights(methods.first_stop(press), model, library)
     return _weighed(weight, press, truth, model.likelihood.blur, library)
 
 
 def _neighbours(
-    press: PressCurve, truth: Truth, seen: tuple[Array, Array, Array], library: PatchLibrary
+    press: PressCurve, truth: MetSurface, seen: tuple[Array, Array, Array], library: PatchLibrary
 ) -> dict[str, Array]:
     return _weighed(methods.neighbour_weights(press, *seen), press, truth, 1.0, library)
 
 
-def _network(press: PressCurve, truth: Truth, network: methods.Network, library: PatchLibrary) -> dict[str, Array]:
+def _network(
+    press: PressCurve, truth: MetSurface, network: methods.PixelNetwork, library: PatchLibrary
+) -> dict[str, Array]:
     return scores.score_pixels(*methods.network_pixels(network, press), truth)
 
 
-def _image_curve(press: PressCurve, truth: Truth, width: Array, library: PatchLibrary) -> dict[str, Array]:
+def _image_curve(press: PressCurve, truth: MetSurface, width: Array, library: PatchLibrary) -> dict[str, Array]:
     return _weighed(methods.image_weights(press, library, width), press, truth, 0.0, library)
 
 
-def _image_first(press: PressCurve, truth: Truth, width: Array, library: PatchLibrary) -> dict[str, Array]:
+def _image_first(press: PressCurve, truth: MetSurface, width: Array, library: PatchLibrary) -> dict[str, Array]:
     weight = methods.image_weights(methods.first_stop(press), library, width)
     return _weighed(weight, press, truth, 0.0, library)

@@ -18,7 +18,7 @@ LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the intervals whose coverage is counted
 MM = 1e3
 
 
-class Truth(NamedTuple):
+class MetSurface(NamedTuple):
     """What a press met; one touch, or many on axis 0."""
 
     patch: Array  # (p, p) m
@@ -28,10 +28,12 @@ class Truth(NamedTuple):
     kind: Array  # index into CONTACT_CLASSES
 
 
-def score_weights(weight: Array, force: Array, truth: Truth, library: PatchLibrary, blur: float) -> dict[str, Array]:
+def score_weights(
+    weight: Array, force: Array, truth: MetSurface, library: PatchLibrary, blur: float
+) -> dict[str, Array]:
     """Scores of weights of the library's patches."""
     found = summarize(weight, force, library=library, blur=blur)
-    stride = len(found.index) // DRAWS
+    stride = len(found.rows) // DRAWS
     draws = jnp.sort(found.patch[::stride, ::COARSE, ::COARSE].astype(jnp.float32), axis=0)
     true = truth.patch[::COARSE, ::COARSE]
     rank = 2 * jnp.arange(DRAWS) - DRAWS + 1
@@ -54,7 +56,7 @@ def score_weights(weight: Array, force: Array, truth: Truth, library: PatchLibra
     }
 
 
-def score_pixels(mask: Array, depth: Array, std: Array, truth: Truth) -> dict[str, Array]:
+def score_pixels(mask: Array, depth: Array, std: Array, truth: MetSurface) -> dict[str, Array]:
     """Scores of a mask's probabilities and of independent normal depths (m) of coarse pixels."""
     true = truth.patch[::COARSE, ::COARSE]
     z = (true - depth) / std
@@ -89,7 +91,7 @@ def _coverage(inside: Array, contact: Array) -> Array:
 def report(
     scores: dict[str, np.ndarray],
     prior: dict[str, np.ndarray],
-    truth: Truth,
+    truth: MetSurface,
     *,
     chosen: dict[str, Any],
     clusters: list[np.ndarray],

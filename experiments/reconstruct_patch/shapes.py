@@ -9,9 +9,9 @@ from i2t.objects import Mesh, catalogue, read_mesh
 from i2t.objects.solids import disk, outline, rectangle
 
 SUFFIXES = (".obj", ".ply", ".stl")
-SMALLEST = 0.25  # of the size of a drawn object: from a stamp's to a hand's
+SMALLEST_SCALE = 0.25  # of the size of a drawn object: from a stamp's to a hand's
 FIRST_SEED = {"train": 0, "validation": 1_000_000, "test": 2_000_000}  # of drawn shapes
-HELD_OUT = 5  # as many drawn shapes to train on as there are to test, and to validate
+HELD_OUT_PART = 5  # as many drawn shapes to train on as there are to test, and to validate
 
 
 class Shapes(NamedTuple):
@@ -31,7 +31,7 @@ def list_shapes(part: str, drawn: int, folder: Path | None) -> Shapes:
     if folder is not None:
         return _of_folder(part, folder)
     named = [name for i, name in enumerate(catalogue.NAMES) if _part_of(i) == part]
-    count = drawn if part == "train" else max(drawn // HELD_OUT, 1)
+    count = drawn if part == "train" else max(drawn // HELD_OUT_PART, 1)
     seeds = [FIRST_SEED[part] + i for i in range(count)]
     meshes = [catalogue.make_object(name).mesh for name in named] + [draw_shape(seed) for seed in seeds]
     return Shapes(named + [f"drawn-{seed}" for seed in seeds], meshes, len(named))
@@ -42,7 +42,7 @@ def draw_shape(seed: int) -> Mesh:
     rng = np.random.default_rng(seed)
     if rng.random() < 0.5:
         mesh = catalogue.random_object(int(rng.integers(2**31))).mesh
-        return Mesh(mesh.vertices * SMALLEST ** rng.random(), mesh.faces)
+        return Mesh(mesh.vertices * SMALLEST_SCALE ** rng.random(), mesh.faces)
     region = None
     for _ in range(rng.integers(1, 4)):
         size, turn = rng.uniform(2.0, 12.0, 2), rng.uniform(0, 180)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array
 
 from experiments.reconstruct_patch.arguments import PatchArgs
-from experiments.reconstruct_patch.scores import Truth
+from experiments.reconstruct_patch.scores import MetSurface
 from experiments.reconstruct_patch.shapes import list_shapes
 from i2t.reconstruction.library import library_of, sample_contacts, to_few_sizes
 from i2t.reconstruction.local_shape import PatchLibrary
@@ -17,7 +17,7 @@ from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import SimulationErrors
 from i2t.types import Pad
 
-BATCH = 16
+PRESSES_AT_ONCE = 16
 
 
 class Part(NamedTuple):
@@ -50,13 +50,13 @@ def press_all(keys: Array, pad: Pad, heights: Array) -> PressCurve:
     def one(each: tuple[Array, Array]) -> PressCurve:
         return simulate_press_curve(each[0], pad, each[1], errors=SimulationErrors(), limits=PressLimits())
 
-    return jax.lax.map(one, (keys, heights), batch_size=BATCH)
+    return jax.lax.map(one, (keys, heights), batch_size=PRESSES_AT_ONCE)
 
 
-def truth_of(part: Part, presses: PressCurve) -> Truth:
+def truth_of(part: Part, presses: PressCurve) -> MetSurface:
     """What presses of a part met, at their last stop."""
     library = part.library
-    return Truth(
+    return MetSurface(
         patch=np.asarray(library.patch, np.float32),
         contact=np.asarray(presses.contact[:, -1]),
         centre=np.asarray(presses.centre[:, -1]),

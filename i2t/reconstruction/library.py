@@ -46,13 +46,13 @@ from i2t.types import (
 
 KIND = "i2t patch library"
 CELL_GRID = Grid(cells=20, modes=32, window=PAD_WINDOW)  # cells of 1 mm: pressures of a library, and its readings
-LOADS_N = (0.25, 0.8, 2.5, 8.0)  # from below what a 25 uT press takes to the force at which a press ends
-TILT_RAD = (math.radians(1.0), math.radians(6.0))
+LIBRARY_LOADS_N = (0.25, 0.8, 2.5, 8.0)  # from below what a 25 uT press takes to the force at which a press ends
+TILT_RANGE_RAD = (math.radians(1.0), math.radians(6.0))
 CHAIN_TOLERANCE = 1e-3  # of contacts: far below what separates two patches of a library
 CHAIN_STEPS = 40
 BATCH = 64
 FEW_FACES = 256  # shapes of no more are stacked apart from larger ones, which would slow them down
-CANDIDATES = 4  # for each safe site
+SITE_CANDIDATES = 4  # for each safe site
 SITES = 16  # of a shape at a time, so that any number of them compiles once
 STEP_SLOPE = 0.7  # m/m: what falls off more steeply (35 degrees) is an edge
 FEWEST_STEPS = 8  # pixels of steps within the window, below which it has no edge (3 mm)
@@ -63,7 +63,7 @@ STRAIGHT = 0.6  # coherence of an edge above which it counts as one straight lin
 class ContactSampling:
     """Where and how patches are met."""
 
-    tilt: tuple[float, float] = TILT_RAD  # rad, between these the approach is tilted against the normal
+    tilt: tuple[float, float] = TILT_RANGE_RAD  # rad, between these the approach is tilted against the normal
     limits: SiteLimits | None = touch_sites.COLLECTION_LIMITS  # of safe sites; None takes any point of the surface
 
 
@@ -83,7 +83,7 @@ def build_library(
     count: int,
     *,
     sampling: ContactSampling | None = None,
-    loads: Sequence[float] = LOADS_N,
+    loads: Sequence[float] = LIBRARY_LOADS_N,
     progress: Callable[[int], None] = lambda done: None,
 ) -> PatchLibrary:
     """Render patches of many shapes and press a nominal layer onto them.
@@ -152,7 +152,7 @@ def sample_contacts(
     return jax.tree.map(lambda field: field[kept], contacts), np.concatenate(objects)[kept]
 
 
-def library_of(contacts: Contacts, objects: np.ndarray, *, loads: Sequence[float] = LOADS_N) -> PatchLibrary:
+def library_of(contacts: Contacts, objects: np.ndarray, *, loads: Sequence[float] = LIBRARY_LOADS_N) -> PatchLibrary:
     """The library of contacts that were met: a nominal layer is pressed onto each.
 
     Args:
@@ -278,7 +278,7 @@ def _meet(key: Array, surface: Surface, sampling: ContactSampling) -> Contacts:
         spins = jax.random.uniform(key_spin, (count,), maxval=2 * jnp.pi)
         frames, safe = jax.vmap(contact_frame)(points, normals, spins), jnp.ones(count, bool)
     else:
-        frames, safe = touch_sites.sample_sites(key_sites, surface, count, sampling.limits, CANDIDATES)
+        frames, safe = touch_sites.sample_sites(key_sites, surface, count, sampling.limits, SITE_CANDIDATES)
     angle = jax.random.uniform(key_tilt, (count,), minval=sampling.tilt[0], maxval=sampling.tilt[1])
     about = jax.random.uniform(key_about, (count,), maxval=2 * jnp.pi)
 

@@ -25,7 +25,9 @@ beyond the plane of first contact, cut at the reach. Pure functions on one press
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from functools import reduce
+from operator import add
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -43,15 +45,15 @@ CONTACT_NEWTONS = 1e-3  # on a cell of 1 mm (1 kPa), above which it counts as co
 class PatchLibrary(NamedTuple):
     """Patches of many shapes, and how a pad of nominal stiffness meets them; the same for every pad."""
 
-    patch: Float[Array, "n p p"]  # m beyond the plane of first contact, cut at the reach
-    height: Float[Array, "n g g"]  # m, the same over the cells of the pad, uncut (nothing there is infinite)
-    object: Int[Array, " n"]  # which shape each is from
-    loads: Float[Array, " l"]  # N, ascending
-    newtons: Float[Array, "n l cells"]  # on each cell of 1 mm, row along tool y
-    indentation: Float[Array, "n l"]  # m past first contact, of the nominal layer
-    centre: Float[Array, "n l 2"]  # m, centre of pressure (x, y)
-    edge: Float[Array, "n 4"]  # cosine and sine of twice its direction, times how straight it is; a point on it (m)
-    kind: Int[Array, " n"]  # index into CONTACT_CLASSES
+    patch: Float[Any, "n p p"]  # m beyond the plane of first contact, cut at the reach
+    height: Float[Any, "n g g"]  # m, the same over the cells of the pad, uncut (nothing there is infinite)
+    object: Int[Any, " n"]  # which shape each is from
+    loads: Float[Any, " l"]  # N, ascending
+    newtons: Float[Any, "n l cells"]  # on each cell of 1 mm, row along tool y
+    indentation: Float[Any, "n l"]  # m past first contact, of the nominal layer
+    centre: Float[Any, "n l 2"]  # m, centre of pressure (x, y)
+    edge: Float[Any, "n 4"]  # cosine and sine of twice its direction, times how straight it is; a point on it (m)
+    kind: Int[Any, " n"]  # index into CONTACT_CLASSES
 
 
 class PatchLikelihood(NamedTuple):
@@ -88,7 +90,7 @@ class PatchPosterior(NamedTuple):
     """What the skin may have met. Samples (k) are alike in weight; `weight` is of every patch of the library."""
 
     weight: Float[Array, " n"]  # of the library's patches; sums to 1
-    index: Int[Array, " k"]  # of the samples in the library
+    rows: Int[Array, " k"]  # of the samples in the library
     patch: Float[Array, "k p p"]  # m beyond the plane of first contact
     mean: Float[Array, "p p"]  # m
     mask_probability: Float[Array, "p p"]  # of a surface within 1.5 mm of that plane (the paper's mask)
@@ -181,7 +183,7 @@ def log_likelihood(
         return _Differences(
             reading=scale * (reading[:, None] - at),
             travel=known * (jnp.where(known > 0, travel, 0) - travelled),
-            sliding=what.slant_std * scale * _at_force(model.sliding, model.loads, force)[0],
+            sliding=what.slant_std * scale[None] * _at_force(model.sliding, model.loads, force)[0],
             by_force=what.force_std * scale * slope,
             travel_by_force=known * what.force_std * travel_slope,
             contact=known * what.contact_std,
@@ -227,31 +229,32 @@ def summarize(
     Returns:
         The posterior.
     """
-    index = systematic_samples(weight, samples)
-    patch = library.patch[index]
+    rows = systematic_samples(weight, samples)
+    patch = library.patch[rows]
     load = jnp.argmin(jnp.abs(jnp.log(library.loads) - jnp.log(force)))
     cells = round(library.newtons.shape[-1] ** 0.5)
-    pressed = library.newtons[index, load] > CONTACT_NEWTONS
-    centre = library.centre[index, load]
+    pressed = library.newtons[rows, load] > CONTACT_NEWTONS
+    centre = library.centre[rows, load]
     middle = jnp.mean(centre, axis=0)
-    direction, direction_std, offset, offset_std = _edge(library.edge[index])
+    about = centre - middle[None]
+    direction, direction_std, offset, offset_std = _edge(library.edge[rows])
     mask = jnp.mean(patch <= CONTACT_TOLERANCE_M, axis=0, dtype=jnp.float32)
     contact = jnp.mean(pressed, axis=0, dtype=jnp.float32).reshape(cells, cells)
     kinds = jnp.arange(len(CONTACT_CLASSES))
     return PatchPosterior(
         weight=weight,
-        index=index,
+        rows=rows,
         patch=patch,
         mean=jnp.mean(patch, axis=0, dtype=jnp.float32),
         mask_probability=_blurred(mask, blur),
         contact_probability=_blurred(contact, blur * cells / patch.shape[-1]),
         centre=middle,
-        centre_covariance=(centre - middle).T @ (centre - middle) / samples,
+        centre_covariance=about.T @ about / samples,
         edge_direction=direction,
         edge_direction_std=direction_std,
         edge_offset=offset,
         edge_offset_std=offset_std,
-        class_probability=jnp.mean(library.kind[index][:, None] == kinds, axis=0),
+        class_probability=jnp.mean(library.kind[rows][:, None] == kinds[None], axis=0),
         bits=jnp.sum(jax.scipy.special.xlogy(weight, weight * len(weight))) / jnp.log(2.0),
     )
 
@@ -311,16 +314,16 @@ def _marginal(press: _Differences) -> tuple[Float[Array, " n"], Float[Array, " n
     along: list[Array] = []
     for i in range(2):
         for j in range(i + 1):
-            gram[i][j] = sum(_dot(press.sliding[s, i], press.sliding[s, j]) for s in stops)
-        along.append(sum(_dot(press.sliding[s, i], press.reading[s]) for s in stops))
+            gram[i][j] = reduce(add, (_dot(press.sliding[s, i], press.sliding[s, j]) for s in stops))
+        along.append(reduce(add, (_dot(press.sliding[s, i], press.reading[s]) for s in stops)))
     for s in stops:
         gram[2 + s][0], gram[2 + s][1] = (_dot(press.by_force[s], press.sliding[s, i]) for i in range(2))
         gram[2 + s][2 + s] = _dot(press.by_force[s], press.by_force[s]) + press.travel_by_force[s] ** 2
         gram[count - 1][2 + s] = press.contact[s] * press.travel_by_force[s]
         along.append(_dot(press.by_force[s], press.reading[s]) + press.travel_by_force[s] * press.travel[s])
     gram[-1][-1] = jnp.sum(press.contact**2)
-    along.append(sum(press.contact[s] * press.travel[s] for s in stops))
-    distance = sum(_dot(press.reading[s], press.reading[s]) + press.travel[s] ** 2 for s in stops)
+    along.append(reduce(add, (press.contact[s] * press.travel[s] for s in stops)))
+    distance = reduce(add, (_dot(press.reading[s], press.reading[s]) + press.travel[s] ** 2 for s in stops))
     explained, log_det = _eliminate(gram, along)
     return distance - explained, log_det
 
@@ -329,20 +332,20 @@ def _dot(a: Float[Array, "m n"], b: Float[Array, "m n"]) -> Float[Array, " n"]:
     """Sum of products over the first axis, written out: a CPU takes a chain of sums of long rows several times faster
     than a reduction across them.
     """
-    return sum((a[k] * b[k] for k in range(1, len(a))), a[0] * b[0])
+    return reduce(add, (a[k] * b[k] for k in range(len(a))))
 
 
 def _eliminate(gram: list[list[Array | float]], along: list[Array]) -> tuple[Array, Array]:
     """b' (I + G)^-1 b and log |I + G| for a symmetric G whose lower triangle is given entry by entry."""
     factor: list[list[Array]] = []
     solved: list[Array] = []
-    explained, log_det = jnp.zeros(()), jnp.zeros(())
+    nothing = explained = log_det = jnp.zeros(())
     for i in range(len(along)):
         row: list[Array] = []
         for j in range(i):
-            row.append((gram[i][j] - sum(row[k] * factor[j][k] for k in range(j))) / factor[j][j])
-        pivot = jnp.sqrt(1 + gram[i][i] - sum(each * each for each in row))
-        solved.append((along[i] - sum(row[k] * solved[k] for k in range(i))) / pivot)
+            row.append((gram[i][j] - sum((row[k] * factor[j][k] for k in range(j)), nothing)) / factor[j][j])
+        pivot = jnp.sqrt(1 + gram[i][i] - sum((each * each for each in row), nothing))
+        solved.append((along[i] - sum((row[k] * solved[k] for k in range(i)), nothing)) / pivot)
         factor.append([*row, pivot])
         explained, log_det = explained + solved[-1] ** 2, log_det + 2 * jnp.log(pivot)
     return explained, log_det

@@ -75,7 +75,8 @@ def simulate_press_curve(
     missed = errors.repeatability * jax.random.normal(key_travel, (stops + 1,))
 
     def stop(skin_change: Array, key: Array) -> tuple[Array, ...]:
-        end = press_to_stop(pad, height, replace(limits, skin_change=skin_change))
+        traced = replace(limits, skin_change=skin_change)  # type: ignore[arg-type]  # one compilation for all stops
+        end = press_to_stop(pad, height, traced)
         friction = friction_response(pad, height, end.indentation, slant * end.indentation)
         read = add_sensor_noise(key, end.reading + friction, pad.board, errors.noise)
         pressure = solve(pad, height, end.indentation, GRID).pressure * GRID.spacing**2

@@ -29,7 +29,7 @@ from i2t.skin.noise import Noise
 from i2t.types import Board, Pad
 
 STIFFNESS_N_PER_M = 10e3  # of arm and mount in series, as `i2t.simulation.press.PressLimits` has it
-FRICTION_TOLERANCE = 3e-2  # of the largest displacement: 1 % of a reading
+LOOSE_FRICTION = 3e-2  # of the largest displacement: 1 % of a reading
 FRICTION_STEPS = 15
 SLIDING_PATCHES = 256
 SLIDING_SLANT = 0.0175  # m/m, at which the effect of a slant is computed: a degree
@@ -71,8 +71,8 @@ def imagine_presses(
     newtons, indentation, reading = _press_all(pad, heights, loads)
     rows = np.random.default_rng(0).permutation(len(heights))[:SLIDING_PATCHES]
     some = _slide_all(pad, heights[rows], loads)
-    sliding = _ridge(newtons[rows] / loads[:, None], some / loads[:, None, None], newtons)
-    travel = indentation + loads / stiffness
+    sliding = _ridge(newtons[rows] / loads[None, :, None], some / loads[None, :, None, None], newtons)
+    travel = indentation + loads[None] / stiffness
     return _press_model(loads, reading, sliding, travel, pad.board, likelihood=likelihood, noise=noise)
 
 
@@ -110,7 +110,7 @@ def model_presses(
     newtons = jnp.moveaxis(jnp.asarray(library.newtons, jnp.float32), 1, 0)
     reading = jnp.moveaxis(jax.vmap(at)(loads, newtons), 0, 1)
     sliding = jnp.zeros((*reading.shape[:2], 2, reading.shape[-1]))
-    travel = reading_model.softness * jnp.asarray(library.indentation) + loads / stiffness
+    travel = reading_model.softness * jnp.asarray(library.indentation) + loads[None] / stiffness
     return _press_model(loads, reading, sliding, travel, board, likelihood=likelihood, noise=noise)
 
 
@@ -177,7 +177,7 @@ def _slide_all(pad: Pad, heights: Array, loads: Array) -> Array:
         way = jnp.diff(indentation - indentation[0], prepend=-indentation[:1])
 
         def reading(slant: Array) -> Array:
-            traction = _friction(pad, pressure, way[:, None] * slant)
+            traction = _friction(pad, pressure, way[:, None] * slant[None])
             return jax.lax.map(lambda each: _reading(pad, *each), (pressure, traction))
 
         found = jax.lax.map(reading, SLIDING_SLANT * jnp.array([[0.0, 0], [1, 0], [0, 1]]))
@@ -191,9 +191,7 @@ def _friction(pad: Pad, pressure: Array, slide: Array) -> Array:
 
     def follow(state: Shear, step: tuple[Array, Array]) -> tuple[Shear, Array]:
         pressure, slide = step
-        state = shear(
-            pad, pressure, slide, CELL_GRID, before=state, tolerance=FRICTION_TOLERANCE, max_steps=FRICTION_STEPS
-        )
+        state = shear(pad, pressure, slide, CELL_GRID, before=state, tolerance=LOOSE_FRICTION, max_steps=FRICTION_STEPS)
         return state, state.traction
 
     return jax.lax.scan(follow, rest(pad, jnp.zeros_like(pressure[0]), CELL_GRID), (pressure, slide))[1]

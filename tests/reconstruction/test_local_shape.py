@@ -26,6 +26,7 @@ def press(model):
     return reading, FORCES, travel
 
 
+@pytest.mark.full
 def test_the_library_holds_the_truth_and_the_press_finds_it(press, model, library):
     posterior = INFER(*press, model=model, library=library, samples=64)
     assert int(jnp.argmax(posterior.weight)) == TRUE
