@@ -24,7 +24,7 @@ from i2t.types import Board, Touches, Truth
 
 EXCHANGE_FORMAT = "i2t touches"
 TRUTH = "truth_"
-KINDS = ("objects", "pads", "sessions")
+NAME_LISTS = ("objects", "pads", "sessions")
 TOUCH_FIELDS = tuple(name for name in Touches._fields if name != "truth")
 POSE_NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")  # m, and a unit quaternion
 
@@ -59,7 +59,7 @@ def note_of(dataset: Dataset) -> dict[str, Any]:
     return {
         "format": EXCHANGE_FORMAT,
         "software": f"i2t {__version__}",
-        **{kind: list(getattr(dataset, kind)) for kind in KINDS},
+        **{kind: list(getattr(dataset, kind)) for kind in NAME_LISTS},
         "board": {name: np.asarray(values).tolist() for name, values in dataset.board._asdict().items()},
         "window": float(dataset.window),
         "reach": float(dataset.reach),
@@ -93,7 +93,7 @@ def dataset_of(columns: Mapping[str, np.ndarray], note: Any, whose: Path | str) 
             values["truth"] = Truth(**{name: np.asarray(columns[TRUTH + name]) for name in Truth._fields})
         dataset = Dataset(
             Touches(**values),
-            **{kind: tuple(map(str, note[kind])) for kind in KINDS},
+            **{kind: tuple(map(str, note[kind])) for kind in NAME_LISTS},
             board=Board(*(np.asarray(note["board"][name], np.float32) for name in Board._fields)),
             source=str(note["source"]),
             window=float(note["window"]),

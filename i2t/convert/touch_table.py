@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from i2t import files
-from i2t.convert.exchange import KINDS, columns_of, dataset_of, note_of, write_folder, write_json
+from i2t.convert.exchange import NAME_LISTS, columns_of, dataset_of, note_of, write_folder, write_json
 from i2t.dataset import Dataset
 from i2t.dataset.card import write_card
 from i2t.dataset.sets import AXIS_NAMES, INDICES
@@ -91,7 +91,7 @@ def read_table(source: Path) -> Dataset:
     cells = dict(zip(header, zip(*rows[1:], strict=True) if rows[1:] else [()] * len(header), strict=True))
     columns: dict[str, np.ndarray] = {}
     try:
-        for kind in KINDS:
+        for kind in NAME_LISTS:
             numbers = {name: i for i, name in enumerate(note[kind])}
             columns[kind[:-1]] = np.array([numbers[name] for name in cells[kind[:-1]]], np.int64)
         columns["code"] = np.array(cells["code"], np.int64)
