@@ -15,13 +15,13 @@ ROOT = Path(__file__).parents[1]
 # A package imports from lower floors only. Calibration stands above prediction, whose small network it uses.
 FLOORS = {
     0: ("_version", "errors", "windows", "types", "geometry", "serialization", "files", "compile_cache", "cli"),
-    1: ("models", "objects",),
+    1: ("models", "objects"),
     2: ("dataset",),
     3: ("rendering", "depth", "skin", "unknowns"),
     4: ("simulation", "prediction", "convert", "viz", "hardware"),
     5: ("calibration", "registration", "emulators", "view"),
     6: ("recognition", "reconstruction", "collect"),
-    7: ("place", "imagine", "__main__"),  # the short name of a command, and the list of all
+    7: ("environments", "place", "imagine", "__main__"),  # the short name of a command, and the list of all
 }
 FLOOR_OF = {name: floor for floor, names in FLOORS.items() for name in names}
 # Called i2t.place, and parts that others start.
