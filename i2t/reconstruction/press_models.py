@@ -14,7 +14,7 @@ Metres, newtons, microtesla.
 """
 
 from functools import partial
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -36,6 +36,7 @@ SLIDING_SLANT = 0.0175  # m/m, at which the effect of a slant is computed: a deg
 SLIDING_RIDGE = 0.1  # of the mean square of the pressures
 
 
+@runtime_checkable
 class ReadingModel(Protocol):
     """What `model_presses` needs to know of a pad."""
 

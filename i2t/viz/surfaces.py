@@ -19,6 +19,7 @@ from i2t.viz.style import MM_PER_M, Picture, titled
 
 COLOURS_OF_STD = "plasma"
 WINDOW_PIXELS = (520, 440)
+WHITE = 250  # and above, as `trimmed` has it
 
 
 class ShownSurface(NamedTuple):
@@ -111,7 +112,8 @@ def _add_square(pv: Any, plotter: Any, T_o_t: np.ndarray) -> None:
 
 
 def _show(axes: Any, plotter: Any, label: str) -> None:
-    axes.imshow(trimmed(np.asarray(plotter.screenshot(return_img=True))))
+    picture = np.asarray(plotter.screenshot(return_img=True))
     plotter.close()
+    axes.imshow(trimmed(picture) if (picture < WHITE).any() else picture)  # a surface may be nowhere, before any touch
     axes.set_axis_off()
     axes.set_title(label, fontsize=10)
