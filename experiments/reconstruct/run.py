@@ -11,8 +11,8 @@ surface's error, and a greedy oracle that knows the truth), what a touch says be
 of the reading, a perfect tactile image), a prior of smoothness alone, and a start from one depth view. The width of the
 bands is chosen on validation objects; test objects are judged once. Everything is simulated.
 
-Ten minutes on two cores that do other work too, half of them for libraries and compilation. Expect half to two thirds of
-the start's distance to the true surface after 20 touches; four objects are too few to tell policies apart.
+Ten minutes on two cores that do other work too, half of them for libraries and compilation. Expect half to two thirds
+of the start's distance to the true surface after 20 touches; four objects are too few to tell policies apart.
 """
 
 import sys
