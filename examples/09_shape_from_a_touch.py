@@ -31,9 +31,7 @@ def main(patches: int = 512) -> tuple[float, float]:
         float(1e3 * np.mean(np.abs(np.asarray(depth, np.float32) - contacts.patch[0])))
         for depth in (posterior.mean, np.mean(library.patch, axis=0, dtype=np.float32))
     )
-    print(
-        f"depth wrong by {after:.2f} mm after a press to {press.force[-1]:.1f} N, by {before:.2f} mm before (simulated)"
-    )
+    print(f"{press.force[-1]:.1f} N: depth wrong by {after:.2f} mm, before the press by {before:.2f} mm (simulated)")
     return after, before
 
 
