@@ -43,7 +43,7 @@ def test_folders_that_end_in_0_are_unseen_and_meshes_are_scaled_and_joined(tmp_p
     assert [item.name for item in split.test] == ["000", "010"]
     names = [item.name for part in split for item in part]
     assert len(set(names)) == len(names)
-    assert (len(split.train), len(split.validation)) == (6, 4)
+    assert (len(split.train), len(split.validation)) == (6, args.sizes.validation)
     for item in split.test:
         side = np.ptp(item.mesh.vertices, axis=0).max()
         assert 60e-3 <= side <= 90e-3
