@@ -18,7 +18,7 @@ from pathlib import Path
 
 VARIABLE = "I2T_COMPILE_CACHE"
 OFF = ("off", "0", "no", "false")
-MAX_BYTES = 2**30  # of the folder, for each kind of processor
+MAX_CACHE_BYTES = 2**30  # of the folder, for each kind of processor
 MIN_COMPILE_S = 0.1  # what is compiled sooner is not worth a file
 JAX_FOLDER = "JAX_COMPILATION_CACHE_DIR"
 
@@ -47,7 +47,7 @@ def _configure(folder: Path) -> None:
     """Tell JAX, whether it is imported already or not, unless its user has told it something else."""
     settings = {
         JAX_FOLDER: str(folder),
-        "JAX_COMPILATION_CACHE_MAX_SIZE": MAX_BYTES,
+        "JAX_COMPILATION_CACHE_MAX_SIZE": MAX_CACHE_BYTES,
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": MIN_COMPILE_S,
     }
     # A disk may fill up later: then JAX warns at every program, of which no user can make anything.

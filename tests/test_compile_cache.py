@@ -27,7 +27,7 @@ def test_the_folder_is_in_the_users_cache_and_bounded(no_settings, tmp_path):
     assert folder is not None
     assert folder.is_relative_to(tmp_path / "i2t")
     assert os.environ[JAX_FOLDER] == str(folder)
-    assert int(os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"]) == compile_cache.MAX_BYTES
+    assert int(os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"]) == compile_cache.MAX_CACHE_BYTES
 
 
 @pytest.mark.parametrize("word", ["off", "0", "OFF"])

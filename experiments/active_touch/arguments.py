@@ -7,7 +7,7 @@ from typing import Literal
 from experiments.common.presets import choose_preset
 from i2t.cli import Count, Seed
 
-OBJECTS = ("star", "hexagon", "cylinder", "cross", "square", "triangle")
+PRISMS = ("star", "hexagon", "cylinder", "cross", "square", "triangle")
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class ActiveTouchArgs:
 
     out: Path = Path("runs/active_touch")  # folder for what is made
     preset: Literal["paper", "debug"] = "paper"
-    objects: tuple[str, ...] = OBJECTS  # names of the catalogue, at least two
+    objects: tuple[str, ...] = PRISMS  # names of the catalogue, at least two
     episodes: Count | None = None  # instead of the preset's 240, of debug 12
     iterations: Count | None = None  # instead of the preset's 100 (2) of training with the posterior
     raw_iterations: Count | None = None  # instead of the preset's 600 (2) of training on readings

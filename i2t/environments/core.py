@@ -43,7 +43,7 @@ HOME_HEIGHT_M = 0.15  # of the tool above the world's origin before the first to
 POSE_NUMBERS = 6
 # By which features are divided.
 READING_SCALE_UT, FORCE_SCALE_N, ADVANCE_SCALE_M, POSITION_SCALE_M = 10.0, 1.0, 1e-3, 0.03
-MIN_PROBABILITY = 1e-4  # of features
+MIN_FEATURE_PROBABILITY = 1e-4  # of features
 
 
 @dataclass(frozen=True)
@@ -433,7 +433,7 @@ def features(obs: EnvironmentObservation) -> Float[Array, " f"]:
             obs.T_w_t[:3, 2],
             flags,
             obs.left[None],
-            jnp.log(jnp.maximum(obs.posterior, MIN_PROBABILITY)) / 4,
+            jnp.log(jnp.maximum(obs.posterior, MIN_FEATURE_PROBABILITY)) / 4,
         ]
     )
 

@@ -125,8 +125,19 @@ def train_policy(
 
     def iterate(state: tuple, key: Array) -> tuple[Any, Any]:
         key_play, key_learn = jax.random.split(key)
-        played, target, _ = _play(key_play, state[0], network, environment, params, config.episodes)
-        state = _learn(key_learn, state, played, target, network, environment, optimizer, config)
+        played, target, _ = _play(
+            key_play, state[0], network, environment=environment, params=params, episodes=config.episodes
+        )
+        state = _learn(
+            key_learn,
+            state,
+            played,
+            target,
+            network=network,
+            environment=environment,
+            optimizer=optimizer,
+            config=config,
+        )
         return state, (jnp.mean(played.loss[1:]), jnp.mean(played.loss[-1]))
 
     start = weights, optimizer.init(weights)
@@ -157,9 +168,16 @@ def run_learned(
         What was predicted, and what was touched.
     """
     network = _network(environment, params, config)
-    played, target, (state, refused) = _play(key, policy.params, network, environment, params, episodes)
+    played, target, (state, refused) = _play(
+        key, policy.params, network, environment=environment, params=params, episodes=episodes
+    )
     return LearnedEpisodes(
-        jnp.swapaxes(played.prediction[1:], 0, 1), target, played.site.T, refused.T, state.object, state.pad
+        prediction=jnp.swapaxes(played.prediction[1:], 0, 1),
+        target=target,
+        site=played.site.T,
+        refused=refused.T,
+        object=state.object,
+        pad=state.pad,
     )
 
 
@@ -174,7 +192,7 @@ def _inputs(environment: TouchEnvironment, params: EnvironmentParams) -> Array:
 
 
 def _play(
-    key: Array, weights: Any, network: TouchNetwork, environment: TouchEnvironment, params: EnvironmentParams,
+    key: Array, weights: Any, network: TouchNetwork, *, environment: TouchEnvironment, params: EnvironmentParams,
     episodes: int,
 ) -> tuple[_Played, Array, tuple[EnvironmentState, Array]]:  # fmt: skip
     """Whole episodes; their truths, states and refusals."""
@@ -202,7 +220,15 @@ def _play(
         keys = jax.random.split(key_touch, episodes)
         touch = jax.vmap(lambda k, s, a: environment.step_env(k, s, a, params))
         obs, state, _, _, info = touch(keys, state, TouchAction(site, prediction))
-        row = _Played(inputs, touched, site, chance, value, prediction, judge(prediction, target))
+        row = _Played(
+            inputs=inputs,
+            touched=touched,
+            site=site,
+            log_probability=chance,
+            value=value,
+            prediction=prediction,
+            loss=judge(prediction, target),
+        )
         touched = touched | (jnp.arange(params.sites)[None] == site[:, None])
         return (obs, state, site, touched, memory), (row, info["refused"])
 
@@ -225,7 +251,7 @@ def _masked(logits: Array, touched: Array, params: EnvironmentParams) -> Array:
 
 
 def _learn(
-    key: Array, state: tuple, played: _Played, target: Array, network: TouchNetwork, environment: TouchEnvironment,
+    key: Array, state: tuple, played: _Played, target: Array, *, network: TouchNetwork, environment: TouchEnvironment,
     optimizer: optax.GradientTransformation, config: LearnerConfig,
 ) -> tuple[Any, Any]:  # fmt: skip
     """Some passes over the episodes of an iteration."""

@@ -20,7 +20,7 @@ from i2t.recognition.policy import NO_SITE
 
 SitePolicy = Callable[[Array, EnvironmentState, Array, EnvironmentParams], Array]
 POLICY_BATCH = 8  # episodes whose sites are chosen at a time
-NUM_DRAWS, NUM_COMPARED_PARTICLES = 16, 8  # of the imagined outcomes of a site
+IMAGINED_OUTCOMES, IMAGINED_PARTICLES = 16, 8  # of the imagined outcomes of a site
 
 
 class PolicyEpisodes(NamedTuple):
@@ -91,7 +91,7 @@ def informative_site(
     table = jax.tree.map(lambda x: x[state.pad], params.beliefs.predicted)
     gain = recognition_policy.expected_information_gain(
         key, _belief(state), table, params.beliefs.likelihood,
-        num_draws=NUM_DRAWS, num_particles=NUM_COMPARED_PARTICLES,
+        num_draws=IMAGINED_OUTCOMES, num_particles=IMAGINED_PARTICLES,
     )  # fmt: skip
     return recognition_policy.choose_site(gain, params.allowed & ~touched)
 

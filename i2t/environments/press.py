@@ -134,11 +134,11 @@ def press(
         at = jnp.clip(state.at - state.excess / slope, shallowest, deepest)
         start = state.pressure * jnp.exp(at - state.at)
         excess, force, reading, pressure = trial(at, start)
-        return _Search(at, excess, state.at, state.excess, slope, force, reading, pressure)
+        return _found(at, excess, (state.at, state.excess), slope, (force, reading, pressure))
 
     middle = 0.5 * (shallowest + deepest)
     excess, force, reading, pressure = trial(middle, None)
-    first = _Search(middle, excess, middle, excess, jnp.asarray(EXPECTED_SLOPE), force, reading, pressure)
+    first = _found(middle, excess, (middle, excess), jnp.asarray(EXPECTED_SLOPE), (force, reading, pressure))
     end = jax.lax.fori_loop(0, TRIALS - 1, step, first)
     travel = geometry.nearest + jnp.exp(end.at) + end.force / limits.stiffness
     return TouchOutcome(
@@ -160,3 +160,20 @@ class _Search(NamedTuple):
     force: Array
     reading: Array
     pressure: Array
+
+
+def _found(
+    at: Array, excess: Array, before: tuple[Array, Array], slope: Array, touch: tuple[Array, Array, Array]
+) -> _Search:
+    """A trial; `before` is the one before and its excess, `touch` force, reading and pressure."""
+    force, reading, pressure = touch
+    return _Search(
+        at=at,
+        excess=excess,
+        before=before[0],
+        excess_before=before[1],
+        slope=slope,
+        force=force,
+        reading=reading,
+        pressure=pressure,
+    )

@@ -24,7 +24,7 @@ from i2t.rendering.render import stack_surfaces
 from i2t.skin.pad import numbered_pad
 from i2t.types import Board, Surface
 
-CANDIDATES_PER_SITE = 4  # drawn for each that is wanted: it has to be safe on every object
+SAFE_CANDIDATES_PER_SITE = 4  # drawn for each that is wanted: it has to be safe on every object
 TABULATED_BATCH = 32  # approaches at a time, each pressed with every pad
 
 
@@ -67,7 +67,7 @@ def make_environment(
     names = [item if isinstance(item, str) else f"object {i}" for i, item in enumerate(objects)]
     surfaces = prepare_surfaces([make_object(item).mesh if isinstance(item, str) else item for item in objects])
     hypotheses = task.safety_placements()
-    pool = _safe_sites(jax.random.key(seed), surfaces, names, sites, hypotheses, config)
+    pool = _safe_sites(jax.random.key(seed), surfaces, names, count=sites, hypotheses=hypotheses, config=config)
     skins = jax.tree.map(lambda *x: jnp.stack(x), *(numbered_pad(first_pad + i, board=board) for i in range(pads)))
     params = EnvironmentParams(
         surfaces=jax.tree.map(jnp.asarray, stack_surfaces(surfaces)),
@@ -142,12 +142,12 @@ def _touch_all(
 
 
 def _safe_sites(
-    key: Array, surfaces: list[Surface], names: Sequence[str], count: int, hypotheses: np.ndarray,
+    key: Array, surfaces: list[Surface], names: Sequence[str], *, count: int, hypotheses: np.ndarray,
     config: EnvironmentConfig,
 ) -> SitePool:  # fmt: skip
     """Sites that are safe on every object at every believed placement, of each object as many as there can be."""
     each = -(-count // len(surfaces))
-    pool = sample_sites(key, surfaces, names, CANDIDATES_PER_SITE * each, config.safety)
+    pool = sample_sites(key, surfaces, names, SAFE_CANDIDATES_PER_SITE * each, config.safety)
     safe: Bool[np.ndarray, " pool"] = np.ones(len(pool.owner), bool)
     for T_w_o in hypotheses:
         safe &= safe_sites(place_surfaces(surfaces, T_w_o), pool, config.safety).all(1)

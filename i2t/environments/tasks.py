@@ -31,6 +31,9 @@ class TouchTask(Protocol):
 
         Args:
             objects: of the environment.
+
+        Returns:
+            The number.
         """
 
     def placement(self, key: Key[Array, ""], errors: SimulationErrors) -> Float[Array, "4 4"]:
@@ -39,6 +42,9 @@ class TouchTask(Protocol):
         Args:
             key: random key.
             errors: of the lab.
+
+        Returns:
+            T_w_o.
         """
 
     def safety_placements(self) -> Float[np.ndarray, "h 4 4"]:
@@ -55,6 +61,9 @@ class TouchTask(Protocol):
             which: the object that is there.
             T_w_o: and where it is.
             objects: of the environment.
+
+        Returns:
+            The prediction without loss, or what a loss compares it with.
         """
 
     def loss(self, prediction: Float[Array, " p"], target: Float[Array, " p"]) -> Float[Array, ""]:
@@ -63,6 +72,9 @@ class TouchTask(Protocol):
         Args:
             prediction: of an agent.
             target: the truth.
+
+        Returns:
+            The loss.
         """
 
 
