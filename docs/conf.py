@@ -107,16 +107,11 @@ def setup(app: Any) -> None:
         text = pages.get(name, content[0])
         # Markdown outside of this folder is no page of the site.
         text = re.sub(r"\[([^\]]+)\]\(\.\./([^)#]+\.md)[^)]*\)", r"\1 (`\2`)", text)
-        content[0] = re.sub(r"^\w+\*\n", lambda line: line[0] if _matched(line[0].strip()) else "", text, flags=re.M)
+        content[0] = text
 
     app.connect("env-get-outdated", found)
     app.connect("source-read", read)
     app.connect("autodoc-process-docstring", literal_code, priority=100)  # before napoleon
-
-
-def _matched(pattern: str) -> bool:
-    """Whether there is a page for a line of a list of pages: some are written later."""
-    return any(DOCS.glob(f"{pattern}.md"))
 
 
 def literal_code(app: Any, what: str, name: str, found: Any, options: Any, lines: list[str]) -> None:
