@@ -33,7 +33,7 @@ from i2t.prediction.metrics import Estimate
 from i2t.recognition.intervals import rate_interval
 
 LEARNED, RAW = "learned", "learned on readings"
-SHOWN_TOUCHES = (1, 2, 3, 4, 5, 8, 12, 16)  # touches of the table
+TABLE_TOUCHES = (1, 2, 3, 4, 5, 8, 12, 16)  # touches of the table
 APPLE = {1: 0.454, 2: 0.549, 3: 0.685, 4: 0.727, 5: 0.794, 16: 0.880}  # accuracy published at ICLR 2026
 
 
@@ -136,7 +136,7 @@ def _seen(params: EnvironmentParams, raw: bool) -> EnvironmentParams:
 def table(curves: dict[str, Estimate]) -> str:
     """Accuracy after some touches, with 95 % intervals over pads."""
     touches = len(next(iter(curves.values())).mean)
-    shown = [n for n in SHOWN_TOUCHES if n <= touches]
+    shown = [n for n in TABLE_TOUCHES if n <= touches]
     lines = ["| policy | " + " | ".join(f"{n}" for n in shown) + " |", "| --- |" + " --- |" * len(shown)]
     for name, each in curves.items():
         cells = [f"{each.mean[n - 1]:.2f} [{each.low[n - 1]:.2f}, {each.high[n - 1]:.2f}]" for n in shown]
