@@ -20,9 +20,10 @@ from i2t.reconstruction.library import CELL_GRID
 from i2t.reconstruction.local_shape import CONTACT_NEWTONS
 from i2t.simulation.press import PressLimits, press_to_stop
 from i2t.simulation.touches import SimulationErrors
-from i2t.skin.contact import GRID, solve
+from i2t.skin.contact import GRID, Grid, solve
 from i2t.skin.noise import add_sensor_noise
-from i2t.skin.pad import friction_response
+from i2t.skin.pad import Press, friction_response
+from i2t.skin.pad import press as press_pad
 from i2t.types import Pad
 
 SKIN_CHANGES_UT = (25.0, 100.0)  # at which a press stops, the paper's and four times it
@@ -75,10 +76,14 @@ def simulate_press_curve(
     missed = errors.repeatability * jax.random.normal(key_travel, (stops + 1,))
 
     def stop(skin_change: Array, key: Array) -> tuple[Array, ...]:
-        traced = replace(limits, skin_change=skin_change)  # type: ignore[arg-type]  # one compilation for all stops
-        end = press_to_stop(pad, height, traced)
+        def law(pad: Pad, height: Array, indentation: Array, *, grid: Grid) -> Press:
+            pressed = press_pad(pad, height, indentation, grid=grid)
+            return pressed._replace(reading=pressed.reading / skin_change)
+
+        # In units of the change at which it stops, so that one compilation serves all stops.
+        end = press_to_stop(pad, height, replace(limits, skin_change=1.0), law=law)
         friction = friction_response(pad, height, end.indentation, slant * end.indentation)
-        read = add_sensor_noise(key, end.reading + friction, pad.board, errors.noise)
+        read = add_sensor_noise(key, skin_change * end.reading + friction, pad.board, errors.noise)
         pressure = solve(pad, height, end.indentation, GRID).pressure * GRID.spacing**2
         cells = pressure.reshape(CELL_GRID.cells, 2, CELL_GRID.cells, 2).sum((1, 3))
         x, y = jnp.sum(pressure, axis=0) @ GRID.centres, jnp.sum(pressure, axis=1) @ GRID.centres
