@@ -85,7 +85,7 @@ def _imagine(asked: ImagineArgs) -> None:
     simulated = asked.model in READY_MODELS or (predictor.metadata or {}).get("source") != "real"
     figure = viz.plot_predicted_touches(
         seen.patch, {"imagined": readings.mean}, [f"touch {i + 1}" for i in range(asked.sites)], board,
-        f"{thing.name}, pressed with {asked.force:g} N", simulated,
+        title=f"{thing.name}, pressed with {asked.force:g} N", simulated=simulated,
     )  # fmt: skip
     print(f"wrote {viz.save_figure(figure, asked.out)}")
 

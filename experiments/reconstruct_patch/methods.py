@@ -180,8 +180,8 @@ def network_pixels(network: PixelNetwork, press: PressCurve) -> tuple[Array, Arr
     values = mlp.apply(network.layers, (features(press) - network.mean) / network.std)
     mask, depth, log_std = _pixels(values)
     side = round(mask.shape[-1] ** 0.5)
-    parts = jax.nn.sigmoid(mask), 1e-3 * depth, 1e-3 * jnp.exp(log_std)
-    return tuple(part.reshape(side, side) for part in parts)
+    mask, depth, log_std = (part.reshape(side, side) for part in (mask, depth, log_std))
+    return jax.nn.sigmoid(mask), 1e-3 * depth, 1e-3 * jnp.exp(log_std)
 
 
 def _pixels(values: Array) -> tuple[Array, Array, Array]:

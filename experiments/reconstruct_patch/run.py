@@ -23,7 +23,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
@@ -46,7 +45,7 @@ from i2t.reconstruction.press_curves import PressCurve
 from i2t.reconstruction.press_models import imagine_presses
 from i2t.rendering.ops import element
 from i2t.skin.pad import numbered_pad
-from i2t.types import Pad
+from i2t.types import Array, Pad
 
 Scores = dict[str, np.ndarray]
 PRIOR, LEARNED = "prior", "by imagination, learned forward model, press curve"
@@ -87,7 +86,7 @@ def run(args: PatchArgs) -> dict[str, Any]:
     found, picked = {}, {"likelihood": {name: float(value) for name, value in chosen._asdict().items()}}
     for name, options in list_methods(key_methods, trials["test"], library, sizes.steps).items():
         found[name], picked[name] = try_method(name, options, trials, library)
-    report = {
+    report: dict[str, Any] = {
         "source": "simulated",
         "counts": {name: len(part.library.patch) for name, part in parts.items()},
         "objects": {name: len(np.unique(part.library.object)) for name, part in parts.items()},
@@ -206,7 +205,7 @@ def judge_candidates(trials: Sequence[Trial], part: Part) -> dict[str, Any]:
     """
     judge = jax.jit(
         lambda presses, true, others, own, model: jax.lax.map(
-            lambda each: methods.judge_candidate(*each, own, model), (presses, true, others)
+            lambda each: methods.judge_candidate(each[0], each[1], each[2], own, model), (presses, true, others)
         )
     )
     candidates = jax.tree.map(jnp.asarray, part.library)

@@ -5,11 +5,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from i2t.recognition.intervals import bootstrap_clusters, cluster_interval
 from i2t.reconstruction.local_shape import PatchLibrary, summarize
-from i2t.types import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_PIXELS, PATCH_WINDOW
+from i2t.types import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_PIXELS, PATCH_WINDOW, Array
 
 THRESHOLDS = (0.2, 0.3, 0.4, 0.5)  # of a probability, above which a pixel is said to belong to a mask
 COARSE = 2  # pixels of a patch to one that is scored by CRPS and coverage

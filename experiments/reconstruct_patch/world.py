@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array
 
 from experiments.reconstruct_patch.arguments import PatchArgs
 from experiments.reconstruct_patch.scores import MetSurface
@@ -15,7 +14,7 @@ from i2t.reconstruction.press_curves import PressCurve, simulate_press_curve
 from i2t.rendering.render import prepare_surface
 from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import SimulationErrors
-from i2t.types import Pad
+from i2t.types import Array, Pad
 
 PRESSES_AT_ONCE = 16
 
@@ -24,8 +23,8 @@ class Part(NamedTuple):
     """One part of the split."""
 
     library: PatchLibrary
-    heights: np.ndarray  # (n, g, g) m, over the cells of the simulated contact; empty where nothing is pressed
-    named: np.ndarray  # (n,) whether each contact is with an object of the catalogue
+    heights: Array  # (n, g, g) m, over the cells of the simulated contact; empty where nothing is pressed
+    named: Array  # (n,) whether each contact is with an object of the catalogue
 
 
 def make_parts(key: Array, args: PatchArgs) -> dict[str, Part]:

@@ -19,10 +19,10 @@ from jaxtyping import Float
 
 from i2t.types import Array
 
-STARTS, ITERATIONS = 48, 80
+RANDOM_STARTS, ITERATIONS = 48, 80
 MAX_WAYS = 6  # to stand at a first pose, the most dexterous ones, from which lines are followed
 SOLVED_M, SOLVED_RAD = 1e-5, 1e-4
-CONVERGED, STALLED_RAD = 1e-13, 1e-9
+SQUARED_ERROR, STALLED_RAD = 1e-13, 1e-9  # at which a descent ends
 STEP_M, STEP_RAD = 0.02, 0.1  # along a line, at the most
 JUMP_RAD = 0.5  # of a joint within one step, above which the arm would have to fold over
 MIN_MARGIN_RAD = np.radians(3.0)  # from a joint's limit
@@ -54,7 +54,7 @@ class JointPath:
 
 
 def from_dh(
-    name: str, a: Sequence[float], d: Sequence[float], alpha: Sequence[float], low: Array, high: Array
+    name: str, a: Sequence[float], d: Sequence[float], alpha: Sequence[float], *, low: Array, high: Array
 ) -> SerialArm:
     """An arm from Denavit and Hartenberg's parameters: each link is Rz(q) Tz(d) Tx(a) Rx(alpha).
 
@@ -132,7 +132,7 @@ def solve(
     """
     limits = np.clip(arm.low, -np.pi, None), np.clip(arm.high, None, np.pi)
     rng = np.random.default_rng(seed)
-    starts = rng.uniform(*limits, (STARTS, len(arm.low))) if near is None else np.asarray(near, float)[None]
+    starts = rng.uniform(*limits, (RANDOM_STARTS, len(arm.low))) if near is None else np.asarray(near, float)[None]
     q, solved = _descend(arm, starts, np.asarray(T_b_f, float))
     found = q[solved]
     return found[np.argsort(-_dexterity(arm, found), kind="stable")] if len(found) else found
@@ -232,7 +232,12 @@ def arms() -> dict[str, SerialArm]:
     }
     known = {
         name: from_dh(
-            name, (0.0, *a, 0.0, 0.0, 0.0), (d[0], 0.0, 0.0, *d[1:]), (half, 0.0, 0.0, half, -half, 0.0), -turn, turn
+            name,
+            (0.0, *a, 0.0, 0.0, 0.0),
+            (d[0], 0.0, 0.0, *d[1:]),
+            (half, 0.0, 0.0, half, -half, 0.0),
+            low=-turn,
+            high=turn,
         )
         for name, (a, d) in tables.items()
     }
@@ -296,7 +301,7 @@ def _descend(arm: SerialArm, q: np.ndarray, goal: np.ndarray) -> tuple[np.ndarra
         T, J = _chain(arm, q)
         error = _error(T, goal, arm.reach)
         size = 0.5 * (error**2).sum(1)
-        if (size < CONVERGED).all():
+        if (size < SQUARED_ERROR).all():
             break
         J, damping = _scaled(arm, J), (size[:, None, None] + 1e-9) * np.eye(q.shape[1])
         turned = np.swapaxes(J, 1, 2)

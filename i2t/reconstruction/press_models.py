@@ -40,9 +40,17 @@ SLIDING_RIDGE = 0.1  # of the mean square of the pressures
 class ReadingModel(Protocol):
     """What `model_presses` needs to know of a pad."""
 
-    loads: Float[Array, " l"]  # N
-    mean: Float[Array, "l cells c"]  # uT per N on each cell of 1 mm
-    softness: Float[Array, ""]  # indentation of the pad over that of the nominal layer
+    @property
+    def loads(self) -> Float[Array, " l"]:
+        """N, ascending."""
+
+    @property
+    def mean(self) -> Float[Array, "l cells c"]:
+        """uT per N on each cell of 1 mm."""
+
+    @property
+    def softness(self) -> Float[Array, ""]:
+        """Indentation of the pad over that of the nominal layer."""
 
 
 def imagine_presses(
