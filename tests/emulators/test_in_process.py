@@ -117,6 +117,7 @@ def test_a_tool_that_goes_back_behind_the_beginning_of_a_line_meets_what_is_ther
     assert np.linalg.norm(model(np.array([0.3725, 0.0, 0.01]), sideways)[:3]) > 0.3
 
 
+@pytest.mark.full
 def test_a_contact_model_in_a_thread_finds_the_same(scene):
     waits, threaded = ContactModel(scene), ContactModel(scene, wait=False)
     for model in (waits, threaded):

@@ -16,6 +16,7 @@ def test_gymnasium_finds_nothing_wrong_with_one_environment():
     check_env(gym.SingleTouchEnv(*random_environment()), skip_render_check=True)
 
 
+@pytest.mark.full
 def test_a_vector_of_them_says_what_ended():
     envs = gym.TouchVectorEnv(*random_environment(), num_envs=6)
     obs, _ = envs.reset(seed=3)

@@ -265,6 +265,7 @@ def learned(substitute: float) -> tuple:
     return decoder.steps, [np.column_stack([f.temperature, f.reading.reshape(5, 3)]) for f in found]
 
 
+@pytest.mark.full
 def test_real_boards_send_whole_numbers_of_steps(shared_data):
     """eFlesh's recordings: 16 times the MLX90393's finest steps, 0.150 and 0.242 uT, in every one of 3600 samples."""
     path = shared_data / "eflesh" / "normal" / "20250401_014340_probe" / "sensor.csv.gz"

@@ -153,6 +153,7 @@ def test_every_epoch_meets_the_touches_in_an_order_of_its_own(case: Case) -> Non
     assert (jnp.abs(first.params["reading"]["kernel"] - other.params["reading"]["kernel"]) > 1e-6).any()
 
 
+@pytest.mark.full
 def test_a_validation_loss_that_is_never_finite_is_refused(case: Case) -> None:
     """No epoch would be the best, and what is kept a network of zeros."""
     saved: list[TrainState] = []

@@ -387,6 +387,7 @@ def test_probabilities_add_up_and_follow_a_permutation():
     np.testing.assert_allclose(again.mean, after.mean[order][:, shuffle], atol=1e-9)
 
 
+@pytest.mark.full
 def test_places_that_are_ruled_out_change_nothing():
     rng = np.random.default_rng(9)
     now, at, outcome = some_belief(rng)
@@ -466,6 +467,7 @@ def test_a_deep_indentation_is_known_less_well():
     assert std > 1.5 * POSITION
 
 
+@pytest.mark.full
 def test_heavy_tails_of_a_position_are_a_mixture_of_kalman_steps():
     """Density, mean and covariance of a mixture of normals by its components, in double precision."""
     rng = np.random.default_rng(19)

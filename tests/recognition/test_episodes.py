@@ -91,6 +91,7 @@ def test_what_cannot_be_used_is_said():
         episodes_from_dataset(data, ["square"], 2)
 
 
+@pytest.mark.full
 def test_an_episode_without_a_site_is_refused():
     sites = SitePool(jnp.eye(4)[None], np.zeros(1, int))
     simulator = EpisodeSimulator(

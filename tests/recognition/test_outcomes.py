@@ -121,6 +121,7 @@ def test_a_miss_is_all_zeros_and_no_nan():
     assert all(np.isfinite(x).all() for x in found)
 
 
+@pytest.mark.full
 def test_the_skin_carries_the_load_and_sinks_deeper_with_it():
     flat, round_ = pose(DOWN, [0, 0, TOP]), pose(DOWN, [1e-3, 2e-3, 2 * RADIUS])
     for surface, site in ((BLOCK, flat), (BALL, round_)):
@@ -193,6 +194,7 @@ def test_maps_give_the_mean_and_variance_of_the_gp(fitted_gp):
     np.testing.assert_array_equal(outcome.approach_distance, imagined.approach_distance)
 
 
+@pytest.mark.full
 def test_a_reading_is_linear_in_the_newtons():
     rng = np.random.default_rng(5)
     mean, root = rng.normal(size=(3, 400, 15)), rng.normal(size=(3, 400, 7))
@@ -219,6 +221,7 @@ def some_outcome(rng: np.random.Generator) -> PredictedTouch:
     )  # fmt: skip
 
 
+@pytest.mark.full
 def test_between_loads():
     outcome = some_outcome(np.random.default_rng(6))
     force = np.geomspace(0.1, 8.1, 61)  # from a third of the least load to three times the largest, which are knots
@@ -243,6 +246,7 @@ def test_between_loads():
         np.testing.assert_allclose(values, start + part * (end - start), atol=1e-4 * np.abs(at).max())
 
 
+@pytest.mark.full
 def test_extreme_forces_and_misses_stay_finite():
     rng = np.random.default_rng(7)
     outcome = some_outcome(rng)
@@ -257,6 +261,7 @@ def test_extreme_forces_and_misses_stay_finite():
         np.testing.assert_array_equal(values[:2], 0)
 
 
+@pytest.mark.full
 def test_a_touch_fades_to_none_with_its_load():
     """Below the least load the indentation goes on as the power of the load that it is between the first two, and
     nothing is left of a touch without load.

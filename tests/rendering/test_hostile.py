@@ -63,6 +63,7 @@ def test_bad_poses_spoil_their_own_rows_only(pyramid, patches_of):
     assert (depth[5:] == np.float32(REACH)).all()
 
 
+@pytest.mark.full
 def test_singular_maps_flatten_the_surface(pyramid):
     """`render_heights` takes any affine map: squashed along z the pyramid is its shadow, along x it is edge on."""
     heights = jax.jit(render_heights)

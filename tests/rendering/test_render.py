@@ -353,7 +353,7 @@ def test_affine_map_moves_the_surface():
 
 
 def test_contact_mask():
-    depth = jnp.array([[0.0, 0.5e-3], [1.5e-3, 4e-3]])
+    depth = jnp.array([[0.0, 1.4e-3], [1.8e-3, 4e-3]])
     np.testing.assert_array_equal(contact_mask(depth), [[1, 1], [0, 0]])
     np.testing.assert_array_equal(contact_mask(depth, 2e-3), [[1, 1], [1, 0]])
     np.testing.assert_array_equal(contact_mask(depth + 1e-2, 0.1e-3), [[1, 0], [0, 0]])

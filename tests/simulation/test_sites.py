@@ -384,6 +384,7 @@ def test_sites_pass_an_independent_check():
             assert (T[2, 3] + R[2, 0] * x + R[2, 1] * y + R[2, 2] * z >= 1e-3 - DELTA).all()
 
 
+@pytest.mark.full
 def test_sites_are_uniform_in_place_and_spin():
     # Every point of a wide flat top is safe, and nothing else looks up.
     surface = prepare_surface(make_object("square").mesh)

@@ -248,6 +248,7 @@ def test_the_key_is_all_there_is_to_chance(touches, solids, pad):
     assert len(np.unique(touches.T_w_t[:, :3, 3].round(6), axis=0)) == 12
 
 
+@pytest.mark.full
 def test_an_object_without_safe_sites_is_named(solids, pad):
     triangles = np.asarray(solids[1].triangles)[:12]
     inside_out = trimesh.Trimesh(**trimesh.triangles.to_kwargs(triangles[:, ::-1]))  # only its floor looks up

@@ -308,6 +308,7 @@ def test_interior_carries_the_load(smooth_load):
     np.testing.assert_allclose(outwards @ sheared, drag, atol=DIFFERENCES * float(load))
 
 
+@pytest.mark.full
 def test_interior_ends_at_the_base_and_the_surface(smooth_load):
     pressure, traction, _ = smooth_load
     load = elasticity.load(PAD, pressure, traction)

@@ -72,6 +72,7 @@ def test_the_layer_at_rest_agrees_with_solid_magnets(pattern):
     np.testing.assert_allclose(field.rest_field(pad), exact, atol=1e-3 * np.abs(exact).max())
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("held", [False, True])
 def test_a_pressed_layer_agrees_with_magpylib(held):
     """Every dipole moved and turned by hand, its field by magpylib; with friction and held at its edge or without."""

@@ -49,6 +49,7 @@ def test_reproduces_cattaneo_and_mindlin_where_they_hold():
         np.testing.assert_allclose(np.sqrt(stuck / np.pi), a * np.sqrt(1 - part), atol=0.6 * grid.spacing)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("height", "depth"), [(TIP, 0.4e-3), (STAMP, 0.2e-3)])
 @pytest.mark.parametrize("slide", [(0.0, 0.0), (5e-5, 2e-5), (1e-4, -3e-4), (5e-3, 0.0)])
 def test_meets_the_conditions_of_friction(height, depth, slide):
