@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Bool, Float, Key
 
 from i2t.reconstruction.library import CELL_GRID
 from i2t.reconstruction.local_shape import CONTACT_NEWTONS
@@ -24,7 +24,7 @@ from i2t.skin.contact import GRID, Grid, solve
 from i2t.skin.noise import add_sensor_noise
 from i2t.skin.pad import Press, friction_response
 from i2t.skin.pad import press as press_pad
-from i2t.types import Pad
+from i2t.types import Array, Pad
 
 SKIN_CHANGES_UT = (25.0, 100.0)  # at which a press stops, the paper's and four times it
 
@@ -32,14 +32,14 @@ SKIN_CHANGES_UT = (25.0, 100.0)  # at which a press stops, the paper's and four 
 class PressCurve(NamedTuple):
     """Stops of one press: what was measured, and what only a simulation knows."""
 
-    reading: Float[Array, "s c"]  # uT
-    force: Float[Array, " s"]  # N
-    travel: Float[Array, " s"]  # m past first contact, what arm and mount yield included
-    newtons: Float[Array, "s cells"]  # truth, on each cell of 1 mm
-    centre: Float[Array, "s 2"]  # m, truth, centre of pressure (x, y)
+    reading: Float[Array, "*batch s c"]  # uT
+    force: Float[Array, "*batch s"]  # N
+    travel: Float[Array, "*batch s"]  # m past first contact, what arm and mount yield included
+    newtons: Float[Array, "*batch s cells"]  # truth, on each cell of 1 mm
+    centre: Float[Array, "*batch s 2"]  # m, truth, centre of pressure (x, y)
 
     @property
-    def contact(self) -> Bool[Array, "s cells"]:
+    def contact(self) -> Bool[Array, "*batch s cells"]:
         """Cells that truly bear pressure."""
         return self.newtons > CONTACT_NEWTONS
 
