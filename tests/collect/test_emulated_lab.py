@@ -27,6 +27,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs the addre
 # The emulated board, the thread that hears it and the arm's process share the machine with the other tests: each may
 # wait for a core longer than a lab's devices may be silent (0.1 s, 10 Hz and 0.15 s), which no claim here is about.
 PATIENT = ["--state-timeout", "3", "--watchdog-rate", "0.5", "--settings.silence", "2", "--settings.hold", "2"]
+ATTEMPTS = 3
 
 
 @pytest.fixture(scope="module")
@@ -49,11 +50,16 @@ def lab(tmp_path_factory):
                      "--camera", "folder", "--views", str(path / "views"), "--touches", "1", *PATIENT]  # fmt: skip
 
 
+def collected(words: list[str]) -> bool:
+    """Whether touches are collected; a session that a starved device has ended goes on with the same command."""
+    return any(command.main(words) == 0 for _ in range(ATTEMPTS))
+
+
 @pytest.mark.full
 def test_an_arm_by_its_address_a_skin_by_its_port_and_recorded_views(lab, capsys):
     path, options = lab
     out = path / "touched"
-    assert command.main(["--out", str(out), "--skin", "reskin", "--port", str(path / "skin"), *options]) == 0
+    assert collected(["--out", str(out), "--skin", "reskin", "--port", str(path / "skin"), *options])
     said = capsys.readouterr().out
     assert "MIXED: some of these devices are not real" in said  # 127.x.y.z and a pseudo-terminal are no lab
     made = dataset.load_dataset(out)
@@ -77,7 +83,7 @@ def test_a_recording_in_place_of_a_skin(lab, capsys):
     heard = b"".join(chunk for _, chunk in recording.chunks(path / "rest.raw", 1.0))
     (path / "rest.bin").write_bytes(heard * 12)
     out = path / "replayed"
-    assert command.main(["--out", str(out), "--skin", "replay", "--replay", str(path / "rest.bin"), *options]) == 0
+    assert collected(["--out", str(out), "--skin", "replay", "--replay", str(path / "rest.bin"), *options])
     made = dataset.load_dataset(out)
     assert made.source == "mixed"
     assert made.touches.code[0] == ReturnCode.WRENCH  # a recording of a skin at rest feels nothing; force stops it
