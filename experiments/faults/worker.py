@@ -23,7 +23,7 @@ from i2t.hardware.ur.driver import UrArm
 from i2t.skin import boards
 
 QUICK_SETTINGS = TouchSettings(
-    prepare=20e-3, near=2e-3, approach=0.05, press=0.004, settle=0.02, clearance=0.02, speed=0.25
+    prepare=20e-3, near=2e-3, approach=0.04, press=0.004, settle=0.02, clearance=0.02, speed=0.25
 )
 WORKER_STATE_TIMEOUT_S = 0.5
 
