@@ -32,6 +32,7 @@ from i2t.skin.ambient import mean_known
 from i2t.types import Array
 
 RECORDED = ("folder", "replay")  # sources of views that are not of this lab
+FELT_S, FELT_SAMPLES = 0.5, 200  # of which a reading is the mean, whichever is less
 FIRST_SITES, FIRST_LOOKS = 32, 3  # sites among which those are chosen, and how many are looked at
 LOOK_RADIUS_M = 40e-3  # around a site, in which depth is compared
 DEPTH_TOLERANCE_M = 6e-3  # of a pixel's depth: placement and camera 1 mm and a degree off, and a sloping surface
@@ -299,4 +300,6 @@ class _NoLog:
 
 
 def _mean_reading(procedure: Procedure) -> Array:
-    return mean_known(procedure.skin.read(procedure.settings.ambient).reading, axis=0)
+    """Of enough samples, half a second, that noise cannot pass for a press nor hide one."""
+    count = int(np.clip(FELT_S * procedure.skin.features.rate, procedure.settings.ambient, FELT_SAMPLES))
+    return mean_known(procedure.skin.read(count).reading, axis=0)

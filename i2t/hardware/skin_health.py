@@ -40,7 +40,7 @@ CONVERTER_END_UT = (4915.0, 4915.0, 7930.0)  # least range of a converter, eithe
 END_SHARE, CLIPPED_SHARE = 0.98, 0.3  # of that range; of the samples that are at the greatest value
 TEMPERATURE_RANGE_C, MAX_TEMPERATURE_GAP_C = (0.0, 60.0), 10.0  # of a lab's chips; from one chip to the others
 MIN_CHIP_SHARE = 0.5  # of the chips, that must answer
-LEAST_RESPONSE_UT = 10.0  # of a reading, to a press of the least force; noise alone is below
+LEAST_RESPONSE_UT = 4.0  # of a reading, to a press of the least force, also of a flat; noise alone is below
 LEAST_PRESS_N = 1.5
 
 
