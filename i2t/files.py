@@ -1,4 +1,4 @@
-"""Reading files that somebody else made: regular files of a bounded size, unpacked and parsed within bounds.
+"""Reading files that somebody else made, within bounds, and writing files that are there whole or not at all.
 
 A file can be a pipe that never ends, a kilobyte that unpacks to gigabytes, or a text nested so deep that its parser
 falls over. The functions here read text, tables in TOML and JSON, gzip and zip archives and lists of file names, and
@@ -11,10 +11,13 @@ import io
 import json
 import os
 import re
+import secrets
 import stat
 import tomllib
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +47,33 @@ def unwritable(path: str | Path, error: OSError) -> DataError:
     if isinstance(error, NAMED_WRONGLY):
         return DataError(f"{path}: cannot be written ({why}); choose a folder you may write to")
     return FullDiskError(f"{path}: cannot be written ({why}); make room on its disk, or choose another")
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Write a file whole or not at all: what is written in the block appears under its name when the block is done.
+
+    Args:
+        path: Of the file; its folder is made, and a file that is there is replaced.
+
+    Yields:
+        The hidden name beside it under which the file is to be written. Nothing is left of it if the block fails.
+
+    Raises:
+        DataError: Its folder cannot be written to; FullDiskError if the disk is full, or failed.
+    """
+    temporary = path.with_name(f".{secrets.token_hex(4)}.{path.name}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            yield temporary
+            with temporary.open("r+b") as file:  # the contents reach the disk before their name does
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise unwritable(path, error) from error
 
 
 def read_bytes(path: str | Path, most: int = MAX_BYTES) -> bytes:

@@ -7,8 +7,6 @@ entry is text (JSON): what kind of thing the file holds, in which version, and w
 import hashlib
 import io
 import json
-import os
-import secrets
 import types
 import typing
 import zipfile
@@ -42,20 +40,11 @@ def save(path: Path | str, kind: str, tree: Any, about: dict[str, Any] | None = 
     """
     path, arrays = Path(path), flatten(tree)
     header = {"format": kind, "version": TREE_VERSION, "sha256": _digest(arrays), "about": about or {}}
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with temporary.open("wb") as file:
-                np.savez_compressed(file, allow_pickle=False, **{ABOUT: np.array(json.dumps(header))}, **arrays)
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
-    except OSError as error:
-        reason = files.unwritable(path, error)
-        raise (reason if isinstance(reason, SerializationError) else SerializationError(str(reason))) from error
+        with files.replacing(path) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **{ABOUT: np.array(json.dumps(header))}, **arrays)
+    except DataError as error:
+        raise (error if isinstance(error, SerializationError) else SerializationError(str(error))) from error
 
 
 def load(

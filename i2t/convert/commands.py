@@ -20,7 +20,6 @@ an earlier conversion. What cannot be used is refused with one sentence on the e
 
 import json as json_text
 import math
-import secrets
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -29,10 +28,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from i2t import files
 from i2t.cli import exit_code_of, renamed_flags
 from i2t.convert import CAMERA_OFFSET_M, EFLESH_WINDOW_M, TIP_RADIUS_M
 from i2t.errors import DataError, SerializationError
+from i2t.files import replacing
 from i2t.windows import PATCH_WINDOW, REACH
 
 if TYPE_CHECKING:
@@ -368,16 +367,8 @@ def write_npz(path: Path, dataset: "Dataset") -> Path:
     arrays |= {name: np.array(getattr(dataset, name)) for name in ("window", "reach", "source")}
     arrays["meta_keys"] = np.array(list(dataset.meta), np.str_)
     arrays["meta_values"] = np.array(list(dataset.meta.values()), np.str_)
-    temporary = path.with_name(f".{secrets.token_hex(4)}.{path.name}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            np.savez_compressed(temporary, allow_pickle=False, **arrays)
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
-    except OSError as error:
-        raise files.unwritable(path, error) from error
+    with replacing(path) as temporary:
+        np.savez_compressed(temporary, allow_pickle=False, **arrays)
     return path
 
 

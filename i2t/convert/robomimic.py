@@ -7,7 +7,6 @@ last; `obs/` with every field of the touches, `rewards` of zero, `dones` with a 
 
 import io
 import json
-import secrets
 from pathlib import Path
 from typing import Any
 
@@ -40,17 +39,8 @@ def write_robomimic(path: Path, dataset: Dataset) -> Path:
     Raises:
         DataError: The file cannot be written.
     """
-    temporary = path.with_name(f".{secrets.token_hex(4)}.{path.name}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with h5py.File(temporary, "w") as file:
-                _fill(file, dataset)
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
-    except OSError as error:
-        raise files.unwritable(path, error) from error
+    with files.replacing(path) as temporary, h5py.File(temporary, "w") as file:
+        _fill(file, dataset)
     return path
 
 

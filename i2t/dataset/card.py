@@ -1,6 +1,5 @@
 """The card of a data set: README.md in its folder, which says to a person what is there. No reader depends on it."""
 
-import secrets
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -60,15 +59,8 @@ def write_card(folder: Path | str, dataset: Dataset) -> Path:
         DataError: It cannot be written.
     """
     path = Path(folder) / CARD
-    temporary = path.with_name(f".{CARD}.{secrets.token_hex(4)}.tmp")
-    try:
-        try:
-            temporary.write_text(card_of(dataset), encoding="utf-8")
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
-    except OSError as error:
-        raise files.unwritable(path, error) from error
+    with files.replacing(path) as temporary:
+        temporary.write_text(card_of(dataset), encoding="utf-8")
     return path
 
 

@@ -17,7 +17,6 @@ import hashlib
 import io
 import os
 import re
-import secrets
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -27,7 +26,7 @@ import h5py
 import numpy as np
 
 from i2t.errors import DataError
-from i2t.files import SPARE_BYTES, unwritable
+from i2t.files import SPARE_BYTES, replacing, unwritable
 
 SCHEMA = "i2t-touches"
 SCHEMA_VERSION = 2  # sessions, which version 1 called runs
@@ -58,26 +57,19 @@ def write(path: Path, fill: Callable[[h5py.File], None], small: bool = False) ->
     Raises:
         DataError: The folder cannot be written; FullDiskError if the disk is full, or failed.
     """
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    with replacing(path) as temporary:
+        if small:
+            image = io.BytesIO()
+            _make(image, fill)
+            temporary.write_bytes(image.getbuffer())
+        else:
+            _make(temporary, fill)
+        with temporary.open("r+b") as raw:
+            raw.seek(HEADER_BYTES)
+            digest = hashlib.file_digest(raw, "sha256").hexdigest()
+            raw.seek(0)
+            raw.write(f"{SCHEMA} {SCHEMA_VERSION} sha256 {digest}\n".encode().ljust(HEADER_BYTES, b"\0"))
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            if small:
-                image = io.BytesIO()
-                _make(image, fill)
-                temporary.write_bytes(image.getbuffer())
-            else:
-                _make(temporary, fill)
-            with temporary.open("r+b") as raw:
-                raw.seek(HEADER_BYTES)
-                digest = hashlib.file_digest(raw, "sha256").hexdigest()
-                raw.seek(0)
-                raw.write(f"{SCHEMA} {SCHEMA_VERSION} sha256 {digest}\n".encode().ljust(HEADER_BYTES, b"\0"))
-                raw.flush()
-                os.fsync(raw.fileno())
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
         sync_folder(path.parent)
     except OSError as error:
         raise unwritable(path, error) from error

@@ -10,6 +10,7 @@ import math
 import secrets
 import warnings
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,7 +24,7 @@ from i2t.dataset.card import CARD
 from i2t.dataset.files import ENDING, checksum, sync_folder, verified, write
 from i2t.dataset.sets import Dataset, concatenate, missing_context, validate
 from i2t.errors import DataError
-from i2t.files import read_json
+from i2t.files import read_json, replacing
 from i2t.types import Board, Touches, Truth
 
 INDEX = "index.json"
@@ -291,13 +292,10 @@ def index(folder: str | Path) -> dict[str, dict[str, Any]]:
     if bad:
         raise DataError(f"{len(bad)} files of {folder} cannot be used: {' | '.join(bad)} | mend them or move them away")
     if entries != known:
-        temporary = folder / f".{INDEX}.{secrets.token_hex(4)}.tmp"
-        try:
-            temporary.write_text(json.dumps({"version": INDEX_VERSION, "files": entries}, indent=1))
-            temporary.replace(folder / INDEX)
+        with suppress(OSError, DataError):
+            with replacing(folder / INDEX) as temporary:
+                temporary.write_text(json.dumps({"version": INDEX_VERSION, "files": entries}, indent=1))
             sync_folder(folder)
-        except OSError:
-            temporary.unlink(missing_ok=True)
     return entries
 
 

@@ -10,7 +10,6 @@ pose as the four rows of its matrix; what is missing, unknown, not rigid or out 
 
 import difflib
 import math
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
@@ -22,7 +21,7 @@ import tyro
 
 from i2t.cli import exit_code_of
 from i2t.depth.camera import Camera
-from i2t.files import read_toml
+from i2t.files import read_toml, replacing
 from i2t.geometry import inverse
 from i2t.hardware.kinematics import arms
 from i2t.hardware.limits import MotionLimits, format_position
@@ -154,18 +153,10 @@ class Rig:
             path: Of the TOML file; one that is there is replaced.
 
         Raises:
-            OSError: It cannot be written.
+            DataError: It cannot be written.
         """
-        path = Path(path)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        try:
-            with temporary.open("w", encoding="utf-8") as file:
-                file.write(self.text())
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        with replacing(Path(path)) as temporary:
+            temporary.write_text(self.text(), encoding="utf-8")
 
     def text(self) -> str:
         """It as TOML."""

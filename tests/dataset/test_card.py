@@ -32,5 +32,5 @@ def test_a_card_is_replaced_and_no_part_of_the_set(tmp_path):
     assert (tmp_path / CARD).read_text() == card_of(dataset)
     assert len(load_dataset(tmp_path)) == 3
     assert sorted(path.name for path in tmp_path.iterdir()) == [CARD, "set.h5"]
-    with pytest.raises(DataError):
-        write_card(tmp_path / "none", dataset)
+    with pytest.raises(DataError, match="choose a folder"):
+        write_card(tmp_path / "set.h5", dataset)

@@ -6,14 +6,12 @@ t0_C ...     temperatures; both are empty (NaN) for a chip that is missing
 """
 
 import csv
-import os
-import secrets
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
 from i2t.errors import DataError, DeviceError
+from i2t.files import replacing
 from i2t.hardware.protocols import Samples
 from i2t.hardware.reskin import frames, recording
 from i2t.hardware.reskin.layouts import FrameLayout
@@ -84,27 +82,17 @@ def write_table(path: Path, samples: Samples, began: float | None = None) -> Pat
     names = ["time_s", *(f"b{chip}{axis}_uT" for chip in range(chips) for axis in "xyz")]
     names += [f"t{chip}_C" for chip in range(chips)]
     columns = np.column_stack([samples.time, samples.reading, samples.temperature])
-    temporary = path.with_name(f".{secrets.token_hex(4)}.{path.name}")
     if path.exists():
         raise DataError(f"{path}: exists already; give the table a new name")
-    try:
-        try:
-            if path.suffix.lower() == ".csv":
-                with temporary.open("w", newline="") as file:
-                    rows = csv.writer(file)
-                    rows.writerow(names)
-                    rows.writerows(
-                        [f"{x:.{TABLE_DECIMALS}f}" if np.isfinite(x) else "" for x in row] for row in columns
-                    )
-            else:
-                arrays = {"time_s": samples.time, "reading_uT": samples.reading, "temperature_C": samples.temperature}
-                np.savez_compressed(
-                    temporary, allow_pickle=False, began_unix=np.float64(np.nan if began is None else began), **arrays
-                )
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
-    except (OSError, zipfile.LargeZipFile) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise DataError(f"{path}: cannot be written ({reason}); choose a folder you may write to") from error
+    with replacing(path) as temporary:
+        if path.suffix.lower() == ".csv":
+            with temporary.open("w", newline="") as file:
+                rows = csv.writer(file)
+                rows.writerow(names)
+                rows.writerows([f"{x:.{TABLE_DECIMALS}f}" if np.isfinite(x) else "" for x in row] for row in columns)
+        else:
+            arrays = {"time_s": samples.time, "reading_uT": samples.reading, "temperature_C": samples.temperature}
+            unix = np.float64(np.nan if began is None else began)
+            with temporary.open("wb") as file:  # by its name NumPy would add an ending to one in capitals
+                np.savez_compressed(file, allow_pickle=False, began_unix=unix, **arrays)
     return path
