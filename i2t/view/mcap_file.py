@@ -31,19 +31,6 @@ ARROW_M = 4e-4  # diameter of an arrow's shaft
 BASE64 = {"data": {"type": "string", "contentEncoding": "base64"}}
 
 
-def why_no_mcap() -> str:
-    """Why no MCAP file can be written here.
-
-    Returns:
-        One sentence with the remedy; empty where it can.
-    """
-    try:
-        import mcap  # noqa: F401
-    except ImportError:
-        return NO_MCAP
-    return ""
-
-
 def write_mcap(contents: Contents, path: Path) -> Path:
     """Write the file.
 
@@ -57,9 +44,10 @@ def write_mcap(contents: Contents, path: Path) -> Path:
     Raises:
         DeviceError: mcap is missing.
     """
-    if why_no_mcap():
-        raise DeviceError(why_no_mcap())
-    from mcap.writer import Writer
+    try:
+        from mcap.writer import Writer
+    except ImportError as error:
+        raise DeviceError(NO_MCAP) from error
 
     with path.open("wb") as file:
         writer = Writer(file)
