@@ -161,16 +161,3 @@ def _safe_sites(
     rank = np.array([np.sum(pool.owner[good][:i] == owner) for i, owner in enumerate(pool.owner[good])])
     chosen = np.sort(good[np.lexsort((pool.owner[good], rank))[:count]])
     return SitePool(pool.T_w_t[chosen], pool.owner[chosen])
-
-
-def count_touches(params: EnvironmentParams, placements: int) -> int:
-    """How many touches a table holds.
-
-    Args:
-        params: of the environment.
-        placements: in which objects are touched.
-
-    Returns:
-        Their number.
-    """
-    return int(params.response.shape[0] * params.objects * placements * params.sites)
