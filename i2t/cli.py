@@ -153,15 +153,10 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
     try:
         with _swallowed_interrupts_sent_again():
             code = work()
-    except FullDiskError as error:
+    except (DeviceError, ValueError, OSError) as error:  # DataError is a ValueError
         print(f"error: {error}", file=sys.stderr)
-        return FAILED
-    except (ValueError, *NAMED_WRONGLY) as error:  # DataError is a ValueError
-        print(f"error: {error}", file=sys.stderr)
-        return WRONG_USE
-    except (DeviceError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return FAILED
+        mendable = isinstance(error, (ValueError, *NAMED_WRONGLY)) and not isinstance(error, FullDiskError)
+        return WRONG_USE if mendable else FAILED
     except KeyboardInterrupt:
         print(f"\n{interrupted() if callable(interrupted) else interrupted}", file=sys.stderr)
         return INTERRUPTED_BY_USER

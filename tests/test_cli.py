@@ -5,7 +5,7 @@ import errno
 import pytest
 
 from i2t.cli import FAILED, INTERRUPTED_BY_USER, WRONG_USE, exit_code_of, renamed_flags
-from i2t.errors import CheckpointError, DataError, DeviceError, DeviceTimeoutError
+from i2t.errors import CheckpointError, DataError, DeviceError, DeviceTimeoutError, FullDiskError
 
 WRONG = (
     ValueError("--unit is no unit"),
@@ -19,6 +19,7 @@ BROKEN = (
     DeviceError("the skin fell silent"),
     DeviceTimeoutError("no news from the arm"),
     OSError(errno.ENOSPC, "No space left on device"),
+    FullDiskError("set.h5: cannot be written"),
 )
 
 
