@@ -22,6 +22,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, Any, TypeAlias
 
 from i2t.compile_cache import use_compile_cache
@@ -151,7 +152,7 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
     use_compile_cache()
     shown, warnings.showwarning = warnings.showwarning, _show_warning
     try:
-        with _swallowed_interrupts_sent_again():
+        with _interrupts_in_good_time():
             code = work()
     except (DeviceError, ValueError, OSError) as error:  # DataError is a ValueError
         print(f"error: {error}", file=sys.stderr)
@@ -169,25 +170,51 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
 
 
 @contextmanager
-def _swallowed_interrupts_sent_again() -> Iterator[None]:
-    """Python drops what is raised in a callback of its garbage collector, and JAX has one: a Ctrl-C that comes just
-    then would be lost.
+def _interrupts_in_good_time() -> Iterator[None]:
+    """Ctrl-C, but a little later where it would be lost or do harm.
+
+    Python drops what is raised in a callback of its garbage collector, and JAX has one. A compiled module that is
+    interrupted while it is imported may take the whole process down, and jaxlib does.
     """
-    before = sys.unraisablehook
+    raised, unraisable_hook = signal.getsignal(signal.SIGINT), sys.unraisablehook
+
+    def handler(number: int, frame: FrameType | None) -> None:
+        if _importing():
+            _send_again()
+        else:
+            signal.default_int_handler(number, frame)
 
     def hook(unraisable: "sys.UnraisableHookArgs") -> None:
         if issubclass(unraisable.exc_type, KeyboardInterrupt):
-            timer = threading.Timer(SENT_AGAIN_S, signal.raise_signal, (signal.SIGINT,))
-            timer.daemon = True
-            timer.start()
+            _send_again()
         else:
-            before(unraisable)
+            unraisable_hook(unraisable)
 
+    ours = raised is signal.default_int_handler and threading.current_thread() is threading.main_thread()
     sys.unraisablehook = hook
+    if ours:
+        signal.signal(signal.SIGINT, handler)
     try:
         yield
     finally:
-        sys.unraisablehook = before
+        sys.unraisablehook = unraisable_hook
+        if ours:
+            signal.signal(signal.SIGINT, raised)
+
+
+def _importing() -> bool:
+    """Whether a module is being imported just now."""
+    specs = (getattr(module, "__dict__", {}).get("__spec__") for module in list(sys.modules.values()))
+    return any(getattr(spec, "_initializing", False) for spec in specs)
+
+
+def _send_again() -> None:
+    if hasattr(signal, "pthread_kill"):  # which ends the main thread's waiting too
+        timer = threading.Timer(SENT_AGAIN_S, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
+    else:
+        timer = threading.Timer(SENT_AGAIN_S, signal.raise_signal, (signal.SIGINT,))
+    timer.daemon = True
+    timer.start()
 
 
 def renamed_flags(args: Sequence[str], renamed: Mapping[str, str]) -> None:

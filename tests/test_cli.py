@@ -1,6 +1,10 @@
 """How a command ends: exit codes, and the one sentence that goes with them."""
 
 import errno
+import importlib
+import signal
+import sys
+import time
 
 import pytest
 
@@ -43,6 +47,23 @@ def test_an_error_is_one_sentence_and_its_exit_code(errors, code, capsys):
 def test_ctrl_c_says_how_things_stand(capsys):
     assert exit_code_of(_raising(KeyboardInterrupt()), "stopped; go on with --resume") == 130
     assert capsys.readouterr().err == "\nstopped; go on with --resume\n"
+
+
+def test_ctrl_c_lets_a_module_be_imported_first(tmp_path, monkeypatch):
+    """A compiled module that is interrupted while it starts may take the process down."""
+    (tmp_path / "slow_to_start.py").write_text(
+        "import signal, time\nsignal.raise_signal(signal.SIGINT)\ntime.sleep(0.2)\nstarted = True\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    before = signal.getsignal(signal.SIGINT)
+
+    def work():
+        importlib.import_module("slow_to_start")
+        time.sleep(20)
+
+    assert exit_code_of(work) == INTERRUPTED_BY_USER
+    assert sys.modules.pop("slow_to_start").started
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_a_command_may_choose_its_exit_code():

@@ -505,18 +505,21 @@ def test_a_conversion_to_a_full_disk_ends_in_one_sentence(folder, tmp_path):
 
 
 @pytest.mark.full
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks at the process through /proc")
 def test_ctrl_c_ends_a_run_in_one_sentence(tmp_path):
-    """Whenever it comes once the command has begun."""
-    command = [sys.executable, "-m", "experiments.train", "--preset", "debug", "--out", str(tmp_path / "run")]
+    """Whenever it comes once the command has begun: while it imports JAX, and when it has made something."""
+    run = tmp_path / "run"
+    command = [sys.executable, "-m", "experiments.train", "--preset", "debug", "--out", str(run)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    for seconds in (3.0, 12.0):
+    for begun in (lambda maps: "jaxlib" in maps.read_text(), lambda _: (run / "data.h5").exists()):
         with subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True) as process:
-            time.sleep(seconds)
+            while process.poll() is None and not begun(Path(f"/proc/{process.pid}/maps")):
+                time.sleep(0.02)
             process.send_signal(signal.SIGINT)
-            _, printed = process.communicate(timeout=120)
+            _, printed = process.communicate(timeout=300)
         assert process.returncode == 130, printed
         assert "Traceback" not in printed
         assert "interrupted" in printed.splitlines()[-1]
-        if (tmp_path / "run").exists():
+        if run.exists():
             assert "--resume" in printed
             command.append("--resume")
