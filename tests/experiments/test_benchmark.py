@@ -82,7 +82,7 @@ def test_unequal_work_is_not_compared() -> None:
 @pytest.mark.full
 def test_a_missing_peer_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(MissingPeerError, match=r"PyTorch, which is not installed; run pip install 'i2t\[bench\]'"):
+    with pytest.raises(MissingPeerError, match=r"PyTorch, .* run pip install 'imagine2touch\[bench\]'"):
         benchmark.run(Benchmark(sections=("training",), training=TINY))
 
 
