@@ -3,6 +3,8 @@ at run time.
 """
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in experiments.train
@@ -15,6 +17,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
 import jax
 import pytest
+from filelock import FileLock
 from xdist.scheduler import LoadFileScheduling
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -33,23 +36,15 @@ FAST_COMPILATION = " ".join(
     )
 )
 COMMANDS = ("collect", "contract", "convert", "emulators", "experiments", "hardware", "test_docs", "test_examples")
-# Longest first, so that no worker is left with one of them at the end. They share a finished run.
+# Longest first, so that no worker is left with one of them at the end.
 SLOW = ("test_train.py", "test_recognize.py", "test_studies.py", "test_examples.py")
-
-
-class _ByFile(LoadFileScheduling):
-    """One worker for all tests of a file, which share what they make and compile, and for files that share a run."""
-
-    def _split_scope(self, nodeid: str) -> str:
-        file = super()._split_scope(nodeid)
-        return "a finished run" if file.endswith(SLOW) else file
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """How the tests are shared out."""
+    """One worker for all tests of a file, which share what they make and compile."""
     config.option.loadscopereorder = False
-    return _ByFile(config, log)
+    return LoadFileScheduling(config, log)
 
 
 def pytest_addoption(parser):
@@ -98,11 +93,22 @@ def _let_compiled_code_go():
 
 @pytest.fixture(scope="session")
 def trained_run(tmp_path_factory) -> Path:
-    """A finished run of `experiments.train` on its debug preset."""
-    from experiments.train import __main__ as train
-
-    out = tmp_path_factory.mktemp("runs") / "debug"
-    assert train.main(["--preset", "debug", "--out", str(out)]) == 0
+    """A finished run of `experiments.train` on its debug preset, one for all workers. A process of its own makes it:
+    within this one the compiler sees other programs, and the last digits differ from those of a command.
+    """
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+    out = folder / "trained" / "debug"
+    words = [sys.executable, "-m", "experiments.train", "--preset", "debug", "--out", str(out)]
+    environment = {**os.environ, "JAX_DISABLE_MOST_OPTIMIZATIONS": "1", "MPLBACKEND": "agg"}
+    out.parent.mkdir(exist_ok=True)
+    with FileLock(folder / "trained.lock"):
+        if not (out / "metrics.json").exists():
+            done = subprocess.run(
+                words, cwd=Path(__file__).parents[1], env=environment, capture_output=True, text=True, check=False
+            )
+            assert done.returncode == 0, done.stderr
     return out
 
 
