@@ -63,6 +63,16 @@ def test_advice_to_install_names_the_distribution():
         assert set(extras.split(",")) <= project["optional-dependencies"].keys(), f"{path}: {extras}"
 
 
+def test_packages_of_the_examples_need_the_distribution_by_its_name():
+    files = sorted((ROOT / "examples").rglob("pyproject.toml"))
+    assert files
+    for path in files:
+        needed = tomllib.loads(path.read_text())["project"]["dependencies"]
+        names = {re.match(r"[\w.-]+", each)[0] for each in needed}
+        assert "imagine2touch" in names, f"{path} does not need i2t's distribution"
+        assert "i2t" not in names, f"{path} needs another's distribution"
+
+
 @pytest.mark.full
 @pytest.mark.skipif(
     any(importlib.util.find_spec(name) is None for name in ("sphinx", "furo", "myst_nb")), reason="the extra docs"
