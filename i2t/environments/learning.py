@@ -6,6 +6,9 @@ advantages; predictions, as nothing that they do changes what comes next, from t
 compiled scan over iterations (Lu et al., "Discovered policy optimisation", 2022, trains so), each of which plays whole
 episodes. The reward of a touch is the environment's: the negative loss of what is predicted after it.
 
+A site that is not allowed or was touched is never chosen; where none is left the policy chooses
+`i2t.recognition.policy.NO_SITE`, which an environment refuses.
+
 Without `EnvironmentParams.beliefs` the network sees readings and poses only, and knows no pad and no object before it
 is trained. With them the posterior is among what it sees, and is its prediction: then only sites are learned.
 """
@@ -22,6 +25,7 @@ import optax
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t.environments.core import EnvironmentParams, EnvironmentState, TouchAction, TouchEnvironment, features
+from i2t.recognition.policy import NO_SITE
 
 NEVER = -1e9  # logit of a site that may not be touched
 LEAST_PREDICTED = 1e-2  # probability of an object, where the posterior is the prediction: no single loss outweighs all
@@ -92,7 +96,7 @@ class _Played(NamedTuple):
     """Episodes (t, e, ...) of one iteration; `inputs` has one step more, after the last touch."""
 
     inputs: Array
-    touched: Array
+    may: Array  # (t, e, sites), which could be chosen
     site: Array
     log_probability: Array
     value: Array  # with one step more, of nothing
@@ -214,17 +218,16 @@ def _play(
         obs, state, last, touched, memory = carry
         key_site, key_touch = jax.random.split(key)
         memory, inputs, logits, prediction, value = say(obs, last, touched, memory)
-        logits = _masked(logits, touched, params)
-        site = jax.random.categorical(key_site, logits)
-        chance = jnp.take_along_axis(jax.nn.log_softmax(logits), site[:, None], 1)[:, 0]
+        may = params.allowed[None] & ~touched
+        site = _drawn(key_site, logits, may)
         keys = jax.random.split(key_touch, episodes)
         touch = jax.vmap(lambda k, s, a: environment.step_env(k, s, a, params))
         obs, state, _, _, info = touch(keys, state, TouchAction(site, prediction))
         row = _Played(
             inputs=inputs,
-            touched=touched,
+            may=may,
             site=site,
-            log_probability=chance,
+            log_probability=_log_chance(_log_chances(logits, may), site),
             value=value,
             prediction=prediction,
             loss=judge(prediction, target),
@@ -244,10 +247,21 @@ def _play(
     return full, target, (state, refused)
 
 
-def _masked(logits: Array, touched: Array, params: EnvironmentParams) -> Array:
-    """Logits of the sites that may be touched; where none is left, of all, which the environment judges."""
-    may = params.allowed[None] & ~touched
-    return jnp.where(may | ~jnp.any(may, axis=-1, keepdims=True), logits, NEVER)
+def _drawn(key: Array, logits: Array, may: Array) -> Array:
+    """One of the sites that may be touched; `NO_SITE` where none is left."""
+    site = jax.random.categorical(key, jnp.where(may, logits, NEVER))
+    return jnp.where(jnp.any(may, axis=-1), site, NO_SITE)
+
+
+def _log_chances(logits: Array, may: Array) -> Array:
+    """Logarithms of the probabilities of the sites, of which only some may be touched."""
+    return jax.nn.log_softmax(jnp.where(may, logits, NEVER))
+
+
+def _log_chance(log: Array, site: Array) -> Array:
+    """That of the site that was chosen; 0 where there was no choice."""
+    chosen = jnp.take_along_axis(log, jnp.maximum(site, 0)[..., None], -1)[..., 0]
+    return jnp.where(site == NO_SITE, 0.0, chosen)
 
 
 def _learn(
@@ -284,11 +298,9 @@ def _objective(network: TouchNetwork, environment: TouchEnvironment, config: Lea
             return memory, said
 
         _, (logits, prediction, value) = jax.lax.scan(step, memory, played.inputs)
-        logits = jnp.where(played.touched, NEVER, logits[:-1])
-        log = jax.nn.log_softmax(logits)
-        chance = jnp.take_along_axis(log, played.site[..., None], 2)[..., 0]
-        entropy = -jnp.sum(jnp.exp(log) * jnp.where(log > NEVER / 2, log, 0.0), axis=-1)
-        ratio = jnp.exp(chance - played.log_probability)
+        log = _log_chances(logits[:-1], played.may)
+        entropy = -jnp.sum(jnp.exp(log) * jnp.where(played.may, log, 0.0), axis=-1)
+        ratio = jnp.exp(_log_chance(log, played.site) - played.log_probability)
         standard = (advantage - jnp.mean(advantage)) / (jnp.std(advantage) + STANDARDISED)
         clipped = jnp.clip(ratio, 1 - config.clip, 1 + config.clip)
         policy = -jnp.mean(jnp.minimum(ratio * standard, clipped * standard))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from helpers.environments import CHANNELS, OBJECTS, SITES, random_environment
 
+from i2t.environments import learning
 from i2t.environments.core import EnvironmentConfig, TouchBeliefs
 from i2t.environments.learning import LearnerConfig, run_learned, train_policy
 from i2t.environments.policies import BASELINES, random_site, run_policy
@@ -82,3 +83,33 @@ def test_a_learned_policy_beats_guessing(knows_pads):
     made = play(jax.random.key(1), policy, params=params)
     assert not made.refused.any()
     assert (made.prediction[:, -1].argmax(-1) == made.object).mean() > 0.6
+
+
+def test_a_learned_policy_draws_allowed_sites_and_none_where_none_is_left():
+    may = jnp.array([[False, True, False, True], [False, False, False, False]])
+    logits = jnp.float32([[9, 1, 8, 0], [3, 2, 1, 0]])
+    log = learning._log_chances(logits, may)
+    np.testing.assert_allclose(jnp.exp(log[0]), [0, np.e / (np.e + 1), 0, 1 / (np.e + 1)], atol=1e-6)
+    for number in range(2):
+        site = learning._drawn(jax.random.key(number), logits, may)
+        assert may[0, site[0]]
+        assert site[1] == NO_SITE
+        chance = learning._log_chance(log, site)
+        assert chance[0] == log[0, site[0]]
+        assert chance[1] == 0  # which no weight of the network changes
+
+
+@pytest.mark.full
+def test_a_policy_learns_in_episodes_longer_than_its_sites_and_touches_nothing_twice():
+    environment, params = random_environment(EnvironmentConfig(touches=SITES + 1))
+    learner = LearnerConfig(iterations=3, episodes=8, minibatches=2, hidden=8)
+    policy = jax.jit(partial(train_policy, environment=environment, config=learner))(jax.random.key(0), params=params)
+    assert np.isfinite(policy.loss).all()
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(policy.params))
+    play = jax.jit(partial(run_learned, environment=environment, config=learner, episodes=20))
+    made = play(jax.random.key(1), policy, params=params)
+    allowed = np.flatnonzero(params.allowed)
+    for row, refused in zip(np.asarray(made.site), np.asarray(made.refused), strict=True):
+        assert sorted(row[: len(allowed)]) == allowed.tolist()
+        assert (row[len(allowed) :] == NO_SITE).all()
+        assert refused.tolist() == [False] * len(allowed) + [True] * (len(row) - len(allowed))
