@@ -192,6 +192,20 @@ def test_links_lead_to_files_and_named_files_exist(page):
         assert (ROOT / path).exists(), f"{page.name} names {path}"
 
 
+def test_tests_that_a_page_names_exist():
+    found = [
+        (page.name, *named)
+        for page in PAGES
+        for named in re.findall(r"\b((?:tests/[\w/]+/)?test_\w+\.py)(?:::(\w+))?", page.read_text())
+    ]
+    assert len([name for *_, name in found if name]) > 20
+    for page, file, name in found:
+        paths = [ROOT / file] if "/" in file else [*(ROOT / "tests").rglob(file)]
+        code = "".join(path.read_text() for path in paths if path.is_file())
+        assert code, f"{page} names {file}, which does not exist"
+        assert not name or f"def {name}(" in code, f"{page} names {file}::{name}, which does not exist"
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_dotted_names_are_those_of_the_code(page):
     for name in set(re.findall(r"`((?:i2t|experiments)(?:\.\w+)+)(?:\([^`]*\))?`", page.read_text())):
