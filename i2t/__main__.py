@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from i2t._version import __version__
-from i2t.cli import WRONG_USE
+from i2t.cli import WRONG_USE, exit_code_of
 
 COMMANDS = {
     "i2t.imagine": "draw what a skin would feel of an object",
@@ -69,13 +69,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     if words and not asked:
         print(f"error: {' '.join(words)} is no command; {USAGE}", file=sys.stderr)
         return WRONG_USE
+    code = exit_code_of(_list)
+    if asked:
+        raise SystemExit(code)  # as every other command ends that is asked for help
+    return code
+
+
+def _list() -> None:
     print(f"i2t {__version__}: imagine a touch before making it\n\n{_table(COMMANDS)}")
     if (Path(__file__).parents[1] / "experiments").is_dir():
         print(f"\nfrom the folder of the checkout:\n\n{_table(EXPERIMENTS)}")
     print("\nEach has its own --help. Try python -m i2t.collect first: it simulates all.")
-    if asked:
-        raise SystemExit(0)  # as every other command ends that is asked for help
-    return 0
 
 
 def _table(commands: dict[str, str]) -> str:

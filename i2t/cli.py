@@ -4,6 +4,7 @@
 1    it began and failed: a device, the disk, or a goal that was missed
 2    it was used wrongly: options, files or folders with which it cannot do what was asked
 130  Ctrl-C
+141  whoever read what it prints has gone, as `head` does: it ends without a word
 
 Options are fields of a dataclass. What numbers a field allows is part of its type (`Count`, `Seed`, `Probability` or
 `Annotated[float, Limits(...)]`), so that `check_options` can refuse others before anything large is imported.
@@ -12,6 +13,8 @@ Options are fields of a dataclass. What numbers a field allows is part of its ty
 import ast
 import importlib.util
 import math
+import os
+import select
 import signal
 import sys
 import threading
@@ -29,6 +32,7 @@ from i2t.compile_cache import use_compile_cache
 from i2t.errors import NAMED_WRONGLY, DeviceError, FullDiskError
 
 FAILED, WRONG_USE, INTERRUPTED_BY_USER = 1, 2, 130  # exit codes
+NOBODY_READS = 141  # as shells give it for programs that end by SIGPIPE
 SENT_AGAIN_S = 0.05
 
 
@@ -147,14 +151,19 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
 
     Returns:
         The exit code: that of `work` or 0; 2 if what was asked for cannot be done (a ValueError, or a file or folder
-        that is not as the command line has it), 1 if a device or the disk failed, 130 after Ctrl-C.
+        that is not as the command line has it), 1 if a device or the disk failed, 130 after Ctrl-C,
+        141 without a word if nobody reads its output any more.
     """
     use_compile_cache()
     shown, warnings.showwarning = warnings.showwarning, _show_warning
     try:
         with _interrupts_in_good_time():
             code = work()
+        if sys.stdout is not None and not sys.stdout.closed:
+            sys.stdout.flush()  # here, where it is known what to say if that fails
     except (DeviceError, ValueError, OSError) as error:  # DataError is a ValueError
+        if isinstance(error, BrokenPipeError) and _nobody_reads():
+            return NOBODY_READS
         print(f"error: {error}", file=sys.stderr)
         mendable = isinstance(error, (ValueError, *NAMED_WRONGLY)) and not isinstance(error, FullDiskError)
         return WRONG_USE if mendable else FAILED
@@ -167,6 +176,31 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
     finally:
         warnings.showwarning = shown
     return code if isinstance(code, int) else 0
+
+
+def _nobody_reads() -> bool:
+    """Whether the output is a pipe whose reader has gone; what else is printed to it is then dropped.
+
+    A connection to a device breaks with the same error, and is no reason to say nothing.
+    """
+    gone = [stream for stream in (sys.stdout, sys.stderr) if _has_no_reader(stream)]
+    for stream in gone:  # Python would complain again when it writes what is left at its end
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
+    return bool(gone)
+
+
+def _has_no_reader(stream: Any) -> bool:
+    try:
+        descriptor = stream.fileno()
+    except (AttributeError, OSError, ValueError):  # none, replaced by what is no file, or closed
+        return False
+    if not hasattr(select, "poll"):  # Windows
+        return False
+    poll = select.poll()
+    poll.register(descriptor, 0)  # errors are reported anyway
+    return any(what & (select.POLLERR | select.POLLHUP) for _, what in poll.poll(0))
 
 
 @contextmanager

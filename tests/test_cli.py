@@ -2,13 +2,14 @@
 
 import errno
 import importlib
+import os
 import signal
 import sys
 import time
 
 import pytest
 
-from i2t.cli import FAILED, INTERRUPTED_BY_USER, WRONG_USE, exit_code_of, renamed_flags
+from i2t.cli import FAILED, INTERRUPTED_BY_USER, NOBODY_READS, WRONG_USE, exit_code_of, renamed_flags
 from i2t.errors import CheckpointError, DataError, DeviceError, DeviceTimeoutError, FullDiskError
 
 WRONG = (
@@ -24,6 +25,7 @@ BROKEN = (
     DeviceTimeoutError("no news from the arm"),
     OSError(errno.ENOSPC, "No space left on device"),
     FullDiskError("set.h5: cannot be written"),
+    BrokenPipeError(errno.EPIPE, "Broken pipe"),  # of a connection: somebody reads what is printed
 )
 
 
@@ -64,6 +66,26 @@ def test_ctrl_c_lets_a_module_be_imported_first(tmp_path, monkeypatch):
     assert exit_code_of(work) == INTERRUPTED_BY_USER
     assert sys.modules.pop("slow_to_start").started
     assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.skipif(os.name != "posix", reason="other systems say it otherwise")
+@pytest.mark.parametrize("at_once", [False, True])
+@pytest.mark.parametrize("name", ["stdout", "stderr"])
+def test_a_command_whose_output_nobody_reads_ends_without_a_word(monkeypatch, capsys, name, at_once):
+    read, write = os.pipe()
+    os.close(read)
+    stream = open(write, "w")  # noqa: SIM115  # closed below, which must not fail either
+
+    def work():
+        print("a line", file=getattr(sys, name), flush=at_once)
+        if name == "stderr":
+            stream.flush()
+
+    monkeypatch.setattr(sys, name, stream)
+    assert exit_code_of(work) == NOBODY_READS == 141
+    print("and another", file=stream)
+    stream.close()
+    assert capsys.readouterr() == ("", "")
 
 
 def test_a_command_may_choose_its_exit_code():
