@@ -15,7 +15,7 @@ class FidelityPreset:
     draws: int = 5  # of them
     method_seconds: float = 150.0  # of one method's curves, after which it gets no further draw
     test_rows: int = 1000  # on which curves are scored
-    forward_rows: int = 1200  # of the model by which noise and memory are told from the press
+    forward_rows: int = 1200  # of the model by which noise and hysteresis are separated from the press
     block_mm: float = 6.0
     held_out_share: float = 0.2  # of blocks, rows or time
     simulated_strokes: int = 160  # of each skin, with --simulated-skins

@@ -38,7 +38,7 @@ def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: i
     splits = hold_out_presses(presses, preset, seed)
     methods = BASELINE_METHODS | {CALIBRATED: by_calibrate(recording)}
     if presses.load_name == "none":
-        section.sentences.append("No load is known that varies: presses are told by their position alone.")
+        section.sentences.append("No load is known that varies: presses are known by their position alone.")
     counts = [n for n in preset.counts if any(n <= len(pool) for pool, _ in splits.values())]
     if not counts:
         raise CannotTellError(f"{len(presses.load)} presses leave fewer than {min(preset.counts)} to calibrate with.")
@@ -113,8 +113,8 @@ def by_calibrate(recording: SkinRecording) -> ForwardMethod:
             load_kind=presses.load_name,  # type: ignore[arg-type]
             board=board,
         )
-        told = calibration.predict(presses.position[test] - middle, None if load is None else load[test])
-        return np.asarray(told[0], np.float64)
+        predicted = calibration.predict(presses.position[test] - middle, None if load is None else load[test])
+        return np.asarray(predicted[0], np.float64)
 
     return method
 
@@ -234,7 +234,7 @@ def _across(
     past = np.random.default_rng(seed).permutation(len(before.load))[: preset.forward_rows]
     settings = choose_simple_gp(joint, past)
     shift = len(before.load)
-    told = predict_simple_gp(settings, joint, past, joint.coordinates[shift + test])
+    predicted = predict_simple_gp(settings, joint, past, joint.coordinates[shift + test])
     alignment = align_session(
         session := fit_session_map(before.position[past], before.load[past], before.readings[past]),
         now.position[own],
@@ -243,7 +243,7 @@ def _across(
         load_known=now.load_name == "force",
     )
     scores = {
-        "as it is": explained_share(now.readings[test], told),
+        "as it is": explained_share(now.readings[test], predicted),
         "aligned": explained_share(
             now.readings[test], aligned_prediction(session, alignment, now.position[test], now.load[test])
         ),

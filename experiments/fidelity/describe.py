@@ -51,7 +51,7 @@ def describe(recording: SkinRecording, section: Section) -> None:
             f"Rows come every {gap:.3g} s (median) over {numbers['time']['span_s'] / 60:.1f} minutes."
         )
     else:
-        section.sentences.append("Times are not recorded, so that rates, creep and drift per hour are not told.")
+        section.sentences.append("Times are not recorded, so that rates, creep and drift per hour are unknown.")
     section.tables["what is known of the rows"] = _known(recording, numbers)
     section.sentences.append(_unit(recording, numbers))
     section.figures["The recording"] = _overview(recording)
@@ -174,7 +174,7 @@ def _check_channels(recording: SkinRecording, found: list[str], numbers: dict) -
 def _check_targets(recording: SkinRecording, found: list[str], numbers: dict) -> None:
     for name in ("depth", "force", "position"):
         if recording.known(name).any() and not recording.varies(name):
-            found.append(f"All rows have one {name}, so that nothing is told of how readings change with it.")
+            found.append(f"All rows have one {name}, so that it does not show how readings change with it.")
     if recording.known("force").any():
         force = recording.targets["force"][recording.known("force"), 0]
         negative = float(np.mean(force[np.abs(force) > 0.05] < 0)) if (np.abs(force) > 0.05).any() else 0.0
@@ -230,8 +230,7 @@ def _check_unknowns(recording: SkinRecording, found: list[str], section: Section
     findings = estimate_unknowns(presses, recording.board)
     section.numbers["unknowns"] = metrics_of(findings)
     found += [finding.sentence for finding in findings if finding.wrong]
-    told = [finding.sentence for finding in findings if finding.identifiable and not finding.wrong]
-    section.sentences += told
+    section.sentences += [finding.sentence for finding in findings if finding.identifiable and not finding.wrong]
     if unknown := [finding.name for finding in findings if not finding.identifiable]:
         section.sentences.append(f"The recording cannot tell: {join(unknown)}.")
 

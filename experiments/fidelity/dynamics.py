@@ -1,6 +1,6 @@
 """Noise, drift, hysteresis, creep and memory of a recording, beside those of the simulator, and what bounds any model.
 
-Each is told from what the recording has: noise from rows in air or, without, from presses that were repeated;
+Each is estimated from what the recording has: noise from rows in air or, without, from presses that were repeated;
 hysteresis from strokes that go in and come out; creep from loads that are held; memory from what a press leaves in the
 next one. The simulator's sizes are those of `i2t.skin.noise.Noise` and of `i2t.skin.faults.Faults.typical`.
 """
@@ -37,7 +37,7 @@ MIN_TURNS = 2  # strokes that go in and come out
 HELD_M, HELD_S = 0.02e-3, 0.5  # a held depth changes by less, for longer
 SMALLEST_UT = 1e-9
 SURE = 3.0  # standard errors
-SLOPE_ROWS = 200  # on which the ceiling of a location is told
+SLOPE_ROWS = 200  # on which the ceiling of a location is estimated
 GRADIENT_STEP = 0.1e-3  # m
 CONDITION = 1e-9
 
@@ -114,7 +114,8 @@ def _noise_rows(recording: SkinRecording, section: Section, rows: list[list[str]
         },
     }  # fmt: skip
     section.sentences.append(
-        f"Noise is told from {found.how}. A strong reading (90th percentile) is {ratio:.0f} times as long as the noise."
+        f"Noise is estimated from {found.how}. "
+        f"A strong reading (90th percentile) is {ratio:.0f} times as long as the noise."
     )
 
 
@@ -178,7 +179,7 @@ def _drift_rows(recording: SkinRecording, section: Section, rows: list[list[str]
     base = recording.baseline
     if base is None or not len(np.unique(base, axis=0)) > 2:
         raise CannotTellError(
-            "What was subtracted from the readings is not recorded, so that drift is told only by what changed between "
+            "What was subtracted from the readings is not recorded, so that drift shows only in what changed between "
             "the halves (see the checks)."
         )
     tenth = max(len(base) // 10, 1)
@@ -268,7 +269,7 @@ def _hysteresis(recording: SkinRecording, section: Section, rows: list[list[str]
         loops.append(float(np.mean(np.abs(ways[1] - ways[0])) / height))
         kept.append(abs(float(np.mean(signal[-3:]) - np.mean(signal[:3]))) / height)
     if len(loops) < MIN_TURNS:
-        raise CannotTellError("No strokes go in and come out with rows all the way, so that hysteresis is not told.")
+        raise CannotTellError("No strokes go in and come out with rows all the way, so that hysteresis is unknown.")
     rows.append(["hysteresis: ways in and out apart, of the stroke's height", cell(float(np.mean(loops))), "0.000"])
     rows.append(["what is left after a stroke, of its height", cell(float(np.mean(kept))), "0.000"])
     section.numbers["hysteresis"] = {"strokes": len(loops), "loop_share": loops, "left_share": kept}
@@ -294,7 +295,7 @@ def _creep(recording: SkinRecording, section: Section, rows: list[list[str]]) ->
     """Growth of a reading while a depth is held, per tenfold time."""
     name, strokes = _strokes(recording)
     if name not in ("depth", "travel") or not np.isfinite(recording.time).any():
-        raise CannotTellError("Creep is told where a depth is held and times are known.")
+        raise CannotTellError("Creep is measured where a depth is held and times are known.")
     growth = []
     for stroke in strokes:
         deep = stroke.load > 0.5 * stroke.load.max()
@@ -307,7 +308,7 @@ def _creep(recording: SkinRecording, section: Section, rows: list[list[str]]) ->
                 signal = np.linalg.norm(stroke.readings[held], axis=1) + SMALLEST_UT
                 growth.append(np.polyfit(np.log10(seconds + 0.1), signal / signal[0], 1)[0])
     if not growth:
-        raise CannotTellError(f"No depth is held for {HELD_S:g} s, so that creep is not told.")
+        raise CannotTellError(f"No depth is held for {HELD_S:g} s, so that creep is unknown.")
     faults = Faults.typical()
     own = faults.relaxation * faults.layer_share / 3
     rows.append(["creep of a held press, per tenfold time", cell(float(np.mean(growth)), 4), cell(own, 4)])
@@ -318,7 +319,7 @@ def _memory(recording: SkinRecording, preset: FidelityPreset, section: Section, 
     """What part of the press before each chip keeps: its residual against the reading before."""
     presses = press_set(recording, at_least=60)
     if is_stream(recording):
-        raise CannotTellError("Rows follow each other in strokes: what a press leaves in the next one is not told.")
+        raise CannotTellError("Rows follow each other in strokes: what a press leaves in the next one is unknown.")
     chosen, predicted = left_out(presses, preset.forward_rows)
     residual = presses.readings[chosen] - predicted
     before = np.zeros_like(residual)

@@ -1,5 +1,5 @@
 """From where and how hard to readings without any knowledge of skins: the baselines of calibration, and the model by
-which what repeats is told from what does not. NumPy.
+which what repeats is separated from what does not. NumPy.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Heads of a recording, tested on rows they never saw in three ways, beside the baselines and published figures."""
+"""Heads of a recording, tested in three ways on rows they never saw, with baselines and published figures."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,7 +17,7 @@ PUBLISHED_FIGURES = {
     "depth": "eflesh-touch 0.39 mm",
     "force": "eFlesh 0.27 N, eflesh-touch 0.080 N",
     "shear": "eFlesh 0.12 N, eflesh-touch 0.055 N",
-    "slip": "eFlesh 95 %, AnySkin 92 % of slips told (with a tip of their own)",
+    "slip": "eFlesh 95 %, AnySkin 92 % of slips found (with a tip of their own)",
 }
 RANDOM_SPLIT, GROUP_SPLIT, LATER_SPLIT = "random rows", "whole blocks or strokes", "later in time"
 MIN_HEAD_TEST = 5
@@ -25,11 +25,11 @@ CALIBRATION_BINS = 10
 
 
 class HeadScore(NamedTuple):
-    """How well a head tells rows it never saw, in the unit of its target."""
+    """How well a head predicts rows it never saw, in the unit of its target."""
 
     rows: int
     rmse: float  # of a probability: root of the Brier score
-    median: float  # of the length of errors; of a probability: share told right
+    median: float  # of the length of errors; of a probability: share predicted right
     r2: float  # of a probability: area under the receiver operating characteristic
     inside_90: float  # share of values in the 90 % range; of a probability: expected calibration error
     unfamiliar: float  # share of rows
@@ -50,19 +50,19 @@ def head_sections(
     recording: SkinRecording, targets: Sequence[str], budget: HeadBudget, share: float, seed: int, section: Section
 ) -> None:
     """Tests of all targets that a recording supports; a sentence for each other one."""
-    told = {}
+    found = {}
     for target in targets or TARGETS:
         try:
-            told[target] = test_heads(recording, target, budget, share=share, seed=seed)
+            found[target] = test_heads(recording, target, budget, share=share, seed=seed)
         except ValueError as error:
             section.sentences.append(f"No head for {target}: {error}.")
-    if not told:
+    if not found:
         raise CannotTellError("The recording supports no head.")
-    section.numbers["heads"] = {target: to_numbers(tests) for target, tests in told.items()}
-    for target, tests in told.items():
+    section.numbers["heads"] = {target: to_numbers(tests) for target, tests in found.items()}
+    for target, tests in found.items():
         section.tables[caption(target)] = table(target, tests)
         section.sentences += verdicts(target, tests)
-    section.figures["Heads on rows held out"] = _figure(told)
+    section.figures["Heads on rows held out"] = _figure(found)
 
 
 def test_heads(
@@ -72,7 +72,7 @@ def test_heads(
     rows = target_rows(recording, target)
     tests, problems = {}, []
     for name, held in held_out_rows(recording.rows(rows), share, seed).items():
-        known, other = _told_of(recording, target, rows[~held]), rows[held]
+        known, other = _known_of(recording, target, rows[~held]), rows[held]
         try:
             head = fit_head(known, target, budget=budget, seed=seed)
             baselines = {
@@ -101,7 +101,7 @@ test_heads.__test__ = False  # type: ignore[attr-defined]  # no test, whatever i
 
 def heads_across(recordings: Sequence[SkinRecording], budget: HeadBudget, seed: int, section: Section) -> None:
     """Heads of each recording on the others, as a skin that was mounted again or worn would be read."""
-    rows = [["target", "known", "told of", "rows", "RMSE", "median", "R2", "in the 90 % range", "unfamiliar"]]
+    rows = [["target", "fitted to", "tested on", "rows", "RMSE", "median", "R2", "in the 90 % range", "unfamiliar"]]
     numbers: dict[str, Any] = {}
     for target, kind in TARGETS.items():
         for known in recordings:
@@ -115,13 +115,13 @@ def heads_across(recordings: Sequence[SkinRecording], budget: HeadBudget, seed: 
                 try:
                     score, _ = score_head(head, other, target_rows(other, target))
                 except ValueError as error:
-                    section.sentences.append(f"{target} of {other.name} is not told by {known.name}: {error}.")
+                    section.sentences.append(f"{target} of {other.name} is not predicted from {known.name}: {error}.")
                     continue
                 numbers[f"{target}: {known.name} -> {other.name}"] = score._asdict()
                 what = target if kind.yes_no else f"{target} ({kind.unit})"
                 rows.append([what, known.name, other.name, str(score.rows), *(cell(value) for value in score[1:])])
     if len(rows) == 1:
-        raise CannotTellError(" ".join(section.sentences) or "No two recordings share a target that a head tells.")
+        raise CannotTellError(" ".join(section.sentences) or "No two recordings share a target that a head predicts.")
     section.numbers["heads"] = numbers
     section.tables["Heads of one session on another, as they are"] = rows
 
@@ -140,25 +140,25 @@ def held_out_rows(recording: SkinRecording, share: float, seed: int) -> dict[str
 
 
 def score_head(head: Head, recording: SkinRecording, rows: np.ndarray) -> tuple[HeadScore, np.ndarray]:
-    """Score on some rows of a recording, and truth beside prediction."""
-    told = HeadPrediction(*(part[rows] for part in head.predict(recording.readings, recording.session)))
+    """Score on some rows of a recording, with truth and prediction."""
+    predicted = HeadPrediction(*(part[rows] for part in head.predict(recording.readings, recording.session)))
     truth = recording.targets[head.target][rows]
-    error, unfamiliar = told.mean - truth, float(np.mean(told.unfamiliar))
-    both = np.column_stack([truth, told.mean])
+    error, unfamiliar = predicted.mean - truth, float(np.mean(predicted.unfamiliar))
+    both = np.column_stack([truth, predicted.mean])
     if TARGETS[head.target].yes_no:
-        yes, p = truth[:, 0] > 0.5, told.mean[:, 0]
+        yes, p = truth[:, 0] > 0.5, predicted.mean[:, 0]
         right = float(np.mean((p > 0.5) == yes))
         curve, off = area_under_curve(p, yes), calibration_error(p, yes)
         return HeadScore(len(yes), root_mean_square(error), right, curve, off, unfamiliar), both
     scale = TARGETS[head.target].scale
     total = float(np.sum((truth - truth.mean(0)) ** 2))
-    inside = float(np.mean(np.abs(error) <= STDS_OF_90_PERCENT * told.std))
+    inside = float(np.mean(np.abs(error) <= STDS_OF_90_PERCENT * predicted.std))
     r2 = 1 - float(np.sum(error**2)) / total if total > 0 else float("nan")
     rmse, median = scale * root_mean_square(error), scale * float(np.median(np.linalg.norm(error, axis=1)))
     return HeadScore(len(truth), rmse, median, r2, inside, unfamiliar), both
 
 
-def _told_of(recording: SkinRecording, target: str, rows: np.ndarray) -> SkinRecording:
+def _known_of(recording: SkinRecording, target: str, rows: np.ndarray) -> SkinRecording:
     """The recording with a target known of some rows only: the others' readings stay what came before."""
     values = np.full_like(recording.targets[target], np.nan)
     values[rows] = recording.targets[target][rows]
@@ -194,7 +194,7 @@ def table(target: str, tests: dict[str, HeadTest]) -> list[list[str]]:
     yes_no = TARGETS[target].yes_no
     header = ["held out", "rows", "method"]
     header += (
-        ["Brier, root", "told right", "AUROC", "calibration error"]
+        ["Brier, root", "share right", "AUROC", "calibration error"]
         if yes_no
         else ["RMSE", "median", "R2", "in the 90 % range"]
     )
@@ -230,10 +230,10 @@ def to_numbers(tests: dict[str, HeadTest]) -> dict[str, Any]:
     }
 
 
-def _figure(told: dict[str, dict[str, HeadTest]]) -> Figure:
-    figure = Figure(figsize=(3.6 * len(told), 3.4), layout="constrained")
-    panels = figure.subplots(1, len(told), squeeze=False)[0]
-    for axes, (target, tests) in zip(panels, told.items(), strict=True):
+def _figure(found: dict[str, dict[str, HeadTest]]) -> Figure:
+    figure = Figure(figsize=(3.6 * len(found), 3.4), layout="constrained")
+    panels = figure.subplots(1, len(found), squeeze=False)[0]
+    for axes, (target, tests) in zip(panels, found.items(), strict=True):
         kind = TARGETS[target]
         test = tests.get(GROUP_SPLIT) or next(iter(tests.values()))
         both = kind.scale * test.errors
@@ -257,5 +257,9 @@ def _figure(told: dict[str, dict[str, HeadTest]]) -> Figure:
                 )
             ends = [both[:, :d].min(), both[:, :d].max()]
             axes.plot(ends, ends, color=style.GREY, lw=0.8)
-            axes.set(xlabel=f"{target} ({kind.unit})", ylabel="told", title=f"{target}, {test.method}")
+            axes.set(
+                xlabel=f"measured {target} ({kind.unit})",
+                ylabel=f"predicted ({kind.unit})",
+                title=f"{target}, {test.method}",
+            )
     return figure

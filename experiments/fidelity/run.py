@@ -111,7 +111,7 @@ def sections_of(recording: SkinRecording, preset: FidelityPreset, seed: int) -> 
 
 def _said(section: Section) -> Section:
     """Print a section as a person reads it."""
-    print(f"\n{section.title}" + ("" if section.status == "told" else f" ({section.status})"))
+    print(f"\n{section.title}" + ("" if section.status == "found" else f" ({section.status})"))
     for sentence in section.sentences:
         print(f"  {sentence}")
     for caption, rows in section.tables.items():

@@ -19,7 +19,7 @@ class Section:
 
     Attributes:
         title: of it.
-        status: "told", "cannot tell" or "failed".
+        status: "found", "cannot tell" or "failed".
         sentences: what a person should know, in order.
         tables: by their captions, a header and rows of cells each.
         numbers: for metrics.json.
@@ -27,7 +27,7 @@ class Section:
     """
 
     title: str
-    status: str = "told"
+    status: str = "found"
     sentences: list[str] = field(default_factory=list)
     tables: dict[str, list[list[str]]] = field(default_factory=dict)
     numbers: dict[str, Any] = field(default_factory=dict)
@@ -44,7 +44,7 @@ class Section:
             self.failed(error)
 
     def failed(self, error: Exception) -> None:
-        """Say what failed, here and where programs are told of."""
+        """Say what failed, here and in the numbers."""
         said = f"a part failed with {type(error).__name__}: {error}"
         self.sentences.append(said)
         self.numbers.setdefault("failures", []).append(said)

@@ -41,15 +41,15 @@ def position_head(recording):
 
 
 def test_a_head_tells_positions_it_never_saw_better_than_the_baselines(recording, position_head):
-    told, truth = position_head.predict(recording.readings[200:]), recording.targets["position"][200:]
-    error = np.linalg.norm(told.mean - truth, axis=1)
+    predicted, truth = position_head.predict(recording.readings[200:]), recording.targets["position"][200:]
+    error = np.linalg.norm(predicted.mean - truth, axis=1)
     assert np.median(error) < 0.4e-3  # the range is 20 mm
-    inside = np.mean(np.abs(told.mean - truth) < 1.645 * told.std)
+    inside = np.mean(np.abs(predicted.mean - truth) < 1.645 * predicted.std)
     assert 0.8 < inside <= 1.0
     validation = position_head.validation
     assert validation[position_head.method] == min(validation.values())
     assert validation[position_head.method] < 0.5 * min(validation[name] for name in BASELINE_HEADS)
-    assert not told.unfamiliar.any()
+    assert not predicted.unfamiliar.any()
 
 
 def test_where_nothing_can_be_told_the_mean_is_kept(recording):
@@ -58,10 +58,10 @@ def test_where_nothing_can_be_told_the_mean_is_kept(recording):
     head = fit_head(deaf, "depth", budget=SMALL)
     truth = recording.targets["depth"]
     assert head.validation[head.method] <= head.validation["mean"]
-    told = head.predict(rng.normal(size=(100, 15)))
-    np.testing.assert_allclose(told.mean.mean(), truth.mean(), rtol=0.15)
+    predicted = head.predict(rng.normal(size=(100, 15)))
+    np.testing.assert_allclose(predicted.mean.mean(), truth.mean(), rtol=0.15)
     # Its spread is that of the depths themselves.
-    np.testing.assert_allclose(np.median(told.std), truth.std(), rtol=0.35)
+    np.testing.assert_allclose(np.median(predicted.std), truth.std(), rtol=0.35)
 
 
 def test_a_changed_skin_is_unfamiliar(recording, position_head):
@@ -72,10 +72,10 @@ def test_a_changed_skin_is_unfamiliar(recording, position_head):
 def test_a_reading_with_a_failed_chip_is_not_told(recording, position_head):
     broken = recording.readings[200:203].copy()
     broken[1, 3] = np.nan
-    told = position_head.predict(broken)
-    assert np.isfinite(told.mean[[0, 2]]).all()
-    assert np.isnan(told.mean[1]).all()
-    assert told.unfamiliar[1]
+    predicted = position_head.predict(broken)
+    assert np.isfinite(predicted.mean[[0, 2]]).all()
+    assert np.isnan(predicted.mean[1]).all()
+    assert predicted.unfamiliar[1]
 
 
 def test_heads_keep_on_disk(recording, position_head, tmp_path):
@@ -102,12 +102,12 @@ def test_contact_is_told_as_a_probability_that_means_what_it_says(recording):
     logit = 1.5 * recording.readings[:, 0] / recording.readings[:, 0].std()
     contact = (rng.uniform(size=300) < 1 / (1 + np.exp(-logit))).astype(float)[:, None]
     head = fit_head(replace(recording, targets={"contact": contact}), "contact", budget=SMALL)
-    told = head.predict(recording.readings).mean[:, 0]
-    assert 0 < told.min() < told.max() < 1
-    np.testing.assert_allclose(told.mean(), contact.mean(), atol=0.05)
+    predicted = head.predict(recording.readings).mean[:, 0]
+    assert 0 < predicted.min() < predicted.max() < 1
+    np.testing.assert_allclose(predicted.mean(), contact.mean(), atol=0.05)
     # A line is the truth here, up to the logistic: the most and the least probable thirds come out as stated.
-    for third in np.array_split(np.argsort(told), 3):
-        np.testing.assert_allclose(told[third].mean(), contact[third].mean(), atol=0.12)
+    for third in np.array_split(np.argsort(predicted), 3):
+        np.testing.assert_allclose(predicted[third].mean(), contact[third].mean(), atol=0.12)
 
 
 def test_neighbours_and_gp_are_those_of_scikit_learn(recording):
@@ -131,8 +131,8 @@ def test_the_error_by_which_a_gp_is_chosen_is_that_of_refitted_folds(recording):
     chosen = regression.choose_settings(regression.READINGS_GP, x, y, folds, SMALL)
 
     def refitted(settings):
-        told = regression.cross_predict(regression.READINGS_GP, settings, x, y, folds)
-        return np.mean((told[0] - y) ** 2)
+        predicted = regression.cross_predict(regression.READINGS_GP, settings, x, y, folds)
+        return np.mean((predicted[0] - y) ** 2)
 
     worse = [(*chosen[:1], length, *chosen[2:]) for length in regression.COVARIANCE_LENGTHS]
     # Features are scaled once where settings are chosen, and in each fold where it is refitted.
@@ -148,8 +148,8 @@ def test_a_network_tells_positions_too(recording):
             recording.rows(slice(0, 200)), "position", methods=(regression.READINGS_NETWORK,), budget=budget
         )
     assert head.method == regression.READINGS_NETWORK
-    told = head.predict(recording.readings[200:]).mean
-    assert np.median(np.linalg.norm(told - recording.targets["position"][200:], axis=1)) < 2e-3
+    predicted = head.predict(recording.readings[200:]).mean
+    assert np.median(np.linalg.norm(predicted - recording.targets["position"][200:], axis=1)) < 2e-3
 
 
 def test_history_is_what_came_before_in_the_same_stroke():
@@ -298,7 +298,7 @@ def test_ranges_hold_on_blocks_of_a_real_skin(shared_data):
     groups = hold_out_groups(recording)
     held = np.isin(groups, np.random.default_rng(1).permutation(groups.max() + 1)[:8])
     head = fit_head(recording.rows(~held), "position", budget=HeadBudget(500, 1500))
-    told, truth = head.predict(recording.readings[held]), recording.targets["position"][held]
-    error = np.linalg.norm(told.mean - truth, axis=1)
+    predicted, truth = head.predict(recording.readings[held]), recording.targets["position"][held]
+    error = np.linalg.norm(predicted.mean - truth, axis=1)
     assert np.median(error) < 0.8e-3
-    assert 0.8 < np.mean(np.abs(told.mean - truth) < norm.ppf(0.95) * told.std) < 0.97
+    assert 0.8 < np.mean(np.abs(predicted.mean - truth) < norm.ppf(0.95) * predicted.std) < 0.97

@@ -105,17 +105,17 @@ def test_no_part_fails_whatever_the_recording(name):
     failed = {section.title: section.numbers.get("failures") for section in sections if section.numbers.get("failures")}
     assert not failed
     for section in sections:
-        assert section.status in ("told", "cannot tell")
+        assert section.status in ("found", "cannot tell")
         assert section.sentences or section.tables
-    assert sections[0].status == "told"
+    assert sections[0].status == "found"
     json.dumps([section.numbers for section in sections], default=str)
 
 
 def test_what_a_recording_cannot_support_is_said(tmp_path):
-    told = {section.title: section for section in run.sections_of(HOSTILE["nothing but readings"], TINY, 0)}
-    assert told["Calibration curves"].status == told["Heads"].status == "cannot tell"
-    assert "Neither position nor load" in told["Calibration curves"].sentences[0]
-    (sentence,) = (s for s in told["Heads"].sentences if s.startswith("No head for force"))
+    sections = {section.title: section for section in run.sections_of(HOSTILE["nothing but readings"], TINY, 0)}
+    assert sections["Calibration curves"].status == sections["Heads"].status == "cannot tell"
+    assert "Neither position nor load" in sections["Calibration curves"].sentences[0]
+    (sentence,) = (s for s in sections["Heads"].sentences if s.startswith("No head for force"))
     assert "does not know force" in sentence
 
 
@@ -199,7 +199,7 @@ def test_mistakes_that_were_put_in_are_found():
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1.0, "uT"), (1e-3, "mT"), (0.01, "gauss")])
-def test_the_unit_is_told_from_the_steps(factor, unit):
+def test_the_unit_is_predicted_from_the_steps(factor, unit):
     steps = np.tile([0.300 * 4, 0.300 * 4, 0.484 * 4], 5)
     big = presses_of_a_skin(400)
     section = Section("What it is")
@@ -270,7 +270,7 @@ def test_what_is_held_out_is_never_learnt_from():
     rows = heads.held_out_rows(SKIN, 0.2, 0)
     assert set(rows) == {heads.RANDOM_SPLIT, heads.GROUP_SPLIT, heads.LATER_SPLIT}
     assert rows[heads.LATER_SPLIT].tolist() == [False] * 72 + [True] * 18
-    masked = heads._told_of(SKIN, "depth", np.arange(10))
+    masked = heads._known_of(SKIN, "depth", np.arange(10))
     assert masked.known("depth").sum() == 10
     assert SKIN.known("depth").all()
 
@@ -299,8 +299,8 @@ def test_heads_are_fitted_by_one_command(tmp_path, capsys):
     args += ["--out", str(tmp_path / "heads")]
     assert calibrate.main(args) == 0
     head = load_head(tmp_path / "heads" / "position.npz")
-    told = head.predict(SKIN.readings)
-    assert np.median(np.linalg.norm(told.mean - SKIN.targets["position"], axis=1)) < 1e-3
+    predicted = head.predict(SKIN.readings)
+    assert np.median(np.linalg.norm(predicted.mean - SKIN.targets["position"], axis=1)) < 1e-3
     tests = json.loads((tmp_path / "heads" / "metrics.json").read_text())["heads"]["position"]
     assert tests["random rows"]["kept"]["rmse"] < tests["random rows"]["baselines"]["linear"]["rmse"]
 

@@ -5,8 +5,8 @@ contact and slip as probabilities.
 
     (recording,) = read_recordings("my_presses.csv")
     head = fit_head(recording, "position")
-    told = head.predict(readings)           # (n, c) uT
-    told.mean, told.std, told.unfamiliar    # (n, 2) m, (n, 2) m, (n,)
+    predicted = head.predict(readings)                     # (n, c) uT
+    predicted.mean, predicted.std, predicted.unfamiliar    # (n, 2) m, (n, 2) m, (n,)
     head.save("position.npz")
 
 A head is one of the methods of `regression`, or a weighted sum of them (stacked regression; Breiman, Machine Learning
@@ -246,7 +246,7 @@ def fit_head(
     rows = rows[some_rows(len(rows), budget.rows)]
     channels = used_channels(recording.readings[rows])
     if not len(channels):
-        raise ValueError(f"{recording.name}: no channel changes, so that nothing can be told of {target}")
+        raise ValueError(f"{recording.name}: no channel changes, so that {target} cannot be predicted from them")
     values, known = recording.targets[target][rows], recording.rows(rows)
     folds = _ways_of_folding(known, seed)
     tried = [
@@ -461,8 +461,8 @@ def _judged(settings: Settings, history: int, predicted: np.ndarray, values: np.
     if not yes_no:
         return _Trial(settings, history, predicted, np.zeros(2), root_mean_square(predicted - values))
     platt = _platt(predicted[..., 0], np.broadcast_to(values[:, 0], predicted.shape[:2]))
-    told = _logistic(platt[0] * predicted + platt[1])
-    return _Trial(settings, history, predicted, platt, root_mean_square(told - values))
+    probability = _logistic(platt[0] * predicted + platt[1])
+    return _Trial(settings, history, predicted, platt, root_mean_square(probability - values))
 
 
 def _choose(found: dict[str, _Trial], values: np.ndarray, folds: np.ndarray) -> tuple[_Trial, dict[str, float]]:
@@ -517,12 +517,12 @@ def _fit_stack(
 
 
 def _predict_stack(stack: StackRecord, readings: np.ndarray) -> np.ndarray:
-    longest, told = int(stack.histories.max()), np.zeros((len(readings), len(stack.centre)))
+    longest, deviation = int(stack.histories.max()), np.zeros((len(readings), len(stack.centre)))
     for name, part in stack.parts.items():
         i = HEAD_METHODS.index(name)
         looked = readings[:, : readings.shape[1] * (1 + int(stack.histories[i])) // (1 + longest)]
-        told += stack.weights[i] * (predict_regression(part, looked) - stack.centre)
-    return stack.centre + told
+        deviation += stack.weights[i] * (predict_regression(part, looked) - stack.centre)
+    return stack.centre + deviation
 
 
 def _fit_spread(readings: np.ndarray, errors: np.ndarray, folds: np.ndarray, platt: np.ndarray) -> SpreadRecord:
