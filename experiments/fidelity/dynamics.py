@@ -1,8 +1,8 @@
-"""Noise, drift, hysteresis, creep and memory of a recording, beside those of the simulator, and what bounds any model.
+"""Noise, drift, hysteresis and creep of a recording, compared with the simulator's, and what bounds any model.
 
 Each is estimated from what the recording has: noise from rows in air or, without, from presses that were repeated;
-hysteresis from strokes that go in and come out; creep from loads that are held; memory from what a press leaves in the
-next one. The simulator's sizes are those of `i2t.skin.noise.Noise` and of `i2t.skin.faults.Faults.typical`.
+hysteresis from strokes that go in and come out, and from what a press leaves in the next one; creep from loads that are
+held. The simulator's sizes are those of `i2t.skin.noise.Noise` and of `i2t.skin.faults.Faults.typical`.
 """
 
 from typing import NamedTuple
@@ -51,7 +51,7 @@ class NoiseSizes(NamedTuple):
 
 
 def noise(recording: SkinRecording, preset: FidelityPreset, section: Section) -> None:
-    """Noise at rest and drift, beside the simulator's."""
+    """Noise at rest and drift, compared with the simulator's."""
     rows = [["quantity", "recording", "simulator", "ratio"]]
     section.part(lambda: _noise_rows(recording, section, rows))
     section.part(lambda: _drift_rows(recording, section, rows))
@@ -62,16 +62,16 @@ def noise(recording: SkinRecording, preset: FidelityPreset, section: Section) ->
     section.figures["Noise and drift"] = _noise_figure(recording, section)
 
 
-def memory(recording: SkinRecording, preset: FidelityPreset, section: Section) -> None:
-    """Hysteresis, creep, and what a press leaves in the next one."""
+def hysteresis(recording: SkinRecording, preset: FidelityPreset, section: Section) -> None:
+    """Hysteresis within a stroke and from press to press, and creep."""
     rows = [["quantity", "recording", "simulator"]]
-    section.part(lambda: _hysteresis(recording, section, rows))
+    section.part(lambda: _stroke_hysteresis(recording, section, rows))
     section.part(lambda: _creep(recording, section, rows))
-    section.part(lambda: _memory(recording, preset, section, rows))
+    section.part(lambda: _press_hysteresis(recording, preset, section, rows))
     if len(rows) == 1:
         section.status = "cannot tell"
     else:
-        section.tables["what a skin remembers"] = rows
+        section.tables["hysteresis and creep"] = rows
 
 
 def ceilings(recording: SkinRecording, preset: FidelityPreset, section: Section) -> None:
@@ -249,7 +249,7 @@ def _travel(recording: SkinRecording) -> np.ndarray:
     return np.linalg.norm(position - position[begins[1][begins[2].ravel()]], axis=1)
 
 
-def _hysteresis(recording: SkinRecording, section: Section, rows: list[list[str]]) -> None:
+def _stroke_hysteresis(recording: SkinRecording, section: Section, rows: list[list[str]]) -> None:
     """Area between the ways in and out of each stroke, of its height."""
     _, strokes = _strokes(recording)
     loops, kept = [], []
@@ -315,7 +315,9 @@ def _creep(recording: SkinRecording, section: Section, rows: list[list[str]]) ->
     section.numbers["creep"] = {"holds": len(growth), "share_per_decade": growth, "simulator": own}
 
 
-def _memory(recording: SkinRecording, preset: FidelityPreset, section: Section, rows: list[list[str]]) -> None:
+def _press_hysteresis(
+    recording: SkinRecording, preset: FidelityPreset, section: Section, rows: list[list[str]]
+) -> None:
     """What part of the press before each chip keeps: its residual against the reading before."""
     presses = press_set(recording, at_least=60)
     if is_stream(recording):
@@ -338,7 +340,7 @@ def _memory(recording: SkinRecording, preset: FidelityPreset, section: Section, 
     rows.append(
         ["part of the press before that the worst chip keeps", cell(kept[largest]), cell(Faults.typical().hysteresis)]
     )
-    section.numbers["memory"] = {"by_chip": kept, "beyond_chance": sure}
+    section.numbers["hysteresis_of_chips"] = {"by_chip": kept, "beyond_chance": sure}
     section.sentences.append(
         f"Chip {largest} keeps {kept[largest]:+.3f} of the press before "
         f"({'beyond' if sure[largest] else 'within'} chance)."

@@ -99,7 +99,7 @@ def sections_of(recording: SkinRecording, preset: FidelityPreset, seed: int) -> 
         "What it is": partial(describe.describe, recording),
         "Checks": partial(describe.check, recording),
         "Noise and drift": partial(dynamics.noise, recording, preset),
-        "Hysteresis, creep and memory": partial(dynamics.memory, recording, preset),
+        "Hysteresis and creep": partial(dynamics.hysteresis, recording, preset),
         "Ceilings": partial(dynamics.ceilings, recording, preset),
         "Calibration curves": partial(curves.calibration_curves, recording, preset, seed),
         "Heads": partial(heads.head_sections, recording, (), preset.heads, preset.held_out_share, seed),

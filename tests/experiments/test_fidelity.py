@@ -19,7 +19,7 @@ from i2t.calibration.heads import HeadBudget, SkinRecording, from_dataset, load_
 FEW = HeadBudget(selection_rows=40, known_rows=60, rows=80)
 TINY = FidelityPreset(counts=(5,), draws=1, test_rows=15, forward_rows=40, heads=FEW, heads_across=FEW)
 SKIN = presses_of_a_skin(90)
-PARTS = ("What it is", "Checks", "Noise and drift", "Hysteresis, creep and memory", "Ceilings", "Calibration curves")
+PARTS = ("What it is", "Checks", "Noise and drift", "Hysteresis and creep", "Ceilings", "Calibration curves")
 
 
 def _targets(**changed):
@@ -215,12 +215,12 @@ def test_the_unit_is_predicted_from_the_steps(factor, unit):
 
 def test_noise_and_hysteresis_are_measured_as_put_in():
     stream = _stream(600, 6)
-    noise, memory = Section("Noise"), Section("Memory")
+    noise, hysteresis = Section("Noise"), Section("Hysteresis")
     dynamics.noise(stream, TINY, noise)
-    dynamics.memory(stream, TINY, memory)
+    dynamics.hysteresis(stream, TINY, hysteresis)
     assert noise.numbers["noise"]["xy_uT"] == pytest.approx(1.0, abs=0.25)
     assert noise.numbers["drift"]["median_uT"] == pytest.approx(27, abs=1.5)
-    loops = memory.numbers["hysteresis"]["loop_share"]
+    loops = hysteresis.numbers["hysteresis"]["loop_share"]
     assert len(loops) == 6
     # Outwards it reads 1.06 times as much: over the middle of the range some 3 % of the height.
     assert 0.015 < np.mean(loops) < 0.05
@@ -243,12 +243,12 @@ def test_one_chip_that_remembers_is_named():
     big = presses_of_a_skin(300)
     readings = big.readings.copy()
     readings[1:, 6:9] += 0.3 * big.readings[:-1, 6:9]
-    section = Section("memory")
-    dynamics.memory(replace(big, readings=readings), replace(TINY, forward_rows=300), section)
-    kept = section.numbers["memory"]["by_chip"]
+    section = Section("hysteresis")
+    dynamics.hysteresis(replace(big, readings=readings), replace(TINY, forward_rows=300), section)
+    kept = section.numbers["hysteresis_of_chips"]["by_chip"]
     assert int(np.argmax(np.abs(kept))) == 2
     assert kept[2] == pytest.approx(0.3, abs=0.06)
-    assert section.numbers["memory"]["beyond_chance"][2]
+    assert section.numbers["hysteresis_of_chips"]["beyond_chance"][2]
 
 
 def test_the_baselines_predict_a_smooth_skin():
