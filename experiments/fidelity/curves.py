@@ -51,7 +51,7 @@ def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: i
             header,
             *([name, *(_interval_cell(by_count.get(n)) for n in counts)] for name, by_count in curves.items()),
         ]
-        section.sentences.append(_verdict(split, curves))
+        section.sentences.append(_compare_with_baselines(split, curves))
     section.figures["Calibration curves"] = _figure(section.numbers["r2"])
 
 
@@ -172,7 +172,7 @@ def _interval_cell(summary: dict[str, float] | None) -> str:
     return cell(summary["mean"]) + ends
 
 
-def _verdict(split: str, curves: dict[str, dict[int, dict[str, float]]]) -> str:
+def _compare_with_baselines(split: str, curves: dict[str, dict[int, dict[str, float]]]) -> str:
     """Whether i2t's calibration is at least as good as the best baseline, at each count."""
     lost = []
     if not curves[CALIBRATED]:

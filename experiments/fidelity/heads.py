@@ -61,7 +61,7 @@ def head_sections(
     section.numbers["heads"] = {target: to_numbers(tests) for target, tests in found.items()}
     for target, tests in found.items():
         section.tables[caption(target)] = table(target, tests)
-        section.sentences += verdicts(target, tests)
+        section.sentences += compare_with_baselines(target, tests)
     section.figures["Heads on rows held out"] = _figure(found)
 
 
@@ -205,8 +205,8 @@ def table(target: str, tests: dict[str, HeadTest]) -> list[list[str]]:
     return rows
 
 
-def verdicts(target: str, tests: dict[str, HeadTest]) -> list[str]:
-    """Where the kept head loses to a baseline on the rows held out."""
+def compare_with_baselines(target: str, tests: dict[str, HeadTest]) -> list[str]:
+    """A sentence for each baseline to which the kept head loses on the rows held out; one if there is none."""
     lost = [
         f"{target}, {name}: the kept {test.method} ({test.kept.rmse:.3f}) loses to {method} ({score.rmse:.3f})."
         for name, test in tests.items()
