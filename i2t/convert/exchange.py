@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from i2t import files
 from i2t._version import __version__
 from i2t.dataset import Dataset, missing_context
+from i2t.dataset.card import write_card
 from i2t.dataset.sets import INDICES, validate
 from i2t.errors import DataError
 from i2t.types import Board, Touches, Truth
@@ -162,34 +163,53 @@ def in_order(parts: list[dict[str, np.ndarray]], row: np.ndarray, whose: Path | 
     return {name: np.concatenate([part[name] for part in parts])[order] for name in parts[0]}
 
 
-def write_folder(target: Path, mark: str, fill: Callable[[Path], None], *, overwrite: bool) -> None:
-    """Write a folder that appears complete or not at all.
+def write_folder(
+    target: Path, dataset: Dataset, note: str, fill: Callable[[Path], None], *, overwrite: bool = False
+) -> Path:
+    """Write a data set as a folder that appears complete or not at all, with its note and its card.
 
     Args:
         target: The folder.
-        mark: File in it by which an earlier one of the same kind is known.
-        fill: Writes the contents into the folder that it is given.
-        overwrite: Whether an earlier one of the same kind is replaced.
+        dataset: Touches.
+        note: File in it that holds the data set's note, by which an earlier export of the same kind is known.
+        fill: Writes all else into the folder that it is given.
+        overwrite: Whether an earlier export of the same kind is replaced.
+
+    Returns:
+        The folder.
 
     Raises:
         DataError: Something is there already, or the folder cannot be written.
     """
-    require_free_folder(target, mark, overwrite=overwrite)
+    require_free_folder(target, note, overwrite=overwrite)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         part = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
         try:
             part.chmod(0o755)
             fill(part)
-            before = part.with_name(part.name + ".before")
-            if target.exists():
-                target.rename(before)
-            part.rename(target)
-            shutil.rmtree(before, ignore_errors=True)
+            write_json(part / note, note_of(dataset))
+            write_card(part, dataset)
+            _take_place(target, part)
         finally:
             shutil.rmtree(part, ignore_errors=True)
     except OSError as error:
         raise files.unwritable(target, error) from error
+    return target
+
+
+def _take_place(target: Path, part: Path) -> None:
+    """Give a finished folder its name; the one that had it is gone then, and has it again if that fails."""
+    before = part.with_name(part.name + ".before")
+    try:
+        if target.exists():
+            target.rename(before)
+        part.rename(target)
+    except BaseException:
+        if before.exists() and not target.exists():
+            before.rename(target)
+        raise
+    shutil.rmtree(before, ignore_errors=True)
 
 
 def require_free_folder(target: Path, mark: str, *, overwrite: bool) -> None:

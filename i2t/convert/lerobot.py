@@ -22,13 +22,11 @@ from i2t.convert.exchange import (
     dataset_of,
     episodes_of,
     in_order,
-    note_of,
     pose_vectors,
     write_folder,
     write_json,
 )
 from i2t.dataset import Dataset
-from i2t.dataset.card import write_card
 from i2t.dataset.sets import AXIS_NAMES
 from i2t.errors import DataError
 from i2t.files import may_grow_to
@@ -87,11 +85,8 @@ def write_lerobot(target: Path, dataset: Dataset, *, overwrite: bool = False) ->
         pq.write_table(pa.Table.from_pylist(rows_of_episodes), path)
         write_json(folder / "meta/stats.json", {name: _stats(values) for name, values in frames.items()})
         write_json(folder / LEROBOT_INFO, _info(dataset, frames, len(episodes)))
-        write_json(folder / LEROBOT_NOTE, note_of(dataset))
-        write_card(folder, dataset)
 
-    write_folder(target, LEROBOT_NOTE, fill, overwrite=overwrite)
-    return target
+    return write_folder(target, dataset, LEROBOT_NOTE, fill, overwrite=overwrite)
 
 
 def read_lerobot(source: Path) -> Dataset:

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 
 from i2t import files
-from i2t.convert.exchange import NAME_LISTS, columns_of, dataset_of, note_of, write_folder, write_json
+from i2t.convert.exchange import NAME_LISTS, columns_of, dataset_of, write_folder
 from i2t.dataset import Dataset
-from i2t.dataset.card import write_card
 from i2t.dataset.sets import AXIS_NAMES, INDICES
 from i2t.errors import DataError
 from i2t.files import file_in
@@ -63,11 +62,8 @@ def write_table(target: Path, dataset: Dataset, *, overwrite: bool = False) -> P
             writer = csv.writer(file)
             writer.writerow(flat)
             writer.writerows(zip(*flat.values(), strict=True))
-        write_json(folder / NOTE, note_of(dataset))
-        write_card(folder, dataset)
 
-    write_folder(target, NOTE, fill, overwrite=overwrite)
-    return target
+    return write_folder(target, dataset, NOTE, fill, overwrite=overwrite)
 
 
 def read_table(source: Path) -> Dataset:

@@ -1,7 +1,9 @@
 """robomimic's HDF5 and the table of touches: what is written comes back value by value."""
 
 import csv
+import errno
 import json
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -110,6 +112,28 @@ def test_a_folder_of_others_is_not_replaced(tmp_path):
     with pytest.raises(DataError, match="another folder"):
         write_table(tmp_path / "out", make(2, pixels=4), overwrite=True)
     assert (tmp_path / "out" / "letter.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("failure", [OSError(errno.EIO, "Input/output error"), KeyboardInterrupt()])
+def test_an_export_that_cannot_take_the_place_of_another_leaves_it(tmp_path, monkeypatch, failure):
+    before = make(3, pixels=6)
+    folder = write_table(tmp_path / "out", before)
+    rename = Path.rename
+
+    def fail_at_the_new(path, target):
+        if target == folder and (path / "touches.csv").read_text().count("\n") == 3:
+            raise failure
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", fail_at_the_new)
+    with pytest.raises(DataError if isinstance(failure, OSError) else KeyboardInterrupt):
+        write_table(folder, make(2, pixels=6), overwrite=True)
+    assert_same(read_table(folder), before)
+    assert list(tmp_path.iterdir()) == [folder]
+    monkeypatch.undo()
+    after = make(2, pixels=6)
+    assert_same(read_table(write_table(folder, after, overwrite=True)), after)
+    assert list(tmp_path.iterdir()) == [folder]
 
 
 @pytest.mark.full
