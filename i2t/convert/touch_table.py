@@ -21,6 +21,7 @@ from i2t.errors import DataError
 from i2t.files import file_in
 
 TABLE, NOTE = "touches.csv", "set.json"
+POSES = ("T_w_t", "T_w_o")
 UNIT_OF = {
     "nearest": "m",
     "force": "N",
@@ -51,7 +52,7 @@ def write_table(target: Path, dataset: Dataset, *, overwrite: bool = False) -> P
         columns = columns_of(dataset)
         flat: dict[str, list[str]] = {}
         for name, values in columns.items():
-            if values.ndim == 3 and values.shape[1:] != (4, 4):
+            if values.ndim == 3 and name not in POSES:
                 np.save(folder / f"{name}.npy", values, allow_pickle=False)
             elif name in ("object", "pad", "session"):
                 names = getattr(dataset, name + "s")
@@ -123,7 +124,7 @@ def _labels(name: str, shape: tuple[int, ...]) -> list[str]:
 def _gathered(cells: dict[str, Any], channels: int) -> dict[str, np.ndarray]:
     """The fields of a table's columns."""
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys(UNIT_OF, ())
-    shapes |= {"T_w_t": (4, 4), "T_w_o": (4, 4), "reading": (channels,), "truth_reading": (channels,)}
+    shapes |= {**dict.fromkeys(POSES, (4, 4)), "reading": (channels,), "truth_reading": (channels,)}
     fields: dict[str, np.ndarray] = {}
     for name, shape in shapes.items():
         labels = _labels(name, shape)
