@@ -1,5 +1,6 @@
 """What several commands check before they import anything large: runs, data sets, and objects to tell apart."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,6 +27,36 @@ def finished_runs(folder: Path) -> list[Path]:
     if not (folders[0] / METRICS).exists():
         raise ValueError(f"{folder} holds no finished run; make one: python -m experiments.train --out {folder}")
     return folders
+
+
+def pad_name(folder: Path) -> str:
+    """The pad of a finished run: its number, its file, or for recorded touches none."""
+    return str(json.loads((folder / METRICS).read_text()).get("pad"))
+
+
+def chosen_runs(folder: Path, pads: Sequence[str]) -> list[Path]:
+    """Of the runs that `finished_runs` finds, those with some pads.
+
+    Args:
+        folder: Named by the user.
+        pads: Names of the pads; all runs where none is given.
+
+    Returns:
+        Folders of finished runs.
+
+    Raises:
+        ValueError: There is no run, or none with one of these pads.
+    """
+    folders = finished_runs(folder)
+    if not pads:
+        return folders
+    names = [pad_name(each) for each in folders]
+    missing = sorted(set(pads) - set(names))
+    if missing:
+        raise ValueError(
+            f"{folder} has no run with pad {', '.join(missing)}; its pads are {', '.join(sorted(set(names)))}"
+        )
+    return [each for each, name in zip(folders, names, strict=True) if name in pads]
 
 
 def require_dataset(flag: str, path: Path | None) -> None:

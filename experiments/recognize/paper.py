@@ -18,7 +18,6 @@ episodes have a pool of sites of their own. Intervals are over pads and pools, f
 simulated; a touch costs about 1/30 s on two cores, and five pads with 200 episodes of each object a few hours.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,6 +26,7 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
+from experiments.common.checks import pad_name
 from experiments.common.runs import slug, write_json
 from experiments.recognize import report as reporting
 from experiments.recognize.config import Recognition
@@ -89,11 +89,6 @@ def load_paper_networks(folder: Path) -> PaperNetworks | None:
     if not found:
         return None
     return PaperNetworks(found, np.asarray(norm.reading.mean), np.asarray(norm.reading.std), min(epochs))
-
-
-def pad_name(folder: Path) -> str:
-    """The pad of a finished run: its number, its file, or for recorded touches none."""
-    return str(json.loads((folder / "metrics.json").read_text()).get("pad"))
 
 
 def missing_networks(folder: Path, found: PaperNetworks | None) -> str:

@@ -33,6 +33,7 @@ COMPARED = (
     *((f"{row}, product", f"{PROPRIOCEPTION}, product") for row in (*IMAGINE2TOUCH, RULES_GP)),
     *((f"{row}, votes", f"{CONSTANT}, votes") for row in (*IMAGINE2TOUCH, RULES_GP)),
     ("fused", "readings"),
+    ("fused", "readings and position"),
     ("fused", "readings and presence"),
     ("fused", "position and presence"),
     ("readings and presence", "presence"),
@@ -96,6 +97,20 @@ def load(path: Path) -> Results:
 
 
 # --- what episodes have in common ---
+
+
+def with_common_methods(parts: Sequence[Results]) -> list[Results]:
+    """The parts with the methods that all of them have: those of an earlier version, which a resumed run finds, may
+    lack some.
+    """
+    common = {name: set.intersection(*(set(part[name].beliefs) for part in parts)) for name in parts[0]}
+    return [
+        {
+            name: each._replace(beliefs={method: p for method, p in each.beliefs.items() if method in common[name]})
+            for name, each in part.items()
+        }
+        for part in parts
+    ]
 
 
 def pooled(parts: Sequence[Results], name: str, method: str) -> tuple[np.ndarray, np.ndarray]:

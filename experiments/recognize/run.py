@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from experiments.common.checks import finished_runs
+from experiments.common.checks import chosen_runs, pad_name
 from experiments.common.presets import choose_preset
 from experiments.common.runs import begin, pictures_in
 from experiments.recognize import paper, recorded, trained_run
@@ -84,7 +84,7 @@ def run(args: SimulateArgs) -> dict[str, Any]:
     cfg = configure(args)
     if args.dataset is not None:
         return recorded.run(args, cfg)
-    folders = chosen_runs(args)
+    folders = chosen_runs(args.trained_run, args.pads)
     begin(args.out, args, cfg, args.resume, args.overwrite)
     if args.method == "paper":
         return paper.run(args.out, cfg, folders, args.seed)
@@ -96,20 +96,6 @@ def run(args: SimulateArgs) -> dict[str, Any]:
         parts.append(reporting.load(path))
     touched = data.load_dataset(folders[0] / "data.h5")
     return report(args, parts, touched.source, touched.board)
-
-
-def chosen_runs(args: SimulateArgs) -> list[Path]:
-    """Folders of the runs with the pads that the command line names. Raises ValueError where one is missing."""
-    folders = finished_runs(args.trained_run)
-    if not args.pads:
-        return folders
-    pads = [paper.pad_name(folder) for folder in folders]
-    missing = sorted(set(args.pads) - set(pads))
-    if missing:
-        raise ValueError(
-            f"{args.trained_run} has no run with pad {', '.join(missing)}; its pads are {', '.join(sorted(set(pads)))}"
-        )
-    return [folder for folder, pad in zip(folders, pads, strict=True) if pad in args.pads]
 
 
 def configure(args: SimulateArgs) -> Recognition:
@@ -127,7 +113,7 @@ def configure(args: SimulateArgs) -> Recognition:
 
 def report(args: SimulateArgs, parts: list[reporting.Results], source: str, board: Board) -> dict[str, Any]:
     """Scores, figures, tables, and the report of one episode."""
-    parts, temperatures = reporting.calibrate(parts)
+    parts, temperatures = reporting.calibrate(reporting.with_common_methods(parts))
     result = reporting.summarise(parts, temperatures, args.out, source)
     name = next(name for name in ("all", "your objects") if name in parts[0])
     meshes = load_meshes(args.objects, args.unit) if args.objects else meshes_by_name(parts[0][name].names)
@@ -212,7 +198,7 @@ def play_set(
         surfaces, plan.sites, episodes, world.particles, models, overtravel=cfg.limits.overtravel, label=name
     )
     believed |= paper_rules(world.predictors, trained.pad_model.reading_std, surfaces, episodes)
-    pad = f"pad {paper.pad_name(world.folder)}"
+    pad = f"pad {pad_name(world.folder)}"
     pools = np.array([f"{world.folder.name}, {name}, pool {number}" for number in plan.pool])
     return reporting.EpisodeResults(tuple(objects.names), truth, believed, episodes, pad, pools)
 

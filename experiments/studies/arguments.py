@@ -6,7 +6,7 @@ from typing import Literal
 
 import tyro
 
-from experiments.common.checks import finished_runs
+from experiments.common.checks import chosen_runs
 from experiments.recognize.arguments import PresetName
 from i2t.cli import Count, NotNegative, Seed, require_path
 
@@ -24,6 +24,7 @@ class StudyArgs:
     study: tyro.conf.Positional[Study]
     out: Path | None = None  # folder for everything that is made; runs/STUDY unless given
     trained_run: Path = Path("runs/train")  # a finished run of experiments.train, or a study's folder of several
+    pads: tuple[str, ...] = ()  # of a study in --trained-run, those that are used, by number; all unless given
     preset: PresetName = "paper"
     episodes: Count = 20  # of each object and setting, for each pad and seed
     meshes: Path | None = None  # a folder of STL files in metres that join the objects of `object_count`
@@ -54,4 +55,4 @@ class StudyArgs:
         require_path("--meshes", self.meshes, "folder")
         if self.meshes is not None and not any(self.meshes.glob("*.[sS][tT][lL]")):
             raise ValueError(f"--meshes {self.meshes}: holds no STL file; name a folder that does")
-        finished_runs(self.trained_run)
+        chosen_runs(self.trained_run, self.pads)

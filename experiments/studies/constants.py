@@ -63,12 +63,13 @@ def evaluate(lab: StudyLab) -> Part:
     """Beliefs on the validation objects with every value of every constant."""
     surfaces = prepare_surfaces(list(meshes_by_name(lab.cfg.validation).values()))
     lab = replace(lab, names=lab.cfg.validation, surfaces=surfaces)
-    key_sites, key_episodes, key_chosen, key_planar = jax.random.split(lab.key, 4)
-    plan = lab.plan(key_sites, key_chosen)
+    key_sites, key_episodes, key_planar = jax.random.split(lab.key, 3)
+    plan = lab.plan(key_sites)
     episodes = lab.simulate(key_episodes, plan, "validation", errors=placed(lab, PLACEMENT_MM))
     beliefs = partial(beliefs_with, lab, plan, episodes)
     return {
         "truth": plan.truth,
+        "pool": plan.pool,
         "likelihood": likelihood_choices(lab.pad_model.likelihood, beliefs),
         "particles": particle_choices(beliefs, debug=lab.args.debug),
         "scale": scale_choices(beliefs, debug=lab.args.debug),
@@ -145,14 +146,14 @@ def planar_inflations(lab: StudyLab) -> Part:
     return {"planar truth": presses.truth, "planar": found}
 
 
-def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, Any]:
     """Log loss of every value, and whether one beats the value in use by more than chance."""
     result: dict[str, Any] = {"episodes": sum(len(part["truth"]) for part in parts), "constants": {}}
     for kind in CONSTANT_KINDS:
-        of = "planar truth" if kind == "planar" else "truth"
         beliefs = pool_parts([part[kind] for part in parts])
-        truth = np.concatenate([part[of] for part in parts])
-        result["constants"][kind] = report_kind(kind, beliefs, truth, clusters_of(parts, pads, of))
+        played = [{"truth": part["planar truth"]} for part in parts] if kind == "planar" else parts
+        truth = np.concatenate([part["truth"] for part in played])
+        result["constants"][kind] = report_kind(kind, beliefs, truth, clusters_of(played, pads))
     return result
 
 

@@ -1,6 +1,5 @@
 """What all studies share: a finished run with its pad model, objects to tell apart, simulated episodes, tables."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,7 +26,7 @@ from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.recognition.pad_model import PadModel, fit_pad_model, fit_simulated_pad_model
 from i2t.recognition.site_pool import (
     SitePool,
-    draw_random_sites,
+    plan_random_touches,
     pose_particles,
     precompute_outcomes,
     prepare_surfaces,
@@ -40,6 +39,7 @@ from i2t.types import Pad, Surface
 
 MAX_PARTICLES = 128  # of each object: with 64 to 512 accuracies are the same within 0.01
 DEBUG_EPISODES = 2  # of each object
+SHARED_BY = 5  # episodes that touch the same sites: one with each of five objects
 FIRST_SEED = 100  # of the studies' keys, apart from those of other experiments
 
 
@@ -49,6 +49,7 @@ class EpisodePlan(NamedTuple):
     sites: SitePool
     truth: np.ndarray  # (e,)
     chosen: np.ndarray  # (e, t) sites of the pool
+    pool: np.ndarray  # (e,) number of the sites' draw: episodes of one number touch the same sites
 
 
 @dataclass(frozen=True)
@@ -79,14 +80,19 @@ class StudyLab:
         return sample_sites(key, self.surfaces, self.names, self.cfg.num_sites, self.cfg.site_limits)
 
     def truth(self, repeats: int = 1) -> np.ndarray:
-        """Which object is there in each episode: each in as many; `repeats` times as many where episodes are short."""
-        return np.repeat(np.arange(len(self.surfaces)), self.episodes * repeats)
+        """Which object is there in each episode: all in turn; `repeats` times as often where episodes are short."""
+        return np.arange(len(self.surfaces) * self.episodes * repeats) % len(self.surfaces)
 
-    def plan(self, key_sites: Array, key_chosen: Array, *, repeats: int = 1, touches: int | None = None) -> EpisodePlan:
-        """Episodes at random sites."""
-        sites, truth = self.sample_sites(key_sites), self.truth(repeats)
-        chosen = draw_random_sites(key_chosen, sites, len(truth), touches or self.cfg.touches)
-        return EpisodePlan(sites, truth, chosen)
+    def plan(self, key: Array, *, truth: np.ndarray | None = None, touches: int | None = None) -> EpisodePlan:
+        """Episodes at random sites, `SHARED_BY` one after the other at the same ones; each object in turn is there
+        unless a `truth` is given, which may number objects beyond the lab's.
+        """
+        truth = self.truth() if truth is None else truth
+        plan = plan_random_touches(
+            key, self.surfaces, self.names, len(truth), touches or self.cfg.touches, limits=self.cfg.site_limits,
+            share=SHARED_BY,
+        )  # fmt: skip
+        return EpisodePlan(plan.sites, truth, plan.chosen, plan.pool)
 
     def predict(
         self, sites: SitePool, particles: Particles, models: Sequence[LinearReadingModel], label: str
@@ -152,19 +158,21 @@ def prepare_lab(args: StudyArgs, folder: Path, seed: int) -> StudyLab:
 # --- reports ---
 
 
-def pads_of(folders: Sequence[Path]) -> list[int]:
-    """A number for each run: the same where it is the same pad."""
-    names = [json.loads((folder / "metrics.json").read_text())["pad"] for folder in folders]
-    return [names.index(name) for name in names]
-
-
-def clusters_of(parts: Sequence[Part], pads: Sequence[int], of: str = "truth") -> list[np.ndarray]:
-    """By what the pooled episodes are alike, for their intervals: their pad. Nothing tells episodes of one or two pads
-    apart, and their interval is for these pads only.
+def clusters_of(parts: Sequence[Part], pads: Sequence[str], *, objects: str | None = None) -> list[np.ndarray]:
+    """By what the pooled episodes are alike, for their intervals: their pad, the draw of their sites where parts tell
+    it, and with `objects`, a column's name, the object that was there. Without them intervals are for these very
+    objects.
     """
-    if len(set(pads)) < MIN_CLUSTERS:
-        return []
-    return [np.repeat(pads, [len(part[of]) for part in parts])]
+    counts = [len(part["truth"]) for part in parts]
+    labels = [np.repeat(np.asarray(pads), counts)]
+    if all("pool" in part for part in parts):
+        run = np.repeat(np.arange(len(parts)), counts)
+        labels.append(np.stack([run, np.concatenate([part["pool"] for part in parts])]))
+    if objects is not None:
+        labels.append(np.concatenate([part[objects] for part in parts]))
+    numbers = [np.unique(label, axis=-1, return_inverse=True)[1].reshape(-1) for label in labels]
+    # Nothing tells episodes of one or two clusters apart: their interval is for these very ones.
+    return numbers if any(number.max() >= MIN_CLUSTERS - 1 for number in numbers) else []
 
 
 def pool_parts(parts: Sequence[Part]) -> dict[str, np.ndarray]:
@@ -184,10 +192,11 @@ def report_error(name: str, unit: str, values: np.ndarray, where: str) -> dict[s
     return {"unit": unit, "of": len(values), "percentiles_25_50_75_90": percentiles.tolist()}
 
 
-def report_methods(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
+def report_methods(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, Any]:
     """Accuracy of every method on the same episodes; methods are called "evidence, setting"."""
     columns, clusters = pool_parts(parts), clusters_of(parts, pads)
     truth = columns.pop("truth")
+    columns.pop("pool", None)
     result: dict[str, Any] = {"episodes": len(truth), "methods": {}}
     settings: dict[str, dict[str, Estimate]] = {}
     for name, beliefs in columns.items():

@@ -186,14 +186,14 @@ def worlds() -> dict[str, MismatchedWorld]:
 
 def evaluate(lab: StudyLab) -> Part:
     """Beliefs of the matched world in the episodes of every world, with common random numbers."""
-    key_sites, key_episodes, key_chosen = jax.random.split(lab.key, 3)
-    plan, particles = lab.plan(key_sites, key_chosen), lab.particles()
+    key_sites, key_episodes = jax.random.split(lab.key)
+    plan, particles = lab.plan(key_sites), lab.particles()
     (table,) = lab.predict(plan.sites, particles, [lab.pad_model.reading_model], MATCHED)
     meshes = list(meshes_by_name(lab.names).values())
     some = {name: world for name, world in worlds().items() if not lab.args.debug or name in DEBUG_WORLDS}
     # All worlds' surfaces at once: they are of one size class, and compiled for once.
     prepared = iter(prepare_surfaces([world.mesh(mesh) for world in some.values() for mesh in meshes]))
-    found: dict[str, np.ndarray] = {"truth": plan.truth}
+    found: dict[str, np.ndarray] = {"truth": plan.truth, "pool": plan.pool}
     for name, world in some.items():
         config = EpisodeConfig(
             world.errors(lab.cfg.errors), world.limits(lab.cfg.limits), plan.chosen.shape[1], law=world.law
@@ -207,7 +207,7 @@ def evaluate(lab: StudyLab) -> Part:
     return found
 
 
-def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, Any]:
     """Accuracy in every world, and what it lacks to the matched one, paired."""
     columns, clusters = pool_parts(parts), clusters_of(parts, pads)
     truth = columns.pop("truth")

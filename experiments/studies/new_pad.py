@@ -27,13 +27,13 @@ FORCE_NOISE_N = 0.02
 
 def evaluate(lab: StudyLab) -> Part:
     """The same episodes with a pad that was never recorded, by pad models that know it better and better."""
-    key_sites, key_episodes, key_chosen, key_fit = jax.random.split(lab.key, 4)
+    key_sites, key_episodes, key_fit = jax.random.split(lab.key, 3)
     pad = sample_pad(jax.random.key(FIRST_NEW_PAD_SEED + lab.seed), board=lab.run.dataset.board)
     models = fit_models(lab, key_fit, pad)
-    plan, particles = lab.plan(key_sites, key_chosen), lab.particles()
+    plan, particles = lab.plan(key_sites), lab.particles()
     tables = lab.predict(plan.sites, particles, [model.reading_model for model in models.values()], "new pad")
     episodes = lab.simulate(key_episodes, plan, "new pad", pad=pad)
-    found: dict[str, np.ndarray] = {"truth": plan.truth}
+    found: dict[str, np.ndarray] = {"truth": plan.truth, "pool": plan.pool}
     for (name, model), table in zip(models.items(), tables, strict=True):
         beliefs = run_belief(table, episodes, model.likelihood, particles, ("fused", "readings and presence"))
         found |= {f"{kind}, {name}": p for kind, p in beliefs.items()}

@@ -12,18 +12,18 @@ import trimesh
 
 from experiments.common.runs import Part
 from experiments.recognize import figures
-from experiments.studies.lab import EpisodePlan, StudyLab, clusters_of
+from experiments.studies.lab import StudyLab, clusters_of
 from i2t import viz
 from i2t.objects import Mesh, catalogue, read_mesh
 from i2t.recognition import metrics
 from i2t.recognition.episodes import posteriors
 from i2t.recognition.metrics import to_json
-from i2t.recognition.site_pool import draw_random_sites, prepare_surfaces
+from i2t.recognition.site_pool import prepare_surfaces
 
 OBJECT_COUNTS, DEBUG_OBJECT_COUNTS = (10, 25, 50), (3,)
 MIN_EPISODES, DEBUG_COUNT_EPISODES = 100, 4  # at least, with each number of objects
-TOUCHES, NUM_SITES, NUM_PARTICLES = 20, 8, 64
-DEBUG_TOUCHES, DEBUG_NUM_SITES, DEBUG_NUM_PARTICLES = 3, 2, 8
+TOUCHES, NUM_PARTICLES = 20, 64
+DEBUG_TOUCHES, DEBUG_NUM_PARTICLES = 3, 8
 MAX_FACES = 2048  # of a scanned mesh
 TRAINED_ON = ("hexagon", "parallelogram")
 FIRST_RANDOM_SEED = 7000  # of the random objects
@@ -38,7 +38,6 @@ def evaluate(lab: StudyLab) -> Part:
     cfg = replace(
         lab.cfg,
         touches=DEBUG_TOUCHES if debug else TOUCHES,
-        num_sites=DEBUG_NUM_SITES if debug else NUM_SITES,
         num_particles=DEBUG_NUM_PARTICLES if debug else NUM_PARTICLES,
     )
     found: Part = {}
@@ -52,16 +51,14 @@ def evaluate(lab: StudyLab) -> Part:
 
 def evaluate_objects(lab: StudyLab, count: int) -> Part:
     """Truth and beliefs (e, t, objects) in some episodes with the lab's objects."""
-    key_sites, key_episodes, key_chosen = jax.random.split(jax.random.clone(lab.key), 3)
-    label = f"{len(lab.names)} objects"
-    sites, particles = lab.sample_sites(key_sites), lab.particles()
-    (table,) = lab.predict(sites, particles, [lab.pad_model.reading_model], label)
-    truth = np.resize(np.arange(len(lab.names)), count)
-    plan = EpisodePlan(sites, truth, draw_random_sites(key_chosen, sites, count, lab.cfg.touches))
+    key_sites, key_episodes = jax.random.split(jax.random.clone(lab.key))
+    label, particles = f"{len(lab.names)} objects", lab.particles()
+    plan = lab.plan(key_sites, truth=np.arange(count) % len(lab.names))
+    (table,) = lab.predict(plan.sites, particles, [lab.pad_model.reading_model], label)
     observations = lab.simulate(key_episodes, plan, label).observations
     likelihood = lab.pad_model.likelihood
     p = posteriors(jax.device_put(table), jnp.asarray(plan.chosen), observations, likelihood, particles)
-    return {"truth": truth, "p": np.asarray(p)}
+    return {"truth": plan.truth, "pool": plan.pool, "p": np.asarray(p)}
 
 
 def collect_meshes(lab: StudyLab, count: int) -> dict[str, Mesh]:
@@ -93,7 +90,7 @@ def decimate(mesh: Mesh, faces: int = MAX_FACES) -> Mesh:
     return Mesh(np.asarray(fewer.points, np.float64), np.asarray(fewer.regular_faces, np.int32))
 
 
-def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, Any]:
     """Accuracy against touches for each number of objects."""
     result: dict[str, Any] = {}
     curves = {}

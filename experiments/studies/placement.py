@@ -78,13 +78,13 @@ def evaluate(lab: StudyLab) -> Part:
 def evaluate_objects(lab: StudyLab, label: str) -> dict[str, np.ndarray]:
     """Truth, beliefs and inferred scales of one set of objects, by method and condition."""
     conditions = CONDITIONS[:3] if lab.args.debug else CONDITIONS
-    key_sites, key_episodes, key_chosen = jax.random.split(lab.key, 3)
-    plan = lab.plan(key_sites, key_chosen)
+    key_sites, key_episodes = jax.random.split(lab.key)
+    plan = lab.plan(key_sites)
     episodes = {
         true: lab.simulate(jax.random.clone(key_episodes), plan, f"{label}, {true:g} mm", errors=placed(lab, true))
         for true in sorted({condition.true_mm for condition in conditions})
     }
-    found: dict[str, np.ndarray] = {"truth": plan.truth}
+    found: dict[str, np.ndarray] = {"truth": plan.truth, "pool": plan.pool}
     for stated_mm in sorted({condition.stated_mm for condition in conditions}):
         for method in SCALE_PRIORS:
             particles, table = predict(lab, plan, stated_mm, method)
@@ -130,11 +130,12 @@ def _scales(beliefs: belief.Belief, particles: Particles) -> Array:
     return jax.vmap(lambda state: belief.scale_posterior(state, particles)[0])(beliefs)
 
 
-def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, Any]:
     """Accuracy, calibration and stopping errors of both methods in every condition."""
     columns = pool_parts(parts)
     truth = {name: columns.pop(f"{name}: truth") for name in (VALIDATION, TEST)}
-    clusters = clusters_of(parts, pads, f"{TEST}: truth")
+    played = [{name: part[f"{TEST}: {name}"] for name in ("truth", "pool")} for part in parts]
+    clusters = clusters_of(played, pads)
     result: dict[str, Any] = {"episodes": len(truth[TEST]), "methods": {}}
     for method in SCALE_PRIORS:
         names = [name for name in columns if name.startswith(f"{TEST}: {method}, ")]

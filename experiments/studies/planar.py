@@ -99,7 +99,9 @@ def simulate_presses(lab: StudyLab, presses: TablePresses, grid: PlanarGrid) -> 
     errors = replace(lab.cfg.errors, placement=0.0, placement_angle=0.0)
     poses = jnp.float32(_object_frame_sites(presses, grid))
     sites = SitePool(poses, np.repeat(presses.truth, touches))
-    plan = EpisodePlan(sites, presses.truth, np.arange(episodes * touches).reshape(episodes, touches))
+    plan = EpisodePlan(
+        sites, presses.truth, np.arange(episodes * touches).reshape(episodes, touches), np.arange(episodes)
+    )
     return lab.simulate(lab.key, plan, "planar", errors=errors, limits=limits)
 
 
@@ -181,7 +183,7 @@ def rotation_error(angle: np.ndarray, symmetry: np.ndarray) -> np.ndarray:
     return np.where(symmetry == 0, 0.0, error)
 
 
-def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, Any]:
     """What not knowing the pose costs, and how well it is found."""
     columns, clusters = pool_parts(parts), clusters_of(parts, pads)
     truth = columns["truth"]

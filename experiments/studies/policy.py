@@ -94,7 +94,7 @@ def choose_sites(
     return np.asarray(site)
 
 
-def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, Any]:
     """Accuracy and touches to confidence under each policy, and what choosing by information saves."""
     columns, clusters = pool_parts(parts), clusters_of(parts, pads)
     truth = columns["truth"]

@@ -65,7 +65,7 @@ def evaluate_set(
         key_sites, surfaces, names, pools=int(pool[-1]) + 1, each=lab.cfg.pool_sites, limits=lab.cfg.site_limits
     )
     touches = plan_informative_touches(key_chosen, pools, pool, lab.cfg.touches)
-    plan = EpisodePlan(touches.sites, truth, touches.chosen)
+    plan = EpisodePlan(touches.sites, truth, touches.chosen, pool)
     networks = load_paper_networks(lab.folder)
     predictors = {**({} if networks is None else networks.networks), **kept_predictor(lab.run.predictor)}
     found = {}
@@ -83,7 +83,7 @@ def evaluate_set(
     return found
 
 
-def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, Any]:
     """Accuracy after the last touch in every world, and the pose error at which the baseline overtakes."""
     result: dict[str, Any] = {"worlds": {}}
     differences: dict[str, list[Estimate]] = {}
@@ -115,18 +115,15 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, A
     return result
 
 
-def compare_rules(parts: Sequence[Part], pads: Sequence[int]) -> tuple[dict[str, Any], dict[str, Estimate]]:
+def compare_rules(parts: Sequence[Part], pads: Sequence[str]) -> tuple[dict[str, Any], dict[str, Estimate]]:
     """Accuracies from each source in one world, by rule; and how much better each source of readings is than contact
     positions, by source and rule.
     """
     columns = {
         name: np.concatenate([part[name] for part in parts]) for name in parts[0] if name not in PoseErrorWorld._fields
     }
-    truth, pool = columns.pop("truth"), columns.pop("pool")
-    # Of a single pad, episodes are distinguished by their pool of sites; each run has its own.
-    clusters = clusters_of(parts, pads) or [
-        pool + 10**6 * np.repeat(range(len(parts)), [len(p["pool"]) for p in parts])
-    ]
+    truth, _ = columns.pop("truth"), columns.pop("pool")
+    clusters = clusters_of(parts, pads)
     entry: dict[str, Any] = {"episodes": len(truth), "rules": {}}
     differences = {}
     for rule in COMPARED_RULES:

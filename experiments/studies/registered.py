@@ -48,10 +48,10 @@ class RegisteredPoses(NamedTuple):
 
 def evaluate(lab: StudyLab) -> Part:
     """Beliefs with the object known to 1 mm, known to 5 mm, and found by a view, with common random numbers."""
-    key_sites, key_episodes, key_chosen = jax.random.split(lab.key, 3)
-    plan = lab.plan(key_sites, key_chosen)
+    key_sites, key_episodes = jax.random.split(lab.key)
+    plan = lab.plan(key_sites)
     errors = replace(lab.cfg.errors, placement=TRANSLATION_STD_M, placement_angle=ROTATION_STD_RAD)
-    found: dict[str, np.ndarray] = {"truth": plan.truth}
+    found: dict[str, np.ndarray] = {"truth": plan.truth, "pool": plan.pool}
     for name, world in (("known to 1 mm", lab.cfg.errors), ("known to 5 mm", errors)):
         particles = lab.particles(world)
         (table,) = lab.predict(plan.sites, particles, [lab.pad_model.reading_model], name)
@@ -76,7 +76,7 @@ def evaluate_registered(
         poses.T_w_o[np.arange(len(plan.truth))[:, None], owner] @ np.asarray(plan.sites.T_w_t, float)[plan.chosen]
     )
     sites = SitePool(jnp.float32(T_w_site.reshape(-1, 4, 4)), owner.reshape(-1))
-    moved = EpisodePlan(sites, plan.truth, np.arange(plan.chosen.size).reshape(plan.chosen.shape))
+    moved = EpisodePlan(sites, plan.truth, np.arange(plan.chosen.size).reshape(plan.chosen.shape), plan.pool)
     episodes = lab.simulate(key, moved, FOUND_BY_VIEW, errors=errors)
     table = predict_registered(lab, particles, T_w_site, poses)
     return run_belief(table, episodes, lab.pad_model.likelihood, particles, KINDS)
@@ -154,7 +154,7 @@ def _depth_view(
     return add_depth_noise(depth, errors, np.random.default_rng(seed))
 
 
-def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, Any]:
     """What knowing the pose is worth, and how well a view finds it."""
     columns = pool_parts([{key: part[key] for key in ERRORS} for part in parts])
     result = report_methods([{key: p for key, p in part.items() if key not in ERRORS} for part in parts], out, pads)

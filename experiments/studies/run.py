@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 # Factors of a few hundred rows are too small to share, as in experiments.train.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from experiments.common.checks import finished_runs
+from experiments.common.checks import chosen_runs, finished_runs, pad_name
 from experiments.common.presets import choose_preset
 from experiments.common.runs import Part, begin, load_part, pictures_in, save_part, write_json
 from experiments.recognize.config import PRESETS
@@ -47,14 +47,14 @@ from experiments.studies import (
     sites,
 )
 from experiments.studies.arguments import StudyArgs
-from experiments.studies.lab import StudyLab, pads_of, prepare_lab, report_methods
+from experiments.studies.lab import StudyLab, prepare_lab, report_methods
 
 
 class StudySteps(NamedTuple):
     """What a study does with each pad and seed, and with all of them."""
 
     evaluate: Callable[[StudyLab], Part]
-    report: Callable[[Sequence[Part], Path, Sequence[int]], dict[str, Any]]  # of the parts and their pads
+    report: Callable[[Sequence[Part], Path, Sequence[str]], dict[str, Any]]  # of the parts and their pads
 
 
 STUDIES = {
@@ -78,14 +78,16 @@ def run(args: StudyArgs) -> dict[str, Any]:
     out = args.folder
     study = STUDIES[args.study]
     begin(out, args, choose_preset(PRESETS, args.preset), args.resume, args.overwrite)
-    folders = finished_runs(args.trained_run)
+    numbers = {folder: i for i, folder in enumerate(finished_runs(args.trained_run))}
+    folders = chosen_runs(args.trained_run, args.pads)
     parts = []
-    for i, folder in enumerate(folders):
+    for folder in folders:
+        i = numbers[folder]  # among all of the study's: a pad's episodes are the same whichever others are chosen
         path = out / f"part-{i}.npz"
         if not path.exists():
             save_part(path, study.evaluate(prepare_lab(args, folder, args.seed + i)))
         parts.append(load_part(path))
-    pads = pads_of(folders)
+    pads = [pad_name(folder) for folder in folders]
     found = study.report(parts, out, pads)
     result = {"source": "simulated", "pads": sorted(set(pads)), "runs": len(parts), **found}
     write_json(out / "metrics.json", result)

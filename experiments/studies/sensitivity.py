@@ -56,9 +56,9 @@ def evaluate(lab: StudyLab) -> Part:
     some = worlds(lab.cfg.errors)
     if lab.args.debug:
         some = {name: some[name] for name in ("default", "stop at 50 uT")}
-    key_sites, key_episodes, key_chosen, key_press = jax.random.split(lab.key, 4)
-    plan = lab.plan(key_sites, key_chosen)
-    found: dict[str, np.ndarray] = {"truth": plan.truth}
+    key_sites, key_episodes, key_press = jax.random.split(lab.key, 3)
+    plan = lab.plan(key_sites)
+    found: dict[str, np.ndarray] = {"truth": plan.truth, "pool": plan.pool}
     played: dict[float, Episodes] = {}
     tables: dict[tuple[float, float], tuple[belief.Particles, outcomes.PredictedTouch]] = {}
     for name, world in some.items():

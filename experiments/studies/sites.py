@@ -27,8 +27,8 @@ SHARES = {"flat": (0.95, 1.01), "edge": (0.375, 0.95), "corner or narrow": (0.0,
 
 def evaluate(lab: StudyLab) -> Part:
     """Episodes of a single touch, and the share of the skin that each pressed."""
-    key_sites, key_episodes, key_chosen = jax.random.split(lab.key, 3)
-    plan = lab.plan(key_sites, key_chosen, repeats=1 if lab.args.debug else lab.cfg.touches, touches=1)
+    key_sites, key_episodes = jax.random.split(lab.key)
+    plan = lab.plan(key_sites, truth=lab.truth(1 if lab.args.debug else lab.cfg.touches), touches=1)
     particles = lab.particles()
     (table,) = lab.predict(plan.sites, particles, [lab.pad_model.reading_model], "sites")
     episodes = lab.simulate(key_episodes, plan, "sites")
@@ -36,7 +36,13 @@ def evaluate(lab: StudyLab) -> Part:
     share = np.stack([np.asarray(shares(surface, plan.sites.T_w_t)) for surface in lab.surfaces], 1)
     beliefs = run_belief(table, episodes, lab.pad_model.likelihood, particles)
     contact = np.asarray(episodes.observations.contact)[:, 0]
-    return {"truth": plan.truth, "share": share[plan.chosen[:, 0], plan.truth], "contact": contact, **beliefs}
+    return {
+        "truth": plan.truth,
+        "pool": plan.pool,
+        "share": share[plan.chosen[:, 0], plan.truth],
+        "contact": contact,
+        **beliefs,
+    }
 
 
 def pressed_share(surface: Surface, T_w_site: jax.Array) -> jax.Array:
@@ -45,7 +51,7 @@ def pressed_share(surface: Surface, T_w_site: jax.Array) -> jax.Array:
     return jnp.mean(heights <= jnp.min(heights) + CONTACT_DEPTH_M)
 
 
-def report(parts: Sequence[Part], out: Path, pads: Sequence[int]) -> dict[str, Any]:
+def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, Any]:
     """Bits of information for each kind of site and of evidence."""
     columns, clusters = pool_parts(parts), clusters_of(parts, pads)
     contact, share = columns["contact"], columns["share"]

@@ -48,6 +48,7 @@ EVIDENCE = {
     "readings": EvidenceWeights(1.0, 0.0, 0.0),
     "presence": EvidenceWeights(0.0, 0.0, 1.0),
     "position": EvidenceWeights(0.0, 1.0, 0.0),
+    "readings and position": EvidenceWeights(1.0, 1.0, 0.0),
     "readings and presence": EvidenceWeights(1.0, 0.0, 1.0),
     "position and presence": EvidenceWeights(0.0, 1.0, 1.0),
     "fused": EvidenceWeights(1.0, 1.0, 1.0),

@@ -231,21 +231,6 @@ def _predict(
     return jax.vmap(lambda T: jax.vmap(lambda x: one(T, x))(twist))(T_w_site)
 
 
-def draw_random_sites(key: Key[Array, ""], sites: SitePool, episodes: int, touches: int) -> Int[np.ndarray, "e t"]:
-    """Random sites for each touch of some episodes; the same sites serve every method.
-
-    Args:
-        key: Of the draws.
-        sites: The pool.
-        episodes: How many.
-        touches: Of each episode.
-
-    Returns:
-        Indices of sites.
-    """
-    return np.asarray(jax.random.randint(key, (episodes, touches), 0, len(sites.owner)))
-
-
 def plan_random_touches(
     key: Key[Array, ""],
     surfaces: Sequence[Surface],
@@ -254,8 +239,9 @@ def plan_random_touches(
     touches: int,
     *,
     limits: touch_sites.SiteLimits,
+    share: int = 1,
 ) -> TouchPlan:
-    """Draw a safe site of a random object for each touch: no two touches share one.
+    """Draw a safe site of a random object for each touch.
 
     Args:
         key: Of the draws.
@@ -264,20 +250,24 @@ def plan_random_touches(
         episodes: How many.
         touches: Of each episode.
         limits: What makes a site safe.
+        share: Episodes, one after the other, that touch the same sites, so that less has to be predicted; with one no
+            two touches share a site.
 
     Returns:
-        The plan, with each episode a pool of its own.
+        The plan, with a pool for each `share` episodes.
 
     Raises:
         ValueError: An object has too few safe sites.
     """
+    pool = np.arange(episodes) // share
+    count = (int(pool[-1]) + 1) * touches
     key_object, key_sites = jax.random.split(key)
-    owner = np.asarray(jax.random.randint(key_object, (episodes * touches,), 0, len(surfaces)))
+    owner = np.asarray(jax.random.randint(key_object, (count,), 0, len(surfaces)))
     T = np.zeros((len(owner), 4, 4), np.float32)
     for i, (surface, name) in enumerate(zip(surfaces, names, strict=True)):
         T[owner == i] = _draw_sites(jax.random.fold_in(key_sites, i), surface, int((owner == i).sum()), limits, name)
-    chosen = np.arange(len(owner)).reshape(episodes, touches)
-    return TouchPlan(SitePool(jnp.asarray(T), owner), chosen, np.arange(episodes))
+    chosen = np.arange(count).reshape(-1, touches)[pool]
+    return TouchPlan(SitePool(jnp.asarray(T), owner), chosen, pool)
 
 
 def sample_pools(

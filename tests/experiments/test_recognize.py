@@ -45,7 +45,8 @@ def test_the_run_leaves_what_it_promises(finished):
     assert everything["episodes"] == 12
     assert everything["objects"] == ["square", "cylinder", "screwdriver", "hammer"]
     expected = {
-        "readings", "presence", "position", "readings and presence", "position and presence", "fused", "fused, oracle",
+        "readings", "presence", "position", "readings and position", "readings and presence", "position and presence",
+        "fused", "fused, oracle",
         "Imagine2touch (paper's network, depth), votes", "same rules, Gaussian process, votes",
         "same rules, constant reading, votes", "proprioception, product",
     }  # fmt: skip

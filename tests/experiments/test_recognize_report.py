@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from experiments.common import checks
 from experiments.recognize import paper, report, run
 from experiments.recognize.report import IMAGINE2TOUCH, RULES_GP, EpisodeResults
 from i2t.recognition.paper_rules import PROPRIOCEPTION
@@ -121,13 +122,20 @@ def test_pads_of_a_study_are_chosen_by_number(tmp_path):
         folder = tmp_path / f"pad-{pad}-seed-0"
         folder.mkdir()
         (folder / "metrics.json").write_text(json.dumps({"pad": pad}))
-    chosen = run.chosen_runs(run.SimulateArgs(trained_run=tmp_path, pads=("0", "2")))
+    chosen = checks.chosen_runs(tmp_path, ("0", "2"))
     assert [folder.name for folder in chosen] == ["pad-0-seed-0", "pad-2-seed-0"]
-    assert len(run.chosen_runs(run.SimulateArgs(trained_run=tmp_path))) == 3
+    assert len(checks.chosen_runs(tmp_path, ())) == 3
     with pytest.raises(ValueError, match="has no run with pad 7; its pads are 0, 1, 2"):
-        run.chosen_runs(run.SimulateArgs(trained_run=tmp_path, pads=("7",)))
+        checks.chosen_runs(tmp_path, ("7",))
 
 
 def test_the_papers_loop_is_not_for_recorded_touches(tmp_path):
     with pytest.raises(ValueError, match="--method paper plays the paper's own sets"):
         run.SimulateArgs(method="paper", dataset=tmp_path).check()
+
+
+def test_parts_of_an_earlier_version_lack_a_method_and_still_make_a_table():
+    earlier = PARTS[1]["primitives"]
+    some = {method: p for method, p in earlier.beliefs.items() if method != "fused"}
+    parts = report.with_common_methods([PARTS[0], {"primitives": earlier._replace(beliefs=some)}])
+    assert list(report.score_set(parts, "primitives")["methods"]) == list(some)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.studies import __main__ as studies
-from experiments.studies import object_count, planar, pose_error, sites
+from experiments.studies import lab, object_count, open_set, planar, pose_error, sites
 from i2t.objects import Mesh
 from i2t.recognition.planar import pose_cells
 from i2t.simulation.touches import SimulationErrors
@@ -67,6 +67,40 @@ def test_a_flag_answers_to_its_old_name_with_the_new_one(old, new, capsys):
     with pytest.raises(SystemExit):
         studies.main(["policy", old, "1"])
     assert new in capsys.readouterr().err
+
+
+def test_episodes_of_studies_are_alike_by_pad_by_sites_and_by_object():
+    part = {"truth": np.zeros(6, int), "pool": np.arange(6) // 2, "there": np.array([0, 1, 5, 0, 1, 6])}
+    parts, one = [part] * 3, {"truth": part["truth"]}
+    pad, pool, there = lab.clusters_of(parts, ["0", "0", "1"], objects="there")
+    assert pad.tolist() == [0] * 12 + [1] * 6
+    assert pool.tolist() == [i // 2 for i in range(18)]  # each run's sites are its own
+    assert there.tolist() == [0, 1, 2, 0, 1, 3] * 3
+    assert len(lab.clusters_of([one] * 3, ["0", "1", "2"])) == 1
+    assert lab.clusters_of([one] * 2, ["0", "1"]) == []  # nothing tells the episodes of two pads apart
+
+
+def test_unknown_objects_come_about_equally_often():
+    there = open_set.draw_objects(5, 8, 10, seed=0)
+    assert np.bincount(there[:50]).tolist() == [10] * 5
+    assert set(np.bincount(there[50:])[5:]) <= {6, 7}
+
+
+def test_detecting_unknown_objects_is_as_uncertain_as_the_objects_are_few(tmp_path):
+    """Each unknown object is always told or never: episodes say as little as their eight objects."""
+    part = {}
+    for name in ("validation", "test"):
+        there = open_set.draw_objects(5, 8, 8, seed=0)
+        unknown = there >= 5
+        hidden = unknown & (there % 2 == 0)  # half of the unknown objects look like known ones
+        p_unknown = np.where(unknown & ~hidden, 0.9, 0.1) + 1e-3 * np.random.default_rng(0).random(len(there))
+        p = np.repeat(((1 - p_unknown) / 5)[:, None, None], 5, 2)
+        part[name] = open_set.OpenSetEpisodes(
+            np.where(unknown, -1, there), p, p_unknown[:, None], there, np.arange(80) // 5
+        )._asdict()
+    area = open_set.report([part] * 3, tmp_path, ["0", "1", "2"])["auroc"]
+    assert area["mean"][0] == pytest.approx(0.75, abs=0.06)
+    assert area["high"][0] - area["low"][0] > 0.25  # independent episodes would give .1
 
 
 def test_a_rotation_of_a_symmetric_object_is_wrong_up_to_half_its_period_only():

@@ -158,6 +158,7 @@ def test_each_kind_of_evidence_counts_by_itself_and_fused_is_all():
     assert on("readings") == [True, False, False]
     assert on("position") == [False, True, False]
     assert on("presence") == [False, False, True]
+    assert on("readings and position") == [True, True, False]
     assert on("readings and presence") == [True, False, True]
     assert on("position and presence") == [False, True, True]
     assert on("fused") == [True, True, True]

@@ -39,6 +39,21 @@ def test_no_two_touches_share_a_site(surfaces):
         assert np.asarray(check(surface, plan.sites.T_w_t))[plan.sites.owner == i].all()
 
 
+def test_some_episodes_may_share_their_sites_and_no_others(surfaces, monkeypatch):
+    drawn = iter(range(100))
+
+    def draw(key, surface, count, limits, name):
+        return np.array([np.eye(4) * next(drawn) for _ in range(count)], np.float32).reshape(-1, 4, 4)
+
+    monkeypatch.setattr(site_pool, "_draw_sites", draw)
+    plan = site_pool.plan_random_touches(jax.random.key(1), surfaces, NAMES, 7, 4, limits=RECOGNITION_LIMITS, share=3)
+    assert plan.pool.tolist() == [0, 0, 0, 1, 1, 1, 2]
+    assert len(plan.sites.owner) == 12
+    np.testing.assert_array_equal(plan.chosen[0], plan.chosen[2])
+    assert set(plan.chosen[2]).isdisjoint(plan.chosen[3])
+    assert sorted(np.asarray(plan.sites.T_w_t)[:, 0, 0]) == list(range(12))
+
+
 def test_pools_have_sites_of_their_own(pools):
     assert pools.T_w_t.shape == (4, 2, 6, 4, 4)
     assert len(np.unique(pools.T_w_t[:, :, :, :3, 3].reshape(-1, 3), axis=0)) == 4 * 2 * 6
