@@ -1,4 +1,4 @@
-"""A board of four chips from the physics to what is learnt of it: readings of twelve values everywhere, and no five."""
+"""A board of four chips from the physics to what is fitted to it: readings of twelve values everywhere, and no five."""
 
 import jax
 import jax.numpy as jnp

@@ -187,7 +187,7 @@ def test_blocks_are_held_out_of_the_skin_and_strokes_of_a_stream():
         ("contact", {"contact": np.ones((300, 1))}, "one contact only"),
     ],
 )
-def test_what_cannot_be_learnt_is_refused_in_a_sentence(recording, target, change, message):
+def test_what_cannot_be_fitted_is_refused_in_a_sentence(recording, target, change, message):
     with pytest.raises(ValueError, match=message):
         fit_head(replace(recording, targets={**recording.targets, **change}), target, budget=SMALL)
 

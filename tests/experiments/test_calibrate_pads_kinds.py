@@ -59,7 +59,7 @@ def test_a_plain_process_fits_its_hyperparameters():
     assert np.isfinite(one).all()
 
 
-def test_blocks_held_out_share_no_place_with_what_is_learnt():
+def test_blocks_held_out_share_no_position_with_training_presses():
     rng = np.random.default_rng(2)
     skin = kinds.PressedSkinOfKind(
         "bonded", rng.uniform(-8e-3, 8e-3, (250, 2)), np.ones(250), np.ones(250), np.zeros((250, 15)), np.zeros((5, 2))

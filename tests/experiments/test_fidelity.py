@@ -263,7 +263,7 @@ def test_the_baselines_predict_a_smooth_skin():
     np.testing.assert_allclose(presses.readings[rows], presses.readings[rows])
 
 
-def test_what_is_held_out_is_never_learnt_from():
+def test_what_is_held_out_is_never_fitted_to():
     presses = press_set(SKIN)
     for pool, test in curves.hold_out_presses(presses, TINY, 0).values():
         assert not set(pool) & set(test)

@@ -329,7 +329,7 @@ def target_rows(recording: SkinRecording, target: str) -> np.ndarray:
     if known.sum() < MIN_HEAD_ROWS:
         raise ValueError(f"{recording.name} knows {target} of {known.sum()} rows: {MIN_HEAD_ROWS} are needed")
     if not chosen.varies(target):
-        raise ValueError(f"{recording.name} has one {target} only, so that nothing can be learnt of it")
+        raise ValueError(f"{recording.name} has one {target} only, so that no head can be fitted to it")
     return np.flatnonzero(known)
 
 

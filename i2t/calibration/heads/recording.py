@@ -112,7 +112,7 @@ class SkinRecording:
         return np.zeros(len(self), bool) if values is None else np.isfinite(values).all(1)
 
     def varies(self, target: str) -> bool:
-        """Whether a target has a range that anything could be learnt of.
+        """Whether a target has a range, so that a head can be fitted to it.
 
         Args:
             target: its name.
