@@ -7,9 +7,9 @@
 The second world (`experiments.second_world.world`) has another contact law and solver, other magnets, another camera
 with whole millimetres, and other errors. Its touches are written in the layout of the authors' recordings and read by
 `python -m i2t.convert imagine2touch`; `python -m experiments.train --dataset` trains on them, with objects held out.
-The command reports by how much the best model on predicted contact pressure leads ridge regression and nearest neighbours,
-in the world as a lab has it and in one whose camera and arm make no errors: the difference says what bounds it. Results
-go to --out.
+The command reports by how much the best model on predicted contact pressure leads ridge regression and nearest
+neighbours, in the world as a lab has it and in one whose camera and arm make no errors: the difference says what bounds
+it. Results go to --out.
 """
 
 import json
