@@ -1,14 +1,19 @@
-"""Every study of the documents again, and the tables that the documents show.
+"""The measurements of the documents again, and the tables that the documents show.
 
-    python -m experiments.reproduce                         all steps, one after another (hours on two cores)
+    python -m experiments.reproduce                         all steps, one after another (most of a day on two cores)
     python -m experiments.reproduce --only study recognize  some of them
     python -m experiments.reproduce --list                  what there is, how long it takes, and what is done
     python -m experiments.reproduce --tables                only write the documents' tables from what was measured
 
 Each step is a command that the documents print. It is run as it is printed, in a process of its own; an unfinished one
-goes on where it stopped, a finished one is not run again. What a step measured is kept, shortened, in docs/results, and
-the tables between the marks `<!-- table: STEP NAME -->` and `<!-- end of table -->` of the documents are written from
-it.
+goes on where it stopped, or begins again if its command cannot go on, and a finished one is not run again. What a step
+measured is kept, shortened, in docs/results, and the tables between the marks `<!-- table: STEP NAME -->` and
+`<!-- end of table -->` of the documents are written from it; figures outside such marks are compared by eye.
+
+Steps that need recordings or meshes which are no part of the project look for them below the current folder, under the
+names of the documents, and are left out where they are not there. Not among the steps are timings, which belong to one
+machine (experiments.benchmark), pictures (experiments.gallery), notebooks, changes of the code (experiments.mutants),
+the ready models, and what the documents say of single runs with other options.
 """
 
 import json
@@ -50,7 +55,7 @@ def run(args: ReproduceArgs) -> None:
     """The steps asked for, then the tables.
 
     Raises:
-        ValueError: A step is unknown, one that it uses is missing, or one fails.
+        ValueError: A step is unknown, what it uses or needs is missing, or one fails.
     """
     known = {step.name: step for step in STEPS}
     if unknown := [name for name in args.only if name not in known]:
@@ -61,6 +66,13 @@ def run(args: ReproduceArgs) -> None:
         return
     if not args.tables:
         for step in steps:
+            if step.needs and not Path(step.needs).is_dir():
+                if args.only:
+                    raise ValueError(
+                        f"{step.name} needs the folder {step.needs}, which is not there; docs say what it is"
+                    )
+                print(f"\n== {step.name} is left out: it needs the folder {step.needs}, which is not there", flush=True)
+                continue
             _run_step(step, args)
     written = write_tables(args.docs)
     print(f"{len(written)} tables written from {args.docs / 'results'}")
@@ -68,8 +80,11 @@ def run(args: ReproduceArgs) -> None:
 
 def describe(step: Step, out: Path) -> str:
     """One line on a step: whether it is done, how long it takes, and its command."""
-    done = "done" if (out / step.name / "metrics.json").exists() else f"{step.minutes} min"
-    return f"{step.name:14} {done:>8}   python {step.command}" + (f"   (uses {step.uses})" if step.uses else "")
+    expected = "time?" if step.minutes is None else f"{step.minutes} min"
+    done = "done" if (out / step.name / step.result).exists() else expected
+    asked = [f"uses {step.uses}"] if step.uses else []
+    asked += [f"needs the folder {step.needs}"] if step.needs else []
+    return f"{step.name:20} {done:>8}   python {step.command}" + (f"   ({', '.join(asked)})" if asked else "")
 
 
 def _run_step(step: Step, args: ReproduceArgs) -> None:
@@ -77,7 +92,7 @@ def _run_step(step: Step, args: ReproduceArgs) -> None:
     folder = args.out / step.name
     if step.uses and not (args.out / step.uses).exists():
         raise ValueError(f"{step.name} uses {step.uses}, which is not there; run it first, or name both in --only")
-    if not (folder / "metrics.json").exists():
+    if not (folder / step.result).exists():
         words = step.arguments(args.out, resume=(folder / "config.json").exists())
         print(f"\n== {step.name}: python {' '.join(words)}", flush=True)
         code = subprocess.run([sys.executable, *words], env=dict(os.environ), check=False).returncode
@@ -86,7 +101,7 @@ def _run_step(step: Step, args: ReproduceArgs) -> None:
     if step.name in TABLES:
         results = args.docs / "results"
         results.mkdir(exist_ok=True)
-        measured = json.loads((folder / "metrics.json").read_text())
+        measured = json.loads((folder / step.result).read_text())
         kept = json.dumps(shortened(step.name, measured), ensure_ascii=False, separators=(",", ":"))
         (results / f"{step.name}.json").write_text(kept + "\n")
 

@@ -1,5 +1,6 @@
 """What is run again, in which order, and where its numbers appear: one step for each command of the documents."""
 
+import shlex
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,8 +11,10 @@ class Step(NamedTuple):
     name: str  # of the step, of its folder below --out, and of its file in docs/results
     command: str  # as a user types it, without --out and --trained-run
     uses: str | None = None  # the step whose folder it takes as --trained-run
-    minutes: int = 5  # on two cores, roughly
-    needs: str | None = None  # what is not part of the project: a folder of $I2T_DATA
+    minutes: int | None = None  # on two cores, roughly; none where it was not measured
+    needs: str | None = None  # a folder that is not part of the project, as the command names it
+    again: str | None = "--resume"  # the option with which it takes up an unfinished folder
+    result: str = "metrics.json"  # the file that is there once it is done
 
     def arguments(self, out: Path, resume: bool) -> list[str]:
         """The command's words after `python`.
@@ -20,10 +23,10 @@ class Step(NamedTuple):
             out: Folder of all steps.
             resume: Whether an unfinished run is there.
         """
-        words = [*self.command.split(), "--out", str(out / self.name)]
+        words = [*shlex.split(self.command), "--out", str(out / self.name)]
         if self.uses:
             words += ["--trained-run", str(out / self.uses)]
-        return words + (["--resume"] if resume else [])
+        return words + ([self.again] if resume and self.again else [])
 
 
 STEPS = (
@@ -52,4 +55,50 @@ STEPS = (
     Step("sites", "-m experiments.studies sites", uses="study", minutes=15),
     Step("pose_error", "-m experiments.studies pose_error", uses="study", minutes=20),
     Step("object_count", "-m experiments.studies object_count", uses="study", minutes=30),
+    Step("constants", "-m experiments.studies constants --episodes 10", uses="study"),
+    Step("train_blocks", "-m experiments.train --dataset data/eflesh --split block --epochs 60", needs="data/eflesh"),
+    Step("train_time", "-m experiments.train --dataset data/eflesh --split time --epochs 60", needs="data/eflesh"),
+    Step("second_world", "-m experiments.second_world"),
+    Step("shapes", "-m experiments.shapes", minutes=30),
+    Step("tsne", "-m experiments.tsne", again="--overwrite"),
+    Step("pads", "-m experiments.pads", minutes=60, again="--overwrite"),
+    Step("calibrate_prior", "-m experiments.calibrate_pads --prior", minutes=2, again="--overwrite"),
+    Step("calibrate_kinds", "-m experiments.calibrate_pads --kinds", again="--overwrite"),
+    Step("calibrate_population", "-m experiments.calibrate_pads --population", minutes=2, again="--overwrite"),
+    Step("calibrate_pads", "-m experiments.calibrate_pads --preset short", minutes=5, again="--overwrite"),
+    Step(
+        "calibrate",
+        "-m experiments.calibrate --dataset data/eflesh --period-mm 8.3",
+        minutes=10,
+        needs="data/eflesh",
+        again="--overwrite",
+    ),
+    Step(
+        "calibrate_session",
+        "-m experiments.calibrate --dataset data/normal2 --previous-session data/normal1 --preset short",
+        needs="data/normal2",
+        again="--overwrite",
+    ),
+    Step("unknowns", "-m experiments.unknowns", minutes=40, again="--overwrite"),
+    Step(
+        "fidelity",
+        "-m experiments.fidelity --dataset eflesh/spatial",
+        minutes=11,
+        needs="eflesh/spatial",
+        again="--overwrite",
+    ),
+    Step("refine", "-m experiments.refine", minutes=3, again="--overwrite"),
+    Step("clouds", "-m experiments.clouds", minutes=1, again=None, result="clouds.json"),
+    Step("real_frames", "-m experiments.real_frames --data DATA", minutes=1, needs="DATA", again="--overwrite"),
+    Step("active_touch", "-m experiments.active_touch", minutes=10, again="--overwrite"),
+    Step("reconstruct", "-m experiments.reconstruct", minutes=10, again="--overwrite"),
+    Step(
+        "reconstruct_meshes",
+        "-m experiments.reconstruct --meshes random_urdfs --unit cm"
+        " --conditions random reduction uncertainty 'contact pose only' 'perfect tactile image'",
+        needs="random_urdfs",
+        again="--overwrite",
+    ),
+    Step("reconstruct_patch", "-m experiments.reconstruct_patch --preset short", minutes=7, again="--overwrite"),
+    Step("faults", "-m experiments.faults", minutes=120, again=None, result="sections/kill.json"),
 )

@@ -294,6 +294,72 @@ def predictors_by_object(measured: Measured) -> str:
     return markdown(["method", *scores], rows)
 
 
+# --- shapes from touches ---
+
+_ENDS = (("iou", 2), ("f_score", 2), ("coverage", 2), ("band_mm", 1))  # scores after the last touch, and decimals
+_RATIO, _DISTANCE = ("ratio", 2), ("chamfer_mm", 1)
+
+
+def reconstructions(of: tuple[str, int], start: bool) -> Table:
+    """Scores of every condition after some touches.
+
+    Args:
+        of: The score whose course is shown, and its decimals.
+        start: Whether the distance before the first touch is shown.
+    """
+
+    def render(measured: Measured) -> str:
+        conditions = measured["conditions"]
+        counts = sorted({int(count) for found in conditions.values() for count in found["after"]} - {0})
+        rows = []
+        for name, found in conditions.items():
+            after = found["after"]
+            begun = [number(after["0"]["chamfer_mm"][0], 2)] if start else []
+            course = [estimate(after[str(count)][of[0]], of[1]) if str(count) in after else "" for count in counts]
+            last = after[max(after, key=int)]
+            rows.append([name, *begun, *course, *(number(last[score][0], decimals) for score, decimals in _ENDS)])
+        touches = [f"{count} touch{'es' if count > 1 else ''}" for count in counts]
+        head = ["condition", *(["start, mm"] if start else []), *touches]
+        return markdown([*head, "IoU", "F-score", "in the 90 % band", "band, mm"], rows)
+
+    return render
+
+
+_PATCH_SCORES = (
+    ("mask_iou", "mask IoU", 2), ("contact_iou", "contact IoU", 2), ("centre_mm_median", "centre, median mm", 2),
+    ("centre_mm_90", "centre, 90 % mm", 1), ("direction_deg_median", "edge, degrees", 0),
+    ("position_mm_median", "edge, mm", 1), ("crps_ratio", "CRPS / prior's", 2), ("coverage_90", "90 % covers", 2),
+)  # fmt: skip
+_OF_CATALOGUE = ("mask_iou", "contact_iou", "crps_ratio", "coverage_90")
+
+
+def local_shapes(measured: Measured) -> str:
+    """Scores of every method that tells a patch from a press."""
+    head = ["method", *(title for _, title, _ in _PATCH_SCORES)]
+    return markdown(head, _patch_rows(measured["methods"], _PATCH_SCORES))
+
+
+def local_shapes_of_catalogue(measured: Measured) -> str:
+    """The same on the catalogue's test objects alone."""
+    scores = [score for score in _PATCH_SCORES if score[0] in _OF_CATALOGUE]
+    first, *others = (title for _, title, _ in scores)
+    rows = _patch_rows(measured["catalogue"], scores)
+    return markdown(["method", f"of the catalogue's objects: {first}", *others], rows)
+
+
+def _patch_rows(methods: Mapping[str, Any], scores: Sequence[tuple[str, str, int]]) -> list[list[str]]:
+    return [
+        [name, *(_span(found[score], decimals) if score in found else "" for score, _, decimals in scores)]
+        for name, found in methods.items()
+    ]
+
+
+def _span(found: Sequence[float], decimals: int) -> str:
+    """A mean with its interval, none of which is negative."""
+    mean, low, high = found
+    return f"{mean:.{decimals}f} ({low:.{decimals}f}-{high:.{decimals}f})"
+
+
 TABLES: dict[str, dict[str, Table]] = {
     "train": {"predictors": predictors_of_one_pad},
     "study": {"predictors": predictors, "by object": predictors_by_object},
@@ -318,4 +384,7 @@ TABLES: dict[str, dict[str, Table]] = {
     "placement": {"conditions": placements},
     "mismatch": {"worlds": worlds},
     "policy": {"policies": policies},
+    "reconstruct": {"conditions": reconstructions(_RATIO, start=True)},
+    "reconstruct_meshes": {"conditions": reconstructions(_DISTANCE, start=False)},
+    "reconstruct_patch": {"methods": local_shapes, "catalogue": local_shapes_of_catalogue},
 }

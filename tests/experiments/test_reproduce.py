@@ -4,6 +4,8 @@ import contextlib
 import importlib
 import io
 import json
+import re
+import shlex
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -35,7 +37,7 @@ def test_every_table_has_its_command_on_its_page():
 def test_every_step_is_a_command_that_takes_these_arguments():
     """The words of each step are options of its command."""
     for step in STEPS:
-        _, module, *words = step.command.split()
+        _, module, *words = shlex.split(step.command)
         try:
             command = importlib.import_module(f"{module}.__main__")
         except ModuleNotFoundError:
@@ -46,8 +48,31 @@ def test_every_step_is_a_command_that_takes_these_arguments():
         with contextlib.redirect_stdout(said), pytest.raises(SystemExit) as ended:
             command.main([*words, "--help"])
         assert ended.value.code == 0
-        for option in ("--out", "--resume", *(["--trained-run"] if step.uses else [])):
+        for option in ("--out", *filter(None, [step.again]), *(["--trained-run"] if step.uses else [])):
             assert option in said.getvalue(), f"{step.name}: {option}"
+
+
+def test_every_step_is_printed_in_the_documents():
+    """Perhaps with further options, such as folders."""
+    text = "\n".join(page.read_text() for page in PAGES)
+    printed = [shlex.split(line, comments=True)[1:] for line in re.findall(r"python -m experiments\.[^`\n]+", text)]
+    for step in STEPS:
+        words = set(shlex.split(step.command))
+        assert any(words <= set(line) for line in printed), f"no page prints python {step.command}"
+
+
+def test_a_step_whose_recording_is_not_there_is_left_out(tmp_path, played, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    step = next(step for step in STEPS if step.needs)
+    monkeypatch.setattr(reproduce, "STEPS", (step,))
+    assert reproduce.main(_args(tmp_path)) == 0
+    assert f"{step.name} is left out: it needs the folder {step.needs}" in capsys.readouterr().out
+    assert reproduce.main(_args(tmp_path, "--only", step.name)) == 2
+    assert f"needs the folder {step.needs}, which is not there" in capsys.readouterr().err
+    assert not played
+    (tmp_path / step.needs).mkdir(parents=True)
+    assert reproduce.main(_args(tmp_path)) == 0
+    assert len(played) == 1
 
 
 def _args(tmp_path, *words):
