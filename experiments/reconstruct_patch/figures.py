@@ -13,6 +13,8 @@ from i2t.reconstruction.press_curves import PressCurve
 from i2t.types import CONTACT_TOLERANCE_M, PATCH_WINDOW, REACH
 from i2t.viz import style
 
+SHIFT_OF_METHODS = 6e-3  # of the predicted share, between methods: markers stand next to each other
+
 
 def draw_posteriors(presses: Sequence[PressCurve], found: Sequence[PatchPosterior], true: np.ndarray) -> Figure:
     """Of each press: its readings, what was met, the posterior's mean, two samples, and the mask's probability."""
@@ -44,17 +46,19 @@ def draw_posteriors(presses: Sequence[PressCurve], found: Sequence[PatchPosterio
 
 
 def draw_reliability(found: dict[str, Any], names: Sequence[str]) -> Figure:
-    """Share of the pixels in contact that lie in intervals of the posterior, by what the intervals promise."""
+    """Share of the pixels in contact that lie in intervals of the posterior, by the share that is predicted."""
     figure = Figure(figsize=(4.6, 3.8), layout="constrained")
     axes = figure.subplots()
-    axes.plot([0.4, 1], [0.4, 1], color=style.GREY, lw=1, ls="--", label="as promised")
-    for name, colour in zip(names, (style.BLUE, style.ORANGE, style.GREEN, style.RED), strict=False):
+    axes.plot([0.4, 1], [0.4, 1], color=style.GREY, lw=1, ls="--", label="measured as predicted")
+    apart = SHIFT_OF_METHODS * (np.arange(len(names)) - (len(names) - 1) / 2)
+    for name, colour, marker, shift in zip(names, style.COLOURS, style.MARKERS, apart, strict=False):
         values = np.array([found[name][f"coverage_{round(100 * level)}"] for level in LEVELS])
         axes.errorbar(
-            LEVELS, values[:, 0], np.abs(values[:, 1:] - values[:, :1]).T, color=colour, marker="o", ms=4, lw=1.2,
-            capsize=2, label=name,
+            np.array(LEVELS) + shift, values[:, 0], np.abs(values[:, 1:] - values[:, :1]).T, color=colour, marker=marker, ms=4,
+            lw=1.2, capsize=2, label=name,
         )  # fmt: skip
-    axes.set(xlim=(0.45, 0.95), ylim=(0.3, 1.02), xlabel="promised share", ylabel="share of pixels in contact")
+    axes.set(xlim=(0.45, 0.95), ylim=(0.3, 1.02), xlabel="predicted share of pixels in the interval")
+    axes.set_ylabel("measured share (pixels in contact)")
     axes.set_title("Intervals of a pixel's depth (simulated)", fontsize=11)
     axes.legend(fontsize=7, loc="lower right")
     return figure
