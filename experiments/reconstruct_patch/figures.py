@@ -54,8 +54,8 @@ def draw_reliability(found: dict[str, Any], names: Sequence[str]) -> Figure:
     for name, colour, marker, shift in zip(names, style.COLOURS, style.MARKERS, apart, strict=False):
         values = np.array([found[name][f"coverage_{round(100 * level)}"] for level in LEVELS])
         axes.errorbar(
-            np.array(LEVELS) + shift, values[:, 0], np.abs(values[:, 1:] - values[:, :1]).T, color=colour, marker=marker, ms=4,
-            lw=1.2, capsize=2, label=name,
+            np.array(LEVELS) + shift, values[:, 0], np.abs(values[:, 1:] - values[:, :1]).T,
+            color=colour, marker=marker, ms=4, lw=1.2, capsize=2, label=name,
         )  # fmt: skip
     axes.set(xlim=(0.45, 0.95), ylim=(0.3, 1.02), xlabel="predicted share of pixels in the interval")
     axes.set_ylabel("measured share (pixels in contact)")
