@@ -8,7 +8,7 @@ every object (`i2t.environments`, outcomes tabulated). Four policies choose site
 as a calibrated one is known: random, the paper's heuristic, expected information, and a network trained by proximal
 policy optimisation. A fifth, trained the same way, sees readings, forces and poses only: it knows no pad, and makes its
 predictions itself. Training has four pads, the test six others and other placements; intervals are over pads. The
-published curve of APPLE is printed beside, which is another benchmark (Tactile-MNIST, another sensor). Everything is
+published curve of APPLE is printed below, from another benchmark (Tactile-MNIST, another sensor). Everything is
 simulated. Results: metrics.json, config.json, accuracy.png, learning.png. About ten minutes on two cores.
 """
 

@@ -35,7 +35,7 @@ MM, UM = 1e3, 1e6
 TIP_RADIUS_M = 4e-3
 CURVE_COUNTS = (5, 10, 20, 50, 100)  # presses of the calibration curve
 HELD_OUT = 200
-NAMED_PROBABILITY = 0.04  # from which an object's name has room beside its curve
+NAMED_PROBABILITY = 0.04  # from which an object's name has room next to its curve
 Draw = Callable[["Story"], Figure]
 
 
@@ -219,7 +219,7 @@ def calibration_curve(story: Story) -> Figure:
     axes = figure.subplots()
     axes.semilogx(CURVE_COUNTS, r2, color=BLUE, marker="o")
     axes.set_xticks(CURVE_COUNTS, [str(count) for count in CURVE_COUNTS])
-    axes.set(xlabel="presses that it learns from", ylabel=f"R² on {HELD_OUT} others", ylim=(min(0, *r2) - 0.05, 1))
+    axes.set(xlabel="presses that it is fitted to", ylabel=f"R² on {HELD_OUT} others", ylim=(min(0, *r2) - 0.05, 1))
     axes.axhline(0, color="black", lw=0.8)
     axes.set_title(titled("A skin from a few presses (i2t.calibrate, one pad)", True))
     return figure

@@ -10,7 +10,7 @@ those on which everything is chosen (validation) and those that are judged (test
 approach tilted by 1 to 6 degrees, and pressed by the full physics: to 25 uT and on to 100 uT or 8 N, with friction, a
 slant of a degree, and the noise of real sensors (no drift). Methods: Bayes by imagination at the first stop and at both
 (`i2t.reconstruction`), the same with a forward model learned from the pad's touches, nearest neighbours on readings, a
-network from readings to pixels; beside them the prior and a perfect tactile image of 1 mm. All of it is simulated.
+network from readings to pixels; to compare, the prior and a perfect tactile image of 1 mm. All of it is simulated.
 
 About ten minutes on one core. Expect the press curve to beat the first stop, and both to beat neighbours and network.
 """

@@ -183,7 +183,7 @@ def expected_view(triangles: Array, site: Array, T_w_c: Array, camera: Camera) -
 
 
 def _edges(depth: Array, site: Array, T_w_c: Array, camera: Camera) -> np.ndarray:
-    """(h, w) which pixels are so near an edge that they may show what is beside it."""
+    """(h, w) which pixels are so near an edge that they may show what is next to it."""
     away = max(float((site - T_w_c[:3, 3]) @ T_w_c[:3, 2]), 1e-3)
     size = 2 * max(1, round(camera.fx * FIRST_EDGE_M / away)) + 1
     known = np.where(np.isfinite(depth), depth, 10.0)

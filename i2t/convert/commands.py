@@ -317,7 +317,7 @@ def robomimic(source: Source, target: Target, overwrite: bool = False, skip_bad:
 
 
 def table(source: Source, target: Target, overwrite: bool = False, skip_bad: bool = False) -> None:
-    """Write a data set as a comma-separated table with its pictures beside it, or read one back that was written so.
+    """Write a data set as a comma-separated table with its pictures next to it, or read one back that was written so.
 
     Args:
         source: folder or file of touches; or a folder with touches.csv, which is read back

@@ -172,7 +172,7 @@ class WhereIsIt:
 
         Args:
             key: random key.
-            errors: of the lab, which do not matter beside these.
+            errors: of the lab, which do not matter within such bounds.
 
         Returns:
             T_w_o.

@@ -140,7 +140,7 @@ def predict(
 
 
 def measured_count(baseline: Baseline) -> int:
-    """How many measured values a baseline is given beside the patch.
+    """How many measured values a baseline is given with the patch.
 
     Args:
         baseline: A fitted baseline.

@@ -227,7 +227,7 @@ class EpisodeSimulator:
 
 
 def _in_order(parts: Sequence[tuple[np.ndarray, Touches]]) -> Touches:
-    """Touches in the order of the rows that stand beside them."""
+    """Touches in the order of the rows that belong to them."""
     order = np.argsort(np.concatenate([rows for rows, _ in parts]))
     return jax.tree.map(lambda *x: np.concatenate(x)[order], *[part for _, part in parts])
 

@@ -75,7 +75,7 @@ def read_contents(
     dataset = load_dataset(path, missing_chips=True)
     files = tuple(sorted(path.glob(TOUCH_FILES))) if path.is_dir() else ()
     if len(files) != len(dataset):
-        files = ()  # a packed set, or one with others beside it
+        files = ()  # a packed set, or one with others next to it
     if most is not None:
         dataset, files = dataset.select(np.arange(min(most, len(dataset)))), files[:most]
     believed = None if belief is None else read_belief(belief, len(dataset))

@@ -142,7 +142,7 @@ def plot_object(
 
 
 def object_image(vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], T_o_t: Float[Array, "n 4 4"]) -> Array | None:
-    """The pixels of `plot_object`, without margins, to be drawn beside something else.
+    """The pixels of `plot_object`, without margins, to be drawn next to something else.
 
     Args:
         vertices: m, of the object.

@@ -434,7 +434,7 @@ def _together(states: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _baseline(folder: Path, values: np.ndarray) -> np.ndarray | None:
-    """What was subtracted from each row, from the raw values beside them; None without."""
+    """What was subtracted from each row, from the raw values in the same folder; None without."""
     try:
         raw = _loose_table(folder, "sensor")
     except DataError:
