@@ -30,8 +30,10 @@ from i2t.recognition.metrics import to_json
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.simulation.press import PressLaw, PressLimits
 from i2t.simulation.touches import SimulationErrors
+from i2t.skin import faults
 from i2t.skin.contact import GRID, Grid
 from i2t.skin.dipoles import MICROTESLA, dipole_field, rest_field, sheets, turn
+from i2t.skin.faults import Faults
 from i2t.skin.pad import Press
 from i2t.skin.pad import press as press_pad
 from i2t.types import TWIST_LEVER_M, Board, Pad
@@ -41,6 +43,7 @@ MATCHED = "matched"
 EDGE_RADIUS_M = 0.5e-3  # of rounded edges
 REMOUNTED_M = np.array([0.3e-3, 0.4e-3, 0.0])  # by 0.5 mm, chips against the skin
 CAMERA_BIAS = np.array([0.6e-3, -0.6e-3, 0.6e-3, *(TWIST_LEVER_M * np.radians([0.6, 0.6, -0.6]))])  # 1 mm, 1 degree
+MESH_PERCENT = (-3, -1, 1, 3)
 DEBUG_WORLDS = (MATCHED, "Winkler foundation", "edges rounded by 0.5 mm", "meshes 3 % larger")
 
 
@@ -153,6 +156,27 @@ def _remounted(pad: Pad) -> Pad:
     return pad._replace(board=board)
 
 
+def remembering_chip(pad: Pad) -> int:
+    """The chip of a pad's board that keeps a part of the press before: the one that reads after a press of all."""
+    return int(_remembering_chip(pad))
+
+
+@jax.jit
+def _remembering_chip(pad: Pad) -> Array:
+    presses = jnp.stack([jnp.ones(pad.board.num_readings), jnp.zeros(pad.board.num_readings)])
+    poses, key_board = jnp.tile(jnp.eye(4), (2, 1, 1)), faults.board_key(pad.gains)
+    read = faults.apply(jax.random.key(0), presses, poses, pad.board, Faults(hysteresis=1.0), key_board=key_board)
+    return jnp.argmax(jnp.abs(read[1])) // 3
+
+
+def with_another_memory(pad: Pad) -> Pad:
+    """The pad on a board that differs in nothing that can be read but in the chip that remembers, and in its drifts: a
+    board is known by its gains, which differ by less than a part in ten thousand.
+    """
+    others = (pad._replace(gains=pad.gains * (1 + 1e-6 * (i + 1))) for i in range(100))
+    return next(other for other in others if remembering_chip(other) != remembering_chip(pad))
+
+
 def worlds() -> dict[str, MismatchedWorld]:
     """The worlds by name; the first is the one that the belief knows."""
     return {
@@ -165,15 +189,18 @@ def worlds() -> dict[str, MismatchedWorld]:
             pad=lambda pad: pad._replace(young=0.7 * pad.young, magnetization=0.9 * pad.magnetization),
             errors=partial(_faulty, relaxation=0.15),
         ),
-        # A board is known by its gains: this one is another, whose remembering chip and drifts are others.
-        "another remembering chip": MismatchedWorld(
-            pad=lambda pad: pad._replace(gains=pad.gains * (1 + 1e-5)), errors=partial(_faulty, hysteresis=0.6)
-        ),
+        "chip remembers twice as much": MismatchedWorld(errors=partial(_faulty, hysteresis=0.6)),
+        "another chip remembers": MismatchedWorld(pad=with_another_memory),
+        "ambient once, before the episode": MismatchedWorld(errors=partial(_faulty, ambient_every=0)),
         "arm twice as stiff": MismatchedWorld(limits=lambda limits: replace(limits, stiffness=2 * limits.stiffness)),
         "arm half as stiff": MismatchedWorld(limits=lambda limits: replace(limits, stiffness=limits.stiffness / 2)),
         "edges rounded by 0.5 mm": MismatchedWorld(law=rounded_press),
-        "meshes 1 % larger": MismatchedWorld(mesh=partial(_scaled, factor=1.01)),
-        "meshes 3 % larger": MismatchedWorld(mesh=partial(_scaled, factor=1.03)),
+        **{
+            f"meshes {abs(percent)} % {'larger' if percent > 0 else 'smaller'}": MismatchedWorld(
+                mesh=partial(_scaled, factor=1 + percent / 100)
+            )
+            for percent in MESH_PERCENT
+        },
         "skin remounted by 0.5 mm": MismatchedWorld(pad=_remounted),
         "camera biased by 1 mm and degree": MismatchedWorld(mesh=partial(_shifted, twist=CAMERA_BIAS)),
         "placement off twice as far as stated": MismatchedWorld(errors=partial(_misplaced, factor=2.0)),

@@ -17,6 +17,8 @@ from i2t.simulation.touches import SimulationErrors
 KINDS = ("fused", "readings and presence")
 SKIN_CHANGE_UT = 25.0  # at which presses stop, unless a world says otherwise
 REFITTED_UT = (50.0, 100.0)  # at which presses stop that a pad model is fitted to, too
+AMBIENT_EVERY = (5, 20)  # touches; an episode of ten has one in its first touch at 20
+FOLLOWED_DRIFT_UT = 20.0  # of the order of the earth's field (48 uT) on one axis while the tool turns between touches
 MIN_PLACEMENT_M, MIN_PLACEMENT_RAD = 0.02e-3, np.radians(0.02)  # spread of pose particles where poses are exact
 
 
@@ -25,6 +27,7 @@ class SensitivityWorld(NamedTuple):
 
     errors: SimulationErrors
     skin_change: float = SKIN_CHANGE_UT  # uT
+    drift_std: float = 0.0  # uT from touch to touch, of the bias that the belief follows
 
 
 def worlds(base: SimulationErrors) -> dict[str, SensitivityWorld]:
@@ -41,9 +44,21 @@ def worlds(base: SimulationErrors) -> dict[str, SensitivityWorld]:
         "noise x 3": SensitivityWorld(replace(base, noise=base.noise.scaled(3.0))),
         "stop at 50 uT": SensitivityWorld(base, 50.0),
         "stop at 100 uT": SensitivityWorld(base, 100.0),
+        **{f"ambient every {each} touches": SensitivityWorld(_ambient_every(base, each)) for each in AMBIENT_EVERY},
+        **{
+            f"ambient every {each} touches, drift followed": SensitivityWorld(
+                _ambient_every(base, each), drift_std=FOLLOWED_DRIFT_UT
+            )
+            for each in AMBIENT_EVERY
+        },
         "no errors of pose": SensitivityWorld(base.scaled(0.0)),
         "no noise, no faults": SensitivityWorld(without),
     }
+
+
+def _ambient_every(base: SimulationErrors, touches: int) -> SimulationErrors:
+    """With the ambient measured at every so many touches: the earth's field turns with the tool in between."""
+    return replace(base, faults=replace(base.faults, ambient_every=touches))
 
 
 def _placed(base: SimulationErrors, size: float) -> SimulationErrors:
@@ -59,7 +74,7 @@ def evaluate(lab: StudyLab) -> Part:
     key_sites, key_episodes, key_press = jax.random.split(lab.key, 3)
     plan = lab.plan(key_sites)
     found: dict[str, np.ndarray] = {"truth": plan.truth, "pool": plan.pool}
-    played: dict[float, Episodes] = {}
+    played: dict[tuple[SimulationErrors, float], Episodes] = {}
     tables: dict[tuple[float, float], tuple[belief.Particles, outcomes.PredictedTouch]] = {}
     for name, world in some.items():
         errors = world.errors
@@ -68,13 +83,16 @@ def evaluate(lab: StudyLab) -> Part:
             particles = belief.sample_particles(outcomes.placement_std(*spread), lab.cfg.num_particles, lab.seed)
             tables[spread] = (particles, lab.predict(plan.sites, particles, [lab.pad_model.reading_model], name)[0])
         particles, table = tables[spread]
-        limits = replace(lab.cfg.limits, skin_change=world.skin_change)
-        key = jax.random.clone(key_episodes)
-        episodes = played[world.skin_change] = lab.simulate(key, plan, name, errors=errors, limits=limits)
+        same = errors, world.skin_change
+        if same not in played:
+            limits = replace(lab.cfg.limits, skin_change=world.skin_change)
+            played[same] = lab.simulate(jax.random.clone(key_episodes), plan, name, errors=errors, limits=limits)
         likelihood = noisier_likelihood(lab, errors)
-        beliefs = run_belief(table, episodes, likelihood, particles, KINDS)
+        likelihood = likelihood._replace(drift_std=jnp.float32(world.drift_std))
+        beliefs = run_belief(table, played[same], likelihood, particles, KINDS)
         found |= {f"{kind}, {name}": p for kind, p in beliefs.items()}
-    return found | evaluate_refitted(lab, key_press, plan, played)
+    harder = {stop: played[lab.cfg.errors, stop] for stop in REFITTED_UT if (lab.cfg.errors, stop) in played}
+    return found | evaluate_refitted(lab, key_press, plan, harder)
 
 
 def noisier_likelihood(lab: StudyLab, errors: SimulationErrors) -> Likelihood:
@@ -85,15 +103,15 @@ def noisier_likelihood(lab: StudyLab, errors: SimulationErrors) -> Likelihood:
 
 
 def evaluate_refitted(
-    lab: StudyLab, key: jax.Array, plan: EpisodePlan, played: dict[float, Episodes]
+    lab: StudyLab, key: jax.Array, plan: EpisodePlan, harder: dict[float, Episodes]
 ) -> dict[str, np.ndarray]:
     """Beliefs in the episodes of harder presses with a pad model fitted to presses as hard."""
     found: dict[str, np.ndarray] = {}
     particles = lab.particles()
-    for stop in (stop for stop in REFITTED_UT if stop in played):
+    for stop, episodes in harder.items():
         name = f"stop at {stop:.0f} uT, fitted there"
         model = lab.refit(jax.random.fold_in(key, int(stop)), replace(lab.cfg.limits, skin_change=stop))
         (table,) = lab.predict(plan.sites, particles, [model.reading_model], name)
-        beliefs = run_belief(table, played[stop], model.likelihood, particles, KINDS)
+        beliefs = run_belief(table, episodes, model.likelihood, particles, KINDS)
         found |= {f"{kind}, {name}": p for kind, p in beliefs.items()}
     return found

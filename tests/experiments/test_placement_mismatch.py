@@ -1,6 +1,7 @@
 """Worlds of other physics against closed forms, and the two studies of what is stated wrong to a belief."""
 
 import json
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -8,9 +9,11 @@ import numpy as np
 import pytest
 
 from experiments.studies import __main__ as studies
-from experiments.studies import mismatch, placement
+from experiments.studies import mismatch, placement, sensitivity
+from i2t.objects import Mesh
+from i2t.simulation.touches import SimulationErrors
 from i2t.skin.contact import FINE_GRID, GRID
-from i2t.skin.pad import nominal_pad
+from i2t.skin.pad import nominal_pad, numbered_pad
 
 
 @pytest.mark.full
@@ -88,6 +91,34 @@ def test_worlds_differ_from_the_matched_one_in_what_they_say():
     assert set(mismatch.DEBUG_WORLDS) <= set(some)
 
 
+@pytest.mark.full
+def test_another_chip_remembers_and_nothing_else_that_can_be_read_differs():
+    some, pad = mismatch.worlds(), numbered_pad(0)
+    other = some["another chip remembers"].pad(pad)
+    assert mismatch.remembering_chip(other) != mismatch.remembering_chip(pad)
+    np.testing.assert_allclose(other.gains, pad.gains, rtol=1e-4)
+    errors = some["chip remembers twice as much"].errors(SimulationErrors())
+    assert errors.faults.hysteresis == pytest.approx(2 * SimulationErrors().faults.hysteresis)
+
+
+def test_meshes_are_larger_and_smaller():
+    mesh = Mesh(np.array([[0.0, 0, 0.01], [0.01, 0, 0], [0, 0.02, 0]]), np.array([[0, 1, 2]], np.int32))
+    some = mismatch.worlds()
+    for name, factor in (("1 % smaller", 0.99), ("3 % smaller", 0.97), ("3 % larger", 1.03)):
+        np.testing.assert_allclose(some[f"meshes {name}"].mesh(mesh).vertices, factor * mesh.vertices)
+
+
+def test_sensitivity_has_worlds_that_take_the_ambient_rarely():
+    base = SimulationErrors()
+    some = sensitivity.worlds(base)
+    assert next(iter(some.values())).errors == base
+    for every in (5, 20):
+        world = some[f"ambient every {every} touches"]
+        assert world.errors == replace(base, faults=replace(base.faults, ambient_every=every))
+        followed = some[f"ambient every {every} touches, drift followed"]
+        assert (followed.errors, world.drift_std, followed.drift_std > 0) == (world.errors, 0.0, True)
+
+
 def test_stops_that_are_wrong_too_often_are_named(capsys):
     """Half of the sure decisions are wrong."""
     p = np.tile([0.995, 0.005], (40, 2, 1))
@@ -115,7 +146,7 @@ def test_the_placement_study_reports_each_condition_at_a_temperature_of_its_meth
     for _ in range(3):
         part = {}
         for label in (placement.VALIDATION, placement.TEST):
-            part[f"{label}: truth"] = truth
+            part |= {f"{label}: truth": truth, f"{label}: pool": np.arange(30) // 5}
             for method in placement.SCALE_PRIORS:
                 for condition in placement.CONDITIONS[:1]:
                     p = believed(rng, truth, 1.0)
