@@ -1,7 +1,7 @@
 """Lengths of patches and skins, for whoever needs no array: reading them imports nothing."""
 
 PATCH_PIXELS = 48
-PATCH_WINDOW = 17e-3  # m, edge of the square the paper cuts around the tool axis
+PATCH_WINDOW = 17e-3  # m, edge of the square that the paper crops around the tool axis
 WIDE_PIXELS = 72
 WIDE_WINDOW = PATCH_WINDOW * WIDE_PIXELS / PATCH_PIXELS  # 25.5 mm: same pixels, and the patch is its central 48 x 48
 TWIST_LEVER_M = PATCH_WINDOW / 2  # m, at which a rotation is measured in a twist

@@ -4,11 +4,11 @@
 
 DIR holds `ycbvideo` (five frames of YCB-Video, an Asus Xtion at 0.5 to 0.65 m), `ycb_meshes` and `apc_depth` (two
 frames of a RealSense F200). On each posed mesh of the five frames, sites are drawn that the camera sees in all of
-them; there a real patch is cut from the depth image, and the same patch is imagined from the mesh, at three sizes of
-window. The frames follow each other within a second and show the same scene, so intervals are over sites. The F200's
-frames have no poses of objects: patches are cut along normals of the depth itself and shown. It takes about a minute on
-two cores; the camera's own step is 1 mm and its noise about as much, so a median difference below 1 mm is what can be
-expected. Results go to --out: metrics.json, config.json and figures.
+them; there a real patch is extracted from the depth image, and the same patch is imagined from the mesh, at three sizes
+of window. The frames follow each other within a second and show the same scene, so intervals are over sites. The F200's
+frames have no poses of objects: patches are extracted along normals of the depth itself and shown. It takes about a
+minute on two cores; the camera's own step is 1 mm and its noise about as much, so a median difference below 1 mm is
+what can be expected. Results go to --out: metrics.json, config.json and figures.
 """
 
 from dataclasses import dataclass
@@ -146,8 +146,8 @@ def compare(
 ) -> Compared:  # fmt: skip
     """Real and imagined patches at the same poses; the reach grows with the window."""
     reach = REACH * window / PATCH_WINDOW
-    cut = partial(patch_from_depth, window=window, reach=reach + cfg.extra_reach_m)
-    seen_in = jax.jit(jax.vmap(cut, (None, None, None, 0)), static_argnums=1)
+    extract = partial(patch_from_depth, window=window, reach=reach + cfg.extra_reach_m)
+    seen_in = jax.jit(jax.vmap(extract, (None, None, None, 0)), static_argnums=1)
     here = np.eye(4, dtype=np.float32)  # the camera's frame serves as the world's
     real = [seen_in(depth, camera, here, T @ T_o_t) for depth, T in zip(depths, T_c_o, strict=True)]
     real = jax.device_get(jax.tree.map(lambda *parts: jnp.stack(parts), *real))
@@ -269,8 +269,8 @@ def show_f200(cfg: RealFrames, name: str, count: int = 5) -> dict[str, Any]:
     if not frames_at:
         raise ValueError(f"{name} holds no point with enough measured pixels around it; check its encoding")
     T_w_t = jax.jit(jax.vmap(contact_frame))(*(jnp.float32(np.array(part)) for part in zip(*frames_at, strict=True)))
-    cut = jax.vmap(partial(patch_from_depth, fill=cfg.f200_fill_m), (None, None, None, 0))
-    patches = jax.device_get(jax.jit(cut, static_argnums=1)(depth, F200, np.eye(4, dtype=np.float32), T_w_t))
+    extract = jax.vmap(partial(patch_from_depth, fill=cfg.f200_fill_m), (None, None, None, 0))
+    patches = jax.device_get(jax.jit(extract, static_argnums=1)(depth, F200, np.eye(4, dtype=np.float32), T_w_t))
     viz.save_figure(figure_f200(name, depth, pixels, patches), cfg.out / f"f200_{name}.png")
     return {
         "measured": float(np.isfinite(depth).mean()),

@@ -214,11 +214,11 @@ def judge_candidates(trials: Sequence[Trial], part: Part) -> dict[str, Any]:
     true = np.arange(count)
     others = np.stack([rng.permutation(np.delete(true, i))[: methods.RIVALS - 1] for i in true])
     results = {}
-    for name, cut in ((BAYES[0], methods.first_stop), (BAYES[1], lambda presses: presses)):
+    for name, stops in ((BAYES[0], methods.first_stop), (BAYES[1], lambda presses: presses)):
         parts = []
         for trial in trials:
             own = imagine_presses(trial.pad, candidates, likelihood=trial.model.likelihood)
-            presses = jax.tree.map(jnp.asarray, cut(trial.presses))
+            presses = jax.tree.map(jnp.asarray, stops(trial.presses))
             parts.append(jax.device_get(judge(presses, jnp.asarray(true), jnp.asarray(others), own, trial.model)))
         rank, bits = (np.concatenate(column) for column in zip(*parts, strict=True))
         clusters = _clusters(trials, part)

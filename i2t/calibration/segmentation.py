@@ -1,4 +1,4 @@
-"""Presses cut out of a continuous recording of a skin: where each begins and ends, and what it reads when steady.
+"""Presses found in a continuous recording of a skin: where each begins and ends, and what it reads when steady.
 
 A skin at rest drifts slowly and its noise is white; a press moves many channels together and comes and goes, and after
 it the skin may stay displaced and recover. Rows are averaged over 20 ms. The distance of each average from a baseline,

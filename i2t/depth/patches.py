@@ -43,7 +43,7 @@ CROSSING_TOLERANCE = 1e-4  # relative error of depth at which a crossing counts 
 
 
 class DepthPatch(NamedTuple):
-    """A patch cut from a depth image, and what is known of each of its pixels."""
+    """A patch extracted from a depth image, and what is known of each of its pixels."""
 
     patch: Patch
     valid_mask: Bool[Array, "n n"]  # measured on the pixel's ray
@@ -80,7 +80,7 @@ def patch_from_depth(
         T_w_t: Where the tool looks from.
         window: Edge (m) of the patch.
         pixels: Along the edge.
-        reach: Depth (m) behind the nearest point at which the patch is cut.
+        reach: Depth (m) behind the nearest point to which the patch is clipped.
         standoff: How far (m) behind the tool's origin rays start.
         grazing: Smallest angle (rad) between a triangle of surface and the line of sight to it.
         step: Difference of depth (m) up to which neighbours are surface however steep.
@@ -139,7 +139,7 @@ def crop_patch(
         distance: From the camera to the tool's origin (m).
         window: Edge (m) of the patch.
         pixels: Along the edge.
-        reach: Depth (m) behind the nearest point at which the patch is cut.
+        reach: Depth (m) behind the nearest point to which the patch is clipped.
 
     Returns:
         The patch and which of its pixels were measured.
@@ -156,10 +156,10 @@ def crop_patch(
             f"camera: its image does not hold a window of {1e3 * window:.1f} mm at {1e3 * distance:.1f} mm around the "
             "principal point; use a smaller window or a larger distance"
         )
-    cut = depth[jnp.array(rows)[:, None], jnp.array(columns)[None, :]]
-    seen = jnp.isfinite(cut) & (cut > 0)
-    closest = jnp.min(jnp.where(seen, cut, jnp.inf))
-    behind = jnp.where(seen, cut - jnp.where(closest < jnp.inf, closest, 0), reach)
+    crop = depth[jnp.array(rows)[:, None], jnp.array(columns)[None, :]]
+    seen = jnp.isfinite(crop) & (crop > 0)
+    closest = jnp.min(jnp.where(seen, crop, jnp.inf))
+    behind = jnp.where(seen, crop - jnp.where(closest < jnp.inf, closest, 0), reach)
     return DepthPatch(Patch(jnp.minimum(behind, reach), closest - distance), seen, jnp.zeros_like(seen))
 
 

@@ -71,7 +71,7 @@ class Contacts(NamedTuple):
     """Where a skin first met one shape, and what it met there."""
 
     T_o_t: Float[Array, "n 4 4"]  # tool pose at first contact
-    patch: Float[Array, "n p p"]  # m beyond the plane of contact, cut at the reach
+    patch: Float[Array, "n p p"]  # m beyond the plane of contact, clipped to the reach
     height: Float[Array, "n g g"]  # m, over the cells of `i2t.skin.contact.GRID`, uncut
     coarse: Float[Array, "n h h"]  # m, over cells of 1 mm
     met: Bool[Array, " n"]  # false where the way met nothing, or too few sites are safe

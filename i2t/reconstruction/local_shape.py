@@ -18,7 +18,7 @@ model errs is alike in all channels. A share of the prior stays mixed in, so tha
 are drawn from the weights systematically and are alike in weight.
 
 Frames and units as in `i2t.types`. A patch is what lies in front of the skin at first contact: metres along tool z
-beyond the plane of first contact, cut at the reach. Pure functions on one press; compile them at the edge:
+beyond the plane of first contact, clipped to the reach. Pure functions on one press; compile them at the edge:
 
     infer = jax.jit(infer_patch, static_argnames=("samples",))
     posterior = infer(reading, force, travel, model=model, library=library)
@@ -45,7 +45,7 @@ CONTACT_NEWTONS = 1e-3  # on a cell of 1 mm (1 kPa), above which it counts as co
 class PatchLibrary(NamedTuple):
     """Patches of many shapes, and how a pad of nominal stiffness meets them; the same for every pad."""
 
-    patch: Float[Any, "n p p"]  # m beyond the plane of first contact, cut at the reach
+    patch: Float[Any, "n p p"]  # m beyond the plane of first contact, clipped to the reach
     height: Float[Any, "n g g"]  # m, the same over the cells of the pad, uncut (nothing there is infinite)
     object: Int[Any, " n"]  # which shape each is from
     loads: Float[Any, " l"]  # N, ascending

@@ -2,7 +2,7 @@
 
 What was observed is turned into absolute heights, `y = min(nearest + depth, floor)` with `floor = nearest + reach`:
 a pixel at the reach says that the surface lies no nearer than the floor, and so does a ray that misses. The model of a
-pose is cut at the same floor, so that every pixel has a residual `r = min(h(T), floor) - y`, in metres, and those that
+pose is clipped to that floor, so that every pixel has a residual `r = min(h(T), floor) - y`, in metres, and those that
 both call deep have none. What appears or disappears at an outline makes residuals of millimetres that no derivative
 explains; the loss of Geman and McClure ("Statistical methods for tomographic image reconstruction", 1987), `rho(r) =
 r^2 / (r^2 / c^2 + 1)`, lets them pass, and its scale c shrinks from step to step (graduated non-convexity: Blake and
@@ -265,12 +265,12 @@ def robust_cost(residual: Float[Array, "n n"], scale: float | Float[Array, ""]) 
 
 
 def reference_heights(observed: Patch, reach: float) -> tuple[Float[Array, "n n"], Float[Array, ""]]:
-    """Absolute heights of a patch, cut at its floor. One that shows nothing has its floor in front of everything, where
-    every pose looks like it.
+    """Absolute heights of a patch, clipped to its floor. One that shows nothing has its floor in front of everything,
+    where every pose looks like it.
 
     Args:
         observed: The patch.
-        reach: Depth (m) behind the nearest point at which it is cut.
+        reach: Depth (m) behind the nearest point to which it is clipped.
 
     Returns:
         Heights (m) along tool z, and the floor (m).
@@ -289,12 +289,12 @@ def visible_heights(
     window: float,
     reach: float,
 ) -> Float[Array, "n n"]:
-    """Heights of a pose, cut at a floor.
+    """Heights of a pose, clipped to a floor.
 
     Args:
         surface: What is seen.
         T_w_t: The pose.
-        floor: Where heights are cut (m).
+        floor: To which heights are clipped (m).
         pixels: Along the patch's edge.
         window: The patch's edge (m).
         reach: Depth (m) of the observed patch.
@@ -325,7 +325,7 @@ def heights_and_jacobian(
     Args:
         surface: What is seen.
         T_w_t: The pose.
-        floor: Where heights are cut (m).
+        floor: To which heights are clipped (m).
         pixels: Along the patch's edge.
         window: The patch's edge (m).
         reach: Depth (m) of the observed patch.

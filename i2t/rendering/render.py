@@ -111,7 +111,7 @@ def render_patch(
             gives NaN.
         window: Edge (m) of the patch; static.
         pixels: Along the edge; static.
-        reach: Depth (m) behind the nearest point at which the patch is cut; static.
+        reach: Depth (m) behind the nearest point to which the patch is clipped; static.
 
     Returns:
         The patch. Pixels without a surface, or with one deeper than the reach, read the reach; `nearest` is +inf where

@@ -36,7 +36,7 @@ HAMMER = {
 }
 
 STATIC = ("camera", "window", "pixels", "reach", "standoff", "grazing", "step", "fill")
-cut = jax.jit(patch_from_depth, static_argnames=STATIC)
+extract = jax.jit(patch_from_depth, static_argnames=STATIC)
 crop = jax.jit(crop_patch, static_argnames=("camera", "distance", "window", "pixels", "reach"))
 render = jax.jit(render_patch, static_argnames=("window", "pixels", "reach"))
 
@@ -116,7 +116,7 @@ def rms(values) -> float:
 @pytest.mark.parametrize("name", ["hexagon", "star", "stairs", "wedge", "dome", "torus", "stamp-T", "hammer", *HAMMER])
 def test_against_direct_rendering(name, tilt):
     mesh, (T_w_c, T_w_t) = scene(name), views(tilt, beside(name))
-    real, imagined = cut(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare_surface(mesh), T_w_t)
+    real, imagined = extract(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare_surface(mesh), T_w_t)
     seen = np.asarray(real.valid_mask)
     assert not (seen & np.asarray(real.inpainted_mask)).any()
     # Where the reach hides what is deeper, both read it; so depths are compared from the imagined nearest point.
@@ -162,7 +162,7 @@ def test_sharp_ridges_are_cut_off(left, right):
     for turn, shift in zip(turns, shifts, strict=True):
         turned = Rotation.from_euler("z", turn, degrees=True).as_matrix()
         mesh = roof(left, right).apply_transform(pose(turned, [*(shift + centre), 0]))
-        real, imagined = cut(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare_surface(mesh), T_w_t)
+        real, imagined = extract(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare_surface(mesh), T_w_t)
         near = np.asarray(real.valid_mask) & (np.asarray(imagined.depth) < 2e-3)
         error = (heights(real.patch) - heights(imagined))[near]
         closest = float(real.patch.nearest - imagined.nearest)
@@ -180,7 +180,7 @@ def test_quantised_depth():
     mesh, (T_w_c, T_w_t) = scene("dome"), views(10.0, beside("dome"))
     exact, imagined = image(mesh, T_w_c), render(prepare_surface(mesh), T_w_t)
     for q in (1e-4, 1e-3):
-        real = cut(np.float32(np.round(exact / q) * q), CAMERA, T_w_c, T_w_t)
+        real = extract(np.float32(np.round(exact / q) * q), CAMERA, T_w_c, T_w_t)
         error = heights(real.patch) - heights(imagined)
         inner = np.asarray(real.valid_mask) & away(np.asarray(imagined.depth))
         assert inner.mean() > 0.5
@@ -198,11 +198,11 @@ def test_flying_pixels_are_no_surface():
     rows, columns = np.nonzero(edge)
     mixed[rows, columns] = (exact[rows, columns] + exact[rows, columns + 1]) / 2
     assert edge.sum() > 30
-    clean, flying = (cut(depth, CAMERA, T_w_c, T_w_t) for depth in (exact, mixed))
+    clean, flying = (extract(depth, CAMERA, T_w_c, T_w_t) for depth in (exact, mixed))
     both = np.asarray(clean.valid_mask & flying.valid_mask)
     assert both.mean() > 0.5
     np.testing.assert_allclose(np.asarray(flying.patch.depth)[both], np.asarray(clean.patch.depth)[both], atol=FLAT)
-    slopes = cut(mixed, CAMERA, T_w_c, T_w_t, grazing=1e-3)  # with edges taken for surface there is one in between
+    slopes = extract(mixed, CAMERA, T_w_c, T_w_t, grazing=1e-3)  # with edges taken for surface there is one in between
     between = (np.asarray(slopes.patch.depth) > 0.2e-3) & (np.asarray(slopes.patch.depth) < REACH)
     assert between[np.asarray(slopes.valid_mask)].sum() > 10
     between = (np.asarray(flying.patch.depth) > 0.2e-3) & (np.asarray(flying.patch.depth) < REACH)
@@ -222,7 +222,7 @@ def test_distorted_images(model, coefficients):
     camera = Camera(640, 360, 322.4, 322.1, 310.0, 170.0, model, coefficients)
     mesh, (T_w_c, T_w_t) = scene("torus"), views(25.0, beside("torus"))
     depth, imagined = image(mesh, T_w_c, camera), render(prepare_surface(mesh), T_w_t)
-    real, straight = cut(depth, camera, T_w_c, T_w_t), cut(depth, CAMERA, T_w_c, T_w_t)
+    real, straight = extract(depth, camera, T_w_c, T_w_t), extract(depth, CAMERA, T_w_c, T_w_t)
     inner = np.asarray(real.valid_mask) & away(np.asarray(imagined.depth))
     assert inner.mean() > 0.3
     assert rms((heights(real.patch) - heights(imagined))[inner]) <= ERROR
@@ -240,7 +240,7 @@ def test_holes():
     depth = plane()
     depth[:, 300] = np.nan  # two cells of 0.32 mm
     depth[170:200, 325:345] = 0  # 20 pixels, 6.8 mm between what is measured on its sides
-    real = cut(depth, CAMERA, np.eye(4, dtype=np.float32), T_w_t)
+    real = extract(depth, CAMERA, np.eye(4, dtype=np.float32), T_w_t)
     seen, filled, patch = np.asarray(real.valid_mask), np.asarray(real.inpainted_mask), np.asarray(real.patch.depth)
     along = ((np.arange(PATCH_PIXELS) + 0.5) / PATCH_PIXELS - 0.5) * PATCH_WINDOW
     column = CAMERA.cx + CAMERA.fx * along / LOOKING_DISTANCE_M
@@ -253,7 +253,7 @@ def test_holes():
     assert (wide & ~filled).sum() > 0.9 * wide.sum()  # but for its corners, which a diagonal cuts off
     np.testing.assert_allclose(patch[~wide], 0, atol=FLAT)
     np.testing.assert_array_equal(patch[~seen & ~filled], np.float32(REACH))
-    none = cut(depth, CAMERA, np.eye(4, dtype=np.float32), T_w_t, fill=0.0)
+    none = extract(depth, CAMERA, np.eye(4, dtype=np.float32), T_w_t, fill=0.0)
     assert not np.asarray(none.inpainted_mask).any()
 
 
@@ -263,7 +263,7 @@ def test_what_is_hidden_is_not_made_up():
     table = trimesh.creation.box((0.6, 0.6, 0.01)).apply_translation([0, 0, -0.005])
     mesh = trimesh.util.concatenate([block, table])
     T_w_c, T_w_t = views(50.0, [0.010, 0, 0.003])
-    real = cut(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t)
+    real = extract(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t)
     x = ((np.arange(PATCH_PIXELS) + 0.5) / PATCH_PIXELS - 0.5) * PATCH_WINDOW  # tool x is world x here
     toward = np.sign(T_w_c[0, 3] - 0.010)
     hidden = (x > 0.3e-3) & (x < 2.5e-3) if toward < 0 else (x < -0.3e-3) & (x > -2.5e-3)
@@ -278,8 +278,8 @@ def test_what_is_hidden_is_not_made_up():
 def test_the_wide_view_holds_the_patch():
     mesh, (T_w_c, T_w_t) = scene("star"), views(30.0, beside("star"))
     depth = image(mesh, T_w_c)
-    small = cut(depth, CAMERA, T_w_c, T_w_t, reach=8e-3)
-    wide = cut(depth, CAMERA, T_w_c, T_w_t, window=WIDE_WINDOW, pixels=WIDE_PIXELS, reach=8e-3)
+    small = extract(depth, CAMERA, T_w_c, T_w_t, reach=8e-3)
+    wide = extract(depth, CAMERA, T_w_c, T_w_t, window=WIDE_WINDOW, pixels=WIDE_PIXELS, reach=8e-3)
     centre = (slice((WIDE_PIXELS - PATCH_PIXELS) // 2, (WIDE_PIXELS + PATCH_PIXELS) // 2),) * 2
     assert wide.patch.nearest <= small.patch.nearest
     both = np.asarray(small.valid_mask & wide.valid_mask[centre])
@@ -296,7 +296,7 @@ def test_batches_are_their_elements():
     T_w_c, T_w_t = (np.stack(part) for part in zip(*poses, strict=True))
     together = jax.jit(jax.vmap(patch_from_depth, (0, None, 0, 0)), static_argnums=1)(depths, CAMERA, T_w_c, T_w_t)
     for i in range(len(names)):
-        alone = cut(depths[i], CAMERA, T_w_c[i], T_w_t[i])
+        alone = extract(depths[i], CAMERA, T_w_c[i], T_w_t[i])
         # A ray may graze an edge.
         assert (np.asarray(alone.valid_mask) == np.asarray(together.valid_mask[i])).mean() > 0.999
         both = np.asarray(alone.valid_mask & together.valid_mask[i])
@@ -308,7 +308,7 @@ def test_batches_are_their_elements():
 def test_hostile_values():
     eye, T_w_t = np.eye(4, dtype=np.float32), pose(np.eye(3), [0, 0, LOOKING_DISTANCE_M])
     for nothing in (np.nan * plane(), 0 * plane(), -plane(), np.inf * plane()):
-        real = cut(nothing, CAMERA, eye, T_w_t)
+        real = extract(nothing, CAMERA, eye, T_w_t)
         assert not np.asarray(real.valid_mask | real.inpainted_mask).any()
         assert real.patch.nearest == np.inf
         np.testing.assert_array_equal(real.patch.depth, np.float32(REACH))
@@ -316,19 +316,19 @@ def test_hostile_values():
     lost[1, 3] = np.nan
     for bad in (lost, 0 * eye, 2 * eye, np.diag([1, 1, -1, 1]).astype(np.float32)):
         for poses in ((bad, T_w_t), (eye, bad)):
-            real = cut(plane(), CAMERA, *poses)
+            real = extract(plane(), CAMERA, *poses)
             assert np.isnan(real.patch.depth).all()
             assert np.isnan(real.patch.nearest)
             assert not np.asarray(real.valid_mask | real.inpainted_mask).any()
-    behind = cut(plane(), CAMERA, eye, pose(np.eye(3), [0, 0, -1.0]))  # a tool behind the camera still looks forwards
+    behind = extract(plane(), CAMERA, eye, pose(np.eye(3), [0, 0, -1.0]))  # a tool there still looks forwards
     np.testing.assert_allclose(behind.patch.nearest, 1 + LOOKING_DISTANCE_M, rtol=1e-5)
-    elsewhere = cut(plane(), CAMERA, eye, pose(np.eye(3), [5, 0, LOOKING_DISTANCE_M]))
+    elsewhere = extract(plane(), CAMERA, eye, pose(np.eye(3), [5, 0, LOOKING_DISTANCE_M]))
     assert not np.asarray(elsewhere.valid_mask).any()
     assert elsewhere.patch.nearest == np.inf
     with pytest.raises(ValueError, match="shape"):
-        cut(plane().T, CAMERA, eye, T_w_t)
+        extract(plane().T, CAMERA, eye, T_w_t)
     with pytest.raises(ValueError, match="uint16"):
-        cut(np.ones((360, 640), np.uint16), CAMERA, eye, T_w_t)
+        extract(np.ones((360, 640), np.uint16), CAMERA, eye, T_w_t)
 
 
 def test_the_authors_crop():
@@ -349,7 +349,7 @@ def test_the_authors_crop():
     assert cropped.patch.depth[24, 24] == np.float32(REACH)
     np.testing.assert_array_equal(np.argwhere(~np.asarray(cropped.valid_mask)), [[24, 24]])
     np.testing.assert_allclose(np.asarray(cropped.patch.depth)[25:], 4e-3, atol=FLAT)
-    exact = cut(depth, CAMERA, np.eye(4, dtype=np.float32), pose(np.eye(3), [0, 0, LOOKING_DISTANCE_M]))
+    exact = extract(depth, CAMERA, np.eye(4, dtype=np.float32), pose(np.eye(3), [0, 0, LOOKING_DISTANCE_M]))
     assert exact.patch.nearest == pytest.approx(0.1 - LOOKING_DISTANCE_M, abs=FLAT)
     empty = crop(0 * plane(), CAMERA)
     assert empty.patch.nearest == np.inf
@@ -365,7 +365,7 @@ def test_the_authors_crop():
 def test_contact_masks_agree(tolerance):
     """The authors' rule, pixels within 1 to 2 mm of the nearest, says the same of both patches away from edges."""
     mesh, (T_w_c, T_w_t) = scene("stamp-T"), views(0.0, beside("stamp-T"))
-    real, imagined = cut(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare_surface(mesh), T_w_t)
+    real, imagined = extract(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare_surface(mesh), T_w_t)
     inner = np.asarray(real.valid_mask) & away(np.asarray(imagined.depth))
     ours, theirs = (np.asarray(contact_mask(patch.depth, tolerance)) for patch in (real.patch, imagined))
     assert 0.05 < theirs.mean() < 0.95
