@@ -1,7 +1,7 @@
 """Calibration of one skin from a few of its presses.
 
 `calibrate` predicts all other presses of the same tip, `check_presses` finds what in recorded presses contradicts any
-sound skin, and `segment_presses` finds the presses of a continuous recording. Behind them: `population_gp` is the model,
+sound skin, and `segment_presses` finds presses in a continuous recording. Behind them: `population_gp` is the model,
 `structured_gp` the same with hyperparameters that are given, and `model` what a user holds and keeps on disk; `physics`
 fits a pad to presses, `localize` says where a known tip pressed, and `baseline_network` learns from many other skins.
 """

@@ -323,8 +323,8 @@ def _checked(
         raise ValueError(f"{load_kind!r} is no load; choose one of {', '.join(LOAD_COLUMNS)}")
     if positions is None and load_kind == "none":
         raise ValueError(
-            "readings alone can be segmented into presses and checked, but say nothing about another press; give positions, "
-            "depths or forces"
+            "readings alone can be segmented into presses and checked, but say nothing about another press; give "
+            "positions, depths or forces"
         )
     readings = np.asarray(readings, np.float64)
     n = len(readings) if readings.ndim == 2 else 0
