@@ -205,12 +205,12 @@ def field(skin: ReferenceSkin, given: np.ndarray) -> np.ndarray:
     cell = EDGE_M / CELLS
     slope_y, slope_x = np.gradient(given, cell)
     at = skin.magnets[:, [1, 0]].T / cell + (CELLS - 1) / 2  # rows along y
-    sunk, tilt_x, tilt_y = (
+    indentation, tilt_x, tilt_y = (
         map_coordinates(values, at, order=1, mode="nearest") for values in (given, slope_x, slope_y)
     )
     share = 1 + skin.magnets[:, 2] / skin.thickness  # 1 at the surface, 0 at the board
     bulge = 0.3 * skin.thickness * share * (1 - share) * 4
-    moved = skin.magnets + np.c_[bulge * tilt_x, bulge * tilt_y, -share * sunk]
+    moved = skin.magnets + np.c_[bulge * tilt_x, bulge * tilt_y, -share * indentation]
     apart = skin.chips[:, None] - moved[None]
     distance = np.linalg.norm(apart, axis=-1, keepdims=True)
     along = np.sum(apart * skin.moments, axis=-1, keepdims=True) / distance**2

@@ -110,13 +110,13 @@ def _unpickled(path: Path, payload: bytes) -> Any:
 class _Unpickler(pickle.Unpickler):
     def __init__(self, stream: io.BytesIO, encoding: str) -> None:
         super().__init__(stream, encoding=encoding)
-        self._stand_ins = _stand_ins()  # new ones for each file: a pickle can set attributes of a class
+        self._inert_parts = _inert_parts()  # new ones for each file: a pickle can set attributes of a class
 
     def find_class(self, module: str, name: str) -> Any:
         part = "ReSkinData" if name == "ReSkinData" else _NUMPY_PARTS.get((module, name))
         if part is None:
             raise _Refused(f"{module}.{name}")
-        return self._stand_ins[part]
+        return self._inert_parts[part]
 
 
 class _Parts(NamedTuple):
@@ -128,7 +128,7 @@ class _Parts(NamedTuple):
     data: Any  # bytes, or a list of objects
 
 
-def _stand_ins() -> dict[str, Callable[..., Any]]:
+def _inert_parts() -> dict[str, Callable[..., Any]]:
     """What the names in a pickle may mean: inert classes and functions that only collect what they are given."""
 
     class ReSkinData(NamedTuple):

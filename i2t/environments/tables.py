@@ -157,7 +157,7 @@ def _safe_sites(
             f"{len(good)} of {len(safe)} sites are safe on every object, and {count} are wanted; ask for fewer sites, "
             "or for objects of one height"
         )
-    # In turns: the first of each object, then the second, until there are enough.
+    # Interleaved: the first of each object, then the second, until there are enough.
     rank = np.array([np.sum(pool.owner[good][:i] == owner) for i, owner in enumerate(pool.owner[good])])
     chosen = np.sort(good[np.lexsort((pool.owner[good], rank))[:count]])
     return SitePool(pool.T_w_t[chosen], pool.owner[chosen])
