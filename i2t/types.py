@@ -76,6 +76,10 @@ class Surface(NamedTuple):
     Faces lie in the order of a k-d tree, a few to a cluster and 32 clusters to a group, padded with faces that shrink
     to a point up to a static size class, so that surfaces of one class share a compiled renderer and can be stacked. A
     box is its centre and its half extents. Triangles alone are enough for everything but rendering.
+
+    Example:
+        surface = i2t.prepare_surface(i2t.load_mesh("mug.stl", unit="m"))
+        patch = i2t.render_patch(surface, T_o_t)
     """
 
     triangles: Float[Any, "*batch faces 3 3"]  # m, of each face's 3 corners
@@ -89,6 +93,10 @@ class Surface(NamedTuple):
 class Patch(NamedTuple):
     """What lies in front of the skin, seen along tool z: row i along tool y, column j along tool x, pixel centres at
     ((k + 0.5)/n - 0.5) window.
+
+    Example:
+        patch = i2t.render_patch(surface, T_o_t)
+        height = patch.nearest + patch.depth  # m, of the surface along tool z
     """
 
     depth: Float[Any, "*batch n n"]  # m behind the nearest surface point, clipped to the reach; no surface = reach
@@ -189,6 +197,10 @@ class Touches(NamedTuple):
 
     NaN marks what was not measured. `nearest` is measured at the end of the press, so it is negative by the depth of
     the press where camera and arm agree.
+
+    Example:
+        touches = i2t.load_dataset("data/stamps").touches
+        hard = touches.reading[touches.force > 1.0]  # (n, 3 chips) uT, of presses above 1 N
     """
 
     patch: Float[Any, "*n p p"]  # m, 48 x 48, what the camera saw in the tool frame at the end of the press

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import textwrap
+from typing import Any
 
 import pytest
 
@@ -39,6 +40,25 @@ def test_a_function_says_its_arguments_what_it_returns_and_an_example(name):
     stated = text[text.index("Args:") :]
     for parameter in inspect.signature(function).parameters:
         assert re.search(rf"^\s+\*{{0,2}}{parameter}(, \w+)*:", stated, re.M), f"{name}: {parameter} is not in Args"
+
+
+def _public_code() -> list[tuple[str, Any]]:
+    """Public functions and the public methods of public classes."""
+    found = [(name, getattr(i2t, name)) for name in FUNCTIONS]
+    for name in sorted(set(i2t.__all__) - set(FUNCTIONS)):
+        methods = inspect.getmembers(getattr(i2t, name), inspect.isfunction)
+        found += [(f"{name}.{each}", method) for each, method in methods if not each.startswith("_")]
+    return found
+
+
+def test_what_raises_says_so():
+    raising = []
+    for name, function in _public_code():
+        body = ast.parse(textwrap.dedent(inspect.getsource(inspect.unwrap(function))))
+        if any(isinstance(node, ast.Raise) for node in ast.walk(body)):
+            raising.append(name)
+            assert "Raises:" in (inspect.getdoc(function) or ""), f"{name} raises and does not say what"
+    assert len(raising) > 8
 
 
 # What may be given by position: the data. Everything else, how it is done, is named.
@@ -76,7 +96,8 @@ def test_after_the_data_arguments_are_named(name):
     assert tuple(positional) == DATA[name]
 
 
-CLASSES = ("Board", "Camera", "Dataset", "ObjectRecognizer", "Pad", "PoseEstimate", "Predictor")
+ERRORS = {"DataError", "DeviceError", "I2TError"}
+CLASSES = sorted(name for name in i2t.__all__ if inspect.isclass(getattr(i2t, name)) and name not in ERRORS)
 
 
 @pytest.mark.parametrize("name", [*FUNCTIONS, *CLASSES])

@@ -25,6 +25,10 @@ SAGITTA_MM = 0.03  # between a chord and its arc
 class Mesh(NamedTuple):
     """A triangle mesh, as every function of i2t takes it: anything with `vertices` and `faces` serves, such as a
     `trimesh.Trimesh`. Seen from outside, the corners of a face run counter-clockwise.
+
+    Example:
+        mesh = i2t.make_object("hammer").mesh
+        larger = i2t.Mesh(1.1 * mesh.vertices, mesh.faces)
     """
 
     vertices: NDArray[np.float64]  # (vertices, 3) m

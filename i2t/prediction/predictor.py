@@ -52,7 +52,12 @@ Values: TypeAlias = int | float | Sequence[int | float] | np.ndarray | Array  # 
 
 
 class Reading(NamedTuple):
-    """A predicted touch, in the board's order and axes; unpacks as (mean, std). One touch, or n on axis 0."""
+    """A predicted touch, in the board's order and axes; unpacks as (mean, std). One touch, or n on axis 0.
+
+    Example:
+        predictor = i2t.load_predictor("nominal")
+        mean, std = predictor.predict(patch.depth, force=1.0)  # (3 chips,) uT each
+    """
 
     mean: np.ndarray  # (3 chips,) or (n, 3 chips) uT
     std: np.ndarray  # as mean: standard deviation of the sensor's reading about the mean, its noise included
