@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.reconstruct.arguments import MESH_ENDINGS, ReconstructArgs, ReconstructSizes
-from i2t.geometry import inverse
+from i2t.geometry import apply, inverse
 from i2t.objects.catalogue import random_object
 from i2t.objects.mesh_files import read_mesh
 from i2t.objects.solids import Mesh, Object, place_on_table
@@ -192,11 +192,5 @@ def see(key: jax.Array, surface: Surface, T_o_placed: Any) -> tuple[np.ndarray, 
     place = ((np.arange(VIEW_PIXELS) + 0.5) / VIEW_PIXELS - 0.5) * VIEW_WINDOW_M
     depth = seen[row, column] + VIEW_NOISE_M * np.asarray(jax.random.normal(key, row.shape))
     local = np.stack([place[column], place[row], depth], -1)
-    points = local @ T_o_c[:3, :3].T + T_o_c[:3, 3]
-    T = np.asarray(T_o_placed, np.float64)  # the object stands elsewhere than it is believed to
-    return apply(T, points), apply(T, T_o_c[None, :3, 3])[0]
-
-
-def apply(T: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points moved by a rigid motion."""
-    return points @ T[:3, :3].T + T[:3, 3]
+    T_placed_c = np.asarray(T_o_placed, np.float64) @ T_o_c  # the object stands elsewhere than it is believed to
+    return np.asarray(apply(T_placed_c, local)), T_placed_c[:3, 3]
