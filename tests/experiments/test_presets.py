@@ -2,7 +2,9 @@
 
 import importlib
 import importlib.util
+import re
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
@@ -47,10 +49,18 @@ def test_other_values_pass() -> None:
     answer_renamed_value(["--preset", "paper", "--out", "full"], "--preset", RENAMED)
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["calibrate", "calibrate_pads", "faults", "pads", "recognize", "refine", "shapes", "studies", "train", "tsne"],
-)
+def _commands_with_presets() -> list[str]:
+    """Folders of experiments whose options have a preset."""
+    root = Path(__file__).parents[2] / "experiments"
+    options = [*root.glob("*/arguments.py"), *root.glob("*/config.py")]
+    return sorted({path.parent.name for path in options if re.search(r"^    preset: ", path.read_text(), re.M)})
+
+
+def test_commands_are_found_in_the_tree() -> None:
+    assert {"active_touch", "calibrate", "faults", "second_world", "train"} <= set(_commands_with_presets())
+
+
+@pytest.mark.parametrize("name", _commands_with_presets())
 def test_every_command_answers_the_old_name(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     module = f"experiments.{name}"
     if importlib.util.find_spec(module).submodule_search_locations:
