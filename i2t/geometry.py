@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Bool, Float, Key
 
-from i2t.types import RIGID, TWIST_LEVER_M, Array
+from i2t.types import ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M, Array
 
 SMALL_ANGLE_SQUARE = 1e-8  # rad^2, below which a series of two terms takes the place of a quotient
 SMALL_SERIES_SQUARE = 1e-4  # rad^2, below which one of three terms does
@@ -117,13 +117,13 @@ def is_rigid(T_a_b: Float[Array, "4 4"]) -> Bool[Array, ""]:
         T_a_b: Any matrix.
 
     Returns:
-        Whether it is a rotation (within `i2t.types.RIGID`) and a translation, all finite.
+        Whether it is a rotation (within `i2t.types.ORTHOGONALITY_TOLERANCE`) and a translation, all finite.
     """
     xp = _namespace(T_a_b)
     x, y, z = T_a_b[:3, :3].T
     products = xp.stack([xp.sum(x * x) - 1, xp.sum(y * y) - 1, xp.sum(x * y), *(xp.cross(x, y) - z)])
     last = xp.array_equal(T_a_b[3], xp.array([0, 0, 0, 1], T_a_b.dtype))
-    return xp.all(xp.abs(products) <= RIGID) & xp.all(xp.isfinite(T_a_b[:3, 3])) & last
+    return xp.all(xp.abs(products) <= ORTHOGONALITY_TOLERANCE) & xp.all(xp.isfinite(T_a_b[:3, 3])) & last
 
 
 @full_precision

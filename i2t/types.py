@@ -18,6 +18,9 @@ from i2t.windows import (
     CONTACT_TOLERANCE_M as CONTACT_TOLERANCE_M,
 )
 from i2t.windows import (
+    ORTHOGONALITY_TOLERANCE as ORTHOGONALITY_TOLERANCE,
+)
+from i2t.windows import (
     PAD_WINDOW as PAD_WINDOW,
 )
 from i2t.windows import (
@@ -28,9 +31,6 @@ from i2t.windows import (
 )
 from i2t.windows import (
     REACH as REACH,
-)
-from i2t.windows import (
-    RIGID as RIGID,
 )
 from i2t.windows import (
     STANDOFF as STANDOFF,

@@ -179,7 +179,7 @@ def test_rigid_motions_are_told_from_others():
         T = np.eye(4, dtype=np.float32)
         T[:3] = np.column_stack([pose, (0.1, -2, 3)])
         assert geometry.is_rigid(jnp.asarray(T))
-        far = 3 * geometry.RIGID
+        far = 3 * geometry.ORTHOGONALITY_TOLERANCE
         sheared = T @ (np.eye(4) + far * np.eye(4, k=1) * [0, 1, 0, 0])
         for other in (T * [1 + far, 1, 1, 1], T * [1, 1, -1, 1], sheared, T.T, T * [1, 1, 1, np.nan]):
             assert not geometry.is_rigid(jnp.asarray(other, jnp.float32))

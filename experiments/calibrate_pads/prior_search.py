@@ -18,7 +18,7 @@ from tqdm import tqdm
 from experiments.calibrate_pads.kinds import SKIN_KINDS, PressedSkinOfKind, simulate_skins
 from i2t.calibration.population_gp import KernelPrior, SkinKernels, save_prior
 from i2t.calibration.population_gp import prior as kernel_prior
-from i2t.calibration.population_gp.kernel import EVERYWHERE, geometry, join, signal_covariances, take
+from i2t.calibration.population_gp.kernel import UNIFORM_FAR_AMPLITUDE, geometry, join, signal_covariances, take
 from i2t.calibration.population_gp.left_out import Observed, condition_all, ungrouped
 
 POPULATION_SEED = 101  # skins of other seeds are never seen by the search
@@ -39,7 +39,7 @@ RANGES: dict[str, tuple[float, float, bool]] = {
 # What the two sets of `structured_gp` are at a typical load of 2.3 mm and of 0.65 N, and a guess by geometry.
 ANCHORS: dict[str, SkinKernels] = {
     "depth": SkinKernels(*(np.array([v]) for v in (
-        1.8, 1.2, 16.5e-3, 0.0145, 2e-3, 3.0, 0.024, 16.5e-3, 1.6e-3, 3.6e-3, 1e-4, 10e-3, EVERYWHERE,
+        1.8, 1.2, 16.5e-3, 0.0145, 2e-3, 3.0, 0.024, 16.5e-3, 1.6e-3, 3.6e-3, 1e-4, 10e-3, UNIFORM_FAR_AMPLITUDE,
     ))),
     "force": SkinKernels(*(np.array(v) for v in (
         [1.4, 0.7], [0.37, 0.15], [2.1e-3, 5e-3], [0.84, 0.05], [5e-3, 5e-3], [12.0, 2.0], [0.12, 0.3], [2.1e-3, 5e-3],
@@ -120,7 +120,7 @@ def draw_wide(rng: np.random.Generator, count: int) -> SkinKernels:
         name: np.exp(rng.uniform(np.log(low), np.log(high), count)) if log else rng.uniform(low, high, count)
         for name, (low, high, log) in RANGES.items()
     }
-    drawn["far_amplitude"] = np.where(rng.random(count) < 0.35, EVERYWHERE, drawn["far_amplitude"])
+    drawn["far_amplitude"] = np.where(rng.random(count) < 0.35, UNIFORM_FAR_AMPLITUDE, drawn["far_amplitude"])
     drawn["static_variance"] = np.where(rng.random(count) < 0.4, 0.0, drawn["static_variance"])
     return SkinKernels(**drawn)
 
@@ -131,17 +131,17 @@ def near(rng: np.random.Generator, kernels: SkinKernels, count: int) -> SkinKern
     moved = {}
     for name, values in take(kernels, of)._asdict().items():
         factor = np.exp(START_JITTER * rng.normal(size=count) * (np.arange(count) >= len(kernels.load_power)))
-        moved[name] = np.where(values == EVERYWHERE, values, values * factor)
+        moved[name] = np.where(values == UNIFORM_FAR_AMPLITUDE, values, values * factor)
     moved["bend_share"] = np.minimum(moved["bend_share"], 0.98)
-    fallen = moved["far_amplitude"] != EVERYWHERE
-    moved["far_amplitude"] = np.where(fallen, np.minimum(moved["far_amplitude"], 0.9), EVERYWHERE)
+    fallen = moved["far_amplitude"] != UNIFORM_FAR_AMPLITUDE
+    moved["far_amplitude"] = np.where(fallen, np.minimum(moved["far_amplitude"], 0.9), UNIFORM_FAR_AMPLITUDE)
     return SkinKernels(**moved)
 
 
 def errors_of(kernels: SkinKernels, tasks: list[tuple[PressedSkinOfKind, bool]], cfg: PriorSearch) -> np.ndarray:
     """(tasks, counts, kernels): squared error of held-out presses over their variance."""
     found = np.empty((len(tasks), len(SEARCH_PRESS_COUNTS), len(kernels.load_power)))
-    knows_chips = kernels.far_amplitude < EVERYWHERE
+    knows_chips = kernels.far_amplitude < UNIFORM_FAR_AMPLITUDE
     for t, (skin, by_force) in enumerate(tqdm(tasks, desc="skins", unit="skin")):
         load = skin.force if by_force else skin.depth
         test = slice(len(load) - cfg.test_presses, None)

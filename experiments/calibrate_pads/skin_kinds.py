@@ -23,7 +23,7 @@ from experiments.common.runs import write_json
 from i2t.calibration import calibrate
 from i2t.calibration.model import LoadKind
 from i2t.calibration.population_gp import SkinKernels
-from i2t.calibration.population_gp.kernel import EVERYWHERE, geometry, signal_covariances, take
+from i2t.calibration.population_gp.kernel import UNIFORM_FAR_AMPLITUDE, geometry, signal_covariances, take
 from i2t.calibration.population_gp.left_out import Observed, condition_all, ungrouped
 from i2t.calibration.population_gp.prior import prior_about
 from i2t.calibration.structured_gp import STDS_WITHIN_90_PERCENT
@@ -211,7 +211,7 @@ def one_kernel(
 ) -> np.ndarray:
     """(m, c): what one kernel predicts."""
     typical = np.sqrt(np.mean(load[rows] ** 2))
-    chips = skin.chip_positions if kernels.far_amplitude[0] < EVERYWHERE else None
+    chips = skin.chip_positions if kernels.far_amplitude[0] < UNIFORM_FAR_AMPLITUDE else None
     known, other = (geometry(skin.position[part], load[part] / typical, chips) for part in (rows, test))
     n, c = len(rows), skin.readings.shape[1]
     observed = Observed(skin.readings[rows], np.zeros((n, c, 0)), np.zeros(0), np.zeros((n, 1)))

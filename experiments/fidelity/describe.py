@@ -23,7 +23,7 @@ SAME_VALUE = 1e-6  # of the largest: by less, values differ by their rounding
 MICROTESLA_IN = {"uT": 1.0, "mT": 1e3, "gauss": 100.0, "nT": 1e-3}  # uT in each
 COUNTS_OF_16_BITS = 2**16
 STILL_IN_AIR = 0.1  # of the readings' size in contact, that they may keep in air
-ALIKE = 0.9999  # correlation of two channels that are one
+EQUAL_CHANNEL_CORRELATION = 0.9999  # correlation of two channels that are one
 MIN_ALIKE_ROWS = 30
 
 
@@ -152,7 +152,7 @@ def _check_channels(recording: SkinRecording, found: list[str], numbers: dict) -
         found.append(f"Channels {join(constant.tolist())} never change: a dead axis, or a chip that does not answer.")
     live = np.flatnonzero(np.ptp(y, axis=0) > 0)
     if len(live) > 1 and len(y) >= MIN_ALIKE_ROWS:
-        alike = np.argwhere(np.triu(np.corrcoef(y[:, live].T) > ALIKE, 1))
+        alike = np.argwhere(np.triu(np.corrcoef(y[:, live].T) > EQUAL_CHANNEL_CORRELATION, 1))
         same = [
             (int(live[i]), int(live[j])) for i, j in alike if np.ptp(y[:, live[i]] - y[:, live[j]]) < 1e-6 * np.ptp(y)
         ]

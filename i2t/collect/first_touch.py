@@ -31,7 +31,7 @@ from i2t.simulation.depth_camera import render_view
 from i2t.skin.ambient import mean_known
 from i2t.types import Array
 
-RECORDED = ("folder", "replay")  # sources of views that are not of this lab
+RECORDED_SOURCES = ("folder", "replay")  # sources of views that are not of this lab
 FELT_S, FELT_SAMPLES = 0.5, 200  # of which a reading is the mean, whichever is less
 FIRST_SITES, FIRST_LOOKS = 32, 3  # sites among which those are chosen, and how many are looked at
 LOOK_RADIUS_M = 40e-3  # around a site, in which depth is compared
@@ -41,7 +41,7 @@ MAX_WRONG_SHARE, CLEARLY_WRONG_SHARE = 0.3, 0.6  # of the pixels of all looks; o
 MIN_SEEN_SHARE = 0.3  # of the object's pixels, that must have been measured
 TOUCH_TOLERANCE_M = 4e-3  # of where the object is met; with a placement that is stated worse, three times its error
 LIGHT_FORCE_N = 3.0  # that ends the first touch: above what a UR's sensor errs in motion
-SLOW_M_S = 5e-3
+FIRST_TOUCH_SPEED_M_S = 5e-3
 MAX_AIR_FORCE_N = 6.0  # felt in the air before anything is zeroed: more is a payload off by 0.6 kg
 
 CHECK_CAMERA = "check T_tool_camera, T_flange_tool and the camera's lens, and register the object (python -m i2t.place)"
@@ -126,7 +126,7 @@ def first_touch(procedure: Procedure, sampler: SitedObject, report: Callable[[st
     plan = plan_first_touch(procedure, sampler)
     _check_air(procedure)
     procedure.retreat()
-    if procedure.camera.features.source not in RECORDED:
+    if procedure.camera.features.source not in RECORDED_SOURCES:
         share = float(np.mean([_look(procedure, sampler, site) for site in plan.looks]))
         if share > MAX_WRONG_SHARE:
             raise _seen_elsewhere("in the first looks", share)
@@ -245,7 +245,10 @@ def _touch(procedure: Procedure, site: Site) -> str:
     ambient = _mean_reading(procedure)
     rule = StopRule(settings.skin_change, settings.nonuniform_share, settings.averaged_samples, settings.silence)
     expected, gone = far + settings.prepare, 0.0
-    for distance, speed in ((far, settings.approach), (settings.prepare + tolerance, min(SLOW_M_S, settings.approach))):
+    for distance, speed in (
+        (far, settings.approach),
+        (settings.prepare + tolerance, min(FIRST_TOUCH_SPEED_M_S, settings.approach)),
+    ):
         if distance <= 1e-4:
             continue
         met = procedure.arm.approach(

@@ -39,8 +39,8 @@ QUATERNION_NORM_TOLERANCE = 1e-3  # how far the norm of a quaternion may be from
 MAX_PATCH_M = 1e3  # beyond any image, in any unit
 MAX_POSE_VALUE = 1e6  # of any recorded number, in its unit
 MAX_ARM_REACH_M = 5.0  # of a tool's position: beyond it are millimetres
-MOST_TOUCHES = 0.9  # of those that tell, for a run to be read otherwise than it is documented
-MIN_TELLING_TOUCHES = 3
+MOST_TOUCHES = 0.9  # of the informative ones, for a run to be read otherwise than it is documented
+MIN_INFORMATIVE_TOUCHES = 3
 MIN_PUSHES = 8  # touches with a force, for their sign to be turned
 IMAGE_UNITS = {10.0: "0.1 mm", 100.0: "0.01 mm", 0.1: "cm", 1000.0: "um"}  # how many of a unit go into a millimetre
 NOTE_LENGTH = 2000  # characters kept of a run's own notes
@@ -296,7 +296,7 @@ def _share_along(moved: np.ndarray, rotations: np.ndarray) -> float:
     """Share of the touches that move along tool z; 1 where too few move at all."""
     far = np.isfinite(moved).all(1) & (np.linalg.norm(np.nan_to_num(moved), axis=1) > 2 * MAX_LOOK_OFFSET_M)
     far &= np.isfinite(rotations).all((1, 2))
-    if far.sum() < MIN_TELLING_TOUCHES:
+    if far.sum() < MIN_INFORMATIVE_TOUCHES:
         return 1.0
     travel, aside = _along(moved[far], rotations[far][:, :, 2])
     return float(np.mean((travel > 0) & (aside <= MAX_LOOK_OFFSET_M)))
@@ -310,8 +310,8 @@ def _from_angles(stem: Path, values: np.ndarray, moved: np.ndarray, notes: Conve
             ("angles about fixed x, y and z", Rotation.from_euler("xyz", values, degrees=degrees)),
             ("angles about moving z, y and x", Rotation.from_euler("ZYX", values, degrees=degrees)),
         ):
-            told = np.isfinite(moved).all(1).sum() >= MIN_TELLING_TOUCHES
-            if told and _share_along(moved, turned.as_matrix()) > MOST_TOUCHES:
+            enough = np.isfinite(moved).all(1).sum() >= MIN_INFORMATIVE_TOUCHES
+            if enough and _share_along(moved, turned.as_matrix()) > MOST_TOUCHES:
                 unit = "degrees" if degrees else "radians"
                 notes.info(f"corrected: {stem}: rotations are {kind} in {unit}, as touches move along tool z only so")
                 return turned.as_matrix()
@@ -354,7 +354,7 @@ def _forces(stem: Path, axis: np.ndarray, n: int, notes: ConversionLog) -> tuple
 def _image_unit(stem: Path, closest: np.ndarray, expected: np.ndarray, notes: ConversionLog) -> float:
     """Factor on images in another unit than millimetres: the nearest pixel is about as far as the arm travels."""
     ratio = (closest / expected)[np.isfinite(closest) & np.isfinite(expected)]
-    if len(ratio) < MIN_TELLING_TOUCHES:
+    if len(ratio) < MIN_INFORMATIVE_TOUCHES:
         return 1.0
     median = float(np.median(ratio))
     for many, name in IMAGE_UNITS.items():

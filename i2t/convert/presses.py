@@ -34,7 +34,7 @@ UNITS: dict[str, tuple[str, dict[str, float]]] = {  # of each quantity: ours, an
     "field": ("uT", {"T": 1e6, "mT": 1e3, "nT": 1e-3, "G": 100.0}),
     "force": ("N", {"mN": 1e-3, "kN": 1e3}),
 }
-MOSTLY = 0.9  # of the rows with a depth, for all to be turned
+TURNED_SHARE = 0.9  # of the rows with a depth, for all to be turned
 MIN_TURNED = 5  # rows
 ROWS_AT_ONCE = 512  # bounds the memory of the intermediate arrays
 
@@ -357,7 +357,7 @@ def _number(source: Path, line: int, column: str, text: str) -> float:
 def _of_positive_depth(source: Path, rows: list[dict[str, Any]], notes: ConversionLog) -> list[dict[str, Any]]:
     """Rows whose depth counts into the skin: all are turned where nearly all are negative, a single one is damage."""
     depth = np.array([row["depth_mm"] for row in rows])
-    if np.sum(depth < 0) > MOSTLY * max(np.sum(depth != 0), MIN_TURNED):
+    if np.sum(depth < 0) > TURNED_SHARE * max(np.sum(depth != 0), MIN_TURNED):
         notes.info(
             f"corrected: depths are negative in {np.sum(depth < 0)} of {len(depth)} rows, as heights are: they are "
             "turned"

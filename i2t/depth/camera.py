@@ -21,7 +21,7 @@ from PIL import Image, UnidentifiedImageError
 
 from i2t import files
 from i2t.errors import DataError
-from i2t.types import RIGID
+from i2t.types import ORTHOGONALITY_TOLERANCE
 
 METRES_PER_DEPTH_UNIT = {"m": 1.0, "mm": 1e-3}  # m
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff")
@@ -188,7 +188,7 @@ def check_view(depth: Any, camera: Camera, T_w_c: Any, T_w_t: Any) -> None:
             raise ValueError(f"{name}: has the shape {T.shape}; give a (4, 4) transform")
         if not np.isfinite(T).all():
             raise ValueError(f"{name}: holds NaN or infinity; leave this view out")
-        if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > RIGID or np.linalg.det(T[:3, :3]) < 0:
+        if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > ORTHOGONALITY_TOLERANCE or np.linalg.det(T[:3, :3]) < 0:
             raise ValueError(
                 f"{name}: is not a rigid motion (its rotation is scaled, singular or mirrored); correct it"
             )

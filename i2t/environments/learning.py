@@ -27,9 +27,9 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from i2t.environments.core import EnvironmentParams, EnvironmentState, TouchAction, TouchEnvironment, features
 from i2t.recognition.policy import NO_SITE
 
-NEVER = -1e9  # logit of a site that may not be touched
-LEAST_PREDICTED = 1e-2  # probability of an object, where the posterior is the prediction: no single loss outweighs all
-STANDARDISED = 1e-6  # added to the deviation of advantages
+FORBIDDEN_LOGIT = -1e9  # logit of a site that may not be touched
+MIN_PREDICTED_PROBABILITY = 1e-2  # of an object, where the posterior is the prediction: no loss outweighs all
+ADVANTAGE_STD_OFFSET = 1e-6  # added to the deviation of advantages
 
 
 @dataclass(frozen=True)
@@ -211,7 +211,7 @@ def _play(
         inputs = jnp.concatenate([seen, jax.nn.one_hot(last, params.sites), touched.astype(jnp.float32)], axis=1)
         memory, logits, prediction, value = forward(memory, inputs)
         if params.beliefs is not None:
-            prediction = jnp.log(jnp.maximum(obs.posterior, LEAST_PREDICTED))
+            prediction = jnp.log(jnp.maximum(obs.posterior, MIN_PREDICTED_PROBABILITY))
         return memory, inputs, logits, prediction, value
 
     def step(carry: tuple, key: Array) -> tuple[Any, Any]:
@@ -249,13 +249,13 @@ def _play(
 
 def _drawn(key: Array, logits: Array, may: Array) -> Array:
     """One of the sites that may be touched; `NO_SITE` where none is left."""
-    site = jax.random.categorical(key, jnp.where(may, logits, NEVER))
+    site = jax.random.categorical(key, jnp.where(may, logits, FORBIDDEN_LOGIT))
     return jnp.where(jnp.any(may, axis=-1), site, NO_SITE)
 
 
 def _log_chances(logits: Array, may: Array) -> Array:
     """Logarithms of the probabilities of the sites, of which only some may be touched."""
-    return jax.nn.log_softmax(jnp.where(may, logits, NEVER))
+    return jax.nn.log_softmax(jnp.where(may, logits, FORBIDDEN_LOGIT))
 
 
 def _log_chance(log: Array, site: Array) -> Array:
@@ -301,7 +301,7 @@ def _objective(network: TouchNetwork, environment: TouchEnvironment, config: Lea
         log = _log_chances(logits[:-1], played.may)
         entropy = -jnp.sum(jnp.exp(log) * jnp.where(played.may, log, 0.0), axis=-1)
         ratio = jnp.exp(_log_chance(log, played.site) - played.log_probability)
-        standard = (advantage - jnp.mean(advantage)) / (jnp.std(advantage) + STANDARDISED)
+        standard = (advantage - jnp.mean(advantage)) / (jnp.std(advantage) + ADVANTAGE_STD_OFFSET)
         clipped = jnp.clip(ratio, 1 - config.clip, 1 + config.clip)
         policy = -jnp.mean(jnp.minimum(ratio * standard, clipped * standard))
         judged = jax.vmap(jax.vmap(environment.task.loss, (0, 0)), (0, None))(prediction, target)

@@ -20,8 +20,8 @@ from jaxtyping import Float
 from i2t.types import Array
 
 RANDOM_STARTS, ITERATIONS = 48, 80
-MAX_WAYS = 6  # to stand at a first pose, the most dexterous ones, from which lines are followed
-SOLVED_M, SOLVED_RAD = 1e-5, 1e-4
+MAX_START_SOLUTIONS = 6  # of a first pose, the most dexterous ones, from which lines are followed
+SOLUTION_TOLERANCE_M, SOLUTION_TOLERANCE_RAD = 1e-5, 1e-4
 SQUARED_ERROR, STALLED_RAD = 1e-13, 1e-9  # at which a descent ends
 STEP_M, STEP_RAD = 0.02, 0.1  # along a line, at the most
 JUMP_RAD = 0.5  # of a joint within one step, above which the arm would have to fold over
@@ -195,7 +195,7 @@ def plan(arm: SerialArm, goals: Sequence[Float[Array, "4 4"]]) -> JointPath | st
         The way that keeps furthest from singularities among those that keep clear of joint limits, or one sentence why
         there is none.
     """
-    starts = _distinct(solve(arm, goals[0]))[:MAX_WAYS]
+    starts = _distinct(solve(arm, goals[0]))[:MAX_START_SOLUTIONS]
     if not len(starts):
         apart = float(np.linalg.norm(np.asarray(goals[0])[:3, 3]))
         return f"{arm.name} cannot reach it: {apart:.2f} m from its base, in that direction of the tool"
@@ -313,7 +313,7 @@ def _descend(arm: SerialArm, q: np.ndarray, goal: np.ndarray) -> tuple[np.ndarra
     T = _chain(arm, q)[0]
     apart = np.linalg.norm(T[:, :3, 3] - goal[:3, 3], axis=1)
     askew = np.linalg.norm(_error(T, goal, 1.0)[:, 3:], axis=1)
-    return q, (apart < SOLVED_M) & (askew < SOLVED_RAD)
+    return q, (apart < SOLUTION_TOLERANCE_M) & (askew < SOLUTION_TOLERANCE_RAD)
 
 
 def _error(T: np.ndarray, goal: np.ndarray, length: float) -> np.ndarray:

@@ -26,7 +26,7 @@ from i2t.geometry import inverse
 from i2t.hardware.kinematics import arms
 from i2t.hardware.limits import MotionLimits, format_position
 from i2t.hardware.rig_checks import implausible
-from i2t.types import RIGID, TWIST_LEVER_M, Array
+from i2t.types import ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M, Array
 
 OBJECT_SOURCES = ("given", "registration")  # how an object's pose is known
 MAX_PAYLOAD_KG = 20.0  # kg, that a UR arm carries
@@ -257,7 +257,7 @@ def _rigid(key: str, value: Any, far: float) -> Array:
     if not np.array_equal(T[3], [0, 0, 0, 1]):
         hint = "it is transposed" if np.array_equal(T[:, 3], [0, 0, 0, 1]) else "write [0, 0, 0, 1]"
         raise ValueError(f"{key} has the last row {T[3].tolist()}; {hint}")
-    if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > RIGID:
+    if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > ORTHOGONALITY_TOLERANCE:
         raise ValueError(f"{key} holds no rotation: its columns are not orthonormal; copy it with six digits or more")
     if np.linalg.det(T[:3, :3]) < 0:
         raise ValueError(f"{key} holds a reflection: an axis has the wrong sign; make z the cross product of x and y")
@@ -271,9 +271,9 @@ def _rigid(key: str, value: Any, far: float) -> Array:
 
 def _covariance(key: str, value: Any) -> Array:
     matrix = _numbers(key, value, (6, 6))
-    if np.abs(matrix - matrix.T).max() > RIGID * np.abs(matrix).max():
+    if np.abs(matrix - matrix.T).max() > ORTHOGONALITY_TOLERANCE * np.abs(matrix).max():
         raise ValueError(f"{key} is not symmetric; copy it whole")
-    if np.linalg.eigvalsh(matrix).min() < -RIGID * np.abs(matrix).max():
+    if np.linalg.eigvalsh(matrix).min() < -ORTHOGONALITY_TOLERANCE * np.abs(matrix).max():
         raise ValueError(f"{key} has a negative variance; copy it whole")
     if np.sqrt(np.diagonal(matrix).max()) > MAX_TOOL_M:
         raise ValueError(f"{key} says {np.sqrt(np.diagonal(matrix).max()):g} m; give variances in m^2")

@@ -56,7 +56,7 @@ SITE_CANDIDATES = 4  # for each safe site
 SITES = 16  # of a shape at a time, so that any number of them compiles once
 STEP_SLOPE = 0.7  # m/m: what falls off more steeply (35 degrees) is an edge
 FEWEST_STEPS = 8  # pixels of steps within the window, below which it has no edge (3 mm)
-STRAIGHT = 0.6  # coherence of an edge above which it counts as one straight line
+STRAIGHT_EDGE_COHERENCE = 0.6  # coherence of an edge above which it counts as one straight line
 
 
 @dataclass(frozen=True)
@@ -344,7 +344,7 @@ def describe_edge(patch: Float[Array, "p p"]) -> tuple[Float[Array, "4"], Array]
     y = jnp.sum(weight * at[:, None]) / total
     has_edge = count >= FEWEST_STEPS
     straight = jnp.where(has_edge, coherence, 0.0)
-    kind = jnp.where(has_edge, jnp.where(coherence >= STRAIGHT, 1, 2), 0)
+    kind = jnp.where(has_edge, jnp.where(coherence >= STRAIGHT_EDGE_COHERENCE, 1, 2), 0)
     edge = jnp.stack([straight * jnp.cos(double), straight * jnp.sin(double), x, y])
     return jnp.where(has_edge, edge, 0.0), kind
 

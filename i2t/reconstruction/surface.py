@@ -48,7 +48,7 @@ LATTICE = 5  # heights of a touch along each edge of the patch's window
 RIM = 7  # points of the pad's square along each edge, among which the lowest is sought
 SWEPT_DEPTHS_M = (0.5e-3, 3e-3, 8e-3, 16e-3, 28e-3)  # behind the pad's plane, where space is looked at
 Z_90 = 1.645  # standard deviations of a band of 90 %
-CORRELATED = 1.5  # factor on the standard deviations of a posterior's heights
+CORRELATION_FACTOR = 1.5  # factor on the standard deviations of a posterior's heights
 LEAST_STD_M = 0.2e-3  # of a height
 FREE_STRIDE = 2  # of the grid on which the mean is compared with free space
 
@@ -304,7 +304,7 @@ def posterior_evidence(
     samples = np.asarray(patches)[:, place][:, :, place].astype(np.float64)
     mean, low, high = samples.mean(0), np.quantile(samples, 0.05, 0), np.quantile(samples, 0.9, 0)
     # Errors of neighbouring heights come together, so each counts for less than its spread says.
-    std = np.where(high < 0.95 * REACH, CORRELATED * samples.std(0) + LEAST_STD_M, np.inf)
+    std = np.where(high < 0.95 * REACH, CORRELATION_FACTOR * samples.std(0) + LEAST_STD_M, np.inf)
     return contact_evidence(T_o_t, swept=swept)._replace(height=mean, std=std, free=0.8 * low)
 
 

@@ -39,7 +39,7 @@ MIN_FIELD_PRESSES = 25
 STAGE_GAIN = 0.09  # of log evidence for each value, for the board to be turned
 SWAP_GAIN = 0.05
 FLIP_GAIN = 0.2  # of a sound board the best flip gains up to 0.11 on simulated skins
-TELLING_GAIN = 0.02  # what the wrong hypotheses must lose for the right one to be known
+IDENTIFICATION_GAIN = 0.02  # what the wrong hypotheses must lose for the right one to be known
 GRID_CELLS = 15  # of dipoles along an edge
 _AXES = 3
 STAGES: dict[str, np.ndarray] = {
@@ -343,7 +343,7 @@ def _stage_finding(
             f"The readings of the chips go together better with the stage {best}: log evidence of each value "
             f"{(stages[best] - recorded) / values:+.2f}; the board is turned so."
         )
-    elif best != "as recorded" or lead < TELLING_GAIN:
+    elif best != "as recorded" or lead < IDENTIFICATION_GAIN:
         sentence = (
             f"How the board is turned under the stage is not identifiable: {best} and the next best explain the "
             f"readings about as well ({lead:+.3f} of log evidence for each value)."
@@ -352,7 +352,7 @@ def _stage_finding(
         sentence = (
             f"The board lies as it is described: any turn or mirror loses {lead:.2f} of log evidence for each value."
         )
-    known = bool(wrong or (best == "as recorded" and lead >= TELLING_GAIN))
+    known = bool(wrong or (best == "as recorded" and lead >= IDENTIFICATION_GAIN))
     correction = {"board_from_stage": STAGES[best].tolist()} if wrong else {}
     return Finding(STAGE, sentence, identifiable=known, wrong=wrong, evidence=evidence, correction=correction)
 
@@ -369,21 +369,21 @@ def _swap_finding(swap: tuple[int, int], swaps: dict[tuple[int, int], float], *,
             f"grows by {gain:.2f}.", identifiable=True, wrong=True, evidence=evidence,
             correction={"chip_order": order.tolist()},
         )  # fmt: skip
-    if gain > -TELLING_GAIN:
+    if gain > -IDENTIFICATION_GAIN:
         sentence = (
             f"Whether chips {swap[0]} and {swap[1]} are swapped is not identifiable ({gain:+.3f} of log evidence for "
             "each value)."
         )
     else:
         sentence = f"The chips are in order: any swap loses {-gain:.2f} of log evidence for each value."
-    return Finding(SWAPPED, sentence, identifiable=bool(gain <= -TELLING_GAIN), evidence=evidence)
+    return Finding(SWAPPED, sentence, identifiable=bool(gain <= -IDENTIFICATION_GAIN), evidence=evidence)
 
 
 def _flip_finding(flip: tuple[int, str], flips: dict[tuple[int, str], float], *, wrong: bool) -> Finding:
     chip, axes = flip
     gain = flips[flip]
     chips = 1 + max(one for one, _ in flips)
-    hidden = sorted({one for (one, _), value in flips.items() if value > -TELLING_GAIN})
+    hidden = sorted({one for (one, _), value in flips.items() if value > -IDENTIFICATION_GAIN})
     evidence = {"best_gain": gain, "best_chip": float(chip)}
     if wrong:
         return Finding(

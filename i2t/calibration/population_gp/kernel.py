@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 MIN_RESPONSE_BASE = 1e-3  # of f: loads below zero
-EVERYWHERE = 1.0  # far amplitude of a kernel that does not know where the chips are
+UNIFORM_FAR_AMPLITUDE = 1.0  # far amplitude of a kernel that does not know where the chips are
 
 
 class SkinKernels(NamedTuple):

@@ -21,7 +21,7 @@ from scipy.special import logsumexp
 from scipy.stats import t as student_t
 
 from i2t.calibration.population_gp import kernel
-from i2t.calibration.population_gp.kernel import EVERYWHERE, PressGeometry, SkinKernels, squared_distance
+from i2t.calibration.population_gp.kernel import UNIFORM_FAR_AMPLITUDE, PressGeometry, SkinKernels, squared_distance
 from i2t.calibration.population_gp.left_out import (
     Conditioned,
     LeftOutPresses,
@@ -272,7 +272,7 @@ def _start(
 
 def _without_chips(kernels: SkinKernels, log_share: np.ndarray) -> tuple[SkinKernels, np.ndarray]:
     """What the kernels are where nobody knows where the chips are."""
-    return kernels._replace(far_amplitude=np.full(len(log_share), EVERYWHERE)), log_share
+    return kernels._replace(far_amplitude=np.full(len(log_share), UNIFORM_FAR_AMPLITUDE)), log_share
 
 
 def _shared(components: Components, share: float, **changed: Any) -> Components:
@@ -363,7 +363,7 @@ def _left_out_all(gp: PopulationGP, components: Components) -> LeftOutPresses:
 
 def _alike(gp: PopulationGP, components: Components) -> Iterator[tuple[np.ndarray, PressGeometry, Observed]]:
     """Numbers of the members that see the presses alike, and what they see."""
-    knows_chips = components.kernels.far_amplitude < EVERYWHERE
+    knows_chips = components.kernels.far_amplitude < UNIFORM_FAR_AMPLITUDE
     which = np.column_stack([components.load_column, components.uses_linear, components.uses_previous, knows_chips])
     for combination in np.unique(which, axis=0):
         rows = np.flatnonzero((which == combination).all(1))
@@ -520,7 +520,7 @@ def _predict_one(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean, variance and slope by the first load (m, c) of one member."""
     one = _taken(gp.components, np.array([i]))
-    column, chips = int(one.load_column[0]), bool(one.kernels.far_amplitude[0] < EVERYWHERE)
+    column, chips = int(one.load_column[0]), bool(one.kernels.far_amplitude[0] < UNIFORM_FAR_AMPLITUDE)
     at, known = _geometry(gp, presses, column, chips), _geometry(gp, gp.presses, column, chips)
     groups = len(given.inverse)
     cross = np.broadcast_to(

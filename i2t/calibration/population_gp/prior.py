@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from i2t import serialization
-from i2t.calibration.population_gp.kernel import EVERYWHERE, SkinKernels, join, take
+from i2t.calibration.population_gp.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels, join, take
 
 PRIOR_FILE = "prior.npz"
 PRIOR_KIND = "i2t kernel prior"
@@ -93,7 +93,7 @@ def plain_kernels(position: Float[np.ndarray, "n 2"], load: Float[np.ndarray, " 
         load_power=none, load_offset=one, map_length=length, bend_share=one, bend_length=length,
         bend_load_width=load_spread * grid[:, 1], static_variance=none, static_length=length,
         constant_variance=PLAIN_CONSTANT * one, noise_variance=grid[:, 2], gain_noise_variance=none, chip_reach=one,
-        far_amplitude=EVERYWHERE * one,
+        far_amplitude=UNIFORM_FAR_AMPLITUDE * one,
     )  # fmt: skip
 
 

@@ -20,13 +20,13 @@ REFIT_FRAMES = 8  # between two fits
 LEAST_FRAMES = 12  # received frames that a fit needs
 MAX_GAP_FRAMES = 8  # that were lost and are filled in; behind a longer gap the last value is what is known
 FORECAST_RIDGE = 1e-3  # of the mean square of a channel, added so that a constant one can be fitted
-COMMON = 2  # directions in which the channels' errors go together
+COMMON_DIRECTIONS = 2  # directions in which the channels' errors go together
 FEW_ROWS = 10.0  # of which a fit explains more than of others: it grants more where it has few
-LEAST_OWN, LEAST_SHARE = 0.3, 0.8  # of what is usual on the same axis of all chips: variance, standard deviation
+MIN_OWN_VARIANCE_SHARE, MIN_STD_SHARE = 0.3, 0.8  # of what is usual on the same axis of all chips
 FLOOR = np.array([0.02, 0.3, 0.3, 0.3])  # K, uT, standard deviation that is always granted
-UNUSUAL = 5.0  # standard deviations, beyond which a value has to be borne out
-LASTING = 0.5  # of that, by which a later value must be off to the same side
-OUTLYING = 4.0  # standard deviations, to which errors count in a fit
+UNUSUAL_VALUE_STDS = 5.0  # standard deviations, beyond which a value has to be borne out
+LASTING_CHANGE_SHARE = 0.5  # of that, by which a later value must be off to the same side
+OUTLIER_STDS = 4.0  # standard deviations, to which errors count in a fit
 EARLY_CHANGE = np.array([0.6, 25.0, 25.0, 25.0])  # K, uT, from frame to frame, before anything is fitted
 STD_PER_MEDIAN = 1.4826  # of the size of Gaussian errors
 
@@ -116,7 +116,7 @@ def is_borne_out(expected: Expectation, found: Doubt, after: Float[np.ndarray, "
         True where that holds for all of them.
     """
     left = _left(expected.precision, np.nan_to_num(after - _filled(expected, gap).next))
-    lasts = (left * np.sign(found.left) > LASTING * _most(expected)) | np.isnan(after)
+    lasts = (left * np.sign(found.left) > LASTING_CHANGE_SHARE * _most(expected)) | np.isnan(after)
     return bool(lasts[found.values].all())
 
 
@@ -144,7 +144,7 @@ def learn(expected: Expectation, table: Float[np.ndarray, "chips 4"], gap: int) 
 
 
 def _most(expected: Expectation) -> Float[np.ndarray, "chips 4"]:
-    return UNUSUAL * expected.spread if expected.fitted else expected.spread
+    return UNUSUAL_VALUE_STDS * expected.spread if expected.fitted else expected.spread
 
 
 def _left(
@@ -187,7 +187,7 @@ def _fit(expected: Expectation) -> Expectation:
         weights = np.linalg.solve(square + ridge[:, None, None] * np.eye(ORDER), moment[..., None])[..., 0]
         weights = np.broadcast_to(weights, (history.shape[1], *weights.shape))
         error = target - np.einsum("nijk,ijk->nij", past, weights)
-        most = OUTLYING * _spread(error)
+        most = OUTLIER_STDS * _spread(error)
         share = np.minimum(1.0, most / np.maximum(np.abs(error), 1e-12)) ** 2
     precision = _precision(np.clip(error, -most, most).reshape(len(error), -1), history.shape[1])
     spread = _spread(_left(precision, error)) * (1 + FEW_ROWS / len(error))
@@ -200,13 +200,13 @@ def _precision(errors: Float[np.ndarray, "n c"], chips: int) -> Float[np.ndarray
     """Q of errors that have few things in common."""
     covariance = errors.T @ errors / len(errors)
     sizes, directions = np.linalg.eigh(covariance)
-    shared = (directions[:, -COMMON:] * sizes[-COMMON:]) @ directions[:, -COMMON:].T
+    shared = (directions[:, -COMMON_DIRECTIONS:] * sizes[-COMMON_DIRECTIONS:]) @ directions[:, -COMMON_DIRECTIONS:].T
     own = np.maximum(np.diagonal(covariance) - np.diagonal(shared), 0.0)
-    own = np.maximum(own, LEAST_OWN * np.median(own.reshape(chips, 4), 0)[None].repeat(chips, 0).ravel())
+    own = np.maximum(own, MIN_OWN_VARIANCE_SHARE * np.median(own.reshape(chips, 4), 0)[None].repeat(chips, 0).ravel())
     return np.linalg.inv(shared + np.diag(own + np.tile(FLOOR, chips) ** 2))
 
 
 def _spread(errors: Float[np.ndarray, "n chips 4"]) -> Float[np.ndarray, "chips 4"]:
     """Standard deviations, in spite of outliers; the same axis of other chips is about as noisy."""
     own = STD_PER_MEDIAN * np.median(np.abs(errors), 0)
-    return np.maximum(np.maximum(own, LEAST_SHARE * np.median(own, 0)), FLOOR)
+    return np.maximum(np.maximum(own, MIN_STD_SHARE * np.median(own, 0)), FLOOR)
