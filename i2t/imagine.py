@@ -19,6 +19,7 @@ import tyro
 
 from i2t.cli import Count, Positive, Seed, check_options, docstring_of, exit_code_of
 from i2t.models import READY_MODELS
+from i2t.objects.named import read_object
 
 if TYPE_CHECKING:
     from i2t.objects import Object
@@ -92,20 +93,11 @@ def _imagine(asked: ImagineArgs) -> None:
 
 def _object(asked: ImagineArgs) -> "Object":
     """What is touched, by its name or from its file."""
-    from i2t.objects import load_object, make_object
     from i2t.objects.catalogue import NAMES
 
-    if asked.object in NAMES:
-        if asked.unit is not None:
-            raise ValueError("--unit is of a mesh file, and an object of the catalogue needs none; leave it out")
-        return make_object(asked.object)
-    if not Path(asked.object).is_file():
-        raise ValueError(
-            f"{asked.object}: is neither a mesh file nor an object of the catalogue, which has {', '.join(NAMES)}"
-        )
-    if asked.unit is None:
-        raise ValueError(f"{asked.object}: say in which unit the file is, for instance --unit mm")
-    return load_object(asked.object, asked.unit)
+    if asked.object in NAMES and asked.unit is not None:
+        raise ValueError("--unit is of a mesh file, and an object of the catalogue needs none; leave it out")
+    return read_object(asked.object, asked.unit)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from pathlib import Path
 from experiments.common.runs import METRICS
 from i2t.cli import require_path
 from i2t.models import READY_MODELS
+from i2t.objects.named import require_object
 
 DATASET_SUFFIX = ".h5"
 
@@ -106,15 +107,8 @@ def require_objects(paths: Sequence[Path], unit: str | None, *, least: int = 2, 
         if unit is not None:
             raise ValueError("--unit is of the mesh files of --objects; pass both, or leave --unit out")
         return
-    from i2t.objects.catalogue import NAMES
-
-    files = [path for path in paths if not (catalogue and str(path) in NAMES)]
-    for path in files:
-        if not path.is_file():
-            known = f" nor an object of the catalogue, which has {', '.join(NAMES)}" if catalogue else ""
-            raise ValueError(f"--objects {path}: is {'neither' if catalogue else 'not'} a mesh file{known}")
-    if files and unit is None:
-        raise ValueError("say in which unit the files of --objects are, for instance --unit mm")
+    for path in paths:
+        require_object(str(path), unit, flag="--objects", catalogue=catalogue)
     if len(paths) < least:
         raise ValueError("--objects needs at least two objects to tell apart")
     seen: dict[str, Path] = {}

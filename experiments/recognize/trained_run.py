@@ -12,7 +12,8 @@ from experiments.common.checks import require_objects
 from experiments.train import recognition_data
 from i2t import dataset as data
 from i2t.dataset import Dataset
-from i2t.objects import Mesh, catalogue, load_object
+from i2t.objects import Mesh, catalogue
+from i2t.objects.named import read_object
 from i2t.prediction.predictor import Predictor, load_predictor
 from i2t.recognition.pad_model import PadModel, fit_pad_model
 from i2t.recognition.site_pool import prepare_surfaces
@@ -98,24 +99,7 @@ def load_meshes(paths: Sequence[Path], unit: str | None) -> dict[str, Mesh]:
         ValueError: Neither a name nor a file, a file without a unit, two objects of one name, or a single object.
     """
     require_objects(paths, unit)
-    return {
-        path.stem: catalogue.make_object(str(path)).mesh
-        if is_catalogue_name(path)
-        else load_object(path, str(unit)).mesh
-        for path in paths
-    }
-
-
-def is_catalogue_name(path: Path) -> bool:
-    """Whether what the user named is an object of the catalogue and no file.
-
-    Args:
-        path: A name of --objects.
-
-    Returns:
-        Whether it is.
-    """
-    return str(path) in catalogue.NAMES
+    return {path.stem: read_object(str(path), unit).mesh for path in paths}
 
 
 def meshes_by_name(names: Sequence[str]) -> dict[str, Mesh]:

@@ -2,10 +2,9 @@
 would have no effect.
 """
 
-from pathlib import Path
-
 from i2t.cli import require_path, require_with
 from i2t.collect.arguments import CollectArgs
+from i2t.objects.named import require_object
 
 SIMULATED, NOT_REAL = "simulated", ("simulated", "emulated")
 
@@ -38,27 +37,4 @@ def check_collect_args(args: CollectArgs) -> None:
         raise ValueError(f"--port is of a board, and --skin is {args.skin}; leave it out, or pass --skin reskin")
     if args.pad and args.skin not in NOT_REAL:
         raise ValueError(f"--pad is of simulated skins, and --skin is {args.skin}; leave it out")
-    require_object("--object", args.object, args.unit)
-
-
-def require_object(flag: str, name: str, unit: str | None) -> None:
-    """Refuse what is neither an object of the catalogue nor a mesh file with its unit.
-
-    Args:
-        flag: The option that names it.
-        name: Of the catalogue, or a mesh file.
-        unit: Of the file.
-
-    Raises:
-        ValueError: It is neither.
-    """
-    from i2t.objects.catalogue import NAMES
-
-    if name in NAMES:
-        return
-    if not Path(name).is_file():
-        raise ValueError(
-            f"{flag} {name}: is neither a mesh file nor an object of the catalogue, which has {', '.join(NAMES)}"
-        )
-    if unit is None:
-        raise ValueError(f"{flag} {name}: say in which unit the file is, for instance --unit mm")
+    require_object(args.object, args.unit, flag="--object")

@@ -21,12 +21,12 @@ import tyro
 from scipy.spatial.transform import Rotation
 
 from i2t.cli import exit_code_of, require_path
-from i2t.collect.checks import require_object
 from i2t.hardware.camera_folder import RecordedDepthCamera
 from i2t.hardware.hand_eye import tool_pose
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.realsense import RealSense
 from i2t.hardware.rig import Rig
+from i2t.objects.named import read_object, require_object
 from i2t.types import TWIST_LEVER_M, Array
 
 PoseVector = tuple[float, float, float, float, float, float]  # position (m) and rotation vector (rad)
@@ -83,11 +83,10 @@ def place(asked: PlaceArgs) -> str:
         OSError: A file cannot be read or written.
         DeviceError: Camera or arm do not answer.
     """
-    require_object("--object", asked.object, asked.unit)
+    require_object(asked.object, asked.unit, flag="--object")
     require_path("--views", asked.views, "folder")
     # Not above: JAX takes seconds, which --help need not wait for.
     from i2t.collect.site_plan import orthonormal
-    from i2t.emulators.world import read_object
     from i2t.registration import camera_covariance, register_by_depth
 
     if (asked.host is None) == (asked.tool is None):

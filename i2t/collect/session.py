@@ -46,7 +46,6 @@ from i2t.emulators.world import (
     SimulatedCameraConfig,
     SimulatedSkinConfig,
     WorldConfig,
-    read_object,
 )
 from i2t.errors import DataError, DeviceError
 from i2t.hardware.camera_folder import CameraFolderConfig
@@ -59,6 +58,7 @@ from i2t.hardware.rig import Rig
 from i2t.hardware.rig_checks import require_plausible
 from i2t.hardware.skin_health import check_skin, require_healthy, rest_samples
 from i2t.hardware.ur.config import UrConfig
+from i2t.objects.named import read_object
 from i2t.objects.solids import Mesh
 from i2t.skin.boards import DEFAULT_BOARD
 from i2t.types import ReturnCode

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from i2t.hardware.rig import Rig
+from i2t.objects.named import read_object
 from i2t.skin.boards import DEFAULT_BOARD, make_board, same_board
 
 if TYPE_CHECKING:
     from i2t.emulators.scene import ObjectScene
-    from i2t.objects.solids import Object
     from i2t.types import Pad
 
 DEFAULT_PAD_KEY = 1000  # of the random pad that is worn where none is named, the same as pad 0 of experiments.train
@@ -61,30 +61,6 @@ class EmulatedSkinConfig:
 
     port: str | None = None  # of a board that runs; by default one is started
     board: str = DEFAULT_BOARD  # as `i2t.skin.boards.make_board` knows it; the pad that is worn must be on the same
-
-
-def read_object(name: str, unit: str | None) -> "Object":
-    """An object by its name or file.
-
-    Args:
-        name: Of the catalogue, or a mesh file.
-        unit: Of a mesh file: m, cm, mm or inch; None for an object of the catalogue.
-
-    Returns:
-        The object.
-
-    Raises:
-        ValueError: There is no such name, or the file holds no usable mesh.
-        FileNotFoundError: There is no such file.
-    """
-    from i2t.objects.catalogue import NAMES, make_object
-    from i2t.objects.mesh_files import load_object
-
-    if name in NAMES:
-        return make_object(name)
-    if unit is None:
-        raise ValueError(f"{name}: say in which unit the file is, for instance --unit mm")
-    return load_object(name, unit)
 
 
 def read_pad(path: Path | None, board: str | None = None) -> "Pad":

@@ -1,0 +1,54 @@
+"""Objects as a command line names them: by their name in the catalogue, or by a mesh file and its unit.
+
+What builds and reads meshes is imported where it is needed: a command's help need not wait for it.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from i2t.objects.solids import Object
+
+
+def require_object(name: str, unit: str | None, *, flag: str = "", catalogue: bool = True) -> None:
+    """Refuse what is neither an object of the catalogue nor a mesh file with its unit.
+
+    Args:
+        name: Of the catalogue, or a mesh file.
+        unit: Of the file; None where none was given.
+        flag: The option that names it, for messages; "" where it needs none.
+        catalogue: Whether names of the catalogue are welcome.
+
+    Raises:
+        ValueError: It is neither.
+    """
+    from i2t.objects.catalogue import NAMES
+
+    if catalogue and name in NAMES:
+        return
+    said = f"{flag} {name}".strip()
+    if not Path(name).is_file():
+        other = f" nor an object of the catalogue, which has {', '.join(NAMES)}" if catalogue else ""
+        raise ValueError(f"{said}: is {'neither' if catalogue else 'not'} a mesh file{other}")
+    if unit is None:
+        raise ValueError(f"{said}: say in which unit the file is, for instance --unit mm")
+
+
+def read_object(name: str, unit: str | None) -> "Object":
+    """An object by its name or file.
+
+    Args:
+        name: Of the catalogue, or a mesh file.
+        unit: Of a mesh file: m, cm, mm or inch; it does not matter for an object of the catalogue.
+
+    Returns:
+        The object.
+
+    Raises:
+        ValueError: There is no such name or file, its unit is missing, or it holds no usable mesh.
+    """
+    from i2t.objects.catalogue import NAMES, make_object
+    from i2t.objects.mesh_files import load_object
+
+    require_object(name, unit)
+    return make_object(name) if name in NAMES else load_object(name, str(unit))
