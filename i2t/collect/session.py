@@ -70,7 +70,7 @@ ENDS = {
     ReturnCode.FAILED: "failed",
 }
 NO_RIG = "a real arm needs to know its lab; write a rig (python -m i2t.hardware.rig) and pass --rig"
-MAY_CHANGE = ("retries", "failures", "patience")  # settings that say when to give up, and nothing of a touch
+CHANGEABLE_SETTINGS = ("retries", "failures", "patience")  # settings that say when to give up, and nothing of a touch
 BAR_SCALE_UT = 50.0  # at the end of a bar
 
 
@@ -297,7 +297,7 @@ def _resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[in
         "board": args.board or DEFAULT_BOARD,
         "pose": args.pose,
         "sites": vars(args.sites),
-        "settings": {key: value for key, value in vars(args.settings).items() if key not in MAY_CHANGE},
+        "settings": {key: value for key, value in vars(args.settings).items() if key not in CHANGEABLE_SETTINGS},
         "rig": _rig_hash(rig),
         "mesh": _mesh_hash(mesh),
     }
