@@ -9,8 +9,8 @@ statement left out. A sample of them, drawn by `--seed`, is tried on the tests t
 a process of their own, on a copy of the checkout, one mutant after another; some 5 s to a minute each.
 
 `--out` gets `mutants.json` with every mutant tried, and the survivors are printed as changes of lines. `--resume` goes
-on with an unfinished sample. Some changes make no difference that a test could see (an equal bound of a real number,
-a seed, a tolerance that is met with room to spare); docs/testing.md argues those that are left.
+on with an unfinished sample. Some changes make no difference that a test could see: an equal bound of a real number, a
+seed, a tolerance that is met with room to spare.
 """
 
 import ast

@@ -1,6 +1,6 @@
 """Presets by one set of names, whichever experiment.
 
-  debug    everything once, in a minute: too small to mean anything
+  debug    everything once: too small to mean anything; mostly the time to compile, so quicker the second time
   short    the main result in a fraction of the time
   paper    what the README and the docs print; the default
   study    several pads and seeds, for intervals; the default where no single one means anything (pads)

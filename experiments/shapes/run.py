@@ -1,7 +1,7 @@
 """Question: which of five stamps pressed the skin, also at new positions, depths and rotations and on new skins?
 
     python -m experiments.shapes                     three skins, simulated, 1280 presses each: some 30 minutes
-    python -m experiments.shapes --preset debug      the same in seconds, too small to mean anything
+    python -m experiments.shapes --preset debug      a few presses, too few to mean anything
     python -m experiments.shapes --dataset DIR       recorded presses (python -m i2t.convert; docs/data.md)
 
 The skin is held still; a stamp comes down at any position and rotation until it bears 1 to 3 N. Every split is

@@ -2,7 +2,7 @@
 
     python -m experiments.tsne                       the paper's 1630 touches, simulated
     python -m experiments.tsne --dataset DIR         recorded or converted touches
-    python -m experiments.tsne --preset debug        the same in seconds, too small to mean anything
+    python -m experiments.tsne --preset debug        a few touches, too few to mean anything
 
 The paper's figure: t-SNE of the processed depth patches (contact masks) and their five-means, with the mean patch and
 the mean tactile picture of each cluster and an example from it. Next to it the numbers that a picture cannot give: how
