@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from i2t.cli import exit_code_of
+from i2t.files import replacing
 
 CONFIG, METRICS = "config.json", "metrics.json"
 MAX_PICTURES_NAMED = 6
@@ -155,9 +156,8 @@ def write_json(path: Path, values: dict[str, Any]) -> None:
             return [clean(value) for value in node]
         return None if isinstance(node, float) and not math.isfinite(node) else node
 
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(clean(values), indent=1, default=str) + "\n")
-    part.replace(path)
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(clean(values), indent=1, default=str) + "\n")
 
 
 def pictures_in(out: Path) -> str:
@@ -179,13 +179,12 @@ def save_part(path: Path, part: Part) -> None:
         part: What to write.
 
     Raises:
-        OSError: It cannot be written.
+        DataError: It cannot be written.
     """
     import numpy as np
 
-    partial = path.with_suffix(".part.npz")
-    np.savez_compressed(partial, allow_pickle=False, **_flat(part))
-    partial.replace(path)
+    with replacing(path) as temporary:
+        np.savez_compressed(temporary, allow_pickle=False, **_flat(part))
 
 
 def load_part(path: Path) -> Part:

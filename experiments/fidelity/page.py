@@ -10,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from experiments.fidelity.sections import Section
+from i2t.files import replacing
 
 HEAD = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{title}</title>
@@ -35,9 +36,8 @@ def write_page(path: Path, title: str, recordings: Mapping[str, Sequence[Section
         parts.append(f'<h2 id="r{i}">{html.escape(name)}</h2>')
         parts += [_section(section) for section in sections]
     parts.append("</body></html>\n")
-    partial = path.with_suffix(".part")
-    partial.write_text("\n".join(parts), encoding="utf-8")
-    partial.replace(path)
+    with replacing(path) as temporary:
+        temporary.write_text("\n".join(parts), encoding="utf-8")
 
 
 def embedded(figure: Figure) -> str:
