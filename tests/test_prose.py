@@ -1,0 +1,137 @@
+"""Numbers that sentences of the documents repeat are those of the tables, whose measurements are in docs/results."""
+
+import json
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import i2t
+
+ROOT = Path(__file__).parents[1]
+MASK, DEPTH = "Imagine2touch (paper's network, mask), votes", "Imagine2touch (paper's network, depth), votes"
+PROCESS, CONSTANT = "same rules, Gaussian process, votes", "same rules, constant reading, votes"
+ARM = "proprioception, votes"
+NUMBER_WORDS = {11: "Eleven", 12: "Twelve", 13: "Thirteen"}
+
+
+@cache
+def _measured(step: str) -> dict[str, Any]:
+    return json.loads((ROOT / "docs" / "results" / f"{step}.json").read_text())
+
+
+def _scores(step: str, objects: str, method: str) -> dict[str, Any]:
+    return _measured(step)["sets"][objects]["methods"][method]
+
+
+def _last(step: str, objects: str, method: str) -> dict[str, float]:
+    return {name: values[-1] for name, values in _scores(step, objects, method)["accuracy"].items()}
+
+
+def _short(value: float, decimals: int = 2) -> str:
+    """As the prose writes a rate: .53"""
+    return f"{value:.{decimals}f}".replace("0.", ".", 1)
+
+
+def _shown(step: str, objects: str, method: str, decimals: int = 2) -> str:
+    """Accuracy after the last touch."""
+    return _short(_last(step, objects, method)["mean"], decimals)
+
+
+def _spanned(found: Mapping[str, float]) -> str:
+    """A rate and its interval."""
+    return f"{_short(found['mean'])} [{_short(found['low'])}, {_short(found['high'])}]"
+
+
+def _half_width(objects: str, method: str) -> float:
+    """Of the interval of a difference to proprioception after the last touch, in points."""
+    found = _measured("paper")["sets"][objects]["paired"][f"{method} - {ARM}"]["last"]
+    return 50 * (found["high"] - found["low"])
+
+
+def _pads_for(points: float, objects: str, method: str) -> str:
+    """How many pads would narrow that interval to so many points either way."""
+    return f"{_measured('paper')['runs'] * (_half_width(objects, method) / points) ** 2:.0f}"
+
+
+def _ratio(condition: str, touches: int, score: str = "ratio") -> str:
+    """A score of reconstruction after some touches."""
+    return _short(_measured("reconstruct")["conditions"][condition]["after"][str(touches)][score][0])
+
+
+def _sentences() -> list[tuple[str, str]]:
+    """A page, and what it says somewhere."""
+    paper = {(objects, method): _shown("paper", objects, method) for objects in ("primitives", "tools")
+             for method in (MASK, DEPTH, PROCESS, CONSTANT, ARM)}  # fmt: skip
+    primitives, tools = ({method: paper[name, method] for method in (MASK, DEPTH, PROCESS, CONSTANT, ARM)}
+                         for name in ("primitives", "tools"))  # fmt: skip
+    readings, fused = _scores("recognize", "all", "readings"), _scores("recognize", "all", "fused")
+    present = _scores("recognize", "all", "readings and presence")
+    gain = 100 * (present["mean"]["mean"] - readings["mean"]["mean"])
+    at_ten = [_ratio(name, 10) for name in ("reduction", "contact pose only", "perfect tactile image")]
+    card = json.loads((ROOT / "i2t" / "models" / "nominal" / "metrics.json").read_text())["pad model"]
+    examples = len(list((ROOT / "examples").glob("*.py")))
+    return [
+        ("README.md", f"`import i2t` gives {len(i2t.__all__)} names"),
+        ("README.md", f"{NUMBER_WORDS[examples]} short programs are in `examples/`"),
+        ("README.md", f"these reach {primitives[MASK]} on primitives and {tools[MASK]} on tools from masks"),
+        ("README.md", f"with the Gaussian process reach {primitives[PROCESS]} and {tools[PROCESS]}"),
+        ("README.md", f"five objects right in {_spanned(_last('recognize', 'all', 'fused'))} after ten touches"),
+        ("README.md", f"from readings alone in {_spanned(_last('recognize', 'all', 'readings'))}"),
+        ("docs/recognition.md", f"it reaches {primitives[MASK]} from masks and {primitives[DEPTH]} from depths"),
+        ("docs/recognition.md", f"on tools it reaches {tools[MASK]} and {tools[DEPTH]} (the paper's .70) and stays "
+         f"below proprioception ({tools[ARM]}, the paper's .80)"),
+        ("docs/recognition.md", f"A constant reading gets {tools[CONSTANT]} on tools"),
+        ("docs/recognition.md", f"known to {_half_width('primitives', DEPTH):.0f} points (depth) and "
+         f"{_half_width('primitives', MASK):.0f} points (mask) on primitives, to {_half_width('tools', DEPTH):.0f} "
+         f"and {_half_width('tools', MASK):.0f} on tools"),
+        ("docs/recognition.md", f"3 points would take some {_pads_for(3, 'primitives', MASK)} pads on primitives from "
+         f"masks, and on tools about {_pads_for(3, 'tools', MASK)} (mask) and {_pads_for(3, 'tools', DEPTH)} (depth)"),
+        ("docs/recognition.md", f"reach {_shown('recognize', 'all', 'readings', 3)} after ten touches and "
+         f"{_short(readings['mean']['mean'], 3)} on the mean: meeting something or nothing is worth {gain:.0f} points"),
+        ("docs/recognition.md", f"known worst ({_short(fused['by_object']['cylinder']['last']['mean'])} fused)"),
+        ("docs/recognition.md", f"| fused | | .95, met | .88, missed by {_short(0.88 - fused['mean']['mean'])}; the"),
+        ("docs/recognition.md", f"| .85, missed by {_short(0.85 - present['accuracy']['mean'][2])} | .92, met |"),
+        ("docs/recognition.md", f"pad model](model_card.md) has {card['r2']:.2f}"),
+        ("docs/model_card.md", f"R² {card['r2']:.2f} of its {card['touches']} training touches"),
+        ("docs/reconstruction.md", f"{_ratio('uncertainty', 5)} and {_ratio('uncertainty', 20)} are reached by"),
+        ("docs/reconstruction.md", f"IoU after 20 touches is {_ratio('uncertainty', 20, 'iou')} (goal .75)"),
+        ("docs/reconstruction.md", f"ratios at 10 touches are {at_ten[0]}, {at_ten[1]} and {at_ten[2]}"),
+        ("docs/reconstruction.md", f"10 touches is {_ratio('one view first', 10, 'hidden_ratio')} of the view's"),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("page", "words"), _sentences())
+def test_a_sentence_repeats_what_was_measured(page, words):
+    assert words in " ".join((ROOT / page).read_text().split())
+
+
+def test_goals_are_met_or_missed_as_the_table_says():
+    fused, present = (_scores("recognize", "all", name) for name in ("fused", "readings and presence"))
+    assert _last("recognize", "all", "fused")["mean"] >= 0.95
+    assert fused["mean"]["high"] < 0.88
+    assert _last("recognize", "all", "readings and presence")["mean"] >= 0.92
+    assert present["mean"]["mean"] >= 0.84
+
+
+def test_the_method_and_its_baseline_stand_as_the_text_says():
+    for name, above in (("primitives", True), ("tools", False)):
+        arm = _last("paper", name, ARM)["mean"]
+        assert all((_last("paper", name, method)["mean"] > arm) == above for method in (MASK, DEPTH))
+        others = [_last("paper", name, method)["mean"] for method in (MASK, DEPTH, CONSTANT, ARM)]
+        assert _last("paper", name, PROCESS)["mean"] > max(others)
+
+
+def test_stops_are_as_right_as_the_text_says():
+    for found in _scores("recognize", "all", "fused")["stopping"]:
+        assert found["stopped_error"]["mean"] <= found["requested_error"] + 0.015
+        assert found["stopped_predicted_error"] < found["stopped_error"]["mean"]
+
+
+def test_half_to_two_thirds_of_the_distance_are_left_after_20_touches():
+    conditions = _measured("reconstruct")["conditions"]
+    for policy in ("random", "even", "uncertainty", "reduction"):
+        assert 0.5 < conditions[policy]["after"]["20"]["ratio"][0] < 0.67
+    assert "After 20 touches half to two thirds of the distance" in (ROOT / "README.md").read_text()
