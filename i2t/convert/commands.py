@@ -23,6 +23,7 @@ import math
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -266,8 +267,7 @@ def to_npz(source: Source, target: Target, overwrite: bool = False, skip_bad: bo
     """
     _require_free_file(target, ".npz", overwrite)
     _require_source(source)
-    dataset = _load(source, skip_bad)
-    print(_exported(dataset, write_npz(target, dataset)))
+    _export(source, target, write_npz, skip_bad)
 
 
 def lerobot(source: Source, target: Target, overwrite: bool = False, skip_bad: bool = False) -> None:
@@ -285,12 +285,11 @@ def lerobot(source: Source, target: Target, overwrite: bool = False, skip_bad: b
         from i2t.convert.lerobot import read_lerobot
 
         _write_back(target, read_lerobot(source))
-        return
-    _require_free_export(target, "meta/i2t.json", overwrite)
-    from i2t.convert.lerobot import write_lerobot
+    else:
+        _require_free_export(target, "meta/i2t.json", overwrite)
+        from i2t.convert.lerobot import write_lerobot
 
-    dataset = _load(source, skip_bad)
-    print(_exported(dataset, write_lerobot(target, dataset, overwrite=overwrite)))
+        _export(source, target, partial(write_lerobot, overwrite=overwrite), skip_bad)
 
 
 def robomimic(source: Source, target: Target, overwrite: bool = False, skip_bad: bool = False) -> None:
@@ -308,12 +307,11 @@ def robomimic(source: Source, target: Target, overwrite: bool = False, skip_bad:
         from i2t.convert.robomimic import read_robomimic
 
         _write_back(target, read_robomimic(source))
-        return
-    _require_free_file(target, ".hdf5", overwrite)
-    from i2t.convert.robomimic import write_robomimic
+    else:
+        _require_free_file(target, ".hdf5", overwrite)
+        from i2t.convert.robomimic import write_robomimic
 
-    dataset = _load(source, skip_bad)
-    print(_exported(dataset, write_robomimic(target, dataset)))
+        _export(source, target, write_robomimic, skip_bad)
 
 
 def table(source: Source, target: Target, overwrite: bool = False, skip_bad: bool = False) -> None:
@@ -331,12 +329,11 @@ def table(source: Source, target: Target, overwrite: bool = False, skip_bad: boo
         from i2t.convert.touch_table import read_table
 
         _write_back(target, read_table(source))
-        return
-    _require_free_export(target, "set.json", overwrite)
-    from i2t.convert.touch_table import write_table
+    else:
+        _require_free_export(target, "set.json", overwrite)
+        from i2t.convert.touch_table import write_table
 
-    dataset = _load(source, skip_bad)
-    print(_exported(dataset, write_table(target, dataset, overwrite=overwrite)))
+        _export(source, target, partial(write_table, overwrite=overwrite), skip_bad)
 
 
 def write_npz(path: Path, dataset: "Dataset") -> Path:
@@ -482,15 +479,12 @@ def _require_free_export(target: Path, mark: str, overwrite: bool) -> None:
     require_free_folder(target, mark, overwrite=overwrite)
 
 
-def _load(source: Path, skip_bad: bool) -> "Dataset":
-    """A data set to be written in another format, which may know chips that did not answer."""
+def _export(source: Path, target: Path, write: Callable[[Path, "Dataset"], Path], skip_bad: bool) -> None:
+    """Write a data set in another format, which may know chips that did not answer."""
     from i2t.dataset import load_dataset
 
-    return load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad)
-
-
-def _exported(dataset: "Dataset", target: Path) -> str:
-    return f"wrote {len(dataset)} touches to {target}"
+    dataset = load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad)
+    print(f"wrote {len(dataset)} touches to {write(target, dataset)}")
 
 
 def _write_back(target: Path, dataset: "Dataset") -> None:
