@@ -237,5 +237,5 @@ MISTAKES: tuple[RigMistake, ...] = (
     _limits("box with a sign lost", lower=(0.26, 0.30, -0.012), upper=(0.60, 0.64, 0.42)),
     _limits("speed in mm/s", speed=250.0),
     _limits("force ten times as much", force=300.0),
-    _limits("longest approach in millimetres", travel=100.0),
+    _limits("longest approach in millimetres", approach_distance=100.0),
 )

@@ -233,7 +233,7 @@ def _touch(procedure: Procedure, site: Site) -> str:
     path, settings, limits = procedure.path, procedure.settings, procedure.rig.limits
     prepare = path.poses(site)[1]
     up = max(-float(prepare[2, 2]), 0.1)  # cosine of the tool's tilt
-    room = min((path.transfer_height() - prepare[2, 3]) / up, limits.travel)
+    room = min((path.transfer_height() - prepare[2, 3]) / up, limits.approach_distance)
     above = next(
         pose for part in (1.0, 0.5, 0.0) if limits.contains((pose := shifted_along_z(prepare, -part * room))[:3, 3])
     )

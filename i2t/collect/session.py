@@ -54,7 +54,7 @@ from i2t.hardware.protocols import Skin, View, channel_names
 from i2t.hardware.realsense import RealSenseConfig
 from i2t.hardware.reskin.config import ReplayConfig, ReSkinConfig
 from i2t.hardware.reskin.monitor import bar
-from i2t.hardware.rig import Rig
+from i2t.hardware.rig import RENAMED_RIG_KEYS, Rig
 from i2t.hardware.rig_checks import require_plausible
 from i2t.hardware.skin_health import check_skin, require_healthy, rest_samples
 from i2t.hardware.ur.config import UrConfig
@@ -334,8 +334,13 @@ def _mesh_hash(mesh: Mesh) -> str:
 
 
 def _rig_hash(rig: Rig) -> str:
-    """Ten hexadecimal digits that another rig, or the object elsewhere, has not."""
-    return hashlib.sha256(rig.text().encode()).hexdigest()[:10]
+    """Ten hexadecimal digits that another rig, or the object elsewhere, has not. Keys have their earlier names, so that
+    a collection that an earlier version began goes on.
+    """
+    text = rig.text()
+    for earlier, name in RENAMED_RIG_KEYS["limits"].items():
+        text = text.replace(f"\n{name} = ", f"\n{earlier} = ")
+    return hashlib.sha256(text.encode()).hexdigest()[:10]
 
 
 def _by_name(values: Mapping[str, Any]) -> dict[str, Any]:

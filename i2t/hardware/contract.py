@@ -183,8 +183,8 @@ class ArmContract(_Contract):
         """Too far, and too hard."""
         limits = self.limits
         with make() as arm:
-            with pytest.raises(ValueError, match="travel"):
-                arm.approach(2 * limits.travel, 0.02)
+            with pytest.raises(ValueError, match="approach distance"):
+                arm.approach(2 * limits.approach_distance, 0.02)
             with pytest.raises(ValueError, match="force"):
                 arm.approach(0.02, 0.02, force=limits.force + 10)
             np.testing.assert_allclose(arm.state(TEST_STATE_TIMEOUT_S).T_b_t, self.home, atol=1e-6)

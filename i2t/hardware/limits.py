@@ -18,7 +18,7 @@ LIMIT_RANGES = {  # the least and the greatest that make sense of an arm that ca
     "acceleration": (1e-3, 5.0, "m/s^2"),
     "force": (1.0, 150.0, "N"),
     "torque": (0.05, 50.0, "Nm"),
-    "travel": (1e-3, 0.5, "m"),
+    "approach_distance": (1e-3, 0.5, "m"),
     "stiffness": (500.0, 1e6, "N/m"),
 }
 MAX_REACH_M = 3.0  # no arm that this is for reaches further
@@ -36,7 +36,7 @@ class MotionLimits:
     acceleration: float = 0.5  # m/s^2
     force: float = 30.0  # N, on any motion; an approach has its own, lower one
     torque: float = 10.0  # Nm
-    travel: float = 0.1  # m, the longest approach
+    approach_distance: float = 0.1  # m, of the longest approach
     stiffness: float = 10e3  # N/m, of skin, arm and mount in series: what a collision is reckoned with
 
     def __post_init__(self) -> None:
@@ -137,9 +137,10 @@ class MotionLimits:
         Raises:
             ValueError: One sentence that names what is beyond which limit.
         """
-        if not 0 < distance <= self.travel:
+        if not 0 < distance <= self.approach_distance:
             raise ValueError(
-                f"An approach of {distance} m is outside (0, {self.travel}], the arm's limit for its travel."
+                f"An approach of {distance} m is outside (0, {self.approach_distance}], the rig's limit for the "
+                "approach distance."
             )
         for name, asked in (("force", force), ("torque", torque)):
             if not 0 < asked <= getattr(self, name):

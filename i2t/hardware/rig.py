@@ -48,6 +48,8 @@ COMMENTS = {
     "stiffness of skin, arm and mount in series (N/m), with which collisions are reckoned",
 }
 
+RENAMED_RIG_KEYS = {"limits": {"travel": "approach_distance"}}  # earlier name to name: files of both are read
+
 
 def _pose(x: float, y: float, z: float) -> Array:
     pose = np.eye(4)
@@ -191,6 +193,7 @@ def _key(name: str) -> str:
 def _parsed(tables: dict[str, Any]) -> Rig:
     known = _tables()
     _known("table", tables, list(known))
+    tables = {table: _with_present_names(table, values) for table, values in tables.items()}
     for table, keys in known.items():
         if not isinstance(tables.get(table), dict):
             raise ValueError(f"[{table}] is missing; add that table, with {COMMENTS[table]}")
@@ -227,6 +230,16 @@ def _value(key: str, value: Any) -> Any:
     shape = square or ((3,) if name in ("centre", "lower", "upper") else ())
     array = _numbers(key, value, shape)
     return array if square else tuple(array.tolist()) if shape else float(array)
+
+
+def _with_present_names(table: str, values: Any) -> Any:
+    """A table of a file, which may be of an earlier version, with the keys' names of this one."""
+    for earlier, name in RENAMED_RIG_KEYS.get(table, {}).items():
+        if isinstance(values, dict) and earlier in values:
+            if name in values:
+                raise ValueError(f"[{table}] has {name} and {earlier}, its earlier name; keep {name}")
+            values = {name if key == earlier else key: value for key, value in values.items()}
+    return values
 
 
 def _known(what: str, given: dict[str, Any], known: list[str]) -> None:
@@ -357,8 +370,8 @@ def summary(rig: Rig) -> str:
             + ("" if in_box else "; OUTSIDE the box: nothing on it may be reachable"),
             f"box       {format_position(limits.lower)} to {format_position(limits.upper)} m in the base",
             f"limits    {limits.speed:g} m/s, {limits.acceleration:g} m/s^2, {limits.force:g} N, {limits.torque:g} Nm, "
-            f"approaches of {1e3 * limits.travel:g} mm; free motion at {1e3 * limits.free_speed:.0f} mm/s at the most, "
-            f"which a collision at {limits.stiffness / 1e3:g} N/mm allows",
+            f"approaches of {1e3 * limits.approach_distance:g} mm; free motion at {1e3 * limits.free_speed:.0f} mm/s "
+            f"at the most, which a collision at {limits.stiffness / 1e3:g} N/mm allows",
         ]
     )
 

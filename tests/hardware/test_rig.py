@@ -45,7 +45,7 @@ def test_what_is_written_is_read(tmp_path_factory, turn, at, centre, mass, dista
         pose(3 * np.array(turn), at),
         pose(turn, centre),
         "registration",
-        MotionLimits((0.1, -0.2, 0.0), (0.5, 0.2, 0.4), speed=0.1, travel=0.05),
+        MotionLimits((0.1, -0.2, 0.0), (0.5, 0.2, 0.4), speed=0.1, approach_distance=0.05),
     )
     written.write(path)
     read = Rig.read(path)
@@ -75,11 +75,24 @@ def test_what_may_be_left_out_is(tmp_path):
         line
         for line in Rig().text().splitlines()
         if not line.startswith(
-            ("speed", "acceleration", "force", "torque", "travel", "stiffness", "model", "coeff", "object_from")
+            ("speed", "acceleration", "force", "torque", "approach", "stiffness", "model", "coeff", "object_from")
         )
     ]
     path.write_text("\n".join(kept))
     same(Rig.read(path), Rig())
+
+
+def test_a_file_of_an_earlier_version_is_read_and_two_names_of_one_key_are_refused(tmp_path):
+    path = tmp_path / "lab.toml"
+    text = dataclasses.replace(Rig(), limits=dataclasses.replace(Rig().limits, approach_distance=0.07)).text()
+    path.write_text(text.replace("approach_distance = ", "travel = "))
+    assert Rig.read(path).limits.approach_distance == 0.07
+    path.write_text(text.replace("approach_distance = 0.07", "travel = 70"))
+    with pytest.raises(ValueError, match=r"limits.approach_distance is 70; give m"):
+        Rig.read(path)
+    path.write_text(f"{text}travel = 0.07\n")
+    with pytest.raises(ValueError, match=r"has approach_distance and travel, its earlier name; keep approach_distance"):
+        Rig.read(path)
 
 
 IDENTITY = "[1.0, 0.0, 0.0, 0.0],\n  [0.0, 1.0, 0.0, 0.0],\n  [0.0, 0.0, 1.0, "

@@ -35,7 +35,7 @@ from i2t.hardware.ur.driver import UrArm
 from i2t.hardware.ur.poses import from_ur, to_ur
 from i2t.hardware.ur.rtde_worker import BRAKE_MPS2
 
-LIMITS = MotionLimits((0.2, -0.3, 0.1), (0.6, 0.3, 0.5), travel=0.3)
+LIMITS = MotionLimits((0.2, -0.3, 0.1), (0.6, 0.3, 0.5), approach_distance=0.3)
 STATE_TIMEOUT, WATCHDOG_RATE = 0.5, 4.0  # s, Hz: a machine that is busy with other tests is not a fault
 numbers = itertools.count()
 
