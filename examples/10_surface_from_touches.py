@@ -19,7 +19,7 @@ def main(touches: int = 12, known: int = 20, across: int = 32) -> i2t.Mesh:
     library = [random_object(seed).mesh for seed in range(1, 1 + known)]
     model = surface_model(library, config=SurfaceConfig(across=across))
     hidden = i2t.prepare_surface(random_object(0).mesh)  # your robot touches the real one
-    press = jax.jit(lambda start: press_along(hidden, start, start[:3, 2], travel=0.11))
+    press = jax.jit(lambda start: press_along(hidden, start, start[:3, 2], max_distance=0.11))
     config = ExplorationConfig(limits=AROUND_LIMITS)  # held in a gripper: reached from all sides
 
     state, _ = init(model)

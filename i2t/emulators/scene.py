@@ -242,7 +242,7 @@ class ObjectScene:
 @full_precision
 def _meet(surface: Surface, T_o_t: Array, pad: Pad, loads: Array) -> tuple[Array, Array, Array, Array]:
     """How far it is to first contact (m), and how deep each load sinks (m), with its centre (m) and reading (uT)."""
-    pose, hit = press_along(surface, T_o_t, T_o_t[:3, 2], travel=LINE_LENGTH_M)
+    pose, hit = press_along(surface, T_o_t, T_o_t[:3, 2], max_distance=LINE_LENGTH_M)
     met = render_patch(surface, pose, window=PAD_WINDOW, pixels=GRID.cells)
     hit = hit & jnp.isfinite(met.nearest)
     # The grid of the pad meets a point between its cells a little late.

@@ -88,7 +88,7 @@ def meet(
     """
     arm = random_motion(key, errors.repeatability, errors.approach_angle)
     start = inverse(T_w_o) @ T_w_site @ arm @ jnp.eye(4).at[2, 3].set(-limits.approach_distance)
-    T_o_t, hit = press_along(surface, start, start[:3, 2], travel=limits.approach_distance + limits.overtravel)
+    T_o_t, hit = press_along(surface, start, start[:3, 2], max_distance=limits.approach_distance + limits.overtravel)
     heights = render_heights(surface, inverse(T_o_t), PAD_WINDOW, TOUCH_GRID.cells)
     nearest = jnp.min(heights)
     contact = hit & jnp.isfinite(nearest)

@@ -182,7 +182,7 @@ def _approach_distance(
     start_distance, overtravel = limits
     T_o_w = inverse(T_w_o @ from_twist(twist))
     start = T_o_w @ T_w_site @ jnp.eye(4).at[2, 3].set(-start_distance)
-    T_o_t, hit = sites.press_along(surface, start, start[:3, 2], travel=start_distance + overtravel)
+    T_o_t, hit = sites.press_along(surface, start, start[:3, 2], max_distance=start_distance + overtravel)
     return jnp.dot(T_o_t[:3, 3] - start[:3, 3], start[:3, 2]) - start_distance, (T_o_t, hit)
 
 

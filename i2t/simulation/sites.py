@@ -155,7 +155,7 @@ def press_along(
     start: Float[Array, "4 4"],
     direction: Float[Array, "3"],
     half: float | Float[Array, ""] = PAD_WINDOW / 2,
-    travel: float | Float[Array, ""] = 2 * STANDOFF,
+    max_distance: float | Float[Array, ""] = 2 * STANDOFF,
 ) -> tuple[Float[Array, "4 4"], Bool[Array, ""]]:
     """Move the skin's flat square face along a line to first contact.
 
@@ -164,11 +164,11 @@ def press_along(
         start: T_w_t, clear of the surface; what is behind it is not met.
         direction: Unit vector in the world.
         half: m, half the edge of the face.
-        travel: m, after which nothing was met.
+        max_distance: m, after which nothing was met.
 
     Returns:
-        T_w_t at contact, and whether there was one. Where nothing is met within `travel`, or the face does not move
-        forwards (along its own z), that is false and the pose is that at the travel's end.
+        T_w_t at contact, and whether there was one. Where nothing is met within `max_distance`, or the face does not
+        move forwards (along its own z), that is false and the pose is that at the motion's end.
     """
     # The face meets a point q of the surface after s metres if q - s d lies in the square at z = 0 (tool frame), so
     # s = z / d_z: the shear (x - s d_x, y - s d_y, s) turns any forward direction into the z axis.
@@ -177,8 +177,8 @@ def press_along(
     ahead = jnp.where(forward, d[2], 1.0)
     shear = jnp.eye(4).at[:3, 2].set(jnp.stack([-d[0] / ahead, -d[1] / ahead, 1 / ahead]))
     distance = nearest_in_square(surface, shear @ inverse(start), half, behind=0.0)
-    hit = forward & (distance <= travel)
-    return start.at[:3, 3].add(jnp.where(hit, distance, travel) * direction), hit
+    hit = forward & (distance <= max_distance)
+    return start.at[:3, 3].add(jnp.where(hit, distance, max_distance) * direction), hit
 
 
 def is_upward(T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array, ""]:

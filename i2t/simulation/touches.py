@@ -208,7 +208,7 @@ class _Approach(NamedTuple):
 
     T_w_arm: Float[Array, "4 4"]  # where the arm really goes when it is sent to the site, and from where it looks
     start: Float[Array, "4 4"]  # pose T_o_t in which the press begins, seen from where the object really is
-    T_o_t: Float[Array, "4 4"]  # pose at first contact, or at the end of the travel
+    T_o_t: Float[Array, "4 4"]  # pose at first contact, or at the end of the approach
     met: Patch  # what the skin meets there, over the pad's cells
     hit: Bool[Array, ""]
 
@@ -217,7 +217,7 @@ class _Press(NamedTuple):
     """The end of a press, zero where nothing was hit."""
 
     sinking: Float[Array, ""]  # m, of the tool into the skin past `_Approach.T_o_t`
-    travel: Float[Array, ""]  # m, of the arm past it: the sinking and what arm and mount yield
+    travel: Float[Array, ""]  # m, past first contact: the indentation and what arm and mount yield
     indentation: Float[Array, ""]  # m
     force: Float[Array, ""]  # N
     reading: Float[Array, " c"]  # uT, of an ideal sensor
@@ -304,7 +304,7 @@ def _approach(
     T_w_press = T_w_arm @ geometry.random_motion(key_tilt, 0.0, errors.approach_angle)
     start = T_o_w @ T_w_press @ _along_z(jnp.asarray(-limits.approach_distance))
     T_o_t, hit = touch_sites.press_along(
-        surface, start, start[:3, 2], travel=limits.approach_distance + limits.overtravel
+        surface, start, start[:3, 2], max_distance=limits.approach_distance + limits.overtravel
     )
     met = render_patch(surface, T_o_t, window=PAD_WINDOW, pixels=GRID.cells)
     return _Approach(T_w_arm, start, T_o_t, met, hit & jnp.isfinite(met.nearest))
@@ -336,7 +336,7 @@ def _press(
         stop = stop._replace(force=press.force, reading=press.reading)
     slide = errors.slant * stop.indentation * slant
     friction = friction_response(pad, met.depth, stop.indentation, slide)
-    # The grid of the pad meets a point between its cells a little late; that travel is counted, so that nearest and
+    # The grid of the pad meets a point between its cells a little late; that distance is counted, so that nearest and
     # depth agree.
     sinking = jnp.where(hit, met.nearest + stop.indentation, 0.0)
     return _Press(

@@ -215,8 +215,8 @@ def test_press_on_a_sphere_straight_and_slanted():
         direction = R @ tilt / np.linalg.norm(tilt)
         touched = CENTRE - RADIUS * R[:, 2]  # the point of the sphere that faces the skin
         aside = R[:, :2] @ rng.uniform(-9e-3, 9e-3, 2)  # and where it will lie on the skin, seen from the centre
-        travel = rng.uniform(10e-3, 50e-3)
-        T, hit = press(surface, pose(R, touched - aside - travel * direction), jnp.asarray(direction, jnp.float32))
+        moved = rng.uniform(10e-3, 50e-3)
+        T, hit = press(surface, pose(R, touched - aside - moved * direction), jnp.asarray(direction, jnp.float32))
         assert hit
         moved = (np.asarray(T[:3, 3]) - (touched - aside)) @ direction
         # A corner of the mesh is on the sphere, its faces up to the sagitta below: that much later along the normal.
@@ -276,8 +276,8 @@ def test_air():
     assert not hit
     np.testing.assert_allclose(T, aside.at[2, 3].set(-10e-3), atol=1e-8)
     above = pose(DOWN, [0, 0, 60e-3])
-    for travel, expected in ((30e-3 - 2 * DELTA, False), (30e-3 + 2 * DELTA, True)):
-        T, hit = press(surface, above, down, HALF, travel)
+    for max_distance, expected in ((30e-3 - 2 * DELTA, False), (30e-3 + 2 * DELTA, True)):
+        T, hit = press(surface, above, down, HALF, max_distance)
         assert bool(hit) is expected
         assert float(T[2, 3]) == pytest.approx(30e-3, abs=3 * DELTA)
     for direction in ([1.0, 0.0, 0.0], [0.0, 0.0, 1.0]):  # sideways and backwards: the face does not lead
@@ -304,7 +304,7 @@ def test_contact_agrees_with_clipping_and_does_not_depend_on_the_world_frame(see
     distance = float((np.asarray(T[:3, 3], np.float64) - start) @ direction)
 
     # Shear the world in float64 so that the tool's z axis becomes the direction, and cut exactly. Places move by DELTA
-    # in the pose and in the travel, and travel exceeds height by at most 1 / cos < 1.15 (tilt up to 0.57).
+    # in the pose and in the distance, and distance exceeds height by at most 1 / cos < 1.15 (tilt up to 0.57).
     A = np.eye(4)
     A[:3, :3] = np.linalg.inv(np.stack([R[:, 0], R[:, 1], direction], -1))
     A[:3, 3] = -A[:3, :3] @ start
@@ -317,13 +317,13 @@ def test_contact_agrees_with_clipping_and_does_not_depend_on_the_world_frame(see
     there = jnp.asarray(g @ np.asarray(pose(R, start), np.float64), jnp.float32)
     turned = jnp.asarray(g[:3, :3] @ direction, jnp.float32)
 
-    def travelled(half):
+    def moved(half):
         found, _ = press(surface, pose(R, start), jnp.asarray(direction, jnp.float32), half, 0.1)
         return float((np.asarray(found[:3, 3]) - start) @ direction)
 
     U, _ = press(other, there, turned, HALF, 0.1)
     distance = float((np.asarray(U[:3, 3]) - np.asarray(there[:3, 3])) @ np.asarray(turned))
-    assert bracketed(distance, travelled, HALF, 4 * DELTA)  # two evaluations
+    assert bracketed(distance, moved, HALF, 4 * DELTA)  # two evaluations
 
 
 # --- safety -----------------------------------------------------------------------------------------------------------
