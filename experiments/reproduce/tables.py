@@ -1,19 +1,23 @@
 """Tables of the documents, written from what the steps measured.
 
 A table stands between `<!-- table: STEP NAME -->` and `<!-- end of table -->`; STEP is a step's name, which has a file
-in docs/results, and NAME one of its tables below.
+in docs/results, and NAME one of its tables below. What stands below `<!-- table to come: STEP NAME -->` is kept until
+there is such a file; then the mark becomes that of a table.
 """
 
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 Measured = dict[str, Any]
 Table = Callable[[Measured], str]
 MARK = re.compile(r"(<!-- table: (\w+) ([^>]+?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
+TO_COME = re.compile(r"<!-- table to come: (\w+) ([^>]+?) -->\n")
 KEPT_SCORES = ("accuracy", "mean", "last_other_objects", "by_object", "calibration_error", "log_loss", "stopping")
+KEPT_OF_STUDIES = ("source", "pads", "runs", "episodes", "touches", "tables")
 UNSHOWN = ", average"  # a rule between the other two
 DECIMALS = 4  # of the numbers in docs/results
 
@@ -39,10 +43,17 @@ def write_tables(docs: Path) -> list[str]:
             written.append(f"{page.name}: {step} {name}")
             return found[1] + table(docs, step, name, page.name) + "\n" + found[4]
 
-        after = MARK.sub(fill, before)
+        after = MARK.sub(fill, TO_COME.sub(partial(_measured_now, docs), before))
         if after != before:
             page.write_text(after)
     return written
+
+
+def _measured_now(docs: Path, found: re.Match[str]) -> str:
+    """The mark of a table that is to come, or of one if it was measured since."""
+    if not (docs / "results" / f"{found[1]}.json").exists():
+        return found[0]
+    return f"<!-- table: {found[1]} {found[2]} -->\n"
 
 
 def table(docs: Path, step: str, name: str, page: str = "") -> str:
@@ -72,6 +83,8 @@ def shortened(step: str, measured: Measured) -> Measured:
         step: Whose.
         measured: Its metrics.json.
     """
+    if step in STUDY_TABLES:
+        measured = {name: x for name, x in measured.items() if name in KEPT_OF_STUDIES}
     if "sets" in measured:
         for entry in measured["sets"].values():
             entry["methods"] = {name: x for name, x in entry["methods"].items() if not name.endswith(UNSHOWN)}
@@ -226,41 +239,28 @@ def means_of_sets(measured: Measured) -> str:
 # --- studies of recognition ---
 
 
-def placements(measured: Measured) -> str:
-    """Accuracy, calibration and errors of those that stopped, by what the belief is told of the placement's error."""
-    rows = []
-    for method, entry in measured["methods"].items():
-        for condition, scores in entry["conditions"].items():
-            wrong = [percent(stop["stopped_error"]) for stop in scores["stopping"]]
-            last = estimate(at(scores["accuracy"], -1))
-            rows.append([method, condition, last, estimate(scores["mean"]), number(scores["ece"]), *wrong])
-    stops = next(iter(next(iter(measured["methods"].values()))["conditions"].values()))["stopping"]
-    asked = [f"wrong of those that stopped, {100 * stop['requested_error']:.0f} % asked" for stop in stops]
-    return markdown(["scale", "placement", "after 10 [95 %]", "mean of 1 to 10 [95 %]", "ECE", *asked], rows)
+def study_table(name: str) -> Table:
+    """One of the tables that a study's metrics hold in a form of their own (`experiments.studies.lab.make_table`)."""
+
+    def render(measured: Measured) -> str:
+        found = measured["tables"][name]
+        rows = [[_cell(x, column) for x, column in zip(row, found["columns"], strict=True)] for row in found["rows"]]
+        return markdown([column["name"].strip() for column in found["columns"]], rows)
+
+    return render
 
 
-def worlds(measured: Measured) -> str:
-    """Accuracy in worlds of which the belief knows nothing, and what is lost by it."""
-    rows = []
-    for world, kinds in measured["worlds"].items():
-        for kind, scores in kinds.items():
-            lost = [estimate(scores[name], sign=True) for name in ("difference_last", "difference_mean")]
-            rows.append([world, kind, estimate(scores["last"]), lost[0], estimate(scores["mean"]), lost[1]])
-    return markdown(
-        ["world", "evidence", "after 10 [95 %]", "minus matched world", "mean of 1 to 10 [95 %]", "minus matched"], rows
-    )
-
-
-def policies(measured: Measured) -> str:
-    """Accuracy of each way to choose the next touch, and how many it needs."""
-    rows = [
-        [
-            policy, estimate(scores["mean"]), estimate(scores["touches_to_95"]["mean"], 2),
-            percent(scores["touches_to_95"]["never"], 0),
-        ]
-        for policy, scores in measured["policies"].items()
-    ]  # fmt: skip
-    return markdown(["policy", "mean accuracy over touches", "touches until 95 % sure, at most 10", "never sure"], rows)
+def _cell(value: Any, column: Mapping[str, Any]) -> str:
+    """A word as it is; a number or an interval as its column says; a dash where there is none."""
+    if isinstance(value, str):
+        return value
+    if not isinstance(value, dict):
+        return number(value, column["decimals"])
+    if value["mean"] is None:
+        return "-"
+    if column["percent"]:
+        return percent(value, column["decimals"])
+    return estimate(value, column["decimals"], column["signed"])
 
 
 # --- prediction ---
@@ -360,6 +360,20 @@ def _span(found: Sequence[float], decimals: int) -> str:
     return f"{mean:.{decimals}f} ({low:.{decimals}f}-{high:.{decimals}f})"
 
 
+STUDY_TABLES = {
+    "placement": ("conditions",),
+    "mismatch": ("methods",),
+    "open_set": ("auroc", "accuracy"),
+    "sensitivity": ("methods",),
+    "new_pad": ("methods",),
+    "registered": ("methods", "view"),
+    "planar": ("curves",),
+    "sites": ("bits",),
+    "pose_error": ("worlds",),
+    "policy": ("policies", "saved"),
+    "object_count": ("curves",),
+    "constants": ("likelihood", "particles", "scale", "planar"),
+}
 TABLES: dict[str, dict[str, Table]] = {
     "train": {"predictors": predictors_of_one_pad},
     "study": {"predictors": predictors, "by object": predictors_by_object},
@@ -381,10 +395,5 @@ TABLES: dict[str, dict[str, Table]] = {
         "all differences": differences_of_set("all"),
         "stopping": stopping_of_set("all", "fused"),
     },
-    "placement": {"conditions": placements},
-    "mismatch": {"worlds": worlds},
-    "policy": {"policies": policies},
-    "reconstruct": {"conditions": reconstructions(_RATIO, start=True)},
-    "reconstruct_meshes": {"conditions": reconstructions(_DISTANCE, start=False)},
-    "reconstruct_patch": {"methods": local_shapes, "catalogue": local_shapes_of_catalogue},
+    **{step: {name: study_table(name) for name in names} for step, names in STUDY_TABLES.items()},
 }

@@ -23,7 +23,7 @@ import numpy as np
 from experiments.common.runs import Part
 from experiments.recognize.trained_run import meshes_by_name
 from experiments.studies import planar
-from experiments.studies.lab import EpisodePlan, StudyLab, clusters_of, format_estimate, pool_parts
+from experiments.studies.lab import Column, EpisodePlan, StudyLab, clusters_of, format_estimate, make_table, pool_parts
 from experiments.studies.placement import STATED_FACTORS, Condition, believe, placed
 from i2t.recognition import belief, calibrated, metrics, outcomes
 from i2t.recognition.belief import Likelihood, Particles, ScalePrior
@@ -154,7 +154,17 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, A
         played = [{"truth": part["planar truth"]} for part in parts] if kind == "planar" else parts
         truth = np.concatenate([part["truth"] for part in played])
         result["constants"][kind] = report_kind(kind, beliefs, truth, clusters_of(played, pads))
+    result["tables"] = {kind: table_of_values(entries) for kind, entries in result["constants"].items()}
     return result
+
+
+def table_of_values(entries: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Log loss of each value, and how much lower it is than that of the value in use."""
+    rows = [
+        [value, scores["log_loss"], scores.get("lower_by", "-"), {k: v[-1] for k, v in scores["accuracy"].items()}]
+        for value, scores in entries.items()
+    ]
+    return make_table(["value", "log loss", Column("lower by [95 %]", signed=True), "accuracy after the last"], rows)
 
 
 def report_kind(

@@ -185,6 +185,37 @@ def format_estimate(estimate: Estimate) -> str:
     return f"{float(estimate.mean):.3f} [{float(estimate.low):.3f}, {float(estimate.high):.3f}]"
 
 
+class Column(NamedTuple):
+    """A column of a study's table in the documents: how its numbers are written."""
+
+    name: str
+    decimals: int = 3
+    signed: bool = False
+    percent: bool = False
+
+
+Cell = str | float | Estimate | dict[str, Any]  # an interval may be the dict of its JSON
+
+
+def make_table(columns: Sequence[Column | str], rows: Sequence[Sequence[Cell]]) -> dict[str, Any]:
+    """A table as `metrics.json` holds it and `experiments.reproduce` writes it: the same form for all studies.
+
+    Args:
+        columns: How each is written; a name alone for words and numbers as they come.
+        rows: Words, numbers, and means with their intervals.
+    """
+    described = [column if isinstance(column, Column) else Column(column) for column in columns]
+    return {
+        "columns": [column._asdict() for column in described],
+        "rows": [[cell if isinstance(cell, str) else to_json(cell) for cell in row] for row in rows],
+    }
+
+
+def touches_shown(touches: int, shown: Sequence[int]) -> list[int]:
+    """Numbers of touches that a table shows, of those that there are."""
+    return sorted({min(t, touches) for t in shown})
+
+
 def report_error(name: str, unit: str, values: np.ndarray, where: str) -> dict[str, Any]:
     """Print and return quantiles of an error."""
     percentiles = np.percentile(values, [25, 50, 75, 90])
@@ -193,24 +224,42 @@ def report_error(name: str, unit: str, values: np.ndarray, where: str) -> dict[s
 
 
 def report_methods(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, Any]:
-    """Accuracy of every method on the same episodes; methods are called "evidence, setting"."""
+    """Accuracy of every method on the same episodes, and its paired difference to the first setting; methods are
+    called "evidence, setting".
+    """
     columns, clusters = pool_parts(parts), clusters_of(parts, pads)
     truth = columns.pop("truth")
     columns.pop("pool", None)
     result: dict[str, Any] = {"episodes": len(truth), "methods": {}}
     settings: dict[str, dict[str, Estimate]] = {}
+    first: dict[str, np.ndarray] = {}  # whether right, by evidence, in the first setting
+    rows: list[list[Cell]] = []
     for name, beliefs in columns.items():
         p = beliefs.astype(np.float64)
+        evidence, _, setting = name.partition(", ")
         accuracy = metrics.accuracy(p, truth, clusters=clusters)
         mean = metrics.mean_accuracy(p, truth, clusters=clusters)
+        hits = metrics.hits(p, truth)
+        lost = metrics.compare_paired(hits, first.setdefault(evidence, hits), clusters=clusters)
+        log_loss = metrics.log_loss(p, truth).mean(0)
         result["methods"][name] = {
-            "accuracy": to_json(accuracy), "mean": to_json(mean),
-            "log_loss": metrics.log_loss(p, truth).mean(0).tolist(),
+            "accuracy": to_json(accuracy), "mean": to_json(mean), "difference_last": to_json(lost.last),
+            "difference_mean": to_json(lost.mean), "log_loss": log_loss.tolist(),
         }  # fmt: skip
         last = estimate_at(accuracy, -1)
-        evidence, _, setting = name.partition(", ")
         settings.setdefault(setting or "all settings", {})[evidence] = last
-        print(f"{name:34} after {p.shape[1]}: {format_estimate(last)}   mean: {format_estimate(mean)}")
+        rows.append([setting or "-", evidence, last, lost.last, mean, lost.mean, float(log_loss.mean())])
+        print(
+            f"{name:50} after {p.shape[1]}: {format_estimate(last)} ({format_estimate(lost.last)})   "
+            f"mean: {format_estimate(mean)} ({format_estimate(lost.mean)})"
+        )
+    reference = next(iter(settings))
+    head = [
+        "setting", "evidence", Column(f"after {p.shape[1]} [95 %]"), Column(f"minus {reference}", signed=True),
+        Column(f"mean of 1 to {p.shape[1]} [95 %]"), Column(f"minus {reference} ", signed=True),
+        Column("log loss", decimals=2),
+    ]  # fmt: skip
+    result["tables"] = {"methods": make_table(head, rows)}
     figure = figures.sensitivity(settings, f"After {p.shape[1]} touches", "accuracy", True)
     viz.save_figure(figure, out / "accuracy.png")
     return result

@@ -5,10 +5,9 @@ The test episodes are simulated in other worlds, with common random numbers, one
 difference to the matched world is paired.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -17,16 +16,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from experiments.common.runs import Part
-from experiments.recognize import figures
 from experiments.recognize.trained_run import meshes_by_name
-from experiments.studies.lab import StudyLab, clusters_of, format_estimate, pool_parts
-from i2t import viz
+from experiments.studies import free_sides
+from experiments.studies.lab import StudyLab
 from i2t.geometry import from_twist
 from i2t.objects import Mesh
-from i2t.recognition import metrics
 from i2t.recognition.episodes import EpisodeConfig, run_belief, run_episodes
-from i2t.recognition.intervals import Estimate, estimate_at
-from i2t.recognition.metrics import to_json
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.simulation.press import PressLaw, PressLimits
 from i2t.simulation.touches import SimulationErrors
@@ -55,7 +50,7 @@ class MismatchedWorld:
     mesh: Callable[[Mesh], Mesh] = field(default=lambda mesh: mesh)
     errors: Callable[[SimulationErrors], SimulationErrors] = field(default=lambda errors: errors)
     limits: Callable[[PressLimits], PressLimits] = field(default=lambda limits: limits)
-    law: PressLaw = press_pad
+    law: Callable[[Pad], PressLaw] = field(default=lambda _: press_pad)
 
 
 # --- worlds ---
@@ -181,7 +176,8 @@ def worlds() -> dict[str, MismatchedWorld]:
     """The worlds by name; the first is the one that the belief knows."""
     return {
         MATCHED: MismatchedWorld(),
-        "Winkler foundation": MismatchedWorld(law=winkler_press),
+        "Winkler foundation": MismatchedWorld(law=lambda _: winkler_press),
+        "free side faces": MismatchedWorld(law=free_sides.press_law),
         "soft compressible layer": MismatchedWorld(
             pad=lambda pad: pad._replace(young=0.6 * pad.young, poisson=jnp.float32(0.3))
         ),
@@ -194,7 +190,7 @@ def worlds() -> dict[str, MismatchedWorld]:
         "ambient once, before the episode": MismatchedWorld(errors=partial(_faulty, ambient_every=0)),
         "arm twice as stiff": MismatchedWorld(limits=lambda limits: replace(limits, stiffness=2 * limits.stiffness)),
         "arm half as stiff": MismatchedWorld(limits=lambda limits: replace(limits, stiffness=limits.stiffness / 2)),
-        "edges rounded by 0.5 mm": MismatchedWorld(law=rounded_press),
+        "edges rounded by 0.5 mm": MismatchedWorld(law=lambda _: rounded_press),
         **{
             f"meshes {abs(percent)} % {'larger' if percent > 0 else 'smaller'}": MismatchedWorld(
                 mesh=partial(_scaled, factor=1 + percent / 100)
@@ -222,44 +218,14 @@ def evaluate(lab: StudyLab) -> Part:
     prepared = iter(prepare_surfaces([world.mesh(mesh) for world in some.values() for mesh in meshes]))
     found: dict[str, np.ndarray] = {"truth": plan.truth, "pool": plan.pool}
     for name, world in some.items():
+        pad = world.pad(lab.run.pad)
         config = EpisodeConfig(
-            world.errors(lab.cfg.errors), world.limits(lab.cfg.limits), plan.chosen.shape[1], law=world.law
+            world.errors(lab.cfg.errors), world.limits(lab.cfg.limits), plan.chosen.shape[1], law=world.law(pad)
         )
         episodes = run_episodes(
             jax.random.clone(key_episodes), [next(prepared) for _ in meshes], plan.truth, plan.chosen,
-            sites=plan.sites, pad=world.pad(lab.run.pad), config=config, label=name,
+            sites=plan.sites, pad=pad, config=config, label=name,
         )  # fmt: skip
         beliefs = run_belief(table, episodes, lab.pad_model.likelihood, particles, SHOWN_KINDS)
         found |= {f"{kind}, {name}": p for kind, p in beliefs.items()}
     return found
-
-
-def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, Any]:
-    """Accuracy in every world, and what it lacks to the matched one, paired."""
-    columns, clusters = pool_parts(parts), clusters_of(parts, pads)
-    truth = columns.pop("truth")
-    names = [name.removeprefix(f"{SHOWN_KINDS[0]}, ") for name in columns if name.startswith(f"{SHOWN_KINDS[0]}, ")]
-    result: dict[str, Any] = {"episodes": len(truth), "worlds": {}}
-    bars: dict[str, dict[str, Estimate]] = {}
-    for name in names:
-        entry = {}
-        for kind in SHOWN_KINDS:
-            p, matched = columns[f"{kind}, {name}"], columns[f"{kind}, {MATCHED}"]
-            accuracy = metrics.accuracy(p, truth, clusters=clusters)
-            mean = metrics.mean_accuracy(p, truth, clusters=clusters)
-            lost = metrics.compare_paired(metrics.hits(p, truth), metrics.hits(matched, truth), clusters=clusters)
-            last = estimate_at(accuracy, -1)
-            entry[kind] = {
-                "last": to_json(last), "mean": to_json(mean), "difference_last": to_json(lost.last),
-                "difference_mean": to_json(lost.mean),
-                "log_loss": float(metrics.log_loss(p, truth)[:, -1].mean()),
-            }  # fmt: skip
-            bars.setdefault(name, {})[kind] = last
-            print(
-                f"{name:36} {kind:9} after {p.shape[1]}: {format_estimate(last)} ({format_estimate(lost.last)})   "
-                f"mean: {format_estimate(mean)} ({format_estimate(lost.mean)})"
-            )
-        result["worlds"][name] = entry
-    figure = figures.sensitivity(bars, f"After {p.shape[1]} touches", "accuracy", True)
-    viz.save_figure(figure, out / "accuracy.png")
-    return result

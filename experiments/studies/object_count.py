@@ -12,18 +12,20 @@ import trimesh
 
 from experiments.common.runs import Part
 from experiments.recognize import figures
-from experiments.studies.lab import StudyLab, clusters_of
+from experiments.studies.lab import Column, StudyLab, clusters_of, make_table, touches_shown
 from i2t import viz
 from i2t.objects import Mesh, catalogue, read_mesh
 from i2t.recognition import metrics
 from i2t.recognition.episodes import posteriors
+from i2t.recognition.intervals import estimate_at
 from i2t.recognition.metrics import to_json
 from i2t.recognition.site_pool import prepare_surfaces
 
 OBJECT_COUNTS, DEBUG_OBJECT_COUNTS = (10, 25, 50), (3,)
-MIN_EPISODES, DEBUG_COUNT_EPISODES = 100, 4  # at least, with each number of objects
+EPISODES_EACH, DEBUG_COUNT_EPISODES = 10, 4  # with each number of objects: so many of --episodes, and one of each
 TOUCHES, NUM_PARTICLES = 20, 64
 DEBUG_TOUCHES, DEBUG_NUM_PARTICLES = 3, 8
+SHOWN_TOUCHES = (1, 3, 5, 10, 20)
 MAX_FACES = 2048  # of a scanned mesh
 TRAINED_ON = ("hexagon", "parallelogram")
 FIRST_RANDOM_SEED = 7000  # of the random objects
@@ -45,7 +47,9 @@ def evaluate(lab: StudyLab) -> Part:
         chosen = tuple(str(name) for name in names[:count])
         surfaces = prepare_surfaces([meshes[name] for name in chosen])
         some = replace(lab, names=chosen, surfaces=surfaces, cfg=cfg)
-        found[f"{count} objects"] = evaluate_objects(some, DEBUG_COUNT_EPISODES if debug else max(MIN_EPISODES, count))
+        found[f"{count} objects"] = evaluate_objects(
+            some, DEBUG_COUNT_EPISODES if debug else max(EPISODES_EACH * lab.episodes, count)
+        )
     return found
 
 
@@ -100,5 +104,8 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, A
         curves[name] = metrics.accuracy(p, truth, clusters=clusters_of([part[name] for part in parts], pads))
         result[name] = {"episodes": len(truth), "accuracy": to_json(curves[name])}
         print(f"{name:12} " + " ".join(f"{t + 1}: {curves[name].mean[t]:.2f}" for t in range(0, p.shape[1], 3)))
+    shown = touches_shown(max(len(curve.mean) for curve in curves.values()), SHOWN_TOUCHES)
+    rows = [[name, *(estimate_at(curve, t - 1) for t in shown)] for name, curve in curves.items()]
+    result["tables"] = {"curves": make_table(["", *(Column(f"after {t} [95 %]", 2) for t in shown)], rows)}
     viz.save_figure(figures.accuracy(curves, "Accuracy with more objects", True), out / "accuracy.png")
     return result

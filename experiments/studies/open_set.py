@@ -17,7 +17,7 @@ import numpy as np
 
 from experiments.common.runs import Part
 from experiments.recognize import figures
-from experiments.studies.lab import StudyLab, clusters_of, format_estimate
+from experiments.studies.lab import StudyLab, clusters_of, format_estimate, make_table, touches_shown
 from i2t import viz
 from i2t.objects import Mesh, catalogue
 from i2t.recognition import calibrated, metrics, open_set
@@ -36,6 +36,7 @@ DEBUG_OBJECTS = 2  # of each kind
 OPEN_SET_PARTICLES = 64  # of each object, of surrogates too
 PRIOR_UNKNOWN = 0.5
 UNKNOWN_SHARES = (0.01, 0.25, 0.5)  # of the episodes, for which accuracies are reported
+SHOWN_TOUCHES, KINDS = (1, 3, 5, 10), ("known", "unknown")  # in tables
 NUM_BINS = 10  # of a calibration error
 
 
@@ -119,6 +120,7 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, A
     result = {"episodes": len(test.truth), "auroc": to_json(area), "platt": to_json(scaling)}
     for name, episodes in (("uncalibrated", test), ("calibrated", test._replace(p=p, p_unknown=p_unknown))):
         result[name] = score_episodes(name, episodes, clusters)
+    result["tables"] = tables_of_detection(result)
     figure = figures.accuracy({"unknown class": area}, "Detecting unknown objects", True, ylabel="AUROC")
     viz.save_figure(figure, out / "auroc.png")
     return result
@@ -138,6 +140,25 @@ def score_episodes(name: str, episodes: OpenSetEpisodes, clusters: Clusters) -> 
     error = metrics.calibration_error(np.maximum(last, 1 - last), right, NUM_BINS)
     print(f"{name}, calibration error of the unknown class after the last touch: {error.error:.3f}")
     return scores | {"calibration_error": to_json(error)}
+
+
+def tables_of_detection(result: dict[str, Any]) -> dict[str, Any]:
+    """How well unknown objects are told, and what is right of each share of them, calibrated."""
+    area = result["auroc"]
+    at = [
+        [str(t), {key: values[t - 1] for key, values in area.items()}]
+        for t in touches_shown(len(area["mean"]), SHOWN_TOUCHES)
+    ]
+    shares = [
+        [f"{float(share):.0%}", *({key: values[-1] for key, values in scores[kind].items()} for kind in KINDS)]
+        for share, scores in result["calibrated"]["accuracy"].items()
+    ]
+    return {
+        "auroc": make_table(["touches", "AUROC of the unknown class [95 %]"], at),
+        "accuracy": make_table(
+            ["share of unknown objects", "known objects named right", "unknown objects called unknown"], shares
+        ),
+    }
 
 
 def _pooled(parts: Sequence[OpenSetEpisodes]) -> OpenSetEpisodes:

@@ -17,7 +17,7 @@ from jaxtyping import Array
 
 from experiments.common.runs import Part
 from experiments.recognize.trained_run import meshes_by_name
-from experiments.studies.lab import EpisodePlan, StudyLab, clusters_of, format_estimate, pool_parts
+from experiments.studies.lab import Column, EpisodePlan, StudyLab, clusters_of, format_estimate, make_table, pool_parts
 from i2t.recognition import belief, calibrated, metrics, outcomes
 from i2t.recognition.belief import Likelihood, Particles
 from i2t.recognition.episodes import Episodes
@@ -149,7 +149,23 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, A
             scale = columns[f"{TEST}: {SCALE}, {method}, {condition}"]
             entry["conditions"][condition] = report_condition(condition, p, truth[TEST], scale, clusters)
         result["methods"][method] = entry
+    result["tables"] = {"conditions": table_of_conditions(result["methods"])}
     return result
+
+
+def table_of_conditions(methods: dict[str, Any]) -> dict[str, Any]:
+    """Accuracy, calibration and errors of those that stopped, by what is stated of the placement's error."""
+    rows = [
+        [
+            method, condition, {key: values[-1] for key, values in scores["accuracy"].items()}, scores["mean"],
+            scores["ece"]["error"], *(stop["stopped_error"] for stop in scores["stopping"]),
+        ]
+        for method, entry in methods.items()
+        for condition, scores in entry["conditions"].items()
+    ]  # fmt: skip
+    asked = [Column(f"wrong of those that stopped, {error:.0%} asked", 1, percent=True) for error in ASKED_ERRORS]
+    head = ["scale", "placement", "after the last [95 %]", "mean over touches [95 %]", "ECE", *asked]
+    return make_table(head, rows)
 
 
 def report_condition(

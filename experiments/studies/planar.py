@@ -17,13 +17,22 @@ from tqdm import tqdm
 
 from experiments.common.runs import Part
 from experiments.recognize import figures
-from experiments.studies.lab import EpisodePlan, StudyLab, clusters_of, format_estimate, pool_parts, report_error
+from experiments.studies.lab import (
+    EpisodePlan,
+    StudyLab,
+    clusters_of,
+    format_estimate,
+    make_table,
+    pool_parts,
+    report_error,
+    touches_shown,
+)
 from i2t import viz
 from i2t.geometry import from_twist
 from i2t.recognition import belief, metrics, planar
 from i2t.recognition.belief import Belief, Likelihood, Particles, TouchObservation
 from i2t.recognition.episodes import Episodes
-from i2t.recognition.intervals import estimate_at
+from i2t.recognition.intervals import estimate_at, mean_interval
 from i2t.recognition.metrics import to_json
 from i2t.recognition.outcomes import PredictedTouch
 from i2t.recognition.planar import PlanarGrid, PlanarPose
@@ -195,12 +204,17 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, A
         result["methods"][name] = {
             "accuracy": to_json(curves[name]), "log_loss": metrics.log_loss(p, truth).mean(0).tolist(),
         }  # fmt: skip
-        shown = sorted({min(t, p.shape[1]) for t in SHOWN_TOUCHES})
+        shown = touches_shown(p.shape[1], SHOWN_TOUCHES)
         print(f"{name:14} " + "   ".join(f"{t}: {format_estimate(estimate_at(curves[name], t - 1))}" for t in shown))
     hits = {name: metrics.hits(columns[name], truth) for name in curves}
     lost = metrics.compare_paired(hits["known pose"], hits["unknown pose"], clusters=clusters)
+    lost_at = mean_interval(hits["known pose"] - hits["unknown pose"], clusters)
     result["lost"] = to_json(lost)
     print(f"accuracy lost after the last touch: {format_estimate(lost.last)}")
+    shown = touches_shown(len(curves["known pose"].mean), SHOWN_TOUCHES)
+    rows = [[name, *(estimate_at(curve, t - 1) for t in shown)] for name, curve in curves.items()]
+    rows.append(["lost by not knowing it", *(estimate_at(lost_at, t - 1) for t in shown)])
+    result["tables"] = {"curves": make_table(["", *(f"after {t} [95 %]" for t in shown)], rows)}
     right, where = hits["unknown pose"][:, -1] > 0.5, "where the object is right"
     for key, unit, factor in (("position_error", "mm", 1e3), ("rotation_error", "degrees", np.degrees(1.0))):
         result[key] = report_error(key.replace("_", " "), unit, factor * columns[key][right], where)

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from experiments.common.runs import Part
 from experiments.recognize import figures
-from experiments.studies.lab import StudyLab, clusters_of, format_estimate, pool_parts
+from experiments.studies.lab import Column, StudyLab, clusters_of, format_estimate, make_table, pool_parts
 from i2t import viz
 from i2t.recognition import belief, calibrated, metrics
 from i2t.recognition.belief import Belief, Particles
@@ -117,6 +117,7 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, A
         saved = metrics.touches_saved(first["information"], first[other], touches, clusters=clusters)
         result["touches_saved"][other] = to_json(saved)
         print(f"information needs {format_estimate(saved)} fewer touches than {other}")
+    result["tables"] = tables_of_policies(result)
     waiting = {
         policy: metrics.not_yet_confident(values, touches, clusters=clusters) for policy, values in first.items()
     }
@@ -124,3 +125,20 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, A
     viz.save_figure(figure, out / "touches_to_confidence.png")
     viz.save_figure(figures.accuracy(curves, "Accuracy of each policy", True), out / "accuracy.png")
     return result
+
+
+def tables_of_policies(result: dict[str, Any]) -> dict[str, Any]:
+    """What each policy reaches, and what choosing by information saves."""
+    rows = [
+        [name, scores["mean"], scores["touches_to_95"]["mean"], scores["touches_to_95"]["never"]]
+        for name, scores in result["policies"].items()
+    ]
+    head = [
+        "policy", "mean accuracy over touches", Column(f"touches until {CONFIDENCE:.0%} sure, at most those made", 2),
+        Column("never so sure", 0, percent=True),
+    ]  # fmt: skip
+    saved = [[other, each] for other, each in result["touches_saved"].items()]
+    return {
+        "policies": make_table(head, rows),
+        "saved": make_table(["information against", Column("fewer touches", 0, percent=True)], saved),
+    }

@@ -16,7 +16,7 @@ import numpy as np
 from experiments.common.runs import Part
 from experiments.recognize import figures
 from experiments.recognize.paper import kept_predictor, load_paper_networks
-from experiments.studies.lab import EpisodePlan, StudyLab, clusters_of, format_estimate
+from experiments.studies.lab import Column, EpisodePlan, StudyLab, clusters_of, format_estimate, make_table
 from i2t import viz
 from i2t.recognition import metrics
 from i2t.recognition.intervals import Estimate, rate_interval
@@ -104,6 +104,7 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, A
                 if source != PROPRIOCEPTION
             ]
             print(f"  {rule:8} {base:.3f}   " + "   ".join(line))
+    result["tables"] = {"worlds": table_of_worlds(result["worlds"])}
     columns = {name: zip(*each, strict=True) for name, each in differences.items()}
     lines = {name: Estimate(*(np.array(x, float) for x in each)) for name, each in columns.items()}
     result["equal_at_mm"] = {name: sign_changes(sorted(sizes), line.mean) for name, line in lines.items()}
@@ -113,6 +114,18 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, A
     if len(sizes) > 1:
         viz.save_figure(figures.accuracy_differences(sorted(sizes), lines, True), out / "pose_error.png")
     return result
+
+
+def table_of_worlds(worlds: dict[str, Any]) -> dict[str, Any]:
+    """Accuracies of the paper's rules in every world, and how much better they are than contact positions alone."""
+    rows = [
+        [world, f"{source}, {rule}", score["accuracy"], score.get("difference", "-")]
+        for world, entry in worlds.items()
+        for rule, scores in entry["rules"].items()
+        for source, score in scores.items()
+    ]
+    head = ["objects, error of placement", "method", "after the last [95 %]"]
+    return make_table([*head, Column("minus proprioception", signed=True)], rows)
 
 
 def compare_rules(parts: Sequence[Part], pads: Sequence[str]) -> tuple[dict[str, Any], dict[str, Estimate]]:

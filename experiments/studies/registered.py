@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from experiments.common.runs import Part
 from experiments.recognize.trained_run import meshes_by_name
-from experiments.studies.lab import EpisodePlan, StudyLab, pool_parts, report_error, report_methods
+from experiments.studies.lab import Column, EpisodePlan, StudyLab, make_table, pool_parts, report_error, report_methods
 from i2t.depth.camera import Camera
 from i2t.hardware.rig import Rig
 from i2t.objects import Mesh
@@ -163,5 +163,10 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, A
         result[key] = report_error(key.replace("_", " "), unit, factor * columns[key][kept], where)
     refused = {"true_object": int(columns["refused"].sum()), "others": int(columns["others_refused"].sum())}
     result["refused"] = refused
+    quantiles = [
+        [key.replace("_", " "), result[key]["unit"], *result[key]["percentiles_25_50_75_90"]] for key in ERRORS[:2]
+    ]
+    head = ["error", "unit", *(Column(name, 2) for name in ("25 %", "median", "75 %", "90 % below"))]
+    result["tables"]["view"] = make_table(head, quantiles)
     print(f"registrations refused: {refused['true_object']} of the true object, {refused['others']} of others")
     return result

@@ -68,7 +68,7 @@ STUDIES = {
     "sensitivity": StudySteps(sensitivity.evaluate, report_methods),
     "object_count": StudySteps(object_count.evaluate, object_count.report),
     "placement": StudySteps(placement.evaluate, placement.report),
-    "mismatch": StudySteps(mismatch.evaluate, mismatch.report),
+    "mismatch": StudySteps(mismatch.evaluate, report_methods),
     "constants": StudySteps(constants.evaluate, constants.report),
 }
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.common.runs import Part
-from experiments.studies.lab import StudyLab, clusters_of, format_estimate, pool_parts
+from experiments.studies.lab import Cell, Column, StudyLab, clusters_of, format_estimate, make_table, pool_parts
 from i2t.geometry import inverse
 from i2t.recognition import metrics
 from i2t.recognition.episodes import EVIDENCE, run_belief
@@ -54,20 +54,24 @@ def pressed_share(surface: Surface, T_w_site: jax.Array) -> jax.Array:
 def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, Any]:
     """Bits of information for each kind of site and of evidence."""
     columns, clusters = pool_parts(parts), clusters_of(parts, pads)
+    counted = [kind for kind in EVIDENCE if kind in columns]  # those of an earlier version may lack some
     contact, share = columns["contact"], columns["share"]
     kinds = {"air": ~contact} | {
         name: contact & (share >= low) & (share < high) for name, (low, high) in SHARES.items()
     }
     result: dict[str, Any] = {"touches": len(columns["truth"]), "bits": {}}
+    table: list[list[Cell]] = []
     for name, rows in kinds.items():
         result["bits"][name] = {"touches": int(rows.sum())}
         line = []
-        for kind in EVIDENCE if rows.any() else ():
+        for kind in counted if rows.any() else ():
             information = information_bits(columns[kind][rows, 0], columns["truth"][rows])
             bits = mean_interval(information, rows_of(clusters, rows))
             result["bits"][name][kind] = to_json(bits)
             line.append(f"{kind} {format_estimate(bits)}")
+        table.append([name, str(rows.sum()), *(result["bits"][name].get(kind, "-") for kind in counted)])
         print(f"{name:18} {rows.sum():5d} touches, bits: " + "   ".join(line))
+    result["tables"] = {"bits": make_table(["met", "touches", *(Column(kind, 2) for kind in counted)], table)}
     return result
 
 

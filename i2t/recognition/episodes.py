@@ -73,6 +73,15 @@ class EpisodeConfig:
         return replace(self.errors, placement=0.0, placement_angle=0.0, hand_eye=0.0, hand_eye_angle=0.0)
 
 
+    @property
+    def press_errors(self) -> SimulationErrors:
+        """Errors of single touches without the sensor's, which are added later: worlds that differ in those alone share
+        what is compiled, too.
+        """
+        none = SimulationErrors.none()
+        return replace(self.touch_errors, noise=none.noise, faults=none.faults)
+
+
 class Episodes(NamedTuple):
     """Episodes as they went: e of them, t touches each."""
 
@@ -180,7 +189,7 @@ class EpisodeSimulator:
         full, which = np.resize(rows, OBSERVED_BATCH), int(self.truth[episode[rows[0]]])
         made = _touch_many(
             keys[full], self.surfaces[which], self.T_w_site[where[full]], element(self.sessions, episode[full]),
-            self.pad, errors=self.config.touch_errors, limits=self.config.limits, law=self.config.law,
+            self.pad, errors=self.config.press_errors, limits=self.config.limits, law=self.config.law,
         )  # fmt: skip
         return jax.tree.map(lambda x: np.asarray(x[: len(rows)]), jax.device_get(made))
 

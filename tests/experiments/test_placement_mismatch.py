@@ -8,8 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from experiments.reproduce.tables import STUDY_TABLES, study_table
 from experiments.studies import __main__ as studies
 from experiments.studies import mismatch, placement, sensitivity
+from experiments.studies.lab import report_methods
 from i2t.objects import Mesh
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.contact import FINE_GRID, GRID
@@ -33,9 +35,11 @@ def test_studies_of_wrong_beliefs_run(study, trained_run, tmp_path):
         stated = metrics["methods"]["as stated"]["conditions"]["1 mm, stated 2"]
         np.testing.assert_allclose(stated["scale_percentiles_25_50_75"], 1.0, rtol=1e-5)
     else:
-        assert set(metrics["worlds"]) == set(mismatch.DEBUG_WORLDS)
-        for entry in metrics["worlds"][mismatch.MATCHED].values():
-            assert entry["difference_mean"]["mean"] == 0
+        kinds = mismatch.SHOWN_KINDS
+        assert set(metrics["methods"]) == {f"{kind}, {world}" for kind in kinds for world in mismatch.DEBUG_WORLDS}
+        for kind in kinds:
+            assert metrics["methods"][f"{kind}, {mismatch.MATCHED}"]["difference_mean"]["mean"] == 0
+    assert set(metrics["tables"]) == set(STUDY_TABLES[study])
 
 
 @pytest.mark.parametrize("grid", [GRID, FINE_GRID])
@@ -155,8 +159,12 @@ def test_the_placement_study_reports_each_condition_at_a_temperature_of_its_meth
                     part[f"{label}: {method}, {condition}"] = sure
                     part[f"{label}: {placement.SCALE}, {method}, {condition}"] = np.full(30, 1.4)
         parts.append(part)
-    result = placement.report(parts, tmp_path, [0, 1, 2])
+    result = placement.report(parts, tmp_path, ["0", "1", "2"])
     assert result["episodes"] == 90
+    rows = study_table("conditions")(json.loads(json.dumps(result))).splitlines()
+    assert [line.split(" | ")[:2] for line in rows[2:]] == [
+        [f"| {method}", str(placement.CONDITIONS[0])] for method in placement.SCALE_PRIORS
+    ]
     for entry in result["methods"].values():
         assert list(entry["conditions"]) == [str(placement.CONDITIONS[0])]
     temperatures = [result["methods"][method]["temperature"]["initial"] for method in ("as stated", "inferred")]
@@ -174,9 +182,13 @@ def test_the_mismatch_study_compares_every_world_with_the_matched_one(tmp_path):
             part[f"{kind}, {mismatch.MATCHED}"] = believed(rng, truth, 3.0)
             part[f"{kind}, guessing"] = believed(rng, truth, 0.0)
         parts.append(part)
-    result = mismatch.report(parts, tmp_path, [0, 1, 2])
+    result = report_methods(parts, tmp_path, ["0", "1", "2"])
     assert (tmp_path / "accuracy.png").exists()
-    for entry in result["worlds"]["guessing"].values():
+    for kind in mismatch.SHOWN_KINDS:
+        entry = result["methods"][f"{kind}, guessing"]
         assert entry["difference_last"]["high"] < -0.3
-        assert entry["last"]["mean"] == pytest.approx(1 / 3, abs=0.2)
-    assert result["worlds"][mismatch.MATCHED]["fused"]["difference_last"]["mean"] == 0
+        assert entry["accuracy"]["mean"][-1] == pytest.approx(1 / 3, abs=0.2)
+    assert result["methods"][f"fused, {mismatch.MATCHED}"]["difference_last"]["mean"] == 0
+    table = study_table("methods")(json.loads(json.dumps(result))).splitlines()
+    assert table[0].split(" | ")[3] == "minus matched"
+    assert [line.split(" | ")[0] for line in table[2:]] == ["| matched", "| guessing"] * 2

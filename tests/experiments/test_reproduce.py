@@ -151,6 +151,23 @@ def test_a_page_that_asks_for_what_is_not_there_is_told(tmp_path):
     assert (docs / "page.md").read_text() == before
 
 
+def test_a_table_that_is_to_come_keeps_what_is_there_until_it_was_measured(tmp_path):
+    docs = tmp_path / "docs"
+    (docs / "results").mkdir(parents=True)
+    text = "<!-- table to come: sites bits -->\n| of before |\n<!-- end of table -->\n"
+    (docs / "page.md").write_text(text)
+    assert write_tables(docs) == []
+    assert (docs / "page.md").read_text() == text
+    columns = [{"name": name, "decimals": 2, "signed": False, "percent": False} for name in ("met", "fused")]
+    measured = {"bits": {}, "tables": {"bits": {"columns": columns, "rows": [["air", 0.98765]]}}}
+    kept = shortened("sites", measured)
+    assert kept == {"step": "sites", "tables": {"bits": {"columns": columns, "rows": [["air", 0.9877]]}}}
+    (docs / "results" / "sites.json").write_text(json.dumps(kept))
+    assert write_tables(docs) == ["page.md: sites bits"]
+    rows = "| met | fused |\n| --- | --- |\n| air | 0.99 |\n"
+    assert (docs / "page.md").read_text() == f"<!-- table: sites bits -->\n{rows}<!-- end of table -->\n"
+
+
 def test_cells_by_hand():
     assert estimate([0.5, None, None], 2) == "0.50"
     assert estimate({"mean": 0.1, "low": -0.1, "high": 0.3}, 2, sign=True) == "+0.10 [-0.10, +0.30]"

@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.reproduce.tables import STUDY_TABLES, study_table
 from experiments.studies import __main__ as studies
 from experiments.studies import lab, object_count, open_set, planar, pose_error, sites
 from i2t.objects import Mesh
+from i2t.recognition.intervals import Estimate
 from i2t.recognition.planar import pose_cells
 from i2t.simulation.touches import SimulationErrors
 from i2t.types import TWIST_LEVER_M
@@ -24,6 +26,7 @@ def test_studies_run(study, trained_run, tmp_path):
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["source"] == "simulated"
     assert (out / "part-0.npz").exists()
+    assert set(metrics["tables"]) == set(STUDY_TABLES[study])
     if study == "planar":
         assert metrics["episodes"] == 8
         assert set(metrics["methods"]) == {"known pose", "unknown pose"}
@@ -101,6 +104,17 @@ def test_detecting_unknown_objects_is_as_uncertain_as_the_objects_are_few(tmp_pa
     area = open_set.report([part] * 3, tmp_path, ["0", "1", "2"])["auroc"]
     assert area["mean"][0] == pytest.approx(0.75, abs=0.06)
     assert area["high"][0] - area["low"][0] > 0.25  # independent episodes would give .1
+
+
+def test_tables_of_studies_are_written_from_one_form():
+    columns = ["a", lab.Column("b", 2), lab.Column("c", 1, signed=True), lab.Column("d", 0, percent=True)]
+    half = Estimate(np.float64(0.5), np.float64(0.25), np.float64(0.75))
+    nothing = {"mean": None, "low": None, "high": None}
+    made = lab.make_table(columns, [["x", 0.123, half, half], [half, "-", nothing, {"mean": 0.5, "low": 0, "high": 1}]])
+    lines = study_table("some")({"tables": {"some": json.loads(json.dumps(made))}}).splitlines()
+    assert lines[0] == "| a | b | c | d |"
+    assert lines[2] == "| x | 0.12 | +0.5 [+0.2, +0.8] | 50 % [25, 75] |"
+    assert lines[3] == "| 0.500 [0.250, 0.750] | - | - | 50 % [0, 100] |"
 
 
 def test_a_rotation_of_a_symmetric_object_is_wrong_up_to_half_its_period_only():

@@ -1,0 +1,307 @@
+"""A pad whose side faces are free: what that changes of the bonded layer, by finite elements.
+
+The layer of `i2t.skin.elasticity` goes on beyond the pad. Here a block of the pad's width, bonded to its base and free
+on its four sides, and one that goes on for `BEYOND` thicknesses on every side are each pressed on one cell after the
+other. The difference of the two is smooth, and little but near the sides. It is what free sides change, and it is added
+to the layer's own answer: to the sinking of the surface in the contact problem, and to the motion and rotation of the
+magnets. Both blocks have the same elements on the pad, so that most of the elements' error is not in the difference.
+
+By symmetry a quarter of each block is enough: loads and motions are sums of parts that are even or odd along x and
+along y. Elements are bricks of quadratic displacement, which hardly lock at nu = 0.48; without a pressure of their own,
+because then a block with free sides is softer than the other under every load, as it is in truth. They need
+scikit-fem, as the tests do. Metres, pascals, newtons; row i along tool y, column j along tool x.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.sparse.linalg import splu
+
+from i2t.skin.contact import CONTACT_TOLERANCE, GRID, MAX_HEIGHT_M, MAX_STEPS, MIN_STRAIN, Grid, descend
+from i2t.skin.dipoles import CELL_NODES, MICROTESLA, dipole_field, rest_field, sheets, turn
+from i2t.skin.elasticity import clamped_shape, compliance, convolve, interior, load
+from i2t.skin.pad import Press
+from i2t.types import PAD_WINDOW, Pad
+
+CELLS = 20  # of the table along each edge of the pad: 1 mm
+LAYERS = 4  # of elements across the thickness
+BEYOND = 4.0  # thicknesses by which the block with far sides goes on
+BEYOND_ELEMENTS = 5
+PARITIES = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # along x and y: even 1, odd -1
+# Displacement along x, y and z, then rotation: which change sign in a mirror across x = 0, and across y = 0, next to
+# the displacement along z.
+MIRRORED_X = np.array([-1, 1, 1, 1, -1, -1])
+MIRRORED_Y = np.array([1, -1, 1, -1, 1, -1])
+MISSING = "free sides are worked out by scikit-fem; run pip install 'imagine2touch[test]'"
+
+
+class SideTable(NamedTuple):
+    """What free sides add for each of `PARITIES`, on the q cells of the quarter x, y > 0 (row by row), per newton on a
+    cell and its mirror images; Young's modulus is 1.
+    """
+
+    sinking: Float[np.ndarray, "4 q q"]  # mean of the surface's first cell under a load on the second
+    motion: Float[np.ndarray, "4 d 6 q q"]  # displacement and rotation at the depths of the magnets
+
+
+# --- finite elements ---
+
+
+def tabulate(thickness: float, poisson: float, *, cells: int = CELLS, layers: int = LAYERS) -> SideTable:
+    """What free sides change of a layer.
+
+    Args:
+        thickness: Of the layer (m).
+        poisson: Its Poisson's ratio.
+        cells: Along each edge of the pad, an even number.
+        layers: Of elements.
+
+    Returns:
+        The table.
+
+    Raises:
+        ValueError: scikit-fem is missing.
+    """
+    half = np.linspace(0, PAD_WINDOW / 2, cells // 2 + 1)
+    far = np.linspace(half[-1], half[-1] + BEYOND * thickness, BEYOND_ELEMENTS + 1)
+    deep = np.linspace(-thickness, 0, layers + 1)
+    free, wide = _Block(half, deep, poisson), _Block(np.concatenate([half, far[1:]]), deep, poisson)
+    roots, _ = np.polynomial.legendre.leggauss(CELL_NODES)
+    depths = thickness * (0.5 + 0.5 * roots)
+    changes = []
+    for parity in PARITIES:
+        sunk, moved = free.respond(parity, cells // 2, -depths, sides_free=True)
+        sunk_wide, moved_wide = wide.respond(parity, cells // 2, -depths, sides_free=False)
+        changes.append((sunk - sunk_wide, moved - moved_wide))
+    return SideTable(*(np.stack(part) for part in zip(*changes, strict=True)))
+
+
+class _Block:
+    """A quarter of a block: elements between `across` (m, from the middle) along x and y, and `deep` along z."""
+
+    def __init__(self, across: np.ndarray, deep: np.ndarray, poisson: float) -> None:
+        try:
+            import skfem
+            from skfem.helpers import ddot, div, sym_grad
+        except ImportError as error:
+            raise ValueError(MISSING) from error
+        self.across, self.deep, self.skfem = across, deep, skfem
+        self.mesh = skfem.MeshHex.init_tensor(across, across, deep)
+        self.basis = skfem.Basis(self.mesh, skfem.ElementVector(skfem.ElementHex2()), intorder=4)
+        shear = 1 / (2 * (1 + poisson))
+        lame = 2 * shear * poisson / (1 - 2 * poisson)
+
+        def work(u: Any, v: Any, _: Any) -> Any:
+            return 2 * shear * ddot(sym_grad(u), sym_grad(v)) + lame * div(u) * div(v)
+
+        self.matrix = skfem.BilinearForm(work).assemble(self.basis).tocsc()
+        entities = [getattr(self.basis, f"{name}_dofs") for name in ("nodal", "edge", "facet", "interior")]
+        self.parts = [np.concatenate([np.asarray(dofs)[i] for dofs in entities]) for i in range(3)]
+        self.places = self.basis.doflocs[:, self.parts[0]]
+
+    def respond(
+        self, parity: tuple[int, int], cells: int, heights: np.ndarray, *, sides_free: bool
+    ) -> tuple[Float[np.ndarray, "q q"], Float[np.ndarray, "d 6 q q"]]:
+        """Mean sinking of the cells nearest to the middle, and motions at heights (m) below their middles, under a
+        newton on each of them in turn.
+        """
+        held = [dofs[np.isclose(self.places[2], self.deep[0])] for dofs in self.parts]
+        for axis, sign in enumerate(parity):
+            middle = np.isclose(self.places[axis], 0)
+            held += [self.parts[i][middle] for i in range(3) if (i == axis) == (sign > 0)]
+            if not sides_free:
+                held.append(self.parts[axis][np.isclose(self.places[axis], self.across[-1])])
+        loads = self._loads(cells)
+        free = np.setdiff1d(np.arange(self.matrix.shape[0]), np.concatenate(held))
+        solution = np.zeros_like(loads)
+        solution[free] = splu(self.matrix[free][:, free]).solve(loads[free])
+        order = np.lexsort(np.round(self.places, 9))
+        shape = (2 * len(self.deep) - 1, 2 * len(self.across) - 1, 2 * len(self.across) - 1, -1)
+        moved = np.stack([solution[dofs[order]].reshape(shape) for dofs in self.parts])  # (3, z, y, x, loads)
+        near = moved[:, :, : 2 * cells + 1, : 2 * cells + 1]
+        return loads.T @ solution, self._motions(near, heights, cells)
+
+    def _loads(self, cells: int) -> np.ndarray:
+        """(n, q): a newton, spread evenly over each of the cells."""
+        area = self.across[1] ** 2
+        element = self.skfem.ElementVector(self.skfem.ElementHex2())
+        down = self.skfem.LinearForm(lambda v, _: -v[2] / area)
+        middles = self.mesh.p[:, self.mesh.facets].mean(axis=1)
+        found = []
+        for y in range(cells):
+            for x in range(cells):
+                place = np.array([(x + 0.5) * self.across[1], (y + 0.5) * self.across[1], 0.0])
+                facet = np.argmin(np.linalg.norm(middles - place[:, None], axis=0))
+                found.append(down.assemble(self.skfem.FacetBasis(self.mesh, element, facets=np.array([facet]))))
+        return np.stack(found, axis=1)
+
+    def _motions(self, moved: np.ndarray, heights: np.ndarray, cells: int) -> np.ndarray:
+        """Displacement and half of its curl at the middles of the cells: along x and y, that of an element is its
+        middle node's.
+        """
+        value, slope = quadratic(self.deep, heights)
+        size, ends = self.across[1], slice(0, None, 2)
+        at, steep = (np.einsum("dz,czyxl->dcyxl", weights, moved) for weights in (value, slope))
+        middle, along_z = at[:, :, 1::2, 1::2], steep[:, :, 1::2, 1::2]
+        along_x = np.diff(at[:, :, 1::2, ends], axis=3) / size
+        along_y = np.diff(at[:, :, ends, 1::2], axis=2) / size
+        turned = np.stack([
+            along_y[:, 2] - along_z[:, 1], along_z[:, 0] - along_x[:, 2], along_x[:, 1] - along_y[:, 0]
+        ], axis=1) / 2  # fmt: skip
+        return np.concatenate([middle, turned], axis=1).reshape(len(heights), 6, cells * cells, cells * cells)
+
+
+def quadratic(edges: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Interpolation within quadratic elements.
+
+    Args:
+        edges: Of the elements.
+        places: Where.
+
+    Returns:
+        Weights (places, nodes) of the values at the elements' ends and middles, and those of the slope.
+    """
+    element = np.clip(np.searchsorted(edges, places) - 1, 0, len(edges) - 2)
+    width = edges[element + 1] - edges[element]
+    t, rows = (places - edges[element]) / width, np.arange(len(places))
+    values, slopes = np.zeros((2, len(places), 2 * len(edges) - 1))
+    for i, (shape, rise) in enumerate((
+        ((1 - t) * (1 - 2 * t), 4 * t - 3), (4 * t * (1 - t), 4 - 8 * t), (t * (2 * t - 1), 4 * t - 1)
+    )):  # fmt: skip
+        values[rows, 2 * element + i], slopes[rows, 2 * element + i] = shape, rise / width
+    return values, slopes
+
+
+# --- presses ---
+
+
+class FreeSides:
+    """The law of a press (`i2t.simulation.press.PressLaw`) of a pad with free sides, from its table."""
+
+    def __init__(self, table: SideTable) -> None:
+        self.cells = 2 * round(np.sqrt(table.sinking.shape[-1]))
+        self.largest = float(np.linalg.eigvalsh(table.sinking).max())
+        self.sinking = jnp.asarray(table.sinking, jnp.float32)
+        self.motion = jnp.asarray(table.motion, jnp.float32)
+
+    def __call__(
+        self, pad: Pad, height: Float[Array, "n n"], indentation: Float[Array, ""] | float, grid: Grid = GRID
+    ) -> Press:
+        """A press to an indentation, as `i2t.skin.pad.press`."""
+        pressure, converged = self._contact(pad, height, indentation, grid)
+        force = jnp.sum(pressure) * grid.spacing**2
+        return Press(self._reading(pad, pressure, grid), force, jnp.asarray(indentation), pressure, converged)
+
+    def _contact(self, pad: Pad, height: Array, indentation: Array | float, grid: Grid) -> tuple[Array, Array]:
+        """Pressure (Pa), as `i2t.skin.contact.solve` with the sides' sinking, in its units."""
+        gap = (jnp.minimum(height, MAX_HEIGHT_M) - indentation) / pad.thickness
+        scale = jnp.maximum(jnp.max(-gap), MIN_STRAIN)
+        unit, area = pad.young / pad.thickness, grid.spacing**2
+        kernel, mount = compliance(pad, grid) * unit, pad.mount_compliance * area * unit
+        shape = clamped_shape(grid, gap.dtype)
+
+        def deflect(p: Array) -> Array:
+            bonded = convolve(kernel, p, grid) + mount * jnp.sum(shape * p) * shape
+            return bonded + self.sunk(p, grid) * area / pad.thickness
+
+        spread = 1.5 * grid.cells / self.cells  # at least the largest weight of the cells' interpolation, squared
+        most = jnp.max(kernel) + mount * jnp.sum(shape**2) + spread**2 * self.largest * area / pad.thickness
+        bounds = jnp.min(kernel), most
+        state = descend(
+            deflect, gap / scale, lambda p: jnp.maximum(p, 0), level=lambda p, gap: jnp.zeros_like(scale),
+            start=-gap / scale / bounds[1], bounds=bounds, tolerance=CONTACT_TOLERANCE, max_steps=MAX_STEPS,
+        )  # fmt: skip
+        return state.point * scale * pad.young, state.residual <= CONTACT_TOLERANCE
+
+    def sunk(self, force: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "n n"]:
+        """By how much the surface sinks more than the bonded layer's.
+
+        Args:
+            force: On each cell of `grid` (N).
+            grid: Cells of the pad.
+
+        Returns:
+            Metres, times Young's modulus.
+        """
+        weights = _weights(grid, self.cells)
+        moved = jnp.einsum("sij,sj->si", self.sinking, self._parities(weights.T @ force @ weights))
+        return weights @ self._whole(moved[:, None], np.ones(1), np.ones(1))[0] @ weights.T
+
+    def moved(self, force: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "d 6 n n"]:
+        """By how much the magnets move and turn more than the bonded layer's.
+
+        Args:
+            force: On each cell of `grid` (N).
+            grid: Cells of the pad, below each of which a magnet lies.
+
+        Returns:
+            Metres and radians, times Young's modulus, at the magnets' depths.
+        """
+        weights = _weights(grid, self.cells)
+        parities = self._parities(weights.T @ force @ weights)
+        moved = jnp.einsum("sdcij,sj->sdci", self.motion, parities)
+        return weights @ self._whole(moved, MIRRORED_X, MIRRORED_Y) @ weights.T
+
+    def _reading(self, pad: Pad, pressure: Array, grid: Grid) -> Array:
+        """Reading (uT), as `i2t.skin.dipoles.response` with the sides' motion."""
+        loaded = load(pad, pressure, None, grid)
+        y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
+        chips = jnp.asarray(pad.board.chips)
+
+        def sheet(magnets: tuple[Array, Array, Array]) -> Array:
+            depth, moments, more = magnets
+            displacement, rotation = interior(pad, loaded, depth, grid)
+            rest = jnp.stack([jnp.asarray(x), jnp.asarray(y), jnp.broadcast_to(-depth, x.shape)])
+            position, turned = rest + displacement + more[:3], turn(rotation + more[3:], moments)
+            return dipole_field(chips, position.reshape(3, -1).T, turned.reshape(3, -1).T)
+
+        more = self.moved(pressure * grid.spacing**2, grid) / pad.young
+        field = MICROTESLA * jnp.sum(jax.lax.map(sheet, (*sheets(pad, grid), more)), axis=0)
+        return pad.gains * pad.board.to_board(field - rest_field(pad, grid))
+
+    def _parities(self, values: Array) -> Array:
+        """(4, q): the even and odd parts of values on the table's cells, on the quarter x, y > 0."""
+        half = self.cells // 2
+        quarters = {(a, b): _quarter(values, half, a, b) for a in (0, 1) for b in (0, 1)}
+        parts = [sum(sx**a * sy**b * part for (a, b), part in quarters.items()) / 4 for sx, sy in PARITIES]
+        return jnp.stack([jnp.asarray(part).reshape(-1) for part in parts])
+
+    def _whole(self, moved: Array, mirrored_x: np.ndarray, mirrored_y: np.ndarray) -> Array:
+        """(..., components, cells, cells) from what the parities (4, ..., components, q) are on a quarter."""
+        half = self.cells // 2
+        quarter = moved.reshape(*moved.shape[:-1], half, half)
+        rows = []
+        for b in (1, 0):
+            row = []
+            for a in (1, 0):
+                signs = (mirrored_x**a * mirrored_y**b)[:, None, None]
+                part = sum(sx**a * sy**b * quarter[i] for i, (sx, sy) in enumerate(PARITIES)) * signs
+                row.append(part[..., :: 1 - 2 * b, :: 1 - 2 * a])
+            rows.append(jnp.concatenate(row, axis=-1))
+        return jnp.concatenate(rows, axis=-2)
+
+
+def _quarter(values: Array, half: int, a: int, b: int) -> Array:
+    """A quarter of an array as its mirror image on x, y > 0: that of x < 0 with `a`, of y < 0 with `b`."""
+    rows = values[:half][::-1] if b else values[half:]
+    return rows[:, :half][:, ::-1] if a else rows[:, half:]
+
+
+def _weights(grid: Grid, cells: int) -> np.ndarray:
+    """(n, cells): linear interpolation from the middles of the table's cells to those of a grid, and beyond the last
+    ones. Its rows sum to 1, so that its transpose shares a load out among the table's cells.
+    """
+    place = (grid.centres / PAD_WINDOW + 0.5) * cells - 0.5
+    first = np.clip(np.floor(place).astype(int), 0, cells - 2)
+    weights = np.zeros((grid.cells, cells), np.float32)
+    rows, part = np.arange(grid.cells), place - first
+    weights[rows, first], weights[rows, first + 1] = 1 - part, part
+    return weights
+
+
+def press_law(pad: Pad) -> FreeSides:
+    """The law of a pad, worked out for its thickness and Poisson's ratio (about a minute)."""
+    return FreeSides(tabulate(float(pad.thickness), float(pad.poisson)))
