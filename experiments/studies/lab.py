@@ -194,15 +194,12 @@ class Column(NamedTuple):
     percent: bool = False
 
 
-Cell = str | float | Estimate | dict[str, Any]  # an interval may be the dict of its JSON
-
-
-def make_table(columns: Sequence[Column | str], rows: Sequence[Sequence[Cell]]) -> dict[str, Any]:
+def make_table(columns: Sequence[Any], rows: Sequence[Sequence[Any]]) -> dict[str, Any]:
     """A table as `metrics.json` holds it and `experiments.reproduce` writes it: the same form for all studies.
 
     Args:
-        columns: How each is written; a name alone for words and numbers as they come.
-        rows: Words, numbers, and means with their intervals.
+        columns: `Column`, or a name alone.
+        rows: Words, numbers, and means with their intervals (`Estimate`, or the dict of its JSON).
     """
     described = [column if isinstance(column, Column) else Column(column) for column in columns]
     return {
@@ -233,7 +230,7 @@ def report_methods(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dic
     result: dict[str, Any] = {"episodes": len(truth), "methods": {}}
     settings: dict[str, dict[str, Estimate]] = {}
     first: dict[str, np.ndarray] = {}  # whether right, by evidence, in the first setting
-    rows: list[list[Cell]] = []
+    rows: list[list[Any]] = []
     for name, beliefs in columns.items():
         p = beliefs.astype(np.float64)
         evidence, _, setting = name.partition(", ")

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.common.runs import Part
-from experiments.studies.lab import Cell, Column, StudyLab, clusters_of, format_estimate, make_table, pool_parts
+from experiments.studies.lab import Column, StudyLab, clusters_of, format_estimate, make_table, pool_parts
 from i2t.geometry import inverse
 from i2t.recognition import metrics
 from i2t.recognition.episodes import EVIDENCE, run_belief
@@ -60,7 +60,7 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, A
         name: contact & (share >= low) & (share < high) for name, (low, high) in SHARES.items()
     }
     result: dict[str, Any] = {"touches": len(columns["truth"]), "bits": {}}
-    table: list[list[Cell]] = []
+    table: list[list[Any]] = []
     for name, rows in kinds.items():
         result["bits"][name] = {"touches": int(rows.sum())}
         line = []
