@@ -396,4 +396,7 @@ TABLES: dict[str, dict[str, Table]] = {
         "stopping": stopping_of_set("all", "fused"),
     },
     **{step: {name: study_table(name) for name in names} for step, names in STUDY_TABLES.items()},
+    "reconstruct": {"conditions": reconstructions(_RATIO, start=True)},
+    "reconstruct_meshes": {"conditions": reconstructions(_DISTANCE, start=False)},
+    "reconstruct_patch": {"methods": local_shapes, "catalogue": local_shapes_of_catalogue},
 }
