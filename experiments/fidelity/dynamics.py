@@ -231,7 +231,7 @@ def _strokes(recording: SkinRecording) -> tuple[str, list[_Stroke]]:
     one_tip(recording)
     name, load = load_of(recording)
     if name == "none" and recording.varies("shear") and recording.known("position").all():
-        name, load = "travel", _travel(recording)
+        name, load = "slide", _slid_distance(recording)
     if name == "none":
         raise CannotTellError("Strokes in and out need a load that is known.")
     found = []
@@ -242,8 +242,8 @@ def _strokes(recording: SkinRecording) -> tuple[str, list[_Stroke]]:
     return name, found
 
 
-def _travel(recording: SkinRecording) -> np.ndarray:
-    """(n,) m: way along the skin from where a stroke began."""
+def _slid_distance(recording: SkinRecording) -> np.ndarray:
+    """(n,) m along the skin from where a stroke began."""
     position = recording.targets["position"]
     begins = np.unique(recording.session, return_index=True, return_inverse=True)
     return np.linalg.norm(position - position[begins[1][begins[2].ravel()]], axis=1)
@@ -294,7 +294,7 @@ def _averaged(load: np.ndarray, signal: np.ndarray, at: np.ndarray) -> np.ndarra
 def _creep(recording: SkinRecording, section: Section, rows: list[list[str]]) -> None:
     """Growth of a reading while a depth is held, per tenfold time."""
     name, strokes = _strokes(recording)
-    if name not in ("depth", "travel") or not np.isfinite(recording.time).any():
+    if name not in ("depth", "slide") or not np.isfinite(recording.time).any():
         raise CannotTellError("Creep is measured where a depth is held and times are known.")
     growth = []
     for stroke in strokes:

@@ -8,7 +8,7 @@ samples for every 10 touches), `O/O_poses/experiment_E_*` (positions in m, quate
 
     reading = mean over samples in contact - mean over ambient samples, without temperatures
     patch   = depth - depth of the nearest pixel, clipped to the reach; the value 0 is no measurement: no surface
-    nearest = depth of the nearest pixel - distance from the camera to the tool - travel from the look to the contact
+    nearest = depth of the nearest pixel - distance from the camera to the tool - approach from the look to the contact
 
 Assumed, for the recordings do not say: the tool frame is the one of the recorded poses; image rows run along tool y and
 columns along tool x; forces are in the robot base's axes and act on the tool, so that the force along tool z is minus
@@ -166,7 +166,7 @@ def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog
     images = folder / f"{folder.name}_images" / "depth" / f"experiment_{run}_depth"
     patch, closest = _patches(images, n, options, notes)
     if not options.as_stated:
-        unit = _image_unit(images, closest, options.camera + poses.travel, notes)
+        unit = _image_unit(images, closest, options.camera + poses.approach, notes)
         closest, patch = unit * closest, np.minimum(unit * patch, options.reach).astype(np.float32)
     forces = folder / f"{folder.name}_forces" / f"experiment_{run}"
     along_base, along_tool, code = _forces(forces, poses.T_w_t[:, :3, 2], n, notes)
@@ -174,7 +174,7 @@ def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog
     touches = Touches(
         patch=patch,
         wide=missing_context(n),
-        nearest=closest - options.camera - poses.travel,
+        nearest=closest - options.camera - poses.approach,
         reading=reading,
         force=force,
         depth=np.full(n, np.nan),
@@ -230,7 +230,7 @@ def _remarks(folder: Path, run: str) -> dict[str, str]:
 
 class _Poses(NamedTuple):
     T_w_t: np.ndarray  # (n, 4, 4) at the contact
-    travel: np.ndarray  # (n,) m along tool z, from where the camera looked to the contact
+    approach: np.ndarray  # (n,) m along tool z, from where the camera looked to the contact
 
 
 def _poses(stem: Path, n: int, notes: ConversionLog, *, as_stated: bool) -> _Poses:
@@ -243,21 +243,21 @@ def _poses(stem: Path, n: int, notes: ConversionLog, *, as_stated: bool) -> _Pos
     T_w_t[posed] = np.eye(4)
     T_w_t[posed, :3, :3] = rotations[posed]
     T_w_t[posed, :3, 3] = final[posed]
-    travel, aside = _along(final - prepare, T_w_t[:, :3, 2])
-    if (travel < 0).any():
+    approach, aside = _along(final - prepare, T_w_t[:, :3, 2])
+    if (approach < 0).any():
         notes.info(
-            f"{stem}: {np.sum(travel < 0)} presses go against tool z, so this may be another frame than the tool's"
+            f"{stem}: {np.sum(approach < 0)} presses go against tool z, so this may be another frame than the tool's"
         )
-    travel = np.where((aside <= MAX_LOOK_OFFSET_M) & (travel >= 0), travel, np.nan)
-    if np.isnan(travel).any():
-        notes.info(f"{stem}: nearest is unknown for {np.isnan(travel).sum()} touches, not seen along their approach")
-    return _Poses(T_w_t, travel)
+    approach = np.where((aside <= MAX_LOOK_OFFSET_M) & (approach >= 0), approach, np.nan)
+    if np.isnan(approach).any():
+        notes.info(f"{stem}: nearest is unknown for {np.isnan(approach).sum()} touches, not seen along their approach")
+    return _Poses(T_w_t, approach)
 
 
 def _along(moved: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How far a motion (n, 3) goes along axes (n, 3), and how far aside."""
-    travel = np.sum(moved * axis, axis=1)
-    return travel, np.linalg.norm(moved - travel[:, None] * axis, axis=1)
+    approach = np.sum(moved * axis, axis=1)
+    return approach, np.linalg.norm(moved - approach[:, None] * axis, axis=1)
 
 
 def _in_metres(
@@ -298,8 +298,8 @@ def _share_along(moved: np.ndarray, rotations: np.ndarray) -> float:
     far &= np.isfinite(rotations).all((1, 2))
     if far.sum() < MIN_INFORMATIVE_TOUCHES:
         return 1.0
-    travel, aside = _along(moved[far], rotations[far][:, :, 2])
-    return float(np.mean((travel > 0) & (aside <= MAX_LOOK_OFFSET_M)))
+    approach, aside = _along(moved[far], rotations[far][:, :, 2])
+    return float(np.mean((approach > 0) & (aside <= MAX_LOOK_OFFSET_M)))
 
 
 def _from_angles(stem: Path, values: np.ndarray, moved: np.ndarray, notes: ConversionLog) -> np.ndarray:

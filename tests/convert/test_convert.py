@@ -82,7 +82,7 @@ def test_the_authors_layout_comes_out_as_written(tmp_path, n, order, ambient, si
     depth = 1e-3 * truth.depth[:, under][:, :, under].astype(float)
     closest = depth.min((1, 2))
     np.testing.assert_allclose(touches.patch, np.minimum(depth - closest[:, None, None], 4e-3), atol=1e-9)
-    np.testing.assert_allclose(touches.nearest, closest - 64e-3 - truth.travel, atol=1e-8)  # float32 of 0.05 m
+    np.testing.assert_allclose(touches.nearest, closest - 64e-3 - truth.approach, atol=1e-8)  # float32 of 0.05 m
     np.testing.assert_allclose(touches.T_w_t[:, :3, 3], truth.final, atol=1e-7)
     np.testing.assert_allclose(touches.T_w_t[:, :3, :3], truth.rotation, atol=1e-6)
     np.testing.assert_allclose(touches.force, truth.force, atol=1e-6)
@@ -135,7 +135,7 @@ def test_unmeasured_pixels_are_no_surface_and_a_look_from_aside_leaves_nearest_u
     image = truth.depth[0].copy()
     image[:, 10] = 0
     tifffile.imwrite(tmp_path / "src/star/star_images/depth/experiment_1_depth_1.tif", image)
-    aside = truth.final - truth.travel[:, None] * truth.rotation[:, :, 2] + [[0, 0, 0]] + 3e-3 * truth.rotation[:, :, 0]
+    aside = truth.final - truth.approach[:, None] * truth.rotation[:, :, 2] + 3e-3 * truth.rotation[:, :, 0]
     authors_layout.save(tmp_path / "src/star/star_poses/experiment_1_prepare_contact", aside)
     dataset = converted(tmp_path / "src", tmp_path / "dst")
     assert (dataset.touches.patch[0, :, 10] == np.float32(4e-3)).all()

@@ -27,7 +27,7 @@ class Contents(NamedTuple):
     depth: np.ndarray  # (n, size, size) mm
     final: np.ndarray  # (n, 3) m
     rotation: np.ndarray  # (n, 3, 3)
-    travel: np.ndarray  # (n,) m
+    approach: np.ndarray  # (n,) m
     force: np.ndarray  # (n,) N
     code: np.ndarray  # (n,)
 
@@ -78,7 +78,7 @@ def write(root: Path, name: str, run: str, n: int, *, order="binary", ambient="m
 
     final = rng.uniform(-0.3, 0.3, (n, 3))
     rotation = Rotation.random(n, rng)
-    travel = rng.uniform(0.02, 0.06, n)
+    approach = rng.uniform(0.02, 0.06, n)
     axis = rotation.as_matrix()[:, :, 2]
     force = rng.uniform(0, 8, n)
     code = rng.integers(-1, 5, n)
@@ -86,7 +86,7 @@ def write(root: Path, name: str, run: str, n: int, *, order="binary", ambient="m
     forces = folder / f"{name}_forces" / f"experiment_{run}"
     for stem, values in (
         (f"{poses}_final_contact", final),
-        (f"{poses}_prepare_contact", final - travel[:, None] * axis),
+        (f"{poses}_prepare_contact", final - approach[:, None] * axis),
         (f"{poses}_rotations", rotation.as_quat()),
         (f"{poses}_joints_state", rng.normal(size=(n, 6))),
         (f"{forces}_forces_torques", np.hstack([-force[:, None] * axis, rng.normal(size=(n, 3))])),
@@ -103,4 +103,4 @@ def write(root: Path, name: str, run: str, n: int, *, order="binary", ambient="m
     remarks = folder / "meta_data" / f"{name}_experiment_{run}.txt"
     remarks.parent.mkdir(exist_ok=True)
     remarks.write_text("skin 3, warm day")
-    return Contents(field - means, depth, final, rotation.as_matrix(), travel, force, code)
+    return Contents(field - means, depth, final, rotation.as_matrix(), approach, force, code)
