@@ -62,9 +62,9 @@ def winkler_press(
     """A press of a skin whose columns are springs that know nothing of each other (a Winkler foundation): each is
     shortened evenly by as far as the surface reaches into it, p = E u / h, and moves its magnets straight down.
     """
-    sunk = jnp.maximum(indentation - height, 0.0)
-    pressure = pad.young / pad.thickness * sunk
-    reading = pad.gains * pad.board.to_board(_column_field(pad, _on_grid(sunk, grid)) - rest_field(pad, GRID))
+    compression = jnp.maximum(indentation - height, 0.0)
+    pressure = pad.young / pad.thickness * compression
+    reading = pad.gains * pad.board.to_board(_column_field(pad, _on_grid(compression, grid)) - rest_field(pad, GRID))
     force = jnp.sum(pressure) * grid.spacing**2
     return Press(reading, force, jnp.asarray(indentation), pressure, jnp.asarray(True))
 
@@ -109,18 +109,18 @@ def _on_grid(values: Float[Array, "n n"], grid: Grid) -> Float[Array, "m m"]:
     return values.reshape(GRID.cells, each, GRID.cells, each).mean((1, 3))
 
 
-def _column_field(pad: Pad, sunk: Float[Array, "m m"]) -> Float[Array, "chips 3"]:
-    """Field (uT, tool axes) at the chips of columns shortened evenly by `sunk` (m): a magnet at a part of the height
-    moves down by that part, and turns with half the curl of that motion.
+def _column_field(pad: Pad, compression: Float[Array, "m m"]) -> Float[Array, "chips 3"]:
+    """Field (uT, tool axes) at the chips of columns shortened evenly by `compression` (m): a magnet at a part of the
+    height moves down by that part, and turns with half the curl of that motion.
     """
     y, x = np.meshgrid(GRID.centres, GRID.centres, indexing="ij")
-    along_y, along_x = (jnp.asarray(jnp.gradient(sunk, GRID.spacing, axis=axis)) for axis in (0, 1))
+    along_y, along_x = (jnp.asarray(jnp.gradient(compression, GRID.spacing, axis=axis)) for axis in (0, 1))
 
     def sheet(magnets: tuple[Array, Array]) -> Array:
         depth, moments = magnets
         part = 1 - depth / pad.thickness
-        position = jnp.stack([jnp.asarray(x), jnp.asarray(y), -depth - part * sunk])
-        rotation = part / 2 * jnp.stack([-along_y, along_x, jnp.zeros_like(sunk)])
+        position = jnp.stack([jnp.asarray(x), jnp.asarray(y), -depth - part * compression])
+        rotation = part / 2 * jnp.stack([-along_y, along_x, jnp.zeros_like(compression)])
         turned = turn(rotation, moments)
         return dipole_field(jnp.asarray(pad.board.chips), position.reshape(3, -1).T, turned.reshape(3, -1).T)
 

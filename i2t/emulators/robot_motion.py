@@ -1,7 +1,7 @@
 """A tool that moves in time: straight lines, constant speeds, stops, giving way to forces, and what it touches.
 
 Lines have a trapezoidal speed profile; speeds change by at most an acceleration. Where a motion also turns, a radian
-counts as 0.25 m of travel. Poses are six numbers as a UR robot has them, metres and a rotation vector in its base axes;
+counts as 0.25 m of path. Poses are six numbers as a UR robot has them, metres and a rotation vector in its base axes;
 so are twists (m/s, rad/s) and wrenches (N, Nm), along the base's axes.
 """
 
@@ -16,7 +16,7 @@ from i2t.geometry import so3_exp, so3_log
 Array: TypeAlias = NDArray[np.float64]
 Contact: TypeAlias = Callable[[Array, Array], Array]  # position (3,) and rotation (3, 3) of the tool -> wrench on it
 
-ROTATION_LEVER_M = 0.25  # travel that a radian counts as
+ROTATION_LEVER_M = 0.25  # of path, that a radian counts as
 STOP_DECELERATION = 5.0  # m/s^2, of a program that ends
 FORCE_COMPLIANCE = 1e-3  # m/s per N: a contact of 100 N/mm converges, as the lag in one tick is a fifth of the way
 ARRIVED_M = 1e-9

@@ -37,7 +37,7 @@ Faults on demand. A fourth port, 30100, takes a line and answers one, for instan
 
 Sources: Universal Robots' RTDE guide, dashboard server and URScript manuals (watchdog: `rtde_set_watchdog` with the
 action "stop"); the register handshake was observed from ur_rtde 1.6.5. The stopping distance, the lever by which
-rotation counts as travel, how force mode gives way, the 5 N that end moveUntilContact, and the delays of a real
+rotation counts as path, how force mode gives way, the 5 N that end moveUntilContact, and the delays of a real
 controller are not modelled on measurements. Of the client's commands those on straight lines and speeds of the tool,
 force mode, payload, tool, zeroing, watchdog and stopping are emulated; any other ends the program, and says so.
 """

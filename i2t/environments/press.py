@@ -140,11 +140,11 @@ def press(
     excess, force, reading, pressure = trial(middle, None)
     first = _found(middle, excess, (middle, excess), jnp.asarray(EXPECTED_SLOPE), (force, reading, pressure))
     end = jax.lax.fori_loop(0, TRIALS - 1, step, first)
-    travel = geometry.nearest + jnp.exp(end.at) + end.force / limits.stiffness
+    advance = geometry.nearest + jnp.exp(end.at) + end.force / limits.stiffness
     return TouchOutcome(
         reading=jnp.where(geometry.contact, end.reading, 0.0),
         force=jnp.where(geometry.contact, end.force, 0.0),
-        advance=jnp.where(geometry.contact, travel, limits.overtravel),
+        advance=jnp.where(geometry.contact, advance, limits.overtravel),
         contact=geometry.contact,
     )
 

@@ -66,7 +66,7 @@ class _Mechanics(NamedTuple):
 class _Positions(NamedTuple):
     """Where left-out touches ended, of a registration from others."""
 
-    travel: Float[np.ndarray, " n"]  # m past the predicted contact, less what the arm yields
+    indentation: Float[np.ndarray, " n"]  # m past the predicted contact, less what the arm yields
     nominal: Float[np.ndarray, " n"]  # m, indentation of the nominal layer there
     variance: Float[np.ndarray, " n"]  # m^2, of the predicted contact, as the pose is uncertain
     hit: Bool[np.ndarray, " n"]  # whether the object was there at all
@@ -254,18 +254,18 @@ def _left_out_positions(
         force = jnp.maximum(contacts.touches.force, MIN_LOAD_N)
         predicted = _predict_end(surface, found, contacts.touches.T_w_t, force, overtravel=limits.overtravel)
         # A press ends at the pose it reports, which is its site here: contact lies as far before it.
-        travel = -predicted.approach_distance - force / limits.stiffness
+        indentation = -predicted.approach_distance - force / limits.stiffness
         variance = jnp.einsum("ni,ij,nj->n", predicted.jacobian, found.covariance, predicted.jacobian)
         rows = np.asarray(contacts.met) & (fold == which)
-        found_here = (travel, predicted.indentation[:, 0], variance, predicted.hit)
+        found_here = (indentation, predicted.indentation[:, 0], variance, predicted.hit)
         parts.append(_Positions(*(np.asarray(values)[rows] for values in found_here)))
     return jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
 
 def _position_errors(positions: _Positions, softness: float, limits: PressLimits) -> ScaleMixture:
-    indentation = softness * positions.nominal
-    error = positions.travel - indentation
-    variance = positions.variance + (INDENTATION_ERROR * indentation) ** 2
+    expected = softness * positions.nominal
+    error = positions.indentation - expected
+    variance = positions.variance + (INDENTATION_ERROR * expected) ** 2
     density = OUTLIER_RATE / outlier_range(limits.overtravel)
     return fit_position_errors(error[positions.hit], variance[positions.hit], outlier_density=density)
 

@@ -21,7 +21,7 @@ from i2t.hardware.ur.rtde_worker import POLL_S
 from i2t.types import Array
 
 GOAL_TOLERANCE = (1e-3, 0.01)  # m, rad: how near its goal a finished motion ends
-ROTATION_LEVER_M = 0.25  # travel that a radian is reckoned as, to know how long a motion may take
+ROTATION_LEVER_M = 0.25  # of path, that a radian is reckoned as, to know how long a motion may take
 RETREAT_FACTOR = 1.1  # by which the force may grow in a motion that begins above its limit
 DURATION_FACTOR, DURATION_MARGIN_S = 2.0, 2.0  # a motion may take so much longer than a trapezoid of speed
 SLIDER_MIN = 0.01  # speed fraction below which waiting no longer counts as slow motion
