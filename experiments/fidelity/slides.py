@@ -103,7 +103,7 @@ def _stroke(key: Key[Array, ""], pad: Pad) -> SlideRow:
         touching = pressure > 0
         slipping = jnp.sum(friction.slipping & touching) >= jnp.sum(touching)
         area = GRID.spacing**2
-        row = SlideRow(
+        pressed = SlideRow(
             pad.gains * pad.board.to_board(field),
             position,
             depth,
@@ -111,7 +111,7 @@ def _stroke(key: Key[Array, ""], pad: Pad) -> SlideRow:
             area * jnp.sum(friction.traction, axis=(1, 2)),
             slipping.astype(jnp.float32),
         )
-        return (position, pressure, friction), row
+        return (position, pressure, friction), pressed
 
     _, rows = jax.lax.scan(follow, (start, nothing, rest(pad, nothing)), (depths, moves))
     rows = jax.tree.map(lambda part: jnp.concatenate([jnp.zeros((AIR_ROWS, *part.shape[1:])), part]), rows)
