@@ -17,7 +17,7 @@ import warnings
 from pathlib import Path
 
 VARIABLE = "I2T_COMPILE_CACHE"
-OFF = ("off", "0", "no", "false")
+OFF_VALUES = ("off", "0", "no", "false")
 MAX_CACHE_BYTES = 2**30  # of the folder, for each kind of processor
 MIN_COMPILE_S = 0.1  # what is compiled sooner is not worth a file
 JAX_FOLDER = "JAX_COMPILATION_CACHE_DIR"
@@ -30,7 +30,7 @@ def use_compile_cache() -> Path | None:
         The folder; None where nothing is kept: it was switched off, cannot be written to, or is set for JAX already.
     """
     asked = os.environ.get(VARIABLE, "")
-    if asked.lower() in OFF or os.environ.get(JAX_FOLDER):
+    if asked.lower() in OFF_VALUES or os.environ.get(JAX_FOLDER):
         return None
     if importlib.util.find_spec("filelock") is None:  # without which JAX does not bound a folder
         return None

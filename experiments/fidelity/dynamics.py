@@ -36,7 +36,7 @@ MIN_STROKE_ROWS = 12
 MIN_TURNS = 2  # strokes that go in and come out
 HELD_M, HELD_S = 0.02e-3, 0.5  # a held depth changes by less, for longer
 SMALLEST_UT = 1e-9
-SURE = 3.0  # standard errors
+SIGNIFICANT_STD_ERRORS = 3.0
 SLOPE_ROWS = 200  # on which the ceiling of a location is estimated
 GRADIENT_STEP = 0.1e-3  # m
 CONDITION = 1e-9
@@ -335,7 +335,7 @@ def _press_hysteresis(
         coefficient = float(np.sum(x * y) / weight)
         error = float(np.sqrt(np.sum((y - coefficient * x) ** 2) / max(y.size - 1, 1) / weight))
         kept.append(coefficient)
-        sure.append(abs(coefficient) > SURE * error)
+        sure.append(abs(coefficient) > SIGNIFICANT_STD_ERRORS * error)
     largest = int(np.argmax(np.abs(kept)))
     rows.append(
         ["part of the press before that the worst chip keeps", cell(kept[largest]), cell(Faults.typical().hysteresis)]

@@ -73,9 +73,9 @@ def tabulate(thickness: float, poisson: float, *, cells: int = CELLS, layers: in
     depths = thickness * (0.5 + 0.5 * roots)
     changes = []
     for parity in PARITIES:
-        sunk, moved = free.respond(parity, cells // 2, -depths, sides_free=True)
-        sunk_wide, moved_wide = wide.respond(parity, cells // 2, -depths, sides_free=False)
-        changes.append((sunk - sunk_wide, moved - moved_wide))
+        indentation, moved = free.respond(parity, cells // 2, -depths, sides_free=True)
+        wide_indentation, moved_wide = wide.respond(parity, cells // 2, -depths, sides_free=False)
+        changes.append((indentation - wide_indentation, moved - moved_wide))
     return SideTable(*(np.stack(part) for part in zip(*changes, strict=True)))
 
 
@@ -205,7 +205,7 @@ class FreeSides:
 
         def deflect(p: Array) -> Array:
             bonded = convolve(kernel, p, grid) + mount * jnp.sum(shape * p) * shape
-            return bonded + self.sunk(p, grid) * area / pad.thickness
+            return bonded + self.extra_indentation(p, grid) * area / pad.thickness
 
         spread = 1.5 * grid.cells / self.cells  # at least the largest weight of the cells' interpolation, squared
         most = jnp.max(kernel) + mount * jnp.sum(shape**2) + spread**2 * self.largest * area / pad.thickness
@@ -216,7 +216,7 @@ class FreeSides:
         )  # fmt: skip
         return state.point * scale * pad.young, state.residual <= CONTACT_TOLERANCE
 
-    def sunk(self, force: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "n n"]:
+    def extra_indentation(self, force: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "n n"]:
         """By how much the surface sinks more than the bonded layer's.
 
         Args:

@@ -384,7 +384,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 
 
 RENAMED_CONVERT_FLAGS = {"--force": "--overwrite", "--mesh-unit": "--unit"}
-INTERRUPTED = "interrupted; nothing was written"
+INTERRUPTED_MESSAGE = "interrupted; nothing was written"
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -398,7 +398,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if args is None else args)
     renamed_flags(words, RENAMED_CONVERT_FLAGS)
-    return exit_code_of(lambda: _run(words), INTERRUPTED)
+    return exit_code_of(lambda: _run(words), INTERRUPTED_MESSAGE)
 
 
 def _run(words: Sequence[str]) -> None:

@@ -48,7 +48,7 @@ class Command(IntEnum):
     STOP_SCRIPT = 255
 
 
-REPEATED = (Command.FORCE_MODE, Command.SPEED_L)  # as long as the register holds them, and never answered
+REPEATED_COMMANDS = (Command.FORCE_MODE, Command.SPEED_L)  # as long as the register holds them, and never answered
 
 
 class Controller:
@@ -158,7 +158,7 @@ class Controller:
         elif state == DONE and command == 0:
             self.out_ints[0] = READY
         elif state == READY and command != 0:
-            if command not in REPEATED or self.commands[-1:] != [command]:
+            if command not in REPEATED_COMMANDS or self.commands[-1:] != [command]:
                 self.commands.append(command)
             try:
                 self.finished = self._execute(command)

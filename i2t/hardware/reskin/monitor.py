@@ -29,7 +29,7 @@ FRAME_RATE_HZ = 10  # of pictures
 LINE_RATE_HZ = 1  # of lines where the output is no terminal
 SHOWN_SAMPLES = 20  # that a drawn value is the mean of
 REST_SAMPLES = 100  # that the rest is the mean of
-HEALTHY = "healthy at rest"
+HEALTHY_TEXT = "healthy at rest"
 HALF_BAR_WIDTH = 16  # characters
 MAP_CELL_WIDTH = 12  # characters
 THIN_ARROWS, DOUBLE_ARROWS = "→↗↑↖←↙↓↘", "⇒⇗⇑⇖⇐⇙⇓⇘"  # every eighth of a turn, from x on
@@ -317,7 +317,7 @@ class _View:
         self.first = newest if self.first < 0 else self.first
         if newest - self.first >= REST_SAMPLES:
             found = check_skin(self.skin.since(self.first)).defects
-            self.health = "; ".join(f"UNHEALTHY: {each.sentence}" for each in found) or HEALTHY
+            self.health = "; ".join(f"UNHEALTHY: {each.sentence}" for each in found) or HEALTHY_TEXT
 
     def picture(self, scale: float, as_map: bool) -> list[str]:
         """Its lines; the second is its head, the last but one its sum."""
