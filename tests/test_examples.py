@@ -84,7 +84,7 @@ def test_a_surface_grows_under_touches():
 
 @pytest.mark.full
 def test_a_press_tells_of_the_surface():
-    after, before = _load(9).main(96)
+    after, before = _load(9).main()  # with fewer patches none of them may be like what was met
     assert after < before
 
 
