@@ -26,8 +26,8 @@ from i2t.skin.elasticity import clamped_shape, compliance, convolve, interior, l
 from i2t.skin.pad import Press
 from i2t.types import PAD_WINDOW, Pad
 
-CELLS = 20  # of the table along each edge of the pad: 1 mm
-LAYERS = 4  # of elements across the thickness
+TABLE_CELLS = 20  # of the table along each edge of the pad: 1 mm
+ELEMENT_LAYERS = 4  # of elements across the thickness
 BEYOND = 4.0  # thicknesses by which the block with far sides goes on
 BEYOND_ELEMENTS = 5
 PARITIES = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # along x and y: even 1, odd -1
@@ -50,7 +50,7 @@ class SideTable(NamedTuple):
 # --- finite elements ---
 
 
-def tabulate(thickness: float, poisson: float, *, cells: int = CELLS, layers: int = LAYERS) -> SideTable:
+def tabulate(thickness: float, poisson: float, *, cells: int = TABLE_CELLS, layers: int = ELEMENT_LAYERS) -> SideTable:
     """What free sides change of a layer.
 
     Args:

@@ -25,7 +25,7 @@ OBJECT_COUNTS, DEBUG_OBJECT_COUNTS = (10, 25, 50), (3,)
 EPISODES_EACH, DEBUG_COUNT_EPISODES = 10, 4  # with each number of objects: so many of --episodes, and one of each
 TOUCHES, NUM_PARTICLES = 20, 64
 DEBUG_TOUCHES, DEBUG_NUM_PARTICLES = 3, 8
-SHOWN_TOUCHES = (1, 3, 5, 10, 20)
+COUNTED_TOUCHES = (1, 3, 5, 10, 20)
 MAX_FACES = 2048  # of a scanned mesh
 TRAINED_ON = ("hexagon", "parallelogram")
 FIRST_RANDOM_SEED = 7000  # of the random objects
@@ -104,7 +104,7 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, A
         curves[name] = metrics.accuracy(p, truth, clusters=clusters_of([part[name] for part in parts], pads))
         result[name] = {"episodes": len(truth), "accuracy": to_json(curves[name])}
         print(f"{name:12} " + " ".join(f"{t + 1}: {curves[name].mean[t]:.2f}" for t in range(0, p.shape[1], 3)))
-    shown = touches_shown(max(len(curve.mean) for curve in curves.values()), SHOWN_TOUCHES)
+    shown = touches_shown(max(len(curve.mean) for curve in curves.values()), COUNTED_TOUCHES)
     rows = [[name, *(estimate_at(curve, t - 1) for t in shown)] for name, curve in curves.items()]
     result["tables"] = {"curves": make_table(["", *(Column(f"after {t} [95 %]", 2) for t in shown)], rows)}
     viz.save_figure(figures.accuracy(curves, "Accuracy with more objects", True), out / "accuracy.png")

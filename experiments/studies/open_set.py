@@ -36,7 +36,7 @@ DEBUG_OBJECTS = 2  # of each kind
 OPEN_SET_PARTICLES = 64  # of each object, of surrogates too
 PRIOR_UNKNOWN = 0.5
 UNKNOWN_SHARES = (0.01, 0.25, 0.5)  # of the episodes, for which accuracies are reported
-SHOWN_TOUCHES, KINDS = (1, 3, 5, 10), ("known", "unknown")  # in tables
+AUROC_TOUCHES, OPEN_SET_KINDS = (1, 3, 5, 10), ("known", "unknown")  # in tables
 NUM_BINS = 10  # of a calibration error
 
 
@@ -147,10 +147,10 @@ def tables_of_detection(result: dict[str, Any]) -> dict[str, Any]:
     area = result["auroc"]
     at = [
         [str(t), {key: values[t - 1] for key, values in area.items()}]
-        for t in touches_shown(len(area["mean"]), SHOWN_TOUCHES)
+        for t in touches_shown(len(area["mean"]), AUROC_TOUCHES)
     ]
     shares = [
-        [f"{float(share):.0%}", *({key: values[-1] for key, values in scores[kind].items()} for kind in KINDS)]
+        [f"{float(share):.0%}", *({key: values[-1] for key, values in scores[kind].items()} for kind in OPEN_SET_KINDS)]
         for share, scores in result["calibrated"]["accuracy"].items()
     ]
     return {

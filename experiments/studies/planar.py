@@ -45,7 +45,7 @@ DEBUG_GRID = PlanarGrid(half=5e-3, reach=5e-3, step=5e-3, turns=4)
 OVERTRAVEL_M = 20e-3  # beyond the sites of the table: presses end 10 mm over the table
 KNOWN_POSE_STD = (1e-3, 1e-3, np.radians(2.4))  # m, m, rad: 1 mm, 1 degree and half a step of the grid's turns
 SYMMETRY = {"square": 4, "star": 5, "cylinder": 0}  # turns that look alike; 0: all of them; else one
-SHOWN_TOUCHES = (1, 5, 10, 15, 20)
+PLANAR_TOUCHES_SHOWN = (1, 5, 10, 15, 20)
 
 
 class TablePresses(NamedTuple):
@@ -204,14 +204,14 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, A
         result["methods"][name] = {
             "accuracy": to_json(curves[name]), "log_loss": metrics.log_loss(p, truth).mean(0).tolist(),
         }  # fmt: skip
-        shown = touches_shown(p.shape[1], SHOWN_TOUCHES)
+        shown = touches_shown(p.shape[1], PLANAR_TOUCHES_SHOWN)
         print(f"{name:14} " + "   ".join(f"{t}: {format_estimate(estimate_at(curves[name], t - 1))}" for t in shown))
     hits = {name: metrics.hits(columns[name], truth) for name in curves}
     lost = metrics.compare_paired(hits["known pose"], hits["unknown pose"], clusters=clusters)
     lost_at = mean_interval(hits["known pose"] - hits["unknown pose"], clusters)
     result["lost"] = to_json(lost)
     print(f"accuracy lost after the last touch: {format_estimate(lost.last)}")
-    shown = touches_shown(len(curves["known pose"].mean), SHOWN_TOUCHES)
+    shown = touches_shown(len(curves["known pose"].mean), PLANAR_TOUCHES_SHOWN)
     rows = [[name, *(estimate_at(curve, t - 1) for t in shown)] for name, curve in curves.items()]
     rows.append(["lost by not knowing it", *(estimate_at(lost_at, t - 1) for t in shown)])
     result["tables"] = {"curves": make_table(["", *(f"after {t} [95 %]" for t in shown)], rows)}
