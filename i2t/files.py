@@ -57,7 +57,7 @@ def replacing(path: Path) -> Iterator[Path]:
         path: Of the file; its folder is made, and a file that is there is replaced.
 
     Yields:
-        The hidden name beside it under which the file is to be written. Nothing is left of it if the block fails.
+        The hidden name next to it under which the file is to be written. Nothing is left of it if the block fails.
 
     Raises:
         DataError: Its folder cannot be written to; FullDiskError if the disk is full, or failed.
