@@ -123,7 +123,7 @@ def test_position_is_the_marginal_over_the_placement():
     contact = measured(np.zeros((MANY, 15)), force, at + error, np.ones(MANY, bool))
     likelihood = like(outlier_rate=0.05)
     found = evidence(contact, outcome, jnp.float32(mean), jnp.float32(covariance), likelihood)
-    # The placement moves the travel along its slope, so one dimension of it is integrated over.
+    # The placement moves the approach distance along its slope, so one dimension of it is integrated over.
     for i in range(MANY):
         slope = np.asarray(outcome.jacobian[i], np.float64)
         offset, sd = slope @ mean[i], np.sqrt(slope @ covariance[i] @ slope)
@@ -166,8 +166,8 @@ def test_meeting_something_and_nothing_share_one():
     rng = np.random.default_rng(5)
     outcome = outcomes(rng, MANY)
     hit = np.arange(MANY) % 3 != 0
-    travel = np.where(hit, PAST + rng.normal(scale=2e-3, size=MANY), PAST)
-    outcome = outcome._replace(hit=jnp.asarray(hit), approach_distance=jnp.float32(travel))
+    approach = np.where(hit, PAST + rng.normal(scale=2e-3, size=MANY), PAST)
+    outcome = outcome._replace(hit=jnp.asarray(hit), approach_distance=jnp.float32(approach))
     mean = rng.normal(size=(MANY, 6)) * SPREAD
     prior = np.tile(np.diag(SPREAD**2), (MANY, 1, 1))
     share = []
@@ -181,7 +181,7 @@ def test_meeting_something_and_nothing_share_one():
     np.testing.assert_allclose(share[0] + share[1], 1, atol=1e-5)
     slope = np.asarray(outcome.jacobian, np.float64)
     unsure = np.sqrt(np.einsum("ni,nij,nj->n", slope, prior, slope) + POSITION**2)
-    short = (PAST - travel - (slope * mean).sum(1)) / unsure
+    short = (PAST - approach - (slope * mean).sum(1)) / unsure
     np.testing.assert_allclose(share[0], np.where(hit, stats.norm.cdf(short), 0), atol=1e-4)
 
 
@@ -208,9 +208,9 @@ def test_extremes_stay_finite():
     reading[0], force[1], force[2], advance[3], advance[4] = 1e6, 0, 1e5, 1e3, -1e3
     slope = np.asarray(outcome.jacobian).copy()
     slope[5], slope[6] = 0, 1e4
-    travel = np.asarray(outcome.approach_distance).copy()
-    travel[7], travel[8] = 1.0, -1.0
-    outcome = outcome._replace(jacobian=jnp.asarray(slope), approach_distance=jnp.asarray(travel))
+    approach = np.asarray(outcome.approach_distance).copy()
+    approach[7], approach[8] = 1.0, -1.0
+    outcome = outcome._replace(jacobian=jnp.asarray(slope), approach_distance=jnp.asarray(approach))
     outcome = jax.tree.map(lambda x: x.at[9].set(jnp.zeros_like(x[9])), outcome)
     covariance = np.tile(np.diag(SPREAD**2), (MANY, 1, 1))
     covariance[10] = 0
@@ -230,7 +230,7 @@ PLACES = belief.sample_particles(SPREAD, COUNT, scales=None)
 
 
 def linear(rng: np.random.Generator) -> PredictedTouch:
-    """A touch whose travel is the same line over all places of one object: exact for a Gaussian sum."""
+    """A touch whose approach distance is the same line over all places of one object: exact for a Gaussian sum."""
     outcome = outcomes(rng, OBJECTS, 1)
     outcome = jax.tree.map(lambda x: jnp.repeat(x, COUNT, 1), outcome)
     moved = jnp.einsum("oki,ki->ok", outcome.jacobian, PLACES.twist)
@@ -581,7 +581,8 @@ def test_probabilities_are_those_of_being_right():
     rng = np.random.default_rng(12)
     sites = 6
     table = outcomes(rng, sites, KINDS, FEW)
-    # Objects are hard to tell apart: readings differ by a good part of their errors, travels by those of positions.
+    # Objects are hard to tell apart: readings differ by a good part of their errors, approach
+    # distances by those of positions.
     as_errors = np.linalg.cholesky(np.cov(ERRORS.T)).T * 0.35
     readings = (rng.normal(size=(*table.hit.shape, 1, 15)) @ as_errors) * LOADS[:, None]
     table = table._replace(reading=jnp.float32(readings))

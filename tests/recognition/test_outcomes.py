@@ -1,6 +1,6 @@
 """Imagined touches against plane geometry, finite differences, statics and the Gaussian process they are read from.
 
-A travel is a difference of places of some 0.1 m in float32, wrong by up to DELTA as in `tests.test_touch`.
+An approach distance is a difference of places of some 0.1 m in float32, wrong by up to DELTA as in `tests.test_touch`.
 """
 
 from functools import partial
@@ -72,14 +72,15 @@ def test_a_flat_top_is_met_by_the_lowest_corner_of_the_skin():
         cosine = -R[2, 2]
         height = p[2] + R[2, :2] @ corner - TOP
         assert found.approach_distance[i] == pytest.approx(height / cosine, abs=2 * DELTA)
-        # A plane that moves up by v shortens the travel by v over the cosine; a turn w moves it up by w x q at q.
+        # A plane that moves up by v shortens the approach distance by v over the cosine; a turn w moves it up by w x q
+        # at q.
         q = p + R[:, :2] @ corner + R[:, 2] * height / cosine
         slope = -np.array([0, 0, 1, q[1] / TWIST_LEVER_M, -q[0] / TWIST_LEVER_M, 0]) / cosine
         np.testing.assert_allclose(found.jacobian[i], slope, atol=1e-4)  # q moves by DELTA, of 9 mm
 
 
 @pytest.mark.full
-def test_slopes_are_differences_of_travels():
+def test_slopes_are_differences_of_approach_distances():
     rng = np.random.default_rng(1)
     step = 1e-4
     T_w_o = pose(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-0.1, 0.1, 3))
@@ -99,7 +100,7 @@ def test_slopes_are_differences_of_travels():
         apart = found.approach_distance[2:].reshape(6, 2, 2).astype(np.float64)  # (coordinate, sign, place)
         difference = (apart[:, 1] - apart[:, 0]) / (2 * step)
         bend = np.abs(apart.sum(1) - 2 * found.approach_distance[:2]) / step
-        smooth = arm / TWIST_LEVER_M**3 * step**2 + DELTA / step  # of travels wrong by DELTA
+        smooth = arm / TWIST_LEVER_M**3 * step**2 + DELTA / step  # of approach distances wrong by DELTA
         kink = 0.5 * facets * turns * (bend + arm / TWIST_LEVER_M**2 * step)
         assert (np.abs(found.jacobian[:2].T - difference) < smooth + kink).all()
         assert np.abs(found.jacobian).max() > 0.5

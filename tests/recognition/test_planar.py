@@ -63,7 +63,7 @@ def hill(x, y, mirrored):
 
 
 def landscape(mirrored: bool) -> PredictedTouch:
-    """Presses on a landscape at all nodes: the travel falls with the height, and with its slope as it is moved."""
+    """Presses on a landscape at all nodes: approach distances fall with the height, and with its slope as it moves."""
     at = jnp.asarray(planar.node_poses(TABLE)[:, :2, 3])
     height, (dx, dy) = hill(at[:, 0], at[:, 1], mirrored), jax.vmap(jax.grad(hill, (0, 1)), (0, 0, None))(
         at[:, 0], at[:, 1], mirrored

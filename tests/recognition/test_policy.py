@@ -38,7 +38,7 @@ gains = jax.jit(partial(policy.expected_information_gain, num_draws=DRAWS, num_p
 
 
 def touches(
-    change: np.ndarray | float, travel: np.ndarray | float = 0.0, hit: np.ndarray | bool = True
+    change: np.ndarray | float, approach: np.ndarray | float = 0.0, hit: np.ndarray | bool = True
 ) -> PredictedTouch:
     """Touches (sites, objects, places) that end at AT, where readings of CHANGE differ by `change` (uT) sideways."""
     shape = (SITES, OBJECTS, COUNT)
@@ -46,7 +46,7 @@ def touches(
     reading[..., 1] = change
     reading[..., 0] = np.sqrt(CHANGE**2 - reading[..., 1] ** 2)
     values = (
-        np.broadcast_to(travel, shape), np.zeros((*shape, 6)), np.tile(1e-4 * LOADS, (*shape, 1)),
+        np.broadcast_to(approach, shape), np.zeros((*shape, 6)), np.tile(1e-4 * LOADS, (*shape, 1)),
         reading[..., None, :] * (LOADS / AT)[:, None], np.zeros((*shape, 3)),
     )  # fmt: skip
     return PredictedTouch(jnp.broadcast_to(jnp.asarray(hit), shape), *map(jnp.float32, values))
@@ -82,7 +82,7 @@ def test_gains_are_mutual_information(prior):
     distances = np.array([0.0, 0.5, 1.0, 2.0, 4.0, 20.0])
     apart = (distances[:, None] * np.array([-0.5, 0.5]))[..., None]
     bound = stats.bernoulli(prior).entropy()
-    # What is not known about a place makes the travel unsure along its slope.
+    # What is not known about a place makes the approach distance unsure along its slope.
     unsure = np.hypot(belief.PARTICLE_STD_RATIO * SPREAD[2], POSITION)
     steep = touches(0.0, unsure * apart)._replace(jacobian=jnp.broadcast_to(jnp.eye(6)[2], (SITES, OBJECTS, COUNT, 6)))
     for likelihood, table in (
