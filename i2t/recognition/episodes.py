@@ -72,7 +72,6 @@ class EpisodeConfig:
         """
         return replace(self.errors, placement=0.0, placement_angle=0.0, hand_eye=0.0, hand_eye_angle=0.0)
 
-
     @property
     def press_errors(self) -> SimulationErrors:
         """Errors of single touches without the sensor's, which are added later: worlds that differ in those alone share
