@@ -27,7 +27,7 @@ from i2t.skin.pad import Press
 from i2t.types import PAD_WINDOW, Pad
 
 TABLE_CELLS = 20  # of the table along each edge of the pad: 1 mm
-ELEMENT_LAYERS = 4  # of elements across the thickness
+ELEMENT_LAYERS = 3  # of elements across the thickness
 BEYOND = 4.0  # thicknesses by which the block with far sides goes on
 BEYOND_ELEMENTS = 5
 PARITIES = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # along x and y: even 1, odd -1
@@ -117,7 +117,7 @@ class _Block:
         loads = self._loads(cells)
         free = np.setdiff1d(np.arange(self.matrix.shape[0]), np.concatenate(held))
         solution = np.zeros_like(loads)
-        solution[free] = splu(self.matrix[free][:, free]).solve(loads[free])
+        solution[free] = _factor(self.matrix[free][:, free]).solve(loads[free])
         order = np.lexsort(np.round(self.places, 9))
         shape = (2 * len(self.deep) - 1, 2 * len(self.across) - 1, 2 * len(self.across) - 1, -1)
         moved = np.stack([solution[dofs[order]].reshape(shape) for dofs in self.parts])  # (3, z, y, x, loads)
@@ -152,6 +152,11 @@ class _Block:
             along_y[:, 2] - along_z[:, 1], along_z[:, 0] - along_x[:, 2], along_x[:, 1] - along_y[:, 0]
         ], axis=1) / 2  # fmt: skip
         return np.concatenate([middle, turned], axis=1).reshape(len(heights), 6, cells * cells, cells * cells)
+
+
+def _factor(matrix: Any) -> Any:
+    """Factors of a symmetric positive matrix, ordered as such: with far less fill than by default."""
+    return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
 def quadratic(edges: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
