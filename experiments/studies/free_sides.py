@@ -248,7 +248,7 @@ class FreeSides:
         weights = _weights(grid, self.cells)
         parities = self._parities(weights.T @ force @ weights)
         moved = jnp.einsum("sdcij,sj->sdci", self.motion, parities)
-        return weights @ self._whole(moved, MIRRORED_X, MIRRORED_Y) @ weights.T
+        return jnp.einsum("ni,dcij,mj->dcnm", weights, self._whole(moved, MIRRORED_X, MIRRORED_Y), weights)
 
     def _reading(self, pad: Pad, pressure: Array, grid: Grid) -> Array:
         """Reading (uT), as `i2t.skin.dipoles.response` with the sides' motion."""
@@ -282,7 +282,7 @@ class FreeSides:
         for b in (1, 0):
             row = []
             for a in (1, 0):
-                signs = (mirrored_x**a * mirrored_y**b)[:, None, None]
+                signs = (mirrored_x**a * mirrored_y**b).reshape(*[1] * (quarter.ndim - 4), -1, 1, 1)
                 part = sum(sx**a * sy**b * quarter[i] for i, (sx, sy) in enumerate(PARITIES)) * signs
                 row.append(part[..., :: 1 - 2 * b, :: 1 - 2 * a])
             rows.append(jnp.concatenate(row, axis=-1))
