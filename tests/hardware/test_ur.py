@@ -361,7 +361,7 @@ def test_an_approach_beyond_the_limits_is_refused_before_anything_is_sent(above)
     commands = status(host)["commands"]
     with pytest.raises(ValueError, match="outside the box"):
         arm.approach(0.25)
-    with pytest.raises(ValueError, match="limit for its"):
+    with pytest.raises(ValueError, match="limit for the approach distance"):
         arm.approach(0.31)
     with pytest.raises(ValueError, match=r"force 50\.0 is outside"):
         arm.approach(0.01, force=50.0)
