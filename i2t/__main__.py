@@ -43,6 +43,8 @@ EXPERIMENTS = {
     "experiments.ready_models": "the models that come with the package",
     "experiments.notebooks": "notebooks as HTML",
     "experiments.reconstruct_patch": "what surface did one press meet?",
+    "experiments.reconstruct": "an object's surface from few touches",
+    "experiments.active_touch": "which touch next? policies that learn",
     "experiments.benchmark": "speeds, next to a peer's",
     "experiments.faults": "what is lost when something breaks?",
     "experiments.mutants": "which changes does no test notice?",
@@ -79,7 +81,7 @@ def _list() -> None:
     print(f"i2t {__version__}: imagine a touch before making it\n\n{_table(COMMANDS)}")
     if (Path(__file__).parents[1] / "experiments").is_dir():
         print(f"\nfrom the folder of the checkout:\n\n{_table(EXPERIMENTS)}")
-    print("\nEach has its own --help. Try python -m i2t.collect first: it simulates all.")
+    print("\nEach has its own --help. Try python -m i2t.imagine first, then i2t.collect: it simulates all.")
 
 
 def _table(commands: dict[str, str]) -> str:

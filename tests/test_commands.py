@@ -1,4 +1,4 @@
-"""Commands that installing i2t puts on the path."""
+"""Commands that installing i2t puts on the path, and the list of those to run from the checkout."""
 
 import importlib
 import tomllib
@@ -6,7 +6,16 @@ from pathlib import Path
 
 import pytest
 
-PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+from i2t.__main__ import EXPERIMENTS
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
+def test_every_experiment_is_listed():
+    folders = {path.parent.name for path in (ROOT / "experiments").glob("*/__main__.py")}
+    files = {path.stem for path in (ROOT / "experiments").glob("*.py")} - {"__init__"}
+    assert {name.removeprefix("experiments.") for name in EXPERIMENTS} == folders | files
 
 
 def test_the_commands_are_these():

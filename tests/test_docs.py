@@ -163,7 +163,7 @@ def test_python_on_a_page_calls_what_exists_with_its_arguments(page, block):
 def test_python_of_the_readme_runs_on_a_trained_run(trained_run, tmp_path, monkeypatch):
     """Its predictor is the debug preset's; its mug is a box."""
     monkeypatch.chdir(tmp_path)
-    trimesh.creation.box((0.04, 0.03, 0.05)).export("mug.stl")
+    trimesh.creation.box((40, 30, 50)).export("mug.stl")
     Path("runs").mkdir()
     Path("runs/train").symlink_to(trained_run)
     (block,) = (block for page, block in _python_blocks() if page == "README.md")
