@@ -167,11 +167,11 @@ def test_other_settings_another_rig_and_another_skin_are_not_mixed_in(tmp_path):
         session._keep_serial(notes, "B2", tmp_path)
 
 
-@pytest.mark.full
 def test_a_rig_of_an_earlier_version_counts_as_the_same():
     assert session._rig_hash(Rig()) == "5fb9684045"  # as written when a key was still called travel
 
 
+@pytest.mark.full
 def test_a_touch_says_how_it_was_made_and_where(folder, rig):
     meta = dataset.load_dataset(folder / "set").meta
     assert json.loads(meta["settings"])["force"] == 8.0
