@@ -81,7 +81,7 @@ def test_a_recording_in_place_of_a_skin(lab, capsys):
         skin.read(4000, 60.0)
     # As bare bytes, as `cat` records them: again and again, so that it outlasts the session on a slow machine.
     heard = b"".join(chunk for _, chunk in recording.chunks(path / "rest.raw", 1.0))
-    (path / "rest.bin").write_bytes(heard * 12)
+    (path / "rest.bin").write_bytes(heard * 40)
     out = path / "replayed"
     assert collected(["--out", str(out), "--skin", "replay", "--replay", str(path / "rest.bin"), *options])
     made = dataset.load_dataset(out)
