@@ -61,6 +61,13 @@ def _ratio(condition: str, touches: int, score: str = "ratio") -> str:
     return _short(_measured("reconstruct")["conditions"][condition]["after"][str(touches)][score][0])
 
 
+def _lost(world: str) -> float:
+    """Points of mean accuracy that the fused belief loses in a world of which it knows nothing."""
+    found = _measured("mismatch")["tables"]["methods"]
+    means = {row[0]: row[5]["mean"] for row in found["rows"] if row[1] == "fused"}
+    return -100 * means[world]
+
+
 def _sentences() -> list[tuple[str, str]]:
     """A page, and what it says somewhere."""
     paper = {(objects, method): _shown("paper", objects, method) for objects in ("primitives", "tools")
@@ -80,6 +87,13 @@ def _sentences() -> list[tuple[str, str]]:
         ("README.md", f"with the Gaussian process reach {primitives[PROCESS]} and {tools[PROCESS]}"),
         ("README.md", f"five objects right in {_spanned(_last('recognize', 'all', 'fused'))} after ten touches"),
         ("README.md", f"from readings alone in {_spanned(_last('recognize', 'all', 'readings'))}"),
+        ("README.md", f"it loses {_lost('free side faces'):.0f} to {_lost('Winkler foundation'):.0f} points"),
+        ("docs/recognition.md", f"loses {_lost('Winkler foundation'):.0f} points of mean accuracy; free side faces "
+         f"cost it {_lost('free side faces'):.0f} points, a soft compressible layer "
+         f"{_lost('soft compressible layer'):.0f}"),
+        ("docs/recognition.md", "Placements twice as far off as stated cost "
+         f"{_lost('placement off twice as far as stated'):.0f} points, a skin mounted anew by half a millimetre "
+         f"{_lost('skin remounted by 0.5 mm'):.0f}"),
         ("docs/recognition.md", f"it reaches {primitives[MASK]} from masks and {primitives[DEPTH]} from depths"),
         ("docs/recognition.md", f"on tools it reaches {tools[MASK]} and {tools[DEPTH]} (the paper's .70) and stays "
          f"below proprioception ({tools[ARM]}, the paper's .80)"),
@@ -128,6 +142,31 @@ def test_stops_are_as_right_as_the_text_says():
     for found in _scores("recognize", "all", "fused")["stopping"]:
         assert found["stopped_error"]["mean"] <= found["requested_error"] + 0.015
         assert found["stopped_predicted_error"] < found["stopped_error"]["mean"]
+
+
+def test_the_inferred_scale_of_a_placement_does_not_pay_where_the_text_says_so():
+    rows = _measured("placement")["tables"]["conditions"]["rows"]
+    found = {(row[0], row[1]): row for row in rows}
+    for condition in ("1 mm, stated 1", "2 mm, stated 2", "1 mm, stated 2", "2 mm, stated 4"):
+        inferred, stated = found["inferred", condition], found["as stated", condition]
+        assert stated[2]["mean"] >= inferred[2]["mean"]
+        assert stated[3]["mean"] > inferred[3]["mean"]
+    for condition in ("1 mm, stated 0.5", "2 mm, stated 1"):
+        assert abs(found["inferred", condition][3]["mean"] - found["as stated", condition][3]["mean"]) < 0.01
+    often = {
+        method: sum(
+            wrong["mean"] > asked + 0.015
+            for row in rows if row[0] == method
+            for wrong, asked in zip(row[5:], (0.01, 0.05, 0.1), strict=True)
+        )
+        for method in ("inferred", "as stated")
+    }  # fmt: skip
+    assert often == {"inferred": 4, "as stated": 1}
+
+
+def test_what_costs_a_belief_nothing_costs_a_point_at_most():
+    for world in ("worn pad", "arm twice as stiff", "arm half as stiff", "meshes 3 % smaller", "meshes 3 % larger"):
+        assert _lost(world) < 1.5
 
 
 def test_half_to_two_thirds_of_the_distance_are_left_after_20_touches():

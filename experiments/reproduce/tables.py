@@ -245,7 +245,7 @@ def study_table(name: str) -> Table:
     def render(measured: Measured) -> str:
         found = measured["tables"][name]
         rows = [[_cell(x, column) for x, column in zip(row, found["columns"], strict=True)] for row in found["rows"]]
-        return markdown([column["name"].strip() for column in found["columns"]], rows)
+        return markdown([column["name"] for column in found["columns"]], rows)
 
     return render
 

@@ -253,7 +253,7 @@ def report_methods(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dic
     reference = next(iter(settings))
     head = [
         "setting", "evidence", Column(f"after {p.shape[1]} [95 %]"), Column(f"minus {reference}", signed=True),
-        Column(f"mean of 1 to {p.shape[1]} [95 %]"), Column(f"minus {reference} ", signed=True),
+        Column(f"mean of 1 to {p.shape[1]} [95 %]"), Column(f"minus {reference}", signed=True),
         Column("log loss", decimals=2),
     ]  # fmt: skip
     result["tables"] = {"methods": make_table(head, rows)}
