@@ -44,7 +44,13 @@ LIKELIHOOD = {
 POSITION_FACTORS = (0.5, 2.0)  # of the standard deviations of positions
 PARTICLE_COUNTS = (32, 64, 256, 512)
 STD_RATIOS = (0.35, 0.7)
-SCALE_LOG_STD = (0.35, 1.4)
+SCALE_PRIORS = {
+    "none, as stated": None,
+    "log_std = 0.35": ScalePrior(log_std=0.35),
+    "drawn = 1": ScalePrior(drawn=1.0),
+    "log_std = 0.35, drawn = 1": ScalePrior(log_std=0.35, drawn=1.0),
+    "log_std = 1.4": ScalePrior(log_std=1.4),
+}
 PLANAR_INFLATIONS, DEBUG_INFLATIONS = (1.0, 1.3, 1.7, 2.5), (1.0, 1.7)
 CONSTANT_KINDS = ("likelihood", "particles", "scale", "planar")
 
@@ -86,7 +92,7 @@ def beliefs_with(
     stated_mm: float = PLACEMENT_MM,
     num_particles: int | None = None,
     std_ratio: float = belief.PARTICLE_STD_RATIO,
-    scales: ScalePrior = belief.SCALE_PRIOR,
+    scales: ScalePrior | None = belief.SCALE_PRIOR,
 ) -> dict[str, np.ndarray]:
     """Beliefs (e, t, objects) with each likelihood, the one in use unless given, from one table of predictions."""
     prior = outcomes.placement_std(stated_mm * 1e-3, np.radians(stated_mm))
@@ -122,10 +128,8 @@ def particle_choices(beliefs: Callable[..., dict[str, np.ndarray]], *, debug: bo
 
 
 def scale_choices(beliefs: Callable[..., dict[str, np.ndarray]], *, debug: bool) -> dict[str, np.ndarray]:
-    """Beliefs (e, conditions, t, objects) with narrower and wider priors of the placement's scale."""
-    priors = {IN_USE: belief.SCALE_PRIOR}
-    for log_std in SCALE_LOG_STD[:1] if debug else SCALE_LOG_STD:
-        priors[str(ConstantChoice("log_std", log_std))] = belief.SCALE_PRIOR._replace(log_std=log_std)
+    """Beliefs (e, conditions, t, objects) with other priors of the placement's scale, and with the error as stated."""
+    priors = {IN_USE: belief.SCALE_PRIOR, **dict(list(SCALE_PRIORS.items())[: 1 if debug else None])}
     stated = [Condition(PLACEMENT_MM, name).stated_mm for name in STATED_FACTORS]
     return {
         name: np.stack([beliefs(stated_mm=mm, scales=prior)[IN_USE] for mm in stated], axis=1)
