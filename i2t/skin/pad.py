@@ -15,7 +15,7 @@ from i2t.skin.boards import reskin_board
 from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
 from i2t.skin.dipoles import pressed_field, response, rest_field
 from i2t.skin.faults import RANGE_XY_UT, RANGE_Z_UT
-from i2t.skin.friction import shear
+from i2t.skin.friction import Shear, rest, shear
 from i2t.types import PAD_WINDOW, Board, Pad
 
 THICKNESS_M = 2e-3
@@ -120,13 +120,19 @@ def friction_response(
     Returns:
         The change of the reading in uT.
     """
-    state, pressure = None, jnp.zeros_like(height)
-    for part in np.arange(1, increments + 1) / increments:
-        pressure = solve(pad, height, part * indentation, grid, start=pressure).pressure
-        state = shear(pad, pressure, slide / increments, grid, before=state)
-    assert state is not None
-    change = pressed_field(pad, pressure, grid, traction=state.traction) - pressed_field(pad, pressure, grid)
-    return pad.gains * pad.board.to_board(change)
+
+    def advance(
+        now: tuple[Float[Array, "n n"], Shear], part: Float[Array, ""]
+    ) -> tuple[tuple[Float[Array, "n n"], Shear], None]:
+        pressure = solve(pad, height, part * indentation, grid, start=now[0]).pressure
+        return (pressure, shear(pad, pressure, slide / increments, grid, before=now[1])), None
+
+    untouched = jnp.zeros_like(height)
+    parts = jnp.asarray(np.arange(1, increments + 1) / increments, height.dtype)
+    (pressure, state), _ = jax.lax.scan(advance, (untouched, rest(pad, untouched, grid)), parts)
+    tractions = jnp.stack([state.traction, jnp.zeros_like(state.traction)])  # with and without, compiled once for both
+    held, free = jax.lax.map(lambda traction: pressed_field(pad, pressure, grid, traction=traction), tractions)
+    return pad.gains * pad.board.to_board(held - free)
 
 
 def nominal_pad(
