@@ -277,13 +277,13 @@ def _show_warning(message: Warning | str, category: type[Warning], *where: Any, 
 
 
 def _options(options: Any, group: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Flag, type and value of every option, those of groups as `settings.press`."""
+    """Flag, type and value of every option, those of groups as `settings.press`; as `press` where a group is FLAT."""
     hints = typing.get_type_hints(type(options), include_extras=True)
     for each in fields(options):
         value = getattr(options, each.name)
         flag = group + each.name.replace("_", "-")
         if is_dataclass(value):
-            yield from _options(value, f"{flag}.")
+            yield from _options(value, group if getattr(value, "FLAT", False) else f"{flag}.")
         else:
             yield flag, hints[each.name], value
 

@@ -27,6 +27,7 @@ from jaxtyping import Array, Float, Int, Key, PyTree
 from i2t.prediction import model as net
 from i2t.prediction.loss import LossConfig, Losses, losses
 from i2t.prediction.model import Inputs, ModelConfig, Normalisation, Params, Standard, standardise
+from i2t.sharding import spread_rows
 
 
 class Batch(NamedTuple):
@@ -277,7 +278,7 @@ def fit(
     log: Callable[[int, EpochInfo], None] = lambda epoch, info: None,
     save: Callable[[TrainState], None] = lambda state: None,
 ) -> TrainState:
-    """Train to the last epoch; an interruption leaves the last saved state to resume from.
+    """Train to the last epoch, members on all devices; an interruption leaves the last saved state to resume from.
 
     Args:
         state: Where to start: see `start`, or a state that was saved.
@@ -299,10 +300,10 @@ def fit(
     done = int(state.epoch.max())
     while done < cfg.epochs:
         count = min(chunk, cfg.epochs - done)
-        state, info = run(state, train, validation, jnp.int32(count))
+        state, info = spread_rows(run, (state,), shared=(train, validation, jnp.int32(count)))
         info = jax.device_get(info)
         for i in range(count):
-            log(done + i + 1, jax.tree.map(lambda rows, i=i: rows[i], info))
+            log(done + i + 1, jax.tree.map(lambda rows, i=i: rows[:, i], info))
         done += count
         if not np.isfinite(state.best_loss).all() and validation is not None:
             raise ValueError(
@@ -353,9 +354,14 @@ def with_residual(params: Params, model: ModelConfig, norm: Normalisation, batch
 
 @lru_cache(maxsize=8)
 def _compiled_chunk(model: ModelConfig, cfg: TrainConfig, capacity: int) -> Callable:
-    """One compiled program for all trainings that differ in seed and data only."""
+    """One compiled program for all trainings that differ in seed and data only; the members are axis 0 of its info."""
     chunk = make_chunk(model, cfg, capacity)
-    return jax.jit(chunk)
+
+    def by_member(state: TrainState, *data: PyTree) -> tuple[TrainState, EpochInfo]:
+        after, info = chunk(state, *data)
+        return after, jax.tree.map(lambda rows: rows.swapaxes(0, 1), info)
+
+    return jax.jit(by_member)
 
 
 def _in_turn(train: Callable) -> Callable:

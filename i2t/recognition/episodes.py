@@ -24,6 +24,7 @@ from i2t.recognition.belief import Likelihood, Particles, TouchObservation
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.recognition.site_pool import SitePool, predict_outcomes
 from i2t.rendering.ops import element
+from i2t.sharding import everywhere, spread, spread_rows
 from i2t.simulation import touches as simulation
 from i2t.simulation.press import PressLaw, PressLimits
 from i2t.simulation.touches import SessionErrors, SimulationErrors
@@ -34,6 +35,7 @@ OBSERVED_BATCH = 40  # simulated at a time
 TouchNumber: TypeAlias = tuple[int, int, int]  # which touch of which episode, and its site
 
 BELIEVED_TOUCHES = 320  # predicted at a time on every object in every pose
+BELIEVED_EPISODES = 8  # whose posteriors are formed at a time
 
 
 class EvidenceWeights(NamedTuple):
@@ -155,8 +157,14 @@ class EpisodeSimulator:
         done = [(np.array([i]), jax.tree.map(lambda x: x[None], known[numbers[i]])) for i in np.flatnonzero(~missing)]
         if bar is not None:
             bar.update(len(done))
-        for rows in self._batches(missing, episode):
-            done.append((rows, self._touch_batch(keys, episode, where, rows)))
+        batches = list(self._batches(missing, episode))
+        calls = (self._call(keys, episode, where, rows) for rows in batches)
+        made_batches = spread(
+            _touch_many, calls, shared=(self.pad,),
+            errors=self.config.press_errors, limits=self.config.limits, law=self.config.law,
+        )  # fmt: skip
+        for rows, batch in zip(batches, made_batches, strict=True):
+            done.append((rows, jax.tree.map(lambda x, rows=rows: np.asarray(x[: len(rows)]), batch)))
             if bar is not None:
                 bar.update(len(rows))
         made = _in_order(done)
@@ -183,14 +191,12 @@ class EpisodeSimulator:
             for start in range(0, len(rows), OBSERVED_BATCH):
                 yield rows[start : start + OBSERVED_BATCH]
 
-    def _touch_batch(self, keys: np.ndarray, episode: np.ndarray, where: np.ndarray, rows: np.ndarray) -> Touches:
-        """Touches of one object, filled up to a batch so that one compilation serves all."""
+    def _call(
+        self, keys: np.ndarray, episode: np.ndarray, where: np.ndarray, rows: np.ndarray
+    ) -> tuple[np.ndarray, Surface, np.ndarray, SessionErrors]:
+        """What touches of one object are simulated from, filled up to a batch so that one compilation serves all."""
         full, which = np.resize(rows, OBSERVED_BATCH), int(self.truth[episode[rows[0]]])
-        made = _touch_many(
-            keys[full], self.surfaces[which], self.T_w_site[where[full]], element(self.sessions, episode[full]),
-            self.pad, errors=self.config.press_errors, limits=self.config.limits, law=self.config.law,
-        )  # fmt: skip
-        return jax.tree.map(lambda x: np.asarray(x[: len(rows)]), jax.device_get(made))
+        return keys[full], self.surfaces[which], self.T_w_site[where[full]], element(self.sessions, episode[full])
 
     def observations(self) -> TouchObservation:
         """All touches so far.
@@ -297,6 +303,7 @@ def _touch_many(
     T: Array,
     sessions: SessionErrors,
     pad: Pad,
+    *,
     errors: SimulationErrors,
     limits: PressLimits,
     law: PressLaw,
@@ -406,7 +413,7 @@ def posteriors(
 
         return jax.lax.scan(step, belief.init(particles, objects, channels=channels), at)[1]
 
-    return jax.lax.map(episode, (site, observations), batch_size=8)
+    return jax.lax.map(episode, (site, observations), batch_size=BELIEVED_EPISODES)
 
 
 def run_belief(
@@ -428,12 +435,19 @@ def run_belief(
     Returns:
         Probabilities of the objects, by kind of evidence.
     """
-    table, site = jax.device_put(table), jnp.asarray(episodes.site)
+    table, particles = everywhere((table, particles))
+    rows = (jnp.asarray(episodes.site), episodes.observations)
     found = {}
     for kind in kinds:
-        weighted = weigh_evidence(likelihood, EVIDENCE[kind])
-        found[kind] = np.asarray(posteriors(table, site, episodes.observations, weighted, particles))
+        shared = (table, weigh_evidence(likelihood, EVIDENCE[kind]), particles)
+        found[kind] = np.asarray(spread_rows(_posteriors_of, rows, shared=shared, multiple=BELIEVED_EPISODES))
     return found
+
+
+def _posteriors_of(
+    site: Array, observations: TouchObservation, table: PredictedTouch, likelihood: Likelihood, particles: Particles
+) -> Array:
+    return posteriors(table, site, observations, likelihood, particles)
 
 
 def weigh_evidence(likelihood: Likelihood, weights: EvidenceWeights) -> Likelihood:

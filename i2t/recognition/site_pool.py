@@ -23,6 +23,7 @@ from i2t.recognition.belief import Particles
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, stack_surfaces
+from i2t.sharding import spread
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.touches import SimulationErrors
 from i2t.types import Surface
@@ -208,12 +209,14 @@ def predict_outcomes(
     """
     each = max(BATCH_TOUCHES // len(twist), 1)
     padded = np.resize(np.asarray(T_w_site), (-(-len(T_w_site) // each) * each, 4, 4))
+    starts = range(0, len(padded), each)
+    calls = ((surface, padded[start : start + each]) for surface in surfaces for start in starts)
+    made = spread(_predict, calls, shared=(twist, list(reading_models)), overtravel=overtravel)
     columns = []
-    for surface in surfaces:
+    for _ in surfaces:
         parts = []
-        for start in range(0, len(padded), each):
-            some = jnp.asarray(padded[start : start + each])
-            parts.append(jax.device_get(_predict(surface, twist, some, list(reading_models), overtravel)))
+        for start in starts:
+            parts.append(next(made))
             if bar is not None:
                 bar.update(min(each, len(T_w_site) - start) * len(twist))
         columns.append(jax.tree.map(lambda *x: np.concatenate(x)[: len(T_w_site)], *parts))
@@ -222,7 +225,7 @@ def predict_outcomes(
 
 @partial(jax.jit, static_argnames=("overtravel",))
 def _predict(
-    surface: Surface, twist: Array, T_w_site: Array, reading_models: list[LinearReadingModel], overtravel: float
+    surface: Surface, T_w_site: Array, twist: Array, reading_models: list[LinearReadingModel], *, overtravel: float
 ) -> list[PredictedTouch]:
     def one(T: Array, x: Array) -> list[PredictedTouch]:
         contact = outcomes.predict_contact(surface, jnp.eye(4), x, T, reading_models[0].loads, overtravel=overtravel)

@@ -20,7 +20,7 @@ zero switches it off. Everything here is simulated, and says so where it is stor
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
@@ -32,6 +32,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t import geometry
 from i2t.rendering.render import render_heights, render_patch, stack_surfaces
+from i2t.sharding import spread
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.press import PressLaw, PressLimits, press_to_stop
 from i2t.skin import faults
@@ -476,7 +477,7 @@ def simulate_touches(
     touches_per_session: int = 36,
     progress: Callable[[int], None] = lambda touches: None,
 ) -> Touches:
-    """Simulated touches on objects, in sessions, with the errors of a real lab.
+    """Simulated touches on objects, in sessions, with the errors of a real lab; a session on each device at a time.
 
     Args:
         key: random key.
@@ -504,32 +505,41 @@ def simulate_touches(
     """
     limits, sites = limits or PressLimits(), sites or touch_sites.SiteLimits()
     counts = [n] * len(objects) if isinstance(n, int) else list(n)
-    simulate = jax.jit(simulate_session, static_argnames=("errors", "limits", "sites", "n"))
     surfaces = stack_surfaces(objects)  # one size class for all, and so one compilation
-    parts, session, presses = [], 0, 0
-    for i, count in enumerate(counts):
-        surface = jax.tree.map(lambda field, i=i: field[i], surfaces)
-        for start in range(0, count, touches_per_session):
-            part = jax.device_get(
-                simulate(
-                    jax.random.fold_in(key, session),
-                    surface,
-                    jnp.eye(4),
-                    pad,
-                    errors=errors,
-                    limits=limits,
-                    sites=sites,
-                    n=touches_per_session,
-                    presses_before=jnp.int32(presses),
-                )
+    sessions = [
+        (i, min(touches_per_session, count - start))
+        for i, count in enumerate(counts)
+        for start in range(0, count, touches_per_session)
+    ]
+
+    def calls() -> Iterator[tuple[Array, Surface, Array]]:
+        presses = 0
+        for session, (i, kept) in enumerate(sessions):
+            surface = jax.tree.map(lambda field, i=i: field[i], surfaces)
+            yield jax.random.fold_in(key, session), surface, jnp.int32(presses)
+            presses += kept
+
+    made = spread(
+        _simulate_session, calls(), shared=(jnp.eye(4), pad),
+        errors=errors, limits=limits, sites=sites, n=touches_per_session,
+    )  # fmt: skip
+    parts = []
+    for session, ((i, kept), part) in enumerate(zip(sessions, made, strict=True)):
+        if (part.code == ReturnCode.FAILED).any():
+            raise ValueError(
+                f"object {i} has too few safe touch sites; relax the limits of i2t.simulation.sites.SiteLimits"
             )
-            if (part.code == ReturnCode.FAILED).any():
-                raise ValueError(
-                    f"object {i} has too few safe touch sites; relax the limits of i2t.simulation.sites.SiteLimits"
-                )
-            part = part._replace(object=part.object + i, session=part.session + session)
-            kept = min(touches_per_session, count - start)
-            parts.append(jax.tree.map(lambda array, kept=kept: array[:kept], part))
-            session, presses = session + 1, presses + kept
-            progress(kept)
+        part = part._replace(object=part.object + i, session=part.session + session)
+        parts.append(jax.tree.map(lambda array, kept=kept: array[:kept], part))
+        progress(kept)
     return jax.tree.map(lambda *arrays: jnp.concatenate(arrays), *parts)
+
+
+@partial(jax.jit, static_argnames=("errors", "limits", "sites", "n"))
+def _simulate_session(
+    key: Array, surface: Surface, presses_before: Array, T_w_o: Array, pad: Pad, *,
+    errors: SimulationErrors, limits: PressLimits, sites: touch_sites.SiteLimits, n: int,
+) -> Touches:  # fmt: skip
+    return simulate_session(
+        key, surface, T_w_o, pad, errors=errors, limits=limits, sites=sites, n=n, presses_before=presses_before
+    )

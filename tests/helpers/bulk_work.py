@@ -1,0 +1,80 @@
+"""A little of everything that is laid over devices, as a program: `python bulk_work.py OUT [PROCESSES NUMBER PORT]`.
+
+OUT gets all numbers, by name. With the other words it is one of several processes that work as one.
+"""
+
+import sys
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from i2t.objects import catalogue
+from i2t.prediction import training
+from i2t.prediction.model import Inputs, ModelConfig
+from i2t.prediction.training import Batch, TrainConfig
+from i2t.recognition import belief
+from i2t.recognition.belief import TouchObservation
+from i2t.recognition.episodes import Episodes, run_belief
+from i2t.recognition.outcomes import LOADS_N, PRESSURE_GRID, LinearReadingModel
+from i2t.recognition.site_pool import SitePool, pose_particles, predict_outcomes, prepare_surfaces
+from i2t.simulation.press import PressLimits
+from i2t.simulation.touches import SimulationErrors, simulate_touches
+from i2t.skin.pad import nominal_pad
+from i2t.types import ReturnCode
+
+ERRORS, LIMITS = SimulationErrors(), PressLimits()
+NETWORK = ModelConfig(pixels=8, encoder_width=16, bottleneck=4, decoder_width=24, auxiliary_width=12, members=3)
+
+
+def compute() -> dict[str, np.ndarray]:
+    """Touches of five sessions, predicted touches, posteriors along episodes, and an ensemble of three networks."""
+    surfaces = prepare_surfaces([catalogue.make_object(name).mesh for name in ("square", "hexagon")])
+    touches = simulate_touches(jax.random.key(0), surfaces, nominal_pad(), ERRORS, [7, 5], touches_per_session=3)
+    rng = np.random.default_rng(0)
+    cells = PRESSURE_GRID.cells**2
+    model = LinearReadingModel(
+        jnp.float32(LOADS_N),
+        jnp.float32(rng.normal(size=(3, cells, 15))),
+        jnp.float32(0.1 * rng.normal(size=(3, cells, 4))),
+        jnp.full(15, 20.0),
+        jnp.float32(1.0),
+    )
+    likelihood = belief.fit_likelihood(
+        rng.normal(size=(50, 15)), model.scale, model.loads, overtravel=LIMITS.overtravel, position_std=1e-4
+    )
+    particles = pose_particles(ERRORS, 64, 0)
+    sites = SitePool(jnp.asarray(touches.T_w_t), np.asarray(touches.object))
+    (table,) = predict_outcomes(surfaces, particles.twist, sites.T_w_t, [model], overtravel=LIMITS.overtravel)
+    site = np.arange(48).reshape(24, 2) % len(sites.owner)
+    met = TouchObservation(
+        touches.reading[site], touches.force[site], 1e-4 * touches.force[site], touches.code[site] != ReturnCode.AIR
+    )
+    episodes = Episodes(np.zeros(24, int), site, met, np.asarray(touches.T_w_t)[site])
+    beliefs = run_belief(table, episodes, likelihood, particles, ["fused", "position"])
+    everything: dict[str, Any] = {"touches": touches, "table": table, "beliefs": beliefs}
+    return _named(everything | {"networks": _trained(rng)})
+
+
+def _trained(rng: np.random.Generator) -> training.TrainState:
+    raw = Batch(
+        Inputs(jnp.float32(rng.normal(size=(40, 8, 8))), jnp.zeros((40, 0))), jnp.float32(rng.normal(size=(40, 15)))
+    )
+    ready = training.prepare(NETWORK, training.normalisation(raw), raw)
+    cfg = TrainConfig(epochs=5, batch_size=16)
+    state = training.fit(training.start(NETWORK, cfg, 40), NETWORK, cfg, ready, ready, chunk=3)
+    return state._replace(key=jax.random.key_data(state.key))
+
+
+def _named(values: Any) -> dict[str, np.ndarray]:
+    return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(values)}
+
+
+if __name__ == "__main__":
+    out, *several = sys.argv[1:]
+    if several:
+        processes, number, port = map(int, several)
+        jax.distributed.initialize(f"127.0.0.1:{port}", processes, number)
+    print(f"{jax.device_count()} devices of {jax.process_count()} processes")
+    np.savez(out, **compute())

@@ -1,0 +1,109 @@
+"""Calls laid over devices give what one device gives, to the last bit: over four devices, and over two processes."""
+
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from i2t.sharding import everywhere, spread, spread_rows
+
+ROOT = Path(__file__).parents[1]
+SEVERAL = "--xla_force_host_platform_device_count=4"
+
+
+def started(words, several=False):
+    flags = f"{os.environ.get('XLA_FLAGS', '')} {SEVERAL if several else ''}"
+    environment = {**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    return subprocess.Popen([sys.executable, *words], env=environment, text=True, **pipes)
+
+
+def said(process):
+    output = process.communicate(timeout=540)[0]
+    assert process.returncode == 0, output
+    return output
+
+
+@jax.jit
+def scaled(x, factor):
+    return {"product": x * factor, "rows": jnp.arange(2)}
+
+
+def test_with_one_device_calls_are_made_one_after_the_other_when_they_are_asked_for():
+    asked = []
+    calls = (asked.append(i) or (jnp.float32(i),) for i in range(3))
+    made = spread(scaled, calls, shared=(2.0,))
+    assert float(next(made)["product"]) == 0.0
+    assert asked == [0]
+    assert [float(each["product"]) for each in made] == [2.0, 4.0]
+    assert list(spread(scaled, [])) == []
+    x = jnp.arange(3.0)
+    assert spread_rows(lambda x: x, (x,)) is x
+    np.testing.assert_array_equal(everywhere(x), x)
+
+
+FOUR = """
+import jax
+import jax.numpy as jnp
+import numpy as np
+from functools import partial
+from i2t.sharding import everywhere, spread, spread_rows
+
+@partial(jax.jit, static_argnames="power")
+def draw(key, x, shared, power):
+    return jax.random.fold_in(key, 1), x**power + shared["bias"] + jax.random.normal(key), jax.lax.axis_index("calls")
+
+keys, x = jax.random.split(jax.random.key(0), 6), np.arange(12.0, dtype=np.float32).reshape(6, 2)
+shared = {"bias": jnp.ones(2), "nothing": None}
+made = list(spread(draw, zip(keys, x), shared=(everywhere(shared),), power=2))
+assert [int(device) for *_, device in made] == [0, 1, 2, 3, 0, 1], "a call on each device"
+for key, row, (after, value, _) in zip(keys, x, made, strict=True):
+    assert (after == jax.random.fold_in(key, 1)).all()
+    np.testing.assert_array_equal(value, row**2 + 1 + jax.random.normal(key))
+
+@jax.jit
+def by_row(keys, x, bias):
+    value = jax.vmap(jax.random.normal)(keys) + x.sum(1) + bias
+    return {"value": value, "keys": keys, "many": jnp.full(len(x), len(x))}
+
+for multiple, rows in ((1, 2), (3, 3)):  # six rows cut into parts of these
+    found = spread_rows(by_row, (keys, x), shared=(jnp.float32(1),), multiple=multiple)
+    assert found["many"].tolist() == [rows] * 6, found["many"]
+    np.testing.assert_allclose(found["value"], by_row(keys, x, 1.0)["value"], rtol=1e-6)
+    assert (found["keys"] == keys).all()
+(alone,) = spread(lambda x, bias: (x + bias).sharding.device_set, [(jnp.zeros(2),)], shared=everywhere((jnp.ones(2),)))
+assert len(alone) == 1, "one call alone is made on one device"
+print(jax.device_count(), "devices")
+"""
+
+
+def test_over_four_devices_every_call_finds_its_own_arguments():
+    assert said(started(["-c", FOUR], several=True)) == "4 devices\n"
+
+
+def _free_port():
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return listener.getsockname()[1]
+
+
+@pytest.mark.full
+def test_touches_tables_beliefs_and_networks_are_the_same_on_four_devices_and_in_two_processes(tmp_path):
+    work, port = str(ROOT / "tests" / "helpers" / "bulk_work.py"), str(_free_port())
+    assert "1 devices of 1 processes" in said(started([work, str(tmp_path / "one.npz")]))
+    assert "4 devices of 1 processes" in said(started([work, str(tmp_path / "four.npz")], several=True))
+    pair = [started([work, str(tmp_path / f"two-{i}.npz"), "2", str(i), port]) for i in range(2)]
+    assert all("2 devices of 2 processes" in said(each) for each in pair)
+    one = dict(np.load(tmp_path / "one.npz"))
+    assert len(one) > 70
+    for name in ("four", "two-0", "two-1"):
+        other = np.load(tmp_path / f"{name}.npz")
+        assert set(other.files) == set(one)
+        for field, value in one.items():
+            np.testing.assert_array_equal(other[field], value, err_msg=f"{name}: {field}")
