@@ -17,6 +17,7 @@ from i2t.cli import exit_code_of
 from i2t.files import replacing
 
 CONFIG, METRICS = "config.json", "metrics.json"
+LOG = ".log"  # of what a worker printed (`experiments.common.tasks`)
 MAX_PICTURES_NAMED = 6
 CONFIG_KEYS = {"args", "versions", "experiment"}  # by which a config.json is known to be ours
 # Of arrays, or of such dicts: what an experiment made of one pad and seed. Its names are the experiment's own words,
@@ -45,10 +46,12 @@ def _interrupted(resumable: Path | None) -> str:
 
 
 def settings(args: Any) -> dict[str, Any]:
-    """What is run, from a dataclass, and with which versions; where it is kept and how it goes on is no setting."""
+    """What is run, from a dataclass, and with which versions; where it is kept, who makes it and how it goes on is no
+    setting.
+    """
     from i2t.prediction.checkpoint import PACKAGES  # not above: JAX takes seconds, which a refusal need not wait for
 
-    kept = {name: value for name, value in asdict(args).items() if name not in ("out", "resume", "overwrite")}
+    kept = {name: value for name, value in asdict(args).items() if name not in ("out", "resume", "overwrite", "tasks")}
     return {
         "args": {name: str(value) if isinstance(value, Path) else value for name, value in kept.items()},
         "versions": {"python": sys.version.split()[0], **{name: version(name) for name in PACKAGES}},
@@ -124,8 +127,8 @@ def settle_begun() -> None:
 
 
 def _made_something(out: Path) -> bool:
-    """Whether a folder that was begun holds more than the note of its beginning."""
-    return any(path.is_file() and path != out / CONFIG for path in out.rglob("*"))
+    """Whether a folder that was begun holds more than the note of its beginning and what workers printed."""
+    return any(path.is_file() and path != out / CONFIG and path.suffix != LOG for path in out.rglob("*"))
 
 
 _BEGUN: set[Path] = set()  # folders that this process writes runs into

@@ -1,9 +1,12 @@
 """The options of `python -m experiments.pads`, without JAX."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
+import tyro
+
+from experiments.common.tasks import TaskOptions
 from i2t.cli import Limits, Seed
 
 
@@ -15,7 +18,10 @@ class PadsArgs:
     preset: Literal["study", "debug"] = "study"
     skins: Annotated[int, Limits(2)] | None = None  # 18 in the study, 2 in debug; a multiple of the boards is best
     seed: Seed = 0
-    overwrite: bool = False  # replace a run in --out
+    resume: bool = False  # go on with an unfinished run in --out
+    overwrite: bool = False  # replace a finished or unfinished run in --out
+    tasks: Annotated[TaskOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=TaskOptions)
 
     def check(self) -> None:
-        """All options go together."""
+        """Refuse what does not go together."""
+        self.tasks.check()

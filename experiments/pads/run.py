@@ -9,14 +9,16 @@ other pad, 84 % on many, 87 % after 390 presses of the new pad whose positions n
 presses are simulated (`sample_pad` with the faults and the noise of a board in order): a tip of 4.6 mm at random
 positions within 7 mm of the middle along x and y, 0.6-1.0 N, the force not known. Each skin is tested on presses of its
 own that no method sees; networks that learn from other skins learn from those of the other boards only. The share
-within 1 mm is the mean over skins with its 95 % interval (Student's t). Results go to --out: metrics.json, config.json
-and accuracy.png.
+within 1 mm is the mean over skins with its 95 % interval (Student's t). Results go to --out: metrics.json, config.json,
+accuracy.png, and the shares of each skin (skin-*.json), where --resume goes on.
 """
 
+import json
 import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,7 @@ from jaxtyping import Array, Key
 
 from experiments.common.presets import choose_preset
 from experiments.common.runs import begin, write_json
+from experiments.common.tasks import Task, run_tasks
 from experiments.pads import methods
 from experiments.pads.arguments import PadsArgs
 from experiments.pads.simulate import PROBE_TIP, SkinSession, press_skin, sample_skins
@@ -66,19 +69,26 @@ def run(args: PadsArgs) -> dict[str, Any]:
     """The experiment: prepare, evaluate, report."""
     study = choose_preset(PRESETS, args.preset)
     skins = DEFAULT_SKINS[args.preset] if args.skins is None else args.skins
-    begin(args.out, args, study, None, args.overwrite)
-    key = jax.random.key(args.seed)
-    sessions = simulate_sessions(key, skins, study)
+    begin(args.out, args, study, args.resume, args.overwrite)
+    sessions = simulate_sessions(jax.random.key(args.seed), skins, study)
     board = np.arange(skins) % study.boards  # alone on a board of its own where there are fewer skins
-
-    shares: dict[str, list[float]] = {}
+    tasks = []
     for i in range(skins):
         others = [sessions[j] for j in range(skins) if board[j] != board[i]]
-        for name, share in evaluate(jax.random.fold_in(key, 1000 + i), sessions[i], others, study).items():
-            shares.setdefault(name, []).append(share)
-        print(f"skin {i + 1} of {skins}: " + ", ".join(f"{name} {v[-1]:.2f}" for name, v in shares.items()), flush=True)
-        write_json(args.out / "partial.json", shares)
-    return report(args.out, shares, skins)
+        path = args.out / f"skin-{i}.json"
+        tasks.append(Task(path.stem, path, partial(make_part, args.seed, i, sessions[i], others, study, path=path)))
+    run_tasks(tasks, args.tasks)
+    parts = [json.loads(task.finished.read_text()) for task in tasks]
+    return report(args.out, {name: [part[name] for part in parts] for name in parts[0]}, skins)
+
+
+def make_part(
+    seed: int, skin: int, session: SkinSession, others: list[SkinSession], study: LocalizationStudy, *, path: Path
+) -> None:
+    """The shares of one skin, kept in `path`."""
+    shares = evaluate(jax.random.fold_in(jax.random.key(seed), 1000 + skin), session, others, study)
+    write_json(path, shares)
+    print(f"{path.stem}: " + ", ".join(f"{name} {share:.2f}" for name, share in shares.items()), flush=True)
 
 
 def simulate_sessions(key: Key[Array, ""], skins: int, study: LocalizationStudy) -> list[SkinSession]:
@@ -146,7 +156,6 @@ def report(out: Path, shares: dict[str, list[float]], skins: int) -> dict[str, A
         "each": shares,
     }
     write_json(out / "metrics.json", metrics)
-    (out / "partial.json").unlink()
     title = f"Presses located within 1 mm on {skins} unseen skins"
     viz.save_figure(viz.plot_intervals(intervals, title, "share of presses", True), out / "accuracy.png")
     print(f"\nlocated within 1 mm: mean of {skins} simulated skins [95 %]")

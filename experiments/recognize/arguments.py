@@ -1,10 +1,13 @@
 """The options of `python -m experiments.recognize`, without JAX, so that help and refusals are there at once."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+import tyro
 
 from experiments.common.checks import finished_runs, require_dataset, require_objects, require_pad
+from experiments.common.tasks import TaskOptions
 from i2t.cli import Count, Positive, Probability, Seed, require_path, require_with
 
 PresetName = Literal["paper", "debug"]
@@ -34,6 +37,7 @@ class SimulateArgs:
     seed: Seed = 0
     resume: bool = False  # go on with an unfinished run in --out
     overwrite: bool = False  # replace a finished or unfinished run in --out
+    tasks: Annotated[TaskOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=TaskOptions)
 
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there."""
@@ -56,6 +60,8 @@ class SimulateArgs:
                 raise ValueError(f"{flag} is for simulated episodes, and --dataset brings its own; leave it out")
         if self.objects and self.paper_episodes is not None:
             raise ValueError("--paper-episodes is for the paper's sets, and --objects are others; pass --episodes")
+        self.tasks.check()
+        require_with("--executor", self.tasks.executor != "serial", "simulated episodes (no --dataset)", not recorded)
         require_objects(self.objects, self.unit)
         require_dataset("--dataset", self.dataset)
         require_pad(self.pad)

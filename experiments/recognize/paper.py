@@ -19,6 +19,7 @@ simulated; a touch costs about 1/30 s on two cores, and five pads with 200 episo
 """
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +29,7 @@ from tqdm import tqdm
 
 from experiments.common.checks import pad_name
 from experiments.common.runs import slug, write_json
+from experiments.common.tasks import Task, TaskOptions, run_tasks
 from experiments.recognize import report as reporting
 from experiments.recognize.config import Recognition
 from experiments.recognize.report import CONSTANT, IMAGINE2TOUCH, RULES_GP, EpisodeResults, Results
@@ -104,7 +106,7 @@ def missing_networks(folder: Path, found: PaperNetworks | None) -> str:
     return ""
 
 
-def run(out: Path, cfg: Recognition, folders: Sequence[Path], seed: int) -> dict[str, Any]:
+def run(out: Path, cfg: Recognition, folders: Sequence[Path], seed: int, options: TaskOptions) -> dict[str, Any]:
     """The paper's sets on every pad, then the tables over them.
 
     Args:
@@ -112,16 +114,17 @@ def run(out: Path, cfg: Recognition, folders: Sequence[Path], seed: int) -> dict
         cfg: Objects, numbers and errors.
         folders: Of finished runs.
         seed: Of the first; the next ones count on.
+        options: Who plays them.
 
     Returns:
         What is written to metrics.json.
     """
-    parts = []
+    tasks = []
     for i, folder in enumerate(folders):
         path = out / f"loop-{i}.npz"
-        if not path.exists():
-            reporting.save(path, play(cfg, folder, seed + i))
-        parts.append(reporting.load(path))
+        tasks.append(Task(path.stem, path, partial(play_part, cfg, folder, seed + i, path)))
+    run_tasks(tasks, options)
+    parts = [reporting.load(task.finished) for task in tasks]
     result: dict[str, Any] = {
         "source": "simulated",
         "method": "the paper's loop",
@@ -142,6 +145,11 @@ def network_epochs(folder: Path) -> int | None:
     """For how many epochs the paper's networks of a run were trained."""
     found = load_paper_networks(folder)
     return None if found is None else found.epochs
+
+
+def play_part(cfg: Recognition, folder: Path, seed: int, path: Path) -> None:
+    """The paper's sets with the pad of one run, kept in `path`."""
+    reporting.save(path, play(cfg, folder, seed))
 
 
 def play(cfg: Recognition, folder: Path, seed: int) -> Results:

@@ -26,6 +26,7 @@ is in docs/recognition.md. Everything is simulated unless --dataset says otherwi
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +36,7 @@ import numpy as np
 from experiments.common.checks import chosen_runs, pad_name
 from experiments.common.presets import choose_preset
 from experiments.common.runs import begin, pictures_in
+from experiments.common.tasks import Task, run_tasks
 from experiments.recognize import paper, recorded, trained_run
 from experiments.recognize import report as reporting
 from experiments.recognize.arguments import SimulateArgs
@@ -87,15 +89,19 @@ def run(args: SimulateArgs) -> dict[str, Any]:
     folders = chosen_runs(args.trained_run, args.pads)
     begin(args.out, args, cfg, args.resume, args.overwrite)
     if args.method == "paper":
-        return paper.run(args.out, cfg, folders, args.seed)
-    parts = []
+        return paper.run(args.out, cfg, folders, args.seed, args.tasks)
+    tasks = []
     for i, folder in enumerate(folders):
         path = args.out / f"episodes-{i}.npz"
-        if not path.exists():
-            reporting.save(path, play(args, cfg, folder, args.seed + i))
-        parts.append(reporting.load(path))
+        tasks.append(Task(path.stem, path, partial(play_part, args, cfg, folder, args.seed + i, path)))
+    run_tasks(tasks, args.tasks)
     touched = data.load_dataset(folders[0] / "data.h5")
-    return report(args, parts, touched.source, touched.board)
+    return report(args, [reporting.load(task.finished) for task in tasks], touched.source, touched.board)
+
+
+def play_part(args: SimulateArgs, cfg: Recognition, folder: Path, seed: int, path: Path) -> None:
+    """All sets of one pad and seed, kept in `path`."""
+    reporting.save(path, play(args, cfg, folder, seed))
 
 
 def configure(args: SimulateArgs) -> Recognition:

@@ -1,10 +1,13 @@
 """The options of `python -m experiments.shapes`, without JAX."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+import tyro
 
 from experiments.common.checks import require_dataset
+from experiments.common.tasks import TaskOptions
 from i2t.cli import Seed
 
 
@@ -18,7 +21,9 @@ class ShapesArgs:
     seed: Seed = 0
     resume: bool = False  # go on with an unfinished run in --out
     overwrite: bool = False  # replace a finished or unfinished one
+    tasks: Annotated[TaskOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=TaskOptions)
 
     def check(self) -> None:
-        """Refuse a data set that is not there."""
+        """Refuse what does not go together, and a data set that is not there."""
         require_dataset("--dataset", self.dataset)
+        self.tasks.check()

@@ -14,6 +14,7 @@ config.json, figures, and the presses (data.h5).
 import json
 import os
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,6 +27,7 @@ from tqdm import tqdm
 
 from experiments.common.presets import choose_preset
 from experiments.common.runs import begin, write_json
+from experiments.common.tasks import Task, run_tasks
 from experiments.shapes import report
 from experiments.shapes.arguments import ShapesArgs
 from experiments.shapes.config import PRESETS, ShapeExperiment
@@ -66,12 +68,12 @@ def run(args: ShapesArgs) -> dict[str, Any]:
     presses = prepare(args, cfg)
     dataset, names = presses.dataset, presses.names
     print(f"{len(dataset)} presses ({dataset.source}) of {', '.join(names)} on {len(presses.pads)} pads")
-    parts = []
-    for pad in tqdm(range(len(presses.pads)), desc="pads", unit="pad"):
-        path = args.out / f"pad-{pad}.json"  # a resumed run finds those that are done
-        if not path.exists():
-            write_json(path, evaluate_pad(presses, pad, cfg, args.seed))
-        parts.append(json.loads(path.read_text()))
+    tasks = []
+    for pad in range(len(presses.pads)):
+        path = args.out / f"pad-{pad}.json"
+        tasks.append(Task(path.stem, path, partial(make_part, presses, pad, cfg, args.seed, path)))
+    run_tasks(tasks, args.tasks, bar="pads")
+    parts = [json.loads(task.finished.read_text()) for task in tasks]
     result = {
         "source": dataset.source,
         "seed": args.seed,
@@ -111,6 +113,11 @@ def folds_of(presses: StampPresses, seed: int) -> dict[str, np.ndarray]:
     """Each split that the presses of a pad allow."""
     folds = {split: split_folds(presses, split, seed) for split in SPLITS}
     return {split: fold for split, fold in folds.items() if fold is not None}
+
+
+def make_part(presses: ShapePresses, pad: int, cfg: ShapeExperiment, seed: int, path: Path) -> None:
+    """What all methods reach on one pad, kept in `path`."""
+    write_json(path, evaluate_pad(presses, pad, cfg, seed))
 
 
 def evaluate_pad(presses: ShapePresses, pad: int, cfg: ShapeExperiment, seed: int) -> dict[str, Any]:

@@ -1,12 +1,13 @@
 """The options of `python -m experiments.studies`, without JAX, so that its help and its refusals are there at once."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
 from experiments.common.checks import chosen_runs
+from experiments.common.tasks import TaskOptions
 from experiments.recognize.arguments import PresetName
 from i2t.cli import Count, NotNegative, Seed, require_path
 
@@ -33,6 +34,7 @@ class StudyArgs:
     seed: Seed = 0
     resume: bool = False  # go on with an unfinished study in --out
     overwrite: bool = False  # replace a finished or unfinished one
+    tasks: Annotated[TaskOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=TaskOptions)
 
     @property
     def debug(self) -> bool:
@@ -56,3 +58,4 @@ class StudyArgs:
         if self.meshes is not None and not any(self.meshes.glob("*.[sS][tT][lL]")):
             raise ValueError(f"--meshes {self.meshes}: holds no STL file; name a folder that does")
         chosen_runs(self.trained_run, self.pads)
+        self.tasks.check()

@@ -22,6 +22,7 @@ made of each pad and seed (npz), where --resume goes on.
 
 import os
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,6 +32,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from experiments.common.checks import chosen_runs, finished_runs, pad_name
 from experiments.common.presets import choose_preset
 from experiments.common.runs import Part, begin, load_part, pictures_in, save_part, write_json
+from experiments.common.tasks import Task, run_tasks
 from experiments.recognize.config import PRESETS
 from experiments.studies import (
     constants,
@@ -76,20 +78,24 @@ STUDIES = {
 def run(args: StudyArgs) -> dict[str, Any]:
     """A study on every pad and seed, pooled."""
     out = args.folder
-    study = STUDIES[args.study]
     begin(out, args, choose_preset(PRESETS, args.preset), args.resume, args.overwrite)
     numbers = {folder: i for i, folder in enumerate(finished_runs(args.trained_run))}
     folders = chosen_runs(args.trained_run, args.pads)
-    parts = []
+    tasks = []
     for folder in folders:
         i = numbers[folder]  # among all of the study's: a pad's episodes are the same whichever others are chosen
         path = out / f"part-{i}.npz"
-        if not path.exists():
-            save_part(path, study.evaluate(prepare_lab(args, folder, args.seed + i)))
-        parts.append(load_part(path))
+        tasks.append(Task(path.stem, path, partial(make_part, args, folder, args.seed + i, path)))
+    run_tasks(tasks, args.tasks)
+    parts = [load_part(task.finished) for task in tasks]
     pads = [pad_name(folder) for folder in folders]
-    found = study.report(parts, out, pads)
+    found = STUDIES[args.study].report(parts, out, pads)
     result = {"source": "simulated", "pads": sorted(set(pads)), "runs": len(parts), **found}
     write_json(out / "metrics.json", result)
     print(f"\nresults and figures ({pictures_in(out)}) are in {out}")
     return result
+
+
+def make_part(args: StudyArgs, folder: Path, seed: int, path: Path) -> None:
+    """The study on one pad and seed, kept in `path`."""
+    save_part(path, STUDIES[args.study].evaluate(prepare_lab(args, folder, seed)))

@@ -1,10 +1,13 @@
 """The options of `python -m experiments.train`, without JAX, so that its help and its refusals are there at once."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+import tyro
 
 from experiments.common.checks import require_dataset, require_objects
+from experiments.common.tasks import TaskOptions
 from i2t.cli import Count, Seed, require_path, require_with
 
 
@@ -25,6 +28,7 @@ class TrainArgs:
     epochs: Count | None = None  # of the networks, in place of the preset's
     resume: bool = False  # go on with an unfinished run in --out
     overwrite: bool = False  # replace a finished or unfinished run in --out
+    tasks: Annotated[TaskOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=TaskOptions)
 
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there."""
@@ -38,3 +42,4 @@ class TrainArgs:
         require_dataset("--dataset", self.dataset)
         require_path("--pad", self.pad, "file")
         require_objects(self.objects, self.unit, least=1, catalogue=False)
+        self.tasks.check()

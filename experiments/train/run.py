@@ -4,6 +4,7 @@
     python -m experiments.train --preset debug       a few touches, too few to mean anything
     python -m experiments.train --seeds 5            means and 95 % intervals over seeds
     python -m experiments.train --preset study       six pads, one seed: means and 95 % intervals over pads
+    python -m experiments.train --preset study --executor local      its pads side by side (docs/scaling.md)
     python -m experiments.train --pad FILE           a pad fitted to a real skin in place of a random one
     python -m experiments.train --dataset DIR        any recorded or converted set (see python -m i2t.convert)
 
@@ -25,6 +26,7 @@ import shutil
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +37,7 @@ import numpy as np
 
 from experiments.common.presets import choose_preset
 from experiments.common.runs import begin, pictures_in, slug, write_json
+from experiments.common.tasks import Task, run_tasks
 from experiments.train import causes, recognition_data
 from experiments.train.arguments import TrainArgs
 from experiments.train.choosing import Choice, choose
@@ -94,15 +97,15 @@ def run(args: TrainArgs) -> dict[str, Any]:
     pads: Sequence[Pad | int | None] = (None,) if args.dataset else (load_pad(args.pad),) if args.pad else cfg.pads
     begin(args.out, args, cfg, args.resume, args.overwrite)
     several = len(seeds) * len(pads) > 1
-    parts = []
+    tasks = []
     for pad in pads:
         for seed in seeds:
-            number = pad if isinstance(pad, int) else 0
-            place = args.out / f"pad-{number}-seed-{seed}" if several else args.out
-            finished = place / "metrics.json"
-            if not finished.exists():
-                run_one(args, cfg, seed, pad, place, meshes)
-            parts.append(json.loads(finished.read_text()))
+            name = f"pad-{pad if isinstance(pad, int) else 0}-seed-{seed}"
+            place = args.out / name if several else args.out
+            work = partial(run_one, args, cfg, seed=seed, pad=pad, out=place, meshes=meshes)
+            tasks.append(Task(name, place / "metrics.json", work))
+    run_tasks(tasks, args.tasks)
+    parts = [json.loads(task.finished.read_text()) for task in tasks]
     result = parts[0] if not several else summarise(parts, args.out)
     print_table(result)
     print(f"\nresults, the predictor and the figures ({pictures_in(args.out)}) are in {args.out}")

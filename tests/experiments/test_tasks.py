@@ -1,0 +1,133 @@
+"""Tasks of a study: whoever makes them, the files are the same; a killed worker's task is begun again."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+from helpers import small_tasks
+
+from experiments.common import tasks as tasks_module
+from experiments.common.runs import exit_code_of_run
+from experiments.common.tasks import MAX_TASK_ATTEMPTS, Task, TaskOptions, run_tasks
+
+ROOT = Path(__file__).parents[2]
+LOCAL = TaskOptions("local", workers=2)
+
+
+def numbered(folder, count=4, work=small_tasks.write_number, **more):
+    return [
+        Task(f"part-{i}", folder / f"part-{i}", partial(work, folder / f"part-{i}", i, **more)) for i in range(count)
+    ]
+
+
+def made(folder):
+    return {path.name: path.read_text() for path in sorted(folder.iterdir()) if not path.suffix}
+
+
+def test_workers_make_what_this_process_makes_and_log_what_they_print(tmp_path, capsys):
+    for name, options in {"serial": TaskOptions(), "local": LOCAL}.items():
+        (tmp_path / name).mkdir()
+        run_tasks(numbered(tmp_path / name), options)
+    assert made(tmp_path / "serial") == made(tmp_path / "local") == {f"part-{i}": f"{i}\n" for i in range(4)}
+    assert (tmp_path / "local" / "part-2.log").read_text() == "number 2\n"
+    assert not list((tmp_path / "serial").glob("*.log"))
+    assert "part-2: finished" in capsys.readouterr().out
+
+
+def test_what_is_there_is_not_made_again(tmp_path):
+    (tmp_path / "part-1").write_text("made before")
+    run_tasks(numbered(tmp_path, 3), LOCAL)
+    assert made(tmp_path)["part-1"] == "made before"
+    assert not (tmp_path / "part-1.log").exists()
+
+
+def test_a_killed_workers_task_is_begun_again(tmp_path, capsys):
+    run_tasks(numbered(tmp_path, 3, small_tasks.die_at_first), LOCAL)
+    assert made(tmp_path) == {f"part-{i}": f"{i}\n" for i in range(3)}
+    assert "part-0: its worker died (killed by SIGKILL); it is begun again" in capsys.readouterr().out
+
+
+def test_a_task_whose_workers_always_die_ends_in_one_sentence_and_a_failure(tmp_path, capsys):
+    doomed = numbered(tmp_path, 1, small_tasks.die_at_first, deaths=99)
+    assert exit_code_of_run(partial(run_tasks, doomed, LOCAL)) == 1
+    assert len((tmp_path / "part-0.seen").read_text()) == MAX_TASK_ATTEMPTS
+    said = capsys.readouterr().err
+    assert said.startswith("error: part-0 was begun 3 times, and each time its worker died (killed by SIGKILL)")
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("work", "error", "said"),
+    [
+        (small_tasks.refuse, ValueError, "part cannot be made"),
+        (small_tasks.write_nothing, FileNotFoundError, "must be a folder that all share"),
+        (small_tasks.refuse_strangely, RuntimeError, r"UntravelledError: 3 \(.*part\.log\)"),
+    ],
+)
+def test_what_a_task_raises_a_worker_raises(tmp_path, work, error, said):
+    task = Task("part", tmp_path / "part", partial(work, tmp_path / "part"))
+    with pytest.raises(error, match=said):
+        run_tasks([task], LOCAL)
+    assert ("Traceback" in task.log.read_text()) == (error is not FileNotFoundError)
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores are shared out on Linux alone")
+def test_workers_share_the_cores(tmp_path):
+    cores = sorted(os.sched_getaffinity(0))
+    shares = [tasks_module.LocalWorkers(TaskOptions("local", workers=2), 2).share(place) for place in range(2)]
+    assert sorted({core for share in shares for core in share}) == cores
+    assert len(cores) == 1 or not set(shares[0]) & set(shares[1])
+    task = Task("cores", tmp_path / "cores", partial(small_tasks.write_cores, tmp_path / "cores"))
+    run_tasks([task], TaskOptions("local", workers=1))
+    assert task.finished.read_text() == repr(cores)
+
+
+STUDY = """
+import sys, time
+from functools import partial
+from pathlib import Path
+from experiments.common.runs import exit_code_of_run
+from experiments.common.tasks import Task, TaskOptions, run_tasks
+from helpers import small_tasks
+
+folder = Path(sys.argv[1])
+quick = Task("quick", folder / "quick", partial(small_tasks.write_number, folder / "quick", 1))
+slow = Task("slow", folder / "slow", partial(time.sleep, 600))
+if __name__ == "__main__":
+    sys.exit(exit_code_of_run(partial(run_tasks, [quick, slow], TaskOptions("local", workers=2)), folder))
+"""
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_workers_end_with_the_process_that_began_them_and_leave_what_is_finished(tmp_path, how):
+    """After Ctrl-C, which reaches the workers too, as after a kill, which does not."""
+    (tmp_path / "study.py").write_text(STUDY)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
+    words = [sys.executable, str(tmp_path / "study.py"), str(tmp_path)]
+    study = subprocess.Popen(words, env=environment, cwd=ROOT, start_new_session=True)
+    until = time.monotonic() + 120
+    while not ((tmp_path / "quick").exists() and (tmp_path / "slow.log").exists()):
+        assert time.monotonic() < until
+        time.sleep(0.1)
+    if how == signal.SIGINT:
+        os.killpg(study.pid, how)
+        assert study.wait(30) == 130
+    else:
+        study.kill()
+        study.wait(30)
+    while _members(study.pid) and time.monotonic() < until:
+        time.sleep(0.1)
+    assert not _members(study.pid)
+    assert (tmp_path / "quick").read_text() == "1\n"
+
+
+def _members(session: int) -> list[str]:
+    """Processes of a session that still run."""
+    stats = [path.read_text().rpartition(")")[2].split() for path in Path("/proc").glob("[0-9]*/stat") if path.exists()]
+    return [fields[0] for fields in stats if int(fields[3]) == session and fields[0] != "Z"]

@@ -1,0 +1,46 @@
+"""Tasks that take no time, and what may happen to those who make them."""
+
+import os
+import signal
+from pathlib import Path
+
+
+def write_number(path: Path, number: int) -> None:
+    """The file of a task, and a word for its log."""
+    print(f"number {number}")
+    path.write_text(f"{number}\n")
+
+
+def die_at_first(path: Path, number: int, deaths: int = 1) -> None:
+    """As `write_number`, but whoever makes it is killed the first times."""
+    seen = path.with_suffix(".seen")
+    seen.open("a").write("x")
+    if len(seen.read_text()) <= deaths:
+        os.kill(os.getpid(), signal.SIGKILL)
+    write_number(path, number)
+
+
+def refuse(path: Path) -> None:
+    """A mistake of the user's."""
+    raise ValueError(f"{path.name} cannot be made")
+
+
+def write_nothing(path: Path) -> None:
+    """What a worker of another folder does, seen from here."""
+
+
+def write_cores(path: Path) -> None:
+    """The cores that a worker may use."""
+    path.write_text(repr(sorted(os.sched_getaffinity(0))))
+
+
+class UntravelledError(Exception):
+    """One that cannot be pickled."""
+
+    def __init__(self, one: int, two: int) -> None:
+        super().__init__(one + two)
+
+
+def refuse_strangely(path: Path) -> None:
+    """A defect."""
+    raise UntravelledError(1, 2)
