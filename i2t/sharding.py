@@ -166,7 +166,7 @@ def _program(function: Callable[..., PyTree], static: tuple[tuple[str, Any], ...
 def _side_by_side(calls: Sequence[Call]) -> PyTree:
     """Arguments of as many calls as there are devices, each on its device."""
     sharding = NamedSharding(_mesh(), P(CALLS))
-    own = {device: i for i, device in enumerate(jax.devices()) if device in sharding.addressable_devices}
+    own = {device: i for i, device in enumerate(sharding.mesh.devices.flat) if device in sharding.addressable_devices}
 
     def lay(*leaves: Any) -> Array:
         rows = [jax.device_put(np.asarray(leaves[i])[None], device) for device, i in own.items()]

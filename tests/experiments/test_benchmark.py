@@ -5,16 +5,18 @@ import sys
 from pathlib import Path
 
 import jax
+import numpy as np
 import pytest
 import trimesh
 
-from experiments.benchmark import rendering, skin, timing
+from experiments.benchmark import rendering, scaling, skin, timing
 from experiments.benchmark import run as benchmark
 from experiments.benchmark import training as benchmark_training
 from experiments.benchmark.environment import EnvironmentBenchmark
 from experiments.benchmark.policy import Policy
 from experiments.benchmark.rendering import Rendering
 from experiments.benchmark.run import Benchmark
+from experiments.benchmark.scaling import Scaling
 from experiments.benchmark.skin import SkinBenchmark
 from experiments.benchmark.startup import Startup
 from experiments.benchmark.timing import BenchmarkRow, MissingPeerError
@@ -60,6 +62,24 @@ def test_environment_section_times_steps() -> None:
     rows = benchmark.run(Benchmark(sections=("environment",), turns=1, environment=tiny))
     assert [row.peer_name for row in rows] == ["exact physics", "simulate_touches"]
     assert rows[1].ratio > 1
+
+
+@pytest.mark.full
+def test_scaling_section_times_the_same_touches_by_several_processes_and_by_one() -> None:
+    """The section itself checks that all give the same readings, and fails where they do not."""
+    tiny = Scaling(touches=4, touches_per_session=2)
+    rows = benchmark.run(Benchmark(sections=("scaling",), turns=1, scaling=tiny))
+    assert [row.peer_name for row in rows] == 2 * ["one process, its share of the cores", "one process, all cores"]
+    assert ["processor time" in row.work for row in rows] == [False, False, True, True]
+    assert all(row.ours > 0 for row in rows)
+
+
+def test_other_touches_are_not_compared() -> None:
+    alone, other = (scaling.TouchTiming(1.0, 1.0, np.full((2, 15), value)) for value in (1.0, 1.0 + 1e-5))
+    scaling._check_same([alone], alone, exact=True)
+    scaling._check_same([other], alone, exact=False)
+    with pytest.raises(ValueError, match="do not do the same work"):
+        scaling._check_same([alone, other], alone, exact=True)
 
 
 def test_startup_section_says_why_a_command_failed() -> None:

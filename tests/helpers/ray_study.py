@@ -1,5 +1,5 @@
 """A study of three pads on a Ray cluster of this machine, a head and two workers, of which one is killed while it is
-at a pad: `python ray_study.py OUT`.
+at a pad: `python ray_study.py OUT`; with `--serial OUT` in this process.
 """
 
 import os
@@ -27,7 +27,9 @@ def kill_at_work(cluster, node, out: Path) -> None:
 
 
 if __name__ == "__main__":
-    out = Path(sys.argv[1])
+    out = Path(sys.argv[-1])
+    if sys.argv[1] == "--serial":
+        sys.exit(train.main([*STUDY, "--out", str(out)]))
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
     _, doomed = cluster.add_node(num_cpus=1), cluster.add_node(num_cpus=1)
     threading.Thread(target=kill_at_work, args=(cluster, doomed, out), daemon=True).start()
