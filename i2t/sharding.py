@@ -13,7 +13,7 @@ or in one process alone. docs/scaling.md says how to start them.
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
-from itertools import chain, islice
+from itertools import chain, count, islice
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -25,6 +25,8 @@ from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, PyTree, UInt
 
 CALLS = "calls"  # the axis of the mesh
+MAX_WAIT_S = 3600  # for processes that are slower than others
+_BARRIERS = count()  # the same in all processes, as they make the same calls
 Call: TypeAlias = tuple[Any, ...]
 
 
@@ -44,19 +46,19 @@ def spread(
     Yields:
         Results in the order of the calls, on the host.
     """
-    remaining, count = iter(calls), jax.device_count()
-    group = list(islice(remaining, count))
+    remaining, devices = iter(calls), jax.device_count()
+    group = list(islice(remaining, devices))
     if len(group) < 2:  # one device, or nothing to share between several
         for call in chain(group, remaining):
             yield jax.device_get(function(*call, *_here(shared), **static))
         return
     program, shared = _program(function, tuple(static.items()), _mesh()), everywhere(shared)
     while group:
-        filled = group + group[-1:] * (count - len(group))  # the last devices repeat the last call
+        filled = group + group[-1:] * (devices - len(group))  # the last devices repeat the last call
         made = _to_host(program(_side_by_side(filled), shared))
         for i in range(len(group)):
             yield jax.tree.map(lambda leaf, i=i: leaf[i], made)
-        group = list(islice(remaining, count))
+        group = list(islice(remaining, devices))
 
 
 def spread_rows(
@@ -75,16 +77,16 @@ def spread_rows(
     Returns:
         The result for all rows.
     """
-    count = len(jax.tree.leaves(rows)[0])
-    groups = -(-count // multiple)
+    length = len(jax.tree.leaves(rows)[0])
+    groups = -(-length // multiple)
     parts = min(jax.device_count(), groups)
     if parts < 2:
         return function(*rows, *_here(shared), **static)
     each = multiple * -(-groups // parts)
-    index = np.resize(np.arange(count), (parts, each))  # filled up with the first rows
+    index = np.resize(np.arange(length), (parts, each))  # filled up with the first rows
     calls = [jax.tree.map(lambda leaf, part=part: leaf[part], rows) for part in index]
     made = list(spread(function, calls, shared=shared, **static))
-    return jax.tree.map(lambda *leaves: _joined(leaves)[:count], *made)
+    return jax.tree.map(lambda *leaves: _joined(leaves)[:length], *made)
 
 
 def everywhere(values: PyTree) -> PyTree:
@@ -177,8 +179,21 @@ def _side_by_side(calls: Sequence[Call]) -> PyTree:
 
 def _to_host(made: PyTree) -> PyTree:
     """Results of all devices, also of those of other processes."""
-    whole = jax.device_get(made) if jax.process_count() == 1 else multihost_utils.process_allgather(made, tiled=True)
-    return _from_bits(whole)
+    if jax.process_count() == 1:
+        return _from_bits(jax.device_get(made))
+    jax.block_until_ready(made)
+    _wait_for_processes()
+    return _from_bits(multihost_utils.process_allgather(made, tiled=True))
+
+
+def _wait_for_processes() -> None:
+    """Wait until all processes are here. JAX's collectives on CPUs give up after half a minute, which is less than one
+    process may take longer than another to compile.
+    """
+    from orbax.checkpoint import multihost  # here, as one process needs none
+
+    barrier = multihost.get_barrier_sync_fn()
+    barrier(key=f"i2t.sharding {next(_BARRIERS)}", timeout_ms=1000 * MAX_WAIT_S)
 
 
 def _joined(leaves: Sequence[Any]) -> Any:

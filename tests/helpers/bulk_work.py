@@ -1,9 +1,11 @@
 """A little of everything that is laid over devices, as a program: `python bulk_work.py OUT [PROCESSES NUMBER PORT]`.
 
-OUT gets all numbers, by name. With the other words it is one of several processes that work as one.
+OUT gets all numbers, by name. With the other words it is one of several processes that work as one, each of them a
+little later than the one before.
 """
 
 import sys
+import time
 from typing import Any
 
 import jax
@@ -76,5 +78,6 @@ if __name__ == "__main__":
     if several:
         processes, number, port = map(int, several)
         jax.distributed.initialize(f"127.0.0.1:{port}", processes, number)
+        time.sleep(40 * number)  # longer than collectives wait
     print(f"{jax.device_count()} devices of {jax.process_count()} processes")
     np.savez(out, **compute())
