@@ -171,6 +171,16 @@ def test_the_command_writes_what_it_found_and_refuses_to_lose_it(tmp_path, capsy
     assert command.main(["--preset", "debug", "--out", str(out)]) == 2
     assert "finished run" in capsys.readouterr().err
 
+    # A pad that is missing is made by a worker; another process compiles otherwise, which may turn a press or two.
+    (out / "metrics.json").unlink()
+    (out / "pad-1.json").unlink()
+    assert command.main(["--preset", "debug", "--out", str(out), "--resume", "--executor", "local"]) == 0
+    again = json.loads((out / "metrics.json").read_text())
+    for split, scored in metrics["splits"].items():
+        for method, each in scored.items():
+            made = again["splits"][split][method]
+            assert np.abs(np.subtract(made["confusion"], each["confusion"])).sum() <= 4, (split, method)
+
 
 @pytest.mark.full
 def test_recorded_presses_of_which_the_arm_said_little_are_told_apart_by_readings_alone(tmp_path, capsys):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.common.runs import load_part
 from experiments.reproduce.tables import STUDY_TABLES, study_table
 from experiments.studies import __main__ as studies
 from experiments.studies import lab, object_count, open_set, planar, pose_error, sites
@@ -46,6 +47,14 @@ def test_studies_run(study, trained_run, tmp_path):
         assert set(metrics["equal_at_mm"]) == rules
     elif study == "sites":
         assert sum(kind["touches"] for kind in metrics["bits"].values()) == metrics["touches"] == 8
+        part = load_part(out / "part-0.npz")
+        for made in ("part-0.npz", "metrics.json"):
+            (out / made).unlink()
+        words = ["--trained-run", str(trained_run), "--out", str(out), "--resume", "--executor", "local"]
+        assert studies.main([study, "--preset", "debug", *words]) == 0  # by a worker, which compiles otherwise
+        again = load_part(out / "part-0.npz")
+        assert again.keys() == part.keys()
+        np.testing.assert_array_equal(again["truth"], part["truth"])
     elif study == "policy":
         assert set(metrics["policies"]) == {"random", "heuristic", "information"}
         assert metrics["episodes"] == 8

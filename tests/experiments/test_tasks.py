@@ -13,9 +13,16 @@ from pathlib import Path
 import pytest
 from helpers import small_tasks
 
+from experiments.common import checks
 from experiments.common import tasks as tasks_module
-from experiments.common.runs import exit_code_of_run
+from experiments.common.runs import begin, exit_code_of_run
 from experiments.common.tasks import MAX_TASK_ATTEMPTS, Task, TaskOptions, run_tasks
+from experiments.pads import __main__ as pads
+from experiments.recognize import __main__ as recognize
+from experiments.shapes import __main__ as shapes
+from experiments.studies import __main__ as studies
+from experiments.train import __main__ as train
+from experiments.train.arguments import TrainArgs
 
 ROOT = Path(__file__).parents[2]
 LOCAL = TaskOptions("local", workers=2)
@@ -87,6 +94,36 @@ def test_workers_share_the_cores(tmp_path):
     task = Task("cores", tmp_path / "cores", partial(small_tasks.write_cores, tmp_path / "cores"))
     run_tasks([task], TaskOptions("local", workers=1))
     assert task.finished.read_text() == repr(cores)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--workers 2", "--workers has no effect without --executor local or ray; pass both"),
+        ("--executor local --workers 0", "--workers is 0; give at least 1"),
+        ("--executor local --address lab1:6379", "--address has no effect without --executor ray; pass both"),
+        ("--executor ray", "--executor ray needs Ray: pip install"),
+    ],
+)
+@pytest.mark.parametrize("command", [train, studies, recognize, shapes, pads])
+def test_options_that_do_not_go_together_are_refused_before_anything_is_made(
+    command, words, said, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(tasks_module.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(checks, "finished_runs", lambda folder: [folder])
+    study = ["sites"] if command is studies else []
+    assert command.main([*study, "--out", str(tmp_path / "out"), *words.split()]) == 2
+    assert capsys.readouterr().err.startswith(f"error: {said}")
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unfinished_run_goes_on_with_other_workers(tmp_path):
+    experiment = TrainArgs(tmp_path)  # any dataclass does
+    begin(tmp_path / "out", TrainArgs(tmp_path / "out"), experiment, False, False)
+    (tmp_path / "out" / "part-0.npz").touch()
+    begin(tmp_path / "out", TrainArgs(tmp_path / "out", tasks=LOCAL), experiment, True, False)
+    with pytest.raises(ValueError, match="other settings"):
+        begin(tmp_path / "out", TrainArgs(tmp_path / "out", seed=1, tasks=LOCAL), experiment, True, False)
 
 
 HANGING = """
