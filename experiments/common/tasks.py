@@ -12,6 +12,7 @@ import os
 import pickle
 import signal
 import threading
+import time
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
@@ -70,6 +71,7 @@ class Workers(Protocol):
     """What makes tasks elsewhere."""
 
     count: int  # at a time
+    patience_s: float  # until a file that a worker made is seen here
 
     def begin(self, task: Task) -> None:
         """Give a task to a worker that has none."""
@@ -128,11 +130,19 @@ def _make(tasks: Sequence[Task], workers: Workers) -> None:
             waiting.append(task)
         elif outcome is not None:
             raise outcome
-        elif not task.finished.exists():
+        elif not _arrives(task.finished, workers.patience_s):
             raise FileNotFoundError(f"{task.finished} was made and is not here; --out must be a folder that all share")
         else:
             finished += 1
             print(f"{task.name}: finished, {finished} of {len(tasks)}", flush=True)
+
+
+def _arrives(path: Path, patience_s: float) -> bool:
+    """Whether a file is seen here in time."""
+    until = time.monotonic() + patience_s
+    while not path.exists() and time.monotonic() < until:
+        time.sleep(min(patience_s, 0.5))
+    return path.exists()
 
 
 def _attempt(task: Task, folder: str) -> Exception | None:
@@ -164,6 +174,8 @@ class _Process(NamedTuple):
 
 class LocalWorkers:
     """Processes of this machine; one that ended a task gets the next."""
+
+    patience_s = 0.0
 
     def __init__(self, options: TaskOptions, tasks: int) -> None:
         import multiprocessing  # here, as the default needs none
@@ -257,6 +269,8 @@ def _ended(code: int | None) -> str:
 
 class RayWorkers:
     """Processes of a Ray cluster."""
+
+    patience_s = 60.0  # folders on a network show other machines' files late
 
     def __init__(self, options: TaskOptions, tasks: int) -> None:
         import ray

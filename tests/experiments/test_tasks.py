@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from functools import partial
 from pathlib import Path
@@ -83,6 +84,13 @@ def test_what_a_task_raises_a_worker_raises(tmp_path, work, error, said):
     with pytest.raises(error, match=said):
         run_tasks([task], LOCAL)
     assert ("Traceback" in task.log.read_text()) == (error is not FileNotFoundError)
+
+
+def test_a_file_of_another_machine_may_arrive_late(tmp_path):
+    late = threading.Timer(0.3, (tmp_path / "part").touch)
+    late.start()
+    assert tasks_module._arrives(tmp_path / "part", 30.0)
+    assert not tasks_module._arrives(tmp_path / "other", 0.1)
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores are shared out on Linux alone")
