@@ -4,6 +4,7 @@ import time
 from collections.abc import Sequence
 from functools import partial
 from itertools import product
+from typing import TypeAlias
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -16,6 +17,7 @@ from experiments.fidelity.forward import (
     PressSet,
     choose_simple_gp,
     explained_share,
+    loses_beyond_chance,
     predict_simple_gp,
     press_set,
 )
@@ -29,6 +31,8 @@ from i2t.viz import style
 CALIBRATED = "i2t.calibrate"
 RANDOM_ROWS, WHOLE_BLOCKS, LATER_ROWS = "random presses", "whole blocks", "later in time"
 MIN_TEST_ROWS, MIN_POOL_ROWS = 5, 5
+LOST_R2 = 0.01  # less than this is level
+MethodErrors: TypeAlias = dict[str, dict[int, list[np.ndarray]]]  # squared errors (n,) by method, count and draw
 COLOURS_OF_METHODS = (style.GREY, style.ORANGE, style.BLUE, style.GREEN, style.RED)
 
 
@@ -43,7 +47,7 @@ def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: i
     if not counts:
         raise CannotTellError(f"{len(presses.load)} presses leave fewer than {min(preset.counts)} to calibrate with.")
     section.numbers |= {"load": presses.load_name, "r2": {}, "held_out": {n: len(t) for n, (_, t) in splits.items()}}
-    scores = _curves(presses, methods, splits, counts=counts, preset=preset, seed=seed, section=section)
+    scores, errors = _curves(presses, methods, splits, counts=counts, preset=preset, seed=seed, section=section)
     for split, curves in scores.items():
         section.numbers["r2"][split] = curves
         header = ["R2, mean of the draws [95 %]", *(str(n) for n in counts)]
@@ -51,7 +55,7 @@ def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: i
             header,
             *([name, *(_interval_cell(by_count.get(n)) for n in counts)] for name, by_count in curves.items()),
         ]
-        section.sentences.append(_compare_with_baselines(split, curves))
+        section.sentences += _compare_with_baselines(split, curves, errors[split])
     section.figures["Calibration curves"] = _figure(section.numbers["r2"])
 
 
@@ -128,10 +132,11 @@ def _curves(
     preset: FidelityPreset,
     seed: int,
     section: Section,
-) -> dict[str, dict[str, dict[int, dict[str, float]]]]:
-    """Mean R2 and its interval by split, method and count. A method that is over its time gets no further draw, and one
-    that fails says so.
+) -> tuple[dict[str, dict[str, dict[int, dict[str, float]]]], dict[str, MethodErrors]]:
+    """Mean R2 and its interval by split, method and count, and squared errors of the tested rows in each draw. A method
+    that is over its time gets no further draw, and one that fails says so.
     """
+    errors: dict[str, MethodErrors] = {split: {name: {} for name in methods} for split in splits}
     values: dict[str, dict[str, dict[int, list[float]]]] = {s: {name: {} for name in methods} for s in splits}
     seconds = dict.fromkeys(methods, 0.0)
     for draw, (name, method) in product(range(preset.draws), methods.items()):
@@ -149,14 +154,17 @@ def _curves(
                     continue
                 r2 = explained_share(presses.readings[test], predicted)
                 values[split][name].setdefault(n, []).append(r2)
+                missed = np.sum((presses.readings[test] - predicted) ** 2, axis=1)
+                errors[split][name].setdefault(n, []).append(missed)
         seconds[name] += time.process_time() - began
-    return {
+    summaries = {
         split: {
             name: {n: {"draws": len(r2), **_summary(r2)} for n, r2 in by_count.items()}
             for name, by_count in by_method.items()
         }
         for split, by_method in values.items()
     }
+    return summaries, errors
 
 
 def _summary(values: list[float]) -> dict[str, float]:
@@ -172,21 +180,29 @@ def _interval_cell(summary: dict[str, float] | None) -> str:
     return cell(summary["mean"]) + ends
 
 
-def _compare_with_baselines(split: str, curves: dict[str, dict[int, dict[str, float]]]) -> str:
-    """Whether i2t's calibration is at least as good as the best baseline, at each count."""
-    lost = []
+def _compare_with_baselines(
+    split: str, curves: dict[str, dict[int, dict[str, float]]], errors: MethodErrors
+) -> list[str]:
+    """Whether i2t's calibration is at least as good as the best baseline, at each count; what may be chance is said."""
+    lost, level = [], []
     if not curves[CALIBRATED]:
-        return f"Held out {split}: {CALIBRATED} predicts nothing."
+        return [f"Held out {split}: {CALIBRATED} predicts nothing."]
     for n, own in curves[CALIBRATED].items():
         rivals = {
             name: by_count[n]["mean"] for name, by_count in curves.items() if name != CALIBRATED and n in by_count
         }
         best = max(rivals, key=lambda name: rivals[name])
-        if own["mean"] < rivals[best] - 0.01:
-            lost.append(f"{n} presses ({own['mean']:.3f}, {best} {rivals[best]:.3f})")
+        if own["mean"] < rivals[best] - LOST_R2:
+            draws = zip(errors[CALIBRATED][n], errors[best][n], strict=False)  # the slower one may have fewer
+            ours, theirs = (np.mean(part, axis=0) for part in zip(*draws, strict=True))
+            where = f"{n} presses ({own['mean']:.3f}, {best} {rivals[best]:.3f})"
+            (lost if loses_beyond_chance(ours, theirs) else level).append(where)
+    said = []
     if lost:
-        return f"Held out {split}: {CALIBRATED} loses to a baseline at {', '.join(lost)}."
-    return f"Held out {split}: {CALIBRATED} is at least as good as every baseline at every number of presses."
+        said.append(f"Held out {split}: {CALIBRATED} loses to a baseline at {', '.join(lost)}.")
+    if level:
+        said.append(f"Held out {split}: {CALIBRATED} lies below a baseline, within chance, at {', '.join(level)}.")
+    return said or [f"Held out {split}: {CALIBRATED} is at least as good as every baseline at every number of presses."]
 
 
 def _figure(r2: dict[str, dict[str, dict[int, dict[str, float]]]]) -> Figure:

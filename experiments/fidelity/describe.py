@@ -8,7 +8,7 @@ from i2t.calibration import check_presses
 from i2t.calibration.heads import TARGETS, SkinRecording
 from i2t.calibration.heads.recording import VALUES_PER_CHIP
 from i2t.unknowns.estimate import estimate_unknowns, metrics_of
-from i2t.unknowns.findings import RecordedPresses
+from i2t.unknowns.findings import Finding, RecordedPresses
 from i2t.viz import style
 
 # uT for each step of x and y and of z, by gain at resolution 0 (MLX90393 data sheet, sensitivity table, 0xC);
@@ -22,6 +22,7 @@ MIN_GAPS = 20  # between values, to tell a step from
 SAME_VALUE = 1e-6  # of the largest: by less, values differ by their rounding
 MICROTESLA_IN = {"uT": 1.0, "mT": 1e3, "gauss": 100.0, "nT": 1e-3}  # uT in each
 COUNTS_OF_16_BITS = 2**16
+JUMP_TOLERANCE = 0.1  # of a jump of so many steps
 STILL_IN_AIR = 0.1  # of the readings' size in contact, that they may keep in air
 EQUAL_CHANNEL_CORRELATION = 0.9999  # correlation of two channels that are one
 MIN_ALIKE_ROWS = 30
@@ -57,14 +58,14 @@ def describe(recording: SkinRecording, section: Section) -> None:
     section.figures["The recording"] = _overview(recording)
 
 
-def check(recording: SkinRecording, section: Section) -> None:
-    """What contradicts a sound recording; a sentence for each finding."""
+def check(recording: SkinRecording, section: Section, findings: list[Finding] | None = None) -> None:
+    """What contradicts a sound recording; a sentence for each finding. What is estimated of it joins the findings."""
     found: list[str] = []
     numbers = section.numbers
     _check_channels(recording, found, numbers)
     _check_targets(recording, found, numbers)
     section.part(lambda: _check_presses(recording, found, numbers))
-    section.part(lambda: _check_unknowns(recording, found, section))
+    section.part(lambda: _check_unknowns(recording, found, section, findings))
     numbers["warnings"] = found
     section.sentences[:0] = found or ["Nothing that was looked for contradicts a sound recording."]
 
@@ -161,8 +162,10 @@ def _check_channels(recording: SkinRecording, found: list[str], numbers: dict) -
             found.append(f"Channels {join(same)} are the same numbers: one of each pair is a copy.")
     raw = y if recording.baseline is None else y + recording.baseline
     step = np.array([_step(channel) for channel in raw.T])
-    jump = np.abs(np.diff(raw, axis=0))
-    wrapped = np.isfinite(step) & (np.abs(jump - COUNTS_OF_16_BITS * np.nan_to_num(step, nan=1.0)) < 0.05 * jump).any(0)
+    jump, whole = np.abs(np.diff(raw, axis=0)), COUNTS_OF_16_BITS * np.nan_to_num(step, nan=1.0)
+    # Values that ran over jump by about 65 536 steps, and else by far less; not so where a text's digits make the steps.
+    near = np.abs(jump - whole) < JUMP_TOLERANCE * whole
+    wrapped = np.isfinite(step) & near.any(0) & (near | (jump < whole / 2)).all(0)
     numbers["wrapped_channels"] = np.flatnonzero(wrapped).tolist()
     if wrapped.any():
         found.append(
@@ -214,7 +217,9 @@ def _check_presses(recording: SkinRecording, found: list[str], numbers: dict) ->
     }
 
 
-def _check_unknowns(recording: SkinRecording, found: list[str], section: Section) -> None:
+def _check_unknowns(
+    recording: SkinRecording, found: list[str], section: Section, findings: list[Finding] | None
+) -> None:
     """Height zero, lag, signs, units, gains and the board's place, as `i2t.unknowns` estimates them."""
     one_tip(recording)
     if not recording.known("position").any():
@@ -223,15 +228,19 @@ def _check_unknowns(recording: SkinRecording, found: list[str], section: Section
     presses = RecordedPresses(
         position=recording.targets["position"],
         readings=recording.readings,
-        height=None if depth is None or not recording.varies("depth") else -depth[:, 0],
+        height=None if depth is None else -depth[:, 0],
         force=None if force is None else force[:, 0],
         seconds=recording.time if np.isfinite(recording.time).all() else None,
     )
-    findings = estimate_unknowns(presses, recording.board)
-    section.numbers["unknowns"] = metrics_of(findings)
-    found += [finding.sentence for finding in findings if finding.wrong]
-    section.sentences += [finding.sentence for finding in findings if finding.identifiable and not finding.wrong]
-    if unknown := [finding.name for finding in findings if not finding.identifiable]:
+    estimated = estimate_unknowns(presses, recording.board)
+    section.numbers["unknowns"] = metrics_of(estimated)
+    found += [finding.sentence for finding in estimated if finding.wrong]
+    section.sentences += [finding.sentence for finding in estimated if finding.identifiable and not finding.wrong]
+    if findings is not None:
+        findings += estimated
+    if corrected := [finding.name for finding in estimated if finding.correction]:
+        section.sentences.append(f"All that follows is of the recording put right: {join(corrected)}.")
+    if unknown := [finding.name for finding in estimated if not finding.identifiable]:
         section.sentences.append(f"The recording cannot tell: {join(unknown)}.")
 
 

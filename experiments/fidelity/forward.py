@@ -21,6 +21,7 @@ NOISE_VARIANCES = (1e-2, 1e-3, 1e-4, 1e-1)  # of a channel's
 GP_SELECTION_ROWS = 300
 COUNTS_OF_NEIGHBOURS = (1, 2, 3, 4, 6, 8)
 SMALLEST = 1e-9
+RUNS_OF_ROWS = 20
 
 ForwardMethod: TypeAlias = Callable[
     ["PressSet", np.ndarray, np.ndarray], np.ndarray
@@ -151,6 +152,16 @@ def explained_share(readings: np.ndarray, predicted: np.ndarray) -> float:
     """R2 over all channels against the mean of the readings."""
     total = np.sum((readings - readings.mean(0)) ** 2)
     return float(1 - np.sum((readings - predicted) ** 2) / total) if total > 0 else float("nan")
+
+
+def loses_beyond_chance(own: np.ndarray, other: np.ndarray) -> bool:
+    """Whether squared errors (n,) of one method are larger than another's on the same rows by more than chance.
+
+    Rows that follow each other err alike, so that differences are summed over runs of rows: twice the standard error of
+    these sums.
+    """
+    runs = np.array([part.sum() for part in np.array_split(own - other, min(RUNS_OF_ROWS, len(own)))])
+    return bool(len(runs) > 2 and runs.mean() > 2 * runs.std(ddof=1) / np.sqrt(len(runs)))
 
 
 BASELINE_METHODS: dict[str, ForwardMethod] = {

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.fidelity.forward import loses_beyond_chance
 from experiments.fidelity.sections import CannotTellError, Section, cell
 from i2t.calibration.heads import BASELINE_HEADS, TARGETS, Head, HeadBudget, HeadPrediction, SkinRecording, fit_head
 from i2t.calibration.heads.head import STDS_OF_90_PERCENT, hold_out_groups, root_mean_square, target_rows
@@ -44,6 +45,7 @@ class HeadTest(NamedTuple):
     baselines: dict[str, HeadScore]
     validation: dict[str, float]
     errors: np.ndarray  # (n, 2 d) truth and prediction of the test rows
+    baseline_errors: dict[str, np.ndarray]  # the same of the baselines
 
 
 def head_sections(
@@ -83,13 +85,15 @@ def test_heads(
             problems.append(f"{name}: {error}")
             continue
         scored, both = score_head(head, recording, other)
+        rivals = {method: score_head(baseline, recording, other) for method, baseline in baselines.items()}
         tests[name] = HeadTest(
             head.method,
             int(head.record.history),
             scored,
-            {method: score_head(baseline, recording, other)[0] for method, baseline in baselines.items()},
+            {method: score for method, (score, _) in rivals.items()},
             head.validation,
             both,
+            {method: values for method, (_, values) in rivals.items()},
         )
     if not tests:
         raise ValueError("; ".join(problems) or f"{recording.name} has too few rows to hold some out")
@@ -208,12 +212,19 @@ def table(target: str, tests: dict[str, HeadTest]) -> list[list[str]]:
 def compare_with_baselines(target: str, tests: dict[str, HeadTest]) -> list[str]:
     """A sentence for each baseline to which the kept head loses on the rows held out; one if there is none."""
     lost = [
-        f"{target}, {name}: the kept {test.method} ({test.kept.rmse:.3f}) loses to {method} ({score.rmse:.3f})."
+        f"{target}, {name}: the kept head ({test.method}, {test.kept.rmse:.3f}) loses to {method} ({score.rmse:.3f})."
         for name, test in tests.items()
         for method, score in test.baselines.items()
         if score.rmse < 0.98 * test.kept.rmse
+        and loses_beyond_chance(_squared(test.errors), _squared(test.baseline_errors[method]))
     ]
-    return lost or [f"{target}: no baseline beats the kept head on rows held out."]
+    return lost or [f"{target}: no baseline beats the kept head on rows held out by more than chance."]
+
+
+def _squared(both: np.ndarray) -> np.ndarray:
+    """Squared errors (n,) of truth and prediction side by side."""
+    d = both.shape[1] // 2
+    return np.sum((both[:, :d] - both[:, d:]) ** 2, axis=1)
 
 
 def to_numbers(tests: dict[str, HeadTest]) -> dict[str, Any]:

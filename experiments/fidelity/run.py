@@ -29,8 +29,9 @@ from experiments.fidelity.arguments import FidelityArgs
 from experiments.fidelity.config import FidelityPreset, fidelity_preset
 from experiments.fidelity.page import write_page
 from experiments.fidelity.sections import Section, print_table, written
-from i2t.calibration.heads import SkinRecording, read_recordings
+from i2t.calibration.heads import SkinRecording, corrected_recording, read_recordings
 from i2t.errors import DataError
+from i2t.unknowns import Finding
 
 
 def run(args: FidelityArgs) -> dict[str, Any]:
@@ -95,9 +96,11 @@ def _recordings(args: FidelityArgs, preset: FidelityPreset) -> list[SkinRecordin
 
 def sections_of(recording: SkinRecording, preset: FidelityPreset, seed: int) -> Iterator[Section]:
     """The report's parts about one recording."""
+    findings: list[Finding] = []
+    yield written("What it is", partial(describe.describe, recording))
+    yield written("Checks", lambda section: describe.check(recording, section, findings))
+    recording = corrected_recording(recording, findings)
     parts: dict[str, Callable[[Section], None]] = {
-        "What it is": partial(describe.describe, recording),
-        "Checks": partial(describe.check, recording),
         "Noise and drift": partial(dynamics.noise, recording, preset),
         "Hysteresis and creep": partial(dynamics.hysteresis, recording, preset),
         "Ceilings": partial(dynamics.ceilings, recording, preset),

@@ -140,4 +140,5 @@ def _change(labels: np.ndarray, readings: np.ndarray) -> tuple[float, bool]:
         return float("nan"), False
     # Neighbours come in pairs, so that half as many differences are independent.
     sure = (b - a).mean() > 4 * (b - a).std() / np.sqrt(len(a) / 2)
-    return float(b.sum() / a.sum()), bool(sure and b.sum() > 1.2 * a.sum())
+    ratio = float(b.sum() / a.sum()) if a.any() else float("nan")  # a chip that does not answer repeats itself
+    return ratio, bool(sure and b.sum() > 1.2 * a.sum())

@@ -2,15 +2,15 @@
 (docs/data.md describes it).
 
 Columns, by name: x_mm, y_mm (the indenter's axis from the skin's centre, along the skin's edges), depth_mm (travel past
-first contact), the values of the board's chips b0x_uT, b0y_uT, b0z_uT, b1x_uT ... (to b4z_uT for five chips); if wanted
-force_N (empty = not measured), a0x_uT ... (ambient, subtracted), pad and session (names; a session may be called run).
+first contact) or z_mm (the tip's height), the values of the board's chips b0x_uT, b0y_uT, b0z_uT, b1x_uT ... (to b4z_uT
+for five chips); if wanted force_N (empty = not measured), a0x_uT ... (ambient, subtracted), pad and session (names; a
+session may be called run). Depth may be missing where there are forces.
 
 Frames: the skin is fixed, and its tool frame T is the world's. The object O is the indenter, its axes as T's: at the
 lowest point of a sphere or cylinder, or a mesh's own frame, whose z axis is the indenter's and whose lowest point
 touches first.
 """
 
-import csv
 import math
 import re
 from collections.abc import Callable
@@ -20,7 +20,8 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from i2t.convert.checked import SessionCheck, check_session
-from i2t.convert.common import ConversionLog, Converted, read_text
+from i2t.convert.common import ConversionLog, Converted
+from i2t.convert.tables import HEIGHT_COLUMNS, read_text_table
 from i2t.dataset import Dataset, missing_context
 from i2t.errors import DataError
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Board, ReturnCode, Touches
@@ -28,12 +29,8 @@ from i2t.unknowns import RecordedPresses
 
 PLACES = ("x_mm", "y_mm", "depth_mm")
 NAME_COLUMNS = ("pad", "session")
-QUANTITY_OF = {"x": "length", "y": "length", "depth": "length", "b": "field", "force": "force"}  # by a column's stem
-UNITS: dict[str, tuple[str, dict[str, float]]] = {  # of each quantity: ours, and others with their factors
-    "length": ("mm", {"m": 1e3, "cm": 10.0, "um": 1e-3}),
-    "field": ("uT", {"T": 1e6, "mT": 1e3, "nT": 1e-3, "G": 100.0}),
-    "force": ("N", {"mN": 1e-3, "kN": 1e3}),
-}
+MOST_NAMED = 5  # columns that a sentence names
+TOO_FEW_OR_MANY = ""  # key of a row that has not a field for each column
 TURNED_SHARE = 0.9  # of the rows with a depth, for all to be turned
 MIN_TURNED = 5  # rows
 ROWS_AT_ONCE = 512  # bounds the memory of the intermediate arrays
@@ -88,7 +85,7 @@ def convert(
     patch, lowest = _patches(indenter, unit, x, y, window=window, reach=reach, notes=notes)
     n = len(x)
     T_w_o = np.tile(np.eye(4), (n, 1, 1))
-    T_w_o[:, :3, 3] = np.column_stack([x, y, -depth - lowest])
+    T_w_o[:, :3, 3] = np.column_stack([x, y, -np.nan_to_num(depth) - lowest])
     names = {kind: tuple(dict.fromkeys(row[kind] for row in kept)) for kind in NAME_COLUMNS}
     touches = Touches(
         patch=patch,
@@ -133,7 +130,8 @@ def _checked(
         part = [row for row in rows if (row["pad"], row["session"]) == session]
         numbers = np.array([[row[name] for name in (*PLACES, "force_N")] for row in part])
         readings = np.array([row["reading"] for row in part])
-        presses = RecordedPresses(1e-3 * numbers[:, :2], readings, height=-1e-3 * numbers[:, 2], force=numbers[:, 3])
+        height = None if np.isnan(numbers[:, 2]).all() else -1e-3 * numbers[:, 2]
+        presses = RecordedPresses(1e-3 * numbers[:, :2], readings, height=height, force=numbers[:, 3])
         check = check_session(session[1], presses, board, notes, stated_zero=0.0, stated_radius=radius)
         checks.append(check)
         kept += _corrected(part, numbers, readings, check)
@@ -228,8 +226,8 @@ class _Columns(NamedTuple):
 
 def _rows(source: Path, chips: int, notes: ConversionLog) -> list[dict[str, Any]]:
     """The table's presses; damaged rows are refused or left out as `notes` has it."""
-    header, lines = _read_table(source, notes)
-    columns = _check_header(source, header, chips, notes)
+    header, lines, beginning = _read_table(source, notes)
+    columns = _check_header(source, header, chips, notes, beginning)
     rows: list[dict[str, Any]] = []
     for number, line in lines:
         try:
@@ -242,73 +240,56 @@ def _rows(source: Path, chips: int, notes: ConversionLog) -> list[dict[str, Any]
     return rows
 
 
-def _read_table(source: Path, notes: ConversionLog) -> tuple[list[str], list[tuple[int, dict[str, Any]]]]:
-    """Names of the columns, and the rows with their numbers in the file: fields between semicolons or tabs, decimal
-    commas and columns in other units are turned into what the rest of this module reads.
+def _read_table(source: Path, notes: ConversionLog) -> tuple[list[str], list[tuple[int, dict[str, Any]]], str]:
+    """Names of the columns, the rows with their numbers in the file, and how the table begins; heights of the tip are
+    turned into depths.
     """
-    lines = read_text(source).splitlines()
-    first = lines[0] if lines else ""
-    delimiter = next((each for each in (";", "\t") if each in first and "," not in first), ",")
+    table = read_text_table(source)
+    for note in table.notes:
+        notes.info(note)
+    header = table.header
+    rows = [(number, _by_name(header, cells)) for number, cells in table.rows]
+    height = next((name for name in HEIGHT_COLUMNS if name in header), None)
+    if height is None or "depth_mm" in header:
+        return header, rows, table.beginning
+    highest = max((float(row[height]) for _, row in rows if _is_height(row.get(height))), default=0.0)
+    notes.info(f"assumed: {height} grows out of the skin, and depth counts from its highest value, {highest:g} mm")
+    header = ["depth_mm" if name == height else name for name in header]
+    turned = [(number, _with_depth(row, height, highest)) for number, row in rows]
+    return header, turned, table.beginning
+
+
+def _by_name(header: list[str], cells: list[str]) -> dict[str, Any]:
+    """A row's fields by the names of their columns; None among them says that it has not as many."""
+    row: dict[str, Any] = dict(zip(header, cells, strict=False))
+    if len(cells) != len(header):
+        row |= dict.fromkeys(header[len(cells) :])
+        row[TOO_FEW_OR_MANY] = cells
+    return row
+
+
+def _is_height(text: Any) -> bool:
     try:
-        table = csv.DictReader(lines, delimiter=delimiter, strict=True)
-        stated = ["session" if name.strip() == "run" else name.strip() for name in table.fieldnames or ()]
-        header, factors = _in_our_units(stated)
-        table.fieldnames = header
-        rows = [(table.line_num, line) for line in table]
-    except csv.Error as error:
-        raise DataError(f"{source}: is no comma-separated table ({error}); save it as CSV") from error
-    if delimiter != ",":
-        notes.info(f"fields are separated by {'semicolons' if delimiter == ';' else 'tabs'}, and commas are decimal")
-        rows = [(number, _each(line, _with_point)) for number, line in rows]
-    if factors:
-        units = ", ".join(old for old, new in zip(stated, header, strict=True) if old != new)
-        notes.info(f"columns {units} are in other units than mm, uT and N, and were turned into these")
-        rows = [(number, _scaled(line, factors)) for number, line in rows]
-    return header, rows
+        return abs(float(text)) < MAX_TABLE_VALUE
+    except (TypeError, ValueError):
+        return False
 
 
-def _in_our_units(header: list[str]) -> tuple[list[str], dict[str, float]]:
-    """Names of columns with the units of this module, and the factors by which such columns grow."""
-    names, factors = [], {}
-    for name in header:
-        stem, _, unit = name.rpartition("_")
-        quantity = QUANTITY_OF.get(re.sub("[ab][0-9]+[xyz]", "b", stem), "")
-        ours, units = UNITS.get(quantity, ("", {}))
-        if unit in units:
-            name = f"{stem}_{ours}"
-            factors[name] = units[unit]
-        names.append(name)
-    return names, factors
+def _with_depth(row: dict[str, Any], height: str, highest: float) -> dict[str, Any]:
+    """A row whose height is a depth; what is no number stays, and is refused later."""
+    text = row.pop(height)
+    return row | {"depth_mm": repr(highest - float(text)) if _is_height(text) else text}
 
 
-def _each(line: dict[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
-    """A row with each of its texts changed."""
-    return {name: change(text) if isinstance(text, str) else text for name, text in line.items()}
-
-
-def _with_point(text: str) -> str:
-    """A number with a decimal point in place of a comma."""
-    return text.replace(",", ".") if re.fullmatch(r"\s*[-+]?[0-9]*,[0-9]+([eE][-+]?[0-9]+)?\s*", text) else text
-
-
-def _scaled(line: dict[str, Any], factors: dict[str, float]) -> dict[str, Any]:
-    """A row whose numbers are in the units of this module; what is no number stays, and is refused later."""
-
-    def scaled(name: str, text: Any) -> Any:
-        try:
-            return repr(factors[name] * float(text))
-        except (KeyError, TypeError, ValueError):
-            return text
-
-    return {name: scaled(name, text) for name, text in line.items()}
-
-
-def _check_header(source: Path, header: list[str], chips: int, notes: ConversionLog) -> _Columns:
+def _check_header(source: Path, header: list[str], chips: int, notes: ConversionLog, beginning: str) -> _Columns:
     """The columns of a board's values; a table that lacks some, or has those of another board, is refused."""
     values, ambient = (tuple(f"{kind}{chip}{axis}_uT" for chip in range(chips) for axis in "xyz") for kind in "ba")
     missing = [name for name in PLACES + values if name not in header]
-    if missing:
-        raise DataError(f"{source}: column {', '.join(missing)} is missing; name columns as in docs/data.md")
+    if missing == ["depth_mm"] and "force_N" in header:
+        notes.info("no depth was recorded: presses are known by their force")
+    elif missing:
+        named = ", ".join(missing[:MOST_NAMED]) + (" ..." if len(missing) > MOST_NAMED else "")
+        raise DataError(f"{source}: column {named} is missing ({beginning}); name columns as in docs/data.md")
     beyond = [name for name in header if re.fullmatch(r"b[0-9]+[xyz]_uT", name) and name not in values]
     if beyond:
         raise DataError(
@@ -330,10 +311,12 @@ def _check_header(source: Path, header: list[str], chips: int, notes: Conversion
 
 def _row(source: Path, number: int, line: dict[str, Any], columns: _Columns) -> dict[str, Any]:
     """One press: numbers by the names of their columns, names, its reading (uT), and its line in the file."""
-    if None in line or None in line.values():
-        fields = sum(name is not None for name in line)
+    if TOO_FEW_OR_MANY in line:
+        fields = len(line) - 1
         raise DataError(f"{source}: line {number} has not {fields} fields; give one for each column")
-    row: dict[str, Any] = {name: _number(source, number, name, line[name]) for name in PLACES}
+    row: dict[str, Any] = {
+        name: _number(source, number, name, line[name]) if name in line else math.nan for name in PLACES
+    }
     row["force_N"] = (
         _number(source, number, "force_N", line["force_N"]) if line.get("force_N", "").strip() else math.nan
     )
@@ -366,7 +349,7 @@ def _of_positive_depth(source: Path, rows: list[dict[str, Any]], notes: Conversi
             row["depth_mm"] = -row["depth_mm"]
     kept = []
     for row in rows:
-        if row["depth_mm"] >= 0:
+        if not row["depth_mm"] < 0:
             kept.append(row)
             continue
         notes.skip(

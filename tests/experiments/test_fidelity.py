@@ -9,12 +9,14 @@ from helpers import random_touches
 from helpers.skin_presses import presses_of_a_skin
 
 from experiments.fidelity import __main__ as fidelity
-from experiments.fidelity import curves, describe, dynamics, heads, run
+from experiments.fidelity import curves, describe, dynamics, forward, heads, run
 from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.forward import explained_share, left_out, nearest_presses, press_set, simple_gp
 from experiments.fidelity.sections import CannotTellError, Section, written
 from i2t import dataset as data
+from i2t.calibration import check_presses
 from i2t.calibration.heads import HeadBudget, SkinRecording, from_dataset, load_head
+from i2t.unknowns import estimate_labels
 
 FEW = HeadBudget(selection_rows=40, known_rows=60, rows=80)
 TINY = FidelityPreset(counts=(5,), draws=1, test_rows=15, forward_rows=40, heads=FEW, heads_across=FEW)
@@ -196,6 +198,61 @@ def test_mistakes_that_were_put_in_are_found():
     steps = np.round(SKIN.readings / step)
     steps[40:, 5] += np.where(np.arange(40, 90) % 2, 65536, 0)
     assert found(replace(SKIN, readings=step * steps))["wrapped_channels"] == [5]
+
+
+def test_digits_of_a_text_are_no_values_that_ran_over():
+    big = presses_of_a_skin(400)
+    few_digits = np.vectorize(lambda value: float(f"{value:.4g}"))(big.readings)
+    section = Section("Checks")
+    describe._check_channels(replace(big, readings=few_digits), [], section.numbers)
+    assert section.numbers["wrapped_channels"] == []
+
+
+def test_a_chip_that_does_not_answer_costs_no_check():
+    warned = check_presses(
+        SKIN.targets["position"],
+        SKIN.targets["depth"][:, 0],
+        SKIN.readings * (np.arange(15) // 3 != 2),
+        by_force=False,
+    )
+    assert warned.changed_chips == ()
+
+
+def test_calibration_is_measured_on_the_recording_put_right(monkeypatch):
+    """Labels of another row and positions in millimetres: as good as the sound recording, and said."""
+    monkeypatch.setattr(describe, "estimate_unknowns", estimate_labels_of)
+    tiny = replace(TINY, counts=(40,))
+    late = {name: np.roll(values, 2, axis=0) for name, values in SKIN.targets.items()}
+    wrong = replace(SKIN, targets=late | {"position": 1e3 * late["position"]})
+    curves_of = []
+    for recording in (SKIN, wrong):
+        sections = {}
+        for section in run.sections_of(recording, tiny, 0):
+            sections[section.title] = section
+            if section.title == "Calibration curves":
+                break
+        curves_of.append(sections["Calibration curves"].numbers["r2"]["random presses"]["i2t.calibrate"][40]["mean"])
+    assert any("put right: units, lag of the labels" in sentence for sentence in sections["Checks"].sentences)
+    assert curves_of[1] > curves_of[0] - 0.1 > 0.5
+
+
+def estimate_labels_of(presses, board=None):
+    """The part of the estimate that takes a moment."""
+    return estimate_labels(presses)
+
+
+def test_what_may_be_chance_is_no_loss():
+    rng = np.random.default_rng(0)
+    own = rng.exponential(size=200)
+    assert not forward.loses_beyond_chance(own, own * rng.uniform(0.5, 1.5, 200))
+    assert forward.loses_beyond_chance(own, 0.7 * own)
+    few = {name: {5: {"mean": mean}} for name, mean in (("i2t.calibrate", 0.5), ("k nearest presses", 0.55))}
+    errors = {"i2t.calibrate": {5: [own]}, "k nearest presses": {5: [0.7 * own]}}
+    (lost,) = curves._compare_with_baselines("so", few, errors)
+    assert "loses to a baseline at 5 presses (0.500, k nearest presses 0.550)" in lost
+    errors["k nearest presses"][5] = [rng.permutation(own)]
+    (level,) = curves._compare_with_baselines("so", few, errors)
+    assert "within chance" in level
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1.0, "uT"), (1e-3, "mT"), (0.01, "gauss")])

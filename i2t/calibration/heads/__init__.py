@@ -2,9 +2,11 @@
 and slip as probabilities.
 
 `read_recordings` takes a recording in whatever form it has, `fit_head` fits a head to it. Behind them: `recording` is
-what was read and known, `regression` the methods that a head is chosen of, `head` the choice, spread and file.
+what was read and known, `corrected` puts its mistakes right, `regression` the methods that a head is chosen of, `head`
+the choice, spread and file.
 """
 
+from i2t.calibration.heads.corrected import corrected_recording
 from i2t.calibration.heads.head import Head, HeadPrediction, fit_head, load_head
 from i2t.calibration.heads.recording import TARGETS, SkinRecording, from_dataset, read_recordings
 from i2t.calibration.heads.regression import BASELINE_HEADS, HEAD_METHODS, HeadBudget
@@ -17,6 +19,7 @@ __all__ = [
     "HeadBudget",
     "HeadPrediction",
     "SkinRecording",
+    "corrected_recording",
     "fit_head",
     "from_dataset",
     "load_head",

@@ -25,12 +25,14 @@ from jaxtyping import Float, Int
 
 from i2t.convert.common import read_text
 from i2t.convert.eflesh import EFLESH_READINGS, NEWTONS_PER_GRAM, SAME_ROW, STROKE_PAUSE_S
+from i2t.convert.tables import HEIGHT_COLUMNS, TextTable, read_text_table
 from i2t.dataset import Dataset, load_dataset
 from i2t.errors import DataError
 from i2t.types import Board, ReturnCode
 
 CHIP_AXES = ("x", "y", "z")
 VALUES_PER_CHIP = 3
+TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
 MAX_VALUE = 1e9  # of any number of a table, in its unit; beyond it is damage
 TOUCHING_FORCE_N = 0.1  # from which a reading counts as one in contact
 AIR_FORCE_N = 0.02  # up to which it counts as one in air; what lies between is neither
@@ -168,12 +170,12 @@ def read_recordings(path: Path | str) -> list[SkinRecording]:
         DataError: there is nothing that can be read, in one sentence.
     """
     path = Path(path)
-    if path.is_file() and (path.suffix == ".csv" or path.name.endswith(".csv.gz")):
-        return [read_table(path)]
+    if path.is_file() and path.name.removesuffix(".gz").endswith(TABLE_SUFFIXES):
+        return read_tables(path)
     if path.is_dir() and (folders := sorted({file.parent for file in path.rglob("states.csv*")})):
         return [read_eflesh_session(folder) for folder in folders]
     if path.is_dir() and not any(path.rglob("*.h5")) and (tables := sorted(path.glob("*.csv*"))):
-        return [read_table(table) for table in tables]
+        return [recording for table in tables for recording in read_tables(table)]
     return from_dataset(load_dataset(path), path.name)
 
 
@@ -232,45 +234,70 @@ def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording
     return found
 
 
-def read_table(path: Path) -> SkinRecording:
-    """Read a table with a header and one row for each reading.
+def read_tables(path: Path) -> list[SkinRecording]:
+    """Read a table with a line of names and one row for each reading.
 
     Columns by name: b0x_uT, b0y_uT, b0z_uT, b1x_uT ... (any number of chips), and of `TABLE_COLUMNS`, a0x_uT ...
-    (ambient, subtracted), time_s, session what there is. Empty or unreadable cells are unknown.
+    (ambient, subtracted), time_s, session and pad what there is; z_mm or height_mm of the tip in place of a depth.
+    Separators and units may be those of `i2t.convert.tables`. Empty or unreadable cells are unknown.
 
     Args:
         path: of the table, plain or gzip-ed.
 
     Returns:
-        The recording.
+        A recording for each pad.
 
     Raises:
         DataError: it is no such table, or no row has a finite reading.
     """
-    lines = _lines(path)
-    header = [name.strip() for name in lines[0]] if lines else []
-    columns = {name: i for i, name in enumerate(header)}
-    values = np.array([_numbers(line, len(header)) for line in lines[1:]]).reshape(-1, len(header))
-    chips = sorted({int(match[1]) for name in header if (match := re.fullmatch(r"b([0-9]+)[xyz]_uT", name))})
+    table = read_text_table(path)
+    columns = {name: i for i, name in reversed(list(enumerate(table.header)))}
+    values = np.array([_numbers(cells, len(table.header)) for _, cells in table.rows]).reshape(-1, len(table.header))
+    chips = sorted({int(match[1]) for name in columns if (match := re.fullmatch(r"b([0-9]+)[xyz]_uT", name))})
     names = [f"b{chip}{axis}_uT" for chip in chips for axis in CHIP_AXES]
     if not chips or any(name not in columns for name in names):
-        raise DataError(f"{path}: has no columns b0x_uT, b0y_uT, b0z_uT, ...; name them as in docs/data.md")
-    readings = values[:, [columns[name] for name in names]]
+        raise DataError(
+            f"{path}: has not the columns b0x_uT, b0y_uT, b0z_uT, ... ({table.beginning}); name them as in docs/data.md"
+        )
+    notes, readings = list(table.notes), values[:, [columns[name] for name in names]]
     ambient = ["a" + name[1:] for name in names]
-    if all(name in columns for name in ambient):
+    subtracted = all(name in columns for name in ambient)
+    if subtracted:
         readings = readings - values[:, [columns[name] for name in ambient]]
     targets = {
         target: np.column_stack([scale * values[:, columns[name]] for name, scale in kinds if name in columns])
         for target, kinds in TABLE_COLUMNS.items()
         if any(name in columns for name, _ in kinds)
     }
-    runs = columns.get("session", columns.get("run"))
-    session = np.zeros(len(values), int)
-    if runs is not None:
-        session = np.unique([line[runs] if runs < len(line) else "" for line in lines[1:]], return_inverse=True)[1]
+    height = next((name for name in HEIGHT_COLUMNS if name in columns), None)
+    if height is not None and "depth" not in targets and np.isfinite(values[:, columns[height]]).any():
+        z = values[:, columns[height]]
+        targets["depth"] = 1e-3 * (np.nanmax(z) - z)[:, None]
+        notes.append(
+            f"assumed: {height} grows out of the skin, and depth counts from its highest value, {np.nanmax(z):g} mm"
+        )
+    used = {*names, *(ambient if subtracted else ()), "time_s", "session", "pad", *HEIGHT_COLUMNS}
+    used |= {name for kinds in TABLE_COLUMNS.values() for name, _ in kinds}
+    if unknown := [name for name in columns if name not in used]:
+        notes.append(f"left out: columns {', '.join(unknown)}, which have no meaning here")
+    if twice := sorted({name for name in table.header if table.header.count(name) > 1}):
+        notes.append(f"columns {', '.join(twice)} stand twice: the first of each is taken")
+    session, pad = (_named(table, columns.get(name))[0] for name in ("session", "pad"))
     time = values[:, columns["time_s"]] if "time_s" in columns else np.full(len(values), np.nan)
-    recording = _recording(path.name.split(".")[0], readings, targets, session=session, time=time, notes=[])
-    return _finite(recording, path)
+    name, pads = path.name.split(".")[0], _named(table, columns.get("pad"))[1]
+    whole = _recording(name, readings, targets, session=session, time=time, notes=notes)
+    if len(pads) < 2:
+        return [_finite(whole, path)]
+    return [_finite(replace(whole.rows(pad == i), name=f"{name} ({one})"), path) for i, one in enumerate(pads)]
+
+
+def _named(table: TextTable, column: int | None) -> tuple[np.ndarray, list[str]]:
+    """Which of its names each row has in a column, and the names; one name where there is no column."""
+    if column is None:
+        return np.zeros(len(table.rows), int), [""]
+    cells = [cells[column].strip() if column < len(cells) else "" for _, cells in table.rows]
+    names, which = np.unique(cells, return_inverse=True)
+    return which, names.tolist()
 
 
 def read_eflesh_session(folder: Path) -> SkinRecording:
