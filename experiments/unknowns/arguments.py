@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
-from i2t.cli import Count, Limits
+from i2t.cli import Count, Limits, Seed
 
 Question = Literal["lag", "height", "swap", "stage", "flip", "since"]
 QUESTIONS: tuple[Question, ...] = get_args(Question)
@@ -18,6 +18,7 @@ class UnknownsArgs:
     out: Path = Path("runs/unknowns")  # folder for everything that is made
     cases: Count = 10  # skins of each kind
     presses: Annotated[int, Limits(60)] = 160  # of each skin
+    seed: Seed = 316  # of the skins and of what is put into them; figures are of 316, and nothing is chosen on it
     kinds: tuple[str, ...] = UNKNOWNS_KINDS  # of skins
     questions: tuple[Question, ...] = QUESTIONS  # that are asked of them
     overwrite: bool = False  # replace a run in --out

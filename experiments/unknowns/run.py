@@ -2,6 +2,7 @@
 
     python -m experiments.unknowns                    10 skins of each kind, about 40 minutes on one core
     python -m experiments.unknowns --cases 2          a few minutes, too few to mean much
+    python -m experiments.unknowns --seed 1           other skins, to choose something on
     python -m experiments.unknowns --kinds bonded lattice --questions lag height
 
 Skins of five kinds are simulated (`experiments.calibrate_pads.kinds`: bonded, loose, uniform, weak, lattice) and
@@ -43,7 +44,6 @@ from i2t.unknowns import RecordedPresses
 from i2t.unknowns.chip_field import STAGES
 
 NOT_ASKED = (("height", "lattice"),)  # its readings jump at first contact, as no skin's do
-UNKNOWNS_SEED = 316  # of the skins
 FREE_SHARE = 0.15  # of presses above first contact
 HEIGHT_TOLERANCE_M = 0.05e-3
 NOISE_OF_FREE_UT = 2.0
@@ -66,17 +66,17 @@ def run(args: UnknownsArgs) -> dict[str, Any]:
     started = time.perf_counter()
     answers: dict[str, dict[str, list[Answer]]] = {question: {} for question in args.questions}
     for kind in args.kinds:
-        skins = simulate_skins(kind, UNKNOWNS_SEED, args.cases, args.presses)
+        skins = simulate_skins(kind, args.seed, args.cases, args.presses)
         for i, skin in enumerate(tqdm(skins, desc=kind, unit="skin")):
-            recorded = as_recorded(skin, np.random.default_rng((UNKNOWNS_SEED, i)))
+            recorded = as_recorded(skin, np.random.default_rng((args.seed, i)))
             for question in args.questions:
                 if (question, kind) in NOT_ASKED:
                     continue
-                rng = np.random.default_rng((UNKNOWNS_SEED, i, QUESTIONS.index(question)))
+                rng = np.random.default_rng((args.seed, i, QUESTIONS.index(question)))
                 answers[question].setdefault(kind, []).append(ASK[question](recorded, board_of(skin), rng))
     metrics = {
         "source": "simulated",
-        "seed": UNKNOWNS_SEED,
+        "seed": args.seed,
         "presses": args.presses,
         "questions": {name: {kind: summary(found) for kind, found in by.items()} for name, by in answers.items()},
         "seconds": round(time.perf_counter() - started, 1),

@@ -7,16 +7,18 @@ Above first contact nothing is read; below it a reading grows with the depth d =
 The maps g and w are Gaussian processes over the skin; w grows with the depth as an integrated Wiener process, which
 begins at first contact with value and slope zero and bends freely afterwards, as no skin grows by a power exactly
 (kernel: Rasmussen and Williams, "Gaussian Processes for Machine Learning", equation 6.28). z0 and p are those under
-which each press is best predicted from all others. Where presses were recorded on both sides of first contact, z0 is
-where the readings begin. Where all are below it, z0 is extrapolated, and the power, which a skin does not tell,
-decides: powers from 1.5 to 2 are what skins show, and what they leave open is the interval. Where all presses go to one
-height, no number of them tells.
+which each press is best predicted from all others. A skin hardly tells its power: 0.1 more of it is as good as a zero
+some 0.03 mm higher. A ball sinks by a power of 1.5 into a thick layer (Hertz) and of 2 into a thin one on a hard board
+(Johnson, "Contact Mechanics", section 5.8), so that p is believed to be near 1.75 unless the presses contradict it.
+Where presses were recorded on both sides of first contact, z0 is where the readings begin. Where all are below it, z0
+is extrapolated, and the power decides: what 1.5 to 2 leave open is the interval. Where all presses go to one height, no
+number of them tells.
 
 Heights z (m) are along the skin's outward normal, from anywhere. NumPy only.
 """
 
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -28,10 +30,14 @@ HEIGHT_ZERO = "height zero"
 HEIGHT_DRIFT = "drift of the height zero"
 MIN_HEIGHT_RANGE_M = 0.1e-3  # between the lowest and the highest tenth of the presses: less is one height
 MIN_ZERO_PRESSES = 30
-HEIGHT_SUBSETS = 6  # of the presses, whose estimates differ by the statistical error
+HEIGHT_SUBSETS = 3  # of many presses, whose estimates are put together
 HEIGHT_SUBSET_PRESSES = 160
-POWERS = (1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0)
+FIRST_PRESSES = 80  # by which the zero is found coarsely
 USUAL_POWERS = (1.5, 2.0)  # of skins that were measured
+POWER_STEP = 0.1
+POWER_MEAN, POWER_STD = 1.75, 0.1  # of what is believed of the power before any press
+POWER_WEIGHT = 60.0  # on this belief, as the log density of readings is of many that are not independent
+POWER_LEFT_OPEN = 0.08  # standard deviation of the power, after all presses
 USABLE_ZERO_M = 0.1e-3  # an interval of at most this half width is used
 SHAPE_ERROR_M = 0.02e-3  # of the zero, as no skin grows by a power exactly
 DRIFT_ERRORS = 4.0  # standard errors beyond which a drift is one
@@ -44,6 +50,9 @@ class _Fit(NamedTuple):
     log_density: float
     r2: float
     around: np.ndarray  # (n,) m, how far each press is off the common zero
+    statistical: float = 0.0  # m, standard error
+    of_power: float = 0.0  # m, by which the zero moves with what is left open of the power
+    usual: tuple[float, float] = (0.0, 0.0)  # m, the zero at the usual powers
 
 
 class _Shape(NamedTuple):
@@ -87,8 +96,7 @@ def find_height_zero(presses: RecordedPresses, stated: float | None = None) -> F
             False,
             evidence={"presses": len(height), "height_range_mm": 1e3 * float(high - low)},
         )
-    fits = [_fit(part) for part in _subsets(presses)]
-    return _judge(fits, height, stated)
+    return _judge([_fit(part) for part in _subsets(presses)], height, stated)
 
 
 def find_height_drift(presses: RecordedPresses, zero: float) -> Finding:
@@ -142,21 +150,20 @@ def find_height_drift(presses: RecordedPresses, zero: float) -> Finding:
 
 
 def _subsets(presses: RecordedPresses) -> list[RecordedPresses]:
-    """Random parts of the presses, apart from each other where there are enough."""
+    """Random parts of the presses, apart from each other; one of all where there are few."""
     n = len(presses.readings)
     order = np.random.default_rng(0).permutation(n)
-    size = min(HEIGHT_SUBSET_PRESSES, max(n // 2, MIN_ZERO_PRESSES // 2))
-    apart = n >= HEIGHT_SUBSETS * size
-    starts = [i * size if apart else i * max(n - size, 0) // (HEIGHT_SUBSETS - 1) for i in range(HEIGHT_SUBSETS)]
-    return [presses.rows(np.sort(order[start : start + size])) for start in starts]
+    parts = min(HEIGHT_SUBSETS, max(n // HEIGHT_SUBSET_PRESSES, 1))
+    return [presses.rows(np.sort(order[i::parts][:HEIGHT_SUBSET_PRESSES])) for i in range(parts)]
 
 
 def _judge(fits: list[_Fit], height: np.ndarray, stated: float | None) -> Finding:
     """Put the fits to parts of the presses together."""
     zeros = np.array([fit.zero for fit in fits])
     zero, power = float(np.median(zeros)), float(np.median([fit.power for fit in fits]))
-    statistical = 1.4826 * float(np.median(np.abs(zeros - zero))) / np.sqrt(len(fits) / 2)
-    half = float(np.hypot(1.645 * statistical, SHAPE_ERROR_M))
+    statistical = max(float(np.mean([fit.statistical for fit in fits])), float(np.std(zeros))) / np.sqrt(len(fits))
+    of_power = float(np.mean([fit.of_power for fit in fits]))
+    half = 1.645 * float(np.sqrt(statistical**2 + of_power**2 + SHAPE_ERROR_M**2))
     above = int((height > zero).sum())
     spread = float(np.ptp(zeros))
     evidence = {
@@ -180,7 +187,8 @@ def _judge(fits: list[_Fit], height: np.ndarray, stated: float | None) -> Findin
             unit="m", evidence=evidence, correction={"height_zero_m": zero} if wrong else {},
         )  # fmt: skip
     top = float(np.quantile(height, 0.99))
-    low, high = min(zero - half, zeros.min()), max(zero + half, zeros.max())
+    usual = [end for fit in fits for end in fit.usual]
+    low, high = min(zero - half, *usual), max(zero + half, *usual)
     why = "no press is above first contact" if not reaches else "parts of the presses disagree"
     if r2 <= 0.3:
         why = f"readings hardly depend on position and height (R2 {r2:.2f})"
@@ -194,27 +202,52 @@ def _judge(fits: list[_Fit], height: np.ndarray, stated: float | None) -> Findin
 
 
 def _fit(presses: RecordedPresses) -> _Fit:
-    """Zero and power of the growth, first coarsely and then finely."""
+    """Zero and power of the growth, first coarsely and by few presses, then finely by all."""
     assert presses.height is not None
     height = np.asarray(presses.height, np.float64)
     low, high = np.quantile(height, [0.05, 1.0])
     reach = high - low
     grid = np.concatenate([np.linspace(low + 0.15 * reach, high, 14), high + reach * np.array([0.1, 0.25, 0.5, 1.0])])
-    usual = [power for power in POWERS if USUAL_POWERS[0] <= power <= USUAL_POWERS[1]]
+    few = presses.rows(thinned(len(height), FIRST_PRESSES))
     shapes = [_Shape(6e-3, 0.1, noise, 0.05) for noise in NOISES]
-    best = max(
-        (_try(presses, zero, power, one) for zero in grid for power in USUAL_POWERS for one in shapes), key=_density
-    )
-    for _ in range(2):
+    powers = (*USUAL_POWERS, POWER_MEAN)
+    best = max((_try(few, zero, power, one) for zero in grid for power in powers for one in shapes), key=_belief)
+    shape = shapes[0]
+    for first_step in (0.12 * reach, 0.03 * reach):
         shape = max(HEIGHT_SHAPES, key=lambda one: _try(presses, best.zero, best.power, one).log_density)
-        step = 0.12 * reach
+        best, step = _try(presses, best.zero, best.power, shape), first_step
         while step > 4e-6:
-            near = best.zero + step * np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
-            # Where presses lie above first contact they hold the zero, and the power may be any.
-            powers = POWERS if (height > best.zero).mean() > 0.01 else usual
-            best = max((_try(presses, zero, power, shape) for zero in near for power in powers), key=_density)
+            near = best.power + POWER_STEP * np.array([-1.0, 0.0, 1.0])
+            tried = (_try(presses, best.zero + move, power, shape) for move in step * _MOVES for power in near)
+            best, step = max((best, *tried), key=_belief), 0.5 * step
+    return best._replace(**_left_open(presses, best, shape, 0.03 * reach))
+
+
+_MOVES = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+
+
+def _left_open(presses: RecordedPresses, best: _Fit, shape: _Shape, step: float) -> dict[str, Any]:
+    """What each half of the presses alone, another power and the usual powers say of the zero."""
+    order = np.random.default_rng(1).permutation(len(presses.readings))
+    halves = [_zero_of(presses.rows(np.sort(order[i::2])), best.zero, best.power, shape, step) for i in (0, 1)]
+    less, more = (_zero_of(presses, best.zero, best.power + sign * POWER_LEFT_OPEN, shape, step) for sign in (-1, 1))
+    ends = tuple(_zero_of(presses, best.zero, power, shape, 4 * step) for power in USUAL_POWERS)
+    return {"statistical": abs(halves[1] - halves[0]) / 2, "of_power": abs(more - less) / 2, "usual": ends}
+
+
+def _zero_of(presses: RecordedPresses, zero: float, power: float, shape: _Shape, step: float) -> float:
+    """The zero of most density at a given power, by steps downhill from a given one."""
+    while step > 4e-6:
+        tried = [_try(presses, zero + move, power, shape) for move in step * _MOVES]
+        best = max(tried, key=_density)
+        if abs(best.zero - zero) < 0.9 * step:
             step *= 0.5
-    return best
+        zero = best.zero
+    return zero
+
+
+def _belief(fit: _Fit) -> float:
+    return fit.log_density - 0.5 * POWER_WEIGHT * ((fit.power - POWER_MEAN) / POWER_STD) ** 2
 
 
 def _density(fit: _Fit) -> float:
