@@ -184,7 +184,8 @@ def _compare_with_baselines(
     split: str, curves: dict[str, dict[int, dict[str, float]]], errors: MethodErrors
 ) -> list[str]:
     """Whether i2t's calibration is at least as good as the best baseline, at each count; what may be chance is said."""
-    lost, level = [], []
+    lost: list[str] = []
+    level: list[str] = []
     if not curves[CALIBRATED]:
         return [f"Held out {split}: {CALIBRATED} predicts nothing."]
     for n, own in curves[CALIBRATED].items():
