@@ -163,7 +163,7 @@ def _check_channels(recording: SkinRecording, found: list[str], numbers: dict) -
     raw = y if recording.baseline is None else y + recording.baseline
     step = np.array([_step(channel) for channel in raw.T])
     jump, whole = np.abs(np.diff(raw, axis=0)), COUNTS_OF_16_BITS * np.nan_to_num(step, nan=1.0)
-    # Values that ran over jump by about 65 536 steps, and else by far less; not so where a text's digits make the steps.
+    # Values that ran over jump by about 65 536 steps, and else by far less; the steps of a text's digits are others.
     near = np.abs(jump - whole) < JUMP_TOLERANCE * whole
     wrapped = np.isfinite(step) & near.any(0) & (near | (jump < whole / 2)).all(0)
     numbers["wrapped_channels"] = np.flatnonzero(wrapped).tolist()

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from i2t.convert.checked import SessionCheck, check_session
+from i2t.convert.checked import AXES_OF_CHIP, SessionCheck, check_session
 from i2t.convert.common import ConversionLog, Converted
 from i2t.convert.tables import HEIGHT_COLUMNS, read_text_table
 from i2t.dataset import Dataset, missing_context
@@ -131,7 +131,8 @@ def _checked(
         numbers = np.array([[row[name] for name in (*PLACES, "force_N")] for row in part])
         readings = np.array([row["reading"] for row in part])
         height = None if np.isnan(numbers[:, 2]).all() else -1e-3 * numbers[:, 2]
-        presses = RecordedPresses(1e-3 * numbers[:, :2], readings, height=height, force=numbers[:, 3])
+        force = None if np.isnan(numbers[:, 3]).all() else numbers[:, 3]
+        presses = RecordedPresses(1e-3 * numbers[:, :2], readings, height=height, force=force)
         check = check_session(session[1], presses, board, notes, stated_zero=0.0, stated_radius=radius)
         checks.append(check)
         kept += _corrected(part, numbers, readings, check)
@@ -237,6 +238,8 @@ def _rows(source: Path, chips: int, notes: ConversionLog) -> list[dict[str, Any]
     rows = _of_positive_depth(source, rows, notes)
     if not rows:
         raise DataError(f"{source}: holds no press; give at least one row")
+    if silent := sum(bool(np.isnan(row["reading"]).any()) for row in rows):
+        notes.info(f"in {silent} presses a chip did not answer: its values are missing")
     return rows
 
 
@@ -320,11 +323,20 @@ def _row(source: Path, number: int, line: dict[str, Any], columns: _Columns) -> 
     row["force_N"] = (
         _number(source, number, "force_N", line["force_N"]) if line.get("force_N", "").strip() else math.nan
     )
-    reading = np.array([_number(source, number, name, line[name]) for name in columns.values])
-    if columns.ambient:
-        reading -= [_number(source, number, name, line[name]) for name in columns.ambient]
+    answered, reading = _answered(line, columns.values), np.full(len(columns.values), np.nan)
+    for i in np.flatnonzero(answered):
+        reading[i] = _number(source, number, columns.values[i], line[columns.values[i]])
+        if columns.ambient:
+            reading[i] -= _number(source, number, columns.ambient[i], line[columns.ambient[i]])
     row |= {kind: (line.get(kind) or kind).strip() for kind in NAME_COLUMNS}
     return row | {"reading": reading, "line": number}
+
+
+def _answered(line: dict[str, Any], names: tuple[str, ...]) -> np.ndarray:
+    """Which values of a row are of chips that answered: one without any of its three values did not, if others did."""
+    written = np.array([line[name].strip() != "" for name in names]).reshape(-1, AXES_OF_CHIP)
+    answered = written.any(1) if written.any() else np.ones(len(written), bool)
+    return np.repeat(answered, AXES_OF_CHIP)
 
 
 def _number(source: Path, line: int, column: str, text: str) -> float:

@@ -113,6 +113,24 @@ def test_presses_that_are_known_by_their_force_alone_are_converted(tmp_path, cap
     assert len(presses.load) == 40
 
 
+def test_a_chip_that_did_not_answer_is_missing_and_costs_no_press(tmp_path, capsys):
+    rows = lines(NAMES, VALUES)
+    cells = rows[3].split(",")
+    cells[9:12] = ["", "", ""]
+    (tmp_path / "a.csv").write_text("\n".join([*rows[:3], ",".join(cells), *rows[4:]]) + "\n")
+    assert main(["presses", str(tmp_path / "a.csv"), str(tmp_path / "out"), *PRESSES]) == 0
+    assert "in 1 presses a chip did not answer" in capsys.readouterr().out
+    reading = load_dataset(tmp_path / "out", missing_chips=True).touches.reading
+    missing = np.zeros((40, 15), bool)
+    missing[2, 6:9] = True
+    np.testing.assert_array_equal(np.isnan(reading), missing)
+    np.testing.assert_allclose(reading[~missing], SKIN.readings[~missing], rtol=1e-5)
+    cells[10] = "3.5"
+    (tmp_path / "b.csv").write_text("\n".join([*rows[:3], ",".join(cells)]) + "\n")
+    assert main(["presses", str(tmp_path / "b.csv"), str(tmp_path / "other"), *PRESSES]) == 2
+    assert "line 4 has '' in column b2x_uT" in capsys.readouterr().err
+
+
 def test_the_skins_of_a_table_are_apart(tmp_path):
     path = tmp_path / "a.csv"
     rows = lines(NAMES, VALUES)
