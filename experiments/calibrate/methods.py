@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.calibrate import plain_gp
 from experiments.calibrate.data import PressRecording
 from i2t.calibration import (
     DEPTH_HYPERPARAMETERS,
@@ -17,6 +16,7 @@ from i2t.calibration import (
     StructuredGPHyperparameters,
     baseline_network,
     lattice,
+    plain_gp,
     population_gp,
     structured_gp,
 )

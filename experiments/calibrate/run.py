@@ -33,7 +33,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from experiments.calibrate import fitted_pad, plain_gp, previous_session, report, targets
+from experiments.calibrate import fitted_pad, previous_session, report, targets
 from experiments.calibrate.config import CalibrateArgs, Preset, preset_of
 from experiments.calibrate.data import PressRecording, hold_out, read_presses, split_presses
 from experiments.calibrate.evaluate import learning_curves
@@ -53,7 +53,7 @@ from experiments.calibrate.methods import (
 )
 from experiments.common.runs import begin
 from i2t import dataset as data
-from i2t.calibration import calibrate
+from i2t.calibration import calibrate, plain_gp
 from i2t.calibration.model import hyperparameters_to_json
 from i2t.dataset import Dataset
 

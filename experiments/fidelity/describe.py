@@ -4,9 +4,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.fidelity.sections import CannotTellError, Section, join
-from i2t.calibration import check_presses
+from i2t.calibration import check_presses, segment_presses
 from i2t.calibration.heads import TARGETS, SkinRecording
 from i2t.calibration.heads.recording import VALUES_PER_CHIP
+from i2t.calibration.segmentation import MAD_TO_STD
 from i2t.unknowns.estimate import estimate_unknowns, metrics_of
 from i2t.unknowns.findings import Finding, RecordedPresses
 from i2t.viz import style
@@ -26,6 +27,9 @@ JUMP_TOLERANCE = 0.1  # of a jump of so many steps
 STILL_IN_AIR = 0.1  # of the readings' size in contact, that they may keep in air
 EQUAL_CHANNEL_CORRELATION = 0.9999  # correlation of two channels that are one
 MIN_ALIKE_ROWS = 30
+STREAM_GAP_S = 0.5  # up to which rows follow each other
+STREAM_STEP_S = 0.1  # up to which (median) rows are a stream, in which presses are looked for
+MIN_STREAM_ROWS = 200
 
 
 def describe(recording: SkinRecording, section: Section) -> None:
@@ -53,6 +57,7 @@ def describe(recording: SkinRecording, section: Section) -> None:
         )
     else:
         section.sentences.append("Times are not recorded, so that rates, creep and drift per hour are unknown.")
+    section.part(lambda: _describe_stream(recording, section))
     section.tables["what is known of the rows"] = _known(recording, numbers)
     section.sentences.append(_unit(recording, numbers))
     section.figures["The recording"] = _overview(recording)
@@ -89,6 +94,23 @@ def load_of(recording: SkinRecording) -> tuple[str, np.ndarray]:
     if recording.varies("force"):
         return "force", recording.targets["force"][:, 0]
     return "none", np.zeros(len(recording))
+
+
+def _describe_stream(recording: SkinRecording, section: Section) -> None:
+    """The presses in a stream, found by its readings alone."""
+    step = np.diff(recording.time)
+    if len(step) < MIN_STREAM_ROWS or not (step > 0).all() or np.median(step) > STREAM_STEP_S:
+        return
+    presses = segment_presses(recording.time, recording.readings)
+    found = len(presses.start)
+    section.numbers["presses_in_the_stream"] = found
+    if found:
+        seconds = float(np.median(presses.end_time - presses.start_time))
+        strong = float(np.median(np.linalg.norm(presses.reading, axis=1)))
+        section.sentences.append(
+            f"By its readings alone the stream holds {found} presses, {seconds:.2f} s long and {strong:.0f} uT strong "
+            "(medians; i2t.calibration.segment_presses)."
+        )
 
 
 def _known(recording: SkinRecording, numbers: dict) -> list[list[str]]:
@@ -187,16 +209,39 @@ def _check_targets(recording: SkinRecording, found: list[str], numbers: dict) ->
                 f"{100 * negative:.0f} % of the forces are negative: they pull. The axis of the force sensor is "
                 "turned; change its sign."
             )
+    back = _back_in_time(recording)
+    numbers["rows_back_in_time"] = int(back.sum())
+    if back.any():
+        found.append(
+            f"Times go back {back.sum()} times, first at row {int(np.argmax(back)) + 2}: rows are not in the order of "
+            "time, or the clock was set; rates and drift are not to be trusted."
+        )
     contact = recording.targets.get("contact")
     if contact is not None and (contact[:, 0] == 0).sum() > 5 and (contact[:, 0] == 1).sum() > 5:
         length = np.linalg.norm(recording.readings, axis=1)
         air, touched = (float(np.median(length[contact[:, 0] == answer])) for answer in (0, 1))
+        air = float(np.sqrt(max(air**2 - _noise_in_air(recording) ** 2, 0)))
         numbers["median_length_uT"] = {"air": air, "contact": touched}
         if air > STILL_IN_AIR * touched:
             found.append(
-                f"Readings in air are {air:.1f} uT long (median) where those in contact are {touched:.1f}: the ambient "
-                "is not subtracted, or the skin does not come back."
+                f"Readings in air are {air:.1f} uT long (median, without their noise) where those in contact are "
+                f"{touched:.1f}: the ambient is not subtracted, or the skin does not come back."
             )
+
+
+def _back_in_time(recording: SkinRecording) -> np.ndarray:
+    """(n - 1,): rows whose time is before that of the row before, within a stroke or session."""
+    return (np.diff(recording.time) < 0) & (np.diff(recording.session) == 0)
+
+
+def _noise_in_air(recording: SkinRecording) -> float:
+    """Length (uT) of the noise of a reading in air, from differences of rows that follow each other there."""
+    air = recording.targets["contact"][:, 0] == 0
+    together = air[1:] & air[:-1] & (np.diff(recording.session) == 0) & (np.diff(recording.time) < STREAM_GAP_S)
+    if together.sum() < MIN_GAPS:
+        return 0.0
+    steps = np.median(np.abs(np.diff(recording.readings, axis=0)[together]), axis=0)
+    return float(np.linalg.norm(MAD_TO_STD * steps / np.sqrt(2)))
 
 
 def _check_presses(recording: SkinRecording, found: list[str], numbers: dict) -> None:
@@ -230,7 +275,7 @@ def _check_unknowns(
         readings=recording.readings,
         height=None if depth is None else -depth[:, 0],
         force=None if force is None else force[:, 0],
-        seconds=recording.time if np.isfinite(recording.time).all() else None,
+        seconds=recording.time if np.isfinite(recording.time).all() and not _back_in_time(recording).any() else None,
     )
     estimated = estimate_unknowns(presses, recording.board)
     section.numbers["unknowns"] = metrics_of(estimated)

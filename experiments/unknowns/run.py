@@ -92,7 +92,7 @@ def as_recorded(skin: PressedSkinOfKind, rng: np.random.Generator) -> RecordedPr
     free = rng.random(len(height)) < FREE_SHARE
     height[free] = rng.uniform(0, 0.3 * skin.depth.max(), free.sum())
     readings[free] = rng.normal(0, NOISE_OF_FREE_UT, (int(free.sum()), readings.shape[1]))
-    return RecordedPresses(skin.position, readings, height=height, force=skin.force)
+    return RecordedPresses(skin.position, readings, height=height, force=np.where(free, 0.0, skin.force))
 
 
 def board_of(skin: PressedSkinOfKind) -> Board:

@@ -1,5 +1,6 @@
 """The Gaussian process of a population: its algebra against dense formulas, and what each of its parts is for."""
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -114,7 +115,10 @@ def test_a_press_left_out_is_what_leaving_it_out_gives(chips, terms):
     readings, linear = rng.normal(size=(9, CHANNELS)), rng.normal(size=(9, CHANNELS, terms))
     variance, extra = np.array([0.3, 0.0])[:terms], np.abs(rng.normal(size=(9, 5)))
     at = kernel.geometry(x, d, chips)
-    found = lo.left_out(KINDS, at, lo.Observed(readings, linear, variance, extra))
+    part = np.array([0, 1, 2, 0, 1, 2, 0, 0, 1])
+    found = lo.left_out(KINDS, at, lo.Observed(readings, linear, variance, extra), part)
+    alone = lo.left_out(KINDS, at, lo.Observed(readings, linear, variance, extra))
+    np.testing.assert_array_equal(alone.part_error, alone.error)
     for s in range(2):
         for c in (0, 4, 14):
             chip = None if chips is None else chips[c // 3]
@@ -122,12 +126,21 @@ def test_a_press_left_out_is_what_leaving_it_out_gives(chips, terms):
             one = kernel.take(KINDS, slice(s, s + 1))
             noise = kernel.noise_variances(one, at)[0]
             K_noise = K + np.diag(noise[min(c // 3, len(noise) - 1)] + extra[:, c // 3])
-            for i in (0, 5):
-                rest = np.arange(9) != i
+            ways = ((np.arange(9), found.error, found.variance), (part, found.part_error, found.part_variance))
+            for i, (left, error, spread) in product((0, 5), ways):
+                rest = left != left[i]
                 solved = np.linalg.solve(K_noise[np.ix_(rest, rest)], np.column_stack([readings[rest, c], K[rest, i]]))
-                np.testing.assert_allclose(readings[i, c] - found.error[s, i, c], K[i, rest] @ solved[:, 0], rtol=1e-6)
+                np.testing.assert_allclose(readings[i, c] - error[s, i, c], K[i, rest] @ solved[:, 0], rtol=1e-6)
                 relative = K_noise[i, i] - K[i, rest] @ solved[:, 1]
-                np.testing.assert_allclose(found.variance[s, i, c] / found.scale[s, c] ** 2, relative, rtol=1e-6)
+                np.testing.assert_allclose(spread[s, i, c] / found.scale[s, c] ** 2, relative, rtol=1e-6)
+
+
+def test_parts_lie_together_and_are_as_large_as_each_other():
+    position = np.random.default_rng(0).uniform(-8e-3, 8e-3, (100, 2))
+    part = lo.parts_that_lie_together(position, 5)
+    np.testing.assert_array_equal(np.bincount(part), 20)
+    within = np.mean([position[part == i].std(0) for i in range(5)])
+    assert within < 0.7 * position.std(0).mean()
 
 
 def test_slopes_left_out_are_differences_of_what_is_left_out():

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from experiments.calibrate import __main__ as command
-from experiments.calibrate import config, evaluate, fitted_pad, methods, plain_gp, report
+from experiments.calibrate import config, evaluate, fitted_pad, methods, report
 from experiments.calibrate import run as calibrate
 from experiments.calibrate.data import PressRecording, hold_out, read_presses
 from experiments.calibrate.evaluate import explained
 from i2t import dataset as data
-from i2t.calibration import load_calibration
+from i2t.calibration import load_calibration, plain_gp
 from i2t.calibration.physics import RoundTip
 from i2t.dataset import Dataset, missing_context
 from i2t.skin import boards

@@ -1,6 +1,7 @@
 """The fidelity report on recordings of every kind and in every state: it says what it can, and never falls over."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -218,9 +219,12 @@ def test_a_chip_that_does_not_answer_costs_no_check():
     assert warned.changed_chips == ()
 
 
+@pytest.mark.full
 def test_calibration_is_measured_on_the_recording_put_right(monkeypatch):
     """Labels of another row and positions in millimetres: as good as the sound recording, and said."""
     monkeypatch.setattr(describe, "estimate_unknowns", estimate_labels_of)
+    for part in ("noise", "hysteresis", "ceilings"):
+        monkeypatch.setattr(dynamics, part, lambda *args: None)
     tiny = replace(TINY, counts=(40,))
     late = {name: np.roll(values, 2, axis=0) for name, values in SKIN.targets.items()}
     wrong = replace(SKIN, targets=late | {"position": 1e3 * late["position"]})
@@ -239,6 +243,40 @@ def test_calibration_is_measured_on_the_recording_put_right(monkeypatch):
 def estimate_labels_of(presses, board=None):
     """The part of the estimate that takes a moment."""
     return estimate_labels(presses)
+
+
+def test_times_that_go_back_are_said():
+    time = np.arange(90.0)
+    section = Section("Checks")
+    describe._check_targets(replace(SKIN, time=time), [], section.numbers)
+    assert section.numbers["rows_back_in_time"] == 0
+    time[40:] -= 10
+    found = []
+    describe._check_targets(replace(SKIN, time=time), found, section.numbers)
+    assert section.numbers["rows_back_in_time"] == 1
+    assert "first at row 41" in found[0]
+    # A clock that begins again with each session is none that goes back.
+    describe._check_targets(replace(SKIN, time=time, session=np.arange(90) // 40), [], section.numbers)
+    assert section.numbers["rows_back_in_time"] == 0
+
+
+@pytest.mark.parametrize("ambient_ut", [0.0, 30.0])
+def test_readings_in_air_are_judged_without_their_noise(ambient_ut):
+    stream = _stream()
+    noisy = 8.0 * np.random.default_rng(1).normal(size=stream.readings.shape) + ambient_ut
+    found, section = [], Section("Checks")
+    describe._check_targets(replace(stream, readings=stream.readings + noisy), found, section.numbers)
+    assert any("ambient" in sentence for sentence in found) == (ambient_ut > 0)
+
+
+def test_presses_of_a_stream_are_counted_from_its_readings():
+    rng, row = np.random.default_rng(0), np.arange(4000)
+    pressed = (row % 800 > 500)[:, None] * rng.normal(scale=60, size=15)
+    stream = SkinRecording("stream", pressed + 1.5 * rng.normal(size=(4000, 15)), {}, np.zeros(4000, int), row / 400)
+    section = Section("What it is")
+    describe.describe(stream, section)
+    assert section.numbers["presses_in_the_stream"] == 5
+    assert any(re.search(r"holds 5 presses, 0\.7[0-9] s long", sentence) for sentence in section.sentences)
 
 
 def test_what_may_be_chance_is_no_loss():

@@ -3,7 +3,8 @@
 Rasmussen and Williams, "Gaussian Processes for Machine Learning", equations 5.10 to 5.12 for what is left out, and 2.41
 to 2.42 for terms that are linear in something known (the reading before, the temperature), whose coefficients have a
 normal prior. With A the inverse of the covariance of the readings, y - (A y) / diag A is the mean of a press left out
-and 1 / diag A its variance.
+and 1 / diag A its variance. Of presses b that are left out together these are y_b - inv(A_bb) (A y)_b and the diagonal
+of inv(A_bb).
 """
 
 import contextlib
@@ -11,7 +12,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.linalg import lapack
 
 from i2t.calibration.population_gp import kernel
@@ -21,6 +22,7 @@ SMALL_SYSTEM = 40  # presses up to which all groups are inverted in one call
 CHUNK_VALUES = 3_000_000  # of matrices that are held at once
 SHARED_SCALE_PRESSES = 2.0  # presses' worth of belief that all channels have one scale
 MIN_SCALE_UT = 1e-3
+CURVE_CELLS = 64  # of a curve that fills the plane, along an edge; a power of two
 FAILED_VARIANCE = 1e6  # of a matrix that is not positive definite, which rounding can bring about
 
 
@@ -39,6 +41,8 @@ class LeftOutPresses(NamedTuple):
     error: Float[np.ndarray, "s n c"]  # uT, reading minus mean
     variance: Float[np.ndarray, "s n c"]  # uT^2, noise included
     scale: Float[np.ndarray, "s c"]  # uT
+    part_error: Float[np.ndarray, "s n c"]  # uT, with all presses of a part left out together
+    part_variance: Float[np.ndarray, "s n c"]  # uT^2
 
 
 class Conditioned(NamedTuple):
@@ -52,13 +56,16 @@ class Conditioned(NamedTuple):
     scale: Float[np.ndarray, " c"]  # uT
 
 
-def left_out(kernels: SkinKernels, at: PressGeometry, observed: Observed) -> LeftOutPresses:
-    """Predict each press from all others with each kernel.
+def left_out(
+    kernels: SkinKernels, at: PressGeometry, observed: Observed, part: Int[np.ndarray, " n"] | None = None
+) -> LeftOutPresses:
+    """Predict each press from all others with each kernel, and from all that are not of its part.
 
     Args:
         kernels: s of them.
         at: The presses.
         observed: Their readings.
+        part: Number of the part in which each press lies; by default each is a part of its own.
 
     Returns:
         Errors, variances and scales.
@@ -66,12 +73,34 @@ def left_out(kernels: SkinKernels, at: PressGeometry, observed: Observed) -> Lef
     n, c = observed.target.shape
     s = len(kernels.load_power)
     error, variance, scale = np.empty((s, n, c)), np.empty((s, n, c)), np.empty((s, c))
+    part_error, part_variance = (error, variance) if part is None else (np.empty((s, n, c)), np.empty((s, n, c)))
     for i, given in enumerate(condition_all(kernels, at, observed)):
         own = _own_precision(given, observed)
         error[i] = given.weights / own
         variance[i] = given.scale**2 / own
         scale[i] = given.scale
-    return LeftOutPresses(error, variance, scale)
+        if part is not None:
+            part_error[i], part_variance[i] = _left_out_together(given, observed, part)
+    return LeftOutPresses(error, variance, scale, part_error, part_variance)
+
+
+def parts_that_lie_together(position: Float[np.ndarray, "n 2"], parts: int) -> Int[np.ndarray, " n"]:
+    """Cut positions along a curve that fills the plane (Morton's) into parts of equally many presses.
+
+    Args:
+        position: Of the presses (m).
+        parts: How many.
+
+    Returns:
+        Number of the part of each press, from 0.
+    """
+    n, extent = len(position), max(float(np.ptp(position, axis=0).max()), 1e-9)
+    cell = ((CURVE_CELLS - 1) * (position - position.min(0)) / extent).astype(int)
+    bits = range(CURVE_CELLS.bit_length() - 1)
+    along = sum(((cell[:, axis] >> bit) & 1) << (2 * bit + axis) for bit in bits for axis in (0, 1))
+    part = np.empty(n, int)
+    part[np.argsort(along, kind="stable")] = np.sort(np.arange(n) % min(parts, n))
+    return part
 
 
 def left_out_slopes(kernels: SkinKernels, at: PressGeometry, observed: Observed) -> Float[np.ndarray, "s n c"]:
@@ -183,6 +212,23 @@ def _own_precision(given: Conditioned, observed: Observed) -> Float[np.ndarray, 
             "ncr,crq,ncq->nc", given.projected, given.coefficient_covariance, given.projected
         )
     return np.maximum(diagonal, 1 / FAILED_VARIANCE)
+
+
+def _left_out_together(given: Conditioned, observed: Observed, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Errors and variances (n, c) of presses that are left out part by part."""
+    n, c = observed.target.shape
+    error, variance = np.empty((n, c)), np.empty((n, c))
+    for i in range(part.max() + 1):
+        rows = np.flatnonzero(part == i)
+        precision = given.inverse[:, rows[:, None], rows]
+        if given.projected.shape[2]:
+            known = given.projected[rows]
+            explained = np.einsum("bcr,crq,dcq->cbd", known, given.coefficient_covariance, known)
+            precision = np.repeat(precision, c // len(precision), axis=0) - explained
+        covariance = _inverses(precision)
+        error[rows] = ungrouped(covariance @ grouped(given.weights[rows], len(covariance)))
+        variance[rows] = np.repeat(np.diagonal(covariance, axis1=1, axis2=2), c // len(covariance), axis=0).T
+    return error, np.maximum(variance, 0) * given.scale**2
 
 
 def _inverses(system: np.ndarray) -> np.ndarray:

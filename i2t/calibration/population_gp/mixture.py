@@ -29,6 +29,7 @@ from i2t.calibration.population_gp.left_out import (
     condition_all,
     left_out,
     left_out_slopes,
+    parts_that_lie_together,
     ungrouped,
 )
 from i2t.calibration.population_gp.prior import KernelPrior, load_prior, with_plain
@@ -38,6 +39,9 @@ DENSITY_EXPONENT = 0.3  # of the leave-one-out density, all channels together
 ERROR_EXPONENT = 8.0  # of the leave-one-out error, in presses' worth of one channel
 CHANNEL_EXPONENT = 0.1  # of a channel's own density, on top
 TEMPERING_PRESSES = 5.0  # beyond so many, presses add ever less to what is known of the kernel
+# A skin is also asked for where it was not pressed: presses that lie together are left out together, too.
+PARTS, MIN_PART_PRESSES = 5, 10
+PART_SHARE = 0.5  # of the worth, by what is left out part by part
 DENSITY_DOF = 5.0  # of the t that leave-one-out errors are judged by
 LINEAR_VARIANCES = (0.15**2, 0.15**2)  # of the share of the press before that stays; of a temperature's effect
 LINEAR_SHARE = 0.5  # of the prior, of kernels with linear terms where they are known
@@ -243,7 +247,7 @@ def _start(
     presses = presses._replace(loads=loads)
     parts = []
     for column, kind in enumerate(load_kinds or ("force",)):
-        kernels, log_share = with_plain(prior, kind, presses.position, loads[:, column] / typical[column])
+        kernels, log_share = with_plain(prior, kind, presses.position, loads[:, column] / typical[column], readings)
         if chip_positions is None:
             kernels, log_share = _without_chips(kernels, log_share)
         parts.append((kernels, log_share))
@@ -341,11 +345,19 @@ def _rows_of(presses: PressTable, rows: slice | np.ndarray) -> PressTable:
 def _weights(gp: PopulationGP, found: LeftOutPresses) -> np.ndarray:
     """Weights (k, c) of the members, each channel's summing to 1."""
     n, c = gp.readings.shape
-    std = np.sqrt(found.variance)
-    density = (student_t.logpdf(found.error / std, DENSITY_DOF) - np.log(std)).sum(1)
     trust = np.repeat(1 / (1 + gp.extra_noise), c // gp.extra_noise.shape[1], axis=1)
-    missed = (trust[None] * found.error**2).sum((1, 2))
-    worth = DENSITY_EXPONENT * density.sum(1) - ERROR_EXPONENT * n / 2 * np.log(np.maximum(missed, 1e-30))
+
+    def worth_of(error: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        std = np.sqrt(np.maximum(variance, 1e-12))
+        density = (student_t.logpdf(error / std, DENSITY_DOF) - np.log(std)).sum(1)
+        missed = (trust[None] * error**2).sum((1, 2))
+        return DENSITY_EXPONENT * density.sum(1) - ERROR_EXPONENT * n / 2 * np.log(np.maximum(missed, 1e-30)), density
+
+    worth, density = worth_of(found.error, found.variance)
+    if found.part_error is not found.error:
+        of_parts, density_of_parts = worth_of(found.part_error, found.part_variance)
+        worth = (1 - PART_SHARE) * worth + PART_SHARE * of_parts
+        density = (1 - PART_SHARE) * density + PART_SHARE * density_of_parts
     tempered = 1 / (1 + n / TEMPERING_PRESSES)
     each = (gp.components.log_share + tempered * worth)[:, None] + CHANNEL_EXPONENT * density
     return np.exp(each - logsumexp(each, axis=0, keepdims=True))
@@ -354,11 +366,23 @@ def _weights(gp: PopulationGP, found: LeftOutPresses) -> np.ndarray:
 def _left_out_all(gp: PopulationGP, components: Components) -> LeftOutPresses:
     n, c = gp.readings.shape
     k = len(components.log_share)
-    found = LeftOutPresses(np.empty((k, n, c)), np.empty((k, n, c)), np.empty((k, c)))
+    part = _parts(gp)
+    each = [np.empty((k, n, c)), np.empty((k, n, c)), np.empty((k, c))]
+    each += each[:2] if part is None else [np.empty((k, n, c)), np.empty((k, n, c))]
+    found = LeftOutPresses(*each)
     for rows, at, observed in _alike(gp, components):
-        for into, part in zip(found, left_out(kernel.take(components.kernels, rows), at, observed), strict=True):
-            into[rows] = part
+        given = left_out(kernel.take(components.kernels, rows), at, observed, part)
+        for into, values in zip(found, given, strict=True):
+            into[rows] = values
     return found
+
+
+def _parts(gp: PopulationGP) -> np.ndarray | None:
+    """Presses that are left out together, because they lie together; None where they are few or all at one place."""
+    position = gp.presses.position
+    if len(position) < MIN_PART_PRESSES or not np.ptp(position, axis=0).any():
+        return None
+    return parts_that_lie_together(position, PARTS)
 
 
 def _alike(gp: PopulationGP, components: Components) -> Iterator[tuple[np.ndarray, PressGeometry, Observed]]:

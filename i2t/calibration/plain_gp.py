@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from i2t.calibration import StructuredGPHyperparameters
+from i2t.calibration.structured_gp import StructuredGPHyperparameters
 
 MAX_FITTED_PRESSES = 300  # that hyperparameters are fitted to: the cost grows with the cube
 PRIOR_STDS = (0.7, 0.7, 2.0)  # of the logarithms of l, w and the noise
