@@ -33,6 +33,7 @@ EXPERIMENTS = {
     "experiments.pads": "where was a skin pressed that is new?",
     "experiments.calibrate_pads": "calibration of simulated skins",
     "experiments.unknowns": "are a recording's mistakes found?",
+    "experiments.shifted": "does calibration lose to baselines?",
     "experiments.second_world": "the same in a world of other physics",
     "experiments.tsne": "do views and readings sort alike?",
     "experiments.refine": "poses found from single patches",

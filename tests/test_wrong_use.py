@@ -132,6 +132,7 @@ COMMANDS = [
     ("experiments.unknowns --cases 0", "--cases is 0"),
     ("experiments.unknowns --kinds soft", "not simulated"),
     ("experiments.unknowns --questions why", "why"),
+    ("experiments.shifted --dataset nowhere --draws 0", "--draws is 0"),
     ("experiments.calibrate_pads --prior --kinds", "pass one of them"),
     ("experiments.calibrate_pads --prior --seed 3", "--seed has no effect"),
     ("experiments.second_world --touches -1", "--touches is -1"),

@@ -21,6 +21,7 @@ from i2t.calibration import (
     structured_gp,
 )
 from i2t.calibration.baseline_network import PressFeatures
+from i2t.calibration.population_gp.left_out import parts_that_lie_together
 from i2t.calibration.structured_gp import StructuredGP
 from i2t.prediction.metrics import nearest_neighbours, tuned
 
@@ -44,7 +45,6 @@ MAX_SELECTION_PRESSES = 300  # that hyperparameters are chosen on: the cost grow
 FOLDS = 5  # of cross-validation between methods
 LEAST_ERROR_UT2, LEAST_WEIGHT = 1e-9, 1e-6
 LEAST_UNIT_LOAD = 1e-6  # m or N, where all loads are nil
-CURVE_CELLS = 1024  # along each edge of the skin, a power of two
 SCALES = {"map_length": (0.7, 1.0, 1.4), "bend_variance": (0.3, 1.0, 3.0), "noise_variance": (0.3, 1.0, 3.0)}
 RESIDUAL_NOISE = {"noise_variance": (1.0, 10.0, 100.0, 1e4)}  # what a previous session leaves is mostly noise
 PRETRAINING_PRESSES = 125  # of each generated skin
@@ -200,17 +200,9 @@ def random_fifths(recording: PressRecording, rows: np.ndarray) -> np.ndarray:
 def block_fifths(recording: PressRecording, rows: np.ndarray) -> np.ndarray:
     """Parts of cross-validation that lie together on the skin, for users who predict where they never pressed.
 
-    Positions are cut along a curve that fills the skin (Morton's), into parts of as many presses as in random fifths,
-    so that what was compiled for these serves here too.
+    There are as many presses in each part as in random fifths, so that what was compiled for these serves here too.
     """
-    position = recording.position[rows]
-    extent = max(float(np.ptp(position, axis=0).max()), 1e-9)
-    cell = ((CURVE_CELLS - 1) * (position - position.min(0)) / extent).astype(int)
-    bits = range(CURVE_CELLS.bit_length() - 1)
-    along = sum(((cell[:, axis] >> bit) & 1) << (2 * bit + axis) for bit in bits for axis in (0, 1))
-    fold = np.empty(len(rows), int)
-    fold[np.argsort(along, kind="stable")] = np.sort(random_fifths(recording, rows))
-    return fold
+    return parts_that_lie_together(recording.position[rows], FOLDS)
 
 
 def cross_predict(method: Predict, rows: np.ndarray, fold: np.ndarray) -> np.ndarray:

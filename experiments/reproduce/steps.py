@@ -81,6 +81,13 @@ STEPS = (
     ),
     Step("unknowns", "-m experiments.unknowns", minutes=40, again="--overwrite"),
     Step(
+        "shifted",
+        "-m experiments.shifted --dataset eflesh/spatial",
+        minutes=10,
+        needs="eflesh/spatial",
+        again="--overwrite",
+    ),
+    Step(
         "fidelity",
         "-m experiments.fidelity --dataset eflesh/spatial",
         minutes=11,
