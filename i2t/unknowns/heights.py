@@ -164,7 +164,7 @@ def _judge(fits: list[_Fit], height: np.ndarray, stated: float | None) -> Findin
     statistical = max(float(np.mean([fit.statistical for fit in fits])), float(np.std(zeros))) / np.sqrt(len(fits))
     of_power = float(np.mean([fit.of_power for fit in fits]))
     half = 1.645 * float(np.sqrt(statistical**2 + of_power**2 + SHAPE_ERROR_M**2))
-    above = int((height > zero).sum())
+    above = int((height > zero + half).sum())  # beyond doubt
     spread = float(np.ptp(zeros))
     evidence = {
         "r2": float(np.median([fit.r2 for fit in fits])),
