@@ -40,7 +40,7 @@ STEPS = (
     ),
     Step(
         "recognize",
-        "-m experiments.recognize simulate --pads 0 1 2 3 4 --episodes 20 --paper-episodes 20",
+        "-m experiments.recognize simulate --pads 0 1 2 3 4 --episodes 10 --paper-episodes 10",
         uses="study",
         minutes=60,
     ),

@@ -6,7 +6,8 @@ in any case, and by their differences to the value in use on the same episodes.
 
   likelihood  the numbers of `i2t.recognition.belief.Likelihood` that errors of the pad model do not tell;
   particles   their number and the width of the normal distributions about them;
-  scale       the prior of the placement's scale, where half, all and twice of the placement's error is stated;
+  scale       the placement's error as stated, or its scale inferred with several priors, where half, all and twice
+              of it is stated;
   planar      the inflation of errors on the planar table, where readings are those of the nearest node.
 """
 
@@ -45,11 +46,11 @@ POSITION_FACTORS = (0.5, 2.0)  # of the standard deviations of positions
 PARTICLE_COUNTS = (32, 64, 256, 512)
 STD_RATIOS = (0.35, 0.7)
 SCALE_PRIORS = {
-    "none, as stated": None,
-    "log_std = 0.35": ScalePrior(log_std=0.35),
-    "drawn = 1": ScalePrior(drawn=1.0),
+    "log_std = 0.7, drawn = 2": ScalePrior(),
+    "log_std = 0.35, drawn = 2": ScalePrior(log_std=0.35),
+    "log_std = 0.7, drawn = 1": ScalePrior(drawn=1.0),
     "log_std = 0.35, drawn = 1": ScalePrior(log_std=0.35, drawn=1.0),
-    "log_std = 1.4": ScalePrior(log_std=1.4),
+    "log_std = 1.4, drawn = 2": ScalePrior(log_std=1.4),
 }
 PLANAR_INFLATIONS, DEBUG_INFLATIONS = (1.0, 1.3, 1.7, 2.5), (1.0, 1.7)
 CONSTANT_KINDS = ("likelihood", "particles", "scale", "planar")
@@ -92,7 +93,7 @@ def beliefs_with(
     stated_mm: float = PLACEMENT_MM,
     num_particles: int | None = None,
     std_ratio: float = belief.PARTICLE_STD_RATIO,
-    scales: ScalePrior | None = belief.SCALE_PRIOR,
+    scales: ScalePrior | None = None,
 ) -> dict[str, np.ndarray]:
     """Beliefs (e, t, objects) with each likelihood, the one in use unless given, from one table of predictions."""
     prior = outcomes.placement_std(stated_mm * 1e-3, np.radians(stated_mm))
@@ -128,8 +129,8 @@ def particle_choices(beliefs: Callable[..., dict[str, np.ndarray]], *, debug: bo
 
 
 def scale_choices(beliefs: Callable[..., dict[str, np.ndarray]], *, debug: bool) -> dict[str, np.ndarray]:
-    """Beliefs (e, conditions, t, objects) with other priors of the placement's scale, and with the error as stated."""
-    priors = {IN_USE: belief.SCALE_PRIOR, **dict(list(SCALE_PRIORS.items())[: 1 if debug else None])}
+    """Beliefs (e, conditions, t, objects) with the placement's error as stated, and with its scale inferred."""
+    priors: dict[str, ScalePrior | None] = {IN_USE: None, **dict(list(SCALE_PRIORS.items())[: 1 if debug else None])}
     stated = [Condition(PLACEMENT_MM, name).stated_mm for name in STATED_FACTORS]
     return {
         name: np.stack([beliefs(stated_mm=mm, scales=prior)[IN_USE] for mm in stated], axis=1)

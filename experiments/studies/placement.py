@@ -29,7 +29,7 @@ from i2t.simulation.touches import SimulationErrors
 
 TRUE_MM = (1.0, 2.0)  # and degrees, one standard deviation of the placement
 STATED_FACTORS = {"half": 0.5, "right": 1.0, "double": 2.0}  # of it
-SCALE_PRIORS = {"inferred": belief.SCALE_PRIOR, "as stated": None}
+SCALE_PRIORS = {"inferred": belief.ScalePrior(), "as stated": None}
 ASKED_ERRORS = (0.01, 0.05, 0.1)
 ALLOWED_EXCESS = 0.015  # by which stops may be wrong more often than asked
 SCALE = "scale"  # prefix of the inferred scales in a part

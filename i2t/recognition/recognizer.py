@@ -61,6 +61,7 @@ class RecognizerConfig:
     skin_change: float = PressLimits.skin_change  # uT at which presses end
     overtravel: float = PressLimits.overtravel  # m beyond a site after which a press has met air
     site_limits: touch_sites.SiteLimits = field(default=touch_sites.RECOGNITION_LIMITS)
+    infer_placement_scale: bool = False  # the stated error of the pose is right up to a factor that touches tell
     seed: int = 0  # of pose particles and choices
 
     def __post_init__(self) -> None:
@@ -100,7 +101,7 @@ class RecognitionInfo(NamedTuple):
     unknown: float  # probability that it is none of them
     name: str | None  # the most probable object; None for an unknown one
     confidence: float  # probability of that
-    placement_scale: float  # the object's pose is so many times as far off as was assumed (geometric mean)
+    placement_scale: float  # the object's pose is so many times as far off as was stated; 1 unless it is inferred
 
 
 class ObjectRecognizer:
@@ -135,7 +136,8 @@ class ObjectRecognizer:
             T_w_o: Where the object is believed to stand; the world's origin by default. Sites are drawn and checked on
                 the objects there, over the table of `config.site_limits`.
             pose_prior: Covariance (m^2), or standard deviations (m), of its twist from there; 1 mm and 1 degree about
-                each axis by default. It is taken as right up to a factor, which the touches tell (`placement_scale`).
+                each axis by default. With `config.infer_placement_scale` it is right up to a factor only, which the
+                touches tell (`placement_scale`).
             sites: Candidates, with poses in the object's frame; safe random sites of every object by default. One that
                 is not safe where the object is believed to stand is never chosen.
             config: How it chooses and when it stops.
@@ -157,7 +159,8 @@ class ObjectRecognizer:
             sites = drawn.moved(np.linalg.inv(self.T_w_o))
         self.sites = sites  # in the object's frame, as the predicted touches are
         pose_prior = outcomes.placement_std(POSE_STD_M, POSE_STD_RAD) if pose_prior is None else pose_prior
-        self.particles = belief.sample_particles(pose_prior, config.num_particles, config.seed)
+        scales = belief.ScalePrior() if config.infer_placement_scale else None
+        self.particles = belief.sample_particles(pose_prior, config.num_particles, config.seed, scales=scales)
         (table,) = precompute_outcomes(
             surfaces, self.particles.twist, sites.T_w_t, [pad_model.reading_model],
             overtravel=config.overtravel, label="candidates",
