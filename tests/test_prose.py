@@ -106,7 +106,8 @@ def _sentences() -> list[tuple[str, str]]:
         ("docs/recognition.md", f"reach {_shown('recognize', 'all', 'readings', 3)} after ten touches and "
          f"{_short(readings['mean']['mean'], 3)} on the mean: meeting something or nothing is worth {gain:.0f} points"),
         ("docs/recognition.md", f"known worst ({_short(fused['by_object']['cylinder']['last']['mean'])} fused)"),
-        ("docs/recognition.md", f"| fused | | .95, met | .88, missed by {_short(0.88 - fused['mean']['mean'])}; the"),
+        ("docs/recognition.md", f"| fused | | .95, missed by {_short(0.95 - fused['accuracy']['mean'][9])}, within the "
+         f"interval | .88, missed by {_short(0.88 - fused['mean']['mean'])}, within the interval |"),
         ("docs/recognition.md", f"| .85, missed by {_short(0.85 - present['accuracy']['mean'][2])} | .92, met |"),
         ("docs/recognition.md", f"pad model](model_card.md) has {card['r2']:.2f}"),
         ("docs/model_card.md", f"R² {card['r2']:.2f} of its {card['touches']} training touches"),
@@ -124,8 +125,8 @@ def test_a_sentence_repeats_what_was_measured(page, words):
 
 def test_goals_are_met_or_missed_as_the_table_says():
     fused, present = (_scores("recognize", "all", name) for name in ("fused", "readings and presence"))
-    assert _last("recognize", "all", "fused")["mean"] >= 0.95
-    assert fused["mean"]["high"] < 0.88
+    assert _last("recognize", "all", "fused")["mean"] < 0.95 < _last("recognize", "all", "fused")["high"]
+    assert fused["mean"]["mean"] < 0.88 < fused["mean"]["high"]
     assert _last("recognize", "all", "readings and presence")["mean"] >= 0.92
     assert present["mean"]["mean"] >= 0.84
 
@@ -141,7 +142,7 @@ def test_the_method_and_its_baseline_stand_as_the_text_says():
 def test_stops_are_as_right_as_the_text_says():
     for found in _scores("recognize", "all", "fused")["stopping"]:
         assert found["stopped_error"]["mean"] <= found["requested_error"] + 0.015
-        assert found["stopped_predicted_error"] < found["stopped_error"]["mean"]
+        assert abs(found["stopped_predicted_error"] - found["stopped_error"]["mean"]) < 0.01
 
 
 def test_the_inferred_scale_of_a_placement_does_not_pay_where_the_text_says_so():
