@@ -236,6 +236,12 @@ def conclude(
     said = "it is an unknown object" if info.name is None else f"it is the {info.name}"
     print(f"\n{said}, {info.confidence:.1%} sure after {len(p)} touches{stood}")
     print(f"touches/, result.json and story/ are in {args.out}")
+    if info.name is None:
+        print(
+            "next, its surface, as a mesh that may join --objects: from touches that explore it (python -m "
+            "experiments.reconstruct --arm), or from these alone:\n"
+            f"  python -m experiments.reconstruct --dataset {args.out / 'touches'} --out {args.out / 'surface'}"
+        )
     return result
 
 

@@ -4,8 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from experiments.common.checks import require_dataset
 from experiments.common.presets import choose_preset
-from i2t.cli import Count, Positive, Seed, require_path
+from i2t.cli import Count, Positive, Seed, require_path, require_with
+from i2t.objects.named import require_object
 
 MESH_ENDINGS = (".obj", ".stl", ".ply", ".glb")
 
@@ -37,10 +39,15 @@ PRESETS: dict[str, ReconstructSizes] = {
 
 @dataclass(frozen=True)
 class ReconstructArgs:
-    """Reconstruct unseen objects from simulated touches, and say how good and how sure the surface is."""
+    """Reconstruct unseen objects from simulated touches and say how good and sure the surface is, or one recorded."""
 
     out: Path = Path("runs/reconstruct")  # folder for what is made
     preset: Literal["paper", "debug", "study"] = "paper"
+    dataset: Path | None = None  # recorded touches of an object, whose surface is reconstructed in place of all else
+    object: str | None = None  # of --dataset, where it holds several
+    arm: Literal["simulated", "emulated"] | None = None  # explores an unknown object, whose surface is reconstructed
+    true_object: str | None = None  # what stands before --arm, of the catalogue
+    name: str = "reconstructed"  # of the mesh that is made of --dataset, or of what --arm touched
     meshes: Path | None = None  # folder of mesh files; without it random objects of the catalogue
     unit: Literal["m", "cm", "mm", "inch"] = "mm"  # of --meshes; each is scaled to a largest side of --side
     side: tuple[Positive, Positive] = (60e-3, 90e-3)  # m, drawn between these for each mesh
@@ -59,6 +66,21 @@ class ReconstructArgs:
         from importlib.util import find_spec
 
         require_path("--meshes", self.meshes, "folder")
+        require_dataset("--dataset", self.dataset)
+        one = self.dataset is not None or self.arm is not None
+        require_with("--object", self.object is not None, "--dataset", self.dataset is not None)
+        require_with("--true-object", self.true_object is not None, "--arm", self.arm is not None)
+        require_with("--arm", self.arm is not None, "--true-object", self.true_object is not None)
+        require_with("--arm", self.arm is not None, "touches of its own (no --dataset)", self.dataset is None)
+        require_with("--name", self.name != "reconstructed", "--dataset or --arm", one)
+        require_with("--touches", self.touches is not None, "an arm (no --dataset)", self.dataset is None)
+        for flag in ("test", "pads", "seeds", "conditions"):
+            given = getattr(self, flag) not in (None, ())
+            require_with(f"--{flag}", given, "simulated objects (no --dataset, no --arm)", not one)
+        if self.true_object is not None:
+            require_object(self.true_object, None, flag="--true-object")
+        if not self.name or Path(self.name).name != self.name:
+            raise ValueError(f"--name {self.name}: is no name of a file; give a word")
         if self.side[0] > self.side[1]:
             raise ValueError(f"--side {self.side[0]:g} {self.side[1]:g}: give the smaller one first")
         if unknown := sorted(set(self.conditions) - set(CONDITIONS)):

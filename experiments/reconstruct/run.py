@@ -3,6 +3,8 @@
     python -m experiments.reconstruct --out runs/reconstruct          random objects of the catalogue
     python -m experiments.reconstruct --meshes DIR --unit cm          any folder: those ending in 0 are unseen
     python -m experiments.reconstruct --preset debug                  once through everything, too small to mean much
+    python -m experiments.reconstruct --dataset DATA --object NAME    one object from recorded touches, as a mesh
+    python -m experiments.reconstruct --arm emulated --true-object spanner      an arm explores an object, as a mesh
 
 Unseen objects are touched by a simulated arm with a simulated skin: placement errs by 1 mm and 1 degree per axis, the
 approach tilts, readings are noisy. Before the first touch the estimate is the mean of a library of other objects
@@ -25,6 +27,7 @@ import numpy as np
 from tqdm import tqdm
 
 from experiments.common.runs import begin, write_json
+from experiments.reconstruct import recorded
 from experiments.reconstruct.arguments import CONDITIONS, ExplorationCondition, ReconstructArgs
 from experiments.reconstruct.episodes import Explorer, explore, site_limits
 from experiments.reconstruct.figures import draw_all
@@ -38,6 +41,8 @@ BAND = 0.9  # that a band should hold of the surface
 
 def run(args: ReconstructArgs) -> dict:
     """Run every condition on the same objects; print the table, write metrics.json, config.json and figures."""
+    if args.dataset is not None or args.arm is not None:
+        return recorded.run(args)
     sizes = args.sizes
     begin(args.out, args, sizes, None, args.overwrite)
     started = time.monotonic()

@@ -81,10 +81,11 @@ def contact_poses(touches: Touches) -> tuple[Float[Array, "n 4 4"], Bool[Array, 
     Returns:
         The tool's poses T_w_t at first contact, and which touches met the object.
     """
+    T_w_t = jnp.asarray(touches.T_w_t)  # of a data set they are NumPy's
     met = jnp.isfinite(touches.depth)
     met &= (touches.code == ReturnCode.SKIN) | (touches.code == ReturnCode.WRENCH)
     back = jnp.where(met, touches.depth, 0.0)
-    return touches.T_w_t.at[:, :3, 3].add(-back[:, None] * touches.T_w_t[:, :3, 2]), met
+    return T_w_t.at[:, :3, 3].add(-back[:, None] * T_w_t[:, :3, 2]), met
 
 
 @full_precision

@@ -1,13 +1,20 @@
 """The command that reconstructs unseen objects: its refusals, its split, and one small run of everything."""
 
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from helpers import random_touches
 
 from experiments.reconstruct.__main__ import main
 from experiments.reconstruct.arguments import CONDITIONS
+from experiments.reconstruct.recorded import choose_object, read_touches
+from i2t.errors import DataError
+from i2t.objects.mesh_files import load_object
+from i2t.types import ReturnCode
 
 
 @pytest.mark.parametrize(
@@ -16,6 +23,12 @@ from experiments.reconstruct.arguments import CONDITIONS
         (["--meshes", "nowhere"], "nowhere"),
         (["--side", "0.09", "0.06"], "give the smaller one first"),
         (["--conditions", "guess"], "is none of random"),
+        (["--dataset", "nowhere"], "there is no such data set"),
+        (["--arm", "simulated"], "--arm has no effect without --true-object"),
+        (["--true-object", "star"], "--true-object has no effect without --arm"),
+        (["--arm", "simulated", "--true-object", "nothing"], "nor an object of the catalogue"),
+        (["--arm", "simulated", "--true-object", "star", "--conditions", "random"], "simulated objects"),
+        (["--name", "mine"], "--name has no effect without --dataset or --arm"),
     ],
 )
 def test_what_does_not_go_together_is_refused_in_one_sentence(words, sentence, tmp_path, capsys):
@@ -82,3 +95,47 @@ def test_an_object_on_a_table_is_touched_from_above_only(tmp_path):
     assert list(report["conditions"]) == ["uncertainty"]
     assert report["reach"] == "table"
     assert report["share_of_gap"] == {}
+
+
+@pytest.mark.full
+def test_an_arm_explores_an_object_whose_mesh_may_be_recognised(tmp_path, capsys):
+    out = tmp_path / "run"
+    words = ["--arm", "simulated", "--true-object", "pyramid", "--preset", "debug", "--touches", "4", "--name", "felt"]
+    assert main(["--out", str(out), *words]) == 0
+    report = json.loads((out / "metrics.json").read_text())
+    assert (report["source"], report["object"]) == ("simulated", "unknown")
+    assert report["contacts"] + report["in_air"] == 4
+    assert 0 < report["surface_std_mm"]["median"] < 30
+    assert {"before", "after"} == set(report["against_the_catalogue"])
+    felt = load_object(out / "felt.stl", "m")
+    np.testing.assert_allclose(felt.mesh.vertices[:, 2].min(), 0, atol=1e-6)  # it stands as a loaded mesh does
+    assert (out / "surface.png").exists()
+    assert "next: python -m experiments.recognize live" in capsys.readouterr().out
+
+    again = tmp_path / "again"  # the same touches, as a data set
+    assert main(["--out", str(again), "--preset", "debug", "--dataset", str(out / "touches")]) == 0
+    recorded = json.loads((again / "metrics.json").read_text())
+    assert recorded["surface_std_mm"] == report["surface_std_mm"]
+
+
+def test_touches_of_a_data_set_are_taken_back_to_first_contact_in_the_objects_frame():
+    made = random_touches.make(4, objects=("thing",))
+    placed = np.eye(4)
+    placed[:3, 3] = 0.1, 0, 0
+    down = placed @ np.diag([1.0, -1, -1, 1])
+    down[2, 3] = 0.02
+    touches = made.touches._replace(
+        T_w_o=np.tile(placed, (4, 1, 1)),
+        T_w_t=np.tile(down, (4, 1, 1)),
+        depth=np.array([1e-3, 1e-3, 1e-3, np.nan]),
+        code=np.array([ReturnCode.SKIN, ReturnCode.WRENCH, ReturnCode.SKIN, ReturnCode.AIR]),
+        object=np.zeros(4, int),
+    )
+    dataset = replace(made, touches=touches)
+    found = read_touches(dataset, "thing")
+    np.testing.assert_array_equal(found.hit, [True, True, True, False])
+    np.testing.assert_allclose(found.T_o_t[:, :3, 3], [[0, 0, 0.021]] * 3 + [[0, 0, 0.02]], atol=1e-6)
+    with pytest.raises(DataError, match="a surface needs 3 or more"):
+        read_touches(dataset.select(np.array([0, 1, 3])), "thing")
+    with pytest.raises(DataError, match="holds no touch of other; pass --object with one of thing"):
+        choose_object(dataset, "other", Path("DATA"))
