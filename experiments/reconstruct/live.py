@@ -20,7 +20,7 @@ from i2t.reconstruction.surface import SurfaceModel, contact_evidence, init, sur
 from i2t.types import ReturnCode
 
 UNKNOWN = "unknown"  # name of the object, in the data set
-OVERTRAVEL_M = 4e-3  # beyond a site: more would end in the table beside a low object
+LIVE_OVERTRAVEL_M = 4e-3  # beyond a site: more would end in the table beside a low object
 UNKNOWN_WITHIN_M = 16e-3  # before a site the surface may be: there the slow approach begins
 MAX_EMPTY_DRAWS = 10  # of sites among which none is allowed, after which the exploration ends
 MAX_FAILURES = 10  # of sites in a row
@@ -82,7 +82,7 @@ def explore(args: ReconstructArgs) -> Path:
     """
     sizes, settings = (
         args.sizes,
-        TouchSettings(overtravel=OVERTRAVEL_M, near=UNKNOWN_WITHIN_M, surface_tolerance=UNKNOWN_WITHIN_M),
+        TouchSettings(overtravel=LIVE_OVERTRAVEL_M, near=UNKNOWN_WITHIN_M, surface_tolerance=UNKNOWN_WITHIN_M),
     )
     model = surface_model([each.mesh for each in split_objects(args, sizes).train])
     exploration = Exploration(model, settings, seed=args.seed, touches=sizes.touches)
