@@ -284,7 +284,7 @@ def test_scales_of_the_placement_are_those_of_their_prior():
 def test_the_scale_of_the_placement_is_inferred():
     """Against Bayes' rule by quadrature: positions of a placement that is off three times as far as told."""
     rng = np.random.default_rng(21)
-    places = belief.sample_particles(SPREAD, 2048, seed=1)
+    places = belief.sample_particles(SPREAD, 2048, seed=1, scales=belief.ScalePrior())
     likelihood = EXACT._replace(tactile_weight=jnp.float32(0), position_std=jnp.float32([0.5e-3]))
     now = belief.init(places, 1, channels=15)
     twist = 3 * rng.choice([-1, 1], 6) * SPREAD
