@@ -158,13 +158,8 @@ class EpisodeSimulator:
         if bar is not None:
             bar.update(len(done))
         batches = list(self._batches(missing, episode))
-        calls = (self._call(keys, episode, where, rows) for rows in batches)
-        made_batches = spread(
-            _touch_many, calls, shared=(self.pad,),
-            errors=self.config.press_errors, limits=self.config.limits, law=self.config.law,
-        )  # fmt: skip
-        for rows, batch in zip(batches, made_batches, strict=True):
-            done.append((rows, jax.tree.map(lambda x, rows=rows: np.asarray(x[: len(rows)]), batch)))
+        for rows, batch in zip(batches, self._make(keys, episode, where, batches), strict=True):
+            done.append((rows, batch))
             if bar is not None:
                 bar.update(len(rows))
         made = _in_order(done)
@@ -190,6 +185,18 @@ class EpisodeSimulator:
             rows = np.flatnonzero(missing & (self.truth[episode] == which))
             for start in range(0, len(rows), OBSERVED_BATCH):
                 yield rows[start : start + OBSERVED_BATCH]
+
+    def _make(
+        self, keys: np.ndarray, episode: np.ndarray, where: np.ndarray, batches: Sequence[np.ndarray]
+    ) -> Iterator[Touches]:
+        """The touches of each batch of rows."""
+        calls = (self._call(keys, episode, where, rows) for rows in batches)
+        made = spread(
+            _touch_many, calls, shared=(self.pad,),
+            errors=self.config.press_errors, limits=self.config.limits, law=self.config.law,
+        )  # fmt: skip
+        for rows, batch in zip(batches, made, strict=True):
+            yield jax.tree.map(lambda x, rows=rows: np.asarray(x[: len(rows)]), batch)
 
     def _call(
         self, keys: np.ndarray, episode: np.ndarray, where: np.ndarray, rows: np.ndarray

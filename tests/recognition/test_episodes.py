@@ -107,16 +107,18 @@ class CountingSimulator(EpisodeSimulator):
 
     made = 0
 
-    def _touch_batch(self, keys, episode, where, rows):
-        type(self).made += len(rows)
-        blank = np.zeros((len(rows), 0))
-        index, which = np.zeros(len(rows), np.int32), self.truth[episode[rows]].astype(np.int32)
-        T = np.tile(np.eye(4), (len(rows), 1, 1))
-        return Touches(
-            patch=blank, wide=blank, nearest=keys[rows][:, 0].astype(float), reading=np.zeros((len(rows), CHANNELS)),
-            force=episode[rows].astype(float), depth=where[rows].astype(float), T_w_t=T, T_w_o=T,
-            object=which, pad=index, session=index, code=index + int(ReturnCode.SKIN),
-        )  # fmt: skip
+    def _make(self, keys, episode, where, batches):
+        for rows in batches:
+            type(self).made += len(rows)
+            blank = np.zeros((len(rows), 0))
+            index, which = np.zeros(len(rows), np.int32), self.truth[episode[rows]].astype(np.int32)
+            T = np.tile(np.eye(4), (len(rows), 1, 1))
+            yield Touches(
+                patch=blank, wide=blank, nearest=keys[rows][:, 0].astype(float),
+                reading=np.zeros((len(rows), CHANNELS)), force=episode[rows].astype(float),
+                depth=where[rows].astype(float), T_w_t=T, T_w_o=T, object=which, pad=index, session=index,
+                code=index + int(ReturnCode.SKIN),
+            )  # fmt: skip
 
 
 @pytest.mark.full
