@@ -1,5 +1,6 @@
 """Pictures of a run: errors against touches, reliability of the bands, a surface that grows."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from experiments.reconstruct.episodes import Episode, Explorer
 from experiments.reconstruct.report import Episodes
 from i2t import viz
 from i2t.reconstruction.signed_distances import interpolate
-from i2t.reconstruction.surface import Z_90
+from i2t.reconstruction.surface import Z_90, SurfaceEstimate, TouchEvidence
 from i2t.viz.style import COLOURS, GREY, Picture, titled
 
 BAND_LEVELS = np.linspace(0.1, 0.95, 18)  # nominal coverages
@@ -32,12 +33,16 @@ def draw_all(out: Path, report: dict[str, Any], episodes: Episodes, explorer: Ex
 
 
 def shown(episode: Episode, count: int) -> viz.ShownSurface:
-    """A stage of an episode, with the spread of the surface at its vertices."""
-    estimate = episode.estimates[count]
+    """A stage of an episode."""
+    return shown_surface(episode.estimates[count], episode.state.touches[:count])
+
+
+def shown_surface(estimate: SurfaceEstimate, touches: Sequence[TouchEvidence]) -> viz.ShownSurface:
+    """A surface with its spread at its vertices, and the poses that met it."""
     mesh = estimate.mesh
     std = interpolate(estimate.grid, estimate.std, mesh.vertices)
-    poses = np.array([touch.T_o_t for touch in episode.state.touches[:count] if touch.hit]).reshape(-1, 4, 4)
-    label = f"{count} touch" if count == 1 else f"{count} touches"
+    poses = np.array([touch.T_o_t for touch in touches if touch.hit]).reshape(-1, 4, 4)
+    label = f"{len(touches)} touch" if len(touches) == 1 else f"{len(touches)} touches"
     return viz.ShownSurface(label, mesh.vertices, mesh.faces, std, poses)
 
 

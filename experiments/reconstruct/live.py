@@ -15,6 +15,7 @@ from i2t.collect.arguments import CollectArgs
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import Site, SiteOutcome
 from i2t.hardware.rig import Rig
+from i2t.recognition.recognizer import MAX_EMPTY_DRAWS
 from i2t.reconstruction.exploration import ExplorationConfig, choose_touch
 from i2t.reconstruction.surface import SurfaceModel, contact_evidence, init, surface_model, update
 from i2t.types import ReturnCode
@@ -22,7 +23,6 @@ from i2t.types import ReturnCode
 UNKNOWN = "unknown"  # name of the object, in the data set
 LIVE_OVERTRAVEL_M = 4e-3  # beyond a site: more would end in the table beside a low object
 UNKNOWN_WITHIN_M = 16e-3  # before a site the surface may be: there the slow approach begins
-MAX_EMPTY_DRAWS = 10  # of sites among which none is allowed, after which the exploration ends
 MAX_FAILURES = 10  # of sites in a row
 
 
@@ -80,10 +80,8 @@ def explore(args: ReconstructArgs) -> Path:
     Raises:
         ValueError: No touch was made.
     """
-    sizes, settings = (
-        args.sizes,
-        TouchSettings(overtravel=LIVE_OVERTRAVEL_M, near=UNKNOWN_WITHIN_M, surface_tolerance=UNKNOWN_WITHIN_M),
-    )
+    sizes = args.sizes
+    settings = TouchSettings(overtravel=LIVE_OVERTRAVEL_M, near=UNKNOWN_WITHIN_M, surface_tolerance=UNKNOWN_WITHIN_M)
     model = surface_model([each.mesh for each in split_objects(args, sizes).train])
     exploration = Exploration(model, settings, seed=args.seed, touches=sizes.touches)
     folder = args.out / "touches"

@@ -9,8 +9,9 @@ import numpy as np
 
 from experiments.common.runs import begin, write_json
 from experiments.reconstruct.arguments import ReconstructArgs
+from experiments.reconstruct.figures import shown_surface
 from experiments.reconstruct.live import explore
-from experiments.reconstruct.scores import judge, true_shape
+from experiments.reconstruct.scores import MM_PER_M, judge, true_shape
 from experiments.reconstruct.world import split_objects
 from i2t import viz
 from i2t.dataset import Dataset, load_dataset
@@ -18,7 +19,6 @@ from i2t.errors import DataError
 from i2t.files import replacing
 from i2t.objects.catalogue import NAMES, make_object
 from i2t.objects.solids import Mesh, place_on_table
-from i2t.reconstruction.signed_distances import interpolate
 from i2t.reconstruction.surface import (
     SurfaceEstimate,
     SurfaceModel,
@@ -55,15 +55,16 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
         begin(args.out, args, args.sizes, None, args.overwrite)
     model = prior_of(touches, args)
     state, estimate = reconstruct(model, touches)
-    if not len(estimate.mesh.faces):
+    surface = shown_surface(estimate, state.touches)
+    if not len(surface.faces):
         raise DataError(f"{path}: no surface comes out of its {touches.hit.sum()} contacts with {name}")
-    std = interpolate(estimate.grid, estimate.std, estimate.mesh.vertices)
+    std_mm = MM_PER_M * surface.std
     result = {
         "source": dataset.source,
         "object": name,
         "contacts": int(touches.hit.sum()),
         "in_air": int((~touches.hit).sum()),
-        "surface_std_mm": {"median": 1e3 * float(np.median(std)), "p90": 1e3 * float(np.quantile(std, 0.9))},
+        "surface_std_mm": {"median": float(np.median(std_mm)), "p90": float(np.quantile(std_mm, 0.9))},
         "library": model.library.shape[1],
     }
     there = args.true_object or name
@@ -71,12 +72,12 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
         truth = true_shape(make_object(there).mesh, model.grid, args.sizes.samples)
         start = judge(estimate_surface(model, init(model)[0]), truth)
         result["against_the_catalogue"] = {"before": start, "after": judge(estimate, truth)}
-    standing = place_on_table(estimate.mesh)
-    result["frame_shift_mm"] = (1e3 * (estimate.mesh.vertices[0] - standing.vertices[0])).tolist()
+    standing = place_on_table(Mesh(surface.vertices, surface.faces))
+    result["frame_shift_mm"] = (MM_PER_M * (surface.vertices[0] - standing.vertices[0])).tolist()
     mesh_file = args.out / f"{args.name}.stl"
     write_stl(mesh_file, standing)
     write_json(args.out / "metrics.json", result)
-    draw(args.out, state, estimate, f"{name} from {len(touches.hit)} touches", dataset.source == "simulated")
+    draw(args.out, surface, f"{name} from {len(touches.hit)} touches", dataset.source == "simulated")
     report(result, mesh_file)
     return result
 
@@ -132,15 +133,11 @@ def write_stl(path: Path, mesh: Mesh) -> None:
         trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(temporary, file_type="stl")
 
 
-def draw(out: Path, state: SurfaceState, estimate: SurfaceEstimate, title: str, simulated: bool) -> None:
+def draw(out: Path, surface: viz.ShownSurface, title: str, simulated: bool) -> None:
     """The surface, coloured by its standard deviation, with the poses that met it."""
-    mesh = estimate.mesh
-    std = interpolate(estimate.grid, estimate.std, mesh.vertices)
-    poses = np.array([touch.T_o_t for touch in state.touches if touch.hit]).reshape(-1, 4, 4)
-    shown = viz.ShownSurface(f"{len(state.touches)} touches", mesh.vertices, mesh.faces, std, poses)
-    if reason := viz.write_surface_gltf(shown, out / "surface.gltf"):
+    if reason := viz.write_surface_gltf(surface, out / "surface.gltf"):
         print(reason)
-    viz.save_figure(viz.plot_growing_surface([shown], None, title, simulated), out / "surface.png")
+    viz.save_figure(viz.plot_growing_surface([surface], None, title, simulated), out / "surface.png")
 
 
 def report(result: dict[str, Any], path: Path) -> None:

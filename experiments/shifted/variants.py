@@ -1,5 +1,6 @@
 """A recording shifted and damaged in one way at a time, and skins of other kinds."""
 
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ class Variant(NamedTuple):
     load_kind: LoadKind
 
 
-def make_variants(path, seed: int) -> dict[str, Variant]:
+def make_variants(path: Path, seed: int) -> dict[str, Variant]:
     """All variants by name.
 
     Args:
