@@ -18,8 +18,9 @@ SEVERAL = "--xla_force_host_platform_device_count=4"
 
 
 def started(words, several=False):
-    flags = f"{os.environ.get('XLA_FLAGS', '')} {SEVERAL if several else ''}"
-    environment = {**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
+    if several:
+        environment["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {SEVERAL}".strip()
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
     return subprocess.Popen([sys.executable, *words], env=environment, text=True, **pipes)
 

@@ -1,12 +1,18 @@
 """A little of everything that is laid over devices, as a program: `python bulk_work.py OUT [PROCESSES NUMBER PORT]`.
 
 OUT gets all numbers, by name. With the other words it is one of several processes that work as one, each of them a
-little later than the one before.
+little later than the one before. Each works on one core, because XLA divides a loop by the number of cores, which may
+change last bits.
 """
 
+import os
 import sys
 import time
 from typing import Any
+
+if __name__ == "__main__" and hasattr(os, "sched_setaffinity"):  # before XLA counts cores
+    cores = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {cores[int((sys.argv[3:4] or ["0"])[0]) % len(cores)]})
 
 import jax
 import jax.numpy as jnp
