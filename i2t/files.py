@@ -6,9 +6,11 @@ answer all of that with one sentence that names the file. Where a file is missin
 own OSError.
 """
 
+import codecs
 import gzip
 import io
 import json
+import math
 import os
 import re
 import secrets
@@ -19,7 +21,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from i2t.errors import NAMED_WRONGLY, DataError, FullDiskError
 
@@ -29,6 +31,7 @@ MAX_TOML_LINE_BYTES = 4096  # a matrix of 6 x 6 numbers in one line has 900
 SPARE_BYTES = 16 * 2**20  # that a small archive may unpack to, however small it is
 MAX_INFLATION = 40  # times its size, that an archive may unpack to beyond that: numbers as text reach 10
 MAX_ARCHIVE_ENTRIES = 4096
+MAX_LINE_BYTES = 2**16  # of a text that is read line by line: a row of 25 chips has some 1000
 ARCHIVE_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
@@ -90,17 +93,59 @@ def read_bytes(path: str | Path, most: int = MAX_BYTES) -> bytes:
         DataError: It is no regular file (a folder, a pipe, a device), or larger.
         OSError: It is missing, or cannot be read.
     """
+    with _regular(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > most:
+            raise DataError(f"{path}: has {_size(size)} where at most {_size(most)} are read; name another file")
+        return file.read(most)
+
+
+def read_lines(path: str | Path) -> Iterator[str]:
+    """The lines of a text file of any size, one after the other, unzipped where its name ends in .gz.
+
+    Args:
+        path: Of the file.
+
+    Yields:
+        Each line, without its end.
+
+    Raises:
+        DataError: It is no regular file, no text in UTF-8, damaged, has a line of more than `MAX_LINE_BYTES`, or
+            unpacks to more than numbers ever do.
+        OSError: It is missing, or cannot be read.
+    """
+    with _regular(path) as raw:
+        zipped = Path(path).suffix == ".gz"
+        most = may_grow_to(os.fstat(raw.fileno()).st_size) if zipped else math.inf
+        text = gzip.GzipFile(fileobj=raw) if zipped else raw
+        number, total, mark = 0, 0, codecs.BOM_UTF8
+        try:
+            while line := text.readline(MAX_LINE_BYTES):
+                number, total = number + 1, total + len(line)
+                if total > most:
+                    raise DataError(
+                        f"{path}: unpacks to more than {_size(int(most))}, as no recording does; restore it from the "
+                        "source"
+                    )
+                if len(line) == MAX_LINE_BYTES and not line.endswith(b"\n"):
+                    raise DataError(f"{path}: line {number} has more than {MAX_LINE_BYTES} bytes; it is no table")
+                yield line.removeprefix(mark).decode().rstrip("\r\n")
+                mark = b""
+        except UnicodeDecodeError as error:
+            raise DataError(f"{path}: line {number} is no text in UTF-8; restore it from the source") from error
+        except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+            raise DataError(f"{path}: cannot be unpacked ({error}); restore it from the source") from error
+
+
+def _regular(path: str | Path) -> BinaryIO:
+    """A regular file, open for reading; whatever else has this name is refused."""
     # A pipe without a writer would keep whoever opens it waiting.
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    with open(descriptor, "rb") as file:
-        about = os.fstat(descriptor)
-        if not stat.S_ISREG(about.st_mode):
-            raise DataError(f"{path}: is no file of its own but a folder, a pipe or a device; name the file itself")
-        if about.st_size > most:
-            raise DataError(
-                f"{path}: has {_size(about.st_size)} where at most {_size(most)} are read; name another file"
-            )
-        return file.read(most)
+    file = os.fdopen(descriptor, "rb")
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        file.close()
+        raise DataError(f"{path}: is no file of its own but a folder, a pipe or a device; name the file itself")
+    return file
 
 
 def read_text(path: str | Path, most: int = MAX_TEXT_BYTES) -> str:

@@ -1,12 +1,13 @@
-"""Files that are written whole or not at all."""
+"""Files that are written whole or not at all, and lines of files that others wrote."""
 
 import errno
+import gzip
 import os
 
 import pytest
 
 from i2t.errors import DataError, FullDiskError
-from i2t.files import replacing
+from i2t.files import MAX_LINE_BYTES, read_lines, replacing
 
 
 def test_a_file_appears_whole_in_a_folder_that_is_made(tmp_path):
@@ -59,3 +60,42 @@ def test_a_disk_that_fails_is_one_sentence_and_leaves_nothing(tmp_path, monkeypa
         file.write_text("new")
     assert type(found.value) is kind
     assert list(tmp_path.iterdir()) == []
+
+
+def test_lines_come_one_after_the_other_without_their_ends(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_bytes("\ufefftime_s,µT\r\n1,2\n\n3,4".encode())
+    assert list(read_lines(path)) == ["time_s,µT", "1,2", "", "3,4"]
+    packed = tmp_path / "log.csv.gz"
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    assert list(read_lines(packed)) == list(read_lines(path))
+
+
+def _cut(data: bytes) -> bytes:
+    return gzip.compress(data * 1000)[:-20]
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "sentence"),
+    [
+        ("a.csv", b"1,2\n" + b"9" * MAX_LINE_BYTES, "line 2 has more than"),
+        ("a.csv", b"1,2\n3,\xff\n", "line 2 is no text"),
+        ("a.csv.gz", b"1,2\n", "cannot be unpacked"),
+        ("a.csv.gz", _cut(b"1,2\n"), "cannot be unpacked"),
+        ("a.csv.gz", gzip.compress((b"1," * 500 + b"2\n") * 20_000), "unpacks to more than"),
+    ],
+    ids=["an endless line", "no text", "no archive", "a cut archive", "an archive of the same row again and again"],
+)
+def test_lines_of_a_damaged_file_are_refused_by_its_name(tmp_path, name, data, sentence):
+    path = tmp_path / name
+    path.write_bytes(data)
+    with pytest.raises(DataError, match=sentence) as refused:
+        for _ in read_lines(path):
+            pass
+    assert str(path) in str(refused.value)
+
+
+def test_lines_of_a_pipe_are_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(DataError, match="no file of its own"):
+        next(read_lines(tmp_path / "pipe"))

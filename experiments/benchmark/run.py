@@ -5,9 +5,9 @@
 Every section interleaves our work and its peer's in one run, on the same machine with the same inputs, after
 checking that both compute the same thing; the table gives the median of each and the median of the turns' ratios (above
 1: we are faster). Each section takes three to five minutes on a quiet machine of two cores; `training`, `rendering` and
-`skin` need the extra `bench`. Three more sections are run where they are named: `environment`, steps of the
-environments of active touch, `startup`, a command's second run next to its first, and `scaling`, touches by several
-processes.
+`skin` need the extra `bench`. Four more sections are run where they are named: `environment`, steps of the
+environments of active touch, `startup`, a command's second run next to its first, `scaling`, touches by several
+processes, and `logs`, the memory that the import of a long log takes.
 """
 
 import os
@@ -21,6 +21,7 @@ import jax
 import tyro
 
 from experiments.benchmark import environment as benchmark_environment
+from experiments.benchmark import logs as benchmark_logs
 from experiments.benchmark import policy as benchmark_policy
 from experiments.benchmark import rendering as benchmark_rendering
 from experiments.benchmark import scaling as benchmark_scaling
@@ -28,6 +29,7 @@ from experiments.benchmark import skin as benchmark_skin
 from experiments.benchmark import startup as benchmark_startup
 from experiments.benchmark import training as benchmark_training
 from experiments.benchmark.environment import EnvironmentBenchmark
+from experiments.benchmark.logs import Logs
 from experiments.benchmark.policy import Policy
 from experiments.benchmark.rendering import Rendering
 from experiments.benchmark.scaling import Scaling
@@ -52,6 +54,7 @@ class Benchmark:
     environment: EnvironmentBenchmark = field(default_factory=EnvironmentBenchmark)
     startup: Startup = field(default_factory=Startup)
     scaling: Scaling = field(default_factory=Scaling)
+    logs: Logs = field(default_factory=Logs)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -100,4 +103,5 @@ SECTIONS: dict[str, Callable[[Benchmark], list[BenchmarkRow]]] = {
     "environment": lambda cfg: benchmark_environment.section(cfg.environment, cfg.turns),
     "startup": lambda cfg: benchmark_startup.section(cfg.startup),
     "scaling": lambda cfg: benchmark_scaling.section(cfg.scaling, cfg.turns),
+    "logs": lambda cfg: benchmark_logs.section(cfg.logs),
 }

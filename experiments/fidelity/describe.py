@@ -7,9 +7,9 @@ from experiments.fidelity.sections import CannotTellError, Section, join
 from i2t.calibration import check_presses, segment_presses
 from i2t.calibration.heads import TARGETS, SkinRecording
 from i2t.calibration.heads.recording import VALUES_PER_CHIP
-from i2t.calibration.segmentation import MAD_TO_STD
 from i2t.unknowns.estimate import estimate_unknowns, metrics_of
 from i2t.unknowns.findings import Finding, RecordedPresses
+from i2t.unknowns.segmentation import MAD_TO_STD
 from i2t.viz import style
 
 # uT for each step of x and y and of z, by gain at resolution 0 (MLX90393 data sheet, sensitivity table, 0xC);

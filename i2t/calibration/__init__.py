@@ -8,13 +8,13 @@ fits a pad to presses, `localize` says where a known tip pressed, and `baseline_
 
 from i2t.calibration.checks import DataWarnings, check_presses
 from i2t.calibration.model import Calibration, LoadKind, calibrate, load_calibration
-from i2t.calibration.segmentation import SegmentedPresses, segment_presses
 from i2t.calibration.structured_gp import (
     DEPTH_HYPERPARAMETERS,
     FORCE_HYPERPARAMETERS,
     Presses,
     StructuredGPHyperparameters,
 )
+from i2t.unknowns.segmentation import SegmentedPresses, segment_presses
 
 __all__ = [
     "DEPTH_HYPERPARAMETERS",

@@ -6,6 +6,7 @@ Examples:
     python -m i2t.convert imagine2touch RECORDINGS DATA
     python -m i2t.convert eflesh RECORDINGS DATA --tip-radius-mm 4
     python -m i2t.convert presses TABLE.csv DATA --indenter sphere:4.0
+    python -m i2t.convert stream LOG.csv DATA --indenter sphere:4.0
     python -m i2t.convert pack DATA PACKED
     python -m i2t.convert ambient DATA CORRECTED --field .ambient.npz
     python -m i2t.convert npz DATA DATA.npz
@@ -207,6 +208,64 @@ def from_presses(
     _write(target, converted)
 
 
+def from_stream(
+    source: Source,
+    target: Target,
+    indenter: str | None = None,
+    board: str = "reskin",
+    window_mm: float = 1e3 * PATCH_WINDOW,
+    reach_mm: float = 1e3 * REACH,
+    unit: Literal["m", "cm", "mm", "inch"] | None = None,
+    as_stated: bool = False,
+    overwrite: bool = False,
+    skip_bad: bool = False,
+) -> None:
+    """Find the presses in a log of any length, a row for every sample, and convert them or write them as a table.
+
+    Args:
+        source: comma-separated table with the columns time_s, b0x_uT, b0y_uT, b0z_uT, b1x_uT ... and, for a data set,
+            x_mm, y_mm and depth_mm or z_mm
+        target: folder to write; or a file ending in .csv, for a table of the presses
+        indenter: for a data set, as of presses: sphere:RADIUS or cylinder:RADIUS in mm, or mesh:FILE
+        board: number, order and rotation of the chips: reskin, anyskin, or grid-RxC for R rows of C chips
+        window_mm: edge of the square that a patch shows; presses outside it are left out
+        reach_mm: patches are clipped to this depth behind the indenter's lowest point
+        unit: of the mesh file of mesh:FILE, which does not say it itself
+        as_stated: look for no mistake (units, signs, lag, height zero, chips) and correct none
+        overwrite: replace what an earlier conversion wrote
+        skip_bad: leave out rows that are damaged, and say how many
+    """
+    described = _board(board)
+    if target.suffix == ".csv":
+        if indenter is not None:
+            raise DataError("--indenter is of a data set; give a folder to write, or leave it out for a table")
+        _require_source(source)
+        _require_free_file(target, ".csv", overwrite)
+        from i2t.convert import stream
+
+        table = stream.table_of_presses(source, board=described, skip_bad=skip_bad)
+        print(*table.notes, sep="\n")
+        print(f"wrote {len(table.rows)} presses to {stream.write_presses(target, table)}")
+        return
+    _require(source, target, overwrite, {"--window-mm": window_mm, "--reach-mm": reach_mm})
+    if indenter is None:
+        raise DataError("--indenter is missing; give sphere:RADIUS in mm, or end DST in .csv for a table of presses")
+    _require_indenter(indenter, unit)
+    from i2t.convert import stream
+
+    converted = stream.convert(
+        source,
+        indenter=indenter,
+        board=described,
+        window=1e-3 * window_mm,
+        reach=1e-3 * reach_mm,
+        unit=unit,
+        as_stated=as_stated,
+        skip_bad=skip_bad,
+    )
+    _write(target, converted)
+
+
 def pack(source: Source, target: Target, overwrite: bool = False, skip_bad: bool = False) -> None:
     """Pack all touches of a folder into one file, which loads faster; images and time series of touches stay behind.
 
@@ -374,6 +433,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "imagine2touch": from_imagine2touch,
     "eflesh": from_eflesh,
     "presses": from_presses,
+    "stream": from_stream,
     "pack": pack,
     "ambient": subtract_ambient_field,
     "npz": to_npz,

@@ -21,7 +21,7 @@ import numpy as np
 
 from i2t.convert.checked import AXES_OF_CHIP, SessionCheck, check_session
 from i2t.convert.common import ConversionLog, Converted
-from i2t.convert.tables import HEIGHT_COLUMNS, read_text_table
+from i2t.convert.tables import FIELD_COLUMN, HEIGHT_COLUMNS, TextTable, read_text_table
 from i2t.dataset import Dataset, missing_context
 from i2t.errors import DataError
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Board, ReturnCode, Touches
@@ -51,6 +51,7 @@ def convert(
     unit: str | None = None,
     as_stated: bool = False,
     skip_bad: bool = False,
+    table: TextTable | None = None,
 ) -> Converted:
     """Convert a table of presses.
 
@@ -63,6 +64,7 @@ def convert(
         unit: of the mesh file: m, cm, mm or inch.
         as_stated: look for no mistake and correct none.
         skip_bad: leave out damaged rows, and note them.
+        table: what `source` holds, where it was read already.
 
     Returns:
         The data set and what was assumed and left out.
@@ -71,7 +73,7 @@ def convert(
         DataError: the table or the indenter cannot be used.
     """
     notes = ConversionLog(skip_bad)
-    rows = _rows(source, board.num_chips, notes)
+    rows = _rows(source, table or read_text_table(source), board.num_chips, notes)
     rows, checks = _checked(rows, board, indenter, notes, as_stated=as_stated)
     numbers = np.array([[row[name] for name in (*PLACES, "force_N")] for row in rows])
     x, y, depth = 1e-3 * numbers[:, :3].T
@@ -225,10 +227,10 @@ class _Columns(NamedTuple):
     ambient: tuple[str, ...]  # empty where the table has none
 
 
-def _rows(source: Path, chips: int, notes: ConversionLog) -> list[dict[str, Any]]:
+def _rows(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> list[dict[str, Any]]:
     """The table's presses; damaged rows are refused or left out as `notes` has it."""
-    header, lines, beginning = _read_table(source, notes)
-    columns = _check_header(source, header, chips, notes, beginning)
+    header, lines = _by_depth(table, notes)
+    columns = _check_header(source, header, chips, notes, table.beginning)
     rows: list[dict[str, Any]] = []
     for number, line in lines:
         try:
@@ -243,23 +245,19 @@ def _rows(source: Path, chips: int, notes: ConversionLog) -> list[dict[str, Any]
     return rows
 
 
-def _read_table(source: Path, notes: ConversionLog) -> tuple[list[str], list[tuple[int, dict[str, Any]]], str]:
-    """Names of the columns, the rows with their numbers in the file, and how the table begins; heights of the tip are
-    turned into depths.
-    """
-    table = read_text_table(source)
+def _by_depth(table: TextTable, notes: ConversionLog) -> tuple[list[str], list[tuple[int, dict[str, Any]]]]:
+    """Names of the columns, and the rows with their numbers in the file; heights of the tip are turned into depths."""
     for note in table.notes:
         notes.info(note)
     header = table.header
     rows = [(number, _by_name(header, cells)) for number, cells in table.rows]
     height = next((name for name in HEIGHT_COLUMNS if name in header), None)
     if height is None or "depth_mm" in header:
-        return header, rows, table.beginning
+        return header, rows
     highest = max((float(row[height]) for _, row in rows if _is_height(row.get(height))), default=0.0)
     notes.info(f"assumed: {height} grows out of the skin, and depth counts from its highest value, {highest:g} mm")
     header = ["depth_mm" if name == height else name for name in header]
-    turned = [(number, _with_depth(row, height, highest)) for number, row in rows]
-    return header, turned, table.beginning
+    return header, [(number, _with_depth(row, height, highest)) for number, row in rows]
 
 
 def _by_name(header: list[str], cells: list[str]) -> dict[str, Any]:
@@ -293,7 +291,7 @@ def _check_header(source: Path, header: list[str], chips: int, notes: Conversion
     elif missing:
         named = ", ".join(missing[:MOST_NAMED]) + (" ..." if len(missing) > MOST_NAMED else "")
         raise DataError(f"{source}: column {named} is missing ({beginning}); name columns as in docs/data.md")
-    beyond = [name for name in header if re.fullmatch(r"b[0-9]+[xyz]_uT", name) and name not in values]
+    beyond = [name for name in header if FIELD_COLUMN.fullmatch(name) and name not in values]
     if beyond:
         raise DataError(
             f"{source}: column {', '.join(beyond)} is of no chip of the board, which has {chips}; name it with --board"

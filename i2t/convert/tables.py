@@ -8,13 +8,17 @@ which refuses what is damaged, and `i2t.calibration.heads`, which keeps what can
 
 import csv
 import re
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
-from i2t.convert.common import read_text
+from i2t.convert.common import data_error, read_text
 from i2t.errors import DataError
+from i2t.files import read_lines
 
 FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # of a chip's value, or of its ambient field
+FIELD_COLUMN = re.compile("b[0-9]+[xyz]_uT")  # of a chip's value, in our words
 QUANTITY_OF = {
     **dict.fromkeys(("x", "y", "z", "height", "depth"), "length"),
     **dict.fromkeys(("force", "shear", "shear_x", "shear_y"), "force"),
@@ -49,6 +53,14 @@ class TextTable(NamedTuple):
         return f"its first line names {', '.join(self.header[:SHOWN_NAMES])}{more}"
 
 
+class TableRows(NamedTuple):
+    """A table as it is read: what its first line says, and then one row after the other."""
+
+    header: list[str]
+    rows: Iterator[tuple[int, list[str]]]  # number of the line in the file, and its fields, as many as there are
+    notes: list[str]  # what is undone, a sentence each
+
+
 def read_text_table(path: Path) -> TextTable:
     """Read a table of any program.
 
@@ -61,32 +73,79 @@ def read_text_table(path: Path) -> TextTable:
     Raises:
         DataError: it cannot be read, or is no table.
     """
-    lines = read_text(path).splitlines()
-    before = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith("#")), len(lines))
-    first = lines[before] if before < len(lines) else ""
-    delimiter = next((each for each in (";", "\t") if each in first and "," not in first), ",")
+    header, rows, notes = _table(path, iter(read_text(path).splitlines()))
+    return TextTable(header, list(rows), notes)
+
+
+def open_text_table(path: Path) -> TableRows:
+    """Begin to read a table that may be larger than memory.
+
+    Args:
+        path: of the file, plain or gzip-ed.
+
+    Returns:
+        Its columns, and its rows as they are asked for.
+
+    Raises:
+        DataError: it cannot be read, or is no table; of a later row when that row is asked for.
+    """
+    return TableRows(*_table(path, _lines(path)))
+
+
+def _lines(path: Path) -> Iterator[str]:
     try:
-        reader = csv.reader(lines[before:], delimiter=delimiter, strict=True)
-        every = [(before + reader.line_num, cells) for cells in reader if cells]
-    except csv.Error as error:
-        raise DataError(f"{path}: is no comma-separated table ({error}); save it as CSV") from error
-    stated, rows, notes = [name.strip() for name in every[0][1]] if every else [], every[1:], []
-    if comments := sum(line.startswith("#") for line in lines[:before]):
+        yield from read_lines(path)
+    except OSError as error:
+        raise data_error(path, f"cannot be read ({error.strerror or error})") from error
+
+
+def _table(path: Path, lines: Iterator[str]) -> tuple[list[str], Iterator[tuple[int, list[str]]], list[str]]:
+    """Names of the columns, the rows in our words and units, and what was undone."""
+    before, comments, first = 0, 0, ""
+    for first in lines:
+        if first.strip() and not first.startswith("#"):
+            break
+        comments, before, first = comments + first.startswith("#"), before + 1, ""
+    delimiter = next((each for each in (";", "\t") if each in first and "," not in first), ",")
+    numbered = _parsed(path, chain([first] if first else [], lines), delimiter, before)
+    stated, notes = [name.strip() for name in next(numbered, (0, []))[1]], []
+    if comments:
         notes.append(f"left out: {comments} lines of comments before the names of the columns")
     if delimiter != ",":
         notes.append(f"fields are separated by {'semicolons' if delimiter == ';' else 'tabs'}, and commas are decimal")
-        rows = [(number, [_with_point(text) for text in cells]) for number, cells in rows]
-    if nameless := [i for i, name in enumerate(stated) if not name]:
+    nameless = {i for i, name in enumerate(stated) if not name}
+    if nameless:
         notes.append(f"left out: {len(nameless)} columns without a name")
-        rows = [(number, [text for i, text in enumerate(cells) if i not in nameless]) for number, cells in rows]
-        stated = [name for name in stated if name]
-    names, factors = zip(*map(_in_our_words, stated), strict=True) if stated else ((), ())
-    if any(factor != 1 for factor in factors):
-        units = ", ".join(name for name, factor in zip(stated, factors, strict=True) if factor != 1)
+    named = [name for name in stated if name]
+    header, factors = zip(*map(_in_our_words, named), strict=True) if named else ((), ())
+    others = any(factor != 1 for factor in factors)
+    if others:
+        units = ", ".join(name for name, factor in zip(named, factors, strict=True) if factor != 1)
         notes.append(f"columns {units} are in other units than mm, uT, N and s, and were turned into these")
-        beyond = [1.0] * max(len(cells) for _, cells in every)
-        rows = [(n, [_scaled(text, by) for text, by in zip(cells, [*factors, *beyond])]) for n, cells in rows]  # noqa: B905
-    return TextTable(list(names), rows, notes)
+
+    def undone() -> Iterator[tuple[int, list[str]]]:
+        for number, cells in numbered:
+            if delimiter != ",":
+                cells = [_with_point(text) for text in cells]
+            if nameless:
+                cells = [text for i, text in enumerate(cells) if i not in nameless]
+            if others:
+                beyond = cells[len(factors) :]
+                cells = [*(_scaled(text, by) for text, by in zip(cells, factors, strict=False)), *beyond]
+            yield number, cells
+
+    return list(header), undone(), notes
+
+
+def _parsed(path: Path, lines: Iterable[str], delimiter: str, before: int) -> Iterator[tuple[int, list[str]]]:
+    """Fields of each row that has any, and the number of its line, of which `before` were read already."""
+    reader = csv.reader(lines, delimiter=delimiter, strict=True)
+    try:
+        for cells in reader:
+            if cells:
+                yield before + reader.line_num, cells
+    except csv.Error as error:
+        raise DataError(f"{path}: is no comma-separated table ({error}); save it as CSV") from error
 
 
 def _in_our_words(name: str) -> tuple[str, float]:

@@ -7,9 +7,9 @@
     print("\\n".join(unknowns.sentences(findings)))
 
 `heights` and `approaches` find the height of first contact, `labels` a lag, signs and units, `chip_field` how the
-board lies under the skin, `tip` the tip's radius, `alignment` how an earlier session lies on this one. Every function
-is pure, takes arrays and returns a `Finding`, which says whether the recording can tell at all. NumPy and SciPy only,
-so that converters can use it.
+board lies under the skin, `tip` the tip's radius, `alignment` how an earlier session lies on this one, `segmentation`
+where the presses are in a stream of readings. Every function is pure and takes arrays; what estimates returns a
+`Finding`, which says whether the recording can tell at all. NumPy and SciPy only, so that converters can use it.
 """
 
 from i2t.unknowns.alignment import (

@@ -13,6 +13,7 @@ from experiments.benchmark import rendering, scaling, skin, timing
 from experiments.benchmark import run as benchmark
 from experiments.benchmark import training as benchmark_training
 from experiments.benchmark.environment import EnvironmentBenchmark
+from experiments.benchmark.logs import Logs
 from experiments.benchmark.policy import Policy
 from experiments.benchmark.rendering import Rendering
 from experiments.benchmark.run import Benchmark
@@ -164,3 +165,11 @@ def test_patches_of_another_mesh_are_not_compared() -> None:
     rendering.check("ball", "embreex", patch.depth, patch.nearest, seen[0])
     with pytest.raises(ValueError, match="of the pixels differ from embreex's"):
         rendering.check("ball", "embreex", patch.depth, patch.nearest, seen[1])
+
+
+@pytest.mark.full
+def test_logs_section_measures_memory_and_time_of_an_import() -> None:
+    rows = benchmark.run(Benchmark(sections=("logs",), logs=Logs(long=6000, short=3000)))
+    assert [row.unit for row in rows] == ["MiB", "s"]
+    assert 20 < rows[0].ours < 2000
+    assert rows[0].ratio == pytest.approx(1, abs=0.2)

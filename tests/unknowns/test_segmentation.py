@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from i2t.calibration.segmentation import segment_presses
+from i2t.unknowns.segmentation import segment_presses
 
 SESSIONS = Path(os.environ.get("I2T_DATA", Path(__file__).parents[3] / "shared" / "data")) / "eflesh" / "normal"
 RATE, NOISE = 400.0, 1.5

@@ -1,0 +1,410 @@
+"""Presses found in a continuous recording of a skin: where each begins and ends, and what it reads when steady.
+
+A skin at rest drifts slowly and its noise is white; a press moves many channels together and comes and goes, and after
+it the skin may stay displaced and recover. Rows are averaged over 20 ms. The distance of each average from a baseline,
+the median of the last second at rest, is counted in standard deviations of the noise over all channels. A press begins
+where it rises over a threshold. It ends where it has fallen to a tenth of the press's own peak and falls no further:
+there is the next rest, with a baseline of its own. Any rate, regular or not, and any number of channels. The recording
+begins at rest.
+
+`segment_presses` takes a whole recording. One that does not fit into memory is given piece by piece to `find_more`,
+which keeps no more than the rows of the longest press.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+from scipy.ndimage import median_filter
+
+MAD_TO_STD = 1.4826  # standard deviations of a normal variable in one median absolute deviation
+MIN_ROWS = 8
+MIN_NOISE_UT = 0.05  # of a channel that repeats one value
+STEADY_SHARE = 0.5  # of a plateau's rows that the steady reading is the median of, at least
+RELEASED_SHARE = 0.1  # of a press's peak, below which it is over once the skin moves no further back
+REST_SCATTER = 2.0  # standard deviations between rows at rest
+MIN_PEAK_SHARE = 0.03  # of the median peak: what is less is the skin recovering
+NOISE_BLOCKS = 20  # of rows, whose differences are compared to find those at rest
+
+
+class SegmentedPresses(NamedTuple):
+    """k presses in a recording of n rows."""
+
+    start: Int[np.ndarray, " k"]  # first row of each
+    end: Int[np.ndarray, " k"]  # row after its last
+    steady_start: Int[np.ndarray, " k"]  # first row of its steadiest part at full load
+    steady_end: Int[np.ndarray, " k"]
+    reading: Float[np.ndarray, "k c"]  # uT, steady, less the baseline before it
+    baseline: Float[np.ndarray, "k c"]  # uT
+    start_time: Float[np.ndarray, " k"]  # s
+    end_time: Float[np.ndarray, " k"]  # s
+
+
+class FoundPress(NamedTuple):
+    """One press of a recording; rows count from the recording's first."""
+
+    start: int  # first row
+    end: int  # row after its last
+    steady_start: int
+    steady_end: int
+    reading: Float[np.ndarray, " c"]  # uT, steady, less the baseline before it
+    baseline: Float[np.ndarray, " c"]  # uT
+    at_start: Float[np.ndarray, " e"]  # other columns where it begins
+    steady: Float[np.ndarray, " e"]  # their medians where it is steady
+    start_time: float  # s
+    end_time: float  # s
+    peak: float  # distance from rest, in standard deviations of a smoothed channel
+
+
+class SegmentationRules(NamedTuple):
+    """What is a press: distances in standard deviations, times in rows or in blocks of rows that are averaged."""
+
+    noise_std: Float[np.ndarray, " c"]  # uT, of a row
+    step: float  # s, between rows
+    width: int  # rows of a block
+    begin_at: float
+    end_at: float
+    shortest: float  # s
+    rest: int  # blocks
+    gap: int  # blocks
+    longest: int  # blocks
+
+    @property
+    def unit(self) -> Float[np.ndarray, " c"]:
+        """The noise of a block (uT)."""
+        return self.noise_std / np.sqrt(self.width)
+
+
+class OpenRecording(NamedTuple):
+    """What is kept of a recording of which more rows may come."""
+
+    rules: SegmentationRules
+    first: int  # row of the recording that is the first of those kept
+    time: Float[np.ndarray, " n"]  # s
+    readings: Float[np.ndarray, "n c"]  # uT
+    others: Float[np.ndarray, "n e"]
+    at: int  # block, among those kept, up to which presses were sought
+    rest_from: int  # block from which the skin has been at rest; negative where that was dropped
+    baseline: Float[np.ndarray, " c"] | None  # uT; None before the first rest was seen
+
+
+def segment_presses(
+    time: ArrayLike,
+    readings: ArrayLike,
+    *,
+    begin_at: float = 8.0,
+    end_at: float = 4.0,
+    min_press_s: float = 0.1,
+    min_gap_s: float = 0.1,
+    smooth_s: float = 0.02,
+    baseline_s: float = 1.0,
+    max_press_s: float = 60.0,
+    noise_std: ArrayLike | None = None,
+) -> SegmentedPresses:
+    """Find the presses of a recording.
+
+    Args:
+        time: (n,) when each row was read (s), increasing.
+        readings: (n, c) what the board sent (uT), ambient and drift and all.
+        begin_at: Distance from rest, in standard deviations of a smoothed channel, that a press exceeds.
+        end_at: Distance below which the skin is at rest.
+        min_press_s: Shorter presses are left out (s).
+        min_gap_s: Presses closer than this are one (s).
+        smooth_s: Rows are averaged over this time before they are compared (s).
+        baseline_s: Time at rest that a baseline is the median of (s).
+        max_press_s: What lasts longer is a new rest (s).
+        noise_std: (c,) of a single row of each channel (uT); by default found from differences of rows that follow
+            each other.
+
+    Returns:
+        The presses in the order of time; none where nothing presses.
+
+    Raises:
+        ValueError: Times do not increase, shapes do not belong together, or a value is not finite.
+
+    Example:
+        presses = segment_presses(time, readings)
+        presses.reading, presses.start_time
+    """
+    time, readings = np.asarray(time, np.float64), np.asarray(readings, np.float64)
+    _check(time, readings, begin_at, end_at)
+    rules = segmentation_rules(
+        time, readings, begin_at=begin_at, end_at=end_at, min_press_s=min_press_s, min_gap_s=min_gap_s,
+        smooth_s=smooth_s, baseline_s=baseline_s, max_press_s=max_press_s, noise_std=noise_std,
+    )  # fmt: skip
+    recording, found = find_more(open_recording(rules), time, readings)
+    kept = true_presses([*found, *find_last(recording)], rules)
+    channels = readings.shape[1]
+    return SegmentedPresses(
+        start=np.array([press.start for press in kept], int),
+        end=np.array([press.end for press in kept], int),
+        steady_start=np.array([press.steady_start for press in kept], int),
+        steady_end=np.array([press.steady_end for press in kept], int),
+        reading=np.array([press.reading for press in kept]).reshape(-1, channels),
+        baseline=np.array([press.baseline for press in kept]).reshape(-1, channels),
+        start_time=np.array([press.start_time for press in kept], float),
+        end_time=np.array([press.end_time for press in kept], float),
+    )
+
+
+def segmentation_rules(
+    time: ArrayLike,
+    readings: ArrayLike,
+    *,
+    begin_at: float = 8.0,
+    end_at: float = 4.0,
+    min_press_s: float = 0.1,
+    min_gap_s: float = 0.1,
+    smooth_s: float = 0.02,
+    baseline_s: float = 1.0,
+    max_press_s: float = 60.0,
+    noise_std: ArrayLike | None = None,
+) -> SegmentationRules:
+    """What is a press in a recording, by the rate and the noise of some of its rows.
+
+    Args:
+        time: (n,) when each row was read (s), increasing.
+        readings: (n, c) uT.
+        begin_at: As of `segment_presses`, like all that follow.
+        end_at: Likewise.
+        min_press_s: s.
+        min_gap_s: s.
+        smooth_s: s.
+        baseline_s: s.
+        max_press_s: s.
+        noise_std: (c,) uT.
+
+    Returns:
+        The rules.
+
+    Raises:
+        ValueError: Times do not increase, shapes do not belong together, or a value is not finite.
+    """
+    time, readings = np.asarray(time, np.float64), np.asarray(readings, np.float64)
+    _check(time, readings, begin_at, end_at)
+    step = float(np.median(np.diff(time)))
+
+    def rows(seconds: float) -> int:
+        return max(1, round(seconds / step))
+
+    width = min(rows(smooth_s), max(len(time) // MIN_ROWS, 1))
+    rest, gap, longest = (max(1, rows(seconds) // width) for seconds in (baseline_s, min_gap_s, max_press_s))
+    noise = _noise(readings) if noise_std is None else np.maximum(np.asarray(noise_std), MIN_NOISE_UT)
+    return SegmentationRules(
+        noise, step, width,
+        begin_at=begin_at, end_at=end_at, shortest=min_press_s, rest=rest, gap=gap, longest=longest,
+    )  # fmt: skip
+
+
+def open_recording(rules: SegmentationRules, columns: int = 0) -> OpenRecording:
+    """A recording of which no row has come.
+
+    Args:
+        rules: What is a press.
+        columns: Other columns that come with its readings.
+
+    Returns:
+        The recording.
+    """
+    channels = len(rules.noise_std)
+    nothing = (np.zeros(0), np.zeros((0, channels)), np.zeros((0, columns)))
+    return OpenRecording(rules, 0, *nothing, at=0, rest_from=0, baseline=None)
+
+
+def find_more(
+    recording: OpenRecording, time: ArrayLike, readings: ArrayLike, others: ArrayLike | None = None
+) -> tuple[OpenRecording, list[FoundPress]]:
+    """Take further rows of a recording, and find the presses that are over.
+
+    Args:
+        recording: What came before.
+        time: (n,) s, of the further rows.
+        readings: (n, c) uT, finite.
+        others: (n, e) other columns, such as the tip's position; may hold NaN.
+
+    Returns:
+        The recording with its last rows, and the presses that ended, short and weak ones too: ask `true_presses`.
+    """
+    rows = np.asarray(readings, np.float64)
+    more = np.zeros((len(rows), 0)) if others is None else np.asarray(others, np.float64)
+    longer = recording._replace(
+        time=np.concatenate([recording.time, np.asarray(time, np.float64)]),
+        readings=np.concatenate([recording.readings, rows]),
+        others=np.concatenate([recording.others, more]),
+    )
+    return _advance(longer, last=False)
+
+
+def find_last(recording: OpenRecording) -> list[FoundPress]:
+    """The presses in the last rows of a recording.
+
+    Args:
+        recording: To which nothing is added any more.
+
+    Returns:
+        Those that `find_more` has not found; one that was not over ends with the recording.
+    """
+    return _advance(recording, last=True)[1]
+
+
+def true_presses(found: Sequence[FoundPress], rules: SegmentationRules) -> list[FoundPress]:
+    """Presses without those too short to be one, and without what is only a skin that recovers from one.
+
+    Args:
+        found: All presses of a recording.
+        rules: By which they were found.
+
+    Returns:
+        Those that count.
+    """
+    enough = MIN_PEAK_SHARE * float(np.median([press.peak for press in found])) if found else 0.0
+    shortest = rules.shortest - 1.5 * rules.step
+    return [press for press in found if press.end_time - press.start_time >= shortest and press.peak >= enough]
+
+
+def _check(time: np.ndarray, readings: np.ndarray, begin_at: float, end_at: float) -> None:
+    if readings.ndim != 2 or time.shape != (len(readings),) or len(time) < MIN_ROWS:
+        raise ValueError(
+            f"times {time.shape} and readings {readings.shape} are no recording; give (n,) and (n, channels) of at "
+            f"least {MIN_ROWS} rows"
+        )
+    if not (np.isfinite(readings).all() and np.isfinite(time).all()):
+        raise ValueError("the recording has values that are not finite; drop these rows")
+    if not (np.diff(time) > 0).all():
+        row = int(np.flatnonzero(np.diff(time) <= 0)[0]) + 2
+        raise ValueError(f"time does not increase at row {row}; sort the rows and drop repeated ones")
+    if not 0 < end_at <= begin_at:
+        raise ValueError(f"a press cannot begin at {begin_at:g} and end at {end_at:g}; end_at is the smaller one")
+
+
+def _noise(readings: np.ndarray) -> np.ndarray:
+    """Standard deviation of a row of each channel at rest, from second differences in the quietest half of blocks."""
+    second = readings[2:] - 2 * readings[1:-1] + readings[:-2]  # what moves evenly takes no part
+    blocks = np.array_split(second, min(NOISE_BLOCKS, max(len(second) // MIN_ROWS, 1)))
+    spread = np.array([np.sqrt(np.mean(block**2, axis=0)) for block in blocks]) / np.sqrt(6)
+    robust = MAD_TO_STD * np.median(np.abs(second), axis=0) / np.sqrt(6)
+    return np.maximum(np.maximum(np.quantile(spread, 0.25, axis=0), 0.5 * robust), MIN_NOISE_UT)
+
+
+def _advance(recording: OpenRecording, *, last: bool) -> tuple[OpenRecording, list[FoundPress]]:
+    """Look for presses as far as later rows cannot change them, or to the end where these rows are the last."""
+    rules, unit = recording.rules, recording.rules.unit
+    count = len(recording.readings) // rules.width
+    shape = (count, rules.width, recording.readings.shape[1])
+    blocks = recording.readings[: count * rules.width].reshape(shape).mean(1)
+    at, rest_from, baseline = recording.at, recording.rest_from, recording.baseline
+    found: list[FoundPress] = []
+    while at < count and (last or at + rules.rest <= count):
+        if baseline is None:
+            baseline = np.median(blocks[: rules.rest], axis=0)
+        distance = _distance(blocks[at : at + rules.rest] - baseline, unit)
+        over = np.flatnonzero(distance > rules.begin_at)
+        if not len(over):
+            at += max(1, min(rules.rest // 4, len(distance)))
+            baseline = np.median(blocks[max(rest_from, at - rules.rest, 0) : at], axis=0)
+            continue
+        first = at + int(over[0])
+        end, rests, known = _end(blocks, first, baseline, rules)
+        following = max(first + end, first + 1)
+        if not last and not (known and following + rules.gap <= count):
+            break
+        if rests:
+            since = max(rest_from, first - rules.longest, 0)
+            back = _distance(blocks[since:first] - baseline, unit) < rules.end_at
+            start = since + int(np.flatnonzero(back)[-1]) + 1 if back.any() else since
+            found.append(_press(recording, blocks, (start, first + end), baseline))
+        at = rest_from = following
+        if at < count:
+            baseline = np.median(blocks[rest_from : rest_from + rules.gap], axis=0)
+    drop = max(min(max(rest_from, at - rules.longest), at - rules.rest), 0)
+    rows = drop * rules.width
+    kept = recording._replace(
+        first=recording.first + rows,
+        time=recording.time[rows:].copy(),
+        readings=recording.readings[rows:].copy(),
+        others=recording.others[rows:].copy(),
+        at=at - drop,
+        rest_from=rest_from - drop,
+        baseline=baseline,
+    )
+    return kept, found
+
+
+def _press(recording: OpenRecording, blocks: np.ndarray, span: tuple[int, int], baseline: np.ndarray) -> FoundPress:
+    """The press between two blocks of a recording."""
+    rules, width = recording.rules, recording.rules.width
+    moved = blocks[span[0] : span[1]] - baseline
+    start, end = (width * block for block in span)
+    first, last = (start + width * block for block in _steady(moved, rules.unit))
+    return FoundPress(
+        start=recording.first + start,
+        end=recording.first + end,
+        steady_start=recording.first + first,
+        steady_end=recording.first + last,
+        reading=np.median(recording.readings[first:last], axis=0) - baseline,
+        baseline=baseline,
+        at_start=recording.others[start].copy(),  # a view would keep all rows
+        steady=np.median(recording.others[first:last], axis=0),
+        start_time=float(recording.time[start]),
+        end_time=float(recording.time[end - 1]),
+        peak=float(_distance(moved, rules.unit).max()),
+    )
+
+
+def _end(blocks: np.ndarray, first: int, baseline: np.ndarray, rules: SegmentationRules) -> tuple[int, bool, bool]:
+    """Block, counted from `first`, at which the skin is at rest again; whether it is, or rests where it is; and whether
+    later blocks cannot change that.
+    """
+    size = rules.rest
+    while True:
+        end, rests, known = _release(_distance(blocks[first : first + size] - baseline, rules.unit), rules)
+        if known or first + size >= len(blocks):
+            return end, rests, known
+        size *= 2
+
+
+def _release(distance: np.ndarray, rules: SegmentationRules) -> tuple[int, bool, bool]:
+    """As `_end`, of the distances of all that follows the beginning of a press."""
+    peak, least, least_at, known = 0.0, np.inf, 0, False
+    for i, d in enumerate(distance.tolist()):
+        peak = max(peak, d)
+        if d < max(rules.end_at, RELEASED_SHARE * peak) and d < least:
+            least, least_at = d, i
+        elif least < np.inf and (
+            i - least_at >= rules.gap or d > least + max(rules.begin_at, RELEASED_SHARE / 2 * peak)
+        ):
+            known = True
+            break
+        if i > rules.longest and least == np.inf:
+            return i, False, True
+    if least == np.inf:
+        return len(distance), True, False
+    moving = np.flatnonzero(distance[:least_at] > least + REST_SCATTER)
+    return (int(moving[-1]) + 1 if len(moving) else 0), True, known
+
+
+def _distance(difference: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """Of rows from rest: the larger of the worst channel and of what all channels show together."""
+    z = np.abs(difference) / unit
+    together = np.sqrt(np.maximum(np.mean(z**2, axis=1) - 1, 0)) * (z.shape[1] / 2) ** 0.25
+    return np.maximum(0.8 * z.max(axis=1), together)
+
+
+def _steady(pressed: np.ndarray, unit: np.ndarray) -> tuple[int, int]:
+    """The rows of a press that move least among those near its full load."""
+    size = np.linalg.norm(pressed / unit, axis=1)
+    size = median_filter(size, 3, mode="nearest") if len(size) > 3 else size
+    full = size >= 0.85 * size.max()
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], full.astype(int), [0]])))
+    runs = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+    first, last = max(runs, key=lambda run: run[1] - run[0])
+    length = last - first
+    window = max(1, int(np.ceil(STEADY_SHARE * length)))
+    if length <= 2:
+        return first, last
+    moved = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pressed[first:last], axis=0) / unit, axis=1))])
+    ahead = np.linalg.norm((pressed[first + window - 1 : last] - pressed[first : last - window + 1]) / unit, axis=1)
+    best = int(np.argmin(ahead + 1e-6 * moved[: len(ahead)]))
+    return first + best, first + best + window
