@@ -6,9 +6,12 @@ from typing import Literal, get_args
 
 FigureName = Literal[
     "overview", "objects", "patches", "press", "press_curve", "felt_and_imagined", "episode", "touched_object",
-    "calibration_curve", "predictors",
+    "calibration_curve", "predictors", "pressures", "field", "reliability", "registration", "rig", "monitor",
 ]  # fmt: skip
 FIGURE_NAMES: tuple[FigureName, ...] = get_args(FigureName)
+OF_A_RUN = frozenset[FigureName](
+    ("overview", "felt_and_imagined", "episode", "touched_object", "predictors", "reliability")
+)  # which the others do without
 
 
 @dataclass(frozen=True)
@@ -20,7 +23,9 @@ class GalleryArgs:
     only: tuple[FigureName, ...] = ()  # some of the figures, by name
 
     def check(self) -> None:
-        """Refuse a run that is not there."""
+        """Refuse a run that is not there, where a figure needs one."""
+        if OF_A_RUN.isdisjoint(self.only or FIGURE_NAMES):
+            return
         if not (self.trained_run / "metrics.json").is_file():
             raise ValueError(
                 f"--trained-run {self.trained_run}: no finished run; python -m experiments.train makes one"

@@ -1,9 +1,6 @@
-"""One function for each figure of the documents; all of them are simulated."""
+"""One function for each figure of the documents; all of them are simulated, here and in the modules it imports."""
 
 import json
-from collections.abc import Callable
-from functools import cached_property
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -13,85 +10,24 @@ from matplotlib.figure import Figure
 
 import i2t
 from experiments.gallery.arguments import FigureName
-from experiments.recognize.config import PRESETS, Recognition
-from experiments.recognize.trained_run import TrainedRun, load_trained_run, meshes_by_name
+from experiments.gallery.lab_figures import monitor, registration, rig
+from experiments.gallery.skin_figures import field, pressures, reliability
+from experiments.gallery.story import HIDDEN_OBJECT, Draw, Story
 from i2t import viz
 from i2t.prediction.metrics import score
-from i2t.prediction.predictor import Reading
-from i2t.recognition.recognizer import RecognizerConfig
 from i2t.rendering.render import contact_mask
-from i2t.simulation.touches import touch_simulator
 from i2t.skin.elasticity import GRID, interior, load
 from i2t.skin.pad import Press
-from i2t.types import PATCH_WINDOW, ReturnCode, Touches
+from i2t.types import PATCH_WINDOW
 from i2t.viz.episode_report import EpisodeRecord
 from i2t.viz.style import BLUE, GREY, ORANGE, titled
 
-HIDDEN_OBJECT = "hammer"  # what stands there in the overview and in the episode
-OTHERS = ("star", "square", "cylinder", "screwdriver")  # that might stand there as well
-EPISODE = RecognizerConfig(num_sites=24, num_particles=64, max_touches=5)
 SHOWN = ("hexagon", "star", "pyramid", "cylinder", "screwdriver", "hammer")
 MM, UM = 1e3, 1e6
 TIP_RADIUS_M = 4e-3
 CURVE_COUNTS = (5, 10, 20, 50, 100)  # presses of the calibration curve
 HELD_OUT = 200
 NAMED_PROBABILITY = 0.04  # from which an object's name has room next to its curve
-Draw = Callable[["Story"], Figure]
-
-
-class Story:
-    """What several figures share: a finished run, its predictions, and one episode of recognition."""
-
-    def __init__(
-        self, folder: Path, *, world: Recognition = PRESETS["paper"], config: RecognizerConfig = EPISODE
-    ) -> None:
-        self.folder, self.world, self.config = folder, world, config
-
-    @cached_property
-    def run(self) -> TrainedRun:
-        """The run with its pad model."""
-        return load_trained_run(jax.random.key(0), self.folder, self.world.errors, self.world.limits)
-
-    @cached_property
-    def unseen(self) -> Touches:
-        """Touches of the hidden object, on which the predictor was not trained."""
-        dataset = self.run.dataset
-        rows = dataset.touches.object == dataset.objects.index(HIDDEN_OBJECT)
-        return dataset.select(rows & (dataset.touches.code != ReturnCode.AIR)).touches
-
-    @cached_property
-    def imagined(self) -> Reading:
-        """The predictor's readings of these."""
-        seen = self.unseen
-        given = {"force": seen.force, "nearest": seen.nearest, "depth": seen.depth, "wide": seen.wide}
-        return self.run.predictor.predict(seen.patch, **given)
-
-    @cached_property
-    def ranked(self) -> np.ndarray:
-        """These touches from the smallest to the largest error of their prediction."""
-        return np.argsort(np.square(self.imagined.mean - self.unseen.reading).mean(1))
-
-    @cached_property
-    def episode(self) -> EpisodeRecord:
-        """The hidden object among five, touched where the belief expects to learn most."""
-        world, meshes = self.world, meshes_by_name((*OTHERS, HIDDEN_OBJECT))
-        recognizer = i2t.ObjectRecognizer(jax.random.key(1), self.run.pad_model, meshes, config=self.config)
-        hidden = i2t.prepare_surface(meshes[HIDDEN_OBJECT])
-        touch = touch_simulator(jax.random.key(2), hidden, self.run.pad, errors=world.errors, limits=world.limits)
-        state, poses, readings, beliefs = recognizer.init(), [], [], []
-        while (site := recognizer.choose_touch(state)) is not None:
-            made = touch(site.T_w_t)
-            contact = int(made.code) != ReturnCode.AIR
-            seen = recognizer.observe(site, made.reading, force=float(made.force), T_w_t=made.T_w_t, contact=contact)
-            state, info = recognizer.update(state, seen)
-            poses.append(made.T_w_t)
-            readings.append(made.reading)
-            beliefs.append(info.probability)
-        names = list(meshes)
-        return EpisodeRecord(
-            list(meshes.values()), names, np.stack(poses), np.stack(readings), self.run.dataset.board,
-            np.stack(beliefs), names.index(HIDDEN_OBJECT), True,
-        )  # fmt: skip
 
 
 def overview(story: Story) -> Figure:
@@ -221,7 +157,7 @@ def calibration_curve(story: Story) -> Figure:
     axes.set_xticks(CURVE_COUNTS, [str(count) for count in CURVE_COUNTS])
     axes.set(xlabel="presses that it is fitted to", ylabel=f"R² on {HELD_OUT} others", ylim=(min(0, *r2) - 0.05, 1))
     axes.axhline(0, color="black", lw=0.8)
-    axes.set_title(titled("A skin from a few presses (i2t.calibrate, one pad)", True))
+    axes.set_title(titled("A skin from a few presses: i2t.calibrate, one pad", True))
     return figure
 
 
@@ -299,5 +235,6 @@ def _draw_beliefs(axes: Axes, record: EpisodeRecord) -> None:
 FIGURES: dict[FigureName, Draw] = {
     "overview": overview, "objects": objects, "patches": patches, "press": press, "press_curve": press_curve,
     "felt_and_imagined": felt_and_imagined, "episode": episode, "touched_object": touched_object,
-    "calibration_curve": calibration_curve, "predictors": predictors,
+    "calibration_curve": calibration_curve, "predictors": predictors, "pressures": pressures, "field": field,
+    "reliability": reliability, "registration": registration, "rig": rig, "monitor": monitor,
 }  # fmt: skip

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from i2t.types import PAD_WINDOW, Array
-from i2t.viz.style import BLUE, GREEN, GREY, MM_PER_M, ORANGE, RED, Picture
+from i2t.viz.style import BLUE, GREEN, MM_PER_M, ORANGE, RED, Picture
 
 CLOSE_UP_M = 0.13  # half the edge of the close-up around the site
 AXIS_M = 0.05  # length of a frame's drawn axes
@@ -122,7 +122,7 @@ def _tool(axes: Any, scene: RigScene, T_w_t: np.ndarray, colour: str, label: str
 def _frame(axes: Any, T_w: np.ndarray, name: str, length: float) -> None:
     for axis, colour in enumerate((RED, GREEN, BLUE)):
         _lines(axes, [np.array([T_w[:3, 3], T_w[:3, 3] + length * T_w[:3, axis]])], colour, "")
-    axes.text(*(MM_PER_M * T_w[:3, 3]), name, fontsize=7, color=GREY)
+    axes.text(*(MM_PER_M * T_w[:3, 3]), f"   {name}", fontsize=8, color="black")
 
 
 def _lines(axes: Any, lines: list[np.ndarray], colour: str, label: str) -> None:

@@ -1,5 +1,6 @@
 """The figures of the documents: each is drawn, none is empty, and the page shows them all."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +8,9 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from experiments.gallery import __main__ as gallery
-from experiments.gallery.arguments import FIGURE_NAMES
-from experiments.gallery.figures import FIGURES, Story
+from experiments.gallery.arguments import FIGURE_NAMES, OF_A_RUN, GalleryArgs
+from experiments.gallery.figures import FIGURES
+from experiments.gallery.story import Story
 from experiments.recognize.config import PRESETS
 from i2t.recognition.recognizer import RecognizerConfig
 
@@ -37,6 +39,24 @@ def test_the_page_shows_every_figure_with_words_for_who_cannot_see_it():
         assert found, f"{name} is not on the page"
         assert len(before.rpartition("![")[2]) > 40
         assert (PAGE.parent / "figures" / f"{name}.png").is_file()
+
+
+def test_the_page_has_twenty_figures_and_says_how_each_is_made():
+    text = PAGE.read_text()
+    shown = re.findall(r"!\[([^\]]+)\]\(figures/([a-z_]+)\.png\)\n\n([^!#]*)", text)
+    assert len({name for _, name, _ in shown}) >= 20
+    for words, name, below in shown:
+        assert len(words) > 40, name
+        assert (PAGE.parent / "figures" / f"{name}.png").is_file()
+        assert name in FIGURE_NAMES or "python -m " in below or "The same command" in below, name
+
+
+def test_a_figure_without_a_trained_run_needs_none(tmp_path):
+    nowhere = tmp_path / "none"
+    GalleryArgs(trained_run=nowhere, only=tuple(set(FIGURE_NAMES) - OF_A_RUN)).check()
+    for name in OF_A_RUN:
+        with pytest.raises(ValueError, match="no finished run"):
+            GalleryArgs(trained_run=nowhere, only=(name,)).check()
 
 
 def test_a_run_that_is_not_there_is_named(tmp_path, capsys):

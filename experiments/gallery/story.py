@@ -1,0 +1,84 @@
+"""What several figures of the documents share."""
+
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+from typing import TypeAlias
+
+import jax
+import numpy as np
+from matplotlib.figure import Figure
+
+import i2t
+from experiments.recognize.config import PRESETS, Recognition
+from experiments.recognize.trained_run import TrainedRun, load_trained_run, meshes_by_name
+from i2t.prediction.predictor import Reading
+from i2t.recognition.recognizer import RecognizerConfig
+from i2t.simulation.touches import touch_simulator
+from i2t.types import ReturnCode, Touches
+from i2t.viz.episode_report import EpisodeRecord
+
+HIDDEN_OBJECT = "hammer"  # what stands there in the overview and in the episode
+OTHERS = ("star", "square", "cylinder", "screwdriver")  # that might stand there as well
+EPISODE = RecognizerConfig(num_sites=24, num_particles=64, max_touches=5)
+
+
+class Story:
+    """What several figures share: a finished run, its predictions, and one episode of recognition."""
+
+    def __init__(
+        self, folder: Path, *, world: Recognition = PRESETS["paper"], config: RecognizerConfig = EPISODE
+    ) -> None:
+        self.folder, self.world, self.config = folder, world, config
+
+    @cached_property
+    def run(self) -> TrainedRun:
+        """The run with its pad model."""
+        return load_trained_run(jax.random.key(0), self.folder, self.world.errors, self.world.limits)
+
+    @cached_property
+    def unseen(self) -> Touches:
+        """Touches of the hidden object, on which the predictor was not trained."""
+        dataset = self.run.dataset
+        rows = dataset.touches.object == dataset.objects.index(HIDDEN_OBJECT)
+        return dataset.select(rows & (dataset.touches.code != ReturnCode.AIR)).touches
+
+    @cached_property
+    def imagined(self) -> Reading:
+        """The predictor's readings of these."""
+        return self.imagine(self.unseen)
+
+    def imagine(self, touches: Touches) -> Reading:
+        """The predictor's readings of any touches."""
+        given = {"force": touches.force, "nearest": touches.nearest, "depth": touches.depth, "wide": touches.wide}
+        return self.run.predictor.predict(touches.patch, **given)
+
+    @cached_property
+    def ranked(self) -> np.ndarray:
+        """These touches from the smallest to the largest error of their prediction."""
+        return np.argsort(np.square(self.imagined.mean - self.unseen.reading).mean(1))
+
+    @cached_property
+    def episode(self) -> EpisodeRecord:
+        """The hidden object among five, touched where the belief expects to learn most."""
+        world, meshes = self.world, meshes_by_name((*OTHERS, HIDDEN_OBJECT))
+        recognizer = i2t.ObjectRecognizer(jax.random.key(1), self.run.pad_model, meshes, config=self.config)
+        hidden = i2t.prepare_surface(meshes[HIDDEN_OBJECT])
+        touch = touch_simulator(jax.random.key(2), hidden, self.run.pad, errors=world.errors, limits=world.limits)
+        state, poses, readings, beliefs = recognizer.init(), [], [], []
+        while (site := recognizer.choose_touch(state)) is not None:
+            made = touch(site.T_w_t)
+            contact = int(made.code) != ReturnCode.AIR
+            seen = recognizer.observe(site, made.reading, force=float(made.force), T_w_t=made.T_w_t, contact=contact)
+            state, info = recognizer.update(state, seen)
+            poses.append(made.T_w_t)
+            readings.append(made.reading)
+            beliefs.append(info.probability)
+        names = list(meshes)
+        return EpisodeRecord(
+            list(meshes.values()), names, np.stack(poses), np.stack(readings), self.run.dataset.board,
+            np.stack(beliefs), names.index(HIDDEN_OBJECT), True,
+        )  # fmt: skip
+
+
+Draw: TypeAlias = Callable[[Story], Figure]
