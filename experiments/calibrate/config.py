@@ -39,6 +39,7 @@ class CalibrateArgs:
     """Learning curves of calibration on real (or simulated) presses."""
 
     dataset: Path | None = None  # a data set of one tip on one skin
+    skin_name: str | None = None  # with --dataset: of several skins that were read in each touch, the one that is meant
     save_pad: Path | None = None  # do not compare methods: fit a pad to the presses and write it, a file for --pad
     calibration: Path | None = None  # with --save-pad: a calibration, whose presses are taken in place of --dataset
     targets: tuple[str, ...] = ()  # heads of position, depth, force, shear, contact, slip (docs/fidelity.md)
@@ -86,6 +87,7 @@ class CalibrateArgs:
                 raise ValueError(f"{flag} is for comparing methods, and {other} compares none; leave it out")
         if unknown := [target for target in self.targets if target not in TARGET_NAMES]:
             raise ValueError(f"--targets {' '.join(unknown)}: is no target; choose of {', '.join(TARGET_NAMES)}")
+        require_with("--skin-name", self.skin_name is not None, "--dataset", self.dataset is not None)
         require_dataset("--dataset", self.dataset)
         require_dataset("--previous-session", self.previous_session)
         require_path("--calibration", self.calibration, "file")

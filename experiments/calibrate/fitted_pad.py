@@ -47,7 +47,7 @@ def board_to_json(board: Board) -> dict[str, Any]:
 def _of_dataset(args: CalibrateArgs) -> tuple[PressedSkin, dict[str, Any]]:
     """Sound presses of a data set, at random, by force where it was measured."""
     assert args.dataset is not None
-    dataset = data.load_dataset(args.dataset)
+    dataset = data.load_dataset(args.dataset, skin=args.skin_name)
     measured = np.isfinite(dataset.touches.force)
     load = args.load if args.load != "auto" else "force" if measured.any() else "depth"
     recording = read_presses(dataset, load)

@@ -56,7 +56,10 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
     assert args.previous_session is not None
     assert args.dataset is not None
     started, cfg = time.perf_counter(), preset_of(args)
-    datasets = {"previous": data.load_dataset(args.previous_session), "later": data.load_dataset(args.dataset)}
+    datasets = {
+        "previous": data.load_dataset(args.previous_session, skin=args.skin_name),
+        "later": data.load_dataset(args.dataset, skin=args.skin_name),
+    }
     sessions = {name: read_presses(one, args.load) for name, one in datasets.items()}
     previous, recording = sessions.values()
     if recording.by_force != previous.by_force:

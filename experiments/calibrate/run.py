@@ -72,7 +72,7 @@ def compare(args: CalibrateArgs) -> dict[str, Any]:
     """Learning curves within one session: prepare, evaluate, report."""
     assert args.dataset is not None
     started, cfg = time.perf_counter(), preset_of(args)
-    dataset = data.load_dataset(args.dataset)
+    dataset = data.load_dataset(args.dataset, skin=args.skin_name)
     recording = read_presses(dataset, args.load)
     for note in recording.notes:
         print(f"note: {note}")

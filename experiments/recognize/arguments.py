@@ -27,6 +27,7 @@ class SimulateArgs:
     objects: tuple[Path, ...] = ()  # to tell apart: names of the catalogue and mesh files
     unit: UnitName | None = None  # of those files
     dataset: Path | None = None  # recorded touches to recognise; its objects are the catalogue's or those of --objects
+    skin_name: str | None = None  # with --dataset: of several skins that were read in each touch, the one that is meant
     pad: Path | None = None  # with --dataset: an earlier session, a pad or pad model of the skin, or nominal, ready
     other_skin: bool = False  # with --dataset: judge touches of another skin all the same, and say so
     max_touches: Count | None = None  # with --dataset: of each session; by default as many as all long enough ones have
@@ -50,6 +51,7 @@ class SimulateArgs:
             )
         for flag, given in (
             ("--other-skin", self.other_skin),
+            ("--skin-name", self.skin_name is not None),
             ("--max-touches", self.max_touches is not None),
             ("--rig", self.rig is not None),
         ):

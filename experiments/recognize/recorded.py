@@ -56,7 +56,7 @@ class Sessions(NamedTuple):
 def run(args: SimulateArgs, cfg: Recognition) -> dict[str, Any]:
     """Recognise the objects of recorded sessions, and write down how often and how sure."""
     assert args.dataset is not None
-    recorded = data.load_dataset(args.dataset)
+    recorded = data.load_dataset(args.dataset, skin=args.skin_name)
     meshes = candidate_meshes(args, recorded)
     sessions = choose_sessions(recorded, cfg.touches, args.max_touches)
     rig = None if args.rig is None else Rig.read(args.rig)

@@ -18,6 +18,7 @@ class TrainArgs:
     out: Path = Path("runs/train")  # folder for everything that is made
     preset: Literal["paper", "debug", "study"] = "paper"
     dataset: Path | None = None  # a data set to train on instead of simulating one
+    skin_name: str | None = None  # with --dataset: of several skins that were read in each touch, the one to train on
     objects: tuple[Path, ...] = ()  # mesh files of its objects that the catalogue does not have, for recognition
     unit: Literal["m", "cm", "mm", "inch"] | None = None  # of those files
     split: Literal["auto", "object", "session", "block", "time"] = "auto"  # what is held out of --dataset
@@ -39,6 +40,7 @@ class TrainArgs:
         if self.objects and not self.dataset:
             raise ValueError("--objects are meshes of the objects in --dataset; pass both, or neither")
         require_with(f"--split {self.split}", self.split != "auto", "--dataset", self.dataset is not None)
+        require_with("--skin-name", self.skin_name is not None, "--dataset", self.dataset is not None)
         require_dataset("--dataset", self.dataset)
         require_path("--pad", self.pad, "file")
         require_objects(self.objects, self.unit, least=1, catalogue=False)

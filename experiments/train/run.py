@@ -116,6 +116,7 @@ def run(args: TrainArgs) -> dict[str, Any]:
 def next_command(args: TrainArgs) -> str:
     """What to try with a finished run."""
     asked = "" if args.dataset is None else f" --dataset {args.dataset}"
+    asked += "" if args.skin_name is None else f" --skin-name {args.skin_name}"
     return f"python -m experiments.recognize --trained-run {args.out}{asked}"
 
 
@@ -176,7 +177,7 @@ def run_one(
 def prepare_data(args: TrainArgs, cfg: TrainExperiment, seed: int, pad: Pad | int | None, out: Path) -> PreparedData:
     """Load or simulate touches, split them, and predict the contact pressure of each."""
     if args.dataset:
-        dataset = data.load_dataset(args.dataset)
+        dataset = data.load_dataset(args.dataset, skin=args.skin_name)
     else:
         name = load_pad_about(args.pad).name if args.pad else None
         dataset = simulated_dataset(cfg.simulation, 0 if pad is None else pad, out / "data.h5", seed=seed, name=name)

@@ -28,13 +28,15 @@ class CollectArgs:
     """ur, simulated, emulated (the real driver with an emulated controller), or another package's: the name that it
     registers, or package.module:Class."""
     skin: str = "simulated"
-    """reskin, simulated, emulated, replay, or another package's."""
+    """reskin, simulated, emulated, replay, or another package's; further skins on the tool are tables of the rig."""
     camera: str = "simulated"
     """realsense, simulated, folder, or another package's."""
     host: str | None = None
     """Address of the arm's controller."""
     port: str | None = None
     """Serial port of the skin; by default the one board that is plugged in."""
+    skin_serial: str | None = None
+    """Serial number of the skin's board, in place of its port, where several are plugged in."""
     board: str | None = None
     """Of the skin: reskin, anyskin, or grid-RxC for R rows and C columns of chips; by default reskin, and for simulated
     skins the board of --pad. Another package's skin knows its own."""

@@ -29,6 +29,9 @@ def check_collect_args(args: CollectArgs) -> None:
     if args.camera == "folder" and args.views is None:
         raise ValueError("--camera folder needs a folder of views to show: pass --views DIR")
     require_with("--camera-serial", args.camera_serial is not None, "--camera realsense", args.camera == "realsense")
+    require_with("--skin-serial", args.skin_serial is not None, "--skin reskin", args.skin == "reskin")
+    if args.skin_serial and args.port:
+        raise ValueError("--skin-serial and --port both say which board it is; leave one of them out")
     if args.host and args.arm == SIMULATED:
         raise ValueError(
             "--host is the address of a controller, and --arm is simulated; leave it out, or pass --arm ur"

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from i2t.collect.carried import SkinOnTool
 from i2t.depth.camera import Distortion
 from i2t.emulators.world import (
     EmulatedArmConfig,
@@ -24,10 +25,12 @@ from i2t.emulators.world import (
     SimulatedCameraConfig,
     SimulatedSkinConfig,
     WorldConfig,
+    carried_scene,
     make_scene,
     read_pad,
 )
 from i2t.hardware.camera_folder import CameraFolderConfig
+from i2t.hardware.carried_skins import CarriedSkin
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.plugins import DeviceSetup, PluginConfig, load_plugin
 from i2t.hardware.protocols import DepthCamera, GuardedArm, Skin
@@ -56,6 +59,14 @@ class Devices(NamedTuple):
     camera: DepthCamera
     clock: Clock
     board: Board
+    carried: tuple[SkinOnTool, ...] = ()  # further skins of the rig
+
+
+class CarriedSkinConfig(NamedTuple):
+    """A further skin of the rig, and its device."""
+
+    place: CarriedSkin
+    device: SkinConfig
 
 
 @dataclass(frozen=True)
@@ -67,9 +78,24 @@ class DeviceConfig:
     camera: CameraConfig
     world: WorldConfig  # what simulated and emulated devices meet
     begin: float = 0.0  # Unix time (s) at which virtual time may begin
+    carried: tuple[CarriedSkinConfig, ...] = ()  # further skins of the rig
 
     def __post_init__(self) -> None:
         arm, skin = self.arm, self.skin
+        for place, device in self.carried:
+            if isinstance(device, SimulatedSkinConfig) and not isinstance(arm, SimulatedArmConfig):
+                raise ValueError(
+                    f"skins.{place.name}.device is simulated, and the arm is not; make it emulated, or reskin"
+                )
+            if isinstance(device, EmulatedSkinConfig) and isinstance(arm, UrConfig | PluginConfig):
+                raise ValueError(
+                    f"skins.{place.name}.device is emulated, and feels nothing on this arm; make it reskin"
+                )
+            if isinstance(device, EmulatedSkinConfig) and isinstance(arm, EmulatedArmConfig) and arm.host:
+                raise ValueError(
+                    f"skins.{place.name}.device is emulated, and the emulators of {arm.host} run already; make it "
+                    "reskin, with the link of its board as address"
+                )
         if isinstance(skin, SimulatedSkinConfig) and not isinstance(arm, SimulatedArmConfig):
             raise ValueError("a simulated skin feels only what a simulated arm does; choose --skin emulated, or reskin")
         if isinstance(skin, EmulatedSkinConfig):
@@ -106,7 +132,9 @@ class DeviceContext:
     @cached_property
     def clock(self) -> Clock:
         """Virtual where only simulated devices take part, else this machine's."""
-        if isinstance(self.config.arm, SimulatedArmConfig) and isinstance(self.config.skin, SimulatedSkinConfig):
+        skins = [self.config.skin, *(device for _, device in self.config.carried)]
+        simulated = all(isinstance(skin, SimulatedSkinConfig) for skin in skins)
+        if isinstance(self.config.arm, SimulatedArmConfig) and simulated:
             from i2t.emulators.in_process import VirtualClock
 
             return VirtualClock(max(time.time(), self.config.begin))
@@ -143,6 +171,31 @@ class DeviceContext:
             self.stack.callback(model.close)
         return SimulatedLab(self.scene, self.clock, seed=self.config.world.seed, contact_model=model)
 
+    def carried_lab(self, place: CarriedSkin, number: int, *, emulated: bool) -> "SimulatedLab":
+        """Where a further skin of a simulated arm is, with a pad of its own; an emulated one hears what it feels."""
+        from i2t.emulators.in_process import CarriedSkinLab
+
+        lab, scene, model = self.simulated_lab, carried_scene(self.world, self.rig, place.board, number), None
+        if emulated:
+            from i2t.emulators.ur_contact import BoardPublishingContactModel
+
+            model = BoardPublishingContactModel(scene, self.carried_boards[place.name][1], wait=True)
+            self.stack.callback(model.close)
+        return CarriedSkinLab(lab, scene, place.T_tool_skin, seed=self.world.seed + number, contact_model=model)
+
+    @cached_property
+    def carried_boards(self) -> dict[str, tuple[str, tuple[str, int]]]:
+        """Ports of the emulated boards of further skins, and where they hear what is felt, by the skins' names."""
+        from i2t.emulators import lab, reskin_board
+
+        started = {}
+        for place, device in self.config.carried:
+            if isinstance(device, EmulatedSkinConfig):
+                named = ("--link", str(self._folder / f"skin-{place.name}"), "--board", place.board)
+                port, process = self.stack.enter_context(reskin_board.started(*reskin_board.SHOWS_FIELDS, *named))
+                started[place.name] = port, lab.board_address(process)
+        return started
+
     @cached_property
     def emulated_board(self) -> tuple[str, Any]:
         """Port and process of a board that shows what a simulated arm feels."""
@@ -163,6 +216,8 @@ class DeviceContext:
         options += ["--seed", str(world.seed), "--rig", str(folder / "rig.toml"), "--mount", str(world.stiffness)]
         options += ["--pad", str(world.pad)] if world.pad else []
         options += ["--no-pose-error"] if world.no_pose_error else []
+        for name, (_, (heard_on, at)) in self.carried_boards.items():
+            options += ["--carried", name, f"{heard_on}:{at}"]
         self.stack.enter_context(lab.started(*options, "--board", "--board", world.board or DEFAULT_BOARD))
         return host, str(link)
 
@@ -192,13 +247,41 @@ def make_devices(config: DeviceConfig, rig: Rig, stack: ExitStack) -> Devices:
     skin = make_skin(config.skin, context)
     camera = make_camera(config.camera, context)
     board = Board(*(np.asarray(part) for part in _board(config.skin, skin, context)))
+    _require_values(skin, board)
+    carried = tuple(
+        _carried_skin(place, device, context, number + 1) for number, (place, device) in enumerate(config.carried)
+    )
+    return Devices(arm, skin, camera, context.clock, board, carried)
+
+
+def _carried_skin(place: CarriedSkin, config: SkinConfig, context: DeviceContext, number: int) -> SkinOnTool:
+    """A further skin, not connected."""
+    if isinstance(config, SimulatedSkinConfig):
+        from i2t.emulators.in_process import SimulatedSkin
+
+        skin: Skin = SimulatedSkin(context.carried_lab(place, number, emulated=False))
+    elif isinstance(config, EmulatedSkinConfig):
+        if isinstance(context.config.arm, SimulatedArmConfig):
+            context.carried_lab(place, number, emulated=True)
+        else:
+            _ = context.emulated_lab  # it is started with the lab
+        skin = make_skin(ReSkinConfig(context.carried_boards[place.name][0], place.board), context)
+    else:
+        skin = make_skin(config, context)
+    board = getattr(skin, "board", None) or boards.make_board(place.board)
+    board = Board(*(np.asarray(part) for part in board))
+    _require_values(skin, board)
+    return SkinOnTool(place.name, skin, board, place.T_tool_skin, pad=place.pad or place.name)
+
+
+def _require_values(skin: Skin, board: Board) -> None:
+    """Refuse a skin that sends other values than its board has."""
     values = len(skin.features.channels)
     if values != board.num_readings:
         raise ValueError(
             f"{skin.features.name} sends {values} values, and a board of {board.num_chips} chips has "
             f"{board.num_readings}; give the skin an attribute board with its own chips"
         )
-    return Devices(arm, skin, camera, context.clock, board)
 
 
 def _board(config: SkinConfig, skin: Skin, context: DeviceContext) -> Board:
@@ -219,8 +302,9 @@ def source_of(devices: Devices) -> str:
     Returns:
         real, simulated or mixed.
     """
-    each = (device.features.source for device in (devices.arm, devices.skin, devices.camera))
-    sources = {"real" if source in ("real", "folder") else "simulated" for source in each}
+    own = [device.features.source for device in (devices.arm, devices.skin, devices.camera)]
+    carried = [each.skin.features.source for each in devices.carried]
+    sources = {"real" if source in ("real", "folder") else "simulated" for source in own + carried}
     return sources.pop() if len(sources) == 1 else "mixed"
 
 
@@ -306,7 +390,8 @@ def make_skin(config: SkinConfig, context: DeviceContext) -> Skin:
 def _(config: ReSkinConfig, context: DeviceContext) -> Skin:
     from i2t.hardware.reskin.driver import ReSkin
 
-    return ReSkin(config.port, chips=boards.make_board(config.board).num_chips)
+    chips = boards.make_board(config.board).num_chips
+    return ReSkin(config.port, chips=chips, serial_number=config.serial_number)
 
 
 @make_skin.register

@@ -142,13 +142,15 @@ def _refused(procedure: Procedure, sites: list[Site]) -> dict[int, str]:
 def _device_checks(procedure: Procedure) -> list[_Check]:
     """What arm, skin and camera do."""
     state = procedure.arm.state()
-    health = check_skin(rest_samples(procedure.skin, procedure.clock))
+    skins = {procedure.skin.features.name: procedure.skin}
+    skins |= {f"the skin {each.name}, {each.skin.features.name}": each.skin for each in procedure.carried}
+    health = {name: check_skin(rest_samples(skin, procedure.clock)) for name, skin in skins.items()}
     view = procedure.camera.capture()
     measured = np.isfinite(view.depth)
     return [
         _Check(procedure.arm.features.name, state.safe, f"tool at {np.round(state.T_b_t[:3, 3], 3).tolist()} m"),
-        _Check(procedure.skin.features.name, not health.defects, health.summary),
-        *(_Check(procedure.skin.features.name, False, defect.sentence) for defect in health.defects),
+        *(_Check(name, not found.defects, found.summary) for name, found in health.items()),
+        *(_Check(name, False, defect.sentence) for name, found in health.items() for defect in found.defects),
         _Check(
             procedure.camera.features.name,
             bool(measured.mean() > MIN_MEASURED_SHARE),

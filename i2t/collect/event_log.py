@@ -1,14 +1,14 @@
 """The log of one touch while it is made: events, samples and states, in memory and, against a kill, in a raw file.
 
-A raw file begins with a line of JSON that holds the board's number of chips; entries follow, each a letter (e an event,
-s samples, a a state of the arm), its size (uint32) and its bytes, little-endian. A file that was cut off ends with its
-last whole entry.
+A raw file begins with a line of JSON that holds the board's number of chips, and those of further skins by their names;
+entries follow, each a letter (e an event, s samples, k samples of a further skin, a a state of the arm), its size
+(uint32) and its bytes, little-endian. A file that was cut off ends with its last whole entry.
 """
 
 import errno
 import json
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol, runtime_checkable
 
@@ -35,11 +35,12 @@ class StorageError(DeviceError):
 class TouchLog(Protocol):
     """Who hears what is measured and what happens while a touch is made."""
 
-    def samples(self, samples: Samples) -> None:
-        """Keep samples of the skin; the same sample may come twice.
+    def samples(self, samples: Samples, skin: str = "") -> None:
+        """Keep samples of a skin; the same sample may come twice.
 
         Args:
             samples: As the skin gave them.
+            skin: Name of a further skin; empty for the one at the tool, the only one of most labs.
 
         Raises:
             DeviceError: They could not be written.
@@ -73,23 +74,31 @@ class EventLog:
         file: Open for writing, unbuffered; its header is written by this.
         clock: That dates events.
         chips: Number of the board's chips.
+        carried: Those of further skins, by their names.
 
     Raises:
         StorageError: The file cannot be written.
     """
 
-    def __init__(self, file: BinaryIO, clock: Clock, chips: int) -> None:
+    def __init__(self, file: BinaryIO, clock: Clock, chips: int, carried: Mapping[str, int] | None = None) -> None:
         self._file, self._clock = file, clock
-        self.readings: dict[int, Float[Array, " k"]] = {}  # by sample number: time, 3 chips readings, temperatures
+        carried = dict(carried or {})
+        # of each skin, "" for the one at the tool, by sample number: time, 3 chips readings, temperatures
+        self.readings: dict[str, dict[int, Float[Array, " k"]]] = {name: {} for name in ("", *carried)}
         self.states: list[ArmState] = []
         self.events: list[tuple[float, str]] = []
-        self._put(json.dumps({"touch": RAW_FILE_KIND, "version": 2, "chips": chips}).encode() + b"\n")
+        about = {"touch": RAW_FILE_KIND, "version": 2, "chips": chips}
+        self._put(json.dumps(about | ({"version": 3, "skins": carried} if carried else {})).encode() + b"\n")
 
-    def samples(self, samples: Samples) -> None:
+    def samples(self, samples: Samples, skin: str = "") -> None:
         """Keep and write samples, as in `TouchLog.samples`."""
         rows = np.column_stack([samples.number, samples.time, samples.reading, samples.temperature])
-        self.readings |= {int(row[0]): row[1:] for row in rows}
-        self._write(b"s", rows.astype("<f8").tobytes())
+        self.readings[skin] |= {int(row[0]): row[1:] for row in rows}
+        values = rows.astype("<f8").tobytes()
+        if skin:
+            self._write(b"k", skin.encode() + b"\0" + values)
+        else:
+            self._write(b"s", values)
 
     def state(self, state: ArmState) -> None:
         """Keep and write a state of the arm, as in `TouchLog.state`."""
@@ -120,8 +129,9 @@ def read_raw(path: str | Path) -> Iterator[tuple[str, Any]]:
         path: Such as a file of `.interrupted`.
 
     Yields:
-        ("event", [s, text]), ("skin", (n, 2 + 4 chips): number, s, readings in uT, temperatures in degrees Celsius) and
-        ("arm", (29 + joints,): s, 16 of T_b_t, the joints, 6 of the velocity, 6 of the wrench).
+        ("event", [s, text]), ("skin", (n, 2 + 4 chips): number, s, readings in uT, temperatures in degrees Celsius),
+        ("skin NAME", the same of a further skin) and ("arm", (29 + joints,): s, 16 of T_b_t, the joints, 6 of the
+        velocity, 6 of the wrench).
 
     Raises:
         DataError: The file is of another kind.
@@ -145,26 +155,30 @@ def read_raw(path: str | Path) -> Iterator[tuple[str, Any]]:
             ) from error
 
 
-def _entry(kind: bytes, payload: bytes, chips: int) -> tuple[str, Any]:
+def _entry(kind: bytes, payload: bytes, chips: Mapping[str, int]) -> tuple[str, Any]:
     if kind == b"e":
         when, text = json.loads(payload)
         return "event", [float(when), str(text)]
     if kind == b"s":
-        return "skin", np.frombuffer(payload, "<f8").reshape(-1, 2 + 4 * chips)
+        return "skin", np.frombuffer(payload, "<f8").reshape(-1, 2 + 4 * chips[""])
+    if kind == b"k":
+        name, _, values = payload.partition(b"\0")
+        return f"skin {name.decode()}", np.frombuffer(values, "<f8").reshape(-1, 2 + 4 * chips[name.decode()])
     if kind == b"a":
         return "arm", np.frombuffer(payload, "<f8")
     raise ValueError(f"of the unknown kind {kind!r}")
 
 
-def _chips(path: Path, header: bytes) -> int:
-    """Number of chips by a raw file's header."""
+def _chips(path: Path, header: bytes) -> dict[str, int]:
+    """Number of chips of each skin by a raw file's header, of the one at the tool under ""."""
     try:
         about = json.loads(header)
         if about["touch"] == RAW_FILE_KIND:
-            chips = int(about["chips"]) if about["version"] > 1 else CHIPS_OF_VERSION_1
-            if 1 <= chips <= MAX_CHIPS:
+            chips = {"": int(about["chips"]) if about["version"] > 1 else CHIPS_OF_VERSION_1}
+            chips |= {str(name): int(count) for name, count in about.get("skins", {}).items()}
+            if all(1 <= count <= MAX_CHIPS for count in chips.values()):
                 return chips
-    except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         pass
     raise DataError(f"{path}: is no raw file of a touch; give one from .interrupted")
 

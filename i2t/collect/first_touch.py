@@ -19,12 +19,11 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from i2t.collect.procedure import Procedure
-from i2t.collect.stopping import SkinStopCondition, StopRule
 from i2t.collect.touch import Site, UnreachableError
 from i2t.depth.camera import Camera, Distortion
 from i2t.errors import DeviceError
 from i2t.hardware.poses import shifted_along_z
-from i2t.hardware.protocols import ArmState, Samples
+from i2t.hardware.protocols import ArmState, Samples, Skin
 from i2t.hardware.skin_health import press_defect
 from i2t.objects.solids import Mesh
 from i2t.simulation.depth_camera import render_view
@@ -242,8 +241,8 @@ def _touch(procedure: Procedure, site: Site) -> str:
     procedure.arm.zero_wrench()
     far = float((prepare[:3, 3] - above[:3, 3]) @ prepare[:3, 2])
     tolerance = max(TOUCH_TOLERANCE_M, 3 * float(np.sqrt(np.diagonal(procedure.rig.object_covariance)[:3].max())))
+    carried = {each.name: _mean_of(procedure, each.skin) for each in procedure.carried}
     ambient = _mean_reading(procedure)
-    rule = StopRule(settings.skin_change, settings.nonuniform_share, settings.averaged_samples, settings.silence)
     expected, gone = far + settings.prepare, 0.0
     for distance, speed in (
         (far, settings.approach),
@@ -254,7 +253,7 @@ def _touch(procedure: Procedure, site: Site) -> str:
         met = procedure.arm.approach(
             distance,
             speed,
-            SkinStopCondition(procedure.skin, procedure.board, rule, ambient, _NoLog()),
+            procedure.stop_conditions({"": ambient, **carried}, _NoLog()),
             force=LIGHT_FORCE_N,
             torque=settings.torque,
             acceleration=settings.acceleration,
@@ -292,8 +291,8 @@ def _felt(procedure: Procedure, ambient: Array, late_mm: float) -> str:
 class _NoLog:
     """Hears of samples and states, and keeps none: the first touch is no touch of the set."""
 
-    def samples(self, samples: Samples) -> None:
-        """Of the skin."""
+    def samples(self, samples: Samples, skin: str = "") -> None:
+        """Of a skin."""
 
     def state(self, state: ArmState) -> None:
         """Of the arm."""
@@ -303,6 +302,10 @@ class _NoLog:
 
 
 def _mean_reading(procedure: Procedure) -> Array:
+    return _mean_of(procedure, procedure.skin)
+
+
+def _mean_of(procedure: Procedure, skin: Skin) -> Array:
     """Of enough samples, half a second, that noise cannot pass for a press nor hide one."""
-    count = int(np.clip(FELT_S * procedure.skin.features.rate, procedure.settings.ambient, FELT_SAMPLES))
-    return mean_known(procedure.skin.read(count).reading, axis=0)
+    count = int(np.clip(FELT_S * skin.features.rate, procedure.settings.ambient, FELT_SAMPLES))
+    return mean_known(skin.read(count).reading, axis=0)

@@ -11,7 +11,7 @@ Frames: W world, B robot base, T tool; metres and radians.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -102,6 +102,38 @@ def gather_free_poses(
         UnreachableError: The tool stands where it may not be lifted from; nothing has moved.
         DeviceError: The arm met something or stopped, or the skin fell silent.
     """
+    found = gather_of_skins(arm, {"": (skin, np.eye(4))}, clock, path, poses, settings=settings, on_pose=on_pose)
+    return found[""]
+
+
+def gather_of_skins(
+    arm: GuardedArm,
+    skins: Mapping[str, tuple[Skin, Float[Array, "4 4"]]],
+    clock: Clock,
+    path: TouchPath,
+    poses: Sequence[FreePose],
+    *,
+    settings: AmbientSettings,
+    on_pose: Callable[[int], None] | None = None,
+) -> dict[str, FreePoses]:
+    """As `gather_free_poses`, of several skins on the tool at once.
+
+    Args:
+        arm: As there.
+        skins: Each connected, with its frame T_tool_skin (4, 4), by name.
+        clock: As there.
+        path: As there.
+        poses: As there.
+        settings: As there.
+        on_pose: As there.
+
+    Returns:
+        Of each skin its own poses in the base, with its samples.
+
+    Raises:
+        UnreachableError: As there.
+        DeviceError: As there.
+    """
     speed, acceleration = path.free_speed, path.settings.acceleration
     low = _free_box(path, settings)[0][2]
     start = np.array(arm.state().T_b_t)
@@ -120,25 +152,30 @@ def gather_free_poses(
                 arm.go(goal, speed, acceleration)
 
     go(lifted, transform(_pointing_down(path, lifted), lifted[:3, 3]))
-    stated, read = [], []
+    stated: list[Array] = []
+    read: dict[str, list[np.ndarray]] = {name: [] for name in skins}
     for number, pose in enumerate(poses):
         go(pose.upright, pose.tilted)
         clock.sleep(path.settings.settle)
         stated.append(np.array(arm.state().T_b_t))
-        read.append(_samples(skin, clock, settings.seconds))
+        samples = _samples([skin for skin, _ in skins.values()], clock, settings.seconds)
+        for name, rows in zip(skins, samples, strict=True):
+            read[name].append(rows)
         go(pose.upright)
         if on_pose is not None:
             on_pose(number + 1)
-    return FreePoses(np.stack(stated), _stacked(read))
+    T_b_t = np.stack(stated)
+    return {name: FreePoses(T_b_t @ pose, _stacked(read[name])) for name, (_, pose) in skins.items()}
 
 
-def _samples(skin: Skin, clock: Clock, seconds: float) -> np.ndarray:
-    """(s, c) uT, of some seconds, whatever the skin's rate is."""
+def _samples(skins: Sequence[Skin], clock: Clock, seconds: float) -> list[np.ndarray]:
+    """(s, c) uT of each skin, of some seconds, whatever their rates are; they take turns."""
     end = clock.now() + seconds
-    parts = [skin.read(BURST_SAMPLES).reading]
+    parts = [[skin.read(BURST_SAMPLES).reading] for skin in skins]
     while clock.now() < end:
-        parts.append(skin.read(BURST_SAMPLES).reading)
-    return np.concatenate(parts)
+        for own, skin in zip(parts, skins, strict=True):
+            own.append(skin.read(BURST_SAMPLES).reading)
+    return [np.concatenate(own) for own in parts]
 
 
 def _stacked(read: list[np.ndarray]) -> np.ndarray:

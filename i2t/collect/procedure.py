@@ -10,23 +10,37 @@
 Every motion is one of an arm that guards itself (`i2t.hardware.protocols.GuardedArm`). Where it goes is
 checked before the first motion (`i2t.collect.path`). A press that met nothing where the camera sees a surface has
 failed. Which site is next is asked of a plain callable, `choose(history) -> site`. Numbers are those of the paper and
-its code where it has them, except where `TouchSettings` says why.
+its code where it has them, except where `TouchSettings` says why. Further skins on the tool (`i2t.collect.carried`) are
+read wherever the skin at the tool is, and each may stop an approach.
 
 Frames: W world, B robot base, T tool, C camera; `T_a_b` maps points in b to a. Metres, newtons, microtesla.
 """
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+from i2t.collect.carried import (
+    AnyStopCondition,
+    RestReading,
+    SkinLog,
+    SkinOnTool,
+    carried_touch,
+    compared,
+    felt,
+    own_code,
+    rest_reading,
+)
 from i2t.collect.event_log import TouchLog
 from i2t.collect.path import TouchPath
 from i2t.collect.settings import TouchSettings
 from i2t.collect.stopping import SkinStopCondition, StopRule, onset_distance
 from i2t.collect.touch import (
+    CarriedTouch,
     ChooseSite,
     ExtractPatch,
     MissedContactError,
@@ -54,7 +68,7 @@ from i2t.hardware.protocols import (
     View,
 )
 from i2t.hardware.rig import Rig
-from i2t.skin.ambient import AmbientChange, AmbientField, FreePoses, ambient_changed, mean_known, predict_ambient
+from i2t.skin.ambient import AmbientField, mean_known
 from i2t.types import Array, Board, ReturnCode
 
 RETURN_CODES: Mapping[StopReason, ReturnCode] = {
@@ -65,8 +79,6 @@ RETURN_CODES: Mapping[StopReason, ReturnCode] = {
 }
 RECONNECT_WAIT_S = 0.2  # between attempts to connect
 POSE_TOLERANCES = (1e-3, 0.01)  # m, and of a rotation's elements: so near a pose the tool is there
-FALSE_ALARM = 1e-3  # of touches, at which an ambient field that has not changed is called changed
-MIN_CHIP_SHARE = 0.5  # of the chips, that must answer for an approach
 RETREAT_SHARES = (1.0, 0.5, 0.25, 0.1, 0.0)  # of `prepare`, that a retreat tries to go back along the tool's axis
 
 
@@ -75,10 +87,8 @@ class _Press(NamedTuple):
 
     result: ApproachResult
     started: float  # s
-    ambient: Array  # (c,) uT
-    condition: SkinStopCondition  # with what it saw
-    expected: Array | None  # (c,) uT, the ambient by the fitted field
-    change: AmbientChange | None  # whether the ambient contradicts that field
+    rest: Mapping[str, RestReading]  # of each skin, "" for the one at the tool
+    conditions: AnyStopCondition  # with what they saw
 
 
 @dataclass
@@ -97,6 +107,7 @@ class Procedure:
         clock: That the devices share.
         unreachable: Sites that the arm may not go to, by number, and why.
         ambient_field: Fitted from free poses; None if there is none.
+        carried: Further skins on the tool, connected.
     """
 
     arm: GuardedArm
@@ -110,6 +121,7 @@ class Procedure:
     clock: Clock = field(default_factory=MonotonicClock)
     unreachable: dict[int, str] = field(default_factory=dict)
     ambient_field: AmbientField | None = None
+    carried: Sequence[SkinOnTool] = ()
 
     def run(self, choose: ChooseSite, recorder: TouchRecorder) -> Iterator[SiteOutcome]:
         """Touch what is chosen, until nothing is.
@@ -132,7 +144,7 @@ class Procedure:
         while (site := choose(history)) is not None:
             outcome = self.attempt(site, recorder)
             touch = outcome.touch
-            history.append(outcome._replace(touch=touch and touch._replace(seen=None, view=None)))
+            history.append(outcome._replace(touch=touch and _without_images(touch)))
             if site.number not in self.unreachable:
                 failures = failures + 1 if outcome.code == ReturnCode.FAILED else 0
             yield outcome
@@ -198,40 +210,61 @@ class Procedure:
         """
         look, prepare, _, _ = self.path.poses(site)
         self.path.check(site)
-        counters_before = self.skin.counters
+        counters_before = {name: skin.counters for name, skin, _ in self._skins()}
         view, T_w_c = self._look(site, look, log)
         self._prepare(prepare, log)
         press = self._press(log)
-        states, reading = self._measure(press, log)
+        states, readings = self._measure(press, log)
 
         log.event("retreat")
         self.arm.go(prepare, self.path.retreat_speed, self.settings.acceleration)
         T_b_t = states[-1].T_b_t
         T_w_t = self.rig.T_world_base @ T_b_t
-        reason = press.result.reason
+        reason, rest = press.result.reason, press.rest[""]
+        felt_by = [name for name, _, board in self._skins() if felt(readings[name], board, self._rule)]
         code = RETURN_CODES[reason]
+        own = own_code(code, "" in felt_by, not felt_by)
         depth = np.nan
-        if code != ReturnCode.AIR:
-            depth = onset_distance(*press.condition.press(press.started, T_b_t), press.ambient, reading)
+        if own != ReturnCode.AIR:
+            depth = onset_distance(*press.conditions.own.press(press.started, T_b_t), rest.ambient, readings[""])
         seen = self.extract_patch(view, self.camera.camera, T_w_c, T_w_t)
         if code == ReturnCode.AIR:
             self._check_air(seen)
+        counters = {name: _counted_since(skin.counters, counters_before[name]) for name, skin, _ in self._skins()}
+        force = -float(np.mean([state.wrench[2] for state in states]))
         return TouchResult(
             site=site,
             attempt=attempt,
-            code=code,
+            code=own,
             reason=reason,
             T_w_t=T_w_t,
-            ambient=press.ambient,
-            reading=reading,
-            force=-float(np.mean([state.wrench[2] for state in states])),
+            ambient=rest.ambient,
+            reading=readings[""],
+            force=force if set(felt_by) <= {""} else np.nan,
             depth=depth,
             seen=seen,
             view=view,
             T_w_c=T_w_c,
-            counters=_counted_since(self.skin.counters, counters_before),
-            expected_ambient=press.expected,
-            ambient_change=press.change,
+            counters=counters[""],
+            expected_ambient=rest.expected,
+            ambient_change=rest.change,
+            carried={
+                each.name: carried_touch(
+                    each,
+                    press.rest[each.name],
+                    press.conditions.carried[each.name],
+                    reading=readings[each.name],
+                    T_w_b=self.rig.T_world_base,
+                    states=states,
+                    started=press.started,
+                    code=code,
+                    others_felt=bool(set(felt_by) - {each.name}),
+                    rule=self._rule,
+                    seen=self.extract_patch(view, self.camera.camera, T_w_c, T_w_t @ each.T_tool_skin),
+                    counters=counters[each.name],
+                )
+                for each in self.carried
+            },
         )
 
     def _look(self, site: Site, look: Array, log: TouchLog) -> tuple[View, Array]:
@@ -253,7 +286,7 @@ class Procedure:
             self.clock.sleep(settings.settle)
         self.arm.zero_wrench()
         distance = settings.prepare - settings.near
-        met, _ = self._approach(distance, settings.approach, self._mean_reading(log), log)
+        met, _ = self._approach(distance, settings.approach, self._rest_readings(log), log)
         if met.reason != "distance":
             raise TouchFailedError(
                 f"something was met {1e3 * (settings.prepare - met.distance):.0f} mm before the site"
@@ -263,67 +296,103 @@ class Procedure:
         """Take the ambient and press until something says stop."""
         settings = self.settings
         log.event("ambient")
-        ambient = self._mean_reading(log)
-        expected, change = self._compared(ambient, log)
+        ambient = self._rest_readings(log)
+        rest = self._compared(ambient, log)
         log.event("press")
         started = self.clock.now()
-        result, condition = self._approach(settings.near + settings.overtravel, settings.press, ambient, log)
-        log.event(f"stopped by {'skin' if result.reason == 'condition' else result.reason}")
-        return _Press(result, started, ambient, condition, expected=expected, change=change)
+        result, conditions = self._approach(settings.near + settings.overtravel, settings.press, ambient, log)
+        stopped_by = " and ".join(name or self.rig.skin for name in conditions.stopped)
+        which = f" {stopped_by}" if self.carried and stopped_by else ""
+        log.event(f"stopped by {'skin' if result.reason == 'condition' else result.reason}{which}")
+        return _Press(result, started, rest, conditions)
 
-    def _compared(self, ambient: Array, log: TouchLog) -> tuple[Array | None, AmbientChange | None]:
-        """The ambient (c,) uT that the fitted field predicts here, and whether the measured one contradicts it."""
-        if self.ambient_field is None:
-            return None, None
+    def _skins(self) -> Iterator[tuple[str, Skin, Board]]:
+        """Each skin by its name, "" for the one at the tool."""
+        yield "", self.skin, self.board
+        for each in self.carried:
+            yield each.name, each.skin, each.board
+
+    @property
+    def _rule(self) -> StopRule:
+        """Which change of a reading stops a press."""
+        settings = self.settings
+        return StopRule(settings.skin_change, settings.nonuniform_share, settings.averaged_samples, settings.silence)
+
+    def _rest_readings(self, log: TouchLog) -> dict[str, Array]:
+        """(c,) uT of each skin at rest, by its name."""
+        return {
+            name: rest_reading(skin, board, self.settings.ambient, SkinLog(log, name) if name else log)
+            for name, skin, board in self._skins()
+        }
+
+    def _compared(self, ambient: Mapping[str, Array], log: TouchLog) -> dict[str, RestReading]:
+        """Each skin's ambient, with what its fitted field predicts here."""
+        if self.ambient_field is None and all(each.ambient_field is None for each in self.carried):
+            return {name: RestReading(reading, None, None) for name, reading in ambient.items()}
         T_b_t = self.arm.state().T_b_t
-        here = FreePoses(T_b_t[None], ambient[None, None])
-        change = ambient_changed(self.ambient_field, self.board, here, false_alarm=FALSE_ALARM)
-        if change.changed:
-            log.event(change.sentence)
-        return predict_ambient(self.ambient_field, self.board, T_b_t)[0], change
+        rest = {"": compared(ambient[""], self.ambient_field, self.board, T_b_t, log)}
+        for each in self.carried:
+            T_b_s = T_b_t @ each.T_tool_skin
+            rest[each.name] = compared(ambient[each.name], each.ambient_field, each.board, T_b_s, log, name=each.name)
+        return rest
 
-    def _measure(self, press: _Press, log: TouchLog) -> tuple[list[ArmState], Array]:
-        """States of the arm before and after the samples in contact, and the change of their mean (c,) uT."""
+    def _measure(self, press: _Press, log: TouchLog) -> tuple[list[ArmState], dict[str, Array]]:
+        """States of the arm before and after the samples in contact, and the change (c,) uT of each skin's mean."""
         self.clock.sleep(self.settings.hold)
-        states = [self.arm.state()]
-        contact = self.skin.read(self.settings.contact)
+        states, readings = [self.arm.state()], {}
+        for name, skin, _ in self._skins():
+            contact = skin.read(self.settings.contact)
+            (SkinLog(log, name) if name else log).samples(contact)
+            readings[name] = mean_known(contact.reading, axis=0) - press.rest[name].ambient
         states.append(self.arm.state())
-        log.samples(contact)
         for state in states:
             log.state(state)
-        return states, mean_known(contact.reading, axis=0) - press.ambient
+        return states, readings
 
-    def _mean_reading(self, log: TouchLog) -> Array:
-        samples = self.skin.read(self.settings.ambient)
-        log.samples(samples)
-        reading = mean_known(samples.reading, axis=0)
-        answering = int(np.isfinite(reading).sum()) // 3
-        if answering < MIN_CHIP_SHARE * self.board.num_chips:
-            raise DeviceError(
-                f"only {answering} of {self.board.num_chips} chips of {self.skin.features.name} answer, too few to "
-                "feel a press; check the board's cables"
-            )
-        return reading
+    def stop_conditions(self, ambient: Mapping[str, Array], log: TouchLog) -> AnyStopCondition:
+        """The stop condition of an approach, asked of all skins.
+
+        Args:
+            ambient: (c,) uT of each skin before it, by its name, "" for the one at the tool.
+            log: That hears of everything.
+
+        Returns:
+            The condition; the skins must be connected.
+        """
+        own = SkinStopCondition(self.skin, self.board, self._rule, ambient[""], log)
+        return AnyStopCondition(
+            own,
+            {
+                each.name: SkinStopCondition(
+                    each.skin,
+                    each.board,
+                    self._rule,
+                    ambient[each.name],
+                    SkinLog(log, each.name),
+                    T_tool_skin=each.T_tool_skin,
+                )
+                for each in self.carried
+            },
+        )
 
     def _approach(
-        self, distance: float, speed: float, ambient: Array, log: TouchLog
-    ) -> tuple[ApproachResult, SkinStopCondition]:
-        """Go along tool z under the skin's stop condition."""
+        self, distance: float, speed: float, ambient: Mapping[str, Array], log: TouchLog
+    ) -> tuple[ApproachResult, AnyStopCondition]:
+        """Go along tool z under the skins' stop conditions."""
         settings = self.settings
-        rule = StopRule(settings.skin_change, settings.nonuniform_share, settings.averaged_samples, settings.silence)
-        condition = SkinStopCondition(self.skin, self.board, rule, ambient, log)
+        conditions = self.stop_conditions(ambient, log)
         if distance <= 0:
             state = self.arm.state()
-            return ApproachResult("distance", None, state, state, 0.0), condition
+            return ApproachResult("distance", None, state, state, 0.0), conditions
         result = self.arm.approach(
             distance,
             speed,
-            condition,
+            conditions,
             force=settings.force,
             torque=settings.torque,
             acceleration=settings.acceleration,
         )
-        return result, condition
+        return result, conditions
 
     def _check_view(self, seen: SeenPatch) -> None:
         """Refuse a site that the camera contradicts."""
@@ -399,7 +468,8 @@ class Procedure:
         self.arm.state()
         self.retreat()
         give_up = self.clock.now() + self.settings.patience
-        self._reconnect(self.skin, lambda: self.skin.read(1), give_up)
+        for _, skin, _ in self._skins():
+            self._reconnect(skin, partial(skin.read, 1), give_up)
         self._reconnect(self.camera, self.camera.capture, give_up)
 
     def _reconnect(self, device: Skin | DepthCamera, speak: Callable[[], object], give_up: float) -> None:
@@ -414,6 +484,12 @@ class Procedure:
             self.clock.sleep(RECONNECT_WAIT_S)
             with contextlib.suppress(DeviceError):
                 device.connect()
+
+
+def _without_images(touch: TouchResult) -> TouchResult:
+    """A touch as a history keeps it: images would fill the memory."""
+    carried: dict[str, CarriedTouch] = {name: each._replace(seen=None) for name, each in touch.carried.items()}
+    return touch._replace(seen=None, view=None, carried=carried)
 
 
 def _counted_since(now: SkinCounters, before: SkinCounters) -> SkinCounters:

@@ -26,14 +26,14 @@ import numpy as np
 
 from i2t import dataset
 from i2t.collect.event_log import EventLog, StorageError, storage_error
-from i2t.collect.touch import Site, TouchResult
+from i2t.collect.touch import CarriedTouch, Site, TouchResult
 from i2t.dataset import Dataset, Image, Record, Series
 from i2t.dataset.files import sync_folder
 from i2t.depth.camera import Camera
 from i2t.errors import DataError
 from i2t.files import not_through_links, read_json
 from i2t.hardware.clock import Clock, MonotonicClock
-from i2t.hardware.protocols import ArmState, View, channel_names
+from i2t.hardware.protocols import ArmState, SkinCounters, View, channel_names
 from i2t.types import PATCH_WINDOW, REACH, Array, Board, Touches
 
 try:
@@ -69,6 +69,17 @@ class SessionInfo:
     T_w_o: Array  # (4, 4)
     camera: Camera
     meta: Mapping[str, str] = field(default_factory=dict)
+    skin: str = ""  # name of the skin at the tool, where there are further ones
+    carried: Mapping[str, "CarriedSkinInfo"] = field(default_factory=dict)  # by the names of further skins
+
+
+@dataclass(frozen=True)
+class CarriedSkinInfo:
+    """What the touches of a session have in common for a further skin."""
+
+    pad: str
+    board: Board
+    meta: Mapping[str, str] = field(default_factory=dict)  # that differs from the one at the tool
 
 
 class Recorder:
@@ -162,7 +173,8 @@ class Recorder:
             self._raw = open(path, "wb", buffering=0, opener=not_through_links)  # noqa: SIM115, closed when the touch ends
         except OSError as error:
             raise storage_error(path, error) from error
-        self._log = EventLog(self._raw, self._clock, self.info.board.num_chips)
+        carried = {name: each.board.num_chips for name, each in self.info.carried.items()}
+        self._log = EventLog(self._raw, self._clock, self.info.board.num_chips, carried)
         self._log.event(f"site {site.number}, attempt {attempt + 1}")
         return self._log
 
@@ -240,12 +252,20 @@ def _record(touch: TouchResult, log: EventLog, info: SessionInfo, to_wall: float
     """Everything of a touch; `to_wall` (s) turns the devices' time into Unix time."""
     view = touch.view
     assert view is not None
-    counters = {f"skin {name}": int(value) for name, value in touch.counters._asdict().items() if name != "rate"}
+    counters = _counted("skin", touch.counters)
+    series = _skin_series(touch, log.readings[""], info.board.num_chips, log.events[0][0], to_wall)
+    for name, carried in touch.carried.items():
+        chips = info.carried[name].board.num_chips
+        own = _skin_series(carried, log.readings[name], chips, log.events[0][0], to_wall)
+        series |= {f"{label} {name}": each for label, each in own.items()}
+        seen = carried.seen.visible_share if carried.seen is not None else 0.0
+        counters |= {**_counted(f"skin {name}", carried.counters), f"skin {name} seen percent": round(100 * seen)}
     return Record(
         touch=_dataset(touch, info),
+        skins={name: _carried_dataset(touch, name, info) for name in touch.carried},
         images=_images(view),
         series={
-            **_skin_series(touch, log, info.board.num_chips, to_wall),
+            **series,
             **_arm_series(log.states, info.T_w_b, to_wall),
             "camera": Series(
                 np.array([view.time + to_wall]),
@@ -259,6 +279,10 @@ def _record(touch: TouchResult, log: EventLog, info: SessionInfo, to_wall: float
     )
 
 
+def _counted(of: str, counters: SkinCounters) -> dict[str, int]:
+    return {f"{of} {name}": int(value) for name, value in counters._asdict().items() if name != "rate"}
+
+
 def _images(view: View) -> dict[str, Image]:
     depth = np.clip(np.nan_to_num(view.depth / DEPTH_SCALE_M, posinf=0.0), 0, 65535)
     images = {"depth": Image(np.rint(depth).astype(np.uint16), DEPTH_SCALE_M, "m")}
@@ -267,10 +291,12 @@ def _images(view: View) -> dict[str, Image]:
     return images
 
 
-def _skin_series(touch: TouchResult, log: EventLog, chips: int, to_wall: float) -> dict[str, Series]:
+def _skin_series(
+    touch: TouchResult | CarriedTouch, readings: Mapping[int, Array], chips: int, began: float, to_wall: float
+) -> dict[str, Series]:
     """Readings, temperatures, the ambient reading, and what the field fitted from free poses predicts in its place."""
-    rows = np.array([log.readings[number] for number in sorted(log.readings)]).reshape(-1, 1 + 4 * chips)
-    begun = np.array([log.events[0][0] + to_wall])
+    rows = np.array([readings[number] for number in sorted(readings)]).reshape(-1, 1 + 4 * chips)
+    begun = np.array([began + to_wall])
     time, values = rows[:, 0] + to_wall, rows[:, 1:].astype(np.float32)
     channels = channel_names(chips)
     expected = touch.expected_ambient
@@ -300,6 +326,26 @@ def _arm_series(logged: list[ArmState], T_w_b: Array, to_wall: float) -> dict[st
 
 def _dataset(touch: TouchResult, info: SessionInfo) -> Dataset:
     """The touch as a data set of one row."""
+    named = {dataset.SKIN_NAME: info.skin} if info.carried else {}
+    return _one_row(touch, touch.T_w_t, info, pad=info.pad, board=info.board, meta={**info.meta, **named})
+
+
+def _carried_dataset(touch: TouchResult, name: str, info: SessionInfo) -> Dataset:
+    """What a further skin read in the touch, as a data set of one row."""
+    carried, about = touch.carried[name], info.carried[name]
+    meta = {**info.meta, **about.meta, dataset.SKIN_NAME: name}
+    return _one_row(carried, carried.T_w_s, info, pad=about.pad, board=about.board, meta=meta)
+
+
+def _one_row(
+    touch: TouchResult | CarriedTouch,
+    T_w_s: Array,
+    info: SessionInfo,
+    *,
+    pad: str,
+    board: Board,
+    meta: Mapping[str, str],
+) -> Dataset:
     seen = touch.seen
     assert seen is not None
     touches = Touches(
@@ -309,7 +355,7 @@ def _dataset(touch: TouchResult, info: SessionInfo) -> Dataset:
         reading=touch.reading[None],
         force=np.array([touch.force]),
         depth=np.array([touch.depth]),
-        T_w_t=touch.T_w_t[None],
+        T_w_t=T_w_s[None],
         T_w_o=info.T_w_o[None],
         object=np.zeros(1),
         pad=np.zeros(1),
@@ -319,13 +365,13 @@ def _dataset(touch: TouchResult, info: SessionInfo) -> Dataset:
     return Dataset(
         touches,
         objects=(info.object,),
-        pads=(info.pad,),
+        pads=(pad,),
         sessions=(info.session,),
-        board=info.board,
+        board=board,
         source=info.source,
         window=PATCH_WINDOW,
         reach=REACH,
-        meta={"made by": "i2t.collect.session", "camera": json.dumps(asdict(info.camera)), **info.meta},
+        meta={"made by": "i2t.collect.session", "camera": json.dumps(asdict(info.camera)), **meta},
     )
 
 

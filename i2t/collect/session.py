@@ -23,6 +23,7 @@ from i2t.collect.arguments import CollectArgs
 from i2t.collect.devices import (
     ArmConfig,
     CameraConfig,
+    CarriedSkinConfig,
     DeviceConfig,
     Devices,
     SkinConfig,
@@ -32,7 +33,7 @@ from i2t.collect.devices import (
 from i2t.collect.dry_run import check_camera, dry_run
 from i2t.collect.first_touch import first_touch
 from i2t.collect.procedure import Procedure
-from i2t.collect.recorder import Recorder, SessionInfo
+from i2t.collect.recorder import CarriedSkinInfo, Recorder, SessionInfo
 from i2t.collect.session_ambient import fitted_ambient
 from i2t.collect.site_plan import SiteSampler, patch_extractor
 from i2t.collect.touch import ChooseSite, ExtractPatch, Site, SiteOutcome, UnreachableError
@@ -49,6 +50,7 @@ from i2t.emulators.world import (
 )
 from i2t.errors import DataError, DeviceError
 from i2t.hardware.camera_folder import CameraFolderConfig
+from i2t.hardware.carried_skins import CarriedSkin
 from i2t.hardware.plugins import DeviceKind, PluginConfig, is_plugin
 from i2t.hardware.protocols import Skin, View, channel_names
 from i2t.hardware.realsense import RealSenseConfig
@@ -97,7 +99,7 @@ def collect(
     if not args.trust_rig and not args.dry_run:
         require_plausible(rig, target.mesh.vertices)
     done, notes = _resume(args, name, rig, target.mesh)
-    config = device_config(args, begin=max(done.values(), default=0.0) + 1.0)
+    config = device_config(args, begin=max(done.values(), default=0.0) + 1.0, rig=rig)
     sampler = SiteSampler(target.mesh, rig.T_world_object, args.sites, args.seed, name)
     with ExitStack() as stack:
         devices = make_devices(config, rig, stack)
@@ -133,7 +135,9 @@ def _connect(
     skin = stack.enter_context(devices.skin)
     camera = stack.enter_context(devices.camera)
     extract_patch = _compiled_extractor(camera.camera, sampler)
-    _keep_serial(notes, _serial_number(skin), args.out)
+    _keep_serial(notes, "skin_serial", _serial_number(skin), args.out)
+    for each in devices.carried:
+        _keep_serial(notes, f"skin_serial {each.name}", _serial_number(stack.enter_context(each.skin)), args.out)
     arm = stack.enter_context(devices.arm)
     return Procedure(
         arm,
@@ -146,16 +150,20 @@ def _connect(
         settings=args.settings,
         clock=devices.clock,
         unreachable={int(number): why for number, why in notes["unreachable"].items()},
+        carried=devices.carried,
     )
 
 
 def _check_health(procedure: Procedure) -> None:
-    """Refuse a skin that is dead, frozen or saturated, and say what else is wrong with it; nothing moves."""
-    health = check_skin(rest_samples(procedure.skin, procedure.clock))
-    require_healthy(health, procedure.skin.features.name)
-    print(f"skin at rest: {health.summary}")
-    for defect in health.defects:
-        print(f"              {defect.sentence}")
+    """Refuse skins that are dead, frozen or saturated, and say what else is wrong with them; nothing moves."""
+    names = {"": procedure.skin, **{each.name: each.skin for each in procedure.carried}}
+    for name, skin in names.items():
+        health = check_skin(rest_samples(skin, procedure.clock))
+        which = f"the skin {name}, " if name else ""
+        require_healthy(health, f"{which}{skin.features.name}")
+        print(f"skin{f' {name}' if name else ''} at rest: {health.summary}")
+        for defect in health.defects:
+            print(f"              {defect.sentence}")
 
 
 def _session_info(
@@ -178,6 +186,18 @@ def _session_info(
             "skin serial number": _serial_number(skin),
             "rig": notes["rig"],
             "settings": json.dumps(vars(args.settings)),
+        },
+        skin=rig.skin if devices.carried else "",
+        carried={
+            each.name: CarriedSkinInfo(
+                each.pad or each.name,
+                each.board,
+                {
+                    "skin": f"{each.skin.features.name} ({each.skin.features.source})",
+                    "skin serial number": _serial_number(each.skin),
+                },
+            )
+            for each in devices.carried
         },
     )
 
@@ -206,7 +226,8 @@ def _run(
         notes["unreachable"] = {str(number): why for number, why in procedure.unreachable.items()}
         recorder.write_notes(out, notes)
         with suppress(DataError):  # nothing is lost with a card, and touches that cannot be read say so where they are
-            write_card(out, load_dataset(out, missing_chips=True))
+            several = session.procedure.rig.skin if session.procedure.carried else None
+            write_card(out, load_dataset(out, missing_chips=True, skin=several))
         print(session.summary(file_recorder))
 
 
@@ -263,6 +284,10 @@ class _Session:
             f"  {name}  {value:+7.1f}  {bar(value / BAR_SCALE_UT)}" if np.isfinite(value) else f"  {name}  missing"
             for name, value in zip(names, touch.reading, strict=True)
         ]
+        line += "".join(
+            f"  {name} {ENDS[each.code]} {np.sqrt(np.nansum(each.reading**2)):.1f} uT"
+            for name, each in touch.carried.items()
+        )
         self._show([line, *bars, f"  {left / 60:.0f} min to go"] if self.live else [line])
 
     def _show(self, lines: list[str], keep: bool = False) -> None:
@@ -274,11 +299,12 @@ class _Session:
         made = len(file_recorder.saved)
         ends = ", ".join(f"{count} {ENDS[code]}" for code, count in sorted(self.codes.items()))
         seconds = time.monotonic() - self.begun
-        counters = self.procedure.skin.counters
+        counted = [skin.counters for skin in (self.procedure.skin, *(each.skin for each in self.procedure.carried))]
+        samples, lost = sum(each.samples for each in counted), sum(each.lost for each in counted)
         lines = [
             f"{len(self.done)} of {self.args.touches} touches are in {self.args.out}; {made} of them now ({ends})",
             f"{seconds / max(1, made):.2f} s and {file_recorder.bytes / max(1, made) / 1024:.0f} KiB a touch; of "
-            f"{counters.samples} samples {counters.lost} were lost; {len(self.procedure.unreachable)} sites cannot be "
+            f"{samples} samples {lost} were lost; {len(self.procedure.unreachable)} sites cannot be "
             "reached",
         ]
         if len(self.done) < self.args.touches:
@@ -351,9 +377,9 @@ def _by_name(values: Mapping[str, Any]) -> dict[str, Any]:
     return named
 
 
-def _keep_serial(notes: dict[str, Any], serial: str, out: Path) -> None:
-    """Note the skin's serial number ("" where it has none), one for all touches of a folder. Raises DataError."""
-    before = notes.setdefault("skin_serial", serial)
+def _keep_serial(notes: dict[str, Any], key: str, serial: str, out: Path) -> None:
+    """Note a skin's serial number ("" where it has none), one for all touches of a folder. Raises DataError."""
+    before = notes.setdefault(key, serial)
     if before and serial and before != serial:
         raise DataError(
             f"{out} was begun with the skin {before}, and this one is {serial}; plug that one in, or pass another --out"
@@ -385,12 +411,13 @@ def read_rig(args: CollectArgs) -> Rig:
     return replace(rig, T_world_object=T, object_from="given")
 
 
-def device_config(args: CollectArgs, begin: float = 0.0) -> DeviceConfig:
-    """Configurations of the devices that a command line names.
+def device_config(args: CollectArgs, begin: float = 0.0, rig: Rig | None = None) -> DeviceConfig:
+    """Configurations of the devices that a command line and a rig name.
 
     Args:
         args: As on the command line.
         begin: Unix time (s) at which virtual time may begin.
+        rig: The lab's calibration, with its further skins; by default there are none.
 
     Returns:
         The configurations.
@@ -407,7 +434,8 @@ def device_config(args: CollectArgs, begin: float = 0.0) -> DeviceConfig:
         stiffness=args.stiffness,
         board=args.board if args.skin in ("simulated", "emulated") else None,
     )
-    return DeviceConfig(_arm_config(args), _skin_config(args), _camera_config(args), world, begin)
+    carried = tuple(CarriedSkinConfig(place, _carried_config(place)) for place in (rig.skins if rig else ()))
+    return DeviceConfig(_arm_config(args), _skin_config(args), _camera_config(args), world, begin, carried)
 
 
 def _arm_config(args: CollectArgs) -> ArmConfig:
@@ -433,7 +461,7 @@ def _skin_config(args: CollectArgs) -> SkinConfig:
         case "emulated":
             return EmulatedSkinConfig(args.port, board)
         case "reskin":
-            return ReSkinConfig(args.port, board)
+            return ReSkinConfig(args.port, board, args.skin_serial)
         case "replay" if args.replay:
             return ReplayConfig(args.replay, board)
         case "replay":
@@ -442,6 +470,24 @@ def _skin_config(args: CollectArgs) -> SkinConfig:
     if args.board:
         raise ValueError(f"--board {args.board} means nothing to --skin {args.skin}, which knows its own; leave it out")
     return config
+
+
+def _carried_config(place: CarriedSkin) -> SkinConfig:
+    match place.device:
+        case "simulated":
+            return SimulatedSkinConfig()
+        case "emulated":
+            return EmulatedSkinConfig(None, place.board)
+        case "reskin":
+            return ReSkinConfig(place.address or None, place.board, place.serial_number or None)
+        case "replay":
+            return ReplayConfig(Path(place.address), place.board)
+    if not is_plugin("skin", place.device):
+        raise ValueError(
+            f"skins.{place.name}.device is {place.device!r}; give one of reskin, simulated, emulated, replay, a name "
+            "that an installed package registers, or package.module:Class"
+        )
+    return PluginConfig(place.device, place.address or None)
 
 
 def _camera_config(args: CollectArgs) -> CameraConfig:

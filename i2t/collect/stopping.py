@@ -39,10 +39,21 @@ class SkinStopCondition:
         rule: Which change is enough.
         ambient: (3 chips,) uT, the reading before contact.
         log: That hears of every sample and state.
+        T_tool_skin: (4, 4) of a further skin on the tool; None for the one in the tool's frame.
     """
 
-    def __init__(self, skin: Skin, board: Board, rule: StopRule, ambient: Float[Array, " c"], log: TouchLog) -> None:
+    def __init__(
+        self,
+        skin: Skin,
+        board: Board,
+        rule: StopRule,
+        ambient: Float[Array, " c"],
+        log: TouchLog,
+        *,
+        T_tool_skin: Float[Array, "4 4"] | None = None,
+    ) -> None:
         self._skin, self._board, self._rule, self._ambient, self._log = skin, board, rule, ambient, log
+        self._T_tool_skin = np.eye(4) if T_tool_skin is None else T_tool_skin
         self._number = int(skin.latest(max(rule.silence, AT_REST_SILENCE_S)).number[-1])
         self._last: list[Array] = []
         self._times: list[Array] = []
@@ -86,7 +97,7 @@ class SkinStopCondition:
         """Take what is new; raises DeviceTimeoutError if the skin is silent."""
         fresh = self._skin.since(self._number)
         self._log.state(state)
-        self._states.append((state.time, state.T_b_t[:3, 3]))
+        self._states.append((state.time, (state.T_b_t @ self._T_tool_skin)[:3, 3]))
         if not len(fresh.number):
             self._skin.latest(self._rule.silence)
             return
@@ -96,21 +107,21 @@ class SkinStopCondition:
         self._readings.append(fresh.reading)
         self._last = [*self._last, *fresh.reading][-self._rule.averaged_samples :]
 
-    def press(self, started: float, T_b_t: Float[Array, "4 4"]) -> tuple[Float[Array, "n c"], Float[Array, " n"]]:
-        """Samples of a press, and where the tool was when they were taken.
+    def press(self, started: float, T_b_s: Float[Array, "4 4"]) -> tuple[Float[Array, "n c"], Float[Array, " n"]]:
+        """Samples of a press, and where the skin was when they were taken.
 
         Args:
             started: s, when the press began.
-            T_b_t: (4, 4) tool in base where it ended.
+            T_b_s: (4, 4) skin in base where it ended: the tool, if it is the skin in the tool's frame.
 
         Returns:
-            Readings (n, 3 chips) uT, and how far (n,) m the tool was before that end.
+            Readings (n, 3 chips) uT, and how far (n,) m the skin was before that end, along its z.
         """
         if not self._readings or not self._states:
             return np.zeros((0, self._board.num_readings)), np.zeros(0)
         times, readings = np.concatenate(self._times), np.concatenate(self._readings)
         state_times = np.array([time for time, _ in self._states])
-        before = np.array([(T_b_t[:3, 3] - position) @ T_b_t[:3, 2] for _, position in self._states])
+        before = np.array([(T_b_s[:3, 3] - position) @ T_b_s[:3, 2] for _, position in self._states])
         during = times >= started
         return readings[during], np.interp(times[during], state_times, before)
 

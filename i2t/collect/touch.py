@@ -3,7 +3,8 @@
 Frames: W world, B robot base, T tool, C camera; `T_a_b` maps points in b to a. Metres, newtons, microtesla.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 from jaxtyping import Float
@@ -32,6 +33,21 @@ class SeenPatch(NamedTuple):
     visible_share: float  # of the patch's pixels, that were measured
 
 
+class CarriedTouch(NamedTuple):
+    """What a further skin on the tool read in a touch."""
+
+    T_w_s: Float[Array, "4 4"]  # of the skin at the end of the press
+    code: ReturnCode  # that of the touch where this skin felt it, else AIR
+    ambient: Float[Array, " c"]  # uT
+    reading: Float[Array, " c"]  # uT, mean in contact minus ambient
+    force: float  # N, along the skin's z; NaN where not this skin alone felt the press
+    depth: float  # m past first contact; NaN where this skin felt nothing, or it cannot be told
+    seen: SeenPatch | None  # before this skin, in the same view
+    counters: SkinCounters  # of this touch alone
+    expected_ambient: Float[Array, " c"] | None = None  # uT, by the field fitted from free poses
+    ambient_change: AmbientChange | None = None  # whether the ambient contradicts that field
+
+
 class TouchResult(NamedTuple):
     """A touch as it was made."""
 
@@ -42,7 +58,7 @@ class TouchResult(NamedTuple):
     T_w_t: Float[Array, "4 4"]  # at the end of the press
     ambient: Float[Array, " c"]  # uT
     reading: Float[Array, " c"]  # uT, mean in contact minus ambient
-    force: float  # N, along tool z
+    force: float  # N, along tool z; NaN where a further skin felt the press too
     depth: float  # m past first contact; NaN where nothing was met
     seen: SeenPatch | None  # from the pose at the end; None in a history, where images would fill the memory
     view: View | None
@@ -50,6 +66,7 @@ class TouchResult(NamedTuple):
     counters: SkinCounters  # of this touch alone
     expected_ambient: Float[Array, " c"] | None = None  # uT, by the field fitted from free poses
     ambient_change: AmbientChange | None = None  # whether the ambient contradicts that field
+    carried: Mapping[str, CarriedTouch] = MappingProxyType({})  # of further skins, by their names
 
 
 class SiteOutcome(NamedTuple):

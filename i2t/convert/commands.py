@@ -7,7 +7,7 @@ Examples:
     python -m i2t.convert eflesh RECORDINGS DATA --tip-radius-mm 4
     python -m i2t.convert presses TABLE.csv DATA --indenter sphere:4.0
     python -m i2t.convert stream LOG.csv DATA --indenter sphere:4.0
-    python -m i2t.convert pack DATA PACKED
+    python -m i2t.convert pack DATA PACKED                touches of several skins: --skin-name NAME
     python -m i2t.convert ambient DATA CORRECTED --field .ambient.npz
     python -m i2t.convert npz DATA DATA.npz
     python -m i2t.convert lerobot DATA LEROBOT            and back: lerobot LEROBOT DATA
@@ -47,7 +47,13 @@ Source = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SRC")]
 Target = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DST")]
 
 
-def summarise(source: Source, json: bool = False, quick: bool = False, skip_bad: bool = False) -> None:
+def summarise(
+    source: Source,
+    json: bool = False,
+    quick: bool = False,
+    skip_bad: bool = False,
+    skin_name: str | None = None,
+) -> None:
     """Say what a data set holds: touches per object, pad and session, how presses ended, readings, missing values.
 
     Args:
@@ -55,11 +61,10 @@ def summarise(source: Source, json: bool = False, quick: bool = False, skip_bad:
         json: print one JSON object, for a program
         quick: counts only, from the folder's index, without reading every touch again
         skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them
+        skin_name: of several skins that were read in each touch, the one that is meant
     """
     _require_source(source)
-    from i2t.dataset import load_dataset
-
-    found = _counts(source) if quick else load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad).summary()
+    found = _counts(source) if quick else _load(source, skip_bad, skin_name).summary()
     print(json_text.dumps(found, indent=1, allow_nan=False) if json else _page(source, found))
 
 
@@ -266,7 +271,13 @@ def from_stream(
     _write(target, converted)
 
 
-def pack(source: Source, target: Target, overwrite: bool = False, skip_bad: bool = False) -> None:
+def pack(
+    source: Source,
+    target: Target,
+    overwrite: bool = False,
+    skip_bad: bool = False,
+    skin_name: str | None = None,
+) -> None:
     """Pack all touches of a folder into one file, which loads faster; images and time series of touches stay behind.
 
     Args:
@@ -274,12 +285,12 @@ def pack(source: Source, target: Target, overwrite: bool = False, skip_bad: bool
         target: folder to write
         overwrite: replace what an earlier conversion wrote
         skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them
+        skin_name: of several skins that were read in each touch, the one that is meant
     """
     _require(source, target, overwrite)
     from i2t.convert.common import Converted
-    from i2t.dataset import load_dataset
 
-    _write(target, Converted(load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad), ()))
+    _write(target, Converted(_load(source, skip_bad, skin_name), ()))
 
 
 def subtract_ambient_field(
@@ -539,11 +550,16 @@ def _require_free_export(target: Path, mark: str, overwrite: bool) -> None:
     require_free_folder(target, mark, overwrite=overwrite)
 
 
-def _export(source: Path, target: Path, write: Callable[[Path, "Dataset"], Path], skip_bad: bool) -> None:
-    """Write a data set in another format, which may know chips that did not answer."""
+def _load(source: Path, skip_bad: bool, skin_name: str | None = None) -> "Dataset":
+    """A data set in which chips may be missing, unless such touches are to be left out."""
     from i2t.dataset import load_dataset
 
-    dataset = load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad)
+    return load_dataset(source, skip_bad=skip_bad, missing_chips=not skip_bad, skin=skin_name)
+
+
+def _export(source: Path, target: Path, write: Callable[[Path, "Dataset"], Path], skip_bad: bool) -> None:
+    """Write a data set in another format, which may know chips that did not answer."""
+    dataset = _load(source, skip_bad)
     print(f"wrote {len(dataset)} touches to {write(target, dataset)}")
 
 

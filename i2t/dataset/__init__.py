@@ -8,10 +8,12 @@ reads, `splits` holds touches out. The schema is described in docs/data.md.
 from i2t.dataset.sets import Dataset, concatenate, missing_context, validate
 from i2t.dataset.splits import by_group, holdout_blocks, holdout_last, holdout_names, spatial_blocks
 from i2t.dataset.store import (
+    SKIN_NAME,
     BadFileWarning,
     Image,
     Record,
     Series,
+    SkinChoiceError,
     index,
     load_dataset,
     read_touch,
@@ -21,12 +23,14 @@ from i2t.dataset.store import (
 from i2t.errors import DataError
 
 __all__ = [
+    "SKIN_NAME",
     "BadFileWarning",
     "DataError",
     "Dataset",
     "Image",
     "Record",
     "Series",
+    "SkinChoiceError",
     "by_group",
     "concatenate",
     "holdout_blocks",

@@ -2,7 +2,9 @@
 `load_dataset` reads files and folders of both.
 
 Every file holds the same groups (docs/data.md); a recorded touch adds what only one touch has: images, time series,
-events and counters.
+events and counters. A touch in which several skins were read holds that of the skin at the tool where every file has
+its touches, and of each further one the same groups in `skins/NAME`, which earlier readers leave aside. A data set is
+of one skin: where there are several, one is named (`skin=`).
 """
 
 import json
@@ -11,8 +13,9 @@ import secrets
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -41,7 +44,14 @@ UNITS = {
     **dict.fromkeys(("object", "pad", "session", "code"), "1"),
 }
 
+SKIN_SERIES = ("tactile", "temperature", "ambient", "ambient_predicted")  # of a skin; a further one's end in its name
+SKIN_NAME = "skin name"  # key of the meta in which a touch of several skins, or a set of one of them, keeps its name
+
 T = TypeVar("T")
+
+
+class SkinChoiceError(DataError):
+    """There are several skins, or not the one that was named; without the file's name."""
 
 
 class BadFileWarning(UserWarning):
@@ -76,6 +86,33 @@ class Record:
     series: Mapping[str, Series] = field(default_factory=dict)
     events: tuple[tuple[float, str], ...] = ()  # (Unix time in s, what happened)
     counters: Mapping[str, int] = field(default_factory=dict)  # such as dropped frames
+    skins: Mapping[str, Dataset] = field(default_factory=dict)  # of further skins, by their names; of length 1
+
+    @property
+    def skin_names(self) -> tuple[str, ...]:
+        """Of the skin at the tool, "" where it has none, and of the further ones."""
+        return (self.touch.meta.get(SKIN_NAME, ""), *self.skins)
+
+    def of_skin(self, name: str | None = None) -> "Record":
+        """What was recorded of one of several skins, as if it had been the only one.
+
+        Args:
+            name: Of the skin; it may be left out where there is one.
+
+        Returns:
+            The record, whose series have the names that they have where there is one skin.
+
+        Raises:
+            DataError: There are several skins and none was named, or not that one.
+        """
+        picked = _picked_skin(self.skin_names, name)
+        others = {f"{label} {other}" for other in self.skins for label in SKIN_SERIES}
+        series = {label: each for label, each in self.series.items() if label not in others}
+        if picked in self.skins:
+            own = {label: f"{label} {picked}" for label in SKIN_SERIES}
+            series = {label: each for label, each in series.items() if label not in SKIN_SERIES}
+            series |= {label: self.series[full] for label, full in own.items() if full in self.series}
+        return replace(self, touch=self.skins.get(picked, self.touch), series=series, skins={})
 
 
 def save_dataset(path: str | Path, dataset: Dataset) -> Path:
@@ -120,7 +157,10 @@ def write_touch(folder: str | Path, record: Record, at: float | None = None) -> 
     path = Path(folder) / name
     if len(record.touch) != 1:
         raise DataError(f"{path}: a record holds {len(record.touch)} touches, not 1; record each touch by itself")
-    _check(path, record.touch)
+    for touch in (record.touch, *record.skins.values()):
+        _check(path, touch)
+    if record.skins and (len(set(record.skin_names)) <= len(record.skins) or not all(record.skin_names)):
+        raise DataError(f"{path}: the skins {record.skin_names} cannot be told apart; give each a name of its own")
     for label, series in record.series.items():
         if series.values.ndim != 2 or series.values.shape != (len(series.time), len(series.columns)):
             raise DataError(
@@ -141,6 +181,8 @@ def write_touch(folder: str | Path, record: Record, at: float | None = None) -> 
         _put(file, "events/text", _text([text for _, text in record.events]), "1")
         for label, count in record.counters.items():
             _put(file, f"counters/{label}", np.int64(count), "1")
+        for name, touch in record.skins.items():
+            _put_dataset(file.create_group(f"skins/{name}"), touch)
 
     return write(path, fill, small=True)
 
@@ -175,16 +217,20 @@ def read_touch(path: str | Path) -> Record:
             },
             events=tuple((float(time), str(text)) for time, text in zip(times, texts, strict=True)),
             counters={k: int(v[()]) for k, v in groups["counters"].items()},
+            skins={name: _get_dataset(group) for name, group in file.get("skins", {}).items()},
         )
 
     record = _read(path, get)
     if len(record.touch) != 1:
         raise DataError(f"{path}: holds {len(record.touch)} touches, not 1; read it with load_dataset")
-    _check(path, record.touch)
+    for touch in (record.touch, *record.skins.values()):
+        _check(path, touch)
     return record
 
 
-def load_dataset(path: str | Path, *, skip_bad: bool = False, missing_chips: bool = False) -> Dataset:
+def load_dataset(
+    path: str | Path, *, skip_bad: bool = False, missing_chips: bool = False, skin: str | None = None
+) -> Dataset:
     """Read a packed file, a recorded touch, or a folder of any of these with its subfolders.
 
     Touches come in the order of the files' names (recorded touches: of time). Hidden files (leftovers of an interrupted
@@ -195,13 +241,15 @@ def load_dataset(path: str | Path, *, skip_bad: bool = False, missing_chips: boo
         skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them in a
             BadFileWarning.
         missing_chips: keep touches in which a chip did not answer; its values are NaN, which the caller has to mind.
+        skin: name of the skin whose touches are read, where several were read in each touch.
 
     Returns:
         One data set of all touches.
 
     Raises:
         DataError: files cannot be used and `skip_bad` is not set (one sentence names them all), none is left, chips are
-            missing and neither switch is set, or files do not fit together (another board, another window or reach).
+            missing and neither switch is set, files do not fit together (another board, another window or reach), or
+            there are several skins and none is named.
 
     Example:
         touches = i2t.load_dataset("data/mug").touches
@@ -212,9 +260,11 @@ def load_dataset(path: str | Path, *, skip_bad: bool = False, missing_chips: boo
     bad: list[str] = []
     for file in files:
         try:
-            dataset = _read(file, _get_dataset)
+            dataset = _read(file, partial(_get_picked, skin=skin))
             _check(file, dataset)
             good.append(dataset)
+        except SkinChoiceError as error:
+            raise SkinChoiceError(f"{file}: {error}") from None
         except DataError as error:
             bad.append(str(error))
     if bad and not (skip_bad and good):
@@ -356,7 +406,7 @@ def _read(path: Path, get: Callable[[h5py.File], T]) -> T:
             ) from error
 
 
-def _put_dataset(file: h5py.File, dataset: Dataset) -> None:
+def _put_dataset(file: h5py.Group, dataset: Dataset) -> None:
     touches = dataset.touches
     file.attrs["source"] = dataset.source
     file.attrs["software"] = f"i2t {__version__}"
@@ -377,7 +427,31 @@ def _put_dataset(file: h5py.File, dataset: Dataset) -> None:
     file["touches"].attrs["wide_pixels"] = touches.wide.shape[-1]
 
 
-def _get_dataset(file: h5py.File) -> Dataset:
+def _get_picked(file: h5py.File, skin: str | None) -> Dataset:
+    """The touches of one skin; raises SkinChoiceError."""
+    own = str(file["meta"][SKIN_NAME].asstr()[()]) if SKIN_NAME in file.get("meta", {}) else ""
+    picked = _picked_skin((own, *file.get("skins", {})), skin)
+    return _get_dataset(file if picked == own else file["skins"][picked])
+
+
+def _picked_skin(names: tuple[str, ...], asked: str | None) -> str:
+    """The name of the skin that is meant; raises SkinChoiceError where that is not clear."""
+    if asked is None and len(names) == 1:
+        return names[0]
+    said = " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+    if asked is None:
+        raise SkinChoiceError(
+            f"holds touches of {len(names)} skins, {said}; name one with --skin-name (skin= of load_dataset; "
+            "python -m i2t.convert pack --skin-name makes a set of one)"
+        )
+    if asked not in names or not asked:
+        has = f"the skin {said}" if names != ("",) else "one skin without a name"
+        remedy = "name one of these" if names != ("",) else "leave out --skin-name"
+        raise SkinChoiceError(f"has no skin {asked!r} but {has}; {remedy}")
+    return asked
+
+
+def _get_dataset(file: h5py.Group) -> Dataset:
     group = file["touches"]
     columns = {name: group[_stored(group, name)][()] for name in Touches._fields if _stored(group, name) in group}
     if "wide" not in columns:
@@ -403,7 +477,7 @@ def _stored(group: h5py.Group, name: str) -> str:
     return name if name in group else FIELDS_OF_VERSION_1.get(name, name)
 
 
-def _put(file: h5py.File, name: str, values: Any, unit: str) -> h5py.Dataset:
+def _put(file: h5py.Group, name: str, values: Any, unit: str) -> h5py.Dataset:
     """Store an array, compressed (gzip 1) in chunks of rows where it is large, with its unit."""
     options: dict[str, Any] = {}
     if isinstance(values, np.ndarray) and values.nbytes > 4096 and values.dtype != object:

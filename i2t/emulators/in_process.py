@@ -17,6 +17,7 @@ from typing import Any, SupportsIndex, TypeAlias
 import numpy as np
 
 from i2t.depth.camera import Camera
+from i2t.emulators.carried_contact import CarriedContact, SeveralContacts
 from i2t.emulators.robot_motion import Robot
 from i2t.emulators.scene import ContactModel, ObjectScene, TouchableScene
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
@@ -95,7 +96,9 @@ class SimulatedLab:
     ) -> None:
         self.scene, self.clock, self.noise = scene, clock, scene.errors.noise
         self.contact_model = contact_model or ContactModel(scene)
-        self.robot = Robot(np.array(HOME_POSE), self.contact_model, np.zeros(6), scene.errors.force)
+        self.carried: list[CarriedSkinLab] = []
+        self.contacts = SeveralContacts(self.contact_model, [])
+        self.robot = Robot(np.array(HOME_POSE), self.contacts, np.zeros(6), scene.errors.force)
         self.time = clock.now()
         self.lock = threading.RLock()
         self.samples: deque[Row] = deque(maxlen=QUEUE_SAMPLES)
@@ -113,23 +116,35 @@ class SimulatedLab:
             now = self.clock.now()
             self.time = max(self.time, now - MAX_IDLE_S)
             while self.time + TICK_S <= now:
-                at_once = FAR_TICKS if self.contact_model.far(self.robot.position) else 1
+                at_once = FAR_TICKS if self.contacts.far(self.robot.position, self.robot.rotation) else 1
                 ticks = min(at_once, max(1, int((now - self.time) / TICK_S)))
                 if self.robot.motion is not None:
                     self.robot.step(ticks * TICK_S)
                 self.robot.wrench()
                 for _ in range(ticks):
                     self.time += TICK_S
-                    if self.recording:
-                        self.samples.append((self.number, self.time, *self._sample()))
-                        self.number += 1
+                    self.keep_sample(self.time, self.robot.position, self.robot.rotation)
+                    for skin in self.carried:
+                        skin.keep_sample(self.time, *skin.contact.pose(self.robot.position, self.robot.rotation))
 
-    def _sample(self) -> tuple[Array, Array]:
+    def keep_sample(self, now: float, position: Array, rotation: Array) -> None:
+        """Measure once, if somebody holds the skin.
+
+        Args:
+            now: s.
+            position: (3,) m, of the skin in the base.
+            rotation: (3, 3) of the skin in the base.
+        """
+        if self.recording:
+            self.samples.append((self.number, now, *self._sample(position, rotation)))
+            self.number += 1
+
+    def _sample(self, position: Array, rotation: Array) -> tuple[Array, Array]:
         """A reading (3 chips,) uT and temperatures (chips,)."""
         if not self._noise:
             self._noise = self._draw()
         noise, celsius = self._noise.pop()
-        at_rest = self.scene.rest + self.contact_model.ambient(self.robot.position, self.robot.rotation)
+        at_rest = self.scene.rest + self.contact_model.ambient(position, rotation)
         reading = at_rest + self.contact_model.reading + noise
         return np.rint(reading / self._steps) * self._steps, celsius
 
@@ -165,6 +180,39 @@ class SimulatedLab:
             np.array([row[2] for row in rows], np.float64).reshape(n, board.num_readings),
             np.array([row[3] for row in rows], np.float64).reshape(n, board.num_chips),
         )
+
+
+class CarriedSkinLab(SimulatedLab):
+    """A further skin on the tool of a lab, at a pose of its own; give it to a `SimulatedSkin`.
+
+    It meets the scene with its own pad, and pushes the tool as the other skins do.
+
+    Args:
+        of: Whose tool carries it.
+        scene: What it meets.
+        T_tool_skin: (4, 4) where it is.
+        seed: Of its noise.
+        contact_model: What it feels; by default made of the scene.
+    """
+
+    def __init__(
+        self,
+        of: SimulatedLab,
+        scene: TouchableScene,
+        T_tool_skin: Array,
+        *,
+        seed: int = 1,
+        contact_model: ContactModel | None = None,
+    ) -> None:
+        super().__init__(scene, of.clock, seed, contact_model)
+        self._of, self.lock = of, of.lock
+        self.contact = CarriedContact(self.contact_model, T_tool_skin)
+        of.contacts.carried.append(self.contact)
+        of.carried.append(self)
+
+    def advance(self) -> None:
+        """Move the whole lab on to the present."""
+        self._of.advance()
 
 
 class _SimulatedDevice(DeviceBase):
@@ -334,7 +382,7 @@ class SimulatedArm(_SimulatedDevice):
         vector = pose_to_vector(T_b_t)
         with self.lab.lock:
             robot = self.lab.robot
-            self.lab.contact_model.stands(robot.position, robot.rotation)  # however short it stood
+            self.lab.contacts.stands(robot.position, robot.rotation)  # however short it stood
             robot.line_to(np.array(vector), speed, acceleration)
         return pose_from_vector(vector)
 

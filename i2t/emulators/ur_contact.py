@@ -7,13 +7,15 @@ file says it is, but for the errors of a session of that seed.
 import contextlib
 import socket
 import struct
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from i2t.emulators.carried_contact import CarriedContact, SeveralContacts
 from i2t.emulators.scene import ContactModel, TouchableScene
-from i2t.emulators.world import WorldConfig, make_scene
+from i2t.emulators.world import WorldConfig, carried_scene, make_scene
 from i2t.hardware.rig import Rig
 from i2t.types import Array
 
@@ -57,22 +59,40 @@ class BoardPublishingContactModel(ContactModel):
         return wrench
 
 
-def make_contact_model(world: WorldConfig, rig: Path | None, board: tuple[str, int] | None) -> ContactModel:
+def make_contact_model(
+    world: WorldConfig,
+    rig: Path | None,
+    board: tuple[str, int] | None,
+    carried: Mapping[str, tuple[str, int]] | None = None,
+) -> SeveralContacts:
     """The contact with an object; it takes some seconds, in which everything is compiled.
 
     Args:
         world: What is there.
         rig: File that says where; by default the emulators' own rig.
         board: Where an emulated board receives what the skin feels.
+        carried: Where the boards of further skins of the rig do, by the skins' names.
 
     Returns:
         What a moving tool feels.
 
     Raises:
-        ValueError: Object, pad or rig cannot be used.
+        ValueError: Object, pad or rig cannot be used, or the rig has no such skin.
         OSError: A file cannot be read.
     """
-    setup = Rig() if rig is None else Rig.read(rig)
+    setup, carried = Rig() if rig is None else Rig.read(rig), carried or {}
+    unknown = set(carried) - {place.name for place in setup.skins}
+    if unknown:
+        raise ValueError(f"the rig has no skin {', '.join(sorted(unknown))}; correct --carried")
     scene = make_scene(world, setup)
-    scene.ahead(setup.T_base_world @ setup.T_world_object)  # compiled before anybody waits for it
-    return ContactModel(scene, wait=False) if board is None else BoardPublishingContactModel(scene, board)
+    at = setup.T_base_world @ setup.T_world_object
+    scene.ahead(at)  # compiled before anybody waits for it
+    own = ContactModel(scene, wait=False) if board is None else BoardPublishingContactModel(scene, board)
+    further = []
+    for number, place in enumerate(setup.skins, 1):
+        if place.name in carried:
+            meets = carried_scene(world, setup, place.board, number)
+            meets.ahead(at)
+            model = BoardPublishingContactModel(meets, carried[place.name])
+            further.append(CarriedContact(model, place.T_tool_skin))
+    return SeveralContacts(own, further)

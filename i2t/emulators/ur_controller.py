@@ -151,6 +151,10 @@ class ControllerArgs:
     mount: float = 10e3  # stiffness of arm and mount, N/m
     skin: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
     """An emulated board that shows what the skin feels."""
+    carried: Annotated[
+        tyro.conf.UseAppendAction[tuple[tuple[str, str], ...]], tyro.conf.arg(metavar="NAME HOST:PORT")
+    ] = ()
+    """An emulated board that shows what a further skin of the rig feels."""
     tethered: bool = False  # end when standard input closes
 
 
@@ -204,8 +208,8 @@ def _contact(options: ControllerArgs) -> tuple[Contact, float]:
     from i2t.emulators.ur_contact import make_contact_model
     from i2t.emulators.world import WorldConfig
 
-    address = options.skin.rsplit(":", 1) if options.skin else None
-    board = (address[0], int(address[1])) if address else None
+    board = _address(options.skin) if options.skin else None
+    carried = {name: _address(text) for name, text in options.carried}
     world = WorldConfig(
         options.object,
         options.unit,
@@ -215,8 +219,13 @@ def _contact(options: ControllerArgs) -> tuple[Contact, float]:
         stiffness=options.mount,
         board=options.board,
     )
-    contact = make_contact_model(world, options.rig, board)
+    contact = make_contact_model(world, options.rig, board, carried)
     return contact, contact.scene.errors.force if options.noise is None else options.noise
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, port = text.rsplit(":", 1)
+    return host, int(port)
 
 
 if __name__ == "__main__":

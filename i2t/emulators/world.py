@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from i2t.types import Pad
 
 DEFAULT_PAD_KEY = 1000  # of the random pad that is worn where none is named, the same as pad 0 of experiments.train
+CARRIED_PAD_KEY = 1900  # of the random pad of a further skin on the tool, plus its number
 
 
 @dataclass(frozen=True)
@@ -107,11 +108,38 @@ def make_scene(world: WorldConfig, rig: Rig) -> "ObjectScene":
         ValueError: Object or pad cannot be used.
         OSError: A file cannot be read.
     """
+    return _scene(world, rig, read_pad(world.pad, world.board))
+
+
+def _scene(world: WorldConfig, rig: Rig, pad: "Pad") -> "ObjectScene":
     from i2t.emulators.scene import ObjectScene
     from i2t.simulation.touches import SimulationErrors
 
     errors = SimulationErrors().scaled(0.0) if world.no_pose_error else SimulationErrors()
     mesh = read_object(world.object, world.unit).mesh
     T_b_o = rig.T_base_world @ rig.T_world_object
-    pad = read_pad(world.pad, world.board)
     return ObjectScene(mesh, T_b_o, pad, errors, stiffness=world.stiffness, seed=world.seed)
+
+
+def carried_scene(world: WorldConfig, rig: Rig, board: str, number: int) -> "ObjectScene":
+    """The same object as a further skin on the tool meets it, with a random pad of its own.
+
+    Args:
+        world: What is there.
+        rig: Where it is.
+        board: Name of the skin's board.
+        number: Of the skin, from 1.
+
+    Returns:
+        What this skin meets.
+
+    Raises:
+        ValueError: The object cannot be used.
+        OSError: A file cannot be read.
+    """
+    import jax
+
+    from i2t.skin.pad import sample_pad
+
+    pad = sample_pad(jax.random.key(CARRIED_PAD_KEY + number), board=make_board(board))
+    return _scene(world, rig, pad)

@@ -6,6 +6,7 @@
 Frames: W world (z up, its origin on the table), B robot base, F flange, T tool (the skin: origin at its centre, z out
 of it), C camera (z forward), O object; `T_a_b` maps points in b to a. Metres, kilograms, newtons. A file holds every
 pose as the four rows of its matrix; what is missing, unknown, not rigid or out of range is refused in one sentence.
+Further skins that the tool carries are tables `[skins.NAME]` (`i2t.hardware.carried_skins`).
 """
 
 import difflib
@@ -23,6 +24,7 @@ from i2t.cli import exit_code_of
 from i2t.depth.camera import Camera
 from i2t.files import read_toml, replacing
 from i2t.geometry import inverse
+from i2t.hardware.carried_skins import TOOL_SKIN, WORDS, CarriedSkin, carried_keys, require_distinct, require_skin_name
 from i2t.hardware.kinematics import arms
 from i2t.hardware.limits import MotionLimits, format_position
 from i2t.hardware.rig_checks import implausible
@@ -46,6 +48,7 @@ COMMENTS = {
     "may be off along and about its own axes: object_covariance (m^2, turns in radians times 8.5 mm)",
     "limits": "box for the tool's origin in the base (m), m/s, m/s^2, N, Nm, the longest approach (m), and the "
     "stiffness of skin, arm and mount in series (N/m), with which collisions are reckoned",
+    "skins": "a further skin: its frame in the tool (m), its device, board and pad, and its port or serial number",
 }
 
 RENAMED_RIG_KEYS = {"limits": {"travel": "approach_distance"}}  # earlier name to name: files of both are read
@@ -78,8 +81,12 @@ class Rig:
         default_factory=lambda: np.diag(DEFAULT_OBJECT_STD_M) ** 2
     )  # (6, 6) m^2 (`i2t.registration.touch`)
     arm: str = ""  # a name of `i2t.hardware.kinematics.arms`, whose reach is then planned with; empty: it is not known
+    skin: str = TOOL_SKIN  # name of the skin in the tool's frame, which presses
+    skins: tuple[CarriedSkin, ...] = ()  # further ones, which are read in each touch
 
     def __post_init__(self) -> None:
+        require_skin_name("tool.skin", self.skin)
+        require_distinct(self.skin, self.skins)
         for name, far in (
             ("T_flange_tool", MAX_TOOL_M),
             ("T_tool_camera", MAX_TOOL_M),
@@ -166,7 +173,10 @@ class Rig:
         for table, keys in _tables().items():
             lines += ["", f"# {COMMENTS[table]}", f"[{table}]"]
             values = self._values(table)
-            lines += [f"{key} = {_toml(values[key])}" for key in keys if key != "arm" or self.arm]
+            left_out = {key for key, default in (("arm", ""), ("skin", TOOL_SKIN)) if getattr(self, key) == default}
+            lines += [f"{key} = {_toml(values[key])}" for key in keys if key not in left_out]
+        for skin in self.skins:
+            lines += ["", f"# {COMMENTS['skins']}", *skin.text(_toml(skin.T_tool_skin))]
         return "\n".join(lines) + "\n"
 
     def _values(self, table: str) -> dict[str, Any]:
@@ -179,7 +189,7 @@ class Rig:
 def _tables() -> dict[str, list[str]]:
     """The keys of each table of a file, in order."""
     return {
-        "tool": ["T_flange_tool", "mass", "centre", "arm"],
+        "tool": ["T_flange_tool", "mass", "centre", "arm", "skin"],
         "camera": ["T_tool_camera", "looking_distance", *(each.name for each in fields(Camera))],
         "world": ["T_world_base", "T_world_object", "object_from", "object_covariance"],
         "limits": [each.name for each in fields(MotionLimits)],
@@ -192,13 +202,14 @@ def _key(name: str) -> str:
 
 def _parsed(tables: dict[str, Any]) -> Rig:
     known = _tables()
-    _known("table", tables, list(known))
+    skins = _carried(tables.pop("skins", {})) if isinstance(tables, dict) else ()
+    _known("table", tables, [*known, "skins"])
     tables = {table: _with_present_names(table, values) for table, values in tables.items()}
     for table, keys in known.items():
         if not isinstance(tables.get(table), dict):
             raise ValueError(f"[{table}] is missing; add that table, with {COMMENTS[table]}")
         _known(f"key of [{table}]", tables[table], keys)
-        own = {"arm", "model", "coefficients", "object_from", "object_covariance"}
+        own = {"arm", "skin", "model", "coefficients", "object_from", "object_covariance"}
         optional = {each.name for each in fields(MotionLimits)[2:]} | own
         missing = [key for key in keys if key not in tables[table] and key not in optional]
         if missing:
@@ -209,13 +220,31 @@ def _parsed(tables: dict[str, Any]) -> Rig:
         limits = MotionLimits(**values["limits"])
     except ValueError as error:
         raise ValueError(f"limits.{error}") from error
-    return Rig(**values["tool"], **values["camera"], **values["world"], camera=Camera(**camera), limits=limits)
+    places = {**values["tool"], **values["camera"], **values["world"]}
+    return Rig(**places, camera=Camera(**camera), limits=limits, skins=skins)
+
+
+def _carried(tables: Any) -> tuple[CarriedSkin, ...]:
+    """The skins of the tables `[skins.NAME]`."""
+    if not isinstance(tables, dict) or not all(isinstance(table, dict) for table in tables.values()):
+        raise ValueError("skins is no table of tables; write [skins.NAME] for each further skin")
+    found = []
+    for name, table in tables.items():
+        _known(f"key of [skins.{name}]", table, carried_keys())
+        if "T_tool_skin" not in table:
+            raise ValueError(f"skins.{name}.T_tool_skin is missing; add where the skin is in the tool")
+        for key in WORDS:
+            if not isinstance(table.get(key, ""), str):
+                raise ValueError(f"skins.{name}.{key} is {table[key]!r}; give a word in quotes")
+        pose = _rigid(f"skins.{name}.T_tool_skin", table["T_tool_skin"], MAX_TOOL_M)
+        found.append(CarriedSkin(**{**table, "name": name, "T_tool_skin": pose}))
+    return tuple(found)
 
 
 def _value(key: str, value: Any) -> Any:
     """What a key of a file holds, as the type that it must be."""
     name = key.split(".")[1]
-    if name in ("arm", "model", "object_from"):
+    if name in ("arm", "skin", "model", "object_from"):
         if not isinstance(value, str):
             raise ValueError(f"{key} is {value!r}; give a word in quotes")
         return value
@@ -353,7 +382,7 @@ def summary(rig: Rig) -> str:
         rig: The lab's calibration.
 
     Returns:
-        Five lines.
+        Five lines, and one for each further skin.
     """
     at, limits = (1e3 * rig.T_tool_camera[:3, 3]), rig.limits
     apart = math.degrees(math.acos(min(1.0, rig.T_tool_camera[2, 2])))
@@ -372,7 +401,18 @@ def summary(rig: Rig) -> str:
             f"limits    {limits.speed:g} m/s, {limits.acceleration:g} m/s^2, {limits.force:g} N, {limits.torque:g} Nm, "
             f"approaches of {1e3 * limits.approach_distance:g} mm; free motion at {1e3 * limits.free_speed:.0f} mm/s "
             f"at the most, which a collision at {limits.stiffness / 1e3:g} N/mm allows",
+            *(_carried_line(skin) for skin in rig.skins),
         ]
+    )
+
+
+def _carried_line(skin: CarriedSkin) -> str:
+    at = np.round(1e3 * skin.T_tool_skin[:3, 3], 1).tolist()
+    apart = math.degrees(math.acos(float(np.clip(skin.T_tool_skin[2, 2], -1.0, 1.0))))
+    where = f" {skin.serial_number or skin.address}" if skin.serial_number or skin.address else ""
+    return (
+        f"skin      {skin.name}: {skin.device}{where}, board {skin.board}, at {at} mm in the tool, facing "
+        f"{apart:.0f} degrees off its z"
     )
 
 

@@ -27,6 +27,8 @@ class ViewArgs:
     """JSON file with names of candidates and p, their probabilities after each touch."""
     touches: Count | None = None
     """Look at so many at most, the first ones."""
+    skin_name: str | None = None
+    """Of several skins that were read in each touch, the one to look at."""
     html: bool = False
     """Write the page alone."""
     mcap: bool = False
@@ -50,7 +52,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def _write(asked: ViewArgs) -> None:
     check_options(asked)
-    name = asked.path.resolve().stem or "view"
+    name = (asked.path.resolve().stem or "view") + (f"-{asked.skin_name}" if asked.skin_name else "")
     page, recording, messages = (asked.out / f"{name}{ending}" for ending in (".html", ".rrd", ".mcap"))
     for path in (page, recording, *([messages] if asked.mcap else [])):
         if path.exists() and not asked.overwrite:
@@ -61,7 +63,9 @@ def _write(asked: ViewArgs) -> None:
     from i2t.view.page import write_page
     from i2t.view.rerun_file import why_no_recording, write_recording
 
-    contents = read_contents(asked.path, mesh=asked.mesh, unit=asked.unit, belief=asked.belief, most=asked.touches)
+    contents = read_contents(
+        asked.path, mesh=asked.mesh, unit=asked.unit, belief=asked.belief, most=asked.touches, skin=asked.skin_name
+    )
     asked.out.mkdir(parents=True, exist_ok=True)
     print(f"wrote {write_page(contents, page)}")
     if asked.mcap:

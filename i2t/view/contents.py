@@ -36,6 +36,7 @@ class Contents:
     files: tuple[Path, ...]  # of recorded touches, in the order of the data set; empty for other data sets
     mesh: Mesh | None  # of the object, in its own frame
     belief: BeliefHistory | None
+    skin: str | None = None  # which of several
 
     @property
     def simulated(self) -> bool:
@@ -45,14 +46,21 @@ class Contents:
     def records(self) -> Iterator[Record]:
         """The touches one after the other; without images and series where these were not recorded."""
         if self.files:
-            yield from map(read_touch, self.files)
+            for file in self.files:
+                yield read_touch(file).of_skin(self.skin)
         else:
             for row in range(len(self.dataset)):
                 yield Record(self.dataset.select([row]))
 
 
 def read_contents(
-    path: str | Path, *, mesh: str | None = None, unit: str = "mm", belief: Path | None = None, most: int | None = None
+    path: str | Path,
+    *,
+    mesh: str | None = None,
+    unit: str = "mm",
+    belief: Path | None = None,
+    most: int | None = None,
+    skin: str | None = None,
 ) -> Contents:
     """What a folder or file holds.
 
@@ -63,23 +71,24 @@ def read_contents(
         unit: Of a mesh file: m, cm, mm or inch.
         belief: A JSON file: `names` of candidates, and `p`, their probabilities after each touch.
         most: Touches that are looked at, the first ones; by default all.
+        skin: Name of the skin, where several were read in each touch.
 
     Returns:
         The contents.
 
     Raises:
-        DataError: There are no touches, or a file is damaged.
+        DataError: There are no touches, a file is damaged, or there are several skins and none is named.
         ValueError: The mesh cannot be read.
     """
     path = Path(path)
-    dataset = load_dataset(path, missing_chips=True)
+    dataset = load_dataset(path, missing_chips=True, skin=skin)
     files = tuple(sorted(path.glob(TOUCH_FILES))) if path.is_dir() else ()
     if len(files) != len(dataset):
         files = ()  # a packed set, or one with others next to it
     if most is not None:
         dataset, files = dataset.select(np.arange(min(most, len(dataset)))), files[:most]
     believed = None if belief is None else read_belief(belief, len(dataset))
-    return Contents(path, dataset, files, _mesh(mesh, unit, dataset), believed)
+    return Contents(path, dataset, files, _mesh(mesh, unit, dataset), believed, skin)
 
 
 def _mesh(name: str | None, unit: str, dataset: Dataset) -> Mesh | None:

@@ -10,6 +10,7 @@ class ReSkinConfig:
 
     port: str | None = None  # by default the one board that is plugged in
     board: str = "reskin"  # as `i2t.skin.boards.make_board` knows it
+    serial_number: str | None = None  # of the board, in place of its port
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ class ReSkin(Stream):
         rate: Hz, nominal.
         limits: What can be true of a frame.
         capacity: Samples that the queue holds.
+        serial_number: Of the board, which then has to be there; in place of its port.
 
     Raises:
         DeviceError: pyserial is missing.
@@ -54,6 +55,7 @@ class ReSkin(Stream):
         rate: float = RATE_HZ,
         limits: FrameLimits | None = None,
         capacity: int = 4096,
+        serial_number: str | None = None,
     ) -> None:
         try:
             import serial
@@ -61,8 +63,8 @@ class ReSkin(Stream):
         except ImportError as error:
             raise DeviceError("pyserial is missing; install it with: pip install 'imagine2touch[hardware]'") from error
         self._serial, self._comports = serial.Serial, list_ports.comports
-        self._asked_port, self._baud = port, baud
-        name = f"the skin on {port}" if port else "the skin"
+        self._asked_port, self._asked_serial, self._baud = port, serial_number, baud
+        name = f"the skin on {port}" if port else f"the skin {serial_number}" if serial_number else "the skin"
         super().__init__(name, _source(port), chips=chips, rate=rate, limits=limits, capacity=capacity)
 
     def ports(self) -> list[BoardInfo]:
@@ -118,10 +120,16 @@ class ReSkin(Stream):
 
     def _find(self) -> str:
         """The port that was asked for, or the board that was there before, or the only likely one."""
-        before = self._info.serial_number if self._info else None
+        before = self._asked_serial or (self._info.serial_number if self._info else None)
         if self._asked_port is not None and (before is None or os.path.exists(self._asked_port)):
             return self._asked_port
         known = self.ports()
+        if self._asked_serial and self._asked_serial not in [board.serial_number for board in known]:
+            there = ", ".join(f"{board.serial_number or 'one without a number'} on {board.port}" for board in known)
+            raise DeviceError(
+                f"no board has the serial number {self._asked_serial} (USB serial ports here: {there or 'none'}); plug "
+                "it in, or correct the number"
+            )
         for choice in (
             [board for board in known if before is not None and board.serial_number == before],
             [] if self._asked_port else [board for board in known if int((board.usb or "0")[:4], 16) in VENDORS],
