@@ -79,7 +79,7 @@ class SkinLog:
         self._log.samples(samples, self._skin)
 
     def state(self, state: ArmState) -> None:
-        """The skin at the tool keeps it."""
+        """Nothing is kept, as in `TouchLog.state`: the skin at the tool keeps it."""
 
     def event(self, text: str) -> None:
         """Keep what happened, as in `TouchLog.event`."""

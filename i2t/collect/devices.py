@@ -172,7 +172,16 @@ class DeviceContext:
         return SimulatedLab(self.scene, self.clock, seed=self.config.world.seed, contact_model=model)
 
     def carried_lab(self, place: CarriedSkin, number: int, *, emulated: bool) -> "SimulatedLab":
-        """Where a further skin of a simulated arm is, with a pad of its own; an emulated one hears what it feels."""
+        """Where a further skin of a simulated arm is, with a pad of its own.
+
+        Args:
+            place: The skin.
+            number: Of the skin, from 1.
+            emulated: Whether an emulated board shows what it feels.
+
+        Returns:
+            The lab of this skin.
+        """
         from i2t.emulators.in_process import CarriedSkinLab
 
         lab, scene, model = self.simulated_lab, carried_scene(self.world, self.rig, place.board, number), None
@@ -251,7 +260,7 @@ def make_devices(config: DeviceConfig, rig: Rig, stack: ExitStack) -> Devices:
     carried = tuple(
         _carried_skin(place, device, context, number + 1) for number, (place, device) in enumerate(config.carried)
     )
-    return Devices(arm, skin, camera, context.clock, board, carried)
+    return Devices(arm, skin, camera, context.clock, board, carried=carried)
 
 
 def _carried_skin(place: CarriedSkin, config: SkinConfig, context: DeviceContext, number: int) -> SkinOnTool:

@@ -435,7 +435,7 @@ def device_config(args: CollectArgs, begin: float = 0.0, rig: Rig | None = None)
         board=args.board if args.skin in ("simulated", "emulated") else None,
     )
     carried = tuple(CarriedSkinConfig(place, _carried_config(place)) for place in (rig.skins if rig else ()))
-    return DeviceConfig(_arm_config(args), _skin_config(args), _camera_config(args), world, begin, carried)
+    return DeviceConfig(_arm_config(args), _skin_config(args), _camera_config(args), world, begin, carried=carried)
 
 
 def _arm_config(args: CollectArgs) -> ArmConfig:

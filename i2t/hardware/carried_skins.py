@@ -25,7 +25,7 @@ from i2t.types import Array
 
 TOOL_SKIN = "tool"  # name of the skin in the tool's frame, where a rig gives none
 MAX_CARRIED_SKINS = 8  # beside the one that presses
-WORDS = ("device", "board", "address", "serial_number", "pad")  # keys of a table that are texts
+TEXT_KEYS = ("device", "board", "address", "serial_number", "pad")  # keys of a table that are texts
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}")
 
@@ -68,7 +68,7 @@ class CarriedSkin:
         Returns:
             The lines.
         """
-        given = [(key, getattr(self, key)) for key in WORDS if getattr(self, key)]
+        given = [(key, getattr(self, key)) for key in TEXT_KEYS if getattr(self, key)]
         quoted = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in given]
         return [f"[skins.{self.name}]", f"T_tool_skin = {pose}", *quoted]
 

@@ -24,7 +24,14 @@ from i2t.cli import exit_code_of
 from i2t.depth.camera import Camera
 from i2t.files import read_toml, replacing
 from i2t.geometry import inverse
-from i2t.hardware.carried_skins import TOOL_SKIN, WORDS, CarriedSkin, carried_keys, require_distinct, require_skin_name
+from i2t.hardware.carried_skins import (
+    TEXT_KEYS,
+    TOOL_SKIN,
+    CarriedSkin,
+    carried_keys,
+    require_distinct,
+    require_skin_name,
+)
 from i2t.hardware.kinematics import arms
 from i2t.hardware.limits import MotionLimits, format_position
 from i2t.hardware.rig_checks import implausible
@@ -233,7 +240,7 @@ def _carried(tables: Any) -> tuple[CarriedSkin, ...]:
         _known(f"key of [skins.{name}]", table, carried_keys())
         if "T_tool_skin" not in table:
             raise ValueError(f"skins.{name}.T_tool_skin is missing; add where the skin is in the tool")
-        for key in WORDS:
+        for key in TEXT_KEYS:
             if not isinstance(table.get(key, ""), str):
                 raise ValueError(f"skins.{name}.{key} is {table[key]!r}; give a word in quotes")
         pose = _rigid(f"skins.{name}.T_tool_skin", table["T_tool_skin"], MAX_TOOL_M)

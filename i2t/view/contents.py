@@ -88,7 +88,7 @@ def read_contents(
     if most is not None:
         dataset, files = dataset.select(np.arange(min(most, len(dataset)))), files[:most]
     believed = None if belief is None else read_belief(belief, len(dataset))
-    return Contents(path, dataset, files, _mesh(mesh, unit, dataset), believed, skin)
+    return Contents(path, dataset, files, _mesh(mesh, unit, dataset), believed, skin=skin)
 
 
 def _mesh(name: str | None, unit: str, dataset: Dataset) -> Mesh | None:
