@@ -68,8 +68,8 @@ class NullRecorder:
     def abandon(self, reason: str) -> None:
         """It was not."""
 
-    def samples(self, samples: Any) -> None:
-        """Of the skin."""
+    def samples(self, samples: Any, skin: str = "") -> None:
+        """Of a skin."""
 
     def state(self, state: Any) -> None:
         """Of the arm."""
