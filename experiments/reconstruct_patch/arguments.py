@@ -28,11 +28,28 @@ PRESETS: dict[str, PatchSizes] = {
 
 
 @dataclass(frozen=True)
+class RecordedSizes:
+    """How many recorded presses are taken at most."""
+
+    learnt: int = 800  # of which the skin is calibrated, with those by which constants are chosen
+    test: int = 1200  # of all parts
+    folds: int = 4  # parts of the blocks, each judged by what was learned in the others
+
+
+RECORDED_PRESETS: dict[str, RecordedSizes] = {
+    "paper": RecordedSizes(),
+    "short": RecordedSizes(300, 600),
+    "debug": RecordedSizes(60, 24, folds=2),
+}
+
+
+@dataclass(frozen=True)
 class PatchArgs:
     """Infer what a skin met at single presses, and say how far that is right."""
 
     out: Path = Path("runs/reconstruct_patch")  # folder for what is made
     preset: Literal["paper", "short", "debug"] = "paper"
+    dataset: Path | None = None  # recorded presses of one tip (a set, sessions of eFlesh, a table): where was it?
     meshes: Path | None = None  # folder of mesh files in metres that take the place of the drawn shapes
     patches: Annotated[int, Limits(64)] | None = None  # of the library, instead of the preset's
     test: Count | None = None  # contacts with test objects, instead of the preset's
@@ -41,8 +58,13 @@ class PatchArgs:
     overwrite: bool = False  # replace a finished run in --out
 
     def check(self) -> None:
-        """Refuse a folder that is not there."""
+        """Refuse what is not there, and options that recorded presses leave without effect."""
         require_path("--meshes", self.meshes, "folder")
+        require_path("--dataset", self.dataset, "path")
+        simulated = {"--meshes": self.meshes, "--patches": self.patches, "--test": self.test, "--pads": self.pads}
+        given = [name for name, value in simulated.items() if value is not None]
+        if self.dataset is not None and given:
+            raise ValueError(f"{', '.join(given)} has no effect on recorded presses; leave it or --dataset out")
 
     @property
     def sizes(self) -> PatchSizes:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.reconstruct_patch.scores import LEVELS
+from experiments.reconstruct_patch.scores import LEVELS, MM
 from i2t import viz
 from i2t.reconstruction.local_shape import PatchPosterior
 from i2t.reconstruction.press_curves import PressCurve
@@ -61,4 +61,29 @@ def draw_reliability(found: dict[str, Any], names: Sequence[str]) -> Figure:
     axes.set_ylabel("measured share (pixels in contact)")
     axes.set_title("Intervals of a pixel's depth (simulated)", fontsize=11)
     axes.legend(fontsize=7, loc="lower right")
+    return figure
+
+
+def draw_tips(places: np.ndarray, weights: np.ndarray, true: np.ndarray, report: dict[str, Any]) -> Figure:
+    """Where the tip of a few presses may have been, by their readings, and where it was.
+
+    Args:
+        places: (p, 2) m.
+        weights: (k, p) of each place, for each of k presses.
+        true: (k, 2) m.
+        report: Whose recording is named.
+    """
+    columns = -(-len(weights) // 2)
+    figure = Figure(figsize=(2.4 * columns + 1, 5.2), layout="constrained")
+    shape = tuple(len(np.unique(places[:, i])) for i in range(2))
+    x, y = (MM * np.unique(places[:, i]) for i in range(2))
+    for axes, weight, at in zip(figure.subplots(2, columns).ravel(), weights, true, strict=False):
+        most = np.sqrt(weight.reshape(shape).T / weight.max())  # square roots: what is less probable shows too
+        image = axes.pcolormesh(x, y, most, cmap="Blues", vmin=0, vmax=1, shading="nearest", rasterized=True)
+        axes.plot(*(MM * at), "+", color=style.RED, ms=9, mew=1.5)
+        axes.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
+        axes.label_outer()
+        axes.tick_params(labelsize=7)
+    figure.colorbar(image, ax=figure.axes, label="root of the share of\nthe most probable place", shrink=0.7)
+    figure.suptitle(f"Where the tip was, by one reading ({report['source']}); cross: where it was", fontsize=11)
     return figure

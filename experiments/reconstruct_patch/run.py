@@ -4,6 +4,7 @@
     python -m experiments.reconstruct_patch --preset short       a third of that
     python -m experiments.reconstruct_patch --meshes FOLDER      the meshes (OBJ, PLY, STL; metres) of a folder
     python -m experiments.reconstruct_patch --preset debug       too few to mean anything
+    python -m experiments.reconstruct_patch --dataset DATA       where the tip of recorded presses was (`recorded.py`)
 
 Objects of the catalogue and drawn ones, from a stamp's size to a hand's, are split by object into those of the library,
 those on which everything is chosen (validation) and those that are judged (test). Each is met at random safe sites, the
@@ -27,7 +28,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from experiments.common.runs import begin, write_json
-from experiments.reconstruct_patch import methods, scores
+from experiments.reconstruct_patch import methods, recorded, scores
 from experiments.reconstruct_patch.arguments import PatchArgs
 from experiments.reconstruct_patch.figures import draw_posteriors, draw_reliability
 from experiments.reconstruct_patch.scores import MetSurface
@@ -75,6 +76,8 @@ class ShapeMethod(NamedTuple):
 
 def run(args: PatchArgs) -> dict[str, Any]:
     """Run every method on the same presses; print the table, write metrics.json, config.json and figures."""
+    if args.dataset is not None:
+        return recorded.run(args)
     sizes = args.sizes
     begin(args.out, args, sizes, None, args.overwrite)
     key_parts, key_presses, key_methods = jax.random.split(jax.random.key(args.seed), 3)

@@ -347,6 +347,19 @@ def local_shapes_of_catalogue(measured: Measured) -> str:
     return markdown(["method", f"of the catalogue's objects: {first}", *others], rows)
 
 
+_TIP_SCORES = (
+    ("position_mm_median", "position, median mm", 2), ("position_mm_90", "position, 90 % mm", 1),
+    ("within_1mm", "within 1 mm", 2), ("depth_error", "depth, mean mm", 2), ("coverage_90", "90 % covers", 2),
+    ("bits", "bits", 1),
+)  # fmt: skip
+
+
+def tips_of_recording(measured: Measured) -> str:
+    """Scores of every method that tells where a tip pressed."""
+    head = ["method", *(title for _, title, _ in _TIP_SCORES)]
+    return markdown(head, _patch_rows(measured["methods"], _TIP_SCORES))
+
+
 def _patch_rows(methods: Mapping[str, Any], scores: Sequence[tuple[str, str, int]]) -> list[list[str]]:
     return [
         [name, *(_span(found[score], decimals) if score in found else "" for score, _, decimals in scores)]
@@ -357,7 +370,7 @@ def _patch_rows(methods: Mapping[str, Any], scores: Sequence[tuple[str, str, int
 def _span(found: Sequence[float], decimals: int) -> str:
     """A mean with its interval, none of which is negative."""
     mean, low, high = found
-    return f"{mean:.{decimals}f} ({low:.{decimals}f}-{high:.{decimals}f})"
+    return f"{mean:.{decimals}f} ({max(low, 0.0):.{decimals}f}-{high:.{decimals}f})"
 
 
 STUDY_TABLES = {
@@ -399,4 +412,5 @@ TABLES: dict[str, dict[str, Table]] = {
     "reconstruct": {"conditions": reconstructions(_RATIO, start=True)},
     "reconstruct_meshes": {"conditions": reconstructions(_DISTANCE, start=False)},
     "reconstruct_patch": {"methods": local_shapes, "catalogue": local_shapes_of_catalogue},
+    "reconstruct_tip": {"methods": tips_of_recording},
 }

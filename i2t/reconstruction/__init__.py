@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from i2t.reconstruction.press_curves import simulate_press_curve as simulate_press_curve
     from i2t.reconstruction.press_models import imagine_presses as imagine_presses
     from i2t.reconstruction.press_models import model_presses as model_presses
+    from i2t.reconstruction.tip import TipModel as TipModel
+    from i2t.reconstruction.tip import TipPosterior as TipPosterior
+    from i2t.reconstruction.tip import imagine_tip as imagine_tip
+    from i2t.reconstruction.tip import infer_tip as infer_tip
 
 _MODULES = {
     "library": ("build_library", "load_library", "sample_contacts", "save_library"),
@@ -33,6 +37,7 @@ _MODULES = {
     ),
     "press_curves": ("simulate_press_curve",),
     "press_models": ("imagine_presses", "model_presses"),
+    "tip": ("TipModel", "TipPosterior", "imagine_tip", "infer_tip"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = sorted(_MODULE_OF)
