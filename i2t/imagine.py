@@ -36,7 +36,7 @@ class ImagineArgs:
     model: str = "nominal"
     """The ready model, or a finished run of experiments.train."""
     board: str = "reskin"
-    """Of the skin: reskin, anyskin, or grid-RxC for R rows and C columns of chips."""
+    """Of the skin: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a board file (.toml)."""
     force: Positive = 1.0
     """N along the tool's z axis."""
     sites: Count = 4

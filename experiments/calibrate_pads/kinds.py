@@ -164,7 +164,7 @@ def _displaced(rng: np.random.Generator, skin: PressedSkinOfKind) -> PressedSkin
 def _lattices(key: Key[Array, ""], rng: np.random.Generator, skins: int, n: int) -> list[PressedSkinOfKind]:
     """Skins of four moving magnets."""
     half = LATTICE_HALF_EDGE_M
-    chips = np.asarray(boards.anyskin_board(depth=0.0).chips[:, :2], np.float64)
+    chips = np.asarray(boards.eflesh_board(depth=0.0).chips[:, :2], np.float64)
     position = rng.uniform(-half, half, (skins, n, 2))
     depth = rng.uniform(*LATTICE_DEPTHS_M, (skins, n))
     found = []

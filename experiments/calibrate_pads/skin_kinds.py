@@ -28,7 +28,7 @@ from i2t.calibration.population_gp.left_out import Observed, condition_all, ungr
 from i2t.calibration.population_gp.prior import prior_about
 from i2t.calibration.structured_gp import STDS_WITHIN_90_PERCENT
 from i2t.prediction.metrics import score
-from i2t.skin.boards import anyskin_board, reskin_board
+from i2t.skin.boards import eflesh_board, reskin_board
 from i2t.types import Board
 
 POPULATION, ORACLE = "GP of a population", "oracle of its kind"
@@ -203,7 +203,7 @@ def loads_of(case: Case, skin: PressedSkinOfKind) -> np.ndarray:
 
 def board_of(skin: PressedSkinOfKind) -> Board:
     """The board whose chips lie where the skin's do."""
-    return anyskin_board() if skin.kind == "lattice" else reskin_board()
+    return eflesh_board() if skin.kind == "lattice" else reskin_board()
 
 
 def one_kernel(

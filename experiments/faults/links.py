@@ -7,7 +7,7 @@ computer that is busy with other work the driver may stop the arm before the fau
 import signal
 import subprocess
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
@@ -26,6 +26,7 @@ FROZEN_S = 1.0
 WATCHED_S = 1.0  # after the arm stood, in which it must not move again
 STOP_GOAL_S = 0.2
 TRAVEL_M = 0.15
+ENDED_S = 10.0  # until a call that was in the motion must have returned
 BRAKING_S = 0.03  # from 40 mm/s at 2 m/s^2, and a tick
 
 
@@ -76,7 +77,7 @@ def _trial(number: int, kind: str) -> Trial | None:
                 time.sleep(float(rng.uniform(0.2, 1.0)))
                 busy = motion.done() or not status(host)["moving"]
                 begun = 0.0 if busy else (_drop if kind.startswith("lost") else _freeze)(host, process)
-                error = motion.exception(10.0)
+                error = _error_of(motion)
             after = _watch(host)
         finally:
             arm.close()
@@ -84,6 +85,14 @@ def _trial(number: int, kind: str) -> Trial | None:
     stood = max(0.0, after["stood"] - begun)
     return {"kind": kind, "rate": rate, "busy": busy, "stood": stood, "moved": after["again"], "crashed": crashed,
             "sentence": str(error)[:120]}  # fmt: skip
+
+
+def _error_of(motion: "Future[None]") -> BaseException | None:
+    """What a motion ended with; one that is not over in time counts as a crash, which is a missed goal."""
+    try:
+        return motion.exception(ENDED_S)
+    except TimeoutError:
+        return TimeoutError(f"the motion was not over {ENDED_S:g} s after the fault")
 
 
 def _go_down(arm: UrArm) -> None:

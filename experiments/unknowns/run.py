@@ -38,7 +38,7 @@ from experiments.calibrate_pads.kinds import PressedSkinOfKind, simulate_skins
 from experiments.common.runs import begin, write_json
 from experiments.unknowns.arguments import QUESTIONS, UnknownsArgs
 from i2t import unknowns
-from i2t.skin.boards import anyskin_board, reskin_board
+from i2t.skin.boards import eflesh_board, reskin_board
 from i2t.types import Board
 from i2t.unknowns import RecordedPresses
 from i2t.unknowns.chip_field import STAGES
@@ -97,7 +97,7 @@ def as_recorded(skin: PressedSkinOfKind, rng: np.random.Generator) -> RecordedPr
 
 def board_of(skin: PressedSkinOfKind) -> Board:
     """The board that a skin was simulated on."""
-    return anyskin_board() if skin.kind == "lattice" else reskin_board()
+    return eflesh_board() if skin.kind == "lattice" else reskin_board()
 
 
 def ask_lag(one: RecordedPresses, board: Board, rng: np.random.Generator) -> Answer:

@@ -58,13 +58,13 @@ def sample_skin(
         position: Positions of the tip (m), in a square about the skin's centre.
         depth: Depths of the presses (m).
         half_edge: Half of the square's edge (m).
-        board: Where the chips lie; by default AnySkin's, in the plane z = 0.
+        board: Where the chips lie; by default eFlesh's, in the plane z = 0.
 
     Returns:
         Readings in units of their root mean square.
     """
     lattice = _sample_lattice(key)
-    board = boards.anyskin_board(depth=0.0) if board is None else board
+    board = boards.eflesh_board(depth=0.0) if board is None else board
     chips = jnp.asarray(board.chips)
     still = Magnets(
         positions=jnp.concatenate([lattice.rest, jnp.full((4, 1), lattice.above)], axis=1),
@@ -100,7 +100,7 @@ def sample_skins(
         n: Presses of each.
         half_edge: Presses lie in a square of this half edge (m).
         max_depth: Of the presses (m).
-        board: Where the chips lie; by default AnySkin's, in the plane z = 0.
+        board: Where the chips lie; by default eFlesh's, in the plane z = 0.
 
     Returns:
         Presses, (count, n) each, and their readings (uT) with some noise.

@@ -38,8 +38,8 @@ class CollectArgs:
     skin_serial: str | None = None
     """Serial number of the skin's board, in place of its port, where several are plugged in."""
     board: str | None = None
-    """Of the skin: reskin, anyskin, or grid-RxC for R rows and C columns of chips; by default reskin, and for simulated
-    skins the board of --pad. Another package's skin knows its own."""
+    """Of the skin: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a board file (.toml); by
+    default reskin, and for simulated skins the board of --pad. Another package's skin knows its own."""
     replay: Path | None = None
     """Recording to play as the skin."""
     views: Path | None = None

@@ -37,7 +37,7 @@ from i2t.collect.recorder import CarriedSkinInfo, Recorder, SessionInfo
 from i2t.collect.session_ambient import fitted_ambient
 from i2t.collect.site_plan import SiteSampler, patch_extractor
 from i2t.collect.touch import ChooseSite, ExtractPatch, Site, SiteOutcome, UnreachableError
-from i2t.dataset import load_dataset
+from i2t.dataset import load_dataset, read_touch
 from i2t.dataset.card import write_card
 from i2t.depth.camera import Camera
 from i2t.emulators.world import (
@@ -62,7 +62,7 @@ from i2t.hardware.skin_health import check_skin, require_healthy, rest_samples
 from i2t.hardware.ur.config import UrConfig
 from i2t.objects.named import read_object
 from i2t.objects.solids import Mesh
-from i2t.skin.boards import DEFAULT_BOARD
+from i2t.skin.boards import DEFAULT_BOARD, board_note
 from i2t.types import ReturnCode
 
 ENDS = {
@@ -110,6 +110,8 @@ def collect(
             return 0
         procedure = _connect(args, devices, rig, sampler=sampler, notes=notes, stack=stack)
         print(_headline(args, source_of(devices), name))
+        print("".join(f"{note}\n" for note in _board_notes(args, rig).values()), end="")
+        _check_boards(args.out, devices, rig)
         check_camera(procedure)
         if args.dry_run:
             watch_s = 1 / (args.watchdog_rate or UrConfig.watchdog_rate)
@@ -154,6 +156,33 @@ def _connect(
     )
 
 
+def _board_notes(args: CollectArgs, rig: Rig) -> dict[str, str]:
+    """What is to be said of where the chips of named boards lie, by the skins' names."""
+    names = {rig.skin: args.board or DEFAULT_BOARD, **{place.name: place.board for place in rig.skins}}
+    several = len(names) > 1
+    notes = {name: board_note(board) for name, board in names.items()}
+    return {name: f"{name}: {note}" if several else note for name, note in notes.items() if note}
+
+
+def _check_boards(out: Path, devices: Devices, rig: Rig) -> None:
+    """Refuse boards whose chips lie or turn otherwise than in the touches that are there: no set could hold both."""
+    files = recorder.touches_in(out) if out.is_dir() else []
+    if not files:
+        return
+    record = read_touch(files[0])
+    now = {rig.skin: devices.board, **{each.name: each.board for each in devices.carried}}
+    before = {rig.skin: record.touch.board, **{name: each.board for name, each in record.skins.items()}}
+    for name, board in now.items():
+        earlier = before.get(name, board)
+        same = all(a.shape == b.shape and np.allclose(a, b, atol=1e-6) for a, b in zip(board, earlier, strict=True))
+        if not same:
+            which = f"of the skin {name} " if len(now) > 1 else ""
+            raise DataError(
+                f"{out} was begun with a board {which}whose chips lie or turn otherwise; pass that board, as a file if "
+                "it has no name (--board my_board.toml), or another --out"
+            )
+
+
 def _check_health(procedure: Procedure) -> None:
     """Refuse skins that are dead, frozen or saturated, and say what else is wrong with them; nothing moves."""
     names = {"": procedure.skin, **{each.name: each.skin for each in procedure.carried}}
@@ -186,6 +215,7 @@ def _session_info(
             "skin serial number": _serial_number(skin),
             "rig": notes["rig"],
             "settings": json.dumps(vars(args.settings)),
+            **({"board": said} if (said := board_note(args.board or DEFAULT_BOARD)) else {}),
         },
         skin=rig.skin if devices.carried else "",
         carried={
@@ -195,9 +225,10 @@ def _session_info(
                 {
                     "skin": f"{each.skin.features.name} ({each.skin.features.source})",
                     "skin serial number": _serial_number(each.skin),
+                    "board": board_note(place.board),
                 },
             )
-            for each in devices.carried
+            for each, place in zip(devices.carried, rig.skins, strict=True)
         },
     )
 

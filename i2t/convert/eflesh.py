@@ -84,8 +84,8 @@ def convert(
         raise DataError(f"{source}: holds no states.csv or states.csv.gz; give a session or a folder of sessions")
     notes.info(f"assumed: the tip is a sphere of radius {1e3 * radius:g} mm (not stated in the source)")
     notes.info(
-        "assumed: values are microtesla (their steps are the chip's); board order and axes as AnySkin's, the board "
-        "turned by a quarter on the stage, as the readings of the `spatial` session show"
+        "assumed: values are microtesla (their steps are the chip's); board order as AnySkin's, chips as aligned, the "
+        "board turned by a quarter on the stage, as the readings of the `spatial` session show"
     )
     options = _Options(radius, window, reach, zero=zero, centre=centre, pad=pad, board=board, as_stated=as_stated)
     parts: list[Dataset] = []
@@ -109,8 +109,8 @@ def _of_one_board(parts: list[Dataset], notes: ConversionLog) -> list[Dataset]:
 
 
 def _board() -> Board:
-    """AnySkin's board as it lies under the stage of these recordings."""
-    return turn_board(boards.anyskin_board(), np.array(BOARD_FROM_STAGE))
+    """eFlesh's board as it lies under the stage of these recordings."""
+    return turn_board(boards.eflesh_board(), np.array(BOARD_FROM_STAGE))
 
 
 class _Options(NamedTuple):

@@ -93,7 +93,7 @@ def test_what_is_known_of_presses_may_be_more_or_less(tmp_path):
     before = np.concatenate([np.full((1, 15), np.nan), READINGS[:-1]])
     earlier = calibrate(POSITIONS, both, READINGS, load_kind="both")
     fitted = calibrate(
-        POSITIONS, both, READINGS, load_kind="both", board=boards.anyskin_board(), previous_readings=before,
+        POSITIONS, both, READINGS, load_kind="both", board=boards.eflesh_board(), previous_readings=before,
         temperature=20 + DEPTH, previous_session=earlier, metadata={"skin": "A"},
     )  # fmt: skip
     fitted.save(tmp_path / "skin.npz")

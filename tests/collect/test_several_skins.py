@@ -14,6 +14,7 @@ from helpers.closed_form import GAIN, HEIGHT, QUIET, ROOM, make, names, site
 from i2t import dataset
 from i2t.collect import command, recorder, session
 from i2t.collect.carried import SkinOnTool
+from i2t.collect.devices import Devices
 from i2t.collect.event_log import read_raw
 from i2t.collect.recorder import CarriedSkinInfo, Recorder, touches_in
 from i2t.collect.session_ambient import fitted_ambient
@@ -23,13 +24,13 @@ from i2t.depth.camera import Camera
 from i2t.emulators import reskin_board
 from i2t.emulators.in_process import CarriedSkinLab, SimulatedSkin
 from i2t.emulators.scene import SpringPlane
-from i2t.errors import DeviceError, DeviceTimeoutError
+from i2t.errors import DataError, DeviceError, DeviceTimeoutError
 from i2t.hardware.carried_skins import CarriedSkin
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.rig import Rig
 from i2t.skin.ambient import load_ambient
 from i2t.skin.boards import make_board
-from i2t.types import ReturnCode
+from i2t.types import Board, ReturnCode
 from i2t.view.contents import read_contents
 
 pytestmark = pytest.mark.xdist_group("collect")
@@ -336,6 +337,20 @@ def test_the_command_collects_two_simulated_skins_resumes_packs_and_refuses_anot
     path.write_text(path.read_text().replace("0.02]", "0.03]"))
     assert command.main([*words, "--touches", "3"]) == 2
     assert "was begun with another rig" in capsys.readouterr().err
+
+
+def test_a_folder_begun_with_chips_that_are_turned_otherwise_is_refused(tmp_path):
+    procedure = two(2e-3)
+    touched(tmp_path, procedure)
+    devices = Devices(procedure.arm, procedure.skin, procedure.camera, procedure.clock, board=procedure.board,
+                      carried=tuple(procedure.carried))  # fmt: skip
+    session._check_boards(tmp_path, devices, procedure.rig)
+    aligned = devices._replace(board=Board(devices.board.chips, np.tile(np.eye(3), (5, 1, 1))))
+    with pytest.raises(DataError, match="begun with a board of the skin left whose chips lie or turn otherwise"):
+        session._check_boards(tmp_path, aligned, procedure.rig)
+    moved = replace(devices.carried[0], board=Board(SQUARE.chips + 1e-3, SQUARE.rotations))
+    with pytest.raises(DataError, match="of the skin right whose chips"):
+        session._check_boards(tmp_path, devices._replace(carried=(moved,)), procedure.rig)
 
 
 @pytest.mark.full

@@ -43,7 +43,7 @@ def recording(n: int, pads: int = 1) -> Dataset:
         code=np.full(n, ReturnCode.UNDEFINED),
     )
     names = tuple(f"skin {i}" for i in range(pads))
-    return Dataset(touches, ("tip",), names, ("run",), boards.anyskin_board(), "simulated")
+    return Dataset(touches, ("tip",), names, ("run",), boards.eflesh_board(), "simulated")
 
 
 @pytest.mark.full
@@ -373,4 +373,4 @@ def test_presses_and_the_calibration_of_them_give_the_same_pad(of, tmp_path, cap
     order, wanted = np.argsort(given.load), np.argsort(made.touches.force)
     np.testing.assert_allclose(given.load[order], made.touches.force[wanted], rtol=1e-6)
     np.testing.assert_allclose(given.readings[order], made.touches.reading[wanted], atol=0.2)
-    np.testing.assert_allclose(given.board.chips, boards.anyskin_board().chips, atol=1e-7)
+    np.testing.assert_allclose(given.board.chips, boards.eflesh_board().chips, atol=1e-7)

@@ -1,12 +1,14 @@
 """Boards: what their chips are, and that a world on any of them is made, kept and read back."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from i2t.skin import faults
-from i2t.skin.boards import BOARDS, grid_board, make_board
+from i2t.skin.boards import BOARDS, board_note, grid_board, make_board
 from i2t.skin.faults import Faults
 from i2t.skin.files import load_pad, save_pad
 from i2t.skin.noise import Noise, add_sensor_noise, drift
@@ -86,3 +88,71 @@ def test_noise_and_faults_have_the_board_s_channels(name):
     assert felt.shape == readings.shape
     assert np.isfinite(felt).all()
     assert np.all(felt == 0, axis=0).sum() == 2
+
+
+ANYSKIN_SCREEN = {"left": (-1, 0), "right": (1, 0), "up": (0, 1), "down": (0, -1)}  # where the makers' viewer has chips
+
+
+def test_anyskin_s_chips_are_turned_as_its_makers_publish():
+    """The viewer's own formula: screen (x, y down) = R(angle) (x, y) of the chip, by `chip_xy_rotations`."""
+    board = make_board("anyskin")
+    published = np.radians([-90.0, -90, 180, 90, 0])
+    own = np.random.default_rng(0).normal(size=(5, 3))
+    x, y, _ = own.T
+    cosine, sine = np.cos(published), np.sin(published)
+    screen = np.column_stack([cosine * x - sine * y, sine * x + cosine * y])
+    field = np.asarray(board.to_tool(own.ravel()))
+    np.testing.assert_allclose(field[:, :2], screen * [1, -1], atol=1e-6)
+    np.testing.assert_allclose(np.linalg.det(board.rotations), 1.0, atol=1e-6)  # chips' axes are right-handed
+    np.testing.assert_allclose(board.chips[1:, :2], 7e-3 * np.array(list(ANYSKIN_SCREEN.values())), atol=1e-9)
+    assert "chip_xy_rotations" in board_note("anyskin")
+    assert board_note("reskin") == ""
+
+
+def test_a_uniform_field_is_one_on_anyskin_s_turned_chips():
+    from i2t.collect.stopping import nonuniform_field
+
+    board = make_board("anyskin")
+    uniform = np.asarray(board.to_board(np.tile([18.0, -7, -41], (5, 1))))
+    np.testing.assert_allclose(nonuniform_field(uniform, board), 0, atol=1e-5)
+    assert np.linalg.norm(nonuniform_field(uniform, make_board("eflesh"))) > 20  # aligned chips would see five fields
+
+
+def board_file(path, text):
+    path = path / "mine.toml"
+    path.write_text(text)
+    return str(path)
+
+
+def test_a_board_of_one_s_own_is_read_from_a_file(tmp_path):
+    chips = "chips = [[0, 0, -0.003], [0.006, 0, -0.003], [0, 0.006, -0.003]]\n"
+    turned = make_board(board_file(tmp_path, chips + "turns = [0, 90, -90]\n"))
+    np.testing.assert_allclose(turned.chips[1], [6e-3, 0, -3e-3], atol=1e-9)
+    np.testing.assert_allclose(turned.to_tool(np.tile([1.0, 0, 5], 3)), [[1, 0, 5], [0, 1, 5], [0, -1, 5]], atol=1e-6)
+    over = "[[1, 0, 0], [0, -1, 0], [0, 0, -1]]"
+    given = make_board(board_file(tmp_path, chips + f"rotations = [{over}, {over}, {over}]\n"))
+    np.testing.assert_allclose(given.to_tool(np.tile([1.0, 2, 3], 3)), [[1, -2, -3]] * 3, atol=1e-6)
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    ("turns = [0]", "chips is missing"),
+    ("chips = [[0, 0]]\nturns = [0]", "chips is 1 x 2 numbers; give x, y and z of 1 to 25 chips"),
+    ("chips = [[0, 0, -3.5]]\nturns = [0]", "give metres within 0.1"),
+    ("chips = [[0, 0, 0.003]]\nturns = [0]", "and z below the surface"),
+    ("chips = [[0, 0, -0.003], [0, 0, -0.003]]\nturns = [0, 0]", "two chips lie in one place"),
+    ("chips = [[0, 0, -0.003]]", "give turns or rotations, one of both"),
+    ("chips = [[0, 0, -0.003]]\nturns = [0, 90]", "turns is 2 numbers; give one number for each of 1 chips"),
+    ("chips = [[0, 0, -0.003]]\nturns = [1.5708]", "give degrees"),
+    ("chips = [[0, 0, -0.003]]\nrotations = [[[1, 0, 0], [0, 2, 0], [0, 0, 1]]]", "rotations of chip 0 is no rotation"),
+    ("chips = [[0, 0, -0.003]]\nturn = [0]", "'turn' is no key of a board"),
+    ("chips = [[0, 0, nan]]\nturns = [0]", "chips is 1 x 3 numbers; give lists of numbers"),
+    ("chips = 'five'", "chips is no numbers"),
+    ("chips = [", "mine.toml"),
+])  # fmt: skip
+def test_a_file_that_describes_no_board_is_refused_in_one_sentence(tmp_path, text, said):
+    with pytest.raises(ValueError, match=re.escape(said)) as refused:
+        make_board(board_file(tmp_path, text))
+    assert "mine.toml" in str(refused.value)
+    assert "\n" not in str(refused.value)
+    with pytest.raises(ValueError, match=r"nowhere.toml: cannot be read \(No such file"):
+        make_board("nowhere.toml")

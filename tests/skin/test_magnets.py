@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from i2t.skin import magnets
-from i2t.skin.boards import anyskin_board
+from i2t.skin.boards import eflesh_board
 from i2t.skin.dipoles import dipole_field
 from i2t.skin.magnets import Magnets
 
@@ -19,7 +19,7 @@ with warnings.catch_warnings():
 
 STRENGTH = 1e6  # A/m, about that of sintered neodymium
 SIZES = [(1.5e-3, 1e-3), (1.5e-3, 6e-3), (4.75e-3, 1.6e-3)]  # radius and height of common disc and rod magnets
-BOARD = anyskin_board()
+BOARD = eflesh_board()
 cylinder = jax.jit(jax.vmap(magnets.cylinder_field, (0, None, None, None)), static_argnums=3)
 field = jax.jit(magnets.field)
 response = jax.jit(magnets.response)

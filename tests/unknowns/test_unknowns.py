@@ -7,7 +7,7 @@ import pytest
 from helpers.damage import VARIANTS, Recorded, press, scaled, swapped
 
 from i2t import unknowns
-from i2t.skin.boards import anyskin_board, reskin_board
+from i2t.skin.boards import eflesh_board, reskin_board
 from i2t.unknowns import Finding, RecordedPresses
 from i2t.unknowns.chip_field import STAGES
 from i2t.unknowns.heights import HEIGHT_ZERO
@@ -223,7 +223,7 @@ def test_sound_real_recordings_raise_no_alarm(shared_data, kind):
         at = 1e-3 * states[:, 1:4]
         middle = (at.min(0) + at.max(0)) / 2
         one = RecordedPresses(at[:, :2] - middle[:2], values[:, 1:16], height=at[:, 2])
-        board = unknowns.turn_board(anyskin_board(), STAGES["turned by +90 degrees"].astype(float))
+        board = unknowns.turn_board(eflesh_board(), STAGES["turned by +90 degrees"].astype(float))
         findings = unknowns.estimate_unknowns(one, board, stated_radius=4e-3)
         assert not [finding.sentence for finding in findings if finding.wrong]
 

@@ -22,7 +22,7 @@ from i2t.hardware.reskin.stream import BoardInfo, Stream
 from i2t.hardware.reskin.tables import is_table, samples_of, write_table
 from i2t.hardware.skin_health import check_skin
 from i2t.skin.ambient import load_ambient, mean_known, predict_ambient, subtract_offsets
-from i2t.skin.boards import make_board
+from i2t.skin.boards import board_note, make_board
 from i2t.types import Board
 
 FRAME_RATE_HZ = 10  # of pictures
@@ -50,7 +50,7 @@ class Options:
     replay: Path | None = None
     """Show this recording instead of a board."""
     board: str = "reskin"
-    """Which board it is: reskin, anyskin, or grid-RxC for R rows and C columns of chips."""
+    """Which board it is: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a file (.toml)."""
     record: Path | None = None
     """Write every byte to this new file, which can be replayed; one ending in .csv or .npz is a table of samples. Of
     several boards each has a file, numbered after the first. With --replay a table is made of the recording at once."""
@@ -94,6 +94,9 @@ def main(args: Sequence[str] | None = None) -> int:
             print("\n".join(f"{board.port}  {board.usb}  {board.description}" for board in boards) or "none")
             return
         _check_recording(asked)
+        note = board_note(asked.board)
+        if note:
+            print(note, flush=True)
         if asked.replay and asked.record and is_table(asked.record):
             samples = samples_of(asked.replay, make_board(asked.board).num_chips, RATE_HZ)
             print(f"wrote {len(samples.number)} samples to {write_table(asked.record, samples)}")
