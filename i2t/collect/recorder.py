@@ -46,7 +46,7 @@ RESERVE_BYTES = 50 * 2**20  # that must be free before a touch begins: a hundred
 CLOCK_JUMP_S = 0.5  # by which the clocks may drift apart during a touch
 MAX_NOTES_BYTES = 2**26  # of a folder's notes: a line for each site that cannot be reached
 NOTE_KINDS: dict[str, Any] = {
-    **dict.fromkeys(("object", "board", "session", "run", "rig", "skin_serial"), str),
+    **dict.fromkeys(("object", "board", "session", "run", "rig", "skin_serial", "arm_serial", "camera_serial"), str),
     **dict.fromkeys(("sites", "settings", "unreachable"), dict),
     **{"seed": int, "devices": list, "pose": (list, type(None))},
 }

@@ -52,7 +52,7 @@ from i2t.errors import DataError, DeviceError
 from i2t.hardware.camera_folder import CameraFolderConfig
 from i2t.hardware.carried_skins import CarriedSkin
 from i2t.hardware.plugins import DeviceKind, PluginConfig, is_plugin
-from i2t.hardware.protocols import Skin, View, channel_names
+from i2t.hardware.protocols import View, channel_names
 from i2t.hardware.realsense import RealSenseConfig
 from i2t.hardware.reskin.config import ReplayConfig, ReSkinConfig
 from i2t.hardware.reskin.monitor import bar
@@ -137,10 +137,12 @@ def _connect(
     skin = stack.enter_context(devices.skin)
     camera = stack.enter_context(devices.camera)
     extract_patch = _compiled_extractor(camera.camera, sampler)
-    _keep_serial(notes, "skin_serial", _serial_number(skin), args.out)
+    _keep_serial(notes, "skin", _serial_number(skin), args.out)
+    _keep_serial(notes, "camera", _serial_number(camera), args.out)
     for each in devices.carried:
-        _keep_serial(notes, f"skin_serial {each.name}", _serial_number(stack.enter_context(each.skin)), args.out)
+        _keep_serial(notes, f"skin {each.name}", _serial_number(stack.enter_context(each.skin)), args.out)
     arm = stack.enter_context(devices.arm)
+    _keep_serial(notes, "arm", _serial_number(arm), args.out)
     return Procedure(
         arm,
         skin,
@@ -212,7 +214,11 @@ def _session_info(
         meta={
             "arm": arm.features.name,
             "skin": f"{skin.features.name} ({skin.features.source})",
-            "skin serial number": _serial_number(skin),
+            **{
+                f"{kind} serial number": number
+                for kind, device in (("skin", skin), ("arm", arm), ("camera", procedure.camera))
+                if (number := _serial_number(device)) or kind == "skin"
+            },
             "rig": notes["rig"],
             "settings": json.dumps(vars(args.settings)),
             **({"board": said} if (said := board_note(args.board or DEFAULT_BOARD)) else {}),
@@ -233,9 +239,10 @@ def _session_info(
     )
 
 
-def _serial_number(skin: Skin) -> str:
-    """That of a board on USB; "" for others."""
-    return getattr(getattr(skin, "info", None), "serial_number", None) or ""
+def _serial_number(device: object) -> str:
+    """That of a connected device: a board on USB, a camera, an arm's controller; "" where it has none."""
+    told = getattr(device, "serial_number", None) or getattr(getattr(device, "info", None), "serial_number", None)
+    return str(told or "")
 
 
 def _run(
@@ -408,12 +415,16 @@ def _by_name(values: Mapping[str, Any]) -> dict[str, Any]:
     return named
 
 
-def _keep_serial(notes: dict[str, Any], key: str, serial: str, out: Path) -> None:
-    """Note a skin's serial number ("" where it has none), one for all touches of a folder. Raises DataError."""
-    before = notes.setdefault(key, serial)
+def _keep_serial(notes: dict[str, Any], device: str, serial: str, out: Path) -> None:
+    """Note a device's serial number ("" where it has none), one for all touches of a folder. Raises DataError."""
+    kind, _, name = device.partition(" ")
+    key = f"{kind}_serial {name}".strip()
+    before = notes.setdefault(key, serial) or serial
+    notes[key] = before
     if before and serial and before != serial:
         raise DataError(
-            f"{out} was begun with the skin {before}, and this one is {serial}; plug that one in, or pass another --out"
+            f"{out} was begun with the {kind} {before}, and this one is {serial}; "
+            f"{'use' if kind == 'arm' else 'plug in'} that one, or pass another --out"
         )
 
 

@@ -140,6 +140,7 @@ class RealSense(CameraBase):
         source = "replay" if file is not None else "real"
         super().__init__(CameraFeatures(name, source, nearest(model, *size), float(rate)))
         self._model = model
+        self.serial_number = ""  # of the camera, once it is connected
         self._lock = threading.Lock()
         self._pipe: Any = None
         self._colour: tuple[Camera, Array] | None = None
@@ -169,6 +170,8 @@ class RealSense(CameraBase):
         try:
             device = profile.get_device()
             model = device.get_info(rs.camera_info.name)
+            if device.supports(rs.camera_info.serial_number):
+                self.serial_number = device.get_info(rs.camera_info.serial_number)
             if self._distance is not None:
                 check_distance(model, width, height, self._distance)
             depth = profile.get_stream(rs.stream.depth).as_video_stream_profile()

@@ -64,6 +64,7 @@ def test_an_arm_by_its_address_a_skin_by_its_port_and_recorded_views(lab, capsys
     assert "MIXED: some of these devices are not real" in said  # 127.x.y.z and a pseudo-terminal are no lab
     made = dataset.load_dataset(out)
     assert made.source == "mixed"
+    assert made.meta["arm serial number"] == "20200000001"  # as the controller's dashboard tells it
     touches = made.touches
     assert touches.code[0] in (ReturnCode.SKIN, ReturnCode.WRENCH)
     assert np.linalg.norm(touches.reading[0]) > 10

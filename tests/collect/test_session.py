@@ -161,10 +161,17 @@ def test_other_settings_another_rig_and_another_skin_are_not_mixed_in(tmp_path):
         session._resume(args, "hexagon", Rig(), BOX._replace(vertices=1.1 * BOX.vertices))
     patient = replace(args, settings=replace(args.settings, retries=9, patience=60.0))
     _, notes = session._resume(patient, "hexagon", Rig(), BOX)
-    for serial in ("A1", "", "A1"):
-        session._keep_serial(notes, serial, tmp_path)
-    with pytest.raises(DataError, match="begun with the skin A1, and this one is B2"):
-        session._keep_serial(notes, "B2", tmp_path)
+    for device in ("skin", "camera", "arm", "skin right"):
+        for serial in ("A1", "", "A1"):
+            session._keep_serial(notes, device, serial, tmp_path)
+        with pytest.raises(DataError, match=f"begun with the {device.split()[0]} A1, and this one is B2"):
+            session._keep_serial(notes, device, "B2", tmp_path)
+    assert notes["skin_serial"] == notes["camera_serial"] == notes["arm_serial"] == notes["skin_serial right"] == "A1"
+    unknown = {}  # a number that is known only later counts from then on
+    session._keep_serial(unknown, "camera", "", tmp_path)
+    session._keep_serial(unknown, "camera", "A1", tmp_path)
+    with pytest.raises(DataError, match="camera A1"):
+        session._keep_serial(unknown, "camera", "B2", tmp_path)
 
 
 def test_a_rig_of_an_earlier_version_counts_as_the_same():

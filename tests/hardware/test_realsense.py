@@ -38,8 +38,10 @@ def test_it_gives_metres_lens_and_aligned_colour(file):
     assert camera.features.source == "replay"
     with pytest.raises(NotConnectedError, match="connect it"):
         _ = camera.camera
+    assert camera.serial_number == ""
     with camera:
         assert isinstance(camera, DepthCamera)
+        assert camera.serial_number == realsense_file.SERIAL  # which every file of a session states
         reported = camera.camera
         assert reported.model == CAMERA.model
         np.testing.assert_allclose(reported.coefficients, CAMERA.coefficients, rtol=1e-6)  # the SDK has float32

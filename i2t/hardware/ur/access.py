@@ -122,6 +122,22 @@ def check_controller(host: str) -> None:
             raise DeviceError(f"A program runs on the controller at {host}, perhaps for another client: end it first.")
 
 
+def controller_serial(host: str) -> str:
+    """The serial number of a controller, as its dashboard tells it.
+
+    Args:
+        host: Its address.
+
+    Returns:
+        The number; empty where the dashboard does not tell (controllers before e-Series).
+    """
+    try:
+        answer = ask_dashboard(host, "get serial number")
+    except OSError:
+        return ""
+    return answer if answer.isdecimal() else ""
+
+
 def release_protective_stop(host: str) -> None:
     """Release a protective stop, if there is one.
 

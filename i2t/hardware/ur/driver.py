@@ -34,7 +34,7 @@ from typing import IO, Any, Literal
 from i2t.errors import DeviceError
 from i2t.hardware.limits import MotionLimits
 from i2t.hardware.protocols import ApproachResult, ArmFeatures, ArmState
-from i2t.hardware.ur.access import check_controller, release_protective_stop, take_lock
+from i2t.hardware.ur.access import check_controller, controller_serial, release_protective_stop, take_lock
 from i2t.hardware.ur.config import check_watch
 from i2t.hardware.ur.motion import MotionController
 from i2t.hardware.ur.rtde_link import RtdeConnection
@@ -80,6 +80,7 @@ class UrArm:
         self.source = source or ("emulated" if host == "localhost" or host.startswith("127.") else "real")
         self.connection = RtdeConnection(host, state_timeout, watchdog_rate)
         self.motion = MotionController(self.connection, limits)
+        self.serial_number = ""  # of the controller, once it is connected
         self._closing = threading.Lock()
         self._lock: IO[str] | None = None
         self._handlers: dict[int, Any] = {}
@@ -130,6 +131,7 @@ class UrArm:
         try:
             self._lock = take_lock(self.host)
             check_controller(self.host)
+            self.serial_number = controller_serial(self.host)
             self.connection.open(self.tool, self.payload)
         except BaseException:
             self.close()

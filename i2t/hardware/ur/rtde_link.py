@@ -321,7 +321,9 @@ class RtdeConnection:
         try:
             channel.send({"command": command, "id": number, "arguments": arguments or {}})
         except OSError as error:
-            raise self.give_up(f"The connection to the controller at {self.host} broke: {error}.") from error
+            ended = isinstance(error, BrokenPipeError | ConnectionResetError)
+            why = self._last_words() if ended else error
+            raise self.give_up(f"The connection to the controller at {self.host} broke: {why}.") from error
         return answer
 
     def _wait(self, answer: Future[None], timeout: float) -> None:
@@ -341,7 +343,7 @@ class RtdeConnection:
                     self._take(message)
                 self._react()
                 self._send_heartbeat(channel)
-        except EOFError:
+        except (EOFError, BrokenPipeError, ConnectionResetError):  # whichever is met first once the process has ended
             self.give_up(f"The connection to the controller at {self.host} broke: {self._last_words()}.")
         except Exception as error:
             self.give_up(f"The connection to the controller at {self.host} broke: {error}.")
