@@ -1,27 +1,32 @@
-"""The ready models: they load by name from the package alone, say that they are simulated, and their card is true."""
+"""The ready models: they load by name from the package alone, say what they are of, and their cards are true."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import i2t
+from experiments.ready_models.eflesh import GRID_DEPTHS, GRID_PLACES
 from i2t import models
+from i2t.errors import SerializationError
 from i2t.models import READY_MODELS, model_card, ready_path
 from i2t.recognition.pad_model_files import load_pad_model
 
 ROOT = Path(__file__).parents[1]
-MAX_BYTES = 5_000_000
+MAX_BYTES = 5_000_000  # of all together
+SESSION = Path(os.environ.get("I2T_DATA", ROOT.parent / "shared" / "data")) / "eflesh/spatial/20250316_155729_probe"
 
 
-@pytest.mark.parametrize("name", READY_MODELS)
-def test_a_ready_model_is_small_and_part_of_the_package(name):
-    folder = Path(models.__file__).parent / name
-    files = [path for path in folder.rglob("*") if path.is_file()]
+def test_ready_models_are_small_and_part_of_the_package():
+    folders = [Path(models.__file__).parent / name for name in READY_MODELS]
+    files = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
     assert sum(path.stat().st_size for path in files) < MAX_BYTES
     text = (ROOT / "pyproject.toml").read_text()
-    assert f'"models/{name}/**"' in text
+    for folder, parts in zip(folders, READY_MODELS.values(), strict=True):
+        assert f'"models/{folder.name}/**"' in text
+        assert all((folder / part).exists() for part in parts)
 
 
 def test_a_folder_of_the_users_own_is_meant_before_a_ready_model(tmp_path, monkeypatch):
@@ -33,8 +38,8 @@ def test_a_folder_of_the_users_own_is_meant_before_a_ready_model(tmp_path, monke
 
 
 def test_a_card_of_no_model_is_refused():
-    with pytest.raises(ValueError, match="there is nominal"):
-        model_card("eflesh")
+    with pytest.raises(ValueError, match="there is nominal, eflesh"):
+        model_card("mug")
 
 
 def test_the_ready_pad_model_is_of_simulated_pad_0():
@@ -66,6 +71,48 @@ def test_the_card_is_what_the_run_of_the_ready_models_writes():
     figures = card_figures(json.loads(json.dumps(metrics)))
     assert figures.kept == "b"
     assert figures.methods == {"b": {"r2": 0.5, "r2_interval": [0.4, 0.6], "rmse": 2.0}}
+
+
+def test_the_ready_calibration_is_of_one_real_skin_and_holds_no_press_of_it():
+    calibration = i2t.load_calibration("eflesh")
+    assert calibration.metadata["source"] == "real"
+    presses = calibration.gp.presses
+    assert len(np.unique(np.round(presses.load, 6))) == GRID_DEPTHS  # a grid
+    assert len(np.unique(np.round(presses.position, 6), axis=0)) == GRID_PLACES**2
+    mean, std = calibration.predict([[0.0, 0.0]] * 2, [1e-3, 3e-3])
+    assert (std > 0).all()
+    assert np.linalg.norm(mean[1]) > 1.2 * np.linalg.norm(mean[0])  # deeper is stronger
+    assert "Venkatesh Pattabiraman" in (Path(models.__file__).parent / "eflesh" / "LICENSE").read_text()
+    with pytest.raises(SerializationError, match="nominal"):
+        i2t.load_calibration("nominal")  # which has none
+
+
+def test_the_card_of_the_calibration_gives_the_figures_of_its_run():
+    card, page = model_card("eflesh"), (ROOT / "docs" / "model_card.md").read_text()
+    assert card["source"] == "real"
+    for name, scores in card["methods"].items():
+        held = f" {scores['coverage_90']:.2f} |" if "coverage_90" in scores else " |"
+        row = f"| {name} | {scores['r2']:.3f} | {scores['rmse']:.1f} |{held}"
+        assert row in page, f"the card has no row {row}"
+    for said in (f"{card['megabytes']} MB", f"{card['presses']['test']} presses at {card['places']['test']} places"):
+        assert said in page, f"the card does not say {said}"
+    best_baseline = max(card["methods"][name]["r2"] for name in ("mean of 3 nearest of the 1000", "mean reading"))
+    assert card["methods"]["small calibration"]["r2"] > best_baseline
+
+
+@pytest.mark.full
+@pytest.mark.skipif(not SESSION.is_dir(), reason="no real recordings")
+def test_the_ready_calibration_is_what_its_command_makes(tmp_path):
+    from experiments.ready_models.__main__ import main
+
+    out = tmp_path / "out"
+    assert main(["--eflesh", str(SESSION), "--out", str(out)]) == 0
+    made, card = json.loads((out / "metrics.json").read_text()), model_card("eflesh")
+    assert {key: made[key] for key in ("recording", "presses", "places", "grid", "range_mm")} == {
+        key: card[key] for key in ("recording", "presses", "places", "grid", "range_mm")
+    }
+    for name, scores in card["methods"].items():
+        assert made["methods"][name] == pytest.approx(scores, rel=1e-2, abs=1e-3)
 
 
 @pytest.mark.full

@@ -87,7 +87,7 @@ def require_pad(path: Path | None) -> None:
     Raises:
         ValueError: Nothing is there.
     """
-    if path is not None and str(path) not in READY_MODELS:
+    if path is not None and "pad_model.npz" not in READY_MODELS.get(str(path), ()):
         require_path("--pad", path)
 
 

@@ -6,6 +6,11 @@
 predictor/, pad_model.npz and metrics.json of --out are what i2t/models/nominal holds; `i2t.load_predictor("nominal")`
 and `i2t.load_pad_model("nominal")` read them. metrics.json is the model's card: what it was made of, and how well it
 predicts objects that it has not seen, from the run's own metrics. docs/model_card.md gives these figures.
+
+    python -m experiments.ready_models --eflesh SESSION --out runs/ready_eflesh
+
+makes the calibration of a real skin, calibration.npz and its card, which i2t/models/eflesh holds
+(`i2t.load_calibration("eflesh")`); `experiments.ready_models.eflesh` says how.
 """
 
 import json
@@ -18,6 +23,7 @@ import numpy as np
 from experiments.common.checks import finished_runs
 from experiments.common.runs import METRICS, begin, write_json
 from experiments.ready_models.arguments import ReadyModelsArgs
+from experiments.ready_models.eflesh import fit_small, read_session
 from experiments.recognize.config import Recognition
 from experiments.recognize.trained_run import load_trained_run
 from i2t.prediction import predictor as predictors
@@ -34,7 +40,24 @@ class CardFigures(NamedTuple):
 
 
 def run(args: ReadyModelsArgs) -> dict[str, Any]:
-    """Save the kept predictor, fit and save the pad model, and write the card."""
+    """Make the models and their card."""
+    card = _of_a_run(args) if args.eflesh is None else _of_a_session(args, args.eflesh)
+    write_json(args.out / METRICS, card)
+    print(f"models and card, {card['megabytes']} MB, are in {args.out}")
+    return card
+
+
+def _of_a_session(args: ReadyModelsArgs, folder: Path) -> dict[str, Any]:
+    """Fit and save a small calibration of a real skin."""
+    session = read_session(folder)
+    begin(args.out, args, Recognition(), None, args.overwrite)
+    calibration, card = fit_small(session, args.seed)
+    calibration.save(args.out / "calibration.npz")
+    return card | {"megabytes": round(_bytes(args.out) / 1e6, 2)}
+
+
+def _of_a_run(args: ReadyModelsArgs) -> dict[str, Any]:
+    """Save the kept predictor, fit and save the pad model."""
     folder, cfg = finished_runs(args.trained_run)[0], Recognition()
     begin(args.out, args, cfg, None, args.overwrite)
     trained = load_trained_run(jax.random.key(args.seed), folder, cfg.errors, cfg.limits)
@@ -47,7 +70,7 @@ def run(args: ReadyModelsArgs) -> dict[str, Any]:
     origin = PadOrigin(dataset.pads[0], dataset.source, names, int(rows.sum()), made_from)
     save_pad_model(args.out / "pad_model.npz", KnownPad(trained.pad_model, dataset.board, origin))
     figures = card_figures(metrics)
-    card = {
+    return {
         "source": dataset.source,
         "pad": dataset.pads[0],
         "made from": made_from,
@@ -59,9 +82,6 @@ def run(args: ReadyModelsArgs) -> dict[str, Any]:
         "pad model": {"touches": origin.touches, "r2": trained.pad_model.r2},
         "megabytes": round(_bytes(args.out) / 1e6, 2),
     }
-    write_json(args.out / METRICS, card)
-    print(f"predictor, pad model and card, {card['megabytes']} MB, are in {args.out}")
-    return card
 
 
 def card_figures(metrics: dict[str, Any]) -> CardFigures:

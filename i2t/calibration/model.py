@@ -26,6 +26,7 @@ from i2t import serialization
 from i2t.calibration import population_gp, structured_gp
 from i2t.calibration.population_gp import PopulationGP, PressTable, left_out
 from i2t.calibration.structured_gp import Presses, StructuredGP, StructuredGPHyperparameters
+from i2t.models import ready_path
 from i2t.types import Array, Board
 
 FILE_KIND = "i2t calibration"
@@ -253,7 +254,8 @@ def load_calibration(path: Path | str) -> Calibration:
     """Load a calibration from its file.
 
     Args:
-        path: A file that `Calibration.save` wrote, by any version so far.
+        path: A file that `Calibration.save` wrote, by any version so far; or the name of a ready model, "eflesh"
+            (`i2t.models`), of one real skin.
 
     Returns:
         The calibrated skin.
@@ -264,6 +266,7 @@ def load_calibration(path: Path | str) -> Calibration:
     Example:
         mean, std = i2t.load_calibration("skin.npz").predict(positions, depths)
     """
+    path = ready_path(path, "calibration.npz")
     if serialization.file_kind(path) == POPULATION_FILE_KIND:
         return _load_population(path)
     record, about = serialization.load(path, FILE_KIND, CalibrationRecord, renamed=_OLD_NAMES)

@@ -2,10 +2,12 @@
 
     predictor = i2t.load_predictor("nominal")
     known = i2t.load_pad_model("nominal")
+    calibration = i2t.load_calibration("eflesh")
 
 "nominal" is one simulated pad, number 0 of `i2t.skin.pad.numbered_pad`: a layer drawn about the nominal one, with an
 uneven magnetisation of its own. No real skin was touched for it, and no real skin reads as it does: take a model of
-your own skin for real touches. Figures and limits are in docs/model_card.md, made by
+your own skin for real touches. "eflesh" is the calibration of one real skin of another kind, a printed lattice with
+four magnets, pressed by a spherical tip. Figures and limits are in docs/model_card.md, made by
 `python -m experiments.ready_models`.
 """
 
@@ -15,9 +17,12 @@ from typing import Any, Literal
 
 from i2t.files import read_json
 
-READY_MODELS = ("nominal",)
 MAX_CARD_BYTES = 2**16
-Part = Literal["predictor", "pad_model.npz", "metrics.json"]
+Part = Literal["predictor", "pad_model.npz", "calibration.npz", "metrics.json"]
+READY_MODELS: dict[str, tuple[Part, ...]] = {
+    "nominal": ("predictor", "pad_model.npz", "metrics.json"),
+    "eflesh": ("calibration.npz", "metrics.json"),
+}  # and their parts
 
 
 def ready_path(name: str | os.PathLike[str], part: Part) -> Path:
@@ -31,7 +36,7 @@ def ready_path(name: str | os.PathLike[str], part: Part) -> Path:
         The part's path, or `name` as a path.
     """
     path = Path(name)
-    if isinstance(name, str) and name in READY_MODELS and not path.exists():
+    if isinstance(name, str) and part in READY_MODELS.get(name, ()) and not path.exists():
         return Path(__file__).parent / name / part
     return path
 
