@@ -10,6 +10,7 @@ import pytest
 import i2t
 from experiments.ready_models.eflesh import GRID_DEPTHS, GRID_PLACES
 from i2t import models
+from i2t.calibration.structured_gp import StructuredGP
 from i2t.errors import SerializationError
 from i2t.models import READY_MODELS, model_card, ready_path
 from i2t.recognition.pad_model_files import load_pad_model
@@ -76,6 +77,7 @@ def test_the_card_is_what_the_run_of_the_ready_models_writes():
 def test_the_ready_calibration_is_of_one_real_skin_and_holds_no_press_of_it():
     calibration = i2t.load_calibration("eflesh")
     assert calibration.metadata["source"] == "real"
+    assert isinstance(calibration.gp, StructuredGP)
     presses = calibration.gp.presses
     assert len(np.unique(np.round(presses.load, 6))) == GRID_DEPTHS  # a grid
     assert len(np.unique(np.round(presses.position, 6), axis=0)) == GRID_PLACES**2

@@ -3,13 +3,14 @@
 import ast
 import json
 import os
+import sys
 from pathlib import Path
 
 import pytest
 
 from experiments import notebooks
 
-NAMES = ("skin_physics", "recognition", "reconstruction", "data_tsne", "real_press")
+NAMES = ("first_touches", "skin_physics", "recognition", "reconstruction", "data_tsne", "real_press")
 pytestmark = pytest.mark.xdist_group("notebooks")
 
 
@@ -59,6 +60,16 @@ def stamped(folder: Path) -> Path:
     path = folder / "touches.h5"
     dataset.save_dataset(path, press_stamps(jax.random.key(0), [numbered_pad(0)], 50, shapes.PRESETS["debug"].pressing))
     return path
+
+
+@pytest.mark.parametrize("there", [True, False], ids=["there", "missing"])
+def test_the_first_notebook_installs_the_package_where_it_is_missing(there, monkeypatch):
+    calls: list[list[str]] = []
+    monkeypatch.setattr("subprocess.run", lambda words, check: calls.append(words))
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: object() if there else None)
+    exec(notebooks.sources(notebooks.FOLDER / "first_touches.ipynb")[0], {})
+    expected = [sys.executable, "-m", "pip", "install", "--quiet", ".."]  # of a checkout, next to which it lies
+    assert calls == ([] if there else [expected])
 
 
 @pytest.mark.full
