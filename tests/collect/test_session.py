@@ -28,6 +28,7 @@ from i2t.emulators.world import (
 )
 from i2t.errors import DataError
 from i2t.hardware.camera_folder import CameraFolderConfig
+from i2t.hardware.realsense import RealSenseConfig
 from i2t.hardware.reskin.config import ReSkinConfig
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur.config import UrConfig
@@ -273,6 +274,12 @@ def test_each_name_on_the_command_line_is_a_configuration(tmp_path):
     assert emulated.arm == EmulatedArmConfig("10.0.0.2", watchdog_rate=5.0)
     assert emulated.skin == EmulatedSkinConfig("/dev/skin", "grid-4x4")
     assert emulated.world.board == "grid-4x4"
+    real, played = UrConfig("10.0.0.2"), EmulatedArmConfig()
+    assert (real.state_timeout, real.watchdog_rate) == (played.state_timeout, played.watchdog_rate)
+    eyes = session.device_config(replace(args, camera="realsense", views=None, camera_serial="123"))
+    assert eyes.camera == RealSenseConfig("123")  # of two that are plugged in
+    hands = session.device_config(replace(args, port=None, skin_serial="A1"))
+    assert hands.skin == ReSkinConfig(None, "grid-4x4", "A1")
     assert config.world.board is None  # a real skin says nothing of the pad that a simulated arm would wear
     for wrong, said in (
         ({"arm": "ur", "host": None}, "pass --host"),

@@ -113,6 +113,22 @@ def test_keys_are_heard_one_by_one_and_the_terminal_is_as_before(monkeypatch):
 
 
 @pytest.mark.full
+def test_two_boards_of_other_chip_counts_are_shown_each_as_what_it_is(tmp_path, capsys):
+    table = tmp_path / "skin.npz"
+    with started("--board", "grid-2x2") as (square, _), started() as (five, _):
+        ports = ["--port", square, "--port", five, "--seconds", "1.5"]
+        assert monitor.main([*ports, "--board", "grid-2x2", "--board", "anyskin", "--record", str(table)]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("board anyskin: chips turned as its makers' viewer publishes")
+    for path, values in ((table, 12), (tmp_path / "skin-2.npz", 15)):
+        with np.load(path, allow_pickle=False) as arrays:
+            assert arrays["reading_uT"].shape[1] == values
+            assert len(arrays["time_s"]) > 50
+    boards = ["--board", "reskin", "--board", "reskin", "--board", "reskin"]
+    assert monitor.main([*ports, *boards]) == 2
+    assert "--board names 3 boards for 2 ports; give one for all, or one for each" in capsys.readouterr().err
+
+
 def test_two_boards_are_shown_and_recorded_as_tables(tmp_path, capsys):
     table = tmp_path / "skin.npz"
     with started("--seed", "1") as (one, _), started("--seed", "2", "--format", "framed") as (two, _):

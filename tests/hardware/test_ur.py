@@ -698,6 +698,26 @@ def test_the_arm_stands_when_its_process_is_ended(start, number):
         assert stood["stood"] - stood["heard"] <= 1 / WATCHDOG_RATE + 0.05 / 5.0 + 3 * TICK
 
 
+@pytest.mark.parametrize("later", [0.0, 0.02, 0.2])
+def test_a_second_ctrl_c_keeps_the_arm_from_nothing(start, later):
+    """An impatient person presses it again, while the arm brakes or its program is being ended."""
+    host = start()
+    with subprocess.Popen(
+        [sys.executable, "-c", VICTIM, host], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as child:
+        assert b"moving" in child.stdout.readline() or b"moving" in child.stdout.read(100)
+        child.send_signal(signal.SIGINT)
+        time.sleep(later)
+        child.send_signal(signal.SIGINT)
+        child.wait(20)
+    assert child.returncode in (-2, 130)
+    eventually(lambda: not status(host)["moving"])
+    stood = status(host)
+    assert stood["runtime"] == ur_controller.STOPPED
+    time.sleep(0.3)
+    assert status(host)["pose"] == stood["pose"]
+
+
 def test_the_emulator_survives_hostile_clients(start):
     host = start()
     random = np.random.default_rng(0)

@@ -22,7 +22,7 @@ from i2t.hardware.reskin.stream import BoardInfo, Stream
 from i2t.hardware.reskin.tables import is_table, samples_of, write_table
 from i2t.hardware.skin_health import check_skin
 from i2t.skin.ambient import load_ambient, mean_known, predict_ambient, subtract_offsets
-from i2t.skin.boards import board_note, make_board
+from i2t.skin.boards import DEFAULT_BOARD, board_note, make_board
 from i2t.types import Board
 
 FRAME_RATE_HZ = 10  # of pictures
@@ -49,8 +49,9 @@ class Options:
     """Baud rate; by default the usual ones are tried."""
     replay: Path | None = None
     """Show this recording instead of a board."""
-    board: str = "reskin"
-    """Which board it is: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a file (.toml)."""
+    board: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Which board it is: reskin (the default), anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a file
+    (.toml); of several boards one for all, or repeated in the order of the ports."""
     record: Path | None = None
     """Write every byte to this new file, which can be replayed; one ending in .csv or .npz is a table of samples. Of
     several boards each has a file, numbered after the first. With --replay a table is made of the recording at once."""
@@ -94,11 +95,11 @@ def main(args: Sequence[str] | None = None) -> int:
             print("\n".join(f"{board.port}  {board.usb}  {board.description}" for board in boards) or "none")
             return
         _check_recording(asked)
-        note = board_note(asked.board)
-        if note:
+        boards_shown = _boards(asked)
+        for note in filter(None, map(board_note, dict.fromkeys(boards_shown))):
             print(note, flush=True)
         if asked.replay and asked.record and is_table(asked.record):
-            samples = samples_of(asked.replay, make_board(asked.board).num_chips, RATE_HZ)
+            samples = samples_of(asked.replay, make_board(boards_shown[0]).num_chips, RATE_HZ)
             print(f"wrote {len(samples.number)} samples to {write_table(asked.record, samples)}")
             return
         with contextlib.suppress(KeyboardInterrupt):  # which is how it ends
@@ -259,11 +260,19 @@ class _ToolPose:
         return self._pose, ""
 
 
-def _rest(asked: Options) -> "_EarlyRest | _AmbientRest":
+def _boards(asked: Options) -> tuple[str, ...]:
+    """Names of the boards that are shown, in the order of their ports."""
+    count = max(1, len(asked.port))
+    names = asked.board or (DEFAULT_BOARD,)
+    if len(names) not in (1, count):
+        raise ValueError(f"--board names {len(names)} boards for {count} ports; give one for all, or one for each")
+    return names * count if len(names) == 1 else names
+
+
+def _rest(asked: Options, board: Board) -> "_EarlyRest | _AmbientRest":
     """What is subtracted from samples."""
     if asked.ambient is None:
         return _EarlyRest()
-    board = make_board(asked.board)
     if asked.turn is not None:
         standing = pose_from_vector([0.0, 0.0, 0.0, *asked.turn])
         return _AmbientRest(asked.ambient, board, lambda: (standing, ""))
@@ -349,16 +358,16 @@ class _View:
 
 
 def _views(asked: Options) -> list[_View]:
-    board = make_board(asked.board)
     lasting = bool(asked.replay or asked.record)
     views: list[_View] = []
-    for number, port in enumerate(asked.port or (None,)):
+    for number, (port, name) in enumerate(zip(asked.port or (None,), _boards(asked), strict=True)):
+        board = make_board(name)
         skin = (
             Replay(asked.replay, chips=board.num_chips)
             if asked.replay
             else ReSkin(port, asked.baud, chips=board.num_chips)
         )
-        views.append(_View(skin, board, _rest(asked), _numbered(asked.record, number), lasting))
+        views.append(_View(skin, board, _rest(asked, board), _numbered(asked.record, number), lasting))
     return views
 
 
