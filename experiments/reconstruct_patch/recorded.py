@@ -151,7 +151,9 @@ def read(path: Path) -> tuple[SkinRecording, LabelledPresses, str]:
             continue
         kind = next((name for name in ("depth", "force") if recording.varies(name)), None)
         if kind is None:
-            raise ValueError(f"{recording.name}: neither depth nor force of its presses is known; a tip needs one")
+            raise ValueError(
+                f"{recording.name}: neither depth nor force of its presses is known and differs; a tip needs one"
+            )
         known = recording.known("position") & recording.known(kind)
         load = np.where(known, recording.targets[kind][:, 0], -1.0)
         rows = np.flatnonzero(known & (load >= 0))

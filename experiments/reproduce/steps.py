@@ -106,7 +106,7 @@ STEPS = (
         needs="random_urdfs",
         again="--overwrite",
     ),
-    Step("reconstruct_patch", "-m experiments.reconstruct_patch --preset short", minutes=7, again="--overwrite"),
+    Step("reconstruct_patch", "-m experiments.reconstruct_patch", minutes=12, again="--overwrite"),
     Step(
         "reconstruct_tip",
         "-m experiments.reconstruct_patch --dataset eflesh/spatial",

@@ -97,7 +97,7 @@ class PatchPosterior(NamedTuple):
     contact_probability: Float[Array, "g g"]  # of pressure on each cell of 1 mm at the last stop
     centre: Float[Array, "2"]  # m, centre of pressure (x, y) at the last stop
     centre_covariance: Float[Array, "2 2"]  # m^2
-    edge_direction: Float[Array, ""]  # rad from tool x, in [0, pi)
+    edge_direction: Float[Array, ""]  # rad from tool x, in [0, pi), of the edge if there is a straight one
     edge_direction_std: Float[Array, ""]  # rad
     edge_offset: Float[Array, ""]  # m of the edge from the tool axis, along its normal (-sin, cos)
     edge_offset_std: Float[Array, ""]  # m
@@ -237,7 +237,7 @@ def summarize(
     centre = library.centre[rows, load]
     middle = jnp.mean(centre, axis=0)
     about = centre - middle[None]
-    direction, direction_std, offset, offset_std = _edge(library.edge[rows])
+    direction, direction_std, offset, offset_std = _edge(library.edge[rows], library.kind[rows])
     mask = jnp.mean(patch <= CONTACT_TOLERANCE_M, axis=0, dtype=jnp.float32)
     contact = jnp.mean(pressed, axis=0, dtype=jnp.float32).reshape(cells, cells)
     kinds = jnp.arange(len(CONTACT_CLASSES))
@@ -351,15 +351,17 @@ def _eliminate(gram: list[list[Array | float]], along: list[Array]) -> tuple[Arr
     return explained, log_det
 
 
-def _edge(edge: Float[Array, "k 4"]) -> tuple[Array, Array, Array, Array]:
-    """Direction and offset of the edges of samples, each with its standard deviation; straighter ones count more."""
-    double = jnp.mean(edge[:, :2], axis=0)
-    straight = jnp.linalg.norm(edge[:, :2], axis=-1)
+def _edge(edge: Float[Array, "k 4"], kind: Int[Array, " k"]) -> tuple[Array, Array, Array, Array]:
+    """Direction and offset of the edge if there is a straight one, each with its standard deviation: of the samples
+    that have one, straighter ones counting more.
+    """
+    straight = jnp.linalg.norm(edge[:, :2], axis=-1) * (kind == CONTACT_CLASSES.index("edge"))
     share = straight / jnp.maximum(jnp.sum(straight), 1e-9)
-    length = jnp.linalg.norm(double) / jnp.maximum(jnp.mean(straight), 1e-9)
+    unit = edge[:, :2] / jnp.maximum(jnp.linalg.norm(edge[:, :2], axis=-1, keepdims=True), 1e-9)
+    double = share @ unit
     direction = jnp.mod(0.5 * jnp.arctan2(double[1], double[0]), jnp.pi)
     # Of directions, which are the same after half a turn (Mardia and Jupp, Directional Statistics, 2000, section 3.4).
-    direction_std = 0.5 * jnp.sqrt(-2 * jnp.log(jnp.clip(length, 1e-6, 1.0)))
+    direction_std = 0.5 * jnp.sqrt(-2 * jnp.log(jnp.clip(jnp.linalg.norm(double), 1e-6, 1.0)))
     normal = jnp.stack([-jnp.sin(direction), jnp.cos(direction)])
     offsets = edge[:, 2:] @ normal
     offset = jnp.sum(share * offsets)
