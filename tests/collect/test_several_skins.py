@@ -3,14 +3,19 @@
 import json
 import os
 import re
+import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 from helpers.closed_form import GAIN, HEIGHT, QUIET, ROOM, make, names, site
 
+from experiments.calibrate.config import CalibrateArgs
+from experiments.recognize.arguments import SimulateArgs
+from experiments.train.arguments import TrainArgs
 from i2t import dataset
 from i2t.collect import command, recorder, session
 from i2t.collect.carried import SkinOnTool
@@ -35,6 +40,7 @@ from i2t.view.contents import read_contents
 
 pytestmark = pytest.mark.xdist_group("collect")
 
+ROOT = Path(__file__).parents[2]
 ASIDE_M = 0.02  # of the second skin, along the tool's x
 SQUARE = make_board("grid-2x2")
 SQUARE_GAIN = np.linspace(14, -11, 12)  # uT/N
@@ -232,6 +238,31 @@ def test_what_is_looked_at_is_of_the_skin_that_is_named(tmp_path):
     (record,) = contents.records()
     assert contents.dataset.board.num_chips == record.touch.board.num_chips == 4
     assert record.series["tactile"].values.shape[1] == 12
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(("module", "next_refusal"), [
+    ("experiments.train", "choose another --split"),
+    ("experiments.calibrate", "no press has a known position and depth"),
+    ("experiments.recognize", "has touches of plane"),
+])  # fmt: skip
+def test_commands_work_with_the_skin_that_is_named(tmp_path, module, next_refusal):
+    """Two touches are too few for any of them, which they find out only once the touches are read."""
+    touched(tmp_path / "set", two(2e-3), 2)
+    words = [sys.executable, "-m", module, "--dataset", str(tmp_path / "set"), "--out", str(tmp_path / "out")]
+    words += ["--pad", "nominal"] if module.endswith("recognize") else []
+    for named, said in (([], "holds touches of 2 skins, left and right"), (["--skin-name", "left"], next_refusal)):
+        run = subprocess.run([*words, *named], capture_output=True, text=True, cwd=ROOT)
+        assert run.returncode == 2
+        assert said in run.stderr
+
+
+@pytest.mark.parametrize("module", ["train", "calibrate", "recognize"])
+def test_a_skin_s_name_needs_a_data_set(module):
+    arguments = {"train": TrainArgs, "calibrate": CalibrateArgs, "recognize": SimulateArgs}[module]
+    given = {"calibration": Path("c.npz"), "save_pad": Path("p.npz")} if module == "calibrate" else {}
+    with pytest.raises(ValueError, match="--skin-name has no effect without --dataset"):
+        arguments(skin_name="left", **given).check()
 
 
 # The ambient field
