@@ -83,6 +83,10 @@ class DeviceConfig:
     def __post_init__(self) -> None:
         arm, skin = self.arm, self.skin
         for place, device in self.carried:
+            if isinstance(device, ReSkinConfig) and isinstance(skin, ReSkinConfig):
+                own, other = (each.serial_number or each.port for each in (skin, device))
+                if own == other:
+                    raise ValueError(f"the board {own} is named for two skins; correct --port, or skins.{place.name}")
             if isinstance(device, SimulatedSkinConfig) and not isinstance(arm, SimulatedArmConfig):
                 raise ValueError(
                     f"skins.{place.name}.device is simulated, and the arm is not; make it emulated, or reskin"

@@ -17,9 +17,11 @@ from jaxtyping import Float
 
 from i2t.depth.camera import Camera
 from i2t.geometry import inverse
+from i2t.hardware.carried_skins import CarriedSkin
 from i2t.hardware.limits import MotionLimits, format_position
 from i2t.types import PAD_WINDOW, TWIST_LEVER_M, Array
 
+MOST_BEFORE_TOOL_M, LEAST_APART_M = 0.02, 0.01  # of a further skin: out of the skin that presses; from another one
 LEAST_TOOL_M, MOST_TOOL_M = 10e-3, 0.35  # from the flange to a skin
 LEAST_FORWARD_COSINE = 0.3  # between where the skin is from the flange, and where it looks
 MASS_RANGE_KG, MOST_BEYOND_M = (0.05, 4.0), 0.1  # of skin, camera and mount; of their centre past the skin
@@ -52,6 +54,10 @@ class StatedRig(Protocol):
     @property
     def centre(self) -> tuple[float, float, float]:
         """m, its centre of mass in the flange."""
+
+    @property
+    def skins(self) -> tuple[CarriedSkin, ...]:
+        """Further skins on the tool."""
 
     @property
     def T_tool_camera(self) -> Array:
@@ -96,7 +102,14 @@ def implausible(rig: StatedRig, vertices: Float[Array, "v 3"] | None = None) -> 
     Returns:
         Sentences, the likeliest cause of others first; none for a plausible rig.
     """
-    found = [*_tool(rig), *_payload(rig), *_camera(rig), *_lens(rig.camera, rig.looking_distance), *_world(rig)]
+    found = [
+        *_tool(rig),
+        *_carried(rig),
+        *_payload(rig),
+        *_camera(rig),
+        *_lens(rig.camera, rig.looking_distance),
+        *_world(rig),
+    ]
     return [*found, *_object(rig, vertices)] if vertices is not None else [*found, *_origin(rig)]
 
 
@@ -166,6 +179,26 @@ def other_tool(T_flange_tool: Float[Array, "4 4"], T_pendant: Float[Array, "4 4"
         f"the TCP on the pendant is {shift:.0f} mm and {turn:.0f} degrees from the rig's T_flange_tool; correct the "
         "one that is wrong, or set the pendant's to zero"
     )
+
+
+def _carried(rig: StatedRig) -> Iterator[str]:
+    """Further skins that would meet everything first, or lie where another one is."""
+    placed: dict[str, Array] = {"at the tool": np.eye(4)}
+    for skin in rig.skins:
+        out_by = float(skin.T_tool_skin[2, 3])
+        if out_by > MOST_BEFORE_TOOL_M:
+            yield (
+                f"skins.{skin.name}.T_tool_skin puts it {1e3 * out_by:.0f} mm before the skin that presses, so that it "
+                "would meet everything first; give metres, or put the tool's frame there"
+            )
+        for name, other in placed.items():
+            apart = float(np.linalg.norm(skin.T_tool_skin[:3, 3] - other[:3, 3]))
+            if apart < LEAST_APART_M and skin.T_tool_skin[:3, 2] @ other[:3, 2] > 0:
+                yield (
+                    f"skins.{skin.name}.T_tool_skin puts it {1e3 * apart:.0f} mm from the skin {name}, where that one "
+                    "is; measure it from the tool's frame"
+                )
+        placed[skin.name] = skin.T_tool_skin
 
 
 def _tool(rig: StatedRig) -> Iterator[str]:

@@ -33,6 +33,7 @@ from i2t.errors import DataError, DeviceError, DeviceTimeoutError
 from i2t.hardware.carried_skins import CarriedSkin
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.rig import Rig
+from i2t.hardware.rig_checks import implausible
 from i2t.skin.ambient import load_ambient
 from i2t.skin.boards import make_board
 from i2t.types import Board, ReturnCode
@@ -345,6 +346,27 @@ def test_devices_of_skins_that_do_not_go_with_the_arm_are_refused(rig, tmp_path,
     words = ["--rig", str(rig(device)), "--out", str(tmp_path / "out"), "--object", "cylinder", *flags]
     assert command.main(words) == 2
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("where", "said"), [
+    ((0.0, 0.0, 0.05), "puts it 50 mm before the skin that presses"),
+    ((0.002, 0.0, 0.0), "puts it 2 mm from the skin at the tool, where that one is"),
+])  # fmt: skip
+def test_a_skin_that_meets_everything_first_or_lies_on_another_is_doubted(where, said):
+    T = np.eye(4)
+    T[:3, 3] = where
+    (doubt,) = implausible(replace(Rig(), skins=(CarriedSkin("right", "simulated", T),)))
+    assert said in doubt
+    assert not implausible(replace(Rig(), skins=(CarriedSkin("right", "simulated", beside(0.0)),)))
+    T[:3, :3] = np.diag([1.0, -1, -1])  # the other side of a finger, which presses nothing
+    T[:3, 3] = 0.0, 0.0, -0.005
+    assert not implausible(replace(Rig(), skins=(CarriedSkin("back", "simulated", T),)))
+
+
+def test_a_board_that_is_named_for_two_skins_is_refused(rig, tmp_path, capsys):
+    words = ["--rig", str(rig("reskin", "/dev/ttyACM1")), "--out", str(tmp_path / "out"), "--object", "cylinder"]
+    assert command.main([*words, "--skin", "reskin", "--port", "/dev/ttyACM1"]) == 2
+    assert "the board /dev/ttyACM1 is named for two skins; correct --port, or skins.right" in capsys.readouterr().err
 
 
 @pytest.mark.full
