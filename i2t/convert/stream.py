@@ -215,7 +215,8 @@ def table_of_presses(source: Path, *, board: Board, skip_bad: bool = False) -> T
     if not found:
         raise DataError(f"{source}: nothing presses in its {rows} rows; give a log that begins at rest and has presses")
     notes = ConversionLog(skip_bad, [*table.notes, *columns.notes, *damage.sentences()])
-    notes.info(f"found: {len(found)} presses in {rows} rows, which are {parts} parts without a pause")
+    pieces = f" of {parts} parts, between which it paused or another session began" if parts > 1 else ""
+    notes.info(f"found: {len(found)} presses in {rows} rows{pieces}")
     height = next((name for name in columns.labels if name in HEIGHT_COLUMNS), None)
     if height is not None:
         notes.info(
