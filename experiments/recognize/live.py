@@ -35,7 +35,7 @@ from i2t.collect.arguments import CollectArgs
 from i2t.collect.recorder import touches_in
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import Site, SiteOutcome, TouchResult
-from i2t.dataset import load_dataset
+from i2t.dataset import read_touch
 from i2t.emulators.world import read_pad
 from i2t.errors import DeviceError
 from i2t.hardware.rig import Rig
@@ -184,6 +184,9 @@ class LiveEpisode:
         if not np.isfinite(touch.reading).all():
             print("  chips of the skin did not answer: this touch is kept, but nothing is learned from it", flush=True)
             return
+        if not np.isfinite(touch.force):
+            print("  another skin felt it too, and its force is unknown: nothing is learned from it", flush=True)
+            return
         site = ChosenSite(outcome.site.number, self.recognizer.site_pose(outcome.site.number))
         contact = touch.code != ReturnCode.AIR
         observation = self.recognizer.observe(
@@ -204,7 +207,7 @@ def conclude(
     """Write down and say what was recognised; `true_object` is None for a real arm."""
     names, info = live.recognizer.names, live.infos[-1]
     p = np.stack([each.probability for each in live.infos])
-    source = load_dataset(args.out / "touches", missing_chips=True).source
+    source = read_touch(touches_in(args.out / "touches")[0]).touch.source
     result = {
         "source": source,
         "pad_model": pad_sources.to_json(known),
