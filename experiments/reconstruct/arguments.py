@@ -17,7 +17,7 @@ class ReconstructSizes:
     """How much is done."""
 
     train: int = 80  # shapes of the library
-    validation: int = 2  # objects, in neither, on which the width of the bands is chosen
+    validation: int = 6  # objects, in neither, on which the width of the bands is chosen
     test: int = 4  # unseen objects
     touches: int = 20  # on each
     pads: int = 3  # simulated skins, in turn

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from experiments.reconstruct.arguments import ExplorationCondition, ReconstructArgs, ReconstructSizes
-from experiments.reconstruct.scores import TrueShape, hidden_points, judge, standard_errors
+from experiments.reconstruct.scores import SurfaceErrors, TrueShape, hidden_points, judge, surface_errors
 from experiments.reconstruct.world import APPROACH_M, EXPLORING_OVERTRAVEL_M, Reality, Session, begin_session
 from i2t.reconstruction.exploration import (
     AROUND_LIMITS,
@@ -48,7 +48,7 @@ class Episode:
     """One object, touched until the touches are used up."""
 
     scores: dict[int, dict[str, float]]  # after so many touches
-    misses: dict[int, np.ndarray]  # standard errors at points of the true surface
+    errors: dict[int, SurfaceErrors]  # at points of the true surface
     estimates: dict[int, SurfaceEstimate]
     state: SurfaceState
     stopped: bool  # because no site was safe
@@ -105,7 +105,8 @@ def _report(episode: Episode, model: SurfaceModel, done: int, *, truth: TrueShap
     estimate = estimate_surface(model, episode.state)
     episode.estimates[done] = estimate
     episode.scores[done] = judge(estimate, truth, hidden)
-    episode.misses[done] = standard_errors(estimate, truth)[::10]
+    errors = surface_errors(estimate, truth)
+    episode.errors[done] = SurfaceErrors(errors.distance[::10], errors.std[::10])
 
 
 def _best_outcome(

@@ -78,7 +78,9 @@ def draw_reliability(episodes: Episodes) -> Picture:
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color=GREY, lw=1, ls=":")
     for colour, name in zip(COLOURS, episodes, strict=False):
-        parts = [miss for each in episodes[name].values() for count, miss in each.misses.items() if count > 0]
+        parts = [
+            found.standard for each in episodes[name].values() for count, found in each.errors.items() if count > 0
+        ]
         if parts:
             misses = np.concatenate(parts)
             found = [(misses < norm.ppf(0.5 + level / 2)).mean() for level in BAND_LEVELS]

@@ -21,6 +21,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -32,11 +33,12 @@ from experiments.reconstruct.arguments import CONDITIONS, ExplorationCondition, 
 from experiments.reconstruct.episodes import Explorer, explore, site_limits
 from experiments.reconstruct.figures import draw_all
 from experiments.reconstruct.report import Episodes, summarize, table
-from experiments.reconstruct.scores import true_shape
+from experiments.reconstruct.scores import SurfaceErrors, true_shape
 from experiments.reconstruct.world import ObjectSplit, make_reality, make_skins, split_objects
 from i2t.reconstruction.surface import Z_90, SurfaceModel, surface_model
 
 BAND = 0.9  # that a band should hold of the surface
+BAND_FLOORS_M = tuple(np.arange(9) * 0.25e-3)  # what is chosen among
 
 
 def run(args: ReconstructArgs) -> dict:
@@ -62,15 +64,15 @@ def run(args: ReconstructArgs) -> dict:
     unseen = range(len(split.validation), len(explorer.shapes))
     chosen = {name: CONDITIONS[name] for name in args.conditions or CONDITIONS}
     libraries = {condition.library for condition in chosen.values()}
-    scales = {known: choose_band(explorer, range(len(split.validation)), known) for known in libraries}
-    test = replace(explorer, models={known: scaled(models[known], scales[known]) for known in libraries})
+    bands = {known: choose_band(explorer, range(len(split.validation)), known) for known in libraries}
+    test = replace(explorer, models={known: with_band(models[known], bands[known]) for known in libraries})
     episodes = explore_all(test, chosen, unseen)
     report = summarize(episodes, test, sizes) | {
         "preset": args.preset,
         "reach": args.reach,
         "objects": {part: [item.name for item in getattr(split, part)] for part in ("validation", "test")},
         "library": {"shapes": len(split.train), "patches": len(skins.library.object)},
-        "band_scale": {"library" if known else "smoothness alone": scale for known, scale in scales.items()},
+        "band": {"library" if known else "smoothness alone": band._asdict() for known, band in bands.items()},
         "grid_points": list(models[True].grid.shape),
         "grid_spacing_mm": 1e3 * models[True].grid.spacing,
         "seconds": {"preparing": prepared, "all": time.monotonic() - started},
@@ -92,16 +94,48 @@ def make_models(split: ObjectSplit) -> dict[bool, SurfaceModel]:
     return {True: known, False: known._replace(library=known.library[:, :0])}
 
 
-def scaled(model: SurfaceModel, scale: float) -> SurfaceModel:
-    """A model whose standard deviations are wider or narrower."""
-    return model._replace(config=replace(model.config, band_scale=scale))
+class Band(NamedTuple):
+    """How wide bands are."""
+
+    scale: float  # of all standard deviations
+    floor: float  # m, standard deviation that no touch takes away
 
 
-def choose_band(explorer: Explorer, numbers: Sequence[int], known: bool) -> float:
-    """The factor on standard deviations with which bands hold 90 % of validation objects' surfaces."""
-    found = [explore(explorer, number, ExplorationCondition(library=known), seed=0) for number in numbers]
-    misses = np.concatenate([miss for each in found for count, miss in each.misses.items() if count > 0])
-    return float(np.quantile(misses, BAND) / Z_90)
+def with_band(model: SurfaceModel, band: Band) -> SurfaceModel:
+    """A model whose bands are wider or narrower."""
+    return model._replace(config=replace(model.config, band_scale=band.scale, band_floor=band.floor))
+
+
+def choose_band(explorer: Explorer, numbers: Sequence[int], known: bool) -> Band:
+    """The band that holds 90 % of validation objects' surfaces, after few touches and after many alike."""
+    bare = replace(explorer, models={known: with_band(explorer.models[known], Band(1.0, 0.0))})
+    found = [explore(bare, number, ExplorationCondition(library=known), seed=0) for number in numbers]
+    counts = sorted({count for each in found for count in each.errors if count > 0})
+    errors = [
+        SurfaceErrors(
+            *map(np.concatenate, zip(*(each.errors[count] for each in found if count in each.errors), strict=True))
+        )
+        for count in counts
+    ]
+
+    def fitting(floor: float) -> Band:
+        """The scale with which a band of this floor holds as much as it should, over all numbers of touches."""
+        low, high = 0.0, 10.0
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            held = np.mean([_held(each, Band(middle, floor)) for each in errors])
+            low, high = (middle, high) if held < BAND else (low, middle)
+        return Band(high, floor)
+
+    def unevenness(band: Band) -> float:
+        return float(np.mean([(_held(each, band) - BAND) ** 2 for each in errors]))
+
+    return min(map(fitting, BAND_FLOORS_M), key=unevenness)
+
+
+def _held(errors: SurfaceErrors, band: Band) -> float:
+    """Share of the surface in a band of 90 %."""
+    return float(np.mean(errors.distance < Z_90 * np.hypot(band.scale * errors.std, band.floor)))
 
 
 def explore_all(explorer: Explorer, conditions: dict[str, ExplorationCondition], numbers: Sequence[int]) -> Episodes:

@@ -1,5 +1,6 @@
 """How near a reconstructed surface comes to the true one, and whether its bands hold it."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -52,16 +53,33 @@ def judge(estimate: SurfaceEstimate, truth: TrueShape, hidden: np.ndarray | None
         "chamfer_mm": MM_PER_M * 0.5 * float(there.mean() + back.mean()),
         "iou": float((found & truth.inside).sum() / max((found | truth.inside).sum(), 1)),
         "f_score": float(2 * precision * recall / max(precision + recall, 1e-9)),
-        "coverage": float((standard_errors(estimate, truth) < Z_90).mean()),
+        "coverage": float((surface_errors(estimate, truth).standard < Z_90).mean()),
         "band_mm": MM_PER_M * Z_90 * float(std.mean()),
         "hidden_mm": float("nan") if hidden is None else MM_PER_M * _one_way(estimate.mesh, hidden),
     }
 
 
-def standard_errors(estimate: SurfaceEstimate, truth: TrueShape) -> np.ndarray:
-    """How many of its standard deviations the signed distance misses zero by, at points of the true surface."""
-    mean = interpolate(estimate.grid, estimate.distance, truth.points)
-    return np.abs(mean) / interpolate(estimate.grid, estimate.std, truth.points)
+class SurfaceErrors(NamedTuple):
+    """By how much the signed distance misses zero at points of the true surface."""
+
+    distance: np.ndarray  # m, without its sign
+    std: np.ndarray  # m, as estimated
+
+    @property
+    def standard(self) -> np.ndarray:
+        """The same in standard deviations."""
+        return self.distance / self.std
+
+
+def joined_errors(parts: Sequence[SurfaceErrors]) -> SurfaceErrors:
+    """Errors of several estimates as one."""
+    return SurfaceErrors(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def surface_errors(estimate: SurfaceEstimate, truth: TrueShape) -> SurfaceErrors:
+    """Errors of an estimate at points of the true surface."""
+    distance, std = (interpolate(estimate.grid, part, truth.points) for part in (estimate.distance, estimate.std))
+    return SurfaceErrors(np.abs(distance), std)
 
 
 def hidden_points(truth: TrueShape, seen: np.ndarray) -> np.ndarray:

@@ -98,7 +98,7 @@ STEPS = (
     Step("clouds", "-m experiments.clouds", minutes=1, again=None, result="clouds.json"),
     Step("real_frames", "-m experiments.real_frames --data DATA", minutes=1, needs="DATA", again="--overwrite"),
     Step("active_touch", "-m experiments.active_touch", minutes=10, again="--overwrite"),
-    Step("reconstruct", "-m experiments.reconstruct", minutes=10, again="--overwrite"),
+    Step("reconstruct", "-m experiments.reconstruct --test 10", minutes=15, again="--overwrite"),
     Step(
         "reconstruct_meshes",
         "-m experiments.reconstruct --meshes random_urdfs --unit cm"

@@ -251,5 +251,6 @@ def expected_reduction(
         return rng.random(len(places))
     drawn = rng.choice(len(density), config.probes, p=density / total)
     cov = posterior_covariance(model, posterior, estimate.grid.points()[drawn], places)
-    _, own = predict(model, posterior, places)
-    return (cov**2).sum(0) / (own**2 + config.noise**2)
+    _, std = predict(model, posterior, places)
+    own = std**2 - model.config.band_floor**2  # what a touch can take away
+    return (cov**2).sum(0) / (own + config.noise**2)

@@ -78,6 +78,7 @@ class SurfaceConfig:
     free_std: float = 1e-3  # m
     free_points: int = 4  # of a touch, at most, that hold the mean out of free space
     band_scale: float = 1.0  # of all standard deviations, chosen on other objects
+    band_floor: float = 1e-3  # m, standard deviation that no touch takes away: placement, and what the grid cannot hold
 
 
 class SurfaceModel(NamedTuple):
@@ -360,13 +361,14 @@ def predict(
     variance = _prior_variance(model, deviations)
     if len(posterior.points):
         variance = variance - (_whitened(posterior, cross) ** 2).sum(0)
-    return mean, model.config.band_scale * np.sqrt(np.maximum(variance, 1e-10))
+    config = model.config
+    return mean, np.hypot(config.band_scale * np.sqrt(np.maximum(variance, 1e-10)), config.band_floor)
 
 
 def posterior_covariance(
     model: SurfaceModel, posterior: SurfacePosterior, a: Float[np.ndarray, "p 3"], b: Float[np.ndarray, "q 3"]
 ) -> Float[np.ndarray, "p q"]:
-    """Covariance of the signed distance between two sets of points.
+    """Covariance of the signed distance between two sets of points, without what no touch takes away (`band_floor`).
 
     Args:
         model: Of the posterior.

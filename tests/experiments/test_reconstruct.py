@@ -49,7 +49,7 @@ def test_folders_that_end_in_0_are_unseen_and_meshes_are_scaled_and_joined(tmp_p
     from experiments.reconstruct import world
     from experiments.reconstruct.arguments import ReconstructArgs
 
-    for number in range(13):
+    for number in range(15):
         _write(tmp_path, f"{number:03d}", (20.0 + number, 30.0, 12.0))
     args = ReconstructArgs(meshes=tmp_path, unit="mm", test=5, train=6)
     split = world.split_objects(args, args.sizes)

@@ -128,7 +128,7 @@ def test_the_expected_reduction_is_what_a_measurement_takes_off_the_variance():
     posterior = regress(model, state)
     before = predict(model, posterior, probes)[1] ** 2
     cov = posterior_covariance(model, posterior, probes, places)
-    own = predict(model, posterior, places)[1] ** 2
+    own = predict(model, posterior, places)[1] ** 2 - model.config.band_floor**2
     for i, place in enumerate(places):
         more = state._replace(points=np.concatenate([seen, place[None]]), point_std=np.array([1e-3, 1e-3, 2e-3]))
         # The library's weights depend on evidence of touches, which this state has none of: only the points are new.

@@ -159,7 +159,7 @@ def _turned(axis, height):
 
 def test_the_regression_is_the_textbooks():
     """Rasmussen and Williams, Gaussian Processes for Machine Learning, equations 2.23 and 2.24, in double precision."""
-    model = _smooth(smooth_residual=10e-3, smooth_length=20e-3, inside_std=1e9)
+    model = _smooth(smooth_residual=10e-3, smooth_length=20e-3, inside_std=1e9, band_floor=0.0)
     state, _ = init(model)
     rng = np.random.default_rng(0)
     seen = rng.normal(size=(6, 3))
@@ -183,6 +183,23 @@ def test_the_regression_is_the_textbooks():
     np.testing.assert_allclose(
         posterior_covariance(model, regress(model, state), asked, asked), cov, atol=0.01 * cov.max()
     )
+
+
+def test_a_floor_is_what_no_touch_takes_away():
+    top = np.array([[0.0, 0.0, 20e-3]])
+
+    def spread(floor):
+        model = _smooth(smooth_length=60e-3, band_floor=floor)
+        state, _ = init(model)
+        height = np.zeros((48, 48))
+        for x in np.linspace(-8e-3, 8e-3, 12):
+            touch = contact_evidence(_from_above(20e-3, x), height=height, std=height + 0.1e-3)
+            state, _ = update(model, state, touch)
+        return predict(model, regress(model, state), top)[1][0]
+
+    bare = spread(0.0)
+    assert bare < 0.5e-3
+    np.testing.assert_allclose(spread(2e-3), np.hypot(bare, 2e-3), rtol=1e-5)
 
 
 def test_heights_of_a_tactile_image_are_points_of_the_surface():
