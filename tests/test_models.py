@@ -118,12 +118,14 @@ def test_the_ready_calibration_is_what_its_command_makes(tmp_path):
 
 
 @pytest.mark.full
-def test_the_ready_predictor_imagines_touches(tmp_path, capsys):
+def test_the_ready_predictor_imagines_touches(tmp_path, monkeypatch, capsys):
+    """As a newcomer calls it: where no run was made before, so that there is no folder for its picture."""
     from i2t.imagine import main
 
-    assert main(["star", "--sites", "2", "--out", str(tmp_path / "star.png")]) == 0
+    monkeypatch.chdir(tmp_path)
+    assert main(["star", "--sites", "2"]) == 0
     assert "+-" in capsys.readouterr().out
-    assert (tmp_path / "star.png").stat().st_size > 10_000
+    assert (tmp_path / "runs" / "imagine.png").stat().st_size > 10_000
     assert main(["star", "--sites", "1", "--board", "grid-2x2", "--out", str(tmp_path / "star.png")]) == 2
 
 

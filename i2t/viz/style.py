@@ -32,12 +32,13 @@ def save_figure(figure: Figure, path: Path | str) -> Path:
 
     Args:
         figure: What to write.
-        path: The file, whose folder exists.
+        path: The file; its folder is made if it is not there.
 
     Returns:
         The file.
     """
     FigureCanvasAgg(figure)
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=150, bbox_inches="tight")
     return Path(path)
 
