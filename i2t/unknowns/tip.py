@@ -38,7 +38,8 @@ def find_tip_radius(presses: RecordedPresses, zero: float | None, stated: float 
     """
     assumed = "" if stated is None else f"; {1e3 * stated:g} mm stays an assumption"
     if presses.height is None or zero is None:
-        return Finding(TIP_RADIUS, f"The tip's radius is not identifiable: depths are unknown{assumed}.", False)
+        lacking = "depths are unknown" if presses.height is None else "these presses do not tell where contact begins"
+        return Finding(TIP_RADIUS, f"The tip's radius is not identifiable: {lacking}{assumed}.", False)
     depth = np.maximum(zero - np.asarray(presses.height, np.float64), 0)
     deep = np.flatnonzero(depth > 0.1 * np.quantile(depth, 0.95))
     rows = deep[thinned(len(deep), TIP_PRESSES)]
