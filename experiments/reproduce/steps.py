@@ -53,7 +53,7 @@ STEPS = (
     Step("placement", "-m experiments.studies placement --pads 0 1 2 --episodes 10", uses="study", minutes=25),
     Step("mismatch", "-m experiments.studies mismatch --pads 0 1 2 --episodes 10", uses="study", minutes=30),
     Step("sites", "-m experiments.studies sites --pads 0 1 2 --episodes 10", uses="study", minutes=15),
-    Step("pose_error", "-m experiments.studies pose_error --episodes 10", uses="study", minutes=20),
+    Step("pose_error", "-m experiments.studies pose_error --pads 0 1 2 --episodes 10", uses="study", minutes=20),
     Step("object_count", "-m experiments.studies object_count --episodes 10", uses="study", minutes=30),
     Step("constants", "-m experiments.studies constants --episodes 10", uses="study"),
     Step("train_blocks", "-m experiments.train --dataset data/eflesh --split block --epochs 60", needs="data/eflesh"),

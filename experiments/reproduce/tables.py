@@ -250,6 +250,25 @@ def study_table(name: str) -> Table:
     return render
 
 
+WORLD_METHODS = {
+    "Imagine2touch (paper's network, mask), votes": "paper's network, mask: votes",
+    "Imagine2touch (paper's network, mask), product": "product",
+    "same rules, Gaussian process, votes": "GP: votes",
+    "same rules, Gaussian process, product": "product",
+    "proprioception, votes": "proprioception: votes",
+    "proprioception, product": "product",
+}
+
+
+def worlds_by_method(measured: Measured) -> str:
+    """Accuracies of the main methods side by side, a row for each world."""
+    cells: dict[str, dict[str, str]] = {}
+    for world, method, last, _ in measured["tables"]["worlds"]["rows"]:
+        cells.setdefault(world, {})[method] = estimate(last, 2)
+    rows = [[world, *(found[method] for method in WORLD_METHODS)] for world, found in cells.items()]
+    return markdown(["objects, error of placement", *WORLD_METHODS.values()], rows)
+
+
 def _cell(value: Any, column: Mapping[str, Any]) -> str:
     """A word as it is; a number or an interval as its column says; a dash where there is none."""
     if isinstance(value, str):
@@ -382,7 +401,6 @@ STUDY_TABLES = {
     "registered": ("methods", "view"),
     "planar": ("curves",),
     "sites": ("bits",),
-    "pose_error": ("worlds",),
     "policy": ("policies", "saved"),
     "object_count": ("curves",),
     "constants": ("likelihood", "particles", "scale", "planar"),
@@ -409,6 +427,7 @@ TABLES: dict[str, dict[str, Table]] = {
         "stopping": stopping_of_set("all", "fused"),
     },
     **{step: {name: study_table(name) for name in names} for step, names in STUDY_TABLES.items()},
+    "pose_error": {"worlds": worlds_by_method},
     "reconstruct": {"conditions": reconstructions(_RATIO, start=True)},
     "reconstruct_meshes": {"conditions": reconstructions(_DISTANCE, start=False)},
     "reconstruct_patch": {"methods": local_shapes, "catalogue": local_shapes_of_catalogue},
