@@ -402,6 +402,7 @@ STUDY_TABLES = {
     "planar": ("curves",),
     "sites": ("bits",),
     "policy": ("policies", "saved"),
+    "pose_error": ("worlds",),
     "object_count": ("curves",),
     "constants": ("likelihood", "particles", "scale", "planar"),
 }

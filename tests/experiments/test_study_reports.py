@@ -5,8 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from experiments.reproduce.tables import STUDY_TABLES, study_table
+from experiments.reproduce.tables import STUDY_TABLES, TABLES, study_table
 from experiments.studies import constants, object_count, planar, policy, pose_error, registered, sites
+from experiments.studies.run import STUDIES
 from i2t.recognition.episodes import EVIDENCE
 
 EPISODES = 50
@@ -43,6 +44,11 @@ def part(study: str) -> dict:
         return {str(i): world | PLAN | {rule: beliefs(10) for rule in RULES} for i, world in enumerate(worlds)}
     values = {constants.IN_USE: beliefs(10), "dof = 4": beliefs(10)}
     return PLAN | {"planar truth": PLAN["truth"]} | dict.fromkeys(constants.CONSTANT_KINDS, values)
+
+
+def test_every_study_names_the_tables_that_the_documents_may_ask_for():
+    assert set(STUDY_TABLES) == set(STUDIES)
+    assert all(TABLES[study].keys() == set(names) for study, names in STUDY_TABLES.items())
 
 
 @pytest.mark.full
