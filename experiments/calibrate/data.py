@@ -9,7 +9,7 @@ from jaxtyping import Array
 
 from i2t.calibration import LoadKind, Presses
 from i2t.calibration.population_gp import PressTable
-from i2t.dataset import Dataset
+from i2t.dataset import Dataset, square_blocks
 from i2t.types import ReturnCode
 
 RANDOM, INSIDE, SECOND_HALF = "random presses", "those of them outside the blocks", "second half in time"
@@ -56,9 +56,7 @@ class PressRecording:
 
     def blocks(self, edge_mm: float) -> np.ndarray:
         """The square block of this edge in which each press lies, counted from 0."""
-        position = MM_PER_M * self.position
-        cell = np.floor((position - position.min(0)) / edge_mm).astype(int)
-        return np.unique(cell, axis=0, return_inverse=True)[1].ravel()
+        return square_blocks(MM_PER_M * self.position, edge_mm)
 
 
 class PressSplit(NamedTuple):

@@ -24,6 +24,7 @@ from experiments.fidelity.forward import (
 from experiments.fidelity.sections import CannotTellError, Section, cell
 from i2t.calibration import calibrate
 from i2t.calibration.heads import SkinRecording
+from i2t.dataset import square_blocks
 from i2t.prediction.metrics import student_interval
 from i2t.unknowns.alignment import align_session, aligned_prediction, fit_session_map
 from i2t.viz import style
@@ -78,8 +79,7 @@ def hold_out_presses(presses: PressSet, preset: FidelityPreset, seed: int) -> di
     every = rng.permutation(n)
     held_out = max(round(share * n), min(MIN_TEST_ROWS, n // 3))
     found = {RANDOM_ROWS: (every[held_out:], every[:held_out])}
-    cell_of = np.floor((presses.position - presses.position.min(0)) / (1e-3 * preset.block_mm) + 1e-9).astype(int)
-    block = np.unique(cell_of, axis=0, return_inverse=True)[1].ravel()
+    block = square_blocks(presses.position, 1e-3 * preset.block_mm)
     if block.max() >= 4:
         chosen = rng.permutation(block.max() + 1)[: max(round(share * (block.max() + 1)), 1)]
         held = np.isin(block, chosen)

@@ -120,12 +120,10 @@ def choose_band(explorer: Explorer, numbers: Sequence[int], known: bool) -> Band
 
     def fitting(floor: float) -> Band:
         """The scale with which a band of this floor holds as much as it should, over all numbers of touches."""
-        low, high = 0.0, 10.0
-        for _ in range(40):
-            middle = 0.5 * (low + high)
-            held = np.mean([_held(each, Band(middle, floor)) for each in errors])
-            low, high = (middle, high) if held < BAND else (low, middle)
-        return Band(high, floor)
+        needed = [np.sqrt(np.maximum((each.distance / Z_90) ** 2 - floor**2, 0)) / each.std for each in errors]
+        counted_alike = np.concatenate([np.full(len(each), 1 / len(each)) for each in needed])
+        scale = np.quantile(np.concatenate(needed), BAND, weights=counted_alike, method="inverted_cdf")
+        return Band(float(scale), floor)
 
     def unevenness(band: Band) -> float:
         return float(np.mean([(_held(each, band) - BAND) ** 2 for each in errors]))
@@ -135,7 +133,7 @@ def choose_band(explorer: Explorer, numbers: Sequence[int], known: bool) -> Band
 
 def _held(errors: SurfaceErrors, band: Band) -> float:
     """Share of the surface in a band of 90 %."""
-    return float(np.mean(errors.distance < Z_90 * np.hypot(band.scale * errors.std, band.floor)))
+    return float(np.mean(errors.distance <= Z_90 * np.hypot(band.scale * errors.std, band.floor)))
 
 
 def explore_all(explorer: Explorer, conditions: dict[str, ExplorationCondition], numbers: Sequence[int]) -> Episodes:

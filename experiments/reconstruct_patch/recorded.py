@@ -31,7 +31,8 @@ from experiments.reconstruct_patch.scores import MM, numbers
 from i2t import viz
 from i2t.calibration import Calibration
 from i2t.calibration.heads import SkinRecording, fit_head, read_recordings
-from i2t.recognition.intervals import bootstrap_clusters, cluster_interval
+from i2t.dataset import square_blocks
+from i2t.recognition.intervals import bootstrap_clusters, cluster_interval, rate_interval
 from i2t.reconstruction.tip import TipModel, credible_level, imagine_tip, infer_tip
 
 BLOCK_M = 6e-3
@@ -167,8 +168,7 @@ def read(path: Path) -> tuple[SkinRecording, LabelledPresses, str]:
 
 def blocks_of(position: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
     """Number of the block of each press; ValueError where there are too few to hold some out."""
-    cell = np.floor((position - position.min(0)) / BLOCK_M)
-    blocks = np.unique(cell, axis=0, return_inverse=True)[1].ravel()
+    blocks = square_blocks(position, BLOCK_M)
     if blocks.max() + 1 < FEWEST_BLOCKS:
         raise ValueError(
             f"the presses lie in {blocks.max() + 1} blocks of {MM * BLOCK_M:g} mm, and at least {FEWEST_BLOCKS} are "
@@ -302,14 +302,14 @@ def judge(found: TipsFound, asked: LabelledPresses, kind: str, groups: list[np.n
         f"position_mm_{name}": numbers(bootstrap_clusters(partial(quantile, level), groups, len(error)))
         for name, level in (("median", 0.5), ("90", 0.9))
     }
-    said["within_1mm"] = numbers(cluster_interval(error <= 1, groups))
+    said["within_1mm"] = numbers(rate_interval(error <= 1, groups))
     said["position_mm_rmse_per_axis"] = round(float(np.sqrt(np.mean(error**2) / 2)), 4)
     if found.load is not None:
         scale = MM if kind == "depth" else 1.0
         off = scale * np.abs(found.load - asked.load)
         said[f"{kind}_error"] = numbers(cluster_interval(off, groups))
     if found.credible is not None:
-        said |= {f"coverage_{round(100 * level)}": numbers(cluster_interval(found.credible <= level, groups))
+        said |= {f"coverage_{round(100 * level)}": numbers(rate_interval(found.credible <= level, groups))
                  for level in REGION_LEVELS}  # fmt: skip
     if found.bits is not None:
         said["bits"] = numbers(cluster_interval(found.bits, groups))

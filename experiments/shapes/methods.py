@@ -29,7 +29,7 @@ from experiments.shapes.pad import (
     predict_reading,
 )
 from experiments.shapes.world import PREFIX, SHAPES
-from i2t.dataset import Dataset
+from i2t.dataset import Dataset, square_blocks
 from i2t.errors import DataError
 from i2t.simulation import touches as simulation
 from i2t.skin.elasticity import GRID, Grid
@@ -131,8 +131,7 @@ def split_folds(presses: StampPresses, split: str, seed: int) -> np.ndarray | No
         raise ValueError(f"{split!r} is no split; choose one of {', '.join(SPLITS)}")
     if not np.isfinite(presses.position).all():
         return None
-    cell = np.floor(presses.position / BLOCK_EDGE_M).astype(int)
-    block = np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
+    block = square_blocks(presses.position, BLOCK_EDGE_M, origin=(0.0, 0.0))
     counts = np.bincount(block)
     part, filled = np.zeros(len(counts), int), np.zeros(FOLDS)
     for i in rng.permutation(len(counts)):  # each block to the part that has least

@@ -26,6 +26,7 @@ from experiments.shifted.arguments import ShiftedArgs
 from experiments.shifted.variants import Variant, make_variants
 from i2t.calibration import calibrate, plain_gp
 from i2t.calibration.structured_gp import STDS_WITHIN_90_PERCENT
+from i2t.dataset import square_blocks
 
 SHIFTED_COUNTS = (5, 20, 50, 100)
 CALIBRATED, LIKELIEST = "i2t.calibrate", "plain Gaussian process, most likely"
@@ -92,8 +93,7 @@ def held_out(position: np.ndarray, rng: np.random.Generator) -> dict[str, tuple[
     """Rows to learn from, in random order, and to test on."""
     order, span = rng.permutation(len(position)), np.ptp(position, axis=0)
     edge = BLOCK_M if span.max() > 5e-3 else span.max() / 4
-    cell = np.floor((position - position.min(0)) / edge + 1e-9).astype(int)
-    block = np.unique(cell, axis=0, return_inverse=True)[1].ravel()
+    block = square_blocks(position, edge)
     count = block.max() + 1
     held = np.isin(block, rng.permutation(count)[: max(round(BLOCK_SHARE * count), 1)])
     tested = RANDOM_TEST if len(order) >= MANY_HELD_OUT_FROM else FEW_RANDOM_TEST

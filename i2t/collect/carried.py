@@ -7,7 +7,7 @@ met air, whatever ended the press.
 Frames: W world, B robot base, T tool, S skin; `T_a_b` maps points in b to a. Metres, newtons, microtesla.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -213,8 +213,7 @@ def carried_touch(
     states: Sequence[ArmState],
     started: float,
     code: ReturnCode,
-    others_felt: bool,
-    rule: StopRule,
+    felt_by: Collection[str],
     seen: SeenPatch | None,
     counters: SkinCounters,
 ) -> CarriedTouch:
@@ -229,8 +228,7 @@ def carried_touch(
         states: Of the arm in contact.
         started: s, when the press began.
         code: Of the press.
-        others_felt: Whether another skin felt it.
-        rule: That stops presses.
+        felt_by: Names of the skins that felt it.
         seen: Before this skin.
         counters: Of this touch.
 
@@ -238,9 +236,8 @@ def carried_touch(
         Everything that is kept of it.
     """
     T_b_s = states[-1].T_b_t @ skin.T_tool_skin
-    has_felt = felt(reading, skin.board, rule)
+    has_felt, alone = skin.name in felt_by, set(felt_by) == {skin.name}
     along = skin.T_tool_skin[:3, 2]
-    alone = has_felt and not others_felt
     force = -float(np.mean([state.wrench[:3] @ along for state in states])) if alone else np.nan
     depth = onset_distance(*condition.press(started, T_b_s), rest.ambient, reading) if has_felt else np.nan
     return CarriedTouch(

@@ -6,7 +6,7 @@ reads, `splits` holds touches out. The schema is described in docs/data.md.
 """
 
 from i2t.dataset.sets import Dataset, concatenate, missing_context, validate
-from i2t.dataset.splits import by_group, holdout_blocks, holdout_last, holdout_names, spatial_blocks
+from i2t.dataset.splits import by_group, holdout_blocks, holdout_last, holdout_names, spatial_blocks, square_blocks
 from i2t.dataset.store import (
     SKIN_NAME,
     BadFileWarning,
@@ -42,6 +42,7 @@ __all__ = [
     "read_touch",
     "save_dataset",
     "spatial_blocks",
+    "square_blocks",
     "validate",
     "write_touch",
 ]

@@ -33,6 +33,23 @@ def by_group(labels: np.ndarray) -> dict[int, np.ndarray]:
     return {int(label): np.flatnonzero(labels == label) for label in np.unique(labels)}
 
 
+def square_blocks(position: np.ndarray, edge: float, *, origin: tuple[float, float] | None = None) -> np.ndarray:
+    """The square block in which each position lies. An edge belongs to the block above it.
+
+    Args:
+        position: (n, 2) m.
+        edge: m, of a block.
+        origin: (2,) m, a corner of blocks; by default the least position on each axis.
+
+    Returns:
+        Block number (n,) of each position, counted from 0.
+    """
+    if not len(position):
+        return np.zeros(0, np.int64)
+    cell = np.floor((position - (position.min(0) if origin is None else np.array(origin))) / edge + EDGE_SLACK)
+    return np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
+
+
 def holdout_names(dataset: Dataset, kind: str, names: Sequence[str]) -> np.ndarray:
     """The touches of some objects, pads or sessions.
 
@@ -72,9 +89,9 @@ def spatial_blocks(dataset: Dataset, size: float) -> np.ndarray:
     T_w_o = np.where(unknown[:, None, None], np.eye(4), touches.T_w_o.astype(np.float64))
     from_object = touches.T_w_t[:, :3, 3].astype(np.float64) - T_w_o[:, :3, 3]
     position = np.einsum("nji,nj->ni", T_w_o[:, :3, :3], from_object)
-    cell = np.floor(position[:, :2] / size + EDGE_SLACK).astype(np.int64)
+    block = square_blocks(position[:, :2], size, origin=(0.0, 0.0))
     frame = np.where(unknown, touches.session, -1)
-    return np.unique(np.column_stack([touches.object, frame, cell]), axis=0, return_inverse=True)[1].reshape(-1)
+    return np.unique(np.column_stack([touches.object, frame, block]), axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def holdout_blocks(dataset: Dataset, size: float, fraction: float, seed: int) -> np.ndarray:

@@ -12,6 +12,7 @@ which keeps no more than the rows of the longest press.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,41 @@ RELEASED_SHARE = 0.1  # of a press's peak, below which it is over once the skin 
 REST_SCATTER = 2.0  # standard deviations between rows at rest
 MIN_PEAK_SHARE = 0.03  # of the median peak: what is less is the skin recovering
 NOISE_BLOCKS = 20  # of rows, whose differences are compared to find those at rest
+
+
+@dataclass(frozen=True, kw_only=True)
+class PressCriteria:
+    """What is a press.
+
+    Args:
+        begin_at: Distance from rest, in standard deviations of a smoothed channel, that a press exceeds.
+        end_at: Distance below which the skin is at rest.
+        min_press_s: Shorter presses are left out (s).
+        min_gap_s: Presses closer than this are one (s).
+        smooth_s: Rows are averaged over this time before they are compared (s).
+        baseline_s: Time at rest that a baseline is the median of (s).
+        max_press_s: What lasts longer is a new rest (s).
+        noise_std: (c,) of a single row of each channel (uT); by default found from differences of rows that follow
+            each other.
+
+    Raises:
+        ValueError: A press would end above where it begins.
+    """
+
+    begin_at: float = 8.0
+    end_at: float = 4.0
+    min_press_s: float = 0.1
+    min_gap_s: float = 0.1
+    smooth_s: float = 0.02
+    baseline_s: float = 1.0
+    max_press_s: float = 60.0
+    noise_std: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 < self.end_at <= self.begin_at:
+            raise ValueError(
+                f"a press cannot begin at {self.begin_at:g} and end at {self.end_at:g}; end_at is the smaller one"
+            )
 
 
 class SegmentedPresses(NamedTuple):
@@ -59,7 +95,7 @@ class FoundPress(NamedTuple):
 
 
 class SegmentationRules(NamedTuple):
-    """What is a press: distances in standard deviations, times in rows or in blocks of rows that are averaged."""
+    """`PressCriteria` of one recording: times are in rows, or in blocks of rows that are averaged."""
 
     noise_std: Float[np.ndarray, " c"]  # uT, of a row
     step: float  # s, between rows
@@ -90,33 +126,13 @@ class OpenRecording(NamedTuple):
     baseline: Float[np.ndarray, " c"] | None  # uT; None before the first rest was seen
 
 
-def segment_presses(
-    time: ArrayLike,
-    readings: ArrayLike,
-    *,
-    begin_at: float = 8.0,
-    end_at: float = 4.0,
-    min_press_s: float = 0.1,
-    min_gap_s: float = 0.1,
-    smooth_s: float = 0.02,
-    baseline_s: float = 1.0,
-    max_press_s: float = 60.0,
-    noise_std: ArrayLike | None = None,
-) -> SegmentedPresses:
+def segment_presses(time: ArrayLike, readings: ArrayLike, *, criteria: PressCriteria | None = None) -> SegmentedPresses:
     """Find the presses of a recording.
 
     Args:
         time: (n,) when each row was read (s), increasing.
         readings: (n, c) what the board sent (uT), ambient and drift and all.
-        begin_at: Distance from rest, in standard deviations of a smoothed channel, that a press exceeds.
-        end_at: Distance below which the skin is at rest.
-        min_press_s: Shorter presses are left out (s).
-        min_gap_s: Presses closer than this are one (s).
-        smooth_s: Rows are averaged over this time before they are compared (s).
-        baseline_s: Time at rest that a baseline is the median of (s).
-        max_press_s: What lasts longer is a new rest (s).
-        noise_std: (c,) of a single row of each channel (uT); by default found from differences of rows that follow
-            each other.
+        criteria: What is a press; by default `PressCriteria()`.
 
     Returns:
         The presses in the order of time; none where nothing presses.
@@ -129,11 +145,7 @@ def segment_presses(
         presses.reading, presses.start_time
     """
     time, readings = np.asarray(time, np.float64), np.asarray(readings, np.float64)
-    _check(time, readings, begin_at, end_at)
-    rules = segmentation_rules(
-        time, readings, begin_at=begin_at, end_at=end_at, min_press_s=min_press_s, min_gap_s=min_gap_s,
-        smooth_s=smooth_s, baseline_s=baseline_s, max_press_s=max_press_s, noise_std=noise_std,
-    )  # fmt: skip
+    rules = segmentation_rules(time, readings, criteria=criteria)
     recording, found = find_more(open_recording(rules), time, readings)
     kept = true_presses([*found, *find_last(recording)], rules)
     channels = readings.shape[1]
@@ -150,51 +162,38 @@ def segment_presses(
 
 
 def segmentation_rules(
-    time: ArrayLike,
-    readings: ArrayLike,
-    *,
-    begin_at: float = 8.0,
-    end_at: float = 4.0,
-    min_press_s: float = 0.1,
-    min_gap_s: float = 0.1,
-    smooth_s: float = 0.02,
-    baseline_s: float = 1.0,
-    max_press_s: float = 60.0,
-    noise_std: ArrayLike | None = None,
+    time: ArrayLike, readings: ArrayLike, *, criteria: PressCriteria | None = None
 ) -> SegmentationRules:
     """What is a press in a recording, by the rate and the noise of some of its rows.
 
     Args:
         time: (n,) when each row was read (s), increasing.
         readings: (n, c) uT.
-        begin_at: As of `segment_presses`, like all that follow.
-        end_at: Likewise.
-        min_press_s: s.
-        min_gap_s: s.
-        smooth_s: s.
-        baseline_s: s.
-        max_press_s: s.
-        noise_std: (c,) uT.
+        criteria: In seconds; by default `PressCriteria()`.
 
     Returns:
-        The rules.
+        The rules, in rows.
 
     Raises:
         ValueError: Times do not increase, shapes do not belong together, or a value is not finite.
     """
+    criteria = criteria or PressCriteria()
     time, readings = np.asarray(time, np.float64), np.asarray(readings, np.float64)
-    _check(time, readings, begin_at, end_at)
+    _check(time, readings)
     step = float(np.median(np.diff(time)))
 
     def rows(seconds: float) -> int:
         return max(1, round(seconds / step))
 
-    width = min(rows(smooth_s), max(len(time) // MIN_ROWS, 1))
-    rest, gap, longest = (max(1, rows(seconds) // width) for seconds in (baseline_s, min_gap_s, max_press_s))
-    noise = _noise(readings) if noise_std is None else np.maximum(np.asarray(noise_std), MIN_NOISE_UT)
+    width = min(rows(criteria.smooth_s), max(len(time) // MIN_ROWS, 1))
+    seconds_of = criteria.baseline_s, criteria.min_gap_s, criteria.max_press_s
+    rest, gap, longest = (max(1, rows(seconds) // width) for seconds in seconds_of)
+    known = criteria.noise_std
+    noise = _noise(readings) if known is None else np.maximum(np.asarray(known), MIN_NOISE_UT)
     return SegmentationRules(
         noise, step, width,
-        begin_at=begin_at, end_at=end_at, shortest=min_press_s, rest=rest, gap=gap, longest=longest,
+        begin_at=criteria.begin_at, end_at=criteria.end_at, shortest=criteria.min_press_s,
+        rest=rest, gap=gap, longest=longest,
     )  # fmt: skip
 
 
@@ -264,7 +263,7 @@ def true_presses(found: Sequence[FoundPress], rules: SegmentationRules) -> list[
     return [press for press in found if press.end_time - press.start_time >= shortest and press.peak >= enough]
 
 
-def _check(time: np.ndarray, readings: np.ndarray, begin_at: float, end_at: float) -> None:
+def _check(time: np.ndarray, readings: np.ndarray) -> None:
     if readings.ndim != 2 or time.shape != (len(readings),) or len(time) < MIN_ROWS:
         raise ValueError(
             f"times {time.shape} and readings {readings.shape} are no recording; give (n,) and (n, channels) of at "
@@ -275,8 +274,6 @@ def _check(time: np.ndarray, readings: np.ndarray, begin_at: float, end_at: floa
     if not (np.diff(time) > 0).all():
         row = int(np.flatnonzero(np.diff(time) <= 0)[0]) + 2
         raise ValueError(f"time does not increase at row {row}; sort the rows and drop repeated ones")
-    if not 0 < end_at <= begin_at:
-        raise ValueError(f"a press cannot begin at {begin_at:g} and end at {end_at:g}; end_at is the smaller one")
 
 
 def _noise(readings: np.ndarray) -> np.ndarray:

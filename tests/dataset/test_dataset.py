@@ -31,6 +31,7 @@ from i2t.dataset import (
     read_touch,
     save_dataset,
     spatial_blocks,
+    square_blocks,
     validate,
     write_touch,
 )
@@ -539,3 +540,11 @@ def test_a_chip_is_there_with_all_its_axes_or_missing(part, why):
     reading[part] = np.nan
     with pytest.raises(DataError, match=why):
         validate(replace(dataset, touches=dataset.touches._replace(reading=reading)))
+
+
+def test_square_blocks_take_their_edges_with_the_block_above_and_are_counted_from_nothing():
+    grid = np.stack(np.meshgrid(np.arange(6), np.arange(4), indexing="ij"), -1).reshape(-1, 2) * 1e-3 + 0.7
+    block = square_blocks(grid, 2e-3)
+    assert np.bincount(block).tolist() == [4] * 6
+    assert len(np.unique(square_blocks(grid, 2e-3, origin=(0.701, 0.7)))) == 8
+    assert square_blocks(np.zeros((0, 2)), 2e-3).shape == (0,)

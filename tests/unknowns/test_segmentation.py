@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from i2t.unknowns.segmentation import segment_presses
+from i2t.unknowns.segmentation import PressCriteria, segment_presses
 
 SESSIONS = Path(os.environ.get("I2T_DATA", Path(__file__).parents[3] / "shared" / "data")) / "eflesh" / "normal"
 RATE, NOISE = 400.0, 1.5
@@ -81,7 +81,7 @@ def test_what_is_no_recording_is_refused():
     with pytest.raises(ValueError, match="not finite"):
         segment_presses(time, np.where(readings > 500, np.nan, readings))
     with pytest.raises(ValueError, match="end_at is the smaller"):
-        segment_presses(time, readings, end_at=9.0)
+        segment_presses(time, readings, criteria=PressCriteria(end_at=9.0))
 
 
 @pytest.mark.skipif(not SESSIONS.is_dir(), reason="no real recordings")

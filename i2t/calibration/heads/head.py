@@ -49,6 +49,7 @@ from i2t.calibration.heads.regression import (
     predict_regression,
     some_rows,
 )
+from i2t.dataset import square_blocks
 
 FILE_KIND_OF_HEAD = "i2t head"
 STACKED_METHODS = "weighted methods"
@@ -386,8 +387,7 @@ def hold_out_groups(recording: SkinRecording, block_m: float = BLOCK_M) -> np.nd
     # Strokes along a line come back to the same places: there the stroke is what rows share.
     if ranges.min() > MIN_CHANGE["position"] or (ranges.max() > MIN_CHANGE["position"] and not recording.session.any()):
         edge = min(block_m, float(ranges.max()) / BLOCKS_ACROSS)
-        cell = np.floor((position - position.min(0)) / edge + 1e-9).astype(int)
-        return np.unique(cell, axis=0, return_inverse=True)[1].ravel()
+        return square_blocks(position, edge)
     if len(np.unique(recording.session)) >= MIN_BLOCKS:
         return np.unique(recording.session, return_inverse=True)[1].ravel()
     stretches = min(TIME_STRETCHES, len(recording))
