@@ -143,6 +143,9 @@ def test_lerobot_itself_reads_it(tmp_path):
     lerobot = pytest.importorskip("lerobot.datasets.lerobot_dataset")
     dataset = make(6)
     folder = write_lerobot(tmp_path / "out", dataset)
-    frame = lerobot.LeRobotDataset("i2t/touches", root=folder)[0]
-    row = int(frame["touch.row"])
-    np.testing.assert_array_equal(frame["observation.tactile"].numpy(), dataset.touches.reading[row])
+    found = lerobot.LeRobotDataset("i2t/touches", root=folder)
+    assert len(found) == len(dataset)
+    for frame in found:
+        row = int(frame["touch.row"])
+        np.testing.assert_array_equal(frame["observation.tactile"].numpy(), dataset.touches.reading[row])
+        np.testing.assert_array_equal(frame["observation.patch"].numpy(), dataset.touches.patch[row])

@@ -2,6 +2,7 @@
 
 import csv
 import errno
+import inspect
 import json
 from pathlib import Path
 
@@ -141,10 +142,17 @@ def test_robomimic_itself_reads_it(tmp_path):
     reader = pytest.importorskip("robomimic.utils.dataset")
     dataset = make(12)
     path = write_robomimic(tmp_path / "out.hdf5", dataset)
+    words = {"hdf5_cache_mode": None, "hdf5_use_swmr": False, "load_next_obs": False}
+    if "action_keys" in inspect.signature(reader.SequenceDataset).parameters:  # since 0.4
+        words |= {"action_keys": ("actions",), "action_config": {"actions": {"normalization": None}}}
     found = reader.SequenceDataset(
-        str(path), obs_keys=("reading", "patch", "row"), dataset_keys=("actions", "rewards", "dones"),
-        action_keys=("actions",),
-        action_config={"actions": {"normalization": None}}, hdf5_cache_mode=None, hdf5_use_swmr=False,
-    )  # fmt: skip
-    first = found[0]["obs"]
-    np.testing.assert_array_equal(first["reading"][0], dataset.touches.reading[int(first["row"][0])])
+        str(path), obs_keys=("reading", "patch", "row"), dataset_keys=("actions", "rewards", "dones"), **words
+    )
+    assert len(found) == len(dataset)
+    rows = []
+    for item in map(found.__getitem__, range(len(found))):
+        row = int(item["obs"]["row"][0])
+        np.testing.assert_array_equal(item["obs"]["reading"][0], dataset.touches.reading[row])
+        np.testing.assert_array_equal(item["obs"]["patch"][0], dataset.touches.patch[row])
+        rows.append(row)
+    assert sorted(rows) == list(range(len(dataset)))
