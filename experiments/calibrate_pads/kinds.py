@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from experiments.calibrate_pads.simulate import BALL_TIP, FORCE_ERROR_N, POSITION_ERROR_M, PRESS_NOISE_UT
+from i2t.batching import map_batches
 from i2t.calibration import lattice
 from i2t.skin import boards
 from i2t.skin.pad import press, sample_pad
@@ -124,7 +125,7 @@ def _press_pads(
             pressed = press(one[0], BALL_TIP.height(at[0]), at[1])
             return pressed.reading, pressed.force
 
-        return jax.lax.map(single, one[1:], batch_size=PRESS_BATCH)
+        return map_batches(single, one[1:], batch_size=PRESS_BATCH)
 
     return jax.lax.map(skin, (pads, position, depth))
 

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
+from i2t.batching import map_batches
 from i2t.calibration import Presses
 from i2t.calibration.physics import RoundTip
 from i2t.skin import boards, faults
@@ -36,7 +37,7 @@ def press_pads(key: Key[Array, ""], count: int, n: int) -> tuple[Pad, Presses, F
 
     def skin(at: tuple[Array, Array, Array]) -> tuple[Pad, Array]:
         pad = sample_pad(at[0])
-        return pad, jax.lax.map(
+        return pad, map_batches(
             lambda press: press_force(pad, BALL_TIP.height(press[0]), press[1]).reading,
             at[1:],
             batch_size=PAD_PRESS_BATCH,

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
+from i2t.batching import map_batches
 from i2t.calibration.heads import SkinRecording
 from i2t.calibration.physics import RoundTip
 from i2t.skin.contact import solve
@@ -77,7 +78,7 @@ def simulated_slides(number: int, strokes: int) -> SkinRecording:
 @partial(jax.jit, static_argnums=2)
 def _slide(key: Key[Array, ""], pad: Pad, strokes: int) -> SlideRow:
     keys = jax.random.split(key, strokes)
-    return jax.lax.map(lambda one: _stroke(one, pad), keys, batch_size=min(STROKES_AT_ONCE, strokes))
+    return map_batches(lambda one: _stroke(one, pad), keys, batch_size=min(STROKES_AT_ONCE, strokes))
 
 
 def _stroke(key: Key[Array, ""], pad: Pad) -> SlideRow:

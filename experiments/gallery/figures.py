@@ -14,6 +14,7 @@ from experiments.gallery.lab_figures import monitor, registration, rig
 from experiments.gallery.skin_figures import field, pressures, reliability
 from experiments.gallery.story import HIDDEN_OBJECT, Draw, Story
 from i2t import viz
+from i2t.batching import map_batches
 from i2t.prediction.metrics import score
 from i2t.rendering.render import contact_mask
 from i2t.skin.elasticity import GRID, interior, load
@@ -133,7 +134,7 @@ def calibration_curve(story: Story) -> Figure:
     pad, rng = i2t.sample_pad(jax.random.key(2)), np.random.default_rng(0)
     n = CURVE_COUNTS[-1] + HELD_OUT
     position, depth = rng.uniform(-6e-3, 6e-3, (n, 2)), rng.uniform(0.1e-3, 0.5e-3, n)
-    pressed = jax.lax.map(
+    pressed = map_batches(
         lambda at: _press_ball(at[0], at[1], at[2], pad),
         jnp.asarray(np.column_stack([position, depth]), jnp.float32),
         batch_size=16,

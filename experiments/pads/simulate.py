@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
+from i2t.batching import map_batches
 from i2t.calibration import Presses
 from i2t.calibration.physics import RoundTip
 from i2t.skin import faults
@@ -61,7 +62,7 @@ def press_skin(key: Key[Array, ""], pad: Pad, n: int) -> SkinSession:
     key_position, key_force, key_faults, key_noise = jax.random.split(key, 4)
     position = jax.random.uniform(key_position, (n, 2), minval=-REACH_M, maxval=REACH_M)
     force = jax.random.uniform(key_force, (n,), minval=PROBE_FORCES_N[0], maxval=PROBE_FORCES_N[1])
-    ideal = jax.lax.map(
+    ideal = map_batches(
         lambda at: press_force(pad, PROBE_TIP.height(at[0]), at[1]).reading,
         (position, force),
         batch_size=PROBE_PRESS_BATCH,

@@ -8,6 +8,7 @@ import numpy as np
 from experiments.reconstruct_patch.arguments import PatchArgs
 from experiments.reconstruct_patch.scores import MetSurface
 from experiments.reconstruct_patch.shapes import list_shapes
+from i2t.batching import map_batches
 from i2t.reconstruction.library import library_of, sample_contacts, to_few_sizes
 from i2t.reconstruction.local_shape import PatchLibrary
 from i2t.reconstruction.press_curves import PressCurve, simulate_press_curve
@@ -49,7 +50,7 @@ def press_all(keys: Array, pad: Pad, heights: Array) -> PressCurve:
     def one(each: tuple[Array, Array]) -> PressCurve:
         return simulate_press_curve(each[0], pad, each[1], errors=SimulationErrors(), limits=PressLimits())
 
-    return jax.lax.map(one, (keys, heights), batch_size=PRESSES_AT_ONCE)
+    return map_batches(one, (keys, heights), batch_size=PRESSES_AT_ONCE)
 
 
 def truth_of(part: Part, presses: PressCurve) -> MetSurface:

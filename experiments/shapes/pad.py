@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from experiments.shapes.world import Stamp, heights, pose, stamps
+from i2t.batching import map_batches
 from i2t.calibration import physics
 from i2t.calibration.physics import LayerParameters, LinearRegression
 from i2t.skin.contact import MAX_HEIGHT_M
@@ -90,7 +91,7 @@ def stamp_features(
         design = physics.design_matrix(layer, board, tip, jnp.zeros(2), force, by_force=True, grid=grid)
         return physics.weight_features(layer, design[None], PAD_WINDOW)[0]
 
-    return jax.lax.map(one, (which, *poses), batch_size=physics.DESIGN_BATCH)
+    return map_batches(one, (which, *poses), batch_size=physics.DESIGN_BATCH)
 
 
 class StampFeatures:

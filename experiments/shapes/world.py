@@ -25,6 +25,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from i2t import geometry
+from i2t.batching import map_batches
 from i2t.dataset import Dataset
 from i2t.objects import catalogue
 from i2t.simulation import touches as simulation
@@ -213,7 +214,7 @@ def press_session(
         key, stamp, position, rotation, force = args
         return press_stamp(key, jax.tree.map(lambda leaf: leaf[stamp], drawn), pad, position, rotation, force, cfg)
 
-    touches = jax.lax.map(one, (keys, which, positions, rotations, forces), batch_size=16)
+    touches = map_batches(one, (keys, which, positions, rotations, forces), batch_size=16)
     touches = touches._replace(object=which)
     return simulation.apply_sensor_model(key_skin, touches, pad, cfg.errors, presses_before=presses_before)
 

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from i2t.batching import map_batches
 from i2t.calibration.structured_gp import Presses
 from i2t.skin import boards, magnets
 from i2t.skin.magnets import Magnets
@@ -79,7 +80,7 @@ def sample_skin(
         moved = magnets.moved(still, translation, rotation)
         return (magnets.field(chips, moved, 24) - magnets.field(chips, still, 24)).ravel()
 
-    readings = jax.lax.map(lambda one: press(*one), (position, depth), batch_size=LATTICE_BATCH)
+    readings = map_batches(lambda one: press(*one), (position, depth), batch_size=LATTICE_BATCH)
     return readings / jnp.sqrt(jnp.mean(readings**2))
 
 

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from i2t.batching import map_batches
 from i2t.environments.core import EnvironmentParams, EnvironmentState, TouchAction, TouchEnvironment
 from i2t.recognition import belief, ensemble
 from i2t.recognition import policy as recognition_policy
@@ -132,7 +133,7 @@ def run_policy(
         def choose(at: tuple[Array, EnvironmentState, Array]) -> Array:
             return policy(at[0], at[1], at[2], params)
 
-        site = jax.lax.map(choose, (jax.random.split(key_policy, episodes), state, touched), batch_size=POLICY_BATCH)
+        site = map_batches(choose, (jax.random.split(key_policy, episodes), state, touched), batch_size=POLICY_BATCH)
         make = partial(environment.step_env, params=params)
         keys = jax.random.split(key_touch, episodes)
         _, after, _, _, info = jax.vmap(lambda k, s, a: make(k, s, TouchAction(a)))(keys, state, site)

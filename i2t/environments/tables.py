@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Key
 
+from i2t.batching import map_batches
 from i2t.environments.core import EnvironmentConfig, EnvironmentParams, OutcomeTable, TouchEnvironment
 from i2t.environments.press import TouchOutcome, meet, press, response_map
 from i2t.environments.tasks import TouchTask, WhichObject
@@ -137,7 +138,7 @@ def _touch_all(
             params.pads, params.response
         )
 
-    made = jax.lax.map(one, (keys, row, site), batch_size=TABULATED_BATCH)
+    made = map_batches(one, (keys, row, site), batch_size=TABULATED_BATCH)
     return jax.tree.map(lambda x: jnp.moveaxis(x.reshape(placements, sites, *x.shape[1:]), 2, 0), made)
 
 

@@ -45,7 +45,6 @@ PREDICTOR_FORMAT = "i2t predictor"
 PREDICTOR_VERSION = 3
 READABLE_VERSIONS = (1, 2, 3)  # version 2 knew no baselines, version 1 said the same in other words
 BASELINES = {kind.__name__: kind for kind in (MeanReading, NearestPatches, RidgeOnPatches)}  # by their names on disk
-BATCH = 64  # contact pressures computed at a time
 STDS_WITHIN_90 = 1.645  # standard deviations of a normal error that hold nine in ten
 
 Values: TypeAlias = int | float | Sequence[int | float] | np.ndarray | Array  # one for all touches, or one for each
@@ -416,7 +415,7 @@ class Predictor:
 def predict_pressures(
     cfg: PressureModelConfig, views: np.ndarray, force: np.ndarray, depth: np.ndarray, pad: Pad | None = None
 ) -> ContactPressure:
-    """The contact pressures of many touches, a batch at a time.
+    """The contact pressures of many touches, in batches of few sizes, so that a new number of them compiles nothing.
 
     Args:
         cfg: How pressure is predicted.
@@ -428,8 +427,9 @@ def predict_pressures(
     Returns:
         Pressures and loads, n on axis 0.
     """
-    values = (jnp.float32(views), jnp.float32(force), jnp.float32(depth))
-    return _pressures(cfg, nominal_pad() if pad is None else pad, values)
+    columns, pressed = [np.asarray(x, np.float32) for x in (views, force, depth)], pad or nominal_pad()
+    parts = [_pressures(cfg, pressed, *(x[rows] for x in columns)) for rows, _ in user_input.size_classes(len(views))]
+    return jax.tree.map(lambda *found: jnp.concatenate(found)[: len(views)], *parts)  # only the last part is filled up
 
 
 def save(directory: Path | str, predictor: Predictor) -> None:
@@ -620,8 +620,8 @@ def _conditions(names: Sequence[str], touches: TouchBatch) -> np.ndarray:
 
 
 @partial(jax.jit, static_argnums=0)
-def _pressures(cfg: PressureModelConfig, pad: Pad, values: tuple[Array, Array, Array]) -> ContactPressure:
-    return jax.lax.map(lambda touch: predict_pressure(cfg, pad, *touch), values, batch_size=BATCH)
+def _pressures(cfg: PressureModelConfig, pad: Pad, views: Array, force: Array, depth: Array) -> ContactPressure:
+    return jax.vmap(partial(predict_pressure, cfg, pad))(views, force, depth)
 
 
 @jax.jit

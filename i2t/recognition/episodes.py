@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from tqdm import tqdm
 
+from i2t.batching import map_batches
 from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.recognition import belief
@@ -420,7 +421,7 @@ def posteriors(
 
         return jax.lax.scan(step, belief.init(particles, objects, channels=channels), at)[1]
 
-    return jax.lax.map(episode, (site, observations), batch_size=BELIEVED_EPISODES)
+    return map_batches(episode, (site, observations), batch_size=BELIEVED_EPISODES)
 
 
 def run_belief(

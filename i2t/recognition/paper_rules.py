@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
+from i2t.batching import map_batches
 from i2t.geometry import inverse
 from i2t.prediction.predictor import Predictor, Reading
 from i2t.recognition import ensemble
@@ -352,7 +353,7 @@ def _noisy(wide: np.ndarray, view_noise: float, rng: np.random.Generator) -> np.
 
 @jax.jit
 def _nearest_distances(points: Array, surface: Surface) -> Array:
-    return jax.lax.map(lambda point: ensemble.nearest_distance(point, surface), points, batch_size=VIEWS)
+    return map_batches(lambda point: ensemble.nearest_distance(point, surface), points, batch_size=VIEWS)
 
 
 @jax.jit

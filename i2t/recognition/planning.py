@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from i2t.batching import map_batches
 from i2t.recognition import belief, ensemble, policy
 from i2t.recognition.belief import Belief, Likelihood, TouchObservation
 from i2t.recognition.outcomes import PredictedTouch
@@ -48,7 +49,7 @@ def update_beliefs(
         kept = jax.tree.map(lambda new, old: jnp.where(site >= 0, new, old), after, before)
         return kept, belief.posterior(kept)
 
-    return jax.lax.map(one, (beliefs, site, observations), batch_size=8)
+    return map_batches(one, (beliefs, site, observations), batch_size=8)
 
 
 @jax.jit

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 from jax.scipy.special import logsumexp, xlogy
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from i2t.batching import map_batches
 from i2t.recognition.belief import (
     Belief,
     Likelihood,
@@ -109,7 +110,7 @@ def expected_information_gain(
         density = _compare(jax.vmap(imagine)(true, draws.twist, draws.noise), some, compared, likelihood)
         return _mutual_information(density, log_prior, draws)
 
-    return jax.lax.map(site_gain, table, batch_size=16)
+    return map_batches(site_gain, table, batch_size=16)
 
 
 def imagine_observation(

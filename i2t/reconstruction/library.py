@@ -26,6 +26,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from i2t import serialization
+from i2t.batching import map_batches
 from i2t.geometry import contact_frame, inverse, so3_exp
 from i2t.reconstruction.local_shape import CONTACT_CLASSES, PatchLibrary
 from i2t.rendering.render import render_heights, stack_surfaces
@@ -293,18 +294,18 @@ def _meet(key: Array, surface: Surface, sampling: ContactSampling) -> Contacts:
         coarse = render_heights(surface, T_t_o, PAD_WINDOW, CELL_GRID.cells)
         return Contacts(T_o_t, jnp.clip(patch, 0, REACH), height, coarse, hit & jnp.isfinite(jnp.min(coarse)))
 
-    contacts = jax.lax.map(lambda each: meet(*each), (frames, angle, about), batch_size=count)
+    contacts = map_batches(lambda each: meet(*each), (frames, angle, about), batch_size=count)
     return contacts._replace(met=contacts.met & safe)
 
 
 @jax.jit
 def _pressures(pad: Pad, heights: Array, loads: Array) -> tuple[Array, Array]:
-    return jax.lax.map(lambda height: pressure_chain(pad, height, loads), heights, batch_size=BATCH)
+    return map_batches(lambda height: pressure_chain(pad, height, loads), heights, batch_size=BATCH)
 
 
 @jax.jit
 def _edges(patches: Array) -> tuple[Array, Array]:
-    return jax.lax.map(describe_edge, patches, batch_size=BATCH)
+    return map_batches(describe_edge, patches, batch_size=BATCH)
 
 
 def describe_edge(patch: Float[Array, "p p"]) -> tuple[Float[Array, "4"], Array]:

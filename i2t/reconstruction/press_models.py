@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from i2t.batching import map_batches
 from i2t.reconstruction.library import BATCH, CELL_GRID, pressure_chain
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel
 from i2t.skin.dipoles import response
@@ -174,7 +175,7 @@ def _press_all(pad: Pad, heights: Array, loads: Array) -> tuple[Array, Array, Ar
         newtons = pressure.reshape(len(loads), -1) * CELL_GRID.spacing**2
         return newtons, indentation, jax.lax.map(lambda each: _reading(pad, *each), (pressure, traction))
 
-    return jax.lax.map(one, heights, batch_size=BATCH)
+    return map_batches(one, heights, batch_size=BATCH)
 
 
 @jax.jit
@@ -192,7 +193,7 @@ def _slide_all(pad: Pad, heights: Array, loads: Array) -> Array:
         found = jax.lax.map(reading, SLIDING_SLANT * jnp.array([[0.0, 0], [1, 0], [0, 1]]))
         return jnp.moveaxis(found[1:] - found[:1], 0, 1) / SLIDING_SLANT
 
-    return jax.lax.map(one, heights, batch_size=BATCH)
+    return map_batches(one, heights, batch_size=BATCH)
 
 
 def _friction(pad: Pad, pressure: Array, slide: Array) -> Array:

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
+from i2t.batching import map_batches
 from i2t.geometry import contact_frame, full_precision, inverse
 from i2t.objects.solids import Mesh
 from i2t.rendering.render import prepare_surface
@@ -323,7 +324,7 @@ def sample_sites(
     spins = jax.random.uniform(key_spin, (oversample * n,), maxval=2 * jnp.pi)
     frames = jax.vmap(contact_frame)(points, normals, spins)
     batch = math.gcd(len(frames), 64)  # bounds memory, and leaves no rest to compile apart
-    safe = jax.lax.map(lambda T_w_t: is_safe(surface, T_w_t, limits), frames, batch_size=batch)
+    safe = map_batches(lambda T_w_t: is_safe(surface, T_w_t, limits), frames, batch_size=batch)
     first = jnp.argsort(~safe, stable=True)[:n]
     return Sites(jnp.where(safe[first][:, None, None], frames[first], jnp.nan), safe[first])
 

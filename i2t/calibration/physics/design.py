@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from i2t.batching import map_batches
 from i2t.calibration.physics.layer import LayerParameters, Tip, make_pad
 from i2t.calibration.structured_gp import Presses
 from i2t.skin import elasticity as elastic
@@ -133,7 +134,7 @@ def design_matrices(
     def one(press: Presses) -> Array:
         return design_matrix(layer, board, tip, press.position, press.load, by_force=by_force, grid=grid)
 
-    return jax.lax.map(one, presses, batch_size=DESIGN_BATCH)
+    return map_batches(one, presses, batch_size=DESIGN_BATCH)
 
 
 def weight_features(layer: LayerParameters, designs: Float[Array, "n c 3 m m"], window: float) -> Float[Array, "n c k"]:
