@@ -25,7 +25,7 @@ from i2t.models import ready_path
 from i2t.objects import Mesh, catalogue
 from i2t.prediction.predictor import Predictor, load_predictor
 from i2t.recognition import pad_model_files
-from i2t.recognition.pad_model import PadModel, fit_pad_model
+from i2t.recognition.pad_model import fit_pad_model, with_press_errors
 from i2t.recognition.pad_model_files import KnownPad, PadOrigin, SkinIdentity, load_pad_model
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.simulation import touches as simulation
@@ -197,19 +197,3 @@ def _of_pad_file(path: Path, cfg: Recognition) -> PadSource:
         return KnownPad(with_press_errors(model, about.error_std), dataset.board, origin)
 
     return PadSource(SkinIdentity(about.name, pad.board, made_from), make, None)
-
-
-def with_press_errors(model: PadModel, error_std: float) -> PadModel:
-    """A pad model whose errors of readings include those of the pad that its touches were simulated with.
-
-    Args:
-        model: Fitted to touches simulated with a pad.
-        error_std: uT, root mean square of what that pad leaves of presses it was not fitted to; 0 where it is unknown.
-
-    Returns:
-        The pad model with a larger inflation of its errors.
-    """
-    own = float(np.mean(np.asarray(model.held_out_errors, np.float64) ** 2))
-    factor = np.sqrt(1 + error_std**2 / own)
-    likelihood = model.likelihood
-    return model._replace(likelihood=likelihood._replace(inflation=likelihood.inflation * np.float32(factor)))

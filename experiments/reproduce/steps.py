@@ -46,7 +46,7 @@ STEPS = (
     ),
     Step("policy", "-m experiments.studies policy --pads 0 1 2 --episodes 10", uses="study", minutes=20),
     Step("open_set", "-m experiments.studies open_set --episodes 10", uses="study", minutes=40),
-    Step("new_pad", "-m experiments.studies new_pad --episodes 10", uses="study", minutes=30),
+    Step("new_pad", "-m experiments.studies new_pad --pads 0 1 2 --episodes 10", uses="study", minutes=25),
     Step("planar", "-m experiments.studies planar --pads 0 1 2 --episodes 10", uses="study", minutes=20),
     Step("registered", "-m experiments.studies registered --pads 0 1 2 --episodes 10", uses="study", minutes=20),
     Step("sensitivity", "-m experiments.studies sensitivity --episodes 10", uses="study", minutes=60),

@@ -205,6 +205,22 @@ def fit_simulated_pad_model(
     return recorded._replace(reading_model=reading_model, likelihood=likelihood, r2=float("nan"))
 
 
+def with_press_errors(model: PadModel, error_std: float) -> PadModel:
+    """A pad model whose errors of readings include those of the pad that its touches were simulated with.
+
+    Args:
+        model: Fitted to touches simulated with a pad.
+        error_std: uT, root mean square of what that pad leaves of presses it was not fitted to; 0 where it is unknown.
+
+    Returns:
+        The pad model with a larger inflation of its errors.
+    """
+    own = float(np.mean(np.asarray(model.held_out_errors, np.float64) ** 2))
+    factor = np.sqrt(1 + error_std**2 / own)
+    likelihood = model.likelihood
+    return model._replace(likelihood=likelihood._replace(inflation=likelihood.inflation * np.float32(factor)))
+
+
 class _SessionContacts(NamedTuple):
     """Touches of one session, filled up with repeated ones so that one compilation serves most sessions."""
 

@@ -16,7 +16,7 @@ from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.hardware.rig import Rig
-from i2t.recognition.pad_model import PadModel
+from i2t.recognition.pad_model import PadModel, with_press_errors
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin import boards
 from i2t.skin.files import save_pad
@@ -135,8 +135,8 @@ def test_what_a_pad_leaves_of_its_presses_makes_its_readings_less_sure():
     likelihood = SimpleNamespace(inflation=np.float32(1.0))
     likelihood._replace = lambda **new: SimpleNamespace(**new)
     model = PadModel(None, likelihood, np.ones(3), 0.5, np.full((10, 3), 4.0))
-    assert pad_sources.with_press_errors(model, 3.0).likelihood.inflation == pytest.approx(1.25)
-    assert pad_sources.with_press_errors(model, 0.0).likelihood.inflation == 1.0
+    assert with_press_errors(model, 3.0).likelihood.inflation == pytest.approx(1.25)
+    assert with_press_errors(model, 0.0).likelihood.inflation == 1.0
 
 
 def test_a_pad_is_for_recorded_touches(tmp_path, capsys):
