@@ -174,6 +174,11 @@ class SpringPlane:
         )
 
 
+# Compiled once, whatever stands before the arm.
+_draw_errors = jax.jit(sample_session_errors, static_argnames="errors")
+_rest_field = jax.jit(rest_field)
+
+
 class ObjectScene:
     """An object that stands where it really is, not where the lab believes, and a pad that touches it.
 
@@ -200,12 +205,12 @@ class ObjectScene:
     ) -> None:
         self.room = RoomField() if room is None else room
         self.gains = np.asarray(pad.gains, float)
-        run = jax.jit(lambda key: sample_session_errors(key, errors))(jax.random.key(seed))
+        run = _draw_errors(jax.random.key(seed), errors)
         self.pad, self.errors, self.stiffness = pad, errors, stiffness
         self.board = Board(*(np.asarray(part, float) for part in pad.board))
         self.T_b_o = np.asarray(T_b_o) @ np.asarray(run.T_o_placed, float)
         self.T_t_camera = np.asarray(run.T_t_camera, float)  # where it looks from, seen from where the lab believes
-        self.rest = np.asarray(pad.board.to_board(jax.jit(rest_field)(pad)), float)  # (3 chips,) uT
+        self.rest = np.asarray(pad.board.to_board(_rest_field(pad)), float)  # (3 chips,) uT
         self._surface = jax.device_put(prepare_surface(mesh))
         self._random = np.random.default_rng(seed)
         placed = transform_mesh(mesh, self.T_b_o)

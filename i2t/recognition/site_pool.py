@@ -162,8 +162,12 @@ def safe_sites(
     Returns:
         Whether the site is safe, by site and object.
     """
-    check = jax.jit(jax.vmap(partial(touch_sites.is_safe, limits=limits), (None, 0)))
-    return np.stack([np.asarray(check(surface, sites.T_w_t)) for surface in surfaces], axis=1)
+    return np.stack([np.asarray(_are_safe(surface, sites.T_w_t, limits)) for surface in surfaces], axis=1)
+
+
+@partial(jax.jit, static_argnames="limits")
+def _are_safe(surface: Surface, T_w_t: Array, limits: touch_sites.SiteLimits) -> Array:
+    return jax.vmap(partial(touch_sites.is_safe, surface, limits=limits))(T_w_t)
 
 
 def precompute_outcomes(

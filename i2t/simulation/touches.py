@@ -408,15 +408,18 @@ def touch_simulator(
     """
     key_session, key_touches = jax.random.split(key)
     session = sample_session_errors(key_session, errors)
-    simulate = jax.jit(partial(simulate_touch, session=session, pad=pad, errors=errors, limits=limits or PressLimits()))
+    stated = {"session": session, "pad": pad, "errors": errors, "limits": limits or PressLimits()}
     believed = jnp.eye(4) if T_w_o is None else jnp.asarray(T_w_o, jnp.float32)
     numbers = itertools.count()
 
     def touch(T_w_t: Float[Array | np.ndarray, "4 4"]) -> Touches:
         key_touch = jax.random.fold_in(key_touches, next(numbers))
-        return jax.device_get(simulate(key_touch, surface, believed, jnp.asarray(T_w_t, jnp.float32)))
+        return jax.device_get(_touch_once(key_touch, surface, believed, jnp.asarray(T_w_t, jnp.float32), **stated))
 
     return touch
+
+
+_touch_once = jax.jit(simulate_touch, static_argnames=("errors", "limits"))
 
 
 def _along_z(distance: Float[Array, ""]) -> Float[Array, "4 4"]:
