@@ -49,7 +49,7 @@ STEPS = (
     Step("new_pad", "-m experiments.studies new_pad --pads 0 1 2 --episodes 10", uses="study", minutes=25),
     Step("planar", "-m experiments.studies planar --pads 0 1 2 --episodes 10", uses="study", minutes=20),
     Step("registered", "-m experiments.studies registered --pads 0 1 2 --episodes 10", uses="study", minutes=20),
-    Step("sensitivity", "-m experiments.studies sensitivity --episodes 10", uses="study", minutes=60),
+    Step("sensitivity", "-m experiments.studies sensitivity --pads 0 1 2 --episodes 10", uses="study", minutes=35),
     Step("placement", "-m experiments.studies placement --pads 0 1 2 --episodes 10", uses="study", minutes=25),
     Step("mismatch", "-m experiments.studies mismatch --pads 0 1 2 --episodes 10", uses="study", minutes=30),
     Step("sites", "-m experiments.studies sites --pads 0 1 2 --episodes 10", uses="study", minutes=15),

@@ -23,7 +23,7 @@ from i2t.recognition.episodes import EpisodeConfig, Episodes, run_episodes
 from i2t.recognition.intervals import MIN_CLUSTERS, Estimate, estimate_at
 from i2t.recognition.metrics import to_json
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
-from i2t.recognition.pad_model import PadModel, fit_pad_model, fit_simulated_pad_model
+from i2t.recognition.pad_model import PadModel, fit_pad_model
 from i2t.recognition.site_pool import (
     SitePool,
     plan_random_touches,
@@ -121,20 +121,14 @@ class StudyLab:
             sites=plan.sites, pad=pad or self.run.pad, config=config, label=label,
         )  # fmt: skip
 
-    def fit_other_pad(self, key: Array, pad: Pad) -> PadModel:
-        """The pad model of a known pad, from simulated touches of the objects that the run trained on."""
-        surfaces = [self.run.surfaces[name] for name in self._trained_on()[0]]
-        return fit_simulated_pad_model(
-            key, pad, surfaces, touches=self.cfg.simulated_touches, limits=self.cfg.limits, recorded=self.pad_model
-        )
-
-    def refit(self, key: Array, limits: PressLimits) -> PadModel:
-        """The pad model as the run fitted it, but from presses with other limits."""
+    def refit(self, key: Array, *, pad: Pad | None = None, limits: PressLimits | None = None) -> PadModel:
+        """The pad model as the run fitted it, but from touches of another pad, or of presses with other limits."""
+        pad, limits, errors = pad or self.run.pad, limits or self.cfg.limits, self.cfg.errors
         key_press, key_fit = jax.random.split(key)
         names, counts = self._trained_on()
-        surfaces, errors = [self.run.surfaces[name] for name in names], self.cfg.errors
-        made = simulation.simulate_touches(key_press, surfaces, self.run.pad, errors, counts, limits=limits)
-        dataset = Dataset.simulated(made, names, self.run.pad)
+        surfaces = [self.run.surfaces[name] for name in names]
+        made = simulation.simulate_touches(key_press, surfaces, pad, errors, counts, limits=limits)
+        dataset = Dataset.simulated(made, names, pad)
         rows = np.ones(len(dataset), bool)
         return fit_pad_model(key_fit, dataset, rows, self.run.surfaces, errors=errors, limits=limits)
 

@@ -1,6 +1,6 @@
-"""How many presses does a pad need that was never recorded? It is pressed with a known ball, a pad is fitted to its
-readings (`i2t.calibration.physics`), and a pad model is fitted to simulated touches of that pad. It errs as the
-recorded pad's does and, as in `experiments.recognize`, as much more as the pad is off presses left out.
+"""How many presses does a pad need that was never recorded? It is pressed with a known ball, and a pad is fitted to its
+readings (`i2t.calibration.physics`). As in `experiments.recognize --pad`, a pad model is fitted to simulated touches
+with that pad, and errs as much more as the pad is off presses left out.
 """
 
 import jax
@@ -49,8 +49,8 @@ def fit_models(lab: StudyLab, key: Array, pad: Pad) -> dict[str, PadModel]:
         key_press, key_model = jax.random.split(jax.random.fold_in(key, n))
         fitted = press_and_fit(key_press, pad, n, lab.run.dataset.board)
         error_std = float(jnp.sqrt(jnp.mean(fitted.leave_one_out**2)))
-        models[f"{n} presses"] = with_press_errors(lab.fit_other_pad(key_model, fitted.pad), error_std)
-    models["the pad itself"] = lab.fit_other_pad(jax.random.fold_in(key, 0), pad)
+        models[f"{n} presses"] = with_press_errors(lab.refit(key_model, pad=fitted.pad), error_std)
+    models["the pad itself"] = lab.refit(jax.random.fold_in(key, 0), pad=pad)
     return models
 
 

@@ -110,7 +110,7 @@ def evaluate_refitted(
     particles = lab.particles()
     for stop, episodes in harder.items():
         name = f"stop at {stop:.0f} uT, fitted there"
-        model = lab.refit(jax.random.fold_in(key, int(stop)), replace(lab.cfg.limits, skin_change=stop))
+        model = lab.refit(jax.random.fold_in(key, int(stop)), limits=replace(lab.cfg.limits, skin_change=stop))
         (table,) = lab.predict(plan.sites, particles, [model.reading_model], name)
         beliefs = run_belief(table, episodes, model.likelihood, particles, KINDS)
         found |= {f"{kind}, {name}": p for kind, p in beliefs.items()}

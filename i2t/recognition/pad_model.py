@@ -14,7 +14,6 @@ Metres, newtons, microtesla.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -33,10 +32,9 @@ from i2t.recognition.belief import INDENTATION_ERROR, OUTLIER_RATE, Likelihood, 
 from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID, LinearReadingModel, PredictedContact
 from i2t.registration import touch as registration
 from i2t.registration.estimate import PoseEstimate
-from i2t.simulation import touches as simulation
 from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import SimulationErrors
-from i2t.types import WIDE_PIXELS, WIDE_WINDOW, Pad, Surface, Touches, Truth
+from i2t.types import WIDE_PIXELS, WIDE_WINDOW, Surface, Touches, Truth
 
 # Standard deviations of which a position's error is mixed: from the repeatability of an arm to a missed edge.
 POSITION_STDS_M = (0.05e-3, 0.1e-3, 0.2e-3, 0.4e-3, 0.8e-3, 1.6e-3)
@@ -168,41 +166,6 @@ def fit_oracle_pad_model(
     mechanics = _mechanics_of(pad_model)
     readings, ideal = jnp.asarray(touches.reading), jnp.asarray(touches.truth.reading)
     return _fit(_exact_contacts(touches.truth), ideal, readings, touches.session, mechanics=mechanics, limits=limits)
-
-
-def fit_simulated_pad_model(
-    key: Key[Array, ""],
-    pad: Pad,
-    surfaces: Sequence[Surface],
-    *,
-    touches: int,
-    limits: PressLimits,
-    recorded: PadModel,
-) -> PadModel:
-    """Fit a pad model to simulated touches, without any error, of a pad that is known, say fitted to a few presses.
-
-    Args:
-        key: Of the simulation.
-        pad: The pad.
-        surfaces: Of the objects to be touched.
-        touches: How many, over all objects.
-        limits: How they are pressed.
-        recorded: Fitted to recorded touches of a pad; gives the mechanics and the errors of predictions.
-
-    Returns:
-        The pad model, without an r2 of its own.
-    """
-    ideal = replace(SimulationErrors.none(), slant=SimulationErrors.slant)
-    made = simulation.simulate_touches(key, surfaces, pad, ideal, touches // len(surfaces), limits=limits)
-    assert made.truth is not None
-    process = gp.condition(_exact_contacts(made.truth), made.reading, np.asarray(made.session), seed=0)
-    mechanics = _mechanics_of(recorded)
-    reading_model = outcomes.linear_reading_model(process, mechanics.softness)
-    likelihood = belief.fit_likelihood(
-        recorded.held_out_errors, process.scale, reading_model.loads,
-        overtravel=limits.overtravel, position_std=mechanics.position, stiffness=limits.stiffness,
-    )  # fmt: skip
-    return recorded._replace(reading_model=reading_model, likelihood=likelihood, r2=float("nan"))
 
 
 def with_press_errors(model: PadModel, error_std: float) -> PadModel:
