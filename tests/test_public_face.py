@@ -8,10 +8,14 @@ import sys
 import textwrap
 from typing import Any
 
+import jax
+import numpy as np
 import pytest
 
 import i2t
 from i2t import _HOME_OF
+from i2t.skin.elasticity import GRID
+from i2t.skin.pad import press_force
 
 FUNCTIONS = sorted(name for name in i2t.__all__ if inspect.isfunction(getattr(i2t, name)))
 
@@ -116,3 +120,26 @@ def test_an_example_is_python_that_names_the_public_face(name):
 
 def _starred(call: ast.Call) -> bool:
     return any(isinstance(each, ast.Starred) for each in call.args) or any(each.arg is None for each in call.keywords)
+
+
+CUBE = i2t.prepare_surface(i2t.make_object("square").mesh)
+
+
+def _dome() -> np.ndarray:
+    x = GRID.centres
+    return ((x[:, None] ** 2 + x[None] ** 2) / 8e-3).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        pytest.param(lambda: i2t.press(i2t.nominal_pad(), _dome(), 0.3e-3), id="press"),
+        pytest.param(lambda: press_force(i2t.nominal_pad(), _dome(), 0.5), id="press_force"),
+        pytest.param(lambda: i2t.render_patch(CUBE, np.eye(4, dtype=np.float32), pixels=8), id="render_patch"),
+    ],
+)
+def test_a_function_that_is_called_again_compiles_nothing(call, caplog):
+    call()
+    with jax.log_compiles(), caplog.at_level("WARNING"):
+        call()
+    assert [record.message for record in caplog.records if record.message.startswith("Compiling")] == []

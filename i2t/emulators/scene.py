@@ -174,9 +174,8 @@ class SpringPlane:
         )
 
 
-# Compiled once, whatever stands before the arm.
+# Compiled once, whichever seed.
 _draw_errors = jax.jit(sample_session_errors, static_argnames="errors")
-_rest_field = jax.jit(rest_field)
 
 
 class ObjectScene:
@@ -210,7 +209,7 @@ class ObjectScene:
         self.board = Board(*(np.asarray(part, float) for part in pad.board))
         self.T_b_o = np.asarray(T_b_o) @ np.asarray(run.T_o_placed, float)
         self.T_t_camera = np.asarray(run.T_t_camera, float)  # where it looks from, seen from where the lab believes
-        self.rest = np.asarray(pad.board.to_board(_rest_field(pad)), float)  # (3 chips,) uT
+        self.rest = np.asarray(pad.board.to_board(rest_field(pad)), float)  # (3 chips,) uT
         self._surface = jax.device_put(prepare_surface(mesh))
         self._random = np.random.default_rng(seed)
         placed = transform_mesh(mesh, self.T_b_o)

@@ -13,8 +13,10 @@ brought together by `stack_surfaces`.
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -128,8 +130,13 @@ def render_patch(
     T_w_t = jnp.asarray(T_w_t)
     if not reach > 0:
         raise ValueError(f"reach is {reach} m; give a length above 0, or infinity for no end")
+    return _render(_prepared(surface), T_w_t, float(window), int(pixels), float(reach))
+
+
+@partial(jax.jit, static_argnames=("window", "pixels", "reach"))
+def _render(surface: Surface, T_w_t: Array, window: float, pixels: int, reach: float) -> Patch:
     view = ToolView(T_w_t[:3, :3].T, T_w_t[:3, 3], jnp.zeros_like(T_w_t[:3, 3]))
-    heights = first_hit(_prepared(surface), view, window, pixels, reach)
+    heights = first_hit(surface, view, window, pixels, reach)
     nearest, rigid = jnp.min(heights), is_rigid(T_w_t)
     missed = heights == jnp.inf
     behind = jnp.where(missed, 0, heights) - jnp.where(nearest == jnp.inf, 0, nearest)

@@ -53,6 +53,7 @@ class Contact(NamedTuple):
     converged: Bool[Array, ""]
 
 
+@partial(jax.jit, static_argnames=("grid", "tolerance", "max_steps"))
 def solve(
     pad: Pad,
     height: Float[Array, "n n"],
@@ -96,6 +97,7 @@ def solve(
     return _contact(pad, state, pressure, gap - level, scale, jnp.asarray(indentation), grid, tolerance)
 
 
+@partial(jax.jit, static_argnames=("grid", "tolerance", "max_steps"))
 def solve_force(
     pad: Pad,
     height: Float[Array, "n n"],

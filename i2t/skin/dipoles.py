@@ -20,6 +20,7 @@ Tool frame; metres, A/m, A m2, tesla; readings in microtesla in the board's orde
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -50,6 +51,7 @@ def dipole_field(
     return jax.vmap(_field, (0, None, None))(points, positions.T, moments.T)
 
 
+@partial(jax.jit, static_argnames=("grid", "dipoles", "nodes"))
 def response(
     pad: Pad,
     pressure: Float[Array, "n n"],
@@ -79,6 +81,7 @@ def response(
     return pad.gains * pad.board.to_board(change)
 
 
+@partial(jax.jit, static_argnames=("grid", "dipoles", "nodes"))
 def pressed_field(
     pad: Pad,
     pressure: Float[Array, "n n"],
@@ -113,6 +116,7 @@ def pressed_field(
     return jnp.sum(jax.lax.map(sheet, sheets(pad, dipoles, nodes)), axis=0)
 
 
+@partial(jax.jit, static_argnames=("dipoles", "nodes"))
 def rest_field(pad: Pad, dipoles: Grid = GRID, nodes: int = CELL_NODES) -> Float[Array, "chips 3"]:
     """Field of the pad's magnets at the chips when nothing touches it.
 

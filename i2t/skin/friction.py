@@ -75,6 +75,7 @@ def rest(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Shear:
     )
 
 
+@partial(jax.jit, static_argnames=("grid", "tolerance", "max_steps"))
 def shear(
     pad: Pad,
     pressure: Float[Array, "n n"],

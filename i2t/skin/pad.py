@@ -4,6 +4,7 @@ Sizes are those of ReSkin (Bhirangi et al., CoRL 2021): 20 x 20 mm of magnetic s
 five magnetometers (`i2t.skin.boards`). Frames and units as in `i2t.types`.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -73,7 +74,7 @@ def press(
 
 def press_force(
     pad: Pad,
-    height: Float[Array, "n n"],
+    height: Float[Array | np.ndarray, "n n"],
     force: Float[Array, ""] | float,
     grid: Grid = GRID,
     *,
@@ -93,9 +94,10 @@ def press_force(
     Returns:
         Reading, force, indentation and pressure.
     """
-    return _press(pad, solve_force(pad, height, force, grid, start=start), grid, dipoles)
+    return _press(pad, solve_force(pad, jnp.asarray(height), force, grid, start=start), grid, dipoles)
 
 
+@partial(jax.jit, static_argnames=("grid", "increments"))
 def friction_response(
     pad: Pad,
     height: Float[Array, "n n"],
@@ -306,6 +308,7 @@ def _at_depth(board: Board, depth: Array) -> Board:
     return Board(jnp.asarray(board.chips).at[:, 2].set(-depth), jnp.asarray(board.rotations))
 
 
+@partial(jax.jit, static_argnames=("grid", "dipoles"))
 def _press(pad: Pad, contact: Contact, grid: Grid, dipoles: Grid | None) -> Press:
     return Press(
         response(pad, contact.pressure, grid, dipoles=dipoles),

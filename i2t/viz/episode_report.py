@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
@@ -36,7 +35,6 @@ MAX_CANDIDATES = 5  # on a page
 SKIN_LIFT_M = 1.5e-3  # that a square is drawn above the end of its press, clear of the surface
 PIN_LENGTH_M = 12e-3  # from there to its number
 MIN_SHOWN_PROBABILITY = 1e-3  # of the unknown class, below which it has no bar
-_render = jax.jit(render_patch)
 
 
 class EpisodeRecord(NamedTuple):
@@ -169,7 +167,9 @@ def _render_candidates(meshes: Sequence[Mesh], T_w_t: np.ndarray) -> tuple[np.nd
     """Depth (touches, candidates, n, n) m, and nearest points (touches, candidates) m."""
     # Surfaces of one size class, so that one compilation serves all.
     surfaces = stack_surfaces([prepare_surface(mesh) for mesh in meshes])
-    patches = [[_render(element(surfaces, i), T) for i in range(len(meshes))] for T in np.asarray(T_w_t, np.float32)]
+    patches = [
+        [render_patch(element(surfaces, i), T) for i in range(len(meshes))] for T in np.asarray(T_w_t, np.float32)
+    ]
     depth = np.array([[patch.depth for patch in row] for row in patches])
     return depth, np.array([[patch.nearest for patch in row] for row in patches])
 
