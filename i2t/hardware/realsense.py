@@ -83,6 +83,10 @@ def nearest(model: str, width: int, height: int) -> float:
     return float("nan")
 
 
+class TooNearError(DeviceError, ValueError):
+    """A camera is asked to look from nearer than it measures: what was asked for is to be changed."""
+
+
 def check_distance(model: str, width: int, height: int, distance: float) -> None:
     """Refuse a camera that measures nothing as near as it is to look.
 
@@ -93,7 +97,7 @@ def check_distance(model: str, width: int, height: int, distance: float) -> None
         distance: m, from which it is to look.
 
     Raises:
-        DeviceError: With what to change.
+        TooNearError: With what to change.
     """
     least = nearest(model, width, height)
     if distance < least:
@@ -102,7 +106,7 @@ def check_distance(model: str, width: int, height: int, distance: float) -> None
         ways = [f"look from {1e3 * least:.0f} mm"]
         ways += [f"take {fits[-1]} pixels"] if fits else []
         ways += [f"mount a {others[0]}"] if others else []
-        raise DeviceError(
+        raise TooNearError(
             f"the {model} measures nothing nearer than {1e3 * least:.0f} mm at {width} x {height} pixels, and is to "
             f"look from {1e3 * distance:.0f} mm: {', or '.join(ways)}"
         )
