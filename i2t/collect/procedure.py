@@ -320,7 +320,7 @@ class Procedure:
     def _rest_readings(self, log: TouchLog) -> dict[str, Array]:
         """(c,) uT of each skin at rest, by its name."""
         return {
-            name: rest_reading(skin, board, self.settings.ambient, SkinLog(log, name))
+            name: rest_reading(skin, board, self.settings.ambient, SkinLog(log, name) if name else log)
             for name, skin, board in self._skins()
         }
 
@@ -341,7 +341,7 @@ class Procedure:
         states, readings = [self.arm.state()], {}
         for name, skin, _ in self._skins():
             contact = skin.read(self.settings.contact)
-            SkinLog(log, name).samples(contact)
+            (SkinLog(log, name) if name else log).samples(contact)
             readings[name] = mean_known(contact.reading, axis=0) - press.rest[name].ambient
         states.append(self.arm.state())
         for state in states:
