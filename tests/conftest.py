@@ -35,7 +35,8 @@ FAST_COMPILATION = " ".join(
         "--xla_cpu_parallel_codegen_split_count=1",
     )
 )
-COMMANDS = ("collect", "contract", "convert", "emulators", "experiments", "hardware", "test_docs", "test_examples")
+COMMANDS = ("collect", "contract", "convert", "depth", "emulators", "environments", "experiments", "hardware",
+            "reconstruction", "simulation", "test_docs", "test_examples")  # fmt: skip
 # Of those, these fit pad models, whose registrations are eight times slower without optimisation.
 COMPUTING = ("test_recognize", "test_studies", "test_placement_mismatch", "test_collecting_docs", "test_constants")
 # Longest first, so that no worker is left with one of them at the end.
