@@ -14,6 +14,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from docutils import nodes
+from docutils.utils.math import MathError
+from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.errors import ExtensionError
+
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS.parent))
 os.environ["COLUMNS"] = "110"  # of the help of commands
@@ -31,7 +36,8 @@ html_show_sphinx = False
 html_copy_source = False
 exclude_patterns = ["figures", "results"]
 myst_heading_anchors = 4
-myst_enable_extensions = ["colon_fence"]
+myst_enable_extensions = ["colon_fence", "dollarmath"]
+html_math_renderer = "mathml"  # which browsers draw by themselves: no script, no network
 nb_execution_mode = "off"
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # docstrings give shapes and units, which annotations repeat at length
@@ -47,15 +53,14 @@ GENERATED = {"reference_commands.md": "commands_page", "reference_api.md": "api_
 
 def help_of(command: str) -> str:
     """What a command answers to --help, with the help of its sub-commands below."""
-    words = ["convert"] if command == "i2t.convert" else []
-    texts = [_help(command)]
-    if words:
-        from i2t.convert.commands import COMMANDS as SUBCOMMANDS
+    text = _help(command)
+    return "\n".join([text, *(_help(command, name) for name in subcommands_of(text))])
 
-        texts += [_help(command, name) for name in SUBCOMMANDS]
-    if command == "experiments.recognize":
-        texts += [_help(command, name) for name in ("simulate", "live")]
-    return "\n".join(texts)
+
+def subcommands_of(text: str) -> list[str]:
+    """The sub-commands that a command's help lists, each below the title "subcommands"."""
+    _, _, listed = text.partition("─ subcommands ─")
+    return re.findall(r"^│   • ([\w-]+)", listed, re.M)
 
 
 def _help(command: str, *words: str) -> str:
@@ -109,9 +114,29 @@ def setup(app: Any) -> None:
         text = re.sub(r"\[([^\]]+)\]\(\.\./([^)#]+\.md)[^)]*\)", r"\1 (`\2`)", text)
         content[0] = text
 
+    app.add_html_math_renderer("mathml", inline_renderers=(draw_inline, None), block_renderers=(draw_block, None))
     app.connect("env-get-outdated", found)
     app.connect("source-read", read)
     app.connect("autodoc-process-docstring", literal_code, priority=100)  # before napoleon
+
+
+def draw_inline(writer: Any, node: nodes.math) -> None:
+    """A formula in a line, as MathML."""
+    writer.body.append(_mathml(node))
+    raise nodes.SkipNode
+
+
+def draw_block(writer: Any, node: nodes.math_block) -> None:
+    """A formula on lines of its own, as MathML."""
+    writer.body.append(f'<div class="math">{_mathml(node, as_block=True)}</div>')
+    raise nodes.SkipNode
+
+
+def _mathml(node: nodes.math | nodes.math_block, as_block: bool = False) -> str:
+    try:
+        return tex2mathml(node.astext(), as_block=as_block)
+    except MathError as error:
+        raise ExtensionError(f"{node.source}: {error}: {node.astext()}") from error
 
 
 def literal_code(app: Any, what: str, name: str, found: Any, options: Any, lines: list[str]) -> None:

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from helpers.reading_grade import COMMENT, FENCE, PICTURE, reading_grade, sentences_of, syllables
+from helpers.reading_grade import COMMENT, FENCE, FORMULA, PICTURE, SYMBOL, reading_grade, sentences_of, syllables
 
 DOCS = Path(__file__).parents[1] / "docs"
 LISTS = ("glossary.md", "licences.md", "reference_api.md", "reference_commands.md")  # tables, or made from the code
@@ -59,11 +59,22 @@ The skin is soft, 1.5 mm thick. [It rests](there.md) on `i2t.types.Board`.
 - An item is one.
 <!-- nobody reads this -->
 
+$$
+E = m c^2 \\quad \\text{This is no sentence. Nor is this.}
+$$
+
+The mass $m$ is known.
+
 ```
 python -m i2t.imagine
 ```
 """
-    assert sentences_of(page) == ["The skin is soft, 1.5 mm thick.", "It rests on Widget.", "An item is one."]
+    assert sentences_of(page) == [
+        "The skin is soft, 1.5 mm thick.",
+        "It rests on Widget.",
+        "An item is one.",
+        "The mass x is known.",
+    ]
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
@@ -88,7 +99,7 @@ def _terms() -> list[str]:
 
 def _unexplained(page: str) -> list[str]:
     """Terms whose first use is neither the text of a link nor emphasised, as what is explained there is."""
-    text = PICTURE.sub("", COMMENT.sub("", FENCE.sub("", page)))
+    text = SYMBOL.sub("", FORMULA.sub("", PICTURE.sub("", COMMENT.sub("", FENCE.sub("", page)))))
     text = re.sub(r"`[^`]*`|^#.*$|\]\([^)]*\)", lambda found: "]" if found[0].startswith("]") else "", text, flags=re.M)
     wrong = []
     for term in _terms():

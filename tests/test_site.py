@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from docutils.utils.math.latex2mathml import tex2mathml
+from helpers.reading_grade import FENCE, FORMULA
 
 import i2t
 from experiments.licences import Dependency, dependencies, page_of
@@ -18,6 +20,7 @@ from i2t.convert.commands import main as convert
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
+PAGES_OF_INTEREST = ("reference_api", "reference_commands", "physics")
 FIGURE = re.compile(r"!\[([^\]]*)\]\(([^)]+)\)")
 
 
@@ -33,6 +36,19 @@ def test_every_figure_has_a_text_for_those_who_cannot_see_it():
     for page in DOCS.glob("*.md"):
         for text, path in FIGURE.findall(page.read_text()):
             assert len(text) > 20, f"{page.name}: {path} has no text"
+
+
+def test_every_formula_can_be_drawn_without_a_network():
+    """As MathML. Arguments stand in braces, without which \\frac12 \\log is read as 12 over log."""
+    formulas = [
+        (page.name, formula)
+        for page in DOCS.glob("*.md")
+        for formula in FORMULA.findall(FENCE.sub("", page.read_text()))
+    ]
+    assert len({page for page, _ in formulas}) > 7
+    for page, formula in formulas:
+        assert "<mfrac" in tex2mathml(formula.strip("$"), as_block=True) or "\\frac" not in formula, page
+        assert not re.search(r"\\(?:frac|hat|sqrt)\s*[^{\s]", formula), f"{page}: {formula}"
 
 
 def test_the_readme_names_the_command_of_the_site():
@@ -81,10 +97,14 @@ def test_the_site_is_built_without_a_warning(tmp_path):
     words = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "docs", str(tmp_path / "site")]
     done = subprocess.run(words, capture_output=True, text=True, timeout=600, cwd=ROOT)
     assert done.returncode == 0, done.stderr
-    made = {name: (tmp_path / "site" / f"{name}.html").read_text() for name in ("reference_api", "reference_commands")}
+    made = {name: (tmp_path / "site" / f"{name}.html").read_text() for name in PAGES_OF_INTEREST}
     assert "load_predictor" in made["reference_api"]
     assert "Signed" in made["reference_api"] or "signed" in made["reference_api"]
     assert "--max-touches" in made["reference_commands"]
+    for option in ("--square", "--dictionary", "--indenter"):  # of sub-commands
+        assert option in made["reference_commands"], option
+    assert "<math" in made["physics"]
+    assert not re.search(r"<script[^>]*src=.https?:", made["physics"])
     assert 'src="_images/overview.png"' in (tmp_path / "site" / "index.html").read_text()
 
 

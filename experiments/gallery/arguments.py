@@ -7,6 +7,7 @@ from typing import Literal, get_args
 FigureName = Literal[
     "overview", "objects", "patches", "press", "press_curve", "felt_and_imagined", "episode", "touched_object",
     "calibration_curve", "predictors", "pressures", "field", "reliability", "registration", "rig", "monitor",
+    "from_depth", "prediction_steps", "stamps", "accuracy_curves",
 ]  # fmt: skip
 FIGURE_NAMES: tuple[FigureName, ...] = get_args(FigureName)
 OF_A_RUN = frozenset[FigureName](

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 import i2t
 from experiments.gallery.arguments import FigureName
 from experiments.gallery.lab_figures import monitor, registration, rig
+from experiments.gallery.page_figures import accuracy_curves, from_depth, prediction_steps, stamps
 from experiments.gallery.skin_figures import field, pressures, reliability
 from experiments.gallery.story import HIDDEN_OBJECT, Draw, Story
 from i2t import viz
@@ -238,4 +239,6 @@ FIGURES: dict[FigureName, Draw] = {
     "felt_and_imagined": felt_and_imagined, "episode": episode, "touched_object": touched_object,
     "calibration_curve": calibration_curve, "predictors": predictors, "pressures": pressures, "field": field,
     "reliability": reliability, "registration": registration, "rig": rig, "monitor": monitor,
+    "from_depth": from_depth, "prediction_steps": prediction_steps, "stamps": stamps,
+    "accuracy_curves": accuracy_curves,
 }  # fmt: skip

@@ -1,5 +1,6 @@
 """The figures of the documents: each is drawn, none is empty, and the page shows them all."""
 
+import ast
 import re
 from pathlib import Path
 
@@ -49,6 +50,23 @@ def test_the_page_has_twenty_figures_and_says_how_each_is_made():
         assert len(words) > 40, name
         assert (PAGE.parent / "figures" / f"{name}.png").is_file()
         assert name in FIGURE_NAMES or "python -m " in below or "The same command" in below, name
+
+
+def test_the_code_of_each_figure_stands_below_it():
+    text = PAGE.read_text()
+    parts = re.split(r"^(?=!\[)", text, flags=re.M)[1:]
+    assert len(parts) > 25
+    for part in parts:
+        name = re.search(r"\(figures/(\w+)\.png\)", part)[1]
+        found = re.search(r"^```\{literalinclude\} (\S+)\n:pyobject: (\w+)\n```$", part, re.M)
+        assert found, f"{name} has no code"
+        code = PAGE.parent / found[1]
+        functions = {node.name for node in ast.parse(code.read_text()).body if isinstance(node, ast.FunctionDef)}
+        assert found[2] in functions, f"{name}: {found[1]} has no function {found[2]}"
+        if name in FIGURE_NAMES:
+            assert (FIGURES[name].__module__, FIGURES[name].__name__) == (
+                ".".join(code.resolve().relative_to(PAGE.parents[1]).with_suffix("").parts), found[2],
+            )  # fmt: skip
 
 
 def test_a_figure_without_a_trained_run_needs_none(tmp_path):

@@ -2,8 +2,9 @@
 
     grade = 0.39 words / sentences + 11.8 syllables / words - 15.59
 
-is about the years of school that a reader needs. Code, tables, headings, pictures and addresses are no sentences and
-do not count; a name of code counts as a word of two syllables, because a reader takes it as a whole.
+is about the years of school that a reader needs. Code, formulas, tables, headings, pictures and addresses are no
+sentences and do not count; a name of code counts as a word of two syllables and a symbol as one of one, because a
+reader takes it as a whole.
 """
 
 import re
@@ -12,7 +13,10 @@ from typing import NamedTuple
 FENCE = re.compile(r"^```.*?^```[^\n]*$", re.M | re.S)
 COMMENT = re.compile(r"<!--.*?-->", re.S)
 PICTURE = re.compile(r"!\[[^\]]*\]\([^)]*\)")
+FORMULA = re.compile(r"^\$\$.*?^\$\$$", re.M | re.S)
+SYMBOL = re.compile(r"(?<![\\$\w])\$[^$\n]+\$(?!\w)")
 LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
+SYMBOL_NAME = "x"  # in place of a symbol
 CODE_NAME = "Widget"  # two syllables, in place of a name of code
 WORD = re.compile(r"[A-Za-z]+(?:'[a-z]+)?")
 # What ends a sentence is followed by a capital or a digit; the points of 1.5 and of e.g. are not.
@@ -41,9 +45,9 @@ def sentences_of(page: str) -> list[str]:
     Returns:
         Each sentence of its paragraphs and items, in plain words.
     """
-    text = COMMENT.sub("", FENCE.sub("\n\n", page))
+    text = FORMULA.sub("\n\n", COMMENT.sub("", FENCE.sub("\n\n", page)))
     text = LINK.sub(r"\1", PICTURE.sub("", text))
-    text = re.sub(r"`[^`]*`", CODE_NAME, text)
+    text = SYMBOL.sub(SYMBOL_NAME, re.sub(r"`[^`]*`", CODE_NAME, text))
     paragraphs = re.split(r"\n\s*\n", ITEM.sub("\n\n", text))
     found = []
     for paragraph in paragraphs:
