@@ -57,7 +57,7 @@ STRUCTURED, PRETRAINED = "structured GP", "network pretrained on random pads"
 NOMINAL, FITTED, RESIDUAL = "physics, median layer", "physics, fitted layer", "physics + structured GP"
 STYLES: dict[str, tuple[str, str]] = {
     NEIGHBOURS: (style.GREY, "-"), PLAIN: (style.ORANGE, "-"), STRUCTURED: (style.GREEN, "-"),
-    PRETRAINED: ("#8b5fbf", "-"), NOMINAL: ("#7fb3d5", "-"), FITTED: (style.BLUE, "-"), RESIDUAL: (style.RED, "-"),
+    PRETRAINED: (style.PINK, "-"), NOMINAL: (style.SKY, "-"), FITTED: (style.BLUE, "-"), RESIDUAL: (style.RED, "-"),
 }  # fmt: skip
 OTHER_PAD_PRESSES = 60  # of each other pad
 # What physics leaves is noise for the most part; the presses select how much.

@@ -15,7 +15,7 @@ from matplotlib.colors import Normalize
 
 from i2t.types import PAD_WINDOW, Array
 from i2t.viz.scene import VIEW_DIRECTION, trimmed, why_no_scene
-from i2t.viz.style import MM_PER_M, Picture, titled
+from i2t.viz.style import GREEN, MM_PER_M, Picture, titled
 
 COLOURS_OF_STD = "plasma"
 WINDOW_PIXELS = (520, 440)
@@ -108,7 +108,7 @@ def _add_square(pv: Any, plotter: Any, T_o_t: np.ndarray) -> None:
     half = PAD_WINDOW * MM_PER_M / 2
     corners = np.array([[-half, -half, 0.0], [half, -half, 0.0], [half, half, 0.0], [-half, half, 0.0]])
     square = pv.PolyData(corners @ T_o_t[:3, :3].T + T_o_t[:3, 3] * MM_PER_M, [4, 0, 1, 2, 3])
-    plotter.add_mesh(square.extract_feature_edges(), color="#009E73", line_width=2)
+    plotter.add_mesh(square.extract_feature_edges(), color=GREEN, line_width=2)
 
 
 def _show(axes: Any, plotter: Any, label: str) -> None:
