@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from i2t.dataset.store import save_dataset as save_dataset
     from i2t.depth.camera import Camera as Camera
     from i2t.depth.patches import patch_from_depth as patch_from_depth
+    from i2t.depth.pixel_pose import pose_at_pixel as pose_at_pixel
     from i2t.errors import DataError as DataError
     from i2t.errors import DeviceError as DeviceError
     from i2t.errors import I2TError as I2TError
@@ -65,6 +66,7 @@ _HOMES = {
     "dataset.store": ("load_dataset", "save_dataset"),
     "depth.camera": ("Camera",),
     "depth.patches": ("patch_from_depth",),
+    "depth.pixel_pose": ("pose_at_pixel",),
     "errors": ("DataError", "DeviceError", "I2TError"),
     "objects.catalogue": ("make_object",),
     "objects.poses": ("contact_pose",),
@@ -90,8 +92,9 @@ __all__ = [
     "Board", "Camera", "DataError", "Dataset", "DeviceError", "I2TError", "Mesh", "ObjectRecognizer", "Pad", "Patch",
     "PoseEstimate", "Predictor", "Reading", "Surface", "Touches", "anyskin_board", "calibrate", "contact_pose",
     "load_calibration", "load_dataset", "load_mesh", "load_pad", "load_pad_model", "load_predictor", "make_object",
-    "nominal_pad", "patch_from_depth", "prepare_surface", "press", "register_by_depth", "register_by_touch",
-    "render_patch", "reskin_board", "sample_pad", "sample_touch_sites", "save_dataset", "save_pad", "simulate_touches",
+    "nominal_pad", "patch_from_depth", "pose_at_pixel", "prepare_surface", "press", "register_by_depth",
+    "register_by_touch", "render_patch", "reskin_board", "sample_pad", "sample_touch_sites", "save_dataset", "save_pad",
+    "simulate_touches",
 ]  # fmt: skip
 
 

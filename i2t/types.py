@@ -10,7 +10,7 @@ words.
 """
 
 from enum import IntEnum
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from jaxtyping import Float, Int
 
@@ -46,6 +46,8 @@ from i2t.windows import (
 )
 
 Array: TypeAlias = Any  # a NumPy or a JAX array
+Kind = TypeVar("Kind", bound=tuple)
+MAX_SHOWN_ITEMS, MAX_SHOWN_TEXT = 8, 160  # items of a container, and characters, that one line of a `repr` shows
 
 
 def one_line(values: tuple) -> str:
@@ -57,19 +59,39 @@ def one_line(values: tuple) -> str:
     Returns:
         One line.
     """
-    parts = []
-    for name, value in zip(values._fields, values, strict=True):  # type: ignore[attr-defined]  # a named tuple's
-        shape = getattr(value, "shape", None)
-        if shape is None:
-            text = repr(value)
-        elif shape == () and hasattr(value, "item") and "Tracer" not in type(value).__name__:
-            text = f"{value.item():.6g}" if hasattr(value, "dtype") and value.dtype.kind in "fiu" else str(value)
-        else:
-            text = f"{'x'.join(map(str, shape)) or 'scalar'} {getattr(value, 'dtype', '')}".rstrip()
-        parts.append(f"{name}={text}")
+    parts = [f"{name}={_shown(value)}" for name, value in values._asdict().items()]  # type: ignore[attr-defined]
     return f"{type(values).__name__}({', '.join(parts)})"
 
 
+def in_one_line(kind: type[Kind]) -> type[Kind]:
+    """Let a class of named tuples show itself by `one_line`.
+
+    Args:
+        kind: The class.
+
+    Returns:
+        The class.
+    """
+    kind.__repr__ = one_line  # type: ignore[method-assign,assignment]  # it is given a named tuple
+    return kind
+
+
+def _shown(value: Any) -> str:
+    """One field: a number, the shape and type of an array, or whatever says in a few words what it is."""
+    shape = getattr(value, "shape", None)
+    if shape == () and hasattr(value, "item") and "Tracer" not in type(value).__name__:
+        return f"{value.item():.6g}" if hasattr(value, "dtype") and value.dtype.kind in "fiu" else str(value)
+    if isinstance(shape, tuple):
+        return f"{'x'.join(map(str, shape)) or 'scalar'} {getattr(value, 'dtype', '')}".rstrip()
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, tuple | list | dict) and len(value) > MAX_SHOWN_ITEMS:
+        return f"{type(value).__name__} of {len(value)}"
+    text = one_line(value) if hasattr(value, "_fields") else " ".join(repr(value).split())
+    return text if len(text) <= MAX_SHOWN_TEXT else f"{type(value).__name__}(...)"
+
+
+@in_one_line
 class Surface(NamedTuple):
     """A triangle mesh ready for rendering, in the object's frame; build it with `i2t.rendering.render.prepare_surface`.
 
@@ -86,10 +108,8 @@ class Surface(NamedTuple):
     boxes: Float[Any, "*batch groups 6 32"] | None = None  # m, of 32 clusters
     groups: Float[Any, "*batch 6 words"] | None = None  # m; groups rounded up to whole words of 32
 
-    def __repr__(self) -> str:
-        return one_line(self)
 
-
+@in_one_line
 class Patch(NamedTuple):
     """What lies in front of the skin, seen along tool z: row i along tool y, column j along tool x, pixel centres at
     ((k + 0.5)/n - 0.5) window.
@@ -102,10 +122,8 @@ class Patch(NamedTuple):
     depth: Float[Any, "*batch n n"]  # m behind the nearest surface point, clipped to the reach; no surface = reach
     nearest: Float[Any, "*batch"]  # m, signed distance of that point from the tool origin along tool z; +inf for none
 
-    def __repr__(self) -> str:
-        return one_line(self)
 
-
+@in_one_line
 class Board(NamedTuple):
     """A sensor board: where its chips sit below the skin and how their axes lie in the tool frame.
 
@@ -119,9 +137,6 @@ class Board(NamedTuple):
 
     chips: Float[Any, "*batch chips 3"]  # m, in the tool frame; z is negative, below the skin's surface
     rotations: Float[Any, "*batch chips 3 3"]
-
-    def __repr__(self) -> str:
-        return one_line(self)
 
     @property
     def num_chips(self) -> int:
@@ -157,6 +172,7 @@ class Board(NamedTuple):
         return turned.reshape(*field.shape[:-2], self.num_readings)
 
 
+@in_one_line
 class Pad(NamedTuple):
     """One magnetic skin: an elastic layer, bonded to its board or clamped at its edge, magnetised unevenly.
 
@@ -175,10 +191,8 @@ class Pad(NamedTuple):
     friction: Float[Any, "*batch"]  # coefficient of Coulomb friction of the skin; 0 is frictionless
     mount_compliance: Float[Any, "*batch"]  # m/N by which the middle of a skin clamped at its edge sinks; 0 is bonded
 
-    def __repr__(self) -> str:
-        return one_line(self)
 
-
+@in_one_line
 class Truth(NamedTuple):
     """What only a simulation knows of a touch: the ceiling that an ideal observer would reach."""
 
@@ -188,10 +202,8 @@ class Truth(NamedTuple):
     indentation: Float[Any, "*n"]  # m, of the skin
     reading: Float[Any, "*n c"]  # uT, without noise or ambient
 
-    def __repr__(self) -> str:
-        return one_line(self)
 
-
+@in_one_line
 class Touches(NamedTuple):
     """Touches, one on each row of every array: what was seen, what was felt, and what the arm measured.
 
@@ -216,9 +228,6 @@ class Touches(NamedTuple):
     session: Int[Any, "*n"]  # index into its session names (a session: a recording with one placement of an object)
     code: Int[Any, "*n"]  # a `ReturnCode`
     truth: Truth | None = None
-
-    def __repr__(self) -> str:
-        return one_line(self)
 
 
 class ReturnCode(IntEnum):

@@ -14,7 +14,18 @@ ROOT = Path(__file__).parents[1]
 
 # A package imports from lower floors only. Calibration stands above prediction, whose small network it uses.
 FLOORS = {
-    0: ("_version", "errors", "windows", "types", "geometry", "serialization", "files", "compile_cache", "cli"),
+    0: (
+        "_version",
+        "errors",
+        "windows",
+        "types",
+        "geometry",
+        "serialization",
+        "files",
+        "compile_cache",
+        "cli",
+        "given",
+    ),
     1: ("batching", "models", "objects", "sharding"),
     2: ("dataset",),
     3: ("rendering", "depth", "skin", "unknowns"),

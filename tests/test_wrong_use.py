@@ -303,8 +303,10 @@ def seen(height: float) -> Patch:
 
 def test_where_the_skin_lies_is_judged_by_the_faces_before_and_behind_it(box):
     corners = Surface(np.asarray(box.vertices)[box.faces])
-    for pose, height in ((on_top(), 0.0), (on_top(3e-3), 3e-3), (on_top(-3e-3), -3e-3)):
+    for pose, height in ((on_top(), 0.0), (on_top(0.9e-3), 0.9e-3), (on_top(-3e-3), -3e-3)):
         user_input.check_in_front(corners, pose, seen(height), 17e-3)
+    with pytest.warns(UserWarning, match="begins 6 mm in front of the skin .* meets nothing and reads nil"):
+        user_input.check_in_front(corners, on_top(6e-3), seen(6e-3), 17e-3)
     for pose, height, said in (
         (on_top(0.5), 0.5, "500 mm in front"),
         (on_top(-20e-3), -20e-3, "20 mm behind"),

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from i2t import serialization
+from i2t import given, serialization
 from i2t.calibration import population_gp, structured_gp
 from i2t.calibration.population_gp import PopulationGP, PressTable, left_out
 from i2t.calibration.structured_gp import Presses, StructuredGP, StructuredGPHyperparameters
@@ -143,8 +143,8 @@ class Calibration:
         Returns:
             (n, c) uT.
         """
-        given = loads if loads.shape[1] > 1 else loads[:, 0] if loads.shape[1] else None
-        return self.predict(positions, given)[0]
+        columns = loads if loads.shape[1] > 1 else loads[:, 0] if loads.shape[1] else None
+        return self.predict(positions, columns)[0]
 
     def save(self, path: Path | str) -> None:
         """Write one file, which appears whole or not at all.
@@ -173,12 +173,12 @@ class Calibration:
         """What acts in proportion on each of n readings, as the calibration has it; 0 where it is not given."""
         assert isinstance(self.gp, PopulationGP)
         c, names = self.gp.readings.shape[1], self.metadata.get(LINEAR_TERMS, [])
-        given = {PREVIOUS_READING: previous_readings, TEMPERATURE: temperature}
-        for name, values in given.items():
+        values_of = {PREVIOUS_READING: previous_readings, TEMPERATURE: temperature}
+        for name, values in values_of.items():
             if values is not None and name not in names:
                 raise ValueError(f"this calibration was made without {name}; calibrate with it, or leave it out")
         mean = self.metadata.get(MEAN_TEMPERATURE, 0.0)
-        parts = [_linear_term(name, given[name], mean, (n, c)) for name in names]
+        parts = [_linear_term(name, values_of[name], mean, (n, c)) for name in names]
         return np.stack(parts, axis=2) if parts else np.zeros((n, c, 0))
 
 
@@ -232,13 +232,13 @@ def calibrate(
         on = None if chips is None else jnp.asarray(chips, jnp.float32)
         return Calibration(_fit(*fitted_to, on), _interval_scaling(*fitted_to, on), load_kind, metadata or {})
     about = dict(metadata or {})
-    given = {PREVIOUS_READING: previous_readings, TEMPERATURE: temperature}
-    names = [name for name, values in given.items() if values is not None]
+    values_of = {PREVIOUS_READING: previous_readings, TEMPERATURE: temperature}
+    names = [name for name, values in values_of.items() if values is not None]
     if names:
         about[LINEAR_TERMS] = names
     if temperature is not None:
         about[MEAN_TEMPERATURE] = float(np.nanmean(np.asarray(temperature, np.float64)))
-    linear = [_linear_term(name, given[name], about.get(MEAN_TEMPERATURE, 0.0), (n, c)) for name in names]
+    linear = [_linear_term(name, values_of[name], about.get(MEAN_TEMPERATURE, 0.0), (n, c)) for name in names]
     table = PressTable(positions, loads, np.stack(linear, axis=2) if linear else np.zeros((n, c, 0)))
     if previous_session is not None:
         if isinstance(previous_session.gp, StructuredGP) or previous_session.previous is not None:
@@ -329,10 +329,13 @@ def _checked(
             "readings alone can be segmented into presses and checked, but say nothing about another press; give "
             "positions, depths or forces"
         )
-    readings = np.asarray(readings, np.float64)
+    readings = given.numbers("readings", readings, "(n, channels) uT").astype(np.float64)
     n = len(readings) if readings.ndim == 2 else 0
-    where = np.zeros((n, 2)) if positions is None else np.asarray(positions, np.float64)
-    amount = np.zeros((n, 0)) if loads is None else np.asarray(loads, np.float64)
+    where, amount = np.zeros((n, 2)), np.zeros((n, 0))
+    if positions is not None:
+        where = given.numbers("positions", positions, "(n, 2) metres").astype(np.float64)
+    if loads is not None:
+        amount = given.numbers("loads", loads, "(n,) metres or newtons").astype(np.float64)
     shape = (n,) if load_kind in MAX_LOAD else (n, len(LOAD_COLUMNS[load_kind]))
     if n == 0 or where.shape != (n, 2) or amount.shape != shape:
         raise ValueError(
@@ -358,7 +361,7 @@ def _as_rows(
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Positions (n, 2) and loads (n, kinds) to be predicted, and whether a single press was asked for."""
     kinds = len(LOAD_COLUMNS[load_kind])
-    amount = None if loads is None else np.asarray(loads, np.float64)
+    amount = None if loads is None else given.numbers("loads", loads, "metres or newtons").astype(np.float64)
     if (amount is None) != (kinds == 0):
         raise ValueError(f"loads are missing or not known to this calibration, whose loads are: {load_kind}")
     if positions is None:
@@ -366,7 +369,7 @@ def _as_rows(
         rows = amount.shape[: amount.ndim - (kinds > 1)]
         where = np.zeros((*rows, 2))
     else:
-        where = np.asarray(positions, np.float64)
+        where = given.numbers("positions", positions, "(n, 2) metres").astype(np.float64)
     rows = where.shape[:-1]
     expected = None if amount is None else (*rows, kinds) if kinds > 1 else rows
     if where.shape[-1:] != (2,) or len(rows) > 1 or (amount is not None and amount.shape != expected):
@@ -394,14 +397,14 @@ def _linear_term(
     """(n, c): what one term multiplies; 0 where it is not known."""
     if values is None:
         return np.zeros(shape)
-    given = np.asarray(values, np.float64)
+    term = given.numbers(name, values, "numbers, one or one for each press").astype(np.float64)
     if name == TEMPERATURE:
-        given = np.broadcast_to((given.reshape(-1, 1) if given.ndim else given) - mean_temperature, shape)
-    elif given.shape == shape[1:]:
-        given = given[None]
-    if given.shape != shape:
-        raise ValueError(f"{name} of shape {given.shape} does not go with {shape[0]} presses of {shape[1]} channels")
-    return np.where(np.isfinite(given), given, 0.0)
+        term = np.broadcast_to((term.reshape(-1, 1) if term.ndim else term) - mean_temperature, shape)
+    elif term.shape == shape[1:]:
+        term = term[None]
+    if term.shape != shape:
+        raise ValueError(f"{name} of shape {term.shape} does not go with {shape[0]} presses of {shape[1]} channels")
+    return np.where(np.isfinite(term), term, 0.0)
 
 
 def _checked_presses(positions: np.ndarray, loads: np.ndarray, load_kind: str) -> Presses:

@@ -28,6 +28,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from i2t.types import in_one_line
+
 JITTER = 1e-5  # of the signal's variance: float32 factors of 1000 presses stay real
 HEIGHT_FITS = 3  # fits, each with the heights that the one before found; more change nothing
 HEIGHT_ERROR_UNIT_LOADS = 5e-3  # standard deviation of what one press measures of its height, at least
@@ -41,6 +43,7 @@ SHARED_SCALING_PRESSES = 20.0  # presses' worth of belief that all channels have
 SHARED_SCALE_PRESSES = 2.0  # presses' worth of belief that all channels have one scale
 
 
+@in_one_line
 class Presses(NamedTuple):
     """Where and how hard a skin was pressed."""
 
@@ -48,6 +51,7 @@ class Presses(NamedTuple):
     load: Float[Array, " n"]  # depth in m, or normal force in N
 
 
+@in_one_line
 class StructuredGPHyperparameters(NamedTuple):
     """Hyperparameters, as Python numbers or scalars of JAX.
 
@@ -91,6 +95,7 @@ FORCE_HYPERPARAMETERS = StructuredGPHyperparameters(
 )  # fmt: skip
 
 
+@in_one_line
 class StructuredGP(NamedTuple):
     """The GP conditioned on the presses of one skin."""
 

@@ -19,7 +19,7 @@ import numpy as np
 import tifffile
 from PIL import Image, UnidentifiedImageError
 
-from i2t import files
+from i2t import files, given
 from i2t.errors import DataError
 from i2t.types import ORTHOGONALITY_TOLERANCE
 
@@ -28,6 +28,8 @@ IMAGE_SUFFIXES = (".png", ".tif", ".tiff")
 MAX_IMAGE_PIXELS = 16384  # pixels, edge of an image
 MAX_PIXELS_IN_ALL = 2**25  # of an image: no depth camera has so many
 MAX_IMAGE_BYTES = 2**28  # of an image file
+NEAREST_M, FARTHEST_M = 0.02, 5.0  # m from which a camera sees what a tool touches
+FEW_SHARE = 0.05  # of an image's measured pixels
 TIF_DEFLATE = (tifffile.COMPRESSION.ADOBE_DEFLATE, tifffile.COMPRESSION.DEFLATE)
 TIF_PACKINGS = (
     tifffile.COMPRESSION.NONE, tifffile.COMPRESSION.LZW, tifffile.COMPRESSION.PACKBITS, *TIF_DEFLATE,
@@ -79,6 +81,7 @@ class Camera:
             if not isinstance(size, int | np.integer) or not 2 <= size <= MAX_IMAGE_PIXELS:
                 raise ValueError(f"camera: {name} is {size!r}; give whole pixels from 2 to {MAX_IMAGE_PIXELS}")
         lens = (self.fx, self.fy, self.cx, self.cy, *self.coefficients)
+        given.numbers("camera: fx, fy, cx, cy and coefficients", lens, "pixels, and the lens's coefficients")
         if not all(math.isfinite(value) for value in lens):
             raise ValueError(f"camera: fx, fy, cx, cy and coefficients {lens} must all be finite; calibrate it again")
         if self.fx <= 0 or self.fy <= 0:
@@ -177,21 +180,59 @@ def check_view(depth: Any, camera: Camera, T_w_c: Any, T_w_t: Any) -> None:
     Raises:
         ValueError: One of them makes no sense.
     """
+    check_depth(depth, camera)
+    check_pose("T_w_c", T_w_c)
+    check_pose("T_w_t", T_w_t)
+
+
+def check_depth(depth: Any, camera: Camera) -> None:
+    """Refuse a depth image of another camera, without a measured pixel, or at distances that say it is not in metres.
+
+    Args:
+        depth: Depth (h, w) m.
+        camera: The camera.
+
+    Raises:
+        ValueError: The image makes no sense.
+    """
     check_image(depth, camera)
-    measured = np.asarray(depth) > 0
-    if not measured.any():
-        raise ValueError("depth: no pixel was measured (none is above 0); record it again, within the camera's range")
-    if (np.asarray(depth) < 0).any():
+    values = np.asarray(depth)
+    if (values < 0).any():
         raise ValueError("depth: holds negative depth; write holes as 0 or NaN, and depth along the camera's +z")
-    for name, T in (("T_w_c", np.asarray(T_w_c)), ("T_w_t", np.asarray(T_w_t))):
-        if T.shape != (4, 4):
-            raise ValueError(f"{name}: has the shape {T.shape}; give a (4, 4) transform")
-        if not np.isfinite(T).all():
-            raise ValueError(f"{name}: holds NaN or infinity; leave this view out")
-        if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > ORTHOGONALITY_TOLERANCE or np.linalg.det(T[:3, :3]) < 0:
-            raise ValueError(
-                f"{name}: is not a rigid motion (its rotation is scaled, singular or mirrored); correct it"
-            )
+    measured = values[np.isfinite(values) & (values > 0)]
+    if not measured.size:
+        raise ValueError("depth: no pixel was measured (none is above 0); record it again, within the camera's range")
+    # Some pixels of an image may be flying ones, and a wall may be far behind what is touched.
+    near, far = np.quantile(measured, (FEW_SHARE, 1 - FEW_SHARE))
+    if near > FARTHEST_M:
+        raise ValueError(
+            f"depth: nearly all of it is farther than {near:.4g} m, and what is touched is seen from at most "
+            f"{FARTHEST_M:g} m; it is metres: divide millimetres by 1000 (i2t.depth.camera.read_depth does)"
+        )
+    if far < NEAREST_M:
+        raise ValueError(
+            f"depth: nearly all of it is nearer than {far:.2g} m, where no depth camera sees ({1e3 * NEAREST_M:g} mm); "
+            "it is metres: check the scale of its units"
+        )
+
+
+def check_pose(name: str, pose: Any) -> None:
+    """Refuse what is no rigid motion.
+
+    Args:
+        name: Of the pose, for the message.
+        pose: (4, 4).
+
+    Raises:
+        ValueError: Another shape, not finite, or its rotation is scaled or mirrored.
+    """
+    T = np.asarray(pose)
+    if T.shape != (4, 4):
+        raise ValueError(f"{name}: has the shape {T.shape}; give a (4, 4) transform")
+    if not np.isfinite(T).all():
+        raise ValueError(f"{name}: holds NaN or infinity; leave this view out")
+    if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > ORTHOGONALITY_TOLERANCE or np.linalg.det(T[:3, :3]) < 0:
+        raise ValueError(f"{name}: is not a rigid motion (its rotation is scaled, singular or mirrored); correct it")
 
 
 def check_image(depth: Any, camera: Camera) -> None:
@@ -203,7 +244,10 @@ def check_image(depth: Any, camera: Camera) -> None:
 
     Raises:
         ValueError: The image is not the camera's, or holds no floats.
+        TypeError: The camera is none.
     """
+    if not isinstance(camera, Camera):
+        raise TypeError(f"camera: is a {type(camera).__name__}; give an i2t.Camera")
     if depth.shape != (camera.height, camera.width):
         raise ValueError(
             f"depth: has the shape {depth.shape} where the camera's image is {(camera.height, camera.width)}; "

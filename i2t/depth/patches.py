@@ -27,10 +27,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Num
 
-from i2t.depth.camera import Camera, check_image
+from i2t import given
+from i2t.depth.camera import Camera, check_image, check_view
 from i2t.depth.distortion import pixel_rays, project_to_pixel
 from i2t.geometry import is_rigid
-from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, Patch, one_line
+from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, Patch, in_one_line
 
 LOOKING_DISTANCE_M = 104e-3  # m, from the camera to the tool's origin when the paper's arm looks
 GRAZING_ANGLE_RAD = math.radians(10)  # rad, between a triangle and the line of sight to it
@@ -42,15 +43,13 @@ CROSSING_STEPS = 6  # steps; without a fold of the surface in between the first 
 CROSSING_TOLERANCE = 1e-4  # relative error of depth at which a crossing counts as found: 10 um at the paper's distance
 
 
+@in_one_line
 class DepthPatch(NamedTuple):
     """A patch extracted from a depth image, and what is known of each of its pixels."""
 
     patch: Patch
     valid_mask: Bool[Array, "n n"]  # measured on the pixel's ray
     inpainted_mask: Bool[Array, "n n"]  # interpolated; valid and inpainted exclude each other
-
-    def __repr__(self) -> str:
-        return one_line(self)
 
 
 def patch_from_depth(
@@ -88,17 +87,48 @@ def patch_from_depth(
 
     Returns:
         The patch and what is known of its pixels. `nearest` is the nearest measured point; where nothing is measured it
-        is +inf and the depth reads the reach. A pose that is not rigid or not finite gives NaN and no valid pixel.
+        is +inf and the depth reads the reach. Under `jit` and `vmap`, where values cannot be judged, a pose that is not
+        rigid or not finite gives NaN and no valid pixel.
 
     Raises:
-        ValueError: The image is not the camera's or not in metres.
+        ValueError: The image is not the camera's; or, where values are known, it holds nothing measured or no metres
+            (nearly all nearer than 2 cm or farther than 5 m), or a pose is not rigid.
+        TypeError: One of them holds no real numbers.
 
     Example:
         seen = i2t.patch_from_depth(image, camera, T_w_c, T_w_t)
         reading, std = predictor.predict(seen.patch.depth, force=1.0)
     """
+    if not given.is_traced(depth, T_w_c, T_w_t):
+        hint = "a (4, 4) transform"
+        poses = given.numbers("T_w_c", T_w_c, hint), given.numbers("T_w_t", T_w_t, hint)
+        check_view(given.numbers("depth", depth, "an image of metres"), camera, *poses)
+    given.number("window", window, "a length (m) above 0", above=0)
+    given.count("pixels", pixels)
+    given.number("fill", fill, "a length (m), 0 for none", least=0)
     depth, T_w_c, T_w_t = (jnp.asarray(value) for value in (depth, T_w_c, T_w_t))
     check_image(depth, camera)
+    sizes = {"window": window, "reach": reach, "standoff": standoff, "grazing": grazing, "step": step, "fill": fill}
+    return _patch_from_depth(depth, T_w_c, T_w_t, camera=camera, pixels=int(pixels), sizes=_Sizes(**sizes))
+
+
+class _Sizes(NamedTuple):
+    """Lengths (m) and the angle (rad) of `patch_from_depth`."""
+
+    window: float
+    reach: float
+    standoff: float
+    grazing: float
+    step: float
+    fill: float
+
+
+@partial(jax.jit, static_argnames=("camera", "pixels", "sizes"))
+def _patch_from_depth(
+    depth: Array, T_w_c: Array, T_w_t: Array, *, camera: Camera, pixels: int, sizes: _Sizes
+) -> DepthPatch:
+    """`patch_from_depth`, compiled once for a camera and sizes."""
+    window, reach, standoff, grazing, step, fill = sizes
     # Wide enough that holes at the border are filled as if there were none.
     margin = max(math.ceil(fill / window * pixels) - 1, 0)
     T_c_t = _relative(T_w_c, T_w_t)

@@ -1,11 +1,10 @@
 """Where a tool stands that touches an object at a chosen point."""
 
-import math
-
 import numpy as np
 import trimesh
 from jaxtyping import Float
 
+from i2t import given
 from i2t.geometry import contact_frame
 from i2t.objects.solids import Mesh
 from i2t.types import Array
@@ -37,23 +36,26 @@ def contact_pose(
 
     Raises:
         ValueError: The point is not finite or off the surface, or the normal is no unit vector.
+        TypeError: One of them holds no real numbers.
 
     Example:
         T_o_t = contact_pose(make_object("dome").mesh, (0, 0, 30e-3))
         patch = render_patch(prepare_surface(mesh), T_o_t)
     """
-    at = np.asarray(point, np.float64)
+    if not hasattr(mesh, "vertices") or not hasattr(mesh, "faces"):
+        raise TypeError(f"mesh: a {type(mesh).__name__} has no vertices and faces; give an i2t.Mesh (i2t.load_mesh)")
+    at = given.numbers("point", point, "x, y and z in metres").astype(np.float64)
     if at.shape != (3,) or not np.isfinite(at).all():
         raise ValueError(f"point: {point} is not three finite numbers; give x, y and z in metres")
-    if not math.isfinite(roll):
-        raise ValueError(f"roll: is {roll}; give radians")
+    given.number("roll", roll, "radians")
     distance, face_normal = _nearest(mesh, at)
     if distance > MAX_OFF_SURFACE_M:
         raise ValueError(
             f"point: lies {1e3 * distance:.3g} mm off the surface, of at most {1e3 * MAX_OFF_SURFACE_M:g} mm; give a "
             "point on it, in metres and in the mesh's frame"
         )
-    outward = face_normal if normal is None else np.asarray(normal, np.float64)
+    hint = "a unit vector, or leave it out"
+    outward = face_normal if normal is None else given.numbers("normal", normal, hint).astype(np.float64)
     if outward.shape != (3,) or not abs(float(np.linalg.norm(outward)) - 1) <= UNIT_TOLERANCE:
         raise ValueError(f"normal: {normal} is no unit vector; divide it by its length, or leave it out")
     return np.asarray(contact_frame(at, outward / np.linalg.norm(outward), roll))

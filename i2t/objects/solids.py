@@ -15,13 +15,14 @@ import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
 from numpy.typing import NDArray
 
-from i2t.types import one_line
+from i2t.types import in_one_line
 
 Real: TypeAlias = float | int  # of a drawing
 
 SAGITTA_MM = 0.03  # between a chord and its arc
 
 
+@in_one_line
 class Mesh(NamedTuple):
     """A triangle mesh, as every function of i2t takes it: anything with `vertices` and `faces` serves, such as a
     `trimesh.Trimesh`. Seen from outside, the corners of a face run counter-clockwise.
@@ -34,10 +35,8 @@ class Mesh(NamedTuple):
     vertices: NDArray[np.float64]  # (vertices, 3) m
     faces: NDArray[np.int32]  # (faces, 3) rows of `vertices`
 
-    def __repr__(self) -> str:
-        return one_line(self)
 
-
+@in_one_line
 class Object(NamedTuple):
     """Something to touch, in its own frame: z up, and unless a file was read otherwise standing on z = 0, centred in x
     and y.

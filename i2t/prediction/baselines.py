@@ -24,6 +24,7 @@ from jaxtyping import Float, Int
 from scipy.optimize import nnls
 
 from i2t.prediction.metrics import near_rows, nearest_neighbours
+from i2t.types import in_one_line
 
 MEAN, NEAREST, RIDGE, WITH_MEASURED = "mean reading", "k nearest patches", "ridge on PCA", " + measured"
 COMPONENTS = 30  # of patches, at most
@@ -35,6 +36,7 @@ MIN_SPREAD_SHARE = 1e-3  # of the spread over all channels: a dead channel has n
 MIN_SPREAD_UT = 1e-6
 
 
+@in_one_line
 class TouchFeatures(NamedTuple):
     """What turns a touch into a vector."""
 
@@ -45,6 +47,7 @@ class TouchFeatures(NamedTuple):
     measured_std: Float[np.ndarray, " m"]  # N or m
 
 
+@in_one_line
 class MeanReading(NamedTuple):
     """The mean of the training readings, whatever is touched."""
 
@@ -52,6 +55,7 @@ class MeanReading(NamedTuple):
     spread: Float[np.ndarray, " c"]  # uT, standard deviation of the training readings
 
 
+@in_one_line
 class NearestPatches(NamedTuple):
     """The mean reading of the nearest training touches."""
 
@@ -63,6 +67,7 @@ class NearestPatches(NamedTuple):
     growth: Float[np.ndarray, "2"]  # of the variance, in spread^2: at distance zero, and by squared distance
 
 
+@in_one_line
 class RidgeOnPatches(NamedTuple):
     """Linear regression with a squared penalty."""
 

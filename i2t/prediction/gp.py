@@ -26,11 +26,14 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int
 
+from i2t.types import in_one_line
+
 LENGTHS_MM = (1.5, 3.0, 6.0, 12.0, 24.0)  # mm, of the maps g_c: from below a skin's thickness to beyond its edge
 CELL_MM = 1.0  # mm
 JITTER = 1e-5  # of the mean variance: float32 factors of a few thousand touches stay real
 
 
+@in_one_line
 class ContactPressure(NamedTuple):
     """The pressure of a contact on the skin's surface; one touch, or many on axis 0."""
 
@@ -38,6 +41,7 @@ class ContactPressure(NamedTuple):
     load: Float[Array, "*n"]  # N, total
 
 
+@in_one_line
 class GPHyperparameters(NamedTuple):
     """Hyperparameters of the covariance, in the symbols of the module's formula."""
 
@@ -47,6 +51,7 @@ class GPHyperparameters(NamedTuple):
     noise: Float[Array, ""]  # variance of a channel's noise, relative to that of its signal
 
 
+@in_one_line
 class GP(NamedTuple):
     """A fitted GP: training touches, hyperparameters and the solved system."""
 

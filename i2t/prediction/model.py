@@ -28,7 +28,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from i2t.rendering.render import contact_mask
-from i2t.types import CONTACT_TOLERANCE_M, PATCH_PIXELS, REACH
+from i2t.types import CONTACT_TOLERANCE_M, PATCH_PIXELS, REACH, in_one_line
 
 Params: TypeAlias = dict[str, dict[str, Array]]  # {layer: {"kernel": ..., "bias": ...}}
 ImageKind: TypeAlias = Literal["depth", "mask", "image"]
@@ -53,6 +53,7 @@ class Prediction(NamedTuple):
     latent: Float[Array, " b"]
 
 
+@in_one_line
 class Standard(NamedTuple):
     """Mean and standard deviation of each value over a training set."""
 
@@ -60,6 +61,7 @@ class Standard(NamedTuple):
     std: Float[Array, " k"]
 
 
+@in_one_line
 class Normalisation(NamedTuple):
     """What turns physical units into the network's and back."""
 

@@ -39,7 +39,7 @@ from i2t.prediction.model import ModelConfig, Normalisation, Params
 from i2t.prediction.pressure import PressureModelConfig, predict_pressure
 from i2t.rendering.render import prepare_surface, render_patch
 from i2t.skin.pad import nominal_pad
-from i2t.types import PATCH_PIXELS, WIDE_PIXELS, Pad, Patch, Surface, one_line
+from i2t.types import PATCH_PIXELS, WIDE_PIXELS, Pad, Patch, Surface, in_one_line
 
 PREDICTOR_FORMAT = "i2t predictor"
 PREDICTOR_VERSION = 3
@@ -50,6 +50,7 @@ STDS_WITHIN_90 = 1.645  # standard deviations of a normal error that hold nine i
 Values: TypeAlias = int | float | Sequence[int | float] | np.ndarray | Array  # one for all touches, or one for each
 
 
+@in_one_line
 class Reading(NamedTuple):
     """A predicted touch, in the board's order and axes; unpacks as (mean, std). One touch, or n on axis 0.
 
@@ -61,10 +62,8 @@ class Reading(NamedTuple):
     mean: np.ndarray  # (3 chips,) or (n, 3 chips) uT
     std: np.ndarray  # as mean: standard deviation of the sensor's reading about the mean, its noise included
 
-    def __repr__(self) -> str:
-        return one_line(self)
 
-
+@in_one_line
 class TouchBatch(NamedTuple):
     """What is known of n touches before they are made; NaN where a value is unknown."""
 
@@ -77,6 +76,7 @@ class TouchBatch(NamedTuple):
     pressure: ContactPressure | None = None  # where it was predicted before
 
 
+@in_one_line
 class TrainedNetwork(NamedTuple):
     """A network's parameters with their meaning."""
 
@@ -85,6 +85,7 @@ class TrainedNetwork(NamedTuple):
     normalisation: Normalisation
 
 
+@in_one_line
 class GPModel(NamedTuple):
     """A Gaussian process on predicted contact pressure."""
 
@@ -109,6 +110,7 @@ class GPModel(NamedTuple):
         return Reading(np.asarray(mean), np.asarray(std))
 
 
+@in_one_line
 class PressureNetwork(NamedTuple):
     """A network on predicted contact pressure."""
 
@@ -129,6 +131,7 @@ class PressureNetwork(NamedTuple):
         return _network_readings(self.network, np.asarray(_pressure(self.pressure, touches).pressure), touches)
 
 
+@in_one_line
 class PatchNetwork(NamedTuple):
     """A network on depth patches."""
 
@@ -148,6 +151,7 @@ class PatchNetwork(NamedTuple):
         return _network_readings(self.network, touches.patch, touches)
 
 
+@in_one_line
 class BaselineModel(NamedTuple):
     """A baseline, kept where no model is better."""
 

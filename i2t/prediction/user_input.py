@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
+from i2t import given
 from i2t.geometry import is_rigid
 from i2t.objects.mesh_files import MAX_SIZE_M
 from i2t.types import STANDOFF, Patch, Surface
@@ -23,6 +24,7 @@ UNUSUAL_FORCE_RATIO = 10.0  # to the median of the training touches: beyond it n
 MAX_TRAVEL_M = 20e-3  # m past first contact; a skin is 2 to 20 mm thick
 MAX_NEAREST_M = 0.1  # m, signed distance of a surface that a skin is about to meet
 MAX_GAP_M = 10e-3  # m between the skin and the surface at a pose where they are said to touch
+MAX_CLOSE_GAP_M = 1e-3  # m likewise, by which a pose may be off without a word: how far cameras and arms err
 MAX_LEAST_PIXEL_M = 1e-3  # m, nearest pixel of a patch, whose values count from that pixel
 MAX_CENTRE_STEP_M = 0.5e-3  # m, median by which a patch may differ from the middle of its wide view
 LEAST_SEEN_SHARE = 0.5  # of a patch's pixels; with fewer there is a warning
@@ -71,10 +73,10 @@ def checked_patches(patch: Any, reach: float) -> Float[np.ndarray, "n p p"]:
     Raises:
         ValueError: Shape or values are no depth patch's.
     """
-    given = np.asarray(patch, np.float32)
-    patches = given[None] if given.ndim == 2 else given
+    image = given.numbers("patch", patch, "metres behind the nearest point").astype(np.float32)
+    patches = image[None] if image.ndim == 2 else image
     if patches.ndim != 3 or patches.shape[1] != patches.shape[2] or not patches.size:
-        raise ValueError(f"patch has shape {given.shape}; give (n, n) or (touches, n, n)")
+        raise ValueError(f"patch has shape {image.shape}; give (n, n) or (touches, n, n)")
     if not np.isfinite(patches).all():
         raise ValueError(
             "patch holds NaN or infinity; pixels without a surface are `reach`, and valid= says which were not seen"
@@ -119,7 +121,7 @@ def checked_wide(wide: Any, patches: Float[np.ndarray, "n p p"], reach: float) -
         ValueError: Shape or values do not fit the patches.
     """
     n, pixels = patches.shape[:2]
-    views = np.asarray(wide, np.float32)
+    views = given.numbers("wide", wide, "metres behind the patch's nearest point").astype(np.float32)
     views = views[None] if views.ndim == 2 else views
     if views.ndim != 3 or len(views) != n or views.shape[1] != views.shape[2] or views.shape[1] < pixels:
         raise ValueError(
@@ -158,10 +160,12 @@ def checked_column(name: str, values: Any, n: int, default: float | None) -> Flo
     """
     if values is None:
         return np.full(n, np.nan if default is None else default, np.float32)
-    given = np.asarray(values, np.float32)
-    column = np.full(n, given) if given.ndim == 0 else given
+    numbers = given.numbers(name, values, "one number for all touches or one for each").astype(np.float32)
+    column = np.full(n, numbers) if numbers.ndim == 0 else numbers
     if column.shape != (n,) or not np.isfinite(column).all():
-        raise ValueError(f"{name} must be finite, one for all touches or one for each of {n}")
+        raise ValueError(
+            f"{name} has the shape {numbers.shape} or is not finite; give one for all touches or one for each of {n}"
+        )
     return column
 
 
@@ -263,10 +267,10 @@ def checked_poses(T_w_t: Any) -> Float[np.ndarray, "n 4 4"]:
     Raises:
         ValueError: They are no rigid transforms.
     """
-    given = np.asarray(T_w_t, np.float32)
-    poses = given[None] if given.ndim == 2 else given
+    matrix = given.numbers("T_w_t", T_w_t, "a (4, 4) transform, or (n, 4, 4)").astype(np.float32)
+    poses = matrix[None] if matrix.ndim == 2 else matrix
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses) or not np.isfinite(poses).all():
-        raise ValueError(f"T_w_t must be a finite (4, 4) transform, or (n, 4, 4) of them; got shape {given.shape}")
+        raise ValueError(f"T_w_t must be a finite (4, 4) transform, or (n, 4, 4) of them; got shape {matrix.shape}")
     if not all(bool(is_rigid(pose)) for pose in poses):
         raise ValueError("T_w_t is no rigid transform: its rotation is scaled, mirrored or bent; make it orthonormal")
     return poses
@@ -291,7 +295,7 @@ def check_size(mesh: Any) -> None:
 
 
 def check_in_front(surface: Surface, T_w_t: Float[np.ndarray, "4 4"], patch: Patch, window: float) -> None:
-    """Refuse a pose at which the skin does not lie on the surface.
+    """Refuse a pose at which the skin does not lie on the surface, and warn of one before it.
 
     Args:
         surface: That is touched, in W.
@@ -310,6 +314,12 @@ def check_in_front(surface: Surface, T_w_t: Float[np.ndarray, "4 4"], patch: Pat
         raise ValueError(
             f"the surface begins {1e3 * nearest:.3g} mm in front of the skin at this pose; move T_w_t onto it "
             "(i2t.contact_pose)"
+        )
+    if nearest > MAX_CLOSE_GAP_M:
+        warnings.warn(
+            f"the surface begins {1e3 * nearest:.3g} mm in front of the skin at this pose: a press that ends there "
+            "meets nothing and reads nil; what is predicted is the reading of a skin that is moved on until it presses",
+            stacklevel=4,
         )
     if nearest < -MAX_GAP_M:
         raise ValueError(

@@ -41,6 +41,7 @@ from scipy.stats import norm, qmc, truncnorm
 
 from i2t.recognition.outcomes import MIN_LOAD_N, PredictedTouch, interpolate_load
 from i2t.simulation.press import PressLimits
+from i2t.types import in_one_line
 
 TouchCount = TypeVar("TouchCount", float, np.ndarray, Array)  # number of touches so far; one number or an array
 Length = TypeVar("Length", float, Array)  # m
@@ -56,6 +57,7 @@ STRAY_RANGE_M = 20e-3  # added to twice the overtravel: the length over which an
 ARM_STIFFNESS_N_PER_M = PressLimits.stiffness  # of arm and mount in series
 
 
+@in_one_line
 class TouchObservation(NamedTuple):
     """What was measured at a touch of a site."""
 
@@ -84,6 +86,7 @@ class ScaleMixture(NamedTuple):
         return cls(np.array([std]), np.ones(1))
 
 
+@in_one_line
 class Likelihood(NamedTuple):
     """How far a touch may be from the predicted one; see `fit_likelihood`, the rest chosen on validation episodes."""
 
@@ -142,6 +145,7 @@ class ScalePrior(NamedTuple):
         return weight - np.logaddexp.reduce(weight)
 
 
+@in_one_line
 class Particles(NamedTuple):
     """Pose particles of an object: displacements from its believed pose (`i2t.geometry.from_twist`)."""
 
@@ -151,6 +155,7 @@ class Particles(NamedTuple):
     log_prior: Float[Array, " k"]  # logarithm of each particle's probability
 
 
+@in_one_line
 class Belief(NamedTuple):
     """What is believed after some touches of an episode."""
 

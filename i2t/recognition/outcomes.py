@@ -35,7 +35,7 @@ from i2t.rendering.render import render_heights
 from i2t.simulation import sites
 from i2t.skin.contact import Grid, solve_force
 from i2t.skin.pad import nominal_pad
-from i2t.types import PAD_WINDOW, STANDOFF, TWIST_LEVER_M, Pad, Surface
+from i2t.types import PAD_WINDOW, STANDOFF, TWIST_LEVER_M, Pad, Surface, in_one_line
 
 PRESSURE_GRID = Grid(cells=20, modes=32, window=PAD_WINDOW)  # cells of 1 mm, as the GP sees pressures
 LOADS_N = (0.3, 0.9, 2.7)  # most presses to 25 uT end between the outer ones
@@ -43,6 +43,7 @@ MIN_LOAD_N = PressureModelConfig.floor  # a noisy wrench sensor says less
 EIGENVALUE_TOLERANCE = 1e-5  # of the largest eigenvalue of a variance: what is smaller is rounding
 
 
+@in_one_line
 class LinearReadingModel(NamedTuple):
     """A pad's Gaussian process at a few loads, where it is linear in the pressure."""
 

@@ -34,7 +34,7 @@ from i2t.registration import touch as registration
 from i2t.registration.estimate import PoseEstimate
 from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import SimulationErrors
-from i2t.types import WIDE_PIXELS, WIDE_WINDOW, Surface, Touches, Truth
+from i2t.types import WIDE_PIXELS, WIDE_WINDOW, Surface, Touches, Truth, in_one_line
 
 # Standard deviations of which a position's error is mixed: from the repeatability of an arm to a missed edge.
 POSITION_STDS_M = (0.05e-3, 0.1e-3, 0.2e-3, 0.4e-3, 0.8e-3, 1.6e-3)
@@ -44,6 +44,7 @@ PRIOR_TOUCHES = 0.5  # of each standard deviation, as if they had been seen: no 
 REGISTERED_TOUCHES = 36  # of a session at least, filled up with repeated ones: one compilation serves most sessions
 
 
+@in_one_line
 class PadModel(NamedTuple):
     """A pad as its touches of known objects show it."""
 

@@ -22,7 +22,7 @@ from i2t.recognition.belief import Likelihood
 from i2t.recognition.outcomes import LinearReadingModel
 from i2t.recognition.pad_model import PadModel
 from i2t.skin.boards import same_board
-from i2t.types import Board
+from i2t.types import Board, in_one_line
 
 PAD_MODEL_KIND = "i2t pad model"
 
@@ -38,6 +38,7 @@ class PadOrigin:
     made_from: str  # a run, a data set or a file
 
 
+@in_one_line
 class SkinIdentity(NamedTuple):
     """Which skin something is of."""
 
@@ -46,6 +47,7 @@ class SkinIdentity(NamedTuple):
     made_from: str  # a run, a data set or a file
 
 
+@in_one_line
 class KnownPad(NamedTuple):
     """A pad model and the skin that it is of."""
 

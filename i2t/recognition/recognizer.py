@@ -24,7 +24,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
-from i2t.geometry import from_twist
+from i2t import given
+from i2t.geometry import from_twist, is_rigid
 from i2t.objects import catalogue
 from i2t.recognition import belief, calibrated, open_set, outcomes, policy
 from i2t.recognition.belief import Belief, TouchObservation
@@ -40,6 +41,7 @@ from i2t.recognition.site_pool import (
 )
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.press import PressLimits
+from i2t.types import in_one_line
 
 MAX_EMPTY_DRAWS = 10  # of candidates among which no site is allowed, after which no touch is chosen
 # Calibration of the unknown class, fitted on validation objects and others where half of all were unknown.
@@ -71,6 +73,7 @@ class RecognizerConfig:
             raise ValueError(f"num_surrogates is {self.num_surrogates}; an unknown object needs some, 16 say")
 
 
+@in_one_line
 class ChosenSite(NamedTuple):
     """A site to be touched."""
 
@@ -78,6 +81,7 @@ class ChosenSite(NamedTuple):
     T_w_t: Float[np.ndarray, "4 4"]  # the tool's pose where the skin would just lie on the believed surface
 
 
+@in_one_line
 class SiteObservation(NamedTuple):
     """What a touch of a site measured."""
 
@@ -85,6 +89,7 @@ class SiteObservation(NamedTuple):
     touch: TouchObservation
 
 
+@in_one_line
 class RecognizerState(NamedTuple):
     """What is believed, and which sites were touched."""
 
@@ -94,6 +99,7 @@ class RecognizerState(NamedTuple):
     probability: Float[np.ndarray, " objects"]  # calibrated, of the known objects; what lacks to 1 is unknown
 
 
+@in_one_line
 class RecognitionInfo(NamedTuple):
     """What is believed after a touch, calibrated."""
 
@@ -143,12 +149,22 @@ class ObjectRecognizer:
             config: How it chooses and when it stops.
 
         Raises:
-            ValueError: Fewer than two objects, or an object has too few safe sites.
+            ValueError: Fewer than two objects, an object has too few safe sites, or `T_w_o` is not rigid.
+            TypeError: The key is none, or `meshes` no mapping.
         """
+        given.random_key("key", key)
+        if not isinstance(pad_model, PadModel):
+            kind = type(pad_model).__name__
+            raise TypeError(f"pad_model: is a {kind}; give a pad model, such as i2t.load_pad_model('nominal').model")
+        if not isinstance(meshes, Mapping):
+            raise TypeError(f"meshes: is a {type(meshes).__name__}; give a mapping of names to meshes")
         if len(meshes) < 2:
             raise ValueError("a recogniser needs at least two objects to tell apart")
         self.names, self.config, self.likelihood = tuple(meshes), config, pad_model.likelihood
-        self.T_w_o = np.eye(4) if T_w_o is None else np.asarray(T_w_o, float)
+        hint = "a (4, 4) transform"
+        self.T_w_o = np.eye(4) if T_w_o is None else given.numbers("T_w_o", T_w_o, hint).astype(np.float64)
+        if self.T_w_o.shape != (4, 4) or not is_rigid(self.T_w_o):
+            raise ValueError("T_w_o: is not a rigid motion; correct it")
         known = list(meshes.values())
         surrogates = range(config.num_surrogates if config.prior_unknown > 0 else 0)
         unknown = [catalogue.surrogate_unknown(known, i).mesh for i in surrogates]

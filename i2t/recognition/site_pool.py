@@ -26,7 +26,7 @@ from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.sharding import spread
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.touches import SimulationErrors
-from i2t.types import Surface
+from i2t.types import Surface, in_one_line
 
 BATCH_TOUCHES = 512  # predicted at a time
 DRAWN_SITES = 256  # at a time
@@ -34,6 +34,7 @@ CANDIDATES_PER_SITE = 2  # drawn for each site that is wanted; about half of the
 MIN_SAFE_SHARE = 1 / 64  # of candidates: an object on which fewer are safe has too few sites
 
 
+@in_one_line
 class SitePool(NamedTuple):
     """Safe sites of some objects."""
 

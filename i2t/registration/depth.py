@@ -19,9 +19,10 @@ import trimesh
 from jaxtyping import Array, Bool, Float
 from scipy.spatial import cKDTree
 
-from i2t.depth.camera import Camera, check_image
+from i2t import given
+from i2t.depth.camera import Camera, check_depth, check_pose
 from i2t.depth.distortion import pixel_rays
-from i2t.geometry import apply, compose, from_twist, inverse, is_rigid, to_twist
+from i2t.geometry import apply, compose, from_twist, inverse, to_twist
 from i2t.objects.solids import Mesh
 from i2t.registration.estimate import PoseEstimate
 from i2t.types import TWIST_LEVER_M
@@ -105,16 +106,22 @@ def register_by_depth(
     Raises:
         ValueError: The image is not the camera's, a pose is not rigid, too few points lie near the object, or too few
             of those fit its surface.
+        TypeError: An argument holds no real numbers.
 
     Example:
         estimate = i2t.register_by_depth(mesh, T_w_o, image, camera, T_w_c)
         estimate.T_w_o
     """
-    depth, T_w_c, start = np.asarray(depth), np.asarray(T_w_c, float), np.asarray(T_w_o, float)
-    check_image(depth, camera)
-    for name, pose in (("T_w_o", start), ("T_w_c", T_w_c)):
-        if not is_rigid(pose):
-            raise ValueError(f"{name}: is not a rigid motion; correct it")
+    given.number("translation_std", translation_std, "metres above 0", above=0)
+    given.number("rotation_std", rotation_std, "radians above 0", above=0)
+    depth = given.numbers("depth", depth, "an image of metres")
+    T_w_c, start = (
+        given.numbers(name, pose, "a (4, 4) transform").astype(np.float64)
+        for name, pose in (("T_w_c", T_w_c), ("T_w_o", T_w_o))
+    )
+    check_depth(depth, camera)
+    check_pose("T_w_o", start)
+    check_pose("T_w_c", T_w_c)
     scene = _scene(mesh, start, _points(depth, camera, T_w_c, table_height, config), T_w_c, config)
     scene = scene._replace(points_per_measurement=max(1.0, points_per_measurement * scene.points_per_measurement))
     prior_information = np.diag(np.array([translation_std] * 3 + [rotation_std * TWIST_LEVER_M] * 3) ** -2.0)

@@ -4,9 +4,10 @@ from typing import NamedTuple
 
 from jaxtyping import Array, Float
 
-from i2t.types import one_line
+from i2t.types import in_one_line
 
 
+@in_one_line
 class PoseEstimate(NamedTuple):
     """An object's pose, how well it is known, and how well it explains what was measured.
 
@@ -20,6 +21,3 @@ class PoseEstimate(NamedTuple):
     residual: Float[Array, " n"]  # m, of each touch or point
     weight: Float[Array, " n"]  # of each, from 0 for an outlier to about 1
     cost: Float[Array, ""]  # minus the logarithm of the posterior density, up to a constant
-
-    def __repr__(self) -> str:
-        return one_line(self)

@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
+from i2t import given
 from i2t.geometry import from_twist, full_precision, inverse
 from i2t.registration.estimate import PoseEstimate
 from i2t.registration.levenberg_marquardt import LeastSquares, levenberg_marquardt
@@ -119,7 +120,8 @@ def register_by_touch(
         The estimate; its residuals, weights and cost are those of the most probable pose.
 
     Raises:
-        ValueError: There is no touch, or not one weight for each.
+        ValueError: There is no touch, not one weight for each, or a standard deviation that is none.
+        TypeError: The key is none, or a standard deviation is no number.
 
     Example:
         T_w_contact, in_contact = contact_poses(dataset.touches)
@@ -127,6 +129,10 @@ def register_by_touch(
             key, surface, T_w_o, T_w_contact, in_contact, translation_std=2e-3, rotation_std=0.03
         )
     """
+    given.random_key("key", key)
+    for name, std in (("translation_std", translation_std), ("rotation_std", rotation_std)):
+        given.number(name, std, "a standard deviation, 0 where it is known", least=0)
+    given.number("contact_std", contact_std, "a standard deviation (m) above 0", above=0)
     T_w_o, T_w_contact, weight = (jnp.asarray(value, jnp.float32) for value in (T_w_o, T_w_contact, weight))
     _check_contacts(T_w_contact, weight)
     noise = jnp.asarray(contact_std, jnp.float32)

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from i2t import given
 from i2t.geometry import is_rigid
 from i2t.rendering.bvh import build_bvh, pad_to_same_size
 from i2t.rendering.raycast import first_hit
@@ -128,8 +129,9 @@ def render_patch(
     """
     _check(T_w_t, window, pixels)
     T_w_t = jnp.asarray(T_w_t)
-    if not reach > 0:
-        raise ValueError(f"reach is {reach} m; give a length above 0, or infinity for no end")
+    hint = "a length (m) above 0, or infinity for no end"
+    if not (given.is_traced(reach) or given.numbers("reach", reach, hint) > 0):
+        raise ValueError(f"reach: is {reach}; give {hint}")
     return _render(_prepared(surface), T_w_t, float(window), int(pixels), float(reach))
 
 
@@ -188,9 +190,9 @@ def _prepared(surface: Surface) -> Surface:
 
 
 def _check(pose: Any, window: Any, pixels: Any) -> None:
+    if not given.is_traced(pose):
+        given.numbers("T_w_t", pose, "a (4, 4) transform")
+    given.number("window", window, "a length (m) above 0", above=0)
+    given.count("pixels", pixels)
     if np.shape(pose) != (4, 4):
         raise ValueError(f"the pose has shape {np.shape(pose)} instead of (4, 4); use vmap for several")
-    if not 0 < window < math.inf:
-        raise ValueError(f"window is {window} m; give a length above 0")
-    if not isinstance(pixels, int | np.integer) or pixels < 1:
-        raise ValueError(f"pixels is {pixels}; give a whole number of at least 1")

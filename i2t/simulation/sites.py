@@ -22,12 +22,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
+from i2t import given
 from i2t.batching import map_batches
 from i2t.geometry import contact_frame, full_precision, inverse
 from i2t.objects.solids import Mesh
 from i2t.rendering.render import prepare_surface
 from i2t.simulation.site_limits import SiteLimits
-from i2t.types import PAD_WINDOW, STANDOFF, Surface
+from i2t.types import PAD_WINDOW, STANDOFF, Surface, in_one_line
 
 MIN_RUN_M = 1e-12  # of an edge along x or y; a shorter one is parallel to the sides of the square
 MIN_FORWARD_COSINE = 1e-3  # cosine; closer to sideways, the skin's face would meet a surface edge-on
@@ -38,6 +39,7 @@ COLLECTION_LIMITS = SiteLimits()
 RECOGNITION_LIMITS = SiteLimits(min_cos=0.5)
 
 
+@in_one_line
 class Sites(NamedTuple):
     """Places to touch, and which of them passed the checks."""
 
@@ -45,6 +47,7 @@ class Sites(NamedTuple):
     safe: Bool[Array, " n"]
 
 
+@in_one_line
 class TouchSites(NamedTuple):
     """Safe sites of one object, in its frame."""
 
@@ -377,7 +380,7 @@ def sample_touch_sites(
 
     Args:
         mesh: of the object, or its prepared surface.
-        n: number of sites.
+        n: number of sites, at least 1.
         seed: the same seed gives the same sites.
         limits: what makes a site safe.
         name: of the object, for the message of an error.
@@ -386,7 +389,8 @@ def sample_touch_sites(
         Poses, points and normals of n sites.
 
     Raises:
-        ValueError: the object has too few safe sites.
+        ValueError: the object has too few safe sites, or `n` is below 1.
+        TypeError: `n` or the seed is no whole number.
 
     Example:
         from i2t import make_object, sample_touch_sites
@@ -394,6 +398,7 @@ def sample_touch_sites(
         sites = sample_touch_sites(make_object("star").mesh, 20)
         patch = render_patch(surface, sites.T_o_t[0])
     """
+    n, seed = given.count("n", n), given.count("seed", seed, least=0)
     surface = mesh if isinstance(mesh, Surface) else prepare_surface(mesh)
     T_o_t = np.asarray(collect_sites(jax.random.key(seed), surface, n, limits, name))
     return TouchSites(T_o_t, T_o_t[:, :3, 3], -T_o_t[:, :3, 2])

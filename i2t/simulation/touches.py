@@ -30,7 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from i2t import geometry
+from i2t import geometry, given
 from i2t.rendering.render import render_heights, render_patch, stack_surfaces
 from i2t.sharding import spread
 from i2t.simulation import sites as touch_sites
@@ -497,7 +497,8 @@ def simulate_touches(
         Touches. `object` and `session` are indices in the order made; `pad` is 0.
 
     Raises:
-        ValueError: an object has too few safe sites.
+        ValueError: an object has too few safe sites, or numbers make no sense.
+        TypeError: the key is none, or a number of touches is no whole number.
 
     Example:
         from i2t import load_mesh, prepare_surface, sample_pad, simulate_touches
@@ -506,8 +507,10 @@ def simulate_touches(
         surface = prepare_surface(load_mesh("cup.stl", "mm"))
         touches = simulate_touches(jax.random.key(0), [surface], sample_pad(jax.random.key(1)), SimulationErrors(), 36)
     """
+    given.random_key("key", key)
     limits, sites = limits or PressLimits(), sites or touch_sites.SiteLimits()
-    counts = [n] * len(objects) if isinstance(n, int) else list(n)
+    touches_per_session = given.count("touches_per_session", touches_per_session)
+    counts = _counts(objects, n)
     surfaces = stack_surfaces(objects)  # one size class for all, and so one compilation
     sessions = [
         (i, min(touches_per_session, count - start))
@@ -536,6 +539,19 @@ def simulate_touches(
         parts.append(jax.tree.map(lambda array, kept=kept: array[:kept], part))
         progress(kept)
     return jax.tree.map(lambda *arrays: jnp.concatenate(arrays), *parts)
+
+
+def _counts(objects: Sequence[Surface], n: int | Sequence[int]) -> list[int]:
+    """Touches on each object."""
+    if not objects:
+        raise ValueError("objects: there is none; give one surface or more")
+    if isinstance(n, Sequence | np.ndarray) and not isinstance(n, str):
+        counts = [given.count(f"n[{i}]", each, least=0) for i, each in enumerate(n)]
+        if len(counts) != len(objects):
+            raise ValueError(f"n: has {len(counts)} numbers for {len(objects)} objects; give one for each")
+        given.count("n, of all objects,", sum(counts))
+        return counts
+    return [given.count("n", n)] * len(objects)
 
 
 @partial(jax.jit, static_argnames=("errors", "limits", "sites", "n"))

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from i2t import given
 from i2t.files import read_toml
 from i2t.types import ORTHOGONALITY_TOLERANCE, PAD_WINDOW, Board
 
@@ -231,6 +232,7 @@ def same_board(one: Board, other: Board) -> bool:
 
 
 def _board(positions: np.ndarray, rotations: np.ndarray, depth: float) -> Board:
+    given.number("depth", depth, "metres below the surface, above 0", above=0)
     chips = np.column_stack([positions, np.full(len(positions), -depth)])
     return Board(chips.astype(np.float32), rotations.astype(np.float32))
 

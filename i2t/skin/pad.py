@@ -12,12 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
+from i2t import given
 from i2t.skin.boards import reskin_board
 from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
 from i2t.skin.dipoles import pressed_field, response, rest_field
 from i2t.skin.faults import RANGE_XY_UT, RANGE_Z_UT
 from i2t.skin.friction import Shear, rest, shear
-from i2t.types import PAD_WINDOW, Board, Pad
+from i2t.types import PAD_WINDOW, Board, Pad, in_one_line
 
 THICKNESS_M = 2e-3
 CHIP_GAP_M = 1.5e-3  # from the layer's base to the sensing elements: half of the chip's 1 mm package, glue and film
@@ -33,6 +34,7 @@ FIRST_PAD_SEED = 1000  # of pad 0 of `numbered_pad`
 MAP_CELLS = 20  # cells of a magnetization map along each edge: 1 mm, and whole cells to each of 4 poles
 
 
+@in_one_line
 class Press(NamedTuple):
     """What a press of the pad gives."""
 
@@ -65,10 +67,20 @@ def press(
     Returns:
         Reading, force, indentation and pressure.
 
+    Raises:
+        ValueError: the heights are not the grid's or not finite, or the indentation is no length.
+        TypeError: one of them holds no real numbers.
+
     Example:
         pressed = i2t.press(i2t.nominal_pad(), height, 0.4e-3)
         pressed.reading, pressed.force
     """
+    if not given.is_traced(height, indentation):
+        hint = f"({grid.cells}, {grid.cells}) metres behind the nearest point, one for each cell of the grid"
+        heights = given.numbers("height", height, hint)
+        if heights.shape != (grid.cells, grid.cells) or not np.isfinite(heights).all():
+            raise ValueError(f"height: has the shape {heights.shape} or is not finite; give {hint}")
+        given.number("indentation", indentation, "metres past first touch")
     return _press(pad, solve(pad, jnp.asarray(height), indentation, grid, start=start), grid, dipoles)
 
 
@@ -152,11 +164,12 @@ def nominal_pad(
         The pad, bonded and without friction.
 
     Raises:
-        ValueError: the pattern is not known.
+        ValueError: the pattern is not known, or the strength is not finite.
 
     Example:
         pad = i2t.nominal_pad("uniform", board=make_board("grid-4x4"))
     """
+    given.number("strength", strength, "A/m")
     board = reskin_board() if board is None else board
     return Pad(
         thickness=jnp.asarray(THICKNESS_M),
@@ -194,9 +207,15 @@ def sample_pad(key: Key[Array, ""], *, spread: float | Array = 1.0, board: Board
     Returns:
         The pad.
 
+    Raises:
+        ValueError: `spread` is negative or not finite.
+        TypeError: the key is none.
+
     Example:
         pad = i2t.sample_pad(jax.random.key(0))
     """
+    given.random_key("key", key)
+    given.number("spread", spread, "0 for pads that differ in their magnetization alone, 1 for real skins'", least=0)
     board = reskin_board() if board is None else board
     names = ("thickness", "young", "gap", "map", "strength", "gains", "friction", "clamped", "compliance")
     keys = dict(zip(names, jax.random.split(key, len(names)), strict=True))
@@ -282,7 +301,7 @@ def magnetization_pattern(pattern: str, cells: int = MAP_CELLS) -> Float[Array, 
         "magnets": inside * (1 - 2 * ((half[:, None] + half[None, :]) % 2)),
     }
     if pattern not in maps:
-        raise ValueError(f"Magnetization pattern {pattern!r} is not known; choose one of {', '.join(maps)}.")
+        raise ValueError(f"pattern: {pattern!r} is not known; choose one of {', '.join(maps)}")
     return jnp.asarray(maps[pattern][..., None] * np.array([0, 0, 1.0]))
 
 

@@ -202,6 +202,8 @@ def test_views_are_checked():
         ((np.full((4, 5), 30, np.uint8), lens, eye, eye), "uint8"),
         ((np.full((4, 5), np.nan, np.float32), lens, eye, eye), "no pixel"),
         ((np.where(np.eye(4, 5) > 0, -depth, depth), lens, eye, eye), "negative"),
+        ((1e3 * depth, lens, eye, eye), "farther than 300 m, .*: divide millimetres by 1000"),
+        ((1e-3 * depth, lens, eye, eye), r"nearer than 0.0003 m, .* \(20 mm\)"),
         ((depth, lens, gone, eye), "T_w_c: holds NaN"),
         ((depth, lens, eye, np.zeros((4, 4))), "T_w_t: is not a rigid"),
         ((depth, lens, eye, np.diag([1.0, 1, -1, 1])), "mirrored"),
@@ -209,6 +211,14 @@ def test_views_are_checked():
     ]:
         with pytest.raises(ValueError, match=words):
             check_view(*arguments)
+
+
+def test_flying_pixels_and_walls_far_behind_are_no_wrong_unit():
+    lens, eye = Camera(50, 40, 10.0, 10.0, 2.0, 2.0), np.eye(4)
+    depth = np.full((40, 50), 9.0, np.float32)
+    depth[:, :10] = 0.3
+    depth[0, :20] = 1e-3
+    check_view(depth, lens, eye, eye)
 
 
 def test_real_files(shared_data):

@@ -325,6 +325,12 @@ def test_hostile_values():
     elsewhere = extract(plane(), CAMERA, eye, pose(np.eye(3), [5, 0, LOOKING_DISTANCE_M]))
     assert not np.asarray(elsewhere.valid_mask).any()
     assert elsewhere.patch.nearest == np.inf
+    # Where values are known, each of these has its sentence.
+    for depth, message in ((1e3 * plane(), "divide millimetres by 1000"), (0 * plane(), "no pixel was measured")):
+        with pytest.raises(ValueError, match=message):
+            patch_from_depth(depth, CAMERA, eye, T_w_t)
+    with pytest.raises(ValueError, match="T_w_t: is not a rigid motion"):
+        patch_from_depth(plane(), CAMERA, eye, 2 * T_w_t)
     with pytest.raises(ValueError, match="shape"):
         extract(plane().T, CAMERA, eye, T_w_t)
     with pytest.raises(ValueError, match="uint16"):

@@ -36,16 +36,16 @@ def test_poses_that_are_not_rigid_give_no_image():
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"window": 0.0}, "window is 0.0 m"),
-        ({"window": -0.01}, "window is -0.01 m"),
-        ({"window": np.nan}, "window is nan m"),
-        ({"window": np.inf}, "window is inf m"),
-        ({"pixels": 0}, "pixels is 0"),
-        ({"pixels": -3}, "pixels is -3"),
-        ({"pixels": 2.5}, "pixels is 2.5"),
-        ({"reach": 0.0}, "reach is 0.0 m"),
-        ({"reach": -1.0}, "reach is -1.0 m"),
-        ({"reach": np.nan}, "reach is nan m"),
+        ({"window": 0.0}, "window: is 0"),
+        ({"window": -0.01}, "window: is -0.01"),
+        ({"window": np.nan}, "window: is nan"),
+        ({"window": np.inf}, "window: is inf"),
+        ({"pixels": 0}, "pixels: is 0"),
+        ({"pixels": -3}, "pixels: is -3"),
+        ({"pixels": 2.5}, "pixels: is 2.5"),
+        ({"reach": 0.0}, "reach: is 0.0"),
+        ({"reach": -1.0}, "reach: is -1.0"),
+        ({"reach": np.nan}, "reach: is nan"),
         ({"T_w_t": DOWN[:3]}, r"shape \(3, 4\) instead of \(4, 4\)"),
         ({"T_w_t": DOWN[:3, :3]}, r"shape \(3, 3\)"),
         ({"T_w_t": np.stack([DOWN, DOWN])}, "use vmap for several"),
@@ -57,14 +57,14 @@ def test_poses_that_are_not_rigid_give_no_image():
     ],
 )
 def test_sizes_and_shapes_that_mean_nothing_get_a_sentence(given, says):
-    with pytest.raises(ValueError, match=says) as caught:
+    with pytest.raises((ValueError, TypeError), match=says) as caught:
         unchecked(**{"surface": PYRAMID, "T_w_t": jnp.asarray(DOWN), **given})
     assert "\n" not in str(caught.value)
 
 
 def test_heights_too():
     bare = getattr(render_heights, "__wrapped__", render_heights)
-    with pytest.raises(ValueError, match=r"window is 0.0 m"):
+    with pytest.raises(ValueError, match=r"window: is 0"):
         bare(PYRAMID, jnp.eye(4), 0.0)
     with pytest.raises(ValueError, match="prepare"):
         bare(Surface(PYRAMID.triangles), jnp.eye(4))

@@ -21,10 +21,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from i2t.types import in_one_line
+
 MIN_RESPONSE_BASE = 1e-3  # of f: loads below zero
 UNIFORM_FAR_AMPLITUDE = 1.0  # far amplitude of a kernel that does not know where the chips are
 
 
+@in_one_line
 class SkinKernels(NamedTuple):
     """Hyperparameters of s kernels."""
 

@@ -34,6 +34,7 @@ from i2t.calibration.population_gp.left_out import (
 )
 from i2t.calibration.population_gp.prior import KernelPrior, load_prior, with_plain
 from i2t.calibration.structured_gp import STDS_WITHIN_90_PERCENT
+from i2t.types import in_one_line
 
 DENSITY_EXPONENT = 0.3  # of the leave-one-out density, all channels together
 ERROR_EXPONENT = 8.0  # of the leave-one-out error, in presses' worth of one channel
@@ -77,6 +78,7 @@ class FitOptions:
     max_kept: int = MAX_KEPT
 
 
+@in_one_line
 class PressTable(NamedTuple):
     """Presses with everything that is known of them before they are read."""
 
@@ -86,6 +88,7 @@ class PressTable(NamedTuple):
     previous_mean: Float[np.ndarray, "n c"] | None = None  # uT, as a previous session predicts
 
 
+@in_one_line
 class Components(NamedTuple):
     """Members of the mixture."""
 
@@ -96,6 +99,7 @@ class Components(NamedTuple):
     log_share: Float[np.ndarray, " k"]
 
 
+@in_one_line
 class Heights(NamedTuple):
     """Local heights of the skin, in typical loads of the first kind, averaged over j ideas of how rough it is."""
 
@@ -106,6 +110,7 @@ class Heights(NamedTuple):
     variance: Float[np.ndarray, " n"]  # of what is measured
 
 
+@in_one_line
 class PopulationGP(NamedTuple):
     """The mixture conditioned on n presses of one skin."""
 

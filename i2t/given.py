@@ -1,0 +1,119 @@
+"""What a user gave to a public function, judged before it is believed: numbers, counts and random keys.
+
+Wrong types are a TypeError and wrong values a ValueError, in one sentence that names the argument. Values that `jit`,
+`vmap` or a derivative traces are not known yet and pass.
+"""
+
+import math
+import operator
+from typing import Any
+
+import numpy as np
+
+REAL_KINDS = "iuf"  # of NumPy: integers and floats; no booleans, text or objects
+
+
+def is_traced(*values: Any) -> bool:
+    """Whether a value is one that JAX traces, so that it has no number yet.
+
+    Args:
+        values: Any.
+
+    Returns:
+        Whether one of them is.
+    """
+    return any("Tracer" in type(value).__name__ for value in values)
+
+
+def numbers(name: str, value: Any, hint: str) -> np.ndarray:
+    """Real numbers that a user gave, in any shape.
+
+    Args:
+        name: Of the argument, for the message.
+        value: A number, or an array or nested list of them.
+        hint: What to give, for the message.
+
+    Returns:
+        The array; integers and floats stay as they are.
+
+    Raises:
+        TypeError: It holds something else than real numbers, or rows of different lengths.
+    """
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError) as error:  # rows of different lengths
+        raise TypeError(f"{name}: is a {type(value).__name__} that makes no array; give {hint}") from error
+    if array.dtype.kind not in REAL_KINDS and array.size:
+        raise TypeError(f"{name}: is {_short(value)}, and no real numbers; give {hint}")
+    return array
+
+
+def number(name: str, value: Any, hint: str, *, least: int | float = -math.inf, above: int | float = -math.inf) -> None:
+    """Refuse what is no single finite number within its range; a traced one passes.
+
+    Args:
+        name: Of the argument, for the message.
+        value: That was given.
+        hint: What to give, for the message.
+        least: The smallest that is allowed.
+        above: What it must be larger than.
+
+    Raises:
+        TypeError: It is no real number.
+        ValueError: It is an array, not finite, or out of its range.
+    """
+    if is_traced(value):
+        return
+    array = numbers(name, value, hint)
+    if array.ndim != 0:
+        raise ValueError(f"{name}: has the shape {array.shape}, and one number is meant; give {hint}")
+    if not (math.isfinite(array) and array >= least and array > above):
+        raise ValueError(f"{name}: is {array:g}; give {hint}")
+
+
+def count(name: str, value: Any, *, least: int = 1) -> int:
+    """A whole number of things.
+
+    Args:
+        name: Of the argument, for the message.
+        value: That was given.
+        least: The smallest that is allowed.
+
+    Returns:
+        The number.
+
+    Raises:
+        TypeError: It is no whole number.
+        ValueError: It is smaller.
+    """
+    try:
+        whole = operator.index(value)
+    except TypeError:
+        whole = None
+    if whole is None or isinstance(value, bool | np.bool_):
+        raise TypeError(f"{name}: is {_short(value)}, and no whole number; give one from {least}")
+    if whole < least:
+        raise ValueError(f"{name}: is {whole}; give a whole number from {least}")
+    return whole
+
+
+def random_key(name: str, value: Any) -> None:
+    """Refuse what is no random key of JAX.
+
+    Args:
+        name: Of the argument, for the message.
+        value: That was given.
+
+    Raises:
+        TypeError: It is something else, such as the seed of a key.
+    """
+    kind = str(getattr(value, "dtype", ""))
+    new, old = kind.startswith("key<"), kind == "uint32" and getattr(value, "shape", ())[-1:] == (2,)
+    if not (new or old):
+        raise TypeError(f"{name}: is {_short(value)}, and no random key; give jax.random.key(0)")
+
+
+def _short(value: Any) -> str:
+    """A value as a message can hold it."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 40 else f"a {type(value).__name__}"

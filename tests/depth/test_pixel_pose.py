@@ -1,0 +1,112 @@
+"""Poses at pixels of depth images made by Embree, against poses on the mesh itself."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from depth.test_patches import CAMERA, DOWN, beside, extract, image, plane, pose, scene, views
+
+import i2t
+from i2t.depth.distortion import deproject, project
+from i2t.geometry import compose, inverse, log
+
+LEVEL = pose(DOWN, (0, 0, 0.104))
+
+
+def pixel_of(T_w_c: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Where a point of W appears."""
+    return np.asarray(project(CAMERA, jnp.asarray((point - T_w_c[:3, 3]) @ T_w_c[:3, :3])))
+
+
+def round_normal(name: str, point: np.ndarray) -> np.ndarray | None:
+    """Of the ball of the dome and of the tube of the torus, whose axis is a circle of 24 mm; None of flat faces."""
+    if name not in ("dome", "torus"):
+        return None
+    outwards = point.astype(float)
+    if name == "torus":
+        outwards[:2] *= 1 - 24e-3 / np.linalg.norm(outwards[:2])
+    return outwards / np.linalg.norm(outwards)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 35.0])
+@pytest.mark.parametrize("name", ["star", "dome", "wedge", "torus"])
+def test_the_pose_is_that_on_the_mesh(name, tilt):
+    """`contact_pose` with the face's own normal, or with that of the round body whose facets the mesh has."""
+    mesh, (T_w_c, _) = scene(name), views(tilt, beside(name))
+    depth = image(mesh, T_w_c)
+    pixel = np.round(pixel_of(T_w_c, beside(name))).astype(int)
+    for roll in (0.0, 0.7):
+        found = i2t.pose_at_pixel(depth, CAMERA, T_w_c, tuple(pixel), roll=roll)
+        z = depth[pixel[1], pixel[0]]
+        point = T_w_c[:3, :3] @ np.asarray(deproject(CAMERA, jnp.asarray(pixel, float), jnp.asarray(z))) + T_w_c[:3, 3]
+        np.testing.assert_allclose(found[:3, 3], point, atol=1e-6)
+        own = i2t.Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+        exact = i2t.contact_pose(own, point, normal=round_normal(name, point), roll=roll)
+        apart = np.asarray(log(compose(inverse(exact), found)))
+        assert np.linalg.norm(apart[:3]) < 1e-6
+        assert np.degrees(np.linalg.norm(apart[3:])) < (0.01 if name in ("star", "wedge") else 1.5)
+
+
+def test_the_patch_at_the_pose_begins_at_the_tool():
+    mesh, (T_w_c, _) = scene("dome"), views(20.0, beside("dome"))
+    depth = image(mesh, T_w_c)
+    T_w_t = i2t.pose_at_pixel(depth, CAMERA, T_w_c, pixel_of(T_w_c, beside("dome")))
+    seen = extract(depth, CAMERA, T_w_c, T_w_t)
+    assert abs(float(seen.patch.nearest)) < 0.1e-3
+    assert np.asarray(seen.valid_mask).mean() > 0.9
+
+
+def test_noise_is_averaged_and_holes_and_other_levels_are_left_out():
+    """Noise of 0.2 mm on 280 pixels over 6 mm tilts a plane by half a degree; a step beside the pixel by nothing."""
+    depth = plane() + np.random.default_rng(0).normal(0, 0.2e-3, (360, 640)).astype(np.float32)
+    depth[::3] = np.nan
+    depth[:, 326:] = 0.12  # 16 mm further, from 2 mm beside the pixel on
+    T = i2t.pose_at_pixel(depth, CAMERA, LEVEL, (320, 181))
+    assert np.degrees(np.arccos(-T[2, 2])) < 2.0
+    smooth = np.where(np.isnan(depth), np.nan, plane())
+    smooth[:, 326:] = 0.12
+    assert i2t.pose_at_pixel(smooth, CAMERA, LEVEL, (320, 181))[2, 2] == pytest.approx(-1, abs=1e-9)
+
+
+def _with(change) -> np.ndarray:
+    depth = plane()
+    change(depth)
+    return depth
+
+
+def _lone(depth):
+    depth[:] = np.nan
+    depth[180, 320] = depth[180, 321] = 0.104
+
+
+def _row(depth):
+    depth[:180], depth[181:] = np.nan, np.nan
+
+
+def _ragged(depth):
+    depth[:] += np.random.default_rng(0).uniform(-3e-3, 3e-3, depth.shape).astype(np.float32)
+    depth[180, 320] = 0.104
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"pixel": (640, 180)}, "pixel: column 640, row 180 is outside the image of 640 x 360 pixels"),
+        ({"pixel": (-1, 0)}, "pixel: column -1, row 0 is outside"),
+        ({"pixel": (np.nan, 0)}, "pixel: .* is not two finite numbers"),
+        ({"pixel": (1, 2, 3)}, "pixel: .* is not two finite numbers"),
+        ({"roll": np.inf}, "roll: is inf; give radians"),
+        ({"radius": 0.0}, "radius: is 0; give metres above 0"),
+        ({"depth": _with(lambda d: d.__setitem__((180, 320), 0))}, r"column 320, row 180 was not measured \(it is 0\)"),
+        ({"depth": _with(_lone)}, "only 2 measured pixels lie within 3 mm"),
+        ({"depth": _with(_row)}, "make no plane"),
+        ({"depth": _with(_ragged)}, "make no plane"),
+        ({"depth": 1e3 * plane()}, "divide millimetres by 1000"),
+        ({"depth": plane()[:10]}, "depth: has the shape"),
+        ({"T_w_c": 2 * np.eye(4)}, "T_w_c: is not a rigid"),
+    ],
+)
+def test_what_makes_no_pose_is_refused(changes, message):
+    given = {"depth": plane(), "T_w_c": LEVEL, "pixel": (320, 180), **changes}
+    named = {name: given.pop(name) for name in ("roll", "radius") if name in given}
+    with pytest.raises(ValueError, match=message):
+        i2t.pose_at_pixel(given["depth"], CAMERA, given["T_w_c"], given["pixel"], **named)
