@@ -78,7 +78,8 @@ def run(args: LiveArgs) -> dict[str, Any]:
     if live.nothing_safe and not live.infos:
         raise ValueError(live.nothing_safe)
     if code or not live.infos:
-        raise ValueError("no touch was made, so nothing is known")
+        why = live.recognizer.stop_reason(live.state)
+        raise ValueError(f"no touch was made, so nothing is known{f': {why}' if why else ''}")
     return conclude(args, live, meshes, known, None if args.real else true_object)
 
 

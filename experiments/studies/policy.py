@@ -19,7 +19,13 @@ from i2t.recognition.belief import Belief, Particles
 from i2t.recognition.episodes import EpisodeConfig, EpisodeSimulator
 from i2t.recognition.metrics import to_json
 from i2t.recognition.outcomes import PredictedTouch
-from i2t.recognition.planning import choose_heuristic_sites, choose_informative_sites, heuristic_weights, update_beliefs
+from i2t.recognition.planning import (
+    choose_heuristic_sites,
+    choose_informative_sites,
+    choose_random_sites,
+    heuristic_weights,
+    update_beliefs,
+)
 from i2t.recognition.site_pool import SitePool, safe_sites
 
 POLICIES = ("random", "heuristic", "information")
@@ -90,7 +96,7 @@ def choose_sites(
     elif policy == "heuristic":
         site = choose_heuristic_sites(keys, beliefs, choices.weights, touched=touched, safe=choices.safe, step=step)
     else:
-        site = jax.vmap(jax.random.categorical)(keys, jnp.where(touched, -jnp.inf, 0.0))
+        site = choose_random_sites(keys, beliefs, touched=touched, safe=choices.safe)
     return np.asarray(site)
 
 

@@ -251,8 +251,8 @@ def make_devices(config: DeviceConfig, rig: Rig, stack: ExitStack) -> Devices:
         The devices, not connected.
 
     Raises:
-        ValueError: A third party's device, an object or a pad cannot be used, or a skin sends other values than its
-            board has.
+        ValueError: A third party's device, an object or a pad cannot be used, a third party's skin does not say where
+            its chips are, or a skin sends other values than its board has.
         DeviceError: A driver is not installed.
     """
     context = DeviceContext(config, rig, stack)
@@ -303,7 +303,13 @@ def _board(config: SkinConfig, skin: Skin, context: DeviceContext) -> Board:
         return context.scene.board
     if isinstance(config, ReSkinConfig | ReplayConfig | EmulatedSkinConfig):
         return boards.make_board(config.board)
-    return getattr(skin, "board", None) or boards.reskin_board()
+    board: Board | None = getattr(skin, "board", None)
+    if board is None:
+        raise ValueError(
+            f"--skin {config.name}: does not say where its chips are; give it an attribute board, such as "
+            "i2t.skin.boards.reskin_board(), or grid_board() for chips in a square"
+        )
+    return board
 
 
 def source_of(devices: Devices) -> str:

@@ -67,15 +67,27 @@ class SitedObject(Protocol):
         """
 
 
+class SlowTouch(NamedTuple):
+    """A line down to a site and past it, which box and arm allow to its end."""
+
+    site: Site
+    above: Array  # T_b_t (4, 4), m, where the guarded way begins
+    prepare: Array  # T_b_t (4, 4), m
+    past: float  # m past the site, where it ends at the latest
+
+
 class FirstTouchPlan(NamedTuple):
     """What is looked at and touched."""
 
     looks: tuple[Site, ...]
-    touch: Site
+    touch: SlowTouch
 
 
 def plan_first_touch(procedure: Procedure, sampler: SitedObject) -> FirstTouchPlan:
     """Choose a site that points up, and others far from it; nothing moves.
+
+    The touch goes as far past its site as the placement may err, wherever box and arm allow that at any site; else it
+    ends where a press of the collection would.
 
     Args:
         procedure: Its path says which sites can be reached.
@@ -85,7 +97,7 @@ def plan_first_touch(procedure: Procedure, sampler: SitedObject) -> FirstTouchPl
         The plan.
 
     Raises:
-        UnreachableError: No site can be reached.
+        UnreachableError: No site can be reached, or touched slowly in one motion.
     """
     sites = []
     for number in range(FIRST_SITES):
@@ -100,12 +112,49 @@ def plan_first_touch(procedure: Procedure, sampler: SitedObject) -> FirstTouchPl
     places = np.array([site.T_w_t[:3, 3] for site in sites])
     up = np.array([-site.T_w_t[2, 2] for site in sites])
     middle = places[:, :2].mean(0)
-    first = int(np.argmax(np.round(up, 2) - np.linalg.norm(places[:, :2] - middle, axis=1)))
-    chosen = [first]
+    best_first = np.argsort(-(np.round(up, 2) - np.linalg.norm(places[:, :2] - middle, axis=1)), kind="stable")
+    pasts = (touch_tolerance(procedure), procedure.settings.overtravel)
+    touches = (_slow_touch(procedure, sites[i], past) for past in dict.fromkeys(pasts) for i in best_first)
+    touch = next((each for each in touches if each is not None), None)
+    if touch is None:
+        raise UnreachableError(
+            f"a slow touch, from {1e3 * procedure.settings.prepare:.0f} mm before a site to {1e3 * pasts[1]:.0f} mm "
+            f"past it, can be made at none of {len(sites)}; lower settings.prepare, or pass --skip-first-touch"
+        )
+    chosen = [next(i for i, site in enumerate(sites) if site is touch.site)]
     while len(chosen) < min(FIRST_LOOKS, len(sites)):
         away = np.linalg.norm(places[:, None] - places[chosen], axis=2).min(1)
         chosen.append(int(np.argmax(away)))
-    return FirstTouchPlan(tuple(sites[i] for i in chosen), sites[first])
+    return FirstTouchPlan(tuple(sites[i] for i in chosen), touch)
+
+
+def touch_tolerance(procedure: Procedure) -> float:
+    """How far from its site the first touch may meet the object.
+
+    Args:
+        procedure: Its rig says how well the object's place is known.
+
+    Returns:
+        m: three standard deviations of the object's position, at least 4 mm.
+    """
+    variances = np.diagonal(procedure.rig.object_covariance)[:3]
+    return max(TOUCH_TOLERANCE_M, 3 * float(np.sqrt(variances.max())))
+
+
+def _slow_touch(procedure: Procedure, site: Site, past: float) -> SlowTouch | None:
+    """The line to a site and past it (m), begun as high as box and arm allow; None where they allow none."""
+    path, limits = procedure.path, procedure.rig.limits
+    if procedure.settings.prepare + past > limits.approach_distance:
+        return None
+    prepare = path.poses(site)[1]
+    end = shifted_along_z(prepare, procedure.settings.prepare + past)
+    up = max(-float(prepare[2, 2]), 0.1)  # cosine of the tool's tilt
+    room = min((path.transfer_height() - prepare[2, 3]) / up, limits.approach_distance)
+    for part in (1.0, 0.5, 0.0):
+        above = shifted_along_z(prepare, -part * room)
+        if path.allows((above, prepare, end)):
+            return SlowTouch(site, above, prepare, past)
+    return None
 
 
 def first_touch(procedure: Procedure, sampler: SitedObject, report: Callable[[str], None] = print) -> None:
@@ -227,26 +276,19 @@ def _seen_elsewhere(where: str, share: float) -> RigContradictedError:
     )
 
 
-def _touch(procedure: Procedure, site: Site) -> str:
+def _touch(procedure: Procedure, touch: SlowTouch) -> str:
     """Touch a site slowly; says where it was met, or raises RigContradictedError."""
-    path, settings, limits = procedure.path, procedure.settings, procedure.rig.limits
-    prepare = path.poses(site)[1]
-    up = max(-float(prepare[2, 2]), 0.1)  # cosine of the tool's tilt
-    room = min((path.transfer_height() - prepare[2, 3]) / up, limits.approach_distance)
-    above = next(
-        pose for part in (1.0, 0.5, 0.0) if limits.contains((pose := shifted_along_z(prepare, -part * room))[:3, 3])
-    )
-    procedure.move_above(above)
+    settings, tolerance = procedure.settings, touch_tolerance(procedure)
+    procedure.move_above(touch.above)
     procedure.clock.sleep(settings.settle)
     procedure.arm.zero_wrench()
-    far = float((prepare[:3, 3] - above[:3, 3]) @ prepare[:3, 2])
-    tolerance = max(TOUCH_TOLERANCE_M, 3 * float(np.sqrt(np.diagonal(procedure.rig.object_covariance)[:3].max())))
+    far = float((touch.prepare[:3, 3] - touch.above[:3, 3]) @ touch.prepare[:3, 2])
     carried = {each.name: _mean_of(procedure, each.skin) for each in procedure.carried}
     ambient = _mean_reading(procedure)
     expected, gone = far + settings.prepare, 0.0
     for distance, speed in (
         (far, settings.approach),
-        (settings.prepare + tolerance, min(FIRST_TOUCH_SPEED_M_S, settings.approach)),
+        (settings.prepare + touch.past, min(FIRST_TOUCH_SPEED_M_S, settings.approach)),
     ):
         if distance <= 1e-4:
             continue
@@ -264,7 +306,7 @@ def _touch(procedure: Procedure, site: Site) -> str:
     remedy = "check T_flange_tool, T_world_base and T_world_object"
     if met.reason == "distance":
         raise RigContradictedError(
-            f"the first slow touch met nothing up to {1e3 * tolerance:.0f} mm past where the rig has the object; "
+            f"the first slow touch met nothing up to {1e3 * touch.past:.0f} mm past where the rig has the object; "
             f"{remedy}"
         )
     if abs(gone - expected) > tolerance:

@@ -81,21 +81,33 @@ class TouchPath:
                     f"to {name} at site {site.number} the tool would be at {format_position(goal[:3, 3])} m, outside "
                     "the box"
                 )
-        height = self.transfer_height()
-        if self.why_unreachable is not None or self.rig.arm:
-            self._check_reach(site, height)
-
-    def _check_reach(self, site: Site, height: float) -> None:
-        """Refuse a touch whose lines the arm cannot follow: down to look, up, across, down to prepare, to the end."""
+        # The lines of a touch: down to look, up, across, down to prepare, to the end.
         look, prepare, _, end = self.poses(site)
+        height = self.transfer_height()
         above_look, above = (_at_height(pose, height) for pose in (look, prepare))
-        goals = (above_look, look, above_look, above, prepare, end)
-        refused = self.why_unreachable(goals) if self.why_unreachable is not None else self._unplanned(goals)
+        refused = self._unplanned((above_look, look, above_look, above, prepare, end))
         if refused:
             raise UnreachableError(f"site {site.number}: {refused}")
 
+    def allows(self, goals: Sequence[Array]) -> bool:
+        """Whether the tool may come down from the way across to the first of some poses, and go on in lines.
+
+        Args:
+            goals: T_b_t (4, 4), m, in order.
+
+        Returns:
+            True where all are in the box and the arm can follow the lines.
+        """
+        if not all(self.rig.limits.contains(goal[:3, 3]) for goal in goals):
+            return False
+        return not self._unplanned((_at_height(goals[0], self.transfer_height()), *goals))
+
     def _unplanned(self, goals: Sequence[Array]) -> str:
-        """Why the arm that the rig names cannot follow a line; empty where it can."""
+        """Why the arm cannot follow lines, by its own answer or by the rig's; empty where it can, or nobody knows."""
+        if self.why_unreachable is not None:
+            return self.why_unreachable(goals)
+        if not self.rig.arm:
+            return ""
         T_tool_flange = inverse(self.rig.T_flange_tool)
         way = plan(arms()[self.rig.arm], [pose @ T_tool_flange for pose in goals])
         return way if isinstance(way, str) else ""

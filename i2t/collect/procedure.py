@@ -440,8 +440,12 @@ class Procedure:
     def retreat(self) -> None:
         """Away from whatever the tool may touch: back along its axis, as far as the box allows, then up.
 
+        At the edge of the box there may be no way back along the axis. A skin that faces down is then lifted straight
+        up: that leads away from what it pressed, and what slides along its side is stopped by the force limit of free
+        motions. A skin that faces up would be lifted into what it touches, so that a person is asked.
+
         Raises:
-            DeviceError: The tool is outside the box, or the arm fails.
+            DeviceError: The tool is outside the box, or faces up where the box ends behind it, or the arm fails.
         """
         T_b_t = self.arm.state().T_b_t
         height = self.path.transfer_height()
@@ -452,6 +456,12 @@ class Procedure:
         if back is None:
             raise DeviceError(
                 f"the tool at {format_position(T_b_t[:3, 3])} m is outside its box: bring it back with the pendant"
+            )
+        faces_up = T_b_t[2, 2] > 0
+        if faces_up and np.linalg.norm(back[:3, 3] - T_b_t[:3, 3]) < 0.99 * self.settings.prepare:
+            raise DeviceError(
+                f"the skin faces up at {format_position(T_b_t[:3, 3])} m, and the box ends behind the tool: lifted, it "
+                "might push into what it touches; bring it back with the pendant"
             )
         self.arm.go(back, self.path.retreat_speed, self.settings.acceleration)
         back[2, 3] = max(height, back[2, 3])

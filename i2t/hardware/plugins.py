@@ -7,8 +7,9 @@ A package registers a class under a name in its `pyproject.toml`,
 
 (likewise `i2t.skins`, `i2t.cameras`), after which `python -m i2t.collect --arm acme` finds it. The class is called with
 one `DeviceSetup` and must meet the protocol of its kind (`i2t.hardware.protocols`): an arm the one of `GuardedArm`. A
-skin of another board than ReSkin's has an attribute `board`. `examples/acme_devices` is a complete package, and
-`i2t.hardware.contract` holds the tests that every device must pass.
+skin has an attribute `board`, which says where its chips are (a further skin of a rig may leave that to
+`skins.NAME.board`). `examples/acme_devices` is a complete package, and `i2t.hardware.contract` holds the tests that
+every device must pass.
 """
 
 import importlib

@@ -1,7 +1,8 @@
-"""The next touch of many episodes at once: by what it is expected to tell, or by the paper's heuristic.
+"""The next touch of many episodes at once: by what it is expected to tell, at random, or by the paper's heuristic.
 
-A site is chosen only among those that are safe and were not touched yet. `choose_informative_sites` asks that a site be
-safe on what may be there, all objects weighed by their probability; `choose_heuristic_sites`, which is for simulated
+A site is chosen only among those that are safe and were not touched yet. `choose_informative_sites` and
+`choose_random_sites` ask that a site be safe on what may be there, all objects weighed by their probability;
+`choose_heuristic_sites`, which is for simulated
 comparisons, asks that it be safe on the one object that it takes as the hypothesis. An episode for which there is none
 gets `i2t.recognition.policy.NO_SITE` (-1), and whoever asked draws other candidates or stops.
 """
@@ -91,6 +92,34 @@ def choose_informative_sites(
         return jnp.where(best >= 0, some[best], NO_SITE)
 
     return jax.lax.map(one, (keys, beliefs, touched))
+
+
+@jax.jit
+def choose_random_sites(
+    keys: Key[Array, " e"],
+    beliefs: Belief,
+    *,
+    touched: Bool[Array, "e sites"],
+    safe: Bool[Array, "sites objects"],
+) -> Int[Array, " e"]:
+    """For each episode any site that may be touched, all alike.
+
+    Args:
+        keys: Of the draws.
+        beliefs: Of e episodes.
+        touched: Sites that are not to be chosen again.
+        safe: Whether a touch of each site would be safe on each object.
+
+    Returns:
+        Indices of sites; -1 where none is allowed.
+    """
+
+    def one(key: Array, state: Belief, done: Array) -> Array:
+        allowed = policy.safe_sites_mask(state, safe) & ~done
+        drawn = jax.random.categorical(key, jnp.where(allowed, 0.0, -jnp.inf))
+        return jnp.where(jnp.any(allowed), drawn, NO_SITE)
+
+    return jax.vmap(one)(keys, beliefs, touched)
 
 
 def heuristic_weights(sites: SitePool) -> Float[Array, "objects sites"]:

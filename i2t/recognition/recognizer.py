@@ -57,6 +57,7 @@ class RecognizerConfig:
     num_sites: int = 24  # of each object, to choose among
     num_particles: int = 64  # poses of each object
     max_touches: int = 10
+    max_excluded: int = 30  # sites that could not be touched, after which none is asked for
     max_error_probability: float = 0.05  # it stops when the most probable object is wrong with at most this probability
     prior_unknown: float = 0.0  # probability beforehand that it is none of the objects
     num_surrogates: int = 16  # objects like those known, where it may be none of them
@@ -248,9 +249,15 @@ class ObjectRecognizer:
         config = self.config
         if state.touches and policy.should_stop(jnp.asarray(state.probability), config.max_error_probability):
             return f"an object is {1 - config.max_error_probability:.0%} probable"
-        if state.touched.sum() >= config.max_touches:
-            return f"{config.max_touches} sites were touched"
-        return "every site was touched" if state.touched.all() else None
+        if state.touches >= config.max_touches:
+            return f"{state.touches} sites were touched"
+        # Touches may be repeated, and a touch that is under way is neither of both yet.
+        excluded = max(0, int(state.touched.sum()) - state.touches)
+        if state.touched.all():
+            return f"every site was touched, or excluded ({excluded})" if excluded else "every site was touched"
+        if excluded >= config.max_excluded:
+            return f"{excluded} sites were excluded, after {state.touches} touches"
+        return None
 
     def observe(
         self,

@@ -1,5 +1,8 @@
 """The first looks and the first slow touch: a right rig passes, and what contradicts it is one sentence."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.closed_form import GAIN, HEIGHT, make, site
@@ -7,7 +10,13 @@ from helpers.closed_form import GAIN, HEIGHT, make, site
 from experiments.faults.rig import RIG_OBJECTS, try_mistake, try_rig
 from experiments.faults.rig_mistakes import MISTAKES, right_rig
 from i2t.collect import first_touch as module
-from i2t.collect.first_touch import RigContradictedError, depth_contradiction, expected_view, first_touch
+from i2t.collect.first_touch import (
+    RigContradictedError,
+    depth_contradiction,
+    expected_view,
+    first_touch,
+    plan_first_touch,
+)
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import UnreachableError
 from i2t.objects.catalogue import make_object
@@ -98,6 +107,63 @@ def test_where_no_site_can_be_reached_nothing_moves():
     with pytest.raises(UnreachableError, match="none of 32 sites"):
         first_touch(procedure, sampler)
     assert procedure.clock.now() == begun
+
+
+def _unsure(procedure, position_std=5e-3):
+    """The rig of a procedure says that its object's place is known to so many metres."""
+    covariance = np.diag(np.r_[np.full(3, position_std**2), np.full(3, 1e-8)])
+    procedure.rig = replace(procedure.rig, object_covariance=covariance)
+
+
+def test_the_slow_touch_goes_as_far_as_the_placement_may_err():
+    procedure, sampler = make(settings=QUICK), Block()
+    _unsure(procedure)
+    assert plan_first_touch(procedure, sampler).touch.past == pytest.approx(15e-3)
+    sampler.height = HEIGHT + 0.012  # the plane is met 12 mm past where the sites are
+    said = module._touch(procedure, plan_first_touch(procedure, sampler).touch)
+    late = float(re.search(r"met the object ([+-][\d.]+) mm", said)[1])
+    assert late - 12 == pytest.approx(0.15, abs=0.2)  # the skin gives until it is felt
+
+
+def test_the_slow_touch_goes_no_further_than_the_arm_can():
+    """An arm that plans is asked of both ends of the line; where it forbids them the touch begins and ends nearer."""
+    procedure = make(settings=QUICK)
+    _unsure(procedure)
+    lowest, highest = HEIGHT - 7e-3, HEIGHT + 16e-3
+    asked = []
+
+    def why_unreachable(goals):
+        asked.extend(goals)
+        below = [goal[2, 3] < lowest for goal in goals]
+        return "too low" if any(below) else ""
+
+    procedure.arm.why_unreachable = why_unreachable
+    touch = plan_first_touch(procedure, Block()).touch
+    assert touch.past == QUICK.overtravel
+    assert min(goal[2, 3] for goal in asked) == pytest.approx(HEIGHT - 15e-3)  # it was asked
+    assert touch.above[2, 3] > highest
+    # Not to the place above that where it prepares: it begins at the latter.
+    procedure.arm.why_unreachable = lambda goals: "turned" if len(goals) == 4 and goals[1][2, 3] > highest else ""
+    touch = plan_first_touch(procedure, Block()).touch
+    assert touch.past == pytest.approx(15e-3)
+    np.testing.assert_array_equal(touch.above, touch.prepare)
+
+
+def test_a_box_that_ends_in_the_object_shortens_the_slow_touch():
+    procedure = make(settings=QUICK)
+    _unsure(procedure)
+    limits = procedure.rig.limits
+    bottom = (*limits.lower[:2], HEIGHT - 8e-3)
+    procedure.rig = replace(procedure.rig, limits=replace(limits, lower=bottom))
+    assert plan_first_touch(procedure, Block()).touch.past == QUICK.overtravel
+
+
+def test_a_slow_touch_that_no_motion_may_make_is_refused_before_anything_moves():
+    procedure = make(settings=QUICK)
+    limits = replace(procedure.rig.limits, approach_distance=QUICK.prepare + 1e-3)
+    procedure.rig = replace(procedure.rig, limits=limits)
+    with pytest.raises(UnreachableError, match=r"at none of 32; lower settings.prepare, or pass --skip-first-touch"):
+        plan_first_touch(procedure, Block())
 
 
 def test_the_expected_view_is_the_block_s_top():

@@ -21,6 +21,7 @@ from i2t.hardware import plugins
 from i2t.hardware.kinematics import arms
 from i2t.hardware.plugins import DeviceSetup, PluginConfig, is_plugin, load_plugin
 from i2t.hardware.rig import Rig
+from i2t.skin.boards import reskin_board
 
 ACME = Path(__file__).parents[2] / "examples" / "acme_devices"
 QUICK = ["--settings.approach", "0.04", "--settings.press", "0.005", "--settings.settle", "0.02"]
@@ -162,11 +163,18 @@ def test_the_example_keeps_to_the_contract(acme, kind):
         contract.test_samples_are_whole_plausible_and_in_order(contract.make_device)
 
 
-def test_a_skin_that_does_not_know_its_board_is_refused(acme, monkeypatch):
-    """Twelve values are not taken for those of ReSkin's five chips."""
+@pytest.mark.parametrize(
+    ("board", "said"),
+    [
+        (None, "--skin acme: does not say where its chips are; give it an attribute board"),
+        (reskin_board(), "Acme's skin sends 12 values, and a board of 5 chips"),
+    ],
+)
+def test_a_skin_that_does_not_know_its_board_is_refused(acme, monkeypatch, board, said):
+    """Its chips are not taken for ReSkin's five."""
     import acme_devices
 
-    monkeypatch.delattr(acme_devices.AcmeSkin, "board")
+    monkeypatch.setattr(acme_devices.AcmeSkin, "board", board)
     config = DeviceConfig(PluginConfig("acme"), PluginConfig("acme"), PluginConfig("acme"), WorldConfig("hexagon"))
-    with ExitStack() as stack, pytest.raises(ValueError, match="Acme's skin sends 12 values, and a board of 5 chips"):
+    with ExitStack() as stack, pytest.raises(ValueError, match=said):
         make_devices(config, Rig(), stack)

@@ -341,6 +341,39 @@ def test_a_tool_outside_its_box_is_not_moved():
     assert not procedure.arm.state().moving
 
 
+@pytest.mark.parametrize("tilt_deg", [30.0, 85.0])
+def test_where_the_box_forbids_going_back_a_skin_that_faces_down_is_lifted(tilt_deg):
+    """It gets no deeper into what it pressed, and the tool never leaves the box."""
+    procedure = make()
+    robot, goals = procedure.arm.lab.robot, []
+    start = _at_the_upper_edge(procedure, tilt_deg)
+    go = procedure.arm.go
+    procedure.arm.go = lambda goal, *how: goals.append(goal.copy()) or go(goal, *how)
+    procedure.retreat()
+    assert robot.position[2] >= procedure.path.transfer_height() - 1e-3
+    along = [(goal[:3, 3] - start[:3, 3]) @ start[:3, 2] for goal in goals]
+    assert all(np.diff([0.0, *along]) <= 1e-9)
+    assert all(procedure.rig.limits.contains(goal[:3, 3]) for goal in goals)
+
+
+def test_where_the_box_forbids_going_back_a_skin_that_faces_up_is_left_to_a_person():
+    procedure = make()
+    start = _at_the_upper_edge(procedure, 120.0)
+    with pytest.raises(DeviceError, match=r"the skin faces up .* bring it back with the pendant"):
+        procedure.retreat()
+    np.testing.assert_array_equal(procedure.arm.state().T_b_t, start)
+
+
+def _at_the_upper_edge(procedure, tilt_deg):
+    """T_b_t (4, 4), m, of a tool put where the box ends behind it, its axis so far (degrees) from straight down."""
+    robot, limits = procedure.arm.lab.robot, procedure.rig.limits
+    axis = np.array([-np.sin(np.radians(tilt_deg)), 0.0, -np.cos(np.radians(tilt_deg))])
+    y = np.array([0.0, -1.0, 0.0])
+    robot.rotation = np.stack([np.cross(y, axis), y, axis], axis=1)
+    robot.position = np.array([limits.upper[0], 0.0, limits.lower[2] + 1e-3])
+    return procedure.arm.state().T_b_t
+
+
 def test_a_uniform_field_is_no_touch():
     board = boards.reskin_board()
     change = board.to_board(np.tile([10.0, -20.0, 30.0], (board.num_chips, 1)))

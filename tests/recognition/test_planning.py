@@ -40,6 +40,23 @@ def test_nothing_is_chosen_where_nothing_is_allowed(world):
     assert choose(none, half) == policy.NO_SITE
 
 
+def test_a_random_site_is_untouched_and_safe_and_none_is_drawn_where_none_is(world):
+    _, beliefs, _ = world
+    many = jax.tree.map(lambda x: jnp.broadcast_to(x, (100, *x.shape[1:])), beliefs)
+
+    def draw(touched, safe) -> set[int]:
+        keys = jax.random.split(jax.random.key(0), 100)
+        rows = jnp.broadcast_to(jnp.asarray(touched), (100, SITES))
+        return set(np.asarray(planning.choose_random_sites(keys, many, touched=rows, safe=safe)).tolist())
+
+    none, everywhere = np.zeros(SITES, bool), jnp.ones((SITES, OBJECTS), bool)
+    assert draw(none, everywhere) == set(range(SITES))
+    safe = everywhere.at[0, 0].set(False)  # unsafe on an object that is as probable as not
+    assert draw(np.arange(SITES) == 2, safe) == {1, 3, 4}
+    assert draw(~none, everywhere) == {policy.NO_SITE}
+    assert draw(none, ~everywhere) == {policy.NO_SITE}
+
+
 def test_the_heuristic_keeps_to_sites_that_are_safe_on_the_object_believed_in(world):
     _, beliefs, _ = world
     sure = beliefs._replace(log_weight=beliefs.log_weight.at[:, 1].add(-20.0))  # of the first object

@@ -144,7 +144,19 @@ def test_no_touch_is_chosen_where_none_is_safe(leaning):
     assert cautious.stop_reason(leaning.init()) is None  # it wants one
 
 
-def test_a_touch_changes_what_is_believed_and_no_state(leaning):
+def test_sites_that_could_not_be_touched_count_as_no_touches(leaning):
+    two = copy(leaning)
+    two.config = replace(leaning.config, max_touches=2, max_excluded=3)
+    state = two.exclude(two.exclude(two.init(), 0), 1)
+    assert two.stop_reason(state) is None
+    assert two.stop_reason(two.exclude(state, 2)) == "3 sites were excluded, after 0 touches"
+    for number in (2, 3):
+        state, _ = two.update(state, SiteObservation(number, given.measured(two.table, number, 1)))
+    assert two.stop_reason(state._replace(probability=np.array([0.5, 0.5]))) == "2 sites were touched"
+    everything = two.init()._replace(touched=np.ones(given.SITES, bool))
+    assert two.stop_reason(everything) == f"every site was touched, or excluded ({given.SITES})"
+    assert leaning.stop_reason(everything._replace(touches=given.SITES)) == "every site was touched"
+
     state = leaning.init()
     before = jax.tree.map(np.array, state)
     observation = SiteObservation(2, given.measured(leaning.table, 2, 1))
@@ -163,12 +175,10 @@ def test_sites_that_were_excluded_are_not_chosen(recognizer):
     for number in range(len(recognizer.sites.owner) - 1):
         state = recognizer.exclude(state, number)
     patient = copy(recognizer)
-    patient.config = replace(CONFIG, max_touches=100)
     site = patient.choose_touch(state)
     assert site is None or site.number == len(recognizer.sites.owner) - 1
-    assert recognizer.choose_touch(state) is None
-    assert recognizer.stop_reason(state) == "6 sites were touched"
-    assert patient.stop_reason(patient.exclude(state, len(recognizer.sites.owner) - 1)) == "every site was touched"
+    patient.config = replace(CONFIG, max_excluded=6)
+    assert patient.choose_touch(state) is None
 
 
 @pytest.mark.full
