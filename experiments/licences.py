@@ -31,6 +31,8 @@ class LicencesArgs:
         """Refuse a folder in the page's place."""
         if self.page is not None and self.page.is_dir():
             raise ValueError(f"--page {self.page}: is a folder; name the page")
+        if self.page is not None and not self.page.parent.is_dir():
+            raise ValueError(f"--page {self.page}: there is no folder {self.page.parent}; check the name")
 
 
 class Dependency(NamedTuple):

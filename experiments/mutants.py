@@ -31,10 +31,10 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import tyro
 from tqdm import tqdm
 
 from experiments.common.runs import begin, exit_code_of_run, write_json
+from i2t.options import read_options
 
 ROOT = Path(__file__).parents[1]
 COPIED = ("i2t", "experiments", "tests", "examples", "pyproject.toml", "README.md")  # what tests import or read
@@ -333,7 +333,7 @@ class Sandbox:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    args = tyro.cli(MutantArgs, args=argv, description=__doc__, prog="python -m experiments.mutants")
+    args = read_options(MutantArgs, argv, program="python -m experiments.mutants", description=__doc__, config=())
     return exit_code_of_run(partial(run, args), args.out)
 
 

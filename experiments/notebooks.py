@@ -19,6 +19,7 @@ from pathlib import Path
 import tyro
 
 from experiments.common.runs import exit_code_of_run
+from i2t.options import read_options
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
 LIMIT = 900  # s for one cell
@@ -35,9 +36,9 @@ class NotebookArgs:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    return exit_code_of_run(
-        partial(run, tyro.cli(NotebookArgs, args=argv, description=__doc__, prog="python -m experiments.notebooks"))
-    )
+    program = "python -m experiments.notebooks"
+    args = read_options(NotebookArgs, argv, program=program, description=__doc__, config=())
+    return exit_code_of_run(partial(run, args))
 
 
 def run(args: NotebookArgs) -> list[Path]:

@@ -34,6 +34,13 @@ from i2t.errors import NAMED_WRONGLY, DeviceError, FullDiskError
 FAILED, WRONG_USE, INTERRUPTED_BY_USER = 1, 2, 130  # exit codes
 NOBODY_READS = 141  # as shells give it for programs that end by SIGPIPE
 SENT_AGAIN_S = 0.05
+REMEDIES: dict[type[OSError], str] = {  # of the system's errors that name a file
+    FileNotFoundError: "check the name",
+    FileExistsError: "give another name",
+    NotADirectoryError: "name a folder",
+    IsADirectoryError: "name a file",
+    PermissionError: "choose what you may read and write",
+}
 
 
 @dataclass(frozen=True)
@@ -164,7 +171,7 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
     except (DeviceError, ValueError, OSError) as error:  # DataError is a ValueError
         if isinstance(error, BrokenPipeError) and _nobody_reads():
             return NOBODY_READS
-        print(f"error: {error}", file=sys.stderr)
+        print(f"error: {_sentence(error)}", file=sys.stderr)
         mendable = isinstance(error, (ValueError, *NAMED_WRONGLY)) and not isinstance(error, FullDiskError)
         return WRONG_USE if mendable else FAILED
     except KeyboardInterrupt:
@@ -176,6 +183,14 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
     finally:
         warnings.showwarning = shown
     return code if isinstance(code, int) else 0
+
+
+def _sentence(error: Exception) -> str:
+    """What an error says, of the system's own errors the file and the remedy."""
+    if not isinstance(error, OSError) or error.filename is None or error.strerror is None:
+        return str(error)
+    remedy = next((f"; {said}" for kind, said in REMEDIES.items() if isinstance(error, kind)), "")
+    return f"{error.filename}: {error.strerror[:1].lower()}{error.strerror[1:]}{remedy}"
 
 
 def _nobody_reads() -> bool:

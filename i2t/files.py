@@ -32,6 +32,8 @@ SPARE_BYTES = 16 * 2**20  # that a small archive may unpack to, however small it
 MAX_INFLATION = 40  # times its size, that an archive may unpack to beyond that: numbers as text reach 10
 MAX_ARCHIVE_ENTRIES = 4096
 MAX_LINE_BYTES = 2**16  # of a text that is read line by line: a row of 25 chips has some 1000
+MARK_OF_TOUCHES = b"i2t-touches "  # with which a file of touches begins (`i2t.dataset.files`)
+TABLE_SUFFIXES, MESH_SUFFIXES = (".csv", ".tsv", ".txt"), (".stl", ".obj", ".ply", ".glb")
 ARCHIVE_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
@@ -77,6 +79,25 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
     except OSError as error:
         raise unwritable(path, error) from error
+
+
+def why_no_touches(path: Path) -> str:
+    """What to say of a file that is named as a data set and is none.
+
+    Args:
+        path: Of a file that exists.
+
+    Returns:
+        The sentence; "" where the file begins as those of touches do.
+    """
+    with _regular(path) as file:
+        if file.read(len(MARK_OF_TOUCHES)) == MARK_OF_TOUCHES:
+            return ""
+    if path.suffix.lower() in MESH_SUFFIXES:
+        return f"{path}: is the mesh of an object, and no data set; name the folder or file of the touches"
+    if path.suffix.lower() in TABLE_SUFFIXES:
+        return f"{path}: is a table, and no data set yet; convert it with python -m i2t.convert"
+    return f"{path}: is no data set; name a folder or file of touches, or convert it with python -m i2t.convert"
 
 
 def read_bytes(path: str | Path, most: int = MAX_BYTES) -> bytes:

@@ -13,16 +13,22 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from i2t.cli import Count, Positive, Seed, check_options, docstring_of, exit_code_of
-from i2t.models import READY_MODELS
+from i2t.cli import Count, Limits, Seed, check_options, docstring_of, exit_code_of
+from i2t.models import READY_MODELS, ready_path
 from i2t.objects.named import read_object
+from i2t.options import read_options
+from i2t.windows import MAX_SKIN_FORCE_N
 
 if TYPE_CHECKING:
     from i2t.objects import Object
+
+
+PICTURE_ENDINGS = (".png", ".jpg", ".pdf", ".svg")
+CHECKPOINT_NOTE = "_CHECKPOINT_METADATA"  # in the folder of every predictor
 
 
 @dataclass(frozen=True)
@@ -37,14 +43,14 @@ class ImagineArgs:
     """The ready model, or a finished run of experiments.train."""
     board: str = "reskin"
     """Of the skin: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a board file (.toml)."""
-    force: Positive = 1.0
+    force: Annotated[float, Limits(0, MAX_SKIN_FORCE_N, above=True)] = 1.0
     """N along the tool's z axis."""
     sites: Count = 4
     """Touches to imagine."""
     seed: Seed = 0
     """Of the sites."""
     out: Path = Path("runs/imagine.png")
-    """The picture; a file there is replaced."""
+    """The picture, such as a .png file; one that is there is replaced."""
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -56,12 +62,13 @@ def main(args: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    asked = tyro.cli(ImagineArgs, args=args, prog="python -m i2t.imagine", description=docstring_of("i2t.imagine"))
+    asked = read_options(ImagineArgs, args, program="python -m i2t.imagine", description=docstring_of("i2t.imagine"))
     return exit_code_of(lambda: _imagine(asked))
 
 
 def _imagine(asked: ImagineArgs) -> None:
     check_options(asked)
+    _check(asked)
     thing = _object(asked)
     from i2t import viz
     from i2t.prediction.predictor import load_predictor
@@ -89,6 +96,24 @@ def _imagine(asked: ImagineArgs) -> None:
         title=f"{thing.name}, pressed with {asked.force:g} N", simulated=simulated,
     )  # fmt: skip
     print(f"wrote {viz.save_figure(figure, asked.out)}")
+
+
+def _check(asked: ImagineArgs) -> None:
+    """Refuse what can be seen to be wrong before JAX is imported."""
+    if asked.out.is_dir():
+        raise ValueError(f"--out {asked.out}: is a folder; name the picture, such as {asked.out / 'touches.png'}")
+    if asked.out.suffix.lower() not in PICTURE_ENDINGS:
+        raise ValueError(f"--out {asked.out}: is no name of a picture; let it end in {' or '.join(PICTURE_ENDINGS)}")
+    folder = ready_path(asked.model, "predictor")
+    if not any((folder / part / CHECKPOINT_NOTE).is_file() for part in ("", "checkpoint/predictor")):
+        names = [name for name, parts in READY_MODELS.items() if "predictor" in parts]
+        raise ValueError(
+            f"--model {asked.model}: holds no predictor; name the folder that `python -m experiments.train` wrote, or "
+            f"the ready model {', '.join(names)}"
+        )
+    from i2t.skin.boards import make_board
+
+    make_board(asked.board)
 
 
 def _object(asked: ImagineArgs) -> "Object":

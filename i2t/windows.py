@@ -8,5 +8,6 @@ TWIST_LEVER_M = PATCH_WINDOW / 2  # m, at which a rotation is measured in a twis
 REACH = 4e-3  # m, depth of a patch behind the nearest surface point
 STANDOFF = 40e-3  # m, rays start this far behind the tool origin
 PAD_WINDOW = 20e-3  # m, edge of the skin
+MAX_SKIN_FORCE_N = 100.0  # more breaks a skin
 CONTACT_TOLERANCE_M = 1.5e-3  # behind the nearest point, that counts as contact in a mask
 ORTHOGONALITY_TOLERANCE = 1e-3  # by which products of a rotation's columns may miss 1 and 0: 4 um at the rim of a patch

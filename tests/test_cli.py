@@ -20,6 +20,11 @@ WRONG = (
     NotADirectoryError(errno.ENOTDIR, "Not a directory", "pad.npz"),
     PermissionError(errno.EACCES, "Permission denied", "/root"),
 )
+SAID = {  # of the system's errors that name a file
+    "[Errno 2] No such file or directory: 'pad.npz'": "pad.npz: no such file or directory; check the name",
+    "[Errno 20] Not a directory: 'pad.npz'": "pad.npz: not a directory; name a folder",
+    "[Errno 13] Permission denied: '/root'": "/root: permission denied; choose what you may read and write",
+}
 BROKEN = (
     DeviceError("the skin fell silent"),
     DeviceTimeoutError("no news from the arm"),
@@ -43,7 +48,8 @@ def test_an_error_is_one_sentence_and_its_exit_code(errors, code, capsys):
     for error in errors:
         assert exit_code_of(_raising(error)) == code, error
         printed = capsys.readouterr()
-        assert (printed.out, printed.err) == ("", f"error: {error}\n")
+        assert printed.out == ""
+        assert printed.err == f"error: {SAID.get(str(error), str(error))}\n"
 
 
 def test_ctrl_c_says_how_things_stand(capsys):

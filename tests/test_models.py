@@ -155,6 +155,11 @@ def test_the_ready_predictor_is_as_good_as_its_card_says():
         (["mug.stl"], "neither a mesh file nor an object"),
         (["star", "--unit", "mm"], "--unit is of a mesh file"),
         (["star", "--force", "-1"], "--force is -1"),
+        (["star", "--force", "1e6"], "at most 100"),
+        (["--board", "grid-9x9"], "is not known"),
+        (["--model", "nowhere"], "holds no predictor"),
+        (["--out", "."], "is a folder"),
+        (["--out", "picture"], "is no name of a picture"),
     ],
 )
 def test_wrong_use_of_imagine_is_one_sentence(words, said, capsys, tmp_path, monkeypatch):

@@ -33,7 +33,8 @@ from i2t.types import REACH, Patch, Surface
 ROOT = Path(__file__).parents[1]
 DATA = "a.h5"  # where only a name is asked for
 # What is typed after `python -m`, and a word of the answer. Files that exist: mesh.stl (mm), other/mesh.stl, table.csv,
-# text.txt, empty/ (a folder).
+# text.txt, empty/ (a folder), one/ (presses
+# of one shape).
 COMMANDS = [
     ("i2t nonsense", "is no command"),
     ("i2t.collect --touches -5", "--touches"),
@@ -110,7 +111,7 @@ COMMANDS = [
     ("experiments.recognize live --max-error-probability 5", "give 0 to 1"),
     ("experiments.recognize live --true-object nothing", "choose one of"),
     ("experiments.recognize live --views empty", "no effect without --camera folder"),
-    ("experiments.studies", "study"),
+    ("experiments.studies", "give one of policy"),
     ("experiments.studies nothing", "nothing"),
     ("experiments.studies policy", "holds no finished run"),
     ("experiments.studies policy --episodes 0", "--episodes is 0"),
@@ -125,7 +126,7 @@ COMMANDS = [
     ("experiments.calibrate --dataset table.csv --targets weight", "is no target"),
     ("experiments.calibrate --dataset table.csv --tip sphere:4", "no effect without --save-pad"),
     ("experiments.calibrate --calibration nothing.npz --save-pad x.npz", "there is no such file"),
-    ("experiments.calibrate --dataset table.csv --save-pad empty", "is a folder"),
+    ("experiments.calibrate --dataset one --save-pad empty", "is a folder"),
     ("experiments.fidelity", "pass --dataset"),
     ("experiments.fidelity --dataset nowhere", "no such data set"),
     ("experiments.fidelity --simulated-skins -2", "--simulated-skins is -2"),
@@ -146,6 +147,87 @@ COMMANDS = [
     ("experiments.benchmark --sections speed", "choose"),
     ("experiments.reproduce --only nothing", "there is no step nothing"),
     ("experiments.notebooks nothing", "no notebook is called nothing"),
+    ("i2t.collect --skin replay --replay table.csv", "no skin in"),
+    ("i2t.collect --board five", "is not known"),
+    ("i2t.imagine hammer --force 1e6", "--force is 1000000"),
+    ("i2t.imagine hammer --force -1", "--force is -1"),
+    ("i2t.imagine --sites 0", "--sites is 0"),
+    ("i2t.imagine --board grid-9x9", "is not known"),
+    ("i2t.imagine --board nothing.toml", "cannot be read"),
+    ("i2t.imagine --board grid-2x2", "name the board that it was trained on"),
+    ("i2t.imagine --model nowhere", "holds no predictor"),
+    ("i2t.imagine --model empty", "holds no predictor"),
+    ("i2t.imagine nothing.stl", "neither a mesh file"),
+    ("i2t.imagine mesh.stl", "unit"),
+    ("i2t.imagine hammer --unit mm", "leave it out"),
+    ("i2t.imagine --out empty", "is a folder"),
+    ("i2t.imagine --out picture", "is no name of a picture"),
+    ("i2t.imagine hammer star", "star"),
+    ("i2t.view nowhere", "check the"),
+    ("i2t.view empty", "holds no touches"),
+    ("i2t.view mesh.stl", "is the mesh of an object"),
+    ("i2t.view table.csv", "convert it"),
+    ("i2t.view empty --unit cm", "no effect without --mesh"),
+    ("i2t.view empty --mesh mesh.stl", "unit"),
+    ("i2t.view empty --belief nothing.json", "there is no such file"),
+    ("i2t.view empty --touches 0", "--touches is 0"),
+    ("i2t.place nothing.toml --object hammer", "give --host, or --tool"),
+    ("i2t.place nothing.toml --object hammer --host h", "nothing.toml"),
+    ("i2t.place text.txt --object hammer --host h", "text.txt"),
+    ("i2t.hardware.hand_eye", "estimate"),
+    ("i2t.hardware.hand_eye board empty", "empty"),
+    ("i2t.hardware.hand_eye board b.png --dictionary nothing", "nothing"),
+    ("i2t.hardware.hand_eye capture views", "--host"),
+    ("i2t.hardware.hand_eye estimate nowhere", "nowhere"),
+    ("i2t.hardware.hand_eye estimate empty", "empty"),
+    ("i2t.hardware.touch_off", "--host"),
+    ("i2t.hardware.touch_off --host h --rig nothing.toml --height 0 --at 0 0", "nothing.toml"),
+    ("i2t.hardware.touch_off --host h --rig text.txt --height 0 --at 0 0", "text.txt"),
+    ("i2t.hardware.touch_off --host h --stale 1", "--state-timeout"),
+    ("i2t.hardware.realsense --file nothing.bag", "nothing.bag"),
+    ("i2t.hardware.realsense --count 0", "--count is 0"),
+    ("i2t.hardware.realsense --rate fast", "--rate"),
+    ("i2t.hardware.rig", "give"),
+    ("i2t.hardware.rig nothing.toml", "nothing.toml"),
+    ("i2t.hardware.rig text.txt", "text.txt"),
+    ("i2t.hardware.rig text.txt --example", "exists already"),
+    ("i2t.emulators.lab", "--link"),
+    ("i2t.emulators.lab --link skin --object nothing.stl", "neither a mesh file"),
+    ("i2t.emulators.lab --link skin --object mesh.stl", "unit"),
+    ("i2t.emulators.lab --link skin --rig nothing.toml", "there is no such"),
+    ("i2t.emulators.lab --link skin --pad nothing.npz", "there is no such"),
+    ("i2t.emulators.lab --link text.txt", "exists and is no link"),
+    ("i2t.emulators.lab --link skin --board --board five", "is not known"),
+    ("experiments.gallery --trained-run nowhere", "no finished run"),
+    ("experiments.gallery --only nothing", "nothing"),
+    ("experiments.gallery --only objects --out text.txt", "is a file"),
+    ("experiments.licences --page nowhere/page.md", "there is no folder"),
+    ("experiments.licences --page empty", "is a folder"),
+    ("experiments.ready_models --trained-run nowhere", "holds no finished run"),
+    ("experiments.ready_models --eflesh nowhere", "no such folder"),
+    ("experiments.reconstruct --meshes nowhere", "there is no such folder"),
+    ("experiments.reconstruct --dataset nowhere", "no such data set"),
+    ("experiments.reconstruct --dataset mesh.stl", "is the mesh of an object"),
+    ("experiments.reconstruct --object star", "no effect without --dataset"),
+    ("experiments.reconstruct --arm simulated", "no effect without --true-object"),
+    ("experiments.reconstruct --conditions nothing", "is none of"),
+    ("experiments.reconstruct --side 0.09 0.06", "the smaller one first"),
+    ("experiments.reconstruct --touches 0", "--touches is 0"),
+    ("experiments.reconstruct_patch --meshes nowhere", "there is no such folder"),
+    ("experiments.reconstruct_patch --dataset nowhere", "there is no such"),
+    ("experiments.reconstruct_patch --dataset table.csv --pads 2", "no effect"),
+    ("experiments.reconstruct_patch --patches 3", "--patches is 3"),
+    ("experiments.active_touch --objects star", "at least two"),
+    ("experiments.active_touch --objects star nothing", "nothing"),
+    ("experiments.active_touch --episodes 0", "--episodes is 0"),
+    ("experiments.train --dataset mesh.stl", "is the mesh of an object"),
+    ("experiments.train --dataset table.csv", "is a table"),
+    ("experiments.tsne --dataset table.csv", "is a table"),
+    ("experiments.calibrate --dataset mesh.stl", "is the mesh of an object"),
+    ("experiments.fidelity --dataset mesh.stl", "is the mesh of an object"),
+    ("experiments.fidelity --dataset text.txt", "text.txt"),
+    ("experiments.shapes --dataset text.txt", "is a table"),
+    ("experiments.shapes --dataset one", "shape"),
 ]  # fmt: skip
 
 
@@ -169,6 +251,8 @@ def folder(tmp_path_factory) -> Path:
     rows = [f"{x},{-x},0.{x + 3}," + ",".join(str(10 * x + i) for i in range(15)) for x in range(-2, 3)]
     (here / "table.csv").write_text("\n".join([names, *rows]) + "\n")
     (here / "text.txt").write_text("no data at all\n")
+    presses = ["presses", str(here / "table.csv"), str(here / "one"), "--indenter", "sphere:4", "--window-mm", "17"]
+    assert main_of("i2t.convert")(presses) == 0
     return here
 
 
@@ -207,12 +291,10 @@ def refuse(words: str, said: str, folder: Path, capsys: pytest.CaptureFixture[st
         code = ended.code
     printed = capsys.readouterr().err
     assert code == 2
-    assert said in " ".join(re.sub("[│╭╮╰╯─]", " ", printed).split())
-    assert "Traceback" not in printed
-    if printed.startswith("error: "):
-        assert printed.count("\n") == 1
-    else:
-        assert printed.count("\n") <= 16  # the parser's box, which names the option and what comes near it
+    assert said in printed
+    assert printed.startswith("error: ")
+    assert printed.count("\n") == 1
+    assert not re.search(r"[│╭─]|\[Errno|Args\b", printed)
     assert contents(folder) == before
 
 
@@ -431,8 +513,7 @@ def test_pixels_that_nobody_saw_widen_the_spread(monkeypatch, predictor):
 # --- processes ---
 
 
-SLOW_TO_IMPORT = ("i2t.hardware.reskin", "i2t.place", "experiments.benchmark")  # libraries that their options need
-MAX_CPU_S = 4.0  # of a refusal: processor time, which other work beside it does not change
+MAX_CPU_S = 3.0  # of a refusal: processor time, which other work beside it does not change
 
 
 def cpu_seconds() -> float:
@@ -449,18 +530,27 @@ def test_wrong_commands_are_answered_at_once(folder):
     for words, said in COMMANDS:
         before = cpu_seconds()
         command = [sys.executable, "-m", *words.split()]
-        ended = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+        ended = subprocess.run(
+            command,
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+            stdin=subprocess.DEVNULL,
+            timeout=120,
+        )
         took[words] = cpu_seconds() - before
         assert ended.returncode == 2, f"{words}: {ended.stderr[-500:]}"
-        assert said in " ".join(re.sub("[│╭╮╰╯─]", " ", ended.stderr).split())
-        assert "Traceback" not in ended.stderr
+        assert said in ended.stderr
+        assert ended.stderr.startswith("error: ")
+        assert ended.stderr.count("\n") == 1
     ordered = sorted(took.values())
     slowest = max(took, key=lambda words: took[words])
     print(
         f"\n{len(took)} wrong commands: median {ordered[len(took) // 2]:.2f} s, slowest {took[slowest]:.2f} s", slowest
     )
-    light = {words: s for words, s in took.items() if not words.startswith(SLOW_TO_IMPORT)}
-    assert not {words: s for words, s in light.items() if s > MAX_CPU_S}
+    assert not {words: s for words, s in took.items() if s > MAX_CPU_S}
 
 
 HELPED = ("i2t", "i2t.collect", "i2t.convert", "experiments.train", "experiments.recognize", "experiments.studies",

@@ -18,7 +18,6 @@ from functools import partial
 from pathlib import Path
 
 import jax
-import tyro
 
 from experiments.benchmark import environment as benchmark_environment
 from experiments.benchmark import logs as benchmark_logs
@@ -38,6 +37,7 @@ from experiments.benchmark.startup import Startup
 from experiments.benchmark.timing import BenchmarkRow
 from experiments.benchmark.training import Training
 from experiments.common.runs import exit_code_of_run, write_json
+from i2t.options import read_options
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Benchmark:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    args = tyro.cli(Benchmark, args=argv, description=__doc__, prog="python -m experiments.benchmark")
+    args = read_options(Benchmark, argv, program="python -m experiments.benchmark", description=__doc__, config=())
     return exit_code_of_run(partial(run, args))
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from experiments.common.runs import METRICS
 from i2t.cli import require_path
+from i2t.files import MESH_SUFFIXES, why_no_touches
 from i2t.models import READY_MODELS
 from i2t.objects.named import require_object
 
@@ -60,15 +61,16 @@ def chosen_runs(folder: Path, pads: Sequence[str]) -> list[Path]:
     return [each for each, name in zip(folders, names, strict=True) if name in pads]
 
 
-def require_dataset(flag: str, path: Path | None) -> None:
-    """Refuse a data set that is not there; what is in it, `i2t.load_dataset` judges.
+def require_dataset(flag: str, path: Path | None, *, tables: bool = False) -> None:
+    """Refuse a data set that is not there, or a file of another kind; what is in it, `i2t.load_dataset` judges.
 
     Args:
         flag: The option that names it.
         path: A folder or a file; None where the option was left out.
+        tables: Whether the command reads other files than those of touches too.
 
     Raises:
-        ValueError: There is nothing, or an empty folder.
+        ValueError: There is nothing, an empty folder, or a file of another kind.
     """
     if path is None:
         return
@@ -76,6 +78,8 @@ def require_dataset(flag: str, path: Path | None) -> None:
         raise ValueError(f"{flag} {path}: there is no such data set; check the name")
     if path.is_dir() and not any(path.iterdir()):
         raise ValueError(f"{flag} {path}: is an empty folder; name one that holds touches")
+    if path.is_file() and not (tables and path.suffix.lower() not in MESH_SUFFIXES) and (why := why_no_touches(path)):
+        raise ValueError(f"{flag} {why}")
 
 
 def require_pad(path: Path | None) -> None:

@@ -13,11 +13,10 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-import tyro
-
 from experiments.common.presets import RENAMED, answer_renamed_value
 from experiments.common.runs import check_folder, check_out, exit_code_of_run
 from i2t.cli import check_options, docstring_of, renamed_flags
+from i2t.options import read_options
 
 LOG_INTERVAL_S, LOG_COLUMNS = "30", "79"  # of bars where the output is no terminal, read by tqdm when it is imported
 
@@ -56,7 +55,7 @@ def run_command(
     if any(each.name == "preset" for each in fields(kind)):  # type: ignore[arg-type]  # a dataclass
         answer_renamed_value(words, "--preset", RENAMED)
     renamed_flags(words, renamed or {})
-    args = tyro.cli(kind, args=words, description=docstring_of(module), prog=program_of(module))
+    args = read_options(kind, words, program=program_of(module), description=docstring_of(module), config=())
     return carry_out(args, words, work or (lambda args: importlib.import_module(module).run(args)))
 
 

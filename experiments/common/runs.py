@@ -3,6 +3,7 @@ appear whole or not at all.
 """
 
 import atexit
+import contextlib
 import json
 import math
 import shutil
@@ -77,7 +78,7 @@ def begin(out: Path, args: Any, experiment: Any, resume: bool | None, overwrite:
     if path.exists() and overwrite:
         shutil.rmtree(_aside(place), ignore_errors=True)
         place.rename(_aside(place))
-    _BEGUN.add(place)
+    _BEGUN[place] = [parent for parent in place.parents if not parent.exists()]
     place.mkdir(parents=True, exist_ok=True)
     write_json(path, config)
 
@@ -112,16 +113,19 @@ def check_folder(out: Path) -> None:
 
 
 def settle_begun() -> None:
-    """Take back folders that runs of this process began and made nothing in, and put what they were to replace in its
-    place again; remove what was replaced for good.
+    """Take back folders that runs of this process began and made nothing in, with those above them that were made for
+    them, and put what they were to replace in its place again; remove what was replaced for good.
     """
     while _BEGUN:
-        out = _BEGUN.pop()
+        out, made_above = _BEGUN.popitem()
         aside = _aside(out)
         if not _made_something(out):
             shutil.rmtree(out, ignore_errors=True)
             if aside.exists():
                 aside.rename(out)
+            with contextlib.suppress(OSError):  # something else has come into one of them
+                for folder in made_above:
+                    folder.rmdir()
         elif aside.exists():
             shutil.rmtree(aside)
 
@@ -131,7 +135,7 @@ def _made_something(out: Path) -> bool:
     return any(path.is_file() and path != out / CONFIG and path.suffix != LOG for path in out.rglob("*"))
 
 
-_BEGUN: set[Path] = set()  # folders that this process writes runs into
+_BEGUN: dict[Path, list[Path]] = {}  # folders that this process writes runs into; of each, those made above it
 atexit.register(settle_begun)  # for runs that no command line began
 
 

@@ -24,4 +24,4 @@ class FidelityArgs:
         if bool(self.dataset) == bool(self.simulated_skins):
             raise ValueError("pass --dataset with one or more recordings, or --simulated-skins with their number")
         if len(self.dataset) == 1:  # of several, those that cannot be read are left out and named
-            require_dataset("--dataset", self.dataset[0])
+            require_dataset("--dataset", self.dataset[0], tables=True)

@@ -20,7 +20,9 @@ from experiments.common.commands import carry_out
 from experiments.common.presets import RENAMED, answer_renamed_value
 from experiments.recognize.arguments import LiveArgs, SimulateArgs
 from i2t.cli import docstring_of, renamed_flags
+from i2t.options import read_options
 
+RECOGNIZE_PROGRAM = "python -m experiments.recognize"
 Command = (
     Annotated[SimulateArgs, tyro.conf.subcommand("simulate", description=docstring_of("experiments.recognize.run"))]
     | Annotated[LiveArgs, tyro.conf.subcommand("live", description=docstring_of("experiments.recognize.live"))]
@@ -47,7 +49,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     renamed_flags(words, RENAMED_FLAGS)
     if words[:1] not in (["simulate"], ["live"], ["--help"], ["-h"]):
         words = ["simulate", *words]
-    args = tyro.cli(Command, args=words, description=__doc__, prog="python -m experiments.recognize")
+    commands: Any = Command  # a union is no type to mypy
+    args: SimulateArgs | LiveArgs = read_options(
+        commands, words, program="python -m experiments.recognize", description=__doc__, config=()
+    )
     return carry_out(args, words, _run)
 
 

@@ -25,11 +25,10 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import tyro
-
 from experiments.common.runs import exit_code_of_run
 from experiments.reproduce.steps import STEPS, Step
 from experiments.reproduce.tables import TABLES, shortened, write_tables
+from i2t.options import read_options
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -47,7 +46,7 @@ class ReproduceArgs:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    args = tyro.cli(ReproduceArgs, args=argv, description=__doc__, prog="python -m experiments.reproduce")
+    args = read_options(ReproduceArgs, argv, program="python -m experiments.reproduce", description=__doc__, config=())
     return exit_code_of_run(partial(run, args))
 
 

@@ -2,8 +2,11 @@
 would have no effect.
 """
 
+from pathlib import Path
+
 from i2t.cli import require_path, require_with
 from i2t.collect.arguments import CollectArgs
+from i2t.errors import DeviceError
 from i2t.objects.named import require_object
 
 SIMULATED, NOT_REAL = "simulated", ("simulated", "emulated")
@@ -25,6 +28,10 @@ def check_collect_args(args: CollectArgs) -> None:
     require_with("--replay", args.replay is not None, "--skin replay", args.skin == "replay")
     if args.skin == "replay" and args.replay is None:
         raise ValueError("--skin replay needs a recording to play: pass --replay FILE")
+    if args.board is not None:
+        from i2t.skin.boards import make_board
+
+        make_board(args.board)
     require_with("--views", args.views is not None, "--camera folder", args.camera == "folder")
     if args.camera == "folder" and args.views is None:
         raise ValueError("--camera folder needs a folder of views to show: pass --views DIR")
@@ -41,3 +48,18 @@ def check_collect_args(args: CollectArgs) -> None:
     if args.pad and args.skin not in NOT_REAL:
         raise ValueError(f"--pad is of simulated skins, and --skin is {args.skin}; leave it out")
     require_object(args.object, args.unit, flag="--object")
+    if args.replay is not None:
+        _require_recording(args.replay, args.board)
+
+
+def _require_recording(path: Path, board: str | None) -> None:
+    """Refuse a file in which no frames of the board are."""
+    # Not above: NumPy, which other refusals need not wait for.
+    from i2t.hardware.reskin.driver import Replay
+    from i2t.skin.boards import DEFAULT_BOARD, make_board
+
+    try:
+        with Replay(path, chips=make_board(board or DEFAULT_BOARD).num_chips):
+            pass
+    except DeviceError as error:
+        raise ValueError(f"--replay: {error}") from error

@@ -15,11 +15,10 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-import tyro
-
 from i2t.cli import exit_code_of, renamed_flags
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.checks import check_collect_args
+from i2t.options import read_options
 
 # A terminal that is closed ends its programs by SIGHUP, which Windows does not have.
 ENDING_SIGNALS = [signal.Signals[name] for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -46,13 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code.
     """
     renamed_flags(sys.argv[1:] if argv is None else argv, RENAMED_COLLECT_FLAGS)
-    args = tyro.cli(
-        CollectArgs,
-        args=argv,
-        description=__doc__,
-        prog="python -m i2t.collect",
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
+    args = read_options(CollectArgs, argv, program="python -m i2t.collect", description=__doc__)
 
     def work() -> int:
         check_collect_args(args)

@@ -225,7 +225,8 @@ class DeviceContext:
         world, folder = self.world, self._folder
         self.rig.write(folder / "rig.toml")
         host, link = ur_controller.loopback(200), folder / "skin"
-        options = ["--host", host, "--link", str(link), "--object", world.object, "--unit", world.unit]
+        options = ["--host", host, "--link", str(link), "--object", world.object]
+        options += ["--unit", world.unit] if world.unit else []
         options += ["--seed", str(world.seed), "--rig", str(folder / "rig.toml"), "--mount", str(world.stiffness)]
         options += ["--pad", str(world.pad)] if world.pad else []
         options += ["--no-pose-error"] if world.no_pose_error else []

@@ -27,6 +27,7 @@ from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.realsense import RealSense
 from i2t.hardware.rig import Rig
 from i2t.objects.named import read_object, require_object
+from i2t.options import read_options
 from i2t.types import TWIST_LEVER_M, Array
 
 PoseVector = tuple[float, float, float, float, float, float]  # position (m) and rotation vector (rad)
@@ -59,13 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    asked = tyro.cli(
-        PlaceArgs,
-        args=arguments,
-        prog="python -m i2t.place",
-        description=__doc__,
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
+    asked = read_options(PlaceArgs, arguments, program="python -m i2t.place", description=__doc__)
     return exit_code_of(lambda: print(place(asked)))
 
 
@@ -85,13 +80,13 @@ def place(asked: PlaceArgs) -> str:
     """
     require_object(asked.object, asked.unit, flag="--object")
     require_path("--views", asked.views, "folder")
-    # Not above: JAX takes seconds, which --help need not wait for.
-    from i2t.collect.site_plan import orthonormal
-    from i2t.registration import camera_covariance, register_by_depth
-
     if (asked.host is None) == (asked.tool is None):
         raise ValueError("the pose of the tool is needed: give --host, or --tool with the pendant's six numbers")
     rig = Rig.read(asked.rig)
+    # Not above: JAX takes seconds, which --help and a refusal need not wait for.
+    from i2t.collect.site_plan import orthonormal
+    from i2t.registration import camera_covariance, register_by_depth
+
     mesh = read_object(asked.object, asked.unit).mesh
     T_b_t = pose_from_vector(asked.tool) if asked.tool is not None else tool_pose(str(asked.host))
     T_w_c = rig.T_world_base @ T_b_t @ rig.T_tool_camera

@@ -469,7 +469,7 @@ def device_config(args: CollectArgs, begin: float = 0.0, rig: Rig | None = None)
     """
     world = WorldConfig(
         args.object,
-        args.unit or "mm",  # an object of the catalogue has none
+        args.unit,
         args.pad,
         seed=args.seed,
         no_pose_error=args.no_pose_error,

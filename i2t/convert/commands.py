@@ -24,7 +24,7 @@ import math
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -34,6 +34,7 @@ from i2t.cli import exit_code_of, renamed_flags
 from i2t.convert import CAMERA_OFFSET_M, EFLESH_WINDOW_M, TIP_RADIUS_M
 from i2t.errors import DataError, SerializationError
 from i2t.files import replacing
+from i2t.options import answering
 from i2t.windows import PATCH_WINDOW, REACH
 
 if TYPE_CHECKING:
@@ -469,21 +470,35 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if args is None else args)
     renamed_flags(words, RENAMED_CONVERT_FLAGS)
-    return exit_code_of(lambda: _run(words), INTERRUPTED_MESSAGE)
+    work = answering(
+        words,
+        lambda given: tyro.extras.subcommand_cli_from_dict(
+            {name: _later(command) for name, command in COMMANDS.items()},
+            args=given,
+            prog="python -m i2t.convert",
+            description=__doc__,
+            config=(tyro.conf.FlagCreatePairsOff,),
+        ),
+    )
+    return exit_code_of(lambda: _run(work), INTERRUPTED_MESSAGE)
 
 
-def _run(words: Sequence[str]) -> None:
+def _later(command: Callable[..., None]) -> Callable[..., Callable[[], None]]:
+    """A command that reads its options only, and does its work when what it returns is called."""
+
+    @wraps(command)
+    def begin(*args: Any, **options: Any) -> Callable[[], None]:
+        return partial(command, *args, **options)
+
+    return begin
+
+
+def _run(work: Callable[[], None]) -> None:
     """One command, and after it what was left out."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)  # `BadFileWarning` is one
         try:
-            tyro.extras.subcommand_cli_from_dict(
-                COMMANDS,
-                args=words,
-                prog="python -m i2t.convert",
-                description=__doc__,
-                config=(tyro.conf.FlagCreatePairsOff,),
-            )
+            work()
         finally:
             for warning in caught:
                 print(warning.message, file=sys.stderr)

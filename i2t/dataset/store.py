@@ -27,7 +27,7 @@ from i2t.dataset.card import CARD
 from i2t.dataset.files import ENDING, checksum, sync_folder, verified, write
 from i2t.dataset.sets import Dataset, concatenate, missing_context, validate
 from i2t.errors import DataError
-from i2t.files import read_json, replacing
+from i2t.files import read_json, replacing, why_no_touches
 from i2t.types import Board, Touches, Truth
 
 INDEX = "index.json"
@@ -276,7 +276,7 @@ def load_dataset(
         raise DataError(
             f"{len(bad)} of {len(files)} files of {path} cannot be used: {' | '.join(bad)} | {remedy}"
             if path.is_dir()
-            else bad[0]
+            else why_no_touches(path) or bad[0]
         )
     if bad:
         message = f"{len(bad)} of {len(files)} files of {path} were left out: {' | '.join(bad)}"

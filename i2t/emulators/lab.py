@@ -20,7 +20,11 @@ from pathlib import Path
 
 import tyro
 
+from i2t.cli import exit_code_of, require_path
 from i2t.emulators import reskin_board, ur_controller
+from i2t.objects.named import require_object
+from i2t.options import read_options
+from i2t.skin.boards import make_board
 
 
 def board_address(process: "subprocess.Popen[str]") -> tuple[str, int]:
@@ -62,6 +66,9 @@ def started(*options: str) -> Iterator["subprocess.Popen[str]"]:
             process.wait()
 
 
+PROGRAM = "python -m i2t.emulators.lab"
+
+
 @dataclass(frozen=True, kw_only=True)
 class LabArgs(ur_controller.ControllerArgs):
     """An emulated lab; what follows `--board` are options of its board."""
@@ -72,27 +79,40 @@ class LabArgs(ur_controller.ControllerArgs):
     board: tyro.conf.Suppress[str | None] = None  # whose name is among its own options
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line until SIGTERM or Ctrl-C, or until the standard input of a tethered lab ends.
 
     Args:
         arguments: Without the program's name; by default those of this process.
+
+    Returns:
+        The exit code.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     end = words.index("--board") if "--board" in words else len(words)
-    args = tyro.cli(
-        LabArgs,
-        args=words[:end],
-        prog="python -m i2t.emulators.lab",
-        description=__doc__,
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
+    args = read_options(LabArgs, words[:end], program=PROGRAM, description=__doc__)
     options = words[end + 1 :]
-    board = tyro.cli(reskin_board.EmulatedBoardArgs, args=options, config=(tyro.conf.FlagCreatePairsOff,)).board
-    with reskin_board.started(*reskin_board.SHOWS_FIELDS, "--link", str(args.link), *options) as (_, process):
-        # The skin that is worn must be on that board: any other would send it what it cannot show.
-        ur_controller.run(replace(args, skin="{}:{}".format(*board_address(process)), board=board))
+    board = read_options(reskin_board.EmulatedBoardArgs, options, program=f"{PROGRAM} --board").board
+
+    def work() -> None:
+        _check(args, board)
+        with reskin_board.started(*reskin_board.SHOWS_FIELDS, "--link", str(args.link), *options) as (_, process):
+            # The skin that is worn must be on that board: any other would send it what it cannot show.
+            ur_controller.run(replace(args, skin="{}:{}".format(*board_address(process)), board=board))
+
+    return exit_code_of(work)
+
+
+def _check(args: LabArgs, board: str) -> None:
+    """Refuse what is not there before any process starts."""
+    if args.object is not None:
+        require_object(args.object, args.unit, flag="--object")
+    require_path("--rig", args.rig, "file")
+    require_path("--pad", args.pad, "file")
+    make_board(board)
+    if args.link.exists() and not args.link.is_symlink():
+        raise ValueError(f"--link {args.link}: exists and is no link; give another name")
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -32,6 +32,7 @@ from jaxtyping import Float
 
 from i2t.hardware.reskin.layouts import Format, encode
 from i2t.hardware.reskin.quantization import CONVERTER_COUNTS
+from i2t.options import read_options
 from i2t.skin.boards import make_board
 from i2t.types import Board
 
@@ -232,13 +233,7 @@ def main(args: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    options = tyro.cli(
-        EmulatedBoardArgs,
-        args=args,
-        prog="python -m i2t.emulators.reskin_board",
-        description=__doc__,
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
+    options = read_options(EmulatedBoardArgs, args, program="python -m i2t.emulators.reskin_board", description=__doc__)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     if options.link and options.link.exists() and not options.link.is_symlink():
         print(f"error: {options.link} exists and is no link; give another name", file=sys.stderr)

@@ -51,7 +51,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import tyro
@@ -62,6 +62,7 @@ from i2t.emulators.ur_program import STOPPED as STOPPED
 from i2t.emulators.ur_program import TICK as TICK
 from i2t.emulators.ur_program import Controller
 from i2t.emulators.ur_server import FAULT_PORT, Server
+from i2t.options import read_options
 
 PoseVector = tuple[float, float, float, float, float, float]  # position (m) and rotation vector (rad)
 POINTING_DOWN: PoseVector = (0.4, 0.0, 0.3, np.pi, 0.0, 0.0)  # m, rad: the tool's pose at the start
@@ -142,7 +143,7 @@ class ControllerArgs:
     """A fault after the start."""
     latency: float = 0.0  # s that commands take to reach the program
     object: str | None = None  # what the tool touches: a name of the catalogue, or a mesh file
-    unit: str = "mm"  # of a mesh file: m, cm, mm or inch
+    unit: Literal["m", "cm", "mm", "inch"] | None = None  # of a mesh file, which does not say it itself
     rig: Path | None = None  # a lab's calibration, which says where the object is
     pad: Path | None = None  # the skin that the tool wears, on disk; by default a random one
     board: str | None = None  # that it is on: reskin, anyskin, or grid-RxC; by default the pad's own, else reskin
@@ -164,15 +165,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Args:
         arguments: Without the program's name; by default those of this process.
     """
-    run(
-        tyro.cli(
-            ControllerArgs,
-            args=arguments,
-            prog="python -m i2t.emulators.ur_controller",
-            description=__doc__,
-            config=(tyro.conf.FlagCreatePairsOff,),
-        )
-    )
+    run(read_options(ControllerArgs, arguments, program="python -m i2t.emulators.ur_controller", description=__doc__))
 
 
 def run(options: ControllerArgs) -> None:

@@ -24,7 +24,7 @@ class WorldConfig:
     """What simulated and emulated devices meet."""
 
     object: str  # of the catalogue, or a mesh file
-    unit: str = "mm"  # of a mesh file
+    unit: str | None = None  # of a mesh file
     pad: Path | None = None  # on disk; by default a random one
     seed: int = 0  # of the errors
     no_pose_error: bool = False  # object and camera are where they are believed to be

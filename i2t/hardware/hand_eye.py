@@ -36,6 +36,7 @@ from i2t.errors import DataError, DeviceError
 from i2t.files import file_in, read_text, read_toml
 from i2t.hardware.hand_eye_fit import MIN_CORNERS, BoardView, HandEyeResult, fit, pixel_rays
 from i2t.hardware.rig import Rig
+from i2t.options import read_options
 from i2t.types import Array
 
 PRINT_PIXELS_PER_MM = 300 / 25.4  # pixels per mm of a printed board: 300 dpi
@@ -256,6 +257,9 @@ def _lens_text(camera: Camera, T: Array) -> str:
     return "".join(f"{key} = {value}\n" for key, value in lens.items()) + f"T_camera_image = [{rows}]\n"
 
 
+PICTURE_SUFFIXES = (".png", ".tif", ".pdf")  # in which the board's size on paper is kept
+
+
 @dataclass(frozen=True, kw_only=True)
 class DrawArgs(CharucoArgs):
     """Draw the board."""
@@ -298,13 +302,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    parse: Any = tyro.cli  # a union is no type to mypy
-    asked: DrawArgs | CaptureArgs | EstimateArgs = parse(
-        HandEyeArgs,
-        args=arguments,
-        prog="python -m i2t.hardware.hand_eye",
-        description=__doc__,
-        config=(tyro.conf.FlagCreatePairsOff,),
+    commands: Any = HandEyeArgs  # a union is no type to mypy
+    asked: DrawArgs | CaptureArgs | EstimateArgs = read_options(
+        commands, arguments, program="python -m i2t.hardware.hand_eye", description=__doc__
     )
     return exit_code_of(lambda: _run(asked))
 
@@ -321,6 +321,8 @@ def _run(asked: DrawArgs | CaptureArgs | EstimateArgs) -> None:
 
 
 def _draw(asked: DrawArgs, board: CharucoBoard) -> None:
+    if asked.file.is_dir() or asked.file.suffix.lower() not in PICTURE_SUFFIXES:
+        raise ValueError(f"{asked.file}: is no name of a picture; let it end in {' or '.join(PICTURE_SUFFIXES)}")
     Image.fromarray(board.drawn()).save(asked.file, dpi=(300, 300))
     print(f"{asked.file}: print it at 100 %; a square must measure {1e3 * board.square:g} mm")
 

@@ -28,12 +28,13 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import tyro
 
-from i2t.cli import exit_code_of
+from i2t.cli import Count, check_options, exit_code_of, require_path
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.hardware import camera_folder
 from i2t.hardware.base import CameraBase
 from i2t.hardware.protocols import CameraFeatures, View
+from i2t.options import read_options
 from i2t.types import Array
 
 SIZES_PX = ((424, 240), (480, 270), (640, 360), (640, 480), (848, 480), (1280, 720))
@@ -329,10 +330,10 @@ class RealSenseArgs:
     serial: str | None = None  # which camera, if there are several
     file: Path | None = None  # play this recording instead
     size: Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")] = (640, 360)  # pixels
-    rate: int = 30  # Hz
+    rate: Count = 30  # Hz
     distance: float | None = None  # m from which it is to look
     save: Path | None = None  # a new folder for the views
-    count: int = 1  # how many views
+    count: Count = 1  # how many views
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -344,11 +345,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    asked = tyro.cli(RealSenseArgs, args=arguments, prog="python -m i2t.hardware.realsense", description=__doc__)
+    asked = read_options(RealSenseArgs, arguments, program="python -m i2t.hardware.realsense", description=__doc__)
     return exit_code_of(lambda: _show(asked))
 
 
 def _show(asked: RealSenseArgs) -> None:
+    check_options(asked)
+    require_path("--file", asked.file, "recording")
     with RealSense(asked.serial, asked.size, asked.rate, asked.distance, asked.file) as camera:
         print(f"{camera.features.name}: nothing nearer than {1e3 * camera.features.nearest:.0f} mm")
         print(camera.camera)

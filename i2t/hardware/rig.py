@@ -35,6 +35,7 @@ from i2t.hardware.carried_skins import (
 from i2t.hardware.kinematics import arms
 from i2t.hardware.limits import MotionLimits, format_position
 from i2t.hardware.rig_checks import implausible
+from i2t.options import read_options
 from i2t.types import ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M, Array
 
 OBJECT_SOURCES = ("given", "registration")  # how an object's pose is known
@@ -359,13 +360,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    asked = tyro.cli(
-        RigArgs,
-        args=arguments,
-        prog="python -m i2t.hardware.rig",
-        description=__doc__,
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
+    asked = read_options(RigArgs, arguments, program="python -m i2t.hardware.rig", description=__doc__)
 
     def show() -> int:
         if asked.example and asked.file.exists():

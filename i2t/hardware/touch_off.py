@@ -38,6 +38,7 @@ from i2t.hardware.limits import MotionLimits
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.protocols import ArmState, GuardedArm
 from i2t.hardware.rig import Rig
+from i2t.options import read_options
 from i2t.types import PAD_WINDOW, Array
 
 CORNER_SIGNS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the corners, in their order around
@@ -255,13 +256,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     renamed_flags(sys.argv[1:] if arguments is None else arguments, RENAMED_TOUCH_OFF_FLAGS)
-    asked = tyro.cli(
-        TouchOffArgs,
-        args=arguments,
-        prog="python -m i2t.hardware.touch_off",
-        description=__doc__,
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
+    asked = read_options(TouchOffArgs, arguments, program="python -m i2t.hardware.touch_off", description=__doc__)
     return exit_code_of(lambda: _touch_off(asked), "stopped; the rig is as it was")
 
 

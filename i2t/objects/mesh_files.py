@@ -23,7 +23,6 @@ from i2t.objects.mesh_bytes import geometry_of
 from i2t.objects.solids import Mesh, Object, place_on_table, transform_mesh
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 25.4e-3}  # m
-MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb")
 MAX_MESH_BYTES = 2**28  # of a file
 STRAY_AREA = 1e-3  # share of the area, up to which loose pieces are stray facets of a scan
 MIN_SIZE_M, MAX_SIZE_M = 2e-3, 2.0  # m, longest side of something to touch
@@ -95,7 +94,7 @@ def read_mesh(
         ValueError: It cannot be read, or is not something to touch; one sentence that names the file and a remedy.
     """
     path = Path(path)
-    data = read_bytes(path, MESH_SUFFIXES)
+    data = read_bytes(path, files.MESH_SUFFIXES)
     scale = to_metres(path, unit)
     if up not in ("z", "y"):
         raise ValueError(f"{path}: up={up!r} is not known; say up='z' or up='y'")

@@ -18,8 +18,8 @@ from i2t import given
 from i2t.geometry import is_rigid
 from i2t.objects.mesh_files import MAX_SIZE_M
 from i2t.types import STANDOFF, Patch, Surface
+from i2t.windows import MAX_SKIN_FORCE_N
 
-MAX_SKIN_FORCE_N = 100.0  # more breaks a skin
 UNUSUAL_FORCE_RATIO = 10.0  # to the median of the training touches: beyond it nothing is known
 MAX_TRAVEL_M = 20e-3  # m past first contact; a skin is 2 to 20 mm thick
 MAX_NEAREST_M = 0.1  # m, signed distance of a surface that a skin is about to meet

@@ -8,7 +8,10 @@ from typing import Literal
 
 import tyro
 
-from i2t.cli import Count, check_options, exit_code_of
+from i2t.cli import Count, check_options, exit_code_of, require_path, require_with
+from i2t.files import why_no_touches
+from i2t.objects.named import require_object
+from i2t.options import read_options
 
 
 @dataclass(frozen=True)
@@ -21,8 +24,8 @@ class ViewArgs:
     """Folder for the files, which are named as what they show."""
     mesh: str | None = None
     """The object: a name of the catalogue, or a mesh file; by default by its name in the touches."""
-    unit: Literal["m", "cm", "mm", "inch"] = "mm"
-    """Of a mesh file."""
+    unit: Literal["m", "cm", "mm", "inch"] | None = None
+    """Of a mesh file, which does not say it itself."""
     belief: Path | None = None
     """JSON file with names of candidates and p, their probabilities after each touch."""
     touches: Count | None = None
@@ -46,12 +49,18 @@ def main(args: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    asked = tyro.cli(ViewArgs, args=args, prog="python -m i2t.view", config=(tyro.conf.FlagCreatePairsOff,))
+    asked = read_options(ViewArgs, args, program="python -m i2t.view")
     return exit_code_of(lambda: _write(asked))
 
 
 def _write(asked: ViewArgs) -> None:
     check_options(asked)
+    require_with("--unit", asked.unit is not None, "--mesh", asked.mesh is not None)
+    if asked.mesh is not None:
+        require_object(asked.mesh, asked.unit, flag="--mesh")
+    require_path("--belief", asked.belief, "file")
+    if asked.path.is_file() and (why := why_no_touches(asked.path)):
+        raise ValueError(why)
     name = (asked.path.resolve().stem or "view") + (f"-{asked.skin_name}" if asked.skin_name else "")
     page, recording, messages = (asked.out / f"{name}{ending}" for ending in (".html", ".rrd", ".mcap"))
     for path in (page, recording, *([messages] if asked.mcap else [])):

@@ -14,7 +14,7 @@ from i2t.depth.camera import Camera
 from i2t.errors import DataError
 from i2t.files import read_json
 from i2t.objects.catalogue import NAMES, make_object
-from i2t.objects.mesh_files import read_mesh
+from i2t.objects.named import read_object
 from i2t.objects.solids import Mesh
 
 TOUCH_FILES = "touch-*.h5"
@@ -57,7 +57,7 @@ def read_contents(
     path: str | Path,
     *,
     mesh: str | None = None,
-    unit: str = "mm",
+    unit: str | None = None,
     belief: Path | None = None,
     most: int | None = None,
     skin: str | None = None,
@@ -68,7 +68,7 @@ def read_contents(
         path: Of recorded touches, or of a data set.
         mesh: Of the object: a name of the catalogue, or a file; by default the name that the touches give, if the
             catalogue knows it.
-        unit: Of a mesh file: m, cm, mm or inch.
+        unit: Of a mesh file: m, cm, mm or inch; an object of the catalogue needs none.
         belief: A JSON file: `names` of candidates, and `p`, their probabilities after each touch.
         most: Touches that are looked at, the first ones; by default all.
         skin: Name of the skin, where several were read in each touch.
@@ -91,11 +91,11 @@ def read_contents(
     return Contents(path, dataset, files, _mesh(mesh, unit, dataset), believed, skin=skin)
 
 
-def _mesh(name: str | None, unit: str, dataset: Dataset) -> Mesh | None:
+def _mesh(name: str | None, unit: str | None, dataset: Dataset) -> Mesh | None:
     if name is None:
         known = [each for each in dataset.objects if each in NAMES]
         return make_object(known[0]).mesh if len(dataset.objects) == 1 and known else None
-    return make_object(name).mesh if name in NAMES else read_mesh(name, unit)[0].mesh
+    return read_object(name, unit).mesh
 
 
 def read_belief(path: Path, touches: int) -> BeliefHistory:

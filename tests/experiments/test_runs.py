@@ -60,6 +60,18 @@ def test_a_run_that_is_refused_leaves_nothing_and_brings_back_what_it_was_to_rep
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
+def test_a_run_that_is_refused_leaves_no_folder_that_was_made_for_it(tmp_path):
+    (tmp_path / "mine").mkdir()
+    begin(tmp_path / "runs" / "deep" / "run", _Args(tmp_path), _Experiment(), False, False)
+    begin(tmp_path / "mine" / "run", _Args(tmp_path), _Experiment(), False, False)
+    settle_begun()
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+    begin(tmp_path / "runs" / "run", _Args(tmp_path), _Experiment(), False, False)
+    (tmp_path / "runs" / "note.txt").touch()
+    settle_begun()
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == ["note.txt"]
+
+
 def test_a_run_that_made_something_takes_the_place_of_another(tmp_path):
     out = tmp_path / "run"
     for seed in (0, 1):
@@ -96,7 +108,7 @@ def test_a_folder_of_something_else_is_never_replaced(tmp_path, monkeypatch):
 def test_after_a_full_disk_and_ctrl_c_there_is_one_sentence_and_no_traceback(tmp_path, capsys):
     out = tmp_path / "run"
     for error, code, said in (
-        (OSError(28, "No space left on device", "x.h5"), 1, "error: [Errno 28] No space left on device: 'x.h5'"),
+        (OSError(28, "No space left on device", "x.h5"), 1, "error: x.h5: no space left on device"),
         (KeyboardInterrupt(), 130, "interrupted; nothing was made"),
     ):
 

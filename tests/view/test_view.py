@@ -169,7 +169,9 @@ def test_what_cannot_be_looked_at_is_said(session, tmp_path, capsys):
     assert read_belief(wrong, 2).names == ("a", "b")
     for options, why in (
         ([str(tmp_path / "none")], "no such file or folder"),
-        ([str(session), "--mesh", "nothing.stl"], "no such file"),
+        ([str(session), "--mesh", "nothing.stl"], "neither a mesh file"),
+        ([str(session), "--unit", "cm"], "no effect without --mesh"),
+        ([str(session), "--belief", "nothing.json"], "there is no such file"),
         ([str(session), "--touches", "0"], "give at least 1"),
     ):
         assert command.main([*options, "--out", str(tmp_path / "out")]) == 2

@@ -28,11 +28,11 @@ from i2t.convert.eflesh import EFLESH_READINGS, NEWTONS_PER_GRAM, SAME_ROW, STRO
 from i2t.convert.tables import HEIGHT_COLUMNS, TextTable, read_text_table
 from i2t.dataset import Dataset, load_dataset
 from i2t.errors import DataError
+from i2t.files import TABLE_SUFFIXES
 from i2t.types import Board, ReturnCode
 
 CHIP_AXES = ("x", "y", "z")
 VALUES_PER_CHIP = 3
-TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
 MAX_VALUE = 1e9  # of any number of a table, in its unit; beyond it is damage
 TOUCHING_FORCE_N = 0.1  # from which a reading counts as one in contact
 AIR_FORCE_N = 0.02  # up to which it counts as one in air; what lies between is neither

@@ -21,6 +21,7 @@ from i2t.hardware.reskin.keys import pressed_keys
 from i2t.hardware.reskin.stream import BoardInfo, Stream
 from i2t.hardware.reskin.tables import is_table, samples_of, write_table
 from i2t.hardware.skin_health import check_skin
+from i2t.options import read_options
 from i2t.skin.ambient import load_ambient, mean_known, predict_ambient, subtract_offsets
 from i2t.skin.boards import DEFAULT_BOARD, board_note, make_board
 from i2t.types import Board
@@ -80,7 +81,7 @@ def main(args: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    asked = tyro.cli(Options, args=args, prog="python -m i2t.hardware.reskin", config=(tyro.conf.FlagCreatePairsOff,))
+    asked = read_options(Options, args, program="python -m i2t.hardware.reskin")
 
     def show() -> None:
         check_options(asked)

@@ -1,0 +1,89 @@
+"""How command lines are read: helps fit 80 columns and say what happens without an option, errors are one sentence."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pytest
+import tyro
+from helpers.parsers import COLUMNS, PARSERS, help_of
+
+from i2t.options import one_sentence, read_options, wrapped
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Options of no command."""
+
+    place: tyro.conf.Positional[Path]
+    """Where."""
+    count: int = 3
+    """How many."""
+    unit: Literal["m", "mm"] | None = None
+    """Of a file."""
+    at: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")] = (0.0, 0.0)
+    """Position."""
+    names: tuple[str, ...] = ()
+    """By default all."""
+
+    def __post_init__(self) -> None:
+        if self.count < 0:
+            raise ValueError(f"--count is {self.count}; give 0 or more")
+
+
+ANSWERS = {
+    "": "give PATH",
+    "here --cuont 3": "there is no option --cuont; perhaps --count",
+    "here --zzzzzz": "there is no option --zzzzzz; python -m it --help lists them",
+    "here there": "there is more than this command takes; python -m it --help lists them",
+    "here --count many": "--count: 'many' is no whole number",
+    "here --at 0 up": "--at: '0', 'up' cannot be read",
+    "here --at 0": "--at needs 2 values",
+    "here --count": "--count needs a value",
+    "here --count -1": "--count is -1; give 0 or more",
+    "here --unit ell": "--unit is ell; choose one of",
+}
+
+
+@pytest.mark.parametrize(("words", "said"), ANSWERS.items(), ids=ANSWERS)
+def test_a_wrong_word_is_answered_in_one_sentence(words, said, capsys):
+    with pytest.raises(SystemExit) as ended:
+        read_options(Asked, words.split(), program="python -m it")
+    assert ended.value.code == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith(f"error: {said}")
+    assert printed.err.count("\n") == 1
+    assert "Asked" not in printed.err
+    assert "None" not in printed.err
+
+
+def test_what_is_right_is_read(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "50")
+    assert read_options(Asked, ["here", "--names", "a", "b"], program="it") == Asked(Path("here"), names=("a", "b"))
+    monkeypatch.setattr("sys.argv", ["it", "there", "--unit", "mm"])
+    assert read_options(Asked, None, program="it") == Asked(Path("there"), unit="mm")
+
+
+def test_a_sentence_is_found_in_ascii_and_in_colours_too():
+    box = "+- Missing argument ----+\n| \x1b[1mMissing value for argument '--seed'. Expected 1 values.\x1b[0m |\n+--+\n"
+    assert one_sentence(box) == "--seed needs a value"
+
+
+def test_a_description_is_wrapped_and_its_commands_are_cut_where_a_shell_takes_them():
+    command = "    python -m it --out " + "x" * 40
+    text = "A " + "long " * 30 + f"paragraph\nin two lines.\n\n{command} --other-name yy    a note\n"
+    lines = wrapped(text, 80).split("\n")
+    assert max(map(len, lines)) <= 80
+    assert f"{command} \\" in lines
+    assert "        --other-name yy" in lines
+    assert "        a note" in lines
+    assert not any(line.startswith("in two") for line in lines)
+
+
+@pytest.mark.parametrize("parser", PARSERS)
+def test_a_help_fits_a_terminal_of_80_columns(parser):
+    text = help_of(parser)
+    assert [line for line in text.splitlines() if len(line) > COLUMNS] == []
+    assert not re.search(r"\(default:\s*\)|\bNone\b", text)
