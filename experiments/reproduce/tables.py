@@ -304,6 +304,36 @@ def predictors_of_one_pad(measured: Measured) -> str:
     return markdown([head, "R² [95 % over sessions]", "RMSE µT", "RMSE / sigma", "median cosine"], rows)
 
 
+def predictors_on_recording(over: str) -> Table:
+    """Scores of every predictor on a recording's held-out presses.
+
+    Args:
+        over: What the intervals resample.
+    """
+
+    def render(measured: Measured) -> str:
+        rows = [
+            [
+                f"{method} (kept)" if method == measured["best"] else method,
+                estimate([scores["r2"], *scores["r2_interval"]]),
+                number(scores["r2_median"]),
+                number(scores["coverage_90"], 2),
+            ]
+            for method, scores in measured["methods"].items()
+        ]
+        return markdown(
+            [
+                f"on one skin, {measured['source']}",
+                f"R² [95 % over {over}]",
+                "median over channels",
+                "in the 90 % range",
+            ],
+            rows,
+        )
+
+    return render
+
+
 def predictors_by_object(measured: Measured) -> str:
     """R² of every predictor on each test object, mean over pads."""
     scores = measured["by_object"]
@@ -408,6 +438,8 @@ STUDY_TABLES = {
 }
 TABLES: dict[str, dict[str, Table]] = {
     "train": {"predictors": predictors_of_one_pad},
+    "train_blocks": {"predictors": predictors_on_recording("blocks")},
+    "train_time": {"predictors": predictors_on_recording("groups of 20 presses")},
     "study": {"predictors": predictors, "by object": predictors_by_object},
     "paper": {
         "primitives": methods_of_set("primitives"),
