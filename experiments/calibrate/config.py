@@ -88,7 +88,7 @@ class CalibrateArgs:
         if unknown := [target for target in self.targets if target not in TARGET_NAMES]:
             raise ValueError(f"--targets {' '.join(unknown)}: is no target; choose of {', '.join(TARGET_NAMES)}")
         require_with("--skin-name", self.skin_name is not None, "--dataset", self.dataset is not None)
-        require_dataset("--dataset", self.dataset)
+        require_dataset("--dataset", self.dataset, tables=bool(self.targets))
         require_dataset("--previous-session", self.previous_session)
         require_path("--calibration", self.calibration, "file")
         if self.save_pad is not None and self.save_pad.is_dir():

@@ -417,9 +417,9 @@ def _patch_rows(methods: Mapping[str, Any], scores: Sequence[tuple[str, str, int
 
 
 def _span(found: Sequence[float], decimals: int) -> str:
-    """A mean with its interval, none of which is negative."""
+    """A mean with its interval."""
     mean, low, high = found
-    return f"{mean:.{decimals}f} ({max(low, 0.0):.{decimals}f}-{high:.{decimals}f})"
+    return f"{mean:.{decimals}f} ({low:.{decimals}f}-{high:.{decimals}f})"
 
 
 STUDY_TABLES = {

@@ -170,7 +170,13 @@ def clusters_of(parts: Sequence[Part], pads: Sequence[str], *, objects: str | No
 
 
 def pool_parts(parts: Sequence[Part]) -> dict[str, np.ndarray]:
-    """Arrays of several pads and seeds as one, by name."""
+    """Arrays of several pads and seeds as one, by name. Raises ValueError where the pads were not asked the same."""
+    for part in parts:
+        if differing := sorted(set(part) ^ set(parts[0])):
+            raise ValueError(
+                f"the parts of this study are not of one version ({differing[0]!r} is in some of them only); "
+                "delete its folder and run it again"
+            )
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 

@@ -83,7 +83,9 @@ def auroc(
     def areas(weight: np.ndarray) -> np.ndarray:
         return np.array([_area(x[unknown], x[~unknown], weight[unknown], weight[~unknown]) for x in p_unknown.T])
 
-    return bootstrap_clusters(areas, clusters, len(unknown), seed=seed)
+    found = bootstrap_clusters(areas, clusters, len(unknown), seed=seed)
+    # Few clusters make intervals of Student's t wider than what an area can be.
+    return found._replace(low=np.maximum(found.low, 0.0), high=np.minimum(found.high, 1.0))
 
 
 def _area(above: np.ndarray, below: np.ndarray, w_above: np.ndarray, w_below: np.ndarray) -> float:

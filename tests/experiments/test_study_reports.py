@@ -7,6 +7,7 @@ import pytest
 
 from experiments.reproduce.tables import STUDY_TABLES, TABLES, study_table
 from experiments.studies import constants, object_count, planar, policy, pose_error, registered, sites
+from experiments.studies.lab import pool_parts
 from experiments.studies.run import STUDIES
 from i2t.recognition.episodes import EVIDENCE
 
@@ -63,3 +64,8 @@ def test_a_report_has_the_tables_of_its_study(study, tmp_path):
         lines = study_table(table)(found).splitlines()
         assert len(lines) > 2
         assert len({line.count(" | ") for line in lines}) == 1
+
+
+def test_parts_of_two_versions_of_a_study_are_refused():
+    with pytest.raises(ValueError, match="'stated' is in some of them only"):
+        pool_parts([{"in use": np.zeros(2)}, {"in use": np.zeros(2), "stated": np.zeros(2)}])
