@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
 
 import i2t
 
@@ -157,21 +156,6 @@ def test_python_on_a_page_calls_what_exists_with_its_arguments(page, block):
         given = {keyword.arg: None for keyword in call.keywords}
         with contextlib.suppress(ValueError):  # of a function of C there is no signature
             inspect.signature(function).bind(*call.args, **given)
-
-
-@pytest.mark.full
-def test_python_of_the_readme_runs_on_a_trained_run(trained_run, tmp_path, monkeypatch):
-    """Its predictor is the debug preset's; its mug is a box."""
-    monkeypatch.chdir(tmp_path)
-    trimesh.creation.box((40, 30, 50)).export("mug.stl")
-    Path("runs").mkdir()
-    Path("runs/train").symlink_to(trained_run)
-    (block,) = (block for page, block in _python_blocks() if page == "README.md")
-    names: dict[str, Any] = {}
-    exec(block, names)
-    assert names["reading"].shape == names["std"].shape == (15,)
-    assert np.isfinite(names["reading"]).all()
-    assert (np.asarray(names["std"]) > 0).all()
 
 
 def test_the_version_is_one_everywhere():
