@@ -232,7 +232,7 @@ def same_board(one: Board, other: Board) -> bool:
 
 
 def _board(positions: np.ndarray, rotations: np.ndarray, depth: float) -> Board:
-    given.number("depth", depth, "metres below the surface, above 0", above=0)
+    given.number("depth", depth, "metres below the surface, 0 or more", least=0)
     chips = np.column_stack([positions, np.full(len(positions), -depth)])
     return Board(chips.astype(np.float32), rotations.astype(np.float32))
 

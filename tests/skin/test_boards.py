@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from i2t.skin import faults
-from i2t.skin.boards import BOARDS, board_note, grid_board, make_board
+from i2t.skin.boards import BOARDS, board_note, eflesh_board, grid_board, make_board
 from i2t.skin.faults import Faults
 from i2t.skin.files import load_pad, save_pad
 from i2t.skin.noise import Noise, add_sensor_noise, drift
@@ -28,6 +28,12 @@ def test_turning_to_the_tool_and_back_changes_nothing(name):
     assert field.shape == (2, board.num_chips, 3)
     np.testing.assert_allclose(board.to_board(field), readings, rtol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(field), np.linalg.norm(readings), rtol=1e-6)
+
+
+def test_chips_may_lie_in_the_surface_and_not_above_it():
+    assert not eflesh_board(depth=0.0).chips[:, 2].any()  # as where lattices are simulated
+    with pytest.raises(ValueError, match=r"depth: is -0\.001; give metres below the surface, 0 or more"):
+        eflesh_board(depth=-1e-3)
 
 
 def test_a_grid_has_a_chip_below_the_middle_of_each_cell():
