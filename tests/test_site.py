@@ -79,6 +79,25 @@ def test_advice_to_install_names_the_distribution():
         assert set(extras.split(",")) <= project["optional-dependencies"].keys(), f"{path}: {extras}"
 
 
+BARE = re.compile(
+    r"pip install (?:-[\w-]+ )*(?!-|\.|[\"']?(?:\.|imagine2touch)\[|examples/|[\"']?\{)([\"']?[\w][\w.-]*)"
+)
+
+
+def test_no_advice_installs_a_single_library():
+    """What a feature needs is an extra, whose versions go together; a library by itself may be too old or too new."""
+    assert BARE.findall("pip install pyvista; pip install -U 'opencv>=4.8'") == ["pyvista", "'opencv"]
+    for good in ("pip install -e .", 'pip install -e ".[view]"', "pip install -U 'imagine2touch[hardware]'"):
+        assert not BARE.search(good)
+    folders = ("i2t", "experiments", "examples", "notebooks", "docs")
+    files = [
+        path for folder in folders for path in (ROOT / folder).rglob("*") if path.suffix in (".py", ".md", ".ipynb")
+    ]
+    assert len(files) > 300
+    bare = [(path.name, each) for path in [ROOT / "README.md", *files] for each in BARE.findall(path.read_text())]
+    assert bare == []
+
+
 def test_packages_of_the_examples_need_the_distribution_by_its_name():
     files = sorted((ROOT / "examples").rglob("pyproject.toml"))
     assert files

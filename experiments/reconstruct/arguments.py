@@ -86,7 +86,9 @@ class ReconstructArgs:
         if unknown := sorted(set(self.conditions) - set(CONDITIONS)):
             raise ValueError(f"--conditions {unknown[0]}: is none of {', '.join(CONDITIONS)}")
         if find_spec("skimage") is None:
-            raise ValueError("surfaces are made by scikit-image, which is not installed: pip install scikit-image")
+            raise ValueError(
+                "surfaces are made by scikit-image, which is missing: pip install 'imagine2touch[reconstruct]'"
+            )
 
     @property
     def sizes(self) -> ReconstructSizes:

@@ -62,7 +62,7 @@ from i2t.hardware.skin_health import check_skin, require_healthy, rest_samples
 from i2t.hardware.ur.config import UrConfig
 from i2t.objects.named import read_object
 from i2t.objects.solids import Mesh
-from i2t.skin.boards import DEFAULT_BOARD, board_note
+from i2t.skin.boards import DEFAULT_BOARD, board_note, name_of_board
 from i2t.types import ReturnCode
 
 ENDS = {
@@ -265,7 +265,8 @@ def _run(
         recorder.write_notes(out, notes)
         with suppress(DataError):  # nothing is lost with a card, and touches that cannot be read say so where they are
             several = session.procedure.rig.skin if session.procedure.carried else None
-            write_card(out, load_dataset(out, missing_chips=True, skin=several))
+            collected = load_dataset(out, missing_chips=True, skin=several)
+            write_card(out, collected, board_name=name_of_board(collected.board))
         print(session.summary(file_recorder))
 
 

@@ -596,9 +596,10 @@ def _board(name: str) -> "Board":
 def _write(target: Path, converted: "Converted") -> None:
     from i2t.dataset import save_dataset
     from i2t.dataset.card import write_card
+    from i2t.skin.boards import name_of_board
 
     path = save_dataset(target / PACKED, converted.dataset)
-    write_card(target, converted.dataset)
+    write_card(target, converted.dataset, board_name=name_of_board(converted.dataset.board))
     for note in converted.notes:
         print(note)
     print(f"wrote {len(converted.dataset)} touches to {path}")

@@ -21,6 +21,7 @@ from i2t.dataset import Dataset, missing_context
 from i2t.dataset.card import write_card
 from i2t.dataset.sets import INDICES, validate
 from i2t.errors import DataError
+from i2t.skin.boards import name_of_board
 from i2t.types import Board, Touches, Truth
 
 EXCHANGE_FORMAT = "i2t touches"
@@ -189,7 +190,7 @@ def write_folder(
             part.chmod(0o755)
             fill(part)
             write_json(part / note, note_of(dataset))
-            write_card(part, dataset)
+            write_card(part, dataset, board_name=name_of_board(dataset.board))
             _take_place(target, part)
         finally:
             shutil.rmtree(part, ignore_errors=True)

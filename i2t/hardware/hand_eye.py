@@ -102,7 +102,7 @@ class CharucoBoard(CharucoArgs):
             raise DeviceError("boards are found by OpenCV: pip install 'imagine2touch[hardware]'") from error
         if not hasattr(cv2, "aruco") or not hasattr(cv2.aruco, "CharucoDetector"):
             raise DeviceError(
-                f"OpenCV {cv2.__version__} finds no ChArUco boards: pip install -U 'opencv-python-headless>=4.8'"
+                f"OpenCV {cv2.__version__} finds no ChArUco boards: pip install -U 'imagine2touch[hardware]'"
             )
         code = getattr(cv2.aruco, f"DICT_{self.dictionary}", None)
         if code is None:

@@ -22,7 +22,9 @@ SAMPLES_PER_FACE = 2  # at least, on average
 NEAR_SAMPLES = 6  # nearest samples whose triangles are looked at exactly
 EXACT_WITHIN_M = 8e-3  # of the surface distances are exact; farther off they are those to the samples
 COLUMN_SHIFT = (1.7e-7, 1.1e-7)  # m, by which columns miss vertices and edges that lie on the grid
-NO_MARCHING_CUBES = "scikit-image makes meshes of signed distances and is not installed: pip install scikit-image"
+NO_MARCHING_CUBES = (
+    "scikit-image makes meshes of signed distances and is not installed: pip install 'imagine2touch[reconstruct]'"
+)
 
 
 class VoxelGrid(NamedTuple):

@@ -214,6 +214,21 @@ def board_note(name: str) -> str:
     }.get(name, "")
 
 
+def name_of_board(board: Board) -> str:
+    """The name under which a board is known, as `make_board` has it.
+
+    Args:
+        board: Any.
+
+    Returns:
+        Its name; empty where no board of a name has the same chips (`same_board`).
+    """
+    sides = range(1, MAX_CHIPS + 1)
+    grids = [f"grid-{rows}x{columns}" for rows in sides for columns in sides if rows * columns == board.num_chips]
+    names = (name for name in (*BOARDS, *grids) if same_board(make_board(name), board))
+    return next(names, "")
+
+
 def same_board(one: Board, other: Board) -> bool:
     """Whether two boards have the same chips, in the same order and turned alike.
 

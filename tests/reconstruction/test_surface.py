@@ -86,7 +86,7 @@ def test_where_nothing_is_inside_there_is_no_mesh():
 
 def test_without_scikit_image_one_sentence_says_how_to_get_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "skimage.measure", None)
-    with pytest.raises(ModuleNotFoundError, match="pip install scikit-image"):
+    with pytest.raises(ModuleNotFoundError, match=r"pip install 'imagine2touch\[reconstruct\]'"):
         extract_mesh(GRID, np.ones(len(GRID.points()), np.float32))
 
 
