@@ -167,18 +167,7 @@ def concatenate(datasets: Sequence[Dataset]) -> Dataset:
         raise DataError("no data set given; name at least one")
     first = datasets[0]
     for other in datasets[1:]:
-        if (
-            not np.isclose((other.window, other.reach), (first.window, first.reach), rtol=1e-6, atol=0).all()
-            or other.touches.patch.shape[1:] != first.touches.patch.shape[1:]
-            or other.touches.wide.shape[1:] != first.touches.wide.shape[1:]
-        ):
-            both = f"{_geometry(first)} and of {_geometry(other)}"
-            raise DataError(f"patches of {both} cannot be joined; convert them with one window and one reach")
-        if not all(
-            a.shape == b.shape and np.allclose(a, b, rtol=0, atol=1e-6)
-            for a, b in zip(first.board, other.board, strict=True)
-        ):
-            raise DataError("readings of different boards cannot be joined; keep them in separate data sets")
+        _require_joinable(first, other)
     names: dict[str, Any] = {
         kind: tuple(dict.fromkeys(name for d in datasets for name in getattr(d, kind)))
         for kind in ("objects", "pads", "sessions")
@@ -186,12 +175,8 @@ def concatenate(datasets: Sequence[Dataset]) -> Dataset:
     columns: dict[str, Any] = {}
     for column in Touches._fields[:-1]:
         parts = [getattr(d.touches, column) for d in datasets]
-        if column + "s" in names:
-            place = {name: i for i, name in enumerate(names[column + "s"])}
-            parts = [
-                np.array([place[name] for name in getattr(d, column + "s")], np.int32)[part]
-                for d, part in zip(datasets, parts, strict=True)
-            ]
+        if (kind := column + "s") in names:
+            parts = [_renumbered(part, getattr(d, kind), names[kind]) for d, part in zip(datasets, parts, strict=True)]
         columns[column] = _joined(parts)
     truths = [d.touches.truth for d in datasets]
     if all(truth is not None for truth in truths):
@@ -204,6 +189,25 @@ def concatenate(datasets: Sequence[Dataset]) -> Dataset:
         source=sources.pop() if len(sources) == 1 else "mixed",
         meta={key: _merged([d.meta[key] for d in datasets if key in d.meta]) for d in datasets for key in d.meta},
     )
+
+
+def _require_joinable(one: Dataset, other: Dataset) -> None:
+    """Refuse patches of another size or place, and readings of another board."""
+    alike = np.isclose((other.window, other.reach), (one.window, one.reach), rtol=1e-6, atol=0).all()
+    shapes = [(d.touches.patch.shape[1:], d.touches.wide.shape[1:]) for d in (one, other)]
+    if not alike or shapes[0] != shapes[1]:
+        both = f"{_geometry(one)} and of {_geometry(other)}"
+        raise DataError(f"patches of {both} cannot be joined; convert them with one window and one reach")
+    if not all(
+        a.shape == b.shape and np.allclose(a, b, rtol=0, atol=1e-6) for a, b in zip(one.board, other.board, strict=True)
+    ):
+        raise DataError("readings of different boards cannot be joined; keep them in separate data sets")
+
+
+def _renumbered(numbers: np.ndarray, names: Sequence[str], all_names: Sequence[str]) -> np.ndarray:
+    """Indices of names in a part as indices of the same names in the whole."""
+    place = {name: i for i, name in enumerate(all_names)}
+    return np.array([place[name] for name in names], np.int32)[numbers]
 
 
 def validate(dataset: Dataset) -> None:

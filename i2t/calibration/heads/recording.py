@@ -250,54 +250,95 @@ def read_tables(path: Path) -> list[SkinRecording]:
     Raises:
         DataError: it is no such table, or no row has a finite reading.
     """
-    table = read_text_table(path)
-    columns = {name: i for i, name in reversed(list(enumerate(table.header)))}
-    values = np.array([_numbers(cells, len(table.header)) for _, cells in table.rows]).reshape(-1, len(table.header))
-    chips = sorted({int(match[1]) for name in columns if (match := re.fullmatch(r"b([0-9]+)[xyz]_uT", name))})
-    names = [f"b{chip}{axis}_uT" for chip in chips for axis in CHIP_AXES]
-    if not chips or any(name not in columns for name in names):
-        raise DataError(
-            f"{path}: has not the columns b0x_uT, b0y_uT, b0z_uT, ... ({table.beginning}); name them as in docs/data.md"
-        )
-    notes, readings = list(table.notes), values[:, [columns[name] for name in names]]
+    table = _LooseTable.read(path)
+    names, notes = _reading_columns(table, path), list(table.text.notes)
     ambient = ["a" + name[1:] for name in names]
-    subtracted = all(name in columns for name in ambient)
-    if subtracted:
-        readings = readings - values[:, [columns[name] for name in ambient]]
+    readings = table.some(names)
+    if all(name in table.columns for name in ambient):
+        readings = readings - table.some(ambient)
+    else:
+        ambient = []
     targets = {
-        target: np.column_stack([scale * values[:, columns[name]] for name, scale in kinds if name in columns])
+        target: np.column_stack([scale * table.column(name) for name, scale in kinds if name in table.columns])
         for target, kinds in TABLE_COLUMNS.items()
-        if any(name in columns for name, _ in kinds)
+        if any(name in table.columns for name, _ in kinds)
     }
-    height = next((name for name in HEIGHT_COLUMNS if name in columns), None)
-    if height is not None and "depth" not in targets and np.isfinite(values[:, columns[height]]).any():
-        z = values[:, columns[height]]
+    height = next((name for name in HEIGHT_COLUMNS if name in table.columns), None)
+    if height is not None and "depth" not in targets and np.isfinite(z := table.column(height)).any():
         targets["depth"] = 1e-3 * (np.nanmax(z) - z)[:, None]
         notes.append(
             f"assumed: {height} grows out of the skin, and depth counts from its highest value, {np.nanmax(z):g} mm"
         )
-    used = {*names, *(ambient if subtracted else ()), "time_s", "session", "pad", *HEIGHT_COLUMNS}
-    used |= {name for kinds in TABLE_COLUMNS.values() for name, _ in kinds}
-    if unknown := [name for name in columns if name not in used]:
-        notes.append(f"left out: columns {', '.join(unknown)}, which have no meaning here")
-    if twice := sorted({name for name in table.header if table.header.count(name) > 1}):
-        notes.append(f"columns {', '.join(twice)} stand twice: the first of each is taken")
-    session, pad = (_named(table, columns.get(name))[0] for name in ("session", "pad"))
-    time = values[:, columns["time_s"]] if "time_s" in columns else np.full(len(values), np.nan)
-    name, pads = path.name.split(".")[0], _named(table, columns.get("pad"))[1]
-    whole = _recording(name, readings, targets, session=session, time=time, notes=notes)
+    session, _ = table.named("session")
+    pad, pads = table.named("pad")
+    whole = _recording(
+        path.name.split(".")[0],
+        readings,
+        targets,
+        session=session,
+        time=table.column("time_s"),
+        notes=notes + _unused_columns(table, {*names, *ambient}),
+    )
     if len(pads) < 2:
         return [_finite(whole, path)]
-    return [_finite(replace(whole.rows(pad == i), name=f"{name} ({one})"), path) for i, one in enumerate(pads)]
+    return [_finite(replace(whole.rows(pad == i), name=f"{whole.name} ({one})"), path) for i, one in enumerate(pads)]
 
 
-def _named(table: TextTable, column: int | None) -> tuple[np.ndarray, list[str]]:
-    """Which of its names each row has in a column, and the names; one name where there is no column."""
-    if column is None:
-        return np.zeros(len(table.rows), int), [""]
-    cells = [cells[column].strip() if column < len(cells) else "" for _, cells in table.rows]
-    names, which = np.unique(cells, return_inverse=True)
-    return which, names.tolist()
+class _LooseTable(NamedTuple):
+    """A table whose cells may be missing or unreadable."""
+
+    text: TextTable
+    columns: dict[str, int]  # the first of each name
+    values: np.ndarray  # (rows, columns); NaN for what is no number
+
+    @classmethod
+    def read(cls, path: Path) -> "_LooseTable":
+        text = read_text_table(path)
+        width = len(text.header)
+        columns = {name: i for i, name in reversed(list(enumerate(text.header)))}
+        values = np.array([_numbers(cells, width) for _, cells in text.rows])
+        return cls(text, columns, values.reshape(-1, width))
+
+    def column(self, name: str) -> np.ndarray:
+        """The numbers of a column; NaN throughout where there is none."""
+        return self.values[:, self.columns[name]] if name in self.columns else np.full(len(self.values), np.nan)
+
+    def some(self, names: list[str]) -> np.ndarray:
+        """The numbers of columns that are there."""
+        return self.values[:, [self.columns[name] for name in names]]
+
+    def named(self, name: str) -> tuple[np.ndarray, list[str]]:
+        """Which of its names each row has in a column, and the names; one name where there is no column."""
+        if name not in self.columns:
+            return np.zeros(len(self.text.rows), int), [""]
+        at = self.columns[name]
+        cells = [cells[at].strip() if at < len(cells) else "" for _, cells in self.text.rows]
+        names, which = np.unique(cells, return_inverse=True)
+        return which, names.tolist()
+
+
+def _reading_columns(table: _LooseTable, path: Path) -> list[str]:
+    """The names of the columns that hold readings, chip by chip."""
+    chips = sorted({int(match[1]) for name in table.columns if (match := re.fullmatch(r"b([0-9]+)[xyz]_uT", name))})
+    names = [f"b{chip}{axis}_uT" for chip in chips for axis in CHIP_AXES]
+    if not chips or any(name not in table.columns for name in names):
+        raise DataError(
+            f"{path}: has not the columns b0x_uT, b0y_uT, b0z_uT, ... ({table.text.beginning}); name them as in "
+            "docs/data.md"
+        )
+    return names
+
+
+def _unused_columns(table: _LooseTable, readings: set[str]) -> list[str]:
+    """Sentences on columns that were left out."""
+    used = readings | {"time_s", "session", "pad", *HEIGHT_COLUMNS}
+    used |= {name for kinds in TABLE_COLUMNS.values() for name, _ in kinds}
+    notes = []
+    if unknown := [name for name in table.columns if name not in used]:
+        notes.append(f"left out: columns {', '.join(unknown)}, which have no meaning here")
+    if twice := sorted(name for name, count in Counter(table.text.header).items() if count > 1):
+        notes.append(f"columns {', '.join(twice)} stand twice: the first of each is taken")
+    return notes
 
 
 def read_eflesh_session(folder: Path) -> SkinRecording:
