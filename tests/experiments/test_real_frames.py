@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from experiments.real_frames.arguments import RealFrames
-from experiments.real_frames.run import Compared, run, summary
+from experiments.real_frames.frames import Compared, summary
+from experiments.real_frames.run import run
 from i2t.depth.patches import DepthPatch
 from i2t.types import Patch
 

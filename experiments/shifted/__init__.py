@@ -1,0 +1,1 @@
+"""Whether calibration loses to a baseline on shifted and damaged recordings."""
