@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Literal
 
 from i2t.collect.settings import AmbientSettings, TouchSettings
-from i2t.hardware.ur.config import check_watch
 from i2t.simulation.site_limits import SiteLimits, check_site_limits
 
 OPTION_RANGES = {  # the least and the greatest of each that make sense, and the unit
@@ -45,7 +44,7 @@ class CollectArgs:
     views: Path | None = None
     """Folder of views to show as the camera."""
     camera_serial: str | None = None
-    """Serial number of a RealSense, where several are plugged in."""
+    """Serial number of a RealSense, where several are plugged in; the address of another package's camera."""
     rig: Path | None = None
     """Calibration of the lab (python -m i2t.hardware.rig); a real arm needs one, others take the emulated lab's."""
     object: str = "hexagon"
@@ -88,7 +87,6 @@ class CollectArgs:
             if value is not None and not least <= value <= most:
                 between = f"{least:g} to {most:g} {unit}".strip()
                 raise ValueError(f"--{name.replace('_', '-')} is {value:g}; give {between}")
-        check_watch(self.state_timeout, self.watchdog_rate)
         check_site_limits(self.sites)
         if self.pose is not None:
             at, turns = self.pose[:3], self.pose[3:]

@@ -7,6 +7,7 @@ from pathlib import Path
 from i2t.cli import require_path, require_with
 from i2t.collect.arguments import CollectArgs
 from i2t.errors import DeviceError
+from i2t.hardware.ur.config import check_watch
 from i2t.objects.named import require_object
 
 SIMULATED, NOT_REAL = "simulated", ("simulated", "emulated")
@@ -35,7 +36,11 @@ def check_collect_args(args: CollectArgs) -> None:
     require_with("--views", args.views is not None, "--camera folder", args.camera == "folder")
     if args.camera == "folder" and args.views is None:
         raise ValueError("--camera folder needs a folder of views to show: pass --views DIR")
-    require_with("--camera-serial", args.camera_serial is not None, "--camera realsense", args.camera == "realsense")
+    if args.camera_serial and args.camera in (SIMULATED, "folder"):
+        raise ValueError(
+            f"--camera-serial says which camera it is, and --camera is {args.camera}; leave it out, or pass --camera "
+            "realsense"
+        )
     require_with("--skin-serial", args.skin_serial is not None, "--skin reskin", args.skin == "reskin")
     if args.skin_serial and args.port:
         raise ValueError("--skin-serial and --port both say which board it is; leave one of them out")
@@ -47,6 +52,7 @@ def check_collect_args(args: CollectArgs) -> None:
         raise ValueError(f"--port is of a board, and --skin is {args.skin}; leave it out, or pass --skin reskin")
     if args.pad and args.skin not in NOT_REAL:
         raise ValueError(f"--pad is of simulated skins, and --skin is {args.skin}; leave it out")
+    check_watch(args.state_timeout, args.watchdog_rate)  # of a UR arm, real or emulated
     require_object(args.object, args.unit, flag="--object")
     if args.replay is not None:
         _require_recording(args.replay, args.board)

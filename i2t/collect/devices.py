@@ -32,6 +32,7 @@ from i2t.emulators.world import (
 from i2t.hardware.camera_folder import CameraFolderConfig
 from i2t.hardware.carried_skins import CarriedSkin
 from i2t.hardware.clock import Clock, MonotonicClock
+from i2t.hardware.named_devices import make_ur_arm
 from i2t.hardware.plugins import DeviceSetup, PluginConfig, load_plugin
 from i2t.hardware.protocols import DepthCamera, GuardedArm, Skin
 from i2t.hardware.realsense import RealSenseConfig
@@ -351,13 +352,13 @@ def make_arm(config: ArmConfig, context: DeviceContext) -> GuardedArm:
 
 @make_arm.register
 def _(config: UrConfig, context: DeviceContext) -> GuardedArm:
-    return _ur_arm(config, context.rig)
+    return make_ur_arm(config, context.rig)
 
 
 @make_arm.register
 def _(config: EmulatedArmConfig, context: DeviceContext) -> GuardedArm:
     host = config.host or context.emulated_lab[0]
-    return _ur_arm(UrConfig(host, config.state_timeout, config.watchdog_rate), context.rig)
+    return make_ur_arm(UrConfig(host, config.state_timeout, config.watchdog_rate), context.rig)
 
 
 @make_arm.register
@@ -372,17 +373,16 @@ def _(config: PluginConfig, context: DeviceContext) -> GuardedArm:
     return load_plugin("arm", config, DeviceSetup(context.rig, config.address))
 
 
-def _ur_arm(config: UrConfig, rig: Rig) -> GuardedArm:
-    from i2t.hardware.ur.driver import UrArm
+def stall_watch_s(config: ArmConfig) -> float | None:
+    """After which time an arm whose computer stalls stops by itself.
 
-    return UrArm(
-        config.host,
-        rig.limits,
-        rig.T_flange_tool,
-        (rig.mass, rig.centre),
-        state_timeout=config.state_timeout,
-        watchdog_rate=config.watchdog_rate,
-    )
+    Args:
+        config: Of the arm.
+
+    Returns:
+        s; None where only the arm itself knows.
+    """
+    return 1 / config.watchdog_rate if isinstance(config, UrConfig | EmulatedArmConfig) else None
 
 
 # Skins

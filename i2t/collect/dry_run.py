@@ -15,7 +15,6 @@ from i2t.collect.touch import Site, UnreachableError
 from i2t.hardware.rig import summary
 from i2t.hardware.rig_checks import implausible, other_lens
 from i2t.hardware.skin_health import check_skin, rest_samples
-from i2t.hardware.ur.config import UrConfig
 
 MIN_MEASURED_SHARE = 0.1  # of a view's pixels
 TRANSFER_M = 0.1  # a guess of each of the three ways between sites, for the time of a touch
@@ -36,7 +35,7 @@ def dry_run(
     out: Path,
     *,
     ambient: AmbientSettings | None = None,
-    watch_s: float = 1 / UrConfig.watchdog_rate,
+    watch_s: float | None = None,
 ) -> int:
     """Say what would be done with what, and whether it could.
 
@@ -47,7 +46,7 @@ def dry_run(
         touches: How many there would be.
         out: Folder of the touches; the plan's picture is drawn next to it.
         ambient: Of the free poses before it.
-        watch_s: s, after which an arm whose computer stalls stops by itself.
+        watch_s: s, after which an arm whose computer stalls stops by itself; None where only the arm knows.
 
     Returns:
         The exit code.
@@ -106,12 +105,12 @@ def touch_seconds(path: TouchPath) -> float:
     )
 
 
-def energy_lines(path: TouchPath, watch_s: float) -> list[str]:
+def energy_lines(path: TouchPath, watch_s: float | None) -> list[str]:
     """How hard a collision and a press can become, for a person.
 
     Args:
         path: Of the touches.
-        watch_s: s, after which an arm whose computer stalls stops by itself.
+        watch_s: s, after which an arm whose computer stalls stops by itself; None where only the arm knows.
 
     Returns:
         Lines.
@@ -119,12 +118,13 @@ def energy_lines(path: TouchPath, watch_s: float) -> list[str]:
     limits, settings, bounds = path.rig.limits, path.settings, path.press_bounds(watch_s)
     stiff = f"at {limits.stiffness / 1e3:g} N/mm"
     asked = f" ({1e3 * settings.speed:.0f} asked)" if path.free_speed < settings.speed else ""
+    stall = f"{bounds.stall:.1f} N" if watch_s is not None else "what the arm's own watch allows"
     hit = limits.collision_force(path.free_speed, limits.trip_force)
     return [
         f"free      {1e3 * path.free_speed:.0f} mm/s{asked}: stopped at {limits.trip_force:.0f} N, a collision {stiff} "
         f"ends at {hit:.0f} N at the most, of {limits.force:g} N allowed",
         f"press     {1e3 * settings.press:g} mm/s: ends at {bounds.force:.1f} N at the most, {stiff}; a stall of this "
-        f"computer adds {bounds.stall:.1f} N, a skin that falls silent {bounds.silence:.1f} N, and no more than that",
+        f"computer adds {stall}, a skin that falls silent {bounds.silence:.1f} N, and no more than that",
     ]
 
 

@@ -24,7 +24,7 @@ class PressBounds(NamedTuple):
     """What a press ends at, at the most (N)."""
 
     force: float  # whatever the skin does: force told it to stop
-    stall: float  # what comes while the computer stalls, until the arm stops by itself
+    stall: float  # what comes while the computer stalls, until the arm stops by itself; NaN where only it knows when
     silence: float  # what comes until a skin that fell silent has stopped the press
 
 
@@ -159,11 +159,11 @@ class TouchPath:
         """m/s, of retreats, bounded likewise."""
         return min(self.settings.retreat, self.rig.limits.free_speed)
 
-    def press_bounds(self, watch_s: float) -> PressBounds:
+    def press_bounds(self, watch_s: float | None) -> PressBounds:
         """What a press ends at, at the most, by the formula of `i2t.hardware.collision`.
 
         Args:
-            watch_s: s, after which an arm whose computer stalls stops by itself.
+            watch_s: s, after which an arm whose computer stalls stops by itself; None where only the arm knows.
 
         Returns:
             The bounds.
@@ -174,7 +174,9 @@ class TouchPath:
             delay = REACTION_S + late
             return overrun_force(settings.press, limits.stiffness, braking=BRAKING_M_S2, delay=delay)
 
-        return PressBounds(settings.force + more(0.0), more(watch_s), more(settings.silence))
+        return PressBounds(
+            settings.force + more(0.0), more(np.nan if watch_s is None else watch_s), more(settings.silence)
+        )
 
     def transfer_height(self) -> float:
         """How high the tool goes from site to site: `clearance` above the object's highest point.

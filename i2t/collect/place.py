@@ -12,9 +12,10 @@ reported is that of noise, and knows nothing of a constant error of the camera o
 import math
 import sys
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -22,9 +23,9 @@ from scipy.spatial.transform import Rotation
 
 from i2t.cli import exit_code_of, require_path
 from i2t.hardware.camera_folder import RecordedDepthCamera
-from i2t.hardware.hand_eye import tool_pose
+from i2t.hardware.named_devices import REALSENSE, UR, ToolPose, named_camera, require_named
 from i2t.hardware.poses import pose_from_vector
-from i2t.hardware.realsense import RealSense
+from i2t.hardware.protocols import GuardedArm
 from i2t.hardware.rig import Rig
 from i2t.objects.named import read_object, require_object
 from i2t.options import read_options
@@ -40,9 +41,14 @@ class PlaceArgs:
     rig: tyro.conf.Positional[Path]  # the lab's calibration
     object: str  # a name of the catalogue, or a mesh file
     unit: Literal["m", "cm", "mm", "inch"] | None = None  # of a mesh file; no default
-    host: str | None = None  # address of the arm, which is asked where it stands and not moved
+    arm: str = UR
+    """That is asked where it stands and not moved; or another package's: the name that it registers, or
+    package.module:Class."""
+    host: str | None = None  # its address; a UR arm needs one
     tool: Annotated[PoseVector | None, tyro.conf.arg(metavar="X Y Z RX RY RZ")] = None  # or where the tool was: m, rad
-    views: Path | None = None  # a folder of views, of which the first is taken; else a RealSense
+    views: Path | None = None  # a folder of views, of which the first is taken; else a camera
+    camera: str = REALSENSE  # or another package's
+    serial: str | None = None  # which RealSense, if there are several; the address of another package's camera
     distance: float = 10e-3  # m, how far off the rig may be (one sigma)
     angle: float = 6.0  # degrees, the same
     hand_eye: Annotated[tuple[float, float], tyro.conf.arg(metavar="MM DEGREES")] = (1.0, 0.5)
@@ -80,17 +86,16 @@ def place(asked: PlaceArgs) -> str:
     """
     require_object(asked.object, asked.unit, flag="--object")
     require_path("--views", asked.views, "folder")
-    if (asked.host is None) == (asked.tool is None):
-        raise ValueError("the pose of the tool is needed: give --host, or --tool with the pendant's six numbers")
+    _require_devices(asked)
     rig = Rig.read(asked.rig)
+    pose, arm = _pose_and_arm(asked, rig)
     # Not above: JAX takes seconds, which --help and a refusal need not wait for.
     from i2t.collect.site_plan import orthonormal
     from i2t.registration import camera_covariance, register_by_depth
 
     mesh = read_object(asked.object, asked.unit).mesh
-    T_b_t = pose_from_vector(asked.tool) if asked.tool is not None else tool_pose(str(asked.host))
-    T_w_c = rig.T_world_base @ T_b_t @ rig.T_tool_camera
-    with _camera(asked, rig) as camera:
+    with pose as T_b_t, _camera(asked, rig, arm) as camera:
+        T_w_c = rig.T_world_base @ T_b_t @ rig.T_tool_camera
         found = register_by_depth(
             mesh,
             rig.T_world_object,
@@ -122,10 +127,29 @@ def place(asked: PlaceArgs) -> str:
     return "\n".join(lines)
 
 
-def _camera(asked: PlaceArgs, rig: Rig) -> RecordedDepthCamera | RealSense:
+def _require_devices(asked: PlaceArgs) -> None:
+    """Refuse devices that are not known, and a pose of the tool that is missing or given twice."""
+    require_named("arm", asked.arm, UR)
+    require_named("camera", asked.camera, REALSENSE)
+    asks_an_arm = asked.host is not None or asked.arm != UR
+    if asks_an_arm == (asked.tool is not None):
+        raise ValueError("the pose of the tool is needed: give --host, or --tool with the pendant's six numbers")
+    if asked.views is not None and (asked.camera != REALSENSE or asked.serial):
+        raise ValueError("--views shows a folder in place of a camera; leave out --camera and --serial, or --views")
+
+
+def _pose_and_arm(asked: PlaceArgs, rig: Rig) -> tuple[AbstractContextManager[Array], GuardedArm | None]:
+    """T_b_t while it is needed, and another package's arm, which its camera may ask."""
+    if asked.tool is not None:
+        return nullcontext(pose_from_vector(asked.tool)), None
+    tool = ToolPose(asked.arm, asked.host, rig)
+    return tool.now(), tool.arm
+
+
+def _camera(asked: PlaceArgs, rig: Rig, arm: GuardedArm | None) -> Any:
     if asked.views is not None:
         return RecordedDepthCamera(asked.views)
-    return RealSense(size=(rig.camera.width, rig.camera.height), distance=rig.looking_distance)
+    return named_camera(asked.camera, asked.serial, rig, arm)
 
 
 def _spread(sigma: Array) -> str:

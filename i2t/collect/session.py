@@ -29,6 +29,7 @@ from i2t.collect.devices import (
     SkinConfig,
     make_devices,
     source_of,
+    stall_watch_s,
 )
 from i2t.collect.dry_run import check_camera, dry_run
 from i2t.collect.first_touch import first_touch
@@ -51,6 +52,7 @@ from i2t.emulators.world import (
 from i2t.errors import DataError, DeviceError
 from i2t.hardware.camera_folder import CameraFolderConfig
 from i2t.hardware.carried_skins import CarriedSkin
+from i2t.hardware.named_devices import require_named
 from i2t.hardware.plugins import DeviceKind, PluginConfig, is_plugin
 from i2t.hardware.protocols import View, channel_names
 from i2t.hardware.realsense import RealSenseConfig
@@ -114,7 +116,7 @@ def collect(
         _check_boards(args.out, devices, rig)
         check_camera(procedure)
         if args.dry_run:
-            watch_s = 1 / (args.watchdog_rate or UrConfig.watchdog_rate)
+            watch_s = stall_watch_s(config.arm)
             return dry_run(procedure, sampler, name, args.touches, args.out, ambient=args.ambient, watch_s=watch_s)
         _check_health(procedure)
         info = _session_info(args, procedure, devices, name=name, notes=notes)
@@ -543,15 +545,11 @@ def _camera_config(args: CollectArgs) -> CameraConfig:
             return CameraFolderConfig(args.views)
         case "folder":
             raise ValueError("a folder of views must be named; pass --views DIR")
-    return _plugin_config("camera", args.camera, str(args.views or "") or None, "realsense, simulated, folder")
+    return _plugin_config("camera", args.camera, args.camera_serial, "realsense, simulated, folder")
 
 
 def _plugin_config(kind: DeviceKind, name: str, address: str | None, built_in: str) -> PluginConfig:
-    if not is_plugin(kind, name):
-        raise ValueError(
-            f"--{kind} {name} is not known; give one of {built_in}, a name that an installed package registers, or "
-            "package.module:Class"
-        )
+    require_named(kind, name, built_in)
     return PluginConfig(name, address)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from i2t.hardware.rig import Rig
+from i2t.hardware.ur.config import UrConfig
 from i2t.objects.named import read_object
 from i2t.skin.boards import DEFAULT_BOARD, make_board, same_board
 
@@ -52,8 +53,8 @@ class EmulatedArmConfig:
     """The driver of a UR arm with an emulated controller, in a process of its own."""
 
     host: str | None = None  # of a controller that runs; by default one is started
-    state_timeout: float = 0.1  # s without a state after which the arm is taken for lost: as in a lab
-    watchdog_rate: float = 10.0  # Hz, how often the controller must hear from us
+    state_timeout: float = UrConfig.state_timeout  # s without a state after which the arm is taken for lost
+    watchdog_rate: float = UrConfig.watchdog_rate  # Hz, how often the controller must hear from us
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,8 @@
 
 The board is a ChArUco board of OpenCV (`--dictionary APRILTAG_36h11` makes one of AprilTags). `capture` reads a
 RealSense's colour image and the arm's pose, without controlling the arm; the TCP set on the pendant must be the rig's
-T_flange_tool. DIR may come from elsewhere:
+T_flange_tool. Another package's arm and camera (`--arm`, `--camera`) need the rig too, and the arm is let go between
+views. DIR may come from elsewhere:
 
     DIR/camera.toml      the images' lens in pixels (keys of `i2t.depth.camera.Camera`), and T_camera_image (4 rows),
                          the frame of the images in the depth camera's, where they were taken by another imager
@@ -35,6 +36,7 @@ from i2t.depth.camera import Camera, read_png
 from i2t.errors import DataError, DeviceError
 from i2t.files import file_in, read_text, read_toml
 from i2t.hardware.hand_eye_fit import MIN_CORNERS, BoardView, HandEyeResult, fit, pixel_rays
+from i2t.hardware.named_devices import REALSENSE, ColourView, ToolPose, colour_view, named_camera, require_named
 from i2t.hardware.rig import Rig
 from i2t.options import read_options
 from i2t.types import Array
@@ -145,14 +147,13 @@ def estimate(path: Path, board: CharucoBoard) -> tuple[HandEyeResult, Array, lis
 
 
 def capture(
-    path: Path, camera: Any, pose: Callable[[], Array], more: Callable[[int], bool], board: CharucoBoard
+    path: Path, take: Callable[[], tuple[Array, ColourView]], more: Callable[[int], bool], board: CharucoBoard
 ) -> int:
     """Keep colour images and the tool's poses in a new folder.
 
     Args:
         path: The folder.
-        camera: A connected `RealSense`.
-        pose: Gives T_b_t (4, 4) now.
+        take: Gives T_b_t (4, 4) now, and a colour image from there.
         more: Whether to take view number n.
         board: That the images show.
 
@@ -164,7 +165,7 @@ def capture(
     with (path / "poses.csv").open("w", newline="") as file:
         rows = csv.writer(file)
         while more(number):
-            T_b_t, seen = pose(), camera.colour()
+            T_b_t, seen = take()
             if number == 0:
                 (path / "camera.toml").write_text(_lens_text(seen.camera, seen.T_c_colour), "utf-8")
             found = len(board.find(seen.image)[0])
@@ -178,38 +179,6 @@ def capture(
             file.flush()
             number += 1
     return number
-
-
-def tool_pose(host: str) -> Array:
-    """Where the tool of a UR arm is now, without controlling it.
-
-    Args:
-        host: Address of the controller.
-
-    Returns:
-        (4, 4) T_b_t.
-
-    Raises:
-        DeviceError: The controller does not answer, or ur_rtde is missing.
-    """
-    from i2t.hardware.ur.access import check_reachable
-    from i2t.hardware.ur.poses import from_ur
-
-    check_reachable(host)
-    try:
-        import rtde_receive
-
-        listening = rtde_receive.RTDEReceiveInterface(host, 125.0, ["timestamp", "actual_TCP_pose"])
-    except ImportError as error:
-        raise DeviceError(
-            "a UR arm needs ur_rtde: pip install 'imagine2touch[hardware]' on Python 3.11 or 3.12"
-        ) from error
-    except RuntimeError as error:
-        raise DeviceError(f"The controller at {host} gives no states: {error}.") from error
-    try:
-        return from_ur(listening.getActualTCPPose())
-    finally:
-        listening.disconnect()
 
 
 def _poses(path: Path) -> Iterator[tuple[str, Array]]:
@@ -257,6 +226,7 @@ def _lens_text(camera: Camera, T: Array) -> str:
     return "".join(f"{key} = {value}\n" for key, value in lens.items()) + f"T_camera_image = [{rows}]\n"
 
 
+COLOUR_SIZE = (640, 360)  # pixels of a RealSense's colour images, unless told otherwise
 PICTURE_SUFFIXES = (".png", ".tif", ".pdf")  # in which the board's size on paper is kept
 
 
@@ -269,12 +239,16 @@ class DrawArgs(CharucoArgs):
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureArgs(CharucoArgs):
-    """Take views with a RealSense and a UR arm."""
+    """Take views with the camera on an arm that a person moves."""
 
     folder: tyro.conf.Positional[Path]  # for the views
-    host: str  # address of the arm's controller
-    serial: str | None = None  # which camera, if there are several
-    size: Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")] = (640, 360)  # pixels
+    arm: str = "ur"  # or another package's: the name that it registers, or package.module:Class
+    host: str | None = None  # address of the arm's controller; a UR arm needs one
+    camera: str = "realsense"  # or another package's
+    serial: str | None = None  # which RealSense, if there are several; the address of another package's camera
+    size: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="WIDTH HEIGHT")] = None
+    """Pixels of a RealSense's images: 640 360 by default."""
+    rig: Path | None = None  # the lab's calibration, which another package's devices need
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -328,7 +302,14 @@ def _draw(asked: DrawArgs, board: CharucoBoard) -> None:
 
 
 def _capture(asked: CaptureArgs, board: CharucoBoard) -> None:
-    from i2t.hardware.realsense import RealSense
+    rig = Rig.read(asked.rig) if asked.rig is not None else None
+    require_named("camera", asked.camera, REALSENSE)
+    own = asked.camera == REALSENSE
+    if rig is None and not own:
+        raise ValueError(f"--camera {asked.camera} needs the lab's calibration; pass --rig FILE")
+    if asked.size is not None and not own:
+        raise ValueError(f"--size is of a RealSense, and --camera is {asked.camera}; leave it out")
+    tool = ToolPose(asked.arm, asked.host, rig)
 
     def more(number: int) -> bool:
         try:
@@ -336,9 +317,14 @@ def _capture(asked: CaptureArgs, board: CharucoBoard) -> None:
         except EOFError:
             return False
 
-    tool_pose(asked.host)
-    with RealSense(asked.serial, asked.size) as camera:
-        count = capture(asked.folder, camera, lambda: tool_pose(asked.host), more, board)
+    def take() -> tuple[Array, ColourView]:
+        with tool.now() as T_b_t:
+            return T_b_t, colour_view(camera)
+
+    with tool.now():  # whoever does not answer is said before anything is asked of a person
+        pass
+    with named_camera(asked.camera, asked.serial, rig or Rig(), tool.arm, size=asked.size or COLOUR_SIZE) as camera:
+        count = capture(asked.folder, take, more, board)
     print(f"{asked.folder}: {count} views")
 
 

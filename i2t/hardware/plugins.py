@@ -39,7 +39,7 @@ class DeviceSetup:
     """What a third party's device is built with."""
 
     rig: Rig  # the lab's calibration: frames, payload, limits
-    address: str | None = None  # --host for an arm, --port for a skin, --views for a camera
+    address: str | None = None  # --host for an arm, --port for a skin, --camera-serial for a camera
     arm: Arm | None = None  # that carries the camera
 
 

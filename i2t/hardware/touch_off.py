@@ -35,6 +35,7 @@ from scipy.spatial.transform import Rotation
 from i2t.cli import exit_code_of, renamed_flags
 from i2t.errors import DeviceError
 from i2t.hardware.limits import MotionLimits
+from i2t.hardware.named_devices import named_arm
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.protocols import ArmState, GuardedArm
 from i2t.hardware.rig import Rig
@@ -237,12 +238,13 @@ def _touch_corner(arm: GuardedArm, side: tuple[int, int], start: Array) -> float
 class TouchOffArgs:
     """Find the skin in the tool by touching a flat with each of its corners."""
 
-    host: str  # address of the arm's controller
     rig: Path  # the lab's calibration
     height: float  # of the flat in the base, m
     at: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")]  # the flat's position in the base, m
-    state_timeout: float = 0.1  # s without news after which the arm is taken for lost
-    watchdog_rate: float = 10.0  # Hz, how often the controller must hear from us
+    arm: str = "ur"  # or another package's: the name that it registers, or package.module:Class
+    host: str | None = None  # address of the arm's controller; a UR arm needs one
+    state_timeout: float | None = None  # s without a state after which a UR arm is taken for lost: 0.1 by default
+    watchdog_rate: float | None = None  # Hz, how often a UR controller must hear from us: 10 by default
     write: bool = False  # put what is found into the rig
 
 
@@ -261,18 +263,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _touch_off(asked: TouchOffArgs) -> None:
-    from i2t.hardware.ur.driver import UrArm
-
     rig = Rig.read(asked.rig)
-    payload = rig.mass, rig.centre
-    with UrArm(
-        asked.host,
-        rig.limits,
-        rig.T_flange_tool,
-        payload,
-        state_timeout=asked.state_timeout,
-        watchdog_rate=asked.watchdog_rate,
-    ) as arm:
+    given = {"state_timeout": asked.state_timeout, "watchdog_rate": asked.watchdog_rate}
+    watch = {name: value for name, value in given.items() if value is not None}
+    with named_arm(asked.arm, asked.host, rig, **watch) as arm:
         found = touch_off(arm, rig.limits, asked.at, asked.height)
     T = rig.T_flange_tool @ found.T_tool_skin
     tilt = math.degrees(math.acos(min(1.0, found.T_tool_skin[2, 2])))

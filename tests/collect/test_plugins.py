@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 
 from i2t import dataset
-from i2t.collect import command
+from i2t.collect import command, place
 from i2t.collect.devices import DeviceConfig, make_devices
 from i2t.depth.camera import Camera
 from i2t.emulators.world import WorldConfig
-from i2t.hardware import plugins
+from i2t.hardware import hand_eye, plugins
+from i2t.hardware import touch_off as touching
 from i2t.hardware.kinematics import arms
 from i2t.hardware.plugins import DeviceSetup, PluginConfig, is_plugin, load_plugin
 from i2t.hardware.rig import Rig
@@ -161,6 +162,97 @@ def test_the_example_keeps_to_the_contract(acme, kind):
     contract.test_features_are_known_before_connecting(contract.make_device)
     if kind == "skin":
         contract.test_samples_are_whole_plausible_and_in_order(contract.make_device)
+
+
+@pytest.fixture
+def lab_file(tmp_path):
+    """A rig whose camera has few pixels."""
+    replace(Rig(), camera=Camera(160, 90, 161.2, 161.0, 79.5, 44.5)).write(tmp_path / "lab.toml")
+    return tmp_path / "lab.toml"
+
+
+def test_views_of_a_board_are_taken_with_another_package_s_arm_and_camera(
+    acme, lab_file, tmp_path, monkeypatch, capsys
+):
+    """The arm is let go between views, so that a person can move it."""
+    import acme_devices
+
+    monkeypatch.setattr(hand_eye.CharucoBoard, "find", lambda board, image: (np.zeros((0, 3)), np.zeros((0, 2))))
+    held, connect, close = [], acme_devices.AcmeArm.connect, acme_devices.AcmeArm.close
+    monkeypatch.setattr(acme_devices.AcmeArm, "connect", lambda arm: held.append(True) or connect(arm))
+    monkeypatch.setattr(acme_devices.AcmeArm, "close", lambda arm: held.append(False) or close(arm))
+    answers = iter(["", "", "q"])
+    seen_held = []
+    monkeypatch.setattr("builtins.input", lambda said: seen_held.append(held[-1]) or next(answers))
+    words = ["--arm", "acme", "--camera", "acme_devices:AcmeCamera", "--rig", str(lab_file)]
+    assert hand_eye.main(["capture", str(tmp_path / "views"), *words]) == 0, capsys.readouterr().err
+    assert "2 views" in capsys.readouterr().out
+    assert not any(seen_held)
+    poses = np.loadtxt(tmp_path / "views" / "poses.csv", delimiter=",", usecols=range(1, 7))
+    arm = acme_devices.AcmeArm(DeviceSetup(Rig.read(lab_file)))
+    with arm:
+        np.testing.assert_allclose(poses[0, :3], arm.state().T_b_t[:3, 3], atol=1e-6)
+    lens, T_camera_image = hand_eye._lens(tmp_path / "views" / "camera.toml")
+    assert (lens.width, lens.height) == (160, 90)
+    np.testing.assert_array_equal(T_camera_image, np.eye(4))
+
+
+def test_a_skin_is_touched_off_with_another_package_s_arm(acme, lab_file, monkeypatch, capsys):
+    """It comes to the arm; how the touches go is said in tests/hardware."""
+    arms = []
+    found = touching.FittedPlane(np.eye(4), 0.0)
+    monkeypatch.setattr(touching, "touch_off", lambda arm, *_: arms.append((arm, arm.state().safe)) or found)
+    words = ["--arm", "acme", "--rig", str(lab_file), "--height", "0.01", "--at", "0.4", "0"]
+    assert touching.main(words) == 0
+    ((arm, safe),) = arms
+    assert type(arm).__name__ == "AcmeArm"
+    assert safe
+    assert touching.main([*words, "--watchdog-rate", "5"]) == 2
+    assert "--watchdog-rate: of a UR arm, and --arm is acme; leave it out" in capsys.readouterr().err
+
+
+@pytest.mark.full
+def test_an_object_is_placed_with_another_package_s_arm_and_camera(acme, lab_file, monkeypatch, capsys):
+    """Acme's lab renders what its arm looks at: the catalogue's hexagon, seen obliquely."""
+    import acme_devices
+
+    rig = Rig.read(lab_file)
+    looking = np.eye(4)  # T_w_c, from 40 degrees off the vertical
+    tilt = np.pi - 0.7
+    looking[:3, :3] = [[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]]
+    looking[:3, 3] = np.array([0, 0, 0.015]) - 0.15 * looking[:3, 2]
+    goal = rig.T_base_world @ looking @ np.linalg.inv(rig.T_tool_camera)
+    connect = acme_devices.AcmeArm.connect
+
+    def connect_there(arm):
+        connect(arm)
+        arm.lab.robot.position, arm.lab.robot.rotation = goal[:3, 3], goal[:3, :3]
+
+    monkeypatch.setattr(acme_devices.AcmeArm, "connect", connect_there)
+    words = [str(lab_file), "--object", "hexagon", "--arm", "acme", "--camera", "acme", "--write"]
+    assert place.main(words) == 0, capsys.readouterr().err
+    assert Rig.read(lab_file).object_from == "registration"
+
+
+@pytest.mark.parametrize(
+    ("main", "words", "said"),
+    [
+        (hand_eye.main, ["capture", "DIR", "--arm", "acme"], "--arm acme needs the lab's calibration"),
+        (hand_eye.main, ["capture", "DIR", "--host", "h", "--camera", "acme"], "--camera acme needs the lab's calib"),
+        (hand_eye.main, ["capture", "DIR", "--rig", "RIG", "--camera", "acme", "--size", "9", "9"], "--size"),
+        (hand_eye.main, ["capture", "DIR"], "a UR arm needs the address of its controller; pass --host"),
+        (touching.main, ["--arm", "robot", "--rig", "RIG", "--height", "0", "--at", "0", "0"], "robot is not known"),
+        (place.main, ["RIG", "--object", "star", "--camera", "eye", "--host", "h"], "--camera eye is not known; give"),
+        (place.main, ["RIG", "--object", "star", "--camera", "acme", "--views", "FOLDER", "--host", "h"], "--views"),
+        (place.main, ["RIG", "--object", "star", "--arm", "acme", "--tool", *"000000"], "the pose of the tool is need"),
+    ],
+)  # fmt: skip
+def test_a_lab_is_measured_with_devices_that_are_known(acme, lab_file, capsys, main, words, said):
+    named = {"RIG": str(lab_file), "FOLDER": str(lab_file.parent)}
+    assert main([named.get(word, word) for word in words]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize(

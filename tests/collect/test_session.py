@@ -28,6 +28,7 @@ from i2t.emulators.world import (
 )
 from i2t.errors import DataError
 from i2t.hardware.camera_folder import CameraFolderConfig
+from i2t.hardware.plugins import PluginConfig
 from i2t.hardware.realsense import RealSenseConfig
 from i2t.hardware.reskin.config import ReSkinConfig
 from i2t.hardware.rig import Rig
@@ -223,7 +224,7 @@ def test_sigterm_stops_it_and_keeps_everything(folder, rig, capsys):
         (["--camera", "folder"], "pass --views"),
         (["--arm", "emulated"], "a simulated skin feels only"),
         (["--object", "no such thing"], "no such"),
-        (["--camera-serial", "123"], "--camera-serial has no effect without --camera realsense"),
+        (["--camera-serial", "123"], "--camera-serial says which camera it is, and --camera is simulated"),
         (["--settings.press", "0"], "press is 0"),
         (["--settings.press", "0.25"], "press is 0.25; give 0.0001 to 0.05 m/s"),
         (["--settings.force", "1000"], "force is 1000; give 0.2 to 150 N"),
@@ -278,6 +279,8 @@ def test_each_name_on_the_command_line_is_a_configuration(tmp_path):
     assert (real.state_timeout, real.watchdog_rate) == (played.state_timeout, played.watchdog_rate)
     eyes = session.device_config(replace(args, camera="realsense", views=None, camera_serial="123"))
     assert eyes.camera == RealSenseConfig("123")  # of two that are plugged in
+    foreign = session.device_config(replace(args, camera="acme:Camera", views=None, camera_serial="10.0.0.3"))
+    assert foreign.camera == PluginConfig("acme:Camera", "10.0.0.3")
     hands = session.device_config(replace(args, port=None, skin_serial="A1"))
     assert hands.skin == ReSkinConfig(None, "grid-4x4", "A1")
     assert config.world.board is None  # a real skin says nothing of the pad that a simulated arm would wear

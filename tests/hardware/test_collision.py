@@ -74,6 +74,8 @@ def test_speeds_of_a_touch_are_bounded_and_shown():
     assert "ends at 8.8 N" in press
     assert "stall of this computer adds 2.8 N" in press
     assert "falls silent 3.8 N" in press
+    _, press = energy_lines(path, None)  # an arm whose watch nobody knows
+    assert "stall of this computer adds what the arm's own watch allows" in press
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,10 @@ from i2t.errors import DeviceError
 from i2t.hardware import hand_eye
 from i2t.hardware.hand_eye import CharucoBoard
 from i2t.hardware.hand_eye_fit import BoardView, board_pose, closed_form, fit, pixel_rays
+from i2t.hardware.named_devices import colour_view
 from i2t.hardware.realsense import ColourImage
 from i2t.hardware.rig import Rig
+from i2t.hardware.ur.access import tool_pose
 
 CAMERA = Camera(640, 360, 322.4, 322.1, 319.5, 179.5)
 BOARD = CharucoBoard()
@@ -177,7 +179,8 @@ def taken(tmp_path_factory):
         return reported(now[-1], rng)
 
     path = tmp_path_factory.mktemp("hand_eye") / "views"
-    assert hand_eye.capture(path, Taker(), arm, lambda number: number < len(poses), BOARD) == 9
+    taker = Taker()
+    assert hand_eye.capture(path, lambda: (arm(), colour_view(taker)), lambda number: number < len(poses), BOARD) == 9
     return path, T_c_colour
 
 
@@ -254,6 +257,6 @@ def test_the_arm_is_asked_for_its_pose_without_being_controlled():
         pytest.skip("needs the addresses 127.x.y.z, which only Linux gives without asking")
     host = ur_controller.loopback(209)
     with pytest.raises(DeviceError, match="does not answer"):
-        hand_eye.tool_pose(host)
+        tool_pose(host)
     with ur_controller.process(host, "--pose", "0.4", "0.1", "0.2", "3", "0.1", "0"):
-        np.testing.assert_allclose(hand_eye.tool_pose(host), pose([3, 0.1, 0], [0.4, 0.1, 0.2]), atol=1e-12)
+        np.testing.assert_allclose(tool_pose(host), pose([3, 0.1, 0], [0.4, 0.1, 0.2]), atol=1e-12)

@@ -245,7 +245,7 @@ class _ToolPose:
     """How the tool of a UR arm stands, asked for now and then."""
 
     def __init__(self, host: str) -> None:
-        from i2t.hardware.hand_eye import tool_pose
+        from i2t.hardware.ur.access import tool_pose
 
         self._ask, self._asked = partial(tool_pose, host), time.monotonic()
         self._pose = np.asarray(self._ask())

@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import IO
 
 from i2t.errors import DeviceError
+from i2t.hardware.ur.poses import from_ur
+from i2t.types import Array
 
 RTDE_PORT, DASHBOARD_PORT = 30004, 29999
 PROTOCOL_REQUEST = b"\x00\x05V\x00\x02"  # asks an RTDE server for version 2 of its protocol
@@ -161,3 +163,32 @@ def _no_answer(host: str) -> Iterator[None]:
         yield
     except OSError as error:
         raise DeviceError(f"The UR controller at {host} does not answer: {error}.") from error
+
+
+def tool_pose(host: str) -> Array:
+    """Where the tool of a UR arm is now, without controlling it.
+
+    Args:
+        host: Address of the controller.
+
+    Returns:
+        (4, 4) T_b_t.
+
+    Raises:
+        DeviceError: The controller does not answer, or ur_rtde is missing.
+    """
+    check_reachable(host)
+    try:
+        import rtde_receive
+
+        listening = rtde_receive.RTDEReceiveInterface(host, 125.0, ["timestamp", "actual_TCP_pose"])
+    except ImportError as error:
+        raise DeviceError(
+            "a UR arm needs ur_rtde: pip install 'imagine2touch[hardware]' on Python 3.11 or 3.12"
+        ) from error
+    except RuntimeError as error:
+        raise DeviceError(f"The controller at {host} gives no states: {error}.") from error
+    try:
+        return from_ur(listening.getActualTCPPose())
+    finally:
+        listening.disconnect()
