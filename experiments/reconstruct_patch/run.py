@@ -17,9 +17,8 @@ About ten minutes on one core. Expect the press curve to beat the first stop, an
 """
 
 import sys
-from collections.abc import Callable, Sequence
-from functools import cache
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +30,17 @@ from experiments.common.runs import begin, write_json
 from experiments.reconstruct_patch import methods, recorded, scores
 from experiments.reconstruct_patch.arguments import PatchArgs
 from experiments.reconstruct_patch.figures import draw_posteriors, draw_reliability
-from experiments.reconstruct_patch.scores import MetSurface
+from experiments.reconstruct_patch.trials import (
+    Scores,
+    ShapeMethod,
+    Trial,
+    by_imagination,
+    by_neighbours,
+    by_network,
+    by_prior,
+    by_tactile_image,
+    score_touches,
+)
 from experiments.reconstruct_patch.world import Part, make_parts, press_all, truth_of
 from i2t import viz
 from i2t.recognition.intervals import cluster_interval
@@ -39,16 +48,13 @@ from i2t.reconstruction.local_shape import (
     CONTACT_CLASSES,
     PatchLibrary,
     PatchLikelihood,
-    PressModel,
     infer_patch,
 )
-from i2t.reconstruction.press_curves import PressCurve
 from i2t.reconstruction.press_models import imagine_presses
 from i2t.rendering.ops import element
 from i2t.skin.pad import numbered_pad
-from i2t.types import Array, Pad
+from i2t.types import Array
 
-Scores = dict[str, np.ndarray]
 PRIOR, LEARNED = "prior", "by imagination, learned forward model, press curve"
 BAYES = ("by imagination, 25 uT", "by imagination, press curve")
 IMAGES = ("perfect tactile image, 25 uT", "perfect tactile image, press curve")
@@ -56,22 +62,6 @@ NEIGHBOURS, NETWORK = "nearest neighbours, press curve", "network, press curve"
 RELATIVE_ERRORS, TEMPERINGS = (0.04, 0.08, 0.15), (0.25, 0.5, 1.0)  # what is chosen among
 DOFS, BLURS = (3.0, 8.0, 30.0), (0.0, 1.0, 2.0)
 NEIGHBOURS_TRIED, IMAGE_WIDTHS = (8, 24, 72), (0.1, 0.2, 0.3, 0.5)
-
-
-class Trial(NamedTuple):
-    """Presses of one part with one pad, and what that pad reads at the library."""
-
-    pad: Pad
-    model: PressModel
-    presses: PressCurve
-    truth: MetSurface
-
-
-class ShapeMethod(NamedTuple):
-    """How a touch is scored: `score(press, truth, fitted, library)`, and what is fitted to each pad."""
-
-    score: Callable[..., dict[str, Array]]
-    fitted: list[Any]
 
 
 def run(args: PatchArgs) -> dict[str, Any]:
@@ -85,7 +75,7 @@ def run(args: PatchArgs) -> dict[str, Any]:
     library = jax.tree.map(jnp.asarray, parts["train"].library)
     trials = press_parts(key_presses, parts, library, sizes.pads)
     chosen = choose_likelihood(trials["validation"], library)
-    trials = {name: [_with_likelihood(trial, chosen) for trial in some] for name, some in trials.items()}
+    trials = {name: [trial.with_likelihood(chosen) for trial in some] for name, some in trials.items()}
     found, picked = {}, {"likelihood": {name: float(value) for name, value in chosen._asdict().items()}}
     for name, options in list_methods(key_methods, trials["test"], library, sizes.steps).items():
         found[name], picked[name] = try_method(name, options, trials, library)
@@ -122,10 +112,10 @@ def press_parts(key: Array, parts: dict[str, Part], library: PatchLibrary, pads:
 
 def choose_likelihood(trials: Sequence[Trial], library: PatchLibrary) -> PatchLikelihood:
     """The likelihood by which press curves of validation objects have the least CRPS, and their masks the best IoU."""
-    score = _scorer(_bayes_curve)
 
     def scored(likelihood: PatchLikelihood) -> Scores:
-        return _over(score, trials, [trial.model._replace(likelihood=likelihood) for trial in trials], library)
+        models = [trial.with_likelihood(likelihood).model for trial in trials]
+        return score_touches(by_imagination(models), trials, library)
 
     def best(options: list[PatchLikelihood]) -> PatchLikelihood:
         return min(options, key=lambda each: float(np.mean(scored(each)["crps_mm"])))
@@ -154,14 +144,14 @@ def list_methods(
         seen.append((inputs, jnp.std(inputs, axis=0) + 1e-6))
         networks.append(methods.train_network(key_layers, presses, library, steps))
     return {
-        PRIOR: {"": ShapeMethod(_prior, models)},
-        BAYES[0]: {"": ShapeMethod(_bayes_first, models)},
-        BAYES[1]: {"": ShapeMethod(_bayes_curve, models)},
-        LEARNED: {"": ShapeMethod(_bayes_curve, learned)},
-        NEIGHBOURS: {str(k): ShapeMethod(_neighbours, [(*own, k) for own in seen]) for k in NEIGHBOURS_TRIED},
-        NETWORK: {"": ShapeMethod(_network, networks)},
-        IMAGES[0]: {str(w): ShapeMethod(_image_first, [w] * len(models)) for w in IMAGE_WIDTHS},
-        IMAGES[1]: {str(w): ShapeMethod(_image_curve, [w] * len(models)) for w in IMAGE_WIDTHS},
+        PRIOR: {"": by_prior(models)},
+        BAYES[0]: {"": by_imagination(models, first_stop_only=True)},
+        BAYES[1]: {"": by_imagination(models)},
+        LEARNED: {"": by_imagination(learned)},
+        NEIGHBOURS: {str(k): by_neighbours(seen, k) for k in NEIGHBOURS_TRIED},
+        NETWORK: {"": by_network(networks)},
+        IMAGES[0]: {str(w): by_tactile_image(len(models), w, first_stop_only=True) for w in IMAGE_WIDTHS},
+        IMAGES[1]: {str(w): by_tactile_image(len(models), w) for w in IMAGE_WIDTHS},
     }
 
 
@@ -169,13 +159,12 @@ def try_method(
     name: str, options: dict[str, ShapeMethod], trials: dict[str, list[Trial]], library: PatchLibrary
 ) -> tuple[Scores, dict[str, Any]]:
     """Scores on test objects of the option that validation objects choose, and what they chose."""
-    scorers = {option: _scorer(method.score) for option, method in options.items()}
     judged = {
-        option: _over(scorers[option], trials["validation"], method.fitted, library)
+        option: score_touches(method, trials["validation"], library)
         for option, method in tqdm(options.items(), desc=name, file=sys.stderr)
     }
     best = min(judged, key=lambda option: float(np.mean(judged[option]["crps_mm"])))
-    found = _over(scorers[best], trials["test"], options[best].fitted, library)
+    found = score_touches(options[best], trials["test"], library)
     return found, {"option": best, **scores.choose_thresholds(judged[best])}
 
 
@@ -267,71 +256,6 @@ def table(report: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _with_likelihood(trial: Trial, likelihood: PatchLikelihood) -> Trial:
-    return trial._replace(model=trial.model._replace(likelihood=likelihood))
-
-
 def _clusters(trials: Sequence[Trial], part: Part) -> list[np.ndarray]:
     """Labels of objects and of pads."""
     return [np.tile(part.library.object, len(trials)), np.repeat(np.arange(len(trials)), len(part.library.object))]
-
-
-@cache
-def _scorer(score: Callable[..., dict[str, Array]]) -> Callable[..., dict[str, Array]]:
-    """All touches of one pad, one after the other, compiled."""
-
-    @jax.jit
-    def scored(presses: PressCurve, truth: MetSurface, fitted: Any, library: PatchLibrary) -> dict[str, Array]:
-        return jax.lax.map(lambda each: score(*each, fitted, library), (presses, truth))
-
-    return scored
-
-
-def _over(
-    score: Callable[..., dict[str, Array]], trials: Sequence[Trial], fitted: Sequence[Any], library: PatchLibrary
-) -> Scores:
-    """Scores of the touches of all pads, one pad after the other."""
-    parts = [
-        jax.device_get(score(*jax.tree.map(jnp.asarray, (trial.presses, trial.truth)), own, library))
-        for trial, own in zip(trials, fitted, strict=True)
-    ]
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
-def _weighed(weight: Array, press: PressCurve, truth: MetSurface, model_blur: Any, library: PatchLibrary) -> dict:
-    return scores.score_weights(weight, press.force[-1], truth, library, model_blur)
-
-
-def _prior(press: PressCurve, truth: MetSurface, model: PressModel, library: PatchLibrary) -> dict[str, Array]:
-    count = len(library.patch)
-    return _weighed(jnp.full(count, 1 / count), press, truth, 0.0, library)
-
-
-def _bayes_curve(press: PressCurve, truth: MetSurface, model: PressModel, library: PatchLibrary) -> dict[str, Array]:
-    return _weighed(methods.bayes_weights(press, model, library), press, truth, model.likelihood.blur, library)
-
-
-def _bayes_first(press: PressCurve, truth: MetSurface, model: PressModel, library: PatchLibrary) -> dict[str, Array]:
-    weight = methods.bayes_weights(methods.first_stop(press), model, library)
-    return _weighed(weight, press, truth, model.likelihood.blur, library)
-
-
-def _neighbours(
-    press: PressCurve, truth: MetSurface, seen: tuple[Array, Array, Array], library: PatchLibrary
-) -> dict[str, Array]:
-    return _weighed(methods.neighbour_weights(press, *seen), press, truth, 1.0, library)
-
-
-def _network(
-    press: PressCurve, truth: MetSurface, network: methods.PixelNetwork, library: PatchLibrary
-) -> dict[str, Array]:
-    return scores.score_pixels(*methods.network_pixels(network, press), truth)
-
-
-def _image_curve(press: PressCurve, truth: MetSurface, width: Array, library: PatchLibrary) -> dict[str, Array]:
-    return _weighed(methods.image_weights(press, library, width), press, truth, 0.0, library)
-
-
-def _image_first(press: PressCurve, truth: MetSurface, width: Array, library: PatchLibrary) -> dict[str, Array]:
-    weight = methods.image_weights(methods.first_stop(press), library, width)
-    return _weighed(weight, press, truth, 0.0, library)
