@@ -7,9 +7,9 @@ rotation matrix", 1978). `exp` and `log` are those of SE(3) (Murray, Li and Sast
 robotic manipulation", 1994); what an optimiser moves by is a *twist* as in `from_twist`, whose translation and rotation
 do not mix and which is in metres throughout.
 
-All but `random_motion` take NumPy or JAX arrays and give back the same kind: on the host in the precision given, on a
-device `full_precision`, because an accelerator may otherwise round the factors of a product to 10 bits, half a
-millimetre at arm's length. JAX is not imported here, so that drivers can use the same formulas.
+All but `random_motion` and `nearest_rigid` take NumPy or JAX arrays and give back the same kind: on the host in the
+precision given, on a device `full_precision`, because an accelerator may otherwise round the factors of a product to 10
+bits, half a millimetre at arm's length. JAX is not imported here, so that drivers can use the same formulas.
 """
 
 import functools
@@ -68,17 +68,19 @@ def transform(rotation: Float[Array, "3 3"], translation: Float[Array, "3"]) -> 
 
 
 @full_precision
-def inverse(T_a_b: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
-    """Invert a rigid motion.
+def inverse(T_a_b: Float[Array, "*n 4 4"]) -> Float[Array, "*n 4 4"]:
+    """Invert rigid motions.
 
     Args:
-        T_a_b: A rigid motion.
+        T_a_b: Rigid motions.
 
     Returns:
         T_b_a.
     """
-    R_b_a = T_a_b[:3, :3].T
-    return transform(R_b_a, -R_b_a @ T_a_b[:3, 3])
+    R_b_a = T_a_b[..., :3, :3].swapaxes(-1, -2)
+    if T_a_b.ndim == 2:
+        return transform(R_b_a, -R_b_a @ T_a_b[:3, 3])
+    return _stacked(R_b_a, -R_b_a @ T_a_b[..., :3, 3:])
 
 
 @full_precision
@@ -108,6 +110,20 @@ def apply(T_a_b: Float[Array, "4 4"], points: Float[Array, "*n 3"]) -> Float[Arr
     """
     xp = _namespace(T_a_b, points)
     return points @ T_a_b[:3, :3].T + xp.broadcast_to(T_a_b[:3, 3], points.shape)
+
+
+def nearest_rigid(matrix: Float[Array, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """A rigid motion to the last digit of float64, of one that single precision or a person rounded.
+
+    Args:
+        matrix: Nearly a rigid motion, a NumPy array or one that can be read as such.
+
+    Returns:
+        The same translation (m), and the rotation that is nearest in the sum of squares.
+    """
+    exact = np.asarray(matrix, np.float64)
+    u, _, vt = np.linalg.svd(exact[:3, :3])
+    return transform(u @ vt, exact[:3, 3])
 
 
 def is_rigid(T_a_b: Float[Array, "4 4"]) -> Bool[Array, ""]:
@@ -187,12 +203,9 @@ def exp(twist: Float[Array, "*n 6"]) -> Float[Array, "*n 4 4"]:
     Returns:
         Rigid motions; `log` is the inverse.
     """
-    xp = _namespace(twist)
     rotation = so3_exp(twist[..., 3:])
-    translation = (_left_jacobian(twist[..., 3:]) @ twist[..., :3, None])[..., 0]
-    top = xp.concatenate([rotation, translation[..., None]], -1)
-    last = xp.broadcast_to(xp.array([0, 0, 0, 1], top.dtype), (*top.shape[:-2], 1, 4))
-    return xp.concatenate([top, last], -2)
+    translation = _left_jacobian(twist[..., 3:]) @ twist[..., :3, None]
+    return _stacked(rotation, translation)
 
 
 @full_precision
@@ -296,6 +309,14 @@ def _namespace(*arrays: Any) -> Any:
     """`jax.numpy` where one of the arrays is JAX's, traced or not, else NumPy."""
     jax = sys.modules.get("jax")
     return jax.numpy if jax is not None and any(isinstance(array, jax.Array) for array in arrays) else np
+
+
+def _stacked(rotation: Float[Array, "*n 3 3"], translation: Float[Array, "*n 3 1"]) -> Float[Array, "*n 4 4"]:
+    """Rigid motions of their parts."""
+    xp = _namespace(rotation, translation)
+    top = xp.concatenate([rotation, translation], -1)
+    last = xp.broadcast_to(xp.array([0, 0, 0, 1], top.dtype), (*top.shape[:-2], 1, 4))
+    return xp.concatenate([top, last], -2)
 
 
 def _cross_matrix(vector: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:

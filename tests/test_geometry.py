@@ -46,6 +46,25 @@ def motion(twist) -> np.ndarray:
     return geometry.exp(np.asarray(twist, np.float64))
 
 
+def test_inverses_of_many_are_those_of_each():
+    T = np.stack([geometry.from_twist(twist) for twist in np.random.default_rng(0).normal(0, 0.02, (6, 6))])
+    for many in (T.reshape(2, 3, 4, 4), jnp.float32(T.reshape(2, 3, 4, 4))):
+        found = geometry.inverse(many)
+        assert isinstance(found, jax.Array) == isinstance(many, jax.Array)
+        np.testing.assert_allclose(np.asarray(found).reshape(6, 4, 4), np.linalg.inv(T), atol=1e-6)
+
+
+def test_a_rounded_motion_becomes_the_nearest_rigid_one():
+    """Symmetric rounding of a rotation's frame, R (I + S), changes no rotation; it is the polar decomposition."""
+    T = np.asarray(geometry.from_twist(np.array([0.1, -0.2, 0.3, 0.01, 0.02, -0.01])))
+    rounded = T.copy()
+    rounded[:3, :3] = T[:3, :3] @ (np.eye(3) + 1e-3 * np.array([[1, 2, 3], [2, -1, 4], [3, 4, 2]]))
+    np.testing.assert_allclose(geometry.nearest_rigid(rounded), T, atol=1e-14)
+    single = geometry.nearest_rigid(jnp.float32(T))
+    assert single.dtype == np.float64
+    np.testing.assert_allclose(single[:3, :3] @ single[:3, :3].T, np.eye(3), atol=1e-14)
+
+
 @settings(max_examples=25, deadline=None)
 @given(vectors, vectors, vectors)
 def test_inverse_undoes(rotvec, translation, point):

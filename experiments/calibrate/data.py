@@ -10,6 +10,7 @@ from jaxtyping import Array
 from i2t.calibration import LoadKind, Presses
 from i2t.calibration.population_gp import PressTable
 from i2t.dataset import Dataset, square_blocks
+from i2t.geometry import inverse
 from i2t.types import ReturnCode
 
 RANDOM, INSIDE, SECOND_HALF = "random presses", "those of them outside the blocks", "second half in time"
@@ -77,7 +78,7 @@ class PressSplit(NamedTuple):
 def read_presses(dataset: Dataset, load: str) -> PressRecording:
     """Positions of the tool's origin on the skin, and depth or force; presses that failed or met air are left out."""
     touches = dataset.touches
-    T_t_o = np.linalg.inv(touches.T_w_t.astype(np.float64)) @ touches.T_w_o
+    T_t_o = inverse(touches.T_w_t.astype(np.float64)) @ touches.T_w_o
     good = ~np.isin(touches.code, [ReturnCode.FAILED, ReturnCode.AIR, ReturnCode.FREE])
     by_force = load == "force" or (load == "auto" and not np.isfinite(touches.depth[good]).all())
     amount = (touches.force if by_force else touches.depth).astype(np.float64)

@@ -18,12 +18,12 @@ from experiments.faults.simulated import WALL_TIME_S, NullRecorder
 from experiments.faults.trials import Trial, TrialStore
 from i2t.collect.procedure import Procedure
 from i2t.collect.settings import TouchSettings
-from i2t.collect.site_plan import orthonormal, patch_extractor
+from i2t.collect.site_plan import patch_extractor
 from i2t.collect.touch import Site, UnreachableError
 from i2t.emulators.in_process import SimulatedArm, SimulatedCamera, SimulatedLab, SimulatedSkin, VirtualClock
 from i2t.emulators.scene import ObjectScene
 from i2t.errors import DeviceError
-from i2t.geometry import contact_frame
+from i2t.geometry import contact_frame, inverse, nearest_rigid
 from i2t.hardware.rig import Rig
 from i2t.objects.catalogue import make_object
 from i2t.objects.solids import Mesh
@@ -80,7 +80,7 @@ def _through(name: str, T_b_o: Array, T_b_t: Array) -> float:
     place = (np.linspace(-0.5, 0.5, RAYS)) * PAD_WINDOW
     x, y = (each.ravel() for each in np.meshgrid(place, place))
     back = 0.04
-    T_o_t = np.linalg.inv(T_b_o) @ T_b_t
+    T_o_t = inverse(T_b_o) @ T_b_t
     origins = np.column_stack([x, y, np.full(x.size, -back)]) @ T_o_t[:3, :3].T + T_o_t[:3, 3]
     directions = np.tile(T_o_t[:3, 2], (x.size, 1))
     hits, rays, _ = _witness(name).ray.intersects_location(origins, directions, multiple_hits=False)
@@ -98,7 +98,7 @@ def _drawn_site(procedure: Procedure, name: str, number: int, rng: np.random.Gen
         if normal[2] < LEAST_UP:
             continue
         pose = contact_frame(np.asarray(points[0]), np.asarray(normal), float(rng.uniform(0, 2 * np.pi)))
-        site = Site(number, orthonormal(np.asarray(pose)))
+        site = Site(number, nearest_rigid(pose))
         try:
             procedure.path.check(site)
         except UnreachableError:

@@ -16,6 +16,7 @@ from experiments.gallery.skin_figures import field, pressures, reliability
 from experiments.gallery.story import HIDDEN_OBJECT, Draw, Story
 from i2t import viz
 from i2t.batching import map_batches
+from i2t.geometry import inverse
 from i2t.prediction.metrics import score
 from i2t.rendering.render import contact_mask
 from i2t.skin.elasticity import GRID, interior, load
@@ -40,7 +41,7 @@ def overview(story: Story) -> Figure:
     figure.suptitle(titled("i2t: imagine a touch before making it", True), fontsize=13)
     parts = figure.subplots(1, 4, width_ratios=(1.15, 1, 1, 1.1))
     mesh = record.meshes[record.truth]
-    _draw_scene(parts[0], mesh, np.linalg.inv(touches.T_w_o[row]) @ touches.T_w_t[row])
+    _draw_scene(parts[0], mesh, inverse(touches.T_w_o[row]) @ touches.T_w_t[row])
     parts[0].set_title(f"1  an object never touched: {HIDDEN_OBJECT}", fontsize=10)
     image = viz.draw_patch(parts[1], touches.patch[row])
     figure.colorbar(image, ax=parts[1], label="mm behind the nearest point", shrink=0.8)

@@ -12,6 +12,7 @@ import i2t
 from experiments.gallery.story import Story
 from i2t import viz
 from i2t.calibration.physics import RoundTip
+from i2t.geometry import inverse
 from i2t.rendering.render import render_heights
 from i2t.skin.boards import grid_board
 from i2t.skin.contact import MAX_HEIGHT_M
@@ -44,7 +45,7 @@ def pressures(story: Story) -> Figure:
         surface = i2t.prepare_surface(mesh)
         T_o_t = LOOKING_DOWN if name.startswith("stamp") else i2t.sample_touch_sites(mesh, 1, seed=number).T_o_t[0]
         patch = i2t.render_patch(surface, T_o_t)
-        heights = render_heights(surface, jnp.asarray(np.linalg.inv(T_o_t), jnp.float32), PAD_WINDOW, GRID.cells)
+        heights = render_heights(surface, jnp.asarray(inverse(T_o_t), jnp.float32), PAD_WINDOW, GRID.cells)
         pressed = press_force(pad, jnp.minimum(heights - heights.min(), MAX_HEIGHT_M), PRESSING_FORCE_N)
         depth = viz.draw_patch(column[0], patch.depth)
         below = viz.draw_map(column[1], np.asarray(pressed.pressure) * KPA_PER_PA, PAD_WINDOW, low=0)

@@ -38,6 +38,7 @@ from i2t.collect.touch import Site, SiteOutcome, TouchResult
 from i2t.dataset import read_touch
 from i2t.emulators.world import read_pad
 from i2t.errors import DeviceError
+from i2t.geometry import inverse
 from i2t.hardware.rig import Rig
 from i2t.objects.solids import Mesh
 from i2t.recognition.pad_model import PadModel
@@ -223,7 +224,7 @@ def conclude(
         "belief": p.tolist(),
     }
     write_json(args.out / "result.json", result)
-    T_o_t = np.linalg.inv(live.recognizer.T_w_o) @ np.stack([touch.T_w_t for touch in live.touches])
+    T_o_t = inverse(live.recognizer.T_w_o) @ np.stack([touch.T_w_t for touch in live.touches])
     shown = true_object or args.truth or info.name
     record = EpisodeRecord(
         meshes=list(meshes.values()),

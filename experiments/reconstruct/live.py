@@ -14,6 +14,7 @@ from i2t.collect import session
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import Site, SiteOutcome
+from i2t.geometry import inverse
 from i2t.hardware.rig import Rig
 from i2t.recognition.recognizer import MAX_EMPTY_DRAWS
 from i2t.reconstruction.exploration import ExplorationConfig, choose_touch
@@ -61,7 +62,7 @@ class Exploration:
         self.failures = 0 if touch else self.failures + 1
         if touch is None:
             return
-        T_o_t, hit = np.linalg.inv(self.T_w_o) @ np.asarray(touch.T_w_t, np.float64), touch.code != ReturnCode.AIR
+        T_o_t, hit = inverse(self.T_w_o) @ np.asarray(touch.T_w_t, np.float64), touch.code != ReturnCode.AIR
         if hit:
             T_o_t[:3, 3] -= touch.depth * T_o_t[:3, 2]
         self.state, info = update(self.model, self.state, contact_evidence(T_o_t, hit=hit, swept=self.approach))

@@ -17,6 +17,7 @@ from i2t import viz
 from i2t.dataset import Dataset, load_dataset
 from i2t.errors import DataError
 from i2t.files import replacing
+from i2t.geometry import inverse
 from i2t.objects.catalogue import NAMES, make_object
 from i2t.objects.solids import Mesh, place_on_table
 from i2t.reconstruction.surface import (
@@ -105,7 +106,7 @@ def read_touches(dataset: Dataset, name: str) -> RecordedTouches:
             f"needs {MIN_CONTACTS} or more"
         )
     kept = used & placed
-    return RecordedTouches(np.linalg.inv(touches.T_w_o[kept].astype(float)) @ T_w_t[kept].astype(float), hit[kept])
+    return RecordedTouches(inverse(touches.T_w_o[kept].astype(float)) @ T_w_t[kept].astype(float), hit[kept])
 
 
 def prior_of(touches: RecordedTouches, args: ReconstructArgs) -> SurfaceModel:

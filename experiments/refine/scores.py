@@ -7,7 +7,7 @@ from scipy.stats import binomtest
 
 from experiments.refine.arguments import RefineArgs
 from experiments.refine.cases import Cases
-from i2t.geometry import log
+from i2t.geometry import inverse, log
 from i2t.objects import Object
 from i2t.types import TWIST_LEVER_M
 
@@ -18,7 +18,7 @@ TWIST_PARTS = {"sliding": [0, 1], "approach": [2], "tilt": [3, 4], "spin": [5]}
 def remaining(T_w_t: np.ndarray, cases: Cases, bound: float) -> tuple[np.ndarray, np.ndarray]:
     """Error in the observable directions: translation (m) and rotation (degrees)."""
     # Of a motion that leaves what is seen unchanged the logarithm has no part in the directions that can be seen.
-    error = log(np.linalg.inv(cases.true.astype(float)) @ T_w_t) * ([1.0] * 3 + [TWIST_LEVER_M] * 3)
+    error = log(inverse(cases.true.astype(float)) @ T_w_t) * ([1.0] * 3 + [TWIST_LEVER_M] * 3)
     along = np.einsum("...ji,...j->...i", cases.directions, error) * (cases.eigenvalues >= bound)
     error = np.einsum("...ij,...j->...i", cases.directions, along)
     return np.linalg.norm(error[..., :3], axis=-1), np.degrees(np.linalg.norm(error[..., 3:], axis=-1) / TWIST_LEVER_M)

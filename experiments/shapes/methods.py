@@ -31,6 +31,7 @@ from experiments.shapes.pad import (
 from experiments.shapes.world import PREFIX, SHAPES
 from i2t.dataset import Dataset, square_blocks
 from i2t.errors import DataError
+from i2t.geometry import inverse
 from i2t.simulation import touches as simulation
 from i2t.skin.elasticity import GRID, Grid
 from i2t.types import Board, Pad, ReturnCode
@@ -88,7 +89,7 @@ def presses_on(dataset: Dataset, pad: int, readings: np.ndarray | None = None) -
     session = touches.session[rows]
     before = np.concatenate([np.zeros((1, y.shape[1])), y[:-1]])
     before[np.r_[True, session[1:] != session[:-1]]] = 0
-    T_t_w = np.linalg.inv(touches.T_w_t[rows].astype(np.float64))
+    T_t_w = inverse(touches.T_w_t[rows].astype(np.float64))
     T_t_o = T_t_w @ touches.T_w_o[rows].astype(np.float64)
     return StampPresses(
         y, before, touches.object[rows], T_t_o[:, :2, 3], np.arctan2(T_t_o[:, 1, 0], T_t_o[:, 0, 0]),

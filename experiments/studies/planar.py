@@ -28,7 +28,7 @@ from experiments.studies.lab import (
     touches_shown,
 )
 from i2t import viz
-from i2t.geometry import from_twist
+from i2t.geometry import from_twist, inverse
 from i2t.recognition import belief, metrics, planar
 from i2t.recognition.belief import Belief, Likelihood, Particles, TouchObservation
 from i2t.recognition.episodes import Episodes
@@ -120,7 +120,7 @@ def _object_frame_sites(presses: TablePresses, grid: PlanarGrid) -> np.ndarray:
     at = np.asarray(to_object(jnp.float32(presses.pose), jnp.float32(presses.site)), float).reshape(-1, 2)
     turn = np.repeat(-presses.pose[:, 2], presses.site.shape[1])
     poses = [planar.vertical_press_pose(x, y, phi, grid.height) for (x, y), phi in zip(at, turn, strict=True)]
-    displaced = np.stack([np.linalg.inv(np.asarray(from_twist(twist))) for twist in presses.table])
+    displaced = np.stack([inverse(np.asarray(from_twist(twist))) for twist in presses.table])
     return np.repeat(displaced, presses.site.shape[1], axis=0) @ np.stack(poses)
 
 

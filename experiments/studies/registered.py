@@ -18,6 +18,7 @@ from experiments.common.runs import Part
 from experiments.recognize.trained_run import meshes_by_name
 from experiments.studies.lab import Column, EpisodePlan, StudyLab, make_table, pool_parts, report_error, report_methods
 from i2t.depth.camera import Camera
+from i2t.geometry import inverse
 from i2t.hardware.rig import Rig
 from i2t.objects import Mesh
 from i2t.recognition import belief
@@ -88,7 +89,7 @@ def predict_registered(
     """Predicted touches (sites, objects, k), each object standing where the episode's view has it."""
     columns = []
     for i, (name, surface) in enumerate(zip(lab.names, lab.surfaces, strict=True)):
-        T_o_site = np.linalg.inv(poses.T_w_o[:, i])[:, None] @ T_w_site  # as if that object stood at the origin
+        T_o_site = inverse(poses.T_w_o[:, i])[:, None] @ T_w_site  # as if that object stood at the origin
         columns += precompute_outcomes(
             [surface], particles.twist, jnp.float32(T_o_site.reshape(-1, 4, 4)), [lab.pad_model.reading_model],
             overtravel=lab.cfg.limits.overtravel, label=f"found: {name}",
@@ -117,7 +118,7 @@ def register_views(
                 refused[e, o] = True
                 continue
             T_w_o[e, o] = found.T_w_o
-            T_c_o = np.linalg.inv(T_w_c) @ T_w_o[e, o]
+            T_c_o = inverse(T_w_c) @ T_w_o[e, o]
             covariances.append(camera_covariance(found.covariance, T_c_o, errors.hand_eye, errors.hand_eye_angle))
     return RegisteredPoses(T_w_o, np.mean(covariances, axis=0), refused)
 
@@ -125,7 +126,7 @@ def register_views(
 def registration_errors(truth: np.ndarray, poses: RegisteredPoses, sessions: SessionErrors) -> dict[str, np.ndarray]:
     """How far the view has the true object from where it stands (m, rad), and which registrations were refused."""
     rows = np.arange(len(truth)), truth
-    difference = np.linalg.inv(sessions.T_o_placed) @ poses.T_w_o[rows]
+    difference = inverse(sessions.T_o_placed) @ poses.T_w_o[rows]
     refused = poses.refused[rows]
     return {
         "position_error": np.linalg.norm(difference[:, :3, 3], axis=1),

@@ -21,6 +21,7 @@ from experiments.train.loads import LEAST_DEPTH_M
 from experiments.train.methods import views_of
 from i2t.convert.presses import sphere, tip_patches
 from i2t.dataset import Dataset
+from i2t.geometry import inverse
 from i2t.prediction import gp
 from i2t.prediction.baselines import features_of, touch_features
 from i2t.prediction.gp import CELL_MM, ContactPressure
@@ -336,7 +337,7 @@ def _changes(
         )
     radius = tip_radius(dataset)
     if radius is not None and seen.views.shape[-1] == dataset.touches.patch.shape[-1]:
-        T_t_o = np.linalg.inv(dataset.touches.T_w_t[which].astype(np.float64)) @ dataset.touches.T_w_o[which]
+        T_t_o = inverse(dataset.touches.T_w_t[which].astype(np.float64)) @ dataset.touches.T_w_o[which]
         for factor in TIP_FACTORS:
             views = tip_patches(sphere(factor * radius), T_t_o[:, 0, 3], T_t_o[:, 1, 3], dataset.window, dataset.reach)
             yield TIP, f"a tip of radius {1e3 * factor * radius:g} mm", seen._replace(views=views)

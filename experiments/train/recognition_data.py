@@ -20,6 +20,7 @@ from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.dataset.sets import missing_context
 from i2t.errors import DataError
+from i2t.geometry import inverse
 from i2t.objects import Mesh, catalogue, load_object
 from i2t.types import ReturnCode
 
@@ -196,7 +197,7 @@ def _digest(path: Path) -> str:
 def _seen_from_object(dataset: Dataset) -> Dataset:
     """Poses of the tool in the object's frame, for tips that move under a skin that stands."""
     touches = dataset.touches
-    T_o_t = np.linalg.inv(touches.T_w_o.astype(np.float64)) @ touches.T_w_t
+    T_o_t = inverse(touches.T_w_o.astype(np.float64)) @ touches.T_w_t
     T_o_t[:, 3] = (0, 0, 0, 1)
     still = np.tile(np.eye(4, dtype=np.float32), (len(T_o_t), 1, 1))
     return replace(dataset, touches=touches._replace(T_w_t=T_o_t.astype(np.float32), T_w_o=still))

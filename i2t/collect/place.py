@@ -22,6 +22,7 @@ import tyro
 from scipy.spatial.transform import Rotation
 
 from i2t.cli import exit_code_of, require_path
+from i2t.geometry import inverse, nearest_rigid
 from i2t.hardware.camera_folder import RecordedDepthCamera
 from i2t.hardware.named_devices import REALSENSE, UR, ToolPose, named_camera, require_named
 from i2t.hardware.poses import pose_from_vector
@@ -90,7 +91,6 @@ def place(asked: PlaceArgs) -> str:
     rig = Rig.read(asked.rig)
     pose, arm = _pose_and_arm(asked, rig)
     # Not above: JAX takes seconds, which --help and a refusal need not wait for.
-    from i2t.collect.site_plan import orthonormal
     from i2t.registration import camera_covariance, register_by_depth
 
     mesh = read_object(asked.object, asked.unit).mesh
@@ -106,12 +106,12 @@ def place(asked: PlaceArgs) -> str:
             rotation_std=math.radians(asked.angle),
             table_height=None if asked.no_table else 0.0,
         )
-    T_w_o = orthonormal(np.asarray(found.T_w_o, float))
+    T_w_o = nearest_rigid(found.T_w_o)
     position_error, angle_error = asked.hand_eye
-    T_c_o = np.linalg.inv(T_w_c) @ T_w_o
+    T_c_o = inverse(T_w_c) @ T_w_o
     covariance = camera_covariance(found.covariance, T_c_o, 1e-3 * position_error, math.radians(angle_error))
     noise, sigma = (np.sqrt(np.diag(np.asarray(each, float))) for each in (found.covariance, covariance))
-    change = np.linalg.inv(rig.T_world_object) @ T_w_o
+    change = inverse(rig.T_world_object) @ T_w_o
     turn = math.degrees(Rotation.from_matrix(change[:3, :3]).magnitude())
     fit = np.asarray(found.residual)[np.asarray(found.weight) > 0]
     lines = [

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from i2t.collect.touch import ExtractPatch, SeenPatch, Site
 from i2t.depth.camera import Camera
 from i2t.depth.patches import patch_from_depth
-from i2t.geometry import full_precision, inverse
+from i2t.geometry import full_precision, inverse, nearest_rigid
 from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
 from i2t.objects.solids import Mesh, transform_mesh
@@ -65,7 +65,7 @@ class SiteSampler:
         while number >= len(self._sites):
             key = jax.random.fold_in(jax.random.key(self._seed), len(self._sites) // SITE_BATCH)
             poses = np.asarray(collect_sites(key, self._surface, SITE_BATCH, self._limits, self._name), float)
-            self._sites += [Site(len(self._sites) + i, orthonormal(pose)) for i, pose in enumerate(poses)]
+            self._sites += [Site(len(self._sites) + i, nearest_rigid(pose)) for i, pose in enumerate(poses)]
         return self._sites[number]
 
     def next(self, done: Collection[int]) -> Site:
@@ -238,16 +238,3 @@ def draw_rig(
         view_edges=(rig.camera.width / rig.camera.fx, rig.camera.height / rig.camera.fy),
     )
     save_figure(plot_rig(scene, title), path)
-
-
-def orthonormal(pose: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
-    """A pose in float32 whose rotation is one to the last digit of float64.
-
-    Args:
-        pose: (4, 4) nearly rigid transform.
-
-    Returns:
-        (4, 4) the nearest rigid one.
-    """
-    u, _, vt = np.linalg.svd(pose[:3, :3])
-    return np.block([[u @ vt, pose[:3, 3:]], [np.zeros((1, 3)), np.ones((1, 1))]])

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from i2t.depth.camera import Camera
+from i2t.geometry import inverse
 from i2t.hardware.protocols import View
 from i2t.types import Array
 
@@ -94,7 +95,7 @@ def _channels(rs: Any, device: Any, camera: Camera, *, unit: float, rate: int) -
 
 def _register_extrinsics(rs: Any, channels: tuple[_Channel, _Channel], T_depth_colour: Array) -> None:
     """Say where the colour camera stands in the depth camera."""
-    T, extrinsics = np.linalg.inv(T_depth_colour), rs.extrinsics()
+    T, extrinsics = inverse(T_depth_colour), rs.extrinsics()
     extrinsics.rotation, extrinsics.translation = T[:3, :3].ravel(order="F").tolist(), T[:3, 3].tolist()
     channels[0].stream.register_extrinsics_to(channels[1].stream, extrinsics)
 

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from i2t.emulators.room import RoomField, room_field
-from i2t.geometry import full_precision, so3_exp, transform
+from i2t.geometry import full_precision, inverse, so3_exp, transform
 from i2t.objects.solids import Mesh, transform_mesh
 from i2t.rendering.render import prepare_surface, render_patch
 from i2t.simulation.depth_camera import table_triangles
@@ -227,7 +227,7 @@ class ObjectScene:
         off = np.eye(4)
         off[:3, 3] = self.errors.repeatability * self._random.standard_normal(3)
         off[:3, :3] = so3_exp(self.errors.approach_angle * self._random.standard_normal(3))
-        T_o_t = np.linalg.inv(self.T_b_o) @ T_b_t @ off
+        T_o_t = inverse(self.T_b_o) @ T_b_t @ off
         first, past_contact, centre, reading = jax.device_get(
             _meet(self._surface, jnp.asarray(T_o_t, jnp.float32), self.pad, jnp.asarray(TABULATED_LOADS_N, jnp.float32))
         )

@@ -35,6 +35,7 @@ from i2t.cli import exit_code_of
 from i2t.depth.camera import Camera, read_png
 from i2t.errors import DataError, DeviceError
 from i2t.files import file_in, read_text, read_toml
+from i2t.geometry import inverse
 from i2t.hardware.hand_eye_fit import MIN_CORNERS, BoardView, HandEyeResult, fit, pixel_rays
 from i2t.hardware.named_devices import REALSENSE, ColourView, ToolPose, colour_view, named_camera, require_named
 from i2t.hardware.rig import Rig
@@ -333,7 +334,7 @@ def _estimate(asked: EstimateArgs, board: CharucoBoard) -> None:
         raise ValueError("--write needs the file to write into; give --rig")
     rig = Rig.read(asked.rig) if asked.rig is not None else None
     found, T_c_image, names = estimate(asked.folder, board)
-    T_t_c = found.T_t_c @ np.linalg.inv(T_c_image)
+    T_t_c = found.T_t_c @ inverse(T_c_image)
     print(
         f"{len(names)} views, {found.rms:.2f} pixels RMS; the worst is {names[int(found.view_rms.argmax())]} with ",
         end="",
@@ -346,7 +347,7 @@ def _estimate(asked: EstimateArgs, board: CharucoBoard) -> None:
     with np.printoptions(precision=6, suppress=True):
         print(f"T_tool_camera =\n{T_t_c}")
     if rig is not None:
-        change = np.linalg.inv(rig.T_tool_camera) @ T_t_c
+        change = inverse(rig.T_tool_camera) @ T_t_c
         turn = math.degrees(Rotation.from_matrix(change[:3, :3]).magnitude())
         print(f"{1e3 * np.linalg.norm(change[:3, 3]):.1f} mm and {turn:.1f} degrees from what {asked.rig} says")
         if asked.write and asked.rig is not None:

@@ -19,6 +19,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera, Distortion, brown_conrady
+from i2t.geometry import inverse, so3_exp, transform
 from i2t.types import Array
 
 MIN_VIEWS, MIN_CORNERS = 6, 6  # views, and corners of each
@@ -151,8 +152,8 @@ def closed_form(tools: Array, T_c_o: Array) -> Array:
     Raises:
         ValueError: The tool turned about one axis at most.
     """
-    A = np.linalg.inv(tools[1:]) @ tools[0]  # t_i <- t_0
-    B = T_c_o[1:] @ np.linalg.inv(T_c_o[0])  # c_i <- c_0, and A X = X B
+    A = inverse(tools[1:]) @ tools[0]  # t_i <- t_0
+    B = T_c_o[1:] @ inverse(T_c_o[0])  # c_i <- c_0, and A X = X B
     turns = Rotation.from_matrix(A[:, :3, :3]).as_rotvec()
     if np.linalg.svd(turns)[1][1] / math.sqrt(len(tools)) < MIN_TILT_RAD:
         raise ValueError(
@@ -169,11 +170,11 @@ def closed_form(tools: Array, T_c_o: Array) -> Array:
 def _refine(views: Sequence[BoardView], focal: float, X: Array, Y: Array) -> tuple[Array, Array]:
     """X and Y with the least squares of what was seen, from a guess."""
     index = np.repeat(np.arange(len(views)), [len(view.corners) for view in views])
-    T_t_b = np.linalg.inv(np.stack([view.T_b_t for view in views]))[index]
+    T_t_b = inverse(np.stack([view.T_b_t for view in views]))[index]
     corners, rays = np.concatenate([s.corners for s in views]), np.concatenate([s.rays for s in views])
 
     def miss(change: Array) -> Array:
-        T_c_t, T_b_o = np.linalg.inv(X @ _motion(change[:6])), Y @ _motion(change[6:])
+        T_c_t, T_b_o = inverse(X @ _motion(change[:6])), Y @ _motion(change[6:])
         base = corners @ T_b_o[:3, :3].T + T_b_o[:3, 3]
         tool = np.einsum("nij,nj->ni", T_t_b[:, :3, :3], base) + T_t_b[:, :3, 3]
         seen = tool @ T_c_t[:3, :3].T + T_c_t[:3, 3]
@@ -185,15 +186,13 @@ def _refine(views: Sequence[BoardView], focal: float, X: Array, Y: Array) -> tup
 
 def _miss(X: Array, Y: Array, view: BoardView) -> Array:
     """(k, 2) by which lines of sight are missed."""
-    T = np.linalg.inv(view.T_b_t @ X) @ Y
+    T = inverse(view.T_b_t @ X) @ Y
     seen = view.corners @ T[:3, :3].T + T[:3, 3]
     return seen[:, :2] / seen[:, 2:] - view.rays
 
 
 def _motion(twist: Array) -> Array:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(twist[3:]).as_matrix(), twist[:3]
-    return T
+    return transform(so3_exp(twist[3:]), twist[:3])
 
 
 def _mean(poses: Sequence[Array]) -> Array:

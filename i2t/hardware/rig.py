@@ -23,7 +23,7 @@ import tyro
 from i2t.cli import exit_code_of
 from i2t.depth.camera import Camera
 from i2t.files import read_toml, replacing
-from i2t.geometry import inverse
+from i2t.geometry import inverse, nearest_rigid
 from i2t.hardware.carried_skins import (
     TEXT_KEYS,
     TOOL_SKIN,
@@ -313,8 +313,7 @@ def _rigid(key: str, value: Any, far: float) -> Array:
         raise ValueError(f"{key} holds a reflection: an axis has the wrong sign; make z the cross product of x and y")
     if np.abs(T[:3, 3]).max() > far:
         raise ValueError(f"{key} lies {np.abs(T[:3, 3]).max():g} m away; give metres, each within {far:g} m")
-    u, _, vt = np.linalg.svd(T[:3, :3])
-    T[:3, :3] = u @ vt  # rounded digits are no part of a rotation
+    T = nearest_rigid(T)  # rounded digits are no part of a rotation
     T.flags.writeable = False
     return T
 

@@ -34,6 +34,7 @@ from scipy.spatial.transform import Rotation
 
 from i2t.cli import exit_code_of, renamed_flags
 from i2t.errors import DeviceError
+from i2t.geometry import inverse
 from i2t.hardware.limits import MotionLimits
 from i2t.hardware.named_devices import named_arm
 from i2t.hardware.poses import shifted_along_z
@@ -276,7 +277,7 @@ def _touch_off(asked: TouchOffArgs) -> None:
     )
     if asked.write:
         # The camera stays where it is on the flange.
-        camera = np.linalg.inv(found.T_tool_skin) @ rig.T_tool_camera
+        camera = inverse(found.T_tool_skin) @ rig.T_tool_camera
         replace(rig, T_flange_tool=T, T_tool_camera=camera).write(asked.rig)
         print(f"{asked.rig}: written")
 

@@ -20,6 +20,7 @@ from tqdm import tqdm
 from i2t.batching import map_batches
 from i2t.dataset import Dataset
 from i2t.errors import DataError
+from i2t.geometry import inverse
 from i2t.recognition import belief
 from i2t.recognition.belief import Likelihood, Particles, TouchObservation
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
@@ -364,7 +365,7 @@ def episodes_from_dataset(
     unknown = sorted(set(kinds) - set(names))
     if unknown:
         raise DataError(f"the data set has touches of {', '.join(unknown)}, of which there is no mesh; pass --objects")
-    T_o_t = np.linalg.inv(made.T_w_o[rows]) @ made.T_w_t[rows]
+    T_o_t = inverse(made.T_w_o[rows]) @ made.T_w_t[rows]
     contact = made.code[rows] != ReturnCode.AIR
     advance = np.where(contact, 0.0, overtravel).astype(np.float32)
     T_o_site = T_o_t.copy()

@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from i2t.dataset import Dataset
+from i2t.geometry import inverse
 from i2t.prediction import gp
 from i2t.prediction.gp import ContactPressure
 from i2t.prediction.predictor import predict_pressures
@@ -208,7 +209,7 @@ def _pressed_contacts(
     newtons on each cell, of its touches.
     """
     found = _register_session(key, contacts, surface, errors, contacts.met)
-    T_o_t = jnp.linalg.inv(found.T_w_o)[None] @ contacts.T_w_contact
+    T_o_t = inverse(found.T_w_o)[None] @ contacts.T_w_contact
     indentation, newtons = _press(surface, T_o_t, contacts.touches.force)
     return np.asarray(indentation)[: contacts.own, 0], np.asarray(newtons)[: contacts.own, 0]
 

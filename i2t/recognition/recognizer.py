@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from i2t import given
-from i2t.geometry import from_twist, is_rigid
+from i2t.geometry import from_twist, inverse, is_rigid, nearest_rigid
 from i2t.objects import catalogue
 from i2t.recognition import belief, calibrated, open_set, outcomes, policy
 from i2t.recognition.belief import Belief, TouchObservation
@@ -173,7 +173,7 @@ class ObjectRecognizer:
         placed = place_surfaces(surfaces, self.T_w_o)
         if sites is None:
             drawn = sample_sites(key, placed[: len(known)], self.names, config.num_sites, config.site_limits)
-            sites = drawn.moved(np.linalg.inv(self.T_w_o))
+            sites = drawn.moved(inverse(self.T_w_o))
         self.sites = sites  # in the object's frame, as the predicted touches are
         pose_prior = outcomes.placement_std(POSE_STD_M, POSE_STD_RAD) if pose_prior is None else pose_prior
         scales = belief.ScalePrior() if config.infer_placement_scale else None
@@ -366,9 +366,7 @@ class ObjectRecognizer:
         Returns:
             T_w_t in float64, its rotation orthonormal to the last digit.
         """
-        pose = self.T_w_o @ np.asarray(self.sites.T_w_t[number], float)
-        u, _, vt = np.linalg.svd(pose[:3, :3])
-        return np.block([[u @ vt, pose[:3, 3:]], [np.zeros((1, 3)), np.ones((1, 1))]])
+        return nearest_rigid(self.T_w_o @ np.asarray(self.sites.T_w_t[number], float))
 
     def warm_up(self) -> None:
         """Choose and learn once for nothing, so that nothing is compiled while an arm waits."""

@@ -29,6 +29,7 @@ from i2t.convert.tables import HEIGHT_COLUMNS, TextTable, read_text_table
 from i2t.dataset import Dataset, load_dataset
 from i2t.errors import DataError
 from i2t.files import TABLE_SUFFIXES
+from i2t.geometry import inverse
 from i2t.types import Board, ReturnCode
 
 CHIP_AXES = ("x", "y", "z")
@@ -193,7 +194,7 @@ def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording
         DataError: no touch has a finite reading.
     """
     touches, several = dataset.touches, len(np.unique(dataset.touches.pad)) > 1
-    T_t_o = np.linalg.inv(touches.T_w_t.astype(np.float64)) @ touches.T_w_o
+    T_t_o = inverse(touches.T_w_t.astype(np.float64)) @ touches.T_w_o
     free = np.isin(touches.code, [ReturnCode.FREE, ReturnCode.AIR])
     force = touches.force.astype(np.float64)
     contact = np.full(len(dataset), np.nan)
