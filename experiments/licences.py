@@ -1,16 +1,19 @@
 """The licences of what i2t needs: each direct dependency of pyproject.toml, with what its own package says.
 
-    python -m experiments.licences --page docs/licences.md
+    python -m experiments.licences --page docs/licences.md --index
 
-Asks the packages that are installed, and names those that are not. Nothing is loaded from a network.
+Asks the packages that are installed. With `--index` pip asks the package index for what the others say of themselves
+(pip 25 or newer; nothing is installed); without it they are named as not installed, and no network is needed.
 """
 
+import json
 import re
+import subprocess
 import sys
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, distribution
+from importlib.metadata import Distribution, PackageNotFoundError, distribution, version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +22,14 @@ from experiments.common.commands import run_command
 PROJECT = Path(__file__).parents[1] / "pyproject.toml"
 MAX_LICENCE_TEXT = 40  # characters; longer is the licence's whole text
 NOT_INSTALLED = "not installed where this was made"
+PIP_VERSION = 25
+UNSTATED = "stated in its files only"
+# What the texts of licences say, most particular first: BSD's third clause is what two-clause BSD lacks.
+TEXTS = (
+    ("Permission is hereby granted, free of charge", "MIT"),
+    ("Neither the name", "BSD-3-Clause"),
+    ("Redistribution and use in source and binary forms", "BSD-2-Clause"),
+)
 
 
 @dataclass(frozen=True)
@@ -26,6 +37,7 @@ class LicencesArgs:
     """Write the licences of the dependencies."""
 
     page: Path | None = None  # to write; printed by default
+    index: bool = False  # ask the package index about packages that are not installed
 
     def check(self) -> None:
         """Refuse a folder in the page's place."""
@@ -50,7 +62,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def run(args: LicencesArgs) -> None:
     """Look up and write."""
-    page = page_of(dependencies(tomllib.loads(PROJECT.read_text())["project"]))
+    found = dependencies(tomllib.loads(PROJECT.read_text())["project"])
+    if args.index:
+        asked = ask_index([each.name for each in found if each.licence == NOT_INSTALLED])
+        found = [each._replace(licence=asked.get(each.name.lower(), each.licence)) for each in found]
+    page = page_of(found)
     if args.page is None:
         print(page, end="")
         return
@@ -87,18 +103,97 @@ def licence_of(name: str) -> str:
         name: Of the package.
 
     Returns:
-        An SPDX expression where there is one, else its own word or its classifiers.
+        An SPDX expression where there is one, else its own word, its classifiers, or what its file of the licence is.
     """
     try:
-        about = distribution(name).metadata
+        package = distribution(name)
     except PackageNotFoundError:
         return NOT_INSTALLED
+    about = package.metadata
     expression, *_ = about.get_all("License-Expression") or [""]
-    kinds = [each.split(" :: ")[-1] for each in about.get_all("Classifier") or () if each.startswith("License :: ")]
+    said = said_of(expression, "".join(about.get_all("License") or ()), about.get_all("Classifier") or ())
+    return said or _in_files(package) or UNSTATED
+
+
+def ask_index(names: Sequence[str]) -> dict[str, str]:
+    """What packages that are not installed say of their licences, as the package index has it.
+
+    Args:
+        names: Of the packages.
+
+    Returns:
+        What each says, by its name in lower case.
+
+    Raises:
+        ValueError: pip is too old or cannot tell; its last line says why.
+    """
+    if not names:
+        return {}
+    if int(version("pip").split(".")[0]) < PIP_VERSION:  # earlier ones leave licences out of their reports
+        raise ValueError(f"--index: pip {PIP_VERSION} or newer is needed, and this one is older")
+    ask = [sys.executable, "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed", "--no-deps"]
+    done = subprocess.run([*ask, "--report", "-", *names], capture_output=True, text=True)
+    if done.returncode:
+        why = done.stderr.strip().splitlines() or ["pip says nothing"]
+        raise ValueError(f"--index: pip found no licences of {', '.join(names)}: {why[-1]}")
+    return read_report(json.loads(done.stdout))
+
+
+def read_report(report: dict[str, Any]) -> dict[str, str]:
+    """The licences in a report of pip's.
+
+    Args:
+        report: Of `pip install --report`.
+
+    Returns:
+        What each package says, by its name in lower case.
+    """
+    abouts = [each["metadata"] for each in report["install"]]
+    return {
+        about["name"].lower(): said_of(
+            about.get("license_expression", ""), about.get("license", ""), about.get("classifier", [])
+        )
+        or UNSTATED
+        for about in abouts
+    }
+
+
+def said_of(expression: str, text: str, classifiers: Sequence[str]) -> str:
+    """The licence that a package's metadata state.
+
+    Args:
+        expression: SPDX, or nothing.
+        text: The field `License`: a word, a whole text, or nothing.
+        classifiers: All of them.
+
+    Returns:
+        The expression, else the word, else the classifiers; empty where none is stated.
+    """
+    kinds = [each.split(" :: ")[-1] for each in classifiers if each.startswith("License :: ")]
     kinds = [kind for kind in kinds if kind != "OSI Approved"]
-    text = "".join(about.get_all("License") or ()).strip()
-    named = text if len(text) <= MAX_LICENCE_TEXT and "\n" not in text else ""
-    return expression or named or ", ".join(kinds) or "stated in its files only"
+    word = text.strip() if len(text.strip()) <= MAX_LICENCE_TEXT and "\n" not in text.strip() else ""
+    return expression or word or ", ".join(kinds)
+
+
+def kind_of(text: str) -> str:
+    """Which licence a text is.
+
+    Args:
+        text: Of the whole licence.
+
+    Returns:
+        Its SPDX name; empty where it is none of `TEXTS`.
+    """
+    plain = " ".join(text.split())
+    return next((name for words, name in TEXTS if words in plain), "")
+
+
+def _in_files(package: Distribution) -> str:
+    """Which licence the file is that a package names as its licence."""
+    named = package.metadata.get_all("License-File") or []
+    files = [file for file in package.files or () if file.name in {Path(each).name for each in named}]
+    kinds = dict.fromkeys(filter(None, (kind_of(file.read_text()) for file in files)))
+    return f"{', '.join(kinds)} (its file {files[0].name})" if kinds else ""
 
 
 def page_of(found: Sequence[Dependency]) -> str:
@@ -115,10 +210,11 @@ def page_of(found: Sequence[Dependency]) -> str:
         "# Licences of the dependencies",
         "",
         "i2t is under the MIT licence. It needs these packages and contains none of them; a column says whether i2t",
-        "itself or an extra needs one. What each says of its licence is asked of the installed packages by",
+        "itself or an extra needs one. What each says of its licence is asked of the installed packages,",
+        "and of the package index for those that are not installed, by",
         "",
         "```",
-        "python -m experiments.licences --page docs/licences.md",
+        "python -m experiments.licences --page docs/licences.md --index",
         "```",
         "",
         "| package | needed by | licence |",

@@ -166,6 +166,23 @@ def test_the_version_is_one_everywhere():
     assert (project["version"], citation[1], newest[1]) == (version, version, version)
 
 
+def test_what_is_not_released_has_no_date_of_release():
+    citation, changes = (ROOT / "CITATION.cff").read_text(), (ROOT / "CHANGELOG.md").read_text()
+    _, state = re.search(r"^## (\S+) \((.+)\)$", changes, re.M).groups()
+    dated = re.search(r"^date-released: (\S+)$", citation, re.M)
+    assert (dated[1] if dated else "unreleased") == state
+
+
+def test_the_distribution_says_who_made_it_and_where_the_method_is_from():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    citation = (ROOT / "CITATION.cff").read_text()
+    assert [f'  - name: "{author["name"]}"' in citation for author in project["authors"]] == [True]
+    assert f'url: "{project["urls"]["Paper"]}"' in citation
+    assert (
+        f"Programming Language :: Python :: {project['requires-python'].removeprefix('>=')}" in project["classifiers"]
+    )
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_to_files_and_named_files_exist(page):
     text = page.read_text()

@@ -15,6 +15,7 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from helpers.reading_grade import FENCE, FORMULA
 
 import i2t
+from experiments import licences
 from experiments.licences import Dependency, dependencies, page_of
 from i2t.convert.commands import main as convert
 
@@ -64,6 +65,33 @@ def test_the_page_of_licences_names_every_dependency():
     assert [each.name for each in found if f"| {each.name} | {each.needed_by} |" not in page] == []
     assert {each.licence for each in found if each.name == "numpy"} != {""}
     assert page_of([Dependency("numpy", "i2t", "BSD")]).endswith("| numpy | i2t | BSD |\n")
+    assert licences.NOT_INSTALLED not in page
+    assert licences.UNSTATED not in page
+
+
+def test_a_licence_is_what_a_package_says_of_it_or_its_text():
+    report = {
+        "install": [
+            {"metadata": {"name": "Torch", "license_expression": "MIT AND Zlib", "license": "long"}},
+            {"metadata": {"name": "open3d", "license": "MIT"}},
+            {"metadata": {"name": "lab", "license": "a\nb", "classifier": ["License :: OSI Approved :: BSD License"]}},
+            {"metadata": {"name": "silent"}},
+        ]
+    }
+    said = {"torch": "MIT AND Zlib", "open3d": "MIT", "lab": "BSD License", "silent": licences.UNSTATED}
+    assert licences.read_report(report) == said
+    assert licences.kind_of((ROOT / "LICENSE").read_text()) == "MIT"
+    two = "Redistribution and use in source and\n   binary forms, with or without modification"
+    assert licences.kind_of(two) == "BSD-2-Clause"
+    assert licences.kind_of(f"{two} ... Neither the name of the holder") == "BSD-3-Clause"
+    assert licences.kind_of("All rights reserved.") == ""
+
+
+def test_licences_of_the_index_need_a_pip_that_tells_them(monkeypatch):
+    monkeypatch.setattr(licences, "version", lambda name: "24.3.1")
+    assert licences.ask_index([]) == {}
+    with pytest.raises(ValueError, match="pip 25 or newer"):
+        licences.ask_index(["torch"])
 
 
 def test_advice_to_install_names_the_distribution():

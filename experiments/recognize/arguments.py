@@ -47,7 +47,8 @@ class SimulateArgs:
             raise ValueError("--method paper plays the paper's own sets; pass it without --dataset and --objects")
         if self.pad is not None and not recorded:
             raise ValueError(
-                "--pad is for recorded touches (--dataset); simulate with it: python -m experiments.train --pad"
+                "--pad is for recorded touches (--dataset); touch with it: python -m experiments.recognize live --pad; "
+                "simulate the paper's episodes with it: python -m experiments.train --pad, then this command"
             )
         for flag, given in (
             ("--other-skin", self.other_skin),

@@ -3,10 +3,11 @@
 import ast
 import json
 import os
-import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+import trimesh
 
 from experiments import notebooks
 
@@ -62,14 +63,28 @@ def stamped(folder: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("there", [True, False], ids=["there", "missing"])
-def test_the_first_notebook_installs_the_package_where_it_is_missing(there, monkeypatch):
-    calls: list[list[str]] = []
-    monkeypatch.setattr("subprocess.run", lambda words, check: calls.append(words))
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: object() if there else None)
-    exec(notebooks.sources(notebooks.FOLDER / "first_touches.ipynb")[0], {})
-    expected = [sys.executable, "-m", "pip", "install", "--quiet", ".."]  # of a checkout, next to which it lies
-    assert calls == ([] if there else [expected])
+@pytest.mark.parametrize("there", [True, False], ids=["a file", "no file"])
+def test_the_first_notebook_takes_a_mesh_file_of_its_reader(there, capsys):
+    """Its cells run on the mesh that a reader names; without one a tool of the catalogue stands in and is named."""
+    import i2t
+    from i2t import viz
+
+    if there:
+        mesh = i2t.make_object("square").mesh
+        trimesh.Trimesh(1e3 * mesh.vertices, mesh.faces).export("mug.stl")
+    cells = notebooks.sources(notebooks.FOLDER / "first_touches.ipynb")
+    (number,) = [i for i, cell in enumerate(cells) if cell.startswith("OWN_MESH")]
+    space: dict[str, object] = {"i2t": i2t, "viz": viz}
+    exec(cells[number].rsplit("\n", 1)[0], space)  # without its picture
+    assert space["OWN_MESH"] == ("mug.stl" if there else "screwdriver")
+    assert ("no mug.stl here" in capsys.readouterr().out) == (not there)
+    size = np.ptp(space["own"].vertices, axis=0)
+    wanted = i2t.make_object("square" if there else "screwdriver").mesh
+    np.testing.assert_allclose(size, np.ptp(wanted.vertices, axis=0), atol=1e-6)
+    assert len(space["own_labels"]) == 4
+    space |= {"predictor": i2t.load_predictor("nominal"), "board": i2t.reskin_board()}
+    exec(cells[number + 1], space)
+    assert space["own_readings"].shape == (4, 15)
 
 
 @pytest.mark.full
