@@ -31,10 +31,10 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from tqdm import tqdm
 
 from experiments.common.runs import begin, exit_code_of_run, write_json
 from i2t.options import read_options
+from i2t.progress import progress
 
 ROOT = Path(__file__).parents[1]
 COPIED = ("i2t", "experiments", "tests", "examples", "pyproject.toml", "README.md")  # what tests import or read
@@ -386,7 +386,7 @@ def try_mutants(
     if result != "survived":
         raise ValueError(f"{', '.join(tests)} of the unchanged {module}: {result}; make them pass first")
     timeout = min(sandbox.timeout, max(LEAST_TIME_S, EXTRA_TIME * seconds))
-    for mutant in tqdm(mutants, desc=module, unit="mutant"):
+    for mutant in progress(mutants, desc=module, unit="mutant"):
         result, seconds = sandbox.try_mutant(module, mutant, tests, timeout)
         yield {"module": module, **mutant._asdict(), "result": result, "seconds": round(seconds, 1)}
 

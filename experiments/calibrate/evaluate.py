@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from tqdm import tqdm
 
 from experiments.calibrate.data import SECOND_HALF, PressRecording, PressSplit
 from experiments.calibrate.methods import (
@@ -27,6 +26,7 @@ from experiments.calibrate.methods import (
     weighed,
 )
 from i2t.calibration.structured_gp import STDS_WITHIN_90_PERCENT, hyperparameter_grid
+from i2t.progress import progress
 
 Curves: TypeAlias = dict[str, dict[int, list[float]]]  # method -> number of presses -> a value for each draw
 ErrorCurves: TypeAlias = dict[str, dict[int, list[np.ndarray]]]
@@ -53,7 +53,8 @@ def learning_curves(
 ) -> Scores:
     """Scores of every method at every number of presses, a value for each draw."""
     tasks = (
-        _draw_tasks(predictors, split, counts, (seed, draw)) for draw in tqdm(range(draws), desc="draws", unit="draw")
+        _draw_tasks(predictors, split, counts, (seed, draw))
+        for draw in progress(range(draws), desc="draws", unit="draw")
     )
     return _score(predictors, tasks, counts, [*split.tests, SECOND_HALF])
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from experiments.calibrate import report
 from experiments.calibrate.config import CalibrateArgs, preset_of
@@ -33,6 +32,7 @@ from experiments.common.runs import begin
 from i2t import dataset as data
 from i2t.calibration.structured_gp import StructuredGP, hyperparameter_grid
 from i2t.dataset import Dataset
+from i2t.progress import progress
 from i2t.unknowns import Finding, SessionMap, fit_session_map, lay_over, metrics_of
 
 LATER_TEST = "second half of the later session"
@@ -179,7 +179,7 @@ def _curves(
     """R2 of each method at every number of presses, a value for each draw."""
     curves: Curves = {}
     later = pair.later
-    for seed in tqdm(seeds, desc="draws", unit="draw"):
+    for seed in progress(seeds, desc="draws", unit="draw"):
         order = np.random.default_rng(seed).permutation(pool)
         past = np.random.default_rng(seed).permutation(pair.previous_rows)[: max(*counts, 2)]
         gp, session = _previous_gp(pair, past, seed), _map_of(pair, past)

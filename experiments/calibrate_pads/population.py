@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from tqdm import tqdm
 
 from experiments.calibrate.data import PressRecording
 from experiments.calibrate.methods import PLAIN, Predictors
@@ -20,6 +19,7 @@ from experiments.common.runs import write_json
 from i2t.calibration import FORCE_HYPERPARAMETERS, Presses, StructuredGPHyperparameters, structured_gp
 from i2t.calibration.model import hyperparameters_to_json
 from i2t.prediction.metrics import score
+from i2t.progress import progress
 
 GUESSED, FOUND, IN_USE = "guessed", "found", "in use"
 PAD_LABEL_WIDTH = 40
@@ -147,7 +147,7 @@ def _search_on(
     cfg: Population, presses: Presses, readings: Float[Array, "pads n c"]
 ) -> tuple[StructuredGPHyperparameters, dict[str, float]]:
     """What is found, rounded to two digits, and the mean R2 of the guess and of what is found."""
-    with tqdm(desc="hyperparameters", unit="set") as bar:
+    with progress(desc="hyperparameters", unit="set") as bar:
 
         def mean_r2(hyperparameters: StructuredGPHyperparameters) -> float:
             r2 = float(structured_r2(hyperparameters, presses, readings, cfg.counts, cfg.held_out_presses).mean())

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from experiments.calibrate_pads.kinds import SKIN_KINDS, PressedSkinOfKind, simulate_skins
 from i2t.calibration.population_gp import KernelPrior, SkinKernels, save_prior
 from i2t.calibration.population_gp import prior as kernel_prior
 from i2t.calibration.population_gp.kernel import UNIFORM_FAR_AMPLITUDE, geometry, join, signal_covariances, take
 from i2t.calibration.population_gp.left_out import Observed, condition_all, ungrouped
+from i2t.progress import progress
 
 POPULATION_SEED = 101  # skins of other seeds are never seen by the search
 SEARCH_PRESS_COUNTS = (10, 30, 100)
@@ -142,7 +142,7 @@ def errors_of(kernels: SkinKernels, tasks: list[tuple[PressedSkinOfKind, bool]],
     """(tasks, counts, kernels): squared error of held-out presses over their variance."""
     found = np.empty((len(tasks), len(SEARCH_PRESS_COUNTS), len(kernels.load_power)))
     knows_chips = kernels.far_amplitude < UNIFORM_FAR_AMPLITUDE
-    for t, (skin, by_force) in enumerate(tqdm(tasks, desc="skins", unit="skin")):
+    for t, (skin, by_force) in enumerate(progress(tasks, desc="skins", unit="skin")):
         load = skin.force if by_force else skin.depth
         test = slice(len(load) - cfg.test_presses, None)
         for i, n in enumerate(SEARCH_PRESS_COUNTS):

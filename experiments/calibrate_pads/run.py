@@ -33,7 +33,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
-from tqdm import tqdm
 
 from experiments.calibrate.data import PressRecording
 from experiments.calibrate.evaluate import Curves
@@ -49,6 +48,7 @@ from i2t.calibration.baseline_network import PressFeatures
 from i2t.calibration.physics import PadFit
 from i2t.calibration.population_gp.prior import PRIOR_FILE
 from i2t.prediction.metrics import score
+from i2t.progress import progress, say_beside
 from i2t.skin.files import save_pad
 from i2t.types import Pad
 from i2t.viz import style
@@ -169,7 +169,7 @@ def evaluate(
 ) -> PadScores:
     """Every method on every pad; the first pad as fitted to the most presses is saved."""
     scores = PadScores({}, {}, {}, [])
-    for i in tqdm(range(cfg.pads), desc="pads", unit="pad"):
+    for i in progress(range(cfg.pads), desc="pads", unit="pad"):
         pad, at = (jax.tree.map(lambda part, i=i: part[i], tree) for tree in (pads, presses))
         position, force, y = (np.asarray(part, np.float64) for part in (at.position, at.load, readings[i]))
         predictors = Predictors(PressRecording(position, force, y, True, board().chips[:, :2]))
@@ -178,7 +178,7 @@ def evaluate(
         test = np.arange(len(y) - cfg.held_out_presses, len(y))
         for count in cfg.counts:
             fitted = score_methods(scores, predictors, pad, np.arange(count), test)
-        tqdm.write(
+        say_beside(
             f"pad {i}: "
             + ", ".join(f"{name} {[round(v[-1], 3) for v in by.values()]}" for name, by in scores.r2.items())
         )

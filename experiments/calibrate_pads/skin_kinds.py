@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
-from tqdm import tqdm
 
 from experiments.calibrate.data import PressRecording
 from experiments.calibrate.methods import NEIGHBOURS, PLAIN, neighbours
@@ -28,6 +27,7 @@ from i2t.calibration.population_gp.left_out import Observed, condition_all, ungr
 from i2t.calibration.population_gp.prior import prior_about
 from i2t.calibration.structured_gp import STDS_WITHIN_90_PERCENT
 from i2t.prediction.metrics import score
+from i2t.progress import progress
 from i2t.skin.boards import eflesh_board, reskin_board
 from i2t.types import Board
 
@@ -97,7 +97,7 @@ def evaluate(cfg: KindsPreset) -> dict[str, Any]:
         coverage: dict[int, list[float]] = {}
         seconds: dict[int, list[float]] = {}
         tasks = [(i, draw) for i in range(cfg.skins) for draw in range(cfg.draws)]
-        for i, draw in tqdm(tasks, desc=case.name, unit="draw"):
+        for i, draw in progress(tasks, desc=case.name, unit="draw"):
             skin = skins[case.kind][i]
             order, test = held_out(case, cfg, skin, np.random.default_rng((KINDS_SEED, i, draw)))
             for n in cfg.counts:

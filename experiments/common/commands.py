@@ -6,7 +6,6 @@ the answer to a wrong name or number.
 """
 
 import importlib
-import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
@@ -17,8 +16,6 @@ from experiments.common.presets import RENAMED, answer_renamed_value
 from experiments.common.runs import check_folder, check_out, exit_code_of_run
 from i2t.cli import check_options, docstring_of, renamed_flags
 from i2t.options import read_options
-
-LOG_INTERVAL_S, LOG_COLUMNS = "30", "79"  # of bars where the output is no terminal, read by tqdm when it is imported
 
 
 class CheckedOptions(Protocol):
@@ -71,10 +68,6 @@ def carry_out(args: Checked, words: Sequence[str], work: Callable[[Checked], Any
         The exit code.
     """
     out: Path | None = getattr(args, "folder", getattr(args, "out", None))
-
-    if not sys.stderr.isatty():  # a log is no place for redraws: a bar writes there now and then
-        os.environ.setdefault("TQDM_MININTERVAL", LOG_INTERVAL_S)
-        os.environ.setdefault("TQDM_NCOLS", LOG_COLUMNS)
 
     def checked() -> Any:
         check_options(args, words)

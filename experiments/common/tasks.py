@@ -98,9 +98,9 @@ def run_tasks(tasks: Sequence[Task], options: TaskOptions, *, bar: str | None = 
     """
     missing = [task for task in tasks if not task.finished.exists()]
     if options.executor == "serial":
-        from tqdm import tqdm
+        from i2t.progress import progress
 
-        for task in tqdm(missing, desc=bar, disable=bar is None):
+        for task in progress(missing, desc=bar or "", disable=bar is None):
             task.work()
     elif missing:
         kind: type[LocalWorkers] | type[RayWorkers] = LocalWorkers if options.executor == "local" else RayWorkers
@@ -233,11 +233,8 @@ class LocalWorkers:
 
 def _serve(connection: Any, cores: Sequence[int]) -> None:
     """Make tasks until the process that sends them ends, or ends us."""
-    from experiments.common.commands import LOG_COLUMNS, LOG_INTERVAL_S
-
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all of a terminal; who began us ends us
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    os.environ |= {"TQDM_MININTERVAL": LOG_INTERVAL_S, "TQDM_NCOLS": LOG_COLUMNS}  # before tqdm is imported
     if cores:
         os.sched_setaffinity(0, cores)  # before JAX counts them
     while True:

@@ -25,7 +25,6 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 from experiments.common.checks import pad_name
 from experiments.common.runs import slug, write_json
@@ -41,6 +40,7 @@ from i2t.prediction.predictor import (
     Predictor,
     TrainedNetwork,
 )
+from i2t.progress import progress
 from i2t.recognition.episodes import EpisodeConfig, EpisodeSimulator, TouchNumber
 from i2t.recognition.paper_rules import (
     PROPRIOCEPTION,
@@ -223,7 +223,7 @@ def play_set(
     config = EpisodeConfig(cfg.errors, cfg.limits, cfg.touches)
     shared: dict[TouchNumber, Touches] = {}
     believed: dict[str, np.ndarray] = {}
-    with tqdm(total=len(scorers) * truth.size * cfg.touches, desc=f"{name}: the paper's loop", unit="touch") as bar:
+    with progress(total=len(scorers) * truth.size * cfg.touches, desc=f"{name}: the paper's loop", unit="touch") as bar:
         for method, score in scorers.items():
             simulator = EpisodeSimulator(
                 jax.random.clone(key_world), surfaces, truth,

@@ -17,7 +17,6 @@ Ten minutes on two cores that do other work too, half of them for libraries and 
 of the start's distance to the true surface after 20 touches; four objects are too few to tell policies apart.
 """
 
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,7 +24,6 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 from experiments.common.runs import begin, write_json
 from experiments.reconstruct import recorded
@@ -35,6 +33,7 @@ from experiments.reconstruct.figures import draw_all
 from experiments.reconstruct.report import Episodes, summarize, table
 from experiments.reconstruct.scores import SurfaceErrors, true_shape
 from experiments.reconstruct.world import ObjectSplit, make_reality, make_skins, split_objects
+from i2t.progress import progress
 from i2t.reconstruction.surface import Z_90, SurfaceModel, surface_model
 
 BAND = 0.9  # that a band should hold of the surface
@@ -88,7 +87,7 @@ def run(args: ReconstructArgs) -> dict:
 
 def make_models(split: ObjectSplit) -> dict[bool, SurfaceModel]:
     """The library of the training objects, and a prior of smoothness alone on the same grid."""
-    with tqdm(total=len(split.train), desc="library of shapes", file=sys.stderr) as bar:
+    with progress(total=len(split.train), desc="library of shapes") as bar:
         meshes = [item.mesh for item in split.train]
         known = surface_model(meshes, progress=lambda done: bar.update(1) and None)
     return {True: known, False: known._replace(library=known.library[:, :0])}
@@ -140,7 +139,7 @@ def explore_all(explorer: Explorer, conditions: dict[str, ExplorationCondition],
     """Every condition on every object and seed."""
     places = [(number, seed) for number in numbers for seed in range(explorer.sizes.seeds)]
     found: Episodes = {}
-    with tqdm(total=len(conditions) * len(places), desc="episodes", file=sys.stderr) as bar:
+    with progress(total=len(conditions) * len(places), desc="episodes") as bar:
         for name, condition in conditions.items():
             found[name] = {}
             for number, seed in places:

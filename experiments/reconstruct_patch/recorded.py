@@ -10,7 +10,6 @@ on readings, whose number is chosen there too. What the tip is stays as it was i
 say what another would read.
 """
 
-import sys
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +20,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from matplotlib.figure import Figure
 from scipy.spatial import KDTree
-from tqdm import tqdm
 
 import i2t
 from experiments.common.runs import begin, write_json
@@ -32,6 +30,7 @@ from i2t import viz
 from i2t.calibration import Calibration
 from i2t.calibration.heads import SkinRecording, fit_head, read_recordings
 from i2t.dataset import square_blocks
+from i2t.progress import progress
 from i2t.recognition.intervals import bootstrap_clusters, cluster_interval, rate_interval
 from i2t.reconstruction.tip import TipModel, credible_level, imagine_tip, infer_tip
 
@@ -78,9 +77,7 @@ def run(args: PatchArgs) -> dict[str, Any]:
     recording, presses, kind = read(args.dataset)
     blocks = blocks_of(presses.position)
     begin(args.out, args, sizes, None, args.overwrite)
-    answers = [
-        answer(recording, presses, kind, rows) for rows in tqdm(folds(blocks, sizes, args.seed), file=sys.stderr)
-    ]
+    answers = [answer(recording, presses, kind, rows) for rows in progress(folds(blocks, sizes, args.seed))]
     asked = presses.rows(np.concatenate([each.test for each in answers]))
     groups = [blocks[np.concatenate([each.test for each in answers])]]
     found = {name: _joined([each.found[name] for each in answers]) for name in answers[0].found}

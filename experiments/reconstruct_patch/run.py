@@ -16,7 +16,6 @@ network from readings to pixels; to compare, the prior and a perfect tactile ima
 About ten minutes on one core. Expect the press curve to beat the first stop, and both to beat neighbours and network.
 """
 
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,7 +23,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
-from tqdm import tqdm
 
 from experiments.common.runs import begin, write_json
 from experiments.reconstruct_patch import methods, recorded, scores
@@ -43,6 +41,7 @@ from experiments.reconstruct_patch.trials import (
 )
 from experiments.reconstruct_patch.world import Part, make_parts, press_all, truth_of
 from i2t import viz
+from i2t.progress import progress
 from i2t.recognition.intervals import cluster_interval
 from i2t.reconstruction.local_shape import (
     CONTACT_CLASSES,
@@ -99,7 +98,7 @@ def run(args: PatchArgs) -> dict[str, Any]:
 def press_parts(key: Array, parts: dict[str, Part], library: PatchLibrary, pads: int) -> dict[str, list[Trial]]:
     """Every contact of validation and test, pressed with every pad; and every pad imagined at the library."""
     trials: dict[str, list[Trial]] = {"validation": [], "test": []}
-    for number in tqdm(range(pads), desc="pads", file=sys.stderr):
+    for number in progress(range(pads), desc="pads"):
         pad = numbered_pad(number)
         model = imagine_presses(pad, library)
         for which, (name, some) in enumerate(trials.items()):
@@ -161,7 +160,7 @@ def try_method(
     """Scores on test objects of the option that validation objects choose, and what they chose."""
     judged = {
         option: score_touches(method, trials["validation"], library)
-        for option, method in tqdm(options.items(), desc=name, file=sys.stderr)
+        for option, method in progress(options.items(), desc=name)
     }
     best = min(judged, key=lambda option: float(np.mean(judged[option]["crps_mm"])))
     found = score_touches(options[best], trials["test"], library)

@@ -17,7 +17,6 @@ on them; a case succeeds with at most 0.1 mm and 0.3 degrees of it. Two to three
 98 % without noise.
 """
 
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -25,7 +24,6 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 from experiments.common.runs import begin, write_json
 from experiments.refine.arguments import RefineArgs
@@ -34,6 +32,7 @@ from experiments.refine.figures import ERROR_BINS, draw_bounds, draw_patches
 from experiments.refine.scores import MM_PER_M, judge, success, table, unobservable_motion
 from i2t import viz
 from i2t.objects import Object
+from i2t.progress import progress
 from i2t.registration.patch import (
     PatchRegistrationConfig,
     observable_directions,
@@ -126,7 +125,7 @@ def seek(key: jax.Array, name: str, method: Method, *, surfaces: Surface, cases:
     return np.stack(
         [
             jax.device_get(batch(jax.random.split(key, each), element(surfaces, i), patches[i], cases.start[i]).T_w_t)
-            for i, key in enumerate(tqdm(jax.random.split(key, objects), desc=name, file=sys.stderr))
+            for i, key in enumerate(progress(jax.random.split(key, objects), desc=name))
         ]
     )
 

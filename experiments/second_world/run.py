@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 import tifffile
 from scipy.spatial.transform import Rotation
-from tqdm import tqdm
 
 from experiments.common.runs import begin, write_json
 from experiments.second_world.arguments import Mistake, SecondWorldArgs
@@ -35,6 +34,7 @@ from experiments.second_world.world import (
 )
 from experiments.train.__main__ import main as train
 from i2t.convert.__main__ import main as convert
+from i2t.progress import progress
 
 PRESSURE = ("network on predicted contact pressure", "Gaussian process on predicted contact pressure")
 BASELINES = ("k nearest patches", "k nearest patches + measured", "ridge on PCA", "ridge on PCA + measured")
@@ -114,7 +114,7 @@ def write_recordings(folder: Path, args: SecondWorldArgs, errors: WorldErrors) -
     rng = np.random.default_rng(args.seed)
     skin, objects = make_skin(rng), make_objects()
     sessions, touches_of_each = args.sizes
-    with tqdm(total=len(objects) * sessions, desc="second world", unit="session", disable=None) as bar:
+    with progress(total=len(objects) * sessions, desc="second world", unit="session") as bar:
         for name, mesh in objects.items():
             for session in range(sessions):
                 touches = simulate_session(rng, mesh, skin, errors, touches_of_each)

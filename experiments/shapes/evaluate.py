@@ -5,7 +5,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 from experiments.shapes.config import ShapeExperiment
 from experiments.shapes.methods import (
@@ -19,6 +18,7 @@ from experiments.shapes.methods import (
 )
 from experiments.shapes.networks import classify
 from experiments.shapes.world import SHAPES, press_stamps
+from i2t.progress import progress
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise
@@ -91,7 +91,7 @@ def limits(cfg: ShapeExperiment, seed: int) -> dict[str, list[float]]:
     made = {}
     for name, (plan, times, whole) in sets.items():
         n = times * cfg.presses
-        with tqdm(total=n, desc=name, unit="press") as bar:
+        with progress(total=n, desc=name, unit="press") as bar:
             pad = numbered_pad(cfg.pads[0])
             presses = presses_on(press_stamps(jax.random.key(seed + 1), [pad], n, plan, bar.update), 0)
         paper = cfg.methods.paper

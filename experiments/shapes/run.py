@@ -23,7 +23,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 from experiments.common.presets import choose_preset
 from experiments.common.runs import begin, write_json
@@ -45,6 +44,7 @@ from experiments.shapes.world import press_stamps
 from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.errors import DataError
+from i2t.progress import progress
 from i2t.skin.pad import numbered_pad
 
 MIN_PRESSES_PER_SHAPE = 10
@@ -138,7 +138,7 @@ def simulated(cfg: ShapeExperiment, seed: int, path: Path) -> Dataset:
     """The embedded default, kept in `path` for a resumed run."""
     if path.exists():
         return data.load_dataset(path)
-    with tqdm(total=cfg.presses * len(cfg.pads), desc="pressing stamps", unit="press") as bar:
+    with progress(total=cfg.presses * len(cfg.pads), desc="pressing stamps", unit="press") as bar:
         pads = [numbered_pad(number) for number in cfg.pads]
         made = press_stamps(jax.random.key(seed), pads, cfg.presses, cfg.pressing, bar.update)
     data.save_dataset(path, made)

@@ -18,7 +18,6 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from tqdm import tqdm
 
 from experiments.common.runs import begin, write_json
 from experiments.fidelity.forward import BASELINE_METHODS, PressSet, explained_share
@@ -27,6 +26,7 @@ from experiments.shifted.variants import Variant, make_variants
 from i2t.calibration import calibrate, plain_gp
 from i2t.calibration.structured_gp import STDS_WITHIN_90_PERCENT
 from i2t.dataset import square_blocks
+from i2t.progress import progress
 
 SHIFTED_COUNTS = (5, 20, 50, 100)
 CALIBRATED, LIKELIEST = "i2t.calibrate", "plain Gaussian process, most likely"
@@ -49,7 +49,7 @@ def run(args: ShiftedArgs) -> dict[str, Any]:
     if not variants:
         raise ValueError(f"--only {' '.join(args.only)}: no variant has such a name")
     cells: list[dict[str, Any]] = []
-    for name, variant in tqdm(variants.items(), unit="variant"):
+    for name, variant in progress(variants.items(), unit="variant"):
         cells += scored(name, variant, args)
     metrics = {
         "source": "mixed",

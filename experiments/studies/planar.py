@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from tqdm import tqdm
 
 from experiments.common.runs import Part
 from experiments.recognize import figures
@@ -29,6 +28,7 @@ from experiments.studies.lab import (
 )
 from i2t import viz
 from i2t.geometry import from_twist, inverse
+from i2t.progress import progress
 from i2t.recognition import belief, metrics, planar
 from i2t.recognition.belief import Belief, Likelihood, Particles, TouchObservation
 from i2t.recognition.episodes import Episodes
@@ -64,7 +64,7 @@ def evaluate(lab: StudyLab) -> Part:
     episodes = simulate_presses(lab, presses, grid)
     judge = Judge(lab, predict_touches(lab, grid), grid)
     unknown, known, found = [], [], []
-    for i in tqdm(range(len(presses.truth)), desc="planar: believing", unit="episode"):
+    for i in progress(range(len(presses.truth)), desc="planar: believing", unit="episode"):
         p, poses = judge.unknown(presses, episodes, i)
         unknown.append(p)
         found.append(poses[presses.truth[i]])

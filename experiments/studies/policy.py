@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from tqdm import tqdm
 
 from experiments.common.runs import Part
 from experiments.recognize import figures
 from experiments.studies.lab import Column, StudyLab, clusters_of, format_estimate, make_table, pool_parts
 from i2t import viz
+from i2t.progress import progress
 from i2t.recognition import belief, calibrated, metrics
 from i2t.recognition.belief import Belief, Particles
 from i2t.recognition.episodes import EpisodeConfig, EpisodeSimulator
@@ -71,7 +71,7 @@ def run_policy(
     beliefs = jax.tree.map(lambda x: jnp.broadcast_to(x, (episodes, *x.shape)), start)
     touched = np.zeros((episodes, len(choices.sites.owner)), bool)
     after = []
-    for step in tqdm(range(lab.cfg.touches), desc=f"policy {policy}", unit="touch"):
+    for step in progress(range(lab.cfg.touches), desc=f"policy {policy}", unit="touch"):
         step_keys = jax.random.split(jax.random.fold_in(keys[1], step), episodes)
         site = choose_sites(lab, policy, step_keys, beliefs, jnp.asarray(touched), choices, step)
         # An episode without a safe site ends there: its belief stays, and what is simulated for it is not used.

@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
-from tqdm import tqdm
 
 from experiments.common.runs import Part
 from experiments.recognize.trained_run import meshes_by_name
@@ -21,6 +20,7 @@ from i2t.depth.camera import Camera
 from i2t.geometry import inverse
 from i2t.hardware.rig import Rig
 from i2t.objects import Mesh
+from i2t.progress import progress
 from i2t.recognition import belief
 from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import run_belief, session_errors
@@ -105,7 +105,7 @@ def register_views(
     T_w_o = np.tile(np.eye(4), (len(truth), len(meshes), 1, 1))
     refused = np.zeros(T_w_o.shape[:2], bool)
     covariances = []
-    for e, which in enumerate(tqdm(truth, desc="registering", unit="view")):
+    for e, which in enumerate(progress(truth, desc="registering", unit="view")):
         T_w_lens = T_w_c @ sessions.T_t_camera[e]
         depth = _depth_view(candidates[which], sessions.T_o_placed[e], T_w_lens, camera, errors, (seed, e))
         for o, mesh in enumerate(candidates):

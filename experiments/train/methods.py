@@ -7,7 +7,6 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from tqdm import tqdm
 
 from experiments.train.configs import TrainExperiment
 from experiments.train.loads import ALIKE_FORCE_N, PressLoad
@@ -19,6 +18,7 @@ from i2t.prediction.model import Inputs, ModelConfig
 from i2t.prediction.predictor import BaselineModel, Model, TouchBatch, TrainedNetwork, predict_pressures
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.prediction.training import Batch
+from i2t.progress import progress
 from i2t.types import Touches
 
 NOISY_CURVATURE_M = 20e-6  # median second difference of pixels that a surface without noise stays below
@@ -136,7 +136,7 @@ def train_network(
         state, _, about = checkpoint.restore(folder)
         history = about.extra["history"]
     done = int(np.max(state.epoch))
-    with tqdm(total=cfg.epochs, initial=done, desc=f"training {name}", unit="epoch") as bar:
+    with progress(total=cfg.epochs, initial=done, desc=f"training {name}", unit="epoch") as bar:
 
         def log(epoch: int, info: training.EpochInfo) -> None:
             history.append([float(np.mean(info.train.squared)), float(np.mean(info.validation.squared))])

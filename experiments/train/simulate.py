@@ -3,12 +3,12 @@
 from pathlib import Path
 
 import jax
-from tqdm import tqdm
 
 from experiments.train.configs import Simulation
 from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.objects import catalogue
+from i2t.progress import progress
 from i2t.rendering.render import prepare_surface
 from i2t.simulation import touches as simulation
 from i2t.skin.pad import numbered_pad
@@ -33,7 +33,7 @@ def simulated_dataset(cfg: Simulation, pad: Pad | int, path: Path, *, seed: int,
     surfaces = [prepare_surface(catalogue.make_object(name).mesh) for name in cfg.objects]
     named = name or (f"simulated pad {pad}" if isinstance(pad, int) else "pad on disk")
     pad = numbered_pad(pad) if isinstance(pad, int) else pad
-    with tqdm(total=cfg.touches, desc="simulating touches", unit="touch") as bar:
+    with progress(total=cfg.touches, desc="simulating touches", unit="touch") as bar:
         touches = simulation.simulate_touches(
             jax.random.key(seed), surfaces, pad, cfg.errors, cfg.counts(),
             limits=cfg.limits, touches_per_session=cfg.touches_per_session, progress=bar.update,

@@ -32,12 +32,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from scipy.stats import beta
-from tqdm import tqdm
 
 from experiments.calibrate_pads.kinds import PressedSkinOfKind, simulate_skins
 from experiments.common.runs import begin, write_json
 from experiments.unknowns.arguments import QUESTIONS, UnknownsArgs
 from i2t import unknowns
+from i2t.progress import progress
 from i2t.skin.boards import eflesh_board, reskin_board
 from i2t.types import Board
 from i2t.unknowns import RecordedPresses
@@ -67,7 +67,7 @@ def run(args: UnknownsArgs) -> dict[str, Any]:
     answers: dict[str, dict[str, list[Answer]]] = {question: {} for question in args.questions}
     for kind in args.kinds:
         skins = simulate_skins(kind, args.seed, args.cases, args.presses)
-        for i, skin in enumerate(tqdm(skins, desc=kind, unit="skin")):
+        for i, skin in enumerate(progress(skins, desc=kind, unit="skin")):
             recorded = as_recorded(skin, np.random.default_rng((args.seed, i)))
             for question in args.questions:
                 if (question, kind) in NOT_ASKED:

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from tqdm import tqdm
 
 from i2t.convert import presses
 from i2t.convert.common import ConversionLog, Converted
@@ -26,6 +25,7 @@ from i2t.convert.presses import MAX_TABLE_VALUE, MOST_NAMED, NAME_COLUMNS, PLACE
 from i2t.convert.tables import FIELD_COLUMN, HEIGHT_COLUMNS, TableRows, TextTable, open_text_table
 from i2t.errors import DataError
 from i2t.files import replacing
+from i2t.progress import progress
 from i2t.types import PATCH_WINDOW, REACH, Board
 from i2t.unknowns.segmentation import (
     MIN_ROWS,
@@ -274,7 +274,7 @@ def _columns(source: Path, table: TableRows, chips: int) -> _Columns:
 def _rows(source: Path, table: TableRows, columns: _Columns, damage: _Damage) -> Iterator[_Rows]:
     """The rows of a log, some at a time."""
     wanted = [columns.time, *columns.values, *columns.labels.values()]
-    with tqdm(desc=source.name, unit="row", unit_scale=True, disable=None) as bar:
+    with progress(desc=source.name, unit="row", unit_scale=True) as bar:
         while some := list(islice(table.rows, ROWS_READ_AT_ONCE)):
             bar.update(len(some))
             whole = _whole(source, some, len(table.header), damage)

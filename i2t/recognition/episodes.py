@@ -15,12 +15,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
-from tqdm import tqdm
 
 from i2t.batching import map_batches
 from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.geometry import inverse
+from i2t.progress import Progress, progress
 from i2t.recognition import belief
 from i2t.recognition.belief import Likelihood, Particles, TouchObservation
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
@@ -138,7 +138,7 @@ class EpisodeSimulator:
         self.touches: list[Touches] = []
         self.chosen: list[np.ndarray] = []
 
-    def touch(self, site: Int[np.ndarray, "e n"], bar: tqdm | None = None) -> None:
+    def touch(self, site: Int[np.ndarray, "e n"], bar: Progress | None = None) -> None:
         """Make the next n touches of every episode.
 
         Args:
@@ -282,7 +282,7 @@ def run_episodes(
         The episodes.
     """
     simulator = EpisodeSimulator(key, surfaces, truth, sites=sites, pad=pad, config=config)
-    with tqdm(total=chosen.size, desc=f"{label}: touching", unit="touch") as bar:
+    with progress(total=chosen.size, desc=f"{label}: touching", unit="touch") as bar:
         simulator.touch(chosen, bar)
     return simulator.episodes()
 
@@ -514,7 +514,7 @@ def believe(
     T, twist = np.asarray(sites.T_w_t), particles.twist
     parts: list[dict[str, np.ndarray]] = []
     total = len(surfaces) * len(twist) * -(-count // each) * each * touches
-    with tqdm(total=total, desc=f"{label}: imagining", unit="touch", unit_scale=True) as bar:
+    with progress(total=total, desc=f"{label}: imagining", unit="touch", unit_scale=True) as bar:
         for start in range(0, count, each):
             rows = np.resize(np.arange(start, min(start + each, count)), each)  # filled up: one compilation serves all
             some: Episodes = jax.tree.map(lambda x, rows=rows: x[rows], episodes)

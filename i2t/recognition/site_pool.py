@@ -16,8 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
-from tqdm import tqdm
 
+from i2t.progress import Progress, progress
 from i2t.recognition import belief, ensemble, outcomes
 from i2t.recognition.belief import Particles
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
@@ -186,7 +186,7 @@ def precompute_outcomes(
         label: What the bar says the touches are for.
     """
     total = len(surfaces) * len(T_w_site) * len(twist)
-    with tqdm(total=total, desc=f"{label}: imagining", unit="touch", unit_scale=True) as bar:
+    with progress(total=total, desc=f"{label}: imagining", unit="touch", unit_scale=True) as bar:
         return predict_outcomes(surfaces, twist, T_w_site, reading_models, overtravel=overtravel, bar=bar)
 
 
@@ -197,7 +197,7 @@ def predict_outcomes(
     reading_models: Sequence[LinearReadingModel],
     *,
     overtravel: float,
-    bar: tqdm | None = None,
+    bar: Progress | None = None,
 ) -> list[PredictedTouch]:
     """Predict a touch of every object in every pose at every site.
 

@@ -1,0 +1,66 @@
+"""Progress: a bar on a terminal, a line now and then in a log, and one helper for both."""
+
+import ast
+import os
+import subprocess
+import sys
+from io import StringIO
+from pathlib import Path
+
+import pytest
+
+from i2t import progress as module
+from i2t.progress import progress
+
+ROOT = Path(__file__).parents[1]
+
+
+class Terminal(StringIO):
+    """A stream that says it is one."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_log_has_no_redraws(monkeypatch, capsys):
+    assert list(progress(range(1000), desc="quick")) == list(range(1000))
+    assert capsys.readouterr() == ("", "")
+    monkeypatch.setattr(module, "LOG_INTERVAL_S", 0.0)
+    with progress(total=40, desc="slow", unit="touch") as bar:
+        for _ in range(4):
+            bar.update(10)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[-1].startswith("slow: 40 of 40 touch in 00:00")
+    assert all(line.startswith("slow: ") and "\r" not in line for line in lines)
+
+
+def test_a_line_says_what_is_to_go_only_where_it_can_be_known(capsys):
+    with progress(desc="reading", unit="row") as bar:
+        bar.update(5)
+        assert bar.line() == "reading: 5 row in 00:00"
+    assert capsys.readouterr().err == ""
+
+
+def test_a_terminal_has_a_bar(monkeypatch):
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    assert list(progress(range(3), desc="three")) == [0, 1, 2]
+    assert "three: 100%" in stream.getvalue()
+
+
+def test_the_environment_silences_it():
+    said = "from i2t.progress import progress; list(progress(range(3), desc='three', mininterval=0))"
+    asked = {**os.environ, "TQDM_DISABLE": "1"}
+    done = subprocess.run([sys.executable, "-c", said], env=asked, capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize("folder", ["i2t", "experiments", "examples"])
+def test_nothing_else_draws_bars(folder):
+    drawing = [
+        str(path.relative_to(ROOT))
+        for path in (ROOT / folder).rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.ImportFrom) and node.module == "tqdm"
+    ]
+    assert drawing == (["i2t/progress.py"] if folder == "i2t" else [])
