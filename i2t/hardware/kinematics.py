@@ -17,6 +17,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float
 
+from i2t.geometry import so3_log
 from i2t.types import Array
 
 RANDOM_STARTS, ITERATIONS = 48, 80
@@ -319,14 +320,8 @@ def _descend(arm: SerialArm, q: np.ndarray, goal: np.ndarray) -> tuple[np.ndarra
 def _error(T: np.ndarray, goal: np.ndarray, length: float) -> np.ndarray:
     """(k, 6) what is missing to the goal: position as a share of a length, and the rotation vector, base axes."""
     apart = (goal[:3, 3] - T[:, :3, 3]) / length
-    R = goal[:3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2)
-    axis = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], 1) / 2
-    sine, cosine = np.linalg.norm(axis, axis=1), (np.trace(R, axis1=1, axis2=2) - 1) / 2
-    angle = np.arctan2(sine, cosine)
-    # Near half a turn the axis is lost in the differences; any axis that moves on will do there.
-    away = np.where(sine[:, None] > 1e-6, axis, np.array([1.0, 0.5, 0.25]))
-    scale = np.where(sine > 1e-6, angle / np.maximum(sine, 1e-12), np.where(cosine > 0, 0.0, 1.0))
-    return np.concatenate([apart, away * scale[:, None]], 1)
+    turn = so3_log(goal[:3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2))
+    return np.concatenate([apart, turn], 1)
 
 
 def _between(one: np.ndarray, other: np.ndarray) -> list[np.ndarray]:
