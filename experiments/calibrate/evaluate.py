@@ -13,8 +13,8 @@ from experiments.calibrate.methods import (
     PREVIOUS_ALONE,
     PREVIOUS_MEAN,
     RESIDUAL_NOISE,
-    WEIGHED,
-    WEIGHED_BLOCKS,
+    WEIGHTED,
+    WEIGHTED_BLOCKS,
     Predictors,
     block_fifths,
     interval_scaling,
@@ -23,7 +23,7 @@ from experiments.calibrate.methods import (
     random_fifths,
     select,
     weigh_methods,
-    weighed,
+    weighted_mean,
 )
 from i2t.calibration.structured_gp import STDS_WITHIN_90_PERCENT, hyperparameter_grid
 from i2t.progress import progress
@@ -114,10 +114,10 @@ def _predictions(predictors: Predictors, rows: np.ndarray, test: np.ndarray) -> 
     """
     methods = predictors.by_name()
     predicted = {name: method(rows, test) for name, method in methods.items()}
-    rules = {WEIGHED: random_fifths, WEIGHED_BLOCKS: block_fifths}
+    rules = {WEIGHTED: random_fifths, WEIGHTED_BLOCKS: block_fifths}
     weights = {name: weigh_methods(methods, predictors.recording, rows, rule) for name, rule in rules.items()}
-    best = next(iter(weights[WEIGHED]))
-    mixed = {name: weighed(predicted, weights[name]) for name in rules}
+    best = next(iter(weights[WEIGHTED]))
+    mixed = {name: weighted_mean(predicted, weights[name]) for name in rules}
     return predicted | {BEST: predicted[best]} | mixed
 
 

@@ -32,11 +32,11 @@ PERIOD = "structured GP + height, period given"
 SCRATCH, PRETRAINED = "network from scratch", "network pretrained on generated skins"
 RESIDUAL, BEST = "pretrained network + structured GP", "best method by cross-validation"
 MEAN, POPULATION = "mean of the presses", "Gaussian process of a population"
-WEIGHED = "methods weighed by cross-validation"
-WEIGHED_BLOCKS = "methods weighed by cross-validation over blocks"
+WEIGHTED = "methods weighed by cross-validation"
+WEIGHTED_BLOCKS = "methods weighed by cross-validation over blocks"
 PREVIOUS_MEAN, PREVIOUS_ALONE = "earlier half as the mean", "earlier half alone"
 
-MAX_WEIGHED_PRESSES = 100  # that methods are weighed on: the best of so many is the best of more
+MAX_WEIGHTING_PRESSES = 100  # that methods are weighed on: the best of so many is the best of more
 # What is believed of the methods that take part before any press: chosen on simulated skins and on eFlesh's `spatial`.
 SHARES = {
     POPULATION: 0.5, PLAIN: 0.2, HEIGHT: 0.2, NEIGHBOURS: 0.1, MEAN: 0.1, PERIOD: 0.1, PRETRAINED: 0.05, RESIDUAL: 0.05,
@@ -225,13 +225,13 @@ def weigh_methods(
     Args:
         methods: By name; those that have a share take part.
         recording: Of the presses.
-        rows: That are known, in random order; at most MAX_WEIGHED_PRESSES are used.
+        rows: That are known, in random order; at most MAX_WEIGHTING_PRESSES are used.
         fold_of: Says which are left out together.
 
     Returns:
         Weights that sum to 1, the best method's first.
     """
-    rows = rows[:MAX_WEIGHED_PRESSES]
+    rows = rows[:MAX_WEIGHTING_PRESSES]
     fold, known = fold_of(recording, rows), recording.readings[rows]
     log = {}
     for name in (name for name in SHARES if name in methods):
@@ -244,6 +244,6 @@ def weigh_methods(
     return {name: weight[name] / total for name in sorted(weight, key=lambda name: -weight[name])}
 
 
-def weighed(predicted: Mapping[str, np.ndarray], weights: Mapping[str, float]) -> np.ndarray:
+def weighted_mean(predicted: Mapping[str, np.ndarray], weights: Mapping[str, float]) -> np.ndarray:
     """The mean of the methods' predictions (n, c), each by its weight."""
     return np.sum([weight * predicted[name] for name, weight in weights.items() if weight > LEAST_WEIGHT], axis=0)

@@ -25,8 +25,8 @@ from experiments.calibrate.methods import (
     SCRATCH,
     SELECTED,
     STRUCTURED,
-    WEIGHED,
-    WEIGHED_BLOCKS,
+    WEIGHTED,
+    WEIGHTED_BLOCKS,
 )
 from experiments.common.runs import write_json
 from i2t.calibration import DataWarnings, check_presses
@@ -42,8 +42,8 @@ STYLES: dict[str, tuple[str, str]] = {
     HEIGHT: (style.GREEN, "-"), SELECTED: (style.RED, ":"), PREVIOUS_MEAN: (style.BLUE, "-"),
     PREVIOUS_ALONE: (style.RED, "--"), PERIOD: (style.GREEN, ":"), SCRATCH: (style.GREY, "--"),
     PRETRAINED: (style.ORANGE, "--"), RESIDUAL: (style.BLUE, "--"), BEST: (style.RED, "-."),
-    MEAN: (style.GREY, ":"), POPULATION: (style.ORANGE, ":"), WEIGHED: (style.RED, "-"),
-    WEIGHED_BLOCKS: (style.RED, "--"),
+    MEAN: (style.GREY, ":"), POPULATION: (style.ORANGE, ":"), WEIGHTED: (style.RED, "-"),
+    WEIGHTED_BLOCKS: (style.RED, "--"),
     SESSION[PREVIOUS_MEAN]: (style.BLUE, "-"), SESSION[PREVIOUS_ALONE]: (style.RED, "--"),
     ALIGNED_ALONE: (style.ORANGE, "-"),
 }  # fmt: skip
@@ -72,7 +72,7 @@ def differences(curves: Curves, reference: str = HEIGHT) -> dict[str, Any]:
 
 
 def over_blocks(readings: np.ndarray, errors: ErrorCurves, block: np.ndarray) -> dict[str, Any]:
-    """R2 of the weighed methods, and by how much it is above each other, with 95 % intervals over whole blocks of the
+    """R2 of the weighted methods, and by how much it is above each other, with 95 % intervals over whole blocks of the
     held-out presses (cluster bootstrap of the mean over draws): what other positions on the skin would have given.
     """
     names, of = np.unique(block, return_inverse=True)
@@ -94,11 +94,13 @@ def over_blocks(readings: np.ndarray, errors: ErrorCurves, block: np.ndarray) ->
 
     return {
         "blocks": len(names),
-        "r2": {n: interval(partial(r2, error)) for n, error in missed[WEIGHED].items()},
+        "r2": {n: interval(partial(r2, error)) for n, error in missed[WEIGHTED].items()},
         "differences": {
-            f"{WEIGHED} - {other}": {n: interval(partial(share, error - missed[WEIGHED][n])) for n, error in by.items()}
+            f"{WEIGHTED} - {other}": {
+                n: interval(partial(share, error - missed[WEIGHTED][n])) for n, error in by.items()
+            }
             for other, by in missed.items()
-            if other != WEIGHED
+            if other != WEIGHTED
         },
     }
 
@@ -169,9 +171,9 @@ def print_tables(metrics: dict[str, Any]) -> None:
         for method, by_count in methods.items():
             print(table_row(method, by_count))
     for name, found in metrics.get("best_over_blocks", {}).items():
-        print(f"\nheld out: {name}; {WEIGHED} and their gain, 95 % over {found['blocks']} blocks of positions")
-        for what, by_count in {WEIGHED: found["r2"], **found["differences"]}.items():
-            print(table_row(what.removeprefix(WEIGHED + " "), by_count))
+        print(f"\nheld out: {name}; {WEIGHTED} and their gain, 95 % over {found['blocks']} blocks of positions")
+        for what, by_count in {WEIGHTED: found["r2"], **found["differences"]}.items():
+            print(table_row(what.removeprefix(WEIGHTED + " "), by_count))
 
 
 def write(out: Path, metrics: dict[str, Any]) -> None:

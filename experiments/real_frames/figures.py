@@ -1,4 +1,4 @@
-"""Figures of real patches beside imagined ones."""
+"""Figures of real patches next to imagined ones."""
 
 import numpy as np
 from matplotlib.axes import Axes

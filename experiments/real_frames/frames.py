@@ -1,4 +1,4 @@
-"""Frames of real cameras, and patches of them beside patches of posed scans."""
+"""Frames of real cameras, and patches of them next to patches of posed scans."""
 
 from dataclasses import dataclass
 from functools import partial

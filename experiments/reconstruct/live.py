@@ -22,7 +22,7 @@ from i2t.reconstruction.surface import SurfaceModel, contact_evidence, init, sur
 from i2t.types import ReturnCode
 
 UNKNOWN = "unknown"  # name of the object, in the data set
-LIVE_OVERTRAVEL_M = 4e-3  # beyond a site: more would end in the table beside a low object
+LIVE_OVERTRAVEL_M = 4e-3  # beyond a site: more would end in the table next to a low object
 UNKNOWN_WITHIN_M = 16e-3  # before a site the surface may be: there the slow approach begins
 MAX_FAILURES = 10  # of sites in a row
 

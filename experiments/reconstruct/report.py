@@ -11,7 +11,7 @@ from experiments.reconstruct.scores import SCORES
 from i2t.recognition.intervals import bootstrap_clusters, mean_interval
 
 Episodes = dict[str, dict[tuple[int, int], Episode]]
-GAP_TOUCHES = 5  # after which a policy's share of the gap between random and oracle is told
+GAP_TOUCHES = 5  # after which a policy's share of the gap between random and oracle is reported
 
 
 def summarize(episodes: Episodes, explorer: Explorer, sizes: ReconstructSizes) -> dict[str, Any]:

@@ -1,11 +1,11 @@
-"""Recorded presses of one tip, real ones above all: where was the tip, and how deep, told from the reading alone?
+"""Recorded presses of one tip, real ones above all: where was the tip, and how deep, from the reading alone?
 
     python -m experiments.reconstruct_patch --dataset eflesh/spatial
 
 Blocks of 6 mm of the skin are held out, in turn. The skin is calibrated (`i2t.calibrate`) on presses in the others, and
 imagined with the tip at every place and depth (`i2t.reconstruction.tip`). Temperature and degrees of freedom of the
 likelihood are chosen on validation blocks, with a calibration that has not seen them; so is how much a head of the skin
-(`i2t.calibration.heads`), which learned positions from readings, counts beside it. Both stand beside nearest neighbours
+(`i2t.calibration.heads`), which learned positions from readings, counts too. Both are compared with nearest neighbours
 on readings, whose number is chosen there too. What the tip is stays as it was in calibration: presses of one tip do not
 say what another would read.
 """
@@ -115,20 +115,20 @@ class FoldAnswer(NamedTuple):
 def answer(recording: SkinRecording, presses: LabelledPresses, kind: str, rows: FoldRows) -> FoldAnswer:
     """Every method on the presses of one part of the blocks."""
     chosen = choose(recording, presses, kind, rows)
-    learnt = presses.rows(np.concatenate([rows.train, rows.validation]))
+    given = presses.rows(np.concatenate([rows.train, rows.validation]))
     asked = presses.rows(rows.test)
-    model, head = imagined(learnt, kind), by_head(recording, learnt, asked, kind)
+    model, head = imagined(given, kind), by_head(recording, given, asked, kind)
     alone, pooled = (with_likelihood(model, each) for each in (chosen.alone, chosen.pooled))
     found = {
         MIDDLE: TipsFound(
-            np.tile(learnt.position.mean(0), (len(asked.load), 1)), np.full(len(asked.load), learnt.load.mean())
+            np.tile(given.position.mean(0), (len(asked.load), 1)), np.full(len(asked.load), given.load.mean())
         ),
-        NEIGHBOURS: neighbours(learnt, asked.reading, chosen.neighbours),
+        NEIGHBOURS: neighbours(given, asked.reading, chosen.neighbours),
         HEAD: head,
         TIP: by_imagination(alone, asked),
         POOLED: by_imagination(pooled, asked, head, chosen.pooled.head),
     }
-    return FoldAnswer(rows.test, len(learnt.load), chosen, found, np.asarray(model.places))
+    return FoldAnswer(rows.test, len(given.load), chosen, found, np.asarray(model.places))
 
 
 def _joined(parts: list[TipsFound]) -> TipsFound:
@@ -215,8 +215,8 @@ class Chosen(NamedTuple):
 
 def choose(recording: SkinRecording, presses: LabelledPresses, kind: str, rows: FoldRows) -> Chosen:
     """By the weight of true places for the posteriors, by squared error for the neighbours."""
-    learnt, asked = presses.rows(rows.train), presses.rows(rows.validation)
-    model, head = imagined(learnt, kind), by_head(recording, learnt, asked, kind)
+    given, asked = presses.rows(rows.train), presses.rows(rows.validation)
+    model, head = imagined(given, kind), by_head(recording, given, asked, kind)
     near = KDTree(np.asarray(model.places)).query(asked.position)[1]
 
     def worth(constants: TipConstants) -> float:
@@ -225,7 +225,7 @@ def choose(recording: SkinRecording, presses: LabelledPresses, kind: str, rows: 
         return float(np.mean(np.log(weight[np.arange(len(near)), near])))
 
     errors = [
-        np.mean(np.sum((neighbours(learnt, asked.reading, k).position - asked.position) ** 2, axis=1))
+        np.mean(np.sum((neighbours(given, asked.reading, k).position - asked.position) ** 2, axis=1))
         for k in NEAREST_TRIED
     ]
     return Chosen(
@@ -238,10 +238,10 @@ def choose(recording: SkinRecording, presses: LabelledPresses, kind: str, rows: 
     )
 
 
-def imagined(learnt: LabelledPresses, kind: str) -> TipModel:
+def imagined(given: LabelledPresses, kind: str) -> TipModel:
     """What the skin reads of its tip anywhere, as presses say."""
-    calibration: Calibration = i2t.calibrate(learnt.position, learnt.load, learnt.reading, load_kind=kind)  # type: ignore[arg-type]
-    return imagine_tip(calibration, learnt.position, learnt.load)
+    calibration: Calibration = i2t.calibrate(given.position, given.load, given.reading, load_kind=kind)  # type: ignore[arg-type]
+    return imagine_tip(calibration, given.position, given.load)
 
 
 def with_likelihood(model: TipModel, constants: TipConstants) -> TipModel:
@@ -262,7 +262,7 @@ def by_imagination(
 
 @jax.jit
 def _infer(
-    model: TipModel, head_weight: jax.Array, readings: jax.Array, positions: jax.Array, told: jax.Array, std: jax.Array
+    model: TipModel, head_weight: jax.Array, readings: jax.Array, positions: jax.Array, loads: jax.Array, std: jax.Array
 ) -> tuple[jax.Array, ...]:
     def one(press: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
         reading, position, *head = press
@@ -270,18 +270,18 @@ def _infer(
         credible = credible_level(found, model, position)
         return found.position, found.load, credible, found.bits, jnp.sum(found.weight, axis=1)
 
-    return jax.lax.map(one, (readings, positions, told, std))
+    return jax.lax.map(one, (readings, positions, loads, std))
 
 
-def neighbours(learnt: LabelledPresses, readings: Float[np.ndarray, "n c"], k: int) -> TipsFound:
+def neighbours(given: LabelledPresses, readings: Float[np.ndarray, "n c"], k: int) -> TipsFound:
     """The mean of the presses with the k nearest readings."""
-    near = KDTree(learnt.reading).query(readings, k=min(k, len(learnt.load)))[1].reshape(len(readings), -1)
-    return TipsFound(learnt.position[near].mean(1), learnt.load[near].mean(1))
+    near = KDTree(given.reading).query(readings, k=min(k, len(given.load)))[1].reshape(len(readings), -1)
+    return TipsFound(given.position[near].mean(1), given.load[near].mean(1))
 
 
-def by_head(recording: SkinRecording, learnt: LabelledPresses, asked: LabelledPresses, kind: str) -> TipsFound:
+def by_head(recording: SkinRecording, given: LabelledPresses, asked: LabelledPresses, kind: str) -> TipsFound:
     """What the skin's heads say."""
-    known = recording.rows(learnt.row)
+    known = recording.rows(given.row)
     position, load = (fit_head(known, target).predict(asked.reading) for target in ("position", kind))
     return TipsFound(position.mean, load.mean[:, 0], std=position.std)
 

@@ -143,7 +143,7 @@ def score_episodes(name: str, episodes: OpenSetEpisodes, clusters: Clusters) -> 
 
 
 def tables_of_detection(result: dict[str, Any]) -> dict[str, Any]:
-    """How well unknown objects are told, and what is right of each share of them, calibrated."""
+    """How well unknown objects are recognised as such, and what is right of each share of them, calibrated."""
     area = result["auroc"]
     at = [
         [str(t), {key: values[t - 1] for key, values in area.items()}]

@@ -1,4 +1,4 @@
-"""Further skins on the tool, beside the one that presses: they are read in each touch, and each may stop a press.
+"""Further skins on the tool, next to the one that presses: they are read in each touch, and each may stop a press.
 
 A skin has felt a press if its change differs between its chips by half of what stops a press. The arm measures one
 force for all skins: it is a skin's own where no other felt the press, and unknown (NaN) else. A skin that felt nothing

@@ -243,8 +243,8 @@ def _session_info(
 
 def _serial_number(device: object) -> str:
     """That of a connected device: a board on USB, a camera, an arm's controller; "" where it has none."""
-    told = getattr(device, "serial_number", None) or getattr(getattr(device, "info", None), "serial_number", None)
-    return str(told or "")
+    number = getattr(device, "serial_number", None) or getattr(getattr(device, "info", None), "serial_number", None)
+    return str(number or "")
 
 
 def _run(

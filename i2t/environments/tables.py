@@ -97,7 +97,7 @@ def tabulate(
         environment: whose task places objects, and whose errors and limits hold.
         params: what may be there.
         placements: drawn once, the same for every object.
-        progress: told the number of touches just made.
+        progress: called with the number of touches just made.
 
     Returns:
         The parameters with their table; steps are look-ups from here on.

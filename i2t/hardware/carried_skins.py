@@ -1,4 +1,4 @@
-"""Further skins that the tool carries beside the one that presses: the tables `[skins.NAME]` of a rig's file.
+"""Further skins that the tool carries next to the one that presses: the tables `[skins.NAME]` of a rig's file.
 
     [tool]
     skin = "left"                    # the skin in the tool's frame: it presses, and the command line names its device
@@ -24,7 +24,7 @@ from i2t.skin.boards import DEFAULT_BOARD, make_board
 from i2t.types import Array
 
 TOOL_SKIN = "tool"  # name of the skin in the tool's frame, where a rig gives none
-MAX_CARRIED_SKINS = 8  # beside the one that presses
+MAX_CARRIED_SKINS = 8  # next to the one that presses
 TEXT_KEYS = ("device", "board", "address", "serial_number", "pad")  # keys of a table that are texts
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}")

@@ -52,7 +52,7 @@ class TrainState(NamedTuple):
 class EpochInfo(NamedTuple):
     """What a person plots of an epoch."""
 
-    train: Losses  # mean over the epoch's minibatches, as they were met
+    train: Losses  # mean over the epoch's minibatches, each before its step
     validation: Losses  # after the epoch; NaN where there are no validation touches
 
 
@@ -402,10 +402,10 @@ def _run_epoch(
     rows, weights = minibatches(key, state.epoch, touches, cfg.batch_size)
     step = partial(_step, model, cfg, cfg.optimizer(touches), train)
     (params, opt_state), (parts, sums) = jax.lax.scan(step, (state.params, state.opt_state), (rows, weights))
-    met = jax.tree.map(lambda part: part @ sums / touches, parts)
+    trained = jax.tree.map(lambda part: part @ sums / touches, parts)
 
     if validation is None:
-        scored = jax.tree.map(lambda part: jnp.full_like(part, jnp.nan), met)
+        scored = jax.tree.map(lambda part: jnp.full_like(part, jnp.nan), trained)
         better = jnp.ones((), bool)
     else:
         scored = evaluate(params, model, cfg.loss, validation)
@@ -422,7 +422,7 @@ def _run_epoch(
         best_params=best,
         best_loss=best_loss,
         best_epoch=best_epoch,
-    ), EpochInfo(met, scored)
+    ), EpochInfo(trained, scored)
 
 
 def _step(

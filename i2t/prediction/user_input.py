@@ -348,9 +348,9 @@ def _starts_inside(triangles: np.ndarray, T_w_t: np.ndarray, x: float, y: float)
 
     parts = np.stack([twice_area(b, c), twice_area(c, a), twice_area(a, b)])
     whole = parts.sum(0)
-    met = ((parts > 0).all(0) | (parts < 0).all(0)) & (whole != 0)
-    height = (parts * np.stack([a, b, c])[:, :, 2]).sum(0)[met] / whole[met]
-    leaves = (whole[met] > 0)[np.argsort(height)]  # whether the line leaves the object through the face
+    crossed = ((parts > 0).all(0) | (parts < 0).all(0)) & (whole != 0)
+    height = (parts * np.stack([a, b, c])[:, :, 2]).sum(0)[crossed] / whole[crossed]
+    leaves = (whole[crossed] > 0)[np.argsort(height)]  # whether the line leaves the object through the face
     height = np.sort(height)
     alternate = len(leaves) % 2 == 0 and not leaves[::2].any() and leaves[1::2].all()
     ahead = leaves[height > -STANDOFF]

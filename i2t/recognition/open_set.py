@@ -1,4 +1,4 @@
-"""Scores where the object may be an unknown one: the unknown class, its prior, and how well it is told.
+"""Scores where the object may be an unknown one: the unknown class, its prior, and how well it is recognised.
 
 Beliefs and truths are as in `i2t.recognition.metrics`, intervals as in `i2t.recognition.intervals`.
 """

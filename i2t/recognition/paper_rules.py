@@ -287,7 +287,7 @@ def run_loop(
         pool: Number of each episode's pool.
         count: Touches of each episode.
         rule: Which of `RULES` makes the belief that hypotheses are sampled from; the paper's is that of votes.
-        progress: Told how many touches were made.
+        progress: Called with how many touches were made.
 
     Returns:
         What happened.

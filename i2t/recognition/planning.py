@@ -1,7 +1,7 @@
 """The next touch of many episodes at once: by what it is expected to tell, at random, or by the paper's heuristic.
 
 A site is chosen only among those that are safe and were not touched yet. `choose_informative_sites` and
-`choose_random_sites` ask that a site be safe on what may be there, all objects weighed by their probability;
+`choose_random_sites` ask that a site be safe on what may be there, all objects weighted by their probability;
 `choose_heuristic_sites`, which is for simulated
 comparisons, asks that it be safe on the one object that it takes as the hypothesis. An episode for which there is none
 gets `i2t.recognition.policy.NO_SITE` (-1), and whoever asked draws other candidates or stops.

@@ -95,7 +95,7 @@ def build_library(
         count: Patches of the library at most; as many of each shape, but where a shape has too few safe sites.
         sampling: Where and how they are met.
         loads: N, ascending, at least two.
-        progress: Told the number of patches just made.
+        progress: Called with the number of patches just made.
 
     Returns:
         The library, on the host.
@@ -122,7 +122,7 @@ def sample_contacts(
         surfaces: Of the shapes.
         count: Contacts at most.
         sampling: Where and how they are met.
-        progress: Told the number of contacts just made.
+        progress: Called with the number of contacts just made.
 
     Returns:
         Contacts that met something, on the host, and the index of each one's shape.

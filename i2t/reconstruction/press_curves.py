@@ -1,7 +1,7 @@
 """Simulated presses with several stops, by the full physics: what an inference of the local shape is tried on.
 
 One press runs past a first change of the reading (25 uT) to a second one (100 uT), or to the greatest force; it slants
-by the same slope all the way, and each stop is read and weighed by sensors with the errors of `SimulationErrors`.
+by the same slope all the way, and each stop is measured with the errors of `SimulationErrors`.
 Contacts are solved on cells of half a millimetre and friction to its default tolerance, finer than what a library
 imagines.
 

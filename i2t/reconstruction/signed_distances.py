@@ -205,8 +205,8 @@ def _inside(triangles: NDArray, grid: VoxelGrid) -> NDArray[np.bool_]:
         p = xy[columns] - a
         v = (p[:, 0] * (c[1] - a[1]) - p[:, 1] * (c[0] - a[0])) / area
         w = ((b[0] - a[0]) * p[:, 1] - (b[1] - a[1]) * p[:, 0]) / area
-        met = (v >= 0) & (w >= 0) & (v + w <= 1)
+        inside = (v >= 0) & (w >= 0) & (v + w <= 1)
         z = corner[0, 2] + v * (corner[1, 2] - corner[0, 2]) + w * (corner[2, 2] - corner[0, 2])
-        above = z[met][:, None] > levels
-        winding[columns[met]] += np.where(above, np.sign(area).astype(np.int32), 0)
+        above = z[inside][:, None] > levels
+        winding[columns[inside]] += np.where(above, np.sign(area).astype(np.int32), 0)
     return (winding > 0).reshape(-1)

@@ -157,7 +157,7 @@ def surface_model(
         meshes: Closed meshes that stand where objects stand; none for a prior of smoothness alone.
         config: What is assumed.
         turns: Quarter turns of each shape that the library holds: 4, 2 or 1.
-        progress: Told the number of shapes done.
+        progress: Called with the number of shapes done.
         low: (3,) m, lowest corner of the box that objects are known to be in; shapes may enlarge it.
         high: (3,) m, its highest corner.
 
@@ -564,7 +564,7 @@ def _counted(model: SurfaceModel, state: SurfaceState) -> tuple[np.ndarray, np.n
 def _prior_at(
     model: SurfaceModel, shapes: np.ndarray, weights: np.ndarray, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of the weighed shapes at points, and their deviations times the root of their weights."""
+    """Mean of the weighted shapes at points, and their deviations times the root of their weights."""
     if not len(shapes):
         points = model.points[points] if points.ndim == 1 else points
         middle = np.array([0.0, 0.0, 0.5 * (model.points[0, 2] + model.points[-1, 2])])

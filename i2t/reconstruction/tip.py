@@ -8,7 +8,7 @@ differences of a reading y from candidate i in standard deviations s,
     log w_i = T [ -sum log s - (k + c)/2 log(1 + z'z / k) ],
 
 Student's t with k degrees of freedom, tempered by T, because what a calibration errs is alike in all channels; a share
-of the prior stays mixed in. A load that was measured beside the reading multiplies the weights by its own likelihood.
+of the prior stays mixed in. A load that was measured with the reading multiplies the weights by its own likelihood.
 What a head of the skin, which learned positions from readings, says of the position can be pooled with them.
 
 Metres, newtons, microtesla; positions are of the tip in the tool frame.
@@ -99,10 +99,10 @@ def infer_tip(
     Args:
         reading: uT.
         model: What the skin reads at every candidate.
-        load: Measured beside the reading (m or N); NaN where it was not.
+        load: Measured with the reading (m or N); NaN where it was not.
         load_std: Its standard deviation, which the spacing of the candidates' loads should not exceed.
         head: What a head of the skin says of the position (`i2t.calibration.heads`): mean and standard deviation (m).
-        head_weight: By which its logarithm counts beside the tempered likelihood. It is told by the same reading, so
+        head_weight: By which its logarithm counts next to the tempered likelihood. It comes from the same reading, so
             the two are pooled and not multiplied (logarithmic opinion pool; Genest and Zidek, Statistical Science 1,
             1986).
 
@@ -118,11 +118,13 @@ def infer_tip(
     if head is not None:
         mean, std = head
         logarithm -= 0.5 * head_weight * jnp.sum(((model.places - mean[None]) / std[None]) ** 2, axis=-1)[:, None]
-    told = jax.nn.softmax(logarithm.ravel()).reshape(logarithm.shape)
-    weight = (1 - likelihood.prior_share) * told + likelihood.prior_share / told.size
+    posterior = jax.nn.softmax(logarithm.ravel()).reshape(logarithm.shape)
+    weight = (1 - likelihood.prior_share) * posterior + likelihood.prior_share / posterior.size
     bits = jnp.sum(jax.scipy.special.xlogy(weight, weight * weight.size)) / jnp.log(2.0)
     # The prior's share stands for touches that are not understood; the means are of those that are.
-    return TipPosterior(weight, jnp.sum(told, axis=1) @ model.places, jnp.sum(told, axis=0) @ model.loads, bits)
+    return TipPosterior(
+        weight, jnp.sum(posterior, axis=1) @ model.places, jnp.sum(posterior, axis=0) @ model.loads, bits
+    )
 
 
 def credible_level(

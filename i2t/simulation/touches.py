@@ -491,7 +491,7 @@ def simulate_touches(
         limits: when a press ends.
         sites: which sites are safe.
         touches_per_session: touches after which the object is placed anew.
-        progress: told the number of touches just made.
+        progress: called with the number of touches just made.
 
     Returns:
         Touches. `object` and `session` are indices in the order made; `pad` is 0.

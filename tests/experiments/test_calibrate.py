@@ -58,7 +58,7 @@ def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
     kept = load_calibration(tmp_path / "out" / "calibration.npz")
     assert kept.load_kind == "depth"
     assert kept.predict(np.zeros(2), 2e-3)[0].shape == (15,)
-    assert set(metrics["r2"]["random presses"]) > {methods.SCRATCH, methods.PRETRAINED, methods.BEST, methods.WEIGHED}
+    assert set(metrics["r2"]["random presses"]) > {methods.SCRATCH, methods.PRETRAINED, methods.BEST, methods.WEIGHTED}
     assert metrics["kept"]["method"] in calibrate.KEPT
     for by_method in metrics["r2"].values():
         for by_count in by_method.values():
@@ -105,7 +105,7 @@ def test_presses_at_few_depths_are_calibrated_as_well(step, tmp_path, capsys):
     assert command.main(args) == 0
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     r2 = {name: by_count["20"]["mean"] for name, by_count in metrics["r2"]["random presses"].items()}
-    assert r2[methods.WEIGHED] > max(r2[methods.PLAIN], r2[methods.NEIGHBOURS]) - 0.03
+    assert r2[methods.WEIGHTED] > max(r2[methods.PLAIN], r2[methods.NEIGHBOURS]) - 0.03
     mean, std = load_calibration(tmp_path / "out" / "calibration.npz").predict(np.zeros((1, 2)), depth[:1])
     assert np.isfinite(mean).all()
     assert (std > 0).all()
@@ -156,7 +156,7 @@ def test_intervals_over_blocks_are_those_of_whole_blocks():
     readings, block = rng.normal(size=(60, 15)), np.repeat([0, 1], 30)
     error = 15 * rng.uniform(0, 1, 60) * np.where(block == 0, 0.01, 0.5)
     draws = [error * (1 + share) for share in (-0.5, 0.5)]  # whose mean is the error
-    errors = {methods.WEIGHED: {20: draws}, methods.PLAIN: {20: [2 * error]}}
+    errors = {methods.WEIGHTED: {20: draws}, methods.PLAIN: {20: [2 * error]}}
     found = report.over_blocks(readings, errors, block)
     assert found["blocks"] == 2
     # Two blocks are drawn as a pair of one of them in half of the resamples: the ends are those of each alone.
@@ -165,7 +165,7 @@ def test_intervals_over_blocks_are_those_of_whole_blocks():
     np.testing.assert_allclose([both["low"], both["high"]], alone, rtol=1e-9)
     assert both["mean"] == pytest.approx(explained(readings, error))
     # Twice the error costs what the error itself explains less than all.
-    gain = found["differences"][f"{methods.WEIGHED} - {methods.PLAIN}"][20]
+    gain = found["differences"][f"{methods.WEIGHTED} - {methods.PLAIN}"][20]
     np.testing.assert_allclose([gain["low"], gain["high"]], [1 - alone[1], 1 - alone[0]], rtol=1e-9)
 
 
@@ -206,7 +206,7 @@ def test_methods_are_weighed_by_cross_validation_on_the_presses_they_learn_from(
     # And so it is where methods are evaluated: what is chosen is what is best on the known presses, not at the test.
     predictors = SimpleNamespace(by_name=lambda: by_name, recording=recording)
     predicted = evaluate._predictions(predictors, known, unseen)
-    for name in (methods.BEST, methods.WEIGHED, methods.WEIGHED_BLOCKS):
+    for name in (methods.BEST, methods.WEIGHTED, methods.WEIGHTED_BLOCKS):
         np.testing.assert_allclose(predicted[name], predicted[methods.PLAIN], rtol=1e-6)
 
 
@@ -220,7 +220,7 @@ def test_a_method_that_is_not_finite_does_not_count():
     weights = methods.weigh_methods(by_name, recording, np.arange(10), methods.random_fifths)
     assert weights == {methods.MEAN: 1.0}
     predicted = {name: method(np.arange(10), np.arange(3)) for name, method in by_name.items()}
-    assert np.isfinite(methods.weighed(predicted, weights)).all()
+    assert np.isfinite(methods.weighted_mean(predicted, weights)).all()
 
 
 @pytest.mark.parametrize("n", [5, 10, 23])

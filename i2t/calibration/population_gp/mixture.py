@@ -1,4 +1,4 @@
-"""A mixture of Gaussian processes over the population of kernels, weighed by what presses left out say.
+"""A mixture of Gaussian processes over the population of kernels, weighted by what presses left out say.
 
 Marginal likelihood misled on real presses, so a kernel's weight is its share of the population times what it is worth
 in leave-one-out prediction: its log density (Student's t, so that one bad press does not decide; pseudo-Bayesian model
@@ -48,7 +48,7 @@ LINEAR_VARIANCES = (0.15**2, 0.15**2)  # of the share of the press before that s
 LINEAR_SHARE = 0.5  # of the prior, of kernels with linear terms where they are known
 PREVIOUS_SHARE = 0.5  # of the prior, of a previous session as the mean where there is one
 PREVIOUS_NOISE_FACTORS = (1.0, 10.0, 100.0)  # on the noise of kernels that explain what a previous session leaves
-# Presses that kernels are weighed by, and how many kernels are weighed by them.
+# Presses that kernels are weighted by, and how many kernels are weighted by them.
 STAGES = ((60, 10**9), (150, 64), (400, 24), (10**9, 8))
 KEPT_SHARE, MAX_KEPT, MAX_KEPT_OF_MANY, KEEP_FEW_BEYOND = 0.995, 48, 6, 400
 TAIL_DOF = 4.0  # of the errors' t
@@ -125,7 +125,7 @@ class PopulationGP(NamedTuple):
     weights: Float[np.ndarray, "k c"]
 
 
-class Weighed(NamedTuple):
+class LeftOutMixture(NamedTuple):
     """A mixture's prediction of presses left out."""
 
     mean: Float[np.ndarray, "n c"]  # uT
@@ -202,7 +202,7 @@ def predict_population(
     return mean, np.sqrt(variance)
 
 
-def left_out_mixture(gp: PopulationGP) -> Weighed:
+def left_out_mixture(gp: PopulationGP) -> LeftOutMixture:
     """Each press of a mixture as predicted from all others, with the weights that all presses gave.
 
     Args:
@@ -245,7 +245,7 @@ def _start(
     chip_positions: np.ndarray | None,
     prior: KernelPrior,
 ) -> PopulationGP:
-    """All members, not weighed yet."""
+    """All members, not weighted yet."""
     n, c = readings.shape
     loads = presses.loads if load_kinds else np.ones((n, 1))
     typical = np.maximum(np.sqrt(np.mean(loads**2, axis=0)), MIN_TYPICAL_LOAD)
@@ -418,10 +418,10 @@ def _observed(gp: PopulationGP, linear: bool, previous: bool) -> Observed:
     return Observed(target, regressors, np.array(LINEAR_VARIANCES[: regressors.shape[2]]), extra)
 
 
-def _mixed(gp: PopulationGP, found: LeftOutPresses) -> Weighed:
+def _mixed(gp: PopulationGP, found: LeftOutPresses) -> LeftOutMixture:
     error = np.einsum("kc,knc->nc", gp.weights, found.error)
     spread = found.variance + (found.error - error[None]) ** 2
-    return Weighed(gp.readings - error, np.einsum("kc,knc->nc", gp.weights, spread))
+    return LeftOutMixture(gp.readings - error, np.einsum("kc,knc->nc", gp.weights, spread))
 
 
 # --- heavy tails ---
