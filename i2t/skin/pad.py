@@ -58,7 +58,7 @@ def press(
 
     Args:
         pad: the skin.
-        height: m, of the surface behind its nearest point at each cell centre, row along tool y.
+        height: m, of the surface behind its nearest point at each cell centre, row along tool y; inf where there is none.
         indentation: m past first touch.
         grid: of the contact.
         start: Pa, a pressure to begin from.
@@ -68,7 +68,7 @@ def press(
         Reading, force, indentation and pressure.
 
     Raises:
-        ValueError: the heights are not the grid's or not finite, or the indentation is no length.
+        ValueError: the heights are not the grid's, NaN or nowhere finite, or the indentation is no length.
         TypeError: one of them holds no real numbers.
 
     Example:
@@ -78,8 +78,8 @@ def press(
     if not given.is_traced(height, indentation):
         hint = f"({grid.cells}, {grid.cells}) metres behind the nearest point, one for each cell of the grid"
         heights = given.numbers("height", height, hint)
-        if heights.shape != (grid.cells, grid.cells) or not np.isfinite(heights).all():
-            raise ValueError(f"height: has the shape {heights.shape} or is not finite; give {hint}")
+        if heights.shape != (grid.cells, grid.cells) or not np.isfinite(heights.min()):
+            raise ValueError(f"height: has the shape {heights.shape}, or is NaN or nowhere finite; give {hint}, inf for air")
         given.number("indentation", indentation, "metres past first touch")
     return _press(pad, solve(pad, jnp.asarray(height), indentation, grid, start=start), grid, dipoles)
 
