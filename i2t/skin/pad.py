@@ -58,7 +58,7 @@ def press(
 
     Args:
         pad: the skin.
-        height: m, of the surface behind its nearest point at each cell centre, row along tool y; inf where there is none.
+        height: m, of the surface behind its nearest point at each cell centre, row along tool y; inf for air.
         indentation: m past first touch.
         grid: of the contact.
         start: Pa, a pressure to begin from.
@@ -79,7 +79,7 @@ def press(
         hint = f"({grid.cells}, {grid.cells}) metres behind the nearest point, one for each cell of the grid"
         heights = given.numbers("height", height, hint)
         if heights.shape != (grid.cells, grid.cells) or not np.isfinite(heights.min()):
-            raise ValueError(f"height: has the shape {heights.shape}, or is NaN or nowhere finite; give {hint}, inf for air")
+            raise ValueError(f"height: has the shape {heights.shape}, or is NaN or nowhere finite; give {hint}")
         given.number("indentation", indentation, "metres past first touch")
     return _press(pad, solve(pad, jnp.asarray(height), indentation, grid, start=start), grid, dipoles)
 
