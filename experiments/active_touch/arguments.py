@@ -49,6 +49,11 @@ class ActiveTouchArgs:
     seed: Seed = 0
     overwrite: bool = False  # replace a finished run in --out
 
+    @property
+    def next_command(self) -> str:
+        """What to try with a finished run."""
+        return "python -m experiments.studies policy --trained-run runs/train"
+
     def check(self) -> None:
         """Refuse objects that the catalogue has not, or too few."""
         from i2t.objects.catalogue import NAMES

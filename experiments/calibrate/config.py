@@ -61,6 +61,12 @@ class CalibrateArgs:
         """For everything that is made; none where a pad is written to a file."""
         return None if self.save_pad else self.out
 
+    @property
+    def next_command(self) -> str:
+        """What to try with a finished run."""
+        asked = "" if self.skin_name is None else f" --skin-name {self.skin_name}"
+        return f"python -m experiments.calibrate --dataset {self.dataset}{asked} --save-pad pad.npz"
+
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there."""
         if self.calibration and not self.save_pad:

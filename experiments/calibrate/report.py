@@ -181,7 +181,6 @@ def write(out: Path, metrics: dict[str, Any]) -> None:
     style.save_figure(figure(metrics), out / "curves.png")
     write_json(out / "metrics.json", metrics)
     print_tables(metrics)
-    print(f"\nresults and the figure are in {out}")
 
 
 def warn(recording: PressRecording, which: str = "") -> DataWarnings:

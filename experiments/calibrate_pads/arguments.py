@@ -19,6 +19,11 @@ class CalibratePadsArgs:
     seed: Seed = 0
     overwrite: bool = False  # replace a run in --out
 
+    @property
+    def next_command(self) -> str:
+        """What to try with a finished run."""
+        return "python -m experiments.pads"
+
     def check(self) -> None:
         """Refuse what does not go together."""
         if self.population + self.prior + self.kinds > 1:

@@ -91,7 +91,6 @@ def report(metrics: dict[str, Any], out: Any) -> None:
         print(condition)
         for name, by_count in {**metrics["r2"][condition], **metrics["differences"][condition]}.items():
             print(table_row(name, by_count, PAD_LABEL_WIDTH))
-    print(f"\nresults are in {out}")
 
 
 def search(

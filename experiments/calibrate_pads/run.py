@@ -132,7 +132,6 @@ def run_pads(args: CalibratePadsArgs) -> dict[str, Any]:
     write_json(args.out / "metrics.json", metrics)
     for name, by_count in metrics["r2"].items():
         print(table_row(name, by_count, PAD_LABEL_WIDTH))
-    print(f"\nsimulated; results, the figure and the fitted pad are in {args.out}")
     return metrics
 
 

@@ -134,7 +134,6 @@ def report(metrics: dict[str, Any], out: Path) -> None:
         print(table_row(DIFFERENCE, case["difference"], KIND_LABEL_WIDTH))
         print(table_row("readings in the 90 % range", case["inside_90"], KIND_LABEL_WIDTH))
     (out / "table.md").write_text(markdown(metrics))
-    print(f"\nresults and the table are in {out}")
 
 
 def markdown(metrics: dict[str, Any]) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from experiments.common.presets import RENAMED, answer_renamed_value
-from experiments.common.runs import check_folder, check_out, exit_code_of_run
+from experiments.common.runs import METRICS, check_folder, check_out, exit_code_of_run, pictures_in
 from i2t.cli import check_options, docstring_of, renamed_flags
 from i2t.options import read_options
 
@@ -76,9 +76,26 @@ def carry_out(args: Checked, words: Sequence[str], work: Callable[[Checked], Any
             check_out(out, getattr(args, "resume", None), args.overwrite, kind=type(args).__name__)
         elif out is not None:
             check_folder(out)
-        return work(args)
+        result = work(args)
+        say_where(out, getattr(args, "next_command", ""))
+        return result
 
     return exit_code_of_run(checked, out if hasattr(args, "resume") else None)
+
+
+def say_where(out: Path | None, next_command: str) -> None:
+    """Print where a finished run's results are, the names of its pictures, and what to try next.
+
+    Args:
+        out: Folder of the run; nothing is said of one that is not there, or not finished.
+        next_command: The whole command; "" where none suggests itself.
+    """
+    if out is None or not (out / METRICS).exists():
+        return
+    pictures = pictures_in(out)
+    print(f"\nresults{f' and pictures ({pictures})' if pictures else ''} are in {out}")
+    if next_command:
+        print(f"next: {next_command}")
 
 
 def program_of(module: str) -> str:

@@ -22,6 +22,11 @@ class PadsArgs:
     overwrite: bool = False  # replace a finished or unfinished run in --out
     tasks: Annotated[TaskOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=TaskOptions)
 
+    @property
+    def next_command(self) -> str:
+        """What to try with a finished run."""
+        return "python -m experiments.calibrate_pads"
+
     def check(self) -> None:
         """Refuse what does not go together."""
         self.tasks.check()

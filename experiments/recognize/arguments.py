@@ -40,6 +40,11 @@ class SimulateArgs:
     overwrite: bool = False  # replace a finished or unfinished run in --out
     tasks: Annotated[TaskOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=TaskOptions)
 
+    @property
+    def next_command(self) -> str:
+        """What to try with a finished run."""
+        return f"python -m experiments.studies policy --trained-run {self.trained_run}"
+
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there."""
         recorded = self.dataset is not None

@@ -137,7 +137,6 @@ def run(out: Path, cfg: Recognition, folders: Sequence[Path], seed: int, options
     reporting.write_figures(parts, out, True)
     reporting.print_tables(result)
     reporting.print_mean_over_objects(result["mean of the sets"])
-    print(f"\nresults and figures are in {out}")
     return result
 
 

@@ -92,7 +92,6 @@ def run(args: SimulateArgs, cfg: Recognition) -> dict[str, Any]:
     reporting.report_hardest_episode(found, list(meshes.values()), args.out / "story", recorded.source, recorded.board)
     write_json(args.out / "metrics.json", summary)
     print_table(summary, warning)
-    print(f"\nresults and figures are in {args.out}")
     return summary
 
 

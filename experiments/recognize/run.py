@@ -35,7 +35,7 @@ import numpy as np
 
 from experiments.common.checks import chosen_runs, pad_name
 from experiments.common.presets import choose_preset
-from experiments.common.runs import begin, pictures_in
+from experiments.common.runs import begin
 from experiments.common.tasks import Task, run_tasks
 from experiments.recognize import paper, recorded, trained_run
 from experiments.recognize import report as reporting
@@ -126,8 +126,6 @@ def report(args: SimulateArgs, parts: list[reporting.Results], source: str, boar
     reporting.report_hardest_episode(parts[0][name], list(meshes.values()), args.out / "story", source, board)
     reporting.print_tables(result)
     reporting.print_calibration(result)
-    print(f"\nresults and figures ({pictures_in(args.out)}) are in {args.out}")
-    print(f"next: python -m experiments.studies policy --trained-run {args.trained_run}")
     return result
 
 

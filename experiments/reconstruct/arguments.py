@@ -61,6 +61,11 @@ class ReconstructArgs:
     seed: Seed = 0
     overwrite: bool = False  # replace a finished run in --out
 
+    @property
+    def next_command(self) -> str:
+        """What to try with a finished run."""
+        return "python -m experiments.reconstruct_patch"
+
     def check(self) -> None:
         """Refuse a folder that is not there, sides in the wrong order, and conditions that there are not."""
         from importlib.util import find_spec

@@ -57,6 +57,11 @@ class PatchArgs:
     seed: Seed = 0
     overwrite: bool = False  # replace a finished run in --out
 
+    @property
+    def next_command(self) -> str:
+        """What to try with a finished run."""
+        return "python -m experiments.reconstruct"
+
     def check(self) -> None:
         """Refuse what is not there, and options that recorded presses leave without effect."""
         require_path("--meshes", self.meshes, "folder")

@@ -38,6 +38,11 @@ class RefineArgs:
     seed: Seed = 0
     overwrite: bool = False  # replace a finished run in --out
 
+    @property
+    def next_command(self) -> str:
+        """What to try with a finished run."""
+        return "python -m experiments.studies registered --trained-run runs/train"
+
     def check(self) -> None:
         """Refuse a folder that is not there."""
         require_path("--data", self.data, "folder")

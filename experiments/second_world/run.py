@@ -62,7 +62,6 @@ def run(args: SecondWorldArgs) -> dict[str, Any]:
         measured = _finished(folder / "train") or train_in(folder, args, getattr(worlds, world))
         result["worlds"][world] = report(NAMES[world], measured)
     write_json(args.out / "metrics.json", result)
-    print(f"\nresults are in {args.out}")
     return result
 
 

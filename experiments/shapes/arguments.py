@@ -23,6 +23,11 @@ class ShapesArgs:
     overwrite: bool = False  # replace a finished or unfinished one
     tasks: Annotated[TaskOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=TaskOptions)
 
+    @property
+    def next_command(self) -> str:
+        """What to try with a finished run."""
+        return "python -m experiments.reconstruct_patch"
+
     def check(self) -> None:
         """Refuse what does not go together, and a data set that is not there."""
         require_dataset("--dataset", self.dataset)

@@ -87,7 +87,6 @@ def run(args: ShapesArgs) -> dict[str, Any]:
     report.figures(args.out, result)
     write_json(args.out / "metrics.json", result)
     report.report(result)
-    print(f"\nresults and figures are in {args.out}")
     return result
 
 

@@ -18,6 +18,11 @@ class ShiftedArgs:
     only: tuple[str, ...] = ()  # variants whose names hold one of these; by default all
     overwrite: bool = False  # replace a run in --out
 
+    @property
+    def next_command(self) -> str:
+        """What to try with a finished run."""
+        return f"python -m experiments.fidelity --dataset {self.dataset}"
+
     def check(self) -> None:
         """Refuse a recording that is not there."""
         require_dataset("--dataset", self.dataset)

@@ -31,7 +31,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from experiments.common.checks import chosen_runs, finished_runs, pad_name
 from experiments.common.presets import choose_preset
-from experiments.common.runs import Part, begin, load_part, pictures_in, save_part, write_json
+from experiments.common.runs import Part, begin, load_part, save_part, write_json
 from experiments.common.tasks import Task, run_tasks
 from experiments.recognize.config import PRESETS
 from experiments.studies import (
@@ -92,7 +92,6 @@ def run(args: StudyArgs) -> dict[str, Any]:
     found = STUDIES[args.study].report(parts, out, pads)
     result = {"source": "simulated", "pads": sorted(set(pads)), "runs": len(parts), **found}
     write_json(out / "metrics.json", result)
-    print(f"\nresults and figures ({pictures_in(out)}) are in {out}")
     return result
 
 

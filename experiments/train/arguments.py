@@ -31,6 +31,13 @@ class TrainArgs:
     overwrite: bool = False  # replace a finished or unfinished run in --out
     tasks: Annotated[TaskOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=TaskOptions)
 
+    @property
+    def next_command(self) -> str:
+        """What to try with a finished run."""
+        asked = "" if self.dataset is None else f" --dataset {self.dataset}"
+        asked += "" if self.skin_name is None else f" --skin-name {self.skin_name}"
+        return f"python -m experiments.recognize --trained-run {self.out}{asked}"
+
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there."""
         if self.pads is not None and (self.pad or self.dataset):

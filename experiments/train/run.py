@@ -36,7 +36,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from experiments.common.presets import choose_preset
-from experiments.common.runs import begin, pictures_in, slug, write_json
+from experiments.common.runs import begin, slug, write_json
 from experiments.common.tasks import Task, run_tasks
 from experiments.train import causes, recognition_data
 from experiments.train.arguments import TrainArgs
@@ -108,16 +108,7 @@ def run(args: TrainArgs) -> dict[str, Any]:
     parts = [json.loads(task.finished.read_text()) for task in tasks]
     result = parts[0] if not several else summarise(parts, args.out)
     print_table(result)
-    print(f"\nresults, the predictor and the figures ({pictures_in(args.out)}) are in {args.out}")
-    print(f"next: {next_command(args)}")
     return result
-
-
-def next_command(args: TrainArgs) -> str:
-    """What to try with a finished run."""
-    asked = "" if args.dataset is None else f" --dataset {args.dataset}"
-    asked += "" if args.skin_name is None else f" --skin-name {args.skin_name}"
-    return f"python -m experiments.recognize --trained-run {args.out}{asked}"
 
 
 class PreparedData(NamedTuple):

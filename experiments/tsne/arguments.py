@@ -20,6 +20,11 @@ class TsneArgs:
     network: bool = True  # train the paper's network, for its bottleneck
     overwrite: bool = False  # replace a run in --out
 
+    @property
+    def next_command(self) -> str:
+        """What to try with a finished run."""
+        return "python -m experiments.notebooks"
+
     def check(self) -> None:
         """Refuse a data set that is not there."""
         require_dataset("--dataset", self.dataset)

@@ -105,7 +105,6 @@ def run(args: TsneArgs) -> dict[str, Any]:
     viz.save_figure(figure(dataset, touch_map, args.kind), args.out / "tsne.png")
     write_json(args.out / "metrics.json", result)
     report(result)
-    print(f"\nthe figure and the numbers are in {args.out}")
     return result
 
 

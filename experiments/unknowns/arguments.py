@@ -23,6 +23,11 @@ class UnknownsArgs:
     questions: tuple[Question, ...] = QUESTIONS  # that are asked of them
     overwrite: bool = False  # replace a run in --out
 
+    @property
+    def next_command(self) -> str:
+        """What to try with a finished run."""
+        return "python -m experiments.fidelity --help"
+
     def check(self) -> None:
         """Refuse kinds of skins that are not simulated."""
         if unknown := set(self.kinds) - set(UNKNOWNS_KINDS):
