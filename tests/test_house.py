@@ -26,7 +26,7 @@ FLOORS = {
         "cli",
         "given",
     ),
-    1: ("batching", "models", "options", "objects", "progress", "sharding"),
+    1: ("batching", "models", "options", "objects", "progress", "sharding", "views"),
     2: ("dataset",),
     3: ("rendering", "depth", "skin", "unknowns"),
     4: ("simulation", "prediction", "convert", "viz", "hardware"),

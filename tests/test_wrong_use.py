@@ -28,7 +28,8 @@ from i2t.objects import catalogue
 from i2t.prediction import user_input
 from i2t.prediction.baselines import MeanReading
 from i2t.prediction.predictor import BaselineModel, Predictor, Reading
-from i2t.types import REACH, Patch, Surface
+from i2t.types import REACH, WIDE_PIXELS, Patch, Surface
+from i2t.views import WideView
 
 ROOT = Path(__file__).parents[1]
 DATA = "a.h5"  # where only a name is asked for
@@ -378,9 +379,9 @@ def test_a_pose_without_contact_is_refused_in_one_sentence(predictor, box, pose,
     assert "\n" not in str(refused.value)
 
 
-def seen(height: float) -> Patch:
+def seen(height: float) -> WideView:
     """A flat at a height above the tool's origin (m, along tool z)."""
-    return Patch(FLAT, np.float32(height))
+    return WideView(Patch(FLAT, np.float32(height)), np.zeros((WIDE_PIXELS, WIDE_PIXELS), np.float32))
 
 
 def test_where_the_skin_lies_is_judged_by_the_faces_before_and_behind_it(box):

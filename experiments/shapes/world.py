@@ -35,7 +35,6 @@ from i2t.skin.pad import friction_response, press_force
 from i2t.types import (
     PAD_WINDOW,
     PATCH_PIXELS,
-    PATCH_WINDOW,
     REACH,
     WIDE_PIXELS,
     WIDE_WINDOW,
@@ -45,6 +44,7 @@ from i2t.types import (
     Touches,
     Truth,
 )
+from i2t.views import centre, view_of_heights
 
 PREFIX = "stamp-"  # of the stamps' names in the catalogue
 SHAPES = tuple(name.removeprefix(PREFIX) for name in catalogue.STAMPS)
@@ -157,14 +157,14 @@ def press_stamp(
 
     travel = pressed.indentation + force / cfg.stiffness
     deep = jnp.eye(4).at[2, 3].set(-pressed.indentation)
-    wide, nearest = _depths(stamp, deep @ believed, WIDE_WINDOW, WIDE_PIXELS)
-    patch, _ = _depths(stamp, deep @ believed, PATCH_WINDOW, PATCH_PIXELS)
-    truth, true_nearest = _depths(stamp, deep @ T_t_o, WIDE_WINDOW, WIDE_PIXELS)
+    seen, z = (_wide_heights(stamp, deep @ T) for T in (believed, T_t_o))
+    view = view_of_heights(seen, jnp.min(centre(seen, PATCH_PIXELS)))
+    true_nearest = jnp.min(z)
     zero = jnp.int32(0)
     return Touches(
-        patch=patch,
-        wide=wide,
-        nearest=nearest,
+        patch=view.patch.depth,
+        wide=view.wide,
+        nearest=view.patch.nearest,
         reading=reading,
         force=force + errors.force * force_error,
         depth=travel + errors.repeatability * travel_error,
@@ -174,16 +174,13 @@ def press_stamp(
         pad=zero,
         session=zero,
         code=jnp.int32(ReturnCode.WRENCH),
-        truth=Truth(truth, true_nearest, force, pressed.indentation, reading),
+        truth=Truth(jnp.clip(z - true_nearest, 0, REACH), true_nearest, force, pressed.indentation, reading),
     )
 
 
-def _depths(stamp: Stamp, T_t_o: Array, window: float, pixels: int) -> tuple[Array, Array]:
-    """Depth behind the nearest point, clipped to the reach, and that point."""
-    face, base = heights(stamp, T_t_o, window, pixels)
-    z = jnp.minimum(face, base)
-    nearest = jnp.min(z)
-    return jnp.clip(z - nearest, 0, REACH), nearest
+def _wide_heights(stamp: Stamp, T_t_o: Array) -> Array:
+    """Tool z (m) of what a wide view shows."""
+    return jnp.minimum(*heights(stamp, T_t_o, WIDE_WINDOW, WIDE_PIXELS))
 
 
 @partial(jax.jit, static_argnames=("cfg",))

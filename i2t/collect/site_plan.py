@@ -15,20 +15,19 @@ from jaxtyping import Float, Int
 
 from i2t.collect.touch import ExtractPatch, SeenPatch, Site
 from i2t.depth.camera import Camera
-from i2t.depth.patches import patch_from_depth
+from i2t.depth.patches import view_from_depth
 from i2t.geometry import full_precision, inverse, nearest_rigid
 from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
 from i2t.objects.solids import Mesh, transform_mesh
 from i2t.rendering.render import prepare_surface
-from i2t.simulation import touches
 from i2t.simulation.sites import SiteLimits, collect_sites
-from i2t.types import PATCH_PIXELS, WIDE_PIXELS, WIDE_WINDOW, Array
+from i2t.types import PATCH_PIXELS, Array
+from i2t.views import centre
 
 MM_PER_M = 1e3
 SITE_BATCH = 32  # sites that are drawn at once
 ARROW_LENGTH_MM = 15.0  # of the arrows that a picture draws along the motion of presses
-VIEW_DEPTH_M = 80e-3  # behind the nearest point, down to which a view is followed
 
 
 class SiteSampler:
@@ -112,13 +111,9 @@ def patch_extractor() -> ExtractPatch:
 def _extract(
     depth: Float[Array, "h w"], camera: Camera, T_w_c: Float[Array, "4 4"], T_w_t: Float[Array, "4 4"]
 ) -> tuple[Array, Array, Array, Array]:
-    seen = patch_from_depth(depth, camera, T_w_c, T_w_t, window=WIDE_WINDOW, pixels=WIDE_PIXELS, reach=VIEW_DEPTH_M)
-    known = seen.valid_mask | seen.inpainted_mask
-    margin = (WIDE_PIXELS - PATCH_PIXELS) // 2
-    z = jnp.where(known & (seen.patch.depth < VIEW_DEPTH_M), seen.patch.nearest + seen.patch.depth, jnp.inf)
-    wide, patch = touches.extract_patch(z)
-    share = jnp.mean(known[margin:-margin, margin:-margin])
-    return wide, patch.depth, patch.nearest, share
+    seen = view_from_depth(depth, camera, T_w_c, T_w_t)
+    share = jnp.mean(centre(seen.known_mask, PATCH_PIXELS))
+    return seen.view.wide, seen.view.patch.depth, seen.view.patch.nearest, share
 
 
 _extract = jax.jit(_extract, static_argnums=1)

@@ -31,8 +31,10 @@ from i2t import given
 from i2t.depth.camera import Camera, check_image, check_view
 from i2t.depth.distortion import pixel_rays, project_to_pixel
 from i2t.geometry import is_rigid
-from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, Patch, in_one_line
+from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, WIDE_PIXELS, WIDE_WINDOW, Patch, in_one_line
+from i2t.views import WideView, camera_view
 
+VIEW_DEPTH_M = 80e-3  # m behind the nearest point, down to which a wide view is followed
 LOOKING_DISTANCE_M = 104e-3  # m, from the camera to the tool's origin when the paper's arm looks
 GRAZING_ANGLE_RAD = math.radians(10)  # rad, between a triangle and the line of sight to it
 # m: neighbours no further apart in depth are surface however steep; the depth step of a file in millimetres is less
@@ -50,6 +52,14 @@ class DepthPatch(NamedTuple):
     patch: Patch
     valid_mask: Bool[Array, "n n"]  # measured on the pixel's ray
     inpainted_mask: Bool[Array, "n n"]  # interpolated; valid and inpainted exclude each other
+
+
+@in_one_line
+class DepthView(NamedTuple):
+    """A patch and its surroundings from a depth image."""
+
+    view: WideView
+    known_mask: Bool[Array, "w w"]  # measured or interpolated
 
 
 def patch_from_depth(
@@ -110,6 +120,39 @@ def patch_from_depth(
     check_image(depth, camera)
     sizes = {"window": window, "reach": reach, "standoff": standoff, "grazing": grazing, "step": step, "fill": fill}
     return _patch_from_depth(depth, T_w_c, T_w_t, camera=camera, pixels=int(pixels), sizes=_Sizes(**sizes))
+
+
+def view_from_depth(
+    depth: Num[Array | np.ndarray, "height width"],
+    camera: Camera,
+    T_w_c: Float[Array | np.ndarray, "4 4"],
+    T_w_t: Float[Array | np.ndarray, "4 4"],
+) -> DepthView:
+    """A patch with its surroundings from a depth image, as a simulated camera sees them: what was trained on one fits
+    the other.
+
+    Args:
+        depth: As for `patch_from_depth`.
+        camera: The camera; static.
+        T_w_c: Where it stood.
+        T_w_t: Where the tool looks from.
+
+    Returns:
+        The view, behind the patch's nearest surface, and which of its pixels are known. The others read the reach.
+
+    Raises:
+        ValueError: As for `patch_from_depth`.
+        TypeError: One of them holds no real numbers.
+
+    Example:
+        seen = view_from_depth(image, camera, T_w_c, T_w_t)
+        known = centre(seen.known_mask, PATCH_PIXELS)
+        reading, std = predictor.predict(seen.view.patch.depth, force=1.0, wide=seen.view.wide, valid=known)
+    """
+    seen = patch_from_depth(depth, camera, T_w_c, T_w_t, window=WIDE_WINDOW, pixels=WIDE_PIXELS, reach=VIEW_DEPTH_M)
+    known = seen.valid_mask | seen.inpainted_mask
+    z = jnp.where(known & (seen.patch.depth < VIEW_DEPTH_M), seen.patch.nearest + seen.patch.depth, jnp.inf)
+    return DepthView(camera_view(z), known)
 
 
 class _Sizes(NamedTuple):

@@ -37,9 +37,10 @@ from i2t.prediction.baselines import Baseline, MeanReading, NearestPatches, Ridg
 from i2t.prediction.gp import GP, ContactPressure, GPHyperparameters
 from i2t.prediction.model import ModelConfig, Normalisation, Params
 from i2t.prediction.pressure import PressureModelConfig, predict_pressure
-from i2t.rendering.render import prepare_surface, render_patch
+from i2t.rendering.render import prepare_surface, render_view
 from i2t.skin.pad import nominal_pad
-from i2t.types import PATCH_PIXELS, WIDE_PIXELS, Pad, Patch, Surface, in_one_line
+from i2t.types import PATCH_PIXELS, Pad, Surface, in_one_line
+from i2t.views import WideView
 
 PREDICTOR_FORMAT = "i2t predictor"
 PREDICTOR_VERSION = 3
@@ -248,8 +249,10 @@ class Predictor:
             force: N along tool z; left out, the median of the training touches is taken.
             nearest: m, signed distance of the nearest point from the tool origin; only a model trained with it asks.
             depth: m, travel past first contact; left out, the median of the training touches is taken.
-            wide: The same view with its surroundings, pixels of the same size, which makes the prediction better at
-                the rim of the skin.
+            wide: The same view with its surroundings, pixels of the same size, as `i2t.views` makes it: m
+                behind the patch's nearest point, negative where something stands out before it. It makes the
+                prediction better at the rim of the skin, and what stands out on the skin is met first. A model on
+                patches alone does not look at it.
             valid: (48, 48) or (n, 48, 48), pixels that were seen (`valid_mask` of `i2t.patch_from_depth`). The others
                 are predicted as if nothing were there and as if the surface went on; the difference widens the
                 standard deviation.
@@ -323,6 +326,9 @@ class Predictor:
     ) -> Reading:
         """The reading of the skin pressed on a mesh, at one pose or at many.
 
+        The skin is 20 mm wide and meets first what stands out under it, though it lie beyond the 17 mm of the patch:
+        the reading predicted is that of a press on what is met first.
+
         Args:
             mesh: In W: a file (then `unit` is required), which is read as `i2t.load_mesh` does, box centred in x and y
                 and lowest point on z = 0; an `i2t.objects.Object`; anything with `vertices` and `faces` (m), such as a
@@ -362,20 +368,15 @@ class Predictor:
             ValueError: The pose is no rigid transform, or the skin does not lie on the surface there.
         """
         surface, poses = _surface_of(mesh, unit), user_input.checked_poses(T_w_t)
-        pitch = self.window / PATCH_PIXELS
-        patches, wides, nearest = [], [], []
-        for pose in poses:
-            patch = _render(surface, jnp.asarray(pose), self.window, PATCH_PIXELS, self.reach)
-            user_input.check_in_front(surface, pose, patch, self.window)
-            wide = _render(surface, jnp.asarray(pose), pitch * WIDE_PIXELS, WIDE_PIXELS, self.reach)
-            # Both views count from the patch's nearest point, as the camera's do.
-            wides.append(np.clip(np.asarray(wide.depth) + float(wide.nearest - patch.nearest), 0, self.reach))
-            patches.append(np.asarray(patch.depth))
-            nearest.append(float(patch.nearest))
-        unknown = np.full(len(patches), np.nan, np.float32)
+        seen = [jax.device_get(_render(surface, jnp.asarray(pose), self.window, self.reach)) for pose in poses]
+        for pose, view in zip(poses, seen, strict=True):
+            user_input.check_in_front(surface, pose, view, self.window)
+        views = jax.tree.map(lambda *each: np.stack(each), *seen)
+        unknown = np.full(len(poses), np.nan, np.float32)
         return TouchBatch(
-            np.stack(patches), np.stack(wides), pitch, force=unknown, nearest=np.array(nearest), depth=unknown
-        )
+            views.patch.depth, views.wide, self.window / PATCH_PIXELS,
+            force=unknown, nearest=views.patch.nearest, depth=unknown,
+        )  # fmt: skip
 
     def _predict_classes(self, patches: np.ndarray, views: np.ndarray | None, values: dict[str, np.ndarray]) -> Reading:
         """Readings of touches in batches of few sizes, so that a new number of touches compiles nothing."""
@@ -638,9 +639,9 @@ def _network(cfg: ModelConfig, params: Params, norm: Normalisation, inputs: mode
     return jax.vmap(partial(model.predict, params, cfg, norm))(inputs)
 
 
-@partial(jax.jit, static_argnums=(2, 3, 4))
-def _render(surface: Surface, T_w_t: Array, window: float, pixels: int, reach: float) -> Patch:
-    return render_patch(surface, T_w_t, window=window, pixels=pixels, reach=reach)
+@partial(jax.jit, static_argnums=(2, 3))
+def _render(surface: Surface, T_w_t: Array, window: float, reach: float) -> WideView:
+    return render_view(surface, T_w_t, window=window, reach=reach)
 
 
 def _surface_of(mesh: Any, unit: str | None) -> Surface:

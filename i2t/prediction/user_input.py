@@ -17,8 +17,9 @@ from scipy import ndimage
 from i2t import given
 from i2t.geometry import is_rigid
 from i2t.objects.mesh_files import MAX_SIZE_M
-from i2t.types import STANDOFF, Patch, Surface
-from i2t.windows import MAX_SKIN_FORCE_N
+from i2t.types import STANDOFF, Surface
+from i2t.views import WideView, centre
+from i2t.windows import MAX_SKIN_FORCE_N, PAD_WINDOW
 
 UNUSUAL_FORCE_RATIO = 10.0  # to the median of the training touches: beyond it nothing is known
 MAX_TRAVEL_M = 20e-3  # m past first contact; a skin is 2 to 20 mm thick
@@ -26,7 +27,7 @@ MAX_NEAREST_M = 0.1  # m, signed distance of a surface that a skin is about to m
 MAX_GAP_M = 10e-3  # m between the skin and the surface at a pose where they are said to touch
 MAX_CLOSE_GAP_M = 1e-3  # m likewise, by which a pose may be off without a word: how far cameras and arms err
 MAX_LEAST_PIXEL_M = 1e-3  # m, nearest pixel of a patch, whose values count from that pixel
-MAX_CENTRE_STEP_M = 0.5e-3  # m, median by which a patch may differ from the middle of its wide view
+MAX_CENTRE_STEP_M = 0.5e-3  # m, by which nine in ten pixels of a patch may differ from the middle of its wide view
 LEAST_SEEN_SHARE = 0.5  # of a patch's pixels; with fewer there is a warning
 BESIDE_CENTRE = np.array([0.537, 0.471])  # pixels; a ray through a pixel's centre meets edges of symmetric meshes
 PIXEL_TOLERANCE_M = 1e-6  # m, of single precision
@@ -110,7 +111,8 @@ def checked_wide(wide: Any, patches: Float[np.ndarray, "n p p"], reach: float) -
     """The views with their surroundings that a user gave with patches.
 
     Args:
-        wide: (w, w) or (n, w, w) m, pixels of the patches' size; NaN where nothing is known at the rim.
+        wide: (w, w) or (n, w, w) m, pixels of the patches' size; negative where something stands out before the
+            patch's nearest point, NaN where nothing is known at the rim.
         patches: The patches, each the middle of its view.
         reach: m, at which they are clipped.
 
@@ -127,8 +129,7 @@ def checked_wide(wide: Any, patches: Float[np.ndarray, "n p p"], reach: float) -
         raise ValueError(
             f"wide has shape {np.shape(wide)}; give ({n}, w, w) with w at least the {pixels} pixels of a patch"
         )
-    border = (views.shape[1] - pixels) // 2
-    middle = views[:, border : border + pixels, border : border + pixels]
+    middle = centre(views, pixels)
     if not np.isfinite(middle).all():
         raise ValueError("wide is NaN or infinite where the patch is; give what the camera saw there, or leave it out")
     if np.nanmax(views) > reach + max(PIXEL_TOLERANCE_M, 1e-3 * reach) or np.isinf(views).any():
@@ -136,9 +137,11 @@ def checked_wide(wide: Any, patches: Float[np.ndarray, "n p p"], reach: float) -
             f"wide has pixels of {np.nanmax(views):.3g}, and it is metres behind the patch's nearest point, at most "
             f"{reach:g}; clip it there, or divide millimetres by 1000"
         )
-    if np.median(np.abs(np.clip(middle, 0, reach) - patches)) > MAX_CENTRE_STEP_M:
+    other = np.quantile(np.abs(np.clip(middle, 0, reach) - patches), 0.9, axis=(1, 2)) > MAX_CENTRE_STEP_M
+    if other.any():
         raise ValueError(
-            "wide is another view than the patch, or has pixels of another size; its middle must be the patch"
+            f"wide is another view than the patch{_which(other)}, or has pixels of another size; its middle must be "
+            "the patch"
         )
     return views
 
@@ -249,9 +252,8 @@ def in_middle(views: Float[np.ndarray, "n w w"], patches: Float[np.ndarray, "n p
     Returns:
         The views.
     """
-    border, pixels = (views.shape[1] - patches.shape[1]) // 2, patches.shape[1]
     changed = views.copy()
-    changed[:, border : border + pixels, border : border + pixels] = patches
+    centre(changed, patches.shape[1])[:] = patches
     return changed
 
 
@@ -294,31 +296,41 @@ def check_size(mesh: Any) -> None:
         )
 
 
-def check_in_front(surface: Surface, T_w_t: Float[np.ndarray, "4 4"], patch: Patch, window: float) -> None:
-    """Refuse a pose at which the skin does not lie on the surface, and warn of one before it.
+def check_in_front(surface: Surface, T_w_t: Float[np.ndarray, "4 4"], view: WideView, window: float) -> None:
+    """Refuse a pose at which the skin does not lie on the surface, and warn of one where something else is met first.
 
     Args:
         surface: That is touched, in W.
         T_w_t: Pose of the tool.
-        patch: What lies in front of it.
+        view: What lies in front of it.
         window: m, edge of the patch.
 
     Raises:
         ValueError: Nothing is in front of the skin, it is away from the surface or inside the object, or its z points
             away from it.
     """
-    nearest = float(patch.nearest)
+    nearest = float(view.patch.nearest)
     if not math.isfinite(nearest):
-        raise ValueError("nothing lies in front of the skin at this pose; move T_w_t towards the surface")
-    if nearest > MAX_GAP_M:
+        raise ValueError("nothing lies in front of the skin's middle at this pose; move T_w_t towards the surface")
+    pixels = len(view.patch.depth)
+    on_skin = 2 * int(PAD_WINDOW / window * pixels / 2)  # pixels of the view, whose centres lie on the skin
+    stands_out = max(-float(np.min(centre(np.asarray(view.wide), min(on_skin, len(view.wide))))), 0.0)
+    met = nearest - stands_out
+    if met > MAX_GAP_M:
         raise ValueError(
-            f"the surface begins {1e3 * nearest:.3g} mm in front of the skin at this pose; move T_w_t onto it "
+            f"the surface begins {1e3 * met:.3g} mm in front of the skin at this pose; move T_w_t onto it "
             "(i2t.contact_pose)"
         )
-    if nearest > MAX_CLOSE_GAP_M:
+    if met > MAX_CLOSE_GAP_M:
         warnings.warn(
-            f"the surface begins {1e3 * nearest:.3g} mm in front of the skin at this pose: a press that ends there "
+            f"the surface begins {1e3 * met:.3g} mm in front of the skin at this pose: a press that ends there "
             "meets nothing and reads nil; what is predicted is the reading of a skin that is moved on until it presses",
+            stacklevel=4,
+        )
+    if stands_out > MAX_CLOSE_GAP_M:
+        warnings.warn(
+            f"the object stands out by {1e3 * stands_out:.3g} mm beside the patch and under the skin's rim at "
+            "this pose: it is met first, and what is predicted is the reading of a press on it",
             stacklevel=4,
         )
     if nearest < -MAX_GAP_M:
@@ -326,7 +338,7 @@ def check_in_front(surface: Surface, T_w_t: Float[np.ndarray, "4 4"], patch: Pat
             f"the surface begins {-1e3 * nearest:.3g} mm behind the skin at this pose: it lies inside the object, or "
             "tool z, which points into the object, points away from it (i2t.contact_pose)"
         )
-    depth = np.asarray(patch.depth)
+    depth = np.asarray(view.patch.depth)
     row, column = np.unravel_index(int(depth.argmin()), depth.shape)
     x, y = ((np.array([column, row]) + BESIDE_CENTRE) / len(depth) - 0.5) * window
     if _starts_inside(np.asarray(surface.triangles, np.float64), T_w_t, float(x), float(y)):

@@ -23,19 +23,18 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from i2t.batching import map_batches
-from i2t.geometry import inverse
 from i2t.prediction.predictor import Predictor, Reading
 from i2t.recognition import ensemble
 from i2t.recognition.episodes import Episodes, MeasuredTouches
 from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID
 from i2t.recognition.site_pool import SitePools, pool_informativeness
-from i2t.rendering.render import render_heights
-from i2t.types import PATCH_PIXELS, REACH, WIDE_PIXELS, WIDE_WINDOW, Surface
+from i2t.rendering.render import render_view
+from i2t.types import PATCH_PIXELS, Surface
+from i2t.views import SAME_SURFACE_M, centre, view_of_heights
 
 BASELINE_LENGTH_M = 1e-3  # by which distances of contacts are divided before exp(-d)
 RULES = {"votes": ensemble.votes, "average": ensemble.average, "product": ensemble.product}
 PROPRIOCEPTION = "proprioception"
-MARGIN_PIXELS = (WIDE_PIXELS - PATCH_PIXELS) // 2  # of a wide view about its patch
 VIEWS = 64  # rendered and predicted at a time: one compilation serves all
 
 
@@ -150,7 +149,10 @@ def reading_distances(
                 wide = _noisy(wide, view_noise, rng)
             for name, predictor in ready.items():
                 reading = predictor.predict_views(
-                    _inner(wide), force=force[full], nearest=np.zeros(VIEWS, np.float32), wide=wide
+                    np.maximum(centre(wide, PATCH_PIXELS), 0),
+                    force=force[full],
+                    nearest=np.zeros(VIEWS, np.float32),
+                    wide=wide,
                 ).mean
                 predicted[name][rows, i] = np.where(seen[:, None], reading, 0.0)[: len(rows)]
     measured, std = jnp.float32(touches.reading), jnp.float32(reading_std)
@@ -340,15 +342,16 @@ def _on_rendered_views(predictor: ReadingPredictor, smooth: bool) -> ReadingPred
     return predictor
 
 
-def _inner(wide: np.ndarray) -> np.ndarray:
-    """The patches in the middle of wide views."""
-    return wide[:, MARGIN_PIXELS:-MARGIN_PIXELS, MARGIN_PIXELS:-MARGIN_PIXELS]
-
-
 def _noisy(wide: np.ndarray, view_noise: float, rng: np.random.Generator) -> np.ndarray:
-    """Views with noise, behind their then nearest pixel."""
-    wide = wide + view_noise * rng.standard_normal(wide.shape, dtype=np.float32)
-    return np.clip(wide - _inner(wide).min((1, 2), keepdims=True), 0, REACH)
+    """Views with noise, behind the then nearest pixel of their patches."""
+    noisy = jnp.asarray(wide + view_noise * rng.standard_normal(wide.shape, dtype=np.float32))
+    nearest = jnp.min(centre(noisy, PATCH_PIXELS), axis=(1, 2))
+    return np.asarray(_behind(noisy, nearest))
+
+
+@jax.jit
+def _behind(z: Array, nearest: Array) -> Array:
+    return jax.vmap(partial(view_of_heights, noise=SAME_SURFACE_M))(z, nearest).wide
 
 
 @jax.jit
@@ -358,14 +361,6 @@ def _nearest_distances(points: Array, surface: Surface) -> Array:
 
 @jax.jit
 def _views(surface: Surface, T_w_t: Array) -> tuple[Array, Array]:
-    return jax.vmap(partial(_view, surface))(T_w_t)
-
-
-def _view(surface: Surface, T_w_t: Array) -> tuple[Array, Array]:
-    """A wide view behind the patch's nearest point, as the camera's are (`i2t.simulation.touches`), and whether it
-    shows any.
-    """
-    z = render_heights(surface, inverse(T_w_t), WIDE_WINDOW, WIDE_PIXELS)
-    nearest = jnp.min(z[MARGIN_PIXELS:-MARGIN_PIXELS, MARGIN_PIXELS:-MARGIN_PIXELS])
-    seen = jnp.isfinite(nearest)
-    return jnp.clip(z - jnp.where(seen, nearest, 0.0), 0, REACH), seen
+    """Wide views, and whether their patches show anything."""
+    seen = jax.vmap(partial(render_view, surface))(T_w_t)
+    return seen.wide, jnp.isfinite(seen.patch.nearest)

@@ -26,7 +26,8 @@ from i2t.geometry import is_rigid
 from i2t.rendering.bvh import build_bvh, pad_to_same_size
 from i2t.rendering.raycast import first_hit
 from i2t.rendering.tiles import ToolView
-from i2t.types import CONTACT_TOLERANCE_M, PATCH_PIXELS, PATCH_WINDOW, REACH, Patch, Surface
+from i2t.types import CONTACT_TOLERANCE_M, PATCH_PIXELS, PATCH_WINDOW, REACH, WIDE_PIXELS, Patch, Surface
+from i2t.views import WideView, centre, view_of_heights
 
 MAX_COORDINATE_M = 100.0  # m, where one step of float32 is 8 um
 
@@ -145,6 +146,34 @@ def _render(surface: Surface, T_w_t: Array, window: float, pixels: int, reach: f
     depth = jnp.where(missed, reach, jnp.minimum(behind, reach))
     # A minimum may lose what is not a number (XLA on CPU), so that is put in last.
     return Patch(jnp.where(rigid, depth, jnp.nan), jnp.where(rigid, nearest, jnp.nan))
+
+
+def render_view(
+    surface: Surface,
+    T_w_t: Float[Array, "4 4"],
+    *,
+    window: float = PATCH_WINDOW,
+    pixels: int = PATCH_PIXELS,
+    wide_pixels: int = WIDE_PIXELS,
+    reach: float = REACH,
+) -> WideView:
+    """What the tool has in front of it, with its surroundings, exactly.
+
+    Args:
+        surface: A prepared surface.
+        T_w_t: The tool's rigid pose in the surface's frame; another one gives NaN.
+        window: m, edge of the patch; static.
+        pixels: Along the edge of the patch; static.
+        wide_pixels: Along the edge of the view, an even number more; static.
+        reach: m, at which depths are clipped; static.
+
+    Returns:
+        The view. `patch` is that of `i2t.render_patch` at the same pose.
+    """
+    # Unbounded: what stands out must not end what is seen behind it.
+    seen = render_patch(surface, T_w_t, window=window * wide_pixels / pixels, pixels=wide_pixels, reach=math.inf)
+    z = jnp.where(jnp.isfinite(seen.nearest), seen.nearest, 0) + seen.depth
+    return view_of_heights(z, jnp.min(centre(z, pixels)), pixels=pixels, reach=reach)
 
 
 def render_heights(

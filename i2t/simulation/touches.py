@@ -44,8 +44,6 @@ from i2t.skin.pad import friction_response
 from i2t.skin.pad import press as press_pad
 from i2t.types import (
     PAD_WINDOW,
-    PATCH_PIXELS,
-    PATCH_WINDOW,
     REACH,
     WIDE_PIXELS,
     WIDE_WINDOW,
@@ -56,11 +54,10 @@ from i2t.types import (
     Touches,
     Truth,
 )
+from i2t.views import WideView, camera_view, centre
 
 CAMERA_DISTANCE_M = 104e-3  # m from the camera to the surface while looking (the paper's 40 mm + 64 mm)
-SAME_SURFACE_M = (
-    1.5e-3  # m, five times the default depth noise: pixels closer in depth than this are taken for one surface
-)
+PAD_PIXELS = 56  # of a wide view whose centres lie on the skin
 
 
 @dataclass(frozen=True)
@@ -145,9 +142,7 @@ def sample_session_errors(key: Key[Array, ""], errors: SimulationErrors) -> Sess
     )
 
 
-def apply_camera_model(
-    key: Key[Array, ""], z: Float[Array, "wide wide"], errors: SimulationErrors
-) -> tuple[Float[Array, "wide wide"], Patch]:
+def apply_camera_model(key: Key[Array, ""], z: Float[Array, "wide wide"], errors: SimulationErrors) -> WideView:
     """What the depth camera makes of heights.
 
     Args:
@@ -156,7 +151,7 @@ def apply_camera_model(
         errors: Sizes of the camera's errors.
 
     Returns:
-        The wide view and its patch, as of `extract_patch`.
+        The patch and its surroundings, as of `camera_view`.
     """
     row, column = jnp.meshgrid(jnp.arange(WIDE_PIXELS), jnp.arange(WIDE_PIXELS), indexing="ij")
     drawn = jax.random.normal(key, (3, *z.shape))  # one draw: each takes XLA a second to compile
@@ -165,43 +160,7 @@ def apply_camera_model(
     z = z + errors.depth_noise * drawn[2]
     if errors.depth_quantum > 0:
         z = jnp.round((z + CAMERA_DISTANCE_M) / errors.depth_quantum) * errors.depth_quantum - CAMERA_DISTANCE_M
-    return extract_patch(z)
-
-
-def extract_patch(z: Float[Array, "wide wide"]) -> tuple[Float[Array, "wide wide"], Patch]:
-    """A wide view as the model sees it, and its patch.
-
-    Depths (m) are measured from the patch's nearest point and clipped to 0 and the reach; what lies outside the patch
-    and is nearer reads 0. Nearest is the least mean of 5 x 5 pixels, of which those on the window's nearest surface
-    count (a sigma filter; Lee, CVGIP 24, 1983) and must be at least ten, or as many as there are anywhere: few pixels
-    would be the noisiest rather than the nearest.
-
-    Args:
-        z: m along tool z from the tool origin, +inf where nothing is seen.
-
-    Returns:
-        Depths of the wide view (m), and the patch in its middle.
-    """
-    central = _centre(z, PATCH_WINDOW)
-    inner = PATCH_PIXELS - 4
-    windows = jnp.stack([central[i : i + inner, j : j + inner] for i in range(5) for j in range(5)])
-    same = jnp.isfinite(windows) & (windows <= jnp.min(windows, axis=0, keepdims=True) + SAME_SURFACE_M)
-    count = jnp.sum(same, axis=0)
-    mean = jnp.sum(jnp.where(same, windows, 0), axis=0) / jnp.maximum(count, 1)
-    nearest = jnp.min(jnp.where(count >= jnp.clip(jnp.max(count), 1, 10), mean, jnp.inf))
-    depth = _behind(z, nearest)
-    return depth, Patch(_centre(depth, PATCH_WINDOW), nearest)
-
-
-def _centre(wide: Array, window: float) -> Array:
-    """The pixels of a wide view whose centres lie in a window (m) about its middle."""
-    margin = math.ceil((1 - window / WIDE_WINDOW) * WIDE_PIXELS / 2 - 0.5)
-    return wide[margin : WIDE_PIXELS - margin, margin : WIDE_PIXELS - margin]
-
-
-def _behind(z: Array, nearest: Array) -> Array:
-    """Depth behind the nearest point, clipped to 0 and the reach; the reach where nothing is seen."""
-    return jnp.clip(z - jnp.where(jnp.isfinite(nearest), nearest, 0), 0, REACH)
+    return camera_view(z)
 
 
 class _Approach(NamedTuple):
@@ -271,12 +230,13 @@ def simulate_touch(
     # What the camera sees and what the skin meets, side by side: one compiled renderer for both.
     poses = jnp.stack([T_o_w @ approach.T_w_arm @ end @ session.T_t_camera, approach.T_o_t @ _along_z(press.sinking)])
     seen, z = jax.vmap(lambda T: render_heights(surface, geometry.inverse(T), WIDE_WINDOW, WIDE_PIXELS))(poses)
-    wide, patch = apply_camera_model(key_camera, seen, errors)
-    nearest = jnp.min(_centre(z, PAD_WINDOW))
+    camera = apply_camera_model(key_camera, seen, errors)
+    nearest = jnp.min(centre(z, PAD_PIXELS))
+    met = jnp.clip(z - jnp.where(jnp.isfinite(nearest), nearest, 0), 0, REACH)
     return Touches(
-        patch=patch.depth,
-        wide=wide,
-        nearest=patch.nearest,
+        patch=camera.patch.depth,
+        wide=camera.wide,
+        nearest=camera.patch.nearest,
         reading=press.reading,
         force=press.force + errors.force * force_error,
         depth=jnp.where(approach.hit, press.travel + errors.repeatability * travel_error, jnp.nan),
@@ -286,7 +246,7 @@ def simulate_touch(
         pad=jnp.int32(0),
         session=jnp.int32(0),
         code=press.code.astype(jnp.int32),
-        truth=Truth(_behind(z, nearest), nearest, press.force, press.indentation, press.reading),
+        truth=Truth(met, nearest, press.force, press.indentation, press.reading),
     )
 
 

@@ -26,8 +26,8 @@ from i2t.prediction.predictor import (
     TrainedNetwork,
 )
 from i2t.prediction.pressure import PressureModelConfig
-from i2t.rendering.render import prepare_surface, render_patch
-from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
+from i2t.rendering.render import prepare_surface, render_view
+from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH
 
 PRESSURE = PressureModelConfig(PATCH_WINDOW / PATCH_PIXELS, smooth=False, tilt=0.0)
 
@@ -274,15 +274,13 @@ def test_a_network_predicts_what_the_model_says(network, patches):
 
 @pytest.mark.full
 def test_a_mesh_and_a_pose_are_a_patch(process):
-    """`predict_touch` renders just what `render_patch` does, whoever brings the mesh."""
+    """`predict_touch` renders just what `render_view` does, whoever brings the mesh."""
     ball = catalogue.make_object("dome")
     top = float(ball.mesh.vertices[:, 2].max())
     T_w_t = geometry.contact_frame(jnp.array([1e-3, 0, top]), jnp.array([0.0, 0, 1]))
     surface = prepare_surface(ball.mesh)
-    patch = render_patch(surface, T_w_t)
-    wide = render_patch(surface, T_w_t, window=WIDE_WINDOW, pixels=WIDE_PIXELS)
-    around = np.clip(wide.depth + (wide.nearest - patch.nearest), 0, REACH)
-    by_hand = process[0].predict(np.asarray(patch.depth), force=0.7, wide=around)
+    view = jax.device_get(render_view(surface, T_w_t))
+    by_hand = process[0].predict(view.patch.depth, force=0.7, wide=view.wide)
     for mesh in (ball, ball.mesh, surface):
         np.testing.assert_allclose(process[0].predict_touch(mesh, T_w_t, force=0.7).mean, by_hand.mean, atol=1e-3)
 

@@ -26,7 +26,6 @@ from i2t.simulation.touches import (
     SessionErrors,
     SimulationErrors,
     apply_camera_model,
-    extract_patch,
     sample_session_errors,
     simulate_touch,
     simulate_touches,
@@ -333,35 +332,6 @@ def test_bleeding_moves_pixels_sideways():
     crossing = 0.3085  # P(normal > 0.5)
     for column in (near[:, 36], far[:, 35]):
         assert abs(column.mean() - crossing) < 4.5 * np.sqrt(crossing * (1 - crossing) / 72)
-
-
-def test_nearest_is_a_surface_and_not_a_pixel():
-    look = jax.jit(extract_patch)
-    view = np.full((72, 72), 10e-3, np.float32)
-    view[:, 30:33] = 2e-3  # a thin plate: three columns, about 1 mm
-    depth, patch = look(jnp.asarray(view))
-    assert abs(patch.nearest - 2e-3) < ROUNDING
-    view[40, 50] = -5e-3  # one wrong pixel
-    assert abs(look(jnp.asarray(view))[1].nearest - 2e-3) < ROUNDING
-    view[40, 50] = 10e-3
-    view[:, 70:] = -20e-3  # a high wall beside the patch neither hides nor moves it
-    walled, beside = look(jnp.asarray(view))
-    np.testing.assert_array_equal(beside.depth, patch.depth)
-    np.testing.assert_array_equal(walled[:, :70], depth[:, :70])
-    assert not np.asarray(walled[:, 70:]).any()
-
-
-def test_a_tip_alone_and_nothing_at_all():
-    look = jax.jit(extract_patch)
-    view = np.full((72, 72), np.inf, np.float32)
-    depth, patch = look(jnp.asarray(view))
-    assert np.isposinf(patch.nearest)
-    assert (np.asarray(depth) == np.float32(REACH)).all()
-    view[35:37, 35:37] = 1e-3
-    depth, patch = look(jnp.asarray(view))
-    assert abs(patch.nearest - 1e-3) < ROUNDING
-    assert (np.asarray(patch.depth) == 0).sum() == 4
-    assert (np.asarray(patch.depth) == np.float32(REACH)).sum() == 48 * 48 - 4
 
 
 @pytest.mark.full

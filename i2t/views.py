@@ -1,0 +1,117 @@
+"""Heights that are seen 25.5 mm wide become a patch and its surroundings, in one way for renderers and cameras:
+`i2t.rendering.render.render_view`, `i2t.depth.patches.view_from_depth` and the simulated camera.
+
+A patch shows 17 mm, and the skin is 20 mm wide: what lies around the patch is pressed too, and what stands out there
+is met first. So a view counts from the *patch's* nearest point on all its pixels, and is negative where the
+surroundings stand out before that point:
+
+    wide = min(z - nearest, reach),   patch = its central pixels
+
+Heights z are metres along tool z. They are clipped after the shift, so the middle of a view is always its patch,
+whatever stands beside it; and not from below, since what is met first keeps its shape.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from i2t.types import PATCH_PIXELS, REACH, Patch, in_one_line
+from i2t.types import Array as AnyArray
+
+SAME_SURFACE_M = 1.5e-3  # m, five times a camera's depth noise: pixels closer in depth are taken for one surface
+FILTER_PIXELS = 5  # edge of the square over which a camera's nearest surface is averaged
+MIN_SURFACE_PIXELS = 10  # of that square, that must lie on the surface; few pixels would be the noisiest
+
+
+@in_one_line
+class WideView(NamedTuple):
+    """What lies in front of the skin, and around it.
+
+    Example:
+        view = render_view(surface, T_w_t)
+        reading = predictor.predict(view.patch.depth, force=1.0, wide=view.wide)
+    """
+
+    patch: Patch  # the central pixels
+    wide: Float[Array, "*batch w w"]  # m behind the patch's nearest point, at most the reach; negative: it stands out
+
+
+def view_of_heights(
+    z: Float[Array, "w w"],
+    nearest: Float[Array, ""],
+    *,
+    pixels: int = PATCH_PIXELS,
+    reach: float = REACH,
+    noise: float = 0.0,
+    least: Float[Array, ""] | float = -jnp.inf,
+) -> WideView:
+    """A patch and its surroundings from heights.
+
+    Args:
+        z: m along tool z from the tool origin, +inf where nothing is seen.
+        nearest: m, height of the patch's nearest point, from which depths count; where there is none (+inf) they count
+            from the tool origin.
+        pixels: Along the edge of the patch; static.
+        reach: m, at which depths are clipped.
+        noise: m; what stands out by less is taken for the camera's noise and reads 0.
+        least: m, height of the nearest surface anywhere; what is nearer is taken for noise on it.
+
+    Returns:
+        The view.
+    """
+    start = jnp.where(jnp.isfinite(nearest), nearest, 0)
+    behind = jnp.minimum(jnp.maximum(z, least) - start, reach)
+    wide = jnp.where(behind < -noise, behind, jnp.maximum(behind, 0))
+    patch = jnp.maximum(centre(wide, pixels), 0)
+    margin = (z.shape[-1] - pixels) // 2
+    return WideView(Patch(patch, nearest), jax.lax.dynamic_update_slice(wide, patch, (margin, margin)))
+
+
+def nearest_surface(z: Float[Array, "n n"]) -> Float[Array, ""]:
+    """The height of the nearest surface that a noisy camera sees, which is not its nearest pixel.
+
+    It is the least mean over squares of 5 x 5 pixels, of which those on the square's nearest surface count (a sigma
+    filter; Lee, CVGIP 24, 1983). These must be at least ten, or as many as there are anywhere: few pixels would be the
+    noisiest rather than the nearest.
+
+    Args:
+        z: m along tool z, +inf where nothing is seen.
+
+    Returns:
+        m; +inf where nothing is seen at all.
+    """
+    inner = z.shape[-1] - FILTER_PIXELS + 1
+    squares = jnp.stack([z[i : i + inner, j : j + inner] for i in range(FILTER_PIXELS) for j in range(FILTER_PIXELS)])
+    same = jnp.isfinite(squares) & (squares <= jnp.min(squares, axis=0, keepdims=True) + SAME_SURFACE_M)
+    count = jnp.sum(same, axis=0)
+    mean = jnp.sum(jnp.where(same, squares, 0), axis=0) / jnp.maximum(count, 1)
+    return jnp.min(jnp.where(count >= jnp.clip(jnp.max(count), 1, MIN_SURFACE_PIXELS), mean, jnp.inf))
+
+
+def camera_view(z: Float[Array, "w w"]) -> WideView:
+    """A view from the heights of a noisy camera, of the default sizes.
+
+    Args:
+        z: m along tool z from the tool origin, +inf where nothing is seen.
+
+    Returns:
+        The view, behind the patch's nearest surface. What stands out by less than `SAME_SURFACE_M` is noise.
+    """
+    nearest = nearest_surface(centre(z, PATCH_PIXELS))
+    return view_of_heights(z, nearest, noise=SAME_SURFACE_M, least=jnp.minimum(nearest, nearest_surface(z)))
+
+
+def centre(view: AnyArray, pixels: int) -> AnyArray:
+    """The central pixels of views.
+
+    Args:
+        view: (..., w, w).
+        pixels: Along the edge of what is kept; w less an even number.
+
+    Returns:
+        (..., pixels, pixels), a view of NumPy's arrays.
+    """
+    margin = (view.shape[-1] - pixels) // 2
+    return view[..., margin : margin + pixels, margin : margin + pixels]
