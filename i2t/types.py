@@ -216,7 +216,9 @@ class Touches(NamedTuple):
     """
 
     patch: Float[Any, "*n p p"]  # m, 48 x 48, what the camera saw in the tool frame at the end of the press
-    wide: Float[Any, "*n w w"]  # m, 72 x 72, the same view with its surroundings; NaN where the recording was cropped
+    # m, 72 x 72, the same view with its surroundings, negative where something stands out before the patch's nearest
+    # point; NaN where the recording was cropped
+    wide: Float[Any, "*n w w"]
     nearest: Float[Any, "*n"]  # m
     reading: Float[Any, "*n c"]  # uT, mean in contact minus ambient, in the board's order and axes; NaN: a missing chip
     force: Float[Any, "*n"]  # N, along tool z
