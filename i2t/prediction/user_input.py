@@ -335,8 +335,8 @@ def check_in_front(surface: Surface, T_w_t: Float[np.ndarray, "4 4"], view: Wide
         )
     if nearest < -MAX_GAP_M:
         raise ValueError(
-            f"the surface begins {-1e3 * nearest:.3g} mm behind the skin at this pose: the object is in the way, as in a "
-            "cup, or tool z, which points into the object, points away from it (i2t.contact_pose)"
+            f"the surface begins {-1e3 * nearest:.3g} mm behind the skin at this pose: the object is in the way, as in "
+            "a cup, or tool z, which points into the object, points away from it (i2t.contact_pose)"
         )
     depth = np.asarray(view.patch.depth)
     row, column = np.unravel_index(int(depth.argmin()), depth.shape)
