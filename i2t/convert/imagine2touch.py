@@ -362,7 +362,7 @@ def _loose(stem: Path, name: str) -> np.ndarray:
         values = np.zeros((0, 0)) if path is None else np.array(npy.read(path), np.float64)
     except (DataError, TypeError, ValueError):
         values = np.zeros((0, 0))
-    return values if values.ndim == 2 else np.zeros((0, 0))
+    return np.where(np.abs(values) < MAX_POSE_VALUE, values, np.nan) if values.ndim == 2 else np.zeros((0, 0))
 
 
 def _share_along(moved: np.ndarray, rotations: np.ndarray) -> float:
