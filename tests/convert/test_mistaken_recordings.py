@@ -134,6 +134,20 @@ def session(folder, height_mm, n=60):
         (folder / f"{name}.csv").write_text("\n".join(lines))
 
 
+def test_times_of_a_session_are_kept(tmp_path):
+    """In float64: a float32 tells Unix time to two minutes."""
+    session(tmp_path / "src" / "late", np.full(60, 142.6))
+    dataset = converted(tmp_path / "src", tmp_path / "dst", "--as-stated", command="eflesh")
+    np.testing.assert_array_equal(dataset.touches.time, 1.7e9 + 4.25 * np.arange(60))
+    assert "time of all touches" in " ".join((tmp_path / "dst" / "README.md").read_text().split())
+    table(tmp_path / "presses.csv", recorded := press(0, 28, free=0.0))
+    lines = (tmp_path / "presses.csv").read_text().splitlines()
+    stamped = [f"{lines[0]},time_s", *(f"{line},{1.7e9 + i}" for i, line in enumerate(lines[1:]))]
+    (tmp_path / "presses.csv").write_text("\n".join(stamped))
+    pressed = converted(tmp_path / "presses.csv", tmp_path / "b", "--as-stated", *OPTIONS, command="presses")
+    np.testing.assert_array_equal(pressed.touches.time, 1.7e9 + np.arange(len(recorded.position)))
+
+
 @pytest.mark.full
 def test_presses_to_one_height_have_no_depth_and_the_robot_frame_is_kept(tmp_path, capsys):
     session(tmp_path / "src" / "late", np.full(60, 142.6))
