@@ -252,7 +252,11 @@ def _across(
         "aligned": explained_share(put_back, aligned),
         SIMPLE_GP: explained_share(now.readings[test], BASELINE_METHODS[SIMPLE_GP](now, own, test)),
     }
-    section.sentences += [f"{known.name} on {other.name}: {finding.sentence}" for finding in findings]
+    section.sentences += [
+        f"{known.name} laid over {other.name} by {len(own)} presses: "
+        + finding.sentence.replace("The earlier session", "it").replace("the earlier session", known.name)
+        for finding in findings
+    ]
     section.numbers["r2"][f"{known.name} -> {other.name}"] = scores | {
         "shift_m": alignment.shift.tolist(), "load_offset": alignment.load, "gain": alignment.gain.tolist(),
     }  # fmt: skip

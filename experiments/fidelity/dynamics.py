@@ -95,7 +95,7 @@ def _repeat_ceiling(presses: PressSet, preset: FidelityPreset, section: Section)
     said = (
         f"so that no model can explain more than R2 {ceiling:.4f}"
         if reached <= ceiling
-        else f"which would leave R2 {ceiling:.4f} to explain; as {reached:.4f} is explained, they differ by more than noise"
+        else f"more than noise, as R2 {reached:.4f} is explained where that would leave {ceiling:.4f} to explain"
     )
     section.sentences.append(
         f"Presses repeated at one place and load differ by {np.sqrt(np.mean(noise_of_repeats**2)):.2f} uT (standard "
