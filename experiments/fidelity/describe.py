@@ -21,7 +21,7 @@ CHIP_STEPS_UT = (
 )  # fmt: skip
 STEP_TOLERANCE = 0.02
 MIN_GAPS = 20  # between values, to tell a step from
-SAME_VALUE = 1e-6  # of the largest: by less, values differ by their rounding
+SAME_VALUE = 4e-6  # of the largest: by less, values differ by their rounding, as of float32 before a subtraction
 MICROTESLA_IN = {"uT": 1.0, "mT": 1e3, "gauss": 100.0, "nT": 1e-3}  # uT in each
 COUNTS_OF_16_BITS = 2**16
 JUMP_TOLERANCE = 0.1  # of a jump of so many steps
