@@ -330,7 +330,7 @@ def _meanings(folders: Sequence[Path], notes: ConversionLog) -> dict[int, _Meani
         for run in _runs(folder):
             stem = folder / f"{folder.name}_poses" / f"experiment_{run}"
             values, final, prepare = (_loose(stem, name) for name in ("rotations", "final_contact", "prepare_contact"))
-            if values.shape[1] in found and len(values) == len(final) == len(prepare) and final.shape[1] == 3:
+            if values.shape[1] in found and final.shape == prepare.shape == (len(values), 3):
                 moved = _position_unit(final) * (final - prepare)
                 far = np.linalg.norm(moved, axis=1) > 2 * MAX_LOOK_OFFSET_M
                 far &= np.isfinite(values).all(1) & (np.linalg.norm(values, axis=1) > 0)
@@ -344,7 +344,7 @@ def _meanings(folders: Sequence[Path], notes: ConversionLog) -> dict[int, _Meani
         if size == 4 and np.median(_angle_to_axis(moved, AS_DOCUMENTED.matrices(values))) < MAX_POSE_ERROR:
             continue
         best = next((meaning for meaning in MEANINGS[size] if share[meaning] > MOST_TOUCHES), None)
-        if best is not None:
+        if best is not None and best is not AS_DOCUMENTED:
             decided[size] = best
             runs = f"{len(parts)} runs" if len(parts) > 1 else "1 run"
             notes.info(
