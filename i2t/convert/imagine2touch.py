@@ -166,7 +166,8 @@ class _Options(NamedTuple):
 
 def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog) -> _Run:
     """One run of an object: its touches that have a reading and an image."""
-    reading = samples.readings(folder / f"{folder.name}_tactile" / f"experiment_{run}_reskin", options.order, notes)
+    tactile = folder / f"{folder.name}_tactile" / f"experiment_{run}_reskin"
+    reading, time = samples.readings(tactile, options.order, notes)
     n = len(reading)
     poses = _poses(folder / f"{folder.name}_poses" / f"experiment_{run}", n, options, notes)
     images = folder / f"{folder.name}_images" / "depth" / f"experiment_{run}_depth"
@@ -190,6 +191,7 @@ def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog
         pad=np.zeros(n),
         session=np.zeros(n),
         code=code,
+        time=None if np.isnan(time).all() else time,
     )
     dataset = Dataset(
         touches=touches,

@@ -148,6 +148,13 @@ def test_times_of_a_session_are_kept(tmp_path):
     np.testing.assert_array_equal(pressed.touches.time, 1.7e9 + np.arange(len(recorded.position)))
 
 
+def test_times_of_the_authors_samples_are_kept(tmp_path):
+    authors_layout.write(tmp_path / "src", "star", "1", N)
+    stored = np.load(tmp_path / "src/star/star_tactile/experiment_1_reskin", allow_pickle=True)
+    found = converted(tmp_path / "src", tmp_path / "dst").touches
+    np.testing.assert_array_equal(found.time, [sample[0] for sample in stored[:, 0]])
+
+
 @pytest.mark.full
 def test_presses_to_one_height_have_no_depth_and_the_robot_frame_is_kept(tmp_path, capsys):
     session(tmp_path / "src" / "late", np.full(60, 142.6))
