@@ -168,7 +168,7 @@ def test_a_part_that_fails_costs_no_other(capsys):
 
     section = written("title", broken)
     assert section.status == "failed"
-    assert section.sentences[0] == "so far"
+    assert section.sentences[0] == "so far."
     assert "ZeroDivisionError: by nothing" in section.numbers["failures"][0]
     assert "Traceback" in capsys.readouterr().err
 
