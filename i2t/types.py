@@ -230,6 +230,7 @@ class Touches(NamedTuple):
     session: Int[Any, "*n"]  # index into its session names (a session: a recording with one placement of an object)
     code: Int[Any, "*n"]  # a `ReturnCode`
     truth: Truth | None = None
+    time: Float[Any, "*n"] | None = None  # s, when, as the recording counts (Unix time where it has it); float64
 
 
 class ReturnCode(IntEnum):

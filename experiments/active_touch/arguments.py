@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from experiments.common.checks import with_trained_run
 from experiments.common.presets import choose_preset
 from i2t.cli import Count, Seed
 
@@ -52,7 +53,7 @@ class ActiveTouchArgs:
     @property
     def next_command(self) -> str:
         """What to try with a finished run."""
-        return "python -m experiments.studies policy --trained-run runs/train"
+        return with_trained_run("python -m experiments.studies policy")
 
     def check(self) -> None:
         """Refuse objects that the catalogue has not, or too few."""

@@ -22,6 +22,7 @@ from matplotlib import pyplot
 from matplotlib.figure import Figure
 
 from experiments.active_touch.arguments import ActiveTouchArgs, ActiveTouchSizes
+from experiments.common.intervals import with_interval
 from experiments.common.runs import begin, write_json
 from i2t import viz
 from i2t.environments.beliefs import with_beliefs
@@ -139,7 +140,7 @@ def table(curves: dict[str, Estimate]) -> str:
     shown = [n for n in TABLE_TOUCHES if n <= touches]
     lines = ["| policy | " + " | ".join(f"{n}" for n in shown) + " |", "| --- |" + " --- |" * len(shown)]
     for name, each in curves.items():
-        cells = [f"{each.mean[n - 1]:.2f} [{each.low[n - 1]:.2f}, {each.high[n - 1]:.2f}]" for n in shown]
+        cells = [with_interval(*(part[n - 1] for part in each), digits=2) for n in shown]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     published = [f"{APPLE[n]:.2f}" if n in APPLE else "" for n in shown]
     return "\n".join([*lines, "| APPLE, another benchmark | " + " | ".join(published) + " |"])

@@ -1,11 +1,13 @@
 """Presets and arguments of the calibration experiment."""
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
 from experiments.common.checks import require_dataset
 from experiments.common.presets import choose_preset
+from experiments.common.runs import METRICS
 from i2t.cli import Count, Limits, NotNegative, Seed, require_path, require_with
 
 TARGET_NAMES = ("position", "depth", "force", "shear", "contact", "slip")  # as `i2t.calibration.heads` has them
@@ -63,9 +65,12 @@ class CalibrateArgs:
 
     @property
     def next_command(self) -> str:
-        """What to try with a finished run."""
-        asked = "" if self.skin_name is None else f" --skin-name {self.skin_name}"
-        return f"python -m experiments.calibrate --dataset {self.dataset}{asked} --save-pad pad.npz"
+        """What to try with a finished run: a pad of the presses, where the tip is one that a pad can be fitted with."""
+        metrics = Path(self.out) / METRICS
+        if metrics.exists() and json.loads(metrics.read_text()).get("tip"):
+            asked = "" if self.skin_name is None else f" --skin-name {self.skin_name}"
+            return f"python -m experiments.calibrate --dataset {self.dataset}{asked} --save-pad pad.npz"
+        return "" if self.skin_name else f"python -m experiments.fidelity --dataset {self.dataset}"
 
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there."""

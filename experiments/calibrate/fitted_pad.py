@@ -9,6 +9,7 @@ from experiments.calibrate.data import read_presses
 from i2t import dataset as data
 from i2t.calibration import check_presses, load_calibration
 from i2t.calibration.files import PressedSkin, calibrated_presses, fit_pressed_pad, parse_tip, save_pressed_pad
+from i2t.dataset import Dataset
 from i2t.skin.boards import make_board
 from i2t.types import Board
 
@@ -56,8 +57,19 @@ def _of_dataset(args: CalibrateArgs) -> tuple[PressedSkin, dict[str, Any]]:
     pressed = PressedSkin(
         recording.position[rows], recording.load[rows], recording.readings[rows], dataset.board, recording.by_force
     )
-    used = int(dataset.touches.object[0]), int(dataset.touches.pad[0])
-    return pressed, {"tip": dataset.objects[used[0]], "pad": dataset.pads[used[1]], "source": dataset.source}
+    name, pad = dataset.objects[int(dataset.touches.object[0])], dataset.pads[int(dataset.touches.pad[0])]
+    return pressed, {"tip": tip_of(dataset) or name, "pad": pad, "source": dataset.source}
+
+
+def tip_of(dataset: Dataset) -> str | None:
+    """The round tip that a data set says pressed, as --tip would; None where it says none."""
+    name = dataset.objects[int(dataset.touches.object[0])]
+    radius = dataset.meta.get("tip_radius_m")
+    try:
+        parse_tip(said := name if radius is None else f"sphere:{1e3 * float(radius):g}")
+    except ValueError:
+        return None
+    return said
 
 
 def _of_calibration(args: CalibrateArgs) -> tuple[PressedSkin, dict[str, Any]]:

@@ -28,6 +28,7 @@ from experiments.calibrate.methods import (
     WEIGHTED,
     WEIGHTED_BLOCKS,
 )
+from experiments.common.intervals import with_interval
 from experiments.common.runs import write_json
 from i2t.calibration import DataWarnings, check_presses
 from i2t.dataset import Dataset
@@ -160,7 +161,7 @@ def figure(metrics: dict[str, Any]) -> Figure:
 
 def table_row(label: str, by_count: dict[int, dict[str, float]], width: int = LABEL_WIDTH) -> str:
     """A label, and mean and interval at each number of presses."""
-    cells = (f"{n}: {v['mean']:.3f} [{v['low']:.3f}, {v['high']:.3f}]" for n, v in by_count.items())
+    cells = (f"{n}: {with_interval(*(v[end] for end in _INTERVAL))}" for n, v in by_count.items())
     return f"{label:{width}}" + "  ".join(cells)
 
 

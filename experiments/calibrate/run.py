@@ -96,6 +96,7 @@ def compare(args: CalibrateArgs) -> dict[str, Any]:
         "seed": args.seed,
         "draws": cfg.draws,
         "load": recording.load_kind,
+        "tip": fitted_pad.tip_of(dataset),
         "notes": recording.notes,
         "kept": kept,
         **report.warning_metrics(warnings),
@@ -167,7 +168,7 @@ def save_calibration(
             "method": kept,
             "board": fitted_pad.board_to_json(dataset.board),
             "pad": dataset.pads[int(dataset.touches.pad[0])],
-            "tip": dataset.objects[int(dataset.touches.object[0])],
+            "tip": fitted_pad.tip_of(dataset) or dataset.objects[int(dataset.touches.object[0])],
         },
     ).save(args.out / "calibration.npz")
     print(f"kept in calibration.npz: {kept}")

@@ -18,6 +18,7 @@ from experiments.calibrate.data import PressRecording
 from experiments.calibrate.methods import NEIGHBOURS, PLAIN, neighbours
 from experiments.calibrate.report import summarise, table_row
 from experiments.calibrate_pads.kinds import PressedSkinOfKind, simulate_skins
+from experiments.common.intervals import with_interval
 from experiments.common.runs import write_json
 from i2t.calibration import calibrate
 from i2t.calibration.model import LoadKind
@@ -143,7 +144,7 @@ def markdown(metrics: dict[str, Any]) -> str:
     for name, case in metrics["cases"].items():
         for method, by_count in case["r2"].items():
             lines.append(f"| {name} | {method} | " + " | ".join(f"{v['mean']:.2f}" for v in by_count.values()) + " |")
-        gains = (f"{v['mean']:+.3f} [{v['low']:+.3f}, {v['high']:+.3f}]" for v in case["difference"].values())
+        gains = (with_interval(v["mean"], v["low"], v["high"], sign="+") for v in case["difference"].values())
         lines.append(f"| {name} | {DIFFERENCE} | " + " | ".join(gains) + " |")
         inside = (f"{v['mean']:.2f}" for v in case["inside_90"].values())
         lines.append(f"| {name} | readings in the 90 % range | " + " | ".join(inside) + " |")

@@ -18,6 +18,7 @@ from i2t.cli import exit_code_of
 from i2t.files import replacing
 
 CONFIG, METRICS = "config.json", "metrics.json"
+RECOGNITION_ABOUT = "recognition.json"  # what a run on recorded touches keeps for recognition, or why it keeps nothing
 LOG = ".log"  # of what a worker printed (`experiments.common.tasks`)
 MAX_PICTURES_NAMED = 6
 CONFIG_KEYS = {"args", "versions", "experiment"}  # by which a config.json is known to be ours

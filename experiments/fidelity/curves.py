@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from typing import TypeAlias
@@ -9,30 +10,32 @@ from typing import TypeAlias
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.common.intervals import with_interval
 from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.forward import (
     BASELINE_METHODS,
     SIMPLE_GP,
     ForwardMethod,
     PressSet,
-    choose_simple_gp,
     explained_share,
     loses_beyond_chance,
-    predict_simple_gp,
     press_set,
 )
 from experiments.fidelity.sections import CannotTellError, Section, cell
 from i2t.calibration import calibrate
-from i2t.calibration.heads import SkinRecording
+from i2t.calibration.heads import SkinRecording, corrected_recording
 from i2t.dataset import square_blocks
 from i2t.prediction.metrics import student_interval
-from i2t.unknowns.alignment import align_session, aligned_prediction, fit_session_map
+from i2t.unknowns.alignment import aligned_prediction, fit_session_map, lay_over, predict_session
 from i2t.viz import style
 
 CALIBRATED = "i2t.calibrate"
 RANDOM_ROWS, WHOLE_BLOCKS, LATER_ROWS = "random presses", "whole blocks", "later in time"
 MIN_TEST_ROWS, MIN_POOL_ROWS = 5, 5
 LOST_R2 = 0.01  # less than this is level
+R2_DIGITS = 3  # as printed
+LOADS = ("depth", "force")
+AT_LEAST_AS_GOOD = "is at least as good as every baseline"
 MethodErrors: TypeAlias = dict[str, dict[int, list[np.ndarray]]]  # squared errors (n,) by method, count and draw
 COLOURS_OF_METHODS = (style.GREY, style.ORANGE, style.BLUE, style.GREEN, style.RED)
 
@@ -174,36 +177,36 @@ def _summary(values: list[float]) -> dict[str, float]:
 
 
 def _interval_cell(summary: dict[str, float] | None) -> str:
-    if summary is None:
-        return "-"
-    ends = "" if np.isnan(summary["low"]) else f" [{summary['low']:.3f}, {summary['high']:.3f}]"
-    return cell(summary["mean"]) + ends
+    return "-" if summary is None else with_interval(*(summary[end] for end in ("mean", "low", "high")))
 
 
 def _compare_with_baselines(
     split: str, curves: dict[str, dict[int, dict[str, float]]], errors: MethodErrors
 ) -> list[str]:
-    """Whether i2t's calibration is at least as good as the best baseline, at each count; what may be chance is said."""
-    lost: list[str] = []
-    level: list[str] = []
+    """How i2t's calibration stands to the best baseline at each count, by the numbers as they are printed."""
     if not curves[CALIBRATED]:
         return [f"Held out {split}: {CALIBRATED} predicts nothing."]
+    found: dict[str, list[str]] = {}
     for n, own in curves[CALIBRATED].items():
         rivals = {
             name: by_count[n]["mean"] for name, by_count in curves.items() if name != CALIBRATED and n in by_count
         }
         best = max(rivals, key=lambda name: rivals[name])
-        if own["mean"] < rivals[best] - LOST_R2:
+        mine, theirs = (round(value, R2_DIGITS) for value in (own["mean"], rivals[best]))
+        where = f"{n} presses ({mine:.{R2_DIGITS}f}, {best} {theirs:.{R2_DIGITS}f})"
+        if mine >= theirs:
+            found.setdefault(AT_LEAST_AS_GOOD, []).append(f"{n} presses")
+        elif own["mean"] >= rivals[best] - LOST_R2:
+            found.setdefault(f"lies within {LOST_R2:g} of the best baseline", []).append(where)
+        else:
             draws = zip(errors[CALIBRATED][n], errors[best][n], strict=False)  # the slower one may have fewer
-            ours, theirs = (np.mean(part, axis=0) for part in zip(*draws, strict=True))
-            where = f"{n} presses ({own['mean']:.3f}, {best} {rivals[best]:.3f})"
-            (lost if loses_beyond_chance(ours, theirs) else level).append(where)
-    said = []
-    if lost:
-        said.append(f"Held out {split}: {CALIBRATED} loses to a baseline at {', '.join(lost)}.")
-    if level:
-        said.append(f"Held out {split}: {CALIBRATED} lies below a baseline, within chance, at {', '.join(level)}.")
-    return said or [f"Held out {split}: {CALIBRATED} is at least as good as every baseline at every number of presses."]
+            both = (np.mean(part, axis=0) for part in zip(*draws, strict=True))
+            loses = loses_beyond_chance(*both)
+            verdict = "loses to a baseline" if loses else "lies below a baseline, within chance,"
+            found.setdefault(verdict, []).append(where)
+    if list(found) == [AT_LEAST_AS_GOOD]:
+        return [f"Held out {split}: {CALIBRATED} {AT_LEAST_AS_GOOD} at every number of presses."]
+    return [f"Held out {split}: {CALIBRATED} {verdict} at {', '.join(where)}." for verdict, where in found.items()]
 
 
 def _figure(r2: dict[str, dict[str, dict[int, dict[str, float]]]]) -> Figure:
@@ -230,43 +233,59 @@ def _across(
     section: Section,
     rows: list[list[str]],
 ) -> None:
-    before, now = press_set(known), press_set(other)
-    if before.readings.shape[1] != now.readings.shape[1]:
-        raise CannotTellError(f"{known.name} and {other.name} have another number of channels.")
-    if before.load_name != now.load_name:
-        raise CannotTellError(f"{known.name} knows {before.load_name} as its load and {other.name} {now.load_name}.")
+    """One session's map on another, as it is and laid over it as `experiments.calibrate --previous-session` does."""
+    before, now, load_known = _alike(known, other)
     order = np.random.default_rng(seed).permutation(len(now.load))
     own, test = order[:20], order[20 : 20 + preset.test_rows]
     if len(test) < MIN_TEST_ROWS:
         raise CannotTellError(f"{other.name} has too few presses to test {known.name} on.")
-    joint = PressSet(
-        position=np.concatenate([before.position, now.position]),
-        load=np.concatenate([before.load, now.load]),
-        load_name=now.load_name,
-        readings=np.concatenate([before.readings, now.readings]),
-        session=np.concatenate([before.session, now.session]),
-        time=np.concatenate([before.time, now.time]),
-        row=np.concatenate([before.row, now.row]),
-    )
     past = np.random.default_rng(seed).permutation(len(before.load))[: preset.forward_rows]
-    settings = choose_simple_gp(joint, past)
-    shift = len(before.load)
-    predicted = predict_simple_gp(settings, joint, past, joint.coordinates[shift + test])
-    alignment = align_session(
-        session := fit_session_map(before.position[past], before.load[past], before.readings[past]),
-        now.position[own],
-        now.load[own],
-        now.readings[own],
-        load_known=now.load_name == "force",
+    session = fit_session_map(before.position[past], before.load[past], before.readings[past])
+    unit = "N" if "force" in (before.load_name, now.load_name) else "m"
+    alignment, _, findings = lay_over(
+        session, now.position[own], now.load[own], now.readings[own], load_known=load_known, unit=unit
     )
+    put_back = corrected_recording(other, findings[-1:]).readings[now.row[test]]
+    aligned = aligned_prediction(session, alignment, now.position[test], now.load[test])
     scores = {
-        "as it is": explained_share(now.readings[test], predicted),
-        "aligned": explained_share(
-            now.readings[test], aligned_prediction(session, alignment, now.position[test], now.load[test])
-        ),
+        "as it is": explained_share(now.readings[test], predict_session(session, now.position[test], now.load[test])),
+        "aligned": explained_share(put_back, aligned),
         SIMPLE_GP: explained_share(now.readings[test], BASELINE_METHODS[SIMPLE_GP](now, own, test)),
     }
+    section.sentences += [
+        f"{known.name} laid over {other.name} by {len(own)} presses: "
+        + finding.sentence.replace("The earlier session", "it").replace("the earlier session", known.name)
+        for finding in findings
+    ]
     section.numbers["r2"][f"{known.name} -> {other.name}"] = scores | {
         "shift_m": alignment.shift.tolist(), "load_offset": alignment.load, "gain": alignment.gain.tolist(),
     }  # fmt: skip
     rows.append([known.name, other.name, *(cell(score) for score in scores.values())])
+
+
+def _alike(known: SkinRecording, other: SkinRecording) -> tuple[PressSet, PressSet, bool]:
+    """The presses of both with one kind of load, and whether it counts from one zero in both. A session that does not
+    tell how hard was pressed gets the middle of the other's loads, from which the alignment finds its own.
+    """
+    if known.readings.shape[1] != other.readings.shape[1]:
+        raise CannotTellError(f"{known.name} and {other.name} have another number of channels.")
+    before, now = press_set(known), press_set(other)
+    if {before.load_name, now.load_name} == {"depth", "force"}:
+        shared = next((name for name in ("force", "depth") if known.varies(name) and other.varies(name)), None)
+        if shared is None:
+            raise CannotTellError(
+                f"{known.name} knows {before.load_name} as its load and {other.name} {now.load_name}; what one says "
+                "of the other needs one kind of load."
+            )
+        before, now = (press_set(_with_load(one, shared)) for one in (known, other))
+    if before.load_name == now.load_name:
+        return before, now, now.load_name == "force"
+    if now.load_name == "none":
+        return before, now._replace(load=np.full_like(now.load, np.median(before.load))), False
+    return before._replace(load=np.full_like(before.load, np.median(now.load))), now, False
+
+
+def _with_load(recording: SkinRecording, load: str) -> SkinRecording:
+    """A recording that knows no other load."""
+    kept = {name: values for name, values in recording.targets.items() if name == load or name not in LOADS}
+    return replace(recording, targets=kept)

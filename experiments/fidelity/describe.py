@@ -9,6 +9,7 @@ from i2t.calibration.heads import TARGETS, SkinRecording
 from i2t.calibration.heads.recording import VALUES_PER_CHIP
 from i2t.unknowns.estimate import estimate_unknowns, metrics_of
 from i2t.unknowns.findings import Finding, RecordedPresses
+from i2t.unknowns.labels import FORCE_SIGN, LAG
 from i2t.unknowns.segmentation import MAD_TO_STD
 from i2t.viz import style
 
@@ -20,7 +21,7 @@ CHIP_STEPS_UT = (
 )  # fmt: skip
 STEP_TOLERANCE = 0.02
 MIN_GAPS = 20  # between values, to tell a step from
-SAME_VALUE = 1e-6  # of the largest: by less, values differ by their rounding
+SAME_VALUE = 4e-6  # of the largest: by less, values differ by their rounding, as of float32 before a subtraction
 MICROTESLA_IN = {"uT": 1.0, "mT": 1e3, "gauss": 100.0, "nT": 1e-3}  # uT in each
 COUNTS_OF_16_BITS = 2**16
 JUMP_TOLERANCE = 0.1  # of a jump of so many steps
@@ -30,6 +31,8 @@ MIN_ALIKE_ROWS = 30
 STREAM_GAP_S = 0.5  # up to which rows follow each other
 STREAM_STEP_S = 0.1  # up to which (median) rows are a stream, in which presses are looked for
 MIN_STREAM_ROWS = 200
+# Words of the quick checks' sentences on what `i2t.unknowns` estimates too: where it can tell, it alone is heard.
+SAID_OF = {FORCE_SIGN: "of the forces are negative", LAG: "agree best with labels of"}
 
 
 def describe(recording: SkinRecording, section: Section) -> None:
@@ -41,7 +44,7 @@ def describe(recording: SkinRecording, section: Section) -> None:
         f"{n} {recording.source} readings of {c // VALUES_PER_CHIP} chips ({c} channels) in "
         f"{len(np.unique(recording.session))} strokes or sessions."
     )
-    section.sentences += [note + "." for note in recording.notes]
+    section.sentences += recording.notes
     numbers = section.numbers
     numbers |= {"rows": n, "channels": c, "sessions": len(np.unique(recording.session)), "source": recording.source}
     numbers["reading_uT"] = {
@@ -56,7 +59,7 @@ def describe(recording: SkinRecording, section: Section) -> None:
             f"Rows come every {gap:.3g} s (median) over {numbers['time']['span_s'] / 60:.1f} minutes."
         )
     else:
-        section.sentences.append("Times are not recorded, so that rates, creep and drift per hour are unknown.")
+        section.sentences.append("No times are known, so that rates, creep and drift per hour are unknown.")
     section.part(lambda: _describe_stream(recording, section))
     section.tables["what is known of the rows"] = _known(recording, numbers)
     section.sentences.append(_unit(recording, numbers))
@@ -252,7 +255,7 @@ def _check_presses(recording: SkinRecording, found: list[str], numbers: dict) ->
         raise CannotTellError("Lags, repeated rows and changes are looked for where positions and loads are known.")
     position = recording.targets["position"][rows]
     warned = check_presses(position, np.abs(load[rows]), recording.readings[rows], by_force=name == "force")
-    found += [message[0].upper() + message[1:] + "." for message in warned.messages()]
+    found += [message[0].upper() + message[1:] for message in warned.messages()]
     numbers |= {
         "repeated_rows": int(warned.repeated.sum()),
         "label_lag_rows": warned.label_lag,
@@ -279,6 +282,8 @@ def _check_unknowns(
     )
     estimated = estimate_unknowns(presses, recording.board)
     section.numbers["unknowns"] = metrics_of(estimated)
+    told = {one.name for one in estimated if one.identifiable} & SAID_OF.keys()
+    found[:] = [said for said in found if not any(SAID_OF[name] in said for name in told)]
     found += [finding.sentence for finding in estimated if finding.wrong]
     section.sentences += [finding.sentence for finding in estimated if finding.identifiable and not finding.wrong]
     if findings is not None:

@@ -91,9 +91,15 @@ def _repeat_ceiling(presses: PressSet, preset: FidelityPreset, section: Section)
     total = np.mean(np.sum((presses.readings - presses.readings.mean(0)) ** 2, axis=1))
     ceiling = 1 - float(np.sum(noise_of_repeats**2) / total)
     section.numbers |= {"repeat_std_uT": noise_of_repeats.tolist(), "r2_ceiling": ceiling}
+    reached = section.numbers["r2_plain_gp_leave_one_out"]
+    said = (
+        f"so that no model can explain more than R2 {ceiling:.4f}"
+        if reached <= ceiling
+        else f"more than noise, as R2 {reached:.4f} is explained where that would leave {ceiling:.4f} to explain"
+    )
     section.sentences.append(
         f"Presses repeated at one place and load differ by {np.sqrt(np.mean(noise_of_repeats**2)):.2f} uT (standard "
-        f"deviation of a channel), so that no model can explain more than R2 {ceiling:.4f}."
+        f"deviation of a channel), {said}."
     )
     section.part(lambda: _location_ceiling(presses, preset, noise_of_repeats, section))
 
@@ -179,7 +185,7 @@ def _drift_rows(recording: SkinRecording, section: Section, rows: list[list[str]
     base = recording.baseline
     if base is None or not len(np.unique(base, axis=0)) > 2:
         raise CannotTellError(
-            "What was subtracted from the readings is not recorded, so that drift shows only in what changed between "
+            "What was subtracted from the readings is not known here, so that drift shows only in what changed between "
             "the halves (see the checks)."
         )
     tenth = max(len(base) // 10, 1)
@@ -379,6 +385,7 @@ def _location_ceiling(
         median, rms = kind.scale * float(np.median(size)), kind.scale * float(np.sqrt(np.mean(size**2)))
         section.numbers["bounds"][name] = {"median": median, "rms": rms, "unit": kind.unit}
         section.sentences.append(
-            f"At this noise no unbiased head tells {name} better than {median:.3f} {kind.unit} (median over presses; "
-            f"Cramer-Rao, slopes of a plain Gaussian process)."
+            f"At the scatter of these repeats a head without a prior tells {name} to {median:.3f} {kind.unit} at best "
+            "(standard deviation, median over presses; Cramer-Rao, slopes of a plain Gaussian process); one that has "
+            "learned where presses are can do better."
         )

@@ -15,7 +15,7 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -32,6 +32,8 @@ from experiments.fidelity.sections import Section, print_table, written
 from i2t.calibration.heads import SkinRecording, corrected_recording, read_recordings
 from i2t.errors import DataError
 from i2t.unknowns import Finding
+
+FOUND_BY_CONVERTER = "found in "  # so begins a note of `i2t.convert` on what a session does not contradict
 
 
 def run(args: FidelityArgs) -> dict[str, Any]:
@@ -63,7 +65,6 @@ def run(args: FidelityArgs) -> dict[str, Any]:
     }
     write_page(args.out / "report.html", "Fidelity of " + ", ".join(r.name for r in recordings), chapters)
     write_json(args.out / "metrics.json", metrics)
-    print(f"\nthe report is {args.out / 'report.html'}, the numbers are in {args.out / 'metrics.json'}")
     return metrics
 
 
@@ -97,8 +98,10 @@ def _recordings(args: FidelityArgs, preset: FidelityPreset) -> list[SkinRecordin
 def sections_of(recording: SkinRecording, preset: FidelityPreset, seed: int) -> Iterator[Section]:
     """The report's parts about one recording."""
     findings: list[Finding] = []
-    yield written("What it is", partial(describe.describe, recording))
-    yield written("Checks", lambda section: describe.check(recording, section, findings))
+    about = written("What it is", partial(describe.describe, recording))
+    checks = written("Checks", lambda section: describe.check(recording, section, findings))
+    yield without_repeats(about, findings)
+    yield checks
     recording = corrected_recording(recording, findings)
     parts: dict[str, Callable[[Section], None]] = {
         "Noise and drift": partial(dynamics.noise, recording, preset),
@@ -110,6 +113,13 @@ def sections_of(recording: SkinRecording, preset: FidelityPreset, seed: int) -> 
     }
     for title, work in parts.items():
         yield written(title, work)
+
+
+def without_repeats(about: Section, findings: Sequence[Finding]) -> Section:
+    """What a recording is, without what its converter found and the checks find again."""
+    if findings:
+        about.sentences = [sentence for sentence in about.sentences if not sentence.startswith(FOUND_BY_CONVERTER)]
+    return about
 
 
 def _said(section: Section) -> Section:

@@ -54,6 +54,12 @@ class Section:
 def written(title: str, work: Callable[[Section], None]) -> Section:
     """A section as its function writes it. Whatever goes wrong in it is said there, and the others are written."""
     section = Section(title)
+    _write(section, work)
+    section.sentences = list(dict.fromkeys(full_stop(sentence) for sentence in section.sentences))
+    return section
+
+
+def _write(section: Section, work: Callable[[Section], None]) -> None:
     try:
         work(section)
     except CannotTellError as error:
@@ -62,7 +68,12 @@ def written(title: str, work: Callable[[Section], None]) -> Section:
     except Exception as error:  # the report is of recordings that nobody has seen: one part never costs the others
         section.status = "failed"
         section.failed(error)
-    return section
+
+
+def full_stop(sentence: str) -> str:
+    """A sentence with one full stop at its end, whatever it was put together from."""
+    bare = sentence.rstrip()
+    return bare if bare.endswith(("...", "!", "?", ":")) else bare.rstrip(".") + "."
 
 
 def cell(value: float | int | None, digits: int = 3) -> str:

@@ -19,8 +19,9 @@ def view_section(recording: SkinRecording, preset: FidelityPreset, seed: int, se
         raise CannotTellError("The recording has no views of what was touched.")
     names = np.unique(labels)
     if len(names) < MIN_OBJECTS:
+        many = "1 object is" if len(names) == 1 else f"{len(names)} objects are"
         raise CannotTellError(
-            f"{len(names)} objects are seen; {MIN_OBJECTS} are needed to hold some out. A predictor from views is "
+            f"{many} seen; {MIN_OBJECTS} are needed to hold some out. A predictor from views is "
             "trained by experiments.train."
         )
     rng = np.random.default_rng(seed)

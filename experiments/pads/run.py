@@ -30,6 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
+from experiments.common.intervals import with_interval
 from experiments.common.presets import choose_preset
 from experiments.common.runs import begin, write_json
 from experiments.common.tasks import Task, run_tasks
@@ -160,11 +161,11 @@ def report(out: Path, shares: dict[str, list[float]], skins: int) -> dict[str, A
     viz.save_figure(viz.plot_intervals(intervals, title, "share of presses", True), out / "accuracy.png")
     print(f"\nlocated within 1 mm: mean of {skins} simulated skins [95 %]")
     for name, (mean, low, high) in intervals.items():
-        print(f"{name:42s} {mean:.3f} [{low:.3f}, {high:.3f}]")
+        print(f"{name:42s} {with_interval(mean, low, high)}")
     return metrics
 
 
 def interval(values: Sequence[float]) -> tuple[float, float, float]:
     """Mean and 95 % interval over skins, within 0 and 1."""
     mean, low, high = student_interval(values)
-    return float(mean), max(float(low), 0.0), min(float(high), 1.0)
+    return float(mean), float(np.maximum(low, 0.0)), float(np.minimum(high, 1.0))  # NaN stays: one skin has none

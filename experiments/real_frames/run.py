@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.common.intervals import with_interval
 from experiments.common.runs import begin, write_json
 from experiments.real_frames.arguments import RealFrames
 from experiments.real_frames.figures import figure, figure_f200
@@ -71,8 +72,7 @@ def report(metrics: dict[str, Any]) -> None:
     )
     for name, windows in metrics["objects"].items():
         for window, values in windows.items():
-            low, high = values["interval_95_mm"]
-            median = f"{values['median_absolute_mm']:.2f} [{low:.2f}, {high:.2f}]"
+            median = with_interval(values["median_absolute_mm"], *values["interval_95_mm"], digits=2)
             first, third = values["bias_quartiles_mm"]
             bias = f"{values['bias_median_mm']:+.2f} ({first:+.2f}, {third:+.2f})"
             print(

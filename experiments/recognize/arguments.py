@@ -42,8 +42,10 @@ class SimulateArgs:
 
     @property
     def next_command(self) -> str:
-        """What to try with a finished run."""
-        return f"python -m experiments.studies policy --trained-run {self.trained_run}"
+        """What to try with a finished run: a study, where the run simulates its touches."""
+        if self.dataset is None:
+            return f"python -m experiments.studies policy --trained-run {self.trained_run}"
+        return "" if self.skin_name else f"python -m experiments.fidelity --dataset {self.dataset}"
 
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there."""

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from experiments.common.intervals import with_interval
 from experiments.common.runs import begin, write_json
 from experiments.recognize import figures, pad_sources
 from experiments.recognize import report as reporting
@@ -222,8 +223,7 @@ def print_table(summary: dict[str, Any], warning: str | None) -> None:
 
 
 def _cell(estimate: dict[str, float | None]) -> str:
-    interval = "" if estimate["low"] is None else f" [{estimate['low']:.2f}, {estimate['high']:.2f}]"
-    return f"{estimate['mean']:.3f}{interval}"
+    return with_interval(estimate["mean"], estimate["low"], estimate["high"], ends=2)
 
 
 def write_figures(results: reporting.EpisodeResults, out: Path, simulated: bool) -> None:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from experiments.common.intervals import with_interval
 from experiments.common.runs import Part, load_part, save_part, write_json
 from experiments.recognize import figures
 from i2t import viz
@@ -394,9 +395,7 @@ def _range(estimate: dict[str, float]) -> str:
 
 
 def _signed(estimate: dict[str, float]) -> str:
-    if not np.isfinite([estimate["low"], estimate["high"]]).all():
-        return f"{estimate['mean']:+.3f}"
-    return f"{estimate['mean']:+.3f} [{estimate['low']:+.3f}, {estimate['high']:+.3f}]"
+    return with_interval(estimate["mean"], estimate["low"], estimate["high"], sign="+")
 
 
 # --- figures ---

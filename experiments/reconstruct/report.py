@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.common.intervals import with_interval
 from experiments.reconstruct.arguments import ReconstructSizes
 from experiments.reconstruct.episodes import Episode, Explorer, reported
 from experiments.reconstruct.scores import SCORES
@@ -125,5 +126,4 @@ def table(report: dict[str, Any]) -> str:
 
 
 def _cell(triple: list[float]) -> str:
-    mean, low, high = triple
-    return f"{mean:.2f}" if np.isnan([low, high]).any() else f"{mean:.2f} [{low:.2f}, {high:.2f}]"
+    return with_interval(*triple, digits=2)

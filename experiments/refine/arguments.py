@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from experiments.common.checks import with_trained_run
 from experiments.common.presets import choose_preset
 from i2t.cli import Count, NotNegative, Positive, Seed, require_path
 
@@ -41,7 +42,7 @@ class RefineArgs:
     @property
     def next_command(self) -> str:
         """What to try with a finished run."""
-        return "python -m experiments.studies registered --trained-run runs/train"
+        return with_trained_run("python -m experiments.studies registered")
 
     def check(self) -> None:
         """Refuse a folder that is not there."""

@@ -22,6 +22,7 @@ import numpy as np
 import tifffile
 from scipy.spatial.transform import Rotation
 
+from experiments.common.intervals import with_interval
 from experiments.common.runs import begin, write_json
 from experiments.second_world.arguments import Mistake, SecondWorldArgs
 from experiments.second_world.world import (
@@ -99,8 +100,8 @@ def report(name: str, measured: dict[str, Any]) -> dict[str, Any]:
     lead = scores[model]["r2"] - scores[baseline]["r2"]
     print(f"\n{name} (simulated): the lead is {lead:+.3f}; kept: {measured['best']}")
     for method in (model, baseline):
-        low, high = scores[method]["r2_interval"]
-        print(f"  {method:48} R2 {scores[method]['r2']:.3f} [{low:.3f}, {high:.3f}] on unseen objects")
+        r2 = with_interval(scores[method]["r2"], *scores[method]["r2_interval"])
+        print(f"  {method:48} R2 {r2} on unseen objects")
     kept = {method: {key: values[key] for key in ("r2", "r2_interval")} for method, values in scores.items()}
     return {"lead": lead, "model": model, "baseline": baseline, "kept": measured["best"], "methods": kept}
 

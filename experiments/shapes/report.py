@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.common.intervals import with_interval
 from experiments.shapes.methods import METHODS, PAPER
 from i2t import viz
 from i2t.recognition.intervals import Estimate, student_interval, wilson_interval
@@ -97,8 +98,7 @@ def report(result: dict[str, Any]) -> None:
 
 
 def _interval(value: list[float]) -> str:
-    mean, low, high = (float("nan") if v is None else v for v in value)
-    return f"{mean:.3f} [{low:.2f}, {high:.2f}]" if np.isfinite(low) else f"{mean:.3f}"
+    return with_interval(*value, ends=2)
 
 
 def figures(out: Path, result: dict[str, Any]) -> None:

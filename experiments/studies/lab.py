@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
+from experiments.common.intervals import with_interval
 from experiments.common.presets import choose_preset
 from experiments.common.runs import Part
 from experiments.recognize import figures, trained_run
@@ -182,7 +183,7 @@ def pool_parts(parts: Sequence[Part]) -> dict[str, np.ndarray]:
 
 def format_estimate(estimate: Estimate) -> str:
     """A mean with its interval."""
-    return f"{float(estimate.mean):.3f} [{float(estimate.low):.3f}, {float(estimate.high):.3f}]"
+    return with_interval(*estimate)
 
 
 class Column(NamedTuple):

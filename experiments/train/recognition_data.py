@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from experiments.common.runs import RECOGNITION_ABOUT as RECOGNITION_ABOUT
 from experiments.common.runs import write_json
 from i2t import dataset as data
 from i2t.dataset import Dataset
@@ -24,7 +25,7 @@ from i2t.geometry import inverse
 from i2t.objects import Mesh, catalogue, load_object
 from i2t.types import ReturnCode
 
-RECOGNITION_TOUCHES, RECOGNITION_ABOUT, RECOGNITION_MESHES = "recognition.h5", "recognition.json", "meshes"
+RECOGNITION_TOUCHES, RECOGNITION_MESHES = "recognition.h5", "meshes"
 MIN_PAD_TOUCHES, SPARE_TOUCHES = 20, 5  # that a pad model can be made of; more than a reading has values
 MIN_PAD_SESSIONS = 2  # hyperparameters are chosen on sessions left out
 
@@ -141,6 +142,7 @@ def keep(out: Path, dataset: Dataset, rows: np.ndarray, files: Mapping[str, Mesh
         "pad": dataset.pads[int(touches.pad[0])],
         "touches": len(touches.force),
         "objects": {name: _kept_mesh(out, files.get(name)) for name in known.meshes},
+        "recorded_objects": list(dataset.objects),
     }
     write_json(out / RECOGNITION_ABOUT, about)
     return (

@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from experiments.common.intervals import with_interval
 from experiments.common.runs import write_json
 from experiments.train.splitting import Split
 from i2t import viz
 from i2t.dataset import Dataset
-from i2t.prediction.metrics import Score, grouped_interval, score, student_interval
+from i2t.prediction.metrics import MIN_CLUSTERS, Score, grouped_interval, score, student_interval
 
 
 def scored(
@@ -152,11 +153,13 @@ def print_table(result: dict[str, Any]) -> None:
             _print_methods(title, result["over_pads"])
             _print_objects({name: {m: x[0] for m, x in row.items()} for name, row in result["by_object"].items()})
         return
-    print(f"\ntest touches{kind}, 95 % interval over {result['groups']} groups; kept as predictor: {result['best']}")
+    enough = result["groups"] >= MIN_CLUSTERS
+    over = f"{'95 % interval' if enough else 'too few for an interval'}: {result['groups']} groups"
+    print(f"\ntest touches{kind}; {over}; kept as predictor: {result['best']}")
     print(f"{'':48}{'R²':>22}{'RMSE µT':>10}{'/ sigma':>9}{'cosine':>8}{'R² x / y / z':>22}{'in 90 %':>9}")
     for name, values in result["methods"].items():
         axes = " / ".join(_number(value) for value in values["r2_axis"])
-        r2 = _interval(values["r2"], *values["r2_interval"])
+        r2 = with_interval(values["r2"], *values["r2_interval"])
         rmse, sigmas, cosine, inside = (
             _number(values.get(field)) for field in ("rmse", "rmse_sigma", "cosine", "coverage_90")
         )
@@ -172,7 +175,7 @@ def _print_choice(result: dict[str, Any]) -> None:
     lead, inside = choice["over_best_baseline"], result["methods"][best]
     said = f"kept: {best}, the best on validation touches (R² {_number(result['validation_r2'][best])})"
     if best != choice["best_baseline"]:
-        said += f", {_interval(lead['r2'], lead['low'], lead['high'])} above {choice['best_baseline']}"
+        said += f", {_lead(lead, result['validated_on'])} above {choice['best_baseline']}"
     print(
         f"\n{said}; its 90 % range holds {_number(inside.get('validation_coverage_90'))} of validation values and "
         f"{_number(inside.get('coverage_90'))} of test values"
@@ -181,13 +184,22 @@ def _print_choice(result: dict[str, Any]) -> None:
         print(f"note: {note}")
 
 
+def _lead(lead: dict[str, float | None], over: dict[str, int]) -> str:
+    """By how much a method is better, and over what its interval is, or why it has none."""
+    objects = f"{over['objects']} {'object' if over['objects'] == 1 else 'objects'}"
+    if lead["low"] is None or not np.isfinite(lead["low"]):
+        groups = objects if over["groups"] == over["objects"] else f"{over['groups']} groups of {objects}"
+        return f"{with_interval(lead['r2'], None, None)} ({groups}: no interval)"
+    return f"{with_interval(lead['r2'], lead['low'], lead['high'])} (over {over['groups']} groups of {objects})"
+
+
 def _print_methods(title: str, methods: dict[str, Any]) -> None:
     """Estimates of every method."""
     print(f"\n{title}")
     print(f"{'':48}{'R²':>22}{'RMSE µT':>10}{'/ sigma':>9}{'cosine':>8}")
     for name, values in methods.items():
         rmse, sigmas, cosine = (_number(values[field][0]) for field in ("rmse", "rmse_sigma", "cosine"))
-        r2 = _interval(*values["r2"])
+        r2 = with_interval(*values["r2"])
         print(f"{name:48}{r2:>22}{rmse:>10}{sigmas:>9}{cosine:>8}")
 
 
@@ -198,13 +210,6 @@ def _print_objects(scores: dict[str, dict[str, float]]) -> None:
     print(f"\n{'R² by object':48}" + "".join(f"{name[:12]:>13}" for name in scores))
     for method in next(iter(scores.values())):
         print(f"{method:48}" + "".join(f"{_number(row.get(method)):>13}" for row in scores.values()))
-
-
-def _interval(mean: float | None, low: float | None, high: float | None) -> str:
-    if mean is None or not np.isfinite(mean):
-        return "-"
-    known = low is not None and high is not None and np.isfinite(low) and np.isfinite(high)
-    return f"{mean:.3f} [{low:.3f}, {high:.3f}]" if known else f"{mean:.3f}"
 
 
 def _number(value: float | None) -> str:

@@ -261,8 +261,8 @@ def _record(touch: TouchResult, log: EventLog, info: SessionInfo, to_wall: float
         seen = carried.seen.visible_share if carried.seen is not None else 0.0
         counters |= {**_counted(f"skin {name}", carried.counters), f"skin {name} seen percent": round(100 * seen)}
     return Record(
-        touch=_dataset(touch, info),
-        skins={name: _carried_dataset(touch, name, info) for name in touch.carried},
+        touch=_dataset(touch, info, series["tactile"]),
+        skins={name: _carried_dataset(touch, name, info, series[f"tactile {name}"]) for name in touch.carried},
         images=_images(view),
         series={
             **series,
@@ -324,17 +324,18 @@ def _arm_series(logged: list[ArmState], T_w_b: Array, to_wall: float) -> dict[st
     }
 
 
-def _dataset(touch: TouchResult, info: SessionInfo) -> Dataset:
+def _dataset(touch: TouchResult, info: SessionInfo, samples: Series) -> Dataset:
     """The touch as a data set of one row."""
     named = {dataset.SKIN_NAME: info.skin} if info.carried else {}
-    return _one_row(touch, touch.T_w_t, info, pad=info.pad, board=info.board, meta={**info.meta, **named})
+    meta = {**info.meta, **named}
+    return _one_row(touch, touch.T_w_t, info, pad=info.pad, board=info.board, meta=meta, samples=samples)
 
 
-def _carried_dataset(touch: TouchResult, name: str, info: SessionInfo) -> Dataset:
+def _carried_dataset(touch: TouchResult, name: str, info: SessionInfo, samples: Series) -> Dataset:
     """What a further skin read in the touch, as a data set of one row."""
     carried, about = touch.carried[name], info.carried[name]
     meta = {**info.meta, **about.meta, dataset.SKIN_NAME: name}
-    return _one_row(carried, carried.T_w_s, info, pad=about.pad, board=about.board, meta=meta)
+    return _one_row(carried, carried.T_w_s, info, pad=about.pad, board=about.board, meta=meta, samples=samples)
 
 
 def _one_row(
@@ -345,6 +346,7 @@ def _one_row(
     pad: str,
     board: Board,
     meta: Mapping[str, str],
+    samples: Series,
 ) -> Dataset:
     seen = touch.seen
     assert seen is not None
@@ -361,6 +363,7 @@ def _one_row(
         pad=np.zeros(1),
         session=np.zeros(1),
         code=np.array([int(touch.code)]),
+        time=samples.time[-1:] if len(samples.time) else None,  # of the end of the press
     )
     return Dataset(
         touches,

@@ -427,7 +427,7 @@ def write_npz(path: Path, dataset: "Dataset") -> Path:
 
     touches = dataset.touches._asdict()
     truth = touches.pop("truth")
-    arrays: dict[str, Any] = touches
+    arrays: dict[str, Any] = {name: values for name, values in touches.items() if values is not None}
     if truth is not None:
         arrays |= {f"truth_{name}": values for name, values in truth._asdict().items()}
     arrays |= {kind: np.array(getattr(dataset, kind), np.str_) for kind in ("objects", "pads", "sessions")}

@@ -133,6 +133,7 @@ class _Probe(NamedTuple):
     y: np.ndarray  # (n,) m
     height: np.ndarray  # (n,) m above first contact; NaN where it is not recorded
     load: np.ndarray  # (n,) N; NaN where it was not read
+    time: np.ndarray  # (n,) s, Unix time of the state
 
 
 def _session(folder: Path, options: _Options, notes: ConversionLog) -> list[Dataset]:
@@ -253,7 +254,7 @@ def _pressed(states: np.ndarray, reference: _Reference, check: SessionCheck) -> 
     position, _ = _positions(states)
     x, y = (check.factors.get("length_factor", 1.0) * position[:, :2] - reference.centre).T
     load = _load(states) * check.factors.get("force_factor", 1.0) * check.factors.get("force_sign", 1.0)
-    return _Probe(x, y, _heights(position, check) - reference.zero, load)
+    return _Probe(x, y, _heights(position, check) - reference.zero, load, states[:, 0])
 
 
 def _load(states: np.ndarray) -> np.ndarray:
@@ -272,7 +273,7 @@ def _sheared(name: str, states: np.ndarray, options: _Options, notes: Conversion
     notes.info(f"assumed in {name}: the probe's stroke (robot z) shears along tool x, from the middle of the stroke")
     notes.info(f"left out of {name}: the load, which is the shear force; press depth and normal force are unknown")
     unknown = np.full(len(states), np.nan)
-    return _Probe(x + position[:, 2] - middle[2], y, unknown, unknown)
+    return _Probe(x + position[:, 2] - middle[2], y, unknown, unknown, states[:, 0])
 
 
 def _positions(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -299,6 +300,7 @@ def _touches(probe: _Probe, session: np.ndarray, options: _Options) -> Touches:
         pad=np.zeros(n),
         session=session,
         code=np.where(probe.height > 0, ReturnCode.FREE, ReturnCode.UNDEFINED),
+        time=probe.time,
     )
 
 

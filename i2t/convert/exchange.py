@@ -38,10 +38,10 @@ def columns_of(dataset: Dataset) -> dict[str, np.ndarray]:
         dataset: Of n touches.
 
     Returns:
-        Arrays with n on axis 0: float32, and int64 for indices.
+        Arrays with n on axis 0: float32, int64 for indices, and float64 for times.
     """
     touches = dataset.touches
-    columns = {name: getattr(touches, name) for name in TOUCH_FIELDS}
+    columns = {name: values for name in TOUCH_FIELDS if (values := getattr(touches, name)) is not None}
     if np.isnan(columns["wide"]).all():
         del columns["wide"]
     if touches.truth is not None:

@@ -19,7 +19,9 @@ the scalar first, a tool axis that points away from the object, images in anothe
 
 import math
 import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,7 +41,8 @@ QUATERNION_NORM_TOLERANCE = 1e-3  # how far the norm of a quaternion may be from
 MAX_PATCH_M = 1e3  # beyond any image, in any unit
 MAX_POSE_VALUE = 1e6  # of any recorded number, in its unit
 MAX_ARM_REACH_M = 5.0  # of a tool's position: beyond it are millimetres
-MOST_TOUCHES = 0.9  # of the informative ones, for a run to be read otherwise than it is documented
+MOST_TOUCHES = 0.9  # of the informative ones, for a recording to be read otherwise than it is documented
+MAX_POSE_ERROR = math.radians(15)  # a motion less far off tool z is explained by errors of the arm and its pose
 MIN_INFORMATIVE_TOUCHES = 3
 MIN_PUSHES = 8  # touches with a force, for their sign to be turned
 IMAGE_UNITS = {10.0: "0.1 mm", 100.0: "0.01 mm", 0.1: "cm", 1000.0: "um"}  # how many of a unit go into a millimetre
@@ -88,6 +91,7 @@ def convert(
     notes.info(f"assumed: image rows along tool y, columns along tool x, after {quarter_turns} quarter turns")
     notes.info(f"assumed: forces act on the tool, in the axes of the {'tool' if tool_forces else 'robot base'}")
     notes.info("left out: colour images, masks, point clouds, joint states, temperatures; object poses are unknown")
+    folders = _objects(source)
     options = _Options(
         board,
         order,
@@ -98,9 +102,10 @@ def convert(
         tool_forces=tool_forces,
         pad=pad,
         as_stated=as_stated,
+        meanings={4: AS_DOCUMENTED} if as_stated else _meanings(folders, notes),
     )
     parts: list[_Run] = []
-    for folder in _objects(source):
+    for folder in folders:
         for run in _runs(folder):
             try:
                 parts.append(_convert_run(folder, run, options, notes))
@@ -156,13 +161,15 @@ class _Options(NamedTuple):
     tool_forces: bool
     pad: str
     as_stated: bool
+    meanings: Mapping[int, "_Meaning"]  # of rotations, by their number of values
 
 
 def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog) -> _Run:
     """One run of an object: its touches that have a reading and an image."""
-    reading = samples.readings(folder / f"{folder.name}_tactile" / f"experiment_{run}_reskin", options.order, notes)
+    tactile = folder / f"{folder.name}_tactile" / f"experiment_{run}_reskin"
+    reading, time = samples.readings(tactile, options.order, notes)
     n = len(reading)
-    poses = _poses(folder / f"{folder.name}_poses" / f"experiment_{run}", n, notes, as_stated=options.as_stated)
+    poses = _poses(folder / f"{folder.name}_poses" / f"experiment_{run}", n, options, notes)
     images = folder / f"{folder.name}_images" / "depth" / f"experiment_{run}_depth"
     patch, closest = _patches(images, n, options, notes)
     if not options.as_stated:
@@ -184,6 +191,7 @@ def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog
         pad=np.zeros(n),
         session=np.zeros(n),
         code=code,
+        time=None if np.isnan(time).all() else time,
     )
     dataset = Dataset(
         touches=touches,
@@ -233,11 +241,15 @@ class _Poses(NamedTuple):
     approach: np.ndarray  # (n,) m along tool z, from where the camera looked to the contact
 
 
-def _poses(stem: Path, n: int, notes: ConversionLog, *, as_stated: bool) -> _Poses:
+def _poses(stem: Path, n: int, options: "_Options", notes: ConversionLog) -> _Poses:
     final, prepare = (_optional(stem, name, (n, 3), notes) for name in ("final_contact", "prepare_contact"))
-    if not as_stated:
-        final, prepare = _in_metres(stem, final, prepare, notes)
-    rotations = _rotations(stem, n, final - prepare, notes, as_stated=as_stated)
+    if not options.as_stated and (unit := _position_unit(final)) != 1.0:
+        notes.info(
+            f"corrected: {stem}: positions are {_distance(final):.3g} from the robot, which can be no metres: they are "
+            "read as millimetres"
+        )
+        final, prepare = unit * final, unit * prepare
+    rotations = _rotations(stem, n, options, notes)
     T_w_t = np.full((n, 4, 4), np.nan)
     posed = np.isfinite(final).all(1) & np.isfinite(rotations).all((1, 2))
     T_w_t[posed] = np.eye(4)
@@ -260,84 +272,129 @@ def _along(moved: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return approach, np.linalg.norm(moved - approach[:, None] * axis, axis=1)
 
 
-def _in_metres(
-    stem: Path, final: np.ndarray, prepare: np.ndarray, notes: ConversionLog
-) -> tuple[np.ndarray, np.ndarray]:
-    """Positions in metres, whichever of metres and millimetres they are in."""
-    far = np.linalg.norm(final, axis=1)
-    if not np.nanmedian(far if np.isfinite(far).any() else np.zeros(1)) > MAX_ARM_REACH_M:
-        return final, prepare
-    notes.info(
-        f"corrected: {stem}: positions are {np.nanmedian(far):.3g} from the robot, which can be no metres: they are "
-        "read as millimetres"
-    )
-    return 1e-3 * final, 1e-3 * prepare
+def _distance(position: np.ndarray) -> float:
+    """Median distance of positions (n, 3) from the robot; 0 where none is known."""
+    far = np.linalg.norm(position, axis=1)
+    return float(np.median(far[np.isfinite(far)])) if np.isfinite(far).any() else 0.0
 
 
-def _rotations(stem: Path, n: int, moved: np.ndarray, notes: ConversionLog, *, as_stated: bool) -> np.ndarray:
-    """Rotations (n, 3, 3) of the tool, NaN where unknown: from quaternions xyzw, or from angles where touches that move
-    along tool z tell how these are meant.
+def _position_unit(position: np.ndarray) -> float:
+    """m in the unit of positions (n, 3): a metre, or the millimetre where no arm reaches as many metres."""
+    return 1e-3 if _distance(position) > MAX_ARM_REACH_M else 1.0
+
+
+class _Meaning(NamedTuple):
+    """One way to read the rotations of a set."""
+
+    said: str
+    matrices: Callable[[np.ndarray], np.ndarray]  # of rows of finite values
+
+
+def _quaternions(values: np.ndarray, *, scalar_first: bool = False, over: bool = False) -> np.ndarray:
+    rotations = Rotation.from_quat(np.roll(values, -1, axis=1) if scalar_first else values).as_matrix()
+    return rotations @ np.diag([1.0, -1.0, -1.0]) if over else rotations
+
+
+def _angles(values: np.ndarray, *, axes: str, degrees: bool) -> np.ndarray:
+    if not axes:
+        return Rotation.from_rotvec(values, degrees=degrees).as_matrix()
+    return Rotation.from_euler(axes, values, degrees=degrees).as_matrix()
+
+
+AS_DOCUMENTED = _Meaning("quaternions have the scalar last", _quaternions)
+_FIRST = "quaternions have the scalar first"
+_OVER = "tool z points away from the object: the tool is turned over about its x"
+MEANINGS: dict[int, tuple[_Meaning, ...]] = {  # by the number of values, what is documented or likelier first
+    4: (
+        AS_DOCUMENTED,
+        _Meaning(_OVER, partial(_quaternions, over=True)),
+        _Meaning(_FIRST, partial(_quaternions, scalar_first=True)),
+        _Meaning(f"{_FIRST}, and {_OVER}", partial(_quaternions, scalar_first=True, over=True)),
+    ),
+    3: tuple(
+        _Meaning(f"rotations are {kind} in {unit}", partial(_angles, axes=axes, degrees=unit == "degrees"))
+        for unit in ("radians", "degrees")
+        for kind, axes in (
+            ("vectors", ""), ("angles about fixed x, y and z", "xyz"), ("angles about moving z, y and x", "ZYX")
+        )
+    ),
+}  # fmt: skip
+
+
+def _meanings(folders: Sequence[Path], notes: ConversionLog) -> dict[int, _Meaning]:
+    """How the rotations of all runs are meant, by their number of values: one program wrote them all, so that all runs
+    decide together. Touches move along tool z. The documented reading gives way only where half of the touches go
+    clearly elsewhere and nearly all agree with another: of nearly upright touches both orders of a quaternion tell the
+    same axis, and which fits better is chance.
     """
-    values = _optional(stem, "rotations", (n, 4), notes, other=None if as_stated else (n, 3))
+    found: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {4: [], 3: []}
+    for folder in folders:
+        for run in _runs(folder):
+            stem = folder / f"{folder.name}_poses" / f"experiment_{run}"
+            values, final, prepare = (_loose(stem, name) for name in ("rotations", "final_contact", "prepare_contact"))
+            if values.shape[1] in found and final.shape == prepare.shape == (len(values), 3):
+                moved = _position_unit(final) * (final - prepare)
+                far = np.linalg.norm(moved, axis=1) > 2 * MAX_LOOK_OFFSET_M
+                far &= np.isfinite(values).all(1) & (np.linalg.norm(values, axis=1) > 0)
+                found[values.shape[1]].append((values[far], moved[far]))
+    decided = {4: AS_DOCUMENTED}
+    for size, parts in found.items():
+        if sum(len(values) for values, _ in parts) < MIN_INFORMATIVE_TOUCHES:
+            continue
+        values, moved = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+        share = {meaning: _share_along(moved, meaning.matrices(values)) for meaning in MEANINGS[size]}
+        if size == 4 and np.median(_angle_to_axis(moved, AS_DOCUMENTED.matrices(values))) < MAX_POSE_ERROR:
+            continue
+        best = next((meaning for meaning in MEANINGS[size] if share[meaning] > MOST_TOUCHES), None)
+        if best is not None and best is not AS_DOCUMENTED:
+            decided[size] = best
+            runs = f"{len(parts)} runs" if len(parts) > 1 else "1 run"
+            notes.info(
+                f"corrected: {best.said}, as {round(share[best] * len(moved))} of {len(moved)} touches of {runs} move "
+                f"along tool z so"
+                + (f", and {round(share[AS_DOCUMENTED] * len(moved))} as documented" if size == 4 else "")
+            )
+    return decided
+
+
+def _loose(stem: Path, name: str) -> np.ndarray:
+    """(n, d) numbers of a file of poses; (0, 0) where it holds none, which its run says when it is read."""
+    path = npy.find(stem.with_name(f"{stem.name}_{name}"))
+    try:
+        values = np.zeros((0, 0)) if path is None else np.array(npy.read(path), np.float64)
+    except (DataError, TypeError, ValueError):
+        values = np.zeros((0, 0))
+    return np.where(np.abs(values) < MAX_POSE_VALUE, values, np.nan) if values.ndim == 2 else np.zeros((0, 0))
+
+
+def _share_along(moved: np.ndarray, rotations: np.ndarray) -> float:
+    """Share of the touches whose motion (n, 3) is along tool z of rotations (n, 3, 3)."""
+    approach, aside = _along(moved, rotations[:, :, 2])
+    return float(np.mean((approach > 0) & (aside <= MAX_LOOK_OFFSET_M)))
+
+
+def _angle_to_axis(moved: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+    """Angles (n,) rad between motions (n, 3) and tool z of rotations (n, 3, 3)."""
+    approach, aside = _along(moved, rotations[:, :, 2])
+    return np.arctan2(aside, approach)
+
+
+def _rotations(stem: Path, n: int, options: "_Options", notes: ConversionLog) -> np.ndarray:
+    """Rotations (n, 3, 3) of the tool, NaN where unknown, as those of the whole set are meant."""
+    values = _optional(stem, "rotations", (n, 4), notes, other=None if options.as_stated else (n, 3))
     result = np.full((n, 3, 3), np.nan)
     known = np.isfinite(values).all(1)
     if not known.any():
         return result
-    if values.shape[1] == 3:
-        return _from_angles(stem, values, moved, notes)
+    size = values.shape[1]
+    if size not in options.meanings:
+        path = npy.find(stem.with_name(f"{stem.name}_rotations")) or stem
+        raise data_error(path, f"has the shape {values.shape} where {n} touches need {(n, 4)}")
     crooked = np.abs(np.linalg.norm(values, axis=1) - 1) > QUATERNION_NORM_TOLERANCE
-    if crooked.any():
+    if size == 4 and crooked.any():
         raise data_error(stem, f"quaternion {np.flatnonzero(crooked)[0] + 1} of its rotations is not of length 1")
-    result[known] = Rotation.from_quat(values[known]).as_matrix()
-    return result if as_stated else _as_approached(stem, values, result, moved, notes)
-
-
-def _share_along(moved: np.ndarray, rotations: np.ndarray) -> float:
-    """Share of the touches that move along tool z; 1 where too few move at all."""
-    far = np.isfinite(moved).all(1) & (np.linalg.norm(np.nan_to_num(moved), axis=1) > 2 * MAX_LOOK_OFFSET_M)
-    far &= np.isfinite(rotations).all((1, 2))
-    if far.sum() < MIN_INFORMATIVE_TOUCHES:
-        return 1.0
-    approach, aside = _along(moved[far], rotations[far][:, :, 2])
-    return float(np.mean((approach > 0) & (aside <= MAX_LOOK_OFFSET_M)))
-
-
-def _from_angles(stem: Path, values: np.ndarray, moved: np.ndarray, notes: ConversionLog) -> np.ndarray:
-    """Rotations (n, 3, 3) from three angles each, of the kind by which touches move along tool z."""
-    for degrees in (False, True):
-        for kind, turned in (
-            ("vectors", Rotation.from_rotvec(values, degrees=degrees)),
-            ("angles about fixed x, y and z", Rotation.from_euler("xyz", values, degrees=degrees)),
-            ("angles about moving z, y and x", Rotation.from_euler("ZYX", values, degrees=degrees)),
-        ):
-            enough = np.isfinite(moved).all(1).sum() >= MIN_INFORMATIVE_TOUCHES
-            if enough and _share_along(moved, turned.as_matrix()) > MOST_TOUCHES:
-                unit = "degrees" if degrees else "radians"
-                notes.info(f"corrected: {stem}: rotations are {kind} in {unit}, as touches move along tool z only so")
-                return turned.as_matrix()
-    path = npy.find(stem.with_name(f"{stem.name}_rotations")) or stem
-    raise data_error(path, f"has the shape {values.shape} where {len(values)} touches need {(len(values), 4)}")
-
-
-def _as_approached(
-    stem: Path, quaternions: np.ndarray, rotations: np.ndarray, moved: np.ndarray, notes: ConversionLog
-) -> np.ndarray:
-    """The rotations, read with the scalar first or turned over, if touches move along tool z only so."""
-    if _share_along(moved, rotations) > MOST_TOUCHES:
-        return rotations
-    known = np.isfinite(quaternions).all(1)
-    first = np.full_like(rotations, np.nan)
-    first[known] = Rotation.from_quat(np.roll(quaternions[known], -1, axis=1)).as_matrix()
-    over = np.diag([1.0, -1.0, -1.0])
-    for matrices, sign, said in (
-        (rotations, -1.0, "tool z points away from the object: the tool is turned over about its x"),
-        (first, 1.0, "quaternions have the scalar first"),
-        (first, -1.0, "quaternions have the scalar first, and tool z points away: the tool is turned over about its x"),
-    ):
-        if _share_along(moved, sign * matrices) > MOST_TOUCHES:
-            notes.info(f"corrected: {stem}: {said}, as touches move along tool z only so")
-            return matrices if sign > 0 else matrices @ over
-    return rotations
+    result[known] = options.meanings[size].matrices(values[known])
+    return result
 
 
 def _forces(stem: Path, axis: np.ndarray, n: int, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

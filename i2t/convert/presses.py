@@ -3,8 +3,8 @@
 
 Columns, by name: x_mm, y_mm (the indenter's axis from the skin's centre, along the skin's edges), depth_mm (travel past
 first contact) or z_mm (the tip's height), the values of the board's chips b0x_uT, b0y_uT, b0z_uT, b1x_uT ... (to b4z_uT
-for five chips); if wanted force_N (empty = not measured), a0x_uT ... (ambient, subtracted), pad and session (names; a
-session may be called run). Depth may be missing where there are forces.
+for five chips); if wanted force_N (empty = not measured), a0x_uT ... (ambient, subtracted), time_s, pad and session
+(names; a session may be called run). Depth may be missing where there are forces.
 
 Frames: the skin is fixed, and its tool frame T is the world's. The object O is the indenter, its axes as T's: at the
 lowest point of a sphere or cylinder, or a mesh's own frame, whose z axis is the indenter's and whose lowest point
@@ -29,6 +29,7 @@ from i2t.unknowns import RecordedPresses
 
 PLACES = ("x_mm", "y_mm", "depth_mm")
 NAME_COLUMNS = ("pad", "session")
+TIME = "time_s"
 MOST_NAMED = 5  # columns that a sentence names
 TOO_FEW_OR_MANY = ""  # key of a row that has not a field for each column
 TURNED_SHARE = 0.9  # of the rows with a depth, for all to be turned
@@ -89,6 +90,7 @@ def convert(
     T_w_o = np.tile(np.eye(4), (n, 1, 1))
     T_w_o[:, :3, 3] = np.column_stack([x, y, -np.nan_to_num(depth) - lowest])
     names = {kind: tuple(dict.fromkeys(row[kind] for row in kept)) for kind in NAME_COLUMNS}
+    time = np.array([row[TIME] for row in kept])
     touches = Touches(
         patch=patch,
         wide=missing_context(n),
@@ -102,6 +104,7 @@ def convert(
         pad=np.array([names["pad"].index(row["pad"]) for row in kept]),
         session=np.array([names["session"].index(row["session"]) for row in kept]),
         code=[ReturnCode.FREE if row.get("free") else ReturnCode.UNDEFINED for row in kept],
+        time=None if np.isnan(time).all() else time,
     )
     meta = {key: text for check in checks for key, text in check.meta.items()}
     dataset = Dataset(
@@ -269,11 +272,15 @@ def _by_name(header: list[str], cells: list[str]) -> dict[str, Any]:
     return row
 
 
-def _is_height(text: Any) -> bool:
+def _is_number(text: Any, most: float = math.inf) -> bool:
     try:
-        return abs(float(text)) < MAX_TABLE_VALUE
+        return abs(float(text)) < most
     except (TypeError, ValueError):
         return False
+
+
+def _is_height(text: Any) -> bool:
+    return _is_number(text, MAX_TABLE_VALUE)
 
 
 def _with_depth(row: dict[str, Any], height: str, highest: float) -> dict[str, Any]:
@@ -303,7 +310,7 @@ def _check_header(source: Path, header: list[str], chips: int, notes: Conversion
         raise DataError(
             f"{source}: some of the ambient columns {ambient[0]} ... {ambient[-1]} are missing; give all or none"
         )
-    known = {*PLACES, *values, "force_N", *NAME_COLUMNS, *(ambient if has_ambient else ())}
+    known = {*PLACES, *values, "force_N", TIME, *NAME_COLUMNS, *(ambient if has_ambient else ())}
     unknown = [name for name in header if name not in known]
     if unknown:
         notes.info(f"left out: columns {', '.join(unknown)}, which have no meaning here")
@@ -321,6 +328,7 @@ def _row(source: Path, number: int, line: dict[str, Any], columns: _Columns) -> 
     row["force_N"] = (
         _number(source, number, "force_N", line["force_N"]) if line.get("force_N", "").strip() else math.nan
     )
+    row[TIME] = float(line[TIME]) if _is_number(line.get(TIME)) else math.nan
     answered, reading = _answered(line, columns.values), np.full(len(columns.values), np.nan)
     for i in np.flatnonzero(answered):
         reading[i] = _number(source, number, columns.values[i], line[columns.values[i]])

@@ -24,7 +24,7 @@ MAX_SAMPLE_VALUE = 1e6  # uT: the chips end at 1.3e5
 STEADINESS_RATIO = 3.0  # times: how much steadier one column must be to be the temperature where both could be
 
 
-def readings(tactile: Path, order: str, notes: ConversionLog) -> np.ndarray:
+def readings(tactile: Path, order: str, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray]:
     """Readings of one run: mean in contact minus mean ambient.
 
     Args:
@@ -34,13 +34,15 @@ def readings(tactile: Path, order: str, notes: ConversionLog) -> np.ndarray:
         notes: That hears what was found and what is left out.
 
     Returns:
-        (n, 15) uT; NaN in a touch that is damaged.
+        (n, 15) uT, NaN in a touch that is damaged; and (n,) s, when the last sample of each touch was read, NaN where
+        samples are bare values.
 
     Raises:
         DataError: A file is missing or damaged.
     """
     path = _existing(tactile)
-    touches = [_samples(path, touch) for touch in _list(path)]
+    items = _list(path)
+    touches = [_samples(path, touch) for touch in items]
     if not touches:
         raise data_error(path, "holds no touch")
     if any(len(sample) != 4 * CHIPS for touch in touches for sample in touch):
@@ -55,7 +57,7 @@ def readings(tactile: Path, order: str, notes: ConversionLog) -> np.ndarray:
     if len(groups) not in (n, math.ceil(n / 10)):
         raise data_error(path, f"holds {len(groups)} groups for {n} touches, neither one a touch nor one for every 10")
     ambient = _means(path, groups, order, notes)
-    return means - (ambient if len(groups) == n else ambient[np.arange(n) // 10])
+    return means - (ambient if len(groups) == n else ambient[np.arange(n) // 10]), np.array([_time(t) for t in items])
 
 
 def _existing(path: Path) -> Path:
@@ -98,6 +100,16 @@ def _samples(path: Path, item: Any) -> list[list[float]]:
             return [sample for part in item for sample in _samples(path, part)]
     kind = f"a list of {len(item)}" if isinstance(item, list) else repr(item)[:40]
     raise data_error(path, f"holds {kind} where a sample of {AUTHORS_READINGS} or {4 * CHIPS} values should be")
+
+
+def _time(item: Any) -> float:
+    """When the last of nested samples was read, which [time, delay, values, device] say."""
+    if not isinstance(item, list):
+        return math.nan
+    if len(item) == 4 and isinstance(item[2], list) and not isinstance(item[0], list):
+        known = isinstance(item[0], int | float) and math.isfinite(item[0])
+        return float(item[0]) if known else math.nan
+    return _time(item[-1]) if item else math.nan
 
 
 def _mean(samples: list[list[float]], order: str) -> np.ndarray:

@@ -6,8 +6,8 @@ row by row, and `i2t.unknowns.segmentation` finds the presses meanwhile. At most
 so memory does not grow with the log.
 
 A press becomes one row: its steady reading less the rest before it, and the medians of the other columns over the same
-rows. A height becomes a depth, which counts from the height at which the reading left its rest. Where pad or session
-change, and after a pause, the search begins anew.
+rows; its time is that of its beginning. A height becomes a depth, which counts from the height at which the reading
+left its rest. Where pad or session change, and after a pause, the search begins anew.
 """
 
 import csv
@@ -21,7 +21,7 @@ import numpy as np
 
 from i2t.convert import presses
 from i2t.convert.common import ConversionLog, Converted
-from i2t.convert.presses import MAX_TABLE_VALUE, MOST_NAMED, NAME_COLUMNS, PLACES
+from i2t.convert.presses import MAX_TABLE_VALUE, MOST_NAMED, NAME_COLUMNS, PLACES, TIME
 from i2t.convert.tables import FIELD_COLUMN, HEIGHT_COLUMNS, TableRows, TextTable, open_text_table
 from i2t.errors import DataError
 from i2t.files import replacing
@@ -38,7 +38,6 @@ from i2t.unknowns.segmentation import (
     true_presses,
 )
 
-TIME = "time_s"
 ROWS_READ_AT_ONCE = 8192  # 20 s at 400 Hz; rate and noise are found from the first of them
 PAUSE_S = 1.0  # between two rows: afterwards the skin may rest elsewhere
 PAUSE_ROWS = 20  # where rows are so far apart that a second is none
@@ -226,7 +225,7 @@ def table_of_presses(source: Path, *, board: Board, skip_bad: bool = False) -> T
     labels = ["depth_mm" if name == height else name for name in columns.labels]
     values = [table.header[i] for i in columns.values]
     return TextTable(
-        [*columns.names, *labels, *values], [_press_row(names, press, columns, height) for names, press in found],
+        [*columns.names, TIME, *labels, *values], [_press_row(names, press, columns, height) for names, press in found],
         notes.lines,
     )  # fmt: skip
 
@@ -239,7 +238,7 @@ def _press_row(
     if height is not None:
         at = list(columns.labels).index(height)
         steady[at] = press.at_start[1 + at] - steady[at]
-    numbers = [*steady.tolist(), *press.reading.tolist()]
+    numbers = [press.start_time, *steady.tolist(), *press.reading.tolist()]
     return int(press.at_start[0]), [*names, *("" if np.isnan(x) else f"{x:.{PRESS_DECIMALS}f}" for x in numbers)]
 
 
@@ -320,7 +319,7 @@ def _sound(
 ) -> np.ndarray:
     """Which rows hold numbers that can be, and a time."""
     wrong = np.abs(numbers) >= MAX_TABLE_VALUE
-    wrong[:, 0] |= np.isnan(numbers[:, 0])
+    wrong[:, 0] = ~np.isfinite(numbers[:, 0])  # Unix time is larger than any other number
     for k in np.flatnonzero(wrong.any(1)):
         name = names[int(np.flatnonzero(wrong[k])[0])]
         damage.row(DataError(f"{source}: line {rows[k][0]} has no such number in column {name}; correct it"))

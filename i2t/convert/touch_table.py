@@ -29,7 +29,9 @@ UNIT_OF = {
     "truth_nearest": "m",
     "truth_force": "N",
     "truth_indentation": "m",
+    "time": "s",
 }
+OPTIONAL_COLUMNS = ("truth_", "time")  # beginnings of the names that a table may lack
 MAX_TABLE_BYTES = 2**30
 
 
@@ -128,10 +130,10 @@ def _gathered(cells: dict[str, Any], channels: int) -> dict[str, np.ndarray]:
     fields: dict[str, np.ndarray] = {}
     for name, shape in shapes.items():
         labels = _labels(name, shape)
-        if name.startswith("truth_") and labels[0] not in cells:
+        if name.startswith(OPTIONAL_COLUMNS) and labels[0] not in cells:
             continue
         table = np.array([[np.nan if cell == "" else float(cell) for cell in cells[label]] for label in labels])
-        fields[name] = table.T.reshape(-1, *shape).astype(np.float32)
+        fields[name] = table.T.reshape(-1, *shape).astype(np.float64 if name == "time" else np.float32)
     return fields
 
 

@@ -15,6 +15,8 @@ from i2t.types import PATCH_WINDOW, REACH, WIDE_PIXELS, Board, Pad, ReturnCode, 
 
 SOURCES = ("simulated", "real", "mixed")
 INDICES = ("object", "pad", "session", "code")
+OPTIONAL = ("truth", "time")  # fields of touches that are None where there is none
+MEASURED = tuple(name for name in Touches._fields if name not in OPTIONAL)
 AXIS_NAMES = ("x", "y", "z")
 ROTATION_TOLERANCE = (
     1e-4  # float32 leaves 1e-6 and quaternions printed with four decimals 1e-4: beyond it is no rotation
@@ -50,7 +52,8 @@ class Dataset:
 
     def __post_init__(self) -> None:
         def numpy(name: str, values: Any) -> np.ndarray:
-            return np.asarray(values, np.int32 if name in INDICES else np.float32)
+            # Unix time in float32 would be in steps of two minutes.
+            return np.asarray(values, np.int32 if name in INDICES else np.float64 if name == "time" else np.float32)
 
         object.__setattr__(self, "touches", _map(numpy, self.touches))
         object.__setattr__(self, "board", Board(*(np.asarray(value, np.float32) for value in self.board)))
@@ -129,6 +132,7 @@ class Dataset:
                 "wide": int(sum(np.isnan(view).any() for view in touches.wide)),
                 "T_w_t": int(np.isnan(touches.T_w_t).any((1, 2)).sum()),
                 "T_w_o": int(np.isnan(touches.T_w_o).any((1, 2)).sum()),
+                "time": len(self) if touches.time is None else int(np.isnan(touches.time).sum()),
             },
             "truth": touches.truth is not None,
             "window_m": float(self.window),
@@ -155,7 +159,8 @@ def concatenate(datasets: Sequence[Dataset]) -> Dataset:
     """One data set of all touches in the given order, with the names merged.
 
     Args:
-        datasets: at least one. The truth is kept where every part has it; meta entries that differ are joined by "; ".
+        datasets: at least one. The truth is kept where every part has it, times where any has; meta entries that differ
+            are joined by "; ".
 
     Returns:
         The data set.
@@ -173,7 +178,7 @@ def concatenate(datasets: Sequence[Dataset]) -> Dataset:
         for kind in ("objects", "pads", "sessions")
     }
     columns: dict[str, Any] = {}
-    for column in Touches._fields[:-1]:
+    for column in MEASURED:
         parts = [getattr(d.touches, column) for d in datasets]
         if (kind := column + "s") in names:
             parts = [_renumbered(part, getattr(d, kind), names[kind]) for d, part in zip(datasets, parts, strict=True)]
@@ -181,6 +186,8 @@ def concatenate(datasets: Sequence[Dataset]) -> Dataset:
     truths = [d.touches.truth for d in datasets]
     if all(truth is not None for truth in truths):
         columns["truth"] = Truth(*(_joined(list(parts)) for parts in zip(*truths, strict=True)))
+    if any(d.touches.time is not None for d in datasets):
+        columns["time"] = np.concatenate([times_of(d) for d in datasets])
     sources = {d.source for d in datasets}
     return replace(
         first,
@@ -189,6 +196,19 @@ def concatenate(datasets: Sequence[Dataset]) -> Dataset:
         source=sources.pop() if len(sources) == 1 else "mixed",
         meta={key: _merged([d.meta[key] for d in datasets if key in d.meta]) for d in datasets for key in d.meta},
     )
+
+
+def times_of(dataset: Dataset) -> np.ndarray:
+    """When each touch was.
+
+    Args:
+        dataset: Of n touches.
+
+    Returns:
+        (n,) s, as the recording counts; NaN where it is not known.
+    """
+    time = dataset.touches.time
+    return np.full(len(dataset), np.nan) if time is None else np.asarray(time, np.float64)
 
 
 def _require_joinable(one: Dataset, other: Dataset) -> None:
@@ -232,7 +252,7 @@ def validate(dataset: Dataset) -> None:
     }
     _require_shape("board/chips", dataset.board.chips, (chips, 3))
     _require_shape("board/rotations", dataset.board.rotations, (chips, 3, 3))
-    for name in Touches._fields[:-1]:
+    for name in MEASURED:
         _require_shape(name, getattr(touches, name), shapes.get(name, (n,)))
     if touches.truth is not None:
         for name, value in touches.truth._asdict().items():
@@ -256,6 +276,8 @@ def validate(dataset: Dataset) -> None:
     _require_rows("reading", np.isfinite(touches.reading).any(1) | (n == 0), "has no chip")
     for name in ("force", "depth"):
         _require_rows(name, ~np.isinf(getattr(touches, name)), "is infinite; unknown is NaN")
+    _require_shape("time", times_of(dataset), (n,))
+    _require_rows("time", ~np.isinf(times_of(dataset)), "is infinite; unknown is NaN")
     _require_rows("nearest", touches.nearest != -np.inf, "is minus infinite; unknown is NaN")
     for name in ("T_w_t", "T_w_o"):
         _require_rows(name, _rigid_or_unknown(getattr(touches, name)), "is no rigid transform")
@@ -275,7 +297,9 @@ def validate(dataset: Dataset) -> None:
 
 def _map(change: Callable[[str, Any], np.ndarray], touches: Touches) -> Touches:
     columns: dict[str, Any] = {
-        name: change(name, values) for name, values in touches._asdict().items() if name != "truth"
+        name: change(name, values)
+        for name, values in touches._asdict().items()
+        if name != "truth" and values is not None
     }
     if touches.truth is not None:
         columns["truth"] = Truth(*(change(name, values) for name, values in touches.truth._asdict().items()))

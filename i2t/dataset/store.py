@@ -42,6 +42,7 @@ UNITS = {
     "force": "N",
     **dict.fromkeys(("T_w_t", "T_w_o"), "1 (rotation), m (translation)"),
     **dict.fromkeys(("object", "pad", "session", "code"), "1"),
+    "time": "s",
 }
 
 SKIN_SERIES = ("tactile", "temperature", "ambient", "ambient_predicted")  # of a skin; a further one's end in its name
@@ -420,7 +421,7 @@ def _put_dataset(file: h5py.Group, dataset: Dataset) -> None:
     _put(file, "board/chips", dataset.board.chips, "m")
     _put(file, "board/rotations", dataset.board.rotations, "1")
     for name, values in touches._asdict().items():
-        if name != "truth" and not (name == "wide" and np.isnan(values).all()):
+        if name != "truth" and values is not None and not (name == "wide" and np.isnan(values).all()):
             _put(file, f"touches/{name}", values, UNITS[name])
     for name, values in touches.truth._asdict().items() if touches.truth is not None else ():
         _put(file, f"truth/{name}", values, UNITS[name])

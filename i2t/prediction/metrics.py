@@ -13,6 +13,7 @@ import numpy as np
 from scipy import stats
 
 RESAMPLES = 1000
+MIN_CLUSTERS = 3  # fewer say nothing about others: there is no interval over them
 EQUALLY_NEAR = 1e-12  # of the squared lengths of features: what rounding makes of one distance
 
 
@@ -91,10 +92,12 @@ def grouped_interval(
         level: Coverage.
 
     Returns:
-        Both ends of the interval.
+        Both ends of the interval; NaN where there are fewer than three groups.
     """
     rng = np.random.default_rng(seed)
     members = [np.flatnonzero(groups == group) for group in np.unique(groups)]
+    if len(members) < MIN_CLUSTERS:
+        return float("nan"), float("nan")
     draws = [
         statistic(np.concatenate([members[i] for i in rng.integers(len(members), size=len(members))]))
         for _ in range(RESAMPLES)

@@ -15,13 +15,13 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 from scipy import stats
 
+from i2t.prediction.metrics import MIN_CLUSTERS as MIN_CLUSTERS
 from i2t.prediction.metrics import Estimate as Estimate
 from i2t.prediction.metrics import student_interval as student_interval
 from i2t.types import Array
 
 COVERAGE = 0.95  # of every interval
 RESAMPLES = 1000  # of a bootstrap
-MIN_CLUSTERS = 3  # of a factor; fewer say nothing about others, and are taken as fixed
 
 Clusters = Sequence[Shaped[Array, " n"]]  # labels of the episodes, for each factor
 Statistic = Callable[[Float[np.ndarray, " n"]], Array]  # of the episodes' weights

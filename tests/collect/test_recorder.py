@@ -67,6 +67,7 @@ def test_series_hold_the_whole_press_in_unix_time(tmp_path):
     record = dataset.read_touch(touches_in(tmp_path)[0])
     tactile, pose, wrench = (record.series[name] for name in ("tactile", "pose", "wrench"))
     events = {text: time for time, text in record.events}
+    assert record.touch.touches.time == tactile.time[-1]
     for series in (tactile, pose, wrench):
         assert series.time[0] > WALL
         assert series.time[-1] <= written_at(touches_in(tmp_path)[0])

@@ -134,6 +134,27 @@ def session(folder, height_mm, n=60):
         (folder / f"{name}.csv").write_text("\n".join(lines))
 
 
+def test_times_of_a_session_are_kept(tmp_path):
+    """In float64: a float32 tells Unix time to two minutes."""
+    session(tmp_path / "src" / "late", np.full(60, 142.6))
+    dataset = converted(tmp_path / "src", tmp_path / "dst", "--as-stated", command="eflesh")
+    np.testing.assert_array_equal(dataset.touches.time, 1.7e9 + 4.25 * np.arange(60))
+    assert "time of all touches" in " ".join((tmp_path / "dst" / "README.md").read_text().split())
+    table(tmp_path / "presses.csv", recorded := press(0, 28, free=0.0))
+    lines = (tmp_path / "presses.csv").read_text().splitlines()
+    stamped = [f"{lines[0]},time_s", *(f"{line},{1.7e9 + i}" for i, line in enumerate(lines[1:]))]
+    (tmp_path / "presses.csv").write_text("\n".join(stamped))
+    pressed = converted(tmp_path / "presses.csv", tmp_path / "b", "--as-stated", *OPTIONS, command="presses")
+    np.testing.assert_array_equal(pressed.touches.time, 1.7e9 + np.arange(len(recorded.position)))
+
+
+def test_times_of_the_authors_samples_are_kept(tmp_path):
+    authors_layout.write(tmp_path / "src", "star", "1", N)
+    stored = np.load(tmp_path / "src/star/star_tactile/experiment_1_reskin", allow_pickle=True)
+    found = converted(tmp_path / "src", tmp_path / "dst").touches
+    np.testing.assert_array_equal(found.time, [sample[0] for sample in stored[:, 0]])
+
+
 @pytest.mark.full
 def test_presses_to_one_height_have_no_depth_and_the_robot_frame_is_kept(tmp_path, capsys):
     session(tmp_path / "src" / "late", np.full(60, 142.6))
@@ -165,3 +186,48 @@ def test_the_real_one_height_presses_of_a_session_have_no_depth(shared_data, tmp
     dataset = converted(tmp_path / "src", tmp_path / "dst", command="eflesh")
     assert len(dataset) == one.sum()
     assert np.isnan(dataset.touches.depth).all()
+
+
+def sets_of_folders(source, order, seed=1):
+    """Six folders of an arm that goes straight up with a tool a few degrees off, so that both orders of a quaternion
+    tell about the same axis; `order` is how quaternions are written.
+    """
+    rng = np.random.default_rng(seed)
+    for number in range(6):
+        name = f"object{number}"
+        authors_layout.write(source, name, "1", N, seed=number)
+        tilt = Rotation.from_euler("xyz", rng.normal(0, 1, (N, 3)) * [2.5, 0.5, 0], degrees=True)
+        poses = source / name / f"{name}_poses" / "experiment_1"
+        final = rng.uniform(-0.3, 0.3, (N, 3))
+        moved = np.tile([0, 0, 0.05], (N, 1))
+        for stem, values in (("final_contact", final), ("prepare_contact", final - moved)):
+            authors_layout.save(poses.with_name(f"experiment_1_{stem}"), values)
+        authors_layout.save(poses.with_name("experiment_1_rotations"), order(tilt.as_quat()))
+    return source
+
+
+def test_a_set_whose_quaternions_fit_either_order_is_read_as_documented_and_nothing_is_said(tmp_path, capsys):
+    source = sets_of_folders(tmp_path / "src", lambda q: q)
+    found = converted(source, tmp_path / "dst").touches
+    assert "scalar" not in capsys.readouterr().out
+    stored = np.concatenate([np.load(path) for path in sorted(source.glob("*/*_poses/experiment_1_rotations"))])
+    np.testing.assert_allclose(found.T_w_t[:, :3, :3], Rotation.from_quat(stored).as_matrix(), atol=1e-5)
+
+
+def test_the_order_of_quaternions_is_decided_once_for_a_whole_set(tmp_path, capsys):
+    """One folder of a set would not tell; with the others it does, and all are read alike."""
+    source = tmp_path / "src"
+    truth = [authors_layout.write(source, name, "1", N, seed=i) for i, name in enumerate(("cube", "star"))]
+    for name in ("cube", "star"):
+        change(source / name / f"{name}_poses/experiment_1_rotations", scalar_first)
+    few = [source / "cube/cube_poses" / f"experiment_1_{name}" for name in ("prepare_contact", "final_contact")]
+    final = np.load(few[1])
+    authors_layout.save(few[0], np.where(np.arange(N)[:, None] < 2, np.load(few[0]), final))  # two touches move at all
+    found = converted(source, tmp_path / "dst").touches
+    said = [line for line in capsys.readouterr().out.splitlines() if "scalar first" in line]
+    assert said == [
+        "corrected: quaternions have the scalar first, as 14 of 14 touches of 2 runs move along tool z so, and 0 as "
+        "documented"
+    ]
+    rotations = np.concatenate([one.rotation for one in truth])
+    np.testing.assert_allclose(found.T_w_t[:, :3, :3], rotations, atol=1e-5)

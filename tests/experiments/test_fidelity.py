@@ -13,11 +13,11 @@ from experiments.fidelity import __main__ as fidelity
 from experiments.fidelity import curves, describe, dynamics, forward, heads, run
 from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.forward import explained_share, left_out, nearest_presses, press_set, simple_gp
-from experiments.fidelity.sections import CannotTellError, Section, written
+from experiments.fidelity.sections import CannotTellError, Section, full_stop, written
 from i2t import dataset as data
 from i2t.calibration import check_presses
 from i2t.calibration.heads import HeadBudget, SkinRecording, from_dataset, load_head
-from i2t.unknowns import estimate_labels
+from i2t.unknowns import estimate_labels, find_force_sign
 
 FEW = HeadBudget(selection_rows=40, known_rows=60, rows=80)
 TINY = FidelityPreset(counts=(5,), draws=1, test_rows=15, forward_rows=40, heads=FEW, heads_across=FEW)
@@ -168,7 +168,7 @@ def test_a_part_that_fails_costs_no_other(capsys):
 
     section = written("title", broken)
     assert section.status == "failed"
-    assert section.sentences[0] == "so far"
+    assert section.sentences[0] == "so far."
     assert "ZeroDivisionError: by nothing" in section.numbers["failures"][0]
     assert "Traceback" in capsys.readouterr().err
 
@@ -291,6 +291,69 @@ def test_what_may_be_chance_is_no_loss():
     errors["k nearest presses"][5] = [rng.permutation(own)]
     (level,) = curves._compare_with_baselines("so", few, errors)
     assert "within chance" in level
+
+
+def test_methods_are_compared_by_the_numbers_that_are_printed():
+    def compared(*own):
+        theirs = {20: {"mean": 0.9031}, 50: {"mean": 0.95}}
+        mine = {n: {"mean": mean} for n, mean in zip(theirs, own, strict=True)}
+        return curves._compare_with_baselines("so", {"i2t.calibrate": mine, "plain Gaussian process": theirs}, {})
+
+    assert compared(0.896, 0.96) == [
+        "Held out so: i2t.calibrate lies within 0.01 of the best baseline at 20 presses (0.896, plain Gaussian process "
+        "0.903).",
+        "Held out so: i2t.calibrate is at least as good as every baseline at 50 presses.",
+    ]
+    assert compared(0.9029, 0.95) == [  # both are printed as 0.903
+        "Held out so: i2t.calibrate is at least as good as every baseline at every number of presses."
+    ]
+
+
+@pytest.mark.parametrize("said", ["It is", "It is.", "It is..", "It is. "])
+def test_a_sentence_ends_in_one_full_stop_and_is_said_once(said):
+    section = written("title", lambda section: section.sentences.extend([said, "It is."]))
+    assert section.sentences == ["It is."]
+    assert full_stop("and 3 more ...") == "and 3 more ..."
+
+
+def test_a_finding_is_said_in_one_part_of_the_report(monkeypatch):
+    """Not by the quick checks and the estimate, nor as a note of the converter that the checks say anew."""
+    pulled = HOSTILE["forces that pull"]
+    notes = ("assumed: a tip", "found in s: Presses push: the median force is 1.00 N.", "corrected in s: Units.")
+    force = pulled.targets["force"][:, 0]
+    monkeypatch.setattr(describe, "estimate_unknowns", lambda *args: [find_force_sign(force, pulled.readings)])
+    parts = run.sections_of(replace(pulled, notes=notes), TINY, 0)
+    about, checks = next(parts), next(parts)
+    assert about.sentences[1:3] == ["assumed: a tip.", "corrected in s: Units."]
+    assert not [sentence for sentence in about.sentences if sentence.startswith("found in")]
+    (once,) = (sentence for sentence in checks.sentences if "negative" in sentence)
+    assert "as if they pulled" in once
+    assert not [sentence for sentence in (*about.sentences, *checks.sentences) if ".." in sentence]
+
+
+def test_a_session_that_does_not_tell_how_hard_was_pressed_is_laid_over_another():
+    """As `experiments.calibrate --previous-session` does, in both directions."""
+    section, big = Section("across"), presses_of_a_skin(600)
+    depth = big.targets["depth"][:, 0]
+    later = np.flatnonzero(np.arange(600) >= 300)
+    near = later[np.argsort(np.abs(depth[later] - np.quantile(depth, 0.7)))[:30]]
+    level = replace(big.rows(near), name="level", targets={"position": big.targets["position"][near]})
+    curves.across_sessions([big.rows(slice(300)), level], replace(TINY, forward_rows=300), 0, section)
+    (table,) = section.tables.values()
+    assert [row[:2] for row in table[1:]] == [[big.name, "level"], ["level", big.name]]
+    found = section.numbers["r2"][f"{big.name} -> level"]
+    assert found["aligned"] > 0.9
+    assert found["aligned"] > found["as it is"]
+
+
+def test_times_that_a_data_set_keeps_are_used():
+    dataset = random_touches.make(60, pixels=8, truth=True)
+    (recording, *_) = from_dataset(dataset, "objects")
+    section = Section("What it is")
+    describe.describe(recording, section)
+    assert any(sentence.startswith("Rows come every") for sentence in section.sentences)
+    describe.describe(from_dataset(random_touches.make(60, pixels=8), "objects")[0], again := Section("What it is"))
+    assert any(sentence.startswith("No times are known") for sentence in again.sentences)
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1.0, "uT"), (1e-3, "mT"), (0.01, "gauss")])

@@ -326,12 +326,40 @@ def test_a_table_is_printed_where_a_score_is_missing(capsys):
             "methods": {"mean reading": one | {"r2": 0.0, "validation_coverage_90": 0.91}, "GP": one},
             "validation_r2": {"mean reading": 0.0, "GP": None}, "by_object": {},
             "choice": {"best_baseline": "mean reading", "over_best_baseline": lead},
+            "validated_on": {"groups": 4, "objects": 1},
         }
     )  # fmt: skip
     said = capsys.readouterr().out
     assert "kept: mean reading" in said
     assert "0.91 of validation values" in said
     assert "note: depths are nil" in said
+
+
+@pytest.mark.parametrize(
+    ("lead", "over", "said"),
+    [
+        ((0.002, None, None), (1, 1), "0.002 (1 object: no interval) above ridge"),
+        ((0.002, None, None), (2, 1), "0.002 (2 groups of 1 object: no interval) above ridge"),
+        ((0.1, 0.05, 0.2), (6, 2), "0.100 [0.050, 0.200] (over 6 groups of 2 objects) above ridge"),
+    ],
+)
+def test_a_lead_says_over_what_its_interval_is_or_that_there_is_none(lead, over, said, capsys):
+    one = dict.fromkeys(Score._fields) | {"r2_axis": [None] * 3, "r2_interval": [None, None]}
+    print_table(
+        {
+            "source": "real", "groups": over[0], "best": "GP", "seconds": 1.0, "notes": [],
+            "methods": {"ridge": one, "GP": one}, "validation_r2": {"ridge": 0.0, "GP": 0.1}, "by_object": {},
+            "choice": {
+                "best_baseline": "ridge",
+                "over_best_baseline": dict(zip(("r2", "low", "high"), lead, strict=True)),
+            },
+            "validated_on": dict(zip(("groups", "objects"), over, strict=True)),
+        }
+    )  # fmt: skip
+    printed = capsys.readouterr().out
+    assert said in printed
+    few = "too few for an interval" in printed
+    assert few == (over[0] < 3)
 
 
 def test_several_pads_are_summed_up_over_pads(tmp_path, capsys):

@@ -4,12 +4,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from i2t.dataset import Dataset, Image, Record, Series, missing_context
+from i2t.dataset.sets import OPTIONAL
 from i2t.skin import boards
 from i2t.types import Touches, Truth
 
 
 def make(n, seed=0, truth=False, wide=False, objects=("star", "square", "hammer"), pixels=48, board="reskin"):
-    """Touches of random contents in every field."""
+    """Touches of random contents in every field; with the truth also times."""
     board = boards.make_board(board)
     rng = np.random.default_rng(seed)
 
@@ -42,6 +43,7 @@ def make(n, seed=0, truth=False, wide=False, objects=("star", "square", "hammer"
         )
         if truth
         else None,
+        time=sometimes(1.7e9 + np.cumsum(rng.uniform(0.1, 10, n))) if truth else None,
     )
     names = ("pad é", "pad b"), ("run 1", "run 2", "run 3", "run 4")
     return Dataset(touches, objects, *names, board, "simulated", meta={"seed": str(seed)})
@@ -60,9 +62,11 @@ def assert_equal(a, b):
     )
     for x, y in zip(a.board, b.board, strict=True):
         np.testing.assert_array_equal(x, y)
-    assert (a.touches.truth is None) == (b.touches.truth is None)
-    for ours, theirs in ((a.touches[:-1], b.touches[:-1]), (a.touches.truth or (), b.touches.truth or ())):
-        for x, y in zip(ours, theirs, strict=True):
+    for name in OPTIONAL:
+        assert (getattr(a.touches, name) is None) == (getattr(b.touches, name) is None), name
+    ours, theirs = ([each for each in one.touches if isinstance(each, np.ndarray)] for one in (a, b))
+    for mine, yours in ((ours, theirs), (a.touches.truth or (), b.touches.truth or ())):
+        for x, y in zip(mine, yours, strict=True):
             assert x.dtype == y.dtype
             np.testing.assert_array_equal(x, y)
 

@@ -51,6 +51,13 @@ def test_seed_interval_covers_as_often_as_it_says():
     assert np.isnan(student_interval([1.0])[1:]).all()
 
 
+def test_one_or_two_groups_have_no_interval():
+    values = np.arange(6.0)
+    for groups in (np.zeros(6), np.arange(6) % 2):
+        assert np.isnan(grouped_interval(lambda rows: values[rows].mean(), groups)).all()
+    assert np.isfinite(grouped_interval(lambda rows: values[rows].mean(), np.arange(6) % 3)).all()
+
+
 def test_grouped_interval_covers_where_rows_of_a_group_agree(monkeypatch):
     monkeypatch.setattr(metrics, "RESAMPLES", 100)
     rng, groups, repeats = np.random.default_rng(2), 30, 200

@@ -27,6 +27,7 @@ from i2t.convert.common import read_text
 from i2t.convert.eflesh import EFLESH_READINGS, NEWTONS_PER_GRAM, SAME_ROW, STROKE_PAUSE_S
 from i2t.convert.tables import HEIGHT_COLUMNS, TextTable, read_text_table
 from i2t.dataset import Dataset, load_dataset
+from i2t.dataset.sets import times_of
 from i2t.errors import DataError
 from i2t.files import TABLE_SUFFIXES
 from i2t.geometry import inverse
@@ -221,7 +222,7 @@ def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording
                 touches.reading[rows].astype(np.float64),
                 {key: values[rows] for key, values in targets.items()},
                 session=touches.session[rows],
-                time=np.full(int(rows.sum()), np.nan),
+                time=times_of(dataset)[rows],
                 board=dataset.board,
                 source=dataset.source,
                 notes=notes,
