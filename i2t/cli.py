@@ -11,6 +11,7 @@ Options are fields of a dataclass. What numbers a field allows is part of its ty
 """
 
 import ast
+import errno
 import importlib.util
 import math
 import os
@@ -34,6 +35,7 @@ from i2t.errors import NAMED_WRONGLY, DeviceError, FullDiskError
 FAILED, WRONG_USE, INTERRUPTED_BY_USER = 1, 2, 130  # exit codes
 NOBODY_READS = 141  # as shells give it for programs that end by SIGPIPE
 SENT_AGAIN_S = 0.05
+NO_ROOM = {errno.ENOSPC, errno.EFBIG, errno.EIO, getattr(errno, "EDQUOT", errno.ENOSPC)}  # errors of a disk
 REMEDIES: dict[type[OSError], str] = {  # of the system's errors that name a file
     FileNotFoundError: "check the name",
     FileExistsError: "give another name",
@@ -187,6 +189,9 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
 
 def _sentence(error: Exception) -> str:
     """What an error says, of the system's own errors the file and the remedy."""
+    if isinstance(error, OSError) and error.filename is None and error.errno in NO_ROOM:
+        why = os.strerror(error.errno)
+        return f"a file cannot be written ({why}); make room on its disk, or name another (--out)"
     if not isinstance(error, OSError) or error.filename is None or error.strerror is None:
         return str(error)
     remedy = next((f"; {said}" for kind, said in REMEDIES.items() if isinstance(error, kind)), "")

@@ -68,6 +68,7 @@ class ObjectSet(NamedTuple):
     names: Sequence[str]
     episodes: int  # of each
     heuristic: bool  # whether the paper's chooses the sites
+    share: int = 1  # episodes that touch the same sites, each of which is then imagined once for all of them
 
 
 class EpisodeWorld(NamedTuple):
@@ -165,7 +166,7 @@ def object_groups(args: SimulateArgs, cfg: Recognition) -> list[tuple[dict[str, 
     """Groups of meshes by name, each with the sets that are played among them."""
     if args.objects:
         own = load_meshes(args.objects, args.unit)
-        return [(own, {"your objects": ObjectSet(list(own), cfg.episodes, False)})]
+        return [(own, {"your objects": ObjectSet(list(own), cfg.episodes, False, cfg.pool_episodes)})]
     return [
         (
             meshes_by_name(cfg.validation),
@@ -212,7 +213,9 @@ def plan_touches(
 ) -> TouchPlan:
     """Where episodes touch: at the heuristic's sites of random candidates, or at random ones."""
     if not objects.heuristic:
-        return plan_random_touches(key, surfaces, objects.names, episodes, cfg.touches, limits=cfg.site_limits)
+        return plan_random_touches(
+            key, surfaces, objects.names, episodes, cfg.touches, limits=cfg.site_limits, share=objects.share
+        )
     key_pools, key_sites = jax.random.split(key)
     pool = np.arange(episodes) // cfg.pool_episodes
     pools = sample_pools(

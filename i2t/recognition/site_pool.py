@@ -8,7 +8,7 @@ its surface is placed there (`place_surfaces`) before sites are drawn and checke
 it stands: on what is up, and on where the table is.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from i2t.progress import Progress, progress
 from i2t.recognition import belief, ensemble, outcomes
 from i2t.recognition.belief import Particles
+from i2t.recognition.local_surfaces import cut_surfaces, is_large, reached_boxes, reached_clusters, size_class
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, stack_surfaces
@@ -197,9 +198,11 @@ def predict_outcomes(
     reading_models: Sequence[LinearReadingModel],
     *,
     overtravel: float,
+    groups: int = 1,
     bar: Progress | None = None,
 ) -> list[PredictedTouch]:
-    """Predict a touch of every object in every pose at every site.
+    """Predict a touch of every object in every pose at every site; of large meshes only what a site reaches is looked
+    at (`i2t.recognition.local_surfaces`).
 
     Args:
         surfaces: Of the objects.
@@ -207,6 +210,8 @@ def predict_outcomes(
         T_w_site: Sites.
         reading_models: Of some pads, at the same loads.
         overtravel: Distance (m) beyond a site after which a press gives up.
+        groups: Least size class of what a site reaches of large meshes (`reached_groups`): several calls with as many
+            share what is compiled.
         bar: Shows progress.
 
     Returns:
@@ -215,7 +220,9 @@ def predict_outcomes(
     each = max(BATCH_TOUCHES // len(twist), 1)
     padded = np.resize(np.asarray(T_w_site), (-(-len(T_w_site) // each) * each, 4, 4))
     starts = range(0, len(padded), each)
-    calls = ((surface, padded[start : start + each]) for surface in surfaces for start in starts)
+    parts = _parts(surfaces, twist, padded, overtravel=overtravel, groups=groups)
+    calls = ((parts(i, slice(start, start + each)), padded[start : start + each])
+             for i in range(len(surfaces)) for start in starts)  # fmt: skip
     made = spread(_predict, calls, shared=(twist, list(reading_models)), overtravel=overtravel)
     columns = []
     for _ in surfaces:
@@ -228,15 +235,52 @@ def predict_outcomes(
     return jax.tree.map(lambda *x: np.stack(x, axis=1), *columns)
 
 
+def reached_groups(
+    surfaces: Sequence[Surface],
+    twist: Float[Array, "k 6"],
+    T_w_site: Float[Array | np.ndarray, "sites 4 4"],
+    *,
+    overtravel: float,
+) -> int:
+    """The size class of what any of some sites reaches of large meshes, for `predict_outcomes`.
+
+    Args:
+        surfaces: Of the objects.
+        twist: Of the pose particles (m).
+        T_w_site: Sites.
+        overtravel: Distance (m) beyond a site after which a press gives up.
+
+    Returns:
+        Groups of clusters; 1 where no mesh is large.
+    """
+    if not is_large(surfaces):
+        return 1
+    return size_class(reached_clusters(reached_boxes(surfaces, twist), np.asarray(T_w_site), overtravel))
+
+
+def _parts(
+    surfaces: Sequence[Surface], twist: Array, T_w_site: np.ndarray, *, overtravel: float, groups: int
+) -> Callable[[int, slice], Surface]:
+    """By an object's number and sites: its surface, or of a large one the stacked parts that those sites reach."""
+    if not is_large(surfaces):
+        return lambda number, _: surfaces[number]
+    reached = reached_clusters(reached_boxes(surfaces, twist), T_w_site, overtravel)
+    groups = max(groups, size_class(reached))
+    return lambda number, sites: cut_surfaces(surfaces[number], reached[number, sites], groups)
+
+
 @partial(jax.jit, static_argnames=("overtravel",))
 def _predict(
     surface: Surface, T_w_site: Array, twist: Array, reading_models: list[LinearReadingModel], *, overtravel: float
 ) -> list[PredictedTouch]:
-    def one(T: Array, x: Array) -> list[PredictedTouch]:
+    def one(surface: Surface, T: Array, x: Array) -> list[PredictedTouch]:
         contact = outcomes.predict_contact(surface, jnp.eye(4), x, T, reading_models[0].loads, overtravel=overtravel)
         return [outcomes.predict_reading(contact, model) for model in reading_models]
 
-    return jax.vmap(lambda T: jax.vmap(lambda x: one(T, x))(twist))(T_w_site)
+    own = 0 if jnp.ndim(surface.triangles) == 4 else None  # whether each site has a surface of its own
+    return jax.vmap(lambda surface, T: jax.vmap(lambda x: one(surface, T, x))(twist), in_axes=(own, 0))(
+        surface, T_w_site
+    )
 
 
 def plan_random_touches(

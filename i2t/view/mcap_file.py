@@ -21,6 +21,7 @@ import numpy as np
 from i2t.dataset import Record
 from i2t.depth.camera import Camera, Distortion
 from i2t.errors import DeviceError
+from i2t.files import replacing
 from i2t.view.contents import Contents, camera_of
 from i2t.view.rerun_file import VECTOR_M_PER_UT, VECTOR_RATE_HZ, begun, thinned
 
@@ -49,7 +50,7 @@ def write_mcap(contents: Contents, path: Path) -> Path:
     except ImportError as error:
         raise DeviceError(NO_MCAP) from error
 
-    with path.open("wb") as file:
+    with replacing(path) as temporary, temporary.open("wb") as file:
         writer = Writer(file)
         writer.start(library="i2t")
         messages = _Messages(writer, contents)
