@@ -11,7 +11,7 @@ from i2t import viz
 
 def main(out: str = "patch.png") -> i2t.Patch:
     """Render the hammer's head as the skin would meet it from above, draw it, and return the patch."""
-    mesh = i2t.make_object("hammer").mesh  # or i2t.load_mesh("mug.stl", "m")
+    mesh = i2t.make_object("hammer").mesh  # or i2t.load_mesh("examples/data/mug.stl", "mm")
     highest = mesh.vertices[np.argmax(mesh.vertices[:, 2])]
     T_o_t = i2t.contact_pose(mesh, highest, normal=(0, 0, 1))  # tool z points into the object
     patch = i2t.render_patch(i2t.prepare_surface(mesh), T_o_t)
