@@ -1,6 +1,7 @@
 """Each program of examples/ runs, and does what it says."""
 
 import importlib.util
+import re
 from pathlib import Path
 from types import ModuleType
 
@@ -23,6 +24,13 @@ def _load(number: int) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def test_none_writes_into_the_checkout_but_into_its_folder_of_runs():
+    for path in EXAMPLES:
+        for argument in re.findall(r"def main\((.*?)\) ->", path.read_text(), re.S):
+            for name in re.findall(r'(?:out|path): str = "([^"]+)"', argument):
+                assert name.startswith("runs/"), f"{path.name} writes {name}"
 
 
 def test_they_are_numbered_and_of_20_to_40_lines():

@@ -296,7 +296,7 @@ def test_both_commands_read_their_own_flags(monkeypatch, tmp_path):
     assert recognize.main(["live", "--max-touches", "7", "--max-error-probability", "0.2", *run, *out]) == 0
     assert [type(args).__name__ for args in seen] == ["SimulateArgs", "SimulateArgs", "LiveArgs"]
     assert seen[0].episodes == 4
-    assert (seen[2].max_touches, seen[2].max_error_probability) == (7, 0.2)
+    assert (seen[2].max_touches, seen[2].min_touches, seen[2].max_error_probability) == (7, 3, 0.2)
 
 
 def test_the_papers_distances_prefer_what_was_touched():
