@@ -24,7 +24,8 @@ is in docs/recognition.md. Everything is simulated unless --dataset says otherwi
 (95 % intervals over pads and pools of sites), config.json, episodes of each pad and seed (npz) and figures.
 """
 
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -50,11 +51,14 @@ from i2t.recognition.episodes import BeliefModel, EpisodeConfig, believe, run_ep
 from i2t.recognition.pad_model import PadModel, fit_oracle_pad_model
 from i2t.recognition.paper_rules import ConstantPredictor, ReadingPredictor, paper_rules
 from i2t.recognition.site_pool import (
+    BATCH_TOUCHES,
     TouchPlan,
     plan_informative_touches,
     plan_random_touches,
     pose_particles,
+    predict_outcomes,
     prepare_surfaces,
+    reached_groups,
     sample_pools,
 )
 from i2t.types import Board, Surface
@@ -191,14 +195,16 @@ def play_set(
     key_play, key_site = jax.random.split(key)
     truth = np.arange(len(surfaces) * objects.episodes) % len(surfaces)
     plan = plan_touches(key_site, objects, surfaces, len(truth), cfg)
-    config = EpisodeConfig(cfg.errors, cfg.limits, cfg.touches)
-    episodes = run_episodes(
-        key_play, surfaces, truth, plan.chosen, sites=plan.sites, pad=trained.pad, config=config, label=name
-    )
     models = {
         "": BeliefModel(trained.pad_model.reading_model, trained.pad_model.likelihood),
         ", oracle": BeliefModel(world.oracle.reading_model, world.oracle.likelihood, ORACLE_EVIDENCE),
     }
+    if objects.share > 1:  # meshes of the user's, which may be of any size
+        print(how_long(name, surfaces, plan, models, particles=world.particles, overtravel=cfg.limits.overtravel))
+    config = EpisodeConfig(cfg.errors, cfg.limits, cfg.touches)
+    episodes = run_episodes(
+        key_play, surfaces, truth, plan.chosen, sites=plan.sites, pad=trained.pad, config=config, label=name
+    )
     believed = believe(
         surfaces, plan.sites, episodes, world.particles, models, overtravel=cfg.limits.overtravel, label=name
     )
@@ -206,6 +212,32 @@ def play_set(
     pad = f"pad {pad_name(world.folder)}"
     pools = np.array([f"{world.folder.name}, {name}, pool {number}" for number in plan.pool])
     return reporting.EpisodeResults(tuple(objects.names), truth, believed, episodes, pad, pools)
+
+
+def how_long(
+    name: str,
+    surfaces: Sequence[Surface],
+    plan: TouchPlan,
+    models: Mapping[str, BeliefModel],
+    *,
+    particles: Particles,
+    overtravel: float,
+) -> str:
+    """How long it takes to imagine all touches of a set, measured on a first batch, which is compiled before."""
+    T, twist = np.asarray(plan.sites.T_w_t), particles.twist
+    groups = reached_groups(surfaces, twist, T, overtravel=overtravel)
+    some = T[: max(BATCH_TOUCHES // len(twist), 1)]
+    reading_models = [model.reading_model for model in models.values()]
+    imagine = partial(predict_outcomes, surfaces[:1], twist, some, reading_models, overtravel=overtravel, groups=groups)
+    imagine()
+    started = time.perf_counter()
+    imagine()
+    count, batch = len(surfaces) * len(T) * len(twist), len(some) * len(twist)
+    minutes = (time.perf_counter() - started) * count / batch / 60
+    return (
+        f"{name}: {plan.chosen.size:,} touches are simulated, and {count:,} imagined in some {max(minutes, 1):.0f} min "
+        f"on this machine (measured on {batch}); fewer --episodes or --num-particles take less"
+    )
 
 
 def plan_touches(
