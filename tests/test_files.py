@@ -88,10 +88,13 @@ sys.exit(main(sys.argv[2:]))
     ],
 )
 def test_a_command_meets_a_full_disk_with_one_sentence(words, tmp_path):
-    data = Path(__file__).parents[1] / "examples" / "data"
+    root = Path(__file__).parents[1]
+    data, environment = root / "examples" / "data", os.environ | {"PYTHONPATH": str(root)}
     save_dataset(tmp_path / "touches.h5", random_dataset(40))
     words = words.replace("TABLE.csv", str(data / "presses.csv")).replace("TOUCHES", "touches.h5").split()
-    done = subprocess.run([sys.executable, "-c", FULL_DISK, *words], cwd=tmp_path, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, *words], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
     said = done.stderr.splitlines()
     assert (done.returncode, len(said)) == (1, 1), done.stderr
     assert said[0].startswith("error: ")
