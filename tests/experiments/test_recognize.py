@@ -222,6 +222,8 @@ def test_an_arm_touches_where_the_belief_wants_it_to(prior_unknown, trained_run,
         np.testing.assert_allclose(belief.sum(1), 1, atol=1e-5)
     assert len(belief) == touches or belief[-1].max() >= 0.95  # it ends when it is sure
     assert len(set(result["sites"])) == len(result["sites"])
+    assert len(result["met_air"]) == len(result["would_be_met"]) == len(belief)
+    assert "; poses in which it would be met: " in capsys.readouterr().out  # what a touch told, air included
     kept = dataset.load_dataset(out / "touches")
     assert len(kept) == len(belief)
     assert kept.objects == ("unknown",)
