@@ -92,7 +92,14 @@ def reached_clusters(
 
 
 def size_class(reached: Bool[np.ndarray, "objects sites clusters"]) -> int:
-    """Groups of clusters, a power of two, that hold what is reached at any site."""
+    """Groups of clusters, a power of two, that hold what is reached at any site.
+
+    Args:
+        reached: Which clusters, by object and site.
+
+    Returns:
+        The number of groups.
+    """
     most = max(1, int(reached.sum(-1).max()))
     return 1 << (-(-most // CLUSTERS_PER_GROUP) - 1).bit_length()
 
