@@ -17,14 +17,18 @@ class Extra(NamedTuple):
 
 
 EXTRAS = {  # by the name under which each is imported
+    "ContactMechanics": Extra("ContactMechanics", "bench"),
+    "embreex": Extra("embreex", "bench"),
     "gymnasium": Extra("Gymnasium", "environments"),
     "mcap": Extra("mcap", "view"),
+    "open3d": Extra("Open3D", "bench"),
     "nbconvert": Extra("Jupyter", "notebooks"),
     "ipykernel": Extra("Jupyter", "notebooks"),
     "pyarrow": Extra("pyarrow", "lerobot"),
     "pyvista": Extra("pyvista", "notebooks"),
     "ray": Extra("Ray", "cluster"),
     "rerun": Extra("rerun-sdk", "view"),
+    "torch": Extra("torch", "bench"),
     "skfem": Extra("scikit-fem", "test"),
     "skimage": Extra("scikit-image", "reconstruct"),
     "sklearn": Extra("scikit-learn", "notebooks"),
