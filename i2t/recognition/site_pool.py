@@ -220,8 +220,8 @@ def predict_outcomes(
     each = max(BATCH_TOUCHES // len(twist), 1)
     padded = np.resize(np.asarray(T_w_site), (-(-len(T_w_site) // each) * each, 4, 4))
     starts = range(0, len(padded), each)
-    parts = _parts(surfaces, twist, padded, overtravel=overtravel, groups=groups)
-    calls = ((parts(i, slice(start, start + each)), padded[start : start + each])
+    part_of = _parts(surfaces, twist, padded, overtravel=overtravel, groups=groups)
+    calls = ((part_of(i, slice(start, start + each)), padded[start : start + each])
              for i in range(len(surfaces)) for start in starts)  # fmt: skip
     made = spread(_predict, calls, shared=(twist, list(reading_models)), overtravel=overtravel)
     columns = []
