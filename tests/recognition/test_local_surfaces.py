@@ -93,12 +93,16 @@ def test_predictions_are_those_of_the_whole_mesh(surface, twist, sites, monkeypa
         jnp.float32(LOADS_N), jnp.float32(mean), jnp.zeros((len(LOADS_N), cells, 1)), jnp.ones(channels), jnp.float32(1)
     )
 
+    monkeypatch.setattr(site_pool, "BATCH_TOUCHES", 2 * len(twist))  # two sites at a time, of two objects
+    other = surface._replace(triangles=np.asarray(surface.triangles)[:, ::-1])
+
     def predict():
-        return site_pool.predict_outcomes([surface], twist, sites, [model], overtravel=OVERTRAVEL)[0]
+        return site_pool.predict_outcomes([surface, other], twist, sites, [model], overtravel=OVERTRAVEL)[0]
 
     cut = predict()
     monkeypatch.setattr(site_pool, "is_large", lambda surfaces: False)
     whole = predict()
     assert isinstance(cut, outcomes.PredictedTouch)
+    assert cut.hit.shape == (len(sites), 2, len(twist))
     for name in cut._fields:
         np.testing.assert_allclose(getattr(cut, name), getattr(whole, name), rtol=1e-4, atol=1e-7, err_msg=name)
