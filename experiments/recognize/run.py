@@ -48,6 +48,7 @@ from i2t import dataset as data
 from i2t.objects import Mesh
 from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import BeliefModel, EpisodeConfig, believe, run_episodes
+from i2t.recognition.local_surfaces import is_large, reached_boxes
 from i2t.recognition.pad_model import PadModel, fit_oracle_pad_model
 from i2t.recognition.paper_rules import ConstantPredictor, ReadingPredictor, paper_rules
 from i2t.recognition.site_pool import (
@@ -58,7 +59,6 @@ from i2t.recognition.site_pool import (
     pose_particles,
     predict_outcomes,
     prepare_surfaces,
-    reached_groups,
     sample_pools,
 )
 from i2t.types import Board, Surface
@@ -225,10 +225,10 @@ def how_long(
 ) -> str:
     """How long it takes to imagine all touches of a set, measured on a first batch, which is compiled before."""
     T, twist = np.asarray(plan.sites.T_w_t), particles.twist
-    groups = reached_groups(surfaces, twist, T, overtravel=overtravel)
+    boxes = reached_boxes(surfaces[:1], twist) if is_large(surfaces) else None
     some = T[: max(BATCH_TOUCHES // len(twist), 1)]
     reading_models = [model.reading_model for model in models.values()]
-    imagine = partial(predict_outcomes, surfaces[:1], twist, some, reading_models, overtravel=overtravel, groups=groups)
+    imagine = partial(predict_outcomes, surfaces[:1], twist, some, reading_models, overtravel=overtravel, boxes=boxes)
     imagine()
     started = time.perf_counter()
     imagine()

@@ -18,6 +18,7 @@ from i2t.rendering.bvh import CLUSTERS_PER_GROUP, MAX_FINE_FACES, layout_cluster
 from i2t.types import PAD_WINDOW, STANDOFF, Array, Surface
 
 PRESSED_DEPTH_M = 10e-3  # behind first contact, five times the thickness of a skin: nothing deeper is pressed
+LEAST_GROUPS = 16  # 2560 faces of a scan: most sites reach fewer
 SLACK_M = 20e-6  # far above the rounding of float32
 
 
@@ -91,17 +92,20 @@ def reached_clusters(
     return result
 
 
-def size_class(reached: Bool[np.ndarray, "objects sites clusters"]) -> int:
-    """Groups of clusters, a power of two, that hold what is reached at any site.
+def size_class(reached: Bool[np.ndarray, "*sites clusters"]) -> int:
+    """Groups of clusters, a power of four, that hold what is reached at any site: each class is compiled once, and few
+    sites are much smaller than theirs.
 
     Args:
-        reached: Which clusters, by object and site.
+        reached: Which clusters, by site.
 
     Returns:
         The number of groups.
     """
-    most = max(1, int(reached.sum(-1).max()))
-    return 1 << (-(-most // CLUSTERS_PER_GROUP) - 1).bit_length()
+    most, groups = int(reached.sum(-1).max()), LEAST_GROUPS
+    while groups * CLUSTERS_PER_GROUP < most:
+        groups *= 4
+    return groups
 
 
 def cut_surfaces(surface: Surface, reached: Bool[np.ndarray, "sites clusters"], groups: int) -> Surface:

@@ -8,7 +8,7 @@ its surface is placed there (`place_surfaces`) before sites are drawn and checke
 it stands: on what is up, and on where the table is.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -20,7 +20,14 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from i2t.progress import Progress, progress
 from i2t.recognition import belief, ensemble, outcomes
 from i2t.recognition.belief import Particles
-from i2t.recognition.local_surfaces import cut_surfaces, is_large, reached_boxes, reached_clusters, size_class
+from i2t.recognition.local_surfaces import (
+    ReachedBoxes,
+    cut_surfaces,
+    is_large,
+    reached_boxes,
+    reached_clusters,
+    size_class,
+)
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, stack_surfaces
@@ -198,7 +205,7 @@ def predict_outcomes(
     reading_models: Sequence[LinearReadingModel],
     *,
     overtravel: float,
-    groups: int = 1,
+    boxes: ReachedBoxes | None = None,
     bar: Progress | None = None,
 ) -> list[PredictedTouch]:
     """Predict a touch of every object in every pose at every site; of large meshes only what a site reaches is looked
@@ -210,63 +217,51 @@ def predict_outcomes(
         T_w_site: Sites.
         reading_models: Of some pads, at the same loads.
         overtravel: Distance (m) beyond a site after which a press gives up.
-        groups: Least size class of what a site reaches of large meshes (`reached_groups`): several calls with as many
-            share what is compiled.
+        boxes: `reached_boxes` of large meshes, for several calls; worked out here unless given.
         bar: Shows progress.
 
     Returns:
         For each pad the predicted touches, (sites, objects, k), on the host.
     """
-    each = max(BATCH_TOUCHES // len(twist), 1)
-    padded = np.resize(np.asarray(T_w_site), (-(-len(T_w_site) // each) * each, 4, 4))
-    starts = range(0, len(padded), each)
-    part_of = _parts(surfaces, twist, padded, overtravel=overtravel, groups=groups)
-    calls = ((part_of(i, slice(start, start + each)), padded[start : start + each])
-             for i in range(len(surfaces)) for start in starts)  # fmt: skip
-    made = spread(_predict, calls, shared=(twist, list(reading_models)), overtravel=overtravel)
-    columns = []
-    for _ in surfaces:
-        parts = []
-        for start in starts:
-            parts.append(next(made))
+    each, T = max(BATCH_TOUCHES // len(twist), 1), np.asarray(T_w_site)
+    reached = None
+    if is_large(surfaces):
+        reached = reached_clusters(boxes or reached_boxes(surfaces, twist), T, overtravel)
+    result: list[PredictedTouch] | None = None
+    for groups, batches in _batches(len(surfaces), len(T), each, reached).items():
+        calls = ((_part(surfaces[number], reached, number, rows, groups), T[rows]) for number, rows in batches)
+        made = spread(_predict, calls, shared=(twist, list(reading_models)), overtravel=overtravel)
+        for (number, rows), part in zip(batches, made, strict=True):
+            if result is None:
+                shape = (len(T), len(surfaces))
+                result = jax.tree.map(lambda x, shape=shape: np.empty((*shape, *x.shape[1:]), x.dtype), part)
+            for whole, some in zip(jax.tree.leaves(result), jax.tree.leaves(part), strict=True):
+                whole[rows, number] = some
             if bar is not None:
-                bar.update(min(each, len(T_w_site) - start) * len(twist))
-        columns.append(jax.tree.map(lambda *x: np.concatenate(x)[: len(T_w_site)], *parts))
-    return jax.tree.map(lambda *x: np.stack(x, axis=1), *columns)
+                bar.update(len(np.unique(rows)) * len(twist))
+    assert result is not None
+    return result
 
 
-def reached_groups(
-    surfaces: Sequence[Surface],
-    twist: Float[Array, "k 6"],
-    T_w_site: Float[Array | np.ndarray, "sites 4 4"],
-    *,
-    overtravel: float,
-) -> int:
-    """The size class of what any of some sites reaches of large meshes, for `predict_outcomes`.
-
-    Args:
-        surfaces: Of the objects.
-        twist: Of the pose particles (m).
-        T_w_site: Sites.
-        overtravel: Distance (m) beyond a site after which a press gives up.
-
-    Returns:
-        Groups of clusters; 1 where no mesh is large.
+def _batches(
+    objects: int, sites: int, each: int, reached: Bool[np.ndarray, "objects sites clusters"] | None
+) -> dict[int, list[tuple[int, np.ndarray]]]:
+    """Which sites are predicted together, `each` at a time: numbers of the object and rows of the sites, by the size
+    class of what they reach, or 0 where surfaces are taken whole. Rows that fill up a batch are repeated.
     """
-    if not is_large(surfaces):
-        return 1
-    return size_class(reached_clusters(reached_boxes(surfaces, twist), np.asarray(T_w_site), overtravel))
+    found: dict[int, list[tuple[int, np.ndarray]]] = {}
+    for number in range(objects):
+        classes = np.zeros(sites, int) if reached is None else np.array([size_class(row) for row in reached[number]])
+        for groups in np.unique(classes):
+            rows = np.flatnonzero(classes == groups)
+            rows = np.resize(rows, (-(-len(rows) // each), each))
+            found.setdefault(int(groups), []).extend((number, batch) for batch in rows)
+    return found
 
 
-def _parts(
-    surfaces: Sequence[Surface], twist: Array, T_w_site: np.ndarray, *, overtravel: float, groups: int
-) -> Callable[[int, slice], Surface]:
-    """By an object's number and sites: its surface, or of a large one the stacked parts that those sites reach."""
-    if not is_large(surfaces):
-        return lambda number, _: surfaces[number]
-    reached = reached_clusters(reached_boxes(surfaces, twist), T_w_site, overtravel)
-    groups = max(groups, size_class(reached))
-    return lambda number, sites: cut_surfaces(surfaces[number], reached[number, sites], groups)
+def _part(surface: Surface, reached: np.ndarray | None, number: int, rows: np.ndarray, groups: int) -> Surface:
+    """The surface, or what each of some sites reaches of it, stacked."""
+    return surface if reached is None else cut_surfaces(surface, reached[number, rows], groups)
 
 
 @partial(jax.jit, static_argnames=("overtravel",))
