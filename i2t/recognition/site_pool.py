@@ -254,8 +254,8 @@ def _batches(
         classes = np.zeros(sites, int) if reached is None else np.array([size_class(row) for row in reached[number]])
         for groups in np.unique(classes):
             rows = np.flatnonzero(classes == groups)
-            rows = np.resize(rows, (-(-len(rows) // each), each))
-            found.setdefault(int(groups), []).extend((number, batch) for batch in rows)
+            filled = np.resize(rows, -(-len(rows) // each) * each)
+            found.setdefault(int(groups), []).extend((number, batch) for batch in np.split(filled, len(filled) // each))
     return found
 
 
