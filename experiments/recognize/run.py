@@ -114,7 +114,7 @@ def configure(args: SimulateArgs) -> Recognition:
     cfg = choose_preset(PRESETS, args.preset)
     if args.episodes is not None:
         n = args.episodes
-        cfg = replace(cfg, episodes=n, paper_episodes=2 * n, validation_episodes=n)
+        cfg = replace(cfg, episodes=n, paper_episodes=2 * n, own_episodes=n, validation_episodes=n)
     if args.paper_episodes is not None:
         cfg = replace(cfg, paper_episodes=args.paper_episodes)
     if args.num_particles is not None:
@@ -170,7 +170,7 @@ def object_groups(args: SimulateArgs, cfg: Recognition) -> list[tuple[dict[str, 
     """Groups of meshes by name, each with the sets that are played among them."""
     if args.objects:
         own = load_meshes(args.objects, args.unit)
-        return [(own, {"your objects": ObjectSet(list(own), cfg.episodes, False, cfg.pool_episodes)})]
+        return [(own, {"your objects": ObjectSet(list(own), cfg.own_episodes, False, cfg.pool_episodes)})]
     return [
         (
             meshes_by_name(cfg.validation),

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -11,6 +12,7 @@ from experiments.common.runs import load_part, save_part
 from experiments.recognize import __main__ as recognize
 from experiments.recognize import live, paper, report
 from experiments.recognize import run as simulated
+from experiments.recognize.arguments import SimulateArgs
 from experiments.recognize.config import PRESETS
 from i2t import dataset
 from i2t.errors import DataError
@@ -322,3 +324,14 @@ def test_what_was_made_of_a_pad_is_kept(tmp_path):
     assert str(back["0"]["objects"]) == "tools"
     assert float(back["0"]["rough"]) == 0.3
     np.testing.assert_array_equal(back["0"]["network, votes"], part["0"]["network, votes"])
+
+
+def test_objects_of_ones_own_share_sites_by_which_each_touch_is_imagined_once():
+    args = SimulateArgs(objects=(Path("star"), Path("cylinder")))
+    cfg = simulated.configure(args)
+    ((_, sets),) = simulated.object_groups(args, cfg)
+    assert sets["your objects"] == (["star", "cylinder"], 40, False, cfg.pool_episodes)
+    ((_, sets),) = simulated.object_groups(args, simulated.configure(replace(args, episodes=7)))
+    assert sets["your objects"].episodes == 7
+    groups = simulated.object_groups(SimulateArgs(), cfg)  # those of the paper keep sites of their own
+    assert {each.share for _, sets in groups for each in sets.values()} == {1}
