@@ -32,7 +32,7 @@ def surface():
 
 @pytest.fixture(scope="module")
 def twist():
-    return np.random.default_rng(0).normal(0, 1.5e-3, (6, 6)).astype(np.float32)
+    return jnp.float32(np.random.default_rng(0).normal(0, 1.5e-3, (6, 6)))
 
 
 @pytest.fixture(scope="module")
