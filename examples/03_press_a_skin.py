@@ -10,7 +10,7 @@ from i2t import viz
 from i2t.skin.elasticity import GRID, interior, load
 
 
-def main(out: str = "press.png") -> np.ndarray:
+def main(out: str = "runs/press.png") -> np.ndarray:
     """Press a ball of 8 mm radius 0.4 mm into a nominal skin, off its centre; draw the press and return the reading."""
     pad = i2t.nominal_pad()  # a ReSkin of middling size and stiffness; nominal_pad(board=...) for other boards
     x, y = GRID.centres[None, :] - 3e-3, GRID.centres[:, None]  # m from the ball's lowest point, row along tool y
@@ -29,7 +29,7 @@ def main(out: str = "press.png") -> np.ndarray:
         "A ball, 0.4 mm deep",
         simulated=True,
     )
-    viz.save_figure(figure, out)
+    print(f"drawn into {viz.save_figure(figure, out)}")
     return np.asarray(pressed.reading)
 
 

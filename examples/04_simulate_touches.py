@@ -10,7 +10,7 @@ import i2t
 from i2t.simulation.touches import SimulationErrors
 
 
-def main(path: str = "touches.h5", n: int = 36) -> i2t.Dataset:
+def main(path: str = "runs/touches.h5", n: int = 36) -> i2t.Dataset:
     """Simulate n touches of each of two objects, write them, read them back, and return them."""
     names = ("hexagon", "star")
     surfaces = [i2t.prepare_surface(i2t.make_object(name).mesh) for name in names]
@@ -20,7 +20,7 @@ def main(path: str = "touches.h5", n: int = 36) -> i2t.Dataset:
     i2t.save_dataset(path, i2t.Dataset.simulated(touches, names, pad))  # in sessions, each with an object placed anew
     dataset = i2t.load_dataset(path)
     size = np.linalg.norm(dataset.touches.reading, axis=1)
-    print(f"{len(dataset)} touches (simulated); a reading changes by {np.median(size):.0f} uT (norm, median)")
+    print(f"{len(dataset)} touches (simulated) in {path}; a reading changes by {np.median(size):.0f} uT (norm, median)")
     return dataset
 
 

@@ -13,12 +13,12 @@ import sys
 import time
 from dataclasses import dataclass
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 
 import tyro
 
-from experiments.common.runs import exit_code_of_run
+from experiments.common.runs import check_folder, exit_code_of_run
+from i2t.extras import require_extra
 from i2t.options import read_options
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
@@ -47,8 +47,9 @@ def run(args: NotebookArgs) -> list[Path]:
     unknown = [name for name in args.names if name not in known]
     if unknown or not known:
         raise ValueError(f"no notebook is called {', '.join(unknown)}; {FOLDER} has {', '.join(known) or 'none'}")
-    if find_spec("nbconvert") is None or find_spec("ipykernel") is None:
-        raise ValueError('Jupyter is missing; pip install "imagine2touch[notebooks]"')
+    for module in ("nbconvert", "ipykernel"):
+        require_extra(module, "a page of a notebook")
+    check_folder(args.out)
     args.out.mkdir(parents=True, exist_ok=True)
     return [render(name, args.out, args.debug) for name in args.names or known]
 

@@ -1,4 +1,4 @@
-"""What there is to run: `python -m i2t` lists the commands.
+"""What there is to run: `python -m i2t` lists the commands that users begin with, and with --all the others too.
 
 Those of the experiments are listed where the checkout is at hand; they are not installed.
 """
@@ -51,6 +51,10 @@ EXPERIMENTS = {
     "experiments.mutants": "which changes does no test notice?",
     "experiments.reproduce": "the documents' studies and tables again",
 }
+FIRST = (  # what users begin with, in this order
+    "i2t.imagine", "i2t.collect", "i2t.convert", "i2t.view", "i2t.hardware.reskin", "i2t.hardware.rig",
+    "experiments.train", "experiments.recognize", "experiments.calibrate", "experiments.fidelity",
+)  # fmt: skip
 NAME_WIDTH = 40
 USAGE = "python -m i2t lists the commands, and each has its own --help"
 
@@ -59,7 +63,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """List the commands.
 
     Args:
-        argv: The command line without the program's name; only --help is known.
+        argv: The command line without the program's name; only --all and --help are known.
 
     Returns:
         The exit code.
@@ -69,20 +73,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if argv is None else argv)
     asked = words in (["--help"], ["-h"])
-    if words and not asked:
+    everything = words == ["--all"]
+    if words and not asked and not everything:
         print(f"error: {' '.join(words)} is no command; {USAGE}", file=sys.stderr)
         return WRONG_USE
-    code = exit_code_of(_list)
+    code = exit_code_of(lambda: _list(everything))
     if asked:
         raise SystemExit(code)  # as every other command ends that is asked for help
     return code
 
 
-def _list() -> None:
-    print(f"i2t {__version__}: imagine a touch before making it\n\n{_table(COMMANDS)}")
+def _list(everything: bool) -> None:
+    library, experiments = (
+        {name: said for name, said in commands.items() if everything or name in FIRST}
+        for commands in (COMMANDS, EXPERIMENTS)
+    )
+    print(f"i2t {__version__}: imagine a touch before making it\n\n{_table(library)}")
     if (Path(__file__).parents[1] / "experiments").is_dir():
-        print(f"\nfrom the folder of the checkout:\n\n{_table(EXPERIMENTS)}")
+        print(f"\nfrom the folder of the checkout:\n\n{_table(experiments)}")
     print("\nEach has its own --help. Try python -m i2t.imagine first, then i2t.collect: it simulates all.")
+    if not everything:
+        print(f"All {len(COMMANDS) + len(EXPERIMENTS)} are listed by: python -m i2t --all")
 
 
 def _table(commands: dict[str, str]) -> str:

@@ -11,6 +11,7 @@ Options are fields of a dataclass. What numbers a field allows is part of its ty
 """
 
 import ast
+import errno
 import importlib.util
 import math
 import os
@@ -34,6 +35,7 @@ from i2t.errors import NAMED_WRONGLY, DeviceError, FullDiskError
 FAILED, WRONG_USE, INTERRUPTED_BY_USER = 1, 2, 130  # exit codes
 NOBODY_READS = 141  # as shells give it for programs that end by SIGPIPE
 SENT_AGAIN_S = 0.05
+NO_ROOM = {errno.ENOSPC, errno.EFBIG, errno.EIO, getattr(errno, "EDQUOT", errno.ENOSPC)}  # errors of a disk
 REMEDIES: dict[type[OSError], str] = {  # of the system's errors that name a file
     FileNotFoundError: "check the name",
     FileExistsError: "give another name",
@@ -117,6 +119,23 @@ def require_path(flag: str, path: Path | None, what: str = "file or folder") -> 
         raise ValueError(f"{flag} {path}: there is no such {what}; check the name")
 
 
+def require_writable(flag: str, path: Path) -> None:
+    """Refuse a file or folder that cannot be made or written, before the work of which it is the result.
+
+    Args:
+        flag: The option that names it, such as `--out`.
+        path: As given; it and folders above it need not be there yet.
+
+    Raises:
+        ValueError: A file stands where a folder should, or nothing may be written there.
+    """
+    there = next((each for each in (path, *path.parents) if each.exists()), Path())
+    if there != path and not there.is_dir():
+        raise ValueError(f"{flag} {path}: {there} is a file; name a folder")
+    if not os.access(there, os.W_OK | (os.X_OK if there.is_dir() else 0)):
+        raise ValueError(f"{flag} {path}: {there} may not be written; name a place where you may write")
+
+
 def require_with(flag: str, given: bool, needed: str, holds: bool) -> None:
     """Refuse an option that has no effect without another.
 
@@ -187,6 +206,8 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
 
 def _sentence(error: Exception) -> str:
     """What an error says, of the system's own errors the file and the remedy."""
+    if isinstance(error, OSError) and error.filename is None and error.errno in NO_ROOM:
+        return f"a file cannot be written ({error.strerror}); make room on its disk, or name another (--out)"
     if not isinstance(error, OSError) or error.filename is None or error.strerror is None:
         return str(error)
     remedy = next((f"; {said}" for kind, said in REMEDIES.items() if isinstance(error, kind)), "")

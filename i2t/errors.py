@@ -28,6 +28,10 @@ class FullDiskError(DataError, SerializationError):
     """A file could not be kept, for no fault of its name: the disk is full, or failed."""
 
 
+class MissingExtraError(I2TError, ModuleNotFoundError, ValueError):
+    """A package that only some of i2t needs is not installed; the message names the extra that brings it."""
+
+
 class CheckpointError(I2TError, ValueError):
     """A checkpoint that cannot be read back."""
 

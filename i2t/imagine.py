@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from i2t.cli import Count, Limits, Seed, check_options, docstring_of, exit_code_of
+from i2t.cli import Count, Limits, Seed, check_options, docstring_of, exit_code_of, require_writable
 from i2t.models import READY_MODELS, ready_path
 from i2t.objects.named import read_object
 from i2t.options import read_options
@@ -102,6 +102,7 @@ def _check(asked: ImagineArgs) -> None:
     """Refuse what can be seen to be wrong before JAX is imported."""
     if asked.out.is_dir():
         raise ValueError(f"--out {asked.out}: is a folder; name the picture, such as {asked.out / 'touches.png'}")
+    require_writable("--out", asked.out)
     if asked.out.suffix.lower() not in PICTURE_ENDINGS:
         raise ValueError(f"--out {asked.out}: is no name of a picture; let it end in {' or '.join(PICTURE_ENDINGS)}")
     folder = ready_path(asked.model, "predictor")

@@ -23,6 +23,9 @@ WRONG = (
 SAID = {  # of the system's errors that name a file
     "[Errno 2] No such file or directory: 'pad.npz'": "pad.npz: no such file or directory; check the name",
     "[Errno 20] Not a directory: 'pad.npz'": "pad.npz: not a directory; name a folder",
+    "[Errno 28] No space left on device": (
+        "a file cannot be written (No space left on device); make room on its disk, or name another (--out)"
+    ),
     "[Errno 13] Permission denied: '/root'": "/root: permission denied; choose what you may read and write",
 }
 BROKEN = (

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from i2t.__main__ import EXPERIMENTS
+from i2t.__main__ import COMMANDS, EXPERIMENTS, FIRST, main
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -16,6 +16,16 @@ def test_every_experiment_is_listed():
     folders = {path.parent.name for path in (ROOT / "experiments").glob("*/__main__.py")}
     files = {path.stem for path in (ROOT / "experiments").glob("*.py")} - {"__init__"}
     assert {name.removeprefix("experiments.") for name in EXPERIMENTS} == folders | files
+
+
+def test_ten_commands_are_listed_first_and_all_when_asked(capsys):
+    def listed(*words):
+        assert main(words) == 0
+        return [line.split()[2] for line in capsys.readouterr().out.splitlines() if line.startswith("python")]
+
+    assert len(FIRST) == 10
+    assert sorted(listed()) == sorted(FIRST)
+    assert listed("--all") == [*COMMANDS, *EXPERIMENTS]
 
 
 def test_the_commands_are_these():

@@ -1,13 +1,20 @@
 """Each program of examples/ runs, and does what it says."""
 
 import importlib.util
+import re
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
 
+import i2t
+from i2t.convert import presses
+from i2t.convert.commands import main as convert
+from i2t.errors import DataError
+
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("[0-9][0-9]_*.py"))
+DATA = Path(__file__).parents[1] / "examples" / "data"
 
 
 def _load(number: int) -> ModuleType:
@@ -19,10 +26,48 @@ def _load(number: int) -> ModuleType:
     return module
 
 
+def test_none_writes_into_the_checkout_but_into_its_folder_of_runs():
+    for path in EXAMPLES:
+        for argument in re.findall(r"def main\((.*?)\) ->", path.read_text(), re.S):
+            for name in re.findall(r'(?:out|path): str = "([^"]+)"', argument):
+                assert name.startswith("runs/"), f"{path.name} writes {name}"
+
+
 def test_they_are_numbered_and_of_20_to_40_lines():
     assert [int(path.name[:2]) for path in EXAMPLES] == list(range(1, len(EXAMPLES) + 1))
     for path in EXAMPLES:
         assert 20 <= len(path.read_text().splitlines()) <= 40, f"{path.name} is no short program any more"
+
+
+def test_the_data_are_those_that_their_program_makes(tmp_path):
+    spec = importlib.util.spec_from_file_location("make_data", DATA / "make_data.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    module.main(tmp_path)
+    made, kept = ((folder / "presses.csv").read_text().splitlines() for folder in (tmp_path, DATA))
+    assert made[0] == kept[0]
+    numbers = [np.array([row.split(",")[:19] for row in rows[1:]], float) for rows in (made, kept)]
+    np.testing.assert_allclose(*numbers, atol=0.11)  # a tenth of a microtesla is the last digit
+    meshes = [i2t.load_mesh(folder / "mug.stl", "mm") for folder in (tmp_path, DATA)]
+    assert len(meshes[0].faces) == len(meshes[1].faces)
+    np.testing.assert_allclose(*(mesh.vertices.max(0) - mesh.vertices.min(0) for mesh in meshes), atol=1e-5)
+    assert all(path.stat().st_size < 100_000 for path in DATA.iterdir() if path.is_file())
+
+
+def test_a_table_of_simulated_presses_is_no_real_data(tmp_path):
+    table = DATA / "presses.csv"
+    assert convert(["presses", str(table), str(tmp_path / "set"), "--indenter", "sphere:4.0"]) == 0
+    dataset = i2t.load_dataset(tmp_path / "set")
+    assert (len(dataset), dataset.source) == (100, "simulated")
+    text = table.read_text()
+    for replaced, source in ((-1, "real"), (1, "mixed")):
+        (tmp_path / "other.csv").write_text(text.replace("simulated", "", replaced))
+        words = ["presses", str(tmp_path / "other.csv"), str(tmp_path / source), "--indenter", "sphere:4.0"]
+        assert convert([*words, "--as-stated"]) == 0
+        assert i2t.load_dataset(tmp_path / source).source == source
+    (tmp_path / "other.csv").write_text(text.replace("simulated", "a dream"))
+    with pytest.raises(DataError, match="line 2 has the source 'a dream'; write real or simulated"):
+        presses.convert(tmp_path / "other.csv", indenter="sphere:4.0", board=i2t.reskin_board())
 
 
 def test_a_patch_is_rendered_and_drawn(tmp_path):

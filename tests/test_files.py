@@ -3,11 +3,18 @@
 import errno
 import gzip
 import os
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
+from helpers.random_touches import make as random_dataset
+from matplotlib.figure import Figure
 
+from i2t.dataset import save_dataset
 from i2t.errors import DataError, FullDiskError
 from i2t.files import MAX_LINE_BYTES, read_lines, replacing
+from i2t.viz import save_figure
 
 
 def test_a_file_appears_whole_in_a_folder_that_is_made(tmp_path):
@@ -60,6 +67,48 @@ def test_a_disk_that_fails_is_one_sentence_and_leaves_nothing(tmp_path, monkeypa
         file.write_text("new")
     assert type(found.value) is kind
     assert list(tmp_path.iterdir()) == []
+
+
+FULL_DISK = """
+import resource, sys
+from importlib import import_module
+main = import_module(sys.argv[1]).main
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))  # as full as a disk with room for a page
+sys.exit(main(sys.argv[2:]))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limit of a file's size")
+@pytest.mark.parametrize(
+    "words",
+    [
+        "i2t.convert.commands presses TABLE.csv set --indenter sphere:4.0 --as-stated",
+        "i2t.convert.commands robomimic TOUCHES file.hdf5",
+        "i2t.view.command TOUCHES --html --out page",
+    ],
+)
+def test_a_command_meets_a_full_disk_with_one_sentence(words, tmp_path):
+    root = Path(__file__).parents[1]
+    data, environment = root / "examples" / "data", os.environ | {"PYTHONPATH": str(root)}
+    save_dataset(tmp_path / "touches.h5", random_dataset(40))
+    words = words.replace("TABLE.csv", str(data / "presses.csv")).replace("TOUCHES", "touches.h5").split()
+    done = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, *words], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    said = done.stderr.splitlines()
+    assert (done.returncode, len(said)) == (1, 1), done.stderr
+    assert said[0].startswith("error: ")
+    assert said[0].endswith("cannot be written (File too large); make room on its disk, or choose another")
+    assert not [path for path in tmp_path.rglob("*") if path.is_file() and path.name != "touches.h5"]
+
+
+def test_a_picture_meets_a_full_disk_with_one_sentence(tmp_path, monkeypatch):
+    def fail(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Figure, "savefig", fail)
+    with pytest.raises(FullDiskError, match=r"touches\.png: cannot be written .*make room"):
+        save_figure(Figure(), tmp_path / "touches.png")
 
 
 def test_lines_come_one_after_the_other_without_their_ends(tmp_path):

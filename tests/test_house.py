@@ -17,6 +17,7 @@ FLOORS = {
     0: (
         "_version",
         "errors",
+        "extras",
         "windows",
         "types",
         "geometry",

@@ -36,7 +36,8 @@ from experiments.benchmark.skin import SkinBenchmark
 from experiments.benchmark.startup import Startup
 from experiments.benchmark.timing import BenchmarkRow
 from experiments.benchmark.training import Training
-from experiments.common.runs import exit_code_of_run, write_json
+from experiments.common.runs import check_folder, exit_code_of_run, write_json
+from i2t.extras import require_extra
 from i2t.options import read_options
 
 
@@ -68,6 +69,11 @@ def run(cfg: Benchmark) -> list[BenchmarkRow]:
     unknown = [name for name in cfg.sections if name not in SECTIONS]
     if unknown or not cfg.sections:
         raise ValueError(f"--sections is {' '.join(cfg.sections)!r}; choose from {', '.join(SECTIONS)}.")
+    for name in cfg.sections:
+        for peer in PEERS.get(name, ()):
+            require_extra(peer, f"section {name}")
+    if cfg.out is not None:
+        check_folder(cfg.out)
     rows = [row for name in cfg.sections for row in SECTIONS[name](cfg)]
     print(table(rows))
     if cfg.out is not None:
@@ -95,6 +101,9 @@ def table(rows: list[BenchmarkRow]) -> str:
     return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
 
 
+PEERS = {  # packages that a section compares with
+    "training": ("torch",), "rendering": ("open3d", "embreex"), "skin": ("ContactMechanics",),
+}  # fmt: skip
 SECTIONS: dict[str, Callable[[Benchmark], list[BenchmarkRow]]] = {
     "training": lambda cfg: benchmark_training.section(cfg.training, cfg.turns),
     "rendering": lambda cfg: benchmark_rendering.section(cfg.rendering, cfg.turns),

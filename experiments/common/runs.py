@@ -14,7 +14,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from i2t.cli import exit_code_of
+from i2t.cli import exit_code_of, require_writable
 from i2t.files import replacing
 
 CONFIG, METRICS = "config.json", "metrics.json"
@@ -107,10 +107,10 @@ def check_out(out: Path, resume: bool | None, overwrite: bool, kind: str = "") -
 
 
 def check_folder(out: Path) -> None:
-    """Refuse a folder for results that is a file, or is below one (ValueError)."""
-    taken = next((path for path in (out, *out.parents) if path.exists()), None)
-    if taken is not None and not taken.is_dir():
-        raise ValueError(f"--out {out}: {taken} is a file; name a folder")
+    """Refuse a folder for results that is a file, is below one, or may not be written (ValueError)."""
+    if out.is_file():
+        raise ValueError(f"--out {out}: {out} is a file; name a folder")
+    require_writable("--out", out)
 
 
 def settle_begun() -> None:

@@ -7,7 +7,6 @@ same place. They compute what this process would compute. A task whose worker wa
 most; what a worker prints goes to a log next to the task's file. This module imports nothing large.
 """
 
-import importlib.util
 import os
 import pickle
 import signal
@@ -23,6 +22,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeAlias
 
 from i2t.cli import Count, require_with
 from i2t.compile_cache import use_compile_cache
+from i2t.extras import require_extra
 
 MAX_TASK_ATTEMPTS = 3  # at a task whose workers die
 
@@ -41,8 +41,8 @@ class TaskOptions:
         """Refuse what does not go together, and Ray where it is not installed (ValueError)."""
         require_with("--workers", self.workers is not None, "--executor local or ray", self.executor != "serial")
         require_with("--address", self.address is not None, "--executor ray", self.executor == "ray")
-        if self.executor == "ray" and importlib.util.find_spec("ray") is None:
-            raise ValueError("--executor ray needs Ray: pip install 'imagine2touch[cluster]'; or pass --executor local")
+        if self.executor == "ray":
+            require_extra("ray", "--executor ray")
 
 
 class Task(NamedTuple):

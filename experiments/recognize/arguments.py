@@ -96,6 +96,7 @@ class LiveArgs:
     prior_unknown: float = 0.0  # probability beforehand that it is none of the objects
     num_surrogates: int = 16  # objects like those known, that stand for what else it might be then
     max_touches: Count = 10
+    min_touches: Count = 3  # before it may end because it is sure: one touch that met air can be, and convinces nobody
     max_error_probability: Probability = 0.05  # ends when the most probable object is wrong with at most this
     num_sites: Count = 24  # of each object, to choose among
     num_particles: Count = 64  # poses of each object

@@ -18,6 +18,7 @@ class Recognition:
     touches: int = 10
     episodes: int = 80  # of each object, in the set of all
     paper_episodes: int = 200  # of each object, in each of the paper's sets
+    own_episodes: int = 40  # of each object of --objects
     validation_episodes: int = 40  # of each validation object, for temperatures and conformal sets
     num_sites: int = 24  # of each object, in a pool that a recogniser or a study chooses among
     pool_sites: int = 100  # of each object, in each pool from which the paper's heuristic draws
@@ -43,6 +44,7 @@ PRESETS: dict[str, Recognition] = {
         touches=3,
         episodes=3,
         paper_episodes=6,
+        own_episodes=3,
         validation_episodes=6,
         num_sites=3,
         pool_sites=10,

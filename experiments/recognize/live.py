@@ -11,10 +11,11 @@ of a run (--trained-run), of an earlier session or of a file (--pad). Any other 
 simulated or emulated skin is "simulated pad 0", that of `experiments.train`, unless --worn-pad names another; a real
 one is called --pad-name, as it was collected. The next touch is the one that is expected to tell most
 (`i2t.recognition.recognizer`), among sites that are safe on what may be there; where ten draws of candidates have none,
-the run stops and says so. It ends when the most probable object is wrong with at most --max-error-probability, or after
---max-touches. With --prior-unknown 0.1, say, it may be none of the objects, which is believed as far as surrogates,
-objects like them, explain the touches better. All touches are kept in OUT/touches as a data set, under the name of
---truth, or "unknown": they can be recognised again (--dataset) once there is a mesh of it.
+the run stops and says so. It ends when the most probable object is wrong with at most --max-error-probability, but
+after --min-touches, or after --max-touches. A touch that meets air tells something too: it speaks against the objects
+that would have been met there. With --prior-unknown 0.1, say, it may be none of the objects, which is believed as far
+as surrogates, objects like them, explain the touches better. All touches are kept in OUT/touches as a data set, under
+the name of --truth, or "unknown": they can be recognised again (--dataset) once there is a mesh of it.
 """
 
 from collections.abc import Sequence
@@ -108,6 +109,7 @@ def make_recognizer(
             num_sites=args.num_sites,
             num_particles=args.num_particles,
             max_touches=args.max_touches,
+            min_touches=args.min_touches,
             max_error_probability=args.max_error_probability,
             prior_unknown=args.prior_unknown,
             num_surrogates=args.num_surrogates,
@@ -157,6 +159,7 @@ class LiveEpisode:
         self.state = recognizer.init()
         self.touches: list[TouchResult] = []
         self.infos: list[RecognitionInfo] = []
+        self.would_meet: list[np.ndarray] = []  # each object, at each touch, as believed before it
         self.nothing_safe = ""  # why the run ended without a site
 
     def choose(self, history: Sequence[SiteOutcome]) -> Site | None:
@@ -194,12 +197,16 @@ class LiveEpisode:
         observation = self.recognizer.observe(
             site, touch.reading, force=touch.force, T_w_t=touch.T_w_t, contact=contact
         )  # fmt: skip
+        before, would_meet = self.state.probability, self.recognizer.contact_probability(self.state, site.number)
         self.state, info = self.recognizer.update(self.state, observation)
         self.touches.append(touch)
         self.infos.append(info)
-        best = np.argsort(-info.probability)[:3]
+        self.would_meet.append(would_meet)
+        names, best = self.recognizer.names, np.argsort(-info.probability)[:3]
+        met = ", ".join(f"{names[i]} {would_meet[i]:.0%}" for i in best)
+        print(f"  {'met something' if contact else 'met air'}; poses in which it would be met: {met}")
         unknown = f"; unknown object {info.unknown:.1%}" if self.recognizer.config.prior_unknown else ""
-        believed = ", ".join(f"{self.recognizer.names[i]} {info.probability[i]:.1%}" for i in best)
+        believed = ", ".join(f"{names[i]} {info.probability[i]:.1%} (before {before[i]:.1%})" for i in best)
         print(f"  believed: {believed}{unknown}", flush=True)
 
 
@@ -222,6 +229,8 @@ def conclude(
         "stopped": live.nothing_safe or live.recognizer.stop_reason(live.state),
         "sites": [touch.site.number for touch in live.touches],
         "belief": p.tolist(),
+        "met_air": [touch.code == ReturnCode.AIR for touch in live.touches],
+        "would_be_met": np.stack(live.would_meet).tolist(),
     }
     write_json(args.out / "result.json", result)
     T_o_t = inverse(live.recognizer.T_w_o) @ np.stack([touch.T_w_t for touch in live.touches])

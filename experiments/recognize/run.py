@@ -24,7 +24,8 @@ is in docs/recognition.md. Everything is simulated unless --dataset says otherwi
 (95 % intervals over pads and pools of sites), config.json, episodes of each pad and seed (npz) and figures.
 """
 
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -47,13 +48,16 @@ from i2t import dataset as data
 from i2t.objects import Mesh
 from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import BeliefModel, EpisodeConfig, believe, run_episodes
+from i2t.recognition.local_surfaces import is_large, reached_boxes
 from i2t.recognition.pad_model import PadModel, fit_oracle_pad_model
 from i2t.recognition.paper_rules import ConstantPredictor, ReadingPredictor, paper_rules
 from i2t.recognition.site_pool import (
+    BATCH_TOUCHES,
     TouchPlan,
     plan_informative_touches,
     plan_random_touches,
     pose_particles,
+    predict_outcomes,
     prepare_surfaces,
     sample_pools,
 )
@@ -68,6 +72,7 @@ class ObjectSet(NamedTuple):
     names: Sequence[str]
     episodes: int  # of each
     heuristic: bool  # whether the paper's chooses the sites
+    share: int = 1  # episodes that touch the same sites, each of which is then imagined once for all of them
 
 
 class EpisodeWorld(NamedTuple):
@@ -109,7 +114,7 @@ def configure(args: SimulateArgs) -> Recognition:
     cfg = choose_preset(PRESETS, args.preset)
     if args.episodes is not None:
         n = args.episodes
-        cfg = replace(cfg, episodes=n, paper_episodes=2 * n, validation_episodes=n)
+        cfg = replace(cfg, episodes=n, paper_episodes=2 * n, own_episodes=n, validation_episodes=n)
     if args.paper_episodes is not None:
         cfg = replace(cfg, paper_episodes=args.paper_episodes)
     if args.num_particles is not None:
@@ -165,7 +170,7 @@ def object_groups(args: SimulateArgs, cfg: Recognition) -> list[tuple[dict[str, 
     """Groups of meshes by name, each with the sets that are played among them."""
     if args.objects:
         own = load_meshes(args.objects, args.unit)
-        return [(own, {"your objects": ObjectSet(list(own), cfg.episodes, False)})]
+        return [(own, {"your objects": ObjectSet(list(own), cfg.own_episodes, False, cfg.pool_episodes)})]
     return [
         (
             meshes_by_name(cfg.validation),
@@ -190,14 +195,16 @@ def play_set(
     key_play, key_site = jax.random.split(key)
     truth = np.arange(len(surfaces) * objects.episodes) % len(surfaces)
     plan = plan_touches(key_site, objects, surfaces, len(truth), cfg)
-    config = EpisodeConfig(cfg.errors, cfg.limits, cfg.touches)
-    episodes = run_episodes(
-        key_play, surfaces, truth, plan.chosen, sites=plan.sites, pad=trained.pad, config=config, label=name
-    )
     models = {
         "": BeliefModel(trained.pad_model.reading_model, trained.pad_model.likelihood),
         ", oracle": BeliefModel(world.oracle.reading_model, world.oracle.likelihood, ORACLE_EVIDENCE),
     }
+    if objects.share > 1:  # meshes of the user's, which may be of any size
+        print(how_long(name, surfaces, plan, models, particles=world.particles, overtravel=cfg.limits.overtravel))
+    config = EpisodeConfig(cfg.errors, cfg.limits, cfg.touches)
+    episodes = run_episodes(
+        key_play, surfaces, truth, plan.chosen, sites=plan.sites, pad=trained.pad, config=config, label=name
+    )
     believed = believe(
         surfaces, plan.sites, episodes, world.particles, models, overtravel=cfg.limits.overtravel, label=name
     )
@@ -207,12 +214,40 @@ def play_set(
     return reporting.EpisodeResults(tuple(objects.names), truth, believed, episodes, pad, pools)
 
 
+def how_long(
+    name: str,
+    surfaces: Sequence[Surface],
+    plan: TouchPlan,
+    models: Mapping[str, BeliefModel],
+    *,
+    particles: Particles,
+    overtravel: float,
+) -> str:
+    """How long it takes to imagine all touches of a set, measured on a first batch, which is compiled before."""
+    T, twist = np.asarray(plan.sites.T_w_t), particles.twist
+    boxes = reached_boxes(surfaces[:1], twist) if is_large(surfaces) else None
+    some = T[: max(BATCH_TOUCHES // len(twist), 1)]
+    reading_models = [model.reading_model for model in models.values()]
+    imagine = partial(predict_outcomes, surfaces[:1], twist, some, reading_models, overtravel=overtravel, boxes=boxes)
+    imagine()
+    started = time.perf_counter()
+    imagine()
+    count, batch = len(surfaces) * len(T) * len(twist), len(some) * len(twist)
+    minutes = (time.perf_counter() - started) * count / batch / 60
+    return (
+        f"{name}: {plan.chosen.size:,} touches are simulated, and {count:,} imagined in some {max(minutes, 1):.0f} min "
+        f"on this machine (measured on {batch}); fewer --episodes or --num-particles take less"
+    )
+
+
 def plan_touches(
     key: jax.Array, objects: ObjectSet, surfaces: Sequence[Surface], episodes: int, cfg: Recognition
 ) -> TouchPlan:
     """Where episodes touch: at the heuristic's sites of random candidates, or at random ones."""
     if not objects.heuristic:
-        return plan_random_touches(key, surfaces, objects.names, episodes, cfg.touches, limits=cfg.site_limits)
+        return plan_random_touches(
+            key, surfaces, objects.names, episodes, cfg.touches, limits=cfg.site_limits, share=objects.share
+        )
     key_pools, key_sites = jax.random.split(key)
     pool = np.arange(episodes) // cfg.pool_episodes
     pools = sample_pools(

@@ -7,6 +7,7 @@ from typing import Literal
 from experiments.common.checks import require_dataset
 from experiments.common.presets import choose_preset
 from i2t.cli import Count, Positive, Seed, require_path, require_with
+from i2t.extras import require_extra
 from i2t.objects.named import require_object
 
 MESH_ENDINGS = (".obj", ".stl", ".ply", ".glb")
@@ -68,8 +69,6 @@ class ReconstructArgs:
 
     def check(self) -> None:
         """Refuse a folder that is not there, sides in the wrong order, and conditions that there are not."""
-        from importlib.util import find_spec
-
         require_path("--meshes", self.meshes, "folder")
         require_dataset("--dataset", self.dataset)
         one = self.dataset is not None or self.arm is not None
@@ -90,10 +89,7 @@ class ReconstructArgs:
             raise ValueError(f"--side {self.side[0]:g} {self.side[1]:g}: give the smaller one first")
         if unknown := sorted(set(self.conditions) - set(CONDITIONS)):
             raise ValueError(f"--conditions {unknown[0]}: is none of {', '.join(CONDITIONS)}")
-        if find_spec("skimage") is None:
-            raise ValueError(
-                "surfaces are made by scikit-image, which is missing: pip install 'imagine2touch[reconstruct]'"
-            )
+        require_extra("skimage", "a surface")
 
     @property
     def sizes(self) -> ReconstructSizes:

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from experiments.common.runs import exit_code_of_run
+from experiments.common.runs import check_folder, exit_code_of_run
 from experiments.reproduce.steps import STEPS, Step
 from experiments.reproduce.tables import TABLES, shortened, write_tables
 from i2t.options import read_options
@@ -64,6 +64,7 @@ def run(args: ReproduceArgs) -> None:
         print("\n".join(describe(step, args.out) for step in steps))
         return
     if not args.tables:
+        check_folder(args.out)
         for step in steps:
             if step.needs and not Path(step.needs).is_dir():
                 if args.only:

@@ -10,6 +10,7 @@ from experiments.common.checks import chosen_runs
 from experiments.common.tasks import TaskOptions
 from experiments.recognize.arguments import PresetName
 from i2t.cli import Count, NotNegative, Seed, require_path
+from i2t.extras import require_extra
 
 Study = Literal[
     "policy", "open_set", "planar", "registered", "new_pad", "pose_error", "sites", "sensitivity", "object_count",
@@ -57,5 +58,9 @@ class StudyArgs:
         require_path("--meshes", self.meshes, "folder")
         if self.meshes is not None and not any(self.meshes.glob("*.[sS][tT][lL]")):
             raise ValueError(f"--meshes {self.meshes}: holds no STL file; name a folder that does")
+        if self.meshes is not None:
+            require_extra("pyvista", "a scanned mesh of --meshes")
+        if self.study == "mismatch":
+            require_extra("skfem", "a pad with free sides")
         chosen_runs(self.trained_run, self.pads)
         self.tasks.check()

@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.sparse.linalg import splu
 
+from i2t.extras import require_extra
 from i2t.skin.contact import CONTACT_TOLERANCE, GRID, MAX_HEIGHT_M, MAX_STEPS, MIN_STRAIN, Grid, descend
 from i2t.skin.dipoles import CELL_NODES, MICROTESLA, dipole_field, rest_field, sheets, turn
 from i2t.skin.elasticity import clamped_shape, compliance, convolve, interior, load
@@ -35,7 +36,7 @@ PARITIES = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # along x and y: even 1, odd -1
 # the displacement along z.
 MIRRORED_X = np.array([-1, 1, 1, 1, -1, -1])
 MIRRORED_Y = np.array([1, -1, 1, -1, 1, -1])
-MISSING = "free sides are worked out by scikit-fem; run pip install 'imagine2touch[test]'"
+NEEDS_FINITE_ELEMENTS = "a pad with free sides"
 
 
 class SideTable(NamedTuple):
@@ -63,7 +64,7 @@ def tabulate(thickness: float, poisson: float, *, cells: int = TABLE_CELLS, laye
         The table.
 
     Raises:
-        ValueError: scikit-fem is missing.
+        MissingExtraError: scikit-fem is missing.
     """
     half = np.linspace(0, PAD_WINDOW / 2, cells // 2 + 1)
     far = np.linspace(half[-1], half[-1] + BEYOND * thickness, BEYOND_ELEMENTS + 1)
@@ -83,11 +84,10 @@ class _Block:
     """A quarter of a block: elements between `across` (m, from the middle) along x and y, and `deep` along z."""
 
     def __init__(self, across: np.ndarray, deep: np.ndarray, poisson: float) -> None:
-        try:
-            import skfem
-            from skfem.helpers import ddot, div, sym_grad
-        except ImportError as error:
-            raise ValueError(MISSING) from error
+        require_extra("skfem", NEEDS_FINITE_ELEMENTS)
+        import skfem
+        from skfem.helpers import ddot, div, sym_grad
+
         self.across, self.deep, self.skfem = across, deep, skfem
         self.mesh = skfem.MeshHex.init_tensor(across, across, deep)
         self.basis = skfem.Basis(self.mesh, skfem.ElementVector(skfem.ElementHex2()), intorder=4)

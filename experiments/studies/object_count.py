@@ -14,6 +14,7 @@ from experiments.common.runs import Part
 from experiments.recognize import figures
 from experiments.studies.lab import Column, StudyLab, clusters_of, make_table, touches_shown
 from i2t import viz
+from i2t.extras import require_extra
 from i2t.objects import Mesh, catalogue, read_mesh
 from i2t.recognition import metrics
 from i2t.recognition.episodes import posteriors
@@ -80,16 +81,13 @@ def collect_meshes(lab: StudyLab, count: int) -> dict[str, Mesh]:
 
 def decimate(mesh: Mesh, faces: int = MAX_FACES) -> Mesh:
     """A scanned mesh with fewer faces, by quadric decimation (Garland and Heckbert, SIGGRAPH 1997): predictions take as
-    long as those of the object with the most of them. Raises ValueError where pyvista is missing.
+    long as those of the object with the most of them. Raises MissingExtraError where pyvista is missing.
     """
     if len(mesh.faces) <= faces:
         return mesh
-    try:
-        import pyvista as pv
-    except ImportError as error:
-        raise ValueError(
-            "scanned meshes are simplified with pyvista; run pip install 'imagine2touch[notebooks]'"
-        ) from error
+    require_extra("pyvista", "a scanned mesh of --meshes")
+    import pyvista as pv
+
     fewer = pv.wrap(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)).decimate(1 - faces / len(mesh.faces))
     return Mesh(np.asarray(fewer.points, np.float64), np.asarray(fewer.regular_faces, np.int32))
 

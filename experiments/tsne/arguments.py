@@ -6,6 +6,7 @@ from typing import Literal
 
 from experiments.common.checks import require_dataset
 from i2t.cli import Seed
+from i2t.extras import require_extra
 
 
 @dataclass(frozen=True)
@@ -26,5 +27,6 @@ class TsneArgs:
         return "python -m experiments.notebooks"
 
     def check(self) -> None:
-        """Refuse a data set that is not there."""
+        """Refuse a data set that is not there, and scikit-learn where it is missing."""
         require_dataset("--dataset", self.dataset)
+        require_extra("sklearn", "a map of touches")

@@ -30,9 +30,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from i2t.cli import exit_code_of, renamed_flags
+from i2t.cli import exit_code_of, renamed_flags, require_writable
 from i2t.convert import CAMERA_OFFSET_M, EFLESH_WINDOW_M, TIP_RADIUS_M
 from i2t.errors import DataError, SerializationError
+from i2t.extras import require_extra
 from i2t.files import replacing
 from i2t.options import answering
 from i2t.windows import PATCH_WINDOW, REACH
@@ -351,6 +352,7 @@ def lerobot(source: Source, target: Target, overwrite: bool = False, skip_bad: b
         skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them
     """
     _require_source(source)
+    require_extra("pyarrow", "LeRobot's format")
     if (source / "meta" / "info.json").is_file():
         _require(source, target, overwrite)
         from i2t.convert.lerobot import read_lerobot
@@ -507,6 +509,7 @@ def _run(work: Callable[[], None]) -> None:
 def _require(source: Path, target: Path, overwrite: bool, lengths: dict[str, float] | None = None) -> None:
     """Refuse what is not there, what is taken, and lengths (mm) that are none, before anything large is imported."""
     _require_source(source)
+    require_writable("DST", target)
     for flag, length in (lengths or {}).items():
         if not 0 <= length < math.inf or (length == 0 and flag != "--camera-mm"):
             raise DataError(f"{flag} is {length:g}; give millimetres, more than 0")
@@ -550,6 +553,7 @@ def _require_free(target: Path, overwrite: bool) -> None:
 
 def _require_free_file(target: Path, ending: str, overwrite: bool) -> None:
     """Refuse a name without the format's ending, and to replace a file unasked."""
+    require_writable("DST", target)
     if target.suffix != ending:
         raise DataError(f"{target}: does not end in {ending}; name the file so")
     if target.is_dir():
@@ -562,6 +566,7 @@ def _require_free_export(target: Path, mark: str, overwrite: bool) -> None:
     """Refuse a folder that no export of this format may be written to, before anything is read."""
     from i2t.convert.exchange import require_free_folder
 
+    require_writable("DST", target)
     require_free_folder(target, mark, overwrite=overwrite)
 
 

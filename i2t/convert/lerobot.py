@@ -29,6 +29,7 @@ from i2t.convert.exchange import (
 from i2t.dataset import Dataset
 from i2t.dataset.sets import AXIS_NAMES
 from i2t.errors import DataError
+from i2t.extras import require_extra
 from i2t.files import may_grow_to
 
 LEROBOT_VERSION = "v3.0"
@@ -39,7 +40,7 @@ FPS = 1
 NAMED_COLUMNS = {"reading": "observation.tactile", "patch": "observation.patch", "wide": "observation.wide"}
 ROW_COLUMN = "touch.row"
 COUNTERS = ("frame_index", "episode_index", "index", "task_index")
-NO_PYARROW = "LeRobot's files are read and written with pyarrow: pip install 'imagine2touch[lerobot]'"
+NEEDS_PYARROW = "LeRobot's format"
 
 
 def write_lerobot(target: Path, dataset: Dataset, *, overwrite: bool = False) -> Path:
@@ -129,11 +130,10 @@ def read_lerobot(source: Path) -> Dataset:
 
 
 def _pyarrow() -> tuple[Any, Any]:
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        raise DataError(NO_PYARROW) from error
+    require_extra("pyarrow", NEEDS_PYARROW)
+    import pyarrow
+    import pyarrow.parquet
+
     return pyarrow, pyarrow.parquet
 
 

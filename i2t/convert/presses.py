@@ -4,7 +4,8 @@
 Columns, by name: x_mm, y_mm (the indenter's axis from the skin's centre, along the skin's edges), depth_mm (travel past
 first contact) or z_mm (the tip's height), the values of the board's chips b0x_uT, b0y_uT, b0z_uT, b1x_uT ... (to b4z_uT
 for five chips); if wanted force_N (empty = not measured), a0x_uT ... (ambient, subtracted), time_s, pad and session
-(names; a session may be called run). Depth may be missing where there are forces.
+(names; a session may be called run), and source (real, as by default, or simulated). Depth may be missing where there
+are forces.
 
 Frames: the skin is fixed, and its tool frame T is the world's. The object O is the indenter, its axes as T's: at the
 lowest point of a sphere or cylinder, or a mesh's own frame, whose z axis is the indenter's and whose lowest point
@@ -30,6 +31,7 @@ from i2t.unknowns import RecordedPresses
 PLACES = ("x_mm", "y_mm", "depth_mm")
 NAME_COLUMNS = ("pad", "session")
 TIME = "time_s"
+PRESS_SOURCES = ("real", "simulated")
 MOST_NAMED = 5  # columns that a sentence names
 TOO_FEW_OR_MANY = ""  # key of a row that has not a field for each column
 TURNED_SHARE = 0.9  # of the rows with a depth, for all to be turned
@@ -106,6 +108,7 @@ def convert(
         code=[ReturnCode.FREE if row.get("free") else ReturnCode.UNDEFINED for row in kept],
         time=None if np.isnan(time).all() else time,
     )
+    sources = sorted({row["source"] for row in kept})
     meta = {key: text for check in checks for key, text in check.meta.items()}
     dataset = Dataset(
         touches,
@@ -113,7 +116,7 @@ def convert(
         pads=names["pad"],
         sessions=names["session"],
         board=checks[0].board if len(checks) == 1 else board,
-        source="real",
+        source="mixed" if len(sources) > 1 else sources[0],
         window=window,
         reach=reach,
         meta={"converter": "presses", "file": source.name, "indenter": indenter} | meta,
@@ -310,7 +313,7 @@ def _check_header(source: Path, header: list[str], chips: int, notes: Conversion
         raise DataError(
             f"{source}: some of the ambient columns {ambient[0]} ... {ambient[-1]} are missing; give all or none"
         )
-    known = {*PLACES, *values, "force_N", TIME, *NAME_COLUMNS, *(ambient if has_ambient else ())}
+    known = {*PLACES, *values, "force_N", TIME, "source", *NAME_COLUMNS, *(ambient if has_ambient else ())}
     unknown = [name for name in header if name not in known]
     if unknown:
         notes.info(f"left out: columns {', '.join(unknown)}, which have no meaning here")
@@ -335,6 +338,9 @@ def _row(source: Path, number: int, line: dict[str, Any], columns: _Columns) -> 
         if columns.ambient:
             reading[i] -= _number(source, number, columns.ambient[i], line[columns.ambient[i]])
     row |= {kind: (line.get(kind) or kind).strip() for kind in NAME_COLUMNS}
+    row["source"] = (line.get("source") or "").strip().lower() or "real"
+    if row["source"] not in PRESS_SOURCES:
+        raise DataError(f"{source}: line {number} has the source {row['source']!r}; write {' or '.join(PRESS_SOURCES)}")
     return row | {"reading": reading, "line": number}
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from i2t import files
 from i2t.convert.exchange import columns_of, dataset_of, episodes_of, in_order, note_of, pose_vectors
 from i2t.dataset import Dataset
-from i2t.dataset.files import inspect_file
+from i2t.dataset.files import inspect_file, write_hdf5
 from i2t.errors import DataError
 
 ROBOMIMIC_ENDING = ".hdf5"
@@ -39,8 +39,8 @@ def write_robomimic(path: Path, dataset: Dataset) -> Path:
     Raises:
         DataError: The file cannot be written.
     """
-    with files.replacing(path) as temporary, h5py.File(temporary, "w") as file:
-        _fill(file, dataset)
+    with files.replacing(path) as temporary:
+        write_hdf5(temporary, lambda file: _fill(file, dataset))
     return path
 
 

@@ -19,6 +19,7 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,14 +43,12 @@ PLAIN_FILTERS = (h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILT
 _HEADER = re.compile(rb"i2t-touches ([1-9][0-9]*) sha256 ([0-9a-f]{64})\n\0+")
 
 
-def write(path: Path, fill: Callable[[h5py.File], None], small: bool = False) -> Path:
+def write(path: Path, fill: Callable[[h5py.File], None]) -> Path:
     """Write a new HDF5 file of this schema, atomically and durably; an existing file is replaced.
 
     Args:
         path: Of the file.
         fill: Writes the contents into the open file.
-        small: Make it in memory first: a full disk then meets a plain write, where the HDF5 library would stumble over
-            what it cannot write any more.
 
     Returns:
         The path.
@@ -58,12 +57,7 @@ def write(path: Path, fill: Callable[[h5py.File], None], small: bool = False) ->
         DataError: The folder cannot be written; FullDiskError if the disk is full, or failed.
     """
     with replacing(path) as temporary:
-        if small:
-            image = io.BytesIO()
-            _make(image, fill)
-            temporary.write_bytes(image.getbuffer())
-        else:
-            _make(temporary, fill)
+        write_hdf5(temporary, partial(_fill, fill), userblock_size=HEADER_BYTES)
         with temporary.open("r+b") as raw:
             raw.seek(HEADER_BYTES)
             digest = hashlib.file_digest(raw, "sha256").hexdigest()
@@ -76,11 +70,30 @@ def write(path: Path, fill: Callable[[h5py.File], None], small: bool = False) ->
     return path
 
 
-def _make(where: Path | io.BytesIO, fill: Callable[[h5py.File], None]) -> None:
-    with h5py.File(where, "w", userblock_size=HEADER_BYTES) as file:
-        file.attrs["schema"] = SCHEMA
-        file.attrs["version"] = SCHEMA_VERSION
+def write_hdf5(path: Path, fill: Callable[[h5py.File], None], **options: Any) -> None:
+    """Write an HDF5 file that is made in memory first.
+
+    A full disk then meets a plain write. The HDF5 library, which closes an open file with what it could not write,
+    takes the process down where there is no room.
+
+    Args:
+        path: Of the file.
+        fill: Writes the contents into the open file.
+        **options: Of `h5py.File`.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    image = io.BytesIO()
+    with h5py.File(image, "w", **options) as file:
         fill(file)
+    path.write_bytes(image.getbuffer())
+
+
+def _fill(fill: Callable[[h5py.File], None], file: h5py.File) -> None:
+    file.attrs["schema"] = SCHEMA
+    file.attrs["version"] = SCHEMA_VERSION
+    fill(file)
 
 
 def sync_folder(folder: Path) -> None:

@@ -185,7 +185,7 @@ def write_touch(folder: str | Path, record: Record, at: float | None = None) -> 
         for name, touch in record.skins.items():
             _put_dataset(file.create_group(f"skins/{name}"), touch)
 
-    return write(path, fill, small=True)
+    return write(path, fill)
 
 
 def read_touch(path: str | Path) -> Record:

@@ -34,7 +34,7 @@ from scipy.spatial.transform import Rotation
 from i2t.cli import exit_code_of
 from i2t.depth.camera import Camera, read_png
 from i2t.errors import DataError, DeviceError
-from i2t.files import file_in, read_text, read_toml
+from i2t.files import file_in, read_text, read_toml, replacing
 from i2t.geometry import inverse
 from i2t.hardware.hand_eye_fit import MIN_CORNERS, BoardView, HandEyeResult, fit, pixel_rays
 from i2t.hardware.named_devices import REALSENSE, ColourView, ToolPose, colour_view, named_camera, require_named
@@ -298,7 +298,8 @@ def _run(asked: DrawArgs | CaptureArgs | EstimateArgs) -> None:
 def _draw(asked: DrawArgs, board: CharucoBoard) -> None:
     if asked.file.is_dir() or asked.file.suffix.lower() not in PICTURE_SUFFIXES:
         raise ValueError(f"{asked.file}: is no name of a picture; let it end in {' or '.join(PICTURE_SUFFIXES)}")
-    Image.fromarray(board.drawn()).save(asked.file, dpi=(300, 300))
+    with replacing(asked.file) as temporary:
+        Image.fromarray(board.drawn()).save(temporary, dpi=(300, 300))
     print(f"{asked.file}: print it at 100 %; a square must measure {1e3 * board.square:g} mm")
 
 

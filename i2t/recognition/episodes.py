@@ -23,6 +23,7 @@ from i2t.geometry import inverse
 from i2t.progress import Progress, progress
 from i2t.recognition import belief
 from i2t.recognition.belief import Likelihood, Particles, TouchObservation
+from i2t.recognition.local_surfaces import is_large, reached_boxes
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.recognition.site_pool import SitePool, predict_outcomes
 from i2t.rendering.ops import element
@@ -493,7 +494,7 @@ def believe(
 ) -> dict[str, Float[np.ndarray, "e t objects"]]:
     """Posteriors over the objects along episodes whose sites are their own, with a progress bar.
 
-    Touches are predicted for a few episodes at a time, at the sites that were touched, so that memory does not grow
+    Touches are predicted for a few episodes at a time, once at each site that was touched, so that memory does not grow
     with the number of episodes.
 
     Args:
@@ -512,19 +513,24 @@ def believe(
     each = max(min(BELIEVED_TOUCHES // touches, count), 1)
     reading_models = [model.reading_model for model in models.values()]
     T, twist = np.asarray(sites.T_w_t), particles.twist
+    # The last rows are filled up: one compilation serves all.
+    chunks = [np.resize(np.arange(start, min(start + each, count)), each) for start in range(0, count, each)]
+    touched = [np.unique(episodes.site[rows], return_inverse=True) for rows in chunks]  # episodes may share sites
+    most = max(len(where) for where, _ in touched)
+    boxes = reached_boxes(surfaces, twist) if is_large(surfaces) else None
     parts: list[dict[str, np.ndarray]] = []
-    total = len(surfaces) * len(twist) * -(-count // each) * each * touches
+    total = len(surfaces) * len(twist) * most * len(chunks)
     with progress(total=total, desc=f"{label}: imagining", unit="touch", unit_scale=True) as bar:
-        for start in range(0, count, each):
-            rows = np.resize(np.arange(start, min(start + each, count)), each)  # filled up: one compilation serves all
+        for rows, (where, of_touch) in zip(chunks, touched, strict=True):
             some: Episodes = jax.tree.map(lambda x, rows=rows: x[rows], episodes)
             tables = predict_outcomes(
-                surfaces, twist, T[some.site.reshape(-1)], reading_models, overtravel=overtravel, bar=bar
-            )
-            some = some._replace(site=np.arange(each * touches).reshape(each, touches))
+                surfaces, twist, T[np.resize(where, most)], reading_models,
+                overtravel=overtravel, boxes=boxes, bar=bar,
+            )  # fmt: skip
+            some = some._replace(site=of_touch.reshape(each, touches))
             found: dict[str, np.ndarray] = {}
             for (suffix, model), table in zip(models.items(), tables, strict=True):
                 believed = run_belief(table, some, model.likelihood, particles, model.kinds)
-                found |= {f"{kind}{suffix}": p[: count - start] for kind, p in believed.items()}
+                found |= {f"{kind}{suffix}": p[: len(np.unique(rows))] for kind, p in believed.items()}
             parts.append(found)
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

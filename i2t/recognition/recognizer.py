@@ -57,6 +57,7 @@ class RecognizerConfig:
     num_sites: int = 24  # of each object, to choose among
     num_particles: int = 64  # poses of each object
     max_touches: int = 10
+    min_touches: int = 1  # before it may stop because it is sure, up to max_touches
     max_excluded: int = 30  # sites that could not be touched, after which none is asked for
     max_error_probability: float = 0.05  # it stops when the most probable object is wrong with at most this probability
     prior_unknown: float = 0.0  # probability beforehand that it is none of the objects
@@ -247,7 +248,8 @@ class ObjectRecognizer:
             A phrase, or None while touches are wanted.
         """
         config = self.config
-        if state.touches and policy.should_stop(jnp.asarray(state.probability), config.max_error_probability):
+        enough = state.touches >= max(1, min(config.min_touches, config.max_touches))
+        if enough and policy.should_stop(jnp.asarray(state.probability), config.max_error_probability):
             return f"an object is {1 - config.max_error_probability:.0%} probable"
         if state.touches >= config.max_touches:
             return f"{state.touches} sites were touched"
@@ -367,6 +369,21 @@ class ObjectRecognizer:
             T_w_t in float64, its rotation orthonormal to the last digit.
         """
         return nearest_rigid(self.T_w_o @ np.asarray(self.sites.T_w_t[number], float))
+
+    def contact_probability(self, state: RecognizerState, number: int) -> Float[np.ndarray, " objects"]:
+        """How surely a touch of a site would meet each of the known objects, if it is the one that is there.
+
+        Args:
+            state: Before the touch.
+            number: Of the site.
+
+        Returns:
+            The share of an object's poses, weighted by what is believed of them, in which the skin meets it.
+        """
+        weight = np.asarray(state.belief.log_weight, np.float64)
+        weight = np.exp(weight - weight.max(1, keepdims=True))
+        met = (weight * np.asarray(self.table.hit[number])).sum(1) / weight.sum(1)
+        return met[: len(self.names)]
 
     def warm_up(self) -> None:
         """Choose and learn once for nothing, so that nothing is compiled while an arm waits."""

@@ -20,6 +20,14 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from i2t.progress import Progress, progress
 from i2t.recognition import belief, ensemble, outcomes
 from i2t.recognition.belief import Particles
+from i2t.recognition.local_surfaces import (
+    ReachedBoxes,
+    cut_surfaces,
+    is_large,
+    reached_boxes,
+    reached_clusters,
+    size_class,
+)
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, stack_surfaces
@@ -197,9 +205,11 @@ def predict_outcomes(
     reading_models: Sequence[LinearReadingModel],
     *,
     overtravel: float,
+    boxes: ReachedBoxes | None = None,
     bar: Progress | None = None,
 ) -> list[PredictedTouch]:
-    """Predict a touch of every object in every pose at every site.
+    """Predict a touch of every object in every pose at every site; of large meshes only what a site reaches is looked
+    at (`i2t.recognition.local_surfaces`).
 
     Args:
         surfaces: Of the objects.
@@ -207,36 +217,65 @@ def predict_outcomes(
         T_w_site: Sites.
         reading_models: Of some pads, at the same loads.
         overtravel: Distance (m) beyond a site after which a press gives up.
+        boxes: `reached_boxes` of large meshes, for several calls; worked out here unless given.
         bar: Shows progress.
 
     Returns:
         For each pad the predicted touches, (sites, objects, k), on the host.
     """
-    each = max(BATCH_TOUCHES // len(twist), 1)
-    padded = np.resize(np.asarray(T_w_site), (-(-len(T_w_site) // each) * each, 4, 4))
-    starts = range(0, len(padded), each)
-    calls = ((surface, padded[start : start + each]) for surface in surfaces for start in starts)
-    made = spread(_predict, calls, shared=(twist, list(reading_models)), overtravel=overtravel)
-    columns = []
-    for _ in surfaces:
-        parts = []
-        for start in starts:
-            parts.append(next(made))
+    each, T = max(BATCH_TOUCHES // len(twist), 1), np.asarray(T_w_site)
+    reached = None
+    if is_large(surfaces):
+        reached = reached_clusters(boxes or reached_boxes(surfaces, twist), T, overtravel)
+    result: list[PredictedTouch] | None = None
+    for groups, batches in _batches(len(surfaces), len(T), each, reached).items():
+        calls = ((_part(surfaces[number], reached, number, rows, groups), T[rows]) for number, rows in batches)
+        made = spread(_predict, calls, shared=(twist, list(reading_models)), overtravel=overtravel)
+        for (number, rows), part in zip(batches, made, strict=True):
+            if result is None:
+                shape = (len(T), len(surfaces))
+                result = jax.tree.map(lambda x, shape=shape: np.empty((*shape, *x.shape[1:]), x.dtype), part)
+            for whole, some in zip(jax.tree.leaves(result), jax.tree.leaves(part), strict=True):
+                whole[rows, number] = some
             if bar is not None:
-                bar.update(min(each, len(T_w_site) - start) * len(twist))
-        columns.append(jax.tree.map(lambda *x: np.concatenate(x)[: len(T_w_site)], *parts))
-    return jax.tree.map(lambda *x: np.stack(x, axis=1), *columns)
+                bar.update(len(np.unique(rows)) * len(twist))
+    assert result is not None
+    return result
+
+
+def _batches(
+    objects: int, sites: int, each: int, reached: Bool[np.ndarray, "objects sites clusters"] | None
+) -> dict[int, list[tuple[int, np.ndarray]]]:
+    """Which sites are predicted together, `each` at a time: numbers of the object and rows of the sites, by the size
+    class of what they reach, or 0 where surfaces are taken whole. Rows that fill up a batch are repeated.
+    """
+    found: dict[int, list[tuple[int, np.ndarray]]] = {}
+    for number in range(objects):
+        classes = np.zeros(sites, int) if reached is None else np.array([size_class(row) for row in reached[number]])
+        for groups in np.unique(classes):
+            rows = np.flatnonzero(classes == groups)
+            filled = np.resize(rows, -(-len(rows) // each) * each)
+            found.setdefault(int(groups), []).extend((number, batch) for batch in np.split(filled, len(filled) // each))
+    return found
+
+
+def _part(surface: Surface, reached: np.ndarray | None, number: int, rows: np.ndarray, groups: int) -> Surface:
+    """The surface, or what each of some sites reaches of it, stacked."""
+    return surface if reached is None else cut_surfaces(surface, reached[number, rows], groups)
 
 
 @partial(jax.jit, static_argnames=("overtravel",))
 def _predict(
     surface: Surface, T_w_site: Array, twist: Array, reading_models: list[LinearReadingModel], *, overtravel: float
 ) -> list[PredictedTouch]:
-    def one(T: Array, x: Array) -> list[PredictedTouch]:
+    def one(surface: Surface, T: Array, x: Array) -> list[PredictedTouch]:
         contact = outcomes.predict_contact(surface, jnp.eye(4), x, T, reading_models[0].loads, overtravel=overtravel)
         return [outcomes.predict_reading(contact, model) for model in reading_models]
 
-    return jax.vmap(lambda T: jax.vmap(lambda x: one(T, x))(twist))(T_w_site)
+    own = 0 if jnp.ndim(surface.triangles) == 4 else None  # whether each site has a surface of its own
+    return jax.vmap(lambda surface, T: jax.vmap(lambda x: one(surface, T, x))(twist), in_axes=(own, 0))(
+        surface, T_w_site
+    )
 
 
 def plan_random_touches(

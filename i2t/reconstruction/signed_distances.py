@@ -15,6 +15,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from i2t.extras import require_extra
 from i2t.objects.solids import Mesh
 
 LEAST_SAMPLES = 6000  # points of a surface, at least, among which the nearest are sought
@@ -22,9 +23,8 @@ SAMPLES_PER_FACE = 2  # at least, on average
 NEAR_SAMPLES = 6  # nearest samples whose triangles are looked at exactly
 EXACT_WITHIN_M = 8e-3  # of the surface distances are exact; farther off they are those to the samples
 COLUMN_SHIFT = (1.7e-7, 1.1e-7)  # m, by which columns miss vertices and edges that lie on the grid
-NO_MARCHING_CUBES = (
-    "scikit-image makes meshes of signed distances and is not installed: pip install 'imagine2touch[reconstruct]'"
-)
+MESH_MAKER = "skimage"  # the package of marching cubes, as it is imported
+NEEDS_MESH_MAKER = "a mesh of signed distances"
 
 
 class VoxelGrid(NamedTuple):
@@ -164,7 +164,7 @@ def extract_mesh(grid: VoxelGrid, distance: Float[np.ndarray, " g"]) -> Mesh:
         Its mesh in metres, faces turned outward; without faces where nothing is inside.
 
     Raises:
-        ModuleNotFoundError: scikit-image is not installed.
+        MissingExtraError: scikit-image is not installed.
     """
     measure = marching_cubes()
     field = np.pad(distance.reshape(grid.shape), 1, constant_values=grid.spacing)
@@ -181,12 +181,11 @@ def marching_cubes() -> Any:
         `skimage.measure.marching_cubes`.
 
     Raises:
-        ModuleNotFoundError: It is not installed; one sentence says how to get it.
+        MissingExtraError: It is not installed; one sentence says how to get it.
     """
-    try:
-        from skimage.measure import marching_cubes as found
-    except ImportError as error:
-        raise ModuleNotFoundError(NO_MARCHING_CUBES) from error
+    require_extra(MESH_MAKER, NEEDS_MESH_MAKER)
+    from skimage.measure import marching_cubes as found
+
     return found
 
 

@@ -33,8 +33,11 @@ from jaxtyping import Float, Int
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.special import logsumexp
 
+from i2t.extras import require_extra
 from i2t.objects.solids import Mesh
 from i2t.reconstruction.signed_distances import (
+    MESH_MAKER,
+    NEEDS_MESH_MAKER,
     VoxelGrid,
     corners_of,
     extract_mesh,
@@ -163,7 +166,11 @@ def surface_model(
 
     Returns:
         The model.
+
+    Raises:
+        MissingExtraError: scikit-image is missing, which makes the surface in the end.
     """
+    require_extra(MESH_MAKER, NEEDS_MESH_MAKER)  # here, and not after all touches
     config = config or SurfaceConfig()
     bounds = [np.asarray(low, float), *(mesh.vertices.min(0) for mesh in meshes)]
     tops = [np.asarray(high, float), *(mesh.vertices.max(0) for mesh in meshes)]

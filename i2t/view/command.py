@@ -8,7 +8,8 @@ from typing import Literal
 
 import tyro
 
-from i2t.cli import Count, check_options, exit_code_of, require_path, require_with
+from i2t.cli import Count, check_options, exit_code_of, require_path, require_with, require_writable
+from i2t.extras import require_extra
 from i2t.files import why_no_touches
 from i2t.objects.named import require_object
 from i2t.options import read_options
@@ -66,6 +67,10 @@ def _write(asked: ViewArgs) -> None:
     for path in (page, recording, *([messages] if asked.mcap else [])):
         if path.exists() and not asked.overwrite:
             raise FileExistsError(f"{path}: exists already; pass --overwrite to replace it, or another --out")
+    if asked.mcap:
+        require_extra("mcap", "--mcap")
+    for path in (page, recording, messages):
+        require_writable("--out", path)
     # Not above: NumPy and HDF5, which --help and a refusal need not wait for.
     from i2t.view.contents import read_contents
     from i2t.view.mcap_file import write_mcap

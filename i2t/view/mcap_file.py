@@ -20,11 +20,12 @@ import numpy as np
 
 from i2t.dataset import Record
 from i2t.depth.camera import Camera, Distortion
-from i2t.errors import DeviceError
+from i2t.extras import require_extra
+from i2t.files import replacing
 from i2t.view.contents import Contents, camera_of
 from i2t.view.rerun_file import VECTOR_M_PER_UT, VECTOR_RATE_HZ, begun, thinned
 
-NO_MCAP = "an MCAP file needs mcap: pip install 'imagine2touch[view]'"
+NEEDS_MCAP = "an MCAP file"
 NANOSECONDS = 10**9
 GREY, BLUE = {"r": 0.7, "g": 0.7, "b": 0.7, "a": 1.0}, {"r": 0.0, "g": 0.45, "b": 0.7, "a": 1.0}
 ARROW_M = 4e-4  # diameter of an arrow's shaft
@@ -42,14 +43,12 @@ def write_mcap(contents: Contents, path: Path) -> Path:
         The file.
 
     Raises:
-        DeviceError: mcap is missing.
+        MissingExtraError: mcap is missing.
     """
-    try:
-        from mcap.writer import Writer
-    except ImportError as error:
-        raise DeviceError(NO_MCAP) from error
+    require_extra("mcap", NEEDS_MCAP)
+    from mcap.writer import Writer
 
-    with path.open("wb") as file:
+    with replacing(path) as temporary, temporary.open("wb") as file:
         writer = Writer(file)
         writer.start(library="i2t")
         messages = _Messages(writer, contents)

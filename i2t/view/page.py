@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from i2t.dataset import Record
+from i2t.files import replacing
 from i2t.types import ReturnCode
 from i2t.view.contents import Contents
 from i2t.viz.patches import plot_patches
@@ -56,7 +57,8 @@ def write_page(contents: Contents, path: Path) -> Path:
         _table(_rows(contents)),
     ]
     page = f"<!doctype html><meta charset=utf-8><title>{html.escape(contents.path.name)}</title><style>{STYLE}</style>"
-    path.write_text(page + "\n".join(body), "utf-8")
+    with replacing(path) as temporary:
+        temporary.write_text(page + "\n".join(body), "utf-8")
     return path
 
 

@@ -21,11 +21,11 @@ import numpy as np
 from i2t.dataset import Record, Series
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError
+from i2t.extras import why_missing
 from i2t.types import PAD_WINDOW
 from i2t.view.contents import Contents, camera_of
 
 APPLICATION = "i2t"
-NO_RERUN = "a Rerun recording needs rerun-sdk: pip install 'imagine2touch[view]', or pass --html alone"
 VECTOR_M_PER_UT = 1e-4  # length of a field vector: 50 uT are 5 mm
 VECTOR_RATE_HZ = 30.0  # at which field vectors are drawn; series have every sample
 SKIN_THICKNESS_M = 2e-3
@@ -39,11 +39,8 @@ def why_no_recording() -> str:
     Returns:
         One sentence with the remedy; empty where it can.
     """
-    try:
-        import rerun  # noqa: F401
-    except ImportError:
-        return NO_RERUN
-    return ""
+    why = why_missing("rerun", "a Rerun recording")
+    return why and f"{why}, or pass --html alone"
 
 
 def write_recording(contents: Contents, path: Path) -> Path:

@@ -9,6 +9,8 @@ from pathlib import Path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from i2t.files import replacing
+
 BLUE, ORANGE, GREEN, RED, PINK, SKY, GREY = (
     "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#666666",
 )  # fmt: skip
@@ -28,7 +30,7 @@ class Picture(Figure):
 
 
 def save_figure(figure: Figure, path: Path | str) -> Path:
-    """Write a figure as PNG.
+    """Write a figure in the format of the file's ending, whole or not at all.
 
     Args:
         figure: What to write.
@@ -36,10 +38,13 @@ def save_figure(figure: Figure, path: Path | str) -> Path:
 
     Returns:
         The file.
+
+    Raises:
+        DataError: It cannot be written; FullDiskError if the disk is full, or failed.
     """
     FigureCanvasAgg(figure)
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150, bbox_inches="tight")
+    with replacing(Path(path)) as temporary:
+        figure.savefig(temporary, dpi=150, bbox_inches="tight")
     return Path(path)
 
 

@@ -11,7 +11,7 @@ from helpers.random_touches import assert_equal, make
 from i2t.convert.commands import main
 from i2t.convert.lerobot import read_lerobot, write_lerobot
 from i2t.dataset import load_dataset, save_dataset
-from i2t.errors import DataError
+from i2t.errors import DataError, MissingExtraError
 
 pq = pytest.importorskip("pyarrow.parquet")
 
@@ -94,7 +94,7 @@ def test_sets_of_others_and_damage_are_refused_in_a_sentence(tmp_path):
 
 def test_without_pyarrow_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(DataError, match=r"imagine2touch\[lerobot\]"):
+    with pytest.raises(MissingExtraError, match=r"imagine2touch\[lerobot\]"):
         write_lerobot(tmp_path / "out", make(2, pixels=6))
     assert not list(tmp_path.iterdir())
 

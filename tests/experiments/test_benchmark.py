@@ -20,8 +20,9 @@ from experiments.benchmark.run import Benchmark
 from experiments.benchmark.scaling import Scaling
 from experiments.benchmark.skin import SkinBenchmark
 from experiments.benchmark.startup import Startup
-from experiments.benchmark.timing import BenchmarkRow, MissingPeerError
+from experiments.benchmark.timing import BenchmarkRow
 from experiments.benchmark.training import Training
+from i2t.errors import MissingExtraError
 from i2t.prediction import training
 from i2t.prediction.model import ModelConfig
 from i2t.prediction.training import TrainConfig
@@ -100,11 +101,11 @@ def test_unequal_work_is_not_compared() -> None:
     assert abs(again.epochs()[0] / before[0] - 1) > 1e-2  # ten times what the section lets pass
 
 
-@pytest.mark.full
-def test_a_missing_peer_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_peer_is_named_with_its_remedy_before_any_section_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(MissingPeerError, match=r"PyTorch, .* run pip install 'imagine2touch\[bench\]'"):
-        benchmark.run(Benchmark(sections=("training",), training=TINY))
+    monkeypatch.setitem(benchmark.SECTIONS, "policy", lambda cfg: pytest.fail("it ran"))
+    with pytest.raises(MissingExtraError, match=r"section training needs torch, .* 'imagine2touch\[bench\]'"):
+        benchmark.run(Benchmark(sections=("policy", "training"), training=TINY))
 
 
 def test_unknown_sections_are_refused() -> None:

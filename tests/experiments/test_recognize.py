@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -11,6 +12,7 @@ from experiments.common.runs import load_part, save_part
 from experiments.recognize import __main__ as recognize
 from experiments.recognize import live, paper, report
 from experiments.recognize import run as simulated
+from experiments.recognize.arguments import SimulateArgs
 from experiments.recognize.config import PRESETS
 from i2t import dataset
 from i2t.errors import DataError
@@ -222,6 +224,8 @@ def test_an_arm_touches_where_the_belief_wants_it_to(prior_unknown, trained_run,
         np.testing.assert_allclose(belief.sum(1), 1, atol=1e-5)
     assert len(belief) == touches or belief[-1].max() >= 0.95  # it ends when it is sure
     assert len(set(result["sites"])) == len(result["sites"])
+    assert len(result["met_air"]) == len(result["would_be_met"]) == len(belief)
+    assert "; poses in which it would be met: " in capsys.readouterr().out  # what a touch told, air included
     kept = dataset.load_dataset(out / "touches")
     assert len(kept) == len(belief)
     assert kept.objects == ("unknown",)
@@ -296,7 +300,7 @@ def test_both_commands_read_their_own_flags(monkeypatch, tmp_path):
     assert recognize.main(["live", "--max-touches", "7", "--max-error-probability", "0.2", *run, *out]) == 0
     assert [type(args).__name__ for args in seen] == ["SimulateArgs", "SimulateArgs", "LiveArgs"]
     assert seen[0].episodes == 4
-    assert (seen[2].max_touches, seen[2].max_error_probability) == (7, 0.2)
+    assert (seen[2].max_touches, seen[2].min_touches, seen[2].max_error_probability) == (7, 3, 0.2)
 
 
 def test_the_papers_distances_prefer_what_was_touched():
@@ -320,3 +324,14 @@ def test_what_was_made_of_a_pad_is_kept(tmp_path):
     assert str(back["0"]["objects"]) == "tools"
     assert float(back["0"]["rough"]) == 0.3
     np.testing.assert_array_equal(back["0"]["network, votes"], part["0"]["network, votes"])
+
+
+def test_objects_of_ones_own_share_sites_by_which_each_touch_is_imagined_once():
+    args = SimulateArgs(objects=(Path("star"), Path("cylinder")))
+    cfg = simulated.configure(args)
+    ((_, sets),) = simulated.object_groups(args, cfg)
+    assert sets["your objects"] == (["star", "cylinder"], 40, False, cfg.pool_episodes)
+    ((_, sets),) = simulated.object_groups(args, simulated.configure(replace(args, episodes=7)))
+    assert sets["your objects"].episodes == 7
+    groups = simulated.object_groups(SimulateArgs(), cfg)  # those of the paper keep sites of their own
+    assert {each.share for _, sets in groups for each in sets.values()} == {1}

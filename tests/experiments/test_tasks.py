@@ -110,14 +110,14 @@ def test_workers_share_the_cores(tmp_path):
         ("--workers 2", "--workers has no effect without --executor local or ray; pass both"),
         ("--executor local --workers 0", "--workers is 0; give at least 1"),
         ("--executor local --address lab1:6379", "--address has no effect without --executor ray; pass both"),
-        ("--executor ray", "--executor ray needs Ray: pip install"),
+        ("--executor ray", "--executor ray needs Ray, which is missing: pip install"),
     ],
 )
 @pytest.mark.parametrize("command", [train, studies, recognize, shapes, pads])
 def test_options_that_do_not_go_together_are_refused_before_anything_is_made(
     command, words, said, tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr(tasks_module.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "ray", None)
     monkeypatch.setattr(checks, "finished_runs", lambda folder: [folder])
     study = ["sites"] if command is studies else []
     assert command.main([*study, "--out", str(tmp_path / "out"), *words.split()]) == 2

@@ -166,15 +166,20 @@ def test_each_kind_of_evidence_counts_by_itself_and_fused_is_all():
     assert on("fused") == [True, True, True]
 
 
-def test_believing_a_few_episodes_at_a_time_changes_nothing(monkeypatch):
-    """Each touch is judged by what was predicted at its own site, whichever episodes are taken together."""
+@pytest.mark.parametrize("share", [1, 2])
+def test_believing_a_few_episodes_at_a_time_changes_nothing(monkeypatch, share):
+    """Each touch is judged by what was predicted at its own site, whichever episodes are taken together; a site that
+    episodes share is imagined once.
+    """
     rng = np.random.default_rng(0)
     heights, chosen = rng.random(30).astype(np.float32), rng.permutation(30)[:21].reshape(7, 3)
+    chosen = chosen[np.arange(7) // share]
     T = np.tile(np.eye(4, dtype=np.float32), (30, 1, 1))
     T[:, 2, 3] = heights
     batches: list[int] = []
 
-    def predict(surfaces, twist, T_w_site, reading_models, *, overtravel, bar):
+    def predict(surfaces, twist, T_w_site, reading_models, *, overtravel, boxes, bar):
+        assert boxes is None
         batches.append(len(T_w_site))
         return [np.asarray(T_w_site)[:, 2, 3] for _ in reading_models]
 
@@ -182,6 +187,7 @@ def test_believing_a_few_episodes_at_a_time_changes_nothing(monkeypatch):
         return {kind: np.repeat(table[some.site][..., None], 2, -1) + some.truth[:, None, None] for kind in kinds}
 
     monkeypatch.setattr(episodes_module, "predict_outcomes", predict)
+    monkeypatch.setattr(episodes_module, "is_large", lambda surfaces: False)
     monkeypatch.setattr(episodes_module, "run_belief", judge)
     monkeypatch.setattr(episodes_module, "BELIEVED_TOUCHES", 6)  # two episodes
     observations = belief.TouchObservation(*(np.zeros((7, 3)) for _ in range(4)))
@@ -195,4 +201,4 @@ def test_believing_a_few_episodes_at_a_time_changes_nothing(monkeypatch):
     expected = np.repeat(heights[chosen][..., None], 2, -1) + np.arange(7)[:, None, None]
     for p in found.values():
         np.testing.assert_allclose(p, expected, rtol=1e-6)
-    assert batches == [6] * 4  # the last one is filled up
+    assert batches == [6 // share] * 4  # the last one is filled up

@@ -144,6 +144,28 @@ def test_no_touch_is_chosen_where_none_is_safe(leaning):
     assert cautious.stop_reason(leaning.init()) is None  # it wants one
 
 
+def test_it_stops_when_sure_but_not_before_the_least_number_of_touches(leaning):
+    three = copy(leaning)
+    three.config = replace(leaning.config, max_touches=5, min_touches=3)
+    state = three.init()._replace(probability=np.array([1.0, 0.0]))
+    reasons = [three.stop_reason(state._replace(touches=touches)) for touches in range(4)]
+    assert reasons == [None, None, None, "an object is 95% probable"]
+    three.config = replace(three.config, max_touches=2)  # fewer than the least: those are enough
+    assert three.stop_reason(state._replace(touches=2)) == "an object is 95% probable"
+
+
+def test_what_a_touch_in_air_tells_is_where_objects_would_have_been_met(leaning):
+    some = copy(leaning)
+    hit = np.zeros(leaning.table.hit.shape, bool)
+    hit[0, 0, :], hit[0, 1, :1] = True, True  # in every pose of one object, and in one pose of the other
+    some.table = leaning.table._replace(hit=jnp.asarray(hit))
+    state = some.init()
+    found = some.contact_probability(state, 0)
+    weight = np.exp(np.asarray(state.belief.log_weight[1]))
+    np.testing.assert_allclose(found, [1.0, weight[0] / weight.sum()], rtol=1e-5)
+    np.testing.assert_array_equal(some.contact_probability(state, 1), 0)
+
+
 def test_sites_that_could_not_be_touched_count_as_no_touches(leaning):
     two = copy(leaning)
     two.config = replace(leaning.config, max_touches=2, max_excluded=3)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from i2t.errors import MissingExtraError
 from i2t.objects.solids import Mesh
 from i2t.reconstruction.signed_distances import (
     extract_mesh,
@@ -85,9 +86,11 @@ def test_where_nothing_is_inside_there_is_no_mesh():
 
 
 def test_without_scikit_image_one_sentence_says_how_to_get_it(monkeypatch):
-    monkeypatch.setitem(sys.modules, "skimage.measure", None)
+    monkeypatch.setitem(sys.modules, "skimage", None)
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'imagine2touch\[reconstruct\]'"):
         extract_mesh(GRID, np.ones(len(GRID.points()), np.float32))
+    with pytest.raises(MissingExtraError):  # before the first touch, and not after the last
+        surface_model([])
 
 
 def test_bodies_that_overlap_become_one():

@@ -153,7 +153,7 @@ def test_without_rerun_one_sentence_says_what_to_install(session, tmp_path, caps
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert "pip install 'imagine2touch[view]'" in rerun_file.why_no_recording()
     assert command.main([str(session), "--out", str(tmp_path / "out")]) == 0
-    assert capsys.readouterr().err.strip() == rerun_file.NO_RERUN
+    assert capsys.readouterr().err.strip() == rerun_file.why_no_recording()
     assert (tmp_path / "out" / "session.html").exists()
 
 

@@ -1,0 +1,66 @@
+"""The files that the pages' snippets read, made by i2t itself: a mug, and a table of simulated presses.
+
+python examples/data/make_data.py
+"""
+
+import csv
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import trimesh
+from manifold3d import Manifold
+
+import i2t
+from i2t.objects.solids import chain, disk, mesh_from_solid, prism
+from i2t.skin.elasticity import GRID
+from i2t.skin.pad import numbered_pad
+
+HERE = Path(__file__).parent
+RADIUS_MM, WALL_MM, HEIGHT_MM = 40.0, 4.0, 90.0  # of the mug
+TIP_RADIUS_MM, PRESSES, NOISE_UT = 4.0, 100, 1.0
+
+
+def mug() -> i2t.Mesh:
+    """A mug that stands on z = 0."""
+    handle = chain([(36, 0, 70), (58, 0, 72), (66, 0, 60), (66, 0, 36), (58, 0, 24), (36, 0, 20)], [4.5] * 6)
+    inside = prism(disk(RADIUS_MM - WALL_MM), HEIGHT_MM, WALL_MM)
+    solid: Manifold = prism(disk(RADIUS_MM), HEIGHT_MM) + handle - inside
+    return mesh_from_solid(solid.simplify(0.5))
+
+
+def presses() -> list[list[str]]:
+    """Rows of a table of presses of a ball on simulated pad 0, the names of the columns first."""
+    random, pad = np.random.default_rng(0), numbered_pad(0)
+    x, y = random.uniform(-6, 6, (2, PRESSES)).round(2)
+    depth = random.uniform(0.1, 0.6, PRESSES).round(2)
+
+    def press(at: jax.Array) -> tuple[jax.Array, jax.Array]:
+        squared = (GRID.centres[None, :] - at[0]) ** 2 + (GRID.centres[:, None] - at[1]) ** 2
+        pressed = i2t.press(pad, squared / (2e-3 * TIP_RADIUS_MM), at[2])
+        return pressed.reading, pressed.force
+
+    readings, forces = map(np.asarray, jax.lax.map(press, jnp.asarray(1e-3 * np.column_stack([x, y, depth]))))
+    readings = readings + random.normal(0, NOISE_UT, readings.shape)
+    names = ["x_mm", "y_mm", "depth_mm", "force_N", *(f"b{chip}{axis}_uT" for chip in range(5) for axis in "xyz")]
+    numbers = zip(x, y, depth, forces, readings, strict=True)
+    return [
+        [*names, "pad", "source"],
+        *([f"{a:.2f}", f"{b:.2f}", f"{d:.2f}", f"{f:.3f}", *(f"{v:.1f}" for v in r), "pad 0", "simulated"]
+          for a, b, d, f, r in numbers),
+    ]  # fmt: skip
+
+
+def main(folder: Path = HERE) -> None:
+    """Write mug.stl, in millimetres, and presses.csv."""
+    folder.mkdir(parents=True, exist_ok=True)
+    mesh = mug()
+    trimesh.Trimesh(1e3 * mesh.vertices, mesh.faces, process=False).export(folder / "mug.stl")
+    with (folder / "presses.csv").open("w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(presses())
+    print(f"wrote mug.stl ({len(mesh.faces)} faces) and presses.csv ({PRESSES} simulated presses) into {folder}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,76 @@
+"""What needs an extra, or a folder that may be written, says so before it works."""
+
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from experiments.common.tasks import TaskOptions
+from experiments.reconstruct.arguments import ReconstructArgs
+from experiments.studies.arguments import StudyArgs
+from experiments.tsne.arguments import TsneArgs
+from i2t import imagine
+from i2t.cli import require_writable
+from i2t.convert.commands import main as convert
+from i2t.errors import MissingExtraError
+from i2t.extras import EXTRAS, require_extra, why_missing
+from i2t.view import command as view
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_every_extra_is_one_of_the_distribution_and_brings_its_package():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    for package, extra in EXTRAS.values():
+        words = " ".join(extras[extra]).lower()
+        assert package.lower() in words or (package, extra) == ("Jupyter", "notebooks"), f"{extra} lacks {package}"
+
+
+def test_what_is_missing_is_one_sentence_with_the_remedy(monkeypatch):
+    assert why_missing("sys", "nothing") == ""
+    monkeypatch.setitem(sys.modules, "skimage", None)
+    with pytest.raises(MissingExtraError) as found:
+        require_extra("skimage", "a surface")
+    expected = "a surface needs scikit-image, which is missing: pip install 'imagine2touch[reconstruct]'"
+    assert str(found.value) == expected
+
+
+@pytest.mark.parametrize(
+    ("module", "check"),
+    [
+        ("skimage", lambda run: ReconstructArgs().check()),
+        ("sklearn", lambda run: TsneArgs().check()),
+        ("ray", lambda run: TaskOptions(executor="ray").check()),
+        ("skfem", lambda run: StudyArgs("mismatch", trained_run=run).check()),
+    ],
+)
+def test_an_experiment_looks_for_its_extra_before_it_works(module, check, tmp_path, monkeypatch):
+    (tmp_path / "metrics.json").write_text("{}")  # of a finished run
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtraError, match="pip install 'imagine2touch"):
+        check(tmp_path)
+
+
+def test_a_command_looks_for_its_extra_before_it_works(tmp_path, monkeypatch, capsys):
+    for module in ("mcap", "pyarrow"):
+        monkeypatch.setitem(sys.modules, module, None)
+    (tmp_path / "touches").mkdir()
+    assert view.main([str(tmp_path / "touches"), "--out", str(tmp_path / "page"), "--mcap"]) == 2
+    assert "--mcap needs mcap, which is missing: pip install" in capsys.readouterr().err
+    assert convert(["lerobot", str(tmp_path / "touches"), str(tmp_path / "lerobot")]) == 2
+    assert "needs pyarrow, which is missing: pip install" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["touches"]
+
+
+def test_where_results_go_is_looked_at_before_any_work(tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match="is a file; name a folder"):
+        require_writable("--out", tmp_path / "file" / "below" / "it.png")
+    require_writable("--out", tmp_path / "new" / "it.png")
+    monkeypatch.setattr("os.access", lambda path, mode: False)  # whoever tests may be allowed everything
+    with pytest.raises(ValueError, match="may not be written; name a place"):
+        require_writable("--out", tmp_path / "new" / "it.png")
+    monkeypatch.setattr(imagine, "_object", lambda asked: pytest.fail("it worked already"))
+    assert imagine.main(["--out", str(tmp_path / "new" / "it.png")]) == 2
+    assert f"--out {tmp_path / 'new' / 'it.png'}: {tmp_path} may not be written" in capsys.readouterr().err
