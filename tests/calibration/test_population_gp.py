@@ -167,9 +167,10 @@ def test_a_mixture_of_one_predicts_as_dense_algebra_does(monkeypatch):
     (x, d), (z, e) = drawn(7, 12), drawn(8, 5)
     linear, other = rng.normal(size=(12, CHANNELS, 1)), rng.normal(size=(5, CHANNELS, 1))
     monkeypatch.setattr(mixture, "LINEAR_SHARE", 1 - 1e-15)
+    monkeypatch.setattr(mixture, "BOARD_SHARE", 1 - 1e-15)
     readings = rng.normal(scale=20, size=(12, CHANNELS))
     gp = fit_population(
-        table(x, d, linear=linear), readings, load_kinds=("depth",), chip_positions=CHIPS, prior=one_kernel(),
+        table(x, d, linear=linear), readings, load_kinds=("depth",), chip_positions=CHIPS[None], prior=one_kernel(),
         options=FitOptions(robust=False, heights=False),
     )  # fmt: skip
     mean, std = predict_population(gp, table(z, e, linear=other))
@@ -214,7 +215,7 @@ def test_a_press_gone_wrong_does_little_harm():
     found = {}
     for robust in (True, False):
         gp = fit_population(
-            table(x, d), readings, load_kinds=("depth",), chip_positions=CHIPS, options=FitOptions(robust=robust)
+            table(x, d), readings, load_kinds=("depth",), chip_positions=CHIPS[None], options=FitOptions(robust=robust)
         )
         found[robust] = r2(read(z, e)[:, 3:6], predict_population(gp, table(z, e))[0][:, 3:6])
         if robust:
@@ -283,7 +284,7 @@ def test_few_presses_give_finite_predictions(n):
     read = skin(27)
     (x, d), (z, e) = drawn(28, n), drawn(29, 10)
     for loads in (d, np.zeros(n), np.full(n, 1e-3)):
-        gp = fit_population(table(x, loads), read(x, d), load_kinds=("depth",), chip_positions=CHIPS)
+        gp = fit_population(table(x, loads), read(x, d), load_kinds=("depth",), chip_positions=CHIPS[None])
         mean, std = predict_population(gp, table(z, e))
         assert np.isfinite(mean).all()
         assert (std > 0).all()
