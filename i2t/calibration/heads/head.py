@@ -27,6 +27,7 @@ in Large Margin Classifiers, 1999). A reading that lies farther from all known o
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -274,26 +275,13 @@ def fit_head(
     # Settings that are best in each way of holding out; of a probability, which is of one scale, in all together.
     ways = [slice(None)] if yes_no else [slice(way, way + 1) for way in range(len(folds))]
     sets = [trials.best(tried, tried_histories, way) for way in ways]
-    candidates = [_one(name, found[name]) for found in sets for name in found]
-    candidates += [_weighted(found, values, folds, slice(None), yes_no=yes_no) for found in sets]
     readings = trials.readings(0)
     distance = _fold_distances(readings, folds)
     gate = np.median(distance, axis=1)[::-1]  # of single presses first
-    if len(sets) > 1 and gate[1] > gate[0]:
-        far, near = (
-            min(
-                (*(_one(name, found[name]) for name in found), _weighted(found, values, folds, ways[way], yes_no=yes_no)),
-                key=lambda one, way=way: root_mean_square(one.trial.predicted[way] - values),
-            )
-            for way, found in enumerate(sets)
-        )
-        both = _gated(gate, distance, near.trial.predicted, far.trial.predicted)
-        candidates.append(_Candidate(_judged((), 0, both, values, yes_no=yes_no), far.methods, far.weights, near))
-    best = min(candidates, key=lambda one: one.trial.error)
+    best = _choose(sets, ways, trials, gate, distance)
     used = [best, *([best.near] if best.near else [])]
     history = max(one.methods[name].history for one in used for name in one.weights)
-    stack, *near_stack = (_fit_stack(one.methods, one.weights, trials.readings(history), values, budget=budget,
-        history=history) for one in used)  # fmt: skip
+    stack, *near_stack = (_fit_stack(one, trials.readings(history), values, budget, history) for one in used)
     record = HeadRecord(
         stack,
         _fit_spread(readings, best.trial.predicted - values, groups, distance, best.trial.platt),
@@ -554,6 +542,31 @@ def _weighted(
     return _Candidate(_judged((), 0, summed, values, yes_no=yes_no), found, weights)
 
 
+def _choose(
+    sets: list[dict[str, _Trial]], ways: list[slice], trials: _Trials, gate: np.ndarray, distance: np.ndarray
+) -> _Candidate:
+    """What has the least error of single methods, weighted sums, and one of these for each of two ways."""
+    values, folds, yes_no = trials.values, trials.folds, trials.yes_no
+    singles = [[_one(name, found[name]) for name in found] for found in sets]
+    candidates = [
+        *(one for found in singles for one in found),
+        *(_weighted(found, values, folds, slice(None), yes_no=yes_no) for found in sets),
+    ]
+    if len(sets) > 1 and gate[1] > gate[0]:
+        best = []
+        for way, found, alone in zip(ways, sets, singles, strict=True):
+            summed = _weighted(found, values, folds, way, yes_no=yes_no)
+            best.append(min([*alone, summed], key=partial(_error_in, way, values)))
+        far, near = best
+        both = _gated(gate, distance, near.trial.predicted, far.trial.predicted)
+        candidates.append(_Candidate(_judged((), 0, both, values, yes_no=yes_no), far.methods, far.weights, near))
+    return min(candidates, key=lambda one: one.trial.error)
+
+
+def _error_in(way: slice, values: np.ndarray, one: _Candidate) -> float:
+    return root_mean_square(one.trial.predicted[way] - values)
+
+
 def _gated(gate: np.ndarray, distance: np.ndarray, near: np.ndarray, far: np.ndarray) -> np.ndarray:
     """What is said near known readings, going over into what is said far from them."""
     share = np.clip((distance - gate[0]) / max(gate[1] - gate[0], 1e-12), 0, 1)[..., None]
@@ -569,17 +582,12 @@ def _stack_weights(predicted: np.ndarray, values: np.ndarray) -> tuple[np.ndarra
 
 
 def _fit_stack(
-    found: dict[str, _Trial],
-    weights: dict[str, float],
-    readings: np.ndarray,
-    values: np.ndarray,
-    *,
-    budget: HeadBudget,
-    history: int,
+    kept: _Candidate, readings: np.ndarray, values: np.ndarray, budget: HeadBudget, history: int
 ) -> StackRecord:
     """Fit each method that has a weight to all rows; `readings` hold so many rows of history."""
     fields = dict(zip(HEAD_METHODS, StackRecord._fields[-len(HEAD_METHODS) :], strict=True))
-    found, parts = {name: found[name] for name in weights}, {}
+    weights, parts = kept.weights, {}
+    found = {name: kept.methods[name] for name in weights}
     for name, trial in found.items():
         looked = readings[:, : readings.shape[1] * (1 + trial.history) // (1 + history)]
         parts[fields[name]] = fit_regression(name, trial.settings, looked, values, budget=budget)
