@@ -64,7 +64,7 @@ def test_where_nothing_can_be_told_the_mean_is_kept(recording):
     np.testing.assert_allclose(np.median(predicted.std), truth.std(), rtol=0.35)
 
 
-def presses_at_sites(side: int = 10, touches: int = 4) -> tuple[SkinRecording, np.ndarray]:
+def presses_at_sites(side: int = 12, touches: int = 4) -> tuple[SkinRecording, np.ndarray]:
     """Each site of a grid is touched several times to one depth and reads an offset of its own, which repeats; and the
     number of each press's site.
     """
@@ -84,7 +84,7 @@ def presses_at_sites(side: int = 10, touches: int = 4) -> tuple[SkinRecording, n
 def test_a_head_loses_to_no_neighbours_where_sites_repeat_and_where_they_do_not(sites_repeat, tmp_path):
     made, site = presses_at_sites()
     rng = np.random.default_rng(1)
-    held = np.isin(site, rng.permutation(100)[:20])
+    held = np.isin(site, rng.permutation(144)[:28])
     if sites_repeat:
         held = rng.permutation(held)
     known, asked, truth = made.rows(~held), made.readings[held], made.targets["position"][held]

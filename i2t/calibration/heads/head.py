@@ -27,7 +27,7 @@ in Large Margin Classifiers, 1999). A reading that lies farther from all known o
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -71,6 +71,8 @@ ALIKE_SHARE = 0.05  # of the rows, whose errors say how far off the head is for 
 ALIKE_ROWS = 30  # at least
 UNFAMILIAR_QUANTILE = 0.999  # of distances between known readings
 UNFAMILIAR_FACTOR = 2.0
+# Shares of single presses, and of blocks, whose distances from known readings end what is near and begin what is far.
+GATES = ((0.5, 0.5), (0.9, 0.5), (0.9, 0.1))
 FEATURES_OF_SPREAD = 0  # index into FEATURE_KINDS
 STREAM_GAP_S = 0.5  # rows farther apart are no stream
 STREAM_HISTORY = 3  # rows: what a skin remembers, and how it moves
@@ -277,8 +279,7 @@ def fit_head(
     sets = [trials.best(tried, tried_histories, way) for way in ways]
     readings = trials.readings(0)
     distance = _fold_distances(readings, folds)
-    gate = np.median(distance, axis=1)[::-1]  # of single presses first
-    best = _choose(sets, ways, trials, gate, distance)
+    best = _choose(sets, ways, trials, distance)
     used = [best, *([best.near] if best.near else [])]
     history = max(one.methods[name].history for one in used for name in one.weights)
     stack, *near_stack = (_fit_stack(one, trials.readings(history), values, budget, history) for one in used)
@@ -289,7 +290,7 @@ def fit_head(
         channels,
         np.array(history),
         near_stack[0] if near_stack else None,
-        gate if near_stack else None,
+        best.gate,
     )
     validation = {name: min(found[name].error for found in sets) for name in tried}
     head = Head(target, record, validation, metadata or {})
@@ -472,6 +473,7 @@ class _Candidate(NamedTuple):
     methods: dict[str, _Trial]
     weights: dict[str, float]
     near: "_Candidate | None" = None
+    gate: np.ndarray | None = None  # distances up to which it is that one, and from which it is not
 
 
 @dataclass(frozen=True)
@@ -542,9 +544,7 @@ def _weighted(
     return _Candidate(_judged((), 0, summed, values, yes_no=yes_no), found, weights)
 
 
-def _choose(
-    sets: list[dict[str, _Trial]], ways: list[slice], trials: _Trials, gate: np.ndarray, distance: np.ndarray
-) -> _Candidate:
+def _choose(sets: list[dict[str, _Trial]], ways: list[slice], trials: _Trials, distance: np.ndarray) -> _Candidate:
     """What has the least error of single methods, weighted sums, and one of these for each of two ways."""
     values, folds, yes_no = trials.values, trials.folds, trials.yes_no
     singles = [[_one(name, found[name]) for name in found] for found in sets]
@@ -552,19 +552,19 @@ def _choose(
         *(one for found in singles for one in found),
         *(_weighted(found, values, folds, slice(None), yes_no=yes_no) for found in sets),
     ]
-    if len(sets) > 1 and gate[1] > gate[0]:
-        best = []
-        for way, found, alone in zip(ways, sets, singles, strict=True):
-            summed = _weighted(found, values, folds, way, yes_no=yes_no)
-            best.append(min([*alone, summed], key=partial(_error_in, way, values)))
-        far, near = best
-        both = _gated(gate, distance, near.trial.predicted, far.trial.predicted)
-        candidates.append(_Candidate(_judged((), 0, both, values, yes_no=yes_no), far.methods, far.weights, near))
+    if len(sets) > 1:
+        of_blocks, of_presses = (
+            [*alone, _weighted(found, values, folds, way, yes_no=yes_no)]
+            for way, found, alone in zip(ways, sets, singles, strict=True)
+        )
+        far = min(of_blocks, key=lambda one: root_mean_square(one.trial.predicted[0] - values))
+        for near, shares in product(of_presses, GATES):
+            gate = np.array([np.quantile(distance[way], share) for way, share in zip((1, 0), shares, strict=True)])
+            gate = np.maximum.accumulate(gate)
+            both = _gated(gate, distance, near.trial.predicted, far.trial.predicted)
+            trial = _judged((), 0, both, values, yes_no=yes_no)
+            candidates.append(_Candidate(trial, far.methods, far.weights, near, gate))
     return min(candidates, key=lambda one: one.trial.error)
-
-
-def _error_in(way: slice, values: np.ndarray, one: _Candidate) -> float:
-    return root_mean_square(one.trial.predicted[way] - values)
 
 
 def _gated(gate: np.ndarray, distance: np.ndarray, near: np.ndarray, far: np.ndarray) -> np.ndarray:

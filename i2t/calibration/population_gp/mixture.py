@@ -49,7 +49,7 @@ CHANNEL_EXPONENT = 0.1  # of a channel's own density, on top
 TEMPERING_PRESSES = 5.0  # beyond so many, presses add ever less to what is known of the kernel
 # A skin is also asked for where it was not pressed: presses that lie together are left out together, too.
 PARTS, MIN_PART_PRESSES = 5, 10
-NEAR_PART_SHARE, FAR_PART_SHARE = 0.25, 1.0  # of the worth, by what is left out part by part
+NEAR_PART_SHARE, FAR_PART_SHARE = 0.25, 0.75  # of the worth, by what is left out part by part
 BOARD_SHARE = 0.5  # of the prior, of kernels that know where the chips are
 DENSITY_DOF = 5.0  # of the t that leave-one-out errors are judged by
 LINEAR_VARIANCES = (0.15**2, 0.15**2)  # of the share of the press before that stays; of a temperature's effect
