@@ -11,7 +11,7 @@ from jaxtyping import Float
 from i2t.calibration.checks import AXES_PER_CHIP
 from i2t.skin.boards import BOARDS
 
-MAX_CANDIDATES = 2
+MAX_CANDIDATE_BOARDS = 2
 MIN_RANKED_PRESSES = 3
 QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 SAME_M = 1e-6  # chips that differ by less are in one place
@@ -27,8 +27,8 @@ def board_candidates(
         readings: Of the presses (uT).
 
     Returns:
-        Positions of the chips (m) of at most MAX_CANDIDATES boards by name, the best first; none where no board of
-        a name has as many chips, or presses say nothing of where chips are.
+        Positions of the chips (m) of at most MAX_CANDIDATE_BOARDS boards by name, the best first; none where no board
+        of a name has as many chips, or presses say nothing of where chips are.
     """
     chips = readings.shape[1] // AXES_PER_CHIP
     if readings.shape[1] % AXES_PER_CHIP or len(positions) < MIN_RANKED_PRESSES or not np.ptp(positions, axis=0).all():
@@ -36,7 +36,7 @@ def board_candidates(
     found = _named_boards(chips)
     fit = {name: _fit(positions, readings, at) for name, at in found.items()}
     best = sorted((name for name in found if fit[name] > 0), key=lambda name: -fit[name])
-    return {name: found[name] for name in best[:MAX_CANDIDATES]}
+    return {name: found[name] for name in best[:MAX_CANDIDATE_BOARDS]}
 
 
 def _named_boards(chips: int) -> dict[str, np.ndarray]:

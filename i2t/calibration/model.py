@@ -281,7 +281,7 @@ def calibrate(
         table = table._replace(previous_mean=previous_session.predict_mean(positions, loads))
     chips = np.stack(list(boards.values())) if boards else None
     gp = population_gp.fit_population(table, readings, load_kinds=LOAD_COLUMNS[load_kind], chip_positions=chips)
-    return Calibration(gp, population_gp.interval_scaling(gp), load_kind, about, previous_session, tuple(boards))
+    return Calibration(gp, population_gp.interval_scaling(gp), load_kind, about, previous_session, boards=tuple(boards))
 
 
 def load_calibration(path: Path | str) -> Calibration:
@@ -358,7 +358,7 @@ def _population_calibration(path: Path | str, record: PopulationRecord, about: d
         of_previous = population_gp.of_any_version(record.previous)
         names = _board_names(of_previous, about.get("previous_boards"))
         previous = Calibration(of_previous, np.ones(1), load_kind, boards=names)
-    return Calibration(gp, record.interval_scaling, load_kind, about["about"], previous, boards)
+    return Calibration(gp, record.interval_scaling, load_kind, about["about"], previous, boards=boards)
 
 
 def _board_names(gp: PopulationGP, written: list[str] | None) -> tuple[str, ...]:

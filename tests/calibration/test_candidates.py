@@ -5,7 +5,7 @@ import pytest
 
 from i2t import serialization
 from i2t.calibration import Calibration, calibrate, load_calibration
-from i2t.calibration.candidates import MAX_CANDIDATES, board_candidates
+from i2t.calibration.candidates import MAX_CANDIDATE_BOARDS, board_candidates
 from i2t.calibration.model import POPULATION_FILE_KIND, PopulationRecord
 from i2t.skin.boards import anyskin_board, grid_board, reskin_board
 
@@ -43,7 +43,7 @@ def test_the_board_is_found_by_where_each_chip_reads(chips, name):
     position, _, readings = pressed(chips, 30)
     found = board_candidates(position, readings)
     assert next(iter(found)) == name
-    assert len(found) <= MAX_CANDIDATES
+    assert len(found) <= MAX_CANDIDATE_BOARDS
     np.testing.assert_allclose(found[name], chips, atol=1e-9)
 
 

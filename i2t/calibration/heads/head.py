@@ -284,13 +284,13 @@ def fit_head(
     history = max(one.methods[name].history for one in used for name in one.weights)
     stack, *near_stack = (_fit_stack(one, trials.readings(history), values, budget, history) for one in used)
     record = HeadRecord(
-        stack,
-        _fit_spread(readings, best.trial.predicted - values, groups, distance, best.trial.platt),
-        np.array(recording.readings.shape[1]),
-        channels,
-        np.array(history),
-        near_stack[0] if near_stack else None,
-        best.gate,
+        stack=stack,
+        spread=_fit_spread(readings, best.trial.predicted - values, groups, distance, best.trial.platt),
+        values=np.array(recording.readings.shape[1]),
+        channels=channels,
+        history=np.array(history),
+        near_stack=near_stack[0] if near_stack else None,
+        gate=best.gate,
     )
     validation = {name: min(found[name].error for found in sets) for name in tried}
     head = Head(target, record, validation, metadata or {})

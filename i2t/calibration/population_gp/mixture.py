@@ -325,7 +325,10 @@ def _on_boards(kernels: SkinKernels, log_share: np.ndarray, column: int, boards:
         if board == NO_BOARD:
             of = of._replace(far_amplitude=np.full(len(some), UNIFORM_FAR_AMPLITUDE))
         no, every = np.zeros(len(some), bool), np.ones(len(some), int)
-        return Components(of, column * every, no, no, some - logsumexp(some) + np.log(share), board * every)
+        return Components(
+            kernels=of, load_column=column * every, uses_linear=no, uses_previous=no,
+            log_share=some - logsumexp(some) + np.log(share), board=board * every,
+        )  # fmt: skip
 
     falls = kernels.far_amplitude < UNIFORM_FAR_AMPLITUDE
     boards = boards if falls.any() else 0
