@@ -137,6 +137,7 @@ COMMANDS = [
     ("experiments.shifted --dataset nowhere --draws 0", "--draws is 0"),
     ("experiments.calibrate_pads --prior --kinds", "pass one of them"),
     ("experiments.calibrate_pads --prior --seed 3", "--seed has no effect"),
+    ("experiments.train --softness 0", "--softness is 0"),
     ("experiments.second_world --touches -1", "--touches is -1"),
     ("experiments.pads --skins 1", "--skins is 1"),
     ("experiments.refine --noise -1", "--noise is -1"),

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Array
 
 from i2t.calibration import LoadKind, Presses
-from i2t.calibration.population_gp import PressTable
 from i2t.dataset import Dataset, square_blocks
 from i2t.geometry import inverse
-from i2t.types import ReturnCode
+from i2t.skin.boards import name_of_board
+from i2t.types import Board, ReturnCode
 
 RANDOM, INSIDE, SECOND_HALF = "random presses", "those of them outside the blocks", "second half in time"
 MM_PER_M = 1e3
@@ -30,6 +30,7 @@ class PressRecording:
     by_force: bool
     chip_positions: np.ndarray | None = None  # (chips, 2) m; given where amplitudes fall with the distance
     notes: tuple[str, ...] = ()  # what is odd about the loads, a sentence each
+    own_board: Board | None = None  # where it is none of a name, which `i2t.calibrate` tries by itself
 
     @property
     def load_kind(self) -> LoadKind:
@@ -44,11 +45,6 @@ class PressRecording:
     def presses(self, rows: np.ndarray) -> Presses:
         """Some of them, for the Gaussian process."""
         return Presses(jnp.float32(self.position[rows]), jnp.float32(self.load[rows]))
-
-    def press_table(self, rows: np.ndarray) -> PressTable:
-        """Some of them, for the Gaussian process of a population."""
-        nothing_linear = np.zeros((len(rows), self.readings.shape[1], 0))
-        return PressTable(self.position[rows], self.load[rows][:, None], nothing_linear)
 
     def features(self, rows: np.ndarray) -> np.ndarray:
         """Position and load in their standard deviations, for neighbours."""
@@ -103,7 +99,8 @@ def read_presses(dataset: Dataset, load: str) -> PressRecording:
     good &= pushing
     chips = dataset.board.chips[:, :2] if by_force else None
     readings = touches.reading[good].astype(np.float64)
-    return PressRecording(T_t_o[good, :2, 3], amount[good], readings, by_force, chips, notes=notes)
+    own = None if name_of_board(dataset.board) else dataset.board
+    return PressRecording(T_t_o[good, :2, 3], amount[good], readings, by_force, chips, notes=notes, own_board=own)
 
 
 def _pushing_loads(amount: np.ndarray, good: np.ndarray, kind: str) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:

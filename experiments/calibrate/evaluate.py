@@ -7,23 +7,16 @@ import numpy as np
 
 from experiments.calibrate.data import SECOND_HALF, PressRecording, PressSplit
 from experiments.calibrate.methods import (
-    BEST,
     HEIGHT,
     NEIGHBOURS,
     PREVIOUS_ALONE,
     PREVIOUS_MEAN,
     RESIDUAL_NOISE,
-    WEIGHTED,
-    WEIGHTED_BLOCKS,
     Predictors,
-    block_fifths,
     interval_scaling,
     neighbours,
     predict,
-    random_fifths,
     select,
-    weigh_methods,
-    weighted_mean,
 )
 from i2t.calibration.structured_gp import STDS_WITHIN_90_PERCENT, hyperparameter_grid
 from i2t.progress import progress
@@ -89,7 +82,10 @@ def _score(
     for task, count in fits:
         rows, test = task.rows[:count], np.concatenate(list(task.tests.values()))
         if task.previous_mean is None:
-            predicted, inside = _predictions(predictors, rows, test), _coverage(predictors, rows, test)
+            predicted, inside = (
+                {name: method(rows, test) for name, method in predictors.by_name().items()},
+                _coverage(predictors, rows, test),
+            )
         else:
             predicted, inside = _predictions_from_mean(predictors, rows, test, task.previous_mean), {}
         ends = np.cumsum([len(part) for part in task.tests.values()])
@@ -106,19 +102,6 @@ def _score(
 
 def _append(curves: dict, method: str, count: int, value: float | np.ndarray) -> None:
     curves.setdefault(method, {}).setdefault(count, []).append(value)
-
-
-def _predictions(predictors: Predictors, rows: np.ndarray, test: np.ndarray) -> dict[str, np.ndarray]:
-    """Readings at the test by every method; the best is chosen, and methods are weighed, on the known rows alone: on
-    parts of them that are spread over the skin, and on parts that lie together.
-    """
-    methods = predictors.by_name()
-    predicted = {name: method(rows, test) for name, method in methods.items()}
-    rules = {WEIGHTED: random_fifths, WEIGHTED_BLOCKS: block_fifths}
-    weights = {name: weigh_methods(methods, predictors.recording, rows, rule) for name, rule in rules.items()}
-    best = next(iter(weights[WEIGHTED]))
-    mixed = {name: weighted_mean(predicted, weights[name]) for name in rules}
-    return predicted | {BEST: predicted[best]} | mixed
 
 
 def _predictions_from_mean(

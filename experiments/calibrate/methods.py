@@ -1,6 +1,6 @@
 """The compared methods: each predicts readings at rows of a recording from other rows, all alike from outside."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeAlias
@@ -15,13 +15,12 @@ from i2t.calibration import (
     FORCE_HYPERPARAMETERS,
     StructuredGPHyperparameters,
     baseline_network,
+    calibrate,
     lattice,
     plain_gp,
-    population_gp,
     structured_gp,
 )
 from i2t.calibration.baseline_network import PressFeatures
-from i2t.calibration.population_gp.left_out import parts_that_lie_together
 from i2t.calibration.structured_gp import StructuredGP
 from i2t.prediction.metrics import nearest_neighbours, tuned
 
@@ -30,26 +29,17 @@ STRUCTURED, HEIGHT = "structured GP", "structured GP + height"
 SELECTED = "structured GP + height, scales by cross-validation"
 PERIOD = "structured GP + height, period given"
 SCRATCH, PRETRAINED = "network from scratch", "network pretrained on generated skins"
-RESIDUAL, BEST = "pretrained network + structured GP", "best method by cross-validation"
-MEAN, POPULATION = "mean of the presses", "Gaussian process of a population"
-WEIGHTED = "methods weighed by cross-validation"
-WEIGHTED_BLOCKS = "methods weighed by cross-validation over blocks"
+RESIDUAL = "pretrained network + structured GP"
+MEAN, CALIBRATED = "mean of the presses", "i2t.calibrate"
 PREVIOUS_MEAN, PREVIOUS_ALONE = "earlier half as the mean", "earlier half alone"
 
-MAX_WEIGHTING_PRESSES = 100  # that methods are weighed on: the best of so many is the best of more
-# What is believed of the methods that take part before any press: chosen on simulated skins and on eFlesh's `spatial`.
-SHARES = {
-    POPULATION: 0.5, PLAIN: 0.2, HEIGHT: 0.2, NEIGHBOURS: 0.1, MEAN: 0.1, PERIOD: 0.1, PRETRAINED: 0.05, RESIDUAL: 0.05,
-}  # fmt: skip
 MAX_SELECTION_PRESSES = 300  # that hyperparameters are chosen on: the cost grows with the cube
-FOLDS = 5  # of cross-validation between methods
-LEAST_ERROR_UT2, LEAST_WEIGHT = 1e-9, 1e-6
+FOLDS = 5  # of cross-validation
 LEAST_UNIT_LOAD = 1e-6  # m or N, where all loads are nil
 SCALES = {"map_length": (0.7, 1.0, 1.4), "bend_variance": (0.3, 1.0, 3.0), "noise_variance": (0.3, 1.0, 3.0)}
 RESIDUAL_NOISE = {"noise_variance": (1.0, 10.0, 100.0, 1e4)}  # what a previous session leaves is mostly noise
 PRETRAINING_PRESSES = 125  # of each generated skin
 
-FoldRule: TypeAlias = Callable[[PressRecording, np.ndarray], np.ndarray]  # part of cross-validation of each known row
 Predict: TypeAlias = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (known rows, test rows) -> (n, c) uT
 
 fit, predict = jax.jit(structured_gp.fit), jax.jit(structured_gp.predict)
@@ -78,7 +68,7 @@ class Predictors:
             MEAN: self.mean,
             NEIGHBOURS: partial(neighbours, self.recording),
             PLAIN: self.plain,
-            POPULATION: self.population,
+            CALIBRATED: self.calibrated,
             SCRATCH: self.scratch,
             STRUCTURED: partial(self.structured, height_std=0.0),
             HEIGHT: self.structured,
@@ -114,15 +104,12 @@ class Predictors:
         """The mean of the rows, wherever and however hard is pressed."""
         return np.tile(self.recording.readings[rows].mean(0), (len(test), 1))
 
-    def population(self, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
-        """What `i2t.calibrate` predicts: hyperparameters marginalised over a population of skins."""
+    def calibrated(self, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
+        """What `i2t.calibrate` predicts."""
         recording = self.recording
-        kind = ("force" if recording.by_force else "depth",)
-        known, asked = recording.press_table(rows), recording.press_table(test)
-        fitted = population_gp.fit_population(
-            known, recording.readings[rows], load_kinds=kind, chip_positions=recording.chip_positions
-        )
-        return population_gp.predict_population(fitted, asked)[0]
+        known = recording.position[rows], recording.load[rows], recording.readings[rows]
+        calibration = calibrate(*known, load_kind=recording.load_kind, board=recording.own_board)
+        return calibration.predict(recording.position[test], recording.load[test])[0]
 
     def selected(self, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
         """The structured GP, its scales by cross-validation."""
@@ -197,14 +184,6 @@ def random_fifths(recording: PressRecording, rows: np.ndarray) -> np.ndarray:
     return np.arange(len(rows)) % min(FOLDS, len(rows))
 
 
-def block_fifths(recording: PressRecording, rows: np.ndarray) -> np.ndarray:
-    """Parts of cross-validation that lie together on the skin, for users who predict where they never pressed.
-
-    There are as many presses in each part as in random fifths, so that what was compiled for these serves here too.
-    """
-    return parts_that_lie_together(recording.position[rows], FOLDS)
-
-
 def cross_predict(method: Predict, rows: np.ndarray, fold: np.ndarray) -> np.ndarray:
     """Readings (n, c) uT of rows, each part predicted from the others."""
     parts = {i: method(rows[fold != i], rows[fold == i]) for i in range(fold.max() + 1)}
@@ -212,38 +191,3 @@ def cross_predict(method: Predict, rows: np.ndarray, fold: np.ndarray) -> np.nda
     for i, part in parts.items():
         predicted[fold == i] = part
     return predicted
-
-
-def weigh_methods(
-    methods: Mapping[str, Predict], recording: PressRecording, rows: np.ndarray, fold_of: FoldRule
-) -> dict[str, float]:
-    """How much each method counts, by its squared error on parts of the rows that are left out.
-
-    A weight is the method's share before any press times error^(-n / 2), the likelihood of n presses with errors of
-    unknown size: with five presses most methods count, with fifty the best alone.
-
-    Args:
-        methods: By name; those that have a share take part.
-        recording: Of the presses.
-        rows: That are known, in random order; at most MAX_WEIGHTING_PRESSES are used.
-        fold_of: Says which are left out together.
-
-    Returns:
-        Weights that sum to 1, the best method's first.
-    """
-    rows = rows[:MAX_WEIGHTING_PRESSES]
-    fold, known = fold_of(recording, rows), recording.readings[rows]
-    log = {}
-    for name in (name for name in SHARES if name in methods):
-        error = float(((known - cross_predict(methods[name], rows, fold)) ** 2).sum())
-        if np.isfinite(error):
-            log[name] = np.log(SHARES[name]) - len(rows) / 2 * np.log(max(error, LEAST_ERROR_UT2))
-    largest = max(log.values())
-    weight = {name: float(np.exp(value - largest)) for name, value in log.items()}
-    total = sum(weight.values())
-    return {name: weight[name] / total for name in sorted(weight, key=lambda name: -weight[name])}
-
-
-def weighted_mean(predicted: Mapping[str, np.ndarray], weights: Mapping[str, float]) -> np.ndarray:
-    """The mean of the methods' predictions (n, c), each by its weight."""
-    return np.sum([weight * predicted[name] for name, weight in weights.items() if weight > LEAST_WEIGHT], axis=0)

@@ -11,13 +11,12 @@ from matplotlib.figure import Figure
 from experiments.calibrate.data import PressRecording
 from experiments.calibrate.evaluate import Curves, ErrorCurves
 from experiments.calibrate.methods import (
-    BEST,
+    CALIBRATED,
     HEIGHT,
     MEAN,
     NEIGHBOURS,
     PERIOD,
     PLAIN,
-    POPULATION,
     PRETRAINED,
     PREVIOUS_ALONE,
     PREVIOUS_MEAN,
@@ -25,8 +24,6 @@ from experiments.calibrate.methods import (
     SCRATCH,
     SELECTED,
     STRUCTURED,
-    WEIGHTED,
-    WEIGHTED_BLOCKS,
 )
 from experiments.common.intervals import with_interval
 from experiments.common.runs import write_json
@@ -42,9 +39,8 @@ STYLES: dict[str, tuple[str, str]] = {
     NEIGHBOURS: (style.GREY, "-"), PLAIN: (style.ORANGE, "-"), STRUCTURED: (style.BLUE, "-"),
     HEIGHT: (style.GREEN, "-"), SELECTED: (style.RED, ":"), PREVIOUS_MEAN: (style.BLUE, "-"),
     PREVIOUS_ALONE: (style.RED, "--"), PERIOD: (style.GREEN, ":"), SCRATCH: (style.GREY, "--"),
-    PRETRAINED: (style.ORANGE, "--"), RESIDUAL: (style.BLUE, "--"), BEST: (style.RED, "-."),
-    MEAN: (style.GREY, ":"), POPULATION: (style.ORANGE, ":"), WEIGHTED: (style.RED, "-"),
-    WEIGHTED_BLOCKS: (style.RED, "--"),
+    PRETRAINED: (style.ORANGE, "--"), RESIDUAL: (style.BLUE, "--"),
+    MEAN: (style.GREY, ":"), CALIBRATED: (style.RED, "-"),
     SESSION[PREVIOUS_MEAN]: (style.BLUE, "-"), SESSION[PREVIOUS_ALONE]: (style.RED, "--"),
     ALIGNED_ALONE: (style.ORANGE, "-"),
 }  # fmt: skip
@@ -73,8 +69,8 @@ def differences(curves: Curves, reference: str = HEIGHT) -> dict[str, Any]:
 
 
 def over_blocks(readings: np.ndarray, errors: ErrorCurves, block: np.ndarray) -> dict[str, Any]:
-    """R2 of the weighted methods, and by how much it is above each other, with 95 % intervals over whole blocks of the
-    held-out presses (cluster bootstrap of the mean over draws): what other positions on the skin would have given.
+    """R2 of `i2t.calibrate`, and by how much it is above each other method, with 95 % intervals over whole blocks of
+    the held-out presses (cluster bootstrap of the mean over draws): what other positions on the skin would have given.
     """
     names, of = np.unique(block, return_inverse=True)
     inside = (of == np.arange(len(names))[:, None]).astype(float)  # sums over each block
@@ -95,13 +91,13 @@ def over_blocks(readings: np.ndarray, errors: ErrorCurves, block: np.ndarray) ->
 
     return {
         "blocks": len(names),
-        "r2": {n: interval(partial(r2, error)) for n, error in missed[WEIGHTED].items()},
+        "r2": {n: interval(partial(r2, error)) for n, error in missed[CALIBRATED].items()},
         "differences": {
-            f"{WEIGHTED} - {other}": {
-                n: interval(partial(share, error - missed[WEIGHTED][n])) for n, error in by.items()
+            f"{CALIBRATED} - {other}": {
+                n: interval(partial(share, error - missed[CALIBRATED][n])) for n, error in by.items()
             }
             for other, by in missed.items()
-            if other != WEIGHTED
+            if other != CALIBRATED
         },
     }
 
@@ -171,10 +167,10 @@ def print_tables(metrics: dict[str, Any]) -> None:
         print(f"\n{metrics['source']}, held out: {metrics['held_out'][name]} ({name}); mean R2 [95 %] over draws")
         for method, by_count in methods.items():
             print(table_row(method, by_count))
-    for name, found in metrics.get("best_over_blocks", {}).items():
-        print(f"\nheld out: {name}; {WEIGHTED} and their gain, 95 % over {found['blocks']} blocks of positions")
-        for what, by_count in {WEIGHTED: found["r2"], **found["differences"]}.items():
-            print(table_row(what.removeprefix(WEIGHTED + " "), by_count))
+    for name, found in metrics.get("calibrate_over_blocks", {}).items():
+        print(f"\nheld out: {name}; {CALIBRATED} and its gain, 95 % over {found['blocks']} blocks of positions")
+        for what, by_count in {CALIBRATED: found["r2"], **found["differences"]}.items():
+            print(table_row(what.removeprefix(CALIBRATED + " "), by_count))
 
 
 def write(out: Path, metrics: dict[str, Any]) -> None:

@@ -14,18 +14,16 @@ presses, and whole blocks of 6 mm; nothing is chosen by them. Random presses ins
 that methods may learn from, so those outside are also scored alone. A last part asks what an earlier session is worth:
 the first half in time predicts the second; with --previous-session a session recorded before predicts the second half
 of this one, and presses are drawn from the first half, so that one position or few are enough. Every method sees the
-same presses, so that differences are paired. Methods are weighed by cross-validation on the presses they learn from: on
-random fifths of them, and on fifths that lie together, as a user will predict between presses or beyond them. Intervals
-are over draws; as neighbouring presses are no independent tests, the weighed methods also have intervals over 6 mm
-blocks of what is held out. The pretrained network was trained on generated skins of four magnets only.
+same presses, so that differences are paired. Intervals are over draws; as neighbouring presses are no independent
+tests, `i2t.calibrate` also has intervals over 6 mm blocks of what is held out. The pretrained network was trained on
+generated skins of four magnets only.
 
 Results go to --out: metrics.json, config.json, curves.png, and calibration.npz for `i2t.load_calibration`: the skin as
-calibrated on all presses (of more than 1500, that many at random) with the best of three Gaussian processes.
+calibrated on all presses (of more than 1500, that many at random) by `i2t.calibrate`.
 """
 
 import os
 import time
-from functools import partial
 from typing import Any
 
 # Factors of a few hundred rows are too small to share, as in experiments.train.
@@ -37,28 +35,14 @@ from experiments.calibrate import fitted_pad, previous_session, report, targets
 from experiments.calibrate.config import CalibrateArgs, Preset, preset_of
 from experiments.calibrate.data import PressRecording, hold_out, read_presses, split_presses
 from experiments.calibrate.evaluate import learning_curves
-from experiments.calibrate.methods import (
-    HEIGHT,
-    MEAN,
-    NEIGHBOURS,
-    PLAIN,
-    POPULATION,
-    Predict,
-    Predictors,
-    block_fifths,
-    neighbours,
-    pretrain_network,
-    random_fifths,
-    weigh_methods,
-)
+from experiments.calibrate.methods import Predictors, pretrain_network
 from experiments.common.runs import begin
 from i2t import dataset as data
-from i2t.calibration import calibrate, plain_gp
+from i2t.calibration import calibrate
 from i2t.calibration.model import hyperparameters_to_json
 from i2t.dataset import Dataset
 
 M_PER_MM = 1e-3
-KEPT = (POPULATION, HEIGHT, PLAIN)  # methods that a calibration on disk can be
 
 
 def run(args: CalibrateArgs) -> dict[str, Any]:
@@ -107,7 +91,7 @@ def compare(args: CalibrateArgs) -> dict[str, Any]:
         "r2": {name: report.summarise(curves) for name, curves in scores.r2.items()},
         "inside_90": {name: report.summarise(curves) for name, curves in scores.coverage.items()},
         "differences": {name: report.differences(curves) for name, curves in scores.r2.items()},
-        "best_over_blocks": {
+        "calibrate_over_blocks": {
             name: report.over_blocks(recording.readings[rows], scores.errors[name], block[rows])
             for name, rows in split.tests.items()
         },
@@ -133,43 +117,22 @@ def refuse_too_few(args: CalibrateArgs, cfg: Preset, held: np.ndarray, blocks: n
 def save_calibration(
     args: CalibrateArgs, cfg: Preset, dataset: Dataset, recording: PressRecording, usable: np.ndarray
 ) -> dict[str, Any]:
-    """Calibrate on all presses and write calibration.npz: with the Gaussian process that cross-validation over random
-    presses and over blocks finds best. Returns what was kept, and the weights.
-    """
+    """Calibrate on all presses, write calibration.npz and say on which board, by what presses left out say."""
     rows = np.random.default_rng(args.seed).permutation(np.flatnonzero(usable))[: cfg.saved_presses]
-    predictors = Predictors(recording)
-    candidates: dict[str, Predict] = {
-        MEAN: predictors.mean, NEIGHBOURS: partial(neighbours, recording), PLAIN: predictors.plain,
-        HEIGHT: predictors.structured, POPULATION: predictors.population,
-    }  # fmt: skip
-    rules = {"random presses": random_fifths, "blocks": block_fifths}
-    weights = {name: weigh_methods(candidates, recording, rows, rule) for name, rule in rules.items()}
-    together = {name: weights["random presses"][name] * weights["blocks"][name] for name in weights["blocks"]}
-    best = max(together, key=lambda name: together[name])
-    kept = max((name for name in together if name in KEPT), key=lambda name: together[name])
-    if best != kept:
-        print(f"note: {best} predicts better than every Gaussian process; {kept}, the best of these, is kept")
-    hyperparameters = None
-    if kept == PLAIN:
-        known = recording.position[rows], recording.load[rows], recording.readings[rows]
-        hyperparameters = plain_gp.as_structured(plain_gp.fit_scales(*known))
-    elif kept == HEIGHT:
-        hyperparameters = predictors.hyperparameters
-    calibrate(
+    calibration = calibrate(
         recording.position[rows],
         recording.load[rows],
         recording.readings[rows],
         load_kind=recording.load_kind,
-        board=dataset.board if recording.by_force and kept != PLAIN else None,
-        hyperparameters=hyperparameters,
+        board=recording.own_board,
         metadata={
             "dataset": str(args.dataset),
             "source": dataset.source,
-            "method": kept,
             "board": fitted_pad.board_to_json(dataset.board),
             "pad": dataset.pads[int(dataset.touches.pad[0])],
             "tip": fitted_pad.tip_of(dataset) or dataset.objects[int(dataset.touches.object[0])],
         },
-    ).save(args.out / "calibration.npz")
-    print(f"kept in calibration.npz: {kept}")
-    return {"method": kept, "best": best, "weights": weights}
+    )
+    calibration.save(args.out / "calibration.npz")
+    print(f"kept in calibration.npz: {calibration.about_board}")
+    return {"board_shares": calibration.board_shares}

@@ -7,7 +7,7 @@ from typing import Any
 from experiments.calibrate.config import CalibrateArgs
 from experiments.common.runs import begin, write_json
 from experiments.fidelity.config import FIDELITY_PRESETS
-from experiments.fidelity.heads import caption, compare_with_baselines, table, test_heads, to_numbers
+from experiments.fidelity.heads import caption, compare_with_baselines, missed_ranges, table, test_heads, to_numbers
 from experiments.fidelity.sections import print_table
 from i2t.calibration.heads import SkinRecording, fit_head, read_recordings
 
@@ -29,7 +29,9 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
         )
         metrics["heads"][target] = to_numbers(tests)
         print_table(caption(target), table(target, tests))
-        print("\n".join(f"  {sentence}" for sentence in compare_with_baselines(target, tests)))
+        kept = {name: test.kept for name, test in tests.items()}
+        sentences = compare_with_baselines(target, tests) + missed_ranges(target, kept)
+        print("\n".join(f"  {sentence}" for sentence in sentences))
     metrics["seconds"] = round(time.perf_counter() - started, 1)
     write_json(args.out / "metrics.json", metrics)
     print(f"\nheads are in {args.out}: i2t.calibration.heads.load_head(FILE).predict(readings)")

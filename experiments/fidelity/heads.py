@@ -22,6 +22,7 @@ PUBLISHED_FIGURES = {
 }
 RANDOM_SPLIT, GROUP_SPLIT, LATER_SPLIT = "random rows", "whole blocks or strokes", "later in time"
 MIN_HEAD_TEST = 5
+MIN_INSIDE_90 = 0.85  # of values in the 90 % range: where fewer are, a sentence says so
 CALIBRATION_BINS = 10
 
 
@@ -64,6 +65,7 @@ def head_sections(
     for target, tests in found.items():
         section.tables[caption(target)] = table(target, tests)
         section.sentences += compare_with_baselines(target, tests)
+        section.sentences += missed_ranges(target, {name: test.kept for name, test in tests.items()})
     section.figures["Heads on rows held out"] = _figure(found)
 
 
@@ -122,6 +124,7 @@ def heads_across(recordings: Sequence[SkinRecording], budget: HeadBudget, seed: 
                     section.sentences.append(f"{target} of {other.name} is not predicted from {known.name}: {error}.")
                     continue
                 numbers[f"{target}: {known.name} -> {other.name}"] = score._asdict()
+                section.sentences += missed_ranges(target, {f"from {known.name} to {other.name}": score})
                 what = target if kind.yes_no else f"{target} ({kind.unit})"
                 rows.append([what, known.name, other.name, str(score.rows), *(cell(value) for value in score[1:])])
     if len(rows) == 1:
@@ -219,6 +222,18 @@ def compare_with_baselines(target: str, tests: dict[str, HeadTest]) -> list[str]
         and loses_beyond_chance(_squared(test.errors), _squared(test.baseline_errors[method]))
     ]
     return lost or [f"{target}: no baseline beats the kept head on rows held out by more than chance."]
+
+
+def missed_ranges(target: str, scores: dict[str, HeadScore]) -> list[str]:
+    """A sentence for each way of holding out in which too few values lie in the stated range."""
+    if TARGETS[target].yes_no:
+        return []
+    return [
+        f"{target}, {name}: the 90 % range holds {100 * score.inside_90:.0f} % of {score.rows} rows; do not rely on "
+        "it there."
+        for name, score in scores.items()
+        if score.inside_90 < MIN_INSIDE_90
+    ]
 
 
 def _squared(both: np.ndarray) -> np.ndarray:

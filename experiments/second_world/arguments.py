@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from i2t.cli import Count, Seed
+from i2t.cli import Count, Limits, Seed
 
 Mistake = Literal["none", "force_sign", "millimetres", "millitesla", "scalar_first", "degrees"]
 
@@ -17,6 +17,7 @@ class SecondWorldArgs:
     preset: Literal["paper", "debug"] = "paper"  # debug: a few touches, too few to mean anything
     sessions: Count | None = None  # of each object; 3 unless given, of debug 2
     touches: Count | None = None  # of a session; 24 unless given, of debug 6
+    softness: Annotated[float, Limits(0, 1000, above=True)] = 1.0  # of the skin, for experiments.train
     mistake: Mistake = "none"  # that is made on purpose in the files
     seed: Seed = 0
     resume: bool = False  # go on with an unfinished run in --out

@@ -2,6 +2,7 @@
 
     python -m experiments.second_world                         write a set, convert it, train on it, compare
     python -m experiments.second_world --preset debug          a few touches, to see it run
+    python -m experiments.second_world --softness 4            predict contact pressure for a softer layer
     python -m experiments.second_world --mistake force_sign    the same with a mistake that a lab could make
 
 The second world (`experiments.second_world.world`) has another contact law and solver, other magnets, another camera
@@ -72,6 +73,7 @@ def train_in(folder: Path, args: SecondWorldArgs, errors: WorldErrors) -> dict[s
     write_recordings(recordings, args, errors)
     _must(convert, "imagine2touch", str(recordings), str(converted), "--overwrite")
     words = ["--dataset", str(converted), "--out", str(folder / "train"), "--seeds", "1", "--overwrite"]
+    words += [] if args.softness == 1 else ["--softness", str(args.softness)]
     _must(train, *words, *(["--preset", "debug"] if args.preset == "debug" else []))
     found = _finished(folder / "train")
     assert found is not None

@@ -11,7 +11,7 @@ import tyro
 from experiments.common.checks import require_dataset, require_objects
 from experiments.common.runs import RECOGNITION_ABOUT
 from experiments.common.tasks import TaskOptions
-from i2t.cli import Count, Seed, require_path, require_with
+from i2t.cli import Count, Limits, Seed, require_path, require_with
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,7 @@ class TrainArgs:
     seed: Seed = 0  # of everything random
     seeds: Count | None = None  # how many seeds, from --seed on; one unless given
     epochs: Count | None = None  # of the networks, in place of the preset's
+    softness: Annotated[float, Limits(0, 1000, above=True)] = 1.0  # of the skin; 4: E is a quarter of the nominal
     resume: bool = False  # go on with an unfinished run in --out
     overwrite: bool = False  # replace a finished or unfinished run in --out
     tasks: Annotated[TaskOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=TaskOptions)

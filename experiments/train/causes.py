@@ -31,7 +31,8 @@ from i2t.prediction.pressure import PressureModelConfig
 from i2t.types import Board
 
 HEIGHT, SIGN, TIP, AXES, UNITS, LAG = "height zero", "force sign", "tip radius", "axes", "units", "lag of rows"
-CAUSES = (HEIGHT, SIGN, TIP, AXES, UNITS, LAG)
+SOFTNESS = "softness"
+CAUSES = (HEIGHT, SIGN, TIP, AXES, UNITS, LAG, SOFTNESS)
 
 TRIED_TOUCHES = 200  # on which changes are tried
 TRIED_STEPS = 20  # of the choice of hyperparameters
@@ -43,6 +44,7 @@ MIN_PULLING_SHARE = 0.5  # of forces that do not push
 HEIGHTS_M = (-0.5e-3, 0.5e-3, 1e-3, 2e-3)  # added to depths
 TIP_FACTORS = (0.5, 2.0)
 SCALES = (0.1, 10.0)
+SOFTNESSES = (4.0, 16.0)  # of a skin, in units of the nominal one's
 LOADS = {"force": (0.02, 100.0, "N"), "depth": (20e-6, 20e-3, "m")}  # median between which a press is one
 LEAST_RELIEF_M = 2e-6  # median relief of patches, below which they show nothing
 SMALLEST_READING_UT, LARGEST_READING_UT = 0.5, 50e3  # median norm
@@ -282,8 +284,8 @@ def late_rows(dataset: Dataset, rows: np.ndarray) -> Iterator[CauseFound]:
 
 
 def tried_changes(dataset: Dataset, rows: np.ndarray, groups: np.ndarray, cfg: PressureModelConfig) -> list[CauseFound]:
-    """Height zero, force sign, tip radius, the view's direction and units: each is changed, and the Gaussian process on
-    predicted pressures is scored again.
+    """Height zero, force sign, tip radius, the view's direction, units and softness: each is changed, and the Gaussian
+    process on predicted pressures is scored again.
 
     Args:
         dataset: Of n touches.
@@ -325,6 +327,9 @@ def _changes(
     )
     if cfg.control == "force":
         yield SIGN, "forces of the other sign", seen._replace(force=-seen.force)
+        for softness in SOFTNESSES:  # pressures of a softer layer are in proportion to those of a larger force
+            said = f"a layer {softness:g} times as soft (--softness {softness * cfg.softness:g})"
+            yield SOFTNESS, said, seen._replace(force=np.float32(softness) * seen.force)
     else:
         for height in HEIGHTS_M:
             yield HEIGHT, f"depths {1e3 * height:+g} mm", seen._replace(depth=seen.depth + np.float32(height))

@@ -62,6 +62,7 @@ class TrainExperiment:
     pads: tuple[int, ...] = (0,)  # seeds of the simulated pads
     seeds: int = 1
     hidden_tilt: float = 0.4 * math.pi / 180  # rad, that a noisy view leaves open
+    softness: float = 1.0  # of the skin that is pressed, in units of the nominal one's
     block: float = 6e-3  # m, edge of a spatial block where presses on one object are split
 
 

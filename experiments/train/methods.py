@@ -42,6 +42,7 @@ def pressure_model_of(dataset: Dataset, load: PressLoad, cfg: TrainExperiment) -
         tilt=cfg.hidden_tilt if noisy else 0.0,
         control=load.control,
         force_sign=load.force_sign,
+        softness=cfg.softness,
         cell=1e-3 if large else PressureModelConfig.cell,
     )
 

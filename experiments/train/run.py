@@ -90,6 +90,7 @@ def run(args: TrainArgs) -> dict[str, Any]:
     cfg = choose_preset(PRESETS, args.preset)
     if args.epochs is not None:
         cfg = replace(cfg, training=replace(cfg.training, epochs=args.epochs))
+    cfg = replace(cfg, softness=args.softness)
     seeds = range(args.seed, args.seed + (args.seeds or cfg.seeds))
     if args.pads is not None:
         cfg = replace(cfg, pads=args.pads)

@@ -24,6 +24,8 @@ from numpy.typing import ArrayLike
 
 from i2t import given, serialization
 from i2t.calibration import population_gp, structured_gp
+from i2t.calibration.candidates import board_candidates
+from i2t.calibration.checks import AXES_PER_CHIP
 from i2t.calibration.population_gp import PopulationGP, PressTable, left_out
 from i2t.calibration.structured_gp import Presses, StructuredGP, StructuredGPHyperparameters
 from i2t.models import ready_path
@@ -34,8 +36,8 @@ POPULATION_FILE_KIND = "i2t calibrated skin"
 MAX_POSITION_M = 1.0
 MAX_LOAD = {"depth": 0.1, "force": 1e3}  # m, N
 LOAD_UNITS = {"depth": "m", "force": "N"}
-AXES_PER_CHIP = 3  # of a chip
 PREVIOUS_READING, TEMPERATURE = "previous_readings", "temperature"  # terms that act in proportion on a reading
+NO_BOARD_NAME, GIVEN_BOARD = "none", "the given board"
 LINEAR_TERMS, MEAN_TEMPERATURE = "linear_terms", "mean_temperature_C"  # in the metadata
 
 LoadKind: TypeAlias = Literal["depth", "force", "both", "none"]
@@ -83,6 +85,7 @@ class Calibration:
         load_kind: Whether loads are depths (m), forces (N), both or unknown.
         metadata: Whatever the caller wants to remember, as JSON can hold it.
         previous: An earlier session of the same skin, whose predictions are the mean of some of the mixture.
+        boards: Names of the boards that were candidates, in the order of the mixture's.
     """
 
     gp: PopulationGP | StructuredGP
@@ -90,10 +93,32 @@ class Calibration:
     load_kind: LoadKind
     metadata: dict[str, Any] = field(default_factory=dict)
     previous: "Calibration | None" = None
+    boards: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         chips, earlier = len(self.interval_scaling) // 3, "" if self.previous is None else ", on an earlier session"
-        return f"Calibration({type(self.gp).__name__}, {chips} chips, loads are {self.load_kind}{earlier})"
+        return (
+            f"Calibration({type(self.gp).__name__}, {chips} chips, loads are {self.load_kind}{earlier}, "
+            f"{self.about_board})"
+        )
+
+    @property
+    def board_shares(self) -> dict[str, float]:
+        """Weight of each board that was a candidate, and of none, by what presses left out say; they sum to 1."""
+        if isinstance(self.gp, StructuredGP):
+            return {self.boards[0] if self.boards else NO_BOARD_NAME: 1.0}
+        return dict(zip((NO_BOARD_NAME, *self.boards), map(float, population_gp.board_shares(self.gp)), strict=True))
+
+    @property
+    def about_board(self) -> str:
+        """The board that weighs most, or none, in words."""
+        shares = self.board_shares
+        best = max(shares, key=lambda name: shares[name])
+        said = "no board" if best == NO_BOARD_NAME else best if best == GIVEN_BOARD else f"board {best}"
+        if len(shares) == 1:
+            return said
+        rest = ", ".join(f"{name} {share:.2f}" for name, share in shares.items() if name != best)
+        return f"{said} by evidence ({shares[best]:.2f}; {rest})"
 
     def predict(
         self,
@@ -155,7 +180,9 @@ class Calibration:
         Raises:
             SerializationError: It cannot be written.
         """
-        about = {"load": self.load_kind, "about": self.metadata}
+        about = {"load": self.load_kind, "about": self.metadata, "boards": list(self.boards)}
+        if self.previous is not None:
+            about["previous_boards"] = list(self.previous.boards)
         if isinstance(self.gp, StructuredGP):
             serialization.save(path, FILE_KIND, CalibrationRecord(self.gp, self.interval_scaling), about)
             return
@@ -197,13 +224,17 @@ def calibrate(
 ) -> Calibration:
     """Calibrate one skin from n presses with one tip.
 
+    Which board the skin lies on, or none, is weighed by presses left out (`Calibration.board_shares`): the board that
+    is given, or else the named boards of as many chips that fit best to where each chip reads most.
+
     Args:
         positions: (n, 2) positions of the tip in the tool frame (m), in random order where
             `hyperparameters` are given; None where they are not known.
         loads: (n,) depths past first contact (m) or normal forces (N), (n, 2) of both, or None.
         readings: (n, c) readings (uT), ambient subtracted.
         load_kind: Whether `loads` are depths, forces, both (first column the depth), or not known.
-        board: The sensor board, c / 3 chips: each channel's amplitude may then fall with the distance from its chip.
+        board: The sensor board, c / 3 chips: each channel's amplitude may then fall with the distance from its chip, as
+            far as the presses bear it out. By default boards of a name are tried.
         previous_readings: (n, c) readings of the press before each (uT), for chips that remember it; rows of NaN where
             nothing came before.
         temperature: (n,) of the skin or board (degrees Celsius).
@@ -223,14 +254,16 @@ def calibrate(
     """
     positions, loads, readings = _checked(positions, loads, readings, load_kind, board)
     n, c = readings.shape
-    chips = None if board is None else np.asarray(board.chips[:, :2], np.float64)
+    boards = board_candidates(positions, readings) if board is None else {GIVEN_BOARD: _chips(board)}
     if hyperparameters is not None:
         if load_kind not in MAX_LOAD or previous_session is not None:
             raise ValueError("with hyperparameters given, loads are depths or forces, and no earlier session is known")
         presses = _checked_presses(positions, loads[:, 0], load_kind)
         fitted_to = (hyperparameters, presses, jnp.asarray(readings, jnp.float32))
-        on = None if chips is None else jnp.asarray(chips, jnp.float32)
-        return Calibration(_fit(*fitted_to, on), _interval_scaling(*fitted_to, on), load_kind, metadata or {})
+        on = None if board is None else jnp.asarray(_chips(board), jnp.float32)
+        named = () if board is None else (GIVEN_BOARD,)
+        scaling = _interval_scaling(*fitted_to, on)
+        return Calibration(_fit(*fitted_to, on), scaling, load_kind, metadata or {}, boards=named)
     about = dict(metadata or {})
     values_of = {PREVIOUS_READING: previous_readings, TEMPERATURE: temperature}
     names = [name for name, values in values_of.items() if values is not None]
@@ -246,8 +279,9 @@ def calibrate(
         if previous_session.gp.readings.shape[1] != c or previous_session.load_kind != load_kind:
             raise ValueError("the earlier session has other channels or another kind of load; calibrate it as this one")
         table = table._replace(previous_mean=previous_session.predict_mean(positions, loads))
+    chips = np.stack(list(boards.values())) if boards else None
     gp = population_gp.fit_population(table, readings, load_kinds=LOAD_COLUMNS[load_kind], chip_positions=chips)
-    return Calibration(gp, population_gp.interval_scaling(gp), load_kind, about, previous_session)
+    return Calibration(gp, population_gp.interval_scaling(gp), load_kind, about, previous_session, boards=tuple(boards))
 
 
 def load_calibration(path: Path | str) -> Calibration:
@@ -282,7 +316,8 @@ def _calibration(path: Path | str, record: CalibrationRecord, about: dict[str, A
     groups, channels = len(gp.cholesky), gp.weights.shape[1]
     if not whole or (groups != 1 and AXES_PER_CHIP * groups != channels) or about.get("load") not in MAX_LOAD:
         raise serialization.SerializationError(f"{path}: its parts do not fit each other; calibrate again")
-    return Calibration(gp, record.interval_scaling, about["load"], about["about"])
+    boards = (GIVEN_BOARD,) if gp.chip_positions is not None else ()
+    return Calibration(gp, record.interval_scaling, about["load"], about["about"], boards=boards)
 
 
 def hyperparameters_to_json(hyperparameters: StructuredGPHyperparameters) -> dict[str, float]:
@@ -305,17 +340,34 @@ def _load_population(path: Path | str) -> Calibration:
 
 def _population_calibration(path: Path | str, record: PopulationRecord, about: dict[str, Any]) -> Calibration:
     """A calibration by the population from what is on disk, if its parts fit."""
-    gp, load_kind = record.gp, about.get("load", "")
+    load_kind = about.get("load", "")
+    gp = population_gp.of_any_version(record.gp)
+    boards = _board_names(gp, about.get("boards"))
     fits = load_kind in LOAD_COLUMNS and all(
         len(part.readings) == len(part.presses.position) == len(part.extra_noise)
         and part.weights.shape == (len(part.components.log_share), part.readings.shape[1])
+        and (part.far_weights is None or part.far_weights.shape == part.weights.shape)
         for part in (gp, record.previous)
         if part is not None
     )
+    fits = fits and len(boards) == (0 if gp.chip_positions is None else len(gp.chip_positions))
     if not fits:
         raise serialization.SerializationError(f"{path}: its parts do not fit each other; calibrate again")
-    previous = None if record.previous is None else Calibration(record.previous, np.ones(1), load_kind)
-    return Calibration(gp, record.interval_scaling, load_kind, about["about"], previous)
+    previous = None
+    if record.previous is not None:
+        of_previous = population_gp.of_any_version(record.previous)
+        names = _board_names(of_previous, about.get("previous_boards"))
+        previous = Calibration(of_previous, np.ones(1), load_kind, boards=names)
+    return Calibration(gp, record.interval_scaling, load_kind, about["about"], previous, boards=boards)
+
+
+def _board_names(gp: PopulationGP, written: list[str] | None) -> tuple[str, ...]:
+    """Names of a mixture's boards; files of the first versions hold none."""
+    return tuple(written or () if gp.chip_positions is None else written or (GIVEN_BOARD,))
+
+
+def _chips(board: Board) -> np.ndarray:
+    return np.asarray(board.chips[:, :2], np.float64)
 
 
 def _checked(

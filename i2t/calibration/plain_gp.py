@@ -16,8 +16,6 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from i2t.calibration.structured_gp import StructuredGPHyperparameters
-
 MAX_FITTED_PRESSES = 300  # that hyperparameters are fitted to: the cost grows with the cube
 PRIOR_STDS = (0.7, 0.7, 2.0)  # of the logarithms of l, w and the noise
 PRIOR_LENGTH = 0.8  # of the spread of positions, median of l; likewise of loads and w
@@ -27,7 +25,6 @@ STARTS = ((0.0, 0.0, 0.0), (-0.7, 0.0, 1.5))  # in logarithms, from the priors' 
 BOUNDS = ((-4.0, 4.0), (-4.0, 4.0), (-7.0, 5.0))  # likewise
 LEAST_NOISE = 1e-6
 SPREAD_FLOOR = 1e-9  # m, N
-MEAN_VARIANCE = 10.0  # of a channel's mean, relative to the signal's, where it is part of the process
 
 
 class PlainScales(NamedTuple):
@@ -65,23 +62,6 @@ def fit_scales(position: np.ndarray, load: np.ndarray, readings: np.ndarray) -> 
     best = min(start, key=lambda found: float(found.fun) if np.isfinite(found.fun) else np.inf)
     length, width, noise = medians * np.exp(best.x)
     return PlainScales(float(length), float(width), max(float(noise), LEAST_NOISE))
-
-
-def as_structured(scales: PlainScales) -> StructuredGPHyperparameters:
-    """The same process as a special case of the structured one, which can be kept on disk.
-
-    Args:
-        scales: Hyperparameters.
-
-    Returns:
-        Those of `i2t.calibration.structured_gp` without growth, heights or chips; the mean is a large constant.
-    """
-    return StructuredGPHyperparameters(
-        unit_load=scales.width, load_offset=0.0, load_power=0.0, map_length=scales.length, map_variance=0.0,
-        bend_variance=1.0, bend_length=scales.length, bend_load_width=scales.width, static_variance=0.0,
-        constant_variance=MEAN_VARIANCE, noise_variance=scales.noise, height_std=0.0, height_length=scales.length,
-        chip_reach=1.0, far_amplitude=1.0,
-    )  # fmt: skip
 
 
 def predict_plain(

@@ -47,10 +47,13 @@ class PressureModelConfig:
     iterations: int = 25  # of the contact solver: a per mille of the force is far below the uncertainty of the view
     floor: float = 0.02  # N, least load, where a noisy wrench sensor says less
     force_sign: float = 1.0  # -1 where the recording counts a pressing force negative
+    softness: float = 1.0  # of the layer that is pressed, in units of the pad's: of one twice as soft, E is halved
     depth_offset: float = 0.0  # m, added to depths that count from a height above or below first contact
 
     def __post_init__(self) -> None:
-        """Refuse cells that do not tile the skin (ValueError)."""
+        """Refuse cells that do not tile the skin, and a layer of no stiffness (ValueError)."""
+        if not (np.isfinite(self.softness) and self.softness > 0):
+            raise ValueError(f"softness is {self.softness:g}; give a positive number, 1 for a nominal layer")
         for name, length in (("1 mm", CELL_MM * 1e-3), ("the window", self.window)):
             count = length / self.cell
             if count < 0.5 or abs(count - round(count)) > 1e-6 * count:
@@ -104,6 +107,8 @@ def predict_pressure(
         Pressure (N on each 1 mm cell) and its load (N).
     """
     grid = cfg.grid
+    if cfg.softness != 1:
+        pad = pad._replace(young=pad.young / cfg.softness)
     height = heights(cfg, view)
     x, y = jnp.meshgrid(grid.centres, grid.centres)
 

@@ -152,7 +152,7 @@ def test_a_skin_of_sixteen_chips_is_calibrated(tmp_path):
     again = load_calibration(tmp_path / "skin.npz")
     mean, std = again.predict(POSITIONS, 1e3 * DEPTH)
     assert mean.shape == std.shape == (30, 48)
-    assert again.gp.chip_positions.shape == (16, 2)
+    assert again.gp.chip_positions.shape == (1, 16, 2)
     with pytest.raises(ValueError, match="16 chips"):
         calibrate(POSITIONS, 1e3 * DEPTH, READINGS, load_kind="force", board=board)
 

@@ -23,7 +23,7 @@ from i2t.calibration.heads import (
     read_recordings,
     regression,
 )
-from i2t.calibration.heads.head import fold_numbers, hold_out_groups, is_stream, with_history
+from i2t.calibration.heads.head import _factor_of_groups, fold_numbers, hold_out_groups, is_stream, with_history
 from i2t.errors import DataError, SerializationError
 from i2t.types import ReturnCode
 
@@ -62,6 +62,76 @@ def test_where_nothing_can_be_told_the_mean_is_kept(recording):
     np.testing.assert_allclose(predicted.mean.mean(), truth.mean(), rtol=0.15)
     # Its spread is that of the depths themselves.
     np.testing.assert_allclose(np.median(predicted.std), truth.std(), rtol=0.35)
+
+
+def presses_at_sites(side: int = 12, touches: int = 4) -> tuple[SkinRecording, np.ndarray]:
+    """Each site of a grid is touched several times to one depth and reads an offset of its own, which repeats; and the
+    number of each press's site.
+    """
+    rng = np.random.default_rng(0)
+    along = np.linspace(-9e-3, 9e-3, side)
+    sites = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
+    site = rng.permutation(np.repeat(np.arange(len(sites)), touches))
+    centres = rng.uniform(-15e-3, 15e-3, (20, 2))
+    maps = np.exp(-((sites[:, None] - centres) ** 2).sum(-1) / 2 / 9e-3**2) @ rng.normal(scale=60, size=(20, 15))
+    offset = 12 * rng.normal(size=(len(sites), 15))
+    readings = (maps + offset)[site] + 0.5 * rng.normal(size=(len(site), 15))
+    n = len(site)
+    return SkinRecording("sites", readings, {"position": sites[site]}, np.zeros(n, int), np.full(n, np.nan)), site
+
+
+@pytest.mark.parametrize("sites_repeat", [True, False])
+def test_a_head_loses_to_no_neighbours_where_sites_repeat_and_where_they_do_not(sites_repeat, tmp_path):
+    made, site = presses_at_sites()
+    rng = np.random.default_rng(1)
+    held = np.isin(site, rng.permutation(144)[:28])
+    if sites_repeat:
+        held = rng.permutation(held)
+    known, asked, truth = made.rows(~held), made.readings[held], made.targets["position"][held]
+
+    def missed(**methods) -> float:
+        head = fit_head(known, "position", budget=SMALL, **methods)
+        return np.sqrt(np.mean(np.sum((head.predict(asked).mean - truth) ** 2, axis=1)))
+
+    neighbours = missed(methods=(regression.NEAREST_READINGS,))
+    assert missed() < neighbours
+    head = fit_head(known, "position", budget=SMALL)
+    assert " near, " in head.method
+    assert head.method.endswith(" far")
+    assert head.validation[head.method] == min(head.validation.values())
+    head.save(tmp_path / "head.npz")
+    again = load_head(tmp_path / "head.npz")
+    assert again.method == head.method
+    np.testing.assert_array_equal(again.predict(asked).mean, head.predict(asked).mean)
+
+
+def test_a_range_holds_nine_in_ten_of_the_strokes_and_not_of_the_rows_alone():
+    rng = np.random.default_rng(3)
+    stroke = np.repeat(np.arange(10), 50)
+    ratio = rng.uniform(0, 1, (500, 1))
+    ratio[stroke == 4] *= 3  # one stroke in ten errs three times as far
+    assert np.quantile(ratio, 0.9) < 1.3
+    np.testing.assert_allclose(_factor_of_groups(ratio, stroke), 2.7, atol=0.3)
+    # Of rows that share nothing it is the quantile with one more row to come.
+    np.testing.assert_allclose(_factor_of_groups(ratio, np.arange(500)), np.quantile(ratio, 0.9 * 501 / 500))
+
+
+def test_ranges_hold_on_strokes_that_err_alike():
+    """Strokes have a gain of their own: rows of one stroke err alike, and there are few strokes."""
+    inside = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        stroke, depth = np.repeat(np.arange(12), 25), np.tile(np.linspace(0.2, 4, 25), 12)
+        gain = np.exp(0.15 * rng.normal(size=12))[stroke]
+        readings = 40 * (gain * depth)[:, None] * np.linspace(-1, 1, 15) + rng.normal(size=(300, 15))
+        made = SkinRecording(
+            "strokes", readings, {"force": depth[:, None]}, stroke, 0.1 * np.arange(300) + 5.0 * stroke
+        )
+        known = stroke < 8
+        head = fit_head(made.rows(known), "force", methods=("linear", "k nearest readings"), budget=SMALL, history=0)
+        predicted = head.predict(readings[~known], stroke[~known])
+        inside.append(np.mean(np.abs(predicted.mean - depth[~known, None]) <= 1.645 * predicted.std))
+    assert np.mean(inside) > 0.88
 
 
 def test_a_changed_skin_is_unfamiliar(recording, position_head):

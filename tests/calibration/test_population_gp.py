@@ -167,9 +167,10 @@ def test_a_mixture_of_one_predicts_as_dense_algebra_does(monkeypatch):
     (x, d), (z, e) = drawn(7, 12), drawn(8, 5)
     linear, other = rng.normal(size=(12, CHANNELS, 1)), rng.normal(size=(5, CHANNELS, 1))
     monkeypatch.setattr(mixture, "LINEAR_SHARE", 1 - 1e-15)
+    monkeypatch.setattr(mixture, "BOARD_SHARE", 1 - 1e-15)
     readings = rng.normal(scale=20, size=(12, CHANNELS))
     gp = fit_population(
-        table(x, d, linear=linear), readings, load_kinds=("depth",), chip_positions=CHIPS, prior=one_kernel(),
+        table(x, d, linear=linear), readings, load_kinds=("depth",), chip_positions=CHIPS[None], prior=one_kernel(),
         options=FitOptions(robust=False, heights=False),
     )  # fmt: skip
     mean, std = predict_population(gp, table(z, e, linear=other))
@@ -214,7 +215,7 @@ def test_a_press_gone_wrong_does_little_harm():
     found = {}
     for robust in (True, False):
         gp = fit_population(
-            table(x, d), readings, load_kinds=("depth",), chip_positions=CHIPS, options=FitOptions(robust=robust)
+            table(x, d), readings, load_kinds=("depth",), chip_positions=CHIPS[None], options=FitOptions(robust=robust)
         )
         found[robust] = r2(read(z, e)[:, 3:6], predict_population(gp, table(z, e))[0][:, 3:6])
         if robust:
@@ -283,7 +284,7 @@ def test_few_presses_give_finite_predictions(n):
     read = skin(27)
     (x, d), (z, e) = drawn(28, n), drawn(29, 10)
     for loads in (d, np.zeros(n), np.full(n, 1e-3)):
-        gp = fit_population(table(x, loads), read(x, d), load_kinds=("depth",), chip_positions=CHIPS)
+        gp = fit_population(table(x, loads), read(x, d), load_kinds=("depth",), chip_positions=CHIPS[None])
         mean, std = predict_population(gp, table(z, e))
         assert np.isfinite(mean).all()
         assert (std > 0).all()
@@ -325,3 +326,41 @@ def test_the_prior_of_the_package_is_small_and_whole():
     np.testing.assert_allclose(np.exp(found.log_share).sum(1), 1, rtol=1e-4)
     assert all(np.isfinite(values).all() for values in found.kernels)
     assert prior.prior_about()["command"] == "python -m experiments.calibrate_pads --prior"
+
+
+def test_far_from_the_presses_what_was_left_out_together_decides():
+    """Two members of different weights near and far: a press predicts by the one, a place beyond all presses by the
+    other, and what lies between by both.
+    """
+    read = skin(34)
+    x, d = drawn(35, 40)
+    readings = read(x, d) + np.random.default_rng(36).normal(size=(40, CHANNELS))
+    both = KernelPrior(KINDS._replace(far_amplitude=np.ones(2)), np.log(np.full((2, 2), 0.5)))
+    gp = fit_population(
+        table(x, d), readings, load_kinds=("depth",), prior=both, options=FitOptions(robust=False, heights=False)
+    )
+    pair = gp._replace(components=mixture._taken(mixture._joined(gp.components, gp.components), np.array([0, -1])))
+    pair.components.kernels.map_length[1] *= 0.5
+    near, far = np.repeat(np.eye(2)[:, :, None], CHANNELS, axis=2)
+    by = {name: pair._replace(weights=weights, far_weights=None) for name, weights in (("near", near), ("far", far))}
+    at = table(np.array([x[0], [40e-3, 0.0]]), np.array([d[0], 1.0]))
+    mixed = predict_population(pair._replace(weights=near, far_weights=far), at)[0]
+    np.testing.assert_allclose(mixed[0], predict_population(by["near"], at)[0][0])
+    np.testing.assert_allclose(mixed[1], predict_population(by["far"], at)[0][1])
+    between = mixture._farness(pair, x[:1] + np.linspace(0, 10e-3, 50)[:, None])
+    assert ((between > 0) & (between < 1)).any()
+    assert gp.far_weights is not None
+    np.testing.assert_allclose(gp.far_weights.sum(0), 1)
+
+
+def test_weights_far_from_the_presses_are_by_presses_left_out_together():
+    """A kernel that is best among the presses and worst beyond them weighs most near them and nothing far from them."""
+    x, d = drawn(37, 30)
+    gp = mixture._start(table(x, d), skin(38)(x, d), ("depth",), None, load_prior())
+    k, n, c = len(gp.weights), 30, CHANNELS
+    error, part_error = np.ones((k, n, c)), np.ones((k, n, c))
+    error[0], part_error[0] = 0.01, 100.0
+    near, far = mixture._weights(gp, lo.LeftOutPresses(error, error**2, np.ones((k, c)), part_error, part_error**2))
+    assert near[0].min() > 0.5
+    assert far is not None
+    assert far[0].max() < 0.01

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.train import causes
-from experiments.train.causes import AXES, HEIGHT, LAG, SIGN, UNITS, CauseFound
+from experiments.train.causes import AXES, HEIGHT, LAG, SIGN, SOFTNESS, UNITS, CauseFound
 from experiments.train.choosing import choose
 from experiments.train.loads import press_load, with_known_load
 from i2t.dataset import Dataset, missing_context
@@ -234,13 +234,26 @@ def test_a_loss_is_one_sentence_with_what_was_tested():
     said = causes.loss_sentence("GP", 0.0, NEAREST, 0.19, found)
     assert said == (
         "GP loses to k nearest patches on validation touches (R2 0.00 and 0.19), likely because 95 % of the forces "
-        "pull; tested and not found: height zero, units; could not be tested here: tip radius, axes, lag of rows"
+        "pull; tested and not found: height zero, units; could not be tested here: tip radius, axes, lag of rows, "
+        "softness"
     )
     # How the board lies cannot matter to what learns the skin's map.
     turned = [CauseFound(AXES, True, "turned", matters=False), *found[1:]]
     said = causes.loss_sentence("GP", 0.0, NEAREST, 0.19, turned)
     assert "no cause that was tested explains it" in said
     assert "could not be tested here: force sign, tip radius, axes" in said
+
+
+def test_a_skin_softer_than_the_nominal_one_is_named_with_its_option(monkeypatch):
+    made, every, groups = recording(40), np.ones(40, bool), np.arange(40) // 8
+
+    def explained(seen, cfg):
+        return 0.5 if np.allclose(seen.force, 4 * made.touches.force) else 0.3
+
+    monkeypatch.setattr(causes, "_explained", explained)
+    found = {one.cause: one for one in causes.tried_changes(made, every, groups, FORCED)}
+    assert [cause for cause, one in found.items() if one.found] == [SOFTNESS]
+    assert "with a layer 4 times as soft (--softness 4) predicted pressures explain 0.50" in found[SOFTNESS].evidence
 
 
 @pytest.mark.full

@@ -500,3 +500,10 @@ def test_the_report_of_a_real_session(session, shared_data, tmp_path):
     assert fidelity.main(args) == 0
     for chapter in json.loads((tmp_path / "out" / "metrics.json").read_text())["recordings"].values():
         assert all(section["status"] != "failed" and "failures" not in section for section in chapter.values())
+
+
+def test_a_range_that_holds_too_few_rows_is_said():
+    score = heads.HeadScore(rows=40, rmse=0.2, median=0.1, r2=0.9, inside_90=0.68, unfamiliar=0.0)
+    (sentence,) = heads.missed_ranges("force", {"random rows": score, "later": score._replace(inside_90=0.85)})
+    assert sentence == "force, random rows: the 90 % range holds 68 % of 40 rows; do not rely on it there."
+    assert heads.missed_ranges("contact", {"random rows": score}) == []  # whose last number but one is another

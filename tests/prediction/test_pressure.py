@@ -73,6 +73,18 @@ def test_a_weak_or_wrong_force_counts_as_the_floor():
     assert abs(press(CFG, X * 0, force=-0.3).sum() - CFG.floor) < 60 * np.finfo(np.float32).eps * CFG.floor
 
 
+def test_a_softer_layer_takes_on_the_shape_of_a_larger_force():
+    """The contact of a layer four times as soft is that of four times the force, with a quarter of the pressure."""
+    bowl = (X**2 + Y**2) / 40e-3
+    close(press(replace(CFG, softness=4.0), bowl, 0.5), press(CFG, bowl, 2.0) / 4)
+
+
+@pytest.mark.parametrize("softness", [0.0, -1.0, np.nan])
+def test_a_layer_of_no_stiffness_is_refused(softness):
+    with pytest.raises(ValueError, match="softness is"):
+        replace(CFG, softness=softness)
+
+
 @pytest.mark.full
 def test_cells_are_summed_to_millimetres():
     fine = press(replace(CFG, cell=0.5e-3), tilted(0.004, 0.002))

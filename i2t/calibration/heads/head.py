@@ -12,17 +12,22 @@ contact and slip as probabilities.
 A head is one of the methods of `regression`, or a weighted sum of them (stacked regression; Breiman, Machine Learning
 24, 1996): what has the least error on whole blocks of the skin and on single presses that it was not fitted to; in a
 stream, or where one position is known only, on whole strokes or stretches of time. The mean, a linear map and the k
-nearest readings are among the methods, so that nothing is kept that loses to them there.
+nearest readings are among the methods, so that nothing is kept that loses to them there. What is best where presses
+come back to known places (single presses left out) need not be best elsewhere (blocks left out). Where two methods are
+better than one, a head keeps both, and goes from one to the other with a reading's distance from the known ones.
 
 Spread: the errors on the same blocks say how far off the head is for a reading of this length, this near to what it
-knows; a factor brings nine in ten of them into the 90 % range (cross-conformal prediction; Vovk, Annals of Mathematics
-and Artificial Intelligence 74, 2015). Probabilities come from the same errors by Platt's logistic map (Platt, Advances
+knows. A factor brings nine in ten readings of nine in ten blocks or strokes into the 90 % range: rows of one stroke err
+alike, so strokes are what is exchangeable, not rows (cross-conformal prediction; Vovk, Annals of Mathematics and
+Artificial Intelligence 74, 2015; of groups, Dunn, Wasserman and Ramdas, J. Am. Stat. Assoc. 118, 2023). Of fewer than
+nine strokes it is that of the worst. Probabilities come from the same errors by Platt's logistic map (Platt, Advances
 in Large Margin Classifiers, 1999). A reading that lies farther from all known ones than these do from each other is
 `unfamiliar`: a skin that changed, another tip, or a magnet near by.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -60,11 +65,14 @@ MIN_BLOCKS = 5  # of the skin, that blocks are held out of
 BLOCK_M = 6e-3
 BLOCKS_ACROSS = 4  # of a range too small for blocks of BLOCK_M
 TIME_STRETCHES = 10  # of a recording of one position
+RANGE_SHARE = 0.9  # of rows in a stated range, and of groups that hold as many
 STDS_OF_90_PERCENT = 1.645  # standard deviations of a normal error that hold nine in ten
 ALIKE_SHARE = 0.05  # of the rows, whose errors say how far off the head is for a reading like them
 ALIKE_ROWS = 30  # at least
 UNFAMILIAR_QUANTILE = 0.999  # of distances between known readings
 UNFAMILIAR_FACTOR = 2.0
+# Shares of single presses, and of blocks, whose distances from known readings end what is near and begin what is far.
+GATES = ((0.5, 0.5), (0.9, 0.5), (0.9, 0.1))
 FEATURES_OF_SPREAD = 0  # index into FEATURE_KINDS
 STREAM_GAP_S = 0.5  # rows farther apart are no stream
 STREAM_HISTORY = 3  # rows: what a skin remembers, and how it moves
@@ -119,6 +127,8 @@ class HeadRecord(NamedTuple):
     values: Int[np.ndarray, ""]  # of a reading of the skin
     channels: Int[np.ndarray, " used"]  # of a reading, that the head looks at
     history: Int[np.ndarray, ""]  # rows before a reading that any of it looks at
+    near_stack: StackRecord | None = None  # for readings that are near to known ones, where it is another
+    gate: Float[np.ndarray, " 2"] | None = None  # distances up to which it is that one, and from which it is `stack`
 
 
 @dataclass(frozen=True)
@@ -140,13 +150,13 @@ class Head:
 
     @property
     def method(self) -> str:
-        """The method that it is, or that it is a weighted sum of several."""
-        parts = self.record.stack.parts
-        return STACKED_METHODS if len(parts) > 1 else next(iter(parts))
+        """The method that it is, or that it is a weighted sum of several; both where it has one near known readings."""
+        near, far = self.record.near_stack, _name_of(self.record.stack.parts)
+        return far if near is None else f"{_name_of(near.parts)} near, {far} far"
 
     @property
     def weights(self) -> dict[str, float]:
-        """Weight of each of its methods."""
+        """Weight of each of its methods, far from known readings where it has others near them."""
         weights = dict(zip(HEAD_METHODS, map(float, self.record.stack.weights), strict=True))
         return {name: weights[name] for name in self.record.stack.parts}
 
@@ -176,8 +186,14 @@ class Head:
         mean, std = np.full((len(readings), d), np.nan), np.full((len(readings), d), np.nan)
         unfamiliar = np.ones(len(readings), bool)
         if good.any():
-            mean[good] = _predict_stack(record.stack, looked[good])
-            std[good], unfamiliar[good] = _spread(record.spread, looked[good][:, : len(record.channels)])
+            now = looked[good][:, : len(record.channels)]
+            distance = nearest_known(record.spread.known, record.spread.features(now), 1)[0][:, 0]
+            mean[good] = _predict_stack(record.stack, looked[good], int(record.history))
+            if record.near_stack is not None:
+                assert record.gate is not None
+                near = _predict_stack(record.near_stack, looked[good], int(record.history))
+                mean[good] = _gated(record.gate, distance, near, mean[good])
+            std[good], unfamiliar[good] = _spread(record.spread, now, distance), distance > record.spread.far
         if TARGETS[self.target].yes_no:
             mean = _logistic(record.spread.platt[0] * mean + record.spread.platt[1])
             std = np.sqrt(mean * (1 - mean))
@@ -249,30 +265,38 @@ def fit_head(
     if not len(channels):
         raise ValueError(f"{recording.name}: no channel changes, so that {target} cannot be predicted from them")
     values, known = recording.targets[target][rows], recording.rows(rows)
-    folds = _ways_of_folding(known, seed)
+    groups = _ways_of_grouping(known)
+    folds = np.stack([fold_numbers(of, FOLD_COUNT, seed) for of in groups])
     tried = [
         MEAN_TARGET,
         *(name for name in methods if name != MEAN_TARGET and (name != READINGS_NETWORK or budget.network_steps)),
     ]
-    found: dict[str, _Trial] = {}
-    for rows_before in histories(recording) if history is None else (history,):
-        readings = with_history(recording.readings[:, channels], recording.session, rows_before)[rows]
-        for name in tried:
-            trial = _try(name, readings, values, folds, rows_before, budget=budget, yes_no=TARGETS[target].yes_no)
-            if name not in found or trial.error < found[name].error:
-                found[name] = trial
-    best, weights = _choose(found, values, folds)
-    history = max(found[name].history for name in weights)
-    readings = with_history(recording.readings[:, channels], recording.session, history)[rows]
+    yes_no = TARGETS[target].yes_no
+    trials = _Trials(recording, channels, rows, values, folds, budget=budget, yes_no=yes_no)
+    tried_histories = histories(recording) if history is None else (history,)
+    # Settings that are best in each way of holding out; of a probability, which is of one scale, in all together.
+    ways = [slice(None)] if yes_no else [slice(way, way + 1) for way in range(len(folds))]
+    sets = [trials.best(tried, tried_histories, way) for way in ways]
+    readings = trials.readings(0)
+    distance = _fold_distances(readings, folds)
+    best = _choose(sets, ways, trials, distance)
+    used = [best, *([best.near] if best.near else [])]
+    history = max(one.methods[name].history for one in used for name in one.weights)
+    stack, *near_stack = (_fit_stack(one, trials.readings(history), values, budget, history) for one in used)
     record = HeadRecord(
-        _fit_stack({name: found[name] for name in weights}, weights, readings, values, budget=budget),
-        _fit_spread(readings[:, : len(channels)], best.predicted - values, folds, best.platt),
-        np.array(recording.readings.shape[1]),
-        channels,
-        np.array(history),
+        stack=stack,
+        spread=_fit_spread(readings, best.trial.predicted - values, groups, distance, best.trial.platt),
+        values=np.array(recording.readings.shape[1]),
+        channels=channels,
+        history=np.array(history),
+        near_stack=near_stack[0] if near_stack else None,
+        gate=best.gate,
     )
-    validation = {name: trial.error for name, trial in found.items()} | {STACKED_METHODS: best.error}
-    return Head(target, record, validation if len(weights) > 1 else dict(list(validation.items())[:-1]), metadata or {})
+    validation = {name: min(found[name].error for found in sets) for name in tried}
+    head = Head(target, record, validation, metadata or {})
+    if head.method not in validation:
+        validation[head.method] = best.trial.error
+    return head
 
 
 def histories(recording: SkinRecording) -> tuple[int, ...]:
@@ -422,14 +446,14 @@ def root_mean_square(errors: Float[np.ndarray, "*n d"]) -> float:
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1))))
 
 
-def _ways_of_folding(recording: SkinRecording, seed: int) -> np.ndarray:
-    """(ways, n) folds: of whole groups, for what lies between known places, and of single presses, for what lies among
-    them; rows of a stroke are no presses of their own.
+def _ways_of_grouping(recording: SkinRecording) -> np.ndarray:
+    """(ways, n) groups that are held out whole: for what lies between known places blocks or strokes, and for what lies
+    among them single presses; rows of a stroke are no presses of their own.
     """
-    groups = fold_numbers(hold_out_groups(recording), FOLD_COUNT, seed)
+    groups = hold_out_groups(recording)
     if is_stream(recording) or not recording.varies("position"):
         return groups[None]
-    return np.stack([groups, fold_numbers(np.arange(len(recording)), FOLD_COUNT, seed)])
+    return np.stack([groups, np.arange(len(recording))])
 
 
 class _Trial(NamedTuple):
@@ -439,50 +463,114 @@ class _Trial(NamedTuple):
     history: int
     predicted: np.ndarray  # (ways, n, d)
     platt: np.ndarray  # (2,)
-    error: float
+    error: float  # geometric mean over the ways
 
 
-def _try(
-    name: str,
-    readings: np.ndarray,
-    values: np.ndarray,
-    folds: np.ndarray,
-    history: int,
-    *,
-    budget: HeadBudget,
-    yes_no: bool,
-) -> _Trial:
-    settings = choose_settings(name, readings, values, folds, budget)
-    predicted = cross_predict(name, settings, readings, values, folds, budget=budget)
-    return _judged(settings, history, predicted, values, yes_no=yes_no)
+class _Candidate(NamedTuple):
+    """What may be kept: weights of methods, and perhaps another such sum near known readings."""
+
+    trial: _Trial
+    methods: dict[str, _Trial]
+    weights: dict[str, float]
+    near: "_Candidate | None" = None
+    gate: np.ndarray | None = None  # distances up to which it is that one, and from which it is not
+
+
+@dataclass(frozen=True)
+class _Trials:
+    """What methods are tried on."""
+
+    recording: SkinRecording
+    channels: np.ndarray
+    rows: np.ndarray
+    values: np.ndarray
+    folds: np.ndarray
+    budget: HeadBudget
+    yes_no: bool
+
+    def readings(self, history: int) -> np.ndarray:
+        """Of the rows, with what came before."""
+        looked = with_history(self.recording.readings[:, self.channels], self.recording.session, history)
+        return looked[self.rows]
+
+    def best(self, methods: Sequence[str], histories: Sequence[int], ways: slice) -> dict[str, _Trial]:
+        """Each method with the settings that are best in some ways of holding out."""
+        found: dict[str, _Trial] = {}
+        for history in histories:
+            readings = self.readings(history)
+            for name in methods:
+                settings = choose_settings(name, readings, self.values, self.folds[ways], self.budget)
+                predicted = cross_predict(name, settings, readings, self.values, self.folds, budget=self.budget)
+                trial = _judged(settings, history, predicted, self.values, yes_no=self.yes_no)
+                if name not in found or trial.error < found[name].error:
+                    found[name] = trial
+        return found
 
 
 def _judged(settings: Settings, history: int, predicted: np.ndarray, values: np.ndarray, *, yes_no: bool) -> _Trial:
-    if not yes_no:
-        return _Trial(settings, history, predicted, np.zeros(2), root_mean_square(predicted - values))
-    platt = _platt(predicted[..., 0], np.broadcast_to(values[:, 0], predicted.shape[:2]))
-    probability = _logistic(platt[0] * predicted + platt[1])
-    return _Trial(settings, history, predicted, platt, root_mean_square(probability - values))
+    platt = np.zeros(2)
+    shown = predicted
+    if yes_no:
+        platt = _platt(predicted[..., 0], np.broadcast_to(values[:, 0], predicted.shape[:2]))
+        shown = _logistic(platt[0] * predicted + platt[1])
+    errors = [max(root_mean_square(way - values), 1e-12) for way in shown]
+    return _Trial(settings, history, predicted, platt, float(np.exp(np.mean(np.log(errors)))))
 
 
-def _choose(found: dict[str, _Trial], values: np.ndarray, folds: np.ndarray) -> tuple[_Trial, dict[str, float]]:
-    """The best method, or the weighted sum of methods where that has the less error, and the weights. Weights of a fold
-    come from the others.
-    """
-    names, yes_no = list(found), bool(any(trial.platt.any() for trial in found.values()))
+def _name_of(methods: Mapping[str, Any]) -> str:
+    return STACKED_METHODS if len(methods) > 1 else next(iter(methods))
+
+
+def _one(name: str, trial: _Trial) -> _Candidate:
+    return _Candidate(trial, {name: trial}, {name: 1.0})
+
+
+def _weighted(
+    found: dict[str, _Trial], values: np.ndarray, folds: np.ndarray, ways: slice, *, yes_no: bool
+) -> _Candidate:
+    """The weighted sum of methods with the least error in some ways. Weights of a fold come from the others."""
     predicted = np.stack([trial.predicted for trial in found.values()])
+    fold, chosen = folds[ways][0], predicted[:, ways]
     summed = np.empty(predicted.shape[1:])
-    for fold in np.unique(folds[0]):
-        out = folds[0] == fold
-        shares, centre = _stack_weights(predicted[:, :, ~out], values[~out])
+    for i in np.unique(fold):
+        out = fold == i
+        shares, centre = _stack_weights(chosen[:, :, ~out], values[~out])
         summed[:, out] = centre + np.tensordot(shares, predicted[:, :, out] - centre, 1)
-    stacked = _judged((), 0, summed, values, yes_no=yes_no)
-    best = min(names, key=lambda name: found[name].error)
-    shares = _stack_weights(predicted, values)[0]
-    weights = {name: float(share) for name, share in zip(names, shares, strict=True) if share > MIN_WEIGHT}
-    if len(weights) > 1 and stacked.error < found[best].error:
-        return stacked, weights
-    return found[best], {best: 1.0}
+    shares = _stack_weights(chosen, values)[0]
+    weights = {name: float(share) for name, share in zip(found, shares, strict=True) if share > MIN_WEIGHT}
+    if len(weights) < 2:
+        name = min(found, key=lambda name: found[name].error)
+        return _one(name, found[name])
+    return _Candidate(_judged((), 0, summed, values, yes_no=yes_no), found, weights)
+
+
+def _choose(sets: list[dict[str, _Trial]], ways: list[slice], trials: _Trials, distance: np.ndarray) -> _Candidate:
+    """What has the least error of single methods, weighted sums, and one of these for each of two ways."""
+    values, folds, yes_no = trials.values, trials.folds, trials.yes_no
+    singles = [[_one(name, found[name]) for name in found] for found in sets]
+    candidates = [
+        *(one for found in singles for one in found),
+        *(_weighted(found, values, folds, slice(None), yes_no=yes_no) for found in sets),
+    ]
+    if len(sets) > 1:
+        of_blocks, of_presses = (
+            [*alone, _weighted(found, values, folds, way, yes_no=yes_no)]
+            for way, found, alone in zip(ways, sets, singles, strict=True)
+        )
+        far = min(of_blocks, key=lambda one: root_mean_square(one.trial.predicted[0] - values))
+        for near, shares in product(of_presses, GATES):
+            gate = np.array([np.quantile(distance[way], share) for way, share in zip((1, 0), shares, strict=True)])
+            gate = np.maximum.accumulate(gate)
+            both = _gated(gate, distance, near.trial.predicted, far.trial.predicted)
+            trial = _judged((), 0, both, values, yes_no=yes_no)
+            candidates.append(_Candidate(trial, far.methods, far.weights, near, gate))
+    return min(candidates, key=lambda one: one.trial.error)
+
+
+def _gated(gate: np.ndarray, distance: np.ndarray, near: np.ndarray, far: np.ndarray) -> np.ndarray:
+    """What is said near known readings, going over into what is said far from them."""
+    share = np.clip((distance - gate[0]) / max(gate[1] - gate[0], 1e-12), 0, 1)[..., None]
+    return (1 - share) * near + share * far
 
 
 def _stack_weights(predicted: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -494,19 +582,14 @@ def _stack_weights(predicted: np.ndarray, values: np.ndarray) -> tuple[np.ndarra
 
 
 def _fit_stack(
-    found: dict[str, _Trial],
-    weights: dict[str, float],
-    readings: np.ndarray,
-    values: np.ndarray,
-    *,
-    budget: HeadBudget,
+    kept: _Candidate, readings: np.ndarray, values: np.ndarray, budget: HeadBudget, history: int
 ) -> StackRecord:
-    """Fit each method that has a weight to all rows; `readings` hold as much history as any of them looks at."""
+    """Fit each method that has a weight to all rows; `readings` hold so many rows of history."""
     fields = dict(zip(HEAD_METHODS, StackRecord._fields[-len(HEAD_METHODS) :], strict=True))
-    longest = max(trial.history for trial in found.values())
-    parts = {}
+    weights, parts = kept.weights, {}
+    found = {name: kept.methods[name] for name in weights}
     for name, trial in found.items():
-        looked = readings[:, : readings.shape[1] * (1 + trial.history) // (1 + longest)]
+        looked = readings[:, : readings.shape[1] * (1 + trial.history) // (1 + history)]
         parts[fields[name]] = fit_regression(name, trial.settings, looked, values, budget=budget)
     return StackRecord(
         centre=values.mean(0),
@@ -516,26 +599,35 @@ def _fit_stack(
     )
 
 
-def _predict_stack(stack: StackRecord, readings: np.ndarray) -> np.ndarray:
-    longest, deviation = int(stack.histories.max()), np.zeros((len(readings), len(stack.centre)))
+def _predict_stack(stack: StackRecord, readings: np.ndarray, history: int) -> np.ndarray:
+    """What a sum says of readings that hold so many rows of history."""
+    deviation = np.zeros((len(readings), len(stack.centre)))
     for name, part in stack.parts.items():
         i = HEAD_METHODS.index(name)
-        looked = readings[:, : readings.shape[1] * (1 + int(stack.histories[i])) // (1 + longest)]
+        looked = readings[:, : readings.shape[1] * (1 + int(stack.histories[i])) // (1 + history)]
         deviation += stack.weights[i] * (predict_regression(part, looked) - stack.centre)
     return stack.centre + deviation
 
 
-def _fit_spread(readings: np.ndarray, errors: np.ndarray, folds: np.ndarray, platt: np.ndarray) -> SpreadRecord:
-    """What errors on held-out folds say of a reading's spread."""
-    features = make_feature_map(FEATURES_OF_SPREAD, readings)
-    x = features(readings)
+def _fold_distances(readings: np.ndarray, folds: np.ndarray) -> np.ndarray:
+    """(ways, n) distance of each reading from the nearest of other folds, in features."""
+    x = make_feature_map(FEATURES_OF_SPREAD, readings)(readings)
     distance = np.empty(folds.shape)
     for way, of in enumerate(folds):
         for fold in np.unique(of):
             out = of == fold
             distance[way, out] = nearest_known(x[~out], x[out], 1)[0][:, 0]
+    return distance
+
+
+def _fit_spread(
+    readings: np.ndarray, errors: np.ndarray, groups: np.ndarray, distance: np.ndarray, platt: np.ndarray
+) -> SpreadRecord:
+    """What errors on held-out folds of whole groups (ways, n) say of a reading's spread."""
+    features = make_feature_map(FEATURES_OF_SPREAD, readings)
+    x = features(readings)
     raw = np.concatenate([_likeness(readings, way) for way in distance])
-    errors = errors.reshape(-1, errors.shape[-1])
+    flat = errors.reshape(-1, errors.shape[-1])
     middle, width = raw.mean(0), np.maximum(raw.std(0), 1e-6)
     record = SpreadRecord(
         features=features,
@@ -543,23 +635,27 @@ def _fit_spread(readings: np.ndarray, errors: np.ndarray, folds: np.ndarray, pla
         likeness=(raw - middle) / width,
         middle=middle,
         width=width,
-        square=errors**2,
-        factor=np.ones(errors.shape[1]),
+        square=flat**2,
+        factor=np.ones(flat.shape[1]),
         far=np.array(UNFAMILIAR_FACTOR * np.quantile(distance, UNFAMILIAR_QUANTILE)),
         platt=platt,
     )
-    ratio = np.abs(errors) / _alike(record, record.likeness, leave_out_itself=True)
-    level = min(0.9 * (1 + len(folds) / len(errors)), 1.0)
-    # Nine in ten in the way of holding out that needs most: between known places, as a rule.
-    factor = np.quantile(ratio.reshape(*folds.shape, -1), level, axis=1).max(0) / STDS_OF_90_PERCENT
-    return record._replace(factor=np.maximum(factor, 1e-3))
+    ratio = (np.abs(flat) / _alike(record, record.likeness, leave_out_itself=True)).reshape(errors.shape)
+    # In the way of holding out that needs most: between known places, as a rule.
+    factor = np.max([_factor_of_groups(*way) for way in zip(ratio, groups, strict=True)], axis=0)
+    return record._replace(factor=np.maximum(factor / STDS_OF_90_PERCENT, 1e-3))
 
 
-def _spread(record: SpreadRecord, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviations (n, d), and which readings are unfamiliar."""
-    distance = nearest_known(record.known, record.features(readings), 1)[0][:, 0]
+def _factor_of_groups(ratio: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """(d,) what holds nine in ten of the ratios (n, d) in nine of ten groups, with one more group to come."""
+    each = np.array([np.quantile(ratio[group == one], RANGE_SHARE, axis=0) for one in np.unique(group)])
+    return np.quantile(each, min(RANGE_SHARE * (1 + 1 / len(each)), 1.0), axis=0)
+
+
+def _spread(record: SpreadRecord, readings: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """Standard deviations (n, d) at this distance from the nearest known reading."""
     likeness = (_likeness(readings, distance) - record.middle) / record.width
-    return _alike(record, likeness) * record.factor, distance > record.far
+    return _alike(record, likeness) * record.factor
 
 
 def _likeness(readings: np.ndarray, distance: np.ndarray) -> np.ndarray:

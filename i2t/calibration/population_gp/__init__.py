@@ -10,9 +10,11 @@ from i2t.calibration.population_gp.mixture import (
     FitOptions,
     PopulationGP,
     PressTable,
+    board_shares,
     condition,
     fit_population,
     interval_scaling,
+    of_any_version,
     predict_population,
 )
 from i2t.calibration.population_gp.prior import KernelPrior, load_prior, save_prior
@@ -23,10 +25,12 @@ __all__ = [
     "PopulationGP",
     "PressTable",
     "SkinKernels",
+    "board_shares",
     "condition",
     "fit_population",
     "interval_scaling",
     "load_prior",
+    "of_any_version",
     "predict_population",
     "save_prior",
 ]

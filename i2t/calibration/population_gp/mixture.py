@@ -1,10 +1,17 @@
 """A mixture of Gaussian processes over the population of kernels, weighted by what presses left out say.
 
 Marginal likelihood misled on real presses, so a kernel's weight is its share of the population times what it is worth
-in leave-one-out prediction: its log density (Student's t, so that one bad press does not decide; pseudo-Bayesian model
-averaging, Gelfand and Dey, JRSS B 56, 1994; Yao et al., Bayesian Analysis 13, 2018) and its squared error. Both are
-tempered because presses and channels are not independent; the exponents were chosen on simulated skins. Channels may
-lean to kernels of their own (one chip may be noisier than the others).
+in predicting presses left out: its log density (Student's t, so that one bad press does not decide; pseudo-Bayesian
+model averaging, Gelfand and Dey, JRSS B 56, 1994; Yao et al., Bayesian Analysis 13, 2018) and its squared error. Both
+are tempered because presses and channels are not independent; the exponents were chosen on simulated skins. Channels
+may lean to kernels of their own (one chip may be noisier than the others).
+
+What is best among the presses need not be best where nothing was pressed. So there are two sets of weights: near the
+presses by presses left out one by one, and far from them by presses left out with all that lie together. A prediction
+takes a weighted mean of both, by its distance from the nearest press.
+
+Several boards may be candidates. Kernels whose amplitude falls with the distance from a chip are members once for each
+of them, and all kernels once more without chips; what is left out weighs boards as it weighs kernels.
 
 Presses that lie far outside their stated errors are given more noise (Student's t errors as a scale mixture; West,
 JRSS B 46, 1984), and local heights of the skin, common to all channels, are found from what is left along the slopes
@@ -42,7 +49,8 @@ CHANNEL_EXPONENT = 0.1  # of a channel's own density, on top
 TEMPERING_PRESSES = 5.0  # beyond so many, presses add ever less to what is known of the kernel
 # A skin is also asked for where it was not pressed: presses that lie together are left out together, too.
 PARTS, MIN_PART_PRESSES = 5, 10
-PART_SHARE = 0.5  # of the worth, by what is left out part by part
+NEAR_PART_SHARE, FAR_PART_SHARE = 0.25, 0.75  # of the worth, by what is left out part by part
+BOARD_SHARE = 0.5  # of the prior, of kernels that know where the chips are
 DENSITY_DOF = 5.0  # of the t that leave-one-out errors are judged by
 LINEAR_VARIANCES = (0.15**2, 0.15**2)  # of the share of the press before that stays; of a temperature's effect
 LINEAR_SHARE = 0.5  # of the prior, of kernels with linear terms where they are known
@@ -66,6 +74,8 @@ MIN_TYPICAL_LOAD = 1e-9
 DEFAULT_SCALING = 1.1  # of the standard deviations, on simulated skins
 SCALING_PRESSES = 10.0  # presses' worth of belief in it
 SHARED_PRESSES = 30.0  # presses' worth of belief that all channels have one
+NO_BOARD = -1
+MIN_FAR_M = 1e-4  # from where weights are those near the presses to where they are those far from them, at least
 PREDICT_ROWS = 500  # presses that are predicted at once
 
 
@@ -97,6 +107,7 @@ class Components(NamedTuple):
     uses_linear: Bool[np.ndarray, " k"]
     uses_previous: Bool[np.ndarray, " k"]
     log_share: Float[np.ndarray, " k"]
+    board: Int[np.ndarray, " k"] | None = None  # number of the board whose chips it knows, or NO_BOARD
 
 
 @in_one_line
@@ -116,13 +127,14 @@ class PopulationGP(NamedTuple):
 
     presses: PressTable
     readings: Float[np.ndarray, "n c"]  # uT
-    chip_positions: Float[np.ndarray, "chips 2"] | None  # m
+    chip_positions: Float[np.ndarray, "boards chips 2"] | None  # m
     typical_loads: Float[np.ndarray, " kinds"]  # m or N
     typical_linear: Float[np.ndarray, "c r"]
     extra_noise: Float[np.ndarray, "n groups"]  # relative variance of presses that are no good
     heights: Heights
     components: Components
-    weights: Float[np.ndarray, "k c"]
+    weights: Float[np.ndarray, "k c"]  # near the presses
+    far_weights: Float[np.ndarray, "k c"] | None = None  # far from them; None where nothing can be said
 
 
 class LeftOutMixture(NamedTuple):
@@ -137,7 +149,7 @@ def fit_population(
     readings: Float[np.ndarray, "n c"],
     *,
     load_kinds: tuple[str, ...],
-    chip_positions: Float[np.ndarray, "chips 2"] | None = None,
+    chip_positions: Float[np.ndarray, "boards chips 2"] | None = None,
     prior: KernelPrior | None = None,
     options: FitOptions = FitOptions(),
 ) -> PopulationGP:
@@ -147,7 +159,7 @@ def fit_population(
         presses: In any order.
         readings: Their readings (uT).
         load_kinds: "depth" or "force", of each column of the loads.
-        chip_positions: Positions of the chips (m) where they are known; channels come three for each.
+        chip_positions: Positions of the chips (m) of each board that may be the skin's; channels come three for each.
         prior: Kernels of a population; by default those of the package.
         options: What takes part.
 
@@ -202,6 +214,37 @@ def predict_population(
     return mean, np.sqrt(variance)
 
 
+def board_shares(gp: PopulationGP) -> Float[np.ndarray, " boards"]:
+    """How much each board weighs in a mixture.
+
+    Args:
+        gp: The mixture.
+
+    Returns:
+        Weights, the first that of members that know no chips; they sum to 1.
+    """
+    assert gp.components.board is not None
+    boards = 0 if gp.chip_positions is None else len(gp.chip_positions)
+    return np.bincount(gp.components.board + 1, _shares(gp), boards + 1)
+
+
+def of_any_version(gp: PopulationGP) -> PopulationGP:
+    """A mixture as this version has it.
+
+    Args:
+        gp: From a file, perhaps of a version that knew one board at most.
+
+    Returns:
+        The same.
+    """
+    if gp.components.board is not None:
+        return gp
+    falls = gp.components.kernels.far_amplitude < UNIFORM_FAR_AMPLITUDE
+    chips = None if gp.chip_positions is None else gp.chip_positions[None]
+    board = np.where(falls & (chips is not None), 0, NO_BOARD)
+    return gp._replace(components=gp.components._replace(board=board), chip_positions=chips)
+
+
 def left_out_mixture(gp: PopulationGP) -> LeftOutMixture:
     """Each press of a mixture as predicted from all others, with the weights that all presses gave.
 
@@ -252,15 +295,10 @@ def _start(
     presses = presses._replace(loads=loads)
     parts = []
     for column, kind in enumerate(load_kinds or ("force",)):
-        kernels, log_share = with_plain(prior, kind, presses.position, loads[:, column] / typical[column], readings)
-        if chip_positions is None:
-            kernels, log_share = _without_chips(kernels, log_share)
-        parts.append((kernels, log_share))
-    kernels = kernel.join(*(part[0] for part in parts))
-    log_share = np.concatenate([part[1] for part in parts])
-    column_of = np.repeat(np.arange(len(parts)), [len(part[1]) for part in parts])
-    no = np.zeros(len(log_share), bool)
-    components = Components(kernels, column_of, no, no, log_share)
+        found = with_plain(prior, kind, presses.position, loads[:, column] / typical[column], readings)
+        parts.append(_on_boards(*found, column, 0 if chip_positions is None else len(chip_positions)))
+    components = _joined(*parts)
+    no = np.zeros(len(components.log_share), bool)
     if presses.linear.shape[2]:
         components = _joined(_shared(components, 1 - LINEAR_SHARE), _shared(components, LINEAR_SHARE, uses_linear=~no))
     if presses.previous_mean is not None:
@@ -279,9 +317,23 @@ def _start(
     )
 
 
-def _without_chips(kernels: SkinKernels, log_share: np.ndarray) -> tuple[SkinKernels, np.ndarray]:
-    """What the kernels are where nobody knows where the chips are."""
-    return kernels._replace(far_amplitude=np.full(len(log_share), UNIFORM_FAR_AMPLITUDE)), log_share
+def _on_boards(kernels: SkinKernels, log_share: np.ndarray, column: int, boards: int) -> Components:
+    """Members that know nothing of chips, and those that do, once for each board."""
+
+    def on(board: int, which: np.ndarray, share: float) -> Components:
+        of, some = kernel.take(kernels, which), log_share[which]
+        if board == NO_BOARD:
+            of = of._replace(far_amplitude=np.full(len(some), UNIFORM_FAR_AMPLITUDE))
+        no, every = np.zeros(len(some), bool), np.ones(len(some), int)
+        return Components(
+            kernels=of, load_column=column * every, uses_linear=no, uses_previous=no,
+            log_share=some - logsumexp(some) + np.log(share), board=board * every,
+        )  # fmt: skip
+
+    falls = kernels.far_amplitude < UNIFORM_FAR_AMPLITUDE
+    boards = boards if falls.any() else 0
+    without = on(NO_BOARD, np.ones(len(falls), bool), 1 - BOARD_SHARE if boards else 1.0)
+    return _joined(without, *(on(board, falls, BOARD_SHARE / boards) for board in range(boards)))
 
 
 def _shared(components: Components, share: float, **changed: Any) -> Components:
@@ -313,20 +365,30 @@ def _weigh_in_stages(gp: PopulationGP, options: FitOptions) -> PopulationGP:
     n = len(gp.readings)
     for presses, members in STAGES:
         if len(gp.weights) > members:
-            gp = _keep(gp, np.argsort(-gp.weights.mean(1), kind="stable")[:members])
+            gp = _keep(gp, np.argsort(-_shares(gp), kind="stable")[:members])
         some = _some_presses(gp, min(presses, n))
-        gp = gp._replace(weights=_weights(some, _left_out_all(some, gp.components)))
+        near, far = _weights(some, _left_out_all(some, gp.components))
+        gp = gp._replace(weights=near, far_weights=far)
         if presses >= n:
             break
-    order = np.argsort(-gp.weights.mean(1), kind="stable")
-    enough = 1 + int(np.searchsorted(np.cumsum(gp.weights.mean(1)[order]), KEPT_SHARE))
+    order = np.argsort(-_shares(gp), kind="stable")
+    enough = 1 + int(np.searchsorted(np.cumsum(_shares(gp)[order]), KEPT_SHARE))
     most = options.max_kept if n <= KEEP_FEW_BEYOND else min(options.max_kept, MAX_KEPT_OF_MANY)
     return _keep(gp, order[: min(enough, most)])
 
 
+def _shares(gp: PopulationGP) -> np.ndarray:
+    """(k,) mean weight of each member, over channels, near the presses and far from them."""
+    far = gp.weights if gp.far_weights is None else gp.far_weights
+    return (gp.weights + far).mean(1) / 2
+
+
 def _keep(gp: PopulationGP, which: np.ndarray) -> PopulationGP:
-    weights = gp.weights[which]
-    return gp._replace(components=_taken(gp.components, which), weights=weights / weights.sum(0, keepdims=True))
+    def some(weights: np.ndarray) -> np.ndarray:
+        return weights[which] / weights[which].sum(0, keepdims=True)
+
+    far = None if gp.far_weights is None else some(gp.far_weights)
+    return gp._replace(components=_taken(gp.components, which), weights=some(gp.weights), far_weights=far)
 
 
 def _some_presses(gp: PopulationGP, count: int) -> PopulationGP:
@@ -347,8 +409,14 @@ def _rows_of(presses: PressTable, rows: slice | np.ndarray) -> PressTable:
     )
 
 
-def _weights(gp: PopulationGP, found: LeftOutPresses) -> np.ndarray:
-    """Weights (k, c) of the members, each channel's summing to 1."""
+def _weighed(gp: PopulationGP) -> PopulationGP:
+    """The mixture with weights by all its presses."""
+    near, far = _weights(gp, _left_out_all(gp, gp.components))
+    return gp._replace(weights=near, far_weights=far)
+
+
+def _weights(gp: PopulationGP, found: LeftOutPresses) -> tuple[np.ndarray, np.ndarray | None]:
+    """Weights (k, c) of the members near the presses and far from them, each channel's summing to 1."""
     n, c = gp.readings.shape
     trust = np.repeat(1 / (1 + gp.extra_noise), c // gp.extra_noise.shape[1], axis=1)
 
@@ -358,14 +426,20 @@ def _weights(gp: PopulationGP, found: LeftOutPresses) -> np.ndarray:
         missed = (trust[None] * error**2).sum((1, 2))
         return DENSITY_EXPONENT * density.sum(1) - ERROR_EXPONENT * n / 2 * np.log(np.maximum(missed, 1e-30)), density
 
-    worth, density = worth_of(found.error, found.variance)
-    if found.part_error is not found.error:
-        of_parts, density_of_parts = worth_of(found.part_error, found.part_variance)
-        worth = (1 - PART_SHARE) * worth + PART_SHARE * of_parts
-        density = (1 - PART_SHARE) * density + PART_SHARE * density_of_parts
-    tempered = 1 / (1 + n / TEMPERING_PRESSES)
-    each = (gp.components.log_share + tempered * worth)[:, None] + CHANNEL_EXPONENT * density
-    return np.exp(each - logsumexp(each, axis=0, keepdims=True))
+    def weights_of(worth: np.ndarray, density: np.ndarray) -> np.ndarray:
+        tempered = 1 / (1 + n / TEMPERING_PRESSES)
+        each = (gp.components.log_share + tempered * worth)[:, None] + CHANNEL_EXPONENT * density
+        return np.exp(each - logsumexp(each, axis=0, keepdims=True))
+
+    alone = worth_of(found.error, found.variance)
+    if found.part_error is found.error:
+        return weights_of(*alone), None
+    together = worth_of(found.part_error, found.part_variance)
+    near, far = (
+        weights_of(*((1 - share) * one + share * other for one, other in zip(alone, together, strict=True)))
+        for share in (NEAR_PART_SHARE, FAR_PART_SHARE)
+    )
+    return near, far
 
 
 def _left_out_all(gp: PopulationGP, components: Components) -> LeftOutPresses:
@@ -392,19 +466,24 @@ def _parts(gp: PopulationGP) -> np.ndarray | None:
 
 def _alike(gp: PopulationGP, components: Components) -> Iterator[tuple[np.ndarray, PressGeometry, Observed]]:
     """Numbers of the members that see the presses alike, and what they see."""
-    knows_chips = components.kernels.far_amplitude < UNIFORM_FAR_AMPLITUDE
-    which = np.column_stack([components.load_column, components.uses_linear, components.uses_previous, knows_chips])
+    assert components.board is not None
+    which = np.column_stack(
+        [components.load_column, components.uses_linear, components.uses_previous, components.board]
+    )
     for combination in np.unique(which, axis=0):
         rows = np.flatnonzero((which == combination).all(1))
-        column, linear, previous, chips = combination
-        yield rows, _geometry(gp, gp.presses, int(column), bool(chips)), _observed(gp, bool(linear), bool(previous))
+        column, linear, previous, board = combination
+        yield rows, _geometry(gp, gp.presses, int(column), int(board)), _observed(gp, bool(linear), bool(previous))
 
 
-def _geometry(gp: PopulationGP, presses: PressTable, column: int, chips: bool) -> PressGeometry:
+def _geometry(gp: PopulationGP, presses: PressTable, column: int, board: int) -> PressGeometry:
     load = presses.loads[:, column] / gp.typical_loads[column]
     if column == 0 and presses is gp.presses:
         load = load + _own_heights(gp)
-    return kernel.geometry(presses.position, load, gp.chip_positions if chips else None)
+    if board == NO_BOARD:
+        return kernel.geometry(presses.position, load, None)
+    assert gp.chip_positions is not None
+    return kernel.geometry(presses.position, load, gp.chip_positions[board])
 
 
 def _observed(gp: PopulationGP, linear: bool, previous: bool) -> Observed:
@@ -442,7 +521,7 @@ def _with_heavy_tails(gp: PopulationGP) -> PopulationGP:
     scale = np.einsum("kc,kc->c", gp.weights, found.scale)
     relative = (mixed.variance / scale[None] ** 2).reshape(n, groups, each).mean(2)
     gp = gp._replace(extra_noise=np.where(far, (ratio - 1) * relative, 0.0))
-    return gp._replace(weights=_weights(gp, _left_out_all(gp, gp.components)))
+    return _weighed(gp)
 
 
 # --- local heights of the skin ---
@@ -464,7 +543,7 @@ def _with_heights(gp: PopulationGP) -> PopulationGP:
         if not kept.any():
             return gp
         gp = gp._replace(heights=tried._replace(std=std[kept], length=length[kept], share=share[kept]))
-        gp = gp._replace(weights=_weights(gp, _left_out_all(gp, gp.components)))
+        gp = _weighed(gp)
     return gp
 
 
@@ -533,9 +612,10 @@ def _predict_rows(
     loads = presses.loads if gp.presses.loads.shape[1] == presses.loads.shape[1] else np.ones((m, 1))
     presses = presses._replace(loads=np.column_stack([loads[:, 0] + height * gp.typical_loads[0], loads[:, 1:]]))
     mean, square = np.zeros((m, c)), np.zeros((m, c))
-    slope = np.zeros((m, c))
+    slope, far = np.zeros((m, c)), _farness(gp, presses.position)[:, None]
+    far_weights = gp.weights if gp.far_weights is None else gp.far_weights
     for i, given in enumerate(conditioned):
-        weight = gp.weights[i][None]
+        weight = (1 - far) * gp.weights[i] + far * far_weights[i]
         own_mean, own_variance, own_slope = _predict_one(gp, i, given, presses)
         mean += weight * own_mean
         square += weight * (own_variance + own_mean**2)
@@ -544,13 +624,29 @@ def _predict_rows(
     return mean, np.maximum(variance, 1e-12)
 
 
+def _farness(gp: PopulationGP, position: np.ndarray) -> np.ndarray:
+    """(m,) from 0 for positions as near to a press as presses are to each other, to 1 for those as far as presses are
+    from all that are not of their part.
+    """
+    known, part = gp.presses.position, _parts(gp)
+    if part is None:
+        return np.zeros(len(position))
+    between = squared_distance(known, known)
+    alone = np.where(np.eye(len(known), dtype=bool), np.inf, between)
+    apart = np.where(part[:, None] == part, np.inf, between)
+    near, far = (float(np.median(np.sqrt(square.min(1)))) for square in (alone, apart))
+    distance = np.sqrt(squared_distance(position, known).min(1))
+    return np.clip((distance - near) / max(far - near, MIN_FAR_M), 0, 1)
+
+
 def _predict_one(
     gp: PopulationGP, i: int, given: Conditioned, presses: PressTable
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean, variance and slope by the first load (m, c) of one member."""
     one = _taken(gp.components, np.array([i]))
-    column, chips = int(one.load_column[0]), bool(one.kernels.far_amplitude[0] < UNIFORM_FAR_AMPLITUDE)
-    at, known = _geometry(gp, presses, column, chips), _geometry(gp, gp.presses, column, chips)
+    assert one.board is not None
+    column, board = int(one.load_column[0]), int(one.board[0])
+    at, known = _geometry(gp, presses, column, board), _geometry(gp, gp.presses, column, board)
     groups = len(given.inverse)
     cross = np.broadcast_to(
         kernel.signal_covariances(one.kernels, at, known)[0], (groups, len(at.load), len(known.load))
