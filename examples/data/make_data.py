@@ -13,21 +13,23 @@ import trimesh
 from manifold3d import Manifold
 
 import i2t
-from i2t.objects.solids import chain, disk, mesh_from_solid, prism
+from i2t.objects.solids import chain, mesh_from_solid
 from i2t.skin.elasticity import GRID
 from i2t.skin.pad import numbered_pad
 
 HERE = Path(__file__).parent
-RADIUS_MM, WALL_MM, HEIGHT_MM = 40.0, 4.0, 90.0  # of the mug
+RADIUS_MM, WALL_MM, HEIGHT_MM, SIDES = 26.0, 3.5, 60.0, 72  # of the mug
 TIP_RADIUS_MM, PRESSES, NOISE_UT = 4.0, 100, 1.0
 
 
 def mug() -> i2t.Mesh:
-    """A mug that stands on z = 0."""
-    handle = chain([(36, 0, 70), (58, 0, 72), (66, 0, 60), (66, 0, 36), (58, 0, 24), (36, 0, 20)], [4.5] * 6)
-    inside = prism(disk(RADIUS_MM - WALL_MM), HEIGHT_MM, WALL_MM)
-    solid: Manifold = prism(disk(RADIUS_MM), HEIGHT_MM) + handle - inside
-    return mesh_from_solid(solid.simplify(0.5))
+    """A mug that lies on z = 0 with its handle up: wall, rim and handle can be touched from above."""
+    bends = [(24, 0, 48), (34, 0, 50), (41, 0, 42), (42, 0, 30), (39, 0, 20), (24, 0, 12)]
+    outside = Manifold.cylinder(HEIGHT_MM, RADIUS_MM, circular_segments=SIDES)
+    inside = Manifold.cylinder(HEIGHT_MM, RADIUS_MM - WALL_MM, circular_segments=SIDES).translate((0, 0, WALL_MM))
+    solid = (outside + chain(bends, [4.0] * len(bends)) - inside).simplify(0.05)
+    lying = solid.rotate((0, -90, 0)).rotate((35, 0, 0))
+    return mesh_from_solid(lying.translate((0, 0, -lying.bounding_box()[2])))
 
 
 def presses() -> list[list[str]]:
