@@ -153,14 +153,15 @@ def test_presses_and_draws_given_replace_those_of_the_preset(tmp_path, capsys):
 
 def test_intervals_over_blocks_are_those_of_whole_blocks():
     rng = np.random.default_rng(0)
-    readings, block = rng.normal(size=(60, 15)), np.repeat([0, 1], 30)
-    error = 15 * rng.uniform(0, 1, 60) * np.where(block == 0, 0.01, 0.5)
+    readings, block = rng.normal(size=(90, 15)), np.repeat([0, 1, 2], 30)
+    error = 15 * rng.uniform(0, 1, 90) * np.array([0.01, 0.2, 0.5])[block]
     draws = [error * (1 + share) for share in (-0.5, 0.5)]  # whose mean is the error
     errors = {methods.CALIBRATED: {20: draws}, methods.PLAIN: {20: [2 * error]}}
     found = report.over_blocks(readings, errors, block)
-    assert found["blocks"] == 2
-    # Two blocks are drawn as a pair of one of them in half of the resamples: the ends are those of each alone.
-    alone = [explained(readings[block == i], error[block == i]) for i in (1, 0)]
+    assert found["blocks"] == 3
+    # One block in 27 resamples is drawn three times, more than the 2.5 % beyond each end: the ends are those of each
+    # extreme block alone.
+    alone = [explained(readings[block == i], error[block == i]) for i in (2, 0)]
     both = found["r2"][20]
     np.testing.assert_allclose([both["low"], both["high"]], alone, rtol=1e-9)
     assert both["mean"] == pytest.approx(explained(readings, error))

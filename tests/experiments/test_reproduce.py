@@ -159,9 +159,9 @@ def test_a_table_that_is_to_come_keeps_what_is_there_until_it_was_measured(tmp_p
     assert write_tables(docs) == []
     assert (docs / "page.md").read_text() == text
     columns = [{"name": name, "decimals": 2, "signed": False, "percent": False} for name in ("met", "fused")]
-    measured = {"bits": {}, "tables": {"bits": {"columns": columns, "rows": [["air", 0.98765]]}}}
+    measured = {"bits": {}, "tables": {"bits": {"columns": columns, "rows": [["air", 0.98765432]]}}}
     kept = shortened("sites", measured)
-    assert kept == {"step": "sites", "tables": {"bits": {"columns": columns, "rows": [["air", 0.9877]]}}}
+    assert kept == {"step": "sites", "tables": {"bits": {"columns": columns, "rows": [["air", 0.987654]]}}}
     (docs / "results" / "sites.json").write_text(json.dumps(kept))
     assert write_tables(docs) == ["page.md: sites bits"]
     rows = "| met | fused |\n| --- | --- |\n| air | 0.99 |\n"

@@ -291,7 +291,7 @@ camera = jax.jit(apply_camera_model, static_argnames="errors")
 
 def seen(z: np.ndarray, **errors: float) -> np.ndarray:
     """Heights in the wide view."""
-    wide, patch = camera(jax.random.key(0), jnp.float32(z), errors=replace(SimulationErrors.none(), **errors))
+    patch, wide = camera(jax.random.key(0), jnp.float32(z), errors=replace(SimulationErrors.none(), **errors))
     return np.asarray(wide, np.float64) + float(patch.nearest)
 
 
