@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -183,6 +184,18 @@ def test_a_touch_alone_is_the_same_as_in_a_batch(nominal, crowded, name):
     assert np.ptp(many.mean, axis=0).max() > 0.1  # and no two of them are one flat face
 
 
+@partial(jax.jit, static_argnames="cfg")
+def pressed(thing, poses, cfg):
+    """Newtons on cells of 1 mm, of presses with 1 N."""
+
+    def one(T):
+        z = render_heights(thing, inverse(T), PAD_WINDOW, cfg.grid.cells)
+        newtons = solve_force(nominal_pad(), jnp.minimum(z - jnp.min(z), 8e-3), 1.0, cfg.grid).pressure
+        return (newtons * cfg.grid.spacing**2).reshape(20, 2, 20, 2).sum((1, 3))
+
+    return jax.vmap(one)(poses)
+
+
 @pytest.mark.parametrize("name", HIGH)
 def test_the_pressure_is_that_of_a_press_at_the_same_pose(nominal, crowded, name):
     """What stands out under the skin is met first, as in the simulation: it carries the load."""
@@ -193,15 +206,9 @@ def test_the_pressure_is_that_of_a_press_at_the_same_pose(nominal, crowded, name
     force = np.full(len(crowded), 1.0, np.float32)
     found = predictors.predict_pressures(cfg, seen.view, force, np.full(len(crowded), np.nan))
 
-    @jax.jit
-    @jax.vmap
-    def pressed(T):
-        z = render_heights(THINGS[name], inverse(T), PAD_WINDOW, cfg.grid.cells)
-        met = jnp.minimum(z - jnp.min(z), 8e-3)
-        newtons = solve_force(nominal_pad(), met, 1.0, cfg.grid).pressure * cfg.grid.spacing**2
-        return newtons.reshape(20, 2, 20, 2).sum((1, 3))
-
-    for predicted, true in zip(np.asarray(found.pressure), np.asarray(pressed(jnp.asarray(crowded))), strict=True):
+    for predicted, true in zip(
+        np.asarray(found.pressure), np.asarray(pressed(THINGS[name], jnp.asarray(crowded), cfg)), strict=True
+    ):
         shared = np.minimum(predicted, true).sum() / true.sum()
         assert shared > 0.7, f"only {shared:.0%} of the load lies where the skin is met"
 
