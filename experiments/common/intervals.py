@@ -29,7 +29,7 @@ def with_interval(
     number, *limits = (math.nan if value is None else float(value) for value in (mean, low, high))
     if not math.isfinite(number):
         return "-"
-    said = f"{number:{sign}.{digits}f}"
+    said = f"{number:{sign}z.{digits}f}"
     if not all(map(math.isfinite, limits)):
         return said
-    return f"{said} [{', '.join(f'{limit:{sign}.{digits if ends is None else ends}f}' for limit in limits)}]"
+    return f"{said} [{', '.join(f'{limit:{sign}z.{digits if ends is None else ends}f}' for limit in limits)}]"

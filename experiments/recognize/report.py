@@ -387,11 +387,11 @@ def _limits(estimate: dict[str, float], digits: int = 3) -> str:
     """An interval; where nothing tells its clusters apart there is none."""
     if not np.isfinite([estimate["low"], estimate["high"]]).all():
         return "[" + " " * (digits + 1) + "none" + " " * (digits + 1) + "]"
-    return f"[{estimate['low']:.{digits}f}, {estimate['high']:.{digits}f}]"
+    return f"[{estimate['low']:z.{digits}f}, {estimate['high']:z.{digits}f}]"
 
 
 def _range(estimate: dict[str, float]) -> str:
-    return f"{estimate['mean']:.3f} {_limits(estimate)}"
+    return f"{estimate['mean']:z.3f} {_limits(estimate)}"
 
 
 def _signed(estimate: dict[str, float]) -> str:
