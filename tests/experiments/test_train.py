@@ -54,10 +54,7 @@ def test_the_run_leaves_what_it_promises(finished):
     assert set(metrics["by_object"]) == {"star", "hammer"}
     assert metrics["groups"] == 2
     for values in metrics["methods"].values():
-        # Two groups drawn with replacement are both of them every second time: R2 itself is among the draws.
-        low, high = values["r2_interval"]
-        assert low <= values["r2"] <= high
-        assert low < high
+        assert values["r2_interval"] == [None, None]  # two sessions are too few for one
     config = json.loads((finished / "config.json").read_text())
     assert config["versions"]["jax"]
     assert config["experiment"]["simulation"]["touches"] == 60
@@ -97,11 +94,7 @@ def test_reported_scores_are_the_predictors_own(finished):
     seen = i2t.load_predictor(finished).predict(chosen.patch[rows], **given)
     truth = chosen.reading[rows]
     kept = metrics["methods"][metrics["best"]]
-    sessions = chosen.session[rows]
-    drawn = [np.flatnonzero(sessions == session) for session in np.unique(sessions)]
-    drawn.append(np.concatenate(drawn))
-    r2 = [score(truth[one], seen.mean[one]).r2 for one in drawn]
-    assert kept["r2_interval"] == pytest.approx([min(r2), max(r2)], abs=1e-4)
+    assert kept["r2"] == pytest.approx(score(truth, seen.mean).r2, abs=1e-4)
     rmse = np.sqrt(((seen.mean - truth) ** 2).mean())
     assert rmse == pytest.approx(metrics["methods"][metrics["best"]]["rmse"], rel=1e-4)
     assert seen.std.min() > 0
