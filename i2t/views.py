@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from i2t.types import PATCH_PIXELS, REACH, Patch, in_one_line
+from i2t.types import PAD_WINDOW, PATCH_PIXELS, REACH, Patch, in_one_line
 from i2t.types import Array as AnyArray
 
 SAME_SURFACE_M = 1.5e-3  # m, five times a camera's depth noise: pixels closer in depth are taken for one surface
@@ -42,7 +42,6 @@ def view_of_heights(
     z: Float[Array, "w w"],
     nearest: Float[Array, ""],
     *,
-    pixels: int = PATCH_PIXELS,
     reach: float = REACH,
     noise: float = 0.0,
     least: Float[Array, ""] | float = -jnp.inf,
@@ -50,10 +49,9 @@ def view_of_heights(
     """A patch and its surroundings from heights.
 
     Args:
-        z: m along tool z from the tool origin, +inf where nothing is seen.
+        z: m along tool z from the tool origin, +inf where nothing is seen; the patch is its central 48 x 48 pixels.
         nearest: m, height of the patch's nearest point, from which depths count; where there is none (+inf) they count
             from the tool origin.
-        pixels: Along the edge of the patch; static.
         reach: m, at which depths are clipped.
         noise: m; what stands out by less is taken for the camera's noise and reads 0.
         least: m, height of the nearest surface anywhere; what is nearer is taken for noise on it.
@@ -64,34 +62,17 @@ def view_of_heights(
     start = jnp.where(jnp.isfinite(nearest), nearest, 0)
     behind = jnp.minimum(jnp.maximum(z, least) - start, reach)
     wide = jnp.where(behind < -noise, behind, jnp.maximum(behind, 0))
-    patch = jnp.maximum(centre(wide, pixels), 0)
-    margin = (z.shape[-1] - pixels) // 2
+    patch = jnp.maximum(centre(wide, PATCH_PIXELS), 0)
+    margin = (z.shape[-1] - PATCH_PIXELS) // 2
     return WideView(Patch(patch, nearest), jax.lax.dynamic_update_slice(wide, patch, (margin, margin)))
-
-
-def nearest_surface(z: Float[Array, "n n"]) -> Float[Array, ""]:
-    """The height of the nearest surface that a noisy camera sees, which is not its nearest pixel.
-
-    It is the least mean over squares of 5 x 5 pixels, of which those on the square's nearest surface count (a sigma
-    filter; Lee, CVGIP 24, 1983). These must be at least ten, or as many as there are anywhere: few pixels would be the
-    noisiest rather than the nearest.
-
-    Args:
-        z: m along tool z, +inf where nothing is seen.
-
-    Returns:
-        m; +inf where nothing is seen at all.
-    """
-    inner = z.shape[-1] - FILTER_PIXELS + 1
-    squares = jnp.stack([z[i : i + inner, j : j + inner] for i in range(FILTER_PIXELS) for j in range(FILTER_PIXELS)])
-    same = jnp.isfinite(squares) & (squares <= jnp.min(squares, axis=0, keepdims=True) + SAME_SURFACE_M)
-    count = jnp.sum(same, axis=0)
-    mean = jnp.sum(jnp.where(same, squares, 0), axis=0) / jnp.maximum(count, 1)
-    return jnp.min(jnp.where(count >= jnp.clip(jnp.max(count), 1, MIN_SURFACE_PIXELS), mean, jnp.inf))
 
 
 def camera_view(z: Float[Array, "w w"]) -> WideView:
     """A view from the heights of a noisy camera, of the default sizes.
+
+    Its nearest surface is not its nearest pixel. It is the least mean over squares of 5 x 5 pixels, of which those on
+    the square's nearest surface count (a sigma filter; Lee, CVGIP 24, 1983). These must be at least ten, or as many as
+    there are anywhere: few pixels would be the noisiest rather than the nearest.
 
     Args:
         z: m along tool z from the tool origin, +inf where nothing is seen.
@@ -99,8 +80,33 @@ def camera_view(z: Float[Array, "w w"]) -> WideView:
     Returns:
         The view, behind the patch's nearest surface. What stands out by less than `SAME_SURFACE_M` is noise.
     """
-    nearest = nearest_surface(centre(z, PATCH_PIXELS))
-    return view_of_heights(z, nearest, noise=SAME_SURFACE_M, least=jnp.minimum(nearest, nearest_surface(z)))
+    inner = z.shape[-1] - FILTER_PIXELS + 1
+    squares = jnp.stack([z[i : i + inner, j : j + inner] for i in range(FILTER_PIXELS) for j in range(FILTER_PIXELS)])
+    same = jnp.isfinite(squares) & (squares <= jnp.min(squares, axis=0, keepdims=True) + SAME_SURFACE_M)
+    count = jnp.sum(same, axis=0)
+    mean = jnp.sum(jnp.where(same, squares, 0), axis=0) / jnp.maximum(count, 1)
+
+    def nearest(pixels: int) -> Float[Array, ""]:
+        """m, of the squares in the middle; +inf where nothing is seen."""
+        found = centre(count, pixels - FILTER_PIXELS + 1)
+        enough = found >= jnp.clip(jnp.max(found), 1, MIN_SURFACE_PIXELS)
+        return jnp.min(jnp.where(enough, centre(mean, pixels - FILTER_PIXELS + 1), jnp.inf))
+
+    of_patch = nearest(PATCH_PIXELS)
+    least = jnp.minimum(of_patch, nearest(z.shape[-1]))
+    return view_of_heights(z, of_patch, noise=SAME_SURFACE_M, least=least)
+
+
+def pixels_on_skin(pitch: float) -> int:
+    """Pixels along the middle of a view whose centres lie on the skin.
+
+    Args:
+        pitch: m, edge of a pixel.
+
+    Returns:
+        An even number.
+    """
+    return 2 * int(PAD_WINDOW / pitch / 2)
 
 
 def centre(view: AnyArray, pixels: int) -> AnyArray:

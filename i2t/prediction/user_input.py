@@ -18,8 +18,8 @@ from i2t import given
 from i2t.geometry import is_rigid
 from i2t.objects.mesh_files import MAX_SIZE_M
 from i2t.types import STANDOFF, Surface
-from i2t.views import WideView, centre
-from i2t.windows import MAX_SKIN_FORCE_N, PAD_WINDOW
+from i2t.views import WideView, centre, pixels_on_skin
+from i2t.windows import MAX_SKIN_FORCE_N
 
 UNUSUAL_FORCE_RATIO = 10.0  # to the median of the training touches: beyond it nothing is known
 MAX_TRAVEL_M = 20e-3  # m past first contact; a skin is 2 to 20 mm thick
@@ -312,9 +312,8 @@ def check_in_front(surface: Surface, T_w_t: Float[np.ndarray, "4 4"], view: Wide
     nearest = float(view.patch.nearest)
     if not math.isfinite(nearest):
         raise ValueError("nothing lies in front of the skin's middle at this pose; move T_w_t towards the surface")
-    pixels = len(view.patch.depth)
-    on_skin = 2 * int(PAD_WINDOW / window * pixels / 2)  # pixels of the view, whose centres lie on the skin
-    stands_out = max(-float(np.min(centre(np.asarray(view.wide), min(on_skin, len(view.wide))))), 0.0)
+    on_skin = min(pixels_on_skin(window / len(view.patch.depth)), len(view.wide))
+    stands_out = max(-float(np.min(centre(np.asarray(view.wide), on_skin))), 0.0)
     met = nearest - stands_out
     if met > MAX_GAP_M:
         raise ValueError(

@@ -149,7 +149,7 @@ def reading_distances(
                 wide = _noisy(wide, view_noise, rng)
             for name, predictor in ready.items():
                 reading = predictor.predict_views(
-                    np.maximum(centre(wide, PATCH_PIXELS), 0),
+                    centre(wide, PATCH_PIXELS),
                     force=force[full],
                     nearest=np.zeros(VIEWS, np.float32),
                     wide=wide,

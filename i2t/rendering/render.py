@@ -153,8 +153,6 @@ def render_view(
     T_w_t: Float[Array, "4 4"],
     *,
     window: float = PATCH_WINDOW,
-    pixels: int = PATCH_PIXELS,
-    wide_pixels: int = WIDE_PIXELS,
     reach: float = REACH,
 ) -> WideView:
     """What the tool has in front of it, with its surroundings, exactly.
@@ -163,17 +161,15 @@ def render_view(
         surface: A prepared surface.
         T_w_t: The tool's rigid pose in the surface's frame; another one gives NaN.
         window: m, edge of the patch; static.
-        pixels: Along the edge of the patch; static.
-        wide_pixels: Along the edge of the view, an even number more; static.
         reach: m, at which depths are clipped; static.
 
     Returns:
         The view. `patch` is that of `i2t.render_patch` at the same pose.
     """
     # Unbounded: what stands out must not end what is seen behind it.
-    seen = render_patch(surface, T_w_t, window=window * wide_pixels / pixels, pixels=wide_pixels, reach=math.inf)
+    seen = render_patch(surface, T_w_t, window=window * WIDE_PIXELS / PATCH_PIXELS, pixels=WIDE_PIXELS, reach=math.inf)
     z = jnp.where(jnp.isfinite(seen.nearest), seen.nearest, 0) + seen.depth
-    return view_of_heights(z, jnp.min(centre(z, pixels)), pixels=pixels, reach=reach)
+    return view_of_heights(z, jnp.min(centre(z, PATCH_PIXELS)), reach=reach)
 
 
 def render_heights(

@@ -54,10 +54,9 @@ from i2t.types import (
     Touches,
     Truth,
 )
-from i2t.views import WideView, camera_view, centre
+from i2t.views import WideView, camera_view, centre, pixels_on_skin
 
 CAMERA_DISTANCE_M = 104e-3  # m from the camera to the surface while looking (the paper's 40 mm + 64 mm)
-PAD_PIXELS = 56  # of a wide view whose centres lie on the skin
 
 
 @dataclass(frozen=True)
@@ -231,7 +230,7 @@ def simulate_touch(
     poses = jnp.stack([T_o_w @ approach.T_w_arm @ end @ session.T_t_camera, approach.T_o_t @ _along_z(press.sinking)])
     seen, z = jax.vmap(lambda T: render_heights(surface, geometry.inverse(T), WIDE_WINDOW, WIDE_PIXELS))(poses)
     camera = apply_camera_model(key_camera, seen, errors)
-    nearest = jnp.min(centre(z, PAD_PIXELS))
+    nearest = jnp.min(centre(z, pixels_on_skin(WIDE_WINDOW / WIDE_PIXELS)))
     met = jnp.clip(z - jnp.where(jnp.isfinite(nearest), nearest, 0), 0, REACH)
     return Touches(
         patch=camera.patch.depth,
