@@ -511,6 +511,8 @@ def believe(
     """
     count, touches = episodes.site.shape
     each = max(min(BELIEVED_TOUCHES // touches, count), 1)
+    share = -(-count * touches // len(np.unique(episodes.site)))  # episodes that follow each other on the same sites
+    each -= each % share if share < each else 0  # are believed together, so that no site is imagined twice
     reading_models = [model.reading_model for model in models.values()]
     T, twist = np.asarray(sites.T_w_t), particles.twist
     # The last rows are filled up: one compilation serves all.

@@ -166,10 +166,10 @@ def test_each_kind_of_evidence_counts_by_itself_and_fused_is_all():
     assert on("fused") == [True, True, True]
 
 
-@pytest.mark.parametrize("share", [1, 2])
-def test_believing_a_few_episodes_at_a_time_changes_nothing(monkeypatch, share):
+@pytest.mark.parametrize(("share", "together"), [(1, 2), (2, 2), (2, 3)])
+def test_believing_a_few_episodes_at_a_time_changes_nothing(monkeypatch, share, together):
     """Each touch is judged by what was predicted at its own site, whichever episodes are taken together; a site that
-    episodes share is imagined once.
+    episodes share is imagined once, also where one more episode would fit.
     """
     rng = np.random.default_rng(0)
     heights, chosen = rng.random(30).astype(np.float32), rng.permutation(30)[:21].reshape(7, 3)
@@ -189,7 +189,7 @@ def test_believing_a_few_episodes_at_a_time_changes_nothing(monkeypatch, share):
     monkeypatch.setattr(episodes_module, "predict_outcomes", predict)
     monkeypatch.setattr(episodes_module, "is_large", lambda surfaces: False)
     monkeypatch.setattr(episodes_module, "run_belief", judge)
-    monkeypatch.setattr(episodes_module, "BELIEVED_TOUCHES", 6)  # two episodes
+    monkeypatch.setattr(episodes_module, "BELIEVED_TOUCHES", 3 * together)
     observations = belief.TouchObservation(*(np.zeros((7, 3)) for _ in range(4)))
     made = Episodes(np.arange(7), chosen, observations, np.zeros((7, 3, 4, 4), np.float32))
     model = create_autospec(BeliefModel, instance=True, kinds=("readings", "fused"))
