@@ -49,9 +49,9 @@ class Story:
         return self.imagine(self.unseen)
 
     def imagine(self, touches: Touches) -> Reading:
-        """The predictor's readings of any touches."""
+        """The predictor's readings of any touches, which are not judged again: a wrench sensor's noise may pull."""
         given = {"force": touches.force, "nearest": touches.nearest, "depth": touches.depth, "wide": touches.wide}
-        return self.run.predictor.predict(touches.patch, **given)
+        return self.run.predictor.predict_views(touches.patch, **given)
 
     @cached_property
     def ranked(self) -> np.ndarray:

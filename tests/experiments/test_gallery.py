@@ -3,11 +3,13 @@
 import ast
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+import i2t
 from experiments.gallery import __main__ as gallery
 from experiments.gallery.arguments import FIGURE_NAMES, OF_A_RUN, GalleryArgs
 from experiments.gallery.figures import FIGURES
@@ -31,6 +33,17 @@ def test_a_figure_is_drawn(name, story):
     canvas.draw()
     colours = np.unique(np.asarray(canvas.buffer_rgba()).reshape(-1, 4), axis=0)
     assert len(colours) > 30
+
+
+def test_a_force_that_a_noisy_wrench_sensor_takes_for_a_pull_is_imagined_too():
+    """Touches of a run are drawn as they were measured."""
+    drawn = Story(Path())
+    drawn.__dict__["run"] = SimpleNamespace(predictor=i2t.load_predictor("nominal"))
+    touches = SimpleNamespace(
+        patch=np.zeros((1, 48, 48), np.float32), wide=np.zeros((1, 72, 72), np.float32),
+        force=np.array([-0.08]), nearest=np.zeros(1), depth=np.full(1, 1e-4),
+    )  # fmt: skip
+    assert np.isfinite(drawn.imagine(touches).mean).all()
 
 
 def test_the_page_shows_every_figure_with_words_for_who_cannot_see_it():
