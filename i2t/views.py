@@ -40,7 +40,7 @@ class WideView(NamedTuple):
 
 def view_of_heights(
     z: Float[Array, "w w"],
-    nearest: Float[Array, ""],
+    nearest: Float[Array, ""] | None = None,
     *,
     reach: float = REACH,
     noise: float = 0.0,
@@ -50,8 +50,8 @@ def view_of_heights(
 
     Args:
         z: m along tool z from the tool origin, +inf where nothing is seen; the patch is its central 48 x 48 pixels.
-        nearest: m, height of the patch's nearest point, from which depths count; where there is none (+inf) they count
-            from the tool origin.
+        nearest: m, height of the patch's nearest point, from which depths count; left out, its nearest pixel. Where
+            there is none (+inf) they count from the tool origin.
         reach: m, at which depths are clipped.
         noise: m; what stands out by less is taken for the camera's noise and reads 0.
         least: m, height of the nearest surface anywhere; what is nearer is taken for noise on it.
@@ -59,6 +59,7 @@ def view_of_heights(
     Returns:
         The view.
     """
+    nearest = jnp.min(centre(z, PATCH_PIXELS)) if nearest is None else nearest
     start = jnp.where(jnp.isfinite(nearest), nearest, 0)
     behind = jnp.minimum(jnp.maximum(z, least) - start, reach)
     wide = jnp.where(behind < -noise, behind, jnp.maximum(behind, 0))

@@ -34,7 +34,6 @@ from i2t.skin.elasticity import FINE_GRID, GRID, Grid
 from i2t.skin.pad import friction_response, press_force
 from i2t.types import (
     PAD_WINDOW,
-    PATCH_PIXELS,
     REACH,
     WIDE_PIXELS,
     WIDE_WINDOW,
@@ -44,7 +43,7 @@ from i2t.types import (
     Touches,
     Truth,
 )
-from i2t.views import centre, view_of_heights
+from i2t.views import view_of_heights
 
 PREFIX = "stamp-"  # of the stamps' names in the catalogue
 SHAPES = tuple(name.removeprefix(PREFIX) for name in catalogue.STAMPS)
@@ -158,7 +157,7 @@ def press_stamp(
     travel = pressed.indentation + force / cfg.stiffness
     deep = jnp.eye(4).at[2, 3].set(-pressed.indentation)
     seen, z = (_wide_heights(stamp, deep @ T) for T in (believed, T_t_o))
-    view = view_of_heights(seen, jnp.min(centre(seen, PATCH_PIXELS)))
+    view = view_of_heights(seen)
     true_nearest = jnp.min(z)
     zero = jnp.int32(0)
     return Touches(

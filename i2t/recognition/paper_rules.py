@@ -344,14 +344,12 @@ def _on_rendered_views(predictor: ReadingPredictor, smooth: bool) -> ReadingPred
 
 def _noisy(wide: np.ndarray, view_noise: float, rng: np.random.Generator) -> np.ndarray:
     """Views with noise, behind the then nearest pixel of their patches."""
-    noisy = jnp.asarray(wide + view_noise * rng.standard_normal(wide.shape, dtype=np.float32))
-    nearest = jnp.min(centre(noisy, PATCH_PIXELS), axis=(1, 2))
-    return np.asarray(_behind(noisy, nearest))
+    return np.asarray(_behind(jnp.asarray(wide + view_noise * rng.standard_normal(wide.shape, dtype=np.float32))))
 
 
 @jax.jit
-def _behind(z: Array, nearest: Array) -> Array:
-    return jax.vmap(partial(view_of_heights, noise=SAME_SURFACE_M))(z, nearest).wide
+def _behind(z: Array) -> Array:
+    return jax.vmap(partial(view_of_heights, noise=SAME_SURFACE_M))(z).wide
 
 
 @jax.jit

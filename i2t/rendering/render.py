@@ -27,7 +27,7 @@ from i2t.rendering.bvh import build_bvh, pad_to_same_size
 from i2t.rendering.raycast import first_hit
 from i2t.rendering.tiles import ToolView
 from i2t.types import CONTACT_TOLERANCE_M, PATCH_PIXELS, PATCH_WINDOW, REACH, WIDE_PIXELS, Patch, Surface
-from i2t.views import WideView, centre, view_of_heights
+from i2t.views import WideView, view_of_heights
 
 MAX_COORDINATE_M = 100.0  # m, where one step of float32 is 8 um
 
@@ -169,7 +169,7 @@ def render_view(
     # Unbounded: what stands out must not end what is seen behind it.
     seen = render_patch(surface, T_w_t, window=window * WIDE_PIXELS / PATCH_PIXELS, pixels=WIDE_PIXELS, reach=math.inf)
     z = jnp.where(jnp.isfinite(seen.nearest), seen.nearest, 0) + seen.depth
-    return view_of_heights(z, jnp.min(centre(z, PATCH_PIXELS)), reach=reach)
+    return view_of_heights(z, reach=reach)
 
 
 def render_heights(
