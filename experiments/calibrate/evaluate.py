@@ -82,10 +82,8 @@ def _score(
     for task, count in fits:
         rows, test = task.rows[:count], np.concatenate(list(task.tests.values()))
         if task.previous_mean is None:
-            predicted, inside = (
-                {name: method(rows, test) for name, method in predictors.by_name().items()},
-                _coverage(predictors, rows, test),
-            )
+            predicted = {name: method(rows, test) for name, method in predictors.by_name().items()}
+            inside = _coverage(predictors, rows, test)
         else:
             predicted, inside = _predictions_from_mean(predictors, rows, test, task.previous_mean), {}
         ends = np.cumsum([len(part) for part in task.tests.values()])

@@ -127,8 +127,7 @@ class Predictors:
 
     def residual(self, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
         """The pretrained network, and a structured GP of what it leaves of rows that its head was not fitted to."""
-        fold = random_fifths(self.recording, rows)
-        left = self.recording.readings[rows] - cross_predict(self.pretrained, rows, fold)
+        left = self.recording.readings[rows] - cross_predict(self.pretrained, rows)
         return self.pretrained(rows, test) + self.gp_mean(
             self.hyperparameters._replace(height_std=0.0), rows, left, test
         )
@@ -179,13 +178,9 @@ def select(
     return _select(candidates, recording.presses(rows[some]), jnp.float32(target[some]), recording.chips)
 
 
-def random_fifths(recording: PressRecording, rows: np.ndarray) -> np.ndarray:
-    """Parts of cross-validation that are spread over the skin: rows come in random order."""
-    return np.arange(len(rows)) % min(FOLDS, len(rows))
-
-
-def cross_predict(method: Predict, rows: np.ndarray, fold: np.ndarray) -> np.ndarray:
-    """Readings (n, c) uT of rows, each part predicted from the others."""
+def cross_predict(method: Predict, rows: np.ndarray) -> np.ndarray:
+    """Readings (n, c) uT of rows, which come in random order, each fifth of them predicted from the others."""
+    fold = np.arange(len(rows)) % min(FOLDS, len(rows))
     parts = {i: method(rows[fold != i], rows[fold == i]) for i in range(fold.max() + 1)}
     predicted = np.empty((len(rows), parts[0].shape[1]))
     for i, part in parts.items():
