@@ -171,8 +171,7 @@ COMMANDS = [
 ]  # fmt: skip
 
 # Those that have to read data, a model or a mesh before they can refuse.
-MAY_IMPORT_JAX = {
-}  # fmt: skip
+MAY_IMPORT_JAX = ("i2t.imagine --board grid-2x2", "experiments.shapes --dataset one")
 TYPED = (0, 1, 30, 60, 90)  # of the list, as processes of their own
 
 
@@ -189,7 +188,9 @@ def folder(tmp_path_factory) -> Path:
     rows = [f"{x},{-x},0.{x + 3}," + ",".join(str(10 * x + i) for i in range(15)) for x in range(-2, 3)]
     (here / "table.csv").write_text("\n".join([names, *rows]) + "\n")
     (here / "text.txt").write_text("no data at all\n")
-    assert convert(["presses", str(here / "table.csv"), str(here / "one"), "--indenter", "sphere:4"]) == 0
+    assert (
+        convert(["presses", str(here / "table.csv"), str(here / "one"), "--indenter", "sphere:4", "--as-stated"]) == 0
+    )
     return here
 
 
@@ -235,6 +236,7 @@ def contents(here: Path) -> set[str]:
     return {str(path.relative_to(here)) for path in here.rglob("*")}
 
 
+@pytest.mark.full
 def test_wrong_commands_are_answered_in_one_sentence_before_jax_is_imported_and_leave_nothing(folder):
     before = contents(folder)
     answers = dict(COMMANDS)
