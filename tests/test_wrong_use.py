@@ -292,13 +292,22 @@ def test_a_conversion_to_a_full_disk_ends_in_one_sentence(folder, tmp_path):
     assert convert(words) == 0  # the next attempt is not in its way
 
 
+# Whoever starts the tests in the background of a script has told them, and their children, to ignore Ctrl-C.
+HEARS_CTRL_C = """
+import runpy, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+runpy.run_module("experiments.train", run_name="__main__", alter_sys=True)
+"""
+
+
 @pytest.mark.full
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks at the process through /proc")
 def test_ctrl_c_ends_a_run_in_one_sentence(tmp_path):
     """Whenever it comes once the command has begun: while it imports JAX, and when it has made something."""
     run = tmp_path / "run"
-    command = [sys.executable, "-m", "experiments.train", "--preset", "debug", "--out", str(run)]
+    words = ["--preset", "debug", "--out", str(run)]
     for begun in (lambda maps: "jaxlib" in maps.read_text(), lambda _: (run / "data.h5").exists()):
+        command = [sys.executable, "-c", HEARS_CTRL_C, *words]
         with subprocess.Popen(command, cwd=tmp_path, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True) as process:
             while process.poll() is None and not begun(Path(f"/proc/{process.pid}/maps")):
                 time.sleep(0.02)
@@ -309,7 +318,7 @@ def test_ctrl_c_ends_a_run_in_one_sentence(tmp_path):
         assert "interrupted" in printed.splitlines()[-1]
         if run.exists():
             assert "--resume" in printed
-            command.append("--resume")
+            words.append("--resume")
 
 
 # --- functions ---
