@@ -165,7 +165,7 @@ def help_of(module: str, part: str = "") -> str:
     ):
         main([*([part] if part else []), "--help"])
     printed.flush()
-    return printed.buffer.getvalue().decode()  # type: ignore[attr-defined]  # of BytesIO
+    return printed.buffer.getvalue().decode()
 
 
 def commands(page: Path, text: str) -> Iterator[Finding]:
