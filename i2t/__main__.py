@@ -48,7 +48,7 @@ EXPERIMENTS = {
     "experiments.active_touch": "which touch next? policies that learn",
     "experiments.benchmark": "speeds, next to a peer's",
     "experiments.faults": "what is lost when something breaks?",
-    "experiments.mutants": "which changes does no test notice?",
+    "experiments.check_docs": "are the documents true?",
     "experiments.reproduce": "the documents' studies and tables again",
 }
 FIRST = (  # what users begin with, in this order

@@ -33,12 +33,6 @@ def test_none_writes_into_the_checkout_but_into_its_folder_of_runs():
                 assert name.startswith("runs/"), f"{path.name} writes {name}"
 
 
-def test_they_are_numbered_and_of_20_to_40_lines():
-    assert [int(path.name[:2]) for path in EXAMPLES] == list(range(1, len(EXAMPLES) + 1))
-    for path in EXAMPLES:
-        assert 20 <= len(path.read_text().splitlines()) <= 40, f"{path.name} is no short program any more"
-
-
 def test_the_data_are_those_that_their_program_makes(tmp_path):
     spec = importlib.util.spec_from_file_location("make_data", DATA / "make_data.py")
     module = importlib.util.module_from_spec(spec)

@@ -1,13 +1,11 @@
-"""How command lines are read: helps fit 80 columns and say what happens without an option, errors are one sentence."""
+"""How command lines are read: errors are one sentence, and descriptions are wrapped."""
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
 import tyro
-from helpers.parsers import COLUMNS, PARSERS, help_of
 
 from i2t.options import one_sentence, read_options, wrapped
 
@@ -80,10 +78,3 @@ def test_a_description_is_wrapped_and_its_commands_are_cut_where_a_shell_takes_t
     assert "        --other-name yy" in lines
     assert "        a note" in lines
     assert not any(line.startswith("in two") for line in lines)
-
-
-@pytest.mark.parametrize("parser", PARSERS)
-def test_a_help_fits_a_terminal_of_80_columns(parser):
-    text = help_of(parser)
-    assert [line for line in text.splitlines() if len(line) > COLUMNS] == []
-    assert not re.search(r"\(default:\s*\)|\bNone\b", text)

@@ -6,7 +6,9 @@ devices, are replaced by others before the code runs.
 """
 
 import contextlib
+import importlib.util
 import re
+import shutil
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -17,21 +19,20 @@ import jax
 import numpy as np
 import pytest
 from helpers.random_touches import make as random_dataset
-from helpers.reading_grade import FENCE
 from PIL import Image
 
 import i2t
+from i2t.convert.commands import main as convert
 from i2t.dataset import save_dataset
 from i2t.hardware.rig import main as rig_command
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.elasticity import GRID
 from i2t.skin.pad import numbered_pad
 
-DOCS = Path(__file__).parents[1] / "docs"
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.M | re.S)
-RUN_ELSEWHERE = {  # tests/test_docs.py, tests/test_site.py
-    "tutorial_own_camera", "tutorial_own_object", "tutorial_own_skin", "tutorial_recognise",
-}  # fmt: skip
+TUTORIALS = ("../README", "tutorial_own_camera", "tutorial_own_object", "tutorial_own_skin", "tutorial_recognise")
 TIP_RADIUS_M = 4e-3
 PATIENCE_S = 20.0
 
@@ -193,12 +194,8 @@ def _run(page: str) -> Names:
 
 
 def test_the_code_of_every_page_is_run_by_a_test():
-    with_code = {path.stem for path in DOCS.glob("*.md") if BLOCK.search(path.read_text())}
-    assert with_code == SET_UPS.keys() | RUN_ELSEWHERE
-    for path in DOCS.glob("*.md"):
-        assert len(BLOCK.findall(path.read_text())) == sum(
-            block.startswith("```python\n") for block in FENCE.findall(path.read_text())
-        )
+    with_code = {path.stem for path in DOCS.glob("*.md") if "```python" in path.read_text()}
+    assert with_code == SET_UPS.keys() | set(TUTORIALS[1:])
 
 
 @pytest.mark.parametrize("page", QUICK)
@@ -213,3 +210,48 @@ def test_code_of_a_page_runs(page, tmp_path, monkeypatch):
 def test_code_of_a_page_that_compiles_or_moves_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert _run(page)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("page", TUTORIALS)
+def test_code_of_a_tutorial_runs_as_printed_on_the_data_of_the_examples(page, tmp_path, monkeypatch):
+    shutil.copytree(ROOT / "examples" / "data", tmp_path / "examples" / "data")  # and leaves nothing in the checkout
+    monkeypatch.chdir(tmp_path)
+    text = (DOCS / f"{page}.md").read_text()
+    for command in re.findall(r"python -m i2t\.convert (presses [^`\n]*)", text):
+        assert convert(command.split()) == 0
+    names: Names = {}
+    for block in BLOCK.findall(text):
+        exec(block, names)
+    for name in names.keys() & {"reading", "std", "mean"} if page != "tutorial_recognise" else ():
+        assert np.shape(names[name])[-1] == 15
+        assert np.isfinite(names[name]).all()
+    assert names.keys() & {"reading", "mean", "site"}
+
+
+TABLE = "x_mm,y_mm,depth_mm,force_N," + ",".join(f"b{chip}{axis}_uT" for chip in range(5) for axis in "xyz")
+CHEAP = (  # in an order in which each finds what it needs; "TABLE.csv" is written by the test
+    "i2t.hardware.reskin --list",
+    "i2t.hardware.rig lab.toml --example",
+    "i2t.hardware.rig lab.toml",
+    "i2t.convert presses TABLE.csv DATA --indenter sphere:4.0",
+    "i2t.convert summary DATA",
+    "i2t.convert pack DATA PACKED",
+    "i2t.convert npz DATA DATA.npz",
+    "i2t.convert robomimic DATA DATA.hdf5",
+    "i2t.convert csv DATA TABLE",
+)
+
+
+def test_the_quick_commands_run_as_printed(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    rows = [f"{x},{-x},0.{x + 3},1.5," + ",".join(str(10 * x + i) for i in range(15)) for x in range(-2, 3)]
+    Path("TABLE.csv").write_text("\n".join([TABLE, *rows]) + "\n")
+    printed = "\n".join(path.read_text() for path in [ROOT / "README.md", *DOCS.glob("*.md")])
+    for command in CHEAP:
+        assert f"python -m {command}" in printed
+        module, *args = command.split()
+        package = importlib.util.find_spec(module).submodule_search_locations
+        main = importlib.import_module(f"{module}.__main__" if package else module).main
+        assert main(args) == 0, f"{command}: {capsys.readouterr().err}"
+    assert np.load("DATA.npz")["reading"].shape == (5, 15)

@@ -1,18 +1,12 @@
 """Progress: a bar on a terminal, a line now and then in a log, and one helper for both."""
 
-import ast
 import os
 import subprocess
 import sys
 from io import StringIO
-from pathlib import Path
-
-import pytest
 
 from i2t import progress as module
 from i2t.progress import progress
-
-ROOT = Path(__file__).parents[1]
 
 
 class Terminal(StringIO):
@@ -53,14 +47,3 @@ def test_the_environment_silences_it():
     asked = {**os.environ, "TQDM_DISABLE": "1"}
     done = subprocess.run([sys.executable, "-c", said], env=asked, capture_output=True, text=True, check=True)
     assert done.stderr == ""
-
-
-@pytest.mark.parametrize("folder", ["i2t", "experiments", "examples"])
-def test_nothing_else_draws_bars(folder):
-    drawing = [
-        str(path.relative_to(ROOT))
-        for path in (ROOT / folder).rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.ImportFrom) and node.module == "tqdm"
-    ]
-    assert drawing == (["i2t/progress.py"] if folder == "i2t" else [])

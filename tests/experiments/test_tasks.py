@@ -135,7 +135,7 @@ def test_an_unfinished_run_goes_on_with_other_workers(tmp_path):
 
 
 HANGING = """
-import sys, time
+import signal, sys, time
 from functools import partial
 from pathlib import Path
 from experiments.common.runs import exit_code_of_run
@@ -146,6 +146,7 @@ folder = Path(sys.argv[1])
 quick = Task("quick", folder / "quick", partial(small_tasks.write_number, folder / "quick", 1))
 slow = Task("slow", folder / "slow", partial(time.sleep, 600))
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.exit(exit_code_of_run(partial(run_tasks, [quick, slow], TaskOptions("local", workers=2)), folder))
 """
 
@@ -164,10 +165,10 @@ def test_workers_end_with_the_process_that_began_them_and_leave_what_is_finished
         time.sleep(0.1)
     if how == signal.SIGINT:
         os.killpg(study.pid, how)
-        assert study.wait(30) == 130
+        assert study.wait(120) == 130
     else:
         study.kill()
-        study.wait(30)
+        study.wait(120)
     while _members(study.pid) and time.monotonic() < until:
         time.sleep(0.1)
     assert not _members(study.pid)

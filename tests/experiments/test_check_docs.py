@@ -1,0 +1,126 @@
+"""`experiments.check_docs` finds a planted fault of each kind, says where it is, and says nothing of what is right."""
+
+import ast
+import json
+import textwrap
+
+import pytest
+
+from experiments.check_docs import __main__ as command
+from experiments.check_docs import code, numbers, pages
+from experiments.check_docs.pages import ROOT, Finding
+from experiments.check_docs.reading import reading_grade, sentences_of, syllables
+
+HARD = (
+    "Notwithstanding considerable methodological disagreement, contemporary investigators characteristically "
+    "acknowledge that probabilistic interpretation necessitates extraordinarily comprehensive documentation."
+)
+PLANTED = [
+    (pages.links, "See [it](nowhere.md).", "nowhere.md does not exist"),
+    (pages.links, "See `i2t/nowhere.py`.", "i2t/nowhere.py does not exist"),
+    (pages.links, "See [it](start.md), [that](https://example.org/x) and `i2t/types.py`.", ""),
+    (pages.figures, "![short](figures/a.png)", "has no text"),
+    (pages.formulas, "$$\n\\frac12 \\log x\n$$\n", "needs braces"),
+    (pages.formulas, "$$\n\\frac{1}{2} \\log x\n$$\n", ""),
+    (pages.tests, "`test_nowhere.py` shows it.", "no test test_nowhere.py"),
+    (pages.tests, "`test_check_docs.py::test_nothing` shows it.", "test_nothing"),
+    (pages.tests, "`tests/experiments/test_check_docs.py` shows it.", ""),
+    (pages.names, "`i2t.types.Nothing` is taken.", "i2t.types.Nothing does not exist"),
+    (pages.names, "`i2t.types.Patch` and `i2t.press(pad)` are taken.", ""),
+    (pages.commands, "Say `python -m i2t.nowhere\n--help`.", "no command i2t.nowhere"),
+    (pages.commands, "    python -m i2t.rather nothing", "no command i2t.rather"),
+    (pages.commands, "```\npython -m i2t.place \\\n  --nothing 3 && true  # a minute\n```", "no option --nothing"),
+    (pages.commands, "Say `python -m i2t.place ...`.", "not complete"),
+    (pages.commands, "```python\nx = 'python -m i2t.nowhere'\n```\n\n    python -m i2t.place --host h | cat", ""),
+    (pages.python, "```python\ni2t.nothing()\n```", "i2t.nothing does not exist"),
+    (pages.python, "```python\ni2t.make_object('a', unknown=1)\n```", "unknown"),
+    (pages.python, "```python\ni2t.make_object('a').mesh.anything()\n```", ""),
+    (pages.tables, "<!-- table: paper mean -->\n| of before |\n<!-- end of table -->", "not what docs/results holds"),
+    (pages.tables, "<!-- table: nothing mean -->\n<!-- end of table -->", "no step nothing"),
+    (pages.grade, HARD, "grade"),
+    (pages.grade, "It is soft. " + "so soft and " * 20 + "so.", "64 words"),
+    (pages.terms, "# A pad\n\nThe `skin` is, [say](glossary.md), a pad.", "the first pad"),
+    (pages.terms, "A [depth patch](glossary.md) shows what the *skin*, a soft layer, meets. The skin is soft.", ""),
+    (pages.advice, "Type `pip install 'i2t[view]'`.", "installs what there is not"),
+    (pages.advice, "Type `pip install -e '.[view]'`.", ""),
+    (pages.notebook, json.dumps({"cells": [{"cell_type": "code", "source": ["from experiments import a"],
+                                            "outputs": [1], "execution_count": 1}]}), "outputs"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("check", "text", "said"), PLANTED)
+def test_a_planted_fault_of_a_page_is_found(check, text, said):
+    page = ROOT / "docs" / "start.md"
+    found = list(check(page, f"\n{text}\n"))
+    assert bool(found) == bool(said)
+    assert said in " ".join(each.sentence for each in found)
+    assert all(each.path == page and 1 <= each.line <= 2 + text.count("\n") for each in found)
+
+
+def _trees(**sources: str) -> dict[str, ast.Module]:
+    return {name.replace("__", "."): ast.parse(textwrap.dedent(source)) for name, source in sources.items()}
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "from i2t.recognition import belief",
+        "from ..recognition.belief import Particles",
+        "from .. import ObjectRecognizer",
+        "import_module('..recognition.belief', __package__)",
+        "def late():\n    from i2t.recognition.belief import Particles",
+        "if TYPE_CHECKING:\n    import i2t",
+        "from tests.helpers import touches",
+    ],
+)
+def test_an_import_upwards_is_found_however_it_is_written(source):
+    trees = _trees(i2t__dataset__case=source, i2t__recognition__belief="")
+    assert [name for name, *_ in code.floors(trees)] == ["i2t.dataset.case"]
+    below = _trees(i2t__dataset__case="import numpy\nfrom ..types import Array\nfrom . import files", i2t__types="")
+    assert not list(code.floors(below))
+
+
+def test_a_circle_is_found_however_it_is_written():
+    one = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from .two import B"
+    trees = _trees(i2t__dataset__one=one, i2t__dataset__two="def f():\n    from i2t.dataset import one")
+    ((_, _, said),) = code.circle(trees)
+    assert "i2t.dataset.one -> i2t.dataset.two -> i2t.dataset.one" in said
+
+
+def test_what_a_docstring_leaves_out_is_found():
+    source = '''
+    def f(a: int, b: int) -> int:
+        """Add.
+
+        Args:
+            a: One.
+        """
+    '''
+    ((_, line, said),) = code.docstrings(_trees(i2t__case=source))
+    assert (line, said) == (2, "f does not say b, return")
+
+
+def test_numbers_that_a_page_does_not_repeat_are_found(tmp_path):
+    (tmp_path / "docs").mkdir()
+    for name in ("README.md", *(f"docs/{page}.md" for page in ("recognition", "model_card", "reconstruction"))):
+        (tmp_path / name).write_text("Nothing was measured.\n")
+    said = [each.sentence for each in numbers.findings(tmp_path)]
+    assert len(said) > 20
+    assert all(sentence.startswith("what was measured says: ") for sentence in said)
+
+
+def test_findings_are_lines_and_the_exit_code(monkeypatch, capsys):
+    for module in (pages, numbers, code):
+        monkeypatch.setattr(module, "findings", lambda root: [])
+    assert command.main(["--no-site"]) == 0
+    monkeypatch.setattr(pages, "site", lambda root: [Finding(root / "docs" / "a.md", 3, "it is wrong")])
+    assert command.main([]) == 1
+    assert capsys.readouterr().out.splitlines()[-1] == "docs/a.md:3: it is wrong"
+
+
+def test_sentences_are_found_and_graded_as_the_formula_says():
+    spoken = {"skin": 1, "scale": 1, "reading": 2, "measured": 2, "recording": 3, "calibration": 4, "magnetisation": 5}
+    assert {word: syllables(word) for word in spoken} == spoken
+    assert reading_grade("The cat sat on the mat.").grade == pytest.approx(0.39 * 6 + 11.8 - 15.59)
+    page = "# A heading\n\n| a |\n\nIt is 1.5 mm thick. [It rests](a.md) on `i2t.types`.\n\n- An item is one.\n"
+    assert sentences_of(page) == ["It is 1.5 mm thick.", "It rests on Widget.", "An item is one."]
