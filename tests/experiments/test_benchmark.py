@@ -12,12 +12,10 @@ import trimesh
 from experiments.benchmark import rendering, scaling, skin, timing
 from experiments.benchmark import run as benchmark
 from experiments.benchmark import training as benchmark_training
-from experiments.benchmark.environment import EnvironmentBenchmark
 from experiments.benchmark.logs import Logs
 from experiments.benchmark.policy import Policy
 from experiments.benchmark.rendering import Rendering
 from experiments.benchmark.run import Benchmark
-from experiments.benchmark.scaling import Scaling
 from experiments.benchmark.skin import SkinBenchmark
 from experiments.benchmark.startup import Startup
 from experiments.benchmark.timing import BenchmarkRow
@@ -54,26 +52,6 @@ def test_policy_section_times_decisions() -> None:
     assert [row.work for row in rows] == ["a decision, 2 objects, 3 sites", "a decision, 2 objects, 3 sites, cold"]
     assert all(row.ours > 0 for row in rows)
     assert rows[0].peer > rows[0].ours  # imagining comes on top of deciding
-
-
-@pytest.mark.full
-def test_environment_section_times_steps() -> None:
-    tiny = EnvironmentBenchmark(
-        objects=("star", "hexagon"), sites=2, pads=1, placements=1, episodes=2, steps=2, exact_steps=2, touches=2
-    )
-    rows = benchmark.run(Benchmark(sections=("environment",), turns=1, environment=tiny))
-    assert [row.peer_name for row in rows] == ["exact physics", "simulate_touches"]
-    assert rows[1].ratio > 1
-
-
-@pytest.mark.full
-def test_scaling_section_times_the_same_touches_by_several_processes_and_by_one() -> None:
-    """The section itself checks that all give the same readings, and fails where they do not."""
-    tiny = Scaling(touches=4, touches_per_session=2)
-    rows = benchmark.run(Benchmark(sections=("scaling",), turns=1, scaling=tiny))
-    assert [row.peer_name for row in rows] == 2 * ["one process, its share of the cores", "one process, all cores"]
-    assert ["processor time" in row.work for row in rows] == [False, False, True, True]
-    assert all(row.ours > 0 for row in rows)
 
 
 def test_other_touches_are_not_compared() -> None:

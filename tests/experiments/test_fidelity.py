@@ -62,39 +62,40 @@ def _touched_objects():
 HOSTILE = {
     "as it is": SKIN,
     "one height": replace(SKIN, targets=_targets(depth=np.full((90, 1), 2e-3))),
-    "nothing but positions": replace(SKIN, targets=_targets(depth=None)),
     "force without depth": replace(SKIN, targets=_targets(depth=None, force=1e3 * SKIN.targets["depth"])),
     "forces that pull": replace(SKIN, targets=_targets(depth=None, force=-1e3 * SKIN.targets["depth"])),
     "nothing but readings": replace(SKIN, targets={}),
     "no position": replace(SKIN, targets=_targets(position=None)),
-    "one chip": presses_of_a_skin(90, channels=3),
     "two boards": presses_of_a_skin(90, channels=30),
-    "20 presses": SKIN.rows(slice(20)),
     "one press": SKIN.rows(slice(1)),
     "a dead channel": replace(SKIN, readings=SKIN.readings * (np.arange(15) != 4)),
     "a dead board": replace(SKIN, readings=np.zeros_like(SKIN.readings)),
-    "rows that are one": replace(SKIN, readings=np.tile(SKIN.readings[:1], (90, 1)), targets=_targets()),
     "the same press again and again": SKIN.rows(np.zeros(60, int)),
-    "enormous values": replace(SKIN, readings=1e7 * SKIN.readings),
-    "one value of a channel enormous": replace(SKIN, readings=SKIN.readings + 1e8 * np.eye(90, 15)),
-    "depths known of a few": replace(
-        SKIN, targets=_targets(depth=np.where(np.arange(90)[:, None] % 9 == 0, SKIN.targets["depth"], np.nan))
+    "enormous values, each row a session": replace(
+        SKIN, readings=1e7 * SKIN.readings + 1e15 * np.eye(90, 15), session=np.arange(90)
     ),
-    "a line": replace(SKIN, targets=_targets(position=SKIN.targets["position"] * [1, 0])),
-    "times that stand still": replace(SKIN, time=np.zeros(90)),
-    "every row a session": replace(SKIN, session=np.arange(90)),
-    "a stream": _stream(),
+    "a line, depths known of a few, times that stand still": replace(
+        SKIN,
+        targets=_targets(
+            depth=np.where(np.arange(90)[:, None] % 9 == 0, SKIN.targets["depth"], np.nan),
+            position=SKIN.targets["position"] * [1, 0],
+        ),
+        time=np.zeros(90),
+    ),
     "a stream of one chip": _stream(channels=3),
     "a stream without air": _stream().rows(np.flatnonzero(_stream().targets["depth"][:, 0] > 1e-3)),
     "objects with views": _touched_objects(),
 }
 FAST = ("one height", "nothing but readings", "one press", "a dead board")
+ESTIMATED = ("as it is", "a stream of one chip")
 
 
 @pytest.fixture(autouse=True)
-def _unknowns_in_the_full_tier(request, monkeypatch):
+def _unknowns_where_they_matter(request, monkeypatch):
     """What a recording does not say of itself takes seconds to estimate, and is tested where it lives."""
-    if not request.node.get_closest_marker("full"):
+    case = getattr(request.node, "callspec", None)
+    of_one_case = case is not None and case.params.get("name") not in (None, *ESTIMATED)
+    if of_one_case or not request.node.get_closest_marker("full"):
         monkeypatch.setattr(describe, "estimate_unknowns", lambda *args: [])
 
 

@@ -8,38 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.reproduce.tables import STUDY_TABLES, study_table
-from experiments.studies import __main__ as studies
+from experiments.reproduce.tables import study_table
 from experiments.studies import mismatch, placement, sensitivity
 from experiments.studies.lab import report_methods
 from i2t.objects import Mesh
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.contact import FINE_GRID, GRID
 from i2t.skin.pad import nominal_pad, numbered_pad
-
-
-@pytest.mark.full
-@pytest.mark.usefixtures("pad_models_fitted_once")
-@pytest.mark.parametrize("study", ["placement", "mismatch"])
-def test_studies_of_wrong_beliefs_run(study, trained_run, tmp_path):
-    out = tmp_path / study
-    assert studies.main([study, "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]) == 0
-    metrics = json.loads((out / "metrics.json").read_text())
-    assert metrics["source"] == "simulated"
-    assert metrics["episodes"] == 8
-    if study == "placement":
-        assert set(metrics["methods"]) == {"inferred", "as stated"}
-        for entry in metrics["methods"].values():
-            assert set(entry["conditions"]) == {"1 mm, stated 0.5", "1 mm, stated 1", "1 mm, stated 2"}
-            assert all(len(each["stopping"]) == 3 for each in entry["conditions"].values())
-        stated = metrics["methods"]["as stated"]["conditions"]["1 mm, stated 2"]
-        np.testing.assert_allclose(stated["scale_percentiles_25_50_75"], 1.0, rtol=1e-5)
-    else:
-        kinds = mismatch.SHOWN_KINDS
-        assert set(metrics["methods"]) == {f"{kind}, {world}" for kind in kinds for world in mismatch.DEBUG_WORLDS}
-        for kind in kinds:
-            assert metrics["methods"][f"{kind}, {mismatch.MATCHED}"]["difference_mean"]["mean"] == 0
-    assert set(metrics["tables"]) == set(STUDY_TABLES[study])
 
 
 @pytest.mark.parametrize("grid", [GRID, FINE_GRID])

@@ -1,4 +1,6 @@
-"""The whole of `python -m experiments.recognize` on its debug preset, simulated and live."""
+"""The whole of `python -m experiments.recognize` on its debug preset, simulated and live, and of the studies, which share
+what it compiles and the pad model that it fits.
+"""
 
 import json
 from dataclasses import replace
@@ -14,6 +16,9 @@ from experiments.recognize import live, paper, report
 from experiments.recognize import run as simulated
 from experiments.recognize.arguments import SimulateArgs
 from experiments.recognize.config import PRESETS
+from experiments.reproduce.tables import STUDY_TABLES
+from experiments.studies import __main__ as studies
+from experiments.studies import mismatch
 from i2t import dataset
 from i2t.errors import DataError
 from i2t.objects import catalogue
@@ -39,7 +44,7 @@ def finished(trained_run, tmp_path_factory):
 
 
 @pytest.mark.full
-def test_the_run_leaves_what_it_promises(finished):
+def test_the_run_leaves_what_it_promises(finished, trained_run, capsys):
     written = json.loads((finished / "metrics.json").read_text())
     assert written["source"] == "simulated"
     assert set(written["sets"]) == {"validation", "all", "primitives", "tools"}
@@ -63,10 +68,6 @@ def test_the_run_leaves_what_it_promises(finished):
             assert 0 <= low <= mean <= high <= 1
     pictures = {path.name for path in finished.glob("*.png")}
     assert pictures >= {"accuracy_all.png", "reliability_all.png", "confusion_all.png", "accuracy_tools.png"}
-
-
-@pytest.mark.full
-def test_beliefs_are_probabilities_and_come_back_from_disk(finished):
     played = report.load(finished / "episodes-0.npz")
     for part in played.values():
         for p in part.beliefs.values():
@@ -76,19 +77,17 @@ def test_beliefs_are_probabilities_and_come_back_from_disk(finished):
     assert set(tools.truth) == {0, 1}
     assert len(np.unique(tools.episodes.site)) == tools.episodes.site.size  # no two touches share a site
     assert len(np.unique(tools.pool)) == 6  # two episodes to a pool
-
-
-@pytest.fixture(scope="module")
-def finished_loop(trained_run, tmp_path_factory):
-    out = tmp_path_factory.mktemp("recognize") / "paper"
-    args = ["--method", "paper", "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]
-    assert recognize.main(args) == 0
-    return out
+    assert recognize.main(["--preset", "debug", "--trained-run", str(trained_run), "--out", str(finished)]) == 2
+    assert "holds a finished run" in capsys.readouterr().err
 
 
 @pytest.mark.full
-def test_the_papers_own_loop_runs_by_itself(finished_loop):
-    written = json.loads((finished_loop / "metrics.json").read_text())
+def test_the_papers_own_loop_runs_by_itself_and_goes_on_with_what_it_has(trained_run, tmp_path, monkeypatch):
+    out = tmp_path / "paper"
+    args = ["--method", "paper", "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]
+    assert recognize.main(args) == 0
+    before = (out / "metrics.json").read_text()
+    written = json.loads(before)
     assert written["method"] == "the paper's loop"
     assert written["epochs"] == [12]
     assert set(written["sets"]) == {"primitives", "tools"}
@@ -104,17 +103,11 @@ def test_the_papers_own_loop_runs_by_itself(finished_loop):
         written["sets"][name]["methods"]["proprioception, votes"]["accuracy"]["mean"][-1] for name in written["sets"]
     ]
     assert everything["mean"] == pytest.approx(np.mean(parts))  # two objects in each
-
-
-@pytest.mark.full
-def test_an_interrupted_loop_goes_on_with_what_it_has(finished_loop, trained_run, monkeypatch, capsys):
-    """Of a finished loop whose tables are lost, nothing is touched again."""
-    before = (finished_loop / "metrics.json").read_text()
-    (finished_loop / "metrics.json").unlink()
+    # Of a finished loop whose tables are lost, nothing is touched again.
+    (out / "metrics.json").unlink()
     monkeypatch.setattr(paper, "play", None)
-    args = ["--method", "paper", "--preset", "debug", "--trained-run", str(trained_run), "--out", str(finished_loop)]
     assert recognize.main([*args, "--resume"]) == 0
-    assert (finished_loop / "metrics.json").read_text() == before
+    assert (out / "metrics.json").read_text() == before
 
 
 @pytest.mark.full
@@ -138,25 +131,17 @@ def test_a_network_trained_on_nothing_does_not_beat_a_constant_reading(trained_r
     assert better.mean() < 2 * better.std() / np.sqrt(len(better))
 
 
-@pytest.mark.full
-def test_a_finished_run_is_not_overwritten(finished, trained_run, capsys):
-    assert recognize.main(["--preset", "debug", "--trained-run", str(trained_run), "--out", str(finished)]) == 2
-    assert "holds a finished run" in capsys.readouterr().err
-
-
 def test_what_is_missing_is_named(tmp_path, capsys):
     assert recognize.main(["--trained-run", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
     assert "python -m experiments.train --out" in capsys.readouterr().err
 
 
-@pytest.mark.full
-def test_meshes_need_a_unit(trained_run, tmp_path, capsys):
+def test_meshes_need_a_unit(tmp_path, capsys):
     meshes = [tmp_path / "a.stl", tmp_path / "b.stl"]
-    for path in meshes:
-        path.write_text("solid\nendsolid\n")
-    args = ["--preset", "debug", "--trained-run", str(trained_run), "--out", str(tmp_path / "o"), "--objects"]
-    args += map(str, meshes)
-    assert recognize.main(args) == 2
+    for path in [*meshes, tmp_path / "metrics.json"]:  # the run itself is not read before
+        path.write_text("{}")
+    args = ["--preset", "debug", "--trained-run", str(tmp_path), "--out", str(tmp_path / "o"), "--objects"]
+    assert recognize.main([*args, *map(str, meshes)]) == 2
     assert "--unit mm" in capsys.readouterr().err
 
 
@@ -177,15 +162,6 @@ def test_recorded_touches_are_replayed(trained_run, tmp_path):
 
 
 @pytest.mark.full
-def test_replay_says_what_it_cannot_use(trained_run):
-    recorded = dataset.load_dataset(trained_run / "data.h5")
-    with pytest.raises(DataError, match="of which there is no mesh"):
-        episodes_from_dataset(recorded, ["square"], 3)
-    with pytest.raises(DataError, match="no session has 100 touches"):
-        episodes_from_dataset(recorded, list(recorded.objects), 100)
-
-
-@pytest.mark.full
 def test_a_replayed_press_ends_where_it_was_recorded(trained_run):
     """Sites are where presses ended, so that the advance beyond them is nothing, but for touches that met air."""
     recorded = dataset.load_dataset(trained_run / "data.h5")
@@ -200,40 +176,37 @@ def test_a_replayed_press_ends_where_it_was_recorded(trained_run):
     found = np.array(sites.T_w_t)[episodes.site[0]]
     found[:, :3, 3] += advance[:, None] * found[:, :3, 2]
     np.testing.assert_allclose(found, ended, atol=1e-6)
+    with pytest.raises(DataError, match="of which there is no mesh"):
+        episodes_from_dataset(recorded, ["square"], 3)
+    with pytest.raises(DataError, match="no session has 100 touches"):
+        episodes_from_dataset(recorded, list(recorded.objects), 100)
 
 
 LIVE = ["--num-sites", "3", "--num-particles", "8", "--num-surrogates", "2", "--true-object", "hammer"]
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("prior_unknown", [0.0, 0.1])
-def test_an_arm_touches_where_the_belief_wants_it_to(prior_unknown, trained_run, tmp_path, capsys):
-    out, touches = tmp_path / "live", 2 if prior_unknown else 3
+def test_an_arm_touches_where_the_belief_wants_it_to(trained_run, tmp_path, capsys):
+    out = tmp_path / "live"
     args = ["live", "--trained-run", str(trained_run), "--out", str(out), *LIVE]
-    args += ["--max-touches", str(touches), "--prior-unknown", str(prior_unknown)]
+    args += ["--max-touches", "2", "--prior-unknown", "0.1"]
     assert recognize.main(args) == 0
     result = json.loads((out / "result.json").read_text())
     assert result["source"] == "simulated"
     assert result["true_object"] == "hammer"
     belief = np.array(result["belief"])
-    assert belief.shape == (len(result["sites"]), 5)
-    np.testing.assert_allclose(belief.sum(1)[-1], 1 - result["unknown"], atol=1e-9 if prior_unknown else 1e-5)
-    if prior_unknown:
-        assert (belief.sum(1) < 1).all()
-    else:
-        np.testing.assert_allclose(belief.sum(1), 1, atol=1e-5)
-    assert len(belief) == touches or belief[-1].max() >= 0.95  # it ends when it is sure
-    assert len(set(result["sites"])) == len(result["sites"])
+    assert belief.shape == (2, 5)
+    assert (belief.sum(1) < 1).all()
+    np.testing.assert_allclose(belief.sum(1)[-1], 1 - result["unknown"], atol=1e-9)
+    assert len(set(result["sites"])) == len(result["sites"]) == 2
     assert len(result["met_air"]) == len(result["would_be_met"]) == len(belief)
     assert "; poses in which it would be met: " in capsys.readouterr().out  # what a touch told, air included
     kept = dataset.load_dataset(out / "touches")
     assert len(kept) == len(belief)
     assert kept.objects == ("unknown",)
-    # What the belief heard of is what was kept.
-    assert (kept.touches.code != ReturnCode.FAILED).all()
-    assert read_belief(out / "result.json", len(belief)).names == tuple(
-        result["objects"]
-    )  # python -m i2t.view --belief
+    assert (kept.touches.code != ReturnCode.FAILED).all()  # what the belief heard of is what was kept
+    # For python -m i2t.view --belief.
+    assert read_belief(out / "result.json", len(belief)).names == tuple(result["objects"])
     assert recognize.main(args) == 2
     assert "another episode" in capsys.readouterr().err
 
@@ -256,6 +229,58 @@ def test_an_arm_stops_and_says_so_where_no_site_is_safe(trained_run, tmp_path, c
     assert f"no touch is safe on what may be there: {MAX_EMPTY_DRAWS} draws" in captured.out
     assert "no touch is safe on what may be there" in captured.err
     assert not list((out / "touches").glob("*.h5"))
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    "study", ["policy", "open_set", "planar", "registered", "pose_error", "sites", "placement", "mismatch"]
+)
+def test_studies_run(study, trained_run, tmp_path):
+    out = tmp_path / study
+    words = [study, "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]
+    assert studies.main(words) == 0
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["source"] == "simulated"
+    assert (out / "part-0.npz").exists()
+    assert set(metrics["tables"]) == set(STUDY_TABLES[study])
+    if study == "planar":
+        assert set(metrics["methods"]) == {"known pose", "unknown pose"}
+        assert 0 <= metrics["rotation_error"]["percentiles_25_50_75_90"][0] <= 180
+    elif study == "registered":
+        places = "known to 1 mm", "known to 5 mm", "found by a view"
+        assert set(metrics["methods"]) == {
+            f"{x}, {place}" for x in ("fused", "readings and presence") for place in places
+        }
+        assert metrics["refused"]["true_object"] == 0
+        middle = metrics["position_error"]["percentiles_25_50_75_90"][1]
+        assert 0 < middle < 8.0  # mm; 5 mm on each axis are believed at first
+    elif study == "pose_error":
+        assert len(metrics["worlds"]) == 6  # two pose errors and one noise of views, in two sets
+        sources = ("Imagine2touch (paper's network, depth)", "same rules, Gaussian process")
+        rules = {f"{s}, {x}, {r}" for s in ("primitives", "tools") for x in sources for r in ("votes", "product")}
+        assert set(metrics["equal_at_mm"]) == rules
+    elif study == "sites":
+        assert sum(kind["touches"] for kind in metrics["bits"].values()) == metrics["touches"] == 8
+        (out / "metrics.json").unlink()
+        assert studies.main([*words, "--resume"]) == 0  # from what was made of the pad
+        assert json.loads((out / "metrics.json").read_text()) == metrics
+    elif study == "policy":
+        assert set(metrics["policies"]) == {"random", "heuristic", "information"}
+    elif study == "placement":
+        assert set(metrics["methods"]) == {"inferred", "as stated"}
+        for entry in metrics["methods"].values():
+            assert set(entry["conditions"]) == {"1 mm, stated 0.5", "1 mm, stated 1", "1 mm, stated 2"}
+            assert all(len(each["stopping"]) == 3 for each in entry["conditions"].values())
+        stated = metrics["methods"]["as stated"]["conditions"]["1 mm, stated 2"]
+        np.testing.assert_allclose(stated["scale_percentiles_25_50_75"], 1.0, rtol=1e-5)
+    elif study == "mismatch":
+        kinds = mismatch.SHOWN_KINDS
+        assert set(metrics["methods"]) == {f"{kind}, {world}" for kind in kinds for world in mismatch.DEBUG_WORLDS}
+        for kind in kinds:
+            assert metrics["methods"][f"{kind}, {mismatch.MATCHED}"]["difference_mean"]["mean"] == 0
+    else:
+        assert metrics["episodes"] == 16
+        assert len(metrics["auroc"]["mean"]) == 3
 
 
 def test_an_unknown_object_must_be_possible(tmp_path, capsys):
