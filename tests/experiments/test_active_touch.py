@@ -23,13 +23,6 @@ def test_the_debug_preset_compares_every_policy(tmp_path, capsys):
     assert "| random |" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("words", "said"), [(["star", "mug"], "mug"), (["star", "star"], "each named once")])
-def test_objects_that_are_not_there_are_refused(words, said, tmp_path, capsys):
-    assert main(["--objects", *words, "--out", str(tmp_path / "out")]) == 2
-    assert said in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
 def test_the_table_names_the_other_benchmark():
     """APPLE's numbers stand at their touches and nowhere else."""
     curve = Estimate(*([value] * 16 for value in (0.5, 0.4, 0.6)))

@@ -232,25 +232,6 @@ def test_loads_that_say_nothing_are_refused_at_once(change, said):
         read_presses(replace(made, touches=made.touches._replace(**change)), "auto")
 
 
-def test_a_flag_of_earlier_versions_is_answered_with_its_new_name(tmp_path, capsys):
-    with pytest.raises(SystemExit):
-        command.main(["--dataset", str(tmp_path), "--earlier", str(tmp_path)])
-    assert "--previous-session" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ([], "pass --dataset DIR"),
-        (["--dataset", "DIR", "--calibration", "skin.npz", "--save-pad", "pad.npz"], "pass --dataset DIR"),
-        (["--calibration", "skin.npz"], "--calibration is for --save-pad FILE"),
-    ],
-)
-def test_a_pad_is_fitted_to_a_data_set_or_a_calibration(words, said, capsys):
-    assert command.main(words) == 2
-    assert said in capsys.readouterr().err
-
-
 def test_a_pad_file_needs_a_known_tip_and_a_name_of_its_own(tmp_path, capsys):
     data.save_dataset(tmp_path / "set.h5", recording(60))
     saved = tmp_path / "pad.npz"

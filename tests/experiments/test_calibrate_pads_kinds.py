@@ -76,11 +76,6 @@ def test_blocks_held_out_share_no_position_with_training_presses():
     assert not set(known) & set(test)
 
 
-def test_one_thing_at_a_time(tmp_path, capsys):
-    assert command.main(["--prior", "--kinds", "--out", str(tmp_path / "x")]) != 0
-    assert "pass one of them" in "".join(capsys.readouterr())
-
-
 @pytest.mark.full
 def test_every_kind_is_pressed_as_it_says():
     found = {kind: kinds.simulate_skins(kind, 5, 8, 40) for kind in kinds.SKIN_KINDS}

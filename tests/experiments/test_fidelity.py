@@ -155,13 +155,6 @@ def test_the_report_is_one_file_with_its_pictures(tmp_path, monkeypatch, capsys)
     assert "finished run" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("args", [[], ["--dataset", "nowhere"], ["--dataset", "x", "--simulated-skins", "1"]])
-def test_a_command_line_that_names_no_recording_is_refused(args, tmp_path, capsys):
-    assert fidelity.main([*args, "--out", str(tmp_path / "out")]) not in (0, None)
-    assert len(capsys.readouterr().err.strip().splitlines()) == 1
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_part_that_fails_costs_no_other(capsys):
     def broken(section):
         section.sentences.append("so far")

@@ -1,5 +1,5 @@
-"""The whole of `python -m experiments.recognize` on its debug preset, simulated and live, and of the studies, which share
-what it compiles and the pad model that it fits.
+"""The whole of `python -m experiments.recognize` on its debug preset, simulated and live, and of the studies,
+which share what it compiles and the pad model that it fits.
 """
 
 import json
@@ -129,20 +129,6 @@ def test_a_network_trained_on_nothing_does_not_beat_a_constant_reading(trained_r
     right = {name: metrics.hits(p, results.truth).mean(1) for name, p in results.beliefs.items()}
     better = right["untrained, votes"] - right["constant, votes"]
     assert better.mean() < 2 * better.std() / np.sqrt(len(better))
-
-
-def test_what_is_missing_is_named(tmp_path, capsys):
-    assert recognize.main(["--trained-run", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
-    assert "python -m experiments.train --out" in capsys.readouterr().err
-
-
-def test_meshes_need_a_unit(tmp_path, capsys):
-    meshes = [tmp_path / "a.stl", tmp_path / "b.stl"]
-    for path in [*meshes, tmp_path / "metrics.json"]:  # the run itself is not read before
-        path.write_text("{}")
-    args = ["--preset", "debug", "--trained-run", str(tmp_path), "--out", str(tmp_path / "o"), "--objects"]
-    assert recognize.main([*args, *map(str, meshes)]) == 2
-    assert "--unit mm" in capsys.readouterr().err
 
 
 @pytest.mark.full
@@ -281,36 +267,6 @@ def test_studies_run(study, trained_run, tmp_path):
     else:
         assert metrics["episodes"] == 16
         assert len(metrics["auroc"]["mean"]) == 3
-
-
-def test_an_unknown_object_must_be_possible(tmp_path, capsys):
-    for wrong, said in (
-        (["--prior-unknown", "1"], "--prior-unknown 1: give a prob"),
-        (["--prior-unknown", "0.1", "--num-surrogates", "0"], "surrogates"),
-    ):
-        assert recognize.main(["live", "--out", str(tmp_path / "live"), *wrong]) == 2
-        error = capsys.readouterr().err
-        assert said in error
-        assert error.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        (["--live", "--there", "hammer"], "the subcommand live (python -m experiments.recognize live"),
-        (["live", "--strange=0.1"], "--prior-unknown"),
-        (["live", "--places", "8"], "--num-particles"),
-        (["--run", "runs/study"], "--trained-run"),
-        (["--sittings", "20"], "--episodes"),
-    ],
-)
-def test_flags_of_before_answer_with_their_new_name(old, new, capsys):
-    with pytest.raises(SystemExit) as ended:
-        recognize.main(old)
-    assert ended.value.code == 2
-    error = capsys.readouterr().err
-    assert new in error
-    assert error.count("\n") == 1
 
 
 def test_both_commands_read_their_own_flags(monkeypatch, tmp_path):

@@ -139,11 +139,6 @@ def test_what_a_pad_leaves_of_its_presses_makes_its_readings_less_sure():
     assert with_press_errors(model, 0.0).likelihood.inflation == 1.0
 
 
-def test_a_pad_is_for_recorded_touches(tmp_path, capsys):
-    assert recognize.main(["--pad", str(tmp_path / "pad.npz"), "--out", str(tmp_path / "out")]) == 2
-    assert "--pad is for recorded touches (--dataset)" in capsys.readouterr().err
-
-
 @pytest.fixture
 def pad_of_skin_a(tmp_path) -> Path:
     save_pad(tmp_path / "a.npz", nominal_pad(), about={"pad": "skin A"})

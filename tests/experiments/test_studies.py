@@ -7,31 +7,12 @@ import numpy as np
 import pytest
 
 from experiments.reproduce.tables import study_table
-from experiments.studies import __main__ as studies
 from experiments.studies import lab, object_count, open_set, planar, pose_error, sites
 from i2t.objects import Mesh
 from i2t.recognition.intervals import Estimate
 from i2t.recognition.planar import pose_cells
 from i2t.simulation.touches import SimulationErrors
 from i2t.types import TWIST_LEVER_M
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [("strangers", "open_set"), ("open", "open_set"), ("many", "object_count"), ("crossing", "pose_error"),
-     ("pad", "new_pad")],
-)  # fmt: skip
-def test_a_study_answers_to_its_old_name_with_the_new_one(old, new, capsys):
-    assert studies.main([old]) == 2
-    error = capsys.readouterr().err
-    assert error == f"error: the study {old} is called {new} now\n"
-
-
-@pytest.mark.parametrize(("old", "new"), studies.RENAMED_STUDY_FLAGS.items())
-def test_a_flag_answers_to_its_old_name_with_the_new_one(old, new, capsys):
-    with pytest.raises(SystemExit):
-        studies.main(["policy", old, "1"])
-    assert new in capsys.readouterr().err
 
 
 def test_episodes_of_studies_are_alike_by_pad_by_sites_and_by_object():

@@ -132,16 +132,6 @@ def test_killed_and_resumed_equals_uninterrupted(finished, tmp_path, capsys):
     assert numbers(out) == numbers(finished)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"), [(["--dataset", "/nowhere"], "nowhere"), (["--epochs", "0"], "epochs")]
-)
-def test_wrong_arguments_get_one_sentence(arguments, words, tmp_path, capsys):
-    assert command.main(["--preset", "debug", "--out", str(tmp_path / "x"), *arguments]) == 2
-    message = capsys.readouterr().err
-    assert words in message
-    assert len(message.strip().splitlines()) == 1
-
-
 def test_there_is_no_predictor_in_an_empty_folder(tmp_path):
     with pytest.raises(CheckpointError, match="holds no predictor"):
         i2t.load_predictor(tmp_path)
@@ -205,14 +195,6 @@ def test_the_predictor_is_chosen_on_validation_touches_and_scaled_on_them(valida
     scale = np.sqrt(np.mean((0.1 * error) ** 2))
     assert evaluation.predictors["validated"].std_scale == pytest.approx(scale)
     np.testing.assert_allclose(evaluation.std["validated"], scale)
-
-
-def test_a_split_that_was_renamed_says_so(capsys, tmp_path):
-    with pytest.raises(SystemExit) as end:
-        command.main(["--split", "run", "--out", str(tmp_path / "x")])
-    assert end.value.code == 2
-    assert "--split run is called --split session now" in capsys.readouterr().err
-    assert not (tmp_path / "x").exists()
 
 
 def test_a_pad_on_disk_takes_the_place_of_a_random_one(tmp_path, capsys, monkeypatch):
