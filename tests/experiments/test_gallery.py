@@ -5,31 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import i2t
 from experiments.gallery.arguments import FIGURE_NAMES, OF_A_RUN, GalleryArgs
-from experiments.gallery.figures import FIGURES
 from experiments.gallery.story import Story
-from experiments.recognize.config import PRESETS
-from i2t.recognition.recognizer import RecognizerConfig
 
 PAGE = Path(__file__).parents[2] / "docs" / "gallery.md"
-
-
-@pytest.fixture(scope="module")
-def story(trained_run):
-    config = RecognizerConfig(num_sites=8, num_particles=16, max_touches=2)
-    return Story(trained_run, world=PRESETS["debug"], config=config)
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("name", FIGURE_NAMES)
-def test_a_figure_is_drawn(name, story):
-    canvas = FigureCanvasAgg(FIGURES[name](story))
-    canvas.draw()
-    colours = np.unique(np.asarray(canvas.buffer_rgba()).reshape(-1, 4), axis=0)
-    assert len(colours) > 30
 
 
 def test_a_force_that_a_noisy_wrench_sensor_takes_for_a_pull_is_imagined_too():

@@ -9,11 +9,16 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from experiments.common.runs import load_part, save_part
+from experiments.gallery.arguments import FIGURE_NAMES
+from experiments.gallery.figures import FIGURES
+from experiments.gallery.story import Story
 from experiments.recognize import __main__ as recognize
 from experiments.recognize import live, paper, report
 from experiments.recognize import run as simulated
+from experiments.recognize import trained_run as trained_run_of_recognition
 from experiments.recognize.arguments import SimulateArgs
 from experiments.recognize.config import PRESETS
 from experiments.reproduce.tables import STUDY_TABLES
@@ -27,7 +32,7 @@ from i2t.prediction.predictor import PatchNetwork
 from i2t.recognition import metrics, site_pool
 from i2t.recognition.episodes import episodes_from_dataset
 from i2t.recognition.paper_rules import ConstantPredictor, _nearest_distances, reading_scorers
-from i2t.recognition.recognizer import MAX_EMPTY_DRAWS, ObjectRecognizer
+from i2t.recognition.recognizer import MAX_EMPTY_DRAWS, ObjectRecognizer, RecognizerConfig
 from i2t.simulation.press import PressLimits
 from i2t.skin.pad import numbered_pad
 from i2t.types import ReturnCode
@@ -195,6 +200,19 @@ def test_an_arm_touches_where_the_belief_wants_it_to(trained_run, tmp_path, caps
     assert read_belief(out / "result.json", len(belief)).names == tuple(result["objects"])
     assert recognize.main(args) == 2
     assert "another episode" in capsys.readouterr().err
+
+
+@pytest.mark.full
+def test_every_figure_of_the_gallery_is_drawn(trained_run):
+    config = RecognizerConfig(num_sites=3, num_particles=8, max_touches=2)
+    story = Story(trained_run, world=PRESETS["debug"], config=config)
+    world = story.world.errors, story.world.limits
+    story.__dict__["run"] = trained_run_of_recognition.load_trained_run(jax.random.key(0), trained_run, *world)
+    for name in FIGURE_NAMES:
+        canvas = FigureCanvasAgg(FIGURES[name](story))
+        canvas.draw()
+        colours = np.unique(np.asarray(canvas.buffer_rgba()).reshape(-1, 4), axis=0)
+        assert len(colours) > 30, name
 
 
 @pytest.mark.full

@@ -68,16 +68,6 @@ def test_a_small_run_of_everything_is_reported_with_counts_and_figures(tmp_path,
 
 
 @pytest.mark.full
-def test_an_object_on_a_table_is_touched_from_above_only(tmp_path):
-    words = ["--preset", "debug", "--reach", "table", "--conditions", "uncertainty", "--out", str(tmp_path / "run")]
-    assert main(words) == 0
-    report = json.loads((tmp_path / "run" / "metrics.json").read_text())
-    assert list(report["conditions"]) == ["uncertainty"]
-    assert report["reach"] == "table"
-    assert report["share_of_gap"] == {}
-
-
-@pytest.mark.full
 def test_an_arm_explores_an_object_whose_mesh_may_be_recognised(tmp_path, capsys):
     out = tmp_path / "run"
     words = ["--arm", "simulated", "--true-object", "pyramid", "--preset", "debug", "--touches", "4", "--name", "felt"]
