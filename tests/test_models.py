@@ -151,25 +151,3 @@ def test_the_ready_predictor_is_as_good_as_its_card_says():
     assert 0.8 < np.mean(np.abs(off) < 1.645 * reading.std) <= 1
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["mug.stl"], "neither a mesh file nor an object"),
-        (["star", "--unit", "mm"], "--unit is of a mesh file"),
-        (["star", "--force", "-1"], "--force is -1"),
-        (["star", "--force", "1e6"], "at most 100"),
-        (["--board", "grid-9x9"], "is not known"),
-        (["--model", "nowhere"], "holds no predictor"),
-        (["--out", "."], "is a folder"),
-        (["--out", "picture"], "is no name of a picture"),
-    ],
-)
-def test_wrong_use_of_imagine_is_one_sentence(words, said, capsys, tmp_path, monkeypatch):
-    from i2t.imagine import main
-
-    monkeypatch.chdir(tmp_path)
-    assert main(words) == 2
-    printed = capsys.readouterr()
-    assert said in printed.err
-    assert len(printed.err.strip().splitlines()) == 1
-    assert not list(tmp_path.iterdir())

@@ -5,7 +5,7 @@ import pytest
 
 from experiments.calibrate_pads import __main__ as command
 from experiments.calibrate_pads import kinds, prior_search, skin_kinds
-from i2t.calibration.population_gp import kernel, load_prior
+from i2t.calibration.population_gp import load_prior
 from i2t.calibration.population_gp.prior import prior_about
 
 
@@ -105,8 +105,3 @@ def test_a_debug_run_ends_with_its_results(what, tmp_path):
         table = (tmp_path / "table.md").read_text()
         assert "GP of a population" in table
         assert table.count("\n") == 2 + 4 + 2  # head, methods, gain and coverage of one case
-
-
-def test_the_oracle_of_a_kind_is_one_kernel():
-    values = prior_about()["best_of_kind"]["lattice, depth"]
-    assert len(values) == len(kernel.SkinKernels._fields)

@@ -13,7 +13,7 @@ from experiments.fidelity import __main__ as fidelity
 from experiments.fidelity import curves, describe, dynamics, forward, heads, run
 from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.forward import explained_share, left_out, nearest_presses, press_set, simple_gp
-from experiments.fidelity.sections import CannotTellError, Section, full_stop, written
+from experiments.fidelity.sections import CannotTellError, Section, written
 from i2t import dataset as data
 from i2t.calibration import check_presses
 from i2t.calibration.heads import HeadBudget, SkinRecording, from_dataset, load_head
@@ -287,29 +287,6 @@ def test_what_may_be_chance_is_no_loss():
     assert "within chance" in level
 
 
-def test_methods_are_compared_by_the_numbers_that_are_printed():
-    def compared(*own):
-        theirs = {20: {"mean": 0.9031}, 50: {"mean": 0.95}}
-        mine = {n: {"mean": mean} for n, mean in zip(theirs, own, strict=True)}
-        return curves._compare_with_baselines("so", {"i2t.calibrate": mine, "plain Gaussian process": theirs}, {})
-
-    assert compared(0.896, 0.96) == [
-        "Held out so: i2t.calibrate lies within 0.01 of the best baseline at 20 presses (0.896, plain Gaussian process "
-        "0.903).",
-        "Held out so: i2t.calibrate is at least as good as every baseline at 50 presses.",
-    ]
-    assert compared(0.9029, 0.95) == [  # both are printed as 0.903
-        "Held out so: i2t.calibrate is at least as good as every baseline at every number of presses."
-    ]
-
-
-@pytest.mark.parametrize("said", ["It is", "It is.", "It is..", "It is. "])
-def test_a_sentence_ends_in_one_full_stop_and_is_said_once(said):
-    section = written("title", lambda section: section.sentences.extend([said, "It is."]))
-    assert section.sentences == ["It is."]
-    assert full_stop("and 3 more ...") == "and 3 more ..."
-
-
 def test_a_finding_is_said_in_one_part_of_the_report(monkeypatch):
     """Not by the quick checks and the estimate, nor as a note of the converter that the checks say anew."""
     pulled = HOSTILE["forces that pull"]
@@ -338,16 +315,6 @@ def test_a_session_that_does_not_tell_how_hard_was_pressed_is_laid_over_another(
     found = section.numbers["r2"][f"{big.name} -> level"]
     assert found["aligned"] > 0.9
     assert found["aligned"] > found["as it is"]
-
-
-def test_times_that_a_data_set_keeps_are_used():
-    dataset = random_touches.make(60, pixels=8, truth=True)
-    (recording, *_) = from_dataset(dataset, "objects")
-    section = Section("What it is")
-    describe.describe(recording, section)
-    assert any(sentence.startswith("Rows come every") for sentence in section.sentences)
-    describe.describe(from_dataset(random_touches.make(60, pixels=8), "objects")[0], again := Section("What it is"))
-    assert any(sentence.startswith("No times are known") for sentence in again.sentences)
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1.0, "uT"), (1e-3, "mT"), (0.01, "gauss")])
@@ -494,10 +461,3 @@ def test_the_report_of_a_real_session(session, shared_data, tmp_path):
     assert fidelity.main(args) == 0
     for chapter in json.loads((tmp_path / "out" / "metrics.json").read_text())["recordings"].values():
         assert all(section["status"] != "failed" and "failures" not in section for section in chapter.values())
-
-
-def test_a_range_that_holds_too_few_rows_is_said():
-    score = heads.HeadScore(rows=40, rmse=0.2, median=0.1, r2=0.9, inside_90=0.68, unfamiliar=0.0)
-    (sentence,) = heads.missed_ranges("force", {"random rows": score, "later": score._replace(inside_90=0.85)})
-    assert sentence == "force, random rows: the 90 % range holds 68 % of 40 rows; do not rely on it there."
-    assert heads.missed_ranges("contact", {"random rows": score}) == []  # whose last number but one is another

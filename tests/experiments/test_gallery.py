@@ -24,15 +24,6 @@ def test_a_force_that_a_noisy_wrench_sensor_takes_for_a_pull_is_imagined_too():
     assert np.isfinite(drawn.imagine(touches).mean).all()
 
 
-def test_the_page_shows_every_figure_with_words_for_who_cannot_see_it():
-    text = PAGE.read_text()
-    for name in FIGURE_NAMES:
-        before, found, _ = text.partition(f"](figures/{name}.png)")
-        assert found, f"{name} is not on the page"
-        assert len(before.rpartition("![")[2]) > 40
-        assert (PAGE.parent / "figures" / f"{name}.png").is_file()
-
-
 def test_a_figure_without_a_trained_run_needs_none(tmp_path):
     nowhere = tmp_path / "none"
     GalleryArgs(trained_run=nowhere, only=tuple(set(FIGURE_NAMES) - OF_A_RUN)).check()

@@ -1,7 +1,6 @@
 """Worlds of other physics against closed forms, and the two studies of what is stated wrong to a belief."""
 
 import json
-from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -9,9 +8,8 @@ import numpy as np
 import pytest
 
 from experiments.reproduce.tables import study_table
-from experiments.studies import mismatch, placement, sensitivity
+from experiments.studies import mismatch, placement
 from experiments.studies.lab import report_methods
-from i2t.objects import Mesh
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.contact import FINE_GRID, GRID
 from i2t.skin.pad import nominal_pad, numbered_pad
@@ -78,24 +76,6 @@ def test_another_chip_remembers_and_nothing_else_that_can_be_read_differs():
     np.testing.assert_allclose(other.gains, pad.gains, rtol=1e-4)
     errors = some["chip remembers twice as much"].errors(SimulationErrors())
     assert errors.faults.hysteresis == pytest.approx(2 * SimulationErrors().faults.hysteresis)
-
-
-def test_meshes_are_larger_and_smaller():
-    mesh = Mesh(np.array([[0.0, 0, 0.01], [0.01, 0, 0], [0, 0.02, 0]]), np.array([[0, 1, 2]], np.int32))
-    some = mismatch.worlds()
-    for name, factor in (("1 % smaller", 0.99), ("3 % smaller", 0.97), ("3 % larger", 1.03)):
-        np.testing.assert_allclose(some[f"meshes {name}"].mesh(mesh).vertices, factor * mesh.vertices)
-
-
-def test_sensitivity_has_worlds_that_take_the_ambient_rarely():
-    base = SimulationErrors()
-    some = sensitivity.worlds(base)
-    assert next(iter(some.values())).errors == base
-    for every in (5, 20):
-        world = some[f"ambient every {every} touches"]
-        assert world.errors == replace(base, faults=replace(base.faults, ambient_every=every))
-        followed = some[f"ambient every {every} touches, drift followed"]
-        assert (followed.errors, world.drift_std, followed.drift_std > 0) == (world.errors, 0.0, True)
 
 
 def test_stops_that_are_wrong_too_often_are_named(capsys):

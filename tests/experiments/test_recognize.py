@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from experiments.common.runs import load_part, save_part
 from experiments.gallery.arguments import FIGURE_NAMES
 from experiments.gallery.figures import FIGURES
 from experiments.gallery.story import Story
 from experiments.recognize import __main__ as recognize
-from experiments.recognize import live, paper, report
+from experiments.recognize import paper, report
 from experiments.recognize import run as simulated
 from experiments.recognize import trained_run as trained_run_of_recognition
 from experiments.recognize.arguments import SimulateArgs
@@ -287,21 +286,6 @@ def test_studies_run(study, trained_run, tmp_path):
         assert len(metrics["auroc"]["mean"]) == 3
 
 
-def test_both_commands_read_their_own_flags(monkeypatch, tmp_path):
-    """Without a subcommand episodes are simulated."""
-    seen = []
-    (tmp_path / "metrics.json").write_text("{}")  # of a finished run
-    run, out = ["--trained-run", str(tmp_path)], ["--out", str(tmp_path / "out")]
-    monkeypatch.setattr(simulated, "run", seen.append)
-    monkeypatch.setattr(live, "run", seen.append)
-    assert recognize.main(["--preset", "debug", "--episodes", "4", *run, *out]) == 0
-    assert recognize.main(["simulate", "--preset", "debug", *run, *out]) == 0
-    assert recognize.main(["live", "--max-touches", "7", "--max-error-probability", "0.2", *run, *out]) == 0
-    assert [type(args).__name__ for args in seen] == ["SimulateArgs", "SimulateArgs", "LiveArgs"]
-    assert seen[0].episodes == 4
-    assert (seen[2].max_touches, seen[2].min_touches, seen[2].max_error_probability) == (7, 3, 0.2)
-
-
 def test_the_papers_distances_prefer_what_was_touched():
     """Without any error the model at the contact is nearest to it: proprioception is right, whatever the readings."""
     surfaces = site_pool.prepare_surfaces([catalogue.make_object(name).mesh for name in ("square", "cylinder")])
@@ -309,20 +293,6 @@ def test_the_papers_distances_prefer_what_was_touched():
     apart = [float(_nearest_distances(jax.numpy.asarray(point), surface)[0]) for surface in surfaces]
     assert apart[0] == pytest.approx(0, abs=1e-6)
     assert apart[1] == pytest.approx(np.hypot(24e-3, 24e-3) - 30e-3, abs=0.1e-3)
-
-
-def test_what_was_made_of_a_pad_is_kept(tmp_path):
-    part = {
-        "truth": np.arange(3),
-        "0": {"rough": 0.3, "objects": "tools", "network, votes": np.ones((3, 2), np.float32)},
-    }
-    save_part(tmp_path / "part-0.npz", part)
-    back = load_part(tmp_path / "part-0.npz")
-    assert [path.name for path in tmp_path.iterdir()] == ["part-0.npz"]
-    assert list(back) == list(part)
-    assert str(back["0"]["objects"]) == "tools"
-    assert float(back["0"]["rough"]) == 0.3
-    np.testing.assert_array_equal(back["0"]["network, votes"], part["0"]["network, votes"])
 
 
 def test_objects_of_ones_own_share_sites_by_which_each_touch_is_imagined_once():

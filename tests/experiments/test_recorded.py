@@ -171,19 +171,6 @@ def test_another_skin_is_refused_before_anything_moves(words, said, pad_of_skin_
     assert not out.exists()
 
 
-def test_a_live_run_collects_with_the_devices_that_were_named(tmp_path):
-    args = live.LiveArgs(
-        out=tmp_path, arm="ur", skin="reskin", camera="folder", host="h", port="p", board="anyskin",
-        views=Path("views"), state_timeout=1.0, watchdog_rate=2.0, pad_name="skin A", truth="mug",
-    )  # fmt: skip
-    mesh = SimpleNamespace(vertices=np.zeros((1, 3)))
-    collected = live.collect_args(args, PRESETS["paper"], {"star": mesh}, None)
-    named = ("board", "views", "state_timeout", "watchdog_rate", "pad_name", "name", "host", "port", "skin", "arm")
-    wanted = ("anyskin", Path("views"), 1.0, 2.0, "skin A", "mug", "h", "p", "reskin", "ur")
-    assert tuple(getattr(collected, name) for name in named) == wanted
-    assert live.collect_args(replace(args, truth=None), PRESETS["paper"], {"star": mesh}, None).name == "unknown"
-
-
 def test_the_board_of_a_live_run_is_that_of_its_skin():
     expected = boards.grid_board(2, 2)
     for skin, chips in (("emulated", 5), ("simulated", 5), ("acme:Skin", 4)):

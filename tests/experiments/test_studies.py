@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.reproduce.tables import study_table
-from experiments.studies import lab, object_count, open_set, planar, pose_error, sites
-from i2t.objects import Mesh
+from experiments.studies import lab, open_set, planar, pose_error, sites
 from i2t.recognition.intervals import Estimate
 from i2t.recognition.planar import pose_cells
 from i2t.simulation.touches import SimulationErrors
@@ -97,8 +96,3 @@ def test_lines_change_sign_where_they_meet_zero():
 def test_information_is_counted_from_guessing():
     p = np.array([[0.25, 0.25, 0.25, 0.25], [1.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.0, 0.0]])
     np.testing.assert_allclose(sites.information_bits(p, np.array([3, 0, 1])), [0, 2, 1])
-
-
-def test_a_small_mesh_is_not_decimated():
-    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))
-    assert object_count.decimate(mesh) is mesh

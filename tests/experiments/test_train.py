@@ -22,7 +22,6 @@ from experiments.train import simulate
 from experiments.train.reports import print_table, summarise
 from experiments.train.splitting import Split
 from i2t import dataset
-from i2t.errors import CheckpointError
 from i2t.prediction.baselines import MEAN, NEAREST, RIDGE, WITH_MEASURED
 from i2t.prediction.gp import ContactPressure
 from i2t.prediction.metrics import Score, score
@@ -130,11 +129,6 @@ def test_killed_and_resumed_equals_uninterrupted(finished, tmp_path, capsys):
     assert "other settings" in capsys.readouterr().err
     subprocess.run(words, check=True, capture_output=True, env=environment)
     assert numbers(out) == numbers(finished)
-
-
-def test_there_is_no_predictor_in_an_empty_folder(tmp_path):
-    with pytest.raises(CheckpointError, match="holds no predictor"):
-        i2t.load_predictor(tmp_path)
 
 
 class Foretold(PressureNetwork):
@@ -289,33 +283,6 @@ def test_a_table_is_printed_where_a_score_is_missing(capsys):
     assert "kept: mean reading" in said
     assert "0.91 of validation values" in said
     assert "note: depths are nil" in said
-
-
-@pytest.mark.parametrize(
-    ("lead", "over", "said"),
-    [
-        ((0.002, None, None), (1, 1), "0.002 (1 object: no interval) above ridge"),
-        ((0.002, None, None), (2, 1), "0.002 (2 groups of 1 object: no interval) above ridge"),
-        ((0.1, 0.05, 0.2), (6, 2), "0.100 [0.050, 0.200] (over 6 groups of 2 objects) above ridge"),
-    ],
-)
-def test_a_lead_says_over_what_its_interval_is_or_that_there_is_none(lead, over, said, capsys):
-    one = dict.fromkeys(Score._fields) | {"r2_axis": [None] * 3, "r2_interval": [None, None]}
-    print_table(
-        {
-            "source": "real", "groups": over[0], "best": "GP", "seconds": 1.0, "notes": [],
-            "methods": {"ridge": one, "GP": one}, "validation_r2": {"ridge": 0.0, "GP": 0.1}, "by_object": {},
-            "choice": {
-                "best_baseline": "ridge",
-                "over_best_baseline": dict(zip(("r2", "low", "high"), lead, strict=True)),
-            },
-            "validated_on": dict(zip(("groups", "objects"), over, strict=True)),
-        }
-    )  # fmt: skip
-    printed = capsys.readouterr().out
-    assert said in printed
-    few = "too few for an interval" in printed
-    assert few == (over[0] < 3)
 
 
 def test_several_pads_are_summed_up_over_pads(tmp_path, capsys):
