@@ -17,7 +17,6 @@ from experiments.benchmark.policy import Policy
 from experiments.benchmark.rendering import Rendering
 from experiments.benchmark.run import Benchmark
 from experiments.benchmark.skin import SkinBenchmark
-from experiments.benchmark.startup import Startup
 from experiments.benchmark.timing import BenchmarkRow
 from experiments.benchmark.training import Training
 from i2t.errors import MissingExtraError
@@ -62,11 +61,6 @@ def test_other_touches_are_not_compared() -> None:
         scaling._check_same([alone, other], alone, exact=True)
 
 
-def test_startup_section_says_why_a_command_failed() -> None:
-    with pytest.raises(ValueError, match="--preset"):
-        benchmark.run(Benchmark(sections=("startup",), startup=Startup(("experiments.train", "--preset", "none"))))
-
-
 def test_unequal_work_is_not_compared() -> None:
     torch = pytest.importorskip("torch", reason="the extra bench is not installed")
     batch = benchmark_training._random_touches(TINY)
@@ -84,11 +78,6 @@ def test_a_missing_peer_is_named_with_its_remedy_before_any_section_runs(monkeyp
     monkeypatch.setitem(benchmark.SECTIONS, "policy", lambda cfg: pytest.fail("it ran"))
     with pytest.raises(MissingExtraError, match=r"section training needs torch, .* 'imagine2touch\[bench\]'"):
         benchmark.run(Benchmark(sections=("policy", "training"), training=TINY))
-
-
-def test_rows_are_medians_over_turns() -> None:
-    row = timing.compare("s", "w", [1.0, 2.0, 4.0], "p", [3.0, 2.0, 8.0])
-    assert row == BenchmarkRow("s", "w", "s", 2.0, "p", 3.0, 2.0)
 
 
 def test_every_contender_gets_every_turn_in_order() -> None:

@@ -212,16 +212,6 @@ def test_loads_that_say_nothing_are_refused_at_once(change, said):
         read_presses(replace(made, touches=made.touches._replace(**change)), "auto")
 
 
-def test_a_pad_file_needs_a_known_tip_and_a_name_of_its_own(tmp_path, capsys):
-    data.save_dataset(tmp_path / "set.h5", recording(60))
-    saved = tmp_path / "pad.npz"
-    assert command.main(["--dataset", str(tmp_path / "set.h5"), "--save-pad", str(saved)]) == 2
-    assert '"tip" is no tip that a pad can be fitted to; pass --tip sphere:RADIUS' in capsys.readouterr().err
-    saved.write_bytes(b"")
-    assert command.main(["--dataset", str(tmp_path / "set.h5"), "--save-pad", str(saved), "--tip", "sphere:4"]) == 2
-    assert "exists; choose another --save-pad" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("of", ["dataset", pytest.param("calibration", marks=pytest.mark.full)])
 def test_presses_and_the_calibration_of_them_give_the_same_pad(of, tmp_path, capsys, monkeypatch):
     """All that differs is where the presses come from."""

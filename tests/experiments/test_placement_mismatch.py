@@ -9,7 +9,6 @@ import pytest
 
 from experiments.reproduce.tables import study_table
 from experiments.studies import mismatch, placement
-from experiments.studies.lab import report_methods
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.contact import FINE_GRID, GRID
 from i2t.skin.pad import nominal_pad, numbered_pad
@@ -125,25 +124,3 @@ def test_the_placement_study_reports_each_condition_at_a_temperature_of_its_meth
     temperatures = [result["methods"][method]["temperature"]["initial"] for method in ("as stated", "inferred")]
     assert temperatures[0] == pytest.approx(2 * temperatures[1], rel=0.25)
     assert capsys.readouterr().out.count("mean") == 2
-
-
-def test_the_mismatch_study_compares_every_world_with_the_matched_one(tmp_path):
-    truth = np.arange(30) % 3
-    parts = []
-    for seed in range(3):
-        rng = np.random.default_rng(seed)
-        part = {"truth": truth}
-        for kind in mismatch.SHOWN_KINDS:
-            part[f"{kind}, {mismatch.MATCHED}"] = believed(rng, truth, 3.0)
-            part[f"{kind}, guessing"] = believed(rng, truth, 0.0)
-        parts.append(part)
-    result = report_methods(parts, tmp_path, ["0", "1", "2"])
-    assert (tmp_path / "accuracy.png").exists()
-    for kind in mismatch.SHOWN_KINDS:
-        entry = result["methods"][f"{kind}, guessing"]
-        assert entry["difference_last"]["high"] < -0.3
-        assert entry["accuracy"]["mean"][-1] == pytest.approx(1 / 3, abs=0.2)
-    assert result["methods"][f"fused, {mismatch.MATCHED}"]["difference_last"]["mean"] == 0
-    table = study_table("methods")(json.loads(json.dumps(result))).splitlines()
-    assert table[0].split(" | ")[3] == "minus matched"
-    assert [line.split(" | ")[0] for line in table[2:]] == ["| matched", "| guessing"] * 2

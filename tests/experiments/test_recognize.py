@@ -4,7 +4,6 @@ which share what it compiles and the pad model that it fits.
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -16,9 +15,7 @@ from experiments.gallery.figures import FIGURES
 from experiments.gallery.story import Story
 from experiments.recognize import __main__ as recognize
 from experiments.recognize import paper, report
-from experiments.recognize import run as simulated
 from experiments.recognize import trained_run as trained_run_of_recognition
-from experiments.recognize.arguments import SimulateArgs
 from experiments.recognize.config import PRESETS
 from experiments.reproduce.tables import STUDY_TABLES
 from experiments.studies import __main__ as studies
@@ -293,14 +290,3 @@ def test_the_papers_distances_prefer_what_was_touched():
     apart = [float(_nearest_distances(jax.numpy.asarray(point), surface)[0]) for surface in surfaces]
     assert apart[0] == pytest.approx(0, abs=1e-6)
     assert apart[1] == pytest.approx(np.hypot(24e-3, 24e-3) - 30e-3, abs=0.1e-3)
-
-
-def test_objects_of_ones_own_share_sites_by_which_each_touch_is_imagined_once():
-    args = SimulateArgs(objects=(Path("star"), Path("cylinder")))
-    cfg = simulated.configure(args)
-    ((_, sets),) = simulated.object_groups(args, cfg)
-    assert sets["your objects"] == (["star", "cylinder"], 40, False, cfg.pool_episodes)
-    ((_, sets),) = simulated.object_groups(args, simulated.configure(replace(args, episodes=7)))
-    assert sets["your objects"].episodes == 7
-    groups = simulated.object_groups(SimulateArgs(), cfg)  # those of the paper keep sites of their own
-    assert {each.share for _, sets in groups for each in sets.values()} == {1}

@@ -9,7 +9,7 @@ import pytest
 from helpers.random_touches import make
 
 from experiments.recognize import __main__ as recognize
-from experiments.recognize import live, pad_sources, recorded
+from experiments.recognize import pad_sources, recorded
 from experiments.recognize.config import PRESETS
 from experiments.recognize.report import EpisodeResults
 from i2t import dataset as data
@@ -18,7 +18,6 @@ from i2t.errors import DataError
 from i2t.hardware.rig import Rig
 from i2t.recognition.pad_model import PadModel, with_press_errors
 from i2t.simulation.touches import SimulationErrors
-from i2t.skin import boards
 from i2t.skin.files import save_pad
 from i2t.skin.pad import nominal_pad
 from i2t.types import TWIST_LEVER_M, ReturnCode
@@ -169,10 +168,3 @@ def test_another_skin_is_refused_before_anything_moves(words, said, pad_of_skin_
     for part in said:
         assert part in error
     assert not out.exists()
-
-
-def test_the_board_of_a_live_run_is_that_of_its_skin():
-    expected = boards.grid_board(2, 2)
-    for skin, chips in (("emulated", 5), ("simulated", 5), ("acme:Skin", 4)):
-        assert live.worn_board(live.LiveArgs(skin=skin), expected).num_chips == chips
-    assert live.worn_board(live.LiveArgs(skin="reskin", board="grid-3x3"), expected).num_chips == 9

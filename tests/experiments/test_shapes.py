@@ -80,6 +80,7 @@ def test_a_press_lies_where_it_says_and_bears_its_force():
     assert pressed().source == "simulated"
 
 
+@pytest.mark.full
 def test_the_cross_rotated_by_a_right_angle_is_the_same():
     cross = one("cross")
     seen = [
