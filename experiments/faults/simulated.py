@@ -220,7 +220,7 @@ def _session(
 
 
 def _full(trial: int) -> tuple[int, int, int, str]:
-    with _small_disk(f"{800 + 130 * trial}k") as folder:
+    with _small_disk(f"{1500 + 130 * trial}k") as folder:
         acknowledged, sentence = _session(folder / "data", make_procedure(seed=trial)[0], 50)
         return len(acknowledged), *count(folder / "data", acknowledged), sentence
 
