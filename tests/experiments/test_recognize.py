@@ -200,7 +200,7 @@ def test_an_arm_touches_where_the_belief_wants_it_to(trained_run, tmp_path, caps
 
 @pytest.mark.full
 def test_every_figure_of_the_gallery_is_drawn(trained_run):
-    config = RecognizerConfig(num_sites=3, num_particles=8, max_touches=2)
+    config = RecognizerConfig(num_sites=8, num_particles=16, max_touches=2)
     story = Story(trained_run, world=PRESETS["debug"], config=config)
     world = story.world.errors, story.world.limits
     story.__dict__["run"] = trained_run_of_recognition.load_trained_run(jax.random.key(0), trained_run, *world)
@@ -261,9 +261,10 @@ def test_studies_run(study, trained_run, tmp_path):
         assert set(metrics["equal_at_mm"]) == rules
     elif study == "sites":
         assert sum(kind["touches"] for kind in metrics["bits"].values()) == metrics["touches"] == 8
+        before = (out / "metrics.json").read_text()
         (out / "metrics.json").unlink()
         assert studies.main([*words, "--resume"]) == 0  # from what was made of the pad
-        assert json.loads((out / "metrics.json").read_text()) == metrics
+        assert (out / "metrics.json").read_text() == before
     elif study == "policy":
         assert set(metrics["policies"]) == {"random", "heuristic", "information"}
     elif study == "placement":
