@@ -38,11 +38,6 @@ def test_a_folder_of_the_users_own_is_meant_before_a_ready_model(tmp_path, monke
     assert ready_path("nominal", "predictor") == Path("nominal")
 
 
-def test_a_card_of_no_model_is_refused():
-    with pytest.raises(ValueError, match="there is nominal, eflesh"):
-        model_card("mug")
-
-
 def test_the_ready_pad_model_is_of_simulated_pad_0():
     known = load_pad_model("nominal")
     card = model_card("nominal")
@@ -65,15 +60,6 @@ def test_the_card_in_the_docs_gives_the_figures_of_the_run():
     for said in (f"{card['pad model']['r2']:.2f}", f"{card['megabytes']} MB", *card["trained on"], *card["tested on"]):
         assert said in page, f"the card does not say {said}"
     assert not set(card["trained on"]) & set(card["tested on"])
-
-
-def test_the_card_is_what_the_run_of_the_ready_models_writes():
-    from experiments.ready_models.run import card_figures
-
-    metrics = {"best": "b", "methods": {"b": {"r2": 0.5, "r2_interval": [0.4, 0.6], "rmse": 2.0, "r2_axis": [1]}}}
-    figures = card_figures(json.loads(json.dumps(metrics)))
-    assert figures.kept == "b"
-    assert figures.methods == {"b": {"r2": 0.5, "r2_interval": [0.4, 0.6], "rmse": 2.0}}
 
 
 def test_the_ready_calibration_is_of_one_real_skin_and_holds_no_press_of_it():
@@ -149,27 +135,3 @@ def test_the_ready_predictor_is_as_good_as_its_card_says():
     off = truth - reading.mean
     assert np.mean(off**2) < 0.85 * np.mean((truth - truth.mean(0)) ** 2)
     assert 0.8 < np.mean(np.abs(off) < 1.645 * reading.std) <= 1
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["mug.stl"], "neither a mesh file nor an object"),
-        (["star", "--unit", "mm"], "--unit is of a mesh file"),
-        (["star", "--force", "-1"], "--force is -1"),
-        (["star", "--force", "1e6"], "at most 100"),
-        (["--board", "grid-9x9"], "is not known"),
-        (["--model", "nowhere"], "holds no predictor"),
-        (["--out", "."], "is a folder"),
-        (["--out", "picture"], "is no name of a picture"),
-    ],
-)
-def test_wrong_use_of_imagine_is_one_sentence(words, said, capsys, tmp_path, monkeypatch):
-    from i2t.imagine import main
-
-    monkeypatch.chdir(tmp_path)
-    assert main(words) == 2
-    printed = capsys.readouterr()
-    assert said in printed.err
-    assert len(printed.err.strip().splitlines()) == 1
-    assert not list(tmp_path.iterdir())

@@ -31,7 +31,7 @@ class ActiveTouchSizes:
 PRESETS: dict[str, ActiveTouchSizes] = {
     "paper": ActiveTouchSizes(),
     "debug": ActiveTouchSizes(
-        sites=6, train_pads=1, test_pads=3, placements=2, particles=4, touches=3, episodes=12, iterations=2, batch=4,
+        sites=6, train_pads=3, test_pads=3, placements=3, particles=3, touches=3, episodes=12, iterations=2, batch=4,
         raw_iterations=2, raw_batch=4,
     ),
 }  # fmt: skip

@@ -39,7 +39,7 @@ EDGE_RADIUS_M = 0.5e-3  # of rounded edges
 REMOUNTED_M = np.array([0.3e-3, 0.4e-3, 0.0])  # by 0.5 mm, chips against the skin
 CAMERA_BIAS = np.array([0.6e-3, -0.6e-3, 0.6e-3, *(TWIST_LEVER_M * np.radians([0.6, 0.6, -0.6]))])  # 1 mm, 1 degree
 MESH_PERCENT = (-3, -1, 1, 3)
-DEBUG_WORLDS = (MATCHED, "Winkler foundation", "edges rounded by 0.5 mm", "meshes 3 % larger")
+DEBUG_WORLDS = (MATCHED, "Winkler foundation", "meshes 3 % larger")
 
 
 @dataclass(frozen=True)

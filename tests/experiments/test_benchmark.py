@@ -12,14 +12,11 @@ import trimesh
 from experiments.benchmark import rendering, scaling, skin, timing
 from experiments.benchmark import run as benchmark
 from experiments.benchmark import training as benchmark_training
-from experiments.benchmark.environment import EnvironmentBenchmark
 from experiments.benchmark.logs import Logs
 from experiments.benchmark.policy import Policy
 from experiments.benchmark.rendering import Rendering
 from experiments.benchmark.run import Benchmark
-from experiments.benchmark.scaling import Scaling
 from experiments.benchmark.skin import SkinBenchmark
-from experiments.benchmark.startup import Startup
 from experiments.benchmark.timing import BenchmarkRow
 from experiments.benchmark.training import Training
 from i2t.errors import MissingExtraError
@@ -56,37 +53,12 @@ def test_policy_section_times_decisions() -> None:
     assert rows[0].peer > rows[0].ours  # imagining comes on top of deciding
 
 
-@pytest.mark.full
-def test_environment_section_times_steps() -> None:
-    tiny = EnvironmentBenchmark(
-        objects=("star", "hexagon"), sites=2, pads=1, placements=1, episodes=2, steps=2, exact_steps=2, touches=2
-    )
-    rows = benchmark.run(Benchmark(sections=("environment",), turns=1, environment=tiny))
-    assert [row.peer_name for row in rows] == ["exact physics", "simulate_touches"]
-    assert rows[1].ratio > 1
-
-
-@pytest.mark.full
-def test_scaling_section_times_the_same_touches_by_several_processes_and_by_one() -> None:
-    """The section itself checks that all give the same readings, and fails where they do not."""
-    tiny = Scaling(touches=4, touches_per_session=2)
-    rows = benchmark.run(Benchmark(sections=("scaling",), turns=1, scaling=tiny))
-    assert [row.peer_name for row in rows] == 2 * ["one process, its share of the cores", "one process, all cores"]
-    assert ["processor time" in row.work for row in rows] == [False, False, True, True]
-    assert all(row.ours > 0 for row in rows)
-
-
 def test_other_touches_are_not_compared() -> None:
     alone, other = (scaling.TouchTiming(1.0, 1.0, np.full((2, 15), value)) for value in (1.0, 1.0 + 1e-5))
     scaling._check_same([alone], alone, exact=True)
     scaling._check_same([other], alone, exact=False)
     with pytest.raises(ValueError, match="do not do the same work"):
         scaling._check_same([alone, other], alone, exact=True)
-
-
-def test_startup_section_says_why_a_command_failed() -> None:
-    with pytest.raises(ValueError, match="--preset"):
-        benchmark.run(Benchmark(sections=("startup",), startup=Startup(("experiments.train", "--preset", "none"))))
 
 
 def test_unequal_work_is_not_compared() -> None:
@@ -106,16 +78,6 @@ def test_a_missing_peer_is_named_with_its_remedy_before_any_section_runs(monkeyp
     monkeypatch.setitem(benchmark.SECTIONS, "policy", lambda cfg: pytest.fail("it ran"))
     with pytest.raises(MissingExtraError, match=r"section training needs torch, .* 'imagine2touch\[bench\]'"):
         benchmark.run(Benchmark(sections=("policy", "training"), training=TINY))
-
-
-def test_unknown_sections_are_refused() -> None:
-    with pytest.raises(ValueError, match="--sections is 'speed'; choose from training, rendering, skin"):
-        benchmark.run(Benchmark(sections=("speed",)))
-
-
-def test_rows_are_medians_over_turns() -> None:
-    row = timing.compare("s", "w", [1.0, 2.0, 4.0], "p", [3.0, 2.0, 8.0])
-    assert row == BenchmarkRow("s", "w", "s", 2.0, "p", 3.0, 2.0)
 
 
 def test_every_contender_gets_every_turn_in_order() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from experiments.calibrate_pads import __main__ as command
 from experiments.calibrate_pads import kinds, prior_search, skin_kinds
-from i2t.calibration.population_gp import kernel, load_prior
+from i2t.calibration.population_gp import load_prior
 from i2t.calibration.population_gp.prior import prior_about
 
 
@@ -76,11 +76,6 @@ def test_blocks_held_out_share_no_position_with_training_presses():
     assert not set(known) & set(test)
 
 
-def test_one_thing_at_a_time(tmp_path, capsys):
-    assert command.main(["--prior", "--kinds", "--out", str(tmp_path / "x")]) != 0
-    assert "pass one of them" in "".join(capsys.readouterr())
-
-
 @pytest.mark.full
 def test_every_kind_is_pressed_as_it_says():
     found = {kind: kinds.simulate_skins(kind, 5, 8, 40) for kind in kinds.SKIN_KINDS}
@@ -110,8 +105,3 @@ def test_a_debug_run_ends_with_its_results(what, tmp_path):
         table = (tmp_path / "table.md").read_text()
         assert "GP of a population" in table
         assert table.count("\n") == 2 + 4 + 2  # head, methods, gain and coverage of one case
-
-
-def test_the_oracle_of_a_kind_is_one_kernel():
-    values = prior_about()["best_of_kind"]["lattice, depth"]
-    assert len(values) == len(kernel.SkinKernels._fields)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.train import causes
-from experiments.train.causes import AXES, HEIGHT, LAG, SIGN, SOFTNESS, UNITS, CauseFound
+from experiments.train.causes import AXES, HEIGHT, LAG, SIGN, SOFTNESS, UNITS
 from experiments.train.choosing import choose
 from experiments.train.loads import press_load, with_known_load
 from i2t.dataset import Dataset, missing_context
@@ -223,25 +223,6 @@ def test_numbers_are_checked_whatever_is_measured():
     found += causes.seen_in_numbers(made, np.ones(300, bool), FORCED, pressure)
     assert {one.cause for one in found} == {UNITS, LAG, SIGN, AXES}
     assert not any(one.found for one in found)
-
-
-def test_a_loss_is_one_sentence_with_what_was_tested():
-    found = [
-        CauseFound(SIGN, True, "95 % of the forces pull"),
-        CauseFound(UNITS, False, "x"),
-        CauseFound(HEIGHT, False, "y"),
-    ]
-    said = causes.loss_sentence("GP", 0.0, NEAREST, 0.19, found)
-    assert said == (
-        "GP loses to k nearest patches on validation touches (R2 0.00 and 0.19), likely because 95 % of the forces "
-        "pull; tested and not found: height zero, units; could not be tested here: tip radius, axes, lag of rows, "
-        "softness"
-    )
-    # How the board lies cannot matter to what learns the skin's map.
-    turned = [CauseFound(AXES, True, "turned", matters=False), *found[1:]]
-    said = causes.loss_sentence("GP", 0.0, NEAREST, 0.19, turned)
-    assert "no cause that was tested explains it" in said
-    assert "could not be tested here: force sign, tip radius, axes" in said
 
 
 def test_a_skin_softer_than_the_nominal_one_is_named_with_its_option(monkeypatch):

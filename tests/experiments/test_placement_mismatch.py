@@ -1,45 +1,17 @@
 """Worlds of other physics against closed forms, and the two studies of what is stated wrong to a belief."""
 
 import json
-from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.reproduce.tables import STUDY_TABLES, study_table
-from experiments.studies import __main__ as studies
-from experiments.studies import mismatch, placement, sensitivity
-from experiments.studies.lab import report_methods
-from i2t.objects import Mesh
+from experiments.reproduce.tables import study_table
+from experiments.studies import mismatch, placement
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.contact import FINE_GRID, GRID
 from i2t.skin.pad import nominal_pad, numbered_pad
-
-
-@pytest.mark.full
-@pytest.mark.usefixtures("pad_models_fitted_once")
-@pytest.mark.parametrize("study", ["placement", "mismatch"])
-def test_studies_of_wrong_beliefs_run(study, trained_run, tmp_path):
-    out = tmp_path / study
-    assert studies.main([study, "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]) == 0
-    metrics = json.loads((out / "metrics.json").read_text())
-    assert metrics["source"] == "simulated"
-    assert metrics["episodes"] == 8
-    if study == "placement":
-        assert set(metrics["methods"]) == {"inferred", "as stated"}
-        for entry in metrics["methods"].values():
-            assert set(entry["conditions"]) == {"1 mm, stated 0.5", "1 mm, stated 1", "1 mm, stated 2"}
-            assert all(len(each["stopping"]) == 3 for each in entry["conditions"].values())
-        stated = metrics["methods"]["as stated"]["conditions"]["1 mm, stated 2"]
-        np.testing.assert_allclose(stated["scale_percentiles_25_50_75"], 1.0, rtol=1e-5)
-    else:
-        kinds = mismatch.SHOWN_KINDS
-        assert set(metrics["methods"]) == {f"{kind}, {world}" for kind in kinds for world in mismatch.DEBUG_WORLDS}
-        for kind in kinds:
-            assert metrics["methods"][f"{kind}, {mismatch.MATCHED}"]["difference_mean"]["mean"] == 0
-    assert set(metrics["tables"]) == set(STUDY_TABLES[study])
 
 
 @pytest.mark.parametrize("grid", [GRID, FINE_GRID])
@@ -105,24 +77,6 @@ def test_another_chip_remembers_and_nothing_else_that_can_be_read_differs():
     assert errors.faults.hysteresis == pytest.approx(2 * SimulationErrors().faults.hysteresis)
 
 
-def test_meshes_are_larger_and_smaller():
-    mesh = Mesh(np.array([[0.0, 0, 0.01], [0.01, 0, 0], [0, 0.02, 0]]), np.array([[0, 1, 2]], np.int32))
-    some = mismatch.worlds()
-    for name, factor in (("1 % smaller", 0.99), ("3 % smaller", 0.97), ("3 % larger", 1.03)):
-        np.testing.assert_allclose(some[f"meshes {name}"].mesh(mesh).vertices, factor * mesh.vertices)
-
-
-def test_sensitivity_has_worlds_that_take_the_ambient_rarely():
-    base = SimulationErrors()
-    some = sensitivity.worlds(base)
-    assert next(iter(some.values())).errors == base
-    for every in (5, 20):
-        world = some[f"ambient every {every} touches"]
-        assert world.errors == replace(base, faults=replace(base.faults, ambient_every=every))
-        followed = some[f"ambient every {every} touches, drift followed"]
-        assert (followed.errors, world.drift_std, followed.drift_std > 0) == (world.errors, 0.0, True)
-
-
 def test_stops_that_are_wrong_too_often_are_named(capsys):
     """Half of the sure decisions are wrong."""
     p = np.tile([0.995, 0.005], (40, 2, 1))
@@ -170,25 +124,3 @@ def test_the_placement_study_reports_each_condition_at_a_temperature_of_its_meth
     temperatures = [result["methods"][method]["temperature"]["initial"] for method in ("as stated", "inferred")]
     assert temperatures[0] == pytest.approx(2 * temperatures[1], rel=0.25)
     assert capsys.readouterr().out.count("mean") == 2
-
-
-def test_the_mismatch_study_compares_every_world_with_the_matched_one(tmp_path):
-    truth = np.arange(30) % 3
-    parts = []
-    for seed in range(3):
-        rng = np.random.default_rng(seed)
-        part = {"truth": truth}
-        for kind in mismatch.SHOWN_KINDS:
-            part[f"{kind}, {mismatch.MATCHED}"] = believed(rng, truth, 3.0)
-            part[f"{kind}, guessing"] = believed(rng, truth, 0.0)
-        parts.append(part)
-    result = report_methods(parts, tmp_path, ["0", "1", "2"])
-    assert (tmp_path / "accuracy.png").exists()
-    for kind in mismatch.SHOWN_KINDS:
-        entry = result["methods"][f"{kind}, guessing"]
-        assert entry["difference_last"]["high"] < -0.3
-        assert entry["accuracy"]["mean"][-1] == pytest.approx(1 / 3, abs=0.2)
-    assert result["methods"][f"fused, {mismatch.MATCHED}"]["difference_last"]["mean"] == 0
-    table = study_table("methods")(json.loads(json.dumps(result))).splitlines()
-    assert table[0].split(" | ")[3] == "minus matched"
-    assert [line.split(" | ")[0] for line in table[2:]] == ["| matched", "| guessing"] * 2

@@ -1,14 +1,10 @@
 """What figures of recognition draw, read back from them: curves, bands, bars, counts, titles."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from PIL import Image
 
 from experiments.recognize import figures
-from i2t import viz
 from i2t.recognition import metrics
 from i2t.recognition.intervals import Estimate
 
@@ -44,12 +40,6 @@ def test_a_title_says_where_the_touches_come_from(simulated):
         assert ("five objects" in texts(figure)) != simulated
 
 
-def test_figures_can_be_written(tmp_path):
-    for i, figure in enumerate(every_figure(True)):
-        with Image.open(viz.save_figure(figure, tmp_path / f"{i}.png")) as picture:
-            assert len(np.unique(np.asarray(picture.convert("L")))) > 20  # lines, text and their edges
-
-
 def test_accuracy_is_drawn_from_the_first_touch_with_its_interval():
     figure = figures.accuracy(METHODS, "", True, {"paper, tools": 0.7})
     axes = figure.axes[0]
@@ -63,15 +53,6 @@ def test_accuracy_is_drawn_from_the_first_touch_with_its_interval():
     assert "paper, tools 70%" in texts(figure)
 
 
-def test_unsure_starts_before_the_first_touch():
-    figure = figures.not_yet_confident({"random": estimate(np.array([1.0, 0.9, 0.5, 0.4]))}, "", True)
-    axes = figure.axes[0]
-    np.testing.assert_array_equal(axes.lines[0].get_xdata(), [0, 1, 2, 3])
-    np.testing.assert_array_equal(axes.lines[0].get_ydata(), [1.0, 0.9, 0.5, 0.4])
-    assert axes.lines[0].get_drawstyle() == "steps-post"  # sure from that touch on
-    assert axes.get_xlim() == (0, 3)
-
-
 def test_reliability_leaves_out_empty_bins():
     sure, hit = np.array([0.3, 0.5, 0.5, 0.95, 0.95]), np.array([0.0, 1, 0, 1, 1])
     reliable = metrics.reliability(sure, hit, 10)
@@ -82,37 +63,3 @@ def test_reliability_leaves_out_empty_bins():
     bars = np.array([part.vertices for part in above.containers[0][2][0].get_paths()])
     np.testing.assert_allclose(bars[1, :, 1], [reliable.frequency.low[5], reliable.frequency.high[5]])
     np.testing.assert_array_equal(below.lines[0].get_ydata(), [1, 2, 2])
-
-
-def test_confusion_shows_shares_of_what_was_there():
-    counts = np.array([[3, 1], [0, 2], [0, 0]])[[0, 1]]
-    figure = figures.confusion(counts, ["star", "cross"], "", True)
-    np.testing.assert_array_equal(figure.axes[0].images[0].get_array(), [[0.75, 0.25], [0, 1]])
-    assert {"75%", "25%", "0%", "100%", "star (4)", "cross (2)"} <= set(texts(figure))
-    many = figures.confusion(np.eye(25), [str(i) for i in range(25)], "", True)
-    assert not many.axes[0].texts  # too small to read
-    nothing = figures.confusion(np.zeros((2, 2)), ["a", "b"], "", True)
-    np.testing.assert_array_equal(nothing.axes[0].images[0].get_array(), 0)
-
-
-def test_bars_do_not_overlap_and_carry_their_intervals():
-    settings = {
-        "default": {"touch": (0.9, 0.85, 0.93), "position": (0.7, 0.6, 0.8)},
-        "tilt": {"position": (0.5, 0.4, 0.6)},
-    }
-    axes = figures.sensitivity(settings, "", "accuracy", True).axes[0]
-    edges = sorted((bar.get_y(), bar.get_y() + bar.get_height(), bar.get_width()) for bar in axes.patches)
-    assert [width for *_, width in edges] == [0.9, 0.7, 0.5]
-    assert all(end <= start for (_, end, _), (start, *_) in pairwise(edges))
-    assert edges[0][0] > -0.5
-    assert edges[1][1] < 0.5 < edges[2][0]  # each setting keeps to its own row
-    spans = [path.vertices[:, 0] for part in axes.collections for path in part.get_paths()]
-    np.testing.assert_allclose(sorted(map(tuple, spans)), [(0.4, 0.6), (0.6, 0.8), (0.85, 0.93)])
-    assert axes.yaxis_inverted()
-
-
-def test_methods_differ_without_colour():
-    names = [str(i) for i in range(7)]
-    figure = figures.accuracy(dict.fromkeys(names, METHODS["belief"]), "", True)
-    lines = figure.axes[0].lines
-    assert len({line.get_color() for line in lines}) == len({line.get_marker() for line in lines}) == len(names)

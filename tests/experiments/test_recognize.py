@@ -1,19 +1,25 @@
-"""The whole of `python -m experiments.recognize` on its debug preset, simulated and live."""
+"""The whole of `python -m experiments.recognize` on its debug preset, simulated and live, and of the studies,
+which share what it compiles and the pad model that it fits.
+"""
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from experiments.common.runs import load_part, save_part
+from experiments.gallery.arguments import FIGURE_NAMES
+from experiments.gallery.figures import FIGURES
+from experiments.gallery.story import Story
 from experiments.recognize import __main__ as recognize
-from experiments.recognize import live, paper, report
-from experiments.recognize import run as simulated
-from experiments.recognize.arguments import SimulateArgs
+from experiments.recognize import paper, report
+from experiments.recognize import trained_run as trained_run_of_recognition
 from experiments.recognize.config import PRESETS
+from experiments.reproduce.tables import STUDY_TABLES
+from experiments.studies import __main__ as studies
+from experiments.studies import mismatch
 from i2t import dataset
 from i2t.errors import DataError
 from i2t.objects import catalogue
@@ -22,7 +28,7 @@ from i2t.prediction.predictor import PatchNetwork
 from i2t.recognition import metrics, site_pool
 from i2t.recognition.episodes import episodes_from_dataset
 from i2t.recognition.paper_rules import ConstantPredictor, _nearest_distances, reading_scorers
-from i2t.recognition.recognizer import MAX_EMPTY_DRAWS, ObjectRecognizer
+from i2t.recognition.recognizer import MAX_EMPTY_DRAWS, ObjectRecognizer, RecognizerConfig
 from i2t.simulation.press import PressLimits
 from i2t.skin.pad import numbered_pad
 from i2t.types import ReturnCode
@@ -39,7 +45,7 @@ def finished(trained_run, tmp_path_factory):
 
 
 @pytest.mark.full
-def test_the_run_leaves_what_it_promises(finished):
+def test_the_run_leaves_what_it_promises(finished, trained_run, capsys):
     written = json.loads((finished / "metrics.json").read_text())
     assert written["source"] == "simulated"
     assert set(written["sets"]) == {"validation", "all", "primitives", "tools"}
@@ -63,10 +69,6 @@ def test_the_run_leaves_what_it_promises(finished):
             assert 0 <= low <= mean <= high <= 1
     pictures = {path.name for path in finished.glob("*.png")}
     assert pictures >= {"accuracy_all.png", "reliability_all.png", "confusion_all.png", "accuracy_tools.png"}
-
-
-@pytest.mark.full
-def test_beliefs_are_probabilities_and_come_back_from_disk(finished):
     played = report.load(finished / "episodes-0.npz")
     for part in played.values():
         for p in part.beliefs.values():
@@ -76,19 +78,17 @@ def test_beliefs_are_probabilities_and_come_back_from_disk(finished):
     assert set(tools.truth) == {0, 1}
     assert len(np.unique(tools.episodes.site)) == tools.episodes.site.size  # no two touches share a site
     assert len(np.unique(tools.pool)) == 6  # two episodes to a pool
-
-
-@pytest.fixture(scope="module")
-def finished_loop(trained_run, tmp_path_factory):
-    out = tmp_path_factory.mktemp("recognize") / "paper"
-    args = ["--method", "paper", "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]
-    assert recognize.main(args) == 0
-    return out
+    assert recognize.main(["--preset", "debug", "--trained-run", str(trained_run), "--out", str(finished)]) == 2
+    assert "holds a finished run" in capsys.readouterr().err
 
 
 @pytest.mark.full
-def test_the_papers_own_loop_runs_by_itself(finished_loop):
-    written = json.loads((finished_loop / "metrics.json").read_text())
+def test_the_papers_own_loop_runs_by_itself_and_goes_on_with_what_it_has(trained_run, tmp_path, monkeypatch):
+    out = tmp_path / "paper"
+    args = ["--method", "paper", "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]
+    assert recognize.main(args) == 0
+    before = (out / "metrics.json").read_text()
+    written = json.loads(before)
     assert written["method"] == "the paper's loop"
     assert written["epochs"] == [12]
     assert set(written["sets"]) == {"primitives", "tools"}
@@ -104,17 +104,11 @@ def test_the_papers_own_loop_runs_by_itself(finished_loop):
         written["sets"][name]["methods"]["proprioception, votes"]["accuracy"]["mean"][-1] for name in written["sets"]
     ]
     assert everything["mean"] == pytest.approx(np.mean(parts))  # two objects in each
-
-
-@pytest.mark.full
-def test_an_interrupted_loop_goes_on_with_what_it_has(finished_loop, trained_run, monkeypatch, capsys):
-    """Of a finished loop whose tables are lost, nothing is touched again."""
-    before = (finished_loop / "metrics.json").read_text()
-    (finished_loop / "metrics.json").unlink()
+    # Of a finished loop whose tables are lost, nothing is touched again.
+    (out / "metrics.json").unlink()
     monkeypatch.setattr(paper, "play", None)
-    args = ["--method", "paper", "--preset", "debug", "--trained-run", str(trained_run), "--out", str(finished_loop)]
     assert recognize.main([*args, "--resume"]) == 0
-    assert (finished_loop / "metrics.json").read_text() == before
+    assert (out / "metrics.json").read_text() == before
 
 
 @pytest.mark.full
@@ -139,28 +133,6 @@ def test_a_network_trained_on_nothing_does_not_beat_a_constant_reading(trained_r
 
 
 @pytest.mark.full
-def test_a_finished_run_is_not_overwritten(finished, trained_run, capsys):
-    assert recognize.main(["--preset", "debug", "--trained-run", str(trained_run), "--out", str(finished)]) == 2
-    assert "holds a finished run" in capsys.readouterr().err
-
-
-def test_what_is_missing_is_named(tmp_path, capsys):
-    assert recognize.main(["--trained-run", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
-    assert "python -m experiments.train --out" in capsys.readouterr().err
-
-
-@pytest.mark.full
-def test_meshes_need_a_unit(trained_run, tmp_path, capsys):
-    meshes = [tmp_path / "a.stl", tmp_path / "b.stl"]
-    for path in meshes:
-        path.write_text("solid\nendsolid\n")
-    args = ["--preset", "debug", "--trained-run", str(trained_run), "--out", str(tmp_path / "o"), "--objects"]
-    args += map(str, meshes)
-    assert recognize.main(args) == 2
-    assert "--unit mm" in capsys.readouterr().err
-
-
-@pytest.mark.full
 def test_recorded_touches_are_replayed(trained_run, tmp_path):
     """Episodes of a recorded set: the run's own touches, of which the belief must find the object more often than not
     guessing would.
@@ -174,15 +146,6 @@ def test_recorded_touches_are_replayed(trained_run, tmp_path):
     recorded = written["sets"]["recorded"]
     assert recorded["objects"] == list(dataset.load_dataset(data).objects)
     assert recorded["methods"]["fused"]["accuracy"]["mean"][-1] > 1 / len(recorded["objects"])
-
-
-@pytest.mark.full
-def test_replay_says_what_it_cannot_use(trained_run):
-    recorded = dataset.load_dataset(trained_run / "data.h5")
-    with pytest.raises(DataError, match="of which there is no mesh"):
-        episodes_from_dataset(recorded, ["square"], 3)
-    with pytest.raises(DataError, match="no session has 100 touches"):
-        episodes_from_dataset(recorded, list(recorded.objects), 100)
 
 
 @pytest.mark.full
@@ -200,42 +163,52 @@ def test_a_replayed_press_ends_where_it_was_recorded(trained_run):
     found = np.array(sites.T_w_t)[episodes.site[0]]
     found[:, :3, 3] += advance[:, None] * found[:, :3, 2]
     np.testing.assert_allclose(found, ended, atol=1e-6)
+    with pytest.raises(DataError, match="of which there is no mesh"):
+        episodes_from_dataset(recorded, ["square"], 3)
+    with pytest.raises(DataError, match="no session has 100 touches"):
+        episodes_from_dataset(recorded, list(recorded.objects), 100)
 
 
 LIVE = ["--num-sites", "3", "--num-particles", "8", "--num-surrogates", "2", "--true-object", "hammer"]
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("prior_unknown", [0.0, 0.1])
-def test_an_arm_touches_where_the_belief_wants_it_to(prior_unknown, trained_run, tmp_path, capsys):
-    out, touches = tmp_path / "live", 2 if prior_unknown else 3
+def test_an_arm_touches_where_the_belief_wants_it_to(trained_run, tmp_path, capsys):
+    out = tmp_path / "live"
     args = ["live", "--trained-run", str(trained_run), "--out", str(out), *LIVE]
-    args += ["--max-touches", str(touches), "--prior-unknown", str(prior_unknown)]
+    args += ["--max-touches", "2", "--prior-unknown", "0.1"]
     assert recognize.main(args) == 0
     result = json.loads((out / "result.json").read_text())
     assert result["source"] == "simulated"
     assert result["true_object"] == "hammer"
     belief = np.array(result["belief"])
-    assert belief.shape == (len(result["sites"]), 5)
-    np.testing.assert_allclose(belief.sum(1)[-1], 1 - result["unknown"], atol=1e-9 if prior_unknown else 1e-5)
-    if prior_unknown:
-        assert (belief.sum(1) < 1).all()
-    else:
-        np.testing.assert_allclose(belief.sum(1), 1, atol=1e-5)
-    assert len(belief) == touches or belief[-1].max() >= 0.95  # it ends when it is sure
-    assert len(set(result["sites"])) == len(result["sites"])
+    assert belief.shape == (2, 5)
+    assert (belief.sum(1) < 1).all()
+    np.testing.assert_allclose(belief.sum(1)[-1], 1 - result["unknown"], atol=1e-9)
+    assert len(set(result["sites"])) == len(result["sites"]) == 2
     assert len(result["met_air"]) == len(result["would_be_met"]) == len(belief)
     assert "; poses in which it would be met: " in capsys.readouterr().out  # what a touch told, air included
     kept = dataset.load_dataset(out / "touches")
     assert len(kept) == len(belief)
     assert kept.objects == ("unknown",)
-    # What the belief heard of is what was kept.
-    assert (kept.touches.code != ReturnCode.FAILED).all()
-    assert read_belief(out / "result.json", len(belief)).names == tuple(
-        result["objects"]
-    )  # python -m i2t.view --belief
+    assert (kept.touches.code != ReturnCode.FAILED).all()  # what the belief heard of is what was kept
+    # For python -m i2t.view --belief.
+    assert read_belief(out / "result.json", len(belief)).names == tuple(result["objects"])
     assert recognize.main(args) == 2
     assert "another episode" in capsys.readouterr().err
+
+
+@pytest.mark.full
+def test_every_figure_of_the_gallery_is_drawn(trained_run):
+    config = RecognizerConfig(num_sites=8, num_particles=16, max_touches=2)
+    story = Story(trained_run, world=PRESETS["debug"], config=config)
+    world = story.world.errors, story.world.limits
+    story.__dict__["run"] = trained_run_of_recognition.load_trained_run(jax.random.key(0), trained_run, *world)
+    for name in FIGURE_NAMES:
+        canvas = FigureCanvasAgg(FIGURES[name](story))
+        canvas.draw()
+        colours = np.unique(np.asarray(canvas.buffer_rgba()).reshape(-1, 4), axis=0)
+        assert len(colours) > 30, name
 
 
 @pytest.mark.full
@@ -258,49 +231,57 @@ def test_an_arm_stops_and_says_so_where_no_site_is_safe(trained_run, tmp_path, c
     assert not list((out / "touches").glob("*.h5"))
 
 
-def test_an_unknown_object_must_be_possible(tmp_path, capsys):
-    for wrong, said in (
-        (["--prior-unknown", "1"], "--prior-unknown 1: give a prob"),
-        (["--prior-unknown", "0.1", "--num-surrogates", "0"], "surrogates"),
-    ):
-        assert recognize.main(["live", "--out", str(tmp_path / "live"), *wrong]) == 2
-        error = capsys.readouterr().err
-        assert said in error
-        assert error.count("\n") == 1
-
-
+@pytest.mark.full
 @pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        (["--live", "--there", "hammer"], "the subcommand live (python -m experiments.recognize live"),
-        (["live", "--strange=0.1"], "--prior-unknown"),
-        (["live", "--places", "8"], "--num-particles"),
-        (["--run", "runs/study"], "--trained-run"),
-        (["--sittings", "20"], "--episodes"),
-    ],
+    "study", ["policy", "open_set", "planar", "registered", "pose_error", "sites", "placement", "mismatch"]
 )
-def test_flags_of_before_answer_with_their_new_name(old, new, capsys):
-    with pytest.raises(SystemExit) as ended:
-        recognize.main(old)
-    assert ended.value.code == 2
-    error = capsys.readouterr().err
-    assert new in error
-    assert error.count("\n") == 1
-
-
-def test_both_commands_read_their_own_flags(monkeypatch, tmp_path):
-    """Without a subcommand episodes are simulated."""
-    seen = []
-    (tmp_path / "metrics.json").write_text("{}")  # of a finished run
-    run, out = ["--trained-run", str(tmp_path)], ["--out", str(tmp_path / "out")]
-    monkeypatch.setattr(simulated, "run", seen.append)
-    monkeypatch.setattr(live, "run", seen.append)
-    assert recognize.main(["--preset", "debug", "--episodes", "4", *run, *out]) == 0
-    assert recognize.main(["simulate", "--preset", "debug", *run, *out]) == 0
-    assert recognize.main(["live", "--max-touches", "7", "--max-error-probability", "0.2", *run, *out]) == 0
-    assert [type(args).__name__ for args in seen] == ["SimulateArgs", "SimulateArgs", "LiveArgs"]
-    assert seen[0].episodes == 4
-    assert (seen[2].max_touches, seen[2].min_touches, seen[2].max_error_probability) == (7, 3, 0.2)
+def test_studies_run(study, trained_run, tmp_path):
+    out = tmp_path / study
+    words = [study, "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]
+    assert studies.main(words) == 0
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["source"] == "simulated"
+    assert (out / "part-0.npz").exists()
+    assert set(metrics["tables"]) == set(STUDY_TABLES[study])
+    if study == "planar":
+        assert set(metrics["methods"]) == {"known pose", "unknown pose"}
+        assert 0 <= metrics["rotation_error"]["percentiles_25_50_75_90"][0] <= 180
+    elif study == "registered":
+        places = "known to 1 mm", "known to 5 mm", "found by a view"
+        assert set(metrics["methods"]) == {
+            f"{x}, {place}" for x in ("fused", "readings and presence") for place in places
+        }
+        assert metrics["refused"]["true_object"] == 0
+        middle = metrics["position_error"]["percentiles_25_50_75_90"][1]
+        assert 0 < middle < 8.0  # mm; 5 mm on each axis are believed at first
+    elif study == "pose_error":
+        assert len(metrics["worlds"]) == 6  # two pose errors and one noise of views, in two sets
+        sources = ("Imagine2touch (paper's network, depth)", "same rules, Gaussian process")
+        rules = {f"{s}, {x}, {r}" for s in ("primitives", "tools") for x in sources for r in ("votes", "product")}
+        assert set(metrics["equal_at_mm"]) == rules
+    elif study == "sites":
+        assert sum(kind["touches"] for kind in metrics["bits"].values()) == metrics["touches"] == 8
+        before = (out / "metrics.json").read_text()
+        (out / "metrics.json").unlink()
+        assert studies.main([*words, "--resume"]) == 0  # from what was made of the pad
+        assert (out / "metrics.json").read_text() == before
+    elif study == "policy":
+        assert set(metrics["policies"]) == {"random", "heuristic", "information"}
+    elif study == "placement":
+        assert set(metrics["methods"]) == {"inferred", "as stated"}
+        for entry in metrics["methods"].values():
+            assert set(entry["conditions"]) == {"1 mm, stated 0.5", "1 mm, stated 1", "1 mm, stated 2"}
+            assert all(len(each["stopping"]) == 3 for each in entry["conditions"].values())
+        stated = metrics["methods"]["as stated"]["conditions"]["1 mm, stated 2"]
+        np.testing.assert_allclose(stated["scale_percentiles_25_50_75"], 1.0, rtol=1e-5)
+    elif study == "mismatch":
+        kinds = mismatch.SHOWN_KINDS
+        assert set(metrics["methods"]) == {f"{kind}, {world}" for kind in kinds for world in mismatch.DEBUG_WORLDS}
+        for kind in kinds:
+            assert metrics["methods"][f"{kind}, {mismatch.MATCHED}"]["difference_mean"]["mean"] == 0
+    else:
+        assert metrics["episodes"] == 16
+        assert len(metrics["auroc"]["mean"]) == 3
 
 
 def test_the_papers_distances_prefer_what_was_touched():
@@ -310,28 +291,3 @@ def test_the_papers_distances_prefer_what_was_touched():
     apart = [float(_nearest_distances(jax.numpy.asarray(point), surface)[0]) for surface in surfaces]
     assert apart[0] == pytest.approx(0, abs=1e-6)
     assert apart[1] == pytest.approx(np.hypot(24e-3, 24e-3) - 30e-3, abs=0.1e-3)
-
-
-def test_what_was_made_of_a_pad_is_kept(tmp_path):
-    part = {
-        "truth": np.arange(3),
-        "0": {"rough": 0.3, "objects": "tools", "network, votes": np.ones((3, 2), np.float32)},
-    }
-    save_part(tmp_path / "part-0.npz", part)
-    back = load_part(tmp_path / "part-0.npz")
-    assert [path.name for path in tmp_path.iterdir()] == ["part-0.npz"]
-    assert list(back) == list(part)
-    assert str(back["0"]["objects"]) == "tools"
-    assert float(back["0"]["rough"]) == 0.3
-    np.testing.assert_array_equal(back["0"]["network, votes"], part["0"]["network, votes"])
-
-
-def test_objects_of_ones_own_share_sites_by_which_each_touch_is_imagined_once():
-    args = SimulateArgs(objects=(Path("star"), Path("cylinder")))
-    cfg = simulated.configure(args)
-    ((_, sets),) = simulated.object_groups(args, cfg)
-    assert sets["your objects"] == (["star", "cylinder"], 40, False, cfg.pool_episodes)
-    ((_, sets),) = simulated.object_groups(args, simulated.configure(replace(args, episodes=7)))
-    assert sets["your objects"].episodes == 7
-    groups = simulated.object_groups(SimulateArgs(), cfg)  # those of the paper keep sites of their own
-    assert {each.share for _, sets in groups for each in sets.values()} == {1}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.common import checks
-from experiments.recognize import paper, report, run
+from experiments.recognize import report
 from experiments.recognize.report import IMAGINE2TOUCH, RULES_GP, EpisodeResults
 from i2t.recognition.paper_rules import PROPRIOCEPTION
 
@@ -108,15 +108,6 @@ def test_the_papers_last_column_weighs_every_object_alike():
     assert found["low"] < 0.58 < found["high"]
 
 
-def test_missing_networks_are_said_in_one_sentence(tmp_path):
-    assert paper.load_paper_networks(tmp_path) is None
-    said = paper.missing_networks(tmp_path, None)
-    assert "no paper's network, mask and no paper's network, depth, so these rows of Imagine2touch are left out" in said
-    short = paper.PaperNetworks(dict.fromkeys(IMAGINE2TOUCH), np.zeros(15), np.ones(15), 5)
-    assert "were trained for 5 epochs" in paper.missing_networks(tmp_path, short)
-    assert paper.missing_networks(tmp_path, short._replace(epochs=120)) == ""
-
-
 def test_pads_of_a_study_are_chosen_by_number(tmp_path):
     for pad in (0, 1, 2):
         folder = tmp_path / f"pad-{pad}-seed-0"
@@ -127,11 +118,6 @@ def test_pads_of_a_study_are_chosen_by_number(tmp_path):
     assert len(checks.chosen_runs(tmp_path, ())) == 3
     with pytest.raises(ValueError, match="has no run with pad 7; its pads are 0, 1, 2"):
         checks.chosen_runs(tmp_path, ("7",))
-
-
-def test_the_papers_loop_is_not_for_recorded_touches(tmp_path):
-    with pytest.raises(ValueError, match="--method paper plays the paper's own sets"):
-        run.SimulateArgs(method="paper", dataset=tmp_path).check()
 
 
 def test_parts_of_an_earlier_version_lack_a_method_and_still_make_a_table():

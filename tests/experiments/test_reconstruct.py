@@ -17,26 +17,6 @@ from i2t.objects.mesh_files import load_object
 from i2t.types import ReturnCode
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--meshes", "nowhere"], "nowhere"),
-        (["--side", "0.09", "0.06"], "give the smaller one first"),
-        (["--conditions", "guess"], "is none of random"),
-        (["--dataset", "nowhere"], "there is no such data set"),
-        (["--arm", "simulated"], "--arm has no effect without --true-object"),
-        (["--true-object", "star"], "--true-object has no effect without --arm"),
-        (["--arm", "simulated", "--true-object", "nothing"], "nor an object of the catalogue"),
-        (["--arm", "simulated", "--true-object", "star", "--conditions", "random"], "simulated objects"),
-        (["--name", "mine"], "--name has no effect without --dataset or --arm"),
-    ],
-)
-def test_what_does_not_go_together_is_refused_in_one_sentence(words, sentence, tmp_path, capsys):
-    assert main(["--out", str(tmp_path / "run"), *words]) == 2
-    assert sentence in capsys.readouterr().err
-    assert not (tmp_path / "run").exists()
-
-
 def _write(folder, number, size):
     (folder / number).mkdir(parents=True)
     box = trimesh.creation.box(size)
@@ -85,16 +65,6 @@ def test_a_small_run_of_everything_is_reported_with_counts_and_figures(tmp_path,
     assert {"errors.png", "bands.png", "growing.png", "table.md"} <= {path.name for path in out.iterdir()}
     assert "grid floor" in capsys.readouterr().out
     assert main(["--preset", "debug", "--out", str(out)]) == 2
-
-
-@pytest.mark.full
-def test_an_object_on_a_table_is_touched_from_above_only(tmp_path):
-    words = ["--preset", "debug", "--reach", "table", "--conditions", "uncertainty", "--out", str(tmp_path / "run")]
-    assert main(words) == 0
-    report = json.loads((tmp_path / "run" / "metrics.json").read_text())
-    assert list(report["conditions"]) == ["uncertainty"]
-    assert report["reach"] == "table"
-    assert report["share_of_gap"] == {}
 
 
 @pytest.mark.full

@@ -9,7 +9,7 @@ import pytest
 from helpers.random_touches import make
 
 from experiments.recognize import __main__ as recognize
-from experiments.recognize import live, pad_sources, recorded
+from experiments.recognize import pad_sources, recorded
 from experiments.recognize.config import PRESETS
 from experiments.recognize.report import EpisodeResults
 from i2t import dataset as data
@@ -18,7 +18,6 @@ from i2t.errors import DataError
 from i2t.hardware.rig import Rig
 from i2t.recognition.pad_model import PadModel, with_press_errors
 from i2t.simulation.touches import SimulationErrors
-from i2t.skin import boards
 from i2t.skin.files import save_pad
 from i2t.skin.pad import nominal_pad
 from i2t.types import TWIST_LEVER_M, ReturnCode
@@ -139,11 +138,6 @@ def test_what_a_pad_leaves_of_its_presses_makes_its_readings_less_sure():
     assert with_press_errors(model, 0.0).likelihood.inflation == 1.0
 
 
-def test_a_pad_is_for_recorded_touches(tmp_path, capsys):
-    assert recognize.main(["--pad", str(tmp_path / "pad.npz"), "--out", str(tmp_path / "out")]) == 2
-    assert "--pad is for recorded touches (--dataset)" in capsys.readouterr().err
-
-
 @pytest.fixture
 def pad_of_skin_a(tmp_path) -> Path:
     save_pad(tmp_path / "a.npz", nominal_pad(), about={"pad": "skin A"})
@@ -174,23 +168,3 @@ def test_another_skin_is_refused_before_anything_moves(words, said, pad_of_skin_
     for part in said:
         assert part in error
     assert not out.exists()
-
-
-def test_a_live_run_collects_with_the_devices_that_were_named(tmp_path):
-    args = live.LiveArgs(
-        out=tmp_path, arm="ur", skin="reskin", camera="folder", host="h", port="p", board="anyskin",
-        views=Path("views"), state_timeout=1.0, watchdog_rate=2.0, pad_name="skin A", truth="mug",
-    )  # fmt: skip
-    mesh = SimpleNamespace(vertices=np.zeros((1, 3)))
-    collected = live.collect_args(args, PRESETS["paper"], {"star": mesh}, None)
-    named = ("board", "views", "state_timeout", "watchdog_rate", "pad_name", "name", "host", "port", "skin", "arm")
-    wanted = ("anyskin", Path("views"), 1.0, 2.0, "skin A", "mug", "h", "p", "reskin", "ur")
-    assert tuple(getattr(collected, name) for name in named) == wanted
-    assert live.collect_args(replace(args, truth=None), PRESETS["paper"], {"star": mesh}, None).name == "unknown"
-
-
-def test_the_board_of_a_live_run_is_that_of_its_skin():
-    expected = boards.grid_board(2, 2)
-    for skin, chips in (("emulated", 5), ("simulated", 5), ("acme:Skin", 4)):
-        assert live.worn_board(live.LiveArgs(skin=skin), expected).num_chips == chips
-    assert live.worn_board(live.LiveArgs(skin="reskin", board="grid-3x3"), expected).num_chips == 9

@@ -97,21 +97,6 @@ def test_the_converter_reads_it_and_puts_mistakes_right(session, mistake, tmp_pa
     )
 
 
-def test_the_report_compares_the_best_of_both_kinds(capsys):
-    scores = {
-        "k nearest patches": 0.2, "ridge on PCA": 0.25, run.PRESSURE[0]: 0.3, run.PRESSURE[1]: 0.21,
-        "mean reading": None,
-    }  # fmt: skip
-    measured = {
-        "best": run.PRESSURE[0],
-        "methods": {name: {"r2": r2, "r2_interval": [r2, r2] if r2 else None} for name, r2 in scores.items()},
-    }
-    found = run.report("a world", measured)
-    assert (found["model"], found["baseline"]) == (run.PRESSURE[0], "ridge on PCA")
-    assert found["lead"] == pytest.approx(0.05)
-    assert "+0.050" in capsys.readouterr().out
-
-
 @pytest.mark.full
 def test_it_runs(tmp_path):
     out = tmp_path / "world"

@@ -80,6 +80,7 @@ def test_a_press_lies_where_it_says_and_bears_its_force():
     assert pressed().source == "simulated"
 
 
+@pytest.mark.full
 def test_the_cross_rotated_by_a_right_angle_is_the_same():
     cross = one("cross")
     seen = [
@@ -171,15 +172,11 @@ def test_the_command_writes_what_it_found_and_refuses_to_lose_it(tmp_path, capsy
     assert command.main(["--preset", "debug", "--out", str(out)]) == 2
     assert "finished run" in capsys.readouterr().err
 
-    # A pad that is missing is made by a worker; another process compiles otherwise, which may turn a press or two.
-    (out / "metrics.json").unlink()
+    (out / "metrics.json").unlink()  # and a pad that is missing is made again
     (out / "pad-1.json").unlink()
-    assert command.main(["--preset", "debug", "--out", str(out), "--resume", "--executor", "local"]) == 0
+    assert command.main(["--preset", "debug", "--out", str(out), "--resume"]) == 0
     again = json.loads((out / "metrics.json").read_text())
-    for split, scored in metrics["splits"].items():
-        for method, each in scored.items():
-            made = again["splits"][split][method]
-            assert np.abs(np.subtract(made["confusion"], each["confusion"])).sum() <= 4, (split, method)
+    assert json.dumps(again["splits"]) == json.dumps(metrics["splits"])
 
 
 @pytest.mark.full
@@ -223,7 +220,6 @@ def test_presses_read_again_by_an_ideal_sensor_are_the_truth():
     np.testing.assert_allclose(again, pressed().touches.truth.reading, rtol=1e-6, atol=1e-4)
 
 
-@pytest.mark.full
 @pytest.mark.full
 def test_a_data_set_of_one_shape_is_refused():
     dataset = pressed()

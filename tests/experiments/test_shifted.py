@@ -7,7 +7,6 @@ import pytest
 from helpers.skin_presses import presses_of_a_skin
 
 from experiments.calibrate_pads.kinds import PressedSkinOfKind
-from experiments.shifted import __main__ as shifted
 from experiments.shifted import run, variants
 from experiments.shifted.arguments import ShiftedArgs
 
@@ -82,8 +81,3 @@ def test_the_command_scores_every_method(made, tmp_path, monkeypatch):
     }  # fmt: skip
     for one in json.loads((tmp_path / "out" / "metrics.json").read_text())["cells"]:
         assert set(one["r2"]) == {*run.BASELINE_METHODS, run.LIKELIEST, run.CALIBRATED}
-
-
-def test_a_recording_that_is_not_there_is_refused(tmp_path, capsys):
-    assert shifted.main(["--dataset", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
-    assert len(capsys.readouterr().err.strip().splitlines()) == 1

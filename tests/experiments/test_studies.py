@@ -1,4 +1,4 @@
-"""The studies of recognition on their debug presets, and the small formulas of their reports."""
+"""The small formulas of the studies of recognition and of their reports."""
 
 import json
 from dataclasses import replace
@@ -6,79 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.common.runs import load_part
-from experiments.reproduce.tables import STUDY_TABLES, study_table
-from experiments.studies import __main__ as studies
-from experiments.studies import lab, object_count, open_set, planar, pose_error, sites
-from i2t.objects import Mesh
+from experiments.reproduce.tables import study_table
+from experiments.studies import lab, open_set, planar, pose_error, sites
 from i2t.recognition.intervals import Estimate
 from i2t.recognition.planar import pose_cells
 from i2t.simulation.touches import SimulationErrors
 from i2t.types import TWIST_LEVER_M
-
-pytestmark = pytest.mark.usefixtures("pad_models_fitted_once")
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("study", ["policy", "open_set", "planar", "registered", "pose_error", "sites"])
-def test_studies_run(study, trained_run, tmp_path):
-    out = tmp_path / study
-    assert studies.main([study, "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]) == 0
-    metrics = json.loads((out / "metrics.json").read_text())
-    assert metrics["source"] == "simulated"
-    assert (out / "part-0.npz").exists()
-    assert set(metrics["tables"]) == set(STUDY_TABLES[study])
-    if study == "planar":
-        assert metrics["episodes"] == 8
-        assert set(metrics["methods"]) == {"known pose", "unknown pose"}
-        assert 0 <= metrics["rotation_error"]["percentiles_25_50_75_90"][0] <= 180
-    elif study == "registered":
-        places = "known to 1 mm", "known to 5 mm", "found by a view"
-        assert set(metrics["methods"]) == {
-            f"{kind}, {place}" for kind in ("fused", "readings and presence") for place in places
-        }
-        assert metrics["refused"]["true_object"] == 0
-        middle = metrics["position_error"]["percentiles_25_50_75_90"][1]
-        assert 0 < middle < 8.0  # mm; 5 mm on each axis are believed at first
-    elif study == "pose_error":
-        assert len(metrics["worlds"]) == 6  # two pose errors and one noise of views, in two sets
-        sources = ("Imagine2touch (paper's network, depth)", "same rules, Gaussian process")
-        rules = {f"{s}, {x}, {r}" for s in ("primitives", "tools") for x in sources for r in ("votes", "product")}
-        assert set(metrics["equal_at_mm"]) == rules
-    elif study == "sites":
-        assert sum(kind["touches"] for kind in metrics["bits"].values()) == metrics["touches"] == 8
-        part = load_part(out / "part-0.npz")
-        for made in ("part-0.npz", "metrics.json"):
-            (out / made).unlink()
-        words = ["--trained-run", str(trained_run), "--out", str(out), "--resume", "--executor", "local"]
-        assert studies.main([study, "--preset", "debug", *words]) == 0  # by a worker, which compiles otherwise
-        again = load_part(out / "part-0.npz")
-        assert again.keys() == part.keys()
-        np.testing.assert_array_equal(again["truth"], part["truth"])
-    elif study == "policy":
-        assert set(metrics["policies"]) == {"random", "heuristic", "information"}
-        assert metrics["episodes"] == 8
-    else:
-        assert metrics["episodes"] == 16
-        assert len(metrics["auroc"]["mean"]) == 3
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [("strangers", "open_set"), ("open", "open_set"), ("many", "object_count"), ("crossing", "pose_error"),
-     ("pad", "new_pad")],
-)  # fmt: skip
-def test_a_study_answers_to_its_old_name_with_the_new_one(old, new, capsys):
-    assert studies.main([old]) == 2
-    error = capsys.readouterr().err
-    assert error == f"error: the study {old} is called {new} now\n"
-
-
-@pytest.mark.parametrize(("old", "new"), studies.RENAMED_STUDY_FLAGS.items())
-def test_a_flag_answers_to_its_old_name_with_the_new_one(old, new, capsys):
-    with pytest.raises(SystemExit):
-        studies.main(["policy", old, "1"])
-    assert new in capsys.readouterr().err
 
 
 def test_episodes_of_studies_are_alike_by_pad_by_sites_and_by_object():
@@ -163,8 +96,3 @@ def test_lines_change_sign_where_they_meet_zero():
 def test_information_is_counted_from_guessing():
     p = np.array([[0.25, 0.25, 0.25, 0.25], [1.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.0, 0.0]])
     np.testing.assert_allclose(sites.information_bits(p, np.array([3, 0, 1])), [0, 2, 1])
-
-
-def test_a_small_mesh_is_not_decimated():
-    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))
-    assert object_count.decimate(mesh) is mesh
