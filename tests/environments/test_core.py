@@ -117,8 +117,8 @@ def test_features_are_finite_and_of_order_one():
 @pytest.mark.full
 def test_numbers_of_a_pose_are_rigid_and_straight_down_at_zero():
     numbers = np.random.default_rng(0).uniform(-1, 1, (20, 6))
-    poses = jax.jit(jax.vmap(partial(pose_of_numbers, workspace=Workspace())))(jnp.float32(numbers))
-    assert np.all(jax.jit(jax.vmap(is_rigid))(poses))
+    poses = jax.vmap(partial(pose_of_numbers, workspace=Workspace()))(jnp.float32(numbers))
+    assert np.all(jax.vmap(is_rigid)(poses))
     assert (poses[:, 2, 2] < 0).all()
     np.testing.assert_allclose(pose_of_numbers(jnp.zeros(6), Workspace())[:3, 2], [0, 0, -1], atol=1e-6)
 
@@ -127,9 +127,9 @@ def test_numbers_of_a_pose_are_rigid_and_straight_down_at_zero():
 def test_noise_is_distributed_as_that_of_the_skin():
     board, noise = reskin_board(), Noise()
     keys = jax.random.split(jax.random.key(0), 20_000)
-    ours = jax.jit(jax.vmap(lambda key: sensor_noise(key, board, noise)))(keys)
+    ours = jax.vmap(lambda key: sensor_noise(key, board, noise))(keys)
     keys = jax.random.clone(keys)
-    whole = jax.jit(jax.vmap(lambda key: add_sensor_noise(key, jnp.zeros(15), board, noise)))(keys)
+    whole = jax.vmap(lambda key: add_sensor_noise(key, jnp.zeros(15), board, noise))(keys)
     np.testing.assert_allclose(np.cov(ours.T), np.cov(whole.T), atol=0.04 * float(np.cov(whole.T).max()))
 
 
