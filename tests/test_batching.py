@@ -8,7 +8,7 @@ import pytest
 from i2t.batching import map_batches
 
 
-@pytest.mark.parametrize("n", [1, 3, 4, 5, 8, 11])
+@pytest.mark.parametrize("n", [1, 4, 11])
 def test_any_number_of_items_gives_what_a_loop_gives(n):
     x = jnp.arange(2.0 * n).reshape(n, 2)
     keys = jax.random.split(jax.random.key(0), n)

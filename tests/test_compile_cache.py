@@ -30,7 +30,7 @@ def test_the_folder_is_in_the_users_cache_and_bounded(no_settings, tmp_path):
     assert int(os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"]) == compile_cache.MAX_CACHE_BYTES
 
 
-@pytest.mark.parametrize("word", ["off", "0", "OFF"])
+@pytest.mark.parametrize("word", ["0", "OFF"])
 def test_it_can_be_switched_off(no_settings, tmp_path, word):
     no_settings.setenv("XDG_CACHE_HOME", str(tmp_path))
     no_settings.setenv(VARIABLE, word)

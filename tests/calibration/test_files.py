@@ -199,7 +199,7 @@ def test_a_pad_from_presses_predicts_them_and_says_how_far_it_is_off(tmp_path):
     tip, board = RoundTip("sphere", 4e-3), boards.reskin_board()
     pad = sample_pad(jax.random.key(3), board=board)
     draw = np.random.default_rng(1)
-    position, force = np.float32(draw.uniform(-7e-3, 7e-3, (60, 2))), np.float32(draw.uniform(0.3, 1.0, 60))
+    position, force = np.float32(draw.uniform(-7e-3, 7e-3, (40, 2))), np.float32(draw.uniform(0.3, 1.0, 40))
     press = jax.jit(lambda at: press_force(pad, tip.height(at[0], GRID), at[1]).reading)
     clean = np.asarray(jax.lax.map(press, (position, force)))
     readings = clean + draw.normal(size=clean.shape)
@@ -210,7 +210,7 @@ def test_a_pad_from_presses_predicts_them_and_says_how_far_it_is_off(tmp_path):
     save_pressed_pad(tmp_path / "pad.npz", found, pad="skin A", source="simulated")
     about = load_pad_about(tmp_path / "pad.npz")
     assert about.name == "skin A"
-    assert about.made_from == ", fitted to 60 simulated presses"
+    assert about.made_from == ", fitted to 40 simulated presses"
     assert about.error_std == pytest.approx(found.error_std)
     assert float(load_pad(tmp_path / "pad.npz").thickness) == pytest.approx(float(found.fit.pad.thickness))
 

@@ -211,7 +211,7 @@ def test_the_error_by_which_a_gp_is_chosen_is_that_of_refitted_folds(recording):
 
 @pytest.mark.full
 def test_a_network_tells_positions_too(recording):
-    budget = SMALL._replace(network_steps=400)
+    budget = SMALL._replace(selection_rows=100, network_steps=200)
     # JAX's checker takes a scan over keys under vmap for a reuse, which it is not.
     with jax.debug_key_reuse(False):
         head = fit_head(
@@ -367,7 +367,7 @@ def test_ranges_hold_on_blocks_of_a_real_skin(shared_data):
     (recording,) = read_recordings(shared_data / "eflesh" / "spatial")
     groups = hold_out_groups(recording)
     held = np.isin(groups, np.random.default_rng(1).permutation(groups.max() + 1)[:8])
-    head = fit_head(recording.rows(~held), "position", budget=HeadBudget(500, 1500))
+    head = fit_head(recording.rows(~held), "position", budget=HeadBudget(300, 900))
     predicted, truth = head.predict(recording.readings[held]), recording.targets["position"][held]
     error = np.linalg.norm(predicted.mean - truth, axis=1)
     assert np.median(error) < 0.8e-3

@@ -56,18 +56,6 @@ def test_the_papers_network_has_the_papers_sizes() -> None:
     assert parameter_count(ModelConfig()) == readings + dense(5, 2000) + dense(2000, 2304) == 5_094_824
 
 
-def test_options_add_the_parameters_they_should() -> None:
-    base = parameter_count(SMALL)
-    assert parameter_count(replace(SMALL, heteroscedastic=True)) == base + dense(24, 15)
-    two = replace(SMALL, conditions=("force", "depth"))
-    assert parameter_count(two) == base + 2 * 16 + 2 * 24
-    assert parameter_count(replace(two, skip=False)) == base + 2 * 16
-    convolutions = (25 * 1 * 4 + 4) + (9 * 4 * 8 + 8)
-    features = 3 * 3 * 8  # two strides of 2 from 12 pixels
-    cnn = replace(SMALL, encoder="cnn", channels=(4, 8))
-    assert parameter_count(cnn) == base + convolutions + (features - 144) * 16
-
-
 def test_forward_pass_is_the_one_written_out_by_hand() -> None:
     cfg = replace(SMALL, conditions=("force",), heteroscedastic=True)
     params = start(cfg)
@@ -127,13 +115,6 @@ def test_layers_left_out_change_no_other() -> None:
         jax.tree.map(np.testing.assert_array_equal, layer, whole[name])
 
 
-@pytest.mark.parametrize("readings", [3, 48])
-def test_any_board_has_its_number_of_readings(readings: int) -> None:
-    cfg = replace(SMALL, readings=readings, heteroscedastic=True)
-    got = jax.eval_shape(lambda: apply(init(jax.random.key(0), cfg), cfg, Inputs(jnp.zeros((12, 12)), jnp.zeros(0))))
-    assert got.reading.shape == got.log_variance.shape == (readings,)
-
-
 @pytest.mark.parametrize("encoder", ["mlp", "cnn"])
 @pytest.mark.parametrize("heteroscedastic", [False, True])
 @pytest.mark.parametrize("auxiliary", [False, True])
@@ -145,21 +126,6 @@ def test_shapes_and_what_is_left_out(encoder: str, heteroscedastic: bool, auxili
     assert (got.log_variance is not None) == heteroscedastic
     assert (got.image is not None) == auxiliary
     assert not auxiliary or got.image.shape == (20, 20)
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("encoder", ["mlp", "cnn"])
-def test_examples_of_a_batch_do_not_touch_each_other(encoder: str) -> None:
-    cfg = replace(SMALL, encoder=encoder)
-    params = start(cfg)
-    inputs = examples(cfg, 4)
-    readings = jax.jit(jax.vmap(lambda x: apply(params, cfg, x).reading))
-    together = readings(inputs)
-    changed = inputs._replace(image=inputs.image.at[2].set(0.1))
-    again = readings(changed)
-    same = np.array([0, 1, 3])
-    np.testing.assert_array_equal(together[same], again[same])
-    assert np.abs(together[2] - again[2]).max() > 1e-3
 
 
 def test_prepared_inputs() -> None:

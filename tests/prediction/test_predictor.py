@@ -120,13 +120,6 @@ def test_what_is_saved_is_what_is_loaded(process, network, on_pressure, patches,
         assert_same_predictions(loaded, made, patches, **given)
 
 
-@pytest.mark.full
-def test_a_network_without_conditions_is_saved_too(network, patches, tmp_path):
-    made = replace(network, model=PatchNetwork(trained(15)))
-    predictor.save(tmp_path / "alone", made)
-    assert_same_predictions(predictor.load_predictor(tmp_path / "alone"), made, patches)
-
-
 @pytest.fixture(scope="module")
 def baseline_predictors():
     """Every baseline, fitted to small patches with a force and a nearest point."""
@@ -218,15 +211,9 @@ def test_predictors_of_later_versions_and_incomplete_ones_are_refused(network, t
     assert "\n" not in str(error.value)
 
 
-def test_a_predictor_says_in_one_line_what_it_is(process, network):
-    assert repr(process[0]) == "Predictor(GPModel, 5 chips, patch 17 mm, default force 0.8 N, simulated)"
-    assert repr(network) == "Predictor(PatchNetwork, 5 chips, patch 17 mm, default force 1 N, unknown source)"
-
-
 @pytest.mark.full
-@pytest.mark.parametrize("chips", [4, 16])
-def test_any_board_is_predicted_saved_and_loaded(chips, patches, tmp_path):
-    channels = 3 * chips
+def test_any_board_is_predicted_saved_and_loaded(patches, tmp_path):
+    chips, channels = 4, 12
     fitted, readings = fitted_gp(patches, channels)
     seen = trained(channels, conditions=("force",), input="image", pixels=20)
     for i, made in enumerate((fitted, replace(fitted, model=PressureNetwork(seen, PRESSURE)))):

@@ -109,7 +109,7 @@ def test_samples_come_in_proportion_to_weights():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("angle", [0.0, 0.6, 1.3, 2.4])
+@pytest.mark.parametrize("angle", [0.0, 0.6, 2.4])
 def test_an_edge_is_found_where_it_is(angle):
     """Of a step of 3 mm along a line at some angle, 2 mm from the tool axis."""
     at = ((np.arange(48) + 0.5) / 48 - 0.5) * PATCH_WINDOW

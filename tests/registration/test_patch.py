@@ -142,7 +142,6 @@ def test_what_cannot_be_told_is_left_alone():
 
 
 @pytest.mark.full
-@pytest.mark.full
 def test_nothing_to_see_and_nowhere_to_start():
     empty = Patch(jnp.full((PATCH_PIXELS, PATCH_PIXELS), REACH), jnp.asarray(jnp.inf))
     full = look(WAVES, np.eye(4, dtype=np.float32))
