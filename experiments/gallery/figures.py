@@ -169,11 +169,12 @@ def predictors(story: Story) -> Figure:
     methods = json.loads((story.folder / "metrics.json").read_text())["methods"]
     names = list(methods)
     r2 = np.array([methods[name]["r2"] for name in names])
-    low, high = np.array([methods[name]["r2_interval"] for name in names]).T
+    low, high = np.array([methods[name]["r2_interval"] for name in names], float).T  # none of too few sessions is NaN
     figure = Figure(figsize=(8, 4.2), layout="constrained")
     axes = figure.subplots()
     colours = [BLUE if "predicted contact pressure" in name else GREY for name in names]
-    axes.barh(names, r2, xerr=[np.maximum(r2 - low, 0), np.maximum(high - r2, 0)], color=colours, capsize=2)
+    beside = np.nan_to_num(np.maximum([r2 - low, high - r2], 0))
+    axes.barh(names, r2, xerr=beside, color=colours, capsize=2)
     axes.invert_yaxis()
     axes.axvline(0, color="black", lw=0.8)
     axes.set_xlabel("R² on unseen objects, 95 % over sessions")

@@ -15,6 +15,7 @@ from i2t import dataset as data
 from i2t.calibration import load_calibration, plain_gp
 from i2t.calibration.physics import RoundTip
 from i2t.dataset import Dataset, missing_context
+from i2t.prediction.metrics import score
 from i2t.skin import boards
 from i2t.types import ReturnCode, Touches
 
@@ -97,6 +98,21 @@ def test_presses_saved_are_read_off_the_curves():
     assert needed["fast"][10]["slow"] == pytest.approx(10**2.5)  # half-way from 0.5 to 0.9
     assert needed["fast"][100]["slow"] is None
     assert needed["slow"][10]["fast"] == 10
+
+
+@pytest.mark.full
+def test_presses_at_one_depth_are_calibrated_no_worse_than_by_neighbours_or_a_plain_process():
+    """On the mean over ten draws of 20 presses, whose difference from the plain process scatters by 0.014."""
+    made = recording(400)
+    flat = replace(made, touches=made.touches._replace(depth=np.zeros(400), nearest=np.zeros(400)))
+    predictors = methods.Predictors(read_presses(flat, "auto")).by_name()
+    names = methods.CALIBRATED, methods.PLAIN, methods.NEIGHBOURS
+    draws = [np.random.default_rng(seed).permutation(400) for seed in range(10)]
+    calibrated, plain, neighbours = np.mean(
+        [[score(made.touches.reading[rows[20:]], predictors[name](rows[:20], rows[20:])).r2 for name in names]
+         for rows in draws], axis=0,
+    )  # fmt: skip
+    assert calibrated > max(plain, neighbours) - 0.03
 
 
 @pytest.mark.parametrize(("n", "pads", "message"), [(400, 2, "several skins"), (9, 1, "too few")])
