@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import integrate, stats
+from scipy import integrate, special, stats
 
 from i2t.recognition import belief, policy
 from i2t.recognition.belief import Belief
@@ -56,19 +56,12 @@ def information(distance: float, prior: float) -> tuple[float, float]:
     """Mutual information (nats) between two objects and a measurement that is normal about 0 or about `distance`, in
     units of its standard deviation; and how the information varies from draw to draw.
     """
-
-    def entropy(x: float) -> float:
-        odds = np.log(prior / (1 - prior)) + stats.norm.logpdf(x) - stats.norm.logpdf(x, distance)
-        p = 1 / (1 + np.exp(-odds))
-        return float(stats.bernoulli(p).entropy())
-
-    def mean(power: int) -> float:
-        def weighted(x: float) -> float:
-            return entropy(x) ** power * (prior * stats.norm.pdf(x) + (1 - prior) * stats.norm.pdf(x, distance))
-
-        return integrate.quad(weighted, -8, distance + 8, limit=200, points=[0, distance / 2, distance])[0]
-
-    return float(stats.bernoulli(prior).entropy()) - mean(1), np.sqrt(max(mean(2) - mean(1) ** 2, 0))
+    x = np.linspace(-9, distance + 9, 20_001)
+    first, second = prior * stats.norm.pdf(x), (1 - prior) * stats.norm.pdf(x, distance)
+    density = first + second
+    entropy = special.entr(first / density) + special.entr(second / density)
+    mean, square = (integrate.trapezoid(entropy**power * density, x) for power in (1, 2))
+    return stats.bernoulli(prior).entropy() - mean, np.sqrt(max(square - mean**2, 0))
 
 
 def start(prior: float = 0.5) -> Belief:
@@ -168,27 +161,24 @@ def test_information_on_the_object_and_on_the_place():
     close(found.both, np.log([8, 1, 8, 1, 2, 1]))
 
 
-def test_gains_of_real_touches_stay_within_bounds():
+def test_gains_of_random_touches_stay_within_bounds():
     rng = np.random.default_rng(4)
-    shape = (SITES, OBJECTS, COUNT)
-    slope = rng.normal(size=(*shape, 6))
-    reading = rng.normal(scale=5, size=(*shape, 1, 15)) * LOADS[:, None] ** 0.8
-    values = rng.uniform(-2e-3, 2e-3, shape), slope, np.tile(1e-4 * LOADS, (*shape, 1)), reading, np.ones((*shape, 3))
-    table = PredictedTouch(jnp.asarray(rng.uniform(size=shape) < 0.8), *map(jnp.float32, values))
-    likelihood = belief.fit_likelihood(
-        rng.normal(size=(99, 15)) * np.linspace(3, 9, 15),
-        jnp.full(15, 5.0),
-        jnp.float32(LOADS),
-        overtravel=PAST,
-        position_std=POSITION,
+    table = touches(
+        0.0, rng.uniform(-2e-3, 2e-3, (SITES, OBJECTS, COUNT)), rng.uniform(size=(SITES, OBJECTS, COUNT)) < 0.8
     )
-    found = gains(jax.random.key(5), start(0.7), table, likelihood)
+    table = table._replace(
+        jacobian=jnp.float32(rng.normal(size=table.jacobian.shape)),
+        reading=jnp.float32(rng.normal(scale=5, size=table.reading.shape) * LOADS[:, None] ** 0.8),
+        variance=jnp.ones_like(table.variance),
+    )
+    wide = NORMAL._replace(
+        whiten=jnp.diag(1 / jnp.linspace(3, 9, 15)), dof=jnp.float32(8), outlier_rate=jnp.float32(0.01)
+    )
+    found = gains(jax.random.key(5), start(0.7), table, wide)
     bound = stats.bernoulli(0.7).entropy()
     loose = SIGMAS * np.log(2) / 2 / np.sqrt(DRAWS)  # an entropy of two lies between 0 and log 2
-    assert (found.object > -loose).all()
-    assert (found.object < bound + 1 / DRAWS).all()
-    assert (found.both > found.object - 2 * loose).all()
-    assert (found.both < bound + np.log(PLACES) + loose).all()
+    assert ((found.object > -loose) & (found.object < bound + 1 / DRAWS)).all()
+    assert ((found.both > found.object - 2 * loose) & (found.both < bound + np.log(PLACES) + loose)).all()
 
 
 # --- where a press ends -----------------------------------------------------------------------------------------------
@@ -254,20 +244,21 @@ def test_permitted_sites_are_safe_on_what_is_possible():
     np.testing.assert_array_equal(policy.safe_sites_mask(now, safe, 0.0), [True, False, False, False, False])
 
 
-def test_the_most_informative_of_the_allowed_sites_is_chosen():
+@pytest.mark.parametrize(
+    ("allowed", "weight", "chosen"),
+    [
+        ((1, 1, 1, 1), {}, 2),  # 0.31, 0.5, 0.555, 0.39
+        ((1, 1, 1, 1), {"pose_weight": 0.0}, 1),
+        ((1, 1, 1, 1), {"pose_weight": 1.0}, 3),
+        ((1, 0, 0, 1), {}, 3),
+        ((1, 0, 0, 0), {}, 0),
+        ((0, 0, 0, 0), {}, policy.NO_SITE),
+        ((0, 0, 0, 0), {"pose_weight": 1.0}, policy.NO_SITE),
+    ],
+)
+def test_the_most_informative_of_the_allowed_sites_is_chosen_and_none_where_none_is(allowed, weight, chosen):
     gain = InformationGain(jnp.array([0.3, 0.5, 0.45, 0.1]), jnp.array([0.4, 0.5, 1.5, 3.0]))
-    every = jnp.ones(4, bool)
-    assert policy.choose_site(gain, every) == 2  # 0.31, 0.5, 0.555, 0.39
-    assert policy.choose_site(gain, every, 0.0) == 1
-    assert policy.choose_site(gain, every, 1.0) == 3
-    assert policy.choose_site(gain, jnp.array([True, False, False, True])) == 3
-    assert policy.choose_site(gain, jnp.array([True, False, False, False])) == 0
-
-
-def test_no_site_is_chosen_where_none_is_allowed():
-    gain = InformationGain(jnp.array([0.3, 0.5, 0.45, 0.1]), jnp.array([0.4, 0.5, 1.5, 3.0]))
-    assert policy.choose_site(gain, jnp.zeros(4, bool)) == policy.NO_SITE == -1
-    assert policy.choose_site(gain, jnp.zeros(4, bool), 1.0) == -1
+    assert policy.choose_site(gain, jnp.array(allowed, bool), **weight) == chosen
 
 
 def test_stopping():
