@@ -27,7 +27,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs the addre
 # The emulated board, the thread that hears it and the arm's process share the machine with the other tests: each may
 # wait for a core longer than a lab's devices may be silent (0.1 s, 10 Hz and 0.15 s), which no claim here is about.
 PATIENT = ["--state-timeout", "3", "--watchdog-rate", "0.5", "--settings.silence", "2", "--settings.hold", "2"]
-ATTEMPTS = 6
+ATTEMPTS = 20
 
 
 @pytest.fixture(scope="module")
