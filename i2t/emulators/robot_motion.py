@@ -178,10 +178,7 @@ class Robot:
         part = self.travelled / line.length if line.length else 1.0
         self.twist = line.displacement * (self.speed / line.length if line.length else 0.0)
         self.position = line.position + part * line.displacement[:3]
-        if line.displacement[3:].any():
-            self.rotation = so3_exp(part * line.displacement[3:]) @ line.rotation
-        else:
-            self.rotation = line.rotation
+        self.rotation = so3_exp(part * line.displacement[3:]) @ line.rotation
 
     def _step_force(self, motion: ForceMotion, dt: float) -> None:
         axes = np.kron(np.eye(2), motion.frame)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.closed_form import GAIN, HEIGHT, QUICK, make, site
+from helpers.closed_form import GAIN, HEIGHT, make, site
 
 from experiments.faults.rig import RIG_OBJECTS, try_mistake, try_rig
 from experiments.faults.rig_mistakes import MISTAKES, right_rig
@@ -17,9 +17,12 @@ from i2t.collect.first_touch import (
     first_touch,
     plan_first_touch,
 )
+from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import UnreachableError
 from i2t.objects.catalogue import make_object
 from i2t.objects.solids import Mesh
+
+QUICK = TouchSettings(prepare=0.015, clearance=0.03, approach=0.04, settle=0.02)
 
 
 class Block:

@@ -1,12 +1,10 @@
 """Free poses before a session: where they may be, how the tool gets there, and what comes of them."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
-from helpers import closed_form
-from helpers.closed_form import NOISY, QUICK, ROOM, names, site
+from helpers.closed_form import NOISY, ROOM, make, names, site
 
 from i2t.collect import recorder
 from i2t.collect.free_poses import gather_free_poses, plan_free_poses
@@ -17,8 +15,7 @@ from i2t.collect.touch import UnreachableError
 from i2t.dataset import load_dataset, read_touch
 from i2t.skin.ambient import FreePoses, ambient_changed, fit_ambient, load_ambient
 
-SETTINGS = AmbientSettings(poses=8, seconds=0.1, spread=0.03, clearance=0.02)
-make = partial(closed_form.make, settings=QUICK)
+SETTINGS = AmbientSettings(poses=8, seconds=0.1)
 
 
 def tilt_of(T_b_t):

@@ -1,12 +1,13 @@
 """The procedure on a springy plane, where everything that it should measure is known in closed form."""
 
-from dataclasses import fields, replace
-from functools import partial
+import subprocess
+import sys
+from dataclasses import fields
 
 import numpy as np
 import pytest
 from helpers import closed_form
-from helpers.closed_form import DOWN, GAIN, HEIGHT, NOISY, QUICK, names, site
+from helpers.closed_form import DOWN, GAIN, HEIGHT, NOISY, make, names, site
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -21,7 +22,6 @@ from i2t.skin import boards
 from i2t.types import ReturnCode
 
 READINGS = len(GAIN)
-make = partial(closed_form.make, settings=QUICK)
 
 
 class Memory:
@@ -61,6 +61,7 @@ def overshoot(settings, stiffness, latency=0.03, brake=2.0):
     return stiffness * (settings.press * late + settings.press**2 / 2 / brake)
 
 
+@pytest.mark.full
 def test_a_press_stops_by_the_skin_and_measures_the_spring():
     procedure, memory = make(), Memory()
     settings = procedure.settings
@@ -79,9 +80,10 @@ def test_a_press_stops_by_the_skin_and_measures_the_spring():
     assert len(numbers) > 400 * settings.near / settings.press  # the whole press, at 400 Hz
 
 
-@pytest.mark.parametrize(("stiffness", "press"), [(2e3, 2e-3), (10e3, 4e-3)])
+@pytest.mark.full
+@pytest.mark.parametrize(("stiffness", "press"), [(2e3, 2e-3), (10e3, 2e-3), (10e3, 4e-3), (20e3, 1e-3)])
 def test_a_skin_that_feels_nothing_leaves_it_to_the_force(stiffness, press):
-    settings = replace(QUICK, press=press)
+    settings = TouchSettings(press=press)
     procedure, memory = make(stiffness, gain=np.zeros(READINGS), settings=settings), Memory()
     (outcome,) = procedure.run(listed(site(0)), memory)
     assert outcome.code == ReturnCode.WRENCH
@@ -93,6 +95,7 @@ def test_defaults_keep_within_two_newtons_of_the_limit():
     assert overshoot(TouchSettings(), 10e3) < 2.0
 
 
+@pytest.mark.full
 def test_air_is_met_where_nothing_is():
     procedure, memory = make(), Memory()
     (outcome,) = procedure.run(listed(site(0, height=HEIGHT + 0.02)), memory)
@@ -114,14 +117,15 @@ def test_a_press_on_a_slope_goes_along_its_normal():
 
 
 def test_what_was_not_expected_fails_and_is_tried_again():
-    procedure, memory = make(settings=replace(QUICK, failures=2, retries=1)), Memory()
+    procedure, memory = make(), Memory()
+    procedure.settings = TouchSettings(failures=2)
     procedure.extract_patch = lambda *view: closed_form.extract_patch(*view, nearest=0.0)  # the camera does not see it
     with pytest.raises(DeviceError, match="2 sites in a row"):
         list(procedure.run(listed(*(site(i, height=HEIGHT - 0.01) for i in range(3))), memory))
     assert not memory.saved
-    assert len(memory.abandoned) == 2 * 2
+    assert len(memory.abandoned) == 2 * 3
     assert all("was met" in reason for reason in memory.abandoned)
-    assert procedure.arm.state().T_b_t[2, 3] > HEIGHT + 0.029  # it withdrew
+    assert procedure.arm.state().T_b_t[2, 3] > HEIGHT + 0.09  # it withdrew
     assert np.linalg.norm(procedure.arm.state().wrench[:3]) == 0
 
 
@@ -133,8 +137,10 @@ def test_the_camera_can_refuse_a_site():
             procedure.touch(site(0), memory)
 
 
+@pytest.mark.full
 def test_places_outside_the_box_are_remembered_and_cost_no_motion():
-    procedure, memory = make(settings=replace(QUICK, failures=1)), Memory()
+    procedure, memory = make(), Memory()
+    procedure.settings = TouchSettings(failures=1)
     begun = procedure.clock.now()
     outcomes = list(procedure.run(listed(site(7, x=0.3), site(8), site(7, x=0.3)), memory))
     assert [outcome.code for outcome in outcomes] == [ReturnCode.FAILED, ReturnCode.SKIN, ReturnCode.FAILED]
@@ -145,6 +151,22 @@ def test_places_outside_the_box_are_remembered_and_cost_no_motion():
         procedure.path.check(site(7))
 
 
+@pytest.mark.full
+def test_every_pose_on_the_way_stays_in_the_box_and_above_the_object():
+    procedure, memory = make(), Memory()
+    seen = []
+    go = procedure.arm.go
+    procedure.arm.go = lambda goal, *how: seen.append(goal) or go(goal, *how)
+    list(procedure.run(listed(*(site(i, x, y) for i, (x, y) in enumerate([(0, 0), (0.02, 0.03), (-0.03, 0)]))), memory))
+    assert len(memory.saved) == 3
+    for goal in seen:
+        assert procedure.rig.limits.contains(goal[:3, 3])
+    steps = np.diff([goal[:3, 3] for goal in seen], axis=0)
+    across = np.linalg.norm(steps[:, :2], axis=1) > 1e-6
+    heights = np.array([goal[2, 3] for goal in seen])
+    assert (heights[1:][across] >= HEIGHT + procedure.settings.clearance - 1e-9).all()
+
+
 def test_a_skin_that_falls_silent_stops_the_press_and_is_connected_again():
     procedure, memory = make(), Memory()
     skin, recording = procedure.skin, procedure.skin.since
@@ -152,7 +174,7 @@ def test_a_skin_that_falls_silent_stops_the_press_and_is_connected_again():
 
     def failing(number):
         calls.append(number)
-        if len(calls) == 60:
+        if len(calls) == 300:
             raise DeviceTimeoutError("the skin has been silent")
         return recording(number)
 
@@ -164,7 +186,7 @@ def test_a_skin_that_falls_silent_stops_the_press_and_is_connected_again():
 
 
 def test_a_camera_that_is_unplugged_is_waited_for_and_then_a_person_is_asked():
-    procedure, memory = make(settings=replace(QUICK, patience=2.0)), Memory()
+    procedure, memory = make(settings=TouchSettings(patience=2.0)), Memory()
     procedure.camera.trouble = DeviceError("eye is gone")
     begun = procedure.clock.now()
     with pytest.raises(DeviceError, match="eye is gone"):
@@ -277,17 +299,12 @@ def test_an_object_too_high_for_the_box_is_refused_and_nothing_moves():
     assert not memory.events
 
 
-def test_every_pose_on_the_way_stays_in_the_box_and_the_way_across_above_the_object():
+def test_the_way_across_is_never_lower_than_the_clearance():
     procedure, memory = make(), Memory()
-    limits = procedure.rig.limits
-    limits = replace(limits, upper=(*limits.upper[:2], procedure.arm.state().T_b_t[2, 3] + 0.01))
-    procedure.rig = replace(procedure.rig, limits=limits)
-    procedure.top = limits.upper[2] - procedure.settings.clearance
+    procedure.top = procedure.rig.limits.upper[2] - procedure.settings.clearance
     goals, go = [], procedure.arm.go
     procedure.arm.go = lambda goal, *how: goals.append(goal) or go(goal, *how)
-    list(procedure.run(listed(site(0), site(1, 0.02, 0.03)), memory))
-    assert len(memory.saved) == 2
-    assert all(limits.contains(goal[:3, 3]) for goal in goals)
+    list(procedure.run(listed(site(0), site(1, x=0.02)), memory))
     heights = np.array([goal[2, 3] for goal in goals])
     across = np.linalg.norm(np.diff([goal[:2, 3] for goal in goals], axis=0), axis=1) > 1e-6
     np.testing.assert_allclose(heights[1:][across], procedure.top + procedure.settings.clearance)
@@ -307,15 +324,12 @@ def test_settings_beyond_the_limits_are_refused_before_anything_moves(bad):
 
 def test_air_that_the_camera_contradicts_is_no_touch_and_ends_the_run():
     """An arm and a skin that feel nothing go through what the camera sees."""
-    procedure, memory = (
-        make(stiffness=1e-6, gain=np.zeros(READINGS), settings=replace(QUICK, press=0.01, retries=1)),
-        Memory(),
-    )
+    procedure, memory = make(stiffness=1e-6, gain=np.zeros(READINGS)), Memory()
     with pytest.raises(MissedContactError, match=r"surface 6\.0 mm before its end"):
         list(procedure.run(listed(site(0), site(1)), memory))
     assert not memory.saved
     assert len(memory.abandoned) == 1 + procedure.settings.retries
-    assert procedure.arm.state().T_b_t[2, 3] > HEIGHT + 0.029  # it has retreated
+    assert procedure.arm.state().T_b_t[2, 3] > HEIGHT + 0.09  # it has retreated
 
 
 def test_a_tool_outside_its_box_is_not_moved():
@@ -389,6 +403,7 @@ def test_noise_of_real_size_leaves_depth_within_a_twentieth_of_a_millimetre():
     assert np.sqrt(np.mean(np.square(depths))) < 0.05e-3
 
 
+@pytest.mark.full
 def test_history_tells_the_chooser_all_but_images():
     procedure, memory = make(), Memory()
     histories = []
@@ -419,3 +434,9 @@ def test_every_setting_has_a_range_and_some_exclude_each_other():
     assert set(SETTING_RANGES) == {each.name for each in fields(TouchSettings)}
     with pytest.raises(ValueError, match=r"settings\.near"):
         TouchSettings(near=0.05, prepare=0.04)
+
+
+@pytest.mark.full
+def test_the_procedure_and_the_recorder_need_no_jax():
+    code = "import sys, i2t.collect.procedure, i2t.collect.recorder\nassert 'jax' not in sys.modules"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -4,13 +4,11 @@ import errno
 import os
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import closed_form
-from helpers.closed_form import GAIN, HEIGHT, QUICK, WALL, names, site
+from helpers.closed_form import GAIN, HEIGHT, WALL, make, names, site
 
 from i2t import dataset
 from i2t.collect import event_log, recorder
@@ -19,8 +17,6 @@ from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, touches_in, written_at
 from i2t.errors import DataError, DeviceError
 from i2t.types import ReturnCode
-
-make = partial(closed_form.make, settings=QUICK)
 
 
 class Jumping:
@@ -112,7 +108,7 @@ def test_what_was_under_way_is_kept_aside_and_can_be_read(tmp_path):
     entries = list(read_raw(raw))
     assert entries[0] == ("event", [entries[0][1][0], "site 0, attempt 1"])
     assert entries[-1][1][1] == "ended by KeyboardInterrupt"
-    assert sum(len(rows) for kind, rows in entries if kind == "skin") > 200
+    assert sum(len(rows) for kind, rows in entries if kind == "skin") > 400
     assert any(kind == "arm" for kind, _ in entries)
     whole = raw.read_bytes()
     header = whole.index(b"\n") + 1
@@ -141,9 +137,9 @@ import os, sys
 sys.path.insert(0, {str(Path(__file__).parents[1])!r})
 from pathlib import Path
 import numpy as np
-from helpers.closed_form import QUICK, make, names, site
+from helpers.closed_form import make, names, site
 from i2t.collect.recorder import Recorder
-procedure = make(settings=QUICK)
+procedure = make()
 with Recorder(Path({str(tmp_path)!r}), names(procedure), procedure.clock) as recording:
     for outcome in procedure.run(lambda history: site(len(history)), recording):
         print(recording.saved[-1].name, flush=True)
@@ -229,7 +225,7 @@ def test_a_clock_that_is_set_during_a_touch_ends_the_session_and_keeps_the_touch
         with pytest.raises(StorageError, match="behind the newest touch"):
             list(procedure.run(sites(2), recording))
     first, second = touches_in(tmp_path)
-    assert 1 < written_at(second) - written_at(first) < 30
+    assert 5 < written_at(second) - written_at(first) < 30
     assert any("jumped" in text for _, text in dataset.read_touch(second).events)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from helpers.closed_form import GAIN, HEIGHT, QUICK, QUIET, ROOM, make, names, site
+from helpers.closed_form import GAIN, HEIGHT, QUIET, ROOM, make, names, site
 
 from experiments.calibrate.config import CalibrateArgs
 from experiments.recognize.arguments import SimulateArgs
@@ -57,7 +57,7 @@ def beside(out_by: float) -> np.ndarray:
 
 def two(out_by: float, **options):
     """A procedure over a springy plane with a second skin of four chips on the tool."""
-    procedure = make(settings=replace(QUICK, near=4e-3), **options)  # the other skin is 2 mm nearer
+    procedure = make(**options)
     lab = procedure.arm.lab
     plane = SpringPlane(HEIGHT, STIFFNESS, SQUARE_GAIN, QUIET, SQUARE, room=ROOM)
     skin = SimulatedSkin(CarriedSkinLab(lab, plane, beside(out_by)))
@@ -195,7 +195,7 @@ def test_a_set_is_of_the_skin_that_is_named_and_one_sentence_asks_for_it(tmp_pat
 
 def test_a_touch_of_one_skin_is_as_it_was_and_older_readers_find_the_skin_at_the_tool(tmp_path):
     """The place of the groups that every version reads: touches, names and board at the file's root."""
-    procedure = make(settings=QUICK)
+    procedure = make()
     with Recorder(tmp_path / "one", names(procedure), procedure.clock) as recording:
         list(procedure.run(lambda history: None if history else site(0), recording))
     touch = touched(tmp_path / "two", two(2e-3))

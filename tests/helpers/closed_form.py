@@ -29,9 +29,6 @@ ROOM = RoomField(iron_moment=(0.0, 0.0, 0.0))  # iron would change a reading by 
 QUIET = SimulationErrors.none()
 NOISY = SimulationErrors.none().__class__(**{**vars(SimulationErrors.none()), "noise": Noise(), "force": 0.1})
 
-# Short ways in the air, of which tests simulate every step.
-QUICK = TouchSettings(prepare=0.015, near=2e-3, clearance=0.03, approach=0.04, settle=0.02)
-
 
 class Eye:
     """A camera that sees the plane."""
