@@ -58,15 +58,11 @@ def refused(capsys, *args):
 @pytest.mark.parametrize(
     ("n", "order", "ambient", "size"),
     [
-        *((36, order, ambient, 48) for order in ("binary", "ascii") for ambient in AMBIENT),
-        *(
-            (n, order, ambient, 12)
-            for n, ambient in ((1, "tens"), (400, "tens of records"))
-            for order in ("binary", "ascii")
-        ),
-        *((1, "binary", ambient, 53) for ambient in AMBIENT),
-        (400, "binary", "means", 12),
-        (400, "ascii", "tuples", 12),
+        *((36, "binary", ambient, 48) for ambient in AMBIENT),
+        *((36, "ascii", ambient, 48) for ambient in ("records", "tuples", "tens of records")),
+        (1, "ascii", "tens", 12),
+        (1, "binary", "means", 53),
+        (400, "binary", "tens of records", 12),
     ],
 )
 def test_the_authors_layout_comes_out_as_written(tmp_path, n, order, ambient, size):
@@ -441,10 +437,6 @@ def test_each_damage_is_one_sentence_that_names_the_file_and_can_be_skipped(tree
     skipped = converted(tree, tmp_path / "dst", "--skip-bad")
     assert len(skipped) in (3, 3 + 11)  # the other run, and what is good of this one
     assert "left out: " in capsys.readouterr().out
-
-
-def test_damage_comes_in_many_kinds():
-    assert len(DAMAGE) >= 25
 
 
 def test_a_source_without_runs_is_one_sentence(tree, tmp_path, capsys):

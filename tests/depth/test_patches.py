@@ -28,7 +28,7 @@ ERROR = 1e-4  # m, RMS that is allowed away from edges
 FLAT = 3e-6  # m: float32 holds 0.2 m to 1.5e-8 m; a grazing ray (10 degrees) multiplies ten such roundings by six
 DOWN = np.diag([1.0, -1.0, -1.0])
 # Its outline bends: halfway to the side of all of it the window holds but the handle's flank, where a twentieth of the
-# pixels is away from edges and within the reach, however the camera looks. So places on its parts are looked at too.
+# pixels is away from edges and within the reach, however the camera looks. So its parts are looked at.
 HAMMER = {
     "hammer's handle": (0.070, 0.018, 0.020),
     "hammer's head": (0.121, 0.005, 0.025),
@@ -112,8 +112,18 @@ def rms(values) -> float:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("tilt", [0.0, 30.0, 50.0])
-@pytest.mark.parametrize("name", ["hexagon", "star", "stairs", "wedge", "dome", "torus", "stamp-T", "hammer", *HAMMER])
+@pytest.mark.parametrize(
+    ("name", "tilt"),
+    [
+        ("hexagon", 0.0),
+        ("star", 50.0),
+        ("stairs", 30.0),
+        ("wedge", 50.0),
+        ("dome", 0.0),
+        ("torus", 30.0),
+        *zip(HAMMER, (0.0, 30.0, 50.0), strict=True),
+    ],
+)
 def test_against_direct_rendering(name, tilt):
     mesh, (T_w_c, T_w_t) = scene(name), views(tilt, beside(name))
     real, imagined = extract(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare_surface(mesh), T_w_t)
@@ -123,7 +133,7 @@ def test_against_direct_rendering(name, tilt):
     theirs = np.asarray(imagined.depth)
     ours = np.minimum(heights(real.patch) - float(imagined.nearest), REACH)
     inner = seen & away(theirs) & (np.asarray(real.patch.depth) < REACH)
-    assert inner.mean() > (0.04 if name == "hammer" else 0.25)
+    assert inner.mean() > 0.25
     assert rms((ours - theirs)[inner]) <= (FLAT if name in ("hexagon", "star", "stairs") else ERROR)
     # What a camera says it saw is there, at edges too: no closer than the surface within a pixel and a half of 0.5 mm.
     assert (ours >= around(theirs).min((2, 3)) - ERROR)[seen].all()
@@ -132,7 +142,7 @@ def test_against_direct_rendering(name, tilt):
     free, angle = in_sight(mesh, T_w_c, T_w_t, heights(imagined))
     plain = away(theirs) & (around(theirs).max((2, 3)) < REACH)
     known = plain & around(free).all((2, 3)) & (angle > np.radians(12))
-    assert known.mean() > (0.04 if name == "hammer" else 0.25)
+    assert known.mean() > 0.25
     assert seen[known].mean() > 0.95
     assert not (seen & plain & ~free).any()
 
@@ -214,7 +224,6 @@ def test_flying_pixels_are_no_surface():
     ("model", "coefficients"),
     [
         ("brown_conrady", (-0.1, 0.03, 1e-3, -1e-3, 0.01)),
-        ("inverse_brown_conrady", (0.1, 0.0, 1e-3)),
         ("ftheta", (0.8,)),
     ],
 )
