@@ -228,6 +228,7 @@ def test_a_deep_indentation_is_known_less_well():
     assert std > 1.5 * POSITION
 
 
+@pytest.mark.full
 def test_heavy_tails_of_a_position_are_a_mixture_of_kalman_steps():
     """Density, mean and covariance of a mixture of normals and of outliers by its components, in double precision."""
     outcome = outcomes(np.random.default_rng(19), MANY)
