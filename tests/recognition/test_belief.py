@@ -215,16 +215,20 @@ def test_extremes_stay_finite():
             assert (np.linalg.eigvalsh(np.asarray(found.covariance, np.float64)) > -1e-6 * SPREAD.max() ** 2).all()
 
 
+@pytest.mark.full
 def test_a_deep_indentation_is_known_less_well():
     """Its error adds to that of the position, as of two independent normal ones."""
-    outcome = outcomes(np.random.default_rng(20), MANY)
-    std = np.hypot(POSITION, 0.3 * np.asarray(outcome.indentation[:, 2]))
+    outcome = jax.tree.map(lambda x: np.asarray(x)[0], outcomes(np.random.default_rng(20), 1))
     likelihood = like(indentation_error=0.3, outlier_rate=1e-12)
-    found = judged(outcome, 3 * POSITION, likelihood=likelihood, covariance=0 * PRIOR, force=2.7)
-    np.testing.assert_allclose(found.spatial, stats.norm.logpdf(3 * POSITION, scale=std), atol=2e-3)
-    assert (std > 1.5 * POSITION).all()
+    std = np.hypot(POSITION, 0.3 * float(outcome.indentation[2]))
+    error = 3 * POSITION
+    end = measured(np.zeros(15), 2.7, expected(outcome, np.float64(2.7)) + error, True)
+    found = belief.evidence(end, outcome, jnp.zeros(6), jnp.zeros((6, 6)), likelihood)
+    assert float(found.spatial) == pytest.approx(stats.norm.logpdf(error, scale=std), abs=1e-3)
+    assert std > 1.5 * POSITION
 
 
+@pytest.mark.full
 def test_heavy_tails_of_a_position_are_a_mixture_of_kalman_steps():
     """Density, mean and covariance of a mixture of normals and of outliers by its components, in double precision."""
     outcome = outcomes(np.random.default_rng(19), MANY)

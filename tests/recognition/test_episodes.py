@@ -80,8 +80,7 @@ def test_a_true_object_that_a_press_did_not_reach_is_not_punished():
     )  # fmt: skip
     begun = belief.init(belief.sample_particles(np.full(6, 1e-3), 1), 2, channels=CHANNELS)
     touch = jax.tree.map(lambda x: x[0, 0], episodes.observations)
-    after = jax.jit(belief.update)(begun, touch, predicted, likelihood)
-    assert belief.posterior(after)[0] > 0.95
+    assert belief.posterior(belief.update(begun, touch, predicted, likelihood))[0] > 0.95
 
 
 def test_what_cannot_be_used_is_said():

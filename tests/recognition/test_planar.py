@@ -38,12 +38,12 @@ def test_a_press_is_a_node_and_a_displacement():
     which = rng.integers(len(cells), size=50)
     angle, radius = rng.uniform(0, 2 * np.pi, 50), TABLE.reach * np.sqrt(rng.random(50))
     site = np.stack([radius * np.cos(angle), radius * np.sin(angle)], -1)
-    nearest = jax.jit(jax.vmap(lambda pose, at: planar.nearest_node(TABLE, pose, at)))
-    node, beside = nearest(jnp.asarray(cells[which]), jnp.float32(site))
-    moves = jax.jit(jax.vmap(from_twist))(beside)
+    node, beside = jax.vmap(lambda pose, at: planar.nearest_node(TABLE, pose, at))(
+        jnp.asarray(cells[which]), jnp.float32(site)
+    )
     for i in range(50):
         seen = np.linalg.inv(standing(cells[which[i]])) @ planar.vertical_press_pose(*site[i], 0.0, TABLE.height)
-        moved = np.linalg.inv(np.asarray(moves[i])) @ nodes[node[i]]
+        moved = np.linalg.inv(np.asarray(from_twist(beside[i]))) @ nodes[node[i]]
         np.testing.assert_allclose(moved, seen, atol=1e-6)  # turns and metres in float32
     assert np.abs(beside).max() <= TABLE.step / 2 * (1 + 1e-4)
 
@@ -75,9 +75,13 @@ def landscape(mirrored: bool) -> PredictedTouch:
                    jnp.zeros((n, 3)))  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def both() -> PredictedTouch:
+    return jax.tree.map(lambda *x: jnp.stack(x, 1), landscape(False), landscape(True))
+
+
 @pytest.mark.full
-def test_landscapes_are_found_wherever_they_stand():
-    both = jax.jit(lambda: jax.tree.map(lambda *x: jnp.stack(x, 1), landscape(False), landscape(True)))()
+def test_landscapes_are_found_wherever_they_stand(both):
     cells, places = planar.pose_cells(TABLE)
     cells = jnp.asarray(cells)
     rng = np.random.default_rng(2)
