@@ -38,9 +38,9 @@ FAST_COMPILATION = " ".join(
 COMMANDS = ("collect", "contract", "convert", "depth", "emulators", "environments", "experiments", "hardware",
             "reconstruction", "simulation", "test_docs", "test_examples")  # fmt: skip
 # Of those, these fit pad models, whose registrations are eight times slower without optimisation.
-COMPUTING = ("test_recognize", "test_studies", "test_placement_mismatch", "test_collecting_docs", "test_constants")
+COMPUTING = ("test_recognize", "test_collecting_docs", "test_constants")
 # Longest first, so that no worker is left with one of them at the end.
-SLOW = ("test_train.py", "test_recognize.py", "test_studies.py", "test_examples.py")
+SLOW = ("test_recognize.py", "test_train.py", "test_active_touch.py", "test_examples.py")
 
 
 @pytest.hookimpl(optionalhook=True)
