@@ -36,7 +36,7 @@ FAST_COMPILATION = " ".join(
     )
 )
 COMMANDS = ("collect", "contract", "convert", "depth", "emulators", "environments", "experiments", "hardware",
-            "reconstruction", "simulation", "test_docs", "test_examples")  # fmt: skip
+            "reconstruction", "simulation", "test_examples")  # fmt: skip
 # Of those, these fit pad models, whose registrations are eight times slower without optimisation.
 COMPUTING = ("test_recognize", "test_collecting_docs", "test_constants")
 # Longest first, so that no worker is left with one of them at the end.

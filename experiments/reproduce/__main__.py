@@ -12,8 +12,8 @@ measured is kept, shortened, in docs/results, and the tables between the marks `
 
 Steps that need recordings or meshes which are no part of the project look for them below the current folder, under the
 names of the documents, and are left out where they are not there. Not among the steps are timings, which belong to one
-machine (experiments.benchmark), pictures (experiments.gallery), notebooks, the
-ready models, and what the documents say of single runs with other options.
+machine (experiments.benchmark), pictures (experiments.gallery), notebooks, the ready models, and
+what the documents say of single runs with other options.
 """
 
 import json
