@@ -173,8 +173,7 @@ def predictors(story: Story) -> Figure:
     figure = Figure(figsize=(8, 4.2), layout="constrained")
     axes = figure.subplots()
     colours = [BLUE if "predicted contact pressure" in name else GREY for name in names]
-    beside = np.nan_to_num(np.maximum([r2 - low, high - r2], 0))
-    axes.barh(names, r2, xerr=beside, color=colours, capsize=2)
+    axes.barh(names, r2, xerr=np.maximum([r2 - low, high - r2], 0), color=colours, capsize=2)
     axes.invert_yaxis()
     axes.axvline(0, color="black", lw=0.8)
     axes.set_xlabel("R² on unseen objects, 95 % over sessions")
