@@ -5,15 +5,13 @@ import sys
 from pathlib import Path
 
 import jax
-import numpy as np
 import pytest
 import trimesh
 
-from experiments.benchmark import rendering, scaling, skin, timing
+from experiments.benchmark import rendering, skin, timing
 from experiments.benchmark import run as benchmark
 from experiments.benchmark import training as benchmark_training
 from experiments.benchmark.logs import Logs
-from experiments.benchmark.policy import Policy
 from experiments.benchmark.rendering import Rendering
 from experiments.benchmark.run import Benchmark
 from experiments.benchmark.skin import SkinBenchmark
@@ -42,23 +40,6 @@ def test_training_section_against_pytorch(tmp_path: Path, capsys: pytest.Capture
     assert [BenchmarkRow(**row) for row in report["rows"]] == rows
     assert report["config"]["training"]["touches"] == 20
     assert len(capsys.readouterr().out.splitlines()) == 1 + len(rows)
-
-
-@pytest.mark.full
-def test_policy_section_times_decisions() -> None:
-    tiny = Policy(objects=2, sites=3, num_particles=4, imagined=2)
-    rows = benchmark.run(Benchmark(sections=("policy",), turns=1, policy=tiny))
-    assert [row.work for row in rows] == ["a decision, 2 objects, 3 sites", "a decision, 2 objects, 3 sites, cold"]
-    assert all(row.ours > 0 for row in rows)
-    assert rows[0].peer > rows[0].ours  # imagining comes on top of deciding
-
-
-def test_other_touches_are_not_compared() -> None:
-    alone, other = (scaling.TouchTiming(1.0, 1.0, np.full((2, 15), value)) for value in (1.0, 1.0 + 1e-5))
-    scaling._check_same([alone], alone, exact=True)
-    scaling._check_same([other], alone, exact=False)
-    with pytest.raises(ValueError, match="do not do the same work"):
-        scaling._check_same([alone, other], alone, exact=True)
 
 
 def test_unequal_work_is_not_compared() -> None:

@@ -11,7 +11,6 @@ from experiments.train.choosing import choose
 from experiments.train.loads import press_load, with_known_load
 from i2t.dataset import Dataset, missing_context
 from i2t.prediction.baselines import MEAN, NEAREST
-from i2t.prediction.gp import ContactPressure
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.skin import boards
 from i2t.types import ReturnCode, Touches
@@ -103,37 +102,27 @@ def test_a_loss_by_chance_is_none():
     assert not choice.pressure_loses
 
 
-def test_a_pulling_force_is_turned_and_said():
-    pulled = press_load(recording(force=-np.linspace(4, 8, 200)).touches)
-    assert (pulled.control, pulled.force_sign, pulled.nil_share) == ("force", -1.0, 0.0)
-    assert "negative at 100 %" in pulled.notes[0]
-    assert press_load(recording().touches) == ("force", 1.0, 0.0, (), False)
+UNKNOWN, NIL, RISING = np.full(200, np.nan), np.zeros(200), np.linspace(1e-4, 2e-3, 200)
 
 
-def test_forces_that_say_nothing_leave_the_depth():
-    nil, depth = np.zeros(200), np.linspace(1e-4, 2e-3, 200)
-    assert press_load(recording(force=nil).touches).control is None
-    found = press_load(recording(force=nil, depth=depth).touches)
-    assert found.control == "depth"
-    assert "forces do not push" in found.notes[0]
-    at_one_height = press_load(recording(force=np.full(200, np.nan), depth=nil).touches)
-    assert at_one_height.nil_share == 1
-    assert "100 % of the depths are nil" in at_one_height.notes[0]
-
-
-def test_without_force_and_depth_it_is_said_before_anything_is_computed():
-    unknown = np.full(200, np.nan)
-    found = press_load(recording(force=unknown, depth=unknown).touches)
-    assert found.constant
-    assert found.notes == (
-        "neither force nor depth is known: contact pressure is predicted as if all touches were pressed with 1 N",
-    )
-    half = np.where(np.arange(200) % 2, 1.0, np.nan)
-    found = press_load(recording(force=half, depth=unknown).touches)
-    assert found.control is None
-    assert found.notes == (
-        "force is missing at 100 and depth at 200 of 200 touches: methods on predicted contact pressure are left out",
-    )
+@pytest.mark.parametrize(
+    ("force", "depth", "control", "said"),
+    [
+        (None, None, "force", ""),
+        (-np.linspace(4, 8, 200), None, "force", "negative at 100 %"),
+        (NIL, None, None, "forces do not push"),
+        (NIL, RISING, "depth", "forces do not push"),
+        (UNKNOWN, NIL, "depth", "100 % of the depths are nil"),
+        (UNKNOWN, UNKNOWN, None, "predicted as if all touches were pressed with 1 N"),
+        (np.where(np.arange(200) % 2, 1.0, np.nan), UNKNOWN, None, "force is missing at 100 and depth at 200 of 200"),
+    ],
+)
+def test_what_a_load_is_taken_from_is_said_before_anything_is_computed(force, depth, control, said):
+    found = press_load(recording(force=force, depth=depth).touches)
+    assert found.control == (control if "1 N" not in said else found.control)
+    assert said in "".join(found.notes[:1])
+    assert found.force_sign == (-1.0 if "negative" in said else 1.0)
+    assert found.constant == ("1 N" in said)
 
 
 def test_a_few_touches_without_a_load_are_left_out():
@@ -145,18 +134,14 @@ def test_a_few_touches_without_a_load_are_left_out():
     assert len(with_known_load(recording(force=force))[0]) == 200
 
 
-def test_nil_pressures_are_found():
-    depth = np.full(50, 0.0)
-    found = causes.nil_pressures(np.zeros(50), DEEP, np.ones(50), depth)
-    assert (found.cause, found.found) == (HEIGHT, True)
-    assert "all presses go to one height" in found.evidence
-    assert not causes.nil_pressures(np.ones(50), DEEP, np.ones(50), depth + 1e-3).found
-    assert causes.nil_pressures(np.full(50, 0.02), FORCED, np.full(50, -3.0), depth).found
-
-
-def test_forces_that_pull_are_found():
-    assert causes.pulling_forces(np.full(9, -6.2)).found
+def test_nil_pressures_and_forces_that_pull_are_found():
+    nil = causes.nil_pressures(np.zeros(50), DEEP, np.ones(50), np.zeros(50))
+    assert (nil.cause, nil.found) == (HEIGHT, True)
+    assert "all presses go to one height" in nil.evidence
+    assert not causes.nil_pressures(np.ones(50), DEEP, np.ones(50), np.full(50, 1e-3)).found
+    assert causes.nil_pressures(np.full(50, 0.02), FORCED, np.full(50, -3.0), np.zeros(50)).found
     assert "median -6.20 N" in causes.pulling_forces(np.full(9, -6.2)).evidence
+    assert causes.pulling_forces(np.full(9, -6.2)).found
     assert not causes.pulling_forces(np.full(9, -6.2), sign=-1.0).found
     assert not causes.pulling_forces(np.linspace(-0.1, 3, 9)).found
 
@@ -212,17 +197,6 @@ def test_late_labels_are_found(lag):
     assert (found.cause, found.found) == (LAG, lag != 0)
     if lag:
         assert f"labels of {lag:+d} rows" in found.evidence
-
-
-def test_numbers_are_checked_whatever_is_measured():
-    """Without any predicted pressure too; sound presses give no finding."""
-    made = recording(300)
-    found = causes.seen_in_numbers(made, np.ones(300, bool), None, None)
-    assert {one.cause for one in found} == {UNITS, LAG}
-    pressure = ContactPressure(contact_maps(made), made.touches.force)
-    found += causes.seen_in_numbers(made, np.ones(300, bool), FORCED, pressure)
-    assert {one.cause for one in found} == {UNITS, LAG, SIGN, AXES}
-    assert not any(one.found for one in found)
 
 
 def test_a_skin_softer_than_the_nominal_one_is_named_with_its_option(monkeypatch):

@@ -15,7 +15,6 @@ from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.forward import explained_share, left_out, nearest_presses, press_set, simple_gp
 from experiments.fidelity.sections import CannotTellError, Section, written
 from i2t import dataset as data
-from i2t.calibration import check_presses
 from i2t.calibration.heads import HeadBudget, SkinRecording, from_dataset, load_head
 from i2t.unknowns import estimate_labels
 
@@ -193,24 +192,6 @@ def test_mistakes_that_were_put_in_are_found():
     steps = np.round(SKIN.readings / step)
     steps[40:, 5] += np.where(np.arange(40, 90) % 2, 65536, 0)
     assert found(replace(SKIN, readings=step * steps))["wrapped_channels"] == [5]
-
-
-def test_digits_of_a_text_are_no_values_that_ran_over():
-    big = presses_of_a_skin(400)
-    few_digits = np.vectorize(lambda value: float(f"{value:.4g}"))(big.readings)
-    section = Section("Checks")
-    describe._check_channels(replace(big, readings=few_digits), [], section.numbers)
-    assert section.numbers["wrapped_channels"] == []
-
-
-def test_a_chip_that_does_not_answer_costs_no_check():
-    warned = check_presses(
-        SKIN.targets["position"],
-        SKIN.targets["depth"][:, 0],
-        SKIN.readings * (np.arange(15) // 3 != 2),
-        by_force=False,
-    )
-    assert warned.changed_chips == ()
 
 
 @pytest.mark.full

@@ -10,8 +10,6 @@ import i2t
 from experiments.gallery.arguments import FIGURE_NAMES, OF_A_RUN, GalleryArgs
 from experiments.gallery.story import Story
 
-PAGE = Path(__file__).parents[2] / "docs" / "gallery.md"
-
 
 def test_a_force_that_a_noisy_wrench_sensor_takes_for_a_pull_is_imagined_too():
     """Touches of a run are drawn as they were measured."""

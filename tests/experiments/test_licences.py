@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import pytest
-
 from experiments import licences
 
 ROOT = Path(__file__).parents[2]
@@ -25,10 +23,3 @@ def test_a_licence_is_what_a_package_says_of_it_or_its_text():
     assert licences.kind_of(two) == "BSD-2-Clause"
     assert licences.kind_of(f"{two} ... Neither the name of the holder") == "BSD-3-Clause"
     assert licences.kind_of("All rights reserved.") == ""
-
-
-def test_licences_of_the_index_need_a_pip_that_tells_them(monkeypatch):
-    monkeypatch.setattr(licences, "version", lambda name: "24.3.1")
-    assert licences.ask_index([]) == {}
-    with pytest.raises(ValueError, match="pip 25 or newer"):
-        licences.ask_index(["torch"])

@@ -25,20 +25,40 @@ OPTIONS = [
 ]
 
 
-def test_nothing_is_said_of_a_run_that_left_nothing(tmp_path, capsys):
-    say_where(None, "python -m experiments.train")
+def test_results_pictures_and_the_next_command_are_named_where_there_are_any(tmp_path, capsys):
     say_where(tmp_path, "python -m experiments.train")
     assert capsys.readouterr().out == ""
-
-
-def test_results_pictures_and_the_next_command_are_named(tmp_path, capsys):
     (tmp_path / METRICS).write_text("{}")
-    say_where(tmp_path, "")
-    assert capsys.readouterr().out == f"\nresults are in {tmp_path}\n"
     (tmp_path / "curves.png").touch()
     say_where(tmp_path, "python -m experiments.train")
     said = capsys.readouterr().out
     assert said == f"\nresults and pictures (curves.png) are in {tmp_path}\nnext: python -m experiments.train\n"
+
+
+RECOGNIZE = "python -m experiments.recognize --trained-run {out} --dataset DATA"
+
+
+@pytest.mark.parametrize(
+    ("about", "suggested"),
+    [
+        ({"unusable": "no press has a measured depth"}, "python -m experiments.fidelity --dataset DATA"),
+        ({"recorded_objects": ["star", "teapot"]}, "python -m experiments.fidelity --dataset DATA"),
+        ({"recorded_objects": ["star", "hammer"]}, RECOGNIZE),
+        ({"recorded_objects": ["star", "mug"]}, f"{RECOGNIZE} --objects star mug.stl --unit mm"),
+    ],
+)
+def test_recognition_is_suggested_only_where_it_can_use_the_run(about, suggested, tmp_path):
+    (tmp_path / RECOGNITION_ABOUT).write_text(json.dumps(about))
+    files = (Path("mug.stl"),) if "mug" in about.get("recorded_objects", ()) else ()
+    args = TrainArgs(out=tmp_path, dataset=Path("DATA"), objects=files, unit="mm" if files else None)
+    assert args.next_command == suggested.format(out=tmp_path)
+
+
+def test_a_run_of_training_is_suggested_first_where_there_is_none(tmp_path):
+    study = "python -m experiments.studies policy"
+    assert with_trained_run(study, tmp_path) == f"python -m experiments.train --out {tmp_path}"
+    (tmp_path / METRICS).write_text("{}")
+    assert with_trained_run(study, tmp_path) == f"{study} --trained-run {tmp_path}"
 
 
 class Named:
@@ -53,45 +73,12 @@ class Named:
         return "x"
 
 
-@pytest.mark.parametrize(
-    ("about", "suggested"),
-    [
-        ({"unusable": "no press has a measured depth"}, "python -m experiments.fidelity --dataset DATA"),
-        ({"recorded_objects": ["probe"]}, "python -m experiments.fidelity --dataset DATA"),
-        ({"recorded_objects": ["star", "teapot"]}, "python -m experiments.fidelity --dataset DATA"),
-        (
-            {"recorded_objects": ["star", "hammer"]},
-            "python -m experiments.recognize --trained-run {out} --dataset DATA",
-        ),
-        (
-            {"recorded_objects": ["star", "mug"]},
-            "python -m experiments.recognize --trained-run {out} --dataset DATA --objects star mug.stl --unit mm",
-        ),
-    ],
-)
-def test_recognition_is_suggested_only_where_it_can_use_the_run(about, suggested, tmp_path):
-    (tmp_path / RECOGNITION_ABOUT).write_text(json.dumps(about))
-    files = (Path("mug.stl"),) if "mug" in about.get("recorded_objects", ()) else ()
-    args = TrainArgs(out=tmp_path, dataset=Path("DATA"), objects=files, unit="mm" if files else None)
-    assert args.next_command == suggested.format(out=tmp_path)
-
-
-def test_a_run_of_training_is_suggested_first_where_there_is_none(tmp_path):
-    none = with_trained_run("python -m experiments.studies policy", tmp_path)
-    assert none == f"python -m experiments.train --out {tmp_path}"
-    (tmp_path / METRICS).write_text("{}")
-    there = with_trained_run("python -m experiments.studies policy", tmp_path)
-    assert there == f"python -m experiments.studies policy --trained-run {tmp_path}"
-
-
 @pytest.mark.parametrize("options", OPTIONS, ids=lambda options: options.__module__)
 def test_what_is_suggested_can_be_typed(options):
     """Its words name a command of this package, and options it has."""
     python, dash, module, *words = shlex.split(vars(options)["next_command"].fget(Named()))
     assert (python, dash) == ("python", "-m")
     found = importlib.util.find_spec(module)
-    assert found is not None
-    assert found.origin is not None
     origin = Path(found.origin)
     files = origin.parent.glob("*.py") if found.submodule_search_locations else [origin]
     source = "\n".join(file.read_text() for file in files)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from helpers.random_touches import make
 
 from experiments.recognize import trained_run
@@ -16,37 +17,8 @@ from i2t.errors import DataError
 from i2t.objects import catalogue
 from i2t.types import ReturnCode
 
-TETRAHEDRON = """solid t
-facet normal 0 0 -1
-outer loop
-vertex 0 0 0
-vertex 0 20 0
-vertex 20 0 0
-endloop
-endfacet
-facet normal 0 -1 0
-outer loop
-vertex 0 0 0
-vertex 20 0 0
-vertex 0 0 20
-endloop
-endfacet
-facet normal -1 0 0
-outer loop
-vertex 0 0 0
-vertex 0 0 20
-vertex 0 20 0
-endloop
-endfacet
-facet normal 1 1 1
-outer loop
-vertex 20 0 0
-vertex 0 20 0
-vertex 0 0 20
-endloop
-endfacet
-endsolid t
-"""
+CORNERS = ((0, 0, 0), (0, 20, 0), (20, 0, 0), (0, 0, 20))
+FACES = ((0, 1, 2), (0, 2, 3), (0, 3, 1), (2, 1, 3))
 
 
 def recorded(n: int = 40, objects=("star", "mug"), **changed) -> Dataset:
@@ -62,7 +34,7 @@ def recorded(n: int = 40, objects=("star", "mug"), **changed) -> Dataset:
 @pytest.fixture
 def mug(tmp_path):
     path = tmp_path / "mug.stl"
-    path.write_text(TETRAHEDRON)
+    trimesh.Trimesh(CORNERS, FACES).export(path)
     return path
 
 
@@ -100,7 +72,7 @@ def test_a_mesh_that_has_changed_is_refused(tmp_path, mug):
     dataset = recorded()
     keep(out, dataset, everything(dataset), mesh_files([mug], "mm"))
     copy = out / "meshes" / "mug.stl"
-    copy.write_text(TETRAHEDRON.replace("20", "21"))
+    trimesh.Trimesh(1.05 * np.array(CORNERS), FACES).export(copy)
     with pytest.raises(DataError, match="is not the mesh that the run kept of mug"):
         read(out)
 
@@ -149,12 +121,9 @@ def test_mesh_files_need_a_unit_and_names_of_their_own(tmp_path, mug):
 def test_names_of_the_catalogue_and_mesh_files_mix(tmp_path, mug):
     meshes = trained_run.load_meshes([*map(Path, ["star", "hammer"]), mug], "mm")
     assert list(meshes) == ["star", "hammer", "mug"]
-    assert list(trained_run.load_meshes([Path("star"), Path("hammer")], None)) == [
-        "star",
-        "hammer",
-    ]
+    assert list(trained_run.load_meshes([Path("star"), Path("hammer")], None)) == ["star", "hammer"]
     star = tmp_path / "star.stl"
-    star.write_text(TETRAHEDRON)
+    star.write_bytes(mug.read_bytes())
     for names, unit, said in (
         (["star", str(mug)], None, "--unit mm"),
         (["star", str(star)], "mm", "are both called star"),

@@ -118,10 +118,3 @@ def test_pads_of_a_study_are_chosen_by_number(tmp_path):
     assert len(checks.chosen_runs(tmp_path, ())) == 3
     with pytest.raises(ValueError, match="has no run with pad 7; its pads are 0, 1, 2"):
         checks.chosen_runs(tmp_path, ("7",))
-
-
-def test_parts_of_an_earlier_version_lack_a_method_and_still_make_a_table():
-    earlier = PARTS[1]["primitives"]
-    some = {method: p for method, p in earlier.beliefs.items() if method != "fused"}
-    parts = report.with_common_methods([PARTS[0], {"primitives": earlier._replace(beliefs=some)}])
-    assert list(report.score_set(parts, "primitives")["methods"]) == list(some)

@@ -23,7 +23,7 @@ from i2t.skin.pad import nominal_pad
 from i2t.types import TWIST_LEVER_M, ReturnCode
 
 
-def sessions_of(lengths: tuple[int, ...]) -> Dataset:
+def sessions_of(*lengths: int) -> Dataset:
     """Sessions of so many usable touches, each with one that failed and one without a force."""
     session = np.repeat(np.arange(len(lengths)), np.array(lengths) + 2)
     n = len(session)
@@ -37,38 +37,25 @@ def sessions_of(lengths: tuple[int, ...]) -> Dataset:
 
 
 def test_every_long_enough_session_counts_and_the_limit_is_said():
-    chosen = recorded.choose_sessions(sessions_of((36, 12, 4, 20)), 10, None)
-    assert chosen.names == ("run 0", "run 1", "run 3")
-    assert chosen.touches == 12
-    said = chosen.describe()
-    assert "3 sessions of 12 to 36 usable touches, the first 12 of each count" in said
-    assert "left out, with fewer: run 2 (4)" in said
-
-
-def test_a_user_may_count_more_touches_of_fewer_sessions():
-    dataset = sessions_of((36, 12, 4, 20))
+    dataset = sessions_of(36, 12, 4, 20)
+    chosen = recorded.choose_sessions(dataset, 10, None)
+    assert (chosen.names, chosen.touches) == (("run 0", "run 1", "run 3"), 12)
+    assert "left out, with fewer: run 2 (4)" in chosen.describe()
     chosen = recorded.choose_sessions(dataset, 10, 20)
-    assert chosen.names == ("run 0", "run 3")
-    assert chosen.touches == 20
+    assert (chosen.names, chosen.touches) == (("run 0", "run 3"), 20)
     with pytest.raises(DataError, match="no session has 40 touches with a measured force; the longest has 36"):
         recorded.choose_sessions(dataset, 10, 40)
-    assert recorded.choose_sessions(sessions_of((3, 2)), 10, None).names == ("run 0",)
-    assert recorded.choose_sessions(sessions_of((10, 10)), 10, None).describe() == "2 sessions of 10 usable touches"
-
-
-def results(episodes: int) -> EpisodeResults:
-    """Episodes of three touches, of which every second one is right at the end."""
-    truth = np.arange(episodes) % 2
-    p = np.full((episodes, 3, 2), 0.5)
-    right = np.arange(episodes) % 4 < 2
-    p[:, 2] = np.where((np.eye(2)[truth] > 0) == right[:, None], 0.9, 0.1)
-    observations = SimpleNamespace(contact=np.ones((episodes, 3), bool))
-    return EpisodeResults(("star", "mug"), truth, {"fused": p}, SimpleNamespace(observations=observations))
+    assert recorded.choose_sessions(sessions_of(3, 2), 10, None).names == ("run 0",)
 
 
 @pytest.mark.parametrize("episodes", [2, 8])
 def test_few_episodes_get_no_interval(episodes, capsys):
-    scores = recorded.score(results(episodes))
+    truth = np.arange(episodes) % 2
+    p = np.full((episodes, 3, 2), 0.5)
+    right = np.arange(episodes) % 4 < 2  # every second one at the end
+    p[:, 2] = np.where((np.eye(2)[truth] > 0) == right[:, None], 0.9, 0.1)
+    met = SimpleNamespace(observations=SimpleNamespace(contact=np.ones((episodes, 3), bool)))
+    scores = recorded.score(EpisodeResults(("star", "mug"), truth, {"fused": p}, met))
     fused = scores["methods"]["fused"]
     assert fused["accuracy"]["mean"] == [0.5, 0.5, 0.5 if episodes == 8 else 1.0]
     assert (fused["mean"]["low"] is None) == (episodes == 2)
@@ -79,7 +66,6 @@ def test_few_episodes_get_no_interval(episodes, capsys):
     said = capsys.readouterr().out
     assert (recorded.TOO_FEW in said) == (episodes == 2)
     assert ("[" in said) == (episodes == 8)
-    assert "-3.897" not in said
     assert "ANOTHER SKIN: so it is" in said
     assert "fitted to touches of mug too" in said
 
@@ -106,20 +92,13 @@ def test_the_skin_of_a_pad_on_disk_is_known_before_anything_is_fitted(tmp_path):
     skin = find(tmp_path / "left.npz").skin
     assert skin.pad == "skin A"
     assert skin.made_from.endswith("left.npz, fitted to 90 real presses")
-    assert skin.board.num_chips == 5
-
-
-def test_what_is_no_pad_is_named(tmp_path):
-    with pytest.raises(ValueError, match=r"none.npz: there is no such file"):
-        find(tmp_path / "none.npz")
     (tmp_path / "junk.npz").write_bytes(b"junk")
-    with pytest.raises(ValueError, match="is damaged or was not written by i2t"):
-        find(tmp_path / "junk.npz")
+    data.save_dataset(tmp_path / "session.h5", make(30, pixels=8))
+    for name, said in {"none.npz": "no such file", "junk.npz": "is damaged", "session.h5": "several skins"}.items():
+        with pytest.raises(ValueError, match=f"{name}: .*{said}"):
+            find(tmp_path / name)
     with pytest.raises(ValueError, match="holds no finished run"):
         find(None, tmp_path)
-    data.save_dataset(tmp_path / "session.h5", make(30, pixels=8))
-    with pytest.raises(DataError, match=r"session.h5: .*several skins"):
-        find(tmp_path / "session.h5")
 
 
 def test_a_rig_says_how_far_objects_may_be_off():
@@ -127,7 +106,6 @@ def test_a_rig_says_how_far_objects_may_be_off():
     errors = pad_sources.with_placement(SimulationErrors(), rig)
     assert errors.placement == pytest.approx(2e-3)
     assert errors.placement_angle == pytest.approx(0.05)
-    assert errors.force == SimulationErrors().force
 
 
 def test_what_a_pad_leaves_of_its_presses_makes_its_readings_less_sure():
@@ -136,12 +114,6 @@ def test_what_a_pad_leaves_of_its_presses_makes_its_readings_less_sure():
     model = PadModel(None, likelihood, np.ones(3), 0.5, np.full((10, 3), 4.0))
     assert with_press_errors(model, 3.0).likelihood.inflation == pytest.approx(1.25)
     assert with_press_errors(model, 0.0).likelihood.inflation == 1.0
-
-
-@pytest.fixture
-def pad_of_skin_a(tmp_path) -> Path:
-    save_pad(tmp_path / "a.npz", nominal_pad(), about={"pad": "skin A"})
-    return tmp_path / "a.npz"
 
 
 REAL = ["live", "--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"]
@@ -157,14 +129,13 @@ REAL = ["live", "--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"]
         ([*REAL, "--worn-pad", "b.npz"], ("--worn-pad is for simulated and emulated skins",)),
     ],
 )
-def test_another_skin_is_refused_before_anything_moves(words, said, pad_of_skin_a, tmp_path, capsys):
-    out = tmp_path / "live"
-    objects = ["--objects", "star", "hammer"]
-    rig = tmp_path / "lab.toml"
+def test_another_skin_is_refused_before_anything_moves(words, said, tmp_path, capsys):
+    out, pad, rig = (tmp_path / name for name in ("live", "a.npz", "lab.toml"))
+    save_pad(pad, nominal_pad(), about={"pad": "skin A"})
     Rig().write(rig)
-    assert recognize.main([*words, "--pad", str(pad_of_skin_a), *objects, "--rig", str(rig), "--out", str(out)]) == 2
+    words = [*words, "--pad", str(pad), "--objects", "star", "hammer", "--rig", str(rig), "--out", str(out)]
+    assert recognize.main(words) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    for part in said:
-        assert part in error
+    assert all(part in error for part in said)
     assert not out.exists()

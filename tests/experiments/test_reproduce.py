@@ -1,10 +1,9 @@
-"""The tables of the documents are what was measured, by the commands that they print."""
+"""Steps measure once what the tables of the documents show, and tables are written from what was measured."""
 
 import contextlib
 import importlib
 import io
 import json
-import re
 import shlex
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,25 +12,7 @@ import pytest
 
 from experiments.reproduce import __main__ as reproduce
 from experiments.reproduce.steps import STEPS
-from experiments.reproduce.tables import MARK, TABLES, estimate, markdown, shortened, table, write_tables
-
-DOCS = Path(__file__).parents[2] / "docs"
-PAGES = sorted([*DOCS.glob("*.md"), DOCS.parent / "README.md"])
-
-
-def _shown():
-    return [(page, *found) for page in PAGES for found in MARK.findall(page.read_text())]
-
-
-@pytest.mark.parametrize(("page", "text", "step", "name", "end"), _shown())
-def test_a_table_is_what_was_measured(page, text, step, name, end):
-    assert text + table(DOCS, step, name, page.name) + "\n" + end in page.read_text()
-
-
-def test_every_table_has_its_command_on_its_page():
-    commands = {step.name: f"python {step.command}" for step in STEPS}
-    for page, _, step, _, _ in _shown():
-        assert commands[step] in page.read_text(), f"{page.name} shows {step} without its command"
+from experiments.reproduce.tables import TABLES, estimate, markdown, shortened, write_tables
 
 
 def test_every_step_is_a_command_that_takes_these_arguments():
@@ -52,36 +33,10 @@ def test_every_step_is_a_command_that_takes_these_arguments():
             assert option in said.getvalue(), f"{step.name}: {option}"
 
 
-def test_every_step_is_printed_in_the_documents():
-    """Perhaps with further options, such as folders."""
-    text = "\n".join(page.read_text() for page in PAGES)
-    printed = [shlex.split(line, comments=True)[1:] for line in re.findall(r"python -m experiments\.[^`\n]+", text)]
-    for step in STEPS:
-        words = set(shlex.split(step.command))
-        assert any(words <= set(line) for line in printed), f"no page prints python {step.command}"
-
-
-def test_a_step_whose_recording_is_not_there_is_left_out(tmp_path, played, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    step = next(step for step in STEPS if step.needs)
-    monkeypatch.setattr(reproduce, "STEPS", (step,))
-    assert reproduce.main(_args(tmp_path)) == 0
-    assert f"{step.name} is left out: it needs the folder {step.needs}" in capsys.readouterr().out
-    assert reproduce.main(_args(tmp_path, "--only", step.name)) == 2
-    assert f"needs the folder {step.needs}, which is not there" in capsys.readouterr().err
-    assert not played
-    (tmp_path / step.needs).mkdir(parents=True)
-    assert reproduce.main(_args(tmp_path)) == 0
-    assert len(played) == 1
-
-
-def _args(tmp_path, *words):
-    return ["--out", str(tmp_path / "runs"), "--docs", str(tmp_path / "docs"), *words]
-
-
 @pytest.fixture
-def played(tmp_path, monkeypatch):
-    """Commands that would run, each leaving an empty metrics.json."""
+def reproduced(tmp_path, monkeypatch):
+    """The command itself, and the commands that it would run, each of which leaves an empty metrics.json."""
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "docs").mkdir()
     calls = []
 
@@ -93,79 +48,74 @@ def played(tmp_path, monkeypatch):
         return SimpleNamespace(returncode=0)
 
     monkeypatch.setattr(reproduce.subprocess, "run", run)
-    return calls
+    return lambda *words: reproduce.main(["--out", "runs", "--docs", "docs", *words]), calls
 
 
-def test_steps_run_once_in_order_and_keep_what_they_measured(tmp_path, played):
-    assert reproduce.main(_args(tmp_path, "--only", "paper", "study")) == 0
+def test_steps_run_once_in_order_go_on_and_keep_what_they_measured(tmp_path, reproduced):
+    command, played = reproduced
+    (tmp_path / "runs" / "study").mkdir(parents=True)
+    (tmp_path / "runs" / "study" / "config.json").write_text("{}")  # begun, not finished
+    assert command("--only", "paper", "study") == command("--only", "paper", "study") == 0
     assert [" ".join(words[:2]) for words in played] == ["-m experiments.train", "-m experiments.recognize"]
-    assert played[1][-2:] == ["--trained-run", str(tmp_path / "runs" / "study")]
-    assert json.loads((tmp_path / "docs" / "results" / "paper.json").read_text()) == {"step": "paper", "sets": {}}
-    assert reproduce.main(_args(tmp_path, "--only", "paper", "study")) == 0
-    assert len(played) == 2
-
-
-def test_an_unfinished_step_goes_on(tmp_path, played):
-    (tmp_path / "runs" / "study").mkdir(parents=True)
-    (tmp_path / "runs" / "study" / "config.json").write_text("{}")
-    assert reproduce.main(_args(tmp_path, "--only", "study")) == 0
     assert "--resume" in played[0]
+    assert played[1][-2:] == ["--trained-run", "runs/study"]
+    assert json.loads((tmp_path / "docs" / "results" / "paper.json").read_text()) == {"step": "paper", "sets": {}}
 
 
-def test_what_cannot_run_is_said_in_one_sentence(tmp_path, capsys, monkeypatch):
-    assert reproduce.main(_args(tmp_path, "--only", "nothing")) == 2
-    assert "there is no step nothing" in capsys.readouterr().err
-    assert reproduce.main(_args(tmp_path, "--only", "paper")) == 2
-    assert "paper uses study, which is not there" in capsys.readouterr().err
+def test_a_step_whose_recording_is_not_there_is_left_out(tmp_path, reproduced, monkeypatch, capsys):
+    command, played = reproduced
+    step = next(step for step in STEPS if step.needs)
+    monkeypatch.setattr(reproduce, "STEPS", (step,))
+    assert command() == 0
+    assert f"{step.name} is left out: it needs the folder {step.needs}" in capsys.readouterr().out
+    assert command("--only", step.name) == 2
+    assert not played
+    (tmp_path / step.needs).mkdir(parents=True)
+    assert command() == 0
+    assert len(played) == 1
+
+
+def test_what_cannot_run_is_said_in_one_sentence(reproduced, capsys, monkeypatch):
+    command, _ = reproduced
     monkeypatch.setattr(reproduce.subprocess, "run", lambda *_, **__: SimpleNamespace(returncode=3))
-    assert reproduce.main(_args(tmp_path, "--only", "study")) == 2
-    assert "study ended with exit code 3" in capsys.readouterr().err
+    for step, said in {"nothing": "no step nothing", "paper": "paper uses study", "study": "exit code 3"}.items():
+        assert command("--only", step) == 2
+        assert said in capsys.readouterr().err
 
 
-def test_the_list_says_what_is_done(tmp_path, capsys):
-    (tmp_path / "runs" / "study").mkdir(parents=True)
-    (tmp_path / "runs" / "study" / "metrics.json").write_text("{}")
-    assert reproduce.main(_args(tmp_path, "--list")) == 0
-    said = capsys.readouterr().out.splitlines()
-    assert len(said) == len(STEPS)
-    assert "done" in said[1]
-    assert "min" in said[2]
-
-
-def test_a_page_that_asks_for_what_is_not_there_is_told(tmp_path):
-    docs = tmp_path / "docs"
-    docs.mkdir()
-    (docs / "page.md").write_text("<!-- table: paper nothing -->\n<!-- end of table -->\n")
+def test_a_table_is_written_where_it_was_measured_and_only_there(tmp_path):
+    page, results = tmp_path / "page.md", tmp_path / "results"
+    page.write_text("<!-- table: paper nothing -->\n<!-- end of table -->\n")
     with pytest.raises(ValueError, match="no table 'nothing' of paper"):
-        write_tables(docs)
-    (docs / "page.md").write_text("<!-- table: paper mean -->\n<!-- end of table -->\n")
+        write_tables(tmp_path)
+    page.write_text("<!-- table: paper mean -->\n<!-- end of table -->\n")
     with pytest.raises(ValueError, match="reproduce --only paper"):
-        write_tables(docs)
-    (docs / "results").mkdir()
+        write_tables(tmp_path)
+    results.mkdir()
     measured = {"mean of the sets": {"votes": {"mean": 0.5, "low": 0.4, "high": 0.6}}}
-    (docs / "results" / "paper.json").write_text(json.dumps(shortened("paper", measured)))
-    assert write_tables(docs) == ["page.md: paper mean"]
-    assert "| votes | 0.500 [0.400, 0.600] |" in (docs / "page.md").read_text()
-    before = (docs / "page.md").read_text()
-    write_tables(docs)
-    assert (docs / "page.md").read_text() == before
+    (results / "paper.json").write_text(json.dumps(shortened("paper", measured)))
+    assert write_tables(tmp_path) == ["page.md: paper mean"]
+    before = page.read_text()
+    assert "| votes | 0.500 [0.400, 0.600] |" in before
+    write_tables(tmp_path)
+    assert page.read_text() == before
 
 
 def test_a_table_that_is_to_come_keeps_what_is_there_until_it_was_measured(tmp_path):
-    docs = tmp_path / "docs"
-    (docs / "results").mkdir(parents=True)
+    page, results = tmp_path / "page.md", tmp_path / "results"
     text = "<!-- table to come: sites bits -->\n| of before |\n<!-- end of table -->\n"
-    (docs / "page.md").write_text(text)
-    assert write_tables(docs) == []
-    assert (docs / "page.md").read_text() == text
+    page.write_text(text)
+    assert write_tables(tmp_path) == []
+    assert page.read_text() == text
+    results.mkdir()
     columns = [{"name": name, "decimals": 2, "signed": False, "percent": False} for name in ("met", "fused")]
     measured = {"bits": {}, "tables": {"bits": {"columns": columns, "rows": [["air", 0.98765432]]}}}
     kept = shortened("sites", measured)
     assert kept == {"step": "sites", "tables": {"bits": {"columns": columns, "rows": [["air", 0.987654]]}}}
-    (docs / "results" / "sites.json").write_text(json.dumps(kept))
-    assert write_tables(docs) == ["page.md: sites bits"]
+    (results / "sites.json").write_text(json.dumps(kept))
+    assert write_tables(tmp_path) == ["page.md: sites bits"]
     rows = "| met | fused |\n| --- | --- |\n| air | 0.99 |\n"
-    assert (docs / "page.md").read_text() == f"<!-- table: sites bits -->\n{rows}<!-- end of table -->\n"
+    assert page.read_text() == f"<!-- table: sites bits -->\n{rows}<!-- end of table -->\n"
 
 
 def test_cells_by_hand():

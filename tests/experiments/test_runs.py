@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -25,64 +26,54 @@ class _Experiment:
     touches: int = 1
 
 
+def begun(
+    out: Path, seed: int = 0, resume: bool = False, overwrite: bool = False, args=_Args, raises=None, leaves=None
+):
+    """A run that begins, leaves a file, and raises."""
+    begin(out, args(out) if args is _OtherArgs else args(out, seed), _Experiment(), resume, overwrite)
+    if leaves:
+        (out / leaves).write_text('{"r2": 0.9}')
+    if raises is not None:
+        raise raises
+
+
 def test_a_run_goes_on_by_another_path_to_its_folder_but_not_with_other_settings(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    begin(Path("run"), _Args(Path("run")), _Experiment(), False, False)
-    begin(tmp_path / "run", _Args(tmp_path / "run"), _Experiment(), True, False)
+    begun(Path("run"))
+    begun(tmp_path / "run", resume=True)
     with pytest.raises(ValueError, match="begun with other settings"):
-        begin(tmp_path / "run", _Args(tmp_path / "run", seed=1), _Experiment(), True, False)
+        begun(tmp_path / "run", seed=1, resume=True)
     with pytest.raises(ValueError, match="holds an unfinished run"):
-        begin(Path("run"), _Args(Path("run")), _Experiment(), False, False)
+        begun(Path("run"))
 
 
-def test_a_run_that_is_refused_leaves_nothing_and_brings_back_what_it_was_to_replace(tmp_path, capsys):
+def test_a_run_that_is_refused_leaves_nothing_and_brings_back_what_it_was_to_replace(tmp_path):
     """Nothing made: no folder that blocks the next run; an earlier run stays as it was, also with --overwrite."""
     out = tmp_path / "run"
-
-    def refused() -> None:
-        begin(out, _Args(out), _Experiment(), False, False)
-        raise ValueError("the data set is damaged")
-
-    assert exit_code_of_run(refused, out) == 2
+    refused = ValueError("the data set is damaged")
+    assert exit_code_of_run(partial(begun, out, raises=refused), out) == 2
     assert not out.exists()
-
-    begin(out, _Args(out), _Experiment(), False, False)
-    (out / "metrics.json").write_text('{"r2": 0.9}')
+    begun(out, leaves="metrics.json")
     settle_begun()
-
-    def refused_over() -> None:
-        begin(out, _Args(out, seed=1), _Experiment(), False, True)
-        raise ValueError("the data set is damaged")
-
-    assert exit_code_of_run(refused_over, out) == 2
+    assert exit_code_of_run(partial(begun, out, seed=1, overwrite=True, raises=refused), out) == 2
     assert (out / "metrics.json").read_text() == '{"r2": 0.9}'
     assert json.loads((out / "config.json").read_text())["args"]["seed"] == 0
+    # One that makes something takes its place.
+    assert exit_code_of_run(partial(begun, out, seed=1, overwrite=True, leaves="other.json"), out) == 0
+    assert sorted(path.name for path in out.iterdir()) == ["config.json", "other.json"]
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
 def test_a_run_that_is_refused_leaves_no_folder_that_was_made_for_it(tmp_path):
     (tmp_path / "mine").mkdir()
-    begin(tmp_path / "runs" / "deep" / "run", _Args(tmp_path), _Experiment(), False, False)
-    begin(tmp_path / "mine" / "run", _Args(tmp_path), _Experiment(), False, False)
+    begun(tmp_path / "runs" / "deep" / "run")
+    begun(tmp_path / "mine" / "run")
     settle_begun()
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
-    begin(tmp_path / "runs" / "run", _Args(tmp_path), _Experiment(), False, False)
+    begun(tmp_path / "runs" / "run")
     (tmp_path / "runs" / "note.txt").touch()
     settle_begun()
     assert [path.name for path in (tmp_path / "runs").iterdir()] == ["note.txt"]
-
-
-def test_a_run_that_made_something_takes_the_place_of_another(tmp_path):
-    out = tmp_path / "run"
-    for seed in (0, 1):
-
-        def work(seed: int = seed) -> None:
-            begin(out, _Args(out, seed=seed), _Experiment(), False, seed == 1)
-            (out / f"metrics-{seed}.json").write_text("{}")
-
-        assert exit_code_of_run(work, out) == 0
-    assert sorted(path.name for path in out.iterdir()) == ["config.json", "metrics-1.json"]
-    assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
 def test_a_folder_of_something_else_is_never_replaced(tmp_path, monkeypatch):
@@ -90,40 +81,29 @@ def test_a_folder_of_something_else_is_never_replaced(tmp_path, monkeypatch):
     (tmp_path / "web").mkdir()
     (tmp_path / "web" / "config.json").write_text('{"port": 80}')
     with pytest.raises(ValueError, match="holds no run of this experiment"):
-        begin(tmp_path / "web", _Args(tmp_path), _Experiment(), False, True)
+        begun(tmp_path / "web", overwrite=True)
     assert (tmp_path / "web" / "config.json").exists()
-
-    begin(tmp_path / "run", _Args(tmp_path), _Experiment(), False, False)
+    begun(tmp_path / "run")
     with pytest.raises(ValueError, match="holds no run of this experiment"):
-        begin(tmp_path / "run", _OtherArgs(tmp_path), _Experiment(), False, True)
+        begun(tmp_path / "run", args=_OtherArgs, overwrite=True)
     monkeypatch.chdir(tmp_path / "run")
     with pytest.raises(ValueError, match="does not replace it"):
-        begin(tmp_path / "run", _Args(tmp_path), _Experiment(), False, True)
+        begun(tmp_path / "run", overwrite=True)
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError, match="is a file"):
-        begin(tmp_path / "web" / "config.json" / "run", _Args(tmp_path), _Experiment(), False, False)
+        begun(tmp_path / "web" / "config.json" / "run")
     settle_begun()
 
 
 def test_after_a_full_disk_and_ctrl_c_there_is_one_sentence_and_no_traceback(tmp_path, capsys):
     out = tmp_path / "run"
+    full = OSError(28, "No space left on device", "x.h5")
     for error, code, said in (
-        (OSError(28, "No space left on device", "x.h5"), 1, "error: x.h5: no space left on device"),
+        (full, 1, "error: x.h5: no space left on device"),
         (KeyboardInterrupt(), 130, "interrupted; nothing was made"),
     ):
-
-        def work(error: BaseException = error) -> None:
-            begin(out, _Args(out), _Experiment(), False, False)
-            raise error
-
-        assert exit_code_of_run(work, out) == code
+        assert exit_code_of_run(partial(begun, out, raises=error), out) == code
         assert capsys.readouterr().err.strip() == said
         assert not out.exists()
-
-    def half() -> None:
-        begin(out, _Args(out), _Experiment(), False, False)
-        (out / "part-0.npz").write_bytes(b"")
-        raise KeyboardInterrupt
-
-    assert exit_code_of_run(half, out) == 130
+    assert exit_code_of_run(partial(begun, out, leaves="part-0.npz", raises=KeyboardInterrupt()), out) == 130
     assert f"finished parts are in {out}, go on with --resume" in capsys.readouterr().err
