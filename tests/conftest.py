@@ -38,7 +38,7 @@ FAST_COMPILATION = " ".join(
 COMMANDS = ("collect", "contract", "convert", "depth", "emulators", "environments", "experiments", "hardware",
             "reconstruction", "simulation", "test_examples")  # fmt: skip
 # Of those, these fit pad models, whose registrations are eight times slower without optimisation.
-COMPUTING = ("test_recognize", "test_collecting_docs", "test_constants")
+COMPUTING = ("test_recognize", "test_constants")
 # Longest first, so that no worker is left with one of them at the end.
 SLOW = ("test_recognize.py", "test_train.py", "test_active_touch.py", "test_examples.py")
 

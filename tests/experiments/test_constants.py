@@ -26,12 +26,3 @@ def test_more_evidence_is_better_and_more_certainty_is_not(capsys):
     assert abs(found["overconfident"]["lower_by"]["mean"]) < 0.01  # its own temperature undoes it
     shown = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in shown if "BETTER" in line] == ["more"]
-
-
-def test_conditions_count_alike_and_stay_with_their_episode():
-    good, bad = beliefs(1.5), beliefs(0.5)
-    both = constants.calibrated_losses(np.stack([good, bad], axis=1), TRUTH)
-    assert both.shape == (EPISODES,)
-    assert constants.calibrated_losses(good, TRUTH).mean() < both.mean()
-    alike = constants.calibrated_losses(np.stack([good, good], axis=1), TRUTH)
-    np.testing.assert_allclose(alike, constants.calibrated_losses(good, TRUTH), rtol=1e-3)

@@ -47,6 +47,7 @@ def test_a_notebook_runs_and_every_figure_can_be_shown(name, tmp_path, monkeypat
     said = capsys.readouterr().out
     assert "simulated" in said.lower()
     assert ("There is no mug.stl here" in said) == (name == "first_touches")
+    assert ("SIMULATED" in said) or name != "real_press"  # recordings are missing
 
 
 def stamped(folder: Path) -> Path:
@@ -79,13 +80,6 @@ def test_the_first_notebook_takes_a_mesh_file_of_its_reader():
     space |= {"predictor": i2t.load_predictor("nominal"), "board": i2t.reskin_board()}
     exec(cells[number + 1], space)
     assert space["own_readings"].shape == (4, 15)
-
-
-@pytest.mark.full
-def test_real_press_says_that_it_is_not_real_where_recordings_are_missing(capsys):
-    source = notebooks.sources(notebooks.FOLDER / "real_press.ipynb")[0]
-    exec(compile(source, "real_press, code cell 0", "exec"), {})
-    assert "SIMULATED" in capsys.readouterr().out
 
 
 def test_every_notebook_is_run():

@@ -19,7 +19,7 @@ from experiments.recognize import trained_run as trained_run_of_recognition
 from experiments.recognize.config import PRESETS
 from experiments.reproduce.tables import STUDY_TABLES
 from experiments.studies import __main__ as studies
-from experiments.studies import mismatch
+from experiments.train import __main__ as train
 from i2t import dataset
 from i2t.errors import DataError
 from i2t.objects import catalogue
@@ -133,16 +133,16 @@ def test_a_network_trained_on_nothing_does_not_beat_a_constant_reading(trained_r
 
 
 @pytest.mark.full
-def test_recorded_touches_are_replayed(trained_run, tmp_path):
-    """Episodes of a recorded set: the run's own touches, of which the belief must find the object more often than not
-    guessing would.
-    """
-    out = tmp_path / "replay"
-    data = trained_run / "data.h5"
-    args = ["--preset", "debug", "--trained-run", str(trained_run), "--dataset", str(data), "--out", str(out)]
-    assert recognize.main(args) == 0
+def test_what_was_recorded_is_trained_on_and_recognised(trained_run, tmp_path, capsys):
+    """As a lab does with its own data set: the belief must find the object more often than guessing would."""
+    data, run, out = trained_run / "data.h5", tmp_path / "run", tmp_path / "recognized"
+    assert train.main(["--preset", "debug", "--epochs", "2", "--dataset", str(data), "--out", str(run)]) == 0
+    assert "make a pad model of" in capsys.readouterr().out
+    words = ["--preset", "debug", "--trained-run", str(run), "--dataset", str(data), "--out", str(out)]
+    assert recognize.main(words) == 0
     written = json.loads((out / "metrics.json").read_text())
     assert written["source"] == "simulated"  # as the data set says of itself
+    assert written["pad_model"]["other_skin"] is None
     recorded = written["sets"]["recorded"]
     assert recorded["objects"] == list(dataset.load_dataset(data).objects)
     assert recorded["methods"]["fused"]["accuracy"]["mean"][-1] > 1 / len(recorded["objects"])
@@ -232,56 +232,26 @@ def test_an_arm_stops_and_says_so_where_no_site_is_safe(trained_run, tmp_path, c
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(
-    "study", ["policy", "open_set", "planar", "registered", "pose_error", "sites", "placement", "mismatch"]
-)
-def test_studies_run(study, trained_run, tmp_path):
+@pytest.mark.parametrize("study", ["planar", "sites", "placement"])
+def test_studies_run_and_go_on(study, trained_run, tmp_path):
     out = tmp_path / study
     words = [study, "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]
     assert studies.main(words) == 0
-    metrics = json.loads((out / "metrics.json").read_text())
+    before = (out / "metrics.json").read_text()
+    metrics = json.loads(before)
     assert metrics["source"] == "simulated"
-    assert (out / "part-0.npz").exists()
     assert set(metrics["tables"]) == set(STUDY_TABLES[study])
     if study == "planar":
         assert set(metrics["methods"]) == {"known pose", "unknown pose"}
         assert 0 <= metrics["rotation_error"]["percentiles_25_50_75_90"][0] <= 180
-    elif study == "registered":
-        places = "known to 1 mm", "known to 5 mm", "found by a view"
-        assert set(metrics["methods"]) == {
-            f"{x}, {place}" for x in ("fused", "readings and presence") for place in places
-        }
-        assert metrics["refused"]["true_object"] == 0
-        middle = metrics["position_error"]["percentiles_25_50_75_90"][1]
-        assert 0 < middle < 8.0  # mm; 5 mm on each axis are believed at first
-    elif study == "pose_error":
-        assert len(metrics["worlds"]) == 6  # two pose errors and one noise of views, in two sets
-        sources = ("Imagine2touch (paper's network, depth)", "same rules, Gaussian process")
-        rules = {f"{s}, {x}, {r}" for s in ("primitives", "tools") for x in sources for r in ("votes", "product")}
-        assert set(metrics["equal_at_mm"]) == rules
-    elif study == "sites":
-        assert sum(kind["touches"] for kind in metrics["bits"].values()) == metrics["touches"] == 8
-        before = (out / "metrics.json").read_text()
-        (out / "metrics.json").unlink()
-        assert studies.main([*words, "--resume"]) == 0  # from what was made of the pad
-        assert (out / "metrics.json").read_text() == before
-    elif study == "policy":
-        assert set(metrics["policies"]) == {"random", "heuristic", "information"}
     elif study == "placement":
-        assert set(metrics["methods"]) == {"inferred", "as stated"}
-        for entry in metrics["methods"].values():
-            assert set(entry["conditions"]) == {"1 mm, stated 0.5", "1 mm, stated 1", "1 mm, stated 2"}
-            assert all(len(each["stopping"]) == 3 for each in entry["conditions"].values())
         stated = metrics["methods"]["as stated"]["conditions"]["1 mm, stated 2"]
         np.testing.assert_allclose(stated["scale_percentiles_25_50_75"], 1.0, rtol=1e-5)
-    elif study == "mismatch":
-        kinds = mismatch.SHOWN_KINDS
-        assert set(metrics["methods"]) == {f"{kind}, {world}" for kind in kinds for world in mismatch.DEBUG_WORLDS}
-        for kind in kinds:
-            assert metrics["methods"][f"{kind}, {mismatch.MATCHED}"]["difference_mean"]["mean"] == 0
     else:
-        assert metrics["episodes"] == 16
-        assert len(metrics["auroc"]["mean"]) == 3
+        assert sum(kind["touches"] for kind in metrics["bits"].values()) == metrics["touches"] == 8
+    (out / "metrics.json").unlink()
+    assert studies.main([*words, "--resume"]) == 0  # from what was made of the pad
+    assert (out / "metrics.json").read_text() == before
 
 
 def test_the_papers_distances_prefer_what_was_touched():

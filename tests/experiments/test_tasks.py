@@ -18,9 +18,6 @@ from experiments.common import checks
 from experiments.common import tasks as tasks_module
 from experiments.common.runs import begin, exit_code_of_run
 from experiments.common.tasks import MAX_TASK_ATTEMPTS, Task, TaskOptions, run_tasks
-from experiments.pads import __main__ as pads
-from experiments.recognize import __main__ as recognize
-from experiments.shapes import __main__ as shapes
 from experiments.studies import __main__ as studies
 from experiments.train import __main__ as train
 from experiments.train.arguments import TrainArgs
@@ -42,30 +39,23 @@ def made(folder):
 def test_workers_make_what_this_process_makes_and_log_what_they_print(tmp_path, capsys):
     for name, options in {"serial": TaskOptions(), "local": LOCAL}.items():
         (tmp_path / name).mkdir()
+        (tmp_path / name / "part-1").write_text("1\n")  # what is there is not made again
         run_tasks(numbered(tmp_path / name), options)
+    assert not (tmp_path / "local" / "part-1.log").exists()
     assert made(tmp_path / "serial") == made(tmp_path / "local") == {f"part-{i}": f"{i}\n" for i in range(4)}
     assert (tmp_path / "local" / "part-2.log").read_text() == "number 2\n"
     assert not list((tmp_path / "serial").glob("*.log"))
     assert "part-2: finished" in capsys.readouterr().out
 
 
-def test_what_is_there_is_not_made_again(tmp_path):
-    (tmp_path / "part-1").write_text("made before")
-    run_tasks(numbered(tmp_path, 3), LOCAL)
-    assert made(tmp_path)["part-1"] == "made before"
-    assert not (tmp_path / "part-1.log").exists()
-
-
-def test_a_killed_workers_task_is_begun_again(tmp_path, capsys):
+def test_a_killed_workers_task_is_begun_again_but_not_for_ever(tmp_path, capsys):
     run_tasks(numbered(tmp_path, 3, small_tasks.die_at_first), LOCAL)
     assert made(tmp_path) == {f"part-{i}": f"{i}\n" for i in range(3)}
     assert "part-0: its worker died (killed by SIGKILL); it is begun again" in capsys.readouterr().out
-
-
-def test_a_task_whose_workers_always_die_ends_in_one_sentence_and_a_failure(tmp_path, capsys):
-    doomed = numbered(tmp_path, 1, small_tasks.die_at_first, deaths=99)
+    (tmp_path / "doomed").mkdir()
+    doomed = numbered(tmp_path / "doomed", 1, small_tasks.die_at_first, deaths=99)
     assert exit_code_of_run(partial(run_tasks, doomed, LOCAL)) == 1
-    assert len((tmp_path / "part-0.seen").read_text()) == MAX_TASK_ATTEMPTS
+    assert len((tmp_path / "doomed" / "part-0.seen").read_text()) == MAX_TASK_ATTEMPTS
     said = capsys.readouterr().err
     assert said.startswith("error: part-0 was begun 3 times, and each time its worker died (killed by SIGKILL)")
     assert said.count("\n") == 1
@@ -113,7 +103,7 @@ def test_workers_share_the_cores(tmp_path):
         ("--executor ray", "--executor ray needs Ray, which is missing: pip install"),
     ],
 )
-@pytest.mark.parametrize("command", [train, studies, recognize, shapes, pads])
+@pytest.mark.parametrize("command", [train, studies])
 def test_options_that_do_not_go_together_are_refused_before_anything_is_made(
     command, words, said, tmp_path, monkeypatch, capsys
 ):

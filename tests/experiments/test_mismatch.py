@@ -1,13 +1,10 @@
-"""Worlds of other physics against closed forms, and the two studies of what is stated wrong to a belief."""
-
-import json
+"""Worlds of other physics against closed forms, and stops that are wrong too often."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.reproduce.tables import study_table
 from experiments.studies import mismatch, placement
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.contact import FINE_GRID, GRID
@@ -57,16 +54,6 @@ def test_columns_of_a_winkler_foundation():
     assert 1.9 < ratio < 2.2  # nearly linear: magnets come a little nearer
 
 
-def test_worlds_differ_from_the_matched_one_in_what_they_say():
-    some = mismatch.worlds()
-    pad = nominal_pad()
-    assert np.linalg.norm(mismatch.REMOUNTED_M) == pytest.approx(0.5e-3)
-    moved = np.asarray(some["skin remounted by 0.5 mm"].pad(pad).board.chips) - np.asarray(pad.board.chips)
-    np.testing.assert_allclose(moved, np.broadcast_to(mismatch.REMOUNTED_M, moved.shape), atol=1e-8)
-    assert next(iter(some)) == mismatch.MATCHED
-    assert set(mismatch.DEBUG_WORLDS) <= set(some)
-
-
 @pytest.mark.full
 def test_another_chip_remembers_and_nothing_else_that_can_be_read_differs():
     some, pad = mismatch.worlds(), numbered_pad(0)
@@ -88,39 +75,3 @@ def test_stops_that_are_wrong_too_often_are_named(capsys):
     right = placement.report_condition("1 mm, stated 1", p, np.zeros(40, int), np.full(40, 1.5), [])
     assert right["stopping"][0]["stopped_error"]["mean"] == 0
     assert "TOO OFTEN" not in capsys.readouterr().out
-
-
-def believed(rng: np.random.Generator, truth: np.ndarray, sure: float) -> np.ndarray:
-    """Beliefs (e, t, 3) that lean to the truth."""
-    logits = rng.normal(size=(len(truth), 4, 3)) + sure * np.eye(3)[truth][:, None] * np.arange(1, 5)[None, :, None]
-    p = np.exp(logits)
-    return p / p.sum(-1, keepdims=True)
-
-
-def test_the_placement_study_reports_each_condition_at_a_temperature_of_its_method(tmp_path, capsys):
-    rng = np.random.default_rng(0)
-    truth = np.arange(30) % 3
-    parts = []
-    for _ in range(3):
-        part = {}
-        for label in (placement.VALIDATION, placement.TEST):
-            part |= {f"{label}: truth": truth, f"{label}: pool": np.arange(30) // 5}
-            for method in placement.SCALE_PRIORS:
-                for condition in placement.CONDITIONS[:1]:
-                    p = believed(rng, truth, 1.0)
-                    # Twice the logits: a belief that is surer than it is right.
-                    sure = p**2 / (p**2).sum(-1, keepdims=True) if method == "as stated" else p
-                    part[f"{label}: {method}, {condition}"] = sure
-                    part[f"{label}: {placement.SCALE}, {method}, {condition}"] = np.full(30, 1.4)
-        parts.append(part)
-    result = placement.report(parts, tmp_path, ["0", "1", "2"])
-    assert result["episodes"] == 90
-    rows = study_table("conditions")(json.loads(json.dumps(result))).splitlines()
-    assert [line.split(" | ")[:2] for line in rows[2:]] == [
-        [f"| {method}", str(placement.CONDITIONS[0])] for method in placement.SCALE_PRIORS
-    ]
-    for entry in result["methods"].values():
-        assert list(entry["conditions"]) == [str(placement.CONDITIONS[0])]
-    temperatures = [result["methods"][method]["temperature"]["initial"] for method in ("as stated", "inferred")]
-    assert temperatures[0] == pytest.approx(2 * temperatures[1], rel=0.25)
-    assert capsys.readouterr().out.count("mean") == 2
