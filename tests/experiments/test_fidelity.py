@@ -1,7 +1,6 @@
 """The fidelity report on recordings of every kind and in every state: it says what it can, and never falls over."""
 
 import json
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +11,7 @@ from helpers.skin_presses import presses_of_a_skin
 from experiments.fidelity import __main__ as fidelity
 from experiments.fidelity import curves, describe, dynamics, forward, heads, run
 from experiments.fidelity.config import FidelityPreset
-from experiments.fidelity.forward import explained_share, left_out, nearest_presses, press_set, simple_gp
+from experiments.fidelity.forward import press_set
 from experiments.fidelity.sections import CannotTellError, Section, written
 from i2t.calibration.heads import HeadBudget, SkinRecording, from_dataset, load_head
 from i2t.unknowns import estimate_labels
@@ -205,40 +204,6 @@ def test_calibration_is_measured_on_the_recording_put_right(monkeypatch):
     assert curves_of[1] > curves_of[0] - 0.1 > 0.5
 
 
-def test_times_that_go_back_are_said():
-    time = np.arange(90.0)
-    section = Section("Checks")
-    describe._check_targets(replace(SKIN, time=time), [], section.numbers)
-    assert section.numbers["rows_back_in_time"] == 0
-    time[40:] -= 10
-    found = []
-    describe._check_targets(replace(SKIN, time=time), found, section.numbers)
-    assert section.numbers["rows_back_in_time"] == 1
-    assert "first at row 41" in found[0]
-    # A clock that begins again with each session is none that goes back.
-    describe._check_targets(replace(SKIN, time=time, session=np.arange(90) // 40), [], section.numbers)
-    assert section.numbers["rows_back_in_time"] == 0
-
-
-@pytest.mark.parametrize("ambient_ut", [0.0, 30.0])
-def test_readings_in_air_are_judged_without_their_noise(ambient_ut):
-    stream = _stream()
-    noisy = 8.0 * np.random.default_rng(1).normal(size=stream.readings.shape) + ambient_ut
-    found, section = [], Section("Checks")
-    describe._check_targets(replace(stream, readings=stream.readings + noisy), found, section.numbers)
-    assert any("ambient" in sentence for sentence in found) == (ambient_ut > 0)
-
-
-def test_presses_of_a_stream_are_counted_from_its_readings():
-    rng, row = np.random.default_rng(0), np.arange(4000)
-    pressed = (row % 800 > 500)[:, None] * rng.normal(scale=60, size=15)
-    stream = SkinRecording("stream", pressed + 1.5 * rng.normal(size=(4000, 15)), {}, np.zeros(4000, int), row / 400)
-    section = Section("What it is")
-    describe.describe(stream, section)
-    assert section.numbers["presses_in_the_stream"] == 5
-    assert any(re.search(r"holds 5 presses, 0\.7[0-9] s long", sentence) for sentence in section.sentences)
-
-
 def test_what_may_be_chance_is_no_loss():
     rng = np.random.default_rng(0)
     own = rng.exponential(size=200)
@@ -321,18 +286,6 @@ def test_one_chip_that_remembers_is_named():
     assert section.numbers["hysteresis_of_chips"]["beyond_chance"][2]
 
 
-def test_the_baselines_predict_a_smooth_skin():
-    presses = press_set(presses_of_a_skin(200))
-    known, test = np.arange(150), np.arange(150, 200)
-    near = explained_share(presses.readings[test], nearest_presses(presses, known, test))
-    smooth = explained_share(presses.readings[test], simple_gp(presses, known, test))
-    assert 0.5 < near < smooth
-    assert smooth > 0.97
-    rows, predicted = left_out(presses, 150)
-    assert explained_share(presses.readings[rows], predicted) > 0.95
-    np.testing.assert_allclose(presses.readings[rows], presses.readings[rows])
-
-
 def test_what_is_held_out_is_never_fitted_to():
     presses = press_set(SKIN)
     for pool, test in curves.hold_out_presses(presses, TINY, 0).values():
@@ -367,27 +320,6 @@ def test_heads_are_fitted_by_one_command(tmp_path, capsys):
     assert np.median(np.linalg.norm(predicted.mean - SKIN.targets["position"], axis=1)) < 1e-3
     tests = json.loads((out / "metrics.json").read_text())["heads"]["position"]
     assert tests["random rows"]["kept"]["rmse"] < tests["random rows"]["baselines"]["linear"]["rmse"]
-
-
-@pytest.mark.full
-def test_slides_of_a_simulated_skin_have_forces_and_slip():
-    from experiments.fidelity.slides import STROKE_ROWS, simulated_slides
-
-    recording = simulated_slides(0, 8)
-    force, shear = recording.targets["force"][:, 0], np.linalg.norm(recording.targets["shear"], axis=1)
-    slip, touched = recording.targets["slip"][:, 0] == 1, force > 0
-    assert len(recording) == 8 * STROKE_ROWS
-    assert 0 < slip.sum() < len(slip)
-    # Where all of the contact slips, the force is friction times the normal one, another one for each stroke.
-    for stroke in range(8):
-        own = slip & (recording.session == stroke)
-        if own.sum() > 1:
-            ratio = shear[own] / force[own]
-            np.testing.assert_allclose(ratio, ratio[0], rtol=2e-2)
-            stuck = touched & ~slip & (recording.session == stroke)
-            assert (shear[stuck] / force[stuck] <= 1.01 * ratio[0]).all()
-    air = np.linalg.norm(recording.readings[~touched], axis=1)
-    assert np.median(np.linalg.norm(recording.readings[touched], axis=1)) > 2 * np.median(air)
 
 
 @pytest.mark.full
