@@ -20,8 +20,8 @@ from i2t.skin import boards
 from i2t.types import ReturnCode, Touches
 
 
-def recording(n: int, pads: int = 1) -> Dataset:
-    """Presses of one tip on a generated skin."""
+def recording(n: int, pads: int = 1, **columns) -> Dataset:
+    """Presses of one tip on a generated skin, some columns of which may be other ones."""
     rng = np.random.default_rng(0)
     place, depth = rng.uniform(-12e-3, 12e-3, (n, 2)), rng.uniform(0.5e-3, 4e-3, n)
     centres = rng.uniform(-15e-3, 15e-3, (20, 2))
@@ -43,15 +43,14 @@ def recording(n: int, pads: int = 1) -> Dataset:
         code=np.full(n, ReturnCode.UNDEFINED),
     )
     names = tuple(f"skin {i}" for i in range(pads))
-    return Dataset(touches, ("tip",), names, ("run",), boards.eflesh_board(), "simulated")
+    return Dataset(touches._replace(**columns), ("tip",), names, ("run",), boards.eflesh_board(), "simulated")
 
 
 @pytest.mark.full
 def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
     """On presses at few depths, of which `i2t.calibrate` makes no less than neighbours or the plain process."""
-    made = recording(400)
-    depth = 1e-3 * np.round(1e3 * made.touches.depth)
-    data.save_dataset(tmp_path / "set.h5", replace(made, touches=made.touches._replace(depth=depth, nearest=-depth)))
+    depth = 1e-3 * np.round(1e3 * recording(400).touches.depth)
+    data.save_dataset(tmp_path / "set.h5", recording(400, depth=depth, nearest=-depth))
     args = ["--dataset", str(tmp_path / "set.h5"), "--out", str(tmp_path / "out"), "--preset", "debug"]
     assert command.main(args) == 0
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
@@ -103,13 +102,12 @@ def test_presses_saved_are_read_off_the_curves():
 @pytest.mark.full
 def test_presses_at_one_depth_are_calibrated_no_worse_than_by_neighbours_or_a_plain_process():
     """On the mean over ten draws of 20 presses, whose difference from the plain process scatters by 0.014."""
-    made = recording(400)
-    flat = replace(made, touches=made.touches._replace(depth=np.zeros(400), nearest=np.zeros(400)))
+    flat = recording(400, depth=np.zeros(400), nearest=np.zeros(400))
     predictors = methods.Predictors(read_presses(flat, "auto")).by_name()
     names = methods.CALIBRATED, methods.PLAIN, methods.NEIGHBOURS
     draws = [np.random.default_rng(seed).permutation(400) for seed in range(10)]
     calibrated, plain, neighbours = np.mean(
-        [[score(made.touches.reading[rows[20:]], predictors[name](rows[:20], rows[20:])).r2 for name in names]
+        [[score(flat.touches.reading[rows[20:]], predictors[name](rows[:20], rows[20:])).r2 for name in names]
          for rows in draws], axis=0,
     )  # fmt: skip
     assert calibrated > max(plain, neighbours) - 0.03
@@ -125,21 +123,14 @@ def test_what_cannot_be_calibrated_is_refused(tmp_path, capsys, n, pads, message
 
 @pytest.mark.full
 def test_an_earlier_session_of_one_place_helps(tmp_path):
+    rng = np.random.default_rng(0)
+    place, channels = np.tile(np.eye(4), (120, 1, 1)), np.linspace(-60, 60, 15)
     for name in ("earlier", "later"):
-        one = recording(120)
-        one.touches.T_w_o[:, :2, 3] = 0
-        depth = np.linspace(0.5e-3, 4e-3, 120)
-        channels = np.linspace(-60, 60, 15)
-        noise = np.random.default_rng(len(name)).normal(size=(120, 15))
-        reading = channels * ((depth + 3e-3) / 5e-3)[:, None] ** 1.75 + noise
-        mixed = np.random.default_rng(0).permutation(120)
-        data.save_dataset(
-            tmp_path / f"{name}.h5",
-            replace(one, touches=one.touches._replace(depth=depth[mixed], reading=reading[mixed])),
-        )
+        depth = rng.permutation(np.linspace(0.5e-3, 4e-3, 120))
+        reading = channels * ((depth + 3e-3) / 5e-3)[:, None] ** 1.75 + rng.normal(size=(120, 15))
+        data.save_dataset(tmp_path / f"{name}.h5", recording(120, T_w_o=place, depth=depth, reading=reading))
     args = ["--dataset", str(tmp_path / "later.h5"), "--previous-session", str(tmp_path / "earlier.h5")]
-    args += ["--out", str(tmp_path / "out"), "--preset", "debug"]
-    assert command.main(args) == 0
+    assert command.main([*args, "--out", str(tmp_path / "out"), "--preset", "debug"]) == 0
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert metrics["warnings"] == {"previous": [], "later": []}
     (r2,) = metrics["r2"].values()
@@ -183,49 +174,41 @@ def test_the_plain_process_finds_the_scales_of_its_own_presses():
         for scales in (found, found._replace(length=found.length / 2))
     ]
     assert errors[0] < errors[1]
+    # Of presses at one depth it is a process of positions.
+    reading = position @ rng.normal(size=(2, 6)) * 1e4
+    known = position[:12], np.zeros(12), reading[:12]
+    flat = plain_gp.predict_plain(plain_gp.fit_scales(*known), known, (position[:12], np.zeros(12)))
+    assert explained(reading[:12], ((flat - reading[:12]) ** 2).sum(1)) > 0.9
 
 
-@pytest.mark.parametrize("load", [np.zeros(12), np.full(12, 2e-3)], ids=["nil", "one depth"])
-def test_the_plain_process_of_presses_at_one_depth_is_one_of_positions(load):
-    rng = np.random.default_rng(5)
-    position = rng.uniform(-0.01, 0.01, (12, 2))
-    readings = position @ rng.normal(size=(2, 6)) * 1e4
-    known = position, load, readings
-    found = plain_gp.predict_plain(plain_gp.fit_scales(*known), known, (position, load))
-    assert explained(readings, ((found - readings) ** 2).sum(1)) > 0.9
+NO_DEPTH = {"depth": np.full(60, np.nan)}
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"force": -np.linspace(4, 8, 60), "depth": np.full(60, np.nan)}, "100 % of the forces are negative"),
+        ({"force": -np.linspace(4, 8, 60)} | NO_DEPTH, "100 % of the forces are negative"),
         ({"depth": np.zeros(60)}, "all presses have one depth"),
-        (
-            {"force": np.r_[-1.0, np.linspace(1, 3, 59)], "depth": np.full(60, np.nan)},
-            "1 presses with a negative force",
-        ),
+        ({"force": np.r_[-1.0, np.linspace(1, 3, 59)]} | NO_DEPTH, "1 presses with a negative force"),
     ],
-    ids=["pulled", "one depth", "one negative"],
 )
 def test_what_is_odd_about_loads_is_said_before_anything_is_computed(change, said):
-    made = recording(60)
-    found = read_presses(replace(made, touches=made.touches._replace(**change)), "auto")
+    found = read_presses(recording(60, **change), "auto")
     assert said in found.notes[0]
     assert (found.load >= 0).all()
-    assert read_presses(made, "auto").notes == ()
+    assert read_presses(recording(60), "auto").notes == ()
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
         ({"T_w_t": np.full((60, 4, 4), np.nan)}, "no press has a known position and depth"),
-        ({"force": np.zeros(60), "depth": np.full(60, np.nan)}, "every force is nil"),
+        ({"force": np.zeros(60)} | NO_DEPTH, "every force is nil"),
     ],
 )
 def test_loads_that_say_nothing_are_refused_at_once(change, said):
-    made = recording(60)
     with pytest.raises(ValueError, match=said):
-        read_presses(replace(made, touches=made.touches._replace(**change)), "auto")
+        read_presses(recording(60, **change), "auto")
 
 
 @pytest.mark.parametrize("of", ["dataset", pytest.param("calibration", marks=pytest.mark.full)])

@@ -54,19 +54,6 @@ def test_a_stamp_is_met_as_the_renderer_sees_it():
 
 
 @pytest.mark.full
-def test_rows_of_one_press_differ_in_force_alone():
-    how = replace(CFG.pressing, readings=5)
-    where = presses_on(world.press_stamps(jax.random.key(0), [numbered_pad(0)], 25, how), 0)
-    of = np.arange(25) // 5
-    for each in (where.position, where.rotation, where.shape):
-        np.testing.assert_allclose(each, each[5 * of], atol=1e-6)
-    assert len(np.unique(where.force)) == 25
-    assert len(np.unique(where.rotation[::5])) == 5
-    with pytest.raises(ValueError, match="no whole number"):
-        world.press_stamps(jax.random.key(0), [numbered_pad(0)], 25, replace(how, readings=3))
-
-
-@pytest.mark.full
 def test_a_press_lies_where_it_says_and_bears_its_force():
     touches = pressed().touches
     where = presses_on(pressed(), 0)
