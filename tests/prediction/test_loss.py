@@ -74,9 +74,7 @@ def test_total_is_the_weighted_sum_of_what_the_model_has(values, heteroscedastic
     assert got.total == reading + (2.0 if auxiliary else 0.0)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"), [({"auxiliary": -1.0}, "loss.auxiliary"), ({"beta": 2.0}, "loss.beta is 2.0")]
-)
-def test_meaningless_weights_are_refused(change: dict, words: str) -> None:
-    with pytest.raises(ValueError, match=words):
+@pytest.mark.parametrize("change", [{"auxiliary": -1.0}, {"beta": 2.0}])
+def test_meaningless_weights_are_refused(change: dict) -> None:
+    with pytest.raises(ValueError, match=f"loss.{next(iter(change))}"):
         LossConfig(**change)

@@ -17,9 +17,8 @@ def plane(down: float, right: float) -> np.ndarray:
     return (1e-3 + down * ROW + right * COLUMN).astype(np.float32)
 
 
-@pytest.mark.parametrize(("down", "right"), [(0.0, 0.0), (1e-4, -3e-5), (-2e-4, 2e-4)])
-def test_a_plane_stays(down, right):
-    seen = plane(down, right)
+def test_a_plane_stays():
+    seen = plane(-2e-4, 1.5e-4)
     inside = slice(RADIUS, N - RADIUS)
     # Weights are symmetric there, so the value is a mean: wrong by the rounding of sums of 121 heights below 17 mm.
     rounding = 121 * np.finfo(np.float32).eps * np.abs(seen).max()
