@@ -1,13 +1,10 @@
 """Positions from readings: on generated linear skins exactly as Bayes says, on simulated pads by the experiment."""
 
-import json
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
 
-from experiments.pads import __main__ as pads
 from i2t.calibration import localize
 from i2t.calibration.localize import PressLibrary, WeightPosterior
 
@@ -79,21 +76,3 @@ def test_a_skin_is_fitted_to_readings_without_positions():
     known = right(WeightPosterior(jnp.asarray(truth, jnp.float32), 1e4 * jnp.eye(K), jnp.asarray(2.0)))
     assert fitted > none + 0.15
     assert fitted > known - 0.1
-
-
-@pytest.mark.full
-def test_the_experiment_in_small(tmp_path, capsys):
-    words = ["--preset", "debug", "--out", str(tmp_path / "run")]
-    assert pads.main(words) == 0
-    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
-    assert metrics["source"] == "simulated"
-    assert all(0 <= share <= 1 for each in metrics["each"].values() for share in each)
-    assert (tmp_path / "run" / "accuracy.png").stat().st_size > 0
-    assert "physics, 10 presses" in capsys.readouterr().out
-    assert pads.main(words) == 2
-    assert "holds a finished run" in capsys.readouterr().err
-
-
-def test_one_skin_is_too_few(tmp_path, capsys):
-    assert pads.main(["--skins", "1", "--out", str(tmp_path / "run")]) == 2
-    assert capsys.readouterr().err.startswith("error: --skins")

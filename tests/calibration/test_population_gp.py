@@ -131,19 +131,6 @@ def test_a_press_left_out_is_what_leaving_it_out_gives(chips, terms):
                 np.testing.assert_allclose(spread[s, i, c] / found.scale[s, c] ** 2, relative, rtol=1e-6)
 
 
-def test_slopes_left_out_are_differences_of_what_is_left_out():
-    rng = np.random.default_rng(4)
-    x, d = drawn(5, 8)
-    observed = lo.Observed(rng.normal(size=(8, CHANNELS)), np.zeros((8, CHANNELS, 0)), np.zeros(0), np.zeros((8, 1)))
-    found = lo.left_out_slopes(KINDS, kernel.geometry(x, d, None), observed)
-    i, rest = 3, np.arange(8) != 3
-    for s in range(2):
-        K = dense(s, x, d, x, d, None) + np.diag(noise(s, x, d, None))
-        weights = np.linalg.solve(K[np.ix_(rest, rest)], observed.target[rest])
-        high, low = (dense(s, x[[i]], d[[i]] + step, x[rest], d[rest], None) @ weights for step in (1e-5, -1e-5))
-        np.testing.assert_allclose(found[s, i], (high - low)[0] / 2e-5, rtol=1e-4, atol=1e-6)
-
-
 def test_a_mixture_of_one_predicts_as_dense_algebra_does(monkeypatch):
     for module, share in ((prior, "PLAIN_SHARE"), (mixture, "LINEAR_SHARE"), (mixture, "BOARD_SHARE")):
         monkeypatch.setattr(module, share, 1e-300 if share == "PLAIN_SHARE" else 1 - 1e-15)
@@ -263,17 +250,6 @@ def test_few_presses_give_finite_predictions(n):
 
 
 @pytest.mark.full
-def test_a_thousand_presses_are_fitted_in_stages():
-    read = skin(30, length=3e-3)
-    (x, d), (z, e) = drawn(31, 1000), drawn(32, 200)
-    x[:50] = x[:1]  # many at the same position are the hardest
-    readings = read(x, d) + np.random.default_rng(33).normal(size=(1000, CHANNELS))
-    gp = fit(table(x, d), readings)
-    assert len(gp.weights) <= mixture.MAX_KEPT_OF_MANY
-    assert explained(gp, table(z, e), read(z, e)) > 0.99
-
-
-@pytest.mark.full
 def test_the_stated_range_holds_nine_in_ten():
     inside = []
     for seed in range(12):
@@ -293,26 +269,6 @@ def test_the_prior_of_the_package_is_small_and_whole():
     assert found.log_share.shape == (2, len(found.kernels.load_power))
     np.testing.assert_allclose(np.exp(found.log_share).sum(1), 1, rtol=1e-4)
     assert all(np.isfinite(values).all() for values in found.kernels)
-
-
-def test_far_from_the_presses_what_was_left_out_together_decides():
-    """Two members of different weights near and far: a press predicts by the one, a place beyond all presses by the
-    other.
-    """
-    x, d = drawn(35, 40)
-    readings = skin(34)(x, d) + np.random.default_rng(36).normal(size=(40, CHANNELS))
-    both = KernelPrior(KINDS._replace(far_amplitude=np.ones(2)), np.log(np.full((2, 2), 0.5)))
-    gp = fit(table(x, d), readings, prior=both, options=FitOptions(robust=False, heights=False))
-    np.testing.assert_allclose(gp.far_weights.sum(0), 1)
-    pair = gp._replace(components=mixture._taken(mixture._joined(gp.components, gp.components), np.array([0, -1])))
-    pair.components.kernels.map_length[1] *= 0.5
-    near, far = np.repeat(np.eye(2)[:, :, None], CHANNELS, axis=2)
-    at = table(np.array([x[0], [40e-3, 0.0]]), np.array([d[0], 1.0]))
-    mixed, by_near, by_far = (
-        predict_population(pair._replace(weights=weights, far_weights=beyond), at)[0]
-        for weights, beyond in ((near, far), (near, None), (far, None))
-    )
-    np.testing.assert_allclose(mixed, [by_near[0], by_far[1]])
 
 
 def test_weights_far_from_the_presses_are_by_presses_left_out_together():

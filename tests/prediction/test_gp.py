@@ -84,32 +84,6 @@ def test_mean_and_variance_of_a_dense_process():
     np.testing.assert_allclose(std, np.sqrt(variance)[:, None] * scale, rtol=loss / noise)
 
 
-@pytest.mark.full
-def test_maps_are_found_the_better_the_more_touches():
-    rng = np.random.default_rng(1)
-    cells = np.arange(M)
-    root = np.linalg.cholesky(np.exp(-((cells[:, None] - cells) ** 2) / (2 * 3.0**2)) + 1e-6 * np.eye(M))
-    maps = 50 * root @ rng.normal(size=(CHANNELS, M, M)) @ root.T
-    other = spots(rng, 100)
-
-    def field(touches: ContactPressure) -> np.ndarray:
-        return np.einsum("cij,nij->nc", maps, touches.pressure)
-
-    linear = HYPER._replace(weights=jnp.eye(5)[1], bend=jnp.array(0.0))
-    errors = []
-    for n in (10, 40, 160):
-        train = spots(rng, n)
-        noise = 0.05 * field(train).std()
-        readings = field(train) + rng.normal(scale=noise, size=(n, CHANNELS))
-        hyper = linear._replace(noise=jnp.array(0.05**2))
-        mean, _ = predict(fit(hyper, train, jnp.float32(readings)), other)
-        errors.append(np.sqrt(((mean - field(other)) ** 2).mean()) / noise)
-    # From few touches the maps are mostly unknown (the signal is 20 noises). 12 x 12 cells of length 3 hold some
-    # (12 / 3)^2 independent values, so that 160 touches average ten each: errors below the noise of a single touch.
-    assert errors[0] > 2 * errors[1] > 2 * errors[2]
-    assert errors[2] < 1
-
-
 def test_the_stated_spread_is_the_spread_of_the_errors():
     rng = np.random.default_rng(2)
     train, other = spots(rng, 60), spots(rng, 60)
@@ -160,16 +134,6 @@ def test_cross_validation_leaves_whole_groups_out_and_the_best_of_all_steps_is_t
     # It can be told from all other steps, so that taking any of them would show.
     assert explained[-1] - explained[-2] > 2 * rounding
     assert abs(best - explained[-1]) < rounding
-
-
-@pytest.mark.full
-def test_to_condition_is_to_fit_with_the_chosen_hyperparameters():
-    rng = np.random.default_rng(11)
-    touches, groups = spots(rng, 24), np.arange(24) // 6
-    readings = smooth_readings(rng, touches)
-    hyper, _ = gp.choose_hyperparameters(touches, jnp.asarray(readings), groups, seed=5)
-    expected = fit(hyper, touches, jnp.asarray(readings))
-    jax.tree.map(np.testing.assert_array_equal, gp.condition(touches, readings, groups, seed=5), expected)
 
 
 def test_errors_left_out_are_those_of_a_process_without_the_touch():

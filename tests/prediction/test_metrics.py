@@ -51,13 +51,6 @@ def test_seed_interval_covers_as_often_as_it_says():
     assert np.isnan(student_interval([1.0])[1:]).all()
 
 
-def test_one_or_two_groups_have_no_interval():
-    values = np.arange(6.0)
-    for groups in (np.zeros(6), np.arange(6) % 2):
-        assert np.isnan(grouped_interval(lambda rows: values[rows].mean(), groups)).all()
-    assert np.isfinite(grouped_interval(lambda rows: values[rows].mean(), np.arange(6) % 3)).all()
-
-
 def test_grouped_interval_covers_where_rows_of_a_group_agree(monkeypatch):
     monkeypatch.setattr(metrics, "RESAMPLES", 100)
     rng, groups, repeats = np.random.default_rng(2), 30, 200
@@ -68,6 +61,7 @@ def test_grouped_interval_covers_where_rows_of_a_group_agree(monkeypatch):
         for torn, names in enumerate((members, np.arange(len(members)))):
             low, high = grouped_interval(lambda rows, values=values: values[rows].mean(), names, seed)
             covered[bool(torn)] += low < 0 < high
+    assert np.isnan(grouped_interval(lambda rows: rows.mean(), np.arange(6) % 2)).all()  # two groups have none
     # The bootstrap of a mean is a normal interval of the biased deviation, whose true coverage is Student's; its ends
     # are quantiles of 100 draws, which costs about two more in a hundred.
     expected = 1 - 2 * stats.t.sf(1.96 * np.sqrt((groups - 1) / groups), groups - 1)
@@ -90,8 +84,9 @@ def test_neighbours_by_hand():
 
 
 def test_options_are_chosen_between_groups():
-    # Every touch is there twice, in one group: inside a group its copy is the best neighbour; across groups chance
-    # neighbours are useless and many of them are better than one.
+    """Every touch is there twice, in one group: inside a group its copy is the best neighbour; across groups chance
+    neighbours are useless and many of them are better than one.
+    """
     rng = np.random.default_rng(5)
     x, y = np.tile(rng.normal(size=(50, 4)), (2, 1)), np.tile(rng.normal(size=(50, 15)), (2, 1))
     asked = []
@@ -100,10 +95,6 @@ def test_options_are_chosen_between_groups():
         asked.append(k)
         return nearest_neighbours(x, y, at, int(k))
 
-    tuned(method, (1, 32), x, y, np.tile(np.arange(50), 2), at=x[:3])
-    assert asked[-1] == 32
-    tuned(method, (1, 32), x, y, np.repeat([0, 1], 50), at=x[:3])  # copies apart, on purpose
-    assert asked[-1] == 1
-    asked.clear()
-    tuned(method, (4, 1), x, y, np.zeros(100), at=x[:3])
-    assert asked == [4]
+    for groups, best in ((np.tile(np.arange(50), 2), 32), (np.repeat([0, 1], 50), 1)):  # copies together, and apart
+        tuned(method, (1, 32), x, y, groups, at=x[:3])
+        assert asked[-1] == best

@@ -95,16 +95,6 @@ def test_layers_left_out_change_no_other() -> None:
         jax.tree.map(np.testing.assert_array_equal, layer, whole[name])
 
 
-@pytest.mark.parametrize(("encoder", "heteroscedastic", "auxiliary"), [("mlp", True, False), ("cnn", False, True)])
-def test_shapes_and_what_is_left_out(encoder: str, heteroscedastic: bool, auxiliary: bool) -> None:
-    cfg = replace(SMALL, pixels=20, encoder=encoder, heteroscedastic=heteroscedastic, auxiliary=auxiliary, bottleneck=7)
-    got = jax.eval_shape(lambda: apply(init(jax.random.key(0), cfg), cfg, Inputs(jnp.zeros((20, 20)), jnp.zeros(0))))
-    assert got.reading.shape == (15,)
-    assert got.latent.shape == (7,)
-    assert (got.log_variance is not None) == heteroscedastic
-    assert (got.image.shape if auxiliary else got.image) == ((20, 20) if auxiliary else None)
-
-
 def test_prepared_inputs() -> None:
     depth = jnp.array([[0.0, 1e-3], [2e-3, 9e-3]])
     inputs = Inputs(depth, jnp.array([3.0]))

@@ -73,16 +73,6 @@ def test_a_softer_layer_takes_on_the_shape_of_a_larger_force():
     close(press(replace(CFG, softness=4.0), BOWL, 0.5), press(CFG, BOWL, 2.0) / 4)
 
 
-@pytest.mark.full
-def test_cells_are_summed_to_millimetres():
-    fine = press(replace(CFG, cell=0.5e-3), tilted(0.004, 0.002))
-    direct = solve_force(
-        PAD, jnp.float32(tilted(0.004, 0.002, *np.meshgrid(*[replace(CFG, cell=0.5e-3).grid.centres] * 2))), 1.0
-    )
-    sums = np.asarray(direct.pressure).reshape(20, 2, 20, 2).sum((1, 3)) * 0.25e-6
-    close(fine, sums)
-
-
 def test_tilts_are_averaged():
     nodes, weights = np.polynomial.hermite_e.hermegauss(3)
     weights = weights / weights.sum()

@@ -84,18 +84,6 @@ def test_an_approach_tells_where_the_readings_begin():
     assert unknowns.find_approaches(rng.permutation(height), readings) == []
 
 
-def test_findings_travel_with_a_data_set():
-    found = [
-        Finding("units", "All is well.", True, evidence={"norm": 3.5, "none": float("nan")}),
-        Finding("order of the chips", "Two are swapped.", True, wrong=True, correction={"chip_order": [1, 0]}),
-    ]
-    meta = unknowns.findings_to_meta("monday", found) | {"converter": "eflesh", "unknowns of friday": "damaged"}
-    read = unknowns.findings_from_meta(meta)
-    assert list(read) == ["monday"]
-    assert read["monday"][1] == found[1]
-    assert read["monday"][0].evidence == {"norm": 3.5, "none": None}
-
-
 def test_a_turned_board_keeps_what_its_chips_read_of_one_field():
     board = reskin_board()
     for matrix in STAGES.values():
