@@ -29,25 +29,17 @@ def both(a: Presses, b: Presses) -> Presses:
 
 
 def dense(h: StructuredGPHyperparameters, a: Presses, b: Presses, chip: np.ndarray | None = None) -> np.ndarray:
-    """The covariance by the formula of the module, entry by entry."""
-    a, b = (Presses(*(np.asarray(part, np.float64) for part in at)) for at in (a, b))
-    K = np.empty((len(a.load), len(b.load)))
-    for i in range(len(a.load)):
-        for j in range(len(b.load)):
-            x, z = a.position[i], b.position[j]
-            d, e = a.load[i], b.load[j]
-            f = ((d + h.load_offset) * (e + h.load_offset) / (h.unit_load + h.load_offset) ** 2) ** h.load_power
-            g = np.exp(-((x - z) ** 2).sum() / 2 / h.map_length**2)
-            bent = np.exp(-((x - z) ** 2).sum() / 2 / h.bend_length**2 - (d - e) ** 2 / 2 / h.bend_load_width**2)
-            K[i, j] = f * (h.map_variance * g + h.bend_variance * bent) + h.static_variance * g + h.constant_variance
-            if chip is not None:
-                K[i, j] *= np.prod(
-                    [
-                        h.far_amplitude + (1 - h.far_amplitude) * np.exp(-((p - chip) ** 2).sum() / 2 / h.chip_reach**2)
-                        for p in (x, z)
-                    ]
-                )
-    return K
+    """The covariance by the formula of the module."""
+    (x, d), (z, e) = (tuple(np.asarray(part, np.float64) for part in at) for at in (a, b))
+    square = ((x[:, None] - z) ** 2).sum(-1)
+    f = (np.outer(d + h.load_offset, e + h.load_offset) / (h.unit_load + h.load_offset) ** 2) ** h.load_power
+    g = np.exp(-square / 2 / h.map_length**2)
+    bent = np.exp(-square / 2 / h.bend_length**2 - (d[:, None] - e) ** 2 / 2 / h.bend_load_width**2)
+    K = f * (h.map_variance * g + h.bend_variance * bent) + h.static_variance * g + h.constant_variance
+    if chip is None:
+        return K
+    near = (np.exp(-((at - chip) ** 2).sum(1) / 2 / h.chip_reach**2) for at in (x, z))
+    return K * np.outer(*(h.far_amplitude + (1 - h.far_amplitude) * one for one in near))
 
 
 @pytest.mark.full

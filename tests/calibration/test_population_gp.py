@@ -73,29 +73,22 @@ def explained(gp: PopulationGP, at: PressTable, truth: np.ndarray) -> float:
 
 
 def dense(s: int, x: np.ndarray, d: np.ndarray, z: np.ndarray, e: np.ndarray, chip: np.ndarray | None) -> np.ndarray:
-    """The covariance of kernel s by the formula of the module, entry by entry."""
+    """The covariance of kernel s by the formula of the module."""
     k = SkinKernels(*(values[s] for values in KINDS))
 
-    def amplitude(at: np.ndarray) -> float:
-        if chip is None:
-            return 1.0
-        near = np.exp(-((at - chip) ** 2).sum() / 2 / k.chip_reach**2)
+    def amplitude(at: np.ndarray) -> np.ndarray:
+        near = np.ones(len(at)) if chip is None else np.exp(-((at - chip) ** 2).sum(1) / 2 / k.chip_reach**2)
         return k.far_amplitude + (1 - k.far_amplitude) * near
 
-    def response(load: float) -> float:
+    def response(load: np.ndarray) -> np.ndarray:
         return ((load + k.load_offset) / (1 + k.load_offset)) ** k.load_power
 
-    found = np.empty((len(x), len(z)))
-    for i in range(len(x)):
-        for j in range(len(z)):
-            square = ((x[i] - z[j]) ** 2).sum()
-            moving = (1 - k.bend_share) * np.exp(-square / 2 / k.map_length**2) + k.bend_share * np.exp(
-                -square / 2 / k.bend_length**2 - (d[i] - e[j]) ** 2 / 2 / k.bend_load_width**2
-            )
-            inner = response(d[i]) * response(e[j]) * moving
-            inner += k.static_variance * np.exp(-square / 2 / k.static_length**2)
-            found[i, j] = amplitude(x[i]) * amplitude(z[j]) * inner + k.constant_variance
-    return found
+    square = ((x[:, None] - z) ** 2).sum(-1)
+    bent = np.exp(-square / 2 / k.bend_length**2 - (d[:, None] - e) ** 2 / 2 / k.bend_load_width**2)
+    moving = (1 - k.bend_share) * np.exp(-square / 2 / k.map_length**2) + k.bend_share * bent
+    inner = np.outer(response(d), response(e)) * moving
+    inner += k.static_variance * np.exp(-square / 2 / k.static_length**2)
+    return np.outer(amplitude(x), amplitude(z)) * inner + k.constant_variance
 
 
 def noise(s: int, x: np.ndarray, d: np.ndarray, chip: np.ndarray | None) -> np.ndarray:

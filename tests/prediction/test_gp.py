@@ -153,26 +153,6 @@ def test_errors_left_out_are_those_of_a_process_without_the_touch():
     assert np.abs(expected).max() > 10  # they are not small because nothing is left out
 
 
-@pytest.mark.full
-def test_choosing_improves_and_never_tears_groups():
-    rng = np.random.default_rng(6)
-    touches = spots(rng, 60)
-    twice = ContactPressure(*(jnp.concatenate([x, x]) for x in touches))
-    groups = np.tile(np.arange(60), 2)
-    hyper, explained = gp.choose_hyperparameters(twice, jnp.float32(smooth_readings(rng, twice)), groups, steps=8)
-    assert explained[0] < jnp.max(explained) <= 1
-    assert abs(float(jnp.sum(hyper.weights)) - 1) < 1e-6
-    assert 0 <= hyper.bend <= 1
-    assert hyper.width > 0
-    assert hyper.noise > 0
-
-    # Every touch twice in its group, with readings that are pure chance: torn groups would explain them, whole ones
-    # explain nothing (the best of 8 steps gains at most by chance, a few of 900 values).
-    chance = jnp.float32(np.tile(rng.normal(size=(60, CHANNELS)), (2, 1)))
-    _, explained = gp.choose_hyperparameters(twice, chance, groups, steps=8)
-    assert jnp.max(explained) < 0.1
-
-
 def test_what_cannot_be_chosen_from_is_refused():
     touches, readings = spots(np.random.default_rng(8), 24), np.ones((24, CHANNELS), np.float32)
     with pytest.raises(ValueError, match="at least two groups"):

@@ -19,12 +19,7 @@ from i2t.depth.camera import Camera
 from i2t.depth.distortion import pixel_rays
 from i2t.geometry import inverse, random_motion, to_twist
 from i2t.objects import make_object, read_mesh
-from i2t.registration import (
-    camera_covariance,
-    contact_poses,
-    register_by_depth,
-    register_by_touch,
-)
+from i2t.registration import camera_covariance, contact_poses, register_by_depth, register_by_touch
 from i2t.registration.touch import STUDENT_T_DOF
 from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.simulation import sites as touch_sites
@@ -35,9 +30,9 @@ STACK = stack_surfaces([prepare_surface(make_object(name).mesh) for name in NAME
 SURFACES = [jax.tree.map(lambda field, i=i: jnp.asarray(field[i]), STACK) for i in range(len(NAMES))]
 DISTANCE, ANGLE, NOISE = 1e-3, math.radians(1.0), 0.1e-3
 SPREAD = np.array([DISTANCE] * 3 + [ANGLE * TWIST_LEVER_M] * 3)
-TOUCHES, RUNS, AT_ONCE = 10, 12, 4
+TOUCHES, RUNS = 10, 12
 prior = {"translation_std": DISTANCE, "rotation_std": ANGLE, "contact_std": NOISE}
-register = jax.jit(jax.vmap(partial(register_by_touch, **prior), (0, None, None, 0, 0)))
+register = jax.jit(partial(register_by_touch, **prior))
 
 
 def probe(key, surface: Surface):
@@ -57,34 +52,23 @@ def probe(key, surface: Surface):
     return T_w_o, contacts, hit & sites.safe
 
 
-def runs(surface: Surface, seed: int, count: int = RUNS):
-    """True poses and what was registered, `AT_ONCE` runs at a time."""
-    true, contacts, hit = draw(jax.random.split(jax.random.key(seed), RUNS), surface)
-    keys = jax.random.split(jax.random.key(seed + 100), RUNS)
-    parts = []
-    for i in range(0, count, AT_ONCE):
-        now = slice(i, i + AT_ONCE)
-        parts.append(register(keys[now], surface, jnp.eye(4), contacts[now], hit[now]))
-    return np.asarray(true)[:count], jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
-
-
 @jax.jit
 def draw(keys, surface: Surface):
     return jax.lax.map(lambda key: probe(key, surface), keys)
 
 
-def runs_of(seed: int):
-    """Contacts of one run on the hexagon, and which touches met it."""
-    _, contacts, hit = draw(jax.random.split(jax.random.key(seed), RUNS), SURFACES[0])
-    return contacts[0], hit[0]
+def runs(surface: Surface, seed: int, count: int = RUNS):
+    """True poses and what was registered."""
+    true, contacts, hit = draw(jax.random.split(jax.random.key(seed), RUNS), surface)
+    keys = jax.random.split(jax.random.key(seed + 100), RUNS)
+    found = [register(keys[i], surface, jnp.eye(4), contacts[i], hit[i]) for i in range(count)]
+    return np.asarray(true)[:count], jax.tree.map(lambda *leaves: np.stack(leaves), *found)
 
 
-def once(surface: Surface, contacts, touched):
-    """One run, as the first of several: one compilation."""
-    contacts, touched = (jnp.stack([a] * AT_ONCE) for a in (contacts, touched))
-    keys = jax.random.split(jax.random.key(1), AT_ONCE)
-    found = register(keys, surface, jnp.eye(4), contacts, touched)
-    return jax.tree.map(lambda leaf: np.asarray(leaf[0]), found)
+def once(contacts, touched):
+    """One run on the hexagon."""
+    found = register(jax.random.key(1), SURFACES[0], jnp.eye(4), jnp.asarray(contacts), jnp.asarray(touched))
+    return jax.tree.map(np.asarray, found)
 
 
 def errors(found, true) -> np.ndarray:
@@ -112,7 +96,7 @@ def test_corners_on_a_plane():
         rows.append([*normal, *(np.cross(point, normal) / TWIST_LEVER_M)])
     a = np.array(rows)
     precision = np.diag(SPREAD**-2.0) + (STUDENT_T_DOF + 1) / STUDENT_T_DOF * a.T @ a / NOISE**2
-    found = once(SURFACES[0], jnp.asarray(np.array(poses), jnp.float32), jnp.ones(TOUCHES, bool))
+    found = once(np.float32(poses), np.ones(TOUCHES, bool))
     root = np.linalg.cholesky(precision)
     values = np.linalg.eigvalsh(root.T @ found.covariance.astype(float) @ root)
     # Ten factors (1 + r^2 / 4)^-2.5 have a variance 50 / 47 of what their curvature says, if all are of one kind; 3 of
@@ -159,13 +143,13 @@ def test_what_is_symmetric_stays_at_the_prior():
 def test_air_tells_nothing():
     """With no touch left the answer is the prior, whatever the poses hold."""
     nowhere = jnp.full((TOUCHES, 4, 4), jnp.nan, jnp.float32)
-    found = once(SURFACES[0], nowhere, jnp.zeros(TOUCHES, bool))
+    found = once(nowhere, jnp.zeros(TOUCHES, bool))
     np.testing.assert_allclose(found.T_w_o, np.eye(4), atol=1e-7)
     np.testing.assert_allclose(found.covariance, np.diag(SPREAD**2), rtol=1e-4, atol=1e-11)
-    contacts = runs_of(0)[0]
+    contacts = draw(jax.random.split(jax.random.key(0), RUNS), SURFACES[0])[1][0]
     some = jnp.arange(TOUCHES) < 6
-    kept = once(SURFACES[0], contacts, some)
-    masked = once(SURFACES[0], jnp.where(some[:, None, None], contacts, jnp.nan), some)
+    kept = once(contacts, some)
+    masked = once(jnp.where(some[:, None, None], contacts, jnp.nan), some)
     np.testing.assert_array_equal(kept.T_w_o, masked.T_w_o)
     assert (kept.weight[6:] == 0).all()
 
@@ -173,10 +157,10 @@ def test_air_tells_nothing():
 @pytest.mark.full
 def test_a_wrong_touch_does_not_pull():
     """One contact 5 mm too early weighs 5 / (4 + 50^2) = 0.002 and so pulls like one of 10 um, a tenth of the noise."""
-    contacts, hit = runs_of(7)
+    contacts, hit = (part[0] for part in draw(jax.random.split(jax.random.key(7), RUNS), SURFACES[0])[1:])
     wrong = contacts.at[4, 2, 3].add(5e-3)
-    pulled = once(SURFACES[0], wrong, hit)
-    without = once(SURFACES[0], wrong, hit & (jnp.arange(TOUCHES) != 4))
+    pulled = once(wrong, hit)
+    without = once(wrong, hit & (jnp.arange(TOUCHES) != 4))
     assert pulled.weight[4] < 0.01
     apart = errors(pulled.T_w_o[None], without.T_w_o[None])[0]
     assert (np.abs(apart) < 0.2 * np.sqrt(np.diagonal(without.covariance))).all()
