@@ -8,18 +8,16 @@ import pytest
 from i2t.batching import map_batches
 
 
-@pytest.mark.parametrize("n", [1, 4, 11])
+@pytest.mark.parametrize("n", [1, 11])
 def test_any_number_of_items_gives_what_a_loop_gives(n):
-    x = jnp.arange(2.0 * n).reshape(n, 2)
-    keys = jax.random.split(jax.random.key(0), n)
+    items = jax.random.split(jax.random.key(0), n), jnp.arange(2.0 * n).reshape(n, 2)
 
     def one(item):
         key, row = item
-        return {"sum": row.sum() + jax.random.normal(key), "row": row}
+        return row.sum() + jax.random.normal(key)
 
-    found = map_batches(one, (keys, x), batch_size=4)
-    np.testing.assert_allclose(found["sum"], [one(item)["sum"] for item in zip(keys, x, strict=True)], rtol=1e-6)
-    np.testing.assert_array_equal(found["row"], x)
+    expected = [one(item) for item in zip(*items, strict=True)]
+    np.testing.assert_allclose(map_batches(one, items, batch_size=4), expected, rtol=1e-6)
 
 
 def test_a_rest_is_not_traced_again():

@@ -31,19 +31,14 @@ def said(process):
     return output
 
 
-@jax.jit
-def scaled(x, factor):
-    return {"product": x * factor, "rows": jnp.arange(2)}
-
-
 def test_with_one_device_calls_are_made_one_after_the_other_when_they_are_asked_for():
     asked = []
     calls = (asked.append(i) or (jnp.float32(i),) for i in range(3))
-    made = spread(scaled, calls, shared=(2.0,))
-    assert float(next(made)["product"]) == 0.0
+    made = spread(jax.jit(jnp.multiply), calls, shared=(2.0,))
+    assert float(next(made)) == 0.0
     assert asked == [0]
-    assert [float(each["product"]) for each in made] == [2.0, 4.0]
-    assert list(spread(scaled, [])) == []
+    assert [float(each) for each in made] == [2.0, 4.0]
+    assert list(spread(jnp.multiply, [])) == []
     x = jnp.arange(3.0)
     assert spread_rows(lambda x: x, (x,)) is x
     np.testing.assert_array_equal(everywhere(x), x)
@@ -88,18 +83,15 @@ def test_over_four_devices_every_call_finds_its_own_arguments():
     assert said(started(["-c", FOUR], several=True)) == "4 devices\n"
 
 
-def _free_port():
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return listener.getsockname()[1]
-
-
 @pytest.mark.full
 def test_touches_tables_beliefs_and_networks_are_the_same_on_four_devices_and_in_two_processes(tmp_path):
-    work, port = str(ROOT / "tests" / "helpers" / "bulk_work.py"), str(_free_port())
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        port = str(listener.getsockname()[1])
+    work = str(ROOT / "tests" / "helpers" / "bulk_work.py")
+    pair = [started([work, str(tmp_path / f"two-{i}.npz"), "2", str(i), port]) for i in range(2)]
     assert "1 devices of 1 processes" in said(started([work, str(tmp_path / "one.npz")]))
     assert "4 devices of 1 processes" in said(started([work, str(tmp_path / "four.npz")], several=True))
-    pair = [started([work, str(tmp_path / f"two-{i}.npz"), "2", str(i), port]) for i in range(2)]
     assert all("2 devices of 2 processes" in said(each) for each in pair)
     one = dict(np.load(tmp_path / "one.npz"))
     assert len(one) > 70

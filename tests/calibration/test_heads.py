@@ -6,26 +6,16 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-from helpers import random_touches
 from helpers.skin_presses import presses_of_a_skin
 from scipy.stats import norm
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, DotProduct, WhiteKernel
 from sklearn.neighbors import KNeighborsRegressor
 
-from i2t import dataset as data
-from i2t.calibration.heads import (
-    BASELINE_HEADS,
-    HeadBudget,
-    SkinRecording,
-    fit_head,
-    load_head,
-    read_recordings,
-    regression,
-)
-from i2t.calibration.heads.head import _factor_of_groups, fold_numbers, hold_out_groups, is_stream, with_history
+from i2t.calibration.heads import BASELINE_HEADS, HeadBudget, SkinRecording, fit_head, load_head, read_recordings
+from i2t.calibration.heads import regression as methods
+from i2t.calibration.heads.head import hold_out_groups, is_stream
 from i2t.errors import DataError, SerializationError
-from i2t.types import ReturnCode
 
 SMALL = HeadBudget(selection_rows=150, known_rows=250)
 
@@ -42,14 +32,22 @@ def position_head(recording):
 
 def test_a_head_tells_positions_it_never_saw_better_than_the_baselines(recording, position_head):
     predicted, truth = position_head.predict(recording.readings[200:]), recording.targets["position"][200:]
-    error = np.linalg.norm(predicted.mean - truth, axis=1)
-    assert np.median(error) < 0.4e-3  # the range is 20 mm
-    inside = np.mean(np.abs(predicted.mean - truth) < 1.645 * predicted.std)
-    assert 0.8 < inside <= 1.0
+    assert np.median(np.linalg.norm(predicted.mean - truth, axis=1)) < 0.4e-3  # the range is 20 mm
+    assert 0.8 < np.mean(np.abs(predicted.mean - truth) < 1.645 * predicted.std) <= 1.0
     validation = position_head.validation
     assert validation[position_head.method] == min(validation.values())
     assert validation[position_head.method] < 0.5 * min(validation[name] for name in BASELINE_HEADS)
-    assert not predicted.unfamiliar.any()
+
+
+def test_a_changed_skin_is_unfamiliar_and_a_failed_chip_is_not_told(recording, position_head):
+    readings = recording.readings[200:].copy()
+    assert not position_head.predict(readings).unfamiliar.any()
+    assert position_head.predict(readings + 500).unfamiliar.mean() > 0.95
+    readings[1, 3] = np.nan
+    predicted = position_head.predict(readings[:3])
+    assert np.isfinite(predicted.mean[[0, 2]]).all()
+    assert np.isnan(predicted.mean[1]).all()
+    assert predicted.unfamiliar[1]
 
 
 def test_where_nothing_can_be_told_the_mean_is_kept(recording):
@@ -75,8 +73,8 @@ def presses_at_sites(side: int = 12, touches: int = 4) -> tuple[SkinRecording, n
     centres = rng.uniform(-15e-3, 15e-3, (20, 2))
     maps = np.exp(-((sites[:, None] - centres) ** 2).sum(-1) / 2 / 9e-3**2) @ rng.normal(scale=60, size=(20, 15))
     offset = 12 * rng.normal(size=(len(sites), 15))
-    readings = (maps + offset)[site] + 0.5 * rng.normal(size=(len(site), 15))
     n = len(site)
+    readings = (maps + offset)[site] + 0.5 * rng.normal(size=(n, 15))
     return SkinRecording("sites", readings, {"position": sites[site]}, np.zeros(n, int), np.full(n, np.nan)), site
 
 
@@ -88,83 +86,39 @@ def test_a_head_loses_to_no_neighbours_where_sites_repeat_and_where_they_do_not(
     if sites_repeat:
         held = rng.permutation(held)
     known, asked, truth = made.rows(~held), made.readings[held], made.targets["position"][held]
-
-    def missed(**methods) -> float:
-        head = fit_head(known, "position", budget=SMALL, **methods)
-        return np.sqrt(np.mean(np.sum((head.predict(asked).mean - truth) ** 2, axis=1)))
-
-    neighbours = missed(methods=(regression.NEAREST_READINGS,))
-    assert missed() < neighbours
     head = fit_head(known, "position", budget=SMALL)
+    neighbours = fit_head(known, "position", budget=SMALL, methods=(methods.NEAREST_READINGS,))
+    missed = [np.sum((one.predict(asked).mean - truth) ** 2) for one in (head, neighbours)]
+    assert missed[0] < missed[1]
     assert " near, " in head.method
     assert head.method.endswith(" far")
-    assert head.validation[head.method] == min(head.validation.values())
     head.save(tmp_path / "head.npz")
     again = load_head(tmp_path / "head.npz")
-    assert again.method == head.method
-    np.testing.assert_array_equal(again.predict(asked).mean, head.predict(asked).mean)
-
-
-def test_a_range_holds_nine_in_ten_of_the_strokes_and_not_of_the_rows_alone():
-    rng = np.random.default_rng(3)
-    stroke = np.repeat(np.arange(10), 50)
-    ratio = rng.uniform(0, 1, (500, 1))
-    ratio[stroke == 4] *= 3  # one stroke in ten errs three times as far
-    assert np.quantile(ratio, 0.9) < 1.3
-    np.testing.assert_allclose(_factor_of_groups(ratio, stroke), 2.7, atol=0.3)
-    # Of rows that share nothing it is the quantile with one more row to come.
-    np.testing.assert_allclose(_factor_of_groups(ratio, np.arange(500)), np.quantile(ratio, 0.9 * 501 / 500))
+    assert (again.target, again.method, again.validation) == ("position", head.method, head.validation)
+    for before, after in zip(head.predict(asked), again.predict(asked), strict=True):
+        np.testing.assert_array_equal(before, after)
+    for channels in (6, 30):
+        with pytest.raises(ValueError, match="channels"):
+            again.predict(np.tile(asked, 2)[:, :channels])
+    (tmp_path / "head.npz").write_bytes(b"x")
+    with pytest.raises(SerializationError, match="damaged"):
+        load_head(tmp_path / "head.npz")
 
 
 def test_ranges_hold_on_strokes_that_err_alike():
     """Strokes have a gain of their own: rows of one stroke err alike, and there are few strokes."""
     inside = []
+    stroke, depth = np.repeat(np.arange(12), 25), np.tile(np.linspace(0.2, 4, 25), 12)
+    known, time = stroke < 8, 0.1 * np.arange(300) + 5.0 * stroke
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        stroke, depth = np.repeat(np.arange(12), 25), np.tile(np.linspace(0.2, 4, 25), 12)
         gain = np.exp(0.15 * rng.normal(size=12))[stroke]
         readings = 40 * (gain * depth)[:, None] * np.linspace(-1, 1, 15) + rng.normal(size=(300, 15))
-        made = SkinRecording(
-            "strokes", readings, {"force": depth[:, None]}, stroke, 0.1 * np.arange(300) + 5.0 * stroke
-        )
-        known = stroke < 8
+        made = SkinRecording("strokes", readings, {"force": depth[:, None]}, stroke, time)
         head = fit_head(made.rows(known), "force", methods=("linear", "k nearest readings"), budget=SMALL, history=0)
         predicted = head.predict(readings[~known], stroke[~known])
         inside.append(np.mean(np.abs(predicted.mean - depth[~known, None]) <= 1.645 * predicted.std))
     assert np.mean(inside) > 0.88
-
-
-def test_a_changed_skin_is_unfamiliar(recording, position_head):
-    assert position_head.predict(recording.readings[200:]).unfamiliar.mean() < 0.05
-    assert position_head.predict(recording.readings[200:] + 500).unfamiliar.mean() > 0.95
-
-
-def test_a_reading_with_a_failed_chip_is_not_told(recording, position_head):
-    broken = recording.readings[200:203].copy()
-    broken[1, 3] = np.nan
-    predicted = position_head.predict(broken)
-    assert np.isfinite(predicted.mean[[0, 2]]).all()
-    assert np.isnan(predicted.mean[1]).all()
-    assert predicted.unfamiliar[1]
-
-
-def test_heads_keep_on_disk(recording, position_head, tmp_path):
-    position_head.save(tmp_path / "head.npz")
-    again = load_head(tmp_path / "head.npz")
-    for before, after in zip(position_head.predict(recording.readings), again.predict(recording.readings), strict=True):
-        np.testing.assert_array_equal(before, after)
-    assert (again.target, again.method, again.validation) == (
-        "position",
-        position_head.method,
-        position_head.validation,
-    )
-    with pytest.raises(ValueError, match="channels"):
-        again.predict(recording.readings[:, :6])
-    with pytest.raises(ValueError, match="channels"):
-        again.predict(np.tile(recording.readings, 2))
-    (tmp_path / "head.npz").write_bytes(b"x")
-    with pytest.raises(SerializationError, match="damaged"):
-        load_head(tmp_path / "head.npz")
 
 
 def test_contact_is_told_as_a_probability_that_means_what_it_says(recording):
@@ -183,73 +137,41 @@ def test_contact_is_told_as_a_probability_that_means_what_it_says(recording):
 def test_neighbours_and_gp_are_those_of_scikit_learn(recording):
     x, y = recording.readings[:120], recording.targets["position"][:120]
     at = recording.readings[200:220]
-    near = regression.fit_regression(regression.NEAREST_READINGS, (0.0, 4.0), x, y)
+    near = methods.fit_regression(methods.NEAREST_READINGS, (0.0, 4.0), x, y)
     judge = KNeighborsRegressor(4, weights=lambda d: 1 / (d + 1e-6)).fit(near.features(x), y)
-    np.testing.assert_allclose(regression.predict_regression(near, at), judge.predict(near.features(at)), atol=1e-9)
-    settings = (1.0, 0.7, 1e-2, np.inf, 1.0)
-    fitted = regression.fit_regression(regression.READINGS_GP, settings, x, y)
+    np.testing.assert_allclose(methods.predict_regression(near, at), judge.predict(near.features(at)), atol=1e-9)
+    fitted = methods.fit_regression(methods.READINGS_GP, (1.0, 0.7, 1e-2, np.inf, 1.0), x, y)
     kernel = RBF(0.7) + DotProduct(1e-6, "fixed") + WhiteKernel(1e-2)
     judge = GaussianProcessRegressor(kernel, optimizer=None, normalize_y=True).fit(fitted.features(x), y)
-    np.testing.assert_allclose(
-        regression.predict_regression(fitted, at), judge.predict(fitted.features(at)), rtol=1e-5, atol=1e-8
-    )
-
-
-def test_the_error_by_which_a_gp_is_chosen_is_that_of_refitted_folds(recording):
-    x, y = recording.readings[:90], recording.targets["depth"][:90]
-    folds = np.arange(90)[None] % 4
-    chosen = regression.choose_settings(regression.READINGS_GP, x, y, folds, SMALL)
-
-    def refitted(settings):
-        predicted = regression.cross_predict(regression.READINGS_GP, settings, x, y, folds)
-        return np.mean((predicted[0] - y) ** 2)
-
-    worse = [(*chosen[:1], length, *chosen[2:]) for length in regression.COVARIANCE_LENGTHS]
-    # Features are scaled once where settings are chosen, and in each fold where it is refitted.
-    assert refitted(chosen) <= 1.05 * min(map(refitted, worse))
+    found = methods.predict_regression(fitted, at)
+    np.testing.assert_allclose(found, judge.predict(fitted.features(at)), rtol=1e-5, atol=1e-8)
 
 
 @pytest.mark.full
 def test_a_network_tells_positions_too(recording):
-    budget = SMALL._replace(selection_rows=100, network_steps=200)
+    x, y = recording.readings, recording.targets["position"]
+    budget = SMALL._replace(network_steps=200)
     # JAX's checker takes a scan over keys under vmap for a reuse, which it is not.
     with jax.debug_key_reuse(False):
-        head = fit_head(
-            recording.rows(slice(0, 200)), "position", methods=(regression.READINGS_NETWORK,), budget=budget
-        )
-    assert head.method == regression.READINGS_NETWORK
-    predicted = head.predict(recording.readings[200:]).mean
-    assert np.median(np.linalg.norm(predicted - recording.targets["position"][200:], axis=1)) < 2e-3
-
-
-def test_history_is_what_came_before_in_the_same_stroke():
-    readings = np.array([[1.0], [3.0], [7.0], [20.0], [21.0]])
-    looked = with_history(readings, np.array([0, 0, 0, 1, 1]), 2)
-    np.testing.assert_array_equal(looked, [[1, 0, 0], [3, 2, 2], [7, 4, 6], [20, 0, 0], [21, 1, 1]])
+        fitted = methods.fit_regression(methods.READINGS_NETWORK, (1.0,), x[:200], y[:200], budget=budget)
+    error = methods.predict_regression(fitted, x[200:]) - y[200:]
+    assert np.median(np.linalg.norm(error, axis=1)) < 2e-3
 
 
 def test_blocks_are_held_out_of_the_skin_and_strokes_of_a_stream():
     flat = presses_of_a_skin(80)
-    groups = hold_out_groups(flat)
-    assert 9 <= groups.max() + 1 <= 25
-    cell = {tuple(np.floor(place / 5e-3).astype(int)) for place in flat.targets["position"]}
-    assert len(cell) > 8
-    line = replace(
-        flat,
-        targets={"position": np.column_stack([np.linspace(0, 1e-2, 80), np.zeros(80)])},
-        session=np.arange(80) // 10,
-    )
+    assert 9 <= hold_out_groups(flat).max() + 1 <= 25
+    along = np.column_stack([np.linspace(0, 1e-2, 80), np.zeros(80)])
+    line = replace(flat, targets={"position": along}, session=np.arange(80) // 10, time=0.1 * np.arange(80))
     np.testing.assert_array_equal(hold_out_groups(line), line.session)
-    folds = fold_numbers(hold_out_groups(line), 5, 0)
-    assert all(len(set(folds[line.session == stroke])) == 1 for stroke in range(8))
-    assert len(set(folds)) == 5
+    assert is_stream(line)
     assert not is_stream(flat)
-    assert is_stream(replace(flat, time=0.1 * np.arange(80)))
 
 
 @pytest.mark.parametrize(
     ("target", "change", "message"),
     [
+        ("depth", {"readings": np.ones((300, 15))}, "no channel changes"),
         ("colour", {}, "no target"),
         ("force", {}, "does not know force"),
         ("depth", {"depth": np.full((300, 1), 2e-3)}, "one depth only"),
@@ -258,31 +180,23 @@ def test_blocks_are_held_out_of_the_skin_and_strokes_of_a_stream():
     ],
 )
 def test_what_cannot_be_fitted_is_refused_in_a_sentence(recording, target, change, message):
+    readings = change.get("readings", recording.readings)
     with pytest.raises(ValueError, match=message):
-        fit_head(replace(recording, targets={**recording.targets, **change}), target, budget=SMALL)
+        fit_head(replace(recording, readings=readings, targets=recording.targets | change), target, budget=SMALL)
 
 
-def test_dead_channels_are_left_alone(recording):
-    readings = recording.readings.copy()
-    readings[:, 4] = 7.0
-    head = fit_head(replace(recording, readings=readings), "depth", methods=("linear",), budget=SMALL)
-    assert 4 not in head.record.channels
-    with pytest.raises(ValueError, match="no channel changes"):
-        fit_head(replace(recording, readings=np.ones_like(readings)), "depth", budget=SMALL)
-
-
-def _session(folder, rows=60, boards=1, load=True, seed=0):
+def _session(folder, rows=60):
     """A session of eFlesh: strokes down and up at one place."""
-    rng = np.random.default_rng(seed)
-    folder.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(0)
+    folder.mkdir()
     time = 1.7e9 + 0.05 * np.arange(rows) + 2.0 * (np.arange(rows) // 20)
     depth = 3 * np.abs(np.sin(np.pi * (np.arange(rows) % 20) / 19))
     grams = np.where(np.arange(rows) % 2, -1.0, 100 * depth)
-    states = np.column_stack([time, np.full(rows, 10.0), np.full(rows, -5.0), 140 - depth, *([grams] if load else [])])
-    readings = depth[:, None] * rng.normal(size=15 * boards) * 40 + rng.normal(size=(rows, 15 * boards))
+    states = np.column_stack([time, np.full(rows, 10.0), np.full(rows, -5.0), 140 - depth, grams])
+    readings = depth[:, None] * rng.normal(size=15) * 40 + rng.normal(size=(rows, 15))
     values = np.column_stack([time + 2e-3, readings])
-    for name, table in (("states", states), ("sensor_post_baselines", values)):
-        np.savetxt(folder / f"{name}.csv", table, delimiter=",")
+    np.savetxt(folder / "states.csv", states, delimiter=",")
+    np.savetxt(folder / "sensor_post_baselines.csv", values, delimiter=",")
     return states, values
 
 
@@ -298,36 +212,22 @@ def test_sessions_of_eflesh_are_read_as_recorded(tmp_path):
     assert {0.0, 1.0} <= set(found.targets["contact"][:, 0])
 
 
-def test_two_boards_are_a_session_of_shear(tmp_path):
-    _session(tmp_path / "sheared", boards=2)
-    (found,) = read_recordings(tmp_path)
-    assert found.readings.shape[1] == 30
-    assert "shear" in found.targets
-    assert "force" not in found.targets
-    assert found.varies("position")
-
-
-def test_a_damaged_session_gives_what_is_left(tmp_path):
+def test_a_damaged_session_gives_what_is_left_and_an_empty_one_is_refused(tmp_path):
     _, values = _session(tmp_path / "one")
-    path = tmp_path / "one" / "sensor_post_baselines.csv"
+    path, states = (tmp_path / "one" / f"{name}.csv" for name in ("sensor_post_baselines", "states"))
     lines = path.read_text().splitlines()
     lines[3], lines[7] = lines[3].replace(",", ",nan,", 1), "what,is,this"
     lines[11] = ",".join([lines[11].split(",")[0], "ERR", *lines[11].split(",")[2:]])
     path.write_text("\n".join(lines[:-5]) + "\n")
     with gzip.open(tmp_path / "one" / "states.csv.gz", "wt") as file:
-        file.write((tmp_path / "one" / "states.csv").read_text())
-    (tmp_path / "one" / "states.csv").unlink()
+        file.write(states.read_text())
+    states.unlink()
     (found,) = read_recordings(tmp_path)
     assert 50 <= len(found) <= 53
     assert any("not finite" in note for note in found.notes)
     known = {round(row, 9) for row in values[:, 1]}
     assert all(round(row, 9) in known for row in found.readings[:, 0][:2])
-
-
-@pytest.mark.parametrize("broken", ["states", "sensor_post_baselines"])
-def test_a_session_without_a_table_is_refused(tmp_path, broken):
-    _session(tmp_path / "one")
-    (tmp_path / "one" / f"{broken}.csv").write_text("")
+    path.write_text("")
     with pytest.raises(DataError, match="holds no row"):
         read_recordings(tmp_path)
 
@@ -350,25 +250,12 @@ def test_a_table_of_any_board_is_read(tmp_path):
         read_recordings(path)
 
 
-def test_a_data_set_with_several_skins_is_a_recording_for_each(tmp_path):
-    data.save_dataset(tmp_path / "set.h5", random_touches.make(40))
-    touches = data.load_dataset(tmp_path / "set.h5").touches
-    found = read_recordings(tmp_path / "set.h5")
-    assert len(found) == len(np.unique(touches.pad[touches.code != ReturnCode.FAILED])) > 1
-    assert sum(map(len, found)) == np.sum(touches.code != ReturnCode.FAILED)
-    assert found[0].board is not None
-    assert found[0].label_names == ("star", "square", "hammer")
-    free = np.isin(touches.code, [ReturnCode.FREE, ReturnCode.AIR])
-    assert sum((one.targets["contact"] == 0).sum() for one in found) == free.sum() > 0
-
-
 @pytest.mark.full
 def test_ranges_hold_on_blocks_of_a_real_skin(shared_data):
     (recording,) = read_recordings(shared_data / "eflesh" / "spatial")
     groups = hold_out_groups(recording)
     held = np.isin(groups, np.random.default_rng(1).permutation(groups.max() + 1)[:8])
-    head = fit_head(recording.rows(~held), "position", budget=HeadBudget(300, 900))
+    head = fit_head(recording.rows(~held), "position", budget=HeadBudget(200, 600))
     predicted, truth = head.predict(recording.readings[held]), recording.targets["position"][held]
-    error = np.linalg.norm(predicted.mean - truth, axis=1)
-    assert np.median(error) < 0.8e-3
+    assert np.median(np.linalg.norm(predicted.mean - truth, axis=1)) < 0.8e-3
     assert 0.8 < np.mean(np.abs(predicted.mean - truth) < norm.ppf(0.95) * predicted.std) < 0.97

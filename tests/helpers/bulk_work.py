@@ -42,41 +42,31 @@ def compute() -> dict[str, np.ndarray]:
     touches = simulate_touches(jax.random.key(0), surfaces, nominal_pad(), ERRORS, [7, 5], touches_per_session=3)
     rng = np.random.default_rng(0)
     cells = PRESSURE_GRID.cells**2
-    model = LinearReadingModel(
-        jnp.float32(LOADS_N),
-        jnp.float32(rng.normal(size=(3, cells, 15))),
-        jnp.float32(0.1 * rng.normal(size=(3, cells, 4))),
-        jnp.full(15, 20.0),
-        jnp.float32(1.0),
-    )
-    likelihood = belief.fit_likelihood(
-        rng.normal(size=(50, 15)), model.scale, model.loads, overtravel=LIMITS.overtravel, position_std=1e-4
-    )
+    weights, own = rng.normal(size=(3, cells, 15)), 0.1 * rng.normal(size=(3, cells, 4))
+    scale, loads = jnp.full(15, 20.0), jnp.float32(LOADS_N)
+    model = LinearReadingModel(loads, jnp.float32(weights), jnp.float32(own), scale, jnp.float32(1.0))
+    reach = LIMITS.overtravel
+    likelihood = belief.fit_likelihood(rng.normal(size=(50, 15)), scale, loads, overtravel=reach, position_std=1e-4)
     particles = pose_particles(ERRORS, 64, 0)
     sites = SitePool(jnp.asarray(touches.T_w_t), np.asarray(touches.object))
-    (table,) = predict_outcomes(surfaces, particles.twist, sites.T_w_t, [model], overtravel=LIMITS.overtravel)
+    (table,) = predict_outcomes(surfaces, particles.twist, sites.T_w_t, [model], overtravel=reach)
     site = np.arange(48).reshape(24, 2) % len(sites.owner)
-    met = TouchObservation(
-        touches.reading[site], touches.force[site], 1e-4 * touches.force[site], touches.code[site] != ReturnCode.AIR
-    )
-    episodes = Episodes(np.zeros(24, int), site, met, np.asarray(touches.T_w_t)[site])
+    force, met = touches.force[site], touches.code[site] != ReturnCode.AIR
+    seen = TouchObservation(touches.reading[site], force, 1e-4 * force, met)
+    episodes = Episodes(np.zeros(24, int), site, seen, np.asarray(touches.T_w_t)[site])
     beliefs = run_belief(table, episodes, likelihood, particles, ["fused", "position"])
-    everything: dict[str, Any] = {"touches": touches, "table": table, "beliefs": beliefs}
-    return _named(everything | {"networks": _trained(rng)})
+    everything: dict[str, Any] = {"touches": touches, "table": table, "beliefs": beliefs, "networks": _trained(rng)}
+    paths = jax.tree_util.tree_leaves_with_path(everything)
+    return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in paths}
 
 
 def _trained(rng: np.random.Generator) -> training.TrainState:
-    raw = Batch(
-        Inputs(jnp.float32(rng.normal(size=(40, 8, 8))), jnp.zeros((40, 0))), jnp.float32(rng.normal(size=(40, 15)))
-    )
+    images, targets = jnp.float32(rng.normal(size=(40, 8, 8))), jnp.float32(rng.normal(size=(40, 15)))
+    raw = Batch(Inputs(images, jnp.zeros((40, 0))), targets)
     ready = training.prepare(NETWORK, training.normalisation(raw), raw)
     cfg = TrainConfig(epochs=5, batch_size=16)
     state = training.fit(training.start(NETWORK, cfg, 40), NETWORK, cfg, ready, ready, chunk=3)
     return state._replace(key=jax.random.key_data(state.key))
-
-
-def _named(values: Any) -> dict[str, np.ndarray]:
-    return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(values)}
 
 
 if __name__ == "__main__":

@@ -36,12 +36,8 @@ class Eye:
     camera = Camera(16, 12, 10.0, 10.0, 7.5, 5.5)
 
     def __init__(self, clock):
-        self.clock, self.features, self.trouble, self.connects = (
-            clock,
-            CameraFeatures("eye", "simulated", 0.0, 30.0),
-            None,
-            0,
-        )
+        self.clock, self.trouble, self.connects = clock, None, 0
+        self.features = CameraFeatures("eye", "simulated", 0.0, 30.0)
 
     def connect(self):
         self.connects += 1

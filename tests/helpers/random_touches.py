@@ -12,7 +12,7 @@ from i2t.types import Touches, Truth
 def make(n, seed=0, truth=False, wide=False, objects=("star", "square", "hammer"), pixels=48, board="reskin"):
     """Touches of random contents in every field; with the truth also times."""
     board = boards.make_board(board)
-    rng = np.random.default_rng(seed)
+    rng, readings = np.random.default_rng(seed), board.num_readings
 
     def poses():
         T = np.tile(np.eye(4), (n, 1, 1))
@@ -27,7 +27,7 @@ def make(n, seed=0, truth=False, wide=False, objects=("star", "square", "hammer"
         patch=rng.uniform(0, 4e-3, (n, pixels, pixels)).clip(0, 3.9e-3),
         wide=rng.uniform(0, 4e-3, (n, 72, 72)) if wide else missing_context(n),
         nearest=sometimes(rng.normal(0, 1e-3, n)),
-        reading=rng.normal(0, 50, (n, board.num_readings)),
+        reading=rng.normal(0, 50, (n, readings)),
         force=sometimes(rng.uniform(0, 8, n)),
         depth=sometimes(rng.uniform(0, 1e-3, n)),
         T_w_t=poses(),
@@ -36,11 +36,7 @@ def make(n, seed=0, truth=False, wide=False, objects=("star", "square", "hammer"
         pad=rng.integers(0, 2, n),
         session=rng.integers(0, 4, n),
         code=rng.integers(-1, 5, n),
-        truth=Truth(
-            rng.uniform(0, 4e-3, (n, 72, 72)),
-            *(rng.normal(size=n) for _ in range(3)),
-            rng.normal(size=(n, board.num_readings)),
-        )
+        truth=Truth(rng.uniform(0, 4e-3, (n, 72, 72)), *rng.normal(size=(3, n)), rng.normal(size=(n, readings)))
         if truth
         else None,
         time=sometimes(1.7e9 + np.cumsum(rng.uniform(0.1, 10, n))) if truth else None,
@@ -51,15 +47,9 @@ def make(n, seed=0, truth=False, wide=False, objects=("star", "square", "hammer"
 
 def assert_equal(a, b):
     """Two data sets agree in every field."""
-    assert (a.objects, a.pads, a.sessions, a.source, a.window, a.reach, dict(a.meta)) == (
-        b.objects,
-        b.pads,
-        b.sessions,
-        b.source,
-        b.window,
-        b.reach,
-        dict(b.meta),
-    )
+    for name in ("objects", "pads", "sessions", "source", "window", "reach"):
+        assert getattr(a, name) == getattr(b, name), name
+    assert dict(a.meta) == dict(b.meta)
     for x, y in zip(a.board, b.board, strict=True):
         np.testing.assert_array_equal(x, y)
     for name in OPTIONAL:
@@ -74,16 +64,14 @@ def assert_equal(a, b):
 def record(touch):
     """What else may be recorded of one touch."""
     rng = np.random.default_rng(7)
+    reading = Series(1.7e9 + np.arange(800) / 400, rng.normal(size=(800, 15)), tuple("abcdefghijklmno"), "uT")
     return Record(
         touch,
         images={
             "depth": Image(rng.integers(0, 2**16, (48, 64), np.uint16), 1e-4, "m"),
             "colour": Image(rng.integers(0, 256, (48, 64, 3), np.uint8)),
         },
-        series={
-            "tactile": Series(1.7e9 + np.arange(800) / 400, rng.normal(size=(800, 15)), tuple("abcdefghijklmno"), "uT"),
-            "wrench": Series(np.zeros(0), np.zeros((0, 6)), tuple("uvwxyz"), "N, Nm"),
-        },
+        series={"tactile": reading, "wrench": Series(np.zeros(0), np.zeros((0, 6)), tuple("uvwxyz"), "N, Nm")},
         events=((1.7e9, "look"), (1.7e9 + 2.5, "contact: Berührung")),
         counters={"dropped frames": 3},
     )

@@ -5,13 +5,7 @@ import pytest
 from scipy import stats
 
 from i2t.prediction import metrics
-from i2t.prediction.metrics import (
-    grouped_interval,
-    nearest_neighbours,
-    score,
-    student_interval,
-    tuned,
-)
+from i2t.prediction.metrics import grouped_interval, nearest_neighbours, score, student_interval, tuned
 
 
 def test_scores_by_hand():
@@ -33,11 +27,17 @@ def test_scores_by_hand():
     assert np.isnan(score(truth, predicted).rmse_sigma)
 
 
-def test_the_mean_explains_nothing_and_the_truth_everything():
+def test_the_mean_explains_nothing_the_truth_everything_and_what_does_not_vary_has_no_share():
     truth = np.random.default_rng(0).normal(size=(30, 15))
     assert score(truth, np.broadcast_to(truth.mean(0), truth.shape)).r2 == pytest.approx(0)
     assert score(truth, truth).r2 == 1
     assert score(truth, np.zeros_like(truth)).cosine == 0  # nothing predicted points nowhere
+    still = np.zeros((4, 6))
+    assert np.isnan(score(still, still + 1).r2)
+    still[:, 0] = np.arange(4)
+    seen = score(still, still)
+    assert seen.r2 == seen.r2_median == 1
+    assert np.isnan(seen.r2_axis[1])
 
 
 def test_seed_interval_covers_as_often_as_it_says():
@@ -51,47 +51,42 @@ def test_seed_interval_covers_as_often_as_it_says():
     assert np.isnan(student_interval([1.0])[1:]).all()
 
 
-def test_one_or_two_groups_have_no_interval():
-    values = np.arange(6.0)
-    for groups in (np.zeros(6), np.arange(6) % 2):
-        assert np.isnan(grouped_interval(lambda rows: values[rows].mean(), groups)).all()
-    assert np.isfinite(grouped_interval(lambda rows: values[rows].mean(), np.arange(6) % 3)).all()
-
-
 def test_grouped_interval_covers_where_rows_of_a_group_agree(monkeypatch):
     monkeypatch.setattr(metrics, "RESAMPLES", 100)
     rng, groups, repeats = np.random.default_rng(2), 30, 200
     members = np.repeat(np.arange(groups), 5)
-    covered, torn = 0, 0
+    covered = {True: 0, False: 0}
     for seed in range(repeats):
         values = rng.normal(size=groups)[members] + 0.1 * rng.normal(size=len(members))
-        for names in (members, np.arange(len(members))):
+        for torn, names in enumerate((members, np.arange(len(members)))):
             low, high = grouped_interval(lambda rows, values=values: values[rows].mean(), names, seed)
-            if names is members:
-                covered += low < 0 < high
-            else:
-                torn += low < 0 < high
+            covered[bool(torn)] += low < 0 < high
+    assert np.isnan(grouped_interval(lambda rows: rows.mean(), np.arange(6) % 2)).all()  # two groups have none
     # The bootstrap of a mean is a normal interval of the biased deviation, whose true coverage is Student's; its ends
     # are quantiles of 100 draws, which costs about two more in a hundred.
     expected = 1 - 2 * stats.t.sf(1.96 * np.sqrt((groups - 1) / groups), groups - 1)
-    assert abs(covered / repeats - expected) < 4.5 * np.sqrt(expected * (1 - expected) / repeats) + 0.02
+    assert abs(covered[False] / repeats - expected) < 4.5 * np.sqrt(expected * (1 - expected) / repeats) + 0.02
     # Five rows that say the same are one: taken apart, the interval is sqrt(5) too short.
     expected = 1 - 2 * stats.norm.sf(1.96 / np.sqrt(5))
-    assert abs(torn / repeats - expected) < 4.5 * np.sqrt(expected * (1 - expected) / repeats) + 0.02
+    assert abs(covered[True] / repeats - expected) < 4.5 * np.sqrt(expected * (1 - expected) / repeats) + 0.02
 
 
 def test_neighbours_by_hand():
     x = np.array([[0.0, 0], [1, 0], [5, 0], [0, 7]])
     y = np.arange(4.0)[:, None] * np.ones((1, 15))
     at = np.array([[0.4, 0.1], [4.0, 0]])
-    np.testing.assert_array_equal(nearest_neighbours(x, y, at, 1)[:, 0], [0, 2])
-    np.testing.assert_array_equal(nearest_neighbours(x, y, at, 2)[:, 0], [0.5, 1.5])
-    np.testing.assert_array_equal(nearest_neighbours(x, y, at, 99)[:, 0], [1.5, 1.5])
+    for k, expected in ((1, [0, 2]), (2, [0.5, 1.5]), (99, [1.5, 1.5])):
+        np.testing.assert_array_equal(nearest_neighbours(x, y, at, k)[:, 0], expected)
+    # Presses at one place are as near as each other: which of them are taken is not left to rounding.
+    x = np.repeat(np.random.default_rng(1).normal(size=(6, 4)), 5, axis=0)
+    y = np.arange(30.0)[:, None]
+    np.testing.assert_allclose(nearest_neighbours(x, y, x[[7]] + 1e-9, 2), [[y[5:10].mean()]])
 
 
 def test_options_are_chosen_between_groups():
-    # Every touch is there twice, in one group: inside a group its copy is the best neighbour; across groups chance
-    # neighbours are useless and many of them are better than one.
+    """Every touch is there twice, in one group: inside a group its copy is the best neighbour; across groups chance
+    neighbours are useless and many of them are better than one.
+    """
     rng = np.random.default_rng(5)
     x, y = np.tile(rng.normal(size=(50, 4)), (2, 1)), np.tile(rng.normal(size=(50, 15)), (2, 1))
     asked = []
@@ -100,27 +95,6 @@ def test_options_are_chosen_between_groups():
         asked.append(k)
         return nearest_neighbours(x, y, at, int(k))
 
-    tuned(method, (1, 32), x, y, np.tile(np.arange(50), 2), at=x[:3])
-    assert asked[-1] == 32
-    tuned(method, (1, 32), x, y, np.repeat([0, 1], 50), at=x[:3])  # copies apart, on purpose
-    assert asked[-1] == 1
-    asked.clear()
-    tuned(method, (4, 1), x, y, np.zeros(100), at=x[:3])
-    assert asked == [4]
-
-
-def test_equally_near_neighbours_are_all_taken():
-    """Presses at one place are as near as each other: which of them are taken is not left to rounding."""
-    x = np.repeat(np.random.default_rng(1).normal(size=(6, 4)), 5, axis=0)
-    y = np.arange(30.0)[:, None]
-    found = nearest_neighbours(x, y, x[[7]] + 1e-9, 2)
-    np.testing.assert_allclose(found, [[y[5:10].mean()]])
-
-
-def test_what_does_not_vary_has_no_explained_share():
-    truth = np.zeros((4, 6))
-    assert np.isnan(score(truth, truth + 1).r2)
-    truth[:, 0] = np.arange(4)
-    seen = score(truth, truth)
-    assert seen.r2 == seen.r2_median == 1
-    assert np.isnan(seen.r2_axis[1])
+    for groups, best in ((np.tile(np.arange(50), 2), 32), (np.repeat([0, 1], 50), 1)):  # copies together, and apart
+        tuned(method, (1, 32), x, y, groups, at=x[:3])
+        assert asked[-1] == best

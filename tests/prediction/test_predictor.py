@@ -1,7 +1,6 @@
 """What a user holds: saving, loading, one touch and many, meshes and poses, and refusals."""
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,21 +9,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 from orbax.checkpoint import v1 as ocp
 
 from i2t import geometry
 from i2t.errors import CheckpointError
 from i2t.objects import catalogue
 from i2t.prediction import baselines, gp, model, predictor
-from i2t.prediction.predictor import (
-    BaselineModel,
-    GPModel,
-    PatchNetwork,
-    Predictor,
-    PressureNetwork,
-    TouchBatch,
-    TrainedNetwork,
-)
+from i2t.prediction.predictor import BaselineModel, GPModel, PatchNetwork, Predictor, PressureNetwork, TrainedNetwork
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.rendering.render import prepare_surface, render_view
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH
@@ -81,24 +73,14 @@ def on_pressure():
     return Predictor(PressureNetwork(seen, PRESSURE), PATCH_WINDOW, REACH, 1.0, 0.3e-3, 0.5)
 
 
-@pytest.mark.full
-def test_a_process_reproduces_what_it_was_conditioned_on(process, patches):
-    """With little noise its mean comes back to the readings."""
-    fitted, readings = process
-    seen = fitted.predict(patches, force=0.8)
-    assert np.corrcoef(seen.mean.ravel(), np.ravel(readings))[0, 1] > 0.9
-    assert (seen.std > 0).all()
-
-
 def test_one_touch_is_a_row_of_many(process, patches):
+    assert process[0].with_pressure(smooth=True).pressure == replace(PRESSURE, smooth=True)
     many = process[0].predict(patches, force=np.linspace(0.5, 1.5, 6))
     one = process[0].predict(patches[2], force=np.linspace(0.5, 1.5, 6)[2])
     assert one.mean.shape == one.std.shape == (15,)
     np.testing.assert_allclose(one.mean, many.mean[2], rtol=1e-4, atol=1e-3)  # uT: single precision through a contact
     np.testing.assert_allclose(one.std, many.std[2], rtol=1e-3)
-
-
-def test_force_left_out_is_the_default_force(process, patches):
+    # The force left out is the default force.
     np.testing.assert_array_equal(process[0].predict(patches).mean, process[0].predict(patches, force=0.8).mean)
 
 
@@ -108,60 +90,35 @@ def assert_same_predictions(one: Predictor, other: Predictor, patches: np.ndarra
     np.testing.assert_array_equal(before.std, after.std)
 
 
-@pytest.mark.full
-def test_what_is_saved_is_what_is_loaded(process, network, on_pressure, patches, tmp_path):
-    given = {"force": 1.0, "nearest": -1e-4}
-    for name, made in (("process", process[0]), ("network", network), ("pressure", on_pressure)):
-        predictor.save(tmp_path / name, made)
-        loaded = predictor.load_predictor(tmp_path / name)
-        assert type(loaded.model) is type(made.model)
-        assert loaded.pressure == made.pressure
-        assert (loaded.window, loaded.std_scale, loaded.metadata) == (made.window, made.std_scale, made.metadata)
-        assert_same_predictions(loaded, made, patches, **given)
-
-
 @pytest.fixture(scope="module")
 def baseline_predictors():
     """Every baseline, fitted to small patches with a force and a nearest point."""
     rng = np.random.default_rng(3)
     patches, measured = rng.uniform(0, REACH, (30, 8, 8)), rng.uniform(0.5, 1.5, (30, 2))
     fitted = baselines.fit_baselines(patches, measured, rng.normal(size=(30, 6)), np.arange(30) // 3)
+    given = {True: ("force", "nearest"), False: ()}
     return {
         name: Predictor(
-            BaselineModel(one, ("force", "nearest") if baselines.measured_count(one) else ()), PATCH_WINDOW, REACH,
-            1.1, 0.3e-3, std_scale=1.4, metadata={"method": name},
+            BaselineModel(one, given[baselines.measured_count(one) > 0]), PATCH_WINDOW, REACH, 1.1, 0.3e-3, 1.4
         )
         for name, one in fitted.items()
-    }  # fmt: skip
+    }
 
 
 def test_baselines_are_predictors_like_the_others(baseline_predictors, tmp_path):
     """Saved and loaded, one touch or many, with what was not measured taken as in training."""
     assert len(baseline_predictors) == 5
     patches = np.random.default_rng(4).uniform(0, REACH, (7, 8, 8))
-    for i, (name, made) in enumerate(baseline_predictors.items()):
+    for i, made in enumerate(baseline_predictors.values()):
         predictor.save(tmp_path / str(i), made)
         loaded = predictor.load_predictor(tmp_path / str(i))
         assert type(loaded.model.baseline) is type(made.model.baseline)
-        assert (loaded.std_scale, loaded.metadata) == (1.4, {"method": name})
-        assert loaded.pressure is None
-        assert loaded.with_pressure(smooth=True) is loaded
-        assert "2 chips" in repr(loaded)
         assert_same_predictions(loaded, made, patches, force=0.9, nearest=1.2e-3)
         many = loaded.predict(patches, nearest=1.2e-3)
         np.testing.assert_array_equal(many.mean, loaded.predict(patches, force=1.1, nearest=1.2e-3).mean)
         one = loaded.predict(patches[2], nearest=1.2e-3)
-        assert one.mean.shape == one.std.shape == (6,)
         np.testing.assert_allclose(one.mean, many.mean[2], rtol=1e-5, atol=1e-5)
         assert (many.std > 0).all()
-
-
-def test_a_baseline_says_what_it_lacks(baseline_predictors):
-    with_measured = baseline_predictors["ridge on PCA + measured"]
-    with pytest.raises(ValueError, match="needs nearest"):
-        with_measured.predict(np.zeros((8, 8)))
-    with pytest.raises(ValueError, match="sees 8"):
-        with_measured.predict(np.zeros((9, 9)), nearest=0.0)
 
 
 def save_as_version_1(folder: Path, made: Predictor) -> None:
@@ -183,70 +140,50 @@ def save_as_version_1(folder: Path, made: Predictor) -> None:
 
 
 @pytest.mark.full
-def test_predictors_from_before_are_read(process, network, on_pressure, patches, tmp_path):
-    for name, made in (("process", process[0]), ("network", network), ("pressure", on_pressure)):
-        save_as_version_1(tmp_path / name, made)
-        loaded = predictor.load_predictor(tmp_path / name)
-        assert loaded.pressure == made.pressure
-        fields = ("window", "reach", "default_force", "default_depth", "std_scale", "metadata")
-        assert all(getattr(loaded, field) == getattr(made, field) for field in fields)
-        assert_same_predictions(loaded, made, patches, force=1.0, nearest=-1e-4)
+@pytest.mark.parametrize("save", [predictor.save, save_as_version_1], ids=["today", "before"])
+@pytest.mark.parametrize("which", ["process", "network", "on_pressure"])
+def test_what_is_saved_is_what_is_loaded(which, save, patches, request, tmp_path):
+    made = request.getfixturevalue(which)
+    made = made[0] if which == "process" else made
+    save(tmp_path / "p", made)
+    loaded = predictor.load_predictor(tmp_path / "p")
+    assert type(loaded.model) is type(made.model)
+    fields = ("pressure", "window", "reach", "default_force", "default_depth", "std_scale", "metadata")
+    assert all(getattr(loaded, field) == getattr(made, field) for field in fields)
+    assert_same_predictions(loaded, made, patches, force=1.0, nearest=-1e-4)
 
 
 @pytest.mark.parametrize(
-    ("change", "words"), [({"version": 99}, "of version 99, but this i2t reads"), ({"window": None}, "lacks window")]
+    ("change", "words"),
+    [
+        ({"version": 99}, "of version 99, but this i2t reads"),
+        ({"window": None}, "lacks window"),
+        (None, "holds no predictor"),
+    ],
 )
-def test_predictors_of_later_versions_and_incomplete_ones_are_refused(network, tmp_path, change, words):
+def test_predictors_that_cannot_be_read_are_refused_in_one_sentence(network, tmp_path, change, words):
+    """Of later versions, incomplete, and foreign ones."""
     predictor.save(tmp_path / "p", network)
     path = tmp_path / "p" / "_CHECKPOINT_METADATA"
     about = json.loads(path.read_text())
-    for name, value in change.items():
-        if value is None:
-            del about["custom_metadata"][name]
-        else:
-            about["custom_metadata"][name] = value
-    path.write_text(json.dumps(about))
-    with pytest.raises(CheckpointError, match=words) as error:
-        predictor.load_predictor(tmp_path / "p")
-    assert "\n" not in str(error.value)
+    custom = about["custom_metadata"] | (change or {})
+    about["custom_metadata"] = {name: value for name, value in custom.items() if value is not None}
+    path.write_text(json.dumps(about if change else {}))
+    for folder in ("p",) if change else ("p", "missing"):
+        with pytest.raises(CheckpointError, match=words) as error:
+            predictor.load_predictor(tmp_path / folder)
+        assert "\n" not in str(error.value)
 
 
 @pytest.mark.full
-def test_any_board_is_predicted_saved_and_loaded(patches, tmp_path):
-    chips, channels = 4, 12
-    fitted, readings = fitted_gp(patches, channels)
-    seen = trained(channels, conditions=("force",), input="image", pixels=20)
-    for i, made in enumerate((fitted, replace(fitted, model=PressureNetwork(seen, PRESSURE)))):
-        assert f"{chips} chips" in repr(made)
-        assert made.predict(patches[0]).mean.shape == (channels,)
-        predictor.save(tmp_path / str(i), made)
-        assert_same_predictions(predictor.load_predictor(tmp_path / str(i)), made, patches)
+def test_any_board_is_predicted(patches):
+    fitted, readings = fitted_gp(patches, 12)
+    seen = trained(12, conditions=("force",), input="image", pixels=20)
+    for made in (fitted, replace(fitted, model=PressureNetwork(seen, PRESSURE))):
+        assert "4 chips" in repr(made)
+        assert made.predict(patches[0]).mean.shape == (12,)
+    # With little noise a process comes back to the readings that it was conditioned on.
     assert np.corrcoef(fitted.predict(patches, force=0.8).mean.ravel(), np.ravel(readings))[0, 1] > 0.9
-
-
-def test_pressure_that_was_predicted_before_is_not_predicted_again(process, on_pressure, patches):
-    force, nothing = np.full(6, 0.8, np.float32), np.full(6, np.nan, np.float32)
-    pressure = predictor.predict_pressures(PRESSURE, patches, force, nothing)
-    blank = np.zeros_like(patches)
-    for made in (process[0], on_pressure):
-        depth = np.full(6, made.default_depth, np.float32)
-        batch = TouchBatch(blank, blank, PRESSURE.pitch, force, nothing, depth, pressure)
-        seen = made.predict(patches, force=0.8)
-        np.testing.assert_allclose(made.predict_batch(batch).mean, seen.mean, rtol=1e-5, atol=1e-5)
-
-
-def test_fields_of_the_pressure_model_can_be_changed(process, network):
-    changed = process[0].with_pressure(smooth=True)
-    assert changed.pressure == replace(PRESSURE, smooth=True)
-    assert network.with_pressure(smooth=True) is network
-
-
-def test_scaled_standard_deviations_have_unit_variance(process, patches):
-    truth = process[0].predict(patches).mean + np.random.default_rng(0).normal(size=(6, 15))
-    bare = replace(process[0], std_scale=1.0)
-    scale = predictor.std_scale(truth, bare.predict(patches))
-    seen = replace(bare, std_scale=scale).predict(patches)
-    np.testing.assert_allclose(np.mean(((truth - seen.mean) / seen.std) ** 2), 1, rtol=1e-5)
 
 
 def test_a_network_predicts_what_the_model_says(network, patches):
@@ -260,63 +197,47 @@ def test_a_network_predicts_what_the_model_says(network, patches):
 
 
 @pytest.mark.full
-def test_a_mesh_and_a_pose_are_a_patch(process):
+def test_a_mesh_and_a_pose_are_a_patch(process, tmp_path):
     """`predict_touch` renders just what `render_view` does, whoever brings the mesh."""
     ball = catalogue.make_object("dome")
     top = float(ball.mesh.vertices[:, 2].max())
     T_w_t = geometry.contact_frame(jnp.array([1e-3, 0, top]), jnp.array([0.0, 0, 1]))
     surface = prepare_surface(ball.mesh)
     view = jax.device_get(render_view(surface, T_w_t))
-    by_hand = process[0].predict(view.patch.depth, force=0.7, wide=view.wide)
+    by_hand = process[0].predict(view.patch.depth, force=0.7, wide=view.wide).mean
     for mesh in (ball, ball.mesh, surface):
-        np.testing.assert_allclose(process[0].predict_touch(mesh, T_w_t, force=0.7).mean, by_hand.mean, atol=1e-3)
+        np.testing.assert_allclose(process[0].predict_touch(mesh, T_w_t, force=0.7).mean, by_hand, atol=1e-3)
 
-
-@pytest.mark.full
-def test_a_mesh_file_needs_its_unit(process, tmp_path):
     path = tmp_path / "dome.stl"
-    dome = catalogue.make_object("dome").mesh
-    import trimesh
-
-    trimesh.Trimesh(dome.vertices * 1000, dome.faces).export(path)
-    T_w_t = geometry.contact_frame(jnp.array([0, 0, dome.vertices[:, 2].max()]), jnp.array([0.0, 0, 1]))
+    trimesh.Trimesh(ball.mesh.vertices * 1000, ball.mesh.faces).export(path)
     with pytest.raises(ValueError, match="unit"):
         process[0].predict_touch(path, T_w_t)
-    from_file = process[0].predict_touch(path, T_w_t, unit="mm")
     # A file keeps six digits of 20 mm: 20 nm, a ten-thousandth of an indentation.
-    np.testing.assert_allclose(from_file.mean, process[0].predict_touch(dome, T_w_t).mean, rtol=1e-3, atol=1e-2)
+    from_file = process[0].predict_touch(path, T_w_t, force=0.7, unit="mm").mean
+    np.testing.assert_allclose(from_file, by_hand, rtol=1e-3, atol=1e-2)
+
+
+DOME = catalogue.make_object("dome")
+FLAT = np.zeros((48, 48))
+AWAY = np.eye(4) + np.diag([0.0, 0, 1], 1)  # a metre above, looking up
 
 
 @pytest.mark.parametrize(
-    ("values", "words"),
+    ("call", "words"),
     [
-        ({"patch": np.zeros((4, 5))}, "shape"),
-        ({"patch": np.full((48, 48), np.nan)}, "NaN"),
-        ({"patch": np.zeros((48, 48)), "force": [1.0, 2.0]}, "force"),
-        ({"patch": np.zeros((48, 48)), "force": np.nan}, "force"),
-        ({"patch": np.zeros((48, 48)), "force": 1.0}, "nearest"),
-        ({"patch": np.zeros((20, 20)), "force": 1.0, "nearest": 0.0}, "pixels"),
+        (lambda *made: made[1].predict(np.zeros((4, 5))), "shape"),
+        (lambda *made: made[1].predict(np.full((48, 48), np.nan)), "NaN"),
+        (lambda *made: made[1].predict(FLAT, force=[1.0, 2.0]), "force"),
+        (lambda *made: made[1].predict(FLAT, force=np.nan), "force"),
+        (lambda *made: made[1].predict(FLAT, force=1.0), "nearest"),
+        (lambda *made: made[1].predict(np.zeros((20, 20)), force=1.0, nearest=0.0), "pixels"),
+        (lambda *made: made[2].predict(np.zeros((8, 8))), "needs nearest"),
+        (lambda *made: made[2].predict(np.zeros((9, 9)), nearest=0.0), "sees 8"),
+        (lambda *made: made[0].predict_touch(DOME, AWAY), "nothing lies in"),
+        (lambda *made: made[0].predict_touch(DOME, np.full((4, 4), np.nan)), "finite"),
     ],
 )
-def test_what_does_not_fit_is_refused(network, values, words):
+def test_what_does_not_fit_is_refused_in_one_sentence(process, network, baseline_predictors, call, words):
     with pytest.raises(ValueError, match=words) as error:
-        network.predict(**values)
+        call(process[0], network, baseline_predictors["ridge on PCA + measured"])
     assert "\n" not in str(error.value)
-
-
-def test_air_is_refused(process):
-    away = geometry.contact_frame(jnp.array([0.0, 0, 1]), jnp.array([0.0, 0, -1]))
-    with pytest.raises(ValueError, match="nothing lies in front"):
-        process[0].predict_touch(catalogue.make_object("dome"), away)
-    with pytest.raises(ValueError, match="finite"):
-        process[0].predict_touch(catalogue.make_object("dome"), np.full((4, 4), np.nan))
-
-
-def test_damage_is_one_sentence(process, tmp_path):
-    predictor.save(tmp_path / "good", process[0])
-    shutil.copytree(tmp_path / "good", tmp_path / "foreign")
-    (tmp_path / "foreign" / "_CHECKPOINT_METADATA").write_text("{}")
-    for folder, words in (("foreign", "holds no predictor"), ("missing", "holds no predictor")):
-        with pytest.raises(CheckpointError, match=words) as error:
-            predictor.load_predictor(tmp_path / folder)
-        assert "\n" not in str(error.value)

@@ -17,26 +17,12 @@ def plane(down: float, right: float) -> np.ndarray:
     return (1e-3 + down * ROW + right * COLUMN).astype(np.float32)
 
 
-@pytest.mark.parametrize(("down", "right"), [(0.0, 0.0), (1e-4, -3e-5), (-2e-4, 2e-4)])
-def test_a_plane_stays(down, right):
-    seen = plane(down, right)
+def test_a_plane_stays():
+    seen = plane(-2e-4, 1.5e-4)
     inside = slice(RADIUS, N - RADIUS)
     # Weights are symmetric there, so the value is a mean: wrong by the rounding of sums of 121 heights below 17 mm.
     rounding = 121 * np.finfo(np.float32).eps * np.abs(seen).max()
     np.testing.assert_allclose(smooth(seen)[inside, inside], seen[inside, inside], atol=rounding)
-
-
-def test_a_gentle_plane_stays_at_the_rim():
-    slope = 1e-5  # per pixel, so that over five pixels agreement weights are 1 within 1 %
-    seen = plane(slope, -slope)
-    # In a corner the weights see one quadrant: the ridge of 0.05 pixel^2 takes 0.05 / (variance + 0.05) of the slope,
-    # times the distance of their mean, along each axis.
-    weights = np.exp(-(np.arange(RADIUS + 1) ** 2) / (2 * SIGMA**2))
-    mean = np.average(np.arange(RADIUS + 1), weights=weights)
-    variance = np.average((np.arange(RADIUS + 1) - mean) ** 2, weights=weights)
-    bound = 2 * slope * mean * 0.05 / (variance + 0.05)
-    assert bound < 0.15 * slope
-    np.testing.assert_allclose(smooth(seen), seen, atol=1.02 * bound)
 
 
 @pytest.mark.full
@@ -63,7 +49,7 @@ def test_a_step_stays_a_step():
     assert (np.asarray(smooth(noisy)) > 1.5e-3).tolist() == (seen > 1.5e-3).tolist()
 
 
-def test_unknown_pixels_have_no_weight():
+def test_unknown_pixels_have_no_weight_and_are_filled_with_the_edge():
     seen = np.random.default_rng(2).normal(scale=1e-4, size=(N, N)).astype(np.float32) + plane(1e-4, 5e-5)
     cropped = seen[8:-8, 8:-8]
     surrounded = np.pad(cropped, 8, constant_values=np.nan)
@@ -71,10 +57,4 @@ def test_unknown_pixels_have_no_weight():
     assert np.isnan(result[~np.isfinite(surrounded)]).all()
     # The same sums over the same pixels: equal but for the order in which a compiler adds 121 terms.
     np.testing.assert_allclose(result[8:-8, 8:-8], smooth(cropped), atol=121 * 2**-24 * np.abs(cropped).max())
-
-
-def test_fill_keeps_what_is_known_and_continues_its_edge():
-    known = np.random.default_rng(3).normal(size=(6, 6)).astype(np.float32)
-    view = np.pad(known, 4, constant_values=np.nan)
-    np.testing.assert_array_equal(jax.jit(fill)(jnp.asarray(view)), np.pad(known, 4, mode="edge"))
-    np.testing.assert_array_equal(jax.jit(fill)(jnp.asarray(known)), known)
+    np.testing.assert_array_equal(jax.jit(fill)(jnp.asarray(surrounded)), np.pad(cropped, 8, mode="edge"))

@@ -3,9 +3,8 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
-from i2t.registration.levenberg_marquardt import LeastSquares, init, levenberg_marquardt, step
+from i2t.registration.levenberg_marquardt import LeastSquares, levenberg_marquardt
 
 
 def squares(residual, parameters: int, size: int) -> LeastSquares:
@@ -22,12 +21,12 @@ def squares(residual, parameters: int, size: int) -> LeastSquares:
     )
 
 
-@pytest.mark.parametrize("scale_free", [False, True])
-def test_the_valley_of_rosenbrock_ends_at_its_minimum(scale_free):
+def test_the_valley_of_rosenbrock_ends_at_its_minimum():
     """Rosenbrock, "An automatic method for finding the greatest or least value of a function", 1960: (1, 1)."""
     problem = squares(lambda x: jnp.stack([10 * (x[1] - x[0] ** 2), 1 - x[0]]), 2, 2)
-    end = levenberg_marquardt(problem, jnp.array([-1.2, 1.0]), jnp.ones(60), scale_free=scale_free)
-    np.testing.assert_allclose(end.x, [1, 1], atol=1e-5)
+    for scale_free in (False, True):
+        end = levenberg_marquardt(problem, jnp.array([-1.2, 1.0]), jnp.ones(60), scale_free=scale_free)
+        np.testing.assert_allclose(end.x, [1, 1], atol=1e-5)
 
 
 def test_marquardts_damping_knows_no_units():
@@ -39,18 +38,6 @@ def test_marquardts_damping_knows_no_units():
         for u in (np.ones(3), units)
     )
     np.testing.assert_allclose(other.x * units, one.x, rtol=1e-5)
-
-
-def test_steps_that_do_not_help_are_not_kept_and_raise_the_damping():
-    problem = squares(lambda x: jnp.stack([jnp.where(x[0] > 0.5, 100.0, 1 - x[0])]), 1, 1)
-    scale = jnp.ones(())
-    first, looked = step(problem, init(problem, jnp.zeros(1)), scale, scale)
-    second, info = step(problem, first, scale, scale)
-    assert looked.accepted
-    assert not info.accepted
-    np.testing.assert_array_equal(second.x, first.x)
-    assert second.damping > first.damping
-    assert second.trial < first.trial
 
 
 def test_a_tolerance_ends_the_search_at_the_last_scale():

@@ -12,20 +12,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from experiments.refine.arguments import RefineArgs
-from experiments.refine.cases import draw_cases
 from experiments.refine.run import run
 from i2t.geometry import log
-from i2t.objects.catalogue import make_object
-from i2t.registration import levenberg_marquardt
 from i2t.registration.patch import (
     PatchRegistrationConfig,
     observable_directions,
-    patch_problem,
     pose_information,
     refine_pose,
     refine_pose_multistart,
     resolvable_eigenvalue,
-    scale_schedule,
 )
 from i2t.rendering.render import prepare_surface, render_patch
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, TWIST_LEVER_M, Patch
@@ -77,28 +72,23 @@ def test_gauss_newton_matrix_of_planes():
     """
     pixel = ((np.arange(PATCH_PIXELS) + 0.5) / PATCH_PIXELS - 0.5) * PATCH_WINDOW
     x, y = (v.ravel() for v in np.meshgrid(pixel, pixel))
-    see = jax.jit(pose_information, static_argnums=2)
-    for a, b in ((0.0, 0.0), (0.12, -0.08)):
-        T = np.eye(4)
-        T[:3, 2] = np.array([-a, -b, 1]) / np.sqrt(1 + a * a + b * b)  # the plane's normal, in the tool's axes
-        T[:3, 0] = np.cross([0, 1, 0], T[:3, 2]) / np.linalg.norm(np.cross([0, 1, 0], T[:3, 2]))
-        T[:3, 1] = np.cross(T[:3, 2], T[:3, 0])
-        normal = T[2, :3] / T[2, 2]
-        p = np.stack([x, y, -(normal[0] * x + normal[1] * y)], -1)
-        slopes = np.concatenate([np.broadcast_to(-normal, p.shape), np.cross(normal, p) / TWIST_LEVER_M], 1)
-        slopes[:, 3:] = -np.cross(p, np.broadcast_to(normal, p.shape)) / TWIST_LEVER_M
-        expected = np.linalg.eigvalsh(slopes.T @ slopes / len(p))
-        values, directions = see(PLANE, T.astype(np.float32), PATCH_PIXELS)
-        np.testing.assert_allclose(values, expected, rtol=0, atol=1e-5)  # a few dozen roundings of numbers up to 1
-        np.testing.assert_allclose(directions.T @ directions, np.eye(6), atol=1e-5)
-        assert observable_directions(values, 1e-3).sum() == 3
-    np.testing.assert_allclose(sorted(expected)[:3], 0, atol=1e-12)
-
-
-def test_bound_from_noise():
-    """At eigenvalue 1 (along the tool axis of a plane) the estimate is a mean of all pixels."""
+    a, b = 0.12, -0.08
+    T = np.eye(4)
+    T[:3, 2] = np.array([-a, -b, 1]) / np.sqrt(1 + a * a + b * b)  # the plane's normal, in the tool's axes
+    T[:3, 0] = np.cross([0, 1, 0], T[:3, 2]) / np.linalg.norm(np.cross([0, 1, 0], T[:3, 2]))
+    T[:3, 1] = np.cross(T[:3, 2], T[:3, 0])
+    normal = T[2, :3] / T[2, 2]
+    p = np.stack([x, y, -(normal[0] * x + normal[1] * y)], -1)
+    normals = np.broadcast_to(normal, p.shape)
+    slopes = np.concatenate([-normals, -np.cross(p, normals) / TWIST_LEVER_M], 1)
+    expected = np.linalg.eigvalsh(slopes.T @ slopes / len(p))
+    values, directions = jax.jit(pose_information, static_argnums=2)(PLANE, T.astype(np.float32), PATCH_PIXELS)
+    np.testing.assert_allclose(values, expected, rtol=0, atol=1e-5)  # a few dozen roundings of numbers up to 1
+    np.testing.assert_allclose(directions.T @ directions, np.eye(6), atol=1e-5)
+    assert observable_directions(values, 1e-3).sum() == 3
+    # At eigenvalue 1 (along the tool axis of a plane) the estimate is a mean of all pixels.
     assert resolvable_eigenvalue(noise=1.0, error=2 / 48, pixels=48) == pytest.approx(1)
-    assert resolvable_eigenvalue(3e-4, 1e-4, 48) == pytest.approx((6e-4 / 48e-4) ** 2)
+    np.testing.assert_allclose(sorted(expected)[:3], 0, atol=1e-12)
 
 
 @pytest.mark.full
@@ -157,26 +147,6 @@ def test_nothing_to_see_and_nowhere_to_start():
 
 
 @pytest.mark.full
-def test_steps_never_raise_the_cost_of_a_scale():
-    config = PatchRegistrationConfig(initial_scale=0.5e-3, final_scale=0.5e-3)
-    observed = look(WAVES, np.eye(4, dtype=np.float32))
-    problem, scale = patch_problem(WAVES, observed, config), jnp.float32(config.final_scale)
-    advance = jax.jit(lambda state: levenberg_marquardt.step(problem, state, scale, scale))
-    state, costs = levenberg_marquardt.init(problem, jnp.asarray(off(5)[0]), damping=0.1), []
-    for _ in range(15):
-        state, info = advance(state)
-        costs.append(float(info.cost))
-    assert (np.diff(costs) <= 0).all()
-    assert state.steps == 15
-    np.testing.assert_allclose(state.x[:3, :3] @ state.x[:3, :3].T, np.eye(3), atol=1e-5)
-
-
-def test_the_scale_shrinks_to_the_final_one():
-    config = PatchRegistrationConfig(max_steps=5, initial_scale=1.0, final_scale=0.3, scale_factor=0.5)
-    np.testing.assert_allclose(scale_schedule(config), [1, 0.5, 0.3, 0.3, 0.3, 0.3], rtol=1e-6)
-
-
-@pytest.mark.full
 def test_several_starts_find_what_one_may_miss():
     """Three millimetres of slide on waves 19 mm long: the best of several is at least as good as one, and right."""
     true = np.eye(4, dtype=np.float32)
@@ -196,34 +166,9 @@ def test_the_experiment_in_small(tmp_path, capsys):
     report = run(args)
     assert json.loads((tmp_path / "run" / "metrics.json").read_text()) == report
     assert report["source"] == "simulated"
-    assert report["cases"] == 6
-    assert sum(report["observable_directions"]) == 6
     assert report["at_start"]["success"] == 0
     low, high = report["methods"]["one start, no noise"]["success_interval"]
     assert low <= report["methods"]["one start, no noise"]["success"] <= high
-    assert {path.name for path in (tmp_path / "run").iterdir()} == {
-        *("metrics.json", "config.json", "patches.png", "bounds.png")
-    }
     assert "simulated cases on 3 objects" in capsys.readouterr().out
     with pytest.raises(ValueError, match="holds a finished run"):
         run(args)
-    with pytest.raises(ValueError, match="no STL file"):
-        run(RefineArgs(out=tmp_path / "other", preset="debug", data=tmp_path))
-
-
-def test_what_is_given_goes_before_the_preset():
-    assert (RefineArgs(preset="debug").sizes.cases, RefineArgs().sizes.cases) == (6, 200)
-    sizes = RefineArgs(preset="debug", cases=9).sizes
-    assert (sizes.cases, sizes.objects, sizes.starts) == (9, 3, 1)
-
-
-@pytest.mark.full
-def test_starts_are_exactly_as_far_off_as_they_say():
-    args = RefineArgs(cases=4, objects=1)
-    thing = make_object("dome")
-    surfaces = jax.tree.map(lambda a: a[None], prepare_surface(thing.mesh))
-    cases = draw_cases(jax.random.key(0), [thing], surfaces, 4, args)
-    moved = np.linalg.inv(cases.true.astype(float)) @ cases.start
-    np.testing.assert_allclose(np.linalg.norm(moved[..., :3, 3], axis=-1), args.distance, rtol=1e-4)
-    angle = Rotation.from_matrix(moved[0, :, :3, :3]).magnitude()
-    np.testing.assert_allclose(np.degrees(angle), args.angle, rtol=1e-4)

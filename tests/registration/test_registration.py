@@ -19,28 +19,20 @@ from i2t.depth.camera import Camera
 from i2t.depth.distortion import pixel_rays
 from i2t.geometry import inverse, random_motion, to_twist
 from i2t.objects import make_object, read_mesh
-from i2t.registration import (
-    DepthRegistrationConfig,
-    camera_covariance,
-    contact_poses,
-    register_by_depth,
-    register_by_touch,
-)
+from i2t.registration import camera_covariance, contact_poses, register_by_depth, register_by_touch
 from i2t.registration.touch import STUDENT_T_DOF
 from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.simulation import sites as touch_sites
 from i2t.types import PAD_WINDOW, TWIST_LEVER_M, ReturnCode, Surface, Touches
 
 NAMES = ("hexagon", "cylinder", "spanner")
-STACK = stack_surfaces(
-    [prepare_surface(make_object(name).mesh) for name in NAMES]
-)  # one size class, and so one compilation
+STACK = stack_surfaces([prepare_surface(make_object(name).mesh) for name in NAMES])  # one size class, one compilation
 SURFACES = [jax.tree.map(lambda field, i=i: jnp.asarray(field[i]), STACK) for i in range(len(NAMES))]
 DISTANCE, ANGLE, NOISE = 1e-3, math.radians(1.0), 0.1e-3
 SPREAD = np.array([DISTANCE] * 3 + [ANGLE * TWIST_LEVER_M] * 3)
-TOUCHES, RUNS, AT_ONCE = 10, 24, 4
+TOUCHES, RUNS = 10, 12
 prior = {"translation_std": DISTANCE, "rotation_std": ANGLE, "contact_std": NOISE}
-register = jax.jit(jax.vmap(partial(register_by_touch, **prior), (0, None, None, 0, 0)))
+register = jax.jit(partial(register_by_touch, **prior))
 
 
 def probe(key, surface: Surface):
@@ -60,34 +52,23 @@ def probe(key, surface: Surface):
     return T_w_o, contacts, hit & sites.safe
 
 
-def runs(surface: Surface, seed: int, count: int = RUNS):
-    """True poses and what was registered, `AT_ONCE` runs at a time."""
-    true, contacts, hit = draw(jax.random.split(jax.random.key(seed), RUNS), surface)
-    keys = jax.random.split(jax.random.key(seed + 100), RUNS)
-    parts = []
-    for i in range(0, count, AT_ONCE):
-        now = slice(i, i + AT_ONCE)
-        parts.append(register(keys[now], surface, jnp.eye(4), contacts[now], hit[now]))
-    return np.asarray(true)[:count], jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
-
-
 @jax.jit
 def draw(keys, surface: Surface):
     return jax.lax.map(lambda key: probe(key, surface), keys)
 
 
-def runs_of(seed: int):
-    """Contacts of one run on the hexagon, and which touches met it."""
-    _, contacts, hit = draw(jax.random.split(jax.random.key(seed), RUNS), SURFACES[0])
-    return contacts[0], hit[0]
+def runs(surface: Surface, seed: int, count: int = RUNS):
+    """True poses and what was registered."""
+    true, contacts, hit = draw(jax.random.split(jax.random.key(seed), RUNS), surface)
+    keys = jax.random.split(jax.random.key(seed + 100), RUNS)
+    found = [register(keys[i], surface, jnp.eye(4), contacts[i], hit[i]) for i in range(count)]
+    return np.asarray(true)[:count], jax.tree.map(lambda *leaves: np.stack(leaves), *found)
 
 
-def once(surface: Surface, contacts, touched):
-    """One run, as the first of several: one compilation."""
-    contacts, touched = (jnp.stack([a] * AT_ONCE) for a in (contacts, touched))
-    keys = jax.random.split(jax.random.key(1), AT_ONCE)
-    found = register(keys, surface, jnp.eye(4), contacts, touched)
-    return jax.tree.map(lambda leaf: np.asarray(leaf[0]), found)
+def once(contacts, touched):
+    """One run on the hexagon."""
+    found = register(jax.random.key(1), SURFACES[0], jnp.eye(4), jnp.asarray(contacts), jnp.asarray(touched))
+    return jax.tree.map(np.asarray, found)
 
 
 def errors(found, true) -> np.ndarray:
@@ -115,7 +96,7 @@ def test_corners_on_a_plane():
         rows.append([*normal, *(np.cross(point, normal) / TWIST_LEVER_M)])
     a = np.array(rows)
     precision = np.diag(SPREAD**-2.0) + (STUDENT_T_DOF + 1) / STUDENT_T_DOF * a.T @ a / NOISE**2
-    found = once(SURFACES[0], jnp.asarray(np.array(poses), jnp.float32), jnp.ones(TOUCHES, bool))
+    found = once(np.float32(poses), np.ones(TOUCHES, bool))
     root = np.linalg.cholesky(precision)
     values = np.linalg.eigvalsh(root.T @ found.covariance.astype(float) @ root)
     # Ten factors (1 + r^2 / 4)^-2.5 have a variance 50 / 47 of what their curvature says, if all are of one kind; 3 of
@@ -131,8 +112,8 @@ def test_corners_on_a_plane():
 @pytest.mark.full
 @pytest.mark.parametrize("which", [0, 2])
 def test_covariance_is_calibrated(which):
-    """Squared errors in units of the covariance are chi square of six degrees: over 24 runs their mean is 6 within
-    sqrt(12 / 24) = 0.71, taken four times. A spanner's edges make posteriors that are not normal.
+    """Squared errors in units of the covariance are chi square of six degrees: over 12 runs their mean is 6 within
+    sqrt(12 / 12) = 1, taken four times. A spanner's edges make posteriors that are not normal.
     """
     true, found = runs(SURFACES[which], 3)
     error = errors(found.T_w_o, true)
@@ -146,29 +127,29 @@ def test_covariance_is_calibrated(which):
     predicted, left = (part[2:5] if which == 0 else part[[2, 4]] for part in (predicted, left))
     assert predicted[0] < 2.5 * NOISE / math.sqrt(TOUCHES) / DISTANCE
     assert (predicted[1:] < 2.5 * NOISE / math.sqrt(TOUCHES) / 10e-3 / ANGLE).all()
-    assert (left < 1.6 * predicted).all()  # over 24 runs an rms is known to 14 %
+    assert (left < 1.6 * predicted).all()  # over 12 runs an rms is known to 20 %
 
 
 @pytest.mark.full
 def test_what_is_symmetric_stays_at_the_prior():
     """Touched on its top, a prism tells height and tilts; a cylinder nowhere tells its spin."""
-    _, found = runs(SURFACES[1], 5, 8)
+    _, found = runs(SURFACES[1], 5, 4)
     spin = np.sqrt(np.asarray(found.covariance)[:, 5, 5]) / SPREAD[5]
     np.testing.assert_allclose(spin, 1, atol=0.02)  # its 71 sides are flat to 60 um
-    assert np.abs(errors(found.T_w_o, np.tile(np.eye(4), (8, 1, 1)))[:, 5]).max() < 0.2 * SPREAD[5]
+    assert np.abs(errors(found.T_w_o, np.tile(np.eye(4), (4, 1, 1)))[:, 5]).max() < 0.2 * SPREAD[5]
 
 
 @pytest.mark.full
 def test_air_tells_nothing():
     """With no touch left the answer is the prior, whatever the poses hold."""
     nowhere = jnp.full((TOUCHES, 4, 4), jnp.nan, jnp.float32)
-    found = once(SURFACES[0], nowhere, jnp.zeros(TOUCHES, bool))
+    found = once(nowhere, jnp.zeros(TOUCHES, bool))
     np.testing.assert_allclose(found.T_w_o, np.eye(4), atol=1e-7)
     np.testing.assert_allclose(found.covariance, np.diag(SPREAD**2), rtol=1e-4, atol=1e-11)
-    contacts = runs_of(0)[0]
+    contacts = draw(jax.random.split(jax.random.key(0), RUNS), SURFACES[0])[1][0]
     some = jnp.arange(TOUCHES) < 6
-    kept = once(SURFACES[0], contacts, some)
-    masked = once(SURFACES[0], jnp.where(some[:, None, None], contacts, jnp.nan), some)
+    kept = once(contacts, some)
+    masked = once(jnp.where(some[:, None, None], contacts, jnp.nan), some)
     np.testing.assert_array_equal(kept.T_w_o, masked.T_w_o)
     assert (kept.weight[6:] == 0).all()
 
@@ -176,10 +157,10 @@ def test_air_tells_nothing():
 @pytest.mark.full
 def test_a_wrong_touch_does_not_pull():
     """One contact 5 mm too early weighs 5 / (4 + 50^2) = 0.002 and so pulls like one of 10 um, a tenth of the noise."""
-    contacts, hit = runs_of(7)
+    contacts, hit = (part[0] for part in draw(jax.random.split(jax.random.key(7), RUNS), SURFACES[0])[1:])
     wrong = contacts.at[4, 2, 3].add(5e-3)
-    pulled = once(SURFACES[0], wrong, hit)
-    without = once(SURFACES[0], wrong, hit & (jnp.arange(TOUCHES) != 4))
+    pulled = once(wrong, hit)
+    without = once(wrong, hit & (jnp.arange(TOUCHES) != 4))
     assert pulled.weight[4] < 0.01
     apart = errors(pulled.T_w_o[None], without.T_w_o[None])[0]
     assert (np.abs(apart) < 0.2 * np.sqrt(np.diagonal(without.covariance))).all()
@@ -188,17 +169,14 @@ def test_a_wrong_touch_does_not_pull():
 def test_contact_of_recorded_touches():
     """The end of a press, taken back by its travel along tool z; what met nothing is left out."""
     T = np.asarray(random_motion(jax.random.key(0), 0.1, 1.0))
-    n = 4
-    empty = Touches(*[None] * len(Touches._fields))
-    touches = empty._replace(
-        T_w_t=jnp.asarray(np.tile(T, (n, 1, 1))),
-        depth=jnp.array([1e-3, jnp.nan, 2e-3, 1e-3]),
-        code=jnp.array([ReturnCode.SKIN, ReturnCode.AIR, ReturnCode.WRENCH, ReturnCode.FAILED]),
+    codes = [ReturnCode.SKIN, ReturnCode.AIR, ReturnCode.WRENCH, ReturnCode.FAILED]
+    touches = Touches(*[None] * len(Touches._fields))._replace(
+        T_w_t=jnp.asarray(np.tile(T, (4, 1, 1))), depth=jnp.array([1e-3, jnp.nan, 2e-3, 1e-3]), code=jnp.array(codes)
     )
     poses, met = contact_poses(touches)
     assert met.tolist() == [True, False, True, False]
-    np.testing.assert_allclose(np.linalg.inv(T) @ np.asarray(poses[0]) @ [0, 0, 1e-3, 1], [0, 0, 0, 1], atol=1e-6)
-    np.testing.assert_allclose(np.linalg.inv(T) @ np.asarray(poses[2]) @ [0, 0, 2e-3, 1], [0, 0, 0, 1], atol=1e-6)
+    for i, depth in ((0, 1e-3), (2, 2e-3)):
+        np.testing.assert_allclose(np.linalg.inv(T) @ np.asarray(poses[i]) @ [0, 0, depth, 1], [0, 0, 0, 1], atol=1e-6)
 
 
 CAMERA = Camera(320, 180, 161.2, 161.05, 159.5, 89.5)  # the paper's, every second pixel
@@ -235,7 +213,7 @@ def off(rng: np.random.Generator, distance: float = 7e-3, degrees: float = 5.0) 
     return T
 
 
-@pytest.mark.parametrize(("name", "at"), [("hexagon", 0.0), ("wedge", 0.0), ("hammer", 0.06), ("dome", 0.0)])
+@pytest.mark.parametrize(("name", "at"), [("hexagon", 0.0), ("hammer", 0.06), ("dome", 0.0)])
 def test_depth_finds_the_pose(name, at):
     """About a thousand points of 1 mm know a face to 0.03 mm; what they see least of, a side in few rows, to ten times
     that. A dome does not tell how it is turned, and its facets, flat to 60 um, must not say much.
@@ -255,24 +233,6 @@ def test_depth_finds_the_pose(name, at):
         # Chi square of six degrees: the mean of four is 6 within sqrt(12 / 4); edges, where a point may belong to the
         # other face, add as much again.
         assert np.mean(squared) < 2 * (6 + 2 * math.sqrt(3))
-
-
-def test_covariance_and_residuals_from_depth_are_those_of_the_pose_returned():
-    """After a single step from 6 mm off the residuals are a millimetre again, and with them the covariance."""
-    rng, mesh = np.random.default_rng(4), make_object("hexagon").mesh
-    T_w_c = look_at(np.array([0, 0, 15e-3]), 35)
-    start = np.eye(4)
-    start[:3, 3] = 6e-3 * T_w_c[:3, 2]
-    depth = image(mesh, T_w_c, rng)
-    still = {"initial_reach": 15e-3, "final_reach": 15e-3}
-    one, many = (
-        register_by_depth(mesh, start, depth, CAMERA, T_w_c, config=DepthRegistrationConfig(max_steps=steps, **still))
-        for steps in (1, 40)
-    )
-    assert np.median(np.abs(one.residual)) < 1.5e-3
-    ratio = np.sqrt(np.diagonal(one.covariance) / np.diagonal(many.covariance))
-    assert (ratio > 0.5).all()
-    assert (ratio < 2).all()
 
 
 def test_covariance_from_depth_includes_the_prior():
@@ -307,23 +267,24 @@ def test_an_object_is_as_far_off_as_its_camera():
     np.testing.assert_array_equal(camera_covariance(before, T_c_o, 0.0, 0.0), before)
 
 
-def test_depth_refuses():
+def test_what_cannot_be_registered_is_refused():
     rng, mesh = np.random.default_rng(0), make_object("hexagon").mesh
     T_w_c = look_at(np.array([0, 0, 15e-3]), 30)
     depth = image(mesh, T_w_c, rng)
-    far = np.eye(4)
-    far[0, 3] = 0.15
-    with pytest.raises(ValueError, match="points lie within"):
-        register_by_depth(mesh, far, depth, CAMERA, T_w_c)
+    far, lifted = np.eye(4), np.eye(4)
+    far[0, 3], lifted[2, 3] = 0.15, 0.7 * 30e-3
     # One of a third the size, its top on the real top, has a ninth of its area within reach of the rest.
-    small, lifted = mesh._replace(vertices=0.3 * mesh.vertices), np.eye(4)
-    lifted[2, 3] = 0.7 * 30e-3
-    with pytest.raises(ValueError, match="near the object fit"):
-        register_by_depth(small, lifted, depth, CAMERA, T_w_c)
-    with pytest.raises(ValueError, match="T_w_c: is not a rigid"):
-        register_by_depth(mesh, far, depth, CAMERA, 2 * T_w_c)
-    with pytest.raises(ValueError, match="has the shape"):
-        register_by_depth(mesh, far, depth[:-1], CAMERA, T_w_c)
+    small = mesh._replace(vertices=0.3 * mesh.vertices)
+    for given, word in (
+        ((mesh, far, depth, CAMERA, T_w_c), "points lie within"),
+        ((small, lifted, depth, CAMERA, T_w_c), "near the object fit"),
+        ((mesh, far, depth, CAMERA, 2 * T_w_c), "T_w_c: is not a rigid"),
+        ((mesh, far, depth[:-1], CAMERA, T_w_c), "has the shape"),
+    ):
+        with pytest.raises(ValueError, match=word):
+            register_by_depth(*given)
+    with pytest.raises(ValueError, match="give n poses"):
+        register_by_touch(jax.random.key(0), SURFACES[0], jnp.eye(4), jnp.zeros((0, 4, 4)), jnp.zeros(0), **prior)
 
 
 @pytest.mark.full
@@ -342,8 +303,3 @@ def test_depth_of_a_real_camera(shared_data):
             error = errors(found.T_w_o[None], T[None])[0]
             assert np.linalg.norm(error[:3]) < 2e-3
             assert np.linalg.norm(error[3:]) < math.radians(2) * TWIST_LEVER_M
-
-
-def test_no_touches_are_refused():
-    with pytest.raises(ValueError, match="give n poses"):
-        register_by_touch(jax.random.key(0), SURFACES[0], jnp.eye(4), jnp.zeros((0, 4, 4)), jnp.zeros(0), **prior)

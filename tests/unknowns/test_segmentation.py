@@ -1,15 +1,10 @@
 """Presses are cut out of streams at any rate, simulated and real."""
 
-import gzip
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from i2t.unknowns.segmentation import PressCriteria, segment_presses
 
-SESSIONS = Path(os.environ.get("I2T_DATA", Path(__file__).parents[3] / "shared" / "data")) / "eflesh" / "normal"
 RATE, NOISE = 400.0, 1.5
 
 
@@ -74,24 +69,24 @@ def test_one_weak_chip_is_enough_and_the_rate_may_be_any():
 
 def test_what_is_no_recording_is_refused():
     time, readings, *_ = stream(0, 10.0, presses=1)
-    with pytest.raises(ValueError, match="are no recording"):
-        segment_presses(time[:-1], readings)
-    with pytest.raises(ValueError, match="does not increase at row 5"):
-        segment_presses(np.where(np.arange(len(time)) == 4, 0.0, time), readings)
-    with pytest.raises(ValueError, match="not finite"):
-        segment_presses(time, np.where(readings > 500, np.nan, readings))
+    back, damaged = time.copy(), np.where(readings > 500, np.nan, readings)
+    back[4] = 0.0
+    for times, rows, word in (
+        (time[:-1], readings, "are no recording"),
+        (back, readings, "at row 5"),
+        (time, damaged, "not finite"),
+    ):
+        with pytest.raises(ValueError, match=word):
+            segment_presses(times, rows)
     with pytest.raises(ValueError, match="end_at is the smaller"):
-        segment_presses(time, readings, criteria=PressCriteria(end_at=9.0))
+        PressCriteria(end_at=9.0)
 
 
-@pytest.mark.skipif(not SESSIONS.is_dir(), reason="no real recordings")
-@pytest.mark.parametrize("name", ["20250401_014340_probe", "20250401_015037_probe"])
-def test_ten_real_strokes_are_ten_presses(name):
+def test_ten_real_strokes_are_ten_presses(shared_data):
     """A probe goes 12 mm down and up ten times; raw rows of the sensor, without any label."""
-    with gzip.open(SESSIONS / name / "sensor.csv.gz") as file:
-        sensor = np.loadtxt(file, delimiter=",")
-    with gzip.open(SESSIONS / name / "states.csv.gz") as file:
-        height = np.loadtxt(file, delimiter=",")[:, 3]
+    folder = shared_data / "eflesh" / "normal" / "20250401_014340_probe"
+    sensor, states = (np.loadtxt(folder / f"{name}.csv.gz", delimiter=",") for name in ("sensor", "states"))
+    height = states[:, 3]
     found = segment_presses(sensor[:, 0] - sensor[0, 0], sensor[:, 1:])
     assert len(found.start) == 10
     for press in range(10):
