@@ -22,7 +22,7 @@ STEP = 1e-6  # m and rad
 # bends more, the face, the reach or the nearest pixel changed. What is left of such kinks moves the quotient by at most
 # BEND / (2 STEP).
 BEND = 1e-10
-THINGS = ("pyramid", "torus", "screwdriver", "spanner", "dome")
+THINGS = ("torus", "screwdriver", "dome")
 PITCH = PATCH_WINDOW / PATCH_PIXELS
 
 
@@ -199,16 +199,14 @@ def test_finite_whatever_the_rays_meet():
 @pytest.mark.full
 def test_no_gradient_from_what_is_too_deep():
     """Two sheets: the far one reads the reach, and only the near one moves `nearest`."""
-    near = [[-0.04, -0.04, 0.001], [0, -0.04, 0.001], [0, 0.04, 0.001]]
-    far = [[0, -0.08, 0.001 + 2 * REACH], [0.08, 0, 0.001 + 2 * REACH], [0, 0.08, 0.001 + 2 * REACH]]
-    surface = prepare_surface(soup(near, far))
+    near = np.array([[-0.04, -0.04, 0.001], [0, -0.04, 0.001], [0, 0.04, 0.001]])
+    surface = prepare_surface(soup(near, np.add(near, [0.04, 0, 2 * REACH])))
 
     def look(triangles):
-        return both(render_patch(surface._replace(triangles=triangles), jnp.eye(4)))
+        seen = render_patch(surface._replace(triangles=triangles), jnp.eye(4))
+        return jnp.sum(seen.depth), seen.nearest
 
-    slope = jax.jit(jax.jacrev(lambda triangles: (jnp.sum(look(triangles)[:-1]), look(triangles)[-1])))(
-        jnp.asarray(surface.triangles)
-    )
+    slope = jax.jit(jax.jacrev(look))(jnp.asarray(surface.triangles))
     deep = (np.asarray(surface.triangles)[:, :, 2] > REACH).all(1)
     for part in slope:
         np.testing.assert_array_equal(part[deep], 0)
