@@ -5,114 +5,143 @@ compiles.
 from types import SimpleNamespace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from i2t.objects.catalogue import make_object
 from i2t.rendering.render import prepare_surface, render_heights, render_patch, stack_surfaces
-from i2t.types import REACH, STANDOFF
+from i2t.types import REACH, Surface
 
-TOP = 0.035  # m, height of the flat top of the pyramid, 15 mm wide
-HUGE = (1e3, 1e20, 1e38)  # m
-
-
-def looking_down(x: float = 0.0, z: float = TOP + 5e-3) -> np.ndarray:
-    T = np.diag([1.0, -1.0, -1.0, 1.0])
-    T[0, 3], T[2, 3] = x, z
-    return T.astype(np.float32)
+PYRAMID = prepare_surface(make_object("pyramid").mesh)  # its flat top, 15 mm wide, is 35 mm high
+LOOK = np.diag([1.0, -1.0, -1.0, 1.0]).astype(np.float32)  # straight down
+LOOK[2, 3] = 0.04
+CORNERS, FACE = np.eye(3), np.array([[0, 1, 2]])
 
 
-def soup(*triangles) -> SimpleNamespace:
-    return SimpleNamespace(vertices=np.reshape(triangles, (-1, 3)), faces=np.arange(3 * len(triangles)).reshape(-1, 3))
-
-
-@pytest.fixture(scope="module")
-def pyramid():
-    return prepare_surface(make_object("pyramid").mesh)
-
-
-@pytest.fixture(scope="module")
-def patches_of():
-    """One compilation for a batch of 8 poses or surfaces."""
-    return jax.jit(jax.vmap(render_patch))
-
-
-def batch(surfaces, poses):
-    """Eight of each, the last repeated."""
-    poses = list(poses) + [poses[-1]] * (8 - len(poses))
-    surfaces = list(surfaces) + [surfaces[-1]] * (8 - len(surfaces))
-    return jax.tree.map(lambda *leaves: np.stack(leaves), *surfaces), np.stack(poses)
+def put(*place, value) -> np.ndarray:
+    T = LOOK.copy()
+    T[place] = value
+    return T
 
 
 @pytest.mark.full
-def test_bad_poses_spoil_their_own_rows_only(pyramid, patches_of):
-    """Numbers that are not finite give an image that is not a number; places far away see nothing."""
-    poses = [looking_down() for _ in range(8)]
-    poses[1][0, 3] = np.nan
-    poses[2][2, 3] = -np.inf
-    poses[3][1, 1] = np.nan
-    poses[4][:] = np.nan
-    for i, far in enumerate(HUGE):
-        poses[5 + i][0, 3] = far
-    depth, nearest = jax.device_get(patches_of(*batch([pyramid], poses)))
+def test_bad_poses_spoil_their_own_rows_only():
+    """Scaled, singular, mirrored, sheared, transposed and without a number: no image; places far away see nothing."""
+    bad = [LOOK @ np.diag(scale).astype(np.float32) for scale in ([2, 2, 2, 1], [1, 1, 0, 1], [1, 1, -1, 1])]
+    bad += [0 * LOOK, LOOK.T, LOOK @ (np.eye(4) + 0.01 * np.eye(4, k=1)).astype(np.float32), np.nan * LOOK]
+    bad += [put(0, 3, value=np.nan), put(2, 3, value=-np.inf), put(1, 1, value=np.nan), put(3, 3, value=2)]
+    far = [put(0, 3, value=huge) for huge in (1e3, 1e20, 1e38)]
+    depth, nearest = jax.device_get(jax.jit(jax.vmap(render_patch, (None, 0)))(PYRAMID, np.stack([LOOK, *far, *bad])))
     assert nearest[0] == pytest.approx(5e-3, abs=1e-7)
     assert depth[0].min() == 0
     assert depth[0].max() < REACH
-    assert np.isnan(depth[1:5]).all()
-    assert (nearest[5:] == np.inf).all()
-    assert (depth[5:] == np.float32(REACH)).all()
+    assert (nearest[1:4] == np.inf).all()
+    assert (depth[1:4] == np.float32(REACH)).all()
+    assert np.isnan(nearest[4:]).all()
+    assert np.isnan(depth[4:]).all()
 
 
 @pytest.mark.full
-def test_singular_maps_flatten_the_surface(pyramid):
+def test_singular_maps_flatten_the_surface():
     """`render_heights` takes any affine map: squashed along z the pyramid is its shadow, along x it is edge on."""
     heights = jax.jit(render_heights)
-    above = np.abs(np.asarray(heights(pyramid, np.diag([1, 1, 0, 1]).astype(np.float32))))
-    np.testing.assert_array_equal(above, 0)
+    np.testing.assert_array_equal(np.abs(heights(PYRAMID, np.diag([1, 1, 0, 1]).astype(np.float32))), 0)
     for nothing in (np.diag([0, 1, 1, 1]), np.zeros((4, 4))):
-        assert np.isinf(heights(pyramid, nothing.astype(np.float32))).all()
-    assert np.isnan(heights(pyramid, np.full((4, 4), np.nan, np.float32))).all()
+        assert np.isinf(heights(PYRAMID, nothing.astype(np.float32))).all()
+    assert np.isnan(heights(PYRAMID, np.full((4, 4), np.nan, np.float32))).all()
 
 
 @pytest.mark.full
-def test_what_lies_behind_the_rays_is_not_met(pyramid, patches_of):
-    """Under the table, or with the pyramid more than the standoff behind: nothing."""
-    poses = [looking_down(z=-1e-3), looking_down(z=-STANDOFF - 1e-3)]
-    _, nearest = jax.device_get(patches_of(*batch([pyramid], poses)))
-    assert nearest[0] == pytest.approx(-TOP - 1e-3, abs=1e-7)
-    assert nearest[1] == np.inf
+def test_a_corner_that_is_not_a_number_takes_its_face_away():
+    """`prepare_surface` refuses such meshes; where a surface is moved afterwards, by an optimiser that diverged, its
+    broken faces are never met and its whole ones stay as they were.
+    """
+    corners = np.asarray(PYRAMID.triangles)
+    broken = (corners[:, :, 2].min(1) >= 0.035)[:, None, None]  # the top
+    rendered = [np.where(broken, corners[:, :1], corners)]  # shrunk to a point
+    for k, bad in ((0, np.nan), (1, np.nan), (2, np.inf)):
+        rendered.append(np.where(broken & (np.arange(3) == k)[:, None], bad, corners).astype(np.float32))
+    rendered.append(np.full_like(corners, np.nan))
+    see = jax.jit(jax.vmap(lambda corners: render_patch(PYRAMID._replace(triangles=corners), jnp.asarray(LOOK))))
+    depth, nearest = jax.device_get(see(np.stack(rendered)))
+    assert nearest[0] > 5.1e-3
+    for i in (1, 2, 3):
+        np.testing.assert_array_equal(depth[i], depth[0])
+        np.testing.assert_array_equal(nearest[i], nearest[0])
+    assert nearest[4] == np.inf
 
 
-@pytest.mark.full
-def test_compiled_once_for_all_meshes_of_a_class():
-    """A batch of poses on each of many meshes: as many compilations as size classes, however the meshes differ."""
-    rng = np.random.default_rng(0)
+def mesh(vertices=CORNERS, faces=FACE) -> SimpleNamespace:
+    return SimpleNamespace(vertices=vertices, faces=np.asarray(faces))
 
-    def mesh(faces):
-        return prepare_surface(soup(*rng.uniform(-0.03, 0.03, (faces, 3, 3))))
 
-    render = jax.jit(jax.vmap(render_patch, (None, 0)))
-    poses = np.stack([looking_down()] * 4)
-    for faces in (1, 12, 40, 63, 64):
-        render(mesh(faces), poses)
-    assert render._cache_size() == 1
+@pytest.mark.parametrize(
+    ("thing", "says"),
+    [
+        (CORNERS, "a ndarray has no vertices and faces"),
+        (mesh(np.zeros((0, 3)), np.zeros((0, 3), int)), "no faces"),
+        (mesh(faces=[[0.0, 1, 2]]), "integers"),
+        (mesh(faces=[[True, False, True]]), "integers"),
+        (mesh(faces=[[0, 1, 3]]), "0 to 2"),
+        (mesh(faces=[[-1, 1, 2]]), "0 to 2"),
+        (mesh(np.zeros((4, 3)), [[0, 1, 2, 3]]), "triangulate"),
+        (mesh(np.zeros((4, 2))), "triangulate"),
+        (mesh(CORNERS * 1j), "reals"),
+        (mesh([["a", "b", "c"]] * 3), "reals"),
+        (mesh(CORNERS * np.nan), "NaN"),
+        (mesh(CORNERS * 3e38), r"lies 3e\+38 m out"),
+        (mesh(CORNERS * 101), "lies 101 m out"),
+    ],
+)
+def test_hostile_meshes_get_a_sentence(thing, says):
+    with pytest.raises(ValueError, match=says):
+        prepare_surface(thing)
 
-    traced = []
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"window": 0.0}, "window: is 0"),
+        ({"window": np.nan}, "window: is nan"),
+        ({"pixels": 0}, "pixels: is 0"),
+        ({"pixels": 2.5}, "pixels: is 2.5"),
+        ({"reach": -1.0}, "reach: is -1.0"),
+        ({"T_w_t": LOOK[:3]}, r"shape \(3, 4\) instead of \(4, 4\)"),
+        ({"T_w_t": np.stack([LOOK, LOOK])}, "use vmap for several"),
+        ({"surface": stack_surfaces([PYRAMID, PYRAMID])}, "use vmap for a stack"),
+        ({"surface": Surface(PYRAMID.triangles)}, "prepare"),
+        (
+            {"surface": Surface(*(np.zeros(s, np.float32) for s in ((0, 3, 3), (0, 6, 32), (6, 0))))},
+            "not those of one",
+        ),
+    ],
+)
+def test_sizes_and_shapes_that_mean_nothing_get_a_sentence(given, says):
+    for render in (render_patch, *([render_heights] if given.keys() <= {"window", "pixels", "surface"} else [])):
+        unchecked = getattr(render, "__wrapped__", render)  # without the tests' own check of shapes
+        place = {"T_w_t" if render is render_patch else "A_t_w": jnp.asarray(LOOK)}
+        with pytest.raises((ValueError, TypeError), match=says) as caught:
+            unchecked(**{"surface": PYRAMID, **place, **given})
+        assert "\n" not in str(caught.value)
+
+
+def test_one_compilation_for_all_meshes_of_a_size_class_and_a_stack_is_of_its_largest():
+    rng, traced = np.random.default_rng(0), []
+
+    def soup(faces: int) -> Surface:
+        return prepare_surface(mesh(rng.uniform(-0.03, 0.03, (3 * faces, 3)), np.arange(3 * faces).reshape(-1, 3)))
 
     @jax.jit
-    def look(surface, poses):
+    def look(surface, T):
         traced.append(surface.triangles.shape[0])
-        return jax.vmap(render_patch, (None, 0))(surface, poses)
+        return render_patch(surface, T)
 
-    sizes = np.unique(np.geomspace(1, 20_000, 30).astype(int))
-    for faces in sizes:
-        jax.eval_shape(look, mesh(faces), poses)
-    classes = 1 + int(np.ceil(np.log2(sizes[-1] / 64)))  # 64 faces, and each doubling after
-    assert len(traced) == len(set(traced)) <= classes
-
-
-def test_a_stack_is_compiled_for_its_largest_class_alone():
-    small, large = prepare_surface(soup([[0, 0, 0], [1, 0, 0], [0, 1, 0]])), prepare_surface(make_object("hammer").mesh)
-    shapes = [stack_surfaces(pair).triangles.shape for pair in ([small, large], [large, small], [large, large])]
-    assert len(set(shapes)) == 1
-    assert shapes[0][1:] == large.triangles.shape
+    for faces in (1, 12, 63, 64, 65, 128, 200, 20_000):
+        jax.eval_shape(look, soup(faces), LOOK)
+    assert traced == [64, 128, 256, traced[-1]]
+    with pytest.raises(ValueError, match="no surfaces"):
+        stack_surfaces([])
+    small, large = soup(1), soup(200)
+    for pair in ([small, large], [large, small], [large, large]):
+        assert stack_surfaces(pair).triangles.shape == (2, *large.triangles.shape)

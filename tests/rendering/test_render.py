@@ -113,7 +113,7 @@ def exact_ray(triangles: np.ndarray, T_w_t: np.ndarray, x: float, y: float) -> t
     return (z.min() if len(z) else np.inf), distance
 
 
-def assert_like_embree(things: list, seed: int, count: int = 50) -> None:
+def assert_like_embree(things: list, seed: int, count: int = 30) -> None:
     """Every pixel is right to ERROR; where float32 Embree disagrees, a float64 caster decides, edges excepted."""
     surfaces = stack_surfaces([prepare_surface(thing) for thing in things])
     poses = np.stack([on_surface(thing, count, seed + i) for i, thing in enumerate(things)])
@@ -139,9 +139,8 @@ def assert_like_embree(things: list, seed: int, count: int = 50) -> None:
 def test_catalogue_and_hostile_shapes_against_embree():
     """Primitives, stamps, tools; slivers, a 0.1 mm wall, open blades, needles and a concave part with overhangs."""
     names = (
-        "hexagon star parallelogram flower cylinder cross dome pyramid torus wedge stairs ridge stamp-T stamp-circle"
+        "star parallelogram cylinder cross dome pyramid torus wedge stairs stamp-T screwdriver spanner hammer pliers"
     )
-    names += " cutter screwdriver spanner hammer marker pliers"
     fan = trimesh.creation.cylinder(0.03, 0.02, sections=200)
     wall = trimesh.creation.box((0.05, 1e-4, 0.03))
     blades = soup([[[x, -0.02, 0], [x, 0.02, 0], [x + 0.004, 0, 0.02]] for x in np.linspace(-0.02, 0.02, 21)])
@@ -179,8 +178,7 @@ def test_dense_way_sees_what_the_other_sees():
     dense = [layout_clusters(surface.triangles, DENSE_CLUSTER_FACES, 32) for surface in surfaces]
     (one, turned), (other, also) = (shift(stack_surfaces(way), poses) for way in (surfaces, dense))
     assert np.isfinite(one.nearest).all()
-    np.testing.assert_allclose(one.depth, other.depth, rtol=0, atol=4 * NEAR)
-    np.testing.assert_allclose(one.nearest, other.nearest, rtol=0, atol=4 * NEAR)
+    assert_same(one, other, 4 * NEAR)
     same = np.isclose(turned.depth, also.depth, rtol=1e-3, atol=1e-5)
     assert same.mean() > 1 - 2e-3  # rays on a shared edge may take either face
     np.testing.assert_allclose(turned.nearest, also.nearest, rtol=1e-3, atol=1e-5)
@@ -250,58 +248,52 @@ def test_dense_sphere_lies_between_its_spheres():
 
 
 ROTATIONS = st.integers(0, 2**32 - 1).map(lambda seed: Rotation.random(random_state=seed).as_matrix())
+WAVE = sheet(lambda x, y: 2e-3 * np.sin(x / 7e-3) * np.cos(y / 9e-3), 5)
+
+
+def moved(thing, A: np.ndarray) -> SimpleNamespace:
+    return SimpleNamespace(vertices=thing.vertices @ A[:3, :3].T + A[:3, 3], faces=thing.faces)
+
+
+def assert_same(one, other, atol: float) -> None:
+    np.testing.assert_allclose(one.depth, other.depth, rtol=0, atol=atol)
+    np.testing.assert_allclose(one.nearest, other.nearest, rtol=0, atol=atol)
 
 
 @settings(max_examples=30, deadline=None)
 @given(ROTATIONS, st.sampled_from(["diagonal", "grid", "fan"]), st.floats(0, 0.3))
 def test_no_cracks(attitude, kind, offset):
-    """Rays that run exactly along shared edges and through shared corners still hit, whatever way the scene is
-    turned.
-    """
+    """Rays that run along shared edges and through shared corners still hit, whatever way the scene is turned."""
     x, y = centres()
-    if kind == "grid":  # 7 x 7 corners on pixel centres: the window has 48, so they lie 8 pixels apart
-        along = x[0, ::8]
-        along = np.concatenate([[-0.04], along, [0.04]])
-        gx, gy = np.meshgrid(along, along)
-        corner = np.arange(gx.size - len(along)).reshape(-1, len(along))[:, :-1].ravel()
-        n = len(along)
-        faces = np.concatenate([[[c, c + 1, c + n + 1], [c, c + n + 1, c + n]] for c in corner])
-        thing = SimpleNamespace(vertices=np.stack([gx, gy, 0 * gx], -1).reshape(-1, 3), faces=faces)
-    elif kind == "fan":
-        angle = np.arange(24) * np.pi / 12
-        rim = np.stack([0.04 * np.cos(angle), 0.04 * np.sin(angle), 0 * angle], 1)
-        hub = [x[10, 30], y[10, 30], 0.002]
-        thing = SimpleNamespace(
-            vertices=np.concatenate([[hub], rim]), faces=[[0, 1 + k, 1 + (k + 1) % 24] for k in range(24)]
-        )
-    else:
-        thing = sheet(lambda x, y: 0 * x, 1)
+    rim = 0.04 * np.array([[np.cos(k * np.pi / 12), np.sin(k * np.pi / 12), 0] for k in range(24)])
+    thing = {
+        "diagonal": sheet(lambda x, y: 0 * x, 1),
+        "grid": sheet(lambda x, y: 0 * x, 15, 52.5 * PATCH_WINDOW / PATCH_PIXELS),  # corners on every seventh pixel
+        "fan": soup([[[x[10, 30], y[10, 30], 0.002], rim[k], rim[k - 1]] for k in range(24)]),
+    }[kind]
     T = pose(attitude, [offset, -offset, offset])
-    moved = SimpleNamespace(vertices=thing.vertices @ attitude.T + T[:3, 3], faces=np.asarray(thing.faces))
-    patch = patch_of(prepare_surface(moved), T.astype(np.float32))
+    patch = patch_of(prepare_surface(moved(thing, T)), T.astype(np.float32))
     assert (np.asarray(patch.depth) < REACH).all()
     assert patch.nearest > -8 * NEAR  # coordinates of 0.3 m step by 3e-8 m, on slopes of at most 0.1
-
-
-def test_either_side_of_a_face_is_seen():
-    wave = sheet(lambda x, y: 2e-3 * np.sin(x / 7e-3) * np.cos(y / 9e-3), 5)
-    turned = SimpleNamespace(vertices=wave.vertices, faces=wave.faces[:, ::-1])
-    one, other = patch_of(prepare_surface(wave), pose()), patch_of(prepare_surface(turned), pose())
-    np.testing.assert_allclose(one.depth, other.depth, rtol=0, atol=2 * NEAR)
-    np.testing.assert_allclose(one.nearest, other.nearest, rtol=0, atol=2 * NEAR)
 
 
 @settings(max_examples=20, deadline=None)
 @given(ROTATIONS, st.tuples(*[st.floats(-0.15, 0.15)] * 3))
 def test_moving_scene_and_tool_together_changes_nothing(attitude, position):
-    wave = sheet(lambda x, y: 2e-3 * np.sin(x / 7e-3) * np.cos(y / 9e-3), 5)
     T_w_t, g = pose(Rotation.from_euler("xy", (0.1, -0.2)).as_matrix(), [1e-3, 2e-3, -5e-3]), pose(attitude, position)
-    here = patch_of(prepare_surface(wave), T_w_t.astype(np.float32))
-    moved = SimpleNamespace(vertices=wave.vertices @ attitude.T + position, faces=wave.faces)
-    there = patch_of(prepare_surface(moved), (g @ T_w_t).astype(np.float32))
+    here = patch_of(prepare_surface(WAVE), T_w_t.astype(np.float32))
+    there = patch_of(prepare_surface(moved(WAVE, g)), (g @ T_w_t).astype(np.float32))
     # Below 0.3 m a step of float32 is 3e-8 m: four times NEAR, in the scene and in the pose, on slopes up to 0.6.
-    np.testing.assert_allclose(here.depth, there.depth, rtol=0, atol=2 * 4 * 1.6 * NEAR)
-    np.testing.assert_allclose(here.nearest, there.nearest, rtol=0, atol=2 * 4 * 1.6 * NEAR)
+    assert_same(here, there, 2 * 4 * 1.6 * NEAR)
+
+
+def test_either_side_of_a_face_is_seen_and_an_affine_map_moves_the_surface():
+    turned = SimpleNamespace(vertices=WAVE.vertices, faces=WAVE.faces[:, ::-1])
+    assert_same(patch_of(prepare_surface(WAVE), pose()), patch_of(prepare_surface(turned), pose()), 2 * NEAR)
+    A = np.array([[1.3, 0.2, 0, 1e-3], [0, 0.8, 0, -2e-3], [0.3, 0.1, 1.5, 4e-3], [0, 0, 0, 1]])  # stretch and shear
+    here = heights_of(prepare_surface(WAVE), A.astype(np.float32))
+    there = heights_of(prepare_surface(moved(WAVE, A)), np.eye(4, dtype=np.float32))
+    np.testing.assert_allclose(here, there, rtol=0, atol=4 * NEAR)
 
 
 @pytest.mark.full
@@ -319,37 +311,16 @@ def test_each_of_a_batch_is_the_same_as_alone():
             np.testing.assert_allclose(together.nearest[i, k], alone.nearest, rtol=0, atol=NEAR)
 
 
-def test_nothing_in_sight():
-    surface = prepare_surface(sheet(lambda x, y: 0 * x, 2))
+def test_rays_start_at_the_standoff_and_see_nothing_where_nothing_is():
+    flat = sheet(lambda x, y: 0 * x, 1)
+    surface = prepare_surface(soup(np.concatenate([flat.vertices[flat.faces] + [0, 0, z] for z in (-0.045, 0.03)])))
+    assert STANDOFF == 0.04
+    assert patch_of(surface, pose()).nearest == pytest.approx(0.03, abs=NEAR)
+    assert patch_of(surface, pose(position=[0, 0, -0.01])).nearest == pytest.approx(-0.035, abs=NEAR)
     beside = patch_of(surface, pose(position=[0.1, 0, 0]))
     assert beside.nearest == np.inf
     assert (beside.depth == np.float32(REACH)).all()
     assert jnp.isinf(heights_of(surface, pose(position=[0.1, 0, 0]))).all()
-
-
-def test_rays_start_at_the_standoff():
-    flat = sheet(lambda x, y: 0 * x, 1)
-    sheets = [flat.vertices[flat.faces] + [0, 0, z] for z in (-0.045, 0.03)]
-    surface = prepare_surface(soup(np.concatenate(sheets)))
-    assert STANDOFF == 0.04
-    assert patch_of(surface, pose()).nearest == pytest.approx(0.03, abs=NEAR)
-    assert patch_of(surface, pose(position=[0, 0, -0.01])).nearest == pytest.approx(-0.035, abs=NEAR)
-
-
-def test_a_sheet_seen_edge_on_is_a_number():
-    surface = prepare_surface(soup([[[-0.04, 0, 0], [0.04, 0, 0], [0, 0, 0.04]], [[0, 0, 0], [0, 0, 0], [0, 0, 0]]]))
-    patch = patch_of(surface, pose())
-    assert jnp.isfinite(patch.depth).all()
-
-
-def test_affine_map_moves_the_surface():
-    """Heights under a stretch and shear are those of the mesh with its corners so moved."""
-    A = np.array([[1.3, 0.2, 0, 1e-3], [0, 0.8, 0, -2e-3], [0.3, 0.1, 1.5, 4e-3], [0, 0, 0, 1]])
-    wave = sheet(lambda x, y: 2e-3 * np.sin(x / 7e-3) * np.cos(y / 9e-3), 5, 0.03)
-    moved = SimpleNamespace(vertices=wave.vertices @ A[:3, :3].T + A[:3, 3], faces=wave.faces)
-    here = heights_of(prepare_surface(wave), A.astype(np.float32))
-    there = heights_of(prepare_surface(moved), np.eye(4, dtype=np.float32))
-    np.testing.assert_allclose(here, there, rtol=0, atol=4 * NEAR)
 
 
 def test_contact_mask():
@@ -359,19 +330,6 @@ def test_contact_mask():
     np.testing.assert_array_equal(contact_mask(depth + 1e-2, 0.1e-3), [[1, 0], [0, 0]])
 
 
-def test_one_compilation_for_a_size_class():
-    traces = []
-
-    @jax.jit
-    def render(surface, T_w_t):
-        traces.append(surface.triangles.shape)
-        return render_patch(surface, T_w_t)
-
-    for n in (4, 5, 5, 4, 9):  # 32, 50 and 162 faces: classes of 64 and 256
-        jax.eval_shape(render, prepare_surface(sheet(lambda x, y: x, n)), pose())
-    assert traces == [(64, 3, 3), (256, 3, 3)]
-
-
 def test_preparing_keeps_every_face_once():
     thing = make_object("spanner").mesh
     corners = np.asarray(thing.vertices)[thing.faces].astype(np.float32)
@@ -379,73 +337,3 @@ def test_preparing_keeps_every_face_once():
     kept = triangles[(triangles != triangles[:, :1]).any((1, 2))]  # padding shrinks to a point
     before, after = (faces[np.lexsort(faces.reshape(-1, 9).T)] for faces in (corners, kept))
     np.testing.assert_array_equal(after, before)
-
-
-@pytest.mark.full
-def test_derivatives_against_central_differences():
-    """Depths and nearest as the pose moves, in float64 and where the visible face stays the same."""
-    step, bend = 1e-6, 1e-10
-    with jax.enable_x64(True):
-        surface = jax.tree.map(lambda a: jnp.asarray(a, jnp.float64), prepare_surface(make_object("pyramid").mesh))
-        attitude = np.diag([1.0, -1.0, -1.0]) @ Rotation.from_euler("xy", (0.2, 0.3)).as_matrix()
-        base = jnp.asarray(pose(attitude, [0.004, 0.007, 0.03]))
-
-        def look(twist):
-            patch = render_patch(surface, base @ transform(so3_exp(twist[:3]), twist[3:]))
-            return jnp.append(patch.depth.ravel(), patch.nearest)
-
-        @jax.jit
-        def look_and_slopes(twist):
-            value, slopes = jax.vmap(partial(jax.jvp, look, (twist,)))((jnp.eye(6),))
-            return value[0], slopes.T
-
-        still = jnp.zeros(6)
-        jacobian = np.asarray(look_and_slopes(still)[1])
-        assert np.isfinite(jacobian).all()
-        for k in range(6):
-            move = still.at[k].set(step)
-            ahead, here, back = (np.asarray(look_and_slopes(twist)[0]) for twist in (move, still, -move))
-            # On one face the path of a pixel bends by about step^2 / 0.1 m = 1e-11 m; where it bends more, the face or
-            # the reach changed. What is left of such kinks moves the quotient by at most bend / (2 step).
-            same = np.abs(ahead - 2 * here + back) < bend
-            assert same.mean() > 0.9
-            quotient = (ahead - back) / (2 * step)
-            np.testing.assert_allclose(jacobian[same, k], quotient[same], rtol=1e-3, atol=bend / (2 * step))
-
-
-@pytest.mark.full
-def test_derivatives_are_finite_where_nothing_is_seen():
-    surface = prepare_surface(soup([[[-0.04, 0, 0], [0.04, 0, 0], [0, 0, 0.04]]]))  # edge on
-    slope = jax.jit(jax.grad(lambda T: jnp.sum(render_patch(surface, T).depth)))
-    for position in ([0, 0, 0], [0.2, 0, 0]):
-        assert jnp.isfinite(slope(jnp.asarray(pose(position=position), jnp.float32))).all()
-
-
-def test_a_pose_that_is_not_finite_gives_no_image():
-    surface = prepare_surface(sheet(lambda x, y: 0 * x, 2))
-    for bad in (np.nan, np.inf):
-        patch = patch_of(surface, pose(position=[0, bad, 0]))
-        assert jnp.isnan(patch.depth).all()
-        assert jnp.isnan(patch.nearest)
-
-
-@pytest.mark.parametrize(
-    ("vertices", "faces", "says"),
-    [
-        (np.zeros((0, 3)), np.zeros((0, 3), int), "no faces"),
-        (np.zeros((3, 3)), np.zeros((0, 3), int), "no faces"),
-        (np.full((3, 3), np.nan), [[0, 1, 2]], "NaN"),
-        (np.eye(3), [[0, 1, 3]], "0 to 2"),
-        (np.eye(3), [[-1, 1, 2]], "0 to 2"),
-        (np.zeros((4, 3)), [[0, 1, 2, 3]], "triangulate"),
-        (np.zeros((4, 2)), [[0, 1, 2]], "triangulate"),
-    ],
-)
-def test_hostile_meshes_get_a_sentence(vertices, faces, says):
-    with pytest.raises(ValueError, match=says):
-        prepare_surface(SimpleNamespace(vertices=vertices, faces=np.asarray(faces)))
-
-
-def test_bare_triangles_get_a_sentence():
-    with pytest.raises(ValueError, match="prepare"):
-        render_patch(Surface(np.zeros((4, 3, 3), np.float32)), jnp.eye(4))
