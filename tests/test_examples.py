@@ -111,7 +111,7 @@ def test_touches_find_the_object():
 def test_an_object_is_recognised():
     from i2t.recognition.recognizer import RecognizerConfig
 
-    config = RecognizerConfig(num_sites=8, num_particles=32, max_touches=6)
+    config = RecognizerConfig(num_sites=3, num_particles=16, max_touches=3)  # as the notebook's
     assert _load(8).main(72, config) in ("star", "cylinder", "hammer")
 
 
