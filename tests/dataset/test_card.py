@@ -63,9 +63,9 @@ def test_a_remark_without_end_ends_at_a_word():
     assert "- and 60 more, in the set's `meta`" in card
 
 
-@pytest.mark.parametrize("name", ["reskin", "anyskin", "eflesh", "grid-2x3", "grid-3x2", "grid-5x5"])
-def test_a_board_has_its_name(name):
-    assert name_of_board(make_board(name)) == name
+def test_a_board_has_its_name():
+    for name in ("reskin", "anyskin", "eflesh", "grid-2x3", "grid-3x2"):
+        assert name_of_board(make_board(name)) == name
 
 
 def test_a_card_is_replaced_and_no_part_of_the_set(tmp_path):

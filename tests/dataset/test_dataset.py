@@ -23,6 +23,7 @@ from i2t.dataset import (
     Series,
     by_group,
     concatenate,
+    files,
     holdout_blocks,
     holdout_last,
     holdout_names,
@@ -55,31 +56,24 @@ def test_a_packed_set_reads_back_exactly(tmp_path, n, seed, truth, wide, pixels,
     assert_equal(load_dataset(save_dataset(tmp_path / "set.h5", dataset)), dataset)
 
 
-def test_large_sets_read_back_exactly_and_an_absent_view_takes_no_memory(tmp_path):
+def test_an_absent_view_takes_no_memory(tmp_path):
     dataset = make(200)
     again = load_dataset(save_dataset(tmp_path / "set.h5", dataset))
-    assert_equal(again, dataset)
-    assert not any(again.touches.wide.strides)
-    assert not any(again.select(np.arange(5, 90)).touches.wide.strides)
-    assert not any(concatenate([again, dataset]).touches.wide.strides)
+    for each in (again, again.select(np.arange(5, 90)), concatenate([again, dataset])):
+        assert not any(each.touches.wide.strides)
 
 
 def test_a_recorded_touch_reads_back_exactly(tmp_path):
     written = record(make(1))
     read = read_touch(write_touch(tmp_path, written))
     assert_equal(read.touch, written.touch)
-    assert read.images.keys() == written.images.keys()
-    for name, image in written.images.items():
-        assert (read.images[name].scale, read.images[name].unit) == (image.scale, image.unit)
-        assert read.images[name].values.dtype == image.values.dtype
-        np.testing.assert_array_equal(read.images[name].values, image.values)
-    assert read.series.keys() == written.series.keys()
-    for name, series in written.series.items():
-        assert (read.series[name].columns, read.series[name].unit) == (series.columns, series.unit)
-        np.testing.assert_array_equal(read.series[name].time, series.time)
-        np.testing.assert_array_equal(read.series[name].values, series.values)
-    assert read.events == written.events
-    assert read.counters == written.counters
+    assert (read.events, read.counters) == (written.events, written.counters)
+    for ours, theirs in ((read.images, written.images), (read.series, written.series)):
+        assert ours.keys() == theirs.keys()
+        for name in ours:
+            for mine, yours in zip(vars(ours[name]).values(), vars(theirs[name]).values(), strict=True):
+                assert getattr(mine, "dtype", None) == getattr(yours, "dtype", None)
+                np.testing.assert_array_equal(mine, yours)
 
 
 def test_a_packed_touch_reads_as_a_record_and_many_do_not(tmp_path):
@@ -89,23 +83,25 @@ def test_a_packed_touch_reads_as_a_record_and_many_do_not(tmp_path):
         read_touch(save_dataset(tmp_path / "two.h5", make(2)))
 
 
-def test_records_that_could_not_be_read_are_not_written(tmp_path):
-    with pytest.raises(DataError, match="2 touches, not 1"):
-        write_touch(tmp_path, Record(make(2)))
+def test_what_could_not_be_read_is_not_written(tmp_path):
     bad = Series(np.zeros(3), np.zeros((4, 2)), ("a", "b"), "N")
-    with pytest.raises(DataError, match=r"series wrench .* 3 times and 2 columns"):
-        write_touch(tmp_path, Record(make(1), series={"wrench": bad}))
-    with pytest.raises(DataError, match=r"set\.hdf: .*\.h5"):
-        save_dataset(tmp_path / "set.hdf", make(1))
-    assert not list(tmp_path.iterdir())
+    (tmp_path / "file").write_text("")
+    for write, problem in (
+        (lambda: write_touch(tmp_path, Record(make(2))), "2 touches, not 1"),
+        (lambda: write_touch(tmp_path, Record(make(1), series={"wrench": bad})), "series wrench .* 3 times and 2 col"),
+        (lambda: save_dataset(tmp_path / "set.hdf", make(1)), r"set\.hdf: .*\.h5"),
+        (lambda: save_dataset(tmp_path / "file" / "set.h5", make(1)), "cannot be written .* choose a folder"),
+    ):
+        with pytest.raises(DataError, match=problem):
+            write()
+    assert list(tmp_path.iterdir()) == [tmp_path / "file"]
 
 
 def test_every_array_has_units_and_the_file_its_provenance(tmp_path):
     path = write_touch(tmp_path, record(make(1, truth=True, wide=True)))
     with h5py.File(path) as file:
-        assert file.attrs["schema"] == "i2t-touches"
-        assert file.attrs["version"] == 2
-        assert file.attrs["source"] == "simulated"
+        kind = [file.attrs[name] for name in ("schema", "version", "source")]
+        assert kind == ["i2t-touches", 2, "simulated"]
         assert file.attrs["software"].startswith("i2t ")
         assert file.attrs["created"].endswith("+00:00")
         without = []
@@ -116,29 +112,17 @@ def test_every_array_has_units_and_the_file_its_provenance(tmp_path):
 
 @pytest.fixture(scope="module")
 def packed(tmp_path_factory):
-    path = save_dataset(tmp_path_factory.mktemp("packed") / "set.h5", make(3, truth=True))
-    return path, path.read_bytes()
+    return save_dataset(tmp_path_factory.mktemp("packed") / "set.h5", make(3, truth=True)).read_bytes()
 
 
 @given(data=st.data(), flip=st.integers(1, 255))
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_any_changed_byte_is_found(packed, tmp_path, data, flip):
-    _, contents = packed
-    place = data.draw(st.one_of(st.integers(0, len(contents) - 1), st.integers(0, 511)))
-    changed = bytearray(contents)
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_changed_missing_and_added_bytes_are_found(packed, tmp_path, data, flip):
+    place = data.draw(st.one_of(st.integers(0, len(packed) - 1), st.integers(0, 511)))
+    changed = bytearray(packed)
     changed[place] ^= flip
-    (tmp_path / "changed.h5").write_bytes(changed)
-    with pytest.raises(DataError, match=r"changed\.h5: "):
-        load_dataset(tmp_path / "changed.h5")
-
-
-@given(data=st.data())
-@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_missing_and_added_bytes_are_found(packed, tmp_path, data):
-    _, contents = packed
-    kept = data.draw(st.integers(0, len(contents) - 1))
-    for changed in (contents[:kept], contents + data.draw(st.binary(min_size=1, max_size=600))):
-        (tmp_path / "changed.h5").write_bytes(changed)
+    for contents in (changed, packed[:place], packed + data.draw(st.binary(min_size=1, max_size=600))):
+        (tmp_path / "changed.h5").write_bytes(contents)
         with pytest.raises(DataError, match=r"changed\.h5: "):
             load_dataset(tmp_path / "changed.h5")
 
@@ -159,34 +143,14 @@ def test_a_file_of_the_first_schema_is_read(tmp_path):
     assert index(tmp_path)["old.h5"]["sessions"] == dataset.summary()["sessions"]
 
 
-@pytest.mark.parametrize("name", ["grid-2x2", "grid-4x4"])
-def test_readings_have_three_values_for_each_chip_of_the_board(tmp_path, name):
-    dataset = make(4, truth=True, board=name)
-    assert len(dataset.board.chips) == boards.make_board(name).num_chips
-    assert load_dataset(write_touch(tmp_path, record(make(1, board=name)))).touches.reading.shape == (
-        1, dataset.board.num_readings,
-    )  # fmt: skip
-    assert dataset.summary()["reading_norm_uT"]["min"] > 0
-    with pytest.raises(DataError, match=r"reading has shape \(4, 15\)"):
-        validate(replace(dataset, touches=dataset.touches._replace(reading=np.zeros((4, 15)))))
-    with pytest.raises(DataError, match="different boards"):
-        concatenate([dataset, make(2)])
-
-
-def test_a_newer_schema_is_told_apart_from_damage(packed, tmp_path):
-    newer = packed[1].replace(b"i2t-touches 2 ", b"i2t-touches 3 ", 1)
-    (tmp_path / "newer.h5").write_bytes(newer)
+def test_a_newer_schema_is_told_apart_from_damage_and_a_broken_one_is_named(packed, tmp_path):
+    (tmp_path / "newer.h5").write_bytes(packed.replace(b"i2t-touches 2 ", b"i2t-touches 3 ", 1))
     with pytest.raises(DataError, match=r"newer\.h5: written in schema version 3, .* newer i2t"):
         load_dataset(tmp_path / "newer.h5")
-
-
-def test_an_intact_file_that_breaks_the_schema_is_named(tmp_path):
-    from i2t.dataset import files
-
     path = files.write(
-        tmp_path / "imitation.h5", lambda file: file.create_dataset("touches/reading", data=np.zeros((1, 15)))
+        tmp_path / "less.h5", lambda file: file.create_dataset("touches/reading", data=np.zeros((1, 15)))
     )
-    with pytest.raises(DataError, match=r"imitation\.h5: does not follow the schema"):
+    with pytest.raises(DataError, match=r"less\.h5: does not follow the schema"):
         load_dataset(path)
 
 
@@ -204,11 +168,13 @@ def test_a_folder_reads_as_the_concatenation_of_its_files(tmp_path):
 def test_all_files_that_cannot_be_used_are_named_at_once_and_skipped_on_request(tmp_path, packed):
     good = make(2)
     save_dataset(tmp_path / "good.h5", good)
+    for name in (".0a1b2c3d.touch.h5", ".touch.h5.0a1b2c3d.tmp"):  # of an interrupted writer, which is ignored
+        (tmp_path / name).write_bytes(packed[:700])
     np.savez(tmp_path / "foreign.npz", a=np.zeros(3))
     with h5py.File(tmp_path / "foreign.h5", "w") as file:
         file["a"] = 1
     (tmp_path / "notes.txt").write_text("hello")
-    (tmp_path / "cut.h5").write_bytes(packed[1][:-1])
+    (tmp_path / "cut.h5").write_bytes(packed[:-1])
     (tmp_path / "empty.h5").write_bytes(b"")
     with pytest.raises(DataError, match="5 of 6 files") as error:
         load_dataset(tmp_path)
@@ -229,17 +195,7 @@ def test_nothing_to_read_is_an_error(tmp_path):
         load_dataset(tmp_path, skip_bad=True)
 
 
-def test_what_an_interrupted_writer_leaves_is_ignored(tmp_path, packed):
-    dataset = make(2)
-    save_dataset(tmp_path / "good.h5", dataset)
-    for name in (".0a1b2c3d.touch.h5", ".touch.h5.0a1b2c3d.tmp"):  # as earlier versions called them
-        (tmp_path / name).write_bytes(packed[1][:700])
-    assert_equal(load_dataset(tmp_path), dataset)
-
-
 def test_a_failing_write_leaves_the_old_file_and_no_other(tmp_path):
-    from i2t.dataset import files
-
     path = save_dataset(tmp_path / "set.h5", make(2))
     before = path.read_bytes()
 
@@ -253,12 +209,6 @@ def test_a_failing_write_leaves_the_old_file_and_no_other(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(DataError, match=r"cannot be written .* choose a folder"):
-        save_dataset(tmp_path / "file" / "set.h5", make(1))
-
-
 WRITER = """
 import sys
 sys.path[:0] = [{tests!r}, {root!r}]
@@ -270,7 +220,7 @@ for seed in range(10**6):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
-@pytest.mark.parametrize("acknowledged", [1, 2, 5, 9])
+@pytest.mark.parametrize("acknowledged", [1, 5])
 def test_a_killed_writer_loses_no_acknowledged_touch(tmp_path, acknowledged):
     """The kill falls at an unknown moment of the next write; the bound is zero lost touches (44 of 44 trials
     elsewhere).
@@ -290,9 +240,7 @@ def test_a_killed_writer_loses_no_acknowledged_touch(tmp_path, acknowledged):
 def test_names_of_recorded_touches_sort_by_time(tmp_path):
     paths = [write_touch(tmp_path, Record(make(1, seed))) for seed in range(5)]
     assert paths == sorted(paths)
-    np.testing.assert_array_equal(
-        load_dataset(tmp_path).touches.reading, np.concatenate([make(1, s).touches.reading for s in range(5)])
-    )
+    assert load_dataset(tmp_path).meta["seed"] == "0; 1; 2; 3; 4"
 
 
 def test_the_index_lists_a_folder_and_is_rebuilt_whenever_it_is_wrong(tmp_path):
@@ -315,17 +263,12 @@ def test_the_index_lists_a_folder_and_is_rebuilt_whenever_it_is_wrong(tmp_path):
     assert index(tmp_path) == entries
 
 
-def test_the_index_is_used_where_it_is_right(tmp_path):
-    save_dataset(tmp_path / "a.h5", make(5))
+def test_the_index_is_used_where_it_is_right_and_never_trusted_over_the_files(tmp_path):
+    path = save_dataset(tmp_path / "a.h5", make(5))
     index(tmp_path)
     cache = tmp_path / "index.json"
     cache.write_text(cache.read_text().replace('"touches": 5', '"touches": 6'))
     assert index(tmp_path)["a.h5"]["touches"] == 6  # so it was not read again
-
-
-def test_the_index_is_never_trusted_over_the_files(tmp_path):
-    path = save_dataset(tmp_path / "a.h5", make(5))
-    index(tmp_path)
     state = path.stat()
     contents = bytearray(path.read_bytes())
     contents[-1] ^= 1
@@ -349,10 +292,18 @@ def with_first(name, value):
     return broken(**{name: values})
 
 
-T_MIRRORED = np.tile(np.diag([1.0, 1, -1, 1]), (3, 1, 1))
-T_SCALED = np.tile(np.diag([1.001, 1.001, 1.001, 1]), (3, 1, 1))
-T_HALF_KNOWN = np.tile(np.diag([1, 1, 1, np.nan]), (3, 1, 1))
-T_PROJECTIVE = np.tile(np.eye(4) + 0.1 * np.eye(4)[3][:, None] * np.eye(4)[0], (3, 1, 1))
+def chips(part):
+    reading = make(3, truth=True).touches.reading.copy()
+    reading[part] = np.nan
+    return broken(reading=reading)
+
+
+def poses(matrix):
+    return np.tile(np.asarray(matrix, float), (3, 1, 1))
+
+
+PROJECTIVE = np.eye(4) + 0.1 * np.eye(4)[3][:, None] * np.eye(4)[0]
+RESKIN = boards.reskin_board()
 
 
 @pytest.mark.parametrize(
@@ -360,7 +311,6 @@ T_PROJECTIVE = np.tile(np.eye(4) + 0.1 * np.eye(4)[3][:, None] * np.eye(4)[0], (
     [
         (broken(patch=np.zeros((3, 48, 47))), "patch has shape"),
         (broken(patch=np.zeros((2, 48, 48))), "patch has shape"),
-        (broken(wide=np.zeros((3, 72, 71))), "wide has shape"),
         (broken(reading=np.zeros((3, 14))), "reading has shape"),
         (broken(force=np.zeros((3, 1))), "force has shape"),
         (broken(truth=make(4, truth=True).touches.truth), "truth/wide has shape"),
@@ -369,39 +319,33 @@ T_PROJECTIVE = np.tile(np.eye(4) + 0.1 * np.eye(4)[3][:, None] * np.eye(4)[0], (
         (with_first("patch", 4.1e-3), "patch leaves 0 to the reach"),
         (with_first("reading", np.inf), "reading is not finite"),
         (with_first("force", -np.inf), "force is infinite"),
-        (with_first("depth", np.inf), "depth is infinite"),
         (with_first("nearest", -np.inf), "nearest is minus infinite"),
-        (broken(T_w_t=T_MIRRORED), "T_w_t is no rigid transform"),
-        (broken(T_w_o=T_SCALED), "T_w_o is no rigid transform"),
-        (broken(T_w_o=T_HALF_KNOWN), "T_w_o is no rigid transform"),
-        (broken(T_w_t=T_PROJECTIVE), "T_w_t is no rigid transform"),
+        (broken(T_w_t=poses(np.diag([1, 1, -1, 1]))), "T_w_t is no rigid transform"),
+        (broken(T_w_o=poses(np.diag([1.001, 1.001, 1.001, 1]))), "T_w_o is no rigid transform"),
+        (broken(T_w_o=poses(np.diag([1, 1, 1, np.nan]))), "T_w_o is no rigid transform"),
+        (broken(T_w_t=poses(PROJECTIVE)), "T_w_t is no rigid transform"),
         (with_first("object", 3), "object is not an index into the 3 object names"),
         (with_first("pad", -1), "pad is not an index"),
-        (with_first("session", 4), "session is not an index"),
         (with_first("code", 7), "code is not a return code"),
         (replace(make(3), window=0.0), "window and reach must be positive"),
         (replace(make(3), reach=np.nan), "window and reach must be positive"),
         (replace(make(3), source="dreamt"), "source is 'dreamt'"),
         (replace(make(3), objects=("a", "a", "b")), "object names repeat"),
-        (replace(make(3), board=boards.reskin_board()._replace(chips=np.zeros((4, 3)))), "board/chips has shape"),
-        (
-            replace(make(3), board=boards.reskin_board()._replace(rotations=np.ones((5, 3, 3)))),
-            "board/rotations is neither",
-        ),
+        (replace(make(3), board=RESKIN._replace(chips=np.zeros((4, 3)))), "board/chips has shape"),
+        (replace(make(3), board=RESKIN._replace(rotations=np.ones((5, 3, 3)))), "board/rotations is neither"),
+        (chips(np.s_[1, 4:5]), "a part of a chip is missing"),
+        (chips(np.s_[1, :]), "has no chip"),
     ],
 )
 def test_what_no_touch_can_be_is_refused_in_one_sentence(tmp_path, dataset, problem):
-    with pytest.raises(DataError, match=problem) as error:
-        validate(dataset)
-    assert "\n" not in str(error.value)
-    with pytest.raises(DataError, match=r"set\.h5: .*" + problem):
+    with pytest.raises(DataError, match=r"set\.h5: .*" + problem) as error:
         save_dataset(tmp_path / "set.h5", dataset)
+    assert "\n" not in str(error.value)
 
 
 def test_unknown_values_are_no_error():
-    nothing = np.full(3, np.nan)
-    unknown = np.full((3, 4, 4), np.nan)
-    validate(broken(force=nothing, depth=nothing, nearest=np.array([np.inf, np.nan, 0]), T_w_o=unknown, T_w_t=unknown))
+    nothing, nowhere = np.full(3, np.nan), np.full((3, 4, 4), np.nan)
+    validate(broken(force=nothing, depth=nothing, nearest=np.array([np.inf, np.nan, 0]), T_w_o=nowhere, T_w_t=nowhere))
 
 
 def test_concatenation_merges_names_and_refuses_what_does_not_fit():
@@ -416,7 +360,7 @@ def test_concatenation_merges_names_and_refuses_what_does_not_fit():
     assert concatenate([a, make(2)]).touches.truth is None
     assert concatenate([a, replace(b, source="real")]).source == "mixed"
     assert_equal(both.select(np.arange(11) < 6), replace(a, objects=both.objects, meta=both.meta))
-    for other in (replace(b, window=0.04), make(2, pixels=16), replace(b, board=boards.anyskin_board())):
+    for other in (replace(b, window=0.04), make(2, pixels=16), make(2, board="grid-2x2")):
         with pytest.raises(DataError, match="cannot be joined"):
             concatenate([a, other])
     with pytest.raises(DataError, match="name at least one"):
@@ -440,7 +384,7 @@ def test_the_summary_counts_what_is_there_in_plain_numbers():
 
 
 @given(n=st.integers(1, 60), seed=st.integers(0, 9), fraction=st.floats(0, 1), size=st.floats(0.01, 0.5))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_splits_are_whole_groups(n, seed, fraction, size):
     dataset = make(n, seed, pixels=1)
     blocks = spatial_blocks(dataset, size)
@@ -456,15 +400,12 @@ def test_splits_are_whole_groups(n, seed, fraction, size):
         assert (np.diff(mine.astype(int)) >= 0).all()
     star = holdout_names(dataset, "object", ["star"])
     assert [dataset.objects[i] == "star" for i in dataset.touches.object] == star.tolist()
+    with pytest.raises(DataError, match="no pad is called pad c; the data set has pad é, pad b"):
+        holdout_names(dataset, "pad", ["pad b", "pad c"])
     groups = by_group(dataset.touches.session)
     rows = np.concatenate(list(groups.values()))
     assert sorted(rows) == list(range(n))
     assert all(np.unique(dataset.touches.session[members]).tolist() == [run] for run, members in groups.items())
-
-
-def test_unknown_names_are_told_with_the_known_ones():
-    with pytest.raises(DataError, match="no pad is called pad c; the data set has pad é, pad b"):
-        holdout_names(make(3), "pad", ["pad b", "pad c"])
 
 
 def grid(T_w_o, spacing=1e-3, n=31):
@@ -480,7 +421,7 @@ def grid(T_w_o, spacing=1e-3, n=31):
     return replace(dataset, touches=touches)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_blocks_follow_the_object_whichever_way_it_lies(seed):
     """A grid from -15 to 15 mm meets blocks of 6 mm in 3, 6, 6, 6, 6 and 4 lines, edges going up."""
     lines = np.array([3, 6, 6, 6, 6, 4])
@@ -529,17 +470,6 @@ def test_touches_without_a_chip_are_kept_only_on_request(tmp_path):
     with pytest.warns(BadFileWarning, match="these touches were left out"):
         left = load_dataset(path, skip_bad=True)
     np.testing.assert_array_equal(left.touches.reading, reading[[0, 1, 3, 5]])
-
-
-@pytest.mark.parametrize(
-    ("part", "why"), [(np.s_[1, 4:5], "a part of a chip is missing"), (np.s_[1, :], "has no chip")]
-)
-def test_a_chip_is_there_with_all_its_axes_or_missing(part, why):
-    dataset = make(3)
-    reading = dataset.touches.reading.copy()
-    reading[part] = np.nan
-    with pytest.raises(DataError, match=why):
-        validate(replace(dataset, touches=dataset.touches._replace(reading=reading)))
 
 
 def test_square_blocks_take_their_edges_with_the_block_above_and_are_counted_from_nothing():

@@ -42,23 +42,20 @@ def body(rows: np.ndarray, order: str) -> bytes:
 BOTH = np.concatenate([POINTS, NORMALS], 1)
 
 
-@pytest.mark.parametrize(
-    ("name", "data"),
-    [
+def test_points_and_normals_come_back(tmp_path):
+    for name, data in (
         ("a.pcd", pcd("ascii", BOTH)),
-        ("a.pcd", pcd("binary", BOTH)),
+        ("b.pcd", pcd("binary", BOTH)),
         ("a.ply", ply("ascii", BOTH)),
-        ("a.ply", ply("binary_little_endian", BOTH)),
+        ("b.ply", ply("binary_little_endian", BOTH)),
         ("a.PLY", ply("binary_big_endian", BOTH)),
-    ],
-)
-def test_points_and_normals_come_back(tmp_path, name, data):
-    (tmp_path / name).write_bytes(data)
-    points, normals = load_point_cloud(tmp_path / name, "m")
-    np.testing.assert_array_equal(points, POINTS.astype(np.float64))  # every format carries float32 without loss
-    np.testing.assert_allclose(normals, NORMALS, atol=2**-23)  # scaled to length one again
-    points, _ = load_point_cloud(tmp_path / name, "inch")
-    np.testing.assert_array_equal(points, POINTS.astype(np.float64) * 0.0254)
+    ):
+        (tmp_path / name).write_bytes(data)
+        points, normals = load_point_cloud(tmp_path / name, "m")
+        np.testing.assert_array_equal(points, POINTS.astype(np.float64))  # every format carries float32 without loss
+        np.testing.assert_allclose(normals, NORMALS, atol=2**-23)  # scaled to length one again
+        points, _ = load_point_cloud(tmp_path / name, "inch")
+        np.testing.assert_array_equal(points, POINTS.astype(np.float64) * 0.0254)
 
 
 def test_other_columns_other_types_and_faces_are_passed_over(tmp_path):
@@ -77,11 +74,8 @@ def test_other_columns_other_types_and_faces_are_passed_over(tmp_path):
     (tmp_path / "b.ply").write_bytes(data)
     points, _ = load_point_cloud(tmp_path / "b.ply", "m")
     np.testing.assert_array_equal(points, [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
-
-
-def test_ply_as_trimesh_writes_it(tmp_path):
-    trimesh.PointCloud(POINTS).export(tmp_path / "a.ply")
-    points, normals = load_point_cloud(tmp_path / "a.ply", "m")
+    trimesh.PointCloud(POINTS).export(tmp_path / "c.ply")
+    points, normals = load_point_cloud(tmp_path / "c.ply", "m")
     np.testing.assert_allclose(points, POINTS, atol=1e-8)
     assert normals is None
 
@@ -110,42 +104,30 @@ PLY = ply("binary_little_endian", BOTH)
         ("a.pcd", b"\x00\xff" * 50, "m", "cannot be read as PCD"),
         ("a.pcd", pcd("ascii", BOTH)[:-300], "m", "announces 50 points and ends after 4"),
         ("a.pcd", pcd("ascii", BOTH).replace(b" z normal_x", b" normal_x"), "m", "cannot be read as PCD"),
-        ("a.pcd", pcd("binary", BOTH).replace(b"DATA binary", b"DATA binary_compressed"), "m", "save it as binary"),
-        ("a.pcd", pcd("binary", BOTH).replace(b"DATA binary", b"DATA strange"), "m", "cannot be read as PCD"),
+        ("a.pcd", PCD.replace(b"DATA binary", b"DATA binary_compressed"), "m", "save it as binary"),
         ("a.pcd", pcd("binary", BOTH[:, :2], "u v"), "m", "no fields x, y, z"),
         ("a.pcd", pcd("ascii", BOTH * np.nan), "m", "no finite point"),
-        ("a.pcd", pcd("ascii", BOTH[:0]), "m", "no finite point"),
         ("a.pcd", PCD, "mm", "too small.*perhaps its unit is m"),
         ("a.pcd", pcd("binary", BOTH * 1000), "m", "too large.*perhaps its unit is cm or mm"),
         ("a.pcd", PCD, "yard", "unit 'yard' is not known"),
         ("a.ply", b"hello", "m", "no PLY header"),
         ("a.ply", PLY[:-1], "m", "announces 50 points and ends after 49"),
         ("a.ply", PLY.replace(b"float x", b"half x"), "m", "cannot be read as PLY"),
-        ("a.ply", PLY.replace(b"format binary_little_endian", b"format strange"), "m", "cannot be read as PLY"),
         ("a.ply", PLY.replace(b"property float x", b"property list uchar int x"), "m", "list property"),
         ("a.ply", b"ply\nformat ascii 1.0\nelement face 1\nend_header\n", "m", "not the vertices"),
-        (
-            "a.ply",
-            ply("ascii", BOTH).replace(b"float nz\n", b"float nz\nproperty float w\n"),
-            "m",
-            "6 values instead of 7",
-        ),
+        ("a.ply", ply("ascii", BOTH, "x y z nx ny nz w"), "m", "6 values instead of 7"),
         ("a.xyz", b"0 0 0\n", "m", r"ending '.xyz' is none of .ply, .pcd"),
+        ("", b"", "m", "a.pcd: there is no such file"),
     ],
 )
 def test_bad_files_get_one_sentence(tmp_path, name, data, unit, words):
-    path = tmp_path / name
-    path.write_bytes(data)
-    with pytest.raises(ValueError, match=words) as caught:
+    path = tmp_path / (name or "a.pcd")
+    if name:
+        path.write_bytes(data)
+    with pytest.raises(ValueError if name else FileNotFoundError, match=words) as caught:
         load_point_cloud(path, unit)
-    text = str(caught.value)
-    assert str(path) in text
-    assert "\n" not in text
-
-
-def test_missing_file(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"b\.pcd: there is no such file"):
-        load_point_cloud(tmp_path / "b.pcd", "m")
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 # --- disks ------------------------------------------------------------------------------------------------------------
