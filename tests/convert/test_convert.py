@@ -248,16 +248,17 @@ TABLE = "table.csv"
 FIELD = np.ones((12, 15))
 
 
-def cut(path, share=0.6):
-    path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
+def cut(path):
+    path.write_bytes(path.read_bytes()[: int(0.6 * path.stat().st_size)])
 
 
-def samples(values=(), n=12, **changed):
-    """Tactile samples of n touches, the one at index 1 changed."""
-    values = list(values or [value for chip in range(5) for value in (27.0, 100 * chip, -50 * chip, 300 - 90 * chip)])
-    items = [[[0.0, 0.0, list(values), 2]] for _ in range(n)]
-    for place, value in changed.items():
-        items[1][0][2][int(place[1:])] = value
+SOUND = [value for chip in range(5) for value in (27.0, 100 * chip, -50 * chip, 300 - 90 * chip)]
+
+
+def samples(values=SOUND, changed=None):
+    """Tactile samples of 12 touches, the second perhaps with another field."""
+    items = [[[0.0, 0.0, list(values), 2]] for _ in range(12)]
+    items[1][0][2][2] = values[2] if changed is None else changed
     return np.array(items, dtype=object)
 
 
@@ -295,8 +296,8 @@ DAMAGE = [
     ("imagine2touch", TACTILE, Path.unlink, "is missing"),
     ("imagine2touch", TACTILE, stored(np.empty((0, 1, 4), object)), "holds no touch"),
     ("imagine2touch", TACTILE, stored(samples([1.0] * 19)), "a list of 19 where a sample"),
-    ("imagine2touch", TACTILE, stored(samples(_2=np.nan)), "item 2 holds a value that is no field"),
-    ("imagine2touch", TACTILE, stored(samples(_2=10**400)), "an integer of absurd size"),
+    ("imagine2touch", TACTILE, stored(samples(changed=np.nan)), "item 2 holds a value that is no field"),
+    ("imagine2touch", TACTILE, stored(samples(changed=10**400)), "an integer of absurd size"),
     ("imagine2touch", TACTILE, stored(samples([27.0] * 20)), "say --order"),
     ("imagine2touch", TACTILE, holds(as_npy(pickle.dumps(Hostile(os.system, "true")))), "refused, for it asks for"),
     ("imagine2touch", TACTILE + "_ambient", stored(FIELD[:5]), "holds 5 groups for 12 touches"),

@@ -4,7 +4,6 @@ import csv
 import errno
 import inspect
 import json
-import subprocess
 import sys
 from pathlib import Path
 
@@ -52,7 +51,7 @@ def test_the_commands_write_and_read_back(tmp_path, capsys, form):
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["back", name, "set.h5"])
 
 
-def test_frames_are_counted_as_lerobot_wants(tmp_path):
+def test_frames_are_counted_as_lerobot_wants_and_spread_over_files(tmp_path, monkeypatch):
     dataset = make(9, pixels=6)
     folder = write_lerobot(tmp_path / "out", dataset)
     info = json.loads((folder / "meta/info.json").read_text())
@@ -68,12 +67,8 @@ def test_frames_are_counted_as_lerobot_wants(tmp_path):
     stats = json.loads((folder / "meta/stats.json").read_text())
     np.testing.assert_allclose(stats["observation.tactile"]["mean"], dataset.touches.reading.mean(0), rtol=1e-4)
     assert stats["touch.force"]["max"][0] == pytest.approx(np.nanmax(dataset.touches.force))
-
-
-def test_episodes_are_spread_over_files(tmp_path, monkeypatch):
     monkeypatch.setattr("i2t.convert.lerobot.FILE_SIZE_MB", 1e-3)
-    dataset = make(9, pixels=6)
-    folder = write_lerobot(tmp_path / "out", dataset)
+    folder = write_lerobot(tmp_path / "spread", dataset)
     assert len(list((folder / "data").rglob("*.parquet"))) > 1
     assert_equal(read_lerobot(folder), dataset)
 
@@ -174,45 +169,6 @@ def test_an_export_that_cannot_take_the_place_of_another_leaves_it(tmp_path, mon
     monkeypatch.undo()
     assert_equal(read_table(write_table(folder, after, overwrite=True)), after)
     assert list(tmp_path.iterdir()) == [folder]
-
-
-READER = """
-import json, sys
-from pathlib import Path
-import datasets, numpy as np, pandas
-root = Path(sys.argv[1])
-info = json.loads((root / "meta/info.json").read_text())
-def kind(f):
-    shape = tuple(f["shape"])
-    if shape == (1,):
-        return datasets.Value(f["dtype"])
-    if len(shape) == 1:
-        return datasets.Sequence(datasets.Value(f["dtype"]), length=shape[0])
-    return datasets.Array2D(shape, f["dtype"])
-features = datasets.Features({name: kind(f) for name, f in info["features"].items()})
-paths = [str(path) for path in sorted((root / "data").glob("*/*.parquet"))]
-found = datasets.Dataset.from_parquet(paths, features=features, cache_dir=sys.argv[2]).with_format("numpy")
-np.savez(sys.argv[3], patch=np.stack(found["observation.patch"][:]), tactile=np.stack(found["observation.tactile"][:]),
-         row=found["touch.row"][:])
-tasks = pandas.read_parquet(root / "meta/tasks.parquet")
-assert list(tasks.columns) == ["task_index"] and tasks.loc["touch star"].task_index == 0
-datasets.Dataset.from_parquet([str(p) for p in (root / "meta/episodes").rglob("*.parquet")], cache_dir=sys.argv[2])
-"""
-
-
-@pytest.mark.full
-def test_the_library_that_lerobot_reads_with_reads_it(tmp_path):
-    """As LeRobotDataset does: Hugging Face's `datasets` with the features of info.json, pandas for the tasks."""
-    pytest.importorskip("datasets")
-    pytest.importorskip("pandas")
-    dataset = make(6, wide=True)
-    folder = write_lerobot(tmp_path / "out", dataset)
-    words = [sys.executable, "-c", READER, str(folder), str(tmp_path / "cache"), str(tmp_path / "found.npz")]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    found = np.load(tmp_path / "found.npz")
-    np.testing.assert_array_equal(found["patch"], dataset.touches.patch[found["row"]])
-    np.testing.assert_array_equal(found["tactile"], dataset.touches.reading[found["row"]])
 
 
 @pytest.mark.full

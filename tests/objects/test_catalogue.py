@@ -128,24 +128,22 @@ def test_round_solids_have_their_corners_on_the_surface_and_their_chords_within_
     np.testing.assert_allclose(np.linalg.norm(flower[:, :2], axis=1), outline, rtol=4 * EXACT)
 
 
-@pytest.mark.parametrize(
-    ("name", "area"),
-    [
-        ("stamp-T", 10 * 3 + 7 * 3),
-        ("stamp-angle", 10 * 3 + 7 * 3),
-        ("stamp-cross", 2 * 10 * 3 - 3 * 3),
-        ("stamp-triangle", 3**0.5 / 4 * 10**2),
-        ("stamp-circle", segments(5.0) / 2 * 5**2 * np.sin(2 * np.pi / segments(5.0))),
-    ],
-)
-def test_stamps_are_reliefs_of_at_most_10_mm_and_3_5_mm_deep(name, area):
-    mesh = make_object(name).mesh
-    np.testing.assert_allclose(size(mesh), [20e-3, 20e-3, 8.5e-3], rtol=EXACT)
-    relief = mesh.vertices[mesh.vertices[:, 2] > 5.5e-3]
-    assert (np.ptp(relief[:, :2], axis=0) <= 10e-3 * (1 + EXACT)).all()
-    # All of the volume above the base is the relief.
-    base = 20e-3 * 20e-3 * 5e-3
-    assert solid(mesh).volume == pytest.approx(base + area * 1e-6 * 3.5e-3, rel=EXACT)
+def test_stamps_are_reliefs_of_at_most_10_mm_and_3_5_mm_deep():
+    areas = {
+        "stamp-T": 10 * 3 + 7 * 3,
+        "stamp-angle": 10 * 3 + 7 * 3,
+        "stamp-cross": 2 * 10 * 3 - 3 * 3,
+        "stamp-triangle": 3**0.5 / 4 * 10**2,
+        "stamp-circle": segments(5.0) / 2 * 5**2 * np.sin(2 * np.pi / segments(5.0)),
+    }
+    assert set(areas) == set(STAMPS)
+    for name, area in areas.items():
+        mesh = make_object(name).mesh
+        np.testing.assert_allclose(size(mesh), [20e-3, 20e-3, 8.5e-3], rtol=EXACT)
+        relief = mesh.vertices[mesh.vertices[:, 2] > 5.5e-3]
+        assert (np.ptp(relief[:, :2], axis=0) <= 10e-3 * (1 + EXACT)).all()
+        # All of the volume above the base is the relief.
+        assert solid(mesh).volume == pytest.approx(20e-3 * 20e-3 * 5e-3 + area * 1e-6 * 3.5e-3, rel=EXACT)
 
 
 TOOL_SIZES = {  # mm, ranges of catalogue sizes of such tools

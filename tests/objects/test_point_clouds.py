@@ -98,23 +98,17 @@ PLY = ply("binary_little_endian", BOTH)
 @pytest.mark.parametrize(
     ("name", "data", "unit", "words"),
     [
-        ("a.pcd", b"", "m", "is empty"),
         ("a.pcd", PCD[:-1], "m", "announces 50 points and ends after 49"),
         ("a.pcd", PCD[:60], "m", "no DATA line"),
         ("a.pcd", b"\x00\xff" * 50, "m", "cannot be read as PCD"),
         ("a.pcd", pcd("ascii", BOTH)[:-300], "m", "announces 50 points and ends after 4"),
-        ("a.pcd", pcd("ascii", BOTH).replace(b" z normal_x", b" normal_x"), "m", "cannot be read as PCD"),
         ("a.pcd", PCD.replace(b"DATA binary", b"DATA binary_compressed"), "m", "save it as binary"),
         ("a.pcd", pcd("binary", BOTH[:, :2], "u v"), "m", "no fields x, y, z"),
-        ("a.pcd", pcd("ascii", BOTH * np.nan), "m", "no finite point"),
         ("a.pcd", PCD, "mm", "too small.*perhaps its unit is m"),
         ("a.pcd", pcd("binary", BOTH * 1000), "m", "too large.*perhaps its unit is cm or mm"),
-        ("a.pcd", PCD, "yard", "unit 'yard' is not known"),
         ("a.ply", b"hello", "m", "no PLY header"),
         ("a.ply", PLY[:-1], "m", "announces 50 points and ends after 49"),
-        ("a.ply", PLY.replace(b"float x", b"half x"), "m", "cannot be read as PLY"),
         ("a.ply", PLY.replace(b"property float x", b"property list uchar int x"), "m", "list property"),
-        ("a.ply", b"ply\nformat ascii 1.0\nelement face 1\nend_header\n", "m", "not the vertices"),
         ("a.ply", ply("ascii", BOTH, "x y z nx ny nz w"), "m", "6 values instead of 7"),
         ("a.xyz", b"0 0 0\n", "m", r"ending '.xyz' is none of .ply, .pcd"),
         ("", b"", "m", "a.pcd: there is no such file"),
@@ -173,14 +167,6 @@ def test_disks_on_a_sphere_stay_within_their_stated_flattening_and_average_noise
     assert np.std(rough) < noise / 2  # each centre is a mean of dozens of points
 
 
-def test_outliers_are_left_out_and_sparse_clouds_refused():
-    cloud = np.concatenate([RNG.uniform(-0.01, 0.01, (3000, 3)) * [1, 1, 0], [[0, 0, 0.03]]])
-    mesh = surface_from_points(cloud, 1e-3)
-    assert np.abs(mesh.vertices[:, 2]).max() < 1e-9
-    with pytest.raises(ValueError, match="larger radius"):
-        surface_from_points(cloud[::200], 1e-4)
-
-
 def test_a_scanned_object_is_where_its_mesh_is():
     thing = make_object("stairs").mesh
     whole = trimesh.Trimesh(thing.vertices, thing.faces, process=False)
@@ -193,7 +179,7 @@ def test_a_scanned_object_is_where_its_mesh_is():
     assert cKDTree(centres).query(cloud)[0].max() <= 1.5 * radius
 
 
-def test_suggested_radius_is_two_spacings():
+def test_suggested_radius_is_two_spacings_outliers_are_left_out_and_sparse_clouds_refused():
     """The median of the eighth neighbour's distance has the gamma distribution's median 7.67 for 8, a few per cent
     below; the rim of the square counts for a few more.
     """
@@ -205,6 +191,10 @@ def test_suggested_radius_is_two_spacings():
         suggest_radius(cloud[:8])
     with pytest.raises(ValueError, match="same place"):
         suggest_radius(np.repeat(cloud[:2], 50, axis=0))
+    cloud = np.concatenate([RNG.uniform(-0.01, 0.01, (3000, 3)) * [1, 1, 0], [[0, 0, 0.03]]])
+    assert np.abs(surface_from_points(cloud, 1e-3).vertices[:, 2]).max() < 1e-9
+    with pytest.raises(ValueError, match="larger radius"):
+        surface_from_points(cloud[::200], 1e-4)
 
 
 @pytest.mark.full
