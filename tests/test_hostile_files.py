@@ -1,11 +1,9 @@
 """Files made to mislead: each is answered with one sentence that names it, in bounded memory and time."""
 
-import gzip
 import json
 import os
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
 
 import pytest
@@ -25,18 +23,14 @@ CHEAP = [
 ]
 
 
-def refusal(name, path, answer):
+def refusal(label, path, answer):
     """What is wrong with how a file was answered; "" where nothing is."""
     said = answer["said"]
-    if not answer["user"]:
-        return f"{name}: {answer['kind']} {said[:200]}"
-    if path.name not in said and "theirs" not in said:
-        return f"{name}: does not name its file: {said[:200]}"
-    if "\n" in said or len(said) > 800:
-        return f"{name}: is no sentence: {said[:900]}"
-    if answer["seconds"] > MAX_SECONDS or answer["grown"] > GIB:
-        return f"{name}: took {answer['seconds']:.1f} s and {answer['grown'] / 2**20:.0f} MiB"
-    return ""
+    named = path.name in said or "theirs" in said
+    right = answer["user"] and named and "\n" not in said and len(said) <= 800
+    if right and answer["seconds"] <= MAX_SECONDS and answer["grown"] <= GIB:
+        return ""
+    return f"{label}: {answer}"
 
 
 @pytest.mark.full
@@ -67,19 +61,6 @@ def test_a_hostile_file_is_refused_by_its_name(label, tmp_path):
     with pytest.raises((ValueError, DeviceError, FileNotFoundError)) as raised:
         READERS[reader](path)
     assert refusal(label, path, {"said": str(raised.value), "user": True, "seconds": 0, "grown": 0}) == ""
-
-
-def test_what_is_packed_unpacks_to_what_its_size_allows(tmp_path):
-    data = bytes(range(256)) * 100
-    assert files.unpacked("a.gz", gzip.compress(data)) == data
-    with pytest.raises(DataError, match=r"a\.gz: unpacks to more than 1"):
-        files.unpacked("a.gz", gzip.compress(bytes(20 * 2**20), 1))
-    with pytest.raises(DataError, match=r"a\.gz: cannot be unpacked"):
-        files.unpacked("a.gz", gzip.compress(data)[:-3])
-    path = tmp_path / "a.npz"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("a.npy", data)
-    files.check_archive(path, path.read_bytes())
 
 
 def test_a_file_is_read_to_its_bound_and_no_device_is(tmp_path):

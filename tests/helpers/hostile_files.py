@@ -9,7 +9,6 @@ import gzip
 import hashlib
 import io
 import json
-import lzma
 import os
 import resource
 import signal
@@ -275,12 +274,10 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
     ("mesh", "a.glb"): {
         "300_000 nodes": lambda _: glb(nodes=[{"mesh": 0}] * 300_000, scenes=[{"nodes": [*range(300_000)]}]),
         "a trillion corners": glb(accessors=[POSITIONS | {"count": 10**12}, INDICES]),
-        "corners without bytes": glb(accessors=[{"componentType": 5126, "count": 10**10, "type": "VEC3"}, INDICES]),
         "an index out of range": glb(blob=CORNERS + np.array([0, 1, 9_999_999], "<u4").tobytes()),
         "geometry elsewhere": glb(buffers=[{"byteLength": 48, "uri": "../../../etc/passwd"}]),
         "nodes that go round": glb(nodes=[{"children": [1]}, {"children": [0], "mesh": 0}]),
         "nested deep": glb(DEEP),
-        "cut off in its scene": glb()[:12] + struct.pack("<I4s", 2**32 - 4, b"JSON") + b"{}",
     },
     ("mesh", "a.obj"): {
         "an index out of range": "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 999999999\n",
@@ -293,18 +290,13 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
     ("mesh", "a.ply"): {
         "a trillion corners": ply(10**12, 1),
         "a face of two billion corners": ply(3, 1, body=CORNERS + b"\xff\xff\xff\x7f" + TRIANGLE),
-        "a billion faces": ply(3, 10**9, body=CORNERS + b"\3\0\0\0" + TRIANGLE),
-        "a text cut off": ply(10**12, form="ascii", body=b"0 0 0\n1 0 0\n"),
     },
     ("cloud", "a.ply"): {
         "a quadrillion points": ply(10**15),
-        "minus a point": ply(-1),
-        "no format": ply(3).replace(b"format binary_little_endian 1.0\n", b""),
     },
     ("cloud", "a.pcd"): {
         "a quadrillion points": pcd(10**15),
         "points of a billion values": pcd(1, 10**9),
-        "a header that never ends": lambda _: "# " + "x" * 2_000_000,
     },
     ("dataset", "a.h5"): {
         "an external link": put(FORCE, h5py.ExternalLink("/etc/hostname", "/x")),
@@ -318,25 +310,18 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
         "3000 levels": h5(tower),
         "20_000 groups": h5(lambda file: [file.create_group(f"meta/{i}") for i in range(20_000)]),
         "a group that holds itself": h5(lambda file: file.__setitem__("touches/again", file["touches"])),
-        "references": put(FORCE, lambda file: np.array([file.ref] * 3, h5py.ref_dtype)),
-        "an array for a group": put("touches", np.zeros(3)),
         "a million names": h5(lambda file: file["names"].create_dataset("more", (1000, 1000), h5py.string_dtype())),
-        "packed otherwise": put(FORCE, data=np.zeros(3, "f4"), chunks=(3,), compression="lzf"),
-        "a header alone": b"i2t-touches 2 sha256 " + b"0" * 64 + b"\n",
         "a device": Path("/dev/zero"),
     },
     ("touch", "a.h5"): {
-        "an image without a scale": put("images/depth", [[1]]),
         "a series that is none": put("series/tactile", [1]),
         "a counter of many": put("counters/site", [1, 2, 3]),
     },
     ("pad", "a.npz"): {
         "300 megabytes unpacked": lambda _: npz({"about.npy": npy(0), "gains.npy": bytes(300 * 2**20)}),
         "6000 entries": lambda _: npz({f"{i}.npy": b"" for i in range(6000)}, zipfile.ZIP_STORED),
-        "packed otherwise": npz({"about.npy": npy(0)}, zipfile.ZIP_LZMA),
         "a program": npz({"about.npy": npy(np.array([Runs()], object))}),
         "ten trillion numbers": npz({"about.npy": npy_header((10**13,)) + bytes(400)}),
-        "nested deep": lambda _: npz({"about.npy": npy(np.array(DEEP))}),
     },
     **{
         (reader, "b.npz"): {"texts for numbers": kept(f"i2t {kind}", {"young": "soft", "a": "b"})}
@@ -351,16 +336,13 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
     ("predictor", "theirs/_CHECKPOINT_METADATA"): {
         "nested deep": DEEP,
         "a trillion numbers": about(PREDICTOR, shapes={"gp": {"a": [10**6, 10**6]}}),
-        "a baseline that is a list": about(PREDICTOR, baseline=[1], shapes={}),
     },
     ("checkpoint", "theirs/7/_CHECKPOINT_METADATA"): {
-        "nested deep": DEEP,
         "100_000 layers": lambda _: about(TRAINING, model={"channels": [8] * 100_000}),
         "layers of a trillion": about(TRAINING, model={"encoder_width": 10**12}),
     },
     ("depth", "a.png"): {
         "ten billion pixels": png(100_000, 100_000),
-        "268 million pixels": png(16_384, 16_384),
         "a comment of 200 megabytes": lambda _: png(
             2, 2, png_chunk(b"zTXt", b"Comment\0\0" + zlib.compress(bytes(200 * 2**20))), bytes([0, 1, 1, 1, 1] * 2)
         ),
@@ -369,15 +351,12 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
         "four billion pixels": tif(65_536, 65_536),
         "400 megabytes unpacked": lambda _: tif(8, 8, 8, zlib.compress(bytes(400 * 2**20))),
         "images without end": tif(2, 1, following=8),
-        "packed otherwise": tif(8, 8, 34_925, lzma.compress(bytes(128))),
     },
     ("rig", "rig.toml"): {
         "nested deep": "x = " + "[" * 4000,
-        "nested deep in many lines": "x = " + "[\n" * 100_000,
         "a key of many parts": "a." * 50_000 + "b = 1",
         "two million letters": lambda _: "# " + "x" * 2**21,
         "a number of 10_000 digits": "[tool]\nmass = " + "1" * 4000 + "\n" + "y = 0x" + "f" * 4000,
-        "tables in tables": "".join(f"[{'.'.join('a' * (i % 90 + 1))}.t{i}]\n" for i in range(5000)),
         "a device": Path("/dev/zero"),
     },
     ("views", "theirs"): {
@@ -389,7 +368,6 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
         },
     },
     ("hand_eye", "theirs"): {
-        "images out of the folder": hand_eye("../../../../etc/passwd,0,0,0,0,0,0\n"),
         "images that are links elsewhere": hand_eye("0.png,0,0,0,0,0,0\n"),
         "a cell of half a megabyte": hand_eye("0" * 500_000 + ",0,0,0,0,0,0\n"),
     },
@@ -409,13 +387,10 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
     ("session", "theirs/.collection.json"): {
         "nested deep": DEEP,
         "sites without numbers": json.dumps(NOTES | {"unreachable": {"three": "far"}}),
-        "no session": json.dumps({"unreachable": {}}),
     },
     ("raw", "a.raw"): {
         "a broken event": raw(b"e", b"[1.0"),
-        "an event nested deep": raw(b"e", DEEP.encode()),
         "half a sample": raw(b"s", bytes(13)),
-        "an unknown entry": raw(b"z", bytes(8)),
         "a billion chips": raw(b"s", bytes(13), chips=10**9),
     },
     ("replay", "a.raw"): {"no times": stream(float("nan")), "a thousand years": stream(3e10)},

