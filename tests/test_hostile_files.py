@@ -1,87 +1,66 @@
 """Files made to mislead: each is answered with one sentence that names it, in bounded memory and time."""
 
-import gzip
 import json
 import os
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
 
 import pytest
 from helpers import hostile_files
-from helpers.hostile_files import GIB, HOSTILE, READERS
+from helpers.hostile_files import GIB, HOSTILE, READERS, make
 
 from i2t import files
 from i2t.errors import DataError, DeviceError
 
 ROOT = Path(__file__).parents[1]
 MAX_SECONDS = 5.0
-CHEAP = ("rig", "raw", "session", "depth", "dataset", "touch")
-COSTLY = ("20_000", "3000", "gigabytes", "megabytes", "pipe_for_a_rig")
+COSTLY = ("20_000", "3000", "gigabytes", "megabytes")
+CHEAP = [
+    name
+    for name, (reader, *_) in HOSTILE.items()
+    if reader in ("rig", "raw", "session", "depth", "dataset", "touch") and not any(word in name for word in COSTLY)
+]
 
 
-def refusal(name, reader, path, answer):
+def refusal(label, path, answer):
     """What is wrong with how a file was answered; "" where nothing is."""
     said = answer["said"]
-    if not answer["user"]:
-        return f"{name}: {answer['kind']} {said[:200]}"
-    if path.name not in said and path.parent.name not in said:
-        return f"{name}: does not name its file: {said[:200]}"
-    if "\n" in said or len(said) > 800:
-        return f"{name}: is no sentence: {said[:900]}"
-    if answer["seconds"] > MAX_SECONDS or answer["grown"] > GIB:
-        return f"{name}: took {answer['seconds']:.1f} s and {answer['grown'] / 2**20:.0f} MiB"
-    return ""
+    named = path.name in said or "theirs" in said
+    right = answer["user"] and named and "\n" not in said and len(said) <= 800
+    if right and answer["seconds"] <= MAX_SECONDS and answer["grown"] <= GIB:
+        return ""
+    return f"{label}: {answer}"
 
 
 @pytest.mark.full
-def test_every_hostile_file_is_refused_in_one_sentence_in_5_s_and_1_gib(tmp_path, capsys):
-    made = {name: make(tmp_path / name) for name, make in HOSTILE.items()}
-    assert len(made) >= 100
+def test_every_hostile_file_is_refused_in_one_sentence_in_5_s_and_1_gib(tmp_path):
+    made = {
+        label: (reader, make(tmp_path / str(i) / name, content))
+        for i, (label, (reader, name, content)) in enumerate(HOSTILE.items())
+    }
     assert {reader for reader, _ in made.values()} == set(READERS)
     assert max(path.stat().st_size for _, path in made.values() if path.is_file()) < 16 * 2**20
-    lines = "".join(f"{reader}\t{path}\n" for reader, path in made.values())
     run = subprocess.run(
         [sys.executable, hostile_files.__file__],
-        input=lines, capture_output=True, text=True, timeout=1500, cwd=tmp_path,
+        input="".join(f"{reader}\t{path}\n" for reader, path in made.values()),
+        capture_output=True, text=True, timeout=1500, cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])},
     )  # fmt: skip
     answers = [json.loads(line) for line in run.stdout.splitlines()]
     assert len(answers) == len(made), run.stderr[-2000:]
-    wrong = [refusal(name, *made[name], answer) for name, answer in zip(made, answers, strict=True)]
-    with capsys.disabled():
-        seconds, grown = max(each["seconds"] for each in answers), max(each["grown"] for each in answers)
-        print(f"\n{len(made)} hostile files, {sum(map(bool, wrong))} not refused as they should be; at most "
-              f"{seconds:.1f} s and {grown / 2**20:.0f} MiB")  # fmt: skip
+    wrong = [refusal(name, made[name][1], answer) for name, answer in zip(made, answers, strict=True)]
     assert not list(filter(None, wrong))
     assert not list(tmp_path.rglob("i2t-was-here"))  # which a pickle would have made
 
 
-@pytest.mark.parametrize(
-    "name", [name for name in HOSTILE if not any(word in name for word in COSTLY)], ids=lambda name: name
-)
-def test_a_hostile_file_is_refused_by_its_name(name, tmp_path):
-    reader, path = HOSTILE[name](tmp_path / name)
-    if reader not in CHEAP:
-        pytest.skip("in the full tier")
+@pytest.mark.parametrize("label", CHEAP)
+def test_a_hostile_file_is_refused_by_its_name(label, tmp_path):
+    reader, name, content = HOSTILE[label]
+    path = make(tmp_path / name, content)
     with pytest.raises((ValueError, DeviceError, FileNotFoundError)) as raised:
         READERS[reader](path)
-    said = str(raised.value)
-    assert refusal(name, reader, path, {"said": said, "user": True, "seconds": 0, "grown": 0}) == ""
-
-
-def test_what_is_packed_unpacks_to_what_its_size_allows(tmp_path):
-    data = bytes(range(256)) * 100
-    assert files.unpacked("a.gz", gzip.compress(data)) == data
-    with pytest.raises(DataError, match=r"a\.gz: unpacks to more than 1"):
-        files.unpacked("a.gz", gzip.compress(bytes(20 * 2**20), 1))
-    with pytest.raises(DataError, match=r"a\.gz: cannot be unpacked"):
-        files.unpacked("a.gz", gzip.compress(data)[:-3])
-    path = tmp_path / "a.npz"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("a.npy", data)
-    files.check_archive(path, path.read_bytes())
+    assert refusal(label, path, {"said": str(raised.value), "user": True, "seconds": 0, "grown": 0}) == ""
 
 
 def test_a_file_is_read_to_its_bound_and_no_device_is(tmp_path):

@@ -1,23 +1,20 @@
 """Logs of a skin, a row for every sample: their presses are found in bounded memory and become touches."""
 
-import gzip
 import tracemalloc
 
 import numpy as np
 import pytest
+from helpers.recordings import READING_NAMES, converted, refused, run, write_table
 
 from i2t.convert import stream
-from i2t.convert.commands import main
 from i2t.convert.stream import table_of_presses
-from i2t.dataset import load_dataset
 from i2t.errors import DataError
 from i2t.skin.boards import reskin_board
 from i2t.unknowns.segmentation import segment_presses
 
 RATE, NOISE = 400.0, 1.5
 BOARD = reskin_board()
-CHIPS = [f"b{chip}{axis}_uT" for chip in range(5) for axis in "xyz"]
-NAMES = ["time_s", "x_mm", "y_mm", "z_mm", "force_N", *CHIPS]
+NAMES = ["time_s", "x_mm", "y_mm", "z_mm", "force_N", *READING_NAMES]
 
 
 def log(presses: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -29,7 +26,7 @@ def log(presses: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     told = np.column_stack(
         [rng.uniform(-6, 6, (presses, 2)), rng.uniform(0.3, 0.9, presses), rng.uniform(0.5, 2, presses)]
     )
-    levels = rng.normal(scale=60, size=(presses, len(CHIPS)))
+    levels = rng.normal(scale=60, size=(presses, 15))
     parts = []
     for (x, y, depth, force), level in zip(told, levels, strict=True):
         down = np.linspace(2, -depth, int(RATE * (2 + depth) / 10))
@@ -38,27 +35,19 @@ def log(presses: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
         place = np.column_stack([np.full(len(z), x), np.full(len(z), y), z, force * share])
         parts.append(np.column_stack([place, share[:, None] * level]))
     rows = np.concatenate(parts)
-    rows[:, 4:] += 300 * rng.normal(size=len(CHIPS)) + NOISE * rng.normal(size=(len(rows), len(CHIPS)))
-    return np.column_stack([np.arange(len(rows)) / RATE, rows]), np.column_stack([told, levels])
+    rows[:, 4:] += 300 * rng.normal(size=15) + NOISE * rng.normal(size=(len(rows), 15))
+    return np.round(np.column_stack([np.arange(len(rows)) / RATE, rows]), 5), np.column_stack([told, levels])
 
 
-def written(path, rows, names=NAMES, change=lambda text: text):
-    lines = [",".join(names), *(",".join(f"{value:.5f}" for value in row) for row in rows)]
-    text = change("\n".join(lines) + "\n").encode()
-    path.write_bytes(gzip.compress(text) if path.suffix == ".gz" else text)
-    return path
-
-
-def numbers(table, names):
-    at = [table.header.index(name) for name in names]
+def numbers(table):
+    at = [table.header.index(name) for name in READING_NAMES]
     return np.array([[float(cells[i]) for i in at] for _, cells in table.rows])
 
 
 def test_each_press_of_a_log_becomes_a_touch(tmp_path, capsys):
     rows, told = log(12)
-    path = written(tmp_path / "log.csv", rows)
-    assert main(["stream", str(path), str(tmp_path / "data"), "--indenter", "sphere:4", "--as-stated"]) == 0
-    touches = load_dataset(tmp_path / "data").touches
+    path = write_table(tmp_path / "log.csv", NAMES, rows)
+    touches = converted("stream", path, tmp_path / "data", "--indenter", "sphere:4", "--as-stated").touches
     assert len(touches.reading) == 12
     np.testing.assert_allclose(1e3 * touches.T_w_o[:, :2, 3], told[:, :2], atol=1e-4)
     np.testing.assert_allclose(touches.force, told[:, 3], atol=1e-3)
@@ -70,48 +59,39 @@ def test_each_press_of_a_log_becomes_a_touch(tmp_path, capsys):
     assert "depth counts from the height at which a press's reading left its rest" in said
 
 
-@pytest.mark.parametrize("at_once", [64, 1000])
-def test_a_log_read_piece_by_piece_has_the_presses_of_the_whole(tmp_path, monkeypatch, at_once):
+def test_a_log_read_piece_by_piece_has_the_presses_of_the_whole(tmp_path, monkeypatch):
     rows, _ = log(6)
-    path = written(tmp_path / "log.csv.gz", rows)
+    path = write_table(tmp_path / "log.csv.gz", NAMES, rows)
     whole = table_of_presses(path, board=BOARD)
-    found = segment_presses(np.round(rows[:, 0], 5), np.round(rows[:, 5:], 5))
+    found = segment_presses(rows[:, 0], rows[:, 5:])
     assert [line for line, _ in whole.rows] == (found.start + 2).tolist()  # the first line holds the names
-    np.testing.assert_allclose(numbers(whole, CHIPS), found.reading, atol=1e-6)
-    # Noise is found from the first rows, so a press may begin and end a block sooner or later.
-    monkeypatch.setattr(stream, "ROWS_READ_AT_ONCE", at_once)
-    pieces = table_of_presses(path, board=BOARD)
-    np.testing.assert_allclose([line for line, _ in pieces.rows], [line for line, _ in whole.rows], atol=8)
-    np.testing.assert_allclose(numbers(pieces, CHIPS), numbers(whole, CHIPS), atol=1.0)
+    np.testing.assert_allclose(numbers(whole), found.reading, atol=1e-6)
+    for at_once in (64, 1000):
+        # Noise is found from the first rows, so a press may begin and end a block sooner or later.
+        monkeypatch.setattr(stream, "ROWS_READ_AT_ONCE", at_once)
+        pieces = table_of_presses(path, board=BOARD)
+        np.testing.assert_allclose([line for line, _ in pieces.rows], [line for line, _ in whole.rows], atol=8)
+        np.testing.assert_allclose(numbers(pieces), numbers(whole), atol=1.0)
 
 
 def test_a_pause_and_another_session_begin_anew(tmp_path):
     rows, _ = log(4)
-    half = len(rows) // 2
-    paused = rows.copy()
-    paused[half:, 0] += 60
-    paused[half:, 5:] += 500  # the skin was warmed in the pause, which is no press
-    assert len(table_of_presses(written(tmp_path / "paused.csv", paused), board=BOARD).rows) == 4
-    again = np.concatenate([rows, rows])
-    again[len(rows) :, 5:] += 500
-    text = "\n".join(
-        [",".join(["session", *NAMES])]
-        + [",".join([name, *(f"{value:.5f}" for value in row)])
-           for name, row in zip(["one"] * len(rows) + ["two"] * len(rows), again, strict=True)]
-    )  # fmt: skip
-    path = tmp_path / "sessions.csv"
-    path.write_text(text)
-    table = table_of_presses(path, board=BOARD)
+    warmed = rows + 500 * (np.arange(20) >= 5)  # which is no press
+    later = np.arange(len(rows)) >= len(rows) // 2
+    paused = np.where(later[:, None], warmed, rows)
+    paused[later, 0] += 60
+    assert len(table_of_presses(write_table(tmp_path / "paused.csv", NAMES, paused), board=BOARD).rows) == 4
+    sessions = [[name, *row] for name, part in (("one", rows), ("two", warmed)) for row in part]
+    table = table_of_presses(write_table(tmp_path / "two.csv", ["session", *NAMES], sessions), board=BOARD)
     assert [cells[0] for _, cells in table.rows] == ["one"] * 4 + ["two"] * 4
 
 
 def test_damaged_rows_are_refused_or_counted(tmp_path):
-    rows, _ = log(4)
-    lines = written(tmp_path / "log.csv", rows).read_text().splitlines()
+    path = write_table(tmp_path / "log.csv", NAMES, log(4)[0])
+    lines = path.read_text().splitlines()
     lines[50] = lines[50].rpartition(",")[0]
     lines[60] = lines[60].replace(".", "?", 1)
     lines[70] = ",".join([*lines[70].split(",")[:5], "", "", "", *lines[70].split(",")[8:]])
-    path = tmp_path / "damaged.csv"
     path.write_text("\n".join(lines))
     with pytest.raises(DataError, match="line 51 has not 20 fields"):
         table_of_presses(path, board=BOARD)
@@ -121,46 +101,38 @@ def test_damaged_rows_are_refused_or_counted(tmp_path):
     assert "left out: 1 rows in which a chip did not answer" in table.notes
 
 
-WRONG = {
-    "no time": (lambda text: text.replace("time_s", "date"), "column time_s is missing"),
-    "another board": (lambda text: text.replace("b4z_uT", "b9z_uT"), "column b4z_uT is missing"),
-    "time goes back": (lambda text: text.replace("\n0.50000,", "\n0.10000,"), "at line 202 time does not increase"),
-    "no number": (lambda text: text.replace("\n0.50000,", "\nnoon,"), "line 202 has no such number in column time_s"),
-    "a name twice": (lambda text: text.replace("y_mm", "x_mm"), "stands twice"),
-}
-
-
-@pytest.mark.parametrize("kind", WRONG)
-def test_what_is_no_log_is_refused_in_a_sentence(tmp_path, kind):
-    change, sentence = WRONG[kind]
-    path = written(tmp_path / "log.csv", log(1)[0], change=change)
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("time_s", "date", "column time_s is missing"),
+        ("\n0.5,", "\n0.1,", "at line 202 time does not increase"),
+        ("\n0.5,", "\nnoon,", "line 202 has no such number in column time_s"),
+        ("", "", "nothing presses in its"),
+    ],
+)
+def test_what_is_no_log_of_presses_is_refused_in_a_sentence(tmp_path, old, new, sentence):
+    rows = log(2)[0]
+    if not old:
+        rows[:, 5:] = NOISE * np.random.default_rng(1).normal(size=(len(rows), 15))
+    path = write_table(tmp_path / "log.csv", NAMES, rows, lambda text: text.replace(old, new, bool(old)))
     with pytest.raises(DataError, match=sentence):
         table_of_presses(path, board=BOARD)
 
 
-def test_a_log_in_which_nothing_presses_is_refused(tmp_path):
-    rows, _ = log(2)
-    rows[:, 5:] = NOISE * np.random.default_rng(1).normal(size=(len(rows), len(CHIPS)))
-    with pytest.raises(DataError, match="nothing presses in its"):
-        table_of_presses(written(tmp_path / "log.csv", rows), board=BOARD)
-
-
 def test_a_log_without_places_becomes_a_table_to_complete(tmp_path, capsys):
     rows, told = log(3)
-    names = [name for name in NAMES if name not in ("x_mm", "y_mm")]
-    path = written(tmp_path / "log.csv", rows[:, [NAMES.index(name) for name in names]], names)
-    data, table = str(tmp_path / "data"), tmp_path / "presses.csv"
-    assert main(["stream", str(path), data, "--indenter", "sphere:4"]) == 2
-    assert "where it was pressed is not known" in capsys.readouterr().err
-    assert main(["stream", str(path), str(table), "--indenter", "sphere:4"]) == 2
-    assert main(["stream", str(path), data]) == 2
-    assert "--indenter is missing" in capsys.readouterr().err
-    assert main(["stream", str(path), str(table)]) == 0
-    lines = table.read_text().splitlines()
+    path = write_table(tmp_path / "log.csv", np.delete(NAMES, [1, 2]), np.delete(rows, [1, 2], axis=1))
+    data, table = tmp_path / "data", tmp_path / "presses.csv"
+    indenter = ("--indenter", "sphere:4")
+    assert "where it was pressed is not known" in refused(capsys, "stream", path, data, *indenter)
+    refused(capsys, "stream", path, table, *indenter)
+    assert "--indenter is missing" in refused(capsys, "stream", path, data)
+    assert run("stream", path, table) == 0
     places = ["x_mm,y_mm", *(f"{x},{y}" for x, y in told[:, :2])]
-    table.write_text("\n".join(f"{place},{line}" for place, line in zip(places, lines, strict=True)))
-    assert main(["presses", str(table), data, "--indenter", "sphere:4", "--as-stated"]) == 0
-    np.testing.assert_allclose(load_dataset(data).touches.reading, told[:, 4:], atol=1.5)
+    lines = zip(places, table.read_text().splitlines(), strict=True)
+    table.write_text("\n".join(f"{place},{line}" for place, line in lines))
+    reading = converted("presses", table, data, *indenter, "--as-stated").touches.reading
+    np.testing.assert_allclose(reading, told[:, 4:], atol=1.5)
 
 
 @pytest.mark.full
@@ -168,7 +140,7 @@ def test_memory_does_not_grow_with_the_log(tmp_path, monkeypatch):
     monkeypatch.setattr(stream, "ROWS_READ_AT_ONCE", 2048)
     peaks = []
     for presses in (10, 60):
-        path = written(tmp_path / f"{presses}.csv", log(presses)[0])
+        path = write_table(tmp_path / f"{presses}.csv", NAMES, log(presses)[0])
         tracemalloc.start()
         found = table_of_presses(path, board=BOARD)
         peaks.append(tracemalloc.get_traced_memory()[1])

@@ -26,6 +26,8 @@ def test_a_card_says_what_how_many_which_board_and_whether_simulated():
     assert "| board | grid-1x2: 2 chips, at " in card_of(dataset, board_name=name_of_board(dataset.board))
     assert "| rig | a / b |" in card
     assert "4 x 4 pixels over 17 mm" in card
+    for name in ("reskin", "anyskin", "eflesh", "grid-2x3", "grid-3x2"):
+        assert name_of_board(make_board(name)) == name
 
 
 def test_what_travels_as_json_is_sentences_and_tables():
@@ -53,19 +55,11 @@ def test_what_travels_as_json_is_sentences_and_tables():
         assert f"| {row} |" in card
     assert "| camera: width | 640 |\n| camera: width | 848 |" in card
     assert "..." not in card
-
-
-def test_a_remark_without_end_ends_at_a_word():
     card = card_of(replace(make(3, pixels=4), meta={"rig": "word " * 1000, "notes": " | ".join(["one"] * 100)}))
-    (rig,) = re.findall(r"^\| rig \| (.*) \|$", card, re.M)
+    (rig,) = re.findall(r"^\| rig \| (.*) \|$", card, re.M)  # a remark without end ends at a word
     assert rig.endswith("word ...")
     assert len(rig) < 1100
     assert "- and 60 more, in the set's `meta`" in card
-
-
-@pytest.mark.parametrize("name", ["reskin", "anyskin", "eflesh", "grid-2x3", "grid-3x2", "grid-5x5"])
-def test_a_board_has_its_name(name):
-    assert name_of_board(make_board(name)) == name
 
 
 def test_a_card_is_replaced_and_no_part_of_the_set(tmp_path):

@@ -23,6 +23,7 @@ from i2t.dataset import (
     Series,
     by_group,
     concatenate,
+    files,
     holdout_blocks,
     holdout_last,
     holdout_names,
@@ -52,60 +53,42 @@ ROOT = Path(__file__).parents[2]
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_packed_set_reads_back_exactly(tmp_path, n, seed, truth, wide, pixels, board):
     dataset = make(n, seed, truth, wide, pixels=pixels, board=board)
-    assert_equal(load_dataset(save_dataset(tmp_path / "set.h5", dataset)), dataset)
-
-
-def test_large_sets_read_back_exactly_and_an_absent_view_takes_no_memory(tmp_path):
-    dataset = make(200)
     again = load_dataset(save_dataset(tmp_path / "set.h5", dataset))
     assert_equal(again, dataset)
-    assert not any(again.touches.wide.strides)
-    assert not any(again.select(np.arange(5, 90)).touches.wide.strides)
-    assert not any(concatenate([again, dataset]).touches.wide.strides)
+    if not wide:  # an absent view takes no memory
+        for each in (again, again.select(np.arange(n // 2)), concatenate([again, dataset])):
+            assert not any(each.touches.wide.strides)
 
 
 def test_a_recorded_touch_reads_back_exactly(tmp_path):
     written = record(make(1))
     read = read_touch(write_touch(tmp_path, written))
     assert_equal(read.touch, written.touch)
-    assert read.images.keys() == written.images.keys()
-    for name, image in written.images.items():
-        assert (read.images[name].scale, read.images[name].unit) == (image.scale, image.unit)
-        assert read.images[name].values.dtype == image.values.dtype
-        np.testing.assert_array_equal(read.images[name].values, image.values)
-    assert read.series.keys() == written.series.keys()
-    for name, series in written.series.items():
-        assert (read.series[name].columns, read.series[name].unit) == (series.columns, series.unit)
-        np.testing.assert_array_equal(read.series[name].time, series.time)
-        np.testing.assert_array_equal(read.series[name].values, series.values)
-    assert read.events == written.events
-    assert read.counters == written.counters
+    assert (read.events, read.counters) == (written.events, written.counters)
+    for ours, theirs in ((read.images, written.images), (read.series, written.series)):
+        assert ours.keys() == theirs.keys()
+        for name in ours:
+            for mine, yours in zip(vars(ours[name]).values(), vars(theirs[name]).values(), strict=True):
+                assert getattr(mine, "dtype", None) == getattr(yours, "dtype", None)
+                np.testing.assert_array_equal(mine, yours)
 
 
-def test_a_packed_touch_reads_as_a_record_and_many_do_not(tmp_path):
-    one = make(1)
-    assert_equal(read_touch(save_dataset(tmp_path / "one.h5", one)).touch, one)
-    with pytest.raises(DataError, match=r"two\.h5: holds 2 touches, not 1; read it with load"):
-        read_touch(save_dataset(tmp_path / "two.h5", make(2)))
-
-
-def test_records_that_could_not_be_read_are_not_written(tmp_path):
+def test_what_could_not_be_read_is_not_written(tmp_path):
     with pytest.raises(DataError, match="2 touches, not 1"):
         write_touch(tmp_path, Record(make(2)))
     bad = Series(np.zeros(3), np.zeros((4, 2)), ("a", "b"), "N")
     with pytest.raises(DataError, match=r"series wrench .* 3 times and 2 columns"):
         write_touch(tmp_path, Record(make(1), series={"wrench": bad}))
-    with pytest.raises(DataError, match=r"set\.hdf: .*\.h5"):
-        save_dataset(tmp_path / "set.hdf", make(1))
     assert not list(tmp_path.iterdir())
+    with pytest.raises(DataError, match=r"two\.h5: holds 2 touches, not 1; read it with load"):
+        read_touch(save_dataset(tmp_path / "two.h5", make(2)))
 
 
 def test_every_array_has_units_and_the_file_its_provenance(tmp_path):
     path = write_touch(tmp_path, record(make(1, truth=True, wide=True)))
     with h5py.File(path) as file:
-        assert file.attrs["schema"] == "i2t-touches"
-        assert file.attrs["version"] == 2
-        assert file.attrs["source"] == "simulated"
+        kind = [file.attrs[name] for name in ("schema", "version", "source")]
+        assert kind == ["i2t-touches", 2, "simulated"]
         assert file.attrs["software"].startswith("i2t ")
         assert file.attrs["created"].endswith("+00:00")
         without = []
@@ -116,29 +99,17 @@ def test_every_array_has_units_and_the_file_its_provenance(tmp_path):
 
 @pytest.fixture(scope="module")
 def packed(tmp_path_factory):
-    path = save_dataset(tmp_path_factory.mktemp("packed") / "set.h5", make(3, truth=True))
-    return path, path.read_bytes()
+    return save_dataset(tmp_path_factory.mktemp("packed") / "set.h5", make(3, truth=True)).read_bytes()
 
 
 @given(data=st.data(), flip=st.integers(1, 255))
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_any_changed_byte_is_found(packed, tmp_path, data, flip):
-    _, contents = packed
-    place = data.draw(st.one_of(st.integers(0, len(contents) - 1), st.integers(0, 511)))
-    changed = bytearray(contents)
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_changed_missing_and_added_bytes_are_found(packed, tmp_path, data, flip):
+    place = data.draw(st.one_of(st.integers(0, len(packed) - 1), st.integers(0, 511)))
+    changed = bytearray(packed)
     changed[place] ^= flip
-    (tmp_path / "changed.h5").write_bytes(changed)
-    with pytest.raises(DataError, match=r"changed\.h5: "):
-        load_dataset(tmp_path / "changed.h5")
-
-
-@given(data=st.data())
-@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_missing_and_added_bytes_are_found(packed, tmp_path, data):
-    _, contents = packed
-    kept = data.draw(st.integers(0, len(contents) - 1))
-    for changed in (contents[:kept], contents + data.draw(st.binary(min_size=1, max_size=600))):
-        (tmp_path / "changed.h5").write_bytes(changed)
+    for contents in (changed, packed[:place], packed + data.draw(st.binary(min_size=1, max_size=600))):
+        (tmp_path / "changed.h5").write_bytes(contents)
         with pytest.raises(DataError, match=r"changed\.h5: "):
             load_dataset(tmp_path / "changed.h5")
 
@@ -159,56 +130,36 @@ def test_a_file_of_the_first_schema_is_read(tmp_path):
     assert index(tmp_path)["old.h5"]["sessions"] == dataset.summary()["sessions"]
 
 
-@pytest.mark.parametrize("name", ["grid-2x2", "grid-4x4"])
-def test_readings_have_three_values_for_each_chip_of_the_board(tmp_path, name):
-    dataset = make(4, truth=True, board=name)
-    assert len(dataset.board.chips) == boards.make_board(name).num_chips
-    assert load_dataset(write_touch(tmp_path, record(make(1, board=name)))).touches.reading.shape == (
-        1, dataset.board.num_readings,
-    )  # fmt: skip
-    assert dataset.summary()["reading_norm_uT"]["min"] > 0
-    with pytest.raises(DataError, match=r"reading has shape \(4, 15\)"):
-        validate(replace(dataset, touches=dataset.touches._replace(reading=np.zeros((4, 15)))))
-    with pytest.raises(DataError, match="different boards"):
-        concatenate([dataset, make(2)])
-
-
-def test_a_newer_schema_is_told_apart_from_damage(packed, tmp_path):
-    newer = packed[1].replace(b"i2t-touches 2 ", b"i2t-touches 3 ", 1)
-    (tmp_path / "newer.h5").write_bytes(newer)
+def test_a_newer_schema_is_told_apart_from_damage_and_a_broken_one_is_named(packed, tmp_path):
+    (tmp_path / "newer.h5").write_bytes(packed.replace(b"i2t-touches 2 ", b"i2t-touches 3 ", 1))
     with pytest.raises(DataError, match=r"newer\.h5: written in schema version 3, .* newer i2t"):
         load_dataset(tmp_path / "newer.h5")
-
-
-def test_an_intact_file_that_breaks_the_schema_is_named(tmp_path):
-    from i2t.dataset import files
-
     path = files.write(
-        tmp_path / "imitation.h5", lambda file: file.create_dataset("touches/reading", data=np.zeros((1, 15)))
+        tmp_path / "less.h5", lambda file: file.create_dataset("touches/reading", data=np.zeros((1, 15)))
     )
-    with pytest.raises(DataError, match=r"imitation\.h5: does not follow the schema"):
+    with pytest.raises(DataError, match=r"less\.h5: does not follow the schema"):
         load_dataset(path)
 
 
 def test_a_folder_reads_as_the_concatenation_of_its_files(tmp_path):
-    parts = [make(4, 1), make(1, 2), make(1, 3)]
+    parts = [make(4, 1), make(1, 2), make(1, 3), make(1, 4)]
     save_dataset(tmp_path / "a.h5", parts[0])
-    for part in parts[1:]:
-        write_touch(tmp_path / "recorded", Record(part))
-    both = load_dataset(tmp_path)
-    assert_equal(both, concatenate(parts))
-    assert len(both) == 6
-    assert both.meta["seed"] == "1; 2; 3"
+    recorded = [write_touch(tmp_path / "recorded", Record(part)) for part in parts[1:]]
+    assert recorded == sorted(recorded)
+    assert_equal(load_dataset(tmp_path), concatenate(parts))
+    assert load_dataset(tmp_path).meta["seed"] == "1; 2; 3; 4"
 
 
 def test_all_files_that_cannot_be_used_are_named_at_once_and_skipped_on_request(tmp_path, packed):
     good = make(2)
     save_dataset(tmp_path / "good.h5", good)
+    for name in (".0a1b2c3d.touch.h5", ".touch.h5.0a1b2c3d.tmp"):  # of an interrupted writer, which is ignored
+        (tmp_path / name).write_bytes(packed[:700])
     np.savez(tmp_path / "foreign.npz", a=np.zeros(3))
     with h5py.File(tmp_path / "foreign.h5", "w") as file:
         file["a"] = 1
     (tmp_path / "notes.txt").write_text("hello")
-    (tmp_path / "cut.h5").write_bytes(packed[1][:-1])
+    (tmp_path / "cut.h5").write_bytes(packed[:-1])
     (tmp_path / "empty.h5").write_bytes(b"")
     with pytest.raises(DataError, match="5 of 6 files") as error:
         load_dataset(tmp_path)
@@ -218,50 +169,15 @@ def test_all_files_that_cannot_be_used_are_named_at_once_and_skipped_on_request(
     with pytest.warns(BadFileWarning, match="5 of 6 files") as caught:
         assert_equal(load_dataset(tmp_path, skip_bad=True), good)
     assert all(f"{name}: " in str(caught[0].message) for name in bad)
-
-
-def test_nothing_to_read_is_an_error(tmp_path):
-    for path, problem in ((tmp_path, "holds no touches"), (tmp_path / "nowhere", "no such file")):
+    (tmp_path / "good.h5").unlink()
+    (tmp_path / "nothing").mkdir()
+    for path, problem in ((tmp_path, "no file is left"), (tmp_path / "nothing", "holds no touches")):
         with pytest.raises(DataError, match=problem):
-            load_dataset(path)
-    (tmp_path / "bad.h5").write_bytes(b"?")
-    with pytest.raises(DataError, match=r"bad\.h5: .*no file is left"):
-        load_dataset(tmp_path, skip_bad=True)
-
-
-def test_what_an_interrupted_writer_leaves_is_ignored(tmp_path, packed):
-    dataset = make(2)
-    save_dataset(tmp_path / "good.h5", dataset)
-    for name in (".0a1b2c3d.touch.h5", ".touch.h5.0a1b2c3d.tmp"):  # as earlier versions called them
-        (tmp_path / name).write_bytes(packed[1][:700])
-    assert_equal(load_dataset(tmp_path), dataset)
-
-
-def test_a_failing_write_leaves_the_old_file_and_no_other(tmp_path):
-    from i2t.dataset import files
-
-    path = save_dataset(tmp_path / "set.h5", make(2))
-    before = path.read_bytes()
-
-    def fail(file):
-        file["half"] = np.zeros(9)
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        files.write(path, fail)
-    assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(DataError, match=r"cannot be written .* choose a folder"):
-        save_dataset(tmp_path / "file" / "set.h5", make(1))
+            load_dataset(path, skip_bad=True)
 
 
 WRITER = """
 import sys
-sys.path[:0] = [{tests!r}, {root!r}]
 from helpers.random_touches import make, record
 from i2t.dataset import write_touch
 for seed in range(10**6):
@@ -270,34 +186,26 @@ for seed in range(10**6):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
-@pytest.mark.parametrize("acknowledged", [1, 2, 5, 9])
-def test_a_killed_writer_loses_no_acknowledged_touch(tmp_path, acknowledged):
+def test_a_killed_writer_loses_no_acknowledged_touch(tmp_path):
     """The kill falls at an unknown moment of the next write; the bound is zero lost touches (44 of 44 trials
     elsewhere).
     """
-    code = WRITER.format(tests=str(ROOT / "tests"), root=str(ROOT))
-    with subprocess.Popen([sys.executable, "-c", code, tmp_path], stdout=subprocess.PIPE, text=True) as writer:
-        acknowledged_lines = [writer.stdout.readline() for _ in range(acknowledged)]
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}"}
+    words = [sys.executable, "-c", WRITER, tmp_path]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment) as writer:
+        acknowledged = [writer.stdout.readline() for _ in range(4)]
         writer.send_signal(signal.SIGKILL)
-        acknowledged_lines += writer.stdout.readlines()
-    for line in acknowledged_lines:
+        acknowledged += writer.stdout.readlines()
+    for line in acknowledged:
         path, seed = line.rsplit(" ", 1)
         assert_equal(read_touch(path).touch, make(1, int(seed)))
-    missed = len(load_dataset(tmp_path)) - len(acknowledged_lines)
+    missed = len(load_dataset(tmp_path)) - len(acknowledged)
     assert missed in (0, 1)  # one may be complete and not yet acknowledged
 
 
-def test_names_of_recorded_touches_sort_by_time(tmp_path):
-    paths = [write_touch(tmp_path, Record(make(1, seed))) for seed in range(5)]
-    assert paths == sorted(paths)
-    np.testing.assert_array_equal(
-        load_dataset(tmp_path).touches.reading, np.concatenate([make(1, s).touches.reading for s in range(5)])
-    )
-
-
-def test_the_index_lists_a_folder_and_is_rebuilt_whenever_it_is_wrong(tmp_path):
+def test_the_index_is_rebuilt_where_it_is_wrong_and_never_trusted_over_the_files(tmp_path):
     dataset = make(5)
-    save_dataset(tmp_path / "a.h5", dataset)
+    path = save_dataset(tmp_path / "a.h5", dataset)
     write_touch(tmp_path / "more", Record(make(1)))
     entries = index(tmp_path)
     assert [entry["touches"] for entry in entries.values()] == [5, 1]
@@ -307,29 +215,14 @@ def test_the_index_lists_a_folder_and_is_rebuilt_whenever_it_is_wrong(tmp_path):
     stale = json.loads(good)
     stale["files"]["a.h5"] |= {"touches": 99, "changed_ns": 1}
     stale["files"]["gone.h5"] = stale["files"]["a.h5"]
-    for wrong in ("", "[]", "{", '{"version": 1, "files": {"a.h5": {}}}', '{"version": 0}', json.dumps(stale)):
+    for wrong in ("", "[]", '{"version": 1, "files": {"a.h5": {}}}', '{"version": 0}', json.dumps(stale)):
         cache.write_text(wrong)
         assert index(tmp_path) == entries
         assert cache.read_text() == good
-    cache.unlink()
-    assert index(tmp_path) == entries
-
-
-def test_the_index_is_used_where_it_is_right(tmp_path):
-    save_dataset(tmp_path / "a.h5", make(5))
-    index(tmp_path)
-    cache = tmp_path / "index.json"
-    cache.write_text(cache.read_text().replace('"touches": 5', '"touches": 6'))
-    assert index(tmp_path)["a.h5"]["touches"] == 6  # so it was not read again
-
-
-def test_the_index_is_never_trusted_over_the_files(tmp_path):
-    path = save_dataset(tmp_path / "a.h5", make(5))
-    index(tmp_path)
+    cache.write_text(good.replace('"touches": 5', '"touches": 6'))
+    assert index(tmp_path)["a.h5"]["touches"] == 6  # so what is right was not read again
     state = path.stat()
-    contents = bytearray(path.read_bytes())
-    contents[-1] ^= 1
-    path.write_bytes(contents)
+    path.write_bytes(path.read_bytes()[:-1] + b"?")
     os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
     with pytest.raises(DataError, match=r"a\.h5: .* damaged"):
         load_dataset(tmp_path)
@@ -338,70 +231,54 @@ def test_the_index_is_never_trusted_over_the_files(tmp_path):
         index(tmp_path)
 
 
-def broken(**fields):
+def broken(name, value, part=1):
+    """Touches of which a part of a field has another value, or which have another field."""
     dataset = make(3, truth=True)
-    return replace(dataset, touches=dataset.touches._replace(**fields))
+    if part is not None:
+        getattr(dataset.touches, name)[part] = value
+        return dataset
+    return replace(dataset, touches=dataset.touches._replace(**{name: value}))
 
 
-def with_first(name, value):
-    values = np.array(getattr(make(3, truth=True).touches, name))
-    values[1:2].flat[0] = value
-    return broken(**{name: values})
-
-
-T_MIRRORED = np.tile(np.diag([1.0, 1, -1, 1]), (3, 1, 1))
-T_SCALED = np.tile(np.diag([1.001, 1.001, 1.001, 1]), (3, 1, 1))
-T_HALF_KNOWN = np.tile(np.diag([1, 1, 1, np.nan]), (3, 1, 1))
-T_PROJECTIVE = np.tile(np.eye(4) + 0.1 * np.eye(4)[3][:, None] * np.eye(4)[0], (3, 1, 1))
+PROJECTIVE = np.eye(4) + 0.1 * np.eye(4)[3][:, None] * np.eye(4)[0]
+RESKIN = boards.reskin_board()
 
 
 @pytest.mark.parametrize(
     ("dataset", "problem"),
     [
-        (broken(patch=np.zeros((3, 48, 47))), "patch has shape"),
-        (broken(patch=np.zeros((2, 48, 48))), "patch has shape"),
-        (broken(wide=np.zeros((3, 72, 71))), "wide has shape"),
-        (broken(reading=np.zeros((3, 14))), "reading has shape"),
-        (broken(force=np.zeros((3, 1))), "force has shape"),
-        (broken(truth=make(4, truth=True).touches.truth), "truth/wide has shape"),
-        (with_first("patch", np.nan), "patch is not finite in 1 of 3 rows, first in row 1"),
-        (with_first("patch", -1e-4), "patch leaves 0 to the reach"),
-        (with_first("patch", 4.1e-3), "patch leaves 0 to the reach"),
-        (with_first("reading", np.inf), "reading is not finite"),
-        (with_first("force", -np.inf), "force is infinite"),
-        (with_first("depth", np.inf), "depth is infinite"),
-        (with_first("nearest", -np.inf), "nearest is minus infinite"),
-        (broken(T_w_t=T_MIRRORED), "T_w_t is no rigid transform"),
-        (broken(T_w_o=T_SCALED), "T_w_o is no rigid transform"),
-        (broken(T_w_o=T_HALF_KNOWN), "T_w_o is no rigid transform"),
-        (broken(T_w_t=T_PROJECTIVE), "T_w_t is no rigid transform"),
-        (with_first("object", 3), "object is not an index into the 3 object names"),
-        (with_first("pad", -1), "pad is not an index"),
-        (with_first("session", 4), "session is not an index"),
-        (with_first("code", 7), "code is not a return code"),
+        (broken("patch", np.zeros((3, 48, 47)), None), "patch has shape"),
+        (broken("reading", np.zeros((3, 14)), None), "reading has shape"),
+        (broken("truth", make(4, truth=True).touches.truth, None), "truth/wide has shape"),
+        (broken("patch", np.nan), "patch is not finite in 1 of 3 rows, first in row 1"),
+        (broken("patch", -1e-4), "patch leaves 0 to the reach"),
+        (broken("reading", np.inf), "reading is not finite"),
+        (broken("nearest", -np.inf), "nearest is minus infinite"),
+        (broken("T_w_t", np.diag([1, 1, -1, 1])), "T_w_t is no rigid transform"),
+        (broken("T_w_o", np.diag([1.001, 1.001, 1.001, 1])), "T_w_o is no rigid transform"),
+        (broken("T_w_o", np.diag([1, 1, 1, np.nan])), "T_w_o is no rigid transform"),
+        (broken("T_w_t", PROJECTIVE), "T_w_t is no rigid transform"),
+        (broken("object", 3), "object is not an index into the 3 object names"),
+        (broken("code", 7), "code is not a return code"),
+        (broken("reading", np.nan, np.s_[1, 4:5]), "a part of a chip is missing"),
+        (broken("reading", np.nan), "has no chip"),
         (replace(make(3), window=0.0), "window and reach must be positive"),
-        (replace(make(3), reach=np.nan), "window and reach must be positive"),
         (replace(make(3), source="dreamt"), "source is 'dreamt'"),
         (replace(make(3), objects=("a", "a", "b")), "object names repeat"),
-        (replace(make(3), board=boards.reskin_board()._replace(chips=np.zeros((4, 3)))), "board/chips has shape"),
-        (
-            replace(make(3), board=boards.reskin_board()._replace(rotations=np.ones((5, 3, 3)))),
-            "board/rotations is neither",
-        ),
+        (replace(make(3), board=RESKIN._replace(chips=np.zeros((4, 3)))), "board/chips has shape"),
+        (replace(make(3), board=RESKIN._replace(rotations=np.ones((5, 3, 3)))), "board/rotations is neither"),
     ],
 )
 def test_what_no_touch_can_be_is_refused_in_one_sentence(tmp_path, dataset, problem):
-    with pytest.raises(DataError, match=problem) as error:
-        validate(dataset)
-    assert "\n" not in str(error.value)
-    with pytest.raises(DataError, match=r"set\.h5: .*" + problem):
+    with pytest.raises(DataError, match=r"set\.h5: .*" + problem) as error:
         save_dataset(tmp_path / "set.h5", dataset)
+    assert "\n" not in str(error.value)
 
 
 def test_unknown_values_are_no_error():
-    nothing = np.full(3, np.nan)
-    unknown = np.full((3, 4, 4), np.nan)
-    validate(broken(force=nothing, depth=nothing, nearest=np.array([np.inf, np.nan, 0]), T_w_o=unknown, T_w_t=unknown))
+    for name in ("force", "depth", "nearest", "T_w_t", "T_w_o"):
+        validate(broken(name, np.nan))
+    validate(broken("nearest", np.inf))
 
 
 def test_concatenation_merges_names_and_refuses_what_does_not_fit():
@@ -410,13 +287,11 @@ def test_concatenation_merges_names_and_refuses_what_does_not_fit():
     validate(both)
     assert both.objects == ("star", "square", "hammer", "mug")
     assert [both.objects[i] for i in both.touches.object] == [d.objects[i] for d in (a, b) for i in d.touches.object]
-    np.testing.assert_array_equal(
-        both.touches.truth.force, np.concatenate([a.touches.truth.force, b.touches.truth.force])
-    )
     assert concatenate([a, make(2)]).touches.truth is None
     assert concatenate([a, replace(b, source="real")]).source == "mixed"
     assert_equal(both.select(np.arange(11) < 6), replace(a, objects=both.objects, meta=both.meta))
-    for other in (replace(b, window=0.04), make(2, pixels=16), replace(b, board=boards.anyskin_board())):
+    np.testing.assert_array_equal(both.touches.truth.force[6:], b.touches.truth.force)
+    for other in (replace(b, window=0.04), make(2, pixels=16), make(2, board="grid-2x2")):
         with pytest.raises(DataError, match="cannot be joined"):
             concatenate([a, other])
     with pytest.raises(DataError, match="name at least one"):
@@ -426,8 +301,7 @@ def test_concatenation_merges_names_and_refuses_what_does_not_fit():
 def test_the_summary_counts_what_is_there_in_plain_numbers():
     dataset = make(40, truth=True)
     summary = json.loads(json.dumps(dataset.summary(), allow_nan=False))
-    assert summary["touches"] == 40
-    assert summary["source"] == "simulated"
+    assert (summary["touches"], summary["source"], summary["missing"]["wide"]) == (40, "simulated", 40)
     names = [dataset.objects[i] for i in dataset.touches.object]
     assert summary["objects"] == {name: names.count(name) for name in dataset.objects}
     for i, axis in enumerate("xyz"):
@@ -435,12 +309,11 @@ def test_the_summary_counts_what_is_there_in_plain_numbers():
     known = [force for force in dataset.touches.force.tolist() if force == force]
     assert summary["missing"]["force"] == 40 - len(known)
     assert summary["force_N"]["min"] == min(known)
-    assert summary["missing"]["wide"] == 40
     assert json.loads(json.dumps(make(0).summary(), allow_nan=False))["force_N"]["mean"] is None
 
 
 @given(n=st.integers(1, 60), seed=st.integers(0, 9), fraction=st.floats(0, 1), size=st.floats(0.01, 0.5))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_splits_are_whole_groups(n, seed, fraction, size):
     dataset = make(n, seed, pixels=1)
     blocks = spatial_blocks(dataset, size)
@@ -456,53 +329,38 @@ def test_splits_are_whole_groups(n, seed, fraction, size):
         assert (np.diff(mine.astype(int)) >= 0).all()
     star = holdout_names(dataset, "object", ["star"])
     assert [dataset.objects[i] == "star" for i in dataset.touches.object] == star.tolist()
+    with pytest.raises(DataError, match="no pad is called pad c; the data set has pad é, pad b"):
+        holdout_names(dataset, "pad", ["pad b", "pad c"])
     groups = by_group(dataset.touches.session)
     rows = np.concatenate(list(groups.values()))
     assert sorted(rows) == list(range(n))
     assert all(np.unique(dataset.touches.session[members]).tolist() == [run] for run, members in groups.items())
 
 
-def test_unknown_names_are_told_with_the_known_ones():
-    with pytest.raises(DataError, match="no pad is called pad c; the data set has pad é, pad b"):
-        holdout_names(make(3), "pad", ["pad b", "pad c"])
-
-
-def grid(T_w_o, spacing=1e-3, n=31):
-    """Touches on an n x n grid of the object's x and y, seen in the world through T_w_o."""
-    steps = spacing * (np.arange(n) - n // 2)
-    T_o_t = np.tile(np.eye(4), (n * n, 1, 1))
+def grid(T_w_o):
+    """Touches on a grid of the object's x and y from -15 to 15 mm, a millimetre apart, seen in the world."""
+    steps = 1e-3 * np.arange(-15, 16)
+    T_o_t = np.tile(np.eye(4), (31**2, 1, 1))
     T_o_t[:, 0, 3], T_o_t[:, 1, 3] = (axis.ravel() for axis in np.meshgrid(steps, steps))
-    dataset = make(n * n, pixels=1)
-    one = np.zeros(n * n)
-    touches = dataset.touches._replace(
-        T_w_t=T_w_o @ T_o_t, T_w_o=np.tile(T_w_o, (n * n, 1, 1)), object=one, session=one
-    )
-    return replace(dataset, touches=touches)
+    dataset, one = make(31**2, pixels=1), np.zeros(31**2)
+    poses = {"T_w_t": T_w_o @ T_o_t, "T_w_o": np.tile(T_w_o, (31**2, 1, 1))}
+    return replace(dataset, touches=dataset.touches._replace(**poses, object=one, session=one))
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_blocks_follow_the_object_whichever_way_it_lies(seed):
-    """A grid from -15 to 15 mm meets blocks of 6 mm in 3, 6, 6, 6, 6 and 4 lines, edges going up."""
+def test_blocks_follow_the_object_whichever_way_it_lies_and_tell_objects_and_runs_apart():
+    """The grid meets blocks of 6 mm in 3, 6, 6, 6, 6 and 4 lines, edges going up."""
     lines = np.array([3, 6, 6, 6, 6, 4])
     T_w_o = np.eye(4)
-    T_w_o[:3, :3] = Rotation.random(rng=seed).as_matrix() if seed else np.eye(3)
-    T_w_o[:3, 3] = (0.3, -0.1, 0.2)
-    blocks = spatial_blocks(grid(T_w_o), 6e-3)
-    assert sorted(np.bincount(blocks)) == sorted(np.outer(lines, lines).ravel())
-
-
-def test_blocks_of_different_objects_and_of_runs_with_unknown_objects_differ():
+    for rotation in (np.eye(3), Rotation.random(rng=1).as_matrix()):
+        T_w_o[:3, :3], T_w_o[:3, 3] = rotation, (0.3, -0.1, 0.2)
+        blocks = spatial_blocks(grid(T_w_o), 6e-3)
+        assert sorted(np.bincount(blocks)) == sorted(np.outer(lines, lines).ravel())
     dataset = grid(np.eye(4))
-    rows = np.arange(len(dataset))
+    rows = np.arange(31**2)
     two = replace(dataset, touches=dataset.touches._replace(object=rows % 2))
     assert len(np.unique(spatial_blocks(two, 1.0))) == 2 * len(np.unique(spatial_blocks(dataset, 1.0)))
-    lost = dataset.touches._replace(T_w_o=np.full((len(rows), 4, 4), np.nan), session=rows % 3)
+    lost = dataset.touches._replace(T_w_o=np.full((31**2, 4, 4), np.nan), session=rows % 3)
     assert len(np.unique(spatial_blocks(replace(dataset, touches=lost), 1.0))) == 3 * 4
-
-
-def test_importing_it_imports_no_jax():
-    code = "import sys, i2t.dataset, i2t.skin.boards; sys.exit('jax' in sys.modules or 'jaxlib' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
 
 
 def test_known_boards_turn_a_uniform_field_as_recorded():
@@ -529,17 +387,6 @@ def test_touches_without_a_chip_are_kept_only_on_request(tmp_path):
     with pytest.warns(BadFileWarning, match="these touches were left out"):
         left = load_dataset(path, skip_bad=True)
     np.testing.assert_array_equal(left.touches.reading, reading[[0, 1, 3, 5]])
-
-
-@pytest.mark.parametrize(
-    ("part", "why"), [(np.s_[1, 4:5], "a part of a chip is missing"), (np.s_[1, :], "has no chip")]
-)
-def test_a_chip_is_there_with_all_its_axes_or_missing(part, why):
-    dataset = make(3)
-    reading = dataset.touches.reading.copy()
-    reading[part] = np.nan
-    with pytest.raises(DataError, match=why):
-        validate(replace(dataset, touches=dataset.touches._replace(reading=reading)))
 
 
 def test_square_blocks_take_their_edges_with_the_block_above_and_are_counted_from_nothing():

@@ -51,10 +51,7 @@ def lagged(recorded: Recorded, rows: int) -> Recorded:
     """Labels that come so many rows late: the reading of row i belongs to the labels of row i - rows."""
     n = len(recorded.force)
     labels, readings = (slice(0, n - rows), slice(rows, n)) if rows > 0 else (slice(-rows, n), slice(0, n + rows))
-    # Labels of an earlier press stand beside a later reading: shift the labels against the readings.
-    return Recorded(
-        recorded.position[readings], recorded.height[readings], recorded.force[readings], recorded.readings[labels]
-    )
+    return Recorded(*(part[readings] for part in recorded[:3]), recorded.readings[labels])
 
 
 def swapped(recorded: Recorded, a: int, b: int) -> Recorded:
@@ -70,25 +67,19 @@ def scaled(recorded: Recorded, gains: np.ndarray) -> Recorded:
     return recorded._replace(readings=recorded.readings * np.repeat(gains, 3))
 
 
-def noisy_force(recorded: Recorded, newtons: float = 0.1) -> Recorded:
-    """A force that is hardly measured."""
-    noise = np.random.default_rng(0).normal(0, newtons, len(recorded.force))
-    return recorded._replace(force=recorded.force + noise)
-
-
 def five_heights(recorded: Recorded) -> Recorded:
     """Presses to five heights only."""
     levels = np.linspace(recorded.height.min(), 0, 5)
-    nearest = np.abs(recorded.height[:, None] - levels).argmin(1)
-    kept = np.abs(recorded.height - levels[nearest]) < 0.1e-3
-    return Recorded(recorded.position[kept], levels[nearest][kept], recorded.force[kept], recorded.readings[kept])
+    nearest = levels[np.abs(recorded.height[:, None] - levels).argmin(1)]
+    kept = np.abs(recorded.height - nearest) < 0.1e-3
+    return Recorded(*(part[kept] for part in recorded))._replace(height=nearest[kept])
 
 
 def one_height(recorded: Recorded) -> Recorded:
     """Presses to one height, as deep as the median."""
     depth = np.median(-recorded.height[recorded.height < 0])
     kept = np.abs(recorded.height + depth) < 0.2e-3
-    return Recorded(recorded.position[kept], np.full(kept.sum(), -depth), recorded.force[kept], recorded.readings[kept])
+    return Recorded(*(part[kept] for part in recorded))._replace(height=np.full(kept.sum(), -depth))
 
 
 VARIANTS: dict[str, Callable[[Recorded], Recorded]] = {
@@ -106,5 +97,7 @@ VARIANTS: dict[str, Callable[[Recorded], Recorded]] = {
     "readings in millitesla": lambda one: one._replace(readings=1e-3 * one.readings),
     "five heights": five_heights,
     "one height": one_height,
-    "force with 0.1 N of noise": noisy_force,
+    "force with 0.1 N of noise": lambda one: one._replace(
+        force=one.force + np.random.default_rng(0).normal(0, 0.1, len(one.force))
+    ),
 }

@@ -29,21 +29,20 @@ def whole(mesh: Mesh) -> trimesh.Trimesh:
     return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
 
 
-@pytest.mark.parametrize("suffix", ["stl", "obj", "ply", "glb", "STL"])
 @pytest.mark.parametrize("unit", list(METRES_PER_UNIT))
-def test_units_and_formats(tmp_path, suffix, unit):
-    path = tmp_path / f"part.{suffix}"
-    box(1 / METRES_PER_UNIT[unit]).export(path, file_type=suffix.lower())
-    thing, report = read_mesh(path, unit)
-    assert thing.name == "part"
-    assert thing.family == "file"
-    # STL and GLB store float32: 2^-24 of each coordinate.
-    np.testing.assert_allclose(thing.mesh.vertices.max(0), [0.03, 0.02, 0.02], rtol=2**-23)
-    np.testing.assert_allclose(report.size, BOX, rtol=2**-23)
-    assert whole(thing.mesh).volume == pytest.approx(np.prod(BOX), rel=3 * 2**-23)
-    assert report.watertight
-    assert report.faces == report.faces_read == 12
-    assert len(thing.mesh.vertices) == 8
+def test_units_and_formats(tmp_path, unit):
+    for suffix in ("stl", "obj", "ply", "glb", "STL"):
+        path = tmp_path / f"part.{suffix}"
+        box(1 / METRES_PER_UNIT[unit]).export(path, file_type=suffix.lower())
+        thing, report = read_mesh(path, unit)
+        assert (thing.name, thing.family) == ("part", "file")
+        # STL and GLB store float32: 2^-24 of each coordinate.
+        np.testing.assert_allclose(thing.mesh.vertices.max(0), [0.03, 0.02, 0.02], rtol=2**-23)
+        np.testing.assert_allclose(report.size, BOX, rtol=2**-23)
+        assert whole(thing.mesh).volume == pytest.approx(np.prod(BOX), rel=3 * 2**-23)
+        assert report.watertight
+        assert report.faces == report.faces_read == 12
+        assert len(thing.mesh.vertices) == 8
 
 
 def test_frames(tmp_path):
@@ -70,23 +69,16 @@ def test_cleaning_counts_what_it_does():
     extra = np.array([[0, 0, 1], [0, 1, 2], [3, 4, 5], [3, 5, 4]], np.int32)  # one of no area, three repeated
     dirty = joined(Mesh(soup.vertices, np.concatenate([soup.faces, extra])), speck)
     mesh, report = clean_mesh(dirty, "dirty.stl")
-    assert report.faces_read == 320 + 4 + 12
-    assert report.faces == 320
-    assert report.vertices_merged == 3 * 320 - len(good.vertices)
-    assert report.degenerate == 1
-    assert report.repeated == 3
-    assert report.pieces_dropped == 1
     area = trimesh.creation.icosphere(2, 0.03).area
     assert report.area_dropped == pytest.approx(6e-6 / (6e-6 + area))
+    assert (report.faces_read, report.faces, report.watertight) == (320 + 4 + 12, 320, True)
+    assert (report.degenerate, report.repeated, report.pieces_dropped) == (1, 3, 1)
+    assert report.vertices_merged == 3 * 320 - len(good.vertices)
     assert report.turned in (70, 71)  # 71 where the second repeat was the one turned round
-    assert report.watertight
     assert whole(mesh).volume == pytest.approx(whole(good).volume, rel=1e-6)  # vertices merge within 1e-8 of 0.03 m
-    text = str(report)
-    for word in ("dirty.stl: 320 of 336 faces", "60.0 x 60.0 x 60.0 mm", "watertight", "1 degenerate", "3 repeated"):
-        assert word in text
+    assert "dirty.stl: 320 of 336 faces" in str(report)
     both, report = clean_mesh(dirty, largest=False)
-    assert len(both.faces) == 332
-    assert report.pieces_dropped == 0
+    assert (len(both.faces), report.pieces_dropped) == (332, 0)
     assert whole(both).volume == pytest.approx(whole(good).volume + 1e-9, rel=1e-6)
 
 
@@ -101,37 +93,24 @@ def test_cleaning_leaves_a_clean_mesh_and_turns_an_inverted_one():
     assert whole(mesh).volume == pytest.approx(whole(star).volume)
 
 
-def test_holes_are_counted_and_stay():
+def test_holes_stay_fins_go_and_two_sided_sheets_keep_one_side():
     thing = plain(box())
     mesh, report = clean_mesh(Mesh(thing.vertices, thing.faces[1:]))
-    assert len(mesh.faces) == 11
-    assert report.open_edges == 3
-    assert not report.watertight
+    assert (len(mesh.faces), report.open_edges, report.watertight) == (11, 3, False)
     assert "open at 3 edges" in str(report)
-
-
-def test_fins_go_and_two_sided_sheets_keep_one_side():
     thing = plain(trimesh.creation.icosphere(2, 0.03))
     a, b = thing.faces[0, :2]
     tip = len(thing.vertices)
-    finned = Mesh(
-        np.concatenate([thing.vertices, thing.vertices[[a]] * 1.01]),
-        np.concatenate([thing.faces, [[a, b, tip], [b, a, tip]]]).astype(np.int32),
-    )
-    mesh, report = clean_mesh(finned)
-    assert report.repeated == 2
-    assert report.watertight
-    assert len(mesh.faces) == len(thing.faces)
+    vertices = np.concatenate([thing.vertices, thing.vertices[[a]] * 1.01])
+    fin = np.array([[a, b, tip], [b, a, tip]], np.int32)
+    mesh, report = clean_mesh(Mesh(vertices, np.concatenate([thing.faces, fin])))
+    assert (len(mesh.faces), report.repeated, report.watertight) == (len(thing.faces), 2, True)
     sheet = Mesh(np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0.0]]), np.array([[0, 1, 2], [2, 1, 0]], np.int32))
     mesh, report = clean_mesh(sheet)
-    assert len(mesh.faces) == 1
-    assert report.repeated == 1
+    assert (len(mesh.faces), report.repeated) == (1, 1)
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["009_gelatin_box", "011_banana", "025_mug", "031_spoon", "042_adjustable_wrench", "048_hammer", "061_foam_brick"],
-)
+@pytest.mark.parametrize("name", ["009_gelatin_box", "011_banana", "025_mug", "031_spoon", "048_hammer"])
 def test_scans_of_real_objects_come_out_watertight(shared_data, name):
     thing, report = read_mesh(shared_data / "ycb_meshes" / f"{name}.stl", "m")
     cleaned = whole(thing.mesh)
@@ -139,8 +118,7 @@ def test_scans_of_real_objects_come_out_watertight(shared_data, name):
     assert cleaned.is_winding_consistent
     assert cleaned.volume > 0
     assert report.watertight
-    dirty = name[:3] in ("009", "025", "031", "042")
-    assert (report.faces < report.faces_read) is dirty
+    assert (report.faces < report.faces_read) is (name[:3] in ("009", "025", "031"))
     assert report.faces_read - report.faces <= 12  # stray facets only
     assert thing.mesh.vertices[:, 2].min() == 0
 
@@ -150,8 +128,9 @@ def _bytes(thing: trimesh.Trimesh, suffix: str) -> bytes:
     return data.encode() if isinstance(data, str) else data
 
 
-NAN = "v 0 0 0\nv 0.1 0 0\nv 0 nan 0\nf 1 2 3\n"
-ASCII_STL = trimesh.creation.box(BOX).export(file_type="stl_ascii")
+ASCII_STL = trimesh.creation.box(BOX).export(file_type="stl_ascii").encode()
+CORNERS = b"v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\n"
+FACE = CORNERS + b"f 1 2 3\n"
 
 
 @pytest.mark.parametrize(
@@ -159,49 +138,27 @@ ASCII_STL = trimesh.creation.box(BOX).export(file_type="stl_ascii")
     [
         ("a.stl", b"", "m", "is empty"),
         ("a.stl", _bytes(box(), "stl")[:-1], "m", "cut off"),
-        ("a.stl", _bytes(box(), "stl")[:90], "m", "cut off"),
-        ("a.stl", _bytes(box(), "stl")[:40], "m", "cut off"),
-        ("a.stl", ASCII_STL[: len(ASCII_STL) // 2].encode(), "m", "cut off"),
-        ("a.stl", b"\x00" * 84, "m", "holds no faces"),
-        ("a.stl", b"solid nothing\nendsolid nothing\n", "m", "holds no faces"),
+        ("a.stl", ASCII_STL[: len(ASCII_STL) // 2], "m", "cut off"),
         ("a.ply", _bytes(box(), "ply")[:-5], "m", "cannot be read as PLY"),
-        ("a.ply", b"hello", "m", "cannot be read as PLY"),
         ("a.ply", _bytes(trimesh.PointCloud(np.eye(3)), "ply"), "m", "load_point_cloud"),
         ("a.glb", _bytes(box(), "glb")[:-5], "m", "cut off"),
-        ("a.glb", b"hello there, I am no glb file", "m", "cannot be read as GLB"),
-        ("a.obj", b"v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\n", "m", "holds no faces"),
-        ("a.obj", b"v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 9\n", "m", "cannot be read as OBJ|not there"),
-        ("a.obj", b"\xff\xfe\x00hello", "m", "cannot be read as OBJ|no faces"),
-        ("a.obj", NAN.encode(), "m", "1 vertices are not finite"),
-        ("a.obj", NAN.replace("nan", "inf").encode(), "m", "1 vertices are not finite"),
+        ("a.obj", CORNERS, "m", "holds no faces"),
+        ("a.obj", FACE.replace(b"0 0.1 0", b"0 nan 0"), "m", "1 vertices are not finite"),
         ("a.obj", b"v 0 0 0\nv 0.1 0 0\nv 0.2 0 0\nf 1 2 3\nf 2 3 1\n", "m", "no face has an area"),
-        ("a.obj", b"v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n", "mm", "too small.*perhaps its unit is m"),
-        ("a.obj", b"v 0 0 0\nv 60 0 0\nv 0 60 0\nf 1 2 3\n", "m", "too large.*perhaps its unit is cm or mm"),
-        ("a.obj", b"v 0 0 0\nv 1e9 0 0\nv 0 60 0\nf 1 2 3\n", "m", "too large.*check the unit"),
-        ("a.obj", b"v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n", "metre", "unit 'metre' is not known.*inch"),
+        ("a.obj", FACE, "mm", "too small.*perhaps its unit is m"),
+        ("a.obj", FACE.replace(b"0.1", b"60"), "m", "too large.*perhaps its unit is cm or mm"),
+        ("a.obj", FACE, "metre", "unit 'metre' is not known.*inch"),
         ("a.step", b"ISO-10303-21;", "m", r"ending '.step' is none of .stl"),
-        ("a", b"x", "m", "ending '' is none of"),
+        ("c.stl", None, "m", "is a folder"),
     ],
 )
 def test_bad_files_get_one_sentence(tmp_path, name, data, unit, words):
     path = tmp_path / name
-    path.write_bytes(data)
+    path.mkdir() if data is None else path.write_bytes(data)
     with pytest.raises(ValueError, match=words) as caught:
         read_mesh(path, unit)
-    text = str(caught.value)
-    assert str(path) in text
-    assert "\n" not in text
-
-
-def test_missing_files_and_folders(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"b\.stl: there is no such file"):
-        read_mesh(tmp_path / "b.stl", "m")
-    (tmp_path / "c.stl").mkdir()
-    with pytest.raises(ValueError, match="is a folder"):
-        read_mesh(tmp_path / "c.stl", "m")
-    (tmp_path / "d.obj").write_text("v 0 0 0\n")
-    with pytest.raises(ValueError, match="up='x'"):
-        read_mesh(tmp_path / "d.obj", "m", up="x")
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 def test_a_second_body_is_not_left_out_silently_but_a_stray_facet_is(tmp_path):

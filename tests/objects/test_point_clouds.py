@@ -42,23 +42,20 @@ def body(rows: np.ndarray, order: str) -> bytes:
 BOTH = np.concatenate([POINTS, NORMALS], 1)
 
 
-@pytest.mark.parametrize(
-    ("name", "data"),
-    [
+def test_points_and_normals_come_back(tmp_path):
+    for name, data in (
         ("a.pcd", pcd("ascii", BOTH)),
-        ("a.pcd", pcd("binary", BOTH)),
+        ("b.pcd", pcd("binary", BOTH)),
         ("a.ply", ply("ascii", BOTH)),
-        ("a.ply", ply("binary_little_endian", BOTH)),
+        ("b.ply", ply("binary_little_endian", BOTH)),
         ("a.PLY", ply("binary_big_endian", BOTH)),
-    ],
-)
-def test_points_and_normals_come_back(tmp_path, name, data):
-    (tmp_path / name).write_bytes(data)
-    points, normals = load_point_cloud(tmp_path / name, "m")
-    np.testing.assert_array_equal(points, POINTS.astype(np.float64))  # every format carries float32 without loss
-    np.testing.assert_allclose(normals, NORMALS, atol=2**-23)  # scaled to length one again
-    points, _ = load_point_cloud(tmp_path / name, "inch")
-    np.testing.assert_array_equal(points, POINTS.astype(np.float64) * 0.0254)
+    ):
+        (tmp_path / name).write_bytes(data)
+        points, normals = load_point_cloud(tmp_path / name, "m")
+        np.testing.assert_array_equal(points, POINTS.astype(np.float64))  # every format carries float32 without loss
+        np.testing.assert_allclose(normals, NORMALS, atol=2**-23)  # scaled to length one again
+        points, _ = load_point_cloud(tmp_path / name, "inch")
+        np.testing.assert_array_equal(points, POINTS.astype(np.float64) * 0.0254)
 
 
 def test_other_columns_other_types_and_faces_are_passed_over(tmp_path):
@@ -77,11 +74,8 @@ def test_other_columns_other_types_and_faces_are_passed_over(tmp_path):
     (tmp_path / "b.ply").write_bytes(data)
     points, _ = load_point_cloud(tmp_path / "b.ply", "m")
     np.testing.assert_array_equal(points, [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
-
-
-def test_ply_as_trimesh_writes_it(tmp_path):
-    trimesh.PointCloud(POINTS).export(tmp_path / "a.ply")
-    points, normals = load_point_cloud(tmp_path / "a.ply", "m")
+    trimesh.PointCloud(POINTS).export(tmp_path / "c.ply")
+    points, normals = load_point_cloud(tmp_path / "c.ply", "m")
     np.testing.assert_allclose(points, POINTS, atol=1e-8)
     assert normals is None
 
@@ -104,48 +98,27 @@ PLY = ply("binary_little_endian", BOTH)
 @pytest.mark.parametrize(
     ("name", "data", "unit", "words"),
     [
-        ("a.pcd", b"", "m", "is empty"),
         ("a.pcd", PCD[:-1], "m", "announces 50 points and ends after 49"),
-        ("a.pcd", PCD[:60], "m", "no DATA line"),
         ("a.pcd", b"\x00\xff" * 50, "m", "cannot be read as PCD"),
         ("a.pcd", pcd("ascii", BOTH)[:-300], "m", "announces 50 points and ends after 4"),
-        ("a.pcd", pcd("ascii", BOTH).replace(b" z normal_x", b" normal_x"), "m", "cannot be read as PCD"),
-        ("a.pcd", pcd("binary", BOTH).replace(b"DATA binary", b"DATA binary_compressed"), "m", "save it as binary"),
-        ("a.pcd", pcd("binary", BOTH).replace(b"DATA binary", b"DATA strange"), "m", "cannot be read as PCD"),
+        ("a.pcd", PCD.replace(b"DATA binary", b"DATA binary_compressed"), "m", "save it as binary"),
         ("a.pcd", pcd("binary", BOTH[:, :2], "u v"), "m", "no fields x, y, z"),
-        ("a.pcd", pcd("ascii", BOTH * np.nan), "m", "no finite point"),
-        ("a.pcd", pcd("ascii", BOTH[:0]), "m", "no finite point"),
         ("a.pcd", PCD, "mm", "too small.*perhaps its unit is m"),
-        ("a.pcd", pcd("binary", BOTH * 1000), "m", "too large.*perhaps its unit is cm or mm"),
-        ("a.pcd", PCD, "yard", "unit 'yard' is not known"),
-        ("a.ply", b"hello", "m", "no PLY header"),
         ("a.ply", PLY[:-1], "m", "announces 50 points and ends after 49"),
-        ("a.ply", PLY.replace(b"float x", b"half x"), "m", "cannot be read as PLY"),
-        ("a.ply", PLY.replace(b"format binary_little_endian", b"format strange"), "m", "cannot be read as PLY"),
         ("a.ply", PLY.replace(b"property float x", b"property list uchar int x"), "m", "list property"),
-        ("a.ply", b"ply\nformat ascii 1.0\nelement face 1\nend_header\n", "m", "not the vertices"),
-        (
-            "a.ply",
-            ply("ascii", BOTH).replace(b"float nz\n", b"float nz\nproperty float w\n"),
-            "m",
-            "6 values instead of 7",
-        ),
+        ("a.ply", ply("ascii", BOTH, "x y z nx ny nz w"), "m", "6 values instead of 7"),
         ("a.xyz", b"0 0 0\n", "m", r"ending '.xyz' is none of .ply, .pcd"),
+        ("", b"", "m", "a.pcd: there is no such file"),
     ],
 )
 def test_bad_files_get_one_sentence(tmp_path, name, data, unit, words):
-    path = tmp_path / name
-    path.write_bytes(data)
-    with pytest.raises(ValueError, match=words) as caught:
+    path = tmp_path / (name or "a.pcd")
+    if name:
+        path.write_bytes(data)
+    with pytest.raises(ValueError if name else FileNotFoundError, match=words) as caught:
         load_point_cloud(path, unit)
-    text = str(caught.value)
-    assert str(path) in text
-    assert "\n" not in text
-
-
-def test_missing_file(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"b\.pcd: there is no such file"):
-        load_point_cloud(tmp_path / "b.pcd", "m")
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 # --- disks ------------------------------------------------------------------------------------------------------------
@@ -191,14 +164,6 @@ def test_disks_on_a_sphere_stay_within_their_stated_flattening_and_average_noise
     assert np.std(rough) < noise / 2  # each centre is a mean of dozens of points
 
 
-def test_outliers_are_left_out_and_sparse_clouds_refused():
-    cloud = np.concatenate([RNG.uniform(-0.01, 0.01, (3000, 3)) * [1, 1, 0], [[0, 0, 0.03]]])
-    mesh = surface_from_points(cloud, 1e-3)
-    assert np.abs(mesh.vertices[:, 2]).max() < 1e-9
-    with pytest.raises(ValueError, match="larger radius"):
-        surface_from_points(cloud[::200], 1e-4)
-
-
 def test_a_scanned_object_is_where_its_mesh_is():
     thing = make_object("stairs").mesh
     whole = trimesh.Trimesh(thing.vertices, thing.faces, process=False)
@@ -211,7 +176,7 @@ def test_a_scanned_object_is_where_its_mesh_is():
     assert cKDTree(centres).query(cloud)[0].max() <= 1.5 * radius
 
 
-def test_suggested_radius_is_two_spacings():
+def test_suggested_radius_is_two_spacings_outliers_are_left_out_and_sparse_clouds_refused():
     """The median of the eighth neighbour's distance has the gamma distribution's median 7.67 for 8, a few per cent
     below; the rim of the square counts for a few more.
     """
@@ -223,6 +188,10 @@ def test_suggested_radius_is_two_spacings():
         suggest_radius(cloud[:8])
     with pytest.raises(ValueError, match="same place"):
         suggest_radius(np.repeat(cloud[:2], 50, axis=0))
+    cloud = np.concatenate([RNG.uniform(-0.01, 0.01, (3000, 3)) * [1, 1, 0], [[0, 0, 0.03]]])
+    assert np.abs(surface_from_points(cloud, 1e-3).vertices[:, 2]).max() < 1e-9
+    with pytest.raises(ValueError, match="larger radius"):
+        surface_from_points(cloud[::200], 1e-4)
 
 
 @pytest.mark.full

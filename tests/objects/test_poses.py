@@ -49,40 +49,30 @@ def test_a_patch_at_the_pose_begins_at_the_tool_and_is_flat():
         np.testing.assert_allclose(patch.depth, 0, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+def test_what_makes_no_pose_is_refused():
+    for change, message in (
         ({"point": (*TOP[:2], 32e-3)}, "point: lies 2 mm off the surface, of at most 1 mm"),
-        ({"point": 1e3 * TOP}, "point: lies 3"),
         ({"point": [0, np.nan, 0]}, "point: .* is not three finite numbers"),
-        ({"point": TOP[:2]}, "point: .* is not three finite numbers"),
         ({"normal": [0, 0, 2]}, "normal: .* is no unit vector"),
-        ({"normal": [0, 0, 0]}, "normal: .* is no unit vector"),
-        ({"normal": [0, 0, np.nan]}, "normal: .* is no unit vector"),
         ({"roll": np.inf}, "roll: is inf; give radians"),
-    ],
-)
-def test_what_makes_no_pose_is_refused(change, message):
-    with pytest.raises(ValueError, match=message):
-        contact_pose(HEXAGON, **{"point": TOP, **change})
-
-
-def test_a_face_without_area_gives_no_normal():
+    ):
+        with pytest.raises(ValueError, match=message):
+            contact_pose(HEXAGON, **{"point": TOP, **change})
     point = HEXAGON.vertices.argmax(0)[2]
-    flat = np.array([[point, point, point]], np.int32)
+    flat = np.array([[point, point, point]], np.int32)  # a face without area gives no normal
     mesh = HEXAGON._replace(faces=np.concatenate([flat, HEXAGON.faces]))
     np.testing.assert_array_equal(contact_pose(mesh, TOP), contact_pose(HEXAGON, TOP))
     with pytest.raises(ValueError, match="no face has an area"):
         contact_pose(HEXAGON._replace(faces=flat), TOP)
 
 
-@pytest.mark.full
-def test_objects_need_no_jax():
+def test_objects_and_data_sets_need_no_jax():
     code = """
 import sys
+import i2t.dataset, i2t.skin.boards
 from i2t.objects import contact_pose, make_object
 
 contact_pose(make_object("dome").mesh, (0, 0, 30e-3))
-assert "jax" not in sys.modules
+sys.exit("jax" in sys.modules or "jaxlib" in sys.modules)
 """
     subprocess.run([sys.executable, "-c", code], check=True)
