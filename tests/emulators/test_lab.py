@@ -92,6 +92,7 @@ def test_a_press_is_felt_as_the_physics_says_with_the_noise_of_its_world(touchin
         assert skin.counters.loss < 0.02  # a loaded machine loses some; none of what is compared is one sample
 
 
+@pytest.mark.full
 def test_what_cannot_be_touched_is_said(tmp_path):
     for options, why in (
         (["--object", "nothing.stl"], r"nothing\.stl"),

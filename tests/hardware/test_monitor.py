@@ -126,6 +126,7 @@ def test_the_monitor_draws_a_recording_and_says_whether_the_skin_is_healthy(
     assert "\x1b[21F\x1b[J" in said  # drawn over the last picture
 
 
+@pytest.mark.full
 def test_two_boards_of_other_chip_counts_are_shown_and_recorded_as_tables(tmp_path, capsys):
     tables = [tmp_path / "skin.npz", tmp_path / "skin-2.npz"]
     with started("--board", "grid-2x2") as (square, _), started("--format", "framed") as (five, _):

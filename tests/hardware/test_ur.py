@@ -476,11 +476,12 @@ with UrArm(sys.argv[1], {LIMITS!r}, state_timeout=2.0, watchdog_rate={WATCHDOG_R
     ("number", "codes", "later"),
     [
         (signal.SIGINT, (-2, 130), None),
-        (signal.SIGINT, (-2, 130), 0.0),  # an impatient person presses it again, while the arm brakes
-        (signal.SIGINT, (-2, 130), 0.02),  # or its program is being ended
-        (signal.SIGTERM, (143,), None),
-        (signal.SIGHUP, (129,), None),
         (signal.SIGKILL, (-9,), None),
+        # An impatient person presses it again, while the arm brakes or its program is being ended.
+        (signal.SIGINT, (-2, 130), 0.0),
+        pytest.param(signal.SIGINT, (-2, 130), 0.02, marks=pytest.mark.full),
+        pytest.param(signal.SIGTERM, (143,), None, marks=pytest.mark.full),
+        pytest.param(signal.SIGHUP, (129,), None, marks=pytest.mark.full),
     ],
 )
 def test_the_arm_stands_when_its_process_is_ended(start, number, codes, later):
